@@ -1,0 +1,53 @@
+"""Time is passed in.
+
+Everything that waits or stamps takes a Clock. `MonotonicClock` is the machine's CLOCK_MONOTONIC; `VirtualClock` only
+moves when someone moves it, so that the whole stack runs in lock-step, faster than real time and without sleeping.
+Clock readings are integer nanoseconds since an arbitrary origin.
+"""
+
+import time
+from abc import ABC, abstractmethod
+
+from hapticd.units import NS_PER_S
+
+
+class Clock(ABC):
+    """What the daemon may ask of time."""
+
+    @abstractmethod
+    def now_ns(self) -> int:
+        """Nanoseconds since an arbitrary origin; never goes back."""
+
+    @abstractmethod
+    def sleep_until_ns(self, deadline_ns: int) -> None:
+        """Return at or after `deadline_ns`; at once if it has passed."""
+
+
+class MonotonicClock(Clock):
+    """The machine's clock."""
+
+    def now_ns(self) -> int:
+        return time.monotonic_ns()
+
+    def sleep_until_ns(self, deadline_ns: int) -> None:
+        wait_ns = deadline_ns - time.monotonic_ns()
+        if wait_ns > 0:
+            time.sleep(wait_ns / NS_PER_S)
+
+
+class VirtualClock(Clock):
+    """A clock that tests and lock-step runs move by hand."""
+
+    def __init__(self, start_ns: int = 0) -> None:
+        self.time_ns = start_ns
+
+    def now_ns(self) -> int:
+        return self.time_ns
+
+    def sleep_until_ns(self, deadline_ns: int) -> None:
+        if deadline_ns > self.time_ns:
+            self.time_ns = deadline_ns
+
+    def advance_ns(self, step_ns: int) -> None:
+        """Move time forward by `step_ns` >= 0."""
+        self.time_ns += step_ns

@@ -1,0 +1,87 @@
+"""The one error tree. Messages say what, the value with its unit, the limit, and what to do about it.
+
+HapticdError               (exit 1; `exit_code` of a class is what a process ends with when nobody caught it)
+├── ConfigError            a file or argument is wrong: fix it where the message points (exit 78)
+├── WireError              bytes that break the protocol
+│   ├── FrameError         one frame: length, CRC, range
+│   └── ProtocolMismatch   the board speaks another version: flash or install the one named
+├── LinkError              the board cannot be reached
+│   ├── LinkTimeout        no frame within the time allowed: the tick is skipped
+│   ├── LinkStalled        an endpoint stalled or babbled: cleared once, then treated as lost
+│   ├── LinkLost           unplugged or dead: wait for it with back-off
+│   └── LinkAccess         no permission, or claimed by someone else
+├── MailboxError           a shared file is missing, foreign, of another layout or out of range
+├── RealtimeError          a real-time right was refused in strict mode (exit 6)
+├── CommandError           the daemon refused a command: `code` says why (exit 4; 5 when stopped or faulted)
+└── DaemonDown             nobody answers (exit 3)
+"""
+
+
+class HapticdError(Exception):
+    """Root of every error that hapticd raises on purpose."""
+
+    exit_code = 1
+
+
+class ConfigError(HapticdError):
+    """A configuration file, device file or argument is wrong; the message names file, line and field."""
+
+    exit_code = 78  # EX_CONFIG of sysexits.h: a restart will not help
+
+
+class WireError(HapticdError):
+    """Bytes that break the protocol."""
+
+
+class FrameError(WireError):
+    """One frame has a wrong length, CRC or value; it is dropped and counted."""
+
+
+class ProtocolMismatch(WireError):
+    """The board was built against another hapticd_wire.h; nothing is sent to it."""
+
+
+class LinkError(HapticdError):
+    """The board cannot be reached."""
+
+
+class LinkTimeout(LinkError):
+    """No frame within the time allowed; the tick goes on without it."""
+
+
+class LinkStalled(LinkError):
+    """An endpoint stalled, or sent more than a packet."""
+
+
+class LinkLost(LinkError):
+    """The board was unplugged or its controller failed; all handles are dead."""
+
+
+class LinkAccess(LinkError):
+    """The board is there but may not be opened: permission or another owner."""
+
+
+class MailboxError(HapticdError):
+    """A shared file is missing, foreign, of another layout, or holds a value out of range."""
+
+
+class RealtimeError(HapticdError):
+    """The operating system refused a real-time right and the configuration says strict."""
+
+    exit_code = 6
+
+
+class CommandError(HapticdError):
+    """The daemon refused a command."""
+
+    def __init__(self, code: str, message: str, detail: object = None) -> None:
+        super().__init__(message)
+        self.code = code
+        self.detail = detail
+        self.exit_code = 5 if code == "stopped" else 4
+
+
+class DaemonDown(HapticdError):
+    """No daemon answers at the endpoint: start it with `hapticd run`."""
+
+    exit_code = 3

@@ -1,0 +1,264 @@
+"""What settings builds and everyone below reads: frozen values in SI units.
+
+`settings` validates TOML with pydantic and hands these down; `servo.json` and `board.json` are their plain JSON form, so
+that the servo process needs neither TOML nor pydantic. `from_plain` rebuilds a tree and refuses unknown or missing keys.
+"""
+
+import dataclasses
+import types
+import typing
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+from hapticd.errors import ConfigError
+from hapticd.units import round_half_up
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class FilterParams:
+    """Second-order low-pass: corner, damping ratio (0.7071 = Butterworth) and the way it is made discrete."""
+
+    frequency_hz: float
+    damping_ratio: float = 0.7071067811865476
+    mapping: str = "prewarped"  # "prewarped" | "bilinear" | "matched"
+
+
+@dataclass(frozen=True, slots=True)
+class WallParams:
+    """Unilateral wall: pushes back towards the free side only. `side` +1: solid for x > position; -1: x < position; 0: none."""
+
+    stiffness_n_per_m: float = 0.0
+    damping_ns_per_m: float = 0.0
+    position_m: float = 0.0
+    side: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class WorkspaceParams:
+    """Soft ends: springs that start at the ends of the usable travel."""
+
+    lower_m: float = -1.0
+    upper_m: float = 1.0
+    stiffness_n_per_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class EnvironmentParams:
+    """The virtual environment of the paper (Weir 2008, section 2): K on raw position, B and M on filtered derivatives."""
+
+    stiffness_n_per_m: float = 0.0
+    damping_ns_per_m: float = 0.0
+    mass_kg: float = 0.0
+    velocity_filter: FilterParams = FilterParams(100.0)
+    acceleration_filter: FilterParams = FilterParams(72.0)
+    wall: WallParams = WallParams()
+    workspace: WorkspaceParams = WorkspaceParams()
+
+
+@dataclass(frozen=True, slots=True)
+class ScaleParams:
+    """value = sign * (count - offset_count) * per_count; `date` and `source` say where it comes from."""
+
+    per_count: float
+    sign: int = 1
+    offset_count: float = 0.0
+    date: str = ""
+    source: str = ""
+
+    def to_value(self, count: float) -> float:
+        """SI value of `count`."""
+        return self.sign * (count - self.offset_count) * self.per_count
+
+    def to_count(self, value: float, low: int, high: int) -> int:
+        """Nearest count for a finite SI `value`, held inside `low`..`high`."""
+        return max(low, min(high, round_half_up(self.sign * value / self.per_count + self.offset_count)))
+
+
+@dataclass(frozen=True, slots=True)
+class HomeParams:
+    """How the position origin is found: `none`, against a `stop` at bounded force, or at the encoder `index`."""
+
+    method: str = "none"
+    required: bool = False
+    direction: int = -1
+    speed_m_per_s: float = 0.01
+    force_n: float = 0.5
+    position_m: float = 0.0  # where the stop or index lies
+    timeout_s: float = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceParams:
+    """A device file: what one count means on this very device, and what it may be asked for."""
+
+    name: str
+    serial: str
+    position: ScaleParams  # m
+    force: ScaleParams  # N
+    damping: ScaleParams  # N s/m of added electrical damping
+    probe_torque: ScaleParams  # N at the endpoint
+    probe_velocity: ScaleParams  # m/s
+    current: ScaleParams  # A
+    voltage: ScaleParams  # V
+    emf_velocity: ScaleParams  # m/s
+    temperature: ScaleParams  # degC
+    force_limit_n: float
+    damping_limit_ns_per_m: float
+    probe_limit_n: float
+    temperature_limit_c: float
+    speed_limit_m_per_s: float  # faster is not a motion but a sensor fault
+    home: HomeParams = HomeParams()
+
+
+@dataclass(frozen=True, slots=True)
+class SafetyParams:
+    """Times and levels of the safety table."""
+
+    force_limit_n: float = 8.0
+    enable_ramp_s: float = 0.5
+    stop_ramp_s: float = 0.02
+    damping_hold_s: float = 2.0
+    damping_release_s: float = 0.5
+    safe_damping_ns_per_m: float = 0.0
+    damping_slew_ns_per_m_s: float = 20.0
+    gateway_timeout_s: float = 1.0
+    on_gateway_loss: str = "fault"  # "fault" | "hold"
+    lost_slots_limit: int = 10  # within one second
+    missing_frames_limit: int = 8
+    default_ramp_s: float = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class RealtimeParams:
+    """What the servo process asks of the operating system."""
+
+    rate_hz: float = 1000.0
+    mode: str = (
+        "best_effort"  # "strict": refuse to start without the rights | "best_effort": report what was granted | "off"
+    )
+    priority: int = 79
+    core: int | None = None  # None: the last one of those allowed
+    spin_us: float = 100.0
+    lock_memory: bool = True
+    grace_s: float = 1.0  # start-up overruns are counted apart for this long
+
+
+@dataclass(frozen=True, slots=True)
+class UsbParams:
+    """Which board: None matches any."""
+
+    vendor_id: int = 0x1209
+    product_id: int = 0x0001
+    serial: str | None = None
+    timeout_ms: int = 2
+
+
+@dataclass(frozen=True, slots=True)
+class ServoParams:
+    """Everything the servo process needs (servo.json)."""
+
+    instance: str
+    simulated: bool
+    environment: EnvironmentParams
+    device: DeviceParams
+    safety: SafetyParams
+    realtime: RealtimeParams
+    usb: UsbParams
+    added_damping_ns_per_m: float = 1.74
+    config_hash: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class InjectionParams:
+    """One seeded fault of the simulated board: at `tick` (or with `probability` each tick), `count` times."""
+
+    kind: str
+    tick: int = -1
+    probability: float = 0.0
+    count: int = 1
+    value: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class BoardParams:
+    """Everything the simulated board needs (board.json): nominal scales of its firmware and the plant's numbers."""
+
+    serial: str
+    rate_hz: float
+    position_m_per_count: float
+    force_n_per_count: float
+    damping_ns_per_m_per_count: float
+    probe_torque_n_per_count: float
+    probe_velocity_m_per_s_per_count: float
+    current_a_per_count: float
+    voltage_v_per_count: float
+    force_limit_n: float
+    mass_kg: float  # device and probe
+    viscous_ns_per_m: float
+    lower_stop_m: float
+    upper_stop_m: float
+    torque_constant_n_per_a: float
+    winding_ohm: float
+    ambient_c: float
+    sample_phase: float = 0.875
+    watchdog_ms: float = 250.0
+    seed: int = 1
+    injections: tuple[InjectionParams, ...] = field(default_factory=tuple)
+    emf_velocity_m_per_s_per_count: float = 2.0 / 32767
+    temperature_c_per_count: float = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class GatewayParams:
+    """What the gateway process needs (gateway.json): where telemetry is offered and how many ticks share a message."""
+
+    telemetry_port: int = 9872  # PlotJuggler's default; an ephemeral one when taken
+    batch: int = 20  # ticks in one `servo` message
+    tcp_host: str = "127.0.0.1"
+    allow_insecure: bool = False  # another host than the loopback without CURVE keys
+    curve_keys: str | None = None  # folder of server key and allowed client keys
+
+
+@dataclass(frozen=True, slots=True)
+class GatewaySetup:
+    """gateway.json: the gateway's own parameters, and the servo's for the limits and scales it checks against."""
+
+    servo: ServoParams
+    gateway: GatewayParams = GatewayParams()
+
+
+def to_plain(value: Any) -> Any:
+    """Dataclass tree -> dicts and lists that json writes."""
+    return dataclasses.asdict(value)
+
+
+def from_plain(kind: type[T], plain: Any, where: str = "") -> T:
+    """Dicts and lists -> dataclass tree of type `kind`. Raises ConfigError with the path of a wrong key."""
+    known = {item.name: item for item in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    if not isinstance(plain, dict):
+        raise ConfigError(f"{where or kind.__name__}: expected a table, got {type(plain).__name__}")
+    unknown = sorted(set(plain) - set(known))
+    if unknown:
+        raise ConfigError(
+            f"{where or kind.__name__}: unknown key {unknown[0]!r}; written by another version? resolve again"
+        )
+    hints = typing.get_type_hints(kind)
+    try:
+        return kind(**{key: _value(hints[key], item, f"{where}.{key}") for key, item in plain.items()})
+    except TypeError as error:
+        raise ConfigError(f"{where or kind.__name__}: {error}; written by another version? resolve again") from error
+
+
+def _value(hint: Any, plain: Any, where: str) -> Any:
+    if dataclasses.is_dataclass(hint) and isinstance(hint, type):
+        return from_plain(hint, plain, where)
+    if typing.get_origin(hint) is tuple:
+        return tuple(_value(typing.get_args(hint)[0], item, where) for item in plain)
+    allowed = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
+    if float in allowed and isinstance(plain, int) and not isinstance(plain, bool):
+        return float(plain)
+    if not isinstance(plain, tuple(allowed)):
+        raise ConfigError(f"{where}: expected {hint}, got {plain!r}; resolve the configuration again")
+    return plain
