@@ -1,0 +1,140 @@
+"""The tick law against scipy, against numba bit by bit, and against closed forms."""
+
+import math
+import random
+import struct
+import types
+
+import numpy as np
+import pytest
+from numba import njit
+from scipy import signal
+
+from hapticd.params import EnvironmentParams, FilterParams, WallParams, WorkspaceParams
+from hapticd.render import environment, fields, limits
+from hapticd.render.environment import at_rest, design_coefficients, environment_tuple, render
+
+RATE_HZ = 1000.0
+BUTTERWORTH = design_coefficients(FilterParams(100.0), FilterParams(72.0), RATE_HZ)
+
+
+def fly(positions, params, limit_n=1e9, coefficients=BUTTERWORTH):
+    """Forces and velocities of the law over `positions`, from rest at the first."""
+    state, numbers, out = at_rest(positions[0]), environment_tuple(params, limit_n), []
+    for x in positions:
+        force, _, v, a, *_, state = render(x, state, numbers, coefficients)
+        out.append((force, v, a))
+    return np.array(out).T
+
+
+def reference(positions, params):
+    """K on raw position, B and M on differences through scipy's own filters."""
+    x = np.asarray(positions)
+    padded = np.concatenate(([x[0], x[0]], x))
+    velocity = np.diff(padded)[1:] * RATE_HZ
+    acceleration = np.diff(padded, 2) * RATE_HZ**2
+    first, second = signal.butter(2, 100.0, fs=RATE_HZ), signal.butter(2, 72.0, fs=RATE_HZ)
+    v, a = signal.lfilter(*first, velocity), signal.lfilter(*second, acceleration)
+    return -(params.stiffness_n_per_m * x + params.damping_ns_per_m * v + params.mass_kg * a), v, a
+
+
+@pytest.mark.parametrize(("k", "b", "m"), [(100.0, 1.0, 0.010), (50.0, 2.0, 0.0), (600.0, 8.0, -0.022), (0.0, 0.0, 0.0)])
+def test_force_equals_scipy_reference(k, b, m):
+    rng = np.random.default_rng(1)
+    positions = 1e-3 + np.cumsum(rng.integers(-40, 41, 20_000)) * 0.5e-6
+    params = EnvironmentParams(k, b, m)
+    force, v, a = fly(positions.tolist(), params)
+    expected, v_expected, a_expected = reference(positions, params)
+    for ours, theirs in ((force, expected), (v, v_expected), (a, a_expected)):
+        scale = max(np.abs(theirs).max(), 1.0)
+        assert np.abs(ours - theirs).max() <= 1e-12 * scale
+
+
+def test_constant_speed_gives_exact_damping_force():
+    params = EnvironmentParams(damping_ns_per_m=2.0)
+    force, v, a = fly([1e-5 * n for n in range(2000)], params)
+    assert v[-1] == pytest.approx(0.01, rel=1e-12)
+    assert force[-1] == pytest.approx(-0.02, rel=1e-12)
+    assert abs(a[-1]) < 1e-9
+
+
+def test_constant_acceleration_gives_exact_inertia_force():
+    params = EnvironmentParams(mass_kg=0.01)
+    force, _, _ = fly([0.5 * 3.0 * (n / RATE_HZ) ** 2 for n in range(3000)], params)
+    assert force[-1] == pytest.approx(-0.03, rel=1e-6)
+
+
+def jitted_law():
+    """`render` itself compiled by numba, with its helpers, without fastmath."""
+    helpers = {name: njit(value) for name, value in (("wall_force", fields.wall_force), ("end_force", fields.end_force), ("clamp", limits.clamp))}
+    twin = types.FunctionType(render.__code__, {**environment.__dict__, **helpers})
+    return njit(twin)
+
+
+def random_call(draw: random.Random):
+    """One law call with everything on: walls, ends, clamps, and now and then a NaN or an infinity."""
+    x = draw.choice((draw.gauss(0, 1e-3), draw.gauss(0, 0.1), round(draw.gauss(0, 2000)) * 0.5e-6))
+    if draw.random() < 0.01:
+        x = draw.choice((math.nan, math.inf, -math.inf))
+    state = tuple(draw.gauss(0, 10.0 ** draw.randint(-6, 0)) for _ in range(6))
+    kbm = (draw.uniform(-500, 5000), draw.uniform(-5, 50), draw.uniform(-0.05, 0.1), draw.gauss(0, 0.1))
+    wall = (draw.uniform(0, 1e4), draw.uniform(0, 50), draw.gauss(0, 1e-3), draw.choice((-1.0, 0.0, 1.0)))
+    return x, state, (*kbm, draw.choice((0.5, 8.0, 1e9)), *wall, -draw.uniform(0, 0.01), draw.uniform(0, 0.01), draw.uniform(0, 1e4))
+
+
+def bits(result) -> bytes:
+    flat = (*result[:-1], *result[-1])
+    return struct.pack(f"<{len(flat)}d", *(math.nan if value != value else value for value in flat))
+
+
+def test_numba_and_cpython_agree_to_the_bit():
+    law, draw = jitted_law(), random.Random(7)
+    seen_walls = seen_clamps = seen_nans = 0
+    for _ in range(100_000):
+        x, state, numbers = random_call(draw)
+        ours = render(x, state, numbers, BUTTERWORTH)
+        assert bits(law(x, state, numbers, BUTTERWORTH)) == bits(ours)
+        seen_walls += ours[7] != 0.0
+        seen_clamps += ours[0] != ours[1]
+        seen_nans += ours[1] != ours[1]
+    assert min(seen_walls, seen_clamps) > 10_000
+    assert seen_nans > 100
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_force_is_finite_whatever_the_position(bad):
+    numbers = environment_tuple(EnvironmentParams(100.0, 1.0, 0.01), 8.0)
+    force = render(bad, at_rest(0.0), numbers, BUTTERWORTH)[0]
+    assert -8.0 <= force <= 8.0
+
+
+@pytest.mark.parametrize("force", [8.0, -8.0, 8.000001, -8.000001, 1e300, -1e300, math.inf, -math.inf])
+def test_clamp_holds_at_its_boundary(force):
+    assert limits.clamp(force, 8.0) == math.copysign(8.0, force)
+    assert limits.clamp(math.nan, 8.0) == 0.0
+    assert limits.clamp(7.999999, 8.0) == 7.999999
+
+
+def test_wall_pushes_only_outwards_and_only_inside():
+    wall = (1000.0, 20.0, 0.001, 1.0)
+    assert fields.wall_force(0.0009, 1.0, *wall) == 0.0
+    assert fields.wall_force(0.0015, 0.0, *wall) == pytest.approx(-0.5)
+    assert fields.wall_force(0.0015, 0.01, *wall) == pytest.approx(-0.7)
+    assert fields.wall_force(0.0015, -1.0, *wall) == 0.0  # leaving fast: it never pulls
+    assert fields.wall_force(-0.0015, 0.0, 1000.0, 20.0, -0.001, -1.0) == pytest.approx(0.5)
+
+
+def test_workspace_ends_are_soft_and_symmetric():
+    params = EnvironmentParams(workspace=WorkspaceParams(-0.01, 0.01, 500.0))
+    numbers = environment_tuple(params, 8.0)
+    inside, right, left = (render(x, at_rest(x), numbers, BUTTERWORTH)[0] for x in (0.005, 0.012, -0.012))
+    assert inside == 0.0
+    assert right == pytest.approx(-1.0)
+    assert left == pytest.approx(1.0)
+
+
+def test_wall_field_adds_to_the_environment():
+    params = EnvironmentParams(stiffness_n_per_m=100.0, wall=WallParams(1000.0, 0.0, 0.001, 1))
+    result = render(0.002, at_rest(0.002), environment_tuple(params, 8.0), BUTTERWORTH)
+    assert result[0] == pytest.approx(-0.2 - 1.0)
+    assert result[7] == pytest.approx(-1.0)
