@@ -1,0 +1,17 @@
+"""Where the servo and the rest meet: plain mapped files that nobody waits for.
+
+The servo creates and owns every file in the runtime folder; the gateway and others map them.
+
+    mailbox         header, heartbeats and counters, command ring (gateway -> servo), answer ring (servo -> gateway)
+    telemetry.ring  one record per tick, SPSC; kept as last.ring for the flight recorder when a servo starts anew
+    stop            one page; any non-zero word latches STOP; its group may write it
+    perturbation    waveform in probe counts, written by the gateway while no perturbation runs
+    servo.report    JSON: what the operating system granted, what the board said
+
+Which mailbox for which need: every value, in order, once -> command and answer ring; every value, lossy but counted ->
+telemetry; the latest value -> a word. A writer never waits: a full ring answers busy, an unread record is overwritten.
+
+What would break it: a store of the head that overtakes the data it announces (see `fence`), a reader that trusts what it
+maps (readers check magic, layout hash and epoch; the servo checks sequence, CRC and range of every command), two servos
+in one folder (`files.claim` refuses), two writers of one ring (there is one gateway, its claim is checked the same way).
+"""

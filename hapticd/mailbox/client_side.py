@@ -1,0 +1,167 @@
+"""The other end: the gateway posts commands and reads answers and telemetry; anyone of the group may set the stop word."""
+
+import json
+import os
+import zlib
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from hapticd.errors import MailboxError
+from hapticd.mailbox import files, layout
+from hapticd.mailbox.fence import word_access
+
+SAFE_DISTANCE = 64  # records that a reader keeps clear of the writer
+
+
+class Header(NamedTuple):
+    """Who serves this mailbox."""
+
+    pid: int
+    start_ns: int
+    rate_hz: float
+    config_hash: str
+    simulated: bool
+
+
+class Answer(NamedTuple):
+    """What the servo said about command `seq` (layout.Result); `effective` are values after quantisation, by layout.Value."""
+
+    seq: int
+    result: layout.Result
+    fault: int
+    revision: int
+    first_tick: int
+    ramp_end_tick: int
+    effective: tuple[float, ...]
+
+
+def press_stop(folder: Path) -> None:
+    """Latch STOP in the servo of `folder` without the gateway. MailboxError if no servo is there."""
+    page = files.open_map(folder / files.STOP, layout.STOP_BYTES)
+    memoryview(page).cast("Q")[0] = 1
+
+
+class GatewayMailbox:
+    """The gateway's end. One per folder: a second one is refused.
+
+    A gateway that outlives servos holds the claim of files.GATEWAY_LOCK itself (`claimed`) and opens one of these per life.
+    """
+
+    def __init__(self, folder: Path, claimed: bool = False) -> None:
+        self.folder = folder
+        if not folder.is_dir():
+            raise MailboxError(f"{folder}: no such folder; no servo runs there, start one with `hapticd run`")
+        self._claim = None if claimed else files.claim(folder, files.GATEWAY_LOCK)
+        try:
+            self._map_all()
+        except MailboxError:
+            self.close()
+            raise
+
+    def _map_all(self) -> None:
+        self._inode = self._inode_now()  # before the map: a file replaced in between is then not current
+        self._map = files.open_map(self.folder / files.MAILBOX, layout.MAILBOX_BYTES)
+        self.words = memoryview(self._map).cast("Q")
+        self.store, self.load = word_access(self.words)
+        magic, layout_hash, pid, start_ns, rate_hz, config_hash, simulated = layout.HEADER.unpack_from(self._map, 0)
+        if magic != layout.MAGIC or layout_hash != layout.LAYOUT_HASH:
+            raise MailboxError(f"{self.folder}: mailbox of another version; restart servo and gateway together")
+        self.epoch = self.load(layout.EPOCH_WORD)
+        if self.epoch == 0 or self.epoch != start_ns:
+            raise MailboxError(f"{self.folder}: the servo has ended or is still starting; wait or run `hapticd run`")
+        if not (0 < rate_hz <= 100_000):
+            raise MailboxError(f"{self.folder}: rate {rate_hz} Hz out of range 0..100000; restart the servo")
+        self.header = Header(pid, start_ns, rate_hz, config_hash.rstrip(b"\0").decode(), bool(simulated))
+        self._ring = files.open_map(self.folder / files.TELEMETRY, layout.TELEMETRY_BYTES)
+        self.ring = memoryview(self._ring)
+        _, self.load_head = word_access(self.ring.cast("Q"))
+        self._wave = files.open_map(self.folder / files.PERTURBATION, layout.PERTURBATION_HEADER + 2 * layout.PERTURBATION_SAMPLES)
+        self.waveform = memoryview(self._wave)[layout.PERTURBATION_HEADER :].cast("h")
+        self.words[layout.GATEWAY_PID_WORD] = os.getpid()
+
+    @property
+    def current(self) -> bool:
+        """Whether the mapped mailbox is still the one in the folder; when not, close this and open a new one.
+
+        A servo that was killed leaves its epoch behind, so the file itself is compared as well.
+        """
+        return self._inode_now() == self._inode and self.load(layout.EPOCH_WORD) == self.epoch
+
+    def _inode_now(self) -> int | None:
+        try:
+            return os.stat(self.folder / files.MAILBOX).st_ino
+        except OSError:
+            return None
+
+    @property
+    def backlog(self) -> int:
+        """Commands that the servo has not taken yet."""
+        return self.words[layout.COMMAND_HEAD_WORD] - self.load(layout.COMMAND_TAIL_WORD)
+
+    @property
+    def servo_beat_ns(self) -> int:
+        """Monotonic time of the servo's last tick; 0 before the first."""
+        return self.load(layout.SERVO_BEAT_WORD)
+
+    def beat(self, now_ns: int) -> None:
+        """Tell the servo that the gateway lives."""
+        self.store(layout.GATEWAY_BEAT_WORD, now_ns)
+
+    def counters(self) -> dict[str, int]:
+        """The servo's counters by name."""
+        return {name: self.words[layout.COUNTER_WORD + index] for index, name in enumerate(layout.COUNTERS)}
+
+    def report(self) -> dict[str, Any]:
+        """What the servo wrote at start: rights granted, board, device. Empty while it is being replaced."""
+        try:
+            content = json.loads((self.folder / files.REPORT).read_text())
+        except (OSError, ValueError):
+            return {}
+        return content if isinstance(content, dict) else {}
+
+    def post(self, kind: int, actor: int, apply_tick: int, values: tuple[float, ...]) -> int | None:
+        """Post a command of 20 doubles (layout.Value); its sequence number, or None when the ring is full (`busy`)."""
+        head = self.words[layout.COMMAND_HEAD_WORD]
+        if self.backlog >= layout.RING_SLOTS:
+            return None
+        offset = layout.COMMAND_OFFSET + head % layout.RING_SLOTS * layout.COMMAND.size
+        layout.COMMAND.pack_into(self._map, offset, head + 1, kind, actor, apply_tick, *values, 0, 0)
+        crc = zlib.crc32(self._map[offset : offset + layout.COMMAND_CRC_OFFSET])
+        layout.COMMAND.pack_into(self._map, offset, head + 1, kind, actor, apply_tick, *values, crc, 0)
+        self.store(layout.COMMAND_HEAD_WORD, head + 1)
+        return head + 1
+
+    def answers(self) -> list[Answer]:
+        """All answers since the last call, in order."""
+        found = []
+        tail, head = self.words[layout.ANSWER_TAIL_WORD], self.load(layout.ANSWER_HEAD_WORD)
+        while tail != head:
+            offset = layout.ANSWER_OFFSET + tail % layout.RING_SLOTS * layout.ANSWER.size
+            seq, result, fault, revision, first, end, *values, crc, _ = layout.ANSWER.unpack_from(self._map, offset)
+            if zlib.crc32(self._map[offset : offset + layout.ANSWER.size - 8]) != crc:
+                raise MailboxError(f"{self.folder}: answer {tail} is damaged; restart servo and gateway")
+            found.append(Answer(seq, layout.Result(result), fault, revision, first, end, tuple(values)))
+            tail += 1
+            self.store(layout.ANSWER_TAIL_WORD, tail)
+        return found
+
+    def records(self, tail: int, most: int) -> tuple[bytes, int, int]:
+        """Up to `most` whole records after number `tail`: (bytes, new tail, records lost before them). Never waits."""
+        head = self.load_head(layout.TELEMETRY_HEAD_WORD)
+        first = max(tail, head - layout.RING_RECORDS + SAFE_DISTANCE)
+        count = min(most, head - first)
+        if count <= 0:
+            return b"", tail, 0
+        size, slot = layout.RECORD.size, first % layout.RING_RECORDS
+        until_wrap = min(count, layout.RING_RECORDS - slot)
+        begin = layout.TELEMETRY_OFFSET + slot * size
+        block = bytes(self.ring[begin : begin + until_wrap * size])
+        block += bytes(self.ring[layout.TELEMETRY_OFFSET : layout.TELEMETRY_OFFSET + (count - until_wrap) * size])
+        overwritten = self.load_head(layout.TELEMETRY_HEAD_WORD) - layout.RING_RECORDS + 1 - first
+        spoiled = max(0, min(count, overwritten))
+        return block[spoiled * size :], first + count, first - tail + spoiled
+
+    def close(self) -> None:
+        """Give up the claim; the maps go with the object."""
+        if self._claim is not None:
+            files.release(self.folder, files.GATEWAY_LOCK, self._claim)

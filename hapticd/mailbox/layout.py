@@ -1,0 +1,228 @@
+"""The tables of the mailbox: every offset, record and number that two processes must agree on.
+
+A change of any table changes LAYOUT_HASH, and processes of different versions refuse each other. The telemetry table is
+also the dtype that `servo.raw` announces (numpy `descr` form), so an acquisition client needs no copy of it.
+"""
+
+import hashlib
+import struct
+from enum import IntEnum
+
+MAGIC = b"HAPTICD\0"
+
+# --- header page: written once by the servo before `epoch`, which is written last -----------------------------------
+HEADER = struct.Struct("<8s8sQqd64sB")  # magic, layout hash, pid, start_ns, rate_hz, config hash (hex), simulated
+EPOCH_WORD = 32  # u64 index into the mailbox file: start time of this servo life, 0 while it is being built
+
+# --- words: single u64, one writer each ------------------------------------------------------------------------------
+SERVO_BEAT_WORD = 64  # monotonic ns, written every tick
+GATEWAY_BEAT_WORD = 72  # monotonic ns, written by the gateway at least every 100 ms
+COMMAND_HEAD_WORD = 80  # commands posted (gateway)
+COMMAND_TAIL_WORD = 88  # commands taken (servo)
+ANSWER_HEAD_WORD = 96  # answers posted (servo)
+ANSWER_TAIL_WORD = 104  # answers taken (gateway)
+GATEWAY_PID_WORD = 112
+COUNTER_WORD = 128  # COUNTERS, u64 each
+PAGE = 4096
+
+COUNTERS = (
+    "ticks", "late_events", "lost_slots", "grace_late_events", "grace_lost_slots", "missing_in", "bad_in", "sequence_gap",
+    "write_errors", "reconnects", "sim_slip_ns", "commands", "bad_commands", "dropped_answers",
+)  # fmt: skip
+STAGES = (
+    "wake",
+    "read",
+    "step",
+    "write",
+    "publish",
+)  # each has its `_ns` in the record; histograms are made from those
+
+# --- command ring: gateway -> servo ----------------------------------------------------------------------------------
+RING_SLOTS = 64
+COMMAND = struct.Struct("<QIIQ20dII")  # seq, kind, actor, apply_tick (0: now), values, crc32 of all before, pad
+COMMAND_OFFSET = 2 * PAGE
+COMMAND_CRC_OFFSET = COMMAND.size - 8
+
+# --- answer ring: servo -> gateway -----------------------------------------------------------------------------------
+ANSWER = struct.Struct("<QIIQQQ20dII")  # seq, result, fault number, revision, first_tick, ramp_end_tick, effective, crc32, pad
+ANSWER_OFFSET = COMMAND_OFFSET + 4 * PAGE
+MAILBOX_BYTES = ANSWER_OFFSET + 5 * PAGE
+
+STOP_BYTES = PAGE
+PERTURBATION_HEADER = PAGE
+PERTURBATION_SAMPLES = 1 << 19  # i16 counts: 131 s at 4 kHz, repeated when `loop` is asked
+
+
+class State(IntEnum):
+    """What the servo is doing; the number is in every record."""
+
+    DISABLED = 0
+    ENABLED = 1
+    STOPPED = 2
+    FAULT = 3
+    HOMING = 4
+
+
+class Command(IntEnum):
+    """What the gateway may ask of the servo."""
+
+    SET = 1
+    DAMPING = 2
+    ENABLE = 3
+    DISABLE = 4
+    STOP = 5
+    RESET = 6
+    ZERO = 7
+    HOME = 8
+    PERTURB_START = 9
+    PERTURB_STOP = 10
+
+
+class Value(IntEnum):
+    """Places of the 20 doubles of a command; bit `1 << place` in MASK says that the place is meant."""
+
+    MASK = 0
+    RAMP_S = 1
+    STIFFNESS = 2  # N/m
+    DAMPING = 3  # N s/m, virtual
+    MASS = 4  # kg
+    VELOCITY_FILTER_HZ = 5
+    VELOCITY_FILTER_ZETA = 6
+    ACCELERATION_FILTER_HZ = 7
+    ACCELERATION_FILTER_ZETA = 8
+    WALL_STIFFNESS = 9
+    WALL_DAMPING = 10
+    WALL_POSITION = 11
+    WALL_SIDE = 12
+    ADDED_DAMPING = 13  # N s/m, electrical, level
+    ADDED_DAMPING_ON = 14  # 0 or 1
+    SAMPLES = 15  # PERTURB_START: length of the waveform
+    LOOP = 16  # PERTURB_START: 0 or 1
+    LEASE_CONTROL = 17
+    LEASE_DAMPING = 18
+
+
+# lowest, highest and unit of what may be asked; the device and the rate may allow less
+VALUE_LIMITS: dict[Value, tuple[float, float, str]] = {
+    Value.RAMP_S: (0.0, 60.0, "s"),
+    Value.STIFFNESS: (-1e4, 1e5, "N/m"),
+    Value.DAMPING: (-1e2, 1e3, "N s/m"),
+    Value.MASS: (-1.0, 10.0, "kg"),
+    Value.VELOCITY_FILTER_HZ: (0.1, 1e5, "Hz"),
+    Value.VELOCITY_FILTER_ZETA: (0.05, 10.0, "1"),
+    Value.ACCELERATION_FILTER_HZ: (0.1, 1e5, "Hz"),
+    Value.ACCELERATION_FILTER_ZETA: (0.05, 10.0, "1"),
+    Value.WALL_STIFFNESS: (0.0, 1e5, "N/m"),
+    Value.WALL_DAMPING: (0.0, 1e3, "N s/m"),
+    Value.WALL_POSITION: (-10.0, 10.0, "m"),
+    Value.WALL_SIDE: (-1.0, 1.0, "side"),
+    Value.ADDED_DAMPING: (0.0, 1e3, "N s/m"),
+    Value.ADDED_DAMPING_ON: (0.0, 1.0, "switch"),
+    Value.SAMPLES: (1.0, float(PERTURBATION_SAMPLES), "samples"),
+    Value.LOOP: (0.0, 1.0, "switch"),
+    Value.LEASE_CONTROL: (0.0, 4294967295.0, "id"),
+    Value.LEASE_DAMPING: (0.0, 4294967295.0, "id"),
+}
+FILTER_LIMIT = 0.45  # highest corner as a fraction of the rate
+
+
+def value_limits(rate_hz: float, added_damping_limit_ns_per_m: float) -> dict[Value, tuple[float, float, str]]:
+    """VALUE_LIMITS (lowest, highest, unit) as narrowed by the servo rate [Hz] and by the device's damping limit [N s/m]."""
+    narrower = {
+        Value.ADDED_DAMPING: added_damping_limit_ns_per_m,
+        Value.VELOCITY_FILTER_HZ: FILTER_LIMIT * rate_hz,
+        Value.ACCELERATION_FILTER_HZ: FILTER_LIMIT * rate_hz,
+    }
+    return {place: (low, min(high, narrower.get(place, high)), unit) for place, (low, high, unit) in VALUE_LIMITS.items()}
+
+
+class Result(IntEnum):
+    """What became of a command."""
+
+    APPLIED = 1
+    SCHEDULED = 2  # at_tick lies ahead: a second answer follows with APPLIED or SUPERSEDED
+    SUPERSEDED = 3  # a later command took every parameter before this one came into force
+    REFUSED_STATE = 4  # not in this state
+    REFUSED_CAUSE = 5  # the cause of the fault persists
+    REFUSED_NOT_HOMED = 6
+    REFUSED_NO_GATEWAY = 7  # enable without a gateway heartbeat
+    REFUSED_RANGE = 8
+    REFUSED_FULL = 9  # 16 commands are scheduled already
+    REFUSED_LATE = 10  # at_tick has passed
+    CANCELLED = 11  # a stop or fault removed a scheduled command
+
+
+# --- telemetry: one record per tick ----------------------------------------------------------------------------------
+TELEMETRY = (
+    ("tick", "<u8"), ("time_ns", "<i8"), ("board_us", "<i8"),
+    # --- the plan: changes only on commands, ramps and safety transitions; packed once per change
+    ("revision", "<u4"), ("state", "u1"), ("fault", "u1"), ("perturbing", "u1"), ("homed", "u1"),
+    ("actor", "<u4"), ("lease_control", "<u4"), ("lease_damping", "<u4"), ("gain", "<f4"),
+    ("stiffness_n_per_m", "<f8"), ("damping_ns_per_m", "<f8"), ("mass_kg", "<f8"),
+    ("added_damping_asked_ns_per_m", "<f8"), ("added_damping_ns_per_m", "<f8"),
+    # --- this tick
+    ("flags", "<u4"), ("status", "<u4"),
+    ("position_m", "<f8"), ("velocity_m_per_s", "<f8"), ("acceleration_m_per_s2", "<f8"),
+    ("stiffness_force_n", "<f8"), ("damping_force_n", "<f8"), ("mass_force_n", "<f8"), ("field_force_n", "<f8"),
+    ("force_n", "<f8"),
+    ("energy_j", "<f8", (6,)),  # see render.energy
+    ("winding_c", "<f4"), ("current_a", "<f4"), ("voltage_v", "<f4"), ("emf_velocity_m_per_s", "<f4"),
+    ("wake_ns", "<i4"), ("read_ns", "<i4"), ("step_ns", "<i4"), ("write_ns", "<i4"), ("publish_ns", "<i4"),
+    ("lost_slots", "<u4"),
+    ("in_frame", "V64"), ("out_frame", "V32"),
+    ("tail", "<u8"),  # = tick; differs while the record is being overwritten
+)  # fmt: skip
+
+_PLAN_END = [name for name, *_ in TELEMETRY].index("added_damping_ns_per_m") + 1
+PLAN_FIELDS = TELEMETRY[3:_PLAN_END]
+_CODES = {"<u8": "Q", "<i8": "q", "<u4": "I", "<i4": "i", "<f4": "f", "<f8": "d", "u1": "B"}
+
+
+def _codes(fields: tuple[tuple[object, ...], ...]) -> str:
+    parts = []
+    for _, kind, *shape in fields:
+        text = str(kind)
+        parts.append(f"{text[1:]}s" if text[0] == "V" else (f"{shape[0][0]}" if shape else "") + _CODES[text])  # type: ignore[index]
+    return "".join(parts)
+
+
+PLAN = struct.Struct("<" + _codes(PLAN_FIELDS))
+RECORD = struct.Struct(f"<Qqq{PLAN.size}s" + _codes(TELEMETRY[_PLAN_END:]))
+RING_RECORDS = 8192  # 8 s at 1 kHz
+TELEMETRY_HEAD_WORD = 0  # u64 index in telemetry.ring: records written
+TELEMETRY_EPOCH_WORD = 1
+TELEMETRY_OFFSET = PAGE
+TELEMETRY_BYTES = PAGE + RING_RECORDS * RECORD.size
+
+
+class Flag(IntEnum):
+    """Bits of `flags` in a record."""
+
+    MISSING_IN = 1  # no fresh sample: the command of the tick before was repeated
+    BAD_IN = 2
+    INTERPOLATED = 4  # the filters were fed the positions of lost frames
+    SEEDED = 8  # the filters were put at rest at this position
+    LATE = 16
+    CLAMPED = 32
+    NOT_FINITE = 64
+    WRITE_FAILED = 128
+    RAMPING = 256
+    QUIET_RAMP = 512  # force returns from 0 after a gap
+
+
+LAYOUT_HASH = hashlib.sha256(
+    repr(
+        (
+            HEADER.format,
+            COMMAND.format,
+            ANSWER.format,
+            TELEMETRY,
+            COUNTERS,
+            STAGES,
+            list(State),
+            list(Command),
+            list(Value),
+            list(Result),
+        )
+    ).encode()
+).digest()[:8]
