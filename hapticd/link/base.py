@@ -1,0 +1,35 @@
+"""What the servo needs of any way to a board. Real and simulated boards are twins below it: nobody above asks which."""
+
+from abc import ABC, abstractmethod
+from array import array
+
+from hapticd.wire.frames import Request
+
+
+class Link(ABC):
+    """One board, one owner. Every call returns within the link's time-out or raises a LinkError."""
+
+    @abstractmethod
+    def open(self) -> None:
+        """Find and claim the board. LinkLost: not there; LinkAccess: not allowed or taken."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release everything; never raises, may be called twice."""
+
+    @abstractmethod
+    def read(self, buffer: "array[int]") -> int:
+        """Fill `buffer` (array('B'), one packet) with the next IN frame; number of bytes. LinkTimeout, LinkStalled, LinkLost."""
+
+    @abstractmethod
+    def write(self, buffer: "array[int]") -> None:
+        """Send `buffer` (array('B')) as one OUT frame. LinkTimeout, LinkStalled, LinkLost."""
+
+    @abstractmethod
+    def request(self, request: Request, length: int = 0) -> bytes:
+        """Vendor control request: IN when `length` > 0 (that many bytes at most), else OUT without data."""
+
+
+def backoff_s(attempt: int) -> float:
+    """Pause before looking for a lost board again: 50 ms, doubled each time, at most 1 s."""
+    return min(1.0, 0.05 * 2.0 ** min(attempt, 10))

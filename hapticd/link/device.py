@@ -1,0 +1,137 @@
+"""A board that answers: link, protocol session and buffers in one, made for one exchange per tick.
+
+`receive` gives the newest IN frame and says how it arrived: 0 is the next one on time, k > 0 came after k samples that
+never did, -k means that for the k-th tick in a row there is none (the old one is returned), SEED that the filters must
+start here. The judge is the board's own latch time, not the sequence number: after a host pause the sample that lay
+waiting is one period old and belongs to its own time, and the gap shows in the one after it.
+
+A stale frame (a duplicate, or one that a time-out left behind) is read past, at most twice a tick. LinkLost is for the
+loop; everything less is counted and survived here. What would break it: two tasks calling it, buffers that are replaced.
+"""
+
+from array import array
+from collections.abc import Callable, Sequence
+
+from hapticd.errors import LinkStalled, LinkTimeout
+from hapticd.link.base import Link
+from hapticd.units import US_PER_S
+from hapticd.wire import codec, frames, session
+from hapticd.wire.frames import Hello, Request
+
+SEED = 1 << 20
+STALE_READS = 2
+NO_SAMPLES = (0,) * frames.PROBE_MAX
+Head = tuple[int, ...]  # fields of frames.IN_HEAD
+Received = tuple[int, int, Head]  # arrival, unwrapped board time [us], head
+_EMPTY: Head = (0,) * 15
+
+
+class Device:
+    """The board as the servo sees it. `counts` are frames: missing, bad, gap (IN lost), unseen (OUT the board missed)."""
+
+    def __init__(self, link: Link, rate_hz: float) -> None:
+        self.link = link
+        self.period_us = US_PER_S / rate_hz
+        self.in_buffer = array("B", bytes(frames.PACKET_BYTES))
+        self.out_buffer = array("B", bytes(frames.OUT_BYTES))
+        self.counts = {"missing": 0, "bad": 0, "gap": 0, "unseen": 0, "write_errors": 0}
+        self.hello: Hello | None = None
+        self._begin: Callable[[], None]
+        self.receive: Callable[[], Received]
+        self.send: Callable[..., bool]
+        self._begin, self.receive, self.send = _exchange(self)
+
+    def connect(self) -> Hello:
+        """Open, greet, check the protocol, and send one frame without torque. LinkError or ProtocolMismatch."""
+        self.link.open()
+        self.hello = session.greet(self.link.request(Request.HELLO, frames.HELLO_BYTES))
+        self._begin()
+        self.send(frames.OutFlag.FIFO_CLEAR, 0, 0, 0)
+        return self.hello
+
+    def clear_fault(self) -> None:
+        """Ask the board to forget latched faults whose cause is gone."""
+        self.link.request(Request.CLEAR_FAULT)
+
+    def close(self) -> None:
+        """Release the board."""
+        self.link.close()
+
+
+def _exchange(device: Device) -> tuple[Callable[[], None], Callable[[], Received], Callable[..., bool]]:
+    """Closures over the device's buffers: the state of the exchange lives in cells, at the cost of a local."""
+    read, write = device.link.read, device.link.write
+    in_buffer, out_buffer, counts, period_us = device.in_buffer, device.out_buffer, device.counts, device.period_us
+    parse, pack = codec.in_parser(in_buffer), codec.out_packer(out_buffer)
+    shortest, longest = 0.5 * period_us, 1.5 * period_us
+    incoming, outgoing = session.SequenceCounter(), session.SequenceCounter()
+    head, board_us, expected, sent, missing, seeding = _EMPTY, 0, -1, 0, 0, True
+
+    def begin() -> None:
+        nonlocal expected, missing, seeding
+        expected, missing, seeding = -1, 0, True
+        incoming.restart()
+        outgoing.restart()
+
+    def absent(kind: str) -> Received:
+        nonlocal missing
+        missing += 1
+        counts[kind] += 1
+        return -missing, board_us, head
+
+    def fetch() -> Head | str:
+        """One frame, or how it failed."""
+        try:
+            if read(in_buffer) != frames.IN_BYTES:
+                return "bad"
+        except (LinkTimeout, LinkStalled):
+            return "missing"
+        return parse() or "bad"
+
+    def odd(found: Head) -> Received:
+        """A frame that is not simply the next one: stale, after a gap, or the first."""
+        nonlocal head, board_us, expected, missing, seeding
+        latched = found[5] if seeding else session.unwrap(board_us, found[5], session.BOARD_TIME_BITS)
+        for _ in range(STALE_READS):
+            if seeding or latched > board_us:
+                break
+            again = fetch()
+            if isinstance(again, str):
+                return absent(again)
+            found, latched = again, session.unwrap(board_us, again[5], session.BOARD_TIME_BITS)
+        else:
+            if not seeding and latched <= board_us:
+                return absent("missing")
+        counts["gap"] += incoming.observe(found[0])[1]
+        counts["unseen"] += outgoing.observe(found[1])[1]
+        lost = SEED if seeding else max(0, round((latched - board_us) / period_us) - 1)
+        head, board_us, expected, missing, seeding = found, latched, (found[0] + 1) & 0xFFFF, 0, False
+        return lost, board_us, head
+
+    def receive() -> Received:
+        nonlocal head, board_us, expected, missing
+        try:
+            size = read(in_buffer)
+        except (LinkTimeout, LinkStalled):
+            return absent("missing")
+        found = parse() if size == frames.IN_BYTES else None
+        if found is None:
+            return absent("bad")
+        passed = found[5] - (board_us & 0xFFFFFFFF)
+        if found[0] != expected or found[1] != sent or not (shortest <= passed <= longest):
+            return odd(found)
+        head, missing, expected, board_us = found, 0, (expected + 1) & 0xFFFF, board_us + passed
+        return 0, board_us, found
+
+    def send(flags: int, torque: int, damping: int, resistance: int, count: int = 0, samples: Sequence[int] = NO_SAMPLES) -> bool:
+        nonlocal sent
+        sent = (sent + 1) & 0xFFFF
+        pack(sent, flags, torque, damping, resistance, count, samples)
+        try:
+            write(out_buffer)
+        except (LinkTimeout, LinkStalled):
+            counts["write_errors"] += 1
+            return False
+        return True
+
+    return begin, receive, send

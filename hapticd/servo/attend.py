@@ -1,0 +1,138 @@
+"""The long way of a tick: lost frames, causes of faults, commands, ramps, homing. It ends in a state for the short way.
+
+Order within a tick: what arrived -> what is wrong -> commands -> scheduled changes -> homing -> damping and ramps.
+So a stop that arrives with an enable wins, and a fault that appears in this tick is seen by a reset in the same tick.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from hapticd.faults import BY_CODE
+from hapticd.mailbox.layout import Command, Flag
+from hapticd.params import ServoParams
+from hapticd.render.energy import ZERO_FORCES, book
+from hapticd.render.environment import Coefficients, LawState, at_rest, render, split
+from hapticd.render.filters import carry_over
+from hapticd.render.ramp import Ramp
+from hapticd.servo import homing
+from hapticd.servo.commands import Now, apply_settings, obey
+from hapticd.servo.hot import advance_added, hot
+from hapticd.servo.plan import Plan, coefficients_of
+from hapticd.servo.safety import FAULT_EVENT, LATCHED, State
+from hapticd.servo.state import BOARD_FAULT, GATEWAY_ALIVE, LINK_UP, Answer, Request, Sample, ServoState
+from hapticd.units import round_half_up
+from hapticd.wire.frames import OutFlag, Status
+
+Attend = Callable[[ServoState, tuple[Any, ...], Sample, int], tuple[ServoState, bool, tuple[Any, ...], int]]
+
+
+def make_attend(params: ServoParams) -> Attend:
+    """`attend(state, commands, sample, tick)` -> (state, whether the sample may be used, answers, record flags)."""
+    rate_hz, force = params.realtime.rate_hz, params.device.force
+    limit_n = min(params.safety.force_limit_n, params.device.force_limit_n)
+    hot_count = params.device.temperature.to_count(params.device.temperature_limit_c, -32768, 32767)
+    m_per_count = params.device.position.per_count * params.device.position.sign
+
+    def cause(status: int, temperature: int, host: int) -> int:
+        """Number of what is wrong at this moment, 0 if nothing is."""
+        if not host & LINK_UP:
+            return BY_CODE["usb_lost"].number
+        if status & BOARD_FAULT:
+            return BY_CODE["board_fault"].number
+        if status & Status.OVER_TEMPERATURE or temperature > hot_count:
+            return BY_CODE["over_temperature"].number
+        return 0
+
+    def newly_lost(plan: Plan, sample: Sample) -> int:
+        """Number of a fault that this sample brings, 0 for none; losses that matter only under force wait for force."""
+        _, status, temperature, arrival, host, _ = sample
+        found = cause(status, temperature, host)
+        if found or plan.state not in (State.ENABLED, State.HOMING):
+            return found
+        if not host & GATEWAY_ALIVE and params.safety.on_gateway_loss == "fault":
+            return BY_CODE["gateway_lost"].number
+        if status & Status.WATCHDOG:
+            return BY_CODE["board_watchdog"].number
+        return BY_CODE["frames_lost"].number if -arrival > params.safety.missing_frames_limit else 0
+
+    def commanded(
+        plan: Plan, commands: tuple[Request, ...], sample: Sample, tick: int, held: float
+    ) -> tuple[Plan, tuple[Answer, ...]]:
+        found = newly_lost(plan, sample)
+        events: tuple[Request, ...] = ((0, FAULT_EVENT, 0, 0, (float(found),)),) if found else ()
+        now = Now(tick, sample[0], held, bool(sample[4] & GATEWAY_ALIVE), cause(sample[1], sample[2], sample[4]))
+        answers: list[Answer] = []
+        stops = tuple(one for one in commands if one[1] == Command.STOP)
+        for request in (*events, *(one for one in commands if one[1] != Command.STOP), *stops):
+            plan, more = obey(plan, request, now, params)
+            answers += more
+        while plan.scheduled and plan.scheduled[0].tick <= tick:
+            due = plan.scheduled[0]
+            plan, more = apply_settings(plan._replace(scheduled=plan.scheduled[1:]), due, params)
+            answers += more
+        return plan, tuple(answers)
+
+    def attend(
+        state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int
+    ) -> tuple[ServoState, bool, tuple[Any, ...], int]:
+        encoder, _, _, arrival, host, _ = sample
+        _, environment, coefficients, _, _, _, law, ledger, origin, added, held, _, plan = state
+        before = plan
+        usable = arrival >= 0 and bool(host & LINK_UP)
+        flags = 0
+        if usable and 0 < arrival <= params.safety.missing_frames_limit:
+            law, ledger = bridge(law, ledger, (encoder - origin) * m_per_count, arrival, environment, coefficients, added)
+            flags = int(Flag.INTERPOLATED)
+        plan, answers = commanded(plan, commands, sample, tick, held[1])
+        if plan.state is State.HOMING and usable:
+            plan = homing.advance(plan, sample, tick, params)
+        seeding = usable and (arrival > params.safety.missing_frames_limit or plan.origin != origin)
+        if seeding:
+            law, ledger = at_rest((encoder - plan.origin) * m_per_count), (ledger[0], ZERO_FORCES, ZERO_FORCES, 0.0)
+            flags = int(Flag.SEEDED)
+            if plan.state is State.ENABLED and before.state is State.ENABLED:
+                plan = plan._replace(gain=Ramp(0.0, 1.0, tick, round_half_up(params.safety.enable_ramp_s * rate_hz)))
+                flags |= int(Flag.QUIET_RAMP)
+        plan = advance_added(plan, tick, params)
+        if plan.filters != before.filters:
+            renewed = coefficients_of(plan, rate_hz)
+            law, coefficients = carried(law, coefficients, renewed), renewed
+        now = hot(plan, tick, params, params.environment.workspace, limit_n)
+        if plan.state is State.HOMING:
+            now = now._replace(environment=homing.environment(params))
+        if now.wake_tick == tick + 1:
+            flags |= int(Flag.RAMPING)
+        if not usable and plan.state not in (State.ENABLED, State.HOMING):
+            left = plan.bias.value(tick)
+            held = (force.to_count(left, -32768, 32767), left)
+        per_period = params.device.damping.to_value(now.damping_count) * rate_hz
+        return (
+            now.wake_tick, now.environment, coefficients, out_flags(plan, tick), now.damping_count, now.blob, law, ledger,
+            plan.origin, per_period, held, host, plan,
+        ), usable, answers, flags  # fmt: skip
+
+    return attend
+
+
+def out_flags(plan: Plan, tick: int) -> int:
+    """Flags of the OUT frame: torque authority only where the table grants torque."""
+    live = plan.state in (State.ENABLED, State.HOMING) or (plan.state in LATCHED and plan.bias.running(tick))
+    return (int(OutFlag.ENABLE) if live else 0) | (int(OutFlag.PERTURB) if plan.wave[0] else 0)
+
+
+def bridge(
+    law: LawState, ledger: Any, x: float, lost: int, environment: Any, coefficients: Coefficients, added: float
+) -> tuple[LawState, Any]:
+    """Feed the filters `lost` positions on the straight line to `x`, while the last force was held."""
+    start = law[0]
+    for index in range(1, lost + 1):
+        law = render(start + (x - start) * index / (lost + 1), law, environment, coefficients)[8]
+        ledger = book(ledger, law[1], ledger[1], 0.0, added)
+    return law, ledger
+
+
+def carried(law: LawState, old: Coefficients, new: Coefficients) -> LawState:
+    """The law's state for new filters, such that neither output jumps."""
+    x, d, vz1, vz2, az1, az2 = law
+    (old_v, old_a), (new_v, new_a) = split(old), split(new)
+    return (x, d, *carry_over(old_v, new_v, (vz1, vz2), d), *carry_over(old_a, new_a, (az1, az2), 0.0))

@@ -1,0 +1,75 @@
+"""The safety table: which command leads where, and what torque and damping a state allows.
+
+    state      torque                    added damping                                leaves by
+    disabled   0                         0 unless asked                               enable, home, stop, fault
+    enabled    law, limited              as asked                                     disable, stop, fault
+    homing     homing law, its own limit as asked                                     done, disable, stop, fault
+    stopped    ramp to 0 in 20 ms        max(current, safe) for 2 s, then to 0 in     reset, while no cause persists
+    fault      ramp to 0 in 20 ms        0.5 s                                        reset, while no cause persists
+
+STOP comes from anyone at any time and is idempotent; `reset` leads to disabled, never further; a fault keeps its first
+cause. `set` and `damping` are taken in every state and act where the table lets them. Pure: no clock, no I/O.
+What would break it: a state added without its row (TABLE is checked to be complete when this module is imported).
+"""
+
+from hapticd.faults import BY_CODE
+from hapticd.mailbox import layout
+from hapticd.mailbox.layout import Command, Result
+from hapticd.params import SafetyParams
+
+State = layout.State
+
+FAULT_EVENT = 100  # internal command: something is lost; its first value is the fault number
+HOME_DONE_EVENT = 101
+PERTURB_DONE_EVENT = 102
+LATCHED = frozenset({State.STOPPED, State.FAULT})
+
+_STAY, _NO = None, Result.REFUSED_STATE
+_COLUMNS = (
+    Command.ENABLE,
+    Command.DISABLE,
+    Command.STOP,
+    Command.RESET,
+    Command.ZERO,
+    Command.HOME,
+    Command.PERTURB_START,
+    FAULT_EVENT,
+    HOME_DONE_EVENT,
+)
+_ROWS: dict[State, tuple[State | Result | None, ...]] = {
+    #                ENABLE         DISABLE         STOP           RESET           ZERO   HOME          PERTURB FAULT       HOME_DONE
+    State.DISABLED: (State.ENABLED, _STAY,          State.STOPPED, _STAY,          _STAY, State.HOMING, _STAY, State.FAULT, _NO),
+    State.ENABLED:  (_STAY,         State.DISABLED, State.STOPPED, _NO,            _NO,   _NO,          _STAY, State.FAULT, _NO),
+    State.STOPPED:  (_NO,           _STAY,          _STAY,         State.DISABLED, _NO,   _NO,          _NO,   State.FAULT, _NO),
+    State.FAULT:    (_NO,           _STAY,          _STAY,         State.DISABLED, _NO,   _NO,          _NO,   _STAY,       _NO),
+    State.HOMING:   (_NO,           State.DISABLED, State.STOPPED, _NO,            _NO,   _NO,          _NO,   State.FAULT, State.DISABLED),
+}  # fmt: skip
+TABLE = {(state, kind): row[column] for state, row in _ROWS.items() for column, kind in enumerate(_COLUMNS)}
+assert len(TABLE) == len(State) * len(_COLUMNS)
+
+
+def transition(state: State, kind: int) -> State | Result:
+    """Next state after command `kind`, or why it is refused. Kinds without a column never change the state."""
+    found = TABLE.get((state, kind))
+    return state if found is None else found
+
+
+def enable_refusal(homed: bool, home_required: bool, gateway: bool, cause: int) -> Result | None:
+    """Why enabling is refused although the state allows it; None if it is not."""
+    if cause:
+        return Result.REFUSED_CAUSE
+    if not gateway:
+        return Result.REFUSED_NO_GATEWAY
+    if home_required and not homed:
+        return Result.REFUSED_NOT_HOMED
+    return None
+
+
+def held_damping(entry_level: float, elapsed_s: float, safety: SafetyParams) -> float:
+    """Added damping [N s/m] of a latched state `elapsed_s` after it was entered with `entry_level`."""
+    hold = max(entry_level, safety.safe_damping_ns_per_m)
+    release = (elapsed_s - safety.damping_hold_s) / safety.damping_release_s
+    return hold * min(1.0, max(0.0, 1.0 - release))
+
+
+STOP_FAULT = BY_CODE["stop"].number

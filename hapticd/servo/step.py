@@ -1,0 +1,128 @@
+"""One tick as a function: (state, commands, sample, tick) -> (state, output). No clock, no mailbox, no I/O.
+
+The same call flies live, in lock-step and in a replay. Almost every tick takes the short way: position from the count,
+`render`, count from the force, ledger. A tick on which anything else happens (a command, a running ramp, a lost frame, a
+status bit, a missing heartbeat) first goes through `attend`, which makes a new state; the short way then follows as ever.
+
+State is one flat tuple (see `state`), so that a tick unpacks and builds it at C speed; `plan` holds everything slow. The
+force limit is the last thing before the wire: the law clamps in newtons, this module clamps the count once more.
+What would break it: mutable values in the state, a time or a random number read here, a float that reaches the wire.
+"""
+
+from collections.abc import Callable
+from math import floor, isfinite
+from typing import Any
+
+from hapticd.faults import BY_CODE
+from hapticd.mailbox.layout import Flag
+from hapticd.params import ServoParams
+from hapticd.render.energy import EMPTY, book
+from hapticd.render.environment import at_rest, render
+from hapticd.servo.attend import make_attend
+from hapticd.servo.hot import hot
+from hapticd.servo.plan import coefficients_of, initial_plan
+from hapticd.servo.safety import FAULT_EVENT
+from hapticd.servo.state import ATTENTION, LINK_UP, Output, Sample, ServoState
+from hapticd.units import round_half_up
+
+Step = Callable[[ServoState, tuple[Any, ...], Sample, int], tuple[ServoState, Output]]
+
+_CLAMPED, _NOT_FINITE, _MISSING = int(Flag.CLAMPED), int(Flag.NOT_FINITE), int(Flag.MISSING_IN)
+_RANGE, _FINITE = BY_CODE["sensor_range"].number, BY_CODE["not_finite"].number
+
+
+def initial_state(params: ServoParams, tick: int = 0) -> ServoState:
+    """Disabled, at rest at count 0; the first sample of a link seeds the filters where the device is."""
+    plan = initial_plan(params)._replace(origin=round_half_up(params.device.position.offset_count))
+    coefficients = coefficients_of(plan, params.realtime.rate_hz)
+    now = hot(plan, tick, params, params.environment.workspace, 0.0)
+    held = (params.device.force.to_count(0.0, -32768, 32767), 0.0)
+    law, origin = at_rest(0.0), plan.origin
+    return (
+        now.wake_tick,
+        now.environment,
+        coefficients,
+        0,
+        now.damping_count,
+        now.blob,
+        law,
+        EMPTY,
+        origin,
+        0.0,
+        held,
+        LINK_UP,
+        plan,
+    )
+
+
+def make_step(params: ServoParams, delay: float = 0.125) -> Step:
+    """The step for one device. `delay`: sample-to-force delay as a fraction of the period (for the energy ledger)."""
+    attend = make_attend(params)
+    force = params.device.force
+    m_per_count = params.device.position.per_count * params.device.position.sign
+    counts_per_n, zero_count, n_per_count = (
+        force.sign / force.per_count,
+        force.offset_count,
+        force.sign * force.per_count,
+    )
+    rounding = zero_count + 0.5
+    limit_n = min(params.safety.force_limit_n, params.device.force_limit_n)
+    ends = sorted((force.to_count(limit_n, -32768, 32767), force.to_count(-limit_n, -32768, 32767)))
+    low, high = ends
+    jump_m = params.device.speed_limit_m_per_s / params.realtime.rate_hz
+    hot_limit = params.device.temperature.to_count(params.device.temperature_limit_c, -32768, 32767)
+
+    def missing(state: ServoState, flags: int, answers: tuple[Any, ...]) -> tuple[ServoState, Output]:
+        """No sample to believe: what was sent is sent again (0 once the torque is off)."""
+        torque, applied = state[10]
+        return state, (torque, state[6][0], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, applied, flags | _MISSING, answers)
+
+    def faulted(
+        state: ServoState, sample: Sample, tick: int, fault: int, flags: int, answers: tuple[Any, ...]
+    ) -> tuple[ServoState, Output]:
+        event = (0, FAULT_EVENT, 0, 0, (float(fault),))
+        unusable = (*sample[:3], -1, *sample[4:])
+        state, _, more, more_flags = attend(state, (event,), unusable, tick)
+        return missing(state, flags | more_flags, answers + more)
+
+    def step(state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int) -> tuple[ServoState, Output]:
+        encoder, status, temperature, arrival, host, _ = sample
+        answers: tuple[Any, ...] = ()
+        flags = 0
+        if commands or arrival or tick >= state[0] or host != state[11] or status & ATTENTION or temperature > hot_limit:
+            state, usable, answers, flags = attend(state, commands, sample, tick)
+            if not usable:
+                return missing(state, flags, answers)
+        wake, environment, coefficients, out_flags, damping, blob, law, ledger, origin, added, _, host, plan = state
+        x = (encoder - origin) * m_per_count
+        newtons, total, v, a, spring, damper, inertia, field, after = render(x, law, environment, coefficients)
+        if not (-jump_m <= after[1] <= jump_m):
+            return faulted(state, sample, tick, _RANGE, flags, answers)
+        if newtons != total:
+            flags |= _CLAMPED
+            if not isfinite(total):
+                cleared = (*state[:6], at_rest(x), EMPTY, *state[8:])
+                return faulted(cleared, sample, tick, _FINITE, flags | _NOT_FINITE, answers)
+        torque = floor(newtons * counts_per_n + rounding)
+        if not (low <= torque <= high):
+            torque = low if torque < low else high
+        applied = (torque - zero_count) * n_per_count
+        ledger = book(ledger, after[1], (spring, damper, inertia, field, applied), delay, added)
+        state = (
+            wake,
+            environment,
+            coefficients,
+            out_flags,
+            damping,
+            blob,
+            after,
+            ledger,
+            origin,
+            added,
+            (torque, applied),
+            host,
+            plan,
+        )
+        return state, (torque, x, v, a, spring, damper, inertia, field, applied, flags, answers)
+
+    return step

@@ -1,0 +1,46 @@
+"""Waiting for the next tick.
+
+Live: sleep to `spin` before the deadline, then spin on the clock. The kernel wakes a sleeper 10-60 us late; the spin makes
+the tick start within 0.1 us for 10 % of a core at 1 kHz and warms the caches. Deadlines lie half a period off the
+millisecond, where the scheduler's own tick does not fall. Virtual: move the clock.
+"""
+
+import time
+from collections.abc import Callable
+
+from hapticd.clock import Clock
+from hapticd.units import NS_PER_MS, NS_PER_S
+
+Wait = Callable[[int], int]
+
+
+def spinning_wait(spin_ns: int, period_ns: int) -> Wait:
+    """`wait(deadline_ns)` -> monotonic ns at or after it. The spin is at most 0.4 periods, so that a core can breathe."""
+    margin_ns = min(spin_ns, int(0.4 * period_ns))
+    clock, sleep, per_ns = time.monotonic_ns, time.sleep, 1.0 / NS_PER_S
+
+    def wait(deadline_ns: int) -> int:
+        ahead = deadline_ns - margin_ns - clock()
+        if ahead > 0:
+            sleep(ahead * per_ns)
+        now = clock()
+        while now < deadline_ns:
+            now = clock()
+        return now
+
+    return wait
+
+
+def virtual_wait(clock: Clock) -> Wait:
+    """`wait` on a clock that jumps."""
+
+    def wait(deadline_ns: int) -> int:
+        clock.sleep_until_ns(deadline_ns)
+        return clock.now_ns()
+
+    return wait
+
+
+def first_deadline(now_ns: int, period_ns: int) -> int:
+    """A deadline a few periods ahead, half a period off the millisecond."""
+    return (now_ns // NS_PER_MS + 3) * NS_PER_MS + period_ns // 2

@@ -1,0 +1,79 @@
+"""Flying `servo.step` by hand: a tick counter, commands with masks, and a sample that is healthy unless told otherwise."""
+
+from typing import Any
+
+from hapticd.link.device import SEED
+from hapticd.mailbox import layout
+from hapticd.mailbox.layout import Command, Result, Value
+from hapticd.servo.safety import State
+from hapticd.servo.state import HEALTHY
+from hapticd.servo.step import initial_state, make_step
+
+AMBIENT_COUNT = 2500
+
+
+def masked(values: dict[Value, float]) -> tuple[float, ...]:
+    """The 20 doubles of a command."""
+    packed = [0.0] * 20
+    packed[Value.MASK] = float(sum(1 << place for place in values))
+    for place, value in values.items():
+        packed[place] = value
+    return tuple(packed)
+
+
+class Flight:
+    """One servo in the air. The first sample seeds the filters."""
+
+    def __init__(self, params: Any, encoder: int = 0) -> None:
+        self.params, self.encoder, self.tick = params, encoder, 0
+        self.step, self.state = make_step(params), initial_state(params)
+        self.answers: list[Any] = []
+        self._seq = 0
+        self.fly(1, arrival=SEED)
+
+    def fly(self, ticks: int = 1, **sample: Any) -> Any:
+        """`ticks` ticks with the same sample; the last output."""
+        for _ in range(ticks):
+            out = self._one((), **sample)
+        return out
+
+    def do(self, kind: int, values: dict[Value, float] | None = None, at_tick: int = 0, **sample: Any) -> Result:
+        """Command and tick; what became of it."""
+        self._seq += 1
+        out = self._one(((self._seq, int(kind), 9, at_tick, masked(values or {})),), **sample)
+        return Result(next(answer[1] for answer in out[10] if answer[0] == self._seq))
+
+    def event(self, kind: int, number: int) -> Any:
+        """An internal event of the loop."""
+        return self._one(((0, kind, 0, 0, (float(number),)),))
+
+    def _one(self, commands: Any, encoder: Any = None, status: int = 0, celsius: Any = None, arrival: int = 0, host: int = HEALTHY, index: int = 0) -> Any:
+        if encoder is not None:
+            self.encoder = encoder
+        temperature = AMBIENT_COUNT if celsius is None else round(celsius * 100)
+        sample = (self.encoder, status, temperature, arrival, host, index)
+        self.state, out = self.step(self.state, commands, sample, self.tick)
+        self.tick += 1
+        self.answers += out[10]
+        return out
+
+    @property
+    def plan(self) -> Any:
+        return self.state[12]
+
+    @property
+    def blob(self) -> dict[str, Any]:
+        """The plan part of the record of this tick."""
+        names = [name for name, *_ in layout.PLAN_FIELDS]
+        return dict(zip(names, layout.PLAN.unpack(self.state[5]), strict=True))
+
+
+def enabled(params: Any, settings: dict[Value, float] | None = None, encoder: int = 0) -> Flight:
+    """A flight that is enabled with its gain at 1."""
+    flight = Flight(params, encoder)
+    if settings:
+        assert flight.do(Command.SET, {Value.RAMP_S: 0.0, **settings}) is Result.APPLIED
+    assert flight.do(Command.ENABLE) is Result.APPLIED
+    flight.fly(501)
+    assert flight.plan.state is State.ENABLED
+    return flight

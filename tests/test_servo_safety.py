@@ -1,0 +1,259 @@
+"""The safety table, cell by cell, and what torque and damping do in each state."""
+
+import pytest
+from flight import Flight, enabled
+from models import device_params, servo_params
+
+from hapticd.faults import BY_CODE, FAULTS
+from hapticd.mailbox.layout import Command, Result, Value
+from hapticd.params import HomeParams, SafetyParams
+from hapticd.servo import safety
+from hapticd.servo.safety import FAULT_EVENT, HOME_DONE_EVENT, State
+from hapticd.servo.state import GATEWAY_ALIVE, HEALTHY, LINK_UP
+from hapticd.wire.frames import OutFlag, Status
+
+STIFF = {Value.STIFFNESS: 100.0}
+DENTED = 20_000  # counts = 10 mm: -1 N at 100 N/m
+NO, D, E, S, F, H = Result.REFUSED_STATE, State.DISABLED, State.ENABLED, State.STOPPED, State.FAULT, State.HOMING
+
+CELLS = {
+    # state: enable, disable, stop, reset, zero, home, perturb, fault, home done
+    D: (E, D, S, D, D, H, D, F, NO),
+    E: (E, D, S, NO, NO, NO, E, F, NO),
+    S: (NO, S, S, D, NO, NO, NO, F, NO),
+    F: (NO, F, F, D, NO, NO, NO, F, NO),
+    H: (NO, D, S, NO, NO, NO, NO, F, D),
+}
+KINDS = (Command.ENABLE, Command.DISABLE, Command.STOP, Command.RESET, Command.ZERO, Command.HOME, Command.PERTURB_START, FAULT_EVENT, HOME_DONE_EVENT)
+
+
+@pytest.mark.parametrize("state", list(State))
+@pytest.mark.parametrize("column", range(len(KINDS)))
+def test_every_cell_of_the_table(state, column):
+    assert safety.transition(state, KINDS[column]) == CELLS[state][column]
+
+
+@pytest.mark.parametrize("state", list(State))
+@pytest.mark.parametrize("kind", [Command.SET, Command.DAMPING, Command.PERTURB_STOP])
+def test_settings_never_change_the_state(state, kind):
+    assert safety.transition(state, kind) is state
+
+
+def test_fault_numbers_and_codes_are_unique():
+    assert len({fault.number for fault in FAULTS}) == len({fault.code for fault in FAULTS}) == len(FAULTS)
+    assert all(fault.cause and fault.action and fault.remedy for fault in FAULTS)
+
+
+def test_start_comes_up_disabled_without_torque():
+    flight = Flight(servo_params(), DENTED)
+    out = flight.fly(10)
+    assert flight.plan.state is D
+    assert out[0] == 0
+    assert not flight.state[3] & OutFlag.ENABLE
+
+
+def test_disabled_renders_no_force_even_with_stiffness_set():
+    flight = Flight(servo_params(), DENTED)
+    flight.do(Command.SET, {**STIFF, Value.RAMP_S: 0.0})
+    out = flight.fly(10)
+    assert (out[0], out[8]) == (0, 0.0)
+
+
+def test_enable_ramps_the_force_in_over_half_a_second():
+    flight = Flight(servo_params(), DENTED)
+    flight.do(Command.SET, {**STIFF, Value.RAMP_S: 0.0})
+    flight.do(Command.ENABLE)
+    forces = [flight.fly()[8] for _ in range(501)]
+    assert forces[249] == pytest.approx(-0.5, abs=2e-3)
+    assert forces[-1] == pytest.approx(-1.0, abs=2e-4)
+    steps = [abs(b - a) for a, b in zip(forces, forces[1:], strict=False)]
+    assert max(steps) < 1.0 / 500 + 3e-4
+
+
+def test_disable_takes_the_torque_away_at_once():
+    flight = enabled(servo_params(), STIFF, DENTED)
+    flight.do(Command.DISABLE)
+    assert flight.plan.state is D
+    assert flight.fly()[0] == 0
+    assert not flight.state[3] & OutFlag.ENABLE
+
+
+def test_stop_takes_the_force_to_zero_in_twenty_ticks():
+    flight = enabled(servo_params(), STIFF, DENTED)
+    assert flight.do(Command.STOP) is Result.APPLIED
+    forces = [abs(flight.fly()[8]) for _ in range(25)]
+    assert forces == sorted(forces, reverse=True)
+    assert 0.3 < forces[9] < 0.6
+    assert forces[20] == 0.0
+    assert not flight.state[3] & OutFlag.ENABLE
+
+
+def test_stop_latches_until_reset():
+    flight = enabled(servo_params(), STIFF, DENTED)
+    flight.do(Command.STOP)
+    assert flight.do(Command.ENABLE) is Result.REFUSED_STATE
+    assert flight.do(Command.STOP) is Result.APPLIED
+    flight.fly(5000)
+    assert flight.plan.state is S
+    assert flight.blob["fault"] == BY_CODE["stop"].number
+    assert flight.blob["actor"] == 9
+    assert flight.do(Command.RESET) is Result.APPLIED
+    assert flight.plan.state is D
+
+
+def test_reset_never_enables():
+    flight = enabled(servo_params())
+    flight.do(Command.STOP)
+    flight.do(Command.RESET)
+    flight.fly(2000)
+    assert flight.plan.state is D
+
+
+def test_stop_wins_over_enable_in_the_same_tick():
+    flight = Flight(servo_params())
+    empty = (0.0,) * 20
+    commands = ((1, Command.STOP, 9, 0, empty), (2, Command.ENABLE, 9, 0, empty))
+    flight._one(commands)
+    assert flight.plan.state is S
+
+
+def test_damping_is_held_two_seconds_then_released_in_half_a_second():
+    params = servo_params(safety=SafetyParams(safe_damping_ns_per_m=1.0))
+    flight = enabled(params)
+    flight.do(Command.DAMPING, {Value.ADDED_DAMPING: 1.74, Value.ADDED_DAMPING_ON: 1.0})
+    flight.fly(200)
+    flight.do(Command.STOP)
+    start = flight.tick - 1
+    levels = {}
+    for _ in range(2600):
+        flight.fly()
+        levels[flight.tick - 1 - start] = flight.blob["added_damping_ns_per_m"]
+    assert levels[1] == pytest.approx(1.74, abs=1e-4)
+    assert levels[2000] == pytest.approx(1.74, abs=1e-4)
+    assert levels[2250] == pytest.approx(0.87, abs=1e-3)
+    assert levels[2500] == 0.0
+
+
+def test_stop_raises_damping_to_the_safe_level():
+    params = servo_params(safety=SafetyParams(safe_damping_ns_per_m=1.0))
+    flight = enabled(params)
+    flight.do(Command.STOP)
+    flight.fly(100)
+    assert flight.blob["added_damping_ns_per_m"] == pytest.approx(1.0, abs=1e-4)
+
+
+def test_damping_acts_while_disabled_when_asked():
+    flight = Flight(servo_params())
+    flight.do(Command.DAMPING, {Value.ADDED_DAMPING: 2.0, Value.ADDED_DAMPING_ON: 1.0})
+    flight.fly(200)
+    assert flight.state[4] == round(2.0 / 10.0 * 65535)
+    assert flight.fly()[0] == 0
+
+
+def test_damping_is_slew_limited():
+    flight = Flight(servo_params())
+    flight.do(Command.DAMPING, {Value.ADDED_DAMPING: 2.0, Value.ADDED_DAMPING_ON: 1.0})
+    levels = [flight.blob["added_damping_ns_per_m"]]
+    for _ in range(150):
+        flight.fly()
+        levels.append(flight.blob["added_damping_ns_per_m"])
+    steps = [b - a for a, b in zip(levels, levels[1:], strict=False)]
+    assert max(steps) <= 20.0 / 1000 + 10.0 / 65535
+    assert levels[-1] == pytest.approx(2.0, abs=1e-4)
+
+
+def test_enable_needs_a_gateway():
+    flight = Flight(servo_params())
+    assert flight.do(Command.ENABLE, host=LINK_UP) is Result.REFUSED_NO_GATEWAY
+    assert flight.plan.state is D
+
+
+def test_enable_needs_homing_when_the_device_says_so():
+    params = servo_params(device=device_params(home=HomeParams(method="stop", required=True)))
+    flight = Flight(params)
+    assert flight.do(Command.ENABLE) is Result.REFUSED_NOT_HOMED
+    assert flight.do(Command.ZERO) is Result.APPLIED
+    assert flight.do(Command.ENABLE) is Result.APPLIED
+
+
+def test_lost_gateway_is_a_fault_while_enabled():
+    flight = enabled(servo_params(), STIFF, DENTED)
+    flight.fly(1, host=LINK_UP)
+    assert flight.plan.state is F
+    assert flight.blob["fault"] == BY_CODE["gateway_lost"].number
+    flight.fly(25, host=LINK_UP)
+    assert flight.fly(host=LINK_UP)[0] == 0
+
+
+def test_lost_gateway_may_be_held_by_configuration():
+    flight = enabled(servo_params(safety=SafetyParams(on_gateway_loss="hold")), STIFF, DENTED)
+    flight.fly(100, host=LINK_UP)
+    assert flight.plan.state is E
+
+
+def test_lost_gateway_means_nothing_while_disabled():
+    flight = Flight(servo_params())
+    flight.fly(100, host=LINK_UP)
+    assert flight.plan.state is D
+
+
+@pytest.mark.parametrize(
+    ("sample", "code"),
+    [
+        ({"status": int(Status.AMPLIFIER_FAULT)}, "board_fault"),
+        ({"status": int(Status.ENCODER_FAULT)}, "board_fault"),
+        ({"status": int(Status.OVER_TEMPERATURE)}, "over_temperature"),
+        ({"celsius": 120.5}, "over_temperature"),
+        ({"status": int(Status.WATCHDOG)}, "board_watchdog"),
+        ({"host": GATEWAY_ALIVE, "arrival": -1}, "usb_lost"),
+        ({"arrival": -9}, "frames_lost"),
+        ({"encoder": DENTED + 50_000}, "sensor_range"),
+    ],
+)
+def test_every_loss_leads_to_a_latched_fault_with_its_cause(sample, code):
+    flight = enabled(servo_params(), STIFF, DENTED)
+    flight.fly(1, **sample)
+    assert flight.plan.state is F
+    assert flight.blob["fault"] == BY_CODE[code].number
+    flight.fly(30, **{**sample, "encoder": DENTED, "arrival": min(sample.get("arrival", 0), 0)})
+    out = flight.fly(**{**sample, "encoder": DENTED})
+    assert out[0] == 0
+    flight.fly(10)
+    assert flight.plan.state is F
+
+
+@pytest.mark.parametrize("sample", [{"status": int(Status.AMPLIFIER_FAULT)}, {"celsius": 121.0}, {"host": GATEWAY_ALIVE, "arrival": -3}])
+def test_reset_is_refused_while_the_cause_persists(sample):
+    flight = enabled(servo_params())
+    flight.fly(1, **sample)
+    assert flight.do(Command.RESET, **sample) is Result.REFUSED_CAUSE
+    assert flight.do(Command.RESET) is Result.APPLIED
+    assert flight.plan.state is D
+
+
+def test_fault_keeps_its_first_cause():
+    flight = enabled(servo_params())
+    flight.event(FAULT_EVENT, BY_CODE["lost_slots"].number)
+    flight.fly(1, status=int(Status.AMPLIFIER_FAULT))
+    assert flight.blob["fault"] == BY_CODE["lost_slots"].number
+
+
+def test_fault_while_frames_are_missing_still_ramps_the_force_down():
+    flight = enabled(servo_params(), STIFF, DENTED)
+    for missing in range(1, 40):
+        out = flight.fly(1, arrival=-missing)
+    assert flight.plan.state is F
+    assert out[0] == 0
+
+
+def test_one_missing_frame_holds_the_force_and_is_flagged():
+    flight = enabled(servo_params(), STIFF, DENTED)
+    before = flight.fly()
+    out = flight.fly(1, arrival=-1)
+    assert out[0] == before[0]
+    assert out[9] & 1
+    assert flight.plan.state is E
+
+
+def test_healthy_flags_are_both():
+    assert HEALTHY == LINK_UP | GATEWAY_ALIVE
