@@ -1,0 +1,119 @@
+"""The frames of firmware_iface/hapticd_wire.h as Python sees them.
+
+The C header is the truth; tests/test_wire_header.py compiles it and compares every size, offset and constant with this
+file. PROTOCOL_HASH is what the board must report: a board built against another header is refused.
+"""
+
+import struct
+from enum import IntEnum, IntFlag
+from typing import NamedTuple
+
+PROTOCOL_HASH = bytes.fromhex("903a2f9a7efad50f")
+
+USB_VENDOR_ID, USB_PRODUCT_ID = 0x1209, 0x0001
+PACKET_BYTES, OUT_BYTES, IN_BYTES, HELLO_BYTES = 64, 32, 64, 80
+AXIS_COUNT, PROBE_MAX, FIFO_DEPTH, FIFO_TARGET, PROBE_RATE_HZ = 1, 6, 16, 8, 4000
+CRC_POLYNOMIAL, CRC_INITIAL = 0x1021, 0xFFFF
+
+OUT = struct.Struct("<HBBhHhBB6h6sH")
+IN = struct.Struct("<HHBBHIihhhhBBhI12h6sH")
+IN_HEAD = struct.Struct("<HHBBHIihhhhBBhI")  # the first 32 bytes of IN: all but pairs and CRC
+IN_PAIRS = struct.Struct("<12h")
+HELLO = struct.Struct("<8sHBBHH16s8f16s")
+CRC = struct.Struct("<H")
+assert (OUT.size, IN.size, HELLO.size) == (OUT_BYTES, IN_BYTES, HELLO_BYTES)
+assert IN_HEAD.size + IN_PAIRS.size + 6 + CRC.size == IN_BYTES
+
+
+class Request(IntEnum):
+    """Vendor control requests."""
+
+    HELLO = 0x01
+    CLEAR_FAULT = 0x02
+
+
+class OutFlag(IntFlag):
+    """Bits of `flags` in an OUT frame."""
+
+    ENABLE = 0x01
+    FIFO_CLEAR = 0x02
+    PERTURB = 0x04
+
+
+class Status(IntFlag):
+    """Bits of `status` in an IN frame."""
+
+    ENABLED = 0x0001
+    WATCHDOG = 0x0002
+    BAD_FRAME = 0x0004
+    SEQ_GAP = 0x0008
+    FORCE_CLAMPED = 0x0010
+    FIFO_UNDERRUN = 0x0020
+    FIFO_OVERFLOW = 0x0040
+    OVER_TEMPERATURE = 0x0080
+    AMPLIFIER_FAULT = 0x0100
+    ENCODER_FAULT = 0x0200
+    INDEX = 0x0400
+    PROBE_OVERFLOW = 0x0800
+    SIMULATED = 0x8000
+
+
+class Capability(IntFlag):
+    """Bits of `capabilities` in the hello reply."""
+
+    PROBE = 0x0001
+    INTERVAL_MEAN = 0x0002
+    INDEX = 0x0004
+    TEMPERATURE = 0x0008
+    RESISTANCE = 0x0010
+    SIMULATED = 0x8000
+
+
+class OutFrame(NamedTuple):
+    """Host to board. All numbers are counts."""
+
+    seq: int
+    axis: int = 0
+    flags: int = 0
+    torque: int = 0
+    damping: int = 0
+    resistance: int = 0
+    perturbation: tuple[int, ...] = ()  # at most PROBE_MAX
+
+
+class InFrame(NamedTuple):
+    """Board to host. All numbers are counts but `board_time_us`."""
+
+    seq: int
+    echo: int
+    axis: int
+    status: int
+    board_time_us: int
+    encoder: int
+    current: int
+    voltage: int
+    emf_velocity: int
+    temperature: int
+    fifo_level: int
+    index_offset: int
+    probe_index: int
+    pairs: tuple[tuple[int, int], ...] = ()  # (torque, velocity), at most PROBE_MAX
+
+
+class Hello(NamedTuple):
+    """What a board says about itself."""
+
+    protocol_hash: bytes
+    firmware_version: int
+    axis_count: int
+    capabilities: int
+    watchdog_ms: int
+    serial: str
+    force_full_scale_n: float
+    damping_full_scale_ns_per_m: float
+    probe_torque_full_scale_n: float
+    probe_velocity_full_scale_m_s: float
+    current_full_scale_a: float
+    voltage_full_scale_v: float
+    position_m_per_count: float
+    force_limit_n: float

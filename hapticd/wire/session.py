@@ -1,0 +1,179 @@
+"""What both ends must agree on beyond single frames: who they are, which frame comes next, and numbers that wrap.
+
+Handshake. ABSENT, FOUND, GREETED, RUNNING: nothing is sent to a board that has not said hello with the hash of our own
+header (it is REFUSED), and a LOST one starts again at FOUND.
+TRANSITIONS is the whole truth; a pair that is not in it is a bug of the caller and raises. Read and write may both
+report one loss, so LINK_LOST in LOST is no error.
+
+Sequence. Frames count modulo 2**16. USB keeps order, so only what lay in a buffer comes late: the BACKWARD last numbers
+mean REORDERED, every other distance forward GAP. With half the circle each way, a board that restarted its count would
+be REORDERED for up to 32768 frames; so it is one GAP, then NEXT. More than 65470 lost frames (8 s at 8 kHz) cannot be
+told from late ones: the link is given up long before.
+
+Wrapping. A reading stands for the integer nearest to the one before it; unique while less than half a period passes
+between two readings: 35 minutes of board time, 6 days of probe indices, 1 km of travel at 0.5 um.
+
+What would break it: keeping a `previous` across a re-plug (call `restart`, and unwrap from the first reading anew).
+"""
+
+from enum import Enum, auto
+from math import isfinite
+
+from hapticd.errors import ProtocolMismatch, WireError
+from hapticd.wire import codec, frames
+from hapticd.wire.frames import Capability, Hello
+
+SEQ_BITS, BOARD_TIME_BITS, PROBE_INDEX_BITS, ENCODER_BITS = 16, 32, 32, 32
+BACKWARD = 64
+_SEQ_MASK = (1 << SEQ_BITS) - 1
+
+
+class State(Enum):
+    """How far host and board have come."""
+
+    ABSENT = auto()  # never seen
+    FOUND = auto()  # on the bus, not yet asked
+    GREETED = auto()  # speaks our protocol; OUT frames may be sent
+    RUNNING = auto()  # has sent a valid IN frame
+    LOST = auto()  # was there
+    REFUSED = auto()  # speaks another protocol; nothing is sent until it is unplugged
+
+
+class Event(Enum):
+    """What the link reports."""
+
+    FOUND = auto()
+    HELLO_OK = auto()
+    HELLO_BAD = auto()
+    FIRST_FRAME = auto()
+    LINK_LOST = auto()
+
+
+TRANSITIONS: dict[tuple[State, Event], State] = {
+    (State.ABSENT, Event.FOUND): State.FOUND,
+    (State.FOUND, Event.HELLO_OK): State.GREETED,
+    (State.FOUND, Event.HELLO_BAD): State.REFUSED,
+    (State.FOUND, Event.LINK_LOST): State.LOST,
+    (State.GREETED, Event.FIRST_FRAME): State.RUNNING,
+    (State.GREETED, Event.LINK_LOST): State.LOST,
+    (State.RUNNING, Event.LINK_LOST): State.LOST,
+    (State.REFUSED, Event.LINK_LOST): State.LOST,
+    (State.LOST, Event.FOUND): State.FOUND,
+    (State.LOST, Event.LINK_LOST): State.LOST,
+}
+
+
+def advance(state: State, event: Event) -> State:
+    """The state after `event`. WireError for a pair that cannot happen."""
+    try:
+        return TRANSITIONS[state, event]
+    except KeyError:
+        known = ", ".join(after.name for before, after in TRANSITIONS if before is state)
+        raise WireError(f"{event.name} cannot happen in state {state.name}, only {known}; restart the link") from None
+
+
+def greet(reply: bytes) -> Hello:
+    """The hello in the bytes of a board's reply, if we can work with it.
+
+    The first 8 bytes are the protocol hash in every version, so a board of another version is named as such
+    (ProtocolMismatch) even if the rest of its reply has another form. FrameError: a reply with our hash is malformed.
+    """
+    _check_hash(bytes(reply[: len(frames.PROTOCOL_HASH)]))
+    hello = codec.decode_hello(reply)
+    check_hello(hello)
+    return hello
+
+
+def check_hello(hello: Hello, required: int = 0) -> None:
+    """Return if the host can work with this board and it has all `required` Capability bits, else ProtocolMismatch."""
+    _check_hash(hello.protocol_hash)
+    board = f"board {hello.serial or 'without serial'}"
+    if hello.axis_count != frames.AXIS_COUNT:
+        raise ProtocolMismatch(f"{board} has {hello.axis_count} axes, expected 1; flash firmware for one axis")
+    missing = required & ~hello.capabilities
+    if missing:
+        names = " and ".join(str(bit.name) for bit in Capability(missing))
+        raise ProtocolMismatch(f"{board} lacks {names}; flash firmware that has it or change the configuration")
+    if hello.watchdog_ms <= 0:
+        raise ProtocolMismatch(f"{board} has a watchdog of 0 ms, limit > 0 ms; flash firmware that stops by itself")
+    for name in ("force_full_scale_n", "force_limit_n"):
+        value = getattr(hello, name)
+        if not (isfinite(value) and value > 0.0):
+            raise ProtocolMismatch(f"{board} states {name} = {value:g} N, limit > 0 N; correct its firmware")
+
+
+def _check_hash(found: bytes) -> None:
+    ours = frames.PROTOCOL_HASH.hex()
+    if found != frames.PROTOCOL_HASH:
+        raise ProtocolMismatch(
+            f"the board speaks protocol {found.hex()}, this hapticd {ours}; flash firmware built against the "
+            f"hapticd_wire.h of this hapticd, or install the hapticd whose HAPTICD_PROTOCOL_HASH is the board's"
+        )
+
+
+def unwrap(previous: int, wrapped: int, bits: int) -> int:
+    """The integer nearest to `previous` that reads `wrapped` in a counter of `bits` bits, signed or not.
+
+    Exactly half a period away counts as backward.
+    """
+    half = 1 << (bits - 1)
+    return previous + ((wrapped - previous + half) & (2 * half - 1)) - half
+
+
+class Arrival(Enum):
+    """What a sequence number says about its frame."""
+
+    FIRST = auto()
+    NEXT = auto()
+    DUPLICATE = auto()
+    GAP = auto()
+    REORDERED = auto()
+
+
+_NEXT, _DUPLICATE, _REORDERED = (Arrival.NEXT, 0), (Arrival.DUPLICATE, 0), (Arrival.REORDERED, 0)
+
+
+def classify(previous: int | None, seq: int) -> tuple[Arrival, int]:
+    """How frame `seq` follows the newest frame `previous` (None: there is none yet), and how many were lost between."""
+    if previous is None:
+        return Arrival.FIRST, 0
+    step = (seq - previous) & _SEQ_MASK
+    if step == 1:
+        return _NEXT
+    if step == 0:
+        return _DUPLICATE
+    if step > _SEQ_MASK - BACKWARD:
+        return _REORDERED
+    return Arrival.GAP, step - 1
+
+
+class SequenceCounter:
+    """Counts what became of the frames of one direction.
+
+    IN: `observe(frame.seq)` for every valid frame. OUT: `observe(frame.echo)` on another counter; `lost` are then OUT
+    frames that the board had not seen when it latched the IN after them: damaged, refused, or a tick late.
+    """
+
+    __slots__ = ("duplicates", "gaps", "lost", "newest", "received", "reordered")
+
+    def __init__(self) -> None:
+        self.newest: int | None = None
+        self.received = self.lost = self.gaps = self.duplicates = self.reordered = 0
+
+    def observe(self, seq: int) -> tuple[Arrival, int]:
+        """Classify and count `seq`. A frame that comes late stays counted as lost: its tick is over."""
+        found = classify(self.newest, seq)
+        self.received += 1
+        if found is _DUPLICATE:
+            self.duplicates += 1
+        elif found is _REORDERED:
+            self.reordered += 1
+        else:
+            self.newest = seq
+            self.lost += found[1]
+            self.gaps += found[0] is Arrival.GAP
+        return found
+
+    def restart(self) -> None:
+        """Another life of the board: the next frame is FIRST again. The counts stay."""
+        self.newest = None

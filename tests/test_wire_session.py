@@ -1,0 +1,237 @@
+"""Who the board is, which frame comes next, and numbers that wrap."""
+
+from itertools import pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hapticd.errors import FrameError, ProtocolMismatch, WireError
+from hapticd.wire import codec, frames, session
+from hapticd.wire.frames import Capability, Hello
+from hapticd.wire.session import Arrival, Event, SequenceCounter, State, advance, check_hello, classify, greet, unwrap
+
+repeatable = settings(deadline=None, derandomize=True, database=None, max_examples=300)
+
+HELLO = Hello(frames.PROTOCOL_HASH, 0x0102, 1, 0x0003, 20, "HD-0001", 8.0, 10.0, 2.0, 0.5, 4.0, 24.0, 5e-7, 8.0)
+OTHER = bytes.fromhex("0123456789abcdef")
+
+# rows: states; columns: events; - is impossible
+TABLE = """
+            FOUND   HELLO_OK  HELLO_BAD  FIRST_FRAME  LINK_LOST
+ABSENT      FOUND   -         -          -            -
+FOUND       -       GREETED   REFUSED    -            LOST
+GREETED     -       -         -          RUNNING      LOST
+RUNNING     -       -         -          -            LOST
+LOST        FOUND   -         -          -            LOST
+REFUSED     -       -         -          -            LOST
+"""
+EVENTS, *ROWS = [line.split() for line in TABLE.strip().splitlines()]
+CELLS = [(row[0], event, after) for row in ROWS for event, after in zip(EVENTS, row[1:], strict=True)]
+
+
+def test_table_has_every_state_and_event() -> None:
+    assert {row[0] for row in ROWS} == set(State.__members__)
+    assert set(EVENTS) == set(Event.__members__)
+
+
+@pytest.mark.parametrize(("before", "event", "after"), CELLS)
+def test_every_cell_of_the_handshake(before: str, event: str, after: str) -> None:
+    if after != "-":
+        assert advance(State[before], Event[event]) is State[after]
+        return
+    with pytest.raises(WireError, match=rf"^{event} cannot happen in state {before}, only .*[A-Z]; restart the link"):
+        advance(State[before], Event[event])
+
+
+def test_only_greeted_boards_may_run() -> None:
+    before_running = {state for (state, _), after in session.TRANSITIONS.items() if after is State.RUNNING}
+    before_greeted = {key for key, after in session.TRANSITIONS.items() if after is State.GREETED}
+    assert before_running == {State.GREETED}
+    assert before_greeted == {(State.FOUND, Event.HELLO_OK)}
+
+
+# --- hello ------------------------------------------------------------------------------------------------------------
+
+
+def test_right_board_is_greeted() -> None:
+    check_hello(HELLO)
+    assert greet(codec.encode_hello(HELLO._replace(position_m_per_count=0.5))).serial == "HD-0001"
+
+
+MISMATCH = (
+    r"^the board speaks protocol 0123456789abcdef, this hapticd "
+    + frames.PROTOCOL_HASH.hex()
+    + r"; flash firmware built against the hapticd_wire\.h of this hapticd, or install the hapticd whose "
+    r"HAPTICD_PROTOCOL_HASH is the board's$"
+)
+
+
+def test_other_hash_is_refused_with_remedy() -> None:
+    with pytest.raises(ProtocolMismatch, match=MISMATCH):
+        check_hello(HELLO._replace(protocol_hash=OTHER))
+
+
+@pytest.mark.parametrize("rest", [b"", b"\xff" * 72, bytes(200)])
+def test_reply_of_other_version_is_named_first(rest: bytes) -> None:
+    with pytest.raises(ProtocolMismatch, match=MISMATCH):
+        greet(OTHER + rest)
+
+
+def test_malformed_reply_with_our_hash() -> None:
+    with pytest.raises(FrameError, match="length of 79 bytes, expected 80"):
+        greet(codec.encode_hello(HELLO)[:-1])
+
+
+@pytest.mark.parametrize("axes", [0, 2])
+def test_other_axis_count_is_refused(axes: int) -> None:
+    with pytest.raises(ProtocolMismatch, match=rf"^board HD-0001 has {axes} axes, expected 1; flash firmware for one"):
+        check_hello(HELLO._replace(axis_count=axes))
+
+
+def test_missing_capabilities_are_named() -> None:
+    check_hello(HELLO, Capability.PROBE | Capability.INTERVAL_MEAN)
+    wanted = Capability.PROBE | Capability.INDEX | Capability.TEMPERATURE
+    with pytest.raises(ProtocolMismatch, match=r"^board HD-0001 lacks INDEX and TEMPERATURE; flash firmware that has it or"):
+        check_hello(HELLO, wanted)
+
+
+def test_board_without_watchdog_is_refused() -> None:
+    with pytest.raises(ProtocolMismatch, match=r"^board without serial has a watchdog of 0 ms, limit > 0 ms; flash"):
+        check_hello(HELLO._replace(watchdog_ms=0, serial=""))
+
+
+@pytest.mark.parametrize("name", ["force_full_scale_n", "force_limit_n"])
+@pytest.mark.parametrize("value", [0.0, -8.0, float("nan"), float("inf")])
+def test_board_without_force_is_refused(name: str, value: float) -> None:
+    with pytest.raises(ProtocolMismatch, match=rf"^board HD-0001 states {name} = {value:g} N, limit > 0 N; correct its"):
+        check_hello(HELLO._replace(**{name: value}))
+
+
+# --- wrapping ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("previous", "wrapped", "bits", "expected"),
+    [
+        (65_535, 0, 16, 65_536),
+        (65_536, 65_535, 16, 65_535),
+        (2**32 - 1, 499, 32, 2**32 + 499),
+        (2**32, 2**32 - 1, 32, 2**32 - 1),
+        (2**31 - 1, -(2**31), 32, 2**31),  # encoder, forward over its sign
+        (-(2**31), 2**31 - 1, 32, -(2**31) - 1),  # encoder, backward
+        (0, -1, 32, -1),
+        (-5, 3, 32, 3),
+        (10 * 2**16 + 7, 7, 16, 10 * 2**16 + 7),
+        (0, 2**15 - 1, 16, 2**15 - 1),
+        (0, 2**15, 16, -(2**15)),  # exactly half a period counts as backward
+    ],
+)
+def test_unwrap_across_the_wrap(previous: int, wrapped: int, bits: int, expected: int) -> None:
+    assert unwrap(previous, wrapped, bits) == expected
+
+
+@repeatable
+@given(st.integers(-(10**15), 10**15), st.sampled_from([16, 32]), st.booleans(), st.data())
+def test_unwrap_finds_any_near_value(previous: int, bits: int, signed: bool, data: st.DataObject) -> None:
+    half = 1 << (bits - 1)
+    true = previous + data.draw(st.integers(-half, half - 1))
+    wrapped = true % (2 * half)
+    if signed and wrapped >= half:
+        wrapped -= 2 * half
+    assert unwrap(previous, wrapped, bits) == true
+
+
+def test_board_time_of_24_hours() -> None:
+    true_us = range(2**32 - 5_000_000, 2**32 + 86_400_000_000, 250_007)
+    time_us = true_us[0]
+    for true in true_us[1:]:
+        time_us = unwrap(time_us, true & 0xFFFFFFFF, session.BOARD_TIME_BITS)
+        assert time_us == true
+
+
+def test_probe_index_and_encoder_wrap_both_ways() -> None:
+    forward = list(range(2**32 - 40, 2**32 + 40, 4))
+    for path in (forward, forward[::-1]):
+        for before, after in pairwise(path):
+            assert unwrap(before, after % 2**32, session.PROBE_INDEX_BITS) == after
+            signed = after % 2**32 - 2**31
+            assert unwrap(before - 2**31, signed, session.ENCODER_BITS) == after - 2**31
+
+
+# --- sequence ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("previous", "seq", "arrival", "lost"),
+    [
+        (None, 0, Arrival.FIRST, 0),
+        (None, 65_535, Arrival.FIRST, 0),
+        (0, 1, Arrival.NEXT, 0),
+        (65_535, 0, Arrival.NEXT, 0),
+        (0, 0, Arrival.DUPLICATE, 0),
+        (65_535, 65_535, Arrival.DUPLICATE, 0),
+        (0, 2, Arrival.GAP, 1),
+        (65_534, 3, Arrival.GAP, 4),
+        (0, 65_471, Arrival.GAP, 65_470),  # the farthest gap
+        (0, 65_472, Arrival.REORDERED, 0),  # 64 back: the oldest late frame
+        (0, 65_535, Arrival.REORDERED, 0),
+        (3, 65_534, Arrival.REORDERED, 0),
+        (100, 99, Arrival.REORDERED, 0),
+        (100, 36, Arrival.REORDERED, 0),
+        (100, 35, Arrival.GAP, 65_470),
+        (40_000, 0, Arrival.GAP, 25_535),  # a board that began to count anew
+    ],
+)
+def test_arrival_of_a_frame(previous: int | None, seq: int, arrival: Arrival, lost: int) -> None:
+    assert classify(previous, seq) == (arrival, lost)
+
+
+@pytest.mark.parametrize("start", [0, 1000, 65_000])
+def test_unbroken_stream_counts_nothing(start: int) -> None:
+    counter = SequenceCounter()
+    arrivals = [counter.observe((start + n) & 0xFFFF)[0] for n in range(70_000)]
+    assert arrivals[0] is Arrival.FIRST
+    assert set(arrivals[1:]) == {Arrival.NEXT}
+    assert (counter.received, counter.lost, counter.gaps, counter.duplicates, counter.reordered) == (70_000, 0, 0, 0, 0)
+
+
+@repeatable
+@given(st.integers(0, 65_535), st.lists(st.integers(0, 1000), min_size=1, max_size=50))
+def test_counter_counts_all_losses(start: int, losses: list[int]) -> None:
+    counter, seq = SequenceCounter(), start
+    counter.observe(seq & 0xFFFF)
+    for lost in losses:
+        seq += 1 + lost
+        assert counter.observe(seq & 0xFFFF) == (Arrival.GAP if lost else Arrival.NEXT, lost)
+    assert (counter.lost, counter.gaps) == (sum(losses), sum(lost > 0 for lost in losses))
+    assert counter.received == 1 + len(losses)
+
+
+def test_late_and_repeated_frames_do_not_move_on() -> None:
+    counter = SequenceCounter()
+    arrivals = [counter.observe(seq)[0].name for seq in (65_534, 65_535, 65_535, 1, 0, 2, 2)]
+    assert arrivals == ["FIRST", "NEXT", "DUPLICATE", "GAP", "REORDERED", "NEXT", "DUPLICATE"]
+    assert (counter.newest, counter.lost, counter.duplicates, counter.reordered) == (2, 1, 2, 1)
+
+
+def test_echo_counts_unseen_out_frames() -> None:
+    counter = SequenceCounter()
+    for echo in (9, 10, 10, 10, 13, 14):  # the board missed OUT 11 and 12
+        counter.observe(echo)
+    assert (counter.lost, counter.gaps, counter.duplicates) == (2, 1, 2)
+
+
+def test_restarted_board_is_one_gap() -> None:
+    counter = SequenceCounter()
+    arrivals = [counter.observe(seq)[0] for seq in (40_000, 0, 1, 2)]
+    assert arrivals == [Arrival.FIRST, Arrival.GAP, Arrival.NEXT, Arrival.NEXT]
+
+
+def test_restart_forgets_place_not_counts() -> None:
+    counter = SequenceCounter()
+    for seq in (5, 8):
+        counter.observe(seq)
+    counter.restart()
+    assert counter.observe(30_000) == (Arrival.FIRST, 0)
+    assert (counter.lost, counter.received) == (2, 3)
