@@ -1,0 +1,1 @@
+"""What the world does between two commands: exact responses, and the generated step that plays them."""

@@ -1,0 +1,236 @@
+"""The twin's side of the USB seam: a pyusb backend, so that the true `usb.core` runs above a simulated board.
+
+It answers as libusb 1.0 on Linux does (same exceptions, numbers and words): a plugged device is configured by the
+kernel, a claimed interface refuses others and any change of configuration, a halted endpoint stays so until clear_halt,
+a handle of an unplugged device is dead for ever, a device that is plugged again has a new address, and for one more
+enumeration after an unplug the dead device is still listed. A read waits until the IN is latched, in wall time and in
+virtual time alike, and always comes to an end.
+
+What would break it: a second thread (there is no lock in the tick's way).
+"""
+
+import errno
+from array import array
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import NoReturn, Protocol
+
+import usb.backend
+
+from hapticd.clock import Clock, MonotonicClock
+from hapticd.sim import descriptors
+from hapticd.sim.injection import TransferFault
+from hapticd.sim.libusb import usb_error
+from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US
+
+SPIN_NS = 60 * NS_PER_US  # a sleep of the machine is coarser than this
+ENDLESS_MS = 60_000  # libusb's time-out 0 means for ever; the twin gives up
+
+
+class Port(Protocol):
+    """What is at the other end of the cable: a BoardModel, or an Injector around it."""
+
+    def power_up(self) -> None: ...
+    def on_out(self, data: memoryview, t_ns: int) -> None: ...
+    def poll_in(self, t_ns: int) -> bytes | None: ...
+    def next_in_ns(self) -> int | None: ...
+    def control(self, request_type: int, request: int, value: int, length: int) -> bytes | None: ...
+
+
+class PluggedDevice:
+    """One stay of the board at the bus."""
+
+    def __init__(self, address: int) -> None:
+        self.address = address
+        self.gone = False
+        self.configuration = 1  # Linux configures at enumeration
+        self.owner: Handle | None = None
+        self.halted: set[int] = set()
+
+
+class Handle:
+    """An opened device; two of them are two owners."""
+
+    def __init__(self, device: PluggedDevice) -> None:
+        self.device = device
+
+
+class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no types
+    """pyusb backend over `port`. `access_denied` and `kernel_driver` may be set to simulate a badly set up machine."""
+
+    def __init__(self, port: Port, clock: Clock, transfer: descriptors.Transfer = "bulk") -> None:
+        self._port, self._clock, self._transfer = port, clock, transfer
+        self._spin_ns = SPIN_NS if isinstance(clock, MonotonicClock) else 0
+        self._addresses = 0
+        self._stale: PluggedDevice | None = None
+        self._replug_ns: int | None = None
+        self.access_denied = self.kernel_driver = False
+        self.device: PluggedDevice | None = None
+        self.plug()
+
+    # --- the cable ----------------------------------------------------------------------------------------------------
+    def plug(self) -> None:
+        """Plug the board in: it powers up and gets a new address. Nothing happens if it is plugged in."""
+        if self.device is None:
+            self._addresses += 1
+            self._replug_ns = None
+            self._port.power_up()
+            self.device = PluggedDevice(self._addresses)
+
+    def unplug(self, away_s: float | None = None) -> None:
+        """Pull the plug; it comes back by itself after `away_s`, if given."""
+        if self.device is not None:
+            self.device.gone = True
+            self._stale, self.device = self.device, None
+        self._replug_ns = None if away_s is None else self._clock.now_ns() + round(away_s * NS_PER_S)
+
+    # --- enumeration --------------------------------------------------------------------------------------------------
+    def enumerate_devices(self) -> Iterator[PluggedDevice]:
+        if self._replug_ns is not None and self._clock.now_ns() >= self._replug_ns:
+            self.plug()
+        stale, self._stale = self._stale, None
+        return iter([device for device in (stale, self.device) if device is not None])
+
+    def get_parent(self, device: PluggedDevice) -> None:
+        return None
+
+    def get_device_descriptor(self, device: PluggedDevice) -> SimpleNamespace:
+        return descriptors.device_descriptor(device.address)
+
+    def get_configuration_descriptor(self, device: PluggedDevice, index: int) -> SimpleNamespace:
+        return descriptors.configuration_descriptor(index)
+
+    def get_interface_descriptor(self, device: PluggedDevice, index: int, alternate: int, _: int) -> SimpleNamespace:
+        return descriptors.interface_descriptor(index, alternate)
+
+    def get_endpoint_descriptor(self, device: PluggedDevice, index: int, _i: int, _a: int, _c: int) -> SimpleNamespace:
+        return descriptors.endpoint_descriptor(index, self._transfer)
+
+    # --- life of a handle ---------------------------------------------------------------------------------------------
+    def open_device(self, device: PluggedDevice) -> Handle:
+        if self.access_denied:
+            raise usb_error(errno.EACCES)
+        return Handle(_alive(device))
+
+    def close_device(self, handle: Handle) -> None:
+        _release(handle)
+
+    def get_configuration(self, handle: Handle) -> int:
+        return _alive(handle.device).configuration
+
+    def set_configuration(self, handle: Handle, value: int) -> None:
+        device = _alive(handle.device)
+        if device.owner is not None:
+            raise usb_error(errno.EBUSY)
+        device.configuration = value
+        device.halted.clear()
+
+    def claim_interface(self, handle: Handle, interface: int) -> None:
+        device = _alive(handle.device)
+        if device.owner not in (None, handle) or self.kernel_driver:
+            raise usb_error(errno.EBUSY)
+        device.owner = handle
+
+    def release_interface(self, handle: Handle, interface: int) -> None:
+        _release(handle)
+        _alive(handle.device)
+
+    def set_interface_altsetting(self, handle: Handle, interface: int, alternate: int) -> None:
+        _alive(handle.device).halted.clear()
+
+    def clear_halt(self, handle: Handle, endpoint: int) -> None:
+        _alive(handle.device).halted.discard(endpoint)
+
+    def reset_device(self, handle: Handle) -> None:
+        _alive(handle.device).halted.clear()
+
+    def is_kernel_driver_active(self, handle: Handle, interface: int) -> bool:
+        _alive(handle.device)
+        return self.kernel_driver
+
+    def detach_kernel_driver(self, handle: Handle, interface: int) -> None:
+        _alive(handle.device)
+        if not self.kernel_driver:
+            raise usb_error(errno.ENOENT)
+        self.kernel_driver = False
+
+    def attach_kernel_driver(self, handle: Handle, interface: int) -> None:
+        _alive(handle.device)
+        raise usb_error(errno.ENOENT)
+
+    # --- transfers ----------------------------------------------------------------------------------------------------
+    def ctrl_transfer(
+        self, handle: Handle, request_type: int, request: int, value: int, index: int, data: "array[int]", timeout_ms: int
+    ) -> int:
+        _alive(handle.device)
+        reply = self._port.control(request_type, request, value, len(data))
+        if reply is None:
+            raise usb_error(errno.EPIPE)
+        memoryview(data)[: len(reply)] = reply
+        return len(reply)
+
+    def bulk_write(self, handle: Handle, endpoint: int, interface: int, data: "array[int]", timeout_ms: int) -> int:
+        device = handle.device
+        if device.gone or device.halted:
+            self._check(device, endpoint)
+        try:
+            self._port.on_out(memoryview(data), self._clock.now_ns())
+        except TransferFault as fault:
+            self._fail(fault, device, endpoint)
+        return len(data)
+
+    def bulk_read(self, handle: Handle, endpoint: int, interface: int, buffer: "array[int]", timeout_ms: int) -> int:
+        device = handle.device
+        if device.gone or device.halted:
+            self._check(device, endpoint)
+        try:
+            packet = self._port.poll_in(self._clock.now_ns())
+            if packet is None:
+                packet = self._wait(timeout_ms)
+        except TransferFault as fault:
+            self._fail(fault, device, endpoint)
+        if len(packet) > len(buffer):
+            raise usb_error(errno.EOVERFLOW)
+        memoryview(buffer)[: len(packet)] = packet
+        return len(packet)
+
+    intr_write, intr_read = bulk_write, bulk_read
+
+    def _wait(self, timeout_ms: int) -> bytes:
+        """The next IN packet, when it comes within the time allowed."""
+        port, clock = self._port, self._clock
+        deadline_ns = clock.now_ns() + (timeout_ms or ENDLESS_MS) * NS_PER_MS
+        while True:
+            due_ns = port.next_in_ns()
+            wake_ns = deadline_ns if due_ns is None else min(due_ns, deadline_ns)
+            clock.sleep_until_ns(wake_ns - self._spin_ns)
+            while self._spin_ns and clock.now_ns() < wake_ns:
+                pass
+            packet = port.poll_in(clock.now_ns())
+            if packet is not None:
+                return packet
+            if clock.now_ns() >= deadline_ns:
+                raise usb_error(errno.ETIMEDOUT)
+
+    def _check(self, device: PluggedDevice, endpoint: int) -> None:
+        _alive(device)
+        if endpoint in device.halted:
+            raise usb_error(errno.EPIPE)
+
+    def _fail(self, fault: TransferFault, device: PluggedDevice, endpoint: int) -> NoReturn:
+        if fault.number == errno.EPIPE:
+            device.halted.add(endpoint)
+        if fault.away_s is not None:
+            self.unplug(fault.away_s)
+        raise usb_error(fault.number) from None
+
+
+def _alive(device: PluggedDevice) -> PluggedDevice:
+    if device.gone:
+        raise usb_error(errno.ENODEV)
+    return device
+
+
+def _release(handle: Handle) -> None:
+    if handle.device.owner is handle:
+        handle.device.owner = None

@@ -1,0 +1,207 @@
+"""Every injected fault, seen from the cable."""
+
+import errno
+from pathlib import Path
+
+import pytest
+from boards import ENABLE, LATCH_NS, TICK_NS, board_params, out_packet
+
+from hapticd.errors import ConfigError, FrameError
+from hapticd.params import InjectionParams
+from hapticd.sim.board import BoardModel
+from hapticd.sim.injection import IN_FAULTS, OUT_FAULTS, Injector, TransferFault, with_injections
+from hapticd.wire import codec
+from hapticd.wire.frames import Status
+
+STRUCK = 2  # the tick that the tests strike
+
+
+def injected(*injections, **changes):
+    params = board_params(injections=injections, **changes)
+    return with_injections(BoardModel(params), params)
+
+
+def one(kind, value=0.0, count=1):
+    return injected(InjectionParams(kind, tick=STRUCK, value=value, count=count))
+
+
+def tick_of(port, tick, **fields):
+    """OUT at the tick, and the IN packet that a read until just before the next tick gets."""
+    port.on_out(out_packet(tick, flags=ENABLE, **fields), tick * TICK_NS)
+    return port.poll_in((tick + 1) * TICK_NS - 1)
+
+
+def healthy(port, *ticks):
+    for tick in ticks:
+        assert codec.decode_in(tick_of(port, tick)).echo == tick
+
+
+def test_no_injection_is_no_injector():
+    params = board_params()
+    board = BoardModel(params)
+    assert with_injections(board, params) is board
+
+
+def test_unknown_kind_is_refused_by_name():
+    with pytest.raises(ConfigError, match=r"injection kind 'gremlin' is unknown; use one of amplifier_fault, babble, "):
+        injected(InjectionParams("gremlin"))
+
+
+def test_dropped_out_reaches_no_board():
+    port = one("drop_out")
+    healthy(port, 0, 1)
+    assert tick_of(port, STRUCK) is None
+    assert codec.decode_in(tick_of(port, 3)).status & Status.SEQ_GAP
+
+
+def test_corrupt_out_is_refused_by_the_board():
+    port = one("corrupt_out")
+    healthy(port, 0, 1)
+    assert tick_of(port, STRUCK) is None
+    assert port.board.out_refused == 1
+    assert codec.decode_in(tick_of(port, 3)).status & Status.BAD_FRAME
+
+
+@pytest.mark.parametrize(
+    ("kind", "number", "away_s"), [("stall_out", errno.EPIPE, None), ("io_error", errno.EIO, None), ("unplug", errno.EIO, 0.7)]
+)
+def test_failed_out_raises_what_the_bus_reports(kind, number, away_s):
+    port = one(kind, value=0.7)
+    healthy(port, 0, 1)
+    with pytest.raises(TransferFault) as caught:
+        tick_of(port, STRUCK)
+    assert (caught.value.number, caught.value.away_s) == (number, away_s)
+    assert tick_of(port, 3) is not None
+
+
+def test_late_in_is_latched_late():
+    port = one("late", value=100e-6)
+    healthy(port, 0, 1)
+    port.on_out(out_packet(STRUCK), STRUCK * TICK_NS)
+    due_ns = STRUCK * TICK_NS + LATCH_NS + 125_000  # to the nearest sub-step
+    assert port.next_in_ns() == due_ns
+    assert codec.decode_in(port.poll_in(due_ns)).board_time_us == due_ns // 1000
+    healthy(port, 3)
+
+
+@pytest.mark.parametrize("kind", ["amplifier_fault", "encoder_fault", "over_temperature"])
+def test_board_fault_has_a_cause_for_a_while(kind):
+    bit = Status[kind.upper()]
+    port = one(kind, value=0.002)
+    healthy(port, 0, 1)
+    for tick, cleared in ((STRUCK, False), (3, False), (4, True), (5, True)):
+        frame = codec.decode_in(tick_of(port, tick))
+        assert bool(frame.status & bit) is (tick < 5)
+        assert bool(frame.status & Status.ENABLED) is (tick == 5)
+        port.control(0x40, 0x02, 0, 0)
+        assert bool(port.board._axis.faults) is not cleared
+
+
+def test_dropped_in_is_lost_for_good():
+    port = one("drop_in")
+    healthy(port, 0, 1)
+    assert tick_of(port, STRUCK) is None
+    assert port.next_in_ns() is None
+    frame = codec.decode_in(tick_of(port, 3))
+    assert (frame.echo, frame.probe_index) == (3, 11)  # and its pairs with it: 7..10 are missing
+
+
+def test_delayed_in_comes_after_its_time():
+    port = one("delay_in", value=0.0005)
+    healthy(port, 0, 1)
+    assert tick_of(port, STRUCK) is None
+    due_ns = STRUCK * TICK_NS + LATCH_NS + 500_000
+    assert port.next_in_ns() == due_ns
+    port.on_out(out_packet(3), 3 * TICK_NS)
+    assert codec.decode_in(port.poll_in(due_ns)).echo == STRUCK
+    assert codec.decode_in(port.poll_in(4 * TICK_NS)).echo == 3
+
+
+def test_duplicate_in_comes_twice():
+    port = one("duplicate_in")
+    healthy(port, 0, 1)
+    assert tick_of(port, STRUCK) == port.poll_in(3 * TICK_NS)
+    healthy(port, 3)
+
+
+def test_corrupt_in_fails_its_crc():
+    port = one("corrupt_in")
+    healthy(port, 0, 1)
+    with pytest.raises(FrameError, match="CRC"):
+        codec.decode_in(tick_of(port, STRUCK))
+
+
+def test_stalled_in_raises_at_the_read():
+    port = one("stall_in")
+    healthy(port, 0, 1)
+    with pytest.raises(TransferFault) as caught:
+        tick_of(port, STRUCK)
+    assert caught.value.number == errno.EPIPE
+    healthy(port, 3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "length"), [("babble", 0, 65), ("babble", 9, 73), ("short_in", 0, 31), ("short_in", 63, 63)]
+)
+def test_packet_of_a_wrong_length(kind, value, length):
+    port = one(kind, value=value)
+    healthy(port, 0, 1)
+    assert len(tick_of(port, STRUCK)) == length
+
+
+def test_encoder_jumps_inside_a_valid_frame():
+    port = one("encoder_jump", value=-(2.0**31) + 5)
+    healthy(port, 0, 1)
+    assert codec.decode_in(tick_of(port, STRUCK)).encoder == -(2**31) + 5
+    assert codec.decode_in(tick_of(port, 3)).encoder == 0
+
+
+def test_encoder_jump_wraps_as_32_bits_do():
+    assert codec.decode_in(tick_of(injected(InjectionParams("encoder_jump", tick=0, value=2.0**31)), 0)).encoder == -(2**31)
+    assert codec.decode_in(tick_of(injected(InjectionParams("encoder_jump", tick=0)), 0)).encoder == 1_000_000
+
+
+@pytest.mark.parametrize(("value", "count"), [(0.0, 32767), (-32768.0, -32768)])
+def test_sensors_read_an_impossible_extreme(value, count):
+    port = one("sensor_extreme", value=value)
+    healthy(port, 0, 1)
+    frame = codec.decode_in(tick_of(port, STRUCK))
+    assert frame[6:10] == (count, count, count, count)
+
+
+def test_count_strikes_ticks_on_end():
+    port = one("drop_out", count=3)
+    assert [tick for tick in range(8) if tick_of(port, tick) is None] == [2, 3, 4]
+
+
+def missing(seed):
+    port = injected(InjectionParams("drop_in", probability=0.1), seed=seed)
+    return [tick for tick in range(2000) if tick_of(port, tick) is None]
+
+
+def test_same_seed_strikes_the_same_ticks():
+    assert missing(1) == missing(1)
+    assert missing(1) != missing(2)
+    assert 140 <= len(missing(1)) <= 260
+
+
+def test_probability_with_count_is_a_burst():
+    port = injected(InjectionParams("drop_out", probability=0.02, count=5))
+    lost = [tick for tick in range(1000) if tick_of(port, tick) is None]
+    starts = [tick for tick in lost if tick - 1 not in lost]
+    assert all(tick + k in lost or tick + k >= 1000 for tick in starts for k in range(5))
+
+
+def test_every_kind_is_tested_here():
+    text = Path(__file__).read_text()
+    assert all(f'"{kind}"' in text for kind in (*OUT_FAULTS, *IN_FAULTS))
+
+
+def test_power_up_forgets_what_was_held():
+    port = one("delay_in", value=10.0)
+    healthy(port, 0, 1)
+    tick_of(port, STRUCK)
+    port.power_up()
+    assert port.next_in_ns() is None
+    assert isinstance(port, Injector)
+    healthy(port, 3)
