@@ -27,14 +27,14 @@ _EMPTY: Head = (0,) * 15
 
 
 class Device:
-    """The board as the servo sees it. `counts` are frames: missing, bad, gap (IN lost), unseen (OUT the board missed)."""
+    """The board as the servo sees it. `counts` are frames: missing, bad, stale, gap (IN lost), unseen (OUT the board missed)."""
 
     def __init__(self, link: Link, rate_hz: float) -> None:
         self.link = link
         self.period_us = US_PER_S / rate_hz
         self.in_buffer = array("B", bytes(frames.PACKET_BYTES))
         self.out_buffer = array("B", bytes(frames.OUT_BYTES))
-        self.counts = {"missing": 0, "bad": 0, "gap": 0, "unseen": 0, "write_errors": 0}
+        self.counts = {"missing": 0, "bad": 0, "stale": 0, "gap": 0, "unseen": 0, "write_errors": 0}
         self.hello: Hello | None = None
         self._begin: Callable[[], None]
         self.receive: Callable[[], Received]
@@ -95,6 +95,7 @@ def _exchange(device: Device) -> tuple[Callable[[], None], Callable[[], Received
         for _ in range(STALE_READS):
             if seeding or latched > board_us:
                 break
+            counts["stale"] += 1
             again = fetch()
             if isinstance(again, str):
                 return absent(again)
@@ -102,6 +103,8 @@ def _exchange(device: Device) -> tuple[Callable[[], None], Callable[[], Received
         else:
             if not seeding and latched <= board_us:
                 return absent("missing")
+        if not seeding:
+            incoming.newest, outgoing.newest = head[0], head[1]
         counts["gap"] += incoming.observe(found[0])[1]
         counts["unseen"] += outgoing.observe(found[1])[1]
         lost = SEED if seeding else max(0, round((latched - board_us) / period_us) - 1)

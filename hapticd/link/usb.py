@@ -1,0 +1,207 @@
+"""The USB link: the one product file that talks to pyusb (its simulated twin sits below it, as a backend).
+
+Found by vendor, product and serial number; the endpoints, bulk or interrupt, are those of the vendor interface. A board
+that has a configuration keeps it: setting it again would reset its toggles and its firmware. Both buffers are
+array('B'), which pyusb passes on without a copy; every time-out is finite, since a blocked read cannot be cancelled.
+
+Every way in which pyusb can fail becomes a LinkError by the table in `failures`. A halted endpoint is cleared once; if
+its next transfer stalls again the board counts as lost. After LinkLost the caller closes, waits `backoff_s(attempt)` and
+opens again: for a moment after an unplug the dead board is still listed, and its opening fails with LinkLost too.
+
+What would break it: sharing a device between threads, and a time-out used as a clock (libusb fires late).
+"""
+
+import errno
+from array import array
+from typing import Any
+
+import usb.core
+import usb.util
+
+from hapticd.errors import ConfigError, LinkError, LinkLost, LinkStalled
+from hapticd.link.base import Link
+from hapticd.link.failures import link_error
+from hapticd.params import UsbParams
+from hapticd.wire.frames import Request
+
+VENDOR_CLASS = 0xFF
+VENDOR_IN, VENDOR_OUT = 0xC0, 0x40  # bmRequestType, recipient device
+CONTROL_TIMEOUT_MS = 100  # three bus transactions, never within a tick
+FRAME_TRANSFERS = (usb.util.ENDPOINT_TYPE_BULK, usb.util.ENDPOINT_TYPE_INTR)
+DEVICE_ERRORS = (usb.core.USBError, NotImplementedError)  # libusb's "not supported" is no USBError
+ENGLISH_US = 0x0409
+
+
+def system_backend() -> Any:
+    """The libusb of the system, else the one of libusb-package. Raises ConfigError when there is neither."""
+    from usb.backend import libusb1  # loads ctypes and the library: not for a simulated board
+
+    backend = libusb1.get_backend()
+    if backend is None:
+        try:
+            from libusb_package import get_libusb1_backend
+        except ImportError:
+            raise ConfigError("libusb 1.0 is not installed: apt install libusb-1.0-0, or pip install 'hapticd[usb]'") from None
+        backend = get_libusb1_backend()
+    if backend is None:
+        raise ConfigError("libusb 1.0 is there but cannot be loaded; reinstall libusb-1.0-0")
+    return backend
+
+
+class UsbLink(Link):
+    """The board that `params` describe at the bus of `backend` (a pyusb backend; None: the system's libusb)."""
+
+    def __init__(self, params: UsbParams, backend: Any = None) -> None:
+        if params.timeout_ms < 1:
+            raise ConfigError(f"usb timeout_ms {params.timeout_ms} ms: 1 ms is the shortest, 0 would wait for ever")
+        self._params = params
+        self._backend = system_backend() if backend is None else backend
+        self._timeout_ms = params.timeout_ms
+        self._device: Any = None
+        self._forget()
+
+    def _forget(self) -> None:
+        self._device = None
+        self._read = self._write = _not_open
+        self._in = self._out = 0
+        self._halted: set[int] = set()  # endpoints whose last transfer stalled
+
+    def open(self) -> None:
+        self.close()
+        self._device = device = self._find()
+        try:
+            self._take(device)
+        except DEVICE_ERRORS as error:
+            self.close()
+            raise link_error("open the board", error) from error
+        except LinkError:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        device = self._device
+        self._forget()
+        if device is not None:
+            _dispose(device)
+
+    def read(self, buffer: "array[int]") -> int:
+        try:
+            count = self._read(self._in, buffer, self._timeout_ms)
+        except DEVICE_ERRORS as error:
+            raise self._transfer_failure("read", self._in, error) from error
+        if self._halted:
+            self._halted.discard(self._in)
+        return count
+
+    def write(self, buffer: "array[int]") -> None:
+        try:
+            self._write(self._out, buffer, self._timeout_ms)
+        except DEVICE_ERRORS as error:
+            raise self._transfer_failure("write", self._out, error) from error
+        if self._halted:
+            self._halted.discard(self._out)
+
+    def request(self, request: Request, length: int = 0) -> bytes:
+        if self._device is None:
+            _not_open()
+        try:
+            if length:
+                reply = self._device.ctrl_transfer(VENDOR_IN, request.value, 0, 0, length, CONTROL_TIMEOUT_MS)
+                return bytes(reply)
+            self._device.ctrl_transfer(VENDOR_OUT, request.value, 0, 0, None, CONTROL_TIMEOUT_MS)
+        except DEVICE_ERRORS as error:
+            raise link_error(f"request {request.name}", error) from error
+        return b""
+
+    def _find(self) -> Any:
+        params, unreadable = self._params, None
+        ids = {"idVendor": params.vendor_id, "idProduct": params.product_id}
+        try:
+            found = list(usb.core.find(find_all=True, backend=self._backend, **ids))
+        except DEVICE_ERRORS as error:
+            raise link_error("look for boards", error) from error
+        for device in found:
+            try:
+                if params.serial is None or _serial(device) == params.serial:
+                    return device
+            except DEVICE_ERRORS as error:
+                unreadable = link_error("read the board's serial number", error)
+            _dispose(device)
+        serial = "" if params.serial is None else f" with serial {params.serial}"
+        name = f"{params.vendor_id:04x}:{params.product_id:04x}{serial}"
+        raise unreadable or LinkLost(f"no board {name} at the bus; plug it in, or correct [usb] and the device file's serial")
+
+    def _take(self, device: Any) -> None:
+        number, self._out, self._in = _frame_endpoints(_configuration(device))
+        _detach_kernel_driver(device, number)
+        usb.util.claim_interface(device, number)
+        self._read, self._write = device.read, device.write
+
+    def _transfer_failure(self, action: str, endpoint: int, error: Exception) -> LinkError:
+        failure = link_error(f"{action} endpoint 0x{endpoint:02x}", error)
+        if not isinstance(failure, LinkStalled):
+            return failure
+        if endpoint in self._halted:
+            return LinkLost(f"{failure}; it stalled again after that: unplug the board and plug it in")
+        self._halted.add(endpoint)
+        try:
+            self._device.clear_halt(endpoint)
+        except DEVICE_ERRORS as worse:
+            return LinkLost(str(link_error(f"clear the halt of endpoint 0x{endpoint:02x}", worse)))
+        return failure
+
+
+def _not_open(*_: Any) -> int:
+    raise LinkLost("the link is not open; open it first")
+
+
+def _serial(device: Any) -> str | None:
+    try:
+        text: str | None = usb.util.get_string(device, device.iSerialNumber, ENGLISH_US)
+    except ValueError:  # no UTF-16
+        return None
+    except usb.core.USBError as error:
+        if error.errno is not None:
+            raise
+        return None  # pyusb's own "Invalid descriptor": a foreign device with our numbers
+    return text
+
+
+def _configuration(device: Any) -> Any:
+    try:
+        return device.get_active_configuration()
+    except usb.core.USBError as error:
+        if error.errno is not None:  # pyusb's own "Configuration not set" has none
+            raise
+    device.set_configuration()
+    return device.get_active_configuration()
+
+
+def _frame_endpoints(configuration: Any) -> tuple[int, int, int]:
+    """Number of the vendor interface and the addresses of its OUT and IN endpoint."""
+    for interface in configuration:
+        if interface.bInterfaceClass == VENDOR_CLASS and interface.bAlternateSetting == 0:
+            found = [e.bEndpointAddress for e in interface if usb.util.endpoint_type(e.bmAttributes) in FRAME_TRANSFERS]
+            outs = [address for address in found if usb.util.endpoint_direction(address) == usb.util.ENDPOINT_OUT]
+            ins = [address for address in found if usb.util.endpoint_direction(address) == usb.util.ENDPOINT_IN]
+            if outs and ins:
+                return interface.bInterfaceNumber, outs[0], ins[0]
+    raise LinkLost("the device has no vendor interface with a bulk or interrupt OUT and IN endpoint; is it a hapticd board?")
+
+
+def _detach_kernel_driver(device: Any, number: int) -> None:
+    try:
+        if device.is_kernel_driver_active(number):
+            device.detach_kernel_driver(number)
+    except NotImplementedError:
+        return  # not a notion of this platform
+    except usb.core.USBError as error:
+        if error.errno != errno.ENOENT:
+            raise
+
+
+def _dispose(device: Any) -> None:
+    try:
+        usb.util.dispose_resources(device)
+    except DEVICE_ERRORS:
+        return  # the device is gone, and with it all that was held

@@ -1,0 +1,186 @@
+"""What the device makes of what arrives: in time, late, twice, damaged, not at all."""
+
+from array import array
+from itertools import pairwise
+
+import pytest
+
+from hapticd.errors import LinkLost, LinkStalled, LinkTimeout, ProtocolMismatch
+from hapticd.link.base import Link, backoff_s
+from hapticd.link.device import SEED, Device
+from hapticd.wire import codec, frames
+from hapticd.wire.frames import Hello, InFrame, OutFlag
+
+PERIOD_US = 1000
+
+
+class Script(Link):
+    """A link that plays prepared replies: an InFrame, bytes, or an error to raise."""
+
+    def __init__(self, *replies):
+        self.replies, self.sent, self.opened = list(replies), [], 0
+        self.hello = Hello(frames.PROTOCOL_HASH, 0x0100, 1, 0x8003, 20, "SIM0001", 8.0, 10.0, 2.0, 2.0, 10.0, 30.0, 5e-7, 8.0)
+
+    def open(self):
+        self.opened += 1
+
+    def close(self):
+        self.opened = 0
+
+    def read(self, buffer):
+        reply = self.replies.pop(0) if self.replies else LinkTimeout("no frame within 2 ms")
+        if isinstance(reply, Exception):
+            raise reply
+        data = codec.encode_in(reply) if isinstance(reply, InFrame) else reply
+        memoryview(buffer)[: len(data)] = array("B", data)
+        return len(data)
+
+    def write(self, buffer):
+        self.sent.append(codec.decode_out(bytes(buffer)))
+
+    def request(self, request, length=0):
+        return codec.encode_hello(self.hello)
+
+
+def frame(n, time_us=None, echo=None, **changes):
+    """The IN frame of tick n of a board that is read once a period."""
+    stamp = (500_000 + n * PERIOD_US if time_us is None else time_us) & 0xFFFFFFFF
+    base = InFrame(n & 0xFFFF, (n + 1 if echo is None else echo) & 0xFFFF, 0, 0, stamp, 40 * n, 0, 0, 0, 2500, 0, 0, 4 * n)
+    return base._replace(**changes)
+
+
+def connected(*replies):
+    device = Device(Script(*replies), 1000.0)
+    device.connect()
+    return device
+
+
+def tick(device):
+    """Receive, then answer as the loop does."""
+    arrival, board_us, head = device.receive()
+    device.send(int(OutFlag.ENABLE), 0, 0, 0)
+    return arrival, board_us, head
+
+
+def test_connect_greets_and_sends_a_frame_without_torque():
+    device = connected()
+    assert device.hello.serial == "SIM0001"
+    assert [(out.flags, out.torque, out.damping) for out in device.link.sent] == [(int(OutFlag.FIFO_CLEAR), 0, 0)]
+
+
+def test_board_of_another_protocol_gets_no_frame():
+    device = Device(Script(), 1000.0)
+    device.link.hello = device.link.hello._replace(protocol_hash=b"other hd")
+    with pytest.raises(ProtocolMismatch, match="flash firmware built against"):
+        device.connect()
+    assert device.link.sent == []
+
+
+def test_first_frame_seeds_and_the_next_ones_are_in_time():
+    device = connected(frame(0), frame(1), frame(2))
+    assert [tick(device)[0] for _ in range(3)] == [SEED, 0, 0]
+
+
+def test_board_time_unwraps_over_its_thirty_two_bits():
+    start = 0xFFFFFFFF - 1500
+    device = connected(*(frame(n, start + n * PERIOD_US) for n in range(6)))
+    times = [tick(device)[1] for _ in range(6)]
+    assert [b - a for a, b in pairwise(times)] == [PERIOD_US] * 5
+
+
+@pytest.mark.parametrize("lost", [1, 2, 8, 100])
+def test_lost_samples_are_counted_by_the_boards_own_clock(lost):
+    device = connected(frame(0), frame(1), frame(2 + lost))
+    assert [tick(device)[0] for _ in range(3)] == [SEED, 0, lost]
+    assert device.counts["gap"] == lost
+
+
+def test_host_pause_shows_in_the_frame_after_the_waiting_one():
+    """The frame that waited is one period old: no gap yet. The next was latched after the pause."""
+    waited, after = frame(2), frame(3, 500_000 + 25 * PERIOD_US)
+    device = connected(frame(0), frame(1), waited, after)
+    assert [tick(device)[0] for _ in range(4)] == [SEED, 0, 0, 22]
+    assert device.counts["gap"] == 0
+
+
+def test_missing_frames_count_down():
+    device = connected(frame(0), LinkTimeout("t"), LinkTimeout("t"), frame(3, echo=4))
+    assert [tick(device)[0] for _ in range(4)] == [SEED, -1, -2, 2]
+    assert device.counts["missing"] == 2
+
+
+def test_old_sample_is_returned_with_a_missing_one():
+    device = connected(frame(0), LinkTimeout("t"))
+    first = tick(device)
+    assert tick(device)[1:] == first[1:]
+
+
+@pytest.mark.parametrize("damaged", [codec.encode_in(frame(1))[:-1] + b"\0", codec.encode_in(frame(1))[:31], b""])
+def test_damaged_frame_is_missing_and_counted_as_bad(damaged):
+    device = connected(frame(0), damaged)
+    tick(device)
+    assert tick(device)[0] == -1
+    assert device.counts["bad"] == 1
+
+
+def test_duplicate_is_read_past():
+    device = connected(frame(0), frame(1), frame(1), frame(2))
+    assert [tick(device)[0] for _ in range(3)] == [SEED, 0, 0]
+    assert device.counts["stale"] == 1
+
+
+def test_frame_left_by_a_timeout_is_read_past():
+    device = connected(frame(0), frame(1), LinkTimeout("t"), frame(2), frame(3))
+    assert [tick(device)[0] for _ in range(3)] == [SEED, 0, -1]
+    late = tick(device)
+    assert late[0] == 0
+    assert late[2][0] == 2
+    assert tick(device)[2][0] == 3
+
+
+def test_only_stale_frames_are_a_missing_tick():
+    device = connected(frame(0), frame(1), frame(1), frame(1), frame(1), frame(2))
+    assert [tick(device)[0] for _ in range(3)] == [SEED, 0, -1]
+
+
+def test_stall_is_a_missing_tick_and_loss_is_for_the_loop():
+    device = connected(frame(0), LinkStalled("s"), LinkLost("gone"))
+    tick(device)
+    assert tick(device)[0] == -1
+    with pytest.raises(LinkLost):
+        device.receive()
+
+
+def test_one_odd_echo_does_not_count_a_history_of_gaps():
+    device = connected(*(frame(n) if n != 50 else frame(n, echo=n) for n in range(100)))
+    for _ in range(100):
+        tick(device)
+    assert device.counts["gap"] == 0
+    assert device.counts["unseen"] <= 2
+
+
+def test_board_that_restarts_its_clock_after_a_reconnect_is_seeded():
+    device = connected(frame(0), frame(1))
+    tick(device), tick(device)
+    device.link.replies = [frame(0, 100), frame(1, 1100)]
+    device.connect()
+    assert tick(device)[0] == SEED
+    assert tick(device)[0] == 0
+
+
+def test_write_failure_is_told_and_survived():
+    device = connected(frame(0))
+
+    def stall(buffer):
+        raise LinkStalled("s")
+
+    device = Device(device.link, 1000.0)
+    device.link.write = stall
+    device = Device(device.link, 1000.0)
+    assert device.send(0, 0, 0, 0) is False
+    assert device.counts["write_errors"] == 1
+
+
+def test_backoff_doubles_and_stays_below_a_second():
+    assert [backoff_s(n) for n in range(7)] == [0.05, 0.1, 0.2, 0.4, 0.8, 1.0, 1.0]
+    assert backoff_s(10_000) == 1.0
