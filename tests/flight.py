@@ -47,7 +47,16 @@ class Flight:
         """An internal event of the loop."""
         return self._one(((0, kind, 0, 0, (float(number),)),))
 
-    def _one(self, commands: Any, encoder: Any = None, status: int = 0, celsius: Any = None, arrival: int = 0, host: int = HEALTHY, index: int = 0) -> Any:
+    def _one(
+        self,
+        commands: Any,
+        encoder: Any = None,
+        status: int = 0,
+        celsius: Any = None,
+        arrival: int = 0,
+        host: int = HEALTHY,
+        index: int = 0,
+    ) -> Any:
         if encoder is not None:
             self.encoder = encoder
         temperature = AMBIENT_COUNT if celsius is None else round(celsius * 100)

@@ -1,0 +1,128 @@
+"""The servo process: `python -m hapticd.assembly.servo_main SERVO_JSON [BOARD_JSON] [--parent PID]`.
+
+Order of a start: parameters -> board found, greeted, hash checked -> mailbox published -> real-time rights -> loop. With
+BOARD_JSON the board is the simulated one, in this process and thread, behind the same pyusb. Exit code 0: asked to end;
+1: a hapticd error, told in one line on stderr; 78: the configuration is wrong and a restart would not help.
+"""
+
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+from hapticd.assembly.process import die_with_parent, on_stop
+from hapticd.clock import Clock, MonotonicClock
+from hapticd.errors import ConfigError, HapticdError, LinkLost, ProtocolMismatch, RealtimeError
+from hapticd.link.base import backoff_s
+from hapticd.link.device import Device
+from hapticd.link.usb import UsbLink
+from hapticd.mailbox import files, layout
+from hapticd.mailbox.servo_side import ServoMailbox
+from hapticd.params import BoardParams, ServoParams, from_plain
+from hapticd.servo import host
+from hapticd.servo.loop import ServoLoop
+from hapticd.servo.wait import spinning_wait
+from hapticd.units import NS_PER_S, NS_PER_US, US_PER_S
+
+CONFIGURATION_EXIT = 78
+
+
+def read_json(kind: Any, path: str) -> Any:
+    """The parameters of `kind` in the JSON file `path`. ConfigError names the file."""
+    try:
+        plain = json.loads(Path(path).read_text())
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: {error}; make it with `hapticd config resolve`") from error
+    return from_plain(kind, plain, path)
+
+
+class Servo:
+    """The parts of one servo process."""
+
+    def __init__(self, params: ServoParams, board: BoardParams | None, clock: Clock) -> None:
+        self.params, self.clock = params, clock
+        self.stopping = False
+        self.loop: ServoLoop | None = None
+        self.slip_ns = 0
+        backend = None
+        if board is not None:
+            from hapticd.assembly.simulation import simulated_backend  # a real board brings no simulator along
+
+            backend = simulated_backend(board, clock, self._slipped)
+        self.device = Device(UsbLink(params.usb, backend), params.realtime.rate_hz)
+        self.mailbox: ServoMailbox | None = None
+
+    def stop(self) -> None:
+        """End at the next tick."""
+        self.stopping = True
+        if self.loop is not None:
+            self.loop.stopping = True
+
+    def connect(self) -> None:
+        """Wait for the board, looking for it with back-off; anything but its absence ends the start."""
+        attempt = 0
+        while not self.stopping:
+            try:
+                self.device.connect()
+                return
+            except LinkLost:
+                self.device.close()
+                self.clock.sleep_until_ns(self.clock.now_ns() + int(backoff_s(attempt) * NS_PER_S))
+                attempt += 1
+
+    def run(self) -> None:
+        """From the board to the end of the loop."""
+        self.connect()
+        if self.stopping:
+            self.device.close()
+            return
+        params, rate_hz = self.params, self.params.realtime.rate_hz
+        folder = files.runtime_folder(params.instance)
+        self.mailbox = ServoMailbox(folder, rate_hz, params.config_hash, params.simulated, self.clock.now_ns())
+        wait = spinning_wait(int(params.realtime.spin_us * NS_PER_US), int(NS_PER_S / rate_hz))
+        self.loop = ServoLoop(params, self.device, self.mailbox, self.clock, wait)
+        self.loop.stopping = self.stopping
+        try:
+            self.mailbox.report({"realtime": host.prepare(params.realtime), **self._about()})
+            self.mailbox.publish()
+            self.loop.restart_clock()
+            self.loop.run()
+        finally:
+            host.relax()
+            self.loop.finish()
+            self.mailbox.close()
+
+    def _about(self) -> dict[str, Any]:
+        hello = self.device.hello
+        described = {} if hello is None else {**hello._asdict(), "protocol_hash": hello.protocol_hash.hex()}
+        return {"board": described, "simulated": self.params.simulated, "period_us": US_PER_S / self.params.realtime.rate_hz}
+
+    def _slipped(self, slip_ns: int) -> None:
+        self.slip_ns += slip_ns
+        if self.mailbox is not None:
+            self.mailbox.words[layout.COUNTER_WORD + layout.COUNTERS.index("sim_slip_ns")] = self.slip_ns
+
+
+def main(arguments: list[str]) -> int:
+    """Run a servo; the exit code."""
+    parent = int(arguments[arguments.index("--parent") + 1]) if "--parent" in arguments else None
+    paths = [item for item in arguments if item.endswith(".json")]
+    die_with_parent(parent)
+    try:
+        params = read_json(ServoParams, paths[0])
+        board = read_json(BoardParams, paths[1]) if len(paths) > 1 else None
+        servo = Servo(params, board, MonotonicClock())
+        on_stop(servo.stop)
+        servo.run()
+    except (ConfigError, ProtocolMismatch, RealtimeError) as error:
+        os.write(2, f"hapticd servo: {error}\n".encode())
+        return CONFIGURATION_EXIT
+    except HapticdError as error:
+        os.write(2, f"hapticd servo: {error}\n".encode())
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))

@@ -1,0 +1,275 @@
+"""The whole stack on virtual time: the paper's settings, every injected fault, receipts, energy, memory."""
+
+import numpy as np
+import pytest
+from models import COUNT_M, COUNT_NS_PER_M, board_params, device_params, servo_params
+
+from hapticd.assembly.lockstep import LockStep
+from hapticd.faults import BY_CODE
+from hapticd.mailbox import layout
+from hapticd.mailbox.layout import Command, Flag, Result, Value
+from hapticd.params import HomeParams, InjectionParams, RealtimeParams
+from hapticd.servo.safety import State
+from hapticd.wire import codec
+from hapticd.wire.frames import Status
+
+DTYPE = np.dtype([tuple(field) for field in layout.TELEMETRY])
+FIG_4 = {Value.STIFFNESS: 100.0, Value.DAMPING: 1.0, Value.MASS: 0.010, Value.RAMP_S: 0.0}
+FREE = {Value.STIFFNESS: 0.0, Value.RAMP_S: 0.0}
+FIG_7 = {Value.STIFFNESS: 50.0, Value.DAMPING: 2.0, Value.MASS: 0.0, Value.RAMP_S: 0.0}
+FAULTS = [
+    ("drop_out", 1, 0.0), ("drop_out", 3, 0.0), ("drop_in", 1, 0.0), ("drop_in", 5, 0.0), ("delay_in", 1, 0.003),
+    ("duplicate_in", 4, 0.0), ("corrupt_in", 2, 0.0), ("corrupt_out", 2, 0.0), ("stall_in", 1, 0.0), ("stall_out", 1, 0.0),
+    ("babble", 1, 0.0), ("short_in", 2, 0.0), ("late", 3, 0.0004),
+]  # fmt: skip
+
+
+def records(block):
+    return np.frombuffer(block, DTYPE)
+
+
+def perturbed(stack, amplitude=3000, seed=3):
+    """White noise into the probe motor, for ever."""
+    stack.load_waveform(np.random.default_rng(seed).integers(-amplitude, amplitude + 1, 8000).tolist())
+    assert stack.do(Command.PERTURB_START, {Value.SAMPLES: 8000.0, Value.LOOP: 1.0}).result is Result.APPLIED
+
+
+def enable(stack, settings):
+    stack.run(5)
+    assert stack.do(Command.SET, settings).result is Result.APPLIED
+    assert stack.do(Command.ENABLE).result is Result.APPLIED
+    stack.run(520)
+
+
+def test_figure_4_environment_renders_on_the_simulated_board():
+    with LockStep(servo_params(), board_params()) as stack:
+        enable(stack, FIG_4)
+        perturbed(stack)
+        flown = records(stack.run(5000))
+    assert set(flown["state"]) == {State.ENABLED}
+    assert not flown["flags"].any()
+    expected = flown["stiffness_force_n"] + flown["damping_force_n"] + flown["mass_force_n"]
+    assert np.abs(flown["force_n"] - expected).max() <= 0.5 * 8.0 / 32767 * 1.0001
+    assert np.allclose(flown["stiffness_force_n"], -100.0 * flown["position_m"], rtol=1e-12, atol=0)
+    assert 1e-5 < np.abs(flown["position_m"]).max() < 5e-3
+
+
+def test_figure_7_added_damping_is_toggled_live_and_slows_the_device():
+    with LockStep(servo_params(), board_params()) as stack:
+        enable(stack, FIG_7)
+        perturbed(stack)
+        without = records(stack.run(8000))
+        receipt = stack.do(Command.DAMPING, {Value.ADDED_DAMPING: 1.74, Value.ADDED_DAMPING_ON: 1.0})
+        assert receipt.effective[Value.ADDED_DAMPING] == pytest.approx(1.74, abs=COUNT_NS_PER_M)
+        stack.run(200)
+        added = records(stack.run(8000))
+        stack.do(Command.DAMPING, {Value.ADDED_DAMPING_ON: 0.0})
+        stack.run(200)
+        again = records(stack.run(8000))
+    assert set(added["added_damping_ns_per_m"]) == {receipt.effective[Value.ADDED_DAMPING]}
+    slow, fast = added["velocity_m_per_s"].std(), without["velocity_m_per_s"].std()
+    assert slow < 0.8 * fast
+    assert again["velocity_m_per_s"].std() == pytest.approx(fast, rel=0.1)
+    assert set(again["added_damping_ns_per_m"]) == {0.0}
+
+
+def test_free_decay_shows_the_damping_that_was_commanded():
+    """After a push the velocity decays with m / (b + b_el): measured within 1 %, no virtual environment."""
+    with LockStep(servo_params(), board_params()) as stack:
+        enable(stack, FREE)
+        stack.do(Command.DAMPING, {Value.ADDED_DAMPING: 2.0, Value.ADDED_DAMPING_ON: 1.0})
+        stack.run(300)
+        stack.load_waveform([16000] * 80)
+        stack.do(Command.PERTURB_START, {Value.SAMPLES: 80.0, Value.LOOP: 0.0})
+        flown = records(stack.run(60))
+    moved = np.diff(flown["position_m"])
+    tail = moved[25:33]
+    rate = -np.polyfit(np.arange(8) * 1e-3, np.log(tail), 1)[0]
+    assert rate == pytest.approx((0.36 + 2.0) / 0.008, rel=0.01)
+
+
+@pytest.mark.parametrize(("kind", "count", "value"), FAULTS)
+def test_link_fault_is_survived_without_a_jump(kind, count, value):
+    injections = (InjectionParams(kind, tick=1000, count=count, value=value),)
+    with LockStep(servo_params(), board_params(injections=injections)) as stack:
+        enable(stack, FIG_4)
+        perturbed(stack)
+        flown = records(stack.run(1500))
+        counts = stack.device.counts
+    assert flown["state"][-1] == State.ENABLED
+    assert kind == "late" or any(counts.values())
+    assert not flown["flags"][-100:].any()
+    ordinary = np.abs(np.diff(flown["force_n"][:400])).max()
+    assert np.abs(np.diff(flown["force_n"])).max() < 4 * ordinary
+
+
+@pytest.mark.parametrize(("kind", "count", "value"), FAULTS)
+def test_probe_stream_says_what_it_lost(kind, count, value):
+    injections = (InjectionParams(kind, tick=800, count=count, value=value),)
+    with LockStep(servo_params(), board_params(injections=injections)) as stack:
+        enable(stack, FIG_7)
+        perturbed(stack)
+        flown = records(stack.run(600))
+    fresh = flown[(flown["flags"] & (Flag.MISSING_IN)) == 0]
+    frames = [codec.decode_in(bytes(frame)) for frame in fresh["in_frame"]]
+    indices = [frame.probe_index + n for frame in frames for n in range(len(frame.pairs))]
+    assert indices == sorted(set(indices))
+    assert indices[-1] - indices[0] >= 4 * 590
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "code"),
+    [
+        ("amplifier_fault", 0.05, "board_fault"),
+        ("encoder_fault", 0.05, "board_fault"),
+        ("over_temperature", 0.05, "over_temperature"),
+        ("encoder_jump", 1_000_000, "sensor_range"),
+        ("sensor_extreme", 32767, "over_temperature"),
+        ("unplug", 0.2, "usb_lost"),
+        ("io_error", 0.0, "usb_lost"),
+    ],
+)
+def test_serious_fault_stops_safely_and_can_be_reset(kind, value, code):
+    injections = (InjectionParams(kind, tick=1000, value=value),)
+    with LockStep(servo_params(), board_params(injections=injections)) as stack:
+        enable(stack, FIG_4)
+        perturbed(stack)
+        flown = records(stack.run(3000))
+        assert flown["state"][-1] == State.FAULT
+        assert flown["fault"][-1] == BY_CODE[code].number
+        first = int(np.argmax(flown["state"] == State.FAULT))
+        assert not flown["force_n"][first + 25 :].any()
+        assert stack.do(Command.ENABLE).result is Result.REFUSED_STATE
+        assert stack.do(Command.RESET).result is Result.APPLIED
+        stack.run(50)
+        assert stack.do(Command.ENABLE).result is Result.APPLIED
+        after = records(stack.run(600))
+    assert after["state"][-1] == State.ENABLED
+    assert not after["flags"][-10:].any()
+
+
+def test_replug_seeds_at_rest_and_comes_up_without_torque():
+    injections = (InjectionParams("unplug", tick=1000, value=0.3),)
+    with LockStep(servo_params(), board_params(injections=injections)) as stack:
+        enable(stack, FIG_4)
+        perturbed(stack)
+        flown = records(stack.run(3000))
+        counters = stack.gateway.counters()
+    seeded = np.flatnonzero(flown["flags"] & Flag.SEEDED)
+    assert len(seeded) == 1
+    assert flown["velocity_m_per_s"][seeded[0]] == 0.0
+    assert not flown["force_n"][seeded[0] :].any()
+    assert counters["reconnects"] == 1
+
+
+def test_missing_frames_beyond_the_limit_are_a_fault():
+    injections = (InjectionParams("drop_in", tick=1000, count=30),)
+    with LockStep(servo_params(), board_params(injections=injections)) as stack:
+        enable(stack, FIG_4)
+        flown = records(stack.run(1500))
+    assert flown["fault"][-1] == BY_CODE["frames_lost"].number
+
+
+def test_lost_gateway_heartbeat_faults_within_a_second():
+    with LockStep(servo_params(), board_params()) as stack:
+        enable(stack, FIG_4)
+        stack.gateway_alive = False
+        flown = records(stack.run(1500))
+    first = int(np.argmax(flown["state"] == State.FAULT))
+    assert flown["fault"][first] == BY_CODE["gateway_lost"].number
+    assert 700 <= first <= 1001
+
+
+def test_stop_word_latches_without_a_gateway_and_reset_clears_it():
+    with LockStep(servo_params(), board_params()) as stack:
+        enable(stack, FIG_4)
+        stack.mailbox.stop_words[0] = 1
+        flown = records(stack.run(50))
+        assert flown["state"][-1] == State.STOPPED
+        assert flown["actor"][-1] == 2
+        assert stack.do(Command.RESET).result is Result.APPLIED
+        assert records(stack.run(10))["state"][-1] == State.DISABLED
+
+
+def test_homing_against_the_simulated_stop_finds_its_position():
+    home = HomeParams(method="stop", required=True, direction=-1, speed_m_per_s=0.05, force_n=0.5, position_m=-0.01)
+    params = servo_params(device=device_params(home=home))
+    with LockStep(params, board_params(lower_stop_m=-0.004, upper_stop_m=0.016)) as stack:
+        stack.run(5)
+        assert stack.do(Command.ENABLE).result is Result.REFUSED_NOT_HOMED
+        assert stack.do(Command.HOME).result is Result.APPLIED
+        flown = records(stack.run(2500))
+        assert flown["state"][-1] == State.DISABLED
+        assert flown["homed"][-1] == 1
+        assert np.abs(flown["force_n"]).max() <= 0.5 + 8.0 / 32767
+        assert flown["position_m"][-1] == pytest.approx(-0.01, abs=2 * COUNT_M)
+        assert stack.do(Command.ENABLE).result is Result.APPLIED
+
+
+def test_perturbation_arrives_whole_and_keeps_the_fifo_level():
+    wave = np.random.default_rng(5).integers(-3000, 3001, 4000)
+    with LockStep(servo_params(), board_params()) as stack:
+        enable(stack, FREE)
+        stack.load_waveform(wave.tolist())
+        stack.do(Command.PERTURB_START, {Value.SAMPLES: 4000.0, Value.LOOP: 0.0})
+        flown = records(stack.run(1100))
+    frames = [codec.decode_in(bytes(frame)) for frame in flown["in_frame"]]
+    torque = np.array([pair[0] for frame in frames for pair in frame.pairs])
+    start = int(np.argmax(torque != 0))
+    begin = int(np.argmax(wave != 0))
+    assert np.array_equal(torque[start : start + 4000 - begin], wave[begin:])
+    assert not torque[start + 4000 - begin :].any()
+    assert flown["perturbing"][-1] == 0
+    levels = [frame.fifo_level for frame in frames[20:900]]
+    assert min(levels) >= 2
+    assert max(levels) <= 12
+    assert not any(frame.status & (Status.FIFO_UNDERRUN | Status.FIFO_OVERFLOW) for frame in frames[20:900])
+
+
+def test_probe_pairs_give_the_exact_work_of_the_perturbation():
+    """sum(F v T) over the pairs = kinetic energy gained + heat lost; here against the motion of a free mass."""
+    with LockStep(servo_params(), board_params(viscous_ns_per_m=0.0)) as stack:
+        enable(stack, FREE)
+        stack.load_waveform([8000] * 40)
+        stack.do(Command.PERTURB_START, {Value.SAMPLES: 40.0, Value.LOOP: 0.0})
+        flown = records(stack.run(40))
+    frames = [codec.decode_in(bytes(frame)) for frame in flown["in_frame"]]
+    board = board_params()
+    pairs = np.array([pair for frame in frames for pair in frame.pairs], float)
+    force, velocity = pairs[:, 0] * board.probe_torque_n_per_count, pairs[:, 1] * board.probe_velocity_m_per_s_per_count
+    work = float(np.sum(force * velocity) * 250e-6)
+    speed = 8000 * board.probe_torque_n_per_count * 40 * 250e-6 / 0.008
+    assert work == pytest.approx(0.5 * 0.008 * speed**2, rel=2e-3)
+
+
+@pytest.mark.parametrize("rate_hz", [1000.0, 2000.0, 4000.0, 8000.0])
+def test_every_rate_flies_the_same_environment(rate_hz):
+    params = servo_params(realtime=RealtimeParams(rate_hz=rate_hz, mode="off"))
+    with LockStep(params, board_params(rate_hz=rate_hz)) as stack:
+        enable(stack, FIG_4)
+        perturbed(stack)
+        flown = records(stack.run(int(rate_hz)))
+        settled = flown[flown["gain"] == 1.0]
+    assert not (settled["flags"] & ~np.uint32(Flag.RAMPING)).any()
+    assert np.abs(np.diff(flown["board_us"]) - 1e6 / rate_hz).max() <= 1.0
+
+
+def test_two_runs_are_equal_to_the_byte():
+    blocks = []
+    for _ in range(2):
+        with LockStep(servo_params(), board_params(injections=(InjectionParams("drop_in", probability=0.01),))) as stack:
+            enable(stack, FIG_4)
+            perturbed(stack)
+            stack.run(2000)
+            blocks.append(b"".join(stack.blocks))
+    assert blocks[0] == blocks[1]
+
+
+def test_passive_environment_never_gains_energy():
+    with LockStep(servo_params(), board_params()) as stack:
+        enable(stack, FIG_4)
+        perturbed(stack)
+        flown = records(stack.run(20_000))
+    total = flown["energy_j"][:, 4]
+    assert total[-1] < total[0]
+    assert total[-1] < -1e-3
