@@ -66,7 +66,10 @@ def test_constant_acceleration_gives_exact_inertia_force():
 
 def jitted_law():
     """`render` itself compiled by numba, with its helpers, without fastmath."""
-    helpers = {name: njit(value) for name, value in (("wall_force", fields.wall_force), ("end_force", fields.end_force), ("clamp", limits.clamp))}
+    helpers = {
+        name: njit(value)
+        for name, value in (("wall_force", fields.wall_force), ("end_force", fields.end_force), ("clamp", limits.clamp))
+    }
     twin = types.FunctionType(render.__code__, {**environment.__dict__, **helpers})
     return njit(twin)
 
@@ -79,7 +82,11 @@ def random_call(draw: random.Random):
     state = tuple(draw.gauss(0, 10.0 ** draw.randint(-6, 0)) for _ in range(6))
     kbm = (draw.uniform(-500, 5000), draw.uniform(-5, 50), draw.uniform(-0.05, 0.1), draw.gauss(0, 0.1))
     wall = (draw.uniform(0, 1e4), draw.uniform(0, 50), draw.gauss(0, 1e-3), draw.choice((-1.0, 0.0, 1.0)))
-    return x, state, (*kbm, draw.choice((0.5, 8.0, 1e9)), *wall, -draw.uniform(0, 0.01), draw.uniform(0, 0.01), draw.uniform(0, 1e4))
+    return (
+        x,
+        state,
+        (*kbm, draw.choice((0.5, 8.0, 1e9)), *wall, -draw.uniform(0, 0.01), draw.uniform(0, 0.01), draw.uniform(0, 1e4)),
+    )
 
 
 def bits(result) -> bytes:

@@ -1,5 +1,7 @@
 """The safety table, cell by cell, and what torque and damping do in each state."""
 
+from itertools import pairwise
+
 import pytest
 from flight import Flight, enabled
 from models import device_params, servo_params
@@ -8,7 +10,7 @@ from hapticd.faults import BY_CODE, FAULTS
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.params import HomeParams, SafetyParams
 from hapticd.servo import safety
-from hapticd.servo.safety import FAULT_EVENT, HOME_DONE_EVENT, State
+from hapticd.servo.safety import FAULT_EVENT, State
 from hapticd.servo.state import GATEWAY_ALIVE, HEALTHY, LINK_UP
 from hapticd.wire.frames import OutFlag, Status
 
@@ -17,14 +19,23 @@ DENTED = 20_000  # counts = 10 mm: -1 N at 100 N/m
 NO, D, E, S, F, H = Result.REFUSED_STATE, State.DISABLED, State.ENABLED, State.STOPPED, State.FAULT, State.HOMING
 
 CELLS = {
-    # state: enable, disable, stop, reset, zero, home, perturb, fault, home done
-    D: (E, D, S, D, D, H, D, F, NO),
-    E: (E, D, S, NO, NO, NO, E, F, NO),
-    S: (NO, S, S, D, NO, NO, NO, F, NO),
-    F: (NO, F, F, D, NO, NO, NO, F, NO),
-    H: (NO, D, S, NO, NO, NO, NO, F, D),
+    # state: enable, disable, stop, reset, zero, home, perturb, fault
+    D: (E, D, S, D, D, H, NO, F),
+    E: (E, D, S, NO, NO, NO, E, F),
+    S: (NO, S, S, D, NO, NO, NO, F),
+    F: (NO, F, F, D, NO, NO, NO, F),
+    H: (NO, D, S, NO, NO, NO, NO, F),
 }
-KINDS = (Command.ENABLE, Command.DISABLE, Command.STOP, Command.RESET, Command.ZERO, Command.HOME, Command.PERTURB_START, FAULT_EVENT, HOME_DONE_EVENT)
+KINDS = (
+    Command.ENABLE,
+    Command.DISABLE,
+    Command.STOP,
+    Command.RESET,
+    Command.ZERO,
+    Command.HOME,
+    Command.PERTURB_START,
+    FAULT_EVENT,
+)
 
 
 @pytest.mark.parametrize("state", list(State))
@@ -66,7 +77,7 @@ def test_enable_ramps_the_force_in_over_half_a_second():
     forces = [flight.fly()[8] for _ in range(501)]
     assert forces[249] == pytest.approx(-0.5, abs=2e-3)
     assert forces[-1] == pytest.approx(-1.0, abs=2e-4)
-    steps = [abs(b - a) for a, b in zip(forces, forces[1:], strict=False)]
+    steps = [abs(b - a) for a, b in pairwise(forces)]
     assert max(steps) < 1.0 / 500 + 3e-4
 
 
@@ -157,7 +168,7 @@ def test_damping_is_slew_limited():
     for _ in range(150):
         flight.fly()
         levels.append(flight.blob["added_damping_ns_per_m"])
-    steps = [b - a for a, b in zip(levels, levels[1:], strict=False)]
+    steps = [b - a for a, b in pairwise(levels)]
     assert max(steps) <= 20.0 / 1000 + 10.0 / 65535
     assert levels[-1] == pytest.approx(2.0, abs=1e-4)
 
@@ -222,7 +233,9 @@ def test_every_loss_leads_to_a_latched_fault_with_its_cause(sample, code):
     assert flight.plan.state is F
 
 
-@pytest.mark.parametrize("sample", [{"status": int(Status.AMPLIFIER_FAULT)}, {"celsius": 121.0}, {"host": GATEWAY_ALIVE, "arrival": -3}])
+@pytest.mark.parametrize(
+    "sample", [{"status": int(Status.AMPLIFIER_FAULT)}, {"celsius": 121.0}, {"host": GATEWAY_ALIVE, "arrival": -3}]
+)
 def test_reset_is_refused_while_the_cause_persists(sample):
     flight = enabled(servo_params())
     flight.fly(1, **sample)
@@ -257,3 +270,28 @@ def test_one_missing_frame_holds_the_force_and_is_flagged():
 
 def test_healthy_flags_are_both():
     assert HEALTHY == LINK_UP | GATEWAY_ALIVE
+
+
+def test_stop_lets_the_spring_follow_the_motion():
+    """The force of a stop is the law's on its way out, not a push that ignores where the device is."""
+    flight = enabled(servo_params(), STIFF, DENTED)
+    flight.do(Command.STOP)
+    flight.fly(4)
+    through_the_origin = [flight.fly(1, encoder=DENTED - 2500 * n)[8] for n in range(1, 13)]
+    assert through_the_origin[0] < -0.5
+    assert through_the_origin[7] == pytest.approx(0.0, abs=1e-3)
+    assert through_the_origin[-1] > 0.0
+
+
+def test_encoder_that_stays_off_needs_homing_again_and_can_be_reset():
+    params = servo_params(device=device_params(home=HomeParams(method="stop", required=True)))
+    flight = Flight(params)
+    flight.do(Command.ZERO)
+    assert flight.do(Command.ENABLE) is Result.APPLIED
+    flight.fly(600)
+    flight.fly(50, encoder=1_000_000)
+    assert flight.blob["fault"] == BY_CODE["sensor_range"].number
+    assert flight.do(Command.RESET) is Result.APPLIED
+    flight.fly(10)
+    assert flight.plan.state is D
+    assert flight.do(Command.ENABLE) is Result.REFUSED_NOT_HOMED

@@ -138,11 +138,12 @@ class GatewayMailbox:
         while tail != head:
             offset = layout.ANSWER_OFFSET + tail % layout.RING_SLOTS * layout.ANSWER.size
             seq, result, fault, revision, first, end, *values, crc, _ = layout.ANSWER.unpack_from(self._map, offset)
-            if zlib.crc32(self._map[offset : offset + layout.ANSWER.size - 8]) != crc:
-                raise MailboxError(f"{self.folder}: answer {tail} is damaged; restart servo and gateway")
-            found.append(Answer(seq, layout.Result(result), fault, revision, first, end, tuple(values)))
+            intact = zlib.crc32(self._map[offset : offset + layout.ANSWER.size - 8]) == crc
             tail += 1
             self.store(layout.ANSWER_TAIL_WORD, tail)
+            if not intact:
+                raise MailboxError(f"{self.folder}: answer {tail} is damaged; restart servo and gateway")
+            found.append(Answer(seq, layout.Result(result), fault, revision, first, end, tuple(values)))
         return found
 
     def records(self, tail: int, most: int) -> tuple[bytes, int, int]:

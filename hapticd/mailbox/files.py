@@ -12,6 +12,7 @@ from hapticd.errors import MailboxError
 MAILBOX, TELEMETRY, STOP, PERTURBATION = "mailbox", "telemetry.ring", "stop", "perturbation"
 LAST_TELEMETRY, REPORT = "last.ring", "servo.report"
 SERVO_JSON, BOARD_JSON, GATEWAY_JSON = "servo.json", "board.json", "gateway.json"  # what the processes start from
+COMMAND_SOCKET, TELEMETRY_SOCKET, ENDPOINTS = "command", "telemetry", "endpoints.json"  # the gateway's
 SERVO_LOCK, GATEWAY_LOCK = "servo.lock", "gateway.lock"
 DEFAULT_INSTANCE = "default"
 

@@ -26,7 +26,7 @@ COUNTER_WORD = 128  # COUNTERS, u64 each
 PAGE = 4096
 
 COUNTERS = (
-    "ticks", "late_events", "lost_slots", "grace_late_events", "grace_lost_slots", "missing_in", "bad_in", "sequence_gap",
+    "ticks", "late_events", "lost_slots", "grace_late_events", "grace_lost_slots", "missing_in", "bad_in", "stale_in", "sequence_gap",
     "write_errors", "reconnects", "sim_slip_ns", "commands", "bad_commands", "dropped_answers",
 )  # fmt: skip
 STAGES = (
@@ -40,6 +40,7 @@ STAGES = (
 # --- command ring: gateway -> servo ----------------------------------------------------------------------------------
 RING_SLOTS = 64
 COMMAND = struct.Struct("<QIIQ20dII")  # seq, kind, actor, apply_tick (0: now), values, crc32 of all before, pad
+COMMAND_VALUES = 20
 COMMAND_OFFSET = 2 * PAGE
 COMMAND_CRC_OFFSET = COMMAND.size - 8
 

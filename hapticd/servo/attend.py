@@ -55,18 +55,15 @@ def make_attend(params: ServoParams) -> Attend:
             return BY_CODE["board_watchdog"].number
         return BY_CODE["frames_lost"].number if -arrival > params.safety.missing_frames_limit else 0
 
-    def commanded(
-        plan: Plan, commands: tuple[Request, ...], sample: Sample, tick: int, held: float
-    ) -> tuple[Plan, tuple[Answer, ...]]:
-        found = newly_lost(plan, sample)
+    def commanded(plan: Plan, commands: tuple[Request, ...], sample: Sample, now: Now) -> tuple[Plan, tuple[Answer, ...]]:
+        found = newly_lost(plan, sample) or (BY_CODE["home_failed"].number if homing.overdue(plan, now.tick, params) else 0)
         events: tuple[Request, ...] = ((0, FAULT_EVENT, 0, 0, (float(found),)),) if found else ()
-        now = Now(tick, sample[0], held, bool(sample[4] & GATEWAY_ALIVE), cause(sample[1], sample[2], sample[4]))
         answers: list[Answer] = []
         stops = tuple(one for one in commands if one[1] == Command.STOP)
         for request in (*events, *(one for one in commands if one[1] != Command.STOP), *stops):
             plan, more = obey(plan, request, now, params)
             answers += more
-        while plan.scheduled and plan.scheduled[0].tick <= tick:
+        while plan.scheduled and plan.scheduled[0].tick <= now.tick:
             due = plan.scheduled[0]
             plan, more = apply_settings(plan._replace(scheduled=plan.scheduled[1:]), due, params)
             answers += more
@@ -75,7 +72,7 @@ def make_attend(params: ServoParams) -> Attend:
     def attend(
         state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int
     ) -> tuple[ServoState, bool, tuple[Any, ...], int]:
-        encoder, _, _, arrival, host, _ = sample
+        encoder, status, temperature, arrival, host, _ = sample
         _, environment, coefficients, _, _, _, law, ledger, origin, added, held, _, plan = state
         before = plan
         usable = arrival >= 0 and bool(host & LINK_UP)
@@ -83,10 +80,12 @@ def make_attend(params: ServoParams) -> Attend:
         if usable and 0 < arrival <= params.safety.missing_frames_limit:
             law, ledger = bridge(law, ledger, (encoder - origin) * m_per_count, arrival, environment, coefficients, added)
             flags = int(Flag.INTERPOLATED)
-        plan, answers = commanded(plan, commands, sample, tick, held[1])
+        now = Now(tick, encoder, held[1], bool(host & GATEWAY_ALIVE), cause(status, temperature, host))
+        plan, answers = commanded(plan, commands, sample, now)
         if plan.state is State.HOMING and usable:
-            plan = homing.advance(plan, sample, tick, params)
-        seeding = usable and (arrival > params.safety.missing_frames_limit or plan.origin != origin)
+            plan = homing.advance(plan, sample, now, params)
+        resetting = before.state in LATCHED and plan.state is State.DISABLED
+        seeding = usable and (arrival > params.safety.missing_frames_limit or plan.origin != origin or resetting)
         if seeding:
             law, ledger = at_rest((encoder - plan.origin) * m_per_count), (ledger[0], ZERO_FORCES, ZERO_FORCES, 0.0)
             flags = int(Flag.SEEDED)
@@ -97,17 +96,17 @@ def make_attend(params: ServoParams) -> Attend:
         if plan.filters != before.filters:
             renewed = coefficients_of(plan, rate_hz)
             law, coefficients = carried(law, coefficients, renewed), renewed
-        now = hot(plan, tick, params, params.environment.workspace, limit_n)
+        ready = hot(plan, tick, params, params.environment.workspace, limit_n)
         if plan.state is State.HOMING:
-            now = now._replace(environment=homing.environment(params))
-        if now.wake_tick == tick + 1:
+            ready = ready._replace(environment=homing.environment(plan, tick, params))
+        if ready.wake_tick == tick + 1:
             flags |= int(Flag.RAMPING)
         if not usable and plan.state not in (State.ENABLED, State.HOMING):
-            left = plan.bias.value(tick)
+            left = plan.fade.value(tick)
             held = (force.to_count(left, -32768, 32767), left)
-        per_period = params.device.damping.to_value(now.damping_count) * rate_hz
+        per_period = params.device.damping.to_value(ready.damping_count) * rate_hz
         return (
-            now.wake_tick, now.environment, coefficients, out_flags(plan, tick), now.damping_count, now.blob, law, ledger,
+            ready.wake_tick, ready.environment, coefficients, out_flags(plan, tick), ready.damping_count, ready.blob, law, ledger,
             plan.origin, per_period, held, host, plan,
         ), usable, answers, flags  # fmt: skip
 
@@ -116,7 +115,7 @@ def make_attend(params: ServoParams) -> Attend:
 
 def out_flags(plan: Plan, tick: int) -> int:
     """Flags of the OUT frame: torque authority only where the table grants torque."""
-    live = plan.state in (State.ENABLED, State.HOMING) or (plan.state in LATCHED and plan.bias.running(tick))
+    live = plan.state in (State.ENABLED, State.HOMING) or (plan.state in LATCHED and (plan.gain.running(tick) or plan.fade.running(tick)))
     return (int(OutFlag.ENABLE) if live else 0) | (int(OutFlag.PERTURB) if plan.wave[0] else 0)
 
 

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 from hapticd.errors import ConfigError
+from hapticd.faults import BY_CODE
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.params import ServoParams
 from hapticd.render.ramp import Ramp, constant
@@ -48,15 +49,21 @@ def answer(plan: Plan, seq: int, result: Result, ticks: tuple[int, int], params:
 def enter(plan: Plan, state: State, now: Now, params: ServoParams, actor: int, fault: int = 0) -> Plan:
     """`plan` in `state`: gain, remaining force, damping and perturbation as the safety table says."""
     rate_hz, limits = params.realtime.rate_hz, params.safety
-    gain, bias = constant(0.0), constant(0.0)
+    gain, fade = constant(0.0), constant(0.0)
     if state is State.ENABLED:
         gain = Ramp(0.0, 1.0, now.tick, round_half_up(limits.enable_ramp_s * rate_hz))
     if state in LATCHED:
-        left = plan.bias.value(now.tick) if plan.state in LATCHED else now.force_n
-        bias = Ramp(left, 0.0, now.tick, round_half_up(limits.stop_ramp_s * rate_hz))
-    entered = plan._replace(state=state, since_tick=now.tick, fault=fault, actor=actor, gain=gain, bias=bias)
+        ticks = round_half_up(limits.stop_ramp_s * rate_hz)
+        gain, fade = plan.gain.towards(0.0, now.tick, ticks), Ramp(now.force_n, 0.0, now.tick, ticks)
+    if state in LATCHED and plan.state in LATCHED:
+        gain, fade = plan.gain, plan.fade
+    entered = plan._replace(state=state, since_tick=now.tick, fault=fault, actor=actor, gain=gain, fade=fade)
+    if state is not State.ENABLED:
+        entered = entered._replace(wave=NO_WAVE)
     if state in LATCHED:
-        entered = entered._replace(added_entry=plan.added, wave=NO_WAVE, scheduled=())
+        entered = entered._replace(added_entry=plan.added, scheduled=())
+    if fault == BY_CODE["sensor_range"].number:
+        entered = entered._replace(homed=False)
     if state is State.HOMING:
         entered = entered._replace(anchor=(now.tick, now.encoder), homed=False)
     return entered._replace(revision=plan.revision + 1)
@@ -75,7 +82,7 @@ def obey(plan: Plan, request: Request, now: Now, params: ServoParams) -> tuple[P
     if target is not plan.state:
         fault = int(values[0]) if kind == safety.FAULT_EVENT else safety.STOP_FAULT if target is State.STOPPED else 0
         after = enter(plan, target, now, params, actor, fault)
-        end = max(after.gain.start_tick + after.gain.ticks, after.bias.start_tick + after.bias.ticks, now.tick)
+        end = max(after.gain.start_tick + after.gain.ticks, after.fade.start_tick + after.fade.ticks, now.tick)
         if target in LATCHED:
             cancelled = [answer(after, one.seq, Result.CANCELLED, (one.tick, one.tick), params) for one in plan.scheduled]
     after = _action(after, kind, seq, values, now)

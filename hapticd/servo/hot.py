@@ -46,7 +46,7 @@ def hot(plan: Plan, tick: int, params: ServoParams, workspace: WorkspaceParams, 
     gain = plan.gain.value(tick)
     at = {place: ramp.value(tick) for place, ramp in plan.values.items()}
     environment = (
-        gain * at[Value.STIFFNESS], gain * at[Value.DAMPING], gain * at[Value.MASS], plan.bias.value(tick), limit_n,
+        gain * at[Value.STIFFNESS], gain * at[Value.DAMPING], gain * at[Value.MASS], _bias(plan, tick), limit_n,
         gain * at[Value.WALL_STIFFNESS], gain * at[Value.WALL_DAMPING], at[Value.WALL_POSITION], float(plan.wall_side),
         workspace.lower_m, workspace.upper_m, gain * workspace.stiffness_n_per_m,
     )  # fmt: skip
@@ -59,9 +59,14 @@ def hot(plan: Plan, tick: int, params: ServoParams, workspace: WorkspaceParams, 
     return Hot(wake_tick(plan, tick, params), environment, count, blob)
 
 
+def _bias(plan: Plan, tick: int) -> float:
+    """Force [N] that is not the law's: the push of a homing that was stopped, on its way out."""
+    return plan.fade.value(tick) if plan.state in LATCHED and plan.gain.start == 0.0 else 0.0
+
+
 def wake_tick(plan: Plan, tick: int, params: ServoParams) -> int:
     """First tick after `tick` at which the plan differs from now."""
-    ramps = (plan.gain, plan.bias, *plan.values.values())
+    ramps = (plan.gain, plan.fade, *plan.values.values())
     if plan.state is State.HOMING or any(ramp.running(tick) for ramp in ramps) or plan.added != added_target(plan, tick, params):
         return tick + 1
     events = [one.tick for one in plan.scheduled]

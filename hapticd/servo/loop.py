@@ -19,7 +19,7 @@ from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.params import ScaleParams, ServoParams
 from hapticd.servo.perturb import Streamer
 from hapticd.servo.safety import FAULT_EVENT, LATCHED, PERTURB_DONE_EVENT, State
-from hapticd.servo.state import BOARD_FAULT, GATEWAY_ALIVE, LINK_UP, Answer, Request
+from hapticd.servo.state import CLEARABLE, GATEWAY_ALIVE, LINK_UP, Answer, Request
 from hapticd.servo.step import initial_state, make_step
 from hapticd.servo.wait import Wait, first_deadline
 from hapticd.units import NS_PER_S
@@ -27,6 +27,7 @@ from hapticd.wire.frames import OutFlag
 
 ACTOR_STOP_WORD = 2
 MOST_COMMANDS = 2
+CLEAR_TICKS = 3  # until a frame shows what CLEAR_FAULT did
 _COUNTER = {name: layout.COUNTER_WORD + index for index, name in enumerate(layout.COUNTERS)}
 _PERTURB, _FIFO_CLEAR = int(OutFlag.PERTURB), int(OutFlag.FIFO_CLEAR)
 _LATE, _WRITE_FAILED = int(Flag.LATE), int(Flag.WRITE_FAILED)
@@ -50,6 +51,7 @@ class ServoLoop:
         self._wave_seq = 0
         self._attempt, self._retry_ns = 0, 0
         self._late_slots: list[tuple[int, int]] = []
+        self._deferred: list[tuple[int, Request]] = []
 
     def run(self, ticks: int | None = None) -> None:
         """Tick until `stopping`, or for `ticks` ticks."""
@@ -91,8 +93,8 @@ class ServoLoop:
             got = clock()
 
             commands: tuple[Request, ...] = ()
-            if stop_words[0] or load(head_word) != words[tail_word] or self._late_slots or self._wave_seq:
-                commands = self._commands(head[4])
+            if stop_words[0] or load(head_word) != words[tail_word] or self._late_slots or self._wave_seq or self._deferred:
+                commands = self._commands(head)
             host = LINK_UP if self.linked else 0
             if -timeout_ns < start - words[beat_word] < timeout_ns:
                 host |= GATEWAY_ALIVE
@@ -141,36 +143,48 @@ class ServoLoop:
         """Bring the device's counts to the counters that others read."""
         words, counts = self.mailbox.words, self.device.counts
         words[_COUNTER["ticks"]] = self.tick
-        for name, key in (("missing_in", "missing"), ("bad_in", "bad"), ("sequence_gap", "gap"), ("write_errors", "write_errors")):
+        for name, key in (
+            ("missing_in", "missing"),
+            ("bad_in", "bad"),
+            ("stale_in", "stale"),
+            ("sequence_gap", "gap"),
+            ("write_errors", "write_errors"),
+        ):
             words[_COUNTER[name]] = counts[key]
 
-    @property
-    def streaming_ended(self) -> bool:
-        """Whether a perturbation has played its last sample."""
-        return self._wave_seq != 0 and self.streamer.exhausted
-
-    def _commands(self, status: int) -> tuple[Request, ...]:
+    def _commands(self, head: Head) -> tuple[Request, ...]:
         """What this tick has to obey: at most two from the ring, the stop word, lost slots, the end of a waveform."""
+        status, level = head[4], head[11]
         found: list[Request] = []
         while len(found) < MOST_COMMANDS and (request := self.mailbox.take()) is not None:
             found.append(request)
         if any(request[1] == Command.RESET for request in found):
             self.mailbox.stop_words[0] = 0
-            if status & BOARD_FAULT:
-                self._clear_board()
+            if status & CLEARABLE and self.linked:
+                found = self._clear_board(found)
+        found += self._due()
         if self.mailbox.stop_words[0] and self.state[12].state not in LATCHED:
             found.append((0, Command.STOP, ACTOR_STOP_WORD, 0, _NO_VALUES))
         if self._too_late():
             found.append((0, FAULT_EVENT, 0, 0, (float(BY_CODE["lost_slots"].number),)))
-        if self.streaming_ended:
+        if self._wave_seq and self.streamer.exhausted and level == 0:
             found.append((0, PERTURB_DONE_EVENT, 0, 0, _NO_VALUES))
         return tuple(found)
 
-    def _clear_board(self) -> None:
+    def _clear_board(self, found: list[Request]) -> list[Request]:
+        """Ask the board to forget its fault; the reset waits for the frame that tells whether it did."""
         try:
             self.device.clear_fault()
         except LinkError:
-            return  # the fault bit stays and the reset is refused
+            return found  # the fault bit stays and the reset is refused
+        self._deferred += [(self.tick + CLEAR_TICKS, request) for request in found if request[1] == Command.RESET]
+        return [request for request in found if request[1] != Command.RESET]
+
+    def _due(self) -> list[Request]:
+        """Resets that have waited for the board."""
+        due = [request for tick, request in self._deferred if tick <= self.tick]
+        self._deferred = [item for item in self._deferred if item[0] > self.tick]
+        return due
 
     def _answer(self, answers: tuple[Answer, ...]) -> None:
         for seq, result, fault, revision, ticks, values in answers:

@@ -36,7 +36,7 @@ class Plan(NamedTuple):
     wave: tuple[int, int, bool]  # perturbation: sequence number of its command (0: none), samples, loop
     anchor: tuple[int, int]  # homing: tick and count since which the encoder has not moved
     gain: Ramp
-    bias: Ramp  # N; what is left of the force after a stop, or the homing push
+    fade: Ramp  # N; what is left of the force of a latched state where there is no sample to believe
     values: dict[int, Ramp]  # by layout.Value: K, B, M and the wall
     wall_side: int
     filters: tuple[FilterParams, FilterParams]
@@ -70,7 +70,7 @@ def initial_plan(params: ServoParams) -> Plan:
     )
     return Plan(
         state=State.DISABLED, since_tick=0, fault=0, actor=0, revision=0, leases=(0, 0), homed=False,
-        origin=0, wave=NO_WAVE, anchor=(0, 0), gain=constant(0.0), bias=constant(0.0),
+        origin=0, wave=NO_WAVE, anchor=(0, 0), gain=constant(0.0), fade=constant(0.0),
         values={int(place): constant(value) for place, value in zip(BUMPLESS, start, strict=True)},
         wall_side=wall.side, filters=(environment.velocity_filter, environment.acceleration_filter),
         added_asked=params.added_damping_ns_per_m, added_on=False, added=0.0, added_entry=0.0, scheduled=(),

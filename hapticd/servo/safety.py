@@ -8,7 +8,8 @@
     fault      ramp to 0 in 20 ms        0.5 s                                        reset, while no cause persists
 
 STOP comes from anyone at any time and is idempotent; `reset` leads to disabled, never further; a fault keeps its first
-cause. `set` and `damping` are taken in every state and act where the table lets them. Pure: no clock, no I/O.
+cause. `set` and `damping` are taken in every state and act where the table lets them; a perturbation plays
+while enabled and ends with it. Pure: no clock, no I/O.
 What would break it: a state added without its row (TABLE is checked to be complete when this module is imported).
 """
 
@@ -20,29 +21,22 @@ from hapticd.params import SafetyParams
 State = layout.State
 
 FAULT_EVENT = 100  # internal command: something is lost; its first value is the fault number
-HOME_DONE_EVENT = 101
-PERTURB_DONE_EVENT = 102
+PERTURB_DONE_EVENT = 101
 LATCHED = frozenset({State.STOPPED, State.FAULT})
 
 _STAY, _NO = None, Result.REFUSED_STATE
+_D, _E, _S, _F, _H = State.DISABLED, State.ENABLED, State.STOPPED, State.FAULT, State.HOMING
 _COLUMNS = (
-    Command.ENABLE,
-    Command.DISABLE,
-    Command.STOP,
-    Command.RESET,
-    Command.ZERO,
-    Command.HOME,
-    Command.PERTURB_START,
+    Command.ENABLE, Command.DISABLE, Command.STOP, Command.RESET, Command.ZERO, Command.HOME, Command.PERTURB_START,
     FAULT_EVENT,
-    HOME_DONE_EVENT,
-)
+)  # fmt: skip
 _ROWS: dict[State, tuple[State | Result | None, ...]] = {
-    #                ENABLE         DISABLE         STOP           RESET           ZERO   HOME          PERTURB FAULT       HOME_DONE
-    State.DISABLED: (State.ENABLED, _STAY,          State.STOPPED, _STAY,          _STAY, State.HOMING, _STAY, State.FAULT, _NO),
-    State.ENABLED:  (_STAY,         State.DISABLED, State.STOPPED, _NO,            _NO,   _NO,          _STAY, State.FAULT, _NO),
-    State.STOPPED:  (_NO,           _STAY,          _STAY,         State.DISABLED, _NO,   _NO,          _NO,   State.FAULT, _NO),
-    State.FAULT:    (_NO,           _STAY,          _STAY,         State.DISABLED, _NO,   _NO,          _NO,   _STAY,       _NO),
-    State.HOMING:   (_NO,           State.DISABLED, State.STOPPED, _NO,            _NO,   _NO,          _NO,   State.FAULT, State.DISABLED),
+    #   ENABLE  DISABLE STOP   RESET  ZERO   HOME  PERTURB FAULT
+    _D: (_E,    _STAY,  _S,    _STAY, _STAY, _H,   _NO,    _F),
+    _E: (_STAY, _D,     _S,    _NO,   _NO,   _NO,  _STAY,  _F),
+    _S: (_NO,   _STAY,  _STAY, _D,    _NO,   _NO,  _NO,    _F),
+    _F: (_NO,   _STAY,  _STAY, _D,    _NO,   _NO,  _NO,    _STAY),
+    _H: (_NO,   _D,     _S,    _NO,   _NO,   _NO,  _NO,    _F),
 }  # fmt: skip
 TABLE = {(state, kind): row[column] for state, row in _ROWS.items() for column, kind in enumerate(_COLUMNS)}
 assert len(TABLE) == len(State) * len(_COLUMNS)

@@ -1,0 +1,47 @@
+"""Two processes hammer one mailbox: `hammer.py WRITER FOLDER`. The reader is the test."""
+
+import sys
+from pathlib import Path
+
+from hapticd.mailbox import layout
+from hapticd.mailbox.fence import word_access
+from hapticd.mailbox.servo_side import ServoMailbox
+
+STOP_AT = 1 << 40
+
+
+def write_records(folder: Path) -> None:
+    """Publish records whose every number is derived from their tick, as fast as Python can, until the reader says stop."""
+    servo = ServoMailbox(folder, 1000.0, "", True, 1)
+    servo.publish()
+    pack, ring, publish, words = layout.RECORD.pack_into, servo.ring, servo.publish_head, servo.words
+    size, slots, first, stop = layout.RECORD.size, layout.RING_RECORDS, layout.TELEMETRY_OFFSET, layout.GATEWAY_BEAT_WORD
+    blob, energies = bytes(layout.PLAN.size), (0.0,) * 6
+    tick = 0
+    while words[stop] < STOP_AT:
+        for _ in range(1000):
+            v = float(tick)
+            pack(
+                ring, first + tick % slots * size, tick, tick, tick, blob, 0, 0, v, v, v, v, v, v, v, v, *energies,
+                0.0, 0.0, 0.0, 0.0, 0, 0, 0, 0, 0, 0, b"", b"", tick,
+            )  # fmt: skip
+            tick += 1
+            publish(0, tick)
+    servo.close()
+
+
+def write_words(folder: Path) -> None:
+    """Store a word that is all zeros or all ones through the release store, as fast as Python can."""
+    servo = ServoMailbox(folder, 1000.0, "", True, 1)
+    servo.publish()
+    store, _ = word_access(servo.words, sys.argv[3] if len(sys.argv) > 3 else None)
+    words, stop, target, ones = servo.words, layout.GATEWAY_BEAT_WORD, layout.SERVO_BEAT_WORD, (1 << 64) - 1
+    while words[stop] < STOP_AT:
+        for _ in range(1000):
+            store(target, 0)
+            store(target, ones)
+    servo.close()
+
+
+if __name__ == "__main__":
+    {"records": write_records, "words": write_words}[sys.argv[1]](Path(sys.argv[2]))

@@ -1,0 +1,309 @@
+"""One tick: receipts, ramps, schedules, gaps, zero, homing, and numbers that are not numbers."""
+
+import math
+from itertools import pairwise
+
+import pytest
+from flight import Flight, enabled, masked
+from models import COUNT_M, COUNT_N, device_params, servo_params
+
+from hapticd.faults import BY_CODE
+from hapticd.link.device import SEED
+from hapticd.mailbox.layout import Command, Flag, Result, Value
+from hapticd.params import HomeParams, ScaleParams
+from hapticd.servo.safety import State
+from hapticd.wire.frames import Status
+
+STIFF = {Value.STIFFNESS: 100.0}
+
+
+def test_force_is_stiffness_times_position_in_counts():
+    flight = enabled(servo_params(), STIFF, 20_000)
+    torque, x, *_, force, _, _ = flight.fly()
+    assert x == pytest.approx(20_000 * COUNT_M)
+    assert torque == math.floor(-100.0 * x / COUNT_N + 0.5)
+    assert force == torque * COUNT_N
+
+
+def test_force_limit_is_the_last_thing_before_the_wire():
+    flight = enabled(servo_params(), {Value.STIFFNESS: 1e5}, 0)
+    for encoder in (1000, 30_000, 0, -30_000, 0, 10_000):
+        out = flight.fly(3, encoder=encoder)
+        assert abs(out[0]) <= 32767
+        assert abs(out[8]) <= 8.0
+    assert flight.fly(1, encoder=12_000)[9] & Flag.CLAMPED
+
+
+def test_configured_limit_below_the_device_limit_wins():
+    flight = enabled(servo_params(device=device_params(force_limit_n=2.0)), {Value.STIFFNESS: 1e4}, 10_000)
+    assert flight.fly()[8] == pytest.approx(-2.0, abs=COUNT_N)
+    assert abs(flight.fly()[8]) <= 2.0 + 0.5 * COUNT_N
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_calibration_turns_sign_and_offset(sign):
+    force = ScaleParams(COUNT_N, sign=sign, offset_count=12.0)
+    position = ScaleParams(COUNT_M, sign=sign, offset_count=100.0)
+    flight = Flight(servo_params(device=device_params(force=force, position=position)), 100)
+    assert flight.fly()[0] == 12
+    flight.do(Command.SET, {**STIFF, Value.RAMP_S: 0.0})
+    flight.do(Command.ENABLE)
+    out = flight.fly(600, encoder=20_100)
+    assert out[1] == pytest.approx(sign * 0.01)
+    assert out[8] == pytest.approx(-sign * 1.0, abs=COUNT_N)
+    assert out[0] == pytest.approx(12 - 1.0 / COUNT_N, abs=1)
+
+
+def test_every_set_gets_its_own_receipt():
+    flight = Flight(servo_params())
+    first = flight.do(Command.SET, {Value.STIFFNESS: 50.0, Value.RAMP_S: 0.1})
+    second = flight.do(Command.SET, {Value.STIFFNESS: 70.0})
+    assert first is second is Result.APPLIED
+    (_, _, _, revision1, ticks1, values1), (_, _, _, revision2, ticks2, values2) = flight.answers
+    assert (revision1, revision2) == (1, 2)
+    assert ticks1 == (1, 101)
+    assert ticks2 == (2, 52)  # the configured default of 50 ms
+    assert (values1[Value.STIFFNESS], values2[Value.STIFFNESS]) == (50.0, 70.0)
+
+
+def test_receipt_tells_damping_after_quantisation():
+    flight = Flight(servo_params())
+    flight.do(Command.DAMPING, {Value.ADDED_DAMPING: 1.74, Value.ADDED_DAMPING_ON: 1.0})
+    level = flight.answers[-1][5][Value.ADDED_DAMPING]
+    assert level == pytest.approx(1.74, abs=0.5 * 10.0 / 65535)
+    assert level != 1.74
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        (Value.STIFFNESS, math.nan), (Value.STIFFNESS, 1e6), (Value.DAMPING, math.inf), (Value.MASS, -2.0),
+        (Value.VELOCITY_FILTER_HZ, 451.0), (Value.VELOCITY_FILTER_ZETA, 0.0), (Value.WALL_SIDE, 2.0),
+        (Value.ADDED_DAMPING, 10.1), (Value.ADDED_DAMPING, -0.1), (Value.RAMP_S, 61.0),
+    ],
+)  # fmt: skip
+def test_values_out_of_range_change_nothing(place, value):
+    flight = enabled(servo_params(), STIFF, 20_000)
+    before, revision = flight.fly(), flight.plan.revision
+    assert flight.do(Command.SET, {place: value}) is Result.REFUSED_RANGE
+    assert flight.fly()[:9] == before[:9]
+    assert flight.plan.revision == revision
+
+
+def test_mask_that_is_no_mask_is_refused():
+    flight = Flight(servo_params())
+    for mask in (math.nan, -1.0, float(1 << 40)):
+        out = flight._one(((5, Command.SET, 1, 0, (mask, *[0.0] * 19)),))
+        assert out[10][0][1] == Result.REFUSED_RANGE
+
+
+def test_set_ramps_without_a_jump():
+    flight = enabled(servo_params(), {Value.STIFFNESS: 100.0}, 20_000)
+    flight.do(Command.SET, {Value.STIFFNESS: 300.0, Value.RAMP_S: 0.2})
+    forces = [flight.fly()[8] for _ in range(202)]
+    assert forces[0] == pytest.approx(-1.0, abs=0.02)
+    assert forces[-1] == pytest.approx(-3.0, abs=1e-3)
+    assert max(abs(b - a) for a, b in pairwise(forces)) < 2.0 / 200 + 3e-4
+
+
+def test_parameters_ramp_each_on_its_own_clock():
+    flight = enabled(servo_params())
+    flight.do(Command.SET, {Value.STIFFNESS: 100.0, Value.RAMP_S: 0.1})
+    flight.fly(49)
+    flight.do(Command.SET, {Value.MASS: 0.01, Value.RAMP_S: 0.1})
+    flight.fly(49)
+    assert flight.blob["stiffness_n_per_m"] == pytest.approx(99.0)
+    assert flight.blob["mass_kg"] == pytest.approx(0.0049)
+    flight.fly(60)
+    assert (flight.blob["stiffness_n_per_m"], flight.blob["mass_kg"]) == (100.0, 0.01)
+
+
+def test_filter_change_is_bumpless():
+    flight = enabled(servo_params(), {Value.DAMPING: 5.0})
+    for n in range(300):
+        out = flight.fly(1, encoder=40 * n)
+    before = out[8]
+    assert flight.do(Command.SET, {Value.VELOCITY_FILTER_HZ: 30.0}, encoder=40 * 300) is Result.APPLIED
+    after = [flight.fly(1, encoder=40 * n)[8] for n in range(301, 400)]
+    assert before == pytest.approx(-5.0 * 0.02, abs=1e-3)
+    assert max(abs(force - before) for force in after) < 2 * COUNT_N
+
+
+def test_scheduled_set_acts_on_its_very_tick():
+    flight = enabled(servo_params(), {Value.STIFFNESS: 100.0}, 20_000)
+    target = flight.tick + 10
+    assert flight.do(Command.SET, {Value.STIFFNESS: 200.0, Value.RAMP_S: 0.0}, at_tick=target) is Result.SCHEDULED
+    first = flight.tick
+    forces = dict(enumerate((flight.fly()[8] for _ in range(15)), first))
+    assert forces[target - 1] == pytest.approx(-1.0, abs=COUNT_N)
+    assert forces[target] == pytest.approx(-2.0, abs=COUNT_N)
+    assert flight.answers[-1][1] == Result.APPLIED
+    assert flight.answers[-1][4][0] == target
+
+
+def test_later_set_for_the_same_tick_supersedes():
+    flight = Flight(servo_params())
+    target = flight.tick + 20
+    flight.do(Command.SET, {Value.STIFFNESS: 200.0}, at_tick=target)
+    flight.do(Command.SET, {Value.STIFFNESS: 300.0, Value.MASS: 0.01, Value.RAMP_S: 0.0}, at_tick=target)
+    results = [(answer[0], Result(answer[1])) for answer in flight.answers]
+    assert (1, Result.SUPERSEDED) in results
+    flight.fly(30)
+    assert flight.blob["stiffness_n_per_m"] == 300.0
+    assert [(a[0], a[1]) for a in flight.answers if a[1] == Result.APPLIED] == [(2, Result.APPLIED)]
+
+
+def test_sixteen_may_wait_and_no_more():
+    flight = Flight(servo_params())
+    for index in range(16):
+        assert flight.do(Command.SET, STIFF, at_tick=10_000 + index) is Result.SCHEDULED
+    assert flight.do(Command.SET, STIFF, at_tick=20_000) is Result.REFUSED_FULL
+
+
+def test_tick_in_the_past_is_refused():
+    flight = Flight(servo_params())
+    flight.fly(10)
+    assert flight.do(Command.SET, STIFF, at_tick=3) is Result.REFUSED_LATE
+
+
+def test_stop_cancels_what_was_scheduled():
+    flight = enabled(servo_params())
+    flight.do(Command.SET, STIFF, at_tick=flight.tick + 1000)
+    flight.do(Command.STOP)
+    assert Result.CANCELLED in [answer[1] for answer in flight.answers]
+    assert flight.plan.scheduled == ()
+
+
+@pytest.mark.parametrize("lost", [1, 3, 8])
+def test_lost_frames_never_make_a_multiple_velocity(lost):
+    flight = enabled(servo_params(), {Value.DAMPING: 1.0})
+    speed = 40  # counts a tick = 0.02 m/s
+    for n in range(400):
+        flight.fly(1, encoder=speed * n)
+    out = flight.fly(1, encoder=speed * (400 + lost), arrival=lost)
+    assert out[2] == pytest.approx(0.02, rel=1e-3)
+    assert out[9] & Flag.INTERPOLATED
+
+
+def test_long_gap_seeds_at_rest_and_ramps_the_force_in():
+    flight = enabled(servo_params(), STIFF, 20_000)
+    flight.fly(100)
+    out = flight.fly(1, encoder=24_000, arrival=9)
+    assert out[9] & Flag.SEEDED
+    assert out[9] & Flag.QUIET_RAMP
+    assert out[2] == 0.0
+    assert abs(out[8]) < 0.02
+    assert flight.fly(501)[8] == pytest.approx(-1.2, abs=1e-3)
+
+
+def test_first_frame_seeds_the_filters_where_the_device_is():
+    flight = Flight(servo_params(), 1_000_000)
+    out = flight.fly()
+    assert (out[2], out[3]) == (0.0, 0.0)
+
+
+def test_zero_moves_the_origin_without_a_velocity():
+    flight = Flight(servo_params(), 12_345)
+    assert flight.do(Command.ZERO) is Result.APPLIED
+    out = flight.fly()
+    assert (out[1], out[2]) == (0.0, 0.0)
+    assert flight.blob["homed"] == 1
+
+
+def test_zero_is_refused_while_enabled():
+    flight = enabled(servo_params(), STIFF, 20_000)
+    assert flight.do(Command.ZERO) is Result.REFUSED_STATE
+    assert flight.fly()[1] == pytest.approx(0.01)
+
+
+HOME = HomeParams(method="stop", direction=-1, speed_m_per_s=0.01, force_n=0.5, position_m=-0.02, timeout_s=2.0)
+
+
+def test_homing_pushes_with_bounded_force_and_finds_the_stop():
+    flight = Flight(servo_params(device=device_params(home=HOME)), 5000)
+    assert flight.do(Command.HOME) is Result.APPLIED
+    assert flight.plan.state is State.HOMING
+    worst = 0.0
+    for n in range(100):
+        worst = max(worst, abs(flight.fly(1, encoder=5000 - 20 * n)[8]))
+    for _ in range(405):
+        worst = max(worst, abs(flight.fly()[8]))
+    assert worst <= 0.5 + COUNT_N
+    assert flight.plan.state is State.DISABLED
+    assert flight.plan.homed
+    assert flight.fly()[1] == pytest.approx(-0.02, abs=COUNT_M)
+    assert flight.fly()[0] == 0
+
+
+def test_homing_that_finds_nothing_is_a_fault():
+    flight = Flight(servo_params(device=device_params(home=HOME)))
+    flight.do(Command.HOME)
+    for n in range(2005):
+        flight.fly(1, encoder=-20 * n)
+    assert flight.plan.state is State.FAULT
+    assert flight.plan.fault == BY_CODE["home_failed"].number
+    assert not flight.plan.homed
+
+
+def test_failed_homing_lets_go_in_twenty_ticks():
+    flight = Flight(servo_params(device=device_params(home=HOME)))
+    flight.do(Command.HOME)
+    forces = [flight.fly(1, encoder=-3 * ((n + 50) // 100))[8] for n in range(2030)]
+    failed = 2000
+    assert forces[failed - 5] < -0.1
+    assert max(abs(b - a) for a, b in pairwise(forces[failed - 5 :])) < 0.5 / 20 + 2 * COUNT_N
+    assert forces[-1] == 0.0
+
+
+def test_homing_at_the_index_takes_the_mark():
+    home = HomeParams(method="index", direction=1, speed_m_per_s=0.01, force_n=0.5, position_m=0.003, timeout_s=2.0)
+    flight = Flight(servo_params(device=device_params(home=home)))
+    flight.do(Command.HOME)
+    flight.fly(1, encoder=700, status=int(Status.INDEX), index=20)
+    assert flight.plan.state is State.DISABLED
+    assert flight.fly(1, encoder=700)[1] == pytest.approx(0.003 + 20 * COUNT_M)
+
+
+def test_homing_is_refused_where_the_device_has_no_method():
+    assert Flight(servo_params()).do(Command.HOME) is Result.REFUSED_STATE
+
+
+def test_law_that_overflows_is_a_fault_and_never_a_force():
+    flight = enabled(servo_params(), STIFF, 20_000)
+    law = (0.01, 0.0, math.inf, math.inf, 0.0, 0.0)
+    flight.state = (*flight.state[:6], law, *flight.state[7:])
+    out = flight.fly()
+    assert flight.plan.fault == BY_CODE["not_finite"].number
+    assert out[9] & Flag.NOT_FINITE
+    assert abs(out[8]) <= 1.0 + COUNT_N
+    assert flight.fly(30)[0] == 0
+    assert all(math.isfinite(value) for value in flight.state[6])
+
+
+def test_step_is_a_function_of_its_arguments():
+    flight = enabled(servo_params(), {**STIFF, Value.DAMPING: 1.0, Value.MASS: 0.01}, 2000)
+    state, sample = flight.state, (2040, 0, 2500, 0, 3, 0)
+    command = ((77, Command.SET, 1, 0, masked({Value.STIFFNESS: 400.0})),)
+    assert flight.step(state, command, sample, 900) == flight.step(state, command, sample, 900)
+    assert state == flight.state
+
+
+def test_perturbation_runs_only_where_the_table_lets_it():
+    flight = enabled(servo_params())
+    wave = {Value.SAMPLES: 400.0, Value.LOOP: 1.0}
+    assert flight.do(Command.PERTURB_START, wave) is Result.APPLIED
+    assert flight.plan.wave[1:] == (400, True)
+    flight.do(Command.STOP)
+    assert flight.plan.wave[0] == 0
+    assert flight.do(Command.PERTURB_START, wave) is Result.REFUSED_STATE
+
+
+def test_perturbation_of_no_samples_is_refused():
+    assert enabled(servo_params()).do(Command.PERTURB_START, {Value.SAMPLES: 0.0, Value.LOOP: 0.0}) is Result.REFUSED_RANGE
+
+
+def test_seed_after_replug_keeps_the_servo_disabled():
+    flight = Flight(servo_params(), 500)
+    flight.fly(1, arrival=SEED, encoder=-77_000)
+    assert flight.plan.state is State.DISABLED
+    assert flight.fly()[2] == 0.0
