@@ -1,0 +1,87 @@
+"""A TOML file that remembers on which line each key stands (tomllib does not say)."""
+
+import re
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hapticd.errors import ConfigError
+
+KeyPath = tuple[str | int, ...]
+
+_NAME = r"""(?:[\w-]+|"[^"]*"|'[^']*')"""
+_DOTTED = rf"{_NAME}(?:\s*\.\s*{_NAME})*"
+_HEADER = re.compile(rf"\s*(\[\[?)\s*({_DOTTED})\s*\]")
+_KEY = re.compile(rf"\s*({_DOTTED})\s*=")
+
+
+@dataclass(frozen=True)
+class Document:
+    """Content of one file; `lines` maps the path of a table or key to its line."""
+
+    path: Path
+    data: dict[str, Any]
+    lines: dict[KeyPath, int]
+
+    def where(self, path: KeyPath) -> str:
+        """`file:line` of the key, or of the nearest table around it."""
+        for length in range(len(path), 0, -1):
+            if path[:length] in self.lines:
+                return f"{self.path}:{self.lines[path[:length]]}"
+        return str(self.path)
+
+    def value(self, path: KeyPath) -> Any:
+        """What stands there; None if nothing does."""
+        found: Any = self.data
+        for step in path:
+            try:
+                found = found[step]
+            except (KeyError, IndexError, TypeError):
+                return None
+        return found
+
+
+def read(path: Path) -> Document:
+    """Parse `path`. ConfigError with file and line when it cannot be read or is not TOML."""
+    try:
+        text = path.read_text(encoding="utf-8")
+        return Document(path, tomllib.loads(text), _lines(text))
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}; check the path and its permissions") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(_syntax_message(path, str(error))) from error
+
+
+def _syntax_message(path: Path, message: str) -> str:
+    found = re.fullmatch(r"(.*) \(at line (\d+), column (\d+)\)", message, re.DOTALL)
+    if not found:
+        return f"{path}: not valid TOML: {message}"
+    reason, line, column = found.groups()
+    return f"{path}:{line}: not valid TOML at column {column}: {reason}"
+
+
+def _split(dotted: str) -> KeyPath:
+    return tuple(name.strip("\"'") for name in re.findall(_NAME, dotted))
+
+
+def _lines(text: str) -> dict[KeyPath, int]:
+    lines: dict[KeyPath, int] = {}
+    table: KeyPath = ()
+    count: dict[KeyPath, int] = {}
+    inside_string = False
+    for number, line in enumerate(text.splitlines(), 1):
+        if not inside_string:
+            if header := _HEADER.match(line):
+                table = _split(header[2])
+                if header[1] == "[[":
+                    count[table] = count.get(table, -1) + 1
+                    table = (*table, count[table])
+                lines.setdefault(table, number)
+            elif key := _KEY.match(line):
+                lines.setdefault(table + _split(key[1]), number)
+        if (line.count('"""') + line.count("'''")) % 2:
+            inside_string = not inside_string
+    return lines

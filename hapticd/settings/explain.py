@@ -1,0 +1,89 @@
+"""A validation error as a sentence: file:line, field = value unit, what is allowed, what was probably meant."""
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from hapticd.errors import ConfigError
+from hapticd.settings.document import KeyPath
+from hapticd.settings.meant import did_you_mean
+from hapticd.units import unit_of
+
+Where = Callable[[KeyPath], str]
+
+REASONS: Mapping[str, str] = {
+    "greater_than": "must be more than {gt}{unit}",
+    "greater_than_equal": "must be at least {ge}{unit}",
+    "less_than": "must be less than {lt}{unit}",
+    "less_than_equal": "must be at most {le}{unit}",
+    "finite_number": "must be a finite number{of_unit}",
+    "float_type": "must be a number{of_unit}",
+    "int_type": "must be a whole number{of_unit}",
+    "int_from_float": "must be a whole number{of_unit}",
+    "bool_type": "must be true or false",
+    "string_type": "must be text in quotes",
+    "date_type": "must be a date like 2026-11-20",
+    "model_type": "must be a table",
+    "tuple_type": "must be a list of tables",
+    "literal_error": "must be {expected}",
+    "missing": "is missing; add it{of_unit}",
+    "extra_forbidden": "is unknown",
+    "string_too_short": "must not be empty",
+    "string_too_long": "must have at most {max_length} characters",
+    "string_pattern_mismatch": "must be printable ASCII without blanks",
+}
+
+
+def config_error(error: ValidationError, model: type[BaseModel], where: Where) -> ConfigError:
+    """All that is wrong, one line each. `where` tells file and line of a key."""
+    return ConfigError("\n".join(_line(detail, model, where) for detail in error.errors()))
+
+
+def dotted(path: KeyPath) -> str:
+    """("a", 0, "b") -> a[0].b"""
+    text = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path)
+    return text.removeprefix(".")
+
+
+def leaves(table: Any, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Any]]:
+    """(path, value) of everything in `table` that is not a table itself."""
+    if isinstance(table, dict):
+        for name, item in table.items():
+            yield from leaves(item, (*path, name))
+    else:
+        yield path, table
+
+
+def _line(detail: ErrorDetails, model: type[BaseModel], where: Where) -> str:
+    path, kind = detail["loc"], detail["type"]
+    unit = unit_of(str(path[-1])) if path else ""
+    words = {"unit": f" {unit}" if unit else "", "of_unit": f" in {unit}" if unit else "", **detail.get("ctx", {})}
+    reason = REASONS[kind].format(**words) if kind in REASONS else detail["msg"]
+    if kind == "extra_forbidden":
+        reason += did_you_mean(str(path[-1]), _known_keys(model, path[:-1]))
+    elif kind.endswith("_type") and kind != "string_type" and isinstance(detail["input"], str):
+        reason += ", without quotes"
+    shown = "" if kind in ("missing", "extra_forbidden", "model_type", "tuple_type") else f" = {_show(detail['input'])}"
+    if shown and unit and type(detail["input"]) in (int, float):
+        shown += f" {unit}"
+    return f"{where(path)}: {dotted(path)}{shown}: {reason}"
+
+
+def _show(value: Any) -> str:
+    return str(value).lower() if isinstance(value, bool) else repr(value) if isinstance(value, str) else str(value)
+
+
+def _known_keys(model: type[BaseModel], path: KeyPath) -> list[str]:
+    for step in path:
+        if isinstance(step, str):
+            model = _table_of(model.model_fields[step].annotation)
+    return list(model.model_fields)
+
+
+def _table_of(annotation: Any) -> type[BaseModel]:
+    """The table inside `Table`, `Table | None` or `tuple[Table, ...]`."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next(item for item in annotation.__args__ if isinstance(item, type) and issubclass(item, BaseModel))

@@ -1,0 +1,161 @@
+"""hapticd.toml: what is asked of any device. Defaults come from hapticd.params; limits are those of good sense."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from hapticd.params import (
+    EnvironmentParams,
+    FilterParams,
+    GatewayParams,
+    RealtimeParams,
+    SafetyParams,
+    ServoParams,
+    UsbParams,
+    WallParams,
+    WorkspaceParams,
+)
+from hapticd.settings.quantities import Table
+
+_environment, _wall, _ends = EnvironmentParams(), WallParams(), WorkspaceParams()
+_safety, _realtime, _usb, _gateway = SafetyParams(), RealtimeParams(), UsbParams(), GatewayParams()
+_added_damping_ns_per_m: Any = ServoParams.__dataclass_fields__["added_damping_ns_per_m"].default
+
+Stiffness = Annotated[float, Field(ge=-1e4, le=1e5)]
+VirtualDamping = Annotated[float, Field(ge=-1e2, le=1e3)]
+Duration = Annotated[float, Field(ge=0, le=60)]
+
+
+class Filter(Table):
+    frequency_hz: float = Field(ge=0.1, le=1e5)
+    """Corner of the second-order low-pass; at most 0.45 of the servo rate."""
+    damping_ratio: float = Field(FilterParams(1.0).damping_ratio, ge=0.05, le=10)
+    """0.7071 is Butterworth."""
+    mapping: Literal["prewarped", "bilinear", "matched"] = "prewarped"
+    """How the filter is made discrete."""
+
+
+def _filter(default: FilterParams) -> Filter:
+    return Filter(frequency_hz=default.frequency_hz, damping_ratio=default.damping_ratio)
+
+
+class Wall(Table):
+    stiffness_n_per_m: float = Field(_wall.stiffness_n_per_m, ge=0, le=1e5)
+    damping_ns_per_m: float = Field(_wall.damping_ns_per_m, ge=0, le=1e3)
+    position_m: float = Field(_wall.position_m, ge=-10, le=10)
+    side: Literal[-1, 0, 1] = 0
+    """+1: solid beyond the position, -1: solid before it, 0: no wall."""
+
+
+class Workspace(Table):
+    stiffness_n_per_m: float = Field(_ends.stiffness_n_per_m, ge=0, le=1e5)
+    """Springs at both ends of the device's travel; 0: none."""
+    margin_m: float = Field(0.0, ge=0, le=10)
+    """How far before each end of travel they begin."""
+
+
+class Environment(Table):
+    """What is rendered at start; `hapticd set` changes it live."""
+
+    stiffness_n_per_m: Stiffness = _environment.stiffness_n_per_m
+    damping_ns_per_m: VirtualDamping = _environment.damping_ns_per_m
+    mass_kg: float = Field(_environment.mass_kg, ge=-1, le=10)
+    velocity_filter: Filter = _filter(_environment.velocity_filter)
+    acceleration_filter: Filter = _filter(_environment.acceleration_filter)
+    wall: Wall = Wall()
+    workspace: Workspace = Workspace()
+
+
+class Safety(Table):
+    """Times and levels of the safety table."""
+
+    force_limit_n: float | None = Field(None, gt=0)
+    """Tighter than the device's own limit; left out: the device's limit."""
+    enable_ramp_s: Duration = _safety.enable_ramp_s
+    stop_ramp_s: float = Field(_safety.stop_ramp_s, ge=0, le=1)
+    damping_hold_s: Duration = _safety.damping_hold_s
+    damping_release_s: Duration = _safety.damping_release_s
+    safe_damping_ns_per_m: float = Field(_safety.safe_damping_ns_per_m, ge=0)
+    """Electrical damping held after a stop or fault."""
+    damping_slew_ns_per_m_s: float = Field(_safety.damping_slew_ns_per_m_s, gt=0, le=1e6)
+    gateway_timeout_s: float = Field(_safety.gateway_timeout_s, ge=0.2, le=60)
+    on_gateway_loss: Literal["fault", "hold"] = "fault"
+    lost_slots_limit: int = Field(_safety.lost_slots_limit, ge=1, le=10_000)
+    """Ticks that may be missed within one second on hardware."""
+    missing_frames_limit: int = Field(_safety.missing_frames_limit, ge=1, le=100)
+    default_ramp_s: Duration = _safety.default_ramp_s
+    """Ramp of a `set` that names none."""
+
+
+class Realtime(Table):
+    """What the servo process asks of the operating system."""
+
+    rate_hz: float = Field(_realtime.rate_hz, ge=50, le=20_000)
+    mode: Literal["strict", "best_effort", "off"] = "best_effort"
+    """strict: refuse to start without the rights; best_effort: take what is granted and report it."""
+    priority: int = Field(_realtime.priority, ge=1, le=99)
+    core: int | None = Field(None, ge=0)
+    """Left out: the last core that this process may use."""
+    spin_us: float = Field(_realtime.spin_us, ge=0, le=10_000)
+    """Busy waiting before each deadline."""
+    lock_memory: bool = _realtime.lock_memory
+    grace_s: Duration = _realtime.grace_s
+    """Overruns right after the start are counted apart for this long."""
+
+
+class Usb(Table):
+    """Which board; its serial number stands in the device file."""
+
+    vendor_id: int = Field(_usb.vendor_id, ge=0, le=0xFFFF)
+    product_id: int = Field(_usb.product_id, ge=0, le=0xFFFF)
+    timeout_ms: int = Field(_usb.timeout_ms, ge=1, le=1000)
+
+
+class Gateway(Table):
+    """Where telemetry is offered. Commands are taken on a socket in the runtime folder."""
+
+    telemetry_port: int = Field(_gateway.telemetry_port, ge=0, le=65_535)
+    """0, or a port that is taken: any free one."""
+    batch: int = Field(_gateway.batch, ge=1, le=1000)
+    """Ticks in one `servo` message."""
+    tcp_host: str = Field(_gateway.tcp_host, min_length=1)
+    allow_insecure: bool = _gateway.allow_insecure
+    """Offer telemetry beyond this machine without keys."""
+    curve_keys: str | None = None
+    """Folder with the server's key and those of allowed clients."""
+
+
+class Injection(Table):
+    """One seeded fault of the simulated board."""
+
+    kind: str = Field(min_length=1)
+    tick: int = Field(-1, ge=-1)
+    """At this tick; -1: by probability."""
+    probability: float = Field(0.0, ge=0, le=1)
+    count: int = Field(1, ge=1)
+    value: float = 0.0
+
+
+class Simulation(Table):
+    """The simulated board's firmware; ignored with a real one."""
+
+    sample_phase: float = Field(0.875, ge=0, lt=1)
+    """When the encoder is latched, in periods after the board received a command."""
+    watchdog_ms: float = Field(250.0, ge=1, le=10_000)
+    seed: int = Field(1, ge=0)
+    injections: tuple[Injection, ...] = Field((), strict=False)
+
+
+class Config(Table):
+    """hapticd.toml"""
+
+    device: str = Field("simulated", min_length=1)
+    """Name of a device file (devices/NAME.toml beside this file, else a shipped one), or a path to one."""
+    added_damping_ns_per_m: float = Field(_added_damping_ns_per_m, ge=0)
+    """Electrical damping that `hapticd damping on` asks for."""
+    environment: Environment = Environment()
+    safety: Safety = Safety()
+    realtime: Realtime = Realtime()
+    usb: Usb = Usb()
+    gateway: Gateway = Gateway()
+    simulation: Simulation = Simulation()

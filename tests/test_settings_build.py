@@ -1,0 +1,111 @@
+"""Parameters that the processes read: one fact from one place, through JSON and back."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from hapticd.mailbox import layout
+from hapticd.params import BoardParams, GatewayParams, ServoParams, from_plain, to_plain
+from hapticd.settings import build, check, schema
+from hapticd.settings.load import Settings, load
+from hapticd.settings.resources import shipped
+
+
+@pytest.fixture
+def settings() -> Settings:
+    return load(shipped("config") / "hapticd.toml")
+
+
+def configured(tmp_path: Path, text: str) -> Settings:
+    file = tmp_path / "hapticd.toml"
+    file.write_text(text)
+    return load(file)
+
+
+def test_parameters_survive_json(settings: Settings) -> None:
+    board = build.board_params(settings)
+    for params in (build.servo_params(settings, "default"), board, build.gateway_params(settings)):
+        assert from_plain(type(params), json.loads(json.dumps(to_plain(params)))) == params
+
+
+def test_simulated_scales_are_the_paper_device(settings: Settings) -> None:
+    device = build.servo_params(settings, "default").device
+    assert device.position.per_count == 0.5e-6
+    assert device.force.per_count * 32767 == pytest.approx(8.0, rel=1e-15)
+    assert device.damping.per_count * 65535 == pytest.approx(10.0, rel=1e-15)
+    assert (device.force_limit_n, device.serial) == (8.0, "SIM0001")
+
+
+def test_board_is_what_its_device_file_says(settings: Settings) -> None:
+    board, device = build.board_params(settings), build.servo_params(settings, "default").device
+    assert isinstance(board, BoardParams)
+    assert (board.mass_kg, board.viscous_ns_per_m) == (0.008, 0.36)
+    assert (board.position_m_per_count, board.force_n_per_count) == (device.position.per_count, device.force.per_count)
+    assert board.damping_ns_per_m_per_count == device.damping.per_count
+    assert (board.serial, board.force_limit_n) == (device.serial, device.force_limit_n)
+    assert 1e3 / board.rate_hz * (1 - board.sample_phase) == pytest.approx(0.125)
+
+
+def test_real_board_has_no_board_file(tmp_path: Path) -> None:
+    settings = configured(tmp_path, 'device = "example-board"')
+    assert build.board_params(settings) is None
+    servo = build.servo_params(settings, "default")
+    assert not servo.simulated
+    assert servo.usb.serial == "CHANGE-ME"
+    assert servo.device.home.required
+
+
+def test_force_limit_defaults_to_the_device(tmp_path: Path) -> None:
+    assert build.servo_params(configured(tmp_path, 'device = "example-board"'), "x").safety.force_limit_n == 2.0
+    assert build.servo_params(configured(tmp_path, "safety.force_limit_n = 4"), "x").safety.force_limit_n == 4.0
+
+
+def test_soft_ends_start_inside_the_travel(tmp_path: Path) -> None:
+    text = "[environment.workspace]\nmargin_m = 0.005\nstiffness_n_per_m = 500"
+    ends = build.servo_params(configured(tmp_path, text), "x").environment.workspace
+    assert (ends.lower_m, ends.upper_m, ends.stiffness_n_per_m) == pytest.approx((-0.015, 0.015, 500))
+
+
+def test_hash_travels_to_the_servo(settings: Settings) -> None:
+    assert build.servo_params(settings, "default").config_hash == settings.config_hash
+
+
+def test_defaults_equal_those_of_params(settings: Settings) -> None:
+    built = build.servo_params(settings, "default")
+    plain = {name: value for name, value in to_plain(built).items() if name in ("realtime", "safety")}
+    default = ServoParams("", True, built.environment, built.device, type(built.safety)(), type(built.realtime)(), built.usb)
+    assert plain == {name: to_plain(default)[name] for name in plain}
+    assert build.gateway_params(settings) == GatewayParams()
+
+
+def test_injections_reach_the_board(tmp_path: Path) -> None:
+    settings = configured(tmp_path, '[[simulation.injections]]\nkind = "drop"\ntick = 5\ncount = 3\n')
+    board = build.board_params(settings)
+    assert board is not None
+    assert [(item.kind, item.tick, item.count) for item in board.injections] == [("drop", 5, 3)]
+
+
+def test_key_folder_lies_beside_the_file(tmp_path: Path) -> None:
+    assert build.gateway_params(configured(tmp_path, 'gateway.curve_keys = "keys"')).curve_keys == str(tmp_path / "keys")
+
+
+def test_ranges_equal_those_of_commands() -> None:
+    """A file may ask for exactly what `hapticd set` may ask for: two rooms of one floor, one table."""
+    properties = {name: table["properties"] for name, table in schema.schema("config")["$defs"].items()}
+    places = {
+        layout.Value.STIFFNESS: ("Environment", "stiffness_n_per_m"),
+        layout.Value.DAMPING: ("Environment", "damping_ns_per_m"),
+        layout.Value.MASS: ("Environment", "mass_kg"),
+        layout.Value.VELOCITY_FILTER_HZ: ("Filter", "frequency_hz"),
+        layout.Value.VELOCITY_FILTER_ZETA: ("Filter", "damping_ratio"),
+        layout.Value.WALL_STIFFNESS: ("Wall", "stiffness_n_per_m"),
+        layout.Value.WALL_DAMPING: ("Wall", "damping_ns_per_m"),
+        layout.Value.WALL_POSITION: ("Wall", "position_m"),
+        layout.Value.RAMP_S: ("Safety", "default_ramp_s"),
+    }
+    for place, (table, name) in places.items():
+        entry = properties[table][name]
+        assert (entry["minimum"], entry["maximum"]) == layout.VALUE_LIMITS[place][:2], name
+        assert entry.get("unit", "1") == layout.VALUE_LIMITS[place][2]
+    assert check.HIGHEST_CORNER == layout.FILTER_LIMIT
