@@ -1,0 +1,29 @@
+"""What scripts, the command line and every other program use to talk to a running daemon.
+
+    from hapticd.client import Client
+
+    with Client() as device:
+        device.set(K=100, B=1, M=0.010)
+        device.enable()
+
+`core` holds the conversation without any I/O, `shell` adds the sockets, `blocks` decodes telemetry, and `fast_stop` is the
+short way to a stop. The names below are loaded when they are used, so that `fast_stop` stays fast.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from hapticd.client.blocks import Block
+    from hapticd.client.core import Receipt
+    from hapticd.client.shell import Client
+
+__all__ = ["Block", "Client", "Receipt"]
+_HOMES = {"Block": "hapticd.client.blocks", "Client": "hapticd.client.shell", "Receipt": "hapticd.client.core"}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(_HOMES[name]), name)

@@ -1,0 +1,108 @@
+"""Requests in the words of the mailbox, and the mailbox's answers in the words of a reply."""
+
+from typing import Any
+
+from hapticd.errors import CommandError
+from hapticd.faults import BY_NUMBER, FAULTS
+from hapticd.gateway.limits import PLACES, flat
+from hapticd.gateway.schemas import Damping, Perturb, Request, Set
+from hapticd.gateway.view import ServoView
+from hapticd.mailbox.client_side import Answer
+from hapticd.mailbox.layout import COMMAND_VALUES, Command, Result, State, Value
+
+Posting = tuple[Command, int, tuple[float, ...]]  # kind, apply_tick (0: now), values
+LATCHED = frozenset({State.STOPPED, State.FAULT})
+ALLOWED: dict[str, tuple[State, ...]] = {  # what the servo's safety table allows; the others are allowed in every state
+    "enable": (State.DISABLED, State.ENABLED),
+    "reset": (State.DISABLED, State.STOPPED, State.FAULT),
+    "zero": (State.DISABLED,),
+    "home": (State.DISABLED,),
+    "perturb": (State.ENABLED,),
+}
+ACCEPTED = frozenset({Result.APPLIED, Result.SCHEDULED, Result.SUPERSEDED})
+
+
+def values_of(meant: dict[Value, float]) -> tuple[float, ...]:
+    """The doubles of a command that means exactly the places in `meant`."""
+    values = [0.0] * COMMAND_VALUES
+    for place, value in meant.items():
+        values[place] = float(value)
+    values[Value.MASK] = float(sum(1 << place for place in meant))
+    return tuple(values)
+
+
+def posting(request: Request, samples: int) -> Posting:
+    """What to post for `request`; `samples` is the length of the waveform that is loaded."""
+    if isinstance(request, Set):
+        given = {PLACES[name]: value for name, value in flat(request.given) if name in PLACES}
+        return Command.SET, request.at_tick or 0, values_of(given | _switched(given.pop(Value.ADDED_DAMPING, None)))
+    if isinstance(request, Damping):
+        return Command.DAMPING, request.at_tick or 0, values_of(_switched(request.value))
+    if isinstance(request, Perturb):
+        if request.action == "stop":
+            return Command.PERTURB_STOP, 0, values_of({})
+        return Command.PERTURB_START, 0, values_of({Value.SAMPLES: samples, Value.LOOP: request.loop})
+    return Command[request.cmd.upper()], 0, values_of({})
+
+
+def _switched(asked: str | float | None) -> dict[Value, float]:
+    """Added damping `on` | `off` | level: a level switches it on, 0 switches it off and keeps the level for the next `on`."""
+    if asked is None:
+        return {}
+    if asked in ("on", "off", 0.0):
+        return {Value.ADDED_DAMPING_ON: float(asked == "on")}
+    return {Value.ADDED_DAMPING: float(asked), Value.ADDED_DAMPING_ON: 1.0}
+
+
+def parameters(effective: tuple[float, ...]) -> dict[str, Any]:
+    """The parameters of an answer in the shape of a `set`, ramps at their ends, added damping as quantised on the wire."""
+    found: dict[str, Any] = {}
+    for name, place in PLACES.items():
+        *parts, leaf = name.split(".")
+        table = found.setdefault(parts[0], {}) if parts else found
+        table[leaf] = effective[place]
+    del found["ramp_s"]
+    found["wall"]["side"] = int(found["wall"]["side"])
+    found["damping_level"] = found["damping"]
+    found["damping"] *= effective[Value.ADDED_DAMPING_ON]
+    return found
+
+
+def receipt(answer: Answer) -> dict[str, Any]:
+    """The receipt of an accepted command. `effective` are the parameters in force when it was written."""
+    return {
+        "result": answer.result.name.lower(),
+        "revision": answer.revision,
+        "first_tick": answer.first_tick,
+        "ramp_end_tick": answer.ramp_end_tick,
+        "effective": parameters(answer.effective),
+    }
+
+
+def refusal(answer: Answer, cmd: str, view: ServoView) -> CommandError:
+    """Why the servo refused `cmd`, and what to do about it."""
+    fault = BY_NUMBER.get(answer.fault, FAULTS[0])
+    cause = f"{fault.cause}; {fault.remedy}" if fault.number else "see `hapticd status`"
+    texts = {
+        Result.REFUSED_CAUSE: ("refused", f"what caused, or would cause, a fault is still there: {cause}"),
+        Result.REFUSED_NOT_HOMED: ("refused", "the device has no origin yet; `hapticd home` first"),
+        Result.REFUSED_NO_GATEWAY: ("refused", "the servo misses the gateway's heartbeat; try again, then see `hapticd status`"),
+        Result.REFUSED_RANGE: ("invalid", "a value is out of range for this device; see `limits` in the reply to `hello`"),
+        Result.REFUSED_FULL: ("busy", "16 changes are scheduled already; wait until one is in force"),
+        Result.REFUSED_LATE: ("refused", f"at_tick has passed, it is tick {view.tick}; choose a later one"),
+        Result.CANCELLED: ("stopped", "a stop or fault came first; `hapticd reset`, then ask again"),
+    }
+    if answer.result not in texts:
+        return wrong_state(cmd, view)
+    code, reason = texts[answer.result]
+    return CommandError(code, f"{cmd}: {reason}")
+
+
+def wrong_state(cmd: str, view: ServoView) -> CommandError:
+    """The error for a command that the present state does not allow."""
+    if view.state in LATCHED:
+        return CommandError("stopped", f"{cmd} in state {view.state_name} ({view.fault.cause}): {view.fault.remedy}")
+    if cmd == "home" and view.params.device.home.method == "none":
+        return CommandError("refused", "home: the device file names no way to home; set `method` in its table [home]")
+    allowed = " or ".join(state.name.lower() for state in ALLOWED.get(cmd, ()))
+    return CommandError("refused", f"{cmd} in state {view.state_name}: possible only in {allowed or 'another state'}")

@@ -1,0 +1,81 @@
+"""How much of each parameter may be asked on this device at this rate: the mailbox's table under the names that clients use."""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+from hapticd.mailbox.layout import Value, value_limits
+from hapticd.params import ServoParams
+
+PLACES: dict[str, Value] = {
+    "K": Value.STIFFNESS,
+    "B": Value.DAMPING,
+    "M": Value.MASS,
+    "filters.velocity_hz": Value.VELOCITY_FILTER_HZ,
+    "filters.velocity_zeta": Value.VELOCITY_FILTER_ZETA,
+    "filters.acceleration_hz": Value.ACCELERATION_FILTER_HZ,
+    "filters.acceleration_zeta": Value.ACCELERATION_FILTER_ZETA,
+    "wall.stiffness_n_per_m": Value.WALL_STIFFNESS,
+    "wall.damping_ns_per_m": Value.WALL_DAMPING,
+    "wall.position_m": Value.WALL_POSITION,
+    "wall.side": Value.WALL_SIDE,
+    "damping": Value.ADDED_DAMPING,
+    "ramp_s": Value.RAMP_S,
+}
+SOURCES = {
+    Value.ADDED_DAMPING: "the device file sets it",
+    Value.VELOCITY_FILTER_HZ: "it is 0.45 of the servo rate",
+    Value.ACCELERATION_FILTER_HZ: "it is 0.45 of the servo rate",
+}
+
+
+class Limit(NamedTuple):
+    """Lowest and highest value with their unit, and where the limit comes from."""
+
+    low: float
+    high: float
+    unit: str
+    source: str
+
+    def __str__(self) -> str:
+        return f"{self.low:g}..{self.high:g} {self.unit}"
+
+
+def flat(table: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """(dotted name, value) of every leaf of nested tables."""
+    for name, value in table.items():
+        if isinstance(value, dict):
+            yield from flat(value, f"{prefix}{name}.")
+        else:
+            yield prefix + name, value
+
+
+class Limits:
+    """The limits by dotted field name; `value` of the damping command is the same quantity as `damping` of set."""
+
+    def __init__(self, params: ServoParams) -> None:
+        table = value_limits(params.realtime.rate_hz, params.device.damping_limit_ns_per_m)
+        self.of = {name: Limit(*table[place], SOURCES.get(place, "it is fixed in this version")) for name, place in PLACES.items()}
+        self.of["value"] = self.of["damping"]
+        self.of["samples_n"] = Limit(-params.device.probe_limit_n, params.device.probe_limit_n, "N", "the device file sets it")
+
+    def broken_by(self, given: dict[str, Any]) -> list[dict[str, str]]:
+        """One {loc, msg} for each number in `given` (nested as in the request) that is beyond its limit."""
+        numbers = ((name, value) for name, value in flat(given) if isinstance(value, (int, float)) and name in self.of)
+        return [{"loc": name, "msg": self.complaint(name, value)} for name, value in numbers if not self.allows(name, value)]
+
+    def allows(self, name: str, value: float) -> bool:
+        """Whether `value` is within the limit of field `name`."""
+        return self.of[name].low <= value <= self.of[name].high
+
+    def complaint(self, name: str, value: float, where: str = "") -> str:
+        """What to tell about `value` in field `name`, beyond its limit."""
+        limit = self.of[name]
+        return f"{where or name} = {value:g} {limit.unit}: beyond the limit {limit} ({limit.source}); ask for a value inside"
+
+    def remedy(self, name: str) -> str:
+        """What to send in field `name`; empty if it has no limit."""
+        return f"send a number in {self.of[name]}" if name in self.of and name != "wall.side" else ""
+
+    def plain(self) -> dict[str, dict[str, Any]]:
+        """All limits as maps {low, high, unit}, by field name."""
+        return {name: {"low": limit.low, "high": limit.high, "unit": limit.unit} for name, limit in self.of.items()}

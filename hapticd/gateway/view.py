@@ -1,0 +1,150 @@
+"""The servo as the gateway sees it: its mailbox while there is one, the newest record, and what it last promised.
+
+A servo may die and another start; each life has its own mailbox. The view notices (the heartbeat stays away, or the file
+in the folder is another one), lets go and tries again ten times a second. `life` counts the mailboxes it has opened.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from hapticd.errors import MailboxError
+from hapticd.faults import BY_NUMBER, FAULTS, Fault
+from hapticd.gateway.records import rows
+from hapticd.mailbox.client_side import Answer, GatewayMailbox
+from hapticd.mailbox.layout import COMMAND_VALUES, TELEMETRY_HEAD_WORD, State, Value
+from hapticd.params import ServoParams
+from hapticd.units import NS_PER_MS, NS_PER_S
+
+RETRY_NS = 100 * NS_PER_MS
+SILENCE_NS = NS_PER_S  # a servo without a tick for so long is taken for dead
+DOWN, STARTING = "down", "starting"
+STATES = {int(state): state for state in State}
+
+
+def configured(params: ServoParams) -> tuple[float, ...]:
+    """The parameters with which a servo starts, by layout.Value."""
+    environment, wall = params.environment, params.environment.wall
+    velocity, acceleration = environment.velocity_filter, environment.acceleration_filter
+    places = {
+        Value.STIFFNESS: environment.stiffness_n_per_m,
+        Value.DAMPING: environment.damping_ns_per_m,
+        Value.MASS: environment.mass_kg,
+        Value.VELOCITY_FILTER_HZ: velocity.frequency_hz,
+        Value.VELOCITY_FILTER_ZETA: velocity.damping_ratio,
+        Value.ACCELERATION_FILTER_HZ: acceleration.frequency_hz,
+        Value.ACCELERATION_FILTER_ZETA: acceleration.damping_ratio,
+        Value.WALL_STIFFNESS: wall.stiffness_n_per_m,
+        Value.WALL_DAMPING: wall.damping_ns_per_m,
+        Value.WALL_POSITION: wall.position_m,
+        Value.WALL_SIDE: wall.side,
+        Value.ADDED_DAMPING: params.added_damping_ns_per_m,
+    }
+    return tuple(float(places[Value(place)]) if place in places else 0.0 for place in range(COMMAND_VALUES))
+
+
+class ServoView:
+    """What is known of the servo. `refresh` is cheap and is called before anything is asked."""
+
+    def __init__(self, folder: Path, params: ServoParams, unix_ns: Callable[[], int]) -> None:
+        self.folder, self.params, self._unix_ns = folder, params, unix_ns
+        self.mailbox: GatewayMailbox | None = None
+        self.life = 0
+        self.alive = False
+        self._retry_ns = -RETRY_NS
+        self.trouble = ""  # why the last try to open a mailbox failed
+        self._forget()
+
+    def _forget(self) -> None:
+        self.record: dict[str, Any] = {}
+        self._effective: tuple[float, ...] | None = None
+        self.unix_offset_ns = 0
+        self._came_late = False
+        self._head, self._promised = 0, 0
+
+    def refresh(self, now_ns: int) -> None:
+        """Open, let go or reopen the mailbox as needed; read the newest record."""
+        if self.mailbox is not None and not self.mailbox.current:
+            self.drop()
+        if self.mailbox is None and now_ns - self._retry_ns >= RETRY_NS:
+            self._retry_ns = now_ns
+            self._open(now_ns)
+        beat_ns = self.mailbox.servo_beat_ns if self.mailbox else 0
+        self.alive = beat_ns > 0 and now_ns - beat_ns < SILENCE_NS
+        self.look()
+
+    def look(self) -> None:
+        """Read the newest record, if there is a new one."""
+        head = self.mailbox.load_head(TELEMETRY_HEAD_WORD) if self.mailbox else self._head
+        if self.mailbox and head != self._head:
+            self._head = head
+            newest = rows(self.mailbox.records(head - 1, 1)[0])
+            if newest and not self.record:
+                self._came_late = newest[-1]["revision"] > 0
+            self.record = newest[-1] if newest else self.record
+
+    def drop(self) -> None:
+        """Let go of the mailbox; its servo is gone."""
+        if self.mailbox:
+            self.mailbox.close()
+        self.mailbox, self.alive = None, False
+
+    def _open(self, now_ns: int) -> None:
+        try:
+            self.mailbox = GatewayMailbox(self.folder, claimed=True)
+        except MailboxError as error:
+            self.trouble = str(error)
+            return
+        self.life += 1
+        self._forget()
+        self.unix_offset_ns = self._unix_ns() - now_ns  # once per life: time stamps of one life never jump
+
+    def answers(self) -> list[Answer]:
+        """The servo's answers since the last call. Every one, refusals too, carries the parameters in force."""
+        found = self.mailbox.answers() if self.mailbox else []
+        if found:
+            self._effective = found[-1].effective
+            self._promised = max(self._promised, *(answer.revision for answer in found))
+        return found
+
+    @property
+    def targets(self) -> tuple[float, ...]:
+        """The parameters by layout.Value, ramps at their ends: as last answered, else as configured."""
+        return self._effective or configured(self.params)
+
+    @property
+    def unsure(self) -> bool:
+        """Whether this gateway came when parameters had already been changed, and has not been told to what."""
+        return self._came_late and self._effective is None and self.alive
+
+    @property
+    def head(self) -> int:
+        """Records that the servo has written in this life."""
+        return self._head
+
+    @property
+    def tick(self) -> int:
+        """Tick of the newest record; -1 before the first."""
+        return int(self.record.get("tick", -1))
+
+    @property
+    def revision(self) -> int:
+        """Changes accepted in this life."""
+        return max(self._promised, int(self.record.get("revision", 0)))
+
+    @property
+    def state(self) -> State | None:
+        """State in the newest record; None while no servo is alive."""
+        return STATES.get(self.record.get("state", -1)) if self.alive else None
+
+    @property
+    def state_name(self) -> str:
+        """The state as people read it: also `down` and `starting`."""
+        if self.state is not None:
+            return self.state.name.lower()
+        return STARTING if self.mailbox and not self.record else DOWN
+
+    @property
+    def fault(self) -> Fault:
+        """Row of hapticd.faults of the newest record."""
+        return BY_NUMBER.get(int(self.record.get("fault", 0)), FAULTS[0])

@@ -1,0 +1,164 @@
+"""A small servo for tests of the gateway: it owns a mailbox, obeys commands at its ticks and writes records. It renders nothing.
+
+Its answers follow the contract of the mailbox (two commands a tick, effective values in every answer, a second answer for
+scheduled sets); its state machine is the happy path of the safety table.
+"""
+
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from hapticd.clock import Clock, MonotonicClock, VirtualClock
+from hapticd.gateway.view import configured
+from hapticd.mailbox import layout
+from hapticd.mailbox.layout import Command, Result, State, Value
+from hapticd.mailbox.servo_side import ServoMailbox
+from hapticd.params import (
+    DeviceParams,
+    EnvironmentParams,
+    GatewayParams,
+    GatewaySetup,
+    RealtimeParams,
+    SafetyParams,
+    ScaleParams,
+    ServoParams,
+    UsbParams,
+)
+from hapticd.units import NS_PER_S
+from hapticd.wire.codec import encode_in
+from hapticd.wire.frames import InFrame
+
+NEXT_STATE = {
+    Command.ENABLE: {State.DISABLED: State.ENABLED, State.ENABLED: State.ENABLED},
+    Command.DISABLE: {state: state if state in (State.STOPPED, State.FAULT) else State.DISABLED for state in State},
+    Command.STOP: {state: state if state is State.FAULT else State.STOPPED for state in State},
+    Command.RESET: {State.STOPPED: State.DISABLED, State.FAULT: State.DISABLED, State.DISABLED: State.DISABLED},
+    Command.ZERO: {State.DISABLED: State.DISABLED},
+    Command.HOME: {State.DISABLED: State.HOMING},
+    Command.PERTURB_START: {State.ENABLED: State.ENABLED},
+    Command.PERTURB_STOP: {state: state for state in State},
+}
+
+
+def setup(instance: str = "default", **gateway: Any) -> GatewaySetup:
+    """A device with round numbers: 1 mN/count of probe force, damping up to 2 N s/m, probe up to 1 N; any free port."""
+    scale = ScaleParams(1e-3)
+    device = DeviceParams(
+        "stand-in", "S1", position=ScaleParams(5e-7), force=scale, damping=scale, probe_torque=ScaleParams(1e-3, -1, 2.0),
+        probe_velocity=ScaleParams(1e-4), current=scale, voltage=scale, emf_velocity=scale, temperature=scale, force_limit_n=8.0,
+        damping_limit_ns_per_m=2.0, probe_limit_n=1.0, temperature_limit_c=100.0, speed_limit_m_per_s=5.0,
+    )  # fmt: skip
+    servo = ServoParams(
+        instance, True, EnvironmentParams(), device, SafetyParams(), RealtimeParams(grace_s=0.0), UsbParams(), config_hash="c" * 64
+    )
+    return GatewaySetup(servo, GatewayParams(**({"telemetry_port": 0} | gateway)))
+
+
+class StandInServo:
+    """Its mailbox is there once it is created; `tick()` runs one tick. `deaf`: takes no commands; `mute`: gives no answers."""
+
+    def __init__(self, folder: Path, clock: Clock, rate_hz: float = 1000.0) -> None:
+        self.clock, self.rate_hz = clock, rate_hz
+        start_ns = max(clock.now_ns(), 1)
+        self.mailbox = ServoMailbox(folder, rate_hz, "c" * 64, True, start_ns)
+        self.mailbox.report({"granted": "nothing"})
+        self.mailbox.publish()
+        self.ticks, self.state, self.fault, self.revision, self.actor = 0, State.DISABLED, 0, 0, 0
+        self.perturbing = self.deaf = self.mute = False
+        self.values = list(configured(setup().servo))
+        self.scheduled: list[tuple[Any, ...]] = []
+        self.taken: list[tuple[int, int]] = []  # (kind, actor) in the order of taking
+        self.probe_index, self.probe_pairs, self.flags, self.force_n = 0, 4, 0, 1.5
+        self.frame = bytes(64)
+
+    def tick(self, count: int = 1) -> None:
+        """Run `count` ticks; with a virtual clock, one period each."""
+        for _ in range(count):
+            if isinstance(self.clock, VirtualClock):
+                self.clock.advance_ns(round(NS_PER_S / self.rate_hz))
+            self._obey()
+            self._publish()
+            self.ticks += 1
+            self.mailbox.words[layout.SERVO_BEAT_WORD] = self.clock.now_ns()
+
+    def _obey(self) -> None:
+        for _ in range(0 if self.deaf else 2):
+            if command := self.mailbox.take():
+                self._command(command)
+        if self.mailbox.stop_words[0] and self.state not in (State.STOPPED, State.FAULT):
+            self.state, self.fault, self.actor = State.STOPPED, 1, 2
+            self.revision += 1
+        for command in [one for one in self.scheduled if one[3] <= self.ticks]:
+            self.scheduled.remove(command)
+            self._apply(command)
+
+    def _command(self, command: tuple[Any, ...]) -> None:
+        seq, kind, actor, apply_tick, values = command
+        self.taken.append((kind, actor))
+        if kind == Command.RESET:
+            self.mailbox.stop_words[0] = 0
+        if kind in (Command.SET, Command.DAMPING):
+            if 0 < apply_tick < self.ticks:
+                self._answer(seq, Result.REFUSED_LATE)
+            elif apply_tick > self.ticks:
+                self.scheduled.append(command)
+                self._answer(seq, Result.SCHEDULED, apply_tick)
+            else:
+                self._apply(command)
+        elif self.state not in NEXT_STATE[Command(kind)]:
+            self._answer(seq, Result.REFUSED_STATE)
+        else:
+            self.state, self.actor = NEXT_STATE[Command(kind)][self.state], actor
+            self.fault = 1 if kind == Command.STOP else 0
+            self.perturbing = kind == Command.PERTURB_START or (self.perturbing and kind != Command.PERTURB_STOP)
+            self.played = values[Value.SAMPLES], values[Value.LOOP]
+            self.revision += 1
+            self._answer(seq, Result.APPLIED)
+
+    def _apply(self, command: tuple[Any, ...]) -> None:
+        seq, _, self.actor, _, values = command
+        for place in range(1, 20):
+            if int(values[0]) >> place & 1:
+                self.values[place] = values[place]
+        self.revision += 1
+        self._answer(seq, Result.APPLIED, end=self.ticks + 50)
+
+    def _answer(self, seq: int, result: Result, first: int | None = None, end: int | None = None) -> None:
+        first = self.ticks if first is None else first
+        if not self.mute:
+            self.mailbox.answer(seq, result, self.fault, self.revision, (first, end or first), tuple(self.values))
+
+    def _publish(self) -> None:
+        now_ns, v = self.clock.now_ns(), self.values
+        plan = layout.PLAN.pack(
+            self.revision, self.state, self.fault, self.perturbing, True, self.actor, 0, 0, 1.0, v[2], v[3], v[4], v[13], v[13]
+        )
+        pairs = tuple((self.probe_index + n & 0x7FFF, -n) for n in range(self.probe_pairs))
+        self.frame = encode_in(InFrame(self.ticks & 0xFFFF, 0, 0, 0, 0, 0, 0, 0, 0, 0, 8, 0, self.probe_index & 0xFFFFFFFF, pairs))
+        self.probe_index += self.probe_pairs
+        values = (
+            self.ticks, now_ns, now_ns // 1000, plan, self.flags, 0, 1e-3, 0.25, 2.0, 0.1, 0.2, 0.3, 0.4, self.force_n,
+            *(0.01 * n for n in range(6)), 25.0, 0.5, 12.0, 0.24, 1000, 20000, 8000, 30000, 4000, 0,
+            self.frame, bytes(32), self.ticks,
+        )  # fmt: skip
+        offset = layout.TELEMETRY_OFFSET + self.ticks % layout.RING_RECORDS * layout.RECORD.size
+        layout.RECORD.pack_into(self.mailbox.ring, offset, *values)
+        self.mailbox.publish_head(layout.TELEMETRY_HEAD_WORD, self.ticks + 1)
+
+
+def main(folder: Path, rate_hz: float) -> None:
+    """A live stand-in servo, until its standard input is closed."""
+    import select
+
+    servo = StandInServo(folder, MonotonicClock(), rate_hz)
+    deadline_ns = servo.clock.now_ns()
+    while not select.select([sys.stdin], [], [], 0)[0]:
+        servo.tick()
+        deadline_ns = max(deadline_ns + round(NS_PER_S / rate_hz), time.monotonic_ns() - NS_PER_S)
+        servo.clock.sleep_until_ns(deadline_ns)
+    servo.mailbox.close()
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), float(sys.argv[2]))

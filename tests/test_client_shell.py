@@ -1,0 +1,284 @@
+"""The client against a whole gateway that runs in a thread of its own, in virtual time."""
+
+import itertools
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zmq
+from gateway_rig import GatewayRig, running
+
+from hapticd.client import Client, Receipt, fast_stop, shell
+from hapticd.client.fast_stop import main, stop
+from hapticd.errors import CommandError, DaemonDown
+from hapticd.gateway.records import DTYPE
+from hapticd.mailbox.client_side import press_stop
+from hapticd.mailbox.layout import Command, State
+from hapticd.units import NS_PER_S
+
+
+@pytest.fixture
+def folder(runtime: Path) -> Path:
+    return runtime / "hapticd"
+
+
+@pytest.fixture
+def rig(folder: Path) -> Iterator[GatewayRig]:
+    with GatewayRig(folder) as rig, running(rig):
+        yield rig
+
+
+@pytest.fixture
+def client(rig: GatewayRig, monkeypatch: pytest.MonkeyPatch) -> Iterator[Client]:
+    monkeypatch.setattr(shell, "STOP_TIMEOUT_S", 10.0)  # a busy machine is no reason to press the page
+    with Client(name="test", timeout_s=10.0) as client:
+        yield client
+
+
+# --- asking and changing -------------------------------------------------------------------------------------------------
+
+
+def test_set_returns_a_receipt(client: Client) -> None:
+    receipt = client.set(K=100, B=1, M=0.010, wall={"side": 1}, filters={"velocity_hz": 90.0}, damping=1.0, ramp_s=0.1)
+    assert isinstance(receipt, Receipt)
+    assert (receipt.result, receipt.state, receipt.revision) == ("applied", "disabled", 1)
+    assert receipt.ramp_end_tick > receipt.first_tick
+    assert (receipt.effective["K"], receipt.effective["wall"]["side"]) == (100.0, 1)
+
+
+def test_every_verb_has_its_method(client: Client) -> None:
+    assert [client.enable().state, client.disable().state, client.zero().state] == ["enabled", "disabled", "disabled"]
+    assert client.damping("on").effective["damping"] == 1.74
+    assert client.damping(0.5).effective["damping"] == 0.5
+    assert client.damping("off").effective["damping"] == 0.0
+    assert [client.stop().state, client.reset().state] == ["stopped", "disabled"]
+    assert client.get()["parameters"]["damping_level"] == 0.5
+    assert client.hello()["server"] == "hapticd"
+    assert client.status()["state"] == "disabled"
+    assert "$defs" in client.schema()
+    assert client.home().state == "homing"
+
+
+def test_refusal_is_a_command_error(client: Client) -> None:
+    with pytest.raises(CommandError, match=r"damping = 9 N s/m: beyond the limit 0..2 N s/m") as caught:
+        client.set(damping=9)
+    assert caught.value.code == "invalid"
+    client.stop()
+    with pytest.raises(CommandError, match="enable in state stopped") as caught:
+        client.enable()
+    assert caught.value.exit_code == 5
+
+
+def test_call_sends_anything(client: Client) -> None:
+    assert client.call("get")["ok"]
+    with pytest.raises(CommandError, match="unknown command, did you mean 'get'"):
+        client.call("gett")
+
+
+def test_client_is_introduced_by_name(client: Client, rig: GatewayRig) -> None:
+    client.set(K=1)
+    status = client.status()
+    assert status["actor_name"] == "test"
+    assert status["actors"][str(status["actor"])] == "test"
+
+
+def test_long_waveform_is_sent_in_chunks(client: Client, rig: GatewayRig) -> None:
+    samples_n = np.sin(np.arange(20_000) / 100)
+    assert client.perturb_load(samples_n) == 20_000
+    counts = np.array(rig.servo.mailbox.waveform[:20_000].tolist())
+    assert np.abs(2.0 - counts - samples_n / 1e-3).max() <= 0.5 + 1e-3
+    client.enable()
+    client.perturb_start(loop=True)
+    assert rig.servo.played == (20_000.0, 1.0)
+    client.perturb_stop()
+    with pytest.raises(CommandError, match=r"samples_n\[2\] = 1.5 N: beyond the limit -1..1 N"):
+        client.perturb_load([0.0, 0.0, 1.5])
+
+
+def test_too_large_a_request_is_not_sent(client: Client) -> None:
+    with pytest.raises(CommandError, match=r"a request has at most 65536; send less at once"):
+        client.call("perturb", action="load", samples_n=bytes(70_000))
+    assert client.call("get")["ok"]
+
+
+def test_wait_for_returns_in_that_state(client: Client, rig: GatewayRig) -> None:
+    press_stop(rig.folder)
+    client.wait_for("stopped")
+    with pytest.raises(CommandError, match="state is 'stopped', not 'enabled', after 0 s") as caught:
+        client.wait_for("enabled", timeout_s=0)
+    assert caught.value.code == "timeout"
+
+
+# --- watching ------------------------------------------------------------------------------------------------------------
+
+
+def test_stream_gives_whole_records(client: Client) -> None:
+    blocks = list(client.stream(count=1000))
+    records = np.concatenate([block.records for block in blocks])
+    assert records.dtype == DTYPE
+    assert len(records) == 1000
+    assert (np.diff(records["tick"].astype(int)) == 1).all()
+    assert [block.gap for block in blocks] == [0] * len(blocks)
+    assert blocks[0].header["simulated"] is True
+
+
+def test_record_takes_recorded_time(client: Client) -> None:
+    records, lost = client.record(seconds=0.5)
+    assert (len(records), lost) == (500, 0)
+    assert records["force_n"].tolist() == [1.5] * 500
+
+
+def test_probe_stream_is_4_khz(client: Client) -> None:
+    samples, lost = client.record(0.25, "probe")
+    assert (len(samples), lost) == (1000, 0)
+    assert (np.diff(samples["index"].astype(int)) == 1).all()
+
+
+def test_gap_is_reported(client: Client, rig: GatewayRig) -> None:
+    stream = client.stream()
+    first = next(stream)
+    with rig.lock:
+        rig.servo.tick(9000)  # more than the ring holds
+    lost, taken = 0, first.header["next"]
+    while not lost:
+        block = next(stream)
+        lost += block.gap
+        taken += len(block.records)
+        assert block.header["next"] == taken + lost
+    stream.close()
+
+
+def test_listen_gives_states(client: Client, rig: GatewayRig) -> None:
+    states = client.listen("state")
+    assert next(states)["state"] == "disabled"
+    client.enable()
+    assert next(state for state in states if state["state"] != "disabled")["state"] == "enabled"
+    states.close()
+
+
+def test_listen_waits_for_events(client: Client, rig: GatewayRig) -> None:
+    events, flip = client.listen("event"), itertools.cycle((State.STOPPED, State.DISABLED))
+    publish = rig.servo._publish
+
+    def flipping() -> None:
+        rig.servo.state = next(flip)
+        publish()
+
+    rig.servo._publish = flipping  # type: ignore[method-assign]
+    event = next(events)
+    assert (event["kind"], {event["before"], event["state"]}) == ("state", {"disabled", "stopped"})
+    events.close()
+
+
+# --- nobody there --------------------------------------------------------------------------------------------------------
+
+
+def test_no_daemon_is_told_at_once(folder: Path) -> None:
+    with Client() as client:
+        for ask in (client.get, client.stop, client.enable, lambda: next(client.stream()), lambda: client.record(1.0)):
+            with pytest.raises(DaemonDown, match=r"no daemon runs there|start one with `hapticd run`"):
+                ask()
+
+
+def test_dead_socket_times_out(folder: Path) -> None:
+    folder.mkdir(mode=0o700)
+    for name in ("command", "telemetry"):
+        (folder / name).touch()
+    with Client(timeout_s=0.05) as client:
+        with pytest.raises(DaemonDown, match=r"get: no reply from .* within .* s; is `hapticd run` running there"):
+            client.get()
+        with pytest.raises(DaemonDown, match=r"servo.raw: nothing from .* for 0.05 s; see `hapticd status`"):
+            next(client.stream())
+
+
+def test_silent_gateway_times_out(folder: Path) -> None:
+    no_reply = pytest.raises(DaemonDown, match=r"get: no reply from")
+    with GatewayRig(folder), Client(timeout_s=0.05) as client, no_reply:  # nobody steps the gateway
+        client.get()
+
+
+def test_old_request_does_not_reach_a_later_gateway(folder: Path) -> None:
+    folder.mkdir(mode=0o700)
+    (folder / "command").touch()
+    with Client(timeout_s=0.05) as client:
+        with pytest.raises(DaemonDown):
+            client.enable()
+        (folder / "command").unlink()
+        with GatewayRig(folder) as rig, running(rig):
+            client._timeout_s = 10.0
+            client.set(K=1)
+            assert [kind for kind, _ in rig.servo.taken] == [Command.SET]
+
+
+def test_stop_without_gateway_presses_the_page(folder: Path) -> None:
+    with GatewayRig(folder) as rig, Client() as client:  # nobody steps the gateway
+        assert client.stop() == Receipt("pressed")
+        rig.servo.tick()
+        assert rig.servo.state is State.STOPPED
+
+
+def test_servo_down_is_daemon_down(client: Client, rig: GatewayRig) -> None:
+    with rig.lock:
+        rig.servo_stands = True
+        rig.clock.advance_ns(2 * NS_PER_S)
+    with pytest.raises(DaemonDown, match="enable: no servo answers; start it with `hapticd run`"):
+        client.enable()
+
+
+# --- the short way to a stop ---------------------------------------------------------------------------------------------
+
+
+def test_fast_stop_asks_the_gateway(rig: GatewayRig, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fast_stop, "REPLY_TIMEOUT_MS", 10_000)
+    assert stop(rig.folder)["state"] == "stopped"
+    assert Command.STOP in [kind for kind, _ in rig.servo.taken]
+    assert main("default", False) == 0
+    assert capsys.readouterr().out == "stopped: force off; `hapticd reset` when it is safe\n"
+    assert main("default", True) == 0
+    assert '"state": "stopped"' in capsys.readouterr().out
+
+
+def test_fast_stop_presses_the_page(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with GatewayRig(folder) as rig:  # nobody steps the gateway
+        assert main("default", False) == 0
+        assert "stop page pressed" in capsys.readouterr().out
+        rig.servo.tick()
+        assert rig.servo.state is State.STOPPED
+
+
+def test_fast_stop_of_nothing_exits_3(runtime: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main("default", False) == 3
+    assert "no servo runs there, start one with `hapticd run`" in capsys.readouterr().err
+    assert main("default", True) == 3
+    assert '"ok": false' in capsys.readouterr().out
+
+
+@pytest.mark.process
+def test_fast_stop_loads_nothing_large() -> None:
+    script = "import sys, hapticd.client.fast_stop; print(*sys.modules)"
+    loaded = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=os.getcwd()
+    ).stdout.split()
+    assert not {"zmq", "numpy", "msgpack", "pydantic", "typer", "rich", "hapticd.client.shell"} & set(loaded)
+
+
+def test_client_package_names_are_lazy_but_known() -> None:
+    import hapticd.client
+
+    assert [getattr(hapticd.client, name).__name__ for name in hapticd.client.__all__] == ["Block", "Client", "Receipt"]
+    assert not hasattr(hapticd.client, "Klient")
+
+
+def test_closed_client_leaves_no_socket(rig: GatewayRig) -> None:
+    client = Client()
+    client.get()
+    stream = client.stream()
+    next(stream)
+    client.close()
+    client.close()
+    with pytest.raises((zmq.ZMQError, DaemonDown)):
+        next(stream)

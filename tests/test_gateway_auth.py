@@ -1,0 +1,94 @@
+"""Telemetry leaves the machine only with keys, or with leave and a warning."""
+
+import os
+import stat
+from pathlib import Path
+
+import pytest
+import zmq
+import zmq.auth
+from gateway_rig import GatewayRig
+from gateway_stand_in import setup
+
+from hapticd.clock import VirtualClock
+from hapticd.errors import ConfigError
+from hapticd.gateway import auth
+from hapticd.gateway.server import Gateway
+from hapticd.params import GatewayParams
+
+
+@pytest.mark.parametrize(
+    ("host", "loopback"),
+    [("127.0.0.1", True), ("127.8.9.1", True), ("::1", True), ("localhost", True), ("0.0.0.0", False), ("*", False),
+     ("192.168.1.5", False), ("rig.lab", False), ("::", False)],
+)  # fmt: skip
+def test_loopback_is_recognised(host: str, loopback: bool) -> None:
+    assert auth.is_loopback(host) == loopback
+
+
+def test_open_network_is_refused() -> None:
+    with pytest.raises(
+        ConfigError, match=r"gateway.tcp_host = '0.0.0.0': beyond this machine telemetry needs keys; set gateway.curve_keys"
+    ):
+        auth.warning(GatewayParams(tcp_host="0.0.0.0"))
+
+
+def test_loopback_and_keys_need_no_warning() -> None:
+    assert auth.warning(GatewayParams()) is None
+    assert auth.warning(GatewayParams(tcp_host="0.0.0.0", curve_keys="keys")) is None
+
+
+def test_insecure_leave_is_a_loud_event(tmp_path: Path) -> None:
+    with GatewayRig(tmp_path, tcp_host="0.0.0.0", allow_insecure=True) as rig:
+        (event,) = [event for event in rig.gateway._journal.recent if event["kind"] == "warning"]
+    assert event["text"].startswith("INSECURE: telemetry is offered on 0.0.0.0 to everyone")
+
+
+def test_made_keys_are_private(tmp_path: Path) -> None:
+    before = os.umask(0o022)
+    try:
+        auth.make_keys(tmp_path / "keys")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "keys" / "server.key_secret").stat().st_mode) == 0o600
+
+
+def test_incomplete_keys_are_refused(tmp_path: Path) -> None:
+    def start() -> None:
+        Gateway(tmp_path / "run", setup(tcp_host="0.0.0.0", curve_keys=str(tmp_path / "keys")), VirtualClock(1))
+
+    with pytest.raises(ConfigError, match=r"clients is missing; make it and put the public keys"):
+        start()
+    (tmp_path / "keys" / "clients").mkdir(parents=True)
+    with pytest.raises(ConfigError, match=r"server.key_secret is missing; make it with"):
+        start()
+    (tmp_path / "keys" / "clients").rmdir()
+    (tmp_path / "keys").rmdir()
+    auth.make_keys(tmp_path / "keys")
+    (tmp_path / "keys" / "server.key_secret").chmod(0o644)
+    with pytest.raises(ConfigError, match=r"is readable by others; chmod 600 it"):
+        start()
+
+
+def test_only_known_keys_may_listen(tmp_path: Path) -> None:
+    keys = tmp_path / "keys"
+    auth.make_keys(keys)
+    zmq.auth.create_certificates(keys / "clients", "friend")
+    zmq.auth.create_certificates(tmp_path, "stranger")
+    server, _ = zmq.auth.load_certificate(keys / "server.key")
+    with GatewayRig(tmp_path / "run", tcp_host="0.0.0.0", curve_keys=str(keys)) as rig:
+        port = rig.gateway.endpoints["telemetry"][1].rsplit(":", 1)[1]  # type: ignore[index]
+
+        def listener(name: Path) -> "zmq.Socket[bytes]":
+            public, secret = zmq.auth.load_certificate(name)
+            more = {"CURVE_SERVERKEY": server, "CURVE_PUBLICKEY": public, "CURVE_SECRETKEY": secret, "SUBSCRIBE": b"servo.raw"}
+            return rig.socket(zmq.SUB, f"tcp://127.0.0.1:{port}", **more)
+
+        friend, stranger = listener(keys / "clients" / "friend.key_secret"), listener(tmp_path / "stranger.key_secret")
+        plain = rig.socket(zmq.SUB, f"tcp://127.0.0.1:{port}", SUBSCRIBE=b"servo.raw")
+        local = rig.subscriber("servo.raw")
+        for _ in range(10):
+            assert rig.receive(friend)[0] == b"servo.raw"
+        assert rig.receive(local)[0] == b"servo.raw"
+        assert not stranger.poll(0)
+        assert not plain.poll(0)

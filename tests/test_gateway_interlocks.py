@@ -1,0 +1,70 @@
+"""The ordered list of interlocks, and that the early answers of the state interlock are the servo's own."""
+
+from pathlib import Path
+
+import pytest
+from gateway_rig import DeskRig
+from gateway_stand_in import NEXT_STATE
+
+from hapticd.errors import CommandError
+from hapticd.gateway import interlocks
+from hapticd.gateway.actors import RESERVED
+from hapticd.gateway.commands import ALLOWED
+from hapticd.mailbox.layout import Command, Result, State
+from hapticd.servo import safety
+from hapticd.servo.inbox import ACTOR_STOP_WORD
+
+TABLED = (Command.ENABLE, Command.DISABLE, Command.STOP, Command.RESET, Command.ZERO, Command.HOME, Command.PERTURB_START)
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> DeskRig:
+    return DeskRig(tmp_path)
+
+
+def scene(rig: DeskRig, settled: bool = True, samples: int = 0) -> interlocks.Scene:
+    return interlocks.Scene(rig.desk.limits, rig.view, settled, samples)
+
+
+def test_order_is_schema_state_lease_passivity() -> None:
+    assert [interlock.__name__ for interlock in interlocks.INTERLOCKS] == ["schema", "state", "lease", "passivity"]
+
+
+@pytest.mark.parametrize("kind", TABLED)
+@pytest.mark.parametrize("state", State)
+def test_early_answer_is_that_of_the_safety_table(kind: Command, state: State) -> None:
+    allowed = ALLOWED.get("perturb" if kind == Command.PERTURB_START else kind.name.lower(), tuple(State))
+    assert (state in allowed) == (not isinstance(safety.transition(state, kind), Result))
+
+
+@pytest.mark.parametrize("kind", TABLED)
+@pytest.mark.parametrize("state", State)
+def test_stand_in_obeys_the_safety_table(kind: Command, state: State) -> None:
+    assert (state in NEXT_STATE[kind]) == (not isinstance(safety.transition(state, kind), Result))
+
+
+def test_actor_of_the_stop_page_is_the_servos() -> None:
+    assert RESERVED[ACTOR_STOP_WORD] == "stop page"
+
+
+@pytest.mark.parametrize("interlock", [interlocks.lease, interlocks.passivity])
+def test_later_interlocks_pass_everything(rig: DeskRig, interlock: interlocks.Interlock) -> None:
+    asked = interlocks.Asked({"cmd": "enable"}, 16)
+    assert interlock(asked, scene(rig)) is asked
+
+
+def test_first_objection_is_the_answer(rig: DeskRig) -> None:
+    rig.ask(cmd="stop")
+    with pytest.raises(CommandError) as caught:
+        interlocks.admit({"cmd": "enable", "force": 1}, 16, scene(rig))
+    assert caught.value.code == "invalid"
+
+
+def test_unsettled_state_is_left_to_the_servo(rig: DeskRig) -> None:
+    rig.ask(cmd="stop")
+    assert interlocks.admit({"cmd": "enable"}, 16, scene(rig, settled=False)).cmd == "enable"
+
+
+def test_start_without_waveform_is_refused(rig: DeskRig) -> None:
+    with pytest.raises(CommandError, match="perturb start: no waveform is loaded; send it with action load first"):
+        interlocks.admit({"cmd": "perturb", "action": "start"}, 16, scene(rig))
