@@ -12,6 +12,7 @@ HapticdError               (exit 1; `exit_code` of a class is what a process end
 │   └── LinkAccess         no permission, or claimed by someone else
 ├── MailboxError           a shared file is missing, foreign, of another layout or out of range
 ├── RealtimeError          a real-time right was refused in strict mode (exit 6)
+├── AnalysisError          a record cannot be analysed, or a question has no answer: the message says what would (exit 65)
 ├── CommandError           the daemon refused a command: `code` says why (exit 4; 5 when stopped or faulted)
 └── DaemonDown             nobody answers (exit 3)
 """
@@ -39,6 +40,8 @@ class FrameError(WireError):
 
 class ProtocolMismatch(WireError):
     """The board was built against another hapticd_wire.h; nothing is sent to it."""
+
+    exit_code = 78  # a restart will not help: flash or install what the message names
 
 
 class LinkError(HapticdError):
@@ -69,6 +72,12 @@ class RealtimeError(HapticdError):
     """The operating system refused a real-time right and the configuration says strict."""
 
     exit_code = 6
+
+
+class AnalysisError(HapticdError):
+    """A record is too short, not finite or of unlike conditions, or a method does not apply; says what to do instead."""
+
+    exit_code = 65  # EX_DATAERR of sysexits.h
 
 
 class CommandError(HapticdError):

@@ -6,12 +6,44 @@ NS_PER_US = 1_000
 NS_PER_MS = 1_000_000
 
 ZERO_CELSIUS_K = 273.15
-COPPER_PER_K = (
-    0.00393  # relative resistance change of copper per kelvin (the paper prints "percent"; 0.393 %/K is meant)
-)
+COPPER_PER_K = 0.00393  # relative resistance change of copper per kelvin (the paper prints "percent"; 0.393 %/K is meant)
 PROBE_RATE_HZ = 4000  # the board's own sample clock for perturbation and probe
 
 
 def round_half_up(value: float) -> int:
     """Count nearest to `value`, halves upwards: floor(x + 0.5), the one rounding rule of the wire."""
     return int((value + 0.5) // 1.0)
+
+
+UNITS = {
+    "_nm_per_a": "N m/A",
+    "_ns_per_m_s": "N s/m per s",
+    "_n2_per_hz": "N^2/Hz",
+    "_k_per_w": "K/W",
+    "_ns_per_m": "N s/m",
+    "_n_per_m": "N/m",
+    "_n_per_a": "N/A",
+    "_m_per_s": "m/s",
+    "_m_per_count": "m/count",
+    "_c_per_count": "degC/count",
+    "_count": "counts",
+    "_hz": "Hz",
+    "_rad": "rad",
+    "_periods": "periods",
+    "_kg": "kg",
+    "_ohm": "ohm",
+    "_h": "H",
+    "_us": "us",
+    "_ms": "ms",
+    "_s": "s",
+    "_n": "N",
+    "_m": "m",
+    "_a": "A",
+    "_v": "V",
+    "_c": "degC",
+}  # longest first: the first suffix that fits is the unit
+
+
+def unit_of(name: str) -> str:
+    """Unit that the suffix of a field's name says; empty for a pure number or a word."""
+    return next((unit for suffix, unit in UNITS.items() if f"_{name}".endswith(suffix)), "")

@@ -1,8 +1,9 @@
 """The servo process: `python -m hapticd.assembly.servo_main SERVO_JSON [BOARD_JSON] [--parent PID]`.
 
-Order of a start: parameters -> board found, greeted, hash checked -> mailbox published -> real-time rights -> loop. With
-BOARD_JSON the board is the simulated one, in this process and thread, behind the same pyusb. Exit code 0: asked to end;
-1: a hapticd error, told in one line on stderr; 78: the configuration is wrong and a restart would not help.
+Order of a start: parameters -> board found, greeted, hash checked -> mailbox made -> real-time rights -> mailbox published,
+systemd told -> loop. A simulated board (SERVO_JSON says so, BOARD_JSON describes it) lives in this process and thread, behind
+the same pyusb. Exit code 0: asked to end; else the `exit_code` of the error, which is told in one line on stderr: 78 the
+configuration or the board's protocol is wrong, 6 a right was refused in strict mode (a restart would not help), 1 others.
 """
 
 import json
@@ -11,9 +12,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from hapticd.assembly.notify import notify
 from hapticd.assembly.process import die_with_parent, on_stop
+from hapticd.assembly.sentinel import start_sentinel
 from hapticd.clock import Clock, MonotonicClock
-from hapticd.errors import ConfigError, HapticdError, LinkLost, ProtocolMismatch, RealtimeError
+from hapticd.errors import ConfigError, HapticdError, LinkLost
 from hapticd.link.base import backoff_s
 from hapticd.link.device import Device
 from hapticd.link.usb import UsbLink
@@ -24,8 +27,6 @@ from hapticd.servo import host
 from hapticd.servo.loop import ServoLoop
 from hapticd.servo.wait import spinning_wait
 from hapticd.units import NS_PER_S, NS_PER_US, US_PER_S
-
-CONFIGURATION_EXIT = 78
 
 
 def read_json(kind: Any, path: str) -> Any:
@@ -73,6 +74,7 @@ class Servo:
 
     def run(self) -> None:
         """From the board to the end of the loop."""
+        notify("STATUS=looking for the board")
         self.connect()
         if self.stopping:
             self.device.close()
@@ -83,12 +85,15 @@ class Servo:
         wait = spinning_wait(int(params.realtime.spin_us * NS_PER_US), int(NS_PER_S / rate_hz))
         self.loop = ServoLoop(params, self.device, self.mailbox, self.clock, wait)
         self.loop.stopping = self.stopping
+        start_sentinel(folder)  # before the rights: it must not inherit them
         try:
             self.mailbox.report({"realtime": host.prepare(params.realtime), **self._about()})
             self.mailbox.publish()
+            notify("READY=1", f"STATUS={rate_hz:g} Hz{', SIMULATED' if params.simulated else ''}")
             self.loop.restart_clock()
             self.loop.run()
         finally:
+            notify("STOPPING=1")
             host.relax()
             self.loop.finish()
             self.mailbox.close()
@@ -111,16 +116,15 @@ def main(arguments: list[str]) -> int:
     die_with_parent(parent)
     try:
         params = read_json(ServoParams, paths[0])
-        board = read_json(BoardParams, paths[1]) if len(paths) > 1 else None
+        if params.simulated and len(paths) < 2:
+            raise ConfigError(f"{paths[0]} says simulated; name the board.json too")
+        board = read_json(BoardParams, paths[1]) if params.simulated else None
         servo = Servo(params, board, MonotonicClock())
         on_stop(servo.stop)
         servo.run()
-    except (ConfigError, ProtocolMismatch, RealtimeError) as error:
-        os.write(2, f"hapticd servo: {error}\n".encode())
-        return CONFIGURATION_EXIT
     except HapticdError as error:
         os.write(2, f"hapticd servo: {error}\n".encode())
-        return 1
+        return error.exit_code
     return 0
 
 

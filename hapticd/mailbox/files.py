@@ -15,6 +15,7 @@ SERVO_JSON, BOARD_JSON, GATEWAY_JSON = "servo.json", "board.json", "gateway.json
 COMMAND_SOCKET, TELEMETRY_SOCKET, ENDPOINTS = "command", "telemetry", "endpoints.json"  # the gateway's
 SERVO_LOCK, GATEWAY_LOCK = "servo.lock", "gateway.lock"
 DEFAULT_INSTANCE = "default"
+SERVICE_FOLDER = Path("/run/hapticd")  # RuntimeDirectory= of the systemd units
 
 
 def runtime_folder(instance: str = DEFAULT_INSTANCE) -> Path:
@@ -31,6 +32,17 @@ def runtime_folder(instance: str = DEFAULT_INSTANCE) -> Path:
     else:
         base = Path(session) / "hapticd" if session else Path(tempfile.gettempdir()) / f"hapticd-{os.getuid()}"
     return base if instance == DEFAULT_INSTANCE else base / f"instance-{instance}"
+
+
+def daemon_folder(instance: str = DEFAULT_INSTANCE) -> Path:
+    """Where a client finds the daemon `instance`: in this user's own folder, or else in the system service's if that is there.
+
+    Only the default instance is a service. Not created, not checked.
+    """
+    own = runtime_folder(instance)
+    there = any(os.path.exists(own / name) for name in (COMMAND_SOCKET, MAILBOX))
+    service = instance == DEFAULT_INSTANCE and not there and os.path.isdir(SERVICE_FOLDER)
+    return SERVICE_FOLDER if service else own
 
 
 def prepare_folder(folder: Path) -> Path:

@@ -1,0 +1,56 @@
+# Work with a checkout: make run | test | bench | deps | clean. A fresh machine needs make and Python 3.11 or newer.
+#
+#   make run                start the daemon on the simulated board (ARGS="--rate-hz 2000" and other options of `hapticd run`)
+#   make test               format, lint, types, floors, tests: what continuous integration runs
+#   make bench [ONLY=wake]  measure; results in build/bench.json
+#   make deps               install the system packages that are missing
+#   make clean              remove what was made, the environment included
+
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DEFAULT_GOAL := run
+.PHONY: run test bench deps deps-run deps-test deps-bench clean
+
+VENV ?= .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
+NEW_ENOUGH := import sys; sys.exit(sys.version_info < (3, 11))
+PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11; do \
+	$$p -c '$(NEW_ENOUGH)' 2>/dev/null && echo $$p && break; done)
+
+run: $(VENV)/run.stamp
+	@exec $(BIN)/hapticd run $(ARGS)
+
+test: deps-test $(VENV)/test.stamp
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/python -m pytest $(ARGS)
+
+bench: deps-bench $(VENV)/test.stamp
+	ONLY="$(ONLY)" $(BIN)/python benchmarks/run.py
+
+deps:
+	@.ci/deps all
+
+deps-run deps-test deps-bench: deps-%:
+	@PYTHON=$(PYTHON) .ci/deps $*
+
+# --- the environment, made again when pyproject.toml changes -----------------------------------------------------------
+$(VENV)/run.stamp: pyproject.toml | deps-run
+	@$(if $(PYTHON),,echo "hapticd needs Python 3.11 or newer; install it, or name it: make PYTHON=/path/to/python3"; exit 1)
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@echo "installing hapticd and its libraries into $(VENV)"
+	@$(PIP) install 'pip>=25.1'
+	@$(PIP) install --editable '.[all]'
+	@touch $@
+
+$(VENV)/test.stamp: $(VENV)/run.stamp
+	@echo "installing test and lint tools into $(VENV)"
+	@$(PIP) install --group test --group lint
+	@touch $@
+
+clean:
+	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

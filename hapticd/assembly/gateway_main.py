@@ -1,0 +1,63 @@
+"""The gateway process: `python -m hapticd.assembly.gateway_main FOLDER [--parent PID] [--ready FD]`.
+
+Serves the servo of runtime folder FOLDER with the parameters in its gateway.json until SIGTERM or SIGINT; a byte on
+descriptor FD says that it serves. Exit code 0: asked to end; 1: a hapticd error, told in one line on stderr; 78: the
+configuration is wrong and a restart would not help.
+"""
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+
+from hapticd.assembly.notify import Feeder, notify
+from hapticd.assembly.process import die_with_parent, on_stop
+from hapticd.clock import MonotonicClock
+from hapticd.errors import ConfigError, HapticdError
+from hapticd.gateway import server
+from hapticd.mailbox.files import GATEWAY_JSON
+from hapticd.params import GatewaySetup, from_plain
+
+
+def main(arguments: list[str]) -> int:
+    """Run a gateway; the exit code."""
+    parser = argparse.ArgumentParser(prog="gateway_main", allow_abbrev=False)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--parent", type=int)
+    parser.add_argument("--ready", type=int)
+    asked = parser.parse_args(arguments)
+    ending: list[bool] = []
+    on_stop(lambda: ending.append(True))
+    die_with_parent(asked.parent)
+    clock = MonotonicClock()
+    watchdog = Feeder(clock)
+
+    def should_stop() -> bool:
+        watchdog.feed()
+        return bool(ending)
+
+    try:
+        setup = _read(asked.folder / GATEWAY_JSON)
+        server.run(asked.folder, setup, clock, should_stop, lambda: _say_ready(asked.ready))
+    except HapticdError as error:
+        sys.stderr.write(f"hapticd gateway: {error}\n")
+        return error.exit_code
+    return 0
+
+
+def _read(path: Path) -> GatewaySetup:
+    try:
+        return from_plain(GatewaySetup, json.loads(path.read_text()), str(path))
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: {error}; make it with `hapticd config resolve`") from error
+
+
+def _say_ready(descriptor: int | None) -> None:
+    notify("READY=1")
+    if descriptor is not None:
+        os.write(descriptor, b"1")
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))

@@ -1,0 +1,8 @@
+"""SIMULATED in big letters, wherever a person might take the simulated board for a real one."""
+
+SIMULATED = """\
+ ████  █  █   █  █   █  █       ███   █████  █████  ████
+█      █  ██ ██  █   █  █      █   █    █    █      █   █
+ ███   █  █ █ █  █   █  █      █████    █    ████   █   █
+    █  █  █   █  █   █  █      █   █    █    █      █   █
+████   █  █   █   ███   █████  █   █    █    █████  ████"""

@@ -1,0 +1,121 @@
+"""Watch one daemon live: state, position, force, damping and latency as strip charts."""
+
+import sys
+from collections.abc import Callable, Generator
+from contextlib import closing
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hapticd.cli import options, output
+from hapticd.cli.change import connect
+from hapticd.errors import DaemonDown, HapticdError
+from hapticd.units import NS_PER_S
+
+if TYPE_CHECKING:
+    from hapticd.cli.screen import History
+    from hapticd.client import Block, Client
+
+REDRAW_NS = NS_PER_S // 10
+RETRY_NS = NS_PER_S // 10
+NEWEST = ("tick", "position_m", "force_n", "stiffness_n_per_m", "damping_ns_per_m", "mass_kg", "added_damping_ns_per_m", "gain")
+Show = Callable[["History", bool | None, float], None]  # history, simulated, seconds without data
+
+
+def command(
+    instance: options.Instance = options.INSTANCE,
+    seconds: Annotated[float | None, typer.Option("--seconds", metavar="S", help="End after S seconds.")] = None,
+    as_json: options.JsonLines = False,
+) -> None:
+    """Watch live on one screen. Space or Esc stops the daemon, q or Ctrl-C only this screen.
+
+    With --json, or when stdout is no terminal: one line every 0.1 s.
+    """
+    if as_json or not sys.stdout.isatty():
+        watch(instance, seconds, _print_json if as_json else _print_line)
+        return
+    from rich.console import Console
+    from rich.live import Live
+
+    from hapticd.cli.screen import screen
+
+    console = Console()
+
+    def show(history: "History", simulated: bool | None, silent_s: float) -> None:
+        live.update(screen(history, simulated, silent_s, console.size), refresh=True)
+
+    with Live(console=console, screen=True, auto_refresh=False) as live:
+        watch(instance, seconds, show)
+
+
+def watch(instance: str, seconds: float | None, show: Show) -> None:
+    """Show what comes, ten times a second, also when nothing comes; obey keys. `seconds` None: until q."""
+    from hapticd.cli.keys import Keys
+    from hapticd.cli.screen import NO_DATA_S, History
+    from hapticd.clock import MonotonicClock
+
+    clock = MonotonicClock()
+    begin_ns = heard_ns = clock.now_ns()
+    shown_ns, history, simulated = 0, History(), None
+    with connect(instance, timeout_s=NO_DATA_S) as client, Keys() as keys, closing(_blocks(client)) as blocks:
+        for block in blocks:
+            now_ns = clock.now_ns()
+            if block is None:
+                clock.sleep_until_ns(now_ns + RETRY_NS)
+            elif len(block.records):
+                heard_ns = now_ns
+                simulated, history = bool(block.header["simulated"]), History() if block.restarted else history
+                history.add(block.records)
+            if now_ns - shown_ns >= REDRAW_NS:
+                shown_ns = now_ns
+                show(history, simulated, (now_ns - heard_ns) / NS_PER_S)
+            pressed = keys.pressed()
+            if pressed in (" ", "\x1b"):
+                _press_stop(instance)
+            if "q" in pressed or (seconds is not None and now_ns - begin_ns >= seconds * NS_PER_S):
+                return
+
+
+def _blocks(client: "Client") -> "Generator[Block | None, None, None]":
+    """Telemetry for ever; None whenever none came for the client's time-out."""
+    while True:
+        try:
+            yield from client.stream()
+        except DaemonDown:
+            yield None
+
+
+def _press_stop(instance: str) -> None:
+    from hapticd.client.fast_stop import stop
+    from hapticd.mailbox.files import daemon_folder
+
+    try:
+        stop(daemon_folder(instance))
+    except HapticdError as error:
+        output.talk(f"hapticd: stop: {error}")
+
+
+def _newest(history: "History", simulated: bool | None, silent_s: float) -> dict[str, Any]:
+    from hapticd.cli.screen import NO_DATA_S
+    from hapticd.faults import BY_NUMBER
+    from hapticd.mailbox.layout import State
+
+    newest = history.newest
+    if newest is None or silent_s >= NO_DATA_S:
+        return {"state": "no_data", "simulated": simulated, "silent_s": round(silent_s, 3)}
+    words = {"state": State(int(newest["state"])).name.lower(), "fault": BY_NUMBER[int(newest["fault"])].code}
+    return {**words, "simulated": simulated, **{name: newest[name].item() for name in NEWEST}, "wake_us": newest["wake_ns"] / 1e3}
+
+
+def _print_json(history: "History", simulated: bool | None, silent_s: float) -> None:
+    output.data_json(_newest(history, simulated, silent_s))
+
+
+def _print_line(history: "History", simulated: bool | None, silent_s: float) -> None:
+    found = _newest(history, simulated, silent_s)
+    badge = "SIMULATED " if simulated else ""
+    if found["state"] == "no_data":
+        output.data(f"{badge}NO DATA for {silent_s:.1f} s")
+    else:
+        x_mm, force_n, damping = 1e3 * found["position_m"], found["force_n"], found["added_damping_ns_per_m"]
+        output.data(f"{badge}{found['state']} x {x_mm:.4f} mm  force {force_n:.4f} N  damping {damping:.4g} N s/m")

@@ -1,0 +1,101 @@
+"""What `hapticd monitor` shows: from the records of the last seconds to one screen. No socket, no clock, no terminal.
+
+Two rules. The lamp shows the servo's state, never anybody's wish. When data stay away, lamp and charts give way to NO
+DATA: an old value never looks like a fresh one.
+"""
+
+from collections import deque
+from typing import Any
+
+import numpy as np
+from rich.console import Group, RenderableType
+from rich.text import Text
+
+from hapticd.cli.banner import SIMULATED
+from hapticd.cli.chart import envelope, strip
+from hapticd.faults import BY_NUMBER
+from hapticd.mailbox.layout import State
+from hapticd.units import NS_PER_S
+
+SHOWN_S = 10.0
+NO_DATA_S = 0.5
+LAMPS = {State.DISABLED: "black on white", State.ENABLED: "black on green", State.HOMING: "black on yellow"}
+TRIPPED = "bold white on red"
+HEAD_LINES, MOST_HEIGHT = 12, 8
+CHARTS = (  # title, unit, field, factor, whether the chart begins at 0
+    ("position", "mm", "position_m", 1e3, False),
+    ("force", "N", "force_n", 1.0, False),
+    ("electrical damping", "N s/m", "added_damping_ns_per_m", 1.0, True),
+    ("wake-up latency", "us", "wake_ns", 1e-3, True),
+)
+
+
+class History:
+    """The records of the last SHOWN_S seconds of one servo life."""
+
+    def __init__(self) -> None:
+        self.length = 1  # records in SHOWN_S
+        self._blocks: deque[Any] = deque()
+        self._count = 0
+
+    def add(self, records: Any) -> None:
+        """Append a block of records (layout.TELEMETRY), shape (n,)."""
+        self._blocks.append(records)
+        self._count += len(records)
+        if len(records) > 1:
+            self.length = round(SHOWN_S * NS_PER_S / np.median(np.diff(records["time_ns"])))
+        while self._count - len(self._blocks[0]) >= self.length:
+            self._count -= len(self._blocks.popleft())
+
+    def column(self, name: str) -> np.ndarray:
+        """Values of field `name`, oldest first, shape (n,)."""
+        return np.concatenate([block[name] for block in self._blocks]) if self._blocks else np.empty(0)
+
+    @property
+    def newest(self) -> Any:
+        """The newest record; None before the first."""
+        return self._blocks[-1][-1] if self._blocks else None
+
+
+def screen(history: History, simulated: bool | None, silent_s: float, size: tuple[int, int]) -> RenderableType:
+    """One screen of `size` (columns, lines). `simulated` is None until the daemon said so."""
+    width, lines = size
+    fresh = history.newest is not None and silent_s < NO_DATA_S
+    parts = [_badge(simulated), _lamp(history.newest) if fresh else Text(f"\n NO DATA for {silent_s:.1f} s \n", TRIPPED)]
+    height = min(MOST_HEIGHT, max(1, (lines - HEAD_LINES) // len(CHARTS) - 1))
+    if fresh:
+        parts.append(_states(history, width - 1))
+        for title, unit, field, factor, from_zero in CHARTS:
+            values = factor * history.column(field)
+            low = min(0.0, float(values.min())) if from_zero else float(values.min())
+            drawn = strip(values, history.length, width - 1, height, low, float(values.max()))
+            parts += [_title(title, unit, values), Text("\n".join(drawn), no_wrap=True)]
+    parts.append(Text("Space or Esc: STOP    q: quit", style="bold", no_wrap=True))
+    return Group(*parts)
+
+
+def _badge(simulated: bool | None) -> Text:
+    if simulated is None:
+        return Text("waiting for the daemon\n")
+    return Text(SIMULATED, "bold yellow", no_wrap=True) if simulated else Text("REAL BOARD\n", "bold red")
+
+
+def _lamp(newest: Any) -> Text:
+    state, fault = State(int(newest["state"])), BY_NUMBER[int(newest["fault"])]
+    text = Text("\n").append(f" {state.name} ", LAMPS.get(state, TRIPPED))
+    text.append(f"  K {newest['stiffness_n_per_m']:g} N/m  B {newest['damping_ns_per_m']:g} N s/m  M {newest['mass_kg']:g} kg")
+    text.append(f"  gain {newest['gain']:.2f}  revision {newest['revision']}  tick {newest['tick']}\n")
+    return text.append(f" {fault.code}: {fault.cause}; {fault.remedy}\n", "bold red") if fault.number else text.append("\n")
+
+
+def _title(title: str, unit: str, values: np.ndarray) -> Text:
+    return Text(f"{title}  {values[-1]:.6g} {unit}   ({values.min():.4g} .. {values.max():.4g})", style="cyan", no_wrap=True)
+
+
+def _states(history: History, width: int) -> Text:
+    """One letter for each part of the time shown: the worst state in it."""
+    text = Text(no_wrap=True)
+    for worst in envelope(history.column("state"), history.length, width)[1]:
+        state = None if np.isnan(worst) else State(int(worst))
+        text.append(" " if state is None else state.name[0], "" if state is None else LAMPS.get(state, TRIPPED))
+    return text

@@ -1,0 +1,189 @@
+"""Strip charts, the screen, and the watching loop on virtual time."""
+
+import io
+import json
+from collections.abc import Iterator
+from types import SimpleNamespace, TracebackType
+from typing import Any, Self
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from hapticd.cli import keys, monitor
+from hapticd.cli.app import main
+from hapticd.cli.chart import envelope, strip
+from hapticd.cli.screen import History, screen
+from hapticd.client import fast_stop
+from hapticd.clock import VirtualClock
+from hapticd.errors import DaemonDown
+from hapticd.faults import BY_CODE
+from hapticd.mailbox.layout import TELEMETRY, State
+from hapticd.units import NS_PER_MS, NS_PER_S
+
+
+def records(count: int, first: int = 0, **fields: Any) -> Any:
+    block = np.zeros(count, np.dtype([tuple(field) for field in TELEMETRY]))  # type: ignore[arg-type]
+    block["tick"] = np.arange(first, first + count)
+    block["time_ns"] = block["tick"] * NS_PER_MS
+    for name, value in fields.items():
+        block[name] = value
+    return block
+
+
+def drawn(history: History, simulated: bool | None, silent_s: float) -> str:
+    console = Console(file=io.StringIO(), width=100, height=45, force_terminal=False)
+    console.print(screen(history, simulated, silent_s, (100, 45)))
+    return console.file.getvalue()  # type: ignore[attr-defined,no-any-return]
+
+
+def test_envelope_keeps_a_single_peak() -> None:
+    values = np.zeros(1000)
+    values[777] = 5.0
+    lows, highs = envelope(values, 1000, 50)
+    assert lows.tolist() == [0.0] * 50
+    assert np.flatnonzero(highs).tolist() == [777 // 20]
+
+
+def test_envelope_is_blank_before_the_first_sample() -> None:
+    lows, highs = envelope([1.0, 2.0], 10, 5)
+    assert np.isnan(lows[:4]).all()
+    assert (lows[4], highs[4]) == (1.0, 2.0)
+
+
+def test_strip_draws_a_ramp_dot_by_dot() -> None:
+    assert strip([0, 1, 2, 3], 4, 2, 1, 0, 3) == ["⡠⠊"]
+
+
+def test_strip_of_a_constant_is_one_line() -> None:
+    assert strip([7.0] * 6, 6, 3, 2, 7.0, 7.0) == ["⠀⠀⠀", "⣀⣀⣀"]
+
+
+def test_history_holds_ten_seconds() -> None:
+    history = History()
+    for block in range(700):
+        history.add(records(20, 20 * block))
+    assert history.length == 10_000
+    assert 10_000 <= len(history.column("tick")) < 10_020
+    assert history.newest["tick"] == 13_999
+
+
+def test_screen_shows_state_and_simulated_badge() -> None:
+    history = History()
+    history.add(records(1000, state=State.ENABLED, stiffness_n_per_m=100.0, position_m=0.002, force_n=-0.2))
+    text = drawn(history, True, 0.0)
+    assert "████" in text
+    assert " ENABLED   K 100 N/m" in text
+    assert "position  2 mm" in text
+    assert "force  -0.2 N" in text
+    assert "EEE" in text
+    assert "Space or Esc: STOP" in text
+
+
+def test_screen_of_a_real_board_says_so() -> None:
+    history = History()
+    history.add(records(10))
+    text = drawn(history, False, 0.0)
+    assert "REAL BOARD" in text
+    assert "████" not in text
+
+
+def test_screen_names_fault_and_remedy() -> None:
+    history, fault = History(), BY_CODE["usb_lost"]
+    history.add(records(10, state=State.FAULT, fault=fault.number))
+    assert f"usb_lost: {fault.cause}; {fault.remedy}" in drawn(history, True, 0.0)
+
+
+def test_silence_replaces_every_value() -> None:
+    history = History()
+    history.add(records(100, state=State.ENABLED, position_m=0.002))
+    assert "NO DATA" not in drawn(history, True, 0.49)
+    text = drawn(history, True, 0.5)
+    assert "NO DATA for 0.5 s" in text
+    assert "ENABLED" not in text
+    assert "position" not in text
+
+
+class StreamDouble:
+    """A daemon whose telemetry is a script: blocks 20 ms apart, None for half a second of silence."""
+
+    def __init__(self, clock: VirtualClock, script: list[Any]) -> None:
+        self._clock, self._script = clock, iter(script)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        return None
+
+    def stream(self) -> Iterator[Any]:
+        for block in self._script:
+            self._clock.advance_ns(20 * NS_PER_MS if block else NS_PER_S // 2)
+            if block is None:
+                raise DaemonDown("nothing came")
+            yield block
+        raise DaemonDown("over")
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> VirtualClock:
+    clock = VirtualClock(NS_PER_S)
+    monkeypatch.setattr("hapticd.clock.MonotonicClock", lambda: clock)
+    return clock
+
+
+def block(first: int, restarted: bool = False, **fields: Any) -> Any:
+    return SimpleNamespace(records=records(20, first, **fields), restarted=restarted, header={"simulated": True})
+
+
+def play(monkeypatch: pytest.MonkeyPatch, clock: VirtualClock, script: list[Any]) -> None:
+    monkeypatch.setattr(monitor, "connect", lambda instance, timeout_s: StreamDouble(clock, script))
+
+
+def test_json_lines_follow_data_and_silence(
+    monkeypatch: pytest.MonkeyPatch, clock: VirtualClock, capsys: pytest.CaptureFixture[str]
+) -> None:
+    play(monkeypatch, clock, [*(block(20 * i, state=1, force_n=0.5) for i in range(20)), None, None, block(400, state=2, fault=1)])
+    assert main(["monitor", "--json", "--seconds", "3"]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert {line["simulated"] for line in lines} == {True}
+    assert [line["state"] for line in lines[:4]] == ["enabled"] * 4
+    assert lines[0]["force_n"] == 0.5
+    assert lines[4] == {"state": "no_data", "simulated": True, "silent_s": 0.5}
+    assert "stopped" not in {line["state"] for line in lines[4:6]}
+
+
+def test_plain_lines_when_stdout_is_no_terminal(
+    monkeypatch: pytest.MonkeyPatch, clock: VirtualClock, capsys: pytest.CaptureFixture[str]
+) -> None:
+    play(monkeypatch, clock, [block(0, position_m=0.001), None, None])
+    assert main(["monitor", "--seconds", "1"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "SIMULATED disabled x 1.0000 mm  force 0.0000 N  damping 0 N s/m"
+    assert lines[1] == "SIMULATED NO DATA for 0.5 s"
+
+
+def test_new_servo_life_begins_a_new_history(monkeypatch: pytest.MonkeyPatch, clock: VirtualClock) -> None:
+    lengths: list[int] = []
+    play(monkeypatch, clock, [*(block(20 * i) for i in range(10)), *(block(20 * i, restarted=i == 0) for i in range(10))])
+    monitor.watch("default", 0.39, lambda history, simulated, silent_s: lengths.append(len(history.column("tick"))))
+    assert lengths == [20, 120, 20, 120]
+
+
+@pytest.mark.parametrize("key", [" ", "\x1b"])
+def test_space_and_escape_stop_the_daemon(monkeypatch: pytest.MonkeyPatch, clock: VirtualClock, key: str) -> None:
+    pressed, stopped = iter(["", key, "q"]), []
+    monkeypatch.setattr(keys.Keys, "pressed", lambda self: next(pressed))
+    monkeypatch.setattr(fast_stop, "stop", stopped.append)
+    play(monkeypatch, clock, [block(20 * i) for i in range(10)])
+    monitor.watch("left", None, lambda *view: None)
+    assert [folder.name for folder in stopped] == ["instance-left"]
+
+
+def test_arrow_keys_do_not_stop(monkeypatch: pytest.MonkeyPatch, clock: VirtualClock) -> None:
+    pressed, stopped = iter(["\x1b[A", "q"]), []
+    monkeypatch.setattr(keys.Keys, "pressed", lambda self: next(pressed))
+    monkeypatch.setattr(fast_stop, "stop", stopped.append)
+    play(monkeypatch, clock, [block(20 * i) for i in range(10)])
+    monitor.watch("left", None, lambda *view: None)
+    assert stopped == []

@@ -1,0 +1,256 @@
+"""The command line against real processes: start, set, damping, stop, the end by every signal, deaths and restarts."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import pytest
+
+from hapticd.cli.app import main
+from hapticd.mailbox import files
+
+pytestmark = pytest.mark.process
+DEADLINE_S = 60.0
+QUIET = "[realtime]\nmode = 'off'\nspin_us = 0.0\n"  # tests share the machine
+
+
+def until(condition: Callable[[], Any], what: str) -> Any:
+    """The first true value of `condition`."""
+    deadline = time.monotonic() + DEADLINE_S
+    while not (found := condition()):
+        assert time.monotonic() < deadline, what
+        time.sleep(0.02)
+    return found
+
+
+class Daemon:
+    """`hapticd run` of an instance of its own, and what can be seen of it."""
+
+    def __init__(self, runtime: Path, ignore_interrupt: bool = False) -> None:
+        self.instance = f"test-{os.getpid()}"
+        self.folder = runtime / "hapticd" / f"instance-{self.instance}"
+        config = runtime / "hapticd.toml"
+        config.write_text(QUIET)
+        self.log = runtime / "log"
+        self.seen: set[int] = set()
+        command = [sys.executable, "-m", "hapticd", "run", "--instance", self.instance, "--config", str(config), "--json"]
+        with self.log.open("wb") as log:
+            self.process = subprocess.Popen(
+                command,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                preexec_fn=(lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)) if ignore_interrupt else None,
+            )
+
+    def __enter__(self) -> Self:
+        try:
+            until(lambda: self.events().count("ready") == 1, "ready")
+            self.children()
+        except BaseException:
+            self.process.kill()
+            self.process.wait(DEADLINE_S)
+            raise
+        return self
+
+    def events(self) -> list[str]:
+        assert self.process.poll() is None, self.log.read_text()
+        return self.told()
+
+    def told(self) -> list[str]:
+        lines = self.log.read_text().splitlines()
+        return [json.loads(line)["event"] for line in lines if line.startswith("{") and line.endswith("}")]
+
+    def children(self) -> dict[str, int]:
+        """Process ids of servo and gateway."""
+        pid = self.process.pid
+        found = {}
+        for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
+            with contextlib.suppress(OSError):
+                words = Path(f"/proc/{child}/cmdline").read_bytes().split(b"\0")
+                found |= {name: int(child) for name in ("servo", "gateway") if f"hapticd.assembly.{name}_main".encode() in words}
+        self.seen |= set(found.values())
+        return found
+
+    def cli(self, *words: str) -> int:
+        return main([*words, "--instance", self.instance])
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        """Leave nothing running, whatever the test found."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGCONT)
+            self.process.terminate()
+            self.process.wait(DEADLINE_S)
+        for pid in self.seen:
+            with contextlib.suppress(OSError):
+                if str(self.folder).encode() in Path(f"/proc/{pid}/cmdline").read_bytes():  # the number may be another's by now
+                    os.kill(pid, signal.SIGKILL)
+
+
+@pytest.fixture
+def daemon(runtime: Path) -> Iterator[Daemon]:
+    with Daemon(runtime) as daemon:
+        yield daemon
+
+
+@pytest.fixture
+def ask(daemon: Daemon, capsys: pytest.CaptureFixture[str]) -> Callable[..., Any]:
+    def ask(*words: str, code: int = 0) -> Any:
+        """The object that a verb prints with --json; its exit code is checked."""
+        capsys.readouterr()
+        assert daemon.cli(*words, "--json") == code
+        return json.loads(capsys.readouterr().out)
+
+    return ask
+
+
+def gone(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except FileNotFoundError:
+        return True
+
+
+def test_from_start_to_stop(daemon: Daemon, ask: Callable[..., Any], capsys: pytest.CaptureFixture[str]) -> None:
+    status = ask("status")
+    assert (status["state"], status["simulated"], status["rate_hz"]) == ("disabled", True, 1000.0)
+    assert (status["revision"], status["fault"]) == (0, "none")
+    assert status["config_hash"] == json.loads((daemon.folder / files.SERVO_JSON).read_text())["config_hash"]
+
+    # the setting of Fig. 4, then that of Fig. 7 with the damping toggled live
+    assert ask("set", "K=100", "B=1", "M=0.010", "--ramp-s", "0.1")["revision"] == 1
+    assert ask("enable")["state"] == "enabled"
+    parameters = ask("set", "K=50", "B=2", "M=0")["effective"]
+    assert (parameters["K"], parameters["B"], parameters["M"]) == (50.0, 2.0, 0.0)
+    assert ask("damping", "on")["effective"]["damping"] == pytest.approx(1.74, abs=10 / 65535)
+    assert ask("damping", "off")["effective"]["damping"] == 0.0
+    assert ask("damping", "2.5")["effective"]["damping"] == pytest.approx(2.5, abs=10 / 65535)
+    assert ask("set", "K=-5", "filters.velocity_hz=80")["effective"]["K"] == -5.0
+    assert ask("get")["parameters"]["filters"]["velocity_hz"] == 80.0
+
+    assert "beyond the limit" in ask("set", "K=1e9", code=4)["error"]["message"]
+    assert ask("set", "K=nan", code=4)["error"]["code"] == "invalid"
+    assert ask("set", "K=1", "--at-tick", "1", code=4)["error"]["code"] == "refused"
+    ahead = ask("status")["tick"] + 1_000_000
+    assert ask("set", "K=1", "--at-tick", str(ahead))["result"] == "scheduled"
+
+    (daemon.folder / "wave.txt").write_text("0.1\n-0.1\n" * 100)
+    assert ask("perturb", "load", str(daemon.folder / "wave.txt"))["samples"] == 200
+    assert ask("perturb", "start", "--loop")["ok"]
+    assert ask("perturb", "stop")["ok"]
+    (daemon.folder / "wave.txt").unlink()
+
+    daemon.cli("monitor", "--json", "--seconds", "0.5")
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert lines[-1]["state"] == "enabled"
+    assert lines[-1]["simulated"] is True
+
+    command = [sys.executable, "-m", "hapticd", "stop", "--instance", daemon.instance, "--json"]
+    reply = json.loads(subprocess.run(command, check=True, capture_output=True).stdout)
+    assert (reply["ok"], reply["state"]) == (True, "stopped")
+    assert ask("enable", code=5)["error"]["code"] == "stopped"
+    assert ask("status")["fault"] == "stop"
+    assert ask("reset")["state"] == "disabled"
+    assert ask("zero")["state"] == "disabled"
+
+
+def test_foreground_run_says_what_to_try(runtime: Path) -> None:
+    (runtime / "hapticd.toml").write_text(QUIET)
+    command = [sys.executable, "-m", "hapticd", "run", "--instance", "words", "--config", str(runtime / "hapticd.toml")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        text = "".join(iter(process.stdout.readline, "Ctrl-C here ends it.\n"))
+        process.send_signal(signal.SIGINT)
+        _, talk = process.communicate(timeout=DEADLINE_S)
+    assert "SIMULATED" in text
+    assert "████" in text
+    for verb in ("set K=100 B=1 M=0.010", "enable", "damping on", "monitor", "stop", "status"):
+        assert f"hapticd {verb} --instance words" in text
+    assert "\x1b" not in text + talk
+    assert talk.splitlines()[0] == "hapticd: starting the servo"
+    assert process.returncode == 0
+
+
+def test_run_ends_when_its_reader_leaves(runtime: Path) -> None:
+    (runtime / "hapticd.toml").write_text(QUIET)
+    command = [sys.executable, "-m", "hapticd", "run", "--instance", "pipe", "--config", str(runtime / "hapticd.toml"), "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
+        assert process.stdout is not None
+        assert json.loads(process.stdout.readline())["event"] == "starting"
+        process.stdout.close()
+        assert process.wait(DEADLINE_S) == 0
+    assert not list((runtime / "hapticd" / "instance-pipe").glob("*.json"))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("background", [False, True], ids=["foreground", "background"])
+def test_signals_end_cleanly(runtime: Path, number: int, background: bool) -> None:
+    """Enabled, with a spring and damping on: both processes gone, nothing left but the flight record."""
+    with Daemon(runtime, ignore_interrupt=background) as daemon:
+        children = daemon.children()
+        assert set(children) == {"servo", "gateway"}
+        for words in (["set", "K=100"], ["enable"], ["damping", "on"]):
+            assert daemon.cli(*words) == 0
+        daemon.process.send_signal(number)
+        assert daemon.process.wait(DEADLINE_S) == 0
+    assert daemon.told()[-3:] == ["ending", "ending", "ended"]
+    assert all(map(gone, children.values()))
+    assert [file.name for file in daemon.folder.iterdir()] == [files.LAST_TELEMETRY]
+
+
+def test_second_run_is_refused(daemon: Daemon, capsys: pytest.CaptureFixture[str]) -> None:
+    before = (daemon.folder / files.SERVO_JSON).read_bytes()
+    assert daemon.cli("run", "--rate-hz", "500") == 1
+    assert f"a supervisor (pid {daemon.process.pid}) already runs in {daemon.folder}" in capsys.readouterr().err
+    assert (daemon.folder / files.SERVO_JSON).read_bytes() == before
+
+
+def test_killed_servo_comes_back_disabled(daemon: Daemon, ask: Callable[..., Any]) -> None:
+    ask("enable")
+    before = daemon.children()
+    os.kill(before["servo"], signal.SIGKILL)
+    until(lambda: daemon.events().count("ready") == 2, "ready again")
+    after = daemon.children()
+    assert after["servo"] != before["servo"]
+    assert after["gateway"] == before["gateway"]
+    status = until(lambda: (found := ask_any(daemon, "status"))["state"] == "disabled" and found, "the gateway sees the new servo")
+    assert status["revision"] == 0
+
+
+def test_killed_gateway_comes_back(daemon: Daemon) -> None:
+    before = daemon.children()
+    os.kill(before["gateway"], signal.SIGKILL)
+    until(lambda: daemon.events().count("ready") == 2, "ready again")
+    after = daemon.children()
+    assert after["servo"] == before["servo"]
+    assert after["gateway"] != before["gateway"]
+    until(lambda: ask_any(daemon, "status")["state"] == "disabled", "it answers")
+
+
+def test_children_die_with_the_supervisor(daemon: Daemon) -> None:
+    children = daemon.children()
+    daemon.process.kill()
+    daemon.process.wait(DEADLINE_S)
+    until(lambda: all(map(gone, children.values())), "both gone")
+
+
+def test_status_exits_3_while_the_servo_is_gone(daemon: Daemon) -> None:
+    children = daemon.children()
+    os.kill(daemon.process.pid, signal.SIGSTOP)  # so that nobody starts another servo
+    os.kill(children["servo"], signal.SIGKILL)
+    until(lambda: ask_any(daemon, "status")["state"] == "down", "the gateway notices")
+    assert daemon.cli("status") == 3
+    os.kill(daemon.process.pid, signal.SIGCONT)
+
+
+def ask_any(daemon: Daemon, *words: str) -> Any:
+    """As `ask`, in a process of its own and with any exit code."""
+    command = [sys.executable, "-m", "hapticd", *words, "--instance", daemon.instance, "--json"]
+    return json.loads(subprocess.run(command, check=False, capture_output=True).stdout)

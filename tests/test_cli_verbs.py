@@ -1,0 +1,357 @@
+"""The command line without a daemon: what it parses, asks, prints and returns."""
+
+import dataclasses
+import json
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import pytest
+
+import hapticd.__main__ as entry
+from hapticd.cli import change, home, output
+from hapticd.cli import get as get_verb
+from hapticd.cli import perturb as perturb_verb
+from hapticd.cli import status as status_verb
+from hapticd.cli.app import main
+from hapticd.client import Receipt, fast_stop
+from hapticd.errors import CommandError, ConfigError, DaemonDown, HapticdError, RealtimeError
+from hapticd.settings.resources import shipped
+
+EFFECTIVE = {"K": 100.0, "B": 1.0, "M": 0.01, "wall": {"side": 0}, "damping": 1.74, "damping_level": 1.74}
+RECEIPT = Receipt("applied", "enabled", 7, 1200, 1250, EFFECTIVE)
+
+
+class ClientDouble:
+    """Speaks for a daemon that accepts everything, or raises `error`; remembers what it was asked."""
+
+    def __init__(self) -> None:
+        self.asked: list[tuple[str, Any]] = []
+        self.error: HapticdError | None = None
+        self.states = [{"state": "disabled", "homed": 1, "cause": "", "remedy": ""}]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.asked.append(("closed", None))
+
+    def _ask(self, verb: str, what: Any = None) -> Receipt:
+        self.asked.append((verb, what))
+        if self.error:
+            raise self.error
+        return RECEIPT
+
+    def __getattr__(self, verb: str) -> Any:
+        return lambda: self._ask(verb)
+
+    def set(self, **what: Any) -> Receipt:
+        return self._ask("set", {name: value for name, value in what.items() if value is not None})
+
+    def damping(self, value: Any) -> Receipt:
+        return self._ask("damping", value)
+
+    def perturb_start(self, loop: bool) -> Receipt:
+        return self._ask("perturb_start", loop)
+
+    def perturb_load(self, samples_n: Any) -> int:
+        self._ask("perturb_load", list(samples_n))
+        return len(samples_n)
+
+    def get(self) -> dict[str, Any]:
+        self._ask("get")
+        return {"parameters": EFFECTIVE, "in_force": {"tick": 5}}
+
+    def status(self) -> dict[str, Any]:
+        self._ask("status")
+        return self.states.pop(0) if len(self.states) > 1 else self.states[0]
+
+
+@pytest.fixture
+def client(monkeypatch: pytest.MonkeyPatch) -> ClientDouble:
+    double = ClientDouble()
+    for module in (change, get_verb, home, perturb_verb, status_verb):
+        monkeypatch.setattr(module, "connect", lambda instance, timeout_s=2.0: double)
+    return double
+
+
+def test_set_asks_for_everything_at_once(client: ClientDouble, capsys: pytest.CaptureFixture[str]) -> None:
+    words = "set K=100 B=-1 M=0.010 wall.side=-1 filters.velocity_hz=80 damping=1.74 --ramp-s 0.1 --at-tick 9 --if-rev 3"
+    assert main(words.split()) == 0
+    asked = {"K": 100, "B": -1, "M": 0.01, "wall": {"side": -1}, "filters": {"velocity_hz": 80}, "damping": 1.74}
+    assert client.asked == [("set", {**asked, "ramp_s": 0.1, "at_tick": 9, "if_rev": 3}), ("closed", None)]
+    expected = (
+        "enabled: applied at tick 1200, ramp ends at tick 1250, revision 7: K 100 N/m, B 1 N s/m, M 0.01 kg, damping 1.74 N s/m"
+    )
+    assert capsys.readouterr().out == expected + "\n"
+
+
+def test_json_is_one_object(client: ClientDouble, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["set", "K=100", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"ok": True, **dataclasses.asdict(RECEIPT)}
+
+
+MISTAKES = {
+    "k=1": "'k' is unknown; did you mean 'K'?",
+    "K": "'K': write NAME=VALUE, for example K=100",
+    "K=stiff": "K: 'stiff' is not a number",
+    "filters.velocity=1": "did you mean 'filters.velocity_hz'?",
+    "frobnicate=1": "'frobnicate' is unknown; see `hapticd set --help`",
+}
+
+
+@pytest.mark.parametrize("word", MISTAKES)
+def test_mistyped_change_is_a_usage_error(
+    client: ClientDouble, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, word: str
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    assert main(["set", word]) == 2
+    assert MISTAKES[word] in capsys.readouterr().err
+    assert client.asked == []
+
+
+def test_value_given_twice_is_refused(client: ClientDouble, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["set", "K=1", "K=2"]) == 2
+    assert "K is given twice" in capsys.readouterr().err
+
+
+def test_usage_error_is_json_too(client: ClientDouble, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["set", "K", "--json"]) == 2
+    assert json.loads(capsys.readouterr().out)["error"]["code"] == "usage"
+
+
+@pytest.mark.parametrize(("word", "value"), [("on", "on"), ("off", "off"), ("1.74", 1.74), ("2", 2)])
+def test_damping_on_off_or_level(client: ClientDouble, word: str, value: Any) -> None:
+    assert main(["damping", word]) == 0
+    assert client.asked[0] == ("damping", value)
+
+
+def test_damping_takes_no_other_word(client: ClientDouble, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["damping", "onn"]) == 2
+    assert "'onn' is not on, off or a level in N s/m" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("verb", ["enable", "disable", "reset", "zero"])
+def test_simple_verbs_ask_their_name(client: ClientDouble, verb: str) -> None:
+    assert main([verb, "--instance", "left"]) == 0
+    assert client.asked[0] == (verb, None)
+
+
+def test_home_waits_for_the_end(client: ClientDouble, capsys: pytest.CaptureFixture[str]) -> None:
+    client.states.insert(0, {"state": "homing"})
+    assert main(["home", "--json"]) == 0
+    assert [verb for verb, _ in client.asked] == ["home", "status", "status", "closed"]
+    assert json.loads(capsys.readouterr().out) == {"ok": True, "state": "disabled", "homed": True}
+
+
+def test_failed_home_exits_5(client: ClientDouble, capsys: pytest.CaptureFixture[str]) -> None:
+    client.states = [{"state": "fault", "cause": "no stop was found", "remedy": "check the mechanism"}]
+    assert main(["home"]) == 5
+    assert "hapticd: home: no stop was found; check the mechanism" in capsys.readouterr().err
+
+
+def test_get_shows_units(client: ClientDouble, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["get"]) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        "K = 100 N/m", "B = 1 N s/m", "M = 0.01 kg", "wall.side = 0", "damping = 1.74 N s/m", "damping_level = 1.74 N s/m",
+    ]  # fmt: skip
+
+
+ERRORS = [
+    (CommandError("invalid", "K = 1e9 N/m: beyond"), 4),
+    (CommandError("stopped", "enable in state stopped"), 5),
+    (CommandError("busy", "slow down"), 4),
+    (DaemonDown("nobody answers"), 3),
+    (ConfigError("a.toml:1: wrong"), 78),
+    (RealtimeError("no FIFO"), 6),
+    (HapticdError("broken"), 1),
+]
+
+
+@pytest.mark.parametrize(("error", "code"), ERRORS, ids=[f"{type(error).__name__}-{code}" for error, code in ERRORS])
+def test_errors_are_one_line_and_a_code(
+    client: ClientDouble, capsys: pytest.CaptureFixture[str], error: HapticdError, code: int
+) -> None:
+    client.error = error
+    assert main(["enable"]) == code
+    shown = capsys.readouterr()
+    assert (shown.out, shown.err) == ("", f"hapticd: {error}\n")
+
+
+def test_errors_are_json_when_asked(client: ClientDouble, capsys: pytest.CaptureFixture[str]) -> None:
+    client.error = CommandError("invalid", "no", [{"loc": "K", "msg": "no"}])
+    assert main(["enable", "--json"]) == 4
+    found = json.loads(capsys.readouterr().out)
+    assert found == {"ok": False, "error": {"code": "invalid", "message": "no", "detail": [{"loc": "K", "msg": "no"}]}}
+
+
+def test_perturb_reads_text_and_npy(client: ClientDouble, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    import numpy as np
+
+    (tmp_path / "wave.txt").write_text("0.1\n-0.2\n0.3\n")
+    np.save(tmp_path / "wave.npy", np.zeros(8))
+    assert main(["perturb", "load", str(tmp_path / "wave.txt")]) == 0
+    assert main(["perturb", "load", str(tmp_path / "wave.npy"), "--json"]) == 0
+    assert client.asked[0] == ("perturb_load", [0.1, -0.2, 0.3])
+    assert capsys.readouterr().out == '3 samples loaded, 0.001 s\n{"ok": true, "samples": 8, "seconds": 0.002}\n'
+    assert main(["perturb", "start", "--loop"]) == 0
+    assert client.asked[-2] == ("perturb_start", True)
+
+
+@pytest.mark.parametrize("content", ["a,b", None])
+def test_perturb_names_a_bad_file(
+    client: ClientDouble, tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str | None
+) -> None:
+    if content is not None:
+        (tmp_path / "wave.txt").write_text(content)
+    assert main(["perturb", "load", str(tmp_path / "wave.txt")]) == 78
+    assert "wave.txt" in capsys.readouterr().err
+    assert client.asked == []
+
+
+@pytest.mark.usefixtures("runtime")
+def test_status_without_a_daemon_exits_3(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["status", "--json"]) == 3
+    found = json.loads(capsys.readouterr().out)
+    assert found["state"] == "down"
+    assert {"simulated", "rate_hz", "revision", "fault"} <= set(found)
+    assert main(["status"]) == 3
+    assert capsys.readouterr().out.startswith("down: ")
+
+
+@pytest.mark.parametrize(("state", "code"), [("down", 3), ("starting", 3), ("disabled", 0), ("enabled", 0), ("stopped", 0)])
+def test_status_exit_says_ready(client: ClientDouble, state: str, code: int) -> None:
+    client.states = [{"state": state, "simulated": True, "rate_hz": 1000.0, "revision": 0, "fault": "none", "instance": "x"}]
+    assert main(["status"]) == code
+    assert main(["status", "--json"]) == code
+
+
+def test_status_explains_a_fault(client: ClientDouble, capsys: pytest.CaptureFixture[str]) -> None:
+    row = {"cause": "the board was unplugged", "action": "force to 0", "remedy": "plug it in"}
+    client.states = [
+        {"state": "fault", "simulated": True, "rate_hz": 1e3, "revision": 3, "fault": "usb_lost", "instance": "x", **row}
+    ]
+    assert main(["status"]) == 0
+    assert "usb_lost: the board was unplugged. force to 0. To leave: plug it in" in capsys.readouterr().out
+
+
+def test_colour_only_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Terminal:
+        def isatty(self) -> bool:
+            return True
+
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    assert output.coloured("x", output.RED) == "x"
+    assert output.coloured("x", output.RED, Terminal()) == "\x1b[1;31mx\x1b[0m"
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert output.coloured("x", output.RED, Terminal()) == "x"
+
+
+@pytest.mark.parametrize(
+    ("words", "instance"),
+    [([], "default"), (["--json"], "default"), (["--instance", "a"], "a"), (["--json", "--instance=b"], "b")],
+)
+def test_stop_takes_the_short_way(monkeypatch: pytest.MonkeyPatch, words: list[str], instance: str) -> None:
+    asked: list[tuple[str, bool]] = []
+    monkeypatch.setattr(fast_stop, "main", lambda name, as_json: asked.append((name, as_json)) or 0)
+    monkeypatch.setattr("sys.argv", ["hapticd", "stop", *words])
+    assert entry.main() == 0
+    assert asked == [(instance, "--json" in words)]
+
+
+def test_misspelt_stop_is_explained(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr("sys.argv", ["hapticd", "stop", "--instanse", "a"])
+    assert entry.main() == 2
+    assert "--instance" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("runtime")
+def test_stop_without_a_daemon_exits_3(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["stop"]) == 3
+    assert "hapticd run" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "verb", ["run", "set", "get", "damping", "enable", "disable", "stop", "reset", "zero", "home", "status", "monitor"]
+)
+def test_every_verb_explains_itself(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([verb, "--help"]) == 0
+    text = capsys.readouterr().out
+    assert "--instance" in text
+    assert "--json" in text
+
+
+def test_abbreviations_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["set", "K=1", "--ramp", "0.1"]) == 2
+    assert "--ramp-s" in capsys.readouterr().err
+
+
+# --- config ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("runtime")
+def test_config_check_good_and_bad(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["config", "check", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["config"] == str(shipped("config") / "hapticd.toml")
+    bad = tmp_path / "bad.toml"
+    bad.write_text("[realtime]\nrate_hertz = 1\npriority = 0\n")
+    assert main(["config", "check", str(bad)]) == 78
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == [
+        f"hapticd: {bad}:3: realtime.priority = 0: must be at least 1",
+        f"hapticd: {bad}:2: realtime.rate_hertz: is unknown; did you mean 'rate_hz'?",
+    ]
+
+
+def test_config_check_knows_open_telemetry(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "open.toml"
+    file.write_text("[gateway]\ntcp_host = '0.0.0.0'\n")
+    assert main(["config", "check", str(file)]) == 78
+    assert "gateway.tcp_host = '0.0.0.0': beyond this machine telemetry needs keys" in capsys.readouterr().err
+    file.write_text("[gateway]\ntcp_host = '0.0.0.0'\nallow_insecure = true\n")
+    assert main(["config", "check", str(file)]) == 0
+    assert f"hapticd: {file}:2: INSECURE: telemetry is offered on 0.0.0.0" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("runtime")
+def test_config_show_says_units_and_origin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text("[realtime]\nrate_hz = 2000\n")
+    assert main(["config", "show", "--origin", "--config", str(file)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert f"realtime.rate_hz = 2000.0 Hz    # {file}:2" in lines
+    assert "realtime.priority = 79    # default" in lines
+    assert main(["config", "show", "--origin", "--json", "--config", str(file)]) == 0
+    assert json.loads(capsys.readouterr().out)["realtime.rate_hz"] == {"value": 2000.0, "unit": "Hz", "origin": f"{file}:2"}
+    assert main(["config", "show", "--json", "--config", str(file)]) == 0
+    assert json.loads(capsys.readouterr().out)["device"]["serial"] == "SIM0001"
+
+
+def test_config_schema_is_the_shipped_one(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["config", "schema"]) == 0
+    assert capsys.readouterr().out == (shipped("config") / "hapticd.schema.json").read_text()
+    assert main(["config", "schema", "--device"]) == 0
+    assert capsys.readouterr().out == (shipped("config") / "device.schema.json").read_text()
+
+
+def test_config_resolve_writes_the_runtime_files(runtime: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["config", "resolve", "--instance", "left", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    folder = runtime / "hapticd" / "instance-left"
+    assert {name: Path(path) for name, path in found["files"].items()} == {file.name: file for file in folder.iterdir()}
+    assert json.loads((folder / "servo.json").read_text())["config_hash"] == found["hash"]
+
+
+@pytest.mark.usefixtures("runtime")
+def test_run_refuses_a_bad_configuration(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "--rate-hz", "-5"]) == 78
+    assert capsys.readouterr().err == "hapticd: --rate-hz: realtime.rate_hz = -5.0 Hz: must be at least 50.0 Hz\n"
+    assert main(["run", "--config", "/nowhere.toml", "--json"]) == 78
+    assert json.loads(capsys.readouterr().out)["error"]["code"] == "ConfigError"
+
+
+@pytest.mark.usefixtures("runtime")
+def test_instance_names_are_checked(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["get", "--instance", "../other"]) == 1
+    assert "instance name '../other': use letters, digits, - and _" in capsys.readouterr().err
