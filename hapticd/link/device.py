@@ -20,7 +20,6 @@ from hapticd.wire.frames import Hello, Request
 
 SEED = 1 << 20
 STALE_READS = 2
-NO_SAMPLES = (0,) * frames.PROBE_MAX
 Head = tuple[int, ...]  # fields of frames.IN_HEAD
 Received = tuple[int, int, Head]  # arrival, unwrapped board time [us], head
 _EMPTY: Head = (0,) * 15
@@ -126,7 +125,9 @@ def _exchange(device: Device) -> tuple[Callable[[], None], Callable[[], Received
         head, missing, expected, board_us = found, 0, (expected + 1) & 0xFFFF, board_us + passed
         return 0, board_us, found
 
-    def send(flags: int, torque: int, damping: int, resistance: int, count: int = 0, samples: Sequence[int] = NO_SAMPLES) -> bool:
+    def send(
+        flags: int, torque: int, damping: int, resistance: int, count: int = 0, samples: Sequence[int] = codec.NO_SAMPLES
+    ) -> bool:
         nonlocal sent
         sent = (sent + 1) & 0xFFFF
         pack(sent, flags, torque, damping, resistance, count, samples)

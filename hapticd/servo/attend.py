@@ -115,7 +115,9 @@ def make_attend(params: ServoParams) -> Attend:
 
 def out_flags(plan: Plan, tick: int) -> int:
     """Flags of the OUT frame: torque authority only where the table grants torque."""
-    live = plan.state in (State.ENABLED, State.HOMING) or (plan.state in LATCHED and (plan.gain.running(tick) or plan.fade.running(tick)))
+    live = plan.state in (State.ENABLED, State.HOMING) or (
+        plan.state in LATCHED and (plan.gain.running(tick) or plan.fade.running(tick))
+    )
     return (int(OutFlag.ENABLE) if live else 0) | (int(OutFlag.PERTURB) if plan.wave[0] else 0)
 
 

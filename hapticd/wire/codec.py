@@ -20,7 +20,7 @@ from hapticd.errors import FrameError
 from hapticd.wire import frames
 from hapticd.wire.frames import Hello, InFrame, OutFrame
 
-_NO_SAMPLES = (0,) * frames.PROBE_MAX
+NO_SAMPLES = (0,) * frames.PROBE_MAX
 _NO_PAIRS = (0,) * (2 * frames.PROBE_MAX)
 _SERIAL_BYTES, _HASH_BYTES = 16, 8
 
@@ -65,7 +65,7 @@ def _check_axis(kind: str, axis: int) -> None:
 def encode_out(frame: OutFrame) -> bytes:
     """32 bytes of an OUT frame. FrameError if a value does not fit its field."""
     count = _counted("OUT", len(frame.perturbation))
-    samples = (*frame.perturbation, *_NO_SAMPLES[count:])
+    samples = (*frame.perturbation, *NO_SAMPLES[count:])
     return _sealed(frames.OUT, *frame[:6], count, 0, *samples, b"")
 
 
@@ -135,7 +135,7 @@ def out_packer(buffer: "array[int]") -> Callable[..., None]:
     """
     body = memoryview(buffer)[: frames.OUT_BYTES - frames.CRC.size]
     fill, seal, check = frames.OUT.pack_into, frames.CRC.pack_into, crc_hqx
-    initial, offset, none = frames.CRC_INITIAL, len(body), _NO_SAMPLES
+    initial, offset, none = frames.CRC_INITIAL, len(body), NO_SAMPLES
 
     def pack(
         seq: int,

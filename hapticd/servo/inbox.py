@@ -1,0 +1,84 @@
+"""What a tick has to obey, from wherever it comes: the command ring, the stop word, and the loop's own findings.
+
+At most two commands are taken a tick. A reset while the board reports a fault first asks the board to forget it and
+waits for the frame that tells whether it did. Lost slots become a fault when too many fall into one second; pauses of a
+host with a simulated board harm no one and only count.
+"""
+
+from hapticd.errors import LinkError
+from hapticd.faults import BY_CODE
+from hapticd.link.device import Device, Head
+from hapticd.mailbox.layout import Command
+from hapticd.mailbox.servo_side import ServoMailbox
+from hapticd.params import ServoParams
+from hapticd.servo.perturb import Streamer
+from hapticd.servo.plan import Plan
+from hapticd.servo.safety import FAULT_EVENT, LATCHED, PERTURB_DONE_EVENT, State
+from hapticd.servo.state import CLEARABLE, Request
+from hapticd.units import NS_PER_S
+
+ACTOR_STOP_WORD = 2
+MOST_COMMANDS = 2
+CLEAR_TICKS = 3  # until a frame shows what CLEAR_FAULT did
+_NO_VALUES = (0.0,) * 20
+
+
+class Inbox:
+    """Collects requests; `waiting` says that one of its own is due or near."""
+
+    def __init__(self, params: ServoParams, mailbox: ServoMailbox, device: Device, streamer: Streamer) -> None:
+        self._params, self._mailbox, self._device, self._streamer = params, mailbox, device, streamer
+        self._lost: list[tuple[int, int]] = []  # time, slots
+        self._deferred: list[tuple[int, Request]] = []  # tick, reset
+        self.leaving = False  # the process ends: the next tick disables
+
+    @property
+    def waiting(self) -> bool:
+        """Whether `requests` must be asked although ring and stop word are empty."""
+        return bool(self._lost or self._deferred or self._streamer.playing or self.leaving)
+
+    def requests(self, tick: int, head: Head, plan: Plan) -> tuple[Request, ...]:
+        """What this tick has to obey."""
+        found: list[Request] = []
+        while len(found) < MOST_COMMANDS and (request := self._mailbox.take()) is not None:
+            found.append(request)
+        if any(request[1] == Command.RESET for request in found):
+            self._mailbox.stop_words[0] = 0
+            if head[4] & CLEARABLE:
+                found = self._ask_board(found, tick)
+        found += self._due(tick)
+        if self._mailbox.stop_words[0] and plan.state not in LATCHED:
+            found.append((0, Command.STOP, ACTOR_STOP_WORD, 0, _NO_VALUES))
+        if self._too_many_lost(plan):
+            found.append((0, FAULT_EVENT, 0, 0, (float(BY_CODE["lost_slots"].number),)))
+        if self.leaving:
+            found.append((0, Command.DISABLE, 0, 0, _NO_VALUES))
+        if self._streamer.ended(head[11]):
+            found.append((0, PERTURB_DONE_EVENT, 0, 0, _NO_VALUES))
+        return tuple(found)
+
+    def lost_slots(self, now_ns: int, slots: int) -> None:
+        """The host has missed `slots` ticks."""
+        if not self._params.simulated:
+            self._lost.append((now_ns, slots))
+
+    def _ask_board(self, found: list[Request], tick: int) -> list[Request]:
+        try:
+            self._device.clear_fault()
+        except LinkError:
+            return found  # the fault bit stays and the reset is refused
+        self._deferred += [(tick + CLEAR_TICKS, request) for request in found if request[1] == Command.RESET]
+        return [request for request in found if request[1] != Command.RESET]
+
+    def _due(self, tick: int) -> list[Request]:
+        due = [request for when, request in self._deferred if when <= tick]
+        self._deferred = [item for item in self._deferred if item[0] > tick]
+        return due
+
+    def _too_many_lost(self, plan: Plan) -> bool:
+        newest = self._lost[-1][0] if self._lost else 0
+        self._lost = [item for item in self._lost if newest - item[0] < NS_PER_S]
+        lost = sum(slots for _, slots in self._lost)
+        if plan.state not in (State.ENABLED, State.HOMING):
+            self._lost.clear()
+        return lost > self._params.safety.lost_slots_limit
