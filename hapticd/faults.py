@@ -28,14 +28,13 @@ FAULTS: tuple[Fault, ...] = (
     Fault(2, "gateway_lost", "the gateway's heartbeat stayed away", _TO_SAFE, "restart the gateway, then reset"),
     Fault(3, "usb_lost", "the board was unplugged or its link failed", _TO_SAFE, "plug it in, wait for it, then reset"),
     Fault(4, "frames_lost", "too many frames in a row were missing or bad", _TO_SAFE, "check cable and hub, then reset"),
-    Fault(5, "lost_slots", "the host missed too many ticks within a second", _TO_SAFE, "see `hapticd status`: quiet the machine, then reset"),
+    Fault(5, "lost_slots", "the host missed too many ticks within a second", _TO_SAFE, "quiet the machine (`hapticd status`), reset"),
     Fault(6, "not_finite", "the law produced NaN or infinity", _TO_SAFE, "check the parameters that were set, then reset"),
-    Fault(7, "board_watchdog", "the board stopped by itself: it heard nothing in time", _TO_SAFE, "look for host pauses, then reset"),
-    Fault(8, "board_fault", "amplifier, encoder or temperature fault reported by the board", _TO_SAFE, "clear it on the board, then reset"),
+    Fault(7, "board_watchdog", "the board heard nothing in time and stopped", _TO_SAFE, "look for host pauses, then reset"),
+    Fault(8, "board_fault", "the board reports an amplifier or encoder fault", _TO_SAFE, "remove its cause, then reset"),
     Fault(9, "sensor_range", "an encoder step that no hand can make", _TO_SAFE, "check encoder and cable, home again, then reset"),
     Fault(10, "over_temperature", "the winding is hotter than the device allows", _TO_SAFE, "let it cool, then reset"),
-    Fault(11, "mailbox", "a command in the mailbox was damaged", _TO_SAFE, "restart the gateway, then reset"),
-    Fault(12, "home_failed", "no stop or index was found within travel, force and time", _TO_SAFE, "check the mechanism, then reset and home"),
+    Fault(11, "home_failed", "no stop or index was found within force and time", _TO_SAFE, "check the mechanism, reset, home"),
 )  # fmt: skip
 
 BY_CODE = {fault.code: fault for fault in FAULTS}

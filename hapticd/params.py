@@ -135,9 +135,7 @@ class RealtimeParams:
     """What the servo process asks of the operating system."""
 
     rate_hz: float = 1000.0
-    mode: str = (
-        "best_effort"  # "strict": refuse to start without the rights | "best_effort": report what was granted | "off"
-    )
+    mode: str = "best_effort"  # "strict": refuse to start without the rights | "best_effort": report what was granted | "off"
     priority: int = 79
     core: int | None = None  # None: the last one of those allowed
     spin_us: float = 100.0
@@ -241,9 +239,7 @@ def from_plain(kind: type[T], plain: Any, where: str = "") -> T:
         raise ConfigError(f"{where or kind.__name__}: expected a table, got {type(plain).__name__}")
     unknown = sorted(set(plain) - set(known))
     if unknown:
-        raise ConfigError(
-            f"{where or kind.__name__}: unknown key {unknown[0]!r}; written by another version? resolve again"
-        )
+        raise ConfigError(f"{where or kind.__name__}: unknown key {unknown[0]!r}; written by another version? resolve again")
     hints = typing.get_type_hints(kind)
     try:
         return kind(**{key: _value(hints[key], item, f"{where}.{key}") for key, item in plain.items()})

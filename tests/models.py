@@ -21,12 +21,23 @@ COUNT_M, COUNT_N, COUNT_NS_PER_M = BOARD.position_m_per_count, BOARD.force_n_per
 
 def device_params(**changes: Any) -> DeviceParams:
     base = DeviceParams(
-        name="simulated", serial="SIM0001", position=ScaleParams(COUNT_M), force=ScaleParams(COUNT_N),
-        damping=ScaleParams(COUNT_NS_PER_M), probe_torque=ScaleParams(BOARD.probe_torque_n_per_count), probe_velocity=ScaleParams(BOARD.probe_velocity_m_per_s_per_count),
-        current=ScaleParams(BOARD.current_a_per_count), voltage=ScaleParams(BOARD.voltage_v_per_count), emf_velocity=ScaleParams(1.0 / 32767),
-        temperature=ScaleParams(0.01), force_limit_n=8.0, damping_limit_ns_per_m=10.0, probe_limit_n=1.0,
-        temperature_limit_c=120.0, speed_limit_m_per_s=20.0,
-    )  # fmt: skip
+        name="simulated",
+        serial="SIM0001",
+        position=ScaleParams(COUNT_M),
+        force=ScaleParams(COUNT_N),
+        damping=ScaleParams(COUNT_NS_PER_M),
+        probe_torque=ScaleParams(BOARD.probe_torque_n_per_count),
+        probe_velocity=ScaleParams(BOARD.probe_velocity_m_per_s_per_count),
+        current=ScaleParams(BOARD.current_a_per_count),
+        voltage=ScaleParams(BOARD.voltage_v_per_count),
+        emf_velocity=ScaleParams(1.0 / 32767),
+        temperature=ScaleParams(0.01),
+        force_limit_n=8.0,
+        damping_limit_ns_per_m=10.0,
+        probe_limit_n=1.0,
+        temperature_limit_c=120.0,
+        speed_limit_m_per_s=20.0,
+    )
     return dataclasses.replace(base, **changes)
 
 

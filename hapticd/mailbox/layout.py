@@ -26,8 +26,8 @@ COUNTER_WORD = 128  # COUNTERS, u64 each
 PAGE = 4096
 
 COUNTERS = (
-    "ticks", "late_events", "lost_slots", "grace_late_events", "grace_lost_slots", "missing_in", "bad_in", "stale_in", "sequence_gap",
-    "write_errors", "reconnects", "sim_slip_ns", "commands", "bad_commands", "dropped_answers",
+    "ticks", "late_events", "lost_slots", "grace_late_events", "grace_lost_slots", "missing_in", "bad_in", "stale_in",
+    "sequence_gap", "write_errors", "reconnects", "sim_slip_ns", "commands", "bad_commands", "dropped_answers",
 )  # fmt: skip
 STAGES = (
     "wake",

@@ -55,6 +55,7 @@ class ServoMailbox:
         seq, kind, actor, apply_tick, *values, crc, _ = layout.COMMAND.unpack_from(self._map, offset)
         intact = zlib.crc32(self._map[offset : offset + layout.COMMAND_CRC_OFFSET]) == crc and seq == tail + 1
         self.store(layout.COMMAND_TAIL_WORD, tail + 1)
+        self.words[layout.COUNTER_WORD + layout.COUNTERS.index("commands")] += 1
         if not intact:
             self.words[layout.COUNTER_WORD + layout.COUNTERS.index("bad_commands")] += 1
             return None
