@@ -28,7 +28,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault(2, "gateway_lost", "the gateway's heartbeat stayed away", _TO_SAFE, "restart the gateway, then reset"),
     Fault(3, "usb_lost", "the board was unplugged or its link failed", _TO_SAFE, "plug it in, wait for it, then reset"),
     Fault(4, "frames_lost", "too many frames in a row were missing or bad", _TO_SAFE, "check cable and hub, then reset"),
-    Fault(5, "lost_slots", "the host missed too many ticks within a second", _TO_SAFE, "quiet the machine (`hapticd status`), reset"),
+    Fault(5, "lost_slots", "the host missed too many ticks in a second", _TO_SAFE, "quiet the machine (see `status`), reset"),
     Fault(6, "not_finite", "the law produced NaN or infinity", _TO_SAFE, "check the parameters that were set, then reset"),
     Fault(7, "board_watchdog", "the board heard nothing in time and stopped", _TO_SAFE, "look for host pauses, then reset"),
     Fault(8, "board_fault", "the board reports an amplifier or encoder fault", _TO_SAFE, "remove its cause, then reset"),

@@ -24,18 +24,14 @@ _NO_VALUES = (0.0,) * 20
 
 
 class Inbox:
-    """Collects requests; `waiting` says that one of its own is due or near."""
+    """Collects requests. Ask it when the ring or the stop word is not empty, while it is `waiting`, or a waveform plays."""
 
     def __init__(self, params: ServoParams, mailbox: ServoMailbox, device: Device, streamer: Streamer) -> None:
         self._params, self._mailbox, self._device, self._streamer = params, mailbox, device, streamer
         self._lost: list[tuple[int, int]] = []  # time, slots
         self._deferred: list[tuple[int, Request]] = []  # tick, reset
-        self.leaving = False  # the process ends: the next tick disables
-
-    @property
-    def waiting(self) -> bool:
-        """Whether `requests` must be asked although ring and stop word are empty."""
-        return bool(self._lost or self._deferred or self._streamer.playing or self.leaving)
+        self.waiting = False  # something of our own is due or near: `requests` must be asked
+        self._leaving = False
 
     def requests(self, tick: int, head: Head, plan: Plan) -> tuple[Request, ...]:
         """What this tick has to obey."""
@@ -51,16 +47,22 @@ class Inbox:
             found.append((0, Command.STOP, ACTOR_STOP_WORD, 0, _NO_VALUES))
         if self._too_many_lost(plan):
             found.append((0, FAULT_EVENT, 0, 0, (float(BY_CODE["lost_slots"].number),)))
-        if self.leaving:
+        if self._leaving:
             found.append((0, Command.DISABLE, 0, 0, _NO_VALUES))
         if self._streamer.ended(head[11]):
             found.append((0, PERTURB_DONE_EVENT, 0, 0, _NO_VALUES))
+        self.waiting = bool(self._lost or self._deferred or self._leaving)
         return tuple(found)
+
+    def leave(self) -> None:
+        """The process ends: the next tick disables."""
+        self._leaving = self.waiting = True
 
     def lost_slots(self, now_ns: int, slots: int) -> None:
         """The host has missed `slots` ticks."""
         if not self._params.simulated:
             self._lost.append((now_ns, slots))
+            self.waiting = True
 
     def _ask_board(self, found: list[Request], tick: int) -> list[Request]:
         try:

@@ -69,9 +69,12 @@ class ServoLoop:
         board_us = publish_ns = 0
         last = None if ticks is None else self.tick + ticks
 
+        def rehearse() -> None:
+            step(self.state, (), (head[6], head[4], head[10], 0, self.state[11], 0), self.tick)
+
         while not self.stopping and self.tick != last:
             deadline, tick = self.deadline_ns, self.tick
-            start = wait(deadline)
+            start = wait(deadline, rehearse)
             if self.linked:
                 try:
                     arrival, board_us, head = receive()
@@ -82,7 +85,7 @@ class ServoLoop:
             got = clock()
 
             commands: tuple[Request, ...] = ()
-            if stop_words[0] or load(head_word) != words[tail_word] or inbox.waiting:
+            if stop_words[0] or load(head_word) != words[tail_word] or inbox.waiting or streamer.playing:
                 commands = inbox.requests(tick, head, self.state[12])
             host = LINK_UP if self.linked else 0
             if -timeout_ns < start - words[beat_word] < timeout_ns:
@@ -130,7 +133,8 @@ class ServoLoop:
 
     def finish(self) -> None:
         """One last recorded tick that disables, a frame without torque, damping and perturbation; then release the board."""
-        self.inbox.leaving, self.stopping = True, False
+        self.inbox.leave()
+        self.stopping = False
         self.run(1)
         force, damping = self.params.device.force, self.params.device.damping
         try:
