@@ -1,7 +1,7 @@
 """The gateway process: its sockets, its one loop.
 
 One pass: tell the servo that the gateway lives, take at most 20 requests (stops first), give the replies that are due, note
-subscriptions, and every 5 ms publish what the ring holds. A pass waits for a socket at most 5 ms; while answers of the
+subscriptions, and every 10 ms publish what the ring holds. A pass waits for a socket at most 10 ms; while answers of the
 servo are outstanding it looks again after 0.25 ms. Sends never wait: ZeroMQ drops for whoever does not read.
 What would break it: a pass that takes longer than the servo's patience with the heartbeat (1 s), or a second gateway in the
 folder (the claim is taken before anything is bound).
@@ -142,7 +142,7 @@ def run(
     should_stop: Callable[[], bool],
     on_ready: Callable[[], None] | None = None,
 ) -> None:
-    """Serve until `should_stop()`, asked once a pass (every 5 ms at most). MailboxError, ConfigError: it can not begin."""
+    """Serve until `should_stop()`, asked once a pass (every 10 ms at least). MailboxError, ConfigError: it can not begin."""
     gateway = Gateway(folder, setup, clock)
     try:
         if on_ready:
