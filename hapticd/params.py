@@ -180,6 +180,100 @@ class InjectionParams:
 
 
 @dataclass(frozen=True, slots=True)
+class Contact:
+    """Set-valued Coulomb friction on one body: force f on column `column`, f in [-level_n, level_n].
+
+    Sliding f = -level_n sign(v); sticking v = 0 exactly. `velocity` and `position` are the indices of the body's states.
+    """
+
+    body: str
+    velocity: int
+    position: int
+    level_n: float
+    column: int
+
+
+@dataclass(frozen=True, slots=True)
+class Ends:
+    """Inelastic ends of the workspace, of the body whose states are `position` and `velocity`."""
+
+    lower_m: float
+    upper_m: float
+    position: int
+    velocity: int
+
+
+@dataclass(frozen=True, slots=True)
+class Cogging:
+    """Force amplitude_n sin(2 pi x / pitch_m + phase_rad) of the rotor at x, added on column `Inputs.cogging`."""
+
+    amplitude_n: float
+    pitch_m: float
+    phase_rad: float
+    position: int
+    velocity: int
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """White noise: `velocity_m_per_s` rms added to each 4 kHz value of the recorded velocity; `estimate_psd` one-sided
+    density [(m/s)^2/Hz] of the velocity estimate (a value held for h seconds has the variance estimate_psd / (2 h))."""
+
+    velocity_m_per_s: float = 0.0
+    estimate_psd: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class OutputParams:
+    """y = (c0 + b c1) x + (d0 + b d1) u of the simulated device, over its states and inputs; b is the damping level."""
+
+    c0: tuple[float, ...]
+    c1: tuple[float, ...]
+    d0: tuple[float, ...]
+    d1: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class HeatingParams:
+    """The winding's own state: dT/dt = (R(T) (F/K)^2 R_th - (T - ambient)) / tau, dR = R(T) - compensated_ohm."""
+
+    resistance_ohm: float  # at reference_c
+    reference_c: float
+    compensated_ohm: float
+    thermal_resistance_k_per_w: float
+    time_constant_s: float
+    ambient_c: float
+    start_c: float
+
+
+@dataclass(frozen=True, slots=True)
+class PlantParams:
+    """The composed device of a simulated board: its exact maps over one sub-step, and what is not linear.
+
+    n states, m inputs. `maps` holds for every residual resistance, and in it for every damping level, the n rows of
+    [Phi Gamma] (n + m numbers each) one after the other; between the nodes it is interpolated.
+    """
+
+    states: tuple[str, ...]
+    columns: tuple[str, ...]  # command, torque, then estimate, cogging and one per contact, as far as there are any
+    floating: bool  # nothing holds the device in place: only differences of positions matter
+    levels_ns_per_m: tuple[float, ...]  # rising, from 0
+    residuals_ohm: tuple[float, ...]  # rising; one, if the winding's temperature does not change
+    maps: tuple[tuple[float, ...], ...]
+    encoder: OutputParams
+    travel: OutputParams  # its differences over the 4 kHz interval are the recorded velocity
+    impulse: OutputParams | None  # its differences are added to the recorded torque
+    motor_force: OutputParams
+    estimate: OutputParams
+    contacts: tuple[Contact, ...] = ()
+    ends: Ends | None = None
+    cogging: Cogging | None = None
+    noise: Noise | None = None
+    estimate_offset_m_per_s: float = 0.0
+    heating: HeatingParams | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class BoardParams:
     """Everything the simulated board needs (board.json): nominal scales of its firmware and the plant's numbers."""
 
@@ -206,6 +300,8 @@ class BoardParams:
     injections: tuple[InjectionParams, ...] = field(default_factory=tuple)
     emf_velocity_m_per_s_per_count: float = 2.0 / 32767
     temperature_c_per_count: float = 0.01
+    lag_periods: int = 0  # whole periods of transport delay between the receipt of a torque and its effect
+    plant: PlantParams | None = None  # the composed device; without it one rigid mass
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,6 +313,7 @@ class GatewayParams:
     tcp_host: str = "127.0.0.1"
     allow_insecure: bool = False  # another host than the loopback without CURVE keys
     curve_keys: str | None = None  # folder of server key and allowed client keys
+    flight_s: float = 60.0  # kept by the flight recorder
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,6 +350,8 @@ def _value(hint: Any, plain: Any, where: str) -> Any:
     if typing.get_origin(hint) is tuple:
         return tuple(_value(typing.get_args(hint)[0], item, where) for item in plain)
     allowed = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
+    if isinstance(plain, dict) and len(allowed) == 2 and dataclasses.is_dataclass(allowed[0]):
+        return _value(allowed[0], plain, where)
     if float in allowed and isinstance(plain, int) and not isinstance(plain, bool):
         return float(plain)
     if not isinstance(plain, tuple(allowed)):

@@ -69,12 +69,12 @@ def test_shipped_file_names_every_key() -> None:
             assert f"{name} = " in text or f".{name}]" in text, name
 
 
-@pytest.mark.parametrize("name", ["simulated", "example-board"])
+@pytest.mark.parametrize("name", ["simulated", "example-board", "ideal", "weir2008", "weir2008_probe_hp", "weir2008_literal"])
 def test_shipped_devices_are_valid(tmp_path: Path, name: str) -> None:
     assert load(write(tmp_path / "hapticd.toml", f'device = "{name}"')).device_file.stem == name
 
 
-@pytest.mark.parametrize("kind", ["config", "device"])
+@pytest.mark.parametrize("kind", ["config", "device", "scene"])
 def test_shipped_schema_equals_models(kind: str) -> None:
     """When this fails after a change of the models: `hapticd config schema [--device] > config/<file>`."""
     assert json.loads((shipped("config") / schema.FILES[kind]).read_text()) == schema.schema(kind)
@@ -119,7 +119,7 @@ def test_device_may_be_a_path(tmp_path: Path) -> None:
 def test_unknown_device_lists_those_known(tmp_path: Path) -> None:
     file = write(tmp_path / "hapticd.toml", '\ndevice = "simulatd"')
     expected = (
-        r"hapticd.toml:2: device = 'simulatd': no such device file; did you mean 'simulated'\?; known: example-board, simulated"
+        r"hapticd.toml:2: device = 'simulatd': no such device file; did you mean 'simulated'\?; known: example-board, ideal, sim"
     )
     with pytest.raises(ConfigError, match=expected):
         load(file)

@@ -1,7 +1,6 @@
 """Settings -> the JSON files that the two processes start from, in the runtime folder."""
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -24,17 +23,11 @@ def write(folder: Path, settings: Settings, instance: str) -> dict[str, Path]:
     """Write them into `folder` (made and checked), each whole or not at all; a board.json that is not meant any more is removed.
 
     Under systemd both units do so before they start; a file that is meant is never missing for a moment.
-    Returns the path of each file written. Raises MailboxError when the folder is not ours.
+    Returns the path of each file written. Raises MailboxError when the folder is not ours or full.
     """
     files.prepare_folder(folder)
     plain = resolve(settings, instance)
     if files.BOARD_JSON not in plain:
-        (folder / files.BOARD_JSON).unlink(missing_ok=True)
-    return {name: _replace(folder / name, content) for name, content in plain.items()}
-
-
-def _replace(path: Path, content: Any) -> Path:
-    fresh = path.with_name(f"{path.name}.{os.getpid()}")
-    fresh.write_text(json.dumps(content, indent=1) + "\n")
-    fresh.replace(path)
-    return path
+        files.remove(folder, files.BOARD_JSON)
+    texts = {name: json.dumps(content, indent=1) + "\n" for name, content in plain.items()}
+    return {name: files.write_whole(folder / name, text) for name, text in texts.items()}

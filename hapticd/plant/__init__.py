@@ -1,1 +1,6 @@
-"""What the world does between two commands: exact responses, and the generated step that plays them."""
+"""What the world does between two commands.
+
+effects as values    bodies, friction, electrical, winding, sensing (the table of all of them: catalogue)
+composing            scene -> blueprint and forms -> drive -> compose -> Model; discrete, expm, stability, explain (numpy)
+playing              tables -> board.json -> lookup, shape, straight, composed, step (standard library alone)
+"""

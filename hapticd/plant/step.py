@@ -5,29 +5,24 @@ of one piece with every number as a literal and only the effects that the number
 compiles it, and leaves the source in `linecache` so that a traceback shows it. The coefficients of a piece depend on its
 length and on the damping level; they are made when first needed and forgotten when the level changes.
 
-The state is a tuple that only the plant understands, but for its first two values: position (m) and velocity (m/s) of
-the endpoint. A richer device brings its own source and a longer tuple behind the same two functions.
+The state is a tuple that only the plant understands; what a board sees of it are the views of `Plant`. Here is the one
+rigid mass, exact at any damping level; a device with more effects comes from `composed` behind the same functions.
 
 What would break it: calling one step from two boards (it remembers the damping level), or a piece that is long against
 the motion when there are stops: a stop is met at the end of a piece, inelastically.
 """
 
-import linecache
 from collections.abc import Callable
-from itertools import count
 from math import isfinite
-from typing import Any
+from typing import NamedTuple
 
 from hapticd.errors import ConfigError
 from hapticd.params import BoardParams
+from hapticd.plant.composed import Step, composed_step, rest
 from hapticd.plant.mechanics import held_force_response
+from hapticd.plant.views import State, View, compiled, viewer
 
 SUBSTEPS_PER_TICK = 16
-
-State = tuple[float, ...]
-Step = Callable[[State, float, float, float, int], State]
-
-_serial = count(1)
 
 _SOURCE = """\
 def bind(response):
@@ -83,12 +78,46 @@ def make_step(params: BoardParams) -> Step:
     force_n: motor force, torque_n: perturbation torque as endpoint force, both to positive x; damping_ns_per_m: added
     electrical damping; n_substeps: whole number of T/16. Raises ConfigError if the numbers describe no device.
     """
-    source, name = step_source(params), f"<plant step {next(_serial)}>"
-    linecache.cache[name] = (len(source), None, source.splitlines(keepends=True), name)
-    namespace: dict[str, Any] = {}
-    exec(compile(source, name, "exec"), namespace)
-    step: Step = namespace["bind"](held_force_response)
+    step: Step = compiled(step_source(params), "plant step")["bind"](held_force_response)
     return step
+
+
+class Plant(NamedTuple):
+    """What a board moves and how it sees it. A view is called with (state, force_n, damping_ns_per_m)."""
+
+    rest: Callable[[float], State]  # at a position
+    step: Step
+    encoder: View  # m
+    travel: View  # m; differences over an interval are the recorded velocity
+    impulse: View | None  # N s; differences over an interval are added to the recorded torque
+    motor_force: View  # N
+    estimate: View  # m/s, back-EMF velocity
+    celsius: Callable[[State], float] | None  # of a winding that heats up
+
+
+def make_plant(params: BoardParams) -> Plant:
+    """The plant of `params`: composed if they bring one, else the rigid mass. ConfigError if the numbers describe none."""
+    if params.plant is None:
+        return Plant(
+            rest=lambda position_m: rest_state(params, position_m),
+            step=make_step(params),
+            encoder=lambda state, force_n, level: state[0],
+            travel=lambda state, force_n, level: state[0],
+            impulse=None,
+            motor_force=lambda state, force_n, level: force_n - level * state[1],
+            estimate=lambda state, force_n, level: state[1],
+            celsius=None,
+        )
+    plant = params.plant
+    step, shape = composed_step(plant, params, 1.0 / (SUBSTEPS_PER_TICK * params.rate_hz))
+    views = {name: viewer(shape, name) for name in ("encoder", "travel", "motor_force", "estimate")}
+    return Plant(
+        rest=lambda position_m: rest(plant, position_m),
+        step=step,
+        impulse=None if plant.impulse is None else viewer(shape, "impulse"),
+        celsius=None if plant.heating is None else lambda state: state[-1],
+        **views,
+    )
 
 
 def _check(params: BoardParams) -> None:

@@ -1,6 +1,7 @@
 """Settings -> the parameters that the processes read. The only place that turns full scales into values per count."""
 
 from pathlib import Path
+from typing import Any
 
 from hapticd.params import (
     BoardParams,
@@ -12,13 +13,21 @@ from hapticd.params import (
     InjectionParams,
     RealtimeParams,
     SafetyParams,
+    ScaleParams,
     ServoParams,
     UsbParams,
     WallParams,
     WorkspaceParams,
 )
-from hapticd.settings.device import SIGNED_FULL_COUNT, UNSIGNED_FULL_COUNT, Device
+from hapticd.plant.effects import Effect
+from hapticd.plant.electrical import DampingDac, Delay, ForceDac, Saturation, sample_timing
+from hapticd.plant.sensing import Encoder, ProbeAdc
+from hapticd.settings.device import SIGNED_FULL_COUNT, UNSIGNED_FULL_COUNT, Device, Travel
+from hapticd.settings.effects import effects_of
 from hapticd.settings.load import Settings
+from hapticd.settings.models import Environment
+
+DEFAULT_PHASE = 0.875  # of BoardParams
 
 
 def servo_params(settings: Settings, instance: str) -> ServoParams:
@@ -29,7 +38,7 @@ def servo_params(settings: Settings, instance: str) -> ServoParams:
     return ServoParams(
         instance=instance,
         simulated=device.simulated,
-        environment=_environment(settings),
+        environment=environment_params(settings.config.environment, settings.device.travel),
         device=device_params(device),
         safety=SafetyParams(**safety),
         realtime=RealtimeParams(**config.realtime.model_dump()),
@@ -42,12 +51,43 @@ def servo_params(settings: Settings, instance: str) -> ServoParams:
 def board_params(settings: Settings) -> BoardParams | None:
     """board.json; None for a real board. Its nominal scales are those of the device file."""
     device, simulation = settings.device, settings.config.simulation
-    if not device.simulated or device.plant is None:
+    if not device.simulated:
         return None
+    built = device_effects(device, simulation.effects)
+    phase, lag_periods = _timing(built)
+    return board_of(
+        device,
+        settings.config.realtime.rate_hz,
+        built,
+        (settings.config.added_damping_ns_per_m, settings.config.safety.safe_damping_ns_per_m),
+        sample_phase=phase if simulation.sample_phase is None else simulation.sample_phase,
+        lag_periods=lag_periods if simulation.sample_phase is None else 0,
+        watchdog_ms=simulation.watchdog_ms,
+        seed=simulation.seed,
+        injections=tuple(InjectionParams(**item.model_dump()) for item in simulation.injections),
+    )
+
+
+def device_effects(device: Device, names: tuple[str, ...] | None = None) -> tuple[Effect, ...]:
+    """The effects of a simulated device that are built: those named, else those that its file names; none of a rigid one."""
+    model = device.model
+    if model is None:
+        return ()
+    return effects_of(model, model.effects if names is None else names, converter_effects(device))
+
+
+def board_of(
+    device: Device, rate_hz: float, effects: tuple[Effect, ...], exact_levels: tuple[float, ...], **firmware: Any
+) -> BoardParams:
+    """The simulated board of `device` with these effects; without any it moves the rigid mass of [plant].
+
+    `exact_levels` [Ns/m] of electrical damping are met exactly, others by interpolation. `firmware` are the last fields of
+    BoardParams.
+    """
     scales = device_params(device)
     return BoardParams(
         serial=device.serial,
-        rate_hz=settings.config.realtime.rate_hz,
+        rate_hz=rate_hz,
         position_m_per_count=scales.position.per_count,
         force_n_per_count=scales.force.per_count,
         damping_ns_per_m_per_count=scales.damping.per_count,
@@ -58,12 +98,29 @@ def board_params(settings: Settings) -> BoardParams | None:
         emf_velocity_m_per_s_per_count=scales.emf_velocity.per_count,
         temperature_c_per_count=scales.temperature.per_count,
         force_limit_n=device.limits.force_n,
-        **device.plant.model_dump(exclude={"source"}),
-        sample_phase=simulation.sample_phase,
-        watchdog_ms=simulation.watchdog_ms,
-        seed=simulation.seed,
-        injections=tuple(InjectionParams(**item.model_dump()) for item in simulation.injections),
+        **(_rigid(device) if device.plant else _composed(device, rate_hz, effects, exact_levels)),
+        **firmware,
     )
+
+
+def _rigid(device: Device) -> dict[str, Any]:
+    assert device.plant is not None
+    return device.plant.model_dump(exclude={"source"})
+
+
+def _composed(device: Device, rate_hz: float, effects: tuple[Effect, ...], exact_levels: tuple[float, ...]) -> dict[str, Any]:
+    from hapticd.plant.compose import compose_device, refuse_unstable
+    from hapticd.plant.tables import board_fields
+
+    model = compose_device(device.name, effects, rate_hz)
+    refuse_unstable(model, (0.0, *exact_levels))
+    return board_fields(model, exact_levels, device.limits.damping_ns_per_m)
+
+
+def _timing(effects: tuple[Effect, ...]) -> tuple[float, int]:
+    """(sample_phase, lag_periods) of a board with the device's transport delay, or the default without one."""
+    delay = next((effect.periods for effect in effects if isinstance(effect, Delay)), 0.0)
+    return sample_timing(delay) if delay else (DEFAULT_PHASE, 0)
 
 
 def gateway_params(settings: Settings) -> GatewayParams:
@@ -98,8 +155,8 @@ def device_params(device: Device) -> DeviceParams:
     )
 
 
-def _environment(settings: Settings) -> EnvironmentParams:
-    asked, travel = settings.config.environment, settings.device.travel
+def environment_params(asked: Environment, travel: Travel) -> EnvironmentParams:
+    """What is rendered, with the soft ends inside the device's travel."""
     ends = asked.workspace
     return EnvironmentParams(
         stiffness_n_per_m=asked.stiffness_n_per_m,
@@ -110,3 +167,23 @@ def _environment(settings: Settings) -> EnvironmentParams:
         wall=WallParams(**asked.wall.model_dump()),
         workspace=WorkspaceParams(travel.lower_m + ends.margin_m, travel.upper_m - ends.margin_m, ends.stiffness_n_per_m),
     )
+
+
+def converter_effects(device: Device) -> dict[str, Effect]:
+    """Quantisation and limits as the device's own scales have them; by key. What a scale says of its source is the note."""
+    scales = device_params(device)
+    return {
+        "encoder": Encoder(quantum_m=scales.position.per_count, source=_tag(scales.position), note=scales.position.source),
+        "force_dac": ForceDac(quantum_n=scales.force.per_count, note="16 bits"),
+        "saturation": Saturation(limit_n=scales.force_limit_n, source=_tag(scales.force), note=scales.force.source),
+        "damping_dac": DampingDac(quantum_ns_per_m=scales.damping.per_count, note=scales.damping.source),
+        "probe_adc": ProbeAdc(
+            velocity_quantum_m_per_s=scales.probe_velocity.per_count,
+            torque_quantum_n=scales.probe_torque.per_count,
+            note=scales.probe_velocity.source,
+        ),
+    }
+
+
+def _tag(scale: ScaleParams) -> str:
+    return "paper" if scale.source.startswith("Weir") else "inferred"

@@ -1,22 +1,32 @@
 """Rules between fields: a configuration may only be stricter than its device, and a device must agree with itself."""
 
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterable, Iterator
 
 from hapticd.errors import ConfigError
 from hapticd.settings.device import Device
 from hapticd.settings.explain import Where, dotted
+from hapticd.settings.model_rules import Finding, chosen_rules, model_rules
 from hapticd.settings.models import Config
 from hapticd.units import unit_of
 
 HIGHEST_CORNER = 0.45  # of the servo rate
-Finding = tuple[tuple[str, ...], Any, str]  # key, value, what is wrong
 
 
 def check(config: Config, device: Device, in_config: Where, in_device: Where) -> None:
     """Raise ConfigError with every broken rule, one line each."""
-    found = [_line(in_config, finding) for finding in _config_rules(config, device, in_device)]
-    found += [_line(in_device, finding) for finding in _device_rules(device)]
+    built = config.simulation.effects
+    chosen = () if built is None else chosen_rules(device, ("simulation", "effects"), built)
+    report(
+        (in_config, _config_rules(config, device, in_device)),
+        (in_config, chosen),
+        (in_device, _device_rules(device)),
+        (in_device, model_rules(device)),
+    )
+
+
+def report(*parts: tuple[Where, Iterable[Finding]]) -> None:
+    """Raise ConfigError if any rule is broken; each part brings its own way to file and line."""
+    found = [_line(where, finding) for where, findings in parts for finding in findings]
     if found:
         raise ConfigError("\n".join(found))
 
@@ -64,7 +74,7 @@ def _device_rules(device: Device) -> Iterator[Finding]:
             yield ("limits", name), limit, f"must be at most {full} {unit_of(name)}, the full scale of its converter"
     if device.travel.lower_m >= device.travel.upper_m:
         yield ("travel", "upper_m"), device.travel.upper_m, f"must be more than lower_m = {device.travel.lower_m} m"
-    if device.simulated and plant is None:
+    if device.simulated and plant is None and device.model is None:
         yield ("plant",), None, "is missing; a simulated board needs to know what it moves"
     if plant and plant.lower_stop_m >= plant.upper_stop_m:
         yield ("plant", "upper_stop_m"), plant.upper_stop_m, f"must be more than lower_stop_m = {plant.lower_stop_m} m"

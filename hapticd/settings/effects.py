@@ -29,7 +29,7 @@ class EffectTable(Table):
 
     source: Tag
     """Where its numbers come from."""
-    sources: dict[str, Tag] = {}
+    sources: dict[str, Tag] = Field(default_factory=dict)
     """Numbers that come from elsewhere."""
     note: str = ""
     """What else is to be said."""
@@ -46,9 +46,16 @@ def _table(kind: type[Effect]) -> type[EffectTable]:
 
 TABLES = {key: _table(kind) for key, kind in BY_KEY.items() if key not in FROM_SCALES}
 
+
+class _Tables(Table):
+    def table(self, key: str) -> Any:
+        """Of the effect `key`; None if the device has none."""
+        return getattr(self, key)
+
+
 if TYPE_CHECKING:
 
-    class DeviceModel(Table):
+    class DeviceModel(_Tables):
         """The effects of a simulated device."""
 
         effects: tuple[str, ...]
@@ -56,7 +63,7 @@ if TYPE_CHECKING:
 else:
     DeviceModel = create_model(
         "DeviceModel",
-        __base__=Table,
+        __base__=_Tables,
         __doc__="The effects of a simulated device.",
         effects=(
             tuple[str, ...],
@@ -69,7 +76,7 @@ else:
 def effects_of(model: DeviceModel, names: Iterable[str], scales: dict[str, Effect]) -> tuple[Effect, ...]:
     """The effects `names` with the numbers of `model`, those of converters from `scales`; always with masses and motor."""
     chosen = [*ALWAYS, *(name for name in names if name not in ALWAYS)]
-    return tuple(scales[name] if name in FROM_SCALES else _effect(name, getattr(model, name)) for name in chosen)
+    return tuple(scales[name] if name in FROM_SCALES else _effect(name, model.table(name)) for name in chosen)
 
 
 def _effect(key: str, table: EffectTable) -> Effect:

@@ -79,9 +79,9 @@ def load(given: Path | None = None, overrides: tuple[Override, ...] = ()) -> Set
     def in_config(path: KeyPath) -> str:
         return typed.get(path) or config_document.where(path)
 
-    config = _validate(Config, _merge(config_document.data, overrides), in_config)
-    device_document = read(_find_device(config.device, config_document.path, in_config(("device",))))
-    device = _validate(Device, device_document.data, device_document.where)
+    config = validated(Config, _merge(config_document.data, overrides), in_config)
+    device_document = read(find_device(config.device, config_document.path, in_config(("device",))))
+    device = validated(Device, device_document.data, device_document.where)
     check(config, device, in_config, device_document.where)
 
     def origin(document: Document, path: KeyPath, where: Where) -> str:
@@ -93,7 +93,8 @@ def load(given: Path | None = None, overrides: tuple[Override, ...] = ()) -> Set
     return Settings(config, device, config_document.path, device_document.path, origins)
 
 
-def _validate(model: type[T], data: dict[str, Any], where: Where) -> T:
+def validated(model: type[T], data: dict[str, Any], where: Where) -> T:
+    """`data` as `model`. ConfigError with one line for everything that is wrong."""
     try:
         return model.model_validate(data)
     except ValidationError as error:
@@ -111,7 +112,8 @@ def _merge(data: dict[str, Any], overrides: tuple[Override, ...]) -> dict[str, A
     return merged
 
 
-def _find_device(name: str, config_file: Path, origin: str) -> Path:
+def find_device(name: str, config_file: Path, origin: str) -> Path:
+    """The file of a device named in `config_file` at `origin`: a path beside it, devices/NAME.toml beside it, or a shipped one."""
     if "/" in name or name.endswith(".toml"):
         return config_file.parent / name
     folders = [config_file.parent / "devices", shipped("config") / "devices"]

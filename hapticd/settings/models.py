@@ -123,6 +123,8 @@ class Gateway(Table):
     """Offer telemetry beyond this machine without keys."""
     curve_keys: str | None = None
     """Folder with the server's key and those of allowed clients."""
+    flight_s: float = Field(_gateway.flight_s, gt=0, le=600)
+    """What the flight recorder keeps, at every tick."""
 
 
 class Injection(Table):
@@ -139,8 +141,10 @@ class Injection(Table):
 class Simulation(Table):
     """The simulated board's firmware; ignored with a real one."""
 
-    sample_phase: float = Field(0.875, ge=0, lt=1)
-    """When the encoder is latched, in periods after the board received a command."""
+    sample_phase: float | None = Field(None, ge=0, lt=1)
+    """When the encoder is latched, in periods after the board received a command; left out: what the device's delay asks for."""
+    effects: tuple[str, ...] | None = Field(None, strict=False)
+    """Effects of the device that are built; left out: those that its file names."""
     watchdog_ms: float = Field(250.0, ge=1, le=10_000)
     seed: int = Field(1, ge=0)
     injections: tuple[Injection, ...] = Field((), strict=False)

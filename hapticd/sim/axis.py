@@ -7,14 +7,19 @@ Fail-safe: no OUT for the watchdog time -> torque 0, FIFO empty, damping held fo
 steps of the 4 kHz clock. It stays tripped until an OUT without ENABLE. A board fault takes the torque away until
 `clear_faults` finds its cause gone; damping still obeys the host.
 
-What would break it: a plant state whose first value is not the position.
+A torque may take effect whole periods after its receipt (`lag_periods`, a device with a longer transport delay); whatever
+takes torque away acts at once. A plant that runs away (beyond 1 km/s) is left where it was, at rest: amplifier fault.
+
+What would break it: an OUT that arrives before the sub-step that the plant has reached.
 """
 
+from collections import deque
 from collections.abc import Sequence
 from math import ceil
 
 from hapticd.params import BoardParams
-from hapticd.plant.step import SUBSTEPS_PER_TICK, make_step, rest_state
+from hapticd.plant.step import SUBSTEPS_PER_TICK, make_plant
+from hapticd.plant.views import State
 from hapticd.sim.probe import Probe
 from hapticd.units import PROBE_RATE_HZ
 from hapticd.wire.frames import OutFlag, Status
@@ -22,6 +27,8 @@ from hapticd.wire.frames import OutFlag, Status
 DAMPING_HOLD_S, DAMPING_RELEASE_S = 2.0, 0.5
 NEVER = 1 << 62
 ENABLE, FIFO_CLEAR, PERTURB = OutFlag.ENABLE.value, OutFlag.FIFO_CLEAR.value, OutFlag.PERTURB.value
+RUNAWAY_M_PER_S = 1e3
+AMPLIFIER_FAULT = Status.AMPLIFIER_FAULT.value
 ENABLED, WATCHDOG, CLAMPED = Status.ENABLED.value, Status.WATCHDOG.value, Status.FORCE_CLAMPED.value
 
 
@@ -29,30 +36,33 @@ class Axis:
     """Outputs, plant and fail-safe. `now` is the sub-step that the plant has reached, `state` its state there."""
 
     __slots__ = (
-        "_alarm_at", "_damping_count", "_held_count", "_hold", "_params", "_present", "_release", "_release_from",
-        "_release_step", "_step", "_torque_max", "_tripped", "_watchdog",
-        "clamped", "damping_n", "faults", "force_n", "live", "now", "probe", "state", "zero_m",
+        "_alarm_at", "_coming", "_damping_count", "_held_count", "_hold", "_lag", "_params", "_present", "_release",
+        "_release_from", "_release_step", "_torque_max", "_tripped", "_watchdog",
+        "clamped", "damping_n", "diverged_at", "faults", "force_n", "live", "now", "plant", "probe", "state", "zero_m",
     )  # fmt: skip
 
     def __init__(self, params: BoardParams) -> None:
         substep_rate_hz = SUBSTEPS_PER_TICK * params.rate_hz
         self._params = params
-        self._step = make_step(params)
+        self.plant = make_plant(params)
+        self._lag = params.lag_periods * SUBSTEPS_PER_TICK
+        self._coming: deque[tuple[int, float]] = deque()  # (sub-step, force) still on their way
         self._torque_max = min(32767, int(params.force_limit_n / params.force_n_per_count))
         self._watchdog = ceil(params.watchdog_ms * substep_rate_hz / 1000.0)
         self._hold = round(DAMPING_HOLD_S * substep_rate_hz)
         self._release = round(DAMPING_RELEASE_S * substep_rate_hz)
         self._release_step = max(1, round(substep_rate_hz / PROBE_RATE_HZ))
         self.probe = Probe(params)
-        self.state = rest_state(params)
+        self.state = self.plant.rest(0.0)
         self.power_up()
 
     def power_up(self) -> None:
         """Supply was connected: no output, the plant at rest where it is, and the encoder counts from there."""
-        self.zero_m = self.state[0]
-        self.state = rest_state(self._params, self.zero_m)
-        self.probe.power_up(self.zero_m)
+        self.zero_m = self.plant.encoder(self.state, 0.0, 0.0)
+        self.state = self.plant.rest(self.zero_m)
+        self.probe.power_up(self.plant.travel(self.state, 0.0, 0.0))
         self.now = self.faults = self._present = 0
+        self.diverged_at: int | None = None  # sub-step at which the plant ran away
         self.force_n = 0.0
         self.live = self.clamped = self._tripped = False
         self._alarm_at = self._watchdog
@@ -77,7 +87,7 @@ class Axis:
         if self.live:
             if not -self._torque_max <= torque <= self._torque_max:
                 torque, self.clamped = self._torque_max if torque > 0 else -self._torque_max, True
-            self.force_n = torque * self._params.force_n_per_count
+            self._command(torque * self._params.force_n_per_count)
         else:
             self._cut_torque()
         probe.playing = bool(flags & PERTURB)
@@ -110,16 +120,39 @@ class Axis:
                 self._fail_safe()
         self._move(substep)
 
+    def _command(self, force_n: float) -> None:
+        if self._lag:
+            self._coming.append((self.now + self._lag, force_n))
+        else:
+            self.force_n = force_n
+
     def _move(self, substep: int) -> None:
-        now, state, step, probe = self.now, self.state, self._step, self.probe
+        while self._coming and self._coming[0][0] <= substep:
+            due, force_n = self._coming.popleft()
+            self._play(due)
+            self.force_n = force_n
+        self._play(substep)
+
+    def _play(self, substep: int) -> None:
+        now, state, probe = self.now, self.state, self.probe
+        step, travel, impulse = self.plant.step, self.plant.travel, self.plant.impulse
         while (end := probe.end) <= substep:
             state = step(state, self.force_n, probe.torque_n, self.damping_n, end - now)
-            probe.end_interval(state[0])
+            probe.end_interval(travel(state, 0.0, 0.0), impulse and impulse(state, 0.0, 0.0))
             now = end
         if now < substep:
             state = step(state, self.force_n, probe.torque_n, self.damping_n, substep - now)
             now = substep
+        if not -RUNAWAY_M_PER_S < state[1] < RUNAWAY_M_PER_S:
+            state = self._run_away(now)
         self.now, self.state = now, state
+
+    def _run_away(self, substep: int) -> State:
+        self.diverged_at = substep
+        self.trip(AMPLIFIER_FAULT)
+        self.heal(AMPLIFIER_FAULT)
+        position_m = self.plant.encoder(self.state, 0.0, 0.0)
+        return self.plant.rest(position_m if -10.0 < position_m < 10.0 else self.zero_m)
 
     def _fail_safe(self) -> None:
         self._tripped = True
@@ -140,5 +173,6 @@ class Axis:
 
     def _cut_torque(self) -> None:
         self.force_n = 0.0
+        self._coming.clear()
         self.live = self.probe.live = False
         self.probe.silence(self.now)

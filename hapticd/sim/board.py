@@ -8,7 +8,7 @@ with the next. A refused OUT changes nothing, latches nothing and feeds no watch
 A host that pauses must not harm a simulation: one call plays 20 ms at most. The rest never happens on the board (board
 time, watchdog and probe stand still); it is counted in `sim_slip_ns` and told to `on_slip`.
 
-What would break it: a plant state whose first two values are not position and velocity, or a t_ns far in the past.
+What would break it: a plant whose second state is not a velocity (it would not be seen running away), or a t_ns far in the past.
 """
 
 import struct
@@ -174,10 +174,13 @@ class BoardModel:
             events |= self._ready_events
         events |= probe.events | (CLAMPED if axis.clamped else 0)
         self._events, probe.events, axis.clamped = 0, 0, False
-        position_m, velocity_m_per_s, *_ = axis.state
-        current_a = (axis.force_n - axis.damping_n * velocity_m_per_s) / params.torque_constant_n_per_a
+        plant, seen = axis.plant, (axis.state, axis.force_n, axis.damping_n)
+        velocity_m_per_s = plant.estimate(*seen)
+        current_a = plant.motor_force(*seen) / params.torque_constant_n_per_a
         voltage_v = params.winding_ohm * current_a + params.torque_constant_n_per_a * velocity_m_per_s
-        encoder = floor((position_m - axis.zero_m) / params.position_m_per_count + 0.5)
+        encoder = floor((plant.encoder(*seen) - axis.zero_m) / params.position_m_per_count + 0.5)
+        if plant.celsius is not None:
+            self._temperature = i16_count(plant.celsius(axis.state) / params.temperature_c_per_count)
         pairs = probe.pairs[: 2 * frames.PROBE_MAX]
         count = len(pairs) // 2
         IN_LAYOUTS[count].pack_into(

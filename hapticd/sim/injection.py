@@ -73,7 +73,7 @@ class Injector:
         latched_ns = self.board.next_in_ns()
         frame = self.board.poll_in(t_ns)
         if frame is not None and self._in_faults:
-            faults, self._in_faults = self._in_faults, []
+            faults, self._in_faults = sorted(self._in_faults, key=lambda item: item[0] not in SENSED), []
             for fault, value in faults:
                 if frame is not None:
                     frame = fault(self, frame, value, latched_ns or t_ns)
@@ -201,3 +201,4 @@ IN_FAULTS: dict[str, InFault] = {
     "encoder_jump": _jumped,  # the encoder is off by `value` counts (1,000,000)
     "sensor_extreme": _saturated,  # current, voltage, velocity and temperature read `value` counts (32767)
 }
+SENSED = (_jumped, _saturated)  # what the board reads wrongly comes before what happens to its packet on the way

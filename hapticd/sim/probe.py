@@ -12,6 +12,7 @@ sub-steps (rates that are not multiples of 250 Hz) an interval ends at the neare
 from collections import deque
 from collections.abc import Sequence
 from math import floor
+from random import Random
 
 from hapticd.params import BoardParams
 from hapticd.plant.step import SUBSTEPS_PER_TICK
@@ -36,7 +37,8 @@ class Probe:
     """Perturbation and measurement of one axis. `end` is the sub-step at which the running interval ends."""
 
     __slots__ = (
-        "_counts", "_length", "_n_per_count", "_sample", "_start", "_start_m", "_velocity_scale",
+        "_counts", "_gauss", "_length", "_n_per_count", "_noise", "_sample", "_start", "_start_m", "_start_ns", "_torque_scale",
+        "_velocity_scale",
         "end", "events", "fifo", "first_index", "index", "live", "pairs", "playing", "torque_n",
     )  # fmt: skip
 
@@ -45,6 +47,10 @@ class Probe:
         self._length = substep_rate_hz / PROBE_RATE_HZ  # sub-steps in an interval
         self._n_per_count = params.probe_torque_n_per_count
         self._velocity_scale = substep_rate_hz / params.probe_velocity_m_per_s_per_count
+        self._torque_scale = substep_rate_hz / params.probe_torque_n_per_count
+        noise = params.plant and params.plant.noise
+        self._noise = noise.velocity_m_per_s / params.probe_velocity_m_per_s_per_count if noise else 0.0
+        self._gauss = Random(params.seed).gauss
         self.power_up(0.0)
 
     def power_up(self, position_m: float) -> None:
@@ -57,7 +63,7 @@ class Probe:
         self.playing = self.live = False
         self.torque_n = 0.0
         self._sample = self._counts = 0  # count being output; mean count of the running interval
-        self._start, self._start_m = 0, position_m
+        self._start, self._start_m, self._start_ns = 0, position_m, 0.0
         self.end = floor(self._length + 0.5)
 
     def queue(self, samples: Sequence[int]) -> None:
@@ -74,18 +80,24 @@ class Probe:
             done = (substep - self._start) / (self.end - self._start)
             self._counts, self._sample, self.torque_n = i16_count(self._sample * done), 0, 0.0
 
-    def end_interval(self, position_m: float) -> None:
-        """The interval that ends at `end` is over and the endpoint is at `position_m`."""
+    def end_interval(self, travel_m: float, impulse_ns: float | None = None) -> None:
+        """The interval that ends at `end` is over: integral of the recorded velocity, and what filters keep of the torque's."""
         end = self.end
         pairs = self.pairs
-        pairs.append(self._counts)
-        pairs.append(i16_count((position_m - self._start_m) * self._velocity_scale / (end - self._start)))
+        length = end - self._start
+        if impulse_ns is None:
+            pairs.append(self._counts)
+        else:
+            pairs.append(i16_count(self._counts + (impulse_ns - self._start_ns) * self._torque_scale / length))
+            self._start_ns = impulse_ns
+        counts = (travel_m - self._start_m) * self._velocity_scale / length
+        pairs.append(i16_count(counts + self._noise * self._gauss(0.0, 1.0) if self._noise else counts))
         self.index = index = self.index + 1
         if len(pairs) > 2 * PAIRS_MAX:
             del pairs[:2]
             self.first_index += 1
             self.events |= PAIRS_LOST
-        self._start, self._start_m = end, position_m
+        self._start, self._start_m = end, travel_m
         self.end = floor((index + 1) * self._length + 0.5)
         sample = self._next_sample() if self.playing else 0
         if sample != self._sample or self._counts != sample:

@@ -1,0 +1,176 @@
+"""From a scene to a `Model`: every effect that the scene calls for writes its part, the damping loop is closed, and what
+is linear becomes one state-space.
+
+Nothing else is built: a rigid device without extras has two states. The open device (no virtual environment) must be
+stable at every damping level that the scene uses; a damping circuit beyond its limit (over-compensated resistance, g dR / K^2
+<= -1, or an inductance error below -(1/w_a + 1/w_d) K^2 / g) is refused, unless the scene says `allow_unstable`.
+"""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from hapticd.errors import ConfigError
+from hapticd.plant.blueprint import Blueprint
+from hapticd.plant.catalogue import in_order
+from hapticd.plant.drive import drive
+from hapticd.plant.effects import Effect
+from hapticd.plant.forms import ZERO, Form
+from hapticd.plant.model import Array, Cogging, Contact, Ends, Inputs, Model, Noise, Output, Outputs, Winding
+from hapticd.plant.scene import Scene
+from hapticd.plant.stability import stability
+
+
+def compose(scene: Scene) -> Model:
+    """The model of `scene`. ConfigError if its effects contradict each other or the open device is unstable."""
+    model = compose_device(scene.name, scene.effects, scene.rate_hz)
+    if not scene.allow_unstable:
+        levels = [step.level_ns_per_m for step in scene.damping]
+        refuse_unstable(model, levels, "; set allow_unstable = true to simulate it all the same")
+    return model
+
+
+def refuse_unstable(model: Model, levels_ns_per_m: Iterable[float], remedy: str = "") -> None:
+    """ConfigError if the open device is unstable at one of these damping levels."""
+    for level in levels_ns_per_m:
+        found = stability(model, level)
+        if not found.stable:
+            raise ConfigError(
+                f"{model.name!r}: the device without virtual environment is unstable at {level:g} N s/m: {found.reason}{remedy}"
+            )
+
+
+def compose_device(name: str, effects: Iterable[Effect], rate_hz: float = 1000.0) -> Model:
+    """The model of a device with these effects, whatever its stability."""
+    plan, chosen = Blueprint(), in_order(effects)
+    plan.command, torque = plan.input("command"), plan.input("torque")
+    for effect in chosen:
+        effect.build(plan)
+    plan.rotor.force += torque
+    drive(plan)
+    for effect in chosen:
+        plan.notes.append(effect.note_of(tuple(state.name for state in plan.states if state.effect == effect.key)))
+    return _model(name, plan, rate_hz)
+
+
+def _model(name: str, plan: Blueprint, rate_hz: float) -> Model:
+    contacts = _contacts(plan)
+    inputs = _inputs(plan, len(contacts))
+    rates = {**plan.rates, **{f"{body.name}_velocity": body.force / body.mass_kg for body in plan.bodies.values()}}
+    states = [state.name for state in plan.states]
+    names = states + plan.inputs
+    pieces = [np.array([[rates[row].terms.get(name, ZERO)[k] for name in names] for row in states]) for k in range(4)]
+    for contact in contacts:
+        forces = np.zeros((len(states), 1))
+        forces[contact.velocity, 0] = 1.0 / plan.bodies[contact.body].mass_kg
+        pieces = [np.hstack([piece, forces if k == 0 else 0.0 * forces]) for k, piece in enumerate(pieces)]
+    n, ohm = len(states), plan.residual_ohm
+    at = [frozen(pieces[0] + ohm * pieces[2]), frozen(pieces[1] + ohm * pieces[3])]
+    return Model(
+        name=name,
+        rate_hz=rate_hz,
+        delay_periods=plan.delay_periods,
+        states=tuple(plan.states),
+        a0=frozen(at[0][:, :n]),
+        a1=frozen(at[1][:, :n]),
+        b0=frozen(at[0][:, n:]),
+        b1=frozen(at[1][:, n:]),
+        inputs=inputs,
+        outputs=_outputs(plan, states, inputs.width),
+        contacts=contacts,
+        **plan.numbers,
+        ends=_ends(plan, states),
+        cogging=_cogging(plan, states),
+        noise=_noise(plan),
+        winding=_winding(plan, pieces, n),
+        estimate_offset_m_per_s=plan.estimate_offset_m_per_s,
+        level_gain=plan.level_gain,
+        level_offset_ns_per_m=plan.level_offset_ns_per_m,
+        mass_kg=sum(body.mass_kg for body in plan.bodies.values() if body.name != "hand"),
+        probe_mass_kg=plan.probe_mass_kg,
+        viscous_ns_per_m=plan.viscous_ns_per_m,
+        coulomb_n=sum(contact.level_n for contact in contacts),
+        torque_constant_n_per_a=plan.torque_constant_n_per_a,
+        resistance_ohm=plan.resistance_ohm,
+        temperature_c=plan.winding[3],
+        residual_ohm=ohm,
+        notes=tuple(plan.notes),
+    )
+
+
+def frozen(array: Array) -> Array:
+    """A contiguous copy that nobody changes."""
+    copy = np.array(array, dtype=np.float64)
+    copy.flags.writeable = False
+    return copy
+
+
+def _inputs(plan: Blueprint, contacts: int) -> Inputs:
+    place = {name: column for column, name in enumerate(plan.inputs)}
+    return Inputs(place["command"], place["torque"], len(place) + contacts, place.get("estimate"), place.get("cogging"))
+
+
+def _contacts(plan: Blueprint) -> tuple[Contact, ...]:
+    names, rubbing = [state.name for state in plan.states], [body for body in plan.bodies.values() if body.coulomb_n > 0.0]
+    return tuple(
+        Contact(
+            body.name,
+            names.index(f"{body.name}_velocity"),
+            names.index(f"{body.name}_position"),
+            body.coulomb_n,
+            len(plan.inputs) + place,
+        )
+        for place, body in enumerate(rubbing)
+    )
+
+
+def _outputs(plan: Blueprint, states: list[str], width: int) -> Outputs:
+    def output(form: Form, unit: str) -> Output:
+        rows = [np.zeros((2, len(states))), np.zeros((2, width))]
+        for name, c in form.terms.items():
+            at = (c[0] + plan.residual_ohm * c[2], c[1] + plan.residual_ohm * c[3])
+            where = (0, states.index(name)) if name in states else (1, plan.inputs.index(name))
+            rows[where[0]][:, where[1]] = at
+        return Output(unit, *(frozen(row) for table in rows for row in table))
+
+    rotor = plan.rotor
+    return Outputs(
+        encoder=output(plan.endpoint.position, "m"),
+        position=output(rotor.position, "m"),
+        velocity=output(rotor.velocity, "m/s"),
+        recorded_velocity=output(plan.channel, "m/s"),
+        recorded_travel=output(plan.travel, "m"),
+        recorded_impulse=None if plan.impulse is None else output(plan.impulse, "N s"),
+        motor_force=output(plan.motor, "N"),
+        estimate=output(plan.estimate, "m/s"),
+    )
+
+
+def _ends(plan: Blueprint, states: list[str]) -> Ends | None:
+    if plan.ends_m is None:
+        return None
+    name = plan.endpoint.name
+    return Ends(*plan.ends_m, states.index(f"{name}_position"), states.index(f"{name}_velocity"))
+
+
+def _cogging(plan: Blueprint, states: list[str]) -> Cogging | None:
+    if plan.cogging is None:
+        return None
+    return Cogging(*plan.cogging, states.index("rotor_position"), states.index("rotor_velocity"))
+
+
+def _noise(plan: Blueprint) -> Noise | None:
+    if not (plan.velocity_noise_m_per_s or plan.estimate_psd):
+        return None
+    return Noise(plan.velocity_noise_m_per_s, plan.estimate_psd)
+
+
+def _winding(plan: Blueprint, pieces: list[Array], n: int) -> Winding | None:
+    if plan.heating is None:
+        return None
+    cold_ohm, reference_c, compensated_ohm, start_c = plan.winding
+    per_k_per_w, time_constant_s, ambient_c = plan.heating
+    return Winding(
+        cold_ohm, reference_c, compensated_ohm, plan.residual_ohm, per_k_per_w, time_constant_s, ambient_c, start_c,
+        frozen(pieces[2][:, :n]), frozen(pieces[3][:, :n]), frozen(pieces[2][:, n:]), frozen(pieces[3][:, n:]),
+    )  # fmt: skip

@@ -1,0 +1,81 @@
+"""Coulomb friction as a set-valued force, solved exactly once per sub-step.
+
+    -f in Fc Sgn(v):   v > 0 -> f = -Fc,   v < 0 -> f = +Fc,   v = 0 -> any f in [-Fc, Fc]
+
+Over a sub-step the friction force is held and the velocity at its end is linear in it: v = v_free + W f with W > 0. The one
+f in the box [-Fc, Fc] with v = 0, or at the edge of the box with v still against it, is f = clamp(-v_free / W): implicit
+in time, no regularisation, no chatter; a stuck body has v = 0 exactly, for ever. Two bodies give the same problem in two
+unknowns with a P-matrix W (its off-diagonal is the coupling), which has one solution; `stick_two` finds it directly.
+
+The error is that of holding f over the sub-step in which the sign changes: first order in the sub-step's length.
+
+What would break it: W of a velocity over a time long against the fastest mode (then W may lose its positive diagonal), or a
+viscous stand-in tanh(v / eps), which creeps. Functions take and return floats; the batch engine compiles the same.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from hapticd.plant.blueprint import Blueprint
+from hapticd.plant.effects import Effect, number
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Coulomb(Effect):
+    """Dry friction at either body."""
+
+    key: ClassVar[str] = "coulomb"
+    why: ClassVar[str] = "dry friction: most of the undamped device's damping, and more of it when motion is small"
+    nonlinearity: ClassVar[str] = "set-valued force, stick at v = 0"
+    rotor_n: float = number(ge=0, le=100)
+    slider_n: float = number(0.0, ge=0, le=100)
+
+    def build(self, plan: Blueprint) -> None:
+        """A contact on each body that has some."""
+        plan.rotor.coulomb_n += self.rotor_n
+        plan.endpoint.coulomb_n += self.slider_n
+
+
+def stick_one(v_free: float, response: float, level: float) -> float:
+    """Friction force [N] of one contact: v_free [m/s] without friction, response W [m/s/N] > 0, level Fc [N]."""
+    force = -v_free / response
+    if force > level:
+        return level
+    if force < -level:
+        return -level
+    return force
+
+
+def stick_two(
+    v1: float, v2: float, w11: float, w12: float, w21: float, w22: float, level1: float, level2: float
+) -> tuple[float, float]:
+    """Friction forces (f1, f2) [N] of two contacts with v_free = (v1, v2) and responses ((w11, w12), (w21, w22))."""
+    determinant = w11 * w22 - w12 * w21
+    f1, f2 = (w12 * v2 - w22 * v1) / determinant, (w21 * v1 - w11 * v2) / determinant
+    if -level1 <= f1 <= level1 and -level2 <= f2 <= level2:
+        return f1, f2
+    for edge in (level1, -level1):  # contact 1 slides, towards -edge
+        f2 = stick_one(v2 + w21 * edge, w22, level2)
+        if (v1 + w11 * edge + w12 * f2) * edge <= 0.0:
+            return edge, f2
+    f2 = level2  # contact 1 sticks, so contact 2 slides
+    f1 = stick_one(v1 + w12 * f2, w11, level1)
+    if v2 + w21 * f1 + w22 * f2 > 0.0:
+        f2 = -level2
+        f1 = stick_one(v1 + w12 * f2, w11, level1)
+    return f1, f2
+
+
+def stop_time_s(mass_kg: float, velocity_m_per_s: float, coulomb_n: float) -> float:
+    """When a mass that slides against Coulomb friction alone comes to rest: m |v| / Fc."""
+    return mass_kg * abs(velocity_m_per_s) / coulomb_n
+
+
+def turning_points_m(start_m: float, stiffness_n_per_m: float, coulomb_n: float) -> list[float]:
+    """Positions at which a mass on a spring with Coulomb friction turns, until it sticks: each 2 Fc / K nearer to 0."""
+    band = coulomb_n / stiffness_n_per_m
+    points = [start_m]
+    while abs(points[-1]) > band:
+        last = points[-1]
+        points.append(-last + 2.0 * band * (1.0 if last > 0.0 else -1.0))
+    return points

@@ -1,0 +1,74 @@
+"""Exact discretisation: closed forms, composition of pieces, and commands that change inside a step."""
+
+from math import cos, exp, pi, sin, sqrt
+
+import numpy as np
+import pytest
+from plant_devices import FULL, device
+
+from hapticd.plant.bodies import Coupling, Masses
+from hapticd.plant.discrete import delay_steps, discretise, late_command
+from hapticd.plant.mechanics import held_force_response
+
+
+def test_rigid_mass_is_the_closed_form():
+    model = device("probe", "viscous")
+    found = discretise(model, 1e-3, 1.74)
+    decay, gain, reach, push = held_force_response(0.008, 0.358 + 1.74, 1e-3)
+    assert found.a == pytest.approx(np.array([[1.0, reach], [0.0, decay]]), rel=1e-15)
+    assert found.b[:, model.inputs.command] == pytest.approx([push, gain], rel=1e-14)
+    assert found.b[:, model.inputs.torque] == pytest.approx([push, gain], rel=1e-14)
+
+
+@pytest.mark.parametrize("pieces", [2, 16, 100])
+def test_pieces_compose_to_the_whole(pieces):
+    model = device(*FULL)
+    whole, piece = discretise(model, 1e-3, 1.74), discretise(model, 1e-3 / pieces, 1.74)
+    x, u = np.linspace(-1.0, 1.0, 7) * 1e-3, np.array([0.5, -0.2, 0.03])
+    stepped = x
+    for _ in range(pieces):
+        stepped = piece.a @ stepped + piece.b @ u
+    assert stepped == pytest.approx(whole.a @ x + whole.b @ u, rel=1e-12, abs=1e-16)
+
+
+@pytest.mark.parametrize("fraction", [0.0, 0.125, 1 / 3, 0.9, 1.0])
+def test_late_command_is_two_exact_pieces(fraction):
+    model, h = device(*FULL), 1e-3
+    whole = discretise(model, h, 1.74)
+    old, new = late_command(model, whole, fraction)
+    x, (before, after) = np.array([1e-3, 0.1, 1e-3, 0.1, 0.2, 0.1, 0.1]), (0.7, -0.4)
+    first, second = discretise(model, fraction * h, 1.74), discretise(model, (1 - fraction) * h, 1.74)
+    column = model.inputs.command
+    middle = first.a @ x + first.b[:, column] * before
+    expected = second.a @ middle + second.b[:, column] * after
+    assert whole.a @ x + old * before + new * after == pytest.approx(expected, rel=1e-13, abs=1e-17)
+
+
+@pytest.mark.parametrize(
+    ("periods", "steps", "expected"),
+    [(0.125, 16, (2, 0.0)), (0.125, 4, (0, 0.5)), (1.4375, 16, (23, 0.0)), (1.0, 1, (1, 0.0)), (0.3, 10, (3, 0.0))],
+)  # fmt: skip
+def test_delay_is_split_into_steps_and_a_rest(periods, steps, expected):
+    count, fraction = delay_steps(periods, steps)
+    assert (count, pytest.approx(fraction, abs=1e-12)) == expected
+
+
+def test_lightly_damped_coupling_decays_as_it_should():
+    """Two masses on a spring, relative motion: e^(-zeta w t) (cos w_d t + zeta / sqrt(1 - zeta^2) sin w_d t)."""
+    stiffness, damping, m1, m2 = 4e4, 0.02, 0.0055, 0.0025
+    model = device(
+        masses=Masses(rotor_kg=m1 + 0.0, slider_kg=m2), coupling=Coupling(stiffness_n_per_m=stiffness, damping_ns_per_m=damping)
+    )
+    reduced = m1 * m2 / (m1 + m2)
+    w, zeta = sqrt(stiffness / reduced), damping / (2 * sqrt(stiffness * reduced))
+    wd = w * sqrt(1 - zeta**2)
+    step, x = discretise(model, 1e-3 / 16), np.array([m2 / (m1 + m2), 0.0, -m1 / (m1 + m2), 0.0]) * 1e-4
+    x0 = x[0] - x[2]
+    assert w / (2 * pi) == pytest.approx(767, abs=1)
+    assert zeta < 2e-3
+    for k in range(1, 4001):
+        x = step.a @ x
+        t = k * 1e-3 / 16
+        expected = x0 * exp(-zeta * w * t) * (cos(wd * t) + zeta / sqrt(1 - zeta**2) * sin(wd * t))
+        assert x[0] - x[2] == pytest.approx(expected, abs=1e-11 * x0)
+    assert m1 * x[0] + m2 * x[2] == pytest.approx(0.0, abs=1e-16)
