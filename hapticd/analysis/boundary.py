@@ -1,0 +1,124 @@
+"""The passive set in the space of K, B and M, and numbers that are drawn from it.
+
+A headline such as "K up to 600 N/m" can mean two things, and they differ by a factor: the axis limit, the others being 0 while
+one is scanned from 0 to its first failure; or the maximum over the whole set. Both are always given, side by side.
+
+The volume is that of the grid's cells, a cell counting by the share of it where the margin, linear between corners, is not
+negative. What would break it: a grid that does not reach beyond the set; then limits are those of the grid, and `open_ends`
+says so.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.analysis.arrays import Flags, Floats
+from hapticd.errors import AnalysisError
+
+AXES = ("K", "B", "M")
+_SPLIT = 4  # parts of a cell's edge when its share is counted
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Largest and smallest passive values: (K_min, K_max), (B_min, B_max), (M_min, M_max) [N/m, N s/m, kg]."""
+
+    stiffness: tuple[float, float]
+    damping: tuple[float, float]
+    mass: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class PassiveSet:
+    """Margins [N s/m] on a grid: `axes` three ascending lists, `margin` (nK, nB, nM); negative or nan is not passive."""
+
+    axes: tuple[Floats, Floats, Floats]
+    margin: Floats
+
+    @property
+    def passive(self) -> Flags:
+        """(nK, nB, nM)"""
+        return np.asarray(self.margin >= 0.0)
+
+
+def passive_set(axes: tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike], margin: npt.ArrayLike) -> PassiveSet:
+    """The set from margins in the order of `grid`. AnalysisError unless the axes ascend and the numbers fit."""
+    lists = tuple(np.asarray(axis, np.float64) for axis in axes)
+    shape = tuple(axis.size for axis in lists)
+    values = np.asarray(margin, np.float64)
+    if any(axis.ndim != 1 or axis.size < 2 or np.any(np.diff(axis) <= 0.0) for axis in lists):
+        raise AnalysisError("a grid needs at least two ascending values on each of its three axes")
+    if values.size != np.prod(shape):
+        raise AnalysisError(f"{values.size} margins for a grid of {' x '.join(map(str, shape))} environments")
+    return PassiveSet((lists[0], lists[1], lists[2]), values.reshape(shape))
+
+
+def grid(axes: tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike]) -> Floats:
+    """All environments (N, 3) of a grid, M changing fastest."""
+    return np.stack(np.meshgrid(*(np.asarray(axis, np.float64) for axis in axes), indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def set_limits(found: PassiveSet) -> Limits:
+    """Extremes over the whole set. AnalysisError for an empty one."""
+    if not found.passive.any():
+        raise AnalysisError("no environment of the grid is passive: there are no limits")
+    kept = [axis[np.any(found.passive, axis=tuple(i for i in range(3) if i != place))] for place, axis in enumerate(found.axes)]
+    return Limits(*((float(values[0]), float(values[-1])) for values in kept))
+
+
+def open_ends(found: PassiveSet) -> tuple[str, ...]:
+    """Ends of the grid that are passive, as "K max": beyond them nothing was looked at."""
+    ends = []
+    for place, name in enumerate(AXES):
+        for word, index in (("min", 0), ("max", -1)):
+            if np.take(found.passive, index, axis=place).any():
+                ends.append(f"{name} {word}")
+    return tuple(ends)
+
+
+def volume(found: PassiveSet) -> float:
+    """Volume of the set [N/m N s/m kg]."""
+    cell = np.prod(np.meshgrid(*(np.diff(axis) for axis in found.axes), indexing="ij"), axis=0)
+    return float((cell * _shares(found.margin)).sum())
+
+
+def axis_limit(
+    decide: Callable[[Floats], Flags], axis: int, reach: float, base: tuple[float, float, float] = (0.0, 0.0, 0.0), steps: int = 60
+) -> float:
+    """First failure from `base` on along `axis` (0 K, 1 B, 2 M) towards base + `reach`, refined to reach / steps^3.
+
+    `decide` takes environments (N, 3) and returns (N,) whether passive; nan if `base` itself fails, base + reach if none does.
+    """
+    low, high = 0.0, 1.0
+    for _ in range(3):
+        at = np.linspace(low, high, steps + 1)
+        points = np.tile(np.asarray(base, np.float64), (at.size, 1))
+        points[:, axis] += reach * at
+        failed = np.flatnonzero(~decide(points))
+        if not failed.size:
+            return base[axis] + reach
+        if failed[0] == 0:
+            return float("nan")
+        low, high = float(at[failed[0] - 1]), float(at[failed[0]])
+    return base[axis] + reach * low
+
+
+def _shares(margin: Floats) -> Floats:
+    """Share (nK-1, nB-1, nM-1) of each cell where the trilinear margin is not negative.
+
+    A corner that is nan, not passive without a number, counts as the median of all magnitudes, negative.
+    """
+    known = np.abs(margin[np.isfinite(margin)])
+    corners = np.nan_to_num(margin, nan=-float(np.median(known)) if known.size else -1.0)
+    at = (np.arange(_SPLIT) + 0.5) / _SPLIT
+    total = np.zeros(tuple(n - 1 for n in corners.shape))
+    for x, y, z in grid((at, at, at)):
+        total += _between(_between(_between(corners, 0, x), 1, y), 2, z) >= 0.0
+    return total / _SPLIT**3
+
+
+def _between(values: Floats, axis: int, share: float) -> Floats:
+    first, second = np.take(values, range(values.shape[axis] - 1), axis), np.take(values, range(1, values.shape[axis]), axis)
+    return np.asarray(first + share * (second - first))

@@ -1,0 +1,133 @@
+"""Two faults of the measuring channels that look like physics, found in the spectra of a trial.
+
+skew        the velocity is sampled d seconds after the force: Z is turned by e^(-jwd). |Z| stays as it is, so where |Z| grows
+            with f the device is a mass with some damping, of phase 90 degrees - b/(w m), and what falls off with f besides
+            is skew. 125 us turn the phase by 22 degrees at 500 Hz and make (d < 0) every passive display look active.
+high-pass   an AC-coupled velocity amplifier of corner f_h: Z is multiplied by 1 + f_h/(jf). Over a spring K this adds
+            -K f_h / (2 pi f^2) to Re Z, unlike a delayed force, which adds a constant. 0.1 Hz look like 4 ms at 2 Hz.
+
+Both are fitted by least squares with bisquare weights (Beaton and Tukey 1974). The window's own smoothing of a spring,
++ b s^2 / (2 pi f)^2 with s^2 = pi^2 / (2 M^2 T^2), is taken out. What 90 s of noise can show is a skew from 20 us (coupling
+modes do up to 11 us of it) and a corner from about 0.4 Hz; a smaller one shows when the lower band edge of a stiffness limit
+is moved.
+
+What would break it: a device that is a mass nowhere between 0.06 and 0.4 of the sample rate (then nothing is said).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hapticd.analysis.arrays import Complexes, Floats, Integers
+from hapticd.analysis.diagnostics import Finding
+from hapticd.analysis.impedance import impedance, relative_sd
+from hapticd.analysis.spectra import Spectra
+
+SKEW_BAND = (0.06, 0.4)  # of the sample rate: above what K, B and M do, below the sensors' filters
+SEGMENT = 1.08  # ratio of the ends of a stretch of frequencies
+MASS_SLOPE = (0.5, 1.7)  # of ln|Z| over ln f
+LEAST_SEGMENTS = 5
+HIGH_PASS_BAND_HZ = (3.0, 15.0)
+SPRING_PHASE_DEG = -30.0  # less spring than that hides a high-pass
+LEAST_COHERENCE = 0.2
+LEAST_SKEW_S = 20e-6
+WORST_SKEW_SD_S = 5e-6  # beyond it the device was no mass with skew
+LEAST_HIGH_PASS_HZ = 0.02
+CERTAINTY = 4.0  # standard deviations
+_ROUNDS, _BISQUARE = 12, 4.685
+_NEIGHBOURS = 8.0 / 3.0  # values per independent one: bandwidth over spacing
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """A fitted number with its standard deviation; nan where there was nothing to fit."""
+
+    value: float
+    sd: float
+
+
+NOT_FITTED = Fitted(float("nan"), float("inf"))
+
+
+def skew(trial: Spectra) -> Fitted:
+    """Seconds by which the velocity is sampled later than the force: + turns the phase down, - turns it up."""
+    z, f, known = _part(trial, SKEW_BAND[0] * trial.rate_hz, SKEW_BAND[1] * trial.rate_hz)
+    stretches = [part for part in _stretches(f) if part.size >= 5 and _is_mass(z[part], f[part])]
+    if len(stretches) < LEAST_SEGMENTS:
+        return NOT_FITTED
+    w = np.array([2.0 * np.pi * f[part].mean() for part in stretches])
+    fallen = np.array([-np.angle(np.sum(z[part] * known[part] / (1j * f[part]))) for part in stretches])
+    certain = np.array([np.sqrt(part.size / _NEIGHBOURS) * (known[part] * np.abs(z[part])).mean() for part in stretches])
+    return Fitted(*_robust(np.stack((w, 1.0 / w), axis=1), fallen, certain))
+
+
+def high_pass(trial: Spectra) -> Fitted:
+    """Corner [Hz] of a first-order high-pass in the velocity channel, from a trial with a spring."""
+    z, f, known = _part(trial, max(HIGH_PASS_BAND_HZ[0], 1.5 * trial.lowest_hz), HIGH_PASS_BAND_HZ[1])
+    if z.size < 5 or np.degrees(np.angle(z[0])) > SPRING_PHASE_DEG:
+        return NOT_FITTED
+    over, _ = _robust(np.stack((1.0 / f, f), axis=1), z.imag, known)
+    smoothing = 0.125 * (trial.rate_hz / trial.lag) ** 2
+    steep, sd = _robust(np.stack((1.0 / f**2, 1.0 + smoothing / f**2), axis=1), z.real, known / np.sqrt(_NEIGHBOURS))
+    return Fitted(steep / over, sd / abs(over)) if over else NOT_FITTED
+
+
+def channel_findings(trial: Spectra) -> tuple[Finding, ...]:
+    """Skew and high-pass, named where they are certain and matter."""
+    return (*_skew_finding(skew(trial)), *_high_pass_finding(high_pass(trial)))
+
+
+def _skew_finding(found: Fitted) -> tuple[Finding, ...]:
+    if found.sd > WORST_SKEW_SD_S or not abs(found.value) > max(LEAST_SKEW_S, CERTAINTY * found.sd):
+        return ()
+    late, size = "after" if found.value > 0.0 else "before", 1e6 * abs(found.value)
+    message = (
+        f"channel skew: velocity sampled {size:.3g} us (+-{1e6 * found.sd:.2g}) {late} the force; "
+        "sample both together, or correct it with the known skew"
+    )
+    return (Finding("channel_skew", message, voids=True),)
+
+
+def _high_pass_finding(found: Fitted) -> tuple[Finding, ...]:
+    if not found.value > max(LEAST_HIGH_PASS_HZ, CERTAINTY * found.sd):
+        return ()
+    message = (
+        f"high-pass mismatch: the velocity channel looks AC-coupled at {found.value:.3g} Hz (+-{found.sd:.2g}); "
+        "couple it to DC, correct it with the known corner, or judge from a higher frequency"
+    )
+    return (Finding("high_pass_mismatch", message, voids=True),)
+
+
+def _part(trial: Spectra, low_hz: float, high_hz: float) -> tuple[Complexes, Floats, Floats]:
+    """Impedance, frequency and weight 1/sd of Re Z between two frequencies where there is coherence."""
+    use = (trial.frequency_hz >= low_hz) & (trial.frequency_hz <= high_hz) & (trial.coherence > LEAST_COHERENCE)
+    z = impedance(trial, "h_force").impedance_ns_per_m[use]
+    spread = np.abs(z) * relative_sd(trial.coherence[use], trial.degrees_of_freedom)
+    return z, trial.frequency_hz[use], 1.0 / np.maximum(spread, 1e-6 * np.abs(z) + 1e-300)
+
+
+def _robust(columns: Floats, values: Floats, weight: Floats) -> tuple[float, float]:
+    """First coefficient of `values` ~ `columns`, known with `weight` = 1/sd, and its standard deviation."""
+    scaled, target, trust = columns * weight[:, None], values * weight, np.ones(values.size)
+    for _ in range(_ROUNDS):
+        root = np.sqrt(trust)
+        solution = np.linalg.lstsq(scaled * root[:, None], target * root, rcond=None)[0]
+        residual = target - scaled @ solution
+        scale = max(1.0, 1.4826 * float(np.median(np.abs(residual))))
+        trust = np.maximum(0.0, 1.0 - (residual / (_BISQUARE * scale)) ** 2) ** 2
+    normal = np.linalg.pinv((scaled * trust[:, None]).T @ scaled)
+    return float(solution[0]), scale * float(np.sqrt(normal[0, 0]))
+
+
+def _stretches(frequency_hz: Floats) -> list[Integers]:
+    """Indices of neighbouring frequencies, `SEGMENT` apart from end to end."""
+    if not frequency_hz.size:
+        return []
+    place = np.floor(np.log(frequency_hz / frequency_hz[0]) / np.log(SEGMENT))
+    return np.split(np.arange(frequency_hz.size), np.flatnonzero(np.diff(place)) + 1)
+
+
+def _is_mass(z: Complexes, frequency_hz: Floats) -> bool:
+    """Whether |Z| grows with the frequency here."""
+    slope = np.polyfit(np.log(frequency_hz), np.log(np.abs(z)), 1)[0]
+    return bool(MASS_SLOPE[0] <= slope <= MASS_SLOPE[1])

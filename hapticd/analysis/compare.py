@@ -1,0 +1,92 @@
+"""Fair comparison of displays: two of them bolted together have twice the K, B and M, and are not a better display.
+
+"Has performance really improved, or is this simply a larger device?" (Weir, Colgate and Peshkin 2008, section 2). Divided by
+the mass that moves, impedances [1/s], stiffness [1/s^2] and damping [1/s] of the pair and of the single one are the same; the
+envelope in decibels was the same from the start, since maximum and minimum double together. Friction and perturbation scale
+with the mass too, so the density that belongs to it is per mass squared.
+
+Envelopes measured under unlike conditions are not laid over each other unless the difference is named.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, fields, replace
+
+from hapticd.analysis.boundary import Limits
+from hapticd.analysis.envelope import Edge, Envelope
+from hapticd.errors import AnalysisError
+
+CLOSE = 0.02  # relative difference of numbers that counts as none
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """Under which an envelope was found. `mass_kg` is all that moves at the port; it and `device` may differ freely."""
+
+    device: str
+    mass_kg: float
+    port: str = "probe"
+    probe_mass_kg: float = 0.0
+    rate_hz: float = 1000.0
+    filters: str = "100 Hz, 72 Hz"
+    band_hz: tuple[float, float] = (2.0, 500.0)
+    estimator: str = "spa"
+    grip: str = "free"
+    perturbation_psd_n2_per_hz: float = 0.0
+    simulated: bool = True
+
+
+FREE = ("device", "mass_kg")
+PER_MASS = {"probe_mass_kg": 1, "perturbation_psd_n2_per_hz": 2}  # compared divided by that power of the mass
+
+
+def differences(one: Conditions, other: Conditions) -> tuple[str, ...]:
+    """Names of the conditions that are not alike, those proportional to the mass compared per mass."""
+    return tuple(item.name for item in fields(Conditions) if item.name not in FREE and not _alike(item.name, one, other))
+
+
+def check_alike(conditions: Iterable[Conditions], allow: Iterable[str] = ()) -> None:
+    """AnalysisError unless all differ at most in what `allow` names."""
+    every, told = list(conditions), set(allow)
+    for other in every[1:]:
+        found = [name for name in differences(every[0], other) if name not in told]
+        if found:
+            said = "; ".join(f"{name}: {getattr(every[0], name)!r} and {getattr(other, name)!r}" for name in found)
+            raise AnalysisError(
+                f"{every[0].device} and {other.device} were measured under unlike conditions: {said}; "
+                f"measure them alike, or say that it is meant: allow {', '.join(found)}"
+            )
+
+
+def normalised(found: Envelope, mass_kg: float) -> Envelope:
+    """`found` per kilogram of moving mass: Z/m [1/s], or Y m [s]."""
+    _positive(mass_kg)
+    factor = 1.0 / mass_kg if found.kind == "impedance" else mass_kg
+    upper, lower = (Edge(factor * edge.value, edge.sd, edge.owner) for edge in (found.upper, found.lower))
+    return replace(found, upper=upper, lower=lower)
+
+
+def normalised_limits(limits: Limits, mass_kg: float) -> Limits:
+    """K/m [1/s^2], B/m [1/s] and M/m [1]."""
+    _positive(mass_kg)
+    return Limits(*((low / mass_kg, high / mass_kg) for low, high in (limits.stiffness, limits.damping, limits.mass)))
+
+
+def compared(envelopes: Iterable[tuple[Conditions, Envelope]], allow: Iterable[str] = ()) -> tuple[tuple[str, Envelope], ...]:
+    """(device, mass-normalised envelope) of each, to be drawn on one pair of axes. AnalysisError as `check_alike`."""
+    pairs = list(envelopes)
+    check_alike((conditions for conditions, _ in pairs), allow)
+    return tuple((conditions.device, normalised(found, conditions.mass_kg)) for conditions, found in pairs)
+
+
+def _alike(name: str, one: Conditions, other: Conditions) -> bool:
+    a, b = getattr(one, name), getattr(other, name)
+    if not isinstance(a, float):
+        return bool(a == b)
+    power = PER_MASS.get(name, 0)
+    a, b = a / one.mass_kg**power, b / other.mass_kg**power
+    return bool(abs(a - b) <= CLOSE * max(abs(a), abs(b)))
+
+
+def _positive(mass_kg: float) -> None:
+    if not mass_kg > 0.0:
+        raise AnalysisError(f"mass {mass_kg} kg: the mass that moves at the port must be positive to divide by it")

@@ -1,0 +1,161 @@
+"""What may be wrong with a trial, detected from its record and its spectra, and named.
+
+saturation      a channel stays at its end value: given limits, or a flat top that no noise has
+escape          the velocity of some second is several times that of the calm ones: the loop ran away
+oscillation     a narrow line carries much of the velocity and the perturbation does not explain it: a limit cycle
+drift           offset or trend of the velocity, or a level that changes between the halves of the record
+low_coherence   the perturbation explains less than half of the motion over part of the band
+
+Skew and high-pass of the channels are in `channels`. A finding with `voids` leaves nothing to decide, one with `unstable`
+says that the loop is not stable. Thresholds are those at which a 90 s trial of noise alone never raised them (tests).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hapticd.analysis.arrays import Floats, Integers
+from hapticd.analysis.energy import Energy, energy
+from hapticd.analysis.sections import same_length
+from hapticd.analysis.spectra import Spectra
+from hapticd.analysis.trend import detrended
+from hapticd.errors import AnalysisError
+
+LOW_COHERENCE = 0.5
+FLAT_SHARE, FLAT_BELOW = 1e-4, 0.02  # of all samples at the end value; how far below it others are counted
+ESCAPE_RATIO = 4.0  # of a second's rms to the lower quartile of all
+LINE_WIDTH = 6  # neighbouring values that make a line
+LINE_SHARE = 0.3  # of the velocity's power, unexplained, in a line
+LINE_HEIGHT = 5.0  # of a line over what is beside it
+DRIFT_SHARE = 0.5  # of the standard deviation
+LEVEL_RATIO = 1.25  # of the force's rms between the halves; the velocity may change twice as much
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """`code` for programs, `message` with value and remedy for people."""
+
+    code: str
+    message: str
+    voids: bool = False
+    unstable: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """What the samples say before any spectrum: duration, energy, standard deviations of the detrended channels, findings."""
+
+    seconds: float
+    energy: Energy
+    force_sd_n: float
+    velocity_sd_m_per_s: float
+    findings: tuple[Finding, ...]
+
+
+def examine(
+    force_n: Floats,
+    velocity_m_per_s: Floats,
+    rate_hz: float,
+    force_limit_n: float | None = None,
+    velocity_limit_m_per_s: float | None = None,
+) -> Record:
+    """Look at the samples of a trial, both (N,) float64 at `rate_hz`. The limits are those of the channels.
+
+    AnalysisError for unequal lengths or less than two seconds.
+    """
+    same_length(force_n, velocity_m_per_s)
+    if force_n.size < 2 * rate_hz:
+        raise AnalysisError(f"record of {force_n.size / rate_hz:.3g} s: at least 2 s are needed to tell noise from drift")
+    force, velocity = detrended(force_n), detrended(velocity_m_per_s)
+    findings = (
+        *_saturation("torque", force_n, force_limit_n, "N", "lower the perturbation"),
+        *_saturation("velocity", velocity_m_per_s, velocity_limit_m_per_s, "m/s", "lower the perturbation or the gain"),
+        *_escape(velocity, rate_hz),
+        *_drift(velocity_m_per_s, velocity),
+        *_level("perturbation", force, LEVEL_RATIO),
+        *_level("velocity", velocity, 2.0 * LEVEL_RATIO),
+    )
+    flowed = energy(force_n, velocity_m_per_s, rate_hz)
+    return Record(force.size / rate_hz, flowed, float(force.std()), float(velocity.std()), findings)
+
+
+def coherence_findings(trial: Spectra, band_hz: tuple[float, float]) -> tuple[Finding, ...]:
+    """Low coherence inside `band_hz` (named by share and range), and a line that the perturbation does not explain."""
+    inside = (trial.frequency_hz >= band_hz[0]) & (trial.frequency_hz <= band_hz[1])
+    return (*_incoherent(trial.frequency_hz[inside], trial.coherence[inside]), *_line(trial))
+
+
+def _saturation(name: str, signal: Floats, limit: float | None, unit: str, remedy: str) -> tuple[Finding, ...]:
+    size = np.abs(signal)
+    top = float(size.max()) if limit is None else limit
+    at = np.flatnonzero(size >= top * (1.0 - 1e-9))
+    if top <= 0.0 or not at.size or (limit is None and not _is_flat(size, top, at)):
+        return ()
+    share = 100.0 * at.size / size.size
+    return (Finding("saturation", f"{name} saturated at {top:.4g} {unit} in {share:.2g} % of the samples; {remedy}", voids=True),)
+
+
+def _is_flat(size: Floats, top: float, at: Integers) -> bool:
+    """Whether the largest value is met oftener than by chance: more than just below it, and not once a period."""
+    below = int(((size > (1.0 - FLAT_BELOW) * top) & (size < top * (1.0 - 1e-9))).sum())
+    crowded = at.size >= FLAT_SHARE * size.size and at.size > 2 * below
+    return bool(crowded and np.unique(np.diff(at)).size > 2)
+
+
+def _escape(velocity: Floats, rate_hz: float) -> tuple[Finding, ...]:
+    window = int(rate_hz)
+    rms = np.sqrt(np.mean(velocity[: velocity.size // window * window].reshape(-1, window) ** 2, axis=1))
+    calm = float(np.quantile(rms, 0.25))
+    loud = np.flatnonzero(rms > ESCAPE_RATIO * calm)
+    if not loud.size:
+        return ()
+    message = f"escape at {loud[0]} s: the velocity grew from {calm:.3g} to {rms.max():.3g} m/s rms; the loop is not stable there"
+    return (Finding("escape", message, unstable=True),)
+
+
+def _drift(raw: Floats, without: Floats) -> tuple[Finding, ...]:
+    spread, offset = float(without.std()), float(raw.mean())
+    trend = float((raw - without)[-1] - (raw - without)[0])
+    if max(abs(offset), abs(trend)) <= DRIFT_SHARE * spread:
+        return ()
+    message = (
+        f"velocity drift: offset {offset:.3g} m/s, trend {trend:.3g} m/s over the record, noise {spread:.3g} m/s; zero the sensor"
+    )
+    return (Finding("drift", message),)
+
+
+def _level(name: str, signal: Floats, most: float) -> tuple[Finding, ...]:
+    middle = signal.size // 2
+    first, second = (float(half.std()) for half in (signal[:middle], signal[middle:]))
+    if max(first, second) <= most * min(first, second):
+        return ()
+    message = (
+        f"{name} drift: {first:.3g} rms in the first half, {second:.3g} in the second; the trial mixes two conditions, repeat it"
+    )
+    return (Finding("drift", message),)
+
+
+def _incoherent(frequency_hz: Floats, coherence: Floats) -> tuple[Finding, ...]:
+    low = coherence < LOW_COHERENCE
+    if not low.any():
+        return ()
+    message = (
+        f"low coherence: below {LOW_COHERENCE:g} at {100 * low.mean():.2g} % of the frequencies, from {frequency_hz[low][0]:.3g} "
+        f"to {frequency_hz[low][-1]:.3g} Hz; perturb more strongly there or record longer"
+    )
+    return (Finding("low_coherence", message),)
+
+
+def _line(trial: Spectra) -> tuple[Finding, ...]:
+    unexplained = trial.velocity * (1.0 - trial.coherence)
+    total = float(trial.velocity.sum())
+    close = np.convolve(unexplained, np.ones(LINE_WIDTH), "same")
+    peak = 2 * LINE_WIDTH + int(np.argmax(close[2 * LINE_WIDTH : -2 * LINE_WIDTH]))
+    sides = (close[peak - 2 * LINE_WIDTH : peak - LINE_WIDTH], close[peak + LINE_WIDTH : peak + 2 * LINE_WIDTH])
+    if close[peak] <= LINE_SHARE * total or close[peak] < LINE_HEIGHT * max(float(np.median(side)) for side in sides):
+        return ()
+    message = (
+        f"oscillation at {trial.frequency_hz[peak]:.3g} Hz: {100 * close[peak] / total:.2g} % of the velocity's power is a line "
+        "that the perturbation does not explain; the loop has a limit cycle"
+    )
+    return (Finding("oscillation", message, unstable=True),)

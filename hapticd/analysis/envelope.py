@@ -1,0 +1,140 @@
+"""The Z-width as the paper draws it: at every frequency the largest and the smallest passive |Z|, and of the phase.
+
+"The Z-width envelope is iteratively updated as successive trials are performed" (Weir, Colgate and Peshkin 2008, section 2).
+Every point remembers the trial that set it and how well that trial knew it, so a bump can be asked where it comes from. Trials
+that are not passive do not widen it. The uncertainty is that of the owner alone: the largest of many noisy values lies above
+the true maximum by about one of its standard deviations; confirm an owner with a second trial before quoting it.
+
+The envelope of the admittance is the same with maximum and minimum exchanged: 1/|Z|, minus the phase.
+
+What would break it: trials on other frequencies, or at another port or with another estimator (all refused).
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from hapticd.analysis.arrays import Floats, Integers
+from hapticd.analysis.impedance import Impedance
+from hapticd.analysis.verdict import Verdict
+from hapticd.errors import AnalysisError
+
+Accept = Literal["judged", "within_90_deg"]
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One measured environment: `name`, (K, B, M), its impedance and the verdict on it."""
+
+    name: str
+    environment: tuple[float, float, float]
+    impedance: Impedance
+    verdict: Verdict
+
+
+@dataclass(frozen=True, eq=False)
+class Edge:
+    """One line of the envelope: `value` (F,), standard deviation `sd` (F,) of the owner's estimate, `owner` (F,) into `trials`."""
+
+    value: Floats
+    sd: Floats
+    owner: Integers
+
+
+@dataclass(frozen=True, eq=False)
+class Envelope:
+    """Upper and lower edges over `frequency_hz` (F,): |Z| or |Y| with sd of its logarithm, phase [deg] with sd in degrees.
+
+    `trials` are the names that owners point to, in the order of adding. `kind` is "impedance" [N s/m] or "admittance" [m/(N s)].
+    """
+
+    frequency_hz: Floats
+    upper: Edge
+    lower: Edge
+    phase_upper: Edge
+    phase_lower: Edge
+    trials: tuple[str, ...]
+    port: str
+    estimator: str
+    kind: str = "impedance"
+
+    def width_db(self) -> Floats:
+        """20 log10 of upper over lower (F,)."""
+        return np.asarray(20.0 * np.log10(self.upper.value / self.lower.value))
+
+    def owner(self, edge: Edge) -> list[str]:
+        """Names of the trials that own the points of `edge`."""
+        return [self.trials[index] for index in edge.owner]
+
+
+def envelope(trials: Iterable[Trial], accept: Accept = "judged") -> Envelope:
+    """Envelope of those of `trials` that are passive: by their verdict, or by the paper's +-90 degree rule.
+
+    AnalysisError if none is, or if they are on unlike frequencies, ports or estimators.
+    """
+    found: Envelope | None = None
+    for trial in trials:
+        if accepted(trial.verdict, accept):
+            found = of_trial(trial) if found is None else widened(found, trial)
+    if found is None:
+        raise AnalysisError("no passive trial: there is no envelope to draw; begin with K = B = M = 0")
+    return found
+
+
+def accepted(verdict: Verdict, accept: Accept = "judged") -> bool:
+    """Whether a trial may widen an envelope. The plain rule does not accept an unstable one either."""
+    if accept == "judged":
+        return verdict.answer == "passive"
+    return verdict.within_90_deg and verdict.stability != "unstable"
+
+
+def of_trial(trial: Trial) -> Envelope:
+    """The envelope of one trial: upper and lower edges are the same line."""
+    z, owner = trial.impedance, np.zeros(trial.impedance.frequency_hz.size, np.int64)
+    size = Edge(np.abs(z.impedance_ns_per_m), z.relative_sd, owner)
+    phase = Edge(z.phase_deg, np.degrees(z.relative_sd), owner)
+    return Envelope(z.frequency_hz, size, size, phase, phase, (trial.name,), z.port, z.estimator)
+
+
+def widened(found: Envelope, trial: Trial) -> Envelope:
+    """`found` with `trial`, which is taken to be passive. AnalysisError if it is unlike the ones before."""
+    if found.kind != "impedance":
+        raise AnalysisError("an admittance envelope cannot be widened; widen the impedance envelope and take its admittance")
+    _alike(found, trial.impedance)
+    new, owner = of_trial(trial), len(found.trials)
+    return replace(
+        found,
+        upper=_outer(found.upper, new.upper, owner, 1.0),
+        lower=_outer(found.lower, new.lower, owner, -1.0),
+        phase_upper=_outer(found.phase_upper, new.phase_upper, owner, 1.0),
+        phase_lower=_outer(found.phase_lower, new.phase_lower, owner, -1.0),
+        trials=(*found.trials, trial.name),
+    )
+
+
+def admittance(found: Envelope) -> Envelope:
+    """The envelope of Y = 1/Z; of an admittance envelope, that of Z."""
+    kind = "admittance" if found.kind == "impedance" else "impedance"
+    turned = [replace(edge, value=1.0 / edge.value) for edge in (found.lower, found.upper)]
+    phases = [replace(edge, value=-edge.value) for edge in (found.phase_lower, found.phase_upper)]
+    return replace(found, upper=turned[0], lower=turned[1], phase_upper=phases[0], phase_lower=phases[1], kind=kind)
+
+
+def _outer(old: Edge, new: Edge, owner: int, sense: float) -> Edge:
+    beyond = ~(sense * new.value <= sense * old.value) & np.isfinite(new.value)
+    return Edge(
+        np.where(beyond, new.value, old.value),
+        np.where(beyond, new.sd, old.sd),
+        np.where(beyond, owner, old.owner),
+    )
+
+
+def _alike(found: Envelope, z: Impedance) -> None:
+    if not np.array_equal(found.frequency_hz, z.frequency_hz):
+        raise AnalysisError("trials on unlike frequencies: estimate all with one window and one list of frequencies")
+    if (found.port, found.estimator) != (z.port, z.estimator):
+        raise AnalysisError(
+            f"a trial at the {z.port} by {z.estimator!r} beside others at the {found.port} by {found.estimator!r}: choose one"
+        )

@@ -1,0 +1,91 @@
+"""From spectra to the impedance, its uncertainty and what it does not explain.
+
+    "spa"       Z = Phi_yu / Phi_u: velocity as the input, the paper's choice
+    "h_force"   Z = Phi_y / conj(Phi_yu): force as the input
+
+    g2    = |Phi_yu|^2 / (Phi_u Phi_y)            coherence, of both
+    Phi_v = Phi_out - |Phi_yu|^2 / Phi_in         noise spectrum, not below 0: of the force with "spa", of the velocity otherwise
+    Var Z = (C/N) |Z|^2 (1 - g2) / g2             of the complex value, half of it in each part
+    Var Phi_v = (C/N) Phi_v^2                     twice that at 0 and half the sample rate
+
+(Ljung, System Identification, 2nd ed. 1999, section 6.4.) With a noisy velocity "spa" shrinks |Z| by g2; its phase stays. The
+force is exogenous and almost without noise, so "h_force" has no such bias: use it where |Z| counts and g2 is low.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from hapticd.analysis.arrays import Complexes, Floats
+from hapticd.analysis.spectra import Spectra
+from hapticd.errors import AnalysisError
+
+Estimator = Literal["spa", "h_force"]
+
+
+@dataclass(frozen=True, eq=False)
+class Impedance:
+    """Z(f) of one trial: `impedance_ns_per_m` (F,) complex128, its standard deviation (of the complex value) and coherence.
+
+    `noise` (F,) is the spectrum of the output that the input does not explain, `noise_sd` its standard deviation.
+    """
+
+    frequency_hz: Floats
+    impedance_ns_per_m: Complexes
+    sd_ns_per_m: Floats
+    coherence: Floats
+    noise: Floats
+    noise_sd: Floats
+    estimator: Estimator
+    port: str
+    degrees_of_freedom: float
+
+    @property
+    def phase_deg(self) -> Floats:
+        """Phase (F,) in -180..180 degrees."""
+        return np.degrees(np.angle(self.impedance_ns_per_m))
+
+    @property
+    def relative_sd(self) -> Floats:
+        """Standard deviation (F,) of ln|Z|, and of the phase in radians; inf without coherence."""
+        return relative_sd(self.coherence, self.degrees_of_freedom)
+
+    def without_mass(self, mass_kg: float, port: str = "device") -> "Impedance":
+        """The impedance behind a rigid mass at the port: Z - j 2 pi f m. The real part, and with it the verdict, stays."""
+        behind = self.impedance_ns_per_m - 2j * np.pi * self.frequency_hz * mass_kg
+        return replace(self, impedance_ns_per_m=behind, port=port)
+
+
+def relative_sd(coherence: Floats, degrees_of_freedom: float) -> Floats:
+    """sqrt((1 - g2) / (g2 nu)) (F,): standard deviation of phase [rad] and of ln|Z|."""
+    unexplained = np.divide(1.0 - coherence, coherence, out=np.full_like(coherence, np.inf), where=coherence > 0.0)
+    return np.sqrt(unexplained / degrees_of_freedom)
+
+
+def spread_of(size: Floats, relative: Floats) -> Floats:
+    """`size` times its relative spread (F,); inf where nothing is known, whatever the size."""
+    return np.asarray(np.multiply(size, relative, out=np.full_like(size, np.inf), where=np.isfinite(relative)))
+
+
+def impedance(trial: Spectra, estimator: Estimator = "spa") -> Impedance:
+    """Z with its uncertainty by "spa" (velocity as input, the paper's) or "h_force" (force as input)."""
+    coherence = trial.coherence
+    if estimator == "spa":
+        z, output, of_input = _ratio(trial.cross, trial.velocity), trial.force, trial.velocity
+    elif estimator == "h_force":
+        z, output, of_input = _ratio(trial.force, trial.cross.conj()), trial.velocity, trial.force
+    else:
+        raise AnalysisError(f"estimator {estimator!r}: use 'spa' (velocity as input) or 'h_force' (force as input)")
+    square = trial.cross.real**2 + trial.cross.imag**2
+    noise = np.maximum(output - np.divide(square, of_input, out=np.zeros_like(square), where=of_input > 0.0), 0.0)
+    spread = np.sqrt(2.0) * relative_sd(coherence, trial.degrees_of_freedom)
+    at_ends = np.isclose(trial.frequency_hz % (0.5 * trial.rate_hz), 0.0)
+    noise_sd = noise * np.sqrt(np.where(at_ends, 2.0, 1.0) * trial.variance_factor)
+    sd = spread_of(np.abs(z), spread)
+    return Impedance(trial.frequency_hz, z, sd, coherence, noise, noise_sd, estimator, trial.port, trial.degrees_of_freedom)
+
+
+def _ratio(numerator: Complexes | Floats, denominator: Complexes | Floats) -> Complexes:
+    out = np.full(numerator.shape, complex("nan"))
+    return np.asarray(np.divide(numerator, denominator, out=out, where=denominator != 0.0))

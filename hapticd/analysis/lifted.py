@@ -1,0 +1,125 @@
+"""Colgate and Schenkel's requirement for a composed device: flexible, smoothed, damped by a circuit, encoder not on the motor.
+
+At each wT the impedance at the probe between the harmonics w_k = w + 2 pi k / T is a diagonal and one product
+
+    Z = diag(1 / P_vt) + C / (1 + C (G - E)) h q,   h_k = P_vF H0 / P_vt,  q_l = P_xt / P_vt,  E = sum h_k P_xt(w_k)
+
+(Sherman and Morrison on the admittance of `loop`, all harmonics kept; for a rigid device E = G). With r_k = Re 1/P_vt the
+Hermitian part of Z - x is positive exactly where
+
+    1 + ( Re(c p) - sqrt(|c|^2 a b - Im(c p)^2) ) / 2 >= 0,   a = sum |h|^2/(r - x), b = sum |q|^2/(r - x), p = sum q h/(r - x)
+
+and the largest such x < min r is the damping that the device has to spare: what safety decides on. It has no friction in it
+and holds for every input, a multisine that drives f and 1/T - f together included. Harmonics beyond `_IMAGES` fall off as
+1/w_k^2 at least; their sum in closed form, scaled to the last one, stands for them.
+
+What would break it: an unstable loop (see `closed`), or r_k < 0 by the device itself, which then has nothing to spare.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.analysis.arrays import Complexes, Flags, Floats
+from hapticd.analysis.loop import PAPER_FILTERS, Filters, derivatives, held, pulse_transfer, responses
+from hapticd.analysis.predict import environments
+from hapticd.plant.model import Model
+
+_ANGLES = np.concatenate((np.geomspace(2e-3, 0.05, 24)[:-1], np.linspace(0.05, np.pi, 480)))  # wT
+_IMAGES = 24  # harmonics on each side
+_HALVINGS = 40
+_CLOSEST = 1e-9  # N s/m to the limit that the device's own damping sets
+
+
+@dataclass(frozen=True, eq=False)
+class Lift:
+    """A device seen at all harmonics, A angles and H harmonics: `law` (3, A) of K, B, M; `inner` (A,) G - E;
+    `resistance` (A, H) r_k; `out`, `back`, `both` (A, H) the weights |h|^2, |q|^2 and q h of the sums."""
+
+    law: Complexes
+    inner: Complexes
+    resistance: Floats
+    out: Floats
+    back: Floats
+    both: Complexes
+
+
+def lift(model: Model, damping_ns_per_m: float = 0.0, filters: Filters = PAPER_FILTERS) -> Lift:
+    """`model` at that damping level, without Coulomb friction, with velocity and acceleration filter."""
+    images, rate_hz = np.arange(-_IMAGES, _IMAGES + 1), model.rate_hz
+    f = (_ANGLES[:, None] / (2.0 * np.pi) + images) * rate_hz
+    turn, shape = np.exp(1j * _ANGLES), f.shape
+    p = responses(model, f.ravel(), damping_ns_per_m)
+    own = p.velocity[0, 1].reshape(shape)
+    out = (p.velocity[0, 0] * held(f.ravel(), rate_hz, model.delay_periods)).reshape(shape) / own
+    back = p.encoder[1].reshape(shape)
+    inner = pulse_transfer(model, turn, damping_ns_per_m) - (out * back).sum(axis=1)
+    back = back / own
+    sizes = [np.abs(out) ** 2, np.abs(back) ** 2]
+    rest, rest_late = _beyond(2.0 * np.pi * f / rate_hz, model.delay_periods)
+    tails = [_last(size, f, rate_hz) * rest for size in sizes]
+    late = np.exp(2j * np.pi * f / rate_hz * model.delay_periods)
+    tail_both = _last(out * back * late, f, rate_hz) * rest_late
+    return Lift(
+        np.stack((np.ones_like(turn), *derivatives(turn, rate_hz, filters))),
+        inner,
+        np.column_stack(((1.0 / own).real, (1.0 / own[:, -1]).real)),
+        np.column_stack((sizes[0], tails[0])),
+        np.column_stack((sizes[1], tails[1])),
+        np.column_stack((out * back, tail_both)),
+    )
+
+
+def lifted_margin(lifted: Lift, points: npt.ArrayLike) -> Floats:
+    """Damping [N s/m] (N,) that the device has to spare at the probe under `points` (N, 3); negative: that it is short of.
+
+    For a rigid device: its damping minus `requirement.required_damping`.
+    """
+    return np.array([_spare(lifted, gain) for gain in _gains(lifted, points)])
+
+
+def lifted_passive(lifted: Lift, points: npt.ArrayLike) -> Flags:
+    """Whether there is damping to spare (N,), for maps: one look instead of forty per environment. The loop must be stable."""
+    if lifted.resistance.min() <= 0.0:
+        return np.zeros(len(environments(points)), np.bool_)
+    return np.array([_positive(lifted, gain, 0.0) for gain in _gains(lifted, points)], np.bool_)
+
+
+def _gains(lifted: Lift, points: npt.ArrayLike) -> Complexes:
+    law = environments(points) @ lifted.law
+    return np.asarray(law / (1.0 + law * lifted.inner))
+
+
+def _positive(lifted: Lift, gain: Complexes, spare: float) -> bool:
+    share = 1.0 / np.maximum(lifted.resistance - spare, _CLOSEST)
+    out, back, both = ((weights * share).sum(axis=1) for weights in (lifted.out, lifted.back, lifted.both))
+    cp = gain * both
+    return bool(np.all(2.0 + cp.real - np.sqrt(np.maximum(np.abs(gain) ** 2 * out * back - cp.imag**2, 0.0)) >= 0.0))
+
+
+def _spare(lifted: Lift, gain: Complexes) -> float:
+    high = float(lifted.resistance.min())
+    low = high - float(np.max(np.abs(gain) * np.sqrt(lifted.out.sum(axis=1) * lifted.back.sum(axis=1)))) - 1e-9
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        if _positive(lifted, gain, middle):
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+def _beyond(angles: Floats, delay_periods: float) -> tuple[Floats, Complexes]:
+    """Sums of 1/(w_k T)^2 and e^(-j w_k d T)/(w_k T)^2 over the harmonics beyond those of `angles` (A, H) = w_k T."""
+    whole, part = divmod(delay_periods, 1.0)
+    total = (0.5 / np.sin(0.5 * _ANGLES)) ** 2
+    turn = np.exp(-1j * _ANGLES)
+    late = total * turn**whole * ((1.0 - part) + part * turn)
+    return total - (1.0 / angles**2).sum(axis=1), late - (np.exp(-1j * angles * delay_periods) / angles**2).sum(axis=1)
+
+
+def _last(weights: npt.NDArray[np.inexact], f: Floats, rate_hz: float) -> "npt.NDArray[np.inexact]":
+    """weights (w_k T)^2 at the outermost harmonics, mean of both ends (A,)."""
+    angles = 2.0 * np.pi * f / rate_hz
+    return 0.5 * (weights[:, 0] * angles[:, 0] ** 2 + weights[:, -1] * angles[:, -1] ** 2)

@@ -1,0 +1,137 @@
+"""Coulomb friction as the damper that takes the same power from a random motion: statistical linearisation.
+
+For a Gaussian velocity of standard deviation s the force -Fc sign(v) has the gain sqrt(2/pi) Fc / s (Booton 1953); what is
+left of it, (1 - 2/pi) Fc^2, is noise. The device decides s itself: with a perturbation of one-sided density S
+
+    b s(b) = sqrt(2/pi) Fc,     s(b)^2 = integral of S |Y / (1 + b Y)|^2 df
+
+so friction counts for more the less the device moves, and a limit is a limit at a stated perturbation. Only Fc^2 / S enters.
+Where two bodies rub, each in turn is given the damper that fits, until both do.
+
+A loop that is active without friction has a second solution: moving so fast that friction no longer holds it, it runs away.
+The calm one counts only where bursts of up to three times its motion would die out; a 90 s trial brings such bursts.
+
+What would break it: a perturbation that hardly gets the device moving, when the velocity is far from Gaussian.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hapticd.analysis.arrays import Complexes, Flags, Floats
+from hapticd.analysis.loop import Loop
+
+GAIN = float(np.sqrt(2.0 / np.pi))
+BURSTS = (1.2, 1.5, 2.0, 2.5, 3.0)
+_LEAST, _MOST = 1e-4, 1e4  # N s/m; a body that sticks stays at the most, one that runs away ends at the least
+_ROUNDS_OF_ONE = 40  # each halves the error of a free mass
+_ROUNDS = 8  # between two bodies
+
+
+@dataclass(frozen=True, slots=True)
+class Perturbation:
+    """White force of one-sided density `psd_n2_per_hz` up to `band_hz`; the default is that of the calibrated device."""
+
+    psd_n2_per_hz: float = 2.5e-5
+    band_hz: float = 1700.0
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """`impedance` (N, F) complex128 at the port, `friction` (ports, N) the dampers [N s/m], `velocity_sd` (N,) of the port [m/s].
+
+    `calm` (N,): a burst of motion dies out.
+    """
+
+    impedance: Complexes
+    friction: Floats
+    velocity_sd: Floats
+    calm: Flags
+
+
+def linearise(loop: Loop, points: Floats, coulomb_n: Floats, start: Floats, perturbation: Perturbation | None) -> Linearised:
+    """Z of `loop` under the environments `points` (N, 3) with friction `coulomb_n` (ports,) at that perturbation.
+
+    `start` (ports,): dampers that the loop's model already has on its bodies; they are taken off where friction is less.
+    Without a perturbation the friction is left out, and the velocity's deviation is unknown (nan).
+    """
+    y = port_admittance(loop, points)
+    weight = np.zeros(loop.frequency_hz.size) if perturbation is None else density_weights(loop.frequency_hz, perturbation)
+    level = np.repeat(start[:, None], len(points), axis=1)
+    rubbing = [] if perturbation is None else [port for port, force in enumerate(coulomb_n) if force > 0.0]
+    for _ in range(_ROUNDS if len(rubbing) > 1 else 1):
+        for port in rubbing:
+            alone = _alone(y, level, start, port)
+            level[port] = fitting_damper(alone, GAIN * coulomb_n[port], weight)
+    seen = hung(y, level - start[:, None])[0, 0]
+    power = (seen.real**2 + seen.imag**2) @ weight
+    sd = np.sqrt(power) if perturbation is not None else np.full(len(points), np.nan)
+    calm = np.ones(len(points), np.bool_)
+    for port in rubbing:
+        alone = _alone(y, level, start, port)
+        for burst in BURSTS:
+            calm &= (level[port] / burst) * alone.sd(level[port] / burst, weight) < GAIN * coulomb_n[port]
+    return Linearised(1.0 / seen, level, sd, calm)
+
+
+def port_admittance(loop: Loop, points: Floats) -> Complexes:
+    """Y_ab (ports, ports, N, F) of the closed loop, without anything hung on the ports."""
+    kbm = np.column_stack((np.ones(len(points)), points))
+    common = 1.0 / product(kbm, loop.common)
+    return np.stack([np.stack([product(kbm, pair) * common for pair in row]) for row in loop.admittance])
+
+
+def product(weights: Floats, basis: Complexes) -> Complexes:
+    """Real (N, 4) times complex (4, F), as two real products."""
+    return np.asarray(weights @ basis.real + 1j * (weights @ basis.imag))
+
+
+def hung(y: Complexes, dampers: Floats, skip: int = -1) -> Complexes:
+    """`y` (ports, ports, N, F) with `dampers` (ports, N) on its ports, all but port `skip`."""
+    for port, level in enumerate(dampers):
+        if port != skip and level.any():
+            b = level[:, None]
+            y = y - y[:, port, None] * y[port] * (b / (1.0 + b * y[port, port]))
+    return y
+
+
+@dataclass(frozen=True, eq=False)
+class Alone:
+    """A port to which a damper is added: |Y_i0|^2 and Y_ii in parts, (N, F), with `start` N s/m on it already."""
+
+    drive: Floats
+    real: Floats
+    imag: Floats
+    start: float
+
+    def sd(self, damper: Floats, weight: Floats) -> Floats:
+        """Standard deviation (N,) of the port's velocity with a damper (N,) on it."""
+        extra = (damper - self.start)[:, None]
+        power = (self.drive / ((1.0 + extra * self.real) ** 2 + (extra * self.imag) ** 2)) @ weight
+        return np.asarray(np.sqrt(power))
+
+
+def fitting_damper(alone: Alone, gain_n: float, weight: Floats) -> Floats:
+    """b (N,) with b s(b) = `gain_n`.
+
+    Iterated from rest, b <- g / s(b), downwards only: the damper of a body that hardly moves is too strong, lets go, and stays at
+    the strongest one that fits. That is the calm solution, where a loop that is active without friction has several. If
+    there is none, b falls past the value at which the loop begins to oscillate, and Re Z < 0 there says so.
+    """
+    b = np.full(len(alone.drive), _MOST)
+    for _ in range(_ROUNDS_OF_ONE):
+        b = np.clip(gain_n / alone.sd(b, weight), _LEAST, b)
+    return b
+
+
+def _alone(y: Complexes, level: Floats, start: Floats, port: int) -> Alone:
+    """`port` of `y` with the dampers of the others changed from `start` to `level`."""
+    others = hung(y, level - start[:, None], skip=port)
+    through, own = others[port, 0], others[port, port]
+    return Alone(through.real**2 + through.imag**2, own.real, own.imag, float(start[port]))
+
+
+def density_weights(frequency_hz: Floats, perturbation: Perturbation) -> Floats:
+    """Weights (F,) of an integral of S |Y|^2 over the perturbation's band: trapezoids."""
+    inside = frequency_hz <= perturbation.band_hz
+    return np.asarray(np.where(inside, perturbation.psd_n2_per_hz * np.gradient(frequency_hz), 0.0))

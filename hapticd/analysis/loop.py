@@ -1,0 +1,164 @@
+"""The sampled loop as seen from the probe: its first harmonic, exactly, and its closed-loop matrix.
+
+The port is where torque and velocity of the rotor are. With the device's responses P(jw) from torque t and command F to the
+velocity v and to the encoder x, the hold H0 = (1 - e^(-jwT))/(jwT) e^(-jwdT), the pulse transfer G(z) of hold, delay and P_xF
+(exact, the fraction of a tick included) and the law C = K + B H_v(z) + M H_a(z) at z = e^(jwT):
+
+    Y = P_vt - P_vF H0 C P_xt / (1 + G C) = (P_vt + (G P_vt - P_vF H0 P_xt) C) / (1 + G C)
+
+Numerator and denominator are affine in (K, B, M), so a map of thousands of environments is two matrix products. White noise
+sees this first harmonic: images of the torque at f + k/T are uncorrelated with it, and the mass leaves less than 1e-4 of them.
+
+Bodies with friction get a port of their own, so that a damper can be hung on them afterwards (`friction`).
+
+What would break it: a quantiser or a limit that binds, or a device that is not stable by itself.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hapticd.analysis.arrays import Complexes, Floats
+from hapticd.params import FilterParams
+from hapticd.plant.discrete import delay_steps, discretise, late_command
+from hapticd.plant.model import Model
+from hapticd.render.filters import Biquad, design
+from hapticd.units import PROBE_RATE_HZ
+
+Filters = tuple[FilterParams | None, FilterParams | None]  # of velocity and acceleration; None: none
+
+PAPER_FILTERS: Filters = (FilterParams(100.0), FilterParams(72.0))  # Weir 2008, section 2
+NO_FILTER: Biquad = (1.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """A model at a damping level with its filters, at `frequency_hz` (F,).
+
+    Y_ab of port b to port a is `admittance[a, b]` . (1, K, B, M) over `common` . (1, K, B, M); port 0 is the probe's.
+    admittance (p, p, 4, F), common (4, F) complex128. `recorded` (F,) turns the true Z into that of the recorded channels.
+    """
+
+    frequency_hz: Floats
+    admittance: Complexes
+    common: Complexes
+    recorded: Complexes
+
+
+def with_viscous(model: Model, ns_per_m: tuple[float, ...]) -> Model:
+    """`model` with a damper on the body of each of its contacts."""
+    a0 = model.a0.copy()
+    for contact, level in zip(model.contacts, ns_per_m, strict=True):
+        a0[:, contact.velocity] -= level * model.b0[:, contact.column]
+    return replace(model, a0=a0)
+
+
+def close_loop(model: Model, frequency_hz: Floats, damping_ns_per_m: float = 0.0, filters: Filters = PAPER_FILTERS) -> Loop:
+    """The loop around `model` at that damping level, with velocity and acceleration filter, at `frequency_hz` (F,) > 0."""
+    f = np.asarray(frequency_hz, np.float64)
+    turn = np.exp(2j * np.pi * f / model.rate_hz)
+    ports = port_states(model)
+    p = responses(model, f, damping_ns_per_m)
+    hold = held(f, model.rate_hz, model.delay_periods)
+    law = np.stack((np.ones_like(turn), *derivatives(turn, model.rate_hz, filters)))
+    pulse = pulse_transfer(model, turn, damping_ns_per_m)
+    common = np.concatenate((np.ones((1, f.size)), pulse * law))
+    admittance = np.empty((len(ports), len(ports), 4, f.size), np.complex128)
+    for a in range(len(ports)):
+        for b in range(len(ports)):
+            open_loop = p.velocity[a, 1 + b]
+            feedback = pulse * open_loop - p.velocity[a, 0] * hold * p.encoder[1 + b]
+            admittance[a, b] = np.concatenate((open_loop[None], feedback * law))
+    return Loop(f, admittance, common, p.recorded)
+
+
+@dataclass(frozen=True, eq=False)
+class Responses:
+    """Open-loop responses at F frequencies: `velocity` (ports, 1 + ports, F) of the ports and `encoder` (1 + ports, F) to the
+    command and to forces at the ports; `recorded` (F,), Z of the recorded channels over the true one."""
+
+    velocity: Complexes
+    encoder: Complexes
+    recorded: Complexes
+
+
+def port_states(model: Model) -> list[int]:
+    """Velocity states of the ports: the rotor's, then those of other bodies with friction."""
+    rotor = int(np.argmax(model.outputs.velocity.c0))
+    return [rotor, *(contact.velocity for contact in model.contacts if contact.velocity != rotor)]
+
+
+def responses(model: Model, frequency_hz: Floats, damping_ns_per_m: float = 0.0) -> Responses:
+    """Continuous responses of the device alone."""
+    ports, outputs, level = port_states(model), model.outputs, damping_ns_per_m
+    s = 2j * np.pi * frequency_hz
+    columns = [model.inputs.command, model.inputs.torque, *(_force_column(model, state) for state in ports[1:])]
+    forces = model.b(level)[:, columns]
+    state = np.linalg.solve(
+        s[:, None, None] * np.eye(len(forces)) - model.a(level), np.broadcast_to(forces, (s.size, *forces.shape))
+    )
+    x = np.moveaxis(state, 0, 2)  # states, inputs, F
+    through = outputs.recorded_velocity.through(level)[model.inputs.torque]
+    channel = outputs.recorded_velocity.row(level) @ x[:, 1] + through
+    torque = np.ones(s.size, np.complex128)
+    if outputs.recorded_impulse is not None:
+        torque += s * (outputs.recorded_impulse.row(level) @ x[:, 1])
+    encoder = np.tensordot(outputs.encoder.row(level), x, axes=1)
+    recorded = np.asarray(torque * x[ports[0], 1] / channel / np.sinc(frequency_hz / PROBE_RATE_HZ) ** 2)
+    return Responses(np.asarray(x[ports], np.complex128), np.asarray(encoder, np.complex128), recorded)
+
+
+def _force_column(model: Model, state: int) -> int:
+    return next(contact.column for contact in model.contacts if contact.velocity == state)
+
+
+def held(frequency_hz: Floats, rate_hz: float, delay_periods: float) -> Complexes:
+    """Hold and delay of a command: the transform of one held sample over T (F,)."""
+    ratio = frequency_hz / rate_hz
+    return np.asarray(np.sinc(ratio) * np.exp(-2j * np.pi * ratio * (0.5 + delay_periods)))
+
+
+def derivatives(turn: Complexes, rate_hz: float, filters: Filters = PAPER_FILTERS) -> tuple[Complexes, Complexes]:
+    """Velocity and acceleration as the law forms them from a position, at z = `turn` (F,); None leaves a filter out."""
+    slope = (1.0 - 1.0 / turn) * rate_hz
+    low = [_at(turn, biquad_of(one, rate_hz)) for one in filters]
+    return slope * low[0], slope * slope * low[1]
+
+
+def biquad_of(one: FilterParams | None, rate_hz: float) -> Biquad:
+    """Coefficients of a filter of the law."""
+    return NO_FILTER if one is None else design(one.frequency_hz, one.damping_ratio, one.mapping, rate_hz)
+
+
+def _at(turn: Complexes, biquad: Biquad) -> Complexes:
+    b0, b1, b2, a1, a2 = biquad
+    back = 1.0 / turn
+    return (b0 + (b1 + b2 * back) * back) / (1.0 + (a1 + a2 * back) * back)
+
+
+@dataclass(frozen=True, eq=False)
+class Sampled:
+    """The device from tick to tick: x' = a x + new u_(k-steps) + old u_(k-steps-1), encoder row y = row x."""
+
+    a: Floats
+    new: Floats
+    old: Floats
+    steps: int
+    row: Floats
+
+
+def sampled(model: Model, damping_ns_per_m: float = 0.0) -> Sampled:
+    """Exact map over one tick; a command that arrives inside the tick is split there."""
+    whole = discretise(model, 1.0 / model.rate_hz, damping_ns_per_m)
+    steps, fraction = delay_steps(model.delay_periods, 1)
+    old, new = late_command(model, whole, fraction)
+    return Sampled(whole.a, new, old, steps, model.outputs.encoder.row(damping_ns_per_m))
+
+
+def pulse_transfer(model: Model, turn: Complexes, damping_ns_per_m: float = 0.0) -> Complexes:
+    """G(z) from command to encoder at z = `turn` (F,)."""
+    device = sampled(model, damping_ns_per_m)
+    late = np.stack((device.new, device.old), axis=1)
+    x = np.linalg.solve(turn[:, None, None] * np.eye(len(late)) - device.a, np.broadcast_to(late, (turn.size, *late.shape)))
+    new, old = (device.row @ x).T
+    return np.asarray((new + old / turn) * turn ** (-device.steps))

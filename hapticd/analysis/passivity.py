@@ -1,0 +1,146 @@
+"""The verdict on a trial: passive in a band, not passive in it, or undecided; never without its conditions.
+
+Z is positive real where Re Z >= 0, and the sign of Re Z is that of the cross-power Re Phi_Fv, whichever estimator is used.
+Re Z is known to h = t |Z| sqrt((1 - g2) / (g2 (nu - 2))) at each frequency, the phase to arcsin(h / |Z|), with Student's t
+at a level raised so that all intervals of the band hold together (`confidence.sidak`). The margin, the least Re Z or the
+least 90 degrees - |phase|, then lies between the least lower and the least upper limit:
+
+    passive       the least lower limit is above 0         not passive    an upper limit is below 0
+
+A device that is not stable is not passive, whatever its Re Z: with a virtual K < 0 or a closed loop of spectral radius above
+1 the real part may be positive throughout. Findings that turn the phase (skew, high-pass) or bend the channels (saturation)
+leave nothing to decide. The paper's plain rule, all phases within +-90 degrees, is answered beside it; with 5 mm/s of sensor
+noise it calls a passive device with a margin of 1 degree non-passive in every trial.
+
+What would break it: a band below 1/(M T), where the window smooths, or a record of too few windows; both are refused.
+"""
+
+import numpy as np
+
+from hapticd.analysis.arrays import Flags, Floats
+from hapticd.analysis.channels import channel_findings
+from hapticd.analysis.confidence import sidak, student_quantile
+from hapticd.analysis.diagnostics import Finding, Record, coherence_findings
+from hapticd.analysis.impedance import Estimator, impedance, relative_sd, spread_of
+from hapticd.analysis.spectra import Spectra
+from hapticd.analysis.verdict import Amplitude, Answer, Margin, Stability, Verdict
+from hapticd.errors import AnalysisError
+
+DEFAULT_BAND_HZ = (2.0, 500.0)
+LEAST_FREEDOM = 20.0  # degrees of freedom below which the intervals mean nothing
+
+
+def judge(
+    trial: Spectra,
+    record: Record | None = None,
+    band_hz: tuple[float, float] = DEFAULT_BAND_HZ,
+    confidence: float = 0.95,
+    estimator: Estimator = "spa",
+    spectral_radius: float | None = None,
+    behind_mass_kg: float = 0.0,
+    channels: bool = True,
+) -> Verdict:
+    """Verdict on `trial`. `record` (of `diagnostics.examine`) brings energy, escape and saturation; `spectral_radius` is that
+    of the predicted closed loop. `behind_mass_kg` > 0 judges the device behind the probe's mass: Re Z is the same there.
+    `channels`: also look for skew and high-pass, which takes longer than the rest; simulated records have neither.
+
+    AnalysisError for a band below 1/(M T) or without frequencies, and for records of fewer than 20 degrees of freedom.
+    """
+    inside = band_mask(trial, band_hz)
+    f, at_port = trial.frequency_hz[inside], impedance(trial, estimator)
+    z = at_port.without_mass(behind_mass_kg) if behind_mass_kg else at_port
+    ohm, count = z.impedance_ns_per_m[inside], int(inside.sum())
+    half = spread_of(np.abs(at_port.impedance_ns_per_m), half_width(trial, sidak(confidence, count)))[inside]
+    angle = 90.0 - np.abs(np.degrees(np.angle(ohm)))
+    newton = _least(ohm.real, half, f)
+    findings = (record.findings if record else ()) + coherence_findings(trial, band_hz)
+    findings += channel_findings(trial) if channels else ()
+    stability = _stability(findings, record is not None, spectral_radius)
+    return Verdict(
+        answer=_answer(newton, stability, findings),
+        band_hz=band_hz,
+        confidence=confidence,
+        n_frequencies=count,
+        margin_ns_per_m=newton,
+        margin_deg=_least(angle, _angle_deg(half, np.abs(ohm)), f),
+        within_90_deg=bool(np.all(np.abs(np.angle(ohm)) < 0.5 * np.pi)),
+        stability=stability,
+        amplitude=Amplitude(float(2.0 * trial.force[inside].mean() / trial.rate_hz), _velocity_sd(trial)),
+        port=z.port,
+        seconds=trial.n_samples / trial.rate_hz,
+        seconds_needed=_seconds_needed(ohm.real, half, trial),
+        spectral_radius=spectral_radius,
+        energy=record.energy if record else None,
+        findings=findings,
+    )
+
+
+def band_mask(trial: Spectra, band_hz: tuple[float, float]) -> Flags:
+    """Which frequencies of `trial` lie in `band_hz`, both ends included. AnalysisError as `judge`."""
+    low, high = band_hz
+    if low < trial.lowest_hz:
+        raise AnalysisError(
+            f"band from {low:g} Hz: the window of {trial.lag} samples says nothing below {trial.lowest_hz:.3g} Hz; "
+            "begin there, or take a longer window"
+        )
+    if trial.degrees_of_freedom < LEAST_FREEDOM:
+        needed = 0.5 * LEAST_FREEDOM * 0.75 * trial.lag / trial.rate_hz
+        raise AnalysisError(
+            f"record of {trial.n_samples / trial.rate_hz:.3g} s: too short for a verdict with a window of {trial.lag} samples; "
+            f"record {needed:.3g} s or more"
+        )
+    inside = (trial.frequency_hz >= low) & (trial.frequency_hz <= high)
+    if not inside.any():
+        raise AnalysisError(f"no frequency of the estimate lies in {low:g}..{high:g} Hz; widen the band")
+    return inside
+
+
+def half_width(trial: Spectra, level: float) -> Floats:
+    """Half of the interval of Re Z over |Z| (F,), each side at `level`: the sine of that of the phase; inf without coherence."""
+    freedom = trial.degrees_of_freedom - 2.0
+    return student_quantile(level, freedom) * relative_sd(trial.coherence, freedom)
+
+
+def _angle_deg(half: Floats, size: Floats) -> Floats:
+    """Phase interval that belongs to +-`half` of the real part."""
+    share = np.divide(half, size, out=np.ones_like(half), where=half < size)
+    return np.degrees(np.arcsin(share))
+
+
+def _least(values: Floats, half: Floats, frequency_hz: Floats) -> Margin:
+    """Margin of `values` known to +-`half`; a value that is not known (nan) may be anything."""
+    known = np.isfinite(values)
+    lower, upper = np.where(known, values - half, -np.inf), np.where(known, values + half, np.inf)
+    worst = int(np.argmin(np.where(known, values, np.inf)))
+    return Margin(float(values[worst]), float(lower.min()), float(upper.min()), float(frequency_hz[worst]))
+
+
+def _answer(margin: Margin, stability: Stability, findings: tuple[Finding, ...]) -> Answer:
+    if stability == "unstable":
+        return "not_passive"
+    if any(finding.voids for finding in findings):
+        return "undecided"
+    if margin.upper < 0.0:
+        return "not_passive"
+    return "passive" if margin.lower > 0.0 else "undecided"
+
+
+def _stability(findings: tuple[Finding, ...], recorded: bool, spectral_radius: float | None) -> Stability:
+    if any(finding.unstable for finding in findings) or (spectral_radius is not None and spectral_radius >= 1.0):
+        return "unstable"
+    return "stable" if recorded or spectral_radius is not None else "unknown"
+
+
+def _velocity_sd(trial: Spectra) -> float:
+    """From the spectrum: its mean over a whole turn is the variance; on other frequencies a trapezoid over what there is."""
+    power = float(np.trapezoid(trial.velocity, trial.frequency_hz)) * 2.0 / trial.rate_hz
+    return float(np.sqrt(power))
+
+
+def _seconds_needed(values: Floats, half: Floats, trial: Spectra) -> float:
+    """A record longer by (half / value)^2 brings the limit of a value to 0; all must be there, or one below."""
+    seconds = trial.n_samples / trial.rate_hz
+    with np.errstate(divide="ignore", invalid="ignore"):
+        factor = np.where(np.isfinite(values), (half / values) ** 2, np.inf)
+    below = values < 0.0
+    return float(seconds * (factor[below].min() if below.any() else factor.max()))

@@ -1,0 +1,75 @@
+"""What a judgement on a trial says: the answer and, always with it, band, confidence, margins, stability and amplitude."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from hapticd.analysis.diagnostics import Finding
+from hapticd.analysis.energy import Energy
+
+Answer = Literal["passive", "not_passive", "undecided"]
+Stability = Literal["stable", "unstable", "unknown"]
+
+_WORDS = {"passive": "passive in band", "not_passive": "not passive in band", "undecided": "undecided in band"}
+
+
+@dataclass(frozen=True, slots=True)
+class Margin:
+    """Least value over the band, at `frequency_hz`, and limits between which the true least value lies."""
+
+    value: float
+    lower: float
+    upper: float
+    frequency_hz: float
+
+    def __str__(self) -> str:
+        return f"{self.value:.3g} ({self.lower:.3g}..{self.upper:.3g}, worst at {self.frequency_hz:.1f} Hz)"
+
+
+@dataclass(frozen=True, slots=True)
+class Amplitude:
+    """One-sided density of the perturbation, mean over the band, and standard deviation of the velocity."""
+
+    force_psd_n2_per_hz: float
+    velocity_sd_m_per_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Answer and conditions. `within_90_deg` is the paper's plain rule, `port` the place where Z was looked at.
+
+    "stable" without a `spectral_radius` (of the predicted loop) says that no escape was seen in this record. `seconds` is
+    the length of the record, `seconds_needed` that of one like it that would decide; inf at margin 0.
+    """
+
+    answer: Answer
+    band_hz: tuple[float, float]
+    confidence: float
+    n_frequencies: int
+    margin_ns_per_m: Margin
+    margin_deg: Margin
+    within_90_deg: bool
+    stability: Stability
+    amplitude: Amplitude
+    port: str
+    seconds: float
+    seconds_needed: float
+    spectral_radius: float | None = None
+    energy: Energy | None = None
+    findings: tuple[Finding, ...] = field(default_factory=tuple)
+
+    def __str__(self) -> str:
+        low, high = self.band_hz
+        density, speed = self.amplitude.force_psd_n2_per_hz, 1e3 * self.amplitude.velocity_sd_m_per_s
+        words = (
+            f"{_WORDS[self.answer]} [{low:g}, {high:g}] Hz at {100 * self.confidence:g} % confidence",
+            self._stability(),
+            f"margin {self.margin_ns_per_m} N s/m, {self.margin_deg} deg",
+            f"perturbation {density:.3g} N^2/Hz, velocity {speed:.3g} mm/s rms over {self.seconds:.3g} s at the {self.port}",
+            *(finding.message for finding in self.findings),
+        )
+        return "; ".join(words)
+
+    def _stability(self) -> str:
+        if self.spectral_radius is not None:
+            return f"{self.stability}, spectral radius {self.spectral_radius:.6g}"
+        return {"stable": "stable as far as seen", "unstable": "unstable", "unknown": "stability unknown"}[self.stability]

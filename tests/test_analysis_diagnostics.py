@@ -1,0 +1,184 @@
+"""What can be wrong with a trial is found and named; what is right is left in peace."""
+
+import re
+
+import numpy as np
+import pytest
+from spectral_trials import exact_trial, mass_damper, record
+
+from hapticd.analysis.channels import channel_findings, high_pass, skew
+from hapticd.analysis.diagnostics import coherence_findings, examine
+from hapticd.analysis.passivity import judge
+from hapticd.analysis.spa import spa
+from hapticd.analysis.spectra import corrected
+from hapticd.errors import AnalysisError
+
+RATE_HZ = 4000.0
+SECONDS = 20
+N = int(SECONDS * RATE_HZ)
+
+
+def trial(seed=1, impedance=None):
+    return record(impedance or mass_damper(0.008, 1.0, 50.0), seed, N)
+
+
+def codes(findings):
+    return [one.code for one in findings]
+
+
+def test_calm_record_has_no_finding():
+    force, velocity = trial()
+    found = examine(force, velocity, RATE_HZ)
+    assert found.findings == ()
+    assert found.seconds == SECONDS
+    assert found.force_sd_n == pytest.approx(force.std(), rel=1e-3)
+    assert found.velocity_sd_m_per_s == pytest.approx(velocity.std(), rel=1e-3)
+    assert found.energy.end_j > 0.0
+
+
+def test_clipped_channel_is_saturated():
+    force, velocity = trial()
+    found = examine(np.clip(force, -0.5, 0.5), velocity, RATE_HZ).findings
+    assert codes(found) == ["saturation"]
+    assert re.match(r"torque saturated at 0\.5 N in \S+ % of the samples; lower the perturbation", found[0].message)
+    assert found[0].voids
+
+
+@pytest.mark.parametrize("periods", [1, 16])
+def test_periodic_force_is_not_taken_for_saturated(periods):
+    """A sine meets its largest value every period, a multisine once in 4096 samples."""
+    time = np.arange(N)
+    sine = np.sin(2 * np.pi * 100.0 * time / RATE_HZ)
+    multisine = np.tile(np.random.default_rng(6).standard_normal(4096), N // 4096 + 1)[:N]
+    for force in (sine, multisine):
+        assert "saturation" not in codes(examine(periods * force, trial()[1], RATE_HZ).findings)
+
+
+def test_limit_of_the_channel_finds_a_single_sample():
+    force, velocity = trial()
+    assert examine(force, velocity, RATE_HZ, velocity_limit_m_per_s=2.0).findings == ()
+    velocity[100] = 2.0
+    found = examine(force, velocity, RATE_HZ, velocity_limit_m_per_s=2.0).findings
+    assert found[0].message.startswith("velocity saturated at 2 m/s")
+
+
+def test_escape_is_found_with_its_time():
+    force, velocity = trial()
+    velocity[int(12.5 * RATE_HZ) :] *= 50.0
+    found = [one for one in examine(force, velocity, RATE_HZ).findings if one.code == "escape"]
+    assert found[0].message.startswith("escape at 12 s: the velocity grew from 0.0")
+    assert found[0].unstable
+    assert judge(spa(force, velocity), examine(force, velocity, RATE_HZ)).answer == "not_passive"
+
+
+def test_limit_cycle_is_an_oscillation():
+    force, velocity = trial()
+    cycle = 0.05 * np.sin(2 * np.pi * 41.3 * np.arange(N) / RATE_HZ)
+    found = coherence_findings(spa(force, velocity + cycle), (2.0, 500.0))
+    message = next(one.message for one in found if one.code == "oscillation")
+    assert re.match(r"oscillation at 41(\.\d)? Hz: \S+ % of the velocity's power is a line that the perturbation does not", message)
+    assert judge(spa(force, velocity + cycle)).stability == "unstable"
+
+
+def test_resonance_under_noise_is_no_oscillation():
+    force, velocity = record(mass_damper(0.008, 0.2, 100.0), 2, N, noise_m_per_s=5e-3)
+    assert "oscillation" not in codes(coherence_findings(spa(force, velocity), (2.0, 500.0)))
+
+
+@pytest.mark.parametrize("drift", [lambda v: v + 0.03, lambda v: v + np.linspace(-0.02, 0.02, v.size)])
+def test_offset_and_trend_are_drift(drift):
+    force, velocity = trial()
+    found = examine(force, drift(velocity), RATE_HZ).findings
+    assert codes(found) == ["drift"]
+    assert re.match(
+        r"velocity drift: offset \S+ m/s, trend \S+ m/s over the record, noise \S+ m/s; zero the sensor", found[0].message
+    )
+
+
+def test_perturbation_that_changes_is_drift():
+    force, velocity = trial()
+    force[N // 2 :] *= 1.5
+    found = examine(force, velocity, RATE_HZ).findings
+    assert re.match(r"perturbation drift: \S+ rms in the first half, \S+ in the second; the trial mixes", found[0].message)
+
+
+def test_low_coherence_is_named_with_its_range():
+    force, velocity = record(mass_damper(0.008, 1.0), 3, N, noise_m_per_s=0.1)
+    found = coherence_findings(spa(force, velocity), (2.0, 500.0))
+    assert codes(found) == ["low_coherence"]
+    assert re.match(
+        r"low coherence: below 0\.5 at \d+ % of the frequencies, from \S+ to 500 Hz; perturb more strongly", found[0].message
+    )
+
+
+def test_short_record_is_refused():
+    with pytest.raises(AnalysisError, match=re.escape("record of 1 s: at least 2 s are needed to tell noise from drift")):
+        examine(np.ones(4000), np.ones(4000), RATE_HZ)
+
+
+def turned(impedance, skew_s=0.0, high_pass_hz=0.0):
+    """Impedance as channels with these faults show it."""
+    return lambda f: impedance(f) / (np.exp(2j * np.pi * f * skew_s) * (1j * f / (high_pass_hz + 1j * f)))
+
+
+@pytest.mark.parametrize("skew_us", [-125.0, -40.0, 40.0, 125.0])
+@pytest.mark.parametrize(("damping", "stiffness"), [(1.0, 0.0), (3.0, 500.0)])
+def test_skew_is_found_and_measured(skew_us, damping, stiffness):
+    shown = spa(*record(turned(mass_damper(0.008, damping, stiffness), skew_us * 1e-6), 4, N))
+    found = channel_findings(shown)
+    assert codes(found) == ["channel_skew"]
+    assert 1e6 * skew(shown).value == pytest.approx(skew_us, abs=4.0)
+    assert ("after" if skew_us > 0 else "before") + " the force" in found[0].message
+    assert judge(shown).answer == "undecided"
+
+
+def test_half_a_sample_makes_a_passive_device_look_active():
+    shown = spa(*record(turned(mass_damper(0.008, 4.0), -125e-6), 5, N))
+    assert judge(shown, channels=False).answer == "not_passive"
+    repaired = corrected(shown, skew_s=-125e-6)
+    assert judge(repaired).answer == "passive"
+
+
+def test_two_bodies_are_not_taken_for_skew():
+    """Probe and motor on a stiff transmission: |Z| goes through a maximum and a minimum."""
+
+    def coupled(f):
+        s = 2j * np.pi * f
+        slider = 0.0025 * s + 0.15
+        bridge = 2.0 + 4e4 / s
+        return 0.0055 * s + 0.85 + slider * bridge / (slider + bridge)
+
+    shown = exact_trial(coupled, 0.98)
+    assert abs(skew(shown).value) < 15e-6
+    assert channel_findings(shown) == ()
+
+
+def test_device_that_is_no_mass_says_nothing_about_skew():
+    shown = exact_trial(lambda f: 2.0 + 1e5 / (2j * np.pi * f), 0.98)
+    assert np.isnan(skew(shown).value)
+    assert channel_findings(shown) == ()
+
+
+@pytest.mark.parametrize("stiffness", [100.0, 500.0])
+def test_high_pass_is_found_over_a_spring(stiffness):
+    shown = exact_trial(turned(mass_damper(0.008, 1.0, stiffness), high_pass_hz=0.5), 0.995)
+    assert high_pass(shown).value == pytest.approx(0.5, rel=0.1)
+    found = channel_findings(shown)
+    assert codes(found) == ["high_pass_mismatch"]
+    assert re.match(r"high-pass mismatch: the velocity channel looks AC-coupled at 0\.5\d* Hz", found[0].message)
+    assert judge(shown).answer == "undecided"
+
+
+def test_delayed_force_is_not_taken_for_a_high_pass():
+    """A lag of 5 ms over a spring adds a constant to Re Z, a high-pass 1/f^2."""
+
+    def late(f):
+        return mass_damper(0.008, 1.0)(f) + 100.0 * np.exp(-2j * np.pi * f * 5e-3) / (2j * np.pi * f)
+
+    shown = exact_trial(late, 0.995)
+    assert abs(high_pass(shown).value) < 0.05
+    assert channel_findings(shown) == ()
+
+
+def test_without_a_spring_nothing_is_said_about_a_high_pass():
+    assert np.isnan(high_pass(exact_trial(turned(mass_damper(), high_pass_hz=0.5), 0.995)).value)

@@ -1,0 +1,164 @@
+"""Colgate and Schenkel: closed forms, delays, the lifted theorem for a composed device, and the paper's Eq. 2."""
+
+import re
+
+import numpy as np
+import pytest
+from analysis_devices import display, rigid
+
+from hapticd.analysis.lifted import lift, lifted_margin, lifted_passive
+from hapticd.analysis.loop import PAPER_FILTERS, derivatives, held, pulse_transfer, responses
+from hapticd.analysis.requirement import paper_equation_2, required_damping
+from hapticd.errors import AnalysisError
+
+PLAIN = (None, None)
+T = 1e-3
+
+
+def needed(point, **options):
+    level, at = required_damping([point], filters=PLAIN, **options)
+    return level[0], at[0]
+
+
+@pytest.mark.parametrize("rate_hz", [500.0, 1000.0, 4000.0])
+def test_spring_needs_half_a_period_of_itself(rate_hz):
+    assert needed((300.0, 0.0, 0.0), rate_hz=rate_hz)[0] == pytest.approx(300.0 / (2 * rate_hz), rel=1e-9)
+
+
+@pytest.mark.parametrize(("damping", "worst_hz"), [(2.0, 500.0), (-2.0, 0.16)])
+def test_damper_needs_its_magnitude(damping, worst_hz):
+    level, at = needed((400.0, damping, 0.0))
+    assert level == pytest.approx(400.0 * T / 2 + 2.0, rel=1e-5)
+    assert at == pytest.approx(worst_hz, abs=0.1)
+
+
+def test_virtual_mass_needs_two_of_itself_a_period():
+    assert needed((0.0, 0.0, 0.01)) == (pytest.approx(2 * 0.01 / T, rel=1e-9), pytest.approx(500.0))
+
+
+def test_negative_mass_needs_nine_eighths_at_a_quarter():
+    level, at = needed((0.0, 0.0, -0.01))
+    assert level == pytest.approx(1.125 * 0.01 / T, rel=1e-5)
+    assert np.cos(2 * np.pi * at * T) == pytest.approx(0.25, abs=0.01)
+
+
+def test_all_three_follow_the_formula():
+    theta = np.linspace(0.01, np.pi, 4000)
+    point = (250.0, 0.8, 0.004)
+    formula = 250.0 * T / 2 - 0.8 * np.cos(theta) + 0.004 / T * (np.cos(2 * theta) - np.cos(theta))
+    assert needed(point)[0] == pytest.approx(formula.max(), rel=1e-5)
+
+
+@pytest.mark.parametrize(("delay", "level", "at_hz"), [(0, 1.0500, 500.0), (1, 1.05125, 246.0), (2, 1.05381, 162.0)])
+def test_whole_delays_of_spring_and_damper(delay, level, at_hz):
+    found, at = needed((100.0, 1.0, 0.0), delay_periods=delay)
+    assert found == pytest.approx(level, abs=1e-5)
+    assert at == pytest.approx(at_hz, abs=1.0)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.125, 0.5, 1.0, 2.0, 2.3])
+def test_delayed_spring_needs_it_at_rest_at_least(delay):
+    """K (T/2 + d T) at 0 Hz; a fraction of a tick, which no sampled law can undo, asks for a little more."""
+    level, _ = needed((1000.0, 0.0, 0.0), delay_periods=delay)
+    least = 1000.0 * T * (0.5 + delay)
+    assert level >= least * (1 - 1e-5)
+    assert level == pytest.approx(least, rel=1e-5 if delay == int(delay) else 0.07)
+
+
+def sums(theta, delay, images=100_000):
+    w = theta + 2 * np.pi * np.arange(-images, images + 1)
+    return (1 / w**2).sum(), (np.exp(-1j * w * delay) / w**2).sum()
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.3, 1.0, 1.7])
+def test_sum_over_images_is_linear_within_a_tick(delay):
+    """The step from the theorem to fractional delays, against 200,000 terms; the tail is 2/(images (2 pi)^2)."""
+    for theta in (0.3, 1.7, 3.0):
+        whole, part = divmod(delay, 1.0)
+        total, late = sums(theta, delay)
+        closed = (0.5 / np.sin(theta / 2)) ** 2
+        assert total == pytest.approx(closed, rel=1e-5)
+        shifted = closed * np.exp(-1j * theta * whole) * ((1 - part) + part * np.exp(-1j * theta))
+        assert late == pytest.approx(shifted, rel=1e-5)
+
+
+def test_filtered_laws_need_what_was_computed_before():
+    lifted = required_damping([[0, 1, 0], [0, 0, 1]])[0]
+    baseband = required_damping([[0, 1, 0], [0, 0, 1]], baseband=True)[0]
+    assert lifted == pytest.approx([0.479, 130.4], rel=2e-3)
+    assert baseband == pytest.approx([0.458, 118.9], rel=2e-3)
+
+
+def test_baseband_of_a_damper_follows_its_formula():
+    """-2 B cos(a) (1 - cos(a)) / a^2: at Nyquist 4/pi^2 = 0.405 of what all inputs need."""
+    angle = np.linspace(0.5, np.pi, 5000)
+    formula = -2.0 * np.cos(angle) * (1.0 - np.cos(angle)) / angle**2
+    assert formula[-1] == pytest.approx(0.405, abs=1e-3)
+    assert needed((0.0, 1.0, 0.0), baseband=True)[0] == pytest.approx(formula.max(), rel=1e-5)
+
+
+def test_empty_environment_needs_nothing():
+    assert required_damping([[0, 0, 0]])[0] == pytest.approx([0.0])
+
+
+POINTS = [[100, 1, 0], [500, 0, 0], [0, 2, 0], [0, 0, -0.01], [300, -1, 0.005]]
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.125, 0.5, 1.0, 1.7])
+def test_composed_rigid_device_agrees_with_the_closed_form(delay):
+    found = lifted_margin(lift(rigid(viscous=2.0, delay=delay)), POINTS)
+    assert found == pytest.approx(2.0 - required_damping(POINTS, delay_periods=delay)[0], abs=1e-3)
+
+
+def least_eigenvalue(model, point, images):
+    """The theorem by brute force: invert the admittance between all harmonics, take the least eigenvalue of its Hermitian part."""
+    least = np.inf
+    for theta in np.geomspace(2e-3, np.pi, 240):
+        f = (theta / (2 * np.pi) + np.arange(-images, images + 1)) * model.rate_hz
+        p, turn = responses(model, f), np.array([np.exp(1j * theta)])
+        law = np.array(point) @ np.stack((np.ones(1), *derivatives(turn, model.rate_hz, PAPER_FILTERS)))
+        loop = law / (1 + pulse_transfer(model, turn) * law)
+        out = p.velocity[0, 0] * held(f, model.rate_hz, model.delay_periods)
+        z = np.linalg.inv(np.diag(p.velocity[0, 1]) - loop * np.outer(out, p.encoder[1]))
+        least = min(least, np.linalg.eigvalsh(0.5 * (z + z.conj().T))[0])
+    return least
+
+
+@pytest.mark.parametrize("point", [(50.0, 0.0, 0.0), (100.0, 1.0, 0.01), (0.0, 0.0, -0.004)])
+def test_flexible_device_agrees_with_brute_force(point):
+    found = lifted_margin(lift(display()), [point])[0]
+    assert found == pytest.approx(least_eigenvalue(display(), point, 12), abs=2e-3)
+
+
+def test_lifted_yes_or_no_is_the_sign_of_the_margin():
+    lifted = lift(display(), 1.74)
+    points = np.random.default_rng(1).uniform((0, -1, -0.02), (3000, 6, 0.02), (40, 3))
+    margin = lifted_margin(lifted, points)
+    assert (margin > 0).any()
+    assert (margin < 0).any()
+    assert np.array_equal(lifted_passive(lifted, points), margin >= 0)
+
+
+def test_friction_does_not_count_for_safety():
+    assert lifted_margin(lift(display(coulomb=0.0)), POINTS) == pytest.approx(lifted_margin(lift(display(coulomb=0.05)), POINTS))
+
+
+@pytest.mark.parametrize(("physical", "holds"), [(1.051, True), (1.05, False), (0.9, False)])
+def test_equation_2_as_printed(physical, holds):
+    assert paper_equation_2(100.0, 1.0, physical) is holds
+
+
+def test_equation_2_refuses_negative_damping_and_says_why():
+    message = (
+        "Eq. 2 does not hold for B = -0.5 N s/m: printed as b > KT/2 + B it would relax for negative virtual damping, "
+        "the theorem asks for b > KT/2 - B cos wT, here 0.55 N s/m at 0 Hz; use required_damping"
+    )
+    with pytest.raises(AnalysisError, match=re.escape(message)):
+        paper_equation_2(100.0, -0.5, 10.0)
+    assert required_damping([[100.0, -0.5, 0.0]], filters=PLAIN)[0][0] == pytest.approx(0.55, rel=1e-5)
+
+
+@pytest.mark.parametrize("points", [[1.0, 2.0, 3.0], [[1.0, 2.0]], [[1.0, 2.0, np.nan]]])
+def test_environments_must_be_triples(points):
+    with pytest.raises(AnalysisError, match="rows of three finite numbers K"):
+        required_damping(points)

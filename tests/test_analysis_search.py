@@ -1,0 +1,189 @@
+"""The directed search on oracles whose boundary is known: how many trials it needs, with and without noise."""
+
+import re
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from hapticd.analysis.search import (
+    N_RAYS,
+    Search,
+    boundary_points,
+    directed_search,
+    doubtful_share,
+    first_trials,
+    next_trials,
+    predicted_passive,
+)
+from hapticd.analysis.surrogate import Box, Observation, fit, margin, margin_sd, resistance
+from hapticd.errors import AnalysisError
+
+T = 1e-3
+MASS, DAMPING = 0.008, 2.0
+W = 2.0 * np.pi * np.geomspace(1.0, 499.0, 300)
+BOX = Box((0.0, -2.2, -0.009), (1450.0, 3.6, 0.015))
+INSIDE = (300.0, 0.3, 0.001)
+
+
+def basis():
+    """dZ/d(K, B, M) of a rigid device at 1 kHz, held force, one tick late, Butterworth filters of 100 and 72 Hz."""
+    back = np.exp(-1j * W * T)
+    slope = (1.0 - back) / T
+    low = [
+        np.polyval(b[::-1], back) / np.polyval(a[::-1], back)
+        for b, a in (signal.butter(2, corner, fs=1000.0) for corner in (100.0, 72.0))
+    ]
+    hold = back * (1.0 - back) / (1j * W * T) / (1j * W)
+    return np.stack([hold, hold * slope * low[0], hold * slope**2 * low[1]])
+
+
+BASIS = basis()
+
+
+def bent(points):
+    """What makes the second oracle non-affine: up to 0.55 of the 2 N s/m."""
+    k, b, m = np.atleast_2d(points).T
+    return 0.35 * np.sin(k / 250.0) + 0.2 * np.tanh(b) * np.cos(400.0 * m)
+
+
+class Oracle:
+    """Re Z of the device; `bend` 0 is affine, 1 is not; `noise` relative to |Z|."""
+
+    def __init__(self, bend=0.0, noise=0.0, seed=1):
+        self.bend, self.noise, self.asked = bend, noise, 0
+        self.random = np.random.default_rng(seed)
+
+    def exact(self, points):
+        return DAMPING + self.bend * bent(points)[:, None] + np.atleast_2d(points) @ BASIS.real
+
+    def passive(self, points):
+        return np.concatenate([self.exact(part).min(axis=1) >= 0.0 for part in np.array_split(points, 20)])
+
+    def __call__(self, environment):
+        self.asked += 1
+        sd = self.noise * np.abs(DAMPING + 1j * W * MASS + environment @ BASIS)
+        return Observation(environment, self.exact(environment)[0] + sd * self.random.standard_normal(W.size), sd)
+
+
+SAMPLES = BOX.to_environment(np.random.default_rng(7).random((30_000, 3)))
+
+
+def error(search, oracle):
+    """Volume of the symmetric difference over the volume of the passive set."""
+    truth = oracle.passive(SAMPLES)
+    return np.mean(predicted_passive(search, SAMPLES) != truth) / truth.mean()
+
+
+def test_passive_set_fills_a_fifth_of_the_box():
+    assert Oracle().passive(SAMPLES).mean() == pytest.approx(0.19, abs=0.01)
+
+
+def test_affine_device_is_known_after_four_trials():
+    oracle = Oracle()
+    found = directed_search(oracle, BOX, INSIDE, budget=4)
+    assert oracle.asked == 4
+    assert error(found, oracle) < 1e-3
+
+
+def test_affine_device_within_ten_trials_at_two_percent():
+    oracle = Oracle()
+    found = directed_search(oracle, BOX, INSIDE, budget=10, doubt=0.01)
+    assert oracle.asked <= 10
+    assert error(found, oracle) <= 0.02
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("inside", [INSIDE, (0.0, 0.0, 0.0), (100.0, 1.0, 0.005)])
+def test_bent_device_within_sixty_trials_at_two_percent(inside):
+    oracle = Oracle(bend=1.0)
+    found = directed_search(oracle, BOX, inside, budget=50)
+    assert oracle.asked == 50
+    assert error(found, oracle) <= 0.02
+
+
+def test_noise_is_weighed_and_not_believed():
+    """0.5 % of |Z| at every frequency: the surrogate averages over trials, the least of noisy values would not."""
+    oracle = Oracle(noise=0.005)
+    found = directed_search(oracle, BOX, INSIDE, budget=30)
+    naive = np.mean([trial.resistance.min() - Oracle().exact(trial.environment).min() for trial in found.trials])
+    surrogate = np.mean(
+        [margin(found.surrogate, trial.environment) - Oracle().exact(trial.environment).min() for trial in found.trials]
+    )
+    assert abs(surrogate) < 0.35 * abs(naive)
+    assert error(found, oracle) < 0.1
+
+
+def test_next_trial_lies_on_the_predicted_boundary():
+    search = directed_search(Oracle(bend=1.0), BOX, INSIDE, budget=12)
+    environment = next_trials(search)[0]
+    level = margin(search.surrogate, environment)[0]
+    at_end = np.isclose(np.abs(BOX.to_unit(environment) - 0.5).max(), 0.5, atol=0.002)
+    assert at_end or abs(level) < 0.02
+    nearest = np.linalg.norm(BOX.to_unit([one.environment for one in search.trials]) - BOX.to_unit(environment), axis=1).min()
+    assert nearest > 0.1
+
+
+def test_several_trials_at_once_are_apart():
+    search = directed_search(Oracle(bend=1.0), BOX, INSIDE, budget=8)
+    unit = BOX.to_unit(next_trials(search, 5))
+    gaps = [np.linalg.norm(unit[i] - unit[j]) for i in range(5) for j in range(i)]
+    assert min(gaps) > 0.1
+    assert np.array_equal(next_trials(search, 1)[0], next_trials(search, 5)[0])
+
+
+def test_doubt_shrinks_as_trials_arrive():
+    found = [doubtful_share(directed_search(Oracle(bend=1.0), BOX, INSIDE, budget=n)) for n in (12, 40)]
+    assert found[1] < 0.5 * found[0]
+
+
+def test_uncertainty_covers_the_true_resistance():
+    oracle = Oracle(bend=1.0)
+    found = directed_search(oracle, BOX, INSIDE, budget=30).surrogate
+    points = BOX.to_environment(np.random.default_rng(3).random((400, 3)))
+    missed = np.abs(resistance(found, points)[:, 0] - oracle.exact(points)[:, 0])
+    assert np.mean(missed < 2.0 * margin_sd(found, points)) > 0.9
+
+
+def test_stability_narrows_the_set():
+    search = directed_search(Oracle(), BOX, INSIDE, budget=5)
+    points, _ = boundary_points(search, stable=lambda environments: environments[:, 0] < 400.0)
+    assert points.shape == (N_RAYS, 3)
+    assert points[:, 0].max() == pytest.approx(400.0, abs=2.0)
+    assert boundary_points(search)[0][:, 0].max() > 800.0
+
+
+def test_unstable_trial_is_not_learnt_from_and_stays_out():
+    def oracle(environment):
+        return None if environment[0] > 500.0 else Oracle()(environment)
+
+    found = directed_search(oracle, BOX, (200.0, 0.3, 0.001), budget=16)
+    assert len(found.trials) + len(found.unstable) == 16
+    assert found.unstable
+    assert not predicted_passive(found, found.unstable).any()
+    before = found.surrogate
+    after = found.with_trial(np.array([900.0, 1.0, 0.0]), None)
+    assert after.surrogate is before
+
+
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        (lambda: first_trials(BOX, (2000.0, 0.0, 0.0)), "the first environment [2000.0, 0.0, 0.0] lies outside the box"),
+        (lambda: next_trials(Search(BOX)), "0 stable trials so far: four are needed before the search can direct"),
+        (lambda: fit(BOX, [Oracle()(np.array(INSIDE))] * 3), "3 trials: at least four with spectra on the same frequencies"),
+        (lambda: fit(BOX, [Oracle()(np.array(INSIDE))] * 4), "the first trials lie in a plane: vary K, B and M each"),
+        (lambda: directed_search(lambda _: None, BOX, INSIDE, 9), "begin nearer to K = B = M = 0, or take a smaller box"),
+    ],
+)
+def test_search_without_ground_is_refused(action, message):
+    with pytest.raises(AnalysisError, match=re.escape(message)):
+        action()
+
+
+def test_first_trials_step_along_each_axis():
+    unit = BOX.to_unit(first_trials(BOX, (1400.0, 0.0, 0.0)))
+    steps = unit[1:] - unit[0]
+    assert np.count_nonzero(np.abs(steps) > 1e-12) == 3
+    assert steps[0, 0] < 0.0
+    assert ((unit >= 0) & (unit <= 1)).all()
