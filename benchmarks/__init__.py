@@ -1,0 +1,1 @@
+"""What hapticd must reach, measured: `make bench`, or `python benchmarks/run.py --only wake`. See docs/benchmarks.md."""

@@ -1,0 +1,90 @@
+"""The true servo loop on the machine's clock inside a worker, enabled without a gateway process."""
+
+import atexit
+import dataclasses
+import json
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+from benchmarks.worker import BenchError
+from hapticd.clock import MonotonicClock
+from hapticd.link.base import Link
+from hapticd.link.device import Device
+from hapticd.mailbox import files, layout
+from hapticd.mailbox.client_side import GatewayMailbox
+from hapticd.mailbox.layout import Command
+from hapticd.mailbox.servo_side import ServoMailbox
+from hapticd.params import BoardParams, ServoParams, from_plain
+from hapticd.servo.loop import ServoLoop
+from hapticd.servo.wait import spinning_wait
+from hapticd.units import NS_PER_S, NS_PER_US
+
+FOR_EVER_S = 1e6  # nobody beats here
+ACTOR = 1
+CHUNK_S, SETTLE_CHUNKS = 0.05, 100
+NO_VALUES = (0.0,) * 20
+
+
+def read_parameters(path: str) -> tuple[ServoParams, BoardParams]:
+    """Servo and board of a `stand.parameter_file`; the servo goes on without a heartbeat."""
+    plain = json.loads(Path(path).read_text())
+    servo = from_plain(ServoParams, plain[files.SERVO_JSON], path)
+    safety = dataclasses.replace(servo.safety, gateway_timeout_s=FOR_EVER_S)
+    return dataclasses.replace(servo, safety=safety), from_plain(BoardParams, plain[files.BOARD_JSON], path)
+
+
+class BenchServo:
+    """A servo above `link`; `before(ticks)` is called ahead of every run."""
+
+    def __init__(self, params: ServoParams, link: Link, before: Callable[[int], None] = lambda _: None) -> None:
+        path = files.prepare_folder(files.runtime_folder(f"bench-{os.getpid()}"))
+        atexit.register(shutil.rmtree, path, ignore_errors=True)
+        self._before, self.clock, rate_hz = before, MonotonicClock(), params.realtime.rate_hz
+        self.device = Device(link, rate_hz)
+        self.device.connect()
+        self.mailbox = ServoMailbox(path, rate_hz, params.config_hash, params.simulated, self.clock.now_ns())
+        self.mailbox.publish()
+        self.gateway = GatewayMailbox(path)
+        wait = spinning_wait(int(params.realtime.spin_us * NS_PER_US), int(NS_PER_S / rate_hz))
+        self.loop = ServoLoop(params, self.device, self.mailbox, self.clock, wait)
+        self._chunk = int(CHUNK_S * rate_hz)
+
+    def run(self, ticks: int) -> bytes:
+        """Fly `ticks` ticks from now on; their records."""
+        first = self.loop.tick
+        self._before(ticks)
+        self.loop.restart_clock()
+        self.loop.run(ticks)
+        return self.gateway.records(first, ticks)[0]
+
+    def enable(self) -> None:
+        """Enabled, and the gain has come up. BenchError when the servo refuses."""
+        self.gateway.beat(self.clock.now_ns())
+        self.gateway.post(Command.ENABLE, ACTOR, 0, NO_VALUES)
+        self.settle()
+        results = [answer.result for answer in self.gateway.answers()]
+        if results != [layout.Result.APPLIED]:
+            raise BenchError(f"the servo was not enabled: {results}")
+
+    def settle(self) -> None:
+        """Go on from now until no ramp runs, also the one after a pause. BenchError when that does not end."""
+        self._before(SETTLE_CHUNKS * self._chunk)
+        self.loop.restart_clock()
+        for _ in range(SETTLE_CHUNKS):
+            self.loop.run(self._chunk)
+            if self.loop.state[0] > self.loop.tick:
+                return
+        raise BenchError("the servo's ramp does not end: the machine pauses it again and again; quiet the machine")
+
+    def late_events(self, ticks: int) -> int:
+        """How many of the `ticks` ticks after `settle` end beyond the next deadline, grace or not."""
+        self.settle()
+        before = self._late()
+        self.loop.run(ticks)
+        return self._late() - before
+
+    def _late(self) -> int:
+        counted = self.gateway.counters()
+        return counted["late_events"] + counted["grace_late_events"]

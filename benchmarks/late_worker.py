@@ -1,0 +1,20 @@
+"""The servo with the simulated board in its process, in blocks: how many ticks ended beyond the next deadline."""
+
+import sys
+
+from benchmarks.bench_servo import BenchServo, read_parameters
+from benchmarks.worker import serve
+from hapticd.assembly.simulation import simulated_backend
+from hapticd.clock import MonotonicClock
+from hapticd.link.usb import UsbLink
+
+
+def main() -> None:
+    """Argument: parameter file."""
+    params, board = read_parameters(sys.argv[1])
+    servo = BenchServo(params, UsbLink(params.usb, simulated_backend(board, MonotonicClock())))
+    serve(lambda request: servo.late_events(request["ticks"]), params.realtime, servo.enable)
+
+
+if __name__ == "__main__":
+    main()

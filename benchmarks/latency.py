@@ -1,0 +1,89 @@
+"""From `set` in a script to the first tick that renders it, beside a bare ZeroMQ echo between two processes."""
+
+import random
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import zmq
+
+from benchmarks import daemon
+from benchmarks.blocks import median_quantile
+from benchmarks.figures import Figure, compared
+from benchmarks.records import place
+from benchmarks.worker import ROOT, BenchError, environment
+from hapticd.client import Client
+from hapticd.mailbox import files, layout
+from hapticd.units import NS_PER_MS
+
+TARGETS = {"set_p50_ms": "<= 2", "set_p99_ms": "<= the echo's p99 + 2.2"}
+BLOCKS, SAMPLES, WARM_UP = 6, 200, 30
+PAUSE_S = (0.001, 0.005)  # drawn at random, so that no tick of the servo is preferred
+ABOVE_ECHO_MS, TICK_S = 2.2, 0.05
+STIFFNESS_N_PER_M = (80.0, 120.0)
+TICK, TIME_NS, TAIL = place("tick"), place("time_ns"), place("tail")
+MESSAGE = bytes(60)
+
+
+def measure() -> Iterator[Figure]:
+    """Medians over blocks of p50 and p99; one `set` and one echo in turns."""
+    draw = random.Random(1)
+    with daemon.running("latency") as instance, Client(instance) as client, _echo() as echo:
+        client.enable()
+        page = files.open_map(files.runtime_folder(instance) / files.TELEMETRY, layout.TELEMETRY_BYTES, writable=False)
+
+        def one() -> tuple[float, float]:
+            time.sleep(draw.uniform(*PAUSE_S))
+            taken = _set_ns(client, memoryview(page), draw.choice(STIFFNESS_N_PER_M))
+            time.sleep(draw.uniform(*PAUSE_S))
+            return taken / NS_PER_MS, _echo_ns(echo) / NS_PER_MS
+
+        for _ in range(WARM_UP):
+            one()
+        pairs = [zip(*(one() for _ in range(SAMPLES)), strict=True) for _ in range(BLOCKS)]
+        ours, echoes = zip(*pairs, strict=True)
+    echo_ms = median_quantile(echoes, 0.99)
+    yield compared("set_p50_ms", TARGETS["set_p50_ms"], median_quantile(ours, 0.5), "ms", median_quantile(echoes, 0.5))
+    yield compared("set_p99_ms", f"<= {echo_ms + ABOVE_ECHO_MS:.3f}", median_quantile(ours, 0.99), "ms", echo_ms)
+
+
+def _set_ns(client: Client, ring: memoryview, stiffness: float) -> int:
+    """Time of the first tick with `stiffness`, as the servo recorded it, minus the time of sending."""
+    asked_ns = time.monotonic_ns()
+    tick = client.set(K=stiffness, ramp_s=0.0).first_tick
+    deadline = time.monotonic() + TICK_S
+    place = layout.TELEMETRY_OFFSET + tick % layout.RING_RECORDS * layout.RECORD.size
+    while time.monotonic() < deadline:
+        record = layout.RECORD.unpack_from(ring, place)
+        if record[TICK] == record[TAIL] == tick:
+            return int(record[TIME_NS]) - asked_ns
+    raise BenchError(f"tick {tick} of the receipt is not in the ring after {TICK_S} s; the servo was paused or has ended")
+
+
+def _echo_ns(socket: "zmq.Socket[bytes]") -> int:
+    begin_ns = time.monotonic_ns()
+    socket.send(MESSAGE)
+    socket.recv()
+    return time.monotonic_ns() - begin_ns
+
+
+@contextmanager
+def _echo() -> Iterator["zmq.Socket[bytes]"]:
+    """A DEALER whose messages come back."""
+    with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder:
+        endpoint = f"ipc://{folder}/echo"
+        process = subprocess.Popen([sys.executable, "-m", "benchmarks.echo_worker", endpoint], env=environment(), cwd=ROOT)
+        context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        socket = context.socket(zmq.DEALER)
+        socket.setsockopt(zmq.RCVTIMEO, 10_000)
+        socket.connect(endpoint)
+        try:
+            yield socket
+        finally:
+            socket.send(b"")
+            context.destroy(linger=100)
+            process.terminate()
+            process.wait()

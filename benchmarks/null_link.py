@@ -1,0 +1,82 @@
+"""A board without time: the next IN frame lies ready and OUT frames vanish. What is left of a tick is the servo's own.
+
+Frames are prepared ahead by `prepare`, valid in number, echo, board time and CRC, with a moving encoder. What the link
+itself costs is to be taken off the tick: `read_ns` holds the body of each read, `calls_ns` the rest of a read and the
+whole of a write, measured once without a pause (so rather too little is taken off than too much).
+"""
+
+import time
+from array import array
+from math import pi, sin
+from statistics import median
+
+from hapticd.link.base import Link
+from hapticd.params import BoardParams
+from hapticd.sim.control import hello
+from hapticd.units import US_PER_S
+from hapticd.wire import codec, frames
+from hapticd.wire.frames import InFrame, Request
+
+AMPLITUDE_COUNTS, WAVE_HZ = 2000, 3.0
+AMBIENT_COUNT = 2200
+TRIALS = 1000
+
+
+class NullLink(Link):
+    """The board of `params` at its rate, at no cost."""
+
+    def __init__(self, params: BoardParams) -> None:
+        self._params, self._made, self._next = params, 0, 0
+        self.frames: list[array[int]] = []
+        self.read_ns = array("q")
+        self.calls_ns = self._calibrate()
+
+    def prepare(self, ticks: int) -> None:
+        """Lay ready the next `ticks` IN frames in place of the last ones, beginning after the last one read."""
+        self._made, self._next = self._made + self._next, 0
+        self.frames = [array("B", self._frame(self._made + index)) for index in range(ticks)]
+        self.read_ns = array("q", bytes(8 * ticks))
+
+    def _frame(self, number: int) -> bytes:
+        time_us = round((number + 1) * US_PER_S / self._params.rate_hz)
+        encoder = round(AMPLITUDE_COUNTS * sin(2.0 * pi * WAVE_HZ * number / self._params.rate_hz))
+        status = int(frames.Status.ENABLED | frames.Status.SIMULATED)
+        return codec.encode_in(
+            InFrame(number & 0xFFFF, number + 1 & 0xFFFF, 0, status, time_us & 0xFFFFFFFF, encoder, 5, 6, 7, AMBIENT_COUNT, 0, 0, 0)
+        )
+
+    def _calibrate(self) -> float:
+        """Time [ns] of a read and a write as the caller sees it, without the reading of the clock and what `read_ns` holds."""
+        clock, read, write = time.monotonic_ns, self.read, self.write
+        buffer = array("B", bytes(frames.PACKET_BYTES))
+        self.frames, self.read_ns = [buffer] * TRIALS, array("q", bytes(8 * TRIALS))
+        stamps = []
+        for _ in range(TRIALS):
+            start, begin = clock(), clock()
+            read(buffer)
+            middle = clock()
+            write(buffer)
+            stamps.append((begin - start, middle - begin, clock() - middle))
+        tick, reading, writing = (median(times) for times in zip(*stamps, strict=True))
+        self._next = 0
+        return float(reading - tick - median(self.read_ns) + writing - tick)
+
+    def open(self) -> None:
+        """Always there."""
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+    def read(self, buffer: "array[int]") -> int:
+        begin_ns = time.monotonic_ns()
+        index = self._next
+        buffer[:] = self.frames[index]
+        self._next = index + 1
+        self.read_ns[index] = time.monotonic_ns() - begin_ns
+        return frames.IN_BYTES
+
+    def write(self, buffer: "array[int]") -> None:
+        """Gone."""
+
+    def request(self, request: Request, length: int = 0) -> bytes:
+        return codec.encode_hello(hello(self._params))

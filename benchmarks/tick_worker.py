@@ -1,0 +1,120 @@
+"""Ticks without USB, timed: the servo's own, the Python yardstick's and the C yardstick's; and a USB pair on its own."""
+
+import sys
+import time
+from array import array
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from benchmarks.bench_servo import BenchServo, read_parameters
+from benchmarks.null_link import NullLink
+from benchmarks.records import place
+from benchmarks.tick_c import CReference, check_same_work
+from benchmarks.tick_reference import Coefficients, ReferenceTick
+from benchmarks.worker import serve
+from hapticd.assembly.simulation import simulated_backend
+from hapticd.clock import MonotonicClock
+from hapticd.link.usb import UsbLink
+from hapticd.mailbox import layout
+from hapticd.params import BoardParams, EnvironmentParams, FilterParams, ServoParams
+from hapticd.render.filters import design
+from hapticd.servo.wait import first_deadline
+from hapticd.wire import codec, frames
+from hapticd.wire.frames import OutFrame
+
+STAGES = slice(place("read_ns"), place("publish_ns") + 1)  # read, step, write, and publish of the tick before
+
+
+def own_ns(block: bytes, read_ns: Sequence[int], calls_ns: float = 0.0) -> list[float]:
+    """Time from wake to end of each tick in `block` but the last, less what the link took."""
+    stages = [record[STAGES] for record in layout.RECORD.iter_unpack(block)]
+    return [sum(now[:3]) + after[3] - read - calls_ns for now, after, read in zip(stages, stages[1:], read_ns, strict=False)]
+
+
+def yardstick(environment: EnvironmentParams, rate_hz: float) -> ReferenceTick:
+    """The Python yardstick with the servo's environment."""
+    kbm = (environment.stiffness_n_per_m, environment.damping_ns_per_m, environment.mass_kg)
+    filters = _coefficients(environment.velocity_filter, rate_hz), _coefficients(environment.acceleration_filter, rate_hz)
+    return ReferenceTick(kbm, filters, rate_hz)
+
+
+def _coefficients(one: FilterParams, rate_hz: float) -> Coefficients:
+    return design(one.frequency_hz, one.damping_ratio, one.mapping, rate_hz)
+
+
+def no_wait(_deadline_ns: int, _rehearse: Callable[[], object]) -> int:
+    """The wait of a loop that never waits."""
+    return time.monotonic_ns()
+
+
+def _nothing() -> None:
+    """The yardstick rehearses nothing."""
+
+
+class TickBench:
+    """One servo over a null link, its yardsticks, and a USB link to the simulated board."""
+
+    def __init__(self, params: ServoParams, board: BoardParams, library: str) -> None:
+        self.link = NullLink(board)
+        self.servo = BenchServo(params, self.link, self.link.prepare)
+        self.wait, self.period_ns = self.servo.loop.wait, self.servo.loop.period_ns
+        self.reference = yardstick(params.environment, params.realtime.rate_hz)
+        self.in_c = CReference(library, params) if library else None
+        self.usb = UsbLink(params.usb, simulated_backend(board, MonotonicClock()))
+        self.usb.open()
+
+    def paced(self, ticks: int) -> dict[str, list[float]]:
+        """The servo's tick and the Python yardstick's, a block of each at their pace."""
+        self.servo.loop.wait = self.wait
+        ours = own_ns(self.servo.run(ticks), self.link.read_ns, self.link.calls_ns)
+        return {"servo": ours, "reference": self._every_period(self.link.frames, self.reference)}
+
+    def hot(self, ticks: int) -> dict[str, list[float]]:
+        """The servo's tick without a pause, and the C yardstick's from the same state over the same frames."""
+        self.servo.loop.wait = no_wait
+        state, tick = self.servo.loop.state, self.servo.loop.tick
+        ours = self.servo.run(ticks)
+        taken = {"servo": own_ns(ours, self.link.read_ns, self.link.calls_ns)}
+        if self.in_c is not None:
+            theirs = self.in_c.run(state, tick, self.link.frames)
+            check_same_work(ours, theirs)
+            taken["c"] = own_ns(theirs, [0] * ticks)
+        return taken
+
+    def pairs(self, ticks: int) -> list[float]:
+        """A read and a write through pyusb and the simulated board, at the servo's pace."""
+        inward = array("B", bytes(frames.PACKET_BYTES))
+        read, write = self.usb.read, self.usb.write
+
+        def pair(outward: "array[int]", _: int) -> None:
+            read(inward)
+            write(outward)
+
+        first, *outward = [array("B", codec.encode_out(OutFrame(seq))) for seq in range(ticks + 1)]
+        write(first)
+        return self._every_period(outward, pair)
+
+    def _every_period(self, arguments: Sequence[Any], action: Callable[[Any, int], Any]) -> list[float]:
+        """How long `action(argument, start)` takes, one argument each period; periods that have passed are dropped."""
+        wait, clock, period_ns = self.wait, time.monotonic_ns, self.period_ns
+        taken = [0.0] * len(arguments)
+        deadline_ns = first_deadline(clock(), period_ns)
+        for index, argument in enumerate(arguments):
+            start_ns = wait(deadline_ns, _nothing)
+            action(argument, start_ns)
+            end_ns = clock()
+            taken[index] = end_ns - start_ns
+            deadline_ns += ((end_ns - deadline_ns) // period_ns + 1) * period_ns
+        return taken
+
+
+def main() -> None:
+    """Arguments: parameter file, path of the compiled C yardstick or nothing."""
+    params, board = read_parameters(sys.argv[1])
+    bench = TickBench(params, board, sys.argv[2] if len(sys.argv) > 2 else "")
+    actions = {"paced": bench.paced, "hot": bench.hot, "pairs": bench.pairs}
+    serve(lambda request: actions[request["what"]](request["ticks"]), params.realtime, bench.servo.enable)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,30 @@
+"""The servo's own wait, timed: how far behind its deadline each of `samples` wakes came."""
+
+import time
+from typing import Any
+
+from benchmarks.worker import serve
+from hapticd.params import RealtimeParams
+from hapticd.servo.wait import first_deadline, spinning_wait
+from hapticd.units import NS_PER_US
+
+
+def _nothing() -> None:
+    """A wake-up alone: no tick to rehearse."""
+
+
+def lateness_ns(request: dict[str, Any]) -> list[int]:
+    """Wakes of one block; deadlines that have passed are dropped, as in the servo and in cyclictest."""
+    period_ns = int(request["period_us"] * NS_PER_US)
+    wait = spinning_wait(int(request["spin_us"] * NS_PER_US), period_ns)
+    found = [0] * int(request["samples"])
+    deadline_ns = first_deadline(time.monotonic_ns(), period_ns)
+    for index in range(len(found)):
+        now_ns = wait(deadline_ns, _nothing)
+        found[index] = now_ns - deadline_ns
+        deadline_ns += max(1, (now_ns - deadline_ns + period_ns) // period_ns) * period_ns
+    return found
+
+
+if __name__ == "__main__":
+    serve(lateness_ns, RealtimeParams())

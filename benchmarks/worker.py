@@ -1,0 +1,89 @@
+"""A measuring process on the servo's core that runs one block whenever it is asked, and sleeps between.
+
+Protocol, one JSON value per line: the worker says what the machine granted it, then answers each request. It is
+started anew for a part and lives through all blocks of it, so that a pair is interleaved without start-up effects.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from hapticd.params import RealtimeParams
+from hapticd.servo import host
+
+ROOT = Path(__file__).resolve().parents[1]
+PRIORITY = RealtimeParams().priority
+END_S = 10.0
+
+
+class BenchError(Exception):
+    """A part could not be measured; the message says why and what to do."""
+
+
+def environment() -> dict[str, str]:
+    """Environment of a child that imports hapticd and benchmarks from this checkout."""
+    return {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONHASHSEED": "0", "OPENBLAS_NUM_THREADS": "1"}
+
+
+def servo_core() -> int:
+    """The core that the servo takes: the last one allowed."""
+    return max(os.sched_getaffinity(0))
+
+
+class Worker:
+    """Module `benchmarks.<module>` as a process; use it as a context manager. BenchError when it dies."""
+
+    def __init__(self, module: str, arguments: Sequence[str] = ()) -> None:
+        self.module = module
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", f"benchmarks.{module}", *arguments],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment(), cwd=ROOT,
+        )  # fmt: skip
+        self.granted: dict[str, str] = self._reply()
+
+    def ask(self, **request: Any) -> Any:
+        """Run one block; its answer."""
+        assert self.process.stdin is not None
+        self.process.stdin.write(json.dumps(request) + "\n")
+        self.process.stdin.flush()
+        return self._reply()
+
+    @property
+    def note(self) -> str:
+        """What the machine refused; empty when it granted everything."""
+        return "; ".join(f"{name} {text}" for name, text in self.granted.items() if text.startswith("refused"))
+
+    def _reply(self) -> Any:
+        assert self.process.stdout is not None
+        line = self.process.stdout.readline()
+        if not line:
+            _, errors = self.process.communicate()
+            last = (errors.strip().splitlines() or ["no message"])[-1]
+            raise BenchError(f"benchmarks.{self.module} ended with code {self.process.returncode}: {last}")
+        return json.loads(line)
+
+    def __enter__(self) -> "Worker":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        try:
+            if self.process.poll() is None:
+                self.process.communicate(timeout=END_S)  # closes its stdin: it ends
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.communicate()
+
+
+def serve(answer: Callable[[dict[str, Any]], Any], realtime: RealtimeParams, begin: Callable[[], None] = lambda: None) -> None:
+    """The worker's side: take real-time rights, begin, say what was granted, answer until stdin ends."""
+    granted = host.prepare(realtime)
+    begin()
+    print(json.dumps(granted), flush=True)
+    for line in sys.stdin:
+        print(json.dumps(answer(json.loads(line))), flush=True)
+    host.relax()

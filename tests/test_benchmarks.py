@@ -1,0 +1,240 @@
+"""The bookkeeping of `make bench`: judging, merging, the table, and yardsticks that do the work they claim. Nothing is timed."""
+
+import importlib
+import json
+import sys
+from array import array
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from benchmarks import run
+from benchmarks.bench_servo import read_parameters
+from benchmarks.blocks import median_quantile, quantile
+from benchmarks.figures import Figure, compared, judge, load, merge, refused, save
+from benchmarks.null_link import NullLink
+from benchmarks.records import place
+from benchmarks.stand import parameter_file, sample_phase, settings
+from benchmarks.tick_c import CReference, check_same_work, compile_library
+from benchmarks.tick_worker import own_ns, yardstick
+from benchmarks.worker import BenchError
+from hapticd.errors import DaemonDown
+from hapticd.mailbox import layout
+from hapticd.render.environment import at_rest, design_coefficients, environment_tuple, render
+from hapticd.settings.build import servo_params
+from hapticd.wire import codec, frames
+
+PROMISED = {
+    *(f"wake_{name}" for name in ("p50", "p99", "stress_p99", "sleep_p50", "sleep_p99")),
+    *(f"tick_{name}" for name in ("p50_ratio", "p99_ratio", "c_ratio", "p50_us", "p99_us")),
+    *(f"late_{rate}khz" for rate in (1, 2, 4, 8)),
+    *("usb_pair_us", "set_p50_ms", "set_p99_ms", "telemetry_gaps", "gateway_cpu_pct"),
+    *("lockstep_90s_cpu_s", "servo_rss_mb", "servo_growth_kb"),
+}
+
+
+@pytest.mark.parametrize(
+    ("target", "value", "ratio", "ok"),
+    [
+        ("<= 8", 8.0, None, True),
+        ("<= 8", 8.001, 0.1, False),
+        ("<= 1.25x", 99.0, 1.25, True),
+        ("<= 1.25x", 0.0, 1.26, False),
+        (">= 30x", 0.0, 30.0, True),
+        (">= 30x", 99.0, 29.9, False),
+        ("<= 0", 0, None, True),
+        ("<= 8", None, None, False),
+        ("<= 2x", 1.0, None, False),
+        ("<= 8", float("nan"), None, False),
+    ],
+)
+def test_targets_judge_value_or_ratio(target: str, value: Any, ratio: Any, ok: bool) -> None:
+    assert judge(target, value, ratio) is ok
+
+
+def test_unreadable_target_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"target 'about 8': write '<= 25', '<= 1\.25x' or '>= 30x'"):
+        judge("about 8", 8.0, None)
+
+
+def test_ratio_is_ours_over_reference() -> None:
+    figure = compared("a", "<= 2x", 3.0, "us", 2.0)
+    assert figure == Figure("a", 3.0, "us", 2.0, 1.5, "<= 2x", True)
+
+
+def test_speed_up_is_given_by_the_caller() -> None:
+    assert compared("a", ">= 30x", 0.1, "s", 4.0, ratio=40.0) == Figure("a", 0.1, "s", 4.0, 40.0, ">= 30x", True)
+
+
+def test_zero_reference_gives_no_ratio() -> None:
+    assert compared("a", "<= 2x", 3.0, "us", 0.0).ratio is None
+
+
+def test_rows_have_the_promised_keys() -> None:
+    keys = ["name", "value", "unit", "reference", "ratio", "target", "ok"]
+    assert list(compared("a", "<= 2", 1.0, "s").plain()) == keys
+    assert list(refused("a", "<= 2", "no tool: `make deps`").plain()) == [*keys, "note"]
+
+
+def test_refused_figure_is_not_ok() -> None:
+    assert refused("a", "<= 2", "no tool").plain() | {"note": ""} == {
+        "name": "a", "value": None, "unit": "", "reference": None, "ratio": None, "target": "<= 2", "ok": False, "note": "",
+    }  # fmt: skip
+
+
+def test_merge_replaces_in_place() -> None:
+    old = [{"name": "a", "value": 1}, {"name": "b", "value": 2}]
+    new = [{"name": "c", "value": 3}, {"name": "a", "value": 4}]
+    assert merge(old, new) == [{"name": "a", "value": 4}, {"name": "b", "value": 2}, {"name": "c", "value": 3}]
+
+
+def test_saved_rows_are_loaded(tmp_path: Path) -> None:
+    rows = [compared("a", "<= 2", 1.0, "s").plain()]
+    save(tmp_path / "build" / "bench.json", rows)
+    assert load(tmp_path / "build" / "bench.json") == rows
+    assert [path.name for path in (tmp_path / "build").iterdir()] == ["bench.json"]
+
+
+@pytest.mark.parametrize("content", ["", "{", '{"a": 1}', "[1, 2]"])
+def test_foreign_file_counts_as_empty(tmp_path: Path, content: str) -> None:
+    (tmp_path / "bench.json").write_text(content)
+    assert load(tmp_path / "bench.json") == []
+    assert load(tmp_path / "missing.json") == []
+
+
+def test_every_promised_name_is_measured() -> None:
+    measured = [name for part in run.PARTS for name in importlib.import_module(f"benchmarks.{part}").TARGETS]
+    assert len(measured) == len(set(measured))
+    assert set(measured) >= PROMISED
+
+
+def test_only_takes_commas_and_blanks() -> None:
+    assert run.chosen("wake,tick") == run.chosen(" wake tick ") == ["wake", "tick"]
+    assert run.chosen("") == list(run.PARTS)
+
+
+def test_unknown_part_names_the_known() -> None:
+    with pytest.raises(SystemExit, match="no part 'wakke'; parts: wake, tick, late"):
+        run.chosen("wakke")
+
+
+@pytest.mark.parametrize("error", [BenchError("no tool: `make deps`"), DaemonDown("nobody answers"), OSError("no such file")])
+def test_broken_part_says_why(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
+    def measure() -> Any:
+        yield compared("first", "<= 2", 1.0, "s")
+        raise error
+
+    part = SimpleNamespace(TARGETS={"second": "<= 3x", "first": "<= 2"}, measure=measure)
+    monkeypatch.setitem(sys.modules, "benchmarks.broken", part)
+    assert run.measure("broken") == [refused("second", "<= 3x", str(error)), compared("first", "<= 2", 1.0, "s")]
+
+
+def test_only_merges_into_the_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    output = tmp_path / "bench.json"
+    save(output, [{"name": "old"}, {"name": "wake_p50", "ok": False}])
+    monkeypatch.setattr(run, "measure", lambda part: [refused("wake_p50", "<= 0.1x", f"{part} is [new]")])
+    assert run.main(["--only", "wake", "--output", str(output)]) == 0
+    rows = json.loads(output.read_text())
+    assert [row["name"] for row in rows] == ["old", "wake_p50"]
+    assert rows[1]["note"] == "wake is [new]"
+    printed = capsys.readouterr().out
+    assert "wake_p50: wake is [new]" in printed
+    assert "0 of 1 reached" in printed
+
+
+def test_whole_run_begins_anew(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    output = tmp_path / "bench.json"
+    save(output, [{"name": "old"}])
+    monkeypatch.setenv("ONLY", "")
+    monkeypatch.setattr(run, "measure", lambda part: [compared(part, "<= 2", 1.0, "s")])
+    run.main(["--output", str(output)])
+    assert [row["name"] for row in json.loads(output.read_text())] == list(run.PARTS)
+
+
+def test_quantile_is_nearest_rank() -> None:
+    assert [quantile([5, 1, 4, 2, 3], fraction) for fraction in (0.0, 0.5, 0.99, 1.0)] == [1, 3, 5, 5]
+
+
+def test_one_disturbed_block_is_one_vote() -> None:
+    assert median_quantile([[1, 1], [2, 2], [900, 900]], 0.99) == 2
+
+
+def test_places_follow_the_table() -> None:
+    dtype = np.dtype([tuple(row) for row in layout.TELEMETRY])
+    marked = np.zeros(1, dtype)
+    marked["position_m"], marked["energy_j"][0, 5], marked["publish_ns"], marked["tail"] = 1.5, 2.5, 3, 4
+    record = layout.RECORD.unpack(marked.tobytes())
+    assert record[place("position_m")] == 1.5
+    assert record[place("energy_j") + 5] == 2.5
+    assert record[place("publish_ns")] == 3
+    assert record[place("tail")] == 4
+    with pytest.raises(KeyError, match="colour"):
+        place("colour")
+
+
+def test_c_yardstick_fills_the_same_record(tmp_path: Path) -> None:
+    CReference(compile_library(tmp_path), servo_params(settings(), "bench"))  # refuses other sizes than layout.RECORD
+
+
+def test_yardstick_of_other_work_is_refused() -> None:
+    fields = [0] * len(layout.RECORD.unpack(bytes(layout.RECORD.size)))
+    for name, size in (("plan", layout.PLAN.size), ("in_frame", 64), ("out_frame", 32)):
+        fields[place(name)] = bytes(size)
+    ours = layout.RECORD.pack(*fields)
+    check_same_work(ours, ours)
+    fields[place("force_n")] = 1e-6
+    with pytest.raises(BenchError, match=r"tick_reference\.c computes .*1e-06.*; correct it"):
+        check_same_work(ours, layout.RECORD.pack(*fields))
+    fields[place("force_n")], fields[place("out_frame")] = 0.0, b"\1" * 32
+    with pytest.raises(BenchError, match=r"tick_reference\.c sends 0101.*, the servo 0000.*; correct it"):
+        check_same_work(ours, layout.RECORD.pack(*fields))
+
+
+def test_own_time_leaves_out_the_link() -> None:
+    record = np.zeros(2, [tuple(row) for row in layout.TELEMETRY])
+    for name, values in (("read_ns", (1000, 1)), ("step_ns", (2000, 1)), ("write_ns", (500, 1)), ("publish_ns", (77, 300))):
+        record[name] = values  # publish is that of the tick before
+    assert own_ns(record.tobytes(), [200, 0], 50.0) == [1000 + 2000 + 500 + 300 - 200 - 50]
+
+
+def test_null_link_frames_follow_each_other() -> None:
+    with parameter_file() as path:
+        link = NullLink(read_parameters(path)[1])
+    buffer = array("B", bytes(frames.PACKET_BYTES))
+    parse, heads = codec.in_parser(buffer), []
+    for _ in range(2):  # the second time goes on where reading stopped, whatever lay ready
+        link.prepare(5)
+        for _ in range(3):
+            assert link.read(buffer) == frames.IN_BYTES
+            heads.append(parse())
+    assert None not in heads
+    assert [head[0] for head in heads] == list(range(6))
+    assert [head[1] for head in heads] == list(range(1, 7))
+    assert [head[5] for head in heads] == [1000 * number for number in range(1, 7)]
+
+
+def test_python_yardstick_renders_the_same_force() -> None:
+    params = servo_params(settings(), "bench")
+    with parameter_file() as path:
+        link = NullLink(read_parameters(path)[1])
+    link.prepare(200)
+    tick, state = yardstick(params.environment, 1000.0), at_rest(0.0)
+    law, filters = environment_tuple(params.environment, 8.0), design_coefficients(
+        params.environment.velocity_filter, params.environment.acceleration_filter, 1000.0
+    )  # fmt: skip
+    for frame in link.frames:
+        x = codec.decode_in(frame.tobytes()).encoder * 0.5e-6
+        force, *_, state = render(x, state, law, filters)
+        torque = frames.OUT.unpack(tick(frame.tobytes(), 0))[3]
+        assert abs(torque - force * 32767 / 8.0) <= 0.5 + 1e-6
+
+
+@pytest.mark.parametrize(("rate_hz", "phase"), [(1000, 0.875), (2000, 0.75), (4000, 0.5), (8000, 0.5)])
+def test_board_leaves_the_host_its_time(rate_hz: float, phase: float) -> None:
+    assert sample_phase(rate_hz) == phase
+    assert settings(rate_hz).config.simulation.sample_phase == phase
