@@ -354,6 +354,6 @@ def _value(hint: Any, plain: Any, where: str) -> Any:
         return _value(allowed[0], plain, where)
     if float in allowed and isinstance(plain, int) and not isinstance(plain, bool):
         return float(plain)
-    if not isinstance(plain, tuple(allowed)):
+    if not isinstance(plain, tuple(allowed)) or plain != plain:  # NaN passes every limit
         raise ConfigError(f"{where}: expected {hint}, got {plain!r}; resolve the configuration again")
     return plain

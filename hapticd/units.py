@@ -16,6 +16,7 @@ def round_half_up(value: float) -> int:
 
 
 UNITS = {
+    "_m_per_s2": "m/s^2",
     "_nm_per_a": "N m/A",
     "_ns_per_m_s": "N s/m per s",
     "_n2_per_hz": "N^2/Hz",
@@ -33,9 +34,11 @@ UNITS = {
     "_kg": "kg",
     "_ohm": "ohm",
     "_h": "H",
+    "_ns": "ns",
     "_us": "us",
     "_ms": "ms",
     "_s": "s",
+    "_j": "J",
     "_n": "N",
     "_m": "m",
     "_a": "A",

@@ -10,21 +10,32 @@ from hapticd.mailbox.servo_side import ServoMailbox
 STOP_AT = 1 << 40
 
 
+DERIVED = frozenset(("tick", "time_ns", "board_us", "position_m", "velocity_m_per_s", "stiffness_force_n", "force_n", "tail"))
+
+
+def derived_places() -> list[bool]:
+    """For each value of a record: whether it is to follow the tick. The plan is one value, an array as many as it has."""
+    plan = {name for name, *_ in layout.PLAN_FIELDS}
+    places: list[bool] = []
+    for name, _, *shape in layout.TELEMETRY:
+        if name not in plan:
+            places += [name in DERIVED] * (shape[0][0] if shape else 1)
+    places.insert(3, False)
+    return places
+
+
 def write_records(folder: Path) -> None:
-    """Publish records whose every number is derived from their tick, as fast as Python can, until the reader says stop."""
+    """Publish records whose numbers are derived from their tick, as fast as Python can, until the reader says stop."""
     servo = ServoMailbox(folder, 1000.0, "", True, 1)
     servo.publish()
     pack, ring, publish, words = layout.RECORD.pack_into, servo.ring, servo.publish_head, servo.words
     size, slots, first, stop = layout.RECORD.size, layout.RING_RECORDS, layout.TELEMETRY_OFFSET, layout.GATEWAY_BEAT_WORD
-    blob, energies = bytes(layout.PLAN.size), (0.0,) * 6
+    blank, follows = layout.RECORD.unpack(bytes(size)), derived_places()
     tick = 0
     while words[stop] < STOP_AT:
         for _ in range(1000):
-            v = float(tick)
-            pack(
-                ring, first + tick % slots * size, tick, tick, tick, blob, 0, 0, v, v, v, v, v, v, v, v, *energies,
-                0.0, 0.0, 0.0, 0.0, 0, 0, 0, 0, 0, 0, b"", b"", tick,
-            )  # fmt: skip
+            values = [tick if follow else empty for follow, empty in zip(follows, blank, strict=True)]
+            pack(ring, first + tick % slots * size, *values)
             tick += 1
             publish(0, tick)
     servo.close()

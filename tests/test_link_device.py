@@ -10,6 +10,7 @@ from hapticd.link.base import Link, backoff_s
 from hapticd.link.device import SEED, Device
 from hapticd.wire import codec, frames
 from hapticd.wire.frames import Hello, InFrame, OutFlag
+from hapticd.wire.session import BACKWARD
 
 PERIOD_US = 1000
 
@@ -184,3 +185,21 @@ def test_write_failure_is_told_and_survived():
 def test_backoff_doubles_and_stays_below_a_second():
     assert [backoff_s(n) for n in range(7)] == [0.05, 0.1, 0.2, 0.4, 0.8, 1.0, 1.0]
     assert backoff_s(10_000) == 1.0
+
+
+def test_board_whose_clock_fell_back_is_taken_for_a_new_one():
+    """It started anew without leaving the bus: after BACKWARD ticks no buffer can explain it any more."""
+    device = connected(frame(0), frame(1), *(frame(2 + n, time_us=n * PERIOD_US) for n in range(400)))
+    arrivals = [tick(device)[0] for _ in range(2 + BACKWARD + 10)]
+    assert arrivals[:2] == [SEED, 0]
+    first = arrivals.index(SEED, 1)
+    assert arrivals[2:first] == [-n for n in range(1, first - 1)]
+    assert first - 2 == BACKWARD + 1
+    assert set(arrivals[first + 1 :]) == {0}
+
+
+def test_frame_that_repeats_for_ever_is_never_new():
+    device = connected(frame(0), *(frame(1) for _ in range(1000)))
+    arrivals = [tick(device)[0] for _ in range(200)]
+    assert arrivals[:2] == [SEED, 0]
+    assert arrivals[2:] == [-n for n in range(1, 199)]

@@ -455,3 +455,21 @@ def test_ten_thousand_pairs_leave_nothing_behind(bench):
         gc.enable()
     assert after - before < 50
     assert unreachable == 0
+
+
+@pytest.mark.parametrize("hinder", ["access_denied", "unplugged"])
+def test_board_that_cannot_be_opened_leaves_nothing_behind(hinder):
+    bench = Bench(opened=False, serial="SIM0001")
+    bench.backend.access_denied = hinder == "access_denied"
+    if hinder == "unplugged":
+        bench.backend.unplug()
+    gc.collect()
+    gc.disable()
+    try:
+        for _ in range(20):
+            with pytest.raises((LinkAccess, LinkLost)):
+                bench.link.open()
+        unreachable = gc.collect()
+    finally:
+        gc.enable()
+    assert unreachable == 0

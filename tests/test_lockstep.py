@@ -1,17 +1,21 @@
 """The whole stack on virtual time: the paper's settings, every injected fault, receipts, energy, memory."""
 
+import gc
+from contextlib import suppress
+
 import numpy as np
 import pytest
 from models import COUNT_M, COUNT_NS_PER_M, board_params, device_params, servo_params
 
 from hapticd.assembly.lockstep import LockStep
+from hapticd.errors import LinkLost, MailboxError
 from hapticd.faults import BY_CODE
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Flag, Result, Value
-from hapticd.params import HomeParams, InjectionParams, RealtimeParams
+from hapticd.params import HomeParams, InjectionParams, RealtimeParams, UsbParams
 from hapticd.servo.safety import State
 from hapticd.wire import codec
-from hapticd.wire.frames import Status
+from hapticd.wire.frames import OutFlag, Status
 
 DTYPE = np.dtype([tuple(field) for field in layout.TELEMETRY])
 FIG_4 = {Value.STIFFNESS: 100.0, Value.DAMPING: 1.0, Value.MASS: 0.010, Value.RAMP_S: 0.0}
@@ -282,3 +286,134 @@ def test_passive_environment_never_gains_energy():
     total = flown["energy_j"][:, 4]
     assert total[-1] < total[0]
     assert total[-1] < -1e-3
+
+
+def test_stop_page_survives_a_reset_in_the_same_tick():
+    with LockStep(servo_params(), board_params()) as stack:
+        enable(stack, FIG_4)
+        stack.command(Command.RESET)  # refused while enabled
+        stack.mailbox.stop_words[0] = 1
+        assert records(stack.run(50))["state"][-1] == State.STOPPED
+        stack.gateway.answers()
+        stack.command(Command.RESET)
+        stack.mailbox.stop_words[0] = 1
+        assert records(stack.run(50))["state"][-1] == State.STOPPED
+        stack.gateway.answers()
+        assert stack.do(Command.RESET).result is Result.APPLIED
+
+
+@pytest.mark.parametrize("page", [True, False])
+def test_stop_is_not_undone_by_a_reset_that_waits_for_the_board(page):
+    injections = (InjectionParams("amplifier_fault", tick=700, value=0.05),)
+    with LockStep(servo_params(), board_params(injections=injections)) as stack:
+        enable(stack, FIG_4)
+        stack.run(300)
+        stack.command(Command.RESET)
+        stack.run(1)
+        if page:
+            stack.mailbox.stop_words[0] = 1
+        else:
+            stack.command(Command.STOP)
+        flown = records(stack.run(50))
+        results = {answer.seq: answer.result for answer in stack.gateway.answers()}
+    assert flown["state"][-1] in (State.STOPPED, State.FAULT)
+    assert len(results) == 1 + (not page)  # each has its answer
+
+
+@pytest.mark.parametrize("pause_s", [3, 500, 5_000_000])
+def test_pause_beyond_what_a_record_holds_is_survived(pause_s):
+    with LockStep(servo_params(), board_params()) as stack:
+        enable(stack, FIG_4)
+        stack.clock.advance_ns(pause_s * 10**9)
+        flown = records(stack.run(100))
+        lost = stack.gateway.counters()["lost_slots"]
+    assert flown["wake_ns"].max() == 2**31 - 1
+    assert lost == pytest.approx(pause_s * 1000, abs=5)
+    assert flown["lost_slots"][-1] == lost % 2**32
+
+
+def test_replug_needs_homing_again():
+    """The counter of a board that lost its supply starts anew wherever the device then is."""
+    home = HomeParams(method="stop", required=True, direction=-1, speed_m_per_s=0.05, force_n=0.5)
+    injections = (InjectionParams("unplug", tick=3000, value=0.2),)
+    params = servo_params(device=device_params(home=home))
+    with LockStep(params, board_params(lower_stop_m=-0.004, upper_stop_m=0.016, injections=injections)) as stack:
+        stack.run(5)
+        stack.do(Command.HOME)
+        assert records(stack.run(2500))["homed"][-1] == 1
+        flown = records(stack.run(1500))
+        assert flown["homed"][-1] == 0
+        assert stack.do(Command.RESET).result is Result.APPLIED
+        assert stack.do(Command.ENABLE).result is Result.REFUSED_NOT_HOMED
+
+
+def test_replug_without_room_for_the_report_goes_on(monkeypatch):
+    def no_room(content):
+        raise MailboxError("no room")
+
+    with LockStep(servo_params(), board_params(injections=(InjectionParams("unplug", tick=1000, value=0.2),))) as stack:
+        stack.run(100)
+        monkeypatch.setattr(stack.mailbox, "report", no_room)
+        stack.run(2000)
+        assert stack.loop.linked
+        assert stack.gateway.counters()["reconnects"] == 1
+
+
+def test_board_is_let_go_even_if_the_last_tick_fails(monkeypatch):
+    def broken(*_):
+        raise ArithmeticError("a bug")
+
+    with LockStep(servo_params(), board_params()) as stack:
+        enable(stack, {**FIG_4, Value.STIFFNESS: 1000.0})
+        stack.loop.step = broken
+        with pytest.raises(ArithmeticError, match="a bug"):
+            stack.loop.finish()
+        last = codec.decode_out(bytes(stack.device.out_buffer))
+        assert (last.flags, last.torque, last.damping) == (int(OutFlag.FIFO_CLEAR), 0, 0)
+        with pytest.raises(LinkLost, match="the link is not open"):
+            stack.device.link.read(stack.device.in_buffer)
+        monkeypatch.setattr(stack.loop, "finish", lambda: None)
+
+
+OWN_WORDS = (
+    layout.EPOCH_WORD, layout.SERVO_BEAT_WORD, layout.COMMAND_TAIL_WORD, layout.ANSWER_HEAD_WORD, layout.JOURNAL_HEAD_WORD,
+    layout.CHECKPOINT_HEAD_WORD, *range(layout.COUNTER_WORD, layout.COUNTER_WORD + len(layout.COUNTERS)),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("garbage", [0, 12345, 2**63, 2**64 - 1])
+def test_servo_survives_what_is_written_over_the_mailbox(garbage):
+    with LockStep(servo_params(), board_params(injections=(InjectionParams("unplug", tick=900, value=0.1),))) as stack:
+        enable(stack, FIG_4)
+        for word in (*OWN_WORDS, layout.COMMAND_HEAD_WORD, layout.ANSWER_TAIL_WORD):
+            stack.gateway.words[word] = garbage
+        stack.run(1500)
+        for _ in range(2):
+            with suppress(MailboxError):  # answers that are skipped
+                stack.gateway.answers()
+        assert stack.gateway.current
+        assert stack.do(Command.RESET).result is Result.APPLIED
+        assert stack.do(Command.ENABLE).result is Result.APPLIED
+
+
+def test_lost_board_leaves_no_garbage_in_circles():
+    """The servo never collects, so nothing may depend on it: re-plugs, refused rights, small faults."""
+    faults = ("stall_in", "stall_out", "babble", "drop_in", "corrupt_in", "duplicate_in")
+    injections = (
+        InjectionParams("unplug", probability=0.02, value=0.02),
+        *(InjectionParams(kind, probability=0.02) for kind in faults),
+    )
+    with LockStep(servo_params(usb=UsbParams(serial="SIM0001")), board_params(injections=injections), keep=False) as stack:
+        stack.run(500)
+        gc.collect()
+        gc.disable()
+        try:
+            stack.run(1500)
+            stack.backend.unplug(0.0)
+            stack.backend.access_denied = True
+            stack.run(3000)
+            garbage = gc.collect()
+        finally:
+            gc.enable()
+    assert stack.gateway.counters()["reconnects"] > 3
+    assert garbage == 0

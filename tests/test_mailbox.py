@@ -1,6 +1,8 @@
 """The mailbox: rings, refusals, epochs, and a fence that is really used."""
 
 import os
+import resource
+import shutil
 import struct
 from pathlib import Path
 
@@ -269,3 +271,94 @@ def test_weakly_ordered_machines_use_libatomic():
     words = memoryview(bytearray(8)).cast("Q")
     assert word_access(words, "x86_64")[0] == words.__setitem__
     assert word_access(words, "aarch64")[0] is not words.__setitem__
+
+
+@pytest.mark.parametrize("kind", [0, 11, 100, 101, 2**32 - 1])
+def test_unknown_kind_of_command_is_dropped_and_counted(servo, gateway, kind):
+    """100 and 101 are the servo's own events: nobody may send them."""
+    gateway.post(kind, 1, 0, NO_VALUES)
+    gateway.post(Command.ENABLE, 1, 0, NO_VALUES)
+    assert servo.take() is None
+    assert servo.take()[:2] == (2, Command.ENABLE)
+    assert gateway.counters()["bad_commands"] == 1
+
+
+@pytest.mark.parametrize("head", [2**64 - 1, 2**63, 66])
+def test_head_that_no_gateway_posted_is_set_right(servo, gateway, head):
+    gateway.post(Command.ENABLE, 1, 0, NO_VALUES)
+    servo.take()
+    gateway.words[layout.COMMAND_HEAD_WORD] = head
+    assert servo.take() is None
+    assert gateway.counters()["bad_commands"] == 1
+    assert gateway.post(Command.DISABLE, 1, 0, NO_VALUES) == 2
+    assert servo.take()[:2] == (2, Command.DISABLE)
+
+
+@pytest.mark.parametrize("tail", [2**64 - 1, 12345])
+def test_answers_after_a_written_over_tail_are_read_again(servo, gateway, tail):
+    gateway.words[layout.ANSWER_TAIL_WORD] = tail
+    with pytest.raises(MailboxError, match="answers in a ring of 64; they are skipped"):
+        gateway.answers()
+    servo.answer(7, Result.APPLIED, 0, 1, (5, 5), NO_VALUES)
+    assert [answer.seq for answer in gateway.answers()] == [7]
+
+
+def test_servo_says_again_who_it_is(servo, tmp_path):
+    servo._map[: layout.PAGE] = os.urandom(layout.PAGE)
+    with pytest.raises(MailboxError, match="another version"):
+        GatewayMailbox(tmp_path)
+    servo.renew()
+    again = GatewayMailbox(tmp_path)
+    assert (again.header.pid, again.epoch) == (os.getpid(), 5_000)
+    again.close()
+
+
+def test_stop_page_of_a_dead_servo_says_so(tmp_path):
+    mailbox = ServoMailbox(tmp_path, 1000.0, "", True, 5)
+    press_stop(tmp_path)
+    os.close(mailbox._stop_claim)  # as the kernel does for a killed process
+    with pytest.raises(MailboxError, match=r"stop: its servo has ended, and the board stopped with it"):
+        press_stop(tmp_path)
+    mailbox._stop_claim = os.open(os.devnull, os.O_RDONLY)
+    mailbox.close()
+
+
+@pytest.mark.parametrize("name", [files.MAILBOX, files.TELEMETRY, files.STOP, files.PERTURBATION, files.SERVO_LOCK])
+def test_what_is_in_the_way_is_named(tmp_path, name):
+    (tmp_path / name / "x").mkdir(parents=True)
+    if name == files.TELEMETRY:
+        (tmp_path / files.LAST_TELEMETRY / "x").mkdir(parents=True)  # else it is moved there
+    with pytest.raises(MailboxError, match=rf"{name}: Is a directory; make room, correct its rights or remove what is in the way"):
+        ServoMailbox(tmp_path, 1000.0, "", True, 5)
+
+
+def test_full_disk_is_named(tmp_path):
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+    try:
+        with pytest.raises(MailboxError, match="mailbox: File too large; make room"):
+            ServoMailbox(tmp_path, 1000.0, "", True, 5)
+        with pytest.raises(MailboxError, match="text: File too large; make room"):
+            files.write_whole(tmp_path / "text", "x" * 2000)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert not list(tmp_path.glob("text*"))
+
+
+def test_folder_that_cannot_be_made_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(MailboxError, match="file/hapticd: Not a directory"):
+        files.prepare_folder(tmp_path / "file" / "hapticd")
+    (tmp_path / "link").symlink_to(tmp_path)
+    with pytest.raises(MailboxError, match="link is a link; remove it or set XDG_RUNTIME_DIR"):
+        files.prepare_folder(tmp_path / "link")
+    with pytest.raises(MailboxError, match="use 1 to 64 letters, digits, - and _"):
+        files.runtime_folder("a" * 300)
+
+
+def test_servo_ends_although_its_folder_is_gone(tmp_path):
+    folder = tmp_path / "run"
+    mailbox = ServoMailbox(folder, 1000.0, "", True, 5)
+    shutil.rmtree(folder)
+    mailbox.close()
+    assert not folder.exists()

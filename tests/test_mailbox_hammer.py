@@ -58,6 +58,7 @@ def test_ten_million_record_numbers_are_never_torn(hammered):
     """Every record is read as 7 numbers that must agree with its tick; lapped ones are counted as lost, not delivered."""
     tail = delivered = lost = 0
     while delivered * len(DERIVED) < 10_000_000:
+        assert hammered.current
         block, new_tail, missed = hammered.records(tail, 4096)
         records = np.frombuffer(block, DTYPE)
         lost += missed

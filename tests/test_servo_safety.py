@@ -295,3 +295,41 @@ def test_encoder_that_stays_off_needs_homing_again_and_can_be_reset():
     flight.fly(10)
     assert flight.plan.state is D
     assert flight.do(Command.ENABLE) is Result.REFUSED_NOT_HOMED
+
+
+@pytest.mark.parametrize("sample", [{"arrival": -9}, {"status": int(Status.WATCHDOG)}])
+def test_enable_and_reset_are_refused_for_what_would_fault_at_once(sample):
+    flight = Flight(servo_params())
+    flight.fly(1, **sample)
+    assert flight.plan.state is D
+    assert flight.do(Command.ENABLE, **sample) is Result.REFUSED_CAUSE
+    flight.do(Command.STOP)
+    assert flight.do(Command.RESET, **sample) is Result.REFUSED_CAUSE
+    assert flight.do(Command.RESET) is Result.APPLIED
+    assert flight.do(Command.ENABLE) is Result.APPLIED
+
+
+def test_damping_may_be_released_at_once_after_the_hold():
+    flight = enabled(servo_params(safety=SafetyParams(safe_damping_ns_per_m=1.0, damping_release_s=0.0)))
+    flight.do(Command.STOP)
+    flight.fly(1999)
+    assert flight.blob["added_damping_ns_per_m"] == pytest.approx(1.0, abs=1e-4)
+    flight.fly(3)
+    assert flight.blob["added_damping_ns_per_m"] == 0.0
+
+
+def test_stop_cancels_what_is_scheduled_also_when_stopped_already():
+    flight = enabled(servo_params())
+    flight.do(Command.STOP)
+    assert flight.do(Command.SET, STIFF, at_tick=flight.tick + 100) is Result.SCHEDULED
+    flight.do(Command.STOP)
+    assert Result.CANCELLED in [answer[1] for answer in flight.answers]
+    assert flight.plan.scheduled == ()
+
+
+def test_fault_that_persists_leaves_later_schedules_alone():
+    flight = enabled(servo_params())
+    flight.fly(1, celsius=121.0)
+    assert flight.do(Command.SET, STIFF, at_tick=flight.tick + 20, celsius=121.0) is Result.SCHEDULED
+    flight.fly(10, celsius=121.0)
+    assert len(flight.plan.scheduled) == 1

@@ -307,3 +307,53 @@ def test_seed_after_replug_keeps_the_servo_disabled():
     flight.fly(1, arrival=SEED, encoder=-77_000)
     assert flight.plan.state is State.DISABLED
     assert flight.fly()[2] == 0.0
+
+
+@pytest.mark.parametrize("samples", [math.nan, -5.0, 1e300, 400.0])
+def test_perturbation_must_say_what_it_plays(samples):
+    flight = enabled(servo_params())
+    values = [0.0] * 20
+    values[Value.SAMPLES] = samples  # not in the mask, and so never checked
+    out = flight._one(((5, int(Command.PERTURB_START), 1, 0, tuple(values)),))
+    assert out[10][0][1] == Result.REFUSED_RANGE
+    assert flight.plan.wave[0] == 0
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_encoder_counter_goes_round_without_a_jump(sign):
+    position = ScaleParams(COUNT_M, sign=sign)
+    flight = enabled(servo_params(device=device_params(position=position)), {Value.DAMPING: 1.0}, 2**31 - 500)
+    there = [2**31 - 500 + 10 * n for n in range(101)]
+    flown = [flight.fly(1, encoder=(count + 2**31) % 2**32 - 2**31) for count in (*there, *there[-2::-1])]
+    assert flight.plan.state is State.ENABLED
+    assert {round(abs(b[1] - a[1]) / COUNT_M) for a, b in pairwise(flown)} == {10}
+    assert flown[-1][1] == pytest.approx(flown[0][1], abs=1e-9)
+
+
+def test_jump_of_less_than_a_turn_is_a_sensor_fault():
+    flight = enabled(servo_params())
+    flight.fly(1, encoder=2**31 - 1)
+    assert flight.blob["fault"] == BY_CODE["sensor_range"].number
+
+
+def test_wall_changes_sides_without_a_jump():
+    flight = enabled(servo_params(), {Value.WALL_STIFFNESS: 1000.0}, 4000)
+    forces = [flight.fly()[8]]
+    for side in (1.0, -1.0):
+        flight.do(Command.SET, {Value.WALL_SIDE: side, Value.RAMP_S: 0.05})
+        forces += [flight.fly()[8] for _ in range(60)]
+        assert flight.answers[-1][5][Value.WALL_SIDE] == side
+    assert forces[60] == pytest.approx(-2.0, abs=COUNT_N)
+    assert forces[-1] == 0.0
+    assert max(abs(b - a) for a, b in pairwise(forces)) < 2.0 * 0.1
+
+
+def test_new_life_of_the_board_forgets_origin_and_homing():
+    home = HomeParams(method="stop", required=True)
+    flight = Flight(servo_params(device=device_params(home=home, position=ScaleParams(COUNT_M, offset_count=40.0))), 1000)
+    flight.do(Command.ZERO)
+    assert flight.blob["homed"] == 1
+    assert flight.fly(1, arrival=9)[1] == 0.0  # a gap is no new life
+    out = flight.fly(1, arrival=SEED, encoder=100)
+    assert out[1] == pytest.approx(60 * COUNT_M)
+    assert flight.do(Command.ENABLE) is Result.REFUSED_NOT_HOMED

@@ -205,3 +205,15 @@ def test_power_up_forgets_what_was_held():
     assert port.next_in_ns() is None
     assert isinstance(port, Injector)
     healthy(port, 3)
+
+
+@pytest.mark.parametrize("damage", ["babble", "short_in", "corrupt_in"])
+@pytest.mark.parametrize("first", [True, False])
+def test_sensor_fault_comes_before_damage_on_the_way(damage, first):
+    """A board that reads wrongly sends a valid packet; what the cable does to it comes after, in whatever order they are named."""
+    both = [InjectionParams(kind, tick=STRUCK, value=0.0) for kind in (damage, "encoder_jump")]
+    port = injected(*(both if first else both[::-1]))
+    healthy(port, 0, 1)
+    packet = tick_of(port, STRUCK)
+    with pytest.raises(FrameError):
+        codec.decode_in(packet)

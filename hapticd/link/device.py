@@ -5,8 +5,10 @@ never did, -k means that for the k-th tick in a row there is none (the old one i
 start here. The judge is the board's own latch time, not the sequence number: after a host pause the sample that lay
 waiting is one period old and belongs to its own time, and the gap shows in the one after it.
 
-A stale frame (a duplicate, or one that a time-out left behind) is read past, at most twice a tick. LinkLost is for the
-loop; everything less is counted and survived here. What would break it: two tasks calling it, buffers that are replaced.
+A stale frame (a duplicate, or one that a time-out left behind) is read past, at most twice a tick. No buffer holds back
+session.BACKWARD ticks: a clock that still lies behind after so many is that of a board which started anew, and seeds.
+LinkLost is for the loop; everything less is counted and survived here. What would break it: two tasks calling it, buffers
+that are replaced.
 """
 
 from array import array
@@ -91,6 +93,9 @@ def _exchange(device: Device) -> tuple[Callable[[], None], Callable[[], Received
         """A frame that is not simply the next one: stale, after a gap, or the first."""
         nonlocal head, board_us, expected, missing, seeding
         latched = found[5] if seeding else session.unwrap(board_us, found[5], session.BOARD_TIME_BITS)
+        if missing > session.BACKWARD and latched < board_us:
+            begin()
+            latched = found[5]
         for _ in range(STALE_READS):
             if seeding or latched > board_us:
                 break

@@ -129,7 +129,10 @@ class UsbLink(Link):
             _dispose(device)
         serial = "" if params.serial is None else f" with serial {params.serial}"
         name = f"{params.vendor_id:04x}:{params.product_id:04x}{serial}"
-        raise unreadable or LinkLost(f"no board {name} at the bus; plug it in, or correct [usb] and the device file's serial")
+        try:
+            raise unreadable or LinkLost(f"no board {name} at the bus; plug it in, or correct [usb] and the device file's serial")
+        finally:
+            del unreadable  # it holds this frame: a circle, which nobody collects in the servo
 
     def _take(self, device: Any) -> None:
         number, self._out, self._in = _frame_endpoints(_configuration(device))

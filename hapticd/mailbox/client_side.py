@@ -1,6 +1,7 @@
 """The other end: the gateway posts commands and reads answers and telemetry; anyone of the group may set the stop word."""
 
 import json
+import marshal
 import os
 import zlib
 from pathlib import Path
@@ -36,9 +37,30 @@ class Answer(NamedTuple):
 
 
 def press_stop(folder: Path) -> None:
-    """Latch STOP in the servo of `folder` without the gateway. MailboxError if no servo is there."""
-    page = files.open_map(folder / files.STOP, layout.STOP_BYTES)
+    """Latch STOP in the servo of `folder` without the gateway. MailboxError if no servo is there (any more)."""
+    path = folder / files.STOP
+    page = files.open_map(path, layout.STOP_BYTES)
     memoryview(page).cast("Q")[0] = 1
+    if not files.is_held(path):
+        raise MailboxError(f"{path}: its servo has ended, and the board stopped with it; start one with `hapticd run`")
+
+
+class Noted(NamedTuple):
+    """A request that the servo obeyed at `tick`; `kind` is layout.Command or an event of the servo itself."""
+
+    tick: int
+    seq: int
+    kind: int
+    actor: int
+    apply_tick: int
+    values: tuple[float, ...]
+
+
+class Checkpoint(NamedTuple):
+    """The servo's state before `tick`, as nested plain tuples (servo.checkpoint)."""
+
+    tick: int
+    state: tuple[Any, ...]
 
 
 class GatewayMailbox:
@@ -71,7 +93,7 @@ class GatewayMailbox:
             raise MailboxError(f"{self.folder}: the servo has ended or is still starting; wait or run `hapticd run`")
         if not (0 < rate_hz <= 100_000):
             raise MailboxError(f"{self.folder}: rate {rate_hz} Hz out of range 0..100000; restart the servo")
-        self.header = Header(pid, start_ns, rate_hz, config_hash.rstrip(b"\0").decode(), bool(simulated))
+        self.header = Header(pid, start_ns, rate_hz, config_hash.rstrip(b"\0").decode(errors="replace"), bool(simulated))
         self._ring = files.open_map(self.folder / files.TELEMETRY, layout.TELEMETRY_BYTES)
         self.ring = memoryview(self._ring)
         _, self.load_head = word_access(self.ring.cast("Q"))
@@ -122,7 +144,7 @@ class GatewayMailbox:
     def post(self, kind: int, actor: int, apply_tick: int, values: tuple[float, ...]) -> int | None:
         """Post a command of 20 doubles (layout.Value); its sequence number, or None when the ring is full (`busy`)."""
         head = self.words[layout.COMMAND_HEAD_WORD]
-        if self.backlog >= layout.RING_SLOTS:
+        if not 0 <= self.backlog < layout.RING_SLOTS:
             return None
         offset = layout.COMMAND_OFFSET + head % layout.RING_SLOTS * layout.COMMAND.size
         layout.COMMAND.pack_into(self._map, offset, head + 1, kind, actor, apply_tick, *values, 0, 0)
@@ -135,6 +157,9 @@ class GatewayMailbox:
         """All answers since the last call, in order."""
         found = []
         tail, head = self.words[layout.ANSWER_TAIL_WORD], self.load(layout.ANSWER_HEAD_WORD)
+        if not 0 <= head - tail <= layout.RING_SLOTS:
+            self.store(layout.ANSWER_TAIL_WORD, head)
+            raise MailboxError(f"{self.folder}: {head - tail} answers in a ring of {layout.RING_SLOTS}; they are skipped")
         while tail != head:
             offset = layout.ANSWER_OFFSET + tail % layout.RING_SLOTS * layout.ANSWER.size
             seq, result, fault, revision, first, end, *values, crc, _ = layout.ANSWER.unpack_from(self._map, offset)
@@ -161,6 +186,39 @@ class GatewayMailbox:
         overwritten = self.load_head(layout.TELEMETRY_HEAD_WORD) - layout.RING_RECORDS + 1 - first
         spoiled = max(0, min(count, overwritten))
         return block[spoiled * size :], first + count, first - tail + spoiled
+
+    def journal(self, tail: int) -> tuple[list[Noted], int, int]:
+        """Requests obeyed after number `tail`: (requests, new tail, how many were overwritten before they were read)."""
+        head = self.load(layout.JOURNAL_HEAD_WORD)
+        first = max(tail, head - layout.JOURNAL_SLOTS)
+        found = [self._noted(number) for number in range(first, head)]
+        whole = [request for request in found if request is not None]
+        return whole, head, head - tail - len(whole)
+
+    def _noted(self, number: int) -> Noted | None:
+        offset = layout.JOURNAL_OFFSET + number % layout.JOURNAL_SLOTS * layout.JOURNAL.size
+        begin, tick, seq, kind, actor, apply_tick, *values, end = layout.JOURNAL.unpack_from(self._map, offset)
+        return Noted(tick, seq, kind, actor, apply_tick, tuple(values)) if begin == end == number else None
+
+    def ask_checkpoint(self) -> None:
+        """Ask the servo for a checkpoint; it writes one within 256 ticks."""
+        self.words[layout.CHECKPOINT_ASKED_WORD] = self.checkpoints + 1
+
+    @property
+    def checkpoints(self) -> int:
+        """Checkpoints that the servo has written in this life."""
+        return self.load(layout.CHECKPOINT_HEAD_WORD)
+
+    def checkpoint(self) -> Checkpoint | None:
+        """The newest checkpoint; None before the first, or while it is being overwritten."""
+        number = self.checkpoints - 1
+        if number < 0:
+            return None
+        offset = layout.CHECKPOINT_OFFSET + number % 2 * layout.CHECKPOINT_SLOT
+        found, tick, length, crc = layout.CHECKPOINT.unpack_from(self._map, offset)
+        begin = offset + layout.CHECKPOINT.size
+        data = self._map[begin : begin + min(length, layout.CHECKPOINT_SLOT)]
+        return Checkpoint(tick, marshal.loads(data)) if found == number and zlib.crc32(data) == crc else None
 
     def close(self) -> None:
         """Give up the claim; the maps go with the object."""

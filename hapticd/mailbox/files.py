@@ -5,6 +5,8 @@ import mmap
 import os
 import stat
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from hapticd.errors import MailboxError
@@ -14,23 +16,24 @@ LAST_TELEMETRY, REPORT = "last.ring", "servo.report"
 SERVO_JSON, BOARD_JSON, GATEWAY_JSON = "servo.json", "board.json", "gateway.json"  # what the processes start from
 COMMAND_SOCKET, TELEMETRY_SOCKET, ENDPOINTS = "command", "telemetry", "endpoints.json"  # the gateway's
 SERVO_LOCK, GATEWAY_LOCK = "servo.lock", "gateway.lock"
-DEFAULT_INSTANCE = "default"
+DEFAULT_INSTANCE, LONGEST_NAME = "default", 64
 SERVICE_FOLDER = Path("/run/hapticd")  # RuntimeDirectory= of the systemd units
 
 
 def runtime_folder(instance: str = DEFAULT_INSTANCE) -> Path:
     """Folder of `instance`, the same for every process of this user. Not created, not checked.
 
-    $RUNTIME_DIRECTORY (systemd), else $XDG_RUNTIME_DIR/hapticd, else <tempdir>/hapticd-<uid>; another instance than the
-    default one gets a folder of its own inside.
+    $RUNTIME_DIRECTORY (systemd), else $XDG_RUNTIME_DIR/hapticd, else hapticd-<uid> in shared memory (/dev/shm), else in
+    <tempdir>: mapped files on a disk are written back and their pages fault again within a tick. Another instance than
+    the default one gets a folder of its own inside.
     """
-    if not instance or not all(c.isalnum() or c in "-_" for c in instance):
-        raise MailboxError(f"instance name {instance!r}: use letters, digits, - and _")
+    if not 0 < len(instance) <= LONGEST_NAME or not all(c.isalnum() or c in "-_" for c in instance):
+        raise MailboxError(f"instance name {instance[:LONGEST_NAME]!r}: use 1 to {LONGEST_NAME} letters, digits, - and _")
     systemd, session = os.environ.get("RUNTIME_DIRECTORY"), os.environ.get("XDG_RUNTIME_DIR")
     if systemd:
         base = Path(systemd.split(":")[0])
     else:
-        base = Path(session) / "hapticd" if session else Path(tempfile.gettempdir()) / f"hapticd-{os.getuid()}"
+        base = Path(session) / "hapticd" if session else _memory_folder() / f"hapticd-{os.getuid()}"
     return base if instance == DEFAULT_INSTANCE else base / f"instance-{instance}"
 
 
@@ -45,12 +48,29 @@ def daemon_folder(instance: str = DEFAULT_INSTANCE) -> Path:
     return SERVICE_FOLDER if service else own
 
 
+@contextmanager
+def refusals(path: Path) -> Iterator[None]:
+    """Turn what the operating system refuses about `path` into a MailboxError that names it."""
+    try:
+        yield
+    except OSError as error:
+        raise MailboxError(f"{path}: {error.strerror}; make room, correct its rights or remove what is in the way") from error
+
+
+def _memory_folder() -> Path:
+    memory = Path("/dev/shm")
+    return memory if os.access(memory, os.W_OK | os.X_OK) else Path(tempfile.gettempdir())
+
+
 def prepare_folder(folder: Path) -> Path:
-    """Make `folder` (0700) and check that it is ours. Raises MailboxError when someone else owns it."""
+    """Make `folder` (0700) and check that it is ours. Raises MailboxError when someone else owns it, or it cannot be made."""
     for step in (folder.parent, folder) if folder.name.startswith("instance-") else (folder,):
-        step.mkdir(mode=0o700, parents=True, exist_ok=True)
-        found = step.lstat()
-        if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid():
+        with refusals(step):
+            step.mkdir(mode=0o700, parents=True, exist_ok=True)
+            found = step.lstat()
+        if stat.S_ISLNK(found.st_mode):
+            raise MailboxError(f"{step} is a link; remove it or set XDG_RUNTIME_DIR")
+        if found.st_uid != os.getuid():
             raise MailboxError(f"{step} belongs to user {found.st_uid}, not to {os.getuid()}; remove it or set XDG_RUNTIME_DIR")
         if found.st_mode & 0o022:
             raise MailboxError(f"{step} may be written by others (mode {stat.S_IMODE(found.st_mode):o}); chmod 700 it")
@@ -59,7 +79,8 @@ def prepare_folder(folder: Path) -> Path:
 
 def claim(folder: Path, lock: str) -> int:
     """Hold `lock` until this process ends; the returned descriptor is the claim. MailboxError if someone alive has it."""
-    descriptor = os.open(folder / lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    with refusals(folder / lock):
+        descriptor = os.open(folder / lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
@@ -70,30 +91,81 @@ def claim(folder: Path, lock: str) -> int:
     if os.fstat(descriptor).st_nlink == 0:  # released, and so removed, between our open and our lock
         os.close(descriptor)
         return claim(folder, lock)
-    os.ftruncate(descriptor, 0)
-    os.write(descriptor, str(os.getpid()).encode())
+    with refusals(folder / lock):
+        os.ftruncate(descriptor, 0)
+        os.write(descriptor, str(os.getpid()).encode())
     return descriptor
 
 
 def release(folder: Path, lock: str, descriptor: int) -> None:
     """Give up a claim and remove its file."""
-    (folder / lock).unlink(missing_ok=True)
+    remove(folder, lock)
     os.close(descriptor)
 
 
-def create_map(path: Path, size: int, mode: int = 0o600) -> mmap.mmap:
-    """A fresh zeroed file of `size` bytes, mapped shared and touched, in place of any stale one."""
-    path.unlink(missing_ok=True)
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
+def hold(path: Path) -> int:
+    """Show that the owner of the existing file `path` lives, until the returned descriptor is closed or this process ends."""
+    with refusals(path):
+        descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    return descriptor
+
+
+def is_held(path: Path) -> bool:
+    """Whether somebody alive holds the existing file `path`."""
+    with refusals(path):
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
-        os.fchmod(descriptor, mode)
-        os.posix_fallocate(descriptor, 0, size)
-        fresh = mmap.mmap(descriptor, size, mmap.MAP_SHARED | getattr(mmap, "MAP_POPULATE", 0))
-        for page in range(0, size, mmap.PAGESIZE):
-            fresh[page] = 0  # the first write to a page costs 8 us (dirty bit, nested tables): not within a tick
-        return fresh
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
     finally:
         os.close(descriptor)
+    return False
+
+
+def write_whole(path: Path, text: str) -> Path:
+    """Write `text` into `path` as a whole or not at all. MailboxError when there is no room or no right."""
+    fresh = path.with_name(f"{path.name}.{os.getpid()}")
+    with refusals(path):
+        try:
+            fresh.write_text(text)
+            return fresh.replace(path)
+        finally:
+            fresh.unlink(missing_ok=True)
+
+
+def remove(folder: Path, *names: str) -> None:
+    """Remove files of ours as far as that goes; what stays is replaced, or refused by name, at the next start."""
+    for name in names:
+        try:
+            (folder / name).unlink(missing_ok=True)
+        except OSError:
+            pass
+
+
+def keep_last(folder: Path) -> None:
+    """The telemetry ring of a servo that has ended becomes the last one, for the flight recorder; if it can."""
+    try:
+        (folder / TELEMETRY).replace(folder / LAST_TELEMETRY)
+    except OSError:
+        pass
+
+
+def create_map(path: Path, size: int, mode: int = 0o600) -> mmap.mmap:
+    """A fresh zeroed file of `size` bytes, mapped shared and touched, in place of any stale one. MailboxError: no room."""
+    with refusals(path):
+        path.unlink(missing_ok=True)
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
+        try:
+            os.fchmod(descriptor, mode)
+            os.posix_fallocate(descriptor, 0, size)
+            fresh = mmap.mmap(descriptor, size, mmap.MAP_SHARED | getattr(mmap, "MAP_POPULATE", 0))
+        finally:
+            os.close(descriptor)
+    for page in range(0, size, mmap.PAGESIZE):
+        fresh[page] = 0  # the first write to a page costs 8 us (dirty bit, nested tables): not within a tick
+    return fresh
 
 
 def open_map(path: Path, size: int, writable: bool = True) -> mmap.mmap:

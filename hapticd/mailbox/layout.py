@@ -22,6 +22,9 @@ COMMAND_TAIL_WORD = 88  # commands taken (servo)
 ANSWER_HEAD_WORD = 96  # answers posted (servo)
 ANSWER_TAIL_WORD = 104  # answers taken (gateway)
 GATEWAY_PID_WORD = 112
+JOURNAL_HEAD_WORD = 120  # requests obeyed (servo)
+CHECKPOINT_ASKED_WORD = 122  # checkpoints asked for (gateway)
+CHECKPOINT_HEAD_WORD = 124  # checkpoints written (servo)
 COUNTER_WORD = 128  # COUNTERS, u64 each
 PAGE = 4096
 
@@ -47,7 +50,18 @@ COMMAND_CRC_OFFSET = COMMAND.size - 8
 # --- answer ring: servo -> gateway -----------------------------------------------------------------------------------
 ANSWER = struct.Struct("<QIIQQQ20dII")  # seq, result, fault number, revision, first_tick, ramp_end_tick, effective, crc32, pad
 ANSWER_OFFSET = COMMAND_OFFSET + 4 * PAGE
-MAILBOX_BYTES = ANSWER_OFFSET + 5 * PAGE
+
+# --- journal: what the servo obeyed, at which tick; with the records and a checkpoint it is all that a re-flight needs --------
+JOURNAL_SLOTS = 256
+JOURNAL = struct.Struct("<QQQIIQ20dQ")  # number, tick, seq, kind, actor, apply_tick, values, number again
+JOURNAL_OFFSET = ANSWER_OFFSET + 5 * PAGE
+
+# --- checkpoints: the servo's whole state before a tick, when it is asked for, two slots in turn ----------------------------------------------------
+CHECKPOINT = struct.Struct("<QQII")  # number, tick, length and crc32 of the marshalled state behind it
+CHECKPOINT_SLOT = 2 * PAGE
+CHECKPOINT_OFFSET = JOURNAL_OFFSET + JOURNAL_SLOTS * JOURNAL.size
+MAILBOX_BYTES = CHECKPOINT_OFFSET + 2 * CHECKPOINT_SLOT
+assert CHECKPOINT_OFFSET % PAGE == 0
 
 STOP_BYTES = PAGE
 PERTURBATION_HEADER = PAGE
@@ -163,6 +177,8 @@ TELEMETRY = (
     ("added_damping_asked_ns_per_m", "<f8"), ("added_damping_ns_per_m", "<f8"),
     # --- this tick
     ("flags", "<u4"), ("status", "<u4"),
+    ("arrival", "<i4"),  # of the sample: 0 on time, k after k lost ones, -k missing for the k-th time (link.device)
+    ("host", "<u4"),  # 1: the board is linked, 2: the gateway's heartbeat is there
     ("position_m", "<f8"), ("velocity_m_per_s", "<f8"), ("acceleration_m_per_s2", "<f8"),
     ("stiffness_force_n", "<f8"), ("damping_force_n", "<f8"), ("mass_force_n", "<f8"), ("field_force_n", "<f8"),
     ("force_n", "<f8"),
@@ -217,6 +233,8 @@ LAYOUT_HASH = hashlib.sha256(
             HEADER.format,
             COMMAND.format,
             ANSWER.format,
+            JOURNAL.format,
+            CHECKPOINT.format,
             TELEMETRY,
             COUNTERS,
             STAGES,

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 from hapticd.faults import BY_CODE
+from hapticd.link.device import SEED
 from hapticd.mailbox.layout import Command, Flag
 from hapticd.params import ServoParams
 from hapticd.render.energy import ZERO_FORCES, book
@@ -19,7 +20,7 @@ from hapticd.servo.commands import Now, apply_settings, obey
 from hapticd.servo.hot import advance_added, hot
 from hapticd.servo.plan import Plan, coefficients_of
 from hapticd.servo.safety import FAULT_EVENT, LATCHED, State
-from hapticd.servo.state import BOARD_FAULT, GATEWAY_ALIVE, LINK_UP, Answer, Request, Sample, ServoState
+from hapticd.servo.state import ATTENTION, BOARD_FAULT, GATEWAY_ALIVE, LINK_UP, Answer, Request, Sample, ServoState
 from hapticd.units import round_half_up
 from hapticd.wire.frames import OutFlag, Status
 
@@ -32,6 +33,7 @@ def make_attend(params: ServoParams) -> Attend:
     limit_n = min(params.safety.force_limit_n, params.device.force_limit_n)
     hot_count = params.device.temperature.to_count(params.device.temperature_limit_c, -32768, 32767)
     m_per_count = params.device.position.per_count * params.device.position.sign
+    first_origin = round_half_up(params.device.position.offset_count)
 
     def cause(status: int, temperature: int, host: int) -> int:
         """Number of what is wrong at this moment, 0 if nothing is."""
@@ -43,17 +45,23 @@ def make_attend(params: ServoParams) -> Attend:
             return BY_CODE["over_temperature"].number
         return 0
 
-    def newly_lost(plan: Plan, sample: Sample) -> int:
-        """Number of a fault that this sample brings, 0 for none; losses that matter only under force wait for force."""
+    def cause_under_force(sample: Sample) -> int:
+        """As `cause`, with what is harmless as long as there is no force: it keeps from enabling and from a reset."""
         _, status, temperature, arrival, host, _ = sample
-        found = cause(status, temperature, host)
-        if found or plan.state not in (State.ENABLED, State.HOMING):
+        if found := cause(status, temperature, host):
             return found
-        if not host & GATEWAY_ALIVE and params.safety.on_gateway_loss == "fault":
-            return BY_CODE["gateway_lost"].number
         if status & Status.WATCHDOG:
             return BY_CODE["board_watchdog"].number
         return BY_CODE["frames_lost"].number if -arrival > params.safety.missing_frames_limit else 0
+
+    def newly_lost(plan: Plan, sample: Sample) -> int:
+        """Number of a fault that this sample brings, 0 for none; losses that matter only under force wait for force."""
+        _, status, temperature, _, host, _ = sample
+        if plan.state not in (State.ENABLED, State.HOMING):
+            return cause(status, temperature, host)
+        if not host & GATEWAY_ALIVE and params.safety.on_gateway_loss == "fault":
+            return cause(status, temperature, host) or BY_CODE["gateway_lost"].number
+        return cause_under_force(sample)
 
     def commanded(plan: Plan, commands: tuple[Request, ...], sample: Sample, now: Now) -> tuple[Plan, tuple[Answer, ...]]:
         found = newly_lost(plan, sample) or (BY_CODE["home_failed"].number if homing.overdue(plan, now.tick, params) else 0)
@@ -69,18 +77,29 @@ def make_attend(params: ServoParams) -> Attend:
             answers += more
         return plan, tuple(answers)
 
+    def nothing_but_lost_frames(state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int) -> bool:
+        """The usual reason to be here while a busy host drops slots; the plan stays as it is, so the long way would be late too."""
+        _, status, temperature, arrival, host, _ = sample
+        calm = not commands and tick < state[0] and host == state[11] and not status & ATTENTION and temperature <= hot_count
+        return calm and 0 < arrival <= params.safety.missing_frames_limit
+
     def attend(
         state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int
     ) -> tuple[ServoState, bool, tuple[Any, ...], int]:
-        encoder, status, temperature, arrival, host, _ = sample
+        encoder, _, _, arrival, host, _ = sample
         _, environment, coefficients, _, _, _, law, ledger, origin, added, held, _, plan = state
+        if nothing_but_lost_frames(state, commands, sample, tick):
+            law, ledger = bridge(law, ledger, (encoder - origin) * m_per_count, arrival, environment, coefficients, added)
+            return (*state[:6], law, ledger, *state[8:]), True, (), int(Flag.INTERPOLATED)
         before = plan
         usable = arrival >= 0 and bool(host & LINK_UP)
         flags = 0
         if usable and 0 < arrival <= params.safety.missing_frames_limit:
             law, ledger = bridge(law, ledger, (encoder - origin) * m_per_count, arrival, environment, coefficients, added)
             flags = int(Flag.INTERPOLATED)
-        now = Now(tick, encoder, held[1], bool(host & GATEWAY_ALIVE), cause(status, temperature, host))
+        if arrival == SEED:  # another life of the board: its counter began anew, from wherever the device was
+            plan = plan._replace(origin=first_origin, homed=False)
+        now = Now(tick, encoder, held[1], bool(host & GATEWAY_ALIVE), cause_under_force(sample))
         plan, answers = commanded(plan, commands, sample, now)
         if plan.state is State.HOMING and usable:
             plan = homing.advance(plan, sample, now, params)

@@ -16,6 +16,7 @@ from hapticd.units import round_half_up
 
 MOST_SCHEDULED = 16
 SETTINGS = frozenset({Command.SET, Command.DAMPING})
+WAVEFORM = frozenset({Value.SAMPLES, Value.LOOP})  # what a perturbation has to say
 
 
 class Now(NamedTuple):
@@ -25,7 +26,7 @@ class Now(NamedTuple):
     encoder: int
     force_n: float  # as last sent
     gateway: bool
-    cause: int  # fault number of what is wrong at this moment, 0: nothing
+    cause: int  # fault number of what would be wrong under force at this moment, 0: nothing
 
 
 def answer(plan: Plan, seq: int, result: Result, ticks: tuple[int, int], params: ServoParams) -> Answer:
@@ -33,7 +34,6 @@ def answer(plan: Plan, seq: int, result: Result, ticks: tuple[int, int], params:
     effective = [0.0] * 20
     for place, ramp in plan.values.items():
         effective[place] = ramp.end
-    effective[Value.WALL_SIDE] = plan.wall_side
     first, second = plan.filters
     effective[Value.VELOCITY_FILTER_HZ], effective[Value.VELOCITY_FILTER_ZETA] = first.frequency_hz, first.damping_ratio
     effective[Value.ACCELERATION_FILTER_HZ], effective[Value.ACCELERATION_FILTER_ZETA] = (
@@ -61,7 +61,7 @@ def enter(plan: Plan, state: State, now: Now, params: ServoParams, actor: int, f
     if state is not State.ENABLED:
         entered = entered._replace(wave=NO_WAVE)
     if state in LATCHED:
-        entered = entered._replace(added_entry=plan.added, scheduled=())
+        entered = entered._replace(added_entry=plan.added)
     if fault == BY_CODE["sensor_range"].number:
         entered = entered._replace(homed=False)
     if state is State.HOMING:
@@ -83,8 +83,9 @@ def obey(plan: Plan, request: Request, now: Now, params: ServoParams) -> tuple[P
         fault = int(values[0]) if kind == safety.FAULT_EVENT else safety.STOP_FAULT if target is State.STOPPED else 0
         after = enter(plan, target, now, params, actor, fault)
         end = max(after.gain.start_tick + after.gain.ticks, after.fade.start_tick + after.fade.ticks, now.tick)
-        if target in LATCHED:
-            cancelled = [answer(after, one.seq, Result.CANCELLED, (one.tick, one.tick), params) for one in plan.scheduled]
+    if kind == Command.STOP or (kind == safety.FAULT_EVENT and target is not plan.state):
+        after = after._replace(scheduled=())
+        cancelled = [answer(after, one.seq, Result.CANCELLED, (one.tick, one.tick), params) for one in plan.scheduled]
     after = _action(after, kind, seq, values, now)
     receipt = [answer(after, seq, Result.APPLIED, (now.tick, end), params)] if seq else []
     return after, cancelled + receipt
@@ -93,7 +94,7 @@ def obey(plan: Plan, request: Request, now: Now, params: ServoParams) -> tuple[P
 def _target(plan: Plan, kind: int, values: tuple[float, ...], now: Now, params: ServoParams) -> State | Result:
     target = safety.transition(plan.state, kind)
     if isinstance(target, Result) or target is plan.state:
-        if kind == Command.PERTURB_START and out_of_range(values, params):
+        if kind == Command.PERTURB_START and (out_of_range(values, params) or not WAVEFORM.issubset(meant(values))):
             return Result.REFUSED_RANGE
         return target
     if target is State.HOMING and params.device.home.method == "none":

@@ -33,7 +33,8 @@ def advance_added(plan: Plan, tick: int, params: ServoParams) -> Plan:
     target = added_target(plan, tick, params)
     releasing = plan.state in LATCHED and target < plan.added
     step = params.safety.damping_slew_ns_per_m_s / params.realtime.rate_hz
-    return plan._replace(added=target if releasing else approach(plan.added, target, step))
+    added = target if releasing else approach(plan.added, target, step)
+    return plan if added == plan.added else plan._replace(added=added)
 
 
 def damping_count(level: float, params: ServoParams) -> int:
@@ -47,7 +48,7 @@ def hot(plan: Plan, tick: int, params: ServoParams, workspace: WorkspaceParams, 
     at = {place: ramp.value(tick) for place, ramp in plan.values.items()}
     environment = (
         gain * at[Value.STIFFNESS], gain * at[Value.DAMPING], gain * at[Value.MASS], _bias(plan, tick), limit_n,
-        gain * at[Value.WALL_STIFFNESS], gain * at[Value.WALL_DAMPING], at[Value.WALL_POSITION], float(plan.wall_side),
+        gain * at[Value.WALL_STIFFNESS], gain * at[Value.WALL_DAMPING], at[Value.WALL_POSITION], at[Value.WALL_SIDE],
         workspace.lower_m, workspace.upper_m, gain * workspace.stiffness_n_per_m,
     )  # fmt: skip
     count = damping_count(plan.added, params)

@@ -1,8 +1,9 @@
 """What a tick has to obey, from wherever it comes: the command ring, the stop word, and the loop's own findings.
 
 At most two commands are taken a tick. A reset while the board reports a fault first asks the board to forget it and
-waits for the frame that tells whether it did. Lost slots become a fault when too many fall into one second; pauses of a
-host with a simulated board harm no one and only count.
+waits for the frame that tells whether it did. The stop word is taken back to 0 as it is obeyed, whatever the state; the
+latch is the plan's, so no reset can clear a press that it has not outlived. Lost slots become a fault when too many fall
+into one second; pauses of a host with a simulated board harm no one and only count.
 """
 
 from hapticd.errors import LinkError
@@ -13,7 +14,7 @@ from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.params import ServoParams
 from hapticd.servo.perturb import Streamer
 from hapticd.servo.plan import Plan
-from hapticd.servo.safety import FAULT_EVENT, LATCHED, PERTURB_DONE_EVENT, State
+from hapticd.servo.safety import FAULT_EVENT, PERTURB_DONE_EVENT, State
 from hapticd.servo.state import CLEARABLE, Request
 from hapticd.units import NS_PER_S
 
@@ -38,13 +39,12 @@ class Inbox:
         found: list[Request] = []
         while len(found) < MOST_COMMANDS and (request := self._mailbox.take()) is not None:
             found.append(request)
-        if any(request[1] == Command.RESET for request in found):
-            self._mailbox.stop_words[0] = 0
-            if head[4] & CLEARABLE:
-                found = self._ask_board(found, tick)
-        found += self._due(tick)
-        if self._mailbox.stop_words[0] and plan.state not in LATCHED:
+        if head[4] & CLEARABLE and any(request[1] == Command.RESET for request in found):
+            found = self._ask_board(found, tick)
+        if self._mailbox.stop_words[0]:
+            self._mailbox.stop_words[0] = 0  # before it is obeyed: a press from here on is another one
             found.append((0, Command.STOP, ACTOR_STOP_WORD, 0, _NO_VALUES))
+        found += self._due(tick, any(request[1] == Command.STOP for request in found))
         if self._too_many_lost(plan):
             found.append((0, FAULT_EVENT, 0, 0, (float(BY_CODE["lost_slots"].number),)))
         if self._leaving:
@@ -72,10 +72,11 @@ class Inbox:
         self._deferred += [(tick + CLEAR_TICKS, request) for request in found if request[1] == Command.RESET]
         return [request for request in found if request[1] != Command.RESET]
 
-    def _due(self, tick: int) -> list[Request]:
-        due = [request for when, request in self._deferred if when <= tick]
-        self._deferred = [item for item in self._deferred if item[0] > tick]
-        return due
+    def _due(self, tick: int, stopping: bool) -> list[Request]:
+        """Resets that have waited long enough; before a stop all of them, since none may undo a later stop."""
+        due = [item for item in self._deferred if stopping or item[0] <= tick]
+        self._deferred = [item for item in self._deferred if item not in due]
+        return [request for _, request in due]
 
     def _too_many_lost(self, plan: Plan) -> bool:
         newest = self._lost[-1][0] if self._lost else 0

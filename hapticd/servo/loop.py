@@ -9,13 +9,14 @@ back-off. The loop ends when `stopping` is set or `ticks` are done; `finish` dis
 """
 
 from hapticd.clock import Clock
-from hapticd.errors import HapticdError, LinkError, LinkLost
+from hapticd.errors import HapticdError, LinkError, LinkLost, MailboxError
 from hapticd.link.base import backoff_s
 from hapticd.link.device import Device, Head
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Flag
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.params import ScaleParams, ServoParams
+from hapticd.servo.checkpoint import flatten
 from hapticd.servo.inbox import Inbox
 from hapticd.servo.perturb import Streamer
 from hapticd.servo.state import GATEWAY_ALIVE, LINK_UP, Answer, Request
@@ -28,6 +29,9 @@ from hapticd.wire.frames import OutFlag
 _COUNTER = {name: layout.COUNTER_WORD + index for index, name in enumerate(layout.COUNTERS)}
 _TALLY = {"missing_in": "missing", "bad_in": "bad", "stale_in": "stale", "sequence_gap": "gap", "write_errors": "write_errors"}
 _PERTURB, _FIFO_CLEAR = int(OutFlag.PERTURB), int(OutFlag.FIFO_CLEAR)
+_LONGEST_NS = (1 << 31) - 1  # that a stage of a record can hold: 2.1 s
+_U32 = (1 << 32) - 1
+_BLANK = layout.RECORD.unpack(bytes(layout.RECORD.size))
 _LATE, _WRITE_FAILED = int(Flag.LATE), int(Flag.WRITE_FAILED)
 
 
@@ -54,7 +58,7 @@ class ServoLoop:
         mailbox, device, inbox, streamer = self.mailbox, self.device, self.inbox, self.streamer
         words, stop_words, ring = mailbox.words, mailbox.stop_words, mailbox.ring
         publish, load, pack = mailbox.publish_head, mailbox.load, layout.RECORD.pack_into
-        beat_word, head_word, tail_word = layout.GATEWAY_BEAT_WORD, layout.COMMAND_HEAD_WORD, layout.COMMAND_TAIL_WORD
+        beat_word, head_word = layout.GATEWAY_BEAT_WORD, layout.COMMAND_HEAD_WORD
         servo_beat, first_slot, size, slots = (
             layout.SERVO_BEAT_WORD,
             layout.TELEMETRY_OFFSET,
@@ -70,7 +74,9 @@ class ServoLoop:
         last = None if ticks is None else self.tick + ticks
 
         def rehearse() -> None:
-            step(self.state, (), (head[6], head[4], head[10], 0, self.state[11], 0), self.tick)
+            if self.tick < self.state[0]:  # not the long way: cold it takes longer than the spin
+                step(self.state, (), (head[6], head[4], head[10], 0, self.state[11], 0), self.tick)
+            pack(ring, first_slot + self.tick % slots * size, *_BLANK)  # the oldest record, which the tick replaces anyway
 
         while not self.stopping and self.tick != last:
             deadline, tick = self.deadline_ns, self.tick
@@ -85,8 +91,9 @@ class ServoLoop:
             got = clock()
 
             commands: tuple[Request, ...] = ()
-            if stop_words[0] or load(head_word) != words[tail_word] or inbox.waiting or streamer.playing:
+            if stop_words[0] or load(head_word) != mailbox.taken or inbox.waiting or streamer.playing:
                 commands = inbox.requests(tick, head, self.state[12])
+                mailbox.note(tick, commands)
             host = LINK_UP if self.linked else 0
             if -timeout_ns < start - words[beat_word] < timeout_ns:
                 host |= GATEWAY_ALIVE
@@ -107,11 +114,14 @@ class ServoLoop:
 
             if start - deadline > period_ns:
                 flags |= _LATE
+            stages: tuple[int, ...] = start - deadline, got - start, stepped - got, sent - stepped
+            if sent - deadline > _LONGEST_NS:
+                stages = tuple(min(stage, _LONGEST_NS) for stage in stages)
             pack(
-                ring, first_slot + tick % slots * size, tick, start, board_us, state[5], flags, head[4], x, v, a,
+                ring, first_slot + tick % slots * size, tick, start, board_us, state[5], flags, head[4], arrival, host, x, v, a,
                 spring, damper, inertia, field, force, *state[7][0],
                 head[10] * temperature + t0, head[7] * current + c0, head[8] * voltage + v0, head[9] * emf + e0,
-                start - deadline, got - start, stepped - got, sent - stepped, publish_ns, self._lost_slots,
+                *stages, publish_ns, self._lost_slots,
                 in_bytes(), out_bytes(), tick,
             )  # fmt: skip
             publish(0, tick + 1)
@@ -121,10 +131,11 @@ class ServoLoop:
             if not tick & 255:
                 self._tally()
             self.tick = tick + 1
-            self.deadline_ns = deadline + period_ns
+            self.deadline_ns += period_ns
             end = clock()
             publish_ns = end - sent
             if end > self.deadline_ns:
+                publish_ns = min(publish_ns, _LONGEST_NS)
                 self._late(end)
 
     def restart_clock(self) -> None:
@@ -135,7 +146,12 @@ class ServoLoop:
         """One last recorded tick that disables, a frame without torque, damping and perturbation; then release the board."""
         self.inbox.leave()
         self.stopping = False
-        self.run(1)
+        try:
+            self.run(1)
+        finally:  # whatever it was that ended us
+            self._let_go()
+
+    def _let_go(self) -> None:
         force, damping = self.params.device.force, self.params.device.damping
         try:
             if self.linked:
@@ -150,21 +166,24 @@ class ServoLoop:
                 self.mailbox.answer(seq, result, fault, revision, ticks, values)
 
     def _tally(self) -> None:
-        """Bring the device's counts to the counters that others read."""
+        """Bring the device's counts to the counters that others read; leave the state for a re-flight if it was asked for."""
         words = self.mailbox.words
         words[_COUNTER["ticks"]] = self.tick
         for name, key in _TALLY.items():
             words[_COUNTER[name]] = self.device.counts[key]
+        self.mailbox.renew()
+        if self.mailbox.checkpoint_due:
+            self.mailbox.checkpoint(self.tick + 1, flatten(self.state))
 
     def _late(self, now_ns: int) -> None:
         """Drop the slots that have passed."""
         dropped = (now_ns - self.deadline_ns) // self.period_ns + 1
         self.deadline_ns += dropped * self.period_ns
         grace = now_ns - self._started_ns < self.params.realtime.grace_s * NS_PER_S
-        self.mailbox.words[_COUNTER["grace_late_events" if grace else "late_events"]] += 1
-        self.mailbox.words[_COUNTER["grace_lost_slots" if grace else "lost_slots"]] += dropped
+        self.mailbox.count("grace_late_events" if grace else "late_events")
+        self.mailbox.count("grace_lost_slots" if grace else "lost_slots", dropped)
         if not grace:
-            self._lost_slots += dropped
+            self._lost_slots = self._lost_slots + dropped & _U32
             self.inbox.lost_slots(now_ns, dropped)
 
     def _unlink(self, now_ns: int) -> int:
@@ -189,8 +208,11 @@ class ServoLoop:
     def _relink(self, serial: str) -> None:
         """The board answers again; its filters start anew with the next frame and the state stays latched."""
         self.linked = True
-        self.mailbox.words[_COUNTER["reconnects"]] += 1
-        self.mailbox.report(self.mailbox.last_report | {"reconnected": serial})
+        self.mailbox.count("reconnects")
+        try:
+            self.mailbox.report(self.mailbox.last_report | {"reconnected": serial})
+        except MailboxError:
+            pass  # no room for the report: the counter says it too
         self.restart_clock()
 
 

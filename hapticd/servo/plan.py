@@ -16,7 +16,9 @@ from hapticd.units import round_half_up
 
 NEVER = 1 << 62
 NO_WAVE = (0, 0, False)
-BUMPLESS = (Value.STIFFNESS, Value.DAMPING, Value.MASS, Value.WALL_STIFFNESS, Value.WALL_DAMPING, Value.WALL_POSITION)
+BUMPLESS = (
+    Value.STIFFNESS, Value.DAMPING, Value.MASS, Value.WALL_STIFFNESS, Value.WALL_DAMPING, Value.WALL_POSITION, Value.WALL_SIDE,
+)  # fmt: skip
 FILTERS = frozenset(
     {Value.VELOCITY_FILTER_HZ, Value.VELOCITY_FILTER_ZETA, Value.ACCELERATION_FILTER_HZ, Value.ACCELERATION_FILTER_ZETA}
 )
@@ -37,8 +39,7 @@ class Plan(NamedTuple):
     anchor: tuple[int, int]  # homing: tick and count since which the encoder has not moved
     gain: Ramp
     fade: Ramp  # N; what is left of the force of a latched state where there is no sample to believe
-    values: dict[int, Ramp]  # by layout.Value: K, B, M and the wall
-    wall_side: int
+    values: dict[int, Ramp]  # by layout.Value: K, B, M and the wall; its side too, on whose square the wall's force depends
     filters: tuple[FilterParams, FilterParams]
     added_asked: float
     added_on: bool
@@ -67,12 +68,13 @@ def initial_plan(params: ServoParams) -> Plan:
         wall.stiffness_n_per_m,
         wall.damping_ns_per_m,
         wall.position_m,
+        float(wall.side),
     )
     return Plan(
         state=State.DISABLED, since_tick=0, fault=0, actor=0, revision=0, leases=(0, 0), homed=False,
         origin=0, wave=NO_WAVE, anchor=(0, 0), gain=constant(0.0), fade=constant(0.0),
         values={int(place): constant(value) for place, value in zip(BUMPLESS, start, strict=True)},
-        wall_side=wall.side, filters=(environment.velocity_filter, environment.acceleration_filter),
+        filters=(environment.velocity_filter, environment.acceleration_filter),
         added_asked=params.added_damping_ns_per_m, added_on=False, added=0.0, added_entry=0.0, scheduled=(),
     )  # fmt: skip
 
@@ -101,8 +103,6 @@ def with_values(plan: Plan, values: tuple[float, ...], tick: int, params: ServoP
     ticks = round_half_up(ramp_s * rate_hz)
     ramps = {place: plan.values[place].towards(values[place], tick, ticks) for place in places if place in plan.values}
     changed = plan._replace(values=plan.values | ramps, filters=_filters(plan.filters, places, values), revision=plan.revision + 1)
-    if Value.WALL_SIDE in places:
-        changed = changed._replace(wall_side=int(values[Value.WALL_SIDE]))
     if Value.ADDED_DAMPING in places:
         changed = changed._replace(added_asked=values[Value.ADDED_DAMPING])
     if Value.ADDED_DAMPING_ON in places:

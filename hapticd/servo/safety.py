@@ -62,8 +62,10 @@ def enable_refusal(homed: bool, home_required: bool, gateway: bool, cause: int) 
 def held_damping(entry_level: float, elapsed_s: float, safety: SafetyParams) -> float:
     """Added damping [N s/m] of a latched state `elapsed_s` after it was entered with `entry_level`."""
     hold = max(entry_level, safety.safe_damping_ns_per_m)
-    release = (elapsed_s - safety.damping_hold_s) / safety.damping_release_s
-    return hold * min(1.0, max(0.0, 1.0 - release))
+    released_s = elapsed_s - safety.damping_hold_s
+    if released_s <= 0.0:
+        return hold
+    return hold * (1.0 - released_s / safety.damping_release_s) if released_s < safety.damping_release_s else 0.0
 
 
 STOP_FAULT = BY_CODE["stop"].number

@@ -24,6 +24,7 @@ from hapticd.servo.plan import coefficients_of, initial_plan
 from hapticd.servo.safety import FAULT_EVENT
 from hapticd.servo.state import ATTENTION, LINK_UP, Output, Sample, ServoState
 from hapticd.units import round_half_up
+from hapticd.wire.session import ENCODER_BITS
 
 Step = Callable[[ServoState, tuple[Any, ...], Sample, int], tuple[ServoState, Output]]
 
@@ -69,6 +70,7 @@ def make_step(params: ServoParams, delay: float = 0.125) -> Step:
     limit_n = min(params.safety.force_limit_n, params.device.force_limit_n)
     ends = sorted((force.to_count(limit_n, -32768, 32767), force.to_count(-limit_n, -32768, 32767)))
     low, high = ends
+    turn_m = m_per_count * (1 << ENCODER_BITS)
     jump_m = params.device.speed_limit_m_per_s / params.realtime.rate_hz
     hot_limit = params.device.temperature.to_count(params.device.temperature_limit_c, -32768, 32767)
 
@@ -85,6 +87,15 @@ def make_step(params: ServoParams, delay: float = 0.125) -> Step:
         state, _, more, more_flags = attend(state, (event,), unusable, tick)
         return missing(state, flags | more_flags, answers + more)
 
+    def turned(
+        state: ServoState, sample: Sample, tick: int, turns: int, flags: int, answers: tuple[Any, ...]
+    ) -> tuple[ServoState, Output]:
+        """The encoder's counter went round: its origin goes along, and the sample is judged again."""
+        origin = state[8] + (turns << ENCODER_BITS)
+        state = (*state[:8], origin, *state[9:12], state[12]._replace(origin=origin))
+        state, output = step(state, (), (sample[0], 0, sample[2], 0, sample[4], 0), tick)
+        return state, (*output[:9], output[9] | flags, answers + output[10])
+
     def step(state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int) -> tuple[ServoState, Output]:
         encoder, status, temperature, arrival, host, _ = sample
         answers: tuple[Any, ...] = ()
@@ -97,6 +108,8 @@ def make_step(params: ServoParams, delay: float = 0.125) -> Step:
         x = (encoder - origin) * m_per_count
         newtons, total, v, a, spring, damper, inertia, field, after = render(x, law, environment, coefficients)
         if not (-jump_m <= after[1] <= jump_m):
+            if turns := round(after[1] / turn_m):
+                return turned(state, sample, tick, turns, flags, answers)
             return faulted(state, sample, tick, _RANGE, flags, answers)
         if newtons != total:
             flags |= _CLAMPED

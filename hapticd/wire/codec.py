@@ -134,8 +134,10 @@ def out_packer(buffer: "array[int]") -> Callable[..., None]:
     caller has clamped them, struct.error otherwise.
     """
     body = memoryview(buffer)[: frames.OUT_BYTES - frames.CRC.size]
-    fill, seal, check = frames.OUT.pack_into, frames.CRC.pack_into, crc_hqx
-    initial, offset, none = frames.CRC_INITIAL, len(body), NO_SAMPLES
+    fill, fill_samples = frames.OUT_HEAD.pack_into, frames.OUT_SAMPLES.pack_into
+    seal, check, initial, offset = frames.CRC.pack_into, crc_hqx, frames.CRC_INITIAL, len(body)
+    behind, none, left = frames.OUT_HEAD.size, NO_SAMPLES, 0
+    frames.OUT.pack_into(buffer, 0, *(0,) * 8, *none, b"", 0)
 
     def pack(
         seq: int,
@@ -146,7 +148,11 @@ def out_packer(buffer: "array[int]") -> Callable[..., None]:
         count: int = 0,
         samples: Sequence[int] = none,
     ) -> None:
-        fill(buffer, 0, seq, 0, flags, torque, damping, resistance, count, 0, *samples, b"", 0)
+        nonlocal left
+        fill(buffer, 0, seq, 0, flags, torque, damping, resistance, count, 0)
+        if count or left:
+            fill_samples(buffer, behind, *samples)
+            left = count
         seal(buffer, offset, check(body, initial))
 
     return pack

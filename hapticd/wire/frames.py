@@ -16,6 +16,8 @@ AXIS_COUNT, PROBE_MAX, FIFO_DEPTH, FIFO_TARGET, PROBE_RATE_HZ = 1, 6, 16, 8, 400
 CRC_POLYNOMIAL, CRC_INITIAL = 0x1021, 0xFFFF
 
 OUT = struct.Struct("<HBBhHhBB6h6sH")
+OUT_HEAD = struct.Struct("<HBBhHhBB")  # the first 12 bytes of OUT: all before the samples
+OUT_SAMPLES = struct.Struct("<6h")
 IN = struct.Struct("<HHBBHIihhhhBBhI12h6sH")
 IN_HEAD = struct.Struct("<HHBBHIihhhhBBhI")  # the first 32 bytes of IN: all but pairs and CRC
 IN_PAIRS = struct.Struct("<12h")
