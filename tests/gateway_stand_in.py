@@ -52,7 +52,7 @@ def setup(instance: str = "default", **gateway: Any) -> GatewaySetup:
     servo = ServoParams(
         instance, True, EnvironmentParams(), device, SafetyParams(), RealtimeParams(grace_s=0.0), UsbParams(), config_hash="c" * 64
     )
-    return GatewaySetup(servo, GatewayParams(**({"telemetry_port": 0} | gateway)))
+    return GatewaySetup(servo, GatewayParams(**({"telemetry_port": 0, "flight_s": 5.0} | gateway)))
 
 
 class StandInServo:
@@ -86,7 +86,8 @@ class StandInServo:
         for _ in range(0 if self.deaf else 2):
             if command := self.mailbox.take():
                 self._command(command)
-        if self.mailbox.stop_words[0] and self.state not in (State.STOPPED, State.FAULT):
+        pressed, self.mailbox.stop_words[0] = self.mailbox.stop_words[0], 0
+        if pressed and self.state not in (State.STOPPED, State.FAULT):
             self.state, self.fault, self.actor = State.STOPPED, 1, 2
             self.revision += 1
         for command in [one for one in self.scheduled if one[3] <= self.ticks]:
@@ -96,8 +97,6 @@ class StandInServo:
     def _command(self, command: tuple[Any, ...]) -> None:
         seq, kind, actor, apply_tick, values = command
         self.taken.append((kind, actor))
-        if kind == Command.RESET:
-            self.mailbox.stop_words[0] = 0
         if kind in (Command.SET, Command.DAMPING):
             if 0 < apply_tick < self.ticks:
                 self._answer(seq, Result.REFUSED_LATE)
@@ -138,7 +137,7 @@ class StandInServo:
         self.frame = encode_in(InFrame(self.ticks & 0xFFFF, 0, 0, 0, 0, 0, 0, 0, 0, 0, 8, 0, self.probe_index & 0xFFFFFFFF, pairs))
         self.probe_index += self.probe_pairs
         values = (
-            self.ticks, now_ns, now_ns // 1000, plan, self.flags, 0, 1e-3, 0.25, 2.0, 0.1, 0.2, 0.3, 0.4, self.force_n,
+            self.ticks, now_ns, now_ns // 1000, plan, self.flags, 0, 0, 3, 1e-3, 0.25, 2.0, 0.1, 0.2, 0.3, 0.4, self.force_n,
             *(0.01 * n for n in range(6)), 25.0, 0.5, 12.0, 0.24, 1000, 20000, 8000, 30000, 4000, 0,
             self.frame, bytes(32), self.ticks,
         )  # fmt: skip

@@ -198,7 +198,7 @@ def test_perturb_reads_text_and_npy(client: ClientDouble, tmp_path: Path, capsys
     assert client.asked[-2] == ("perturb_start", True)
 
 
-@pytest.mark.parametrize("content", ["a,b", None])
+@pytest.mark.parametrize("content", ["a,b", "", "# nothing but words\n", None])
 def test_perturb_names_a_bad_file(
     client: ClientDouble, tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str | None
 ) -> None:
@@ -354,4 +354,4 @@ def test_run_refuses_a_bad_configuration(capsys: pytest.CaptureFixture[str]) -> 
 @pytest.mark.usefixtures("runtime")
 def test_instance_names_are_checked(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["get", "--instance", "../other"]) == 1
-    assert "instance name '../other': use letters, digits, - and _" in capsys.readouterr().err
+    assert "instance name '../other': use 1 to 64 letters, digits, - and _" in capsys.readouterr().err

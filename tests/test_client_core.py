@@ -82,3 +82,9 @@ def test_refusal_becomes_an_error() -> None:
 def test_receipt_has_the_state() -> None:
     reply = {"ok": True, "state": "enabled", "receipt": {"result": "applied", "revision": 2, "first_tick": 3, "ramp_end_tick": 4}}
     assert receipt_of(reply) == Receipt("applied", "enabled", 2, 3, 4, {})
+
+
+@pytest.mark.parametrize("value", [2**64, -(2**63) - 1, 10**400])
+def test_integer_beyond_64_bits_is_refused(value: int) -> None:
+    with pytest.raises(CommandError, match=r"an integer of [0-9]+ bits cannot be sent, limit 64"):
+        ask(Conversation(), "set", K=value)

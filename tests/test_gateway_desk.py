@@ -7,7 +7,7 @@ import pytest
 from gateway_rig import DeskRig, decoded, packed
 from gateway_stand_in import StandInServo
 
-from hapticd.mailbox import layout
+from hapticd.mailbox import files, layout
 from hapticd.mailbox.layout import Command, State, Value
 
 
@@ -186,6 +186,37 @@ def test_unanswered_command_times_out(rig: DeskRig) -> None:
     assert "no answer from the servo within 1 s" in decoded(reply)["error"]["message"]
 
 
+@pytest.mark.parametrize(
+    ("request_", "undo"),
+    [
+        ({"cmd": "enable"}, Command.DISABLE),
+        ({"cmd": "home"}, Command.DISABLE),
+        ({"cmd": "perturb", "action": "start"}, Command.PERTURB_STOP),
+        ({"cmd": "set", "K": 1.0}, None),
+    ],
+)
+def test_force_that_was_not_answered_is_taken_back(rig: DeskRig, request_: dict[str, object], undo: Command | None) -> None:
+    """A servo that hung for seconds would obey in its first tick after that, when nobody expects it any more."""
+    rig.ask(cmd="perturb", action="load", samples_n=[0.1] * 8)
+    if request_["cmd"] == "perturb":
+        rig.ask(cmd="enable")
+    rig.servo.deaf = True
+    rig.send(packed(**request_))
+    (reply,) = rig.run(1000)
+    message = decoded(reply)["error"]["message"]
+    assert message.endswith("it is taken back" if undo else "whether it acts is open, ask with `get` or `status`")
+    posted = [rig.servo.mailbox.take() for _ in range(2)]
+    assert [one and one[1] for one in posted][1] == undo
+
+
+def test_stop_is_posted_although_its_page_is_gone(rig: DeskRig) -> None:
+    (rig.folder / files.STOP).unlink()
+    rig.send(*[packed(cmd="set", K=k) for k in range(10)])
+    rig.send(packed(cmd="stop"))
+    rig.run(6)
+    assert rig.view.state is State.STOPPED
+
+
 def test_silent_servo_is_down(rig: DeskRig) -> None:
     rig.pass_time(999)
     assert rig.view.alive
@@ -270,7 +301,8 @@ def test_schema_carries_units_and_limits(rig: DeskRig) -> None:
     assert schema["$defs"]["Set"]["properties"]["damping"]["maximum"] == 2.0
     assert schema["$defs"]["Wall"]["properties"]["stiffness_n_per_m"]["unit"] == "N/m"
     assert set(schema["discriminator"]["mapping"]) == {
-        "hello", "get", "set", "damping", "enable", "disable", "stop", "reset", "zero", "home", "perturb", "status", "schema",
+        "hello", "get", "set", "damping", "enable", "disable", "stop", "reset", "zero", "home", "perturb", "status", "dump",
+        "schema",
     }  # fmt: skip
 
 

@@ -97,6 +97,19 @@ def test_overrun_ring_is_a_counted_gap(rig: FeedRig) -> None:
     assert next(event for event in rig.journal.recent if event["kind"] == "gap")["lost"] == lost
 
 
+def test_head_that_was_written_over_is_no_endless_loop(rig: FeedRig) -> None:
+    rig.run(40)
+    rig.subscribe("servo.raw")
+    rig.take("servo.raw")
+    rig.servo.mailbox.publish_head(layout.TELEMETRY_HEAD_WORD, 1 << 40)
+    rig.take("servo.raw")
+    rig.run(40)
+    rig.take("servo.raw")
+    rig.run(40)
+    records = [BlockDecoder().decode(payload).records for payload in rig.take("servo.raw")]
+    assert [record["tick"] for block in records for record in block][-1] == rig.servo.ticks - 1
+
+
 def test_torn_record_is_lost_not_believed(rig: FeedRig) -> None:
     rig.subscribe("servo.raw")
     rig.servo.tick(18)

@@ -40,6 +40,15 @@ def test_chunks_follow_each_other(rig: DeskRig) -> None:
     assert error["message"] == "offset = 14 samples: 15 are loaded; send the chunks in order"
 
 
+def test_chunk_of_another_client_is_refused(rig: DeskRig) -> None:
+    """Two that load at once would play a mixture."""
+    load(rig, [0.1] * 10, client=b"a")
+    load(rig, [0.2] * 10, client=b"b")
+    error = load(rig, [0.1] * 5, offset=10, client=b"a")["error"]
+    assert error["message"] == "offset = 10 samples: another client's are loaded; begin with offset 0"
+    assert load(rig, [0.2] * 5, offset=10, client=b"b")["result"] == {"samples": 15}
+
+
 @pytest.mark.parametrize("bad", [1.001, -1.001])
 def test_sample_beyond_limit_is_named(rig: DeskRig, bad: float) -> None:
     load(rig, [0.0] * 4)

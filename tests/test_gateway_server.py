@@ -19,8 +19,10 @@ from gateway_stand_in import setup
 from hapticd.client.blocks import BlockDecoder
 from hapticd.clock import VirtualClock
 from hapticd.errors import ConfigError, MailboxError
-from hapticd.gateway.server import REQUESTS_PER_PASS, Gateway, run
-from hapticd.mailbox.layout import GATEWAY_BEAT_WORD
+from hapticd.gateway.server import REQUESTS_PER_PASS, SETTLING_NS, Gateway, run
+from hapticd.gateway.sockets import MAX_SUBSCRIPTION_BYTES
+from hapticd.mailbox.layout import GATEWAY_BEAT_WORD, Command
+from hapticd.units import NS_PER_MS
 
 
 @pytest.fixture
@@ -53,7 +55,7 @@ def test_json_client_needs_no_library(rig: GatewayRig) -> None:
 def test_hello_tells_where_and_what(rig: GatewayRig) -> None:
     result = rig.ask(rig.client(), cmd="hello", name="x")["result"]
     assert result["endpoints"] == rig.gateway.endpoints
-    assert [topic["name"] for topic in result["topics"]] == ["servo", "servo.raw", "probe", "state", "event"]
+    assert [topic["name"] for topic in result["topics"]] == ["servo", "servo.raw", "probe", "state", "event", "flight"]
     assert (result["protocol"], len(result["schema_hash"])) == (1, 16)
 
 
@@ -87,6 +89,36 @@ def test_too_large_a_message_cuts_only_its_sender(rig: GatewayRig) -> None:
         rig.step()
     assert rig.ask(good, cmd="get")["ok"]
     assert not bad.poll(0)
+
+
+def test_what_came_during_a_standstill_is_dropped(rig: GatewayRig) -> None:
+    """Its senders have given up; an enable that acts now would surprise somebody's hand. A stop is a stop."""
+    client, other = rig.client(), rig.client()
+    rig.ask(client, cmd="get")
+    client.send(packed(cmd="enable", id=1))
+    rig.servo.tick(1500)  # the servo goes on without the gateway
+    error = decoded(rig.receive(client, ticks=0))["error"]
+    assert (error["code"], error["message"]) == (
+        "timeout", "enable: the gateway stood still for more than 1 s and drops what came meanwhile; ask again",
+    )  # fmt: skip
+    assert rig.ask(other, cmd="stop")["ok"] or rig.servo.mailbox.stop_words[0]
+    assert not [kind for kind, _ in rig.servo.taken if kind == Command.ENABLE]
+    rig.servo.tick(SETTLING_NS // NS_PER_MS)
+    assert rig.ask(client, cmd="reset")["ok"]
+    assert rig.ask(client, cmd="enable")["state"] == "enabled"
+
+
+def test_subscription_bomb_is_cut_off(rig: GatewayRig) -> None:
+    """libzmq keeps every byte of every prefix, some 50-fold; topics have names of a few."""
+    endpoint = rig.gateway.endpoints["telemetry"][1]  # type: ignore[index]
+    bomber, listener = rig.socket(zmq.XSUB, endpoint), rig.subscriber("servo")
+    bomber.send(b"\1servo")
+    rig.receive(bomber)
+    bomber.send(b"\1" + b"x" * 2000)
+    rig.receive(listener)
+    rig.step()
+    assert rig.gateway._sockets.telemetry.getsockopt(zmq.MAXMSGSIZE) == MAX_SUBSCRIPTION_BYTES
+    assert rig.receive(listener)[0] == b"servo"
 
 
 def test_foreign_bytes_on_the_port_harm_nobody(rig: GatewayRig) -> None:

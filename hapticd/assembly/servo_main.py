@@ -95,8 +95,10 @@ class Servo:
         finally:
             notify("STOPPING=1")
             host.relax()
-            self.loop.finish()
-            self.mailbox.close()
+            try:
+                self.loop.finish()
+            finally:
+                self.mailbox.close()
 
     def _about(self) -> dict[str, Any]:
         hello = self.device.hello
@@ -115,6 +117,8 @@ def main(arguments: list[str]) -> int:
     paths = [item for item in arguments if item.endswith(".json")]
     die_with_parent(parent)
     try:
+        if not paths:
+            raise ConfigError("name the servo.json to start from; `hapticd config resolve` makes one")
         params = read_json(ServoParams, paths[0])
         if params.simulated and len(paths) < 2:
             raise ConfigError(f"{paths[0]} says simulated; name the board.json too")

@@ -75,8 +75,7 @@ class Supervisor:
         finally:
             self._end(self.servo)
             self._end(self.gateway)
-            for name in (files.SERVO_JSON, files.BOARD_JSON, files.GATEWAY_JSON):
-                (self.folder / name).unlink(missing_ok=True)
+            files.remove(self.folder, files.SERVO_JSON, files.BOARD_JSON, files.GATEWAY_JSON)
             files.release(self.folder, SUPERVISOR_LOCK, claim)
         self.tell(Event("ended", "", "ended: force 0, disabled, both processes gone"))
 

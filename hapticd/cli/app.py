@@ -5,9 +5,12 @@ from collections.abc import Sequence
 import typer
 
 from hapticd.cli import (
+    accuracy,
     config,
     damping,
     disable,
+    doctor,
+    dump,
     enable,
     get,
     home,
@@ -15,11 +18,16 @@ from hapticd.cli import (
     monitor,
     output,
     perturb,
+    rec,
+    record,
+    replay,
     reset,
     run,
+    sim,
     status,
     stop,
     zero,
+    zwidth,
 )
 from hapticd.cli import set as set_verb
 from hapticd.errors import HapticdError
@@ -36,11 +44,14 @@ app = typer.Typer(
 for name, verb in {
     "run": run, "set": set_verb, "get": get, "damping": damping, "enable": enable, "disable": disable, "stop": stop,
     "reset": reset, "zero": zero, "home": home, "status": status, "monitor": monitor,
-    "install-system": install_system,
+    "record": record, "replay": replay, "dump": dump, "doctor": doctor, "accuracy": accuracy, "install-system": install_system,
 }.items():  # fmt: skip
     app.command(name)(verb.command)
 app.add_typer(perturb.app, name="perturb")
+app.add_typer(rec.app, name="rec")
 app.add_typer(config.app, name="config")
+app.add_typer(sim.app, name="sim")
+app.add_typer(zwidth.app, name="zwidth")
 
 
 def main(arguments: Sequence[str]) -> int:

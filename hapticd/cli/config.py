@@ -63,11 +63,14 @@ def _shown(value: Any) -> str:
 
 
 @app.command()
-def schema(device: Annotated[bool, typer.Option("--device", help="Of device files instead.")] = False) -> None:
+def schema(
+    device: Annotated[bool, typer.Option("--device", help="Of device files instead.")] = False,
+    scene: Annotated[bool, typer.Option("--scene", help="Of scene files instead.")] = False,
+) -> None:
     """The JSON schema of hapticd.toml, for editors and checkers."""
     from hapticd.settings import schema
 
-    output.data(schema.text("device" if device else "config").rstrip("\n"))
+    output.data(schema.text("device" if device else "scene" if scene else "config").rstrip("\n"))
 
 
 @app.command()

@@ -17,13 +17,16 @@ File = Annotated[Path, typer.Argument(metavar="FILE", help="Force in N: .npy of 
 @app.command()
 def load(file: File, instance: options.Instance = options.INSTANCE, as_json: options.Json = False) -> None:
     """Load a waveform; it does not start by itself."""
+    import warnings
+
     import numpy as np
 
     try:
-        samples_n = np.load(file, allow_pickle=False) if file.suffix == ".npy" else np.loadtxt(file, ndmin=1)
+        with warnings.catch_warnings(action="ignore"):  # of an empty file; it is refused below
+            samples_n = np.load(file, allow_pickle=False) if file.suffix == ".npy" else np.loadtxt(file, ndmin=1)
     except (OSError, ValueError) as error:
         raise ConfigError(f"{file}: {error}; expected force in N, one number a line or a .npy of shape (n,)") from error
-    if samples_n.ndim != 1 or samples_n.dtype.kind not in "fiu":
+    if samples_n.ndim != 1 or samples_n.dtype.kind not in "fiu" or not samples_n.size:
         raise ConfigError(f"{file}: shape {samples_n.shape} of {samples_n.dtype}; expected numbers of shape (n,)")
     with connect(instance) as client:
         count = client.perturb_load(samples_n)

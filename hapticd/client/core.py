@@ -88,7 +88,11 @@ class Conversation:
 
 
 def _plain(value: Any) -> Any:
-    """A numpy number as a Python number, so that values may come out of arrays."""
+    """A numpy number as a Python number, so that values may come out of arrays. CommandError: an int beyond 64 bits."""
+    if isinstance(value, int):
+        raise CommandError(
+            "malformed", f"an integer of {value.bit_length()} bits cannot be sent, limit 64; no parameter is so large"
+        )
     if not hasattr(value, "item"):
         raise TypeError(f"{value!r} cannot be sent; use numbers, text, lists and maps")
     return value.item()

@@ -5,7 +5,7 @@ queue; nothing lingers when the line is closed. Not for use from several threads
 """
 
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -81,17 +81,32 @@ class Line:
 
         `event` may be silent for long; there, `state` shows that the gateway lives.
         """
-        path = self._folder / TELEMETRY_SOCKET
-        if not path.exists():
-            raise DaemonDown(f"{path}: no daemon runs there; start it with `hapticd run`")
-        with self._context.socket(zmq.SUB) as socket:
-            socket.setsockopt(zmq.LINGER, 0)
-            socket.setsockopt(zmq.RCVHWM, MESSAGES_QUEUED)
-            for wanted in {topic, "state"} if topic == "event" else {topic}:
-                socket.setsockopt_string(zmq.SUBSCRIBE, wanted)
-            socket.connect(f"ipc://{path}")
+        with self._subscribed({topic, "state"} if topic == "event" else {topic}) as socket:
             while socket.poll(round(1000 * timeout_s)):
                 name, payload = socket.recv_multipart()
                 if name == topic.encode():
                     yield payload
         raise DaemonDown(f"{topic}: nothing from {self._folder} for {timeout_s} s; see `hapticd status`")
+
+    def listen_all(self, topics: Sequence[str], look_s: float) -> Generator[tuple[str, bytes] | None, None, None]:
+        """(topic, payload) of several topics in the order in which they come, None whenever none came for `look_s`; for ever."""
+        with self._subscribed(set(topics)) as socket:
+            while True:
+                if not socket.poll(round(1000 * look_s)):
+                    yield None
+                    continue
+                name, payload = socket.recv_multipart()
+                if name.decode() in topics:
+                    yield name.decode(), payload
+
+    def _subscribed(self, topics: set[str]) -> "zmq.Socket[bytes]":
+        path = self._folder / TELEMETRY_SOCKET
+        if not path.exists():
+            raise DaemonDown(f"{path}: no daemon runs there; start it with `hapticd run`")
+        socket = self._context.socket(zmq.SUB)
+        socket.setsockopt(zmq.LINGER, 0)
+        socket.setsockopt(zmq.RCVHWM, MESSAGES_QUEUED)
+        for topic in topics:
+            socket.setsockopt_string(zmq.SUBSCRIBE, topic)
+        socket.connect(f"ipc://{path}")
+        return socket

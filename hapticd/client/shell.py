@@ -5,7 +5,7 @@ DaemonDown (nobody answers, or the gateway has no servo).
 """
 
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self
@@ -144,6 +144,10 @@ class Client:
         """Stop playing."""
         return self._change("perturb", action="stop")
 
+    def dump(self) -> dict[str, Any]:
+        """Write the flight recording; {path, records, reason}. The file is whole when it is there, soon after."""
+        return self._result("dump")
+
     # --- watching ----------------------------------------------------------------------------------------------------
 
     def wait_for(self, state: str, timeout_s: float = 10.0) -> None:
@@ -194,6 +198,10 @@ class Client:
         """Decoded messages of `state`, `event` or `servo` as they come. DaemonDown when the daemon is silent for the time-out."""
         for payload in self._line.listen(topic, self._timeout_s):
             yield msgpack.unpackb(payload)
+
+    def messages(self, topics: Sequence[str], look_s: float = 0.05) -> Generator[tuple[str, bytes] | None, None, None]:
+        """Raw (topic, payload) of several topics as they come, None whenever nothing came for `look_s`; until you stop."""
+        yield from self._line.listen_all(topics, look_s)
 
     def _result(self, cmd: str, **fields: Any) -> dict[str, Any]:
         result: dict[str, Any] = self.call(cmd, **fields)["result"]

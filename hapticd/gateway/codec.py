@@ -1,8 +1,9 @@
 """Requests and replies: msgpack or JSON, told apart by the first byte, both within hard limits.
 
 `{` (0x7B) begins every JSON object and no msgpack map, so the test is exact; the reply comes in the encoding of the
-request. Nothing is trusted: keys must be text and appear once, arrays and maps are bounded before they are built, numbers
-that are not finite are refused, and of a request only its `id` is ever echoed, and only if it is small and plain.
+request. Nothing is trusted: keys must be text and appear once, arrays and maps are bounded before they are built, and of a
+request only its `id` is ever echoed, and only if it is small and plain. Numbers that are not finite are left to the schema,
+which names the field: a stop is a stop whatever else the message holds.
 """
 
 import json
@@ -101,12 +102,8 @@ def _table(pairs: list[tuple[Any, Any]]) -> dict[str, Any]:
     return table
 
 
-def _not_finite(text: str) -> float:
-    raise ValueError(f"{text} is not a number")
-
-
 def _from_json(payload: bytes) -> Any:
-    return json.loads(payload.decode(), object_pairs_hook=_table, parse_constant=_not_finite)
+    return json.loads(payload.decode(), object_pairs_hook=_table)
 
 
 def _from_msgpack(payload: bytes) -> Any:

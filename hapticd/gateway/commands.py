@@ -88,7 +88,7 @@ def refusal(answer: Answer, cmd: str, view: ServoView) -> CommandError:
         Result.REFUSED_NOT_HOMED: ("refused", "the device has no origin yet; `hapticd home` first"),
         Result.REFUSED_NO_GATEWAY: ("refused", "the servo misses the gateway's heartbeat; try again, then see `hapticd status`"),
         Result.REFUSED_RANGE: ("invalid", "a value is out of range for this device; see `limits` in the reply to `hello`"),
-        Result.REFUSED_FULL: ("busy", "16 changes are scheduled already; wait until one is in force"),
+        Result.REFUSED_FULL: ("busy", "16 changes are scheduled already; wait until one is in force, or stop, which cancels them"),
         Result.REFUSED_LATE: ("refused", f"at_tick has passed, it is tick {view.tick}; choose a later one"),
         Result.CANCELLED: ("stopped", "a stop or fault came first; `hapticd reset`, then ask again"),
     }

@@ -28,6 +28,7 @@ from hapticd.mailbox.layout import Command
 from hapticd.units import NS_PER_S
 
 ANSWER_TIMEOUT_NS = NS_PER_S
+TAKEN_BACK = {"enable": Command.DISABLE, "home": Command.DISABLE, "perturb": Command.PERTURB_STOP}  # what brings force
 TAKEN_PER_TICK = 2  # by the servo; a stop behind more commands than that presses the page as well
 PAST_TICK, GATEWAY_ACTOR = 1, 1
 IN_FORCE = (
@@ -56,11 +57,11 @@ class Desk:
         """Whether answers are due, so that looking often is worth it."""
         return len(self._outstanding) > 0
 
-    def serve(self, messages: Sequence[Sequence[bytes]], now_ns: int) -> list[Reply]:
-        """Take requests that came together, stops first; the replies that can be given at once."""
+    def serve(self, messages: Sequence[Sequence[bytes]], now_ns: int, outdated: bool = False) -> list[Reply]:
+        """Take requests that came together, stops first; the replies that can be given at once. `outdated`: stops alone count."""
         letters = sorted(map(opened, messages), key=lambda letter: letter.cmd != "stop")
         self.counts["requests"] += len(letters)
-        return [reply for letter in letters if (reply := self._attend(letter, now_ns)) is not None]
+        return [reply for letter in letters if (reply := self._attend(letter, now_ns, outdated)) is not None]
 
     def collect(self, now_ns: int) -> list[Reply]:
         """Read the servo's answers; the replies that are due."""
@@ -75,13 +76,16 @@ class Desk:
         due = self._outstanding.due(self._view.tick, now_ns)
         return [self._refused(one.letter, SERVO_ENDED) for one in lost] + [self._closed(one) for one in due]
 
-    def _attend(self, letter: Letter, now_ns: int) -> Reply | None:
+    def _attend(self, letter: Letter, now_ns: int, outdated: bool) -> Reply | None:
         try:
             if letter.error:
                 raise letter.error
             actor = self.actors.number(letter.client)
             if letter.cmd == "stop":
                 return self._stop(letter, actor, now_ns)
+            if outdated:
+                reason = "the gateway stood still for more than 1 s and drops what came meanwhile; ask again"
+                raise CommandError("timeout", f"{letter.cmd}: {reason}")
             scene = Scene(self.limits, self._view, not self.waiting, self._waveform.samples(self._view))
             request = admit(letter.plain, actor, scene)
             result = self._answered_here(request, letter)
@@ -97,9 +101,11 @@ class Desk:
             self.actors.call(letter.client, request.name)
             return self._inquire("hello") | {"actor": self.actors.number(letter.client), "limits": self.limits.plain()}
         if isinstance(request, Perturb) and request.action == "load":
-            return self._load(request)
+            return self._load(request, self.actors.number(letter.client))
         if request.cmd == "status":
             return self._inquire("status") | {"requests": dict(self.counts)}
+        if request.cmd == "dump":
+            return self._inquire("dump")
         if request.cmd == "schema":
             return self.schema
         if request.cmd == "get":
@@ -108,10 +114,10 @@ class Desk:
             return {"parameters": parameters(self._view.targets), "in_force": now}
         return None
 
-    def _load(self, request: Perturb) -> dict[str, Any]:
+    def _load(self, request: Perturb, actor: int) -> dict[str, Any]:
         if self.waiting or self._view.record.get("perturbing"):
             raise CommandError("busy", "perturb load: a waveform may be playing; stop it first")
-        return {"samples": self._waveform.load(request, self._view)}
+        return {"samples": self._waveform.load(request, self._view, actor)}
 
     def _require_servo(self, cmd: str) -> None:
         if not self._view.alive:
@@ -127,21 +133,29 @@ class Desk:
 
     def _stop(self, letter: Letter, actor: int, now_ns: int) -> Reply | None:
         mailbox = self._view.mailbox
-        if mailbox is None or not self._view.alive or mailbox.backlog >= TAKEN_PER_TICK:
-            press_stop(self._view.folder)
+        behind = mailbox is None or not self._view.alive or mailbox.backlog >= TAKEN_PER_TICK
+        pressed = behind and self._pressed()
         try:
             self._post(letter, actor, (Command.STOP, 0, values_of({})), now_ns)
         except CommandError as error:
-            if error.code != "busy":
+            if not pressed or error.code != "busy":
                 raise
             return self._accepted(letter, {"receipt": {"result": "pressed"}})
         return None
 
+    def _pressed(self) -> bool:
+        """Whether the stop page could be pressed and a living servo will look at it."""
+        try:
+            press_stop(self._view.folder)
+        except MailboxError:
+            return False
+        return True
+
     def _ask_back(self) -> None:
         """Learn the parameters after a restart of the gateway: a set for a tick long past is refused, and tells them."""
         if self._view.unsure and self._asked_life != self._view.life and self._view.mailbox:
-            self._asked_life = self._view.life
-            self._view.mailbox.post(Command.SET, GATEWAY_ACTOR, PAST_TICK, values_of({}))
+            asked = self._view.mailbox.post(Command.SET, GATEWAY_ACTOR, PAST_TICK, values_of({}))
+            self._asked_life = self._asked_life if asked is None else self._view.life
 
     def _report(self, scheduled: Pending, answer: Answer) -> None:
         letter, actor = scheduled.letter, scheduled.actor
@@ -151,11 +165,17 @@ class Desk:
         letter, answer = pending.letter, pending.answer
         if answer is None:
             self.counts["timeouts"] += 1
-            reason = f"{letter.cmd}: no answer from the servo within 1 s; whether it acts is open, ask with `get` or `status`"
+            outlook = "it is taken back" if self._taken_back(letter) else "whether it acts is open, ask with `get` or `status`"
+            reason = f"{letter.cmd}: no answer from the servo within 1 s; {outlook}"
             return self._refused(letter, CommandError("timeout" if self._view.alive else "servo_down", reason))
         if answer.result not in ACCEPTED:
             return self._refused(letter, refusal(answer, letter.cmd, self._view))
         return self._accepted(letter, {"rev": answer.revision, "receipt": receipt(answer)})
+
+    def _taken_back(self, letter: Letter) -> bool:
+        """Whether a force that comes late, when nobody expects it any more, will end in the tick in which it begins."""
+        kind, mailbox = TAKEN_BACK.get(letter.cmd), self._view.mailbox
+        return kind is not None and mailbox is not None and mailbox.post(kind, GATEWAY_ACTOR, 0, values_of({})) is not None
 
     def _accepted(self, letter: Letter, body: dict[str, Any]) -> Reply:
         return letter.reply({"ok": True, "rev": self._view.revision, "state": self._view.state_name} | body)

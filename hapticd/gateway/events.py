@@ -1,7 +1,7 @@
 """What happened, one map per event: kept for `status`, and queued for the topic `event`.
 
 kinds: `state` (from, to, fault with cause, action and remedy, actor), `answer` (what became of a scheduled change), `gap`
-(ticks that were overwritten before they were read), `servo_up`, `servo_down`, `warning`.
+(ticks that were overwritten before they were read), `servo_up`, `servo_down`, `flight` (path, reason), `warning`.
 """
 
 from collections import deque

@@ -58,6 +58,7 @@ class Feed:
         self._tail = 0 if head < RING_RECORDS // 2 else head
 
     def _ready(self, now_ns: int) -> int:
+        self._tail = min(self._tail, self._view.head)  # a head that fell back had been written over
         waiting = min(self._view.head - self._tail, MOST_RECORDS)
         whole = waiting - waiting % self._batch if self._batch <= MOST_RECORDS else 0
         return whole or (waiting if now_ns - self._taken_ns >= LINGER_NS else 0)

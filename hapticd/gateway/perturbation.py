@@ -22,14 +22,14 @@ class Waveform:
 
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
-        self._life, self._samples = 0, 0
+        self._life, self._samples, self._actor = 0, 0, 0
 
     def samples(self, view: ServoView) -> int:
         """Samples that are loaded in the present servo life."""
         return self._samples if view.life == self._life else 0
 
-    def load(self, request: Perturb, view: ServoView) -> int:
-        """Append the chunk of `request`; samples loaded by now. After a CommandError (`invalid`, `refused`) nothing changed."""
+    def load(self, request: Perturb, view: ServoView, actor: int) -> int:
+        """Append the chunk of `request` by `actor`; samples loaded by now. CommandError (`invalid`, `refused`): nothing changed."""
         if view.mailbox is None:
             raise CommandError("servo_down", "perturb load: no servo runs; start it with `hapticd run`")
         loaded, force_n = self.samples(view), samples_n(request.samples_n)
@@ -40,11 +40,13 @@ class Waveform:
             limit = f"{PERTURBATION_SAMPLES} samples ({PERTURBATION_SAMPLES / PROBE_RATE_HZ:.0f} s)"
             reason = f"samples_n: {total} samples are beyond the limit {limit}; shorten it or play it in a loop"
             raise invalid([{"loc": "samples_n", "msg": reason}])
+        if request.offset and actor != self._actor:
+            raise CommandError("refused", f"offset = {request.offset} samples: another client's are loaded; begin with offset 0")
         self._check(force_n, request.offset)
         to_count = view.params.device.probe_torque.to_count
         for place, value in enumerate(force_n.tolist(), request.offset):
             view.mailbox.waveform[place] = to_count(value, *INT16)
-        self._life, self._samples = view.life, total
+        self._life, self._samples, self._actor = view.life, total, actor
         return total
 
     def _check(self, force_n: NDArray[np.float64], offset: int) -> None:

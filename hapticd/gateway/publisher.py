@@ -3,6 +3,8 @@
 Every record is looked at once, for histograms and events; a topic is encoded only while someone subscribes to it.
 """
 
+import time
+from collections.abc import Callable
 from typing import Any
 
 import msgpack
@@ -12,6 +14,7 @@ from hapticd.gateway.codec import finite
 from hapticd.gateway.encode import Origin, raw_message, servo_messages
 from hapticd.gateway.events import Journal
 from hapticd.gateway.feed import Block, Feed
+from hapticd.gateway.flight import FlightRecorder, flights_folder
 from hapticd.gateway.histogram import StageHistograms
 from hapticd.gateway.probe import ProbeDecoder
 from hapticd.gateway.state import Transitions, news, state_map
@@ -28,10 +31,13 @@ Message = tuple[str, bytes]  # topic, payload
 class Publisher:
     """Turns what the servo writes into messages. `messages` is called at least every few milliseconds."""
 
-    def __init__(self, view: ServoView, actors: Actors, journal: Journal, setup: GatewaySetup) -> None:
+    def __init__(
+        self, view: ServoView, actors: Actors, journal: Journal, setup: GatewaySetup, unix_ns: Callable[[], int] = time.time_ns
+    ) -> None:
         self._view, self._actors, self._journal, self._batch = view, actors, journal, setup.gateway.batch
         self.feed = Feed(view, setup.gateway.batch)
         self.stages = StageHistograms(setup.servo.realtime.grace_s)
+        self.flight = FlightRecorder(view, journal, setup, flights_folder(setup.servo.instance), unix_ns)
         self._subscriptions = Subscriptions()
         self._transitions = Transitions(view, actors, journal)
         self._probe = ProbeDecoder(setup.servo.device)
@@ -41,18 +47,26 @@ class Publisher:
         self._state_ns = -STATE_PERIOD_NS
 
     def subscribe(self, message: bytes, unix_ns: int) -> list[Message]:
-        """Note a subscription or its end; whoever newly asks for `state` gets it at once."""
-        return [self._state(unix_ns)] if "state" in self._subscriptions.take(message) else []
+        """Note a subscription or its end; whoever newly asks for `state` gets it at once, for `flight` a checkpoint soon."""
+        topics = self._subscriptions.take(message)
+        if "flight" in topics:
+            self.flight.ask()
+        return [self._state(unix_ns)] if "state" in topics else []
 
     def messages(self, now_ns: int, unix_ns: int) -> list[Message]:
         """Everything that is due."""
         self._notice_servo()
         wanted = self._subscriptions.wanted
         found: list[Message] = []
+        noted = self.flight.follow(now_ns)
+        if noted and "flight" in wanted:
+            found.append(("flight", bytes(msgpack.packb(noted))))  # every number as it is
         for block in self.feed.take(now_ns):
             self.stages.add(block.records, self._origin.epoch)
             self._transitions.follow(block)
+            self.flight.add(block, now_ns)
             found += self._ticks(block, wanted)
+        self.flight.dump_if_due(now_ns)
         found += self._state_if_due(now_ns, unix_ns)
         found += [("event", _packed(event)) for event in self._journal.drain() if "event" in wanted]
         return found
@@ -63,6 +77,7 @@ class Publisher:
             self._life = view.life
             self._origin = Origin(view.mailbox.epoch, view.unix_offset_ns, view.mailbox.header.simulated)
             self.stages.clear()
+            self.flight.begin(self._origin)
             self._probe.forget()
         if view.alive != self._alive:
             self._alive = view.alive

@@ -178,15 +178,21 @@ class Status(Command):
     cmd: Literal["status"]
 
 
+class Dump(Command):
+    """Write the flight recording now; the reply names the file, an event `flight` tells when it is there."""
+
+    cmd: Literal["dump"]
+
+
 class Schema(Command):
     """This protocol as JSON schema."""
 
     cmd: Literal["schema"]
 
 
-Request = Hello | Get | Set | Damping | Enable | Disable | Stop | Reset | Zero | Home | Perturb | Status | Schema
+Request = Hello | Get | Set | Damping | Enable | Disable | Stop | Reset | Zero | Home | Perturb | Status | Dump | Schema
 ADAPTER: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="cmd")])
 MODELS: dict[str, type[Command]] = {
     model.model_fields["cmd"].annotation.__args__[0]: model  # type: ignore[union-attr]
-    for model in (Hello, Get, Set, Damping, Enable, Disable, Stop, Reset, Zero, Home, Perturb, Status, Schema)
+    for model in (Hello, Get, Set, Damping, Enable, Disable, Stop, Reset, Zero, Home, Perturb, Status, Dump, Schema)
 }

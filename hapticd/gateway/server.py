@@ -29,13 +29,15 @@ from hapticd.gateway.topics import TOPICS
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox import files
 from hapticd.mailbox.layout import LAYOUT_HASH
-from hapticd.params import GatewaySetup
-from hapticd.units import NS_PER_MS, NS_PER_US
+from hapticd.params import GatewaySetup, to_plain
+from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US
 
 DRAIN_MS = 10
 PEEK_NS = 250 * NS_PER_US  # between looks for an outstanding answer
 REQUESTS_PER_PASS = 20
 SUBSCRIPTIONS_PER_PASS = 100
+STANDSTILL_NS = NS_PER_S  # a pass that comes so late finds requests whose senders have given up
+SETTLING_NS = 100 * NS_PER_MS  # until ZeroMQ's own thread has handed over all of them
 
 
 class Gateway:
@@ -53,11 +55,11 @@ class Gateway:
         self._journal = Journal(unix_ns)
         self._view = ServoView(folder, setup.servo, unix_ns)
         self._desk = Desk(self._view, self._journal, self._inquire)
-        self._publisher = Publisher(self._view, self._desk.actors, self._journal, setup)
+        self._publisher = Publisher(self._view, self._desk.actors, self._journal, setup, unix_ns)
         self._poller = zmq.Poller()
         self._poller.register(self._sockets.command, zmq.POLLIN)
         self._poller.register(self._sockets.telemetry, zmq.POLLIN)
-        self._drained_ns = 0
+        self._passed_ns = self._settled_ns = self._drained_ns = clock.now_ns()
         if self._sockets.warning:
             self._journal.note("warning", text=self._sockets.warning)
 
@@ -71,8 +73,12 @@ class Gateway:
         self._view.refresh(now_ns)
         if self._view.mailbox:
             self._view.mailbox.beat(now_ns)
+        if now_ns - self._passed_ns > STANDSTILL_NS:
+            self._settled_ns = now_ns + SETTLING_NS
+        self._passed_ns = now_ns
         requests = _received(self._sockets.command, REQUESTS_PER_PASS) if self._sockets.command in ready else []
-        for reply in self._desk.serve(requests, now_ns) + self._desk.collect(now_ns):
+        outdated = now_ns < self._settled_ns
+        for reply in self._desk.serve(requests, now_ns, outdated) + self._desk.collect(now_ns):
             self._sockets.command.send_multipart(reply, zmq.DONTWAIT)
         if self._sockets.telemetry in ready:
             self._note_subscriptions()
@@ -89,6 +95,8 @@ class Gateway:
             self._sockets.telemetry.send_multipart([topic.encode(), payload], zmq.DONTWAIT)
 
     def _inquire(self, cmd: str) -> dict[str, Any]:
+        if cmd == "dump":
+            return self._publisher.flight.dump("asked")
         return self._hello() if cmd == "hello" else self._status()
 
     def _hello(self) -> dict[str, Any]:
@@ -104,6 +112,7 @@ class Gateway:
             "rate_hz": servo.realtime.rate_hz,
             "endpoints": self.endpoints,
             "topics": [topic._asdict() for topic in TOPICS],
+            "servo": to_plain(servo),
         }
 
     def _status(self) -> dict[str, Any]:
@@ -119,6 +128,7 @@ class Gateway:
 
     def close(self) -> None:
         """Close the sockets, give up the claim."""
+        self._publisher.flight.close()
         self._sockets.close()
         self._view.drop()
         files.release(self._view.folder, files.GATEWAY_LOCK, self._claim)

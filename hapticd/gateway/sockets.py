@@ -16,15 +16,16 @@ from pathlib import Path
 import zmq
 from zmq.auth.thread import ThreadAuthenticator
 
-from hapticd.errors import ConfigError
+from hapticd.errors import ConfigError, MailboxError
 from hapticd.gateway import auth
 from hapticd.gateway.codec import MAX_MESSAGE_BYTES
-from hapticd.mailbox.files import COMMAND_SOCKET, DEFAULT_INSTANCE, ENDPOINTS, TELEMETRY_SOCKET
+from hapticd.mailbox.files import COMMAND_SOCKET, DEFAULT_INSTANCE, ENDPOINTS, TELEMETRY_SOCKET, remove, write_whole
 from hapticd.params import GatewayParams, GatewaySetup
 
 LONGEST_PATH = 107  # of a socket file
 REQUESTS_QUEUED, REPLIES_QUEUED = 200, 200
 MESSAGES_QUEUED = 100  # per subscriber: 2 s
+MAX_SUBSCRIPTION_BYTES = 1024  # libzmq keeps some 50 bytes for each; handshakes with keys need several 100
 HEARTBEAT_MS, SILENCE_MS, HANDSHAKE_MS = 2000, 6000, 3000
 SOCKET_UMASK = 0o117
 
@@ -41,7 +42,8 @@ class Sockets:
         self._guard: ThreadAuthenticator | None = None
         try:
             self.command = self._socket(zmq.ROUTER, {zmq.RCVHWM: REQUESTS_QUEUED, zmq.SNDHWM: REPLIES_QUEUED})
-            self.telemetry = self._socket(zmq.XPUB, {zmq.SNDHWM: MESSAGES_QUEUED, zmq.XPUB_VERBOSE: 1})
+            spoken: dict[int, int] = {zmq.SNDHWM: MESSAGES_QUEUED, zmq.XPUB_VERBOSE: 1, zmq.MAXMSGSIZE: MAX_SUBSCRIPTION_BYTES}
+            self.telemetry = self._socket(zmq.XPUB, spoken)
             self._guard = auth.authenticator(self.context, params)
             self.endpoints = self._bound(params, setup.servo.instance)
         except BaseException:
@@ -74,7 +76,7 @@ class Sockets:
             auth.encrypt(self.telemetry, params)
         tcp = bind_tcp(self.telemetry, params.tcp_host, port_for(params, instance))
         endpoints = {"command": command, "telemetry": [telemetry, tcp], "pid": os.getpid()}
-        (self._folder / ENDPOINTS).write_text(json.dumps(endpoints))
+        write_whole(self._folder / ENDPOINTS, json.dumps(endpoints))
         return endpoints
 
     def close(self) -> None:
@@ -82,15 +84,17 @@ class Sockets:
         if self._guard:
             self._guard.stop()
         self.context.destroy(linger=0)
-        for name in (ENDPOINTS, COMMAND_SOCKET, TELEMETRY_SOCKET):
-            (self._folder / name).unlink(missing_ok=True)
+        remove(self._folder, ENDPOINTS, COMMAND_SOCKET, TELEMETRY_SOCKET)
 
 
 def bind_file(socket: "zmq.Socket[bytes]", path: Path) -> str:
-    """Bind to a socket file; its endpoint. ConfigError when the path is too long for one."""
+    """Bind to a socket file; its endpoint. ConfigError when the path is too long for one, MailboxError when it cannot be made."""
     if len(os.fsencode(path)) > LONGEST_PATH:
         raise ConfigError(f"{path}: {len(os.fsencode(path))} bytes, a socket file has at most {LONGEST_PATH}; use a shorter folder")
-    socket.bind(f"ipc://{path}")
+    try:
+        socket.bind(f"ipc://{path}")
+    except zmq.ZMQError as error:
+        raise MailboxError(f"{path}: {error.strerror}; make room, correct its rights or remove what is in the way") from error
     return f"ipc://{path}"
 
 

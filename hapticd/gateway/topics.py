@@ -28,7 +28,8 @@ TOPICS: tuple[Topic, ...] = (
     Topic("servo.raw", "map: header and `d`, little-endian records of dtype `descr`, lossless", "`batch` ticks or more", 1),
     Topic("probe", "map: header and `d`, 4 kHz torque and velocity in counts, index and host time", "as `servo.raw`", 1),
     Topic("state", "map: state, fault, revision, parameters, counters", "on change, at 1 Hz, on subscription", 0),
-    Topic("event", "map with `kind`: state, answer, gap, servo_up, servo_down, warning", "when it happens", 0),
+    Topic("event", "map with `kind`: state, answer, gap, servo_up, servo_down, flight, warning", "when it happens", 0),
+    Topic("flight", "map: requests that the servo obeyed, checkpoints of its state; for flying records again", "when there are", 0),
 )  # fmt: skip
 NAMES = frozenset(topic.name for topic in TOPICS)
 BY_NAME = {topic.name: topic for topic in TOPICS}

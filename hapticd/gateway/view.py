@@ -70,7 +70,7 @@ class ServoView:
             self._retry_ns = now_ns
             self._open(now_ns)
         beat_ns = self.mailbox.servo_beat_ns if self.mailbox else 0
-        self.alive = beat_ns > 0 and now_ns - beat_ns < SILENCE_NS
+        self.alive = beat_ns > 0 and abs(now_ns - beat_ns) < SILENCE_NS
         self.look()
 
     def look(self) -> None:

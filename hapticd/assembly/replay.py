@@ -1,0 +1,157 @@
+"""Flying a recorded motion again through `servo.step`: bit by bit as it was, or as it would have been with other settings.
+
+A leg is a stretch of records without a gap that begins with a checkpoint. Every tick gets what it got: the sample of its
+IN frame, how that arrived, what the host knew, and the requests it obeyed. So every number that step computed comes out the
+same; whatever differs would be another program or a damaged file. A counterfactual flight holds some settings at other
+values and ignores what was later asked of them; the motion stays the recorded one, so it shows what the law would have
+asked for, not what the handle would then have done.
+"""
+
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapticd.mailbox.client_side import Noted
+from hapticd.mailbox.layout import COMMAND_VALUES, PLAN_FIELDS, Command, Flag, Value
+from hapticd.params import ServoParams
+from hapticd.servo.checkpoint import unflatten
+from hapticd.servo.plan import Plan, meant
+from hapticd.servo.state import Request, ServoState
+from hapticd.servo.step import make_step
+from hapticd.wire import frames
+
+Records = NDArray[np.void]
+
+_DAMPING: Final = 4  # places in ServoState
+_BLOB: Final = 5
+_LEDGER: Final = 7
+_PLAN: Final = 12
+PLAN_DTYPE = np.dtype(list(PLAN_FIELDS))
+PLAN_NAMES = tuple(str(field[0]) for field in PLAN_FIELDS)
+COMPUTED = [
+    ("flags", "<u4"), ("torque", "<i4"), ("damping", "<u4"), ("position_m", "<f8"), ("velocity_m_per_s", "<f8"),
+    ("acceleration_m_per_s2", "<f8"), ("stiffness_force_n", "<f8"), ("damping_force_n", "<f8"), ("mass_force_n", "<f8"),
+    ("field_force_n", "<f8"), ("force_n", "<f8"), ("energy_j", "<f8", (6,)),
+]  # fmt: skip
+FLOWN = np.dtype([*PLAN_FIELDS, *COMPUTED])
+LOOP_FLAGS = int(Flag.LATE | Flag.WRITE_FAILED)  # not step's
+_TORQUE_PLACE, _DAMPING_PLACE = 4, 6  # in an OUT frame
+
+
+class Leg(NamedTuple):
+    """`state` before `tick` (servo.checkpoint), the records from that tick on, and what was asked in their time."""
+
+    tick: int
+    state: Any
+    records: Records
+    requests: Sequence[Noted]
+
+
+class Difference(NamedTuple):
+    """The first number that came out otherwise."""
+
+    tick: int
+    field: str
+    recorded: Any
+    flown: Any
+
+
+def fly(params: ServoParams, leg: Leg, instead: dict[Value, float] | None = None) -> NDArray[np.void]:
+    """What step computes at each tick of `leg`: array of FLOWN (n,). `instead`: settings held at these values from the start."""
+    step, state = make_step(params), unflatten(leg.state)
+    obeyed = _by_tick(leg.requests)
+    if instead:
+        state = _held(state, set(instead))
+        obeyed = {tick: tuple(_without(one, set(instead)) for one in requests) for tick, requests in obeyed.items()}
+        obeyed[leg.tick] = (_settings(instead), *obeyed.get(leg.tick, ()))
+    unpack, size = frames.IN_HEAD.unpack, frames.IN_HEAD.size
+    records = leg.records
+    heads = records["in_frame"].tolist()
+    head = unpack(heads[0][:size])
+    blobs, rows = [], []
+    columns = (records[name].tolist() for name in ("tick", "arrival", "host"))
+    for tick, arrival, host, frame in zip(*columns, heads, strict=True):
+        if arrival >= 0:
+            head = unpack(frame[:size])
+        sample = head[6], head[4], head[10], arrival, host, head[13]
+        state, (torque, *numbers, flags, _) = step(state, obeyed.get(tick, ()), sample, tick)
+        blobs.append(state[_BLOB])
+        rows.append((flags, torque, state[_DAMPING], *numbers, state[_LEDGER][0]))
+    return _assembled(blobs, rows)
+
+
+def _assembled(blobs: list[bytes], rows: list[tuple[Any, ...]]) -> NDArray[np.void]:
+    flown = np.empty(len(rows), FLOWN)
+    plans = np.frombuffer(b"".join(blobs), PLAN_DTYPE)
+    for name in PLAN_NAMES:
+        flown[name] = plans[name]
+    for field, column in zip(COMPUTED, zip(*rows, strict=True), strict=True):
+        flown[field[0]] = column
+    return flown
+
+
+def difference(records: Records, flown: NDArray[np.void]) -> Difference | None:
+    """Where `flown` differs from what was recorded, compared bit by bit; None if nowhere."""
+    for name in (*PLAN_NAMES, *(str(field[0]) for field in COMPUTED)):
+        recorded, again = recorded_as_flown(records, name), flown[name]
+        places = np.flatnonzero(_bits(recorded) != _bits(again))
+        if places.size:
+            place = int(places[0]) // (again.size // len(again))
+            return Difference(int(records["tick"][place]), name, recorded[place].tolist(), again[place].tolist())
+    return None
+
+
+def recorded_as_flown(records: Records, name: str) -> NDArray[Any]:
+    """The recorded column that FLOWN calls `name`."""
+    if name == "flags":
+        return np.asarray(records["flags"] & ~np.uint32(LOOP_FLAGS))
+    if name in ("torque", "damping"):
+        frame = np.ascontiguousarray(records["out_frame"]).view(np.uint8).reshape(len(records), -1)
+        place, kind = (_TORQUE_PLACE, "<i2") if name == "torque" else (_DAMPING_PLACE, "<u2")
+        sent = np.ascontiguousarray(frame[:, place : place + 2]).view(kind).ravel()
+        return np.asarray(sent.astype(FLOWN[name]))
+    return np.asarray(records[name])
+
+
+def _bits(column: NDArray[Any]) -> NDArray[np.uint64] | NDArray[Any]:
+    return column.ravel().view(np.uint64) if column.dtype.kind == "f" and column.dtype.itemsize == 8 else column.ravel()
+
+
+def _by_tick(requests: Sequence[Noted]) -> dict[int, tuple[Request, ...]]:
+    found: dict[int, tuple[Request, ...]] = {}
+    for one in requests:
+        found[one.tick] = (*found.get(one.tick, ()), (one.seq, one.kind, one.actor, one.apply_tick, tuple(one.values)))
+    return found
+
+
+# --- the counterfactual ---------------------------------------------------------------------------------------------------
+
+
+def _settings(instead: dict[Value, float]) -> Request:
+    """A set of `instead` without a ramp, for which nobody waits."""
+    values = [0.0] * COMMAND_VALUES
+    for place, value in {**instead, Value.RAMP_S: 0.0}.items():
+        values[place] = float(value)
+    values[Value.MASK] = float(sum(1 << place for place in {*instead, Value.RAMP_S}))
+    return 0, int(Command.SET), 0, 0, tuple(values)
+
+
+def _without(request: Request, held: set[Value]) -> Request:
+    """`request` without a word about the settings that are held."""
+    seq, kind, actor, apply_tick, values = request
+    if kind not in (Command.SET, Command.DAMPING):
+        return request
+    return seq, kind, actor, apply_tick, _unmasked(values, held)
+
+
+def _unmasked(values: tuple[float, ...], held: set[Value]) -> tuple[float, ...]:
+    mask = sum(1 << place for place in meant(values) if place not in held)
+    return (float(mask), *values[1:])
+
+
+def _held(state: ServoState, held: set[Value]) -> ServoState:
+    plan: Plan = state[_PLAN]
+    scheduled = tuple(one._replace(values=_unmasked(one.values, held)) for one in plan.scheduled)
+    return (*state[:12], plan._replace(scheduled=scheduled))

@@ -1,0 +1,199 @@
+"""The flight recorder: the last minute at every tick with raw frames, and what flying it again needs. Dumped at faults.
+
+It keeps the blocks that the feed has read, the requests that the servo noted, and a checkpoint of the servo's state every
+10 s; since a flight begins at a checkpoint it keeps 10 s more than is asked. A fault is written a second later, with
+its aftermath; what a servo left that fell silent under force, at once. Files are written by a thread of their own, from bytes that
+nobody changes: a slow disk delays the file and not the heartbeat. The newest FILES_KEPT files are kept.
+"""
+
+import os
+import threading
+from collections import deque
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import hapticd
+from hapticd.errors import CommandError
+from hapticd.faults import BY_NUMBER, FAULTS
+from hapticd.gateway import flight_file
+from hapticd.gateway.encode import DESCR, Origin
+from hapticd.gateway.events import Journal
+from hapticd.gateway.feed import Block
+from hapticd.gateway.view import ServoView
+from hapticd.mailbox.client_side import Checkpoint, Noted
+from hapticd.mailbox.files import DEFAULT_INSTANCE
+from hapticd.mailbox.layout import State
+from hapticd.params import GatewaySetup, to_plain
+from hapticd.units import NS_PER_S
+
+CHECKPOINT_S = 10
+AFTERMATH_NS = NS_PER_S
+FILES_KEPT = 20
+UNDER_FORCE = (State.ENABLED, State.HOMING)
+
+
+class FlightRecorder:
+    """Keeps `setup.gateway.flight_s` seconds of the servo that `view` sees; dumps go into `folder`."""
+
+    def __init__(self, view: ServoView, journal: Journal, setup: GatewaySetup, folder: Path, unix_ns: Callable[[], int]) -> None:
+        self._view, self._journal, self._setup, self._folder, self._unix_ns = view, journal, setup, folder, unix_ns
+        self._kept_ticks = round((setup.gateway.flight_s + CHECKPOINT_S) * setup.servo.realtime.rate_hz)
+        self._threads: list[threading.Thread] = []
+        self._written: deque[dict[str, Any]] = deque()
+        self._origin: Origin | None = None
+        self._clear()
+
+    def _clear(self) -> None:
+        self._blocks: deque[Block] = deque()
+        self._records = 0
+        self._requests: deque[Noted] = deque()
+        self._checkpoints: deque[Checkpoint] = deque()
+        self._breaks: deque[int] = deque()
+        self._journal_tail = self._checkpoints_read = 0
+        self._asked_ns = -CHECKPOINT_S * NS_PER_S
+        self._state, self._due = 0, (0, "")  # when to dump, and why
+        self._report: dict[str, Any] = {}
+
+    def begin(self, origin: Origin) -> None:
+        """Another servo life."""
+        self._write_if_silent()
+        self._clear()
+        self._origin = origin
+        if self._view.mailbox:
+            _, self._journal_tail, _ = self._view.mailbox.journal(0)
+            self._checkpoints_read = self._view.mailbox.checkpoints
+            self._report = self._view.mailbox.report()
+
+    def ask(self) -> None:
+        """Someone wants to begin a flight here: have the servo leave a checkpoint soon."""
+        self._asked_ns = -CHECKPOINT_S * NS_PER_S
+
+    def follow(self, now_ns: int) -> dict[str, Any] | None:
+        """Read what the servo noted; ask for a checkpoint when it is time. What is new, as a payload; None if nothing is."""
+        mailbox = self._view.mailbox
+        self._tell()
+        if not self._view.alive:
+            self._write_if_silent()
+        if mailbox is None or self._origin is None:
+            return None
+        if now_ns - self._asked_ns >= CHECKPOINT_S * NS_PER_S:
+            self._asked_ns = now_ns
+            mailbox.ask_checkpoint()
+        requests, self._journal_tail, lost = mailbox.journal(self._journal_tail)
+        self._requests.extend(requests)
+        if lost:
+            self._breaks.append(self._view.tick)
+        checkpoint = mailbox.checkpoint() if mailbox.checkpoints != self._checkpoints_read else None
+        if checkpoint is not None:
+            self._checkpoints_read = mailbox.checkpoints
+            self._checkpoints.append(checkpoint)
+        if not (requests or lost or checkpoint):
+            return None
+        return {**self._origin.header, "requests": requests, "break": self._view.tick if lost else None, "checkpoint": checkpoint}
+
+    def _write_if_silent(self) -> None:
+        """Write what a servo left that fell silent under force."""
+        if self._state in UNDER_FORCE:
+            self._state = State.DISABLED
+            self.dump("servo_silent")
+
+    def add(self, block: Block, now_ns: int) -> None:
+        """Keep `block`, forget what has become too old, and note a fault in it."""
+        self._blocks.append(block)
+        self._records += len(block.records)
+        while self._records - len(self._blocks[0].records) >= self._kept_ticks:
+            self._records -= len(self._blocks.popleft().records)
+        self._forget_before(int(self._blocks[0].records["tick"][0]) if len(self._blocks[0].records) else 0)
+        states = block.records["state"]
+        fallen = np.flatnonzero((states == State.FAULT) & (np.concatenate(([self._state], states[:-1])) != State.FAULT))
+        if fallen.size and not self._due[0]:
+            number = int(block.records["fault"][fallen[0]])
+            self._due = now_ns + AFTERMATH_NS, BY_NUMBER.get(number, FAULTS[0]).code
+        self._state = int(states[-1]) if len(states) else self._state
+
+    def _forget_before(self, tick: int) -> None:
+        while self._requests and self._requests[0].tick < tick:
+            self._requests.popleft()
+        while self._checkpoints and self._checkpoints[0].tick < tick:
+            self._checkpoints.popleft()
+        while self._breaks and self._breaks[0] < tick:
+            self._breaks.popleft()
+
+    def dump_if_due(self, now_ns: int) -> None:
+        """Write the recording of a fault whose aftermath is in."""
+        due_ns, reason = self._due
+        if due_ns and now_ns >= due_ns:
+            self._due = 0, ""
+            self.dump(reason)
+
+    def dump(self, reason: str) -> dict[str, Any]:
+        """Begin to write what is kept; {path, records, reason}. An event `flight` tells when it is done.
+
+        CommandError when nothing is kept.
+        """
+        if not self._records:
+            raise CommandError("refused", "dump: nothing has been recorded yet; is a servo running?")
+        stamp = datetime.fromtimestamp(self._unix_ns() / NS_PER_S, UTC)
+        path = self._folder / f"{stamp:%Y%m%d-%H%M%S.%f}-{reason}{flight_file.SUFFIX}"
+        blocks = [block.data for block in self._blocks]
+        header = self._header(reason, stamp.isoformat())
+        thread = threading.Thread(target=self._write, args=(path, header, blocks, reason), daemon=False)
+        self._threads = [one for one in self._threads if one.is_alive()] + [thread]
+        thread.start()
+        return {"path": str(path), "records": self._records, "reason": reason}
+
+    def _header(self, reason: str, written_utc: str) -> dict[str, Any]:
+        gaps, row = [], 0
+        for block in self._blocks:
+            gaps += [[row, block.lost]] if block.lost and row else []
+            row += len(block.records)
+        return {
+            "reason": reason,
+            "written_utc": written_utc,
+            "version": hapticd.__version__,
+            "rate_hz": self._setup.servo.realtime.rate_hz,
+            **(self._origin.header if self._origin else {}),
+            "descr": DESCR,
+            "servo": to_plain(self._setup.servo),
+            "report": self._report,
+            "gaps": gaps,
+            "checkpoints": list(self._checkpoints),
+            "requests": list(self._requests),
+            "breaks": list(self._breaks),
+        }
+
+    def _write(self, path: Path, header: dict[str, Any], blocks: list[bytes], reason: str) -> None:
+        """In a thread: nothing here is shared but the queue of results."""
+        told = {"reason": reason, "path": str(path)}
+        try:
+            flight_file.write(path, header, blocks)
+            for old in sorted(path.parent.glob(f"*{flight_file.SUFFIX}"))[:-FILES_KEPT]:
+                old.unlink(missing_ok=True)
+        except OSError as error:
+            told["error"] = f"{error.strerror}; free some space or correct its rights"
+        self._written.append(told)
+
+    def _tell(self) -> None:
+        while self._written:
+            told = self._written.popleft()
+            if error := told.get("error"):
+                self._journal.note("warning", text=f"{told['path']}: the flight recording could not be written: {error}")
+            else:
+                self._journal.note("flight", **told)
+
+    def close(self) -> None:
+        """Finish what is being written."""
+        for thread in self._threads:
+            thread.join()
+        self._tell()
+
+
+def flights_folder(instance: str) -> Path:
+    """Where flight recordings of `instance` go: $STATE_DIRECTORY (systemd), $XDG_STATE_HOME/hapticd, ~/.local/state/hapticd."""
+    service, home = os.environ.get("STATE_DIRECTORY"), os.environ.get("XDG_STATE_HOME")
+    state = Path(service.split(":")[0]) if service else Path(home or Path.home() / ".local" / "state") / "hapticd"
+    return state / "flights" if instance == DEFAULT_INSTANCE else state / f"instance-{instance}" / "flights"
