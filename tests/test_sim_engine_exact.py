@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from devices import COGS, COUNTS, DRY, ENDS, LIMIT, RIGID, SPRING, STAR, TWO_MASSES, device, rigid
+from devices import COGS, COUNTS, DRY, ENDS, HAND, LIMIT, RIGID, SPRING, STAR, TWO_MASSES, device, rigid
 from straight import Straight
 
 from hapticd.params import EnvironmentParams, FilterParams, WallParams, WorkspaceParams
-from hapticd.plant.bodies import Hand
 from hapticd.plant.electrical import ForceDac, Multiplier
 from hapticd.plant.friction import Coulomb
 from hapticd.plant.model import Noise
@@ -16,7 +15,6 @@ from hapticd.sim.engine.torque import Stream, held_noise
 
 TRIALS = [[100.0, 1.0, 0.010], [50.0, 2.0, 0.0], [0.0, 0.0, 0.0], [600.0, 0.5, -0.002]]
 TORQUE = 0.3 * np.random.default_rng(3).standard_normal(400)
-HAND = Hand(mass_kg=0.1, damping_ns_per_m=2.0, stiffness_n_per_m=100.0, grip_stiffness_n_per_m=2000.0, grip_damping_ns_per_m=5.0)
 
 
 def largest_error(model, level=0.0, substeps=1, torque=TORQUE, environment=None, start=(0.0, 0.0), **options):

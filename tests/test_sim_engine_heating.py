@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from devices import MOTOR, device
+from devices import MOTOR, WARMING, device
 
 from hapticd.plant.bodies import Load, Masses
 from hapticd.plant.electrical import Amplifier, DampingCircuit
 from hapticd.plant.scene import Excitation
-from hapticd.plant.winding import Heating, WindingTemperature, copper_ohm
+from hapticd.plant.winding import WindingTemperature, copper_ohm
 from hapticd.sim.engine import simulate
 from hapticd.units import COPPER_PER_K
 
@@ -16,7 +16,7 @@ WARM = (
     Masses(rotor_kg=0.008), MOTOR, Load(stiffness_n_per_m=2000.0, damping_ns_per_m=20.0),
     Amplifier(bandwidth_hz=2000.0), DampingCircuit(bandwidth_hz=500.0),
     WindingTemperature(temperature_c=20.0, compensated_c=20.0),
-    Heating(thermal_resistance_k_per_w=20.0, time_constant_s=10.0, ambient_c=20.0),
+    WARMING,
 )  # fmt: skip
 
 

@@ -1,0 +1,74 @@
+"""Kernels on disk: generated once per shape, compiled once per machine, then loaded in a fraction of a second.
+
+Folder: $XDG_CACHE_HOME/hapticd/kernels-VERSION (~/.cache without it). A kernel is k_HASH.py there, found through sys.path,
+because that is what numba's own disk cache needs to find compiled code again; HASH covers the text and the law it calls.
+"""
+
+import hashlib
+import importlib
+import os
+import sys
+import threading
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+
+from hapticd import __version__
+from hapticd.errors import ConfigError
+from hapticd.render import environment, fields, limits
+from hapticd.sim.engine.shape import Shape
+from hapticd.sim.engine.source import kernel_source
+
+
+@cache
+def kernel(shape: Shape) -> ModuleType:
+    """The module of `shape`: `run`, `plant`, `tally`, ROWS. ConfigError without numba or a folder to write to."""
+    _need_numba()
+    text = kernel_source(shape)
+    name = f"k_{_digest(text)}"
+    folder = cache_folder()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        path = folder / f"{name}.py"
+        if not path.exists():
+            _write(path, text)
+    except OSError as error:
+        raise ConfigError(
+            f"kernels cannot be kept in {folder}: {error.strerror}; set XDG_CACHE_HOME to a folder of yours"
+        ) from error
+    if str(folder) not in sys.path:
+        sys.path.append(str(folder))
+    importlib.invalidate_caches()
+    return importlib.import_module(name)
+
+
+def cache_folder() -> Path:
+    """Where kernels are kept."""
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "hapticd" / f"kernels-{__version__}"
+
+
+def _need_numba() -> None:
+    try:
+        importlib.import_module("numba")
+    except ImportError as error:
+        raise ConfigError(f"the batch engine compiles its kernels with numba ({error}): install hapticd[fast]") from error
+
+
+@cache
+def _called() -> bytes:
+    """What a kernel is compiled from beside its text."""
+    paths = [Path(str(module.__file__)) for module in (environment, fields, limits)]
+    paths += [Path(__file__).with_name(name) for name in ("law.py", "stack.py")]
+    return b"".join(path.read_bytes() for path in paths)
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode() + _called()).hexdigest()[:16]
+
+
+def _write(path: Path, text: str) -> None:
+    """Whole or not at all: other processes and threads may be writing the same kernel."""
+    fresh = path.with_name(f"{path.name}.{os.getpid()}-{threading.get_ident()}")
+    fresh.write_text(text)
+    fresh.replace(path)

@@ -1,0 +1,121 @@
+"""The coefficients: a model at a damping level, an environment and trials become numbers where the text wants them.
+
+Every map is exact (`plant.discrete`). The kernel picks what it has by name.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from hapticd.params import EnvironmentParams, FilterParams
+from hapticd.plant.discrete import discretise
+from hapticd.plant.model import Array, Map, Model
+from hapticd.render.filters import Biquad, design, scaled
+from hapticd.sim.engine.shape import Shape
+from hapticd.sim.engine.shaping import sample_point
+from hapticd.sim.engine.tick import ENDS, FILTERS, WALL
+from hapticd.units import PROBE_RATE_HZ
+
+Filters = tuple[FilterParams | None, FilterParams | None]  # of velocity and acceleration; None: none
+UNFILTERED: Biquad = (1.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def plant_numbers(model: Model, shape: Shape, level_ns_per_m: float) -> dict[str, float]:
+    """Everything that depends on the plant, at this damping level."""
+    duration_s = 1.0 / (PROBE_RATE_HZ * shape.substeps)
+    whole = discretise(model, duration_s, level_ns_per_m)
+    numbers = dict(_map_rows(model, whole))
+    numbers |= _friction_rows(model, whole)
+    numbers |= _output_rows(model, shape, duration_s, level_ns_per_m)
+    numbers |= _rounding(model)
+    if model.cogging is not None:
+        numbers |= _cogging_rows(model, duration_s)
+    if model.ends is not None:
+        numbers |= {"STOP_UP": model.ends.upper_m, "STOP_DOWN": model.ends.lower_m}
+    return numbers
+
+
+def law_numbers(environment: EnvironmentParams, filters: Filters, rate_hz: float) -> dict[str, float]:
+    """What the law gets beside K, B, M and the limit."""
+    wall, ends = environment.wall, environment.workspace
+    coefficients = _derivative(filters[0], rate_hz, rate_hz) + _derivative(filters[1], rate_hz, rate_hz**2)
+    solid = (wall.stiffness_n_per_m, wall.damping_ns_per_m, wall.position_m, float(wall.side))
+    return {
+        **dict(zip(FILTERS, coefficients, strict=True)),
+        **dict(zip(WALL, solid, strict=True)),
+        **dict(zip(ENDS, (ends.lower_m, ends.upper_m, ends.stiffness_n_per_m), strict=True)),
+    }
+
+
+def _derivative(filtered: FilterParams | None, rate_hz: float, gain: float) -> Biquad:
+    """From differences to a derivative, through a filter or none."""
+    if filtered is None:
+        return scaled(UNFILTERED, gain)
+    return scaled(design(filtered.frequency_hz, filtered.damping_ratio, filtered.mapping, rate_hz), gain)
+
+
+def _map_rows(model: Model, whole: Map) -> Iterator[tuple[str, float]]:
+    place = model.inputs
+    columns = {"G": place.command, "T": place.torque, "E": place.estimate, "Z": place.cogging}
+    for i, row in enumerate(whole.a):
+        yield from ((f"A{i}_{j}", float(value)) for j, value in enumerate(row))
+        yield from ((f"{letter}{i}", float(whole.b[i, column])) for letter, column in columns.items() if column is not None)
+        yield from ((f"H{c}_{i}", float(whole.b[i, contact.column])) for c, contact in enumerate(model.contacts))
+        if place.estimate is not None:
+            yield f"D{i}", float(whole.b[i, place.estimate]) * model.estimate_offset_m_per_s
+
+
+def _friction_rows(model: Model, whole: Map) -> dict[str, float]:
+    """W: velocity that a newton on contact d gives contact c; the kernel multiplies by -1 / W."""
+    contacts = model.contacts
+    response = np.array([[whole.b[c.velocity, d.column] for d in contacts] for c in contacts]).reshape(len(contacts), len(contacts))
+    rows = {f"LEVEL{c}": contact.level_n for c, contact in enumerate(contacts)}
+    rows |= {f"W{c}": float(-1.0 / response[c, c]) for c in range(len(contacts))}
+    if len(contacts) == 2:
+        inverse = -np.linalg.inv(response)
+        rows |= {"W10": float(inverse[1, 0]), "W11": float(inverse[1, 1])}
+    return rows
+
+
+def _output_rows(model: Model, shape: Shape, duration_s: float, level: float) -> dict[str, float]:
+    outputs, place = model.outputs, model.inputs
+    rows = _named("TRAVEL", outputs.recorded_travel.row(level)) | _named("MOTOR", outputs.motor_force.row(level))
+    rows["MOTOR_U"] = float(outputs.motor_force.through(level)[place.command])
+    if outputs.recorded_impulse is not None:
+        rows |= _named("IMPULSE", outputs.recorded_impulse.row(level))
+    encoder = outputs.encoder.row(level)
+    if not shape.sample_inside:
+        return rows | _named("R", encoder)
+    part = discretise(model, duration_s * sample_point(model.delay_periods, shape.steps)[1], level)
+    through = encoder @ part.b
+    rows |= _named("R", encoder @ part.a)
+    columns = {"RU": place.command, "RT": place.torque, "RE": place.estimate, "RZ": place.cogging}
+    rows |= {name: float(through[column]) for name, column in columns.items() if column is not None}
+    rows |= {f"RH{c}": float(through[contact.column]) for c, contact in enumerate(model.contacts)}
+    if place.estimate is not None:
+        rows["RD"] = rows["RE"] * model.estimate_offset_m_per_s
+    return rows
+
+
+def _rounding(model: Model) -> dict[str, float]:
+    rows: dict[str, float] = {}
+    if model.encoder_quantum_m is not None:
+        rows |= {"COUNT": model.encoder_quantum_m, "COUNTS": 1.0 / model.encoder_quantum_m}
+    if model.force_quantum_n is not None:
+        rows |= {"FORCE_COUNT": model.force_quantum_n, "FORCE_COUNTS": 1.0 / model.force_quantum_n}
+    if model.force_limit_n is not None:
+        rows["LIMIT"] = model.force_limit_n
+    return rows
+
+
+def _cogging_rows(model: Model, duration_s: float) -> dict[str, float]:
+    """Phase in turns."""
+    cogging = model.cogging
+    assert cogging is not None
+    turns = 1.0 / cogging.pitch_m
+    phase = cogging.phase_rad / (2.0 * np.pi)
+    return {"AMPLITUDE": cogging.amplitude_n, "PITCH": turns, "REACH": 0.5 * duration_s * turns, "PHASE": phase}
+
+
+def _named(letter: str, row: Array) -> dict[str, float]:
+    return {f"{letter}{index}": float(value) for index, value in enumerate(row)}

@@ -1,0 +1,97 @@
+"""Passivity by exact work: the port of a passive scene never gives energy away, and the stiffness at which it begins to.
+
+From rest, the work of the perturbation on a passive device is at no time negative, whatever the perturbation is.
+"""
+
+import numpy as np
+import pytest
+from devices import COUNTS, DRY, LIMIT, STAR, device, rigid
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hapticd.analysis.requirement import required_damping
+from hapticd.plant.friction import Coulomb
+from hapticd.plant.scene import Excitation
+from hapticd.sim.engine import simulate
+
+RAW, RATE_HZ, T = (None, None), 4000, 1e-3
+LOUD = np.random.default_rng(8).normal(0.0, 0.3, 4000)
+SIZES = st.floats(0.0, 1.0)
+
+
+def resistance(model, trials, frequency_hz, filters=RAW, start_s=5.0, seconds=5.0):
+    """Re Z at one frequency (n,), from whole periods of a steady sine: mean F v over mean v^2."""
+    cycles = np.arange(RATE_HZ) * frequency_hz / RATE_HZ
+    torque = 0.2 * np.sin(2 * np.pi * cycles)
+    result = simulate(model, trials, start_s + seconds, excitation=torque, filters=filters, keep="records")
+    first = round(start_s * RATE_HZ)
+    turn = np.exp(-2j * np.pi * frequency_hz * np.arange(round(seconds * RATE_HZ)) / RATE_HZ)
+    force, velocity = result.torque_n[first:] @ turn, result.velocity_m_per_s[:, first:] @ turn
+    return (force / velocity).real
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.25, 1.0])
+@pytest.mark.parametrize("damping", [0.3, 2.0])
+def test_stiffness_becomes_active_where_colgate_and_schenkel_say(damping, delay):
+    """b = K (T / 2 + d T): Re Z of a sampled spring is affine in K; from two stable K it crosses 0 there, within 2 %."""
+    expected = damping / (T / 2 + delay * T)
+    near, far = 0.4 * expected, 0.8 * expected
+    low, high = resistance(rigid(damping, delay=delay), [[near, 0.0, 0.0], [far, 0.0, 0.0]], 8.0)
+    assert low > high > 0.0
+    assert near + (far - near) * low / (low - high) == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.5, 1.0])
+def test_filtered_damping_and_mass_cost_what_the_baseband_theorem_says(delay):
+    """Multisine below 480 Hz, so that no pair shares an image: min Re Z = b - what the environment needs, within 2 %."""
+    trials = [[0.0, 1.0, 0.0], [0.0, 0.0, -0.002], [0.0, 0.0, 0.005], [50.0, 0.7, 0.002]]
+    drive = Excitation("multisine", force_n=0.2, band_hz=480.0, period_s=1.024)
+    result = simulate(rigid(1.0, delay=delay), trials, 10 * 1.024, 2, excitation=drive, keep="records")
+    force, velocity = np.fft.rfft(result.torque_n[-4096:]), np.fft.rfft(result.velocity_m_per_s[:, -4096:], axis=1)
+    least = (force[2:470] / velocity[:, 2:470]).real.min(axis=1)
+    needed, _ = required_damping(trials, delay_periods=delay, baseband=True)
+    assert 1.0 - least == pytest.approx(needed, rel=0.02)
+
+
+def test_no_energy_comes_out_just_below_the_limit():
+    """The same by energy alone: a sine at 8 Hz for a minute against K 2 % inside the limit 2 b / T; 2 % outside it grows."""
+    torque = 0.2 * np.sin(2 * np.pi * 8.0 * np.arange(RATE_HZ) / RATE_HZ)
+    limit = 2 * 0.3 / T
+    result = simulate(rigid(0.3), [[0.98 * limit, 0, 0], [1.02 * limit, 0, 0]], 60.0, excitation=torque, filters=RAW)
+    assert result.min_energy_j[0] >= 0.0
+    assert result.work_j[0] > 0.0
+    assert result.sigma_v_m_per_s[1] > 100.0 * result.sigma_v_m_per_s[0]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    mass_kg=st.floats(1e-3, 0.1), stiffness=SIZES, damping=SIZES, mass=SIZES, delay=st.sampled_from([0.0, 0.125, 1.0]),
+    spare=st.floats(1.01, 3.0), coulomb=st.sampled_from([None, 0.01, 0.1]), seed=st.integers(0, 2**32 - 1),
+)  # fmt: skip
+def test_passive_scene_never_creates_energy(mass_kg, stiffness, damping, mass, delay, spare, coulomb, seed):
+    """Random rigid devices with more damping than the lifted theorem asks for, stable because nothing in them is negative."""
+    kbm = [2000.0 * stiffness, 5.0 * damping, 0.5 * mass_kg * mass]
+    needed, _ = required_damping([kbm], delay_periods=delay)
+    friction = () if coulomb is None else (Coulomb(rotor_n=coulomb),)
+    model = rigid(spare * float(needed[0]) + 1e-3, *friction, delay=delay, mass_kg=mass_kg)
+    excitation = Excitation("noise", psd_n2_per_hz=2.5e-5)
+    result = simulate(model, [kbm], 2.0, seed % 2**31, excitation=excitation)
+    assert not result.diverged.any()
+    assert result.min_energy_j[0] >= -1e-12 * result.work_j[0]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    stiffness=st.floats(-1e4, 1e5), damping=st.floats(-50.0, 200.0), mass=st.floats(-0.1, 0.5), level=st.sampled_from([0.0, 1.74]),
+    strength=st.floats(0.0, 1e3), dtype=st.sampled_from(["f32", "f64"]),
+)  # fmt: skip
+def test_wildest_scene_never_shows_a_nan(stiffness, damping, mass, level, strength, dtype):
+    """Whatever is rendered, with friction, counts and the limit, or without any: numbers, and a time of divergence."""
+    for extra in ((DRY, COUNTS, LIMIT), ()):
+        result = simulate(
+            device(*STAR, *extra), [[stiffness, damping, mass]] * 2, 0.5, excitation=strength * LOUD, damping=level, dtype=dtype,
+            keep="ticks",
+        )  # fmt: skip
+        for name in ("velocity_m_per_s", "force_n", "position_m", "sigma_v_m_per_s", "max_force_n", "work_j", "min_energy_j"):
+            assert np.isfinite(getattr(result, name)).all()
+        assert ((result.diverged_at_s <= 0.5) | ~result.diverged).all()
