@@ -1,0 +1,123 @@
+"""The machine as the checks see it: files below a root, and facts about this process that no file tells."""
+
+import grp
+import gzip
+import os
+import resource
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+UNLIMITED = resource.RLIM_INFINITY
+CAP_IPC_LOCK, CAP_SYS_NICE = 14, 23
+
+
+@dataclass(frozen=True)
+class Machine:
+    """`limits` are (soft, hard) of rtprio, memlock [bytes] and rttime [us]; `capabilities` is the effective bit mask."""
+
+    root: Path
+    uid: int
+    groups: frozenset[str]
+    limits: dict[str, tuple[int, int]]
+    capabilities: int
+    cores: frozenset[int]
+    clock_resolution_s: float
+    may_write: Callable[[Path], bool]
+    free_bytes: Callable[[Path], int]
+
+    def text(self, path: str) -> str | None:
+        """Content of a file without blanks at its ends; None if it cannot be read."""
+        try:
+            return (self.root / path).read_text(errors="replace").strip()
+        except OSError:
+            return None
+
+    def number(self, path: str) -> int | None:
+        """The first word of a file as an integer; None if there is none."""
+        try:
+            return int((self.text(path) or "").split()[0])
+        except (IndexError, ValueError):
+            return None
+
+    def find(self, pattern: str) -> Iterator[Path]:
+        """Paths below the root that match, in order."""
+        return iter(sorted(self.root.glob(pattern)))
+
+    def capable(self, bit: int) -> bool:
+        """Whether this process has the capability."""
+        return bool(self.capabilities >> bit & 1)
+
+    def limit(self, name: str) -> float:
+        """Soft limit; infinity if there is none."""
+        return _plain(self.limits[name][0])
+
+    def hard_limit(self, name: str) -> float:
+        """Hard limit; infinity if there is none."""
+        return _plain(self.limits[name][1])
+
+    def kernel_option(self, name: str) -> str:
+        """Value of CONFIG_<name> in the running kernel: y, m, a number, n when it is not set, empty when nothing tells."""
+        config = self._kernel_config()
+        for line in config.splitlines():
+            if line.startswith(f"CONFIG_{name}="):
+                return line.partition("=")[2]
+        return "n" if config else ""
+
+    def _kernel_config(self) -> str:
+        try:
+            return gzip.decompress((self.root / "proc/config.gz").read_bytes()).decode()
+        except OSError:
+            return self.text(f"boot/config-{self.text('proc/sys/kernel/osrelease')}") or ""
+
+    def boot_option(self, name: str) -> str | None:
+        """Value of `name` on the kernel command line: empty if it stands there without one, None if it does not."""
+        words = (self.text("proc/cmdline") or "").split()
+        found = [word.partition("=")[2] for word in words if word.partition("=")[0] == name]
+        return found[-1] if found else None
+
+
+def this_machine() -> Machine:
+    """The one we run on."""
+    return Machine(
+        root=Path("/"),
+        uid=os.getuid(),
+        groups=frozenset(filter(None, map(_group_name, {os.getgid(), *os.getgroups()}))),
+        limits={name: resource.getrlimit(number) for name, number in _LIMITS.items()},
+        capabilities=_effective_capabilities(),
+        cores=frozenset(os.sched_getaffinity(0)),
+        clock_resolution_s=time.clock_getres(time.CLOCK_MONOTONIC),
+        may_write=lambda path: os.access(path, os.W_OK),
+        free_bytes=lambda path: shutil.disk_usage(path).free,
+    )
+
+
+# RLIMIT_RTTIME is 15 on every Linux but is missing in the module
+_LIMITS = {"rtprio": resource.RLIMIT_RTPRIO, "memlock": resource.RLIMIT_MEMLOCK, "rttime": 15}
+
+
+def _plain(limit: int) -> float:
+    return float("inf") if limit == UNLIMITED else limit
+
+
+def _group_name(number: int) -> str:
+    try:
+        return grp.getgrgid(number).gr_name
+    except KeyError:
+        return ""
+
+
+def _effective_capabilities() -> int:
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next((int(line.split()[1], 16) for line in lines if line.startswith("CapEff:")), 0)
+
+
+def cores_in(text: str) -> frozenset[int]:
+    """The numbers in a list of the kernel: "1,3-5" -> {1, 3, 4, 5}."""
+    found: set[int] = set()
+    for part in filter(None, text.strip().split(",")):
+        first, _, last = part.partition("-")
+        found.update(range(int(first), int(last or first) + 1))
+    return frozenset(found)

@@ -1,0 +1,100 @@
+"""How late this machine wakes a process that has the servo's rights: `python -m hapticd.doctor.wake SECONDS PRIORITY [CORE]`.
+
+The same question as `cyclictest -m -p PRIORITY -i 1000`: locked memory, SCHED_FIFO, one core, absolute deadlines, and the
+time from deadline to waking in whole microseconds. No spin here; the servo's own spin hides what is below `spin_us`.
+In a process of its own, so that no right sticks to the caller. Prints one JSON object: granted, histogram_us.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections import Counter
+from typing import Any
+
+from hapticd.doctor.asked import Asked
+from hapticd.doctor.finding import Finding, fail, ok, warn
+from hapticd.params import RealtimeParams
+from hapticd.servo import host
+from hapticd.servo.wait import Wait, first_deadline, spinning_wait
+from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US, US_PER_S
+
+PERIOD_NS = NS_PER_MS
+PRIORITY = 80
+QUANTILES = {"p50_us": 0.5, "p99_us": 0.99, "p999_us": 0.999, "max_us": 1.0}
+PATIENCE_S = 30.0
+
+
+def latencies_us(wait: Wait, now_ns: int, count: int) -> Counter[int]:
+    """How often each latency [us, rounded down] occurred in `count` wakes from `now_ns` on; a late wake drops whole periods."""
+    found: Counter[int] = Counter()
+    deadline_ns = first_deadline(now_ns, PERIOD_NS)
+    for _ in range(count):
+        woken_ns = wait(deadline_ns, _nothing)
+        found[(woken_ns - deadline_ns) // NS_PER_US] += 1
+        deadline_ns += PERIOD_NS * ((woken_ns - deadline_ns) // PERIOD_NS + 1)
+    return found
+
+
+def _nothing() -> None:
+    """There is no tick to rehearse."""
+
+
+def quantiles(histogram: dict[int, int]) -> dict[str, int]:
+    """p50, p99, p99.9 and maximum of a histogram {us: count}."""
+    total, found = sum(histogram.values()), {}
+    for name, share in QUANTILES.items():
+        below = 0
+        for us in sorted(histogram):
+            below += histogram[us]
+            if below >= share * total:
+                found[name] = us
+                break
+    return found
+
+
+def measure(seconds: float, core: int | None) -> dict[str, Any]:
+    """Run the worker; {granted, histogram_us: {us: count}, quantiles}. OSError or ValueError when it could not run."""
+    command = [sys.executable, "-P", "-m", __name__, str(seconds), str(PRIORITY), *([] if core is None else [str(core)])]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=seconds + PATIENCE_S)
+    if done.returncode:
+        raise OSError((done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1])
+    found: dict[str, Any] = json.loads(done.stdout)
+    found["histogram_us"] = {int(us): count for us, count in found["histogram_us"].items()}
+    return found | quantiles(found["histogram_us"])
+
+
+def judge(found: dict[str, Any], asked: Asked) -> Finding:
+    """The measured histogram as a line."""
+    name, count = "wake-up", sum(found["histogram_us"].values())
+    shown = "p50 {p50_us} us, p99 {p99_us} us, p99.9 {p999_us} us, max {max_us} us".format(**found)
+    fifo: str = found["granted"].get("fifo", "not asked")
+    with_rights = fifo == "granted"
+    text = f"{shown} over {count} wakes, {'SCHED_FIFO ' + str(PRIORITY) if with_rights else 'without SCHED_FIFO'}"
+    spin_us, period_us = asked.realtime.spin_us, US_PER_S / asked.realtime.rate_hz
+    if found["p99_us"] > period_us / 2:
+        return fail(
+            name, text, f"one wake in a hundred is more than half a period ({period_us / 2:g} us) late", "see the lines above"
+        )
+    if found["p99_us"] > spin_us:
+        why = f"one wake in a hundred is later than the {spin_us:g} us that the servo spins ahead of its deadline"
+        return warn(name, text, why, f"see the lines above; or realtime.spin_us = {found['p99_us'] // 10 * 10 + 20}")
+    if not with_rights:
+        return warn(name, text, f"good while the machine is idle; {fifo}", "see the rtprio limit above")
+    return ok(name, text)
+
+
+def main(arguments: list[str]) -> int:
+    """The worker; the exit code."""
+    seconds, priority, *core = arguments
+    granted = host.prepare(RealtimeParams(priority=int(priority), core=int(core[0]) if core else None))
+    wait, count = spinning_wait(0, PERIOD_NS), max(1, round(float(seconds) * NS_PER_S / PERIOD_NS))
+    found = latencies_us(wait, time.monotonic_ns(), count)
+    host.relax()
+    os.write(1, json.dumps({"granted": granted, "histogram_us": found}).encode())
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))

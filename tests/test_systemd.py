@@ -1,0 +1,330 @@
+"""The units, as systemd's own tools judge them; the promises they make; what the processes tell systemd."""
+
+import json
+import os
+import re
+import shutil
+import signal
+import socket
+import struct
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from hapticd.assembly import notify, resolve, sentinel, system_files
+from hapticd.assembly.child import RESTARTS_MAX, WINDOW_NS
+from hapticd.cli.app import main
+from hapticd.clock import VirtualClock
+from hapticd.errors import ConfigError
+from hapticd.mailbox import files, layout
+from hapticd.params import RealtimeParams, UsbParams
+from hapticd.settings.load import Override, load
+from hapticd.settings.resources import shipped
+from hapticd.units import NS_PER_S
+
+UNITS = ("hapticd-servo.service", "hapticd-gateway.service", "hapticd.target")
+SERVICES = UNITS[:2]
+EXPOSURE_LIMIT = 3.0
+DEADLINE_S = 60.0
+
+
+def tool(name: str) -> str:
+    found = shutil.which(name)
+    if found is None:
+        pytest.fail(f"{name} is missing; install it with `make deps`")
+    return found
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Everything installed below a folder of its own."""
+    folder = tmp_path_factory.mktemp("root")
+    system_files.write_below(folder, system_files.system_files(UsbParams()))
+    return folder
+
+
+def unit(root: Path, name: str) -> dict[str, list[str]]:
+    """All values by key, sections thrown together."""
+    found: dict[str, list[str]] = {}
+    for line in (root / system_files.PLACES[name]).read_text().splitlines():
+        if line and line[0] not in "#[":
+            key, _, value = line.partition("=")
+            found.setdefault(key, []).append(value)
+    return found
+
+
+# --- what systemd thinks of them --------------------------------------------------------------------------------------
+
+
+def test_units_verify_without_a_word(root: Path) -> None:
+    paths = [str(root / system_files.PLACES[name]) for name in UNITS]
+    done = subprocess.run([tool("systemd-analyze"), "verify", "--man=no", *paths], capture_output=True, text=True)
+    said = [line for line in (done.stdout + done.stderr).splitlines() if "hapticd" in line]
+    assert (done.returncode, said) == (0, [])
+
+
+@pytest.mark.parametrize("name", SERVICES)
+def test_exposure_is_at_most_three(root: Path, name: str) -> None:
+    path = str(root / system_files.PLACES[name])
+    done = subprocess.run([tool("systemd-analyze"), "security", "--offline=true", path], capture_output=True, text=True)
+    level = re.search(r"Overall exposure level for \S+: (\d+\.\d+)", done.stdout)
+    assert level is not None, done.stdout + done.stderr
+    assert float(level[1]) <= EXPOSURE_LIMIT
+
+
+def test_user_and_folders_can_be_made(tmp_path: Path) -> None:
+    system_files.write_below(tmp_path, system_files.system_files(UsbParams()))
+    subprocess.run([tool("systemd-sysusers"), f"--root={tmp_path}"], check=True, capture_output=True)
+    assert (tmp_path / "etc/passwd").read_text().startswith("hapticd:x:")
+    if os.getuid() == 0:
+        subprocess.run([tool("systemd-tmpfiles"), f"--root={tmp_path}", "--create", "hapticd.conf"], check=True)
+        assert (tmp_path / "var/lib/hapticd/flights").stat().st_mode & 0o777 == 0o750
+
+
+# --- what they promise -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", SERVICES)
+def test_restarts_are_those_of_the_supervisor(root: Path, name: str) -> None:
+    found = unit(root, name)
+    assert found["Restart"] == ["on-failure"]
+    assert int(found["StartLimitBurst"][0]) - 1 == RESTARTS_MAX
+    assert int(found["StartLimitIntervalSec"][0]) * NS_PER_S == WINDOW_NS
+    assert found["RestartPreventExitStatus"] == [str(ConfigError.exit_code)]
+
+
+@pytest.mark.parametrize("name", SERVICES)
+def test_runtime_folder_is_shared_and_closed(root: Path, name: str) -> None:
+    found = unit(root, name)
+    assert Path("/run", found["RuntimeDirectory"][0]) == files.SERVICE_FOLDER
+    assert found["RuntimeDirectoryMode"] == ["0750"]
+    assert found["RuntimeDirectoryPreserve"] == ["yes"]
+    assert found["User"] == found["Group"] == ["hapticd"]
+
+
+@pytest.mark.parametrize("name", SERVICES)
+def test_configuration_is_resolved_before_each_start(root: Path, name: str) -> None:
+    found = unit(root, name)
+    assert found["ExecStartPre"] == [f"{sys.executable} -I -m hapticd config resolve"]
+    assert found["Type"] == ["notify"]
+    assert found["WatchdogSec"] == ["5"]
+
+
+def test_servo_has_rights_for_its_priority(root: Path) -> None:
+    found = unit(root, "hapticd-servo.service")
+    assert int(found["LimitRTPRIO"][0]) >= RealtimeParams().priority
+    assert found["LimitRTTIME"] == found["LimitMEMLOCK"] == ["infinity"]
+    assert not {"RestrictRealtime", "PrivateDevices", "CPUSchedulingPolicy"} & set(found)
+    assert found["NotifyAccess"] == ["all"]
+
+
+def test_gateway_talks_to_this_machine_alone(root: Path) -> None:
+    found = unit(root, "hapticd-gateway.service")
+    assert found["IPAddressDeny"] == ["any"]
+    assert found["IPAddressAllow"] == ["localhost"]
+    assert found["NotifyAccess"] == ["main"]
+
+
+def test_target_starts_both(root: Path) -> None:
+    assert unit(root, "hapticd.target")["Wants"] == [" ".join(SERVICES)]
+    assert all(unit(root, name)["PartOf"] == ["hapticd.target"] for name in SERVICES)
+
+
+def test_udev_rule_names_the_configured_board() -> None:
+    rule = system_files.system_files(UsbParams(vendor_id=0x16C0, product_id=0x04D2))["etc/udev/rules.d/70-hapticd.rules"]
+    assert rule.count('ATTR{idVendor}=="16c0", ATTR{idProduct}=="04d2"') == 2
+    assert 'GROUP="hapticd", MODE="0660", TAG+="uaccess"' in rule
+    assert 'ATTR{power/control}="on"' in rule
+    assert 'KERNEL=="cpu_dma_latency"' in rule
+
+
+def test_no_template_word_is_left() -> None:
+    assert not [place for place, content in system_files.system_files(UsbParams()).items() if re.search(r"@[A-Z]+@", content)]
+
+
+def test_every_template_has_a_place() -> None:
+    assert {path.name for path in shipped("systemd").iterdir()} == set(system_files.PLACES)
+
+
+# --- install-system ----------------------------------------------------------------------------------------------------
+
+
+def test_print_shows_every_file(runtime: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["install-system", "--print"]) == 0
+    shown = capsys.readouterr().out
+    assert [line[7:] for line in shown.splitlines() if line.startswith("# === /")] == list(system_files.PLACES.values())
+
+
+def test_root_receives_every_file_and_nothing_else(runtime: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["install-system", "--root", str(tmp_path), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    there = {str(path) for path in tmp_path.rglob("*") if path.is_file()}
+    assert set(told["files"]) == there == {str(tmp_path / place) for place in system_files.PLACES.values()}
+    assert told["next"][-1] == "systemctl enable --now hapticd.target"
+
+
+@pytest.mark.parametrize("words", [[], ["--print", "--root", "/tmp"]])
+def test_print_or_root_must_be_said(words: list[str], runtime: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["install-system", *words]) == 2
+    assert "one of --print and --root DIR" in capsys.readouterr().err
+
+
+def test_root_that_cannot_be_written_says_so(tmp_path: Path) -> None:
+    (tmp_path / "etc").write_text("a file where a folder should be")
+    with pytest.raises(
+        ConfigError, match=r"etc/systemd/system/hapticd-servo\.service: .*; write elsewhere with --root DIR, or as root"
+    ):
+        system_files.write_below(tmp_path, system_files.system_files(UsbParams()))
+
+
+def test_interpreter_in_a_home_is_warned_about(tmp_path: Path) -> None:
+    (tmp_path / "python").symlink_to("/root/.pyenv/versions/3.11/bin/python")
+    assert system_files.hidden_interpreter(str(tmp_path / "python")).startswith("/root/.pyenv")
+    assert "install hapticd into /opt/hapticd" in system_files.hidden_interpreter("/home/lab/venv/bin/python")
+    assert system_files.hidden_interpreter("/opt/hapticd/bin/python") == ""
+
+
+# --- where clients find the service ------------------------------------------------------------------------------------
+
+
+def test_client_finds_the_service_when_alone(runtime: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    service = runtime / "service"
+    monkeypatch.setattr(files, "SERVICE_FOLDER", service)
+    assert files.daemon_folder() == files.runtime_folder()
+    service.mkdir()
+    assert files.daemon_folder() == service
+    assert files.daemon_folder("rig-2") == files.runtime_folder("rig-2")
+    files.runtime_folder().mkdir(exist_ok=True)
+    (files.runtime_folder() / files.COMMAND_SOCKET).touch()
+    assert files.daemon_folder() == files.runtime_folder()
+
+
+# --- what systemd hears -------------------------------------------------------------------------------------------------
+
+
+class Service:
+    """systemd's end of the notification socket: (pid of the sender, its lines)."""
+
+    def __init__(self, address: str) -> None:
+        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
+        self.socket.settimeout(DEADLINE_S)
+        self.socket.bind(address)
+
+    def hear(self) -> tuple[int, list[str]]:
+        text, ancillary, _, _ = self.socket.recvmsg(4096, socket.CMSG_SPACE(struct.calcsize("3i")))
+        (pid, _, _) = struct.unpack("3i", ancillary[0][2])
+        return pid, text.decode().splitlines()
+
+
+@pytest.fixture
+def service(runtime: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Service]:
+    address = str(runtime / "notify")
+    monkeypatch.setenv("NOTIFY_SOCKET", address)
+    found = Service(address)
+    yield found
+    found.socket.close()
+
+
+def test_notify_without_systemd_is_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
+    notify.notify("READY=1")
+
+
+def test_notify_sends_one_datagram(service: Service) -> None:
+    notify.notify("READY=1", "STATUS=fine")
+    assert service.hear() == (os.getpid(), ["READY=1", "STATUS=fine"])
+
+
+def test_notify_knows_abstract_addresses(monkeypatch: pytest.MonkeyPatch) -> None:
+    name = f"hapticd-test-{os.getpid()}"
+    listener = Service(f"\0{name}")
+    monkeypatch.setenv("NOTIFY_SOCKET", f"@{name}")
+    notify.notify("READY=1")
+    assert listener.hear()[1] == ["READY=1"]
+    listener.socket.close()
+
+
+def test_feeder_feeds_four_times_a_limit(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("WATCHDOG_USEC", "4000000")
+    clock = VirtualClock(NS_PER_S)
+    feeder = notify.Feeder(clock)
+    for _ in range(40):
+        feeder.feed()
+        clock.advance_ns(NS_PER_S // 10)
+    notify.notify("end")
+    heard = [service.hear()[1][0] for _ in range(5)]
+    assert heard == ["WATCHDOG=1"] * 4 + ["end"]
+
+
+def test_feeder_without_a_watchdog_is_silent(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("WATCHDOG_USEC", raising=False)
+    notify.Feeder(VirtualClock(NS_PER_S)).feed()
+    notify.notify("end")
+    assert service.hear()[1] == ["end"]
+    assert sentinel.start_sentinel(Path("/nowhere")) is None
+
+
+def test_sentinel_feeds_only_while_the_head_advances() -> None:
+    heads = iter([7, 7, 8, 9, 9, 9, 12, 12])
+    fed: list[int] = []
+    clock = VirtualClock()
+    sentinel.watch(lambda: next(heads), lambda: fed.append(clock.now_ns() // NS_PER_S), clock, NS_PER_S, looks=7)
+    assert fed == [2, 3, 6]
+
+
+def test_sentinel_without_a_ring_says_so(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    arguments = [sys.executable, "-m", "hapticd.assembly.sentinel", str(tmp_path), "--parent", str(os.getpid())]
+    assert subprocess.run(arguments).returncode == 1
+    assert "hapticd sentinel:" in capfd.readouterr().err
+
+
+@contextmanager
+def servo_process(folder: Path, environment: dict[str, str]) -> Iterator[subprocess.Popen[bytes]]:
+    settings = load(shipped("config") / "hapticd.toml", (Override(("realtime", "mode"), "off", "test"),))
+    written = resolve.write(folder, settings, files.DEFAULT_INSTANCE)
+    command = [
+        sys.executable,
+        "-m",
+        "hapticd.assembly.servo_main",
+        *(str(written[name]) for name in (files.SERVO_JSON, files.BOARD_JSON)),
+    ]
+    process = subprocess.Popen(command, env={**os.environ, **environment})
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait(DEADLINE_S)
+
+
+@pytest.mark.process
+def test_servo_under_systemd_tells_its_life(service: Service) -> None:
+    with servo_process(files.runtime_folder(), {"WATCHDOG_USEC": "200000"}) as servo:
+        assert service.hear() == (servo.pid, ["STATUS=looking for the board"])
+        assert service.hear() == (servo.pid, ["READY=1", "STATUS=1000 Hz, SIMULATED"])
+        feeder, lines = service.hear()
+        assert lines == ["WATCHDOG=1"]
+        assert feeder != servo.pid
+        assert os.sched_getscheduler(feeder) == os.SCHED_OTHER
+        servo.send_signal(signal.SIGTERM)
+        assert servo.wait(DEADLINE_S) == 0
+        heard = [(feeder, ["WATCHDOG=1"])]
+        while heard[-1][1] == ["WATCHDOG=1"]:
+            heard.append(service.hear())
+        assert heard[-1] == (servo.pid, ["STOPPING=1"])
+
+
+@pytest.mark.process
+def test_ring_of_a_live_servo_moves_for_the_sentinel(service: Service) -> None:
+    with servo_process(files.runtime_folder(), {"WATCHDOG_USEC": "0"}):
+        while "READY=1" not in service.hear()[1]:
+            pass
+        ring = files.open_map(files.runtime_folder() / files.TELEMETRY, layout.TELEMETRY_BYTES, writable=False)
+        words = memoryview(ring).cast("Q")
+        first = words[layout.TELEMETRY_HEAD_WORD]
+        while words[layout.TELEMETRY_HEAD_WORD] == first:
+            pass
