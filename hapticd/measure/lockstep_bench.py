@@ -1,0 +1,120 @@
+"""A daemon on virtual time that a trial can be flown on: servo, wire, pyusb and simulated board, faster than real time.
+
+It answers what `sources.Bench` asks in the words of `hapticd.client.Client`. The probe stream goes the whole way: frames of
+the board, the gateway's decoder, its messages, the client's decoder. What is left out are sockets and processes.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.assembly.lockstep import LockStep
+from hapticd.client.blocks import Block, BlockDecoder
+from hapticd.errors import CommandError
+from hapticd.faults import BY_NUMBER
+from hapticd.gateway.encode import Origin
+from hapticd.gateway.feed import Block as RingBlock
+from hapticd.gateway.probe import ProbeDecoder
+from hapticd.gateway.records import as_records
+from hapticd.mailbox.layout import PERTURBATION_SAMPLES, RECORD, Command, Result, State, Value
+from hapticd.params import BoardParams, ServoParams
+from hapticd.units import NS_PER_S
+
+READY_TICKS = 5
+BLOCK_TICKS = 500
+
+
+class LockStepBench:
+    """`servo` and `board` on one virtual clock, ready and disabled. Use it as a context manager."""
+
+    def __init__(self, servo: ServoParams, board: BoardParams) -> None:
+        self._servo, self._stack = servo, LockStep(servo, board, keep=False)
+        self._samples, self._seen = 0, 0
+        self._last = np.zeros(1, as_records(b"").dtype)[0]
+
+    def __enter__(self) -> Self:
+        self._stack.__enter__()
+        self._fly(READY_TICKS)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._stack.__exit__(kind, error, trace)
+
+    def status(self) -> dict[str, Any]:
+        """State, cause of a fault, temperature."""
+        fault = BY_NUMBER.get(int(self._last["fault"]))
+        return {
+            "state": State(int(self._last["state"])).name.lower(),
+            "cause": fault.cause if fault else "",
+            "winding_c": float(self._last["winding_c"]),
+            "simulated": self._servo.simulated,
+            "config_hash": self._servo.config_hash,
+        }
+
+    def set(self, *, K: float, B: float, M: float, damping: float) -> None:
+        """As `Client.set`."""
+        values = {Value.STIFFNESS: K, Value.DAMPING: B, Value.MASS: M, Value.ADDED_DAMPING: damping}
+        self._do(Command.SET, values)
+
+    def damping(self, value: Any) -> None:
+        """Switch the electrical damping "on" or "off"."""
+        self._do(Command.DAMPING, {Value.ADDED_DAMPING_ON: float(value == "on")})
+
+    def enable(self) -> None:
+        """Force on, with a gain ramp."""
+        self._do(Command.ENABLE)
+        self._fly(round(self._servo.safety.enable_ramp_s * self._servo.realtime.rate_hz) + READY_TICKS)
+
+    def disable(self) -> None:
+        """Force off."""
+        self._do(Command.DISABLE)
+
+    def wait_for(self, state: str, timeout_s: float = 10.0) -> None:
+        """CommandError unless it is in `state` now: nothing happens here by itself."""
+        if (found := self.status()["state"]) != state:
+            raise CommandError("timeout", f"state is {found!r}, not {state!r}")
+
+    def perturb_load(self, samples_n: npt.ArrayLike) -> int:
+        """Force [N] at 4 kHz, (n,)."""
+        scale = self._servo.device.probe_torque
+        force = np.asarray(samples_n, np.float64)[:PERTURBATION_SAMPLES]
+        self._stack.load_waveform([scale.to_count(value, -32768, 32767) for value in force.tolist()])
+        self._samples = force.size
+        return self._samples
+
+    def perturb_start(self, loop: bool = False) -> None:
+        """Play it."""
+        self._do(Command.PERTURB_START, {Value.SAMPLES: float(self._samples), Value.LOOP: float(loop)})
+
+    def perturb_stop(self) -> None:
+        """Stop playing."""
+        self._do(Command.PERTURB_STOP)
+
+    def stream(self, topic: str, seconds: float | None = None) -> Iterator[Block]:
+        """Blocks of the topic "probe" while time goes on."""
+        device = replace(self._servo.device)
+        gateway, client, origin = ProbeDecoder(device), BlockDecoder(), Origin(0, 0, self._servo.simulated)
+        left_ns = None if seconds is None else round(seconds * NS_PER_S)
+        while left_ns is None or left_ns > 0:
+            data = self._fly(BLOCK_TICKS)
+            records = as_records(data)
+            for payload in gateway.messages(RingBlock(1, self._seen, 0, data, records), origin):
+                yield client.decode(payload)
+            self._seen += len(records)
+            if left_ns is not None:
+                left_ns -= round(BLOCK_TICKS / self._servo.realtime.rate_hz * NS_PER_S)
+
+    def _do(self, kind: Command, values: dict[Value, float] | None = None) -> None:
+        answer = self._stack.do(kind, values)
+        if answer.result not in (Result.APPLIED, Result.SCHEDULED, Result.SUPERSEDED):
+            raise CommandError(answer.result.name.lower(), f"the servo refused {kind.name.lower()}: {answer.result.name.lower()}")
+        self._fly(1)
+
+    def _fly(self, ticks: int) -> bytes:
+        data = self._stack.run(ticks)
+        self._last = as_records(data[-RECORD.size :])[-1]
+        return data

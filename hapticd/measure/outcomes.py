@@ -1,0 +1,172 @@
+"""Many trials at once by the batch engine, each reduced to what a campaign keeps: verdict, margins, Z at some 120 frequencies.
+
+A task travels as parameters and comes back as 5 kB a trial, so it may run in a thread or in another process; the same task
+gives the same outcome wherever it runs. `passes` is the paper's rule: all phases within +-90 degrees, the loop calm, the
+command not at its end. `answer` is the verdict with its intervals. A trial that diverged has no spectra.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from math import inf, nan
+from typing import Any
+
+import numpy as np
+
+from hapticd import __version__
+from hapticd.analysis.arrays import Floats
+from hapticd.analysis.diagnostics import examine
+from hapticd.analysis.envelope import Envelope, Trial, of_trial, widened
+from hapticd.analysis.impedance import Impedance, impedance
+from hapticd.analysis.passivity import DEFAULT_BAND_HZ, judge
+from hapticd.analysis.spa import spa
+from hapticd.analysis.verdict import Amplitude, Margin, Verdict
+from hapticd.errors import AnalysisError
+from hapticd.measure.scenes import free_of_walls, frequencies
+from hapticd.measure.store import fingerprint
+from hapticd.plant.compose import compose
+from hapticd.plant.scene import Excitation, Scene
+from hapticd.sim.engine import BatchResult, simulate
+
+TOGETHER = 16  # trials of a task
+FREQUENCIES = 120
+KEPT_BAND_HZ = (2.0, 1000.0)
+NOISE = Excitation("noise")
+FORMAT = 1  # of an outcome; part of its key
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """What all trials of a campaign share but K, B, M and the damping level."""
+
+    scene: Scene
+    seconds: float = 90.0
+    excitation: Excitation = NOISE
+    band_hz: tuple[float, float] = DEFAULT_BAND_HZ
+    confidence: float = 0.95
+    substeps: int = 4
+    dtype: str = "f32"
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """One trial; `z` (F, 2) real and imaginary part [N s/m] and `relative_sd` (F,) at `kept_frequencies()`, empty if diverged."""
+
+    environment: tuple[float, float, float]
+    damping_ns_per_m: float
+    answer: str
+    passes: bool
+    margin_ns_per_m: float
+    margin_lower: float
+    margin_upper: float
+    margin_deg: float
+    worst_hz: float
+    velocity_sd: float
+    max_force_n: float
+    z: Floats
+    relative_sd: Floats
+
+
+@lru_cache
+def kept_frequencies() -> Floats:
+    """Frequencies (F,) of `Outcome.z`."""
+    return frequencies(KEPT_BAND_HZ, FREQUENCIES)
+
+
+def key_of(conditions: Conditions, shared: str, damping_ns_per_m: float, environment: tuple[float, float, float]) -> str:
+    """Key of a trial in a store; `shared` is `fingerprint(conditions)`, the same for all of a campaign."""
+    return fingerprint((FORMAT, __version__, shared, damping_ns_per_m, environment))[:32]
+
+
+def fly(conditions: Conditions, damping_ns_per_m: float, points: Floats) -> list[Outcome]:
+    """Simulate and judge trials under `points` (n, 3). ConfigError as `simulate`, AnalysisError as `judge`."""
+    found = simulate(
+        conditions.scene, points, conditions.seconds, conditions.excitation.seed, damping=damping_ns_per_m,
+        environment=free_of_walls(conditions.scene), excitation=conditions.excitation, start=(0.0, 0.0),
+        substeps=conditions.substeps, dtype=conditions.dtype, keep="records",
+    )  # fmt: skip
+    limit_n = compose(conditions.scene).force_limit_n or inf
+    return [_outcome(conditions, damping_ns_per_m, found, trial, limit_n) for trial in range(len(points))]
+
+
+def _outcome(conditions: Conditions, damping: float, found: BatchResult, trial: int, limit_n: float) -> Outcome:
+    k, b, m = (float(value) for value in found.params[trial])
+    most, sd = float(found.max_force_n[trial]), float(found.sigma_v_m_per_s[trial])
+    if found.diverged[trial]:
+        nothing = np.empty(0)
+        return Outcome((k, b, m), damping, "not_passive", False, nan, nan, nan, nan, nan, sd, most, nothing, nothing)
+    force, velocity = (np.asarray(channel, np.float64) for channel in found.record(trial))
+    spectra = spa(force, velocity, found.rate_hz)
+    verdict = judge(spectra, examine(force, velocity, found.rate_hz), conditions.band_hz, conditions.confidence, channels=False)
+    saturated = most >= limit_n * (1.0 - 1e-6)
+    z, shown = impedance(spectra), np.isin(spectra.frequency_hz, kept_frequencies())
+    return Outcome(
+        environment=(k, b, m),
+        damping_ns_per_m=damping,
+        answer="undecided" if saturated and verdict.answer == "passive" else verdict.answer,
+        passes=verdict.within_90_deg and verdict.stability != "unstable" and not saturated,
+        margin_ns_per_m=verdict.margin_ns_per_m.value,
+        margin_lower=verdict.margin_ns_per_m.lower,
+        margin_upper=verdict.margin_ns_per_m.upper,
+        margin_deg=verdict.margin_deg.value,
+        worst_hz=verdict.margin_ns_per_m.frequency_hz,
+        velocity_sd=sd,
+        max_force_n=most,
+        z=np.column_stack((z.impedance_ns_per_m[shown].real, z.impedance_ns_per_m[shown].imag)),
+        relative_sd=z.relative_sd[shown],
+    )
+
+
+def kept(outcome: Outcome) -> dict[str, Any]:
+    """An outcome as a store keeps it."""
+    return {name: getattr(outcome, name) for name in outcome.__dataclass_fields__}
+
+
+def restored(line: Mapping[str, Any]) -> Outcome:
+    """An outcome from a store; what was not finite is nan."""
+    values: dict[str, Any] = {name: nan if value is None else value for name, value in line.items()}
+    values["environment"] = tuple(values["environment"])
+    values["z"] = np.asarray(values["z"], np.float64).reshape(-1, 2)
+    values["relative_sd"] = np.array([inf if value is None else value for value in values["relative_sd"]], np.float64)
+    return Outcome(**values)
+
+
+def envelope_of(outcomes: list[Outcome], freedom: float = 469.0) -> Envelope:
+    """The envelope over the trials that pass, each point with the trial that owns it. AnalysisError if none does."""
+    found: Envelope | None = None
+    for outcome in outcomes:
+        if outcome.passes:
+            trial = _trial(outcome, freedom)
+            found = of_trial(trial) if found is None else widened(found, trial)
+    if found is None:
+        raise AnalysisError("no trial passed: there is no envelope; begin with K = B = M = 0 and a longer trial")
+    return found
+
+
+def named(environment: tuple[float, float, float]) -> str:
+    """An environment in words."""
+    k, b, m = environment
+    return f"K {k:.4g} N/m, B {b:.3g} N s/m, M {1e3 * m:.3g} g"
+
+
+def _trial(outcome: Outcome, freedom: float) -> Trial:
+    z = outcome.z[:, 0] + 1j * outcome.z[:, 1]
+    coherence = 1.0 / (1.0 + freedom * outcome.relative_sd**2)
+    sd = np.sqrt(2.0) * outcome.relative_sd * np.abs(z)
+    nothing = np.zeros(z.size)
+    measured = Impedance(kept_frequencies(), z, sd, coherence, nothing, nothing, "spa", "probe", freedom)
+    verdict = Verdict(
+        answer="passive",
+        band_hz=KEPT_BAND_HZ,
+        confidence=nan,
+        n_frequencies=z.size,
+        margin_ns_per_m=Margin(outcome.margin_ns_per_m, outcome.margin_lower, outcome.margin_upper, outcome.worst_hz),
+        margin_deg=Margin(outcome.margin_deg, nan, nan, nan),
+        within_90_deg=True,
+        stability="stable",
+        amplitude=Amplitude(nan, outcome.velocity_sd),
+        port="probe",
+        seconds=nan,
+        seconds_needed=nan,
+    )
+    return Trial(named(outcome.environment), outcome.environment, measured, verdict)

@@ -1,0 +1,62 @@
+"""NAME.zwidth: one display's Z-width in a small JSON file that can be passed on and laid beside others.
+
+It holds the envelopes with their owners and uncertainty, the axis limits, the conditions under which they were found, and the
+hash of the device file that they belong to: a file that was edited since is another device.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from hapticd.analysis.envelope import Envelope
+from hapticd.errors import ConfigError
+from hapticd.measure.store import plain
+from hapticd.settings.load import find_device
+from hapticd.settings.resources import shipped
+
+SUFFIX, VERSION = ".zwidth", 1
+
+
+def device_hash(name: str) -> str:
+    """SHA-256 (hex) of the shipped device file `name`, or of the file of that path. ConfigError if there is none."""
+    return hashlib.sha256(find_device(name, shipped("config") / "hapticd.toml", "device").read_bytes()).hexdigest()
+
+
+def portable(
+    device: str, file_hash: str, envelopes: Iterable[tuple[float, Envelope | None]], limits: Iterable[Any], conditions: Any
+) -> dict[str, Any]:
+    """The content of such a file: `envelopes` by added damping [Ns/m], in SI units."""
+    drawn = [{"added_damping_ns_per_m": level, "envelope": found} for level, found in envelopes if found is not None]
+    return {
+        "zwidth": VERSION,
+        "device": device,
+        "device_file_sha256": file_hash,
+        "conditions": plain(conditions),
+        "limits": plain(list(limits)),
+        "envelopes": plain(drawn),
+    }
+
+
+def write_portable(path: Path, content: Mapping[str, Any]) -> Path:
+    """Write it. ConfigError if that cannot be done."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(content) + "\n")
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}; name a folder that you may write to with --out") from error
+    return path
+
+
+def read_portable(path: Path, device: str = "") -> dict[str, Any]:
+    """The content of `path`; with `device`, only if it belongs to that device file as it is now. ConfigError else."""
+    try:
+        content = dict(json.loads(path.read_text()))
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: no Z-width summary ({error})") from error
+    if content.get("zwidth") != VERSION:
+        raise ConfigError(f"{path}: version {content.get('zwidth')!r} of a Z-width summary; this program reads {VERSION}")
+    if device and content["device_file_sha256"] != device_hash(device):
+        raise ConfigError(f"{path}: made with another file of device {device!r}; measure again, or go back to that file")
+    return content

@@ -1,0 +1,134 @@
+"""The final file: compressed, with checksums, in a format that HDF5 1.8 and so every Octave and MATLAB opens.
+
+`python -m hapticd.measure.recording.pack SOURCE FINAL` in a process of its own, so that neither the recorder's memory nor
+its interpreter lock is concerned. The source may be a live file that was closed, one whose recorder died, or a flight recording.
+"""
+
+import json
+import os
+import sys
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from hapticd.errors import HapticdError
+from hapticd.measure.recording.libraries import needed
+from hapticd.measure.recording.reading import Recording, open_recording
+from hapticd.params import DeviceParams, ScaleParams
+from hapticd.units import NS_PER_S, PROBE_RATE_HZ
+
+CHUNK_ROWS, AT_ONCE = 4096, 1 << 18
+GZIP = 4
+FINAL = ".h5"
+
+
+def pack(source: Path, final: Path, recovered: bool = False) -> dict[str, Any]:
+    """Write `final` from `source`, whole or not at all; {file, records, seconds, missing, bytes}. HapticdError: it cannot be."""
+    h5py = needed("h5py", "record")
+    if final.exists():
+        raise HapticdError(f"{final} exists; move it away or choose another name")
+    fresh = final.with_name(f".{final.name}.{os.getpid()}")
+    with open_recording(source) as recording:
+        told = summary(recording)
+        try:
+            with h5py.File(fresh, "w", libver=("earliest", "v108")) as file:
+                _write(file, recording, told, recovered)
+            _synchronise(fresh)
+            fresh.replace(final)
+        except OSError as error:
+            raise HapticdError(f"{final}: {error}; free some space, then `hapticd rec recover {source}`") from error
+        finally:
+            fresh.unlink(missing_ok=True)
+    return {"file": str(final), **told, "bytes": final.stat().st_size}
+
+
+def summary(recording: Recording) -> dict[str, Any]:
+    """Records, probe samples, seconds, missing records, servo lives."""
+    rows = recording.rows["servo"]
+    ends = [int(recording.column("servo", "time_ns", row, row + 1)[0]) for row in (0, rows - 1)] if rows else [0, 0]
+    return {
+        "records": rows,
+        "probe_samples": recording.rows["probe"],
+        "seconds": (ends[1] - ends[0]) / NS_PER_S,
+        "missing": recording.missing,
+        "lives": recording.rows["life"],
+        "simulated": bool(recording.attributes["simulated"]),
+    }
+
+
+def _write(file: Any, recording: Recording, told: dict[str, Any], recovered: bool) -> None:
+    for name, value in recording.attributes.items():
+        file.attrs[name] = value
+    file.attrs["recovered"] = int(recovered)
+    file.attrs["packed_utc"] = datetime.now(UTC).isoformat()
+    file.attrs["summary"] = json.dumps(told)
+    for group, rows in recording.rows.items():
+        target = file.create_group(group)
+        for name in recording.names(group):
+            _copy(target, name, recording, group, rows)
+    for group, name, unit, values in _derived(recording):
+        if name in file[group]:  # the source was a finished file
+            continue
+        _dataset(file[group], name, values.shape, values.dtype, unit)[...] = values
+
+
+def _copy(target: Any, name: str, recording: Recording, group: str, rows: int) -> None:
+    first = recording.column(group, name, 0, 1)
+    dataset = _dataset(target, name, (rows, *first.shape[1:]), first.dtype, recording.unit(group, name))
+    for begin in range(0, rows, AT_ONCE):
+        end = min(begin + AT_ONCE, rows)
+        dataset[begin:end] = recording.column(group, name, begin, end)
+
+
+def _dataset(target: Any, name: str, shape: tuple[int, ...], kind: Any, unit: str) -> Any:
+    if shape[0]:
+        chunks = (min(CHUNK_ROWS, shape[0]), *shape[1:])
+        dataset = target.create_dataset(
+            name, shape, kind, chunks=chunks, compression="gzip", compression_opts=GZIP, shuffle=True, fletcher32=True
+        )
+    else:
+        dataset = target.create_dataset(name, shape, kind)
+    dataset.attrs["units"] = unit
+    return dataset
+
+
+def _derived(recording: Recording) -> Iterator[tuple[str, str, str, NDArray[Any]]]:
+    """What everybody computes first: seconds from the first record, and the probe's signals in SI."""
+    if recording.rows["servo"]:
+        time_ns = recording.column("servo", "time_ns")
+        yield "servo", "t_s", "s", (time_ns - time_ns[0]) / NS_PER_S
+    if recording.rows["probe"]:
+        device: DeviceParams = recording.params.device
+        scales: list[tuple[str, str, str, ScaleParams]] = [
+            ("torque", "torque_n", "N", device.probe_torque), ("velocity", "velocity_m_per_s", "m s-1", device.probe_velocity),
+        ]  # fmt: skip
+        for counts, name, unit, scale in scales:
+            yield "probe", name, unit, scale.sign * (recording.column("probe", counts) - scale.offset_count) * scale.per_count
+        index = recording.column("probe", "index")
+        yield "probe", "t_s", "s", (index - index[0]) / PROBE_RATE_HZ
+
+
+def _synchronise(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def main(arguments: list[str]) -> int:
+    """Pack in this process and print the summary as JSON; the exit code."""
+    source, final, *recovered = arguments
+    try:
+        os.write(1, json.dumps(pack(Path(source), Path(final), bool(recovered))).encode())
+    except HapticdError as error:
+        os.write(2, f"{error}\n".encode())
+        return error.exit_code
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))

@@ -1,0 +1,82 @@
+"""Where a recording comes from: device, configuration, software, machine, rights, clocks."""
+
+import hashlib
+import importlib.metadata
+import json
+import platform
+import subprocess
+import time
+import uuid
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import hapticd
+from hapticd.units import NS_PER_S
+
+SCHEMA = "hapticd-recording/1"
+LIBRARIES = ("numpy", "h5py", "pyzmq", "msgpack")
+GIT_TIMEOUT_S = 5.0
+
+
+def provenance(hello: dict[str, Any], status: dict[str, Any], header: dict[str, Any], note: str) -> dict[str, Any]:
+    """Attributes of a recording: from the daemon's hello and status, and from the header of the first block of records.
+
+    mono_ns and utc_ns are one instant on the clock of `time_ns` and in Unix time.
+    """
+    servo, now_ns = hello["servo"], time.time_ns()
+    device = servo["device"]
+    report = status.get("servo", {})
+    return {
+        "schema": SCHEMA,
+        "uuid": str(uuid.uuid4()),
+        "started_utc": datetime.fromtimestamp(now_ns / NS_PER_S, UTC).isoformat(),
+        "mono_ns": now_ns - header["mono_unix_offset_ns"],
+        "utc_ns": now_ns,
+        "simulated": int(header["simulated"]),
+        "notice": "SIMULATED: the device behind this recording was computed" if header["simulated"] else "",
+        "instance": hello["instance"],
+        "rate_hz": hello["rate_hz"],
+        "layout": header["layout"],
+        "device_name": device["name"],
+        "device_serial": device["serial"],
+        "device_hash": _digest(device),
+        "calibration": json.dumps(
+            {name: scale["date"] for name, scale in device.items() if isinstance(scale, dict) and "date" in scale}
+        ),
+        "config_hash": status.get("config_hash", servo["config_hash"]),
+        "configuration": json.dumps(servo),
+        "realtime": json.dumps(report.get("realtime", {})),
+        "board": json.dumps(report.get("board", {})),
+        "winding_c": float(status.get("winding_c", float("nan"))),
+        "hapticd_version": hapticd.__version__,
+        "hapticd_commit": commit(),
+        "server_version": hello["version"],
+        "python": platform.python_version(),
+        "libraries": json.dumps({name: importlib.metadata.version(name) for name in LIBRARIES}),
+        "kernel": f"{platform.system()} {platform.release()} {platform.version()}",
+        "cpu": processor(),
+        "note": note,
+    }
+
+
+def _digest(plain: Any) -> str:
+    return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
+
+
+def commit(folder: Path = Path(hapticd.__file__).parent) -> str:
+    """Commit of the checkout that runs, with -dirty when it was edited; empty for an installed package or without git."""
+    command = ["git", "-C", str(folder), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, timeout=GIT_TIMEOUT_S, check=True).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return ""
+
+
+def processor() -> str:
+    """Name of the processor."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.machine()
+    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine())

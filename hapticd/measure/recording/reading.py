@@ -1,0 +1,200 @@
+"""Opening what was recorded: finished files, live or crashed ones, flight recordings. One interface, columns on demand."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import msgpack
+import numpy as np
+from numpy.typing import NDArray
+
+from hapticd.assembly.replay import Leg
+from hapticd.errors import ConfigError
+from hapticd.gateway import flight_file
+from hapticd.gateway.encode import ENERGIES
+from hapticd.gateway.records import DTYPE, Records
+from hapticd.mailbox.client_side import Noted
+from hapticd.mailbox.layout import COMMAND_VALUES, LAYOUT_HASH
+from hapticd.measure.recording.channels import Columns, as_channel, columns
+from hapticd.measure.recording.libraries import needed
+from hapticd.measure.recording.live import FLUSHED, ROWS
+from hapticd.measure.recording.provenance import SCHEMA
+from hapticd.measure.recording.writer import GROUPS, REQUEST, replay_rows, table
+from hapticd.params import ServoParams, from_plain
+
+TEXT = "checkpoint_text"
+
+
+class Recording:
+    """`attributes` say where it comes from; `column(group, name)` reads one channel. Use it as a context manager."""
+
+    def __init__(
+        self, path: Path, attributes: Mapping[str, Any], groups: Mapping[str, Mapping[str, Any]], file: Any = None
+    ) -> None:
+        self.path, self.attributes, self._file = path, attributes, file
+        self._groups = {name: group for name, group in groups.items() if name != FLUSHED}
+        self.rows = {name: min(map(len, group.values()), default=0) for name, group in self._groups.items()}
+        if FLUSHED in groups:  # a live file: see `live`
+            counts = groups[FLUSHED][ROWS]
+            newest = counts[-1].tolist() if len(counts) else [0] * counts.shape[1]
+            self.rows = dict(zip(counts.attrs["groups"], newest, strict=True))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if self._file is not None:
+            self._file.close()
+
+    def names(self, group: str) -> list[str]:
+        """The channels of `group`, in the order of the records, then those that were derived."""
+        there = self._groups.get(group, {})
+        known = [channel.name for channel in GROUPS.get(group, [])]
+        return [name for name in known if name in there] + [name for name in there if name not in known]
+
+    def column(self, group: str, name: str, begin: int = 0, end: int | None = None) -> NDArray[Any]:
+        """Rows begin..end of a channel: (n,), raw frames (n, bytes)."""
+        after, stored = self.rows[group] if end is None else min(end, self.rows[group]), self._groups[group][name]
+        found = np.asarray(stored[begin:after])
+        standing = max(0, after - max(begin, len(stored)))
+        return np.concatenate([found, np.repeat(np.asarray(stored[-1:]), standing, axis=0)]) if standing else found
+
+    def unit(self, group: str, name: str) -> str:
+        """Unit of a channel; empty when it has none."""
+        channel = next((one for one in GROUPS.get(group, []) if one.name == name), None)
+        return channel.unit if channel else ""
+
+    @property
+    def params(self) -> ServoParams:
+        """The servo's parameters."""
+        return from_plain(ServoParams, json.loads(self.attributes["configuration"]), str(self.path))
+
+    @property
+    def missing(self) -> dict[str, int]:
+        """Records that are missing, by stream."""
+        streams, counts = self.column("gap", "stream"), self.column("gap", "missing")
+        return {name: int(counts[streams == name.encode()].sum()) for name in ("servo", "probe")}
+
+    def records(self, begin: int, end: int) -> Records:
+        """Rows as the records they were. ConfigError: another version recorded them."""
+        if self.attributes["layout"] != LAYOUT_HASH.hex():
+            version = self.attributes.get("server_version", "another version")
+            raise ConfigError(f"{self.path} was recorded by hapticd {version} with other records; replay it with that one")
+        found = np.empty(end - begin, DTYPE)
+        for name in DTYPE.names or ():
+            if name == "energy_j":
+                for place, part in enumerate(ENERGIES):
+                    found[name][:, place] = self.column("servo", part, begin, end)
+            elif DTYPE[name].kind == "V":
+                found[name] = np.ascontiguousarray(self.column("servo", name, begin, end)).view(DTYPE[name]).ravel()
+            else:
+                found[name] = self.column("servo", name, begin, end)
+        return found
+
+    def legs(self) -> list[Leg]:
+        """What can be flown again: for each stretch without a gap, from its first checkpoint on."""
+        found = (self._leg(*stretch) for stretch in self._stretches())
+        return [leg for leg in found if leg is not None]
+
+    def _stretches(self) -> list[tuple[int, int, int]]:
+        """(first row, row after the last, epoch) of consecutive ticks of one servo life."""
+        tick, lives = self.column("servo", "tick"), self.column("life", "row")
+        cuts = {0, len(tick), *lives.tolist(), *(np.flatnonzero(np.diff(tick) != 1) + 1).tolist()}
+        edges = sorted(cuts)
+        epochs = self.column("life", "epoch")[np.searchsorted(lives, edges[:-1], side="right") - 1]
+        return [(first, after, int(epoch)) for first, after, epoch in zip(edges[:-1], edges[1:], epochs, strict=True)]
+
+    def _leg(self, first: int, after: int, epoch: int) -> Leg | None:
+        begin_tick, end_tick = int(self.column("servo", "tick", first, first + 1)[0]), 0
+        end_tick = begin_tick + after - first
+        breaks = [tick for one, tick in self._pairs("break") if one == epoch and begin_tick <= tick < end_tick]
+        for (one, tick), state in zip(self._pairs("checkpoint"), self._states(), strict=False):
+            if one == epoch and begin_tick <= tick < end_tick:
+                end = min([end_tick, *(lost for lost in breaks if lost >= tick)])
+                row = first + tick - begin_tick
+                if end > tick:
+                    return Leg(tick, state, self.records(row, row + end - tick), self._requests(epoch, tick, end))
+        return None
+
+    def _pairs(self, group: str) -> list[tuple[int, int]]:
+        return list(zip(self.column(group, "epoch").tolist(), self.column(group, "tick").tolist(), strict=True))
+
+    def _states(self) -> list[Any]:
+        text, place, found = self.column(TEXT, "bytes").tobytes(), 0, []
+        for length in self.column("checkpoint", "length").tolist():
+            if place + length > len(text):  # cut off with the rest
+                break
+            found.append(msgpack.unpackb(text[place : place + length], strict_map_key=False))
+            place += length
+        return found
+
+    def _requests(self, epoch: int, begin: int, end: int) -> list[Noted]:
+        numbers = np.stack([self.column("request", name) for name in ("epoch", *REQUEST)], axis=1).tolist()
+        values = np.stack([self.column("request", f"value_{place:02}") for place in range(COMMAND_VALUES)], axis=1).tolist()
+        return [
+            Noted(tick=row[0], seq=row[1], kind=row[2], actor=row[3], apply_tick=row[4], values=tuple(twenty))
+            for (one, *row), twenty in zip(numbers, values, strict=True)
+            if one == epoch and begin <= row[0] < end
+        ]
+
+
+def open_recording(path: Path) -> Recording:
+    """The recording in `path`, of whatever kind. ConfigError: it is none, or cannot be read."""
+    return _flight(path) if path.suffix == flight_file.SUFFIX else _hdf5(path)
+
+
+def _hdf5(path: Path) -> Recording:
+    h5py = needed("h5py", "record")
+    if not path.is_file():
+        raise ConfigError(f"{path}: no such file; check the path")
+    try:
+        file = _opened(h5py, path)
+    except OSError as error:
+        raise ConfigError(f"{path}: {error}; it is no HDF5 file, or damaged") from error
+    if file.attrs.get("schema") != SCHEMA:
+        found = file.attrs.get("schema", "without a schema")
+        file.close()
+        raise ConfigError(f"{path} is no hapticd recording ({found}); expected {SCHEMA}")
+    names = sorted(file, key=lambda name: name != FLUSHED)  # of a file that grows meanwhile the count comes before what it counts
+    return Recording(path, dict(file.attrs), {name: dict(file[name]) for name in names}, file)
+
+
+def _opened(h5py: Any, path: Path) -> Any:
+    try:
+        return h5py.File(path, "r")
+    except OSError:  # live, or its recorder died: only a reader who knows that opens it
+        return h5py.File(path, "r", swmr=True)
+
+
+def _flight(path: Path) -> Recording:
+    header, records = flight_file.read(path)
+    attributes = {
+        "schema": SCHEMA, "started_utc": header["written_utc"], "simulated": int(header["simulated"]), "rate_hz": header["rate_hz"],
+        "note": f"flight recording: {header['reason']}", "layout": header["layout"], "configuration": json.dumps(header["servo"]),
+        "server_version": header["version"], "realtime": json.dumps(header["report"].get("realtime", {})),
+    }  # fmt: skip
+    rows: dict[str, list[dict[str, Any]]] = {
+        "gap": [{"stream": "servo", "row": row, "missing": lost} for row, lost in header["gaps"]],
+        "life": [{"row": 0, "epoch": header["epoch"], "mono_unix_offset_ns": header["mono_unix_offset_ns"]}],
+        "event": [],
+        "request": [], "break": [], "checkpoint": [],
+    }  # fmt: skip
+    for checkpoint, requests, lost in _messages(header):
+        message = {"epoch": header["epoch"], "requests": requests, "break": lost, "checkpoint": checkpoint}
+        for name, more in replay_rows(message).items():
+            rows[name] += more
+    ticks, text = columns(records), b"".join(row["text"] for row in rows["checkpoint"])
+    groups: dict[str, Columns] = {
+        "servo": {channel.name: as_channel(channel, ticks[channel.name]) for channel in GROUPS["servo"]},
+        "probe": {},
+        TEXT: {"bytes": np.frombuffer(text, "u1")},
+    }
+    return Recording(path, attributes, groups | {name: table(name, found) for name, found in rows.items()})
+
+
+def _messages(header: dict[str, Any]) -> list[tuple[Any, Any, Any]]:
+    """The header's lists as messages of topic `flight` would have brought them."""
+    states: list[tuple[Any, Any, Any]] = [(checkpoint, [], None) for checkpoint in header["checkpoints"]]
+    return [*states, (None, header["requests"], None), *((None, [], tick) for tick in header["breaks"])]

@@ -1,0 +1,126 @@
+"""The devices, trials and the rule behind `reproduce`: 90 s of white noise each, judged as the paper judged them.
+
+A trial passes if it neither ran away nor filled the force range, and if all phases of Z lie within +-90 degrees from the lower
+band edge to 500 Hz. The window's own frequencies are k 0.977 Hz, so 2 Hz is not among them; because the lag window ends in
+zeros, their values hold the whole estimate, and the edges that are asked for are read between them exactly:
+
+    Phi(w) = sum_k Phi_k D(w - w_k),   D(x) = sin(M x) / (2 M tan(x/2)),   k over the whole circle of 2 M
+
+What would break it: an edge below 1/(M T) = 1.95 Hz. It is read all the same where it is asked for, and drawn as what it is.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from math import inf
+
+import numpy as np
+
+from hapticd.analysis.arrays import Complexes, Flags, Floats
+from hapticd.analysis.linearise import Perturbation, linearise
+from hapticd.analysis.loop import Filters, close_loop
+from hapticd.analysis.predict import DEFAULT_BAND_HZ, coulomb, frequencies, predict
+from hapticd.analysis.spa import DEFAULT_LAG, spa
+from hapticd.analysis.spectra import Spectra
+from hapticd.measure.scenes import filters
+from hapticd.plant.compose import compose
+from hapticd.plant.model import Model
+from hapticd.settings.scene import load_scene
+from hapticd.sim.engine import simulate
+from hapticd.sim.engine.shape import LANES
+from hapticd.units import PROBE_RATE_HZ
+
+SCENES = {"weir2008": "fig7", "weir2008_probe_hp": "rival", "weir2008_literal": "literal"}
+MAIN = "weir2008"
+ADDED_NS_PER_M = 1.74  # Weir, Colgate and Peshkin 2008, section 5
+LEVELS = (0.0, ADDED_NS_PER_M)
+SECONDS = 90.0  # section 2.2
+SUBSTEPS = 4  # matched to what 90 s of noise leave uncertain
+TOGETHER = LANES["f64"]
+EDGES_HZ = (1.0, 2.0, 3.0, 5.0, 10.0)
+BETWEEN_HZ = (1.0, 1.5, 2.0, 2.5, 3.0, 5.0, 10.0)
+
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A device of the table: its model as composed for the trials of the paper, and the filters it was calibrated with."""
+
+    name: str
+    model: Model
+    filters: Filters
+    force_limit_n: float
+
+    def passive(self, points: Floats, level: float, band_hz: tuple[float, float] = DEFAULT_BAND_HZ) -> Flags:
+        """Predicted for environments (N, 3) at a damping level [N s/m], with the perturbation of the trials and as recorded:
+        what a high-pass of the velocity channel does to the phase counts."""
+        found = predict(self.model, points, level, self.filters, Perturbation(), band_hz).passive
+        if self.turned and found.any():
+            f, z = self.impedances(points[found], level, band_hz)
+            inside = (f >= band_hz[0]) & (f <= band_hz[1])
+            found[found] = (z.real[:, inside] >= 0.0).all(axis=1)
+        return found
+
+    def impedances(self, points: Floats, level: float, band_hz: tuple[float, float]) -> tuple[Floats, Complexes]:
+        """(frequencies (F,), Z (N, F) as recorded) by prediction; both ends of the band are among the frequencies."""
+        f = frequencies(band_hz, Perturbation())
+        loop, friction = close_loop(self.model, f, level, self.filters), coulomb(self.model)
+        found = linearise(loop, points, friction, np.zeros_like(friction), Perturbation())
+        return f, np.asarray(found.impedance * loop.recorded)
+
+    @property
+    def turned(self) -> bool:
+        """Whether the velocity channel turns the phase."""
+        recorded = close_loop(self.model, np.array([2.0]), 0.0, self.filters).recorded
+        return bool(abs(np.angle(recorded[0])) > 1e-3)
+
+
+@cache
+def subject(name: str) -> Subject:
+    """One of SCENES by the name of its device."""
+    scene = load_scene(SCENES[name])
+    model = compose(scene)
+    return Subject(name, model, filters(scene), model.force_limit_n or inf)
+
+
+def flown(
+    device: Subject, points: Floats, level: float, seed: int, seconds: float = SECONDS, dtype: str = "f64"
+) -> Iterator[Spectra | None]:
+    """Spectra of a trial of each environment (N, 3), all with the torque of `seed`; None of one that ran away or saturated."""
+    together = LANES[dtype]
+    for first in range(0, len(points), together):
+        found = simulate(
+            device.model, points[first : first + together], seconds, seed,
+            damping=level, filters=device.filters, substeps=SUBSTEPS, keep="records", dtype=dtype,
+        )  # fmt: skip
+        calm = ~found.diverged & (found.max_force_n < device.force_limit_n)
+        yield from (spa(*found.record(trial)) if good else None for trial, good in enumerate(calm))
+
+
+def passes(trial: Spectra | None, low_hz: float = DEFAULT_BAND_HZ[0]) -> bool:
+    """The paper's rule from `low_hz`, one of BETWEEN_HZ, to 500 Hz."""
+    if trial is None:
+        return False
+    inside = (trial.frequency_hz >= low_hz) & (trial.frequency_hz <= DEFAULT_BAND_HZ[1])
+    between = real_between(trial)[np.asarray(BETWEEN_HZ) >= low_hz]
+    return bool((trial.cross.real[inside] > 0.0).all() and (between > 0.0).all())
+
+
+def decided(trials: Iterable[Spectra | None], low_hz: float = DEFAULT_BAND_HZ[0]) -> Flags:
+    """`passes` of many (N,)."""
+    return np.array([passes(trial, low_hz) for trial in trials])
+
+
+def real_between(trial: Spectra) -> Floats:
+    """Real part of the cross spectrum at BETWEEN_HZ, exactly. The trial must be on the grid of the paper's window."""
+    circle = np.concatenate((trial.cross, trial.cross[-2:0:-1].conj()))
+    return np.asarray(_weights() @ circle.real)
+
+
+@cache
+def _weights() -> Floats:
+    """(len(BETWEEN_HZ), 2 M)"""
+    place = np.arange(2 * DEFAULT_LAG) * (np.pi / DEFAULT_LAG)
+    x = 2.0 * np.pi * np.asarray(BETWEEN_HZ)[:, None] / PROBE_RATE_HZ - place
+    return np.asarray(np.sin(DEFAULT_LAG * x) / (2 * DEFAULT_LAG * np.tan(0.5 * x)))

@@ -1,0 +1,97 @@
+"""The sentinel watches a trial while it runs and ends it before its time.
+
+    escape        the velocity of a second is four times that of the calm ones (the rule of `analysis.diagnostics`), or from
+                  the beginning faster than any trial: some 20 mm/s rms are usual
+    saturation    a channel stands at its end in more than a hundredth of a second's samples
+    heat          the winding is hotter than asked
+    decided       asked to stop when the verdict stands (`until_decided`), it does
+
+and says at any time how many seconds would buy the confidence that was asked for. It looks at whole seconds, so a record
+that it ends holds the second that was wrong: the verdict on that record says the same again.
+
+What would break it: a perturbation that is not stationary, such as a stepped sine; do not let it watch one.
+"""
+
+from dataclasses import dataclass
+from math import inf, nan
+
+import numpy as np
+
+from hapticd.analysis.arrays import Floats
+from hapticd.analysis.diagnostics import ESCAPE_RATIO
+from hapticd.analysis.impedance import Estimator
+from hapticd.analysis.passivity import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge
+from hapticd.analysis.spa import DEFAULT_LAG, SpectralStream
+
+CALM_SECONDS = 4  # before which nothing is known of calm
+SATURATED_SHARE = 0.01
+LOOK_S = 5.0  # between verdicts
+
+
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """What a trial is watched for. Limits are those of the channels; inf where there are none."""
+
+    band_hz: tuple[float, float] = DEFAULT_BAND_HZ
+    confidence: float = 0.95
+    estimator: Estimator = "spa"
+    force_limit_n: float = inf
+    velocity_limit_m_per_s: float = inf
+    winding_limit_c: float = inf
+    speed_limit_m_per_s: float = 0.5  # rms of a second
+    until_decided: bool = False
+
+
+class Sentinel:
+    """Fed with a record as it arrives; `reason` says why the trial should end, "" as long as it should not."""
+
+    def __init__(self, watch: Watch, rate_hz: float) -> None:
+        self.reason = ""
+        self.seconds_needed = nan  # of a record like this one, for a decision; nan before there is a verdict
+        self._watch, self._rate_hz = watch, rate_hz
+        self._stream = SpectralStream(rate_hz)
+        self._rms: list[float] = []
+        self._rest: tuple[Floats, Floats] = (np.empty(0), np.empty(0))
+        self._next_look_s = LEAST_FREEDOM * 0.375 * DEFAULT_LAG / rate_hz + 1.0
+
+    @property
+    def seconds(self) -> float:
+        """Whole seconds seen."""
+        return self._stream.n_samples / self._rate_hz
+
+    def see(self, force_n: Floats, velocity_m_per_s: Floats, winding_c: float = nan) -> str:
+        """Look at the next samples, both (n,); the reason to end, or ""."""
+        self._rest = (np.concatenate((self._rest[0], force_n)), np.concatenate((self._rest[1], velocity_m_per_s)))
+        second = round(self._rate_hz)
+        while self._rest[0].size >= second and not self.reason:
+            force, velocity = (signal[:second] for signal in self._rest)
+            self._rest = (self._rest[0][second:], self._rest[1][second:])
+            self._look_at(force, velocity)
+        if winding_c > self._watch.winding_limit_c:
+            self.reason = f"heat: the winding is at {winding_c:.3g} degC, limit {self._watch.winding_limit_c:g}; let it cool"
+        return self.reason
+
+    def _look_at(self, force: Floats, velocity: Floats) -> None:
+        self._stream.add(force, velocity)
+        rms = float(np.std(velocity))
+        for name, signal, limit in (
+            ("torque", force, self._watch.force_limit_n),
+            ("velocity", velocity, self._watch.velocity_limit_m_per_s),
+        ):
+            share = float(np.mean(np.abs(signal) >= limit))
+            if share > SATURATED_SHARE:
+                self.reason = f"saturation: {name} at its end of {limit:.4g} in {100 * share:.2g} % of a second's samples"
+        calm = float(np.quantile(self._rms, 0.25)) if len(self._rms) >= CALM_SECONDS else inf
+        if rms > min(self._watch.speed_limit_m_per_s, ESCAPE_RATIO * calm):
+            self.reason = f"escape: velocity of {rms:.3g} m/s rms after {self.seconds:.0f} s; the loop is not stable there"
+        self._rms.append(rms)
+        if not self.reason and self.seconds >= self._next_look_s:
+            self._next_look_s += LOOK_S
+            self._decide()
+
+    def _decide(self) -> None:
+        watch = self._watch
+        found = judge(self._stream.spectra(), None, watch.band_hz, watch.confidence, watch.estimator, channels=False)
+        self.seconds_needed = found.seconds_needed
+        if watch.until_decided and found.answer != "undecided":
+            self.reason = f"decided after {self.seconds:.0f} s"

@@ -1,0 +1,145 @@
+"""Where results stay: a folder for each run, and an append-only file of trials by which campaigns go on after an interruption.
+
+    run folder     run.json (verdict, conditions, provenance) and record.h5, or record.npz where h5py is not installed
+    trial store    one JSON object a line, keyed by the SHA-256 of everything that the trial's outcome depends on
+
+A line is written at once and flushed, so that Ctrl-C or a dead machine costs at most the trials in flight; a torn last line is
+not read. JSON knows no nan and no infinity: both become null, and null is read as nan.
+"""
+
+import hashlib
+import json
+import platform
+from collections.abc import Iterable, Mapping
+from dataclasses import fields, is_dataclass
+from importlib.metadata import PackageNotFoundError, version
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hapticd import __version__
+from hapticd.errors import ConfigError
+from hapticd.measure.recorded import Recorded
+
+SUMMARY, RECORD_H5, RECORD_NPZ = "run.json", "record.h5", "record.npz"
+LIBRARIES = ("numpy", "numba", "scipy", "h5py")
+
+
+def plain(value: Any) -> Any:
+    """`value` as what JSON can carry; complex numbers as pairs."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {item.name: plain(getattr(value, item.name)) for item in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(each) for key, each in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(each) for each in value]
+    if isinstance(value, complex):
+        return [plain(value.real), plain(value.imag)]
+    if isinstance(value, float):
+        return value if isfinite(value) else None
+    return value if isinstance(value, str | int | bool | None) else str(value)
+
+
+def fingerprint(value: Any) -> str:
+    """SHA-256 (hex) over the canonical JSON of `value`: equal for equal values."""
+    return hashlib.sha256(json.dumps(plain(value), sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+
+def provenance(**more: Any) -> dict[str, Any]:
+    """Versions that the numbers come from, with whatever else is told."""
+    return {"hapticd": __version__, "python": platform.python_version(), "libraries": dict(_versions()), **more}
+
+
+def _versions() -> Iterable[tuple[str, str]]:
+    for name in LIBRARIES:
+        try:
+            yield name, version(name)
+        except PackageNotFoundError:
+            continue
+
+
+def write_run(folder: Path, summary: Mapping[str, Any], recorded: Recorded | None = None) -> Path:
+    """A run folder, made if need be. ConfigError if it cannot be written to."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if recorded is not None:
+            _write_record(folder, recorded)
+        (folder / SUMMARY).write_text(json.dumps(plain(summary), indent=1) + "\n")
+    except OSError as error:
+        raise ConfigError(f"{folder}: {error.strerror}; name a folder that you may write to with --out") from error
+    return folder
+
+
+def read_summary(folder: Path) -> dict[str, Any]:
+    """The summary of a run folder. ConfigError if it is none."""
+    try:
+        found = json.loads((folder / SUMMARY).read_text())
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{folder}: no run folder ({error}); a folder with {SUMMARY} was expected") from error
+    return dict(found)
+
+
+def record_path(folder: Path) -> Path:
+    """The record of a run folder, to be read with `recorded.read_file`. ConfigError if it holds none."""
+    for name in (RECORD_H5, RECORD_NPZ):
+        if (folder / name).is_file():
+            return folder / name
+    raise ConfigError(f"{folder}: no record; {RECORD_H5} or {RECORD_NPZ} was expected")
+
+
+def _write_record(folder: Path, recorded: Recorded) -> None:
+    channels = {name: np.asarray(getattr(recorded, name), np.float32) for name in ("force_n", "velocity_m_per_s")}
+    try:
+        import h5py
+    except ImportError:
+        np.savez(
+            folder / RECORD_NPZ,
+            rate_hz=recorded.rate_hz,
+            force_n=channels["force_n"],
+            velocity_m_per_s=channels["velocity_m_per_s"],
+        )
+        return
+    with h5py.File(folder / RECORD_H5, "w") as file:
+        file["rate_hz"] = recorded.rate_hz
+        for name, values in channels.items():
+            file.create_dataset(name, data=values, chunks=True, shuffle=True, compression="gzip", compression_opts=1)
+
+
+class TrialStore:
+    """`known` outcomes by key; `add` appends. Without a path nothing is kept."""
+
+    def __init__(self, path: Path | None) -> None:
+        self._path, self.known = path, {} if path is None else dict(_read(path))
+
+    def add(self, found: Iterable[tuple[str, Mapping[str, Any]]]) -> None:
+        """Remember and write. ConfigError if the file cannot be written."""
+        lines = []
+        for key, outcome in found:
+            self.known[key] = plain(outcome)
+            lines.append(json.dumps({"key": key, **self.known[key]}))
+        if self._path is None or not lines:
+            return
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            with self._path.open("a") as file:
+                file.write("\n".join(lines) + "\n")
+        except OSError as error:
+            raise ConfigError(f"{self._path}: {error.strerror}; name a folder that you may write to with --out") from error
+
+
+def _read(path: Path) -> Iterable[tuple[str, dict[str, Any]]]:
+    if not path.is_file():
+        return
+    text = path.read_text()
+    if text and not text.endswith("\n"):  # the run before died while writing: end its line, so that ours begins anew
+        path.write_text(text[: text.rfind("\n") + 1])
+    for line in text.splitlines():
+        try:
+            outcome = json.loads(line)
+            yield outcome.pop("key"), outcome
+        except (ValueError, KeyError):
+            continue

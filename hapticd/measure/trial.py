@@ -1,0 +1,131 @@
+"""One trial of one environment: recorded, judged, and kept with all conditions that its numbers depend on.
+
+Params -> plan_trial -> Plan -> run_trial -> Result. The plan says beforehand what is expected: whether the predicted loop is
+stable, and its impedance, where the device is known by a model. A trial of an environment that is predicted to be unstable is
+flown all the same (the sentinel ends it); the verdict then says not passive, with the spectral radius.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hapticd.analysis.arrays import Complexes
+from hapticd.analysis.closed import spectral_radius
+from hapticd.analysis.diagnostics import Finding, examine
+from hapticd.analysis.impedance import Estimator, Impedance, impedance
+from hapticd.analysis.linearise import Perturbation
+from hapticd.analysis.passivity import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge
+from hapticd.analysis.predict import coulomb, predicted_impedance
+from hapticd.analysis.spa import DEFAULT_LAG, spa
+from hapticd.analysis.verdict import Verdict
+from hapticd.errors import AnalysisError
+from hapticd.measure.progress import Progress, silent
+from hapticd.measure.recorded import Recorded
+from hapticd.measure.scenes import filters
+from hapticd.measure.sources import Source, Trial
+from hapticd.plant.compose import compose
+from hapticd.plant.model import Model
+from hapticd.plant.scene import Scene
+
+SHORTEST_WINDOWS = LEAST_FREEDOM / 2 * 0.75
+
+
+@dataclass(frozen=True, slots=True)
+class TrialParams:
+    """What is asked, and how it is judged. `scene` names the device where a model of it is known, else None.
+
+    `behind_mass_kg`: judge the device behind that mass of the probe. `channels`: look for skew and high-pass as well.
+    """
+
+    trial: Trial
+    scene: Scene | None = None
+    band_hz: tuple[float, float] = DEFAULT_BAND_HZ
+    confidence: float = 0.95
+    estimator: Estimator = "spa"
+    behind_mass_kg: float = 0.0
+    channels: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class TrialPlan:
+    """`spectral_radius` of the predicted closed loop, None without a model, or with Coulomb friction, which no radius knows."""
+
+    params: TrialParams
+    model: Model | None
+    spectral_radius: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class TrialResult:
+    """The record, Z on the window's frequencies (at the port that the verdict names), what was predicted there, the verdict."""
+
+    plan: TrialPlan
+    recorded: Recorded
+    measured: Impedance
+    predicted: Complexes | None
+    verdict: Verdict
+
+
+def plan_trial(params: TrialParams) -> TrialPlan:
+    """What to expect. AnalysisError for a trial too short for a verdict; ConfigError as `compose`."""
+    least_s = SHORTEST_WINDOWS * DEFAULT_LAG / 4000.0
+    if not params.trial.seconds >= least_s:
+        raise AnalysisError(f"a trial of {params.trial.seconds:g} s: a verdict takes {least_s:.3g} s or more; the paper took 90 s")
+    watch = replace(params.trial.watch, band_hz=params.band_hz, confidence=params.confidence, estimator=params.estimator)
+    asked = replace(params, trial=replace(params.trial, watch=watch))
+    if params.scene is None:
+        return TrialPlan(asked, None, None)
+    model = compose(params.scene)
+    if coulomb(model).any():
+        return TrialPlan(asked, model, None)
+    points = np.array([params.trial.environment])
+    radius = spectral_radius(model, points, params.trial.damping_ns_per_m, filters(params.scene))
+    return TrialPlan(asked, model, float(radius[0]))
+
+
+def run_trial(plan: TrialPlan, source: Source, tell: Progress = silent) -> TrialResult:
+    """Record and judge. AnalysisError if the record became too short for a verdict; else as the source."""
+    return judged(plan, source(plan.params.trial, tell))
+
+
+def judged(plan: TrialPlan, recorded: Recorded) -> TrialResult:
+    """The verdict on a record."""
+    params = plan.params
+    if recorded.ended and recorded.seconds < SHORTEST_WINDOWS * DEFAULT_LAG / recorded.rate_hz:
+        raise AnalysisError(f"ended after {recorded.seconds:.3g} s ({recorded.ended}): too short for a verdict; go nearer to 0")
+    record = examine(recorded.force_n, recorded.velocity_m_per_s, recorded.rate_hz)
+    record = replace(record, findings=(*record.findings, *_findings(recorded)))
+    spectra = spa(recorded.force_n, recorded.velocity_m_per_s, recorded.rate_hz)
+    verdict = judge(
+        spectra, record, params.band_hz, params.confidence, params.estimator, plan.spectral_radius, params.behind_mass_kg,
+        params.channels and not recorded.simulated,
+    )  # fmt: skip
+    z = impedance(spectra, params.estimator)
+    z = z.without_mass(params.behind_mass_kg) if params.behind_mass_kg else z
+    return TrialResult(plan, recorded, z, _predicted(plan, z), verdict)
+
+
+def _findings(recorded: Recorded) -> tuple[Finding, ...]:
+    """What the samples cannot say: the command at its end, and an escape that the sentinel saw."""
+    found = []
+    most, limit = recorded.max_command_n, recorded.command_limit_n
+    if most is not None and limit is not None and most >= limit * (1.0 - 1e-9):
+        message = f"command saturated at {limit:.3g} N; lower the perturbation or the stiffness"
+        found.append(Finding("saturation", message, voids=True))
+    if recorded.ended.startswith("escape"):
+        found.append(Finding("escape", recorded.ended, unstable=True))
+    elif recorded.ended and not recorded.ended.startswith("decided"):
+        found.append(Finding("ended", recorded.ended))
+    return tuple(found)
+
+
+def _predicted(plan: TrialPlan, z: Impedance) -> Complexes | None:
+    if plan.model is None or plan.params.scene is None:
+        return None
+    trial, found = plan.params.trial, np.full(z.frequency_hz.size, np.nan + 0j)
+    at, source = z.frequency_hz > 0.0, trial.excitation
+    perturbation = Perturbation(source.psd_n2_per_hz, source.band_hz) if source.kind == "noise" else None
+    found[at] = predicted_impedance(
+        plan.model, trial.environment, z.frequency_hz[at], trial.damping_ns_per_m, filters(plan.params.scene), perturbation
+    )
+    return np.asarray(found - 2j * np.pi * z.frequency_hz * plan.params.behind_mass_kg)

@@ -1,0 +1,139 @@
+"""Virtual walls: how stiff a wall may be at each virtual damping before an impact sets it oscillating (Weir 2008, Fig. 2).
+
+The device meets the wall as the scene says (its start velocity, a push against it). A wall is stable if after `settle_s`
+nothing moves faster than `still_m_per_s`, and the trial has not diverged. This is neither passivity nor coupled stability: it
+is one impact of one device without a hand, and says what the plot of many papers says. K is raised step by step; the
+boundary is the last stable wall below the first that is not, and found again between the two.
+
+Params -> plan_walls -> Plan -> run_walls -> Result.
+"""
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from hapticd.errors import AnalysisError
+from hapticd.measure.progress import Progress, Steps, silent
+from hapticd.plant.compose import compose
+from hapticd.plant.model import Model
+from hapticd.plant.scene import Scene
+from hapticd.sim.engine import simulate
+
+FINER = 6  # steps between the last stable and the first unstable wall
+
+
+@dataclass(frozen=True, slots=True)
+class WallParams:
+    """`scene` has a wall, and something that meets it. Stiffnesses [N/m] ascend; dampings [Ns/m] of the wall; `levels` [Ns/m]."""
+
+    scene: Scene
+    stiffnesses: tuple[float, ...]
+    dampings: tuple[float, ...]
+    levels: tuple[float, ...] = (0.0, 1.74)
+    settle_s: float = 1.5
+    still_m_per_s: float = 2e-3
+
+
+@dataclass(frozen=True, eq=False)
+class WallPlan:
+    """The composed device and its impacts, a line of stiffnesses for each damping and level."""
+
+    params: WallParams
+    model: Model
+    lines: tuple[tuple[float, float], ...]  # level, damping
+
+
+@dataclass(frozen=True, slots=True)
+class Impact:
+    """One impact: `late_m_per_s` is the largest speed after `settle_s`, `deepest_m` how far the wall gave way."""
+
+    damping_ns_per_m: float
+    wall_stiffness_n_per_m: float
+    wall_damping_ns_per_m: float
+    stable: bool
+    late_m_per_s: float
+    deepest_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class WallLine:
+    """At one level and wall damping: the stiffest stable wall (0: none), `open` if the stiffest that was tried is stable."""
+
+    damping_ns_per_m: float
+    wall_damping_ns_per_m: float
+    highest_n_per_m: float
+    open: bool
+    impacts: tuple[Impact, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class WallResult:
+    """A line for each level and damping, in the order of the plan."""
+
+    plan: WallPlan
+    lines: tuple[WallLine, ...]
+
+
+def plan_walls(params: WallParams) -> WallPlan:
+    """AnalysisError for a scene without a wall, or shorter than the time to settle; ConfigError as `compose`."""
+    scene = params.scene
+    if scene.environment.wall.side == 0:
+        raise AnalysisError(f"scene {scene.name}: it has no wall to hit; give it [environment.wall] with a side, as scene 'wall'")
+    if scene.seconds <= params.settle_s:
+        raise AnalysisError(
+            f"scene {scene.name} lasts {scene.seconds:g} s; to settle {params.settle_s:g} s are allowed: lengthen it"
+        )
+    if not params.stiffnesses or any(np.diff(params.stiffnesses) <= 0.0) or params.stiffnesses[0] <= 0.0:
+        raise AnalysisError("wall stiffnesses: an ascending list above 0 N/m is needed")
+    return WallPlan(params, compose(scene), tuple(product(params.levels, params.dampings)))
+
+
+def run_walls(plan: WallPlan, tell: Progress = silent) -> WallResult:
+    """Hit them all."""
+    steps, lines = Steps(tell, len(plan.lines)), []
+    with ThreadPoolExecutor(max_workers=2) as threads:
+        for found in threads.map(lambda line: _line(plan, *line), plan.lines):
+            steps.next(f"walls, added damping {found.damping_ns_per_m:g} N s/m")
+            lines.append(found)
+    steps.end()
+    return WallResult(plan, tuple(lines))
+
+
+def _line(plan: WallPlan, level: float, damping: float) -> WallLine:
+    coarse = list(_upwards(plan, level, damping, plan.params.stiffnesses))
+    if coarse[-1].stable:
+        return WallLine(level, damping, coarse[-1].wall_stiffness_n_per_m, True, tuple(coarse))
+    if len(coarse) == 1:
+        return WallLine(level, damping, 0.0, False, tuple(coarse))
+    ends = coarse[-2].wall_stiffness_n_per_m, coarse[-1].wall_stiffness_n_per_m
+    finer = list(_upwards(plan, level, damping, tuple(np.geomspace(*ends, FINER + 1)[1:-1].tolist())))
+    stable = [ends[0], *(impact.wall_stiffness_n_per_m for impact in finer if impact.stable)]
+    return WallLine(level, damping, max(stable), False, (*coarse, *finer))
+
+
+def _upwards(plan: WallPlan, level: float, damping: float, stiffnesses: tuple[float, ...]) -> Iterator[Impact]:
+    """Stiffer and stiffer walls, up to and with the first that is not stable."""
+    for stiffness in stiffnesses:
+        impact = hit(plan, level, stiffness, damping)
+        yield impact
+        if not impact.stable:
+            return
+
+
+def hit(plan: WallPlan, level: float, stiffness: float, damping: float) -> Impact:
+    """One impact at electrical damping `level` [Ns/m] on a wall of `stiffness` [N/m] and `damping` [Ns/m]."""
+    scene, params = plan.params.scene, plan.params
+    wall = replace(scene.environment.wall, stiffness_n_per_m=stiffness, damping_ns_per_m=damping)
+    found = simulate(
+        plan.model, [[0.0, 0.0, 0.0]], scene.seconds, damping=level, environment=replace(scene.environment, wall=wall),
+        excitation=scene.excitation, start=(scene.start_position_m, scene.start_velocity_m_per_s), keep="ticks",
+    )  # fmt: skip
+    _, velocity = found.record(0)
+    late = float(np.abs(velocity[int(params.settle_s * found.rate_hz) :]).max(initial=0.0))
+    assert found.position_m is not None
+    deepest = float((wall.side * (found.position_m[0] - wall.position_m)).max())
+    diverged = bool(found.diverged[0])
+    return Impact(level, stiffness, damping, not diverged and late < params.still_m_per_s, late, max(0.0, deepest))

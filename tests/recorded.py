@@ -1,0 +1,108 @@
+"""The whole stack in lock-step with the gateway's publisher beside it: every message that a recorder would have got."""
+
+from collections.abc import Generator, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from models import board_params, servo_params
+
+from hapticd.assembly.lockstep import LockStep
+from hapticd.clock import VirtualClock
+from hapticd.gateway.actors import Actors
+from hapticd.gateway.events import Journal
+from hapticd.gateway.publisher import Publisher
+from hapticd.gateway.records import Records, as_records
+from hapticd.gateway.view import ServoView
+from hapticd.mailbox.layout import Command, Value
+from hapticd.params import BoardParams, GatewayParams, GatewaySetup, ServoParams, to_plain
+from hapticd.units import NS_PER_MS, NS_PER_S
+
+UNIX_NS = 1_800_000_000 * NS_PER_S
+TOPICS = ("servo.raw", "probe", "event", "flight")
+AT_ONCE = 20
+
+
+class RecordedFlight:
+    """A servo in the air and what is published of it. Use it as a context manager."""
+
+    def __init__(self, params: ServoParams | None = None, board: BoardParams | None = None, flight_s: float = 5.0) -> None:
+        self.params = params or servo_params()
+        self.stack = LockStep(self.params, board or board_params())
+        self.setup = GatewaySetup(self.params, GatewayParams(flight_s=flight_s))
+        self.journal = Journal(self.unix_ns)
+        self.view = ServoView(self.stack.mailbox.folder, self.params, self.unix_ns)
+        self.publisher = Publisher(self.view, Actors(), self.journal, self.setup, self.unix_ns)
+        self.messages: list[tuple[str, bytes]] = []
+        for topic in TOPICS:
+            self.publisher.subscribe(b"\1" + topic.encode(), self.unix_ns())
+
+    def unix_ns(self) -> int:
+        return UNIX_NS + self.stack.clock.now_ns()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.view.drop()
+        self.stack.__exit__(kind, error, trace)
+        self.publisher.flight.close()
+
+    def fly(self, ticks: int) -> None:
+        """Let ticks pass; the gateway looks every 20."""
+        for _ in range(0, ticks, AT_ONCE):
+            self.stack.run(AT_ONCE)
+            self.look()
+
+    def look(self) -> None:
+        """One look of the gateway."""
+        now_ns = self.stack.clock.now_ns()
+        self.view.refresh(now_ns)
+        self.messages += self.publisher.messages(now_ns, self.unix_ns())
+
+    def move(self) -> None:
+        """Enabled, K 50 N/m and B 2 N s/m, with noise on the perturbation input."""
+        self.stack.run(5)
+        self.stack.do(Command.SET, {Value.STIFFNESS: 50.0, Value.DAMPING: 2.0})
+        self.stack.do(Command.ENABLE)
+        self.stack.load_waveform(np.random.default_rng(7).integers(-3000, 3001, 8000).tolist())
+        self.stack.do(Command.PERTURB_START, {Value.SAMPLES: 8000.0, Value.LOOP: 1.0})
+
+    @property
+    def records(self) -> Records:
+        """Everything that was flown."""
+        return as_records(b"".join(self.stack.blocks))
+
+
+class Source:
+    """Stands for hapticd.client.Client: plays `messages`, then nothing comes any more; each look takes `look_ms`."""
+
+    def __init__(self, flight: RecordedFlight, clock: VirtualClock, look_ms: int = 20) -> None:
+        self.played, self.params, self._clock, self._look_ms = list(flight.messages), flight.params, clock, look_ms
+
+    def hello(self) -> dict[str, Any]:
+        return {"instance": "test", "rate_hz": 1000.0, "version": "0.1.0", "servo": to_plain(self.params)}
+
+    def status(self) -> dict[str, Any]:
+        return {
+            "config_hash": "c" * 64,
+            "winding_c": 25.0,
+            "servo": {"realtime": {"fifo": "granted"}, "board": {"serial": "SIM0001"}},
+        }
+
+    def messages(self, topics: Sequence[str], look_s: float = 0.05) -> Generator[tuple[str, bytes] | None, None, None]:
+        assert set(topics) == set(TOPICS)
+        for place, message in enumerate(self.played):
+            yield message
+            if place % 5 == 4:
+                self._clock.advance_ns(5 * self._look_ms * NS_PER_MS)
+                yield None
+        while True:
+            self._clock.advance_ns(self._look_ms * NS_PER_MS)
+            yield None
+
+
+def room(folder: Path) -> int:
+    """A disk with space."""
+    return 10**12

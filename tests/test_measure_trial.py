@@ -1,0 +1,279 @@
+"""Trials from every source: engine, file, and the whole stack in lock-step; the sentinel; run folders."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hapticd.analysis.predict import predicted_impedance
+from hapticd.assembly.scene import scene_params
+from hapticd.errors import AnalysisError, ConfigError
+from hapticd.measure.device_scene import device_scene
+from hapticd.measure.lockstep_bench import LockStepBench
+from hapticd.measure.recorded import Recorded, read_file
+from hapticd.measure.referee import stepped_sine
+from hapticd.measure.scenes import filters
+from hapticd.measure.sentinel import Sentinel, Watch
+from hapticd.measure.sources import Trial, bench_source, engine_source, file_source
+from hapticd.measure.store import TrialStore, fingerprint, plain, read_summary, record_path
+from hapticd.measure.trial import TrialParams, judged, plan_trial, run_trial
+from hapticd.measure.trial_run import write
+from hapticd.plant.compose import compose
+from hapticd.plant.scene import Excitation
+from hapticd.settings.scene import load_scene
+
+RATE_HZ = 4000.0
+RIGID = """
+title = "a rigid display"
+device = "ideal"
+effects = ["probe", "viscous"]
+[environment]
+stiffness_n_per_m = 100.0
+damping_ns_per_m = 1.0
+mass_kg = 0.002
+[excitation]
+kind = "noise"
+"""
+
+
+@pytest.fixture
+def rigid(tmp_path):
+    path = tmp_path / "rigid.toml"
+    path.write_text(RIGID)
+    return path
+
+
+def mass_record(seconds=30.0, mass_kg=0.008, damping_ns_per_m=2.0, seed=1):
+    """Held white force on m, b: exact interval means of the velocity."""
+    force = np.random.default_rng(seed).normal(0.0, 0.2, round(seconds * RATE_HZ))
+    dt, rate = 1.0 / RATE_HZ, damping_ns_per_m / mass_kg
+    decay = np.exp(-rate * dt)
+    share = (1.0 - decay) / (rate * dt)
+    speed, mean = 0.0, np.empty(force.size)
+    for k, value in enumerate(force / damping_ns_per_m):
+        mean[k] = value + (speed - value) * share
+        speed = value + (speed - value) * decay
+    return force, mean
+
+
+def test_file_trial_finds_mass_and_damping(tmp_path):
+    force, velocity = mass_record()
+    path = tmp_path / "trial.npz"
+    np.savez(path, force_n=force, velocity_m_per_s=velocity, rate_hz=RATE_HZ)
+    plan = plan_trial(TrialParams(Trial(seconds=30.0), behind_mass_kg=0.003))
+    found = run_trial(plan, file_source(read_file(path)))
+    assert found.verdict.answer == "passive"
+    assert not found.recorded.simulated
+    assert found.verdict.port == "device"
+    at = np.argmin(np.abs(found.measured.frequency_hz - 100.0))
+    w = 2 * np.pi * found.measured.frequency_hz[at]
+    assert found.measured.impedance_ns_per_m[at] == pytest.approx(2.0 + 1j * w * 0.005, rel=0.02)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npz", ".mat", ".h5"])
+def test_record_reads_alike_from_every_format(tmp_path, suffix):
+    force, velocity = (signal[:50] for signal in mass_record(1.0))
+    time, path = np.arange(50) / RATE_HZ, tmp_path / f"trial{suffix}"
+    columns = {"time_s": time, "Force": force, "Velocity": velocity}
+    if suffix == ".csv":
+        np.savetxt(path, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="")
+    elif suffix == ".npz":
+        np.savez(path, **columns)
+    elif suffix == ".mat":
+        pytest.importorskip("scipy.io").savemat(path, columns)
+    else:
+        with pytest.importorskip("h5py").File(path, "w") as file:
+            for name, values in columns.items():
+                file[name] = values
+    found = read_file(path)
+    assert found.rate_hz == pytest.approx(RATE_HZ)
+    assert np.allclose(found.force_n, force, rtol=1e-12)
+    assert np.allclose(found.velocity_m_per_s, velocity, rtol=1e-12)
+
+
+def test_unreadable_records_say_what_to_do(tmp_path):
+    with pytest.raises(ConfigError, match=r"a\.xls: records are read from \.csv.*convert it"):
+        read_file(tmp_path / "a.xls")
+    with pytest.raises(ConfigError, match="No such file"):
+        read_file(tmp_path / "a.csv")
+    path = tmp_path / "b.csv"
+    path.write_text("t,x\n0,1\n1,2\n")
+    with pytest.raises(AnalysisError, match=r"no column any of force_n.*it has t, x; name it with --force"):
+        read_file(path)
+    path.write_text("force,velocity\n0,1\n1,2\n")
+    with pytest.raises(AnalysisError, match=r"rate is not in the file .*--rate-hz"):
+        read_file(path)
+    assert read_file(path, rate_hz=100.0).rate_hz == 100.0
+    path.write_text("force,velocity\n0,1,4\n")
+    with pytest.raises(ConfigError, match="2 names over 3 columns"):
+        read_file(path)
+
+
+def test_engine_trial_agrees_with_its_prediction():
+    """Fig. 4: passive, and the phase within two degrees of the linearised prediction over the band (physics: 0.6-1.9 rms)."""
+    scene = load_scene("fig4")
+    trial = Trial((100.0, 1.0, 0.010), seconds=90.0)
+    found = run_trial(plan_trial(TrialParams(trial, scene)), engine_source(scene))
+    assert found.verdict.answer == "passive"
+    band = (found.measured.frequency_hz >= 10.0) & (found.measured.frequency_hz <= 500.0)
+    turned = np.degrees(np.angle(found.measured.impedance_ns_per_m[band] / found.predicted[band]))
+    assert np.sqrt(np.mean(turned**2)) < 2.0
+
+
+def test_lockstep_trial_lands_within_its_interval_of_the_engine(rigid):
+    """The same 30 s by the whole stack and by the engine: Z apart by less than its own 95 % interval, in 19 of 20 bins."""
+    scene = load_scene(rigid)
+    trial = Trial((100.0, 1.0, 0.002), seconds=30.0)
+    plan = plan_trial(TrialParams(trial, scene))
+    by_engine = run_trial(plan, engine_source(scene))
+    with LockStepBench(*scene_params(rigid)) as bench:
+        live = run_trial(plan, bench_source(bench))
+        assert bench.status()["state"] == "disabled"
+    assert live.recorded.seconds == pytest.approx(30.0, abs=0.5)
+    assert live.recorded.more["lost_samples"] == 0
+    assert live.recorded.simulated
+    assert live.verdict.answer == by_engine.verdict.answer
+    one, other = live.verdict.margin_ns_per_m, by_engine.verdict.margin_ns_per_m
+    assert one.lower <= other.value <= one.upper
+    inside = (live.measured.frequency_hz >= 2.0) & (live.measured.frequency_hz <= 500.0)
+    apart = np.abs(live.measured.impedance_ns_per_m - by_engine.measured.impedance_ns_per_m)[inside]
+    spread = np.hypot(live.measured.sd_ns_per_m, by_engine.measured.sd_ns_per_m)[inside]
+    assert np.mean(apart < 2.0 * spread) > 0.95
+
+
+def test_lockstep_trial_refuses_a_session_that_runs(rigid):
+    with LockStepBench(*scene_params(rigid)) as bench:
+        bench.enable()
+        with pytest.raises(AnalysisError, match="the servo is enabled, a trial begins from disabled"):
+            bench_source(bench)(Trial(seconds=5.0), lambda *_: None)
+        assert bench.status()["state"] == "enabled"
+
+
+def test_lockstep_trial_of_a_runaway_loop_ends_early_and_disabled(rigid):
+    """B T / m far beyond 2: the loop runs away, the trial ends at once, force off."""
+    with LockStepBench(*scene_params(rigid)) as bench:
+        found = bench_source(bench)(Trial((0.0, 100.0, 0.0), seconds=20.0), lambda *_: None)
+        assert bench.status()["state"] != "enabled"
+    assert found.ended.startswith(("escape", "saturation", "fault"))
+    assert found.seconds < 5.0
+
+
+def test_trial_that_ends_in_a_fault_says_which(rigid):
+    """B = -5 N s/m beyond b = 2: faster than any motion can be, the servo faults within a second."""
+    with LockStepBench(*scene_params(rigid)) as bench:
+        plan = plan_trial(TrialParams(Trial((0.0, -5.0, 0.0), seconds=5.0)))
+        with pytest.raises(AnalysisError, match=r"ended after 0 s \(fault: .*\): too short"):
+            run_trial(plan, bench_source(bench))
+
+
+def test_sentinel_ends_an_escape_in_its_second():
+    force, velocity = mass_record(20.0)
+    velocity[round(12.5 * RATE_HZ) :] *= 10.0
+    sentinel = Sentinel(Watch(), RATE_HZ)
+    for start in range(0, force.size, 777):
+        if sentinel.see(force[start : start + 777], velocity[start : start + 777]):
+            break
+    assert sentinel.reason.startswith("escape: velocity of")
+    assert sentinel.seconds == 13.0
+
+
+def test_sentinel_ends_saturation_and_heat():
+    force, velocity = mass_record(6.0)
+    limit = float(np.quantile(np.abs(velocity), 0.95))
+    clipped = np.clip(velocity, -limit, limit)
+    reason = Sentinel(Watch(velocity_limit_m_per_s=limit), RATE_HZ).see(force, clipped)
+    assert reason.startswith("saturation: velocity at its end of")
+    reason = Sentinel(Watch(winding_limit_c=80.0), RATE_HZ).see(force, velocity, winding_c=85.0)
+    assert reason == "heat: the winding is at 85 degC, limit 80; let it cool"
+    assert Sentinel(Watch(), RATE_HZ).see(force, velocity, winding_c=85.0) == ""
+
+
+def test_sentinel_says_what_the_confidence_costs_and_ends_when_decided():
+    force, velocity = mass_record(30.0)
+    sentinel = Sentinel(Watch(), RATE_HZ)
+    assert sentinel.see(force, velocity) == ""
+    assert 0.0 < sentinel.seconds_needed < 30.0
+    hurried = Sentinel(Watch(until_decided=True), RATE_HZ)
+    assert hurried.see(force, velocity).startswith("decided after")
+    assert hurried.seconds < 30.0
+
+
+def test_commands_at_their_limit_leave_nothing_decided():
+    force, velocity = mass_record(20.0)
+    plan = plan_trial(TrialParams(Trial(seconds=20.0)))
+    recorded = Recorded(force, velocity, RATE_HZ, "made", True, max_command_n=8.0, command_limit_n=8.0)
+    found = judged(plan, recorded)
+    assert found.verdict.answer == "undecided"
+    assert "command saturated at 8 N" in str(found.verdict)
+
+
+def test_short_trials_are_refused():
+    with pytest.raises(AnalysisError, match=r"a trial of 2 s: a verdict takes 3\.84 s or more"):
+        plan_trial(TrialParams(Trial(seconds=2.0)))
+    force, velocity = mass_record(2.5)
+    plan = plan_trial(TrialParams(Trial(seconds=20.0)))
+    with pytest.raises(AnalysisError, match=r"ended after 2\.5 s \(escape: x\): too short"):
+        judged(plan, Recorded(force, velocity, RATE_HZ, "made", True, ended="escape: x"))
+
+
+def test_run_folder_brings_the_trial_back(tmp_path):
+    force, velocity = mass_record(20.0)
+    plan = plan_trial(TrialParams(Trial((1.0, 2.0, 0.003), seconds=20.0, excitation=Excitation("noise", seed=7))))
+    result = judged(plan, Recorded(force, velocity, RATE_HZ, "made", False))
+    write(tmp_path / "run", result, {"date": "today"})
+    told = read_summary(tmp_path / "run")
+    assert told["verdict"]["answer"] == "passive"
+    assert told["environment"] == {"stiffness_n_per_m": 1.0, "damping_ns_per_m": 2.0, "mass_kg": 0.003}
+    assert told["seed"] == 7
+    assert told["provenance"] == {"date": "today"}
+    again = judged(plan, read_file(record_path(tmp_path / "run")))
+    assert again.verdict.margin_deg.value == pytest.approx(result.verdict.margin_deg.value, abs=1e-3)
+    with pytest.raises(ConfigError, match=r"no run folder"):
+        read_summary(tmp_path)
+
+
+def test_trial_store_survives_a_torn_line(tmp_path):
+    path = tmp_path / "trials.jsonl"
+    store = TrialStore(path)
+    store.add([("a", {"x": 1.0}), ("b", {"x": float("nan")})])
+    with path.open("a") as file:
+        file.write('{"key": "c", "x"')
+    again = TrialStore(path)
+    assert again.known == {"a": {"x": 1.0}, "b": {"x": None}}
+    again.add([("d", {"x": 2})])
+    assert set(TrialStore(path).known) == {"a", "b", "d"}
+    assert all(json.loads(line) for line in path.read_text().splitlines())
+
+
+def test_fingerprint_tells_every_change():
+    trial = Trial((1.0, 2.0, 3.0))
+    assert fingerprint(trial) == fingerprint(Trial((1.0, 2.0, 3.0)))
+    assert fingerprint(trial) != fingerprint(replace(trial, damping_ns_per_m=1e-12))
+    assert plain({"z": np.array([1 + 2j])}) == {"z": [[1.0, 2.0]]}
+
+
+def test_device_is_a_scene_with_all_its_effects():
+    scene = device_scene("weir2008")
+    assert scene is not None
+    assert {"coulomb", "delay"} <= {effect.key for effect in scene.effects}
+    assert device_scene("nothing") is None
+
+
+@pytest.mark.parametrize("whole_stack", [False, True])
+def test_stepped_sine_agrees_with_the_exact_impedance_of_a_linear_display(rigid, whole_stack):
+    """No friction: single sines give the predicted first harmonic to 1 % at 5..144 Hz, by the engine and by the whole stack."""
+    scene, trial = load_scene(rigid), Trial((100.0, 1.0, 0.002))
+    f = (5.0, 21.0, 55.0, 144.0)
+    if whole_stack:
+        with LockStepBench(*scene_params(rigid)) as bench:
+            found = stepped_sine(trial, bench_source(bench), frequency_hz=f)
+    else:
+        found = stepped_sine(trial, engine_source(scene), frequency_hz=f)
+    exact = predicted_impedance(compose(scene), trial.environment, np.array(f), 0.0, filters(scene))
+    assert np.abs(found.impedance_ns_per_m / exact - 1.0).max() < 0.01
+
+
+def test_stepped_sine_has_no_number_where_the_loop_escapes(rigid):
+    found = stepped_sine(Trial((0.0, 100.0, 0.0)), engine_source(load_scene(rigid)), frequency_hz=(21.0,))
+    assert np.isnan(found.impedance_ns_per_m[0])
