@@ -3,13 +3,15 @@
 #   make run                start the daemon on the simulated board (ARGS="--rate-hz 2000" and other options of `hapticd run`)
 #   make test               format, lint, types, floors, tests: what continuous integration runs
 #   make bench [ONLY=wake]  measure; results in build/bench.json
+#   make reproduce          the paper's figures and table in build/reproduction (ARGS=--quick: by prediction, seconds)
+#   make docs               build the documentation in build/docs; warnings are errors
 #   make deps               install the system packages that are missing
 #   make clean              remove what was made, the environment included
 
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := run
-.PHONY: run test bench deps deps-run deps-test deps-bench clean
+.PHONY: run test bench reproduce docs deps deps-run deps-test deps-bench clean
 
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -31,6 +33,14 @@ test: deps-test $(VENV)/test.stamp
 bench: deps-bench $(VENV)/test.stamp
 	ONLY="$(ONLY)" $(BIN)/python benchmarks/run.py
 
+reproduce: $(VENV)/run.stamp
+	@$(BIN)/hapticd zwidth reproduce --out build/reproduction $(ARGS)
+
+docs: $(VENV)/test.stamp
+	$(BIN)/python docs/generate.py
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/docs
+	@echo "open build/docs/index.html"
+
 deps:
 	@.ci/deps all
 
@@ -47,8 +57,8 @@ $(VENV)/run.stamp: pyproject.toml | deps-run
 	@touch $@
 
 $(VENV)/test.stamp: $(VENV)/run.stamp
-	@echo "installing test and lint tools into $(VENV)"
-	@$(PIP) install --group test --group lint
+	@echo "installing test, lint and documentation tools into $(VENV)"
+	@$(PIP) install --group test --group lint --group docs
 	@touch $@
 
 clean:

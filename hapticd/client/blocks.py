@@ -1,6 +1,7 @@
 """Telemetry messages as numpy arrays, with what was lost between them."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import msgpack
@@ -26,6 +27,11 @@ class Block:
     header: dict[str, Any]
 
 
+@lru_cache(maxsize=8)
+def _dtype(descr: tuple[Any, ...]) -> np.dtype[Any]:
+    return np.dtype(list(descr))
+
+
 class BlockDecoder:
     """Decodes the messages of one subscription and counts what is missing."""
 
@@ -36,7 +42,7 @@ class BlockDecoder:
     def decode(self, payload: bytes) -> Block:
         """The block in `payload`. ValueError or KeyError if it is none."""
         header = msgpack.unpackb(payload, use_list=False)
-        records = np.frombuffer(header.pop("d"), np.dtype(list(header.pop("descr"))))
+        records = np.frombuffer(header.pop("d"), _dtype(header.pop("descr")))
         origin = header["epoch"], header.get("run")
         restarted = self._origin is not None and origin != self._origin
         first = self._next is None or restarted

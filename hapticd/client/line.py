@@ -89,15 +89,18 @@ class Line:
         raise DaemonDown(f"{topic}: nothing from {self._folder} for {timeout_s} s; see `hapticd status`")
 
     def listen_all(self, topics: Sequence[str], look_s: float) -> Generator[tuple[str, bytes] | None, None, None]:
-        """(topic, payload) of several topics in the order in which they come, None whenever none came for `look_s`; for ever."""
+        """(topic, payload) of several topics in the order in which they come, None after all that came within `look_s`; for ever.
+
+        It sleeps between its looks: being woken by every message would cost more than taking them.
+        """
         with self._subscribed(set(topics)) as socket:
             while True:
-                if not socket.poll(round(1000 * look_s)):
-                    yield None
-                    continue
-                name, payload = socket.recv_multipart()
-                if name.decode() in topics:
-                    yield name.decode(), payload
+                time.sleep(look_s)
+                while socket.poll(0):
+                    name, payload = socket.recv_multipart()
+                    if name.decode() in topics:
+                        yield name.decode(), payload
+                yield None
 
     def _subscribed(self, topics: set[str]) -> "zmq.Socket[bytes]":
         path = self._folder / TELEMETRY_SOCKET

@@ -200,7 +200,7 @@ class Client:
             yield msgpack.unpackb(payload)
 
     def messages(self, topics: Sequence[str], look_s: float = 0.05) -> Generator[tuple[str, bytes] | None, None, None]:
-        """Raw (topic, payload) of several topics as they come, None whenever nothing came for `look_s`; until you stop."""
+        """Raw (topic, payload) of several topics, None after all that came within `look_s`; until you stop."""
         yield from self._line.listen_all(topics, look_s)
 
     def _result(self, cmd: str, **fields: Any) -> dict[str, Any]:

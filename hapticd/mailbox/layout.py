@@ -56,7 +56,7 @@ JOURNAL_SLOTS = 256
 JOURNAL = struct.Struct("<QQQIIQ20dQ")  # number, tick, seq, kind, actor, apply_tick, values, number again
 JOURNAL_OFFSET = ANSWER_OFFSET + 5 * PAGE
 
-# --- checkpoints: the servo's whole state before a tick, when it is asked for, two slots in turn ----------------------------------------------------
+# --- checkpoints: the servo's whole state before a tick, when it is asked for, two slots in turn ------------------------
 CHECKPOINT = struct.Struct("<QQII")  # number, tick, length and crc32 of the marshalled state behind it
 CHECKPOINT_SLOT = 2 * PAGE
 CHECKPOINT_OFFSET = JOURNAL_OFFSET + JOURNAL_SLOTS * JOURNAL.size

@@ -1,0 +1,18 @@
+"""Measure, predict, map and draw the Z-width: of a rig, a recorded file, or the simulator."""
+
+import typer
+
+from hapticd.cli.zwidth import import_, limits, map, report, reproduce, search, trial, walls
+
+app = typer.Typer(no_args_is_help=True, help=__doc__)
+for name, verb in {
+    "trial": trial,
+    "limits": limits,
+    "map": map,
+    "search": search,
+    "walls": walls,
+    "import": import_,
+    "report": report,
+    "reproduce": reproduce,
+}.items():
+    app.command(name)(verb.command)

@@ -1,0 +1,74 @@
+"""What the verbs of `zwidth` share: options, a progress bar, the scene that is meant, conditions for a summary."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from hapticd.measure.progress import Progress
+    from hapticd.plant.scene import Scene
+
+SceneName = Annotated[str, typer.Option("--scene", metavar="NAME|FILE", help="Device, effects, filters and perturbation.")]
+Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Keep results there; else zwidth-runs/, by date.")]
+Seconds = Annotated[float, typer.Option("--seconds", metavar="S", help="Length of a trial.")]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Of the perturbation.")]
+Band = Annotated[tuple[float, float], typer.Option("--band", metavar="LOW HIGH", help="Hz in which a verdict is given.")]
+Confidence = Annotated[float, typer.Option("--confidence", min=0.5, max=0.9999, help="Of a verdict.")]
+Damping = Annotated[str, typer.Option("--damping", metavar="LEVEL[,LEVEL...]", help="Electrical damping levels, N s/m.")]
+Plot = Annotated[bool, typer.Option("--plot/--no-plot", help="Draw PNG and SVG into the run folder.")]
+RUNS = Path("zwidth-runs")
+
+
+@contextmanager
+def progress() -> "Iterator[Progress]":
+    """A bar on stderr while something runs; nothing where nobody watches."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda what, done, total: bar.update(task, description=what, completed=done, total=total)
+
+
+def scene_of(name: str) -> "Scene":
+    """The scene, or a simulated device's name with all of its effects. ConfigError names what there is."""
+    from hapticd.errors import ConfigError
+    from hapticd.measure.device_scene import device_scene
+    from hapticd.settings.scene import load_scene
+
+    try:
+        return load_scene(name)
+    except ConfigError as error:
+        found = device_scene(name)
+        if found is None:
+            raise error
+        return found
+
+
+def levels(text: str) -> tuple[float, ...]:
+    """Damping levels of an option."""
+    try:
+        found = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise typer.BadParameter(f"--damping {text!r}: numbers in N s/m, separated by commas, for example 0,1.74") from None
+    if min(found) < 0.0:
+        raise typer.BadParameter(f"--damping {text!r}: levels are not negative")
+    return found
+
+
+def folder(out: Path | None, what: str) -> Path:
+    """Where results are kept."""
+    return out or RUNS / f"{datetime.now(UTC):%Y%m%dT%H%M%S}-{what}"
+
+
+def told(**more: Any) -> dict[str, Any]:
+    """Provenance with the time."""
+    from hapticd.measure.store import provenance
+
+    return provenance(date=datetime.now(UTC).isoformat(timespec="seconds"), **more)

@@ -1,0 +1,94 @@
+"""K, B and M limits along their axes."""
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hapticd.cli import options, output
+from hapticd.cli.zwidth import common
+
+if TYPE_CHECKING:
+    from hapticd.measure.axis_scan import LimitsResult
+    from hapticd.report.table import Table
+
+
+def command(
+    scene: common.SceneName = "fig4",
+    damping: common.Damping = "0,1.74",
+    levels: Annotated[
+        int, typer.Option("--levels", metavar="N", min=1, max=9, help="Perturbation amplitudes, each twice the last.")
+    ] = 1,
+    axis: Annotated[str, typer.Option("--axis", metavar="KBM", help="Which of K, B, M.")] = "KBM",
+    seeds: Annotated[int, typer.Option("--seeds", metavar="N", min=1, help="Repeat with other noise, for the scatter.")] = 1,
+    seconds: common.Seconds = 90.0,
+    seed: common.Seed = 1,
+    band: common.Band = (2.0, 500.0),
+    confidence: common.Confidence = 0.95,
+    out: common.Out = None,
+    plot: common.Plot = True,
+    as_json: options.Json = False,
+) -> None:
+    """How far K, B and M each go alone before the display is not passive: predicted, then by simulated trials.
+
+    With --levels 3 also at 2 and 4 times the perturbation's force: with friction a limit is one of its amplitude.
+    """
+    from hapticd.analysis.boundary import AXES
+    from hapticd.measure.axis_scan import LimitsParams, plan_limits, run_limits
+    from hapticd.measure.outcomes import Conditions
+    from hapticd.measure.scenes import noise
+    from hapticd.measure.store import plain, write_run
+    from hapticd.report import figures
+    from hapticd.report.table import text
+    from hapticd.report.zwidth import limits_figure
+
+    if not axis or set(axis) - set(AXES):
+        raise typer.BadParameter(f"--axis {axis!r}: letters out of KBM")
+    loaded = common.scene_of(scene)
+    conditions = Conditions(loaded, seconds, replace(noise(loaded), seed=seed), band, confidence)
+    wanted, amplitudes = tuple(AXES.index(name) for name in axis), tuple(2.0**level for level in range(levels))
+    plan = plan_limits(LimitsParams(conditions, common.levels(damping), amplitudes, wanted, seeds))
+    with common.progress() as tell:
+        result = run_limits(plan, tell)
+    folder = common.folder(out, "limits")
+    rows = [{"name": limit.name, **plain(limit)} for limit in result.limits]
+    write_run(folder, {"kind": "limits", "scene": scene, "seconds": seconds, "limits": rows, "provenance": common.told(seed=seed)})
+    paths = figures.save(limits_figure(result), folder, "limits") if plot else ()
+    if as_json:
+        output.data_json({"ok": True, "limits": rows, "folder": str(folder), "figures": [str(path) for path in paths]})
+        return
+    output.data(text(_table(result)))
+    output.data(f"kept in {folder}")
+    for path in paths:
+        output.data(str(path))
+
+
+def _table(result: "LimitsResult") -> "Table":
+    from hapticd.report.table import table
+
+    scattered = result.plan.params.seeds > 1
+    columns = (
+        "limit",
+        "added N s/m",
+        "N^2/Hz",
+        "predicted",
+        "trials say",
+        "passive up to",
+        "not from",
+        "worst Hz",
+        "v mm/s",
+        "trials",
+    )
+    rows = [
+        (
+            f"{limit.name} {UNITS[limit.name][0]}", limit.scan.damping_ns_per_m, f"{limit.perturbation_psd:.2g}",
+            *(UNITS[limit.name][1] * value for value in (limit.scan.predicted, limit.value, limit.lower, limit.upper)),
+            limit.worst_hz, 1e3 * limit.velocity_sd, limit.trials, *((UNITS[limit.name][1] * limit.sd,) if scattered else ()),
+        )
+        for limit in result.limits
+    ]  # fmt: skip
+    title = f"SIMULATED {result.plan.params.conditions.scene.device}: axis limits, the other two being 0"
+    return table((*columns, *(("scatter",) if scattered else ())), rows, title)
+
+
+UNITS = {"K": ("N/m", 1.0), "B": ("N s/m", 1.0), "M": ("g", 1e3)}

@@ -1,0 +1,175 @@
+"""A grid of K, B and M: which environments are passive, and the envelope over them."""
+
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from time import monotonic
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hapticd.cli import options, output
+from hapticd.cli.zwidth import common
+
+if TYPE_CHECKING:
+    from hapticd.analysis.arrays import Floats
+    from hapticd.measure.campaign import LevelMap, MapResult
+    from hapticd.measure.outcomes import Conditions, Outcome
+
+REDRAW_S = 5.0
+AT_ZERO = ("K min", "B min")  # where a grid begins as a rule
+Range = tuple[float, float, int]
+
+
+def command(
+    scene: common.SceneName = "fig4",
+    damping: common.Damping = "0,1.74",
+    stiffness: Annotated[Range, typer.Option("--stiffness", metavar="LOW HIGH N", help="Grid of K, N/m.")] = (0.0, 1400.0, 15),
+    viscous: Annotated[Range, typer.Option("--viscous", metavar="LOW HIGH N", help="Grid of B, N s/m.")] = (0.0, 9.0, 10),
+    mass: Annotated[Range, typer.Option("--mass", metavar="LOW HIGH N", help="Grid of M, kg.")] = (-0.028, 0.026, 10),
+    near: Annotated[
+        float, typer.Option("--near", help="Share about the predicted boundary that is tried.", min=0.0, max=0.9)
+    ] = 0.15,
+    everywhere: Annotated[bool, typer.Option("--everywhere", help="Try every point, the paper's way.")] = False,
+    refine: Annotated[int, typer.Option("--refine", metavar="N", help="Then halve the grid at the boundary.", min=0, max=1)] = 0,
+    executor: Annotated[str, typer.Option("--executor", metavar="thread|process", help="Where trials run.")] = "thread",
+    seconds: common.Seconds = 90.0,
+    seed: common.Seed = 1,
+    band: common.Band = (2.0, 500.0),
+    out: common.Out = None,
+    plot: common.Plot = True,
+    as_json: options.Json = False,
+) -> None:
+    """Map the passive set of a simulated display. Predicted first; trials where the prediction leaves doubt.
+
+    Ctrl-C is safe: the same command with the same --out goes on where it ended.
+    """
+    import numpy as np
+
+    from hapticd.measure.campaign import MapParams, plan_map, run_map
+    from hapticd.measure.outcomes import Conditions
+    from hapticd.measure.scenes import noise
+    from hapticd.measure.store import TrialStore, plain, write_run
+
+    if executor not in ("thread", "process"):
+        raise typer.BadParameter(f"--executor {executor!r}: use thread or process")
+    loaded = common.scene_of(scene)
+    conditions = Conditions(loaded, seconds, replace(noise(loaded), seed=seed), band)
+    axes: tuple[Floats, Floats, Floats] = (np.linspace(*stiffness), np.linspace(*viscous), np.linspace(*mass))
+    plan = plan_map(MapParams(conditions, axes, common.levels(damping), near, everywhere, refine))
+    folder = common.folder(out, "map")
+    store = TrialStore(folder / "trials.jsonl")
+    output.talk(f"{len(plan.levels) * axes[0].size * axes[1].size * axes[2].size} points predicted, {plan.trials} to be tried")
+    try:
+        with common.progress() as tell, _pool(executor) as pool:
+            result = run_map(plan, store, tell, pool, _Redrawn(conditions, folder) if plot else lambda new: None)
+    except KeyboardInterrupt:
+        output.talk(f"{len(store.known)} trials are kept in {folder}; the same command with --out {folder} goes on there")
+        raise typer.Exit(130) from None
+    told = [_told(level) for level in result.levels]
+    asked = {"seconds": seconds, "seed": seed, "band_hz": band, "near": near, "everywhere": everywhere, "refine": refine}
+    write_run(
+        folder,
+        {"kind": "map", "scene": scene, "axes": axes, "parameters": asked, "levels": told, "provenance": common.told(seed=seed)},
+    )
+    paths = draw(result, folder) if plot else []
+    if as_json:
+        output.data_json({"ok": True, "levels": plain(told), "folder": str(folder), "figures": [str(path) for path in paths]})
+        return
+    _print(result, told)
+    output.data(f"{result.made} trials made, kept in {folder}")
+    for path in paths:
+        output.data(str(path))
+
+
+class _Redrawn:
+    """Draws the envelope again as trials arrive, at most every few seconds."""
+
+    def __init__(self, conditions: "Conditions", folder: Path) -> None:
+        self._conditions, self._folder, self._drawn_s = conditions, folder, monotonic()
+        self._passed: dict[float, list[Outcome]] = {}
+
+    def __call__(self, new: "list[Outcome]") -> None:
+        from hapticd.measure.outcomes import envelope_of
+        from hapticd.report import figures
+        from hapticd.report.zwidth_map import envelope_figure
+
+        for outcome in new:
+            if outcome.passes:
+                self._passed.setdefault(outcome.damping_ns_per_m, []).append(outcome)
+        if self._passed and monotonic() - self._drawn_s > REDRAW_S:
+            self._drawn_s = monotonic()
+            drawn = [(level, envelope_of(passed)) for level, passed in self._passed.items()]
+            figures.save(envelope_figure(self._conditions, drawn), self._folder, "envelope")
+
+
+@contextmanager
+def _pool(name: str) -> Iterator[Executor | None]:
+    if name == "thread":
+        yield None
+        return
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import get_context
+
+    with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
+        yield pool
+
+
+def _told(level: "LevelMap") -> dict[str, Any]:
+    from hapticd.analysis.boundary import open_ends, set_limits, volume
+    from hapticd.analysis.metrics import widths_db
+
+    found: dict[str, Any] = {
+        "added_damping_ns_per_m": level.damping_ns_per_m,
+        "points": level.found.margin.size,
+        "passive": int(level.found.passive.sum()),
+        "tried": int(level.tried.sum()),
+        "unlike_prediction": level.disagreements,
+        "set_limits": set_limits(level.found) if level.found.passive.any() else None,
+        "open_ends": open_ends(level.found),
+        "volume": volume(level.found),
+        "widths_db": widths_db(level.envelope) if level.envelope else (),
+    }
+    return found
+
+
+def _print(result: "MapResult", told: list[dict[str, Any]]) -> None:
+    from hapticd.report.table import table, text
+
+    rows = []
+    for level in told:
+        limits = level["set_limits"]
+        extremes = (limits.stiffness[1], limits.damping[1], 1e3 * limits.mass[0]) if limits else (float("nan"),) * 3
+        width = level["widths_db"][1].width_db if level["widths_db"] else float("nan")
+        rows.append(
+            (
+                level["added_damping_ns_per_m"],
+                level["points"],
+                level["tried"],
+                level["unlike_prediction"],
+                level["passive"],
+                *extremes,
+                width,
+            )
+        )
+    columns = ("added N s/m", "points", "tried", "unlike", "passive", "K max N/m", "B max N s/m", "M min g", "10-50 Hz dB")
+    output.data(text(table(columns, rows, f"SIMULATED {result.plan.params.conditions.scene.device}: the set on the grid")))
+    for level in told:
+        if level["open_ends"]:
+            output.talk(
+                f"at {level['added_damping_ns_per_m']:g} N s/m the set goes beyond the grid: {', '.join(level['open_ends'])}"
+            )
+
+
+def draw(result: "MapResult", folder: Path) -> list[Path]:
+    """The set, and the envelopes where a trial passed."""
+    from hapticd.report import figures
+    from hapticd.report.zwidth_map import envelope_figure, set_figure
+
+    paths = [*figures.save(set_figure(result), folder, "set")]
+    drawn = [(level.damping_ns_per_m, level.envelope) for level in result.levels if level.envelope]
+    if drawn:
+        paths += figures.save(envelope_figure(result.plan.params.conditions, drawn), folder, "envelope")
+    return paths

@@ -1,0 +1,134 @@
+"""Every figure of a device, or of a run that was kept."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hapticd.cli import options, output
+from hapticd.cli.zwidth import common
+
+if TYPE_CHECKING:
+    from hapticd.measure.campaign import MapParams, MapResult
+
+What = Annotated[str, typer.Argument(metavar="DEVICE|RUN", help="A simulated device or scene, or the folder of a trial or a map.")]
+GRID = (12, 10, 11)
+ROOM = (2.0, 1.15, 1.25, 1.4)  # of the grid over the largest axis limits: K, B, -M, M
+
+
+def command(
+    what: What,
+    damping: common.Damping = "0,1.74",
+    seconds: common.Seconds = 90.0,
+    seed: common.Seed = 1,
+    out: common.Out = None,
+    as_json: options.Json = False,
+) -> None:
+    """Every figure of a simulated device, with NAME.zwidth, its portable summary; or those of a run folder, drawn again."""
+    paths = _of_run(Path(what)) if (Path(what) / "run.json").is_file() else _of_device(what, damping, seconds, seed, out)
+    if as_json:
+        output.data_json({"ok": True, "files": [str(path) for path in paths]})
+        return
+    for path in paths:
+        output.data(str(path))
+
+
+def _of_run(folder: Path) -> list[Path]:
+    from hapticd.cli.zwidth.map import draw
+    from hapticd.errors import ConfigError
+    from hapticd.measure.campaign import plan_map, run_map
+    from hapticd.measure.store import TrialStore, read_summary
+
+    kept = read_summary(folder)
+    if kept["kind"] == "trial":
+        return _trial_again(folder, kept)
+    if kept["kind"] != "map":
+        raise ConfigError(f"{folder}: a run of kind {kept['kind']!r} keeps its own figures; draw a trial or a map again")
+    with common.progress() as tell:
+        return draw(run_map(plan_map(_asked(kept)), TrialStore(folder / "trials.jsonl"), tell), folder)
+
+
+def _trial_again(folder: Path, kept: dict[str, Any]) -> list[Path]:
+    from hapticd.measure.recorded import read_file
+    from hapticd.measure.sources import Trial
+    from hapticd.measure.store import record_path
+    from hapticd.measure.trial import TrialParams, judged, plan_trial
+    from hapticd.report import figures
+    from hapticd.report.zwidth import trial_figure
+
+    recorded = replace(read_file(record_path(folder)), origin=kept["origin"], simulated=kept["simulated"], ended=kept["ended"])
+    k, b, m = kept["environment"].values()
+    low, high = kept["verdict"]["band_hz"]
+    trial = Trial((k, b, m), kept["added_damping_ns_per_m"], kept["seconds"])
+    behind = kept["probe_mass_taken_out_kg"]
+    params = TrialParams(trial, None, (low, high), kept["verdict"]["confidence"], kept["estimator"], behind)
+    return list(figures.save(trial_figure(judged(plan_trial(params), recorded)), folder, "trial"))
+
+
+def _asked(kept: dict[str, Any]) -> "MapParams":
+    import numpy as np
+
+    from hapticd.measure.campaign import MapParams
+    from hapticd.measure.outcomes import Conditions
+    from hapticd.measure.scenes import noise
+
+    scene, asked = common.scene_of(kept["scene"]), kept["parameters"]
+    low, high = asked["band_hz"]
+    conditions = Conditions(scene, asked["seconds"], replace(noise(scene), seed=asked["seed"]), (low, high))
+    stiffness, damping, mass = (np.asarray(axis) for axis in kept["axes"])
+    levels = tuple(level["added_damping_ns_per_m"] for level in kept["levels"])
+    return MapParams(conditions, (stiffness, damping, mass), levels, asked["near"], asked["everywhere"], asked["refine"])
+
+
+def _of_device(name: str, damping: str, seconds: float, seed: int, out: Path | None) -> list[Path]:
+    from hapticd.cli.zwidth.map import draw
+    from hapticd.measure.axis_scan import LimitsParams, plan_limits, run_limits
+    from hapticd.measure.outcomes import Conditions
+    from hapticd.measure.portable import SUFFIX, device_hash, portable, write_portable
+    from hapticd.measure.scenes import noise
+    from hapticd.report import figures
+    from hapticd.report.zwidth import limits_figure
+
+    scene, levels = common.scene_of(name), common.levels(damping)
+    conditions = Conditions(scene, seconds, replace(noise(scene), seed=seed))
+    folder = common.folder(out, f"report-{scene.device}")
+    with common.progress() as tell:
+        limits = run_limits(plan_limits(LimitsParams(conditions, levels)), tell)
+        found = _mapped(conditions, levels, limits, folder, tell)
+    paths = [*_own_trial(scene, seconds, folder), *figures.save(limits_figure(limits), folder, "limits")]
+    paths += draw(found, folder)
+    drawn = [(level.damping_ns_per_m, level.envelope) for level in found.levels]
+    told = {"seconds": seconds, "band_hz": conditions.band_hz, "perturbation": conditions.excitation, "simulated": True}
+    content = portable(scene.device, device_hash(scene.device), drawn, limits.limits, told)
+    return [*paths, write_portable(folder / f"{scene.device}{SUFFIX}", {**content, "provenance": common.told(seed=seed)})]
+
+
+def _mapped(conditions: Any, levels: tuple[float, ...], limits: Any, folder: Path, tell: Any) -> "MapResult":
+    import numpy as np
+
+    from hapticd.errors import AnalysisError
+    from hapticd.measure.campaign import MapParams, plan_map, run_map
+    from hapticd.measure.store import TrialStore
+
+    most = [max((abs(limit.value) for limit in limits.limits if limit.scan.axis == axis), default=0.0) for axis in range(3)]
+    if not all(np.isfinite(most)) or min(most) == 0.0:
+        raise AnalysisError("the display is not passive at K = B = M = 0, so there is no set to map; see `hapticd zwidth trial`")
+    axes = (
+        np.linspace(0.0, ROOM[0] * most[0], GRID[0]),
+        np.linspace(0.0, ROOM[1] * most[1], GRID[1]),
+        np.linspace(-ROOM[2] * most[2], ROOM[3] * most[2], GRID[2]),
+    )
+    return run_map(plan_map(MapParams(conditions, axes, levels)), TrialStore(folder / "trials.jsonl"), tell)
+
+
+def _own_trial(scene: Any, seconds: float, folder: Path) -> list[Path]:
+    from hapticd.measure.scenes import level, noise, point
+    from hapticd.measure.sources import Trial, engine_source
+    from hapticd.measure.trial import TrialParams, plan_trial, run_trial
+    from hapticd.report import figures
+    from hapticd.report.zwidth import trial_figure
+
+    trial = Trial(point(scene), level(scene), seconds, noise(scene))
+    result = run_trial(plan_trial(TrialParams(trial, scene)), engine_source(scene))
+    return list(figures.save(trial_figure(result), folder, "trial"))

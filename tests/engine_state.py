@@ -1,0 +1,20 @@
+"""Looking at the engine's state array after a batch."""
+
+import numpy as np
+
+from hapticd.sim.engine import chunk, simulate
+from hapticd.sim.engine.group import Group
+
+
+def final(monkeypatch, *arguments, **options):
+    """(rows of the first group after the batch by name, the result) of `simulate(*arguments, **options)`."""
+    made = []
+
+    class Watched(Group):
+        def __init__(self, *parts):
+            super().__init__(*parts)
+            made.append(self)
+
+    monkeypatch.setattr(chunk, "Group", Watched)
+    result = simulate(*arguments, **options)
+    return {name: np.array(row[: made[0].count]) for name, row in made[0].rows.items()}, result

@@ -1,0 +1,205 @@
+"""record, rec, dump and replay from the command line; the way from a live toggle to the plot of another one."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import pytest
+from models import board_params
+from recorded import RecordedFlight, Source
+from test_cli_process import DEADLINE_S, Daemon, until
+
+from hapticd.assembly import process
+from hapticd.cli import dump as dump_verb
+from hapticd.cli import record as record_verb
+from hapticd.cli.app import main
+from hapticd.clock import VirtualClock
+from hapticd.gateway.flight import flights_folder
+from hapticd.measure import recorder
+from hapticd.params import InjectionParams
+from hapticd.units import NS_PER_S
+
+
+class ClientDouble(Source):
+    """A client whose daemon flew before; `dump` names a file."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        pass
+
+    def dump(self) -> dict[str, Any]:
+        return self.dumped  # type: ignore[no-any-return, attr-defined]
+
+
+@pytest.fixture(scope="module")
+def flown() -> RecordedFlight:
+    with RecordedFlight() as flight:
+        flight.move()
+        flight.fly(1500)
+    return flight
+
+
+@pytest.fixture
+def client(flown: RecordedFlight, monkeypatch: pytest.MonkeyPatch) -> ClientDouble:
+    clock = VirtualClock(NS_PER_S)
+    double = ClientDouble(flown, clock)
+    for module in (record_verb, dump_verb):
+        monkeypatch.setattr(module, "connect", lambda instance: double)
+    monkeypatch.setattr(recorder, "MonotonicClock", lambda: clock)
+    monkeypatch.setattr(process, "on_stop", lambda handler: None)
+    return double
+
+
+@pytest.fixture
+def file(client: ClientDouble, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Path:
+    assert main(["record", str(tmp_path / "run.h5"), "--note", "seen by nobody"]) == 0
+    capsys.readouterr()
+    return tmp_path / "run.h5"
+
+
+def test_record_says_what_it_has(client: ClientDouble, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["record", str(tmp_path / "a.h5"), "--seconds", "0.5"]) == 0
+    assert capsys.readouterr().out.startswith(f"{tmp_path / 'a.h5'}: complete, SIMULATED, 0.499 s, 500 records, 0 missing, ")
+
+
+def test_record_as_json(client: ClientDouble, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["record", str(tmp_path / "a.h5"), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["ok"], told["ended"], told["missing"]["servo"], told["simulated"]) == (True, "daemon ended", 0, True)
+
+
+def test_record_refuses_what_is_in_the_way(client: ClientDouble, file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["record", str(file)]) == 78
+    assert "run.h5 exists; choose another name" in capsys.readouterr().err
+
+
+def test_info_says_where_it_comes_from(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["rec", "info", str(file)]) == 0
+    out = capsys.readouterr().out
+    assert "SIMULATED" in out
+    assert "note = seen by nobody" in out
+    assert "missing: 0 records, 0 probe samples" in out
+    assert main(["rec", "info", str(file), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["attributes"]["device_serial"] == "SIM0001"
+    assert told["lives"] == 1
+
+
+@pytest.mark.parametrize(("kind", "names"), [("mat", ["run.mat"]), ("csv", ["run.csv", "run.probe.csv"])])
+def test_export_names_its_files(kind: str, names: list[str], file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["rec", "export", kind, str(file), "--json"]) == 0
+    assert [Path(path).name for path in json.loads(capsys.readouterr().out)["files"]] == names
+    assert main(["rec", "export", kind, str(file)]) == 78
+    assert f"run.{kind} exists; name another file" in capsys.readouterr().err
+
+
+def test_export_of_an_unknown_kind_is_usage(file: Path) -> None:
+    assert main(["rec", "export", "xls", str(file)]) == 2
+
+
+def test_replay_is_bit_exact(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["replay", str(file), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["bit_exact"], told["first_difference"], told["legs"]) == (True, None, 1)
+    assert "figures" not in told
+
+
+def test_replay_with_other_settings_draws_both(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["replay", str(file), "--set", "B=5", "--set", "damping=0", "--filter-hz", "60"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-2:] == [str(file.with_name("run-replay.png")), str(file.with_name("run-replay.svg"))]
+    assert all(Path(line).stat().st_size > 10_000 for line in lines[-2:])
+    assert any(line.startswith("force flown") for line in lines)
+    svg = Path(lines[-1]).read_text()
+    assert "SIMULATED" in svg
+    assert "B=5, damping=0, filters.velocity_hz=60, filters.acceleration_hz=60" in svg
+
+
+def test_replay_of_a_wrong_setting_is_usage(file: Path) -> None:
+    assert main(["replay", str(file), "--set", "stiff=5"]) == 2
+
+
+def test_replay_that_differs_fails(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    import h5py
+
+    with h5py.File(file, "a") as content:
+        content["servo/force_n"][1200] += 1.0
+    assert main(["replay", str(file)]) == 1
+    out, err = capsys.readouterr()
+    assert "force_n was" in out
+    assert "the flight differs from the recording" in err
+
+
+def test_dump_waits_for_the_file(client: ClientDouble, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "x.flight").touch()
+    client.dumped = {"path": str(tmp_path / "x.flight"), "records": 12, "reason": "asked"}  # type: ignore[attr-defined]
+    assert main(["dump"]) == 0
+    assert capsys.readouterr().out == f"{tmp_path / 'x.flight'}: 12 records\n"
+
+
+def test_dump_that_never_comes_fails(client: ClientDouble, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    monkeypatch.setattr(dump_verb, "PATIENCE_S", 0.0)
+    client.dumped = {"path": str(tmp_path / "x.flight"), "records": 12, "reason": "asked"}  # type: ignore[attr-defined]
+    assert main(["dump"]) == 1
+    assert "was not written within 0 s" in capsys.readouterr().err
+
+
+def test_flight_recording_becomes_a_file_for_everyone(runtime: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    board = board_params(injections=(InjectionParams("encoder_jump", tick=900, value=100_000.0),))
+    with RecordedFlight(board=board) as flight:
+        flight.move()
+        flight.fly(2300)
+    (path,) = flights_folder("test").glob("*.flight")
+    assert main(["rec", "recover", str(path), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert Path(told["file"]) == path.with_suffix(".h5")
+    assert path.exists()
+    assert main(["replay", told["file"]]) == 0
+    assert main(["replay", str(path)]) == 0
+    assert capsys.readouterr().out.count("bit-exact") == 2
+
+
+@pytest.mark.process
+def test_from_a_live_toggle_to_the_plot_of_another(runtime: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    part, final = tmp_path / "toggle.part.h5", tmp_path / "toggle.h5"
+    with Daemon(runtime) as daemon:
+        for words in (["set", "K=50", "B=2"], ["enable"]):
+            assert daemon.cli(*words) == 0
+        command = [sys.executable, "-m", "hapticd", "record", str(final), "--instance", daemon.instance]
+        recording = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+        try:
+            size = until(lambda: part.exists() and part.stat().st_size > 500_000 and part.stat().st_size, "it records")
+            assert daemon.cli("damping", "on") == 0
+            until(lambda: part.stat().st_size > size + 1_000_000, "it goes on")
+        finally:
+            recording.send_signal(signal.SIGKILL)
+            recording.wait(DEADLINE_S)
+        assert daemon.cli("dump") == 0
+        flight = Path(capsys.readouterr().out.splitlines()[-1].partition(": ")[0])
+        assert flight.stat().st_size > 500_000
+    assert main(["rec", "recover", str(part)]) == 0
+    assert main(["replay", str(final), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["bit_exact"] is True
+    assert main(["replay", str(final), "--set", "B=0.5"]) == 0
+    assert (tmp_path / "toggle-replay.png").stat().st_size > 10_000
+    assert main(["replay", str(flight)]) == 0
+
+
+@pytest.mark.process
+def test_interrupt_ends_a_recording_in_order(runtime: Path, tmp_path: Path) -> None:
+    with Daemon(runtime) as daemon:
+        command = [sys.executable, "-m", "hapticd", "record", str(tmp_path / "a.h5"), "--instance", daemon.instance, "--json"]
+        recording = subprocess.Popen(command, stdout=subprocess.PIPE, env={**os.environ})
+        until(lambda: (tmp_path / "a.part.h5").exists() and (tmp_path / "a.part.h5").stat().st_size > 300_000, "it records")
+        recording.send_signal(signal.SIGINT)
+        out, _ = recording.communicate(timeout=DEADLINE_S)
+    told = json.loads(out)
+    assert (recording.returncode, told["ended"], told["missing"]["servo"]) == (0, "stopped", 0)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.h5"]

@@ -1,0 +1,171 @@
+"""`hapticd zwidth`: what a person types, gets printed, and finds in the run folder."""
+
+import json
+
+import numpy as np
+import pytest
+
+from hapticd.cli.app import main
+
+pytest.importorskip("matplotlib")
+
+SHORT = ["--seconds", "20"]
+
+
+def run(arguments, capsys):
+    """(exit code, stdout, stderr)"""
+    code = main(["zwidth", *arguments])
+    told = capsys.readouterr()
+    return code, told.out, told.err
+
+
+def test_trial_prints_a_sentence_and_keeps_a_run(tmp_path, capsys):
+    code, out, _ = run(["trial", *SHORT, "--out", str(tmp_path / "a"), "--plot", "-K", "50", "-M", "0"], capsys)
+    assert code == 0
+    assert out.startswith("SIMULATED engine, scene fig4: K 50 N/m, B 1 N s/m, M 0 kg, added damping 0 N s/m\n")
+    assert "in band [2, 500] Hz at 95 % confidence; stable as far as seen" in out
+    assert {path.name for path in (tmp_path / "a").iterdir()} >= {"run.json", "trial.png", "trial.svg"}
+    kept = json.loads((tmp_path / "a" / "run.json").read_text())
+    assert kept["simulated"] is True
+    assert kept["provenance"]["hapticd"]
+    assert len(kept["scene_hash"]) == 64
+
+
+def test_trial_in_json_is_one_object(tmp_path, capsys):
+    code, out, _ = run(["trial", *SHORT, "--out", str(tmp_path), "--json", "--seed", "5"], capsys)
+    found = json.loads(out)
+    assert code == 0
+    assert found["ok"] is True
+    assert found["seed"] == 5
+    assert found["verdict"]["answer"] in ("passive", "undecided")
+
+
+def test_trial_in_lockstep_is_the_whole_stack(tmp_path, capsys):
+    code, out, _ = run(["trial", "lockstep", "--seconds", "8", "--out", str(tmp_path)], capsys)
+    assert code == 0
+    assert out.startswith("SIMULATED lock-step, scene fig4")
+
+
+def test_undecided_trial_says_what_would_decide(tmp_path, capsys):
+    _, out, _ = run(["trial", "--seconds", "6", "--out", str(tmp_path)], capsys)
+    assert "undecided in band" in out
+    assert "s would decide at this confidence" in out
+
+
+def test_import_makes_a_run_of_any_record(tmp_path, capsys):
+    force = np.random.default_rng(1).normal(0.0, 0.2, 80_000)
+    np.savetxt(tmp_path / "x.csv", np.column_stack((force, force / 3.0)), delimiter=",", header="force,velocity", comments="")
+    words = ["import", str(tmp_path / "x.csv"), "--rate-hz", "4000", "--out", str(tmp_path / "run"), "-B", "3"]
+    code, out, _ = run(words, capsys)
+    assert code == 0
+    assert out.startswith("x.csv: K 0 N/m, B 3 N s/m")
+    code, out, _ = run(["report", str(tmp_path / "run")], capsys)
+    assert code == 0
+    assert (tmp_path / "run" / "trial.png").is_file()
+
+
+def test_limits_table_names_its_conditions(tmp_path, capsys):
+    words = ["limits", *SHORT, "--axis", "B", "--damping", "0", "--levels", "2", "--out", str(tmp_path)]
+    code, out, _ = run(words, capsys)
+    assert code == 0
+    assert out.splitlines()[0] == "SIMULATED weir2008: axis limits, the other two being 0"
+    assert "2.5e-05" in out
+    assert "0.0001" in out
+    kept = json.loads((tmp_path / "run.json").read_text())
+    assert [limit["name"] for limit in kept["limits"]] == ["B", "B"]
+    assert (tmp_path / "limits.svg").is_file()
+
+
+def test_map_goes_on_and_is_drawn_again(tmp_path, capsys):
+    words = ["map", *SHORT, "--out", str(tmp_path), "--damping", "1.74", "--stiffness", "0", "900", "3",
+             "--viscous", "0", "6", "3", "--mass", "-0.01", "0.01", "3"]  # fmt: skip
+    code, out, err = run(words, capsys)
+    assert code == 0
+    assert "27 points predicted" in err
+    made = int(out.split(" trials made")[0].rsplit("\n", 1)[-1])
+    assert made > 0
+    code, again, _ = run(words, capsys)
+    assert code == 0
+    assert "0 trials made" in again
+    (tmp_path / "set.png").unlink()
+    assert run(["report", str(tmp_path)], capsys)[0] == 0
+    assert (tmp_path / "set.png").is_file()
+
+
+def test_interrupted_map_says_how_to_go_on(tmp_path, capsys, monkeypatch):
+    from hapticd.measure import campaign
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(campaign, "run_map", interrupted)
+    code, _, err = run(["map", "--out", str(tmp_path / "m"), *SHORT], capsys)
+    assert code == 130
+    assert f"the same command with --out {tmp_path / 'm'} goes on there" in err
+
+
+def test_search_reports_its_doubt(tmp_path, capsys):
+    code, out, _ = run(["search", *SHORT, "--damping", "1.74", "--budget", "8", "--out", str(tmp_path)], capsys)
+    assert code == 0
+    assert "doubt %" in out
+    assert (tmp_path / "search.png").is_file()
+    assert len((tmp_path / "trials.jsonl").read_text().splitlines()) <= 8
+
+
+def test_walls_prints_the_boundary(tmp_path, capsys):
+    words = ["walls", "--stiffness", "50", "1600", "4", "--viscous", "0", "2", "2", "--out", str(tmp_path), "--json"]
+    code, out, _ = run(words, capsys)
+    assert code == 0
+    lines = json.loads(out)["lines"]
+    assert [(line["damping_ns_per_m"], line["wall_damping_ns_per_m"]) for line in lines] == [(0, 0), (0, 2), (1.74, 0), (1.74, 2)]
+    assert (tmp_path / "walls.png").is_file()
+
+
+def test_report_of_a_device_has_every_figure(tmp_path, capsys, monkeypatch):
+    from hapticd.cli.zwidth import report
+
+    monkeypatch.setattr(report, "GRID", (3, 3, 3))
+    code, out, _ = run(["report", "weir2008", *SHORT, "--damping", "1.74", "--out", str(tmp_path)], capsys)
+    assert code == 0
+    for name in ("trial.png", "limits.png", "set.png", "envelope.png", "weir2008.zwidth"):
+        assert (tmp_path / name).is_file()
+        assert name in out
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["trial", "--estimator", "h"], 2, "use spa or h_force"),
+        (["trial", "x.csv", "--stepped-sine"], 2, "a record that exists cannot be perturbed again"),
+        (["trial", "--seconds", "1"], 65, "a trial of 1 s: a verdict takes 3.84 s or more"),
+        (["trial", "--scene", "fgi4"], 78, "did you mean 'fig4'?"),
+        (["trial", "nothing.csv"], 78, "No such file"),
+        (["trial", "--band", "1", "500", "--seconds", "8"], 65, "band from 1 Hz"),
+        (["limits", "--axis", "X"], 2, "letters out of KBM"),
+        (["limits", "--damping", "on"], 2, "numbers in N s/m"),
+        (["limits", "--damping", "-1"], 2, "levels are not negative"),
+        (["map", "--executor", "ray"], 2, "use thread or process"),
+        (["walls", "--scene", "fig4"], 65, "it has no wall to hit"),
+    ],
+)
+def test_mistakes_are_answered_in_words(words, code, said, tmp_path, capsys):
+    found, _, err = run([*words, "--out", str(tmp_path / "x")], capsys)
+    assert found == code
+    assert said in " ".join(err.replace("│", " ").split())
+
+
+def test_envelope_is_drawn_while_trials_arrive(tmp_path, monkeypatch):
+    from hapticd.cli.zwidth import map as verb
+    from hapticd.measure.outcomes import Conditions, fly
+    from hapticd.measure.scenes import noise
+    from hapticd.settings.scene import load_scene
+
+    scene = load_scene("theory")
+    conditions = Conditions(scene, 20.0, noise(scene))
+    monkeypatch.setattr(verb, "REDRAW_S", -1.0)
+    redrawn = verb._Redrawn(conditions, tmp_path)
+    failed, passed = fly(conditions, 0.0, np.array([[9000.0, 0.0, 0.0], [0.0, 0.0, 0.0]]))
+    redrawn([failed])
+    assert not list(tmp_path.iterdir())
+    redrawn([passed])
+    assert (tmp_path / "envelope.png").is_file()
