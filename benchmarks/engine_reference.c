@@ -3,7 +3,7 @@
  * Two masses and a spring (4 states), Coulomb friction on the first, encoder in counts on the second, the tick law with its
  * two filters, clamp, fractional delay; exact map per 4 kHz sample, one 1 kHz tick = 4 samples. LANES trials side by side,
  * states in registers over a tick; sums of
- * velocity squared, work, its lowest value, samples until divergence, largest command. The position of the first mass keeps itself, the other position is relative to it, as
+ * velocity squared, work, its lowest value, ticks until divergence, largest command. The position of the first mass keeps itself, the other position is relative to it, as
  * the engine does it. Positive force pushes to positive x; units SI. State rows: x, v, gap, u of the second mass, law state,
  * held force. Numbers of `struct scene` come from the engine, so that both compute the same motion.
  */
@@ -30,7 +30,7 @@ static inline REAL clamp(REAL value, REAL limit)
     return below > -limit ? below : -limit;
 }
 
-/* `state`: 11 rows of LANES; `kbm`: 3 rows; `sums`: alive, velocity squared, work, lowest, samples, force; `out`: 4 rows of
+/* `state`: 11 rows of LANES; `kbm`: 3 rows; `sums`: alive, velocity squared, work, lowest, ticks, force; `out`: 4 rows of
  * interval-mean velocity and one of force, of every tick (keep = 1) or the last. */
 void play(REAL *restrict state, const REAL *restrict kbm, REAL *restrict sums, const struct scene *restrict scene,
           const REAL *restrict torque, REAL *restrict out, long ticks, long keep)
@@ -81,22 +81,20 @@ void play(REAL *restrict state, const REAL *restrict kbm, REAL *restrict sums, c
             o[SAMPLES * LANES + l] = force;
             for (int i = 0; i < 4; i++)
                 state[i * LANES + l] = x[i];
-            REAL *sum = sums + l, alive = sum[0], work = sum[2 * LANES], lowest = sum[3 * LANES];
+            REAL *sum = sums + l, squared = 0, work = 0, alive;
 #pragma GCC unroll 4
             for (int j = 0; j < SAMPLES; j++) {
-                alive = (speed[j] < 1000) & (speed[j] > -1000) ? alive : 0;
-                REAL seen = alive > 0 ? speed[j] : 0;
-                sum[LANES] += seen * seen;
-                work += seen * t[j];
-                lowest = work < lowest ? work : lowest;
-                sum[4 * LANES] += alive;
+                squared += speed[j] * speed[j];
+                work += speed[j] * t[j];
             }
+            sum[0] = alive = squared < (REAL)4e6 ? sum[0] : 0;
+            sum[LANES] += alive > 0 ? squared : 0;
+            work = sum[2 * LANES] += alive > 0 ? work : 0;
+            sum[3 * LANES] = work < sum[3 * LANES] ? work : sum[3 * LANES];
+            sum[4 * LANES] += alive;
             force = force > 0 ? force : -force;
             force = alive > 0 ? force : 0;
             sum[5 * LANES] = force > sum[5 * LANES] ? force : sum[5 * LANES];
-            sum[0] = alive;
-            sum[2 * LANES] = work;
-            sum[3 * LANES] = lowest;
         }
     }
 }

@@ -25,7 +25,10 @@ from benchmarks.figures import Figure, load, merge, refused, save
 from benchmarks.worker import BenchError
 from hapticd.errors import HapticdError
 
-PARTS = ("wake", "tick", "late", "latency", "telemetry", "lockstep", "process")
+PARTS = (
+    "wake", "tick", "late", "latency", "telemetry", "lockstep", "process", "record", "engine", "trials",
+    "spa", "predict_map", "directed",
+)  # fmt: skip
 OUTPUT = Path(__file__).resolve().parents[1] / "build" / "bench.json"
 console = Console()
 

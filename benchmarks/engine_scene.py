@@ -1,0 +1,80 @@
+"""The scene that the engine's benchmarks share: two masses and a spring (4 states), friction, counts, 8 N limit, delay."""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from hapticd.params import EnvironmentParams
+from hapticd.plant.bodies import Coupling, Masses, Viscous
+from hapticd.plant.compose import compose_device
+from hapticd.plant.electrical import Delay, Saturation
+from hapticd.plant.friction import Coulomb
+from hapticd.plant.model import Model
+from hapticd.plant.scene import DampingStep, Excitation
+from hapticd.plant.sensing import Encoder
+from hapticd.plant.winding import Motor
+from hapticd.sim.engine.group import Group
+from hapticd.sim.engine.job import Job, prepared, shared_torque
+
+ROTOR_KG, SLIDER_KG, STIFFNESS_N_PER_M, DAMPING_NS_PER_M, VISCOUS_NS_PER_M = 0.005, 0.003, 2e4, 0.6, 0.3
+COULOMB_N, QUANTUM_M, LIMIT_N, DELAY_PERIODS = 0.01, 0.5e-6, 8.0, 0.125
+EFFECTS = (
+    Masses(rotor_kg=ROTOR_KG, slider_kg=SLIDER_KG),
+    Motor(torque_constant_nm_per_a=0.0165, lever_m=0.01, resistance_ohm=1.6),
+    Coupling(stiffness_n_per_m=STIFFNESS_N_PER_M, damping_ns_per_m=DAMPING_NS_PER_M),
+    Viscous(rotor_ns_per_m=VISCOUS_NS_PER_M),
+    Coulomb(rotor_n=COULOMB_N),
+    Delay(periods=DELAY_PERIODS),
+    Saturation(limit_n=LIMIT_N),
+    Encoder(quantum_m=QUANTUM_M),
+)
+NOISE = Excitation("noise", psd_n2_per_hz=2.5e-5)
+
+
+def model(*without: str) -> Model:
+    """The device without the effects of these keys."""
+    return compose_device("all effects", [effect for effect in EFFECTS if effect.key not in without])
+
+
+def environments(count: int) -> "np.ndarray[tuple[int, int], np.dtype[np.float64]]":
+    """K, B, M of trials that are stable on that device, (count, 3); more of them begin with the same."""
+    return np.random.default_rng(0).uniform((0.0, 0.0, -0.002), (100.0, 0.5, 0.005), (count, 3))
+
+
+class Lanes:
+    """A full group of the engine that runs `ticks` ticks whenever it is called, sums only."""
+
+    def __init__(self, device: Model, dtype: str, ticks: int, renders: bool = True) -> None:
+        environment = EnvironmentParams()
+        filters = (environment.velocity_filter, environment.acceleration_filter)
+        job = Job(
+            device, environment, filters, (DampingStep(0.0, 0.0),), NOISE, ticks, 1, substeps=1, dtype=dtype, keep="summary",
+            own_torque=False, renders=renders, start_position_m=0.0, start_velocity_m_per_s=0.0,
+        )  # fmt: skip
+        made = prepared(job)
+        self.lanes, self.ticks, self.samples = made.shape.lanes, ticks, made.shape.samples
+        self.params = environments(self.lanes)
+        self.group = Group(job, made, self.params)
+        self.group.damp(0.0)
+        self.torque = shared_torque(job).astype(made.scalar)
+        self._nothing = np.zeros(1, made.scalar)
+
+    def __call__(self) -> None:
+        self.group.play(self.torque, self._nothing, self._nothing, self.ticks, keep=False)
+
+    @property
+    def steps(self) -> int:
+        """Plant steps of a call, of all trials."""
+        return self.lanes * self.ticks * self.samples
+
+
+def least_cpu_s(runs: dict[str, Callable[[], Any]], rounds: int) -> dict[str, float]:
+    """CPU time of each [s], all interleaved so that other load meets all alike: the least of all rounds."""
+    least = {name: float("inf") for name in runs}
+    for name in [*runs, *(list(runs) * rounds)]:
+        begin = time.process_time()
+        runs[name]()
+        least[name] = min(least[name], time.process_time() - begin)
+    return least

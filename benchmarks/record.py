@@ -1,0 +1,83 @@
+"""What recording costs, in time and in bytes, and how fast a recording flies again."""
+
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from math import pi, sin
+from pathlib import Path
+from statistics import median
+
+from benchmarks import daemon
+from benchmarks.figures import Figure, compared
+from benchmarks.telemetry import cpu_s
+from benchmarks.worker import ROOT, BenchError, environment
+from hapticd.client import Client
+from hapticd.gateway.probe import DTYPE as PROBE
+from hapticd.mailbox.layout import RECORD
+from hapticd.measure.recorder import RecordingParams, packed
+from hapticd.measure.recording.reading import open_recording
+from hapticd.measure.reflight import refly
+
+TARGETS = {"record_cpu_pct": "<= 2", "record_bytes_ratio": "<= 1.15x", "replay_speed": ">= 50x"}
+SETTLED_S, MEASURED_S, FLIGHTS = 3.0, 30.0, 3
+WAVE_N = [0.3 * sin(2 * pi * 5 * index / 4000) for index in range(4000)]
+
+
+def measure() -> Iterator[Figure]:
+    """CPU of a recorder of an enabled, moving servo; bytes of its live file over those that came; CPU of the re-flight."""
+    with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder:
+        params = RecordingParams(Path(folder) / "bench.h5")
+        used = _recorded(params)
+        yield compared("record_cpu_pct", TARGETS["record_cpu_pct"], used, "%", note=f"{MEASURED_S:g} s at 1 kHz, probe at 4 kHz")
+        yield _bytes(params.part)
+        packed(params.part, params.file)
+        yield _replay(params.file)
+
+
+def _recorded(params: RecordingParams) -> float:
+    """Per cent of a core; the recorder is killed, so that its live file stays."""
+    with daemon.running("record") as instance:
+        with Client(instance) as client:
+            client.set(K=50, B=2)
+            client.enable()
+            client.perturb_load(WAVE_N)
+            client.perturb_start(loop=True)
+        command = [sys.executable, "-m", "hapticd", "record", str(params.file), "--instance", instance]
+        recorder = subprocess.Popen(command, env=environment(), cwd=ROOT, stderr=subprocess.PIPE)
+        try:
+            time.sleep(SETTLED_S)
+            begin, begin_s = time.monotonic(), cpu_s(recorder.pid)
+            time.sleep(MEASURED_S)
+            used = 100.0 * (cpu_s(recorder.pid) - begin_s) / (time.monotonic() - begin)
+            if recorder.poll() is not None:
+                raise BenchError(f"the recorder ended early: {recorder.communicate()[1].decode()}")
+        finally:
+            recorder.kill()
+            recorder.communicate()
+    return used
+
+
+def _bytes(part: Path) -> Figure:
+    """The live file, uncompressed, over the bytes of the records that came."""
+    with open_recording(part) as recording:
+        ticks, samples = recording.rows["servo"], recording.rows["probe"]
+    raw = ticks * RECORD.size + samples * PROBE.itemsize
+    note = f"per tick, with its probe samples; {ticks} ticks"
+    return compared("record_bytes_ratio", TARGETS["record_bytes_ratio"], part.stat().st_size / ticks, "B", raw / ticks, note)
+
+
+def _replay(file: Path) -> Figure:
+    """Recorded seconds over the CPU seconds of reading and flying them again, bit-exactly."""
+    times = []
+    for _ in range(FLIGHTS):
+        begin = time.process_time()
+        with open_recording(file) as recording:
+            flight = refly(recording)
+        times.append(time.process_time() - begin)
+    if flight.different is not None:
+        raise BenchError(f"the flight was not bit-exact: {flight.different}")
+    return compared(
+        "replay_speed", TARGETS["replay_speed"], float(flight.time_s[-1]), "s", median(times), "recorded time over CPU time"
+    )

@@ -1,0 +1,40 @@
+"""One question about the batch engine, answered in a fresh process as a JSON number on standard output.
+
+python -m benchmarks.trials_worker first   seconds from importing the engine's kernel machinery to the first result
+python -m benchmarks.trials_worker memory  MB at most while 1,000 trials of 90 s are reduced to sums
+"""
+
+import importlib
+import json
+import resource
+import sys
+import time
+
+KB_PER_MB = 1024.0
+TRIALS, SECONDS = 1000, 90.0
+
+
+def first() -> float:
+    """numba and numpy are imported before: they are the same for any compiled program."""
+    importlib.import_module("numba")
+
+    from benchmarks.engine_scene import environments, model
+    from hapticd.sim.engine import simulate
+
+    device, params = model(), environments(1)
+    begin = time.perf_counter()
+    simulate(device, params, 0.1)
+    return time.perf_counter() - begin
+
+
+def memory() -> float:
+    """Peak resident set of this process."""
+    from benchmarks.engine_scene import environments, model
+    from hapticd.sim.engine import simulate
+
+    simulate(model(), environments(TRIALS), SECONDS)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / KB_PER_MB
+
+
+if __name__ == "__main__":
+    sys.stdout.write(json.dumps({"first": first, "memory": memory}[sys.argv[1]]()))

@@ -1,0 +1,41 @@
+"""Write the reference pages below docs/generated: `python docs/generate.py`, before each build of the site."""
+
+from pathlib import Path
+
+from pages.commands import commands_page
+from pages.faults import fault_page, faults_page
+from pages.messages import messages_page
+from pages.settings import settings_page
+
+from hapticd.faults import FAULTS
+
+GENERATED = Path(__file__).parent / "generated"
+
+
+def pages() -> dict[str, str]:
+    """All generated pages by path."""
+    return {
+        "configuration.md": settings_page("config", "Configuration"),
+        "device.md": settings_page("device", "Device file"),
+        "commands.md": commands_page(),
+        "messages.md": messages_page(),
+        "faults/index.md": faults_page(),
+        **{f"faults/{fault.code}.md": fault_page(fault) for fault in FAULTS[1:]},
+    }
+
+
+def write_pages(folder: Path) -> None:
+    """Write what has changed, remove what is no page any more."""
+    wanted = pages()
+    for path in folder.rglob("*.md"):
+        if str(path.relative_to(folder)) not in wanted:
+            path.unlink()
+    for name, text in wanted.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if not path.exists() or path.read_text() != text:
+            path.write_text(text)
+
+
+if __name__ == "__main__":
+    write_pages(GENERATED)

@@ -1,0 +1,41 @@
+"""The table of faults, and a page for each."""
+
+from pathlib import Path
+
+from hapticd.errors import CommandError
+from hapticd.faults import FAULTS, Fault
+from pages.markdown import table
+
+NOTES = Path(__file__).parents[1] / "faults"  # what to look at, one file per code
+REFUSED_EXIT = CommandError("stopped", "").exit_code
+INTRODUCTION = """# Faults
+
+Every reason for which the servo leaves `enabled` by itself. The number is in every tick record and recording, the code in
+state, events, `hapticd status` and error messages.
+"""
+TABLE_OF_CONTENTS = """
+```{{toctree}}
+:hidden:
+
+{pages}
+```
+"""
+AFTERWARDS = """
+Until `hapticd reset` the state is `{state}` and `enable` is refused with exit code {exit_code}; a reset is refused while the cause
+persists. In a recording: `fault == {number}`.
+"""
+
+
+def faults_page() -> str:
+    """The table of faults."""
+    rows = [(str(fault.number), f"[`{fault.code}`]({fault.code}.md)", fault.cause, fault.remedy) for fault in FAULTS[1:]]
+    contents = TABLE_OF_CONTENTS.format(pages="\n".join(fault.code for fault in FAULTS[1:]))
+    return f"{INTRODUCTION}\n{table(('number', 'code', 'cause', 'remedy'), rows)}{contents}"
+
+
+def fault_page(fault: Fault) -> str:
+    """One fault: the row of the table, and what to look at."""
+    rows = [("number", str(fault.number)), ("cause", fault.cause), ("what happens", fault.action), ("remedy", fault.remedy)]
+    state = "stopped" if fault.code == "stop" else "fault"
+    after = AFTERWARDS.format(state=state, exit_code=REFUSED_EXIT, number=fault.number)
+    return f"# {fault.code}\n\n{table(('', ''), rows)}\n{(NOTES / f'{fault.code}.md').read_text()}{after}"

@@ -1,0 +1,56 @@
+"""Commands and telemetry over ZeroMQ, with the limits of the simulated device."""
+
+from typing import Any
+
+from hapticd.gateway.explain import json_schema
+from hapticd.gateway.limits import Limits
+from hapticd.gateway.topics import TOPICS
+from hapticd.mailbox.layout import TELEMETRY
+from hapticd.settings.build import servo_params
+from hapticd.settings.load import load
+from hapticd.settings.resources import shipped
+from pages.markdown import table
+from pages.schemas import Schema, described
+
+INTRODUCTION = """# Messages
+
+Commands are one msgpack or JSON map each, sent to the ROUTER socket `command` in the runtime folder; the reply has the encoding
+of the request: `{ok: true, id, rev, state, result or receipt}`, or `{ok: false, id, error: {code, message, detail}}`. Telemetry is
+two frames, `[topic, payload]`, on the XPUB socket `telemetry` and on TCP port 9872. Limits below are those of the simulated device
+at 1 kHz; `hapticd.client` speaks all of this.
+
+## Commands
+"""
+RECORDS = """## Records of `servo.raw`
+
+One per tick, little-endian, packed; `descr` in each message is this table as numpy reads it.
+"""
+
+
+def messages_page() -> str:
+    """Commands and telemetry over ZeroMQ, with the limits of the simulated device."""
+    found = json_schema(Limits(servo_params(load(shipped("config") / "hapticd.toml"), "default")))
+    commands = [
+        f"### `{model['properties']['cmd']['const']}`\n\n{model['description']}\n\n{_fields(found, model)}"
+        for model in (found["$defs"][item["$ref"].rpartition("/")[2]] for item in found["oneOf"])
+    ]
+    parts = [
+        f"### `{name}` of `set`\n\n{_fields(found, found['$defs'][title])}"
+        for name, title in (("filters", "Filters"), ("wall", "Wall"))
+    ]
+    topics = table(("topic", "payload", "rate"), [(f"`{topic.name}`", topic.content, topic.rate) for topic in TOPICS])
+    records = table(("field", "type"), [(f"`{field[0]}`", f"`{_kind(field)}`") for field in TELEMETRY])
+    return "\n".join([INTRODUCTION, *commands, *parts, "## Topics\n", topics, RECORDS, records])
+
+
+def _fields(root: Schema, model: Schema) -> str:
+    rows = []
+    for name, field in model["properties"].items():
+        if name not in ("cmd", "v", "id"):
+            unit, takes, _, meaning = described(root, field, False)
+            rows.append((f"`{name}`", unit, "table" if "$ref" in str(field) else takes, meaning))
+    return table(("field", "unit", "takes", "meaning"), rows) if rows else ""
+
+
+def _kind(field: tuple[Any, ...]) -> str:
+    return f"{field[1]} x {field[2][0]}" if len(field) > 2 else str(field[1])
