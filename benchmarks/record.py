@@ -47,6 +47,8 @@ def _recorded(params: RecordingParams) -> float:
         command = [sys.executable, "-m", "hapticd", "record", str(params.file), "--instance", instance]
         recorder = subprocess.Popen(command, env=environment(), cwd=ROOT, stderr=subprocess.PIPE)
         try:
+            while not params.part.exists() and recorder.poll() is None:
+                time.sleep(0.1)
             time.sleep(SETTLED_S)
             begin, begin_s = time.monotonic(), cpu_s(recorder.pid)
             time.sleep(MEASURED_S)

@@ -116,6 +116,9 @@ class StreamDouble:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         return None
 
+    def hello(self) -> dict[str, Any]:
+        return {}
+
     def stream(self) -> Iterator[Any]:
         for block in self._script:
             self._clock.advance_ns(20 * NS_PER_MS if block else NS_PER_S // 2)
@@ -187,3 +190,11 @@ def test_arrow_keys_do_not_stop(monkeypatch: pytest.MonkeyPatch, clock: VirtualC
     play(monkeypatch, clock, [block(20 * i) for i in range(10)])
     monitor.watch("left", None, lambda *view: None)
     assert stopped == []
+
+
+@pytest.mark.usefixtures("runtime")
+def test_monitor_without_a_daemon_says_so_and_ends(capsys: pytest.CaptureFixture[str]) -> None:
+    from hapticd.cli.app import main
+
+    assert main(["monitor", "--json"]) == 3
+    assert "no daemon runs there; start it with `hapticd run`" in capsys.readouterr().err

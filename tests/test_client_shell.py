@@ -14,7 +14,7 @@ from gateway_rig import GatewayRig, running
 
 from hapticd.client import Client, Receipt, fast_stop, shell
 from hapticd.client.fast_stop import main, stop
-from hapticd.errors import CommandError, DaemonDown
+from hapticd.errors import CommandError, ConfigError, DaemonDown
 from hapticd.gateway.records import DTYPE
 from hapticd.mailbox.client_side import press_stop
 from hapticd.mailbox.layout import Command, State
@@ -254,7 +254,7 @@ def test_fast_stop_presses_the_page(folder: Path, capsys: pytest.CaptureFixture[
 
 def test_fast_stop_of_nothing_exits_3(runtime: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main("default", False) == 3
-    assert "no servo runs there, start one with `hapticd run`" in capsys.readouterr().err
+    assert "no daemon runs there; start it with `hapticd run`" in capsys.readouterr().err
     assert main("default", True) == 3
     assert '"ok": false' in capsys.readouterr().out
 
@@ -271,7 +271,7 @@ def test_fast_stop_loads_nothing_large() -> None:
 def test_client_package_names_are_lazy_but_known() -> None:
     import hapticd.client
 
-    assert [getattr(hapticd.client, name).__name__ for name in hapticd.client.__all__] == ["Block", "Client", "Receipt"]
+    assert [getattr(hapticd.client, name).__name__ for name in hapticd.client.__all__] == list(hapticd.client.__all__)
     assert not hasattr(hapticd.client, "Klient")
 
 
@@ -284,3 +284,15 @@ def test_closed_client_leaves_no_socket(rig: GatewayRig) -> None:
     client.close()
     with pytest.raises((zmq.ZMQError, DaemonDown)):
         next(stream)
+
+
+def test_stream_of_a_topic_without_blocks_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"topic 'sevo\.raw' has no blocks: stream takes servo\.raw or probe, listen takes"):
+        next(Client.stream(None, "sevo.raw"))  # type: ignore[arg-type]
+
+
+def test_errors_are_where_the_client_is() -> None:
+    from hapticd import client, errors
+
+    assert (client.CommandError, client.DaemonDown) == (errors.CommandError, errors.DaemonDown)
+    assert "Client" in dir(client)

@@ -390,7 +390,7 @@ def test_column_that_stands_still_is_filled_and_the_unmeant_is_cut(tmp_path: Pat
         content.attrs["schema"] = "hapticd-recording/1"
         content["flushed/rows"] = [[40], [97]]
         content["flushed/rows"].attrs["groups"] = ["servo"]
-        for name, rows in (("tick", 100), ("tail", 99), ("state", 3)):
+        for name, rows in (("tick", 100), ("time_ns", 99), ("state", 3)):
             content[f"servo/{name}"] = np.arange(rows, dtype="<i8")
     with open_recording(part) as recording:
         assert recording.rows == {"servo": 97}

@@ -58,6 +58,7 @@ def watch(instance: str, seconds: float | None, show: Show) -> None:
     begin_ns = heard_ns = clock.now_ns()
     shown_ns, history, simulated = 0, History(), None
     with connect(instance, timeout_s=NO_DATA_S) as client, Keys() as keys, closing(_blocks(client)) as blocks:
+        client.hello()  # nobody there at the start is an error; one who goes away later is NO DATA
         for block in blocks:
             now_ns = clock.now_ns()
             if block is None:

@@ -6,8 +6,9 @@
         device.set(K=100, B=1, M=0.010)
         device.enable()
 
-`core` holds the conversation without any I/O, `shell` adds the sockets, `blocks` decodes telemetry, and `fast_stop` is the
-short way to a stop. The names below are loaded when they are used, so that `fast_stop` stays fast.
+A refusal raises CommandError (its `code` and text say why and what to do), silence DaemonDown. `core` holds the
+conversation without any I/O, `shell` adds the sockets, `blocks` decodes telemetry, and `fast_stop` is the short way
+to a stop. The names below are loaded when they are used, so that `fast_stop` stays fast.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -16,9 +17,16 @@ if TYPE_CHECKING:
     from hapticd.client.blocks import Block
     from hapticd.client.core import Receipt
     from hapticd.client.shell import Client
+    from hapticd.errors import CommandError, DaemonDown
 
-__all__ = ["Block", "Client", "Receipt"]
-_HOMES = {"Block": "hapticd.client.blocks", "Client": "hapticd.client.shell", "Receipt": "hapticd.client.core"}
+__all__ = ["Block", "Client", "CommandError", "DaemonDown", "Receipt"]
+_HOMES = {
+    "Block": "hapticd.client.blocks",
+    "Client": "hapticd.client.shell",
+    "CommandError": "hapticd.errors",
+    "DaemonDown": "hapticd.errors",
+    "Receipt": "hapticd.client.core",
+}
 
 
 def __getattr__(name: str) -> Any:
@@ -27,3 +35,7 @@ def __getattr__(name: str) -> Any:
     from importlib import import_module
 
     return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

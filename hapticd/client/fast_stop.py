@@ -41,7 +41,7 @@ def stop(folder: Path) -> dict[str, Any]:
     try:
         press_stop(folder)
     except MailboxError as error:
-        raise DaemonDown(str(error)) from error
+        raise DaemonDown(f"{folder}: no daemon runs there; start it with `hapticd run`") from error
     return {"ok": True, "state": "", "receipt": {"result": "pressed"}}
 
 

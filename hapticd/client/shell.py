@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from hapticd.client.blocks import Block, BlockDecoder, Records
 from hapticd.client.core import Receipt, accepted, receipt_of
 from hapticd.client.line import Line
-from hapticd.errors import CommandError, DaemonDown, MailboxError
+from hapticd.errors import CommandError, ConfigError, DaemonDown, MailboxError
 from hapticd.mailbox.client_side import press_stop
 from hapticd.mailbox.files import DEFAULT_INSTANCE, daemon_folder
 from hapticd.units import NS_PER_S
@@ -25,6 +25,7 @@ from hapticd.units import NS_PER_S
 STOP_TIMEOUT_S = 0.04
 CHUNK_SAMPLES = 8192  # of a waveform, in one message
 POLL_S = 0.02
+STREAMED = ("servo.raw", "probe")
 
 
 class Client:
@@ -172,8 +173,10 @@ class Client:
         """Blocks of `servo.raw` (one record a tick) or `probe` (4 kHz) as they come: see Block.
 
         `seconds` of recorded time or `count` records, the last block is cut to fit; without either, until you stop.
-        DaemonDown when nothing comes for the client's time-out.
+        DaemonDown when nothing comes for the client's time-out; ConfigError for a topic without blocks (see `listen`).
         """
+        if topic not in STREAMED:
+            raise ConfigError(f"topic {topic!r} has no blocks: stream takes {' or '.join(STREAMED)}, listen takes every topic")
         decoder, taken, end_ns = BlockDecoder(), 0, None
         for payload in self._line.listen(topic, self._timeout_s):
             block = decoder.decode(payload)

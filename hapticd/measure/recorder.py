@@ -28,7 +28,7 @@ from hapticd.measure.recording.writer import TOPICS, Writer
 from hapticd.units import NS_PER_S
 
 LOOK_S = 0.1  # between two looks for what has come, each written and flushed at once
-SYNC_NS = NS_PER_S
+SYNC_NS = NS_PER_S  # between two looks at the disk
 RESERVE_BYTES = 64 << 20  # the disk is taken for full when so little is left
 SILENCE_NS = 10 * NS_PER_S  # a daemon that says nothing for so long has ended
 
@@ -145,11 +145,11 @@ class Recorder:
                 continue
             if writer := self._writer:
                 writer.write()
-                tell(Progress(writer.records, writer.seconds, writer.missing["servo.raw"], self._size()))
                 if now_ns - synced_ns >= SYNC_NS:
                     synced_ns = now_ns
                     self._sync.request(writer.file.descriptor)
                     ended = self._nearly_full()
+                    tell(Progress(writer.records, writer.seconds, writer.missing["servo.raw"], self._size()))
             ended = ended or self._over(now_ns - heard_ns, should_stop)
         self._sync.stop()
         if self._writer:

@@ -10,6 +10,7 @@ from hapticd.gateway.encode import ENERGIES
 from hapticd.units import unit_of
 
 Columns = dict[str, NDArray[Any]]
+LEFT_OUT = "tail"  # repeats the tick, for readers of the ring
 _SIGNED = {"<u8": "<i8"}  # 64-bit unsigned integers are no joy in MATLAB
 
 
@@ -25,7 +26,7 @@ class Channel(NamedTuple):
 def channels(descr: Sequence[Sequence[Any]]) -> list[Channel]:
     """The channels of records with numpy `descr`."""
     found = []
-    for name, kind, *shape in descr:
+    for name, kind, *shape in (field for field in descr if field[0] != LEFT_OUT):
         if shape:
             found += [Channel(part, kind, 0, udunits(part)) for part in _parts(name, shape[0][0])]
         elif kind.startswith("V"):
@@ -38,7 +39,7 @@ def channels(descr: Sequence[Sequence[Any]]) -> list[Channel]:
 def columns(records: NDArray[np.void]) -> Columns:
     """The columns of a block of records, in the order of `channels`: views, of the bytes that the channels' types mean."""
     found: Columns = {}
-    for name in records.dtype.names or ():
+    for name in (name for name in records.dtype.names or () if name != LEFT_OUT):
         column = records[name]
         if column.ndim == 2:
             found |= {part: column[:, place] for place, part in enumerate(_parts(name, column.shape[1]))}

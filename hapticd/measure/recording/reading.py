@@ -17,7 +17,7 @@ from hapticd.gateway.encode import ENERGIES
 from hapticd.gateway.records import DTYPE, Records
 from hapticd.mailbox.client_side import Noted
 from hapticd.mailbox.layout import COMMAND_VALUES, LAYOUT_HASH
-from hapticd.measure.recording.channels import Columns, as_channel, columns
+from hapticd.measure.recording.channels import LEFT_OUT, Columns, as_channel, columns
 from hapticd.measure.recording.libraries import needed
 from hapticd.measure.recording.live import FLUSHED, ROWS
 from hapticd.measure.recording.provenance import SCHEMA
@@ -90,7 +90,7 @@ class Recording:
             elif DTYPE[name].kind == "V":
                 found[name] = np.ascontiguousarray(self.column("servo", name, begin, end)).view(DTYPE[name]).ravel()
             else:
-                found[name] = self.column("servo", name, begin, end)
+                found[name] = self.column("servo", "tick" if name == LEFT_OUT else name, begin, end)
         return found
 
     def legs(self) -> list[Leg]:
