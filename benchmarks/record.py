@@ -16,8 +16,9 @@ from benchmarks.worker import ROOT, BenchError, environment
 from hapticd.client import Client
 from hapticd.gateway.probe import DTYPE as PROBE
 from hapticd.mailbox.layout import RECORD
-from hapticd.measure.recorder import RecordingParams, packed
-from hapticd.measure.recording.reading import open_recording
+from hapticd.measure.recorder import RecordingParams
+from hapticd.measure.recording.opening import open_recording
+from hapticd.measure.recording.pack import packed
 from hapticd.measure.reflight import refly
 
 TARGETS = {"record_cpu_pct": "<= 2", "record_bytes_ratio": "<= 1.15x", "replay_speed": ">= 50x"}

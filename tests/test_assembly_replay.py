@@ -101,6 +101,13 @@ def test_sent_torque_and_damping_are_compared(flown: tuple[RecordedFlight, repla
         assert found.field == field
 
 
+def test_bytes_of_a_bad_frame_are_not_believed(flown: tuple[RecordedFlight, replay.Leg]) -> None:
+    flight, leg = flown
+    records = leg.records.copy()
+    records["in_frame"][records["arrival"] < 0] = np.void(b"\xff" * 64)
+    assert replay.difference(records, replay.fly(flight.params, leg._replace(records=records))) is None
+
+
 def test_forgotten_request_is_found(flown: tuple[RecordedFlight, replay.Leg]) -> None:
     flight, leg = flown
     without = leg._replace(requests=[one for one in leg.requests if one.kind != Command.SET])

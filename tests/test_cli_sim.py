@@ -87,7 +87,8 @@ def test_run_refuses_no_length(capsys: pytest.CaptureFixture[str], mine: str) ->
 def test_unknown_scene_is_told_with_those_there_are(capsys: pytest.CaptureFixture[str]) -> None:
     code, _, err = spoken(capsys, "sim", "run", "fig44")
     assert code == 78
-    assert "'fig44': no such scene, did you mean 'fig4'?" in err
+    assert "'fig44': no such scene" in err
+    assert "'fig4'" in err
 
 
 @pytest.mark.parametrize("verb", [("sim", "run", "--plot"), ("sim", "effects"), ("accuracy",)])
@@ -189,7 +190,7 @@ def test_quick_accuracy_as_json_has_every_tier(capsys: pytest.CaptureFixture[str
     assert (found["unit"], found["quick"], found["simulated"]) == ("deg", True, True)
 
 
-# --- progress ----------------------------------------------------------------------------------------------------------------------
+# --- progress --------------------------------------------------------------------------------------------------------------
 
 
 def test_progress_is_silent_without_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:

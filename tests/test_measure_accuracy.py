@@ -87,7 +87,7 @@ def test_default_is_in_every_sweep_that_has_it(linear) -> None:
 
 
 def test_left_out_effect_errs_by_what_the_theory_says(linear) -> None:
-    """Without the probe the mass is 5 g instead of 8: the phase between the two exact answers, measured within the trials' chance."""
+    """Without the probe the mass is 5 g instead of 8: the phase between two exact answers, within the trials' chance."""
     found, _ = linear
     scene_, f = load_scene("theory"), frequencies()
     whole, light = (predicted_impedance(compose(each), (1000.0, 0.0, 0.0), f) for each in (scene_, without(scene_, "probe")))
@@ -218,3 +218,10 @@ def test_stiff_electronics_blow_explicit_methods_up() -> None:
     assert np.isinf(found.error["rk4"][steps <= 8]).all()
     assert np.isfinite(found.error["rk4"][steps >= 16]).all()
     assert found.error["exact"].max() < 1e-11
+
+
+def test_device_that_only_drifts_is_stable_with_any_method() -> None:
+    found = compare(without(scene(), "viscous"))
+    assert set(found.longest_s.values()) == {inf}
+    assert found.fastest_s == inf
+    assert found.error["euler"].max() < 1e-9

@@ -27,7 +27,7 @@ from hapticd.measure import recorder
 from hapticd.measure.recorder import RecordingParams, RecordingResult, Synchroniser, packed, record
 from hapticd.measure.recording import export, libraries, live, pack, provenance
 from hapticd.measure.recording.channels import as_channel, channels, columns, udunits
-from hapticd.measure.recording.reading import open_recording
+from hapticd.measure.recording.opening import open_recording
 from hapticd.measure.recording.writer import GROUPS, Writer, event_row
 from hapticd.measure.reflight import refly
 from hapticd.params import InjectionParams

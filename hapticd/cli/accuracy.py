@@ -17,7 +17,7 @@ def command(
 ) -> None:
     """Measure error against time: ways to simulate, sub-steps, precision, length, window, and each effect left out.
 
-    The first run compiles some thirty kernels, which takes minutes; they are kept.
+    The first run of a scene also compiles its kernels, which are kept.
     """
     import time
 

@@ -22,7 +22,7 @@ SHOWN = (
 def recover(file: Source, out: Target = None, as_json: options.Json = False) -> None:
     """Make a finished file of one whose recorder died, or of a flight recording."""
     from hapticd.cli.record import told
-    from hapticd.measure.recorder import packed
+    from hapticd.measure.recording.pack import packed
 
     summary = packed(file, out or _beside(file, ".h5"), recovered=True)
     if as_json:
@@ -34,8 +34,8 @@ def recover(file: Source, out: Target = None, as_json: options.Json = False) -> 
 @app.command()
 def info(file: Source, as_json: options.Json = False) -> None:
     """What is in a recording and where it comes from."""
+    from hapticd.measure.recording.opening import open_recording
     from hapticd.measure.recording.pack import summary
-    from hapticd.measure.recording.reading import open_recording
 
     with open_recording(file) as recording:
         found = summary(recording)
@@ -60,7 +60,7 @@ def _plain(value: Any) -> Any:
 def export(kind: Kind, file: Source, out: Target = None, as_json: options.Json = False) -> None:
     """Convert: `hapticd rec export mat FILE`."""
     from hapticd.measure.recording.export import to_csv, to_mat
-    from hapticd.measure.recording.reading import open_recording
+    from hapticd.measure.recording.opening import open_recording
 
     target = out or _beside(file, f".{kind}")
     with open_recording(file) as recording:

@@ -55,7 +55,8 @@ def compare(scene: Scene) -> Comparison:
     }
     poles = np.asarray(np.linalg.eigvals(a), np.complex128)
     longest = {method: _longest(method, poles) for method in METHODS}
-    return Comparison(np.array(STEPS_PER_MS, np.float64), error, longest, float(1.0 / np.abs(poles).max()))
+    fastest = float(np.abs(poles).max())
+    return Comparison(np.array(STEPS_PER_MS, np.float64), error, longest, 1.0 / fastest if fastest else np.inf)
 
 
 def _between(steps_per_ms: int) -> int:
@@ -96,8 +97,8 @@ def _error(found: Floats, true: Floats, size: Floats) -> float:
 
 
 def _longest(method: str, poles: Complexes) -> float:
-    """The largest step at which no mode grows."""
-    if method == "exact":
+    """The largest step at which no mode grows; inf for one that only drifts."""
+    if method == "exact" or not poles.any():
         return np.inf
     poles = poles[np.abs(poles) > 1e-6 * np.abs(poles).max()]  # drift neither grows nor decays
     low, high = 0.0, LONGEST_S

@@ -7,7 +7,6 @@ passes as in the paper: all phases within +-90 degrees in the band, and the forc
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from math import inf
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from hapticd.analysis.boundary import axis_limit
 from hapticd.analysis.predict import predict
 from hapticd.analysis.spa import spa
 from hapticd.measure.quantities import Quantity, relative
-from hapticd.measure.scenes import filters, level
+from hapticd.measure.scenes import calm, filters, level
 from hapticd.plant.compose import compose
 from hapticd.plant.scene import Scene
 from hapticd.sim.engine import BatchResult
@@ -44,7 +43,7 @@ class Limits(Quantity):
 
     def simulated(self, scene: Scene) -> Floats:
         """By trials, each round 15 times finer."""
-        limit_n = compose(scene).force_limit_n or inf
+        limit_n = compose(scene).force_limit_n
 
         def decide(points: Floats) -> Flags:
             return passes(self.flown(scene, points, own_torque=False), self.band_hz, limit_n)
@@ -74,10 +73,10 @@ class Limits(Quantity):
         return found
 
 
-def passes(found: BatchResult, band_hz: tuple[float, float], force_limit_n: float) -> Flags:
+def passes(found: BatchResult, band_hz: tuple[float, float], force_limit_n: float | None) -> Flags:
     """Which trials (n,) are passive by the paper's rule."""
-    calm = ~found.diverged & (found.max_force_n < force_limit_n)
-    return np.array([bool(good) and _within_90_deg(found, trial, band_hz) for trial, good in enumerate(calm)])
+    good = calm(found, force_limit_n)
+    return np.array([trial in good and _within_90_deg(found, trial, band_hz) for trial in range(len(found.params))])
 
 
 def _within_90_deg(found: BatchResult, trial: int, band_hz: tuple[float, float]) -> bool:

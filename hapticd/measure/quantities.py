@@ -21,7 +21,7 @@ from hapticd.analysis.arrays import Complexes, Floats
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.predict import DEFAULT_BAND_HZ, predicted_impedance
 from hapticd.errors import AnalysisError
-from hapticd.measure.scenes import filters, free_of_walls, frequencies, level, noise, point, pooled, spectra_on
+from hapticd.measure.scenes import calm, filters, free_of_walls, frequencies, level, noise, point, pooled, spectra_on
 from hapticd.plant.compose import compose
 from hapticd.plant.scene import Scene
 from hapticd.sim.engine import BatchResult, simulate
@@ -75,9 +75,8 @@ class Quantity(ABC):
         """Z (F,) under one environment: predicted, or of a group of trials together."""
         if not simulated:
             return predicted_impedance(compose(scene), kbm, frequency_hz, level(scene), filters(scene), self.perturbation())
-        found, limit_n = self.flown(scene, [kbm] * TOGETHER, own_torque=True), compose(scene).force_limit_n or inf
-        calm = np.flatnonzero(~found.diverged & (found.max_force_n < limit_n))
-        return pooled([spectra_on(*found.record(int(trial)), frequency_hz) for trial in calm])
+        found = self.flown(scene, [kbm] * TOGETHER, own_torque=True)
+        return pooled([spectra_on(*found.record(trial), frequency_hz) for trial in calm(found, compose(scene).force_limit_n)])
 
 
 @dataclass(frozen=True)

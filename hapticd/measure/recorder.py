@@ -7,12 +7,7 @@ Before the disk is full the recording ends in order; after a write error it ends
 `hapticd rec recover`.
 """
 
-import json
-import os
 import shutil
-import subprocess
-import sys
-import threading
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -23,7 +18,9 @@ from hapticd.client.blocks import BlockDecoder
 from hapticd.clock import Clock, MonotonicClock
 from hapticd.errors import ConfigError, DaemonDown, HapticdError
 from hapticd.measure.recording import live, pack
+from hapticd.measure.recording.pack import packed
 from hapticd.measure.recording.provenance import provenance
+from hapticd.measure.recording.synchroniser import Synchroniser
 from hapticd.measure.recording.writer import TOPICS, Writer
 from hapticd.units import NS_PER_S
 
@@ -186,48 +183,3 @@ class Recorder:
         part = self._params.part
         reason = f"{part}: {error}; what was flushed before is safe: free some space, then `hapticd rec recover {part}`"
         return HapticdError(reason)
-
-
-class Synchroniser:
-    """A thread that has the operating system write a file to its disk; a request while it is busy is dropped."""
-
-    def __init__(self) -> None:
-        self._wanted, self._ending = threading.Event(), threading.Event()
-        self._descriptor = -1
-        self._thread: threading.Thread | None = None
-
-    def request(self, descriptor: int) -> None:
-        """Write `descriptor` out soon; it stays open until `stop` has returned."""
-        self._descriptor = descriptor
-        self._wanted.set()
-        if self._thread is None:
-            self._thread = threading.Thread(target=self._run)
-            self._thread.start()
-
-    def _run(self) -> None:
-        while self._wanted.wait() and not self._ending.is_set():
-            self._wanted.clear()
-            try:
-                os.fdatasync(self._descriptor)
-            except OSError:
-                pass  # the next write says so, with a message
-
-    def stop(self) -> None:
-        """End the thread; may be called twice."""
-        self._ending.set()
-        self._wanted.set()
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
-
-
-def packed(part: Path, final: Path, recovered: bool = False) -> dict[str, Any]:
-    """Pack `part` into `final` in a process of its own and remove `part`; the summary. HapticdError: both stay as they are."""
-    command = [sys.executable, "-P", "-m", pack.__name__, str(part), str(final), *(["recovered"] if recovered else [])]
-    done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "OPENBLAS_NUM_THREADS": "1"})
-    if done.returncode:
-        raise HapticdError((done.stderr.strip() or f"packing ended with code {done.returncode}").splitlines()[-1])
-    if part.name.endswith(live.SUFFIX):
-        part.unlink()
-    summary: dict[str, Any] = json.loads(done.stdout)
-    return summary

@@ -5,6 +5,7 @@ ln f. They lie on the grid of the paper's window, so that a longer window has th
 """
 
 from dataclasses import replace
+from math import inf
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,7 @@ from hapticd.errors import AnalysisError
 from hapticd.params import EnvironmentParams, FilterParams, WallParams
 from hapticd.plant.catalogue import ALWAYS
 from hapticd.plant.scene import Excitation, Scene
+from hapticd.sim.engine import BatchResult
 from hapticd.units import PROBE_RATE_HZ
 
 FREQUENCIES = 60
@@ -78,6 +80,12 @@ def spectra_on(torque_n: npt.ArrayLike, velocity_m_per_s: npt.ArrayLike, frequen
     whole = spa(torque_n, velocity_m_per_s, lag=lag)
     at = np.rint(frequency_hz * (2 * lag / PROBE_RATE_HZ)).astype(int)
     return replace(whole, frequency_hz=frequency_hz, velocity=whole.velocity[at], force=whole.force[at], cross=whole.cross[at])
+
+
+def calm(found: BatchResult, force_limit_n: float | None) -> list[int]:
+    """Trials that ran to their end without reaching the force limit: the others ran away, and have no impedance."""
+    limit_n = inf if force_limit_n is None else force_limit_n
+    return [int(trial) for trial in np.flatnonzero(~found.diverged & (found.max_force_n < limit_n))]
 
 
 def pooled(trials: list[Spectra]) -> Complexes:

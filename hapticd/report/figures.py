@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK, GREY = (
     "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#000000", "#888888",
 )  # fmt: skip
+ROUND = ((1.0,), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 5.0, 7.0))
+FEWEST_TICKS = 3
 LEAST_RANGE = 2.5  # of a logarithmic axis
 COLOURS = (BLUE, RED, GREEN, ORANGE, PURPLE, SKY)
 STYLE: Any = {
@@ -101,15 +103,17 @@ def plain_axis(axis: Any) -> None:
 
 
 def _spoken(axis: Any) -> None:
-    """Numbers at 1, 2, 5 of every decade where they fit, else at the decades alone."""
-    from matplotlib.ticker import LogLocator, NullFormatter, NullLocator
+    """A few round numbers: decades, or 1, 2, 5 of each, or finer ones where the axis is short."""
+    from matplotlib.ticker import FixedLocator, NullLocator
 
     low, high = axis.get_view_interval()
     if high < LEAST_RANGE * low:
         low, high = (low * high / LEAST_RANGE) ** 0.5, (low * high * LEAST_RANGE) ** 0.5
         setters = {"x": axis.axes.set_xlim, "y": axis.axes.set_ylim}
         setters[axis.axis_name](low, high)
-    wide = high > 200.0 * low
-    axis.set_major_locator(LogLocator(10.0, numticks=8) if wide else LogLocator(10.0, subs=(1.0, 2.0, 5.0), numticks=12))
+    for digits in ROUND:
+        ticks = [digit * 10.0**power for power in range(-15, 16) for digit in digits if low <= digit * 10.0**power <= high]
+        if len(ticks) >= FEWEST_TICKS:
+            break
+    axis.set_major_locator(FixedLocator(ticks))
     axis.set_minor_locator(NullLocator())
-    axis.set_minor_formatter(NullFormatter())

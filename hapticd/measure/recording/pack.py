@@ -6,6 +6,7 @@ its interpreter lock is concerned. The source may be a live file that was closed
 
 import json
 import os
+import subprocess
 import sys
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -15,12 +16,15 @@ from typing import Any
 from numpy.typing import NDArray
 
 from hapticd.errors import HapticdError
+from hapticd.measure.recording import live
 from hapticd.measure.recording.libraries import needed
-from hapticd.measure.recording.reading import Recording, open_recording
+from hapticd.measure.recording.opening import open_recording
+from hapticd.measure.recording.reading import Recording
 from hapticd.params import DeviceParams, ScaleParams
 from hapticd.units import NS_PER_S, PROBE_RATE_HZ
 
 CHUNK_ROWS, AT_ONCE = 4096, 1 << 18
+MODULE = "hapticd.measure.recording.pack"
 GZIP = 4
 FINAL = ".h5"
 
@@ -43,6 +47,18 @@ def pack(source: Path, final: Path, recovered: bool = False) -> dict[str, Any]:
         finally:
             fresh.unlink(missing_ok=True)
     return {"file": str(final), **told, "bytes": final.stat().st_size}
+
+
+def packed(part: Path, final: Path, recovered: bool = False) -> dict[str, Any]:
+    """Pack `part` into `final` in a process of its own and remove `part`; the summary. HapticdError: both stay as they are."""
+    command = [sys.executable, "-P", "-m", MODULE, str(part), str(final), *(["recovered"] if recovered else [])]
+    done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "OPENBLAS_NUM_THREADS": "1"})
+    if done.returncode:
+        raise HapticdError((done.stderr.strip() or f"packing ended with code {done.returncode}").splitlines()[-1])
+    if part.name.endswith(live.SUFFIX):
+        part.unlink()
+    summary: dict[str, Any] = json.loads(done.stdout)
+    return summary
 
 
 def summary(recording: Recording) -> dict[str, Any]:
