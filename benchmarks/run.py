@@ -27,7 +27,7 @@ from hapticd.errors import HapticdError
 
 PARTS = (
     "wake", "tick", "late", "latency", "telemetry", "lockstep", "process", "record", "engine", "trials",
-    "spa", "predict_map", "directed",
+    "board", "spa", "predict_map", "directed",
 )  # fmt: skip
 OUTPUT = Path(__file__).resolve().parents[1] / "build" / "bench.json"
 console = Console()
