@@ -11,12 +11,13 @@ from hapticd.assembly.scene import scene_params
 from hapticd.errors import AnalysisError, ConfigError
 from hapticd.measure.device_scene import device_scene
 from hapticd.measure.lockstep_bench import LockStepBench
+from hapticd.measure.plain import plain
 from hapticd.measure.recorded import Recorded, read_file
 from hapticd.measure.referee import stepped_sine
 from hapticd.measure.scenes import filters
 from hapticd.measure.sentinel import Sentinel, Watch
 from hapticd.measure.sources import Trial, bench_source, engine_source, file_source
-from hapticd.measure.store import TrialStore, fingerprint, plain, read_summary, record_path
+from hapticd.measure.store import TrialStore, fingerprint, read_summary, record_path
 from hapticd.measure.trial import TrialParams, judged, plan_trial, run_trial
 from hapticd.measure.trial_run import write
 from hapticd.plant.compose import compose

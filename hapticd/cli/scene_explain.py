@@ -8,11 +8,11 @@ def command(scene: drawing.SceneName, as_json: options.Json = False) -> None:
     import time
 
     from hapticd.measure.cost import cost
+    from hapticd.measure.plain import plain
     from hapticd.measure.scenes import SUBSTEPS
     from hapticd.plant.compose import compose
     from hapticd.plant.explain import explain
     from hapticd.report import explain as words
-    from hapticd.report.plain import plain
     from hapticd.report.table import text
     from hapticd.settings.scene import load_scene
 

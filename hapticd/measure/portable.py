@@ -12,7 +12,7 @@ from typing import Any
 
 from hapticd.analysis.envelope import Envelope
 from hapticd.errors import ConfigError
-from hapticd.measure.store import plain
+from hapticd.measure.plain import plain
 from hapticd.settings.load import find_device
 from hapticd.settings.resources import shipped
 

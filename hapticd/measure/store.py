@@ -11,9 +11,7 @@ import hashlib
 import json
 import platform
 from collections.abc import Iterable, Mapping
-from dataclasses import fields, is_dataclass
 from importlib.metadata import PackageNotFoundError, version
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -21,27 +19,11 @@ import numpy as np
 
 from hapticd import __version__
 from hapticd.errors import ConfigError
+from hapticd.measure.plain import plain
 from hapticd.measure.recorded import Recorded
 
 SUMMARY, RECORD_H5, RECORD_NPZ = "run.json", "record.h5", "record.npz"
 LIBRARIES = ("numpy", "numba", "scipy", "h5py")
-
-
-def plain(value: Any) -> Any:
-    """`value` as what JSON can carry; complex numbers as pairs."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return {item.name: plain(getattr(value, item.name)) for item in fields(value)}
-    if isinstance(value, Mapping):
-        return {str(key): plain(each) for key, each in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [plain(each) for each in value]
-    if isinstance(value, complex):
-        return [plain(value.real), plain(value.imag)]
-    if isinstance(value, float):
-        return value if isfinite(value) else None
-    return value if isinstance(value, str | int | bool | None) else str(value)
 
 
 def fingerprint(value: Any) -> str:

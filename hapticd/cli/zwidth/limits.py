@@ -36,8 +36,9 @@ def command(
     from hapticd.analysis.boundary import AXES
     from hapticd.measure.axis_scan import LimitsParams, plan_limits, run_limits
     from hapticd.measure.outcomes import Conditions
+    from hapticd.measure.plain import plain
     from hapticd.measure.scenes import noise
-    from hapticd.measure.store import plain, write_run
+    from hapticd.measure.store import write_run
     from hapticd.report import figures
     from hapticd.report.table import text
     from hapticd.report.zwidth import limits_figure

@@ -50,8 +50,9 @@ def command(
 
     from hapticd.measure.campaign import MapParams, plan_map, run_map
     from hapticd.measure.outcomes import Conditions
+    from hapticd.measure.plain import plain
     from hapticd.measure.scenes import noise
-    from hapticd.measure.store import TrialStore, plain, write_run
+    from hapticd.measure.store import TrialStore, write_run
 
     if executor not in ("thread", "process"):
         raise typer.BadParameter(f"--executor {executor!r}: use thread or process")

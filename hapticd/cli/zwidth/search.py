@@ -31,8 +31,9 @@ def command(
     """
     from hapticd.measure.directed import SearchParams, plan_search, run_search
     from hapticd.measure.outcomes import Conditions
+    from hapticd.measure.plain import plain
     from hapticd.measure.scenes import noise
-    from hapticd.measure.store import TrialStore, plain, write_run
+    from hapticd.measure.store import TrialStore, write_run
     from hapticd.report import figures
     from hapticd.report.table import table, text
     from hapticd.report.zwidth_search import search_figure

@@ -97,7 +97,7 @@ def _source(
 
 
 def _show(result: "TrialResult", referee: "Referee | None", folder: Path, plot: bool, as_json: bool) -> None:
-    from hapticd.measure.store import plain
+    from hapticd.measure.plain import plain
     from hapticd.measure.trial_run import summary, write
 
     write(folder, result, common.told(), referee)

@@ -32,7 +32,8 @@ def command(
     """How stiff a virtual wall may be at each damping before an impact sets it oscillating: the K-B plot of one device."""
     import numpy as np
 
-    from hapticd.measure.store import plain, write_run
+    from hapticd.measure.plain import plain
+    from hapticd.measure.store import write_run
     from hapticd.measure.walls import WallParams, plan_walls, run_walls
     from hapticd.report import figures
     from hapticd.report.table import table, text

@@ -1,5 +1,6 @@
 """Results as objects that JSON can carry: arrays become lists, complex numbers pairs, what is not finite null."""
 
+from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from math import isfinite
 from typing import Any
@@ -11,7 +12,7 @@ def plain(value: Any, *, skip: tuple[str, ...] = ()) -> Any:
     """`value` as dicts, lists, strings and finite numbers; fields named in `skip` are left out."""
     if is_dataclass(value) and not isinstance(value, type):
         return {item.name: plain(getattr(value, item.name), skip=skip) for item in fields(value) if item.name not in skip}
-    if isinstance(value, dict):
+    if isinstance(value, Mapping):
         return {str(key): plain(each, skip=skip) for key, each in value.items()}
     if isinstance(value, list | tuple):
         return [plain(each, skip=skip) for each in value]
