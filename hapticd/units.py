@@ -5,7 +5,6 @@ US_PER_S = 1_000_000
 NS_PER_US = 1_000
 NS_PER_MS = 1_000_000
 
-ZERO_CELSIUS_K = 273.15
 COPPER_PER_K = 0.00393  # relative resistance change of copper per kelvin (the paper prints "percent"; 0.393 %/K is meant)
 PROBE_RATE_HZ = 4000  # the board's own sample clock for perturbation and probe
 
