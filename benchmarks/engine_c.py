@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.engine_scene import Lanes
 from benchmarks.worker import BenchError
-from hapticd.sim.engine.group import aligned
+from hapticd.analysis.arrays import aligned
 
 SOURCE = Path(__file__).with_name("engine_reference.c")
 OPTIONS = (

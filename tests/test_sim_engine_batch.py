@@ -186,7 +186,7 @@ def test_scene_brings_its_own_length_damping_and_seed():
         ({"chunk": 0}, "0 trials in a task"),
         ({"seconds": 1e5, "excitation": Excitation("noise")}, "a record that repeats"),
         ({"dtype": "f16"}, "f32 or f64"),
-        ({"keep": "everything"}, "summary, records, ticks"),
+        ({"keep": "everything"}, "summary, spectra, records, ticks"),
         ({"substeps": 0}, "0 sub-steps"),
         ({"excitation": Excitation("chirp")}, "'chirp'"),
         ({"excitation": Excitation("noise", band_hz=3000.0)}, "3000 Hz"),

@@ -12,6 +12,7 @@ import pytest
 from devices import COGS, COUNTS, DRY, ENDS, HAND, LIMIT, STAR, TWO_MASSES, WARMING, device
 from numba import njit
 
+from hapticd.analysis.arrays import aligned
 from hapticd.errors import ConfigError
 from hapticd.params import EnvironmentParams, WallParams
 from hapticd.plant.electrical import ForceDac
@@ -19,7 +20,6 @@ from hapticd.plant.friction import Coulomb
 from hapticd.plant.sensing import AntiAlias
 from hapticd.sim.engine import kernels, simulate
 from hapticd.sim.engine.coordinates import reduced
-from hapticd.sim.engine.group import aligned
 from hapticd.sim.engine.kernels import cache_folder, kernel
 from hapticd.sim.engine.shaping import shape_of
 from hapticd.sim.engine.source import SCALARS, kernel_source

@@ -104,12 +104,17 @@ def _is_flat(size: Floats, top: float, at: Integers) -> bool:
 
 def _escape(velocity: Floats, rate_hz: float) -> tuple[Finding, ...]:
     window = int(rate_hz)
-    rms = np.sqrt(np.mean(velocity[: velocity.size // window * window].reshape(-1, window) ** 2, axis=1))
+    return escape_findings(np.sqrt(np.mean(velocity[: velocity.size // window * window].reshape(-1, window) ** 2, axis=1)), 1.0)
+
+
+def escape_findings(rms: Floats, window_s: float) -> tuple[Finding, ...]:
+    """Escape by the rms velocity of windows of about a second (n,)."""
     calm = float(np.quantile(rms, 0.25))
     loud = np.flatnonzero(rms > ESCAPE_RATIO * calm)
     if not loud.size:
         return ()
-    message = f"escape at {loud[0]} s: the velocity grew from {calm:.3g} to {rms.max():.3g} m/s rms; the loop is not stable there"
+    at_s = loud[0] * window_s
+    message = f"escape at {at_s:.3g} s: the velocity grew from {calm:.3g} to {rms.max():.3g} m/s rms; the loop is not stable there"
     return (Finding("escape", message, unstable=True),)
 
 

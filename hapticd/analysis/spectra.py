@@ -60,6 +60,21 @@ class Spectra:
         return self.rate_hz / self.lag
 
     @property
+    def smoothing_hz2(self) -> float:
+        """s^2, second moment of the window in frequency: what is curved is changed by half of its second derivative times that."""
+        return 0.125 * (self.rate_hz / self.lag) ** 2
+
+    @property
+    def exact(self) -> bool:
+        """Whether these are plain averages, whose intervals hold for few of them as well; a window's need many."""
+        return False
+
+    @property
+    def span(self) -> str:
+        """What the values were taken over, in words."""
+        return f"window of {self.lag} samples"
+
+    @property
     def coherence(self) -> Floats:
         """g2 (F,), between 0 and 1; 0 where a channel has no power."""
         power = self.velocity * self.force
@@ -70,19 +85,14 @@ class Spectra:
 def spectra(covariances: Covariances, rate_hz: float, frequency_hz: Floats | None = None) -> Spectra:
     """Windowed transform of `covariances` at `frequency_hz` (F,), by default at k rate/(2 M), k = 0..M."""
     lag = covariances.velocity.size - 1
-    window = 0.5 * (1.0 + np.cos(np.pi * np.arange(lag + 1) / lag))
-    rows = (
-        (covariances.velocity, covariances.velocity),
-        (covariances.force, covariances.force),
-        (covariances.forward, covariances.backward),
-    )
-    windowed = [(window * ahead, window * behind) for ahead, behind in rows]
+    ahead = np.stack((covariances.velocity, covariances.force, covariances.forward))
+    behind = np.stack((covariances.velocity, covariances.force, covariances.backward))
     if frequency_hz is None:
-        f = np.asarray(np.arange(lag + 1) * (0.5 * rate_hz / lag), np.float64)
-        found = _on_the_grid(windowed, lag)
+        f = grid_frequencies(rate_hz, lag)
+        found = on_the_grid(ahead, behind)
     else:
         f = _inside(np.asarray(frequency_hz, np.float64), rate_hz)
-        found = _anywhere(windowed, 2.0 * np.pi * f / rate_hz)
+        found = _anywhere(_window(lag) * ahead, _window(lag) * behind, 2.0 * np.pi * f / rate_hz)
     velocity, force = (np.maximum(row.real, 0.0) for row in found[:2])
     return Spectra(f, velocity, force, found[2], rate_hz, covariances.n_samples, lag)
 
@@ -102,17 +112,27 @@ def corrected(trial: Spectra, skew_s: float = 0.0, high_pass_hz: float = 0.0, in
     return replace(trial, velocity=velocity, force=trial.force * mean, cross=trial.cross / channel.conj())
 
 
-def _on_the_grid(rows: list[tuple[Floats, Floats]], lag: int) -> Complexes:
-    circular = np.zeros((len(rows), 2 * lag))
-    for row, (ahead, behind) in zip(circular, rows, strict=True):
-        row[:lag] = ahead[:lag]
-        row[lag + 1 :] = behind[lag - 1 : 0 : -1]
-    return np.fft.rfft(circular, axis=1)
+def grid_frequencies(rate_hz: float, lag: int) -> Floats:
+    """k rate/(2 M), k = 0..M: the frequencies that hold the whole estimate (M + 1,)."""
+    return np.asarray(np.arange(lag + 1) * (0.5 * rate_hz / lag), np.float64)
 
 
-def _anywhere(rows: list[tuple[Floats, Floats]], angle: Floats) -> Complexes:
-    turn = np.exp(-1j * np.outer(angle, np.arange(rows[0][0].size)))
-    return np.stack([turn @ ahead + turn.conj() @ behind - ahead[0] for ahead, behind in rows])
+def on_the_grid(ahead: Floats, behind: Floats) -> Complexes:
+    """Windowed transform (..., M + 1) of covariances at lags 0..M and 0..-M, both (..., M + 1), on `grid_frequencies`."""
+    lag = ahead.shape[-1] - 1
+    circular, window = np.zeros((*ahead.shape[:-1], 2 * lag)), _window(lag)
+    np.multiply(ahead[..., :lag], window[:lag], out=circular[..., :lag])
+    np.multiply(behind[..., lag - 1 : 0 : -1], window[lag - 1 : 0 : -1], out=circular[..., lag + 1 :])
+    return np.fft.rfft(circular, axis=-1)
+
+
+def _window(lag: int) -> Floats:
+    return np.asarray(0.5 * (1.0 + np.cos(np.pi * np.arange(lag + 1) / lag)), np.float64)
+
+
+def _anywhere(ahead: Floats, behind: Floats, angle: Floats) -> Complexes:
+    turn = np.exp(-1j * np.outer(angle, np.arange(ahead.shape[1])))
+    return np.asarray((turn @ ahead.T + turn.conj() @ behind.T).T - ahead[:, :1])
 
 
 def _inside(frequency_hz: Floats, rate_hz: float) -> Floats:

@@ -25,11 +25,14 @@ def detrended(signal: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Moments:
-    """What is kept of a signal to take its line out later: length, sum(x), sum(k x), first and last samples."""
+    """What is kept of a signal to take its line out later: length, sum(x), sum(k x), first and last samples.
+
+    Of one signal, or of many of one length: then `total` and `moment` (n,), `head` and `tail` (n, samples).
+    """
 
     length: int
-    total: float
-    moment: float
+    total: Floats
+    moment: Floats
     head: Floats
     tail: Floats
 
@@ -39,33 +42,33 @@ class Moments:
         missing = max(0, keep - self.head.size)
         return Moments(
             self.length + block.size,
-            self.total + float(block.sum()),
-            self.moment + float(k @ block),
+            self.total + block.sum(),
+            self.moment + (k * block).sum(),  # a BLAS product has other last bits on another number of cores
             np.concatenate((self.head, block[:missing])),
             np.concatenate((self.tail, block))[-keep:],
         )
 
-    def line(self) -> tuple[float, float]:
-        """Value at k = 0 and slope per sample of the least-squares line."""
+    def line(self) -> tuple[Floats, Floats]:
+        """Value at k = 0 and slope per sample of the least-squares line, (1,) or (n, 1)."""
         n = self.length
-        mean = self.total / n
-        slope = (self.moment - 0.5 * (n - 1) * self.total) / (n * (n * float(n) - 1.0) / 12.0)
+        mean = self.total[..., None] / n
+        slope = (self.moment[..., None] - 0.5 * (n - 1) * self.total[..., None]) / (n * (n * float(n) - 1.0) / 12.0)
         return mean - 0.5 * (n - 1) * slope, slope
 
     def sums_without_end(self, lag: int) -> tuple[Floats, Floats]:
-        """sum(x_k) and sum(k x_k) over k < N - t, for t = 0..lag."""
+        """sum(x_k) and sum(k x_k) over k < N - t, for t = 0..lag: (lag + 1,) or (n, lag + 1)."""
         k = np.arange(self.length - 1, self.length - 1 - lag, -1.0)
-        last = self.tail[::-1][:lag]
-        return self.total - _running(last), self.moment - _running(k * last)
+        last = self.tail[..., ::-1][..., :lag]
+        return self.total[..., None] - _running(last), self.moment[..., None] - _running(k * last)
 
     def sums_without_start(self, lag: int) -> tuple[Floats, Floats]:
         """sum(x_k) and sum((k - t) x_k) over k >= t, for t = 0..lag."""
-        first = self.head[:lag]
-        total = self.total - _running(first)
-        return total, self.moment - _running(np.arange(float(lag)) * first) - np.arange(lag + 1.0) * total
+        first = self.head[..., :lag]
+        total = self.total[..., None] - _running(first)
+        return total, self.moment[..., None] - _running(np.arange(float(lag)) * first) - np.arange(lag + 1.0) * total
 
 
-NO_SAMPLES = Moments(0, 0.0, 0.0, np.empty(0), np.empty(0))
+NO_SAMPLES = Moments(0, np.zeros(()), np.zeros(()), np.empty(0), np.empty(0))
 
 
 def line_products(late: Moments, early: Moments, lag: int) -> Floats:
@@ -85,4 +88,6 @@ def line_products(late: Moments, early: Moments, lag: int) -> Floats:
 
 
 def _running(values: Floats) -> Floats:
-    return np.concatenate(([0.0], np.cumsum(values)))
+    found = np.zeros((*values.shape[:-1], values.shape[-1] + 1))
+    np.cumsum(values, axis=-1, out=found[..., 1:])
+    return found

@@ -1,6 +1,5 @@
 """`simulate`: a batch of trials of one scene, on threads of this process or on any executor."""
 
-import os
 from collections.abc import Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
@@ -16,9 +15,11 @@ from hapticd.plant.compose import compose
 from hapticd.plant.model import Array, Model
 from hapticd.plant.scene import DampingStep, Excitation, Scene
 from hapticd.sim.engine.chunk import run_chunk
+from hapticd.sim.engine.cores import workers
 from hapticd.sim.engine.job import Job, prepared, shared_torque
 from hapticd.sim.engine.numbers import Filters
 from hapticd.sim.engine.result import BatchResult, joined
+from hapticd.sim.engine.spectral import force_spectrum
 
 DEFAULT_SECONDS = 90.0  # a trial of the paper
 TICKS_MAX = 1e12
@@ -56,7 +57,7 @@ def simulate(
     start        position [m] and velocity [m/s] of all bodies
     substeps     per 4 kHz sample; only friction, ends and cogging need them, without those there is one
     dtype        "f64" | "f32"
-    keep         "summary" | "records" at 4 kHz | "ticks": also position and force of every tick
+    keep         "summary" | "spectra" as `analysis.spa` | "records" at 4 kHz | "ticks": also position and force of every tick
     own_torque   a record of its own for every trial instead of a shared one
     executor     any of concurrent.futures; None = threads here
     chunk        trials per task
@@ -83,14 +84,11 @@ def simulate(
         with ThreadPoolExecutor(max_workers=min(len(parts), workers())) as threads:
             found = list(threads.map(partial(run_chunk, job), parts, firsts))
     result = joined(found)
-    if keep == "summary" or result.torque_n is not None:
+    if keep == "spectra" and result.force_spectrum is None:
+        return replace(result, force_spectrum=force_spectrum(job, made))
+    if keep in ("summary", "spectra") or result.torque_n is not None:
         return result
     return replace(result, torque_n=np.resize(shared_torque(job).astype(made.scalar), job.samples))
-
-
-def workers() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0))
 
 
 def _job(

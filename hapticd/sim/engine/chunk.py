@@ -9,6 +9,7 @@ from hapticd.sim.engine.inputs import Inputs, level_at
 from hapticd.sim.engine.job import Job, Prepared, prepared
 from hapticd.sim.engine.records import Records
 from hapticd.sim.engine.result import BatchResult, joined
+from hapticd.sim.engine.spectral import Sums, spectral
 from hapticd.units import PROBE_RATE_HZ
 
 
@@ -21,15 +22,16 @@ def run_chunk(job: Job, params: Array, first: int) -> BatchResult:
 
 def _run_group(job: Job, made: Prepared, params: Array, first: int) -> BatchResult:
     group = Group(job, made, params)
-    inputs, records = Inputs(job, made, group.count, first), Records(job, made, group.count, first)
+    inputs = Inputs(job, made, group.count, first)
+    records = (spectral if job.keep == "spectra" else Records)(job, made, group.count, first)
     heating = None if made.model.winding is None else Heating(group, made.model.winding)
     level = None
     for start, end in inputs.legs():
         if (wanted := level_at(job, start)) != level:
             level = wanted
             (heating or group).damp(level)
-        group.play(inputs.torque(start, end), inputs.noise(start, end), records.out, end - start, records.kept)
-        records.store(start, end)
+        group.play(inputs.torque(start, end), inputs.noise(start, end), records.room(start), end - start, records.kept)
+        records.store(start, end, group.rows["ALIVE"])
         if heating is not None:
             heating.warm((end - start) / job.model.rate_hz, (end - start) * made.shape.samples)
         if not group.rows["ALIVE"][: group.count].any():
@@ -37,7 +39,7 @@ def _run_group(job: Job, made: Prepared, params: Array, first: int) -> BatchResu
     return _result(job, params, group, heating, records, inputs)
 
 
-def _result(job: Job, params: Array, group: Group, heating: Heating | None, records: Records, inputs: Inputs) -> BatchResult:
+def _result(job: Job, params: Array, group: Group, heating: Heating | None, records: Records | Sums, inputs: Inputs) -> BatchResult:
     n = group.count
     samples = group.samples[:n].astype(np.int64)
     return BatchResult(

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hapticd.analysis.arrays import aligned
 from hapticd.plant.model import Array
 from hapticd.sim.engine.job import Job, Prepared
 from hapticd.sim.engine.numbers import law_numbers
-from hapticd.sim.engine.shape import CACHE_LINE
 from hapticd.sim.engine.tick import LAW_STATE
 
 Block = npt.NDArray[np.floating[Any]]
@@ -80,11 +80,3 @@ class Group:
 
 
 BODIES = {f"{body}_{kind}" for body in ("rotor", "slider", "hand") for kind in ("position", "velocity")}
-
-
-def aligned(size: int, scalar: type[np.floating[Any]]) -> Block:
-    """Zeros (size,) that begin on a cache line."""
-    item = np.dtype(scalar).itemsize
-    memory = np.zeros(size + CACHE_LINE // item, scalar)
-    start = -memory.ctypes.data % CACHE_LINE // item
-    return memory[start : start + size]

@@ -1,7 +1,7 @@
 """What drives a group, leg by leg: torque and noise, and where legs end.
 
 A leg is a run of ticks with one damping level, inside one period of the torque record, no longer than a block (and, where a
-winding heats up, than its refresh).
+winding heats up, than its refresh; where spectra are kept, inside one section).
 """
 
 from collections.abc import Iterator
@@ -11,6 +11,7 @@ from math import lcm
 
 import numpy as np
 
+from hapticd.analysis.spa import DEFAULT_LAG as LAG
 from hapticd.sim.engine.group import Block
 from hapticd.sim.engine.heating import REFRESH_S
 from hapticd.sim.engine.job import Job, Prepared, estimate_noise, own_torque, shared_torque
@@ -80,6 +81,8 @@ def _period(length: int, samples: int, total: int) -> int:
 
 def _borders(job: Job, made: Prepared, period: int) -> list[int]:
     steps = [BLOCK_TICKS, period]
+    if job.keep == "spectra" and not LAG % made.shape.samples:
+        steps.append(LAG // made.shape.samples)
     if made.model.winding is not None:
         steps.append(max(1, round(REFRESH_S * job.model.rate_hz)))
     ticks = {tick for step in steps for tick in range(0, job.ticks, step)}

@@ -25,7 +25,7 @@ from hapticd.sim.engine.torque import Stream, held_noise, torque_record
 from hapticd.units import PROBE_RATE_HZ
 
 CACHED = 4  # jobs, records: a few are compared, the rest would only fill memory
-KEEPS = ("summary", "records", "ticks")
+KEEPS = ("summary", "spectra", "records", "ticks")
 
 
 @dataclass(frozen=True, eq=False)

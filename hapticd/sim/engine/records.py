@@ -1,8 +1,11 @@
 """What is kept of a group: its blocks of output become rows of records."""
 
+from typing import Any
+
 import numpy as np
 
-from hapticd.sim.engine.group import aligned
+from hapticd.analysis.arrays import aligned
+from hapticd.sim.engine.group import Block
 from hapticd.sim.engine.inputs import BLOCK_TICKS, Inputs
 from hapticd.sim.engine.job import Job, Prepared
 from hapticd.sim.engine.result import Values
@@ -10,12 +13,12 @@ from hapticd.sim.engine.torque import Stream, generator
 
 
 class Records:
-    """The kept arrays of the trials `first`... of a batch; `out` is what the kernel writes a leg into."""
+    """The kept arrays of the trials `first`... of a batch."""
 
     def __init__(self, job: Job, made: Prepared, count: int, first: int) -> None:
         shape, self._job, self._made, self._first = made.shape, job, made, first
         self.kept = job.keep != "summary"
-        self.out = aligned(min(job.ticks, BLOCK_TICKS) * shape.width * shape.lanes if self.kept else 1, made.scalar)
+        self._out = aligned(min(job.ticks, BLOCK_TICKS) * shape.width * shape.lanes if self.kept else 1, made.scalar)
         self._places = {"velocity_m_per_s": (0, shape.samples)} if self.kept else {}
         if self.kept and shape.impulse is not None:
             self._places["torque_n"] = (shape.samples + 1, shape.samples)
@@ -25,18 +28,22 @@ class Records:
             name: np.zeros((count, job.ticks * wide), made.scalar) for name, (_, wide) in self._places.items()
         }
 
-    def store(self, start: int, end: int) -> None:
-        """Take what the leg from tick `start` to `end` left in `out`."""
+    def room(self, start: int) -> Block:
+        """Where the kernel writes the leg from tick `start` on."""
+        return self._out
+
+    def store(self, start: int, end: int, alive: Values) -> None:
+        """Take what the leg from tick `start` to `end` left there."""
         if not self.kept:
             return
         shape, ticks = self._made.shape, end - start
-        block = self.out[: ticks * shape.width * shape.lanes].reshape(ticks, shape.width, shape.lanes)
+        block = self._out[: ticks * shape.width * shape.lanes].reshape(ticks, shape.width, shape.lanes)
         for name, (place, wide) in self._places.items():
             array = self._arrays[name]
             part = block[:, place : place + wide, : len(array)]
             array[:, start * wide : end * wide] = part.transpose(2, 0, 1).reshape(len(array), -1)
 
-    def finished(self, samples: "np.ndarray[tuple[int], np.dtype[np.int64]]", inputs: Inputs) -> dict[str, Values]:
+    def finished(self, samples: "np.ndarray[tuple[int], np.dtype[np.int64]]", inputs: Inputs) -> dict[str, Any]:
         """The records by their names in BatchResult, ended where their trials ended: after `samples` (count,)."""
         arrays = self._arrays
         if not self.kept:

@@ -6,6 +6,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hapticd.analysis.arrays import Complexes, Floats
+from hapticd.analysis.spa import DEFAULT_LAG as LAG
+from hapticd.analysis.spectra import Spectra, grid_frequencies
+
 Values = npt.NDArray[np.floating[Any]]
 
 
@@ -26,6 +30,10 @@ class BatchResult:
     rate_hz: float  # of the records
     seconds: float
     winding_c: Values | None = None  # (n,) temperature at the end, where the winding heats up
+    force_spectrum: Floats | None = None  # (F,) or (n, F) [N^2], with keep="spectra", at k 4000/4096 Hz; as `analysis.spa`
+    velocity_spectrum: Floats | None = None  # (n, F) [(m/s)^2]
+    cross_spectrum: Complexes | None = None  # (n, F) [N m/s]
+    section_rms_m_per_s: Values | None = None  # (n, sections) of 2,048 samples
     torque_n: Values | None = None  # (samples,) if all trials share it, else (n, samples): interval means
     velocity_m_per_s: Values | None = None  # (n, samples), interval means
     position_m: Values | None = None  # (n, ticks) as the law saw it
@@ -48,6 +56,16 @@ class BatchResult:
         end = int(self.samples[trial])
         torque = self.torque_n if self.torque_n.ndim == 1 else self.torque_n[trial]
         return torque[:end], self.velocity_m_per_s[trial, :end]
+
+    def spectra(self, trial: int) -> Spectra:
+        """Of one trial, as `spa` gives them of its record. ValueError if they were not kept, or it diverged."""
+        if self.force_spectrum is None or self.velocity_spectrum is None or self.cross_spectrum is None:
+            raise ValueError("spectra were not kept; simulate with keep='spectra'")
+        if self.diverged[trial]:
+            raise ValueError(f"trial {trial} diverged after {self.diverged_at_s[trial]:.3g} s: it has no spectra")
+        force = np.asarray(self.force_spectrum if self.force_spectrum.ndim == 1 else self.force_spectrum[trial])
+        samples, f = int(self.samples[trial]), grid_frequencies(self.rate_hz, LAG)
+        return Spectra(f, self.velocity_spectrum[trial], force, self.cross_spectrum[trial], self.rate_hz, samples, LAG)
 
 
 SHARED = ("rate_hz", "seconds")

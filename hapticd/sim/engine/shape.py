@@ -6,7 +6,6 @@ so it costs nothing. `shaping` reads it off a model.
 
 from dataclasses import dataclass
 
-CACHE_LINE = 64  # bytes; vector loads across its border cost double
 LANES = {"f32": 64, "f64": 32}
 
 

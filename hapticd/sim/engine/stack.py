@@ -14,7 +14,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from hapticd.sim.engine.shape import CACHE_LINE
+from hapticd.analysis.arrays import CACHE_LINE
 
 
 @intrinsic

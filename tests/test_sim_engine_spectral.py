@@ -1,0 +1,108 @@
+"""Spectra kept instead of records: those that `spa` gives of the records, however the batch is spread."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from devices import COUNTS, DRY, LIMIT, STAR, device, rigid
+
+from hapticd.analysis.spa import spa
+from hapticd.plant.model import Noise
+from hapticd.plant.scene import Excitation
+from hapticd.settings.scene import load_scene
+from hapticd.sim.engine import simulate
+
+WEIR = device(*STAR, DRY, COUNTS, LIMIT)
+RNG = np.random.default_rng(1)
+PARAMS = np.column_stack([RNG.uniform(0, 100, 70), RNG.uniform(0, 2, 70), RNG.uniform(-0.002, 0.01, 70)])
+KEPT = ("force_spectrum", "velocity_spectrum", "cross_spectrum", "section_rms_m_per_s")
+
+
+def both(model, *arguments, **options):
+    return (simulate(model, *arguments, **options, keep=keep) for keep in ("spectra", "records"))
+
+
+def assert_alike(spectra, records, trials, tolerance):
+    for trial in trials:
+        found, exact = spectra.spectra(trial), spa(*records.record(trial))
+        for name in ("force", "velocity", "cross"):
+            one, other = getattr(found, name), getattr(exact, name)
+            assert np.abs(one - other).max() < tolerance * np.abs(other).max(), name
+        assert (found.n_samples, found.lag, found.rate_hz) == (exact.n_samples, exact.lag, exact.rate_hz)
+
+
+@pytest.mark.parametrize(("dtype", "tolerance"), [("f64", 1e-12), ("f32", 2e-6)])
+@pytest.mark.parametrize("seconds", [2.048, 3.3])
+def test_spectra_are_those_of_the_records(dtype, tolerance, seconds):
+    spectra, records = both(WEIR, PARAMS, seconds, 3, damping=1.74, dtype=dtype, substeps=2)
+    assert_alike(spectra, records, (0, 31, 69), tolerance)
+
+
+@pytest.mark.parametrize("chunk", [1, 33])
+def test_bytes_do_not_depend_on_chunks(chunk):
+    whole = simulate(WEIR, PARAMS, 1.5, 3, dtype="f32", keep="spectra")
+    again = simulate(WEIR, PARAMS, 1.5, 3, dtype="f32", keep="spectra", chunk=chunk)
+    assert all(getattr(whole, name).tobytes() == getattr(again, name).tobytes() for name in KEPT)
+
+
+def test_damping_switched_within_a_section_is_in_the_spectra():
+    steps = [(0.7, 1.74), (1.3, 0.0)]
+    spectra, records = both(WEIR, PARAMS[:3], 2.5, 3, damping=steps)
+    assert_alike(spectra, records, (0, 2), 1e-12)
+
+
+def test_winding_that_heats_up_is_in_the_spectra():
+    scene = load_scene("hot")
+    spectra, records = both(replace(scene, excitation=Excitation("noise")), PARAMS[:3], 2.5, 3)
+    assert records.winding_c is not None
+    assert_alike(spectra, records, (0, 2), 1e-6)  # the temperature is looked at where sections end as well
+
+
+def test_periodic_torque_repeats_in_the_spectra():
+    spectra, records = both(WEIR, PARAMS[:2], 3.0, 3, excitation=Excitation("multisine", force_n=0.2, period_s=1.024))
+    assert_alike(spectra, records, (0, 1), 1e-12)
+
+
+@pytest.mark.parametrize("changes", [{"noise": Noise(velocity_m_per_s=1e-3)}, {"velocity_quantum_m_per_s": 1e-4}])
+def test_what_the_probe_adds_is_in_the_spectra(changes):
+    spectra, records = both(replace(WEIR, **changes), PARAMS[:3], 1.5, 3)
+    assert_alike(spectra, records, (0, 2), 1e-12)
+
+
+def test_own_torques_have_spectra_of_their_own():
+    spectra, records = both(WEIR, PARAMS[:3], 1.5, 3, own_torque=True)
+    assert spectra.force_spectrum.shape == (3, 2049)
+    assert_alike(spectra, records, (0, 2), 1e-12)
+
+
+def test_section_rms_is_that_of_the_record():
+    spectra, records = both(WEIR, PARAMS[:2], 1.5, 3)
+    velocity = records.velocity_m_per_s
+    parts = np.split(velocity, [2048, 4096], axis=1)
+    assert np.allclose(spectra.section_rms_m_per_s, np.stack([np.sqrt((p**2).mean(axis=1)) for p in parts], axis=1), rtol=1e-12)
+
+
+def test_diverged_trial_has_no_spectra_and_leaves_its_neighbours_alone():
+    away = device(*STAR, DRY, COUNTS)
+    params = PARAMS[:20].copy()
+    calm = simulate(away, params, 3.0, 3, keep="spectra")
+    params[7] = (0.0, 0.0, -0.05)
+    found = simulate(away, params, 3.0, 3, keep="spectra")
+    assert np.flatnonzero(found.diverged).tolist() == [7]
+    with pytest.raises(ValueError, match=r"trial 7 diverged after .* s: it has no spectra"):
+        found.spectra(7)
+    assert np.isfinite(found.velocity_spectrum).all()
+    others = [trial for trial in range(20) if trial != 7]
+    assert all(getattr(found, name)[others].tobytes() == getattr(calm, name)[others].tobytes() for name in KEPT[1:])
+
+
+def test_overflow_leaves_no_nan():
+    found = simulate(rigid(0.1), [[-9e5, 0.0, 0.0], [100.0, 0.0, 0.0]], 3.0, 3, keep="spectra")
+    assert list(found.diverged) == [True, False]
+    assert np.isfinite(found.velocity_spectrum).all()
+    assert np.isfinite(found.section_rms_m_per_s).all()
+
+
+def test_spectra_are_not_there_unless_kept():
+    with pytest.raises(ValueError, match="keep='spectra'"):
+        simulate(WEIR, PARAMS[:1], 0.6, 3).spectra(0)
