@@ -26,7 +26,7 @@ from hapticd.analysis.loop import PAPER_FILTERS, Filters, derivatives, held, pul
 from hapticd.analysis.predict import environments
 from hapticd.plant.model import Model
 
-_ANGLES = np.concatenate((np.geomspace(2e-3, 0.05, 24)[:-1], np.linspace(0.05, np.pi, 480)))  # wT
+ANGLES = np.concatenate((np.geomspace(2e-3, 0.05, 24)[:-1], np.linspace(0.05, np.pi, 480)))  # wT
 _IMAGES = 24  # harmonics on each side
 _HALVINGS = 40
 _CLOSEST = 1e-9  # N s/m to the limit that the device's own damping sets
@@ -48,8 +48,8 @@ class Lift:
 def lift(model: Model, damping_ns_per_m: float = 0.0, filters: Filters = PAPER_FILTERS) -> Lift:
     """`model` at that damping level, without Coulomb friction, with velocity and acceleration filter."""
     images, rate_hz = np.arange(-_IMAGES, _IMAGES + 1), model.rate_hz
-    f = (_ANGLES[:, None] / (2.0 * np.pi) + images) * rate_hz
-    turn, shape = np.exp(1j * _ANGLES), f.shape
+    f = (ANGLES[:, None] / (2.0 * np.pi) + images) * rate_hz
+    turn, shape = np.exp(1j * ANGLES), f.shape
     p = responses(model, f.ravel(), damping_ns_per_m)
     own = p.velocity[0, 1].reshape(shape)
     out = (p.velocity[0, 0] * held(f.ravel(), rate_hz, model.delay_periods)).reshape(shape) / own
@@ -113,8 +113,8 @@ def _spare(lifted: Lift, gain: Complexes) -> float:
 def _beyond(angles: Floats, delay_periods: float) -> tuple[Floats, Complexes]:
     """Sums of 1/(w_k T)^2 and e^(-j w_k d T)/(w_k T)^2 over the harmonics beyond those of `angles` (A, H) = w_k T."""
     whole, part = divmod(delay_periods, 1.0)
-    total = (0.5 / np.sin(0.5 * _ANGLES)) ** 2
-    turn = np.exp(-1j * _ANGLES)
+    total = (0.5 / np.sin(0.5 * ANGLES)) ** 2
+    turn = np.exp(-1j * ANGLES)
     late = total * turn**whole * ((1.0 - part) + part * turn)
     return total - (1.0 / angles**2).sum(axis=1), late - (np.exp(-1j * angles * delay_periods) / angles**2).sum(axis=1)
 

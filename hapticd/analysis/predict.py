@@ -7,7 +7,12 @@ refused for that reason unless asked for.
 
 Stability is looked at where Re Z leaves a choice, with the linearised friction of the point rounded down to a step of 5 %.
 The prediction is that of white noise (first harmonic, alike a measurement); what safety decides on is the lifted requirement
-without friction, `requirement`. Against 90 s of simulated trials: phase to 0.6-1.9 degrees rms, limits of K and B to 5-14 %.
+without friction, `requirement`. A hand can shake what is predicted passive only outside the band, by images, or in motions so
+large that friction counts for less (`coupled`, docs/adr/0035). Against 90 s of simulated trials: phase to 0.6-1.9 degrees rms,
+limits of K and B to 5-14 %.
+
+Z is the true one, unless `recorded`: then it is what the probe's channels show, for comparison with a measurement. An AC-coupled
+velocity amplifier of 0.1 Hz turns a spring's phase so far that 1,200 N/m read as 690; no loop is safer or less safe for that.
 """
 
 from dataclasses import dataclass
@@ -36,6 +41,7 @@ class Prediction:
     `margin_ns_per_m`, `margin_deg`: least Re Z and 90 - |phase| over `band_hz`, the former at `worst_hz`. `friction_ns_per_m`:
     linearised Coulomb friction of all bodies, `velocity_sd` at the port (nan without perturbation). `spectral_radius` is nan
     where Re Z < 0 had decided. `calm`: bursts of motion die out. `refused`: K < 0. All (N,) but `points` (N, 3).
+    `recorded`: margins, and so `passive`, are those of the recorded channels.
     """
 
     points: Floats
@@ -50,6 +56,7 @@ class Prediction:
     refused: Flags
     band_hz: tuple[float, float]
     perturbation: Perturbation | None
+    recorded: bool = False
 
     @property
     def decided_margin(self) -> Floats:
@@ -65,16 +72,19 @@ def predict(
     perturbation: Perturbation | None = None,
     band_hz: tuple[float, float] = DEFAULT_BAND_HZ,
     allow_negative_stiffness: bool = False,
+    recorded: bool = False,
 ) -> Prediction:
     """Passivity of `model` at that damping level under the environments `points` (N, 3): K [N/m], B [N s/m], M [kg].
 
-    `filters`: velocity and acceleration. `perturbation` None leaves Coulomb friction out. AnalysisError for a wrong shape.
+    `filters`: velocity and acceleration. `perturbation` None leaves Coulomb friction out. `recorded`: Re Z as a measurement would
+    see it, as in `predicted_impedance`; not for decisions on safety. AnalysisError for a wrong shape.
     """
     kbm = environments(points)
     f = frequencies(band_hz, perturbation)
     start, loop = _nominal(model, f, damping_ns_per_m, filters, perturbation)
     inside = (f >= band_hz[0]) & (f <= band_hz[1])
-    parts = [_judged(linearise(loop, part, coulomb(model), start, perturbation), inside) for part in _chunks(kbm)]
+    seen = loop.recorded[inside] if recorded else None
+    parts = [_judged(linearise(loop, part, coulomb(model), start, perturbation), inside, seen) for part in _chunks(kbm)]
     margin, angle, worst, sd, calm, friction = (np.concatenate(columns, axis=-1) for columns in zip(*parts, strict=True))
     refused = (kbm[:, 0] < 0.0) & (not allow_negative_stiffness)
     hopeful = (margin >= 0.0) & calm & ~refused
@@ -82,8 +92,9 @@ def predict(
     radius[hopeful] = _radius(model, kbm[hopeful], friction[:, hopeful], damping_ns_per_m, filters)
     passive = hopeful & (np.nan_to_num(radius, nan=2.0) < 1.0)
     return Prediction(
-        kbm, passive, margin, angle, f[inside][worst], friction.sum(axis=0), sd, radius, calm, refused, band_hz, perturbation
-    )
+        kbm, passive, margin, angle, f[inside][worst], friction.sum(axis=0), sd, radius, calm, refused, band_hz, perturbation,
+        recorded,
+    )  # fmt: skip
 
 
 def predicted_impedance(
@@ -153,8 +164,10 @@ def _chunks(kbm: Floats) -> list[Floats]:
     return [kbm[first : first + _TOGETHER] for first in range(0, max(1, len(kbm)), _TOGETHER)]
 
 
-def _judged(found: Linearised, inside: Flags) -> tuple[Any, ...]:
+def _judged(found: Linearised, inside: Flags, seen: Complexes | None) -> tuple[Any, ...]:
     z = found.impedance[:, inside]
+    if seen is not None:
+        z *= seen
     worst = np.argmin(z.real, axis=1)
     margin = z.real[np.arange(len(z)), worst]
     angle = 90.0 - np.degrees(np.abs(np.angle(z))).max(axis=1)
