@@ -4,6 +4,7 @@
 #   make test               format, lint, types, floors, tests: what continuous integration runs
 #   make bench [ONLY=wake]  measure; results in build/bench.json
 #   make reproduce          the paper's figures and table in build/reproduction (ARGS=--quick: by prediction, seconds)
+#   make reproduction-docs  the same, then tables, numbers and figures of docs/reproduction.md from it
 #   make docs               build the documentation in build/docs; warnings are errors
 #   make deps               install the system packages that are missing
 #   make clean              remove what was made, the environment included
@@ -11,7 +12,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := run
-.PHONY: run test bench reproduce docs deps deps-run deps-test deps-bench clean
+.PHONY: run test bench reproduce reproduction-docs docs deps deps-run deps-test deps-bench clean
 
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -35,6 +36,9 @@ bench: deps-bench $(VENV)/test.stamp
 
 reproduce: $(VENV)/run.stamp
 	@$(BIN)/hapticd zwidth reproduce --out build/reproduction $(ARGS)
+
+reproduction-docs: reproduce
+	$(BIN)/python docs/reproduce.py build/reproduction
 
 docs: $(VENV)/test.stamp
 	$(BIN)/python docs/generate.py

@@ -9,7 +9,9 @@ Weir, Colgate and Peshkin, Measuring and increasing Z-width with active electric
 What would break it: comparing a limit of one perturbation with that of another.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from itertools import product
+from math import isnan
 from typing import Any
 
 import numpy as np
@@ -25,7 +27,7 @@ from hapticd.measure.reproduce_limits import Limit
 from hapticd.measure.reproduce_rows import LITERAL
 from hapticd.measure.reproduce_tasks import EDGE_SEEDS, SET_SEEDS, SHOWN, Key, worked
 from hapticd.measure.reproduce_trials import LEVELS, MAIN, SCENES, Point, passes, subject
-from hapticd.measure.reproduce_walls import DAMPINGS
+from hapticd.measure.walls import WallResult
 
 SEEDS = 8
 ORIGIN: Point = (0.0, 0.0, 0.0)
@@ -50,24 +52,35 @@ class ReproducePlan:
 
 @dataclass(frozen=True, eq=False)
 class Single:
-    """Trials of one environment: spectra by seed (none if quick), how many of them passed, and the prediction's verdict."""
+    """Trials of one environment: spectra by seed, None of one that ran away (no seeds if quick), and the prediction's verdict."""
 
     point: Point
     level: float
-    trials: tuple[Spectra, ...]
-    passed: int
-    flown: int
+    trials: tuple[Spectra | None, ...]
     predicted: bool
 
     @property
+    def flown(self) -> int:
+        """How many trials there were."""
+        return len(self.trials)
+
+    @property
+    def passed(self) -> int:
+        """How many were passive."""
+        return sum(map(passes, self.trials))
+
+    @property
     def shown(self) -> Impedance | None:
-        """Of the first seed."""
-        return grids.shown(self.trials[0]) if self.trials else None
+        """Of the first seed that did not run away."""
+        return next((grids.shown(trial) for trial in self.trials if trial is not None), None)
 
 
 @dataclass(frozen=True, eq=False)
 class ReproduceResult:
-    """`limits` on the axes, `sets` over the whole set; `edges` {(device, level): (seeds, EDGES_HZ)}; `singles` as in SHOWN."""
+    """`limits` on the axes, `sets` over the whole set; `edges` {(device, level): (seeds, EDGES_HZ)}; `singles` as in SHOWN.
+
+    `found` is the grid of the first device by trials, `predicted` that of each device; `walls` is None if quick.
+    """
 
     plan: ReproducePlan
     limits: tuple[Limit, ...]
@@ -76,7 +89,7 @@ class ReproduceResult:
     singles: dict[str, tuple[Single, ...]]
     found: tuple[Found, ...]
     predicted: dict[str, tuple[Found | None, ...]]
-    walls: dict[float, Floats] = field(default_factory=dict)
+    walls: WallResult | None
 
 
 def plan_reproduce(params: ReproduceParams) -> ReproducePlan:
@@ -87,24 +100,27 @@ def plan_reproduce(params: ReproduceParams) -> ReproducePlan:
 def run_reproduce(plan: ReproducePlan, tell: Progress = silent) -> ReproduceResult:
     """Do it. ConfigError as `simulate`."""
     devices = plan.params.devices
-    steps = Steps(tell, 1)
-    steps.next("predicting")
-    axis = [_predicted(name, level, k, ORIGIN) for name in devices for level in LEVELS for k in range(3)]
-    whole = [_predicted(name, level, k, _place(name, level, k)) for name in devices for level in LEVELS for k in range(3)]
-    predicted = {name: tuple(_by_prediction(name, level) for level in LEVELS) for name in devices}
-    done = worked(plan.params.devices, plan.seeds, axis, whole, tell) if plan.seeds else {}
-    edges = {(name, level): _edges(plan, done, name, level) for name in devices for level in LEVELS}
-    found = tuple(_found(done, level, predicted[MAIN][place]) for place, level in enumerate(LEVELS))
+    axis: list[Limit] = []
+    whole: list[Limit] = []
+    predicted: dict[str, tuple[Found | None, ...]] = {}
+    steps = Steps(tell, len(devices))
+    for name in devices:
+        steps.next(f"predicting, {name}")
+        for level, k in product(LEVELS, range(3)):
+            axis.append(_predicted(name, level, k, ORIGIN))
+            whole.append(_predicted(name, level, k, searches.set_place(name, level, k)))
+        predicted[name] = tuple(_by_prediction(name, level) for level in LEVELS)
+    done = worked(devices, plan.seeds, axis, whole, tell) if plan.seeds else {}
     tell("done", 1, 1)
     return ReproduceResult(
         plan,
-        limits=tuple(_gathered(limit, "axis", plan.seeds, done) for limit in axis),
-        sets=tuple(_gathered(limit, "set", plan.seeds[:SET_SEEDS], done) for limit in whole),
-        edges=edges,
+        limits=tuple(gathered(limit, "axis", plan.seeds, done) for limit in axis),
+        sets=tuple(gathered(limit, "set", plan.seeds[:SET_SEEDS], done) for limit in whole),
+        edges={(name, level): _edges(plan, done, name, level) for name in devices for level in LEVELS},
         singles={name: tuple(_single(plan, done, name, place) for place in range(len(SHOWN))) for name in devices},
-        found=found,
+        found=tuple(_found(done, level, predicted[MAIN][place]) for place, level in enumerate(LEVELS)),
         predicted=predicted,
-        walls={level: np.array([done["wall", level, b] for b in DAMPINGS]) for level in LEVELS} if plan.seeds else {},
+        walls=done.get(("walls",)),
     )
 
 
@@ -113,19 +129,18 @@ def _predicted(name: str, level: float, axis: int, base: Point | None) -> Limit:
     return Limit(name, level, axis, base or ORIGIN, value, np.empty(0))
 
 
-def _place(name: str, level: float, axis: int) -> Point | None:
-    return searches.set_place(name, level, axis)
-
-
 def _by_prediction(name: str, level: float) -> Found | None:
     if name == LITERAL and level == 0.0:
         return None
     return grids.by_prediction(subject(name), level)
 
 
-def _gathered(limit: Limit, reading: str, seeds: tuple[int, ...], done: dict[Key, Any]) -> Limit:
+def gathered(limit: Limit, reading: str, seeds: tuple[int, ...], done: dict[Key, Any]) -> Limit:
+    """A predicted limit with what each seed found; `reading` is "axis" or "set". Where nothing is passive none was flown."""
+    if isnan(limit.predicted):
+        return limit
     values = np.array([done[reading, limit.device, limit.level, limit.axis, seed] for seed in seeds])
-    return replace(limit, values=values)
+    return replace(limit, values=np.nan_to_num(values))  # 0 where not even the rest is passive
 
 
 def _edges(plan: ReproducePlan, done: dict[Key, Any], name: str, level: float) -> Floats:
@@ -136,10 +151,8 @@ def _edges(plan: ReproducePlan, done: dict[Key, Any], name: str, level: float) -
 
 def _single(plan: ReproducePlan, done: dict[Key, Any], name: str, place: int) -> Single:
     point, level = SHOWN[place]
-    trials = [done["single", name, place, seed] for seed in plan.seeds]
     predicted = bool(subject(name).passive(np.array([point]), level)[0])
-    whole = tuple(trial for trial in trials if trial is not None)
-    return Single(point, level, whole, sum(map(passes, trials)), len(trials), predicted)
+    return Single(point, level, tuple(done["single", name, place, seed] for seed in plan.seeds), predicted)
 
 
 def _found(done: dict[Key, Any], level: float, predicted: Found | None) -> Found:

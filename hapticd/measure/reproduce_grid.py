@@ -35,6 +35,16 @@ CALMED = 9  # frequencies, about 9 Hz
 
 
 @dataclass(frozen=True, eq=False)
+class Peak:
+    """A maximum of an envelope: its |Z| [N s/m], by how much it stands above the higher of its valleys, its owner (K, B, M)."""
+
+    frequency_hz: float
+    size_ns_per_m: float
+    rise: float
+    owner: Floats
+
+
+@dataclass(frozen=True, eq=False)
 class Found:
     """Of one damping level: `passive` (nK, nB, nM) of the grid, `flown` trials; the envelope, its owners' environments by name."""
 
@@ -59,8 +69,8 @@ class Found:
         """(K, B, M) (F, 3) of an edge's owners."""
         return np.asarray(self.environments[which])
 
-    def peak(self) -> tuple[float, float, Floats] | None:
-        """Frequency [Hz], |Z| [N s/m] and owner (K, B, M) of the upper edge's most prominent maximum in PEAK_HZ, if any."""
+    def peak(self) -> Peak | None:
+        """The upper edge's most prominent maximum in PEAK_HZ, if any."""
         f, size = self.envelope.frequency_hz, _calmed(self.envelope.upper.value) if self.flown else self.envelope.upper.value
         inside = np.flatnonzero((f >= PEAK_HZ[0]) & (f <= PEAK_HZ[1]))
         part = size[inside]
@@ -70,7 +80,7 @@ class Found:
         if rise[highest] < PROMINENT:
             return None
         at = int(inside[highest])
-        return float(f[at]), float(size[at]), self.owners(self.envelope.upper.owner)[at]
+        return Peak(float(f[at]), float(size[at]), float(rise[highest]) - 1.0, self.owners(self.envelope.upper.owner)[at])
 
 
 def _calmed(values: Floats) -> Floats:

@@ -29,7 +29,7 @@ Decide = Callable[[Floats], Flags]
 
 @dataclass(frozen=True, eq=False)
 class Limit:
-    """Limit of one parameter: `values` (seeds,) by trials, empty without; nan in `predicted` where even K = B = M = 0 fails."""
+    """Limit of one parameter: `values` (seeds,) by trials, empty without; 0, and nan in `predicted`, where nothing is passive."""
 
     device: str
     level: float
@@ -56,7 +56,7 @@ def predicted_limit(device: str, level: float, axis: int, base: Point = (0.0, 0.
 
 
 def simulated_limit(device: str, level: float, axis: int, base: Point, near: float, seed: int) -> float:
-    """By trials with the noise of `seed`, 16 a round; nan where `base` fails or nothing is predicted (`near`)."""
+    """By trials with the noise of `seed`, TOGETHER a round; nan where `base` fails or nothing is predicted (`near`)."""
     if not np.isfinite(near):
         return float("nan")
     own, found = subject(device), float("nan")
@@ -71,12 +71,17 @@ def _decide(device: Subject, level: float, seed: int, points: Floats) -> Flags:
     return decided(flown(device, points, level, seed))
 
 
+def edge_step(near: float) -> float:
+    """Between two trials of that scan [N/m]; a limit is known to it."""
+    return near * EDGE_TIMES / EDGE_STEPS
+
+
 def edge_limits(device: str, level: float, near: float, seed: int) -> Floats:
     """K limits [N/m] (EDGES_HZ,) on the axis, by one scan whose trials are judged from each lower band edge; nan without `near`."""
     if not np.isfinite(near):
         return np.full(len(EDGES_HZ), np.nan)
     points = np.zeros((EDGE_STEPS, 3))
-    points[:, 0] = near * EDGE_TIMES * np.arange(1, EDGE_STEPS + 1) / EDGE_STEPS
+    points[:, 0] = edge_step(near) * np.arange(1, EDGE_STEPS + 1)
     trials = list(flown(subject(device), points, level, seed))
     return np.array([_last_passive(points[:, 0], decided(trials, edge)) for edge in EDGES_HZ])
 

@@ -1,4 +1,4 @@
-"""The rows of the table: what the paper says, what we find, of which kind the agreement is, and why they differ where they do.
+"""The rows of the table: what the paper says, what we find, and of which kind the agreement is.
 
     calibrated   a number that the device was fitted to, or by construction
     independent  nothing was fitted to it
@@ -13,8 +13,6 @@ from dataclasses import dataclass
 from math import isfinite, nan
 from typing import Literal
 
-import numpy as np
-
 from hapticd.analysis.requirement import required_damping
 from hapticd.measure.reproduce_trials import ADDED_NS_PER_M
 from hapticd.plant.winding import crowbar_nms_per_rad, lever_of_crowbar_m
@@ -24,6 +22,7 @@ Kind = Literal["calibrated", "independent", "arithmetic"]
 PRINTED = "paper"  # the device of rows that need none
 LITERAL = "weir2008_literal"
 PAPER = {"K_max_off": 100.0, "B_max_off": 3.0, "M_min_off": -0.008, "K_max_on": 600.0, "B_max_on": 8.0, "M_min_on": -0.022}
+TOLERANCE = 0.08
 RATIOS = {"K": 6.0, "B": 2.7, "M": 2.75}
 PERIOD_S = 1e-3
 CROWBAR_NMS, CROWBAR_NS = 1.7e-4, 3.7e-5
@@ -46,11 +45,17 @@ class Row:
     seeds: int = 0
     predicted: float = nan
     note: str = ""
+    part: str = ""  # of the page
 
     @property
     def difference(self) -> float:
         """Relative to the paper; nan without a number there."""
         return self.ours / self.paper - 1.0 if isfinite(self.paper) and self.paper else nan
+
+    @property
+    def matches(self) -> bool:
+        """Within TOLERANCE of the paper, or nothing to compare with."""
+        return not abs(self.difference) > TOLERANCE
 
 
 def kind_of(device: str) -> Kind:
@@ -84,44 +89,6 @@ def arithmetic(torque_constant_nm_per_a: float, resistance_ohm: float, lever_m: 
         "copper_40_K", WARMER_PERCENT, 100.0 * COPPER_PER_K * WARMER_K, "%", "arithmetic", PRINTED,
         note='printed "0.00393 percent per degree"; 0.393 % is meant',
     )  # fmt: skip
-
-
-def ratios(device: str, limits: dict[str, tuple[float, float]]) -> Iterator[Row]:
-    """On over off of our own limits; `limits`: mean and sd by name."""
-    for name, printed in RATIOS.items():
-        ends = "min" if name == "M" else "max"
-        (on, on_sd), (off, off_sd) = limits[f"{name}_{ends}_on"], limits[f"{name}_{ends}_off"]
-        ratio = on / off if off else nan
-        spread = float(abs(ratio) * np.hypot(on_sd / on, off_sd / off)) if off else nan
-        tension = "" if name == "K" else "B wants more and M less from the same damping, in every fit"
-        note = tension if off else "nothing is passive without added damping"
-        yield Row(f"{name}_ratio", printed, ratio, "1", kind_of(device), device, sd=spread, note=note)
-
-
-def note_on(quantity: str, device: str, seen: float) -> str:
-    """Why a limit differs, where it does by more than a tenth or its scatter matters."""
-    if device == LITERAL:
-        return LITERAL_NOTES["off" if quantity.endswith("_off") else quantity]
-    differs = abs(seen / PAPER[quantity] - 1.0) > 0.08
-    if device == "weir2008":
-        return MAIN_NOTES.get(quantity, "") if differs else ""
-    return HP_NOTES.get(quantity, "outside 8 %: fitted on one seed and fewer frequencies") if differs else ""
-
-
-LITERAL_NOTES = {
-    "off": "the paper prints no friction and no physical damping: Re Z = 0 at K = B = M = 0, and nothing beyond it is passive",
-    "K_max_on": "without lag and friction, Eq. 2's KT/2 is all that 1.74 Ns/m has to pay; noise at 2 Hz costs the rest",
-    "B_max_on": "1.74 Ns/m over 0.458 per filtered Ns/m: no Coulomb friction that grows as the motion slows down",
-    "M_min_on": "1.74 Ns/m over 293 per kg: no Coulomb friction that grows as the motion slows down",
-}
-MAIN_NOTES = {
-    "M_min_off": "the least of the six: fitted on the set reading (best B > 0), where it is nearer; on the axis B = 0",
-    "M_min_on": "B wants more and M less in every fit: one damping for both cannot give 2.67 and 2.75",
-}
-HP_NOTES = {
-    "K_max_on": "fails in 2-3 Hz alone, where the high-pass turns the phase; scatter between seeds is large",
-    "K_max_off": "runs away beyond it: next to no viscous damping, so the limit scatters from seed to seed",
-}
 
 
 def by_quantity(rows: Iterable[Row]) -> dict[str, dict[str, Row]]:

@@ -1,19 +1,20 @@
 """What `reproduce` has to fly, as a list of tasks on every core.
 
-The kernels and the analysis leave the interpreter free, so threads suffice. Every kernel is compiled before there are threads that
-would wait for it, and tasks of one seed follow each other, so its noise is made once. A result is kept under a key:
+The kernels and the analysis leave the interpreter free, so threads suffice. Tasks of one seed follow each other, so its noise is
+made once. A result is kept under a key:
 
     ("axis" | "set", device, level, axis, seed)    a limit
     ("edge", device, level, seed)                  K limits for each lower band edge
     ("single", device, place in SHOWN, seed)       spectra of Figs. 4 and 7
     ("grid", level, first, count)                  passive trials of a part of the grid
-    ("wall", level, damping)                       a point of Fig. 2
+    ("walls",)                                     Fig. 2
 """
 
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -25,10 +26,14 @@ from hapticd.measure.progress import Progress, Steps
 from hapticd.measure.reproduce_limits import Limit
 from hapticd.measure.reproduce_rows import FIG_4, FIG_7
 from hapticd.measure.reproduce_trials import LEVELS, MAIN, SECONDS, Point, flown, subject
-from hapticd.measure.reproduce_walls import DAMPINGS, highest_wall
+from hapticd.measure.walls import WallParams, plan_walls, run_walls
+from hapticd.settings.scene import load_scene
 
 GRID_PART = 64
 SET_SEEDS = EDGE_SEEDS = 4
+WALL_SCENE = "wall"
+WALL_DAMPINGS = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0)  # Ns/m
+WALL_STIFFNESSES = tuple(np.geomspace(20.0, 3000.0, 22).tolist())  # N/m
 SHOWN = ((FIG_4, 0.0), (FIG_7, 0.0), (FIG_7, LEVELS[1]))  # environment and damping of the single trials
 
 Key = tuple[Any, ...]
@@ -39,26 +44,31 @@ def worked(
     devices: tuple[str, ...], seeds: tuple[int, ...], axis: list[Limit], whole: list[Limit], tell: Progress
 ) -> dict[Key, Any]:
     """All tasks, the longest first, on every core; `axis` and `whole` are what was predicted."""
-    tell("compiling", 0, 1)
-    for name in devices:
-        for level in LEVELS:
-            for dtype in ("f64", "f32"):
-                next(iter(flown(subject(name), np.zeros((1, 3)), level, seed=1, seconds=2.0, dtype=dtype)))
-    tasks = [*_grid_tasks(), *_wall_tasks()]
+    _compiled(devices, tell)
+    tasks = [*_grid_tasks(), _walls_task()]
     for seed in seeds:
         tasks += _seed_tasks(devices, seed, axis, whole)
-    steps, done = Steps(tell, len(tasks)), {}
+    done: dict[Key, Any] = {}
     with ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0))) as threads:
         running = {threads.submit(call): (key, what) for key, what, call in tasks}
         try:
             for ended in as_completed(running):
                 key, what = running[ended]
                 done[key] = ended.result()
-                steps.next(what)
-        except BaseException:
+                tell(what, len(done), len(tasks))
+        except BaseException:  # Ctrl-C too: what has not begun never begins
             threads.shutdown(cancel_futures=True)
             raise
     return done
+
+
+def _compiled(devices: tuple[str, ...], tell: Progress) -> None:
+    """Every kernel, once, before there are threads that would wait for it."""
+    kernels = list(product(devices, LEVELS, ("f64", "f32")))
+    steps = Steps(tell, len(kernels))
+    for name, level, dtype in kernels:
+        steps.next(f"compiling, {name}")
+        next(iter(flown(subject(name), np.zeros((1, 3)), level, seed=1, seconds=2.0, dtype=dtype)))
 
 
 def _grid_tasks() -> list[Task]:
@@ -72,9 +82,9 @@ def _grid_tasks() -> list[Task]:
     return tasks
 
 
-def _wall_tasks() -> list[Task]:
-    highest_wall(LEVELS[1], 8.0)  # compiles
-    return [(("wall", level, b), "walls", partial(highest_wall, level, float(b))) for level in LEVELS for b in DAMPINGS]
+def _walls_task() -> Task:
+    plan = plan_walls(WallParams(load_scene(WALL_SCENE), WALL_STIFFNESSES, WALL_DAMPINGS, LEVELS))
+    return ("walls",), "walls", partial(run_walls, plan)
 
 
 def _seed_tasks(devices: tuple[str, ...], seed: int, axis: list[Limit], whole: list[Limit]) -> list[Task]:

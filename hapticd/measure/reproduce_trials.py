@@ -20,7 +20,7 @@ from hapticd.analysis.arrays import Complexes, Flags, Floats
 from hapticd.analysis.linearise import Perturbation, linearise
 from hapticd.analysis.loop import Filters, close_loop
 from hapticd.analysis.predict import DEFAULT_BAND_HZ, coulomb, frequencies, predict
-from hapticd.analysis.spa import DEFAULT_LAG, spa
+from hapticd.analysis.spa import DEFAULT_LAG
 from hapticd.analysis.spectra import Spectra
 from hapticd.measure.scenes import filters
 from hapticd.plant.compose import compose
@@ -55,12 +55,7 @@ class Subject:
     def passive(self, points: Floats, level: float, band_hz: tuple[float, float] = DEFAULT_BAND_HZ) -> Flags:
         """Predicted for environments (N, 3) at a damping level [N s/m], with the perturbation of the trials and as recorded:
         what a high-pass of the velocity channel does to the phase counts."""
-        found = predict(self.model, points, level, self.filters, Perturbation(), band_hz).passive
-        if self.turned and found.any():
-            f, z = self.impedances(points[found], level, band_hz)
-            inside = (f >= band_hz[0]) & (f <= band_hz[1])
-            found[found] = (z.real[:, inside] >= 0.0).all(axis=1)
-        return found
+        return predict(self.model, points, level, self.filters, Perturbation(), band_hz, recorded=True).passive
 
     def impedances(self, points: Floats, level: float, band_hz: tuple[float, float]) -> tuple[Floats, Complexes]:
         """(frequencies (F,), Z (N, F) as recorded) by prediction; both ends of the band are among the frequencies."""
@@ -68,12 +63,6 @@ class Subject:
         loop, friction = close_loop(self.model, f, level, self.filters), coulomb(self.model)
         found = linearise(loop, points, friction, np.zeros_like(friction), Perturbation())
         return f, np.asarray(found.impedance * loop.recorded)
-
-    @property
-    def turned(self) -> bool:
-        """Whether the velocity channel turns the phase."""
-        recorded = close_loop(self.model, np.array([2.0]), 0.0, self.filters).recorded
-        return bool(abs(np.angle(recorded[0])) > 1e-3)
 
 
 @cache
@@ -92,10 +81,10 @@ def flown(
     for first in range(0, len(points), together):
         found = simulate(
             device.model, points[first : first + together], seconds, seed,
-            damping=level, filters=device.filters, substeps=SUBSTEPS, keep="records", dtype=dtype,
+            damping=level, filters=device.filters, substeps=SUBSTEPS, keep="spectra", dtype=dtype,
         )  # fmt: skip
         calm = ~found.diverged & (found.max_force_n < device.force_limit_n)
-        yield from (spa(*found.record(trial)) if good else None for trial, good in enumerate(calm))
+        yield from (found.spectra(trial) if good else None for trial, good in enumerate(calm))
 
 
 def passes(trial: Spectra | None, low_hz: float = DEFAULT_BAND_HZ[0]) -> bool:

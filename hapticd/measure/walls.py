@@ -1,20 +1,22 @@
 """Virtual walls: how stiff a wall may be at each virtual damping before an impact sets it oscillating (Weir 2008, Fig. 2).
 
 The device meets the wall as the scene says (its start velocity, a push against it). A wall is stable if after `settle_s`
-nothing moves faster than `still_m_per_s`, and the trial has not diverged. This is neither passivity nor coupled stability: it
-is one impact of one device without a hand, and says what the plot of many papers says. K is raised step by step; the
-boundary is the last stable wall below the first that is not, and found again between the two.
+nothing moves to and fro faster than `still_m_per_s`, and the trial has not diverged. To and fro: into a soft and strongly
+damped wall the push creeps for B/K seconds, 0.3 s and more, and that is no oscillation. This is neither passivity nor coupled
+stability: it is one impact of one device without a hand, and says what the plot of many papers says. K is raised step by step;
+the boundary is the last stable wall below the first that is not, and found again between the two.
 
 Params -> plan_walls -> Plan -> run_walls -> Result.
 """
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import product
+from math import inf
 
 import numpy as np
 
+from hapticd.analysis.arrays import Values
 from hapticd.errors import AnalysisError
 from hapticd.measure.progress import Progress, Steps, silent
 from hapticd.plant.compose import compose
@@ -48,7 +50,7 @@ class WallPlan:
 
 @dataclass(frozen=True, slots=True)
 class Impact:
-    """One impact: `late_m_per_s` is the largest speed after `settle_s`, `deepest_m` how far the wall gave way."""
+    """One impact: `late_m_per_s` is the largest speed reached both ways after `settle_s`, `deepest_m` how far the wall gave way."""
 
     damping_ns_per_m: float
     wall_stiffness_n_per_m: float
@@ -68,6 +70,11 @@ class WallLine:
     open: bool
     impacts: tuple[Impact, ...]
 
+    @property
+    def first_unstable_n_per_m(self) -> float:
+        """The softest wall that oscillated: the boundary lies between it and `highest_n_per_m`; inf if none did."""
+        return min((impact.wall_stiffness_n_per_m for impact in self.impacts if not impact.stable), default=inf)
+
 
 @dataclass(frozen=True, eq=False)
 class WallResult:
@@ -75,6 +82,10 @@ class WallResult:
 
     plan: WallPlan
     lines: tuple[WallLine, ...]
+
+    def at(self, level: float) -> tuple[WallLine, ...]:
+        """The boundary at one electrical damping, by wall damping."""
+        return tuple(line for line in self.lines if line.damping_ns_per_m == level)
 
 
 def plan_walls(params: WallParams) -> WallPlan:
@@ -92,12 +103,11 @@ def plan_walls(params: WallParams) -> WallPlan:
 
 
 def run_walls(plan: WallPlan, tell: Progress = silent) -> WallResult:
-    """Hit them all."""
+    """Hit them all; milliseconds an impact."""
     steps, lines = Steps(tell, len(plan.lines)), []
-    with ThreadPoolExecutor(max_workers=2) as threads:
-        for found in threads.map(lambda line: _line(plan, *line), plan.lines):
-            steps.next(f"walls, added damping {found.damping_ns_per_m:g} N s/m")
-            lines.append(found)
+    for level, damping in plan.lines:
+        steps.next(f"walls, added damping {level:g} N s/m")
+        lines.append(_line(plan, level, damping))
     steps.end()
     return WallResult(plan, tuple(lines))
 
@@ -132,8 +142,13 @@ def hit(plan: WallPlan, level: float, stiffness: float, damping: float) -> Impac
         excitation=scene.excitation, start=(scene.start_position_m, scene.start_velocity_m_per_s), keep="ticks",
     )  # fmt: skip
     _, velocity = found.record(0)
-    late = float(np.abs(velocity[int(params.settle_s * found.rate_hz) :]).max(initial=0.0))
+    late = to_and_fro(velocity[int(params.settle_s * found.rate_hz) :])
     assert found.position_m is not None
     deepest = float((wall.side * (found.position_m[0] - wall.position_m)).max())
     diverged = bool(found.diverged[0])
     return Impact(level, stiffness, damping, not diverged and late < params.still_m_per_s, late, max(0.0, deepest))
+
+
+def to_and_fro(velocity_m_per_s: Values) -> float:
+    """The largest speed that is reached both ways [m/s]; 0 for a motion in one direction."""
+    return max(0.0, float(min(velocity_m_per_s.max(), -velocity_m_per_s.min())))

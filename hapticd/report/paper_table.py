@@ -1,31 +1,58 @@
-"""The table of `reproduce`: a column for each device, as text, as Markdown and as JSON."""
+"""The table of `reproduce`: a column for each device, as text, as Markdown and as JSON, and back from JSON.
 
-from collections.abc import Iterable
-from math import isfinite
+A number in brackets behind a cell points to the reason below the table why it is not the paper's.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import fields
+from math import isfinite, nan
 from typing import Any
 
 from hapticd.measure.reproduce_rows import PRINTED, Row, by_quantity
 from hapticd.report.table import Table, shown, table
 
+MANY = 10.0  # from here on a difference is told as a ratio
 COLUMNS = ("quantity", "unit", "paper")
 
 
 def paper_table(rows: Iterable[Row]) -> Table:
-    """Ours for each device beside the paper; in brackets the difference, after +- one sd between seeds."""
+    """Ours for each device beside the paper: +- one sd between seeds, the difference, and the number of its note."""
     found = list(rows)
-    devices = [name for name in dict.fromkeys(row.device for row in found) if name != PRINTED]
+    devices, numbers = _devices(found), _numbers(found)
     lines = []
     for quantity, by_device in by_quantity(found).items():
         first = next(iter(by_device.values()))
-        kinds = ", ".join(dict.fromkeys(row.kind for row in by_device.values()))
-        cells = [_cell(by_device.get(name, by_device.get(PRINTED))) for name in devices]
-        lines.append([quantity, first.unit, _number(first.paper), *cells, kinds])
-    return table([*COLUMNS, *devices, "kind"], lines)
+        cells = [_cell(by_device.get(name, by_device.get(PRINTED)), numbers) for name in devices]
+        seeds = str(first.seeds or "-")
+        lines.append([quantity, first.unit, shown(float(first.paper)), *cells, seeds, _kinds(by_device)])
+    return table([*COLUMNS, *("ours" if name == PRINTED else name for name in devices), "seeds", "kind"], lines)
+
+
+def readings_table(axis: Iterable[Row], whole: Iterable[Row]) -> Table:
+    """Axis and set reading of each limit and ratio side by side; `whole` has the names of `axis` with `_set` in them."""
+    along, over = by_quantity(axis), by_quantity(whole)
+    numbers = _numbers([row for by_device in over.values() for row in by_device.values()])
+    devices = _devices([row for by_device in over.values() for row in by_device.values()])
+    lines = []
+    for quantity, by_device in over.items():
+        beside = along[quantity.replace("_set", "")]
+        first = next(iter(by_device.values()))
+        pairs = [cell for name in devices for cell in (_cell(beside[name], {}), _cell(by_device[name], numbers))]
+        lines.append([quantity.replace("_set", ""), first.unit, shown(float(first.paper)), *pairs])
+    return table([*COLUMNS, *(f"{name}, {reading}" for name in devices for reading in ("axis", "set"))], lines)
 
 
 def notes(rows: Iterable[Row]) -> list[str]:
-    """What does not match or needs saying, once each."""
-    return list(dict.fromkeys(f"{row.quantity}, {row.device}: {row.note}" for row in rows if row.note))
+    """What does not match or needs saying, once each, by the numbers in the table."""
+    found = list(rows)
+    told = []
+    for note, number in _numbers(found).items():
+        about = [row for row in found if row.note == note]
+        quantities, devices = (
+            ", ".join(dict.fromkeys(names)) for names in zip(*((r.quantity, r.device) for r in about), strict=True)
+        )
+        told.append(f"[{number}] {quantities}{'' if devices == PRINTED else f' of {devices}'}: {note}")
+    return told
 
 
 def as_json(rows: Iterable[Row]) -> list[dict[str, Any]]:
@@ -34,10 +61,19 @@ def as_json(rows: Iterable[Row]) -> list[dict[str, Any]]:
         {
             "quantity": row.quantity, "paper": _or_none(row.paper), "ours": _or_none(row.ours), "unit": row.unit, "kind": row.kind,
             "device": row.device, "sd": _or_none(row.sd), "difference": _or_none(row.difference), "seeds": row.seeds,
-            "predicted": _or_none(row.predicted), "note": row.note,
+            "predicted": _or_none(row.predicted), "note": row.note, "part": row.part,
         }
         for row in rows
     ]  # fmt: skip
+
+
+def from_json(content: Iterable[Mapping[str, Any]]) -> tuple[Row, ...]:
+    """The rows again."""
+    return tuple(_row({name: nan if value is None else value for name, value in each.items()}) for each in content)
+
+
+def _row(values: dict[str, Any]) -> Row:
+    return Row(**{field.name: values[field.name] for field in fields(Row)})
 
 
 def markdown(content: Table) -> str:
@@ -46,16 +82,39 @@ def markdown(content: Table) -> str:
     return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines) + "\n"
 
 
-def _cell(row: Row | None) -> str:
-    if row is None or not isfinite(row.ours):
-        return "-"
+def _devices(rows: list[Row]) -> list[str]:
+    """In order; `paper` stands for all where there is no other."""
+    every = list(dict.fromkeys(row.device for row in rows))
+    return [name for name in every if name != PRINTED] or every
+
+
+def _numbers(rows: Iterable[Row]) -> dict[str, int]:
+    """{note: its number} in order."""
+    told = dict.fromkeys(row.note for by_device in by_quantity(rows).values() for row in by_device.values() if row.note)
+    return {note: number for number, note in enumerate(told, 1)}
+
+
+def _kinds(by_device: Mapping[str, Row]) -> str:
+    """The kind, and which devices are of another."""
+    kinds = {name: row.kind for name, row in by_device.items()}
+    first = next(iter(kinds.values()))
+    return "; ".join([first, *(f"{name} {kind}" for name, kind in kinds.items() if kind != first)])
+
+
+def _cell(row: Row | None, numbers: Mapping[str, int]) -> str:
+    if row is None:
+        return ""
+    mark = f" [{numbers[row.note]}]" if row.note in numbers else ""
+    if not isfinite(row.ours):
+        return f"-{mark}"
     spread = f" ± {shown(float(f'{row.sd:.2g}'))}" if isfinite(row.sd) else ""
-    differs = f" ({100.0 * row.difference:+.1f} %)" if isfinite(row.difference) else ""
-    return f"{shown(float(row.ours))}{spread}{differs}"
+    return f"{shown(float(row.ours))}{spread}{_differs(row.difference)}{mark}"
 
 
-def _number(value: float) -> str:
-    return shown(float(value))
+def _differs(relative: float) -> str:
+    if not isfinite(relative):
+        return ""
+    return f" ({100.0 * relative:+.1f} %)" if relative < MANY else f" (x {relative + 1.0:,.0f})"
 
 
 def _or_none(value: float) -> float | None:

@@ -1,43 +1,46 @@
-"""Figure of virtual walls: stable and unstable impacts and the boundary between them in the K-B plane, as in Weir 2008, Fig. 2."""
+"""Figure of virtual walls: which come to rest and which oscillate, in the K-B plane, as in Weir 2008, Fig. 2."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hapticd.measure.walls import WallResult
 from hapticd.report import figures
-from hapticd.report.zwidth import plain_log
+from hapticd.report.paper_style import OFF, ON, SMALL_PT, WIDTH_IN
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MARKERS = ("o", "s", "^", "D")
+MARKERS = ("s", "o", "^", "D", "v", "P")
+LOOKS: tuple[dict[str, Any], ...] = (OFF, ON, *({"color": colour, "linestyle": "-"} for colour in figures.COLOURS[2:]))
 
 
-def walls_figure(result: WallResult) -> "Figure":
-    """A line for each damping level: filled marks are stable impacts, crosses the first that was not."""
+def walls_figure(result: WallResult, title: str = "Walls that come to rest") -> "Figure":
+    """A line and an area for each damping level: marks are the stiffest stable walls, crosses the softest that was not."""
     params, scene = result.plan.params, result.plan.params.scene
     with figures.style():
-        figure, (place,) = figures.axes(1, 1, 7.4, 5.2)
+        figure, (place,) = figures.axes(1, 1, WIDTH_IN, 4.2)
         for look, level in enumerate(params.levels):
-            colour, marker = figures.COLOURS[look % len(figures.COLOURS)], MARKERS[look % len(MARKERS)]
-            lines = [line for line in result.lines if line.damping_ns_per_m == level]
-            highest = np.array([line.highest_n_per_m or np.nan for line in lines])
-            name = f"added damping {level:g} N s/m"
-            place.plot([line.wall_damping_ns_per_m for line in lines], highest, color=colour, label=f"{name}: stiffest stable wall")
-            for stable, mark in ((True, marker), (False, "x")):
-                hits = [impact for line in lines for impact in line.impacts if impact.stable is stable]
-                place.plot(
-                    [impact.wall_damping_ns_per_m for impact in hits],
-                    [impact.wall_stiffness_n_per_m for impact in hits],
-                    mark, color=colour, markersize=3.5, linestyle="", alpha=0.6, label="stable impact" if stable else "oscillates",
-                )  # fmt: skip
-        plain_log(place)
-        place.set(xlabel="wall damping B [N s/m]", ylabel="wall stiffness K [N/m]")
+            _line(place, result, level, LOOKS[look % len(LOOKS)], MARKERS[look % len(MARKERS)])
+        place.plot([], [], "x", color=figures.BLACK, markersize=4, label="softest wall that oscillates")
+        place.set(xlabel="virtual damping B of the wall (N s/m)", ylabel="virtual stiffness K of the wall (N/m)", ylim=(0.0, None))
+        figure.legend(*place.get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=SMALL_PT, frameon=False)
+        impact = f"impact at {scene.start_velocity_m_per_s:g} m/s, push {scene.excitation.force_n:g} N"
         place.set_title(
-            f"SIMULATED {scene.device}: impact at {scene.start_velocity_m_per_s:g} m/s, push {scene.excitation.force_n:g} N;\n"
-            f"stable: below {1e3 * params.still_m_per_s:g} mm/s after {params.settle_s:g} s",
-            fontsize=9.5,
-        )
-        figure.legend(*place.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+            f"{title}\nSIMULATED {scene.device}: {impact}; below {1e3 * params.still_m_per_s:g} mm/s after {params.settle_s:g} s",
+            loc="left", fontsize=9.5,
+        )  # fmt: skip
         return figure
+
+
+def _line(place: "Axes", result: WallResult, level: float, look: dict[str, Any], marker: str) -> None:
+    lines = result.at(level)
+    damping, highest = [line.wall_damping_ns_per_m for line in lines], np.array([line.highest_n_per_m for line in lines])
+    first = np.array([line.first_unstable_n_per_m for line in lines])
+    words = f"with {level:g} N s/m of added damping" if level else "without added damping"
+    place.fill_between(damping, 0.0, highest, color=look["color"], alpha=0.10, linewidth=0)
+    place.plot(
+        damping, highest, marker=marker, markersize=4, label=f"stiffest wall that rests, {words}", clip_on=False, zorder=3, **look
+    )
+    place.plot(damping, np.where(np.isfinite(first), first, np.nan), "x", color=look["color"], markersize=4)

@@ -1,0 +1,49 @@
+"""Bring docs/reproduction.md up to date with a run: `python docs/reproduce.py build/reproduction`, or `make reproduction-docs`.
+
+Its table.json and its figures are copied, the figures with fewer colours: a third of the bytes. Numbers and tables of the page
+are filled in; the words are written by hand. After a change of words alone, docs/figures/reproduction is the run.
+"""
+
+import json
+import shutil
+import sys
+from pathlib import Path
+
+from pages.reproduction import filled
+
+from hapticd.report.paper_table import from_json
+
+DOCS = Path(__file__).parent
+PAGE, FIGURES = DOCS / "reproduction.md", DOCS / "figures" / "reproduction"
+COLOURS = 128
+
+
+def refresh(run: Path) -> None:
+    """From a run folder of `hapticd zwidth reproduce`."""
+    told = json.loads((run / "table.json").read_text())
+    if told["quick"]:
+        raise SystemExit(f"{run}: predicted with --quick; the page tells of trials: run it without")
+    PAGE.write_text(filled(PAGE.read_text(), from_json(told["table"])))
+    if run.resolve() != FIGURES.resolve():
+        copy(run)
+
+
+def copy(run: Path) -> None:
+    """Its figures, and no others, and its table."""
+    FIGURES.mkdir(parents=True, exist_ok=True)
+    for old in FIGURES.glob("*.png"):
+        old.unlink()
+    for figure in sorted(run.glob("*.png")):
+        shrink(figure, FIGURES / figure.name)
+    shutil.copy(run / "table.json", FIGURES / "table.json")
+
+
+def shrink(figure: Path, to: Path) -> None:
+    """A PNG with at most COLOURS colours."""
+    from PIL import Image  # comes with matplotlib
+
+    Image.open(figure).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(to, optimize=True)
+
+
+if __name__ == "__main__":
+    refresh(Path(sys.argv[1]))
