@@ -47,6 +47,7 @@ class Blueprint:
     delay_periods: float = 0.0
     amplifier_rad_s: float | None = None
     circuit_rad_s: float | None = None
+    shaping_rad_s: tuple[float, float] = (0.0, 0.0)  # corners of high-pass and low-pass of the damping, 0 for none
     level_gain: float = 1.0
     level_offset_ns_per_m: float = 0.0
     estimate_offset_m_per_s: float = 0.0

@@ -17,11 +17,12 @@ from hapticd.plant.electrical import (
 )
 from hapticd.plant.friction import Coulomb
 from hapticd.plant.sensing import AntiAlias, Encoder, ProbeAdc, SensorNoise, VelocityHighpass
+from hapticd.plant.shaped_damping import ShapedDamping
 from hapticd.plant.winding import Heating, InductanceError, Motor, WindingTemperature
 
 KINDS: tuple[type[Effect], ...] = (
     Masses, Motor, Probe, Coupling, Viscous, Coulomb, Load, Hand, MagnetCogging, WorkspaceEnds,
-    Delay, ForceDac, Saturation, Smoothing, Amplifier, DampingDac, DampingCircuit, Multiplier,
+    Delay, ForceDac, Saturation, Smoothing, Amplifier, DampingDac, DampingCircuit, ShapedDamping, Multiplier,
     WindingTemperature, Heating, InductanceError, Crowbar,
     Encoder, VelocityHighpass, AntiAlias, ProbeAdc, SensorNoise,
 )  # fmt: skip

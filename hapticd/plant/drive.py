@@ -3,6 +3,7 @@
     F_r'   = w_r (F_cmd - F_r)                                   smoothing of the command
     F_a'   = w_a (F_r - g(b) (v_hat + e) - F_a)                  current amplifier, motor force as endpoint force
     v_hat' = w_d (v_rotor + (dR / K^2) F_a + (dL / K^2) F_a' - v_hat)     Eq. 6: (V - R i - L di/dt) / K_emf, i = F_a / K
+    `shaped_damping`, where there is one, stands between v_hat and g(b)
     g(b)   = (1 + gain error) b + scale offset;  e = offset and noise of the estimate
 b is the commanded damping in Ns/m, K = K_m / r the force per ampere at the endpoint, dR and dL what the circuit leaves of
 resistance and inductance uncancelled. At DC F_a = alpha (F_r - g v) with alpha = 1 / (1 + g dR / K^2): a hot winding makes
@@ -16,6 +17,7 @@ from hapticd.errors import ConfigError
 from hapticd.plant.blueprint import Blueprint
 from hapticd.plant.electrical import Amplifier, DampingCircuit
 from hapticd.plant.forms import Form
+from hapticd.plant.shaped_damping import ShapedDamping, shaped
 
 
 def drive(plan: Blueprint) -> None:
@@ -30,7 +32,7 @@ def drive(plan: Blueprint) -> None:
     estimate = plan.state("velocity_estimate", "m/s", DampingCircuit.key) if filtered else None
     if estimate is None:
         estimate = rotor.velocity + (Form() if motor is None else _left_by_resistance(plan, motor))
-    asked = plan.command - _multiplied(plan, estimate)
+    asked = plan.command - _multiplied(plan, shaped(plan, estimate))
     if lagging and motor is not None:
         plan.rates["motor_force"] = lagging * (asked - motor)
     else:
@@ -70,8 +72,10 @@ def _refuse_algebraic(plan: Blueprint) -> None:
 
 
 def _short(plan: Blueprint) -> None:
-    if plan.amplifier_rad_s or plan.circuit_rad_s or plan.inductance_error_h:
-        raise ConfigError("a crowbar shorts the motor: leave out 'amplifier', 'damping_circuit' and 'inductance'")
+    if plan.amplifier_rad_s or plan.circuit_rad_s or plan.inductance_error_h or any(plan.shaping_rad_s):
+        raise ConfigError(
+            f"a crowbar shorts the motor: leave out 'amplifier', 'damping_circuit', {ShapedDamping.key!r} and 'inductance'"
+        )
     damping = plan.torque_constant_n_per_a**2 / plan.resistance_ohm
     plan.motor = -damping * plan.rotor.velocity
     plan.estimate = plan.rotor.velocity

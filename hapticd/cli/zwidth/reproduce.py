@@ -21,21 +21,25 @@ Seeds = Annotated[int, typer.Option("--seeds", metavar="N", min=2, max=64, help=
 
 
 def command(quick: Quick = False, seeds: Seeds = 8, out: common.Out = None, as_json: options.Json = False) -> None:
-    """Weir, Colgate and Peshkin 2008 on simulated devices: limits, ratios, equations and Figs. 2-4 and 7-11 beside the paper's.
+    """Weir, Colgate and Peshkin 2008 on simulated devices: limits, ratios, equations and Figs. 2-4 and 7-11 beside the paper's,
+    and what the paper left to future work.
 
     Writes REPORT.md, the table (JSON, CSV, Markdown) and the figures (PNG, SVG); with --json only if --out names a folder.
     Ctrl-C is safe: the folder holds the files of one run, or none.
     """
+    from hapticd.measure.beyond import BeyondParams, plan_beyond, run_beyond
     from hapticd.measure.reproduce import ReproduceParams, plan_reproduce, run_reproduce
+    from hapticd.report import beyond_page
     from hapticd.report.paper import sections
     from hapticd.report.paper_files import keep
     from hapticd.report.paper_page import terminal
     from hapticd.report.paper_table import as_json as table_json
 
     plan, files = plan_reproduce(ReproduceParams(quick, seeds)), []
+    further = plan_beyond(BeyondParams(quick))
     try:
         with watched() as tell:
-            found = [*sections(run_reproduce(plan, tell))]  # what goes beyond the paper adds its sections here
+            found = [*sections(run_reproduce(plan, tell)), *beyond_page.sections(run_beyond(further, tell))]
             table = table_json(row for section in found for row in section.rows)
             told: dict[str, Any] = {"quick": quick, "seeds": len(plan.seeds), "table": table, "provenance": common.told()}
             if out is not None or not as_json:
