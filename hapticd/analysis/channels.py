@@ -67,8 +67,7 @@ def high_pass(trial: Spectra) -> Fitted:
     if z.size < 5 or np.degrees(np.angle(z[0])) > SPRING_PHASE_DEG:
         return NOT_FITTED
     over, _ = _robust(np.stack((1.0 / f, f), axis=1), z.imag, known)
-    smoothing = 0.125 * (trial.rate_hz / trial.lag) ** 2
-    steep, sd = _robust(np.stack((1.0 / f**2, 1.0 + smoothing / f**2), axis=1), z.real, known / np.sqrt(_NEIGHBOURS))
+    steep, sd = _robust(np.stack((1.0 / f**2, 1.0 + trial.smoothing_hz2 / f**2), axis=1), z.real, known / np.sqrt(_NEIGHBOURS))
     return Fitted(steep / over, sd / abs(over)) if over else NOT_FITTED
 
 

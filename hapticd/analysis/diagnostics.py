@@ -6,8 +6,9 @@ oscillation     a narrow line carries much of the velocity and the perturbation 
 drift           offset or trend of the velocity, or a level that changes between the halves of the record
 low_coherence   the perturbation explains less than half of the motion over part of the band
 
-Skew and high-pass of the channels are in `channels`. A finding with `voids` leaves nothing to decide, one with `unstable`
-says that the loop is not stable. Thresholds are those at which a 90 s trial of noise alone never raised them (tests).
+Skew and high-pass of the channels are in `channels`, what window and record did to a spring in `leakage`. A finding with
+`voids` leaves nothing to decide, one with `unstable` says that the loop is not stable. Thresholds are those at which a 90 s
+trial of noise alone never raised them (tests).
 """
 
 from dataclasses import dataclass

@@ -27,7 +27,8 @@ from hapticd.analysis.verdict import Amplitude, Answer, Margin, Stability, Verdi
 from hapticd.errors import AnalysisError
 
 DEFAULT_BAND_HZ = (2.0, 500.0)
-LEAST_FREEDOM = 20.0  # degrees of freedom below which the intervals mean nothing
+LEAST_FREEDOM = 20.0  # degrees of freedom of a window's values, below which the intervals mean nothing
+LEAST_EXACT = 4.0  # of plain averages: two of them
 
 
 def judge(
@@ -80,13 +81,13 @@ def band_mask(trial: Spectra, band_hz: tuple[float, float]) -> Flags:
     low, high = band_hz
     if low < trial.lowest_hz:
         raise AnalysisError(
-            f"band from {low:g} Hz: the window of {trial.lag} samples says nothing below {trial.lowest_hz:.3g} Hz; "
-            "begin there, or take a longer window"
+            f"band from {low:g} Hz: the {trial.span} says nothing below {trial.lowest_hz:.3g} Hz; begin there, or take a longer one"
         )
-    if trial.degrees_of_freedom < LEAST_FREEDOM:
-        needed = 0.5 * LEAST_FREEDOM * 0.75 * trial.lag / trial.rate_hz
+    least = LEAST_EXACT if trial.exact else LEAST_FREEDOM
+    if trial.degrees_of_freedom < least:
+        needed = least / trial.degrees_of_freedom * trial.n_samples / trial.rate_hz
         raise AnalysisError(
-            f"record of {trial.n_samples / trial.rate_hz:.3g} s: too short for a verdict with a window of {trial.lag} samples; "
+            f"record of {trial.n_samples / trial.rate_hz:.3g} s: too short for a verdict with a {trial.span}; "
             f"record {needed:.3g} s or more"
         )
     inside = (trial.frequency_hz >= low) & (trial.frequency_hz <= high)

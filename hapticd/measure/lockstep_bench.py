@@ -1,11 +1,10 @@
 """A daemon on virtual time that a trial can be flown on: servo, wire, pyusb and simulated board, faster than real time.
 
-It answers what `sources.Bench` asks in the words of `hapticd.client.Client`. The probe stream goes the whole way: frames of
-the board, the gateway's decoder, its messages, the client's decoder. What is left out are sockets and processes.
+It answers what `bench.Bench` asks in the words of `hapticd.client.Client`. Telemetry goes the whole way: frames of the board,
+the gateway's decoder, its messages, the client's decoder. What is left out are sockets and processes.
 """
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 from types import TracebackType
 from typing import Any, Self
 
@@ -13,16 +12,14 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.assembly.lockstep import LockStep
-from hapticd.client.blocks import Block, BlockDecoder
 from hapticd.errors import CommandError
 from hapticd.faults import BY_NUMBER
-from hapticd.gateway.encode import Origin
+from hapticd.gateway.encode import Origin, raw_message
 from hapticd.gateway.feed import Block as RingBlock
 from hapticd.gateway.probe import ProbeDecoder
 from hapticd.gateway.records import as_records
 from hapticd.mailbox.layout import PERTURBATION_SAMPLES, RECORD, Command, Result, State, Value
-from hapticd.params import BoardParams, ServoParams
-from hapticd.units import NS_PER_S
+from hapticd.params import BoardParams, ServoParams, to_plain
 
 READY_TICKS = 5
 BLOCK_TICKS = 500
@@ -43,6 +40,10 @@ class LockStepBench:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self._stack.__exit__(kind, error, trace)
+
+    def hello(self) -> dict[str, Any]:
+        """What the servo was set up with."""
+        return {"servo": to_plain(self._servo)}
 
     def status(self) -> dict[str, Any]:
         """State, cause of a fault, temperature."""
@@ -94,19 +95,18 @@ class LockStepBench:
         """Stop playing."""
         self._do(Command.PERTURB_STOP)
 
-    def stream(self, topic: str, seconds: float | None = None) -> Iterator[Block]:
-        """Blocks of the topic "probe" while time goes on."""
-        device = replace(self._servo.device)
-        gateway, client, origin = ProbeDecoder(device), BlockDecoder(), Origin(0, 0, self._servo.simulated)
-        left_ns = None if seconds is None else round(seconds * NS_PER_S)
-        while left_ns is None or left_ns > 0:
+    def messages(self, topics: Sequence[str], look_s: float = 0.05) -> Iterator[tuple[str, bytes] | None]:
+        """Payloads of "servo.raw" and "probe", as far as asked, while time goes on; for ever."""
+        probe, origin = ProbeDecoder(self._servo.device), Origin(0, 0, self._servo.simulated)
+        while True:
             data = self._fly(BLOCK_TICKS)
-            records = as_records(data)
-            for payload in gateway.messages(RingBlock(1, self._seen, 0, data, records), origin):
-                yield client.decode(payload)
-            self._seen += len(records)
-            if left_ns is not None:
-                left_ns -= round(BLOCK_TICKS / self._servo.realtime.rate_hz * NS_PER_S)
+            block = RingBlock(1, self._seen, 0, data, as_records(data))
+            self._seen += len(block.records)
+            if "servo.raw" in topics:
+                yield "servo.raw", raw_message(block, origin)
+            if "probe" in topics:
+                yield from (("probe", payload) for payload in probe.messages(block, origin))
+            yield None
 
     def _do(self, kind: Command, values: dict[Value, float] | None = None) -> None:
         answer = self._stack.do(kind, values)

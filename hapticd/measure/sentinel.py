@@ -2,14 +2,17 @@
 
     escape        the velocity of a second is four times that of the calm ones (the rule of `analysis.diagnostics`), or from
                   the beginning faster than any trial: some 20 mm/s rms are usual
-    saturation    a channel stands at its end in more than a hundredth of a second's samples
+    saturation    a channel stands at its end in more than a hundredth of a second's samples, or the commanded force reached
+                  its limit: what is rendered then is not what was asked. The second after it is still looked at, because a
+                  loop that runs away reaches the limit first
     heat          the winding is hotter than asked
     decided       asked to stop when the verdict stands (`until_decided`), it does
 
 and says at any time how many seconds would buy the confidence that was asked for. It looks at whole seconds, so a record
 that it ends holds the second that was wrong: the verdict on that record says the same again.
 
-What would break it: a perturbation that is not stationary, such as a stepped sine; do not let it watch one.
+What would break it: a perturbation that is not stationary, such as a stepped sine; do not let it watch one. Under a force
+that repeats it gives no verdict on the way (`random` is False), for its spectra are those of noise.
 """
 
 from dataclasses import dataclass
@@ -25,6 +28,7 @@ from hapticd.analysis.spa import DEFAULT_LAG, SpectralStream
 
 CALM_SECONDS = 4  # before which nothing is known of calm
 SATURATED_SHARE = 0.01
+AT_LIMIT = 1e-9  # of a limit, below which it counts as reached
 LOOK_S = 5.0  # between verdicts
 
 
@@ -38,8 +42,10 @@ class Watch:
     force_limit_n: float = inf
     velocity_limit_m_per_s: float = inf
     winding_limit_c: float = inf
+    command_limit_n: float = inf  # of the force that the servo commands
     speed_limit_m_per_s: float = 0.5  # rms of a second
     until_decided: bool = False
+    random: bool = True  # the perturbation is noise
 
 
 class Sentinel:
@@ -48,7 +54,9 @@ class Sentinel:
     def __init__(self, watch: Watch, rate_hz: float) -> None:
         self.reason = ""
         self.seconds_needed = nan  # of a record like this one, for a decision; nan before there is a verdict
+        self.max_command_n = 0.0  # largest so far
         self._watch, self._rate_hz = watch, rate_hz
+        self._at_limit = False  # the command was, by the end of the second before
         self._stream = SpectralStream(rate_hz)
         self._rms: list[float] = []
         self._rest: tuple[Floats, Floats] = (np.empty(0), np.empty(0))
@@ -59,8 +67,9 @@ class Sentinel:
         """Whole seconds seen."""
         return self._stream.n_samples / self._rate_hz
 
-    def see(self, force_n: Floats, velocity_m_per_s: Floats, winding_c: float = nan) -> str:
-        """Look at the next samples, both (n,); the reason to end, or ""."""
+    def see(self, force_n: Floats, velocity_m_per_s: Floats, winding_c: float = nan, command_n: float = 0.0) -> str:
+        """Look at the next samples, both (n,); the reason to end, or "". `command_n`: the largest command beside them."""
+        self.max_command_n = max(self.max_command_n, command_n)
         self._rest = (np.concatenate((self._rest[0], force_n)), np.concatenate((self._rest[1], velocity_m_per_s)))
         second = round(self._rate_hz)
         while self._rest[0].size >= second and not self.reason:
@@ -81,11 +90,14 @@ class Sentinel:
             share = float(np.mean(np.abs(signal) >= limit))
             if share > SATURATED_SHARE:
                 self.reason = f"saturation: {name} at its end of {limit:.4g} in {100 * share:.2g} % of a second's samples"
+        if self._at_limit:
+            self.reason = f"saturation: the command reached its limit of {self._watch.command_limit_n:.3g} N"
+        self._at_limit = self.max_command_n >= self._watch.command_limit_n * (1.0 - AT_LIMIT)
         calm = float(np.quantile(self._rms, 0.25)) if len(self._rms) >= CALM_SECONDS else inf
         if rms > min(self._watch.speed_limit_m_per_s, ESCAPE_RATIO * calm):
             self.reason = f"escape: velocity of {rms:.3g} m/s rms after {self.seconds:.0f} s; the loop is not stable there"
         self._rms.append(rms)
-        if not self.reason and self.seconds >= self._next_look_s:
+        if not self.reason and self._watch.random and self.seconds >= self._next_look_s:
             self._next_look_s += LOOK_S
             self._decide()
 

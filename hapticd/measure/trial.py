@@ -1,4 +1,4 @@
-"""One trial of one environment: recorded, judged, and kept with all conditions that its numbers depend on.
+"""One trial of one environment: recorded under noise or multisines, judged, and kept with all that its numbers depend on.
 
 Params -> plan_trial -> Plan -> run_trial -> Result. The plan says beforehand what is expected: whether the predicted loop is
 stable, and its impedance, where the device is known by a model. A trial of an environment that is predicted to be unstable is
@@ -13,12 +13,16 @@ from hapticd.analysis.arrays import Complexes
 from hapticd.analysis.closed import spectral_radius
 from hapticd.analysis.diagnostics import Finding, examine
 from hapticd.analysis.impedance import Estimator, Impedance, impedance
+from hapticd.analysis.leakage import leakage_findings
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.passivity import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge
+from hapticd.analysis.periodic import PeriodicSpectra, periodic_findings
 from hapticd.analysis.predict import coulomb, predicted_impedance
 from hapticd.analysis.spa import DEFAULT_LAG, spa
+from hapticd.analysis.spectra import Spectra
 from hapticd.analysis.verdict import Verdict
 from hapticd.errors import AnalysisError
+from hapticd.measure.multisine import Layout, checked, laid_out, realised
 from hapticd.measure.progress import Progress, silent
 from hapticd.measure.recorded import Recorded
 from hapticd.measure.scenes import filters
@@ -26,8 +30,10 @@ from hapticd.measure.sources import Source, Trial
 from hapticd.plant.compose import compose
 from hapticd.plant.model import Model
 from hapticd.plant.scene import Scene
+from hapticd.units import PROBE_RATE_HZ
 
 SHORTEST_WINDOWS = LEAST_FREEDOM / 2 * 0.75
+NOISE_COVERS = "the random error of a record of this length; not what the window smooths, which is named where it shows"
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +41,7 @@ class TrialParams:
     """What is asked, and how it is judged. `scene` names the device where a model of it is known, else None.
 
     `behind_mass_kg`: judge the device behind that mass of the probe. `channels`: look for skew and high-pass as well.
+    `multisine`: the excitation of `trial` is a multisine, flown in that layout, in place of noise and a window of `lag` samples.
     """
 
     trial: Trial
@@ -44,6 +51,8 @@ class TrialParams:
     estimator: Estimator = "spa"
     behind_mass_kg: float = 0.0
     channels: bool = True
+    lag: int = DEFAULT_LAG
+    multisine: Layout | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,19 +66,25 @@ class TrialPlan:
 
 @dataclass(frozen=True, eq=False)
 class TrialResult:
-    """The record, Z on the window's frequencies (at the port that the verdict names), what was predicted there, the verdict."""
+    """The record, Z (at the port that the verdict names), what was predicted there, the verdict; `spectra` are those of the port
+    of the probe. `covers`: what the intervals cover, in words.
+    """
 
     plan: TrialPlan
     recorded: Recorded
     measured: Impedance
     predicted: Complexes | None
     verdict: Verdict
+    spectra: Spectra
+    covers: str
 
 
 def plan_trial(params: TrialParams) -> TrialPlan:
     """What to expect. AnalysisError for a trial too short for a verdict; ConfigError as `compose`."""
-    least_s = SHORTEST_WINDOWS * DEFAULT_LAG / 4000.0
-    if not params.trial.seconds >= least_s:
+    least_s = SHORTEST_WINDOWS * params.lag / PROBE_RATE_HZ
+    if params.multisine is not None:
+        checked(params.multisine)
+    elif not params.trial.seconds >= least_s:
         raise AnalysisError(f"a trial of {params.trial.seconds:g} s: a verdict takes {least_s:.3g} s or more; the paper took 90 s")
     watch = replace(params.trial.watch, band_hz=params.band_hz, confidence=params.confidence, estimator=params.estimator)
     asked = replace(params, trial=replace(params.trial, watch=watch))
@@ -85,24 +100,36 @@ def plan_trial(params: TrialParams) -> TrialPlan:
 
 def run_trial(plan: TrialPlan, source: Source, tell: Progress = silent) -> TrialResult:
     """Record and judge. AnalysisError if the record became too short for a verdict; else as the source."""
-    return judged(plan, source(plan.params.trial, tell))
+    layout, trial = plan.params.multisine, plan.params.trial
+    return judged(plan, realised(trial, layout, source, tell) if layout else source(trial, tell))
 
 
 def judged(plan: TrialPlan, recorded: Recorded) -> TrialResult:
-    """The verdict on a record."""
+    """The verdict on a record. AnalysisError for one too short for it."""
     params = plan.params
-    if recorded.ended and recorded.seconds < SHORTEST_WINDOWS * DEFAULT_LAG / recorded.rate_hz:
-        raise AnalysisError(f"ended after {recorded.seconds:.3g} s ({recorded.ended}): too short for a verdict; go nearer to 0")
+    spectra = laid_out(recorded, params.multisine) if params.multisine else _windowed(params, recorded)
     record = examine(recorded.force_n, recorded.velocity_m_per_s, recorded.rate_hz)
-    record = replace(record, findings=(*record.findings, *_findings(recorded)))
-    spectra = spa(recorded.force_n, recorded.velocity_m_per_s, recorded.rate_hz)
+    found = (*record.findings, *_findings(recorded), *_spectral_findings(params, spectra))
     verdict = judge(
-        spectra, record, params.band_hz, params.confidence, params.estimator, plan.spectral_radius, params.behind_mass_kg,
-        params.channels and not recorded.simulated,
+        spectra, replace(record, findings=found), params.band_hz, params.confidence, params.estimator, plan.spectral_radius,
+        params.behind_mass_kg, params.channels and not recorded.simulated,
     )  # fmt: skip
     z = impedance(spectra, params.estimator)
     z = z.without_mass(params.behind_mass_kg) if params.behind_mass_kg else z
-    return TrialResult(plan, recorded, z, _predicted(plan, z), verdict)
+    covers = spectra.covers if isinstance(spectra, PeriodicSpectra) else NOISE_COVERS
+    return TrialResult(plan, recorded, z, _predicted(plan, z), verdict, spectra, covers)
+
+
+def _windowed(params: TrialParams, recorded: Recorded) -> Spectra:
+    if recorded.ended and recorded.seconds < SHORTEST_WINDOWS * params.lag / recorded.rate_hz:
+        raise AnalysisError(f"ended after {recorded.seconds:.3g} s ({recorded.ended}): too short for a verdict; go nearer to 0")
+    return spa(recorded.force_n, recorded.velocity_m_per_s, recorded.rate_hz, params.lag)
+
+
+def _spectral_findings(params: TrialParams, spectra: Spectra) -> tuple[Finding, ...]:
+    if isinstance(spectra, PeriodicSpectra):
+        return periodic_findings(spectra, params.band_hz)
+    return leakage_findings(spectra, params.band_hz, params.estimator)
 
 
 def _findings(recorded: Recorded) -> tuple[Finding, ...]:
@@ -124,7 +151,8 @@ def _predicted(plan: TrialPlan, z: Impedance) -> Complexes | None:
         return None
     trial, found = plan.params.trial, np.full(z.frequency_hz.size, np.nan + 0j)
     at, source = z.frequency_hz > 0.0, trial.excitation
-    perturbation = Perturbation(source.psd_n2_per_hz, source.band_hz) if source.kind == "noise" else None
+    random = source.kind in ("noise", "multisine")
+    perturbation = Perturbation(source.psd_n2_per_hz, source.band_hz) if random else None
     found[at] = predicted_impedance(
         plan.model, trial.environment, z.frequency_hz[at], trial.damping_ns_per_m, filters(plan.params.scene), perturbation
     )

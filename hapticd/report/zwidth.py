@@ -1,11 +1,14 @@
-"""Figures of trials: impedance with its interval, its coherence, and what was predicted."""
+"""Figures of trials: impedance or admittance with its interval, its coherence, and what was predicted."""
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hapticd.analysis.arrays import Floats
-from hapticd.measure.axis_scan import AxisLimit, LimitsResult
+from hapticd.analysis.arrays import Complexes, Flags, Floats
+from hapticd.analysis.confidence import student_quantile
+from hapticd.analysis.impedance import Impedance, relative_sd
+from hapticd.analysis.periodic import PeriodicSpectra
 from hapticd.measure.referee import Referee
 from hapticd.measure.trial import TrialResult
 from hapticd.report import figures
@@ -14,37 +17,58 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-INTERVAL = 1.96  # standard deviations of the bands that are drawn
+INTERVAL = 0.975  # each side of the bands that are drawn
+FEWEST = 2.0  # degrees of freedom that an interval takes
 SHOWN_HZ = (1.0, 1000.0)
 
 
-def trial_figure(result: TrialResult, referee: Referee | None = None) -> "Figure":
-    """|Z|, phase and coherence of one trial, with the stepped sine's as points. ConfigError without matplotlib."""
+@dataclass(frozen=True)
+class View:
+    """What is drawn of an impedance: it or its inverse, whose logarithm and phase are the same with the other sign."""
+
+    symbol: str
+    unit: str
+    sign: int
+
+    def size(self, z: Complexes) -> Floats:
+        """|Z| or |Y| (F,)."""
+        return np.asarray(np.abs(z) ** self.sign)
+
+    def phase(self, z: Complexes) -> Floats:
+        """Phase [deg] (F,)."""
+        return np.asarray(self.sign * np.degrees(np.angle(z)))
+
+
+IMPEDANCE = View("Z", "N s/m", 1)
+ADMITTANCE = View("Y", "m/(N s) = s/kg", -1)
+
+
+def trial_figure(result: TrialResult, referee: Referee | None = None, admittance: bool = False) -> "Figure":
+    """Size, phase and coherence of Z (or Y) of one trial, with the stepped sine's as points. ConfigError without matplotlib."""
+    view = ADMITTANCE if admittance else IMPEDANCE
     with figures.style():
         figure, (size, phase, known) = figures.axes(3, 1, 7.2, 8.0, sharex=True, height_ratios=(2.2, 2.2, 1.0))
-        figure.suptitle(_title(result), fontsize=9.5)
+        figure.suptitle(_title(result, view), fontsize=9.5)
         z = result.measured
-        seen = (z.frequency_hz >= SHOWN_HZ[0]) & (z.frequency_hz <= SHOWN_HZ[1])
-        f, spread = z.frequency_hz[seen], INTERVAL * z.relative_sd[seen]
-        _curve(size, f, np.abs(z.impedance_ns_per_m[seen]), spread, "|Z| [N s/m]")
-        _curve(phase, f, z.phase_deg[seen], spread, "phase of Z [deg]")
+        seen = (z.frequency_hz >= SHOWN_HZ[0]) & (z.frequency_hz <= SHOWN_HZ[1]) & (z.coherence > 0.0)
+        f, values, spread = z.frequency_hz[seen], z.impedance_ns_per_m[seen], _interval(z)[seen]
+        size.set_ylabel(f"|{view.symbol}| [{view.unit}]")
+        phase.set_ylabel(f"phase of {view.symbol} [deg]")
+        plain_log(size)
+        low, high = view.size(values) * np.exp(-spread), view.size(values) * np.exp(spread)
+        _curve(size, f, view.size(values), low, high, spread < 1.0)
+        turn = np.degrees(spread)
+        _curve(phase, f, view.phase(values), view.phase(values) - turn, view.phase(values) + turn, spread < 1.0)
         if result.predicted is not None:
-            grey: dict[str, Any] = {"color": figures.BLACK, "linestyle": "--", "linewidth": 0.9, "label": "predicted"}
-            size.plot(f, np.abs(result.predicted[seen]), **grey)
-            phase.plot(f, np.degrees(np.angle(result.predicted[seen])), **grey)
+            _both(
+                size, phase, view, f, result.predicted[seen], color=figures.BLACK, linestyle="--", linewidth=0.9, label="predicted"
+            )
         if referee is not None:
-            sine: dict[str, Any] = {
-                "color": figures.PURPLE,
-                "linestyle": "",
-                "marker": "D",
-                "markersize": 4,
-                "label": "stepped sine",
-            }
-            size.plot(referee.frequency_hz, np.abs(referee.impedance_ns_per_m), **sine)
-            phase.plot(referee.frequency_hz, np.degrees(np.angle(referee.impedance_ns_per_m)), **sine)
+            point: dict[str, Any] = {"color": figures.PURPLE, "linestyle": "", "marker": "D", "markersize": 4}
+            _both(size, phase, view, referee.frequency_hz, referee.impedance_ns_per_m, **point, label="stepped sine")
         known.semilogx(f, z.coherence[seen], color=figures.GREEN)
         known.set(ylabel="coherence", xlabel="frequency [Hz]", ylim=(0.0, 1.03), xlim=SHOWN_HZ)
-        _finish(result, size, phase)
+        _finish(result, size, phase, view)
         figure.align_ylabels([size, phase, known])
         return figure
 
@@ -65,21 +89,27 @@ def plain_log(axis: "Axes") -> None:
     axis.yaxis.set_minor_formatter(NullFormatter())
 
 
-def _curve(axis: "Axes", f: Floats, value: Floats, spread: Floats, label: str) -> None:
-    axis.set_ylabel(label)
-    if label.startswith("|"):
-        low, high = value * np.exp(-spread), value * np.exp(spread)
-        plain_log(axis)
-    else:
-        low, high = value - np.degrees(spread), value + np.degrees(spread)
-    known = np.isfinite(spread) & (spread < 1.0)
+def _interval(z: Impedance) -> Floats:
+    """Half of the 95 % interval (F,) of ln|Z|, and of the phase in radians; Student's t, for realisations may be few."""
+    freedom = z.degrees_of_freedom - 2.0
+    if freedom < FEWEST:
+        return np.full(z.frequency_hz.size, np.inf)
+    return student_quantile(INTERVAL, freedom) * relative_sd(z.coherence, freedom)
+
+
+def _curve(axis: "Axes", f: Floats, value: Floats, low: Floats, high: Floats, known: Flags) -> None:
     axis.fill_between(
         f, low, high, where=known, color=figures.BLUE, alpha=0.25, linewidth=0, label="95 % interval at each frequency"
     )
     axis.plot(f, value, color=figures.BLUE, label="measured")
 
 
-def _finish(result: TrialResult, size: "Axes", phase: "Axes") -> None:
+def _both(size: "Axes", phase: "Axes", view: View, f: Floats, z: Complexes, **look: Any) -> None:
+    size.plot(f, view.size(z), **look)
+    phase.plot(f, view.phase(z), **look)
+
+
+def _finish(result: TrialResult, size: "Axes", phase: "Axes", view: View) -> None:
     verdict = result.verdict
     for axis in (size, phase):
         hertz_axis(axis)
@@ -90,13 +120,17 @@ def _finish(result: TrialResult, size: "Axes", phase: "Axes") -> None:
     worst = verdict.margin_deg
     at = int(np.argmin(np.abs(result.measured.frequency_hz - worst.frequency_hz)))
     phase.plot(
-        worst.frequency_hz, result.measured.phase_deg[at], "o", color=figures.RED, label=f"worst: margin {worst.value:.2g} deg"
+        worst.frequency_hz,
+        view.phase(result.measured.impedance_ns_per_m[at : at + 1]),
+        "o",
+        color=figures.RED,
+        label=f"worst: margin {worst.value:.2g} deg",
     )
     size.legend(loc="best")
     phase.legend(loc="best")
 
 
-def _title(result: TrialResult) -> str:
+def _title(result: TrialResult, view: View) -> str:
     k, b, m = result.plan.params.trial.environment
     verdict, simulated = result.verdict, "SIMULATED, " if result.recorded.simulated else ""
     low, high = verdict.band_hz
@@ -104,46 +138,11 @@ def _title(result: TrialResult) -> str:
         f"{simulated}{result.recorded.origin}: K = {k:g} N/m, B = {b:g} N s/m, M = {1e3 * m:g} g, "
         f"added damping {result.plan.params.trial.damping_ns_per_m:g} N s/m\n"
         f"{verdict.answer.replace('_', ' ')} in {low:g}..{high:g} Hz at {100 * verdict.confidence:g} %, "
-        f"Z at the {verdict.port} by {result.measured.estimator!r}, {verdict.seconds:.3g} s"
+        f"{view.symbol} at the {verdict.port} by {result.measured.estimator!r}, {_excited(result)}"
     )
 
 
-AXIS_LABELS = {"K": ("K [N/m]", 1.0), "B": ("B [N s/m]", 1.0), "M": ("-M [g]", -1e3)}
-
-
-def limits_figure(result: LimitsResult) -> "Figure":
-    """Axis limits over added damping, or over the perturbation where several amplitudes were scanned."""
-    params = result.plan.params
-    many = len(params.amplitudes) > 1
-    with figures.style():
-        figure, places = figures.axes(1, len(params.axes), 3.4 * len(params.axes) + 0.4, 3.6)
-        figure.suptitle(
-            f"SIMULATED {params.conditions.scene.device}: axis limits, {params.conditions.seconds:g} s trials", fontsize=9.5
-        )
-        groups = params.levels if many else params.amplitudes
-        for place, axis in zip(places, params.axes, strict=True):
-            for look, group in enumerate(groups):
-                mine = [
-                    limit
-                    for limit in result.limits
-                    if limit.scan.axis == axis and group == (limit.scan.damping_ns_per_m if many else limit.scan.amplitude)
-                ]
-                _limit_line(place, mine, many, figures.COLOURS[look % len(figures.COLOURS)], group)
-            place.set(ylabel=AXIS_LABELS[mine[0].name][0], ylim=(0.0, None))
-            place.set_xlabel("perturbation [N²/Hz]" if many else "added damping [N s/m]")
-        places[0].legend(loc="best")
-        return figure
-
-
-def _limit_line(place: "Axes", limits: list[AxisLimit], many: bool, colour: str, group: float) -> None:
-    factor = AXIS_LABELS[limits[0].name][1]
-    x = [limit.perturbation_psd if many else limit.scan.damping_ns_per_m for limit in limits]
-    value, lower, upper = (factor * np.array([getattr(limit, name) for limit in limits]) for name in ("value", "lower", "upper"))
-    spread = np.nan_to_num(np.array([np.maximum(value - lower, 0.0), np.maximum(upper - value, 0.0)]))
-    name = f", added damping {group:g} N s/m" if many else ""
-    place.errorbar(x, value, spread, color=colour, marker="o", markersize=4, capsize=3, label=f"trials, with interval{name}")
-    place.plot(
-        x, [factor * limit.scan.predicted for limit in limits], "--", color=colour, marker="x", linewidth=0.9, label="predicted"
-    )
-    if many:
-        place.set_xscale("log")
+def _excited(result: TrialResult) -> str:
+    if isinstance(result.spectra, PeriodicSpectra):
+        return f"multisine: {result.spectra.realisations} realisations of {result.spectra.periods} periods"
+    return f"{result.verdict.seconds:.3g} s of noise"

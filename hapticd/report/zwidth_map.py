@@ -7,11 +7,11 @@ import numpy as np
 
 from hapticd.analysis.arrays import Floats
 from hapticd.analysis.boundary import PassiveSet
-from hapticd.analysis.envelope import Edge, Envelope
+from hapticd.analysis.envelope import Edge, Envelope, admittance
 from hapticd.measure.campaign import LevelMap, MapResult
 from hapticd.measure.outcomes import Conditions
 from hapticd.report import figures
-from hapticd.report.zwidth import hertz_axis, plain_log
+from hapticd.report.zwidth import ADMITTANCE, IMPEDANCE, hertz_axis, plain_log
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,35 +48,39 @@ def set_figure(result: MapResult) -> "Figure":
         return figure
 
 
-def envelope_figure(conditions: Conditions, envelopes: Levels) -> "Figure":
+def envelope_figure(conditions: Conditions, envelopes: Levels, inverse: bool = False) -> "Figure":
     """Largest and smallest passive |Z| and phase of the trials, one colour for each damping level; owners below.
+
+    `inverse`: of the admittance Y = 1/Z, whose largest values are owned by the smallest |Z|.
 
     `envelopes`: (added damping [Ns/m], envelope) of each level.
     """
+    view = ADMITTANCE if inverse else IMPEDANCE
+    shown = [(damping, admittance(found) if inverse else found) for damping, found in envelopes]
     with figures.style():
         figure, (size, phase) = figures.axes(2, 1, 8.4, 8.4, sharex=True)
         figure.suptitle(
-            f"SIMULATED {conditions.scene.device}: Z-width envelope at the probe, "
+            f"SIMULATED {conditions.scene.device}: Z-width envelope {'as admittance ' if inverse else ''}at the probe, "
             f"{conditions.seconds:g} s trials, bands: 95 % of the owner's estimate",
             fontsize=9.5,
         )
-        for look, (damping, found) in enumerate(envelopes):
+        for look, (damping, found) in enumerate(shown):
             _edges(size, phase, found, damping, figures.COLOURS[look % len(figures.COLOURS)])
         for place in (size, phase):
             hertz_axis(place)
-        size.set_ylabel("|Z| [N s/m]")
+        size.set_ylabel(f"|{view.symbol}| [{view.unit}]")
         plain_log(size)
-        phase.set(ylabel="phase of Z [deg]", xlabel="frequency [Hz]", yticks=range(-90, 91, 30))
+        phase.set(ylabel=f"phase of {view.symbol} [deg]", xlabel="frequency [Hz]", yticks=range(-90, 91, 30))
         for edge in (-90.0, 90.0):
             phase.axhline(edge, color=figures.BLACK, linewidth=0.9, linestyle=":")
-        size.legend(loc="lower right")
-        figure.supxlabel(owners_text(envelopes), fontsize=7.5, x=0.02, ha="left", family="monospace")
+        size.legend(loc="upper right" if inverse else "lower right")
+        figure.supxlabel(owners_text(shown), fontsize=7.5, x=0.02, ha="left", family="monospace")
         return figure
 
 
 def owners_text(envelopes: Levels) -> str:
-    """Which trials own most of the upper and the lower edge of |Z|."""
-    lines = ["edges of |Z| are owned mostly by"]
+    """Which trials own most of the upper and the lower edge of |Z|, or of |Y|."""
+    lines = [f"edges of |{'Y' if any(found.kind == 'admittance' for _, found in envelopes) else 'Z'}| are owned mostly by"]
     for damping, found in envelopes:
         for name, edge in (("largest ", found.upper), ("smallest", found.lower)):
             lines.append(f"{damping:g} N s/m, {name}: {'; '.join(_owners(found, edge))}")

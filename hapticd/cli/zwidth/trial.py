@@ -10,10 +10,13 @@ from hapticd.cli import options, output
 from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
+    from hapticd.analysis.impedance import Estimator
+    from hapticd.measure.progress import Progress
     from hapticd.measure.referee import Referee
     from hapticd.measure.sources import Source
-    from hapticd.measure.trial import TrialResult
+    from hapticd.measure.trial import TrialPlan, TrialResult
 
+LIVE = ("engine", "lockstep", "live")
 FROM = "engine: simulate; lockstep: the whole stack on virtual time; live: the daemon's probe stream; else a FILE with a record."
 
 
@@ -24,12 +27,18 @@ def command(
     damping: Annotated[float | None, typer.Option("-B", "--damping", metavar="NS/M", help="Virtual damping.")] = None,
     mass: Annotated[float | None, typer.Option("-M", "--mass", metavar="KG", help="Virtual mass.")] = None,
     added: Annotated[float | None, typer.Option("--added-damping", metavar="NS/M", help="Electrical damping.", min=0)] = None,
-    seconds: common.Seconds = 90.0,
+    excitation: Annotated[str, typer.Option("--excitation", metavar="noise|multisine", help="Of the probe.")] = "noise",
+    seconds: Annotated[float, typer.Option("--seconds", metavar="S", help="Length of a trial by noise.")] = 90.0,
+    realisations: Annotated[int, typer.Option("--realisations", metavar="N", help="Multisines of other phases.", min=1)] = 8,
+    periods: Annotated[int, typer.Option("--periods", metavar="N", help="Of each that count, after one to settle.", min=1)] = 2,
     seed: common.Seed = 1,
     psd: Annotated[float | None, typer.Option("--psd", metavar="N2/HZ", help="Of the perturbation; else the scene's.")] = None,
     band: common.Band = (2.0, 500.0),
     confidence: common.Confidence = 0.95,
-    estimator: Annotated[str, typer.Option("--estimator", metavar="spa|h_force", help="Input: velocity (paper) or force.")] = "spa",
+    estimator: Annotated[
+        str, typer.Option("--estimator", metavar="spa|h_force", help="Input: velocity (paper, noise) or force (multisine).")
+    ] = "",
+    lag: Annotated[int, typer.Option("--lag", metavar="N", help="Window, samples (noise).", min=64)] = 2048,
     behind: Annotated[float, typer.Option("--behind-mass", metavar="KG", help="Mass of the probe to take out.", min=0)] = 0.0,
     sine: Annotated[bool, typer.Option("--stepped-sine", help="Also by single sines at 12 frequencies, as a referee.")] = False,
     until_decided: Annotated[bool, typer.Option("--until-decided", help="End when the verdict stands.")] = False,
@@ -40,45 +49,66 @@ def command(
     instance: options.Instance = options.INSTANCE,
     out: common.Out = None,
     plot: common.Plot = False,
+    admittance: common.Admittance = False,
     as_json: options.Json = False,
 ) -> None:
-    """One trial of one environment: white noise at the probe, impedance by spectral analysis, passive or not.
+    """One trial of one environment: the probe shakes, impedance by spectral analysis, passive or not.
 
-    What is left out is the scene's: its K, B, M, electrical damping and perturbation. A FILE is .csv, .npz, .mat or .h5.
+    White noise and spectral analysis, the paper's way, or multisines (period 1.024 s): better for a device without friction, and
+    with friction only as good as the number of realisations. What is left out are the scene's K, B, M, electrical damping and
+    perturbation. A FILE is .csv, .npz, .mat or .h5; one of multisines holds whole realisations, each with its settling period.
     """
     from dataclasses import replace
 
     from hapticd.measure import scenes
+    from hapticd.measure.multisine import Layout, multisine_like
     from hapticd.measure.referee import stepped_sine
     from hapticd.measure.sentinel import Watch
     from hapticd.measure.sources import Trial
-    from hapticd.measure.trial import TrialParams, plan_trial, run_trial
+    from hapticd.measure.trial import TrialParams, plan_trial
 
-    if estimator not in ("spa", "h_force"):
-        raise typer.BadParameter(f"--estimator {estimator!r}: use spa or h_force")
-    if sine and source not in ("engine", "lockstep", "live"):
-        raise typer.BadParameter("--stepped-sine: a record that exists cannot be perturbed again; use engine, lockstep or live")
-    simulated = source in ("engine", "lockstep")
-    loaded = common.scene_of(scene) if simulated else None
+    _check(source, excitation, estimator, sine, until_decided)
+    loaded = common.scene_of(scene) if source in ("engine", "lockstep") else None
     given = scenes.point(loaded) if loaded else (0.0, 0.0, 0.0)
     point = [own if own is not None else default for own, default in zip((stiffness, damping, mass), given, strict=True)]
-    noise = scenes.noise(loaded) if loaded else Trial().excitation
-    noise = replace(noise, seed=seed, psd_n2_per_hz=psd or noise.psd_n2_per_hz)
+    force_of = scenes.noise(loaded) if loaded else Trial().excitation
+    force_of = replace(force_of, seed=seed, psd_n2_per_hz=psd or force_of.psd_n2_per_hz)
+    repeats = Layout(realisations, periods) if excitation == "multisine" else None
     level = added if added is not None else scenes.level(loaded) if loaded else 0.0
     watch = Watch(until_decided=until_decided, winding_limit_c=hottest)
-    trial = Trial((point[0], point[1], point[2]), level, seconds, noise, watch)
-    plan = plan_trial(TrialParams(trial, loaded, band, confidence, "h_force" if estimator == "h_force" else "spa", behind))
+    trial = Trial((point[0], point[1], point[2]), level, seconds, multisine_like(force_of, band[1]) if repeats else force_of, watch)
+    chosen: Estimator = "h_force" if estimator == "h_force" or (repeats and not estimator) else "spa"
+    plan = plan_trial(TrialParams(trial, loaded, band, confidence, chosen, behind, lag=lag, multisine=repeats))
     with ExitStack() as stack, common.progress() as tell:
         recorder = _source(source, scene, loaded, instance, (force, velocity, rate_hz), stack)
-        result = run_trial(plan, recorder, tell)
+        result = _flown(plan, recorder, source in LIVE, tell)
         referee = stepped_sine(trial, recorder, tell) if sine else None
-    _show(result, referee, common.folder(out, "trial"), plot, as_json)
+    _show(result, referee, common.folder(out, "trial"), plot or admittance, admittance, as_json)
+
+
+def _check(source: str, excitation: str, estimator: str, sine: bool, until_decided: bool) -> None:
+    if estimator not in ("", "spa", "h_force"):
+        raise typer.BadParameter(f"--estimator {estimator!r}: use spa or h_force")
+    if excitation not in ("noise", "multisine"):
+        raise typer.BadParameter(f"--excitation {excitation!r}: use noise or multisine")
+    if sine and source not in LIVE:
+        raise typer.BadParameter("--stepped-sine: a record that exists cannot be perturbed again; use engine, lockstep or live")
+    if until_decided and excitation == "multisine":
+        raise typer.BadParameter("--until-decided: multisines are judged at their end; ask for fewer --realisations, or for noise")
+
+
+def _flown(plan: "TrialPlan", recorder: "Source", flies: bool, tell: "Progress") -> "TrialResult":
+    """A file of multisines is there already, realisation after realisation."""
+    from hapticd.measure.trial import judged, run_trial
+
+    return run_trial(plan, recorder, tell) if flies else judged(plan, recorder(plan.params.trial, tell))
 
 
 def _source(
     name: str, scene: str, loaded: Any, instance: str, columns: tuple[str, str, float | None], stack: ExitStack
 ) -> "Source":
-    from hapticd.measure.sources import bench_source, engine_source, file_source
+    from hapticd.measure.bench import bench_source
+    from hapticd.measure.sources import engine_source, file_source
 
     if name == "engine":
         return engine_source(loaded)
@@ -96,12 +126,12 @@ def _source(
     return file_source(read_file(Path(name), *columns))
 
 
-def _show(result: "TrialResult", referee: "Referee | None", folder: Path, plot: bool, as_json: bool) -> None:
+def _show(result: "TrialResult", referee: "Referee | None", folder: Path, plot: bool, admittance: bool, as_json: bool) -> None:
     from hapticd.measure.plain import plain
     from hapticd.measure.trial_run import summary, write
 
     write(folder, result, common.told(), referee)
-    paths = _draw(result, referee, folder) if plot else []
+    paths = draw(result, folder, referee, admittance) if plot else []
     if as_json:
         output.data_json(
             {"ok": True, **plain(summary(result, referee)), "folder": str(folder), "figures": [str(path) for path in paths]}
@@ -114,15 +144,28 @@ def _show(result: "TrialResult", referee: "Referee | None", folder: Path, plot: 
         f"added damping {result.plan.params.trial.damping_ns_per_m:g} N s/m"
     )
     output.data(str(result.verdict))
+    output.data(f"the interval covers {result.covers}")
     if result.recorded.ended:
         output.data(f"ended early: {result.recorded.ended}")
     if result.verdict.answer == "undecided":
-        output.data(f"a record like it of {result.verdict.seconds_needed:.0f} s would decide at this confidence")
+        output.data(_needed(result))
     if referee is not None:
         output.data(_compared(result, referee))
     output.data(f"kept in {folder}")
     for path in paths:
         output.data(str(path))
+
+
+def _needed(result: "TrialResult") -> str:
+    from math import ceil, isfinite
+
+    seconds, layout = result.verdict.seconds_needed, result.plan.params.multisine
+    if layout is None or not isfinite(seconds):
+        return f"a record like it of {seconds:.0f} s would decide at this confidence"
+    count = ceil(layout.realisations * seconds / result.verdict.seconds)
+    distorted = any(finding.code == "distortion" for finding in result.verdict.findings)
+    remedy = "; where friction distorts, noise decides sooner" if distorted else ""
+    return f"about {count} realisations would decide at this confidence{remedy}"
 
 
 def _compared(result: "TrialResult", referee: "Referee") -> str:
@@ -138,8 +181,12 @@ def _compared(result: "TrialResult", referee: "Referee") -> str:
     return text(table(columns, rows, f"stepped sine of {referee.force_n:g} N rms beside the noise"))
 
 
-def _draw(result: "TrialResult", referee: "Referee | None", folder: Path) -> list[Path]:
+def draw(result: "TrialResult", folder: Path, referee: "Referee | None" = None, admittance: bool = True) -> list[Path]:
+    """The figure of the trial, and that of its admittance if asked."""
     from hapticd.report import figures
     from hapticd.report.zwidth import trial_figure
 
-    return list(figures.save(trial_figure(result, referee), folder, "trial"))
+    paths = [*figures.save(trial_figure(result, referee), folder, "trial")]
+    if admittance:
+        paths += figures.save(trial_figure(result, referee, admittance=True), folder, "trial_admittance")
+    return paths
