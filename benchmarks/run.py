@@ -27,7 +27,7 @@ from hapticd.errors import HapticdError
 
 PARTS = (
     "wake", "tick", "late", "latency", "telemetry", "lockstep", "process", "record", "engine", "trials",
-    "board", "spa", "predict_map", "directed",
+    "board", "spa", "fused", "predict_map", "map_6384", "directed", "executors",
 )  # fmt: skip
 OUTPUT = Path(__file__).resolve().parents[1] / "build" / "bench.json"
 console = Console()

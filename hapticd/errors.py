@@ -89,6 +89,9 @@ class CommandError(HapticdError):
         self.detail = detail
         self.exit_code = 5 if code == "stopped" else 4
 
+    def __reduce__(self) -> tuple[type["CommandError"], tuple[str, str, object]]:
+        return type(self), (self.code, str(self), self.detail)  # an exception of several arguments does not pickle by itself
+
 
 class DaemonDown(HapticdError):
     """No daemon answers at the endpoint: start it with `hapticd run`."""

@@ -1,6 +1,7 @@
 """`hapticd zwidth`: what a person types, gets printed, and finds in the run folder."""
 
 import json
+from concurrent.futures import Executor
 
 import numpy as np
 import pytest
@@ -104,6 +105,120 @@ def test_interrupted_map_says_how_to_go_on(tmp_path, capsys, monkeypatch):
     assert f"the same command with --out {tmp_path / 'm'} goes on there" in err
 
 
+def small_map(folder, *more):
+    """A map of 27 points at one damping level."""
+    grid = ["--stiffness", "0", "900", "3", "--viscous", "0", "6", "3", "--mass", "-0.01", "0.01", "3"]
+    return ["map", *SHORT, "--out", str(folder), "--damping", "1.74", *grid, "--everywhere", "--no-plot", *more]
+
+
+def trials(folder):
+    """Lines of a store, in no order."""
+    return sorted((folder / "trials.jsonl").read_text().splitlines())
+
+
+OUTCOME = {
+    "type", "environment", "damping_ns_per_m", "answer", "passes", "margin_ns_per_m", "margin_lower", "margin_upper", "worst_hz",
+}  # fmt: skip
+
+
+def test_map_tells_outcomes_as_they_arrive(tmp_path, capsys):
+    code, out, _ = run(small_map(tmp_path, "--json"), capsys)
+    *outcomes, last = map(json.loads, out.splitlines())
+    assert code == 0
+    assert [set(outcome) for outcome in outcomes] == [OUTCOME] * 27
+    assert {outcome["type"] for outcome in outcomes} == {"outcome"}
+    kept = {tuple(line["environment"]): line for line in map(json.loads, trials(tmp_path))}
+    for outcome in outcomes:
+        assert {name: kept[tuple(outcome["environment"])][name] for name in OUTCOME - {"type"}}.items() <= outcome.items()
+    assert (last["ok"], last["made"], last["levels"][0]["tried"]) == (True, 27, 27)
+    _, again, _ = run(small_map(tmp_path, "--json"), capsys)
+    assert json.loads(again)["made"] == 0  # one line: what was kept is not told again
+
+
+def test_interrupted_map_has_told_what_it_kept(tmp_path, capsys, monkeypatch):
+    from hapticd.cli.zwidth import common
+
+    def left(new):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(common, "follow", left)
+    code, _, err = run(small_map(tmp_path, "--json"), capsys)
+    assert code == 130
+    assert f"{len(trials(tmp_path))} trials are kept in {tmp_path}; the same command with --out {tmp_path} goes on there" in err
+
+
+def test_dead_workers_leave_what_is_kept(tmp_path, capsys, monkeypatch):
+    from hapticd.errors import HapticdError
+    from hapticd.measure import campaign
+
+    assert run(small_map(tmp_path), capsys)[0] == 0
+
+    def died(*_):
+        raise HapticdError("a worker process died")
+
+    monkeypatch.setattr(campaign, "run_map", died)
+    code, out, err = run(small_map(tmp_path, "--json"), capsys)
+    assert code == 1
+    assert json.loads(out)["error"]["message"] == "a worker process died"
+    assert f"27 trials are kept in {tmp_path}; the same command" in err
+    assert "hapticd: a worker process died" in err
+
+
+def test_limits_tell_outcomes_with_their_limit(tmp_path, capsys):
+    words = ["limits", *SHORT, "--axis", "BM", "--damping", "0", "--levels", "2", "--seed", "4", "--no-plot", "--json"]
+    code, out, _ = run([*words, "--out", str(tmp_path)], capsys)
+    *outcomes, last = map(json.loads, out.splitlines())
+    assert code == 0
+    assert last["ok"] is True
+    told = [(outcome["limit"], outcome["amplitude"]) for outcome in outcomes]
+    assert {limit: told.count(limit) for limit in set(told)} == {
+        (limit["name"], limit["scan"]["amplitude"]): limit["trials"] for limit in last["limits"]
+    }
+    assert {outcome["seed"] for outcome in outcomes} == {4}
+    assert all(set(outcome) == OUTCOME | {"limit", "amplitude", "seed"} for outcome in outcomes)
+
+
+def test_search_tells_outcomes_and_runs_where_it_is_told(tmp_path, capsys, monkeypatch):
+    from hapticd.measure import directed
+    from hapticd.measure.outcomes import fly
+
+    pools = []
+
+    def searched(plan, store, tell, pool, hear):
+        pools.append(pool)
+        hear(fly(plan.params.conditions, plan.params.damping_ns_per_m, np.zeros((2, 3))))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(directed, "run_search", searched)
+    words = ["search", *SHORT, "--damping", "1.74", "--json", "--out", str(tmp_path), "--executor"]
+    for where in ("thread", "process"):
+        code, out, err = run([*words, where], capsys)
+        assert code == 130
+        assert [set(json.loads(line)) for line in out.splitlines()] == [OUTCOME] * 2
+        assert f"0 trials are kept in {tmp_path}" in err
+    assert pools[0] is None
+    assert isinstance(pools[1], Executor)
+
+
+def test_campaigns_run_on_dask(tmp_path, capsys):
+    distributed = pytest.importorskip("distributed")
+    assert run(small_map(tmp_path / "here"), capsys)[0] == 0
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=":0") as it:
+        there = ["--executor", it.scheduler_address.replace("tcp://", "dask://")]
+        assert run(small_map(tmp_path / "there", *there), capsys)[0] == 0
+        words = ["limits", *SHORT, "--axis", "B", "--damping", "0", "--no-plot", "--json"]
+        ours, theirs = (run([*words, *more, "--out", str(tmp_path)], capsys)[1].splitlines() for more in ([], there))
+    assert trials(tmp_path / "there") == trials(tmp_path / "here")
+    assert theirs == ours
+
+
+@pytest.mark.process
+def test_map_runs_in_processes(tmp_path, capsys):
+    assert run(small_map(tmp_path / "here"), capsys)[0] == 0
+    assert run(small_map(tmp_path / "there", "--executor", "process"), capsys)[0] == 0
+    assert trials(tmp_path / "there") == trials(tmp_path / "here")
+
+
 def test_search_reports_its_doubt(tmp_path, capsys):
     code, out, _ = run(["search", *SHORT, "--damping", "1.74", "--budget", "8", "--out", str(tmp_path)], capsys)
     assert code == 0
@@ -144,7 +259,9 @@ def test_report_of_a_device_has_every_figure(tmp_path, capsys, monkeypatch):
         (["limits", "--axis", "X"], 2, "letters out of KBM"),
         (["limits", "--damping", "on"], 2, "numbers in N s/m"),
         (["limits", "--damping", "-1"], 2, "levels are not negative"),
-        (["map", "--executor", "ray"], 2, "use thread or process"),
+        (["map", "--executor", "ray"], 78, "executor 'ray': use thread, process or dask://HOST:PORT"),
+        (["limits", "--executor", "dask://here"], 78, "executor 'dask://here': use thread, process or dask://HOST:PORT"),
+        (["search", "--executor", "dask:8786"], 78, "executor 'dask:8786': use thread, process or dask://HOST:PORT"),
         (["walls", "--scene", "fig4"], 65, "it has no wall to hit"),
     ],
 )

@@ -8,7 +8,9 @@ Limits belong to a perturbation: with Coulomb friction they fall as it grows. `a
 scene's force. `seeds` repeats the whole scan with other noise; the scatter is given beside the mean.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from concurrent.futures import Executor
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from itertools import product
 from math import nan
@@ -19,20 +21,15 @@ from hapticd.analysis.arrays import Flags, Floats
 from hapticd.analysis.boundary import AXES, axis_limit
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.predict import predict
-from hapticd.measure.outcomes import TOGETHER, Conditions, Outcome, fly
-from hapticd.measure.progress import Progress, Steps, silent
+from hapticd.measure.bracketing import REACH, Bracketing, Fly, Scan, bracket, bracket_all
+from hapticd.measure.executors import threads
+from hapticd.measure.outcomes import Conditions, Outcome, fly
+from hapticd.measure.progress import Progress, silent
 from hapticd.measure.scenes import filters
 from hapticd.plant.compose import compose
 from hapticd.plant.model import Model
 
-REACH = (2e4, 60.0, -0.25)  # of a predicted search: N/m, Ns/m, kg
-FIRST = (0.6, 1.5)  # of the predicted limit: where the first round looks
-OUTWARDS = 2.5
-ROUNDS = 5
-COARSE = 0.15  # of the limit: a step that one more round makes fine enough
-UNPREDICTED = 0.02  # of the reach, where the prediction has no limit to look near
-
-Fly = Callable[[Conditions, float, Floats], list[Outcome]]
+Hear = Callable[[Scan, Conditions, list[Outcome]], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,16 +41,6 @@ class LimitsParams:
     amplitudes: tuple[float, ...] = (1.0,)
     axes: tuple[int, ...] = (0, 1, 2)
     seeds: int = 1
-
-
-@dataclass(frozen=True, slots=True)
-class Scan:
-    """One limit to be found."""
-
-    axis: int
-    damping_ns_per_m: float
-    amplitude: float
-    predicted: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,18 +92,25 @@ def plan_limits(params: LimitsParams) -> LimitsPlan:
     return LimitsPlan(params, tuple(scans))
 
 
-def run_limits(plan: LimitsPlan, tell: Progress = silent, flying: Fly = fly) -> LimitsResult:
-    """Find them all by trials."""
-    steps = Steps(tell, len(plan.scans) * plan.params.seeds)
-    found = []
-    for scan in plan.scans:
-        seeds = []
-        for repeat in range(plan.params.seeds):
-            steps.next(f"{AXES[scan.axis]} limit, damping {scan.damping_ns_per_m:g} N s/m")
-            seeds.append(_scanned(_at(plan.params, scan.amplitude, repeat), scan, flying))
-        found.append(_together(plan.params, scan, seeds))
-    steps.end()
-    return LimitsResult(plan, tuple(found))
+def run_limits(
+    plan: LimitsPlan, tell: Progress = silent, flying: Fly = fly, executor: Executor | None = None,
+    hear: Hear = lambda scan, conditions, new: None,
+) -> LimitsResult:  # fmt: skip
+    """Find them all by trials, on `executor` or on threads here; `hear` gets the outcomes of each round."""
+    params, ended = plan.params, 0
+    wanted = [Bracketing(scan, _at(params, scan.amplitude, repeat)) for scan in plan.scans for repeat in range(params.seeds)]
+
+    def told(one: Bracketing, new: list[Outcome], last: bool) -> None:
+        nonlocal ended
+        ended += last
+        tell("axis limits", ended, len(wanted))
+        hear(one.scan, one.conditions, new)
+
+    tell("axis limits", 0, len(wanted))
+    with nullcontext(executor) if executor else threads() as pool:
+        bracket_all(wanted, pool, flying, told)
+    tried = [[one.tried for one in wanted if one.scan is scan] for scan in plan.scans]
+    return LimitsResult(plan, tuple(_together(params, scan, seeds) for scan, seeds in zip(plan.scans, tried, strict=True)))
 
 
 def _at(params: LimitsParams, amplitude: float, repeat: int = 0) -> Conditions:
@@ -131,53 +125,13 @@ def _predicted(params: LimitsParams, model: Model, axis: int, level: float, ampl
     chosen = filters(conditions.scene)
 
     def decide(points: Floats) -> Flags:
-        return predict(model, points, level, chosen, source, conditions.band_hz).passive
+        return predict(model, points, level, chosen, source, conditions.band_hz, recorded=True).passive
 
     return axis_limit(decide, axis, REACH[axis])
 
 
-def _rounds(scan: Scan, tried: list[Outcome]) -> Iterator[Floats]:
-    """Values to try next, round by round, until the limit is known to 1 %."""
-    near = scan.predicted if np.isfinite(scan.predicted) and scan.predicted != 0.0 else UNPREDICTED * REACH[scan.axis]
-    low, high = FIRST[0] * near, FIRST[1] * near
-    yield np.concatenate(([0.0], np.linspace(low, high, TOGETHER - 1)))
-    for _ in range(ROUNDS):
-        passed, failed = _bracket(scan.axis, tried)
-        if np.isnan(passed):
-            return
-        if np.isnan(failed):
-            yield np.linspace(passed, OUTWARDS * passed if passed else high, TOGETHER + 1)[1:]
-        elif abs(failed - passed) > COARSE * abs(failed):
-            yield np.linspace(passed, failed, TOGETHER + 2)[1:-1]
-        else:
-            break
-    passed, failed = _bracket(scan.axis, tried)
-    if np.isfinite(passed) and np.isfinite(failed):
-        yield np.linspace(passed, failed, TOGETHER + 2)[1:-1]
-
-
-def _scanned(conditions: Conditions, scan: Scan, flying: Fly) -> list[Outcome]:
-    tried: list[Outcome] = []
-    for values in _rounds(scan, tried):
-        points = np.zeros((len(values), 3))
-        points[:, scan.axis] = values
-        tried += flying(conditions, scan.damping_ns_per_m, points)
-        tried.sort(key=lambda outcome: abs(outcome.environment[scan.axis]))
-    return tried
-
-
-def _bracket(axis: int, tried: list[Outcome]) -> tuple[float, float]:
-    """Last value that passed before the first that failed, and that; nan where there is none."""
-    failed = next((place for place, outcome in enumerate(tried) if not outcome.passes), None)
-    last = (tried if failed is None else tried[:failed])[-1:]
-    return (
-        last[0].environment[axis] if last else nan,
-        nan if failed is None else tried[failed].environment[axis],
-    )
-
-
 def _together(params: LimitsParams, scan: Scan, seeds: list[list[Outcome]]) -> AxisLimit:
-    values = np.array([_bracket(scan.axis, tried)[0] for tried in seeds])
+    values = np.array([bracket(scan.axis, tried)[0] for tried in seeds])
     sure = [_first(scan.axis, tried, "passive", stop=True) for tried in seeds]
     never = [_first(scan.axis, tried, "not_passive", stop=False) for tried in seeds]
     failed = next((outcome for outcome in seeds[0] if not outcome.passes), None)

@@ -2,7 +2,8 @@
 
 Everything is predicted first, in about a second. Trials are made where the prediction may be wrong: where it changes when the
 environment is scaled by 1 -+ `near` (15 %), and at grid points whose neighbour is predicted otherwise. The rest keeps its
-prediction, marked so; `everywhere` makes every trial. `refine` then halves the grid between neighbours of unlike answers.
+prediction, marked so; `everywhere` makes every trial, there with one sub-step, which is enough to tell what is far from the
+boundary. `refine` then halves the grid between neighbours of unlike answers.
 
 Outcomes go to an append-only store, keyed by all that they depend on; a map that was interrupted, or is asked again with a
 wider grid, makes only the trials that are missing. Tasks run on any executor of concurrent.futures; results do not depend on it.
@@ -10,9 +11,11 @@ wider grid, makes only the trials that are missing. Tasks run on any executor of
 What would break it: a device whose prediction is off by more than `near` (the limits say by how much it is); then `everywhere`.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, as_completed
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -21,6 +24,7 @@ from hapticd.analysis.boundary import PassiveSet, grid, passive_set
 from hapticd.analysis.envelope import Envelope
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.predict import Prediction, predict
+from hapticd.measure.executors import threads
 from hapticd.measure.outcomes import TOGETHER, Conditions, Outcome, envelope_of, fly, kept, key_of, restored
 from hapticd.measure.progress import Progress, silent
 from hapticd.measure.scenes import filters
@@ -28,6 +32,7 @@ from hapticd.measure.store import TrialStore, fingerprint
 from hapticd.plant.compose import compose
 
 Axes = tuple[Floats, Floats, Floats]
+Point = tuple[float, float, float]
 Keep = Callable[[list[Outcome]], None]
 NEAR = 0.15
 
@@ -46,11 +51,11 @@ class MapParams:
 
 @dataclass(frozen=True, eq=False)
 class LevelPlan:
-    """One damping level: the whole grid's prediction, and which points (N,) are to be tried."""
+    """One damping level: the whole grid's prediction, and which points (N,) are near its boundary."""
 
     damping_ns_per_m: float
     prediction: Prediction
-    wanted: Flags
+    near: Flags
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +68,7 @@ class MapPlan:
     @property
     def trials(self) -> int:
         """Without refinement, and if the store had none."""
-        return sum(int(level.wanted.sum()) for level in self.levels)
+        return sum(level.near.size if self.params.everywhere else int(level.near.sum()) for level in self.levels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,14 +99,14 @@ def plan_map(params: MapParams) -> MapPlan:
     chosen, points = filters(params.conditions.scene), grid(params.axes)
 
     def guess(level: float, where: Floats) -> Prediction:
-        return predict(model, where, level, chosen, perturbation, params.conditions.band_hz)
+        return predict(model, where, level, chosen, perturbation, params.conditions.band_hz, recorded=True)
 
     plans = []
     for level in params.levels:
         here = guess(level, points)
         scaled = [guess(level, factor * points).passive for factor in (1.0 - params.near, 1.0 + params.near)]
-        wanted = (scaled[0] != here.passive) | (scaled[1] != here.passive) | _at_border(params.axes, here.passive)
-        plans.append(LevelPlan(level, here, np.ones_like(wanted) if params.everywhere else wanted))
+        near = (scaled[0] != here.passive) | (scaled[1] != here.passive) | _at_border(params.axes, here.passive)
+        plans.append(LevelPlan(level, here, near))
     return MapPlan(params, tuple(plans))
 
 
@@ -112,55 +117,76 @@ def run_map(
 
     KeyboardInterrupt passes through after the tasks in flight were given up; what was finished is in the store.
     """
-    conditions, made, levels = plan.params.conditions, 0, []
-    shared = fingerprint(conditions)
-    for level in plan.levels:
-        wanted = [(float(k), float(b), float(m)) for k, b, m in level.prediction.points[level.wanted]]
-        new = _make(conditions, shared, level.damping_ns_per_m, wanted, store, tell, executor, redraw)
-        for _ in range(plan.params.refine):
-            have = _known(conditions, shared, level.damping_ns_per_m, wanted, store)
-            between = _between(plan.params.axes, have)
-            wanted += [point for point in between if point not in set(wanted)]
-            new += _make(conditions, shared, level.damping_ns_per_m, wanted, store, tell, executor, redraw)
-        made += new
-        levels.append(_level_map(plan.params, level, _known(conditions, shared, level.damping_ns_per_m, wanted, store)))
+    made, levels = 0, []
+    with threads() if executor is None else nullcontext(executor) as pool:
+        for level in plan.levels:
+            lots, have = _lots(plan.params, level), list[Outcome]()
+            for finer in range(plan.params.refine + 1):
+                lots[0] = lots[0].with_points(_between(plan.params.axes, have) if finer else [])
+                made += sum([_make(lot, store, tell, pool, redraw) for lot in lots])
+                have = [outcome for lot in lots for outcome in _known(lot, store)]
+            levels.append(_level_map(plan.params, level, have))
     return MapResult(plan, tuple(levels), made)
 
 
-def _make(
-    conditions: Conditions, shared: str, level: float, wanted: Sequence[tuple[float, float, float]], store: TrialStore,
-    tell: Progress, executor: Executor | None, redraw: Keep,
-) -> int:  # fmt: skip
-    missing = [point for point in wanted if key_of(conditions, shared, level, point) not in store.known]
+@dataclass(frozen=True, eq=False)
+class _Lot:
+    """Trials under one set of conditions."""
+
+    conditions: Conditions
+    damping_ns_per_m: float
+    points: tuple[Point, ...]
+
+    def with_points(self, more: list[Point]) -> "_Lot":
+        """With those that it does not have yet."""
+        return replace(self, points=tuple(dict.fromkeys((*self.points, *more))))
+
+    @cached_property
+    def keys(self) -> dict[Point, str]:
+        """Of each point in a store."""
+        shared = fingerprint(self.conditions)
+        return {point: key_of(self.conditions, shared, self.damping_ns_per_m, point) for point in self.points}
+
+
+def _lots(params: MapParams, level: LevelPlan) -> list[_Lot]:
+    """Near the boundary with the conditions that are asked for, elsewhere with one sub-step."""
+    conditions, points = params.conditions, level.prediction.points
+    lots = [_Lot(conditions, level.damping_ns_per_m, _points(points[level.near]))]
+    if params.everywhere:
+        lots.append(_Lot(replace(conditions, substeps=1), level.damping_ns_per_m, _points(points[~level.near])))
+    return lots
+
+
+def _points(rows: Floats) -> tuple[Point, ...]:
+    return tuple((float(k), float(b), float(m)) for k, b, m in rows)
+
+
+def _make(lot: _Lot, store: TrialStore, tell: Progress, pool: Executor, redraw: Keep) -> int:
+    missing = [point for point, key in lot.keys.items() if key not in store.known]
     tasks = [np.array(missing[first : first + TOGETHER]) for first in range(0, len(missing), TOGETHER)]
-    done, what = len(wanted) - len(missing), f"trials, added damping {level:g} N s/m"
-    tell(what, done, len(wanted))
-    for outcomes in _flown(conditions, level, tasks, executor):
-        store.add((key_of(conditions, shared, level, outcome.environment), kept(outcome)) for outcome in outcomes)
+    done, what = len(lot.points) - len(missing), f"trials, added damping {lot.damping_ns_per_m:g} N s/m"
+    tell(what, done, len(lot.points))
+    for outcomes in _flown(lot, tasks, pool):
+        store.add((lot.keys[outcome.environment], kept(outcome)) for outcome in outcomes)
         done += len(outcomes)
-        tell(what, done, len(wanted))
+        tell(what, done, len(lot.points))
         redraw(outcomes)
     return len(missing)
 
 
-def _flown(conditions: Conditions, level: float, tasks: list[Floats], executor: Executor | None) -> Iterator[list[Outcome]]:
+def _flown(lot: _Lot, tasks: list[Floats], pool: Executor) -> Iterator[list[Outcome]]:
     """Outcomes of tasks as they finish; what has not begun is given up when the caller stops."""
-    pool = executor or ThreadPoolExecutor(max_workers=1)  # the engine and `spa` use the cores themselves
-    waiting: list[Future[list[Outcome]]] = [pool.submit(fly, conditions, level, task) for task in tasks]
+    waiting: list[Future[list[Outcome]]] = [pool.submit(fly, lot.conditions, lot.damping_ns_per_m, task) for task in tasks]
     try:
         for future in as_completed(waiting):
             yield future.result()
     finally:
         for future in waiting:
             future.cancel()
-        if executor is None:
-            pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _known(
-    conditions: Conditions, shared: str, level: float, wanted: Sequence[tuple[float, float, float]], store: TrialStore
-) -> list[Outcome]:
-    return [restored(store.known[key_of(conditions, shared, level, point)]) for point in wanted]
+def _known(lot: _Lot, store: TrialStore) -> list[Outcome]:
+    return [restored(store.known[key]) for key in lot.keys.values()]
 
 
 def _at_border(axes: Axes, passive: Flags) -> Flags:
@@ -176,7 +202,7 @@ def _at_border(axes: Axes, passive: Flags) -> Flags:
     return found.ravel()
 
 
-def _between(axes: Axes, outcomes: list[Outcome]) -> list[tuple[float, float, float]]:
+def _between(axes: Axes, outcomes: list[Outcome]) -> list[Point]:
     """Midpoints between tried grid neighbours of unlike answers."""
     passed = {outcome.environment: outcome.passes for outcome in outcomes}
     middles = []
@@ -190,13 +216,13 @@ def _between(axes: Axes, outcomes: list[Outcome]) -> list[tuple[float, float, fl
     return middles
 
 
-def _moved(point: tuple[float, float, float], place: int, value: float) -> tuple[float, float, float]:
+def _moved(point: Point, place: int, value: float) -> Point:
     k, b, m = (value if index == place else old for index, old in enumerate(point))
     return k, b, m
 
 
 def _level_map(params: MapParams, level: LevelPlan, outcomes: list[Outcome]) -> LevelMap:
-    margin, tried = level.prediction.decided_margin.copy(), np.zeros(len(level.wanted), bool)
+    margin, tried = level.prediction.decided_margin.copy(), np.zeros(len(level.near), bool)
     place = {tuple(point): index for index, point in enumerate(level.prediction.points.tolist())}
     unlike = 0
     for outcome in outcomes:

@@ -37,7 +37,7 @@ class Limits(Quantity):
         model, own_level, own_filters = compose(scene), level(scene), filters(scene)
 
         def decide(points: Floats) -> Flags:
-            return predict(model, points, own_level, own_filters, self.perturbation(), self.band_hz).passive
+            return predict(model, points, own_level, own_filters, self.perturbation(), self.band_hz, recorded=True).passive
 
         return np.array([axis_limit(decide, axis, reach) for axis, reach in enumerate(REACH)])
 

@@ -1,5 +1,8 @@
 """Many trials at once by the batch engine, each reduced to what a campaign keeps: verdict, margins, Z at some 120 frequencies.
 
+Trials are simulated and transformed together (`keep="spectra"`); no record is ever made. What `examine` reads off a record is
+taken from sums: energy from the work of each tick, an escape from the rms velocity of every second.
+
 A task travels as parameters and comes back as 5 kB a trial, so it may run in a thread or in another process; the same task
 gives the same outcome wherever it runs. `passes` is the paper's rule: all phases within +-90 degrees, the loop calm, the
 command not at its end. `answer` is the verdict with its intervals. A trial that diverged has no spectra.
@@ -15,11 +18,13 @@ import numpy as np
 
 from hapticd import __version__
 from hapticd.analysis.arrays import Floats
-from hapticd.analysis.diagnostics import examine
+from hapticd.analysis.diagnostics import Record, escape_findings
+from hapticd.analysis.energy import Energy
 from hapticd.analysis.envelope import Envelope, Trial, of_trial, widened
 from hapticd.analysis.impedance import Impedance, impedance
 from hapticd.analysis.passivity import DEFAULT_BAND_HZ, judge
-from hapticd.analysis.spa import spa
+from hapticd.analysis.spa import DEFAULT_LAG
+from hapticd.analysis.spectra import Spectra
 from hapticd.analysis.verdict import Amplitude, Margin, Verdict
 from hapticd.errors import AnalysisError
 from hapticd.measure.scenes import free_of_walls, frequencies
@@ -27,8 +32,9 @@ from hapticd.measure.store import fingerprint
 from hapticd.plant.compose import compose
 from hapticd.plant.scene import Excitation, Scene
 from hapticd.sim.engine import BatchResult, simulate
+from hapticd.sim.engine.shape import LANES
 
-TOGETHER = 16  # trials of a task
+TOGETHER = LANES["f32"]  # trials of a task: the engine does as many at once
 FREQUENCIES = 120
 KEPT_BAND_HZ = (2.0, 1000.0)
 NOISE = Excitation("noise")
@@ -83,7 +89,7 @@ def fly(conditions: Conditions, damping_ns_per_m: float, points: Floats) -> list
     found = simulate(
         conditions.scene, points, conditions.seconds, conditions.excitation.seed, damping=damping_ns_per_m,
         environment=free_of_walls(conditions.scene), excitation=conditions.excitation, start=(0.0, 0.0),
-        substeps=conditions.substeps, dtype=conditions.dtype, keep="records",
+        substeps=conditions.substeps, dtype=conditions.dtype, keep="spectra",
     )  # fmt: skip
     limit_n = compose(conditions.scene).force_limit_n or inf
     return [_outcome(conditions, damping_ns_per_m, found, trial, limit_n) for trial in range(len(points))]
@@ -95,9 +101,8 @@ def _outcome(conditions: Conditions, damping: float, found: BatchResult, trial: 
     if found.diverged[trial]:
         nothing = np.empty(0)
         return Outcome((k, b, m), damping, "not_passive", False, nan, nan, nan, nan, nan, sd, most, nothing, nothing)
-    force, velocity = (np.asarray(channel, np.float64) for channel in found.record(trial))
-    spectra = spa(force, velocity, found.rate_hz)
-    verdict = judge(spectra, examine(force, velocity, found.rate_hz), conditions.band_hz, conditions.confidence, channels=False)
+    spectra = found.spectra(trial)
+    verdict = judge(spectra, _recorded(found, trial, spectra), conditions.band_hz, conditions.confidence, channels=False)
     saturated = most >= limit_n * (1.0 - 1e-6)
     z, shown = impedance(spectra), np.isin(spectra.frequency_hz, kept_frequencies())
     return Outcome(
@@ -115,6 +120,16 @@ def _outcome(conditions: Conditions, damping: float, found: BatchResult, trial: 
         z=np.column_stack((z.impedance_ns_per_m[shown].real, z.impedance_ns_per_m[shown].imag)),
         relative_sd=z.relative_sd[shown],
     )
+
+
+def _recorded(found: BatchResult, trial: int, spectra: Spectra) -> Record:
+    assert found.section_rms_m_per_s is not None
+    rms = found.section_rms_m_per_s[trial]
+    pairs = np.sqrt(np.mean(rms[: rms.size // 2 * 2].reshape(-1, 2) ** 2, axis=1))
+    flowed = Energy(float(found.min_energy_j[trial]), nan, float(found.work_j[trial]))
+    force_sd = float(np.sqrt(np.trapezoid(spectra.force, spectra.frequency_hz) * 2.0 / spectra.rate_hz))
+    findings = escape_findings(pairs, 2 * DEFAULT_LAG / found.rate_hz)
+    return Record(spectra.n_samples / spectra.rate_hz, flowed, force_sd, float(found.sigma_v_m_per_s[trial]), findings)
 
 
 def kept(outcome: Outcome) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What the verbs of `zwidth` share: options, a progress bar, the scene that is meant, conditions for a summary."""
+"""What the verbs of `zwidth` share: options, a progress bar, the scene that is meant, outcomes as lines, conditions."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -8,8 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hapticd.cli import output
+from hapticd.errors import HapticdError
+
 if TYPE_CHECKING:
+    from hapticd.measure.outcomes import Outcome
     from hapticd.measure.progress import Progress
+    from hapticd.measure.store import TrialStore
     from hapticd.plant.scene import Scene
 
 SceneName = Annotated[str, typer.Option("--scene", metavar="NAME|FILE", help="Device, effects, filters and perturbation.")]
@@ -20,7 +25,21 @@ Band = Annotated[tuple[float, float], typer.Option("--band", metavar="LOW HIGH",
 Confidence = Annotated[float, typer.Option("--confidence", min=0.5, max=0.9999, help="Of a verdict.")]
 Damping = Annotated[str, typer.Option("--damping", metavar="LEVEL[,LEVEL...]", help="Electrical damping levels, N s/m.")]
 Plot = Annotated[bool, typer.Option("--plot/--no-plot", help="Draw PNG and SVG into the run folder.")]
+Where = Annotated[
+    str,
+    typer.Option(
+        "--executor",
+        metavar="thread|process|dask://HOST:PORT",
+        help="Where trials run: here, in a process a core, or on the workers of a Dask scheduler (extra: cluster).",
+    ),
+]
+JsonOutcomes = Annotated[
+    bool,
+    typer.Option("--json", help="One JSON object per line on stdout: each outcome as it arrives, at last the result with 'ok'."),
+]
+Admittance = Annotated[bool, typer.Option("--admittance", help="Draw the admittance as well.")]
 RUNS = Path("zwidth-runs")
+TOLD = ("environment", "damping_ns_per_m", "answer", "passes", "margin_ns_per_m", "margin_lower", "margin_upper", "worst_hz")
 
 
 @contextmanager
@@ -34,6 +53,24 @@ def progress() -> "Iterator[Progress]":
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("", total=None)
         yield lambda what, done, total: bar.update(task, description=what, completed=done, total=total)
+
+
+@contextmanager
+def keeping(store: "TrialStore", folder: Path) -> Iterator[None]:
+    """Where something ends a campaign early, Ctrl-C (exit 130) or dead workers, say what is kept and how to go on."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        output.talk(_goes_on(store, folder))
+        raise typer.Exit(130) from None
+    except HapticdError:
+        if store.known:
+            output.talk(_goes_on(store, folder))
+        raise
+
+
+def _goes_on(store: "TrialStore", folder: Path) -> str:
+    return f"{len(store.known)} trials are kept in {folder}; the same command with --out {folder} goes on there"
 
 
 def scene_of(name: str) -> "Scene":
@@ -60,6 +97,14 @@ def levels(text: str) -> tuple[float, ...]:
     if min(found) < 0.0:
         raise typer.BadParameter(f"--damping {text!r}: levels are not negative")
     return found
+
+
+def follow(new: "list[Outcome]", **more: Any) -> None:
+    """A line of JSON for each outcome: type "outcome", K, B and M, verdict, margin [N s/m] with its interval, and `more`."""
+    from hapticd.measure.plain import plain
+
+    for outcome in new:
+        output.data_json({"type": "outcome", **more, **plain({name: getattr(outcome, name) for name in TOLD})})
 
 
 def folder(out: Path | None, what: str) -> Path:

@@ -5,11 +5,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hapticd.cli import options, output
+from hapticd.cli import output
 from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
     from hapticd.measure.axis_scan import LimitsResult
+    from hapticd.measure.bracketing import Scan
+    from hapticd.measure.outcomes import Outcome
     from hapticd.report.table import Table
 
 
@@ -21,27 +23,30 @@ def command(
     ] = 1,
     axis: Annotated[str, typer.Option("--axis", metavar="KBM", help="Which of K, B, M.")] = "KBM",
     seeds: Annotated[int, typer.Option("--seeds", metavar="N", min=1, help="Repeat with other noise, for the scatter.")] = 1,
+    where: common.Where = "thread",
     seconds: common.Seconds = 90.0,
     seed: common.Seed = 1,
     band: common.Band = (2.0, 500.0),
     confidence: common.Confidence = 0.95,
     out: common.Out = None,
     plot: common.Plot = True,
-    as_json: options.Json = False,
+    as_json: common.JsonOutcomes = False,
 ) -> None:
     """How far K, B and M each go alone before the display is not passive: predicted, then by simulated trials.
 
-    With --levels 3 also at 2 and 4 times the perturbation's force: with friction a limit is one of its amplitude.
+    With --levels 3 also at 2 and 4 times the perturbation's force: with friction a limit is one of its amplitude. With --json
+    each outcome is a line as it arrives, with its limit, amplitude and seed, and the last line is the result.
     """
     from hapticd.analysis.boundary import AXES
     from hapticd.measure.axis_scan import LimitsParams, plan_limits, run_limits
+    from hapticd.measure.executors import executor
     from hapticd.measure.outcomes import Conditions
     from hapticd.measure.plain import plain
     from hapticd.measure.scenes import noise
     from hapticd.measure.store import write_run
     from hapticd.report import figures
     from hapticd.report.table import text
-    from hapticd.report.zwidth import limits_figure
+    from hapticd.report.zwidth_limits import limits_figure
 
     if not axis or set(axis) - set(AXES):
         raise typer.BadParameter(f"--axis {axis!r}: letters out of KBM")
@@ -49,8 +54,13 @@ def command(
     conditions = Conditions(loaded, seconds, replace(noise(loaded), seed=seed), band, confidence)
     wanted, amplitudes = tuple(AXES.index(name) for name in axis), tuple(2.0**level for level in range(levels))
     plan = plan_limits(LimitsParams(conditions, common.levels(damping), amplitudes, wanted, seeds))
-    with common.progress() as tell:
-        result = run_limits(plan, tell)
+
+    def hear(scan: "Scan", given: Conditions, new: "list[Outcome]") -> None:
+        if as_json:
+            common.follow(new, limit=AXES[scan.axis], amplitude=scan.amplitude, seed=given.excitation.seed)
+
+    with executor(where) as pool, common.progress() as tell:
+        result = run_limits(plan, tell, executor=pool, hear=hear)
     folder = common.folder(out, "limits")
     rows = [{"name": limit.name, **plain(limit)} for limit in result.limits]
     write_run(folder, {"kind": "limits", "scene": scene, "seconds": seconds, "limits": rows, "provenance": common.told(seed=seed)})

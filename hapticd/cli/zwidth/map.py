@@ -1,8 +1,5 @@
 """A grid of K, B and M: which environments are passive, and the envelope over them."""
 
-from collections.abc import Iterator
-from concurrent.futures import Executor
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from time import monotonic
@@ -10,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hapticd.cli import options, output
+from hapticd.cli import output
 from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
@@ -34,41 +31,46 @@ def command(
     ] = 0.15,
     everywhere: Annotated[bool, typer.Option("--everywhere", help="Try every point, the paper's way.")] = False,
     refine: Annotated[int, typer.Option("--refine", metavar="N", help="Then halve the grid at the boundary.", min=0, max=1)] = 0,
-    executor: Annotated[str, typer.Option("--executor", metavar="thread|process", help="Where trials run.")] = "thread",
+    where: common.Where = "thread",
     seconds: common.Seconds = 90.0,
     seed: common.Seed = 1,
     band: common.Band = (2.0, 500.0),
     out: common.Out = None,
     plot: common.Plot = True,
-    as_json: options.Json = False,
+    as_json: common.JsonOutcomes = False,
 ) -> None:
     """Map the passive set of a simulated display. Predicted first; trials where the prediction leaves doubt.
 
-    Ctrl-C is safe: the same command with the same --out goes on where it ended.
+    Ctrl-C is safe: the same command with the same --out goes on where it ended. With --json each new outcome is a line, and the
+    last line is the result; trials that --out had kept already are in its trials.jsonl.
     """
     import numpy as np
 
     from hapticd.measure.campaign import MapParams, plan_map, run_map
+    from hapticd.measure.executors import executor
     from hapticd.measure.outcomes import Conditions
     from hapticd.measure.plain import plain
     from hapticd.measure.scenes import noise
     from hapticd.measure.store import TrialStore, write_run
 
-    if executor not in ("thread", "process"):
-        raise typer.BadParameter(f"--executor {executor!r}: use thread or process")
     loaded = common.scene_of(scene)
     conditions = Conditions(loaded, seconds, replace(noise(loaded), seed=seed), band)
     axes: tuple[Floats, Floats, Floats] = (np.linspace(*stiffness), np.linspace(*viscous), np.linspace(*mass))
-    plan = plan_map(MapParams(conditions, axes, common.levels(damping), near, everywhere, refine))
     folder = common.folder(out, "map")
-    store = TrialStore(folder / "trials.jsonl")
-    output.talk(f"{len(plan.levels) * axes[0].size * axes[1].size * axes[2].size} points predicted, {plan.trials} to be tried")
-    try:
-        with common.progress() as tell, _pool(executor) as pool:
-            result = run_map(plan, store, tell, pool, _Redrawn(conditions, folder) if plot else lambda new: None)
-    except KeyboardInterrupt:
-        output.talk(f"{len(store.known)} trials are kept in {folder}; the same command with --out {folder} goes on there")
-        raise typer.Exit(130) from None
+    store, redraw = TrialStore(folder / "trials.jsonl"), _Redrawn(conditions, folder)
+
+    def hear(new: "list[Outcome]") -> None:
+        if as_json:
+            common.follow(new)
+        if plot:
+            redraw(new)
+
+    with common.keeping(store, folder), executor(where) as pool:
+        plan = plan_map(MapParams(conditions, axes, common.levels(damping), near, everywhere, refine))
+        points = len(plan.levels) * axes[0].size * axes[1].size * axes[2].size
+        output.talk(f"{points} points predicted, {plan.trials} to be tried")
+        with common.progress() as tell:
+            result = run_map(plan, store, tell, pool, hear)
     told = [_told(level) for level in result.levels]
     asked = {"seconds": seconds, "seed": seed, "band_hz": band, "near": near, "everywhere": everywhere, "refine": refine}
     write_run(
@@ -77,7 +79,8 @@ def command(
     )
     paths = draw(result, folder) if plot else []
     if as_json:
-        output.data_json({"ok": True, "levels": plain(told), "folder": str(folder), "figures": [str(path) for path in paths]})
+        names = [str(path) for path in paths]
+        output.data_json({"ok": True, "made": result.made, "levels": plain(told), "folder": str(folder), "figures": names})
         return
     _print(result, told)
     output.data(f"{result.made} trials made, kept in {folder}")
@@ -104,18 +107,6 @@ class _Redrawn:
             self._drawn_s = monotonic()
             drawn = [(level, envelope_of(passed)) for level, passed in self._passed.items()]
             figures.save(envelope_figure(self._conditions, drawn), self._folder, "envelope")
-
-
-@contextmanager
-def _pool(name: str) -> Iterator[Executor | None]:
-    if name == "thread":
-        yield None
-        return
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import get_context
-
-    with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
-        yield pool
 
 
 def _told(level: "LevelMap") -> dict[str, Any]:
@@ -165,7 +156,7 @@ def _print(result: "MapResult", told: list[dict[str, Any]]) -> None:
 
 
 def draw(result: "MapResult", folder: Path) -> list[Path]:
-    """The set, and the envelopes where a trial passed."""
+    """The set, and the envelopes of impedance and admittance where a trial passed."""
     from hapticd.report import figures
     from hapticd.report.zwidth_map import envelope_figure, set_figure
 
@@ -173,4 +164,5 @@ def draw(result: "MapResult", folder: Path) -> list[Path]:
     drawn = [(level.damping_ns_per_m, level.envelope) for level in result.levels if level.envelope]
     if drawn:
         paths += figures.save(envelope_figure(result.plan.params.conditions, drawn), folder, "envelope")
+        paths += figures.save(envelope_figure(result.plan.params.conditions, drawn, inverse=True), folder, "envelope_admittance")
     return paths

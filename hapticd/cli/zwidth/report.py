@@ -11,6 +11,7 @@ from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
     from hapticd.measure.campaign import MapParams, MapResult
+    from hapticd.plant.scene import Scene
 
 What = Annotated[str, typer.Argument(metavar="DEVICE|RUN", help="A simulated device or scene, or the folder of a trial or a map.")]
 GRID = (12, 10, 11)
@@ -50,20 +51,40 @@ def _of_run(folder: Path) -> list[Path]:
 
 
 def _trial_again(folder: Path, kept: dict[str, Any]) -> list[Path]:
+    from hapticd.analysis.spa import DEFAULT_LAG
+    from hapticd.cli.zwidth.trial import draw
+    from hapticd.measure.multisine import Layout
     from hapticd.measure.recorded import read_file
     from hapticd.measure.sources import Trial
     from hapticd.measure.store import record_path
     from hapticd.measure.trial import TrialParams, judged, plan_trial
-    from hapticd.report import figures
-    from hapticd.report.zwidth import trial_figure
+    from hapticd.plant.scene import Excitation
 
-    recorded = replace(read_file(record_path(folder)), origin=kept["origin"], simulated=kept["simulated"], ended=kept["ended"])
+    recorded = replace(
+        read_file(record_path(folder)), origin=kept["origin"], simulated=kept["simulated"], ended=kept["ended"],
+        max_command_n=kept.get("max_command_n"), command_limit_n=kept.get("command_limit_n"),
+    )  # fmt: skip
     k, b, m = kept["environment"].values()
     low, high = kept["verdict"]["band_hz"]
-    trial = Trial((k, b, m), kept["added_damping_ns_per_m"], kept["seconds"])
-    behind = kept["probe_mass_taken_out_kg"]
-    params = TrialParams(trial, None, (low, high), kept["verdict"]["confidence"], kept["estimator"], behind)
-    return list(figures.save(trial_figure(judged(plan_trial(params), recorded)), folder, "trial"))
+    trial = Trial((k, b, m), kept["added_damping_ns_per_m"], kept["seconds"], Excitation(**kept["perturbation"]))
+    layout = kept.get("multisine")
+    params = TrialParams(
+        trial, _same_scene(kept), (low, high), kept["verdict"]["confidence"], kept["estimator"], kept["probe_mass_taken_out_kg"],
+        lag=kept.get("lag", DEFAULT_LAG), multisine=Layout(layout["realisations"], layout["periods"]) if layout else None,
+    )  # fmt: skip
+    return draw(judged(plan_trial(params), recorded), folder)
+
+
+def _same_scene(kept: dict[str, Any]) -> "Scene | None":
+    """The scene of the run, for its prediction, where it is still what it was."""
+    from hapticd.errors import ConfigError
+    from hapticd.measure.store import fingerprint
+
+    try:
+        found = common.scene_of(kept["scene"]) if kept["scene"] else None
+    except ConfigError:
+        return None
+    return found if found and fingerprint(found) == kept["scene_hash"] else None
 
 
 def _asked(kept: dict[str, Any]) -> "MapParams":
@@ -88,7 +109,7 @@ def _of_device(name: str, damping: str, seconds: float, seed: int, out: Path | N
     from hapticd.measure.portable import SUFFIX, device_hash, portable, write_portable
     from hapticd.measure.scenes import noise
     from hapticd.report import figures
-    from hapticd.report.zwidth import limits_figure
+    from hapticd.report.zwidth_limits import limits_figure
 
     scene, levels = common.scene_of(name), common.levels(damping)
     conditions = Conditions(scene, seconds, replace(noise(scene), seed=seed))
@@ -123,12 +144,11 @@ def _mapped(conditions: Any, levels: tuple[float, ...], limits: Any, folder: Pat
 
 
 def _own_trial(scene: Any, seconds: float, folder: Path) -> list[Path]:
+    from hapticd.cli.zwidth.trial import draw
     from hapticd.measure.scenes import level, noise, point
     from hapticd.measure.sources import Trial, engine_source
     from hapticd.measure.trial import TrialParams, plan_trial, run_trial
-    from hapticd.report import figures
-    from hapticd.report.zwidth import trial_figure
 
     trial = Trial(point(scene), level(scene), seconds, noise(scene))
     result = run_trial(plan_trial(TrialParams(trial, scene)), engine_source(scene))
-    return list(figures.save(trial_figure(result), folder, "trial"))
+    return draw(result, folder)

@@ -24,7 +24,7 @@ def command(
         13,
     ),
     settle_s: Annotated[float, typer.Option("--settle-s", metavar="S", help="Time to come to rest.")] = 1.5,
-    still: Annotated[float, typer.Option("--still", metavar="M/S", help="Speed that counts as rest.")] = 2e-3,
+    still: Annotated[float, typer.Option("--still", metavar="M/S", help="Speed to and fro that counts as rest.")] = 2e-3,
     out: common.Out = None,
     plot: common.Plot = True,
     as_json: options.Json = False,

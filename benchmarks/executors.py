@@ -1,0 +1,80 @@
+"""Trials per second of a map in a pool of processes and on a Dask cluster, over those on threads of this process.
+
+The same map each time, trials of 90 s, kernels warm, pools running: one worker of one thread a core. They take turns, and the
+least time of each counts, so that what other programs take hits all alike. The map is long against a task, since at its end
+one core waits for the last of them.
+"""
+
+import time
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import ExitStack
+
+import numpy as np
+
+from benchmarks.figures import Figure, compared
+from benchmarks.worker import BenchError
+from hapticd.measure.campaign import MapParams, MapPlan, plan_map, run_map
+from hapticd.measure.executors import executor
+from hapticd.measure.outcomes import TOGETHER, Conditions
+from hapticd.measure.scenes import noise
+from hapticd.measure.store import TrialStore
+from hapticd.settings.scene import load_scene
+from hapticd.sim.engine.cores import workers
+
+TARGETS = {"executor_process": ">= 0.9x", "executor_dask": ">= 0.85x"}
+SCENE = "fig7"
+ROUNDS = 10
+ENOUGH_S = 40.0  # after which no round is begun, on a machine that is busy with other things
+NEAR = 0.6  # of the boundary: all the map, in one lot
+WARM, TASKS = 4, 20  # tasks before, and in a round
+
+
+def measure() -> Iterator[Figure]:
+    """Both ratios; `value` is the pool's trials a second, `reference` that of the threads."""
+    with ExitStack() as stack:
+        begin = time.perf_counter()
+        pools: dict[str, Executor | None] = {"thread": None}
+        pools["executor_process"] = stack.enter_context(executor("process"))
+        pools["executor_dask"] = stack.enter_context(executor(_cluster(stack)))
+        for pool in pools.values():
+            _taken_s(_map(WARM), pool)
+        started_s = time.perf_counter() - begin
+        plan = _map(TASKS)
+        taken: dict[str, list[float]] = {name: [] for name in pools}
+        while not taken["thread"] or (len(taken["thread"]) < ROUNDS and time.perf_counter() - begin < ENOUGH_S):
+            for name, pool in pools.items():
+                taken[name].append(_taken_s(plan, pool))
+    rate = {name: plan.trials / min(times) for name, times in taken.items()}
+    rounds = len(taken["thread"])
+    note = f"{plan.trials} trials of 90 s, tasks of {TOGETHER}, {workers()} cores, {rounds} rounds; pools warm in {started_s:.1f} s"
+    for name, target in TARGETS.items():
+        yield compared(name, target, rate[name], "1/s", rate["thread"], note)
+
+
+def _cluster(stack: ExitStack) -> str:
+    """A cluster of processes, closed with `stack`; its name as an executor."""
+    try:
+        from distributed import LocalCluster
+
+        cluster = stack.enter_context(LocalCluster(n_workers=workers(), threads_per_worker=1, dashboard_address=":0"))
+    except ImportError as error:
+        raise BenchError(f"Dask is missing ({error}): pip install hapticd[cluster]") from error
+    except RuntimeError as error:
+        raise BenchError(f"no Dask cluster here: {error}") from error
+    return str(cluster.scheduler_address).replace("tcp://", "dask://")
+
+
+def _map(tasks: int) -> MapPlan:
+    """A map of about so many tasks, on both sides of the boundary."""
+    scene = load_scene(SCENE)
+    axes = (np.linspace(200.0, 1200.0, tasks), np.linspace(2.0, 9.0, 8), np.linspace(-0.02, 0.02, TOGETHER // 8))
+    return plan_map(MapParams(Conditions(scene, excitation=noise(scene)), axes, (1.74,), NEAR))
+
+
+def _taken_s(plan: MapPlan, pool: Executor | None) -> float:
+    """Wall seconds of the whole map, none of it known before."""
+    begin = time.perf_counter()
+    made = run_map(plan, TrialStore(None), executor=pool).made
+    assert made == plan.trials
+    return time.perf_counter() - begin

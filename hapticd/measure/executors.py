@@ -1,0 +1,171 @@
+"""Where the trials of a campaign run: on threads of this process, in processes of this machine, on a Dask cluster.
+
+    thread              the engine's own threads; its kernels release the interpreter lock
+    process             a process for each core, started anew; for what holds the lock
+    dask://HOST:PORT    the workers of a running scheduler (`dask scheduler`, `dask worker`)
+
+A task is a function and its arguments, a few kB; what comes back is some 2.5 kB a trial. Kernels are made where the task runs and
+kept on disk there. In a pool every task keeps to one core: there are as many tasks under way as cores, and the engine's own
+threads would only get in each other's way. Errors of ours come back as they were raised.
+
+Outcomes do not depend on where they were made, to the last bit, as long as hapticd, numpy and numba are the same: a worker
+with others is refused. What would break that: a cluster of unlike processors, for which numba compiles unlike code.
+"""
+
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import partial
+from importlib import import_module
+from multiprocessing import get_context
+from socket import create_connection
+from typing import Any, ParamSpec, TypeVar
+from urllib.parse import urlsplit
+
+from hapticd.errors import ConfigError, HapticdError
+from hapticd.sim.engine.cores import at_most, workers
+
+PATIENCE_S = 5.0  # for a scheduler to answer and for a first worker to be there
+GREETING_MOST = 1 << 20  # bytes
+SAME = ("hapticd", "numpy", "numba")  # what the last bit of an outcome depends on
+SPECS = "thread, process or dask://HOST:PORT"
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+@contextmanager
+def executor(spec: str, processes: int | None = None) -> Iterator[Executor | None]:
+    """The executor of that name, closed afterwards: what has not begun by then is given up. None for the threads here.
+
+    `processes` of a pool, by default one a core. ConfigError for another name, a scheduler that does not answer, without
+    workers or with workers of other versions, without the library; HapticdError when workers die.
+    """
+    if spec == "thread":
+        yield None
+    elif spec == "process":
+        with _processes(processes or workers()) as pool:
+            yield pool
+    else:
+        with _cluster(_address(spec)) as pool:
+            yield pool
+
+
+def alone(task: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+    """The task on one core."""
+    with at_most(1):
+        return task(*args, **kwargs)
+
+
+class Alone(Executor):
+    """Another executor whose tasks each keep to one core."""
+
+    def __init__(self, inner: Executor) -> None:
+        self._inner = inner
+
+    def submit(self, task: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        """As any executor."""
+        return self._inner.submit(partial(alone, task, *args, **kwargs))
+
+
+@contextmanager
+def threads() -> Iterator[Executor]:
+    """A thread here for each core, for tasks that let go of the interpreter lock."""
+    pool = ThreadPoolExecutor(workers())
+    try:
+        yield Alone(pool)
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _processes(count: int) -> Iterator[Executor]:
+    pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_leave_interrupts)
+    try:
+        yield Alone(pool)
+    except BrokenExecutor as error:
+        raise HapticdError(
+            f"a worker process died, killed or out of memory ({error}); begun again, a map goes on from what it has kept"
+        ) from error
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _leave_interrupts() -> None:
+    """Ctrl-C reaches every process of a terminal; the one that began this ends it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@contextmanager
+def _cluster(address: str) -> Iterator[Executor]:
+    distributed = _library()
+    try:
+        _greeted(address)
+        client = distributed.Client(address, timeout=PATIENCE_S, set_as_default=False)
+    except OSError as error:
+        raise ConfigError(
+            f"no Dask scheduler answers at {address} within {PATIENCE_S:g} s ({error}): start `dask scheduler` there, "
+            "or name the address that it printed, which is not that of its dashboard"
+        ) from error
+    with client:
+        _look_at_workers(client, address)
+        try:
+            yield Alone(client.get_executor(pure=False))
+        except (distributed.KilledWorker, CancelledError) as error:
+            raise HapticdError(
+                f"the Dask cluster at {address} lost its scheduler or too many workers ({str(error) or 'tasks were given up'}); "
+                "begun again, a map goes on from what it has kept"
+            ) from error
+
+
+def _greeted(address: str) -> None:
+    """OSError unless someone there speaks first, as a scheduler does: for anyone else a client would wait for ever."""
+    place = urlsplit(address)
+    with create_connection((str(place.hostname), place.port or 0), timeout=PATIENCE_S) as link:
+        length = link.recv(8)  # of what follows, little-endian
+    if len(length) < 8 or int.from_bytes(length, "little") > GREETING_MOST:
+        raise OSError("who answers does not speak Dask")
+
+
+def _address(spec: str) -> str:
+    try:
+        parts = urlsplit(spec)
+        whole = parts.scheme == "dask" and parts.hostname and parts.port and spec == f"dask://{parts.netloc}"
+    except ValueError:  # a port that is no number
+        whole = False
+    if not whole or "@" in spec:
+        raise ConfigError(f"executor {spec!r}: use {SPECS}")
+    return f"tcp://{parts.netloc}"
+
+
+def _library() -> Any:
+    try:
+        return import_module("distributed")
+    except ImportError as error:
+        raise ConfigError(f"executor dask:// needs Dask ({error}): pip install hapticd[cluster]") from error
+
+
+def _look_at_workers(client: Any, address: str) -> None:
+    """ConfigError unless there are workers, all with our versions."""
+    try:
+        client.wait_for_workers(1, timeout=PATIENCE_S)
+    except TimeoutError as error:
+        raise ConfigError(
+            f"the Dask scheduler at {address} has no worker after {PATIENCE_S:g} s: start `dask worker {address}`"
+        ) from error
+    found = client.get_versions(packages=SAME)
+    here = _versions(found["client"])
+    for name, worker in found["workers"].items():
+        unlike = [f"{what} {there}, here {here[what]}" for what, there in _versions(worker).items() if there != here[what]]
+        if unlike:
+            raise ConfigError(
+                f"Dask worker {name} has {'; '.join(unlike)}: outcomes would depend on where they were made; "
+                "install the same there and start the worker anew"
+            )
+
+
+def _versions(told: dict[str, Any]) -> dict[str, str]:
+    packages = told["packages"]
+    python = ".".join(packages["python"].split(".")[:2])
+    return {"python": python, **{name: packages[name] or "missing" for name in SAME}}
