@@ -1,4 +1,4 @@
-"""Learning Re Z(w; K, B, M) from few trials: affine in the environment at every frequency, plus what is left over.
+"""Learning Re Z(w; K, B, M) from few trials: what is known beforehand at every frequency, plus what is left over.
 
 For a rigid collocated device Re Z is affine in (K, B, M) at each w, so the passive set is convex and four trials know it.
 Real devices bend this: the rest is a Gaussian process of the environment (radial basis functions, one length for all
@@ -7,26 +7,32 @@ own noise as weight. c, g and their uncertainty follow in closed form (generalis
 1969); length and amplitude are those of greatest likelihood on a coarse grid. Learning the spectrum and not the yes or no, nor
 its minimum (which noise biases), is what saves trials: 40 times fewer than a surrogate of the margin.
 
+Where the device is known by a model, its prediction is the mean instead: `prior` gives Re Z of any environments, and only
+measured - predicted is learnt, one constant c0 a frequency and g. Trials with noise decide on length and amplitude by the
+likelihood of a dozen frequencies, each with the noise of its own trials.
+
+A trial says yes if its estimate of Re Z is not negative at any frequency. With noise that asks more than the expected Re Z >= 0:
+the chance of a yes is the product of Phi(Re Z / sd) over as many frequencies as are independent (`log_chance`).
+
 Environments are scaled to a unit box. What would break it: trials that were not stable (their spectra are of a limit cycle;
-do not feed them), or a device whose Re Z jumps.
+do not feed them), a device whose Re Z jumps, or a prior that does: what is learnt must be smooth.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from hapticd.analysis.arrays import Floats
+from hapticd.analysis.process import kernel, likeliest, precision
 from hapticd.errors import AnalysisError
 
-LENGTHS = (0.15, 0.2, 0.3, 0.45, 0.7, 1.2)  # of the unit box
-FEW = 8  # trials below which likelihood has nothing to say
-FIRST_LENGTH = 0.45
-_NUGGET = 1e-6  # of amplitude^2: keeps the matrices regular
-_LEAST = 1e-12  # N s/m of amplitude
-_ROUNDS = 4
+Prior = Callable[[Floats], Floats]  # environments (N, 3) -> Re Z (N, F)
+
+_LEAST = 1e-12  # N s/m of a deviation
 _TOGETHER = 4096
+_LOGISTIC = 1.702  # Phi(x) = 1 / (1 + exp(-1.702 x)) to 0.01 (Haley 1952)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,8 +64,9 @@ class Observation:
 
 @dataclass(frozen=True, eq=False)
 class Surrogate:
-    """The fit: n trials at `unit` (n, 3), `slopes` (F, 4) of (1, K, B, M), `weights` (F, n) of the rest; G = 1 or F:
-    `inverse` (G, n, n) of the covariance, `spread` (G, 4, 4) covariance of the slopes. `length` and `amplitude` of the process."""
+    """The fit: n trials at `unit` (n, 3), `slopes` (F, t) of (1, K, B, M), of 1 alone with a `prior`, `weights` (F, n) of the rest;
+    G = 1 or F: `inverse` (G, n, n) of the covariance, `spread` (G, t, t) that of the slopes. `length` and `amplitude` of the
+    process; `sd` (F,) the median over trials of their own."""
 
     box: Box
     unit: Floats
@@ -69,88 +76,71 @@ class Surrogate:
     spread: Floats
     length: float
     amplitude: float
+    sd: Floats
+    prior: Prior | None = None
 
 
-def fit(box: Box, trials: Sequence[Observation]) -> Surrogate:
+def fit(box: Box, trials: Sequence[Observation], prior: Prior | None = None) -> Surrogate:
     """Surrogate of `trials`, at least four that span the box. AnalysisError for fewer or for unlike spectra."""
     if len(trials) < 4 or len({trial.resistance.size for trial in trials}) != 1:
         raise AnalysisError(f"{len(trials)} trials: at least four with spectra on the same frequencies are needed to begin")
-    unit = box.to_unit([trial.environment for trial in trials])
-    values = np.stack([trial.resistance for trial in trials])
-    noise = np.stack([trial.sd for trial in trials]) ** 2
-    affine = np.column_stack((np.ones(len(unit)), unit))
-    if np.linalg.matrix_rank(affine) < 4:
+    places = np.stack([trial.environment for trial in trials])
+    unit, values = box.to_unit(places), np.stack([trial.resistance for trial in trials]).T
+    sd = np.stack([trial.sd for trial in trials]).T
+    if np.linalg.matrix_rank(np.column_stack((np.ones(len(unit)), unit))) < 4:
         raise AnalysisError("the first trials lie in a plane: vary K, B and M each at least once")
-    length, amplitude = _likeliest(unit, affine, values, noise.mean(axis=1))
-    kernel = amplitude**2 * (_kernel(unit, unit, length) + _NUGGET * np.eye(len(unit)))
-    diagonal = noise.T if noise.any() else np.zeros((1, len(unit)))
-    inverse = np.asarray(np.linalg.inv(kernel + diagonal[:, :, None] * np.eye(len(unit))), np.float64)
-    spread = np.asarray(np.linalg.inv(affine.T @ inverse @ affine), np.float64)
-    by_frequency = values.T[:, :, None]
-    slopes = spread @ (affine.T @ (inverse @ by_frequency))
-    weights = inverse @ (by_frequency - affine @ slopes)
-    return Surrogate(box, unit, slopes[:, :, 0], weights[:, :, 0], inverse, spread, length, amplitude)
+    if prior is not None:
+        values = values - prior(places).T
+    trend = _trend(unit, prior)
+    noise = sd**2 if sd.any() else np.zeros((1, len(unit)))
+    length, amplitude = likeliest(unit, trend, values, noise)
+    inverse, spread = precision(unit, trend, noise, length, amplitude)
+    by_frequency = values[:, :, None]
+    slopes = spread @ (trend.T @ (inverse @ by_frequency))
+    weights = inverse @ (by_frequency - trend @ slopes)
+    return Surrogate(box, unit, slopes[:, :, 0], weights[:, :, 0], inverse, spread, length, amplitude, np.median(sd, axis=1), prior)
 
 
 def resistance(found: Surrogate, environments: npt.ArrayLike) -> Floats:
     """Expected Re Z (N, F) [N s/m]."""
-    return _at_unit(found, found.box.to_unit(environments))
+    places = np.atleast_2d(np.asarray(environments, np.float64))
+    unit = found.box.to_unit(places)
+    near = found.amplitude**2 * kernel(unit, found.unit, found.length)
+    learnt = _trend(unit, found.prior) @ found.slopes.T + near @ found.weights.T
+    return learnt if found.prior is None else learnt + found.prior(places)
 
 
 def margin(found: Surrogate, environments: npt.ArrayLike) -> Floats:
     """Expected least Re Z over the frequencies (N,) [N s/m]."""
-    unit = found.box.to_unit(environments)
-    parts = [unit[first : first + _TOGETHER] for first in range(0, len(unit), _TOGETHER)]
-    return np.concatenate([_at_unit(found, part).min(axis=1) for part in parts])
+    return np.concatenate([resistance(found, part).min(axis=1) for part in _parts(environments)])
+
+
+def log_chance(found: Surrogate, environments: npt.ArrayLike, independent: Floats) -> Floats:
+    """ln (N,) of the chance that a trial's estimate has Re Z >= 0 throughout, `independent` (F,) values at each frequency."""
+    if not found.sd.any():
+        return np.where(margin(found, environments) >= 0.0, 0.0, -np.inf)
+    scale = -_LOGISTIC / np.maximum(found.sd, _LEAST)
+    return np.concatenate([-np.logaddexp(0.0, resistance(found, part) * scale) @ independent for part in _parts(environments)])
 
 
 def margin_sd(found: Surrogate, environments: npt.ArrayLike) -> Floats:
     """Standard deviation (N,) of Re Z at the frequency where it is least [N s/m]."""
-    unit = found.box.to_unit(environments)
-    worst = np.argmin(_at_unit(found, unit), axis=1) if len(found.inverse) > 1 else np.zeros(len(unit), np.int64)
-    near = found.amplitude**2 * _kernel(unit, found.unit, found.length)
+    places = np.atleast_2d(np.asarray(environments, np.float64))
+    unit = found.box.to_unit(places)
+    worst = np.argmin(resistance(found, places), axis=1) if len(found.inverse) > 1 else np.zeros(len(unit), np.int64)
+    near = found.amplitude**2 * kernel(unit, found.unit, found.length)
     gained = np.einsum("ni,nij->nj", near, found.inverse[worst])
-    missed = np.column_stack((np.ones(len(unit)), unit)) - gained @ np.column_stack((np.ones(len(found.unit)), found.unit))
+    missed = _trend(unit, found.prior) - gained @ _trend(found.unit, found.prior)
     variance = found.amplitude**2 - (gained * near).sum(axis=1) + np.einsum("ni,nij,nj->n", missed, found.spread[worst], missed)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
-def _at_unit(found: Surrogate, unit: Floats) -> Floats:
-    near = found.amplitude**2 * _kernel(unit, found.unit, found.length)
-    return np.asarray(found.slopes[:, 0] + unit @ found.slopes[:, 1:].T + near @ found.weights.T)
+def _parts(environments: npt.ArrayLike) -> list[Floats]:
+    places = np.atleast_2d(np.asarray(environments, np.float64))
+    return [places[first : first + _TOGETHER] for first in range(0, len(places), _TOGETHER)]
 
 
-def _kernel(one: Floats, other: Floats, length: float) -> Floats:
-    square = ((one[:, None] - other) ** 2).sum(axis=2)
-    return np.asarray(np.exp(-0.5 * square / length**2))
-
-
-def _likeliest(unit: Floats, affine: Floats, values: Floats, noise: Floats) -> tuple[float, float]:
-    """(length, amplitude) of greatest restricted likelihood, all frequencies together with the trials' mean noise (n,)."""
-    rest = values - affine @ np.linalg.lstsq(affine, values, rcond=None)[0]
-    scale = float(np.sqrt(np.mean(rest**2) * len(unit) / max(1, len(unit) - 4))) + _LEAST
-    if len(unit) < FEW:
-        return FIRST_LENGTH, scale
-    return min(_matched(unit, affine, values, noise, length, scale) for length in LENGTHS)[1:]
-
-
-def _matched(
-    unit: Floats, affine: Floats, values: Floats, noise: Floats, length: float, amplitude: float
-) -> tuple[float, float, float]:
-    """(misfit, length, amplitude) with the amplitude at which the whitened residual has variance 1; exact without noise."""
-    for _ in range(_ROUNDS):
-        misfit, variance = _misfit(unit, affine, values, noise, length, amplitude)
-        amplitude = max(amplitude * float(np.sqrt(variance)), _LEAST)
-    return misfit, length, amplitude
-
-
-def _misfit(unit: Floats, affine: Floats, values: Floats, noise: Floats, length: float, amplitude: float) -> tuple[float, float]:
-    """Negative restricted log-likelihood per frequency, and variance of the whitened residual."""
-    covariance = amplitude**2 * (_kernel(unit, unit, length) + _NUGGET * np.eye(len(unit))) + np.diag(noise)
-    root = np.linalg.cholesky(covariance)
-    white = np.linalg.solve(root, np.column_stack((affine, values)))
-    basis, triangle = np.linalg.qr(white[:, :4])
-    left = white[:, 4:] - basis @ (basis.T @ white[:, 4:])
-    square = float((left**2).sum() / values.shape[1])
-    logs = np.log(np.diag(root)).sum() + np.log(np.abs(np.diag(triangle))).sum()
-    return float(0.5 * square + logs), square / (len(unit) - 4)
+def _trend(unit: Floats, prior: Prior | None) -> Floats:
+    """(N, 4) of 1, K, B, M, or (N, 1) of 1 where a prior knows the slopes."""
+    one = np.ones((len(unit), 1))
+    return one if prior is not None else np.column_stack((one, unit))

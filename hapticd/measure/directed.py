@@ -1,39 +1,43 @@
 """The directed search with trials of the engine: few trials, each where it tells most about the boundary of the passive set.
 
-`analysis.search` learns Re Z(w; K, B, M) from the trials and chooses; here its oracle is a simulated trial with its intervals
-as weights. Trials are made a few at a time, chosen as if those before had come out as expected. A trial that escapes, or whose
-command saturates, teaches no spectrum, only that the loop is not stable there; where it is to be expected, the prediction
-says, on a grid made once.
+`analysis.search` learns from the trials and chooses; here its oracle is a simulated trial with its intervals as weights. What is
+known beforehand is the device's model (`analysis.foresight`): the trials teach how Re Z differs from the prediction, and how
+near to its friction's end the loop may come in a trial before it escapes. Trials are made a few at a time (`directed_trials`).
+
+The set that is found is the paper's: environments whose trial rather passes than fails. A trial that escapes, or whose command
+saturates, teaches no spectrum, only that the loop is not stable there.
 
 Each trial is also a check: what was expected of it before it was learnt is kept beside what it gave (`Step`).
 """
 
-from collections.abc import Callable
+from concurrent.futures import Executor
+from contextlib import nullcontext
 from dataclasses import dataclass
 
 import numpy as np
 
-from hapticd.analysis.arrays import Flags, Floats
+from hapticd.analysis.arrays import Floats
 from hapticd.analysis.boundary import PassiveSet, grid, passive_set
+from hapticd.analysis.foresight import Foresight
 from hapticd.analysis.linearise import Perturbation
-from hapticd.analysis.predict import predict
-from hapticd.analysis.search import Search, boundary_points, doubtful_share, first_trials, next_trials
-from hapticd.analysis.surrogate import Box, Observation, margin
+from hapticd.analysis.search import Search, doubtful_share, first_trials, next_trials, predicted_passive
+from hapticd.analysis.spa import DEFAULT_LAG
+from hapticd.analysis.surrogate import Box, margin
 from hapticd.errors import AnalysisError
 from hapticd.measure.axis_scan import LimitsParams, plan_limits
-from hapticd.measure.outcomes import Conditions, Outcome, fly, kept, kept_frequencies, key_of, restored
+from hapticd.measure.directed_trials import Keep, learnt_at, make, observed, rounded
+from hapticd.measure.executors import threads
+from hapticd.measure.outcomes import Conditions, Outcome
 from hapticd.measure.progress import Progress, silent
 from hapticd.measure.scenes import filters
-from hapticd.measure.store import TrialStore, fingerprint
+from hapticd.measure.store import TrialStore
 from hapticd.plant.compose import compose
+from hapticd.units import PROBE_RATE_HZ
 
 ROOM = (3.2, 1.3, 1.3)  # the box beyond the predicted axis limits of K, B, -M
 HEAVIER = 1.6  # its positive end of M over the negative one
-STABLE_GRID = (20, 12, 14)
 SET_GRID = (24, 20, 24)
-APART = 0.05  # of the unit box: nearer to a trial there is nothing to learn that noise would not hide
-POOR = 0.2  # relative standard deviation, the median over the band, of a spectrum that teaches nothing
-DIGITS = 6  # of an environment: what is asked is what is stored
+INDEPENDENT_HZ = PROBE_RATE_HZ / (0.75 * DEFAULT_LAG)  # values of an estimate that are so far apart are independent
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,19 +54,20 @@ class SearchParams:
 
 @dataclass(frozen=True, eq=False)
 class SearchPlan:
-    """The box, and where the loop is predicted to be stable: `stable` takes (N, 3)."""
+    """The box, and the search before its first trial, with what is known beforehand."""
 
     params: SearchParams
     box: Box
-    stable: Callable[[Floats], Flags]
+    begin: Search
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One trial with the margin [N s/m] that was expected of it; nan for the first four."""
+    """One trial with the margin [N s/m] that was expected of it; `teaches` no spectrum where the loop was not stable."""
 
     outcome: Outcome
     expected_ns_per_m: float
+    teaches: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,42 +82,42 @@ class SearchResult:
 
 
 def plan_search(params: SearchParams) -> SearchPlan:
-    """Box and stability from the prediction. AnalysisError where nothing is predicted to be passive."""
-    box = params.box or _box(params)
+    """Box and foresight from the prediction. AnalysisError where nothing is predicted to be passive."""
+    box, f = params.box or _box(params), learnt_at(params.conditions)
     source, scene = params.conditions.excitation, params.conditions.scene
-    axes = [np.linspace(box.low[place], box.high[place], count) for place, count in enumerate(STABLE_GRID)]
-    found = predict(
-        compose(scene), grid((axes[0], axes[1], axes[2])), params.damping_ns_per_m, filters(scene),
-        Perturbation(source.psd_n2_per_hz, source.band_hz), params.conditions.band_hz,
-    )  # fmt: skip
-    calm = (found.calm & ~(found.spectral_radius >= 1.0)).reshape(STABLE_GRID)
-
-    def stable(environments: Floats) -> Flags:
-        unit = np.clip(box.to_unit(environments), 0.0, 1.0)
-        place = np.rint(unit * (np.array(STABLE_GRID) - 1)).astype(int)
-        return np.asarray(calm[place[:, 0], place[:, 1], place[:, 2]], np.bool_)
-
-    return SearchPlan(params, box, stable)
+    known = Foresight(
+        compose(scene), box, f, params.damping_ns_per_m, filters(scene), Perturbation(source.psd_n2_per_hz, source.band_hz)
+    )
+    begin = Search(box, known.resistance, known.headroom, np.gradient(f) / INDEPENDENT_HZ)
+    return SearchPlan(params, box, begin)
 
 
-def run_search(plan: SearchPlan, store: TrialStore, tell: Progress = silent) -> SearchResult:
-    """Search. AnalysisError if one of the first four trials, near K = B = M = 0, is not stable."""
-    params, search, steps = plan.params, Search(plan.box), list[Step]()
-    wanted = first_trials(plan.box, np.zeros(3))
-    while True:
-        tell("trials", len(steps), params.budget)
-        expected = np.full(len(wanted), np.nan) if search.surrogate is None else margin(search.surrogate, wanted)
-        for outcome, guess in zip(_tried(params, wanted, store), expected, strict=True):
-            steps.append(Step(outcome, float(guess)))
-            search = search.with_trial(np.asarray(outcome.environment), _observed(params.conditions, outcome))
-        if search.surrogate is None:
-            raise AnalysisError("a trial next to K = B = M = 0 was not stable: this display is not passive by itself")
-        count = min(params.together, params.budget - len(steps))
-        if count <= 0 or doubtful_share(search) < params.doubt:
-            break
-        wanted = _next(plan, search, count)
+def run_search(
+    plan: SearchPlan, store: TrialStore, tell: Progress = silent, executor: Executor | None = None, hear: Keep = lambda new: None
+) -> SearchResult:
+    """Search, trials on `executor` or on threads here; `hear` gets the outcomes of each round.
+
+    AnalysisError if one of the first four trials, near K = B = M = 0, is not stable.
+    """
+    params, search, steps = plan.params, plan.begin, list[Step]()
+    wanted = rounded(first_trials(plan.box, np.zeros(3)))
+    with nullcontext(executor) if executor else threads() as pool:
+        while True:
+            tell("trials", len(steps), params.budget)
+            expected = _expected(search, wanted)
+            outcomes = make(params.conditions, params.damping_ns_per_m, wanted, len(steps), store, pool, hear)
+            seen = [observed(params.conditions, outcome) for outcome in outcomes]
+            for outcome, guess, one in zip(outcomes, expected, seen, strict=True):
+                steps.append(Step(outcome, float(guess), one is not None))
+            search = search.with_trials(wanted, seen)
+            if search.surrogate is None:
+                raise AnalysisError("a trial next to K = B = M = 0 was not stable: this display is not passive by itself")
+            count = min(params.together, params.budget - len(steps))
+            if count <= 0 or doubtful_share(search) < params.doubt:
+                break
+            wanted = rounded(next_trials(search, count))
     tell("trials", len(steps), params.budget)
-    return SearchResult(plan, search, tuple(steps), _set(plan, search), doubtful_share(search))
+    return SearchResult(plan, search, tuple(steps), _set(search), doubtful_share(search))
 
 
 def _box(params: SearchParams) -> Box:
@@ -123,61 +128,18 @@ def _box(params: SearchParams) -> Box:
     return Box((0.0, 0.0, m), (k, b, -HEAVIER * m))
 
 
-def _tried(params: SearchParams, wanted: Floats, store: TrialStore) -> list[Outcome]:
-    shared, level = fingerprint(params.conditions), params.damping_ns_per_m
-    points = [(float(f"{k:.{DIGITS}g}"), float(f"{b:.{DIGITS}g}"), float(f"{m:.{DIGITS}g}")) for k, b, m in wanted]
-    keys = [key_of(params.conditions, shared, level, point) for point in points]
-    missing = [place for place, key in enumerate(keys) if key not in store.known]
-    if missing:
-        found = fly(params.conditions, level, np.array([points[place] for place in missing]))
-        store.add((keys[place], kept(outcome)) for place, outcome in zip(missing, found, strict=True))
-    return [restored(store.known[key]) for key in keys]
+def _expected(search: Search, wanted: Floats) -> Floats:
+    if search.surrogate is not None:
+        return margin(search.surrogate, wanted)
+    assert search.prior is not None
+    return np.asarray(search.prior(wanted).min(axis=1))
 
 
-def _next(plan: SearchPlan, search: Search, count: int) -> Floats:
-    """Trials that tell most; in place of those that repeat a trial, the points of the boundary farthest from all of them."""
-    tried = [*plan.box.to_unit([trial.environment for trial in search.trials])]
-    tried += [*plan.box.to_unit(search.unstable)] if search.unstable else []
-    candidates = [*plan.box.to_unit(next_trials(search, count, plan.stable))]
-    edge, _ = boundary_points(search, plan.stable)
-    others = [*plan.box.to_unit(edge)]
-    chosen: list[Floats] = []
-    while len(chosen) < count:
-        point = candidates.pop(0) if candidates else max(others, key=lambda other: _nearest(other, tried))
-        if _nearest(point, tried) < min(APART, max(_nearest(other, tried) for other in others)):
-            continue
-        chosen.append(point)
-        tried.append(point)
-    return plan.box.to_environment(np.array(chosen))
-
-
-def _nearest(point: Floats, others: list[Floats]) -> float:
-    return float(np.linalg.norm(np.asarray(others) - point, axis=1).min())
-
-
-def _observed(conditions: Conditions, outcome: Outcome) -> Observation | None:
-    """What a trial teaches; None where the loop was not stable, or moved by something else than the perturbation."""
-    limit_n = compose(conditions.scene).force_limit_n or np.inf
-    if (
-        not outcome.z.size
-        or outcome.max_force_n >= limit_n * (1.0 - 1e-6)
-        or (not outcome.passes and outcome.margin_ns_per_m > 0.0)
-    ):
-        return None
-    f = kept_frequencies()
-    inside = (f >= conditions.band_hz[0]) & (f <= conditions.band_hz[1])
-    relative = outcome.relative_sd[inside]
-    if not np.median(relative) < POOR:
-        return None
-    sd = np.hypot(*outcome.z[inside].T) * np.minimum(relative, 10.0)
-    return Observation(np.asarray(outcome.environment), outcome.z[inside, 0], sd)
-
-
-def _set(plan: SearchPlan, search: Search) -> PassiveSet:
+def _set(search: Search) -> PassiveSet:
+    """Expected margins; where the search holds a point for not passive, their size with a minus."""
     assert search.surrogate is not None
-    box = plan.box
-    axes = tuple(np.linspace(box.low[place], box.high[place], count) for place, count in enumerate(SET_GRID))
-    points = grid((axes[0], axes[1], axes[2]))
-    found = margin(search.surrogate, points)
-    found[(found >= 0.0) & ~plan.stable(points)] = np.nan
-    return passive_set((axes[0], axes[1], axes[2]), found)
+    box = search.box
+    k, b, m = (np.linspace(box.low[place], box.high[place], count) for place, count in enumerate(SET_GRID))
+    points = grid((k, b, m))
+    size = np.abs(margin(search.surrogate, points))
+    return passive_set((k, b, m), np.where(predicted_passive(search, points), size, -np.maximum(size, 1e-12)))

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hapticd.cli import options, output
+from hapticd.cli import output
 from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
@@ -18,18 +18,21 @@ def command(
     budget: Annotated[int, typer.Option("--budget", metavar="N", min=5, help="Trials at most, at each damping level.")] = 40,
     doubt: Annotated[float, typer.Option("--doubt", help="End when noise leaves this share of the volume open.", min=0.0)] = 0.02,
     together: Annotated[int, typer.Option("--together", metavar="N", min=1, max=16, help="Trials chosen at once.")] = 4,
+    where: common.Where = "thread",
     seconds: common.Seconds = 90.0,
     seed: common.Seed = 1,
     band: common.Band = (2.0, 500.0),
     out: common.Out = None,
     plot: common.Plot = True,
-    as_json: options.Json = False,
+    as_json: common.JsonOutcomes = False,
 ) -> None:
     """Find the boundary with few trials: learn Re Z over K, B and M, and try next what is least certain.
 
-    Ctrl-C is safe: the same command with the same --out goes on where it ended.
+    Ctrl-C is safe: the same command with the same --out goes on where it ended. With --json each new outcome is a line, and the
+    last line is the result.
     """
     from hapticd.measure.directed import SearchParams, plan_search, run_search
+    from hapticd.measure.executors import executor
     from hapticd.measure.outcomes import Conditions
     from hapticd.measure.plain import plain
     from hapticd.measure.scenes import noise
@@ -42,14 +45,11 @@ def command(
     conditions = Conditions(loaded, seconds, replace(noise(loaded), seed=seed), band)
     folder = common.folder(out, "search")
     store, results = TrialStore(folder / "trials.jsonl"), []
-    try:
-        with common.progress() as tell:
-            for level in common.levels(damping):
-                plan = plan_search(SearchParams(conditions, level, budget, together, doubt))
-                results.append(run_search(plan, store, tell))
-    except KeyboardInterrupt:
-        output.talk(f"{len(store.known)} trials are kept in {folder}; the same command with --out {folder} goes on there")
-        raise typer.Exit(130) from None
+    hear = common.follow if as_json else lambda new: None
+    with common.keeping(store, folder), executor(where) as pool, common.progress() as tell:
+        for level in common.levels(damping):
+            plan = plan_search(SearchParams(conditions, level, budget, together, doubt))
+            results.append(run_search(plan, store, tell, pool, hear))
     told = [_told(result) for result in results]
     write_run(folder, {"kind": "search", "scene": scene, "levels": told, "provenance": common.told(seed=seed)})
     paths = figures.save(search_figure(results), folder, "search") if plot else ()
@@ -77,7 +77,7 @@ def _told(result: "SearchResult") -> dict[str, Any]:
     from hapticd.analysis.boundary import set_limits, volume
 
     later = result.steps[len(result.steps) // 2 :]
-    missed = [abs(step.expected_ns_per_m - step.outcome.margin_ns_per_m) for step in later]
+    missed = [abs(step.expected_ns_per_m - step.outcome.margin_ns_per_m) for step in later if step.teaches]
     return {
         "added_damping_ns_per_m": result.plan.params.damping_ns_per_m,
         "trials": len(result.steps),

@@ -1,0 +1,48 @@
+"""Where rays from inside a set in the unit box leave it: the set's boundary by yes and no alone, for `search`.
+
+Directions lie evenly on the sphere (Fibonacci spiral: Swinbank and Purser 2006); each ray is halved between its start, which
+is inside, and the box's end. What would break it: a set that a ray leaves twice; only one of its exits is found.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from hapticd.analysis.arrays import Flags, Floats
+
+N_RAYS = 400
+N_SAMPLES = 3000  # random points that find the middle and the volume
+_HALVINGS = 12
+_EDGE = 0.999  # of the way to the end of the box
+
+
+def boundary(holds: Callable[[Floats], Flags], middle: Floats) -> tuple[Floats, Flags]:
+    """Where rays from `middle` (3,) leave the set `holds`: (N_RAYS, 3) in the unit box, and which reach the box's end inside."""
+    rays = directions()
+    with np.errstate(divide="ignore"):
+        to_end = np.where(rays > 0.0, (1.0 - middle) / rays, np.where(rays < 0.0, -middle / rays, np.inf)).min(axis=1)
+    low, high = np.zeros(N_RAYS), _EDGE * to_end
+    ends = holds(middle + rays * high[:, None])
+    low = np.where(ends, high, low)
+    for _ in range(_HALVINGS):
+        half = 0.5 * (low + high)
+        inside = holds(middle + rays * half[:, None])
+        low, high = np.where(inside, half, low), np.where(inside, high, half)
+    return middle + rays * (0.5 * (low + high))[:, None], ends
+
+
+def directions() -> Floats:
+    """Unit vectors (N_RAYS, 3)."""
+    at = np.arange(N_RAYS) + 0.5
+    down, around = np.arccos(1.0 - 2.0 * at / N_RAYS), np.pi * (1.0 + np.sqrt(5.0)) * at
+    return np.column_stack((np.cos(around) * np.sin(down), np.sin(around) * np.sin(down), np.cos(down)))
+
+
+def samples() -> Floats:
+    """Random points (N_SAMPLES, 3) of the unit box, always the same."""
+    return np.random.default_rng(1).random((N_SAMPLES, 3))
+
+
+def distance(one: Floats, other: Floats) -> Floats:
+    """From each of `one` (N, 3) to the nearest of `other` (n, 3)."""
+    return np.asarray(np.sqrt(((one[:, None] - other) ** 2).sum(axis=2)).min(axis=1))
