@@ -2,6 +2,10 @@
 
 from functools import cache
 
+import pytest
+
+from hapticd.measure import beyond_levels, beyond_shape
+from hapticd.measure.beyond import BeyondParams, BeyondResult, plan_beyond, run_beyond
 from hapticd.measure.reproduce import ReproduceParams, ReproduceResult, plan_reproduce, run_reproduce
 
 
@@ -9,3 +13,13 @@ from hapticd.measure.reproduce import ReproduceParams, ReproduceResult, plan_rep
 def by_prediction() -> ReproduceResult:
     """A run of `reproduce --quick`."""
     return run_reproduce(plan_reproduce(ReproduceParams(quick=True)))
+
+
+@cache
+def beyond_by_prediction() -> BeyondResult:
+    """What goes beyond the paper, with fewer corners and levels."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(beyond_shape, "HIGHPASS_HZ", (2.0, 10.0, 50.0))
+        patch.setattr(beyond_shape, "LOWPASS_HZ", (20.0, 200.0))
+        patch.setattr(beyond_levels, "LEVELS", (0.0, 0.87, 1.74, 3.48, 8.0))
+        return run_beyond(plan_beyond(BeyondParams(quick=True)))

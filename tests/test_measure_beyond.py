@@ -6,12 +6,13 @@ from math import isfinite, log, nan
 import numpy as np
 import pytest
 from measured_scenes import DRY, scene
+from reproduced import beyond_by_prediction
 
 from hapticd.analysis.lifted import lift, lifted_margin
 from hapticd.analysis.predict import predict
 from hapticd.analysis.requirement import paper_equation_2
 from hapticd.errors import AnalysisError
-from hapticd.measure import beyond, beyond_levels, beyond_shape
+from hapticd.measure import beyond, beyond_levels
 from hapticd.measure.beyond import BeyondParams, mean_sd, plan_beyond, run_beyond
 from hapticd.measure.beyond_bench import Bench, shown_hz, sizes
 from hapticd.measure.beyond_envelope import GRID, LOW_HZ, Case, candidates, flown_bounds, hardy, mean_db, predicted_bounds
@@ -43,11 +44,7 @@ def rigid():
 @pytest.fixture(scope="module")
 def quick():
     """All of it by prediction, with fewer corners."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(beyond_shape, "HIGHPASS_HZ", (2.0, 10.0, 50.0))
-        patch.setattr(beyond_shape, "LOWPASS_HZ", (20.0, 200.0))
-        patch.setattr(beyond_levels, "LEVELS", (0.0, 0.87, 1.74, 3.48, 8.0))
-        yield run_beyond(plan_beyond(BeyondParams(quick=True)))
+    return beyond_by_prediction()
 
 
 def test_mean_over_ln_f_of_a_slope_is_that_in_the_middle():

@@ -30,7 +30,9 @@ from hapticd.report.paper_page import Section, page, terminal
 from hapticd.report.paper_table import as_json, from_json, markdown, notes, paper_table
 
 DOCS = Path(__file__).parents[1] / "docs"
-FIGURES = {"fig03", "fig04", "fig07", "fig08", "fig09", "fig10", "fig11", "limits", "band_edge"}
+FIGURES = {"fig03", "fig04", "fig07", "fig08", "fig09", "fig10", "fig11", "limits", "band_edge"} | {
+    f"beyond_{name}" for name in ("lower_edge", "free_motion", "shaped", "levels")
+}
 AXIS_LIMITS = {"K_max": "N/m", "B_max": "Ns/m", "M_min": "kg"}
 
 
@@ -42,9 +44,10 @@ def quick() -> ReproduceResult:
 @pytest.fixture
 def flown(monkeypatch: pytest.MonkeyPatch) -> None:
     """The verb finds the run already done."""
-    from hapticd.measure import reproduce
+    from hapticd.measure import beyond, reproduce
 
     monkeypatch.setattr(reproduce, "run_reproduce", lambda plan, tell: reproduced.by_prediction())
+    monkeypatch.setattr(beyond, "run_beyond", lambda plan, tell: reproduced.beyond_by_prediction())
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@
     free         the same in free motion, with what is left of passivity (`beyond_motion`)
     shaped       added damping above or below a corner frequency (`beyond_shape`)
     levels       limits, volume and free motion over the level of added damping (`beyond_levels`)
+    searches     the directed search against the grid (`beyond_search`), not by prediction alone
 
 Prediction carries the load; 90 s trials confirm what is shown, each with every seed. `quick` predicts alone.
 """
@@ -17,9 +18,12 @@ from hapticd.measure.beyond_bench import Bench
 from hapticd.measure.beyond_envelope import Bounds, Case, flown_bounds, hardy, predicted_bounds
 from hapticd.measure.beyond_levels import Levels, damping_levels
 from hapticd.measure.beyond_motion import Free, free_motion
+from hapticd.measure.beyond_search import Compared, compared_with_grid
 from hapticd.measure.beyond_shape import Shaped, shaped_damping
+from hapticd.measure.outcomes import Conditions
 from hapticd.measure.progress import Progress, Steps, silent
-from hapticd.measure.reproduce_trials import ADDED_NS_PER_M, MAIN, SCENES
+from hapticd.measure.reproduce_trials import ADDED_NS_PER_M, LEVELS, MAIN, SCENES, SECONDS
+from hapticd.measure.scenes import noise
 from hapticd.settings.scene import load_scene
 
 SEEDS = 3
@@ -61,6 +65,7 @@ class BeyondResult:
     free: Free
     shaped: Shaped
     levels: Levels
+    searches: tuple[Compared, ...]
 
 
 def plan_beyond(params: BeyondParams) -> BeyondPlan:
@@ -72,7 +77,7 @@ def plan_beyond(params: BeyondParams) -> BeyondPlan:
 def run_beyond(plan: BeyondPlan, tell: Progress = silent) -> BeyondResult:
     """Do it. ConfigError as `simulate`."""
     bench, seeds = plan.bench, plan.seeds
-    steps, envelopes = Steps(tell, len(CASES) + 3), {}
+    steps, envelopes = Steps(tell, len(CASES) + 3 + (len(LEVELS) if seeds else 0)), {}
     for case in CASES:
         steps.next(f"envelope, {case.name}")
         envelopes[case.name] = flown_bounds(bench, case, seeds) if seeds else predicted_bounds(bench, case)
@@ -83,8 +88,12 @@ def run_beyond(plan: BeyondPlan, tell: Progress = silent) -> BeyondResult:
     shaped = shaped_damping(bench, ADDED_NS_PER_M, seeds)
     steps.next("levels of damping")
     levels = damping_levels(bench, seeds)
+    searches = []
+    for level in LEVELS if seeds else ():
+        steps.next(f"directed search, {level:g} N s/m")
+        searches.append(compared_with_grid(Conditions(bench.scene, SECONDS, noise(bench.scene)), level))
     steps.end()
-    return BeyondResult(plan, envelopes, survived, free, shaped, levels)
+    return BeyondResult(plan, envelopes, survived, free, shaped, levels, tuple(searches))
 
 
 def mean_sd(runs: Floats) -> tuple[float, float]:

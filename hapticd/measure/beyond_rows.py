@@ -31,6 +31,7 @@ def parts(result: BeyondResult) -> dict[str, tuple[Row, ...]]:
         "free": tuple(_free(result)),
         "shaped": tuple(_shaped(result)),
         "levels": tuple(_levels(result)),
+        "searches": tuple(_searches(result)),
     }
 
 
@@ -115,6 +116,25 @@ def _levels(result: BeyondResult) -> Iterator[Row]:
     at = int(np.argmin(np.abs(levels.level - ADDED_NS_PER_M)))
     note = f"predicted, B >= 0; {levels.volume[-1] / levels.volume[0]:.0f} times at {top:g} Ns/m"
     yield _row("set_volume_ratio", np.empty(0), "1", 0, float(levels.volume[at] / levels.volume[0]), note)
+
+
+def _searches(result: BeyondResult) -> Iterator[Row]:
+    for found, (_, mode) in zip(result.searches, MODES, strict=False):
+        grid = f"of {found.passive} passive points among {found.points}"
+
+        def row(name: str, value: float, unit: str, note: str, mode: str = mode) -> Row:
+            return Row(f"{name}_{mode}", nan, value, unit, "independent", MAIN, note=note, part=PART)
+
+        yield row("grid_trials", float(found.points), "trials", "the whole grid flown, one seed of noise")
+        most = max(found.searched)
+        note = f"first of {', '.join(map(str, found.searched))} trials with no more wrong than the grid flown again"
+        yield row(
+            "search_trials", float(found.enough or nan), "trials", note if found.enough else f"more than {most} trials are needed"
+        )
+        for count, wrong in found.searched.items():
+            yield row(f"search_wrong_{count}", found.share(wrong), "%", f"yes or no that {count} trials hold otherwise, {grid}")
+        yield row("prediction_wrong", found.share(found.predicted), "%", f"the same without a trial, {grid}")
+        yield row("grid_again_wrong", found.share(found.other_noise), "%", f"the grid flown with other noise, {grid}")
 
 
 def _grown(levels: Levels, axis: int, low: float, high: float) -> Floats:

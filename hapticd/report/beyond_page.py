@@ -11,6 +11,7 @@ from hapticd.measure.beyond_rows import parts, restored
 from hapticd.report.beyond import edge_figure, free_figure
 from hapticd.report.beyond_axes import levels_figure, shape_figure
 from hapticd.report.paper_page import Drawing, Section
+from hapticd.report.zwidth_search import search_figure
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,9 +22,9 @@ TITLE = "Beyond the paper"
 
 
 def sections(result: BeyondResult) -> tuple[Section, ...]:
-    """Four sections: lower edge, free motion, shaped damping, levels."""
+    """Lower edge, free motion, shaped damping, levels; directed search where it was made."""
     found = parts(result)
-    return (
+    shown = (
         Section(
             f"{TITLE}: negative virtual damping", _edge_words(result), found["envelopes"],
             (_drawing("beyond_lower_edge", "Envelopes with the owners of their lower edges.", edge_figure, result),),
@@ -41,6 +42,12 @@ def sections(result: BeyondResult) -> tuple[Section, ...]:
             (_drawing("beyond_levels", "Limits, set and free motion over the level.", levels_figure, result),),
         ),
     )  # fmt: skip
+    if not result.searches:
+        return shown
+    drawing = Drawing(
+        "beyond_search", "Slices of the set, trials in their order.", lambda: search_figure([x.found for x in result.searches])
+    )
+    return (*shown, Section(f"{TITLE}: directed search", _search_words(result), found["searches"], (drawing,)))
 
 
 def _drawing(name: str, caption: str, draw: "Callable[[BeyondResult], Figure]", result: BeyondResult) -> Drawing:
@@ -112,3 +119,18 @@ def _level_words(result: BeyondResult) -> str:
         f"What is paid is free motion: {levels.free_db[0]:.1f} dB without, "
         f"{levels.free_db[-1]:.1f} dB at {levels.level[-1]:g} N s/m."
     )
+
+
+def _search_words(result: BeyondResult) -> str:
+    told = []
+    for found in result.searches:
+        counts = ", ".join(f"{found.share(wrong):.1f} % after {count}" for count, wrong in found.searched.items())
+        told.append(
+            f"At {found.damping_ns_per_m:g} N s/m the search holds wrongly, of the passive points, {counts} trials; "
+            f"prediction alone {found.share(found.predicted):.1f} %, "
+            f"the grid flown again with other noise {found.share(found.other_noise):.1f} %."
+        )
+    saved = [f"{found.points} trials by {found.enough}" for found in result.searches if found.enough]
+    if saved:
+        told.append(f"To know as much as one flight of the grid, it replaces {' and '.join(saved)}.")
+    return " ".join(told)

@@ -1,0 +1,59 @@
+"""The directed search beside the grid: on a rigid display without friction theory knows every answer."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hapticd.analysis.boundary import grid
+from hapticd.measure import beyond_search
+from hapticd.measure.beyond_search import Compared, compared_with_grid
+from hapticd.measure.campaign import MapParams, plan_map
+from hapticd.measure.outcomes import Conditions
+from hapticd.measure.scenes import noise
+from hapticd.settings.scene import load_scene
+
+AXES = (np.linspace(0.0, 2100.0, 7), np.linspace(0.0, 1.9, 6), np.linspace(-0.002, 0.003, 6))
+
+
+@pytest.fixture(scope="module")
+def conditions():
+    scene = load_scene("theory")
+    return Conditions(scene, 30.0, noise(scene))
+
+
+@pytest.fixture(scope="module")
+def found(conditions):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(beyond_search, "AXES", {0.0: AXES})
+        return compared_with_grid(conditions, 0.0, budgets=(6, 12))
+
+
+def test_truth_is_the_grid_that_theory_gives(conditions, found):
+    theory = plan_map(MapParams(conditions, AXES, (0.0,))).levels[0].prediction.passive
+    assert found.points == len(grid(AXES))
+    assert abs(found.passive - theory.sum()) <= 1.5 * found.other_noise  # single trials doubt what lies on the boundary
+
+
+def test_search_knows_as_much_as_another_grid_and_as_theory(found):
+    assert set(found.searched) == {6, 12}
+    assert len(found.found.steps) == 12
+    assert found.passive > 60
+    assert found.searched[12] <= found.other_noise
+    assert found.searched[12] < found.predicted + 1
+
+
+def test_search_has_noise_of_its_own(conditions, found):
+    asked = found.found.plan.params.conditions
+    assert asked.excitation.seed == beyond_search.SEED
+    assert asked == replace(conditions, excitation=asked.excitation)
+    assert beyond_search.SEED not in beyond_search.GRID_SEEDS
+
+
+@pytest.mark.parametrize(("wrong", "enough"), [({20: 5, 40: 3}, 20), ({20: 9, 40: 5}, 40), ({20: 9, 40: 6}, None)])
+def test_enough_is_the_first_budget_not_above_the_floor(found, wrong, enough):
+    assert Compared(0.0, 100, 50, 8, 5, wrong, found.found).enough == enough
+
+
+def test_share_is_of_the_passive_points(found):
+    assert replace(found, passive=50).share(4) == 8.0
