@@ -17,7 +17,7 @@ from benchmarks.figures import Figure, compared
 from benchmarks.worker import ROOT, BenchError, environment
 from hapticd.settings.scene import load_scene
 from hapticd.sim.engine import simulate
-from hapticd.sim.engine.batch import workers
+from hapticd.sim.engine.cores import workers
 
 TARGETS = {
     "trials_1000_s": "<= 0.25",

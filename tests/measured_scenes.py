@@ -15,6 +15,18 @@ MASS_KG, VISCOUS_NS_PER_M = 0.008, 1.0
 PARTS: tuple[Effect, ...] = (Masses(rotor_kg=MASS_KG), MOTOR, Viscous(rotor_ns_per_m=VISCOUS_NS_PER_M))
 DRY = (Masses(rotor_kg=MASS_KG), MOTOR, Viscous(rotor_ns_per_m=0.4), Coulomb(rotor_n=0.03))
 
+RIGID = """
+title = "a rigid display"
+device = "ideal"
+effects = ["probe", "viscous"]
+[environment]
+stiffness_n_per_m = 100.0
+damping_ns_per_m = 1.0
+mass_kg = 0.002
+[excitation]
+kind = "noise"
+"""
+
 
 def scene(
     effects: tuple[Effect, ...] = PARTS, level: float = 0.0, seconds: float = 6.0, kbm: Any = (0, 0, 0), **more: Any

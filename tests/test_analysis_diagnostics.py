@@ -31,7 +31,6 @@ def test_calm_record_has_no_finding():
     found = examine(force, velocity, RATE_HZ)
     assert found.findings == ()
     assert found.seconds == SECONDS
-    assert found.force_sd_n == pytest.approx(force.std(), rel=1e-3)
     assert found.velocity_sd_m_per_s == pytest.approx(velocity.std(), rel=1e-3)
     assert found.energy.end_j > 0.0
 
@@ -182,3 +181,52 @@ def test_delayed_force_is_not_taken_for_a_high_pass():
 
 def test_without_a_spring_nothing_is_said_about_a_high_pass():
     assert np.isnan(high_pass(exact_trial(turned(mass_damper(), high_pass_hz=0.5), 0.995)).value)
+
+
+def cut(force, velocity, changed):
+    """The last quarter and more of the record changed, in ways that happen."""
+    last = slice(int(0.6 * N), None)
+    force, velocity = force.copy(), velocity.copy()
+    if changed == "dead":
+        velocity[last] = velocity[last.start]
+    if changed == "silent":
+        force[last], velocity[last] = 0.0, 1e-6 * np.random.default_rng(5).standard_normal(N - last.start)
+    return force, velocity
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ("dead", r"velocity stood still in 40 % of the record, from 12 s on"),
+        ("silent", r"no perturbation in 40 % of the record, from 12 s on"),
+    ],
+)
+def test_part_without_a_signal_is_no_escape_and_leaves_nothing_to_decide(changed, words):
+    """A quarter of silence makes all the rest look loud, and counts as if it were knowledge."""
+    found = examine(*cut(*trial(), changed), RATE_HZ).findings
+    assert not any(one.unstable for one in found)
+    (one,) = (one for one in found if one.code == "dropout")
+    assert re.search(words, one.message)
+    assert one.voids
+    assert judge(spa(*cut(*trial(), changed)), examine(*cut(*trial(), changed), RATE_HZ)).answer == "undecided"
+
+
+def test_escape_in_the_last_part_of_a_second_is_seen():
+    force, velocity = trial()
+    force, velocity = force[: -int(0.3 * RATE_HZ)], velocity[: -int(0.3 * RATE_HZ)]
+    velocity[-int(0.6 * RATE_HZ) :] *= 20.0
+    whole = velocity[: velocity.size // 4000 * 4000]
+    whole[-4000:] = whole[:4000]  # only what is after the last whole second runs away
+    assert "escape" in codes(examine(force, velocity, RATE_HZ).findings)
+
+
+def test_line_too_small_for_a_verdict_is_named_all_the_same():
+    """Hum of a sensor, or a limit cycle that the noise hides: the answer stays, with the line beside it."""
+    force, velocity = trial()
+    hum = velocity + 0.5 * velocity.std() * np.sin(2 * np.pi * 1203.0 * np.arange(N) / RATE_HZ)
+    (found,) = coherence_findings(spa(force, hum), (2.0, 500.0))
+    assert found.code == "line"
+    assert not found.voids
+    assert not found.unstable
+    assert re.search(r"line at 1\.2e\+03 Hz: 1\d % of the velocity's power", found.message)
+    assert coherence_findings(spa(force, velocity), (2.0, 500.0)) == ()

@@ -197,3 +197,30 @@ def test_held_force_does_exact_work_on_interval_means():
     from_user = energy(-force, np.diff(x) * 1e3, 1e3).end_j
     assert from_user == pytest.approx(-0.5 * 1000.0 * np.sum(np.diff(x) ** 2), rel=1e-9)
     assert from_user < -3.9e-3
+
+
+@pytest.mark.parametrize("high_hz", [2000.1, 5000.0, np.inf])
+def test_band_beyond_half_the_sample_rate_is_refused(high_hz):
+    """A verdict would name a band in which nothing was looked at."""
+    assert judge(exact_trial(mass_damper(), 0.99), band_hz=(2.0, 2000.0)).band_hz == (2.0, 2000.0)
+    with pytest.raises(AnalysisError, match=r"samples at 4000 Hz say nothing above 2000 Hz; end there"):
+        judge(exact_trial(mass_damper(), 0.99), band_hz=(2.0, high_hz))
+
+
+def test_radius_that_is_no_number_is_not_stable():
+    found = judge(exact_trial(mass_damper(), 0.99), spectral_radius=float("nan"))
+    assert (found.stability, found.answer) == ("unstable", "not_passive")
+
+
+def test_few_frequencies_are_judged_without_looking_for_lines():
+    force, velocity = record(mass_damper(0.008, 1.0, 50.0), 1, 80_000)
+    found = judge(spa(force, velocity, frequency_hz=np.linspace(2.0, 500.0, 20)), channels=False)
+    assert found.n_frequencies == 20
+    assert found.stability == "unknown"
+
+
+def test_sentence_says_how_fine_it_looks():
+    """What is narrower is averaged with what is beside it: activity of a light mode may not show."""
+    found = judge(exact_trial(mass_damper(), 0.99))
+    assert found.resolution_hz == pytest.approx(4000.0 / 1536.0)
+    assert "margin at a resolution of 2.6 Hz" in str(found)

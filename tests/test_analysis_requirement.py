@@ -162,3 +162,11 @@ def test_equation_2_refuses_negative_damping_and_says_why():
 def test_environments_must_be_triples(points):
     with pytest.raises(AnalysisError, match="rows of three finite numbers K"):
         required_damping(points)
+
+
+def test_negative_stiffness_satisfies_neither_equation_2_nor_the_lifted_requirement():
+    """Below 1 Hz it is active, where no list of frequencies looks, and b > KT/2 + B would relax for it."""
+    with pytest.raises(AnalysisError, match=r"Eq\. 2 does not hold for K = -34 N/m"):
+        paper_equation_2(-34.0, 0.0, 1.0)
+    points = [[-34.0, -0.86, 0.0048], [0.0, 0.0, 0.0]]
+    assert lifted_passive(lift(rigid()), points).tolist() == [False, True]

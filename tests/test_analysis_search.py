@@ -8,10 +8,9 @@ import pytest
 from scipy import signal
 
 from hapticd.analysis.escape import least_headroom
-from hapticd.analysis.rays import N_RAYS, boundary
+from hapticd.analysis.rays import boundary
 from hapticd.analysis.search import (
     Search,
-    boundary_points,
     directed_search,
     doubtful_share,
     first_trials,
@@ -149,10 +148,9 @@ def test_uncertainty_covers_the_true_resistance():
 
 def test_stability_narrows_the_set():
     search = directed_search(Oracle(), Search(BOX), INSIDE, budget=5)
-    points, _ = boundary_points(replace(search, headroom=lambda environments: 400.0 - environments[:, 0]))
-    assert points.shape == (N_RAYS, 3)
+    points = next_trials(replace(search, headroom=lambda environments: 400.0 - environments[:, 0]), 20)
     assert points[:, 0].max() == pytest.approx(400.0, abs=2.0)
-    assert boundary_points(search)[0][:, 0].max() > 800.0
+    assert next_trials(search, 20)[:, 0].max() > 800.0
 
 
 def test_unstable_trial_is_not_learnt_from_and_stays_out():

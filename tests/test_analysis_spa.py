@@ -259,3 +259,14 @@ def test_silent_channel_has_no_impedance():
     assert not found.coherence.any()
     assert np.isnan(found.impedance_ns_per_m).all()
     assert np.isinf(found.relative_sd).all()
+
+
+def test_stream_with_a_huge_offset_is_that_without_it():
+    """Detrended covariances do not know an offset; its square must not drown them."""
+    force, velocity = np.random.default_rng(9).normal(size=(2, 20_000))
+    plain, shifted = SpectralStream(), SpectralStream()
+    for part in np.array_split(np.arange(20_000), 7):
+        plain.add(force[part], velocity[part])
+        shifted.add(force[part] + 1e9, velocity[part] - 1e9)
+    assert np.allclose(shifted.spectra().cross, plain.spectra().cross, atol=1e-5)
+    assert shifted.spectra().coherence.max() < 0.9

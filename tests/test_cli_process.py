@@ -254,3 +254,16 @@ def ask_any(daemon: Daemon, *words: str) -> Any:
     """As `ask`, in a process of its own and with any exit code."""
     command = [sys.executable, "-m", "hapticd", *words, "--instance", daemon.instance, "--json"]
     return json.loads(subprocess.run(command, check=False, capture_output=True).stdout)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=["SIGINT", "SIGTERM", "SIGHUP"])
+def test_trial_that_is_ended_leaves_the_device_disabled(daemon: Daemon, ask: Callable[..., Any], number: int) -> None:
+    """Whoever closes the terminal must not leave the device shaking."""
+    folder = str(daemon.folder.parent / "trial")
+    command = [sys.executable, "-m", "hapticd", "zwidth", "trial", "live", "--instance", daemon.instance, "--out", folder]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as trial:
+        until(lambda: ask("status")["perturbing"], "the trial shakes the device")
+        trial.send_signal(number)
+        assert trial.wait(DEADLINE_S) == 128 + number
+    status = ask("status")
+    assert (status["state"], status["perturbing"]) == ("disabled", 0)

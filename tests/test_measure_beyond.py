@@ -14,7 +14,7 @@ from hapticd.analysis.requirement import paper_equation_2
 from hapticd.errors import AnalysisError
 from hapticd.measure import beyond, beyond_levels
 from hapticd.measure.beyond import BeyondParams, mean_sd, plan_beyond, run_beyond
-from hapticd.measure.beyond_bench import Bench, shown_hz, sizes
+from hapticd.measure.beyond_display import Display, shown_hz, sizes
 from hapticd.measure.beyond_envelope import GRID, LOW_HZ, Case, candidates, flown_bounds, hardy, mean_db, predicted_bounds
 from hapticd.measure.beyond_levels import damping_levels
 from hapticd.measure.beyond_motion import free_motion, safest
@@ -23,8 +23,10 @@ from hapticd.measure.outcomes import Outcome, kept_frequencies
 from hapticd.measure.reproduce_grid import AXES
 from hapticd.plant.bodies import Masses, Viscous
 from hapticd.plant.winding import Motor
-from hapticd.report.beyond import PARTS, beyond_figures, weightiest
+from hapticd.report import figures
+from hapticd.report.beyond import PARTS
 from hapticd.report.beyond_page import sections
+from hapticd.report.owners import weightiest
 
 MASS_KG, VISCOUS, LEVEL = 0.008, 0.4, 1.5
 PARTS_OF_RIGID = (
@@ -38,7 +40,7 @@ SMALL = GRID[(GRID[:, 0] <= 100.0) & (GRID[:, 2] % 0.006 < 1e-9)]
 @pytest.fixture(scope="module")
 def rigid():
     """No friction, no lags: everything is known in closed form."""
-    return Bench(scene(PARTS_OF_RIGID))
+    return Display(scene(PARTS_OF_RIGID))
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +98,7 @@ def test_safest_holds_for_every_input_not_only_for_noise(rigid):
 
 
 def test_safest_refuses_a_device_that_bears_nothing():
-    bare = Bench(scene((*PARTS_OF_RIGID[:2], Viscous(rotor_ns_per_m=0.0))))
+    bare = Display(scene((*PARTS_OF_RIGID[:2], Viscous(rotor_ns_per_m=0.0))))
     with pytest.raises(AnalysisError, match=r"'small' at 0 N s/m: not passive without friction even where nothing is rendered"):
         safest(bare, 0.0, -1.0, 0.0)
 
@@ -116,7 +118,7 @@ def test_grid_is_the_papers_with_rows_of_negative_damping():
     assert np.unique(np.diff(np.unique(GRID[:, 1]))) == pytest.approx([0.5])
 
 
-class Fragile(Bench):
+class Fragile(Display):
     """Trials that show what is predicted, and in which some environments fail with one seed."""
 
     def flown(self, points, level, seed, amplitude=1.0):
@@ -134,17 +136,17 @@ class Fragile(Bench):
 
 
 def test_environment_that_fails_with_one_seed_is_struck_out_for_good():
-    bench, case = Fragile(scene(PARTS_OF_RIGID)), Case("on", LEVEL, negative=True)
-    found = flown_bounds(bench, case, (1, 2, 3), SMALL)
+    display, case = Fragile(scene(PARTS_OF_RIGID)), Case("on", LEVEL, negative=True)
+    found = flown_bounds(display, case, (1, 2, 3), SMALL)
     owners = found.points[np.concatenate((found.lower.owner, found.upper.owner))]
     assert owners[:, 1].min() >= -1.0
     assert found.struck > 0
     assert found.predicted_db() < found.lower_db().mean()
-    sound = candidates(bench, case, SMALL)
+    sound = candidates(display, case, SMALL)
     sound = sound[sound[:, 1] >= -1.0]
-    assert found.lower.value == pytest.approx(np.abs(bench.impedances(sound, LEVEL)).min(axis=0), rel=1e-9)
-    assert hardy(bench, found, 1) == 0.0
-    assert hardy(bench, found, 1, amplitude=1.0) == 1.0
+    assert found.lower.value == pytest.approx(np.abs(display.impedances(sound, LEVEL)).min(axis=0), rel=1e-9)
+    assert hardy(display, found, 1) == 0.0
+    assert hardy(display, found, 1, amplitude=1.0) == 1.0
 
 
 def test_positive_case_renders_no_negative_damping(rigid):
@@ -154,19 +156,19 @@ def test_positive_case_renders_no_negative_damping(rigid):
 
 def test_what_counts_on_friction_is_more_than_what_does_not():
     """With Coulomb friction the safe set lies inside the other."""
-    bench = Bench(scene(DRY))
-    at_noise, safe = (bench.passive(SMALL, LEVEL, dry) for dry in (True, False))
+    display = Display(scene(DRY))
+    at_noise, safe = (display.passive(SMALL, LEVEL, dry) for dry in (True, False))
     assert (safe <= at_noise).all()
     assert 0 < safe.sum() < at_noise.sum()
 
 
 def test_owners_that_are_shown_pass_when_flown_alone():
     """The real engine: 90 s trials of a device with friction, one seed, few environments."""
-    bench, case = Bench(scene(DRY, excitation=replace(scene().excitation, seed=4))), Case("on", LEVEL, negative=True, dry=False)
+    display, case = Display(scene(DRY, excitation=replace(scene().excitation, seed=4))), Case("on", LEVEL, negative=True, dry=False)
     few = SMALL[(SMALL[:, 0] <= 25.0) & (np.abs(SMALL[:, 2]) < 0.007)]
-    found = flown_bounds(bench, case, (4,), few)
+    found = flown_bounds(display, case, (4,), few)
     places, where = np.unique(found.lower.owner, return_inverse=True)
-    fresh = Bench(bench.scene).flown(found.points[places], LEVEL, 4)
+    fresh = Display(display.scene).flown(found.points[places], LEVEL, 4)
     assert all(outcome.passes for outcome in fresh)
     own = np.array([sizes(outcome) for outcome in fresh])[where, np.arange(where.size)]
     assert own == pytest.approx(found.lower.value, rel=1e-9)
@@ -174,31 +176,31 @@ def test_owners_that_are_shown_pass_when_flown_alone():
 
 
 def test_limit_by_trials_brackets_its_first_failure():
-    bench = Fragile(scene(PARTS_OF_RIGID))
-    found = bench.limits_by_trials(LEVEL, 1, -1.0, (2,))
+    display = Fragile(scene(PARTS_OF_RIGID))
+    found = display.limits_by_trials(LEVEL, 1, -1.0, (2,))
     assert found[0] == pytest.approx(-1.0, abs=0.6 / 15**2)
-    assert bench.limits_by_trials(LEVEL, 1, -0.2, (2,))[0] == -0.5  # nothing fails near it, nor within 2.5 times
-    assert np.isnan(bench.limits_by_trials(LEVEL, 1, nan, (1, 2))).all()
+    assert display.limits_by_trials(LEVEL, 1, -0.2, (2,))[0] == -0.5  # nothing fails near it, nor within 2.5 times
+    assert np.isnan(display.limits_by_trials(LEVEL, 1, nan, (1, 2))).all()
 
 
 def test_each_environment_is_flown_once(monkeypatch):
-    bench, asked = Bench(scene(DRY)), []
-    monkeypatch.setattr(Bench, "_fly", lambda self, points, *rest: [asked.append(tuple(point)) for point in points])
-    bench.flown(SMALL[:3], LEVEL, 1)
-    bench.flown(SMALL[:5], LEVEL, 1)
+    display, asked = Display(scene(DRY)), []
+    monkeypatch.setattr(Display, "_fly", lambda self, points, *rest: [asked.append(tuple(point)) for point in points])
+    display.flown(SMALL[:3], LEVEL, 1)
+    display.flown(SMALL[:5], LEVEL, 1)
     assert len(asked) == 5
-    bench.flown(SMALL[:1], LEVEL, 2)
+    display.flown(SMALL[:1], LEVEL, 2)
     assert len(asked) == 6
 
 
 def test_every_predicted_owner_is_passive_and_stable(quick):
     """Re Z >= 0 in the band and a spectral radius below 1 for every point that an edge shows; safe ones without friction too."""
-    bench = quick.plan.bench
+    display = quick.plan.display
     for found in quick.envelopes.values():
         owners = found.points[np.unique(np.concatenate((found.lower.owner, found.upper.owner)))]
-        rules = [bench.perturbation] if found.case.dry else [bench.perturbation, None]
+        rules = [display.perturbation] if found.case.dry else [display.perturbation, None]
         for rule in rules:
-            judged = predict(bench.model, owners, found.case.level, bench.filters, rule)
+            judged = predict(display.model, owners, found.case.level, display.filters, rule)
             assert judged.passive.all()
             assert judged.margin_ns_per_m.min() >= 0.0
             assert judged.spectral_radius.max() < 1.0
@@ -246,7 +248,7 @@ def test_set_of_a_linear_device_grows_with_the_cube_of_its_damping(monkeypatch):
     monkeypatch.setattr(beyond_levels, "LEVELS", (0.0, 0.2))
     monkeypatch.setattr(beyond_levels, "FLOWN", ())
     monkeypatch.setattr(beyond_levels, "HEAVIEST", 2.6)
-    heavy = Bench(scene((Masses(rotor_kg=1.0), PARTS_OF_RIGID[1], Viscous(rotor_ns_per_m=0.2))))
+    heavy = Display(scene((Masses(rotor_kg=1.0), PARTS_OF_RIGID[1], Viscous(rotor_ns_per_m=0.2))))
     found = damping_levels(heavy, ())
     assert found.limits[1] / found.limits[0] == pytest.approx([2.0, 2.0, 2.0], rel=0.02)
 
@@ -296,16 +298,17 @@ def test_weightiest_part_has_a_sign():
 def test_page_tells_each_part_once_with_its_figure(quick):
     found = sections(quick)
     assert [row.quantity for section in found for row in section.rows] == [row.quantity for row in rows(quick)]
-    assert [drawing.name for section in found for drawing in section.drawings] == [name for name, _ in beyond_figures(quick)]
+    names = [drawing.name for section in found for drawing in section.drawings]
+    assert names == ["beyond_lower_edge", "beyond_free_motion", "beyond_shaped", "beyond_levels"]
     low = quick.envelopes["on_negative_B"].lower_db()[0]
     assert f"With B < 0 it comes to {low:.1f} dB" in found[0].words
     assert "shaken twice as hard" not in found[0].words  # nothing was flown
 
 
 def test_figures_carry_units_and_say_that_they_are_simulated(quick):
-    drawn = dict(beyond_figures(quick))
-    assert list(drawn) == ["beyond_lower_edge", "beyond_free_motion", "beyond_shaped", "beyond_levels"]
-    for figure in drawn.values():
+    for drawing in (drawing for section in sections(quick) for drawing in section.drawings):
+        with figures.style():
+            figure = drawing.draw()
         labels = [axis.get_ylabel() for axis in figure.axes if axis.get_ylabel()]
         assert labels
         assert all("(" in label for label in labels)

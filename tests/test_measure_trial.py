@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from measured_scenes import RIGID
 
 from hapticd.analysis.predict import predicted_impedance
 from hapticd.assembly.scene import scene_params
@@ -12,7 +13,6 @@ from hapticd.errors import AnalysisError, ConfigError, DaemonDown
 from hapticd.measure.bench import bench_source
 from hapticd.measure.device_scene import device_scene
 from hapticd.measure.lockstep_bench import LockStepBench
-from hapticd.measure.multisine import Layout, multisine_like
 from hapticd.measure.plain import plain
 from hapticd.measure.recorded import Recorded, read_file
 from hapticd.measure.referee import stepped_sine
@@ -27,17 +27,6 @@ from hapticd.plant.scene import Excitation
 from hapticd.settings.scene import load_scene
 
 RATE_HZ = 4000.0
-RIGID = """
-title = "a rigid display"
-device = "ideal"
-effects = ["probe", "viscous"]
-[environment]
-stiffness_n_per_m = 100.0
-damping_ns_per_m = 1.0
-mass_kg = 0.002
-[excitation]
-kind = "noise"
-"""
 
 
 @pytest.fixture
@@ -247,6 +236,29 @@ def test_sentinel_ends_an_escape_in_its_second():
     assert sentinel.seconds == 13.0
 
 
+def test_silence_before_the_perturbation_is_no_escape_after_it():
+    """Seconds of rest would otherwise be the calm ones, and a passive device be called unstable."""
+    force, velocity = mass_record(20.0)
+    quiet = 1e-5 * np.random.default_rng(2).standard_normal((2, round(8 * RATE_HZ)))
+    force, velocity = (np.concatenate((rest, signal)) for rest, signal in zip(quiet, (force, velocity), strict=True))
+    source = file_source(Recorded(force, velocity, RATE_HZ, "made", False))
+    found = run_trial(plan_trial(TrialParams(Trial(seconds=28.0))), source)
+    assert found.recorded.ended == ""
+    assert found.verdict.stability == "stable"
+    assert "no perturbation in 29 % of the record, from 0 s on" in str(found.verdict)
+
+
+@pytest.mark.parametrize("stiffness", [-0.1, -34.0])
+def test_negative_stiffness_is_never_called_passive(stiffness):
+    """Re Z may be positive all over the band."""
+    force, velocity = mass_record(20.0)
+    recorded = Recorded(force, velocity, RATE_HZ, "made", False)
+    assert judged(plan_trial(TrialParams(Trial())), recorded).verdict.answer == "passive"
+    found = judged(plan_trial(TrialParams(Trial((stiffness, 0.0, 0.0)))), recorded).verdict
+    assert found.answer == "undecided"
+    assert "below every band a negative stiffness is active" in str(found)
+
+
 def test_sentinel_ends_saturation_and_heat():
     force, velocity = mass_record(6.0)
     limit = float(np.quantile(np.abs(velocity), 0.95))
@@ -362,109 +374,6 @@ def test_stepped_sine_agrees_with_the_exact_impedance_of_a_linear_display(rigid,
 def test_stepped_sine_has_no_number_where_the_loop_escapes(rigid):
     found = stepped_sine(Trial((0.0, 100.0, 0.0)), engine_source(load_scene(rigid)), frequency_hz=(21.0,))
     assert np.isnan(found.impedance_ns_per_m[0])
-
-
-# --- multisines ------------------------------------------------------------------------------------------------------------------
-
-
-def shaken(layout, point=(100.0, 1.0, 0.002), scene=None, **more):
-    """The plan of a trial by multisines."""
-    trial = Trial(point, excitation=multisine_like(Excitation("noise"), 500.0), **more)
-    return plan_trial(TrialParams(trial, scene, estimator="h_force", multisine=layout))
-
-
-def test_multisine_trial_lands_on_its_prediction(rigid):
-    """A linear display: 12 s decide, and Z is known to 1e-3 up to 200 Hz."""
-    scene = load_scene(rigid)
-    found = run_trial(shaken(Layout(6, 1), scene=scene), engine_source(scene))
-    assert found.verdict.answer == "passive"
-    assert found.recorded.seconds == pytest.approx(6 * 2 * 4096 / 4000)
-    inside = (found.measured.frequency_hz >= 2.0) & (found.measured.frequency_hz <= 200.0)
-    assert np.abs(found.measured.impedance_ns_per_m[inside] / found.predicted[inside] - 1.0).max() < 1e-3
-    assert found.covers == "noise and nonlinear distortion at this perturbation, from the scatter of 6 realisations of 1 periods"
-
-
-def test_multisine_trial_by_the_whole_stack_lands_within_its_interval_of_the_engine(rigid):
-    scene, layout = load_scene(rigid), Layout(6, 2)
-    by_engine = run_trial(shaken(layout, scene=scene), engine_source(scene))
-    with LockStepBench(*scene_params(rigid)) as bench:
-        live = run_trial(shaken(layout, scene=scene), bench_source(bench))
-        assert bench.status()["state"] == "disabled"
-    assert live.verdict.answer == by_engine.verdict.answer == "passive"
-    assert live.recorded.more["lost_samples"] == 0
-    inside = (live.measured.frequency_hz >= 2.0) & (live.measured.frequency_hz <= 500.0)
-    ratio = live.measured.impedance_ns_per_m[inside] / by_engine.measured.impedance_ns_per_m[inside]
-    assert np.sqrt(np.mean(np.abs(ratio - 1.0) ** 2)) < 3e-3
-    assert live.verdict.margin_ns_per_m.lower <= by_engine.verdict.margin_ns_per_m.value <= live.verdict.margin_ns_per_m.upper
-
-
-def test_multisine_of_friction_says_that_only_realisations_help():
-    scene = load_scene("fig7")
-    found = run_trial(shaken(Layout(8, 2), (50.0, 2.0, 0.0), scene), engine_source(scene))
-    assert "nonlinear distortion: realisations scatter by" in str(found.verdict)
-    assert found.verdict.answer == "undecided"
-
-
-def test_single_realisation_decides_nothing(rigid):
-    scene = load_scene(rigid)
-    found = run_trial(shaken(Layout(1, 4), scene=scene), engine_source(scene))
-    assert found.verdict.answer == "undecided"
-    assert "one realisation: the interval covers noise alone" in str(found.verdict)
-
-
-def stalling(source, stalls):
-    """`source` whose first records are those of a host that let the board run out of samples for 4 ms."""
-    left = [stalls]
-
-    def record(trial, tell):
-        found = source(trial, tell)
-        left[0] -= 1
-        return replace(found, force_n=np.insert(found.force_n[:-16], 5000, np.zeros(16))) if left[0] >= 0 else found
-
-    return record
-
-
-def test_realisation_that_did_not_repeat_is_flown_again(rigid):
-    engine, plan = engine_source(load_scene(rigid)), shaken(Layout(3, 1))
-    found, calm = (run_trial(plan, stalling(engine, stalls)) for stalls in (2, 0))
-    assert found.recorded.more["flown_again"] == 2
-    assert np.array_equal(found.recorded.force_n, calm.recorded.force_n)
-    with pytest.raises(
-        AnalysisError, match="the force did not repeat in 8 tries of a realisation: the host stalls for milliseconds"
-    ):
-        run_trial(plan, stalling(engine, 8))
-
-
-def test_layouts_without_scatter_are_refused():
-    with pytest.raises(AnalysisError, match="1 realisations of 1 periods have no scatter to learn from; ask for two or more"):
-        shaken(Layout(1, 1))
-    with pytest.raises(AnalysisError, match="8 realisations of 0 periods have no scatter"):
-        shaken(Layout(8, 0))
-
-
-def test_multisine_of_a_runaway_loop_is_no_verdict_but_an_answer(rigid):
-    scene = load_scene(rigid)
-    with pytest.raises(AnalysisError, match=r"ended after \S+ s \(escape: .*\): too short for a verdict"):
-        run_trial(shaken(Layout(4, 1), (0.0, 100.0, 0.0), scene), engine_source(scene))
-
-
-def test_multisine_run_folder_brings_the_trial_back(tmp_path, rigid):
-    scene, layout = load_scene(rigid), Layout(4, 1)
-    result = run_trial(shaken(layout, scene=scene), engine_source(scene))
-    write(tmp_path, result, {})
-    told = read_summary(tmp_path)
-    assert told["multisine"]["realisations"] == 4
-    assert told["multisine"]["period_samples"] == 4096
-    assert told["multisine"]["scatter_between_periods"] is None
-    assert 0.0 < told["multisine"]["scatter_between_realisations"] < 0.01
-    assert told["interval_covers"].startswith("noise and nonlinear distortion")
-    again = judged(shaken(layout), read_file(record_path(tmp_path)))
-    assert again.verdict.margin_deg.value == pytest.approx(result.verdict.margin_deg.value, abs=1e-2)
-    with pytest.raises(AnalysisError, match=r"record of 8\.19 s: a realisation of 1 \+ 9 periods of 4096 samples takes 10\.2 s"):
-        judged(shaken(Layout(2, 9)), read_file(record_path(tmp_path)))
-
-
-# --- leakage ---------------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("stiffness", "named"), [(1000.0, True), (30.0, False)])

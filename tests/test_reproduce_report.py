@@ -23,8 +23,9 @@ from hapticd.measure.reproduce_grid import Found
 from hapticd.measure.reproduce_rows import Row
 from hapticd.measure.reproduce_table import rows
 from hapticd.measure.reproduce_trials import SCENES
+from hapticd.report.owners import NOBODY
 from hapticd.report.paper import parts, sections
-from hapticd.report.paper_envelopes import NOBODY, weighty
+from hapticd.report.paper_envelopes import weighty
 from hapticd.report.paper_files import keep
 from hapticd.report.paper_page import Section, page, terminal
 from hapticd.report.paper_table import as_json, from_json, markdown, notes, paper_table

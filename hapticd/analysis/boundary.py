@@ -48,11 +48,16 @@ def passive_set(axes: tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike], margin
     lists = tuple(np.asarray(axis, np.float64) for axis in axes)
     shape = tuple(axis.size for axis in lists)
     values = np.asarray(margin, np.float64)
-    if any(axis.ndim != 1 or axis.size < 2 or np.any(np.diff(axis) <= 0.0) for axis in lists):
-        raise AnalysisError("a grid needs at least two ascending values on each of its three axes")
+    ascending(lists)
     if values.size != np.prod(shape):
         raise AnalysisError(f"{values.size} margins for a grid of {' x '.join(map(str, shape))} environments")
     return PassiveSet((lists[0], lists[1], lists[2]), values.reshape(shape))
+
+
+def ascending(axes: tuple[Floats, ...]) -> None:
+    """AnalysisError unless each of `axes` has two values or more, that ascend."""
+    if any(axis.ndim != 1 or axis.size < 2 or not np.all(np.diff(axis) > 0.0) for axis in axes):
+        raise AnalysisError("a grid needs at least two ascending values on each of its three axes")
 
 
 def grid(axes: tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike]) -> Floats:

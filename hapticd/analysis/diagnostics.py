@@ -3,7 +3,9 @@
 saturation      a channel stays at its end value: given limits, or a flat top that no noise has
 escape          the velocity of some second is several times that of the calm ones: the loop ran away
 oscillation     a narrow line carries much of the velocity and the perturbation does not explain it: a limit cycle
+line            the same with little of it: a limit cycle or hum
 drift           offset or trend of the velocity, or a level that changes between the halves of the record
+dropout         seconds without a perturbation, or with a velocity that stands still: silence is no knowledge
 low_coherence   the perturbation explains less than half of the motion over part of the band
 
 Skew and high-pass of the channels are in `channels`, what window and record did to a spring in `leakage`. A finding with
@@ -15,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hapticd.analysis.arrays import Floats, Integers
+from hapticd.analysis.arrays import Flags, Floats, Integers
 from hapticd.analysis.energy import Energy, energy
 from hapticd.analysis.sections import same_length
 from hapticd.analysis.spectra import Spectra
@@ -25,8 +27,10 @@ from hapticd.errors import AnalysisError
 LOW_COHERENCE = 0.5
 FLAT_SHARE, FLAT_BELOW = 1e-4, 0.02  # of all samples at the end value; how far below it others are counted
 ESCAPE_RATIO = 4.0  # of a second's rms to the lower quartile of all
+SILENT = 0.1  # of the upper quartile of a second's rms: there the force is none
 LINE_WIDTH = 6  # neighbouring values that make a line
 LINE_SHARE = 0.3  # of the velocity's power, unexplained, in a line
+SMALL_LINE = 0.02  # the same, from which it is mentioned
 LINE_HEIGHT = 5.0  # of a line over what is beside it
 DRIFT_SHARE = 0.5  # of the standard deviation
 LEVEL_RATIO = 1.25  # of the force's rms between the halves; the velocity may change twice as much
@@ -44,11 +48,10 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """What the samples say before any spectrum: duration, energy, standard deviations of the detrended channels, findings."""
+    """What the samples say before any spectrum: duration, energy, standard deviation of the detrended velocity, findings."""
 
     seconds: float
     energy: Energy
-    force_sd_n: float
     velocity_sd_m_per_s: float
     findings: tuple[Finding, ...]
 
@@ -71,13 +74,13 @@ def examine(
     findings = (
         *_saturation("torque", force_n, force_limit_n, "N", "lower the perturbation"),
         *_saturation("velocity", velocity_m_per_s, velocity_limit_m_per_s, "m/s", "lower the perturbation or the gain"),
-        *_escape(velocity, rate_hz),
+        *_by_seconds(force, velocity, velocity_m_per_s, rate_hz),
         *_drift(velocity_m_per_s, velocity),
         *_level("perturbation", force, LEVEL_RATIO),
         *_level("velocity", velocity, 2.0 * LEVEL_RATIO),
     )
     flowed = energy(force_n, velocity_m_per_s, rate_hz)
-    return Record(force.size / rate_hz, flowed, float(force.std()), float(velocity.std()), findings)
+    return Record(force.size / rate_hz, flowed, float(velocity.std()), findings)
 
 
 def coherence_findings(trial: Spectra, band_hz: tuple[float, float]) -> tuple[Finding, ...]:
@@ -103,9 +106,28 @@ def _is_flat(size: Floats, top: float, at: Integers) -> bool:
     return bool(crowded and np.unique(np.diff(at)).size > 2)
 
 
-def _escape(velocity: Floats, rate_hz: float) -> tuple[Finding, ...]:
+def _by_seconds(force: Floats, velocity: Floats, raw_velocity: Floats, rate_hz: float) -> tuple[Finding, ...]:
+    """Dropouts, and an escape among the seconds that have none."""
+    pushed, moved = (_seconds(signal, rate_hz).std(axis=1) for signal in (force, velocity))
+    silent = pushed < SILENT * np.quantile(pushed, 0.75)
+    still = ~silent & (np.ptp(_seconds(raw_velocity, rate_hz), axis=1) == 0.0)
+    rms, live = np.sqrt(np.mean(_seconds(velocity, rate_hz) ** 2, axis=1)), moved[~(silent | still)]
+    rms[silent | still] = np.quantile(live, 0.25) if live.size else 0.0
+    return (*_dropout("no perturbation", silent), *_dropout("velocity stood still", still), *escape_findings(rms, 1.0))
+
+
+def _seconds(signal: Floats, rate_hz: float) -> Floats:
+    """Rows of a second each; the last one ends with the record."""
     window = int(rate_hz)
-    return escape_findings(np.sqrt(np.mean(velocity[: velocity.size // window * window].reshape(-1, window) ** 2, axis=1)), 1.0)
+    rows = signal[: signal.size // window * window].reshape(-1, window)
+    return np.concatenate((rows, signal[None, -window:])) if signal.size % window else rows
+
+
+def _dropout(what: str, where: Flags) -> tuple[Finding, ...]:
+    if not where.any():
+        return ()
+    message = f"{what} in {100.0 * where.mean():.2g} % of the record, from {where.argmax()} s on; cut that out, or repeat the trial"
+    return (Finding("dropout", message, voids=True),)
 
 
 def escape_findings(rms: Floats, window_s: float) -> tuple[Finding, ...]:
@@ -153,13 +175,21 @@ def _incoherent(frequency_hz: Floats, coherence: Floats) -> tuple[Finding, ...]:
 
 
 def _line(trial: Spectra) -> tuple[Finding, ...]:
+    if trial.frequency_hz.size <= 4 * LINE_WIDTH:
+        return ()
     unexplained = trial.velocity * (1.0 - trial.coherence)
     total = float(trial.velocity.sum())
     close = np.convolve(unexplained, np.ones(LINE_WIDTH), "same")
     peak = 2 * LINE_WIDTH + int(np.argmax(close[2 * LINE_WIDTH : -2 * LINE_WIDTH]))
     sides = (close[peak - 2 * LINE_WIDTH : peak - LINE_WIDTH], close[peak + LINE_WIDTH : peak + 2 * LINE_WIDTH])
-    if close[peak] <= LINE_SHARE * total or close[peak] < LINE_HEIGHT * max(float(np.median(side)) for side in sides):
+    if close[peak] <= SMALL_LINE * total or close[peak] < LINE_HEIGHT * max(float(np.median(side)) for side in sides):
         return ()
+    if close[peak] <= LINE_SHARE * total:
+        message = (
+            f"line at {trial.frequency_hz[peak]:.3g} Hz: {100 * close[peak] / total:.2g} % of the velocity's power, which the "
+            "perturbation does not explain; hum of a sensor, or a small limit cycle"
+        )
+        return (Finding("line", message),)
     message = (
         f"oscillation at {trial.frequency_hz[peak]:.3g} Hz: {100 * close[peak] / total:.2g} % of the velocity's power is a line "
         "that the perturbation does not explain; the loop has a limit cycle"

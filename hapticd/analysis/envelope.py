@@ -16,7 +16,7 @@ from typing import Literal
 
 import numpy as np
 
-from hapticd.analysis.arrays import Floats, Integers
+from hapticd.analysis.arrays import Complexes, Floats, Integers
 from hapticd.analysis.impedance import Impedance
 from hapticd.analysis.verdict import Verdict
 from hapticd.errors import AnalysisError
@@ -92,25 +92,36 @@ def accepted(verdict: Verdict, accept: Accept = "judged") -> bool:
 
 def of_trial(trial: Trial) -> Envelope:
     """The envelope of one trial: upper and lower edges are the same line."""
-    z, owner = trial.impedance, np.zeros(trial.impedance.frequency_hz.size, np.int64)
-    size = Edge(np.abs(z.impedance_ns_per_m), z.relative_sd, owner)
-    phase = Edge(z.phase_deg, np.degrees(z.relative_sd), owner)
-    return Envelope(z.frequency_hz, size, size, phase, phase, (trial.name,), z.port, z.estimator)
+    z = trial.impedance
+    return of_one(trial.name, z.frequency_hz, z.impedance_ns_per_m, z.relative_sd, z.port, z.estimator)
+
+
+def of_one(name: str, frequency_hz: Floats, z: Complexes, relative_sd: Floats, port: str, estimator: str) -> Envelope:
+    """The same from Z (F,) [N s/m] at `frequency_hz` (F,) and the standard deviation (F,) of ln|Z|, and of its phase in radians."""
+    owner = np.zeros(frequency_hz.size, np.int64)
+    size = Edge(np.abs(z), relative_sd, owner)
+    phase = Edge(np.degrees(np.angle(z)), np.degrees(relative_sd), owner)
+    return Envelope(frequency_hz, size, size, phase, phase, (name,), port, estimator)
 
 
 def widened(found: Envelope, trial: Trial) -> Envelope:
     """`found` with `trial`, which is taken to be passive. AnalysisError if it is unlike the ones before."""
+    return merged(found, of_trial(trial))
+
+
+def merged(found: Envelope, new: Envelope) -> Envelope:
+    """The envelope of the trials of both. AnalysisError if they are unlike each other."""
     if found.kind != "impedance":
         raise AnalysisError("an admittance envelope cannot be widened; widen the impedance envelope and take its admittance")
-    _alike(found, trial.impedance)
-    new, owner = of_trial(trial), len(found.trials)
+    _alike(found, new)
+    before = len(found.trials)
     return replace(
         found,
-        upper=_outer(found.upper, new.upper, owner, 1.0),
-        lower=_outer(found.lower, new.lower, owner, -1.0),
-        phase_upper=_outer(found.phase_upper, new.phase_upper, owner, 1.0),
-        phase_lower=_outer(found.phase_lower, new.phase_lower, owner, -1.0),
-        trials=(*found.trials, trial.name),
+        upper=_outer(found.upper, new.upper, before, 1.0),
+        lower=_outer(found.lower, new.lower, before, -1.0),
+        phase_upper=_outer(found.phase_upper, new.phase_upper, before, 1.0),
+        phase_lower=_outer(found.phase_lower, new.phase_lower, before, -1.0),
+        trials=(*found.trials, *new.trials),
     )
 
 
@@ -122,19 +133,19 @@ def admittance(found: Envelope) -> Envelope:
     return replace(found, upper=turned[0], lower=turned[1], phase_upper=phases[0], phase_lower=phases[1], kind=kind)
 
 
-def _outer(old: Edge, new: Edge, owner: int, sense: float) -> Edge:
+def _outer(old: Edge, new: Edge, before: int, sense: float) -> Edge:
     beyond = ~(sense * new.value <= sense * old.value) & np.isfinite(new.value)
     return Edge(
         np.where(beyond, new.value, old.value),
         np.where(beyond, new.sd, old.sd),
-        np.where(beyond, owner, old.owner),
+        np.where(beyond, new.owner + before, old.owner),
     )
 
 
-def _alike(found: Envelope, z: Impedance) -> None:
-    if not np.array_equal(found.frequency_hz, z.frequency_hz):
+def _alike(found: Envelope, new: Envelope) -> None:
+    if not np.array_equal(found.frequency_hz, new.frequency_hz):
         raise AnalysisError("trials on unlike frequencies: estimate all with one window and one list of frequencies")
-    if (found.port, found.estimator) != (z.port, z.estimator):
+    if (found.port, found.estimator) != (new.port, new.estimator):
         raise AnalysisError(
-            f"a trial at the {z.port} by {z.estimator!r} beside others at the {found.port} by {found.estimator!r}: choose one"
+            f"a trial at the {new.port} by {new.estimator!r} beside others at the {found.port} by {found.estimator!r}: choose one"
         )

@@ -30,20 +30,9 @@ from hapticd.analysis.surrogate import Box
 from hapticd.plant.model import Model
 
 SHAPE = (20, 12, 14)  # of the grid of b_c
-SHARES = (
-    -0.4,
-    -0.2,
-    -0.1,
-    0.0,
-    0.1,
-    0.2,
-    0.3,
-    0.45,
-    0.6,
-    0.8,
-    1.2,
-    2.0,
-)  # of the friction at rest, at which stability is looked at
+SHARES = (  # of the friction at rest, at which stability is looked at
+    -0.4, -0.2, -0.1, 0.0, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.2, 2.0,
+)  # fmt: skip
 _NOMINAL_NS_PER_M = 1.5  # first guess of a body's friction
 _LEAST_NS_PER_M = 1e-6
 _TOGETHER = 1024

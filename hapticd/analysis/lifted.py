@@ -80,10 +80,14 @@ def lifted_margin(lifted: Lift, points: npt.ArrayLike) -> Floats:
 
 
 def lifted_passive(lifted: Lift, points: npt.ArrayLike) -> Flags:
-    """Whether there is damping to spare (N,), for maps: one look instead of forty per environment. The loop must be stable."""
+    """Whether there is damping to spare (N,), for maps: one look instead of forty per environment. The loop must be stable.
+
+    Never with K < 0, which is active below all angles that are looked at.
+    """
     if lifted.resistance.min() <= 0.0:
         return np.zeros(len(environments(points)), np.bool_)
-    return np.array([_positive(lifted, gain, 0.0) for gain in _gains(lifted, points)], np.bool_)
+    spare = np.array([_positive(lifted, gain, 0.0) for gain in _gains(lifted, points)], np.bool_)
+    return spare & (environments(points)[:, 0] >= 0.0)
 
 
 def _gains(lifted: Lift, points: npt.ArrayLike) -> Complexes:

@@ -45,7 +45,8 @@ def judge(
     of the predicted closed loop. `behind_mass_kg` > 0 judges the device behind the probe's mass: Re Z is the same there.
     `channels`: also look for skew and high-pass, which takes longer than the rest; simulated records have neither.
 
-    AnalysisError for a band below 1/(M T) or without frequencies, and for records of fewer than 20 degrees of freedom.
+    AnalysisError for a band below 1/(M T), above half the sample rate or without frequencies, and for records of fewer than 20
+    degrees of freedom.
     """
     inside = band_mask(trial, band_hz)
     f, at_port = trial.frequency_hz[inside], impedance(trial, estimator)
@@ -70,6 +71,7 @@ def judge(
         port=z.port,
         seconds=trial.n_samples / trial.rate_hz,
         seconds_needed=_seconds_needed(ohm.real, half, trial),
+        resolution_hz=trial.bandwidth_hz,
         spectral_radius=spectral_radius,
         energy=record.energy if record else None,
         findings=findings,
@@ -93,6 +95,10 @@ def band_mask(trial: Spectra, band_hz: tuple[float, float]) -> Flags:
     inside = (trial.frequency_hz >= low) & (trial.frequency_hz <= high)
     if not inside.any():
         raise AnalysisError(f"no frequency of the estimate lies in {low:g}..{high:g} Hz; widen the band")
+    if high > 0.5 * trial.rate_hz * (1.0 + 1e-12):
+        raise AnalysisError(
+            f"band to {high:g} Hz: samples at {trial.rate_hz:g} Hz say nothing above {0.5 * trial.rate_hz:g} Hz; end there"
+        )
     return inside
 
 
@@ -127,7 +133,7 @@ def _answer(margin: Margin, stability: Stability, findings: tuple[Finding, ...])
 
 
 def _stability(findings: tuple[Finding, ...], recorded: bool, spectral_radius: float | None) -> Stability:
-    if any(finding.unstable for finding in findings) or (spectral_radius is not None and spectral_radius >= 1.0):
+    if any(finding.unstable for finding in findings) or (spectral_radius is not None and not spectral_radius < 1.0):
         return "unstable"
     return "stable" if recorded or spectral_radius is not None else "unknown"
 

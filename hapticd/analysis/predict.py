@@ -131,6 +131,8 @@ def environments(points: npt.ArrayLike) -> Floats:
 
 def frequencies(band_hz: tuple[float, float] = DEFAULT_BAND_HZ, perturbation: Perturbation | None = None) -> Floats:
     """Where Z is computed: dense where K, B and M act, up to the end of the perturbation, both ends of the band included."""
+    if not 0.0 < band_hz[0] <= band_hz[1] < np.inf:
+        raise AnalysisError(f"a band of {band_hz[0]:g}..{band_hz[1]:g} Hz: from above 0 Hz upwards is needed; 2..500 is usual")
     top = max(band_hz[1], perturbation.band_hz if perturbation else 0.0)
     base = np.concatenate((np.geomspace(0.1, 5.0, 15)[:-1], np.arange(5.0, 130.0, 2.0), np.geomspace(130.0, 2000.0, 46)))
     return np.union1d(base[base <= top], band_hz)

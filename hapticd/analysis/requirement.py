@@ -59,8 +59,14 @@ def required_damping(
 def paper_equation_2(stiffness_n_per_m: float, damping_ns_per_m: float, physical_ns_per_m: float, rate_hz: float = 1000.0) -> bool:
     """Eq. 2 of Weir, Colgate and Peshkin (2008) as printed: b > K T / 2 + B. Unfiltered velocity, no delay, no virtual mass.
 
-    AnalysisError for B < 0: there the theorem behind it reads b > K T / 2 + |B|, while Eq. 2 would ask for less.
+    AnalysisError for B < 0: there the theorem behind it reads b > K T / 2 + |B|, while Eq. 2 would ask for less; and for K < 0,
+    which no damping makes passive.
     """
+    if stiffness_n_per_m < 0.0:
+        raise AnalysisError(
+            f"Eq. 2 does not hold for K = {stiffness_n_per_m:g} N/m: it would relax for a negative stiffness, which is active at "
+            "low frequencies under any damping; render K >= 0"
+        )
     if damping_ns_per_m < 0.0:
         needed = stiffness_n_per_m / (2.0 * rate_hz) - damping_ns_per_m
         raise AnalysisError(

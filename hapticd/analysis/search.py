@@ -1,9 +1,9 @@
 """The directed search that the paper left to future work: few trials, each where it tells most about the boundary.
 
-A `surrogate` of Re Z(w; K, B, M) says where the boundary probably is. Rays from the middle of the set meet it in `N_RAYS`
-points; the next trial is the one farthest from all trials so far. So every trial also confirms the boundary that was foreseen.
-On an affine device 4 trials suffice; with a smooth non-affine part about 45 leave 2 % of the volume wrong, where a grid of yes
-and no needs 180,000.
+A `surrogate` of Re Z(w; K, B, M) says where the boundary probably is. Rays from the middle of the set meet it in points
+(`rays`); the next trial is the one farthest from all trials so far. So every trial also confirms the boundary that was
+foreseen. On an affine device 4 trials suffice; with a smooth non-affine part about 45 leave 2 % of the volume wrong, where a
+grid of yes and no needs 180,000.
 
 What is known beforehand helps, and each of it may be left out:
     prior        Re Z as a model predicts it; only what was measured otherwise is learnt (`surrogate`)
@@ -25,13 +25,9 @@ import numpy.typing as npt
 
 from hapticd.analysis.arrays import Flags, Floats
 from hapticd.analysis.escape import least_headroom
-from hapticd.analysis.rays import N_RAYS, boundary, distance, samples
+from hapticd.analysis.rays import boundary, distance, samples
 from hapticd.analysis.surrogate import Box, Observation, Prior, Surrogate, fit, log_chance, margin, margin_sd
 from hapticd.errors import AnalysisError
-
-__all__ = [
-    "N_RAYS", "Search", "boundary_points", "directed_search", "doubtful_share", "first_trials", "next_trials", "predicted_passive",
-]  # fmt: skip
 
 Headroom = Callable[[Floats], Floats]  # environments (N, 3) -> (N,), larger is safer
 Oracle = Callable[[Floats], Observation | None]
@@ -113,12 +109,6 @@ def predicted_passive(search: Search, environments: npt.ArrayLike) -> Flags:
         unit = search.box.to_unit(places)
         passive &= distance(unit, search.box.to_unit(search.unstable)) > distance(unit, found.unit)
     return passive
-
-
-def boundary_points(search: Search) -> tuple[Floats, Flags]:
-    """Environments (N_RAYS, 3) where rays from the middle leave the set, and which of them are ends of the box."""
-    unit, ends = _boundary(search)
-    return search.box.to_environment(unit), ends
 
 
 def doubtful_share(search: Search) -> float:

@@ -51,6 +51,7 @@ class SpectralStream:
     def __init__(self, rate_hz: float = PROBE_RATE_HZ, lag: int = DEFAULT_LAG, detrend: bool = True) -> None:
         self._sums, self._rate_hz, self._detrend = Sections(lag), rate_hz, detrend
         self._force = self._velocity = NO_SAMPLES
+        self._first = 0.0, 0.0  # samples
 
     @property
     def n_samples(self) -> int:
@@ -60,6 +61,10 @@ class SpectralStream:
     def add(self, force_n: npt.ArrayLike, velocity_m_per_s: npt.ArrayLike) -> None:
         """Append a block, both (n,) float64 of any length. AnalysisError for unequal lengths."""
         force, velocity = (np.ascontiguousarray(signal, np.float64) for signal in (force_n, velocity_m_per_s))
+        if self._detrend and force.size and velocity.size:
+            if not self.n_samples:
+                self._first = force[0], velocity[0]
+            force, velocity = force - self._first[0], velocity - self._first[1]  # else the square of an offset drowns the rest
         self._sums.add(force, velocity)
         if self._detrend:
             self._force = self._force.extended(force, self._sums.lag)

@@ -38,7 +38,8 @@ class Verdict:
     """Answer and conditions. `within_90_deg` is the paper's plain rule, `port` the place where Z was looked at.
 
     "stable" without a `spectral_radius` (of the predicted loop) says that no escape was seen in this record. `seconds` is
-    the length of the record, `seconds_needed` that of one like it that would decide; inf at margin 0.
+    the length of the record, `seconds_needed` that of one like it that would decide; inf at margin 0. What is narrower than
+    `resolution_hz` was averaged with what is beside it.
     """
 
     answer: Answer
@@ -53,6 +54,7 @@ class Verdict:
     port: str
     seconds: float
     seconds_needed: float
+    resolution_hz: float
     spectral_radius: float | None = None
     energy: Energy | None = None
     findings: tuple[Finding, ...] = field(default_factory=tuple)
@@ -63,7 +65,7 @@ class Verdict:
         words = (
             f"{_WORDS[self.answer]} [{low:g}, {high:g}] Hz at {100 * self.confidence:g} % confidence",
             self._stability(),
-            f"margin {self.margin_ns_per_m} N s/m, {self.margin_deg} deg",
+            f"margin at a resolution of {self.resolution_hz:.2g} Hz {self.margin_ns_per_m} N s/m, {self.margin_deg} deg",
             f"perturbation {density:.3g} N^2/Hz, velocity {speed:.3g} mm/s rms over {self.seconds:.3g} s at the {self.port}",
             *(finding.message for finding in self.findings),
         )

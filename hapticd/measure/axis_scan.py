@@ -10,24 +10,17 @@ scene's force. `seeds` repeats the whole scan with other noise; the scatter is g
 
 from collections.abc import Callable
 from concurrent.futures import Executor
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from itertools import product
 from math import nan
 
 import numpy as np
 
-from hapticd.analysis.arrays import Flags, Floats
 from hapticd.analysis.boundary import AXES, axis_limit
-from hapticd.analysis.linearise import Perturbation
-from hapticd.analysis.predict import predict
 from hapticd.measure.bracketing import REACH, Bracketing, Fly, Scan, bracket, bracket_all
-from hapticd.measure.executors import threads
-from hapticd.measure.outcomes import Conditions, Outcome, fly
+from hapticd.measure.executors import pool_of
+from hapticd.measure.outcomes import Conditions, Outcome, fly, predictor
 from hapticd.measure.progress import Progress, silent
-from hapticd.measure.scenes import filters
-from hapticd.plant.compose import compose
-from hapticd.plant.model import Model
 
 Hear = Callable[[Scan, Conditions, list[Outcome]], None]
 
@@ -84,9 +77,8 @@ class LimitsResult:
 
 def plan_limits(params: LimitsParams) -> LimitsPlan:
     """Predict every limit. ConfigError as `compose`."""
-    model = compose(params.conditions.scene)
     scans = [
-        Scan(axis, level, amplitude, _predicted(params, model, axis, level, amplitude))
+        Scan(axis, level, amplitude, _predicted(params, axis, level, amplitude))
         for level, amplitude, axis in product(params.levels, params.amplitudes, params.axes)
     ]
     return LimitsPlan(params, tuple(scans))
@@ -107,7 +99,7 @@ def run_limits(
         hear(one.scan, one.conditions, new)
 
     tell("axis limits", 0, len(wanted))
-    with nullcontext(executor) if executor else threads() as pool:
+    with pool_of(executor) as pool:
         bracket_all(wanted, pool, flying, told)
     tried = [[one.tried for one in wanted if one.scan is scan] for scan in plan.scans]
     return LimitsResult(plan, tuple(_together(params, scan, seeds) for scan, seeds in zip(plan.scans, tried, strict=True)))
@@ -119,15 +111,9 @@ def _at(params: LimitsParams, amplitude: float, repeat: int = 0) -> Conditions:
     return replace(params.conditions, excitation=changed)
 
 
-def _predicted(params: LimitsParams, model: Model, axis: int, level: float, amplitude: float) -> float:
-    conditions = _at(params, amplitude)
-    source = Perturbation(conditions.excitation.psd_n2_per_hz, conditions.excitation.band_hz)
-    chosen = filters(conditions.scene)
-
-    def decide(points: Floats) -> Flags:
-        return predict(model, points, level, chosen, source, conditions.band_hz, recorded=True).passive
-
-    return axis_limit(decide, axis, REACH[axis])
+def _predicted(params: LimitsParams, axis: int, level: float, amplitude: float) -> float:
+    guess = predictor(_at(params, amplitude), level)
+    return axis_limit(lambda points: guess(points).passive, axis, REACH[axis])
 
 
 def _together(params: LimitsParams, scan: Scan, seeds: list[list[Outcome]]) -> AxisLimit:

@@ -3,6 +3,7 @@
 The daemon may be the real one (`hapticd.client.Client`) or the same stack on virtual time (`lockstep_bench`): what is used of
 it is the `Bench` below. The probe's samples and the servo's ticks are heard side by side, so that the sentinel sees every
 command, not only what it did. The trial begins disabled, and ends disabled whatever happens; nobody's session is taken over.
+Whoever changes anything meanwhile ends it: the ticks carry the revision of what is in force.
 
 What would break it: a board without probe inputs (refused), or a host so busy that messages are lost (they are counted).
 """
@@ -31,6 +32,7 @@ SETTLE_S = 1.0  # of perturbed motion before the record begins
 PROBE, TICKS = "probe", "servo.raw"
 LOOK_S = 0.05
 SILENT_LOOKS = 40  # without a message: 2 s
+CHANGED = "changed: someone changed what was rendered or the perturbation; be alone at the device, and repeat the trial"
 
 
 class Bench(Protocol):
@@ -80,9 +82,11 @@ def _waveform(trial: Trial) -> Floats:
 
 def _leave(bench: Bench) -> None:
     """Force off whatever happened; a stop or a fault has done so already."""
-    bench.perturb_stop()
-    if bench.status()["state"] == "enabled":
-        bench.disable()
+    try:
+        bench.perturb_stop()
+    finally:
+        if bench.status()["state"] == "enabled":
+            bench.disable()
 
 
 class _Session:
@@ -96,6 +100,7 @@ class _Session:
         self._parts: list[tuple[Floats, Floats]] = []
         self._taken = self._lost = 0
         self._command_n, self._winding_c, self._enabled = 0.0, nan, True
+        self._revision, self._changed = -1, False
 
     def recorded(self, origin: str, tell: Progress) -> Recorded:
         """Listen to the end, or to where the sentinel or the servo ends it. DaemonDown if the daemon falls silent."""
@@ -116,17 +121,18 @@ class _Session:
         force, velocity = (np.concatenate(channel)[settle:wanted] for channel in zip(*self._parts, strict=True))
         more = {"lost_samples": self._lost, "winding_c": self._winding_c, "config_hash": status.get("config_hash", "")}
         return Recorded(
-            force, velocity, PROBE_RATE_HZ, origin, bool(status.get("simulated", True)), ended or _gone(status),
+            force, velocity, PROBE_RATE_HZ, origin, bool(status.get("simulated", True)),
+            ended or _gone(status) or (CHANGED if self._changed else ""),
             self._command_n, self._limit_n, more,
         )  # fmt: skip
 
     def _heard(self) -> Iterator[Block]:
-        """Blocks of the probe, the ticks before each taken in; none after the servo is no longer enabled."""
+        """Blocks of the probe, the ticks before each taken in; none after the servo is no longer enabled or was changed."""
         decoders, quiet = {PROBE: BlockDecoder(), TICKS: BlockDecoder()}, 0
         for message in self._bench.messages((PROBE, TICKS), LOOK_S):
             if message is None:
                 quiet += 1
-                if quiet > SILENT_LOOKS or not self._enabled:
+                if quiet > SILENT_LOOKS or not self._enabled or self._changed:
                     break
                 continue
             quiet, block = 0, decoders[message[0]].decode(message[1])
@@ -134,7 +140,7 @@ class _Session:
                 self._hear(block.records)
             elif len(block.records):
                 yield block
-        if self._enabled and not _gone(self._bench.status()):
+        if self._enabled and not self._changed and not _gone(self._bench.status()):
             raise DaemonDown(f"nothing from the probe for {SILENT_LOOKS * LOOK_S:g} s; see `hapticd status`")
 
     def _hear(self, ticks: Any) -> None:
@@ -143,6 +149,10 @@ class _Session:
         clamped = bool((ticks["flags"] & Flag.CLAMPED).any())
         self._command_n = max(self._command_n, self._limit_n if clamped else float(np.abs(ticks["force_n"]).max()))
         self._winding_c, self._enabled = float(ticks["winding_c"][-1]), bool(ticks["state"][-1] == State.ENABLED)
+        playing = ticks["revision"][ticks["perturbing"] != 0]
+        if self._revision < 0 and len(playing):
+            self._revision = int(playing[0])
+        self._changed |= self._revision >= 0 and bool(ticks["revision"][-1] != self._revision)
 
     def _take(self, block: Block) -> None:
         self._parts.append((_scaled(block, "torque"), _scaled(block, "velocity")))
@@ -152,7 +162,10 @@ class _Session:
 
 def _gone(status: Mapping[str, Any]) -> str:
     """Why the servo is no longer enabled; "" if it is."""
-    return "" if status["state"] == "enabled" else f"{status['state']}: {status.get('cause') or 'somebody ended it'}"
+    state, cause = status["state"], status.get("cause")
+    if state == "enabled":
+        return ""
+    return f"{state}: {cause}" if cause and state != "disabled" else f"{state}: somebody ended it"
 
 
 def _scaled(block: Block, name: str) -> Floats:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hapticd.analysis.arrays import Floats
-from hapticd.measure.beyond_bench import Bench
+from hapticd.measure.beyond_display import Display
 from hapticd.measure.beyond_envelope import Bounds, Case, flown_bounds, hardy, predicted_bounds
 from hapticd.measure.beyond_levels import Levels, damping_levels
 from hapticd.measure.beyond_motion import Free, free_motion
@@ -51,7 +51,7 @@ class BeyondPlan:
     """The device, and the seeds, none if quick."""
 
     params: BeyondParams
-    bench: Bench
+    display: Display
     seeds: tuple[int, ...]
 
 
@@ -70,28 +70,28 @@ class BeyondResult:
 
 def plan_beyond(params: BeyondParams) -> BeyondPlan:
     """ConfigError as `load_scene`."""
-    bench = Bench(load_scene(SCENES[MAIN]))
-    return BeyondPlan(params, bench, () if params.quick else tuple(range(1, params.seeds + 1)))
+    display = Display(load_scene(SCENES[MAIN]))
+    return BeyondPlan(params, display, () if params.quick else tuple(range(1, params.seeds + 1)))
 
 
 def run_beyond(plan: BeyondPlan, tell: Progress = silent) -> BeyondResult:
     """Do it. ConfigError as `simulate`."""
-    bench, seeds = plan.bench, plan.seeds
+    display, seeds = plan.display, plan.seeds
     steps, envelopes = Steps(tell, len(CASES) + 3 + (len(LEVELS) if seeds else 0)), {}
     for case in CASES:
         steps.next(f"envelope, {case.name}")
-        envelopes[case.name] = flown_bounds(bench, case, seeds) if seeds else predicted_bounds(bench, case)
-    survived = {name: hardy(bench, bounds, seeds[0]) for name, bounds in envelopes.items() if seeds}
+        envelopes[case.name] = flown_bounds(display, case, seeds) if seeds else predicted_bounds(display, case)
+    survived = {name: hardy(display, bounds, seeds[0]) for name, bounds in envelopes.items() if seeds}
     steps.next("free motion")
-    free = free_motion(bench, ADDED_NS_PER_M, seeds)
+    free = free_motion(display, ADDED_NS_PER_M, seeds)
     steps.next("shaped damping")
-    shaped = shaped_damping(bench, ADDED_NS_PER_M, seeds)
+    shaped = shaped_damping(display, ADDED_NS_PER_M, seeds)
     steps.next("levels of damping")
-    levels = damping_levels(bench, seeds)
+    levels = damping_levels(display, seeds)
     searches = []
     for level in LEVELS if seeds else ():
         steps.next(f"directed search, {level:g} N s/m")
-        searches.append(compared_with_grid(Conditions(bench.scene, SECONDS, noise(bench.scene)), level))
+        searches.append(compared_with_grid(Conditions(display.scene, SECONDS, noise(display.scene)), level))
     steps.end()
     return BeyondResult(plan, envelopes, survived, free, shaped, levels, tuple(searches))
 

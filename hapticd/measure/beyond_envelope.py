@@ -21,7 +21,7 @@ import numpy as np
 from hapticd.analysis.arrays import Floats, Integers
 from hapticd.analysis.boundary import grid
 from hapticd.analysis.envelope import Edge
-from hapticd.measure.beyond_bench import Bench, shown_hz, sizes
+from hapticd.measure.beyond_display import Display, shown_hz, sizes
 from hapticd.measure.reproduce_grid import AXES
 
 LOW_HZ = (2.0, 20.0)  # above it the mass of 8 g outweighs the undamped device's damping: |Z| is w m whatever is rendered
@@ -80,31 +80,31 @@ def mean_db(frequency_hz: Floats, values: Floats, band_hz: tuple[float, float]) 
     return np.asarray(np.trapezoid(20.0 * np.log10(values[:, inside]), place) / (place[-1] - place[0]))
 
 
-def candidates(bench: Bench, case: Case, points: Floats = GRID) -> Floats:
+def candidates(display: Display, case: Case, points: Floats = GRID) -> Floats:
     """Environments (N, 3) of the grid that are predicted to be passive in this case."""
     kept = points if case.negative else points[points[:, 1] >= 0.0]
-    return np.asarray(kept[bench.passive(kept, case.level, case.dry)])
+    return np.asarray(kept[display.passive(kept, case.level, case.dry)])
 
 
-def predicted_bounds(bench: Bench, case: Case, points: Floats = GRID) -> Bounds:
+def predicted_bounds(display: Display, case: Case, points: Floats = GRID) -> Bounds:
     """By prediction alone."""
-    kept = candidates(bench, case, points)
-    size = np.abs(bench.impedances(kept, case.level))
+    kept = candidates(display, case, points)
+    size = np.abs(display.impedances(kept, case.level))
     owners = size.argmin(axis=0), size.argmax(axis=0)
     return _bounds(case, kept, size[None], owners, size, (0, 0))
 
 
-def flown_bounds(bench: Bench, case: Case, seeds: tuple[int, ...], points: Floats = GRID) -> Bounds:
+def flown_bounds(display: Display, case: Case, seeds: tuple[int, ...], points: Floats = GRID) -> Bounds:
     """By trials of the owners, all of which pass with every seed."""
-    kept = candidates(bench, case, points)
-    size = np.abs(bench.impedances(kept, case.level))
+    kept = candidates(display, case, points)
+    size = np.abs(display.impedances(kept, case.level))
     runs: dict[int, Floats] = {}
     alive, flown = np.ones(len(kept), np.bool_), 0
     for _ in range(ROUNDS):
         new = np.setdiff1d(np.concatenate(_owners(size, alive)), np.array(sorted(runs), np.int64))
         if not new.size:
             break
-        passed, count = _flown(bench, case.level, kept, new, seeds)
+        passed, count = _flown(display, case.level, kept, new, seeds)
         runs |= passed
         flown += count
         alive[np.setdiff1d(new, np.array(sorted(passed), np.int64))] = False
@@ -115,11 +115,11 @@ def flown_bounds(bench: Bench, case: Case, seeds: tuple[int, ...], points: Float
     return _bounds(case, kept, every, _owners(size, known), size, (flown, int((~alive).sum())))
 
 
-def hardy(bench: Bench, bounds: Bounds, seed: int, amplitude: float = 2.0) -> float:
+def hardy(display: Display, bounds: Bounds, seed: int, amplitude: float = 2.0) -> float:
     """Share of the environments that own the lower edge in LOW_HZ which pass with `amplitude` times the force as well."""
     low = (bounds.frequency_hz >= LOW_HZ[0]) & (bounds.frequency_hz <= LOW_HZ[1])
     points = bounds.points[np.unique(bounds.lower.owner[low])]
-    return float(np.mean([outcome.passes for outcome in bench.flown(points, bounds.case.level, seed, amplitude)]))
+    return float(np.mean([outcome.passes for outcome in display.flown(points, bounds.case.level, seed, amplitude)]))
 
 
 def _owners(size: Floats, among: "np.ndarray[tuple[int], np.dtype[np.bool_]]") -> tuple[Integers, Integers]:
@@ -127,7 +127,9 @@ def _owners(size: Floats, among: "np.ndarray[tuple[int], np.dtype[np.bool_]]") -
     return np.where(among[:, None], size, np.inf).argmin(axis=0), np.where(among[:, None], size, -np.inf).argmax(axis=0)
 
 
-def _flown(bench: Bench, level: float, points: Floats, places: Integers, seeds: tuple[int, ...]) -> tuple[dict[int, Floats], int]:
+def _flown(
+    display: Display, level: float, points: Floats, places: Integers, seeds: tuple[int, ...]
+) -> tuple[dict[int, Floats], int]:
     """|Z| (seeds, F) of those of `places` that pass with every seed, and how many trials that took."""
     runs: dict[int, list[Floats]] = {int(place): [] for place in places}
     count = 0
@@ -135,7 +137,7 @@ def _flown(bench: Bench, level: float, points: Floats, places: Integers, seeds: 
         left = np.array(list(runs), np.int64)
         if not left.size:
             break
-        outcomes = bench.flown(points[left], level, seed)
+        outcomes = display.flown(points[left], level, seed)
         count += len(left)
         for place, outcome in zip(left, outcomes, strict=True):
             if outcome.passes:

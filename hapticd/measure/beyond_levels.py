@@ -13,7 +13,7 @@ import numpy as np
 
 from hapticd.analysis.arrays import Floats
 from hapticd.analysis.boundary import grid, open_ends, passive_set, volume
-from hapticd.measure.beyond_bench import Bench, shown_hz
+from hapticd.measure.beyond_display import Display, shown_hz
 from hapticd.measure.beyond_envelope import LOW_HZ, mean_db
 from hapticd.plant.stability import damping_ceiling
 
@@ -57,33 +57,33 @@ class Levels:
         return np.asarray((self.limits[at[1]] - self.limits[at[0]]) / (self.level[at[1]] - self.level[at[0]]))
 
 
-def limited(bench: Bench, level: float, axis: int, near: float, seeds: tuple[int, ...]) -> Limited:
+def limited(display: Display, level: float, axis: int, near: float, seeds: tuple[int, ...]) -> Limited:
     """The limit that was predicted to be `near`, by trials."""
-    return Limited(level, axis, near, bench.limits_by_trials(level, axis, near, seeds))
+    return Limited(level, axis, near, display.limits_by_trials(level, axis, near, seeds))
 
 
-def damping_levels(bench: Bench, seeds: tuple[int, ...]) -> Levels:
+def damping_levels(display: Display, seeds: tuple[int, ...]) -> Levels:
     """All levels by prediction, FLOWN by trials."""
-    limits = np.array([[bench.limit(level, axis) for axis in range(3)] for level in LEVELS])
-    sets = [_set(bench, level, limits[place]) for place, level in enumerate(LEVELS)]
-    free = [mean_db(shown_hz(), np.abs(bench.impedances(ORIGIN, level)), LOW_HZ)[0] for level in LEVELS]
+    limits = np.array([[display.limit(level, axis) for axis in range(3)] for level in LEVELS])
+    sets = [_set(display, level, limits[place]) for place, level in enumerate(LEVELS)]
+    free = [mean_db(shown_hz(), np.abs(display.impedances(ORIGIN, level)), LOW_HZ)[0] for level in LEVELS]
     confirmed = [
-        limited(bench, level, axis, limits[LEVELS.index(level), axis], seeds) for level in FLOWN for axis in range(3) if seeds
+        limited(display, level, axis, limits[LEVELS.index(level), axis], seeds) for level in FLOWN for axis in range(3) if seeds
     ]
     return Levels(
         np.array(LEVELS), limits, np.array([found[0] for found in sets]), np.array(free), tuple(confirmed),
         tuple(dict.fromkeys(f"{end} at {level:g} N s/m" for level, found in zip(LEVELS, sets, strict=True) for end in found[1])),
-        damping_ceiling(bench.model),
+        damping_ceiling(display.model),
     )  # fmt: skip
 
 
-def _set(bench: Bench, level: float, limits: Floats) -> tuple[float, tuple[str, ...]]:
+def _set(display: Display, level: float, limits: Floats) -> tuple[float, tuple[str, ...]]:
     """Volume, and upper or lower ends at which the grid was too small; K and B begin at 0 by definition."""
     k, b, m = limits * np.asarray(REACH)
     axes = (
         np.linspace(0.0, k, STEPS[0]),
         np.linspace(0.0, b, STEPS[1]),
-        np.linspace(m, -HEAVIEST * m + bench.model.mass_kg, STEPS[2]),
+        np.linspace(m, -HEAVIEST * m + display.model.mass_kg, STEPS[2]),
     )
-    found = passive_set(axes, bench.predicted(grid(axes), level).decided_margin)
+    found = passive_set(axes, display.predicted(grid(axes), level).decided_margin)
     return volume(found), tuple(end for end in open_ends(found) if end not in ("K min", "B min"))

@@ -18,7 +18,7 @@ from hapticd.analysis.boundary import grid
 from hapticd.analysis.lifted import lift, lifted_margin, lifted_passive
 from hapticd.analysis.requirement import paper_equation_2, required_damping
 from hapticd.errors import AnalysisError
-from hapticd.measure.beyond_bench import Bench, shown_hz
+from hapticd.measure.beyond_display import Display, shown_hz
 from hapticd.measure.beyond_envelope import LOW_HZ, mean_db
 
 FURTHEST = -12.0  # N s/m, of a predicted search of B
@@ -65,42 +65,44 @@ class Free:
     refusal: str
 
 
-def free_motion(bench: Bench, level: float, seeds: tuple[int, ...]) -> Free:
+def free_motion(display: Display, level: float, seeds: tuple[int, ...]) -> Free:
     """Undamped against damped by `level` [N s/m]."""
-    ends = {at: bench.limit(at, 1, FURTHEST) for at in (0.0, level)}
-    lightest = -bench.model.mass_kg * 2.0
-    damping, _ = safest(bench, level, ends[level], 0.0)
-    both = safest(bench, level, ends[level], lightest)
+    ends = {at: display.limit(at, 1, FURTHEST) for at in (0.0, level)}
+    lightest = -display.model.mass_kg * 2.0
+    damping, _ = safest(display, level, ends[level], 0.0)
+    both = safest(display, level, ends[level], lightest)
     asked = (
         ("off", 0.0, 0.0, 0.0),
         ("on", level, 0.0, 0.0),
         ("on_negative_B", level, damping, 0.0),
         ("on_negative_BM", level, *both),
     )
-    motions = tuple(_motion(bench, *each, seeds) for each in asked)
-    limits = {at: (end, bench.limits_by_trials(at, 1, end, seeds)) for at, end in ends.items()}
-    needed = required_damping([(0.0, damping, 0.0)], bench.scene.rate_hz, bench.model.delay_periods, bench.filters)[0]
-    available = bench.model.viscous_ns_per_m + level
+    motions = tuple(_motion(display, *each, seeds) for each in asked)
+    limits = {at: (end, display.limits_by_trials(at, 1, end, seeds)) for at, end in ends.items()}
+    needed = required_damping([(0.0, damping, 0.0)], display.scene.rate_hz, display.model.delay_periods, display.filters)[0]
+    available = display.model.viscous_ns_per_m + level
     return Free(motions, limits, float(needed[0]), available, _refusal(damping, available))
 
 
-def safest(bench: Bench, level: float, end: float, lightest_kg: float) -> tuple[float, float]:
+def safest(display: Display, level: float, end: float, lightest_kg: float) -> tuple[float, float]:
     """(B, M) of the lightest motion that is safe, B from `end` and M from `lightest_kg` up to 0."""
     masses = np.linspace(lightest_kg, 0.0, MASSES) if lightest_kg else np.zeros(1)
     points = grid((np.zeros(1), np.linspace(end, 0.0, DAMPINGS), masses))
-    points = points[bench.passive(points, level, dry=False)]
-    points = points[lifted_passive(lift(bench.model, level, bench.filters), points)]
+    points = points[display.passive(points, level, dry=False)]
+    points = points[lifted_passive(lift(display.model, level, display.filters), points)]
     if not len(points):
-        raise AnalysisError(f"{bench.scene.name!r} at {level:g} N s/m: not passive without friction even where nothing is rendered")
-    best = points[mean_db(shown_hz(), np.abs(bench.impedances(points, level)), LOW_HZ).argmin()]
+        raise AnalysisError(
+            f"{display.scene.name!r} at {level:g} N s/m: not passive without friction even where nothing is rendered"
+        )
+    best = points[mean_db(shown_hz(), np.abs(display.impedances(points, level)), LOW_HZ).argmin()]
     return float(best[1]), float(best[2])
 
 
-def _motion(bench: Bench, name: str, level: float, damping: float, mass_kg: float, seeds: tuple[int, ...]) -> Motion:
+def _motion(display: Display, name: str, level: float, damping: float, mass_kg: float, seeds: tuple[int, ...]) -> Motion:
     point = np.array([[0.0, damping, mass_kg]])
-    runs = np.concatenate([np.empty((0, shown_hz().size)), *(bench.sized(point, level, seed) for seed in seeds)])
-    spare = float(lifted_margin(lift(bench.model, level, bench.filters), point)[0])
-    return Motion(name, level, damping, mass_kg, np.abs(bench.impedances(point, level))[0], runs, spare)
+    runs = np.concatenate([np.empty((0, shown_hz().size)), *(display.sized(point, level, seed) for seed in seeds)])
+    spare = float(lifted_margin(lift(display.model, level, display.filters), point)[0])
+    return Motion(name, level, damping, mass_kg, np.abs(display.impedances(point, level))[0], runs, spare)
 
 
 def _refusal(damping: float, physical: float) -> str:

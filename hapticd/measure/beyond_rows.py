@@ -13,7 +13,7 @@ import numpy as np
 
 from hapticd.analysis.arrays import Floats
 from hapticd.measure.beyond import BeyondResult, mean_sd
-from hapticd.measure.beyond_bench import shown_hz
+from hapticd.measure.beyond_display import shown_hz
 from hapticd.measure.beyond_envelope import LOW_HZ, Bounds, mean_db
 from hapticd.measure.beyond_levels import FLOWN, Levels
 from hapticd.measure.reproduce_limits import NAMES, UNITS

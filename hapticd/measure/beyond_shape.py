@@ -15,7 +15,7 @@ import numpy as np
 
 from hapticd.analysis.arrays import Floats
 from hapticd.analysis.boundary import grid
-from hapticd.measure.beyond_bench import Bench, shown_hz
+from hapticd.measure.beyond_display import Display, shown_hz
 from hapticd.measure.beyond_envelope import LOW_HZ, Bounds, Case, flown_bounds, mean_db, predicted_bounds
 from hapticd.measure.beyond_levels import ORIGIN, Limited, limited
 from hapticd.measure.reproduce_limits import SET_GRID
@@ -54,36 +54,36 @@ class Shaped:
     stiffest: tuple[float, float]
 
 
-def shaped_damping(bench: Bench, level: float, seeds: tuple[int, ...]) -> Shaped:
+def shaped_damping(display: Display, level: float, seeds: tuple[int, ...]) -> Shaped:
     """All corners at a damping level [N s/m] by prediction, the best one by trials."""
-    undamped, plain = _corner(bench, 0.0), _corner(bench, level)
-    highpass = tuple(_corner(bench.shaped(highpass_hz=hertz), level, highpass_hz=hertz) for hertz in HIGHPASS_HZ)
-    lowpass = tuple(_corner(bench.shaped(lowpass_hz=hertz), level, lowpass_hz=hertz) for hertz in LOWPASS_HZ)
+    undamped, plain = _corner(display, 0.0), _corner(display, level)
+    highpass = tuple(_corner(display.shaped(highpass_hz=hertz), level, highpass_hz=hertz) for hertz in HIGHPASS_HZ)
+    lowpass = tuple(_corner(display.shaped(lowpass_hz=hertz), level, lowpass_hz=hertz) for hertz in LOWPASS_HZ)
     best = min((corner for corner in highpass if _keeps(corner, plain)), key=lambda corner: corner.free_db, default=plain)
-    own = bench.shaped(highpass_hz=best.highpass_hz) if best.highpass_hz else bench
+    own = display.shaped(highpass_hz=best.highpass_hz) if best.highpass_hz else display
     case = Case("on_shaped", level)
     bounds = flown_bounds(own, case, seeds) if seeds else predicted_bounds(own, case)
     confirmed = tuple(limited(own, level, axis, near, seeds) for axis, near in enumerate(best.limits))
-    stiffest = _stiffest(bench, level), _stiffest(own, level)
+    stiffest = _stiffest(display, level), _stiffest(own, level)
     return Shaped(level, undamped, plain, highpass, lowpass, best, bounds, confirmed, _free_runs(own, level, seeds), stiffest)
 
 
-def _corner(bench: Bench, level: float, highpass_hz: float = 0.0, lowpass_hz: float = 0.0) -> Corner:
-    limits = (bench.limit(level, 0), bench.limit(level, 1), bench.limit(level, 2))
-    free = mean_db(shown_hz(), np.abs(bench.impedances(ORIGIN, level)), LOW_HZ)
+def _corner(display: Display, level: float, highpass_hz: float = 0.0, lowpass_hz: float = 0.0) -> Corner:
+    limits = (display.limit(level, 0), display.limit(level, 1), display.limit(level, 2))
+    free = mean_db(shown_hz(), np.abs(display.impedances(ORIGIN, level)), LOW_HZ)
     return Corner(highpass_hz, lowpass_hz, limits, float(free[0]))
 
 
-def _stiffest(bench: Bench, level: float) -> float:
+def _stiffest(display: Display, level: float) -> float:
     points = grid(SET_GRID)
-    return float(points[bench.passive(points, level), 0].max())
+    return float(points[display.passive(points, level), 0].max())
 
 
 def _keeps(corner: Corner, plain: Corner) -> bool:
     return all(corner.limits[axis] / plain.limits[axis] >= 1.0 - KEPT for axis in (1, 2))
 
 
-def _free_runs(bench: Bench, level: float, seeds: tuple[int, ...]) -> Floats:
+def _free_runs(display: Display, level: float, seeds: tuple[int, ...]) -> Floats:
     """Mean |Z| of free motion by trials [dB] (seeds,)."""
-    from_trials = [bench.sized(ORIGIN, level, seed) for seed in seeds]
+    from_trials = [display.sized(ORIGIN, level, seed) for seed in seeds]
     return mean_db(shown_hz(), np.concatenate(from_trials), LOW_HZ) if from_trials else np.empty(0)

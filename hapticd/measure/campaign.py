@@ -11,30 +11,26 @@ wider grid, makes only the trials that are missing. Tasks run on any executor of
 What would break it: a device whose prediction is off by more than `near` (the limits say by how much it is); then `everywhere`.
 """
 
-from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future, as_completed
-from contextlib import nullcontext
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from functools import cached_property
+from math import prod
 
 import numpy as np
 
 from hapticd.analysis.arrays import Flags, Floats
-from hapticd.analysis.boundary import PassiveSet, grid, passive_set
+from hapticd.analysis.boundary import PassiveSet, ascending, grid, passive_set
 from hapticd.analysis.envelope import Envelope
-from hapticd.analysis.linearise import Perturbation
-from hapticd.analysis.predict import Prediction, predict
-from hapticd.measure.executors import threads
-from hapticd.measure.outcomes import TOGETHER, Conditions, Outcome, envelope_of, fly, kept, key_of, restored
+from hapticd.analysis.predict import Prediction
+from hapticd.errors import AnalysisError
+from hapticd.measure.executors import pool_of
+from hapticd.measure.lots import Lot, Point, known, make
+from hapticd.measure.outcomes import Conditions, Hear, Outcome, envelope_of, predictor
 from hapticd.measure.progress import Progress, silent
-from hapticd.measure.scenes import filters
-from hapticd.measure.store import TrialStore, fingerprint
-from hapticd.plant.compose import compose
+from hapticd.measure.store import TrialStore
 
 Axes = tuple[Floats, Floats, Floats]
-Point = tuple[float, float, float]
-Keep = Callable[[list[Outcome]], None]
 NEAR = 0.15
+MOST = 10_000_000  # environments of a grid: half an hour of prediction, and a GB
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,100 +89,50 @@ class MapResult:
 
 
 def plan_map(params: MapParams) -> MapPlan:
-    """Predict the grid and choose. ConfigError as `compose`."""
-    model, source = compose(params.conditions.scene), params.conditions.excitation
-    perturbation = Perturbation(source.psd_n2_per_hz, source.band_hz)
-    chosen, points = filters(params.conditions.scene), grid(params.axes)
-
-    def guess(level: float, where: Floats) -> Prediction:
-        return predict(model, where, level, chosen, perturbation, params.conditions.band_hz, recorded=True)
-
-    plans = []
+    """Predict the grid and choose. AnalysisError for axes that do not ascend or are too many points; ConfigError as `compose`."""
+    ascending(params.axes)
+    if (count := prod(axis.size for axis in params.axes)) > MOST:
+        raise AnalysisError(f"a grid of {count} environments: {MOST} at most; refine it about the boundary instead")
+    points, plans = grid(params.axes), []
     for level in params.levels:
-        here = guess(level, points)
-        scaled = [guess(level, factor * points).passive for factor in (1.0 - params.near, 1.0 + params.near)]
+        guess = predictor(params.conditions, level)
+        here = guess(points)
+        scaled = [guess(factor * points).passive for factor in (1.0 - params.near, 1.0 + params.near)]
         near = (scaled[0] != here.passive) | (scaled[1] != here.passive) | _at_border(params.axes, here.passive)
         plans.append(LevelPlan(level, here, near))
     return MapPlan(params, tuple(plans))
 
 
 def run_map(
-    plan: MapPlan, store: TrialStore, tell: Progress = silent, executor: Executor | None = None, redraw: Keep = lambda new: None
+    plan: MapPlan, store: TrialStore, tell: Progress = silent, executor: Executor | None = None, hear: Hear = lambda new: None
 ) -> MapResult:
-    """Make the trials that the store has not; `redraw` hears of all outcomes so far after each task.
+    """Make the trials that the store has not; `hear` gets the outcomes of each task.
 
     KeyboardInterrupt passes through after the tasks in flight were given up; what was finished is in the store.
     """
     made, levels = 0, []
-    with threads() if executor is None else nullcontext(executor) as pool:
+    with pool_of(executor) as pool:
         for level in plan.levels:
             lots, have = _lots(plan.params, level), list[Outcome]()
             for finer in range(plan.params.refine + 1):
                 lots[0] = lots[0].with_points(_between(plan.params.axes, have) if finer else [])
-                made += sum([_make(lot, store, tell, pool, redraw) for lot in lots])
-                have = [outcome for lot in lots for outcome in _known(lot, store)]
+                made += sum([make(lot, store, tell, pool, hear) for lot in lots])
+                have = [outcome for lot in lots for outcome in known(lot, store)]
             levels.append(_level_map(plan.params, level, have))
     return MapResult(plan, tuple(levels), made)
 
 
-@dataclass(frozen=True, eq=False)
-class _Lot:
-    """Trials under one set of conditions."""
-
-    conditions: Conditions
-    damping_ns_per_m: float
-    points: tuple[Point, ...]
-
-    def with_points(self, more: list[Point]) -> "_Lot":
-        """With those that it does not have yet."""
-        return replace(self, points=tuple(dict.fromkeys((*self.points, *more))))
-
-    @cached_property
-    def keys(self) -> dict[Point, str]:
-        """Of each point in a store."""
-        shared = fingerprint(self.conditions)
-        return {point: key_of(self.conditions, shared, self.damping_ns_per_m, point) for point in self.points}
-
-
-def _lots(params: MapParams, level: LevelPlan) -> list[_Lot]:
+def _lots(params: MapParams, level: LevelPlan) -> list[Lot]:
     """Near the boundary with the conditions that are asked for, elsewhere with one sub-step."""
     conditions, points = params.conditions, level.prediction.points
-    lots = [_Lot(conditions, level.damping_ns_per_m, _points(points[level.near]))]
+    lots = [Lot(conditions, level.damping_ns_per_m, _points(points[level.near]))]
     if params.everywhere:
-        lots.append(_Lot(replace(conditions, substeps=1), level.damping_ns_per_m, _points(points[~level.near])))
+        lots.append(Lot(replace(conditions, substeps=1), level.damping_ns_per_m, _points(points[~level.near])))
     return lots
 
 
 def _points(rows: Floats) -> tuple[Point, ...]:
     return tuple((float(k), float(b), float(m)) for k, b, m in rows)
-
-
-def _make(lot: _Lot, store: TrialStore, tell: Progress, pool: Executor, redraw: Keep) -> int:
-    missing = [point for point, key in lot.keys.items() if key not in store.known]
-    tasks = [np.array(missing[first : first + TOGETHER]) for first in range(0, len(missing), TOGETHER)]
-    done, what = len(lot.points) - len(missing), f"trials, added damping {lot.damping_ns_per_m:g} N s/m"
-    tell(what, done, len(lot.points))
-    for outcomes in _flown(lot, tasks, pool):
-        store.add((lot.keys[outcome.environment], kept(outcome)) for outcome in outcomes)
-        done += len(outcomes)
-        tell(what, done, len(lot.points))
-        redraw(outcomes)
-    return len(missing)
-
-
-def _flown(lot: _Lot, tasks: list[Floats], pool: Executor) -> Iterator[list[Outcome]]:
-    """Outcomes of tasks as they finish; what has not begun is given up when the caller stops."""
-    waiting: list[Future[list[Outcome]]] = [pool.submit(fly, lot.conditions, lot.damping_ns_per_m, task) for task in tasks]
-    try:
-        for future in as_completed(waiting):
-            yield future.result()
-    finally:
-        for future in waiting:
-            future.cancel()
-
-
-def _known(lot: _Lot, store: TrialStore) -> list[Outcome]:
-    return [restored(store.known[key]) for key in lot.keys.values()]
 
 
 def _at_border(axes: Axes, passive: Flags) -> Flags:

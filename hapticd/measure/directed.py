@@ -11,7 +11,6 @@ Each trial is also a check: what was expected of it before it was learnt is kept
 """
 
 from concurrent.futures import Executor
-from contextlib import nullcontext
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,17 +18,16 @@ import numpy as np
 from hapticd.analysis.arrays import Floats
 from hapticd.analysis.boundary import PassiveSet, grid, passive_set
 from hapticd.analysis.foresight import Foresight
-from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.search import Search, doubtful_share, first_trials, next_trials, predicted_passive
 from hapticd.analysis.spa import DEFAULT_LAG
 from hapticd.analysis.surrogate import Box, margin
 from hapticd.errors import AnalysisError
 from hapticd.measure.axis_scan import LimitsParams, plan_limits
-from hapticd.measure.directed_trials import Keep, learnt_at, make, observed, rounded
-from hapticd.measure.executors import threads
-from hapticd.measure.outcomes import Conditions, Outcome
+from hapticd.measure.directed_trials import learnt_at, make, observed, rounded
+from hapticd.measure.executors import pool_of
+from hapticd.measure.outcomes import Conditions, Hear, Outcome
 from hapticd.measure.progress import Progress, silent
-from hapticd.measure.scenes import filters
+from hapticd.measure.scenes import filters, perturbation
 from hapticd.measure.store import TrialStore
 from hapticd.plant.compose import compose
 from hapticd.units import PROBE_RATE_HZ
@@ -84,16 +82,14 @@ class SearchResult:
 def plan_search(params: SearchParams) -> SearchPlan:
     """Box and foresight from the prediction. AnalysisError where nothing is predicted to be passive."""
     box, f = params.box or _box(params), learnt_at(params.conditions)
-    source, scene = params.conditions.excitation, params.conditions.scene
-    known = Foresight(
-        compose(scene), box, f, params.damping_ns_per_m, filters(scene), Perturbation(source.psd_n2_per_hz, source.band_hz)
-    )
+    scene, source = params.conditions.scene, perturbation(params.conditions.excitation)
+    known = Foresight(compose(scene), box, f, params.damping_ns_per_m, filters(scene), source)
     begin = Search(box, known.resistance, known.headroom, np.gradient(f) / INDEPENDENT_HZ)
     return SearchPlan(params, box, begin)
 
 
 def run_search(
-    plan: SearchPlan, store: TrialStore, tell: Progress = silent, executor: Executor | None = None, hear: Keep = lambda new: None
+    plan: SearchPlan, store: TrialStore, tell: Progress = silent, executor: Executor | None = None, hear: Hear = lambda new: None
 ) -> SearchResult:
     """Search, trials on `executor` or on threads here; `hear` gets the outcomes of each round.
 
@@ -101,7 +97,7 @@ def run_search(
     """
     params, search, steps = plan.params, plan.begin, list[Step]()
     wanted = rounded(first_trials(plan.box, np.zeros(3)))
-    with nullcontext(executor) if executor else threads() as pool:
+    with pool_of(executor) as pool:
         while True:
             tell("trials", len(steps), params.budget)
             expected = _expected(search, wanted)
@@ -124,7 +120,7 @@ def _box(params: SearchParams) -> Box:
     limits = plan_limits(LimitsParams(params.conditions, (params.damping_ns_per_m,))).scans
     k, b, m = (room * scan.predicted for room, scan in zip(ROOM, limits, strict=True))
     if not np.isfinite((k, b, m)).all() or not (k > 0.0 and b > 0.0 and m < 0.0):
-        raise AnalysisError("nothing is predicted to be passive from K = B = M = 0 on: name a box with --box")
+        raise AnalysisError("nothing is predicted to be passive from K = B = M = 0 on, so there is no boundary to search")
     return Box((0.0, 0.0, m), (k, b, -HEAVIER * m))
 
 

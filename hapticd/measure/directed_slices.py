@@ -6,13 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from hapticd.analysis.arrays import Flags, Floats
-from hapticd.analysis.linearise import Perturbation
-from hapticd.analysis.predict import predict
 from hapticd.analysis.search import predicted_passive
 from hapticd.analysis.surrogate import Box
 from hapticd.measure.directed import SearchResult
-from hapticd.measure.scenes import filters
-from hapticd.plant.compose import compose
+from hapticd.measure.outcomes import predictor
 
 GRID = (30, 80)  # of K and B
 _HALVINGS = 7
@@ -30,18 +27,11 @@ class Slice:
 
 def slice_at(result: SearchResult, mass_kg: float) -> Slice:
     """The plane of one M through the box: what the search holds, and what was predicted before any trial."""
-    params = result.plan.params
-    source, scene = params.conditions.excitation, params.conditions.scene
-    model, perturbation = compose(scene), Perturbation(source.psd_n2_per_hz, source.band_hz)
-
-    def before(points: Floats) -> Flags:
-        band_hz, level = params.conditions.band_hz, params.damping_ns_per_m
-        return predict(model, points, level, filters(scene), perturbation, band_hz, recorded=True).passive
-
-    box = result.plan.box
+    params, box = result.plan.params, result.plan.box
+    guess = predictor(params.conditions, params.damping_ns_per_m)
     damping = np.linspace(box.low[1], box.high[1], GRID[1])
     held = _highest(lambda points: predicted_passive(result.search, points), box, damping, mass_kg)
-    return Slice(mass_kg, damping, held, _highest(before, box, damping, mass_kg))
+    return Slice(mass_kg, damping, held, _highest(lambda points: guess(points).passive, box, damping, mass_kg))
 
 
 def _highest(holds: Callable[[Floats], Flags], box: Box, damping: Floats, mass_kg: float) -> Floats:

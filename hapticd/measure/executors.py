@@ -15,7 +15,7 @@ with others is refused. What would break that: a cluster of unlike processors, f
 import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
 from importlib import import_module
 from multiprocessing import get_context
@@ -77,6 +77,11 @@ def threads() -> Iterator[Executor]:
         yield Alone(pool)
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+def pool_of(executor: Executor | None) -> AbstractContextManager[Executor]:
+    """`executor`, which stays open, or `threads` that are closed afterwards."""
+    return threads() if executor is None else nullcontext(executor)
 
 
 @contextmanager

@@ -8,9 +8,9 @@ gives the same outcome wherever it runs. `passes` is the paper's rule: all phase
 command not at its end. `answer` is the verdict with its intervals. A trial that diverged has no spectra.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, reduce
 from math import inf, nan
 from typing import Any
 
@@ -20,14 +20,14 @@ from hapticd import __version__
 from hapticd.analysis.arrays import Floats
 from hapticd.analysis.diagnostics import Record, escape_findings
 from hapticd.analysis.energy import Energy
-from hapticd.analysis.envelope import Envelope, Trial, of_trial, widened
-from hapticd.analysis.impedance import Impedance, impedance
+from hapticd.analysis.envelope import Envelope, merged, of_one
+from hapticd.analysis.impedance import impedance
 from hapticd.analysis.passivity import DEFAULT_BAND_HZ, judge
+from hapticd.analysis.predict import Prediction, predict
 from hapticd.analysis.spa import DEFAULT_LAG
 from hapticd.analysis.spectra import Spectra
-from hapticd.analysis.verdict import Amplitude, Margin, Verdict
 from hapticd.errors import AnalysisError
-from hapticd.measure.scenes import free_of_walls, frequencies
+from hapticd.measure.scenes import filters, free_of_walls, frequencies, perturbation
 from hapticd.measure.store import fingerprint
 from hapticd.plant.compose import compose
 from hapticd.plant.scene import Excitation, Scene
@@ -39,6 +39,7 @@ FREQUENCIES = 120
 KEPT_BAND_HZ = (2.0, 1000.0)
 NOISE = Excitation("noise")
 FORMAT = 1  # of an outcome; part of its key
+SATURATED = 1.0 - 1e-6  # of the force limit: float32 rounds it
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,15 +74,26 @@ class Outcome:
     relative_sd: Floats
 
 
+Hear = Callable[[list[Outcome]], None]
+
+
 @lru_cache
 def kept_frequencies() -> Floats:
     """Frequencies (F,) of `Outcome.z`."""
     return frequencies(KEPT_BAND_HZ, FREQUENCIES)
 
 
-def key_of(conditions: Conditions, shared: str, damping_ns_per_m: float, environment: tuple[float, float, float]) -> str:
+def key_of(shared: str, damping_ns_per_m: float, environment: tuple[float, float, float]) -> str:
     """Key of a trial in a store; `shared` is `fingerprint(conditions)`, the same for all of a campaign."""
     return fingerprint((FORMAT, __version__, shared, damping_ns_per_m, environment))[:32]
+
+
+def predictor(conditions: Conditions, damping_ns_per_m: float) -> Callable[[Floats], Prediction]:
+    """What is predicted of environments (N, 3), as a trial under `conditions` would record it. ConfigError as `compose`."""
+    model, scene = compose(conditions.scene), conditions.scene
+    return lambda points: predict(
+        model, points, damping_ns_per_m, filters(scene), perturbation(conditions.excitation), conditions.band_hz, recorded=True
+    )
 
 
 def fly(conditions: Conditions, damping_ns_per_m: float, points: Floats) -> list[Outcome]:
@@ -103,13 +115,13 @@ def _outcome(conditions: Conditions, damping: float, found: BatchResult, trial: 
         return Outcome((k, b, m), damping, "not_passive", False, nan, nan, nan, nan, nan, sd, most, nothing, nothing)
     spectra = found.spectra(trial)
     verdict = judge(spectra, _recorded(found, trial, spectra), conditions.band_hz, conditions.confidence, channels=False)
-    saturated = most >= limit_n * (1.0 - 1e-6)
+    doubtful = most >= SATURATED * limit_n or k < 0.0  # a K < 0 is active below every band
     z, shown = impedance(spectra), np.isin(spectra.frequency_hz, kept_frequencies())
     return Outcome(
         environment=(k, b, m),
         damping_ns_per_m=damping,
-        answer="undecided" if saturated and verdict.answer == "passive" else verdict.answer,
-        passes=verdict.within_90_deg and verdict.stability != "unstable" and not saturated,
+        answer="undecided" if doubtful and verdict.answer == "passive" else verdict.answer,
+        passes=verdict.within_90_deg and verdict.stability != "unstable" and not doubtful,
         margin_ns_per_m=verdict.margin_ns_per_m.value,
         margin_lower=verdict.margin_ns_per_m.lower,
         margin_upper=verdict.margin_ns_per_m.upper,
@@ -127,9 +139,8 @@ def _recorded(found: BatchResult, trial: int, spectra: Spectra) -> Record:
     rms = found.section_rms_m_per_s[trial]
     pairs = np.sqrt(np.mean(rms[: rms.size // 2 * 2].reshape(-1, 2) ** 2, axis=1))
     flowed = Energy(float(found.min_energy_j[trial]), nan, float(found.work_j[trial]))
-    force_sd = float(np.sqrt(np.trapezoid(spectra.force, spectra.frequency_hz) * 2.0 / spectra.rate_hz))
     findings = escape_findings(pairs, 2 * DEFAULT_LAG / found.rate_hz)
-    return Record(spectra.n_samples / spectra.rate_hz, flowed, force_sd, float(found.sigma_v_m_per_s[trial]), findings)
+    return Record(spectra.n_samples / spectra.rate_hz, flowed, float(found.sigma_v_m_per_s[trial]), findings)
 
 
 def kept(outcome: Outcome) -> dict[str, Any]:
@@ -146,42 +157,15 @@ def restored(line: Mapping[str, Any]) -> Outcome:
     return Outcome(**values)
 
 
-def envelope_of(outcomes: list[Outcome], freedom: float = 469.0) -> Envelope:
+def envelope_of(outcomes: list[Outcome]) -> Envelope:
     """The envelope over the trials that pass, each point with the trial that owns it. AnalysisError if none does."""
-    found: Envelope | None = None
-    for outcome in outcomes:
-        if outcome.passes:
-            trial = _trial(outcome, freedom)
-            found = of_trial(trial) if found is None else widened(found, trial)
-    if found is None:
+    each = [_envelope(outcome) for outcome in outcomes if outcome.passes]
+    if not each:
         raise AnalysisError("no trial passed: there is no envelope; begin with K = B = M = 0 and a longer trial")
-    return found
+    return reduce(merged, each)
 
 
-def named(environment: tuple[float, float, float]) -> str:
-    """An environment in words."""
-    k, b, m = environment
-    return f"K {k:.4g} N/m, B {b:.3g} N s/m, M {1e3 * m:.3g} g"
-
-
-def _trial(outcome: Outcome, freedom: float) -> Trial:
-    z = outcome.z[:, 0] + 1j * outcome.z[:, 1]
-    coherence = 1.0 / (1.0 + freedom * outcome.relative_sd**2)
-    sd = np.sqrt(2.0) * outcome.relative_sd * np.abs(z)
-    nothing = np.zeros(z.size)
-    measured = Impedance(kept_frequencies(), z, sd, coherence, nothing, nothing, "spa", "probe", freedom)
-    verdict = Verdict(
-        answer="passive",
-        band_hz=KEPT_BAND_HZ,
-        confidence=nan,
-        n_frequencies=z.size,
-        margin_ns_per_m=Margin(outcome.margin_ns_per_m, outcome.margin_lower, outcome.margin_upper, outcome.worst_hz),
-        margin_deg=Margin(outcome.margin_deg, nan, nan, nan),
-        within_90_deg=True,
-        stability="stable",
-        amplitude=Amplitude(nan, outcome.velocity_sd),
-        port="probe",
-        seconds=nan,
-        seconds_needed=nan,
-    )
-    return Trial(named(outcome.environment), outcome.environment, measured, verdict)
+def _envelope(outcome: Outcome) -> Envelope:
+    k, b, m = outcome.environment
+    name = f"K {k:.4g} N/m, B {b:.3g} N s/m, M {1e3 * m:.3g} g"
+    return of_one(name, kept_frequencies(), outcome.z[:, 0] + 1j * outcome.z[:, 1], outcome.relative_sd, "probe", "spa")

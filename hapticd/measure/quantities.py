@@ -21,7 +21,7 @@ from hapticd.analysis.arrays import Complexes, Floats
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.predict import DEFAULT_BAND_HZ, predicted_impedance
 from hapticd.errors import AnalysisError
-from hapticd.measure.scenes import calm, filters, free_of_walls, frequencies, level, noise, point, pooled, spectra_on
+from hapticd.measure.scenes import calm, filters, free_of_walls, frequencies, level, noise, perturbation, point, pooled, spectra_on
 from hapticd.plant.compose import compose
 from hapticd.plant.scene import Scene
 from hapticd.sim.engine import BatchResult, simulate
@@ -61,8 +61,7 @@ class Quantity(ABC):
 
     def perturbation(self) -> Perturbation:
         """Of the trials."""
-        source = noise(self.full)
-        return Perturbation(source.psd_n2_per_hz, source.band_hz)
+        return perturbation(noise(self.full))
 
     def flown(self, scene: Scene, points: npt.ArrayLike, own_torque: bool) -> BatchResult:
         """Trials with records under these K, B, M (n, 3)."""

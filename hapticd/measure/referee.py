@@ -43,9 +43,18 @@ def stepped_sine(
     for f in frequency_hz:
         steps.next(f"sine of {f:g} Hz")
         wave = np.sqrt(2.0) * force_n * np.sin(2.0 * np.pi * f * np.arange(PROBE_RATE_HZ) / PROBE_RATE_HZ)
-        found.append(_ratio(source(replace(trial, waveform_n=wave, seconds=DWELL_S), silent), f))
+        recorded = source(replace(trial, waveform_n=wave, seconds=DWELL_S), silent)
+        found.append(_ratio(recorded, f))
+        if not may_follow(recorded):
+            break
     steps.end()
-    return Referee(np.asarray(frequency_hz, np.float64), np.array(found), force_n)
+    missing = [complex("nan")] * (len(frequency_hz) - len(found))
+    return Referee(np.asarray(frequency_hz, np.float64), np.array([*found, *missing]), force_n)
+
+
+def may_follow(recorded: Recorded) -> bool:
+    """Whether another trial may follow: not after someone switched off or changed something, nor on a hot winding."""
+    return recorded.ended.startswith(("escape", "saturation", "decided")) or not recorded.ended
 
 
 def _ratio(recorded: Recorded, f: float) -> complex:

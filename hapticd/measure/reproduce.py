@@ -161,6 +161,3 @@ def _found(done: dict[Key, Any], level: float, predicted: Found | None) -> Found
         assert predicted is not None
         return predicted
     return grids.by_trials(level, [pair for _, value in parts for pair in value], sum(key[3] for key, _ in parts))
-
-
-__all__ = ["ReproduceParams", "ReproducePlan", "ReproduceResult", "Single", "plan_reproduce", "run_reproduce"]

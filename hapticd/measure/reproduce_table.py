@@ -19,13 +19,12 @@ from hapticd.measure.reproduce import ReproduceResult
 from hapticd.measure.reproduce_limits import NAMES, UNITS, Limit, edge_step
 from hapticd.measure.reproduce_read import MODES, read
 from hapticd.measure.reproduce_rows import LITERAL, PAPER, RATIOS, Kind, Row, arithmetic, kind_of
-from hapticd.measure.reproduce_trials import ADDED_NS_PER_M, EDGES_HZ, LEVELS, MAIN, SCENES, subject
+from hapticd.measure.reproduce_trials import ADDED_NS_PER_M, EDGES_HZ, LEVELS, MAIN, SCENES, WINDOW_HZ, subject
 from hapticd.plant.winding import Motor
 from hapticd.settings.scene import load_scene
 
 LOW_HZ = 5.0
-WINDOW_HZ = 1.95  # 1/(M Ts)
-WINDOW = "below 1/(M Ts) = 1.95 Hz: the window pulls the phase to 0"
+WINDOW = f"below 1/(M Ts) = {WINDOW_HZ:.2f} Hz: the window pulls the phase to 0"
 
 
 def rows(result: ReproduceResult) -> tuple[Row, ...]:

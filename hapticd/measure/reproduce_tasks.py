@@ -10,9 +10,8 @@ made once. A result is kept under a key:
     ("walls",)                                     Fig. 2
 """
 
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from functools import partial
 from itertools import product
 from typing import Any
@@ -22,6 +21,7 @@ import numpy as np
 from hapticd.analysis.spectra import Spectra
 from hapticd.measure import reproduce_grid as grids
 from hapticd.measure import reproduce_limits as searches
+from hapticd.measure.executors import threads
 from hapticd.measure.progress import Progress, Steps
 from hapticd.measure.reproduce_limits import Limit
 from hapticd.measure.reproduce_rows import FIG_4, FIG_7
@@ -49,16 +49,12 @@ def worked(
     for seed in seeds:
         tasks += _seed_tasks(devices, seed, axis, whole)
     done: dict[Key, Any] = {}
-    with ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0))) as threads:
-        running = {threads.submit(call): (key, what) for key, what, call in tasks}
-        try:
-            for ended in as_completed(running):
-                key, what = running[ended]
-                done[key] = ended.result()
-                tell(what, len(done), len(tasks))
-        except BaseException:  # Ctrl-C too: what has not begun never begins
-            threads.shutdown(cancel_futures=True)
-            raise
+    with threads() as pool:
+        running = {pool.submit(call): (key, what) for key, what, call in tasks}
+        for ended in as_completed(running):
+            key, what = running[ended]
+            done[key] = ended.result()
+            tell(what, len(done), len(tasks))
     return done
 
 

@@ -17,12 +17,12 @@ from math import inf
 import numpy as np
 
 from hapticd.analysis.arrays import Complexes, Flags, Floats
-from hapticd.analysis.linearise import Perturbation, linearise
-from hapticd.analysis.loop import Filters, close_loop
-from hapticd.analysis.predict import DEFAULT_BAND_HZ, coulomb, frequencies, predict
+from hapticd.analysis.linearise import Perturbation
+from hapticd.analysis.loop import Filters
+from hapticd.analysis.predict import DEFAULT_BAND_HZ, frequencies, predict
 from hapticd.analysis.spa import DEFAULT_LAG
 from hapticd.analysis.spectra import Spectra
-from hapticd.measure.scenes import filters
+from hapticd.measure.scenes import filters, predicted_impedances
 from hapticd.plant.compose import compose
 from hapticd.plant.model import Model
 from hapticd.settings.scene import load_scene
@@ -37,6 +37,7 @@ LEVELS = (0.0, ADDED_NS_PER_M)
 SECONDS = 90.0  # section 2.2
 SUBSTEPS = 4  # matched to what 90 s of noise leave uncertain
 TOGETHER = LANES["f64"]
+WINDOW_HZ = PROBE_RATE_HZ / DEFAULT_LAG  # 1/(M Ts): below it the window says nothing
 EDGES_HZ = (1.0, 2.0, 3.0, 5.0, 10.0)
 BETWEEN_HZ = (1.0, 1.5, 2.0, 2.5, 3.0, 5.0, 10.0)
 
@@ -60,9 +61,7 @@ class Subject:
     def impedances(self, points: Floats, level: float, band_hz: tuple[float, float]) -> tuple[Floats, Complexes]:
         """(frequencies (F,), Z (N, F) as recorded) by prediction; both ends of the band are among the frequencies."""
         f = frequencies(band_hz, Perturbation())
-        loop, friction = close_loop(self.model, f, level, self.filters), coulomb(self.model)
-        found = linearise(loop, points, friction, np.zeros_like(friction), Perturbation())
-        return f, np.asarray(found.impedance * loop.recorded)
+        return f, predicted_impedances(self.model, points, f, level, self.filters, Perturbation())
 
 
 @cache

@@ -15,13 +15,12 @@ import numpy as np
 from hapticd.analysis.arrays import Complexes, Floats
 from hapticd.analysis.diagnostics import examine
 from hapticd.analysis.impedance import Impedance, impedance
-from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.passivity import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge
 from hapticd.analysis.predict import predicted_impedance
 from hapticd.analysis.spa import DEFAULT_LAG, spa
 from hapticd.analysis.verdict import Verdict
 from hapticd.measure.progress import Progress, Steps, silent
-from hapticd.measure.scenes import SUBSTEPS, filters, level, point
+from hapticd.measure.scenes import SUBSTEPS, filters, level, perturbation, point
 from hapticd.params import ServoParams
 from hapticd.plant.compose import compose
 from hapticd.plant.model import Model
@@ -165,7 +164,7 @@ def _judged(
 ) -> tuple[Impedance | None, Complexes | None, Verdict | None]:
     if not plan.impedance or torque.size < LEAST_S * PROBE_RATE_HZ:
         return None, None, None
-    scene, source = plan.params.scene, plan.params.scene.excitation
+    scene = plan.params.scene
     trial = spa(torque, velocity)
     record = examine(torque, velocity, PROBE_RATE_HZ)
     verdict = judge(trial, record, plan.params.band_hz, channels=False)
@@ -173,7 +172,7 @@ def _judged(
     predicted = np.full(z.frequency_hz.size, np.nan + 0j)
     predicted[1:] = predicted_impedance(
         model, point(scene), z.frequency_hz[1:], max(height for _, height in leg.damping), filters(scene),
-        Perturbation(source.psd_n2_per_hz, source.band_hz),
+        perturbation(scene.excitation),
     )  # fmt: skip
     return z, predicted, verdict
 

@@ -11,12 +11,15 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.analysis.arrays import Complexes, Floats
-from hapticd.analysis.predict import DEFAULT_BAND_HZ
+from hapticd.analysis.linearise import Perturbation, linearise
+from hapticd.analysis.loop import Filters, close_loop
+from hapticd.analysis.predict import DEFAULT_BAND_HZ, coulomb
 from hapticd.analysis.spa import DEFAULT_LAG, spa
 from hapticd.analysis.spectra import Spectra
 from hapticd.errors import AnalysisError
 from hapticd.params import EnvironmentParams, FilterParams, WallParams
 from hapticd.plant.catalogue import ALWAYS
+from hapticd.plant.model import Model
 from hapticd.plant.scene import Excitation, Scene
 from hapticd.sim.engine import BatchResult
 from hapticd.units import PROBE_RATE_HZ
@@ -49,6 +52,19 @@ def free_of_walls(scene: Scene) -> EnvironmentParams:
 def noise(scene: Scene) -> Excitation:
     """The scene's own noise, or the paper's where the scene has none."""
     return scene.excitation if scene.excitation.kind == "noise" else Excitation("noise", seed=scene.excitation.seed)
+
+
+def perturbation(source: Excitation) -> Perturbation:
+    """What a prediction knows of noise or a multisine."""
+    return Perturbation(source.psd_n2_per_hz, source.band_hz)
+
+
+def predicted_impedances(
+    model: Model, points: Floats, frequency_hz: Floats, damping_ns_per_m: float, filters: Filters, source: Perturbation
+) -> Complexes:
+    """Z (N, F) [N s/m] of environments (N, 3) as trials record it, friction linearised on the same frequencies (F,)."""
+    loop, friction = close_loop(model, frequency_hz, damping_ns_per_m, filters), coulomb(model)
+    return np.asarray(linearise(loop, points, friction, np.zeros_like(friction), source).impedance * loop.recorded)
 
 
 def candidates(scene: Scene) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """The sentinel watches a trial while it runs and ends it before its time.
 
-    escape        the velocity of a second is four times that of the calm ones (the rule of `analysis.diagnostics`), or from
-                  the beginning faster than any trial: some 20 mm/s rms are usual
+    escape        the velocity of a second is four times that of the calm ones (the rule of `analysis.diagnostics`) and the
+                  force did not grow with it, or from the beginning faster than any trial: some 20 mm/s rms are usual
     saturation    a channel stands at its end in more than a hundredth of a second's samples, or the commanded force reached
                   its limit: what is rendered then is not what was asked. The second after it is still looked at, because a
                   loop that runs away reaches the limit first
@@ -58,7 +58,7 @@ class Sentinel:
         self._watch, self._rate_hz = watch, rate_hz
         self._at_limit = False  # the command was, by the end of the second before
         self._stream = SpectralStream(rate_hz)
-        self._rms: list[float] = []
+        self._rms: list[tuple[float, float]] = []  # of force and velocity, a second each
         self._rest: tuple[Floats, Floats] = (np.empty(0), np.empty(0))
         self._next_look_s = LEAST_FREEDOM * 0.375 * DEFAULT_LAG / rate_hz + 1.0
 
@@ -82,7 +82,7 @@ class Sentinel:
 
     def _look_at(self, force: Floats, velocity: Floats) -> None:
         self._stream.add(force, velocity)
-        rms = float(np.std(velocity))
+        pushed, rms = float(np.std(force)), float(np.std(velocity))
         for name, signal, limit in (
             ("torque", force, self._watch.force_limit_n),
             ("velocity", velocity, self._watch.velocity_limit_m_per_s),
@@ -93,13 +93,19 @@ class Sentinel:
         if self._at_limit:
             self.reason = f"saturation: the command reached its limit of {self._watch.command_limit_n:.3g} N"
         self._at_limit = self.max_command_n >= self._watch.command_limit_n * (1.0 - AT_LIMIT)
-        calm = float(np.quantile(self._rms, 0.25)) if len(self._rms) >= CALM_SECONDS else inf
-        if rms > min(self._watch.speed_limit_m_per_s, ESCAPE_RATIO * calm):
+        if rms > min(self._watch.speed_limit_m_per_s, ESCAPE_RATIO * self._calm(pushed)):
             self.reason = f"escape: velocity of {rms:.3g} m/s rms after {self.seconds:.0f} s; the loop is not stable there"
-        self._rms.append(rms)
+        self._rms.append((pushed, rms))
         if not self.reason and self._watch.random and self.seconds >= self._next_look_s:
             self._next_look_s += LOOK_S
             self._decide()
+
+    def _calm(self, pushed: float) -> float:
+        """Velocity of the calm seconds, as it would be under as much force as `pushed`, if that is more."""
+        if len(self._rms) < CALM_SECONDS:
+            return inf
+        usual, calm = (float(value) for value in np.quantile(self._rms, 0.25, axis=0))
+        return calm * max(1.0, pushed / usual) if usual > 0.0 else inf
 
     def _decide(self) -> None:
         watch = self._watch

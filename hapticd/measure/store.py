@@ -9,6 +9,7 @@ not read. JSON knows no nan and no infinity: both become null, and null is read 
 
 import hashlib
 import json
+import os
 import platform
 from collections.abc import Iterable, Mapping
 from importlib.metadata import PackageNotFoundError, version
@@ -60,9 +61,9 @@ def read_summary(folder: Path) -> dict[str, Any]:
     """The summary of a run folder. ConfigError if it is none."""
     try:
         found = json.loads((folder / SUMMARY).read_text())
-    except (OSError, ValueError) as error:
+        return dict(found)
+    except (OSError, ValueError, TypeError) as error:
         raise ConfigError(f"{folder}: no run folder ({error}); a folder with {SUMMARY} was expected") from error
-    return dict(found)
 
 
 def record_path(folder: Path) -> Path:
@@ -99,29 +100,35 @@ class TrialStore:
 
     def add(self, found: Iterable[tuple[str, Mapping[str, Any]]]) -> None:
         """Remember and write. ConfigError if the file cannot be written."""
-        lines = []
-        for key, outcome in found:
-            self.known[key] = plain(outcome)
-            lines.append(json.dumps({"key": key, **self.known[key]}))
-        if self._path is None or not lines:
-            return
-        try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            with self._path.open("a") as file:
-                file.write("\n".join(lines) + "\n")
-        except OSError as error:
-            raise ConfigError(f"{self._path}: {error.strerror}; name a folder that you may write to with --out") from error
+        new = {key: plain(outcome) for key, outcome in found}
+        if self._path is not None and new:
+            _append(self._path, [json.dumps({"key": key, **outcome}) for key, outcome in new.items()])
+        self.known.update(new)
+
+
+def _append(path: Path, lines: list[str]) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("a") as file:
+            file.write("\n".join(lines) + "\n")
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}; name a folder that you may write to with --out") from error
 
 
 def _read(path: Path) -> Iterable[tuple[str, dict[str, Any]]]:
-    if not path.is_file():
-        return
-    text = path.read_text()
-    if text and not text.endswith("\n"):  # the run before died while writing: end its line, so that ours begins anew
-        path.write_text(text[: text.rfind("\n") + 1])
-    for line in text.splitlines():
+    try:
+        if not path.exists():
+            return
+        if not path.is_file():
+            raise ConfigError(f"{path}: no file; name a folder that you may write to with --out")
+        content = path.read_bytes()
+        if not content.endswith(b"\n"):  # the run before died while writing: cut its line off, so that ours begins anew
+            os.truncate(path, content.rfind(b"\n") + 1)
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}; name a folder that you may write to with --out") from error
+    for line in content.splitlines():
         try:
             outcome = json.loads(line)
             yield outcome.pop("key"), outcome
-        except (ValueError, KeyError):
+        except (ValueError, KeyError, AttributeError, TypeError):  # torn, or not ours
             continue

@@ -6,6 +6,7 @@ flown all the same (the sentinel ends it); the verdict then says not passive, wi
 """
 
 from dataclasses import dataclass, replace
+from math import inf, isfinite, isnan
 
 import numpy as np
 
@@ -14,7 +15,6 @@ from hapticd.analysis.closed import spectral_radius
 from hapticd.analysis.diagnostics import Finding, examine
 from hapticd.analysis.impedance import Estimator, Impedance, impedance
 from hapticd.analysis.leakage import leakage_findings
-from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.passivity import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge
 from hapticd.analysis.periodic import PeriodicSpectra, periodic_findings
 from hapticd.analysis.predict import coulomb, predicted_impedance
@@ -25,7 +25,8 @@ from hapticd.errors import AnalysisError
 from hapticd.measure.multisine import Layout, checked, laid_out, realised
 from hapticd.measure.progress import Progress, silent
 from hapticd.measure.recorded import Recorded
-from hapticd.measure.scenes import filters
+from hapticd.measure.scenes import filters, perturbation
+from hapticd.measure.sentinel import AT_LIMIT
 from hapticd.measure.sources import Source, Trial
 from hapticd.plant.compose import compose
 from hapticd.plant.model import Model
@@ -81,6 +82,7 @@ class TrialResult:
 
 def plan_trial(params: TrialParams) -> TrialPlan:
     """What to expect. AnalysisError for a trial too short for a verdict; ConfigError as `compose`."""
+    _possible(params)
     least_s = SHORTEST_WINDOWS * params.lag / PROBE_RATE_HZ
     if params.multisine is not None:
         checked(params.multisine)
@@ -98,6 +100,23 @@ def plan_trial(params: TrialParams) -> TrialPlan:
     return TrialPlan(asked, model, float(radius[0]))
 
 
+def _possible(params: TrialParams) -> None:
+    trial = params.trial
+    numbers = (
+        *zip(("stiffness", "damping", "mass"), trial.environment, ("N/m", "N s/m", "kg"), strict=True),
+        ("added damping", trial.damping_ns_per_m, "N s/m"),
+        ("mass behind the port", params.behind_mass_kg, "kg"),
+    )
+    for name, value, unit in numbers:
+        if not isfinite(value):
+            raise AnalysisError(f"{name} of {value:g} {unit}: a finite number is needed")
+    psd, hottest = trial.excitation.psd_n2_per_hz, trial.watch.winding_limit_c
+    if not 0.0 < psd < inf:
+        raise AnalysisError(f"perturbation of {psd:g} N^2/Hz: must be above 0; the paper's was about 2.5e-5")
+    if isnan(hottest):
+        raise AnalysisError(f"winding limit of {hottest:g} degC: a number is needed; inf for none")
+
+
 def run_trial(plan: TrialPlan, source: Source, tell: Progress = silent) -> TrialResult:
     """Record and judge. AnalysisError if the record became too short for a verdict; else as the source."""
     layout, trial = plan.params.multisine, plan.params.trial
@@ -109,7 +128,7 @@ def judged(plan: TrialPlan, recorded: Recorded) -> TrialResult:
     params = plan.params
     spectra = laid_out(recorded, params.multisine) if params.multisine else _windowed(params, recorded)
     record = examine(recorded.force_n, recorded.velocity_m_per_s, recorded.rate_hz)
-    found = (*record.findings, *_findings(recorded), *_spectral_findings(params, spectra))
+    found = (*record.findings, *_findings(recorded), *_refused(params.trial), *_spectral_findings(params, spectra))
     verdict = judge(
         spectra, replace(record, findings=found), params.band_hz, params.confidence, params.estimator, plan.spectral_radius,
         params.behind_mass_kg, params.channels and not recorded.simulated,
@@ -136,14 +155,22 @@ def _findings(recorded: Recorded) -> tuple[Finding, ...]:
     """What the samples cannot say: the command at its end, and an escape that the sentinel saw."""
     found = []
     most, limit = recorded.max_command_n, recorded.command_limit_n
-    if most is not None and limit is not None and most >= limit * (1.0 - 1e-9):
+    if most is not None and limit is not None and most >= limit * (1.0 - AT_LIMIT):
         message = f"command saturated at {limit:.3g} N; lower the perturbation or the stiffness"
         found.append(Finding("saturation", message, voids=True))
     if recorded.ended.startswith("escape"):
         found.append(Finding("escape", recorded.ended, unstable=True))
     elif recorded.ended and not recorded.ended.startswith("decided"):
-        found.append(Finding("ended", recorded.ended))
+        found.append(Finding("ended", recorded.ended, voids=recorded.ended.startswith("changed")))
     return tuple(found)
+
+
+def _refused(trial: Trial) -> tuple[Finding, ...]:
+    """K < 0 pushes the device away for ever: at a low enough frequency it is active, however long the record."""
+    stiffness = trial.environment[0]
+    if not stiffness < 0.0:
+        return ()
+    return (Finding("negative_stiffness", f"K = {stiffness:g} N/m: below every band a negative stiffness is active", voids=True),)
 
 
 def _predicted(plan: TrialPlan, z: Impedance) -> Complexes | None:
@@ -152,8 +179,8 @@ def _predicted(plan: TrialPlan, z: Impedance) -> Complexes | None:
     trial, found = plan.params.trial, np.full(z.frequency_hz.size, np.nan + 0j)
     at, source = z.frequency_hz > 0.0, trial.excitation
     random = source.kind in ("noise", "multisine")
-    perturbation = Perturbation(source.psd_n2_per_hz, source.band_hz) if random else None
+    shaken = perturbation(source) if random else None
     found[at] = predicted_impedance(
-        plan.model, trial.environment, z.frequency_hz[at], trial.damping_ns_per_m, filters(plan.params.scene), perturbation
+        plan.model, trial.environment, z.frequency_hz[at], trial.damping_ns_per_m, filters(plan.params.scene), shaken
     )
     return np.asarray(found - 2j * np.pi * z.frequency_hz * plan.params.behind_mass_kg)

@@ -93,9 +93,11 @@ def plan_walls(params: WallParams) -> WallPlan:
     scene = params.scene
     if scene.environment.wall.side == 0:
         raise AnalysisError(f"scene {scene.name}: it has no wall to hit; give it [environment.wall] with a side, as scene 'wall'")
-    if scene.seconds <= params.settle_s:
+    if not params.still_m_per_s > 0.0:
+        raise AnalysisError(f"a wall at rest at {params.still_m_per_s:g} m/s: must be above 0; 0.002 is usual")
+    if not 0.0 <= params.settle_s < scene.seconds:
         raise AnalysisError(
-            f"scene {scene.name} lasts {scene.seconds:g} s; to settle {params.settle_s:g} s are allowed: lengthen it"
+            f"scene {scene.name} lasts {scene.seconds:g} s; to settle {params.settle_s:g} s are allowed: lengthen it, or allow less"
         )
     if not params.stiffnesses or any(np.diff(params.stiffnesses) <= 0.0) or params.stiffnesses[0] <= 0.0:
         raise AnalysisError("wall stiffnesses: an ascending list above 0 N/m is needed")

@@ -1,11 +1,10 @@
-"""The figures of a run of `beyond`: lower edge, free motion, shaped damping, levels of damping.
+"""Figures of a run of `beyond` over frequency: the lower edge, free motion. Those over a corner or a level are in `beyond_axes`.
 
 As in the figures of the paper added damping is solid blue and none dashed red; negative virtual damping is green. Bands are 95 % of
 a trial, by the scatter between seeds; dotted lines are predicted. A strip below an envelope says which parameter of the
 lower edge's owner weighs most at that frequency: that of K/w, |B| and |M| w which is largest, and its sign.
 """
 
-from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,21 +12,18 @@ import numpy as np
 from hapticd.analysis.arrays import Floats
 from hapticd.analysis.envelope import Edge
 from hapticd.measure.beyond import BeyondResult
-from hapticd.measure.beyond_bench import shown_hz
+from hapticd.measure.beyond_display import shown_hz
 from hapticd.measure.beyond_envelope import LOW_HZ, Bounds
 from hapticd.measure.beyond_motion import Motion
 from hapticd.measure.reproduce_trials import ADDED_NS_PER_M, MAIN
 from hapticd.report import figures
-from hapticd.report.beyond_axes import levels_figure, shape_figure
+from hapticd.report.owners import patches, strip, weightiest
+from hapticd.report.paper_style import OFF, ON, WIDTH_IN
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-WIDTH_IN = 6.69  # 17 cm
-INTERVAL = 1.96
-OFF: dict[str, Any] = {"color": figures.RED, "linestyle": (0, (4, 1.5))}
-ON: dict[str, Any] = {"color": figures.BLUE, "linestyle": "-"}
 NEGATIVE: dict[str, Any] = {"color": figures.GREEN, "linestyle": "-", "linewidth": 1.8}
 LIGHTENED: dict[str, Any] = {"color": figures.PURPLE, "linestyle": (0, (6, 1.2, 1, 1.2))}
 CASES = (
@@ -38,20 +34,7 @@ CASES = (
 PARTS = (
     ("K", figures.ORANGE), ("B > 0", figures.BLUE), ("M > 0", figures.SKY), ("B < 0", figures.GREEN), ("M < 0", figures.PURPLE),
 )  # fmt: skip
-NOTHING = "#f2f2f2"
-
-
-def beyond_figures(result: BeyondResult) -> "Iterator[tuple[str, Figure]]":
-    """(name, figure) one after the other. ConfigError without matplotlib."""
-    drawn: tuple[tuple[str, Callable[[BeyondResult], Figure]], ...] = (
-        ("beyond_lower_edge", edge_figure),
-        ("beyond_free_motion", free_figure),
-        ("beyond_shaped", shape_figure),
-        ("beyond_levels", levels_figure),
-    )
-    for name, draw in drawn:
-        with figures.style():
-            yield name, draw(result)
+NOTHING = ("none", "#f2f2f2")
 
 
 def edge_figure(result: BeyondResult) -> "Figure":
@@ -73,7 +56,7 @@ def edge_figure(result: BeyondResult) -> "Figure":
     grid[0].legend(*_keys(result), loc="lower left", fontsize=8)
     low, high = LOW_HZ
     figure.legend(
-        handles=_patches(), fontsize=8, ncols=6, loc="outside lower center", frameon=False, title_fontsize=8,
+        handles=patches(PARTS, NOTHING), fontsize=8, ncols=6, loc="outside lower center", frameon=False, title_fontsize=8,
         title=f"strips: owner of the lower edge, weightiest part; its mean over {low:g}-{high:g} Hz (grey), dB re 1 N s/m",
     )  # fmt: skip
     figure.suptitle(f"Negative virtual damping and the lower edge of the Z-width\n{_how(result)}", x=0.01, ha="left", fontsize=10)
@@ -103,38 +86,16 @@ def _edges(axis: "Axes", bounds: list[Bounds], words: str) -> None:
 
 
 def _line(axis: "Axes", frequency_hz: Floats, edge: Edge, look: dict[str, Any]) -> None:
-    spread = np.exp(INTERVAL * edge.sd)
+    spread = np.exp(figures.INTERVAL * edge.sd)
     axis.fill_between(frequency_hz, edge.value / spread, edge.value * spread, color=look["color"], alpha=0.28, linewidth=0)
     axis.plot(frequency_hz, edge.value, **look)
 
 
 def _strip(axis: "Axes", found: Bounds, words: str) -> None:
-    from matplotlib.colors import ListedColormap
-
-    f = found.frequency_hz
-    which = weightiest(f, found.points[found.lower.owner])
-    edges = np.concatenate((f[:1], np.sqrt(f[1:] * f[:-1]), f[-1:]))
-    colours = ListedColormap([NOTHING, *(colour for _, colour in PARTS)])
-    axis.pcolormesh(edges, [0.0, 1.0], which[None], cmap=colours, vmin=-1.5, vmax=len(PARTS) - 0.5, rasterized=True)
+    which = weightiest(found.frequency_hz, found.points[found.lower.owner])
+    strip(axis, found.frequency_hz, [which], PARTS, NOTHING)
     axis.set_yticks([])
-    axis.grid(visible=False)
-    axis.tick_params(length=0)
     axis.set_title(words, fontsize=7.5, loc="left", pad=2)
-
-
-def weightiest(frequency_hz: Floats, owners: Floats) -> Floats:
-    """(F,) index into PARTS of the owners (F, 3), -1 where nothing is rendered."""
-    w = 2.0 * np.pi * frequency_hz
-    parts = np.stack((owners[:, 0] / w, owners[:, 1], owners[:, 2] * w))
-    which = np.abs(parts).argmax(axis=0)
-    below = np.take_along_axis(parts, which[None], 0)[0] < 0.0
-    return np.where(parts.any(axis=0), which + 2.0 * below, -1.0)
-
-
-def _patches() -> list[Any]:
-    from matplotlib.patches import Patch
-
-    return [Patch(color=colour, label=name) for name, colour in PARTS] + [Patch(color=NOTHING, label="none")]
 
 
 def free_figure(result: BeyondResult) -> "Figure":

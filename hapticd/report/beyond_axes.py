@@ -8,13 +8,12 @@ from hapticd.measure.beyond import BeyondResult, mean_sd
 from hapticd.measure.beyond_shape import Corner, Shaped
 from hapticd.measure.reproduce_trials import LEVELS, MAIN
 from hapticd.report import figures
+from hapticd.report.paper_style import OFF, ON, WIDTH_IN
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-WIDTH_IN = 6.69  # 17 cm
-INTERVAL = 1.96
 NAMES = ("largest K", "largest B", "smallest M")
 UNITS = ("N/m", "N s/m", "g")
 SCALES = (1.0, 1.0, 1e3)
@@ -63,7 +62,7 @@ def _confirmed(axis: "Axes", shaped: Shaped) -> None:
         if len(each.runs):
             mean, sd = (100.0 * value / shaped.plain.limits[each.axis] for value in mean_sd(each.runs))
             marked = {**MARKED, "marker": look["marker"], "markerfacecolor": look["color"], "zorder": 3}
-            axis.errorbar(shaped.best.highpass_hz, mean, INTERVAL * abs(sd), **marked)
+            axis.errorbar(shaped.best.highpass_hz, mean, figures.INTERVAL * abs(sd), **marked)
 
 
 def _free(axis: "Axes", shaped: Shaped) -> None:
@@ -80,7 +79,7 @@ def _free(axis: "Axes", shaped: Shaped) -> None:
     axis.text(0.45, shaped.undamped.free_db + 0.12, "without damping", fontsize=8, color=figures.RED)
     if len(shaped.free_runs):
         mean, sd = mean_sd(shaped.free_runs)
-        axis.errorbar(shaped.best.highpass_hz, mean, INTERVAL * sd, **MARKED, label="by trials")
+        axis.errorbar(shaped.best.highpass_hz, mean, figures.INTERVAL * sd, **MARKED, label="by trials")
     figures.hertz_axis(axis, 0.4, 600.0)
     axis.set_xticks([0.5, 2, 10, 50, 200])
     axis.set_xlabel("corner (Hz)")
@@ -91,8 +90,8 @@ def _free(axis: "Axes", shaped: Shaped) -> None:
 
 def _envelopes(axis: "Axes", result: BeyondResult) -> None:
     looks = (
-        ("off", {"color": figures.RED, "linestyle": (0, (4, 1.5))}, "none"),
-        ("on", {"color": figures.BLUE, "linestyle": "-"}, "unshaped"),
+        ("off", OFF, "none"),
+        ("on", ON, "unshaped"),
     )
     bounds = [(result.envelopes[name], look, words) for name, look, words in looks]
     best = result.shaped.best.highpass_hz
@@ -100,7 +99,7 @@ def _envelopes(axis: "Axes", result: BeyondResult) -> None:
     axis.set_yscale("log")
     for found, look, words in bounds:
         for edge, label in ((found.lower, words), (found.upper, None)):
-            spread = np.exp(INTERVAL * edge.sd)
+            spread = np.exp(figures.INTERVAL * edge.sd)
             axis.fill_between(
                 found.frequency_hz, edge.value / spread, edge.value * spread, color=look["color"], alpha=0.2, linewidth=0
             )
@@ -121,7 +120,9 @@ def levels_figure(result: BeyondResult) -> "Figure":
         panel.plot(levels.level, SCALES[axis] * levels.limits[:, axis], color=LOOKS[axis]["color"], marker=".", label="predicted")
         for each in (limit for limit in levels.confirmed if limit.axis == axis):
             mean, sd = (SCALES[axis] * value for value in mean_sd(each.runs))
-            panel.errorbar(each.level, mean, INTERVAL * sd, **MARKED, label="by trials" if each is levels.confirmed[axis] else None)
+            panel.errorbar(
+                each.level, mean, figures.INTERVAL * sd, **MARKED, label="by trials" if each is levels.confirmed[axis] else None
+            )
         panel.set_ylabel(f"{NAMES[axis]} ({UNITS[axis]})")
         _marked(panel)
     _volume(grid[3], result)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hapticd.measure.beyond import BeyondResult
-from hapticd.measure.beyond_bench import shown_hz
+from hapticd.measure.beyond_display import shown_hz
 from hapticd.measure.beyond_levels import FLOWN
 from hapticd.measure.beyond_rows import parts, restored
 from hapticd.report.beyond import edge_figure, free_figure
@@ -96,10 +96,10 @@ def _shape_words(result: BeyondResult) -> str:
     shaped = result.shaped
     alone = 100.0 * shaped.best.limits[0] / shaped.plain.limits[0]
     beside = 100.0 * shaped.stiffest[1] / shaped.stiffest[0]
-    low, wide = round(shaped.bounds.lower_db().mean(), 1) + 0.0, shaped.bounds.width_db().mean()
+    low, wide = shaped.bounds.lower_db().mean(), shaped.bounds.width_db().mean()
     return (
         f"Damping above {shaped.best.highpass_hz:g} Hz only keeps B and M within 5 % of what plain damping allows "
-        f"and brings the lower edge in 2-20 Hz to {low:.1f} dB, with B >= 0: a Z-width of {wide:.1f} dB. "
+        f"and brings the lower edge in 2-20 Hz to {low:z.1f} dB, with B >= 0: a Z-width of {wide:.1f} dB. "
         f"K alone goes to {alone:.0f} % of what plain damping allows, K with its best B and M to {beside:.0f} %. "
         'The paper\'s "added mechanical dissipation is rarely needed at low frequency" does not hold for K alone: '
         "a sampled spring needs its dissipation at every frequency, down to 0, unless virtual B beside it brings some. "

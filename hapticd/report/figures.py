@@ -21,6 +21,7 @@ BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK, GREY = (
 ROUND = ((1.0,), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 5.0, 7.0))
 FEWEST_TICKS = 3
 LEAST_RANGE = 2.5  # of a logarithmic axis
+INTERVAL = 1.96  # standard deviations on each side of a band of 95 %
 COLOURS = (BLUE, RED, GREEN, ORANGE, PURPLE, SKY)
 STYLE: Any = {
     "figure.dpi": 110, "savefig.dpi": 110, "font.size": 9.5, "axes.titlesize": 10, "axes.labelsize": 9.5, "legend.fontsize": 8.5,

@@ -16,15 +16,16 @@ from hapticd.measure.reproduce import ReproduceResult
 from hapticd.measure.reproduce_grid import CALMED, Found
 from hapticd.measure.reproduce_trials import MAIN
 from hapticd.report import figures
+from hapticd.report.owners import NOBODY, patches, strip, weightiest
 from hapticd.report.paper_impedance import dressed
-from hapticd.report.paper_style import INTERVAL, LOOKS, PREDICTED, SMALL_PT, TRUSTED, WIDTH_IN, WORDS
+from hapticd.report.paper_style import LOOKS, PREDICTED, SMALL_PT, TRUSTED, WIDTH_IN, WORDS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 PARTS = (("K", figures.ORANGE), ("B", figures.GREEN), ("M > 0", figures.SKY), ("M < 0", figures.PURPLE))
-NOBODY, NOBODY_COLOUR = -1.0, "#eeeeee"
+WITHIN_NOISE = ("within the noise", "#eeeeee")
 SIZE_RANGE = (0.08, 200.0)  # N s/m, the same for all that are compared
 WIDE = 0.09  # of a strip: room for a name
 
@@ -43,11 +44,11 @@ def envelope_figure(result: ReproduceResult, places: tuple[int, ...], title: str
         guess = result.predicted[MAIN][place]
         if guess is not None and found.flown:
             _predicted(size, phase, guess, last=place == places[-1])
-    for place, strip in zip(places, grid[1:-1], strict=True):
-        _strip(strip, result.found[place], f"owner of the envelope {WORDS[place]}")
+    for place, below in zip(places, grid[1:-1], strict=True):
+        _strip(below, result.found[place], f"owner of the envelope {WORDS[place]}")
     if any(result.found[place].flown for place in places):
         size.fill_between([], [], [], color=figures.GREY, alpha=0.5, linewidth=0, label=TRUSTED)
-    figure.legend(handles=_patches(), fontsize=SMALL_PT, ncols=5, loc="outside lower center", frameon=False)
+    figure.legend(handles=patches(PARTS, WITHIN_NOISE), fontsize=SMALL_PT, ncols=5, loc="outside lower center", frameon=False)
     if places == (1,):
         _peak(size, result.found[1])
     dressed(size, phase, title, result)
@@ -60,7 +61,7 @@ def _edges(axis: "Axes", found: Found, edges: tuple[Edge, Edge], look: dict[str,
     f, (upper, lower) = found.envelope.frequency_hz, edges
     axis.fill_between(f, lower.value, upper.value, color=look["color"], alpha=0.10, linewidth=0)
     for edge, label in ((upper, words), (lower, None)):
-        spread = INTERVAL * edge.sd
+        spread = figures.INTERVAL * edge.sd
         factor, summand = (np.exp(spread), 0.0) if logarithmic else (1.0, spread)
         axis.fill_between(
             f, edge.value / factor - summand, edge.value * factor + summand, color=look["color"], alpha=0.35, linewidth=0
@@ -79,18 +80,12 @@ def _predicted(size: "Axes", phase: "Axes", guess: Found, last: bool) -> None:
 
 def _strip(axis: "Axes", found: Found, words: str) -> None:
     """Which part of the owner weighs most, for the largest (upper row) and the smallest |Z|."""
-    from matplotlib.colors import ListedColormap
-
     f = found.envelope.frequency_hz
     rows = [weighty(f, found, edge) for edge in (found.envelope.lower, found.envelope.upper)]
-    ends = np.concatenate((f[:1], np.sqrt(f[1:] * f[:-1]), f[-1:]))
-    colours = ListedColormap([NOBODY_COLOUR, *(colour for _, colour in PARTS)])
-    axis.pcolormesh(ends, [0.0, 1.0, 2.0], np.array(rows), cmap=colours, vmin=-1.5, vmax=3.5, rasterized=True)
+    ends = strip(axis, f, rows, PARTS, WITHIN_NOISE)
     for height, row in enumerate(rows):
         _names(axis, ends, row, 0.5 + height)
     axis.set_yticks([0.5, 1.5], ["min", "max"], fontsize=SMALL_PT)
-    axis.grid(visible=False)
-    axis.tick_params(length=0)
     axis.set_title(words, fontsize=SMALL_PT, loc="left", pad=2)
 
 
@@ -106,21 +101,13 @@ def _names(axis: "Axes", ends: Floats, row: Floats, height: float) -> None:
         axis.text(float(np.sqrt(low * high)), height, name, fontsize=SMALL_PT, ha="center", va="center")
 
 
-def _patches() -> list[Any]:
-    from matplotlib.patches import Patch
-
-    return [Patch(color=colour, label=name) for name, colour in PARTS] + [Patch(color=NOBODY_COLOUR, label="within the noise")]
-
-
 def weighty(frequency_hz: Floats, found: Found, edge: Edge) -> Floats:
     """(F,) index into PARTS, NOBODY where nothing is rendered or noise alone would make the envelope as wide."""
-    w, owners = 2.0 * np.pi * frequency_hz, found.owners(edge.owner)
-    parts = np.stack((owners[:, 0] / w, owners[:, 1], owners[:, 2] * w))
-    which = np.abs(parts).argmax(axis=0).astype(float)
-    which[(which == 2) & (owners[:, 2] < 0.0)] = 3
+    which = weightiest(frequency_hz, found.owners(edge.owner))
+    which[which == 4.0] = 3.0  # the grid of the paper has no B < 0
     upper, lower = found.envelope.upper, found.envelope.lower
     noise = 2.0 * np.sqrt(2.0 * np.log(max(2, len(found.environments)))) * np.maximum(upper.sd, lower.sd)
-    which[~parts.any(axis=0) | (np.log(upper.value / lower.value) < noise)] = NOBODY
+    which[np.log(upper.value / lower.value) < noise] = NOBODY
     return _majority(which) if found.flown else which
 
 

@@ -10,7 +10,7 @@ from hapticd.measure.reproduce import ReproduceResult, Single
 from hapticd.measure.reproduce_read import MIDDLE_HZ, compared
 from hapticd.measure.reproduce_trials import MAIN, subject
 from hapticd.report import figures
-from hapticd.report.paper_style import INTERVAL, LOOKS, PREDICTED, SMALL_PT, TRUSTED, WIDTH_IN, WORDS, simulated
+from hapticd.report.paper_style import LOOKS, PREDICTED, SMALL_PT, TRUSTED, WIDTH_IN, WORDS, simulated
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -45,7 +45,7 @@ def _single(size: "Axes", phase: "Axes", single: Single, look: dict[str, Any], w
         phase.plot(f, np.degrees(np.angle(z)), **look)
         return
     inside = shown.frequency_hz >= SHOWN_HZ[0] - 0.1
-    at, spread = shown.frequency_hz[inside], INTERVAL * shown.relative_sd[inside]
+    at, spread = shown.frequency_hz[inside], figures.INTERVAL * shown.relative_sd[inside]
     absolute, angle = np.abs(shown.impedance_ns_per_m)[inside], shown.phase_deg[inside]
     band: dict[str, Any] = {"color": look["color"], "alpha": 0.3, "linewidth": 0}
     size.fill_between(at, absolute * np.exp(-spread), absolute * np.exp(spread), **band)

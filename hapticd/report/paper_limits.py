@@ -8,7 +8,7 @@ import numpy as np
 from hapticd.measure.reproduce import ReproduceResult
 from hapticd.measure.reproduce_limits import NAMES, Limit
 from hapticd.measure.reproduce_rows import PAPER, TOLERANCE
-from hapticd.measure.reproduce_trials import EDGES_HZ, LEVELS
+from hapticd.measure.reproduce_trials import EDGES_HZ, LEVELS, WINDOW_HZ
 from hapticd.report import figures
 from hapticd.report.paper_style import MARKS, SMALL_PT, WIDTH_IN, WORDS
 
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-WINDOW_HZ = 4000 / 2048
 TICKS = (-100, -50, -20, -8, 0, 8, 20, 50, 100, 500)  # %
 BESIDE, BESIDE_GUESS = 0.24, 0.08  # of the distance between two limits
 

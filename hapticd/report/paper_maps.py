@@ -6,6 +6,7 @@ import numpy as np
 
 from hapticd.measure.reproduce_grid import AXES, POINTS, Found
 from hapticd.measure.reproduce_rows import FIG_4, FIG_7
+from hapticd.measure.reproduce_trials import MAIN
 from hapticd.report.paper_style import SMALL_PT, WIDTH_IN
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ def set_figure(found: Found, title: str) -> "Figure":
         int(found.passive.sum()),
         f"{found.undecided} not certain at 95 %, {found.flown} trials" if found.flown else "predicted",
     )
-    figure.suptitle(f"{title}\nSIMULATED weir2008, {count} of {len(POINTS)} environments ({how})", x=0.01, ha="left", fontsize=10)
+    figure.suptitle(f"{title}\nSIMULATED {MAIN}, {count} of {len(POINTS)} environments ({how})", x=0.01, ha="left", fontsize=10)
     return figure
 
 

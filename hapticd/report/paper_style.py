@@ -13,7 +13,6 @@ LOOKS = (OFF, ON)
 PREDICTED: dict[str, Any] = {"color": figures.BLACK, "linestyle": (0, (1, 1.3)), "linewidth": 1.0}
 WORDS = ("without added damping", f"with {ADDED_NS_PER_M:g} N s/m of added damping")
 MARKS = ("o", "s", "^")  # of devices
-INTERVAL = 1.96
 TRUSTED = "95 % of the estimate"
 
 

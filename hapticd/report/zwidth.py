@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-INTERVAL = 0.975  # each side of the bands that are drawn
+PROBABILITY = 0.975  # each side of the bands that are drawn
 FEWEST = 2.0  # degrees of freedom that an interval takes
 SHOWN_HZ = (1.0, 1000.0)
 
@@ -94,7 +94,7 @@ def _interval(z: Impedance) -> Floats:
     freedom = z.degrees_of_freedom - 2.0
     if freedom < FEWEST:
         return np.full(z.frequency_hz.size, np.inf)
-    return student_quantile(INTERVAL, freedom) * relative_sd(z.coherence, freedom)
+    return student_quantile(PROBABILITY, freedom) * relative_sd(z.coherence, freedom)
 
 
 def _curve(axis: "Axes", f: Floats, value: Floats, low: Floats, high: Floats, known: Flags) -> None:

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 Levels = Sequence[tuple[float, Envelope]]
 PANELS = 6
-INTERVAL = 1.96
 
 
 def set_figure(result: MapResult) -> "Figure":
@@ -96,13 +95,18 @@ def _owners(found: Envelope, edge: Edge) -> list[str]:
 def _edges(size: "Axes", phase: "Axes", found: Envelope, damping: float, colour: str) -> None:
     f = found.frequency_hz
     for edge, style in ((found.upper, "-"), (found.lower, "--")):
-        spread = np.exp(INTERVAL * edge.sd)
+        spread = np.exp(figures.INTERVAL * edge.sd)
         size.fill_between(f, edge.value / spread, edge.value * spread, color=colour, alpha=0.2, linewidth=0)
         word = "largest" if style == "-" else "smallest"
         size.plot(f, edge.value, style, color=colour, label=f"{word}, added damping {damping:g} N s/m")
     for edge, style in ((found.phase_upper, "-"), (found.phase_lower, "--")):
         phase.fill_between(
-            f, edge.value - INTERVAL * edge.sd, edge.value + INTERVAL * edge.sd, color=colour, alpha=0.2, linewidth=0
+            f,
+            edge.value - figures.INTERVAL * edge.sd,
+            edge.value + figures.INTERVAL * edge.sd,
+            color=colour,
+            alpha=0.2,
+            linewidth=0,
         )
         phase.plot(f, edge.value, style, color=colour)
 

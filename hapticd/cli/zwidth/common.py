@@ -1,8 +1,10 @@
 """What the verbs of `zwidth` share: options, a progress bar, the scene that is meant, outcomes as lines, conditions."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from datetime import UTC, datetime
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +14,7 @@ from hapticd.cli import output
 from hapticd.errors import HapticdError
 
 if TYPE_CHECKING:
-    from hapticd.measure.outcomes import Outcome
+    from hapticd.measure.outcomes import Conditions, Outcome
     from hapticd.measure.progress import Progress
     from hapticd.measure.store import TrialStore
     from hapticd.plant.scene import Scene
@@ -38,6 +40,7 @@ JsonOutcomes = Annotated[
     typer.Option("--json", help="One JSON object per line on stdout: each outcome as it arrives, at last the result with 'ok'."),
 ]
 Admittance = Annotated[bool, typer.Option("--admittance", help="Draw the admittance as well.")]
+Range = tuple[float, float, int]
 RUNS = Path("zwidth-runs")
 TOLD = ("environment", "damping_ns_per_m", "answer", "passes", "margin_ns_per_m", "margin_lower", "margin_upper", "worst_hz")
 
@@ -88,15 +91,34 @@ def scene_of(name: str) -> "Scene":
         return found
 
 
+def conditions(
+    scene: "Scene", seconds: float, seed: int, band_hz: tuple[float, float] = (2.0, 500.0), confidence: float = 0.95
+) -> "Conditions":
+    """Of a campaign: trials with the scene's noise of that seed."""
+    from hapticd.measure.outcomes import Conditions
+    from hapticd.measure.scenes import noise
+
+    return Conditions(scene, seconds, replace(noise(scene), seed=seed), band_hz, confidence)
+
+
 def levels(text: str) -> tuple[float, ...]:
     """Damping levels of an option."""
     try:
         found = tuple(float(part) for part in text.split(","))
     except ValueError:
         raise typer.BadParameter(f"--damping {text!r}: numbers in N s/m, separated by commas, for example 0,1.74") from None
-    if min(found) < 0.0:
-        raise typer.BadParameter(f"--damping {text!r}: levels are not negative")
+    if not all(0.0 <= level < inf for level in found):
+        raise typer.BadParameter(f"--damping {text!r}: levels are not negative, and finite")
     return found
+
+
+def ranged(name: str, given: Range, least: int = 2) -> Range:
+    """LOW HIGH N of an option, LOW below HIGH, N from `least` to 1000."""
+    low, high, count = given
+    if not (-inf < low < high < inf and least <= count <= 1000):
+        told = f"{name} {low:g} {high:g} {count}"
+        raise typer.BadParameter(f"{told}: LOW below HIGH, and N values from {least} to 1000, are needed")
+    return given
 
 
 def follow(new: "list[Outcome]", **more: Any) -> None:
@@ -110,6 +132,13 @@ def follow(new: "list[Outcome]", **more: Any) -> None:
 def folder(out: Path | None, what: str) -> Path:
     """Where results are kept."""
     return out or RUNS / f"{datetime.now(UTC):%Y%m%dT%H%M%S}-{what}"
+
+
+def kept(folder: Path, files: Iterable[Path]) -> None:
+    """Say where results are, and name the figures."""
+    output.data(f"kept in {folder}")
+    for file in files:
+        output.data(str(file))
 
 
 def told(**more: Any) -> dict[str, Any]:

@@ -1,6 +1,5 @@
 """K, B and M limits along their axes."""
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -11,7 +10,7 @@ from hapticd.cli.zwidth import common
 if TYPE_CHECKING:
     from hapticd.measure.axis_scan import LimitsResult
     from hapticd.measure.bracketing import Scan
-    from hapticd.measure.outcomes import Outcome
+    from hapticd.measure.outcomes import Conditions, Outcome
     from hapticd.report.table import Table
 
 
@@ -40,9 +39,7 @@ def command(
     from hapticd.analysis.boundary import AXES
     from hapticd.measure.axis_scan import LimitsParams, plan_limits, run_limits
     from hapticd.measure.executors import executor
-    from hapticd.measure.outcomes import Conditions
     from hapticd.measure.plain import plain
-    from hapticd.measure.scenes import noise
     from hapticd.measure.store import write_run
     from hapticd.report import figures
     from hapticd.report.table import text
@@ -50,12 +47,11 @@ def command(
 
     if not axis or set(axis) - set(AXES):
         raise typer.BadParameter(f"--axis {axis!r}: letters out of KBM")
-    loaded = common.scene_of(scene)
-    conditions = Conditions(loaded, seconds, replace(noise(loaded), seed=seed), band, confidence)
+    conditions = common.conditions(common.scene_of(scene), seconds, seed, band, confidence)
     wanted, amplitudes = tuple(AXES.index(name) for name in axis), tuple(2.0**level for level in range(levels))
     plan = plan_limits(LimitsParams(conditions, common.levels(damping), amplitudes, wanted, seeds))
 
-    def hear(scan: "Scan", given: Conditions, new: "list[Outcome]") -> None:
+    def hear(scan: "Scan", given: "Conditions", new: "list[Outcome]") -> None:
         if as_json:
             common.follow(new, limit=AXES[scan.axis], amplitude=scan.amplitude, seed=given.excitation.seed)
 
@@ -69,9 +65,7 @@ def command(
         output.data_json({"ok": True, "limits": rows, "folder": str(folder), "figures": [str(path) for path in paths]})
         return
     output.data(text(_table(result)))
-    output.data(f"kept in {folder}")
-    for path in paths:
-        output.data(str(path))
+    common.kept(folder, paths)
 
 
 def _table(result: "LimitsResult") -> "Table":
@@ -79,17 +73,8 @@ def _table(result: "LimitsResult") -> "Table":
 
     scattered = result.plan.params.seeds > 1
     columns = (
-        "limit",
-        "added N s/m",
-        "N^2/Hz",
-        "predicted",
-        "trials say",
-        "passive up to",
-        "not from",
-        "worst Hz",
-        "v mm/s",
-        "trials",
-    )
+        "limit", "added N s/m", "N^2/Hz", "predicted", "trials say", "passive up to", "not from", "worst Hz", "v mm/s", "trials",
+    )  # fmt: skip
     rows = [
         (
             f"{limit.name} {UNITS[limit.name][0]}", limit.scan.damping_ns_per_m, f"{limit.perturbation_psd:.2g}",

@@ -1,6 +1,5 @@
 """A grid of K, B and M: which environments are passive, and the envelope over them."""
 
-from dataclasses import replace
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,16 +15,18 @@ if TYPE_CHECKING:
     from hapticd.measure.outcomes import Conditions, Outcome
 
 REDRAW_S = 5.0
-AT_ZERO = ("K min", "B min")  # where a grid begins as a rule
-Range = tuple[float, float, int]
 
 
 def command(
     scene: common.SceneName = "fig4",
     damping: common.Damping = "0,1.74",
-    stiffness: Annotated[Range, typer.Option("--stiffness", metavar="LOW HIGH N", help="Grid of K, N/m.")] = (0.0, 1400.0, 15),
-    viscous: Annotated[Range, typer.Option("--viscous", metavar="LOW HIGH N", help="Grid of B, N s/m.")] = (0.0, 9.0, 10),
-    mass: Annotated[Range, typer.Option("--mass", metavar="LOW HIGH N", help="Grid of M, kg.")] = (-0.028, 0.026, 10),
+    stiffness: Annotated[common.Range, typer.Option("--stiffness", metavar="LOW HIGH N", help="Grid of K, N/m.")] = (
+        0.0,
+        1400.0,
+        15,
+    ),
+    viscous: Annotated[common.Range, typer.Option("--viscous", metavar="LOW HIGH N", help="Grid of B, N s/m.")] = (0.0, 9.0, 10),
+    mass: Annotated[common.Range, typer.Option("--mass", metavar="LOW HIGH N", help="Grid of M, kg.")] = (-0.028, 0.026, 10),
     near: Annotated[
         float, typer.Option("--near", help="Share about the predicted boundary that is tried.", min=0.0, max=0.9)
     ] = 0.15,
@@ -48,14 +49,15 @@ def command(
 
     from hapticd.measure.campaign import MapParams, plan_map, run_map
     from hapticd.measure.executors import executor
-    from hapticd.measure.outcomes import Conditions
     from hapticd.measure.plain import plain
-    from hapticd.measure.scenes import noise
     from hapticd.measure.store import TrialStore, write_run
 
-    loaded = common.scene_of(scene)
-    conditions = Conditions(loaded, seconds, replace(noise(loaded), seed=seed), band)
-    axes: tuple[Floats, Floats, Floats] = (np.linspace(*stiffness), np.linspace(*viscous), np.linspace(*mass))
+    conditions = common.conditions(common.scene_of(scene), seconds, seed, band)
+    axes: tuple[Floats, Floats, Floats] = (
+        np.linspace(*common.ranged("--stiffness", stiffness)),
+        np.linspace(*common.ranged("--viscous", viscous)),
+        np.linspace(*common.ranged("--mass", mass)),
+    )
     folder = common.folder(out, "map")
     store, redraw = TrialStore(folder / "trials.jsonl"), _Redrawn(conditions, folder)
 
@@ -135,17 +137,8 @@ def _print(result: "MapResult", told: list[dict[str, Any]]) -> None:
         limits = level["set_limits"]
         extremes = (limits.stiffness[1], limits.damping[1], 1e3 * limits.mass[0]) if limits else (float("nan"),) * 3
         width = level["widths_db"][1].width_db if level["widths_db"] else float("nan")
-        rows.append(
-            (
-                level["added_damping_ns_per_m"],
-                level["points"],
-                level["tried"],
-                level["unlike_prediction"],
-                level["passive"],
-                *extremes,
-                width,
-            )
-        )
+        counts = (level[name] for name in ("points", "tried", "unlike_prediction", "passive"))
+        rows.append((level["added_damping_ns_per_m"], *counts, *extremes, width))
     columns = ("added N s/m", "points", "tried", "unlike", "passive", "K max N/m", "B max N s/m", "M min g", "10-50 Hz dB")
     output.data(text(table(columns, rows, f"SIMULATED {result.plan.params.conditions.scene.device}: the set on the grid")))
     for level in told:

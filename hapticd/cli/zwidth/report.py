@@ -91,12 +91,10 @@ def _asked(kept: dict[str, Any]) -> "MapParams":
     import numpy as np
 
     from hapticd.measure.campaign import MapParams
-    from hapticd.measure.outcomes import Conditions
-    from hapticd.measure.scenes import noise
 
     scene, asked = common.scene_of(kept["scene"]), kept["parameters"]
     low, high = asked["band_hz"]
-    conditions = Conditions(scene, asked["seconds"], replace(noise(scene), seed=asked["seed"]), (low, high))
+    conditions = common.conditions(scene, asked["seconds"], asked["seed"], (low, high))
     stiffness, damping, mass = (np.asarray(axis) for axis in kept["axes"])
     levels = tuple(level["added_damping_ns_per_m"] for level in kept["levels"])
     return MapParams(conditions, (stiffness, damping, mass), levels, asked["near"], asked["everywhere"], asked["refine"])
@@ -105,14 +103,12 @@ def _asked(kept: dict[str, Any]) -> "MapParams":
 def _of_device(name: str, damping: str, seconds: float, seed: int, out: Path | None) -> list[Path]:
     from hapticd.cli.zwidth.map import draw
     from hapticd.measure.axis_scan import LimitsParams, plan_limits, run_limits
-    from hapticd.measure.outcomes import Conditions
     from hapticd.measure.portable import SUFFIX, device_hash, portable, write_portable
-    from hapticd.measure.scenes import noise
     from hapticd.report import figures
     from hapticd.report.zwidth_limits import limits_figure
 
     scene, levels = common.scene_of(name), common.levels(damping)
-    conditions = Conditions(scene, seconds, replace(noise(scene), seed=seed))
+    conditions = common.conditions(scene, seconds, seed)
     folder = common.folder(out, f"report-{scene.device}")
     with common.progress() as tell:
         limits = run_limits(plan_limits(LimitsParams(conditions, levels)), tell)

@@ -1,6 +1,5 @@
 """The boundary of the passive set by few, chosen trials."""
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -26,23 +25,21 @@ def command(
     plot: common.Plot = True,
     as_json: common.JsonOutcomes = False,
 ) -> None:
-    """Find the boundary with few trials: learn Re Z over K, B and M, and try next what is least certain.
+    """Find the boundary with few trials: begin from the prediction, learn how Re Z differs from it over K, B and M, and try next
+    the point of the boundary that is farthest from all trials.
 
     Ctrl-C is safe: the same command with the same --out goes on where it ended. With --json each new outcome is a line, and the
     last line is the result.
     """
     from hapticd.measure.directed import SearchParams, plan_search, run_search
     from hapticd.measure.executors import executor
-    from hapticd.measure.outcomes import Conditions
     from hapticd.measure.plain import plain
-    from hapticd.measure.scenes import noise
     from hapticd.measure.store import TrialStore, write_run
     from hapticd.report import figures
     from hapticd.report.table import table, text
     from hapticd.report.zwidth_search import search_figure
 
-    loaded = common.scene_of(scene)
-    conditions = Conditions(loaded, seconds, replace(noise(loaded), seed=seed), band)
+    conditions = common.conditions(common.scene_of(scene), seconds, seed, band)
     folder = common.folder(out, "search")
     store, results = TrialStore(folder / "trials.jsonl"), []
     hear = common.follow if as_json else lambda new: None
@@ -64,10 +61,10 @@ def command(
         )
         for row in told
     ]  # fmt: skip
-    output.data(text(table(columns, rows, f"SIMULATED {loaded.device}: the set as the search holds it; extremes over the set")))
-    output.data(f"kept in {folder}")
-    for path in paths:
-        output.data(str(path))
+    output.data(
+        text(table(columns, rows, f"SIMULATED {conditions.scene.device}: the set as the search holds it; extremes over the set"))
+    )
+    common.kept(folder, paths)
 
 
 def _told(result: "SearchResult") -> dict[str, Any]:

@@ -1,6 +1,8 @@
 """One trial: perturb, record, judge."""
 
-from contextlib import ExitStack
+import signal
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -32,7 +34,9 @@ def command(
     realisations: Annotated[int, typer.Option("--realisations", metavar="N", help="Multisines of other phases.", min=1)] = 8,
     periods: Annotated[int, typer.Option("--periods", metavar="N", help="Of each that count, after one to settle.", min=1)] = 2,
     seed: common.Seed = 1,
-    psd: Annotated[float | None, typer.Option("--psd", metavar="N2/HZ", help="Of the perturbation; else the scene's.")] = None,
+    psd: Annotated[
+        float | None, typer.Option("--psd", metavar="N2/HZ", help="Of the perturbation; else the scene's.", min=0)
+    ] = None,
     band: common.Band = (2.0, 500.0),
     confidence: common.Confidence = 0.95,
     estimator: Annotated[
@@ -62,7 +66,7 @@ def command(
 
     from hapticd.measure import scenes
     from hapticd.measure.multisine import Layout, multisine_like
-    from hapticd.measure.referee import stepped_sine
+    from hapticd.measure.referee import may_follow, stepped_sine
     from hapticd.measure.sentinel import Watch
     from hapticd.measure.sources import Trial
     from hapticd.measure.trial import TrialParams, plan_trial
@@ -72,7 +76,7 @@ def command(
     given = scenes.point(loaded) if loaded else (0.0, 0.0, 0.0)
     point = [own if own is not None else default for own, default in zip((stiffness, damping, mass), given, strict=True)]
     force_of = scenes.noise(loaded) if loaded else Trial().excitation
-    force_of = replace(force_of, seed=seed, psd_n2_per_hz=psd or force_of.psd_n2_per_hz)
+    force_of = replace(force_of, seed=seed, psd_n2_per_hz=force_of.psd_n2_per_hz if psd is None else psd)
     repeats = Layout(realisations, periods) if excitation == "multisine" else None
     level = added if added is not None else scenes.level(loaded) if loaded else 0.0
     watch = Watch(until_decided=until_decided, winding_limit_c=hottest)
@@ -82,7 +86,7 @@ def command(
     with ExitStack() as stack, common.progress() as tell:
         recorder = _source(source, scene, loaded, instance, (force, velocity, rate_hz), stack)
         result = _flown(plan, recorder, source in LIVE, tell)
-        referee = stepped_sine(trial, recorder, tell) if sine else None
+        referee = stepped_sine(trial, recorder, tell) if sine and may_follow(result.recorded) else None
     _show(result, referee, common.folder(out, "trial"), plot or admittance, admittance, as_json)
 
 
@@ -120,10 +124,28 @@ def _source(
     if name == "live":
         from hapticd.cli.change import connect
 
+        stack.enter_context(_ends_are_heard())
         return bench_source(stack.enter_context(connect(instance)), f"daemon {instance!r}")
     from hapticd.measure.recorded import read_file
 
     return file_source(read_file(Path(name), *columns))
+
+
+@contextmanager
+def _ends_are_heard() -> Iterator[None]:
+    """Whoever ends this process, or closes its terminal, gets what Ctrl-C gets: force off. Exit 128 + the signal's number."""
+
+    def leave(number: int, frame: object) -> None:
+        raise SystemExit(128 + number)
+
+    heard = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) == signal.SIG_DFL]
+    for number in heard:
+        signal.signal(number, leave)
+    try:
+        yield
+    finally:
+        for number in heard:
+            signal.signal(number, signal.SIG_DFL)
 
 
 def _show(result: "TrialResult", referee: "Referee | None", folder: Path, plot: bool, admittance: bool, as_json: bool) -> None:
@@ -151,9 +173,7 @@ def _show(result: "TrialResult", referee: "Referee | None", folder: Path, plot: 
         output.data(_needed(result))
     if referee is not None:
         output.data(_compared(result, referee))
-    output.data(f"kept in {folder}")
-    for path in paths:
-        output.data(str(path))
+    common.kept(folder, paths)
 
 
 def _needed(result: "TrialResult") -> str:

@@ -7,18 +7,18 @@ import typer
 from hapticd.cli import options, output
 from hapticd.cli.zwidth import common
 
-Range = tuple[float, float, int]
-
 
 def command(
     scene: common.SceneName = "wall",
     damping: common.Damping = "0,1.74",
-    stiffness: Annotated[Range, typer.Option("--stiffness", metavar="LOW HIGH N", help="Of the walls, N/m, evenly in ln K.")] = (
+    stiffness: Annotated[
+        common.Range, typer.Option("--stiffness", metavar="LOW HIGH N", help="Of the walls, N/m, evenly in ln K.")
+    ] = (
         20.0,
         3000.0,
         18,
     ),
-    viscous: Annotated[Range, typer.Option("--viscous", metavar="LOW HIGH N", help="Damping of the walls, N s/m.")] = (
+    viscous: Annotated[common.Range, typer.Option("--viscous", metavar="LOW HIGH N", help="Damping of the walls, N s/m.")] = (
         0.0,
         8.0,
         13,
@@ -32,6 +32,7 @@ def command(
     """How stiff a virtual wall may be at each damping before an impact sets it oscillating: the K-B plot of one device."""
     import numpy as np
 
+    from hapticd.errors import AnalysisError
     from hapticd.measure.plain import plain
     from hapticd.measure.store import write_run
     from hapticd.measure.walls import WallParams, plan_walls, run_walls
@@ -40,7 +41,11 @@ def command(
     from hapticd.report.zwidth_walls import walls_figure
 
     loaded = common.scene_of(scene)
-    walls, dampings = tuple(np.geomspace(*stiffness).tolist()), tuple(np.linspace(*viscous).tolist())
+    low, high, count = common.ranged("--stiffness", stiffness, 1)
+    if low <= 0.0:
+        raise AnalysisError("wall stiffnesses: an ascending list above 0 N/m is needed")
+    walls = tuple(np.geomspace(low, high, count).tolist())
+    dampings = tuple(np.linspace(*common.ranged("--viscous", viscous, 1)).tolist())
     plan = plan_walls(WallParams(loaded, walls, dampings, common.levels(damping), settle_s, still))
     with common.progress() as tell:
         result = run_walls(plan, tell)
@@ -60,6 +65,4 @@ def command(
     ]
     columns = ("wall B N s/m", *(f"K N/m at {level:g} N s/m" for level in plan.params.levels))
     output.data(text(table(columns, rows, f"SIMULATED {loaded.device}: stiffest stable wall, by added damping")))
-    output.data(f"kept in {folder}")
-    for path in paths:
-        output.data(str(path))
+    common.kept(folder, paths)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hapticd.analysis.spa import DEFAULT_LAG as LAG
 from hapticd.errors import ConfigError
 from hapticd.params import EnvironmentParams
 from hapticd.plant.compose import compose
@@ -20,6 +21,7 @@ from hapticd.sim.engine.job import Job, prepared, shared_torque
 from hapticd.sim.engine.numbers import Filters
 from hapticd.sim.engine.result import BatchResult, joined
 from hapticd.sim.engine.spectral import force_spectrum
+from hapticd.units import PROBE_RATE_HZ
 
 DEFAULT_SECONDS = 90.0  # a trial of the paper
 TICKS_MAX = 1e12
@@ -109,6 +111,10 @@ def _job(
         raise ConfigError(
             f"a trial of {length_s:g} s: must be one tick of {1.0 / model.rate_hz:g} s or more, {TICKS_MAX:g} at most"
         )
+    if rest["keep"] == "spectra" and length_s * PROBE_RATE_HZ < LAG + 1:
+        raise ConfigError(
+            f"spectra of {length_s:g} s: more than the window of {LAG} samples, {LAG / PROBE_RATE_HZ:g} s, are needed"
+        )
     number = seed if seed is not None else given.excitation.seed if given else 1
     if not 0 <= number < SEEDS:
         raise ConfigError(f"seed {number}: must lie in 0..{SEEDS - 1}")
@@ -136,6 +142,8 @@ def _solid(environment: EnvironmentParams | None) -> bool:
 
 def _steps(damping: float | Sequence[tuple[float, float]]) -> tuple[DampingStep, ...]:
     steps = [(0.0, damping)] if isinstance(damping, int | float) else [(0.0, 0.0), *damping]
+    if not np.isfinite(steps).all():
+        raise ConfigError(f"damping steps {steps}: finite times [s] and levels [N s/m] are needed")
     return tuple(DampingStep(at_s, level) for at_s, level in sorted(steps, key=lambda step: step[0]))
 
 

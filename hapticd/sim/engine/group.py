@@ -7,15 +7,12 @@ zeroed after the block, and its sums have stopped at that tick (see `tick`).
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from hapticd.analysis.arrays import aligned
+from hapticd.analysis.arrays import Flags, Values, aligned
 from hapticd.plant.model import Array
 from hapticd.sim.engine.job import Job, Prepared
 from hapticd.sim.engine.numbers import law_numbers
 from hapticd.sim.engine.tick import LAW_STATE
-
-Block = npt.NDArray[np.floating[Any]]
 
 
 class Group:
@@ -46,7 +43,7 @@ class Group:
             if name in numbers:
                 self.coefficients[place] = numbers[name]
 
-    def play(self, torque: Block, noise: Block, out: Block, ticks: int, keep: bool) -> None:
+    def play(self, torque: Values, noise: Values, out: Values, ticks: int, keep: bool) -> None:
         """`ticks` on, tallied; `out` gets all of them if asked."""
         self.made.kernel.run(self.state, self.coefficients, torque, noise, out, ticks, int(keep))
         rows = self.rows
@@ -59,7 +56,7 @@ class Group:
         if not rows["ALIVE"].all():
             self._park(rows["ALIVE"] == 0.0)
 
-    def _park(self, lanes: npt.NDArray[np.bool_]) -> None:
+    def _park(self, lanes: Flags) -> None:
         moving = [name for name in self.rows if name[0] == "X" or name == "U" or name.startswith("WAIT")]
         law = [*LAW_STATE, "K", "B", "M"] if self.made.shape.renders else []
         for name in [*moving, *law]:

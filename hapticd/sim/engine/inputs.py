@@ -11,8 +11,8 @@ from math import lcm
 
 import numpy as np
 
+from hapticd.analysis.arrays import Values
 from hapticd.analysis.spa import DEFAULT_LAG as LAG
-from hapticd.sim.engine.group import Block
 from hapticd.sim.engine.heating import REFRESH_S
 from hapticd.sim.engine.job import Job, Prepared, estimate_noise, own_torque, shared_torque
 
@@ -32,16 +32,16 @@ class Inputs:
         """(first tick, tick after the last) of every leg."""
         return pairwise(self._borders)
 
-    def torque(self, start: int, end: int) -> Block:
+    def torque(self, start: int, end: int) -> Values:
         """For the ticks of a leg, flat."""
         begin = start * self._samples % len(self._torque)
         return self._torque[begin : begin + (end - start) * self._samples].reshape(-1)
 
-    def noise(self, start: int, end: int) -> Block:
+    def noise(self, start: int, end: int) -> Values:
         """For the ticks of a leg; one zero if there is none."""
         return self._noise if len(self._noise) == 1 else self._noise[start * self._samples : end * self._samples]
 
-    def rows(self, count: int, total: int) -> Block:
+    def rows(self, count: int, total: int) -> Values:
         """The records of the trials, (count, total)."""
         return np.resize(self._torque, (total, self._lanes)).T[:count].copy()
 
@@ -54,12 +54,12 @@ def level_at(job: Job, tick: int) -> float:
 
 
 @lru_cache(maxsize=2)
-def _shared(job: Job, made: Prepared) -> Block:
+def _shared(job: Job, made: Prepared) -> Values:
     """(period, 1)"""
     return _repeated(shared_torque(job).astype(made.scalar)[:, None], job, made)
 
 
-def _own(job: Job, made: Prepared, count: int, first: int) -> Block:
+def _own(job: Job, made: Prepared, count: int, first: int) -> Values:
     """(period, lanes)"""
     rows = [own_torque(job, first + lane).astype(made.scalar) for lane in range(count)]
     record = np.zeros((len(rows[0]), made.shape.lanes), made.scalar)
@@ -68,7 +68,7 @@ def _own(job: Job, made: Prepared, count: int, first: int) -> Block:
     return _repeated(record, job, made)
 
 
-def _repeated(record: Block, job: Job, made: Prepared) -> Block:
+def _repeated(record: Values, job: Job, made: Prepared) -> Values:
     period = _period(len(record), made.shape.samples, job.samples)
     return record if len(record) == period else np.resize(record, (period, record.shape[1]))
 

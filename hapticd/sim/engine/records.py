@@ -4,11 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.arrays import aligned
-from hapticd.sim.engine.group import Block
+from hapticd.analysis.arrays import Values, aligned
 from hapticd.sim.engine.inputs import BLOCK_TICKS, Inputs
 from hapticd.sim.engine.job import Job, Prepared
-from hapticd.sim.engine.result import Values
 from hapticd.sim.engine.torque import Stream, generator
 
 
@@ -28,7 +26,7 @@ class Records:
             name: np.zeros((count, job.ticks * wide), made.scalar) for name, (_, wide) in self._places.items()
         }
 
-    def room(self, start: int) -> Block:
+    def room(self, start: int) -> Values:
         """Where the kernel writes the leg from tick `start` on."""
         return self._out
 

@@ -1,4 +1,4 @@
-"""What a batch of trials gives back: records or only sums of them, never a NaN."""
+"""What a batch of trials gives back: records, spectra or only sums, never a NaN."""
 
 from dataclasses import dataclass, fields
 from typing import Any
@@ -6,11 +6,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.arrays import Complexes, Floats
+from hapticd.analysis.arrays import Complexes, Floats, Values
 from hapticd.analysis.spa import DEFAULT_LAG as LAG
 from hapticd.analysis.spectra import Spectra, grid_frequencies
-
-Values = npt.NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True, eq=False)

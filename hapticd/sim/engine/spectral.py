@@ -13,15 +13,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.arrays import CACHE_LINE, Floats, aligned
+from hapticd.analysis.arrays import CACHE_LINE, Complexes, Floats, Values, aligned
 from hapticd.analysis.lanes import LaneSections, SharedForce, shared_force
 from hapticd.analysis.spa import DEFAULT_LAG as LAG
 from hapticd.analysis.spa import spa
-from hapticd.sim.engine.group import Block
 from hapticd.sim.engine.inputs import Inputs
 from hapticd.sim.engine.job import CACHED, Job, Prepared, shared_torque
 from hapticd.sim.engine.records import Records
-from hapticd.sim.engine.result import Values
 
 Samples = npt.NDArray[np.int64]
 
@@ -50,7 +48,7 @@ class Sums:
         self._place = row * (shape.lanes * made.scalar().itemsize // CACHE_LINE)
         self._sections = LaneSections(_force(job, made), shape.lanes, made.scalar)
 
-    def room(self, start: int) -> Block:
+    def room(self, start: int) -> Values:
         """Where the kernel writes a leg from tick `start` on."""
         return self._out[start % self._ticks * self._tick :]
 
@@ -133,5 +131,5 @@ def _lengths(samples: int) -> Samples:
     return np.minimum(LAG, samples - np.arange(0, samples, LAG))
 
 
-def _nothing(lanes: int) -> tuple[Values, "npt.NDArray[np.complex128]"]:
+def _nothing(lanes: int) -> tuple[Values, Complexes]:
     return np.zeros((lanes, LAG + 1)), np.zeros((lanes, LAG + 1), np.complex128)

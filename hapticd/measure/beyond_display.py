@@ -6,8 +6,6 @@ fades as the motion grows; `dry=False` therefore asks for passivity without coun
 What would break it: comparing the two, or trials of one perturbation with a prediction at another.
 """
 
-import os
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -15,25 +13,26 @@ import numpy as np
 
 from hapticd.analysis.arrays import Complexes, Flags, Floats
 from hapticd.analysis.boundary import axis_limit
-from hapticd.analysis.linearise import Perturbation, linearise
-from hapticd.analysis.loop import Filters, close_loop
-from hapticd.analysis.predict import Prediction, coulomb, frequencies, predict
+from hapticd.analysis.linearise import Perturbation
+from hapticd.analysis.loop import Filters
+from hapticd.analysis.predict import Prediction, frequencies, predict
+from hapticd.measure.bracketing import REACH
+from hapticd.measure.executors import threads
 from hapticd.measure.outcomes import TOGETHER, Conditions, Outcome, fly, kept_frequencies
-from hapticd.measure.scenes import filters, noise
+from hapticd.measure.scenes import filters, noise, perturbation, predicted_impedances
 from hapticd.plant.compose import compose
 from hapticd.plant.model import Model
 from hapticd.plant.scene import Scene
 from hapticd.plant.shaped_damping import ShapedDamping
 
 SHOWN_HZ = (2.0, 200.0)
-REACH = (2e4, 60.0, -0.25)  # of a predicted limit: N/m, Ns/m, kg
 NEAR = (0.7, 1.3)  # of the predicted limit: where trials look first
 FAR = 2.5  # of it: where they look otherwise
-ROUNDS = 2  # of 16 trials each: to 0.3 % of the limit
+ROUNDS = 2  # of TOGETHER trials each: to 0.02 % of the limit
 
 
 @dataclass(frozen=True, eq=False)
-class Bench:
+class Display:
     """A scene whose environment and damping level are varied."""
 
     scene: Scene
@@ -52,8 +51,7 @@ class Bench:
     @cached_property
     def perturbation(self) -> Perturbation:
         """Of the scene's trials."""
-        source = noise(self.scene)
-        return Perturbation(source.psd_n2_per_hz, source.band_hz)
+        return perturbation(noise(self.scene))
 
     def predicted(self, points: Floats, level: float, dry: bool = True) -> Prediction:
         """Of environments (N, 3) at a damping level [N s/m]; `dry`: with the friction as it is at the perturbation."""
@@ -67,9 +65,8 @@ class Bench:
     def impedances(self, points: Floats, level: float) -> Complexes:
         """Predicted Z (N, F) at `shown_hz()` as trials record it, friction as it is at the perturbation."""
         f = np.union1d(frequencies(SHOWN_HZ, self.perturbation), shown_hz())
-        loop, friction = close_loop(self.model, f, level, self.filters), coulomb(self.model)
-        found = linearise(loop, points, friction, np.zeros_like(friction), self.perturbation)
-        return np.asarray((found.impedance * loop.recorded)[:, np.isin(f, shown_hz())])
+        z = predicted_impedances(self.model, points, f, level, self.filters, self.perturbation)
+        return np.asarray(z[:, np.isin(f, shown_hz())])
 
     def flown(self, points: Floats, level: float, seed: int, amplitude: float = 1.0) -> list[Outcome]:
         """A trial of each environment (N, 3) with the noise of `seed`, its force multiplied by `amplitude`. Each is flown once."""
@@ -90,8 +87,8 @@ class Bench:
         source = replace(source, seed=seed, psd_n2_per_hz=source.psd_n2_per_hz * amplitude**2)
         conditions = Conditions(self.scene, excitation=source)
         parts = [points[first : first + TOGETHER] for first in range(0, len(points), TOGETHER)]
-        with ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0))) as threads:
-            done = threads.map(lambda part: fly(conditions, level, part), parts)
+        with threads() as pool:
+            done = pool.map(lambda part: fly(conditions, level, part), parts)
             return [outcome for part in done for outcome in part]
 
     def limit(self, level: float, axis: int, reach: float | None = None) -> float:
@@ -102,8 +99,8 @@ class Bench:
         """The same (seeds,) by trials about the predicted limit `near`; nan without one."""
         if not np.isfinite(near):
             return np.full(len(seeds), np.nan)
-        with ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0))) as threads:
-            return np.array(list(threads.map(lambda seed: self._searched(level, axis, near, seed), seeds)))
+        with threads() as pool:
+            return np.array(list(pool.map(lambda seed: self._searched(level, axis, near, seed), seeds)))
 
     def _searched(self, level: float, axis: int, near: float, seed: int) -> float:
         """The last value that passes before the first that fails; searched from 0 if it is not near the predicted one."""
@@ -121,10 +118,10 @@ class Bench:
             low, high = points[failed[0] - 1, axis], points[failed[0], axis]
         return float(low)
 
-    def shaped(self, highpass_hz: float = 0.0, lowpass_hz: float = 0.0) -> "Bench":
+    def shaped(self, highpass_hz: float = 0.0, lowpass_hz: float = 0.0) -> "Display":
         """The same device with shaped damping."""
         effect = ShapedDamping(highpass_hz=highpass_hz, lowpass_hz=lowpass_hz)
-        return Bench(replace(self.scene, effects=(*self.scene.effects, effect)))
+        return Display(replace(self.scene, effects=(*self.scene.effects, effect)))
 
 
 def shown_hz() -> Floats:
