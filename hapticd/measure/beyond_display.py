@@ -54,8 +54,9 @@ class Display:
         return perturbation(noise(self.scene))
 
     def predicted(self, points: Floats, level: float, dry: bool = True) -> Prediction:
-        """Of environments (N, 3) at a damping level [N s/m]; `dry`: with the friction as it is at the perturbation."""
-        return predict(self.model, points, level, self.filters, self.perturbation if dry else None)
+        """Of environments (N, 3) at a damping level [N s/m]; `dry`: with the friction as it is at the perturbation,
+        and as the trials record it."""
+        return predict(self.model, points, level, self.filters, self.perturbation if dry else None, recorded=dry)
 
     def passive(self, points: Floats, level: float, dry: bool = True) -> Flags:
         """(N,) at the perturbation; without `dry` also at any larger one."""

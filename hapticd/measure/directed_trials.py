@@ -11,7 +11,8 @@ import numpy as np
 
 from hapticd.analysis.arrays import Floats
 from hapticd.analysis.surrogate import Observation
-from hapticd.measure.outcomes import SATURATED, Conditions, Hear, Outcome, fly, kept, kept_frequencies, key_of, restored
+from hapticd.measure.outcomes import Conditions, Hear, Outcome, fly, kept, kept_frequencies, key_of, restored
+from hapticd.measure.scenes import SATURATED
 from hapticd.measure.store import TrialStore, fingerprint
 from hapticd.plant.compose import compose
 

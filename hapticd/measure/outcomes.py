@@ -27,7 +27,7 @@ from hapticd.analysis.predict import Prediction, predict
 from hapticd.analysis.spa import DEFAULT_LAG
 from hapticd.analysis.spectra import Spectra
 from hapticd.errors import AnalysisError
-from hapticd.measure.scenes import filters, free_of_walls, frequencies, perturbation
+from hapticd.measure.scenes import SATURATED, filters, free_of_walls, frequencies, perturbation
 from hapticd.measure.store import fingerprint
 from hapticd.plant.compose import compose
 from hapticd.plant.scene import Excitation, Scene
@@ -39,7 +39,6 @@ FREQUENCIES = 120
 KEPT_BAND_HZ = (2.0, 1000.0)
 NOISE = Excitation("noise")
 FORMAT = 1  # of an outcome; part of its key
-SATURATED = 1.0 - 1e-6  # of the force limit: float32 rounds it
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ from hapticd.analysis.loop import Filters
 from hapticd.analysis.predict import DEFAULT_BAND_HZ, frequencies, predict
 from hapticd.analysis.spa import DEFAULT_LAG
 from hapticd.analysis.spectra import Spectra
-from hapticd.measure.scenes import filters, predicted_impedances
+from hapticd.measure.scenes import SATURATED, filters, predicted_impedances
 from hapticd.plant.compose import compose
 from hapticd.plant.model import Model
 from hapticd.settings.scene import load_scene
@@ -82,7 +82,7 @@ def flown(
             device.model, points[first : first + together], seconds, seed,
             damping=level, filters=device.filters, substeps=SUBSTEPS, keep="spectra", dtype=dtype,
         )  # fmt: skip
-        calm = ~found.diverged & (found.max_force_n < device.force_limit_n)
+        calm = ~found.diverged & (found.max_force_n < SATURATED * device.force_limit_n)
         yield from (found.spectra(trial) if good else None for trial, good in enumerate(calm))
 
 

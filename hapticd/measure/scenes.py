@@ -26,6 +26,7 @@ from hapticd.units import PROBE_RATE_HZ
 
 FREQUENCIES = 60
 SUBSTEPS = 4  # per 4 kHz sample: their error is below the chance of a 90 s trial (docs/accuracy.md)
+SATURATED = 1.0 - 1e-6  # of the force limit: float32 rounds it
 
 
 def point(scene: Scene) -> tuple[float, float, float]:
@@ -101,7 +102,7 @@ def spectra_on(torque_n: npt.ArrayLike, velocity_m_per_s: npt.ArrayLike, frequen
 def calm(found: BatchResult, force_limit_n: float | None) -> list[int]:
     """Trials that ran to their end without reaching the force limit: the others ran away, and have no impedance."""
     limit_n = inf if force_limit_n is None else force_limit_n
-    return [int(trial) for trial in np.flatnonzero(~found.diverged & (found.max_force_n < limit_n))]
+    return [int(trial) for trial in np.flatnonzero(~found.diverged & (found.max_force_n < SATURATED * limit_n))]
 
 
 def pooled(trials: list[Spectra]) -> Complexes:

@@ -1,0 +1,27 @@
+"""200 simulated trials of 90 s, and the envelope of those that pass: impedance that this display can render, drawn to envelope.png.
+
+Needs hapticd[fast,plot] and no daemon; takes some seconds.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from hapticd.measure.outcomes import Conditions, envelope_of, fly
+from hapticd.report.figures import save
+from hapticd.report.zwidth_map import envelope_figure
+from hapticd.settings.scene import load_scene
+
+
+def main(folder: Path, trials: int = 200, seconds: float = 90.0) -> int:
+    """How many passed."""
+    lowest, highest = (0.0, 0.0, -0.025), (1200.0, 9.0, 0.030)  # K N/m, B N s/m, M kg
+    environments = np.random.default_rng(1).uniform(lowest, highest, (trials, 3))
+    conditions = Conditions(load_scene("fig4"), seconds)
+    outcomes = fly(conditions, 1.74, environments)  # with 1.74 N s/m of added damping
+    save(envelope_figure(conditions, [(1.74, envelope_of(outcomes))]), folder, "envelope")
+    return sum(outcome.passes for outcome in outcomes)
+
+
+if __name__ == "__main__":
+    print(main(Path.cwd()), "of 200 pass; see envelope.png")
