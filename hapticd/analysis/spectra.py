@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hapticd.analysis.arrays import Complexes, Floats
+from hapticd.analysis.arrays import Complexes, Flags, Floats
 from hapticd.analysis.sections import Covariances
 from hapticd.errors import AnalysisError
 
@@ -58,6 +58,11 @@ class Spectra:
     def lowest_hz(self) -> float:
         """1/(M T): below it nothing can be said."""
         return self.rate_hz / self.lag
+
+    def part(self, which: Flags) -> "Spectra":
+        """Those at some of the frequencies, `which` (F,)."""
+        f, cross = self.frequency_hz[which], self.cross[which]
+        return replace(self, frequency_hz=f, velocity=self.velocity[which], force=self.force[which], cross=cross)
 
     @property
     def smoothing_hz2(self) -> float:

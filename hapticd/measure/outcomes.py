@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from hapticd import __version__
-from hapticd.analysis.arrays import Floats
+from hapticd.analysis.arrays import Flags, Floats
 from hapticd.analysis.diagnostics import Record, escape_findings
 from hapticd.analysis.energy import Energy
 from hapticd.analysis.envelope import Envelope, merged, of_one
@@ -25,7 +25,7 @@ from hapticd.analysis.impedance import impedance
 from hapticd.analysis.passivity import DEFAULT_BAND_HZ, judge
 from hapticd.analysis.predict import Prediction, predict
 from hapticd.analysis.spa import DEFAULT_LAG
-from hapticd.analysis.spectra import Spectra
+from hapticd.analysis.spectra import Spectra, grid_frequencies
 from hapticd.errors import AnalysisError
 from hapticd.measure.scenes import SATURATED, filters, free_of_walls, frequencies, perturbation
 from hapticd.measure.store import fingerprint
@@ -82,6 +82,12 @@ def kept_frequencies() -> Floats:
     return frequencies(KEPT_BAND_HZ, FREQUENCIES)
 
 
+@lru_cache
+def _kept(rate_hz: float) -> Flags:
+    """Which of the window's frequencies those are."""
+    return np.isin(grid_frequencies(rate_hz, DEFAULT_LAG), kept_frequencies())
+
+
 def key_of(shared: str, damping_ns_per_m: float, environment: tuple[float, float, float]) -> str:
     """Key of a trial in a store; `shared` is `fingerprint(conditions)`, the same for all of a campaign."""
     return fingerprint((FORMAT, __version__, shared, damping_ns_per_m, environment))[:32]
@@ -115,7 +121,7 @@ def _outcome(conditions: Conditions, damping: float, found: BatchResult, trial: 
     spectra = found.spectra(trial)
     verdict = judge(spectra, _recorded(found, trial, spectra), conditions.band_hz, conditions.confidence, channels=False)
     doubtful = most >= SATURATED * limit_n or k < 0.0  # a K < 0 is active below every band
-    z, shown = impedance(spectra), np.isin(spectra.frequency_hz, kept_frequencies())
+    z = impedance(spectra.part(_kept(found.rate_hz)))
     return Outcome(
         environment=(k, b, m),
         damping_ns_per_m=damping,
@@ -128,8 +134,8 @@ def _outcome(conditions: Conditions, damping: float, found: BatchResult, trial: 
         worst_hz=verdict.margin_ns_per_m.frequency_hz,
         velocity_sd=sd,
         max_force_n=most,
-        z=np.column_stack((z.impedance_ns_per_m[shown].real, z.impedance_ns_per_m[shown].imag)),
-        relative_sd=z.relative_sd[shown],
+        z=np.column_stack((z.impedance_ns_per_m.real, z.impedance_ns_per_m.imag)),
+        relative_sd=z.relative_sd,
     )
 
 

@@ -7,7 +7,7 @@ What would break it: a set that is not star-shaped about K = B = M = 0; a passiv
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -137,11 +137,7 @@ def _trial(spectra: Spectra, place: int) -> Trial:
 def shown(spectra: Spectra) -> Impedance:
     """The impedance on the frequencies of the figures."""
     inside = (spectra.frequency_hz >= SHOWN_HZ[0]) & (spectra.frequency_hz <= SHOWN_HZ[1])
-    part = replace(
-        spectra, frequency_hz=spectra.frequency_hz[inside], velocity=spectra.velocity[inside],
-        force=spectra.force[inside], cross=spectra.cross[inside],
-    )  # fmt: skip
-    return impedance(part)
+    return impedance(spectra.part(inside))
 
 
 def named(point: Floats) -> str:
