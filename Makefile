@@ -3,7 +3,8 @@
 #   make run                start the daemon on the simulated board (ARGS="--rate-hz 2000" and other options of `hapticd run`)
 #   make test               format, lint, types, floors, tests: what continuous integration runs
 #   make bench [ONLY=wake]  measure; results in build/bench.json
-#   make reproduce          the paper's figures and table in build/reproduction (ARGS=--quick: by prediction, seconds)
+#   make reproduce          the paper's figures and table in build/reproduction; with ARGS=--quick by prediction, in seconds, in
+#                           build/reproduction-quick
 #   make reproduction-docs  the same, then tables, numbers and figures of docs/reproduction.md from it
 #   make docs               build the documentation in build/docs; warnings are errors
 #   make deps               install the system packages that are missing
@@ -34,11 +35,13 @@ test: deps-test $(VENV)/test.stamp
 bench: deps-bench $(VENV)/test.stamp
 	ONLY="$(ONLY)" $(BIN)/python benchmarks/run.py
 
+REPRODUCTION := build/reproduction$(if $(filter --quick,$(ARGS)),-quick)
+
 reproduce: $(VENV)/run.stamp
-	@$(BIN)/hapticd zwidth reproduce --out build/reproduction $(ARGS)
+	@$(BIN)/hapticd zwidth reproduce --out $(REPRODUCTION) $(ARGS)
 
 reproduction-docs: reproduce
-	$(BIN)/python docs/reproduce.py build/reproduction
+	$(BIN)/python docs/reproduce.py $(REPRODUCTION)
 
 docs: $(VENV)/test.stamp
 	$(BIN)/python docs/generate.py

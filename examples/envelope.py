@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from hapticd.measure.outcomes import Conditions, envelope_of, fly
+from hapticd.measure.outcomes import Conditions, fly
 from hapticd.report.figures import save
-from hapticd.report.zwidth_map import envelope_figure
+from hapticd.report.zwidth_envelope import envelope_figure
 from hapticd.settings.scene import load_scene
 
 
@@ -19,7 +19,7 @@ def main(folder: Path, trials: int = 200, seconds: float = 90.0) -> int:
     environments = np.random.default_rng(1).uniform(lowest, highest, (trials, 3))
     conditions = Conditions(load_scene("fig4"), seconds)
     outcomes = fly(conditions, 1.74, environments)  # with 1.74 N s/m of added damping
-    save(envelope_figure(conditions, [(1.74, envelope_of(outcomes))]), folder, "envelope")
+    save(envelope_figure(conditions, [(1.74, outcomes)]), folder, "envelope")
     return sum(outcome.passes for outcome in outcomes)
 
 

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from spectral_trials import mass_damper, record, with_phase_margin
 
-from hapticd.analysis.diagnostics import coherence_findings, examine
+from hapticd.analysis.diagnostics import examine
 from hapticd.analysis.impedance import impedance
 from hapticd.analysis.passivity import judge
 from hapticd.analysis.spa import spa
+from hapticd.analysis.unexplained import coherence_findings
 
 pytestmark = pytest.mark.slow
 

@@ -1,16 +1,18 @@
 """What can be wrong with a trial is found and named; what is right is left in peace."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from spectral_trials import exact_trial, mass_damper, record
 
 from hapticd.analysis.channels import channel_findings, high_pass, skew
-from hapticd.analysis.diagnostics import coherence_findings, examine
+from hapticd.analysis.diagnostics import examine
 from hapticd.analysis.passivity import judge
 from hapticd.analysis.spa import spa
 from hapticd.analysis.spectra import corrected
+from hapticd.analysis.unexplained import coherence_findings
 from hapticd.errors import AnalysisError
 
 RATE_HZ = 4000.0
@@ -108,6 +110,27 @@ def test_low_coherence_is_named_with_its_range():
     assert re.match(
         r"low coherence: below 0\.5 at \d+ % of the frequencies, from \S+ to 500 Hz; perturb more strongly", found[0].message
     )
+
+
+def test_low_coherence_says_what_spa_makes_of_the_size():
+    """The paper's estimator shrinks |Z| by the coherence; with the force as the input it does not."""
+    noisy = exact_trial(mass_damper(0.008, 1.0), 0.31)
+    (by_spa,), (by_force,) = (coherence_findings(noisy, (2.0, 500.0), estimator) for estimator in ("spa", "h_force"))
+    assert re.search(r"; \|Z\| by spa reads low there by the coherence, at \S+ Hz to 0\.31 of its value, while", by_spa.message)
+    assert by_spa.message.endswith("the sign of Re Z stay; h_force does not shrink it")
+    assert "|Z|" not in by_force.message
+    assert by_spa.message in str(judge(noisy, channels=False))
+    assert by_force.message in str(judge(noisy, channels=False, estimator="h_force"))
+
+
+def test_low_coherence_at_the_lower_edge_is_named():
+    """Read as "2 Hz", but 1.95 Hz, the line beside which the band begins."""
+    whole, poor = (exact_trial(mass_damper(0.008, 1.0), coherence) for coherence in (0.99, 0.46))
+    at_edge = np.where(np.arange(whole.frequency_hz.size) == 2, poor.velocity, whole.velocity)
+    (found,) = coherence_findings(replace(whole, velocity=at_edge), (2.0, 500.0))
+    assert "from 1.95 to 1.95 Hz" in found.message
+    assert "to 0.46 of its value" in found.message
+    assert coherence_findings(replace(whole, velocity=at_edge), (5.0, 500.0)) == ()
 
 
 def test_short_record_is_refused():

@@ -1,11 +1,13 @@
 """`hapticd zwidth trial` by multisines, with another window, and as admittance: what is typed, said, kept and drawn."""
 
 import json
+import re
 
 import numpy as np
 import pytest
+from typer.main import get_command
 
-from hapticd.cli.app import main
+from hapticd.cli.app import app, main
 
 pytest.importorskip("matplotlib")
 
@@ -46,10 +48,11 @@ def test_multisine_trial_runs_by_the_whole_stack(tmp_path, capsys):
     assert 0.0 < found["max_command_n"] < found["command_limit_n"] == 8.0
 
 
-def test_multisine_of_friction_says_how_many_more(tmp_path, capsys):
+def test_multisine_of_friction_names_no_number_that_means_nothing(tmp_path, capsys):
+    """Thousands of realisations, told from eight of them."""
     code, out, _ = run(["trial", "--excitation", "multisine", "--out", str(tmp_path)], capsys)
     assert code == 0
-    assert "realisations would decide at this confidence; where friction distorts, noise decides sooner" in out
+    assert "many more than 8 realisations would be needed; use noise (--excitation noise)" in out
 
 
 def test_multisines_of_a_file_are_judged_in_their_layout(tmp_path, capsys):
@@ -79,6 +82,40 @@ def test_longer_window_is_kept_with_the_run(tmp_path, capsys):
     code, _, _ = run(["trial", *LINEAR, "--seconds", "30", "--lag", "4096", "--out", str(tmp_path)], capsys)
     assert code == 0
     assert json.loads((tmp_path / "run.json").read_text())["lag"] == 4096
+
+
+@pytest.mark.parametrize("electrical", ["--damping", "--added-damping"])
+@pytest.mark.parametrize("virtual", ["-B", "--viscous"])
+def test_damping_is_electrical_and_viscous_is_virtual(virtual, electrical, tmp_path, capsys):
+    """As in `map` and in `hapticd damping`; the second name is a former one."""
+    record = np.random.default_rng(1).normal(0.0, 0.2, (2, 40_000))
+    np.savez(tmp_path / "a.npz", force=record[0], velocity=record[1], fs=4000.0)
+    for words in (["trial", "--seconds", "8", "-K", "0", "-M", "0"], ["import", str(tmp_path / "a.npz")]):
+        code, out, _ = run([*words, virtual, "3", electrical, "1.74", "--out", str(tmp_path / words[0])], capsys)
+        assert code == 0
+        assert "K 0 N/m, B 3 N s/m, M 0 kg, added damping 1.74 N s/m\n" in out
+
+
+@pytest.mark.parametrize("verb", ["trial", "import", "limits", "map", "search", "walls", "report"])
+def test_help_has_one_name_for_each_damping(verb, capsys):
+    told = " ".join(run([verb, "--help"], capsys)[1].split())
+    assert "--damping" in told
+    assert "--added-damping" not in told
+
+
+def bracketed(command, path=()):
+    """Every text in square brackets in the help of a verb, with the words that call it."""
+    for name, below in getattr(command, "commands", {}).items():
+        yield from bracketed(below, (*path, name))
+    texts = [command.help, *(getattr(param, "help", "") for param in command.params)]
+    yield from ((path, found) for text in texts for found in re.findall(r"\[[^\]]*\]", text or ""))
+
+
+def test_brackets_of_help_texts_are_printed(capsys):
+    """Unless escaped they are taken for markup."""
+    for path, text in bracketed(get_command(app)):
+        main([*path, "--help"])
+        assert text in capsys.readouterr().out, f"{' '.join(path)}: {text}"
 
 
 @pytest.mark.parametrize(

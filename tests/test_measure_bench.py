@@ -76,6 +76,24 @@ def test_trial_that_someone_changes_is_undecided(rigid, act):
     assert "someone changed what was rendered or the perturbation" in str(found.verdict)
 
 
+class Looped(LockStepBench):
+    """Remembers whether the waveform was to be repeated."""
+
+    looped = None
+
+    def perturb_start(self, loop=False):
+        self.looped = loop
+        super().perturb_start(loop)
+
+
+@pytest.mark.parametrize(("waveform_n", "looped"), [(None, False), (0.1 * np.sin(np.arange(4096)), True)])
+def test_waveform_that_is_long_enough_ends_by_itself(rigid, waveform_n, looped):
+    """A client that is killed leaves nothing that shakes for ever."""
+    with Looped(*scene_params(rigid)) as bench:
+        bench_source(bench)(Trial((100.0, 1.0, 0.0), seconds=2.0, waveform_n=waveform_n), lambda what, done, total: None)
+        assert bench.looped is looped
+
+
 def test_trial_that_someone_ends_says_so(rigid):
     found = flown(rigid, lambda bench: bench.disable())
     assert found.recorded.ended == "disabled: somebody ended it"

@@ -24,8 +24,8 @@ from hapticd.measure.reproduce_grid import AXES
 from hapticd.plant.bodies import Masses, Viscous
 from hapticd.plant.winding import Motor
 from hapticd.report import figures
-from hapticd.report.beyond import PARTS
 from hapticd.report.beyond_page import sections
+from hapticd.report.looks import PARTS
 from hapticd.report.owners import weightiest
 
 MASS_KG, VISCOUS, LEVEL = 0.008, 0.4, 1.5

@@ -247,7 +247,7 @@ def test_given_up_limits_cancel_what_has_not_begun() -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_limits(LIMITS, flying=stand_in, executor=pool, hear=hear)
+        run_limits(LIMITS, TrialStore(None), flying=stand_in, executor=pool, hear=hear)
     assert heard == [LIMITS.scans[0]]
     assert len(pool.futures) == 7  # each of the six limits its first round, the first its second
     assert all(future.cancelled() for future in pool.futures[1:])
@@ -262,8 +262,10 @@ def test_limits_do_not_depend_on_who_else_is_under_way() -> None:
             future.set_result(fn(*args, **kwargs))
             return future
 
-    one_by_one = run_limits(LIMITS, flying=stand_in, executor=Inline())
-    side_by_side = run_limits(LIMITS, flying=stand_in, hear=lambda scan, given, new: heard.append(("KBM"[scan.axis], len(new))))
+    one_by_one = run_limits(LIMITS, TrialStore(None), flying=stand_in, executor=Inline())
+    side_by_side = run_limits(
+        LIMITS, TrialStore(None), hear=lambda scan, given, new: heard.append(("KBM"[scan.axis], len(new))), flying=stand_in
+    )
     assert repr(one_by_one.limits) == repr(side_by_side.limits)
     assert sum(count for _, count in heard) == sum(limit.trials for limit in side_by_side.limits)
     assert {name for name, _ in heard} == {"K", "B", "M"}

@@ -115,3 +115,76 @@ LATE = TIME > 0.05
 def test_seconds_that_do_not_run_evenly_are_refused(tmp_path, time):
     with pytest.raises(AnalysisError, match=r"column t: .*--rate-hz"):
         read_file(csv(tmp_path / "a.csv", FORCE, VELOCITY, time))
+
+
+def test_rate_that_contradicts_the_time_column_is_refused(tmp_path):
+    path = csv(tmp_path / "a.csv", FORCE, VELOCITY, TIME)
+    with pytest.raises(AnalysisError, match=r"a\.csv: column t says 4000 Hz, --rate-hz 1000 Hz: leave that out"):
+        read_file(path, rate_hz=1000.0)
+    assert read_file(path, rate_hz=4000.0).rate_hz == 4000.0
+    np.savez(tmp_path / "b.npz", force=FORCE, velocity=VELOCITY, fs=4000.0)
+    with pytest.raises(AnalysisError, match=r"b\.npz: column fs says 4000 Hz, --rate-hz 4001 Hz"):
+        read_file(tmp_path / "b.npz", rate_hz=4001.0)
+
+
+def test_rate_may_be_told_where_seconds_say_none(tmp_path):
+    """Rounded seconds know it to a step; seconds with a gap do not know it, and a record may be whole all the same."""
+    rounded = csv(tmp_path / "a.csv", FORCE, VELOCITY, TIME, digits=3)
+    assert read_file(rounded, rate_hz=4000.0).rate_hz == 4000.0
+    with pytest.raises(AnalysisError, match=r"column t says 3990 Hz, --rate-hz 3900 Hz"):
+        read_file(rounded, rate_hz=3900.0)
+    assert read_file(csv(tmp_path / "b.csv", FORCE, VELOCITY, TIME[::-1]), rate_hz=4000.0).rate_hz == 4000.0
+    np.savez(tmp_path / "c.npz", force=FORCE, velocity=VELOCITY, fs=0.0)
+    assert read_file(tmp_path / "c.npz", rate_hz=4000.0).rate_hz == 4000.0
+
+
+@pytest.mark.parametrize(("mark", "point"), [(";", ","), (";", "."), ("\t", ","), ("\t", "."), (",", ".")])
+def test_columns_are_apart_as_the_head_line_says(tmp_path, mark, point):
+    rows = (mark.join(f"{value:.9f}".replace(".", point) for value in row) for row in zip(FORCE, VELOCITY, TIME, strict=True))
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([mark.join(("force", "velocity", "time")), *rows]))
+    found = read_file(path)
+    assert found.force_n == pytest.approx(FORCE, abs=1e-9)
+    assert found.rate_hz == pytest.approx(4000.0)
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ("1,2\n1,two\n", "line 3, column velocity: 'two' is no number"),
+        ("1,2\n\n# a remark\n,2\n", "line 5, column force: '' is no number"),
+        ("1,2\n1,2,3\n", "line 3: 3 values under 2 names"),
+        ("1,2\n1\n", "line 3: 1 values under 2 names"),
+        ("1\n2\n", "line 2: 1 values under 2 names"),
+        ("1,5,2,5\n", "line 2: 4 values under 2 names; a decimal comma needs ; or tabs between columns"),
+        ("1;2\n", "line 2: 1 values under 2 names"),
+        ("1_0,2\n", "there is something else than numbers in it"),
+        ("", "no samples under a head line"),
+    ],
+)
+def test_line_that_is_no_row_of_numbers_is_named(tmp_path, rows, said):
+    (tmp_path / "a.csv").write_text(f"force,velocity\n{rows}")
+    with pytest.raises(ConfigError) as caught:
+        read_file(tmp_path / "a.csv", rate_hz=4000.0)
+    assert str(caught.value) == f"{tmp_path / 'a.csv'}: {said}; a record with named columns was expected"
+
+
+@pytest.mark.parametrize("wrong", ["nan", "inf"])
+def test_sample_that_is_no_number_is_placed(tmp_path, wrong):
+    (tmp_path / "a.csv").write_text(f"force,velocity\n1,2\n\n1,2\n1,{wrong}\n1,{wrong}\n")
+    with pytest.raises(AnalysisError, match=rf"a\.csv: line 5, column velocity: {wrong}; a gap cannot be analysed, cut the record"):
+        read_file(tmp_path / "a.csv", rate_hz=4000.0)
+    np.savez(tmp_path / "b.npz", force=[1.0, float(wrong)], velocity=[1.0, 2.0], fs=4000.0)
+    with pytest.raises(AnalysisError, match=rf"b\.npz: sample 2, column force: {wrong}"):
+        read_file(tmp_path / "b.npz")
+
+
+def test_gap_in_a_column_that_is_not_used_is_no_matter(tmp_path):
+    (tmp_path / "a.csv").write_text("force,velocity,winding_c\n1,2,nan\n1,2,nan\n")
+    assert read_file(tmp_path / "a.csv", rate_hz=4000.0).force_n.size == 2
+
+
+def test_column_that_is_not_there_is_named_with_its_option(tmp_path):
+    (tmp_path / "a.csv").write_text("kraft,velocity\n1,2\n")
+    with pytest.raises(AnalysisError, match=r"it has kraft, velocity; name it with --force-column or --velocity-column"):
+        read_file(tmp_path / "a.csv", rate_hz=4000.0)

@@ -98,7 +98,7 @@ def test_unreadable_records_say_what_to_do(tmp_path):
         read_file(path)
     assert read_file(path, rate_hz=100.0).rate_hz == 100.0
     path.write_text("force,velocity\n0,1,4\n")
-    with pytest.raises(ConfigError, match="2 names over 3 columns"):
+    with pytest.raises(ConfigError, match="line 2: 3 values under 2 names"):
         read_file(path)
 
 

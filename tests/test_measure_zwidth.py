@@ -46,7 +46,7 @@ def test_axis_limits_are_those_of_sampled_data_theory():
 
     A spring leaves almost no velocity at 2 Hz, so its limit is found too low by leakage, never too high."""
     plan = plan_limits(LimitsParams(conditions(seconds=90.0), levels=(0.0,)))
-    stiffness, damping, mass = run_limits(plan).limits
+    stiffness, damping, mass = run_limits(plan, TrialStore(None)).limits
     assert stiffness.scan.predicted == pytest.approx(2000.0, rel=0.02)
     assert damping.scan.predicted == pytest.approx(2.184, rel=0.02)
     assert 1500.0 < stiffness.value < 2040.0
@@ -70,7 +70,7 @@ def test_scan_brackets_a_limit_wherever_the_prediction_points(true_limit):
         ]
 
     plan = plan_limits(LimitsParams(conditions(), levels=(0.0,), axes=(0,), seeds=2))
-    (limit,) = run_limits(plan, flying=flying).limits
+    (limit,) = run_limits(plan, TrialStore(None), flying=flying).limits
     assert limit.value == pytest.approx(true_limit, rel=0.012)
     assert limit.value < true_limit
     assert limit.sd == 0.0
@@ -81,7 +81,7 @@ def test_scan_brackets_a_limit_wherever_the_prediction_points(true_limit):
 def test_display_that_fails_at_zero_has_no_limit():
     plan = plan_limits(LimitsParams(conditions(), levels=(0.0,), axes=(0,)))
     (limit,) = run_limits(
-        plan, flying=lambda shared, level, points: [outcome_at(k, False, "not_passive") for k in points[:, 0]]
+        plan, TrialStore(None), flying=lambda shared, level, points: [outcome_at(k, False, "not_passive") for k in points[:, 0]]
     ).limits
     assert np.isnan(limit.value)
 
@@ -90,7 +90,7 @@ def test_friction_makes_limits_fall_with_amplitude():
     """Most of the undamped display's damping is Coulomb friction, which counts for less the more it moves (physics, 11b)."""
     scene = load_scene("fig4")
     plan = plan_limits(LimitsParams(conditions(scene), levels=(0.0,), amplitudes=(1.0, 4.0), axes=(1,)))
-    low, high = run_limits(plan).limits
+    low, high = run_limits(plan, TrialStore(None)).limits
     assert high.value < 0.8 * low.value
     assert high.perturbation_psd == pytest.approx(16 * low.perturbation_psd)
 
@@ -176,6 +176,21 @@ def test_refinement_halves_the_grid_at_the_boundary():
     added = {outcome.environment: outcome.passes for outcome in level.outcomes if outcome.environment not in on_grid}
     assert added[(0.0, 2.25, 0.0)] is False
     assert all(b == 2.25 for _, b, _ in added)
+    assert level.found.axes[1].tolist() == [0.0, 0.75, 1.5, 2.25, 3.0]
+    told = {outcome.environment: outcome.margin_ns_per_m for outcome in level.outcomes}
+    assert level.found.margin[0, 3, 0] == -abs(told[0.0, 2.25, 0.0])  # between a pass and a failure: the trial's
+    assert level.found.passive[0, 1, 0]  # between two passes
+    assert int(level.tried.sum()) == len(level.outcomes)
+
+
+def test_midpoint_that_passes_moves_the_limit():
+    """At K = M = 0 the set ends at B = 2.18 N s/m: the midpoint of 1 and 3 passes."""
+    axes = (np.array([0.0, 100.0]), np.array([0.0, 1.0, 3.0]), np.array([0.0, 0.0005]))
+    coarse = plan_map(MapParams(conditions(seconds=60.0), axes, (0.0,), everywhere=True))
+    finer = replace(coarse, params=replace(coarse.params, refine=1))
+    store = TrialStore(None)
+    limits = [set_limits(run_map(plan, store).levels[0].found).damping[1] for plan in (coarse, finer)]
+    assert limits == [1.0, 2.0]
 
 
 def test_search_needs_few_trials_on_a_rigid_display():

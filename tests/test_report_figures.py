@@ -74,10 +74,10 @@ def test_missing_matplotlib_is_told_with_its_remedy(monkeypatch: pytest.MonkeyPa
 
 def test_axes_of_a_noisy_scene_have_units(noisy: SceneResult) -> None:
     assert labels(scene_figure(noisy)) == [
-        ("time [s]", "position [mm]"),
-        ("frequency [Hz]", "|Z| [N s/m]"),
-        ("time [s]", "virtual force [N]"),
-        ("frequency [Hz]", "phase of Z [deg]"),
+        ("time (s)", "position (mm)"),
+        ("frequency (Hz)", "|Z| (N s/m)"),
+        ("time (s)", "virtual force (N)"),
+        ("frequency (Hz)", "phase of Z (degrees)"),
     ]
 
 
@@ -102,8 +102,8 @@ def test_measured_line_is_what_was_measured(noisy: SceneResult) -> None:
 def test_pushed_scene_shows_position_force_and_damping() -> None:
     pushed = scene(seconds=0.3, kbm=(100.0, 3.0, 0.0), excitation=Excitation("push", force_n=0.5))
     figure = scene_figure(run_scene(plan_scene(SceneRunParams(pushed))))
-    assert [label for _, label in labels(figure)] == ["position [mm]", "virtual force [N]", "added damping [N s/m]"]
-    assert figure.axes[-1].get_xlabel() == "time [s]"
+    assert [label for _, label in labels(figure)] == ["position (mm)", "virtual force (N)", "added damping (N s/m)"]
+    assert figure.axes[-1].get_xlabel() == "time (s)"
 
 
 def test_scene_says_that_it_is_simulated_and_what_it_renders(noisy: SceneResult) -> None:
@@ -219,7 +219,7 @@ def test_every_sweep_has_its_panel_with_units(swept: AccuracyResult) -> None:
         "length of the trial",
         "window of the spectra, samples",
     ]
-    assert {label for _, label in labels(figure)} == {"error [deg]", ""}
+    assert {label for _, label in labels(figure)} == {"error (deg)", ""}
     assert {"defaults", "knee", "cannot be left out", "9"} <= written(figure)
 
 

@@ -19,15 +19,15 @@ from hapticd.cli.app import main
 from hapticd.cli.zwidth import reproduce as verb
 from hapticd.errors import ConfigError
 from hapticd.measure.reproduce import ReproduceResult
-from hapticd.measure.reproduce_grid import Found
 from hapticd.measure.reproduce_rows import Row
 from hapticd.measure.reproduce_table import rows
 from hapticd.measure.reproduce_trials import SCENES
+from hapticd.report.envelopes import Drawn, weighty
 from hapticd.report.owners import NOBODY
 from hapticd.report.paper import parts, sections
-from hapticd.report.paper_envelopes import weighty
+from hapticd.report.paper_envelopes import drawn
 from hapticd.report.paper_files import keep
-from hapticd.report.paper_page import Section, page, terminal
+from hapticd.report.paper_page import Drawing, Section, page, terminal
 from hapticd.report.paper_table import as_json, from_json, markdown, notes, paper_table
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -186,6 +186,37 @@ def test_interrupted_drawing_leaves_the_run_before(quick: ReproduceResult, tmp_p
     assert (tmp_path / "table.json").read_text() == "before"
 
 
+def test_smaller_run_leaves_no_figure_of_the_run_before(
+    quick: ReproduceResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from hapticd.report import figures
+
+    def save(figure: object, folder: Path, name: str) -> None:
+        for kind in ("png", "svg"):
+            (folder / f"{name}.{kind}").write_text("drawn")
+
+    monkeypatch.setattr(figures, "save", save)
+    told = {"quick": True, "seeds": 1, "provenance": {"libraries": {}, "date": "", "hapticd": ""}}
+    one, *more = (replace(section, drawings=()) for section in sections(quick))
+    drawn = [Drawing(name, "caption", lambda: None) for name in ("fig02", "fig03")]  # type: ignore[arg-type,return-value]
+    keep([replace(one, drawings=tuple(drawn)), *more], tmp_path, told)
+    for foreign in ("fig02_mine.png", "notes.txt", "fig12.svg"):
+        (tmp_path / foreign).write_text("mine")
+    assert (tmp_path / "fig02.svg").is_file()
+    keep([replace(one, drawings=tuple(drawn[1:])), *more], tmp_path, told)
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "REPORT.md", "table.json", "table.csv", "table.md", "fig03.png", "fig03.svg", "fig02_mine.png", "notes.txt", "fig12.svg",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(("words", "folder"), [("", "build/reproduction"), ("--quick", "build/reproduction-quick")])
+def test_make_keeps_quick_runs_apart(words: str, folder: str) -> None:
+    planned = subprocess.run(
+        ["make", "--dry-run", "reproduce", f"ARGS={words}"], cwd=DOCS.parent, capture_output=True, text=True, check=True
+    )
+    assert f"zwidth reproduce --out {folder} {words}\n" in planned.stdout
+
+
 def test_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(ConfigError, match=r"file: File exists; name a folder that you may write to with --out"):
@@ -210,16 +241,15 @@ def test_nobody_owns_what_noise_alone_would_do(quick: ReproduceResult) -> None:
     count = len(seen.environments)
     factor = np.exp(np.sqrt(2.0 * np.log(count)) * 0.01)
 
-    def spread(by: float) -> Found:
+    def spread(by: float) -> Drawn:
         upper, lower = seen.envelope.upper, seen.envelope.lower
         middle, sd = np.sqrt(upper.value * lower.value), np.full(upper.value.size, 0.01)
         envelope = replace(seen.envelope, upper=Edge(middle * by, sd, upper.owner), lower=Edge(middle / by, sd, lower.owner))
-        return replace(seen, envelope=envelope)
+        return replace(drawn(quick, 1), envelope=envelope)
 
     noisy, real = spread(0.99 * factor), spread(1.01 * factor)
-    f = seen.envelope.frequency_hz
-    assert (weighty(f, noisy, noisy.envelope.upper) == NOBODY).all()
-    assert (weighty(f, real, real.envelope.upper) != NOBODY).mean() > 0.9
+    assert (weighty(noisy, noisy.envelope.upper) == NOBODY).all()
+    assert (weighty(real, real.envelope.upper) != NOBODY).mean() > 0.9
 
 
 # --- the documentation -------------------------------------------------------------------------------------------------------

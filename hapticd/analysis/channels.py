@@ -82,7 +82,7 @@ def _skew_finding(found: Fitted) -> tuple[Finding, ...]:
     late, size = "after" if found.value > 0.0 else "before", 1e6 * abs(found.value)
     message = (
         f"channel skew: velocity sampled {size:.3g} us (+-{1e6 * found.sd:.2g}) {late} the force; "
-        "sample both together, or correct it with the known skew"
+        f"sample both together, or take a skew that is known out with --skew {found.value:.3g}"
     )
     return (Finding("channel_skew", message, voids=True),)
 
@@ -92,7 +92,7 @@ def _high_pass_finding(found: Fitted) -> tuple[Finding, ...]:
         return ()
     message = (
         f"high-pass mismatch: the velocity channel looks AC-coupled at {found.value:.3g} Hz (+-{found.sd:.2g}); "
-        "couple it to DC, correct it with the known corner, or judge from a higher frequency"
+        f"couple it to DC, take a corner that is known out with --high-pass {found.value:.2g}, or judge from a higher frequency"
     )
     return (Finding("high_pass_mismatch", message, voids=True),)
 

@@ -1,16 +1,13 @@
-"""What may be wrong with a trial, detected from its record and its spectra, and named.
+"""What may be wrong with a trial, detected from its record, and named.
 
 saturation      a channel stays at its end value: given limits, or a flat top that no noise has
 escape          the velocity of some second is several times that of the calm ones: the loop ran away
-oscillation     a narrow line carries much of the velocity and the perturbation does not explain it: a limit cycle
-line            the same with little of it: a limit cycle or hum
 drift           offset or trend of the velocity, or a level that changes between the halves of the record
 dropout         seconds without a perturbation, or with a velocity that stands still: silence is no knowledge
-low_coherence   the perturbation explains less than half of the motion over part of the band
 
-Skew and high-pass of the channels are in `channels`, what window and record did to a spring in `leakage`. A finding with
-`voids` leaves nothing to decide, one with `unstable` says that the loop is not stable. Thresholds are those at which a 90 s
-trial of noise alone never raised them (tests).
+Low coherence and lines are in `unexplained`, skew and high-pass of the channels in `channels`, what window and record did to a
+spring in `leakage`. A finding with `voids` leaves nothing to decide, one with `unstable` says that the loop is not stable.
+Thresholds are those at which a 90 s trial of noise alone never raised them (tests).
 """
 
 from dataclasses import dataclass
@@ -20,18 +17,12 @@ import numpy as np
 from hapticd.analysis.arrays import Flags, Floats, Integers
 from hapticd.analysis.energy import Energy, energy
 from hapticd.analysis.sections import same_length
-from hapticd.analysis.spectra import Spectra
 from hapticd.analysis.trend import detrended
 from hapticd.errors import AnalysisError
 
-LOW_COHERENCE = 0.5
 FLAT_SHARE, FLAT_BELOW = 1e-4, 0.02  # of all samples at the end value; how far below it others are counted
 ESCAPE_RATIO = 4.0  # of a second's rms to the lower quartile of all
 SILENT = 0.1  # of the upper quartile of a second's rms: there the force is none
-LINE_WIDTH = 6  # neighbouring values that make a line
-LINE_SHARE = 0.3  # of the velocity's power, unexplained, in a line
-SMALL_LINE = 0.02  # the same, from which it is mentioned
-LINE_HEIGHT = 5.0  # of a line over what is beside it
 DRIFT_SHARE = 0.5  # of the standard deviation
 LEVEL_RATIO = 1.25  # of the force's rms between the halves; the velocity may change twice as much
 
@@ -81,12 +72,6 @@ def examine(
     )
     flowed = energy(force_n, velocity_m_per_s, rate_hz)
     return Record(force.size / rate_hz, flowed, float(velocity.std()), findings)
-
-
-def coherence_findings(trial: Spectra, band_hz: tuple[float, float]) -> tuple[Finding, ...]:
-    """Low coherence inside `band_hz` (named by share and range), and a line that the perturbation does not explain."""
-    inside = (trial.frequency_hz >= band_hz[0]) & (trial.frequency_hz <= band_hz[1])
-    return (*_incoherent(trial.frequency_hz[inside], trial.coherence[inside]), *_line(trial))
 
 
 def _saturation(name: str, signal: Floats, limit: float | None, unit: str, remedy: str) -> tuple[Finding, ...]:
@@ -161,37 +146,3 @@ def _level(name: str, signal: Floats, most: float) -> tuple[Finding, ...]:
         f"{name} drift: {first:.3g} rms in the first half, {second:.3g} in the second; the trial mixes two conditions, repeat it"
     )
     return (Finding("drift", message),)
-
-
-def _incoherent(frequency_hz: Floats, coherence: Floats) -> tuple[Finding, ...]:
-    low = coherence < LOW_COHERENCE
-    if not low.any():
-        return ()
-    message = (
-        f"low coherence: below {LOW_COHERENCE:g} at {100 * low.mean():.2g} % of the frequencies, from {frequency_hz[low][0]:.3g} "
-        f"to {frequency_hz[low][-1]:.3g} Hz; perturb more strongly there or record longer"
-    )
-    return (Finding("low_coherence", message),)
-
-
-def _line(trial: Spectra) -> tuple[Finding, ...]:
-    if trial.frequency_hz.size <= 4 * LINE_WIDTH:
-        return ()
-    unexplained = trial.velocity * (1.0 - trial.coherence)
-    total = float(trial.velocity.sum())
-    close = np.convolve(unexplained, np.ones(LINE_WIDTH), "same")
-    peak = 2 * LINE_WIDTH + int(np.argmax(close[2 * LINE_WIDTH : -2 * LINE_WIDTH]))
-    sides = (close[peak - 2 * LINE_WIDTH : peak - LINE_WIDTH], close[peak + LINE_WIDTH : peak + 2 * LINE_WIDTH])
-    if close[peak] <= SMALL_LINE * total or close[peak] < LINE_HEIGHT * max(float(np.median(side)) for side in sides):
-        return ()
-    if close[peak] <= LINE_SHARE * total:
-        message = (
-            f"line at {trial.frequency_hz[peak]:.3g} Hz: {100 * close[peak] / total:.2g} % of the velocity's power, which the "
-            "perturbation does not explain; hum of a sensor, or a small limit cycle"
-        )
-        return (Finding("line", message),)
-    message = (
-        f"oscillation at {trial.frequency_hz[peak]:.3g} Hz: {100 * close[peak] / total:.2g} % of the velocity's power is a line "
-        "that the perturbation does not explain; the loop has a limit cycle"
-    )
-    return (Finding("oscillation", message, unstable=True),)

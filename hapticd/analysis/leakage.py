@@ -18,9 +18,10 @@ What would break it: spectra that are not on the window's own grid, which do not
 import numpy as np
 
 from hapticd.analysis.arrays import Complexes
-from hapticd.analysis.diagnostics import LOW_COHERENCE, Finding
+from hapticd.analysis.diagnostics import Finding
 from hapticd.analysis.impedance import Estimator, impedance
 from hapticd.analysis.spectra import Spectra
+from hapticd.analysis.unexplained import LOW_COHERENCE
 
 LOW_SHARE = 0.05  # of |Z|, from which it is named
 CERTAINTY = 3.0  # standard deviations of |Z|
@@ -50,7 +51,7 @@ def shrinkage(trial: Spectra, estimator: Estimator = "spa") -> Complexes:
 def leakage_findings(trial: Spectra, band_hz: tuple[float, float], estimator: Estimator = "spa") -> tuple[Finding, ...]:
     """|Z| that is read low inside `band_hz` by more than a twentieth, and more than chance does, named with its range.
 
-    Where there is little coherence, that is what is named (`diagnostics`).
+    Where there is little coherence, that is what is named (`unexplained`).
     """
     inside = (trial.frequency_hz >= band_hz[0]) & (trial.frequency_hz <= band_hz[1])
     factor = shrinkage(trial, estimator)[inside]

@@ -20,9 +20,10 @@ import numpy as np
 from hapticd.analysis.arrays import Flags, Floats
 from hapticd.analysis.channels import channel_findings
 from hapticd.analysis.confidence import sidak, student_quantile
-from hapticd.analysis.diagnostics import Finding, Record, coherence_findings
+from hapticd.analysis.diagnostics import Finding, Record
 from hapticd.analysis.impedance import Estimator, impedance, relative_sd, spread_of
 from hapticd.analysis.spectra import Spectra
+from hapticd.analysis.unexplained import coherence_findings
 from hapticd.analysis.verdict import Amplitude, Answer, Margin, Stability, Verdict
 from hapticd.errors import AnalysisError
 
@@ -55,7 +56,7 @@ def judge(
     half = spread_of(np.abs(at_port.impedance_ns_per_m), half_width(trial, sidak(confidence, count)))[inside]
     angle = 90.0 - np.abs(np.degrees(np.angle(ohm)))
     newton = _least(ohm.real, half, f)
-    findings = (record.findings if record else ()) + coherence_findings(trial, band_hz)
+    findings = (record.findings if record else ()) + coherence_findings(trial, band_hz, estimator)
     findings += channel_findings(trial) if channels else ()
     stability = _stability(findings, record is not None, spectral_radius)
     return Verdict(

@@ -9,7 +9,21 @@ from hapticd.analysis.energy import Energy
 Answer = Literal["passive", "not_passive", "undecided"]
 Stability = Literal["stable", "unstable", "unknown"]
 
+FORESEEABLE = 10.0  # times the length of a record; beyond it the margin is not told from 0, and no length can be foretold
+
 _WORDS = {"passive": "passive in band", "not_passive": "not passive in band", "undecided": "undecided in band"}
+
+
+def needed(seconds_needed: float, seconds: float) -> str:
+    """What record would decide where one of `seconds` did not, in words."""
+    if not seconds_needed <= FORESEEABLE * seconds:
+        return f"a record more than {FORESEEABLE:g} times as long would be needed: the margin is not told from 0"
+    return f"a record like it of some {two_digits(seconds_needed)} s would decide"
+
+
+def two_digits(value: float) -> str:
+    """As much as is known of a length or a number that is foretold; never 0."""
+    return f"{max(1.0, float(f'{value:.2g}')):g}"
 
 
 @dataclass(frozen=True, slots=True)

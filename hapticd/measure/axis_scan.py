@@ -6,6 +6,9 @@ the paper's rule; below `lower` every verdict was passive at the confidence aske
 
 Limits belong to a perturbation: with Coulomb friction they fall as it grows. `amplitudes` scans several, each a factor of the
 scene's force. `seeds` repeats the whole scan with other noise; the scatter is given beside the mean.
+
+Outcomes go to the append-only store of all campaigns: limits that were interrupted, or are asked again with more seeds, levels or
+amplitudes, make only the trials that are missing.
 """
 
 from collections.abc import Callable
@@ -21,6 +24,7 @@ from hapticd.measure.bracketing import REACH, Bracketing, Fly, Scan, bracket, br
 from hapticd.measure.executors import pool_of
 from hapticd.measure.outcomes import Conditions, Outcome, fly, predictor
 from hapticd.measure.progress import Progress, silent
+from hapticd.measure.store import TrialStore
 
 Hear = Callable[[Scan, Conditions, list[Outcome]], None]
 
@@ -69,10 +73,11 @@ class AxisLimit:
 
 @dataclass(frozen=True, slots=True)
 class LimitsResult:
-    """In the order of the plan."""
+    """In the order of the plan. `made` trials were new, the rest came from the store."""
 
     plan: LimitsPlan
     limits: tuple[AxisLimit, ...]
+    made: int
 
 
 def plan_limits(params: LimitsParams) -> LimitsPlan:
@@ -85,24 +90,29 @@ def plan_limits(params: LimitsParams) -> LimitsPlan:
 
 
 def run_limits(
-    plan: LimitsPlan, tell: Progress = silent, flying: Fly = fly, executor: Executor | None = None,
-    hear: Hear = lambda scan, conditions, new: None,
+    plan: LimitsPlan, store: TrialStore, tell: Progress = silent, executor: Executor | None = None,
+    hear: Hear = lambda scan, conditions, new: None, flying: Fly = fly,
 ) -> LimitsResult:  # fmt: skip
-    """Find them all by trials, on `executor` or on threads here; `hear` gets the outcomes of each round."""
-    params, ended = plan.params, 0
+    """Find them all by the trials that the store has not, on `executor` or on threads here; `hear` gets those of each round.
+
+    KeyboardInterrupt passes through after the rounds in flight were given up; what was finished is in the store.
+    """
+    params, ended, made = plan.params, 0, 0
     wanted = [Bracketing(scan, _at(params, scan.amplitude, repeat)) for scan in plan.scans for repeat in range(params.seeds)]
 
     def told(one: Bracketing, new: list[Outcome], last: bool) -> None:
-        nonlocal ended
-        ended += last
+        nonlocal ended, made
+        ended, made = ended + last, made + len(new)
         tell("axis limits", ended, len(wanted))
-        hear(one.scan, one.conditions, new)
+        if new:
+            hear(one.scan, one.conditions, new)
 
     tell("axis limits", 0, len(wanted))
     with pool_of(executor) as pool:
-        bracket_all(wanted, pool, flying, told)
+        bracket_all(wanted, store, pool, flying, told)
     tried = [[one.tried for one in wanted if one.scan is scan] for scan in plan.scans]
-    return LimitsResult(plan, tuple(_together(params, scan, seeds) for scan, seeds in zip(plan.scans, tried, strict=True)))
+    found = tuple(_together(params, scan, seeds) for scan, seeds in zip(plan.scans, tried, strict=True))
+    return LimitsResult(plan, found, made)
 
 
 def _at(params: LimitsParams, amplitude: float, repeat: int = 0) -> Conditions:

@@ -1,38 +1,28 @@
 """A trial on the device of a daemon: enable, set, perturb, record at 4 kHz, force off.
 
 The daemon may be the real one (`hapticd.client.Client`) or the same stack on virtual time (`lockstep_bench`): what is used of
-it is the `Bench` below. The probe's samples and the servo's ticks are heard side by side, so that the sentinel sees every
-command, not only what it did. The trial begins disabled, and ends disabled whatever happens; nobody's session is taken over.
-Whoever changes anything meanwhile ends it: the ticks carry the revision of what is in force.
+it is the `Bench` below; what is heard meanwhile is in `heard`, what is lost in `losses`. The trial begins disabled, and ends
+disabled whatever happens; nobody's session is taken over. Whoever changes anything meanwhile ends it.
 
-What would break it: a board without probe inputs (refused), or a host so busy that messages are lost (they are counted).
+What would break it: a board without probe inputs (refused), or a host so busy that slots are lost (named, then undecided).
 """
 
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
-from math import nan
+from collections.abc import Iterator
 from typing import Any, Protocol
 
-import numpy as np
 import numpy.typing as npt
 
 from hapticd.analysis.arrays import Floats
-from hapticd.client.blocks import Block, BlockDecoder
-from hapticd.errors import AnalysisError, DaemonDown
-from hapticd.mailbox.layout import Flag, State
+from hapticd.errors import AnalysisError
+from hapticd.measure.heard import Hearing
 from hapticd.measure.progress import Progress, silent
 from hapticd.measure.recorded import Recorded
-from hapticd.measure.sentinel import Sentinel
 from hapticd.measure.sources import Source, Trial
 from hapticd.sim.engine.torque import torque_record
 from hapticd.units import PROBE_RATE_HZ
 
 WAVEFORM_S = 120.0  # a longer trial repeats it
-SETTLE_S = 1.0  # of perturbed motion before the record begins
-PROBE, TICKS = "probe", "servo.raw"
-LOOK_S = 0.05
-SILENT_LOOKS = 40  # without a message: 2 s
-CHANGED = "changed: someone changed what was rendered or the perturbation; be alone at the device, and repeat the trial"
+SPARE_S = 10.0  # of waveform beyond the trial: settling, and what is heard late
 
 
 class Bench(Protocol):
@@ -66,8 +56,8 @@ def bench_source(bench: Bench, origin: str = "daemon") -> Source:
             bench.perturb_load(waveform)
             bench.enable()
             bench.wait_for("enabled")
-            bench.perturb_start(loop=True)
-            return _Session(bench, trial).recorded(origin, tell)
+            bench.perturb_start(loop=waveform.size < PROBE_RATE_HZ * (trial.seconds + SPARE_S))  # if we are killed, it ends
+            return Hearing(bench, trial).recorded(origin, tell)
         finally:
             _leave(bench)
 
@@ -77,7 +67,7 @@ def bench_source(bench: Bench, origin: str = "daemon") -> Source:
 def _waveform(trial: Trial) -> Floats:
     if trial.waveform_n is not None:
         return trial.waveform_n
-    return torque_record(trial.excitation, round(PROBE_RATE_HZ * min(WAVEFORM_S, trial.seconds + 10.0)), trial.excitation.seed)
+    return torque_record(trial.excitation, round(PROBE_RATE_HZ * min(WAVEFORM_S, trial.seconds + SPARE_S)), trial.excitation.seed)
 
 
 def _leave(bench: Bench) -> None:
@@ -87,92 +77,3 @@ def _leave(bench: Bench) -> None:
     finally:
         if bench.status()["state"] == "enabled":
             bench.disable()
-
-
-class _Session:
-    """One trial while it is heard: the probe's samples so far, and what the ticks beside them say."""
-
-    def __init__(self, bench: Bench, trial: Trial) -> None:
-        servo = bench.hello()["servo"]
-        self._limit_n = min(servo["safety"]["force_limit_n"], servo["device"]["force_limit_n"])
-        self._bench, self._seconds = bench, trial.seconds
-        self._sentinel = Sentinel(replace(trial.watch, command_limit_n=self._limit_n), PROBE_RATE_HZ)
-        self._parts: list[tuple[Floats, Floats]] = []
-        self._taken = self._lost = 0
-        self._command_n, self._winding_c, self._enabled = 0.0, nan, True
-        self._revision, self._changed = -1, False
-
-    def recorded(self, origin: str, tell: Progress) -> Recorded:
-        """Listen to the end, or to where the sentinel or the servo ends it. DaemonDown if the daemon falls silent."""
-        settle, ended = round(SETTLE_S * PROBE_RATE_HZ), ""
-        wanted = settle + round(self._seconds * PROBE_RATE_HZ)
-        for block in self._heard():
-            self._take(block)
-            tell(_said(self._sentinel), round(self._taken / PROBE_RATE_HZ), round(wanted / PROBE_RATE_HZ))
-            if self._taken > settle:
-                ended = self._sentinel.see(*self._parts[-1], self._winding_c, self._command_n)
-            if ended or self._taken >= wanted:
-                break
-        if not self._parts:
-            raise AnalysisError(
-                "the probe stream is empty: this board has no probe inputs; record with another system and import it"
-            )
-        status = self._bench.status()
-        force, velocity = (np.concatenate(channel)[settle:wanted] for channel in zip(*self._parts, strict=True))
-        more = {"lost_samples": self._lost, "winding_c": self._winding_c, "config_hash": status.get("config_hash", "")}
-        return Recorded(
-            force, velocity, PROBE_RATE_HZ, origin, bool(status.get("simulated", True)),
-            ended or _gone(status) or (CHANGED if self._changed else ""),
-            self._command_n, self._limit_n, more,
-        )  # fmt: skip
-
-    def _heard(self) -> Iterator[Block]:
-        """Blocks of the probe, the ticks before each taken in; none after the servo is no longer enabled or was changed."""
-        decoders, quiet = {PROBE: BlockDecoder(), TICKS: BlockDecoder()}, 0
-        for message in self._bench.messages((PROBE, TICKS), LOOK_S):
-            if message is None:
-                quiet += 1
-                if quiet > SILENT_LOOKS or not self._enabled or self._changed:
-                    break
-                continue
-            quiet, block = 0, decoders[message[0]].decode(message[1])
-            if message[0] == TICKS:
-                self._hear(block.records)
-            elif len(block.records):
-                yield block
-        if self._enabled and not self._changed and not _gone(self._bench.status()):
-            raise DaemonDown(f"nothing from the probe for {SILENT_LOOKS * LOOK_S:g} s; see `hapticd status`")
-
-    def _hear(self, ticks: Any) -> None:
-        if not len(ticks):
-            return
-        clamped = bool((ticks["flags"] & Flag.CLAMPED).any())
-        self._command_n = max(self._command_n, self._limit_n if clamped else float(np.abs(ticks["force_n"]).max()))
-        self._winding_c, self._enabled = float(ticks["winding_c"][-1]), bool(ticks["state"][-1] == State.ENABLED)
-        playing = ticks["revision"][ticks["perturbing"] != 0]
-        if self._revision < 0 and len(playing):
-            self._revision = int(playing[0])
-        self._changed |= self._revision >= 0 and bool(ticks["revision"][-1] != self._revision)
-
-    def _take(self, block: Block) -> None:
-        self._parts.append((_scaled(block, "torque"), _scaled(block, "velocity")))
-        self._taken += len(block.records)
-        self._lost += block.gap
-
-
-def _gone(status: Mapping[str, Any]) -> str:
-    """Why the servo is no longer enabled; "" if it is."""
-    state, cause = status["state"], status.get("cause")
-    if state == "enabled":
-        return ""
-    return f"{state}: {cause}" if cause and state != "disabled" else f"{state}: somebody ended it"
-
-
-def _scaled(block: Block, name: str) -> Floats:
-    scale = block.header["scale"][name]
-    return np.asarray(scale["sign"] * (block.records[name].astype(np.float64) - scale["offset_count"]) * scale["per_count"])
-
-
-def _said(sentinel: Sentinel) -> str:
-    needed = sentinel.seconds_needed
-    return "recording" if np.isnan(needed) else f"recording; a verdict needs about {needed:.0f} s"

@@ -2,10 +2,11 @@
 
 A round is one task: values about the predicted limit, then outwards as long as none or all fail, then between the last that
 passed and the first that failed. What the next round of a limit is depends on the one before, so each has one task under way;
-the cores are kept busy by the other limits. The rounds of a limit, and so its value, do not depend on who else is under way.
+the cores are kept busy by the other limits. The rounds of a limit, and so its value, do not depend on who else is under way,
+nor on which of its trials a store has already: those are learnt without being made again.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from dataclasses import dataclass, field
 from math import nan
@@ -13,7 +14,9 @@ from math import nan
 import numpy as np
 
 from hapticd.analysis.arrays import Floats
+from hapticd.measure.lots import Lot
 from hapticd.measure.outcomes import Conditions, Outcome
+from hapticd.measure.store import TrialStore
 
 REACH = (2e4, 60.0, -0.25)  # of a predicted search: N/m, Ns/m, kg
 FIRST = (0.6, 1.5)  # of the predicted limit: where the first round looks
@@ -45,38 +48,44 @@ class Bracketing:
     conditions: Conditions
     tried: list[Outcome] = field(default_factory=list)
 
-    def rounds(self) -> Iterator[Floats]:
-        """Points (n, 3) to try next, until the limit is known to 1 %; each round has to be learnt before the next."""
+    def rounds(self) -> Iterator[Lot]:
+        """What to try next, until the limit is known to 1 %; each round has to be learnt before the next."""
         for values in _rounds(self.scan, self.tried):
             points = np.zeros((len(values), 3))
             points[:, self.scan.axis] = values
-            yield points
+            yield Lot(self.conditions, self.scan.damping_ns_per_m, tuple((k, b, m) for k, b, m in points.tolist()))
 
-    def learn(self, outcomes: list[Outcome]) -> None:
+    def learn(self, outcomes: Iterable[Outcome]) -> None:
         """Take the outcomes of a round."""
         self.tried.extend(outcomes)
         self.tried.sort(key=lambda outcome: abs(outcome.environment[self.scan.axis]))
 
 
-def bracket_all(wanted: list[Bracketing], pool: Executor, flying: Fly, tell: Tell) -> None:
-    """Run them to their end. `tell` gets each round's outcomes and whether it was the last; if it raises, the rest is given up."""
+def bracket_all(wanted: list[Bracketing], store: TrialStore, pool: Executor, flying: Fly, tell: Tell) -> None:
+    """Run them to their end. `tell` gets each round's new outcomes, none where the store had all that is left of a limit, and
+    whether it was the last; if it raises, the rest is given up.
+    """
     rounds = {one: one.rounds() for one in wanted}
-    waiting: dict[Future[list[Outcome]], Bracketing] = {}
+    waiting: dict[Future[list[Outcome]], tuple[Bracketing, Lot]] = {}
 
-    def go_on(one: Bracketing) -> bool:
-        points = next(rounds[one], None)
-        if points is not None:
-            waiting[pool.submit(flying, one.conditions, one.scan.damping_ns_per_m, points)] = one
-        return points is not None
+    def goes_on(one: Bracketing) -> bool:
+        for lot in rounds[one]:
+            one.learn(lot.known(store))
+            if missing := lot.missing(store):
+                waiting[pool.submit(flying, lot.conditions, lot.damping_ns_per_m, np.array(missing))] = one, lot
+                return True
+        return False
 
     try:
         for one in wanted:
-            go_on(one)
+            if not goes_on(one):
+                tell(one, [], True)
         while waiting:
             for future in wait(waiting, return_when=FIRST_COMPLETED).done:
-                one, outcomes = waiting.pop(future), future.result()
+                (one, lot), outcomes = waiting.pop(future), future.result()
+                lot.keep(store, outcomes)
                 one.learn(outcomes)
-                tell(one, outcomes, not go_on(one))
+                tell(one, outcomes, not goes_on(one))
     finally:
         for future in waiting:
             future.cancel()

@@ -3,7 +3,8 @@
 Everything is predicted first, in about a second. Trials are made where the prediction may be wrong: where it changes when the
 environment is scaled by 1 -+ `near` (15 %), and at grid points whose neighbour is predicted otherwise. The rest keeps its
 prediction, marked so; `everywhere` makes every trial, there with one sub-step, which is enough to tell what is far from the
-boundary. `refine` then halves the grid between neighbours of unlike answers.
+boundary. `refine` then halves the grid: trials are made between neighbours of unlike answers; other new points take what lies
+between their neighbours, so an answer that both share is theirs as well.
 
 Outcomes go to an append-only store, keyed by all that they depend on; a map that was interrupted, or is asked again with a
 wider grid, makes only the trials that are missing. Tasks run on any executor of concurrent.futures; results do not depend on it.
@@ -23,9 +24,10 @@ from hapticd.analysis.envelope import Envelope
 from hapticd.analysis.predict import Prediction
 from hapticd.errors import AnalysisError
 from hapticd.measure.executors import pool_of
-from hapticd.measure.lots import Lot, Point, known, make
+from hapticd.measure.lots import Lot, Point, make
 from hapticd.measure.outcomes import Conditions, Hear, Outcome, envelope_of, predictor
 from hapticd.measure.progress import Progress, silent
+from hapticd.measure.refining import between, halved, place_of
 from hapticd.measure.store import TrialStore
 
 Axes = tuple[Floats, Floats, Floats]
@@ -69,7 +71,10 @@ class MapPlan:
 
 @dataclass(frozen=True, eq=False)
 class LevelMap:
-    """The set at one level; `tried` (N,) tells points with a trial from predicted ones, `envelope` is None if no trial passed."""
+    """The set at one level, on the halved grid if it was refined; `tried` (N,) tells its points with a trial from others.
+
+    `envelope` is None if no trial passed.
+    """
 
     damping_ns_per_m: float
     found: PassiveSet
@@ -113,12 +118,14 @@ def run_map(
     made, levels = 0, []
     with pool_of(executor) as pool:
         for level in plan.levels:
-            lots, have = _lots(plan.params, level), list[Outcome]()
+            lots, found = _lots(plan.params, level), passive_set(plan.params.axes, level.prediction.decided_margin)
             for finer in range(plan.params.refine + 1):
-                lots[0] = lots[0].with_points(_between(plan.params.axes, have) if finer else [])
+                if finer:
+                    lots[0], found = lots[0].with_points(between(found)), halved(found)
                 made += sum([make(lot, store, tell, pool, hear) for lot in lots])
-                have = [outcome for lot in lots for outcome in known(lot, store)]
-            levels.append(_level_map(plan.params, level, have))
+                have = [outcome for lot in lots for outcome in lot.known(store)]
+                found = _learnt(found, have)
+            levels.append(_level_map(plan.params, level, found, have))
     return MapResult(plan, tuple(levels), made)
 
 
@@ -148,37 +155,30 @@ def _at_border(axes: Axes, passive: Flags) -> Flags:
     return found.ravel()
 
 
-def _between(axes: Axes, outcomes: list[Outcome]) -> list[Point]:
-    """Midpoints between tried grid neighbours of unlike answers."""
-    passed = {outcome.environment: outcome.passes for outcome in outcomes}
-    middles = []
-    for point, good in passed.items():
-        for place, axis in enumerate(axes):
-            at = int(np.searchsorted(axis, point[place]))
-            if at + 1 >= axis.size or axis[at] != point[place]:
-                continue
-            if passed.get(_moved(point, place, float(axis[at + 1])), good) != good:
-                middles.append(_moved(point, place, 0.5 * (point[place] + float(axis[at + 1]))))
-    return middles
-
-
-def _moved(point: Point, place: int, value: float) -> Point:
-    k, b, m = (value if index == place else old for index, old in enumerate(point))
-    return k, b, m
-
-
-def _level_map(params: MapParams, level: LevelPlan, outcomes: list[Outcome]) -> LevelMap:
-    margin, tried = level.prediction.decided_margin.copy(), np.zeros(len(level.near), bool)
-    place = {tuple(point): index for index, point in enumerate(level.prediction.points.tolist())}
-    unlike = 0
+def _learnt(found: PassiveSet, outcomes: list[Outcome]) -> PassiveSet:
+    """With the margins of trials: negative where one does not pass, nan where it escapes."""
+    margin = found.margin.copy()
     for outcome in outcomes:
-        index = place.get(outcome.environment)
-        if index is None:
-            continue
-        tried[index] = True
-        unlike += bool(level.prediction.passive[index]) != outcome.passes
-        value = outcome.margin_ns_per_m
-        margin[index] = abs(value) if outcome.passes else -abs(value) if np.isfinite(value) else np.nan
+        value = abs(outcome.margin_ns_per_m)
+        margin[place_of(found, outcome.environment)] = value if outcome.passes else -value if np.isfinite(value) else np.nan
+    return replace(found, margin=margin)
+
+
+def _level_map(params: MapParams, level: LevelPlan, found: PassiveSet, outcomes: list[Outcome]) -> LevelMap:
+    tried = np.zeros(found.margin.shape, bool)
+    for outcome in outcomes:
+        tried[place_of(found, outcome.environment)] = True
     passing = [outcome for outcome in outcomes if outcome.passes]
     envelope = envelope_of(passing) if passing else None
-    return LevelMap(level.damping_ns_per_m, passive_set(params.axes, margin), tried, tuple(outcomes), envelope, unlike)
+    unlike = _unlike(params, level, outcomes)
+    return LevelMap(level.damping_ns_per_m, found, tried.ravel(), tuple(outcomes), envelope, unlike)
+
+
+def _unlike(params: MapParams, level: LevelPlan, outcomes: list[Outcome]) -> int:
+    """Trials that came out unlike their prediction; those between the points of the plan are predicted here."""
+    expected = dict(zip(_points(level.prediction.points), level.prediction.passive, strict=True))
+    new = [outcome.environment for outcome in outcomes if outcome.environment not in expected]
+    if new:
+        guess = predictor(params.conditions, level.damping_ns_per_m)(np.array(new))
+        expected |= dict(zip(new, guess.passive, strict=True))
+    return sum(bool(expected[outcome.environment]) != outcome.passes for outcome in outcomes)

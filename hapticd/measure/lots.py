@@ -37,15 +37,27 @@ class Lot:
         shared = fingerprint(self.conditions)
         return {point: key_of(shared, self.damping_ns_per_m, point) for point in self.points}
 
+    def missing(self, store: TrialStore) -> list[Point]:
+        """Points that the store has not."""
+        return [point for point, key in self.keys.items() if key not in store.known]
+
+    def known(self, store: TrialStore) -> list[Outcome]:
+        """What the store has of it."""
+        return [restored(store.known[key]) for key in self.keys.values() if key in store.known]
+
+    def keep(self, store: TrialStore, outcomes: Iterable[Outcome]) -> None:
+        """Store outcomes of it. ConfigError as `TrialStore.add`."""
+        store.add((self.keys[outcome.environment], kept(outcome)) for outcome in outcomes)
+
 
 def make(lot: Lot, store: TrialStore, tell: Progress, pool: Executor, hear: Hear) -> int:
     """Fly what the store has not, and how many those are; `hear` gets the outcomes of each task."""
-    missing = [point for point, key in lot.keys.items() if key not in store.known]
+    missing = lot.missing(store)
     tasks = [np.array(missing[first : first + TOGETHER]) for first in range(0, len(missing), TOGETHER)]
     done, what = len(lot.points) - len(missing), f"trials, added damping {lot.damping_ns_per_m:g} N s/m"
     tell(what, done, len(lot.points))
     for outcomes in _flown(lot, tasks, pool):
-        store.add((lot.keys[outcome.environment], kept(outcome)) for outcome in outcomes)
+        lot.keep(store, outcomes)
         done += len(outcomes)
         tell(what, done, len(lot.points))
         hear(outcomes)
@@ -61,8 +73,3 @@ def _flown(lot: Lot, tasks: list[Floats], pool: Executor) -> Iterator[list[Outco
     finally:
         for future in waiting:
             future.cancel()
-
-
-def known(lot: Lot, store: TrialStore) -> list[Outcome]:
-    """All of it, once it is made."""
-    return [restored(store.known[key]) for key in lot.keys.values()]

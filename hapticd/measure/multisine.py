@@ -21,8 +21,9 @@ import numpy as np
 from hapticd.analysis.periodic import CHANGING, PeriodicSpectra, changing, periodic
 from hapticd.analysis.spa import DEFAULT_LAG
 from hapticd.errors import AnalysisError
+from hapticd.measure.losses import summed
 from hapticd.measure.progress import Progress, Steps, silent
-from hapticd.measure.recorded import Recorded
+from hapticd.measure.recorded import Recorded, nearer
 from hapticd.measure.sources import Source, Trial
 from hapticd.plant.scene import Excitation
 from hapticd.units import PROBE_RATE_HZ
@@ -84,7 +85,7 @@ def realised(trial: Trial, layout: Layout, source: Source, tell: Progress = sile
             break
     steps.end()
     if not whole:
-        raise AnalysisError(f"ended after {found.seconds:.3g} s ({found.ended}): too short for a verdict; go nearer to 0")
+        raise AnalysisError(f"ended after {found.seconds:.3g} s ({found.ended}): too short for a verdict{nearer(found.ended)}")
     return _joined(whole, layout, found.ended, again)
 
 
@@ -121,8 +122,7 @@ def _joined(parts: list[Recorded], layout: Layout, ended: str, again: int) -> Re
         for channels in zip(*((part.force_n, part.velocity_m_per_s) for part in parts), strict=True)
     )
     commands = [part.max_command_n for part in parts if part.max_command_n is not None]
-    lost = sum(part.more.get("lost_samples", 0) for part in parts)
-    more = {**parts[-1].more, "flown_again": again, **({"lost_samples": lost} if "lost_samples" in parts[-1].more else {})}
+    more = {**parts[-1].more, "flown_again": again, **summed([part.more for part in parts])}
     return replace(
         parts[-1], force_n=force, velocity_m_per_s=velocity, ended=ended, max_command_n=max(commands, default=None), more=more
     )

@@ -24,11 +24,14 @@ FORCE_N = 0.2  # rms, as that of the paper's noise
 
 @dataclass(frozen=True, eq=False)
 class Referee:
-    """Z (F,) complex128 [N s/m] at `frequency_hz` (F,); nan where the trial ended early. `force_n` is the rms of each sine."""
+    """Z (F,) complex128 [N s/m] at `frequency_hz` (F,); nan where the trial ended early. `force_n` is the rms of each sine,
+    `velocity_rms_m_per_s` (F,) that of the motion, all frequencies together.
+    """
 
     frequency_hz: Floats
     impedance_ns_per_m: Complexes
     force_n: float
+    velocity_rms_m_per_s: Floats
 
 
 def stepped_sine(
@@ -39,17 +42,19 @@ def stepped_sine(
     force_n: float = FORCE_N,
 ) -> Referee:
     """Z of the environment of `trial` at whole frequencies, one short trial of `source` each."""
-    steps, found = Steps(tell, len(frequency_hz)), []
+    steps, found, moved = Steps(tell, len(frequency_hz)), [], []
     for f in frequency_hz:
         steps.next(f"sine of {f:g} Hz")
         wave = np.sqrt(2.0) * force_n * np.sin(2.0 * np.pi * f * np.arange(PROBE_RATE_HZ) / PROBE_RATE_HZ)
         recorded = source(replace(trial, waveform_n=wave, seconds=DWELL_S), silent)
         found.append(_ratio(recorded, f))
+        moved.append(float(np.std(_settled(recorded)[1])) if np.isfinite(found[-1]) else np.nan)
         if not may_follow(recorded):
             break
     steps.end()
-    missing = [complex("nan")] * (len(frequency_hz) - len(found))
-    return Referee(np.asarray(frequency_hz, np.float64), np.array([*found, *missing]), force_n)
+    missing = [np.nan] * (len(frequency_hz) - len(found))
+    z, speed = np.array([*found, *missing], np.complex128), np.array([*moved, *missing])
+    return Referee(np.asarray(frequency_hz, np.float64), z, force_n, speed)
 
 
 def may_follow(recorded: Recorded) -> bool:
@@ -58,9 +63,15 @@ def may_follow(recorded: Recorded) -> bool:
 
 
 def _ratio(recorded: Recorded, f: float) -> complex:
-    seconds = int(recorded.seconds - TRANSIENT_S)
-    if recorded.ended or seconds < 1:
+    force, velocity = _settled(recorded)
+    if recorded.ended or not force.size:
         return complex("nan")
-    count = round(seconds * recorded.rate_hz)
-    turn = np.exp(-2j * np.pi * f * np.arange(count) / recorded.rate_hz)
-    return complex((recorded.force_n[-count:] @ turn) / (recorded.velocity_m_per_s[-count:] @ turn))
+    turn = np.exp(-2j * np.pi * f * np.arange(force.size) / recorded.rate_hz)
+    return complex((force @ turn) / (velocity @ turn))
+
+
+def _settled(recorded: Recorded) -> tuple[Floats, Floats]:
+    """Force and velocity of the whole seconds at the end, both (n,)."""
+    count = round(max(0, int(recorded.seconds - TRANSIENT_S)) * recorded.rate_hz)
+    first = recorded.force_n.size - count
+    return recorded.force_n[first:], recorded.velocity_m_per_s[first:]

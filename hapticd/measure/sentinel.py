@@ -5,6 +5,7 @@
     saturation    a channel stands at its end in more than a hundredth of a second's samples, or the commanded force reached
                   its limit: what is rendered then is not what was asked. The second after it is still looked at, because a
                   loop that runs away reaches the limit first
+    travel        the device stands at an end of its travel: what is measured there is the stop
     heat          the winding is hotter than asked
     decided       asked to stop when the verdict stands (`until_decided`), it does
 
@@ -25,11 +26,13 @@ from hapticd.analysis.diagnostics import ESCAPE_RATIO
 from hapticd.analysis.impedance import Estimator
 from hapticd.analysis.passivity import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge
 from hapticd.analysis.spa import DEFAULT_LAG, SpectralStream
+from hapticd.analysis.verdict import needed
 
 CALM_SECONDS = 4  # before which nothing is known of calm
 SATURATED_SHARE = 0.01
 AT_LIMIT = 1e-9  # of a limit, below which it counts as reached
 LOOK_S = 5.0  # between verdicts
+CENTRING_N_PER_M = 20.0  # a stiffness that holds a free display against the paper's noise within a few millimetres
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +46,7 @@ class Watch:
     velocity_limit_m_per_s: float = inf
     winding_limit_c: float = inf
     command_limit_n: float = inf  # of the force that the servo commands
+    travel_m: tuple[float, float] = (-inf, inf)  # usable positions
     speed_limit_m_per_s: float = 0.5  # rms of a second
     until_decided: bool = False
     random: bool = True  # the perturbation is noise
@@ -67,8 +71,26 @@ class Sentinel:
         """Whole seconds seen."""
         return self._stream.n_samples / self._rate_hz
 
-    def see(self, force_n: Floats, velocity_m_per_s: Floats, winding_c: float = nan, command_n: float = 0.0) -> str:
-        """Look at the next samples, both (n,); the reason to end, or "". `command_n`: the largest command beside them."""
+    @property
+    def outlook(self) -> str:
+        """How the recording stands, in words."""
+        if np.isnan(self.seconds_needed):
+            return "recording"
+        if self.seconds_needed <= self.seconds:
+            return "recording; the verdict stands"
+        return f"recording; {needed(self.seconds_needed, self.seconds)}"
+
+    def see(
+        self,
+        force_n: Floats,
+        velocity_m_per_s: Floats,
+        winding_c: float = nan,
+        command_n: float = 0.0,
+        between_m: tuple[float, float] = (nan, nan),
+    ) -> str:
+        """Look at the next samples, both (n,); the reason to end, or "". Beside them were `command_n`, the largest command, and
+        positions `between_m`.
+        """
         self.max_command_n = max(self.max_command_n, command_n)
         self._rest = (np.concatenate((self._rest[0], force_n)), np.concatenate((self._rest[1], velocity_m_per_s)))
         second = round(self._rate_hz)
@@ -76,9 +98,21 @@ class Sentinel:
             force, velocity = (signal[:second] for signal in self._rest)
             self._rest = (self._rest[0][second:], self._rest[1][second:])
             self._look_at(force, velocity)
+        if not self.reason:
+            self.reason = self._at_end(*between_m)
         if winding_c > self._watch.winding_limit_c:
             self.reason = f"heat: the winding is at {winding_c:.3g} degC, limit {self._watch.winding_limit_c:g}; let it cool"
         return self.reason
+
+    def _at_end(self, least_m: float, most_m: float) -> str:
+        lower_m, upper_m = self._watch.travel_m
+        if not (least_m < lower_m or most_m > upper_m):
+            return ""
+        at_m = least_m if least_m < lower_m else most_m
+        return (
+            f"travel: the device stands at {1e3 * at_m:.3g} mm, its travel ends at {1e3 * lower_m:.3g} and {1e3 * upper_m:.3g} mm; "
+            f"centre it, and render a small stiffness that holds it there (-K {CENTRING_N_PER_M:g})"
+        )
 
     def _look_at(self, force: Floats, velocity: Floats) -> None:
         self._stream.add(force, velocity)

@@ -1,10 +1,12 @@
 """Where results stay: a folder for each run, and an append-only file of trials by which campaigns go on after an interruption.
 
-    run folder     run.json (verdict, conditions, provenance) and record.h5, or record.npz where h5py is not installed
+    run folder     run.json (verdict, conditions, provenance); of a trial record.h5, or record.npz where h5py is not installed,
+                   and impedance.csv; figures
     trial store    one JSON object a line, keyed by the SHA-256 of everything that the trial's outcome depends on
 
 A line is written at once and flushed, so that Ctrl-C or a dead machine costs at most the trials in flight; a torn last line is
-not read. JSON knows no nan and no infinity: both become null, and null is read as nan.
+not read. A run folder holds one run: whoever writes another there removes what the one before left, but for the store, which
+several campaigns share, and files of other names. JSON knows no nan and no infinity: both become null, and null is read as nan.
 """
 
 import hashlib
@@ -23,7 +25,9 @@ from hapticd.errors import ConfigError
 from hapticd.measure.plain import plain
 from hapticd.measure.recorded import Recorded
 
-SUMMARY, RECORD_H5, RECORD_NPZ = "run.json", "record.h5", "record.npz"
+SUMMARY, RECORD_H5, RECORD_NPZ, IMPEDANCE = "run.json", "record.h5", "record.npz", "impedance.csv"
+FIGURES = ("trial", "trial_admittance", "limits", "walls", "search", "set", "envelope", "envelope_admittance", "envelope_so_far")
+OF_A_RUN = (SUMMARY, RECORD_H5, RECORD_NPZ, IMPEDANCE, *(f"{name}.{kind}" for name in FIGURES for kind in ("png", "svg")))
 LIBRARIES = ("numpy", "numba", "scipy", "h5py")
 
 
@@ -45,12 +49,21 @@ def _versions() -> Iterable[tuple[str, str]]:
             continue
 
 
-def write_run(folder: Path, summary: Mapping[str, Any], recorded: Recorded | None = None) -> Path:
-    """A run folder, made if need be. ConfigError if it cannot be written to."""
+def write_run(
+    folder: Path, summary: Mapping[str, Any], recorded: Recorded | None = None, texts: Mapping[str, str] | None = None
+) -> Path:
+    """A run folder, made if need be, in place of the run that was there; `texts`: further files by name.
+
+    The summary is written last: a folder that has one has the rest. ConfigError if it cannot be written to.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        for name in OF_A_RUN:
+            (folder / name).unlink(missing_ok=True)
         if recorded is not None:
             _write_record(folder, recorded)
+        for name, content in (texts or {}).items():
+            (folder / name).write_text(content)
         (folder / SUMMARY).write_text(json.dumps(plain(summary), indent=1) + "\n")
     except OSError as error:
         raise ConfigError(f"{folder}: {error.strerror}; name a folder that you may write to with --out") from error

@@ -19,12 +19,13 @@ from hapticd.analysis.passivity import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge
 from hapticd.analysis.periodic import PeriodicSpectra, periodic_findings
 from hapticd.analysis.predict import coulomb, predicted_impedance
 from hapticd.analysis.spa import DEFAULT_LAG, spa
-from hapticd.analysis.spectra import Spectra
+from hapticd.analysis.spectra import Spectra, corrected
 from hapticd.analysis.verdict import Verdict
 from hapticd.errors import AnalysisError
+from hapticd.measure.losses import loss_findings
 from hapticd.measure.multisine import Layout, checked, laid_out, realised
 from hapticd.measure.progress import Progress, silent
-from hapticd.measure.recorded import Recorded
+from hapticd.measure.recorded import Recorded, nearer
 from hapticd.measure.scenes import filters, perturbation
 from hapticd.measure.sentinel import AT_LIMIT
 from hapticd.measure.sources import Source, Trial
@@ -43,6 +44,7 @@ class TrialParams:
 
     `behind_mass_kg`: judge the device behind that mass of the probe. `channels`: look for skew and high-pass as well.
     `multisine`: the excitation of `trial` is a multisine, flown in that layout, in place of noise and a window of `lag` samples.
+    `skew_s`, `high_pass_hz`: known faults of the velocity channel that are taken out (`spectra.corrected`).
     """
 
     trial: Trial
@@ -54,6 +56,8 @@ class TrialParams:
     channels: bool = True
     lag: int = DEFAULT_LAG
     multisine: Layout | None = None
+    skew_s: float = 0.0
+    high_pass_hz: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +110,8 @@ def _possible(params: TrialParams) -> None:
         *zip(("stiffness", "damping", "mass"), trial.environment, ("N/m", "N s/m", "kg"), strict=True),
         ("added damping", trial.damping_ns_per_m, "N s/m"),
         ("mass behind the port", params.behind_mass_kg, "kg"),
+        ("skew", params.skew_s, "s"),
+        ("high-pass corner", params.high_pass_hz, "Hz"),
     )
     for name, value, unit in numbers:
         if not isfinite(value):
@@ -126,7 +132,8 @@ def run_trial(plan: TrialPlan, source: Source, tell: Progress = silent) -> Trial
 def judged(plan: TrialPlan, recorded: Recorded) -> TrialResult:
     """The verdict on a record. AnalysisError for one too short for it."""
     params = plan.params
-    spectra = laid_out(recorded, params.multisine) if params.multisine else _windowed(params, recorded)
+    raw = laid_out(recorded, params.multisine) if params.multisine else _windowed(params, recorded)
+    spectra = corrected(raw, params.skew_s, params.high_pass_hz) if params.skew_s or params.high_pass_hz else raw
     record = examine(recorded.force_n, recorded.velocity_m_per_s, recorded.rate_hz)
     found = (*record.findings, *_findings(recorded), *_refused(params.trial), *_spectral_findings(params, spectra))
     verdict = judge(
@@ -141,7 +148,9 @@ def judged(plan: TrialPlan, recorded: Recorded) -> TrialResult:
 
 def _windowed(params: TrialParams, recorded: Recorded) -> Spectra:
     if recorded.ended and recorded.seconds < SHORTEST_WINDOWS * params.lag / recorded.rate_hz:
-        raise AnalysisError(f"ended after {recorded.seconds:.3g} s ({recorded.ended}): too short for a verdict; go nearer to 0")
+        raise AnalysisError(
+            f"ended after {recorded.seconds:.3g} s ({recorded.ended}): too short for a verdict{nearer(recorded.ended)}"
+        )
     return spa(recorded.force_n, recorded.velocity_m_per_s, recorded.rate_hz, params.lag)
 
 
@@ -152,7 +161,7 @@ def _spectral_findings(params: TrialParams, spectra: Spectra) -> tuple[Finding, 
 
 
 def _findings(recorded: Recorded) -> tuple[Finding, ...]:
-    """What the samples cannot say: the command at its end, and an escape that the sentinel saw."""
+    """What the samples cannot say: the command at its end, an escape that the sentinel saw, and what was lost."""
     found = []
     most, limit = recorded.max_command_n, recorded.command_limit_n
     if most is not None and limit is not None and most >= limit * (1.0 - AT_LIMIT):
@@ -161,8 +170,8 @@ def _findings(recorded: Recorded) -> tuple[Finding, ...]:
     if recorded.ended.startswith("escape"):
         found.append(Finding("escape", recorded.ended, unstable=True))
     elif recorded.ended and not recorded.ended.startswith("decided"):
-        found.append(Finding("ended", recorded.ended, voids=recorded.ended.startswith("changed")))
-    return tuple(found)
+        found.append(Finding("ended", recorded.ended, voids=recorded.ended.startswith(("changed", "travel"))))
+    return (*found, *loss_findings(recorded.more))
 
 
 def _refused(trial: Trial) -> tuple[Finding, ...]:

@@ -1,16 +1,24 @@
-"""A trial on disk: its run folder with record and summary, and what the summary says."""
+"""A trial on disk: its run folder with record, summary and Z(f), and what the summary says.
+
+run.json         verdict and everything that it depends on
+impedance.csv    a line for each frequency that the estimate has, with the units in the head line; empty where not known
+"""
 
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from hapticd.analysis.impedance import Impedance
 from hapticd.analysis.periodic import PeriodicSpectra
 from hapticd.measure.multisine import PERIOD
 from hapticd.measure.referee import Referee
-from hapticd.measure.store import fingerprint, write_run
+from hapticd.measure.store import IMPEDANCE, fingerprint, write_run
 from hapticd.measure.trial import TrialResult
 
 KIND = "trial"
+COLUMNS = ("frequency_hz", "real_ns_per_m", "imaginary_ns_per_m", "sd_ns_per_m", "coherence")
 
 
 def summary(result: TrialResult, referee: Referee | None = None) -> dict[str, Any]:
@@ -35,6 +43,8 @@ def summary(result: TrialResult, referee: Referee | None = None) -> dict[str, An
         "command_limit_n": recorded.command_limit_n,
         "port": result.measured.port,
         "probe_mass_taken_out_kg": params.behind_mass_kg,
+        "skew_taken_out_s": params.skew_s,
+        "high_pass_taken_out_hz": params.high_pass_hz,
         "rate_hz": recorded.rate_hz,
         "seconds": recorded.seconds,
         "seed": params.trial.excitation.seed,
@@ -60,5 +70,14 @@ def _multisine(result: TrialResult) -> dict[str, Any] | None:
 
 
 def write(folder: Path, result: TrialResult, provenance: Mapping[str, Any], referee: Referee | None = None) -> Path:
-    """The run folder."""
-    return write_run(folder, {**summary(result, referee), "provenance": provenance}, result.recorded)
+    """The run folder. ConfigError if it cannot be written to."""
+    texts = {IMPEDANCE: impedance_csv(result.measured)}
+    return write_run(folder, {**summary(result, referee), "provenance": provenance}, result.recorded, texts)
+
+
+def impedance_csv(measured: Impedance) -> str:
+    """Z(f) as text: frequency, real and imaginary part, standard deviation of the complex value, coherence."""
+    z = measured.impedance_ns_per_m
+    columns = np.column_stack((measured.frequency_hz, z.real, z.imag, measured.sd_ns_per_m, measured.coherence))
+    rows = (",".join(f"{value:.9g}" if np.isfinite(value) else "" for value in row) for row in columns)
+    return "\n".join((",".join(COLUMNS), *rows, ""))

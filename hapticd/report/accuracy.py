@@ -108,7 +108,7 @@ def _draw_sweep(result: AccuracyResult, sweep: str, axis: "Axes") -> None:
         axis.plot([row.seconds for row in rows], [max(row.total, least) for row in rows], "-", color=figures.BLUE)
     if sweep == "sub-steps":
         _draw_step_errors(result, rows, axis)
-    axis.set(yscale="log", xscale="log", title=TITLES[sweep], xlabel="time for one trial", ylabel=f"error [{result.unit}]")
+    axis.set(yscale="log", xscale="log", title=TITLES[sweep], xlabel="time for one trial", ylabel=f"error ({result.unit})")
     axis.margins(x=0.2, y=0.2)
     figures.seconds_axis(axis.xaxis)
     figures.plain_axis(axis.yaxis)
@@ -165,7 +165,7 @@ def _draw_effects(result: AccuracyResult, axis: "Axes") -> None:
     axis.axvline(result.default.total, color=figures.BLACK, linestyle="--", linewidth=1.0)
     axis.text(result.default.total, max(len(rows), FEWEST_BARS) - 0.4, "one trial's error", fontsize=8, ha="center", va="bottom")
     axis.set(
-        xscale="log", xlim=(least, 60.0 * worst), ylim=(-0.6, max(len(rows), FEWEST_BARS) + 0.3), xlabel=f"error [{result.unit}]"
+        xscale="log", xlim=(least, 60.0 * worst), ylim=(-0.6, max(len(rows), FEWEST_BARS) + 0.3), xlabel=f"error ({result.unit})"
     )
     axis.set(yticks=range(len(rows)), yticklabels=[row.label for row in rows], title="effects, each left out")
     axis.grid(visible=False, axis="y")

@@ -8,7 +8,8 @@ from hapticd.measure.beyond import BeyondResult, mean_sd
 from hapticd.measure.beyond_shape import Corner, Shaped
 from hapticd.measure.reproduce_trials import LEVELS, MAIN
 from hapticd.report import figures
-from hapticd.report.paper_style import OFF, ON, WIDTH_IN
+from hapticd.report.looks import INTERVAL, OFF, OLIVE, ON, PARTS, Look, of_mean
+from hapticd.report.paper_style import WIDTH_IN
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -17,12 +18,14 @@ if TYPE_CHECKING:
 NAMES = ("largest K", "largest B", "smallest M")
 UNITS = ("N/m", "N s/m", "g")
 SCALES = (1.0, 1.0, 1e3)
-LOOKS: tuple[dict[str, Any], ...] = (
-    {"color": figures.ORANGE, "marker": "o"},
-    {"color": figures.GREEN, "marker": "s"},
-    {"color": figures.PURPLE, "marker": "^"},
+BY_TRIALS = f"by trials, {INTERVAL}"
+COLOURS = dict(PARTS)
+LOOKS: tuple[Look, ...] = (
+    {"color": COLOURS["K"], "marker": "o"},
+    {"color": COLOURS["B > 0"], "marker": "s"},
+    {"color": COLOURS["M < 0"], "marker": "^"},
 )
-MARKED: dict[str, Any] = {"color": figures.BLACK, "linestyle": "none", "marker": "o", "markersize": 4.5, "capsize": 3}
+MARKED: Look = {"color": figures.BLACK, "linestyle": "none", "marker": "o", "markersize": 4.5, "capsize": 3}
 
 
 def shape_figure(result: BeyondResult) -> "Figure":
@@ -46,7 +49,7 @@ def _shares(axis: "Axes", shaped: Shaped, corners: tuple[Corner, ...], which: st
         share = [100.0 * corner.limits[place] / shaped.plain.limits[place] for corner in corners]
         axis.plot(at, share, markersize=4, label=name, **look)
         axis.axhline(
-            100.0 * shaped.undamped.limits[place] / shaped.plain.limits[place], color=look["color"], linestyle=(0, (4, 1.5))
+            100.0 * shaped.undamped.limits[place] / shaped.plain.limits[place], color=look["color"], linestyle=OFF["linestyle"]
         )
     axis.axhline(100.0, color=figures.BLACK, linewidth=0.8)
     axis.set_ylim(0.0, 118.0)
@@ -54,7 +57,7 @@ def _shares(axis: "Axes", shaped: Shaped, corners: tuple[Corner, ...], which: st
     axis.set_xlabel("corner (Hz)")
     axis.set_title(words, fontsize=9, loc="left")
     if which == "highpass_hz":
-        axis.plot([], [], color=figures.GREY, linestyle=(0, (4, 1.5)), label="without damping")
+        axis.plot([], [], color=figures.BLACK, linestyle=OFF["linestyle"], label="without damping")
 
 
 def _confirmed(axis: "Axes", shaped: Shaped) -> None:
@@ -62,24 +65,23 @@ def _confirmed(axis: "Axes", shaped: Shaped) -> None:
         if len(each.runs):
             mean, sd = (100.0 * value / shaped.plain.limits[each.axis] for value in mean_sd(each.runs))
             marked = {**MARKED, "marker": look["marker"], "markerfacecolor": look["color"], "zorder": 3}
-            axis.errorbar(shaped.best.highpass_hz, mean, figures.INTERVAL * abs(sd), **marked)
+            axis.errorbar(shaped.best.highpass_hz, mean, of_mean(len(each.runs)) * abs(sd), **marked)
 
 
 def _free(axis: "Axes", shaped: Shaped) -> None:
-    for corners, which, colour, words in (
-        (shaped.highpass, "highpass_hz", figures.BLUE, "damping above it"),
-        (shaped.lowpass, "lowpass_hz", figures.SKY, "damping below it"),
+    for corners, which, mark, words in (
+        (shaped.highpass, "highpass_hz", "o", "damping above it"),
+        (shaped.lowpass, "lowpass_hz", "x", "damping below it"),
     ):
-        axis.plot(
-            [getattr(each, which) for each in corners], [each.free_db for each in corners], marker=".", color=colour, label=words
-        )
+        at, low = [getattr(each, which) for each in corners], [each.free_db for each in corners]
+        axis.plot(at, low, marker=mark, markersize=4, color=figures.BLUE, linewidth=0.9, label=words)
     axis.axhline(shaped.plain.free_db, color=figures.BLUE, linewidth=0.8)
-    axis.axhline(shaped.undamped.free_db, color=figures.RED, linestyle=(0, (4, 1.5)), linewidth=1.0)
-    axis.text(0.45, shaped.plain.free_db + 0.12, "unshaped", fontsize=8, color=figures.BLUE)
-    axis.text(0.45, shaped.undamped.free_db + 0.12, "without damping", fontsize=8, color=figures.RED)
+    axis.axhline(shaped.undamped.free_db, linewidth=1.0, **OFF)
+    axis.text(0.45, shaped.plain.free_db + 0.3, "unshaped", fontsize=8, color=figures.BLUE)
+    axis.text(0.45, shaped.undamped.free_db + 0.3, "without damping", fontsize=8, color=figures.RED)
     if len(shaped.free_runs):
         mean, sd = mean_sd(shaped.free_runs)
-        axis.errorbar(shaped.best.highpass_hz, mean, figures.INTERVAL * sd, **MARKED, label="by trials")
+        axis.errorbar(shaped.best.highpass_hz, mean, of_mean(len(shaped.free_runs)) * sd, **MARKED, label=BY_TRIALS)
     figures.hertz_axis(axis, 0.4, 600.0)
     axis.set_xticks([0.5, 2, 10, 50, 200])
     axis.set_xlabel("corner (Hz)")
@@ -99,16 +101,15 @@ def _envelopes(axis: "Axes", result: BeyondResult) -> None:
     axis.set_yscale("log")
     for found, look, words in bounds:
         for edge, label in ((found.lower, words), (found.upper, None)):
-            spread = np.exp(figures.INTERVAL * edge.sd)
+            spread = np.exp(of_mean(len(result.plan.seeds)) * edge.sd)
             axis.fill_between(
                 found.frequency_hz, edge.value / spread, edge.value * spread, color=look["color"], alpha=0.2, linewidth=0
             )
             axis.plot(found.frequency_hz, edge.value, label=label, **look)
     figures.hertz_axis(axis, float(bounds[0][0].frequency_hz[0]), float(bounds[0][0].frequency_hz[-1]))
     figures.plain_axis(axis.yaxis)
-    axis.set_xlabel("frequency (Hz)")
     axis.set_ylabel("envelope, B ≥ 0 (N s/m)")
-    axis.set_ylim(0.005, None)
+    axis.set_ylim(0.003, None)
     axis.legend(loc="lower left", fontsize=8, title="added damping", title_fontsize=8)
 
 
@@ -121,44 +122,46 @@ def levels_figure(result: BeyondResult) -> "Figure":
         for each in (limit for limit in levels.confirmed if limit.axis == axis):
             mean, sd = (SCALES[axis] * value for value in mean_sd(each.runs))
             panel.errorbar(
-                each.level, mean, figures.INTERVAL * sd, **MARKED, label="by trials" if each is levels.confirmed[axis] else None
+                each.level,
+                mean,
+                of_mean(len(each.runs)) * abs(sd),
+                **MARKED,
+                label=BY_TRIALS if each is levels.confirmed[axis] else None,
             )
         panel.set_ylabel(f"{NAMES[axis]} ({UNITS[axis]})")
         _marked(panel)
     _volume(grid[3], result)
     grid[0].legend(loc="upper left", fontsize=8)
-    figure.suptitle(f"Levels of added damping, dotted: those of the paper\n{_how(result)}", x=0.01, ha="left", fontsize=10)
+    figure.suptitle(
+        f"Levels of added damping; the two upright lines are those of the paper\n{_how(result)}", x=0.01, ha="left", fontsize=10
+    )
     return figure
 
 
 def _volume(axis: "Axes", result: BeyondResult) -> None:
     levels = result.levels
     axis.set_yscale("log")
-    axis.plot(
-        levels.level,
-        levels.volume / levels.volume[0],
-        color=figures.BLACK,
-        marker=".",
-        label="volume of the passive set, predicted",
-    )
+    axis.plot(levels.level, levels.volume / levels.volume[0], color=figures.BLACK, marker=".", label="volume of the set, predicted")
     axis.set_ylabel("passive set (undamped = 1)")
     axis.set_ylim(0.1, None)
     figures.plain_axis(axis.yaxis)
     beside: Any = axis.twinx()
-    beside.plot(levels.level, levels.free_db, color=figures.RED, linestyle=(0, (4, 1.5)), label="free motion, mean |Z| in 2-20 Hz")
-    beside.set_ylabel("free motion (dB re 1 N s/m)", color=figures.RED)
+    beside.plot(levels.level, levels.free_db, color=OLIVE, marker="x", markersize=4, label="free motion, mean |Z| in 2-20 Hz")
+    beside.set_ylabel("free motion (dB re 1 N s/m)", color=OLIVE)
     beside.set_ylim(-6.0, None)
     beside.grid(visible=False)
     beside.spines["right"].set_visible(True)
     lines = [*axis.get_lines()[:1], *beside.get_lines()]
-    axis.legend(lines, [str(line.get_label()) for line in lines], loc="lower right", fontsize=8)
+    axis.legend(
+        lines, [str(line.get_label()) for line in lines], loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=8, frameon=False
+    )
     _marked(axis)
 
 
 def _marked(axis: "Axes") -> None:
     """The paper's two levels."""
     for level in LEVELS:
-        axis.axvline(level, color=figures.GREY, linewidth=1.0, linestyle=(0, (1, 1.3)))
+        axis.axvline(level, color="#bbbbbb", linewidth=1.0, zorder=0.4)
     axis.set_xlabel("added damping (N s/m)")
 
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TITLE = "Beyond the paper"
+BANDS = "bands are 95 % intervals of the mean over seeds (Student's t)"
 
 
 def sections(result: BeyondResult) -> tuple[Section, ...]:
@@ -27,11 +28,11 @@ def sections(result: BeyondResult) -> tuple[Section, ...]:
     shown = (
         Section(
             f"{TITLE}: negative virtual damping", _edge_words(result), found["envelopes"],
-            (_drawing("beyond_lower_edge", "Envelopes with the owners of their lower edges.", edge_figure, result),),
+            (_drawing("beyond_lower_edge", f"Envelopes with the owners of their lower edges; {BANDS}.", edge_figure, result),),
         ),
         Section(
             f"{TITLE}: free motion", _free_words(result), found["free"],
-            (_drawing("beyond_free_motion", "What is felt where no stiffness is rendered.", free_figure, result),),
+            (_drawing("beyond_free_motion", f"What is felt where no stiffness is rendered; {BANDS}.", free_figure, result),),
         ),
         Section(
             f"{TITLE}: damping that depends on frequency", _shape_words(result), found["shaped"],
@@ -45,7 +46,9 @@ def sections(result: BeyondResult) -> tuple[Section, ...]:
     if not result.searches:
         return shown
     drawing = Drawing(
-        "beyond_search", "Slices of the set, trials in their order.", lambda: search_figure([x.found for x in result.searches])
+        "beyond_search",
+        "Slices of the set with the trials next to each, and all trials in their order.",
+        lambda: search_figure([x.found for x in result.searches]),
     )
     return (*shown, Section(f"{TITLE}: directed search", _search_words(result), found["searches"], (drawing,)))
 

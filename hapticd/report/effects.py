@@ -52,7 +52,7 @@ def effects_figure(result: EffectsResult) -> "Figure":
             axis.barh(place, shown, color=figures.BLUE if keep else "#c8d7e6", hatch="" if row.method == "predicted" else "///",
                       edgecolor="white", linewidth=0.0)  # fmt: skip
             axis.text(shown * 1.08, place, _told(row), va="center", fontsize=8.5)
-        axis.axvline(params.tolerance, color=figures.RED, linestyle="--")
+        axis.axvline(params.tolerance, color=figures.RED)
         axis.text(
             params.tolerance * 1.05,
             len(rows) - 0.45,

@@ -1,6 +1,7 @@
 """How every figure looks and is kept: drawn off-screen, PNG to look at and SVG to print, units at the axes.
 
-Colours are Okabe and Ito's (2008), told apart by everybody; whatever colour says, a line style or a marker says as well.
+Colours are Okabe and Ito's (2008), told apart by everybody; whatever colour says, a line style or a marker says as well. What they
+mean is in `looks`.
 The same data give the same bytes: SVG carries no date and no random names.
 """
 
@@ -22,7 +23,6 @@ ROUND = ((1.0,), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 5.0, 7.0))
 FEWEST_TICKS = 3
 LEAST_RANGE = 2.5  # of a logarithmic axis
 INTERVAL = 1.96  # standard deviations on each side of a band of 95 %
-COLOURS = (BLUE, RED, GREEN, ORANGE, PURPLE, SKY)
 STYLE: Any = {
     "figure.dpi": 110, "savefig.dpi": 110, "font.size": 9.5, "axes.titlesize": 10, "axes.labelsize": 9.5, "legend.fontsize": 8.5,
     "axes.grid": True, "grid.color": "#dddddd", "grid.linewidth": 0.6, "axes.spines.top": False, "axes.spines.right": False,
@@ -53,14 +53,14 @@ def axes(rows: int, columns: int, width_in: float, height_in: float, **more: Any
     return figure, list(grid.ravel())
 
 
-def mosaic(panels: Any, width_in: float, height_in: float) -> "tuple[Figure, dict[str, Axes]]":
+def mosaic(panels: Any, width_in: float, height_in: float, **more: Any) -> "tuple[Figure, dict[str, Axes]]":
     """A figure whose axes have names; one that is named twice spans both places. Call it within `style`."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
     FigureCanvasAgg(figure)
-    return figure, figure.subplot_mosaic(panels)
+    return figure, figure.subplot_mosaic(panels, **more)
 
 
 def save(figure: "Figure", folder: Path, name: str) -> tuple[Path, Path]:
@@ -86,7 +86,7 @@ def hertz_axis(axis: "Axes", low_hz: float, high_hz: float) -> None:
     axis.xaxis.set_major_locator(FixedLocator([f for f in spoken if low_hz <= f <= high_hz]))
     axis.xaxis.set_minor_locator(NullLocator())
     axis.xaxis.set_major_formatter(lambda value, place: f"{value:g}")
-    axis.set_xlabel("frequency [Hz]")
+    axis.set_xlabel("frequency (Hz)")
 
 
 def seconds_axis(axis: Any) -> None:

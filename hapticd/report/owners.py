@@ -14,6 +14,8 @@ NOBODY = -1.0
 
 Part = tuple[str, str]  # name and colour
 
+NOTHING: Part = ("nobody", "#ffffff")
+
 
 def weightiest(frequency_hz: Floats, owners: Floats) -> Floats:
     """(F,) 0 K, 1 B > 0, 2 M > 0, 3 B < 0, 4 M < 0, NOBODY where nothing is rendered; for owners (K, B, M) (F, 3)."""
@@ -42,4 +44,4 @@ def patches(parts: Sequence[Part], nothing: Part) -> list[Any]:
     """Handles of a legend."""
     from matplotlib.patches import Patch
 
-    return [Patch(color=colour, label=name) for name, colour in (*parts, nothing)]
+    return [Patch(facecolor=colour, edgecolor="#bbbbbb", linewidth=0.6, label=name) for name, colour in (*parts, nothing)]

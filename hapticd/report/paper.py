@@ -34,8 +34,9 @@ WORDED = {
     "figures": (
         "Figures",
         "The paper's curves exist only as pictures, so its words are compared. Added damping is a solid line, none a dashed one;\n"
-        "bands are 95 % of the estimate (the owner's, in an envelope); dotted lines are predicted. `share` is that of the seeds\n"
-        "which pass.",
+        "dotted lines are predicted; grey is not judged. A tinted band holds the true value with 95 % probability, as far as the\n"
+        "noise of the trial goes (in an envelope of the owning trial alone). An envelope's lower edge is the smallest of many\n"
+        "noisy values: it lies below its prediction partly because it is a minimum. `share` is that of the seeds which pass.",
     ),
     "band_edge": (
         "Two explanations, one experiment",
@@ -45,7 +46,11 @@ WORDED = {
     "arithmetic": ("Arithmetic", "No simulation: the paper's own numbers and equations."),
 }
 SHAPE = "The paper does not say how its walls were hit: only the shape can be compared."
-OWNERS = "The strip names the parameter of the owner that weighs most at each frequency: of K/w, B and |M| w the largest."
+OWNERS = (
+    "The strip names the parameter of the owner that weighs most at each frequency: of K/w, B and |M| w the largest; nobody "
+    "where noise alone would make the envelope as wide. The lower edge over many noisy trials lies below its prediction partly "
+    "because it is a minimum."
+)
 
 
 def sections(result: ReproduceResult) -> tuple[Section, ...]:

@@ -1,11 +1,13 @@
 """What a reproduction leaves behind: REPORT.md, the table as table.json, table.csv and table.md, each figure as PNG and SVG.
 
-Everything is made in a folder of its own inside the one that was asked for and moved there at the end: whoever presses Ctrl-C
-finds the files of one run there, never of two.
+Everything is made in a folder of its own inside the one that was asked for and moved there at the end, where it takes the place
+of the run before: whoever presses Ctrl-C finds the files of one run there, and so does whoever asks for a run that makes less.
+What the run before made, its report names; files that it does not name are somebody else's and stay.
 """
 
 import csv
 import json
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,7 +21,7 @@ from hapticd.report.paper_page import Section, page, table_part
 from hapticd.report.paper_table import as_json
 
 TITLE = "The paper, reproduced"
-TABLE_JSON = "table.json"
+TABLE_JSON, REPORT = "table.json", "REPORT.md"
 
 
 def keep(sections: Sequence[Section], folder: Path, told: Mapping[str, Any], tell: Progress = silent) -> list[Path]:
@@ -30,9 +32,20 @@ def keep(sections: Sequence[Section], folder: Path, told: Mapping[str, Any], tel
             unfinished = Path(name)
             _draw(sections, unfinished, tell)
             _write(sections, unfinished, told)
-            return [file.replace(folder / file.name) for file in sorted(unfinished.iterdir())]
+            made = sorted(unfinished.iterdir())
+            for name in _of_the_run_before(folder) - {file.name for file in made}:
+                (folder / name).unlink(missing_ok=True)
+            return [file.replace(folder / file.name) for file in made]
     except OSError as error:
         raise ConfigError(f"{folder}: {error.strerror}; name a folder that you may write to with --out") from error
+
+
+def _of_the_run_before(folder: Path) -> set[str]:
+    """Names of its figures."""
+    if not (folder / REPORT).is_file():
+        return set()
+    named = re.findall(r"\]\((\w+)\.png\)", (folder / REPORT).read_text(errors="replace"))
+    return {f"{name}.{kind}" for name in named for kind in ("png", "svg")}
 
 
 def _draw(sections: Sequence[Section], folder: Path, tell: Progress) -> None:
@@ -49,7 +62,7 @@ def _write(sections: Sequence[Section], folder: Path, told: Mapping[str, Any]) -
     rows = [row for section in sections for row in section.rows]
     (folder / TABLE_JSON).write_text(json.dumps(told, indent=1) + "\n")
     (folder / "table.md").write_text(table_part(Section(TITLE, "", tuple(rows))) + "\n")
-    (folder / "REPORT.md").write_text(page(TITLE, _head(told), sections))
+    (folder / REPORT).write_text(page(TITLE, _head(told), sections))
     with (folder / "table.csv").open("w", newline="") as file:
         _csv(rows, file)
 

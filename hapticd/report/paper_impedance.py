@@ -10,7 +10,8 @@ from hapticd.measure.reproduce import ReproduceResult, Single
 from hapticd.measure.reproduce_read import MIDDLE_HZ, compared
 from hapticd.measure.reproduce_trials import MAIN, subject
 from hapticd.report import figures
-from hapticd.report.paper_style import LOOKS, PREDICTED, SMALL_PT, TRUSTED, WIDTH_IN, WORDS, simulated
+from hapticd.report.looks import INTERVAL, PREDICTED, averaged, not_judged
+from hapticd.report.paper_style import LOOKS, SMALL_PT, WIDTH_IN, WORDS, simulated
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,12 +29,14 @@ def single_figure(result: ReproduceResult, places: tuple[int, ...], title: str) 
         _single(size, phase, single, LOOKS[single.level > 0.0], WORDS[single.level > 0.0])
     if any(single.shown for single in shown):
         size.plot([], [], label="predicted", **PREDICTED)
-        size.fill_between([], [], [], color=figures.GREY, alpha=0.5, linewidth=0, label=TRUSTED)
     if len(shown) == 2:
         _advantage(phase, float(compared(shown[0], shown[1], MAIN).mean(axis=0)[1]))
     dressed(size, phase, title, result)
     _finely(size)
-    size.legend(loc="upper left", fontsize=SMALL_PT)
+    handles, words = size.get_legend_handles_labels()
+    if any(single.shown for single in shown):
+        handles, words = [*handles, interval_patch(LOOKS[shown[-1].level > 0.0])], [*words, INTERVAL]
+    size.legend(handles, words, loc="upper left", fontsize=SMALL_PT)
     return figure
 
 
@@ -57,7 +60,7 @@ def _single(size: "Axes", phase: "Axes", single: Single, look: dict[str, Any], w
 
 
 def _advantage(phase: "Axes", degrees: float) -> None:
-    phase.axvspan(*MIDDLE_HZ, color=figures.GREEN, alpha=0.12, linewidth=0)
+    averaged(phase, MIDDLE_HZ, 0.14)
     middle = float(np.sqrt(MIDDLE_HZ[0] * MIDDLE_HZ[1]))
     words = f"{degrees:.0f} degrees\nfarther\nfrom +90"
     phase.text(middle, -45.0, words, fontsize=SMALL_PT, ha="center", va="center")
@@ -72,6 +75,13 @@ def _finely(axis: "Axes") -> None:
     axis.yaxis.set_minor_locator(NullLocator())
 
 
+def interval_patch(look: dict[str, Any]) -> Any:
+    """The mark of an interval in a legend."""
+    from matplotlib.patches import Patch
+
+    return Patch(color=look["color"], alpha=0.35, linewidth=0)
+
+
 def dressed(size: "Axes", phase: "Axes", title: str, result: ReproduceResult) -> None:
     """Labels, ranges, the passive range of phases, what is not judged."""
     size.set_yscale("log")
@@ -82,7 +92,6 @@ def dressed(size: "Axes", phase: "Axes", title: str, result: ReproduceResult) ->
     phase.set(xlabel="frequency (Hz)", ylabel="phase of Z (degrees)", ylim=(-105, 105), yticks=range(-90, 91, 45))
     for limit in (-90, 90):
         phase.axhline(limit, color=figures.BLACK, linewidth=0.8)
-    for axis in (size, phase):
-        axis.axvspan(TRUSTED_HZ[1], SHOWN_HZ[1], color=figures.GREY, alpha=0.12, linewidth=0)
+    not_judged((size, phase), TRUSTED_HZ)
     middle = float(np.sqrt(TRUSTED_HZ[1] * SHOWN_HZ[1]))
     phase.text(middle, -45, "not\njudged", fontsize=SMALL_PT, color="#444444", ha="center", va="center")

@@ -10,7 +10,8 @@ from hapticd.measure.reproduce_limits import NAMES, Limit
 from hapticd.measure.reproduce_rows import PAPER, TOLERANCE
 from hapticd.measure.reproduce_trials import EDGES_HZ, LEVELS, WINDOW_HZ
 from hapticd.report import figures
-from hapticd.report.paper_style import MARKS, SMALL_PT, WIDTH_IN, WORDS
+from hapticd.report.looks import DEVICES, Look
+from hapticd.report.paper_style import SMALL_PT, WIDTH_IN, WORDS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,10 +25,11 @@ def limits_figure(result: ReproduceResult) -> "Figure":
     """Ours over the paper's, for each limit and device, with the scatter between seeds."""
     figure, (axis,) = figures.axes(1, 1, WIDTH_IN, 4.1)
     names, percent = list(PAPER), 100.0 * TOLERANCE
-    axis.axhspan(-percent, percent, color=figures.GREY, alpha=0.18, linewidth=0, label=f"within {percent:g} %")
+    for end in (-percent, percent):
+        axis.axhline(end, color="#aaaaaa", linewidth=1.0, label=f"±{percent:g} %" if end > 0.0 else None)
     axis.axhline(0.0, color=figures.BLACK, linewidth=0.8)
     for place, device in enumerate(result.plan.params.devices):
-        look: dict[str, Any] = {"color": figures.COLOURS[place], "marker": MARKS[place], "linestyle": "none"}
+        look: Look = {**DEVICES[place], "linestyle": "none"}
         axis.plot([], [], label=device, markersize=5, **look)
         for limit in (each for each in result.limits if each.device == device):
             name = f"{NAMES[limit.axis]}_{'on' if limit.level else 'off'}"
@@ -72,7 +74,9 @@ def edges_figure(result: ReproduceResult) -> "Figure":
             _over_edges(axis, np.nan_to_num(result.edges[device, level]), place, device)
         printed = PAPER["K_max_on" if level else "K_max_off"]
         axis.axhline(printed, color=figures.BLACK, linewidth=0.8, label="the paper, its band is not stated")
-        axis.axvspan(0.8, WINDOW_HZ, color=figures.GREY, alpha=0.18, linewidth=0, label="below the reach of the window")
+        axis.axvspan(
+            0.8, WINDOW_HZ, facecolor="none", edgecolor="#bbbbbb", hatch="///", linewidth=0, label="below the reach of the window"
+        )
         axis.set(xscale="log", xlim=(0.8, 12.5), xlabel="lower edge of the judged band (Hz)")
         axis.set_xticks(EDGES_HZ, [f"{edge:g}" for edge in EDGES_HZ])
         axis.set_title(words, loc="left", fontsize=9)
@@ -90,7 +94,7 @@ def edges_figure(result: ReproduceResult) -> "Figure":
 
 
 def _over_edges(axis: "Axes", values: Any, place: int, device: str) -> None:
-    look: dict[str, Any] = {"color": figures.COLOURS[place], "marker": MARKS[place], "linestyle": ("-", "--", ":")[place]}
+    look: Look = {**DEVICES[place], "linestyle": "-"}
     if not values.any():
         axis.plot([], [], label=device, **look)
         axis.text(0.97, 0.04, f"{device}: none is passive", fontsize=SMALL_PT, ha="right", transform=axis.transAxes)

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hapticd.analysis.boundary import open_ends
 from hapticd.measure.reproduce_grid import AXES, POINTS, Found
 from hapticd.measure.reproduce_rows import FIG_4, FIG_7
 from hapticd.measure.reproduce_trials import MAIN
@@ -21,14 +22,14 @@ def set_figure(found: Found, title: str) -> "Figure":
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(WIDTH_IN, 3.7), layout="constrained")
+    figure = Figure(figsize=(WIDTH_IN, 4.1))
     FigureCanvasAgg(figure)
-    halves = figure.add_gridspec(1, 2, width_ratios=[1.0, 1.1], wspace=0.14)
-    space, flat = figure.add_subplot(halves[0], projection="3d"), figure.add_subplot(halves[1])
+    space = figure.add_axes((-0.02, 0.0, 0.49, 0.86), projection="3d")
+    flat = figure.add_axes((0.575, 0.13, 0.3, 0.6))
     colours, norm = _stiffness_colours()
     _space(space, found, colours, norm)
     drawn = _flat(flat, found, colours, norm)
-    bar = figure.colorbar(drawn, ax=flat, ticks=AXES[0], pad=0.02)
+    bar = figure.colorbar(drawn, cax=figure.add_axes((0.89, 0.13, 0.018, 0.6)), ticks=AXES[0])
     bar.set_label("K (N/m)")
     bar.ax.tick_params(labelsize=SMALL_PT)
     bar.ax.minorticks_off()
@@ -51,7 +52,7 @@ def _space(axis: Any, found: Found, colours: Any, norm: Any) -> None:
     axis.tick_params(labelsize=SMALL_PT, pad=-2)
     axis.tick_params(axis="z", pad=1)
     axis.view_init(elev=20, azim=-60)
-    axis.set_box_aspect((1.0, 1.0, 1.1), zoom=0.86)
+    axis.set_box_aspect((1.0, 1.0, 1.15), zoom=0.98)
 
 
 def _flat(axis: "Axes", found: Found, colours: Any, norm: Any) -> Any:
@@ -64,8 +65,16 @@ def _flat(axis: "Axes", found: Found, colours: Any, norm: Any) -> Any:
     axis.set(xlabel="virtual mass M (g)", ylabel="virtual damping B (N s/m)", ylim=(-0.25, 11.3), yticks=range(0, 10, 2))
     axis.grid(visible=False)
     axis.legend(loc="upper left", fontsize=SMALL_PT, handletextpad=0.3)
-    axis.set_title("largest passive K at each B and M", fontsize=9, loc="left")
+    axis.set_title(f"Largest passive K at each B and M.\n{_cut(found)}", fontsize=9, loc="left")
     return drawn
+
+
+def _cut(found: Found) -> str:
+    """Where the grid ends and the set does not; K and B end at 0 by definition."""
+    largest = (f"K = {AXES[0][-1]:g} N/m", f"B = {AXES[1][-1]:g} N s/m", f"M = {1e3 * AXES[2][-1]:g} g")
+    names = {f"{name} max": words for name, words in zip("KBM", largest, strict=True)} | {"M min": f"M = {1e3 * AXES[2][0]:g} g"}
+    cut = [names[end] for end in open_ends(found.as_set) if end in names]
+    return f"The grid cuts the set at\n{', '.join(cut)}" if cut else "The grid reaches beyond the set"
 
 
 def _stiffness_colours() -> Any:

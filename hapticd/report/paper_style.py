@@ -1,19 +1,12 @@
-"""What the figures of the paper have in common: as wide as a page, added damping solid and blue, none dashed and red."""
+"""What the figures of the paper have in common: as wide as a page; colours and lines are those of `looks`."""
 
-from typing import Any
-
-from hapticd.measure.reproduce_trials import ADDED_NS_PER_M
-from hapticd.report import figures
+from hapticd.measure.reproduce_trials import LEVELS
+from hapticd.report.looks import of_levels, words_of
 
 WIDTH_IN = 6.69  # 17 cm, two columns: letters keep their size in print
 SMALL_PT = 8.0  # nothing is smaller
-OFF: dict[str, Any] = {"color": figures.RED, "linestyle": (0, (4, 1.5))}
-ON: dict[str, Any] = {"color": figures.BLUE, "linestyle": "-"}
-LOOKS = (OFF, ON)
-PREDICTED: dict[str, Any] = {"color": figures.BLACK, "linestyle": (0, (1, 1.3)), "linewidth": 1.0}
-WORDS = ("without added damping", f"with {ADDED_NS_PER_M:g} N s/m of added damping")
-MARKS = ("o", "s", "^")  # of devices
-TRUSTED = "95 % of the estimate"
+LOOKS = tuple(of_levels(LEVELS))
+WORDS = tuple(words_of(level) for level in LEVELS)
 
 
 def simulated(device: str, seeds: int) -> str:

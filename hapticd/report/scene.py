@@ -1,6 +1,6 @@
 """A simulated scene as a figure and a table: with added damping a solid line, without it a dashed one, as in the paper's Fig. 7."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -8,16 +8,14 @@ from hapticd.analysis.arrays import Floats
 from hapticd.measure.scene_run import SceneResult, Trial
 from hapticd.measure.scenes import frequencies, point
 from hapticd.report import figures
+from hapticd.report.looks import OFF, ON, PREDICTED, not_judged
 from hapticd.report.table import Cell, Table, table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-LOOKS: tuple[dict[str, Any], ...] = (
-    {"color": figures.RED, "linestyle": (0, (4, 1.5))},
-    {"color": figures.BLUE, "linestyle": "-"},
-)
+LOOKS = (OFF, ON)
 SHOWN_S = 0.5  # of a noisy trace
 POINTS = 1500  # of a line
 SHOWN_HZ = (1.9, 1000.0)
@@ -77,7 +75,7 @@ def _with_impedance(result: SceneResult) -> "Figure":
     begin_s = min(1.0, 0.5 * result.plan.seconds)
     _draw_traces(result, [places[0], places[2]], (begin_s, begin_s + SHOWN_S))
     for axis in (places[0], places[2]):
-        axis.set_xlabel("time [s]")
+        axis.set_xlabel("time (s)")
     _draw_impedance(result, places[1], places[3])
     figure.legend(*places[1].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
@@ -93,15 +91,15 @@ def _traces_alone(result: SceneResult) -> "Figure":
         for trial, look in zip(result.trials, LOOKS, strict=True):
             if trial.winding_c is not None:
                 places[3].plot(*trial.winding_c, marker=".", **look)
-        places[3].set_ylabel("winding [°C]")
-    places[-1].set_xlabel("time [s]")
+        places[3].set_ylabel("winding (°C)")
+    places[-1].set_xlabel("time (s)")
     figure.align_ylabels(places)
     figure.legend(*places[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
     return figure
 
 
 def _draw_traces(result: SceneResult, places: "list[Axes]", span_s: tuple[float, float]) -> None:
-    channels = (("position [mm]", 1e3, "position_m"), ("virtual force [N]", 1.0, "force_n"))
+    channels = (("position (mm)", 1e3, "position_m"), ("virtual force (N)", 1.0, "force_n"))
     for axis, (label, factor, name) in zip(places, channels, strict=True):
         for trial, look in zip(result.trials, LOOKS, strict=True):
             values = factor * getattr(trial, name)
@@ -116,19 +114,18 @@ def _draw_damping(result: SceneResult, axis: "Axes") -> None:
         times = [at_s for at_s, _ in trial.leg.damping] + [result.plan.seconds]
         levels = [level for _, level in trial.leg.damping]
         axis.step(times, [*levels, levels[-1]], where="post", **look)
-    axis.set_ylabel("added damping [N s/m]")
+    axis.set_ylabel("added damping (N s/m)")
     axis.margins(y=0.15)
 
 
 def _draw_impedance(result: SceneResult, size: "Axes", phase: "Axes") -> None:
-    grey = {"color": figures.GREY, "linewidth": 0.9}
     for trial, look in zip(result.trials, LOOKS, strict=True):
         if trial.measured is None or trial.predicted is None:
             continue
         f, label = trial.measured.frequency_hz, "" if trial.leg.own else "_"
         shown = (f >= SHOWN_HZ[0]) & (f <= SHOWN_HZ[1])
         for z, drawn in (
-            (trial.predicted[shown], {**look, **grey, "label": f"{label}predicted"}),
+            (trial.predicted[shown], {**PREDICTED, "label": f"{label}predicted"}),
             (trial.measured.impedance_ns_per_m[shown], {**look, "label": trial.leg.name}),
         ):
             size.plot(f[shown], np.abs(z), **drawn)
@@ -139,12 +136,13 @@ def _draw_impedance(result: SceneResult, size: "Axes", phase: "Axes") -> None:
 def _finish_impedance(band_hz: tuple[float, float], size: "Axes", phase: "Axes") -> None:
     for axis in (size, phase):
         figures.hertz_axis(axis, *SHOWN_HZ)
-        axis.axvspan(*band_hz, color="#f4f4f4", zorder=0)
-    size.set(yscale="log", ylabel="|Z| [N s/m]")
+    not_judged((size, phase), band_hz)
+    size.set(yscale="log", ylabel="|Z| (N s/m)")
+    figures.plain_axis(size.yaxis)
     for edge in (-90.0, 90.0):
-        phase.axhline(edge, color=figures.BLACK, linewidth=0.9, linestyle=":")
-    phase.set(ylabel="phase of Z [deg]", ylim=(-105.0, 140.0), yticks=range(-90, 91, 30))
-    words = f"passive: within ±90 deg in {band_hz[0]:g}..{band_hz[1]:g} Hz"
+        phase.axhline(edge, color=figures.BLACK, linewidth=0.8)
+    phase.set(ylabel="phase of Z (degrees)", ylim=(-105.0, 140.0), yticks=range(-90, 91, 30))
+    words = f"passive: within ±90 degrees in {band_hz[0]:g}..{band_hz[1]:g} Hz"
     phase.text(0.98 * band_hz[1], 127.0, words, ha="right", va="center", fontsize=8.5)
 
 

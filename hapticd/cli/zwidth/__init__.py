@@ -4,6 +4,8 @@ import typer
 
 from hapticd.cli.zwidth import import_, limits, map, report, reproduce, search, trial, walls
 
+FORMER = {"added-damping": "damping"}  # names of options that are still taken
+
 app = typer.Typer(no_args_is_help=True, help=__doc__)
 for name, verb in {
     "trial": trial,
@@ -15,4 +17,4 @@ for name, verb in {
     "report": report,
     "reproduce": reproduce,
 }.items():
-    app.command(name)(verb.command)
+    app.command(name, context_settings={"token_normalize_func": lambda option: FORMER.get(option, option)})(verb.command)

@@ -1,7 +1,7 @@
 """What the verbs of `zwidth` share: options, a progress bar, the scene that is meant, outcomes as lines, conditions."""
 
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from math import inf
@@ -70,6 +70,21 @@ def keeping(store: "TrialStore", folder: Path) -> Iterator[None]:
         if store.known:
             output.talk(_goes_on(store, folder))
         raise
+
+
+@contextmanager
+def interruptible(kept: str = "nothing of this run was kept") -> Iterator[None]:
+    """Ctrl-C (exit 130) is answered in one line about what is kept."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        output.talk(f"interrupted: {kept}")
+        raise typer.Exit(130) from None
+
+
+def drawing(folder: Path) -> AbstractContextManager[None]:
+    """While figures of a run are drawn whose result is kept."""
+    return interruptible(f"the result is kept in {folder}, without all of its figures")
 
 
 def _goes_on(store: "TrialStore", folder: Path) -> str:

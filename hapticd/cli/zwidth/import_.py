@@ -8,25 +8,31 @@ import typer
 from hapticd.cli import options
 from hapticd.cli.zwidth import common, trial
 
-File = Annotated[Path, typer.Argument(metavar="FILE", help=".csv, .npz, .mat or .h5 with force [N] and velocity [m/s].")]
+File = Annotated[Path, typer.Argument(metavar="FILE", help=".csv, .npz, .mat or .h5 with force in N and velocity in m/s.")]
 
 
 def command(
     file: File,
     stiffness: Annotated[float, typer.Option("-K", "--stiffness", metavar="N/M", help="What was rendered.")] = 0.0,
-    damping: Annotated[float, typer.Option("-B", "--damping", metavar="NS/M", help="What was rendered.")] = 0.0,
+    viscous: Annotated[float, typer.Option("-B", "--viscous", metavar="NS/M", help="What was rendered.")] = 0.0,
     mass: Annotated[float, typer.Option("-M", "--mass", metavar="KG", help="What was rendered.")] = 0.0,
-    added: Annotated[float, typer.Option("--added-damping", metavar="NS/M", help="Electrical damping.", min=0)] = 0.0,
+    damping: Annotated[float, typer.Option("--damping", metavar="NS/M", help="Electrical damping.", min=0)] = 0.0,
     force: Annotated[str, typer.Option("--force-column", metavar="NAME", help="Of FILE.")] = "",
     velocity: Annotated[str, typer.Option("--velocity-column", metavar="NAME", help="Of FILE.")] = "",
     rate_hz: Annotated[float | None, typer.Option("--rate-hz", metavar="HZ", help="Where FILE does not say.")] = None,
+    skew: Annotated[float, typer.Option("--skew", metavar="S", help="Known delay of the velocity channel, taken out.")] = 0.0,
+    high_pass: Annotated[
+        float, typer.Option("--high-pass", metavar="HZ", help="Known corner of an AC-coupled velocity channel, taken out.", min=0)
+    ] = 0.0,
     band: common.Band = (2.0, 500.0),
     out: common.Out = None,
     plot: common.Plot = False,
     as_json: options.Json = False,
 ) -> None:
-    """Bring in a record of any other system: a run folder with record, verdict and summary, as `trial` makes them."""
+    """Bring in a record of any other system: a run folder with the record, its verdict and summary (run.json) and impedance.csv,
+    as `trial` makes them.
+    """
     trial.command(
-        source=str(file), stiffness=stiffness, damping=damping, mass=mass, added=added, force=force, velocity=velocity,
-        rate_hz=rate_hz, band=band, out=out, plot=plot, as_json=as_json,
+        source=str(file), stiffness=stiffness, viscous=viscous, mass=mass, damping=damping, force=force, velocity=velocity,
+        rate_hz=rate_hz, skew=skew, high_pass=high_pass, band=band, out=out, plot=plot, as_json=as_json,
     )  # fmt: skip

@@ -33,14 +33,16 @@ def command(
 ) -> None:
     """How far K, B and M each go alone before the display is not passive: predicted, then by simulated trials.
 
-    With --levels 3 also at 2 and 4 times the perturbation's force: with friction a limit is one of its amplitude. With --json
-    each outcome is a line as it arrives, with its limit, amplitude and seed, and the last line is the result.
+    With --levels 3 also at 2 and 4 times the perturbation's force: with friction a limit is one of its amplitude.
+
+    Ctrl-C is safe: the same command with the same --out goes on where it ended. With --json each new outcome is a line, with its
+    limit, amplitude and seed, and the last line is the result.
     """
     from hapticd.analysis.boundary import AXES
     from hapticd.measure.axis_scan import LimitsParams, plan_limits, run_limits
     from hapticd.measure.executors import executor
     from hapticd.measure.plain import plain
-    from hapticd.measure.store import write_run
+    from hapticd.measure.store import TrialStore, write_run
     from hapticd.report import figures
     from hapticd.report.table import text
     from hapticd.report.zwidth_limits import limits_figure
@@ -49,22 +51,27 @@ def command(
         raise typer.BadParameter(f"--axis {axis!r}: letters out of KBM")
     conditions = common.conditions(common.scene_of(scene), seconds, seed, band, confidence)
     wanted, amplitudes = tuple(AXES.index(name) for name in axis), tuple(2.0**level for level in range(levels))
-    plan = plan_limits(LimitsParams(conditions, common.levels(damping), amplitudes, wanted, seeds))
+    params = LimitsParams(conditions, common.levels(damping), amplitudes, wanted, seeds)
+    folder = common.folder(out, "limits")
+    store = TrialStore(folder / "trials.jsonl")
 
     def hear(scan: "Scan", given: "Conditions", new: "list[Outcome]") -> None:
         if as_json:
             common.follow(new, limit=AXES[scan.axis], amplitude=scan.amplitude, seed=given.excitation.seed)
 
-    with executor(where) as pool, common.progress() as tell:
-        result = run_limits(plan, tell, executor=pool, hear=hear)
-    folder = common.folder(out, "limits")
+    with common.keeping(store, folder), executor(where) as pool, common.progress() as tell:
+        result = run_limits(plan_limits(params), store, tell, pool, hear)
     rows = [{"name": limit.name, **plain(limit)} for limit in result.limits]
     write_run(folder, {"kind": "limits", "scene": scene, "seconds": seconds, "limits": rows, "provenance": common.told(seed=seed)})
-    paths = figures.save(limits_figure(result), folder, "limits") if plot else ()
+    with common.drawing(folder):
+        paths = figures.save(limits_figure(result), folder, "limits") if plot else ()
     if as_json:
-        output.data_json({"ok": True, "limits": rows, "folder": str(folder), "figures": [str(path) for path in paths]})
+        figured = [str(path) for path in paths]
+        output.data_json({"ok": True, "made": result.made, "limits": rows, "folder": str(folder), "figures": figured})
         return
     output.data(text(_table(result)))
+    output.data(NOTE)
+    output.data(f"{result.made} trials made")
     common.kept(folder, paths)
 
 
@@ -73,7 +80,8 @@ def _table(result: "LimitsResult") -> "Table":
 
     scattered = result.plan.params.seeds > 1
     columns = (
-        "limit", "added N s/m", "N^2/Hz", "predicted", "trials say", "passive up to", "not from", "worst Hz", "v mm/s", "trials",
+        "limit", "added N s/m", "N^2/Hz", "predicted", "trials say", "passive up to", "not passive from", "worst Hz", "v rms mm/s",
+        "trials",
     )  # fmt: skip
     rows = [
         (
@@ -87,4 +95,9 @@ def _table(result: "LimitsResult") -> "Table":
     return table((*columns, *(("scatter",) if scattered else ())), rows, title)
 
 
+NOTE = (
+    "predicted to not passive from: in the unit of the limit; trials say: the last that passed before the first that failed; "
+    "passive up to, not passive from: by the interval;\nworst Hz: where the first that failed has its least Re Z; "
+    "v rms: of the last that passed"
+)
 UNITS = {"K": ("N/m", 1.0), "B": ("N s/m", 1.0), "M": ("g", 1e3)}

@@ -26,7 +26,7 @@ def command(
         15,
     ),
     viscous: Annotated[common.Range, typer.Option("--viscous", metavar="LOW HIGH N", help="Grid of B, N s/m.")] = (0.0, 9.0, 10),
-    mass: Annotated[common.Range, typer.Option("--mass", metavar="LOW HIGH N", help="Grid of M, kg.")] = (-0.028, 0.026, 10),
+    mass: Annotated[common.Range, typer.Option("--mass", metavar="LOW HIGH N", help="Grid of M, kg.")] = (-0.030, 0.024, 10),
     near: Annotated[
         float, typer.Option("--near", help="Share about the predicted boundary that is tried.", min=0.0, max=0.9)
     ] = 0.15,
@@ -79,7 +79,8 @@ def command(
         folder,
         {"kind": "map", "scene": scene, "axes": axes, "parameters": asked, "levels": told, "provenance": common.told(seed=seed)},
     )
-    paths = draw(result, folder) if plot else []
+    with common.drawing(folder):
+        paths = draw(result, folder) if plot else []
     if as_json:
         names = [str(path) for path in paths]
         output.data_json({"ok": True, "made": result.made, "levels": plain(told), "folder": str(folder), "figures": names})
@@ -98,17 +99,15 @@ class _Redrawn:
         self._passed: dict[float, list[Outcome]] = {}
 
     def __call__(self, new: "list[Outcome]") -> None:
-        from hapticd.measure.outcomes import envelope_of
         from hapticd.report import figures
-        from hapticd.report.zwidth_map import envelope_figure
+        from hapticd.report.zwidth_envelope import envelope_figure
 
         for outcome in new:
             if outcome.passes:
                 self._passed.setdefault(outcome.damping_ns_per_m, []).append(outcome)
         if self._passed and monotonic() - self._drawn_s > REDRAW_S:
             self._drawn_s = monotonic()
-            drawn = [(level, envelope_of(passed)) for level, passed in self._passed.items()]
-            figures.save(envelope_figure(self._conditions, drawn), self._folder, "envelope")
+            figures.save(envelope_figure(self._conditions, list(self._passed.items())), self._folder, "envelope_so_far")
 
 
 def _told(level: "LevelMap") -> dict[str, Any]:
@@ -139,8 +138,14 @@ def _print(result: "MapResult", told: list[dict[str, Any]]) -> None:
         width = level["widths_db"][1].width_db if level["widths_db"] else float("nan")
         counts = (level[name] for name in ("points", "tried", "unlike_prediction", "passive"))
         rows.append((level["added_damping_ns_per_m"], *counts, *extremes, width))
-    columns = ("added N s/m", "points", "tried", "unlike", "passive", "K max N/m", "B max N s/m", "M min g", "10-50 Hz dB")
+    columns = (
+        "added N s/m", "points", "tried", "unlike predicted", "passive", "K max N/m", "B max N s/m", "M min g",
+        "width at 10-50 Hz dB",
+    )  # fmt: skip
     output.data(text(table(columns, rows, f"SIMULATED {result.plan.params.conditions.scene.device}: the set on the grid")))
+    output.data(
+        "unlike predicted: trials that came out otherwise; K max, B max, M min: extremes over the set, not alone on their axis"
+    )
     for level in told:
         if level["open_ends"]:
             output.talk(
@@ -151,10 +156,11 @@ def _print(result: "MapResult", told: list[dict[str, Any]]) -> None:
 def draw(result: "MapResult", folder: Path) -> list[Path]:
     """The set, and the envelopes of impedance and admittance where a trial passed."""
     from hapticd.report import figures
-    from hapticd.report.zwidth_map import envelope_figure, set_figure
+    from hapticd.report.zwidth_envelope import envelope_figure
+    from hapticd.report.zwidth_map import set_figure
 
     paths = [*figures.save(set_figure(result), folder, "set")]
-    drawn = [(level.damping_ns_per_m, level.envelope) for level in result.levels if level.envelope]
+    drawn = [(level.damping_ns_per_m, level.outcomes) for level in result.levels if level.envelope]
     if drawn:
         paths += figures.save(envelope_figure(result.plan.params.conditions, drawn), folder, "envelope")
         paths += figures.save(envelope_figure(result.plan.params.conditions, drawn, inverse=True), folder, "envelope_admittance")

@@ -11,11 +11,12 @@ from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
     from hapticd.measure.campaign import MapParams, MapResult
+    from hapticd.measure.store import TrialStore
     from hapticd.plant.scene import Scene
 
 What = Annotated[str, typer.Argument(metavar="DEVICE|RUN", help="A simulated device or scene, or the folder of a trial or a map.")]
-GRID = (12, 10, 11)
-ROOM = (2.0, 1.15, 1.25, 1.4)  # of the grid over the largest axis limits: K, B, -M, M
+GRID = (12, 10)
+ROOM = (2.0, 1.15)  # of the grid over the largest axis limits: K, B
 
 
 def command(
@@ -26,8 +27,14 @@ def command(
     out: common.Out = None,
     as_json: options.Json = False,
 ) -> None:
-    """Every figure of a simulated device, with NAME.zwidth, its portable summary; or those of a run folder, drawn again."""
-    paths = _of_run(Path(what)) if (Path(what) / "run.json").is_file() else _of_device(what, damping, seconds, seed, out)
+    """Every figure of a simulated device, with NAME.zwidth, its portable summary; or those of a run folder, drawn again
+    there, or in --out.
+    """
+    folder = Path(what)
+    if (folder / "run.json").is_file():
+        paths = _of_run(folder, out or folder)
+    else:
+        paths = _of_device(_named(what), damping, seconds, seed, out)
     if as_json:
         output.data_json({"ok": True, "files": [str(path) for path in paths]})
         return
@@ -35,7 +42,32 @@ def command(
         output.data(str(path))
 
 
-def _of_run(folder: Path) -> list[Path]:
+def _named(what: str) -> "Scene":
+    """The scene of that name. ConfigError, which says what a folder without a run is and what may be done with it."""
+    from hapticd.errors import ConfigError
+
+    try:
+        return common.scene_of(what)
+    except ConfigError:
+        if not Path(what).is_dir():
+            raise
+        raise ConfigError(f"{what}: {_instead(Path(what))}") from None
+
+
+def _instead(folder: Path) -> str:
+    from hapticd.report.paper_files import TABLE_JSON
+
+    if (folder / TABLE_JSON).is_file():
+        return f"the paper, reproduced, with its figures in REPORT.md; make it again: `hapticd zwidth reproduce --out {folder}`"
+    if (folder / "trials.jsonl").is_file():
+        return (
+            "a campaign that was not finished, of which the trials are kept; the command that began it, with "
+            f"--out {folder}, goes on there and draws it"
+        )
+    return "no run folder: it has no run.json; name a simulated device, a scene, or the folder of a trial or a map"
+
+
+def _of_run(folder: Path, out: Path) -> list[Path]:
     from hapticd.cli.zwidth.map import draw
     from hapticd.errors import ConfigError
     from hapticd.measure.campaign import plan_map, run_map
@@ -43,16 +75,18 @@ def _of_run(folder: Path) -> list[Path]:
 
     kept = read_summary(folder)
     if kept["kind"] == "trial":
-        return _trial_again(folder, kept)
+        return _trial_again(folder, kept, out)
     if kept["kind"] != "map":
-        raise ConfigError(f"{folder}: a run of kind {kept['kind']!r} keeps its own figures; draw a trial or a map again")
+        told = f"a run of kind {kept['kind']!r} is drawn by the command that made it, with --out {folder}; here a trial or a map is"
+        raise ConfigError(f"{folder}: {told}")
     with common.progress() as tell:
-        return draw(run_map(plan_map(_asked(kept)), TrialStore(folder / "trials.jsonl"), tell), folder)
+        return draw(run_map(plan_map(_asked(kept)), TrialStore(folder / "trials.jsonl"), tell), out)
 
 
-def _trial_again(folder: Path, kept: dict[str, Any]) -> list[Path]:
+def _trial_again(folder: Path, kept: dict[str, Any], out: Path) -> list[Path]:
     from hapticd.analysis.spa import DEFAULT_LAG
     from hapticd.cli.zwidth.trial import draw
+    from hapticd.measure.losses import COUNTS
     from hapticd.measure.multisine import Layout
     from hapticd.measure.recorded import read_file
     from hapticd.measure.sources import Trial
@@ -63,6 +97,7 @@ def _trial_again(folder: Path, kept: dict[str, Any]) -> list[Path]:
     recorded = replace(
         read_file(record_path(folder)), origin=kept["origin"], simulated=kept["simulated"], ended=kept["ended"],
         max_command_n=kept.get("max_command_n"), command_limit_n=kept.get("command_limit_n"),
+        more={name: kept[name] for name in COUNTS if name in kept},
     )  # fmt: skip
     k, b, m = kept["environment"].values()
     low, high = kept["verdict"]["band_hz"]
@@ -71,8 +106,9 @@ def _trial_again(folder: Path, kept: dict[str, Any]) -> list[Path]:
     params = TrialParams(
         trial, _same_scene(kept), (low, high), kept["verdict"]["confidence"], kept["estimator"], kept["probe_mass_taken_out_kg"],
         lag=kept.get("lag", DEFAULT_LAG), multisine=Layout(layout["realisations"], layout["periods"]) if layout else None,
+        skew_s=kept.get("skew_taken_out_s", 0.0), high_pass_hz=kept.get("high_pass_taken_out_hz", 0.0),
     )  # fmt: skip
-    return draw(judged(plan_trial(params), recorded), folder)
+    return draw(judged(plan_trial(params), recorded), out)
 
 
 def _same_scene(kept: dict[str, Any]) -> "Scene | None":
@@ -100,33 +136,35 @@ def _asked(kept: dict[str, Any]) -> "MapParams":
     return MapParams(conditions, (stiffness, damping, mass), levels, asked["near"], asked["everywhere"], asked["refine"])
 
 
-def _of_device(name: str, damping: str, seconds: float, seed: int, out: Path | None) -> list[Path]:
+def _of_device(scene: "Scene", damping: str, seconds: float, seed: int, out: Path | None) -> list[Path]:
     from hapticd.cli.zwidth.map import draw
     from hapticd.measure.axis_scan import LimitsParams, plan_limits, run_limits
     from hapticd.measure.portable import SUFFIX, device_hash, portable, write_portable
+    from hapticd.measure.store import TrialStore, write_run
     from hapticd.report import figures
     from hapticd.report.zwidth_limits import limits_figure
 
-    scene, levels = common.scene_of(name), common.levels(damping)
+    levels = common.levels(damping)
     conditions = common.conditions(scene, seconds, seed)
     folder = common.folder(out, f"report-{scene.device}")
-    with common.progress() as tell:
-        limits = run_limits(plan_limits(LimitsParams(conditions, levels)), tell)
-        found = _mapped(conditions, levels, limits, folder, tell)
+    store = TrialStore(folder / "trials.jsonl")
+    with common.keeping(store, folder), common.progress() as tell:
+        limits = run_limits(plan_limits(LimitsParams(conditions, levels)), store, tell)
+        found = _mapped(conditions, levels, limits, store, tell)
+    told = {"seconds": seconds, "band_hz": conditions.band_hz, "perturbation": conditions.excitation, "simulated": True}
+    write_run(folder, {"kind": "report", "device": scene.device, **told, "provenance": common.told(seed=seed)})
     paths = [*_own_trial(scene, seconds, folder), *figures.save(limits_figure(limits), folder, "limits")]
     paths += draw(found, folder)
     drawn = [(level.damping_ns_per_m, level.envelope) for level in found.levels]
-    told = {"seconds": seconds, "band_hz": conditions.band_hz, "perturbation": conditions.excitation, "simulated": True}
     content = portable(scene.device, device_hash(scene.device), drawn, limits.limits, told)
     return [*paths, write_portable(folder / f"{scene.device}{SUFFIX}", {**content, "provenance": common.told(seed=seed)})]
 
 
-def _mapped(conditions: Any, levels: tuple[float, ...], limits: Any, folder: Path, tell: Any) -> "MapResult":
+def _mapped(conditions: Any, levels: tuple[float, ...], limits: Any, store: "TrialStore", tell: Any) -> "MapResult":
     import numpy as np
 
     from hapticd.errors import AnalysisError
     from hapticd.measure.campaign import MapParams, plan_map, run_map
-    from hapticd.measure.store import TrialStore
 
     most = [max((abs(limit.value) for limit in limits.limits if limit.scan.axis == axis), default=0.0) for axis in range(3)]
     if not all(np.isfinite(most)) or min(most) == 0.0:
@@ -134,9 +172,9 @@ def _mapped(conditions: Any, levels: tuple[float, ...], limits: Any, folder: Pat
     axes = (
         np.linspace(0.0, ROOM[0] * most[0], GRID[0]),
         np.linspace(0.0, ROOM[1] * most[1], GRID[1]),
-        np.linspace(-ROOM[2] * most[2], ROOM[3] * most[2], GRID[2]),
+        np.asarray(most[2] * 0.25 * np.arange(-5, 7)),  # M = 0 is one of them
     )
-    return run_map(plan_map(MapParams(conditions, axes, levels)), TrialStore(folder / "trials.jsonl"), tell)
+    return run_map(plan_map(MapParams(conditions, axes, levels)), store, tell)
 
 
 def _own_trial(scene: Any, seconds: float, folder: Path) -> list[Path]:

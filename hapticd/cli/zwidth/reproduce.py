@@ -37,16 +37,12 @@ def command(quick: Quick = False, seeds: Seeds = 8, out: common.Out = None, as_j
 
     plan, files = plan_reproduce(ReproduceParams(quick, seeds)), []
     further = plan_beyond(BeyondParams(quick))
-    try:
-        with watched() as tell:
-            found = [*sections(run_reproduce(plan, tell)), *beyond_page.sections(run_beyond(further, tell))]
-            table = table_json(row for section in found for row in section.rows)
-            told: dict[str, Any] = {"quick": quick, "seeds": len(plan.seeds), "table": table, "provenance": common.told()}
-            if out is not None or not as_json:
-                files = keep(found, common.folder(out, "reproduce"), told, tell)
-    except KeyboardInterrupt:
-        output.talk("interrupted: nothing of this run was kept")
-        raise typer.Exit(130) from None
+    with common.interruptible(), watched() as tell:
+        found = [*sections(run_reproduce(plan, tell)), *beyond_page.sections(run_beyond(further, tell))]
+        table = table_json(row for section in found for row in section.rows)
+        told: dict[str, Any] = {"quick": quick, "seeds": len(plan.seeds), "table": table, "provenance": common.told()}
+        if out is not None or not as_json:
+            files = keep(found, common.folder(out, "reproduce"), told, tell)
     if as_json:
         output.data_json(told | ({"files": [str(file) for file in files]} if files else {}))
         return

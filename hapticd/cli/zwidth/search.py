@@ -49,7 +49,8 @@ def command(
             results.append(run_search(plan, store, tell, pool, hear))
     told = [_told(result) for result in results]
     write_run(folder, {"kind": "search", "scene": scene, "levels": told, "provenance": common.told(seed=seed)})
-    paths = figures.save(search_figure(results), folder, "search") if plot else ()
+    with common.drawing(folder):
+        paths = figures.save(search_figure(results), folder, "search") if plot else ()
     if as_json:
         output.data_json({"ok": True, "levels": plain(told), "folder": str(folder), "figures": [str(path) for path in paths]})
         return
@@ -64,7 +65,14 @@ def command(
     output.data(
         text(table(columns, rows, f"SIMULATED {conditions.scene.device}: the set as the search holds it; extremes over the set"))
     )
+    output.data(NOTE)
     common.kept(folder, paths)
+
+
+NOTE = (
+    "not stable: trials that ran away; doubt: share of the volume that noise leaves open; volume of the set over K, B and M: "
+    "N/m x N s/m x kg;\nmiss: median difference of expected and found least Re Z over the last half of the trials"
+)
 
 
 def _told(result: "SearchResult") -> dict[str, Any]:

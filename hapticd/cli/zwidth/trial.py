@@ -1,8 +1,6 @@
 """One trial: perturb, record, judge."""
 
-import signal
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,6 +8,7 @@ import typer
 
 from hapticd.cli import options, output
 from hapticd.cli.zwidth import common
+from hapticd.cli.zwidth.trial_words import compared, needed
 
 if TYPE_CHECKING:
     from hapticd.analysis.impedance import Estimator
@@ -17,18 +16,22 @@ if TYPE_CHECKING:
     from hapticd.measure.referee import Referee
     from hapticd.measure.sources import Source
     from hapticd.measure.trial import TrialPlan, TrialResult
+    from hapticd.plant.scene import Scene
 
 LIVE = ("engine", "lockstep", "live")
-FROM = "engine: simulate; lockstep: the whole stack on virtual time; live: the daemon's probe stream; else a FILE with a record."
+FROM = "engine: simulate; lockstep: the whole stack on virtual time; live: the daemon's device, ENABLED by this; else a FILE."
+ENGINE_SCENE = "fig4"  # of engine and lockstep where none is named
 
 
 def command(
     source: Annotated[str, typer.Argument(metavar="engine|lockstep|live|FILE", help=FROM)] = "engine",
-    scene: common.SceneName = "fig4",
+    scene: Annotated[
+        str, typer.Option("--scene", metavar="NAME|FILE", help="What is not given; engine, lockstep: else fig4; live: else 0.")
+    ] = "",
     stiffness: Annotated[float | None, typer.Option("-K", "--stiffness", metavar="N/M", help="Virtual stiffness.")] = None,
-    damping: Annotated[float | None, typer.Option("-B", "--damping", metavar="NS/M", help="Virtual damping.")] = None,
+    viscous: Annotated[float | None, typer.Option("-B", "--viscous", metavar="NS/M", help="Virtual damping.")] = None,
     mass: Annotated[float | None, typer.Option("-M", "--mass", metavar="KG", help="Virtual mass.")] = None,
-    added: Annotated[float | None, typer.Option("--added-damping", metavar="NS/M", help="Electrical damping.", min=0)] = None,
+    damping: Annotated[float | None, typer.Option("--damping", metavar="NS/M", help="Electrical damping.", min=0)] = None,
     excitation: Annotated[str, typer.Option("--excitation", metavar="noise|multisine", help="Of the probe.")] = "noise",
     seconds: Annotated[float, typer.Option("--seconds", metavar="S", help="Length of a trial by noise.")] = 90.0,
     realisations: Annotated[int, typer.Option("--realisations", metavar="N", help="Multisines of other phases.", min=1)] = 8,
@@ -50,6 +53,12 @@ def command(
     force: Annotated[str, typer.Option("--force-column", metavar="NAME", help="Of FILE.")] = "",
     velocity: Annotated[str, typer.Option("--velocity-column", metavar="NAME", help="Of FILE.")] = "",
     rate_hz: Annotated[float | None, typer.Option("--rate-hz", metavar="HZ", help="Of FILE, where it does not say.")] = None,
+    skew: Annotated[
+        float, typer.Option("--skew", metavar="S", help="Known delay of the velocity channel behind the force, taken out.")
+    ] = 0.0,
+    high_pass: Annotated[
+        float, typer.Option("--high-pass", metavar="HZ", help="Known corner of an AC-coupled velocity channel, taken out.", min=0)
+    ] = 0.0,
     instance: options.Instance = options.INSTANCE,
     out: common.Out = None,
     plot: common.Plot = False,
@@ -60,7 +69,9 @@ def command(
 
     White noise and spectral analysis, the paper's way, or multisines (period 1.024 s): better for a device without friction, and
     with friction only as good as the number of realisations. What is left out are the scene's K, B, M, electrical damping and
-    perturbation. A FILE is .csv, .npz, .mat or .h5; one of multisines holds whole realisations, each with its settling period.
+    perturbation; live without --scene they are 0 and the paper's perturbation, so give a K that holds the device in its travel
+    (-K 20). `live` enables the daemon's device by itself, says so, shakes it, and disables it at the end and on Ctrl-C.
+    A FILE is .csv, .npz, .mat or .h5; one of multisines holds whole realisations, each with its settling period.
     """
     from dataclasses import replace
 
@@ -72,19 +83,28 @@ def command(
     from hapticd.measure.trial import TrialParams, plan_trial
 
     _check(source, excitation, estimator, sine, until_decided)
-    loaded = common.scene_of(scene) if source in ("engine", "lockstep") else None
+    named = scene or (ENGINE_SCENE if source in ("engine", "lockstep") else "")
+    loaded = common.scene_of(named) if named and source in LIVE else None
     given = scenes.point(loaded) if loaded else (0.0, 0.0, 0.0)
-    point = [own if own is not None else default for own, default in zip((stiffness, damping, mass), given, strict=True)]
+    point = [own if own is not None else default for own, default in zip((stiffness, viscous, mass), given, strict=True)]
     force_of = scenes.noise(loaded) if loaded else Trial().excitation
     force_of = replace(force_of, seed=seed, psd_n2_per_hz=force_of.psd_n2_per_hz if psd is None else psd)
     repeats = Layout(realisations, periods) if excitation == "multisine" else None
-    level = added if added is not None else scenes.level(loaded) if loaded else 0.0
+    level = damping if damping is not None else scenes.level(loaded) if loaded else 0.0
     watch = Watch(until_decided=until_decided, winding_limit_c=hottest)
     trial = Trial((point[0], point[1], point[2]), level, seconds, multisine_like(force_of, band[1]) if repeats else force_of, watch)
     chosen: Estimator = "h_force" if estimator == "h_force" or (repeats and not estimator) else "spa"
-    plan = plan_trial(TrialParams(trial, loaded, band, confidence, chosen, behind, lag=lag, multisine=repeats))
-    with ExitStack() as stack, common.progress() as tell:
-        recorder = _source(source, scene, loaded, instance, (force, velocity, rate_hz), stack)
+    model = loaded if source != "live" else None
+    params = TrialParams(
+        trial, model, band, confidence, chosen, behind, lag=lag, multisine=repeats, skew_s=skew, high_pass_hz=high_pass
+    )
+    plan = plan_trial(params)
+    with common.interruptible(), ExitStack() as stack:
+        if source == "live":
+            plan, recorder = _live(plan, loaded, instance, stack)
+        else:
+            recorder = _source(source, named, loaded, (force, velocity, rate_hz), stack)
+        tell = stack.enter_context(common.progress())
         result = _flown(plan, recorder, source in LIVE, tell)
         referee = stepped_sine(trial, recorder, tell) if sine and may_follow(result.recorded) else None
     _show(result, referee, common.folder(out, "trial"), plot or admittance, admittance, as_json)
@@ -108,9 +128,22 @@ def _flown(plan: "TrialPlan", recorder: "Source", flies: bool, tell: "Progress")
     return run_trial(plan, recorder, tell) if flies else judged(plan, recorder(plan.params.trial, tell))
 
 
-def _source(
-    name: str, scene: str, loaded: Any, instance: str, columns: tuple[str, str, float | None], stack: ExitStack
-) -> "Source":
+def _live(plan: "TrialPlan", scene: "Scene | None", instance: str, stack: ExitStack) -> "tuple[TrialPlan, Source]":
+    """The plan with the curve of the daemon's device, and the source. Whether the loop is stable is seen, not predicted."""
+    from dataclasses import replace
+
+    from hapticd.cli.zwidth.live import announce, rig
+    from hapticd.measure.bench import bench_source
+    from hapticd.measure.trial import plan_trial
+
+    found = rig(instance, stack)
+    announce(found, plan.params.trial, scene)
+    return replace(plan_trial(replace(plan.params, scene=found.model)), spectral_radius=None), bench_source(
+        found.client, found.origin
+    )
+
+
+def _source(name: str, scene: str, loaded: Any, columns: tuple[str, str, float | None], stack: ExitStack) -> "Source":
     from hapticd.measure.bench import bench_source
     from hapticd.measure.sources import engine_source, file_source
 
@@ -121,31 +154,9 @@ def _source(
         from hapticd.measure.lockstep_bench import LockStepBench
 
         return bench_source(stack.enter_context(LockStepBench(*scene_params(scene))), f"lock-step, scene {loaded.name}")
-    if name == "live":
-        from hapticd.cli.change import connect
-
-        stack.enter_context(_ends_are_heard())
-        return bench_source(stack.enter_context(connect(instance)), f"daemon {instance!r}")
     from hapticd.measure.recorded import read_file
 
     return file_source(read_file(Path(name), *columns))
-
-
-@contextmanager
-def _ends_are_heard() -> Iterator[None]:
-    """Whoever ends this process, or closes its terminal, gets what Ctrl-C gets: force off. Exit 128 + the signal's number."""
-
-    def leave(number: int, frame: object) -> None:
-        raise SystemExit(128 + number)
-
-    heard = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) == signal.SIG_DFL]
-    for number in heard:
-        signal.signal(number, leave)
-    try:
-        yield
-    finally:
-        for number in heard:
-            signal.signal(number, signal.SIG_DFL)
 
 
 def _show(result: "TrialResult", referee: "Referee | None", folder: Path, plot: bool, admittance: bool, as_json: bool) -> None:
@@ -153,7 +164,8 @@ def _show(result: "TrialResult", referee: "Referee | None", folder: Path, plot: 
     from hapticd.measure.trial_run import summary, write
 
     write(folder, result, common.told(), referee)
-    paths = draw(result, folder, referee, admittance) if plot else []
+    with common.drawing(folder):
+        paths = draw(result, folder, referee, admittance) if plot else []
     if as_json:
         output.data_json(
             {"ok": True, **plain(summary(result, referee)), "folder": str(folder), "figures": [str(path) for path in paths]}
@@ -170,35 +182,10 @@ def _show(result: "TrialResult", referee: "Referee | None", folder: Path, plot: 
     if result.recorded.ended:
         output.data(f"ended early: {result.recorded.ended}")
     if result.verdict.answer == "undecided":
-        output.data(_needed(result))
+        output.data(needed(result))
     if referee is not None:
-        output.data(_compared(result, referee))
+        output.data(compared(result, referee))
     common.kept(folder, paths)
-
-
-def _needed(result: "TrialResult") -> str:
-    from math import ceil, isfinite
-
-    seconds, layout = result.verdict.seconds_needed, result.plan.params.multisine
-    if layout is None or not isfinite(seconds):
-        return f"a record like it of {seconds:.0f} s would decide at this confidence"
-    count = ceil(layout.realisations * seconds / result.verdict.seconds)
-    distorted = any(finding.code == "distortion" for finding in result.verdict.findings)
-    remedy = "; where friction distorts, noise decides sooner" if distorted else ""
-    return f"about {count} realisations would decide at this confidence{remedy}"
-
-
-def _compared(result: "TrialResult", referee: "Referee") -> str:
-    import numpy as np
-
-    from hapticd.report.table import table, text
-
-    rows = []
-    for f, sine in zip(referee.frequency_hz, referee.impedance_ns_per_m, strict=True):
-        noise = result.measured.impedance_ns_per_m[int(np.argmin(np.abs(result.measured.frequency_hz - f)))]
-        rows.append((float(f), *(part(z) for part in (abs, lambda z: float(np.degrees(np.angle(z)))) for z in (sine, noise))))
-    columns = ("Hz", "sine |Z| N s/m", "noise |Z|", "sine phase deg", "noise phase")
-    return text(table(columns, rows, f"stepped sine of {referee.force_n:g} N rms beside the noise"))
 
 
 def draw(result: "TrialResult", folder: Path, referee: "Referee | None" = None, admittance: bool = True) -> list[Path]:

@@ -47,11 +47,12 @@ def command(
     walls = tuple(np.geomspace(low, high, count).tolist())
     dampings = tuple(np.linspace(*common.ranged("--viscous", viscous, 1)).tolist())
     plan = plan_walls(WallParams(loaded, walls, dampings, common.levels(damping), settle_s, still))
-    with common.progress() as tell:
+    with common.interruptible(), common.progress() as tell:
         result = run_walls(plan, tell)
     folder = common.folder(out, "walls")
     write_run(folder, {"kind": "walls", "scene": scene, "lines": result.lines, "provenance": common.told()})
-    paths = figures.save(walls_figure(result), folder, "walls") if plot else ()
+    with common.drawing(folder):
+        paths = figures.save(walls_figure(result), folder, "walls") if plot else ()
     if as_json:
         lines = plain(result.lines)
         output.data_json({"ok": True, "lines": lines, "folder": str(folder), "figures": [str(path) for path in paths]})
