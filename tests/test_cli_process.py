@@ -260,7 +260,20 @@ def ask_any(daemon: Daemon, *words: str) -> Any:
 def test_trial_that_is_ended_leaves_the_device_disabled(daemon: Daemon, ask: Callable[..., Any], number: int) -> None:
     """Whoever closes the terminal must not leave the device shaking."""
     folder = str(daemon.folder.parent / "trial")
-    command = [sys.executable, "-m", "hapticd", "zwidth", "trial", "live", "-K", "20", "--instance", daemon.instance, "--out", folder]
+    command = [
+        sys.executable,
+        "-m",
+        "hapticd",
+        "zwidth",
+        "trial",
+        "live",
+        "-K",
+        "20",
+        "--instance",
+        daemon.instance,
+        "--out",
+        folder,
+    ]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as trial:
         until(lambda: ask("status")["perturbing"], "the trial shakes the device")
         trial.send_signal(number)
