@@ -136,7 +136,17 @@ def test_set_limits_are_extremes_over_all():
     assert found.stiffness == (0.0, 800.0)
     assert found.damping == (-1.0, 3.0)
     assert found.mass == pytest.approx((-0.005, 0.005))
-    assert open_ends(SET) == ("K min",)
+
+
+def test_open_ends_are_where_the_grid_cuts_the_set():
+    k, b, m = AXES
+    for axes, ends in (
+        (AXES, ()),
+        ((k[2:], b, m), ("K min",)),
+        ((k[:10], b, m), ("K max",)),
+        ((k, b[4:], m[:5]), ("B min", "M max")),
+    ):
+        assert open_ends(passive_set(axes, wedge(grid(axes)))) == ends
 
 
 def test_axis_limits_differ_from_set_limits():

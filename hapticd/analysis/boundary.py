@@ -74,10 +74,12 @@ def set_limits(found: PassiveSet) -> Limits:
 
 
 def open_ends(found: PassiveSet) -> tuple[str, ...]:
-    """Ends of the grid that are passive, as "K max": beyond them nothing was looked at."""
+    """Ends of the grid that are passive, as "K max": beyond them nothing was looked at. K = 0 is no such end: K < 0 is active."""
     ends = []
-    for place, name in enumerate(AXES):
+    for place, (name, axis) in enumerate(zip(AXES, found.axes, strict=True)):
         for word, index in (("min", 0), ("max", -1)):
+            if name == "K" and word == "min" and axis[0] == 0.0:
+                continue
             if np.take(found.passive, index, axis=place).any():
                 ends.append(f"{name} {word}")
     return tuple(ends)
