@@ -57,7 +57,9 @@ def edge_figure(result: BeyondResult) -> "Figure":
         handles=patches(PARTS, NOTHING), fontsize=8, ncols=6, loc="outside lower center", frameon=False, title_fontsize=8,
         title=f"strips: owner of the lower edge, weightiest part; its mean over {low:g}-{high:g} Hz (bracket), dB re 1 N s/m",
     )  # fmt: skip
-    figure.suptitle(f"Negative virtual damping and the lower edge of the Z-width\n{_how(result)}", x=0.01, ha="left", fontsize=10)
+    figure.suptitle(
+        f"Negative virtual damping and the lower edge of the Z-width\n{made_how(result)}", x=0.01, ha="left", fontsize=10
+    )
     return figure
 
 
@@ -108,7 +110,7 @@ def free_figure(result: BeyondResult) -> "Figure":
     averaged(axis, LOW_HZ)
     axis.set_ylabel("|Z| at the probe, K = 0 (N s/m)")
     figure.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=8, frameon=False)
-    axis.set_title(f"Free motion: passive for any input, friction not counted\n{_how(result)}", loc="left")
+    axis.set_title(f"Free motion: passive for any input, friction not counted\n{made_how(result)}", loc="left")
     return figure
 
 
@@ -136,6 +138,7 @@ def _ends() -> tuple[float, float]:
     return float(f[0]), float(f[-1])
 
 
-def _how(result: BeyondResult) -> str:
+def made_how(result: BeyondResult, trials: str = "") -> str:
+    """Line below a title; `trials` says what of the figure is trials where not all of it is."""
     count = len(result.plan.seeds)
-    return f"SIMULATED {MAIN}, {f'90 s of noise a trial, {count} seeds' if count else 'predicted'}"
+    return f"SIMULATED {MAIN}, {f'{trials}90 s of noise a trial, {count} seeds' if count else 'predicted'}"

@@ -6,8 +6,9 @@ import numpy as np
 
 from hapticd.measure.beyond import BeyondResult, mean_sd
 from hapticd.measure.beyond_shape import Corner, Shaped
-from hapticd.measure.reproduce_trials import LEVELS, MAIN
+from hapticd.measure.reproduce_trials import LEVELS
 from hapticd.report import figures
+from hapticd.report.beyond import made_how
 from hapticd.report.looks import INTERVAL, OFF, OLIVE, ON, PARTS, Look, of_mean
 from hapticd.report.paper_style import WIDTH_IN
 
@@ -39,7 +40,12 @@ def shape_figure(result: BeyondResult) -> "Figure":
     _envelopes(grid[3], result)
     grid[0].set_ylabel("limit (% of unshaped)")
     figure.legend(*grid[0].get_legend_handles_labels(), fontsize=8, ncols=4, loc="outside lower center", frameon=False)
-    figure.suptitle(f"Frequency-shaped added damping, {shaped.level:g} N s/m\n{_how(result)}", x=0.01, ha="left", fontsize=10)
+    figure.suptitle(
+        f"Frequency-shaped added damping, {shaped.level:g} N s/m\n{made_how(result, 'lines predicted, marks ')}",
+        x=0.01,
+        ha="left",
+        fontsize=10,
+    )
     return figure
 
 
@@ -133,7 +139,10 @@ def levels_figure(result: BeyondResult) -> "Figure":
     _volume(grid[3], result)
     grid[0].legend(loc="upper left", fontsize=8)
     figure.suptitle(
-        f"Levels of added damping; the two upright lines are those of the paper\n{_how(result)}", x=0.01, ha="left", fontsize=10
+        f"Levels of added damping; the two upright lines are those of the paper\n{made_how(result, 'lines predicted, marks ')}",
+        x=0.01,
+        ha="left",
+        fontsize=10,
     )
     return figure
 
@@ -163,8 +172,3 @@ def _marked(axis: "Axes") -> None:
     for level in LEVELS:
         axis.axvline(level, color="#bbbbbb", linewidth=1.0, zorder=0.4)
     axis.set_xlabel("added damping (N s/m)")
-
-
-def _how(result: BeyondResult) -> str:
-    count = len(result.plan.seeds)
-    return f"SIMULATED {MAIN}, {f'lines predicted, marks 90 s of noise a trial, {count} seeds' if count else 'predicted'}"

@@ -17,7 +17,7 @@ from hapticd.plant.model import Array, Model
 from hapticd.plant.scene import DampingStep, Excitation, Scene
 from hapticd.sim.engine.chunk import run_chunk
 from hapticd.sim.engine.cores import workers
-from hapticd.sim.engine.job import Job, prepared, shared_torque
+from hapticd.sim.engine.job import Job, played, prepared, shared_torque
 from hapticd.sim.engine.numbers import Filters
 from hapticd.sim.engine.result import BatchResult, joined
 from hapticd.sim.engine.spectral import force_spectrum
@@ -90,7 +90,7 @@ def simulate(
         return replace(result, force_spectrum=force_spectrum(job, made))
     if keep in ("summary", "spectra") or result.torque_n is not None:
         return result
-    return replace(result, torque_n=np.resize(shared_torque(job).astype(made.scalar), job.samples))
+    return replace(result, torque_n=played(shared_torque(job), job.samples, made.scalar))
 
 
 def _job(

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from hapticd.analysis.arrays import Values
 from hapticd.errors import ConfigError
 from hapticd.params import EnvironmentParams
 from hapticd.plant.model import Array, Model
@@ -83,12 +84,22 @@ def prepared(job: Job) -> Prepared:
     return Prepared(model, coordinates, shape, kernel(shape), SCALARS[shape.dtype])
 
 
-@lru_cache(maxsize=CACHED)
 def shared_torque(job: Job) -> Array:
     """The record that all trials get, or one period of it."""
     if isinstance(job.excitation, np.ndarray):
         return _rounded(job.excitation, job.model.torque_quantum_n)
-    return _rounded(_record(job.excitation, job.samples, job.seed, Stream.SHARED), job.model.torque_quantum_n)
+    return drawn(job.excitation, job.samples, job.seed, job.model.torque_quantum_n)
+
+
+@lru_cache(maxsize=CACHED)
+def drawn(excitation: Excitation, samples: int, seed: int, quantum_n: float | None) -> Array:
+    """The same for all jobs that ask for it."""
+    return _rounded(torque_record(excitation, samples, seed, Stream.SHARED), quantum_n)
+
+
+def played(record: Array, samples: int, scalar: type[np.floating[Any]]) -> Values:
+    """A shared record, or its period, as the kernel plays it from the first sample to the last."""
+    return np.resize(record.astype(scalar), samples)
 
 
 def own_torque(job: Job, trial: int) -> Array:
@@ -104,11 +115,6 @@ def estimate_noise(job: Job) -> Array:
     if noise is None or not noise.estimate_psd:
         return np.zeros(1)
     return held_noise(job.samples, noise.estimate_psd, job.seed, Stream.ESTIMATE)
-
-
-@lru_cache(maxsize=CACHED)
-def _record(excitation: Excitation, samples: int, seed: int, stream: int) -> Array:
-    return torque_record(excitation, samples, seed, stream)
 
 
 def _rounded(force_n: Array, quantum_n: float | None) -> Array:

@@ -6,7 +6,6 @@ recorded as it is; where trials have their own torque, or the probe adds noise o
 until its end and analysed one by one, which gives the same spectra more slowly.
 """
 
-from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
@@ -17,9 +16,11 @@ from hapticd.analysis.arrays import CACHE_LINE, Complexes, Floats, Values, align
 from hapticd.analysis.lanes import LaneSections, SharedForce, shared_force
 from hapticd.analysis.spa import DEFAULT_LAG as LAG
 from hapticd.analysis.spa import spa
+from hapticd.plant.scene import Excitation
 from hapticd.sim.engine.inputs import Inputs
-from hapticd.sim.engine.job import CACHED, Job, Prepared, shared_torque
+from hapticd.sim.engine.job import CACHED, Job, Prepared, drawn, played, shared_torque
 from hapticd.sim.engine.records import Records
+from hapticd.sim.engine.source import SCALARS
 
 Samples = npt.NDArray[np.int64]
 
@@ -66,8 +67,7 @@ class Sums:
     def finished(self, samples: Samples, inputs: Inputs) -> dict[str, Any]:
         """By their names in BatchResult."""
         velocity, cross = self._sections.spectra() if (samples == self._samples).any() else _nothing(self._lanes)
-        squares = np.zeros((len(self._sections.squares), self._count))
-        squares[:] = self._sections.squares[:, : self._count]
+        squares = self._sections.squares[:, : self._count]
         return {
             "velocity_spectrum": velocity[: self._count],
             "cross_spectrum": cross[: self._count],
@@ -82,16 +82,16 @@ class SpectraOfRecords(Records):
         """By their names in BatchResult."""
         kept = super().finished(samples, inputs)
         velocity = np.asarray(kept["velocity_m_per_s"], np.float64)
-        shared = None if "torque_n" in kept else shared_record(self._job, self._made)
-        force = np.asarray(kept["torque_n"], np.float64) if shared is None else np.broadcast_to(shared, velocity.shape)
+        own = "torque_n" in kept
+        torque = kept["torque_n"] if own else played(shared_torque(self._job), velocity.shape[1], self._made.scalar)
+        force = np.broadcast_to(np.asarray(torque, np.float64), velocity.shape)
         found = [spa(*channels) for channels in zip(force, velocity, strict=True)]
         starts = np.arange(0, velocity.shape[1], LAG)
-        own = {} if shared is not None else {"force_spectrum": np.stack([trial.force for trial in found])}
         return {
             "velocity_spectrum": np.stack([trial.velocity for trial in found]),
             "cross_spectrum": np.stack([trial.cross for trial in found]),
             "section_rms_m_per_s": np.sqrt(np.add.reduceat(velocity**2, starts, axis=1) / _lengths(velocity.shape[1])),
-            **own,
+            **({"force_spectrum": np.stack([trial.force for trial in found])} if own else {}),
         }
 
 
@@ -100,30 +100,20 @@ def force_spectrum(job: Job, made: Prepared) -> Floats:
     return _force(job, made).spectrum
 
 
-def shared_record(job: Job, made: Prepared) -> Floats:
-    """That record as the trials get it (samples,)."""
-    return np.resize(shared_torque(job).astype(made.scalar), job.samples).astype(np.float64)
-
-
 def _force(job: Job, made: Prepared) -> SharedForce:
-    """Made once for all jobs with one excitation: it is the costly part of a small task."""
     if isinstance(job.excitation, np.ndarray):
-        return shared_force(shared_record(job, made), made.scalar)
-    return _prepared(_Same((job.excitation, job.samples, job.seed, job.model.torque_quantum_n, made.scalar), job, made))
-
-
-@dataclass(frozen=True)
-class _Same:
-    """A job by what its torque record depends on."""
-
-    key: tuple[object, ...]
-    job: Job = field(compare=False)
-    made: Prepared = field(compare=False)
+        return _prepared_for(shared_torque(job), job.samples, made.scalar)
+    return _drawn(job.excitation, job.samples, job.seed, job.model.torque_quantum_n, made.shape.dtype)
 
 
 @lru_cache(maxsize=CACHED)
-def _prepared(same: _Same) -> SharedForce:
-    return shared_force(shared_record(same.job, same.made), same.made.scalar)
+def _drawn(excitation: Excitation, samples: int, seed: int, quantum_n: float | None, dtype: str) -> SharedForce:
+    """Made once for all jobs that ask for it: it is the costly part of a small task."""
+    return _prepared_for(drawn(excitation, samples, seed, quantum_n), samples, SCALARS[dtype])
+
+
+def _prepared_for(record: Floats, samples: int, scalar: type[np.floating[Any]]) -> SharedForce:
+    return shared_force(np.asarray(played(record, samples, scalar), np.float64), scalar)
 
 
 def _lengths(samples: int) -> Samples:
