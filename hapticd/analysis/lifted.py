@@ -118,8 +118,8 @@ def _beyond(angles: Floats, delay_periods: float) -> tuple[Floats, Complexes]:
     """Sums of 1/(w_k T)^2 and e^(-j w_k d T)/(w_k T)^2 over the harmonics beyond those of `angles` (A, H) = w_k T."""
     whole, part = divmod(delay_periods, 1.0)
     total = (0.5 / np.sin(0.5 * ANGLES)) ** 2
-    turn = np.exp(-1j * ANGLES)
-    late = total * turn**whole * ((1.0 - part) + part * turn)
+    turn: Complexes = np.exp(-1j * ANGLES)
+    late: Complexes = total * turn**whole * ((1.0 - part) + part * turn)
     return total - (1.0 / angles**2).sum(axis=1), late - (np.exp(-1j * angles * delay_periods) / angles**2).sum(axis=1)
 
 

@@ -57,7 +57,7 @@ def command(
         lines = plain(result.lines)
         output.data_json({"ok": True, "lines": lines, "folder": str(folder), "figures": [str(path) for path in paths]})
         return
-    rows = [
+    rows: list[tuple[str | float, ...]] = [
         (
             dampings[place],
             *(f"{'>' if line.open else ''}{line.highest_n_per_m:.3g}" for line in result.lines[place :: len(dampings)]),
