@@ -8,16 +8,22 @@
 #   make reproduction-docs  the same, then tables, numbers and figures of docs/reproduction.md from it
 #   make docs               build the documentation in build/docs; warnings are errors
 #   make deps               install the system packages that are missing
+#   make pins               write constraints.txt anew: the newest version of every library that pyproject.toml allows
 #   make clean              remove what was made, the environment included
+#
+# A checkout has the libraries and tools of constraints.txt, so that what passed yesterday passes today. With the newest
+# that pyproject.toml allows, as an installation by pip has them:  make test PINS= VENV=build/newest
 
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := run
-.PHONY: run test bench reproduce reproduction-docs docs deps deps-run deps-test deps-bench clean
+.PHONY: run test bench reproduce reproduction-docs docs deps deps-run deps-test deps-bench pins clean
 
 VENV ?= .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
+PINS ?= constraints.txt
+PINNED := $(if $(PINS),--constraint $(PINS))
 NEW_ENOUGH := import sys; sys.exit(sys.version_info < (3, 11))
 PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11; do \
 	$$p -c '$(NEW_ENOUGH)' 2>/dev/null && echo $$p && break; done)
@@ -54,18 +60,26 @@ deps:
 deps-run deps-test deps-bench: deps-%:
 	@PYTHON=$(PYTHON) .ci/deps $*
 
-# --- the environment, made again when pyproject.toml changes -----------------------------------------------------------
-$(VENV)/run.stamp: pyproject.toml | deps-run
+# what checks the code, for every Python from the oldest on; uv comes by pip, into the environment alone
+pins: $(VENV)/run.stamp
+	@$(PIP) install --group pins
+	@echo '# Written by `make pins`: what a checkout has. An installation has the ranges of pyproject.toml.' >$(VENV)/pins.txt
+	@$(BIN)/uv pip compile --quiet --universal --upgrade --python-version 3.11 --all-extras \
+		--group test --group lint --group docs --no-header --no-annotate pyproject.toml >>$(VENV)/pins.txt
+	@cp $(VENV)/pins.txt constraints.txt
+
+# --- the environment, made again when pyproject.toml or the pins change ---------------------------
+$(VENV)/run.stamp: pyproject.toml $(PINS) | deps-run
 	@$(if $(PYTHON),,echo "hapticd needs Python 3.11 or newer; install it, or name it: make PYTHON=/path/to/python3"; exit 1)
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@echo "installing hapticd and its libraries into $(VENV)"
 	@$(PIP) install 'pip>=25.1'
-	@$(PIP) install --editable '.[all]'
+	@$(PIP) install $(PINNED) --editable '.[all]'
 	@touch $@
 
 $(VENV)/test.stamp: $(VENV)/run.stamp
 	@echo "installing test, lint and documentation tools into $(VENV)"
-	@$(PIP) install --group test --group lint --group docs
+	@$(PIP) install $(PINNED) --group test --group lint --group docs
 	@touch $@
 
 clean:

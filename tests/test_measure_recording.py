@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import scipy.io
 from models import board_params
+from programs import program
 from recorded import RecordedFlight, Source, room
 
 from hapticd.assembly import replay
@@ -510,17 +511,14 @@ def test_csv_holds_every_bit(file: Path, tmp_path: Path) -> None:
 
 @pytest.mark.process
 def test_octave_opens_it(file: Path, tmp_path: Path) -> None:
-    if shutil.which("octave-cli") is None:
-        pytest.fail("octave-cli is missing; install it with `make deps`")
+    octave = program("octave-cli")
     script = f"""
         r = load('{file}');
         printf('%d %.17g %s %s\\n', numel(r.servo.force_n), max(abs(r.servo.position_m)), class(r.servo.tick), class(r.event));
         printf('%d\\n', numel(r.probe.torque_n));
     """
     environment = {**os.environ, "HOME": str(tmp_path)}
-    done = subprocess.run(
-        ["octave-cli", "--norc", "--eval", script], capture_output=True, text=True, env=environment, timeout=DEADLINE_S
-    )
+    done = subprocess.run([octave, "--norc", "--eval", script], capture_output=True, text=True, env=environment, timeout=DEADLINE_S)
     lines = done.stdout.split()
     with open_recording(file) as recording:
         position = recording.column("servo", "position_m")

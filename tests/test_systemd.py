@@ -3,7 +3,6 @@
 import json
 import os
 import re
-import shutil
 import signal
 import socket
 import struct
@@ -14,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from programs import program
 
 from hapticd.assembly import notify, resolve, sentinel, system_files
 from hapticd.assembly.child import RESTARTS_MAX, WINDOW_NS
@@ -30,13 +30,6 @@ UNITS = ("hapticd-servo.service", "hapticd-gateway.service", "hapticd.target")
 SERVICES = UNITS[:2]
 EXPOSURE_LIMIT = 3.0
 DEADLINE_S = 60.0
-
-
-def tool(name: str) -> str:
-    found = shutil.which(name)
-    if found is None:
-        pytest.fail(f"{name} is missing; install it with `make deps`")
-    return found
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +55,7 @@ def unit(root: Path, name: str) -> dict[str, list[str]]:
 
 def test_units_verify_without_a_word(root: Path) -> None:
     paths = [str(root / system_files.PLACES[name]) for name in UNITS]
-    done = subprocess.run([tool("systemd-analyze"), "verify", "--man=no", *paths], capture_output=True, text=True)
+    done = subprocess.run([program("systemd-analyze"), "verify", "--man=no", *paths], capture_output=True, text=True)
     said = [line for line in (done.stdout + done.stderr).splitlines() if "hapticd" in line]
     assert (done.returncode, said) == (0, [])
 
@@ -70,7 +63,7 @@ def test_units_verify_without_a_word(root: Path) -> None:
 @pytest.mark.parametrize("name", SERVICES)
 def test_exposure_is_at_most_three(root: Path, name: str) -> None:
     path = str(root / system_files.PLACES[name])
-    done = subprocess.run([tool("systemd-analyze"), "security", "--offline=true", path], capture_output=True, text=True)
+    done = subprocess.run([program("systemd-analyze"), "security", "--offline=true", path], capture_output=True, text=True)
     level = re.search(r"Overall exposure level for \S+: (\d+\.\d+)", done.stdout)
     assert level is not None, done.stdout + done.stderr
     assert float(level[1]) <= EXPOSURE_LIMIT
@@ -78,10 +71,10 @@ def test_exposure_is_at_most_three(root: Path, name: str) -> None:
 
 def test_user_and_folders_can_be_made(tmp_path: Path) -> None:
     system_files.write_below(tmp_path, system_files.system_files(UsbParams()))
-    subprocess.run([tool("systemd-sysusers"), f"--root={tmp_path}"], check=True, capture_output=True)
+    subprocess.run([program("systemd-sysusers"), f"--root={tmp_path}"], check=True, capture_output=True)
     assert (tmp_path / "etc/passwd").read_text().startswith("hapticd:x:")
     if os.getuid() == 0:
-        subprocess.run([tool("systemd-tmpfiles"), f"--root={tmp_path}", "--create", "hapticd.conf"], check=True)
+        subprocess.run([program("systemd-tmpfiles"), f"--root={tmp_path}", "--create", "hapticd.conf"], check=True)
         assert (tmp_path / "var/lib/hapticd/flights").stat().st_mode & 0o777 == 0o750
 
 

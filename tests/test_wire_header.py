@@ -154,16 +154,3 @@ def test_changed_comment_keeps_hash(change: Any) -> None:
 def test_hash_of_known_text() -> None:
     text = "/* no */ #define A 1 // no\n  #define HAPTICD_PROTOCOL_HASH 0x1ULL\nint x;\n"
     assert protocol_hash(text).hex() == "343f9659a58aa6c0"  # first 8 bytes of sha256sum of `#defineA1intx;`
-
-
-def test_missing_compiler_fails(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("CC", raising=False)
-    monkeypatch.setenv("PATH", "")
-    with pytest.raises(pytest.fail.Exception, match=r"no C compiler .* `make deps`"):
-        header.compiler()
-
-
-def test_named_compiler_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    ours = header.compiler()
-    monkeypatch.setenv("CC", f"{ours[0]} -pipe")
-    assert header.compiler() == [ours[0], "-pipe"]

@@ -1,14 +1,11 @@
 """What the wire tests know of hapticd_wire.h: its declarations as text, and the way to a C compiler."""
 
-import os
 import re
-import shlex
-import shutil
 import subprocess
 from pathlib import Path
 from typing import NamedTuple
 
-import pytest
+from programs import compiler
 
 FOLDER = Path(__file__).parents[1] / "firmware_iface"
 HEADER = (FOLDER / "hapticd_wire.h").read_text()
@@ -41,15 +38,6 @@ def _number(text: str) -> int:
 
 
 STRUCTS = {name: _members(body) for name, body in _STRUCTS}
-
-
-def compiler() -> list[str]:
-    """Command of the C compiler: $CC, else cc, else gcc. Its absence fails the test: the wire would go unchecked."""
-    for command in (os.environ.get("CC", ""), "cc", "gcc"):
-        words = shlex.split(command)
-        if words and shutil.which(words[0]):
-            return words
-    pytest.fail("no C compiler ($CC, cc or gcc) to check hapticd_wire.h with; install one with `make deps`")
 
 
 def build(source: Path) -> Path:

@@ -1,0 +1,41 @@
+"""Programs of the system that tests run.
+
+`make test` installs them where it may. Where it may not, their tests are skipped and say what
+installs them; `.ci/run` takes no skipped test (conftest.py).
+"""
+
+import os
+import shlex
+import shutil
+import subprocess
+
+import pytest
+
+REMEDY = "install it with `make deps`"
+
+
+def program(name: str) -> str:
+    """Path of a program, or the test is skipped."""
+    found = shutil.which(name)
+    if found is None:
+        pytest.skip(f"{name} is missing; {REMEDY}")
+    return found
+
+
+def compiler() -> list[str]:
+    """Command of the C compiler: $CC, else cc, else gcc; or the test is skipped."""
+    for command in (os.environ.get("CC", ""), "cc", "gcc"):
+        words = shlex.split(command)
+        if words and shutil.which(words[0]):
+            return words
+    pytest.skip(f"no C compiler ($CC, cc or gcc); {REMEDY}")
+
+
+def octave_with_signal() -> str:
+    """Path of octave-cli that has octave-signal, or the test is skipped."""
+    octave = program("octave-cli")
+    command = [octave, "--norc", "--eval", "pkg load signal"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=100)
+    if done.returncode:
+        pytest.skip(f"octave-signal is missing; {REMEDY}")
+    return octave
