@@ -17,10 +17,10 @@ from hapticd.analysis.verdict import two_digits
 from hapticd.cli import change
 from hapticd.cli.app import main
 from hapticd.cli.zwidth.trial_words import compared, needed
-from hapticd.measure.device_scene import device_scene, scene_of_device
 from hapticd.measure.lockstep_bench import LockStepBench
 from hapticd.measure.multisine import Layout
 from hapticd.measure.referee import Referee
+from hapticd.measure.scenes import device_scene, scene_of_device
 from hapticd.measure.sources import Trial
 from hapticd.measure.trial import TrialParams
 from hapticd.settings.build import board_params, servo_params

@@ -2,25 +2,27 @@
 
 from dataclasses import replace
 from math import inf, isnan
+from typing import Any
 
 import numpy as np
 import pytest
 from measured_scenes import MASS_KG, MOTOR, PARTS, VISCOUS_NS_PER_M, scene, stopwatch
 
 from hapticd.errors import AnalysisError, ConfigError
+from hapticd.measure import outcomes
 from hapticd.measure.ceiling import ceiling
-from hapticd.measure.effects import EffectsParams, plan_effects, run_effects
-from hapticd.measure.limits import Limits, passes
-from hapticd.measure.quantities import Peak, Phase, relative
+from hapticd.measure.effects import EffectsParams, Limits, Peak, Phase, plan_effects, relative, run_effects
+from hapticd.measure.outcomes import Conditions, fly
 from hapticd.measure.scene_run import SceneRunParams, plan_scene, run_scene
 from hapticd.measure.scenes import frequencies, is_linear, without
 from hapticd.plant.bodies import Coupling, Viscous
-from hapticd.plant.electrical import Amplifier, Crowbar, DampingCircuit
+from hapticd.plant.electrical import Amplifier, Crowbar, DampingCircuit, Saturation
 from hapticd.plant.scene import DampingStep, Excitation
 from hapticd.plant.winding import WindingTemperature, copper_ohm
 from hapticd.settings.scene import load_scene
-from hapticd.sim.engine import simulate
+from hapticd.sim.engine import BatchResult, simulate
 
+AMPLIFIED = (*PARTS, Saturation(limit_n=8.0))
 CIRCUIT = (*PARTS, Amplifier(bandwidth_hz=5000.0), DampingCircuit(bandwidth_hz=1000.0))
 
 
@@ -41,12 +43,18 @@ def test_simulated_mass_limit_agrees_with_prediction() -> None:
     assert limits.simulated(small)[2] == pytest.approx(limits.predicted(small)[2], rel=0.08)
 
 
-def test_saturated_or_diverged_trials_do_not_pass() -> None:
-    found = simulate(scene(), [(100.0, 0.0, 0.0)] * 3, 8.0, keep="records")
-    assert passes(found, (5.0, 400.0), inf).all()
-    saturated = replace(found, max_force_n=np.array([1.0, 9.0, 1.0]))
-    ended = replace(saturated, samples=np.array([found.samples[0], found.samples[1], 100]))
-    assert passes(ended, (5.0, 400.0), 8.0).tolist() == [True, False, False]
+def test_saturated_or_diverged_trials_do_not_pass(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = Conditions(scene(AMPLIFIED), 8.0)
+    points, limit_n = np.array([(100.0, 0.0, 0.0)] * 3), asked.display.force_limit_n
+    assert [outcome.passes for outcome in fly(asked, 0.0, points)] == [True] * 3
+
+    def stand_in(*given: Any, **more: Any) -> BatchResult:
+        found = simulate(*given, **more)
+        ended = replace(found, samples=np.array([found.samples[0], found.samples[1], 100]))
+        return replace(ended, max_force_n=np.array([0.5, 1.0, 0.5]) * limit_n)
+
+    monkeypatch.setattr(outcomes, "simulate", stand_in)
+    assert [outcome.passes for outcome in fly(asked, 0.0, points)] == [True, False, False]
 
 
 def test_change_is_the_largest_of_the_limits() -> None:

@@ -17,9 +17,9 @@ import pytest
 from hapticd import errors
 from hapticd.errors import AnalysisError, CommandError, ConfigError, HapticdError
 from hapticd.measure import executors
-from hapticd.measure.axis_scan import LimitsParams, plan_limits, run_limits
 from hapticd.measure.campaign import MapParams, plan_map, run_map
 from hapticd.measure.executors import executor, threads
+from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
 from hapticd.measure.outcomes import Conditions, Outcome, fly
 from hapticd.measure.scenes import noise
 from hapticd.measure.store import TrialStore
@@ -249,7 +249,7 @@ def test_given_up_limits_cancel_what_has_not_begun() -> None:
     with pytest.raises(KeyboardInterrupt):
         run_limits(LIMITS, TrialStore(None), flying=stand_in, executor=pool, hear=hear)
     assert heard == [LIMITS.scans[0]]
-    assert len(pool.futures) == 7  # each of the six limits its first round, the first its second
+    assert len(pool.futures) == 6  # each of the six limits its first round; outcomes are told before the next one
     assert all(future.cancelled() for future in pool.futures[1:])
 
 

@@ -4,8 +4,7 @@ from typing import Any
 
 import pytest
 
-from hapticd.measure.axis_scan import LimitsParams, plan_limits, run_limits
-from hapticd.measure.bracketing import Scan
+from hapticd.measure.limits import LimitsParams, Scan, plan_limits, run_limits
 from hapticd.measure.outcomes import Conditions, Outcome, fly
 from hapticd.measure.scenes import noise
 from hapticd.measure.store import TrialStore

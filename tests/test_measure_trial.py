@@ -11,12 +11,11 @@ from hapticd.analysis.predict import predicted_impedance
 from hapticd.assembly.scene import scene_params
 from hapticd.errors import AnalysisError, ConfigError, DaemonDown
 from hapticd.measure.bench import bench_source
-from hapticd.measure.device_scene import device_scene
 from hapticd.measure.lockstep_bench import LockStepBench
 from hapticd.measure.plain import plain
 from hapticd.measure.recorded import Recorded, read_file
 from hapticd.measure.referee import stepped_sine
-from hapticd.measure.scenes import filters
+from hapticd.measure.scenes import device_scene, filters
 from hapticd.measure.sentinel import Sentinel, Watch
 from hapticd.measure.sources import Trial, engine_source, file_source
 from hapticd.measure.store import TrialStore, fingerprint, read_summary, record_path

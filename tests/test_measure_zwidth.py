@@ -1,7 +1,7 @@
 """Campaigns on the simulator: axis limits, maps, the directed search, virtual walls, portable summaries."""
 
 import json
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -11,12 +11,9 @@ from hapticd.analysis.boundary import grid, passive_set, set_limits
 from hapticd.analysis.search import first_trials, predicted_passive
 from hapticd.analysis.surrogate import Box
 from hapticd.errors import AnalysisError, ConfigError
-from hapticd.measure import lots
-from hapticd.measure.axis_scan import LimitsParams, plan_limits, run_limits
 from hapticd.measure.campaign import MapParams, plan_map, run_map
-from hapticd.measure.directed import SearchParams, plan_search, run_search
-from hapticd.measure.directed_slices import slice_at
-from hapticd.measure.directed_trials import rounded
+from hapticd.measure.directed import SearchParams, plan_search, rounded, run_search, slice_at
+from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
 from hapticd.measure.outcomes import Conditions, Outcome, envelope_of, fly, kept, kept_frequencies, key_of, restored
 from hapticd.measure.plain import plain
 from hapticd.measure.portable import device_hash, portable, read_portable, write_portable
@@ -146,7 +143,14 @@ def test_map_tries_only_near_the_predicted_boundary_and_agrees_there():
     assert np.mean(full.found.passive == level.found.passive) > 0.97
 
 
-def test_map_goes_on_where_it_was_interrupted(tmp_path, monkeypatch):
+class Idle(Executor):
+    """Nobody may ask it for anything."""
+
+    def submit(self, task, /, *args, **kwargs):
+        pytest.fail("a trial that the store has was made again")
+
+
+def test_map_goes_on_where_it_was_interrupted(tmp_path):
     plan, path, told = plan_map(MapParams(conditions(), AXES, (0.0,))), tmp_path / "trials.jsonl", []
 
     def interrupted(new):
@@ -160,8 +164,7 @@ def test_map_goes_on_where_it_was_interrupted(tmp_path, monkeypatch):
     with ThreadPoolExecutor(2) as threads:
         result = run_map(plan, TrialStore(path), executor=threads)
     assert result.made == plan.trials - done
-    monkeypatch.setattr(lots, "fly", lambda *_: pytest.fail("a trial that the store has was made again"))
-    again = run_map(plan, TrialStore(path))
+    again = run_map(plan, TrialStore(path), executor=Idle())
     assert again.made == 0
     assert np.array_equal(again.levels[0].found.margin, result.levels[0].found.margin, equal_nan=True)
 

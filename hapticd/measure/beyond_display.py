@@ -15,11 +15,11 @@ from hapticd.analysis.arrays import Complexes, Flags, Floats
 from hapticd.analysis.boundary import axis_limit
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.loop import Filters
-from hapticd.analysis.predict import Prediction, frequencies, predict
-from hapticd.measure.bracketing import REACH
+from hapticd.analysis.predict import Prediction, predict
 from hapticd.measure.executors import threads
+from hapticd.measure.limits import REACH
 from hapticd.measure.outcomes import TOGETHER, Conditions, Outcome, fly, kept_frequencies
-from hapticd.measure.scenes import filters, noise, perturbation, predicted_impedances
+from hapticd.measure.scenes import display, filters, noise, perturbation
 from hapticd.plant.compose import compose
 from hapticd.plant.model import Model
 from hapticd.plant.scene import Scene
@@ -65,9 +65,7 @@ class Display:
 
     def impedances(self, points: Floats, level: float) -> Complexes:
         """Predicted Z (N, F) at `shown_hz()` as trials record it, friction as it is at the perturbation."""
-        f = np.union1d(frequencies(SHOWN_HZ, self.perturbation), shown_hz())
-        z = predicted_impedances(self.model, points, f, level, self.filters, self.perturbation)
-        return np.asarray(z[:, np.isin(f, shown_hz())])
+        return display(self.scene).impedances(points, level, shown_hz())
 
     def flown(self, points: Floats, level: float, seed: int, amplitude: float = 1.0) -> list[Outcome]:
         """A trial of each environment (N, 3) with the noise of `seed`, its force multiplied by `amplitude`. Each is flown once."""

@@ -3,13 +3,15 @@
 Everything is predicted first, in about a second. Trials are made where the prediction may be wrong: where it changes when the
 environment is scaled by 1 -+ `near` (15 %), and at grid points whose neighbour is predicted otherwise. The rest keeps its
 prediction, marked so; `everywhere` makes every trial, there with one sub-step, which is enough to tell what is far from the
-boundary. `refine` then halves the grid: trials are made between neighbours of unlike answers; other new points take what lies
-between their neighbours, so an answer that both share is theirs as well.
+boundary. `refine` then halves the grid: a trial is made in the middle of two neighbours along an axis whose answers are unlike;
+every other new point gets the mean of its neighbours' margins, so where both pass it passes too. That is the same linear margin
+between corners that counts volumes (`analysis.boundary`).
 
 Outcomes go to an append-only store, keyed by all that they depend on; a map that was interrupted, or is asked again with a
 wider grid, makes only the trials that are missing. Tasks run on any executor of concurrent.futures; results do not depend on it.
 
 What would break it: a device whose prediction is off by more than `near` (the limits say by how much it is); then `everywhere`.
+And a hole in the set that is smaller than a cell; no finer grid finds it where coarse neighbours agree.
 """
 
 from concurrent.futures import Executor
@@ -24,10 +26,8 @@ from hapticd.analysis.envelope import Envelope
 from hapticd.analysis.predict import Prediction
 from hapticd.errors import AnalysisError
 from hapticd.measure.executors import pool_of
-from hapticd.measure.lots import Lot, Point, make
-from hapticd.measure.outcomes import Conditions, Hear, Outcome, envelope_of, predictor
+from hapticd.measure.outcomes import Conditions, Hear, Lot, Outcome, Point, Procedure, envelope_of, points_of, run_all
 from hapticd.measure.progress import Progress, silent
-from hapticd.measure.refining import between, halved, place_of
 from hapticd.measure.store import TrialStore
 
 Axes = tuple[Floats, Floats, Floats]
@@ -100,9 +100,8 @@ def plan_map(params: MapParams) -> MapPlan:
         raise AnalysisError(f"a grid of {count} environments: {MOST} at most; refine it about the boundary instead")
     points, plans = grid(params.axes), []
     for level in params.levels:
-        guess = predictor(params.conditions, level)
-        here = guess(points)
-        scaled = [guess(factor * points).passive for factor in (1.0 - params.near, 1.0 + params.near)]
+        here = _predicted(params, level, points)
+        scaled = [_predicted(params, level, factor * points).passive for factor in (1.0 - params.near, 1.0 + params.near)]
         near = (scaled[0] != here.passive) | (scaled[1] != here.passive) | _at_border(params.axes, here.passive)
         plans.append(LevelPlan(level, here, near))
     return MapPlan(params, tuple(plans))
@@ -115,31 +114,42 @@ def run_map(
 
     KeyboardInterrupt passes through after the tasks in flight were given up; what was finished is in the store.
     """
-    made, levels = 0, []
+    total, made, what = plan.trials, 0, "trials"
+
+    def told(place: int, lot: Lot, new: list[Outcome]) -> None:
+        nonlocal made
+        made += len(new)
+        tell(what, min(made, total), total)
+        hear(new)
+
+    tell(what, 0, total)
     with pool_of(executor) as pool:
-        for level in plan.levels:
-            lots, found = _lots(plan.params, level), passive_set(plan.params.axes, level.prediction.decided_margin)
-            for finer in range(plan.params.refine + 1):
-                if finer:
-                    lots[0], found = lots[0].with_points(between(found)), halved(found)
-                made += sum([make(lot, store, tell, pool, hear) for lot in lots])
-                have = [outcome for lot in lots for outcome in lot.known(store)]
-                found = _learnt(found, have)
-            levels.append(_level_map(plan.params, level, found, have))
+        levels = run_all([_mapped(plan.params, level) for level in plan.levels], store, pool, told)
     return MapResult(plan, tuple(levels), made)
+
+
+def _predicted(params: MapParams, level: float, points: Floats) -> Prediction:
+    return params.conditions.display.predicted(points, level, params.conditions.band_hz)
+
+
+def _mapped(params: MapParams, level: LevelPlan) -> Procedure[LevelMap]:
+    lots, found = _lots(params, level), passive_set(params.axes, level.prediction.decided_margin)
+    have = yield lots
+    found = _learnt(found, have)
+    for _ in range(params.refine):
+        lots[0], found = lots[0].with_points(between(found)), halved(found)
+        have = yield lots
+        found = _learnt(found, have)
+    return _level_map(params, level, found, have)
 
 
 def _lots(params: MapParams, level: LevelPlan) -> list[Lot]:
     """Near the boundary with the conditions that are asked for, elsewhere with one sub-step."""
     conditions, points = params.conditions, level.prediction.points
-    lots = [Lot(conditions, level.damping_ns_per_m, _points(points[level.near]))]
+    lots = [Lot(conditions, level.damping_ns_per_m, points_of(points[level.near]))]
     if params.everywhere:
-        lots.append(Lot(replace(conditions, substeps=1), level.damping_ns_per_m, _points(points[~level.near])))
+        lots.append(Lot(replace(conditions, substeps=1), level.damping_ns_per_m, points_of(points[~level.near])))
     return lots
-
-
-def _points(rows: Floats) -> tuple[Point, ...]:
-    return tuple((float(k), float(b), float(m)) for k, b, m in rows)
 
 
 def _at_border(axes: Axes, passive: Flags) -> Flags:
@@ -176,9 +186,42 @@ def _level_map(params: MapParams, level: LevelPlan, found: PassiveSet, outcomes:
 
 def _unlike(params: MapParams, level: LevelPlan, outcomes: list[Outcome]) -> int:
     """Trials that came out unlike their prediction; those between the points of the plan are predicted here."""
-    expected = dict(zip(_points(level.prediction.points), level.prediction.passive, strict=True))
+    expected = dict(zip(points_of(level.prediction.points), level.prediction.passive, strict=True))
     new = [outcome.environment for outcome in outcomes if outcome.environment not in expected]
     if new:
-        guess = predictor(params.conditions, level.damping_ns_per_m)(np.array(new))
+        guess = _predicted(params, level.damping_ns_per_m, np.array(new))
         expected |= dict(zip(new, guess.passive, strict=True))
     return sum(bool(expected[outcome.environment]) != outcome.passes for outcome in outcomes)
+
+
+def between(found: PassiveSet) -> list[Point]:
+    """Midpoints (K, B, M) [N/m, N s/m, kg] of neighbours along an axis of unlike answers."""
+    cube = np.stack(np.meshgrid(*found.axes, indexing="ij"), axis=-1)
+    middles: list[Point] = []
+    for place in range(3):
+        low, high = [slice(None)] * 3, [slice(None)] * 3
+        low[place], high[place] = slice(None, -1), slice(1, None)
+        unlike = found.passive[tuple(low)] != found.passive[tuple(high)]
+        rows = 0.5 * (cube[tuple(low)] + cube[tuple(high)])[unlike]
+        middles += [(float(k), float(b), float(m)) for k, b, m in rows]
+    return middles
+
+
+def halved(found: PassiveSet) -> PassiveSet:
+    """On the finer grid: means between neighbours; nan, which is not passive, beside a nan."""
+    margin = found.margin
+    for place in range(3):
+        margin = np.apply_along_axis(_with_means, place, margin)
+    k, b, m = (_with_means(axis) for axis in found.axes)
+    return PassiveSet((k, b, m), margin)
+
+
+def place_of(found: PassiveSet, point: Point) -> tuple[int, ...]:
+    """Indices of a point of the grid."""
+    return tuple(int(np.searchsorted(axis, value)) for axis, value in zip(found.axes, point, strict=True))
+
+
+def _with_means(values: Floats) -> Floats:
+    finer = np.repeat(values, 2)[:-1]
+    finer[1::2] = 0.5 * (values[1:] + values[:-1])
+    return np.asarray(finer)

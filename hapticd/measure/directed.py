@@ -2,40 +2,46 @@
 
 `analysis.search` learns from the trials and chooses; here its oracle is a simulated trial with its intervals as weights. What is
 known beforehand is the device's model (`analysis.foresight`): the trials teach how Re Z differs from the prediction, and how
-near to its friction's end the loop may come in a trial before it escapes. Trials are made a few at a time (`directed_trials`).
+near to its friction's end the loop may come in a trial before it escapes. Trials are made a few at a time, each with noise of its
+own (seed, seed + 1, ..), as in a laboratory: with one noise for all, what is chance would be learnt as if it were the device. The
+same search therefore makes the same trials, and goes on where it was interrupted.
 
 The set that is found is the paper's: environments whose trial rather passes than fails. A trial that escapes, or whose command
 saturates, teaches no spectrum, only that the loop is not stable there.
 
-Each trial is also a check: what was expected of it before it was learnt is kept beside what it gave (`Step`).
+Each trial is also a check: what was expected of it before it was learnt is kept beside what it gave (`Step`). A `Slice` through
+what was found is the largest passive K over B at one M, beside what was predicted before the first trial.
 """
 
+from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import numpy as np
 
-from hapticd.analysis.arrays import Floats
+from hapticd.analysis.arrays import Flags, Floats
 from hapticd.analysis.boundary import PassiveSet, grid, passive_set
 from hapticd.analysis.foresight import Foresight
 from hapticd.analysis.search import Search, doubtful_share, first_trials, next_trials, predicted_passive
 from hapticd.analysis.spa import DEFAULT_LAG
-from hapticd.analysis.surrogate import Box, margin
+from hapticd.analysis.surrogate import Box, Observation, margin
 from hapticd.errors import AnalysisError
-from hapticd.measure.axis_scan import LimitsParams, plan_limits
-from hapticd.measure.directed_trials import learnt_at, make, observed, rounded
 from hapticd.measure.executors import pool_of
-from hapticd.measure.outcomes import Conditions, Hear, Outcome
+from hapticd.measure.limits import predicted_limit
+from hapticd.measure.outcomes import Conditions, Hear, Lot, Outcome, Procedure, kept_frequencies, points_of, run_all
 from hapticd.measure.progress import Progress, silent
-from hapticd.measure.scenes import filters, perturbation
+from hapticd.measure.scenes import SATURATED
 from hapticd.measure.store import TrialStore
-from hapticd.plant.compose import compose
 from hapticd.units import PROBE_RATE_HZ
 
 ROOM = (3.2, 1.3, 1.3)  # the box beyond the predicted axis limits of K, B, -M
 HEAVIER = 1.6  # its positive end of M over the negative one
 SET_GRID = (24, 20, 24)
 INDEPENDENT_HZ = PROBE_RATE_HZ / (0.75 * DEFAULT_LAG)  # values of an estimate that are so far apart are independent
+POOR = 0.2  # relative standard deviation, the median over the band, of a spectrum that teaches nothing
+DIGITS = 6  # of an environment: what is asked is what is stored
+SLICE = (30, 80)  # of K and B
+_HALVINGS = 7
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,8 +88,8 @@ class SearchResult:
 def plan_search(params: SearchParams) -> SearchPlan:
     """Box and foresight from the prediction. AnalysisError where nothing is predicted to be passive."""
     box, f = params.box or _box(params), learnt_at(params.conditions)
-    scene, source = params.conditions.scene, perturbation(params.conditions.excitation)
-    known = Foresight(compose(scene), box, f, params.damping_ns_per_m, filters(scene), source)
+    device = params.conditions.display
+    known = Foresight(device.model, box, f, params.damping_ns_per_m, device.filters, device.perturbation)
     begin = Search(box, known.resistance, known.headroom, np.gradient(f) / INDEPENDENT_HZ)
     return SearchPlan(params, box, begin)
 
@@ -95,30 +101,52 @@ def run_search(
 
     AnalysisError if one of the first four trials, near K = B = M = 0, is not stable.
     """
+    made: list[Outcome] = []
+    with pool_of(executor) as pool:
+        return run_all([_searched(plan, tell, hear, made)], store, pool, lambda place, lot, new: made.extend(new))[0]
+
+
+def _searched(plan: SearchPlan, tell: Progress, hear: Hear, made: list[Outcome]) -> Procedure[SearchResult]:
+    """`made`: new outcomes, as they come; `hear` gets those of a round in the order of the search."""
     params, search, steps = plan.params, plan.begin, list[Step]()
     wanted = rounded(first_trials(plan.box, np.zeros(3)))
-    with pool_of(executor) as pool:
-        while True:
-            tell("trials", len(steps), params.budget)
-            expected = _expected(search, wanted)
-            outcomes = make(params.conditions, params.damping_ns_per_m, wanted, len(steps), store, pool, hear)
-            seen = [observed(params.conditions, outcome) for outcome in outcomes]
-            for outcome, guess, one in zip(outcomes, expected, seen, strict=True):
-                steps.append(Step(outcome, float(guess), one is not None))
-            search = search.with_trials(wanted, seen)
-            if search.surrogate is None:
-                raise AnalysisError("a trial next to K = B = M = 0 was not stable: this display is not passive by itself")
-            count = min(params.together, params.budget - len(steps))
-            if count <= 0 or doubtful_share(search) < params.doubt:
-                break
-            wanted = rounded(next_trials(search, count))
+    while True:
+        tell("trials", len(steps), params.budget)
+        expected = _expected(search, wanted)
+        outcomes = yield _lots(params, wanted, len(steps))
+        new = {outcome.environment for outcome in made}
+        if new:
+            hear([outcome for outcome in outcomes if outcome.environment in new])
+        made.clear()
+        seen = [observed(params.conditions, outcome) for outcome in outcomes]
+        for outcome, guess, one in zip(outcomes, expected, seen, strict=True):
+            steps.append(Step(outcome, float(guess), one is not None))
+        search = search.with_trials(wanted, seen)
+        if search.surrogate is None:
+            raise AnalysisError("a trial next to K = B = M = 0 was not stable: this display is not passive by itself")
+        count = min(params.together, params.budget - len(steps))
+        if count <= 0 or doubtful_share(search) < params.doubt:
+            break
+        wanted = rounded(next_trials(search, count))
     tell("trials", len(steps), params.budget)
     return SearchResult(plan, search, tuple(steps), _set(search), doubtful_share(search))
 
 
+def _lots(params: SearchParams, wanted: Floats, done: int) -> list[Lot]:
+    """A trial each of `wanted` (n, 3) after `done` trials, with noise of its own."""
+    points = enumerate(points_of(wanted), done)
+    return [Lot(params.conditions.shaken(more_seed=place), params.damping_ns_per_m, (point,)) for place, point in points]
+
+
+def rounded(wanted: Floats) -> Floats:
+    """Environments (n, 3) as they can be written down."""
+    return np.array([[float(f"{value:.{DIGITS}g}") for value in point] for point in wanted])
+
+
 def _box(params: SearchParams) -> Box:
-    limits = plan_limits(LimitsParams(params.conditions, (params.damping_ns_per_m,))).scans
-    k, b, m = (room * scan.predicted for room, scan in zip(ROOM, limits, strict=True))
+    given = params.conditions
+    limits = [predicted_limit(given.display, params.damping_ns_per_m, axis, band_hz=given.band_hz) for axis in range(3)]
+    k, b, m = (room * limit for room, limit in zip(ROOM, limits, strict=True))
     if not np.isfinite((k, b, m)).all() or not (k > 0.0 and b > 0.0 and m < 0.0):
         raise AnalysisError("nothing is predicted to be passive from K = B = M = 0 on, so there is no boundary to search")
     return Box((0.0, 0.0, m), (k, b, -HEAVIER * m))
@@ -139,3 +167,62 @@ def _set(search: Search) -> PassiveSet:
     points = grid((k, b, m))
     size = np.abs(margin(search.surrogate, points))
     return passive_set((k, b, m), np.where(predicted_passive(search, points), size, -np.maximum(size, 1e-12)))
+
+
+def learnt_at(conditions: Conditions) -> Floats:
+    """Frequencies (F,) of what a trial teaches."""
+    f = kept_frequencies()
+    return f[(f >= conditions.band_hz[0]) & (f <= conditions.band_hz[1])]
+
+
+def observed(conditions: Conditions, outcome: Outcome) -> Observation | None:
+    """What a trial teaches; None where the loop was not stable, or moved by something else than the perturbation."""
+    limit_n = conditions.display.force_limit_n
+    escaped = outcome.max_force_n >= SATURATED * limit_n or (not outcome.passes and outcome.margin_ns_per_m > 0.0)
+    if not outcome.z.size or escaped:
+        return None
+    inside = np.isin(kept_frequencies(), learnt_at(conditions))
+    relative = outcome.relative_sd[inside]
+    if not np.median(relative) < POOR:
+        return None
+    sd = np.hypot(*outcome.z[inside].T) * np.minimum(relative, 10.0)
+    return Observation(np.asarray(outcome.environment), outcome.z[inside, 0], sd)
+
+
+@dataclass(frozen=True, eq=False)
+class Slice:
+    """Largest K (nB,) at each `damping` (nB,) of a plane of one M, as the search holds it and as `predicted` before any trial."""
+
+    mass_kg: float
+    damping: Floats
+    held: Floats
+    predicted: Floats
+
+
+def slice_at(result: SearchResult, mass_kg: float) -> Slice:
+    """The plane of one M through the box: what the search holds, and what was predicted before any trial."""
+    params, box = result.plan.params, result.plan.box
+    given, level = params.conditions, params.damping_ns_per_m
+    damping = np.linspace(box.low[1], box.high[1], SLICE[1])
+
+    def held(points: Floats) -> Flags:
+        return predicted_passive(result.search, points)
+
+    def guessed(points: Floats) -> Flags:
+        return given.display.passive(points, level, given.band_hz)
+
+    edges = (_highest(holds, box, damping, mass_kg) for holds in (held, guessed))
+    return Slice(mass_kg, damping, *edges)
+
+
+def _highest(holds: Callable[[Floats], Flags], box: Box, damping: Floats, mass_kg: float) -> Floats:
+    """Largest K (nB,) that holds at each damping, nan where none does: on a grid, then halved to 1 % of its step."""
+    k = np.linspace(box.low[0], box.high[0], SLICE[0])
+    held = holds(np.array([(stiffness, b, mass_kg) for stiffness in k for b in damping])).reshape(k.size, damping.size)
+    top = k.size - 1 - np.argmax(held[::-1], axis=0)
+    low, high = k[top], k[np.minimum(top + 1, k.size - 1)]
+    for _ in range(_HALVINGS):
+        half = 0.5 * (low + high)
+        inside = holds(np.column_stack((half, damping, np.full(damping.size, mass_kg))))
+        low, high = np.where(inside, half, low), np.where(inside, high, half)
+    return np.where(held.any(axis=0), low, np.nan)

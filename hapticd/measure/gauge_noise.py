@@ -17,7 +17,7 @@ from hapticd.analysis.spa import DEFAULT_LAG, spa
 from hapticd.analysis.spectra import Spectra
 from hapticd.measure.gauge import GROUP, Gauge, Reading, Setting
 from hapticd.measure.lockstep_trial import fly
-from hapticd.measure.scenes import calm, filters, frequencies, is_linear, level, point, pooled, spectra_on, without
+from hapticd.measure.scenes import calm, display, filters, frequencies, is_linear, level, point, pooled, spectra_on, without
 from hapticd.measure.stopwatch import quickest, timed
 from hapticd.plant.compose import compose
 from hapticd.sim.engine import BatchResult, simulate
@@ -38,7 +38,7 @@ class NoiseGauge(Gauge):
     def prepare(self) -> None:
         """Simulate the reference, or compute it."""
         self._whole: dict[Setting, Complexes] = {}
-        self._linear, self._limit_n = is_linear(self.scene), compose(self.scene).force_limit_n
+        self._linear, self._limit_n = is_linear(self.scene), display(self.scene).force_limit_n
         flown = self._flown(self.exact, self._torque)
         self._step_free = pooled(self._spectra(flown, DEFAULT_LAG))
         if self._linear:

@@ -1,85 +1,259 @@
-"""K, B and M limits of a scene's device, predicted and simulated: how far one of them goes before the display is not passive.
+"""Limits along axes by trials: how far one of K, B, M goes from a base point, its first failure being the end.
 
-Axis limits, the other two being 0 (the paper's headline numbers; `analysis.boundary` has the other reading). A simulated trial
-passes as in the paper: all phases within +-90 degrees in the band, and the force not saturated.
+The paper's headline numbers are those from K = B = M = 0; from where the other two stand at their best it is the maximum over
+the set. Whoever asks for a limit, asks here: a table of limits, the paper's, its band edges, a scene with an effect left out.
+
+The prediction says where to look: a first round of trials about it, further rounds outwards as long as none or all fail, then
+between the last that passed and the first that failed, until the limit is known to `tolerance`. A round is one task; what the
+next one is depends on the one before. The limit is the last value before the first failure by the paper's rule; below `lower`
+every verdict was passive at the confidence asked, at `upper` one was not passive.
+
+Limits belong to a perturbation: with Coulomb friction they fall as it grows. `amplitudes` scans several, each a factor of the
+scene's force. `seeds` repeats the whole scan with other noise; the scatter is given beside the mean. A lower band edge is one of
+the conditions.
+
+Outcomes go to the append-only store of all campaigns: limits that were interrupted, or are asked again with more seeds, levels or
+amplitudes, make only the trials that are missing.
+
+What would break it: a set that is not in one piece along the line that is searched.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
-from functools import cached_property
+from itertools import product
+from math import isfinite, nan
+from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.arrays import Flags, Floats
-from hapticd.analysis.boundary import axis_limit
-from hapticd.analysis.predict import predict
-from hapticd.analysis.spa import spa
-from hapticd.measure.quantities import Quantity, relative
-from hapticd.measure.scenes import calm, filters, level
-from hapticd.plant.compose import compose
-from hapticd.plant.scene import Scene
-from hapticd.sim.engine import BatchResult
+from hapticd.analysis.arrays import Floats
+from hapticd.analysis.boundary import AXES, axis_limit
+from hapticd.measure.executors import pool_of
+from hapticd.measure.outcomes import Conditions, Fly, Lot, Outcome, Point, Procedure, fly, points_of, run_all
+from hapticd.measure.progress import Progress, silent
+from hapticd.measure.scenes import Display
+from hapticd.measure.store import TrialStore
 
-REACH = (2e4, 50.0, -0.2)  # of a predicted search: N/m, Ns/m, kg
-WIDER = (2.0, 6.0, 18.0)  # times the predicted limit: of a simulated search, one after the other until it is enough
-FINER = 15
-NAMES = {"K N/m": 1.0, "B N s/m": 1.0, "M g": 1e3}
-
-Decide = Callable[[Floats], Flags]
-
-
-@dataclass(frozen=True)
-class Limits(Quantity):
-    """Numbers: K [N/m], B [Ns/m], M [kg] < 0; nan where K = B = M = 0 itself is not passive."""
-
-    def predicted(self, scene: Scene) -> Floats:
-        """By prediction."""
-        model, own_level, own_filters = compose(scene), level(scene), filters(scene)
-
-        def decide(points: Floats) -> Flags:
-            return predict(model, points, own_level, own_filters, self.perturbation(), self.band_hz, recorded=True).passive
-
-        return np.array([axis_limit(decide, axis, reach) for axis, reach in enumerate(REACH)])
-
-    def simulated(self, scene: Scene) -> Floats:
-        """By trials, each round 15 times finer."""
-        limit_n = compose(scene).force_limit_n
-
-        def decide(points: Floats) -> Flags:
-            return passes(self.flown(scene, points, own_torque=False), self.band_hz, limit_n)
-
-        return np.array([self._searched(decide, axis) for axis in range(len(REACH))])
-
-    def change(self, full: Floats, other: Floats) -> float:
-        """The largest relative one."""
-        return max(relative(one, two) for one, two in zip(full, other, strict=True))
-
-    def told(self, full: Floats, other: Floats) -> dict[str, float]:
-        """K, B and M."""
-        return {name: float(factor * value) for (name, factor), value in zip(NAMES.items(), other, strict=True)}
-
-    @cached_property
-    def _near(self) -> Floats:
-        found = self.predicted(self.full)
-        return np.where(np.isfinite(found) & (found != 0.0), found, 0.01 * np.asarray(REACH))
-
-    def _searched(self, decide: Decide, axis: int) -> float:
-        found = 0.0
-        for times in WIDER:
-            reach = times * float(self._near[axis])
-            found = axis_limit(decide, axis, reach, steps=FINER)
-            if found != reach:
-                break
-        return found
+ORIGIN: Point = (0.0, 0.0, 0.0)
+REACH = (2e4, 60.0, -0.25)  # of a predicted search: N/m, Ns/m, kg
+FIRST = (0.6, 1.5)  # of the predicted distance: where the first round looks
+OUTWARDS = 2.5
+ROUNDS = 6
+ROUND = 32  # values: the engine does as many at once as it does one
+UNPREDICTED = 0.02  # of the reach, where the prediction has no limit to look near
 
 
-def passes(found: BatchResult, band_hz: tuple[float, float], force_limit_n: float | None) -> Flags:
-    """Which trials (n,) are passive by the paper's rule."""
-    good = calm(found, force_limit_n)
-    return np.array([trial in good and _within_90_deg(found, trial, band_hz) for trial in range(len(found.params))])
+@dataclass(frozen=True, slots=True)
+class LimitsParams:
+    """`levels`: of electrical damping [Ns/m]; `amplitudes`: factors of the perturbation's force. `axes` are 0 K, 1 B, 2 M, each
+    scanned from `base` towards `reach` [N/m, Ns/m, kg] beyond it; `tolerance`: of a limit, 0.01 is 1 %.
+    """
+
+    conditions: Conditions
+    levels: tuple[float, ...] = (0.0, 1.74)
+    amplitudes: tuple[float, ...] = (1.0,)
+    axes: tuple[int, ...] = (0, 1, 2)
+    seeds: int = 1
+    base: Point = ORIGIN
+    reach: tuple[float, float, float] = REACH
+    tolerance: float = 0.01
 
 
-def _within_90_deg(found: BatchResult, trial: int, band_hz: tuple[float, float]) -> bool:
-    spectra = spa(*found.record(trial))
-    inside = (spectra.frequency_hz >= band_hz[0]) & (spectra.frequency_hz <= band_hz[1])
-    return bool((spectra.cross.real[inside] > 0.0).all())
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """One limit to be found; `predicted` nan where even the base is not passive."""
+
+    axis: int
+    damping_ns_per_m: float
+    amplitude: float
+    predicted: float
+
+
+@dataclass(frozen=True, slots=True)
+class LimitsPlan:
+    """All of them, each with its prediction."""
+
+    params: LimitsParams
+    scans: tuple[Scan, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class AxisLimit:
+    """`value` [N/m, Ns/m, kg]: mean over seeds, `sd` their scatter (nan for one); `lower`, `upper`: widest over seeds; `values`
+    those of each seed, nan where the base fails.
+
+    `worst_hz`: where the first failure has its least Re Z; `velocity_sd` [m/s] of the last trial that passed.
+    """
+
+    scan: Scan
+    value: float
+    lower: float
+    upper: float
+    sd: float
+    worst_hz: float
+    velocity_sd: float
+    perturbation_psd: float
+    trials: int
+    values: tuple[float, ...]
+
+    @property
+    def name(self) -> str:
+        """K, B or M."""
+        return AXES[self.scan.axis]
+
+
+@dataclass(frozen=True, slots=True)
+class LimitsResult:
+    """In the order of the plan. `made` trials were new, the rest came from the store."""
+
+    plan: LimitsPlan
+    limits: tuple[AxisLimit, ...]
+    made: int
+
+
+Hear = Callable[[Scan, Conditions, list[Outcome]], None]
+
+
+def predicted_limit(
+    device: Display, level: float, axis: int, base: Point = ORIGIN, band_hz: tuple[float, float] | None = None,
+    reach: float | None = None,
+) -> float:  # fmt: skip
+    """The first failure by prediction, from `base` on towards `reach`; nan where even the base is not passive."""
+    band = () if band_hz is None else (band_hz,)
+    return axis_limit(lambda points: device.passive(points, level, *band), axis, reach or REACH[axis], base)
+
+
+def plan_limits(params: LimitsParams) -> LimitsPlan:
+    """Predict every limit. ConfigError as `compose`."""
+    scans = []
+    for level, amplitude, axis in product(params.levels, params.amplitudes, params.axes):
+        shaken = params.conditions.shaken(amplitude)
+        near = predicted_limit(shaken.display, level, axis, params.base, shaken.band_hz, params.reach[axis])
+        scans.append(Scan(axis, level, amplitude, near))
+    return LimitsPlan(params, tuple(scans))
+
+
+def run_limits(
+    plan: LimitsPlan, store: TrialStore, tell: Progress = silent, executor: Executor | None = None,
+    hear: Hear = lambda scan, conditions, new: None, flying: Fly = fly,
+) -> LimitsResult:  # fmt: skip
+    """Find them all by the trials that the store has not, on `executor` or on threads here; `hear` gets those of each round.
+
+    KeyboardInterrupt passes through after the rounds in flight were given up; what was finished is in the store.
+    """
+    return run_plans([plan], store, tell, executor, hear, flying)[0]
+
+
+def run_plans(
+    plans: Sequence[LimitsPlan], store: TrialStore, tell: Progress = silent, executor: Executor | None = None,
+    hear: Hear = lambda scan, conditions, new: None, flying: Fly = fly,
+) -> tuple[LimitsResult, ...]:  # fmt: skip
+    """Several plans side by side."""
+    wanted = [
+        (plan.params, scan, plan.params.conditions.shaken(scan.amplitude, repeat))
+        for plan in plans for scan in plan.scans for repeat in range(plan.params.seeds)
+    ]  # fmt: skip
+    ended, made = 0, [0] * len(wanted)
+
+    def counted(*given: Any) -> Procedure[list[Outcome]]:
+        nonlocal ended
+        tried = yield from bracketing(*given)
+        ended += 1
+        tell("axis limits", ended, len(wanted))
+        return tried
+
+    def told(place: int, lot: Lot, new: list[Outcome]) -> None:
+        made[place] += len(new)
+        hear(wanted[place][1], lot.conditions, new)
+
+    tell("axis limits", 0, len(wanted))
+    with pool_of(executor) as pool:
+        tried = iter(run_all([counted(*each) for each in wanted], store, pool, told, flying))
+    new = iter(made)
+    return tuple(_result(plan, tried, new) for plan in plans)
+
+
+def bracketing(params: LimitsParams, scan: Scan, conditions: Conditions) -> Procedure[list[Outcome]]:
+    """All trials of a scan under one noise, in order of the axis."""
+    tried: list[Outcome] = []
+    begin = params.base[scan.axis]
+    for values in _rounds(params, scan, tried):
+        points = np.tile(params.base, (len(values), 1))
+        points[:, scan.axis] = begin + values
+        tried += yield [Lot(conditions, scan.damping_ns_per_m, points_of(points))]
+        tried.sort(key=lambda outcome: abs(outcome.environment[scan.axis] - begin))
+    return tried
+
+
+def _rounds(params: LimitsParams, scan: Scan, tried: list[Outcome]) -> Iterable[Floats]:
+    """Distances from the base to try next; `tried` grows meanwhile."""
+    begin = params.base[scan.axis]
+    near = scan.predicted - begin
+    if not isfinite(near) or near == 0.0:
+        near = UNPREDICTED * params.reach[scan.axis]
+    low, high = FIRST[0] * near, FIRST[1] * near
+    yield np.concatenate(([0.0], np.linspace(low, high, ROUND - 1)))
+    for _ in range(ROUNDS):
+        passed, failed = (value - begin for value in bracket(scan.axis, tried))
+        if np.isnan(passed):
+            return
+        if np.isnan(failed):
+            yield np.linspace(passed, OUTWARDS * passed if passed else high, ROUND + 1)[1:]
+        elif abs(failed - passed) > params.tolerance * abs(failed):
+            yield np.linspace(passed, failed, ROUND + 2)[1:-1]
+        else:
+            return
+
+
+def bracket(axis: int, tried: list[Outcome]) -> tuple[float, float]:
+    """Last value that passed before the first that failed, and that; nan where there is none."""
+    failed = next((place for place, outcome in enumerate(tried) if not outcome.passes), None)
+    last = (tried if failed is None else tried[:failed])[-1:]
+    return (
+        last[0].environment[axis] if last else nan,
+        nan if failed is None else tried[failed].environment[axis],
+    )
+
+
+def _result(plan: LimitsPlan, tried: Iterator[list[Outcome]], made: Iterator[int]) -> LimitsResult:
+    """Of the next trials of `tried`, and how many of them were made."""
+    params = plan.params
+    seeds = [[next(tried) for _ in range(params.seeds)] for _ in plan.scans]
+    limits = tuple(_together(params, scan, found) for scan, found in zip(plan.scans, seeds, strict=True))
+    return LimitsResult(plan, limits, sum(next(made) for _ in range(len(plan.scans) * params.seeds)))
+
+
+def _together(params: LimitsParams, scan: Scan, seeds: list[list[Outcome]]) -> AxisLimit:
+    axis, begin = scan.axis, params.base[scan.axis]
+    values = np.array([bracket(axis, tried)[0] for tried in seeds])
+    sure = [_first(axis, tried, "passive", stop=True) for tried in seeds]
+    never = [_first(axis, tried, "not_passive", stop=False) for tried in seeds]
+    failed = next((outcome for outcome in seeds[0] if not outcome.passes), None)
+    passed = [outcome for outcome in seeds[0] if abs(outcome.environment[axis] - begin) <= abs(values[0] - begin)]
+    sense = -1.0 if params.reach[axis] < 0.0 else 1.0
+    return AxisLimit(
+        scan=scan,
+        value=float(values.mean()),
+        lower=sense * min((sense * value for value in sure), default=nan),
+        upper=sense * max((sense * value for value in never), default=nan),
+        sd=float(values.std(ddof=1)) if len(values) > 1 else nan,
+        worst_hz=failed.worst_hz if failed else nan,
+        velocity_sd=passed[-1].velocity_sd if passed else nan,
+        perturbation_psd=params.conditions.shaken(scan.amplitude).excitation.psd_n2_per_hz,
+        trials=sum(map(len, seeds)),
+        values=tuple(values.tolist()),
+    )
+
+
+def _first(axis: int, tried: list[Outcome], answer: str, stop: bool) -> float:
+    """With `stop` the last value up to which all have this answer, else the first that has it."""
+    last = 0.0 if stop else nan
+    for outcome in tried:
+        if outcome.answer == answer:
+            last = outcome.environment[axis]
+            if not stop:
+                return last
+        elif stop:
+            break
+    return last

@@ -6,13 +6,19 @@ taken from sums: energy from the work of each tick, an escape from the rms veloc
 A task travels as parameters and comes back as 5 kB a trial, so it may run in a thread or in another process; the same task
 gives the same outcome wherever it runs. `passes` is the paper's rule: all phases within +-90 degrees, the loop calm, the
 command not at its end. `answer` is the verdict with its intervals. A trial that diverged has no spectra.
+
+Whoever needs trials is a procedure: a generator that asks for lots, trials under one set of conditions, gets their outcomes,
+asks for more, and returns what it found. `run_all` runs any number of procedures side by side. A trial's key is all that it
+depends on, so what a store has is never flown again, whoever asked for it; each task is stored as soon as it is finished, and
+what has not begun is given up when the caller stops. Results do not depend on who else is under way.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import lru_cache, reduce
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache, reduce
 from math import inf, nan
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -23,13 +29,11 @@ from hapticd.analysis.energy import Energy
 from hapticd.analysis.envelope import Envelope, merged, of_one
 from hapticd.analysis.impedance import impedance
 from hapticd.analysis.passivity import DEFAULT_BAND_HZ, judge
-from hapticd.analysis.predict import Prediction, predict
 from hapticd.analysis.spa import DEFAULT_LAG
 from hapticd.analysis.spectra import Spectra, grid_frequencies
 from hapticd.errors import AnalysisError
-from hapticd.measure.scenes import SATURATED, filters, free_of_walls, frequencies, perturbation
-from hapticd.measure.store import fingerprint
-from hapticd.plant.compose import compose
+from hapticd.measure.scenes import SATURATED, Display, display, free_of_walls, frequencies
+from hapticd.measure.store import TrialStore, fingerprint
 from hapticd.plant.scene import Excitation, Scene
 from hapticd.sim.engine import BatchResult, simulate
 from hapticd.sim.engine.shape import LANES
@@ -39,6 +43,9 @@ FREQUENCIES = 120
 KEPT_BAND_HZ = (2.0, 1000.0)
 NOISE = Excitation("noise")
 FORMAT = 1  # of an outcome; part of its key
+
+Point = tuple[float, float, float]  # K [N/m], B [N s/m], M [kg]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,12 +60,23 @@ class Conditions:
     substeps: int = 4
     dtype: str = "f32"
 
+    @property
+    def display(self) -> Display:
+        """The device, prepared, with what is predicted of it under these conditions."""
+        return display(self.scene, self.excitation)
+
+    def shaken(self, amplitude: float = 1.0, more_seed: int = 0) -> "Conditions":
+        """With the force multiplied by `amplitude`, and other noise."""
+        source = self.excitation
+        changed = replace(source, psd_n2_per_hz=source.psd_n2_per_hz * amplitude**2, seed=source.seed + more_seed)
+        return replace(self, excitation=changed)
+
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
     """One trial; `z` (F, 2) real and imaginary part [N s/m] and `relative_sd` (F,) at `kept_frequencies()`, empty if diverged."""
 
-    environment: tuple[float, float, float]
+    environment: Point
     damping_ns_per_m: float
     answer: str
     passes: bool
@@ -74,6 +92,9 @@ class Outcome:
 
 
 Hear = Callable[[list[Outcome]], None]
+Fly = Callable[[Conditions, float, Floats], list[Outcome]]
+Procedure = Generator[Sequence["Lot"], list[Outcome], T]
+Told = Callable[[int, "Lot", list[Outcome]], None]
 
 
 @lru_cache
@@ -88,28 +109,20 @@ def _kept(rate_hz: float) -> Flags:
     return np.isin(grid_frequencies(rate_hz, DEFAULT_LAG), kept_frequencies())
 
 
-def key_of(shared: str, damping_ns_per_m: float, environment: tuple[float, float, float]) -> str:
+def key_of(shared: str, damping_ns_per_m: float, environment: Point) -> str:
     """Key of a trial in a store; `shared` is `fingerprint(conditions)`, the same for all of a campaign."""
     return fingerprint((FORMAT, __version__, shared, damping_ns_per_m, environment))[:32]
 
 
-def predictor(conditions: Conditions, damping_ns_per_m: float) -> Callable[[Floats], Prediction]:
-    """What is predicted of environments (N, 3), as a trial under `conditions` would record it. ConfigError as `compose`."""
-    model, scene = compose(conditions.scene), conditions.scene
-    return lambda points: predict(
-        model, points, damping_ns_per_m, filters(scene), perturbation(conditions.excitation), conditions.band_hz, recorded=True
-    )
-
-
 def fly(conditions: Conditions, damping_ns_per_m: float, points: Floats) -> list[Outcome]:
     """Simulate and judge trials under `points` (n, 3). ConfigError as `simulate`, AnalysisError as `judge`."""
+    scene, own = conditions.scene, conditions.display
     found = simulate(
-        conditions.scene, points, conditions.seconds, conditions.excitation.seed, damping=damping_ns_per_m,
-        environment=free_of_walls(conditions.scene), excitation=conditions.excitation, start=(0.0, 0.0),
+        scene, points, conditions.seconds, conditions.excitation.seed, damping=damping_ns_per_m,
+        environment=free_of_walls(scene), excitation=conditions.excitation, start=(0.0, 0.0),
         substeps=conditions.substeps, dtype=conditions.dtype, keep="spectra",
     )  # fmt: skip
-    limit_n = compose(conditions.scene).force_limit_n or inf
-    return [_outcome(conditions, damping_ns_per_m, found, trial, limit_n) for trial in range(len(points))]
+    return [_outcome(conditions, damping_ns_per_m, found, trial, own.force_limit_n) for trial in range(len(points))]
 
 
 def _outcome(conditions: Conditions, damping: float, found: BatchResult, trial: int, limit_n: float) -> Outcome:
@@ -174,3 +187,80 @@ def _envelope(outcome: Outcome) -> Envelope:
     k, b, m = outcome.environment
     name = f"K {k:.4g} N/m, B {b:.3g} N s/m, M {1e3 * m:.3g} g"
     return of_one(name, kept_frequencies(), outcome.z[:, 0] + 1j * outcome.z[:, 1], outcome.relative_sd, "probe", "spa")
+
+
+@dataclass(frozen=True, eq=False)
+class Lot:
+    """Trials under one set of conditions."""
+
+    conditions: Conditions
+    damping_ns_per_m: float
+    points: tuple[Point, ...]
+
+    def with_points(self, more: Iterable[Point]) -> "Lot":
+        """With those that it does not have yet."""
+        return replace(self, points=tuple(dict.fromkeys((*self.points, *more))))
+
+    @cached_property
+    def keys(self) -> dict[Point, str]:
+        """Of each point in a store."""
+        shared = fingerprint(self.conditions)
+        return {point: key_of(shared, self.damping_ns_per_m, point) for point in self.points}
+
+    def known(self, store: TrialStore) -> list[Outcome]:
+        """What the store has of it."""
+        return [restored(store.known[key]) for key in self.keys.values() if key in store.known]
+
+    def tasks(self, store: TrialStore) -> list[Floats]:
+        """Points (n, 3) that the store has not, as many together as the engine does at once."""
+        missing = [point for point, key in self.keys.items() if key not in store.known]
+        return [np.array(missing[first : first + TOGETHER]) for first in range(0, len(missing), TOGETHER)]
+
+
+def points_of(rows: Floats) -> tuple[Point, ...]:
+    """Environments (N, 3) as they are keyed."""
+    return tuple((float(k), float(b), float(m)) for k, b, m in rows)
+
+
+def run_all(procedures: Sequence[Procedure[T]], store: TrialStore, pool: Executor, told: Told, flying: Fly = fly) -> list[T]:
+    """What the procedures return; `told` gets the place of a procedure, a lot of it, and the new outcomes of each task.
+
+    Each procedure has one request under way; the cores are kept busy by the others. If `told` raises, the rest is given up.
+    """
+    asked: dict[int, Sequence[Lot]] = {}
+    results: dict[int, T] = {}
+    waiting: dict[Future[list[Outcome]], tuple[int, Lot]] = {}
+
+    def goes_on(place: int) -> None:
+        """Until it ends, or has asked for what the store has not."""
+        while not any(owner == place for owner, _ in waiting.values()):
+            try:
+                asked[place] = _request(procedures[place], asked.get(place), store)
+            except StopIteration as end:
+                results[place] = end.value
+                return
+            for lot in asked[place]:
+                for task in lot.tasks(store):
+                    waiting[pool.submit(flying, lot.conditions, lot.damping_ns_per_m, task)] = place, lot
+
+    try:
+        for place in range(len(procedures)):
+            goes_on(place)
+        while waiting:
+            for future in wait(waiting, return_when=FIRST_COMPLETED).done:
+                outcomes = future.result()
+                place, lot = waiting.pop(future)
+                store.add((lot.keys[outcome.environment], kept(outcome)) for outcome in outcomes)
+                told(place, lot, outcomes)
+                goes_on(place)
+    finally:
+        for future in waiting:
+            future.cancel()
+    return [results[place] for place in range(len(procedures))]
+
+
+def _request(procedure: Procedure[T], before: Sequence[Lot] | None, store: TrialStore) -> Sequence[Lot]:
+    """What it asks for next, given the outcomes of what it asked for `before`. StopIteration with its result at its end."""
+    if before is None:
+        return next(procedure)
+    return procedure.send([outcome for lot in before for outcome in lot.known(store)])

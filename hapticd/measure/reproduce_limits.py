@@ -14,10 +14,10 @@ import numpy as np
 
 from hapticd.analysis.arrays import Flags, Floats
 from hapticd.analysis.boundary import axis_limit, grid
-from hapticd.measure.limits import REACH
 from hapticd.measure.reproduce_trials import EDGES_HZ, TOGETHER, Point, Subject, decided, flown, subject
 
 NAMES = ("K_max", "B_max", "M_min")
+REACH = (2e4, 50.0, -0.2)
 UNITS = ("N/m", "Ns/m", "kg")
 TIMES = (1.5, 4.0)  # the predicted limit: of a search by trials
 EDGE_STEPS = 80

@@ -22,7 +22,7 @@ from hapticd.analysis.loop import Filters
 from hapticd.analysis.predict import DEFAULT_BAND_HZ, frequencies, predict
 from hapticd.analysis.spa import DEFAULT_LAG
 from hapticd.analysis.spectra import Spectra
-from hapticd.measure.scenes import SATURATED, filters, predicted_impedances
+from hapticd.measure.scenes import SATURATED, display, filters
 from hapticd.plant.compose import compose
 from hapticd.plant.model import Model
 from hapticd.settings.scene import load_scene
@@ -61,7 +61,7 @@ class Subject:
     def impedances(self, points: Floats, level: float, band_hz: tuple[float, float]) -> tuple[Floats, Complexes]:
         """(frequencies (F,), Z (N, F) as recorded) by prediction; both ends of the band are among the frequencies."""
         f = frequencies(band_hz, Perturbation())
-        return f, predicted_impedances(self.model, points, f, level, self.filters, Perturbation())
+        return f, display(load_scene(SCENES[self.name])).impedances(points, level, f)
 
 
 @cache

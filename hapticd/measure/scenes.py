@@ -1,29 +1,45 @@
-"""What procedures ask of a scene: its environment as a point, its damping level, itself without an effect, its impedance.
+"""What procedures ask of a scene: its environment as a point, its damping level, itself without an effect, its impedance; and
+the device in it, composed once, with all that is predicted of it (`Display`).
 
 Z is measured as the paper does it (noise at the probe, `analysis.spa`) and taken on frequencies that are evenly spaced in
 ln f. They lie on the grid of the paper's window, so that a longer window has them on its grid too.
+
+What would break it: comparing what is predicted at one perturbation with trials at another.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from math import inf
 
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.arrays import Complexes, Floats
+from hapticd.analysis.arrays import Complexes, Flags, Floats
 from hapticd.analysis.linearise import Perturbation, linearise
 from hapticd.analysis.loop import Filters, close_loop
-from hapticd.analysis.predict import DEFAULT_BAND_HZ, coulomb
+from hapticd.analysis.predict import DEFAULT_BAND_HZ, Prediction, coulomb, predict
+from hapticd.analysis.predict import frequencies as predicted_frequencies
 from hapticd.analysis.spa import DEFAULT_LAG, spa
 from hapticd.analysis.spectra import Spectra
-from hapticd.errors import AnalysisError
+from hapticd.errors import AnalysisError, ConfigError
 from hapticd.params import EnvironmentParams, FilterParams, WallParams
+from hapticd.plant.bodies import Masses, Viscous, WorkspaceEnds
 from hapticd.plant.catalogue import ALWAYS
+from hapticd.plant.compose import compose
+from hapticd.plant.effects import Effect
+from hapticd.plant.electrical import Delay
 from hapticd.plant.model import Model
 from hapticd.plant.scene import Excitation, Scene
+from hapticd.plant.winding import Motor
+from hapticd.settings.build import DEFAULT_PHASE, converter_effects, device_effects
+from hapticd.settings.device import Device, Plant
+from hapticd.settings.document import read
+from hapticd.settings.load import find_device, validated
+from hapticd.settings.resources import shipped
 from hapticd.sim.engine import BatchResult
 from hapticd.units import PROBE_RATE_HZ
 
+TRIAL_S = 90.0
 FREQUENCIES = 60
 SUBSTEPS = 4  # per 4 kHz sample: their error is below the chance of a 90 s trial (docs/accuracy.md)
 SATURATED = 1.0 - 1e-6  # of the force limit: float32 rounds it
@@ -60,12 +76,62 @@ def perturbation(source: Excitation) -> Perturbation:
     return Perturbation(source.psd_n2_per_hz, source.band_hz)
 
 
-def predicted_impedances(
-    model: Model, points: Floats, frequency_hz: Floats, damping_ns_per_m: float, filters: Filters, source: Perturbation
-) -> Complexes:
-    """Z (N, F) [N s/m] of environments (N, 3) as trials record it, friction linearised on the same frequencies (F,)."""
-    loop, friction = close_loop(model, frequency_hz, damping_ns_per_m, filters), coulomb(model)
-    return np.asarray(linearise(loop, points, friction, np.zeros_like(friction), source).impedance * loop.recorded)
+@dataclass(frozen=True, eq=False)
+class Display:
+    """A scene's device with its environment's filters, under the perturbation of its trials; as `display` makes it.
+
+    Passive is what the paper's rule calls so at that perturbation. Much of a device's damping may be dry friction, which fades as
+    the motion grows; `dry=False` therefore asks for passivity without counting on it, at any amplitude.
+    """
+
+    scene: Scene
+    excitation: Excitation
+    model: Model = field(repr=False)
+
+    @property
+    def filters(self) -> Filters:
+        """Of velocity and acceleration."""
+        return filters(self.scene)
+
+    @property
+    def perturbation(self) -> Perturbation:
+        """Of its trials."""
+        return perturbation(self.excitation)
+
+    @property
+    def force_limit_n(self) -> float:
+        """At which its command saturates; inf without one."""
+        return self.model.force_limit_n or inf
+
+    def predicted(
+        self, points: Floats, level: float, band_hz: tuple[float, float] = DEFAULT_BAND_HZ, dry: bool = True
+    ) -> Prediction:
+        """Of environments (N, 3) at a damping level [N s/m]; `dry`: with the friction as it is at the perturbation, and as the
+        trials record it."""
+        return predict(self.model, points, level, self.filters, self.perturbation if dry else None, band_hz, recorded=dry)
+
+    def passive(self, points: Floats, level: float, band_hz: tuple[float, float] = DEFAULT_BAND_HZ, dry: bool = True) -> Flags:
+        """(N,) at the perturbation; without `dry` also at any larger one."""
+        found = self.predicted(points, level, band_hz).passive
+        return found if dry or not found.any() else found & self.predicted(points, level, band_hz, dry=False).passive
+
+    def impedances(self, points: Floats, level: float, frequency_hz: Floats) -> Complexes:
+        """Z (N, F) [N s/m] of environments (N, 3) at `frequency_hz` (F,) as trials record it; friction is linearised on the
+        frequencies of a prediction beside them."""
+        band_hz = float(frequency_hz.min()), float(frequency_hz.max())
+        f, friction = np.union1d(predicted_frequencies(band_hz, self.perturbation), frequency_hz), coulomb(self.model)
+        loop = close_loop(self.model, f, level, self.filters)
+        z = linearise(loop, points, friction, np.zeros_like(friction), self.perturbation).impedance * loop.recorded
+        return np.asarray(z[:, np.isin(f, frequency_hz)])
+
+
+@lru_cache(maxsize=64)
+def display(scene: Scene, excitation: Excitation | None = None) -> Display:
+    """The scene's device, composed once, under `excitation`, by default its own noise. ConfigError as `compose`."""
+    return Display(scene, excitation or noise(scene), _composed(scene))
+
+
+_composed = lru_cache(maxsize=64)(compose)
 
 
 def candidates(scene: Scene) -> tuple[str, ...]:
@@ -99,10 +165,9 @@ def spectra_on(torque_n: npt.ArrayLike, velocity_m_per_s: npt.ArrayLike, frequen
     return replace(whole, frequency_hz=frequency_hz, velocity=whole.velocity[at], force=whole.force[at], cross=whole.cross[at])
 
 
-def calm(found: BatchResult, force_limit_n: float | None) -> list[int]:
+def calm(found: BatchResult, force_limit_n: float) -> list[int]:
     """Trials that ran to their end without reaching the force limit: the others ran away, and have no impedance."""
-    limit_n = inf if force_limit_n is None else force_limit_n
-    return [int(trial) for trial in np.flatnonzero(~found.diverged & (found.max_force_n < SATURATED * limit_n))]
+    return [int(trial) for trial in np.flatnonzero(~found.diverged & (found.max_force_n < SATURATED * force_limit_n))]
 
 
 def pooled(trials: list[Spectra]) -> Complexes:
@@ -110,3 +175,36 @@ def pooled(trials: list[Spectra]) -> Complexes:
     if not trials:
         raise AnalysisError("not stable: no trial ran to its end, so there is no impedance")
     return np.asarray(sum(trial.cross for trial in trials) / sum(trial.velocity for trial in trials))
+
+
+def device_scene(name: str) -> Scene | None:
+    """The scene of the device file `name`; None if there is no such file, or none that can be simulated."""
+    try:
+        document = read(find_device(name, shipped("config") / "hapticd.toml", "device"))
+    except ConfigError:
+        return None
+    device = validated(Device, document.data, document.where)
+    effects = _rigid(device, device.plant) if device.plant else device_effects(device)
+    if not effects:
+        return None
+    return Scene(document.path.stem, device.name, document.path.stem, effects, excitation=Excitation("noise"), seconds=TRIAL_S)
+
+
+def scene_of_device(title: str) -> Scene | None:
+    """The scene of the shipped device file that gives its device this name; None if there is none, or none to simulate."""
+    for path in sorted((shipped("config") / "devices").glob("*.toml")):
+        if read(path).data.get("name") == title:
+            return device_scene(path.stem)
+    return None
+
+
+def _rigid(device: Device, plant: Plant) -> tuple[Effect, ...]:
+    """The one mass that the simulated board moves without a model of effects, latched when it does by default."""
+    return (
+        Masses(rotor_kg=plant.mass_kg),
+        Motor(torque_constant_nm_per_a=plant.torque_constant_n_per_a, lever_m=1.0, resistance_ohm=plant.winding_ohm),
+        Viscous(rotor_ns_per_m=plant.viscous_ns_per_m),
+        WorkspaceEnds(lower_m=plant.lower_stop_m, upper_m=plant.upper_stop_m),
+        Delay(periods=1.0 - DEFAULT_PHASE),
+        *converter_effects(device).values(),
+    )

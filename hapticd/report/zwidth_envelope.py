@@ -9,8 +9,6 @@ from hapticd.analysis.arrays import Floats
 from hapticd.analysis.envelope import admittance
 from hapticd.analysis.predict import frequencies
 from hapticd.measure.outcomes import Conditions, Outcome, envelope_of, kept_frequencies
-from hapticd.measure.scenes import filters, perturbation, predicted_impedances
-from hapticd.plant.compose import compose
 from hapticd.report import figures
 from hapticd.report.envelopes import Drawn, Guess, draw_edges, draw_strip, guess_of, rendered
 from hapticd.report.looks import INTERVAL, Look, grey_patch, not_judged, of_levels, words_of
@@ -71,8 +69,7 @@ def _drawn(conditions: Conditions, level: float, trials: Sequence[Outcome], look
 
 def _guess(conditions: Conditions, level: float, points: Floats, inverse: bool) -> Guess:
     """What is predicted of the same environments, where the figure shows it."""
-    scene, source = conditions.scene, perturbation(conditions.excitation)
-    f = np.union1d(frequencies(conditions.band_hz, source), kept_frequencies())
-    z = predicted_impedances(compose(scene), points, f, level, filters(scene), source)
+    f = np.union1d(frequencies(conditions.band_hz, conditions.display.perturbation), kept_frequencies())
+    z = conditions.display.impedances(points, level, f)
     inside = (f >= SHOWN_HZ[0]) & (f <= SHOWN_HZ[1])
     return guess_of(f[inside], 1.0 / z[:, inside] if inverse else z[:, inside])

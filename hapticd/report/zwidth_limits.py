@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hapticd.measure.axis_scan import AxisLimit, LimitsResult
+from hapticd.measure.limits import AxisLimit, LimitsResult
 from hapticd.report import figures
 from hapticd.report.looks import PREDICTED, Look, of_levels, words_of
 from hapticd.report.paper_style import SMALL_PT

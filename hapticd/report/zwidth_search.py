@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hapticd.analysis.arrays import Flags, Floats
-from hapticd.measure.directed import SearchResult, Step
-from hapticd.measure.directed_slices import Slice, slice_at
+from hapticd.measure.directed import SearchResult, Slice, Step, slice_at
 from hapticd.report import figures
 from hapticd.report.looks import ANSWERS, PREDICTED, Look, of_levels, tint, words_of
 from hapticd.report.paper_style import SMALL_PT

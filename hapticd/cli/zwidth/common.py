@@ -94,7 +94,7 @@ def _goes_on(store: "TrialStore", folder: Path) -> str:
 def scene_of(name: str) -> "Scene":
     """The scene, or a simulated device's name with all of its effects. ConfigError names what there is."""
     from hapticd.errors import ConfigError
-    from hapticd.measure.device_scene import device_scene
+    from hapticd.measure.scenes import device_scene
     from hapticd.settings.scene import load_scene
 
     try:

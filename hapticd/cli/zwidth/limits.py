@@ -8,8 +8,7 @@ from hapticd.cli import output
 from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
-    from hapticd.measure.axis_scan import LimitsResult
-    from hapticd.measure.bracketing import Scan
+    from hapticd.measure.limits import LimitsResult, Scan
     from hapticd.measure.outcomes import Conditions, Outcome
     from hapticd.report.table import Table
 
@@ -39,8 +38,8 @@ def command(
     limit, amplitude and seed, and the last line is the result.
     """
     from hapticd.analysis.boundary import AXES
-    from hapticd.measure.axis_scan import LimitsParams, plan_limits, run_limits
     from hapticd.measure.executors import executor
+    from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
     from hapticd.measure.plain import plain
     from hapticd.measure.store import TrialStore, write_run
     from hapticd.report import figures

@@ -33,7 +33,7 @@ class Rig:
 def rig(instance: str, stack: ExitStack) -> Rig:
     """Connect for as long as `stack`; what ends this process meanwhile ends the trial with force off. DaemonDown."""
     from hapticd.cli.change import connect
-    from hapticd.measure.device_scene import scene_of_device
+    from hapticd.measure.scenes import scene_of_device
     from hapticd.params import EnvironmentParams, from_plain
 
     stack.enter_context(_ends_are_heard())

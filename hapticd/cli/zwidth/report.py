@@ -138,7 +138,7 @@ def _asked(kept: dict[str, Any]) -> "MapParams":
 
 def _of_device(scene: "Scene", damping: str, seconds: float, seed: int, out: Path | None) -> list[Path]:
     from hapticd.cli.zwidth.map import draw
-    from hapticd.measure.axis_scan import LimitsParams, plan_limits, run_limits
+    from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
     from hapticd.measure.portable import SUFFIX, device_hash, portable, write_portable
     from hapticd.measure.store import TrialStore, write_run
     from hapticd.report import figures
