@@ -12,8 +12,7 @@ import numpy as np
 from hapticd.analysis.arrays import Flags
 from hapticd.analysis.search import predicted_passive
 from hapticd.measure.campaign import Axes, MapParams, plan_map, run_map
-from hapticd.measure.directed import SearchParams, SearchResult, plan_search, run_search
-from hapticd.measure.directed import observed
+from hapticd.measure.directed import SearchParams, SearchResult, observed, plan_search, run_search
 from hapticd.measure.outcomes import Conditions
 from hapticd.measure.progress import Progress, silent
 from hapticd.measure.reproduce_trials import LEVELS
