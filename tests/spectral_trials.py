@@ -12,7 +12,7 @@ LAG = 2048
 def exact_trial(impedance, coherence=1.0, n_samples=N_SAMPLES, force_psd=2.5e-5, lag=LAG) -> Spectra:
     """Spectra without error of a device of `impedance(f)`, on the grid of the window."""
     f = np.arange(lag + 1) * (0.5 * RATE_HZ / lag)
-    z = impedance(np.maximum(f, 1e-3))
+    z = impedance(np.maximum(f, f[1]))  # a window knows no pole at 0 Hz
     force = np.full(f.size, 0.5 * force_psd * RATE_HZ)
     cross = force / z.conj()
     return Spectra(f, np.abs(cross) ** 2 / (coherence * force), force, cross, RATE_HZ, n_samples, lag)

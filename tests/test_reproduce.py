@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import reproduced
 
-from hapticd.analysis.spa import spa
 from hapticd.measure import reproduce_grid as grids
 from hapticd.measure import reproduce_limits as searches
 from hapticd.measure import reproduce_tasks as tasks
@@ -17,7 +16,7 @@ from hapticd.measure.reproduce import ReproduceParams, ReproduceResult, gathered
 from hapticd.measure.reproduce_grid import POINTS, by_prediction
 from hapticd.measure.reproduce_rows import FIG_7, PAPER, Row, arithmetic, by_quantity
 from hapticd.measure.reproduce_table import rows
-from hapticd.measure.reproduce_trials import BETWEEN_HZ, EDGES_HZ, LEVELS, MAIN, SCENES, flown, passes, real_between, subject
+from hapticd.measure.reproduce_trials import EDGES_HZ, LEVELS, MAIN, SCENES, flown, passes, subject
 from hapticd.report.paper_table import from_json
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -152,14 +151,6 @@ def test_grid_is_the_papers_thirteen_days() -> None:
     found = by_prediction(subject(MAIN), LEVELS[1])
     assert found.limits.mass[0] == pytest.approx(-0.022)
     assert found.envelope.upper.value.min() > 0.0
-
-
-def test_values_between_frequencies_are_exact() -> None:
-    random = np.random.default_rng(1)
-    force, velocity = random.standard_normal((2, 20_000))
-    velocity[1:] += 0.5 * force[:-1]
-    expected = spa(force, velocity, frequency_hz=BETWEEN_HZ).cross.real
-    np.testing.assert_allclose(real_between(spa(force, velocity)), expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
 
 
 def test_a_passive_trial_passes_and_an_escape_fails() -> None:

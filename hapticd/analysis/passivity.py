@@ -12,17 +12,20 @@ A device that is not stable is not passive, whatever its Re Z: with a virtual K 
 leave nothing to decide. The paper's plain rule, all phases within +-90 degrees, is answered beside it; with 5 mm/s of sensor
 noise it calls a passive device with a margin of 1 degree non-passive in every trial.
 
+The band is judged from edge to edge: an edge that is no line of the window is interpolated (`Spectra.band`). Multisines, and
+frequencies of one's own choice, are judged where they are, so a verdict names its first and its last frequency.
+
 What would break it: a band below 1/(M T), where the window smooths, or a record of too few windows; both are refused.
 """
 
 import numpy as np
 
-from hapticd.analysis.arrays import Flags, Floats
+from hapticd.analysis.arrays import Floats
 from hapticd.analysis.channels import channel_findings
 from hapticd.analysis.confidence import sidak, student_quantile
 from hapticd.analysis.diagnostics import Finding, Record
 from hapticd.analysis.impedance import Estimator, impedance, relative_sd, spread_of
-from hapticd.analysis.spectra import Spectra
+from hapticd.analysis.spectra import Spectra, lines_beside
 from hapticd.analysis.unexplained import coherence_findings
 from hapticd.analysis.verdict import Amplitude, Answer, Margin, Stability, Verdict
 from hapticd.errors import AnalysisError
@@ -49,11 +52,12 @@ def judge(
     AnalysisError for a band below 1/(M T), above half the sample rate or without frequencies, and for records of fewer than 20
     degrees of freedom.
     """
-    inside = band_mask(trial, band_hz)
-    f, at_port = trial.frequency_hz[inside], impedance(trial, estimator)
+    inside = _judged(trial, band_hz)
+    f = inside.frequency_hz
+    at_port = impedance(inside, estimator)
     z = at_port.without_mass(behind_mass_kg) if behind_mass_kg else at_port
-    ohm, count = z.impedance_ns_per_m[inside], int(inside.sum())
-    half = spread_of(np.abs(at_port.impedance_ns_per_m), half_width(trial, sidak(confidence, count)))[inside]
+    ohm = z.impedance_ns_per_m
+    half = spread_of(np.abs(at_port.impedance_ns_per_m), half_width(trial, inside, sidak(confidence, f.size)))
     angle = 90.0 - np.abs(np.degrees(np.angle(ohm)))
     newton = _least(ohm.real, half, f)
     findings = (record.findings if record else ()) + coherence_findings(trial, band_hz, estimator)
@@ -63,12 +67,14 @@ def judge(
         answer=_answer(newton, stability, findings),
         band_hz=band_hz,
         confidence=confidence,
-        n_frequencies=count,
+        first_judged_hz=float(f[0]),
+        last_judged_hz=float(f[-1]),
+        n_frequencies=f.size,
         margin_ns_per_m=newton,
         margin_deg=_least(angle, _angle_deg(half, np.abs(ohm)), f),
-        within_90_deg=bool(np.all(np.abs(np.angle(ohm)) < 0.5 * np.pi)),
+        within_90_deg=_turns_less(inside),
         stability=stability,
-        amplitude=Amplitude(float(2.0 * trial.force[inside].mean() / trial.rate_hz), _velocity_sd(trial)),
+        amplitude=Amplitude(float(2.0 * inside.force.mean() / trial.rate_hz), _velocity_sd(trial)),
         port=z.port,
         seconds=trial.n_samples / trial.rate_hz,
         seconds_needed=_seconds_needed(ohm.real, half, trial),
@@ -79,8 +85,18 @@ def judge(
     )
 
 
-def band_mask(trial: Spectra, band_hz: tuple[float, float]) -> Flags:
-    """Which frequencies of `trial` lie in `band_hz`, both ends included. AnalysisError as `judge`."""
+def within_90_deg(trial: Spectra, band_hz: tuple[float, float] = DEFAULT_BAND_HZ) -> bool:
+    """The paper's plain rule from edge to edge of a band: the sign of Re Z is that of the cross-power. Not refused below
+    1/(M T): whoever asks there reads what the window makes of it."""
+    return _turns_less(trial.band(band_hz))
+
+
+def _turns_less(inside: Spectra) -> bool:
+    return bool((inside.cross.real > 0.0).all())
+
+
+def _judged(trial: Spectra, band_hz: tuple[float, float]) -> Spectra:
+    """What a verdict on `band_hz` looks at. AnalysisError as `judge`."""
     low, high = band_hz
     if low < trial.lowest_hz:
         raise AnalysisError(
@@ -93,20 +109,34 @@ def band_mask(trial: Spectra, band_hz: tuple[float, float]) -> Flags:
             f"record of {trial.n_samples / trial.rate_hz:.3g} s: too short for a verdict with a {trial.span}; "
             f"record {needed:.3g} s or more"
         )
-    inside = (trial.frequency_hz >= low) & (trial.frequency_hz <= high)
-    if not inside.any():
+    half_rate_hz = 0.5 * trial.rate_hz
+    if not low <= min(high, half_rate_hz):
         raise AnalysisError(f"no frequency of the estimate lies in {low:g}..{high:g} Hz; widen the band")
-    if high > 0.5 * trial.rate_hz * (1.0 + 1e-12):
+    if high > half_rate_hz * (1.0 + 1e-12):
         raise AnalysisError(
-            f"band to {high:g} Hz: samples at {trial.rate_hz:g} Hz say nothing above {0.5 * trial.rate_hz:g} Hz; end there"
+            f"band to {high:g} Hz: samples at {trial.rate_hz:g} Hz say nothing above {half_rate_hz:g} Hz; end there"
         )
+    inside = trial.band(band_hz)
+    if not inside.frequency_hz.size:
+        raise AnalysisError(f"no frequency of the estimate lies in {low:g}..{high:g} Hz; widen the band")
     return inside
 
 
-def half_width(trial: Spectra, level: float) -> Floats:
-    """Half of the interval of Re Z over |Z| (F,), each side at `level`: the sine of that of the phase; inf without coherence."""
+def half_width(trial: Spectra, inside: Spectra, level: float) -> Floats:
+    """Half of the interval of Re Z over |Z| (F,) of a band `inside` a trial, each side at `level`: the sine of that of the phase;
+    inf without coherence."""
     freedom = trial.degrees_of_freedom - 2.0
-    return student_quantile(level, freedom) * relative_sd(trial.coherence, freedom)
+    return student_quantile(level, freedom) * relative_sd(_coherence(trial, inside), freedom)
+
+
+def _coherence(trial: Spectra, inside: Spectra) -> Floats:
+    """g2 (F,) of a band, at an edge between lines no more than at the lines beside it: there side lobes of a drift may take
+    power from the motion, and the perturbation then seems to explain more of it."""
+    if not trial.whole:
+        return inside.coherence
+    of_lines = trial.coherence
+    below, above = lines_beside(inside.frequency_hz, trial.rate_hz, trial.lag)
+    return np.minimum(inside.coherence, np.minimum(of_lines[below], of_lines[above]))
 
 
 def _angle_deg(half: Floats, size: Floats) -> Floats:

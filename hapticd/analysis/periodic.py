@@ -16,12 +16,12 @@ What would break it: a motion that has not settled, samples that were lost (refu
 realisation taken for the whole truth.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.arrays import Complexes, Floats
+from hapticd.analysis.arrays import Complexes, Flags, Floats, Integers
 from hapticd.analysis.diagnostics import Finding
 from hapticd.analysis.spectra import Spectra, grid_frequencies
 from hapticd.errors import AnalysisError
@@ -43,6 +43,13 @@ class PeriodicSpectra(Spectra):
     periods: int = 1
     between_periods: Floats = field(default_factory=lambda: UNKNOWN)
     between_realisations: Floats = field(default_factory=lambda: UNKNOWN)
+
+    def part(self, which: Flags | Integers | slice) -> "PeriodicSpectra":
+        """Those at some of the harmonics, `which` (F,)."""
+        found = super().part(which)
+        assert isinstance(found, PeriodicSpectra)
+        between = (self.between_periods[which], self.between_realisations[which])
+        return replace(found, between_periods=between[0], between_realisations=between[1])
 
     @property
     def variance_factor(self) -> float:

@@ -8,26 +8,57 @@ Velocity u is the input, force y the output, as in the paper (Weir, Colgate and 
     C         = sum W^2 = 3 M / 4                           C/N: relative variance of a spectrum inside the band
 
 (Ljung, System Identification, 2nd ed. 1999, section 6.4. Older MATLAB help calls this window Hamming.) Because W(+-M) = 0, the
-M + 1 frequencies k/(2 M) of the sample rate hold the whole estimate; every other is its exact trigonometric interpolation.
+M + 1 frequencies k/(2 M) of the sample rate, the lines, hold the whole estimate; every other is its trigonometric interpolation:
+
+    Phi(w) = sum_k Phi_k D(w - w_k),   D(x) = sin(M x) / (2 M tan(x/2)),   k over the whole circle of 2 M
+
+So a band is looked at from end to end (`Spectra.band`) although 2 Hz is no line of the paper's window.
 
 What would break it: a record shorter than a few windows, a spring below 1/(M T) (the window smooths the steep spectrum and
-pulls the phase to 0), channels not sampled together (a skew d turns the phase by 360 f d degrees; `corrected` undoes it).
+pulls the phase to 0), channels not sampled together (a skew d turns the phase by 360 f d degrees; `corrected` undoes it). A
+drift: the window's side lobes, up to -0.03 of what is at 0 Hz, have their zeros on the lines but not between them.
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from hapticd.analysis.arrays import Complexes, Flags, Floats
+from hapticd.analysis.arrays import Complexes, Flags, Floats, Integers
 from hapticd.analysis.sections import Covariances
 from hapticd.errors import AnalysisError
+
+NEAR = 1e-6  # of the spacing of the lines: what is closer to a line is that line
+LEFT = 0.5  # of the lesser power of the two lines beside it: a smooth spectrum has that much left between them
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """Known faults of the recorded channels, as the arguments of `corrected`."""
+
+    skew_s: float = 0.0
+    high_pass_hz: float = 0.0
+    interval_s: float = 0.0
+
+    def response(self, frequency_hz: Floats) -> Complexes:
+        """Of the velocity channel (F,), but for the mean; 1 at 0 Hz."""
+        f = frequency_hz
+        one = np.ones(f.size, np.complex128)
+        passed = np.divide(1j * f, self.high_pass_hz + 1j * f, out=one, where=f > 0.0)
+        return np.asarray(np.exp(2j * np.pi * f * self.skew_s) * passed)
+
+    def mean(self, frequency_hz: Floats) -> Floats:
+        """What holding the force and averaging the velocity does to the power of each (F,)."""
+        return np.asarray(np.sinc(frequency_hz * self.interval_s) ** 2)
 
 
 @dataclass(frozen=True, eq=False)
 class Spectra:
     """Spectra of one trial at `frequency_hz` (F,): `velocity` [(m/s)^2], `force` [N^2] float64, `cross` Phi_yu [N m/s] complex128.
 
-    A one-sided density per hertz is 2 Phi / rate_hz. `port` names where velocity was measured.
+    A one-sided density per hertz is 2 Phi / rate_hz. `port` names where velocity was measured. `taken_out`: what was corrected.
     """
 
     frequency_hz: Floats
@@ -38,6 +69,7 @@ class Spectra:
     n_samples: int
     lag: int
     port: str = "probe"
+    taken_out: tuple[Channel, ...] = ()
 
     @property
     def variance_factor(self) -> float:
@@ -59,10 +91,56 @@ class Spectra:
         """1/(M T): below it nothing can be said."""
         return self.rate_hz / self.lag
 
-    def part(self, which: Flags) -> "Spectra":
+    @property
+    def whole(self) -> bool:
+        """Whether these are all lines of the window, which hold the estimate at every other frequency as well."""
+        if self.exact or self.frequency_hz.size != self.lag + 1:
+            return False
+        return np.array_equal(self.frequency_hz, grid_frequencies(self.rate_hz, self.lag))
+
+    def part(self, which: Flags | Integers | slice) -> "Spectra":
         """Those at some of the frequencies, `which` (F,)."""
         f, cross = self.frequency_hz[which], self.cross[which]
         return replace(self, frequency_hz=f, velocity=self.velocity[which], force=self.force[which], cross=cross)
+
+    def band(self, band_hz: tuple[float, float]) -> "Spectra":
+        """Those from `band_hz[0]` to `band_hz[1]`, both ends among them: what is no line is interpolated exactly.
+
+        An end that has lost its power to the side lobes of a drift is left out, for it would say nothing of the device. Of
+        spectra that are not `whole`, whatever frequencies there are. AnalysisError for an end outside 0..rate/2.
+        """
+        if not self.whole:
+            return self.part((self.frequency_hz >= band_hz[0]) & (self.frequency_hz <= band_hz[1]))
+        edges = _inside(np.asarray(band_hz, np.float64), self.rate_hz)
+        below, above = lines_beside(edges, self.rate_hz, self.lag)
+        lines = self.part(slice(above[0], below[1] + 1))
+        after = self._edge(band_hz[1]) if band_hz[1] > band_hz[0] else []
+        return _joined([*self._edge(band_hz[0]), lines, *after])
+
+    def _edge(self, frequency_hz: float) -> "list[Spectra]":
+        """The one at an end of a band, if it is no line and has its power."""
+        below, above = lines_beside(np.array([frequency_hz]), self.rate_hz, self.lag)
+        if below == above:
+            return []
+        found = self._between(frequency_hz)
+        beside = self.part(np.concatenate((below, above)))
+        lost = found.velocity < LEFT * beside.velocity.min() or found.force < LEFT * beside.force.min()
+        return [] if lost else [found]
+
+    def _between(self, frequency_hz: float) -> "Spectra":
+        """The one at a frequency that is no line: interpolated as it was recorded, and corrected as these were."""
+        even, odd = _weights(self.lag, frequency_hz * 2.0 * self.lag / self.rate_hz)
+        raw = _distorted(self)
+        found = replace(
+            raw,
+            frequency_hz=np.array([frequency_hz]),
+            velocity=np.maximum([even @ raw.velocity], 0.0),
+            force=np.maximum([even @ raw.force], 0.0),
+            cross=np.array([complex(even @ raw.cross.real, odd @ raw.cross.imag)]),
+        )
+        for channel in self.taken_out:
+            found = _corrected(found, channel)
+        return found
 
     @property
     def smoothing_hz2(self) -> float:
@@ -109,17 +187,76 @@ def corrected(trial: Spectra, skew_s: float = 0.0, high_pass_hz: float = 0.0, in
     first-order high-pass in the velocity channel; the value at 0 Hz stays as it is. `interval_s`: the force was held, and the
     velocity averaged, over intervals of this length, which raises |Z| by 1/sinc(f interval_s)^2 and leaves the phase.
     """
-    f = trial.frequency_hz
-    passed = np.divide(1j * f, high_pass_hz + 1j * f, out=np.ones(f.size, np.complex128), where=f > 0.0)
-    channel = np.exp(2j * np.pi * f * skew_s) * passed
-    mean = np.sinc(f * interval_s) ** 2
-    velocity = trial.velocity / (np.abs(channel) ** 2 * mean)
-    return replace(trial, velocity=velocity, force=trial.force * mean, cross=trial.cross / channel.conj())
+    return _corrected(trial, Channel(skew_s, high_pass_hz, interval_s))
+
+
+def _corrected(trial: Spectra, channel: Channel) -> Spectra:
+    response = channel.response(trial.frequency_hz)
+    mean = channel.mean(trial.frequency_hz)
+    return replace(
+        trial,
+        velocity=trial.velocity / (np.abs(response) ** 2 * mean),
+        force=trial.force * mean,
+        cross=trial.cross / response.conj(),
+        taken_out=(*trial.taken_out, channel),
+    )
+
+
+def _distorted(trial: Spectra) -> Spectra:
+    """As they were recorded: only those are a sum of covariances inside the window."""
+    for channel in trial.taken_out:
+        response = channel.response(trial.frequency_hz)
+        mean = channel.mean(trial.frequency_hz)
+        velocity = trial.velocity * (np.abs(response) ** 2 * mean)
+        cross = trial.cross * response.conj()
+        trial = replace(trial, velocity=velocity, force=trial.force / mean, cross=cross)
+    return replace(trial, taken_out=())
+
+
+def _joined(parts: list[Spectra]) -> Spectra:
+    def joined(name: str) -> npt.NDArray[Any]:
+        return np.concatenate([getattr(part, name) for part in parts])
+
+    return replace(
+        parts[0],
+        frequency_hz=joined("frequency_hz"),
+        velocity=joined("velocity"),
+        force=joined("force"),
+        cross=joined("cross"),
+    )
+
+
+@lru_cache(maxsize=64)
+def _weights(lag: int, place: float) -> tuple[Floats, Floats]:
+    """Of the lines' real and of their imaginary parts (M + 1,) in the value at `place`, in lines, itself none.
+
+    Lines of negative frequency have the conjugate values, so each weight is D of a line and of its mirror image.
+    """
+    own = _kernel(lag, place)
+    mirrored = _kernel(lag, -place)
+    mirrored[[0, lag]] = 0.0  # 0 Hz and half the sample rate are their own mirror images
+    return own + mirrored, own - mirrored
+
+
+def _kernel(lag: int, place: float) -> Floats:
+    """D (M + 1,) of the module at `place` - k, k = 0..M; the sine by the part of a line, which keeps its digits."""
+    k = np.arange(lag + 1)
+    line = round(place)
+    sine = (1.0 - 2.0 * ((line - k) % 2)) * np.sin(np.pi * (place - line))
+    turn = place - k
+    turn -= 2 * lag * np.round(turn / (2 * lag))
+    return np.asarray(sine / (2 * lag * np.tan(np.pi * turn / (2 * lag))))
 
 
 def grid_frequencies(rate_hz: float, lag: int) -> Floats:
     """k rate/(2 M), k = 0..M: the frequencies that hold the whole estimate (M + 1,)."""
     return np.asarray(np.arange(lag + 1) * (0.5 * rate_hz / lag), np.float64)
+
+
+def lines_beside(frequency_hz: Floats, rate_hz: float, lag: int) -> tuple[Integers, Integers]:
+    """Numbers of the lines at or below and at or above frequencies (F,), both (F,); the same twice where that is a line."""
+    place = frequency_hz * (2.0 * lag / rate_hz)
+    return np.floor(place + NEAR).astype(np.int64), np.ceil(place - NEAR).astype(np.int64)
 
 
 def on_the_grid(ahead: Floats, behind: Floats) -> Complexes:

@@ -21,6 +21,16 @@ def needed(seconds_needed: float, seconds: float) -> str:
     return f"a record like it of some {two_digits(seconds_needed)} s would decide"
 
 
+def hertz(value: float) -> str:
+    """A frequency as a verdict names it: three digits, whole numbers from 100 Hz on."""
+    return f"{value:.{2 if value < 10.0 else 1 if value < 100.0 else 0}f}"
+
+
+def judged_words(first_hz: float, last_hz: float) -> str:
+    """From where to where something was judged."""
+    return f"judged {hertz(first_hz)} to {hertz(last_hz)} Hz"
+
+
 def two_digits(value: float) -> str:
     """As much as is known of a length or a number that is foretold; never 0."""
     return f"{max(1.0, float(f'{value:.2g}')):g}"
@@ -51,6 +61,9 @@ class Amplitude:
 class Verdict:
     """Answer and conditions. `within_90_deg` is the paper's plain rule, `port` the place where Z was looked at.
 
+    What was judged are `n_frequencies`, from `first_judged_hz` to `last_judged_hz`: the edges of `band_hz`, unless the spectra
+    are of lines alone (a multisine) or of chosen frequencies; then the first and the last of those inside.
+
     "stable" without a `spectral_radius` (of the predicted loop) says that no escape was seen in this record. `seconds` is
     the length of the record, `seconds_needed` that of one like it that would decide; inf at margin 0. What is narrower than
     `resolution_hz` was averaged with what is beside it.
@@ -59,6 +72,8 @@ class Verdict:
     answer: Answer
     band_hz: tuple[float, float]
     confidence: float
+    first_judged_hz: float
+    last_judged_hz: float
     n_frequencies: int
     margin_ns_per_m: Margin
     margin_deg: Margin
@@ -79,11 +94,17 @@ class Verdict:
         words = (
             f"{_WORDS[self.answer]} [{low:g}, {high:g}] Hz at {100 * self.confidence:g} % confidence",
             self._stability(),
-            f"margin at a resolution of {self.resolution_hz:.2g} Hz {self.margin_ns_per_m} N s/m, {self.margin_deg} deg",
+            f"margin at a resolution of {self.resolution_hz:.2g} Hz, {self.judged}: {self.margin_ns_per_m} N s/m, "
+            f"{self.margin_deg} deg",
             f"perturbation {density:.3g} N^2/Hz, velocity {speed:.3g} mm/s rms over {self.seconds:.3g} s at the {self.port}",
             *(finding.message for finding in self.findings),
         )
         return "; ".join(words)
+
+    @property
+    def judged(self) -> str:
+        """The frequencies that were judged, in words."""
+        return judged_words(self.first_judged_hz, self.last_judged_hz)
 
     def _stability(self) -> str:
         if self.spectral_radius is not None:

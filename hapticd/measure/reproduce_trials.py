@@ -1,10 +1,7 @@
 """The devices, trials and the rule behind `reproduce`: 90 s of white noise each, judged as the paper judged them.
 
 A trial passes if it neither ran away nor filled the force range, and if all phases of Z lie within +-90 degrees from the lower
-band edge to 500 Hz. The window's own frequencies are k 0.977 Hz, so 2 Hz is not among them; because the lag window ends in
-zeros, their values hold the whole estimate, and the edges that are asked for are read between them exactly:
-
-    Phi(w) = sum_k Phi_k D(w - w_k),   D(x) = sin(M x) / (2 M tan(x/2)),   k over the whole circle of 2 M
+band edge to 500 Hz, both included (`passivity.within_90_deg`).
 
 What would break it: an edge below 1/(M T) = 1.95 Hz. It is read all the same where it is asked for, and drawn as what it is.
 """
@@ -19,6 +16,7 @@ import numpy as np
 from hapticd.analysis.arrays import Complexes, Flags, Floats
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.loop import Filters
+from hapticd.analysis.passivity import within_90_deg
 from hapticd.analysis.predict import DEFAULT_BAND_HZ, frequencies, predict
 from hapticd.analysis.spa import DEFAULT_LAG
 from hapticd.analysis.spectra import Spectra
@@ -39,7 +37,6 @@ SUBSTEPS = 4  # matched to what 90 s of noise leave uncertain
 TOGETHER = LANES["f64"]
 WINDOW_HZ = PROBE_RATE_HZ / DEFAULT_LAG  # 1/(M Ts): below it the window says nothing
 EDGES_HZ = (1.0, 2.0, 3.0, 5.0, 10.0)
-BETWEEN_HZ = (1.0, 1.5, 2.0, 2.5, 3.0, 5.0, 10.0)
 
 Point = tuple[float, float, float]
 
@@ -87,28 +84,10 @@ def flown(
 
 
 def passes(trial: Spectra | None, low_hz: float = DEFAULT_BAND_HZ[0]) -> bool:
-    """The paper's rule from `low_hz`, one of BETWEEN_HZ, to 500 Hz."""
-    if trial is None:
-        return False
-    inside = (trial.frequency_hz >= low_hz) & (trial.frequency_hz <= DEFAULT_BAND_HZ[1])
-    between = real_between(trial)[np.asarray(BETWEEN_HZ) >= low_hz]
-    return bool((trial.cross.real[inside] > 0.0).all() and (between > 0.0).all())
+    """The paper's rule from `low_hz` to 500 Hz."""
+    return trial is not None and within_90_deg(trial, (low_hz, DEFAULT_BAND_HZ[1]))
 
 
 def decided(trials: Iterable[Spectra | None], low_hz: float = DEFAULT_BAND_HZ[0]) -> Flags:
     """`passes` of many (N,)."""
     return np.array([passes(trial, low_hz) for trial in trials])
-
-
-def real_between(trial: Spectra) -> Floats:
-    """Real part of the cross spectrum at BETWEEN_HZ, exactly. The trial must be on the grid of the paper's window."""
-    circle = np.concatenate((trial.cross, trial.cross[-2:0:-1].conj()))
-    return np.asarray(_weights() @ circle.real)
-
-
-@cache
-def _weights() -> Floats:
-    """(len(BETWEEN_HZ), 2 M)"""
-    place = np.arange(2 * DEFAULT_LAG) * (np.pi / DEFAULT_LAG)
-    x = 2.0 * np.pi * np.asarray(BETWEEN_HZ)[:, None] / PROBE_RATE_HZ - place
-    return np.asarray(np.sin(DEFAULT_LAG * x) / (2 * DEFAULT_LAG * np.tan(0.5 * x)))
