@@ -392,3 +392,61 @@ def test_longer_window_is_taken_where_it_is_asked_for():
     assert found.measured.frequency_hz.size == 8193
     with pytest.raises(AnalysisError, match=r"a trial of 12 s: a verdict takes 15\.4 s or more"):
         plan_trial(TrialParams(Trial(seconds=12.0), lag=8192))
+
+
+@pytest.mark.parametrize("stronger", [1e3, 1e6])
+def test_linear_display_that_is_pushed_hard_is_stable(rigid, stronger):
+    """Some 0.7 and 22 m/s rms: an absolute 0.5 m/s was called an escape."""
+    pushed = Excitation("noise", psd_n2_per_hz=2.5e-5 * stronger)
+    trial = Trial((100.0, 1.0, 0.002), seconds=20.0, excitation=pushed)
+    found = run_trial(plan_trial(TrialParams(trial)), engine_source(load_scene(rigid)))
+    assert found.recorded.ended == ""
+    assert found.verdict.amplitude.velocity_sd_m_per_s > 0.5
+    assert (found.verdict.answer, found.verdict.stability) == ("passive", "stable")
+
+
+@pytest.mark.parametrize(
+    ("scene", "environment"),
+    [("fig4", (4000.0, 0.0, 0.0)), ("fig4", (0.0, 12.0, 0.0)), ("fig4", (0.0, 0.0, 0.06)), ("rival", (3000.0, 0.0, 0.0))],
+)
+def test_escape_before_the_record_begins_is_found_at_the_limit_of_the_force(scene, environment):
+    """Nothing grows any more; what moves the device is not the perturbation."""
+    trial = Trial(environment, seconds=20.0)
+    found = run_trial(plan_trial(TrialParams(trial)), engine_source(load_scene(scene)))
+    assert found.recorded.ended.startswith("escape: the command reached its limit of 8 N in a motion of its own")
+    assert found.verdict.answer == "not_passive"
+
+
+def test_loop_that_ran_away_at_once_ends_its_lockstep_trial_as_an_escape(rigid):
+    with LockStepBench(*scene_params(rigid)) as bench:
+        found = bench_source(bench)(Trial((0.0, 100.0, 0.0), seconds=20.0), lambda *_: None)
+    assert found.ended.startswith("escape: the command reached its limit of 8 N")
+    assert found.seconds < 5.0
+
+
+def test_device_faster_than_its_own_limit_has_escaped():
+    force, velocity = mass_record(3.0)
+    speed = float(np.std(velocity))
+    for limit, escaped in ((0.8 * speed, True), (1.5 * speed, False)):
+        reason = Sentinel(Watch(speed_limit_m_per_s=limit), RATE_HZ).see(force, velocity)
+        assert reason.startswith("escape: velocity of") == escaped
+
+
+@pytest.mark.parametrize("mass_kg", [0.006, 0.02, 0.05])
+def test_velocity_in_millimetres_is_suspected_and_called_neither_stable_nor_passive(mass_kg):
+    """A record of 20 mm/s as 20 m/s: undecided, with the question; the same record in m/s is passive."""
+    force, velocity = mass_record(20.0, mass_kg)
+    for scale, answer in ((1.0, "passive"), (1e3, "undecided")):
+        source = file_source(Recorded(force, scale * velocity, RATE_HZ, "a.csv", False))
+        found = run_trial(plan_trial(TrialParams(Trial(seconds=20.0))), source).verdict
+        assert found.answer == answer
+        assert found.stability == "stable"
+        assert ("is the velocity in mm/s? Give m/s" in str(found)) == (scale > 1.0)
+
+
+def test_force_in_millinewtons_is_suspected():
+    force, velocity = mass_record(20.0)
+    plan = plan_trial(TrialParams(Trial(seconds=20.0)))
+    found = judged(plan, Recorded(1e4 * force, velocity, RATE_HZ, "a.csv", False)).verdict
+    assert found.answer == "undecided"
+    assert "is the force in mN? Give N" in str(found)

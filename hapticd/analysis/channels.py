@@ -1,15 +1,19 @@
-"""Two faults of the measuring channels that look like physics, found in the spectra of a trial.
+"""Faults of the measuring channels that look like physics, found in the spectra of a trial.
 
 skew        the velocity is sampled d seconds after the force: Z is turned by e^(-jwd). |Z| stays as it is, so where |Z| grows
             with f the device is a mass with some damping, of phase 90 degrees - b/(w m), and what falls off with f besides
             is skew. 125 us turn the phase by 22 degrees at 500 Hz and make (d < 0) every passive display look active.
 high-pass   an AC-coupled velocity amplifier of corner f_h: Z is multiplied by 1 + f_h/(jf). Over a spring K this adds
             -K f_h / (2 pi f^2) to Re Z, unlike a delayed force, which adds a constant. 0.1 Hz look like 4 ms at 2 Hz.
+units       a velocity in mm/s is a thousand times too fast, and the display it moves a thousand
+            times too light: lighter than a tenth of a gram between 100 and 500 Hz, or light and
+            faster than any display. That says nothing of its stability.
 
-Both are fitted by least squares with bisquare weights (Beaton and Tukey 1974). The window's own smoothing of a spring,
-+ b s^2 / (2 pi f)^2 with s^2 = pi^2 / (2 M^2 T^2), is taken out. What 90 s of noise can show is a skew from 20 us (coupling
-modes do up to 11 us of it) and a corner from about 0.4 Hz; a smaller one shows when the lower band edge of a stiffness limit
-is moved.
+Skew and high-pass are fitted by least squares with bisquare weights (Beaton and Tukey 1974). The
+window's own smoothing of a spring, + b s^2 / (2 pi f)^2 with s^2 = pi^2 / (2 M^2 T^2), is taken
+out. What 90 s of noise can show is a skew from 20 us (coupling modes do up to 11 us of it) and a
+corner from about 0.4 Hz; a smaller one shows when the lower band edge of a stiffness limit is
+moved.
 
 What would break it: a device that is a mass nowhere between 0.06 and 0.4 of the sample rate (then nothing is said).
 """
@@ -34,6 +38,12 @@ LEAST_SKEW_S = 20e-6
 WORST_SKEW_SD_S = 5e-6  # beyond it the device was no mass with skew
 LEAST_HIGH_PASS_HZ = 0.02
 CERTAINTY = 4.0  # standard deviations
+FASTEST_M_PER_S = 5.0  # rms; a device file calls less a fault of the sensor
+LIGHTEST_KG = 1e-4  # that moves at the port of a display; the paper's is 8 g
+FAST_AND_LIGHT_KG = 3e-3  # a display of 3 kg, its velocity in mm/s: what is fast and heavier ran away, or was pushed hard
+STRONGEST_N = 500.0  # rms; the paper's perturbation was 0.2 N
+MASS_BAND_HZ = (100.0, 500.0)
+LEAST_LINES = 8  # of frequencies at which |Z| is known
 _ROUNDS, _BISQUARE = 12, 4.685
 _NEIGHBOURS = 8.0 / 3.0  # values per independent one: bandwidth over spacing
 
@@ -74,6 +84,26 @@ def high_pass(trial: Spectra) -> Fitted:
 def channel_findings(trial: Spectra) -> tuple[Finding, ...]:
     """Skew and high-pass, named where they are certain and matter."""
     return (*_skew_finding(skew(trial)), *_high_pass_finding(high_pass(trial)))
+
+
+def unit_findings(trial: Spectra, force_rms_n: float, velocity_rms_m_per_s: float) -> tuple[Finding, ...]:
+    """A force or velocity beyond any display, by the rms values [N, m/s] of a record and its spectra: what unit it may be in."""
+    found, mass_kg = [], moving_mass_kg(trial)
+    fast = velocity_rms_m_per_s > FASTEST_M_PER_S and not mass_kg >= FAST_AND_LIGHT_KG
+    if fast or mass_kg < LIGHTEST_KG:
+        moved = f" of what weighs {1e3 * mass_kg:.2g} g" if np.isfinite(mass_kg) else ""
+        found.append(
+            f"velocity of {velocity_rms_m_per_s:.3g} m/s rms{moved}: no display does that; is the velocity in mm/s? Give m/s"
+        )
+    if force_rms_n > STRONGEST_N:
+        found.append(f"force of {force_rms_n:.3g} N rms: no display takes that; is the force in mN? Give N")
+    return tuple(Finding("units", f"units: {words}", voids=True) for words in found)
+
+
+def moving_mass_kg(trial: Spectra) -> float:
+    """Median of |Z| / (2 pi f) where the display is mostly a mass; nan where too little is known of it."""
+    z, f, _ = _part(trial, *MASS_BAND_HZ)
+    return float(np.median(np.abs(z) / (2.0 * np.pi * f))) if f.size >= LEAST_LINES else float("nan")
 
 
 def _skew_finding(found: Fitted) -> tuple[Finding, ...]:

@@ -1,7 +1,8 @@
 """What may be wrong with a trial, detected from its record, and named.
 
 saturation      a channel stays at its end value: given limits, or a flat top that no noise has
-escape          the velocity of some second is several times that of the calm ones: the loop ran away
+escape          the velocity of some second is several times that of the calm ones, under a force that did not grow as much:
+                the loop ran away
 drift           offset or trend of the velocity, or a level that changes between the halves of the record
 dropout         seconds without a perturbation, or with a velocity that stands still: silence is no knowledge
 
@@ -98,7 +99,8 @@ def _by_seconds(force: Floats, velocity: Floats, raw_velocity: Floats, rate_hz: 
     still = ~silent & (np.ptp(_seconds(raw_velocity, rate_hz), axis=1) == 0.0)
     rms, live = np.sqrt(np.mean(_seconds(velocity, rate_hz) ** 2, axis=1)), moved[~(silent | still)]
     rms[silent | still] = np.quantile(live, 0.25) if live.size else 0.0
-    return (*_dropout("no perturbation", silent), *_dropout("velocity stood still", still), *escape_findings(rms, 1.0))
+    escaped = escape_findings(rms, 1.0, pushed)
+    return (*_dropout("no perturbation", silent), *_dropout("velocity stood still", still), *escaped)
 
 
 def _seconds(signal: Floats, rate_hz: float) -> Floats:
@@ -115,10 +117,14 @@ def _dropout(what: str, where: Flags) -> tuple[Finding, ...]:
     return (Finding("dropout", message, voids=True),)
 
 
-def escape_findings(rms: Floats, window_s: float) -> tuple[Finding, ...]:
-    """Escape by the rms velocity of windows of about a second (n,)."""
+def escape_findings(rms: Floats, window_s: float, pushed: Floats | None = None) -> tuple[Finding, ...]:
+    """Escape by the rms velocity of windows of about a second (n,), and that of the force (n,) where it may change: a force that
+    is stronger than usual moves a stable device as much faster.
+    """
     calm = float(np.quantile(rms, 0.25))
-    loud = np.flatnonzero(rms > ESCAPE_RATIO * calm)
+    usual = 0.0 if pushed is None else float(np.quantile(pushed, 0.25))
+    stronger = np.maximum(1.0, pushed / usual) if pushed is not None and usual > 0.0 else 1.0
+    loud = np.flatnonzero(rms > ESCAPE_RATIO * calm * stronger)
     if not loud.size:
         return ()
     at_s = loud[0] * window_s

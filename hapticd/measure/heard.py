@@ -48,7 +48,10 @@ class Hearing:
         ends = servo["environment"]["workspace"]
         self._limit_n = min(servo["safety"]["force_limit_n"], servo["device"]["force_limit_n"])
         self._daemon, self._seconds = daemon, trial.seconds
-        watch = replace(trial.watch, command_limit_n=self._limit_n, travel_m=(ends["lower_m"], ends["upper_m"]))
+        watch = replace(
+            trial.watch, command_limit_n=self._limit_n, travel_m=(ends["lower_m"], ends["upper_m"]),
+            speed_limit_m_per_s=servo["device"]["speed_limit_m_per_s"],
+        )  # fmt: skip
         self._sentinel = Sentinel(watch, PROBE_RATE_HZ)
         self._filler, self._parts = Filler(), list[tuple[Floats, Flags]]()  # (2, n) force and velocity, and which came
         self._taken, self._command_n, self._winding_c, self._enabled = 0, 0.0, nan, True

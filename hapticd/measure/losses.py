@@ -9,6 +9,8 @@ sixes took more than half of |Z| at 2 Hz over a spring of 500 N/m. So what is mi
 A lost slot is another matter: the servo left out a tick, the command before stood longer, and what was rendered was not what
 was asked. No analysis puts that right. A record that lost more than a hundredth of either decides nothing.
 
+A file whose column of times shows that rows are missing (`times`) is treated alike.
+
 What would break it: gaps that come with the motion (a board that loses what is fast); they come with the host's load.
 """
 
@@ -23,6 +25,7 @@ from hapticd.analysis.diagnostics import Finding
 BRIDGED = 40  # samples at most: 10 ms
 MOST_LOST = 0.01  # share of samples or slots above which nothing is decided
 COUNTS = ("lost_samples", "samples", "lost_slots", "slots")  # as the run's summary names them
+REMEDY_OF_FILES = "rows are missing by the times in the file, record again without gaps"
 REMEDY = "close other programs on this computer, see `hapticd doctor`"
 
 
@@ -56,10 +59,11 @@ def loss_findings(counts: Mapping[str, Any]) -> tuple[Finding, ...]:
     found = []
     if lost_samples:
         words = f"samples of the probe {_share(lost_samples, samples)}; they were filled in, and lower the coherence"
-        found.append(_named("lost_samples", words, lost_samples / samples, "; h_force reads |Z| better than spa"))
+        remedy = REMEDY if "slots" in counts else REMEDY_OF_FILES
+        found.append(_named("lost_samples", words, lost_samples / samples, f"{remedy}; h_force reads |Z| better than spa"))
     if lost_slots:
         words = f"slots of the servo {_share(lost_slots, slots)}; the command before them stood longer than asked"
-        found.append(_named("lost_slots", words, lost_slots / slots))
+        found.append(_named("lost_slots", words, lost_slots / slots, REMEDY))
     return tuple(found)
 
 
@@ -72,6 +76,6 @@ def _share(lost: int, total: int) -> str:
     return f"lost: {lost} of {total}, {100.0 * lost / total:.2g} %"
 
 
-def _named(code: str, words: str, share: float, more: str = "") -> Finding:
+def _named(code: str, words: str, share: float, remedy: str) -> Finding:
     void = f"; above {100 * MOST_LOST:g} % nothing is decided" if share > MOST_LOST else ""
-    return Finding(code, f"{words}{void}: {REMEDY}{more}", voids=share > MOST_LOST)
+    return Finding(code, f"{words}{void}: {remedy}", voids=share > MOST_LOST)

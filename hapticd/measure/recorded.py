@@ -2,31 +2,35 @@
 
 Files: .csv with a head line of names, columns apart by comma, semicolon or tab (a decimal comma only with the latter two); .npz
 and .mat with named arrays; .h5 with named datasets. Force in N and velocity in m/s at the port, sampled together; the rate from
-`rate_hz`, from a column of seconds that runs evenly, or as told where the file does not say. Told otherwise than the file, the
-record is refused: every limit is proportional to the rate or its square.
+`rate_hz`, from a column of seconds (`times`), or as told where the file does not say. Told otherwise than the file, the record is
+refused: every limit is proportional to the rate or its square. Rows that a column of seconds shows to be missing are filled in
+and counted, as those that a live trial loses are (`losses`).
 """
 
 import csv
 import zlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
 
-from hapticd.analysis.arrays import Floats
+from hapticd.analysis.arrays import Floats, Integers
 from hapticd.errors import AnalysisError, ConfigError
 from hapticd.measure.archives import read_hdf5, read_mat, read_npz
 from hapticd.measure.csv_file import line_of, read_csv
+from hapticd.measure.losses import Filler
+from hapticd.measure.times import Sampling, sampling
 
 FORCES = ("force_n", "torque_n", "force", "torque", "f", "y")
 VELOCITIES = ("velocity_m_per_s", "velocity", "v", "u")
-TIMES = ("time_s", "time", "t")
+TIMES = {"time_s": 1.0, "t_s": 1.0, "time": 1.0, "t": 1.0, "time_ms": 1e-3, "time_us": 1e-6, "time_ns": 1e-9}  # in seconds
 RATES = ("rate_hz", "fs")
 SAME_RATE = 1e-6
-GAP = 10.0  # periods between two samples of a column of seconds; fewer are those of rounded seconds
+ALIKE = 0.01  # rates of a file's rate and its times
+LEAST_HZ = 0.5  # of a rate that is one
 BROKEN = (OSError, ValueError, EOFError, MemoryError, csv.Error, BadZipFile, zlib.error)  # what readers say of a broken file
 
 
@@ -76,12 +80,19 @@ def read_file(path: Path, force: str = "", velocity: str = "", rate_hz: float | 
         raise ConfigError(f"{path}: {error}; a record with named columns was expected") from error
     known = {name.lower(): np.asarray(values, np.float64) for name, values in columns.items() if _is_number(values)}
     y, u = (_named(path, known, told, usual) for told, usual in ((force, FORCES), (velocity, VELOCITIES)))
-    rate = _rate(path, known) if rate_hz is None else rate_hz
-    if not 0.0 < rate < np.inf:
-        raise AnalysisError(f"{path}: a sample rate of {rate:g} Hz; say the right one with --rate-hz")
-    if rate_hz is not None:
-        _agrees(path, known, rate_hz)
-    return Recorded(y, u, rate, path.name, simulated=False)
+    if y.size != u.size:
+        raise AnalysisError(f"{path}: {y.size} samples of force and {u.size} of velocity; both were expected, sampled together")
+    found = _sampling(path, known, rate_hz)
+    if found.place is None:
+        return Recorded(y, u, found.rate_hz, path.name, simulated=False)
+    return _filled(Recorded(y, u, found.rate_hz, path.name, simulated=False), found.place)
+
+
+def _filled(recorded: Recorded, place: Integers) -> Recorded:
+    """`recorded` in even time, its samples at `place` (n,), with how many were lost."""
+    (force, velocity), came = Filler().filled(place, np.stack((recorded.force_n, recorded.velocity_m_per_s)))
+    lost = {"lost_samples": int((~came).sum()), "samples": came.size}
+    return replace(recorded, force_n=force, velocity_m_per_s=velocity, more={**recorded.more, **lost})
 
 
 def _named(path: Path, known: dict[str, Floats], told: str, usual: tuple[str, ...]) -> Floats:
@@ -110,48 +121,66 @@ def _place(path: Path, sample: int) -> str:
     return f"line {line_of(path, sample)}"
 
 
-def _rate(path: Path, known: dict[str, Floats]) -> float:
-    for name in RATES:
-        if name in known:
-            return float(known[name].flat[0])
-    for name in TIMES:
-        if name in known and known[name].size > 1:
-            return _rate_of(path, name, _column(path, name, known[name]))
-    raise AnalysisError(f"{path}: the sample rate is not in the file ({', '.join((*RATES, *TIMES))}); say it with --rate-hz")
+def _sampling(path: Path, known: dict[str, Floats], told_hz: float | None) -> Sampling:
+    """Rate, as told or as the file says, and the places of the rows where its times show that some are missing."""
+    if told_hz is not None:
+        _usable(path, told_hz)
+        _agrees(path, known, told_hz)
+    by_times, why = _by_times(path, known)
+    named_hz = next((float(known[name].flat[0]) for name in RATES if name in known), None)
+    rate_hz = told_hz if told_hz is not None else named_hz
+    if rate_hz is None and by_times is None:
+        raise AnalysisError(
+            why or f"{path}: the sample rate is not in the file ({', '.join((*RATES, *TIMES))}); say it with --rate-hz"
+        )
+    if rate_hz is None:
+        assert by_times is not None
+        return by_times
+    _usable(path, rate_hz)
+    if by_times is None:
+        return Sampling(rate_hz)
+    if abs(by_times.rate_hz - rate_hz) > ALIKE * rate_hz:
+        raise AnalysisError(f"{path}: a rate of {rate_hz:.9g} Hz, but its times say {by_times.rate_hz:.9g} Hz: correct the file")
+    return Sampling(rate_hz, by_times.place)
+
+
+def _usable(path: Path, rate_hz: float) -> None:
+    if not 0.0 < rate_hz < np.inf:
+        raise AnalysisError(f"{path}: a sample rate of {rate_hz:g} Hz; say the right one with --rate-hz")
+    if rate_hz < LEAST_HZ:
+        likely = f"the period of {1.0 / rate_hz:.6g} Hz in seconds" if rate_hz < 0.01 else f"{1e3 * rate_hz:g} Hz, in kHz"
+        raise AnalysisError(f"{path}: a sample rate of {rate_hz:g} Hz; it looks like {likely}: say the rate in Hz with --rate-hz")
+
+
+def _by_times(path: Path, known: dict[str, Floats]) -> tuple[Sampling | None, str]:
+    """What a column of seconds says, or why it says nothing."""
+    for name, seconds in TIMES.items():
+        if name not in known or known[name].size < 2:
+            continue
+        try:
+            return sampling(seconds * _column(path, name, known[name])), ""
+        except AnalysisError as error:
+            return None, f"{path}: column {name}: {error}"
+    return None, ""
 
 
 def _agrees(path: Path, known: dict[str, Floats], told_hz: float) -> None:
     """AnalysisError if the file says another rate; an uneven column of seconds says none."""
-    for name in (*RATES, *TIMES):
-        if name not in known:
-            continue
-        try:
-            own_hz = _rate(path, {name: known[name]})
-        except AnalysisError:
-            continue
-        allowed = SAME_RATE if name in RATES else _rounding(known[name].ravel())
-        if 0.0 < own_hz < np.inf and abs(told_hz - own_hz) > max(allowed, SAME_RATE) * own_hz:
+    by_times, _ = _by_times(path, known)
+    said = [(name, float(known[name].flat[0]), SAME_RATE) for name in RATES if name in known]
+    if by_times is not None:
+        name = next(name for name in TIMES if name in known and known[name].size > 1)
+        said.append((name, by_times.rate_hz, max(SAME_RATE, _rounding(known[name].ravel()))))
+    for name, own_hz, allowed in said:
+        if 0.0 < own_hz < np.inf and abs(told_hz - own_hz) > allowed * own_hz:
             raise AnalysisError(
                 f"{path}: column {name} says {own_hz:.9g} Hz, --rate-hz {told_hz:.9g} Hz: leave that out, or correct the file"
             )
 
 
 def _rounding(time_s: Floats) -> float:
-    """Relative error of the rate, as the ends of a column of seconds (n,) are known to one step at best."""
-    return float(np.diff(time_s).max() / (time_s[-1] - time_s[0]))
-
-
-def _rate_of(path: Path, name: str, time_s: Floats) -> float:
-    """Of samples at `time_s` (n,), however few digits it has."""
-    steps = np.diff(time_s)
-    period_s = float(steps.mean())
-    usual_s = float(np.median(steps[steps > 0.0])) if period_s > 0.0 else 0.0
-    if not (period_s > 0.0 and steps.min() >= 0.0 and steps.max() <= GAP * min(period_s, usual_s)):
-        raise AnalysisError(
-            f"{path}: column {name}: seconds do not run evenly, steps of {steps.min():.3g} to {steps.max():.3g} s; samples are "
-            "missing or it is no time: cut the record there, or say --rate-hz if it is whole"
-        )
-    return 1.0 / period_s
+    """Relative error of the rate, as the ends of a column of times (n,) are known to one step at best."""
+    return float(np.median(np.diff(time_s)[np.diff(time_s) > 0.0]) / (time_s[-1] - time_s[0]))
 
 
 def _column(path: Path, name: str, values: Floats) -> Floats:

@@ -1,7 +1,9 @@
 """The sentinel watches a trial while it runs and ends it before its time.
 
     escape        the velocity of a second is four times that of the calm ones (the rule of `analysis.diagnostics`) and the
-                  force did not grow with it, or from the beginning faster than any trial: some 20 mm/s rms are usual
+                  force did not grow with it; or faster than the device's own limit, where that is known; or the commanded
+                  force reached its limit in a motion that the perturbation does not explain, as a loop that ran away before
+                  the record began. Fast alone is no escape: a linear device moves as fast as it is pushed
     saturation    a channel stands at its end in more than a hundredth of a second's samples, or the commanded force reached
                   its limit: what is rendered then is not what was asked. The second after it is still looked at, because a
                   loop that runs away reaches the limit first
@@ -26,11 +28,13 @@ from hapticd.analysis.diagnostics import ESCAPE_RATIO
 from hapticd.analysis.impedance import Estimator
 from hapticd.analysis.passivity import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge
 from hapticd.analysis.spa import DEFAULT_LAG, SpectralStream
+from hapticd.analysis.spectra import Spectra
 from hapticd.analysis.verdict import needed
 
 CALM_SECONDS = 4  # before which nothing is known of calm
 SATURATED_SHARE = 0.01
 AT_LIMIT = 1e-9  # of a limit, below which it counts as reached
+OWN = 4.0  # unexplained over explained power, times limit over perturbation: stable displays have 2 at most, escapes 40
 LOOK_S = 5.0  # between verdicts
 CENTRING_N_PER_M = 20.0  # a stiffness that holds a free display against the paper's noise within a few millimetres
 
@@ -47,7 +51,7 @@ class Watch:
     winding_limit_c: float = inf
     command_limit_n: float = inf  # of the force that the servo commands
     travel_m: tuple[float, float] = (-inf, inf)  # usable positions
-    speed_limit_m_per_s: float = 0.5  # rms of a second
+    speed_limit_m_per_s: float = inf  # of the device: faster is no motion of it
     until_decided: bool = False
     random: bool = True  # the perturbation is noise
 
@@ -125,7 +129,7 @@ class Sentinel:
             if share > SATURATED_SHARE:
                 self.reason = f"saturation: {name} at its end of {limit:.4g} in {100 * share:.2g} % of a second's samples"
         if self._at_limit:
-            self.reason = f"saturation: the command reached its limit of {self._watch.command_limit_n:.3g} N"
+            self.reason = self._at_its_limit(pushed)
         self._at_limit = self.max_command_n >= self._watch.command_limit_n * (1.0 - AT_LIMIT)
         if rms > min(self._watch.speed_limit_m_per_s, ESCAPE_RATIO * self._calm(pushed)):
             self.reason = f"escape: velocity of {rms:.3g} m/s rms after {self.seconds:.0f} s; the loop is not stable there"
@@ -133,6 +137,13 @@ class Sentinel:
         if not self.reason and self._watch.random and self.seconds >= self._next_look_s:
             self._next_look_s += LOOK_S
             self._decide()
+
+    def _at_its_limit(self, pushed: float) -> str:
+        """A command that reached its limit: of a loop that moves by itself, or of one that was pushed too hard."""
+        limit_n = self._watch.command_limit_n
+        if self._watch.random and _own(self._stream.spectra()) * limit_n > OWN * pushed:
+            return f"escape: the command reached its limit of {limit_n:.3g} N in a motion of its own; the loop is not stable there"
+        return f"saturation: the command reached its limit of {limit_n:.3g} N"
 
     def _calm(self, pushed: float) -> float:
         """Velocity of the calm seconds, as it would be under as much force as `pushed`, if that is more."""
@@ -147,3 +158,9 @@ class Sentinel:
         self.seconds_needed = found.seconds_needed
         if watch.until_decided and found.answer != "undecided":
             self.reason = f"decided after {self.seconds:.0f} s"
+
+
+def _own(trial: Spectra) -> float:
+    """Power of the velocity that the perturbation does not explain, over what it does."""
+    explained = float((trial.velocity * trial.coherence).sum())
+    return float(trial.velocity.sum()) / explained - 1.0 if explained > 0.0 else inf

@@ -11,6 +11,7 @@ from math import inf, isfinite, isnan
 import numpy as np
 
 from hapticd.analysis.arrays import Complexes
+from hapticd.analysis.channels import unit_findings
 from hapticd.analysis.closed import spectral_radius
 from hapticd.analysis.diagnostics import Finding, examine
 from hapticd.analysis.impedance import Estimator, Impedance, impedance
@@ -136,6 +137,8 @@ def judged(plan: TrialPlan, recorded: Recorded) -> TrialResult:
     spectra = corrected(raw, params.skew_s, params.high_pass_hz) if params.skew_s or params.high_pass_hz else raw
     record = examine(recorded.force_n, recorded.velocity_m_per_s, recorded.rate_hz)
     found = (*record.findings, *_findings(recorded), *_refused(params.trial), *_spectral_findings(params, spectra))
+    if not recorded.simulated:
+        found += unit_findings(spectra, float(np.std(recorded.force_n)), record.velocity_sd_m_per_s)
     verdict = judge(
         spectra, replace(record, findings=found), params.band_hz, params.confidence, params.estimator, plan.spectral_radius,
         params.behind_mass_kg, params.channels and not recorded.simulated,

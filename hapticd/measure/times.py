@@ -1,0 +1,151 @@
+"""What a column of sampling times says: the rate of the clock that sampled, and which samples are
+missing.
+
+The rate is that of the step, not of the mean: rows that are missing make the mean step longer, and
+every limit moves with the rate or its square. With one row in a hundred missing a margin of +0.54 N
+s/m read -0.24. So each time is put on the line
+
+    t_i = t_0 + T n_i,    n_i whole numbers that grow by 1 or more
+
+where 1/T is the rate at which the phases 2 pi t_i / T agree best: they do so whichever rows are
+missing. A stamp that is late by less than the samples after it allow is jitter, not a loss: n_i - i
+never falls, and is the number of samples lost before row i.
+
+Seconds that were rounded to more than a period (milliseconds at 4 kHz) repeat. Where each stands
+for a whole number of samples, those that have fewer lost some; else the mean rate is all that they
+say.
+
+What would break it: losses beside jitter of half a period or more; then the times do not run
+evenly, and are refused.
+"""
+
+from dataclasses import dataclass
+from math import log10
+
+import numpy as np
+
+from hapticd.analysis.arrays import Floats, Integers
+from hapticd.errors import AnalysisError
+
+GAP = 10.0  # periods between two rounded times; fewer are those of rounding
+ROUNDED = 0.005  # share of steps of 0 from which on times count as rounded
+SINGLE = (0.25, 1.75)  # usual steps: one period, whatever it was rounded to
+EVEN = 0.3  # of 1: how much of one phase the times have
+SHORT = 16  # samples, over which the rate is looked for first
+MOSTLY = 0.5  # share of rounded times that have all of their samples
+MOST_MISSING = 0.1  # share of a record; with more it is no record of one trial
+SLOWEST_HZ = 20.0  # nothing about a display is known from fewer samples
+USUAL_HZ = (100.0, 1e5)
+REMEDY = "sort the rows and remove what stands twice, cut the record there, or say --rate-hz if it is whole"
+SPARE_UNITS = (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
+
+
+@dataclass(frozen=True, eq=False)
+class Sampling:
+    """`rate_hz` of the clock; `place` (n,) of each row on it, from 0, None where rows simply follow each other."""
+
+    rate_hz: float
+    place: Integers | None = None
+
+
+def sampling(time_s: Floats) -> Sampling:
+    """Of rows at `time_s` (n,) [s], n > 1. AnalysisError for times that do not run evenly, or in another unit than seconds."""
+    steps = np.diff(time_s)
+    _forwards(time_s, steps)
+    still = float(np.mean(steps == 0.0))
+    found = _rounded(time_s, steps) if still > ROUNDED else _counted(time_s, steps)
+    if found.rate_hz < SLOWEST_HZ:
+        raise AnalysisError(_too_slow(found.rate_hz))
+    return found
+
+
+def unit_hint(rate_hz: float) -> str:
+    """Which unit of time would make a display's rate of one that is far too slow; "" if none would."""
+    for name, seconds in SPARE_UNITS:
+        if USUAL_HZ[0] <= rate_hz / seconds <= USUAL_HZ[1]:
+            return f"it looks like {name}, of samples at {rate_hz / seconds:.6g} Hz: divide it by {1.0 / seconds:g}"
+    return "seconds were expected"
+
+
+def _forwards(time_s: Floats, steps: Floats) -> None:
+    """AnalysisError where times fall back, or stand still where they are not rounded."""
+    back = np.flatnonzero(~(steps >= 0.0))
+    if back.size:
+        row = int(back[0])
+        raise AnalysisError(f"sample {row + 2} at {time_s[row + 1]:.9g} s follows one at {time_s[row]:.9g} s; {REMEDY}")
+    twice = np.flatnonzero(steps == 0.0)
+    if 0 < twice.size <= ROUNDED * steps.size:
+        row = int(twice[0])
+        raise AnalysisError(
+            f"{twice.size} samples have the time of the one before, the first is sample {row + 2} at {time_s[row]:.9g} s; {REMEDY}"
+        )
+
+
+def _rounded(time_s: Floats, steps: Floats) -> Sampling:
+    """Times that repeat: whole numbers of samples to each, of which some are missing, or else the mean rate."""
+    period_s, usual_s = float(steps.mean()), float(np.median(steps[steps > 0.0])) if steps.any() else 0.0
+    if not (period_s > 0.0 and steps.max() <= GAP * min(period_s, usual_s)):
+        raise AnalysisError(_uneven(steps))
+    first, counts = np.unique(time_s, return_index=True, return_counts=True)[1:]
+    most = int(counts[1:-1].max(initial=0))
+    if most < 2 or np.mean(counts[1:-1] == most) < MOSTLY:
+        return Sampling(1.0 / period_s)
+    rank = np.arange(time_s.size) - np.repeat(first, counts)
+    rank[: counts[0]] += most - counts[0]
+    place = most * np.rint((time_s - time_s[0]) / usual_s).astype(np.int64) + rank
+    return _placed(most / usual_s, place - place[0], steps)
+
+
+def _counted(time_s: Floats, steps: Floats) -> Sampling:
+    """Rate and places by the line through all times."""
+    usual_s = float(np.median(steps))
+    single = steps[(steps > SINGLE[0] * usual_s) & (steps < SINGLE[1] * usual_s)]
+    time = time_s - time_s[0]
+    rate_hz = _in_phase(time, 1.0 / float(single.mean()))
+    phasor = complex(np.exp(2j * np.pi * rate_hz * time).mean())
+    if abs(phasor) < EVEN:
+        raise AnalysisError(_uneven(steps))
+    place = _in_order(np.rint(rate_hz * time - np.angle(phasor) / (2.0 * np.pi)).astype(np.int64))
+    return _placed(rate_hz, place - place[0], steps)
+
+
+def _in_phase(time_s: Floats, rate_hz: float) -> float:
+    """The rate near `rate_hz` at which all times have one phase, whichever of them are missing: found over short stretches
+    first, where a rate that is somewhat wrong turns the phase by less than half, then over longer ones.
+    """
+    length = SHORT
+    while length < 2 * time_s.size:
+        ends = np.arange(0, time_s.size, length)
+        many = np.diff(np.append(ends, time_s.size))
+        phase = np.add.reduceat(np.exp(2j * np.pi * rate_hz * time_s), ends)
+        middle = np.add.reduceat(time_s, ends) / many
+        if middle.size > 1:
+            turned = float(np.angle(np.sum(phase[1:] * phase[:-1].conj())))
+            rate_hz -= turned / (2.0 * np.pi * float(np.diff(middle).mean()))
+        length *= 2
+    return rate_hz
+
+
+def _placed(rate_hz: float, place: Integers, steps: Floats) -> Sampling:
+    total = int(place[-1]) + 1
+    lost = total - place.size
+    if lost > MOST_MISSING * total:
+        raise AnalysisError(f"{lost} of {total} samples are missing, {100.0 * lost / total:.2g} %: {_uneven(steps)}")
+    return Sampling(rate_hz, place if lost else None)
+
+
+def _in_order(place: Integers) -> Integers:
+    """Whole numbers that grow by 1 or more: a place that those after it do not allow was a late stamp."""
+    at = np.arange(place.size)
+    return np.asarray(np.minimum.accumulate((place - at)[::-1])[::-1] + at)
+
+
+def _too_slow(rate_hz: float) -> str:
+    return f"a sample rate of {rate_hz:.{3 + max(0, int(-log10(rate_hz)))}g} Hz, if it is in seconds; {unit_hint(rate_hz)}"
+
+
+def _uneven(steps: Floats) -> str:
+    return (
+        f"seconds do not run evenly, steps of {steps.min():.3g} to {steps.max():.3g} s; samples are missing or it is no time: cut "
+        "the record there, or say --rate-hz if it is whole"
+    )
