@@ -5,13 +5,17 @@ Trials of 90 s are scaled down where only N / M matters: the sample rate with th
 
 import numpy as np
 import pytest
+from analysis_devices import rigid
 from spectral_trials import mass_damper, record, with_phase_margin
 
 from hapticd.analysis.diagnostics import examine
 from hapticd.analysis.impedance import impedance
 from hapticd.analysis.passivity import judge
+from hapticd.analysis.predict import predicted_impedance
 from hapticd.analysis.spa import spa
 from hapticd.analysis.unexplained import coherence_findings
+from hapticd.plant.scene import Excitation
+from hapticd.sim.engine import simulate
 
 pytestmark = pytest.mark.slow
 
@@ -74,6 +78,26 @@ def test_95_percent_intervals_cover_95_percent(estimator):
         assert 0.93 <= np.mean(np.abs(error.imag) < half) <= 0.97
         if estimator == "h_force":
             assert 0.93 <= np.mean(np.abs(error.real) < half) <= 0.97
+
+
+@pytest.mark.parametrize("noise_m_per_s", [0.0, 1e-4, 1e-3])
+@pytest.mark.parametrize("point", [(0.0, 0.0, 0.0), (100.0, 1.0, 0.0)])
+def test_intervals_cover_what_is_predicted_of_the_record(point, noise_m_per_s):
+    """24 trials of 90 s of a linear device, its force held, its velocity averaged; down to no noise."""
+    model, estimates = rigid(viscous=1.0), []
+    flown = simulate(model, np.tile(point, (24, 1)), 90.0, keep="records", own_torque=True, excitation=Excitation("noise"))
+    for trial in range(24):
+        force, velocity = (np.asarray(signal, np.float64) for signal in flown.record(trial))
+        noise = noise_m_per_s * np.random.default_rng(trial).standard_normal(velocity.size)
+        estimates.append(impedance(spa(force, velocity + noise), "h_force"))
+    f = estimates[0].frequency_hz
+    for low, high in ((100.0, 200.0), (200.0, 350.0), (350.0, 500.0)):
+        band = (f >= low) & (f <= high)
+        truth = predicted_impedance(model, point, f[band])
+        error = np.log([one.impedance_ns_per_m[band] / truth for one in estimates])
+        half = 1.96 * np.array([one.relative_sd[band] for one in estimates])
+        for part in (error.real, error.imag):
+            assert np.mean(np.abs(part) < half) >= 0.93
 
 
 def test_simultaneous_interval_covers_the_true_margin():

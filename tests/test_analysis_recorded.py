@@ -68,7 +68,7 @@ def test_rival_limits_move_with_the_lower_band_edge():
 
 @LEVEL
 def test_without_a_high_pass_nothing_is_turned(level):
-    """|Z| is a little larger as recorded, 1/sinc^2 of f over 4 kHz, 5 % at 500 Hz; no verdict changes."""
+    """|Z| is larger as recorded, tan x / x for a mass, x = pi f / 4 kHz: 5 % at 500 Hz; no verdict changes."""
     true, recorded = both(MAIN, POINTS, level)
     assert np.array_equal(true.passive, recorded.passive)
     larger = recorded.margin_ns_per_m / true.margin_ns_per_m

@@ -207,14 +207,6 @@ def test_known_skew_and_high_pass_are_corrected():
     assert restored.velocity[1:] == pytest.approx(found.velocity[1:])
 
 
-def test_held_force_and_mean_velocity_are_corrected():
-    found = impedance(estimate(*record(5000, 13), RATE_HZ, 64), "h_force")
-    repaired = impedance(corrected(estimate(*record(5000, 13), RATE_HZ, 64), interval_s=1 / RATE_HZ), "h_force")
-    ratio = repaired.impedance_ns_per_m / found.impedance_ns_per_m
-    assert ratio == pytest.approx(np.sinc(found.frequency_hz / RATE_HZ) ** 2 + 0j)
-    assert repaired.coherence == pytest.approx(found.coherence)
-
-
 def test_skew_sign_is_that_of_a_late_velocity():
     random = np.random.default_rng(12)
     force = random.standard_normal(100_000)

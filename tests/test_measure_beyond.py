@@ -22,6 +22,7 @@ from hapticd.measure.beyond_rows import PART, restored, rows
 from hapticd.measure.outcomes import Outcome, kept_frequencies
 from hapticd.measure.reproduce_grid import AXES
 from hapticd.plant.bodies import Masses, Viscous
+from hapticd.plant.mechanics import held_force_response
 from hapticd.plant.winding import Motor
 from hapticd.report import figures
 from hapticd.report.beyond_page import sections
@@ -56,10 +57,16 @@ def test_mean_over_ln_f_of_a_slope_is_that_in_the_middle():
     assert mean_db(f, np.full((2, 7), 10.0), LOW_HZ).tolist() == pytest.approx([20.0, 20.0])
 
 
+def mean_velocity(turn, damping):
+    """Of a mass, over an interval in which a force of 1 N is held, at z = `turn`."""
+    decay, push, reach, shove = held_force_response(MASS_KG, damping, 1.0 / 4000.0)
+    return 4000.0 * (reach * push / (turn - decay) + shove)
+
+
 @pytest.mark.parametrize("level", [0.0, LEVEL])
 def test_impedance_of_a_rigid_device_is_mass_and_damping(rigid, level):
     f = shown_hz()
-    expected = (VISCOUS + level + 2j * np.pi * f * MASS_KG) / np.sinc(f / 4000.0) ** 2
+    expected = 1.0 / mean_velocity(np.exp(2j * np.pi * f / 4000.0), VISCOUS + level)
     assert rigid.impedances(ORIGIN, level)[0] == pytest.approx(expected, rel=1e-9)
 
 

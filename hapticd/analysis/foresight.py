@@ -23,7 +23,7 @@ import numpy as np
 from hapticd.analysis.arrays import Floats
 from hapticd.analysis.boundary import grid
 from hapticd.analysis.closed import spectral_radius
-from hapticd.analysis.linearise import BURSTS, Linearised, Perturbation, linearise
+from hapticd.analysis.linearise import BURSTS, Linearised, Perturbation, linearise, recorded_impedance
 from hapticd.analysis.loop import Filters, close_loop, port_states, with_viscous
 from hapticd.analysis.predict import coulomb, frequencies
 from hapticd.analysis.surrogate import Box
@@ -66,7 +66,8 @@ class Foresight:
         """(environments, Re Z, friction); the last ones are kept, because both are asked of the same points in turn."""
         if self._last is None or not np.array_equal(self._last[0], environments):
             parts = self._linearised(environments)
-            z = np.concatenate([(part.impedance * self._loop.recorded)[:, self._at].real for part in parts])
+            true = np.concatenate([part.impedance for part in parts])
+            z = recorded_impedance(self._loop, environments, true)[:, self._at].real
             self._last = environments.copy(), z, np.concatenate([part.friction.sum(axis=0) for part in parts])
         return self._last
 

@@ -74,6 +74,13 @@ def linearise(loop: Loop, points: Floats, coulomb_n: Floats, start: Floats, pert
     return Linearised(1.0 / seen, level, sd, calm)
 
 
+def recorded_impedance(loop: Loop, points: Floats, impedance: Complexes) -> Complexes:
+    """`impedance` (N, F) of `linearise` as the board's record shows it: exact as in `loop` where no
+    damper was changed."""
+    kbm = np.column_stack((np.ones(len(points)), points))
+    return np.asarray(impedance * product(kbm, loop.admittance[0, 0]) / product(kbm, loop.recorded))
+
+
 def port_admittance(loop: Loop, points: Floats) -> Complexes:
     """Y_ab (ports, ports, N, F) of the closed loop, without anything hung on the ports."""
     kbm = np.column_stack((np.ones(len(points)), points))

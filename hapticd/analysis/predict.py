@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from hapticd.analysis.arrays import Complexes, Flags, Floats
 from hapticd.analysis.closed import spectral_radius
-from hapticd.analysis.linearise import Linearised, Perturbation, linearise
+from hapticd.analysis.linearise import Perturbation, linearise, recorded_impedance
 from hapticd.analysis.loop import PAPER_FILTERS, Filters, Loop, close_loop, port_states, with_viscous
 from hapticd.errors import AnalysisError
 from hapticd.plant.model import Model
@@ -83,8 +83,11 @@ def predict(
     f = frequencies(band_hz, perturbation)
     start, loop = _nominal(model, f, damping_ns_per_m, filters, perturbation)
     inside = (f >= band_hz[0]) & (f <= band_hz[1])
-    seen = loop.recorded[inside] if recorded else None
-    parts = [_judged(linearise(loop, part, coulomb(model), start, perturbation), inside, seen) for part in _chunks(kbm)]
+    parts = []
+    for part in _chunks(kbm):
+        found = linearise(loop, part, coulomb(model), start, perturbation)
+        z = recorded_impedance(loop, part, found.impedance) if recorded else found.impedance
+        parts.append((*_judged(z[:, inside]), found.velocity_sd, found.calm, found.friction))
     margin, angle, worst, sd, calm, friction = (np.concatenate(columns, axis=-1) for columns in zip(*parts, strict=True))
     refused = (kbm[:, 0] < 0.0) & (not allow_negative_stiffness)
     hopeful = (margin >= 0.0) & calm & ~refused
@@ -108,15 +111,15 @@ def predicted_impedance(
 ) -> Complexes:
     """Z (F,) complex128 under one environment (K, B, M) at `frequency_hz` (F,) > 0, at the probe.
 
-    `recorded`: as the board's probe shows it, through the velocity channel's filters and with |Z| raised by 1/sinc(f/4 kHz)^2,
-    because its force is held and its velocity averaged over 250 us; False for the true one.
+    `recorded`: as the board's probe shows it, its force held and its velocity averaged over 250 us
+    (`loop`), through the velocity channel's filters; False for the true one.
     """
     f, kbm = np.asarray(frequency_hz, np.float64), environments(np.atleast_2d(np.asarray(point, np.float64)))
     start, loop = _nominal(model, frequencies(DEFAULT_BAND_HZ, perturbation), damping_ns_per_m, filters, perturbation)
     level = linearise(loop, kbm, coulomb(model), start, perturbation).friction[:, 0]
     exact = close_loop(_rubbed(model, level), f, damping_ns_per_m, filters)
-    z = linearise(exact, kbm, np.zeros(len(level)), np.zeros(len(level)), None).impedance[0]
-    return np.asarray(z * exact.recorded if recorded else z)
+    z = linearise(exact, kbm, np.zeros(len(level)), np.zeros(len(level)), None).impedance
+    return np.asarray((recorded_impedance(exact, kbm, z) if recorded else z)[0])
 
 
 def environments(points: npt.ArrayLike) -> Floats:
@@ -166,14 +169,11 @@ def _chunks(kbm: Floats) -> list[Floats]:
     return [kbm[first : first + _TOGETHER] for first in range(0, max(1, len(kbm)), _TOGETHER)]
 
 
-def _judged(found: Linearised, inside: Flags, seen: Complexes | None) -> tuple[Any, ...]:
-    z = found.impedance[:, inside]
-    if seen is not None:
-        z *= seen
+def _judged(z: Complexes) -> tuple[Any, ...]:
     worst = np.argmin(z.real, axis=1)
     margin = z.real[np.arange(len(z)), worst]
     angle = 90.0 - np.degrees(np.abs(np.angle(z))).max(axis=1)
-    return margin, angle, worst, found.velocity_sd, found.calm, found.friction
+    return margin, angle, worst
 
 
 def _radius(model: Model, kbm: Floats, friction: Floats, damping_ns_per_m: float, filters: Filters) -> Floats:

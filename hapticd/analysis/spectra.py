@@ -40,18 +40,13 @@ class Channel:
 
     skew_s: float = 0.0
     high_pass_hz: float = 0.0
-    interval_s: float = 0.0
 
     def response(self, frequency_hz: Floats) -> Complexes:
-        """Of the velocity channel (F,), but for the mean; 1 at 0 Hz."""
+        """Of the velocity channel (F,); 1 at 0 Hz."""
         f = frequency_hz
         one = np.ones(f.size, np.complex128)
         passed = np.divide(1j * f, self.high_pass_hz + 1j * f, out=one, where=f > 0.0)
         return np.asarray(np.exp(2j * np.pi * f * self.skew_s) * passed)
-
-    def mean(self, frequency_hz: Floats) -> Floats:
-        """What holding the force and averaging the velocity does to the power of each (F,)."""
-        return np.asarray(np.sinc(frequency_hz * self.interval_s) ** 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,23 +175,21 @@ def spectra(covariances: Covariances, rate_hz: float, frequency_hz: Floats | Non
     return Spectra(f, velocity, force, found[2], rate_hz, covariances.n_samples, lag)
 
 
-def corrected(trial: Spectra, skew_s: float = 0.0, high_pass_hz: float = 0.0, interval_s: float = 0.0) -> Spectra:
-    """`trial` as it had been with channels sampled together, a velocity channel down to 0 Hz, and instants instead of means.
+def corrected(trial: Spectra, skew_s: float = 0.0, high_pass_hz: float = 0.0) -> Spectra:
+    """`trial` as it had been with channels sampled together and a velocity channel down to 0 Hz.
 
     `skew_s`: the velocity is that of `skew_s` later than the force of the same sample. `high_pass_hz`: corner of a
-    first-order high-pass in the velocity channel; the value at 0 Hz stays as it is. `interval_s`: the force was held, and the
-    velocity averaged, over intervals of this length, which raises |Z| by 1/sinc(f interval_s)^2 and leaves the phase.
+    first-order high-pass in the velocity channel; the value at 0 Hz stays as it is. That force is
+    held and velocity averaged is no fault: a model is compared as it would be recorded (`loop`).
     """
-    return _corrected(trial, Channel(skew_s, high_pass_hz, interval_s))
+    return _corrected(trial, Channel(skew_s, high_pass_hz))
 
 
 def _corrected(trial: Spectra, channel: Channel) -> Spectra:
     response = channel.response(trial.frequency_hz)
-    mean = channel.mean(trial.frequency_hz)
     return replace(
         trial,
-        velocity=trial.velocity / (np.abs(response) ** 2 * mean),
-        force=trial.force * mean,
+        velocity=trial.velocity / np.abs(response) ** 2,
         cross=trial.cross / response.conj(),
         taken_out=(*trial.taken_out, channel),
     )
@@ -206,10 +199,8 @@ def _distorted(trial: Spectra) -> Spectra:
     """As they were recorded: only those are a sum of covariances inside the window."""
     for channel in trial.taken_out:
         response = channel.response(trial.frequency_hz)
-        mean = channel.mean(trial.frequency_hz)
-        velocity = trial.velocity * (np.abs(response) ** 2 * mean)
-        cross = trial.cross * response.conj()
-        trial = replace(trial, velocity=velocity, force=trial.force / mean, cross=cross)
+        velocity = trial.velocity * np.abs(response) ** 2
+        trial = replace(trial, velocity=velocity, cross=trial.cross * response.conj())
     return replace(trial, taken_out=())
 
 

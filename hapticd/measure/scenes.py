@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.analysis.arrays import Complexes, Flags, Floats
-from hapticd.analysis.linearise import Perturbation, linearise
+from hapticd.analysis.linearise import Perturbation, linearise, recorded_impedance
 from hapticd.analysis.loop import Filters, close_loop
 from hapticd.analysis.predict import DEFAULT_BAND_HZ, Prediction, coulomb, predict
 from hapticd.analysis.predict import frequencies as predicted_frequencies
@@ -121,8 +121,8 @@ class Display:
         band_hz = float(frequency_hz.min()), float(frequency_hz.max())
         f, friction = np.union1d(predicted_frequencies(band_hz, self.perturbation), frequency_hz), coulomb(self.model)
         loop = close_loop(self.model, f, level, self.filters)
-        z = linearise(loop, points, friction, np.zeros_like(friction), self.perturbation).impedance * loop.recorded
-        return np.asarray(z[:, np.isin(f, frequency_hz)])
+        true = linearise(loop, points, friction, np.zeros_like(friction), self.perturbation).impedance
+        return np.asarray(recorded_impedance(loop, points, true)[:, np.isin(f, frequency_hz)])
 
 
 @lru_cache(maxsize=64)
