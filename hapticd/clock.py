@@ -47,7 +47,3 @@ class VirtualClock(Clock):
     def sleep_until_ns(self, deadline_ns: int) -> None:
         if deadline_ns > self.time_ns:
             self.time_ns = deadline_ns
-
-    def advance_ns(self, step_ns: int) -> None:
-        """Move time forward by `step_ns` >= 0."""
-        self.time_ns += step_ns

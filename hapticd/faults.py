@@ -7,8 +7,6 @@ says why the force is off.
 
 from typing import NamedTuple
 
-SIMULATED_ONLY_WARNS = frozenset({"lost_slots"})  # pauses of the host harm no one when the board is simulated
-
 
 class Fault(NamedTuple):
     """One row: `number` on the wire, `code` for people, then sentences."""

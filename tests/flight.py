@@ -6,8 +6,10 @@ from hapticd.link.device import SEED
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.servo.safety import State
-from hapticd.servo.state import HEALTHY
+from hapticd.servo.state import GATEWAY_ALIVE, LINK_UP
 from hapticd.servo.step import initial_state, make_step
+
+HEALTHY = LINK_UP | GATEWAY_ALIVE
 
 AMBIENT_COUNT = 2500
 

@@ -76,7 +76,7 @@ class StandInServo:
         """Run `count` ticks; with a virtual clock, one period each."""
         for _ in range(count):
             if isinstance(self.clock, VirtualClock):
-                self.clock.advance_ns(round(NS_PER_S / self.rate_hz))
+                self.clock.time_ns += round(NS_PER_S / self.rate_hz)
             self._obey()
             self._publish()
             self.ticks += 1

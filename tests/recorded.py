@@ -96,10 +96,10 @@ class Source:
         for place, message in enumerate(self.played):
             yield message
             if place % 5 == 4:
-                self._clock.advance_ns(5 * self._look_ms * NS_PER_MS)
+                self._clock.time_ns += 5 * self._look_ms * NS_PER_MS
                 yield None
         while True:
-            self._clock.advance_ns(self._look_ms * NS_PER_MS)
+            self._clock.time_ns += self._look_ms * NS_PER_MS
             yield None
 
 

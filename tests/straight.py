@@ -7,10 +7,11 @@ from `plant.friction`, one trial at a time.
 from math import floor, pi, sin
 
 import numpy as np
+from law import environment_tuple
 
 from hapticd.params import EnvironmentParams
 from hapticd.plant.friction import stick_one, stick_two
-from hapticd.render.environment import at_rest, design_coefficients, environment_tuple, render
+from hapticd.render.environment import at_rest, design_coefficients, render
 
 FS = 4000
 EXACT = np.longdouble

@@ -7,6 +7,7 @@ import pytest
 from analysis_devices import display, rigid
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from law import environment_tuple
 
 from hapticd.analysis.boundary import axis_limit
 from hapticd.analysis.closed import spectral_radius
@@ -23,7 +24,7 @@ from hapticd.plant.electrical import Multiplier
 from hapticd.plant.mechanics import held_force_response
 from hapticd.plant.sensing import AntiAlias, VelocityHighpass
 from hapticd.plant.winding import WindingTemperature
-from hapticd.render.environment import at_rest, design_coefficients, environment_tuple, render
+from hapticd.render.environment import at_rest, design_coefficients, render
 
 F = np.array([0.5, 2.0, 10.0, 47.0, 120.0, 333.0, 499.0, 700.0, 1500.0])
 T = 1e-3

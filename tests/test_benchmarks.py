@@ -13,6 +13,8 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+from law import environment_tuple
+
 from benchmarks import run
 from benchmarks.bench_servo import read_parameters
 from benchmarks.blocks import median_quantile, quantile
@@ -25,7 +27,7 @@ from benchmarks.tick_worker import own_ns, yardstick
 from benchmarks.worker import BenchError
 from hapticd.errors import DaemonDown
 from hapticd.mailbox import layout
-from hapticd.render.environment import at_rest, design_coefficients, environment_tuple, render
+from hapticd.render.environment import at_rest, design_coefficients, render
 from hapticd.settings.build import servo_params
 from hapticd.wire import codec, frames
 

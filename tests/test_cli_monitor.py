@@ -121,7 +121,7 @@ class StreamDouble:
 
     def stream(self) -> Iterator[Any]:
         for block in self._script:
-            self._clock.advance_ns(20 * NS_PER_MS if block else NS_PER_S // 2)
+            self._clock.time_ns += 20 * NS_PER_MS if block else NS_PER_S // 2
             if block is None:
                 raise DaemonDown("nothing came")
             yield block

@@ -225,7 +225,7 @@ def test_servo_down_is_daemon_down(client: Client, rig: GatewayRig) -> None:
     with rig.lock:
         rig.servo_stands = True
         for _ in range(4):
-            rig.clock.advance_ns(NS_PER_S // 2)
+            rig.clock.time_ns += NS_PER_S // 2
             rig.gateway.step(0)
     with pytest.raises(DaemonDown, match="enable: no servo answers; start it with `hapticd run`"):
         client.enable()

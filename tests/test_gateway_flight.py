@@ -88,7 +88,7 @@ def test_servo_that_falls_silent_under_force_is_dumped(folder: Path) -> None:
     with RecordedFlight() as flown:
         flown.move()
         flown.fly(500)
-        flown.stack.clock.advance_ns(2_000_000_000)
+        flown.stack.clock.time_ns += 2_000_000_000
         flown.look()
         flown.look()
         (path,) = written(flown, folder)
@@ -98,7 +98,7 @@ def test_servo_that_falls_silent_under_force_is_dumped(folder: Path) -> None:
 def test_servo_that_falls_silent_without_force_is_not(folder: Path) -> None:
     with RecordedFlight() as flown:
         flown.fly(500)
-        flown.stack.clock.advance_ns(2_000_000_000)
+        flown.stack.clock.time_ns += 2_000_000_000
         flown.look()
         assert written(flown, folder) == []
 

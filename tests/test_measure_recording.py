@@ -367,7 +367,7 @@ def test_stalled_disk_delays_and_loses_nothing(flown: RecordedFlight, tmp_path: 
     clock, write = VirtualClock(NS_PER_S), Writer.write
 
     def slow(self: Writer) -> None:
-        clock.advance_ns(3 * NS_PER_S)
+        clock.time_ns += 3 * NS_PER_S
         write(self)
 
     monkeypatch.setattr(Writer, "write", slow)

@@ -5,13 +5,14 @@ from math import pi, sqrt
 
 import numpy as np
 import pytest
+from dry_friction import stop_time_s, turning_points_m
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from plant_devices import device
 
 from hapticd.plant.bodies import Load, Masses
 from hapticd.plant.discrete import discretise
-from hapticd.plant.friction import Coulomb, stick_one, stick_two, stop_time_s, turning_points_m
+from hapticd.plant.friction import Coulomb, stick_one, stick_two
 
 LEVEL = 0.03
 

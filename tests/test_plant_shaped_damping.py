@@ -13,7 +13,7 @@ from hapticd.errors import ConfigError
 from hapticd.plant.compose import compose
 from hapticd.plant.electrical import Crowbar, DampingCircuit
 from hapticd.plant.explain import explain
-from hapticd.plant.shaped_damping import ShapedDamping, shaped_impedance
+from hapticd.plant.shaped_damping import ShapedDamping
 from hapticd.plant.winding import WindingTemperature
 from hapticd.settings.scene import load_scene
 from hapticd.sim.engine import simulate
@@ -21,6 +21,14 @@ from hapticd.sim.engine.coordinates import reduced
 
 LEVEL = 1.74
 HERTZ = [0.05, 1.0, 10.0, 33.0, 100.0, 1500.0]
+
+
+def shaped_impedance(level_ns_per_m, frequency_hz, highpass_hz=0.0, lowpass_hz=0.0):
+    """Z_added [N s/m] of the ideal shaped damper at one frequency; a corner of 0 is left out."""
+    s = 1j * tau * frequency_hz
+    above = s / (s + tau * highpass_hz) if highpass_hz else 1.0
+    below = tau * lowpass_hz / (s + tau * lowpass_hz) if lowpass_hz else 1.0
+    return complex(level_ns_per_m * above * below)
 
 
 def impedance(model, level, hz):

@@ -7,12 +7,13 @@ import types
 
 import numpy as np
 import pytest
+from law import environment_tuple
 from numba import njit
 from scipy import signal
 
 from hapticd.params import EnvironmentParams, FilterParams, WallParams, WorkspaceParams
 from hapticd.render import environment, fields, limits
-from hapticd.render.environment import at_rest, design_coefficients, environment_tuple, render
+from hapticd.render.environment import at_rest, design_coefficients, render
 
 RATE_HZ = 1000.0
 BUTTERWORTH = design_coefficients(FilterParams(100.0), FilterParams(72.0), RATE_HZ)

@@ -11,7 +11,7 @@ from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.params import HomeParams, SafetyParams
 from hapticd.servo import safety
 from hapticd.servo.safety import FAULT_EVENT, State
-from hapticd.servo.state import GATEWAY_ALIVE, HEALTHY, LINK_UP
+from hapticd.servo.state import GATEWAY_ALIVE, LINK_UP
 from hapticd.wire.frames import OutFlag, Status
 
 STIFF = {Value.STIFFNESS: 100.0}
@@ -266,10 +266,6 @@ def test_one_missing_frame_holds_the_force_and_is_flagged():
     assert out[0] == before[0]
     assert out[9] & 1
     assert flight.plan.state is E
-
-
-def test_healthy_flags_are_both():
-    assert HEALTHY == LINK_UP | GATEWAY_ALIVE
 
 
 def test_stop_lets_the_spring_follow_the_motion():

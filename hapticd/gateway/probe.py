@@ -17,7 +17,7 @@ from hapticd.mailbox.layout import Flag
 from hapticd.params import DeviceParams, ScaleParams
 from hapticd.units import PROBE_RATE_HZ
 from hapticd.wire import frames
-from hapticd.wire.session import unwrap
+from hapticd.wire.session import PROBE_INDEX_BITS, unwrap
 
 DESCR = [["index", "<u8"], ["time_ns", "<i8"], ["torque", "<i2"], ["velocity", "<i2"]]
 DTYPE = np.dtype([(name, kind) for name, kind in DESCR])
@@ -76,7 +76,7 @@ class ProbeDecoder:
 
     def _first(self, frame: bytes) -> int:
         (wrapped,) = _INDEX.unpack_from(frame, _INDEX_PLACE)
-        return int(wrapped) if self._next is None else unwrap(self._next, wrapped, 32)
+        return int(wrapped) if self._next is None else unwrap(self._next, wrapped, PROBE_INDEX_BITS)
 
     def _gather(self, frame: bytes, count: int, time_ns: int) -> None:
         first = self._first(frame)

@@ -12,7 +12,6 @@ from hapticd.plant.blueprint import Blueprint
 from hapticd.plant.parts import Note
 from hapticd.units import unit_of
 
-TAGS = ("paper", "inferred", "calibrated")
 PROVENANCE = ("source", "sources", "note")
 
 

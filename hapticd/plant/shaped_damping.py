@@ -55,11 +55,3 @@ def shaped(plan: Blueprint, estimate: Form) -> Form:
         plan.rates["smooth_estimate"] = below * (estimate - smooth)
         estimate = smooth
     return estimate
-
-
-def shaped_impedance(level_ns_per_m: float, frequency_hz: float, highpass_hz: float = 0.0, lowpass_hz: float = 0.0) -> complex:
-    """Z_added [N s/m] of the ideal shaped damper at one frequency; a corner of 0 is left out."""
-    s = 1j * tau * frequency_hz
-    above = s / (s + tau * highpass_hz) if highpass_hz else 1.0
-    below = tau * lowpass_hz / (s + tau * lowpass_hz) if lowpass_hz else 1.0
-    return complex(level_ns_per_m * above * below)

@@ -13,7 +13,7 @@ What would break it: fastmath or contraction in a compiler (bits differ from CPy
 (`not (-limit <= f <= limit)` catches it), coefficients for another rate.
 """
 
-from hapticd.params import EnvironmentParams, FilterParams
+from hapticd.params import FilterParams
 from hapticd.render.fields import end_force, wall_force
 from hapticd.render.filters import Biquad, design, scaled
 from hapticd.render.limits import clamp
@@ -72,11 +72,3 @@ def at_rest(x: float) -> LawState:
 def split(coefficients: Coefficients) -> tuple[Biquad, Biquad]:
     """Velocity and acceleration filter of `coefficients`."""
     return coefficients[:5], coefficients[5:]
-
-
-def environment_tuple(params: EnvironmentParams, limit_n: float) -> Environment:
-    """`params` as the law takes them, without bias."""
-    wall, ends = params.wall, params.workspace
-    kbm = (params.stiffness_n_per_m, params.damping_ns_per_m, params.mass_kg)
-    solid = (wall.stiffness_n_per_m, wall.damping_ns_per_m, wall.position_m, float(wall.side))
-    return (*kbm, 0.0, limit_n, *solid, ends.lower_m, ends.upper_m, ends.stiffness_n_per_m)

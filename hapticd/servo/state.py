@@ -20,7 +20,6 @@ Request = tuple[int, int, int, int, tuple[float, ...]]
 Answer = tuple[int, int, int, int, tuple[int, int], tuple[float, ...]]
 
 LINK_UP, GATEWAY_ALIVE = 1, 2  # host flags
-HEALTHY = LINK_UP | GATEWAY_ALIVE
 
 BOARD_FAULT = int(Status.AMPLIFIER_FAULT | Status.ENCODER_FAULT)
 CLEARABLE = BOARD_FAULT | int(Status.OVER_TEMPERATURE)  # what CLEAR_FAULT may end
