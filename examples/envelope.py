@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from hapticd.measure.outcomes import Conditions, fly
-from hapticd.report.figures import save
-from hapticd.report.zwidth_envelope import envelope_figure
+from hapticd.report.envelope import envelope_figure
+from hapticd.report.style import save
 from hapticd.settings.scene import load_scene
 
 

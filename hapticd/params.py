@@ -15,6 +15,8 @@ from hapticd.units import round_half_up
 
 T = TypeVar("T")
 
+ADDED_DAMPING_NS_PER_M = 1.74  # what `damping on` means: Weir, Colgate and Peshkin 2008, section 5
+
 
 @dataclass(frozen=True, slots=True)
 class FilterParams:
@@ -164,7 +166,7 @@ class ServoParams:
     safety: SafetyParams
     realtime: RealtimeParams
     usb: UsbParams
-    added_damping_ns_per_m: float = 1.74
+    added_damping_ns_per_m: float = ADDED_DAMPING_NS_PER_M
     config_hash: str = ""
 
 

@@ -83,9 +83,9 @@ def test_interrupted_run_says_that_nothing_is_kept(
 def test_interrupted_drawing_says_that_the_result_is_kept(
     words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from hapticd.report import figures
+    from hapticd.report import style
 
-    monkeypatch.setattr(figures, "save", interrupted)
+    monkeypatch.setattr(style, "save", interrupted)
     code, _, err = run([*words, "--out", str(tmp_path)], capsys)
     assert code == 130
     assert err.endswith(f"interrupted: the result is kept in {tmp_path}, without all of its figures\n")

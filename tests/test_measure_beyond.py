@@ -24,10 +24,10 @@ from hapticd.measure.reproduce_grid import AXES
 from hapticd.plant.bodies import Masses, Viscous
 from hapticd.plant.mechanics import held_force_response
 from hapticd.plant.winding import Motor
-from hapticd.report import figures
-from hapticd.report.beyond_page import sections
-from hapticd.report.looks import PARTS
-from hapticd.report.owners import weightiest
+from hapticd.report import style
+from hapticd.report.envelope import weightiest
+from hapticd.report.future_page import sections
+from hapticd.report.style import PARTS
 
 MASS_KG, VISCOUS, LEVEL = 0.008, 0.4, 1.5
 PARTS_OF_RIGID = (
@@ -314,7 +314,7 @@ def test_page_tells_each_part_once_with_its_figure(quick):
 
 def test_figures_carry_units_and_say_that_they_are_simulated(quick):
     for drawing in (drawing for section in sections(quick) for drawing in section.drawings):
-        with figures.style():
+        with style.styled():
             figure = drawing.draw()
         labels = [axis.get_ylabel() for axis in figure.axes if axis.get_ylabel()]
         assert labels

@@ -17,11 +17,20 @@ from hapticd.measure.integrators import compare
 from hapticd.measure.knee import Row
 from hapticd.measure.scene_run import SceneResult, SceneRunParams, plan_scene, run_scene
 from hapticd.plant.scene import Excitation
-from hapticd.report import figures
-from hapticd.report.accuracy import accuracy_figure, accuracy_table, accuracy_words
-from hapticd.report.effects import effects_figure, effects_table, effects_words
-from hapticd.report.integrators import integrators_figure
-from hapticd.report.scene import impedance_rows, scene_figure, scene_table, thinned
+from hapticd.report import style
+from hapticd.report.study import (
+    accuracy_figure,
+    accuracy_table,
+    accuracy_words,
+    effects_figure,
+    effects_table,
+    effects_words,
+    impedance_rows,
+    integrators_figure,
+    scene_figure,
+    scene_table,
+    thinned,
+)
 from hapticd.report.table import text
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -45,14 +54,14 @@ def written(figure: Any) -> set[str]:
 
 
 def test_figure_is_kept_as_png_and_svg(tmp_path: Path, noisy: SceneResult) -> None:
-    png, svg = figures.save(scene_figure(noisy), tmp_path / "new", "small")
+    png, svg = style.save(scene_figure(noisy), tmp_path / "new", "small")
     assert png.read_bytes().startswith(PNG)
     assert svg.read_text().startswith("<?xml")
     assert (png.name, svg.name) == ("small.png", "small.svg")
 
 
 def test_same_result_gives_the_same_bytes(tmp_path: Path, noisy: SceneResult) -> None:
-    first, second = (figures.save(scene_figure(noisy), tmp_path / name, "x") for name in "ab")
+    first, second = (style.save(scene_figure(noisy), tmp_path / name, "x") for name in "ab")
     assert [one.read_bytes() for one in first] == [other.read_bytes() for other in second]
 
 
@@ -60,7 +69,7 @@ def test_folder_that_cannot_be_written_is_named(tmp_path: Path, noisy: SceneResu
     blocker = tmp_path / "file"
     blocker.touch()
     with pytest.raises(ConfigError, match=f"{blocker}: .*; name a folder that you may write to with --out"):
-        figures.save(scene_figure(noisy), blocker, "x")
+        style.save(scene_figure(noisy), blocker, "x")
 
 
 def test_missing_matplotlib_is_told_with_its_remedy(monkeypatch: pytest.MonkeyPatch, noisy: SceneResult) -> None:
@@ -212,7 +221,7 @@ def swept() -> AccuracyResult:
 
 def test_every_sweep_has_its_panel_with_units(swept: AccuracyResult) -> None:
     figure = accuracy_figure(swept)
-    assert [axis.get_title() for axis in figure.axes] == [
+    assert [axis.get_title(loc="left") for axis in figure.axes] == [
         "ways to simulate",
         "sub-steps per 4 kHz sample",
         "effects, each left out",

@@ -12,11 +12,10 @@ from hapticd.measure.scenes import noise
 from hapticd.measure.sources import Trial, engine_source
 from hapticd.measure.trial import TrialParams, judged, plan_trial, run_trial
 from hapticd.plant.scene import Excitation
-from hapticd.report.looks import OFF, ON, PARTS, PREDICTED, of_levels, of_mean, tint
-from hapticd.report.zwidth import trial_figure
-from hapticd.report.zwidth_envelope import envelope_figure
-from hapticd.report.zwidth_map import slices
-from hapticd.report.zwidth_search import _masses
+from hapticd.report.envelope import envelope_figure
+from hapticd.report.passive_set import slice_masses, slices
+from hapticd.report.style import OFF, ON, PARTS, PREDICTED, of_levels, of_mean, tint
+from hapticd.report.trial import trial_figure
 from hapticd.settings.scene import load_scene
 
 pytest.importorskip("matplotlib")
@@ -100,8 +99,8 @@ def test_envelope_as_admittance_exchanges_its_edges():
     assert np.allclose(edges[0][0] * edges[1][1], 1.0)
     assert np.allclose(edges[0][1] * edges[1][0], 1.0)
     assert np.allclose(edges[0][0] / edges[0][1], 3.0)
-    assert "as admittance" in y.axes[0].get_title(loc="left")
-    assert "as admittance" not in z.axes[0].get_title(loc="left")
+    assert "as admittance" in y.get_suptitle()
+    assert "as admittance" not in z.get_suptitle()
 
 
 def test_envelope_draws_what_is_predicted_of_the_same_trials():
@@ -136,7 +135,7 @@ def test_slices_of_a_map_hold_the_mass_nearest_to_zero():
 
 def test_slices_of_a_search_go_through_its_trials():
     tried = np.array([-0.009, 0.001, 0.0011, 0.0012, 0.004])
-    assert _masses(tried, np.array([-0.01, -0.005, 0.0, 0.005]), 0.0005) == pytest.approx([-0.009, -0.0025, 0.001])
+    assert slice_masses(tried, np.array([-0.01, -0.005, 0.0, 0.005]), 0.0005) == pytest.approx([-0.009, -0.0025, 0.001])
 
 
 # --- one language ---------------------------------------------------------------------------------------------------------------

@@ -22,12 +22,9 @@ from hapticd.measure.reproduce import ReproduceResult
 from hapticd.measure.reproduce_rows import Row
 from hapticd.measure.reproduce_table import rows
 from hapticd.measure.reproduce_trials import SCENES
-from hapticd.report.envelopes import Drawn, weighty
-from hapticd.report.owners import NOBODY
-from hapticd.report.paper import parts, sections
-from hapticd.report.paper_envelopes import drawn
-from hapticd.report.paper_files import keep
-from hapticd.report.paper_page import Drawing, Section, page, terminal
+from hapticd.report.envelope import NOBODY, Drawn, weighty
+from hapticd.report.paper_figures import drawn
+from hapticd.report.paper_page import Drawing, Section, keep, page, parts, sections, terminal
 from hapticd.report.paper_table import as_json, from_json, markdown, notes, paper_table
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -167,7 +164,7 @@ def test_interrupted_run_keeps_nothing(tmp_path: Path, capsys: pytest.CaptureFix
 
 def test_interrupted_drawing_leaves_the_run_before(quick: ReproduceResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("matplotlib")
-    from hapticd.report import figures
+    from hapticd.report import style
 
     (tmp_path / "table.json").write_text("before")
     saved: list[str] = []
@@ -178,7 +175,7 @@ def test_interrupted_drawing_leaves_the_run_before(quick: ReproduceResult, tmp_p
         saved.append(name)
         (folder / f"{name}.png").write_text("drawn")
 
-    monkeypatch.setattr(figures, "save", save)
+    monkeypatch.setattr(style, "save", save)
     with pytest.raises(KeyboardInterrupt):
         keep(sections(quick), tmp_path, {})
     assert saved
@@ -189,13 +186,13 @@ def test_interrupted_drawing_leaves_the_run_before(quick: ReproduceResult, tmp_p
 def test_smaller_run_leaves_no_figure_of_the_run_before(
     quick: ReproduceResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from hapticd.report import figures
+    from hapticd.report import style
 
     def save(figure: object, folder: Path, name: str) -> None:
         for kind in ("png", "svg"):
             (folder / f"{name}.{kind}").write_text("drawn")
 
-    monkeypatch.setattr(figures, "save", save)
+    monkeypatch.setattr(style, "save", save)
     told = {"quick": True, "seeds": 1, "provenance": {"libraries": {}, "date": "", "hapticd": ""}}
     one, *more = (replace(section, drawings=()) for section in sections(quick))
     drawn = [Drawing(name, "caption", lambda: None) for name in ("fig02", "fig03")]  # type: ignore[arg-type,return-value]

@@ -12,8 +12,7 @@ from collections.abc import Iterable
 
 from hapticd.errors import ConfigError
 from hapticd.measure.reproduce_rows import Row, by_quantity
-from hapticd.report.paper import parts
-from hapticd.report.paper_page import table_part
+from hapticd.report.paper_page import parts, table_part
 
 TABLE = re.compile(r"(<!-- table (\w+) -->\n).*?(<!-- /table -->)", re.DOTALL)
 NUMBER = re.compile(r"(<!--= (\w+)(?::(\w+))? (\w+) (\S+?)(?: x(\S+))? -->).*?(<!--/-->)", re.DOTALL)

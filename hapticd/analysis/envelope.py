@@ -104,6 +104,21 @@ def of_one(name: str, frequency_hz: Floats, z: Complexes, relative_sd: Floats, p
     return Envelope(frequency_hz, size, size, phase, phase, (name,), port, estimator)
 
 
+def of_predicted(frequency_hz: Floats, z: Complexes) -> Envelope:
+    """The envelope of predicted Z (N, F) [N s/m], without uncertainty; owners are places (N,)."""
+    size, angle, none = np.abs(z), np.degrees(np.angle(z)), np.zeros(frequency_hz.size)
+
+    def edge(values: Floats, which: Integers) -> Edge:
+        return Edge(np.take_along_axis(values, which[None], 0)[0], none, which)
+
+    return Envelope(
+        frequency_hz,
+        edge(size, size.argmax(0)), edge(size, size.argmin(0)),
+        edge(angle, angle.argmax(0)), edge(angle, angle.argmin(0)),
+        tuple(str(place) for place in range(len(z))), "probe", "spa",
+    )  # fmt: skip
+
+
 def widened(found: Envelope, trial: Trial) -> Envelope:
     """`found` with `trial`, which is taken to be passive. AnalysisError if it is unlike the ones before."""
     return merged(found, of_trial(trial))

@@ -24,8 +24,7 @@ def command(
     from hapticd.measure.accuracy import AccuracyParams, plan_accuracy, run_accuracy
     from hapticd.measure.integrators import compare
     from hapticd.measure.plain import plain
-    from hapticd.report.accuracy import accuracy_figure, accuracy_table, accuracy_words
-    from hapticd.report.integrators import integrators_figure
+    from hapticd.report.study import accuracy_figure, accuracy_table, accuracy_words, integrators_figure
     from hapticd.report.table import text
     from hapticd.settings.scene import load_scene
 

@@ -19,17 +19,17 @@ HERE = Path()
 def need_figures(wanted: bool) -> None:
     """Fail before the work rather than after it: ConfigError if figures are wanted and matplotlib is missing."""
     if wanted:
-        from hapticd.report import figures
+        from hapticd.report import style
 
-        with figures.style():
+        with style.styled():
             pass
 
 
 def keep(figure: "Figure", folder: Path, name: str, as_json: bool) -> list[str]:
     """Save NAME.png and NAME.svg and say where; the paths."""
-    from hapticd.report import figures
+    from hapticd.report import style
 
-    paths = [str(path) for path in figures.save(figure, folder, name)]
+    paths = [str(path) for path in style.save(figure, folder, name)]
     if not as_json:
         output.talk(f"drawn: {', '.join(paths)}")
     return paths

@@ -58,8 +58,8 @@ def _instead(words: list[str]) -> "dict[Value, float]":
 
 
 def _drawn(flight: "Reflight", path: Path, title: str, changed: str) -> list[str]:
-    from hapticd.report.figures import save
-    from hapticd.report.reflight import reflight_figure
+    from hapticd.report.style import save
+    from hapticd.report.trial import reflight_figure
 
     figure = reflight_figure(flight, title, changed or "flown again")
     return [str(one) for one in save(figure, path.parent, path.name.removesuffix(".png").removesuffix(".svg"))]

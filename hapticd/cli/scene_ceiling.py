@@ -7,7 +7,7 @@ def command(scene: drawing.SceneName, as_json: options.Json = False) -> None:
     """Say the largest stable added damping: of the device alone, with the scene's environment, and hot or cold."""
     from hapticd.measure.ceiling import ceiling
     from hapticd.measure.plain import plain
-    from hapticd.report.explain import ceiling_table, ceiling_words
+    from hapticd.report.study import ceiling_table, ceiling_words
     from hapticd.report.table import text
     from hapticd.settings.scene import load_scene
 

@@ -12,7 +12,7 @@ def command(scene: drawing.SceneName, as_json: options.Json = False) -> None:
     from hapticd.measure.scenes import SUBSTEPS
     from hapticd.plant.compose import compose
     from hapticd.plant.explain import explain
-    from hapticd.report import explain as words
+    from hapticd.report import study as words
     from hapticd.report.table import text
     from hapticd.settings.scene import load_scene
 
@@ -26,9 +26,8 @@ def command(scene: drawing.SceneName, as_json: options.Json = False) -> None:
     output.data(
         f"{loaded.title}: SIMULATED {loaded.device}, {len(found.states)} states, {len(found.nonlinearities)} nonlinearities"
     )
-    tables = (words.states_table, words.effects_table, words.modes_table, words.parameters_table)
-    for part in tables:
-        output.data(f"\n{text(part(found))}")
+    for part in words.explained(found):
+        output.data(f"\n{text(part)}")
     output.data("")
     for line in (*words.step_words(found, loaded, SUBSTEPS), *words.cost_words(spent)):
         output.data(line)

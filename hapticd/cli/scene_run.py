@@ -22,7 +22,7 @@ def command(
 ) -> None:
     """Simulate a scene with and without its added damping: traces, and impedance and verdict where noise moves it."""
     from hapticd.measure.scene_run import SceneRunParams, plan_scene, run_scene
-    from hapticd.report.scene import scene_figure, scene_table
+    from hapticd.report.study import scene_figure, scene_table
     from hapticd.report.table import text
     from hapticd.settings.scene import load_scene
 
@@ -49,7 +49,7 @@ def _plain(result: "SceneResult") -> dict[str, Any]:
 
 def _trial(result: "SceneResult", trial: "Trial") -> dict[str, Any]:
     from hapticd.measure.plain import plain
-    from hapticd.report.scene import impedance_rows
+    from hapticd.report.study import impedance_rows
 
     arrays = ("position_m", "force_n", "torque_n", "velocity_m_per_s", "measured", "predicted")
     return {**plain(trial, skip=arrays), "impedance": plain(impedance_rows(result, trial))}

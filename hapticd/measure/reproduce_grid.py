@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hapticd.analysis.arrays import Complexes, Flags, Floats, Integers
+from hapticd.analysis.arrays import Flags, Floats, Integers
 from hapticd.analysis.boundary import Limits, PassiveSet, grid, passive_set, set_limits
-from hapticd.analysis.envelope import Edge, Envelope, Trial, of_trial, widened
+from hapticd.analysis.envelope import Envelope, Trial, of_predicted, of_trial, widened
 from hapticd.analysis.impedance import Impedance, impedance
 from hapticd.analysis.passivity import judge
 from hapticd.analysis.spectra import Spectra
@@ -125,7 +125,7 @@ def by_prediction(device: Subject, level: float) -> Found:
     f, z = device.impedances(kept, level, SHOWN_HZ)
     inside = (f >= SHOWN_HZ[0]) & (f <= SHOWN_HZ[1])
     shape = [axis.size for axis in AXES]
-    return Found(level, passive.reshape(shape), 0, 0, _exact(f[inside], z[:, inside]), kept)
+    return Found(level, passive.reshape(shape), 0, 0, of_predicted(f[inside], z[:, inside]), kept)
 
 
 def _trial(spectra: Spectra, place: int) -> Trial:
@@ -143,17 +143,3 @@ def shown(spectra: Spectra) -> Impedance:
 def named(point: Floats) -> str:
     """An environment in words."""
     return f"K {point[0]:g} B {point[1]:g} M {1e3 * point[2]:g} g"
-
-
-def _exact(frequency_hz: Floats, z: Complexes) -> Envelope:
-    size, angle, none = np.abs(z), np.degrees(np.angle(z)), np.zeros(frequency_hz.size)
-
-    def edge(values: Floats, which: Integers) -> Edge:
-        return Edge(np.take_along_axis(values, which[None], 0)[0], none, which)
-
-    return Envelope(
-        frequency_hz,
-        edge(size, size.argmax(0)), edge(size, size.argmin(0)),
-        edge(angle, angle.argmax(0)), edge(angle, angle.argmin(0)),
-        tuple(str(place) for place in range(len(z))), "probe", "spa",
-    )  # fmt: skip

@@ -7,8 +7,7 @@ Params -> plan -> Plan -> run -> Result.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import cast
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from hapticd.analysis.spa import DEFAULT_LAG, spa
 from hapticd.analysis.verdict import Verdict
 from hapticd.measure.progress import Progress, Steps, silent
 from hapticd.measure.scenes import SUBSTEPS, filters, level, perturbation, point
-from hapticd.params import ServoParams
+from hapticd.params import ADDED_DAMPING_NS_PER_M
 from hapticd.plant.compose import compose
 from hapticd.plant.model import Model
 from hapticd.plant.scene import Scene
@@ -30,9 +29,9 @@ from hapticd.units import PROBE_RATE_HZ
 
 TEMPERATURES = 12
 LEAST_S = LEAST_FREEDOM / 2 * 0.75 * DEFAULT_LAG / PROBE_RATE_HZ  # for a verdict
-ON_NS_PER_M = cast(float, next(item.default for item in fields(ServoParams) if item.name == "added_damping_ns_per_m"))
 
 DampingSteps = tuple[tuple[float, float], ...]  # time s, level N s/m
+ON: DampingSteps = ((0.0, ADDED_DAMPING_NS_PER_M),)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +106,7 @@ def plan_scene(params: SceneRunParams) -> ScenePlan:
     damped = level(scene) > 0.0
     legs = (
         Leg("no added damping", ((0.0, 0.0),), own=not damped),
-        Leg(_name(own), own, own=True) if damped else Leg(_name(((0.0, ON_NS_PER_M),)), ((0.0, ON_NS_PER_M),), own=False),
+        Leg(_name(own), own, own=True) if damped else Leg(_name(ON), ON, own=False),
     )
     seconds = params.seconds if params.seconds is not None else scene.seconds
     return ScenePlan(params, seconds, legs, scene.excitation.kind == "noise" and seconds > LEAST_S)

@@ -42,9 +42,9 @@ def command(
     from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
     from hapticd.measure.plain import plain
     from hapticd.measure.store import TrialStore, write_run
-    from hapticd.report import figures
+    from hapticd.report import style
+    from hapticd.report.passive_set import limits_figure
     from hapticd.report.table import text
-    from hapticd.report.zwidth_limits import limits_figure
 
     if not axis or set(axis) - set(AXES):
         raise typer.BadParameter(f"--axis {axis!r}: letters out of KBM")
@@ -63,7 +63,7 @@ def command(
     rows = [{"name": limit.name, **plain(limit)} for limit in result.limits]
     write_run(folder, {"kind": "limits", "scene": scene, "seconds": seconds, "limits": rows, "provenance": common.told(seed=seed)})
     with common.drawing(folder):
-        paths = figures.save(limits_figure(result), folder, "limits") if plot else ()
+        paths = style.save(limits_figure(result), folder, "limits") if plot else ()
     if as_json:
         figured = [str(path) for path in paths]
         output.data_json({"ok": True, "made": result.made, "limits": rows, "folder": str(folder), "figures": figured})

@@ -99,15 +99,15 @@ class _Redrawn:
         self._passed: dict[float, list[Outcome]] = {}
 
     def __call__(self, new: "list[Outcome]") -> None:
-        from hapticd.report import figures
-        from hapticd.report.zwidth_envelope import envelope_figure
+        from hapticd.report import style
+        from hapticd.report.envelope import envelope_figure
 
         for outcome in new:
             if outcome.passes:
                 self._passed.setdefault(outcome.damping_ns_per_m, []).append(outcome)
         if self._passed and monotonic() - self._drawn_s > REDRAW_S:
             self._drawn_s = monotonic()
-            figures.save(envelope_figure(self._conditions, list(self._passed.items())), self._folder, "envelope_so_far")
+            style.save(envelope_figure(self._conditions, list(self._passed.items())), self._folder, "envelope_so_far")
 
 
 def _told(level: "LevelMap") -> dict[str, Any]:
@@ -155,13 +155,13 @@ def _print(result: "MapResult", told: list[dict[str, Any]]) -> None:
 
 def draw(result: "MapResult", folder: Path) -> list[Path]:
     """The set, and the envelopes of impedance and admittance where a trial passed."""
-    from hapticd.report import figures
-    from hapticd.report.zwidth_envelope import envelope_figure
-    from hapticd.report.zwidth_map import set_figure
+    from hapticd.report import style
+    from hapticd.report.envelope import envelope_figure
+    from hapticd.report.passive_set import set_figure
 
-    paths = [*figures.save(set_figure(result), folder, "set")]
+    paths = [*style.save(set_figure(result), folder, "set")]
     drawn = [(level.damping_ns_per_m, level.outcomes) for level in result.levels if level.envelope]
     if drawn:
-        paths += figures.save(envelope_figure(result.plan.params.conditions, drawn), folder, "envelope")
-        paths += figures.save(envelope_figure(result.plan.params.conditions, drawn, inverse=True), folder, "envelope_admittance")
+        paths += style.save(envelope_figure(result.plan.params.conditions, drawn), folder, "envelope")
+        paths += style.save(envelope_figure(result.plan.params.conditions, drawn, inverse=True), folder, "envelope_admittance")
     return paths

@@ -55,7 +55,7 @@ def _named(what: str) -> "Scene":
 
 
 def _instead(folder: Path) -> str:
-    from hapticd.report.paper_files import TABLE_JSON
+    from hapticd.report.paper_page import TABLE_JSON
 
     if (folder / TABLE_JSON).is_file():
         return f"the paper, reproduced, with its figures in REPORT.md; make it again: `hapticd zwidth reproduce --out {folder}`"
@@ -141,8 +141,8 @@ def _of_device(scene: "Scene", damping: str, seconds: float, seed: int, out: Pat
     from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
     from hapticd.measure.portable import SUFFIX, device_hash, portable, write_portable
     from hapticd.measure.store import TrialStore, write_run
-    from hapticd.report import figures
-    from hapticd.report.zwidth_limits import limits_figure
+    from hapticd.report import style
+    from hapticd.report.passive_set import limits_figure
 
     levels = common.levels(damping)
     conditions = common.conditions(scene, seconds, seed)
@@ -153,7 +153,7 @@ def _of_device(scene: "Scene", damping: str, seconds: float, seed: int, out: Pat
         found = _mapped(conditions, levels, limits, store, tell)
     told = {"seconds": seconds, "band_hz": conditions.band_hz, "perturbation": conditions.excitation, "simulated": True}
     write_run(folder, {"kind": "report", "device": scene.device, **told, "provenance": common.told(seed=seed)})
-    paths = [*_own_trial(scene, seconds, folder), *figures.save(limits_figure(limits), folder, "limits")]
+    paths = [*_own_trial(scene, seconds, folder), *style.save(limits_figure(limits), folder, "limits")]
     paths += draw(found, folder)
     drawn = [(level.damping_ns_per_m, level.envelope) for level in found.levels]
     content = portable(scene.device, device_hash(scene.device), drawn, limits.limits, told)

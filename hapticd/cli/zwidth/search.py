@@ -35,9 +35,9 @@ def command(
     from hapticd.measure.executors import executor
     from hapticd.measure.plain import plain
     from hapticd.measure.store import TrialStore, write_run
-    from hapticd.report import figures
+    from hapticd.report import style
+    from hapticd.report.passive_set import search_figure
     from hapticd.report.table import table, text
-    from hapticd.report.zwidth_search import search_figure
 
     conditions = common.conditions(common.scene_of(scene), seconds, seed, band)
     folder = common.folder(out, "search")
@@ -50,7 +50,7 @@ def command(
     told = [_told(result) for result in results]
     write_run(folder, {"kind": "search", "scene": scene, "levels": told, "provenance": common.told(seed=seed)})
     with common.drawing(folder):
-        paths = figures.save(search_figure(results), folder, "search") if plot else ()
+        paths = style.save(search_figure(results), folder, "search") if plot else ()
     if as_json:
         output.data_json({"ok": True, "levels": plain(told), "folder": str(folder), "figures": [str(path) for path in paths]})
         return

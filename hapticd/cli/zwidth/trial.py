@@ -190,10 +190,10 @@ def _show(result: "TrialResult", referee: "Referee | None", folder: Path, plot: 
 
 def draw(result: "TrialResult", folder: Path, referee: "Referee | None" = None, admittance: bool = True) -> list[Path]:
     """The figure of the trial, and that of its admittance if asked."""
-    from hapticd.report import figures
-    from hapticd.report.zwidth import trial_figure
+    from hapticd.report import style
+    from hapticd.report.trial import trial_figure
 
-    paths = [*figures.save(trial_figure(result, referee), folder, "trial")]
+    paths = [*style.save(trial_figure(result, referee), folder, "trial")]
     if admittance:
-        paths += figures.save(trial_figure(result, referee, admittance=True), folder, "trial_admittance")
+        paths += style.save(trial_figure(result, referee, admittance=True), folder, "trial_admittance")
     return paths

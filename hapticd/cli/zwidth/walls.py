@@ -36,9 +36,9 @@ def command(
     from hapticd.measure.plain import plain
     from hapticd.measure.store import write_run
     from hapticd.measure.walls import WallParams, plan_walls, run_walls
-    from hapticd.report import figures
+    from hapticd.report import style
+    from hapticd.report.passive_set import walls_figure
     from hapticd.report.table import table, text
-    from hapticd.report.zwidth_walls import walls_figure
 
     loaded = common.scene_of(scene)
     low, high, count = common.ranged("--stiffness", stiffness, 1)
@@ -52,7 +52,7 @@ def command(
     folder = common.folder(out, "walls")
     write_run(folder, {"kind": "walls", "scene": scene, "lines": result.lines, "provenance": common.told()})
     with common.drawing(folder):
-        paths = figures.save(walls_figure(result), folder, "walls") if plot else ()
+        paths = style.save(walls_figure(result), folder, "walls") if plot else ()
     if as_json:
         lines = plain(result.lines)
         output.data_json({"ok": True, "lines": lines, "folder": str(folder), "figures": [str(path) for path in paths]})

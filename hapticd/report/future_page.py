@@ -1,5 +1,9 @@
-"""A run of `beyond` as sections of the page of `reproduce`: what the paper left for future work, with tables and figures."""
+"""A run of `beyond` as sections of the page of `reproduce`: what the paper left for future work,
+with tables and figures.
+"""
 
+from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -8,53 +12,49 @@ from hapticd.measure.beyond import BeyondResult
 from hapticd.measure.beyond_display import shown_hz
 from hapticd.measure.beyond_levels import FLOWN
 from hapticd.measure.beyond_rows import parts, restored
-from hapticd.report.beyond import edge_figure, free_figure
-from hapticd.report.beyond_axes import levels_figure, shape_figure
+from hapticd.report.future_figures import edge_figure, free_figure, levels_figure, shape_figure
 from hapticd.report.paper_page import Drawing, Section
-from hapticd.report.zwidth_search import search_figure
+from hapticd.report.passive_set import search_figure
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from matplotlib.figure import Figure
 
 TITLE = "Beyond the paper"
+NAMES = {"envelopes": "lower_edge", "free": "free_motion", "shaped": "shaped", "levels": "levels", "searches": "search"}
 BANDS = "bands are 95 % intervals of the mean over seeds (Student's t)"
 
 
 def sections(result: BeyondResult) -> tuple[Section, ...]:
     """Lower edge, free motion, shaped damping, levels; directed search where it was made."""
+    searched = [compared.found for compared in result.searches]
+    told: list[tuple[str, Callable[[BeyondResult], str], str, str, Callable[[], Figure]]] = [
+        (
+            "negative virtual damping", _edge_words, "envelopes",
+            f"Envelopes with the owners of their lower edges; {BANDS}.", partial(edge_figure, result),
+        ),
+        (
+            "free motion", _free_words, "free",
+            f"What is felt where no stiffness is rendered; {BANDS}.", partial(free_figure, result),
+        ),
+        (
+            "damping that depends on frequency", _shape_words, "shaped",
+            "Limits, free motion and envelope over the corner.", partial(shape_figure, result),
+        ),
+        (
+            "levels of added damping", _level_words, "levels",
+            "Limits, set and free motion over the level.", partial(levels_figure, result),
+        ),
+        (
+            "directed search", _search_words, "searches",
+            "Slices of the set with the trials next to each, and all trials in their order.", partial(search_figure, searched),
+        ),
+    ]  # fmt: skip
     found = parts(result)
-    shown = (
-        Section(
-            f"{TITLE}: negative virtual damping", _edge_words(result), found["envelopes"],
-            (_drawing("beyond_lower_edge", f"Envelopes with the owners of their lower edges; {BANDS}.", edge_figure, result),),
-        ),
-        Section(
-            f"{TITLE}: free motion", _free_words(result), found["free"],
-            (_drawing("beyond_free_motion", f"What is felt where no stiffness is rendered; {BANDS}.", free_figure, result),),
-        ),
-        Section(
-            f"{TITLE}: damping that depends on frequency", _shape_words(result), found["shaped"],
-            (_drawing("beyond_shaped", "Limits, free motion and envelope over the corner.", shape_figure, result),),
-        ),
-        Section(
-            f"{TITLE}: levels of added damping", _level_words(result), found["levels"],
-            (_drawing("beyond_levels", "Limits, set and free motion over the level.", levels_figure, result),),
-        ),
-    )  # fmt: skip
-    if not result.searches:
-        return shown
-    drawing = Drawing(
-        "beyond_search",
-        "Slices of the set with the trials next to each, and all trials in their order.",
-        lambda: search_figure([x.found for x in result.searches]),
+    return tuple(
+        Section(f"{TITLE}: {title}", words(result), found[part], (Drawing(f"beyond_{NAMES[part]}", caption, draw),))
+        for title, words, part, caption, draw in told
+        if found[part]
     )
-    return (*shown, Section(f"{TITLE}: directed search", _search_words(result), found["searches"], (drawing,)))
-
-
-def _drawing(name: str, caption: str, draw: "Callable[[BeyondResult], Figure]", result: BeyondResult) -> Drawing:
-    return Drawing(name, caption, lambda: draw(result))
 
 
 def _edge_words(result: BeyondResult) -> str:

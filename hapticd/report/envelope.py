@@ -1,0 +1,201 @@
+"""Figures of envelopes: the largest and smallest passive |Z| (or |Y|) and phase, and strips that
+say who owns them.
+
+The strip names the parameter of the owner that weighs most at each frequency, that of K/w, |B| and
+|M| w which is largest, and its sign. Where the largest and the smallest of N equal trials would lie
+as far apart by their noise alone, 2 sqrt(2 ln N) standard deviations, nobody owns the envelope.
+Bands are 95 % intervals of the owning trial alone; the smallest of many noisy values lies below the
+smallest true one, so a lower edge lies below its prediction partly because it is a minimum.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hapticd.analysis.arrays import Floats
+from hapticd.analysis.envelope import Edge, Envelope, admittance, of_predicted
+from hapticd.analysis.predict import frequencies
+from hapticd.measure.outcomes import Conditions, Outcome, envelope_of, kept_frequencies
+from hapticd.report.style import (
+    BELOW,
+    NORMAL,
+    PARTS,
+    PREDICTED,
+    SMALL_PT,
+    WIDTH_IN,
+    Look,
+    axes,
+    banded,
+    handles_of,
+    hertz_axis,
+    of_levels,
+    patch,
+    simulated,
+    styled,
+    tint,
+    words_of,
+)  # fmt: skip
+from hapticd.report.trial import ADMITTANCE, IMPEDANCE, View, dress, interval
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Levels = Sequence[tuple[float, Sequence[Outcome]]]
+
+SHOWN_HZ = (2.0, 1000.0)
+WIDE = 0.09  # of a strip: room for a name
+NOBODY = -1.0
+NOTHING = "#ffffff"
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """One envelope to draw; `environments` (N, 3) are K, B, M of its trials. `calm`: frequencies
+    that one window spans.
+    """
+
+    envelope: Envelope
+    environments: Floats
+    look: Look
+    words: str
+    guess: Envelope | None = None
+    calm: int = 1
+
+
+@styled()
+def envelope_figure(conditions: Conditions, levels: Levels, inverse: bool = False) -> "Figure":
+    """Largest and smallest |Z| [N s/m] and phase [deg] of the trials that pass, a strip of owners
+    for each level; dotted what is predicted of the same trials. AnalysisError for a level of
+    which none passes.
+
+    `levels`: (added damping [N s/m], its trials). `inverse`: of the admittance, whose largest
+    values are owned by the smallest |Z|.
+    """
+    looks = of_levels([level for level, _ in levels])
+    shown = [_of_trials(conditions, *level, look, inverse) for level, look in zip(levels, looks, strict=True)]
+    f = shown[0].envelope.frequency_hz
+    title = f"Z-width envelope{' as admittance' if inverse else ''}\n{simulated(conditions.scene.device, conditions.seconds)}"
+    view = ADMITTANCE if inverse else IMPEDANCE
+    return envelopes_figure(shown, title, (float(f[0]), float(f[-1])), conditions.band_hz, view)
+
+
+def _of_trials(conditions: Conditions, level: float, trials: Sequence[Outcome], look: Look, inverse: bool) -> Drawn:
+    """Of those that pass, and what is predicted of the same environments where the figure shows it."""
+    passed = [trial for trial in trials if trial.passes]
+    points = np.array([trial.environment for trial in passed]).reshape(-1, 3)
+    f = np.union1d(frequencies(conditions.band_hz, conditions.display.perturbation), kept_frequencies())
+    z = conditions.display.impedances(points, level, f)
+    inside = (f >= SHOWN_HZ[0]) & (f <= SHOWN_HZ[1])
+    found = (envelope_of(passed), of_predicted(f[inside], z[:, inside]))
+    measured, predicted = (admittance(one) if inverse else one for one in found)
+    return Drawn(measured, points, look, words_of(level), predicted)
+
+
+def envelopes_figure(
+    shown: Sequence[Drawn], title: str, ends_hz: tuple[float, float], band_hz: tuple[float, float], view: View = IMPEDANCE
+) -> "Figure":
+    """Edges of size, a strip of owners for each envelope, edges of phase. Call it within `styled`."""
+    count = len(shown)
+    heights = [3.0, *([0.36] * count), 1.9]
+    figure, (size, *strips, phase) = axes(2 + count, 1, WIDTH_IN, 6.4 + 0.42 * count, title, sharex=True, height_ratios=heights)
+    hertz_axis(phase, *ends_hz)
+    size.set_yscale("log")
+    for place, drawn in enumerate(shown):
+        _edges(size, drawn, (drawn.envelope.upper, drawn.envelope.lower), 0.4 - 0.01 * place)
+        _edges(phase, drawn, (drawn.envelope.phase_upper, drawn.envelope.phase_lower), 0.4 - 0.01 * place, linear=True)
+    for guess in (drawn.guess for drawn in shown if drawn.guess is not None):
+        for edge in (guess.upper, guess.lower):
+            size.plot(guess.frequency_hz, edge.value, label="predicted", **PREDICTED)
+        for edge in (guess.phase_upper, guess.phase_lower):
+            phase.plot(guess.frequency_hz, edge.value, **PREDICTED)
+    for axis, drawn in zip(strips, shown, strict=True):
+        rows = [weighty(drawn, edge) for edge in (drawn.envelope.lower, drawn.envelope.upper)]
+        strip(axis, drawn.envelope.frequency_hz, rows, f"owner of the envelope {drawn.words}")
+        axis.set_yticks([0.5, 1.5], ["min", "max"], fontsize=SMALL_PT)
+    grey = dress(size, phase, band_hz, view, " at the probe")
+    known = [interval(shown[-1].look, " of the owning trial")] if any(one.envelope.upper.sd.any() for one in shown) else []
+    handles = [*handles_of(size), *known, grey]
+    size.legend(handles=handles, loc="upper center" if view is IMPEDANCE else "lower center")
+    negative = any((drawn.environments[:, 1] < 0.0).any() for drawn in shown)
+    figure.legend(handles=keys(negative), ncols=6, **BELOW)
+    return figure
+
+
+def _edges(axis: "Axes", drawn: Drawn, edges: tuple[Edge, Edge], low: float, linear: bool = False) -> None:
+    """Tinted between them, the first envelope on top."""
+    f, (upper, lower) = drawn.envelope.frequency_hz, edges
+    axis.fill_between(f, lower.value, upper.value, color=tint(drawn.look["color"]), linewidth=0, zorder=low)
+    for edge, words in ((upper, drawn.words), (lower, None)):
+        banded(axis, f, edge.value, NORMAL * edge.sd, drawn.look, words, linear)
+
+
+# --- owners ----------------------------------------------------------------------------------------------------------------------
+
+
+def weightiest(frequency_hz: Floats, owners: Floats) -> Floats:
+    """(F,) 0 K, 1 B > 0, 2 M > 0, 3 B < 0, 4 M < 0, NOBODY where nothing is rendered; for owners
+    (K, B, M) (F, 3).
+    """
+    w = 2.0 * np.pi * frequency_hz
+    parts = np.stack((owners[:, 0] / w, owners[:, 1], owners[:, 2] * w))
+    which = np.abs(parts).argmax(axis=0)
+    below = np.take_along_axis(parts, which[None], 0)[0] < 0.0
+    return np.where(parts.any(axis=0), which + 2.0 * below, NOBODY)
+
+
+def weighty(drawn: Drawn, edge: Edge) -> Floats:
+    """(F,) index into PARTS, NOBODY where nothing is rendered or noise alone would make the
+    envelope as wide.
+    """
+    upper, lower = drawn.envelope.upper, drawn.envelope.lower
+    which = weightiest(drawn.envelope.frequency_hz, drawn.environments[edge.owner])
+    noise = 2.0 * np.sqrt(2.0 * np.log(max(2, len(drawn.environments)))) * np.maximum(upper.sd, lower.sd)
+    which[np.log(upper.value / lower.value) < noise] = NOBODY
+    return _majority(which, drawn.calm)
+
+
+def _majority(which: Floats, count: int) -> Floats:
+    """The most frequent value of each neighbourhood of `count`, which is odd."""
+    near = np.lib.stride_tricks.sliding_window_view(np.pad(which, count // 2, mode="edge"), count)
+    kinds = np.arange(NOBODY, len(PARTS))
+    return np.asarray(kinds[(near[:, :, None] == kinds).sum(axis=1).argmax(axis=1)])
+
+
+def strip(axis: "Axes", frequency_hz: Floats, rows: Sequence[Floats], title: str) -> None:
+    """Paint rows (F,) of indices into PARTS from below, white for NOBODY, with the names where they
+    are wide enough, so that nobody needs the colours.
+    """
+    from matplotlib.colors import ListedColormap
+
+    middle = np.sqrt(frequency_hz[1:] * frequency_hz[:-1])
+    borders = np.concatenate((frequency_hz[:1], middle, frequency_hz[-1:]))
+    colours, heights = ListedColormap([NOTHING, *(colour for _, colour in PARTS)]), np.arange(len(rows) + 1.0)
+    axis.pcolormesh(borders, heights, np.array(rows), cmap=colours, vmin=-1.5, vmax=len(PARTS) - 0.5, rasterized=True)
+    axis.grid(visible=False)
+    axis.tick_params(length=0)
+    axis.set_yticks([])
+    axis.set_title(title, fontsize=SMALL_PT, pad=2)
+    for height, row in enumerate(rows):
+        _names(axis, borders, row, 0.5 + height)
+
+
+def _names(axis: "Axes", borders: Floats, row: Floats, height: float) -> None:
+    changes = [0, *(np.flatnonzero(np.diff(row)) + 1), row.size]
+    low_hz, high_hz = axis.get_xlim()
+    for first, last in pairwise(changes):
+        low, high = borders[first], borders[last]
+        if row[first] == NOBODY or np.log(high / low) < WIDE * np.log(high_hz / low_hz):
+            continue
+        name = PARTS[int(row[first])][0]
+        ink = "white" if name == "B < 0" else "black"
+        axis.text(float(np.sqrt(low * high)), height, name, fontsize=SMALL_PT, ha="center", va="center", color=ink)
+
+
+def keys(negative: bool = True) -> list[Any]:
+    """Of a legend: the parts, without B < 0 where no trial has it, and nobody."""
+    parts = (*(part for part in PARTS if negative or part[0] != "B < 0"), ("nobody", NOTHING))
+    return [patch(name, colour, linewidth=0.6) for name, colour in parts]

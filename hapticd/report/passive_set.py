@@ -1,0 +1,345 @@
+"""Figures of the passive set: its map in slices of one M, a directed search of it, its limits on
+the axes, and virtual walls.
+
+The set is shown as the largest K over B, a line with a tinted area below it, dotted where it is
+predicted. A slice of a search shows only the trials whose M is next to its own, for a boundary in K
+and B moves with M; all trials are in the panel below.
+"""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hapticd.analysis.arrays import Flags, Floats, Integers
+from hapticd.analysis.boundary import PassiveSet
+from hapticd.measure.campaign import LevelMap, MapResult
+from hapticd.measure.directed import SearchResult, Step, slice_at
+from hapticd.measure.limits import AxisLimit, LimitsResult
+from hapticd.measure.outcomes import Conditions
+from hapticd.measure.walls import WallResult
+from hapticd.report.style import (
+    ANSWERS,
+    BELOW,
+    BLACK,
+    HOLLOW,
+    LEVEL_MARKS,
+    MARKS,
+    PREDICTED,
+    SMALL_PT,
+    WIDTH_IN,
+    Look,
+    axes,
+    handles_of,
+    mark,
+    mosaic,
+    of_levels,
+    simulated,
+    styled,
+    tint,
+    words_of,
+)  # fmt: skip
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+PANELS = 6
+COLUMNS = 3
+ASIDE = 0.12  # of a step of B: how far apart the marks of two levels stand at one point
+SHARES = (0.0, 0.2, 0.5, 0.8, 1.0)  # of the set's masses: between two of them it is sliced once
+SLICES = len(SHARES) - 1
+NEAR = 0.02  # of the range of masses: trials so near to a slice are shown in it
+GRID_COLUMNS = 12
+APART_IN = 0.17  # of two numbers
+AXIS_LABELS = {"K": ("largest K (N/m)", 1.0), "B": ("largest B (N s/m)", 1.0), "M": ("largest -M (g)", -1e3)}
+PSD_UNIT = 1e-5  # N^2/Hz
+MOST_TICKS = 5
+NARROWEST_IN = 6.0
+ALONE: Look = {"color": BLACK, "linestyle": "-"}
+
+
+def how(conditions: Conditions) -> str:
+    """The line below a title."""
+    return simulated(conditions.scene.device, conditions.seconds)
+
+
+def area(
+    axis: "Axes", damping: Floats, stiffness: Floats, look: Look, rank: int = 0, **more: Any
+) -> None:
+    """The largest K over B, tinted below; the first level, the smaller set, is on top."""
+    low = 0.4 - 0.01 * rank
+    axis.fill_between(damping, 0.0, stiffness, color=tint(look["color"]), linewidth=0, zorder=low)
+    axis.plot(damping, stiffness, **{**look, **more})
+
+
+def _closed(edge: Floats) -> Floats:
+    """An edge (nB,) that goes down to K = 0 where it ends."""
+    known = ~np.isnan(edge)
+    return np.where(~known & np.roll(known, 1), 0.0, edge)
+
+
+# --- a map -----------------------------------------------------------------------------------------------------------------------
+
+
+@styled()
+def set_figure(result: MapResult) -> "Figure":
+    """The largest passive K over B, a panel for each of up to six virtual masses, a line and marks
+    for each damping level.
+
+    M = 0, or the mass nearest to it, is among them. ConfigError without matplotlib.
+    """
+    mass, shown = result.levels[0].found.axes[2], slices(result)
+    columns = min(COLUMNS, len(shown))
+    rows = -(-len(shown) // columns)
+    title = f"Passive set: the largest passive K at each B\n{how(result.plan.params.conditions)}"
+    figure, places = axes(rows, columns, 0.6 + 3.0 * columns, 2.7 * rows + 1.2, title, sharex=True, sharey=True)
+    looks = of_levels([level.damping_ns_per_m for level in result.levels])
+    for panel, place in zip(shown, places, strict=True):
+        for turn, (level, look) in enumerate(zip(result.levels, looks, strict=True)):
+            _plane(place, level, int(panel), look, turn, len(looks))
+        place.set(title=f"M = {1e3 * mass[panel]:.3g} g", xlabel="B (N s/m)", ylabel="K (N/m)")
+        place.label_outer()
+    handles = [
+        *(mark(words_of(level.damping_ns_per_m), **look) for level, look in zip(result.levels, looks, strict=True)),
+        mark("trial passes", marker=ANSWERS["passes"], **MARKS),
+        mark("trial fails or escapes", marker=ANSWERS["fails"], **MARKS),
+        mark("no trial: predicted, or between neighbours, to pass", marker="o", **MARKS, **HOLLOW),
+    ]
+    figure.legend(handles=handles, ncols=3, **BELOW)
+    return figure
+
+
+def slices(result: MapResult) -> Integers:
+    """Up to six places on the axis of M, two rows or one: those nearest to 0 and others evenly
+    apart, where something passes or was tried.
+    """
+    mass = result.levels[0].found.axes[2]
+    there = np.zeros(mass.size, bool)
+    for level in result.levels:
+        there |= level.found.passive.any(axis=(0, 1)) | level.tried.reshape(level.found.margin.shape).any(axis=(0, 1))
+    zero = int(np.argmin(np.abs(mass)))
+    there[zero] = True
+    places = np.flatnonzero(there)
+    count = min(PANELS, len(places))
+    count -= count % COLUMNS if count > COLUMNS else 0
+    chosen = places[np.linspace(0, len(places) - 1, count).round().astype(int)]
+    if zero not in chosen:
+        inner = slice(1, -1) if len(chosen) > 2 else slice(None)
+        chosen[inner][np.argmin(np.abs(chosen[inner] - zero))] = zero
+    return np.asarray(chosen)
+
+
+def _plane(place: "Axes", level: LevelMap, panel: int, look: Look, rank: int, count: int) -> None:
+    """One of `count` levels in one panel: what passes, what fails, what was only predicted to pass."""
+    stiffness, damping, _ = level.found.axes
+    passive, tried = (flags.reshape(level.found.margin.shape)[:, :, panel] for flags in (level.found.passive, level.tried))
+    aside = ASIDE * (damping[1] - damping[0]) * (rank - 0.5 * (count - 1))
+    k, b = np.meshgrid(stiffness, damping + aside, indexing="ij")
+    area(place, damping, highest(level.found, panel), look, rank)
+    marks: Look = {**MARKS, "color": look["color"], "markersize": 4, "zorder": 3}
+    for shown, kind in (
+        (passive & tried, {"marker": ANSWERS["passes"]}),
+        (~passive & tried, {"marker": ANSWERS["fails"]}),
+        (passive & ~tried, {"marker": "o", **HOLLOW, "markersize": 3}),
+    ):
+        place.plot(b[shown], k[shown], **{**marks, **kind})
+
+
+def highest(found: PassiveSet, panel: int) -> Floats:
+    """Largest passive K [N/m] (nB,) of the grid at each damping; nan where none is."""
+    stiffness, passive = found.axes[0], found.passive[:, :, panel]
+    return np.where(passive.any(axis=0), np.where(passive, stiffness[:, None], -np.inf).max(axis=0), np.nan)
+
+
+# --- a directed search -----------------------------------------------------------------------------------------------------------
+
+
+@styled()
+def search_figure(results: Sequence[SearchResult]) -> "Figure":
+    """For each damping level a row of slices through the set; below, each trial's expected and
+    found least Re Z.
+    """
+    count = len(results)
+    titled = [[f"title {row}"] * GRID_COLUMNS for row in range(count)]
+    rows = [[f"{row} {column * SLICES // GRID_COLUMNS}" for column in range(GRID_COLUMNS)] for row in range(count)]
+    below = [f"foreseen {column * count // GRID_COLUMNS}" for column in range(GRID_COLUMNS)]
+    heights = [*[0.12, 3.0] * count, 3.0]
+    title = f"Directed search: the set in slices of one M, and its trials\n{how(results[0].plan.params.conditions)}"
+    panels = [*(line for pair in zip(titled, rows, strict=True) for line in pair), below]
+    figure, places = mosaic(panels, 11.0, sum(heights) + 1.3, title, height_ratios=heights)
+    levels = [one.plan.params.damping_ns_per_m for one in results]
+    looks = of_levels(levels)
+    for row, (result, look) in enumerate(zip(results, looks, strict=True)):
+        level, head = words_of(levels[row]), places[f"title {row}"]
+        head.set_axis_off()
+        head.text(0.0, 0.5, f"{level[0].upper()}{level[1:]}", va="center", fontweight="bold")
+        _slices([places[f"{row} {column}"] for column in range(SLICES)], result, look)
+        _foreseen(places[f"foreseen {row}"], result, look)
+    handles = [
+        *(mark(f"edge found, {words_of(level)}", **look) for level, look in zip(levels, looks, strict=True)),
+        mark("edge predicted", **PREDICTED),
+        mark("trial passes", marker=ANSWERS["passes"], **MARKS),
+        mark("trial fails", marker=ANSWERS["fails"], **MARKS),
+        mark("trial escapes: the loop ran away, or its command filled the range", marker=ANSWERS["escapes"], **MARKS),
+        mark("below: found, with its 95 % interval", marker="_", markersize=8, **MARKS),
+        mark("below: expected before the trial", marker="o", **MARKS, **HOLLOW),
+        mark(f"slices show trials within {100 * NEAR:g} % of the range of M", linestyle=""),
+    ]
+    figure.legend(handles=handles, ncols=3, **BELOW)
+    return figure
+
+
+def _slices(places: "list[Axes]", result: SearchResult, look: Look) -> None:
+    mass = result.found.axes[2]
+    passive = mass[result.found.passive.any(axis=(0, 1))]  # K = B = M = 0 is, or there had been no search
+    tried = np.array([step.outcome.environment for step in result.steps])
+    reach = NEAR * float(passive[-1] - passive[0])
+    cuts = [slice_at(result, value) for value in slice_masses(tried[:, 2], np.quantile(passive, SHARES), reach)]
+    top = max(np.nanmax((cut.held, cut.predicted)) for cut in cuts)
+    for panel, (place, cut) in enumerate(zip(places, cuts, strict=True)):
+        place.set(xlabel="B (N s/m)", xlim=(-0.02 * cut.damping[-1], cut.damping[-1]), ylim=(-0.02 * top, 1.15 * top))
+        area(place, cut.damping, _closed(cut.held), look)
+        place.plot(cut.damping, _closed(cut.predicted), **PREDICTED)
+        _trials(place, result.steps, np.abs(tried[:, 2] - cut.mass_kg) <= reach, look)
+        place.set_title(f"M = {1e3 * cut.mass_kg:.3g} g")
+        place.tick_params(labelleft=panel == 0)
+    places[0].set_ylabel("K (N/m)")
+
+
+def slice_masses(tried: Floats, borders: Floats, reach: float) -> list[float]:
+    """Between any two borders the mass of the trial that has the most others within `reach`; the
+    middle where none was tried.
+    """
+    chosen = []
+    for low, high in pairwise(borders):
+        here = tried[(tried >= low) & (tried <= high)]
+        count = (np.abs(here[:, None] - tried) <= reach).sum(axis=1)
+        chosen.append(float(here[np.argmax(count)] if here.size else 0.5 * (low + high)))
+    return chosen
+
+
+def _trials(place: "Axes", steps: tuple[Step, ...], near: Flags, look: Look) -> None:
+    """Those of this slice; with their numbers where no other number stands."""
+    width, height = 2.4, 2.3  # in, of the axes, about
+    (left, right), (foot, head), numbered = place.get_xlim(), place.get_ylim(), list[tuple[float, float]]()
+    for at in np.flatnonzero(near):
+        k, b, _ = steps[at].outcome.environment
+        place.plot(b, k, ANSWERS[_answer(steps[at])], color=look["color"], markersize=5, clip_on=False, zorder=3)
+        here = width * (b - left) / (right - left), height * (k - foot) / (head - foot)
+        if all(abs(here[0] - x) > APART_IN or abs(here[1] - y) > APART_IN for x, y in numbered):
+            numbered.append(here)
+            place.annotate(str(at + 1), (b, k), (4.0, 3.0), textcoords="offset points", fontsize=SMALL_PT)
+
+
+def _answer(step: Step) -> str:
+    if step.outcome.passes:
+        return "passes"
+    return "escapes" if not step.teaches else "fails"
+
+
+def _foreseen(place: "Axes", result: SearchResult, look: Look) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    known = [(number, step) for number, step in enumerate(result.steps, start=1) if step.teaches]
+    escaped = [number for number, step in enumerate(result.steps, start=1) if not step.teaches]
+    at = [number for number, _ in known]
+    found = np.array([step.outcome.margin_ns_per_m for _, step in known])
+    reach = np.abs(np.array([(step.outcome.margin_lower, step.outcome.margin_upper) for _, step in known]).T - found)
+    place.errorbar(at, found, np.nan_to_num(reach), fmt="_", markersize=7, color=look["color"], elinewidth=0.8, capsize=0)
+    place.plot(at, [step.expected_ns_per_m for _, step in known], **{**MARKS, **HOLLOW, "marker": "o", "markerfacecolor": "none"})
+    low, high = np.quantile(found, (0.05, 0.95))
+    foot = min(-0.5, 1.6 * low)
+    place.plot(escaped, np.full(len(escaped), foot), ANSWERS["escapes"], color=look["color"], markersize=6, clip_on=False)
+    place.axhline(0.0, color=BLACK, linewidth=0.8)
+    place.xaxis.set_major_locator(MaxNLocator(integer=True))
+    place.set(
+        xlabel="trial", ylabel="least Re Z (N s/m)", xlim=(0.0, len(result.steps) + 1.0), ylim=(foot, max(0.8, 1.4 * high)),
+        title=f"{words_of(result.plan.params.damping_ns_per_m)}: {len(escaped)} of {len(result.steps)} trials escape",
+    )  # fmt: skip
+
+
+# --- limits on the axes ----------------------------------------------------------------------------------------------------------
+
+
+@styled()
+def limits_figure(result: LimitsResult) -> "Figure":
+    """Axis limits over added damping, or over the perturbation where several amplitudes were
+    scanned.
+    """
+    params = result.plan.params
+    many = len(params.amplitudes) > 1
+    groups, looks = (params.levels, of_levels(params.levels)) if many else ((params.amplitudes[0],), [ALONE])
+    title = f"Axis limits, the other two being 0\n{how(params.conditions)}"
+    figure, places = axes(1, len(params.axes), max(NARROWEST_IN, 3.2 * len(params.axes)), 4.2, title)
+    for place, axis in zip(places, params.axes, strict=True):
+        mine = [limit for limit in result.limits if limit.scan.axis == axis]
+        for group, look in zip(groups, looks, strict=True):
+            name = f"by trials, {words_of(group)}" if many else "by trials"
+            _limit_line(place, [one for one in mine if not many or one.scan.damping_ns_per_m == group], many, look, name)
+        place.set(ylabel=AXIS_LABELS[mine[0].name][0], ylim=(0.0, None), xlabel="added damping (N s/m)")
+        if many:
+            _perturbation_axis(place, sorted({limit.perturbation_psd for limit in mine}))
+    places[0].errorbar([], [], [], color=BLACK, linestyle="", label="bar: from surely passive to surely not")
+    figure.legend(handles=handles_of(places[0]), ncols=2, **BELOW)
+    return figure
+
+
+def _limit_line(place: "Axes", limits: list[AxisLimit], many: bool, look: Look, name: str) -> None:
+    factor = AXIS_LABELS[limits[0].name][1]
+    x = [limit.perturbation_psd / PSD_UNIT if many else limit.scan.damping_ns_per_m for limit in limits]
+    value, lower, upper = (factor * np.array([getattr(limit, part) for limit in limits]) for part in ("value", "lower", "upper"))
+    spread = np.nan_to_num(np.array([np.maximum(value - lower, 0.0), np.maximum(upper - value, 0.0)]))
+    bars = place.errorbar(x, value, spread, marker="o", label=name, **look)
+    bars[2][0].set_linestyle("-")
+    hollow = {**PREDICTED, **HOLLOW, "marker": "o", "markersize": 6, "markerfacecolor": "none"}
+    place.plot(x, [factor * limit.scan.predicted for limit in limits], **{**hollow, "color": look["color"]})
+    place.plot([], [], label="predicted", **hollow)
+
+
+def _perturbation_axis(place: "Axes", psd: list[float]) -> None:
+    """A logarithmic axis with ticks at what was tried, and no more of them than there is room for."""
+    shown = [value / PSD_UNIT for value in psd[:: -(-len(psd) // MOST_TICKS)]]
+    place.set(xscale="log", xlabel="perturbation ($10^{-5}$ N²/Hz)")
+    place.set_xticks(shown, [f"{value:.3g}" if value < 1000.0 else f"{value:,.0f}" for value in shown])
+    place.minorticks_off()
+    place.margins(x=0.1)
+
+
+# --- virtual walls ---------------------------------------------------------------------------------------------------------------
+
+
+@styled()
+def walls_figure(result: WallResult, title: str = "Walls that come to rest") -> "Figure":
+    """A line and an area for each damping level: marks are the stiffest stable walls, crosses the
+    softest that was not.
+    """
+    params, scene = result.plan.params, result.plan.params.scene
+    impact = f"impact at {scene.start_velocity_m_per_s:g} m/s, push {scene.excitation.force_n:g} N"
+    rest = f"below {1e3 * params.still_m_per_s:g} mm/s after {params.settle_s:g} s"
+    figure, (place,) = axes(1, 1, WIDTH_IN, 4.2, f"{title}\nSIMULATED {scene.device}: {impact}; {rest}")
+    for rank, (level, look) in enumerate(zip(params.levels, of_levels(params.levels), strict=True)):
+        _walls(place, result, level, {**look, "marker": LEVEL_MARKS[rank % len(LEVEL_MARKS)]}, rank)
+    place.plot([], [], marker="x", label="softest wall that oscillates", **MARKS)
+    least = f"none rests: less than the least tried, {params.stiffnesses[0]:g} N/m"
+    place.plot([], [], marker="v", label=least, **MARKS)
+    place.set(xlabel="virtual damping B of the wall (N s/m)", ylabel="virtual stiffness K of the wall (N/m)", ylim=(0.0, None))
+    figure.legend(*place.get_legend_handles_labels(), ncols=2, **BELOW)
+    return figure
+
+
+def _walls(place: "Axes", result: WallResult, level: float, look: Look, rank: int) -> None:
+    """Of one level; where not even the softest wall rests the line is at 0 and its mark points
+    down.
+    """
+    lines = result.at(level)
+    damping, highest, first = (
+        np.array([getattr(line, name) for line in lines])
+        for name in ("wall_damping_ns_per_m", "highest_n_per_m", "first_unstable_n_per_m")
+    )
+    rests = highest > 0.0
+    shown: Look = {"clip_on": False, "zorder": 3, "label": f"stiffest wall that rests, {words_of(level)}"}
+    area(place, damping, highest, look, rank, **shown, markevery=[int(at) for at in np.flatnonzero(rests)])
+    place.plot(damping[~rests], highest[~rests], "v", color=look["color"], markersize=6, clip_on=False, zorder=3)
+    place.plot(damping[rests], np.where(np.isfinite(first), first, np.nan)[rests], "x", color=look["color"])

@@ -1,0 +1,503 @@
+"""What studies of a scene found, as figures, tables and sentences: its traces and impedance, what
+is simulated and why, which effects a question needs, what accuracy costs in time, and where
+explicit methods blow up.
+
+As in the paper's Fig. 7 added damping is a solid line and none a dashed one.
+"""
+
+from collections.abc import Iterable, Sequence
+from math import inf, isinf, isnan, nan
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hapticd.analysis.arrays import Floats
+from hapticd.measure.accuracy import AccuracyResult
+from hapticd.measure.ceiling import Ceiling
+from hapticd.measure.cost import Cost
+from hapticd.measure.effects import EffectsResult, Left
+from hapticd.measure.gauge import GROUP
+from hapticd.measure.integrators import Comparison
+from hapticd.measure.knee import Row
+from hapticd.measure.scene_run import SceneResult, Trial
+from hapticd.measure.scenes import SUBSTEPS, candidates, frequencies, point
+from hapticd.plant.explain import AtLevel, Explanation
+from hapticd.plant.scene import Scene
+from hapticd.report.style import (
+    BELOW,
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    OFF,
+    ON,
+    ORANGE,
+    PREDICTED,
+    PURPLE,
+    RED,
+    SKY,
+    SMALL_PT,
+    Look,
+    axes,
+    handles_of,
+    hertz_axis,
+    mosaic,
+    patch,
+    plain_axis,
+    styled,
+)  # fmt: skip
+from hapticd.report.table import Cell, Table, duration, percent, shown, table
+from hapticd.report.trial import Curve, draw, dress
+from hapticd.units import PROBE_RATE_HZ
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+LOOKS = (OFF, ON)
+SHOWN_S = 0.5  # of a noisy trace
+POINTS = 1500  # of a line
+SHOWN_HZ = (1.9, 1000.0)
+LEAST, MOST = 1e-4, 20.0  # ends of the axis of changes
+QUESTIONS = {"limits": "what its passivity limits need", "phase": "what the phase of Z needs", "peak": "what the peak of |Z| needs"}
+TICKS = (1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0)
+DROPPED = "#c8d7e6"
+PANELS_OF_NOISE = [["tier", "sub-steps", "effect"], ["trial length", "window", "effect"]]
+TITLES = {
+    "tier": "ways to simulate",
+    "sub-steps": "sub-steps per 4 kHz sample",
+    "trial length": "length of the trial",
+    "window": "window of the spectra, samples",
+}
+SWEEPS = ("tier", "sub-steps", "precision", "trial length", "window")
+WAYS = ("v", "^", "s", "o", "D", "P")
+FEWEST_BARS = 8
+NOTHING = 1e-6  # of the worst error: what is less is none
+DEFAULT: Look = {"marker": "o", "markersize": 12, "markerfacecolor": "none", "color": BLACK, "linestyle": ""}
+KNEE: Look = {"marker": "*", "markersize": 13, "color": ORANGE, "linestyle": "", "zorder": 3}
+METHODS = {
+    "exact": ("exact map", BLUE, "o"),
+    "rk4": ("Runge-Kutta 4", GREEN, "s"),
+    "euler": ("explicit Euler", RED, "^"),
+}
+SMALLEST, GONE = 1e-16, 3.0  # lowest error drawn; where those without an answer are drawn
+
+
+# --- a scene that was run --------------------------------------------------------------------------------------------------------
+
+
+@styled()
+def scene_figure(result: SceneResult) -> "Figure":
+    """Traces; beside them |Z| and phase where the scene is moved by noise. ConfigError without
+    matplotlib.
+    """
+    return _with_impedance(result) if result.plan.impedance else _traces_alone(result)
+
+
+def _with_impedance(result: SceneResult) -> "Figure":
+    figure, (position, size, force, phase) = axes(2, 2, 10.0, 6.2, _title(result), width_ratios=(1.0, 1.3))
+    begin_s, band_hz = min(1.0, 0.5 * result.plan.seconds), result.plan.params.band_hz
+    _draw_traces(result, [position, force], (begin_s, begin_s + SHOWN_S))
+    for axis in (position, force):
+        axis.set_xlabel("time (s)")
+    for trial, look in zip(result.trials, LOOKS, strict=True):
+        _draw_impedance(size, phase, trial, look)
+    for axis in (size, phase):
+        hertz_axis(axis, *SHOWN_HZ)
+    dress(size, phase, band_hz)
+    phase.set(ylim=(-105.0, 140.0), yticks=range(-90, 91, 30))
+    words = f"passive: within ±90 degrees in {band_hz[0]:g}..{band_hz[1]:g} Hz"
+    phase.text(0.98 * band_hz[1], 122.0, words, ha="right", va="center", fontsize=SMALL_PT)
+    figure.legend(handles=handles_of(size), ncols=3, **BELOW)
+    return figure
+
+
+def _draw_impedance(size: "Axes", phase: "Axes", trial: Trial, look: Look) -> None:
+    if trial.measured is None or trial.predicted is None:
+        return
+    f = trial.measured.frequency_hz
+    seen = (f >= SHOWN_HZ[0]) & (f <= SHOWN_HZ[1])
+    draw(size, phase, Curve(f[seen], trial.predicted[seen], PREDICTED, "predicted"))
+    draw(size, phase, Curve(f[seen], trial.measured.impedance_ns_per_m[seen], look, trial.leg.name))
+
+
+def _traces_alone(result: SceneResult) -> "Figure":
+    heat = any(trial.winding_c for trial in result.trials)
+    figure, places = axes(4 if heat else 3, 1, 9.0, 8.6 if heat else 7.0, _title(result), sharex=True)
+    _draw_traces(result, places[:2], (0.0, result.plan.seconds))
+    for trial, look in zip(result.trials, LOOKS, strict=True):
+        times, levels = zip(*trial.leg.damping, strict=True)
+        places[2].step([*times, result.plan.seconds], [*levels, levels[-1]], where="post", **look)
+        if trial.winding_c is not None:
+            places[3].plot(*trial.winding_c, marker=".", **look)
+    places[2].set_ylabel("added damping (N s/m)")
+    places[2].margins(y=0.15)
+    if heat:
+        places[3].set_ylabel("winding (°C)")
+    places[-1].set_xlabel("time (s)")
+    figure.align_ylabels(places)
+    figure.legend(*places[0].get_legend_handles_labels(), ncols=2, **BELOW)
+    return figure
+
+
+def _title(result: SceneResult) -> str:
+    (k, b, m), wall = point(result.scene), result.scene.environment.wall
+    rendered = f"K = {k:g} N/m, B = {b:g} N s/m, M = {1e3 * m:g} g"
+    if wall.side:
+        rendered = f"wall of {wall.stiffness_n_per_m:g} N/m and {wall.damping_ns_per_m:g} N s/m at {1e3 * wall.position_m:g} mm"
+    return f"{result.scene.title}: {rendered}  (simulated {result.scene.device})"
+
+
+def _draw_traces(result: SceneResult, places: "Sequence[Axes]", span_s: tuple[float, float]) -> None:
+    channels = (("position (mm)", 1e3, "position_m"), ("virtual force (N)", 1.0, "force_n"))
+    for axis, (label, factor, name) in zip(places, channels, strict=True):
+        for trial, look in zip(result.trials, LOOKS, strict=True):
+            values = factor * getattr(trial, name)
+            time_s = np.arange(values.size) / result.scene.rate_hz
+            inside = (time_s >= span_s[0]) & (time_s <= span_s[1])
+            axis.plot(*thinned(time_s[inside], values[inside]), label=trial.leg.name, **look)
+        axis.set(ylabel=label, xlim=span_s)
+
+
+def thinned(time_s: Floats, values: Floats, most: int = POINTS) -> tuple[Floats, Floats]:
+    """A line of at most about `most` points that looks the same: lowest and highest of each
+    stretch, in their order.
+    """
+    if values.size <= most:
+        return time_s, values
+    stretch = int(np.ceil(2 * values.size / most))
+    count = values.size // stretch * stretch
+    parts = values[:count].reshape(-1, stretch)
+    ends = np.sort(np.stack((parts.argmin(axis=1), parts.argmax(axis=1)), axis=1), axis=1)
+    at = (ends + stretch * np.arange(len(parts))[:, None]).ravel()
+    return time_s[at], values[at]
+
+
+def scene_table(result: SceneResult) -> Table:
+    """One row for each trial; a verdict where noise moves the scene, a temperature where its
+    winding warms up.
+    """
+    columns = ["trial", "velocity mm/s rms", "largest force N", "work of the probe mJ", "end"]
+    rows = [_ran(trial) for trial in result.trials]
+    if result.plan.impedance:
+        columns += ["verdict", "margin deg", "at Hz"]
+        rows = [[*row, *_verdict(trial)] for row, trial in zip(rows, result.trials, strict=True)]
+    if any(trial.winding_c for trial in result.trials):
+        columns.append("winding degC")
+        rows = [[*row, _winding(trial)] for row, trial in zip(rows, result.trials, strict=True)]
+    return table(columns, rows)
+
+
+def _ran(trial: Trial) -> list[Cell]:
+    name = f"{trial.leg.name}{' (the scene)' if trial.leg.own else ''}"
+    end = "ran to its end" if trial.diverged_at_s == inf else f"diverged at {trial.diverged_at_s:.3g} s"
+    return [name, 1e3 * trial.velocity_sd_m_per_s, trial.max_force_n, 1e3 * trial.work_j, end]
+
+
+def _verdict(trial: Trial) -> list[Cell]:
+    if trial.verdict is None:
+        return ["-", nan, nan]
+    margin = trial.verdict.margin_deg
+    return [trial.verdict.answer.replace("_", " "), margin.value, margin.frequency_hz]
+
+
+def _winding(trial: Trial) -> float:
+    return nan if trial.winding_c is None else float(trial.winding_c[1][-1])
+
+
+def impedance_rows(result: SceneResult, trial: Trial) -> list[dict[str, float]]:
+    """|Z| and phase, measured and predicted, on a few frequencies of the band; empty without noise."""
+    if trial.measured is None or trial.predicted is None:
+        return []
+    rows = []
+    for f in frequencies(result.plan.params.band_hz):
+        at = int(np.argmin(np.abs(trial.measured.frequency_hz - f)))
+        z, expected = trial.measured.impedance_ns_per_m[at], trial.predicted[at]
+        row = {
+            "frequency_hz": f,
+            "impedance_ns_per_m": abs(z),
+            "phase_deg": np.degrees(np.angle(z)),
+            "phase_sd_deg": np.degrees(trial.measured.relative_sd[at]),
+            "predicted_ns_per_m": abs(expected),
+            "predicted_phase_deg": np.degrees(np.angle(expected)),
+        }
+        rows.append({name: float(value) for name, value in row.items()})
+    return rows
+
+
+# --- what is simulated, and why --------------------------------------------------------------------------------------------------
+
+
+def explained(found: Explanation) -> tuple[Table, ...]:
+    """The states; why every effect is there, what it adds and how fast it is; the time constants of
+    the device as a whole at each damping level of the scene; every number with its source.
+    """
+    states = [[str(place), state.name, state.unit, state.effect] for place, state in enumerate(found.states)]
+    effects = [
+        [note.effect, _adds(note.states, note.nonlinearity), ", ".join(map(duration, note.time_constants_s)) or "-", note.why]
+        for note in found.notes
+    ]
+    numbers = [[note.effect, name, shown(value), unit, tag] for note in found.notes for name, value, unit, tag in note.parameters]
+    modes = [[shown(at.damping_ns_per_m), *_mode(at, place)] for at in found.levels for place in range(len(at.modes))]
+    return (
+        table(["", "state", "unit", "effect"], states, "STATES"),
+        table(["effect", "adds", "time constant", "why it is there"], effects, "EFFECTS"),
+        table(["added damping N s/m", "time constant", "frequency Hz", "damping ratio"], modes, "MODES OF THE OPEN DEVICE"),
+        table(["effect", "parameter", "value", "unit", "source"], numbers, "PARAMETERS"),
+    )
+
+
+def _adds(states: tuple[str, ...], nonlinearity: str) -> str:
+    count = f"{len(states)} state{'s' if len(states) > 1 else ''}" if states else ""
+    return "; ".join(part for part in (count, nonlinearity) if part) or "numbers"
+
+
+def _mode(at: AtLevel, place: int) -> tuple[str, str, str]:
+    mode = at.modes[place]
+    if isinf(mode.time_constant_s):
+        return "drifts", "-", "-"
+    return duration(mode.time_constant_s), shown(mode.frequency_hz) if mode.frequency_hz else "-", shown(mode.damping_ratio)
+
+
+def step_words(found: Explanation, scene: Scene, substeps: int) -> list[str]:
+    """Step, delay and rates."""
+    step_s = 1.0 / (PROBE_RATE_HZ * substeps)
+    delay = duration(found.delay_s) if found.delay_s else "no delay"
+    nonlinear = ", ".join(effect for effect, _ in found.nonlinearities) or "nothing"
+    return [
+        f"Step: {duration(step_s)}, {substeps} per 4 kHz sample of the record, exact for what is linear however stiff "
+        f"(fastest time constant {duration(found.fastest_s)}).",
+        f"Not linear: {nonlinear}; friction, ends and cogging are solved once per step.",
+        f"Servo: {scene.rate_hz:g} Hz, {delay} from the encoder sample to the force, beside the hold.",
+    ]
+
+
+def cost_words(found: Cost) -> list[str]:
+    """What a simulated second takes."""
+    engine, lockstep = (f"{duration(each)} ({1.0 / each:,.0f} x real time)" for each in (found.engine_s, found.lockstep_s))
+    return [
+        "Cost of a simulated second on one core:",
+        f"  batch engine, each of {found.lanes} trials together: {engine}",
+        f"  lock-step, the whole product: {lockstep}",
+    ]
+
+
+def ceiling_words(found: Ceiling) -> list[str]:
+    """The limits of electrical damping."""
+    device = f"{shown(found.device)} N s/m; beyond it the device oscillates by itself at {shown(found.oscillation_hz)} Hz"
+    if isinf(found.device):
+        device = "no limit, the device alone is stable at any added damping"
+    top = "any level" if found.highest == inf else f"{shown(found.highest)} N s/m"
+    loop = f"stable from {shown(found.lowest)} to {top}, friction not counted"
+    if isnan(found.lowest):
+        loop = "never stable at any added damping, friction not counted"
+    return [
+        f"Largest stable added damping: {device}.",
+        f"With the scene's environment: {loop}.",
+        f"The scene asks for {shown(found.scene)} N s/m: loop gain g dR / K^2 = {shown(found.loop_gain)}, unstable at -1.",
+    ]
+
+
+def ceiling_table(found: Ceiling) -> Table:
+    """The ceiling over the winding's temperature."""
+    rows = [[f"{kelvin:+g} K", "none" if isinf(top) else shown(top)] for kelvin, top in found.warmer]
+    return table(["winding against its compensation", "ceiling N s/m"], rows)
+
+
+# --- which effects a question needs ----------------------------------------------------------------------------------------------
+
+
+def effects_table(result: EffectsResult) -> Table:
+    """The whole scene, every effect left out, and the proposal."""
+    names = list(result.whole[0].numbers)
+    rows = [("all effects", row) for row in result.whole]
+    rows += [*((f"without {row.effect}", row) for row in result.rows), ("proposal", result.proposal)]
+    cells: Iterable[list[Cell]] = (
+        [name, *(row.numbers.get(each, nan) for each in names), row.note or percent(row.change), row.method, duration(row.cost_s)]
+        for name, row in rows
+    )
+    return table(["scene", *names, "change", "method", "engine, per simulated s"], cells)
+
+
+def effects_words(result: EffectsResult) -> str:
+    """The proposal."""
+    params, kept = result.plan.params, result.kept
+    if all(isnan(number) for number in result.whole[0].numbers.values()):
+        return f"Without any environment the scene is not passive already, so it has no {params.question}; ask --for phase."
+    left_out = [key for key in candidates(params.scene) if key not in kept]
+    if not left_out:
+        return f"Every effect changes {params.question} by more than {percent(params.tolerance)}: keep them all."
+    before, after = result.whole[1].cost_s, result.proposal.cost_s
+    return (
+        f"For {params.question} within {percent(params.tolerance)} keep {', '.join(kept) or 'none'}. Without {', '.join(left_out)} "
+        f"the answer changes by {percent(result.proposal.change)} together, and a simulated second costs {duration(after)} instead "
+        f"of {duration(before)}."
+    )
+
+
+@styled()
+def effects_figure(result: EffectsResult) -> "Figure":
+    """Change of the answer, effect by effect. ConfigError without matplotlib."""
+    params, rows = result.plan.params, result.rows[::-1]
+    title = f"{params.scene.title}: {QUESTIONS[params.question]}"
+    figure, (axis,) = axes(1, 1, 8.5, 1.8 + 0.3 * len(rows), title)
+    changes = [min(max(row.change, LEAST), MOST) for row in rows]
+    looks = [
+        {"color": BLUE if row.effect in result.kept else DROPPED, "hatch": "" if row.method == "predicted" else "///"}
+        for row in rows
+    ]
+    _bars(axis, [row.effect for row in rows], changes, [_changed(row) for row in rows], looks)
+    axis.axvline(params.tolerance, color=RED)
+    words = f"tolerance {percent(params.tolerance)}"
+    axis.text(1.05 * params.tolerance, len(rows) - 0.45, words, color=RED, va="bottom", fontsize=SMALL_PT)
+    axis.set(xlim=(LEAST, 4 * MOST), ylim=(-0.6, len(rows) + 0.2), xlabel=f"change of {params.question} when left out")
+    axis.set_xticks(TICKS, [percent(tick) for tick in TICKS])
+    kinds = (("kept", BLUE, ""), ("left out", DROPPED, ""), ("by prediction", GREY, ""), ("by simulation", GREY, "///"))
+    axis.legend(handles=[patch(name, colour, hatch=hatch, edgecolor="white") for name, colour, hatch in kinds], loc="lower right")
+    return figure
+
+
+def _bars(axis: "Axes", names: list[str], values: list[float], told: list[str], looks: list[Look]) -> None:
+    """One for each effect on a logarithmic axis, from below, with what it says beside it."""
+    for place, (value, words, look) in enumerate(zip(values, told, looks, strict=True)):
+        axis.barh(place, value, edgecolor="white", linewidth=0.0, **look)
+        axis.text(1.12 * value, place, words, va="center", fontsize=SMALL_PT)
+    axis.set(xscale="log", yticks=range(len(names)), yticklabels=names)
+    axis.grid(visible=False, axis="y")
+
+
+def _changed(row: Left) -> str:
+    if row.note:
+        return "cannot be left out"
+    return "the answer is gone" if row.change == inf else percent(row.change)
+
+
+# --- what accuracy costs in time -------------------------------------------------------------------------------------------------
+
+
+def accuracy_table(result: AccuracyResult) -> Table:
+    """Every setting that was measured."""
+    rows: Iterable[list[Cell]] = (
+        [row.sweep, row.label, duration(row.seconds), row.step, row.total, _marks(row)] for row in result.rows
+    )
+    return table(["sweep", "setting", "for one trial", f"setting's error {result.unit}", f"total error {result.unit}", ""], rows)
+
+
+def _marks(row: Row) -> str:
+    marks = ("default" if row.default else "", "knee" if row.knee else "", row.note)
+    return ", ".join(mark for mark in marks if mark)
+
+
+def accuracy_words(result: AccuracyResult) -> list[str]:
+    """What the defaults buy, and where each sweep has its knee."""
+    default, window = result.default, ", window 2048" if result.plan.noise else ""
+    defaults = f"{result.plan.seconds:g} s, {SUBSTEPS} sub-steps, f64{window}"
+    return [
+        f"Reference: {result.reference}. Error: {result.quantity}. Seconds of one core, for one of {GROUP} trials together.",
+        f"The defaults ({defaults}) cost {duration(default.seconds)} and leave {shown(default.total)} {result.unit}, "
+        f"{shown(default.step)} {result.unit} of it by the sub-step.",
+        *(_knee(result, sweep) for sweep in SWEEPS if sweep in {row.sweep for row in result.rows}),
+    ]
+
+
+def _knee(result: AccuracyResult, sweep: str) -> str:
+    rows = [row for row in result.sweep(sweep) if not isnan(row.seconds)]
+    best = next((row for row in rows if row.knee), None)
+    if best is None:
+        return f"{sweep}: nothing could be measured."
+    words = f"{sweep}: the knee is {best.label} ({duration(best.seconds)}, {shown(best.total)} {result.unit})"
+    if sweep == "trial length" and best is rows[-1]:
+        return f"{words}; the error still falls as 1/sqrt(length), a longer trial would buy more."
+    return f"{words}; dearer settings gain less than 10 %." if best is not rows[-1] else f"{words}."
+
+
+@styled()
+def accuracy_figure(result: AccuracyResult) -> "Figure":
+    """Error over seconds, a panel for each sweep, and what leaving an effect out does. ConfigError
+    without matplotlib.
+    """
+    noise, scene = result.plan.noise, result.plan.params.scene
+    title = f"{scene.title}: what accuracy costs in time\nerror: {result.quantity}; reference: {result.reference}"
+    panels = PANELS_OF_NOISE if noise else PANELS_OF_NOISE[:1]
+    figure, places = mosaic(panels, 12.5, 7.0 if noise else 5.0, title)
+    _draw_effects(result, places.pop("effect"))
+    for name, axis in places.items():
+        _draw_sweep(result, name, axis)
+    figure.legend(*places["sub-steps"].get_legend_handles_labels(), ncols=6, **BELOW)
+    return figure
+
+
+def _draw_sweep(result: AccuracyResult, sweep: str, axis: "Axes") -> None:
+    rows = [row for row in result.sweep(sweep) if row.total < inf]
+    known, ways = [row.total for row in result.rows if row.total < inf], sweep == "tier"
+    least = 0.3 * min(total for total in known if total >= NOTHING * max(known))  # errors that are none are drawn below all others
+    for place, row in enumerate(rows):
+        error, label = max(row.total, least), f"{row.label} (exact)" if row.total < least else row.label
+        named = label if ways else "total error of one trial" if not place else None
+        axis.plot(row.seconds, error, WAYS[place % len(WAYS)] if ways else "o", color=BLUE, markersize=6, label=named)
+        for look in (look for asked, look in ((row.default, DEFAULT), (row.knee, KNEE)) if asked):
+            axis.plot(row.seconds, error, **look)
+        if not ways:
+            axis.annotate(label, (row.seconds, error), xytext=(4, 6), textcoords="offset points", fontsize=SMALL_PT)
+    if not ways:
+        axis.plot([row.seconds for row in rows], [max(row.total, least) for row in rows], "-", color=BLUE)
+    if sweep == "sub-steps":
+        _draw_step_errors(result, rows, axis)
+    axis.set(yscale="log", xscale="log", title=TITLES[sweep], xlabel="time for one trial", ylabel=f"error ({result.unit})")
+    axis.margins(x=0.2, y=0.9 if ways else 0.2)
+    plain_axis(axis.xaxis, words=duration)
+    plain_axis(axis.yaxis)
+    if ways:
+        axis.legend(loc="best")
+
+
+def _draw_step_errors(result: AccuracyResult, rows: list[Row], axis: "Axes") -> None:
+    """Of the sub-step alone, and single precision beside it; the marks that all panels share get
+    their names here.
+    """
+    stepped = [row for row in rows if row.step > NOTHING * max(row.total for row in rows)]
+    single = [row for row in result.sweep("precision") if row.label.startswith("f32") and row.total < inf]
+    axis.plot([row.seconds for row in stepped], [row.step for row in stepped], "o:", color=SKY, label="error of the sub-step alone")
+    words = "single precision, 1 and 4 sub-steps"
+    axis.plot([row.seconds for row in single], [row.total for row in single], "v", color=PURPLE, label=words)
+    axis.plot([], [], label="defaults", **DEFAULT)
+    axis.plot([], [], label="knee", **KNEE)
+
+
+def _draw_effects(result: AccuracyResult, axis: "Axes") -> None:
+    """What leaving an effect out does to the answer, beside the error of one trial."""
+    rows, own = sorted(result.sweep("effect"), key=lambda row: row.step), result.default.total
+    worst = max([*(row.step for row in rows if row.step < inf), own])
+    least, top = 1e-4 * worst, max(len(rows), FEWEST_BARS)
+    told = ["cannot be left out" if row.step == inf else "none" if row.step < least else shown(row.step) for row in rows]
+    errors = [min(max(row.step, least), 3.0 * worst) for row in rows]
+    _bars(axis, [row.label for row in rows], errors, told, [{"color": GREEN}] * len(rows))
+    axis.axvline(own, color=BLACK, linestyle="--", linewidth=1.0)
+    axis.text(own, top - 0.4, "one trial's error", fontsize=SMALL_PT, ha="center", va="bottom")
+    axis.set(xlim=(least, 60.0 * worst), ylim=(-0.6, top + 0.3), xlabel=f"error ({result.unit})", title="effects, each left out")
+
+
+# --- explicit methods beside the exact map ---------------------------------------------------------------------------------------
+
+
+@styled()
+def integrators_figure(found: Comparison, title: str) -> "Figure":
+    """Error over steps per millisecond; crosses where nothing is left of the answer. ConfigError
+    without matplotlib.
+    """
+    figure, (axis,) = axes(1, 1, 8.0, 4.8, title)
+    for method, (name, colour, marker) in METHODS.items():
+        error, steps, limit = found.error[method], found.steps_per_ms, found.longest_s[method]
+        kept = np.isfinite(error)
+        stable = "stable at any step" if np.isinf(limit) else f"stable below {duration(limit)}"
+        axis.plot(steps[kept], np.maximum(error[kept], SMALLEST), color=colour, marker=marker, label=f"{name}: {stable}")
+        gone = np.full(int((~kept).sum()), GONE * (1.6 if method == "euler" else 0.9))
+        axis.plot(steps[~kept], gone, "x", color=colour, markersize=7)
+        if np.isfinite(limit):
+            axis.axvline(1e-3 / limit, color=colour, linestyle=":", linewidth=1.0)
+    axis.set_xscale("log", base=2)
+    axis.set(yscale="log", ylim=(SMALLEST, 30.0), xlabel="steps per millisecond", ylabel="relative error after 20 ms")
+    axis.xaxis.set_major_formatter(lambda value, place: f"{value:g}")
+    axis.text(found.steps_per_ms[-1], GONE, "blown up", ha="right", va="center", fontsize=SMALL_PT)
+    axis.legend(loc="center right")
+    return figure

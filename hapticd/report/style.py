@@ -1,0 +1,244 @@
+"""How every figure looks and is kept: sizes, axes, and what colours, lines and marks mean; this is
+the one table of it.
+
+    blue, solid          with added damping, the usual level where it is one of several; others in brown, wine, olive
+    red, dashed          without added damping; nothing else is dashed
+    dotted               predicted, black or in the colour of what it predicts; a hollow mark is predicted too
+    grey area            not judged
+    bracket at the foot  the frequencies that a number was averaged over
+    orange, green, sky, forest, purple   K, B > 0, M > 0, B < 0, M < 0
+    disc, cross, triangle                a trial passes, fails, escapes
+
+A tinted band about a line is its interval of 95 %. Colours are Okabe and Ito's (2008), told apart
+by everybody; whatever colour says, a line style or a marker says as well. Figures are drawn without
+a window and kept as PNG to look at and SVG to print; the same data give the same bytes, for SVG
+carries no date and no random names.
+
+What would break it: a figure that chooses colours of its own, or one that is drawn outside
+`styled`.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from math import pi, sqrt, tan
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hapticd.analysis.arrays import Floats
+from hapticd.analysis.confidence import MANY, student_quantile
+from hapticd.errors import ConfigError
+from hapticd.params import ADDED_DAMPING_NS_PER_M
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Look = dict[str, Any]
+
+BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK, GREY = (
+    "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#000000", "#888888",
+)  # fmt: skip
+BROWN, WINE, OLIVE, FOREST = "#8C510A", "#882255", "#7A7A1A", "#00553D"
+OFF: Look = {"color": RED, "linestyle": (0, (4, 1.5))}
+ON: Look = {"color": BLUE, "linestyle": "-"}
+MORE: tuple[Look, ...] = tuple({"color": colour, "linestyle": "-"} for colour in (BROWN, WINE, OLIVE, BLACK))
+PREDICTED: Look = {"color": BLACK, "linestyle": (0, (1, 1.3)), "linewidth": 1.0}
+HOLLOW: Look = {"markerfacecolor": "white", "markeredgewidth": 0.8}
+MARKS: Look = {"color": BLACK, "linestyle": ""}
+PARTS = (("K", ORANGE), ("B > 0", GREEN), ("M > 0", SKY), ("B < 0", FOREST), ("M < 0", PURPLE))
+DEVICES: tuple[Look, ...] = tuple({"color": colour, "marker": mark} for colour, mark in ((BLACK, "o"), (WINE, "s"), (OLIVE, "^")))
+LEVEL_MARKS = ("s", "o", "D", "v", "P")
+ANSWERS = {"passes": "o", "fails": "x", "escapes": "^"}
+INTERVAL = "95 % interval"
+PROBABILITY = 0.975  # each side of it
+NORMAL = 1.96  # standard deviations on each side of it
+NOT_JUDGED = "#e9e9e9"
+
+WIDTH_IN = 6.69  # 17 cm, two columns: letters keep their size in print
+SMALL_PT = 8.0  # nothing is smaller
+BELOW: Look = {"loc": "outside lower center", "frameon": False}  # a legend
+STYLE: Any = {
+    "figure.dpi": 110, "savefig.dpi": 110, "font.size": 9.5, "axes.titlesize": 9.5, "axes.labelsize": 9.5,
+    "axes.titlelocation": "left", "figure.titlesize": 10, "legend.fontsize": SMALL_PT, "legend.title_fontsize": SMALL_PT,
+    "axes.grid": True, "grid.color": "#dddddd", "grid.linewidth": 0.6, "axes.spines.top": False, "axes.spines.right": False,
+    "axes.axisbelow": True, "legend.frameon": True, "legend.framealpha": 0.9, "legend.edgecolor": "#cccccc", "lines.linewidth": 1.3,
+    "lines.markersize": 4.5, "errorbar.capsize": 3, "svg.hashsalt": "hapticd", "svg.fonttype": "none",
+}  # fmt: skip
+FINE = ((1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 5.0, 7.0))
+ROUND = ((1.0,), *FINE)
+FEWEST_TICKS = 3
+LEAST_RANGE = 2.5  # of a logarithmic axis
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """Within it, or in a function that it decorates, figures look like ours. ConfigError without
+    matplotlib.
+    """
+    try:
+        import matplotlib as mpl
+    except ImportError as error:
+        raise ConfigError(f"figures are drawn with matplotlib ({error}): install hapticd[plot]") from error
+    with mpl.rc_context(STYLE):
+        yield
+
+
+# --- figures and axes ------------------------------------------------------------------------------------------------------------
+
+
+def sheet(width_in: float, height_in: float, title: str = "", layout: Any = "constrained") -> "Figure":
+    """A figure without a window and without axes. Call it within `styled`."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width_in, height_in), layout=layout)
+    if title:
+        figure.suptitle(title, x=0.01, ha="left")
+    return figure
+
+
+def axes(rows: int, columns: int, width_in: float, height_in: float, title: str = "", **more: Any) -> "tuple[Figure, list[Axes]]":
+    """A figure and its axes row by row. Call it within `styled`."""
+    figure = sheet(width_in, height_in, title)
+    return figure, list(figure.subplots(rows, columns, squeeze=False, **more).ravel())
+
+
+def mosaic(panels: Any, width_in: float, height_in: float, title: str = "", **more: Any) -> "tuple[Figure, dict[str, Axes]]":
+    """A figure whose axes have names; one that is named twice spans both places. Call it within
+    `styled`.
+    """
+    figure = sheet(width_in, height_in, title)
+    return figure, figure.subplot_mosaic(panels, **more)
+
+
+def save(figure: "Figure", folder: Path, name: str) -> tuple[Path, Path]:
+    """NAME.png and NAME.svg in `folder`, which is made. ConfigError if it cannot be written to."""
+    paths = folder / f"{name}.png", folder / f"{name}.svg"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with styled():
+            figure.savefig(paths[0], metadata={"Software": None})
+            figure.savefig(paths[1], metadata={"Date": None})
+    except OSError as error:
+        raise ConfigError(f"{folder}: {error.strerror}; name a folder that you may write to with --out") from error
+    return paths
+
+
+def simulated(device: str, seconds: float, more: str = "") -> str:
+    """The line below a title: how the numbers of a figure came about; 0 s of trials: by prediction
+    alone.
+    """
+    return f"SIMULATED {device}, {f'{more}{seconds:g} s of noise a trial' if seconds else 'predicted'}"
+
+
+def hertz_axis(axis: "Axes", low_hz: float, high_hz: float) -> None:
+    """A logarithmic frequency axis with the numbers that people say."""
+    axis.set(xscale="log", xlim=(low_hz, high_hz), xlabel="frequency (Hz)")
+    plain_axis(axis.xaxis, FINE[:1])
+
+
+def plain_axis(axis: Any, digits: Sequence[Sequence[float]] = ROUND, words: Callable[[float], str] = "{:g}".format) -> None:
+    """Label a logarithmic axis with a few round numbers: decades, or 1, 2, 5 of each, or finer ones
+    where the axis is short; one that is nearly constant is widened. Call it when its data are
+    drawn.
+    """
+    from matplotlib.ticker import FixedLocator, NullLocator
+
+    low, high = axis.get_view_interval()
+    if high < LEAST_RANGE * low:
+        low, high = (low * high / LEAST_RANGE) ** 0.5, (low * high * LEAST_RANGE) ** 0.5
+        axis.axes.set(**{f"{axis.axis_name}lim": (low, high)})
+    for these in digits:
+        ticks = [digit * 10.0**power for power in range(-15, 16) for digit in these if low <= digit * 10.0**power <= high]
+        if len(ticks) >= FEWEST_TICKS:
+            break
+    axis.set_major_locator(FixedLocator(ticks))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(lambda value, place: words(value))
+
+
+# --- lines, bands and marks ------------------------------------------------------------------------------------------------------
+
+
+def of_levels(levels: Sequence[float]) -> list[Look]:
+    """One for each level of added damping [N s/m]: none; the usual one, or else the first that is
+    some; the others in order.
+    """
+    first = ADDED_DAMPING_NS_PER_M if ADDED_DAMPING_NS_PER_M in levels else next((level for level in levels if level), None)
+    others = iter(MORE)
+    return [OFF if not level else ON if level == first else next(others, MORE[-1]) for level in levels]
+
+
+def words_of(level: float) -> str:
+    """A level of added damping [N s/m] in a legend."""
+    return f"with {level:g} N s/m of added damping" if level else "without added damping"
+
+
+def of_mean(count: int) -> float:
+    """Half an interval of 95 % of a mean of `count` values, over their standard deviation:
+    Student's t; 0 for a single one.
+    """
+    if count < 2:
+        return 0.0
+    freedom = count - 1
+    if freedom == 1:
+        return tan(pi * (PROBABILITY - 0.5)) / sqrt(count)
+    return student_quantile(PROBABILITY, freedom - freedom % 2 if freedom < MANY else freedom) / sqrt(count)
+
+
+def tint(colour: str, share: float = 0.14) -> str:
+    """That colour, opaque and light: areas that overlap stay what they are, and never look grey."""
+    parts = (int(colour[at : at + 2], 16) for at in (1, 3, 5))
+    return "#" + "".join(f"{round(255 - share * (255 - part)):02x}" for part in parts)
+
+
+def banded(axis: "Axes", x: Floats, value: Floats, spread: Any, look: Look, label: str | None = None, linear: bool = False) -> None:
+    """A line and its interval: `spread` (F,) on both sides of the logarithm of `value` (F,), or of
+    itself if `linear`; nan: none.
+    """
+    low, high = (value - spread, value + spread) if linear else (value * np.exp(-spread), value * np.exp(spread))
+    axis.fill_between(x, low, high, color=look["color"], alpha=0.28, linewidth=0)
+    axis.plot(x, value, label=label, **look)
+
+
+def handles_of(axis: "Axes") -> list[Any]:
+    """Of a legend: what is drawn, each label once."""
+    return [*{str(handle.get_label()): handle for handle in axis.get_legend_handles_labels()[0]}.values()]
+
+
+def mark(label: str, **look: Any) -> Any:
+    """A line or a mark of a legend."""
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], label=label, **look)
+
+
+def patch(label: str, colour: str, **more: Any) -> Any:
+    """An area of a legend."""
+    from matplotlib.patches import Patch
+
+    return Patch(**{"facecolor": colour, "edgecolor": "#bbbbbb", "linewidth": 0.0, "label": label, **more})
+
+
+def not_judged(axes: Iterable["Axes"], band_hz: tuple[float, float]) -> Any:
+    """Grey outside the band, and its mark for a legend. Call it when the frequency axes have their
+    range.
+    """
+    for axis in axes:
+        low, high = axis.get_xlim()
+        for begin, end in ((low, band_hz[0]), (band_hz[1], high)):
+            if begin < end:
+                axis.axvspan(begin, end, color=NOT_JUDGED, linewidth=0, zorder=0)
+        axis.set_xlim(low, high)
+    return patch("not judged", NOT_JUDGED)
+
+
+def averaged(axis: "Axes", band_hz: tuple[float, float], height: float = 0.03) -> None:
+    """A bracket at that share of the height of the axes under the frequencies that are averaged,
+    where their range shows them.
+    """
+    low, high = axis.get_xlim()
+    ends = max(low, band_hz[0]), min(high, band_hz[1])
+    bracket: Look = {"color": BLACK, "linewidth": 1.0, "marker": "|", "markersize": 7}
+    axis.plot(ends, (height, height), transform=axis.get_xaxis_transform(), clip_on=False, **bracket)

@@ -1,0 +1,206 @@
+"""Figures of trials: impedance or admittance with its interval, its coherence, and what was
+predicted; a motion flown again.
+
+Every figure of an impedance has the same two axes, size above phase, and `draw` puts a line on
+both. Logarithm and phase of the admittance are those of the impedance with the other sign, and so
+is the interval.
+
+What would break it: an interval of more than a factor of e; it is left out, for it is no longer
+normal.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from textwrap import fill
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hapticd.analysis.arrays import Complexes, Floats
+from hapticd.analysis.confidence import student_quantile
+from hapticd.analysis.impedance import Impedance, relative_sd
+from hapticd.analysis.periodic import PeriodicSpectra
+from hapticd.measure.referee import Referee
+from hapticd.measure.reflight import Reflight
+from hapticd.measure.trial import TrialResult
+from hapticd.report.style import (
+    BELOW,
+    BLACK,
+    FINE,
+    GREEN,
+    INTERVAL,
+    MARKS,
+    PREDICTED,
+    PROBABILITY,
+    Look,
+    axes,
+    banded,
+    handles_of,
+    hertz_axis,
+    not_judged,
+    of_levels,
+    patch,
+    plain_axis,
+    styled,
+)  # fmt: skip
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+FEWEST = 2.0  # degrees of freedom that an interval takes
+SHOWN_HZ = (1.0, 1000.0)
+TITLE_WIDTH, LETTERS = 95, 100  # characters of a line
+
+
+@dataclass(frozen=True)
+class View:
+    """What is drawn of an impedance: it or its inverse."""
+
+    symbol: str
+    unit: str
+    sign: int
+
+
+IMPEDANCE = View("Z", "N s/m", 1)
+ADMITTANCE = View("Y", "m/(N s) = s/kg", -1)
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Z (F,) [N s/m] to draw; `spread` (F,) is half the interval of ln |Z|, and of the phase in
+    radians.
+    """
+
+    frequency_hz: Floats
+    z: Complexes
+    look: Look
+    words: str | None = None
+    spread: Floats | None = None
+
+
+def draw(size: "Axes", phase: "Axes", curve: Curve, view: View = IMPEDANCE) -> None:
+    """Its size and its phase, tinted where the interval is known."""
+    spread = np.full(curve.z.size, np.nan) if curve.spread is None else np.where(curve.spread < 1.0, curve.spread, np.nan)
+    banded(size, curve.frequency_hz, np.abs(curve.z) ** view.sign, spread, curve.look, curve.words)
+    turned = view.sign * np.degrees(np.angle(curve.z))
+    banded(phase, curve.frequency_hz, turned, np.degrees(spread), curve.look, curve.words, linear=True)
+
+
+def dress(
+    size: "Axes", phase: "Axes", band_hz: tuple[float, float], view: View = IMPEDANCE, where: str = "", more: "Iterable[Axes]" = ()
+) -> Any:
+    """Labels, the phases that are passive, grey over all that is not judged; the mark of grey for a
+    legend.
+
+    Call it when all is drawn and the frequency axes have their range.
+    """
+    size.set(yscale="log", ylabel=f"|{view.symbol}|{where} ({view.unit})")
+    plain_axis(size.yaxis, FINE)
+    phase.set(ylabel=f"phase of {view.symbol} (degrees)", ylim=(-105.0, 105.0), yticks=range(-90, 91, 45))
+    for edge in (-90.0, 90.0):
+        phase.axhline(edge, color=BLACK, linewidth=0.8)
+    return not_judged((size, phase, *more), band_hz)
+
+
+def interval(look: Look, more: str = "") -> Any:
+    """The mark of an interval in a legend."""
+    return patch(f"{INTERVAL}{more}", look["color"], alpha=0.35)
+
+
+@styled()
+def trial_figure(result: TrialResult, referee: Referee | None = None, admittance: bool = False) -> "Figure":
+    """Size, phase and coherence of Z (or Y) of one trial, with the stepped sine's as points.
+    ConfigError without matplotlib.
+
+    Of a trial that escaped force and velocity: a spectrum of them would be that of no impedance.
+    """
+    view, look = ADMITTANCE if admittance else IMPEDANCE, of_levels([result.plan.params.trial.damping_ns_per_m])[0]
+    if result.recorded.ended.startswith("escape"):
+        return _escape(result, _title(result, view).rsplit("\n", 1)[0], look)
+    figure, (size, phase, known) = axes(
+        3, 1, 7.2, 8.4, _title(result, view), sharex=True, height_ratios=(2.2, 2.2, 1.0)
+    )  # fmt: skip
+    z, worst = result.measured, result.verdict.margin_deg
+    seen = (z.frequency_hz >= SHOWN_HZ[0]) & (z.frequency_hz <= SHOWN_HZ[1]) & (z.coherence > 0.0)
+    f = z.frequency_hz[seen]
+    draw(size, phase, Curve(f, z.impedance_ns_per_m[seen], look, "measured", _interval(z)[seen]), view)
+    if result.predicted is not None:
+        draw(size, phase, Curve(f, result.predicted[seen], PREDICTED, "predicted"), view)
+    if referee is not None:
+        points = Curve(referee.frequency_hz, referee.impedance_ns_per_m, {**MARKS, "marker": "D"}, "stepped sine")
+        draw(size, phase, points, view)
+    at = int(np.argmin(np.abs(z.frequency_hz - worst.frequency_hz)))
+    phase.plot(
+        worst.frequency_hz, view.sign * z.phase_deg[at], "o", color=BLACK, markersize=6,
+        label=f"worst: margin {worst.value:.2g} degrees",
+    )  # fmt: skip
+    known.plot(f, z.coherence[seen], **look)
+    known.set(ylabel="coherence", ylim=(0.0, 1.03))
+    hertz_axis(known, max(SHOWN_HZ[0], float(f[0])), min(SHOWN_HZ[1], float(f[-1])))
+    grey = dress(size, phase, result.verdict.band_hz, view, more=(known,))
+    phase.set_ylim(-125.0, 125.0)
+    figure.legend(handles=[*handles_of(phase), interval(look, " at each frequency"), grey], ncols=3, **BELOW)
+    figure.align_ylabels([size, phase, known])
+    return figure
+
+
+def _interval(z: Impedance) -> Floats:
+    """Half of the 95 % interval (F,) of ln|Z|, and of the phase in radians; Student's t, for
+    realisations may be few.
+    """
+    freedom = z.degrees_of_freedom - 2.0
+    if freedom < FEWEST:
+        return np.full(z.frequency_hz.size, np.inf)
+    return student_quantile(PROBABILITY, freedom) * relative_sd(z.coherence, freedom)
+
+
+def _title(result: TrialResult, view: View) -> str:
+    k, b, m = result.plan.params.trial.environment
+    verdict, simulated = result.verdict, "SIMULATED, " if result.recorded.simulated else ""
+    low, high = verdict.band_hz
+    who, level = f"{simulated}{result.recorded.origin}:", result.plan.params.trial.damping_ns_per_m
+    what = f"K = {k:g} N/m, B = {b:g} N s/m, M = {1e3 * m:g} g, added damping {level:g} N s/m"
+    judged = (
+        f"{verdict.answer.replace('_', ' ')} in {low:g}..{high:g} Hz at {100 * verdict.confidence:g} %, "
+        f"{view.symbol} at the {verdict.port} by {result.measured.estimator!r}, {_excited(result)}"
+    )
+    between = " " if len(who) + len(what) < TITLE_WIDTH else "\n"
+    return f"{who}{between}{what}\n{judged}"
+
+
+def _excited(result: TrialResult) -> str:
+    if isinstance(result.spectra, PeriodicSpectra):
+        return f"multisine: {result.spectra.realisations} realisations of {result.spectra.periods} periods"
+    return f"{result.verdict.seconds:.3g} s of noise"
+
+
+def _escape(result: TrialResult, title: str, look: Look) -> "Figure":
+    recorded = result.recorded
+    why = fill(f"ESCAPED, so there is no impedance to draw: {recorded.ended.removeprefix('escape: ')}", LETTERS)
+    figure, (force, velocity) = axes(2, 1, 7.2, 5.4, f"{title}\n{why}", sharex=True)
+    time_s = np.arange(recorded.force_n.size) / recorded.rate_hz
+    for axis, values in ((force, recorded.force_n), (velocity, recorded.velocity_m_per_s)):
+        axis.plot(time_s, values, color=look["color"], linewidth=0.6, rasterized=True)
+    force.set_ylabel("force of the probe (N)")
+    velocity.set(ylabel="velocity (m/s)", xlabel="time (s)", xlim=(0.0, recorded.seconds))
+    figure.align_ylabels([force, velocity])
+    return figure
+
+
+@styled()
+def reflight_figure(flight: Reflight, title: str, changed: str = "flown again") -> "Figure":
+    """A motion, the force that was, the force that would have been, and their difference over time;
+    `changed`: what was held otherwise. ConfigError without matplotlib.
+    """
+    figure, (position, force, difference) = axes(3, 1, 10.0, 8.0, title, sharex=True)
+    time_s, recorded, flown = flight.time_s, flight.recorded["force_n"], flight.flown["force_n"]
+    position.plot(time_s, 1e3 * flight.recorded["position_m"], color=BLACK)
+    position.set_ylabel("position as recorded (mm)")
+    force.plot(time_s, recorded, color=BLACK, label="recorded")
+    force.plot(time_s, flown, color=GREEN, linewidth=0.9, label=changed)
+    force.set_ylabel("force (N)")
+    force.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
+    difference.plot(time_s, flown - recorded, color=GREEN)
+    difference.set(ylabel="difference (N)", xlabel="time (s)")
+    return figure
