@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 Levels = Sequence[tuple[float, Sequence[Outcome]]]
 
 SHOWN_HZ = (2.0, 1000.0)
-WIDE = 0.09  # of a strip: room for a name
+WIDE = 0.09  # of a strip as wide as a page: room for a name
 NOBODY = -1.0
 NOTHING = "#ffffff"
 
@@ -165,7 +165,7 @@ def _majority(which: Floats, count: int) -> Floats:
     return np.asarray(kinds[(near[:, :, None] == kinds).sum(axis=1).argmax(axis=1)])
 
 
-def strip(axis: "Axes", frequency_hz: Floats, rows: Sequence[Floats], title: str) -> None:
+def strip(axis: "Axes", frequency_hz: Floats, rows: Sequence[Floats], title: str, columns: int = 1) -> None:
     """Paint rows (F,) of indices into PARTS from below, white for NOBODY, with the names where they
     are wide enough, so that nobody needs the colours.
     """
@@ -180,15 +180,15 @@ def strip(axis: "Axes", frequency_hz: Floats, rows: Sequence[Floats], title: str
     axis.set_yticks([])
     axis.set_title(title, fontsize=SMALL_PT, pad=2)
     for height, row in enumerate(rows):
-        _names(axis, borders, row, 0.5 + height)
+        _names(axis, borders, row, 0.5 + height, WIDE * columns)
 
 
-def _names(axis: "Axes", borders: Floats, row: Floats, height: float) -> None:
+def _names(axis: "Axes", borders: Floats, row: Floats, height: float, wide: float) -> None:
     changes = [0, *(np.flatnonzero(np.diff(row)) + 1), row.size]
     low_hz, high_hz = axis.get_xlim()
     for first, last in pairwise(changes):
         low, high = borders[first], borders[last]
-        if row[first] == NOBODY or np.log(high / low) < WIDE * np.log(high_hz / low_hz):
+        if row[first] == NOBODY or np.log(high / low) < wide * np.log(high_hz / low_hz):
             continue
         name = PARTS[int(row[first])][0]
         ink = "white" if name == "B < 0" else "black"

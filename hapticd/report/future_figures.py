@@ -75,11 +75,10 @@ def _how(result: BeyondResult, more: str = "") -> str:
 
 
 def _ends(axis: "Axes") -> None:
-    """Axes of |Z| over the frequencies of all trials here, with the bracket of the means."""
+    """Axes of |Z| over the frequencies of all trials here."""
     f = shown_hz()
     hertz_axis(axis, float(f[0]), float(f[-1]))
     plain_axis(axis.yaxis)
-    averaged(axis, LOW_HZ)
 
 
 def _by_trials(axis: "Axes", x: float, runs: Floats, scale: float = 1.0, look: Look = ALONE, label: str | None = BY_TRIALS) -> None:
@@ -107,9 +106,10 @@ def edge_figure(result: BeyondResult) -> "Figure":
         _bounds(size, bounds, [{**look, "label": label} for _, look, label in CASES], len(result.plan.seeds))
         size.set(title=words, ylim=(None, 300.0))
         _ends(size)
+        averaged(size, LOW_HZ)
         for axis, found, (_, _, label) in zip(strips, bounds, CASES, strict=True):
             which = weightiest(found.frequency_hz, found.points[found.lower.owner])
-            strip(axis, found.frequency_hz, [which], f"{label}: {found.lower_db().mean():+.1f} dB")
+            strip(axis, found.frequency_hz, [which], f"{label}: {found.lower_db().mean():+.1f} dB", columns=2)
         for axis in (size, *strips):
             axis.set_xlabel("frequency (Hz)" if axis is strips[-1] else "")
     grid[0].set_ylabel("|Z| at the probe (N s/m)")
@@ -143,6 +143,7 @@ def free_figure(result: BeyondResult) -> "Figure":
     axis.plot([], [], label="predicted", **PREDICTED)
     axis.plot([], [], color=BLACK, marker="|", markersize=7, linewidth=1.0, label=f"{BAND}: mean, dB re 1 N s/m")
     _ends(axis)
+    averaged(axis, LOW_HZ)
     axis.set_ylabel("|Z| at the probe, K = 0 (N s/m)")
     figure.legend(*axis.get_legend_handles_labels(), ncols=2, **BELOW)
     return figure

@@ -65,9 +65,7 @@ def how(conditions: Conditions) -> str:
     return simulated(conditions.scene.device, conditions.seconds)
 
 
-def area(
-    axis: "Axes", damping: Floats, stiffness: Floats, look: Look, rank: int = 0, **more: Any
-) -> None:
+def area(axis: "Axes", damping: Floats, stiffness: Floats, look: Look, rank: int = 0, **more: Any) -> None:
     """The largest K over B, tinted below; the first level, the smaller set, is on top."""
     low = 0.4 - 0.01 * rank
     axis.fill_between(damping, 0.0, stiffness, color=tint(look["color"]), linewidth=0, zorder=low)
@@ -324,7 +322,7 @@ def walls_figure(result: WallResult, title: str = "Walls that come to rest") -> 
     place.plot([], [], marker="x", label="softest wall that oscillates", **MARKS)
     least = f"none rests: less than the least tried, {params.stiffnesses[0]:g} N/m"
     place.plot([], [], marker="v", label=least, **MARKS)
-    place.set(xlabel="virtual damping B of the wall (N s/m)", ylabel="virtual stiffness K of the wall (N/m)", ylim=(0.0, None))
+    place.set(xlabel="virtual damping B of the wall (N s/m)", ylabel="stiffness K of the wall (N/m)", ylim=(0.0, None))
     figure.legend(*place.get_legend_handles_labels(), ncols=2, **BELOW)
     return figure
 
