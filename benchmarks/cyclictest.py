@@ -12,25 +12,25 @@ REMEDY = "`make deps` installs the tool (rt-tests), and SCHED_FIFO must be allow
 
 def latencies_ns(samples: int, period_us: int) -> list[int]:
     """Wake-up latencies of `samples` periods at the servo's priority and core. BenchError without tool or rights."""
-    text = _run(samples, period_us, ["-N", "-h", str(LONGEST_NS)])
+    text = _run(samples, period_us, ["-N", "-h", str(LONGEST_NS)], servo_core())
     counted = [line.split() for line in text.splitlines() if line[:1].isdigit() and not line.endswith(" 000000")]
     found = [int(bucket) for bucket, count in counted for _ in range(int(count))]
     return found + [LONGEST_NS] * _overflows(text)
 
 
-def wakes_beyond_period(samples: int, period_us: int) -> int:
-    """How many of `samples` wakes came a whole period late or more."""
-    return _overflows(_run(samples, period_us, ["-h", str(period_us)]))
+def wakes_beyond_period(samples: int, period_us: int, core: int) -> int:
+    """How many of `samples` wakes on that core came a whole period late or more."""
+    return _overflows(_run(samples, period_us, ["-h", str(period_us)], core))
 
 
 def _overflows(text: str) -> int:
     return sum(int(item) for item in re.findall(r"Histogram Overflows: (\d+)", text))
 
 
-def _run(samples: int, period_us: int, options: list[str]) -> str:
+def _run(samples: int, period_us: int, options: list[str], core: int) -> str:
     if shutil.which("cyclictest") is None:
         raise BenchError(f"cyclictest is missing: {REMEDY}")
-    command = ["cyclictest", "-m", "-q", "-t", "1", "-p", str(PRIORITY), "-a", str(servo_core()), "-i", str(period_us)]
+    command = ["cyclictest", "-m", "-q", "-t", "1", "-p", str(PRIORITY), "-a", str(core), "-i", str(period_us)]
     done = subprocess.run([*command, "-l", str(samples), *options], capture_output=True, text=True, check=False)
     if done.returncode or "# Total:" not in done.stdout:
         said = (done.stderr.strip().splitlines() or ["no message"])[-1]

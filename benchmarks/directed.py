@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from benchmarks import targets
 from benchmarks.figures import Figure, compared, refused
 from hapticd.analysis.loop import derivatives, held
 from hapticd.analysis.search import Search, first_trials, next_trials, predicted_passive
@@ -20,10 +21,7 @@ from hapticd.measure.reproduce_trials import LEVELS
 from hapticd.measure.scenes import noise
 from hapticd.settings.scene import load_scene
 
-TARGETS = {
-    "search_nonaffine": "<= 60", "search_affine": "<= 10",
-    "search_weir_wrong_share": "<= 0.8x", "search_weir_trials": "<= 40", "search_weir_grid_trials": ">= 25x",
-}  # fmt: skip
+TARGETS = targets.of("directed")
 BEND = {"search_nonaffine": 1.0, "search_affine": 0.0}
 BOX, INSIDE = Box((0.0, -2.2, -0.009), (1450.0, 3.6, 0.015)), (300.0, 0.3, 0.001)
 RATE_HZ, DELAY, DAMPING, ENOUGH, BUDGET, SAMPLES = 1000.0, 1.0, 2.0, 0.02, 70, 40_000

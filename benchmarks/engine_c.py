@@ -1,9 +1,17 @@
-"""The yardstick of the engine in C: compiling engine_reference.c, and giving it the engine's own numbers."""
+"""The yardstick of the engine in C: compiling engine_reference.c for a scene, and giving it the engine's own numbers.
+
+The C has what the scene's kernel has, and no more: the same states, the same coefficients that are not zero, the same friction,
+the same sub-steps. `Yard` is that C as a machine can run it at best: one thread a core, all cores at once, nothing else done.
+"""
 
 import ctypes
 import shutil
 import subprocess
 import tempfile
+import time
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from math import ceil
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +20,8 @@ import numpy as np
 from benchmarks.engine_scene import Lanes
 from benchmarks.worker import BenchError
 from hapticd.analysis.arrays import aligned
+from hapticd.sim.engine.cores import workers
+from hapticd.sim.engine.shape import Shape
 
 SOURCE = Path(__file__).with_name("engine_reference.c")
 OPTIONS = (
@@ -27,13 +37,10 @@ OPTIONS = (
     "-shared",
 )
 REALS = {"f32": "float", "f64": "double"}
-STATE_ROWS, SUM_ROWS = 11, 6
-SCENE = (
-    *(f"A{i}_{j}" for i in range(4) for j in (1, 2, 3)),
-    *(f"{letter}{i}" for letter in ("G", "T", "H0_") for i in range(4)),
-    *("R1", "R2", "R3", "RU", "RT", "RH0", "LEVEL0", "W0", "COUNT", "COUNTS", "LIMIT"),
-    *(f"FILTER{i}" for i in range(10)),
-)  # struct scene, by the engine's names
+C_LANES = {"f32": (16, 32, 64), "f64": (8, 16, 32)}
+LAW_ROWS, SUM_ROWS = 6, 6
+CHOOSING = 9  # rounds in which the lane count is chosen
+COUNTED = ("COUNT", "COUNTS", "FORCE_COUNT", "FORCE_COUNTS", "LIMIT")
 AGREEMENT = {"f32": 1e-3, "f64": 1e-9}  # of the sums of a run; f32 differs by a count now and then
 
 
@@ -41,12 +48,13 @@ class CReference:
     """The same scene in C with `lanes` trials side by side; a call plays what `ours` plays. BenchError without a compiler."""
 
     def __init__(self, ours: Lanes, dtype: str, lanes: int) -> None:
-        self._play = _library(dtype, lanes).play
-        scalar, kernel = ours.torque.dtype.type, ours.group.made.kernel
-        numbers = dict(zip(kernel.COEFFICIENTS, ours.group.coefficients, strict=True))
-        self.lanes, self.ticks = lanes, ours.ticks
-        self.scene = np.array([numbers[name] for name in SCENE], scalar)
-        self.state, self.sums, self.out = (aligned(rows * lanes, scalar) for rows in (STATE_ROWS, SUM_ROWS, 5 * ours.ticks))
+        shape = ours.group.made.shape
+        self._play = _library(shape, REALS[dtype], lanes).play
+        scalar = ours.torque.dtype.type
+        self.lanes, self.ticks, self.samples, self.kept = lanes, ours.ticks, shape.samples, 0
+        self.scene = np.array(_scene(ours), scalar)
+        self.state = aligned((shape.states + LAW_ROWS + 1) * lanes, scalar)
+        self.sums, self.out = aligned(SUM_ROWS * lanes, scalar), aligned((shape.samples + 1) * lanes * ours.ticks, scalar)
         self.kbm = aligned(3 * lanes, scalar)
         self.kbm[:] = np.resize(ours.params, (lanes, 3)).T.ravel()
         self.torque = ours.torque
@@ -59,11 +67,49 @@ class CReference:
 
     def __call__(self) -> None:
         arrays = (self.state, self.kbm, self.sums, self.scene, self.torque, self.out)
-        self._play(*(array.ctypes.data_as(ctypes.c_void_p) for array in arrays), ctypes.c_long(self.ticks), ctypes.c_long(0))
+        pointers = (array.ctypes.data_as(ctypes.c_void_p) for array in arrays)
+        self._play(*pointers, ctypes.c_long(self.ticks), ctypes.c_long(self.kept))
+
+    @property
+    def steps(self) -> int:
+        """4 kHz samples of a call, of all lanes."""
+        return self.lanes * self.ticks * self.samples
 
     def squared(self) -> Any:
         """Sum of squared velocity of each trial since `reset`."""
         return self.sums[self.lanes : 2 * self.lanes]
+
+
+class Yard:
+    """The C of the scene of `ours` on all cores, with its best lane count; `keep`: it leaves every sample, as analysis needs.
+
+    BenchError without a compiler, or when C and engine play different motions.
+    """
+
+    def __init__(self, ours: Lanes, dtype: str, keep: bool = False) -> None:
+        check_same(ours, CReference(ours, dtype, C_LANES[dtype][0]), dtype)
+        teams = [[CReference(ours, dtype, lanes) for _ in range(workers())] for lanes in C_LANES[dtype]]
+        for one in (one for team in teams for one in team):
+            one.kept = int(keep)
+        self._team = min(teams, key=lambda team: min(_timed(team, 1) for _ in range(CHOOSING)))
+        self.found: list[float] = []
+
+    def time(self, samples: float) -> None:
+        """Add a round over as many 4 kHz samples, all trials together: seconds for each, on a machine whose cores all do this."""
+        self.found.append(_timed(self._team, ceil(samples / sum(one.steps for one in self._team))))
+
+
+def _timed(team: list[CReference], calls: int) -> float:
+    with ThreadPoolExecutor(len(team)) as threads:
+        begin = time.perf_counter()
+        list(threads.map(_repeat, team, [calls] * len(team)))
+        taken_s = time.perf_counter() - begin
+    return taken_s / (calls * sum(one.steps for one in team))
+
+
+def _repeat(run: CReference, calls: int) -> None:
+    for _ in range(calls):
+        run()
 
 
 def check_same(ours: Lanes, theirs: CReference, dtype: str) -> None:
@@ -77,14 +123,53 @@ def check_same(ours: Lanes, theirs: CReference, dtype: str) -> None:
     theirs.reset()
 
 
-def _library(dtype: str, lanes: int) -> ctypes.CDLL:
+def _scene(ours: Lanes) -> list[float]:
+    """struct scene of engine_reference.c, by the engine's names; what the kernel has no number for is 0, or exactly 1."""
+    shape, names = ours.group.made.shape, ours.group.made.kernel.COEFFICIENTS
+    numbers = dict(zip(names, ours.group.coefficients, strict=True))
+    states = range(shape.states)
+    ones = {f"R{term.state}": 1.0 for term in shape.sample if term.one}
+    numbers = ones | numbers
+    wanted = [f"A{i}_{j}" for i in states for j in states]
+    wanted += [f"{letter}{i}" for letter in ("G", "T", "H0_", "R") for i in states]
+    wanted += ["RU", "RT", "RH0", "LEVEL0", "W0", *COUNTED, *(f"FILTER{i}" for i in range(10))]
+    return [float(numbers.get(name, 0.0)) for name in wanted]
+
+
+def _defines(shape: Shape) -> Iterable[str]:
+    """What is fixed when the C is compiled: which terms there are. BenchError for a scene that it has not."""
+    if len(shape.contacts) != 1 or shape.contacts[0][0] != 1 or any(shape.drift) or shape.cogging or shape.stops or shape.waits:
+        raise BenchError("engine_reference.c has friction on the first body and nothing else that is nonlinear")
+    yield f"STATES={shape.states}"
+    yield f"SUBSTEPS={shape.substeps}"
+    yield f"SAMPLE_AT={shape.sample_step}"
+    yield f"SAMPLE_INSIDE={int(shape.sample_inside)}"
+    yield f"FORCE_QUANTUM={int(shape.force_quantum)}"
+    yield f"FEEDS={_mask(*(sum(1 << j for j in row) for row in shape.feeds))}"
+    yield f"PUSHED={_mask(*map(int, shape.torque))}"
+    yield f"RUBBED={_mask(*map(int, shape.contacts[0][1]))}"
+    yield f"SEEN={_mask(*(int(any(term.state == i for term in shape.sample)) for i in range(shape.states)))}"
+
+
+def _mask(*values: int) -> str:
+    return "{" + ",".join(map(str, values)) + "}"
+
+
+def _library(shape: Shape, real: str, lanes: int) -> ctypes.CDLL:
+    asked = [f"-D{define}" for define in (*_defines(shape), f"REAL={real}", f"LANES={lanes}")]
+    return compiled(SOURCE, [*OPTIONS, *asked], ["-lm"])
+
+
+def compiled(source: Path, options: list[str], libraries: list[str], remedy: str = "") -> ctypes.CDLL:
+    """`source` as a library. BenchError without a compiler, or when it refuses."""
     compiler = shutil.which("cc")
     if compiler is None:
         raise BenchError("no C compiler `cc`: `make deps` installs one")
     with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder:
-        library = Path(folder) / "engine_reference.so"
-        asked = [f"-DREAL={REALS[dtype]}", f"-DLANES={lanes}", str(SOURCE), "-o", str(library), "-lm"]
-        done = subprocess.run([compiler, *OPTIONS, *asked], capture_output=True, text=True, check=False)
+        library = Path(folder) / source.with_suffix(".so").name
+        command = [compiler, *options, str(source), "-o", str(library), *libraries]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
-            raise BenchError(f"cc refused engine_reference.c: {done.stderr.strip().splitlines()[0]}")
+            said = next((line for line in done.stderr.splitlines() if "error" in line), "no message")
+            raise BenchError(f"cc refused {source.name}{remedy}: {said}")
         return ctypes.CDLL(str(library))

@@ -1,11 +1,12 @@
 /* The yardstick of the batch engine: the same scene by hand in C, for gcc -O3 -march=native.
  *
- * Two masses and a spring (4 states), Coulomb friction on the first, encoder in counts on the second, the tick law with its
- * two filters, clamp, fractional delay; exact map per 4 kHz sample, one 1 kHz tick = 4 samples. LANES trials side by side,
- * states in registers over a tick; sums of
- * velocity squared, work, its lowest value, ticks until divergence, largest command. The position of the first mass keeps itself, the other position is relative to it, as
- * the engine does it. Positive force pushes to positive x; units SI. State rows: x, v, gap, u of the second mass, law state,
- * held force. Numbers of `struct scene` come from the engine, so that both compute the same motion.
+ * Bodies, spring and circuits (STATES, the first two are position and velocity of the first body), Coulomb friction on that,
+ * encoder in counts, the tick law with its two filters, clamp, force in counts, fractional delay; an exact map per sub-step,
+ * SUBSTEPS to a 4 kHz sample, one 1 kHz tick = 4 samples. Which terms a sum has is known when this is compiled (FEEDS and so
+ * on), as it is in the engine's kernel. LANES trials side by side, states in registers over a tick; sums of velocity squared,
+ * work, its lowest value, ticks until divergence, largest command. The position of the first body keeps itself, others are
+ * relative to it. Positive force pushes to positive x; units SI. State rows: the states, the law's, the held force. Numbers
+ * of `struct scene` come from the engine, so that both compute the same motion.
  */
 #include <math.h>
 
@@ -19,10 +20,12 @@
 #define FLOOR(x) (sizeof(REAL) == 4 ? floorf(x) : floor(x))
 
 struct scene {
-    REAL a[4][3], command[4], torque[4], friction[4]; /* per state: columns v, gap, u */
-    REAL sample[3], sample_command, sample_torque, sample_friction;
-    REAL friction_n, friction_gain, quantum_m, counts_per_m, limit_n, velocity[5], acceleration[5];
+    REAL a[STATES][STATES], command[STATES], torque[STATES], friction[STATES], sample[STATES];
+    REAL sample_command, sample_torque, sample_friction, friction_n, friction_gain;
+    REAL quantum_m, counts_per_m, quantum_n, counts_per_n, limit_n, velocity[5], acceleration[5];
 };
+
+static const int feeds[STATES] = FEEDS, pushed[STATES] = PUSHED, rubbed[STATES] = RUBBED, seen[STATES] = SEEN;
 
 static inline REAL clamp(REAL value, REAL limit)
 {
@@ -30,8 +33,8 @@ static inline REAL clamp(REAL value, REAL limit)
     return below > -limit ? below : -limit;
 }
 
-/* `state`: 11 rows of LANES; `kbm`: 3 rows; `sums`: alive, velocity squared, work, lowest, ticks, force; `out`: 4 rows of
- * interval-mean velocity and one of force, of every tick (keep = 1) or the last. */
+/* `state`: STATES + 7 rows of LANES; `kbm`: 3 rows; `sums`: alive, velocity squared, work, lowest, ticks, force; `out`: 4
+ * rows of interval-mean velocity and one of force, of every tick (keep = 1) or the last. */
 void play(REAL *restrict state, const REAL *restrict kbm, REAL *restrict sums, const struct scene *restrict scene,
           const REAL *restrict torque, REAL *restrict out, long ticks, long keep)
 {
@@ -41,33 +44,50 @@ void play(REAL *restrict state, const REAL *restrict kbm, REAL *restrict sums, c
         REAL *restrict o = out + tick * keep * (SAMPLES + 1) * LANES;
 #pragma GCC ivdep
         for (int l = 0; l < LANES; l++) {
-            REAL x[4], held[4], speed[SAMPLES], y = 0, u = state[10 * LANES + l];
-            for (int i = 0; i < 4; i++) {
+            REAL x[STATES], held[STATES], fed[STATES] = {0}, speed[SAMPLES] = {0}, y = 0, u = state[(STATES + 6) * LANES + l];
+#pragma GCC unroll 8
+            for (int i = 0; i < STATES; i++) {
                 x[i] = state[i * LANES + l];
                 held[i] = c.command[i] * u;
             }
 #pragma GCC unroll 4
             for (int j = 0; j < SAMPLES; j++) {
-                REAL n[4];
-                for (int i = 0; i < 4; i++) {
-                    REAL fed = held[i] + c.torque[i] * t[j];
-                    n[i] = c.a[i][0] * x[1] + (c.a[i][1] * x[2] + (c.a[i][2] * x[3] + fed));
+#pragma GCC unroll 8
+                for (int i = 0; i < STATES; i++)
+                    fed[i] = pushed[i] ? held[i] + c.torque[i] * t[j] : held[i];
+#pragma GCC unroll 4
+                for (int m = 0; m < SUBSTEPS; m++) {
+                    REAL n[STATES];
+                    int sampled = j * SUBSTEPS + m == SAMPLE_AT;
+#pragma GCC unroll 8
+                    for (int i = 0; i < STATES; i++)
+                        y += sampled && seen[i] ? (i && SAMPLE_INSIDE ? c.sample[i] : 1) * x[i] : 0;
+#pragma GCC unroll 8
+                    for (int i = 0; i < STATES; i++) {
+                        n[i] = fed[i];
+#pragma GCC unroll 8
+                        for (int k = STATES - 1; k > 0; k--)
+                            n[i] += feeds[i] >> k & 1 ? c.a[i][k] * x[k] : 0;
+                    }
+                    REAL free = n[1] * c.friction_gain, f = clamp(free, c.friction_n);
+#pragma GCC unroll 8
+                    for (int i = 0; i < STATES; i++)
+                        n[i] += rubbed[i] ? c.friction[i] * f : 0;
+                    n[1] = f == free ? 0 : n[1];
+                    if (sampled && SAMPLE_INSIDE)
+                        y += c.sample_command * u + c.sample_torque * t[j] + c.sample_friction * f;
+                    speed[j] += n[0];
+                    x[0] += n[0];
+#pragma GCC unroll 8
+                    for (int i = 1; i < STATES; i++)
+                        x[i] = n[i];
                 }
-                REAL free = n[1] * c.friction_gain, f = clamp(free, c.friction_n);
-                for (int i = 0; i < 4; i++)
-                    n[i] += c.friction[i] * f;
-                n[1] = f == free ? 0 : n[1];
-                if (j == SAMPLES - 1)
-                    y = x[0] + c.sample[0] * x[1] + c.sample[1] * x[2] + c.sample[2] * x[3] + c.sample_command * u
-                        + c.sample_torque * t[j] + c.sample_friction * f;
-                o[j * LANES + l] = speed[j] = n[0] * 4000;
-                x[0] += n[0];
-                x[1] = n[1];
-                x[2] = n[2];
-                x[3] = n[3];
             }
+#pragma GCC unroll 4
+            for (int j = 0; j < SAMPLES; j++)
+                o[j * LANES + l] = speed[j] *= 4000;
             y = FLOOR(y * c.counts_per_m + (REAL)0.5) * c.quantum_m;
-            REAL *s = state + 4 * LANES + l;
+            REAL *s = state + STATES * LANES + l;
             REAL d = y - s[0], dd = d - s[LANES];
             REAL v = c.velocity[0] * d + s[2 * LANES], a = c.acceleration[0] * dd + s[4 * LANES];
             s[2 * LANES] = c.velocity[1] * d - c.velocity[3] * v + s[3 * LANES];
@@ -77,9 +97,12 @@ void play(REAL *restrict state, const REAL *restrict kbm, REAL *restrict sums, c
             s[0] = y;
             s[LANES] = d;
             REAL force = clamp(-(kbm[l] * y + kbm[LANES + l] * v + kbm[2 * LANES + l] * a), c.limit_n);
-            state[10 * LANES + l] = force;
+            if (FORCE_QUANTUM)
+                force = FLOOR(force * c.counts_per_n + (REAL)0.5) * c.quantum_n;
+            s[6 * LANES] = force;
             o[SAMPLES * LANES + l] = force;
-            for (int i = 0; i < 4; i++)
+#pragma GCC unroll 8
+            for (int i = 0; i < STATES; i++)
                 state[i * LANES + l] = x[i];
             REAL *sum = sums + l, squared = 0, work = 0, alive;
 #pragma GCC unroll 4

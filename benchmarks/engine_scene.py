@@ -46,18 +46,21 @@ def environments(count: int) -> "np.ndarray[tuple[int, int], np.dtype[np.float64
 class Lanes:
     """A full group of the engine that runs `ticks` ticks whenever it is called, sums only."""
 
-    def __init__(self, device: Model, dtype: str, ticks: int, renders: bool = True) -> None:
+    def __init__(
+        self, device: Model, dtype: str, ticks: int, renders: bool = True, substeps: int = 1, level_ns_per_m: float = 0.0
+    ) -> None:
         environment = EnvironmentParams()
         filters = (environment.velocity_filter, environment.acceleration_filter)
         job = Job(
-            device, environment, filters, (DampingStep(0.0, 0.0),), NOISE, ticks, 1, substeps=1, dtype=dtype, keep="summary",
-            own_torque=False, renders=renders, start_position_m=0.0, start_velocity_m_per_s=0.0,
+            device, environment, filters, (DampingStep(0.0, level_ns_per_m),), NOISE, ticks, 1,
+            substeps=substeps, dtype=dtype, keep="summary", own_torque=False, renders=renders,
+            start_position_m=0.0, start_velocity_m_per_s=0.0,
         )  # fmt: skip
         made = prepared(job)
         self.lanes, self.ticks, self.samples = made.shape.lanes, ticks, made.shape.samples
         self.params = environments(self.lanes)
         self.group = Group(job, made, self.params)
-        self.group.damp(0.0)
+        self.group.damp(level_ns_per_m)
         self.torque = shared_torque(job).astype(made.scalar)
         self._nothing = np.zeros(1, made.scalar)
 

@@ -12,6 +12,7 @@ from contextlib import ExitStack
 
 import numpy as np
 
+from benchmarks import targets
 from benchmarks.figures import Figure, compared
 from benchmarks.worker import BenchError
 from hapticd.measure.campaign import MapParams, MapPlan, plan_map, run_map
@@ -22,7 +23,7 @@ from hapticd.measure.store import TrialStore
 from hapticd.settings.scene import load_scene
 from hapticd.sim.engine.cores import workers
 
-TARGETS = {"executor_process": ">= 0.9x", "executor_dask": ">= 0.85x"}
+TARGETS = targets.of("executors")
 SCENE = "fig7"
 ROUNDS = 10
 ENOUGH_S = 40.0  # after which no round is begun, on a machine that is busy with other things

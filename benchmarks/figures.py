@@ -1,7 +1,14 @@
 """One measured number and its judgement, and the list of them in build/bench.json.
 
-A target is text that people read and `judge` parses: '<= 1.25x' and '>= 30x' judge the ratio, '<= 25' judges the value.
+A target is text that people read and `judge` parses:
+
+    '<= 1.25x', '>= 30x'   the ratio to the yardstick of the same run: what says something on any machine
+    '<= 25'                the value itself: counts and bytes, which no neighbour changes
+    'p >= 0.01'            the probability of so many more events than the yardstick has, if both had the same rate
+    ''                     nothing: the figure is told as information
+
 The ratio is value / reference; for a speed-up, where both are times, the caller gives it the other way round.
+What would break it: a time judged by its value, since another machine of the same kind then misses by its speed alone.
 """
 
 import json
@@ -12,12 +19,16 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-_TARGET = re.compile(r"(<=|>=)\s*(-?\d+(?:\.\d+)?)\s*(x?)")
+_TARGET = re.compile(r"(p\s*)?(<=|>=)\s*(-?\d+(?:\.\d+)?)\s*(x?)")
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A row of build/bench.json; `note` says why there is no value, or what the machine refused."""
+    """A row of build/bench.json; `ok` is None for information.
+
+    `note` says why there is no value, or what the machine refused; `p` only where a target asks for it. `reference` is the
+    number of the `yardstick`; that and `reason` come from the table of targets.
+    """
 
     name: str
     value: float | None
@@ -25,21 +36,29 @@ class Figure:
     reference: float | None
     ratio: float | None
     target: str
-    ok: bool
+    ok: bool | None
     note: str = ""
+    p: float | None = None
+    yardstick: str = ""
+    reason: str = ""
 
     def plain(self) -> dict[str, Any]:
-        """The row; a note only where there is something to say."""
-        return {key: value for key, value in asdict(self).items() if key != "note" or value}
+        """The row; a note and p only where there is something to say."""
+        return {key: value for key, value in asdict(self).items() if key not in ("note", "p") or value not in ("", None)}
 
 
-def judge(target: str, value: float | None, ratio: float | None) -> bool:
-    """Whether `target` is reached. ValueError for a target that is not '<= number', '>= number', either with an x."""
+def judge(target: str, value: float | None, ratio: float | None, p: float | None = None) -> bool | None:
+    """Whether `target` is reached; None where there is none.
+
+    ValueError for a target that is not '<= number' or '>= number', with an x behind it or a p before it.
+    """
+    if not target:
+        return None
     found = _TARGET.match(target)
     if found is None:
-        raise ValueError(f"target {target!r}: write '<= 25', '<= 1.25x' or '>= 30x'")
-    sense, limit, of_ratio = found[1], float(found[2]), bool(found[3])
-    measured = ratio if of_ratio else value
+        raise ValueError(f"target {target!r}: write '<= 25', '<= 1.25x', '>= 30x' or 'p >= 0.01'")
+    of_p, sense, limit, of_ratio = bool(found[1]), found[2], float(found[3]), bool(found[4])
+    measured = p if of_p else ratio if of_ratio else value
     if measured is None or math.isnan(measured):
         return False
     return measured <= limit if sense == "<=" else measured >= limit
@@ -53,11 +72,12 @@ def compared(
     reference: float | None = None,
     note: str = "",
     ratio: float | None = None,
+    p: float | None = None,
 ) -> Figure:
-    """The figure for `value`, judged alone or by `ratio` (value / reference unless given)."""
+    """The figure for `value`, judged alone, by `ratio` (value / reference unless given) or by `p`."""
     if ratio is None and reference:
         ratio = value / reference
-    return Figure(name, value, unit, reference, ratio, target, judge(target, value, ratio), note)
+    return Figure(name, value, unit, reference, ratio, target, judge(target, value, ratio, p), note, p)
 
 
 def refused(name: str, target: str, note: str) -> Figure:

@@ -1,20 +1,23 @@
 """A 90 s trial from simulation to spectra, without a record: the scene of `engine` with 4 states, float32, one core.
 
-CPU time of one thread for a group of 64 trials, least of all rounds; beside it the same with records and `spa` afterwards.
+CPU time of one thread for a group of 64 trials beside the C of the same scene, which leaves every sample in the cache, and
+FFTW's spectra of as many records, force transformed before; in turns, least of the rounds of each.
 """
 
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
 from typing import Any
 
-from benchmarks.engine_scene import NOISE, environments, model
+from benchmarks import targets
+from benchmarks.engine_c import C_LANES, CReference, check_same
+from benchmarks.engine_scene import NOISE, Lanes, environments, least_cpu_s, model
 from benchmarks.figures import Figure, compared
-from hapticd.analysis.spa import spa
+from benchmarks.spa_c import SpectraYard
 from hapticd.sim.engine import simulate
+from hapticd.units import PROBE_RATE_HZ
 
-TARGETS = {"fused_ms": "<= 1"}
-TRIALS, SECONDS, ROUNDS = 64, 90.0, 8
+TARGETS = targets.of("fused")
+TRIALS, SECONDS, ROUNDS, TICKS = 64, 90.0, 12, 512
 MS = 1e3
 
 
@@ -29,23 +32,25 @@ class Here(Executor):
 
 
 def measure() -> Iterator[Figure]:
-    """Both ways, interleaved; kernels compiled and the torque made before."""
-    device, points = model(), environments(TRIALS)
+    """All interleaved; kernels compiled and the torque made before."""
+    device, points, samples = model(), environments(TRIALS), round(SECONDS * PROBE_RATE_HZ)
 
-    def run(keep: str) -> Any:
-        return simulate(device, points, SECONDS, 1, excitation=NOISE, dtype="f32", keep=keep, executor=Here(), chunk=TRIALS)
+    def run() -> None:
+        simulate(device, points, SECONDS, 1, excitation=NOISE, dtype="f32", keep="spectra", executor=Here(), chunk=TRIALS)
 
-    def apart() -> None:
-        found = run("records")
-        for trial in range(TRIALS):
-            spa(*found.record(trial))
+    spectra = SpectraYard(samples, float(PROBE_RATE_HZ))
+    runs: dict[str, Any] = {"ours": run, "fftw": spectra.one} | _in_c(device)
+    taken_s = least_cpu_s(runs, ROUNDS)
+    step_s = min(taken_s[name] / run.steps for name, run in runs.items() if isinstance(run, CReference))
+    reference_ms = MS * (step_s * samples + taken_s["fftw"])
+    note = f"C {MS * step_s * samples:.3g} ms, FFTW {MS * taken_s['fftw']:.3g} ms"
+    yield compared("fused_c", TARGETS["fused_c"], MS * taken_s["ours"] / TRIALS, "ms", reference_ms, note)
 
-    least = {"together": float("inf"), "apart": float("inf")}
-    for round_ in range(ROUNDS + 1):
-        for name, work in (("together", lambda: run("spectra")), ("apart", apart)):
-            begin = time.thread_time()
-            work()
-            if round_:
-                least[name] = min(least[name], time.thread_time() - begin)
-    together, separate = (MS * least[name] / TRIALS for name in ("together", "apart"))
-    yield compared("fused_ms", TARGETS["fused_ms"], together, "ms", separate, "reference: records, then spa of each")
+
+def _in_c(device: Any) -> dict[str, CReference]:
+    """The C at each lane count, leaving every sample."""
+    check_same(Lanes(device, "f32", TICKS), CReference(Lanes(device, "f32", TICKS), "f32", C_LANES["f32"][0]), "f32")
+    made = {f"C {lanes}": CReference(Lanes(device, "f32", TICKS), "f32", lanes) for lanes in C_LANES["f32"]}
+    for one in made.values():
+        one.kept = 1
+    return made

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 import zmq
 
-from benchmarks import daemon
+from benchmarks import daemon, targets
 from benchmarks.blocks import median_quantile
 from benchmarks.figures import Figure, compared
 from benchmarks.records import place
@@ -19,7 +19,7 @@ from hapticd.client import Client
 from hapticd.mailbox import files, layout
 from hapticd.units import NS_PER_MS
 
-TARGETS = {"set_p50_ms": "<= 2", "set_p99_ms": "<= the echo's p99 + 2.2"}
+TARGETS = targets.of("latency")
 BLOCKS, SAMPLES, WARM_UP = 6, 200, 30
 PAUSE_S = (0.001, 0.005)  # drawn at random, so that no tick of the servo is preferred
 ABOVE_ECHO_MS, TICK_S = 2.2, 0.05

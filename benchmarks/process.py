@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from benchmarks import targets
 from benchmarks.figures import Figure, compared
 from benchmarks.stand import settings
 from benchmarks.worker import ROOT, BenchError, environment
@@ -18,7 +19,7 @@ from hapticd.mailbox import files
 from hapticd.mailbox.client_side import GatewayMailbox
 from hapticd.mailbox.layout import Command
 
-TARGETS = {"servo_rss_mb": "<= 25", "servo_growth_kb": "<= 64", "servo_threads": "<= 1", "servo_minor_faults": "<= 0"}
+TARGETS = targets.of("process")
 RATE_HZ, TICKS = 8000, 100_000
 START_S, SETTLE_S, BEAT_S = 20.0, 2.0, 0.1
 ACTOR, NO_VALUES = 1, (0.0,) * 20

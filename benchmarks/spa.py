@@ -3,29 +3,24 @@
 CPU time of one thread, the three interleaved, least of all rounds.
 """
 
-import ctypes
-import shutil
-import subprocess
-import tempfile
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks import targets
 from benchmarks.figures import Figure, compared, refused
+from benchmarks.spa_c import SpaReference
 from benchmarks.worker import BenchError
 from hapticd.analysis.kernels import kernels
 from hapticd.analysis.spa import spa
 from hapticd.analysis.spectra import Spectra
 
-TARGETS = {"spa_scipy": ">= 5x", "spa_fftw": "<= 2x"}
+TARGETS = targets.of("spa")
 N_SAMPLES, RATE_HZ, LAG = 360_000, 4000.0, 2048
 EQUAL_RESOLUTION = 3072  # samples of scipy's Hann segments: the half-width and degrees of freedom of LAG, in a good size
 ROUNDS = 30
-SOURCE = Path(__file__).with_name("spa_reference.c")
-OPTIONS = ("-O3", "-march=native", "-ffast-math", "-std=gnu11", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared")
 
 
 def measure() -> Iterator[Figure]:
@@ -75,30 +70,9 @@ def _scipy(force: np.ndarray, velocity: np.ndarray) -> Callable[[], Any]:
 
 def _fftw(force: np.ndarray, velocity: np.ndarray) -> Callable[[], Any]:
     """The compiled yardstick. BenchError without compiler or FFTW, or when its spectra are not ours."""
-    compiler = shutil.which("cc")
-    if compiler is None:
-        raise BenchError("no C compiler `cc`: `make deps` installs one")
-    with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder:
-        file = Path(folder) / "spa_reference.so"
-        done = subprocess.run(
-            [compiler, *OPTIONS, str(SOURCE), "-o", str(file), "-lfftw3", "-lm"], capture_output=True, text=True, check=False
-        )
-        if done.returncode:
-            raise BenchError(
-                f"cc refused spa_reference.c, is libfftw3-dev there (`make deps`)? {done.stderr.strip().splitlines()[0]}"
-            )
-        library = ctypes.CDLL(str(file))
-    if not library.spa_prepare(ctypes.c_long(LAG)):
-        raise BenchError("FFTW made no plan")
-    out = np.empty((3, LAG + 1), np.complex128)
-    pointers = [array.ctypes.data_as(ctypes.c_void_p) for array in (force, velocity, out)]
-
-    def run() -> np.ndarray:
-        library.spa_reference(pointers[0], pointers[1], ctypes.c_long(force.size), pointers[2])
-        return out
-
-    _check_same(run(), spa(force, velocity, RATE_HZ, LAG))
-    return run
+    made = SpaReference("f64")
+    _check_same(made.spectra(force, velocity), spa(force, velocity, RATE_HZ, LAG))
+    return lambda: made.spectra(force, velocity)
 
 
 def _check_same(theirs: np.ndarray, ours: Spectra) -> None:

@@ -1,30 +1,46 @@
-/* The yardstick in C: detrend and `spa` of one record with FFTW, streaming, one thread.
+/* The yardstick in C: detrend and `spa` of one record with FFTW, streaming, one thread, in double or float (REAL).
  *
  * Linear trends out in two passes, sections of `lag` samples padded to twice that, one real transform each (Rader 1970), four
  * complex sums, one inverse transform a covariance, Hann lag window, three transforms to the spectra. Plans are made once.
+ * `spa_shared` is what many trials under one force need: the force's sections are transformed once by `spa_force`.
+ * Each caller has buffers of its own, so that threads may run side by side.
  */
 #include <fftw3.h>
 #include <math.h>
 #include <string.h>
 
+#ifndef REAL
+#define REAL double
+#define FFTW(name) fftw_##name
+#endif
+
+typedef FFTW(complex) complex_t;
 static long lag;
-static double *padded, *sums, *v0, *v1, *f0, *f1;
-static fftw_plan forward, backward;
+static FFTW(plan) forward, backward;
+static __thread REAL *padded, *kept, *sums, *v0, *v1, *f0, *f1;
+
+static void make_room(void)
+{
+    size_t bins = lag + 1;
+    if (padded)
+        return;
+    padded = FFTW(malloc)(4 * lag * sizeof(REAL));
+    kept = padded + 2 * lag;
+    sums = FFTW(malloc)(4 * 2 * bins * sizeof(REAL));
+    v0 = FFTW(malloc)(4 * 2 * bins * sizeof(REAL));
+    v1 = v0 + 2 * bins, f0 = v1 + 2 * bins, f1 = f0 + 2 * bins;
+}
 
 int spa_prepare(long wanted)
 {
     lag = wanted;
-    size_t bins = lag + 1;
-    padded = fftw_malloc(2 * lag * sizeof(double));
-    sums = fftw_malloc(4 * 2 * bins * sizeof(double));
-    v0 = fftw_malloc(4 * 2 * bins * sizeof(double));
-    v1 = v0 + 2 * bins, f0 = v1 + 2 * bins, f1 = f0 + 2 * bins;
-    forward = fftw_plan_dft_r2c_1d(2 * lag, padded, (fftw_complex *)v0, FFTW_PATIENT | FFTW_UNALIGNED);
-    backward = fftw_plan_dft_c2r_1d(2 * lag, (fftw_complex *)v0, padded, FFTW_PATIENT | FFTW_UNALIGNED);
+    make_room();
+    forward = FFTW(plan_dft_r2c_1d)(2 * lag, padded, (complex_t *)v0, FFTW_PATIENT | FFTW_UNALIGNED);
+    backward = FFTW(plan_dft_c2r_1d)(2 * lag, (complex_t *)v0, padded, FFTW_PATIENT | FFTW_UNALIGNED);
     return forward && backward;
 }
 
-static void line(const double *x, long n, double *value, double *slope)
+static void line(const REAL *x, long n, double *value, double *slope)
 {
     double middle = 0.5 * (n - 1), total = 0, moment = 0;
     for (long i = 0; i < n; i++)
@@ -33,67 +49,105 @@ static void line(const double *x, long n, double *value, double *slope)
     *value = total / n - *slope * middle;
 }
 
-static void section(const double *x, long start, long n, double value, double slope, double *out)
+static void section(const REAL *x, long start, long n, double value, double slope, REAL *out)
 {
     long left = n - start, count = left < 0 ? 0 : left < lag ? left : lag;
     for (long i = 0; i < count; i++)
         padded[i] = x[start + i] - (value + slope * (start + i));
-    memset(padded + count, 0, (2 * lag - count) * sizeof(double));
-    fftw_execute_dft_r2c(forward, padded, (fftw_complex *)out);
+    memset(padded + count, 0, (2 * lag - count) * sizeof(REAL));
+    FFTW(execute_dft_r2c)(forward, padded, (complex_t *)out);
 }
 
-static void accumulate(void)
+static void accumulate(int shared)
 {
-    double *restrict uu = sums, *restrict yy = uu + 2 * (lag + 1), *restrict uy = yy + 2 * (lag + 1), *restrict yu = uy + 2 * (lag + 1);
+    REAL *restrict uu = sums, *restrict uy = uu + 2 * (lag + 1), *restrict yu = uy + 2 * (lag + 1), *restrict yy = yu + 2 * (lag + 1);
     for (long k = 0; k <= lag; k++) {
-        double sign = k & 1 ? -1.0 : 1.0, a = v0[2 * k], b = v0[2 * k + 1], c = f0[2 * k], d = f0[2 * k + 1];
-        double p = a + sign * v1[2 * k], q = b + sign * v1[2 * k + 1], r = c + sign * f1[2 * k], s = d + sign * f1[2 * k + 1];
+        REAL sign = k & 1 ? -1 : 1, a = v0[2 * k], b = v0[2 * k + 1], c = f0[2 * k], d = f0[2 * k + 1];
+        REAL p = a + sign * v1[2 * k], q = b + sign * v1[2 * k + 1], r = c + sign * f1[2 * k], s = d + sign * f1[2 * k + 1];
         uu[2 * k] += a * p + b * q, uu[2 * k + 1] += a * q - b * p;
-        yy[2 * k] += c * r + d * s, yy[2 * k + 1] += c * s - d * r;
         uy[2 * k] += a * r + b * s, uy[2 * k + 1] += a * s - b * r;
         yu[2 * k] += c * p + d * q, yu[2 * k + 1] += c * q - d * p;
+        if (!shared)
+            yy[2 * k] += c * r + d * s, yy[2 * k + 1] += c * s - d * r;
     }
 }
 
 /* Windowed covariances (lags 0..lag of `ahead`, mirrored `behind`) to a spectrum of lag + 1 complex values. */
-static void spectrum(const double *ahead, const double *behind, long n, double *out)
+static void spectrum(const REAL *ahead, const REAL *behind, long n, REAL *out)
 {
-    static double kept[2 * 65536];
     for (int side = 0; side < 2; side++) {
-        memcpy(v0, side ? behind : ahead, 2 * (lag + 1) * sizeof(double));
-        fftw_execute_dft_c2r(backward, (fftw_complex *)v0, padded);
+        memcpy(v0, side ? behind : ahead, 2 * (lag + 1) * sizeof(REAL));
+        FFTW(execute_dft_c2r)(backward, (complex_t *)v0, padded);
         for (long t = 0; t < lag; t++) {
-            double w = 0.5 * (1.0 + cos(M_PI * t / lag)) / (2.0 * lag * n) * padded[t];
+            REAL w = 0.5 * (1.0 + cos(M_PI * t / lag)) / (2.0 * lag * n) * padded[t];
             if (!side)
                 kept[t] = w;
             else if (t)
                 kept[2 * lag - t] = w;
         }
     }
-    kept[lag] = 0.0;
-    memcpy(padded, kept, 2 * lag * sizeof(double));
-    fftw_execute_dft_r2c(forward, padded, (fftw_complex *)out);
+    kept[lag] = 0;
+    memcpy(padded, kept, 2 * lag * sizeof(REAL));
+    FFTW(execute_dft_r2c)(forward, padded, (complex_t *)out);
+}
+
+static void exchange(REAL **a, REAL **b)
+{
+    REAL *was = *a;
+    *a = *b;
+    *b = was;
 }
 
 /* `out`: Phi_u, Phi_y, Phi_yu, each lag + 1 complex values. */
-void spa_reference(const double *force, const double *velocity, long n, double *out)
+void spa_reference(const REAL *force, const REAL *velocity, long n, REAL *out)
 {
-    double force_value, force_slope, velocity_value, velocity_slope, *swap;
+    double force_value, force_slope, velocity_value, velocity_slope;
+    long size = 2 * (lag + 1);
+    make_room();
     line(force, n, &force_value, &force_slope);
     line(velocity, n, &velocity_value, &velocity_slope);
-    memset(sums, 0, 8 * (lag + 1) * sizeof(double));
+    memset(sums, 0, 4 * size * sizeof(REAL));
     section(velocity, 0, n, velocity_value, velocity_slope, v0);
     section(force, 0, n, force_value, force_slope, f0);
     for (long start = lag; start < n + lag; start += lag) {
         section(velocity, start, n, velocity_value, velocity_slope, v1);
         section(force, start, n, force_value, force_slope, f1);
-        accumulate();
-        swap = v0, v0 = v1, v1 = swap;
-        swap = f0, f0 = f1, f1 = swap;
+        accumulate(0);
+        exchange(&v0, &v1);
+        exchange(&f0, &f1);
     }
-    double *row = sums;
+    spectrum(sums, sums, n, out);
+    spectrum(sums + 3 * size, sums + 3 * size, n, out + size);
+    spectrum(sums + size, sums + 2 * size, n, out + 2 * size);
+}
+
+/* Transforms of all sections of `force` and of the nothing after it, each lag + 1 complex values, into `table`. */
+void spa_force(const REAL *force, long n, REAL *table)
+{
+    double value, slope;
+    make_room();
+    line(force, n, &value, &slope);
+    for (long start = 0; start < n + lag; start += lag)
+        section(force, start, n, value, slope, table + 2 * (lag + 1) * (start / lag));
+}
+
+/* `out`: Phi_u and Phi_yu of a trial under the force whose sections are in `table`. */
+void spa_shared(const REAL *table, const REAL *velocity, long n, REAL *out)
+{
+    double value, slope;
     long size = 2 * (lag + 1);
-    spectrum(row, row, n, out);
-    spectrum(row + size, row + size, n, out + size);
-    spectrum(row + 2 * size, row + 3 * size, n, out + 2 * size);
+    make_room();
+    REAL *first = f0, *second = f1;
+    line(velocity, n, &value, &slope);
+    memset(sums, 0, 3 * size * sizeof(REAL));
+    section(velocity, 0, n, value, slope, v0);
+    for (long start = lag; start < n + lag; start += lag) {
+        f0 = (REAL *)table + size * (start / lag - 1), f1 = f0 + size;
+        section(velocity, start, n, value, slope, v1);
+        accumulate(1);
+        exchange(&v0, &v1);
+    }
+    f0 = first, f1 = second;
+    spectrum(sums, sums, n, out);
+    spectrum(sums + size, sums + 2 * size, n, out + size);
 }

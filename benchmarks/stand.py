@@ -15,10 +15,10 @@ ENVIRONMENT = {"stiffness_n_per_m": 100.0, "damping_ns_per_m": 1.0, "mass_kg": 0
 HOST_S = 125e-6
 
 
-def settings(rate_hz: float = 1000.0, **gateway: Any) -> Settings:
-    """The shipped configuration, whatever the user's own says."""
+def settings(rate_hz: float = 1000.0, core: int | None = None, **gateway: Any) -> Settings:
+    """The shipped configuration, whatever the user's own says; on `core`, if given."""
     tables = {
-        "realtime": {"rate_hz": rate_hz},
+        "realtime": {"rate_hz": rate_hz} | ({} if core is None else {"core": core}),
         "environment": ENVIRONMENT,
         "simulation": {"sample_phase": sample_phase(rate_hz)},
         "gateway": gateway,
@@ -33,9 +33,9 @@ def sample_phase(rate_hz: float) -> float:
 
 
 @contextmanager
-def parameter_file(rate_hz: float = 1000.0) -> Iterator[str]:
+def parameter_file(rate_hz: float = 1000.0, core: int | None = None) -> Iterator[str]:
     """A file for `bench_servo.read_parameters`: a worker loads neither TOML nor pydantic, as the servo process."""
     with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder:
         path = Path(folder) / "stand.json"
-        path.write_text(json.dumps(resolve(settings(rate_hz), "bench")))
+        path.write_text(json.dumps(resolve(settings(rate_hz, core), "bench")))
         yield str(path)

@@ -6,6 +6,8 @@ command, no ramp, no state but the filters'. It flies the same frames at the sam
 
 import struct
 
+from hapticd.params import EnvironmentParams, FilterParams
+from hapticd.render.filters import design
 from hapticd.wire.frames import IN_HEAD, OUT
 
 RECORD = struct.Struct("<QqIihH4h10dIQ")  # number, times, encoder, torque, status, sensors, the law's numbers, flags, number
@@ -58,3 +60,14 @@ class ReferenceTick:
         )  # fmt: skip
         self.number += 1
         return out
+
+
+def yardstick(environment: EnvironmentParams, rate_hz: float) -> ReferenceTick:
+    """The tick with the servo's environment."""
+    kbm = (environment.stiffness_n_per_m, environment.damping_ns_per_m, environment.mass_kg)
+    filters = _coefficients(environment.velocity_filter, rate_hz), _coefficients(environment.acceleration_filter, rate_hz)
+    return ReferenceTick(kbm, filters, rate_hz)
+
+
+def _coefficients(one: FilterParams, rate_hz: float) -> Coefficients:
+    return design(one.frequency_hz, one.damping_ratio, one.mapping, rate_hz)

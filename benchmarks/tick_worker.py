@@ -1,4 +1,4 @@
-"""Ticks without USB, timed: the servo's own, the Python yardstick's and the C yardstick's; and a USB pair on its own."""
+"""Ticks without USB, timed: the servo's own, the Python yardstick's and the C yardstick's; and USB pairs on their own."""
 
 import sys
 import time
@@ -6,18 +6,18 @@ from array import array
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from benchmarks.bare import empty_link
 from benchmarks.bench_servo import BenchServo, read_parameters
 from benchmarks.null_link import NullLink
 from benchmarks.records import place
 from benchmarks.tick_c import CReference, check_same_work
-from benchmarks.tick_reference import Coefficients, ReferenceTick
+from benchmarks.tick_reference import yardstick
 from benchmarks.worker import serve
 from hapticd.assembly.simulation import simulated_backend
 from hapticd.clock import MonotonicClock
 from hapticd.link.usb import UsbLink
 from hapticd.mailbox import layout
-from hapticd.params import BoardParams, EnvironmentParams, FilterParams, ServoParams
-from hapticd.render.filters import design
+from hapticd.params import BoardParams, ServoParams
 from hapticd.servo.wait import first_deadline
 from hapticd.wire import codec, frames
 from hapticd.wire.frames import OutFrame
@@ -31,17 +31,6 @@ def own_ns(block: bytes, read_ns: Sequence[int], calls_ns: float = 0.0) -> list[
     return [sum(now[:3]) + after[3] - read - calls_ns for now, after, read in zip(stages, stages[1:], read_ns, strict=False)]
 
 
-def yardstick(environment: EnvironmentParams, rate_hz: float) -> ReferenceTick:
-    """The Python yardstick with the servo's environment."""
-    kbm = (environment.stiffness_n_per_m, environment.damping_ns_per_m, environment.mass_kg)
-    filters = _coefficients(environment.velocity_filter, rate_hz), _coefficients(environment.acceleration_filter, rate_hz)
-    return ReferenceTick(kbm, filters, rate_hz)
-
-
-def _coefficients(one: FilterParams, rate_hz: float) -> Coefficients:
-    return design(one.frequency_hz, one.damping_ratio, one.mapping, rate_hz)
-
-
 def no_wait(_deadline_ns: int, _rehearse: Callable[[], object]) -> int:
     """The wait of a loop that never waits."""
     return time.monotonic_ns()
@@ -52,7 +41,7 @@ def _nothing() -> None:
 
 
 class TickBench:
-    """One servo over a null link, its yardsticks, and a USB link to the simulated board."""
+    """One servo over a null link, its yardsticks, and USB links to the simulated board and to an empty one."""
 
     def __init__(self, params: ServoParams, board: BoardParams, library: str) -> None:
         self.link = NullLink(board)
@@ -62,6 +51,7 @@ class TickBench:
         self.in_c = CReference(library, params) if library else None
         self.usb = UsbLink(params.usb, simulated_backend(board, MonotonicClock()))
         self.usb.open()
+        self.empty = empty_link(params.usb, board, MonotonicClock())
 
     def paced(self, ticks: int) -> dict[str, list[float]]:
         """The servo's tick and the Python yardstick's, a block of each at their pace."""
@@ -81,10 +71,13 @@ class TickBench:
             taken["c"] = own_ns(theirs, [0] * ticks)
         return taken
 
-    def pairs(self, ticks: int) -> list[float]:
-        """A read and a write through pyusb and the simulated board, at the servo's pace."""
+    def pairs(self, ticks: int) -> dict[str, list[float]]:
+        """A read and a write through pyusb at the servo's pace: the simulated board's, and an empty board's."""
+        return {"pair": self._pairs(self.usb, ticks), "empty": self._pairs(self.empty, ticks)}
+
+    def _pairs(self, link: UsbLink, ticks: int) -> list[float]:
         inward = array("B", bytes(frames.PACKET_BYTES))
-        read, write = self.usb.read, self.usb.write
+        read, write = link.read, link.write
 
         def pair(outward: "array[int]", _: int) -> None:
             read(inward)

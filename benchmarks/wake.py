@@ -7,20 +7,14 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from benchmarks import cyclictest
+from benchmarks import cyclictest, targets
 from benchmarks.blocks import median_quantile
 from benchmarks.figures import Figure, compared, refused
 from benchmarks.worker import Worker
 from hapticd.params import RealtimeParams
 from hapticd.units import NS_PER_US
 
-TARGETS = {
-    "wake_p50": "<= 0.1x",
-    "wake_p99": "<= 0.6x",
-    "wake_stress_p99": "<= 0.6x",
-    "wake_sleep_p50": "<= 1.25x",
-    "wake_sleep_p99": "<= 1.4x",
-}
+TARGETS = targets.of("wake")
 PERIOD_US, ROUNDS, SAMPLES = 1000, 15, 900
 STRESS_ROUNDS, STRESS_SAMPLES, STRESS_SETTLE_S = 6, 2000, 2.0
 LOAD = ("--cpu", "2", "--vm", "1", "--vm-bytes", "256M", "--hdd", "1", "--hdd-bytes", "128M", "--io", "1")

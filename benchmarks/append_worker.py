@@ -1,0 +1,50 @@
+"""The least that a recorder can cost: h5py appending the same bytes as often, from a process of its own.
+
+Ticks of `layout.RECORD` and samples of the probe in one growing dataset of bytes each, flushed every 100 ms. Arguments: file,
+ticks and samples a second, seconds. Says `{}` when it begins to count, and its CPU seconds at the end.
+"""
+
+import json
+import sys
+import time
+
+import numpy as np
+
+from hapticd.gateway.probe import DTYPE as PROBE
+from hapticd.mailbox.layout import RECORD
+from hapticd.measure.recorder import LOOK_S
+from hapticd.measure.recording.live import CHUNK_ROWS
+
+SETTLED = 10  # appends before it counts
+
+
+def main() -> None:
+    """As the recorder's live file: chunks of as many rows, single writer and multiple readers."""
+    import h5py
+
+    path, ticks_hz, samples_hz, seconds = sys.argv[1], *map(float, sys.argv[2:])
+    with h5py.File(path, "x", libver=("v110", "v110")) as file:
+        rows = [
+            (_dataset(file, "servo", RECORD.size), np.random.default_rng(1).bytes(round(ticks_hz * LOOK_S) * RECORD.size)),
+            (_dataset(file, "probe", PROBE.itemsize), np.random.default_rng(2).bytes(round(samples_hz * LOOK_S) * PROBE.itemsize)),
+        ]
+        file.swmr_mode = True
+        blocks = [(data, np.frombuffer(raw, np.uint8).reshape(-1, data.shape[1])) for data, raw in rows]
+        for turn in range(SETTLED + round(seconds / LOOK_S)):
+            if turn == SETTLED:
+                print("{}", flush=True)
+                begin_s = time.process_time()
+            time.sleep(LOOK_S)
+            for data, block in blocks:
+                data.resize(len(data) + len(block), axis=0)
+                data[-len(block) :] = block
+            file.flush()
+        print(json.dumps({"cpu_s": time.process_time() - begin_s}), flush=True)
+
+
+def _dataset(file: "object", name: str, width: int) -> "object":
+    return file.create_dataset(name, (0, width), "u1", maxshape=(None, width), chunks=(CHUNK_ROWS[name], width))  # type: ignore[attr-defined]
+
+
+if __name__ == "__main__":
+    main()

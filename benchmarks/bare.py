@@ -1,0 +1,74 @@
+"""The bare path of a tick: pyusb above the simulated bus, a board that does nothing, the afternoon's tick, the wire's CRCs.
+
+What is left out is what the product adds: the board's firmware and plant, the sequence, the commands, the safety table, the
+mailbox.
+"""
+
+import time
+from array import array
+
+from benchmarks.tick_reference import ReferenceTick
+from hapticd.clock import Clock, VirtualClock
+from hapticd.link.usb import UsbLink
+from hapticd.params import BoardParams, UsbParams
+from hapticd.sim.backend import SimulatedBackend
+from hapticd.sim.control import control_replies
+from hapticd.wire import codec, frames
+from hapticd.wire.frames import InFrame
+
+QUIET = InFrame(0, 1, 0, int(frames.Status.SIMULATED), 0, 0, 0, 0, 0, 2200, 0, 0, 0)
+
+
+class EmptyBoard:
+    """A port that answers every OUT with the same IN at once."""
+
+    def __init__(self, params: BoardParams) -> None:
+        self._replies, self._frame = control_replies(params), codec.encode_in(QUIET)
+
+    def power_up(self) -> None:
+        """Nothing to do."""
+
+    def on_out(self, data: memoryview, t_ns: int) -> None:
+        """Not looked at."""
+
+    def poll_in(self, t_ns: int) -> bytes | None:
+        """Always there."""
+        return self._frame
+
+    def next_in_ns(self) -> int | None:
+        """Never waited for."""
+        return None
+
+    def control(self, request_type: int, request: int, value: int, length: int) -> bytes | None:
+        """As the simulated board."""
+        reply = self._replies.get((request_type, request, value))
+        return None if reply is None else reply[:length]
+
+
+def empty_link(usb: UsbParams, board: BoardParams, clock: Clock) -> UsbLink:
+    """An open link to an empty board."""
+    link = UsbLink(usb, SimulatedBackend(EmptyBoard(board), clock))
+    link.open()
+    return link
+
+
+class BareLoop:
+    """Wire, pyusb, empty board and bare tick, over and over."""
+
+    def __init__(self, usb: UsbParams, board: BoardParams, tick: ReferenceTick) -> None:
+        self._link, self._tick = empty_link(usb, board, VirtualClock()), tick
+
+    def cpu_s(self, ticks: int) -> float:
+        """CPU time of that many."""
+        inward, outward = array("B", bytes(frames.PACKET_BYTES)), array("B", bytes(frames.OUT_BYTES))
+        read, write, tick = self._link.read, self._link.write, self._tick
+        parse, seal, offset = codec.in_parser(inward), frames.CRC.pack_into, frames.OUT_BYTES - frames.CRC.size
+        body = memoryview(outward)[:offset]
+        begin = time.process_time()
+        for number in range(ticks):
+            read(inward)
+            assert parse() is not None
+            outward[:] = array("B", tick(inward.tobytes(), number))
+            seal(outward, offset, codec.crc16(body))
+            write(outward)
+        return time.process_time() - begin
