@@ -26,7 +26,7 @@ from hapticd.plant.mechanics import held_force_response
 from hapticd.plant.winding import Motor
 from hapticd.report import style
 from hapticd.report.envelope import weightiest
-from hapticd.report.future_page import sections
+from hapticd.report.paper_page import future_sections as sections
 from hapticd.report.style import PARTS
 
 MASS_KG, VISCOUS, LEVEL = 0.008, 0.4, 1.5

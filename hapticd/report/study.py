@@ -5,7 +5,7 @@ explicit methods blow up.
 As in the paper's Fig. 7 added damping is a solid line and none a dashed one.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from math import inf, isinf, isnan, nan
 from typing import TYPE_CHECKING
 
@@ -47,7 +47,7 @@ from hapticd.report.style import (
     styled,
 )  # fmt: skip
 from hapticd.report.table import Cell, Table, duration, percent, shown, table
-from hapticd.report.trial import Curve, draw, dress
+from hapticd.report.trial import Curve, Trace, draw, draw_traces, dress
 from hapticd.units import PROBE_RATE_HZ
 
 if TYPE_CHECKING:
@@ -97,9 +97,8 @@ def scene_figure(result: SceneResult) -> "Figure":
 def _with_impedance(result: SceneResult) -> "Figure":
     figure, (position, size, force, phase) = axes(2, 2, 10.0, 6.2, _title(result), width_ratios=(1.0, 1.3))
     begin_s, band_hz = min(1.0, 0.5 * result.plan.seconds), result.plan.params.band_hz
-    _draw_traces(result, [position, force], (begin_s, begin_s + SHOWN_S))
-    for axis in (position, force):
-        axis.set_xlabel("time (s)")
+    draw_traces((position, force), _traces(result, (begin_s, begin_s + SHOWN_S)))
+    position.set_xlabel("time (s)")
     for trial, look in zip(result.trials, LOOKS, strict=True):
         _draw_impedance(size, phase, trial, look)
     for axis in (size, phase):
@@ -122,22 +121,23 @@ def _draw_impedance(size: "Axes", phase: "Axes", trial: Trial, look: Look) -> No
 
 
 def _traces_alone(result: SceneResult) -> "Figure":
-    heat = any(trial.winding_c for trial in result.trials)
-    figure, places = axes(4 if heat else 3, 1, 9.0, 8.6 if heat else 7.0, _title(result), sharex=True)
-    _draw_traces(result, places[:2], (0.0, result.plan.seconds))
-    for trial, look in zip(result.trials, LOOKS, strict=True):
-        times, levels = zip(*trial.leg.damping, strict=True)
-        places[2].step([*times, result.plan.seconds], [*levels, levels[-1]], where="post", **look)
-        if trial.winding_c is not None:
-            places[3].plot(*trial.winding_c, marker=".", **look)
-    places[2].set_ylabel("added damping (N s/m)")
+    """With the steps of damping, and the temperature of a winding that warms up."""
+    panels, pairs = _traces(result, (0.0, result.plan.seconds)), list(zip(result.trials, LOOKS, strict=True))
+    panels.append(("added damping (N s/m)", [_steps(trial, result.plan.seconds, look) for trial, look in pairs]))
+    if any(trial.winding_c for trial in result.trials):
+        heated = [(*trial.winding_c, {**look, "marker": "."}) for trial, look in pairs if trial.winding_c]
+        panels.append(("winding (°C)", heated))
+    figure, places = axes(len(panels), 1, 9.0, 2.2 + 1.6 * len(panels), _title(result), sharex=True)
+    draw_traces(places, panels)
     places[2].margins(y=0.15)
-    if heat:
-        places[3].set_ylabel("winding (°C)")
-    places[-1].set_xlabel("time (s)")
-    figure.align_ylabels(places)
+    places[0].set_xlim(0.0, result.plan.seconds)
     figure.legend(*places[0].get_legend_handles_labels(), ncols=2, **BELOW)
     return figure
+
+
+def _steps(trial: Trial, seconds: float, look: Look) -> Trace:
+    at_s, levels = zip(*trial.leg.damping, (seconds, trial.leg.damping[-1][1]), strict=True)
+    return np.array(at_s), np.array(levels), {**look, "drawstyle": "steps-post"}
 
 
 def _title(result: SceneResult) -> str:
@@ -148,15 +148,18 @@ def _title(result: SceneResult) -> str:
     return f"{result.scene.title}: {rendered}  (simulated {result.scene.device})"
 
 
-def _draw_traces(result: SceneResult, places: "Sequence[Axes]", span_s: tuple[float, float]) -> None:
-    channels = (("position (mm)", 1e3, "position_m"), ("virtual force (N)", 1.0, "force_n"))
-    for axis, (label, factor, name) in zip(places, channels, strict=True):
+def _traces(result: SceneResult, span_s: tuple[float, float]) -> list[tuple[str, list[Trace]]]:
+    """Position and force of each trial in that span."""
+    panels = []
+    for label, factor, name in (("position (mm)", 1e3, "position_m"), ("virtual force (N)", 1.0, "force_n")):
+        lines: list[Trace] = []
         for trial, look in zip(result.trials, LOOKS, strict=True):
             values = factor * getattr(trial, name)
             time_s = np.arange(values.size) / result.scene.rate_hz
             inside = (time_s >= span_s[0]) & (time_s <= span_s[1])
-            axis.plot(*thinned(time_s[inside], values[inside]), label=trial.leg.name, **look)
-        axis.set(ylabel=label, xlim=span_s)
+            lines.append((*thinned(time_s[inside], values[inside]), {**look, "label": trial.leg.name}))
+        panels.append((label, lines))
+    return panels
 
 
 def thinned(time_s: Floats, values: Floats, most: int = POINTS) -> tuple[Floats, Floats]:

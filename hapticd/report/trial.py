@@ -9,7 +9,7 @@ What would break it: an interval of more than a factor of e; it is left out, for
 normal.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
@@ -47,6 +47,8 @@ from hapticd.report.style import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+Trace = tuple[Floats, Floats, Look]  # time [s], values, how they look
 
 FEWEST = 2.0  # degrees of freedom that an interval takes
 SHOWN_HZ = (1.0, 1000.0)
@@ -175,16 +177,27 @@ def _excited(result: TrialResult) -> str:
     return f"{result.verdict.seconds:.3g} s of noise"
 
 
+# --- over time -------------------------------------------------------------------------------------------------------------------
+
+
+def draw_traces(places: "Sequence[Axes]", panels: Sequence[tuple[str, Sequence[Trace]]]) -> None:
+    """A label and lines for each of the axes, which share their time."""
+    for place, (label, lines) in zip(places, panels, strict=True):
+        for time_s, values, look in lines:
+            place.plot(time_s, values, **look)
+        place.set_ylabel(label)
+    places[-1].set_xlabel("time (s)")
+    places[-1].figure.align_ylabels(places)
+
+
 def _escape(result: TrialResult, title: str, look: Look) -> "Figure":
-    recorded = result.recorded
+    recorded, line = result.recorded, {"color": look["color"], "linewidth": 0.6, "rasterized": True}
     why = fill(f"ESCAPED, so there is no impedance to draw: {recorded.ended.removeprefix('escape: ')}", LETTERS)
-    figure, (force, velocity) = axes(2, 1, 7.2, 5.4, f"{title}\n{why}", sharex=True)
+    figure, places = axes(2, 1, 7.2, 5.4, f"{title}\n{why}", sharex=True)
     time_s = np.arange(recorded.force_n.size) / recorded.rate_hz
-    for axis, values in ((force, recorded.force_n), (velocity, recorded.velocity_m_per_s)):
-        axis.plot(time_s, values, color=look["color"], linewidth=0.6, rasterized=True)
-    force.set_ylabel("force of the probe (N)")
-    velocity.set(ylabel="velocity (m/s)", xlabel="time (s)", xlim=(0.0, recorded.seconds))
-    figure.align_ylabels([force, velocity])
+    channels = (("force of the probe (N)", recorded.force_n), ("velocity (m/s)", recorded.velocity_m_per_s))
+    draw_traces(places, [(label, [(time_s, values, line)]) for label, values in channels])
+    places[-1].set_xlim(0.0, recorded.seconds)
     return figure
 
 
@@ -193,14 +206,14 @@ def reflight_figure(flight: Reflight, title: str, changed: str = "flown again") 
     """A motion, the force that was, the force that would have been, and their difference over time;
     `changed`: what was held otherwise. ConfigError without matplotlib.
     """
-    figure, (position, force, difference) = axes(3, 1, 10.0, 8.0, title, sharex=True)
+    figure, places = axes(3, 1, 10.0, 8.0, title, sharex=True)
+    was, would = {"color": BLACK, "label": "recorded"}, {"color": GREEN, "linewidth": 0.9, "label": changed}
     time_s, recorded, flown = flight.time_s, flight.recorded["force_n"], flight.flown["force_n"]
-    position.plot(time_s, 1e3 * flight.recorded["position_m"], color=BLACK)
-    position.set_ylabel("position as recorded (mm)")
-    force.plot(time_s, recorded, color=BLACK, label="recorded")
-    force.plot(time_s, flown, color=GREEN, linewidth=0.9, label=changed)
-    force.set_ylabel("force (N)")
-    force.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
-    difference.plot(time_s, flown - recorded, color=GREEN)
-    difference.set(ylabel="difference (N)", xlabel="time (s)")
+    panels: list[tuple[str, list[Trace]]] = [
+        ("position as recorded (mm)", [(time_s, 1e3 * flight.recorded["position_m"], was)]),
+        ("force (N)", [(time_s, recorded, was), (time_s, flown, would)]),
+        ("difference (N)", [(time_s, flown - recorded, would)]),
+    ]
+    draw_traces(places, panels)
+    places[1].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
     return figure

@@ -29,14 +29,13 @@ def command(quick: Quick = False, seeds: Seeds = 8, out: common.Out = None, as_j
     """
     from hapticd.measure.beyond import BeyondParams, plan_beyond, run_beyond
     from hapticd.measure.reproduce import ReproduceParams, plan_reproduce, run_reproduce
-    from hapticd.report import future_page
-    from hapticd.report.paper_page import keep, sections, terminal
+    from hapticd.report.paper_page import future_sections, keep, sections, terminal
     from hapticd.report.paper_table import as_json as table_json
 
     plan, files = plan_reproduce(ReproduceParams(quick, seeds)), []
     further = plan_beyond(BeyondParams(quick))
     with common.interruptible(), watched() as tell:
-        found = [*sections(run_reproduce(plan, tell)), *future_page.sections(run_beyond(further, tell))]
+        found = [*sections(run_reproduce(plan, tell)), *future_sections(run_beyond(further, tell))]
         table = table_json(row for section in found for row in section.rows)
         told: dict[str, Any] = {"quick": quick, "seeds": len(plan.seeds), "table": table, "provenance": common.told()}
         if out is not None or not as_json:
