@@ -378,12 +378,12 @@ def free_figure(result: BeyondResult) -> "Figure":
     axis.set_yscale("log")
     for motion, look in zip(result.free.motions, (OFF, ON, NEGATIVE, WITH_MASS), strict=True):
         _motion(axis, motion, look)
-    axis.plot([], [], label="predicted", **PREDICTED)
-    axis.plot([], [], color=BLACK, marker="|", markersize=7, linewidth=1.0, label=f"{BAND}: mean, dB re 1 N s/m")
+    bracket = mark(f"{BAND}: mean, dB re 1 N s/m", color=BLACK, marker="|", markersize=7, linewidth=1.0)
     _ends(axis)
     averaged(axis, LOW_HZ)
     axis.set_ylabel("|Z| at the probe, K = 0 (N s/m)")
-    figure.legend(*axis.get_legend_handles_labels(), ncols=2, **BELOW)
+    handles = [*handles_of(axis), mark("predicted", **PREDICTED), bracket]
+    figure.legend(handles=handles, ncols=2, **BELOW)
     return figure
 
 
@@ -412,7 +412,6 @@ def shape_figure(result: BeyondResult) -> "Figure":
     for each in shaped.confirmed:
         scale = 100.0 / shaped.plain.limits[each.axis]
         _by_trials(above, shaped.best.highpass_hz, each.runs, scale, LIMITS[each.axis][-1], None)
-    above.plot([], [], color=BLACK, linestyle=OFF["linestyle"], label="without damping")
     above.set_ylabel("limit (% of unshaped)")
     _free(free, shaped)
     looks = ((OFF, "none"), (ON, "unshaped"), (ALONE, f"above {shaped.best.highpass_hz:g} Hz"))
@@ -420,7 +419,8 @@ def shape_figure(result: BeyondResult) -> "Figure":
     size.set(ylabel="envelope, B ≥ 0 (N s/m)", ylim=(0.003, None))
     _ends(size)
     size.legend(loc="lower left", title="added damping")
-    figure.legend(*above.get_legend_handles_labels(), ncols=4, **BELOW)
+    undamped = mark("without damping", color=BLACK, linestyle=OFF["linestyle"])
+    figure.legend(handles=[*handles_of(above), undamped], ncols=4, **BELOW)
     return figure
 
 

@@ -49,9 +49,7 @@ PANELS = 6
 COLUMNS = 3
 ASIDE = 0.12  # of a step of B: how far apart the marks of two levels stand at one point
 SHARES = (0.0, 0.2, 0.5, 0.8, 1.0)  # of the set's masses: between two of them it is sliced once
-SLICES = len(SHARES) - 1
 NEAR = 0.02  # of the range of masses: trials so near to a slice are shown in it
-GRID_COLUMNS = 12
 APART_IN = 0.17  # of two numbers
 AXIS_LABELS = {"K": ("largest K (N/m)", 1.0), "B": ("largest B (N s/m)", 1.0), "M": ("largest -M (g)", -1e3)}
 PSD_UNIT = 1e-5  # N^2/Hz
@@ -159,22 +157,16 @@ def search_figure(results: Sequence[SearchResult]) -> "Figure":
     """For each damping level a row of slices through the set; below, each trial's expected and
     found least Re Z.
     """
-    count = len(results)
-    titled = [[f"title {row}"] * GRID_COLUMNS for row in range(count)]
-    rows = [[f"{row} {column * SLICES // GRID_COLUMNS}" for column in range(GRID_COLUMNS)] for row in range(count)]
-    below = [f"foreseen {column * count // GRID_COLUMNS}" for column in range(GRID_COLUMNS)]
-    heights = [*[0.12, 3.0] * count, 3.0]
+    rows = [[f"{row} {panel}" for panel in range(len(SHARES) - 1)] for row in range(len(results))]
+    below = [f"foreseen {row}" for row in range(len(results))]
     title = f"Directed search: the set in slices of one M, and its trials\n{how(results[0].plan.params.conditions)}"
-    panels = [*(line for pair in zip(titled, rows, strict=True) for line in pair), below]
-    figure, places = mosaic(panels, 11.0, sum(heights) + 1.3, title, height_ratios=heights)
+    panels = [[[row]] for row in (*rows, below)]
+    figure, places = mosaic(panels, 11.0, 3.1 * len(panels) + 1.3, title)
     levels = [one.plan.params.damping_ns_per_m for one in results]
     looks = of_levels(levels)
-    for row, (result, look) in enumerate(zip(results, looks, strict=True)):
-        level, head = words_of(levels[row]), places[f"title {row}"]
-        head.set_axis_off()
-        head.text(0.0, 0.5, f"{level[0].upper()}{level[1:]}", va="center", fontweight="bold")
-        _slices([places[f"{row} {column}"] for column in range(SLICES)], result, look)
-        _foreseen(places[f"foreseen {row}"], result, look)
+    for row, foreseen, result, look in zip(rows, below, results, looks, strict=True):
+        _slices([places[name] for name in row], result, look)
+        _foreseen(places[foreseen], result, look)
     handles = [
         *(mark(f"edge found, {words_of(level)}", **look) for level, look in zip(levels, looks, strict=True)),
         mark("edge predicted", **PREDICTED),
@@ -193,7 +185,7 @@ def _slices(places: "list[Axes]", result: SearchResult, look: Look) -> None:
     mass = result.found.axes[2]
     passive = mass[result.found.passive.any(axis=(0, 1))]  # K = B = M = 0 is, or there had been no search
     tried = np.array([step.outcome.environment for step in result.steps])
-    reach = NEAR * float(passive[-1] - passive[0])
+    reach, level = NEAR * float(passive[-1] - passive[0]), f"{words_of(result.plan.params.damping_ns_per_m)}\n"
     cuts = [slice_at(result, value) for value in slice_masses(tried[:, 2], np.quantile(passive, SHARES), reach)]
     top = max(np.nanmax((cut.held, cut.predicted)) for cut in cuts)
     for panel, (place, cut) in enumerate(zip(places, cuts, strict=True)):
@@ -201,7 +193,7 @@ def _slices(places: "list[Axes]", result: SearchResult, look: Look) -> None:
         area(place, cut.damping, _closed(cut.held), look)
         place.plot(cut.damping, _closed(cut.predicted), **PREDICTED)
         _trials(place, result.steps, np.abs(tried[:, 2] - cut.mass_kg) <= reach, look)
-        place.set_title(f"M = {1e3 * cut.mass_kg:.3g} g")
+        place.set_title(f"{'' if panel else level}M = {1e3 * cut.mass_kg:.3g} g")
         place.tick_params(labelleft=panel == 0)
     places[0].set_ylabel("K (N/m)")
 
@@ -319,11 +311,10 @@ def walls_figure(result: WallResult, title: str = "Walls that come to rest") -> 
     figure, (place,) = axes(1, 1, WIDTH_IN, 4.2, f"{title}\nSIMULATED {scene.device}: {impact}; {rest}")
     for rank, (level, look) in enumerate(zip(params.levels, of_levels(params.levels), strict=True)):
         _walls(place, result, level, {**look, "marker": LEVEL_MARKS[rank % len(LEVEL_MARKS)]}, rank)
-    place.plot([], [], marker="x", label="softest wall that oscillates", **MARKS)
     least = f"none rests: less than the least tried, {params.stiffnesses[0]:g} N/m"
-    place.plot([], [], marker="v", label=least, **MARKS)
+    more = [mark("softest wall that oscillates", marker="x", **MARKS), mark(least, marker="v", **MARKS)]
     place.set(xlabel="virtual damping B of the wall (N s/m)", ylabel="stiffness K of the wall (N/m)", ylim=(0.0, None))
-    figure.legend(*place.get_legend_handles_labels(), ncols=2, **BELOW)
+    figure.legend(handles=[*handles_of(place), *more], ncols=2, **BELOW)
     return figure
 
 

@@ -55,6 +55,7 @@ INTERVAL = "95 % interval"
 PROBABILITY = 0.975  # each side of it
 NORMAL = 1.96  # standard deviations on each side of it
 NOT_JUDGED = "#e9e9e9"
+LOWEST_HZ, HIGHEST_HZ = 1e-3, 1e6  # beyond every frequency axis
 
 WIDTH_IN = 6.69  # 17 cm, two columns: letters keep their size in print
 SMALL_PT = 8.0  # nothing is smaller
@@ -226,11 +227,8 @@ def not_judged(axes: Iterable["Axes"], band_hz: tuple[float, float]) -> Any:
     range.
     """
     for axis in axes:
-        low, high = axis.get_xlim()
-        for begin, end in ((low, band_hz[0]), (band_hz[1], high)):
-            if begin < end:
-                axis.axvspan(begin, end, color=NOT_JUDGED, linewidth=0, zorder=0)
-        axis.set_xlim(low, high)
+        for begin, end in ((LOWEST_HZ, band_hz[0]), (band_hz[1], HIGHEST_HZ)):
+            axis.axvspan(begin, end, color=NOT_JUDGED, linewidth=0, zorder=0)
     return patch("not judged", NOT_JUDGED)
 
 

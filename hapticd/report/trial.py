@@ -141,7 +141,6 @@ def trial_figure(result: TrialResult, referee: Referee | None = None, admittance
     known.set(ylabel="coherence", ylim=(0.0, 1.03))
     hertz_axis(known, max(SHOWN_HZ[0], float(f[0])), min(SHOWN_HZ[1], float(f[-1])))
     grey = dress(size, phase, result.verdict.band_hz, view, more=(known,))
-    phase.set_ylim(-125.0, 125.0)
     figure.legend(handles=[*handles_of(phase), interval(look, " at each frequency"), grey], ncols=3, **BELOW)
     figure.align_ylabels([size, phase, known])
     return figure
