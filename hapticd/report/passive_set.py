@@ -241,7 +241,8 @@ def _foreseen(place: "Axes", result: SearchResult, look: Look) -> None:
     place.plot(at, [step.expected_ns_per_m for _, step in known], **{**MARKS, **HOLLOW, "marker": "o", "markerfacecolor": "none"})
     low, high = np.quantile(found, (0.05, 0.95))
     foot = min(-0.5, 1.6 * low)
-    place.plot(escaped, np.full(len(escaped), foot), ANSWERS["escapes"], color=look["color"], markersize=6, clip_on=False)
+    if escaped:
+        place.plot(escaped, np.full(len(escaped), foot), ANSWERS["escapes"], color=look["color"], markersize=6, clip_on=False)
     place.axhline(0.0, color=BLACK, linewidth=0.8)
     place.xaxis.set_major_locator(MaxNLocator(integer=True))
     place.set(
@@ -330,5 +331,6 @@ def _walls(place: "Axes", result: WallResult, level: float, look: Look, rank: in
     rests = highest > 0.0
     shown: Look = {"clip_on": False, "zorder": 3, "label": f"stiffest wall that rests, {words_of(level)}"}
     area(place, damping, highest, look, rank, **shown, markevery=[int(at) for at in np.flatnonzero(rests)])
-    place.plot(damping[~rests], highest[~rests], "v", color=look["color"], markersize=6, clip_on=False, zorder=3)
+    if not rests.all():  # an empty line that is not clipped would take room in the layout
+        place.plot(damping[~rests], highest[~rests], "v", color=look["color"], markersize=6, clip_on=False, zorder=3)
     place.plot(damping[rests], np.where(np.isfinite(first), first, np.nan)[rests], "x", color=look["color"])
