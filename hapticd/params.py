@@ -206,12 +206,15 @@ class Ends:
 
 
 @dataclass(frozen=True, slots=True)
-class Cogging:
-    """Force amplitude_n sin(2 pi x / pitch_m + phase_rad) of the rotor at x, added on column `Inputs.cogging`."""
+class RotorForce:
+    """A force F(x, v) on the rotor that is not linear, added on column `Inputs.rotor_force`.
 
-    amplitude_n: float
-    pitch_m: float
-    phase_rad: float
+    `law` names it in both backends (`plant.straight`, `sim.engine.rotor_laws`); `numbers` are its
+    parameters in SI units.
+    """
+
+    law: str
+    numbers: tuple[float, ...]
     position: int
     velocity: int
 
@@ -257,7 +260,7 @@ class PlantParams:
     """
 
     states: tuple[str, ...]
-    columns: tuple[str, ...]  # command, torque, then estimate, cogging and one per contact, as far as there are any
+    columns: tuple[str, ...]  # command, torque, then estimate, rotor_force and one per contact, as far as there are any
     floating: bool  # nothing holds the device in place: only differences of positions matter
     levels_ns_per_m: tuple[float, ...]  # rising, from 0
     residuals_ohm: tuple[float, ...]  # rising; one, if the winding's temperature does not change
@@ -269,7 +272,7 @@ class PlantParams:
     estimate: OutputParams
     contacts: tuple[Contact, ...] = ()
     ends: Ends | None = None
-    cogging: Cogging | None = None
+    rotor_forces: tuple[RotorForce, ...] = ()
     noise: Noise | None = None
     estimate_offset_m_per_s: float = 0.0
     heating: HeatingParams | None = None

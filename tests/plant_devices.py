@@ -34,3 +34,8 @@ def device(*names: str, **changed: Effect) -> Model:
     table: dict[str, Any] = {**EFFECTS, **changed}
     extra = [name for name in changed if name not in ("masses", "motor", *names)]
     return compose_device("test", [table[name] for name in ("masses", "motor", *names, *extra)])
+
+
+def alpha(level_ns_per_m: float, residual_ohm: float, torque_constant_n_per_a: float) -> float:
+    """DC gain of command and damping with `residual_ohm` left uncompensated: 1 / (1 + g dR / K^2)."""
+    return 1.0 / (1.0 + level_ns_per_m * residual_ohm / torque_constant_n_per_a**2)

@@ -98,10 +98,11 @@ class Straight:
         u[model.inputs.command], u[model.inputs.torque] = self.queue[0], torque
         if model.inputs.estimate is not None:
             u[model.inputs.estimate] = EXACT(model.estimate_offset_m_per_s) + noise
-        if model.cogging is not None:
-            c = model.cogging
-            middle = self.x[c.position] + self.x[c.velocity] * self.h / 2
-            u[model.inputs.cogging] = c.amplitude_n * sin(float(2 * pi * middle / c.pitch_m + c.phase_rad))
+        for pull in model.rotor_forces:
+            assert pull.law == "sine"
+            amplitude_n, pitch_m, phase_rad = pull.numbers
+            middle = self.x[pull.position] + self.x[pull.velocity] * self.h / 2
+            u[model.inputs.rotor_force] += amplitude_n * sin(float(2 * pi * middle / pitch_m + phase_rad))
         free, contacts = self.phi @ self.x + self.gamma @ u, model.contacts
         w = [[self.gamma[a.velocity, b.column] for b in contacts] for a in contacts]
         v = [free[c.velocity] for c in contacts]

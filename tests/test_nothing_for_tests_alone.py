@@ -4,8 +4,9 @@ Every function, class, method and constant of a module has to be named somewhere
 its examples, its benchmarks or the scripts of its documentation, outside its own definition. Names
 are compared, not what they stand for: two things of one name cover for each other.
 
-What a framework calls is left out: what has a decorator that registers it, and the methods of a
-class with a base from outside the package (pyusb's backend).
+What a framework calls is left out: what has a decorator that registers it, the methods of a class
+with a base from outside the package (pyusb's backend), and the effects, which the catalogue finds
+by their base.
 """
 
 import ast
@@ -20,6 +21,8 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = "hapticd"
 USERS = ("examples", "benchmarks", "docs")
 PLAIN = {"staticmethod", "classmethod", "property", "abstractmethod", "dataclass", "cache"}
+
+FOUND_BY_BASE = {"Effect"}
 
 ALLOWED = {
     "wire.codec.decode_out": "the board's half of the codec: golden frames, and boards in Python",
@@ -56,7 +59,8 @@ def definitions(module: str, tree: ast.Module) -> Iterator[Definition]:
         if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)) and not registered(node):
             yield Definition(f"{module}.{node.name}", node.name, node)
         elif isinstance(node, ast.ClassDef) and not registered(node):
-            yield Definition(f"{module}.{node.name}", node.name, node)
+            if not FOUND_BY_BASE & {*map(head, node.bases)}:
+                yield Definition(f"{module}.{node.name}", node.name, node)
             yield from methods(module, node)
         elif isinstance(node, (ast.Assign, ast.AnnAssign)):
             for name in bound(node):

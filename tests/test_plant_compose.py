@@ -37,7 +37,7 @@ def dc_force(model, level, command=1.0, velocity=0.0):
 def test_nothing_else_is_built():
     model = device("probe", "viscous")
     assert names(model) == ["rotor_position", "rotor_velocity"]
-    assert (model.contacts, model.ends, model.cogging, model.noise, model.winding) == ((), None, None, None, None)
+    assert (model.contacts, model.ends, model.rotor_forces, model.noise, model.winding) == ((), None, (), None, None)
     assert (model.encoder_quantum_m, model.force_quantum_n, model.force_limit_n, model.delay_periods) == (None, None, None, 0.0)
     assert model.inputs.width == 2
 

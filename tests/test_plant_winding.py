@@ -1,8 +1,9 @@
 """Motor figures of the paper, and copper."""
 
 import pytest
+from plant_devices import alpha
 
-from hapticd.plant.winding import alpha, copper_ohm, crowbar_nms_per_rad, lever_of_crowbar_m
+from hapticd.plant.winding import copper_ohm, crowbar_nms_per_rad, lever_of_crowbar_m
 
 
 def test_crowbar_figures_of_the_paper():

@@ -4,12 +4,13 @@ import re
 from pathlib import Path
 
 import pytest
+from plant_devices import alpha
 
 from hapticd.errors import ConfigError
 from hapticd.plant.catalogue import ALWAYS, KINDS
 from hapticd.plant.compose import compose
 from hapticd.plant.friction import Coulomb
-from hapticd.plant.winding import WindingTemperature, alpha
+from hapticd.plant.winding import WindingTemperature
 from hapticd.settings import build
 from hapticd.settings.load import load
 from hapticd.settings.resources import shipped

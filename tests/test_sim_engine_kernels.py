@@ -76,9 +76,9 @@ def test_lane_loop_is_vector_code(model, environment, damped, dtype):
 @pytest.mark.parametrize(
     ("extra", "words"),
     [
-        ((), ("floor", "LEVEL", "WALL", "STOP", "AMPLITUDE", "WAIT", "FORCE_COUNT", "HEAT", "TRAVEL", " LIMIT")),
-        ((COUNTS,), ("LEVEL", "WALL", "STOP", "AMPLITUDE", "FORCE_COUNT")),
-        ((DRY,), ("floor", "WALL", "STOP", "AMPLITUDE")),
+        ((), ("floor", "LEVEL", "WALL", "STOP", "PULL0_0", "WAIT", "FORCE_COUNT", "HEAT", "TRAVEL", " LIMIT")),
+        ((COUNTS,), ("LEVEL", "WALL", "STOP", "PULL0_0", "FORCE_COUNT")),
+        ((DRY,), ("floor", "WALL", "STOP", "PULL0_0")),
     ],
 )
 def test_absent_effect_leaves_no_trace(extra, words):
@@ -90,7 +90,7 @@ def test_effects_leave_theirs():
     text = kernel_source(
         shape(device(*TWO_MASSES, DRY, COUNTS, LIMIT, COGS, ENDS, ForceDac(quantum_n=0.001), delay=1.5), environment=WALL)
     )
-    assert all(word in text for word in ("floor", "LEVEL0", "WALL_K", "STOP_UP", "AMPLITUDE", "WAIT0", "FORCE_COUNT", "LIMIT"))
+    assert all(word in text for word in ("floor", "LEVEL0", "WALL_K", "STOP_UP", "PULL0_0", "WAIT0", "FORCE_COUNT", "LIMIT"))
 
 
 def test_relative_positions_and_unused_states_save_coefficients():

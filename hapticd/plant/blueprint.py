@@ -61,7 +61,7 @@ class Blueprint:
     viscous_ns_per_m: float = 0.0
     numbers: dict[str, float] = field(default_factory=dict)  # quanta and limits, by their names in Model
     ends_m: tuple[float, float] | None = None
-    cogging: tuple[float, float, float] | None = None  # amplitude N, pitch m, phase rad
+    rotor_forces: list[tuple[str, tuple[float, ...]]] = field(default_factory=list)  # law, its numbers
     velocity_noise_m_per_s: float = 0.0
     heating: tuple[float, float, float] | None = None  # K/W, s, ambient degC
     winding: tuple[float, float, float, float] = (
@@ -92,6 +92,12 @@ class Blueprint:
         """Add an input."""
         self.inputs.append(name)
         return Form.symbol(name)
+
+    def rotor_force(self, law: str, *numbers: float) -> None:
+        """Add a force on the rotor that is not linear: `law` is its name in both backends, SI units."""
+        if not self.rotor_forces:
+            self.rotor.force += self.input("rotor_force")
+        self.rotor_forces.append((law, numbers))
 
     def body(self, name: str, mass_kg: float, effect: str) -> Body:
         """Add a body with its position and velocity, both free."""

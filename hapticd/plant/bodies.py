@@ -31,6 +31,20 @@ class Masses(Effect):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Probe(Effect):
+    """The Z-width probe on the rotor: its inertia. Its torque input and velocity output exist on every device."""
+
+    key: ClassVar[str] = "probe"
+    why: ClassVar[str] = "the probe moves with the rotor while it measures"
+    mass_kg: float = number(ge=0, le=100)
+
+    def build(self, plan: Blueprint) -> None:
+        """Heavier rotor."""
+        plan.rotor.mass_kg += self.mass_kg
+        plan.probe_mass_kg = self.mass_kg
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Coupling(Effect):
     """A flexible transmission between rotor and slider."""
 
@@ -48,20 +62,6 @@ class Coupling(Effect):
         held = self.stiffness_n_per_m * stretch + self.damping_ns_per_m * rate
         rotor.force -= held
         slider.force += held
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Probe(Effect):
-    """The Z-width probe on the rotor: its inertia. Its torque input and velocity output exist on every device."""
-
-    key: ClassVar[str] = "probe"
-    why: ClassVar[str] = "the probe moves with the rotor while it measures"
-    mass_kg: float = number(ge=0, le=100)
-
-    def build(self, plan: Blueprint) -> None:
-        """Heavier rotor."""
-        plan.rotor.mass_kg += self.mass_kg
-        plan.probe_mass_kg = self.mass_kg
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,8 +134,7 @@ class MagnetCogging(Effect):
 
     def build(self, plan: Blueprint) -> None:
         """A force input that the simulation feeds."""
-        plan.cogging = (self.amplitude_n, self.pitch_m, self.phase_rad)
-        plan.rotor.force += plan.input("cogging")
+        plan.rotor_force("sine", self.amplitude_n, self.pitch_m, self.phase_rad)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

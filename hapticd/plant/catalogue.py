@@ -1,32 +1,28 @@
-"""Every effect there is, in the order of composition. A scene names them by key; `ALWAYS` are built without being named."""
+"""Every effect there is, in the order of composition: modules as listed here, classes as written.
+
+An effect that is written into one of these modules is in the catalogue; a scene names it by its
+key. `ALWAYS` are built without being named.
+
+What would break it: an effect that stands before one whose signals it takes up.
+"""
 
 from collections.abc import Iterable
+from types import ModuleType
 
-from hapticd.plant.bodies import Coupling, Hand, Load, MagnetCogging, Masses, Probe, Viscous, WorkspaceEnds
+from hapticd.plant import bodies, electrical, friction, sensing, shaped_damping, winding
 from hapticd.plant.effects import Effect
-from hapticd.plant.electrical import (
-    Amplifier,
-    Crowbar,
-    DampingCircuit,
-    DampingDac,
-    Delay,
-    ForceDac,
-    Multiplier,
-    Saturation,
-    Smoothing,
-)
-from hapticd.plant.friction import Coulomb
-from hapticd.plant.sensing import AntiAlias, Encoder, ProbeAdc, SensorNoise, VelocityHighpass
-from hapticd.plant.shaped_damping import ShapedDamping
-from hapticd.plant.winding import Heating, InductanceError, Motor, WindingTemperature
 
-KINDS: tuple[type[Effect], ...] = (
-    Masses, Motor, Probe, Coupling, Viscous, Coulomb, Load, Hand, MagnetCogging, WorkspaceEnds,
-    Delay, ForceDac, Saturation, Smoothing, Amplifier, DampingDac, DampingCircuit, ShapedDamping, Multiplier,
-    WindingTemperature, Heating, InductanceError, Crowbar,
-    Encoder, VelocityHighpass, AntiAlias, ProbeAdc, SensorNoise,
-)  # fmt: skip
-ALWAYS = (Masses.key, Motor.key)
+MODULES = (bodies, friction, electrical, shaped_damping, winding, sensing)
+
+
+def _kinds(module: ModuleType) -> list[type[Effect]]:
+    """The effects that the module defines, not those that it imports."""
+    own = [item for item in vars(module).values() if getattr(item, "__module__", "") == module.__name__]
+    return [item for item in own if isinstance(item, type) and issubclass(item, Effect)]
+
+
+KINDS: tuple[type[Effect], ...] = tuple(kind for module in MODULES for kind in _kinds(module))
+ALWAYS = (bodies.Masses.key, winding.Motor.key)
 BY_KEY = {kind.key: kind for kind in KINDS}
 
 

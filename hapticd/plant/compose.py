@@ -16,7 +16,7 @@ from hapticd.plant.catalogue import in_order
 from hapticd.plant.drive import drive
 from hapticd.plant.effects import Effect
 from hapticd.plant.forms import ZERO, Form
-from hapticd.plant.model import Array, Cogging, Contact, Ends, Inputs, Model, Noise, Output, Outputs, Winding
+from hapticd.plant.model import Array, Contact, Ends, Inputs, Model, Noise, Output, Outputs, RotorForce, Winding
 from hapticd.plant.scene import Scene
 from hapticd.plant.stability import stability
 
@@ -80,7 +80,7 @@ def _model(name: str, plan: Blueprint, rate_hz: float) -> Model:
         contacts=contacts,
         **plan.numbers,
         ends=_ends(plan, states),
-        cogging=_cogging(plan, states),
+        rotor_forces=_rotor_forces(plan, states),
         noise=_noise(plan),
         winding=_winding(plan, pieces, n),
         estimate_offset_m_per_s=plan.estimate_offset_m_per_s,
@@ -107,7 +107,7 @@ def frozen(array: Array) -> Array:
 
 def _inputs(plan: Blueprint, contacts: int) -> Inputs:
     place = {name: column for column, name in enumerate(plan.inputs)}
-    return Inputs(place["command"], place["torque"], len(place) + contacts, place.get("estimate"), place.get("cogging"))
+    return Inputs(place["command"], place["torque"], len(place) + contacts, place.get("estimate"), place.get("rotor_force"))
 
 
 def _contacts(plan: Blueprint) -> tuple[Contact, ...]:
@@ -153,10 +153,9 @@ def _ends(plan: Blueprint, states: list[str]) -> Ends | None:
     return Ends(*plan.ends_m, states.index(f"{name}_position"), states.index(f"{name}_velocity"))
 
 
-def _cogging(plan: Blueprint, states: list[str]) -> Cogging | None:
-    if plan.cogging is None:
-        return None
-    return Cogging(*plan.cogging, states.index("rotor_position"), states.index("rotor_velocity"))
+def _rotor_forces(plan: Blueprint, states: list[str]) -> tuple[RotorForce, ...]:
+    position, velocity = states.index("rotor_position"), states.index("rotor_velocity")
+    return tuple(RotorForce(law, numbers, position, velocity) for law, numbers in plan.rotor_forces)
 
 
 def _noise(plan: Blueprint) -> Noise | None:

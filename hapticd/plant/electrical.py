@@ -89,6 +89,20 @@ class Amplifier(Effect):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class DampingDac(Effect):
+    """The damping scale factor is a count."""
+
+    key: ClassVar[str] = "damping_dac"
+    why: ClassVar[str] = "the damping scale factor is a count"
+    nonlinearity: ClassVar[str] = "level rounded to a count"
+    quantum_ns_per_m: float = number(gt=0)
+
+    def build(self, plan: Blueprint) -> None:
+        """Remember its step."""
+        plan.numbers["damping_quantum_ns_per_m"] = self.quantum_ns_per_m
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class DampingCircuit(Effect):
     """The analog velocity estimate has a bandwidth."""
 
@@ -122,20 +136,6 @@ class Multiplier(Effect):
         plan.level_offset_ns_per_m += self.scale_offset_ns_per_m
         plan.estimate_offset_m_per_s += self.velocity_offset_m_per_s
         plan.estimate_psd += self.noise_psd
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DampingDac(Effect):
-    """The damping scale factor is a count."""
-
-    key: ClassVar[str] = "damping_dac"
-    why: ClassVar[str] = "the damping scale factor is a count"
-    nonlinearity: ClassVar[str] = "level rounded to a count"
-    quantum_ns_per_m: float = number(gt=0)
-
-    def build(self, plan: Blueprint) -> None:
-        """Remember its step."""
-        plan.numbers["damping_quantum_ns_per_m"] = self.quantum_ns_per_m
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,7 +1,7 @@
 """The maps of a composed device at any damping level and residual resistance, and what follows from them. Standard library.
 
 A map is the n rows of [Phi Gamma] for one sub-step, inputs held. At a node of both axes it is exact, and a device without
-friction, cogging or heating then has its leaps as well: maps over two and four sub-steps. Between nodes the map of one
+friction, rotor forces or heating then has its leaps as well: maps over two and four sub-steps. Between nodes the map of one
 sub-step is interpolated linearly.
 """
 
@@ -25,7 +25,7 @@ def followed(first: Map, then: Map) -> Map:
 
 def blocks(params: PlantParams, one: Map) -> Blocks:
     """The rows of a node: a over one sub-step; b and d over 2 and 4, if nothing has to be decided in between."""
-    if params.contacts or params.cogging or params.heating:
+    if params.contacts or params.rotor_forces or params.heating:
         return {"a": one}
     two = followed(one, one)
     return {"a": one, "b": two, "d": followed(two, two)}

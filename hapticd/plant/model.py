@@ -11,7 +11,7 @@ Columns of u, by name in `Inputs` (absent ones are None):
     command   virtual force [N], held by the DAC; the value of tick k acts from (k + delay_periods) T to (k + 1 + delay_periods) T
     torque    perturbation of the probe, as endpoint force [N]
     estimate  error of the velocity estimate [m/s]: multiplier offset (constant, `estimate_offset_m_per_s`) and noise
-    cogging   force of the magnets on the rotor [N]
+    rotor_force  what acts on the rotor and is not linear in its position and velocity [N]
     each Contact brings its own column
 
 Everything that is not linear stands beside it, present or None: None means that no instruction is spent on it.
@@ -24,11 +24,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.params import Cogging, Contact, Ends, Noise
+from hapticd.params import Contact, Ends, Noise, RotorForce
 from hapticd.plant.parts import Inputs, Note, State
 
 __all__ = [
-    "Array", "Cogging", "Contact", "Ends", "Inputs", "Map", "Model", "Noise", "Note", "Output", "Outputs", "State", "Winding",
+    "Array", "Contact", "Ends", "Inputs", "Map", "Model", "Noise", "Note", "Output", "Outputs", "RotorForce", "State", "Winding",
 ]  # fmt: skip
 
 Array = npt.NDArray[np.float64]
@@ -114,7 +114,7 @@ class Model:
     force_limit_n: float | None = None
     damping_quantum_ns_per_m: float | None = None
     ends: Ends | None = None
-    cogging: Cogging | None = None
+    rotor_forces: tuple[RotorForce, ...] = ()
     noise: Noise | None = None
     winding: Winding | None = None
     estimate_offset_m_per_s: float = 0.0  # constant on Inputs.estimate

@@ -20,7 +20,7 @@ class Inputs:
     torque: int
     width: int
     estimate: int | None = None
-    cogging: int | None = None
+    rotor_force: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,8 @@
 """Which products the rows of a composed device's maps need, over all of its nodes, and how they are written.
 
 What is 0 at every node is left out. Of a device that floats freely only the difference of its two positions appears
-(`stretch`). The forces on the rotor, perturbation, cogging and its friction, have equal columns: they are added before they
-are multiplied (`push`). Coefficients have names made of the letter of their block (`lookup.blocks`) and a number.
+(`stretch`). The forces on the rotor, perturbation, what is not linear and its friction, have equal columns: they are added
+before they are multiplied (`push`). Coefficients have names made of the letter of their block (`lookup.blocks`) and a number.
 """
 
 from collections.abc import Iterable
@@ -11,7 +11,7 @@ from hapticd.params import PlantParams
 from hapticd.plant.lookup import Blocks, Map, Row
 
 Term = tuple[str, int, float]  # variable, column of the map, sign
-ON_ROTOR = ("torque", "cogging", "friction_rotor")
+ON_ROTOR = ("torque", "rotor_force", "friction_rotor")
 SIGNALS = {"command": "force_n", "torque": "push", "estimate": "error", "friction_slider": "rub"}
 
 

@@ -1,8 +1,8 @@
 """Straight-line Python for a composed device: the text of its step, with nothing in it that the device does not have.
 
     sub-step   every state's new value in one expression; friction as a clamp on the velocity row (as `friction.stick_one`)
-    leap       four or two sub-steps at once where nothing has to be decided in between: no friction, cogging or heating, and
-               no end of the workspace met
+    leap       four or two sub-steps at once where nothing has to be decided in between: no friction, force that is not linear or
+               heating, and no end of the workspace met
 
 Coefficients are cells of the closure, loaded when the damping level changes; between the nodes of the table there are
 no leaps. A winding that heats up has its temperature as the last value of the state.
@@ -10,10 +10,10 @@ no leaps. A winding that heats up has its temperature as the last value of the s
 What would break it: friction on more than two bodies, or coefficients loaded in another order than `Shape.flat`.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from math import sqrt, tau
 
-from hapticd.params import Cogging, Contact, Ends, HeatingParams, Noise
+from hapticd.params import Contact, Ends, HeatingParams, Noise, RotorForce
 from hapticd.plant.shape import Shape
 from hapticd.plant.views import output_text
 from hapticd.units import COPPER_PER_K
@@ -98,8 +98,8 @@ def _leap(shape: Shape, count: int, letter: str) -> list[str]:
 def _substep(shape: Shape, substep_s: float) -> list[str]:
     params = shape.params
     lines = [_stretch(shape)] if len(shape.positions) == 2 else []
-    lines += [] if params.cogging is None else [_cogged(params.cogging, substep_s)]
-    push = "torque_n" if params.cogging is None else "pull"
+    lines += _pulled(params.rotor_forces, substep_s)
+    push = "pull" if params.rotor_forces else "torque_n"
     if not params.contacts:
         rows = [shape.row("a", i, push=push) for i in range(shape.n)]
     elif len(params.contacts) == 1:
@@ -162,10 +162,21 @@ def _stretch(shape: Shape) -> str:
     return f"stretch = x{first} - x{second}"
 
 
-def _cogged(cogging: Cogging, substep_s: float) -> str:
+def _sine(x: str, v: str, amplitude_n: float, pitch_m: float, phase_rad: float) -> str:
+    return f"{amplitude_n!r} * sin({tau / pitch_m!r} * {x} + {phase_rad!r})"
+
+
+# a force on the rotor [N] as an expression in the names of position [m] and velocity [m/s] and the law's numbers
+ROTOR_LAWS: dict[str, Callable[..., str]] = {"sine": _sine}
+
+
+def _pulled(forces: Sequence[RotorForce], substep_s: float) -> list[str]:
     """At the middle of the sub-step, so that a conservative force stays nearly so."""
-    where = f"x{cogging.position} + {0.5 * substep_s!r} * x{cogging.velocity}"
-    return f"pull = torque_n + {cogging.amplitude_n!r} * sin({tau / cogging.pitch_m!r} * ({where}) + {cogging.phase_rad!r})"
+    if not forces:
+        return []
+    x, v = f"x{forces[0].position}", f"x{forces[0].velocity}"
+    texts = [ROTOR_LAWS[force.law]("where", v, *force.numbers) for force in forces]
+    return [f"where = {x} + {0.5 * substep_s!r} * {v}", f"pull = {' + '.join(['torque_n', *texts])}"]
 
 
 def _stopped(ends: Ends) -> list[str]:

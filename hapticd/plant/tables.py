@@ -47,7 +47,7 @@ def plant_params(model: Model, duration_s: float, exact_levels: Iterable[float],
         estimate=_output(out.estimate),
         contacts=model.contacts,
         ends=model.ends,
-        cogging=model.cogging,
+        rotor_forces=model.rotor_forces,
         noise=model.noise,
         estimate_offset_m_per_s=model.estimate_offset_m_per_s,
         heating=_heating(model),
@@ -77,8 +77,8 @@ def _columns(model: Model) -> tuple[str, ...]:
     names = {model.inputs.command: "command", model.inputs.torque: "torque"}
     if model.inputs.estimate is not None:
         names[model.inputs.estimate] = "estimate"
-    if model.inputs.cogging is not None:
-        names[model.inputs.cogging] = "cogging"
+    if model.inputs.rotor_force is not None:
+        names[model.inputs.rotor_force] = "rotor_force"
     names |= {contact.column: f"friction_{contact.body}" for contact in model.contacts}
     return tuple(names[column] for column in range(model.inputs.width))
 

@@ -33,11 +33,6 @@ def lever_of_crowbar_m(crowbar_nms: float, crowbar_ns: float) -> float:
     return sqrt(crowbar_nms / crowbar_ns)
 
 
-def alpha(level_ns_per_m: float, residual_ohm: float, torque_constant_n_per_a: float) -> float:
-    """DC gain of command and damping with `residual_ohm` left uncompensated: 1 / (1 + g dR / K^2)."""
-    return 1.0 / (1.0 + level_ns_per_m * residual_ohm / torque_constant_n_per_a**2)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Motor(Effect):
     """Motor and lever; always built: constants without a state."""

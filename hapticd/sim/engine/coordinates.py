@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.plant.model import Array, Model, Output, Outputs
+from hapticd.plant.model import Array, Contact, Ends, Model, Output, Outputs, RotorForce
 
 Mask = npt.NDArray[np.bool_]
 
@@ -79,8 +79,8 @@ def _needed(model: Model, damped: bool) -> Mask:
     asked = np.zeros(len(reach), dtype=bool)
     for row in rows:
         asked |= (row.c0 != 0.0) | (damped & (row.c1 != 0.0))
-    parts = [*model.contacts, *(part for part in (model.ends, model.cogging) if part is not None)]
-    for part in parts:
+    parts: list[Contact | Ends | RotorForce] = [*model.contacts, *model.rotor_forces]
+    for part in parts if model.ends is None else [*parts, model.ends]:
         asked[[part.position, part.velocity]] = True
     return np.asarray(asked @ reach)
 
@@ -116,7 +116,7 @@ def _chosen(model: Model, kept: list[int]) -> Model:
         states=tuple(model.states[index] for index in kept),
         contacts=tuple(moved(contact) for contact in model.contacts),
         ends=moved(model.ends),
-        cogging=moved(model.cogging),
+        rotor_forces=tuple(moved(force) for force in model.rotor_forces),
     )
 
 

@@ -11,6 +11,7 @@ from hapticd.params import EnvironmentParams, FilterParams
 from hapticd.plant.discrete import discretise
 from hapticd.plant.model import Array, Map, Model
 from hapticd.render.filters import Biquad, design, scaled
+from hapticd.sim.engine.rotor_laws import ROTOR_LAWS
 from hapticd.sim.engine.shape import Shape
 from hapticd.sim.engine.shaping import sample_point
 from hapticd.sim.engine.tick import ENDS, FILTERS, WALL
@@ -28,8 +29,8 @@ def plant_numbers(model: Model, shape: Shape, level_ns_per_m: float) -> dict[str
     numbers |= _friction_rows(model, whole)
     numbers |= _output_rows(model, shape, duration_s, level_ns_per_m)
     numbers |= _rounding(model)
-    if model.cogging is not None:
-        numbers |= _cogging_rows(model, duration_s)
+    if model.rotor_forces:
+        numbers |= _rotor_rows(model, duration_s)
     if model.ends is not None:
         numbers |= {"STOP_UP": model.ends.upper_m, "STOP_DOWN": model.ends.lower_m}
     return numbers
@@ -56,7 +57,7 @@ def _derivative(filtered: FilterParams | None, rate_hz: float, gain: float) -> B
 
 def _map_rows(model: Model, whole: Map) -> Iterator[tuple[str, float]]:
     place = model.inputs
-    columns = {"G": place.command, "T": place.torque, "E": place.estimate, "Z": place.cogging}
+    columns = {"G": place.command, "T": place.torque, "E": place.estimate, "Z": place.rotor_force}
     for i, row in enumerate(whole.a):
         yield from ((f"A{i}_{j}", float(value)) for j, value in enumerate(row))
         yield from ((f"{letter}{i}", float(whole.b[i, column])) for letter, column in columns.items() if column is not None)
@@ -89,7 +90,7 @@ def _output_rows(model: Model, shape: Shape, duration_s: float, level: float) ->
     part = discretise(model, duration_s * sample_point(model.delay_periods, shape.steps)[1], level)
     through = encoder @ part.b
     rows |= _named("R", encoder @ part.a)
-    columns = {"RU": place.command, "RT": place.torque, "RE": place.estimate, "RZ": place.cogging}
+    columns = {"RU": place.command, "RT": place.torque, "RE": place.estimate, "RZ": place.rotor_force}
     rows |= {name: float(through[column]) for name, column in columns.items() if column is not None}
     rows |= {f"RH{c}": float(through[contact.column]) for c, contact in enumerate(model.contacts)}
     if place.estimate is not None:
@@ -108,13 +109,12 @@ def _rounding(model: Model) -> dict[str, float]:
     return rows
 
 
-def _cogging_rows(model: Model, duration_s: float) -> dict[str, float]:
-    """Phase in turns."""
-    cogging = model.cogging
-    assert cogging is not None
-    turns = 1.0 / cogging.pitch_m
-    phase = cogging.phase_rad / (2.0 * np.pi)
-    return {"AMPLITUDE": cogging.amplitude_n, "PITCH": turns, "REACH": 0.5 * duration_s * turns, "PHASE": phase}
+def _rotor_rows(model: Model, duration_s: float) -> dict[str, float]:
+    """How far the rotor goes to the middle of a sub-step, per velocity, and the numbers of the laws."""
+    rows = {"REACH": 0.5 * duration_s}
+    for place, force in enumerate(model.rotor_forces):
+        rows |= _named(f"PULL{place}_", np.array(ROTOR_LAWS[force.law].numbers(*force.numbers)))
+    return rows
 
 
 def _named(letter: str, row: Array) -> dict[str, float]:

@@ -31,7 +31,8 @@ class Shape:
     torque: tuple[bool, ...]
     drift: tuple[bool, ...]  # a constant is added at every sub-step
     contacts: tuple[tuple[int, tuple[bool, ...]], ...]  # velocity state, column
-    cogging: tuple[int, int, tuple[bool, ...]] | None  # position, velocity, column
+    rotor_laws: tuple[str, ...]  # forces on the rotor that are not linear
+    rotor: tuple[int, int, tuple[bool, ...]] | None  # position, velocity, column of these
     stops: tuple[int, int] | None  # position, velocity
     sample_step: int  # sub-step at whose start, or in which, the encoder is read
     sample_inside: bool

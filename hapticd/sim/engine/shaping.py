@@ -33,7 +33,7 @@ def shape_of(model: Model, environment: EnvironmentParams, damped: bool, substep
         raise ConfigError(f"dtype {dtype!r}: the engine computes in {' or '.join(LANES)}")
     if not 1 <= substeps <= SUBSTEPS_MAX:
         raise ConfigError(f"{substeps} sub-steps per 4 kHz sample: must be 1..{SUBSTEPS_MAX}; 4 suits 90 s trials")
-    if not (model.contacts or model.ends or model.cogging):
+    if not (model.contacts or model.ends or model.rotor_forces):
         substeps = 1  # nothing is decided within a sample, and the map over it is exact
     states, inputs = structure(model, damped)
     step, part, waits = sample_point(model.delay_periods, samples * substeps)
@@ -46,7 +46,8 @@ def shape_of(model: Model, environment: EnvironmentParams, damped: bool, substep
         torque=_column(inputs, place.torque),
         drift=_column(inputs, place.estimate if model.estimate_offset_m_per_s else None),
         contacts=tuple((contact.velocity, _column(inputs, contact.column)) for contact in model.contacts),
-        cogging=None,
+        rotor_laws=(),
+        rotor=None,
         stops=None if model.ends is None else (model.ends.position, model.ends.velocity),
         sample_step=step,
         sample_inside=part > 0.0,
@@ -83,8 +84,9 @@ def _samples(rate_hz: float) -> int:
 
 def _with_rare_effects(shape: Shape, model: Model, inputs: Mask) -> Shape:
     place = model.inputs
-    if model.cogging is not None:
-        shape = replace(shape, cogging=(model.cogging.position, model.cogging.velocity, _column(inputs, place.cogging)))
+    for force in model.rotor_forces:
+        rotor = (force.position, force.velocity, _column(inputs, place.rotor_force))
+        shape = replace(shape, rotor_laws=(*shape.rotor_laws, force.law), rotor=rotor)
     noisy = _column(inputs, place.estimate if model.noise is not None and model.noise.estimate_psd else None)
     if any(noisy):
         shape = replace(shape, noise=noisy)

@@ -9,10 +9,9 @@ once each. A contact that sticks gets v = 0, not v + W f.
 
 from collections.abc import Iterator
 
+from hapticd.sim.engine.rotor_laws import ROTOR_LAWS, Number
 from hapticd.sim.engine.rows import Rows, clamped, total
 from hapticd.sim.engine.shape import Shape
-
-SINE_TERMS = 9
 
 
 def step_arguments(shape: Shape) -> list[str]:
@@ -23,8 +22,8 @@ def step_arguments(shape: Shape) -> list[str]:
 
 
 def step_results(shape: Shape) -> list[str]:
-    """Of `step`: states, the recorded gain, friction forces, cogging force."""
-    forces = [f"f{c}" for c in range(len(shape.contacts))] + ["g"] * (shape.cogging is not None)
+    """Of `step`: states, the recorded gain, friction forces, the sum of the rotor forces."""
+    forces = [f"f{c}" for c in range(len(shape.contacts))] + ["g"] * (shape.rotor is not None)
     return [*(f"x{i}" for i in range(shape.states)), *(["d"] * (shape.gaining is not None)), *forces]
 
 
@@ -34,8 +33,8 @@ def substep(shape: Shape, row: Rows) -> Iterator[str]:
     for i in states:
         terms = [f"b{i}"] * shape.fed(i) + [f"{row.c(f'A{i}_{c}')} * x{c}" for c in _late_last(shape, i)]
         yield from total(_target(shape, i), terms or ["ZERO"])
-    if shape.cogging is not None:
-        yield from _cogging(shape, row)
+    if shape.rotor is not None:
+        yield from _pulled(shape, row)
     yield from _friction(shape, row)
     yield from (f"n{i} = x{i} + d{i}" for i in states if shape.keeps[i])
     if shape.stops is not None:
@@ -73,18 +72,19 @@ def _rubbed(shape: Shape, row: Rows, i: int) -> Iterator[str]:
         yield f"{target} = ZERO if {stuck[0]} else {slid}" if stuck else f"{target} = {slid}"
 
 
-def _cogging(shape: Shape, row: Rows) -> Iterator[str]:
-    """Force at the middle of the sub-step; sine of a turn by its series on a quarter of it."""
-    assert shape.cogging is not None
-    position, velocity, column = shape.cogging
-    yield f"z = x{position} * {row.c('PITCH')} + x{velocity} * {row.c('REACH')} + {row.c('PHASE')}"
-    yield "z = z - np.floor(z + HALF)"
-    yield "r = z if z > ZERO else -z"
-    yield "r = r if r < HALF - r else HALF - r"
-    yield "r = r * TURN"
-    yield f"g = r * ({_series('r * r')}) * {row.c('AMPLITUDE')}"
-    yield "g = g if z > ZERO else -g"
+def _pulled(shape: Shape, row: Rows) -> Iterator[str]:
+    """The forces on the rotor at the middle of the sub-step, and what their sum does."""
+    assert shape.rotor is not None
+    position, velocity, column = shape.rotor
+    yield f"h = x{position} + x{velocity} * {row.c('REACH')}"
+    for place, law in enumerate(shape.rotor_laws):
+        yield from ROTOR_LAWS[law].lines(f"g{place}", "h", f"x{velocity}", _numbers(place, row))
+    yield f"g = {' + '.join(f'g{place}' for place in range(len(shape.rotor_laws)))}"
     yield from (f"{_target(shape, i)} = {_target(shape, i)} + {row.c(f'Z{i}')} * g" for i, here in enumerate(column) if here)
+
+
+def _numbers(place: int, row: Rows) -> Number:
+    return lambda k: row.c(f"PULL{place}_{k}")
 
 
 def _stops(position: int, velocity: int, row: Rows) -> Iterator[str]:
@@ -101,15 +101,3 @@ def _late_last(shape: Shape, i: int) -> list[int]:
 
 def _target(shape: Shape, i: int) -> str:
     return f"d{i}" if shape.keeps[i] else f"n{i}"
-
-
-def _series(square: str) -> str:
-    """sin(r) / r by Horner's rule; complete to double precision on a quarter turn."""
-    coefficients, factorial = [], 1
-    for k in range(SINE_TERMS):
-        coefficients.append((-1) ** k / factorial)
-        factorial *= (2 * k + 2) * (2 * k + 3)
-    text = f"T({coefficients.pop()!r})"
-    for value in reversed(coefficients):
-        text = f"T({value!r}) + ({square}) * ({text})"
-    return text

@@ -67,7 +67,7 @@ def _inside(shape: Shape, row: Rows, j: int) -> str:
     """What inputs held through this sub-step add to the encoder somewhere inside it: exact."""
     terms = [f"{row.c('RU')} * u", f"{row.c('RT')} * t{j}"]
     terms += term(any(shape.drift), "RD", "", row) + term(shape.noise is not None, "RE", f" * e{j}", row)
-    terms += term(shape.cogging is not None, "RZ", " * g", row)
+    terms += term(shape.rotor is not None, "RZ", " * g", row)
     return " + ".join(terms + [f"{row.c(f'RH{c}')} * f{c}" for c in range(len(shape.contacts))])
 
 
