@@ -122,6 +122,7 @@ def trials(folder):
 
 OUTCOME = {
     "type", "environment", "damping_ns_per_m", "answer", "passes", "margin_ns_per_m", "margin_lower", "margin_upper", "worst_hz",
+    "first_judged_hz", "last_judged_hz",
 }  # fmt: skip
 
 

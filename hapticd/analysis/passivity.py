@@ -44,15 +44,18 @@ def judge(
     spectral_radius: float | None = None,
     behind_mass_kg: float = 0.0,
     channels: bool = True,
+    below_window: bool = False,
 ) -> Verdict:
     """Verdict on `trial`. `record` (of `diagnostics.examine`) brings energy, escape and saturation; `spectral_radius` is that
     of the predicted closed loop. `behind_mass_kg` > 0 judges the device behind the probe's mass: Re Z is the same there.
     `channels`: also look for skew and high-pass, which takes longer than the rest; simulated records have neither.
 
+    `below_window`: of a band that begins below 1/(M T), which is else refused, read what the window makes of it.
+
     AnalysisError for a band below 1/(M T), above half the sample rate or without frequencies, and for records of fewer than 20
     degrees of freedom.
     """
-    inside = _judged(trial, band_hz)
+    inside = _judged(trial, band_hz, below_window)
     f = inside.frequency_hz
     at_port = impedance(inside, estimator)
     z = at_port.without_mass(behind_mass_kg) if behind_mass_kg else at_port
@@ -95,10 +98,10 @@ def _turns_less(inside: Spectra) -> bool:
     return bool((inside.cross.real > 0.0).all())
 
 
-def _judged(trial: Spectra, band_hz: tuple[float, float]) -> Spectra:
+def _judged(trial: Spectra, band_hz: tuple[float, float], below_window: bool) -> Spectra:
     """What a verdict on `band_hz` looks at. AnalysisError as `judge`."""
     low, high = band_hz
-    if low < trial.lowest_hz:
+    if low < trial.lowest_hz and not below_window:
         raise AnalysisError(
             f"band from {low:g} Hz: the {trial.span} says nothing below {trial.lowest_hz:.3g} Hz; begin there, or take a longer one"
         )

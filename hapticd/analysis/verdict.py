@@ -1,6 +1,7 @@
 """What a judgement on a trial says: the answer and, always with it, band, confidence, margins, stability and amplitude."""
 
 from dataclasses import dataclass, field
+from math import isnan, nan
 from typing import Literal
 
 from hapticd.analysis.diagnostics import Finding
@@ -26,11 +27,6 @@ def hertz(value: float) -> str:
     return f"{value:.{2 if value < 10.0 else 1 if value < 100.0 else 0}f}"
 
 
-def judged_words(first_hz: float, last_hz: float) -> str:
-    """From where to where something was judged."""
-    return f"judged {hertz(first_hz)} to {hertz(last_hz)} Hz"
-
-
 def two_digits(value: float) -> str:
     """As much as is known of a length or a number that is foretold; never 0."""
     return f"{max(1.0, float(f'{value:.2g}')):g}"
@@ -47,6 +43,29 @@ class Margin:
 
     def __str__(self) -> str:
         return f"{self.value:.3g} ({self.lower:.3g}..{self.upper:.3g}, worst at {self.frequency_hz:.1f} Hz)"
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """From where to where something was judged [Hz]; nan where nothing was."""
+
+    first_hz: float
+    last_hz: float
+
+    def __str__(self) -> str:
+        if isnan(self.first_hz):
+            return "nothing judged"
+        return f"judged {hertz(self.first_hz)} to {hertz(self.last_hz)} Hz"
+
+    @property
+    def words(self) -> str:
+        """The same as a sentence of its own."""
+        if isnan(self.first_hz):
+            return "nothing judged: all trials ran away"
+        return f"first judged {hertz(self.first_hz)} Hz, last judged {hertz(self.last_hz)} Hz"
+
+
+NOTHING_JUDGED = Judged(nan, nan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,9 +121,9 @@ class Verdict:
         return "; ".join(words)
 
     @property
-    def judged(self) -> str:
-        """The frequencies that were judged, in words."""
-        return judged_words(self.first_judged_hz, self.last_judged_hz)
+    def judged(self) -> Judged:
+        """From where to where."""
+        return Judged(self.first_judged_hz, self.last_judged_hz)
 
     def _stability(self) -> str:
         if self.spectral_radius is not None:

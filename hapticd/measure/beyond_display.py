@@ -125,14 +125,10 @@ class Display:
 
 def shown_hz() -> Floats:
     """Frequencies (F,) of every impedance here, those of outcomes inside SHOWN_HZ."""
-    return kept_frequencies()[_shown()]
+    f = kept_frequencies()
+    return f[(f >= SHOWN_HZ[0]) & (f <= SHOWN_HZ[1])]
 
 
 def sizes(outcome: Outcome) -> Floats:
     """|Z| (F,) of a trial at `shown_hz()`."""
-    return np.asarray(np.hypot(*outcome.z.T)[_shown()])
-
-
-def _shown() -> Flags:
-    f = kept_frequencies()
-    return np.asarray((f >= SHOWN_HZ[0]) & (f <= SHOWN_HZ[1]))
+    return np.asarray(np.hypot(*outcome.z.T)[np.isin(outcome.frequency_hz, shown_hz())])

@@ -24,9 +24,23 @@ from hapticd.analysis.arrays import Flags, Floats
 from hapticd.analysis.boundary import PassiveSet, ascending, grid, passive_set
 from hapticd.analysis.envelope import Envelope
 from hapticd.analysis.predict import Prediction
+from hapticd.analysis.verdict import Judged
 from hapticd.errors import AnalysisError
 from hapticd.measure.executors import pool_of
-from hapticd.measure.outcomes import Conditions, Hear, Lot, Outcome, Point, Procedure, envelope_of, points_of, run_all
+from hapticd.measure.outcomes import (
+    Conditions,
+    Hear,
+    Lot,
+    Outcome,
+    Point,
+    Procedure,
+    envelope_of,
+    judged,
+    judged_on_lines,
+    points_of,
+    restored,
+    run_all,
+)
 from hapticd.measure.progress import Progress, silent
 from hapticd.measure.store import TrialStore
 
@@ -92,6 +106,11 @@ class MapResult:
     levels: tuple[LevelMap, ...]
     made: int
 
+    @property
+    def judged(self) -> Judged:
+        """From where to where every trial was judged."""
+        return judged(outcome for level in self.levels for outcome in level.outcomes)
+
 
 def plan_map(params: MapParams) -> MapPlan:
     """Predict the grid and choose. AnalysisError for axes that do not ascend or are too many points; ConfigError as `compose`."""
@@ -126,6 +145,36 @@ def run_map(
     with pool_of(executor) as pool:
         levels = run_all([_mapped(plan.params, level) for level in plan.levels], store, pool, told)
     return MapResult(plan, tuple(levels), made)
+
+
+def kept_map(plan: MapPlan, store: TrialStore) -> MapResult:
+    """The map of a run that has ended, of its kept trials alone, whatever the version that made them: nothing is flown.
+
+    Where the store has trials by other keys only, those of another version, they are told by level and environment.
+    """
+    levels = []
+    for level in plan.levels:
+        found = passive_set(plan.params.axes, level.prediction.decided_margin)
+        have = _kept(plan.params, level, found, store)
+        found = _learnt(found, have)
+        for _ in range(plan.params.refine):
+            found = halved(found)
+            have = _kept(plan.params, level, found, store)
+            found = _learnt(found, have)
+        levels.append(_level_map(plan.params, level, found, have))
+    return MapResult(plan, tuple(levels), 0)
+
+
+def _kept(params: MapParams, level: LevelPlan, found: PassiveSet, store: TrialStore) -> list[Outcome]:
+    """What the store has on the grid of `found`."""
+    points = points_of(grid(found.axes))
+    either = (params.conditions, replace(params.conditions, substeps=1))
+    mine = [one for given in either for one in Lot(given, level.damping_ns_per_m, points).known(store)]
+    if not mine:
+        lines = (restored(line) for line in store.known.values() if "environment" in line)
+        own = {one.environment: one for one in lines if one.damping_ns_per_m == level.damping_ns_per_m}
+        mine = [own[point] for point in points if point in own]
+    return [judged_on_lines(one, params.conditions.band_hz) for one in mine]
 
 
 def _predicted(params: MapParams, level: float, points: Floats) -> Prediction:

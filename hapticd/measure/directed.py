@@ -25,10 +25,11 @@ from hapticd.analysis.foresight import Foresight
 from hapticd.analysis.search import Search, doubtful_share, first_trials, next_trials, predicted_passive
 from hapticd.analysis.spa import DEFAULT_LAG
 from hapticd.analysis.surrogate import Box, Observation, margin
+from hapticd.analysis.verdict import Judged
 from hapticd.errors import AnalysisError
 from hapticd.measure.executors import pool_of
 from hapticd.measure.limits import predicted_limit
-from hapticd.measure.outcomes import Conditions, Hear, Lot, Outcome, Procedure, kept_frequencies, points_of, run_all
+from hapticd.measure.outcomes import Conditions, Hear, Lot, Outcome, Procedure, judged, kept_frequencies, points_of, run_all
 from hapticd.measure.progress import Progress, silent
 from hapticd.measure.scenes import SATURATED
 from hapticd.measure.store import TrialStore
@@ -39,6 +40,7 @@ HEAVIER = 1.6  # its positive end of M over the negative one
 SET_GRID = (24, 20, 24)
 INDEPENDENT_HZ = PROBE_RATE_HZ / (0.75 * DEFAULT_LAG)  # values of an estimate that are so far apart are independent
 POOR = 0.2  # relative standard deviation, the median over the band, of a spectrum that teaches nothing
+UNKNOWN = 10.0  # relative standard deviation of what teaches nothing
 DIGITS = 6  # of an environment: what is asked is what is stored
 SLICE = (30, 80)  # of K and B
 _HALVINGS = 7
@@ -83,6 +85,11 @@ class SearchResult:
     steps: tuple[Step, ...]
     found: PassiveSet
     doubt: float
+
+    @property
+    def judged(self) -> Judged:
+        """From where to where every trial was judged."""
+        return judged(step.outcome for step in self.steps)
 
 
 def plan_search(params: SearchParams) -> SearchPlan:
@@ -171,7 +178,7 @@ def _set(search: Search) -> PassiveSet:
 
 def learnt_at(conditions: Conditions) -> Floats:
     """Frequencies (F,) of what a trial teaches."""
-    f = kept_frequencies()
+    f = kept_frequencies(conditions.band_hz)
     return f[(f >= conditions.band_hz[0]) & (f <= conditions.band_hz[1])]
 
 
@@ -181,12 +188,13 @@ def observed(conditions: Conditions, outcome: Outcome) -> Observation | None:
     escaped = outcome.max_force_n >= SATURATED * limit_n or (not outcome.passes and outcome.margin_ns_per_m > 0.0)
     if not outcome.z.size or escaped:
         return None
-    inside = np.isin(kept_frequencies(), learnt_at(conditions))
+    inside = np.isin(outcome.frequency_hz, learnt_at(conditions))
     relative = outcome.relative_sd[inside]
     if not np.median(relative) < POOR:
         return None
-    sd = np.hypot(*outcome.z[inside].T) * np.minimum(relative, 10.0)
-    return Observation(np.asarray(outcome.environment), outcome.z[inside, 0], sd)
+    size = np.hypot(*outcome.z[inside].T)
+    sd = np.where(np.isfinite(size), size, np.nanmax(size)) * np.minimum(relative, UNKNOWN)
+    return Observation(np.asarray(outcome.environment), np.nan_to_num(outcome.z[inside, 0]), sd)
 
 
 @dataclass(frozen=True, eq=False)

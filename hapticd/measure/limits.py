@@ -29,8 +29,9 @@ import numpy as np
 
 from hapticd.analysis.arrays import Floats
 from hapticd.analysis.boundary import AXES, axis_limit
+from hapticd.analysis.verdict import NOTHING_JUDGED, Judged
 from hapticd.measure.executors import pool_of
-from hapticd.measure.outcomes import Conditions, Fly, Lot, Outcome, Point, Procedure, fly, points_of, run_all
+from hapticd.measure.outcomes import Conditions, Fly, Lot, Outcome, Point, Procedure, fly, judged, points_of, run_all
 from hapticd.measure.progress import Progress, silent
 from hapticd.measure.scenes import Display
 from hapticd.measure.store import TrialStore
@@ -81,7 +82,7 @@ class LimitsPlan:
 @dataclass(frozen=True, slots=True)
 class AxisLimit:
     """`value` [N/m, Ns/m, kg]: mean over seeds, `sd` their scatter (nan for one); `lower`, `upper`: widest over seeds; `values`
-    those of each seed, nan where the base fails.
+    those of each seed, nan where the base fails; `judged`: from where to where all trials were.
 
     `worst_hz`: where the first failure has its least Re Z; `velocity_sd` [m/s] of the last trial that passed.
     """
@@ -96,6 +97,7 @@ class AxisLimit:
     perturbation_psd: float
     trials: int
     values: tuple[float, ...]
+    judged: Judged = NOTHING_JUDGED
 
     @property
     def name(self) -> str:
@@ -243,6 +245,7 @@ def _together(params: LimitsParams, scan: Scan, seeds: list[list[Outcome]]) -> A
         perturbation_psd=params.conditions.shaken(scan.amplitude).excitation.psd_n2_per_hz,
         trials=sum(map(len, seeds)),
         values=tuple(values.tolist()),
+        judged=judged(one for tried in seeds for one in tried),
     )
 
 

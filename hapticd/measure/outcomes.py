@@ -17,13 +17,13 @@ from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, reduce
-from math import inf, nan
+from math import inf, isnan, nan
 from typing import Any, TypeVar
 
 import numpy as np
 
 from hapticd import __version__
-from hapticd.analysis.arrays import Flags, Floats
+from hapticd.analysis.arrays import Floats
 from hapticd.analysis.diagnostics import Record, escape_findings
 from hapticd.analysis.energy import Energy
 from hapticd.analysis.envelope import Envelope, merged, of_one
@@ -31,18 +31,20 @@ from hapticd.analysis.impedance import impedance
 from hapticd.analysis.passivity import DEFAULT_BAND_HZ, judge
 from hapticd.analysis.spa import DEFAULT_LAG
 from hapticd.analysis.spectra import Spectra, grid_frequencies
+from hapticd.analysis.verdict import NOTHING_JUDGED, Judged
 from hapticd.errors import AnalysisError
 from hapticd.measure.scenes import SATURATED, Display, display, free_of_walls, frequencies
 from hapticd.measure.store import TrialStore, fingerprint
 from hapticd.plant.scene import Excitation, Scene
 from hapticd.sim.engine import BatchResult, simulate
 from hapticd.sim.engine.shape import LANES
+from hapticd.units import PROBE_RATE_HZ
 
 TOGETHER = LANES["f32"]  # trials of a task: the engine does as many at once
 FREQUENCIES = 120
 KEPT_BAND_HZ = (2.0, 1000.0)
 NOISE = Excitation("noise")
-FORMAT = 1  # of an outcome; part of its key
+FORMAT = 2  # of an outcome; part of its key. 1 was judged on the window's lines alone, and kept Z there
 
 Point = tuple[float, float, float]  # K [N/m], B [N s/m], M [kg]
 T = TypeVar("T")
@@ -59,6 +61,7 @@ class Conditions:
     confidence: float = 0.95
     substeps: int = 4
     dtype: str = "f32"
+    below_window: bool = False  # the band may begin below 1/(M T), and is then read as what the window makes of it
 
     @property
     def display(self) -> Display:
@@ -74,7 +77,9 @@ class Conditions:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """One trial; `z` (F, 2) real and imaginary part [N s/m] and `relative_sd` (F,) at `kept_frequencies()`, empty if diverged."""
+    """One trial; `z` (F, 2) real and imaginary part [N s/m] and `relative_sd` (F,) at `frequency_hz`, empty if diverged; nan and
+    inf at an edge that was not judged. `first_judged_hz`, `last_judged_hz`: nan if diverged.
+    """
 
     environment: Point
     damping_ns_per_m: float
@@ -89,6 +94,14 @@ class Outcome:
     max_force_n: float
     z: Floats
     relative_sd: Floats
+    first_judged_hz: float = nan
+    last_judged_hz: float = nan
+    band_hz: tuple[float, float] | None = None  # that was asked for; None in a store of format 1
+
+    @property
+    def frequency_hz(self) -> Floats:
+        """Of `z` (F,)."""
+        return kept_frequencies(self.band_hz)
 
 
 Hear = Callable[[list[Outcome]], None]
@@ -98,15 +111,9 @@ Told = Callable[[int, "Lot", list[Outcome]], None]
 
 
 @lru_cache
-def kept_frequencies() -> Floats:
-    """Frequencies (F,) of `Outcome.z`."""
-    return frequencies(KEPT_BAND_HZ, FREQUENCIES)
-
-
-@lru_cache
-def _kept(rate_hz: float) -> Flags:
-    """Which of the window's frequencies those are."""
-    return np.isin(grid_frequencies(rate_hz, DEFAULT_LAG), kept_frequencies())
+def kept_frequencies(band_hz: tuple[float, float] | None = None) -> Floats:
+    """Frequencies (F,) at which Z of a trial is kept: lines of the window evenly in ln f, and the edges of the judged band."""
+    return np.union1d(frequencies(KEPT_BAND_HZ, FREQUENCIES), band_hz or ())
 
 
 def key_of(shared: str, damping_ns_per_m: float, environment: Point) -> str:
@@ -130,11 +137,15 @@ def _outcome(conditions: Conditions, damping: float, found: BatchResult, trial: 
     most, sd = float(found.max_force_n[trial]), float(found.sigma_v_m_per_s[trial])
     if found.diverged[trial]:
         nothing = np.empty(0)
-        return Outcome((k, b, m), damping, "not_passive", False, nan, nan, nan, nan, nan, sd, most, nothing, nothing)
+        unknown = (nan,) * 5
+        return Outcome((k, b, m), damping, "not_passive", False, *unknown, sd, most, nothing, nothing, band_hz=conditions.band_hz)
     spectra = found.spectra(trial)
-    verdict = judge(spectra, _recorded(found, trial, spectra), conditions.band_hz, conditions.confidence, channels=False)
+    verdict = judge(
+        spectra, _recorded(found, trial, spectra), conditions.band_hz, conditions.confidence, channels=False,
+        below_window=conditions.below_window,
+    )  # fmt: skip
     doubtful = most >= SATURATED * limit_n or k < 0.0  # a K < 0 is active below every band
-    z = impedance(spectra.part(_kept(found.rate_hz)))
+    z = _kept_impedance(spectra, conditions.band_hz)
     return Outcome(
         environment=(k, b, m),
         damping_ns_per_m=damping,
@@ -147,9 +158,30 @@ def _outcome(conditions: Conditions, damping: float, found: BatchResult, trial: 
         worst_hz=verdict.margin_ns_per_m.frequency_hz,
         velocity_sd=sd,
         max_force_n=most,
-        z=np.column_stack((z.impedance_ns_per_m.real, z.impedance_ns_per_m.imag)),
-        relative_sd=z.relative_sd,
+        z=z[:, :2],
+        relative_sd=z[:, 2],
+        first_judged_hz=verdict.first_judged_hz,
+        last_judged_hz=verdict.last_judged_hz,
+        band_hz=conditions.band_hz,
     )
+
+
+def _kept_impedance(spectra: Spectra, band_hz: tuple[float, float]) -> Floats:
+    """(F, 3) real and imaginary part of Z and its relative deviation at `kept_frequencies`; nan and inf where an edge is not."""
+    f = kept_frequencies(band_hz)
+    found = np.tile((nan, nan, inf), (f.size, 1))
+    lines = np.rint(f * (2 * spectra.lag / spectra.rate_hz)).astype(np.int64)
+    on_line = spectra.frequency_hz[lines] == f
+    found[on_line] = _rows(spectra.part(lines[on_line]))
+    for edge in band_hz:
+        for row in _rows(spectra.band((edge, edge))):
+            found[f == edge] = row
+    return found
+
+
+def _rows(spectra: Spectra) -> Floats:
+    z = impedance(spectra)
+    return np.column_stack((z.impedance_ns_per_m.real, z.impedance_ns_per_m.imag, z.relative_sd))
 
 
 def _recorded(found: BatchResult, trial: int, spectra: Spectra) -> Record:
@@ -172,7 +204,25 @@ def restored(line: Mapping[str, Any]) -> Outcome:
     values["environment"] = tuple(values["environment"])
     values["z"] = np.asarray(values["z"], np.float64).reshape(-1, 2)
     values["relative_sd"] = np.array([inf if value is None else value for value in values["relative_sd"]], np.float64)
+    values["band_hz"] = tuple(line["band_hz"]) if line.get("band_hz") else None
     return Outcome(**values)
+
+
+def judged_on_lines(outcome: Outcome, band_hz: tuple[float, float]) -> Outcome:
+    """One of a store of format 1 with what that was judged on: the window's lines inside the band."""
+    if outcome.band_hz is not None or not outcome.z.size:
+        return outcome
+    f = grid_frequencies(PROBE_RATE_HZ, DEFAULT_LAG)
+    inside = f[(f >= band_hz[0]) & (f <= band_hz[1])]
+    return replace(outcome, first_judged_hz=float(inside[0]), last_judged_hz=float(inside[-1]))
+
+
+def judged(outcomes: Iterable[Outcome]) -> Judged:
+    """From where to where every one of them was judged that did not run away."""
+    ends = [(one.first_judged_hz, one.last_judged_hz) for one in outcomes if not isnan(one.first_judged_hz)]
+    if not ends:
+        return NOTHING_JUDGED
+    return Judged(max(first for first, _ in ends), min(last for _, last in ends))
 
 
 def envelope_of(outcomes: list[Outcome]) -> Envelope:
@@ -186,7 +236,7 @@ def envelope_of(outcomes: list[Outcome]) -> Envelope:
 def _envelope(outcome: Outcome) -> Envelope:
     k, b, m = outcome.environment
     name = f"K {k:.4g} N/m, B {b:.3g} N s/m, M {1e3 * m:.3g} g"
-    return of_one(name, kept_frequencies(), outcome.z[:, 0] + 1j * outcome.z[:, 1], outcome.relative_sd, "probe", "spa")
+    return of_one(name, outcome.frequency_hz, outcome.z[:, 0] + 1j * outcome.z[:, 1], outcome.relative_sd, "probe", "spa")
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ import numpy as np
 from hapticd.analysis.arrays import Floats
 from hapticd.analysis.envelope import Edge, Envelope, admittance, of_predicted
 from hapticd.analysis.predict import frequencies
-from hapticd.measure.outcomes import Conditions, Outcome, envelope_of, kept_frequencies
+from hapticd.measure.outcomes import Conditions, Outcome, envelope_of, judged, kept_frequencies
 from hapticd.report.style import (
     BELOW,
     NORMAL,
@@ -78,7 +78,9 @@ def envelope_figure(conditions: Conditions, levels: Levels, inverse: bool = Fals
     looks = of_levels([level for level, _ in levels])
     shown = [_of_trials(conditions, *level, look, inverse) for level, look in zip(levels, looks, strict=True)]
     f = shown[0].envelope.frequency_hz
-    title = f"Z-width envelope{' as admittance' if inverse else ''}\n{simulated(conditions.scene.device, conditions.seconds)}"
+    seen = judged(trial for _, trials in levels for trial in trials)
+    made = f"{simulated(conditions.scene.device, conditions.seconds)}, {seen}"
+    title = f"Z-width envelope{' as admittance' if inverse else ''}\n{made}"
     view = ADMITTANCE if inverse else IMPEDANCE
     return envelopes_figure(shown, title, (float(f[0]), float(f[-1])), conditions.band_hz, view)
 

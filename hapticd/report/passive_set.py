@@ -6,7 +6,7 @@ predicted. A slice of a search shows only the trials whose M is next to its own,
 and B moves with M; all trials are in the panel below.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from hapticd.analysis.arrays import Flags, Floats, Integers
 from hapticd.analysis.boundary import PassiveSet
+from hapticd.analysis.verdict import Judged
 from hapticd.measure.campaign import LevelMap, MapResult
 from hapticd.measure.directed import SearchResult, Step, slice_at
 from hapticd.measure.limits import AxisLimit, LimitsResult
@@ -58,9 +59,10 @@ NARROWEST_IN = 6.0
 ALONE: Look = {"color": BLACK, "linestyle": "-"}
 
 
-def how(conditions: Conditions) -> str:
-    """The line below a title."""
-    return simulated(conditions.scene.device, conditions.seconds)
+def how(conditions: Conditions, ranges: Iterable[Judged]) -> str:
+    """The line below a title, with what was judged."""
+    told = sorted({str(one) for one in ranges})
+    return ", ".join((simulated(conditions.scene.device, conditions.seconds), *told))
 
 
 def area(axis: "Axes", damping: Floats, stiffness: Floats, look: Look, rank: int = 0, **more: Any) -> None:
@@ -89,7 +91,7 @@ def set_figure(result: MapResult) -> "Figure":
     mass, shown = result.levels[0].found.axes[2], slices(result)
     columns = min(COLUMNS, len(shown))
     rows = -(-len(shown) // columns)
-    title = f"Passive set: the largest passive K at each B\n{how(result.plan.params.conditions)}"
+    title = f"Passive set: the largest passive K at each B\n{how(result.plan.params.conditions, [result.judged])}"
     figure, places = axes(rows, columns, 0.6 + 3.0 * columns, 2.7 * rows + 1.2, title, sharex=True, sharey=True)
     looks = of_levels([level.damping_ns_per_m for level in result.levels])
     for panel, place in zip(shown, places, strict=True):
@@ -159,7 +161,8 @@ def search_figure(results: Sequence[SearchResult]) -> "Figure":
     """
     rows = [[f"{row} {panel}" for panel in range(len(SHARES) - 1)] for row in range(len(results))]
     below = [f"foreseen {row}" for row in range(len(results))]
-    title = f"Directed search: the set in slices of one M, and its trials\n{how(results[0].plan.params.conditions)}"
+    seen = (result.judged for result in results)
+    title = f"Directed search: the set in slices of one M, and its trials\n{how(results[0].plan.params.conditions, seen)}"
     panels = [[[row]] for row in (*rows, below)]
     figure, places = mosaic(panels, 11.0, 3.1 * len(panels) + 1.3, title)
     levels = [one.plan.params.damping_ns_per_m for one in results]
@@ -262,7 +265,7 @@ def limits_figure(result: LimitsResult) -> "Figure":
     params = result.plan.params
     many = len(params.amplitudes) > 1
     groups, looks = (params.levels, of_levels(params.levels)) if many else ((params.amplitudes[0],), [ALONE])
-    title = f"Axis limits, the other two being 0\n{how(params.conditions)}"
+    title = f"Axis limits, the other two being 0\n{how(params.conditions, (limit.judged for limit in result.limits))}"
     figure, places = axes(1, len(params.axes), max(NARROWEST_IN, 3.2 * len(params.axes)), 4.2, title)
     for place, axis in zip(places, params.axes, strict=True):
         mine = [limit for limit in result.limits if limit.scan.axis == axis]

@@ -132,15 +132,15 @@ def trial_figure(result: TrialResult, referee: Referee | None = None, admittance
     if referee is not None:
         points = Curve(referee.frequency_hz, referee.impedance_ns_per_m, {**MARKS, "marker": "D"}, "stepped sine")
         draw(size, phase, points, view)
-    at = int(np.argmin(np.abs(z.frequency_hz - worst.frequency_hz)))
     phase.plot(
-        worst.frequency_hz, view.sign * z.phase_deg[at], "o", color=BLACK, markersize=6,
+        worst.frequency_hz, view.sign * np.interp(worst.frequency_hz, z.frequency_hz, z.phase_deg), "o", color=BLACK, markersize=6,
         label=f"worst: margin {worst.value:.2g} degrees",
     )  # fmt: skip
     known.plot(f, z.coherence[seen], **look)
     known.set(ylabel="coherence", ylim=(0.0, 1.03))
     hertz_axis(known, max(SHOWN_HZ[0], float(f[0])), min(SHOWN_HZ[1], float(f[-1])))
-    grey = dress(size, phase, result.verdict.band_hz, view, more=(known,))
+    judged = result.verdict.judged
+    grey = dress(size, phase, (judged.first_hz, judged.last_hz), view, more=(known,))
     figure.legend(handles=[*handles_of(phase), interval(look, " at each frequency"), grey], ncols=3, **BELOW)
     figure.align_ylabels([size, phase, known])
     return figure
@@ -163,7 +163,7 @@ def _title(result: TrialResult, view: View) -> str:
     who, level = f"{simulated}{result.recorded.origin}:", result.plan.params.trial.damping_ns_per_m
     what = f"K = {k:g} N/m, B = {b:g} N s/m, M = {1e3 * m:g} g, added damping {level:g} N s/m"
     judged = (
-        f"{verdict.answer.replace('_', ' ')} in {low:g}..{high:g} Hz at {100 * verdict.confidence:g} %, "
+        f"{verdict.answer.replace('_', ' ')} in {low:g}..{high:g} Hz at {100 * verdict.confidence:g} %, {verdict.judged}, "
         f"{view.symbol} at the {verdict.port} by {result.measured.estimator!r}, {_excited(result)}"
     )
     between = " " if len(who) + len(what) < TITLE_WIDTH else "\n"

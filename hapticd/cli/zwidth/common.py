@@ -42,7 +42,18 @@ JsonOutcomes = Annotated[
 Admittance = Annotated[bool, typer.Option("--admittance", help="Draw the admittance as well.")]
 Range = tuple[float, float, int]
 RUNS = Path("zwidth-runs")
-TOLD = ("environment", "damping_ns_per_m", "answer", "passes", "margin_ns_per_m", "margin_lower", "margin_upper", "worst_hz")
+TOLD = (
+    "environment",
+    "damping_ns_per_m",
+    "answer",
+    "passes",
+    "margin_ns_per_m",
+    "margin_lower",
+    "margin_upper",
+    "worst_hz",
+    "first_judged_hz",
+    "last_judged_hz",
+)
 
 
 @contextmanager

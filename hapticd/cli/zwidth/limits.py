@@ -70,6 +70,7 @@ def command(
         return
     output.data(text(_table(result)))
     output.data(NOTE)
+    output.data("; ".join(sorted({limit.judged.words for limit in result.limits})))
     output.data(f"{result.made} trials made")
     common.kept(folder, paths)
 

@@ -113,8 +113,10 @@ class _Redrawn:
 def _told(level: "LevelMap") -> dict[str, Any]:
     from hapticd.analysis.boundary import open_ends, set_limits, volume
     from hapticd.analysis.metrics import widths_db
+    from hapticd.measure.outcomes import judged
 
     found: dict[str, Any] = {
+        "judged": judged(level.outcomes),
         "added_damping_ns_per_m": level.damping_ns_per_m,
         "points": level.found.margin.size,
         "passive": int(level.found.passive.sum()),
@@ -143,6 +145,7 @@ def _print(result: "MapResult", told: list[dict[str, Any]]) -> None:
         "width at 10-50 Hz dB",
     )  # fmt: skip
     output.data(text(table(columns, rows, f"SIMULATED {result.plan.params.conditions.scene.device}: the set on the grid")))
+    output.data(result.judged.words)
     output.data(
         "unlike predicted: trials that came out otherwise; K max, B max, M min: extremes over the set, not alone on their axis"
     )

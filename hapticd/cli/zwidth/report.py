@@ -1,6 +1,6 @@
 """Every figure of a device, or of a run that was kept."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,6 +10,7 @@ from hapticd.cli import options, output
 from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
+    from hapticd.analysis.verdict import Judged
     from hapticd.measure.campaign import MapParams, MapResult
     from hapticd.measure.store import TrialStore
     from hapticd.plant.scene import Scene
@@ -30,16 +31,27 @@ def command(
     """Every figure of a simulated device, with NAME.zwidth, its portable summary; or those of a run folder, drawn again
     there, or in --out.
     """
+    from hapticd.measure.plain import plain
+
     folder = Path(what)
     if (folder / "run.json").is_file():
-        paths = _of_run(folder, out or folder)
+        drawn = _of_run(folder, out or folder)
     else:
-        paths = _of_device(_named(what), damping, seconds, seed, out)
+        drawn = _of_device(_named(what), damping, seconds, seed, out)
     if as_json:
-        output.data_json({"ok": True, "files": [str(path) for path in paths]})
+        output.data_json({"ok": True, "files": [str(path) for path in drawn.files], "judged": plain(drawn.judged)})
         return
-    for path in paths:
+    output.data(drawn.judged.words)
+    for path in drawn.files:
         output.data(str(path))
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What a report wrote, and from where to where its trials were judged."""
+
+    files: list[Path]
+    judged: "Judged"
 
 
 def _named(what: str) -> "Scene":
@@ -67,10 +79,10 @@ def _instead(folder: Path) -> str:
     return "no run folder: it has no run.json; name a simulated device, a scene, or the folder of a trial or a map"
 
 
-def _of_run(folder: Path, out: Path) -> list[Path]:
+def _of_run(folder: Path, out: Path) -> Drawn:
     from hapticd.cli.zwidth.map import draw
     from hapticd.errors import ConfigError
-    from hapticd.measure.campaign import plan_map, run_map
+    from hapticd.measure.campaign import kept_map, plan_map
     from hapticd.measure.store import TrialStore, read_summary
 
     kept = read_summary(folder)
@@ -79,11 +91,11 @@ def _of_run(folder: Path, out: Path) -> list[Path]:
     if kept["kind"] != "map":
         told = f"a run of kind {kept['kind']!r} is drawn by the command that made it, with --out {folder}; here a trial or a map is"
         raise ConfigError(f"{folder}: {told}")
-    with common.progress() as tell:
-        return draw(run_map(plan_map(_asked(kept)), TrialStore(folder / "trials.jsonl"), tell), out)
+    found = kept_map(plan_map(_asked(kept)), TrialStore(folder / "trials.jsonl"))
+    return Drawn(draw(found, out), found.judged)
 
 
-def _trial_again(folder: Path, kept: dict[str, Any], out: Path) -> list[Path]:
+def _trial_again(folder: Path, kept: dict[str, Any], out: Path) -> Drawn:
     from hapticd.analysis.spa import DEFAULT_LAG
     from hapticd.cli.zwidth.trial import draw
     from hapticd.measure.losses import COUNTS
@@ -108,7 +120,8 @@ def _trial_again(folder: Path, kept: dict[str, Any], out: Path) -> list[Path]:
         lag=kept.get("lag", DEFAULT_LAG), multisine=Layout(layout["realisations"], layout["periods"]) if layout else None,
         skew_s=kept.get("skew_taken_out_s", 0.0), high_pass_hz=kept.get("high_pass_taken_out_hz", 0.0),
     )  # fmt: skip
-    return draw(judged(plan_trial(params), recorded), out)
+    result = judged(plan_trial(params), recorded)
+    return Drawn(draw(result, out), result.verdict.judged)
 
 
 def _same_scene(kept: dict[str, Any]) -> "Scene | None":
@@ -136,7 +149,7 @@ def _asked(kept: dict[str, Any]) -> "MapParams":
     return MapParams(conditions, (stiffness, damping, mass), levels, asked["near"], asked["everywhere"], asked["refine"])
 
 
-def _of_device(scene: "Scene", damping: str, seconds: float, seed: int, out: Path | None) -> list[Path]:
+def _of_device(scene: "Scene", damping: str, seconds: float, seed: int, out: Path | None) -> Drawn:
     from hapticd.cli.zwidth.map import draw
     from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
     from hapticd.measure.portable import SUFFIX, device_hash, portable, write_portable
@@ -151,13 +164,17 @@ def _of_device(scene: "Scene", damping: str, seconds: float, seed: int, out: Pat
     with common.keeping(store, folder), common.progress() as tell:
         limits = run_limits(plan_limits(LimitsParams(conditions, levels)), store, tell)
         found = _mapped(conditions, levels, limits, store, tell)
-    told = {"seconds": seconds, "band_hz": conditions.band_hz, "perturbation": conditions.excitation, "simulated": True}
+    told = {
+        "seconds": seconds, "band_hz": conditions.band_hz, "judged": found.judged, "perturbation": conditions.excitation,
+        "simulated": True,
+    }  # fmt: skip
     write_run(folder, {"kind": "report", "device": scene.device, **told, "provenance": common.told(seed=seed)})
     paths = [*_own_trial(scene, seconds, folder), *style.save(limits_figure(limits), folder, "limits")]
     paths += draw(found, folder)
     drawn = [(level.damping_ns_per_m, level.envelope) for level in found.levels]
     content = portable(scene.device, device_hash(scene.device), drawn, limits.limits, told)
-    return [*paths, write_portable(folder / f"{scene.device}{SUFFIX}", {**content, "provenance": common.told(seed=seed)})]
+    paths.append(write_portable(folder / f"{scene.device}{SUFFIX}", {**content, "provenance": common.told(seed=seed)}))
+    return Drawn(paths, found.judged)
 
 
 def _mapped(conditions: Any, levels: tuple[float, ...], limits: Any, store: "TrialStore", tell: Any) -> "MapResult":

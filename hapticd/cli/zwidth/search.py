@@ -65,6 +65,7 @@ def command(
     output.data(
         text(table(columns, rows, f"SIMULATED {conditions.scene.device}: the set as the search holds it; extremes over the set"))
     )
+    output.data("; ".join(sorted({result.judged.words for result in results})))
     output.data(NOTE)
     common.kept(folder, paths)
 
@@ -84,6 +85,7 @@ def _told(result: "SearchResult") -> dict[str, Any]:
     later = result.steps[len(result.steps) // 2 :]
     missed = [abs(step.expected_ns_per_m - step.outcome.margin_ns_per_m) for step in later if step.teaches]
     return {
+        "judged": result.judged,
         "added_damping_ns_per_m": result.plan.params.damping_ns_per_m,
         "trials": len(result.steps),
         "unstable": len(result.search.unstable),
