@@ -26,8 +26,7 @@ class Clock(ABC):
 class MonotonicClock(Clock):
     """The machine's clock."""
 
-    def now_ns(self) -> int:
-        return time.monotonic_ns()
+    now_ns = staticmethod(time.monotonic_ns)  # without a call of Python: the tick reads it four times
 
     def sleep_until_ns(self, deadline_ns: int) -> None:
         wait_ns = deadline_ns - time.monotonic_ns()

@@ -13,6 +13,7 @@ that are replaced.
 
 from array import array
 from collections.abc import Callable, Sequence
+from math import ceil, floor
 
 from hapticd.errors import LinkStalled, LinkTimeout
 from hapticd.link.base import Link
@@ -64,7 +65,7 @@ def _exchange(device: Device) -> tuple[Callable[[], None], Callable[[], Received
     read, write = device.link.read, device.link.write
     in_buffer, out_buffer, counts, period_us = device.in_buffer, device.out_buffer, device.counts, device.period_us
     parse, pack = codec.in_parser(in_buffer), codec.out_packer(out_buffer)
-    shortest, longest = 0.5 * period_us, 1.5 * period_us
+    shortest, longest = ceil(0.5 * period_us), floor(1.5 * period_us)  # whole, as board time is
     incoming, outgoing = session.SequenceCounter(), session.SequenceCounter()
     head, board_us, expected, sent, missing, seeding = _EMPTY, 0, -1, 0, 0, True
 
@@ -125,7 +126,7 @@ def _exchange(device: Device) -> tuple[Callable[[], None], Callable[[], Received
         if found is None:
             return absent("bad")
         passed = found[5] - (board_us & 0xFFFFFFFF)
-        if found[0] != expected or found[1] != sent or not (shortest <= passed <= longest):
+        if found[0] != expected or found[1] != sent or passed < shortest or passed > longest:
             return odd(found)
         head, missing, expected, board_us = found, 0, (expected + 1) & 0xFFFF, board_us + passed
         return 0, board_us, found

@@ -48,11 +48,11 @@ def render(x: float, state: LawState, environment: Environment, coefficients: Co
     field = 0.0
     if wall_side != 0.0:
         field = wall_force(x, v, wall_k, wall_b, wall_x, wall_side)
-    if not (lower <= x <= upper):
+    if not (x >= lower and x <= upper):  # no chain: CPython compares two floats faster alone; NaN does not pass
         field += end_force(x, lower, upper, end_k)
     total = bias + spring + damper + inertia + field
     force = total
-    if not (-limit <= force <= limit):
+    if not (force <= limit and force >= -limit):
         force = clamp(force, limit)
     return force, total, v, a, spring, damper, inertia, field, (x, d, vz1, vz2, az1, az2)
 

@@ -72,6 +72,7 @@ def make_step(params: ServoParams, delay: float = 0.125) -> Step:
     low, high = ends
     turn_m = m_per_count * (1 << ENCODER_BITS)
     jump_m = params.device.speed_limit_m_per_s / params.realtime.rate_hz
+    back_m = -jump_m
     hot_limit = params.device.temperature.to_count(params.device.temperature_limit_c, -32768, 32767)
 
     def missing(state: ServoState, flags: int, answers: tuple[Any, ...]) -> tuple[ServoState, Output]:
@@ -107,8 +108,9 @@ def make_step(params: ServoParams, delay: float = 0.125) -> Step:
         wake, environment, coefficients, out_flags, damping, blob, law, ledger, origin, added, _, host, plan = state
         x = (encoder - origin) * m_per_count
         newtons, total, v, a, spring, damper, inertia, field, after = render(x, law, environment, coefficients)
-        if not (-jump_m <= after[1] <= jump_m):
-            if turns := round(after[1] / turn_m):
+        moved_m = after[1]
+        if not (moved_m <= jump_m and moved_m >= back_m):  # no chain: CPython compares two floats faster alone
+            if turns := round(moved_m / turn_m):
                 return turned(state, sample, tick, turns, flags, answers)
             return faulted(state, sample, tick, _RANGE, flags, answers)
         if newtons != total:
@@ -117,10 +119,10 @@ def make_step(params: ServoParams, delay: float = 0.125) -> Step:
                 cleared = (*state[:6], at_rest(x), EMPTY, *state[8:])
                 return faulted(cleared, sample, tick, _FINITE, flags | _NOT_FINITE, answers)
         torque = floor(newtons * counts_per_n + rounding)
-        if not (low <= torque <= high):
+        if torque < low or torque > high:
             torque = low if torque < low else high
         applied = (torque - zero_count) * n_per_count
-        ledger = book(ledger, after[1], (spring, damper, inertia, field, applied), delay, added)
+        ledger = book(ledger, moved_m, (spring, damper, inertia, field, applied), delay, added)
         state = (
             wake,
             environment,
