@@ -32,6 +32,7 @@ from hapticd.measure.reproduce_read import MIDDLE_HZ, compared
 from hapticd.measure.reproduce_rows import FIG_4, FIG_7, PAPER, TOLERANCE
 from hapticd.measure.reproduce_trials import ADDED_NS_PER_M, EDGES_HZ, LEVELS, MAIN, SECONDS, WINDOW_HZ, subject
 from hapticd.report.envelope import SHOWN_HZ, Drawn, envelopes_figure, keys, strip, weightiest
+from hapticd.report.passive_set import draw_guess, draw_limits
 from hapticd.report.style import (
     BELOW,
     BLACK,
@@ -41,6 +42,7 @@ from hapticd.report.style import (
     FOREST,
     HOLLOW,
     INTERVAL,
+    MARKS,
     NORMAL,
     OFF,
     OLIVE,
@@ -92,6 +94,7 @@ LIMITS: tuple[tuple[str, str, float, Look], ...] = (
     ("largest B", "N s/m", 1.0, {"color": COLOURS["B > 0"], "marker": "s"}),
     ("smallest M", "g", 1e3, {"color": COLOURS["M < 0"], "marker": "^"}),
 )
+DISC: Look = {"color": BLACK, "marker": "o"}
 BY_TRIALS = f"by trials, {INTERVAL}"
 BAND = f"{LOW_HZ[0]:g}-{LOW_HZ[1]:g} Hz"
 CORNERS_HZ = (0.4, 600.0)
@@ -152,6 +155,7 @@ def envelope_figure(result: ReproduceResult, places: tuple[int, ...], title: str
     if peak is not None:
         _peak(figure.axes[0], peak)
     figure.axes[0].set_ylim(*SIZE_RANGE)
+    plain_axis(figure.axes[0].yaxis, FINE)
     return figure
 
 
@@ -197,15 +201,11 @@ def limits_figure(result: ReproduceResult) -> "Figure":
 
 
 def _beside_paper(axis: "Axes", limit: Limit, x: float, printed: float, look: dict[str, Any]) -> None:
-    """In percent of the paper's; a full mark at 0 where nothing is passive."""
-    to_percent, marked = 100.0 / printed, {"linestyle": "none", **look}
-    if limit.values.size:
-        error = abs(to_percent) * limit.sd if isfinite(limit.sd) else 0.0
-        axis.errorbar(x, to_percent * limit.mean - 100.0, error, **marked)
-    if isfinite(limit.predicted):
-        axis.plot(x + BESIDE_GUESS, to_percent * limit.predicted - 100.0, **marked, **HOLLOW)
-    else:
-        axis.plot(x, -100.0, **marked)
+    """In percent of the paper's; a full mark at -100 % where nothing is passive."""
+    scale, marked = 100.0 / printed, {**look, "linestyle": "none"}
+    if limit.values.size or not isfinite(limit.predicted):
+        draw_limits(axis, x, scale * limit.mean - 100.0, np.nan_to_num(abs(scale) * limit.sd), marked)
+    draw_guess(axis, x + BESIDE_GUESS, scale * limit.predicted - 100.0, marked)
 
 
 def _labelled(name: str) -> str:
@@ -230,10 +230,10 @@ def edges_figure(result: ReproduceResult) -> "Figure":
         axis.axhline(printed, color=BLACK, linewidth=0.8, label="the paper, its band is not stated")
         axis.axvspan(0.8, WINDOW_HZ, label="below the reach of the window", **unseen)
         axis.set(xscale="log", xlim=(0.8, 12.5), xlabel="lower edge of the judged band (Hz)", title=words)
-        plain_axis(axis.xaxis, FINE[1:])
+        plain_axis(axis.xaxis, ((1.0, 2.0, 3.0, 5.0),))
     pair[0].set(ylim=(0, None), ylabel="largest passive K on its axis (N/m)")
     pair[1].set(ylim=(250, 4000))
-    plain_axis(pair[1].yaxis, FINE[:1])
+    plain_axis(pair[1].yaxis, FINE[1:])
     figure.legend(*pair[1].get_legend_handles_labels(), ncols=3, **BELOW)
     return figure
 
@@ -244,7 +244,7 @@ def _over_edges(axis: "Axes", values: Floats, place: int, device: str) -> None:
         axis.text(0.97, 0.04, f"{device}: none is passive", fontsize=SMALL_PT, ha="right", transform=axis.transAxes)
         return
     sd = values.std(axis=0, ddof=1) if len(values) > 1 else np.zeros(len(EDGES_HZ))
-    axis.errorbar(EDGES_HZ, values.mean(axis=0), sd, label=device, **DEVICES[place])
+    draw_limits(axis, EDGES_HZ, values.mean(axis=0), sd, DEVICES[place], device)
 
 
 # --- the set on the paper's grid -------------------------------------------------------------------------------------------------
@@ -322,13 +322,18 @@ def _ends(axis: "Axes") -> None:
     plain_axis(axis.yaxis)
 
 
-def _by_trials(axis: "Axes", x: float, runs: Floats, scale: float = 1.0, look: Look = ALONE, label: str | None = BY_TRIALS) -> None:
+def _by_trials(axis: "Axes", x: float, runs: Floats, scale: float = 1.0, look: Look = DISC, label: str | None = BY_TRIALS) -> None:
     """The mean of `runs` (seeds,), times `scale`, with its interval; nothing without trials."""
     if len(runs):
         mean, sd = mean_sd(runs)
-        marked = {"marker": "o", "zorder": 3, "color": BLACK, "linestyle": "", "markerfacecolor": look["color"]}
-        spread = abs(of_mean(len(runs)) * scale * sd)
-        axis.errorbar(x, scale * mean, spread, label=label, **{**marked, "marker": look.get("marker", "o")})
+        marked = {
+            "marker": "o",
+            "zorder": 3,
+            "markerfacecolor": look["color"],
+            **MARKS,
+            **{k: look[k] for k in ("marker",) if k in look},
+        }
+        draw_limits(axis, x, scale * mean, abs(of_mean(len(runs)) * scale * sd), marked, label)
 
 
 # --- future work, over frequency -------------------------------------------------------------------------------------------------

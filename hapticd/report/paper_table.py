@@ -69,11 +69,8 @@ def as_json(rows: Iterable[Row]) -> list[dict[str, Any]]:
 
 def from_json(content: Iterable[Mapping[str, Any]]) -> tuple[Row, ...]:
     """The rows again."""
-    return tuple(_row({name: nan if value is None else value for name, value in each.items()}) for each in content)
-
-
-def _row(values: dict[str, Any]) -> Row:
-    return Row(**{field.name: values[field.name] for field in fields(Row)})
+    known: Iterable[dict[str, Any]] = ({name: nan if value is None else value for name, value in each.items()} for each in content)
+    return tuple(Row(**{field.name: values[field.name] for field in fields(Row)}) for values in known)
 
 
 def markdown(content: Table) -> str:

@@ -275,21 +275,33 @@ def limits_figure(result: LimitsResult) -> "Figure":
         place.set(ylabel=AXIS_LABELS[mine[0].name][0], ylim=(0.0, None), xlabel="added damping (N s/m)")
         if many:
             _perturbation_axis(place, sorted({limit.perturbation_psd for limit in mine}))
-    places[0].errorbar([], [], [], color=BLACK, linestyle="", label="bar: from surely passive to surely not")
-    figure.legend(handles=handles_of(places[0]), ncols=2, **BELOW)
+    more = [
+        mark("predicted", **PREDICTED, marker="o", **HOLLOW),
+        mark("bar: from surely passive to surely not", marker="|", markersize=12, **MARKS),
+    ]
+    figure.legend(handles=[*handles_of(places[0]), *more], ncols=2, **BELOW)
     return figure
 
 
 def _limit_line(place: "Axes", limits: list[AxisLimit], many: bool, look: Look, name: str) -> None:
     factor = AXIS_LABELS[limits[0].name][1]
-    x = [limit.perturbation_psd / PSD_UNIT if many else limit.scan.damping_ns_per_m for limit in limits]
+    x = np.array([limit.perturbation_psd / PSD_UNIT if many else limit.scan.damping_ns_per_m for limit in limits])
     value, lower, upper = (factor * np.array([getattr(limit, part) for limit in limits]) for part in ("value", "lower", "upper"))
-    spread = np.nan_to_num(np.array([np.maximum(value - lower, 0.0), np.maximum(upper - value, 0.0)]))
-    bars = place.errorbar(x, value, spread, marker="o", label=name, **look)
-    bars[2][0].set_linestyle("-")
-    hollow = {**PREDICTED, **HOLLOW, "marker": "o", "markersize": 6, "markerfacecolor": "none"}
-    place.plot(x, [factor * limit.scan.predicted for limit in limits], **{**hollow, "color": look["color"]})
-    place.plot([], [], label="predicted", **hollow)
+    bars = np.nan_to_num([np.maximum(value - lower, 0.0), np.maximum(upper - value, 0.0)])
+    draw_limits(place, x, value, bars, {"marker": "o", **look}, name)
+    dotted = {**PREDICTED, "color": look["color"], "marker": "o", "markersize": 6}
+    draw_guess(place, x, np.array([factor * limit.scan.predicted for limit in limits]), dotted)
+
+
+def draw_limits(place: "Axes", x: Any, value: Any, bars: Any, look: Look, words: str | None = None) -> None:
+    """Limits by trials at `x`, with solid bars on both sides whatever the line is; nan: none."""
+    for bar in place.errorbar(x, value, bars, label=words, **look)[2]:
+        bar.set_linestyle("-")
+
+
+def draw_guess(place: "Axes", x: Any, value: Any, look: Look) -> None:
+    """What was predicted of limits: the same marks, hollow."""
+    place.plot(x, value, **{**look, **HOLLOW, "markerfacecolor": "none"})
 
 
 def _perturbation_axis(place: "Axes", psd: list[float]) -> None:
