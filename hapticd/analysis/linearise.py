@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hapticd.analysis.arrays import Complexes, Flags, Floats
+from hapticd.analysis.arrays import Complexes, Flags, Floats, Integers
 from hapticd.analysis.loop import Loop
 
 GAIN = float(np.sqrt(2.0 / np.pi))
@@ -79,6 +79,16 @@ def recorded_impedance(loop: Loop, points: Floats, impedance: Complexes) -> Comp
     damper was changed."""
     kbm = np.column_stack((np.ones(len(points)), points))
     return np.asarray(impedance * product(kbm, loop.admittance[0, 0]) / product(kbm, loop.recorded))
+
+
+def impedance_each(loop: Loop, line: Integers, points: Floats, dampers: Floats, recorded: bool) -> Complexes:
+    """Z (N,) of environments `points` (N, 3), each at its own `line` (N,) of `loop`, with `dampers`
+    (ports, N) hung on its ports; `recorded` as in `recorded_impedance`."""
+    kbm = np.column_stack((np.ones(len(points)), points)).T
+    common = (kbm * loop.common[:, line]).sum(axis=0)
+    y = (kbm * loop.admittance[..., line]).sum(axis=2)
+    z = 1.0 / hung((y / common)[..., None], dampers)[0, 0, :, 0]
+    return np.asarray(z * y[0, 0] / (kbm * loop.recorded[:, line]).sum(axis=0) if recorded else z)
 
 
 def port_admittance(loop: Loop, points: Floats) -> Complexes:

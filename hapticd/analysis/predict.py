@@ -16,15 +16,15 @@ velocity amplifier of 0.1 Hz turns a spring's phase so far that 1,200 N/m read a
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.arrays import Complexes, Flags, Floats
+from hapticd.analysis.arrays import Complexes, Flags, Floats, Integers
 from hapticd.analysis.closed import spectral_radius
-from hapticd.analysis.linearise import Perturbation, linearise, recorded_impedance
+from hapticd.analysis.linearise import Linearised, Perturbation, impedance_each, linearise, recorded_impedance
 from hapticd.analysis.loop import PAPER_FILTERS, Filters, Loop, close_loop, port_states, with_viscous
+from hapticd.analysis.narrow import Bottom, bottom, mode_lines
 from hapticd.errors import AnalysisError
 from hapticd.plant.model import Model
 
@@ -80,22 +80,32 @@ def predict(
     see it, as in `predicted_impedance`; not for decisions on safety. AnalysisError for a wrong shape.
     """
     kbm = environments(points)
-    f = frequencies(band_hz, perturbation)
-    start, loop = _nominal(model, f, damping_ns_per_m, filters, perturbation)
+    start, loop = _nominal(model, band_hz, damping_ns_per_m, filters, perturbation)
+    f = loop.frequency_hz
     inside = (f >= band_hz[0]) & (f <= band_hz[1])
-    parts = []
-    for part in _chunks(kbm):
+
+    def judged(part: Floats) -> tuple[Bottom, Linearised]:
         found = linearise(loop, part, coulomb(model), start, perturbation)
         z = recorded_impedance(loop, part, found.impedance) if recorded else found.impedance
-        parts.append((*_judged(z[:, inside]), found.velocity_sd, found.calm, found.friction))
-    margin, angle, worst, sd, calm, friction = (np.concatenate(columns, axis=-1) for columns in zip(*parts, strict=True))
+
+        def at(which: Integers, hz: Floats) -> Complexes:
+            lines, line = np.unique(hz, return_inverse=True)
+            own = close_loop(_rubbed(model, start), lines, damping_ns_per_m, filters)
+            return impedance_each(own, line, part[which], (found.friction - start[:, None])[:, which], recorded)
+
+        return bottom(f[inside], z[:, inside], at), found
+
+    least, found = zip(*(judged(part) for part in _chunks(kbm)), strict=True)
+    margin, angle, worst = (np.concatenate([getattr(one, name) for one in least]) for name in ("margin", "angle", "hz"))
+    sd, calm = (np.concatenate([getattr(one, name) for one in found]) for name in ("velocity_sd", "calm"))
+    friction = np.concatenate([one.friction for one in found], axis=1)
     refused = (kbm[:, 0] < 0.0) & (not allow_negative_stiffness)
     hopeful = (margin >= 0.0) & calm & ~refused
     radius = np.full(len(kbm), np.nan)
     radius[hopeful] = _radius(model, kbm[hopeful], friction[:, hopeful], damping_ns_per_m, filters)
     passive = hopeful & (np.nan_to_num(radius, nan=2.0) < 1.0)
     return Prediction(
-        kbm, passive, margin, angle, f[inside][worst], friction.sum(axis=0), sd, radius, calm, refused, band_hz, perturbation,
+        kbm, passive, margin, angle, worst, friction.sum(axis=0), sd, radius, calm, refused, band_hz, perturbation,
         recorded,
     )  # fmt: skip
 
@@ -115,7 +125,7 @@ def predicted_impedance(
     (`loop`), through the velocity channel's filters; False for the true one.
     """
     f, kbm = np.asarray(frequency_hz, np.float64), environments(np.atleast_2d(np.asarray(point, np.float64)))
-    start, loop = _nominal(model, frequencies(DEFAULT_BAND_HZ, perturbation), damping_ns_per_m, filters, perturbation)
+    start, loop = _nominal(model, DEFAULT_BAND_HZ, damping_ns_per_m, filters, perturbation)
     level = linearise(loop, kbm, coulomb(model), start, perturbation).friction[:, 0]
     exact = close_loop(_rubbed(model, level), f, damping_ns_per_m, filters)
     z = linearise(exact, kbm, np.zeros(len(level)), np.zeros(len(level)), None).impedance
@@ -154,26 +164,26 @@ def _rubbed(model: Model, level: Floats) -> Model:
 
 
 def _nominal(
-    model: Model, f: Floats, damping_ns_per_m: float, filters: Filters, perturbation: Perturbation | None
+    model: Model,
+    band_hz: tuple[float, float],
+    damping_ns_per_m: float,
+    filters: Filters,
+    perturbation: Perturbation | None,
 ) -> tuple[Floats, Loop]:
-    """Friction of the device without environment, and the loop that has it: what is changed afterwards stays small."""
-    force = coulomb(model)
+    """Friction of the device without environment, and the loop that has it, with lines around its
+    modes inside the band: what is changed afterwards stays small."""
+    f, force = frequencies(band_hz, perturbation), coulomb(model)
     start = np.where(force > 0.0, _NOMINAL_NS_PER_M if perturbation else 0.0, 0.0)
     for _ in range(2 if start.any() else 0):
         loop = close_loop(_rubbed(model, start), f, damping_ns_per_m, filters)
         start = linearise(loop, np.zeros((1, 3)), force, start, perturbation).friction[:, 0]
-    return start, close_loop(_rubbed(model, start), f, damping_ns_per_m, filters)
+    rubbed = _rubbed(model, start)
+    lines = np.union1d(f, mode_lines(rubbed, damping_ns_per_m, f[f <= band_hz[1]]))
+    return start, close_loop(rubbed, lines, damping_ns_per_m, filters)
 
 
 def _chunks(kbm: Floats) -> list[Floats]:
     return [kbm[first : first + _TOGETHER] for first in range(0, max(1, len(kbm)), _TOGETHER)]
-
-
-def _judged(z: Complexes) -> tuple[Any, ...]:
-    worst = np.argmin(z.real, axis=1)
-    margin = z.real[np.arange(len(z)), worst]
-    angle = 90.0 - np.degrees(np.abs(np.angle(z))).max(axis=1)
-    return margin, angle, worst
 
 
 def _radius(model: Model, kbm: Floats, friction: Floats, damping_ns_per_m: float, filters: Filters) -> Floats:

@@ -1,0 +1,144 @@
+"""Narrow modes: a prediction does not step over them, and pays at most twice for that."""
+
+import numpy as np
+import pytest
+from analysis_devices import MOTOR, display
+
+from hapticd.analysis import predict as module
+from hapticd.analysis.linearise import Perturbation, port_admittance
+from hapticd.analysis.loop import close_loop
+from hapticd.analysis.narrow import dip, mode_lines
+from hapticd.analysis.predict import frequencies, predict
+from hapticd.plant.bodies import Coupling, Masses, Viscous
+from hapticd.plant.compose import compose_device
+from hapticd.plant.electrical import Delay
+
+GRID = frequencies()
+DENSE = np.arange(2.0, 500.0, 0.05)
+DEVICES = 200
+
+
+def flexible(rotor_kg, slider_kg, stiffness, damping, viscous, delay=0.0):
+    """Two masses, a spring and a damper between them; the encoder is on the slider."""
+    effects = [
+        Masses(rotor_kg=rotor_kg, slider_kg=slider_kg),
+        MOTOR,
+        Coupling(stiffness_n_per_m=stiffness, damping_ns_per_m=damping),
+        Viscous(rotor_ns_per_m=viscous),
+        Delay(periods=delay),
+    ]
+    return compose_device("flexible", effects)
+
+
+def drawn(seed):
+    """A device with a free mode at 40..600 Hz, damped by 0.03..10 %, and 20 environments."""
+    random = np.random.default_rng((9, seed))
+
+    def size(low, high):
+        return np.exp(random.uniform(np.log(low), np.log(high)))
+
+    rotor, slider, rate = size(1e-3, 1e-2), size(1e-3, 1e-2), 2.0 * np.pi * size(40.0, 600.0)
+    reduced = rotor * slider / (rotor + slider)
+    loss = 2.0 * size(3e-4, 0.1) * reduced * rate
+    model = flexible(rotor, slider, reduced * rate**2, loss, size(0.1, 2.0), random.uniform(0.0, 1.0))
+    points = random.uniform((0.0, 0.0, -0.002), (600.0, 2.0, 0.004), (20, 3))
+    return model, points * np.exp(random.uniform(np.log(0.03), 0.0, (20, 1)))
+
+
+def resistance(model, points, f):
+    return (1.0 / port_admittance(close_loop(model, f), np.asarray(points))[0, 0]).real
+
+
+def test_mode_between_two_lines_is_seen():
+    """Held, the slider swings at 302 Hz: Re Z < 0 over 8 Hz between lines 18 Hz apart."""
+    model = flexible(0.00368, 0.00102, 0.00102 * (2 * np.pi * 302.0) ** 2, 0.00533, 1.55)
+    point = [[645.9, 0.651, -0.003]]
+    dense = resistance(model, point, DENSE)[0]
+    assert resistance(model, point, GRID[GRID >= 2.0]).min() > 0.19
+    assert 7.0 < 0.05 * (dense < 0.0).sum() < 9.0
+    found = predict(model, point)
+    assert found.margin_ns_per_m[0] == pytest.approx(dense.min(), abs=1e-5)
+    assert found.worst_hz[0] == pytest.approx(DENSE[np.argmin(dense)], abs=0.05)
+    assert not found.passive[0]
+
+
+@pytest.mark.slow
+def test_no_flexible_device_is_falsely_called_passive():
+    """4,000 environments, 40 % of them active; on the grid alone 1 in 40 of those goes unseen."""
+    unseen = active = 0
+    for seed in range(DEVICES):
+        model, points = drawn(seed)
+        truth = resistance(model, points, DENSE[::2]).min(axis=1)
+        margin = predict(model, points).margin_ns_per_m
+        assert not (margin[truth < 0.0] >= 0.0).any()
+        assert (margin < truth + 1e-3 + 0.01 * np.abs(truth)).all()
+        active += (truth < 0.0).sum()
+        unseen += (resistance(model, points[truth < 0.0], GRID[GRID >= 2.0]).min(axis=1) >= 0.0).sum()
+    assert active > 0.3 * 20 * DEVICES
+    assert unseen > 0.02 * active
+
+
+@pytest.fixture
+def computed(monkeypatch):
+    """Counts of impedances computed on shared lines and one by one, and of frequencies of loops."""
+    count = {"shared": 0, "single": 0, "lines": 0}
+    linearise, single, close = module.linearise, module.impedance_each, module.close_loop
+
+    def counted(name, made, of):
+        def call(*given):
+            count[name] += of(*given)
+            return made(*given)
+
+        return call
+
+    def shared(loop, points, *_):
+        return len(points) * loop.frequency_hz.size
+
+    monkeypatch.setattr(module, "linearise", counted("shared", linearise, shared))
+    monkeypatch.setattr(module, "impedance_each", counted("single", single, lambda _, line, *__: len(line)))
+    monkeypatch.setattr(module, "close_loop", counted("lines", close, lambda _, f, *__: f.size))
+    return count
+
+
+def test_looking_between_lines_costs_less_than_the_lines(computed):
+    """On average over devices with a narrow mode; a computed loop counts as an environment."""
+    before = 0
+    for seed in range(0, DEVICES, 10):
+        model, points = drawn(seed)
+        predict(model, np.tile(points, (50, 1)))
+        before += (1000 + 1) * GRID.size
+    assert sum(computed.values()) < 1.2 * before
+
+
+def test_device_without_a_narrow_mode_gets_no_lines(computed):
+    model, points = display(), np.random.default_rng(1).uniform((0, 0, 0), (900, 7, 0.02), (1000, 3))
+    assert mode_lines(model, 1.74, GRID).size == 0
+    predict(model, points, 1.74, perturbation=Perturbation())
+    assert computed["single"] < 2 * len(points)
+
+
+def test_undamped_mode_has_lines_but_none_upon_it():
+    model = flexible(0.004, 0.004, 0.004 * (2 * np.pi * 100.0) ** 2, 0.0, 0.0)
+    near = mode_lines(model, 0.0, GRID)
+    held = near[np.abs(near - 100.0) < 1.0]
+    assert held.size >= 6
+    assert np.abs(held - 100.0).min() > 1e-3
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_dip_of_one_pole_is_found_from_three_lines(seed):
+    random = np.random.default_rng(seed)
+    constant, residue = random.normal(size=2) + 1j * random.normal(size=2)
+    pole = random.uniform(99.0, 101.0) + 1j * np.exp(random.uniform(-5.0, 1.0)) * random.choice((-1, 1))
+    f, dense = np.array([98.0, 100.3, 103.0]), np.linspace(98.0, 103.0, 500_001)
+
+    def z(hz):
+        return constant + residue / (hz - pole)
+
+    where, least = dip(f, z(f))
+    lowest = np.argmin(z(dense).real)
+    if 0 < lowest < dense.size - 1:
+        assert where == pytest.approx(dense[lowest], abs=1e-4)
+        assert least == pytest.approx(z(dense).real[lowest], rel=1e-5, abs=1e-6)
+    else:
+        assert least == np.inf or least > z(dense).real.min() - 1e-9
