@@ -22,7 +22,7 @@ def run(arguments, capsys):
 
 
 def test_trial_prints_a_sentence_and_keeps_a_run(tmp_path, capsys):
-    code, out, _ = run(["trial", *SHORT, "--out", str(tmp_path / "a"), "--plot", "-K", "50", "-M", "0"], capsys)
+    code, out, _ = run(["trial", *SHORT, "--out", str(tmp_path / "a"), "--plot", "-K", "50", "-B", "1"], capsys)
     assert code == 0
     assert out.startswith("SIMULATED engine, scene fig4: K 50 N/m, B 1 N s/m, M 0 kg, added damping 0 N s/m\n")
     assert "in band [2, 500] Hz at 95 % confidence; stable as far as seen" in out

@@ -1,14 +1,20 @@
 """Folders of `hapticd zwidth`: what an interruption leaves, one run a folder, what `report` draws where, Z(f) for others."""
 
 import csv
+import hashlib
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from measured_scenes import RIGID
 
 from hapticd.cli.app import main
+from hapticd.cli.zwidth.common import scene_of
+from hapticd.measure.portable import device_hash
+from hapticd.settings.resources import shipped
 
 pytest.importorskip("matplotlib")
 
@@ -67,7 +73,7 @@ def test_interrupted_run_says_that_nothing_is_kept(
     monkeypatch.setattr(trial, "run_trial", interrupted)
     monkeypatch.setattr(walls, "run_walls", interrupted)
     code, _, err = run([verb, "--out", str(tmp_path / "x")], capsys)
-    assert (code, err) == (130, "interrupted: nothing of this run was kept\n")
+    assert (code, err.splitlines()[-1]) == (130, "interrupted: nothing of this run was kept")
     assert not (tmp_path / "x").exists()
 
 
@@ -178,3 +184,17 @@ def test_interrupted_report_goes_on(tmp_path: Path, capsys: pytest.CaptureFixtur
     kept = len(set((tmp_path / "trials.jsonl").read_text().splitlines()))
     assert code == 130
     assert f"{kept} trials are kept in {tmp_path}; the same command with --out {tmp_path} goes on there" in err
+
+
+def test_report_of_a_device_of_ones_own_is_written(tmp_path, capsys, monkeypatch):
+    """A scene that names a device beside it, and that device's file itself: the summary belongs to that file."""
+    file = tmp_path / "devices" / "mine.toml"
+    file.parent.mkdir()
+    shutil.copy(shipped("config") / "devices" / "ideal.toml", file)
+    (tmp_path / "own.toml").write_text(RIGID.replace('"ideal"', '"mine"'))
+    monkeypatch.chdir(tmp_path)
+    assert main(["zwidth", "report", "own.toml", "--seconds", "4", "--damping", "0", "--out", "out"]) == 0, capsys.readouterr().err
+    found = json.loads((tmp_path / "out" / "mine.zwidth").read_text())
+    assert found["device"] == "mine"
+    assert found["device_file_sha256"] == hashlib.sha256(file.read_bytes()).hexdigest() == device_hash(str(file))
+    assert scene_of("devices/mine.toml").device == "mine"

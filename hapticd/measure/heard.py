@@ -17,7 +17,7 @@ from hapticd.analysis.arrays import Flags, Floats
 from hapticd.client.blocks import Block, BlockDecoder
 from hapticd.errors import AnalysisError, DaemonDown
 from hapticd.mailbox.layout import Flag, State
-from hapticd.measure.losses import Filler
+from hapticd.measure.losses import LOST_SLOTS, Filler
 from hapticd.measure.progress import Progress
 from hapticd.measure.recorded import Recorded
 from hapticd.measure.sentinel import Sentinel
@@ -28,7 +28,6 @@ SETTLE_S = 1.0  # of perturbed motion before the record begins
 PROBE, TICKS = "probe", "servo.raw"
 LOOK_S = 0.05
 SILENT_LOOKS = 40  # without a message: 2 s
-SLOTS = 1 << 32  # where the count of lost slots begins anew
 CHANGED = "changed: someone changed what was rendered or the perturbation; be alone at the device, and repeat the trial"
 
 
@@ -121,7 +120,7 @@ class Hearing:
         if self._first is None and len(playing):
             self._first, self._revision = (int(playing["tick"][0]), int(playing["lost_slots"][0])), int(playing["revision"][0])
         if self._first is not None and ticks["tick"][-1] >= self._first[0]:
-            self._lost_slots = (int(ticks["lost_slots"][-1]) - self._first[1]) % SLOTS
+            self._lost_slots = (int(ticks["lost_slots"][-1]) - self._first[1]) % LOST_SLOTS
             self._slots = int(ticks["tick"][-1]) - self._first[0] + 1 + self._lost_slots
         if self._first is not None:
             self._changed |= bool(ticks["revision"][-1] != self._revision)

@@ -25,6 +25,7 @@ from hapticd.analysis.diagnostics import Finding
 BRIDGED = 40  # samples at most: 10 ms
 MOST_LOST = 0.01  # share of samples or slots above which nothing is decided
 COUNTS = ("lost_samples", "samples", "lost_slots", "slots")  # as the run's summary names them
+LOST_SLOTS = 1 << 32  # where the count of lost slots begins anew
 REMEDY_OF_FILES = "rows are missing by the times in the file, record again without gaps"
 REMEDY = "close other programs on this computer, see `hapticd doctor`"
 

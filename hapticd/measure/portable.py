@@ -13,6 +13,7 @@ from typing import Any
 from hapticd.analysis.envelope import Envelope
 from hapticd.errors import ConfigError
 from hapticd.measure.plain import plain
+from hapticd.settings.document import read
 from hapticd.settings.load import find_device
 from hapticd.settings.resources import shipped
 
@@ -20,8 +21,18 @@ SUFFIX, VERSION = ".zwidth", 1
 
 
 def device_hash(name: str) -> str:
-    """SHA-256 (hex) of the shipped device file `name`, or of the file of that path. ConfigError if there is none."""
-    return hashlib.sha256(find_device(name, shipped("config") / "hapticd.toml", "device").read_bytes()).hexdigest()
+    """SHA-256 (hex) of the shipped device file `name`, or of the device file that `name` is, or that a scene's file of that name
+    names. ConfigError if there is none.
+    """
+    return hashlib.sha256(_device_file(name).read_bytes()).hexdigest()
+
+
+def _device_file(name: str) -> Path:
+    path = Path(name)
+    if path.suffix != ".toml":
+        return find_device(name, shipped("config") / "hapticd.toml", "device")
+    named = read(path).data.get("device")
+    return path if named is None else find_device(named, path, f"{path}: device")
 
 
 def portable(

@@ -8,6 +8,7 @@ and counted, as those that a live trial loses are (`losses`).
 """
 
 import csv
+import json
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -19,9 +20,13 @@ import numpy as np
 
 from hapticd.analysis.arrays import Floats, Integers
 from hapticd.errors import AnalysisError, ConfigError
-from hapticd.measure.archives import read_hdf5, read_mat, read_npz
+from hapticd.measure.archives import is_recording, read_hdf5, read_mat, read_npz, structures
 from hapticd.measure.csv_file import line_of, read_csv
-from hapticd.measure.losses import Filler
+from hapticd.measure.losses import COUNTS, Filler
+from hapticd.measure.own import COUNTED, OF_A_SERVO, Own, of_recording, of_remark, read_remark
+from hapticd.measure.recording.opening import open_recording
+from hapticd.measure.recording.pack import derived
+from hapticd.measure.store import RECORD_H5, RECORD_NPZ, SUMMARY, origin_of, read_summary, record_path
 from hapticd.measure.times import Sampling, sampling
 
 FORCES = ("force_n", "torque_n", "force", "torque", "f", "y")
@@ -34,12 +39,20 @@ LEAST_HZ = 0.5  # of a rate that is one
 BROKEN = (OSError, ValueError, EOFError, MemoryError, csv.Error, BadZipFile, zlib.error)  # what readers say of a broken file
 
 
+@dataclass(frozen=True, slots=True)
+class Rendered:
+    """K [N/m], B [N s/m], M [kg] that were rendered, and the electrical damping [N s/m] beside them."""
+
+    environment: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    damping_ns_per_m: float = 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class Recorded:
     """`force_n`, `velocity_m_per_s` (N,) float64 at `rate_hz`. `ended`: why before its time, "" if it was not.
 
     `max_command_n` is the largest force that was commanded, `command_limit_n` what the device can do; None where not known.
-    `more`: what else the source says of itself, for the run's summary.
+    `more`: what else the source says of itself, for the run's summary. `rendered`: what the record says that it was recorded in.
     """
 
     force_n: Floats
@@ -51,6 +64,7 @@ class Recorded:
     max_command_n: float | None = None
     command_limit_n: float | None = None
     more: Mapping[str, Any] = field(default_factory=dict)
+    rendered: Rendered | None = None
 
     @property
     def seconds(self) -> float:
@@ -64,7 +78,8 @@ def nearer(ended: str) -> str:
 
 
 def read_file(path: Path, force: str = "", velocity: str = "", rate_hz: float | None = None) -> Recorded:
-    """The record in `path`; `force`, `velocity`: names of its columns where they are not the usual ones.
+    """The record in `path`, or in the run folder `path`; `force`, `velocity`: names of its columns where they are not the usual
+    ones. What this package wrote itself (`own`) needs neither.
 
     `rate_hz`: where the file does not say, else the same. ConfigError for a file that is not there, of an unknown kind, or with
     something else than numbers; AnalysisError for one without force, velocity or rate, with gaps, or with another rate.
@@ -72,14 +87,83 @@ def read_file(path: Path, force: str = "", velocity: str = "", rate_hz: float | 
     readers: dict[str, Callable[[Path], dict[str, Any]]] = {
         ".csv": read_csv, ".npz": read_npz, ".mat": read_mat, ".h5": read_hdf5, ".hdf5": read_hdf5,
     }  # fmt: skip
+    if path.is_dir():
+        path = record_path(path)
     if path.suffix not in readers:
         raise ConfigError(f"{path}: records are read from {', '.join(readers)}; convert it to .csv with a head line of names")
+    if not path.exists():
+        raise ConfigError(f"{path}: No such file; check the path")
+    if path.suffix in (".h5", ".hdf5") and is_recording(path):
+        return _of_own(path, _recording(path), rate_hz)
     try:
         columns = readers[path.suffix](path)
+        ours = None if force or velocity else _exported(path, columns)
     except BROKEN as error:
         raise ConfigError(f"{path}: {error}; a record with named columns was expected") from error
+    if ours is not None:
+        return _of_own(path, ours, rate_hz)
+    return _of_trial(path, columns, _foreign(path, columns, (force, velocity), rate_hz))
+
+
+def _recording(path: Path) -> Own:
+    with open_recording(path) as recording:
+        more = {(group, name): values for group, name, _, values in derived(recording)}
+
+        def column(group: str, name: str) -> Any:
+            return more[group, name] if (group, name) in more else recording.column(group, name)
+
+        return of_recording(column, recording.attributes, path.name)
+
+
+def _exported(path: Path, columns: dict[str, Any]) -> Own | None:
+    """The trial in an export of a recording; None of another file."""
+    if path.suffix == ".mat":
+        found = structures(columns)
+        return of_recording(*found, path.name) if found else None
+    if set(columns) >= COUNTED and "torque_n" not in columns:
+        raise AnalysisError(
+            f"{path}: counts of a recording that was not finished; finish it with `hapticd rec recover`, then export"
+        )
+    remark = read_remark(path) if path.suffix == ".csv" else None
+    if remark is not None or set(columns) >= OF_A_SERVO:
+        return of_remark(lambda _, name: columns[name], remark or {}, path.name)
+    return None
+
+
+def _of_own(path: Path, found: Own, told_hz: float | None) -> Recorded:
+    if told_hz is not None and abs(told_hz - found.rate_hz) > SAME_RATE * found.rate_hz:
+        raise AnalysisError(f"{path}: a recording at {found.rate_hz:g} Hz, --rate-hz {told_hz:.9g} Hz: leave that out")
+    rendered = Rendered(found.stretch.environment, found.stretch.added_damping_ns_per_m)
+    return Recorded(
+        found.force_n, found.velocity_m_per_s, found.rate_hz, found.origin, found.simulated,
+        max_command_n=found.stretch.max_command_n, command_limit_n=found.stretch.command_limit_n, more=found.more,
+        rendered=rendered,
+    )  # fmt: skip
+
+
+def _of_trial(path: Path, columns: dict[str, Any], recorded: Recorded) -> Recorded:
+    """`recorded` with what the run folder of a trial, or the record itself, says of it."""
+    told: Mapping[str, Any] = {}
+    if "trial" in columns:
+        text = np.asarray(columns["trial"]).item()
+        told = json.loads(text)
+    elif path.name in (RECORD_H5, RECORD_NPZ) and (path.parent / SUMMARY).is_file():
+        told = origin_of(read_summary(path.parent))
+    if "environment" not in told or "simulated" not in told:
+        return recorded
+    stiffness, damping, mass = told["environment"].values()
+    return replace(
+        recorded, origin=f"{path.name} of a trial: {told['origin']}", simulated=told["simulated"], ended=told.get("ended", ""),
+        max_command_n=told.get("max_command_n"), command_limit_n=told.get("command_limit_n"),
+        rendered=Rendered((stiffness, damping, mass), told["added_damping_ns_per_m"]),
+        more={name: told[name] for name in COUNTS if name in told},
+    )  # fmt: skip
+
+
+def _foreign(path: Path, columns: dict[str, Any], told: tuple[str, str], rate_hz: float | None) -> Recorded:
+    """The record of any other program."""
     known = {name.lower(): np.asarray(values, np.float64) for name, values in columns.items() if _is_number(values)}
-    y, u = (_named(path, known, told, usual) for told, usual in ((force, FORCES), (velocity, VELOCITIES)))
+    y, u = (_named(path, known, name, usual) for name, usual in zip(told, (FORCES, VELOCITIES), strict=True))
     if y.size != u.size:
         raise AnalysisError(f"{path}: {y.size} samples of force and {u.size} of velocity; both were expected, sampled together")
     found = _sampling(path, known, rate_hz)

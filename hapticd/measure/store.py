@@ -16,18 +16,24 @@ import platform
 from collections.abc import Iterable, Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hapticd import __version__
 from hapticd.errors import ConfigError
 from hapticd.measure.plain import plain
-from hapticd.measure.recorded import Recorded
+
+if TYPE_CHECKING:
+    from hapticd.measure.recorded import Recorded
 
 SUMMARY, RECORD_H5, RECORD_NPZ, IMPEDANCE = "run.json", "record.h5", "record.npz", "impedance.csv"
 FIGURES = ("trial", "trial_admittance", "limits", "walls", "search", "set", "envelope", "envelope_admittance", "envelope_so_far")
 OF_A_RUN = (SUMMARY, RECORD_H5, RECORD_NPZ, IMPEDANCE, *(f"{name}.{kind}" for name in FIGURES for kind in ("png", "svg")))
+OF_A_RECORD = (
+    "simulated", "origin", "environment", "added_damping_ns_per_m", "ended", "max_command_n", "command_limit_n",
+    "lost_samples", "samples", "lost_slots", "slots",
+)  # fmt: skip
 LIBRARIES = ("numpy", "numba", "scipy", "h5py")
 
 
@@ -50,7 +56,7 @@ def _versions() -> Iterable[tuple[str, str]]:
 
 
 def write_run(
-    folder: Path, summary: Mapping[str, Any], recorded: Recorded | None = None, texts: Mapping[str, str] | None = None
+    folder: Path, summary: Mapping[str, Any], recorded: "Recorded | None" = None, texts: Mapping[str, str] | None = None
 ) -> Path:
     """A run folder, made if need be, in place of the run that was there; `texts`: further files by name.
 
@@ -61,7 +67,7 @@ def write_run(
         for name in OF_A_RUN:
             (folder / name).unlink(missing_ok=True)
         if recorded is not None:
-            _write_record(folder, recorded)
+            _write_record(folder, recorded, json.dumps(plain(origin_of(summary))))
         for name, content in (texts or {}).items():
             (folder / name).write_text(content)
         (folder / SUMMARY).write_text(json.dumps(plain(summary), indent=1) + "\n")
@@ -79,6 +85,11 @@ def read_summary(folder: Path) -> dict[str, Any]:
         raise ConfigError(f"{folder}: no run folder ({error}); a folder with {SUMMARY} was expected") from error
 
 
+def origin_of(summary: Mapping[str, Any]) -> dict[str, Any]:
+    """What a record says of itself, of its run's summary: where it comes from, what was rendered, why it ended, what was lost."""
+    return {name: summary[name] for name in OF_A_RECORD if name in summary}
+
+
 def record_path(folder: Path) -> Path:
     """The record of a run folder, to be read with `recorded.read_file`. ConfigError if it holds none."""
     for name in (RECORD_H5, RECORD_NPZ):
@@ -87,7 +98,7 @@ def record_path(folder: Path) -> Path:
     raise ConfigError(f"{folder}: no record; {RECORD_H5} or {RECORD_NPZ} was expected")
 
 
-def _write_record(folder: Path, recorded: Recorded) -> None:
+def _write_record(folder: Path, recorded: "Recorded", told: str) -> None:
     channels = {name: np.asarray(getattr(recorded, name), np.float32) for name in ("force_n", "velocity_m_per_s")}
     try:
         import h5py
@@ -95,12 +106,13 @@ def _write_record(folder: Path, recorded: Recorded) -> None:
         np.savez(
             folder / RECORD_NPZ,
             rate_hz=recorded.rate_hz,
+            trial=told,
             force_n=channels["force_n"],
             velocity_m_per_s=channels["velocity_m_per_s"],
         )
         return
     with h5py.File(folder / RECORD_H5, "w") as file:
-        file["rate_hz"] = recorded.rate_hz
+        file["rate_hz"], file["trial"] = recorded.rate_hz, told
         for name, values in channels.items():
             file.create_dataset(name, data=values, chunks=True, shuffle=True, compression="gzip", compression_opts=1)
 

@@ -150,9 +150,15 @@ def judged(plan: TrialPlan, recorded: Recorded) -> TrialResult:
 
 
 def _windowed(params: TrialParams, recorded: Recorded) -> Spectra:
-    if recorded.ended and recorded.seconds < SHORTEST_WINDOWS * params.lag / recorded.rate_hz:
+    least_s = SHORTEST_WINDOWS * params.lag / recorded.rate_hz
+    if recorded.ended and recorded.seconds < least_s:
         raise AnalysisError(
             f"ended after {recorded.seconds:.3g} s ({recorded.ended}): too short for a verdict{nearer(recorded.ended)}"
+        )
+    if recorded.seconds < least_s:
+        raise AnalysisError(
+            f"{recorded.origin}: {recorded.seconds:.3g} s are too short for a verdict with a window of {params.lag} samples; "
+            f"record {least_s:.3g} s or more"
         )
     return spa(recorded.force_n, recorded.velocity_m_per_s, recorded.rate_hz, params.lag)
 

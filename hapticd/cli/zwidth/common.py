@@ -111,7 +111,7 @@ def scene_of(name: str) -> "Scene":
     try:
         return load_scene(name)
     except ConfigError as error:
-        found = device_scene(name)
+        found = device_scene(str(Path(name).resolve()) if name.endswith(".toml") else name)
         if found is None:
             raise error
         return found

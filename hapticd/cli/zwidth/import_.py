@@ -8,15 +8,20 @@ import typer
 from hapticd.cli import options
 from hapticd.cli.zwidth import common, trial
 
-File = Annotated[Path, typer.Argument(metavar="FILE", help=".csv, .npz, .mat or .h5 with force in N and velocity in m/s.")]
+File = Annotated[
+    Path,
+    typer.Argument(
+        metavar="FILE", help=".csv, .npz, .mat or .h5 with force in N and velocity in m/s; a recording, its export, a run folder."
+    ),
+]
 
 
 def command(
     file: File,
-    stiffness: Annotated[float, typer.Option("-K", "--stiffness", metavar="N/M", help="What was rendered.")] = 0.0,
-    viscous: Annotated[float, typer.Option("-B", "--viscous", metavar="NS/M", help="What was rendered.")] = 0.0,
-    mass: Annotated[float, typer.Option("-M", "--mass", metavar="KG", help="What was rendered.")] = 0.0,
-    damping: Annotated[float, typer.Option("--damping", metavar="NS/M", help="Electrical damping.", min=0)] = 0.0,
+    stiffness: Annotated[float | None, typer.Option("-K", "--stiffness", metavar="N/M", help="What was rendered.")] = None,
+    viscous: Annotated[float | None, typer.Option("-B", "--viscous", metavar="NS/M", help="What was rendered.")] = None,
+    mass: Annotated[float | None, typer.Option("-M", "--mass", metavar="KG", help="What was rendered.")] = None,
+    damping: Annotated[float | None, typer.Option("--damping", metavar="NS/M", help="Electrical damping.", min=0)] = None,
     force: Annotated[str, typer.Option("--force-column", metavar="NAME", help="Of FILE.")] = "",
     velocity: Annotated[str, typer.Option("--velocity-column", metavar="NAME", help="Of FILE.")] = "",
     rate_hz: Annotated[float | None, typer.Option("--rate-hz", metavar="HZ", help="Where FILE does not say.")] = None,
@@ -30,7 +35,7 @@ def command(
     as_json: options.Json = False,
 ) -> None:
     """Bring in a record of any other system: a run folder with the record, its verdict and summary (run.json) and impedance.csv,
-    as `trial` makes them.
+    as `trial` makes them. A recording, its exports and a run folder say themselves what was rendered.
     """
     trial.command(
         source=str(file), stiffness=stiffness, viscous=viscous, mass=mass, damping=damping, force=force, velocity=velocity,

@@ -37,7 +37,7 @@ def command(
     if (folder / "run.json").is_file():
         drawn = _of_run(folder, out or folder)
     else:
-        drawn = _of_device(_named(what), damping, seconds, seed, out)
+        drawn = _of_device(what, damping, seconds, seed, out)
     if as_json:
         output.data_json({"ok": True, "files": [str(path) for path in drawn.files], "judged": plain(drawn.judged)})
         return
@@ -149,7 +149,7 @@ def _asked(kept: dict[str, Any]) -> "MapParams":
     return MapParams(conditions, (stiffness, damping, mass), levels, asked["near"], asked["everywhere"], asked["refine"])
 
 
-def _of_device(scene: "Scene", damping: str, seconds: float, seed: int, out: Path | None) -> Drawn:
+def _of_device(what: str, damping: str, seconds: float, seed: int, out: Path | None) -> Drawn:
     from hapticd.cli.zwidth.map import draw
     from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
     from hapticd.measure.portable import SUFFIX, device_hash, portable, write_portable
@@ -157,9 +157,11 @@ def _of_device(scene: "Scene", damping: str, seconds: float, seed: int, out: Pat
     from hapticd.report import style
     from hapticd.report.passive_set import limits_figure
 
-    levels = common.levels(damping)
+    scene = _named(what)
+    levels, name = common.levels(damping), Path(scene.device).stem
+    file_hash = device_hash(what if what.endswith(".toml") else scene.device)
     conditions = common.conditions(scene, seconds, seed)
-    folder = common.folder(out, f"report-{scene.device}")
+    folder = common.folder(out, f"report-{name}")
     store = TrialStore(folder / "trials.jsonl")
     with common.keeping(store, folder), common.progress() as tell:
         limits = run_limits(plan_limits(LimitsParams(conditions, levels)), store, tell)
@@ -168,12 +170,12 @@ def _of_device(scene: "Scene", damping: str, seconds: float, seed: int, out: Pat
         "seconds": seconds, "band_hz": conditions.band_hz, "judged": found.judged, "perturbation": conditions.excitation,
         "simulated": True,
     }  # fmt: skip
-    write_run(folder, {"kind": "report", "device": scene.device, **told, "provenance": common.told(seed=seed)})
+    write_run(folder, {"kind": "report", "device": name, **told, "provenance": common.told(seed=seed)})
     paths = [*_own_trial(scene, seconds, folder), *style.save(limits_figure(limits), folder, "limits")]
     paths += draw(found, folder)
     drawn = [(level.damping_ns_per_m, level.envelope) for level in found.levels]
-    content = portable(scene.device, device_hash(scene.device), drawn, limits.limits, told)
-    paths.append(write_portable(folder / f"{scene.device}{SUFFIX}", {**content, "provenance": common.told(seed=seed)}))
+    content = portable(name, file_hash, drawn, limits.limits, told)
+    paths.append(write_portable(folder / f"{name}{SUFFIX}", {**content, "provenance": common.told(seed=seed)}))
     return Drawn(paths, found.judged)
 
 

@@ -8,11 +8,12 @@ import typer
 
 from hapticd.cli import options, output
 from hapticd.cli.zwidth import common
-from hapticd.cli.zwidth.trial_words import compared, needed
+from hapticd.cli.zwidth.trial_words import asked_for, compared, needed
 
 if TYPE_CHECKING:
     from hapticd.analysis.impedance import Estimator
     from hapticd.measure.progress import Progress
+    from hapticd.measure.recorded import Recorded
     from hapticd.measure.referee import Referee
     from hapticd.measure.sources import Source
     from hapticd.measure.trial import TrialPlan, TrialResult
@@ -26,7 +27,7 @@ ENGINE_SCENE = "fig4"  # of engine and lockstep where none is named
 def command(
     source: Annotated[str, typer.Argument(metavar="engine|lockstep|live|FILE", help=FROM)] = "engine",
     scene: Annotated[
-        str, typer.Option("--scene", metavar="NAME|FILE", help="What is not given; engine, lockstep: else fig4; live: else 0.")
+        str, typer.Option("--scene", metavar="NAME|FILE", help="Device and environment; engine, lockstep: else fig4.")
     ] = "",
     stiffness: Annotated[float | None, typer.Option("-K", "--stiffness", metavar="N/M", help="Virtual stiffness.")] = None,
     viscous: Annotated[float | None, typer.Option("-B", "--viscous", metavar="NS/M", help="Virtual damping.")] = None,
@@ -68,31 +69,33 @@ def command(
     """One trial of one environment: the probe shakes, impedance by spectral analysis, passive or not.
 
     White noise and spectral analysis, the paper's way, or multisines (period 1.024 s): better for a device without friction, and
-    with friction only as good as the number of realisations. What is left out are the scene's K, B, M, electrical damping and
-    perturbation; live without --scene they are 0 and the paper's perturbation, so give a K that holds the device in its travel
-    (-K 20). `live` enables the daemon's device by itself, says so, shakes it, and disables it at the end and on Ctrl-C.
+    with friction only as good as the number of realisations. Of K, B and M what is not given is that of the scene that --scene
+    names, else 0; with none of the three given they are those of fig4, live without --scene they are 0, and of a record of
+    hapticd's own what it says. Electrical damping and perturbation are the scene's unless given. `live` enables the daemon's
+    device by itself, says so, shakes it, and disables it at the end and on Ctrl-C; give a K that holds it in its travel (-K 20).
     A FILE is .csv, .npz, .mat or .h5; one of multisines holds whole realisations, each with its settling period.
     """
     from dataclasses import replace
 
     from hapticd.measure import scenes
+    from hapticd.measure.given import given
     from hapticd.measure.multisine import Layout, multisine_like
     from hapticd.measure.referee import may_follow, stepped_sine
     from hapticd.measure.sentinel import Watch
-    from hapticd.measure.sources import Trial
+    from hapticd.measure.sources import Trial, file_source
     from hapticd.measure.trial import TrialParams, plan_trial
 
     _check(source, excitation, estimator, sine, until_decided)
     named = scene or (ENGINE_SCENE if source in ("engine", "lockstep") else "")
     loaded = common.scene_of(named) if named and source in LIVE else None
-    given = scenes.point(loaded) if loaded else (0.0, 0.0, 0.0)
-    point = [own if own is not None else default for own, default in zip((stiffness, viscous, mass), given, strict=True)]
+    recorded = None if source in LIVE else read(source, force, velocity, rate_hz)
+    asked = given((stiffness, viscous, mass), damping, loaded, bool(scene), recorded)
     force_of = scenes.noise(loaded) if loaded else Trial().excitation
     force_of = replace(force_of, seed=seed, psd_n2_per_hz=force_of.psd_n2_per_hz if psd is None else psd)
     repeats = Layout(realisations, periods) if excitation == "multisine" else None
-    level = damping if damping is not None else scenes.level(loaded) if loaded else 0.0
     watch = Watch(until_decided=until_decided, winding_limit_c=hottest)
-    trial = Trial((point[0], point[1], point[2]), level, seconds, multisine_like(force_of, band[1]) if repeats else force_of, watch)
+    shaken = multisine_like(force_of, band[1]) if repeats else force_of
+    trial = Trial(asked.environment, asked.damping_ns_per_m, seconds, shaken, watch)
     chosen: Estimator = "h_force" if estimator == "h_force" or (repeats and not estimator) else "spa"
     model = loaded if source != "live" else None
     params = TrialParams(
@@ -103,11 +106,19 @@ def command(
         if source == "live":
             plan, recorder = _live(plan, loaded, instance, stack)
         else:
-            recorder = _source(source, named, loaded, (force, velocity, rate_hz), stack)
+            output.talk(asked_for(source, trial, loaded, recorded))
+            recorder = file_source(recorded) if recorded else _source(source, named, loaded, stack)
         tell = stack.enter_context(common.progress())
         result = _flown(plan, recorder, source in LIVE, tell)
         referee = stepped_sine(trial, recorder, tell) if sine and may_follow(result.recorded) else None
     _show(result, referee, common.folder(out, "trial"), plot or admittance, admittance, as_json)
+
+
+def read(name: str, force: str, velocity: str, rate_hz: float | None) -> "Recorded":
+    """The record in a file or run folder."""
+    from hapticd.measure.recorded import read_file
+
+    return read_file(Path(name), force, velocity, rate_hz)
 
 
 def _check(source: str, excitation: str, estimator: str, sine: bool, until_decided: bool) -> None:
@@ -143,20 +154,15 @@ def _live(plan: "TrialPlan", scene: "Scene | None", instance: str, stack: ExitSt
     )
 
 
-def _source(name: str, scene: str, loaded: Any, columns: tuple[str, str, float | None], stack: ExitStack) -> "Source":
+def _source(name: str, scene: str, loaded: Any, stack: ExitStack) -> "Source":
+    from hapticd.assembly.scene import scene_params
     from hapticd.measure.bench import bench_source
-    from hapticd.measure.sources import engine_source, file_source
+    from hapticd.measure.lockstep_bench import LockStepBench
+    from hapticd.measure.sources import engine_source
 
     if name == "engine":
         return engine_source(loaded)
-    if name == "lockstep":
-        from hapticd.assembly.scene import scene_params
-        from hapticd.measure.lockstep_bench import LockStepBench
-
-        return bench_source(stack.enter_context(LockStepBench(*scene_params(scene))), f"lock-step, scene {loaded.name}")
-    from hapticd.measure.recorded import read_file
-
-    return file_source(read_file(Path(name), *columns))
+    return bench_source(stack.enter_context(LockStepBench(*scene_params(scene))), f"lock-step, scene {loaded.name}")
 
 
 def _show(result: "TrialResult", referee: "Referee | None", folder: Path, plot: bool, admittance: bool, as_json: bool) -> None:

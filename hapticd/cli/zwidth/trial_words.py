@@ -1,10 +1,23 @@
-"""What is said below a trial's sentence: what record would decide, and how the stepped sine compares."""
+"""What is said of a trial beside its sentence: before it what is flown, below it what would decide, and how the sine compares."""
 
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from hapticd.measure.recorded import Recorded
     from hapticd.measure.referee import Referee
+    from hapticd.measure.sources import Trial
     from hapticd.measure.trial import TrialResult
+    from hapticd.plant.scene import Scene
+
+
+def asked_for(source: str, trial: "Trial", scene: "Scene | None", recorded: "Recorded | None") -> str:
+    """What is about to be flown or read, environment and all."""
+    k, b, m = trial.environment
+    what = f"K {k:g} N/m, B {b:g} N s/m, M {m:g} kg, added damping {trial.damping_ns_per_m:g} N s/m"
+    if recorded is not None:
+        return f"reads {recorded.origin}, {recorded.seconds:.4g} s at {recorded.rate_hz:.6g} Hz, as recorded in {what}"
+    device = f", device {scene.device} of scene {scene.name}" if scene else ""
+    return f"flies {what} by the {source}{device}"
 
 
 def needed(result: "TrialResult") -> str:

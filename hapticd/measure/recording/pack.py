@@ -85,7 +85,7 @@ def _write(file: Any, recording: Recording, told: dict[str, Any], recovered: boo
         target = file.create_group(group)
         for name in recording.names(group):
             _copy(target, name, recording, group, rows)
-    for group, name, unit, values in _derived(recording):
+    for group, name, unit, values in derived(recording):
         if name in file[group]:  # the source was a finished file
             continue
         _dataset(file[group], name, values.shape, values.dtype, unit)[...] = values
@@ -111,8 +111,8 @@ def _dataset(target: Any, name: str, shape: tuple[int, ...], kind: Any, unit: st
     return dataset
 
 
-def _derived(recording: Recording) -> Iterator[tuple[str, str, str, NDArray[Any]]]:
-    """What everybody computes first: seconds from the first record, and the probe's signals in SI."""
+def derived(recording: Recording) -> Iterator[tuple[str, str, str, NDArray[Any]]]:
+    """What everybody computes first, (group, name, unit, values): seconds from the first record, and the probe's signals in SI."""
     if recording.rows["servo"]:
         time_ns = recording.column("servo", "time_ns")
         yield "servo", "t_s", "s", (time_ns - time_ns[0]) / NS_PER_S
