@@ -15,9 +15,9 @@ from benchmarks.figures import Figure, compared, refused
 from hapticd.analysis.loop import derivatives, held
 from hapticd.analysis.search import Search, first_trials, next_trials, predicted_passive
 from hapticd.analysis.surrogate import Box, Observation
-from hapticd.measure.beyond_search import Compared, compared_with_grid
+from hapticd.measure.beyond import Compared, compared_with_grid
 from hapticd.measure.outcomes import Conditions
-from hapticd.measure.reproduce_trials import LEVELS
+from hapticd.measure.reproduce_rows import LEVELS
 from hapticd.measure.scenes import noise
 from hapticd.settings.scene import load_scene
 

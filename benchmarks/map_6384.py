@@ -16,7 +16,7 @@ from benchmarks.figures import Figure, compared
 from benchmarks.spa_c import SpectraYard
 from hapticd.measure.campaign import MapParams, plan_map, run_map
 from hapticd.measure.outcomes import Conditions
-from hapticd.measure.reproduce_grid import AXES
+from hapticd.measure.reproduce import AXES
 from hapticd.measure.scenes import noise
 from hapticd.measure.store import TrialStore
 from hapticd.plant.compose import compose

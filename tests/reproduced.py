@@ -4,7 +4,7 @@ from functools import cache
 
 import pytest
 
-from hapticd.measure import beyond_levels, beyond_shape
+from hapticd.measure import beyond
 from hapticd.measure.beyond import BeyondParams, BeyondResult, plan_beyond, run_beyond
 from hapticd.measure.reproduce import ReproduceParams, ReproduceResult, plan_reproduce, run_reproduce
 
@@ -19,7 +19,7 @@ def by_prediction() -> ReproduceResult:
 def beyond_by_prediction() -> BeyondResult:
     """What goes beyond the paper, with fewer corners and levels."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(beyond_shape, "HIGHPASS_HZ", (2.0, 10.0, 50.0))
-        patch.setattr(beyond_shape, "LOWPASS_HZ", (20.0, 200.0))
-        patch.setattr(beyond_levels, "LEVELS", (0.0, 0.87, 1.74, 3.48, 8.0))
+        patch.setattr(beyond, "HIGHPASS_HZ", (2.0, 10.0, 50.0))
+        patch.setattr(beyond, "LOWPASS_HZ", (20.0, 200.0))
+        patch.setattr(beyond, "DAMPING_LEVELS", (0.0, 0.87, 1.74, 3.48, 8.0))
         return run_beyond(plan_beyond(BeyondParams(quick=True)))

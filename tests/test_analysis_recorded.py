@@ -5,10 +5,10 @@ import pytest
 from analysis_devices import display
 
 from hapticd.analysis.linearise import Perturbation
-from hapticd.analysis.predict import predict, predicted_impedance
-from hapticd.measure.reproduce_grid import POINTS
-from hapticd.measure.reproduce_limits import predicted_edge_limits
-from hapticd.measure.reproduce_trials import DEFAULT_BAND_HZ, EDGES_HZ, LEVELS, MAIN, subject
+from hapticd.analysis.predict import DEFAULT_BAND_HZ, frequencies, predict, predicted_impedance
+from hapticd.measure.limits import predicted_limit
+from hapticd.measure.reproduce import EDGES_HZ, POINTS, TOP_HZ, subject
+from hapticd.measure.reproduce_rows import LEVELS, MAIN
 from hapticd.plant.sensing import VelocityHighpass
 
 WHITE, RIVAL = Perturbation(), "weir2008_probe_hp"
@@ -25,7 +25,8 @@ def test_recorded_verdict_is_that_of_the_recorded_impedance(level):
     """Re of Z times the channel's turn, one by one, next to the true verdict: the same set on the whole grid."""
     true, recorded = both(RIVAL, POINTS, level)
     device, passive = subject(RIVAL), true.passive.copy()
-    f, z = device.impedances(POINTS[passive], level, DEFAULT_BAND_HZ)
+    f = frequencies(DEFAULT_BAND_HZ, WHITE)
+    z = device.impedances(POINTS[passive], level, f)
     passive[passive] = (z.real[:, (f >= 2.0) & (f <= 500.0)] >= 0.0).all(axis=1)
     assert np.array_equal(recorded.passive & true.passive, passive)
     assert true.passive.sum() > recorded.passive.sum()
@@ -60,7 +61,7 @@ def test_spring_looks_short_of_damping(stiffness):
 
 def test_rival_limits_move_with_the_lower_band_edge():
     """Prototype: 249 N/m from 1 Hz, 619 from 2 Hz in the time domain, 15 % between seeds; ten times f_h / f^2 it is gone."""
-    limits = dict(zip(EDGES_HZ, predicted_edge_limits(RIVAL, LEVELS[1]), strict=True))
+    limits = {edge: predicted_limit(subject(RIVAL), LEVELS[1], 0, band_hz=(edge, TOP_HZ)) for edge in EDGES_HZ}
     assert limits[1.0] == pytest.approx(249.0, rel=0.15)
     assert limits[2.0] == pytest.approx(619.0, rel=0.15)
     assert limits[1.0] < limits[2.0] < limits[3.0] < limits[5.0] == pytest.approx(limits[10.0], rel=1e-3)

@@ -1,7 +1,7 @@
 """Beyond the paper: closed forms on a rigid device, the striking-out of failed owners, and what every row and point must keep."""
 
 from dataclasses import replace
-from math import isfinite, log, nan
+from math import isfinite, log
 
 import numpy as np
 import pytest
@@ -12,15 +12,31 @@ from hapticd.analysis.lifted import lift, lifted_margin
 from hapticd.analysis.predict import predict
 from hapticd.analysis.requirement import paper_equation_2
 from hapticd.errors import AnalysisError
-from hapticd.measure import beyond, beyond_levels
-from hapticd.measure.beyond import BeyondParams, mean_sd, plan_beyond, run_beyond
-from hapticd.measure.beyond_display import Display, shown_hz, sizes
-from hapticd.measure.beyond_envelope import GRID, LOW_HZ, Case, candidates, flown_bounds, hardy, mean_db, predicted_bounds
-from hapticd.measure.beyond_levels import damping_levels
-from hapticd.measure.beyond_motion import free_motion, safest
+from hapticd.measure import beyond, outcomes
+from hapticd.measure.beyond import (
+    GRID,
+    LOW_HZ,
+    Bench,
+    BeyondParams,
+    Case,
+    candidates,
+    damping_levels,
+    flown_bounds,
+    free_motion,
+    hardy,
+    mean_db,
+    mean_sd,
+    plan_beyond,
+    predicted_bounds,
+    run_beyond,
+    safest,
+    shown_hz,
+    sizes,
+)
 from hapticd.measure.beyond_rows import PART, restored, rows
-from hapticd.measure.outcomes import Outcome, kept_frequencies
-from hapticd.measure.reproduce_grid import AXES
+from hapticd.measure.limits import REACH
+from hapticd.measure.outcomes import Conditions, Outcome, kept_frequencies
+from hapticd.measure.reproduce import AXES
 from hapticd.plant.bodies import Masses, Viscous
 from hapticd.plant.mechanics import held_force_response
 from hapticd.plant.winding import Motor
@@ -38,10 +54,24 @@ ORIGIN = np.zeros((1, 3))
 SMALL = GRID[(GRID[:, 0] <= 100.0) & (GRID[:, 2] % 0.006 < 1e-9)]
 
 
+def bench(effects, **more):
+    own = scene(effects, **more)
+    return Bench(Conditions(own, 90.0, own.excitation))
+
+
+def made_up(given, level, points):
+    """Trials that pass down to B = -1 N s/m."""
+    nothing = np.empty(0)
+    return [
+        Outcome(tuple(point), level, "passive", bool(point[1] >= -1.0), 0.1, 0.05, 0.2, 1.0, 3.0, 0.02, 1.0, nothing, nothing)
+        for point in points.tolist()
+    ]
+
+
 @pytest.fixture(scope="module")
 def rigid():
     """No friction, no lags: everything is known in closed form."""
-    return Display(scene(PARTS_OF_RIGID))
+    return bench(PARTS_OF_RIGID)
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +97,7 @@ def mean_velocity(turn, damping):
 def test_impedance_of_a_rigid_device_is_mass_and_damping(rigid, level):
     f = shown_hz()
     expected = 1.0 / mean_velocity(np.exp(2j * np.pi * f / 4000.0), VISCOUS + level)
-    assert rigid.impedances(ORIGIN, level)[0] == pytest.approx(expected, rel=1e-9)
+    assert rigid.display.impedances(ORIGIN, level, f)[0] == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize("level", [0.0, LEVEL])
@@ -97,15 +127,15 @@ def test_safest_leaves_nothing_to_spare_but_something(rigid):
 def test_safest_holds_for_every_input_not_only_for_noise(rigid):
     """On this grid the lightest point that noise calls passive is 6 mN s/m short of the lifted theorem."""
     asked = safest(rigid, LEVEL, -2.0, -0.012)
-    lifted = lift(rigid.model, LEVEL, rigid.filters)
+    lifted = lift(rigid.display.model, LEVEL, rigid.display.filters)
     assert lifted_margin(lifted, [(0.0, *asked)])[0] >= 0.0
     tempting = np.array([[0.0, -1.8, -0.003]])
-    assert rigid.passive(tempting, LEVEL, dry=False)[0]
+    assert rigid.display.passive(tempting, LEVEL, dry=False)[0]
     assert lifted_margin(lifted, tempting)[0] < 0.0
 
 
 def test_safest_refuses_a_device_that_bears_nothing():
-    bare = Display(scene((*PARTS_OF_RIGID[:2], Viscous(rotor_ns_per_m=0.0))))
+    bare = bench((*PARTS_OF_RIGID[:2], Viscous(rotor_ns_per_m=0.0)))
     with pytest.raises(AnalysisError, match=r"'small' at 0 N s/m: not passive without friction even where nothing is rendered"):
         safest(bare, 0.0, -1.0, 0.0)
 
@@ -113,7 +143,7 @@ def test_safest_refuses_a_device_that_bears_nothing():
 def test_equation_2_refuses_what_it_would_wrongly_allow(rigid):
     """As printed, b > KT/2 + B calls any B < 0 passive; the device with 1.9 N s/m does not bear -2.5."""
     point = np.array([[0.0, -2.5, 0.0]])
-    assert not rigid.passive(point, LEVEL)[0]
+    assert not rigid.display.passive(point, LEVEL)[0]
     with pytest.raises(AnalysisError, match=r"Eq\. 2 does not hold for B = -2\.5 N s/m"):
         paper_equation_2(0.0, -2.5, VISCOUS + LEVEL)
     assert free_motion(rigid, LEVEL, ()).refusal.startswith("Eq. 2 does not hold for B = -")
@@ -125,11 +155,11 @@ def test_grid_is_the_papers_with_rows_of_negative_damping():
     assert np.unique(np.diff(np.unique(GRID[:, 1]))) == pytest.approx([0.5])
 
 
-class Fragile(Display):
+class Fragile(Bench):
     """Trials that show what is predicted, and in which some environments fail with one seed."""
 
     def flown(self, points, level, seed, amplitude=1.0):
-        z = self.impedances(points, level)
+        z = self.display.impedances(points, level, shown_hz())
         return [self._outcome(point, row, level, seed, amplitude) for point, row in zip(points, z, strict=True)]
 
     def _outcome(self, point, z, level, seed, amplitude):
@@ -143,7 +173,7 @@ class Fragile(Display):
 
 
 def test_environment_that_fails_with_one_seed_is_struck_out_for_good():
-    display, case = Fragile(scene(PARTS_OF_RIGID)), Case("on", LEVEL, negative=True)
+    display, case = Fragile(bench(PARTS_OF_RIGID).conditions), Case("on", LEVEL, negative=True)
     found = flown_bounds(display, case, (1, 2, 3), SMALL)
     owners = found.points[np.concatenate((found.lower.owner, found.upper.owner))]
     assert owners[:, 1].min() >= -1.0
@@ -151,7 +181,7 @@ def test_environment_that_fails_with_one_seed_is_struck_out_for_good():
     assert found.predicted_db() < found.lower_db().mean()
     sound = candidates(display, case, SMALL)
     sound = sound[sound[:, 1] >= -1.0]
-    assert found.lower.value == pytest.approx(np.abs(display.impedances(sound, LEVEL)).min(axis=0), rel=1e-9)
+    assert found.lower.value == pytest.approx(display.sizes(sound, LEVEL).min(axis=0), rel=1e-9)
     assert hardy(display, found, 1) == 0.0
     assert hardy(display, found, 1, amplitude=1.0) == 1.0
 
@@ -163,38 +193,46 @@ def test_positive_case_renders_no_negative_damping(rigid):
 
 def test_what_counts_on_friction_is_more_than_what_does_not():
     """With Coulomb friction the safe set lies inside the other."""
-    display = Display(scene(DRY))
-    at_noise, safe = (display.passive(SMALL, LEVEL, dry) for dry in (True, False))
+    own = bench(DRY).display
+    at_noise, safe = (own.passive(SMALL, LEVEL, dry=dry) for dry in (True, False))
     assert (safe <= at_noise).all()
     assert 0 < safe.sum() < at_noise.sum()
 
 
 def test_owners_that_are_shown_pass_when_flown_alone():
     """The real engine: 90 s trials of a device with friction, one seed, few environments."""
-    display, case = Display(scene(DRY, excitation=replace(scene().excitation, seed=4))), Case("on", LEVEL, negative=True, dry=False)
+    display, case = bench(DRY, excitation=replace(scene().excitation, seed=4)), Case("on", LEVEL, negative=True, dry=False)
     few = SMALL[(SMALL[:, 0] <= 25.0) & (np.abs(SMALL[:, 2]) < 0.007)]
     found = flown_bounds(display, case, (4,), few)
     places, where = np.unique(found.lower.owner, return_inverse=True)
-    fresh = Display(display.scene).flown(found.points[places], LEVEL, 4)
+    fresh = Bench(display.conditions).flown(found.points[places], LEVEL, 4)
     assert all(outcome.passes for outcome in fresh)
     own = np.array([sizes(outcome) for outcome in fresh])[where, np.arange(where.size)]
     assert own == pytest.approx(found.lower.value, rel=1e-9)
     assert found.points[found.lower.owner][0, 1] < 0.0
 
 
-def test_limit_by_trials_brackets_its_first_failure():
-    display = Fragile(scene(PARTS_OF_RIGID))
-    found = display.limits_by_trials(LEVEL, 1, -1.0, (2,))
-    assert found[0] == pytest.approx(-1.0, abs=0.6 / 15**2)
-    assert display.limits_by_trials(LEVEL, 1, -0.2, (2,))[0] == -0.5  # nothing fails near it, nor within 2.5 times
-    assert np.isnan(display.limits_by_trials(LEVEL, 1, nan, (1, 2))).all()
+def test_limit_is_searched_downwards_with_every_seed(monkeypatch):
+    monkeypatch.setattr(outcomes, "fly", made_up)
+    (found,) = bench(PARTS_OF_RIGID).limits((LEVEL,), (1, 2), (1,), (REACH[0], -12.0, REACH[2]))
+    assert (found.level, found.axis) == (LEVEL, 1)
+    assert found.predicted == pytest.approx(-(VISCOUS + LEVEL), rel=2e-3)
+    assert found.runs == pytest.approx([-1.0, -1.0], rel=1e-3)
+    (alone,) = bench(PARTS_OF_RIGID).limits((LEVEL,), (), (1,), (REACH[0], -12.0, REACH[2]))
+    assert not alone.runs.size
 
 
 def test_each_environment_is_flown_once(monkeypatch):
-    display, asked = Display(scene(DRY)), []
-    monkeypatch.setattr(Display, "_fly", lambda self, points, *rest: [asked.append(tuple(point)) for point in points])
+    display, asked = bench(DRY), []
+
+    def flying(given, level, points):
+        asked.extend(map(tuple, points))
+        return made_up(given, level, points)
+
+    monkeypatch.setattr(outcomes, "fly", flying)
     display.flown(SMALL[:3], LEVEL, 1)
-    display.flown(SMALL[:5], LEVEL, 1)
+    found = display.flown(SMALL[:5], LEVEL, 1)
+    assert [outcome.environment for outcome in found] == [tuple(point) for point in SMALL[:5].tolist()]
     assert len(asked) == 5
     display.flown(SMALL[:1], LEVEL, 2)
     assert len(asked) == 6
@@ -202,7 +240,7 @@ def test_each_environment_is_flown_once(monkeypatch):
 
 def test_every_predicted_owner_is_passive_and_stable(quick):
     """Re Z >= 0 in the band and a spectral radius below 1 for every point that an edge shows; safe ones without friction too."""
-    display = quick.plan.display
+    display = quick.plan.bench.display
     for found in quick.envelopes.values():
         owners = found.points[np.unique(np.concatenate((found.lower.owner, found.upper.owner)))]
         rules = [display.perturbation] if found.case.dry else [display.perturbation, None]
@@ -252,10 +290,10 @@ def test_levels_grow_and_no_grid_cuts_them(quick):
 
 def test_set_of_a_linear_device_grows_with_the_cube_of_its_damping(monkeypatch):
     """Where every limit is in proportion to b, K B and M together are in proportion to b^3."""
-    monkeypatch.setattr(beyond_levels, "LEVELS", (0.0, 0.2))
-    monkeypatch.setattr(beyond_levels, "FLOWN", ())
-    monkeypatch.setattr(beyond_levels, "HEAVIEST", 2.6)
-    heavy = Display(scene((Masses(rotor_kg=1.0), PARTS_OF_RIGID[1], Viscous(rotor_ns_per_m=0.2))))
+    monkeypatch.setattr(beyond, "DAMPING_LEVELS", (0.0, 0.2))
+    monkeypatch.setattr(beyond, "FLOWN", ())
+    monkeypatch.setattr(beyond, "HEAVIEST", 2.6)
+    heavy = bench((Masses(rotor_kg=1.0), PARTS_OF_RIGID[1], Viscous(rotor_ns_per_m=0.2)))
     found = damping_levels(heavy, ())
     assert found.limits[1] / found.limits[0] == pytest.approx([2.0, 2.0, 2.0], rel=0.02)
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hapticd.analysis.boundary import grid
-from hapticd.measure import beyond_search
-from hapticd.measure.beyond_search import Compared, compared_with_grid
+from hapticd.measure import beyond
+from hapticd.measure.beyond import Compared, compared_with_grid
 from hapticd.measure.campaign import MapParams, plan_map
 from hapticd.measure.outcomes import Conditions
 from hapticd.measure.scenes import noise
@@ -25,7 +25,7 @@ def conditions():
 @pytest.fixture(scope="module")
 def found(conditions):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(beyond_search, "AXES", {0.0: AXES})
+        patch.setattr(beyond, "SEARCHED", {0.0: AXES})
         return compared_with_grid(conditions, 0.0, budgets=(6, 12))
 
 
@@ -45,9 +45,9 @@ def test_search_knows_as_much_as_another_grid_and_as_theory(found):
 
 def test_search_has_noise_of_its_own(conditions, found):
     asked = found.found.plan.params.conditions
-    assert asked.excitation.seed == beyond_search.SEED
+    assert asked.excitation.seed == beyond.SEARCH_SEED
     assert asked == replace(conditions, excitation=asked.excitation)
-    assert beyond_search.SEED not in beyond_search.GRID_SEEDS
+    assert beyond.SEARCH_SEED not in beyond.GRID_SEEDS
 
 
 @pytest.mark.parametrize(("wrong", "enough"), [({20: 5, 40: 3}, 20), ({20: 9, 40: 5}, 40), ({20: 9, 40: 6}, None)])

@@ -13,10 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from stand_in import StandIn
 
 from hapticd import errors
 from hapticd.errors import AnalysisError, CommandError, ConfigError, HapticdError
-from hapticd.measure import executors
+from hapticd.measure import executors, outcomes
 from hapticd.measure.campaign import MapParams, plan_map, run_map
 from hapticd.measure.executors import executor, threads
 from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
@@ -223,7 +224,7 @@ class FirstOnly(Executor):
     def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
         self.futures.append(Future())
         if len(self.futures) == 1:
-            self.futures[0].set_result(fn(*args, **kwargs))
+            self.futures[0].set_result(stand_in(*args))
         return self.futures[-1]
 
 
@@ -247,25 +248,17 @@ def test_given_up_limits_cancel_what_has_not_begun() -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_limits(LIMITS, TrialStore(None), flying=stand_in, executor=pool, hear=hear)
+        run_limits(LIMITS, TrialStore(None), executor=pool, hear=hear)
     assert heard == [LIMITS.scans[0]]
     assert len(pool.futures) == 6  # each of the six limits its first round; outcomes are told before the next one
     assert all(future.cancelled() for future in pool.futures[1:])
 
 
-def test_limits_do_not_depend_on_who_else_is_under_way() -> None:
+def test_limits_do_not_depend_on_who_else_is_under_way(monkeypatch: pytest.MonkeyPatch) -> None:
     heard: list[tuple[str, int]] = []
-
-    class Inline(Executor):
-        def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
-            future: Future[Any] = Future()
-            future.set_result(fn(*args, **kwargs))
-            return future
-
-    one_by_one = run_limits(LIMITS, TrialStore(None), flying=stand_in, executor=Inline())
-    side_by_side = run_limits(
-        LIMITS, TrialStore(None), hear=lambda scan, given, new: heard.append(("KBM"[scan.axis], len(new))), flying=stand_in
-    )
+    one_by_one = run_limits(LIMITS, TrialStore(None), executor=StandIn(stand_in))
+    monkeypatch.setattr(outcomes, "fly", stand_in)
+    side_by_side = run_limits(LIMITS, TrialStore(None), hear=lambda scan, given, new: heard.append(("KBM"[scan.axis], len(new))))
     assert repr(one_by_one.limits) == repr(side_by_side.limits)
     assert sum(count for _, count in heard) == sum(limit.trials for limit in side_by_side.limits)
     assert {name for name, _ in heard} == {"K", "B", "M"}

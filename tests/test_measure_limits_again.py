@@ -3,6 +3,7 @@
 from typing import Any
 
 import pytest
+from stand_in import StandIn
 
 from hapticd.measure.limits import LimitsParams, Scan, plan_limits, run_limits
 from hapticd.measure.outcomes import Conditions, Outcome, fly
@@ -44,12 +45,12 @@ def test_limits_go_on_where_they_were_interrupted(tmp_path: Any) -> None:
     with pytest.raises(KeyboardInterrupt):
         run_limits(PLAN, TrialStore(path), hear=interrupted)
     had, flown = environments(TrialStore(path)), Flown()
-    resumed = run_limits(PLAN, TrialStore(path), flying=flown)
+    resumed = run_limits(PLAN, TrialStore(path), executor=StandIn(flown))
     assert repr(resumed.limits) == repr(whole.limits)
     assert 0 < len(had) < len(environments(uninterrupted))
     assert not had & set(flown.points)
     assert resumed.made == len(flown.points)
-    assert TrialStore(path).known == uninterrupted.known
+    assert TrialStore(path).known == TrialStore(tmp_path / "whole.jsonl").known
 
 
 def test_limits_that_are_kept_are_not_flown_again(tmp_path: Any) -> None:
@@ -62,7 +63,7 @@ def test_limits_that_are_kept_are_not_flown_again(tmp_path: Any) -> None:
         TrialStore(tmp_path / "trials.jsonl"),
         lambda what, done, total: ended.append((done, total)),
         hear=lambda *_: pytest.fail("what was kept is not told again"),
-        flying=lambda *_: pytest.fail("a trial that the store has was made again"),
+        executor=StandIn(lambda *_: pytest.fail("a trial that the store has was made again")),
     )
     assert again.made == 0
     assert repr(again.limits) == repr(first.limits)
@@ -75,5 +76,5 @@ def test_torn_round_costs_its_missing_trials_alone(tmp_path: Any) -> None:
     lines = path.read_text().splitlines(keepends=True)
     path.write_text("".join(lines[:-5]) + lines[-5][:100])
     flown = Flown()
-    assert repr(run_limits(PLAN, TrialStore(path), flying=flown).limits) == repr(whole.limits)
+    assert repr(run_limits(PLAN, TrialStore(path), executor=StandIn(flown)).limits) == repr(whole.limits)
     assert len(flown.points) == 5

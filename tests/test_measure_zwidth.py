@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from stand_in import StandIn
 
 from hapticd.analysis.boundary import grid, passive_set, set_limits
 from hapticd.analysis.search import first_trials, predicted_passive
@@ -67,7 +68,7 @@ def test_scan_brackets_a_limit_wherever_the_prediction_points(true_limit):
         ]
 
     plan = plan_limits(LimitsParams(conditions(), levels=(0.0,), axes=(0,), seeds=2))
-    (limit,) = run_limits(plan, TrialStore(None), flying=flying).limits
+    (limit,) = run_limits(plan, TrialStore(None), executor=StandIn(flying)).limits
     assert limit.value == pytest.approx(true_limit, rel=0.012)
     assert limit.value < true_limit
     assert limit.sd == 0.0
@@ -78,7 +79,9 @@ def test_scan_brackets_a_limit_wherever_the_prediction_points(true_limit):
 def test_display_that_fails_at_zero_has_no_limit():
     plan = plan_limits(LimitsParams(conditions(), levels=(0.0,), axes=(0,)))
     (limit,) = run_limits(
-        plan, TrialStore(None), flying=lambda shared, level, points: [outcome_at(k, False, "not_passive") for k in points[:, 0]]
+        plan,
+        TrialStore(None),
+        executor=StandIn(lambda shared, level, points: [outcome_at(k, False, "not_passive") for k in points[:, 0]]),
     ).limits
     assert np.isnan(limit.value)
 

@@ -18,10 +18,9 @@ from hapticd.analysis.envelope import Edge
 from hapticd.cli.app import main
 from hapticd.cli.zwidth import reproduce as verb
 from hapticd.errors import ConfigError
-from hapticd.measure.reproduce import ReproduceResult
+from hapticd.measure.reproduce import SCENES, ReproduceResult
 from hapticd.measure.reproduce_rows import Row
 from hapticd.measure.reproduce_table import rows
-from hapticd.measure.reproduce_trials import SCENES
 from hapticd.report.envelope import NOBODY, Drawn, weighty
 from hapticd.report.paper_figures import drawn
 from hapticd.report.paper_page import Drawing, Section, keep, page, parts, sections, terminal

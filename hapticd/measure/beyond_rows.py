@@ -12,13 +12,8 @@ from math import nan
 import numpy as np
 
 from hapticd.analysis.arrays import Floats
-from hapticd.measure.beyond import BeyondResult, mean_sd
-from hapticd.measure.beyond_display import shown_hz
-from hapticd.measure.beyond_envelope import LOW_HZ, Bounds, mean_db
-from hapticd.measure.beyond_levels import FLOWN, Levels
-from hapticd.measure.reproduce_limits import NAMES, UNITS
-from hapticd.measure.reproduce_rows import Row
-from hapticd.measure.reproduce_trials import ADDED_NS_PER_M, MAIN
+from hapticd.measure.beyond import FLOWN, LOW_HZ, BeyondResult, Bounds, Levels, mean_db, mean_sd, shown_hz
+from hapticd.measure.reproduce_rows import ADDED_NS_PER_M, MAIN, NAMES, UNITS, Row
 
 PART = "beyond"
 MODES = ((0.0, "off"), (ADDED_NS_PER_M, "on"))

@@ -31,7 +31,7 @@ from hapticd.analysis.arrays import Floats
 from hapticd.analysis.boundary import AXES, axis_limit
 from hapticd.analysis.verdict import NOTHING_JUDGED, Judged
 from hapticd.measure.executors import pool_of
-from hapticd.measure.outcomes import Conditions, Fly, Lot, Outcome, Point, Procedure, fly, judged, points_of, run_all
+from hapticd.measure.outcomes import Conditions, Lot, Outcome, Point, Procedure, judged, points_of, run_all
 from hapticd.measure.progress import Progress, silent
 from hapticd.measure.scenes import Display
 from hapticd.measure.store import TrialStore
@@ -138,18 +138,18 @@ def plan_limits(params: LimitsParams) -> LimitsPlan:
 
 def run_limits(
     plan: LimitsPlan, store: TrialStore, tell: Progress = silent, executor: Executor | None = None,
-    hear: Hear = lambda scan, conditions, new: None, flying: Fly = fly,
+    hear: Hear = lambda scan, conditions, new: None,
 ) -> LimitsResult:  # fmt: skip
     """Find them all by the trials that the store has not, on `executor` or on threads here; `hear` gets those of each round.
 
     KeyboardInterrupt passes through after the rounds in flight were given up; what was finished is in the store.
     """
-    return run_plans([plan], store, tell, executor, hear, flying)[0]
+    return run_plans([plan], store, tell, executor, hear)[0]
 
 
 def run_plans(
     plans: Sequence[LimitsPlan], store: TrialStore, tell: Progress = silent, executor: Executor | None = None,
-    hear: Hear = lambda scan, conditions, new: None, flying: Fly = fly,
+    hear: Hear = lambda scan, conditions, new: None,
 ) -> tuple[LimitsResult, ...]:  # fmt: skip
     """Several plans side by side."""
     wanted = [
@@ -171,7 +171,7 @@ def run_plans(
 
     tell("axis limits", 0, len(wanted))
     with pool_of(executor) as pool:
-        tried = iter(run_all([counted(*each) for each in wanted], store, pool, told, flying))
+        tried = iter(run_all([counted(*each) for each in wanted], store, pool, told))
     new = iter(made)
     return tuple(_result(plan, tried, new) for plan in plans)
 

@@ -33,6 +33,7 @@ from hapticd.analysis.spa import DEFAULT_LAG
 from hapticd.analysis.spectra import Spectra, grid_frequencies
 from hapticd.analysis.verdict import NOTHING_JUDGED, Judged
 from hapticd.errors import AnalysisError
+from hapticd.measure.executors import threads
 from hapticd.measure.scenes import SATURATED, Display, display, free_of_walls, frequencies
 from hapticd.measure.store import TrialStore, fingerprint
 from hapticd.plant.scene import Excitation, Scene
@@ -105,7 +106,6 @@ class Outcome:
 
 
 Hear = Callable[[list[Outcome]], None]
-Fly = Callable[[Conditions, float, Floats], list[Outcome]]
 Procedure = Generator[Sequence["Lot"], list[Outcome], T]
 Told = Callable[[int, "Lot", list[Outcome]], None]
 
@@ -272,7 +272,7 @@ def points_of(rows: Floats) -> tuple[Point, ...]:
     return tuple((float(k), float(b), float(m)) for k, b, m in rows)
 
 
-def run_all(procedures: Sequence[Procedure[T]], store: TrialStore, pool: Executor, told: Told, flying: Fly = fly) -> list[T]:
+def run_all(procedures: Sequence[Procedure[T]], store: TrialStore, pool: Executor, told: Told) -> list[T]:
     """What the procedures return; `told` gets the place of a procedure, a lot of it, and the new outcomes of each task.
 
     Each procedure has one request under way; the cores are kept busy by the others. If `told` raises, the rest is given up.
@@ -291,7 +291,7 @@ def run_all(procedures: Sequence[Procedure[T]], store: TrialStore, pool: Executo
                 return
             for lot in asked[place]:
                 for task in lot.tasks(store):
-                    waiting[pool.submit(flying, lot.conditions, lot.damping_ns_per_m, task)] = place, lot
+                    waiting[pool.submit(fly, lot.conditions, lot.damping_ns_per_m, task)] = place, lot
 
     try:
         for place in range(len(procedures)):
@@ -314,3 +314,13 @@ def _request(procedure: Procedure[T], before: Sequence[Lot] | None, store: Trial
     if before is None:
         return next(procedure)
     return procedure.send([outcome for lot in before for outcome in lot.known(store)])
+
+
+def flown(lot: Lot, store: TrialStore) -> list[Outcome]:
+    """Outcomes of one lot, its trials made on threads here as far as the store has not them."""
+
+    def asking() -> Procedure[list[Outcome]]:
+        return (yield [lot])
+
+    with threads() as pool:
+        return run_all([asking()], store, pool, lambda place, lot, new: None)[0]

@@ -3,34 +3,73 @@
 Weir, Colgate and Peshkin, Measuring and increasing Z-width with active electrical damping, 2008.
 
     predict      limits, sets and envelopes by the first harmonic, in seconds; all that `quick` does
-    trials       90 s of noise each: limits around the prediction for every seed, the grid, the trials of Figs. 4 and 7
+    limits       by trials of 90 s of noise, with every seed; from each lower band edge too (`measure.limits`)
+    grid         the paper's 6,384 environments, undamped and damped, and the envelope of those that pass (`measure.campaign`)
+    singles      the trials of Figs. 4 and 7 (`measure.trial`)
     walls        impacts for Fig. 2
 
-What would break it: comparing a limit of one perturbation with that of another.
+Two readings of a limit. Axis: the other two are 0, as the paper's numbers are understood here. Set: the largest over all passive
+K, B, M; its place is predicted, then only the parameter itself is searched by trials, from 0 at the predicted best of the others.
+
+Prediction says which trials of the grid cannot pass: those where even 85 % of the environment would not. The others are flown.
+Between a laboratory's 13 days and seconds stands only that. Without trials the prediction alone fills set and envelope.
+
+What would break it: comparing a limit of one perturbation with that of another; a set that is not star-shaped about K = B = M = 0,
+where a passive piece far from the rest would be missed.
 """
 
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from itertools import product
-from math import isnan
-from typing import Any
+from functools import cache
+from math import isnan, nan
 
 import numpy as np
 
-from hapticd.analysis.arrays import Floats
-from hapticd.analysis.impedance import Impedance
-from hapticd.analysis.spectra import Spectra
-from hapticd.measure import reproduce_grid as grids
-from hapticd.measure import reproduce_limits as searches
+from hapticd.analysis.arrays import Flags, Floats, Integers
+from hapticd.analysis.boundary import Limits, PassiveSet, grid, passive_set, set_limits
+from hapticd.analysis.envelope import Envelope, accepted, of_predicted
+from hapticd.analysis.impedance import Impedance, impedance
+from hapticd.analysis.predict import DEFAULT_BAND_HZ, frequencies
+from hapticd.analysis.spa import DEFAULT_LAG
+from hapticd.errors import AnalysisError
+from hapticd.measure.campaign import Axes, LevelMap, MapParams, MapPlan, plan_map, run_map
+from hapticd.measure.executors import pool_of
+from hapticd.measure.limits import ORIGIN, LimitsParams, LimitsPlan, Scan, predicted_limit, run_plans
+from hapticd.measure.outcomes import Conditions, Point
 from hapticd.measure.progress import Progress, Steps, silent
-from hapticd.measure.reproduce_grid import Found
-from hapticd.measure.reproduce_limits import Limit
-from hapticd.measure.reproduce_rows import LITERAL
-from hapticd.measure.reproduce_tasks import EDGE_SEEDS, SET_SEEDS, SHOWN, Key, worked
-from hapticd.measure.reproduce_trials import LEVELS, MAIN, SCENES, Point, passes, subject
-from hapticd.measure.walls import WallResult
+from hapticd.measure.reproduce_rows import ADDED_NS_PER_M, FIG_4, FIG_7, LEVELS, LITERAL, MAIN
+from hapticd.measure.scenes import Display, noise
+from hapticd.measure.sources import Trial, engine_source
+from hapticd.measure.store import TrialStore
+from hapticd.measure.trial import TrialParams, TrialResult, plan_trial, run_trial
+from hapticd.measure.walls import WallParams, WallResult, plan_walls, run_walls
+from hapticd.settings.scene import load_scene
+from hapticd.units import PROBE_RATE_HZ
 
+SCENES = {MAIN: "fig7", "weir2008_probe_hp": "rival", LITERAL: "literal"}
+SECONDS = 90.0  # section 2.2
 SEEDS = 8
-ORIGIN: Point = (0.0, 0.0, 0.0)
+SET_SEEDS = EDGE_SEEDS = 4
+FINE = 1e-3  # of a limit
+WINDOW_HZ = PROBE_RATE_HZ / DEFAULT_LAG  # 1/(M Ts): below it the window says nothing
+EDGES_HZ = (1.0, 2.0, 3.0, 5.0, 10.0)
+LOW_HZ, TOP_HZ = DEFAULT_BAND_HZ
+SET_GRID = (np.arange(31) * 50.0, np.arange(19) * 0.5, np.arange(-10, 11) * 0.0025)
+SHOWN = ((FIG_4, 0.0), (FIG_7, 0.0), (FIG_7, ADDED_NS_PER_M))  # environment and damping of the single trials
+SHOWN_HZ = (1.9, 1000.0)
+AXES: Axes = (
+    np.array([0.0, 25.0, 50.0, 75.0, 100.0, 150.0, 200.0, 300.0, 400.0, 600.0, 800.0, 1000.0]),
+    np.asarray(np.arange(19) * 0.5, np.float64),
+    np.asarray(np.arange(-12, 16) * 0.002, np.float64),
+)
+POINTS = grid(AXES)
+NEAR = 0.85
+PEAK_HZ = (40.0, 200.0)
+PROMINENT = 1.01  # above the valleys on both sides
+CALMED = 3  # of the frequencies that are kept of a trial, about 10 % of one
+WALL_SCENE = "wall"
+WALL_DAMPINGS = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0)  # Ns/m
+WALL_STIFFNESSES = tuple(np.geomspace(20.0, 3000.0, 22).tolist())  # N/m
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,19 +83,42 @@ class ReproduceParams:
 
 @dataclass(frozen=True, slots=True)
 class ReproducePlan:
-    """What will be done; the tasks of later stages depend on earlier ones."""
+    """What will be done; the trials of later stages depend on earlier ones."""
 
     params: ReproduceParams
     seeds: tuple[int, ...]
 
 
 @dataclass(frozen=True, eq=False)
+class Limit:
+    """Limit of one parameter: `values` (seeds,) by trials, empty without; 0, and nan in `predicted`, where nothing is passive."""
+
+    device: str
+    level: float
+    axis: int
+    base: Point
+    predicted: float
+    values: Floats
+    low_hz: float = LOW_HZ  # of the judged band
+
+    @property
+    def mean(self) -> float:
+        """Over seeds; the prediction without trials; 0 where nothing is passive."""
+        return float(np.nan_to_num(self.values.mean() if self.values.size else self.predicted))
+
+    @property
+    def sd(self) -> float:
+        """Over seeds; nan with less than two."""
+        return float(self.values.std(ddof=1)) if self.values.size > 1 else nan
+
+
+@dataclass(frozen=True, eq=False)
 class Single:
-    """Trials of one environment: spectra by seed, None of one that ran away (no seeds if quick), and the prediction's verdict."""
+    """Trials of one environment by seed, None of one that ran away (no seeds if quick), and the prediction's verdict."""
 
     point: Point
     level: float
-    trials: tuple[Spectra | None, ...]
+    trials: tuple[TrialResult | None, ...]
     predicted: bool
 
     @property
@@ -66,13 +128,66 @@ class Single:
 
     @property
     def passed(self) -> int:
-        """How many were passive."""
-        return sum(map(passes, self.trials))
+        """How many were passive by the paper's rule."""
+        return sum(trial is not None and accepted(trial.verdict, "within_90_deg") for trial in self.trials)
 
     @property
     def shown(self) -> Impedance | None:
-        """Of the first seed that did not run away."""
-        return next((grids.shown(trial) for trial in self.trials if trial is not None), None)
+        """Of the first seed that did not run away, on the frequencies of the figures."""
+        found = next((trial.spectra for trial in self.trials if trial is not None), None)
+        if found is None:
+            return None
+        return impedance(found.part((found.frequency_hz >= SHOWN_HZ[0]) & (found.frequency_hz <= SHOWN_HZ[1])))
+
+
+@dataclass(frozen=True, eq=False)
+class Peak:
+    """A maximum of an envelope: its |Z| [N s/m], by how much it stands above the higher of its valleys, its owner (K, B, M)."""
+
+    frequency_hz: float
+    size_ns_per_m: float
+    rise: float
+    owner: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Of one damping level: `passive` (nK, nB, nM) of the grid, `flown` trials; the envelope, its owners' environments by name."""
+
+    level: float
+    passive: Flags
+    undecided: int
+    flown: int
+    envelope: Envelope
+    environments: Floats
+
+    @property
+    def limits(self) -> Limits:
+        """Extremes of the set, in steps of the grid."""
+        return set_limits(self.as_set)
+
+    @property
+    def as_set(self) -> PassiveSet:
+        """With margins of +-1."""
+        return passive_set(AXES, np.where(self.passive, 1.0, -1.0))
+
+    def owners(self, which: Integers) -> Floats:
+        """(K, B, M) (F, 3) of an edge's owners."""
+        return np.asarray(self.environments[which])
+
+    def peak(self) -> Peak | None:
+        """The upper edge's most prominent maximum in PEAK_HZ, if any."""
+        f, edge = self.envelope.frequency_hz, self.envelope.upper
+        size = _calmed(edge.value) if self.flown else edge.value
+        inside = np.flatnonzero((f >= PEAK_HZ[0]) & (f <= PEAK_HZ[1]))
+        part = size[inside]
+        before, after = np.minimum.accumulate(part), np.minimum.accumulate(part[::-1])[::-1]
+        rise = part / np.maximum(before, after)
+        highest = int(np.argmax(rise))
+        if rise[highest] < PROMINENT:
+            return None
+        at = int(inside[highest])
+        return Peak(float(f[at]), float(size[at]), float(rise[highest]) - 1.0, self.owners(edge.owner)[at])
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,67 +212,177 @@ def plan_reproduce(params: ReproduceParams) -> ReproducePlan:
     return ReproducePlan(params, () if params.quick else tuple(range(1, params.seeds + 1)))
 
 
-def run_reproduce(plan: ReproducePlan, tell: Progress = silent) -> ReproduceResult:
-    """Do it. ConfigError as `simulate`."""
-    devices = plan.params.devices
+@cache
+def conditions(device: str) -> Conditions:
+    """Of the paper's trials on one of SCENES, by the name of its device; the first seed is 1."""
+    scene = load_scene(SCENES[device])
+    return Conditions(scene, SECONDS, replace(noise(scene), seed=1))
+
+
+def subject(device: str) -> Display:
+    """One of SCENES, prepared."""
+    return conditions(device).display
+
+
+def run_reproduce(plan: ReproducePlan, tell: Progress = silent, executor: Executor | None = None) -> ReproduceResult:
+    """Do it, trials on `executor` or on threads here. ConfigError as `simulate`."""
     axis: list[Limit] = []
     whole: list[Limit] = []
+    edges: list[Limit] = []
     predicted: dict[str, tuple[Found | None, ...]] = {}
-    steps = Steps(tell, len(devices))
-    for name in devices:
+    steps = Steps(tell, len(plan.params.devices))
+    for name in plan.params.devices:
         steps.next(f"predicting, {name}")
-        for level, k in product(LEVELS, range(3)):
-            axis.append(_predicted(name, level, k, ORIGIN))
-            whole.append(_predicted(name, level, k, searches.set_place(name, level, k)))
-        predicted[name] = tuple(_by_prediction(name, level) for level in LEVELS)
-    done = worked(devices, plan.seeds, axis, whole, tell) if plan.seeds else {}
-    tell("done", 1, 1)
-    return ReproduceResult(
-        plan,
-        limits=tuple(gathered(limit, "axis", plan.seeds, done) for limit in axis),
-        sets=tuple(gathered(limit, "set", plan.seeds[:SET_SEEDS], done) for limit in whole),
-        edges={(name, level): _edges(plan, done, name, level) for name in devices for level in LEVELS},
-        singles={name: tuple(_single(plan, done, name, place) for place in range(len(SHOWN))) for name in devices},
-        found=tuple(_found(done, level, predicted[MAIN][place]) for place, level in enumerate(LEVELS)),
-        predicted=predicted,
-        walls=done.get(("walls",)),
+        for level in LEVELS:
+            axis += [_predicted(name, level, each, ORIGIN) for each in range(3)]
+            whole += [_predicted(name, level, each, set_place(name, level, each)) for each in range(3)]
+            edges += [_predicted(name, level, 0, ORIGIN, low_hz) for low_hz in EDGES_HZ]
+        predicted[name] = tuple(_expected(name, level) for level in LEVELS)
+    found = ReproduceResult(
+        plan, tuple(axis), tuple(whole), _by_level(edges), {name: _singles(name, {}) for name in plan.params.devices},
+        tuple(each for each in predicted[MAIN] if each is not None), predicted, None,
+    )  # fmt: skip
+    return _flown(found, edges, tell, executor) if plan.seeds else found
+
+
+def _flown(found: ReproduceResult, edges: list[Limit], tell: Progress, executor: Executor | None) -> ReproduceResult:
+    """With trials in place of what was predicted."""
+    seeds, store = len(found.plan.seeds), TrialStore(None)
+    with pool_of(executor) as pool:
+        walls = pool.submit(run_walls, plan_walls(WallParams(load_scene(WALL_SCENE), WALL_STIFFNESSES, WALL_DAMPINGS, LEVELS)))
+        singles = {
+            (name, place, seed): pool.submit(single_trial, name, point, level, seed)
+            for seed in found.plan.seeds for name in found.singles for place, (point, level) in enumerate(SHOWN)
+        }  # fmt: skip
+        asked = [(each, seeds) for each in found.limits] + [(each, min(seeds, SET_SEEDS)) for each in found.sets]
+        limits = _searched(asked, store, tell, pool)
+        levels = _searched([(each, min(seeds, EDGE_SEEDS)) for each in edges], store, tell, pool)
+        mapped = run_map(hopeful(plan_map(MapParams(conditions(MAIN), AXES, LEVELS))), TrialStore(None), tell, pool)
+        steps, done = Steps(tell, len(singles) + 1), {}
+        for key, trial in singles.items():
+            steps.next("Figs. 4 and 7")
+            done[key] = trial.result()
+        steps.next("walls")
+        hit = walls.result()
+        steps.end()
+    return replace(
+        found,
+        limits=tuple(limits[: len(found.limits)]),
+        sets=tuple(limits[len(found.limits) :]),
+        edges=_by_level(levels),
+        singles={name: _singles(name, done) for name in found.singles},
+        found=tuple(_of_map(level) for level in mapped.levels),
+        walls=hit,
     )
 
 
-def _predicted(name: str, level: float, axis: int, base: Point | None) -> Limit:
-    value = float("nan") if base is None else searches.predicted_limit(name, level, axis, base)
-    return Limit(name, level, axis, base or ORIGIN, value, np.empty(0))
+def _predicted(name: str, level: float, axis: int, base: Point | None, low_hz: float = LOW_HZ) -> Limit:
+    value = nan if base is None else predicted_limit(subject(name), level, axis, base, (low_hz, TOP_HZ))
+    return Limit(name, level, axis, base or ORIGIN, value, np.empty(0), low_hz)
 
 
-def _by_prediction(name: str, level: float) -> Found | None:
-    if name == LITERAL and level == 0.0:
+def _searched(asked: list[tuple[Limit, int]], store: TrialStore, tell: Progress, pool: Executor) -> list[Limit]:
+    """By trials with so many seeds. Where nothing is predicted to be passive none is flown."""
+    plans = [_search(limit, seeds) for limit, seeds in asked if not isnan(limit.predicted)]
+    found = iter(run_plans(plans, store, tell, pool))
+    return [
+        limit if isnan(limit.predicted) else replace(limit, values=np.nan_to_num(next(found).limits[0].values))
+        for limit, _ in asked
+    ]  # fmt: skip
+
+
+def _search(limit: Limit, seeds: int) -> LimitsPlan:
+    given = replace(conditions(limit.device), band_hz=(limit.low_hz, TOP_HZ), below_window=limit.low_hz < WINDOW_HZ)
+    params = LimitsParams(given, (limit.level,), axes=(limit.axis,), seeds=seeds, base=limit.base, tolerance=FINE)
+    return LimitsPlan(params, (Scan(limit.axis, limit.level, 1.0, limit.predicted),))
+
+
+def _by_level(edges: list[Limit]) -> dict[tuple[str, float], Floats]:
+    """{(device, level): (seeds, EDGES_HZ)}; nan where nothing is passive; the prediction (1, EDGES_HZ) without trials."""
+    found: dict[tuple[str, float], list[Floats]] = {}
+    count = max(edge.values.size for edge in edges)
+    for edge in edges:
+        values = edge.values if edge.values.size else np.full(count or 1, nan if count else edge.predicted)
+        found.setdefault((edge.device, edge.level), []).append(values)
+    return {key: np.array(columns).T for key, columns in found.items()}
+
+
+def set_place(device: str, level: float, axis: int) -> Point | None:
+    """Where the set reading of a parameter is searched from: the others at their predicted best, itself 0; None if none is."""
+    kept = _predicted_set(device, level)
+    if not len(kept):
         return None
-    return grids.by_prediction(subject(name), level)
+    extreme = kept[:, axis].max() if axis < 2 else kept[:, axis].min()
+    best = np.median(kept[kept[:, axis] == extreme], axis=0)
+    best[axis] = 0.0
+    return float(best[0]), float(best[1]), float(best[2])
 
 
-def gathered(limit: Limit, reading: str, seeds: tuple[int, ...], done: dict[Key, Any]) -> Limit:
-    """A predicted limit with what each seed found; `reading` is "axis" or "set". Where nothing is passive none was flown."""
-    if isnan(limit.predicted):
-        return limit
-    values = np.array([done[reading, limit.device, limit.level, limit.axis, seed] for seed in seeds])
-    return replace(limit, values=np.nan_to_num(values))  # 0 where not even the rest is passive
+@cache
+def _predicted_set(device: str, level: float) -> Floats:
+    points = grid(SET_GRID)
+    return np.asarray(points[subject(device).passive(points, level)])
 
 
-def _edges(plan: ReproducePlan, done: dict[Key, Any], name: str, level: float) -> Floats:
-    if not plan.seeds:
-        return searches.predicted_edge_limits(name, level)[None]
-    return np.array([done["edge", name, level, seed] for seed in plan.seeds[:EDGE_SEEDS]])
+def single_trial(device: str, point: Point, level: float, seed: int) -> TrialResult | None:
+    """A trial of Figs. 4 and 7; None of one that ran away before anything could be said."""
+    given = conditions(device)
+    trial = Trial(point, level, given.seconds, replace(given.excitation, seed=seed))
+    try:
+        return run_trial(plan_trial(TrialParams(trial, given.scene)), engine_source(given.scene))
+    except AnalysisError:
+        return None
 
 
-def _single(plan: ReproducePlan, done: dict[Key, Any], name: str, place: int) -> Single:
-    point, level = SHOWN[place]
-    predicted = bool(subject(name).passive(np.array([point]), level)[0])
-    return Single(point, level, tuple(done["single", name, place, seed] for seed in plan.seeds), predicted)
+def _singles(name: str, done: dict[tuple[str, int, int], TrialResult | None]) -> tuple[Single, ...]:
+    return tuple(
+        Single(
+            point, level, tuple(trial for (device, at, _), trial in done.items() if (device, at) == (name, place)),
+            bool(subject(name).passive(np.array([point]), level)[0]),
+        )
+        for place, (point, level) in enumerate(SHOWN)
+    )  # fmt: skip
 
 
-def _found(done: dict[Key, Any], level: float, predicted: Found | None) -> Found:
-    parts = [(key, value) for key, value in done.items() if key[0] == "grid" and key[1] == level]
-    if not parts:
-        assert predicted is not None
-        return predicted
-    return grids.by_trials(level, [pair for _, value in parts for pair in value], sum(key[3] for key, _ in parts))
+def hopeful(plan: MapPlan) -> MapPlan:
+    """To be flown: what may pass by prediction, itself or when scaled down."""
+    device = plan.params.conditions.display
+    levels = [
+        replace(level, near=level.prediction.passive | device.passive(NEAR * POINTS, level.damping_ns_per_m))
+        for level in plan.levels
+    ]  # fmt: skip
+    return replace(plan, levels=tuple(levels))
+
+
+def _of_map(level: LevelMap) -> Found:
+    """Set and envelope of the trials that passed, in the order of the grid. AnalysisError if none did."""
+    passed = [outcome for outcome in level.outcomes if outcome.passes]
+    if level.envelope is None:
+        raise AnalysisError(f"no trial of the grid passed at {level.damping_ns_per_m:g} N s/m: there is no envelope")
+    undecided = sum(outcome.answer != "passive" for outcome in passed)
+    environments = np.array([outcome.environment for outcome in passed])
+    tried = level.tried.reshape(level.found.margin.shape)
+    return Found(level.damping_ns_per_m, level.found.passive & tried, undecided, len(level.outcomes), level.envelope, environments)
+
+
+def _expected(name: str, level: float) -> Found | None:
+    return None if name == LITERAL and level == 0.0 else by_prediction(subject(name), level)
+
+
+def by_prediction(device: Display, level: float) -> Found:
+    """The same without trials: `undecided` and `flown` are 0, the envelope has no uncertainty. AnalysisError for an empty set."""
+    passive = device.passive(POINTS, level)
+    kept = POINTS[passive]
+    if not len(kept):
+        name = device.scene.device
+        raise AnalysisError(f"{name}: no environment of the grid is passive at {level:g} N s/m; there is no envelope")
+    f = frequencies(SHOWN_HZ, device.perturbation)
+    f = f[(f >= SHOWN_HZ[0]) & (f <= SHOWN_HZ[1])]
+    shape = [axis.size for axis in AXES]
+    return Found(level, passive.reshape(shape), 0, 0, of_predicted(f, device.impedances(kept, level, f)), kept)
+
+
+def _calmed(values: Floats) -> Floats:
+    """Running median over what the window cannot resolve, against the noise of the estimate."""
+    padded = np.pad(values, CALMED // 2, mode="edge")
+    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, CALMED), axis=1))

@@ -14,13 +14,17 @@ from math import isfinite, nan
 from typing import Literal
 
 from hapticd.analysis.requirement import required_damping
-from hapticd.measure.reproduce_trials import ADDED_NS_PER_M
 from hapticd.plant.winding import crowbar_nms_per_rad, lever_of_crowbar_m
 from hapticd.units import COPPER_PER_K
 
 Kind = Literal["calibrated", "independent", "arithmetic"]
 PRINTED = "paper"  # the device of rows that need none
-LITERAL = "weir2008_literal"
+MAIN, LITERAL = "weir2008", "weir2008_literal"
+ADDED_NS_PER_M = 1.74  # Weir, Colgate and Peshkin 2008, section 5
+LEVELS = (0.0, ADDED_NS_PER_M)
+MODES = {0.0: "off", ADDED_NS_PER_M: "on"}
+NAMES = ("K_max", "B_max", "M_min")
+UNITS = ("N/m", "Ns/m", "kg")
 PAPER = {"K_max_off": 100.0, "B_max_off": 3.0, "M_min_off": -0.008, "K_max_on": 600.0, "B_max_on": 8.0, "M_min_on": -0.022}
 TOLERANCE = 0.08
 RATIOS = {"K": 6.0, "B": 2.7, "M": 2.75}

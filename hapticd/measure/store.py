@@ -121,13 +121,14 @@ class TrialStore:
     """`known` outcomes by key; `add` appends. Without a path nothing is kept."""
 
     def __init__(self, path: Path | None) -> None:
-        self._path, self.known = path, {} if path is None else dict(_read(path))
+        self._path = path
+        self.known: dict[str, Mapping[str, Any]] = {} if path is None else dict(_read(path))
 
     def add(self, found: Iterable[tuple[str, Mapping[str, Any]]]) -> None:
         """Remember and write. ConfigError if the file cannot be written."""
-        new = {key: plain(outcome) for key, outcome in found}
+        new = dict(found)
         if self._path is not None and new:
-            _append(self._path, [json.dumps({"key": key, **outcome}) for key, outcome in new.items()])
+            _append(self._path, [json.dumps({"key": key, **plain(outcome)}) for key, outcome in new.items()])
         self.known.update(new)
 
 

@@ -20,17 +20,23 @@ from hapticd.analysis.arrays import Floats
 from hapticd.analysis.boundary import open_ends
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.predict import predicted_impedance
-from hapticd.measure.beyond import BeyondResult, mean_sd
-from hapticd.measure.beyond_display import shown_hz
-from hapticd.measure.beyond_envelope import LOW_HZ, Bounds
-from hapticd.measure.beyond_motion import Motion
-from hapticd.measure.beyond_shape import Corner, Shaped
-from hapticd.measure.reproduce import ReproduceResult, Single
-from hapticd.measure.reproduce_grid import AXES, CALMED, POINTS, Found, Peak
-from hapticd.measure.reproduce_limits import NAMES, Limit
-from hapticd.measure.reproduce_read import MIDDLE_HZ, compared
-from hapticd.measure.reproduce_rows import FIG_4, FIG_7, PAPER, TOLERANCE
-from hapticd.measure.reproduce_trials import ADDED_NS_PER_M, EDGES_HZ, LEVELS, MAIN, SECONDS, WINDOW_HZ, subject
+from hapticd.measure.beyond import LOW_HZ, BeyondResult, Bounds, Corner, Motion, Shaped, mean_sd, shown_hz
+from hapticd.measure.reproduce import (
+    AXES,
+    CALMED,
+    EDGES_HZ,
+    POINTS,
+    SECONDS,
+    WINDOW_HZ,
+    Found,
+    Limit,
+    Peak,
+    ReproduceResult,
+    Single,
+    subject,
+)
+from hapticd.measure.reproduce_rows import ADDED_NS_PER_M, FIG_4, FIG_7, LEVELS, MAIN, NAMES, PAPER, TOLERANCE
+from hapticd.measure.reproduce_table import MIDDLE_HZ, compared
 from hapticd.report.envelope import SHOWN_HZ, Drawn, envelopes_figure, keys, strip, weightiest
 from hapticd.report.passive_set import draw_guess, draw_limits
 from hapticd.report.style import (

@@ -25,9 +25,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hapticd.errors import ConfigError
-from hapticd.measure.beyond import BeyondResult
-from hapticd.measure.beyond_display import shown_hz
-from hapticd.measure.beyond_levels import FLOWN
+from hapticd.measure.beyond import FLOWN, BeyondResult, shown_hz
 from hapticd.measure.beyond_rows import parts as future_parts
 from hapticd.measure.beyond_rows import restored
 from hapticd.measure.progress import Progress, Steps, silent

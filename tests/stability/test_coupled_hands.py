@@ -21,8 +21,8 @@ from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.loop import PAPER_FILTERS, pulse_transfer, responses, with_viscous
 from hapticd.analysis.predict import predict
 from hapticd.errors import AnalysisError
-from hapticd.measure.reproduce_grid import POINTS
-from hapticd.measure.reproduce_trials import ADDED_NS_PER_M, LEVELS, MAIN, SCENES, subject
+from hapticd.measure.reproduce import POINTS, SCENES, subject
+from hapticd.measure.reproduce_rows import ADDED_NS_PER_M, LEVELS, MAIN
 
 HANDS = random_hands(1000)
 ROUNDING = 1e-9  # of an eigenvalue of a mode without loss
