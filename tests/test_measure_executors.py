@@ -22,6 +22,7 @@ from hapticd.measure.campaign import MapParams, plan_map, run_map
 from hapticd.measure.executors import executor, threads
 from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
 from hapticd.measure.outcomes import Conditions, Outcome, fly
+from hapticd.measure.plain import plain
 from hapticd.measure.scenes import noise
 from hapticd.measure.store import TrialStore
 from hapticd.settings.scene import load_scene
@@ -44,7 +45,7 @@ def made(pool: Executor | None) -> dict[str, Any]:
     """Every number of every trial as the store has it: floats in full, nan as null."""
     store = TrialStore(None)
     assert run_map(PLAN, store, executor=pool).made == len(store.known) == PLAN.trials == 160
-    return store.known
+    return dict(plain(store.known))
 
 
 @pytest.fixture(scope="module")
