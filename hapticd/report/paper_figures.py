@@ -38,7 +38,7 @@ from hapticd.measure.reproduce import (
 from hapticd.measure.reproduce_rows import ADDED_NS_PER_M, FIG_4, FIG_7, LEVELS, MAIN, NAMES, PAPER, TOLERANCE
 from hapticd.measure.reproduce_table import MIDDLE_HZ, compared
 from hapticd.report.envelope import SHOWN_HZ, Drawn, envelopes_figure, keys, strip, weightiest
-from hapticd.report.passive_set import draw_guess, draw_limits
+from hapticd.report.passive_set import draw_guess
 from hapticd.report.style import (
     BELOW,
     BLACK,
@@ -210,7 +210,7 @@ def _beside_paper(axis: "Axes", limit: Limit, x: float, printed: float, look: di
     """In percent of the paper's; a full mark at -100 % where nothing is passive."""
     scale, marked = 100.0 / printed, {**look, "linestyle": "none"}
     if limit.values.size or not isfinite(limit.predicted):
-        draw_limits(axis, x, scale * limit.mean - 100.0, np.nan_to_num(abs(scale) * limit.sd), marked)
+        axis.errorbar(x, scale * limit.mean - 100.0, np.nan_to_num(abs(scale) * limit.sd), **marked)
     draw_guess(axis, x + BESIDE_GUESS, scale * limit.predicted - 100.0, marked)
 
 
@@ -250,7 +250,7 @@ def _over_edges(axis: "Axes", values: Floats, place: int, device: str) -> None:
         axis.text(0.97, 0.04, f"{device}: none is passive", fontsize=SMALL_PT, ha="right", transform=axis.transAxes)
         return
     sd = values.std(axis=0, ddof=1) if len(values) > 1 else np.zeros(len(EDGES_HZ))
-    draw_limits(axis, EDGES_HZ, values.mean(axis=0), sd, DEVICES[place], device)
+    axis.errorbar(EDGES_HZ, values.mean(axis=0), sd, label=device, **DEVICES[place])
 
 
 # --- the set on the paper's grid -------------------------------------------------------------------------------------------------
@@ -339,7 +339,7 @@ def _by_trials(axis: "Axes", x: float, runs: Floats, scale: float = 1.0, look: L
             **MARKS,
             **{k: look[k] for k in ("marker",) if k in look},
         }
-        draw_limits(axis, x, scale * mean, abs(of_mean(len(runs)) * scale * sd), marked, label)
+        axis.errorbar(x, scale * mean, abs(of_mean(len(runs)) * scale * sd), label=label, **marked)
 
 
 # --- future work, over frequency -------------------------------------------------------------------------------------------------

@@ -288,15 +288,9 @@ def _limit_line(place: "Axes", limits: list[AxisLimit], many: bool, look: Look, 
     x = np.array([limit.perturbation_psd / PSD_UNIT if many else limit.scan.damping_ns_per_m for limit in limits])
     value, lower, upper = (factor * np.array([getattr(limit, part) for limit in limits]) for part in ("value", "lower", "upper"))
     bars = np.nan_to_num([np.maximum(value - lower, 0.0), np.maximum(upper - value, 0.0)])
-    draw_limits(place, x, value, bars, {"marker": "o", **look}, name)
+    place.errorbar(x, value, bars, marker="o", label=name, **look)
     dotted = {**PREDICTED, "color": look["color"], "marker": "o", "markersize": 6}
     draw_guess(place, x, np.array([factor * limit.scan.predicted for limit in limits]), dotted)
-
-
-def draw_limits(place: "Axes", x: Any, value: Any, bars: Any, look: Look, words: str | None = None) -> None:
-    """Limits by trials at `x`, with solid bars on both sides whatever the line is; nan: none."""
-    for bar in place.errorbar(x, value, bars, label=words, **look)[2]:
-        bar.set_linestyle("-")
 
 
 def draw_guess(place: "Axes", x: Any, value: Any, look: Look) -> None:

@@ -44,8 +44,6 @@ def shown(cell: Cell) -> str:
         return cell
     if isnan(cell):
         return "-"
-    if abs(cell) == inf:
-        return "inf" if cell > 0 else "-inf"
     return f"{cell:.{DIGITS}g}" if abs(cell) < 1000.0 else f"{cell:,.0f}"
 
 
