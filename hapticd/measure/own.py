@@ -32,7 +32,6 @@ from hapticd.units import NS_PER_S, PROBE_RATE_HZ
 SETTLE_S = 1.0
 REMARK = f"# {SCHEMA} "
 TAIL_BYTES = 8192  # in which the remark of a text file stands
-TRIAL = "trial"  # where a trial's record says where it comes from
 OF_A_SERVO = {"tick", "revision", "force_n"}  # columns of a table of ticks
 COUNTED = {"index", "torque", "velocity", "time_ns"}  # of a table of the probe
 RENDERED = ("stiffness_n_per_m", "damping_ns_per_m", "mass_kg", "added_damping_asked_ns_per_m")
