@@ -18,6 +18,8 @@ frequencies of one's own choice, are judged where they are, so a verdict names i
 What would break it: a band below 1/(M T), where the window smooths, or a record of too few windows; both are refused.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from hapticd.analysis.arrays import Floats
@@ -25,6 +27,7 @@ from hapticd.analysis.channels import channel_findings
 from hapticd.analysis.confidence import sidak, student_quantile
 from hapticd.analysis.diagnostics import Finding, Record
 from hapticd.analysis.impedance import Estimator, impedance, relative_sd, spread_of
+from hapticd.analysis.resolved import Resolved, unresolved
 from hapticd.analysis.spectra import Spectra, lines_beside
 from hapticd.analysis.unexplained import coherence_findings
 from hapticd.analysis.verdict import Amplitude, Answer, Margin, Stability, Verdict
@@ -32,6 +35,8 @@ from hapticd.errors import AnalysisError
 
 DEFAULT_BAND_HZ = (2.0, 500.0)
 LEAST_FREEDOM = 20.0  # degrees of freedom of a window's values, below which the intervals mean nothing
+DRIVEN = 0.8  # of the velocity's power, from which a motion is the perturbation's
+SWELLS = "the velocity swells and fades by a factor of 4 or more, as the perturbation drives a resonance"
 LEAST_EXACT = 4.0  # of plain averages: two of them
 
 
@@ -63,7 +68,7 @@ def judge(
     half = spread_of(np.abs(at_port.impedance_ns_per_m), half_width(trial, inside, sidak(confidence, f.size)))
     angle = 90.0 - np.abs(np.degrees(np.angle(ohm)))
     newton = _least(ohm.real, half, f)
-    findings = (record.findings if record else ()) + coherence_findings(trial, band_hz, estimator)
+    findings = _reread(trial, record.findings if record else ()) + coherence_findings(trial, band_hz, estimator)
     findings += channel_findings(trial) if channels else ()
     stability = _stability(findings, record is not None, spectral_radius)
     return Verdict(
@@ -86,6 +91,27 @@ def judge(
         energy=record.energy if record else None,
         findings=findings,
     )
+
+
+def needs_record(trial: Spectra, verdict: Verdict, estimator: Estimator = "spa") -> bool:
+    """Whether `verdict` on the window's spectra `trial` does not stand before the record was looked at (`resolved`).
+
+    It stands where all is passive at the window's resolution, and where the perturbation explains nothing of a line.
+    """
+    if verdict.answer == "passive" or any(one.code == "oscillation" for one in verdict.findings):
+        return False
+    return bool(unresolved(trial, verdict.band_hz, estimator).any())
+
+
+def _reread(trial: Spectra, findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
+    """What the samples said, in the light of `resolved`: a motion that the perturbation explains did not run away by itself,
+    however it swells and fades; whether it is stable, Re Z at the resonance says.
+    """
+    if not isinstance(trial, Resolved):
+        return findings
+    driven = trial.explained > DRIVEN
+    calm = [replace(one, unstable=False, message=SWELLS) if driven and one.code == "escape" else one for one in findings]
+    return (*calm, Finding("resolved", trial.said))
 
 
 def within_90_deg(trial: Spectra, band_hz: tuple[float, float] = DEFAULT_BAND_HZ) -> bool:

@@ -148,6 +148,11 @@ class Spectra:
         return False
 
     @property
+    def resolved(self) -> bool:
+        """Whether motion that is narrower than the window was told apart where it mattered (`resolved`)."""
+        return self.exact
+
+    @property
     def span(self) -> str:
         """What the values were taken over, in words."""
         return f"window of {self.lag} samples"

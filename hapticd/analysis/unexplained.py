@@ -3,12 +3,18 @@
 low_coherence   the perturbation explains less than half of the motion over part of the band, or at its lower edge
 oscillation     a narrow line carries much of the velocity and the perturbation does not explain it: a limit cycle
 line            the same with little of it: a limit cycle or hum
+unresolved      much of it in a line that is narrower than the window, which the perturbation may explain: a resonance, perhaps
 
 Noise in the velocity makes "spa" read |Z| low by the coherence. The lower edge counts because it is read with the band: the
 window's 1.95 Hz is anybody's 2 Hz. Thresholds are those at which a 90 s trial of noise alone never raised them (tests).
 
-What would break it: a line as wide as the resolution, such as a resonance (its coherence is high).
+A window makes a resonance that is narrower than itself incoherent: a coherence of 0.2 is no proof of a limit cycle. What
+goes on by itself has none but that of chance, 2/nu. In between the record decides (`resolved`), where there is none nothing.
+
+What would break it: a limit cycle that the perturbation drives in part, where there is no record.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,6 +28,17 @@ LINE_WIDTH = 6  # neighbouring values that make a line
 LINE_SHARE = 0.3  # of the velocity's power, unexplained, in a line
 SMALL_LINE = 0.02  # the same, from which it is mentioned
 LINE_HEIGHT = 5.0  # of a line over what is beside it
+CHANCE = 3.0  # times the coherence that chance gives on average: below, a line has none
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A narrow line at `place` of the frequencies: unexplained there, `share` of the velocity's power; greatest `coherence`."""
+
+    place: int
+    frequency_hz: float
+    share: float
+    coherence: float
 
 
 def coherence_findings(trial: Spectra, band_hz: tuple[float, float], estimator: Estimator = "spa") -> tuple[Finding, ...]:
@@ -55,24 +72,37 @@ def _shrunk(frequency_hz: Floats, coherence: Floats) -> str:
     )
 
 
-def _line(trial: Spectra) -> tuple[Finding, ...]:
+def line_of(trial: Spectra) -> Line | None:
+    """The strongest line that is not explained, if it carries enough to be mentioned."""
     if trial.frequency_hz.size <= 4 * LINE_WIDTH:
-        return ()
+        return None
     unexplained = trial.velocity * (1.0 - trial.coherence)
     total = float(trial.velocity.sum())
     close = np.convolve(unexplained, np.ones(LINE_WIDTH), "same")
     peak = 2 * LINE_WIDTH + int(np.argmax(close[2 * LINE_WIDTH : -2 * LINE_WIDTH]))
     sides = (close[peak - 2 * LINE_WIDTH : peak - LINE_WIDTH], close[peak + LINE_WIDTH : peak + 2 * LINE_WIDTH])
-    if close[peak] <= SMALL_LINE * total or close[peak] < LINE_HEIGHT * max(float(np.median(side)) for side in sides):
+    beside = max(float(np.median(side)) for side in sides)
+    if close[peak] <= SMALL_LINE * total or close[peak] < LINE_HEIGHT * beside:
+        return None
+    about = trial.coherence[peak - LINE_WIDTH // 2 : peak + LINE_WIDTH // 2]
+    share = float(close[peak]) / total
+    return Line(peak, float(trial.frequency_hz[peak]), share, float(np.median(about)))
+
+
+def _line(trial: Spectra) -> tuple[Finding, ...]:
+    line = line_of(trial)
+    if line is None:
         return ()
-    if close[peak] <= LINE_SHARE * total:
+    where = f"at {line.frequency_hz:.3g} Hz: {100 * line.share:.2g} % of the velocity's power"
+    known = trial.resolved or line.coherence < CHANCE * trial.variance_factor
+    if line.share <= LINE_SHARE:
+        message = f"line {where}, which the perturbation does not explain; hum of a sensor, or a small limit cycle"
+        return (Finding("line", message),) if known else ()
+    if not known:
         message = (
-            f"line at {trial.frequency_hz[peak]:.3g} Hz: {100 * close[peak] / total:.2g} % of the velocity's power, which the "
-            "perturbation does not explain; hum of a sensor, or a small limit cycle"
+            f"line {where}, narrower than the {trial.span}: a resonance or a limit cycle; its record, or a longer window, "
+            "tells them apart"
         )
-        return (Finding("line", message),)
-    message = (
-        f"oscillation at {trial.frequency_hz[peak]:.3g} Hz: {100 * close[peak] / total:.2g} % of the velocity's power is a line "
-        "that the perturbation does not explain; the loop has a limit cycle"
-    )
+        return (Finding("unresolved", message, voids=True),)
+    message = f"oscillation {where} is a line that the perturbation does not explain; the loop has a limit cycle"
     return (Finding("oscillation", message, unstable=True),)

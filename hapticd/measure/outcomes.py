@@ -28,10 +28,11 @@ from hapticd.analysis.diagnostics import Record, escape_findings
 from hapticd.analysis.energy import Energy
 from hapticd.analysis.envelope import Envelope, merged, of_one
 from hapticd.analysis.impedance import impedance
-from hapticd.analysis.passivity import DEFAULT_BAND_HZ, judge
+from hapticd.analysis.passivity import DEFAULT_BAND_HZ, judge, needs_record
+from hapticd.analysis.resolved import resolved
 from hapticd.analysis.spa import DEFAULT_LAG
 from hapticd.analysis.spectra import Spectra, grid_frequencies
-from hapticd.analysis.verdict import NOTHING_JUDGED, Judged
+from hapticd.analysis.verdict import NOTHING_JUDGED, Judged, Verdict
 from hapticd.errors import AnalysisError
 from hapticd.measure.executors import threads
 from hapticd.measure.scenes import SATURATED, Display, display, free_of_walls, frequencies
@@ -122,28 +123,48 @@ def key_of(shared: str, damping_ns_per_m: float, environment: Point) -> str:
 
 
 def fly(conditions: Conditions, damping_ns_per_m: float, points: Floats) -> list[Outcome]:
-    """Simulate and judge trials under `points` (n, 3). ConfigError as `simulate`, AnalysisError as `judge`."""
-    scene, own = conditions.scene, conditions.display
-    found = simulate(
-        scene, points, conditions.seconds, conditions.excitation.seed, damping=damping_ns_per_m,
-        environment=free_of_walls(scene), excitation=conditions.excitation, start=(0.0, 0.0),
-        substeps=conditions.substeps, dtype=conditions.dtype, keep="spectra",
+    """Simulate and judge trials under `points` (n, 3); those whose verdict needs their records are simulated once more.
+
+    ConfigError as `simulate`, AnalysisError as `judge`.
+    """
+    found = _flown(conditions, damping_ns_per_m, points, "spectra")
+    whole = np.flatnonzero(~found.diverged).tolist()
+    looks = {trial: _look(conditions, found, trial, found.spectra(trial)) for trial in whole}
+    unsure = [trial for trial, (spectra, verdict) in looks.items() if needs_record(spectra, verdict)]
+    if unsure:
+        records = _flown(conditions, damping_ns_per_m, points[unsure], "records")
+        for place, trial in enumerate(unsure):
+            finer = resolved(*records.record(place), looks[trial][0], conditions.band_hz, servo_rate_hz=conditions.scene.rate_hz)
+            looks[trial] = _look(conditions, found, trial, finer)
+    return [_outcome(conditions, damping_ns_per_m, found, trial, looks.get(trial)) for trial in range(len(points))]
+
+
+def _flown(conditions: Conditions, damping_ns_per_m: float, points: Floats, keep: str) -> BatchResult:
+    return simulate(
+        conditions.scene, points, conditions.seconds, conditions.excitation.seed, damping=damping_ns_per_m,
+        environment=free_of_walls(conditions.scene), excitation=conditions.excitation, start=(0.0, 0.0),
+        substeps=conditions.substeps, dtype=conditions.dtype, keep=keep,
     )  # fmt: skip
-    return [_outcome(conditions, damping_ns_per_m, found, trial, own.force_limit_n) for trial in range(len(points))]
 
 
-def _outcome(conditions: Conditions, damping: float, found: BatchResult, trial: int, limit_n: float) -> Outcome:
+def _look(conditions: Conditions, found: BatchResult, trial: int, spectra: Spectra) -> tuple[Spectra, Verdict]:
+    recorded = _recorded(found, trial, spectra)
+    return spectra, judge(
+        spectra, recorded, conditions.band_hz, conditions.confidence, channels=False, below_window=conditions.below_window
+    )
+
+
+def _outcome(
+    conditions: Conditions, damping: float, found: BatchResult, trial: int, look: tuple[Spectra, Verdict] | None
+) -> Outcome:
     k, b, m = (float(value) for value in found.params[trial])
     most, sd = float(found.max_force_n[trial]), float(found.sigma_v_m_per_s[trial])
-    if found.diverged[trial]:
+    if look is None:
         nothing = np.empty(0)
         unknown = (nan,) * 5
         return Outcome((k, b, m), damping, "not_passive", False, *unknown, sd, most, nothing, nothing, band_hz=conditions.band_hz)
-    spectra = found.spectra(trial)
-    verdict = judge(
-        spectra, _recorded(found, trial, spectra), conditions.band_hz, conditions.confidence, channels=False,
-        below_window=conditions.below_window,
-    )  # fmt: skip
+    spectra, verdict = look
+    limit_n = conditions.display.force_limit_n
     doubtful = most >= SATURATED * limit_n or k < 0.0  # a K < 0 is active below every band
     z = _kept_impedance(spectra, conditions.band_hz)
     return Outcome(
@@ -170,10 +191,10 @@ def _kept_impedance(spectra: Spectra, band_hz: tuple[float, float]) -> Floats:
     """(F, 3) real and imaginary part of Z and its relative deviation at `kept_frequencies`; nan and inf where an edge is not."""
     f = kept_frequencies(band_hz)
     found = np.tile((nan, nan, inf), (f.size, 1))
-    lines = np.rint(f * (2 * spectra.lag / spectra.rate_hz)).astype(np.int64)
-    on_line = spectra.frequency_hz[lines] == f
-    found[on_line] = _rows(spectra.part(lines[on_line]))
-    for edge in band_hz:
+    at = np.minimum(np.searchsorted(spectra.frequency_hz, f), spectra.frequency_hz.size - 1)
+    known = spectra.frequency_hz[at] == f
+    found[known] = _rows(spectra.part(at[known]))
+    for edge in f[~known]:
         for row in _rows(spectra.band((edge, edge))):
             found[f == edge] = row
     return found

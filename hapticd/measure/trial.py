@@ -13,12 +13,13 @@ import numpy as np
 from hapticd.analysis.arrays import Complexes
 from hapticd.analysis.channels import unit_findings
 from hapticd.analysis.closed import spectral_radius
-from hapticd.analysis.diagnostics import Finding, examine
+from hapticd.analysis.diagnostics import Finding, Record, examine
 from hapticd.analysis.impedance import Estimator, Impedance, impedance
 from hapticd.analysis.leakage import leakage_findings
-from hapticd.analysis.passivity import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge
+from hapticd.analysis.passivity import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge, needs_record
 from hapticd.analysis.periodic import PeriodicSpectra, periodic_findings
 from hapticd.analysis.predict import coulomb, predicted_impedance
+from hapticd.analysis.resolved import resolved
 from hapticd.analysis.spa import DEFAULT_LAG, spa
 from hapticd.analysis.spectra import Spectra, corrected
 from hapticd.analysis.verdict import Verdict
@@ -134,19 +135,27 @@ def judged(plan: TrialPlan, recorded: Recorded) -> TrialResult:
     """The verdict on a record. AnalysisError for one too short for it."""
     params = plan.params
     raw = laid_out(recorded, params.multisine) if params.multisine else _windowed(params, recorded)
-    spectra = corrected(raw, params.skew_s, params.high_pass_hz) if params.skew_s or params.high_pass_hz else raw
+    spectra = _corrected(params, raw)
     record = examine(recorded.force_n, recorded.velocity_m_per_s, recorded.rate_hz)
     found = (*record.findings, *_findings(recorded), *_refused(params.trial), *_spectral_findings(params, spectra))
     if not recorded.simulated:
         found += unit_findings(spectra, float(np.std(recorded.force_n)), record.velocity_sd_m_per_s)
-    verdict = judge(
-        spectra, replace(record, findings=found), params.band_hz, params.confidence, params.estimator, plan.spectral_radius,
-        params.behind_mass_kg, params.channels and not recorded.simulated,
-    )  # fmt: skip
+    record = replace(record, findings=found)
+    verdict = _verdict(plan, recorded, spectra, record)
+    if needs_record(raw, verdict, params.estimator):
+        verdict = _verdict(plan, recorded, _corrected(params, _resolved(plan, recorded, raw)), record)
     z = impedance(spectra, params.estimator)
     z = z.without_mass(params.behind_mass_kg) if params.behind_mass_kg else z
     covers = spectra.covers if isinstance(spectra, PeriodicSpectra) else NOISE_COVERS
     return TrialResult(plan, recorded, z, _predicted(plan, z), verdict, spectra, covers)
+
+
+def _verdict(plan: TrialPlan, recorded: Recorded, spectra: Spectra, record: Record) -> Verdict:
+    params = plan.params
+    return judge(
+        spectra, record, params.band_hz, params.confidence, params.estimator, plan.spectral_radius, params.behind_mass_kg,
+        params.channels and not recorded.simulated,
+    )  # fmt: skip
 
 
 def _windowed(params: TrialParams, recorded: Recorded) -> Spectra:
@@ -161,6 +170,17 @@ def _windowed(params: TrialParams, recorded: Recorded) -> Spectra:
             f"record {least_s:.3g} s or more"
         )
     return spa(recorded.force_n, recorded.velocity_m_per_s, recorded.rate_hz, params.lag)
+
+
+def _corrected(params: TrialParams, raw: Spectra) -> Spectra:
+    return corrected(raw, params.skew_s, params.high_pass_hz) if params.skew_s or params.high_pass_hz else raw
+
+
+def _resolved(plan: TrialPlan, recorded: Recorded, raw: Spectra) -> Spectra:
+    """What is judged where the window does not resolve the motion."""
+    scene, band_hz, estimator = plan.params.scene, plan.params.band_hz, plan.params.estimator
+    servo_rate_hz = None if scene is None else scene.rate_hz
+    return resolved(recorded.force_n, recorded.velocity_m_per_s, raw, band_hz, estimator, servo_rate_hz)
 
 
 def _spectral_findings(params: TrialParams, spectra: Spectra) -> tuple[Finding, ...]:
