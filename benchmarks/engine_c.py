@@ -138,7 +138,8 @@ def _scene(ours: Lanes) -> list[float]:
 
 def _defines(shape: Shape) -> Iterable[str]:
     """What is fixed when the C is compiled: which terms there are. BenchError for a scene that it has not."""
-    if len(shape.contacts) != 1 or shape.contacts[0][0] != 1 or any(shape.drift) or shape.cogging or shape.stops or shape.waits:
+    rubs = len(shape.contacts) == 1 and shape.contacts[0][0] == 1
+    if not rubs or any(shape.drift) or shape.rotor_laws or shape.stops or shape.waits:
         raise BenchError("engine_reference.c has friction on the first body and nothing else that is nonlinear")
     yield f"STATES={shape.states}"
     yield f"SUBSTEPS={shape.substeps}"
