@@ -2,12 +2,13 @@
 
 import typer
 
-from hapticd.cli.zwidth import import_, limits, map, report, reproduce, search, trial, walls
+from hapticd.cli.zwidth import import_, limits, map, predict, report, reproduce, search, trial, walls
 
 FORMER = {"added-damping": "damping"}  # names of options that are still taken
 
 app = typer.Typer(no_args_is_help=True, help=__doc__)
 for name, verb in {
+    "predict": predict,
     "trial": trial,
     "limits": limits,
     "map": map,

@@ -1,0 +1,111 @@
+"""One environment before any trial: what the theorem, the tick's eigenvalues, the prediction and hands say.
+
+    radius       of the exact tick, friction left out: at 1 and above the display moves by itself
+    theorem      damping to spare at every image, for every input, friction left out (`lifted`)
+    prediction   least Re Z at a stated perturbation, Coulomb friction linearised there (`predict`)
+    hand         without friction, a passive hand in which the loop grows (`coupled`), tried by its tick
+
+The theorem is about all inputs and large motions, the prediction about what a trial of that amplitude
+shows: between them they differ where friction carries a display, or images do not show in noise.
+
+What would break it: K < 0. It is active below every band that is looked at, so Re Z >= 0 says nothing,
+and the loop may be unstable with Re Z > 0 all over the band; it is refused whatever the numbers are.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.analysis.closed import spectral_radius
+from hapticd.analysis.coupled import coupled_radius, shaking_hand, withstands
+from hapticd.analysis.hands import Hand
+from hapticd.analysis.lifted import lift, lifted_margin, lifted_passive
+from hapticd.analysis.linearise import Perturbation
+from hapticd.analysis.loop import Filters
+from hapticd.analysis.predict import Prediction, environments, predict
+from hapticd.plant.model import Model
+
+_GROWS = 1.0 + 1e-9  # radius; 1 within rounding is a mode of the hand without loss
+
+
+@dataclass(frozen=True, eq=False)
+class Shaker:
+    """A passive hand in which the display oscillates at about `hz`; `radius` of a tick with it."""
+
+    hand: Hand
+    hz: float
+    radius: float
+
+
+@dataclass(frozen=True, eq=False)
+class Outlook:
+    """Of one environment. Margins in N s/m, `period_s` of a tick.
+
+    `theorem_passive` needs stability as well; `withstands`: no passive hand brings it to oscillate.
+    `shaker` is None where it withstands, is unstable by itself, or no hand could be built. `true` and
+    `recorded` are predictions of Z and of what the probe's channels show of it, K < 0 let through.
+    """
+
+    period_s: float
+    radius: float
+    theorem_margin: float
+    theorem_passive: bool
+    withstands: bool
+    shaker: Shaker | None
+    true: Prediction
+    recorded: Prediction
+
+    @property
+    def stable(self) -> bool:
+        """Without friction, in the air."""
+        return self.radius < 1.0
+
+    @property
+    def refused(self) -> bool:
+        """K < 0."""
+        return bool(self.true.points[0, 0] < 0.0)
+
+    @property
+    def passive(self) -> bool:
+        """At the perturbation."""
+        return bool(self.true.passive[0]) and not self.refused
+
+
+def outlook(
+    model: Model,
+    point: npt.ArrayLike,
+    damping_ns_per_m: float,
+    filters: Filters,
+    perturbation: Perturbation,
+    band_hz: tuple[float, float],
+) -> Outlook:
+    """Of `point` (K [N/m], B [N s/m], M [kg]) on `model`. AnalysisError unless these are finite."""
+    kbm = environments(np.atleast_2d(np.asarray(point, np.float64)))
+    lifted = lift(model, damping_ns_per_m, filters)
+    radius = float(spectral_radius(model, kbm, damping_ns_per_m, filters)[0])
+    safe = radius < 1.0 and bool(kbm[0, 0] >= 0.0 and withstands(lifted, kbm)[0])
+    sought = radius < 1.0 and not safe and kbm[0, 0] >= 0.0
+    true, recorded = (
+        predict(model, kbm, damping_ns_per_m, filters, perturbation, band_hz, True, seen)
+        for seen in (False, True)
+    )  # fmt: skip
+    return Outlook(
+        1.0 / model.rate_hz,
+        radius,
+        float(lifted_margin(lifted, kbm)[0]),
+        radius < 1.0 and bool(lifted_passive(lifted, kbm)[0]),
+        safe,
+        _shaker(model, kbm, damping_ns_per_m, filters) if sought else None,
+        true,
+        recorded,
+    )
+
+
+def _shaker(model: Model, kbm: npt.NDArray[np.float64], level: float, filters: Filters) -> Shaker | None:
+    found = shaking_hand(model, kbm[0], level, filters)
+    if found is None:
+        return None
+    hand, hz = found
+    radius = float(coupled_radius(model, kbm, [hand], level, filters)[0, 0])
+    return Shaker(hand, hz, radius) if radius > _GROWS else None

@@ -1,0 +1,170 @@
+"""One environment without a trial: what theory says, in a second."""
+
+from math import log, sqrt
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hapticd.cli import options, output
+from hapticd.cli.zwidth import common
+
+if TYPE_CHECKING:
+    from hapticd.analysis.hands import Hand
+    from hapticd.analysis.linearise import Perturbation
+    from hapticd.analysis.outlook import Outlook
+    from hapticd.analysis.predict import Prediction
+
+DEVICE_OF = "fig4"  # where no scene is named
+LEFT_OUT = "What is not given; without it the device of fig4, and 0."
+
+
+def command(
+    scene: Annotated[str, typer.Option("--scene", metavar="NAME|FILE", help=LEFT_OUT)] = "",
+    stiffness: Annotated[float | None, typer.Option("-K", "--stiffness", metavar="N/M", help="Virtual stiffness.")] = None,
+    viscous: Annotated[float | None, typer.Option("-B", "--viscous", metavar="NS/M", help="Virtual damping.")] = None,
+    mass: Annotated[float | None, typer.Option("-M", "--mass", metavar="KG", help="Virtual mass.")] = None,
+    damping: Annotated[float | None, typer.Option("--damping", metavar="NS/M", help="Electrical damping.", min=0)] = None,
+    band: common.Band = (2.0, 500.0),
+    as_json: options.Json = False,
+) -> None:
+    """Is one environment passive? By theory alone, without a trial: for every input, as a trial would show it, and in hands.
+
+    The theorem (Colgate and Schenkel, for all images of a composed device) leaves friction out and holds for every input. The
+    prediction counts friction at the amplitude of the trials, which fades as the motion grows. Where the theorem finds damping
+    missing, the passive hand that shakes the display is built and tried. K < 0 is always refused.
+    """
+    from math import isfinite
+
+    from hapticd.analysis.outlook import outlook
+    from hapticd.measure import scenes
+
+    shown = scenes.display(common.scene_of(scene or DEVICE_OF))
+    default = (*scenes.point(shown.scene), scenes.level(shown.scene)) if scene else (0.0, 0.0, 0.0, 0.0)
+    given = (stiffness, viscous, mass, damping)
+    k, b, m, level = (own if own is not None else other for own, other in zip(given, default, strict=True))
+    for option, value, unit in (("-K", k, "N/m"), ("-B", b, "N s/m"), ("-M", m, "kg"), ("--damping", level, "N s/m")):
+        if not isfinite(value):
+            raise typer.BadParameter(f"{option} {value:g}: a finite number of {unit} is needed")
+    found = outlook(shown.model, (k, b, m), level, shown.filters, shown.perturbation, band)
+    if as_json:
+        output.data_json({"ok": True, "simulated": True, "device": shown.scene.device, **_told(found, (k, b, m), level)})
+        return
+    output.data(f"SIMULATED {shown.scene.device}: K {k:g} N/m, B {b:g} N s/m, M {1e3 * m:g} g, electrical damping {level:g} N s/m")
+    for name, words in _lines(found, shown.perturbation):
+        output.data(f"{name:11} {words}")
+
+
+def _lines(found: "Outlook", shaken: "Perturbation") -> list[tuple[str, str]]:
+    return [
+        ("verdict", _verdict(found)),
+        ("stability", f"spectral radius {found.radius:.6f} without friction: {_motion(found.radius, found.period_s)}"),
+        ("theorem", _theorem(found)),
+        ("prediction", f"{_least(found.true)}, {_friction(found.true)}\n{'':11} {_amplitude(shaken)}"),
+        ("a trial", f"would record {_least(found.recorded)}"),
+        ("hand", _hand(found)),
+    ]
+
+
+def _verdict(found: "Outlook") -> str:
+    prediction = found.true
+    if found.refused:
+        seen = "" if prediction.margin_ns_per_m[0] < 0.0 else ", though Re Z >= 0 all over the band"
+        return f"refused: a negative K is active at low frequencies under any damping{seen}"
+    if not found.passive:
+        if prediction.margin_ns_per_m[0] < 0.0:
+            return "not passive"
+        why = "a burst of motion does not die out" if not prediction.calm[0] else "the loop is unstable"
+        return f"not passive: Re Z >= 0 all over the band, but {why}"
+    if found.theorem_passive:
+        return "passive, for every input and in every passive hand"
+    return "passive at the amplitude of a trial, not for every input: the theorem differs"
+
+
+def _motion(radius: float, period_s: float) -> str:
+    if radius == 1.0 or radius <= 0.0:
+        return "motion neither grows nor dies out" if radius else "motion ends at once"
+    seconds = period_s / abs(log(radius))
+    return f"motion {'dies out' if radius < 1.0 else 'grows'} e-fold in {seconds:.3g} s"
+
+
+def _theorem(found: "Outlook") -> str:
+    if found.refused or not found.stable:
+        return "says nothing: it presumes K >= 0 and a stable loop"
+    if found.theorem_passive:
+        return f"{found.theorem_margin:.3g} N s/m to spare for every input, without friction"
+    return f"{-found.theorem_margin:.3g} N s/m missing without friction"
+
+
+def _least(prediction: "Prediction") -> str:
+    return f"least Re Z {prediction.margin_ns_per_m[0]:+.3g} N s/m at {prediction.worst_hz[0]:.3g} Hz"
+
+
+def _friction(prediction: "Prediction") -> str:
+    counts = prediction.friction_ns_per_m[0]
+    return f"friction counting for {counts:.3g} N s/m" if counts else "no friction"
+
+
+def _amplitude(shaken: "Perturbation") -> str:
+    force = sqrt(shaken.psd_n2_per_hz * shaken.band_hz)
+    return f"for noise of {shaken.psd_n2_per_hz:.3g} N^2/Hz up to {shaken.band_hz:g} Hz, {force:.2g} N rms"
+
+
+def _hand(found: "Outlook") -> str:
+    if found.refused or not found.stable:
+        return "none is needed: it is unstable by itself" if not found.stable else "not sought"
+    if found.withstands:
+        return "no passive hand brings it to oscillate, even without friction"
+    if found.shaker is None:
+        return "one exists that brings it to oscillate without friction; none was built"
+    shaker = found.shaker
+    grows = _motion(shaker.radius, found.period_s)
+    return f"{_named(shaker.hand)} shakes it at about {shaker.hz:.3g} Hz without friction: {grows}"
+
+
+def _named(hand: "Hand") -> str:
+    """Its largest part; the tuned masses beside serve images alone."""
+    mass, grounded = float(hand.mass_kg[0]), float(hand.stiffness_n_per_m[0].sum())
+    main = f"a mass of {1e3 * mass:.3g} g" if mass else f"a spring of {grounded:.3g} N/m to the wall"
+    return f"{main} with {hand.mass_kg.size - 1} small tuned masses"
+
+
+def _told(found: "Outlook", point: tuple[float, float, float], level: float) -> dict[str, Any]:
+    from hapticd.measure.plain import plain
+
+    shaken = found.true.perturbation
+    numbers: dict[str, Any] = {
+        "environment": point,
+        "damping_ns_per_m": level,
+        "verdict": _verdict(found),
+        "passive": found.passive,
+        "refused": found.refused,
+        "spectral_radius": found.radius,
+        "theorem": {"margin_ns_per_m": found.theorem_margin, "passive": found.theorem_passive},
+        "prediction": _judged(found.true),
+        "recorded": _judged(found.recorded),
+        "perturbation": shaken and {"psd_n2_per_hz": shaken.psd_n2_per_hz, "band_hz": shaken.band_hz},
+        "withstands_every_hand": found.withstands,
+        "hand": _built(found),
+    }
+    return {name: plain(value) for name, value in numbers.items()}
+
+
+def _judged(prediction: "Prediction") -> dict[str, Any]:
+    names = ("margin_ns_per_m", "margin_deg", "worst_hz", "friction_ns_per_m", "velocity_sd", "spectral_radius")
+    return {"passive": bool(prediction.passive[0]), **{name: float(getattr(prediction, name)[0]) for name in names}}
+
+
+def _built(found: "Outlook") -> dict[str, Any] | None:
+    import numpy as np
+
+    if found.shaker is None:
+        return None
+    hand = found.shaker.hand
+    return {
+        "hz": found.shaker.hz,
+        "impedance_ns_per_m": hand.impedance(np.array([2j * np.pi * found.shaker.hz]))[0],
+        "spectral_radius": found.shaker.radius,
+        "mass_kg": hand.mass_kg.tolist(),
+        "damping_ns_per_m": hand.damping_ns_per_m.tolist(),
+        "stiffness_n_per_m": hand.stiffness_n_per_m.tolist(),
+    }
