@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 from benchmarks import targets
 from benchmarks.bare import empty_link
+from benchmarks.blocks import quantile
 from benchmarks.figures import Figure, compared
 from benchmarks.lockstep import flown
 from hapticd.assembly.scene import scene_params
@@ -31,10 +32,11 @@ PIECES = 5  # of the plant in a tick: four ends of 250 us, and the latch between
 def measure() -> Iterator[Figure]:
     """Least of blocks that take turns; then the flights."""
     servo, board = scene_params(SCENE)
-    clock = VirtualClock(NS_PER_MS)
-    link = UsbLink(servo.usb, simulated_backend(board, clock))
+    clocks = VirtualClock(NS_PER_MS), VirtualClock(NS_PER_MS)
+    link = UsbLink(servo.usb, simulated_backend(board, clocks[0]))
     link.open()
-    pairs, empty, plant = Pairs(link, clock), Pairs(empty_link(servo.usb, board, clock), clock), PlantAlone(board)
+    pairs, empty = Pairs(link, clocks[0]), Pairs(empty_link(servo.usb, board, clocks[1]), clocks[1])
+    plant = PlantAlone(board)
     rounds = [(pairs.us(PAIRS), empty.us(PAIRS) + plant.us(PAIRS)) for _ in range(BLOCKS)]
     ours_us, alone_us = (min(times) for times in zip(*rounds, strict=True))
     yield compared("board_tick_ratio", TARGETS["board_tick_ratio"], ours_us, "us", alone_us, f"scene {SCENE}, moving")
@@ -48,18 +50,18 @@ class Pairs:
         self._link, self._clock, self._number = link, clock, 0
 
     def us(self, pairs: int) -> float:
-        """Microseconds of one, the mean of a block."""
+        """Microseconds of one, the median of a block."""
         out, reply = array("B", bytes(frames.OUT_BYTES)), array("B", bytes(frames.PACKET_BYTES))
-        pack, write, read, spent_ns = codec.out_packer(out), self._link.write, self._link.read, 0
+        pack, write, read, taken = codec.out_packer(out), self._link.write, self._link.read, []
         for number in range(self._number, self._number + pairs):
             pack(number & 0xFFFF, int(OutFlag.ENABLE) if number else 0, force_count(number), 0, 0)
             begin = time.perf_counter_ns()
             write(out)
             read(reply)
-            spent_ns += time.perf_counter_ns() - begin
-            self._clock.sleep_until_ns(self._clock.now_ns() + NS_PER_MS)
+            taken.append(time.perf_counter_ns() - begin)
+            self._clock.sleep_until_ns((number + 2) * NS_PER_MS)  # the read has moved it to the latch
         self._number += pairs
-        return spent_ns / pairs / NS_PER_US
+        return quantile(taken, 0.5) / NS_PER_US
 
 
 class PlantAlone:
@@ -70,18 +72,19 @@ class PlantAlone:
         self._step, self._state, self._n_per_count, self._number = plant.step, plant.rest(0.0), board.force_n_per_count, 0
 
     def us(self, ticks: int) -> float:
-        """Microseconds of the sub-steps of one tick, in as many pieces as the board plays them, the mean of a block."""
+        """Microseconds of the sub-steps of one tick, in as many pieces as the board plays them, the median of a block."""
         step, state = self._step, self._state
         piece, rest = divmod(SUBSTEPS_PER_TICK, PIECES - 1)
         assert not rest
-        begin = time.perf_counter_ns()
+        taken = []
         for number in range(self._number, self._number + ticks):
             force_n = force_count(number) * self._n_per_count
+            begin = time.perf_counter_ns()
             for count in (piece, piece, piece, piece // 2, piece - piece // 2):
                 state = step(state, force_n, 0.0, 0.0, count)
-        taken_ns = time.perf_counter_ns() - begin
+            taken.append(time.perf_counter_ns() - begin)
         self._state, self._number = state, self._number + ticks
-        return taken_ns / ticks / NS_PER_US
+        return quantile(taken, 0.5) / NS_PER_US
 
 
 def force_count(number: int) -> int:
