@@ -1,4 +1,5 @@
-"""A band is looked at from edge to edge, whatever lines the window has, and a verdict says from where to where."""
+"""A band is looked at from edge to edge, whatever lines the window has, and a verdict says from
+where to where."""
 
 import dataclasses
 
@@ -140,7 +141,8 @@ def drifting(seed, lag=256):
 
 
 def test_an_edge_that_lost_its_power_to_a_drift_is_left_out():
-    """The side lobes of what is at 0 Hz are negative between lines. A verdict then begins at the next line, and says so."""
+    """Side lobes of what is at 0 Hz are negative between lines. A verdict then begins at the next
+    line, and says so."""
     left_out = 0
     for seed in range(40):
         trial = drifting(seed)

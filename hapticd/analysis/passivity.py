@@ -12,8 +12,9 @@ A device that is not stable is not passive, whatever its Re Z: with a virtual K 
 leave nothing to decide. The paper's plain rule, all phases within +-90 degrees, is answered beside it; with 5 mm/s of sensor
 noise it calls a passive device with a margin of 1 degree non-passive in every trial.
 
-The band is judged from edge to edge: an edge that is no line of the window is interpolated (`Spectra.band`). Multisines, and
-frequencies of one's own choice, are judged where they are, so a verdict names its first and its last frequency.
+The band is judged from edge to edge: an edge that is no line of the window is interpolated
+(`Spectra.band`). Multisines, and frequencies of one's own choice, are judged where they are, so a
+verdict names its first and its last frequency.
 
 What would break it: a band below 1/(M T), where the window smooths, or a record of too few windows; both are refused.
 """
@@ -55,7 +56,8 @@ def judge(
     of the predicted closed loop. `behind_mass_kg` > 0 judges the device behind the probe's mass: Re Z is the same there.
     `channels`: also look for skew and high-pass, which takes longer than the rest; simulated records have neither.
 
-    `below_window`: of a band that begins below 1/(M T), which is else refused, read what the window makes of it.
+    `below_window`: of a band that begins below 1/(M T), which is else refused, read what the window
+    makes of it.
 
     AnalysisError for a band below 1/(M T), above half the sample rate or without frequencies, and for records of fewer than 20
     degrees of freedom.
@@ -152,15 +154,16 @@ def _judged(trial: Spectra, band_hz: tuple[float, float], below_window: bool) ->
 
 
 def half_width(trial: Spectra, inside: Spectra, level: float) -> Floats:
-    """Half of the interval of Re Z over |Z| (F,) of a band `inside` a trial, each side at `level`: the sine of that of the phase;
-    inf without coherence."""
+    """Half of the interval of Re Z over |Z| (F,) of a band `inside` a trial, each side at `level`:
+    the sine of that of the phase; inf without coherence."""
     freedom = trial.degrees_of_freedom - 2.0
     return student_quantile(level, freedom) * relative_sd(_coherence(trial, inside), freedom)
 
 
 def _coherence(trial: Spectra, inside: Spectra) -> Floats:
-    """g2 (F,) of a band, at an edge between lines no more than at the lines beside it: there side lobes of a drift may take
-    power from the motion, and the perturbation then seems to explain more of it."""
+    """g2 (F,) of a band, at an edge between lines no more than at the lines beside it: there side
+    lobes of a drift may take power from the motion, and the perturbation then seems to explain more
+    of it."""
     if not trial.whole:
         return inside.coherence
     of_lines = trial.coherence

@@ -8,15 +8,18 @@ Velocity u is the input, force y the output, as in the paper (Weir, Colgate and 
     C         = sum W^2 = 3 M / 4                           C/N: relative variance of a spectrum inside the band
 
 (Ljung, System Identification, 2nd ed. 1999, section 6.4. Older MATLAB help calls this window Hamming.) Because W(+-M) = 0, the
-M + 1 frequencies k/(2 M) of the sample rate, the lines, hold the whole estimate; every other is its trigonometric interpolation:
+M + 1 frequencies k/(2 M) of the sample rate, the lines, hold the whole estimate; what lies between
+them is their trigonometric interpolation:
 
-    Phi(w) = sum_k Phi_k D(w - w_k),   D(x) = sin(M x) / (2 M tan(x/2)),   k over the whole circle of 2 M
+    Phi(w) = sum_k Phi_k D(w - w_k),   D(x) = sin(M x) / (2 M tan(x/2)),   k over a circle of 2 M
 
-So a band is looked at from end to end (`Spectra.band`) although 2 Hz is no line of the paper's window.
+So a band is looked at from end to end (`Spectra.band`) although 2 Hz is no line of the paper's
+window.
 
 What would break it: a record shorter than a few windows, a spring below 1/(M T) (the window smooths the steep spectrum and
-pulls the phase to 0), channels not sampled together (a skew d turns the phase by 360 f d degrees; `corrected` undoes it). A
-drift: the window's side lobes, up to -0.03 of what is at 0 Hz, have their zeros on the lines but not between them.
+pulls the phase to 0), channels not sampled together (a skew d turns the phase by 360 f d degrees;
+`corrected` undoes it). A drift: the window's side lobes, up to -0.03 of what is at 0 Hz, have their
+zeros on the lines but not between them.
 """
 
 from dataclasses import dataclass, replace
@@ -31,7 +34,7 @@ from hapticd.analysis.sections import Covariances
 from hapticd.errors import AnalysisError
 
 NEAR = 1e-6  # of the spacing of the lines: what is closer to a line is that line
-LEFT = 0.5  # of the lesser power of the two lines beside it: a smooth spectrum has that much left between them
+LEFT = 0.5  # of the lesser power of two lines: a smooth spectrum has that much left between them
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +56,8 @@ class Channel:
 class Spectra:
     """Spectra of one trial at `frequency_hz` (F,): `velocity` [(m/s)^2], `force` [N^2] float64, `cross` Phi_yu [N m/s] complex128.
 
-    A one-sided density per hertz is 2 Phi / rate_hz. `port` names where velocity was measured. `taken_out`: what was corrected.
+    A one-sided density per hertz is 2 Phi / rate_hz. `port` names where velocity was measured,
+    `taken_out` what was corrected.
     """
 
     frequency_hz: Floats
@@ -88,7 +92,7 @@ class Spectra:
 
     @property
     def whole(self) -> bool:
-        """Whether these are all lines of the window, which hold the estimate at every other frequency as well."""
+        """Whether these are all lines of the window, which hold the estimate between them as well."""
         if self.exact or self.frequency_hz.size != self.lag + 1:
             return False
         return np.array_equal(self.frequency_hz, grid_frequencies(self.rate_hz, self.lag))
@@ -99,10 +103,12 @@ class Spectra:
         return replace(self, frequency_hz=f, velocity=self.velocity[which], force=self.force[which], cross=cross)
 
     def band(self, band_hz: tuple[float, float]) -> "Spectra":
-        """Those from `band_hz[0]` to `band_hz[1]`, both ends among them: what is no line is interpolated exactly.
+        """Those from `band_hz[0]` to `band_hz[1]`, both ends among them: what is no line is
+        interpolated exactly.
 
-        An end that has lost its power to the side lobes of a drift is left out, for it would say nothing of the device. Of
-        spectra that are not `whole`, whatever frequencies there are. AnalysisError for an end outside 0..rate/2.
+        An end that has lost its power to the side lobes of a drift is left out, for it would say
+        nothing of the device. Of spectra that are not `whole`, whatever frequencies there are.
+        AnalysisError for an end outside 0..rate/2.
         """
         if not self.whole:
             return self.part((self.frequency_hz >= band_hz[0]) & (self.frequency_hz <= band_hz[1]))
@@ -119,11 +125,11 @@ class Spectra:
             return []
         found = self._between(frequency_hz)
         beside = self.part(np.concatenate((below, above)))
-        lost = found.velocity < LEFT * beside.velocity.min() or found.force < LEFT * beside.force.min()
-        return [] if lost else [found]
+        channels = ((found.velocity, beside.velocity), (found.force, beside.force))
+        return [] if any(own < LEFT * lines.min() for own, lines in channels) else [found]
 
     def _between(self, frequency_hz: float) -> "Spectra":
-        """The one at a frequency that is no line: interpolated as it was recorded, and corrected as these were."""
+        """The one at a frequency that is no line: interpolated as recorded, corrected as these."""
         even, odd = _weights(self.lag, frequency_hz * 2.0 * self.lag / self.rate_hz)
         raw = _distorted(self)
         found = replace(
@@ -224,9 +230,10 @@ def _joined(parts: list[Spectra]) -> Spectra:
 
 @lru_cache(maxsize=64)
 def _weights(lag: int, place: float) -> tuple[Floats, Floats]:
-    """Of the lines' real and of their imaginary parts (M + 1,) in the value at `place`, in lines, itself none.
+    """Of the lines' real and of their imaginary parts (M + 1,) in the value at `place`, in lines.
 
-    Lines of negative frequency have the conjugate values, so each weight is D of a line and of its mirror image.
+    Lines of negative frequency have the conjugate values, so each weight is D of a line and of its
+    mirror image. `place` is no line itself.
     """
     own = _kernel(lag, place)
     mirrored = _kernel(lag, -place)
@@ -235,7 +242,8 @@ def _weights(lag: int, place: float) -> tuple[Floats, Floats]:
 
 
 def _kernel(lag: int, place: float) -> Floats:
-    """D (M + 1,) of the module at `place` - k, k = 0..M; the sine by the part of a line, which keeps its digits."""
+    """D (M + 1,) of the module at `place` - k, k = 0..M; the sine by the part of a line, which keeps
+    its digits."""
     k = np.arange(lag + 1)
     line = round(place)
     sine = (1.0 - 2.0 * ((line - k) % 2)) * np.sin(np.pi * (place - line))
@@ -250,7 +258,8 @@ def grid_frequencies(rate_hz: float, lag: int) -> Floats:
 
 
 def lines_beside(frequency_hz: Floats, rate_hz: float, lag: int) -> tuple[Integers, Integers]:
-    """Numbers of the lines at or below and at or above frequencies (F,), both (F,); the same twice where that is a line."""
+    """Numbers of the lines at or below and at or above frequencies (F,), both (F,); the same twice
+    where that is a line."""
     place = frequency_hz * (2.0 * lag / rate_hz)
     return np.floor(place + NEAR).astype(np.int64), np.ceil(place - NEAR).astype(np.int64)
 

@@ -80,8 +80,9 @@ class Amplitude:
 class Verdict:
     """Answer and conditions. `within_90_deg` is the paper's plain rule, `port` the place where Z was looked at.
 
-    What was judged are `n_frequencies`, from `first_judged_hz` to `last_judged_hz`: the edges of `band_hz`, unless the spectra
-    are of lines alone (a multisine) or of chosen frequencies; then the first and the last of those inside.
+    What was judged are `n_frequencies`, from `first_judged_hz` to `last_judged_hz`: the edges of
+    `band_hz`, unless the spectra are of lines alone (a multisine) or of chosen frequencies; then
+    the first and the last of those inside.
 
     "stable" without a `spectral_radius` (of the predicted loop) says that no escape was seen in this record. `seconds` is
     the length of the record, `seconds_needed` that of one like it that would decide; inf at margin 0. What is narrower than

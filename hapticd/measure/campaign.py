@@ -148,9 +148,10 @@ def run_map(
 
 
 def kept_map(plan: MapPlan, store: TrialStore) -> MapResult:
-    """The map of a run that has ended, of its kept trials alone, whatever the version that made them: nothing is flown.
+    """The map of a run that has ended, of its kept trials alone: nothing is flown.
 
-    Where the store has trials by other keys only, those of another version, they are told by level and environment.
+    Where the store has trials by other keys only, those of another version, they are told by level
+    and environment.
     """
     levels = []
     for level in plan.levels:

@@ -46,7 +46,7 @@ TOGETHER = LANES["f32"]  # trials of a task: the engine does as many at once
 FREQUENCIES = 120
 KEPT_BAND_HZ = (2.0, 1000.0)
 NOISE = Excitation("noise")
-FORMAT = 2  # of an outcome; part of its key. 1 was judged on the window's lines alone, and kept Z there
+FORMAT = 2  # of an outcome; part of its key. 1 was judged, and kept Z, on the window's lines alone
 
 Point = tuple[float, float, float]  # K [N/m], B [N s/m], M [kg]
 T = TypeVar("T")
@@ -63,7 +63,7 @@ class Conditions:
     confidence: float = 0.95
     substeps: int = 4
     dtype: str = "f32"
-    below_window: bool = False  # the band may begin below 1/(M T), and is then read as what the window makes of it
+    below_window: bool = False  # the band may begin below 1/(M T): read what the window makes of it
 
     @property
     def display(self) -> Display:
@@ -79,8 +79,10 @@ class Conditions:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """One trial; `z` (F, 2) real and imaginary part [N s/m] and `relative_sd` (F,) at `frequency_hz`, empty if diverged; nan and
-    inf at an edge that was not judged. `first_judged_hz`, `last_judged_hz`: nan if diverged.
+    """One trial; `z` (F, 2) real and imaginary part [N s/m] and `relative_sd` (F,) at
+    `frequency_hz`, empty if diverged; nan and inf at an edge that was not judged.
+
+    `first_judged_hz`, `last_judged_hz`: nan if diverged.
     """
 
     environment: Point
@@ -113,7 +115,8 @@ Told = Callable[[int, "Lot", list[Outcome]], None]
 
 @lru_cache
 def kept_frequencies(band_hz: tuple[float, float] | None = None) -> Floats:
-    """Frequencies (F,) at which Z of a trial is kept: lines of the window evenly in ln f, and the edges of the judged band."""
+    """Frequencies (F,) at which Z of a trial is kept: lines of the window evenly in ln f, and the
+    edges of the judged band."""
     return np.union1d(frequencies(KEPT_BAND_HZ, FREQUENCIES), band_hz or ())
 
 
@@ -188,7 +191,8 @@ def _outcome(
 
 
 def _kept_impedance(spectra: Spectra, band_hz: tuple[float, float]) -> Floats:
-    """(F, 3) real and imaginary part of Z and its relative deviation at `kept_frequencies`; nan and inf where an edge is not."""
+    """(F, 3) real and imaginary part of Z and its relative deviation at `kept_frequencies`; nan and
+    inf at an edge that is left out."""
     f = kept_frequencies(band_hz)
     found = np.tile((nan, nan, inf), (f.size, 1))
     at = np.minimum(np.searchsorted(spectra.frequency_hz, f), spectra.frequency_hz.size - 1)
@@ -230,7 +234,7 @@ def restored(line: Mapping[str, Any]) -> Outcome:
 
 
 def judged_on_lines(outcome: Outcome, band_hz: tuple[float, float]) -> Outcome:
-    """One of a store of format 1 with what that was judged on: the window's lines inside the band."""
+    """One of a store of format 1 with what it was judged on: the window's lines in the band."""
     if outcome.band_hz is not None or not outcome.z.size:
         return outcome
     f = grid_frequencies(PROBE_RATE_HZ, DEFAULT_LAG)

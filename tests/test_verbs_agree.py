@@ -1,0 +1,105 @@
+"""One answer from every verb: the same point, noise, length and band give the same verdict."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hapticd.measure import directed, reproduce
+from hapticd.measure.campaign import MapParams, plan_map, run_map
+from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
+from hapticd.measure.outcomes import Conditions, fly
+from hapticd.measure.scenes import noise
+from hapticd.measure.sources import Trial, engine_source
+from hapticd.measure.store import TrialStore
+from hapticd.measure.trial import TrialParams, plan_trial, run_trial
+from hapticd.settings.scene import load_scene
+
+SCENE, LEVEL, SEED, SECONDS = "fig7", 1.74, 3, 20.0
+ALONE = 1.0  # a tolerance that ends a search of a limit after its first round
+
+
+def given(dtype):
+    """Conditions of all verbs."""
+    scene = load_scene(SCENE)
+    return Conditions(scene, SECONDS, replace(noise(scene), seed=SEED), dtype=dtype)
+
+
+def by_trial(point, seed):
+    """The verdict of `zwidth trial`."""
+    asked = given("f64").shaken(more_seed=seed - SEED)
+    trial = Trial(point, LEVEL, SECONDS, asked.excitation)
+    plan = plan_trial(TrialParams(trial, asked.scene))
+    return run_trial(plan, engine_source(asked.scene)).verdict
+
+
+def by_limits(point, asked):
+    """Its outcome in `zwidth limits`, whose scan of K begins there."""
+    heard = {}
+
+    def hear(scan, conditions, new):
+        heard.update({outcome.environment: outcome for outcome in new})
+
+    params = LimitsParams(asked, (LEVEL,), axes=(0,), base=point, tolerance=ALONE)
+    run_limits(plan_limits(params), TrialStore(None), hear=hear)
+    return heard[point]
+
+
+def by_map(point, asked):
+    """Its outcome in `zwidth map`: the grid's other points are far off, so it lies at the edge of the set."""
+    axes = tuple(np.array([value, value + far]) for value, far in zip(point, (4e3, 40.0, 0.2), strict=True))
+    result = run_map(plan_map(MapParams(asked, axes, (LEVEL,))), TrialStore(None))
+    return next(one for one in result.levels[0].outcomes if one.environment == point)
+
+
+@pytest.fixture(scope="module")
+def searched():
+    """The first trials of `zwidth search`, which chooses its points: each with noise of its own."""
+    params = directed.SearchParams(given("f64"), LEVEL, budget=4)
+    found = directed.run_search(directed.plan_search(params), TrialStore(None))
+    return [step.outcome for step in found.steps]
+
+
+def told(outcome):
+    """What an outcome says."""
+    margins = (outcome.margin_ns_per_m, outcome.margin_lower, outcome.margin_upper, outcome.margin_deg)
+    return margins, (outcome.worst_hz, outcome.first_judged_hz, outcome.last_judged_hz)
+
+
+def told_of(verdict):
+    """What a verdict says of the same."""
+    newton = verdict.margin_ns_per_m
+    margins = (newton.value, newton.lower, newton.upper, verdict.margin_deg.value)
+    return margins, (newton.frequency_hz, verdict.first_judged_hz, verdict.last_judged_hz)
+
+
+def test_every_verb_gives_the_margin_of_the_trial(searched, monkeypatch):
+    """At a stiffness whose least Re Z is at the lower edge: with the window's lines alone it would be another."""
+    monkeypatch.setattr(reproduce, "SECONDS", SECONDS)
+    outcome, seed = searched[1], SEED + 1
+    point, asked = outcome.environment, given("f64").shaken(more_seed=1)
+    margins, places = told_of(by_trial(point, seed))
+    assert places == (2.0, 2.0, 500.0)
+    shown = reproduce.single_trial(reproduce.MAIN, point, LEVEL, seed)
+    found = [told(outcome), told(by_limits(point, asked)), told(by_map(point, asked)), told_of(shown.verdict)]
+    for of_verb, where in found:
+        assert of_verb == pytest.approx(margins, rel=1e-9)
+        assert where == places
+
+
+def test_every_trial_of_a_search_is_judged_as_one_alone(searched):
+    for more, outcome in enumerate(searched):
+        margins, places = told_of(by_trial(outcome.environment, SEED + more))
+        assert told(outcome)[0] == pytest.approx(margins, rel=1e-9)
+        assert told(outcome)[1] == places
+
+
+def test_fused_float32_gives_the_margin_to_its_digits(searched):
+    """To 1e-5 of |Z|: what float32 rounds, it rounds of that."""
+    point = searched[1].environment
+    (fused,) = fly(given("f32").shaken(more_seed=1), LEVEL, np.array([point]))
+    exact = by_trial(point, SEED + 1)
+    size = np.hypot(*fused.z[np.searchsorted(fused.frequency_hz, 2.0)])
+    assert told(fused)[1] == (2.0, 2.0, 500.0)
+    assert fused.margin_ns_per_m == pytest.approx(exact.margin_ns_per_m.value, abs=1e-5 * size)
+    assert fused.answer == exact.answer
