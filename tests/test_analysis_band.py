@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from spectral_trials import exact_trial, mass_damper, record, with_phase_margin
 
-from hapticd.analysis.passivity import half_width, judge, within_90_deg
+from hapticd.analysis.passivity import half_width, judge
 from hapticd.analysis.periodic import periodic
 from hapticd.analysis.sections import Covariances
 from hapticd.analysis.spa import SpectralStream, spa
@@ -125,14 +125,16 @@ def test_chosen_frequencies_are_judged_as_they_are():
     assert (found.first_judged_hz, found.last_judged_hz) == (4.0, 499.0)
 
 
-def test_plain_rule_is_read_below_the_window_where_a_verdict_is_refused():
+def test_a_band_below_the_window_is_judged_only_where_it_is_asked_for():
     trial = exact_trial(mass_damper(), 0.99)
-    assert within_90_deg(trial, (1.0, 500.0))
-    active = dataclasses.replace(trial, cross=np.where(trial.frequency_hz == trial.frequency_hz[1], -1.0, 1.0) * trial.cross)
-    assert not within_90_deg(active, (1.0, 500.0))
-    assert within_90_deg(active, (3.0, 500.0))
+    first = trial.frequency_hz == trial.frequency_hz[1]
+    active = dataclasses.replace(trial, cross=np.where(first, -1.0, 1.0) * trial.cross)
+    asked = {"band_hz": (0.9, 500.0), "channels": False}
+    assert judge(trial, below_window=True, **asked).within_90_deg
+    found = judge(active, below_window=True, **asked)
+    assert (found.first_judged_hz, found.within_90_deg) == (0.9, False)
     with pytest.raises(AnalysisError, match="says nothing below"):
-        judge(active, band_hz=(1.0, 500.0))
+        judge(trial, **asked)
 
 
 def drifting(seed, lag=256):
@@ -159,4 +161,5 @@ def test_an_edge_is_not_known_better_than_the_lines_beside_it():
         trial = drifting(seed)
         edge = trial.band((16.0, 16.0))
         beside = half_width(trial, trial.part(slice(2, 4)), 0.975)
-        assert (half_width(trial, edge, 0.975) >= beside.max()).all()
+        if edge.frequency_hz.size:
+            assert (half_width(trial, edge, 0.975) >= beside.max()).all()

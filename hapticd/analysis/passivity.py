@@ -116,13 +116,8 @@ def _reread(trial: Spectra, findings: tuple[Finding, ...]) -> tuple[Finding, ...
     return (*calm, Finding("resolved", trial.said))
 
 
-def within_90_deg(trial: Spectra, band_hz: tuple[float, float] = DEFAULT_BAND_HZ) -> bool:
-    """The paper's plain rule from edge to edge of a band: the sign of Re Z is that of the cross-power. Not refused below
-    1/(M T): whoever asks there reads what the window makes of it."""
-    return _turns_less(trial.band(band_hz))
-
-
 def _turns_less(inside: Spectra) -> bool:
+    """The paper's plain rule: the sign of Re Z is that of the cross-power."""
     return bool((inside.cross.real > 0.0).all())
 
 
@@ -164,11 +159,13 @@ def _coherence(trial: Spectra, inside: Spectra) -> Floats:
     """g2 (F,) of a band, at an edge between lines no more than at the lines beside it: there side
     lobes of a drift may take power from the motion, and the perturbation then seems to explain more
     of it."""
-    if not trial.whole:
-        return inside.coherence
-    of_lines = trial.coherence
-    below, above = lines_beside(inside.frequency_hz, trial.rate_hz, trial.lag)
-    return np.minimum(inside.coherence, np.minimum(of_lines[below], of_lines[above]))
+    found = inside.coherence
+    if trial.whole:
+        for place in {0, found.size - 1}:
+            below, above = lines_beside(inside.frequency_hz[place], trial.rate_hz, trial.lag)
+            if below < above:
+                found[place] = min(found[place], *trial.part(slice(below, above + 1)).coherence)
+    return found
 
 
 def _angle_deg(half: Floats, size: Floats) -> Floats:

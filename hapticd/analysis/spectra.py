@@ -24,6 +24,7 @@ zeros on the lines but not between them.
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from math import ceil, floor
 from typing import Any
 
 import numpy as np
@@ -95,7 +96,7 @@ class Spectra:
         """Whether these are all lines of the window, which hold the estimate between them as well."""
         if self.exact or self.frequency_hz.size != self.lag + 1:
             return False
-        return np.array_equal(self.frequency_hz, grid_frequencies(self.rate_hz, self.lag))
+        return np.array_equal(self.frequency_hz, _lines(self.rate_hz, self.lag))
 
     def part(self, which: Flags | Integers | slice) -> "Spectra":
         """Those at some of the frequencies, `which` (F,)."""
@@ -112,19 +113,20 @@ class Spectra:
         """
         if not self.whole:
             return self.part((self.frequency_hz >= band_hz[0]) & (self.frequency_hz <= band_hz[1]))
-        edges = _inside(np.asarray(band_hz, np.float64), self.rate_hz)
-        below, above = lines_beside(edges, self.rate_hz, self.lag)
-        lines = self.part(slice(above[0], below[1] + 1))
+        _inside(np.asarray(band_hz, np.float64), self.rate_hz)
+        _, first = lines_beside(band_hz[0], self.rate_hz, self.lag)
+        last, _ = lines_beside(band_hz[1], self.rate_hz, self.lag)
+        lines = self.part(slice(first, last + 1))
         after = self._edge(band_hz[1]) if band_hz[1] > band_hz[0] else []
         return _joined([*self._edge(band_hz[0]), lines, *after])
 
     def _edge(self, frequency_hz: float) -> "list[Spectra]":
         """The one at an end of a band, if it is no line and has its power."""
-        below, above = lines_beside(np.array([frequency_hz]), self.rate_hz, self.lag)
+        below, above = lines_beside(frequency_hz, self.rate_hz, self.lag)
         if below == above:
             return []
         found = self._between(frequency_hz)
-        beside = self.part(np.concatenate((below, above)))
+        beside = self.part(slice(below, above + 1))
         channels = ((found.velocity, beside.velocity), (found.force, beside.force))
         return [] if any(own < LEFT * lines.min() for own, lines in channels) else [found]
 
@@ -257,11 +259,14 @@ def grid_frequencies(rate_hz: float, lag: int) -> Floats:
     return np.asarray(np.arange(lag + 1) * (0.5 * rate_hz / lag), np.float64)
 
 
-def lines_beside(frequency_hz: Floats, rate_hz: float, lag: int) -> tuple[Integers, Integers]:
-    """Numbers of the lines at or below and at or above frequencies (F,), both (F,); the same twice
-    where that is a line."""
+_lines = lru_cache(maxsize=8)(grid_frequencies)
+
+
+def lines_beside(frequency_hz: float, rate_hz: float, lag: int) -> tuple[int, int]:
+    """Numbers of the lines at or below and at or above a frequency; the same twice where that is a
+    line."""
     place = frequency_hz * (2.0 * lag / rate_hz)
-    return np.floor(place + NEAR).astype(np.int64), np.ceil(place - NEAR).astype(np.int64)
+    return floor(place + NEAR), ceil(place - NEAR)
 
 
 def on_the_grid(ahead: Floats, behind: Floats) -> Complexes:

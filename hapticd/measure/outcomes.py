@@ -45,6 +45,7 @@ from hapticd.units import PROBE_RATE_HZ
 TOGETHER = LANES["f32"]  # trials of a task: the engine does as many at once
 FREQUENCIES = 120
 KEPT_BAND_HZ = (2.0, 1000.0)
+NEAR_HZ = 1e-5  # an edge that is so near to a line is that line
 NOISE = Excitation("noise")
 FORMAT = 2  # of an outcome; part of its key. 1 was judged, and kept Z, on the window's lines alone
 
@@ -198,8 +199,9 @@ def _kept_impedance(spectra: Spectra, band_hz: tuple[float, float]) -> Floats:
     at = np.minimum(np.searchsorted(spectra.frequency_hz, f), spectra.frequency_hz.size - 1)
     known = spectra.frequency_hz[at] == f
     found[known] = _rows(spectra.part(at[known]))
-    for edge in f[~known]:
-        for row in _rows(spectra.band((edge, edge))):
+    ends = spectra.band(band_hz).part(np.array([0, -1]))
+    for edge, hz, row in zip(band_hz, ends.frequency_hz, _rows(ends), strict=True):
+        if abs(hz - edge) < NEAR_HZ:
             found[f == edge] = row
     return found
 
