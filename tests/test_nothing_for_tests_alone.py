@@ -41,7 +41,6 @@ WAITING = {
     "analysis.search.directed_search": "the one search",
     "gateway.auth.make_keys": "`hapticd keys`",
     "measure.portable.read_portable": "`zwidth compare`",
-    "measure.reproduce_limits.Decide": "the one search of limits",
 }
 
 
