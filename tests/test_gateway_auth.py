@@ -1,5 +1,6 @@
 """Telemetry leaves the machine only with keys, or with leave and a warning."""
 
+import json
 import os
 import stat
 from pathlib import Path
@@ -10,6 +11,7 @@ import zmq.auth
 from gateway_rig import GatewayRig
 from gateway_stand_in import setup
 
+from hapticd.cli.app import main
 from hapticd.clock import VirtualClock
 from hapticd.errors import ConfigError
 from hapticd.gateway import auth
@@ -44,13 +46,52 @@ def test_insecure_leave_is_a_loud_event(tmp_path: Path) -> None:
     assert event["text"].startswith("INSECURE: telemetry is offered on 0.0.0.0 to everyone")
 
 
-def test_made_keys_are_private(tmp_path: Path) -> None:
-    before = os.umask(0o022)
+def mode_of(path: Path) -> int:
+    return stat.S_IMODE(path.stat().st_mode)
+
+
+def test_made_keys_are_private(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    keys, before = tmp_path / "keys", os.umask(0o022)
     try:
-        auth.make_keys(tmp_path / "keys")
+        assert main(["keys", "server", str(keys), "--json"]) == 0
+        told = json.loads(capsys.readouterr().out)
+        assert main(["keys", "client", str(keys), "friend", "--out", str(tmp_path / "away")]) == 0
     finally:
         os.umask(before)
-    assert stat.S_IMODE((tmp_path / "keys" / "server.key_secret").stat().st_mode) == 0o600
+    assert told == {"ok": True, "folder": str(keys), "files": [str(keys / "server.key"), str(keys / "server.key_secret")]}
+    for secret in (keys / "server.key_secret", tmp_path / "away" / "friend.key_secret"):
+        assert mode_of(secret) == 0o600
+    assert [path.name for path in (keys / "clients").iterdir()] == ["friend.key"]
+
+
+def test_keys_are_not_made_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Whoever has the other half would be locked out."""
+    keys = tmp_path / "keys"
+    words = [["keys", "server", str(keys)], ["keys", "client", str(keys), "friend", "--out", str(tmp_path)]]
+    assert [main(one) for one in words] == [0, 0]
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*key*") if path.is_file()}
+    assert len(before) == 4
+    for one in words:
+        assert main(one) == 78
+        assert "exists; a key is not made again" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in before} == before
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["client", "nowhere", "friend"], "no server.key_secret in it; make it with `hapticd keys server nowhere`"),
+        (["client", "nowhere", "../friend"], "a client is named by letters, digits, dots, dashes"),
+        (["server", "file/keys"], "name a folder that you may write to"),
+    ],
+)
+def test_slip_with_keys_is_named(
+    words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("file").write_text("")
+    assert main(["keys", *words]) == 78
+    assert said in capsys.readouterr().err
 
 
 def test_incomplete_keys_are_refused(tmp_path: Path) -> None:
@@ -64,7 +105,7 @@ def test_incomplete_keys_are_refused(tmp_path: Path) -> None:
         start()
     (tmp_path / "keys" / "clients").rmdir()
     (tmp_path / "keys").rmdir()
-    auth.make_keys(tmp_path / "keys")
+    assert main(["keys", "server", str(tmp_path / "keys")]) == 0
     (tmp_path / "keys" / "server.key_secret").chmod(0o644)
     with pytest.raises(ConfigError, match=r"is readable by others; chmod 600 it"):
         start()
@@ -72,8 +113,8 @@ def test_incomplete_keys_are_refused(tmp_path: Path) -> None:
 
 def test_only_known_keys_may_listen(tmp_path: Path) -> None:
     keys = tmp_path / "keys"
-    auth.make_keys(keys)
-    zmq.auth.create_certificates(keys / "clients", "friend")
+    assert main(["keys", "server", str(keys)]) == 0
+    assert main(["keys", "client", str(keys), "friend", "--out", str(tmp_path)]) == 0
     zmq.auth.create_certificates(tmp_path, "stranger")
     server, _ = zmq.auth.load_certificate(keys / "server.key")
     with GatewayRig(tmp_path / "run", tcp_host="0.0.0.0", curve_keys=str(keys)) as rig:
@@ -84,7 +125,7 @@ def test_only_known_keys_may_listen(tmp_path: Path) -> None:
             more = {"CURVE_SERVERKEY": server, "CURVE_PUBLICKEY": public, "CURVE_SECRETKEY": secret, "SUBSCRIBE": b"servo.raw"}
             return rig.socket(zmq.SUB, f"tcp://127.0.0.1:{port}", **more)
 
-        friend, stranger = listener(keys / "clients" / "friend.key_secret"), listener(tmp_path / "stranger.key_secret")
+        friend, stranger = listener(tmp_path / "friend.key_secret"), listener(tmp_path / "stranger.key_secret")
         plain = rig.socket(zmq.SUB, f"tcp://127.0.0.1:{port}", SUBSCRIBE=b"servo.raw")
         local = rig.subscriber("servo.raw")
         for _ in range(10):

@@ -15,6 +15,7 @@ from hapticd.cli import (
     get,
     home,
     install_system,
+    keys,
     monitor,
     output,
     perturb,
@@ -49,6 +50,7 @@ for name, verb in {
     app.command(name)(verb.command)
 app.add_typer(perturb.app, name="perturb")
 app.add_typer(rec.app, name="rec")
+app.add_typer(keys.app, name="keys")
 app.add_typer(config.app, name="config")
 app.add_typer(sim.app, name="sim")
 app.add_typer(zwidth.app, name="zwidth")

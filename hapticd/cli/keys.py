@@ -1,29 +1,49 @@
-"""Single keys from the terminal, without waiting and without Enter; nothing when stdin is no terminal."""
+"""Make the CURVE keys without which telemetry does not leave this machine."""
 
-import os
-import select
-import sys
-import termios
-import tty
-from types import TracebackType
-from typing import Self
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hapticd.cli import options, output
+
+app = typer.Typer(no_args_is_help=True, help=__doc__)
+Folder = Annotated[Path, typer.Argument(metavar="FOLDER", help="What gateway.curve_keys names.")]
+Name = Annotated[str, typer.Argument(metavar="NAME", help="Of the machine or person that may listen.")]
+Out = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="Where the client's secret is written; else the current folder.")
+]
 
 
-class Keys:
-    """A context in which the terminal hands over each key at once and echoes none."""
+@app.command()
+def server(folder: Folder, as_json: options.Json = False) -> None:
+    """The server's pair in a new FOLDER: server.key to hand out, server.key_secret for the gateway alone."""
+    from hapticd.gateway.auth import make_keys
 
-    def __enter__(self) -> Self:
-        self._before = termios.tcgetattr(sys.stdin) if sys.stdin.isatty() else None
-        if self._before is not None:
-            tty.setcbreak(sys.stdin)
-        return self
+    files = make_keys(folder)
+    if as_json:
+        _told(files, folder)
+        return
+    _told(files, None)
+    output.talk(f"set gateway.curve_keys to {folder}; who may listen: `hapticd keys client {folder} NAME`")
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        if self._before is not None:
-            termios.tcsetattr(sys.stdin, termios.TCSADRAIN, self._before)
 
-    def pressed(self) -> str:
-        """The keys since the last call; an arrow or function key comes as its escape sequence."""
-        if self._before is None or not select.select([sys.stdin], [], [], 0)[0]:
-            return ""
-        return os.read(sys.stdin.fileno(), 64).decode(errors="replace")
+@app.command()
+def client(folder: Folder, name: Name, out: Out = None, as_json: options.Json = False) -> None:
+    """A listener's pair: NAME.key among those whom FOLDER lets in, NAME.key_secret to be brought to the listener."""
+    from hapticd.gateway.auth import make_client
+
+    files = make_client(folder, name, out or Path())
+    if as_json:
+        _told(files, folder)
+        return
+    _told(files, None)
+    output.talk(f"bring {files[1]} and {folder / 'server.key'} to {name}, and delete the secret here; restart the gateway")
+
+
+def _told(files: tuple[Path, ...], folder: Path | None) -> None:
+    if folder is not None:
+        output.data_json({"ok": True, "folder": str(folder), "files": [str(file) for file in files]})
+        return
+    for file in files:
+        output.data(str(file))

@@ -50,7 +50,7 @@ def command(
 
 def watch(instance: str, seconds: float | None, show: Show) -> None:
     """Show what comes, ten times a second, also when nothing comes; obey keys. `seconds` None: until q."""
-    from hapticd.cli.keys import Keys
+    from hapticd.cli.keyboard import Keys
     from hapticd.cli.screen import NO_DATA_S, History
     from hapticd.clock import MonotonicClock
 

@@ -7,7 +7,12 @@ of those who may listen), or when the configuration says `allow_insecure`, and t
 
 import ipaddress
 import os
+import re
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import zmq
 import zmq.auth
@@ -16,7 +21,7 @@ from zmq.auth.thread import ThreadAuthenticator
 from hapticd.errors import ConfigError
 from hapticd.params import GatewayParams
 
-SERVER_KEY, CLIENTS = "server.key_secret", "clients"
+SERVER, SERVER_KEY, CLIENTS = "server", "server.key_secret", "clients"
 
 
 def is_loopback(host: str) -> bool:
@@ -57,18 +62,58 @@ def encrypt(socket: "zmq.Socket[bytes]", params: GatewayParams) -> None:
     """Make what `socket` binds from now on demand CURVE. ConfigError if the server's key is missing or readable by others."""
     path = Path(params.curve_keys or "") / SERVER_KEY
     if not path.is_file():
-        raise ConfigError(f"gateway.curve_keys: {path} is missing; make it with hapticd.gateway.auth.make_keys")
+        raise ConfigError(f"gateway.curve_keys: {path} is missing; make it with `hapticd keys server {path.parent}`")
     if path.stat().st_mode & 0o077:
         raise ConfigError(f"gateway.curve_keys: {path} is readable by others; chmod 600 it")
     socket.curve_publickey, socket.curve_secretkey = zmq.auth.load_certificate(path)
     socket.curve_server = True
 
 
-def make_keys(folder: Path) -> None:
-    """A server key pair and an empty folder for clients in `folder`; the secret is readable by its owner alone."""
-    before = os.umask(0o077)  # pyzmq writes the secret key with whatever the umask allows
+def make_keys(folder: Path) -> tuple[Path, Path]:
+    """A server key pair and an empty folder for clients in `folder`; (public, secret). The secret is readable by its owner alone.
+    ConfigError where there is a pair already, or nothing can be written.
+    """
+    public, secret = folder / f"{SERVER}.key", folder / SERVER_KEY
+    _free(public, secret)
+    with _private(folder):
+        (folder / CLIENTS).mkdir(parents=True, exist_ok=True)
+        zmq.auth.create_certificates(folder, SERVER)
+    return public, secret
+
+
+def make_client(folder: Path, name: str, out: Path) -> tuple[Path, Path]:
+    """A listener's pair: the public key in the clients of `folder`, the secret in `out`; (public, secret). ConfigError as
+    `make_keys`, for a folder without a server's pair, and for a name that is no name of a file.
+    """
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", name):
+        raise ConfigError(f"{name!r}: a client is named by letters, digits, dots, dashes and underscores")
+    if not (folder / SERVER_KEY).is_file():
+        raise ConfigError(f"{folder}: no {SERVER_KEY} in it; make it with `hapticd keys server {folder}`")
+    public, secret = folder / CLIENTS / f"{name}.key", out / f"{name}.key_secret"
+    _free(public, secret)
+    with _private(out), TemporaryDirectory() as made:
+        out.mkdir(parents=True, exist_ok=True)
+        (folder / CLIENTS).mkdir(exist_ok=True)
+        files = zmq.auth.create_certificates(made, name)
+        for file, target in zip(files, (public, secret), strict=True):
+            shutil.move(file, target)
+    return public, secret
+
+
+def _free(*files: Path) -> None:
+    """ConfigError if one of `files` is there: whoever has its other half would be locked out."""
+    for file in files:
+        if file.exists():
+            raise ConfigError(f"{file} exists; a key is not made again: remove both halves yourself, or choose another name")
+
+
+@contextmanager
+def _private(folder: Path) -> Iterator[None]:
+    """What is written meanwhile is its owner's alone: pyzmq writes the secret key with whatever the umask allows."""
+    before = os.umask(0o077)
     try:
-        (folder / CLIENTS).mkdir(parents=True)
-        zmq.auth.create_certificates(folder, "server")
+        yield
+    except OSError as error:
+        raise ConfigError(f"{folder}: {error.strerror}; name a folder that you may write to") from error
     finally:
         os.umask(before)
