@@ -31,16 +31,10 @@ ALLOWED = {
     "sim.engine.law.law_f64": "named in the text of a kernel, with its type",
 }
 WAITING = {
-    "analysis.compare.normalised_limits": "the fair comparison of two displays",
     "analysis.coupled.withstands": "the hand that shakes a display, in `zwidth predict`",
     "analysis.coupled.shaking_hand": "the hand that shakes a display, in `zwidth predict`",
     "analysis.coupled.coupled_radius": "the hand that shakes a display, in `zwidth predict`",
-    "analysis.metrics.stiffness_damping_area": "the fair comparison of two displays",
-    "analysis.metrics.stiffness_rate": "the fair comparison of two displays",
-    "analysis.metrics.zero_mass_bandwidth_hz": "the fair comparison of two displays",
     "analysis.search.directed_search": "the one search",
-    "gateway.auth.make_keys": "`hapticd keys`",
-    "measure.portable.read_portable": "`zwidth compare`",
 }
 
 

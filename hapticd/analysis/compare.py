@@ -32,6 +32,9 @@ class Conditions:
     estimator: str = "spa"
     grip: str = "free"
     perturbation_psd_n2_per_hz: float = 0.0
+    judged_hz: tuple[float, float] = (2.0, 500.0)  # first and last frequency that was
+    confidence: float = 0.95
+    seconds: float = 90.0  # of a trial
     simulated: bool = True
 
 
@@ -55,6 +58,11 @@ def check_alike(conditions: Iterable[Conditions], allow: Iterable[str] = ()) -> 
                 f"{every[0].device} and {other.device} were measured under unlike conditions: {said}; "
                 f"measure them alike, or say that it is meant: allow {', '.join(found)}"
             )
+
+
+def same_force(one: Conditions, other: Conditions) -> tuple[str, ...]:
+    """What is alike in itself and only unlike per mass: displays of other masses at the same probe, shaken alike."""
+    return tuple(name for name in PER_MASS if _close(getattr(one, name), getattr(other, name)))
 
 
 def normalised(found: Envelope, mass_kg: float) -> Envelope:
@@ -83,7 +91,10 @@ def _alike(name: str, one: Conditions, other: Conditions) -> bool:
     if not isinstance(a, float):
         return bool(a == b)
     power = PER_MASS.get(name, 0)
-    a, b = a / one.mass_kg**power, b / other.mass_kg**power
+    return _close(a / one.mass_kg**power, b / other.mass_kg**power)
+
+
+def _close(a: float, b: float) -> bool:
     return bool(abs(a - b) <= CLOSE * max(abs(a), abs(b)))
 
 

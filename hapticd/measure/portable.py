@@ -10,9 +10,16 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from hapticd.analysis.envelope import Envelope
+from hapticd.analysis.metrics import stiffness_damping_area, stiffness_rate, zero_mass_bandwidth_hz
+from hapticd.analysis.verdict import Judged
 from hapticd.errors import ConfigError
+from hapticd.measure.campaign import LevelMap
+from hapticd.measure.outcomes import Conditions, kept_frequencies
 from hapticd.measure.plain import plain
+from hapticd.measure.scenes import Display, filters
 from hapticd.settings.document import read
 from hapticd.settings.load import find_device
 from hapticd.settings.resources import shipped
@@ -36,7 +43,12 @@ def _device_file(name: str) -> Path:
 
 
 def portable(
-    device: str, file_hash: str, envelopes: Iterable[tuple[float, Envelope | None]], limits: Iterable[Any], conditions: Any
+    device: str,
+    file_hash: str,
+    envelopes: Iterable[tuple[float, Envelope | None]],
+    limits: Iterable[Any],
+    conditions: Any,
+    numbers: Iterable[Any] = (),
 ) -> dict[str, Any]:
     """The content of such a file: `envelopes` by added damping [Ns/m], in SI units."""
     drawn = [{"added_damping_ns_per_m": level, "envelope": found} for level, found in envelopes if found is not None]
@@ -47,7 +59,32 @@ def portable(
         "conditions": plain(conditions),
         "limits": plain(list(limits)),
         "envelopes": plain(drawn),
+        "numbers": plain(list(numbers)),
     }
+
+
+def numbers_of(level: LevelMap, display: Display) -> dict[str, float]:
+    """What others say of a display in one number, of its map at one level; how far it is free as predicted."""
+    f = kept_frequencies()
+    free = display.impedances(np.zeros((1, 3)), level.damping_ns_per_m, f)[0]
+    return {
+        "added_damping_ns_per_m": level.damping_ns_per_m,
+        "stiffness_damping_area": stiffness_damping_area(level.found),
+        "stiffness_rate_per_s": stiffness_rate(level.found, 0.0),
+        "zero_mass_bandwidth_hz": zero_mass_bandwidth_hz(f, free),
+    }
+
+
+def conditions_of(conditions: Conditions, judged: Judged) -> dict[str, Any]:
+    """Under which all of it was found, as `analysis.compare` asks for it, and as older programs read it."""
+    display = conditions.display.model
+    corners = (one.frequency_hz for one in filters(conditions.scene))
+    return {
+        "seconds": conditions.seconds, "band_hz": conditions.band_hz, "judged": judged, "perturbation": conditions.excitation,
+        "simulated": True, "confidence": conditions.confidence, "mass_kg": display.mass_kg,
+        "probe_mass_kg": display.probe_mass_kg, "rate_hz": display.rate_hz,
+        "filters": ", ".join(f"{corner:g} Hz" for corner in corners), "port": "probe", "estimator": "spa", "grip": "free",
+    }  # fmt: skip
 
 
 def write_portable(path: Path, content: Mapping[str, Any]) -> Path:
@@ -64,7 +101,7 @@ def read_portable(path: Path, device: str = "") -> dict[str, Any]:
     """The content of `path`; with `device`, only if it belongs to that device file as it is now. ConfigError else."""
     try:
         content = dict(json.loads(path.read_text()))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, TypeError) as error:
         raise ConfigError(f"{path}: no Z-width summary ({error})") from error
     if content.get("zwidth") != VERSION:
         raise ConfigError(f"{path}: version {content.get('zwidth')!r} of a Z-width summary; this program reads {VERSION}")

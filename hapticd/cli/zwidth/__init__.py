@@ -2,7 +2,7 @@
 
 import typer
 
-from hapticd.cli.zwidth import import_, limits, map, predict, report, reproduce, search, trial, walls
+from hapticd.cli.zwidth import compare, import_, limits, map, predict, report, reproduce, search, trial, walls
 
 FORMER = {"added-damping": "damping"}  # names of options that are still taken
 
@@ -16,6 +16,7 @@ for name, verb in {
     "walls": walls,
     "import": import_,
     "report": report,
+    "compare": compare,
     "reproduce": reproduce,
 }.items():
     app.command(name, context_settings={"token_normalize_func": lambda option: FORMER.get(option, option)})(verb.command)

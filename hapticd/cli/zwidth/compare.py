@@ -1,0 +1,63 @@
+"""Displays beside each other, by the files that `report` writes."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hapticd.cli import options, output
+from hapticd.cli.zwidth import common
+
+if TYPE_CHECKING:
+    from hapticd.measure.comparison import Comparison
+
+Files = Annotated[list[Path], typer.Argument(metavar="A.zwidth B.zwidth ...", help="As `hapticd zwidth report` writes them.")]
+Allow = Annotated[
+    str, typer.Option("--allow", metavar="NAME[,NAME...]", help="Conditions that may be unlike; they are named with the result.")
+]
+
+
+def command(
+    files: Files, allow: Allow = "", out: common.Out = None, plot: common.Plot = True, as_json: options.Json = False
+) -> None:
+    """The fair comparison of displays: envelopes and limits as they are, and divided by the mass that moves, where a larger
+    display is no better one.
+
+    Files of unlike conditions (band, judged frequencies, perturbation, length of a trial, confidence) are refused, the unlike ones
+    named; --allow judged_hz,seconds compares them all the same, and says so.
+    """
+    from hapticd.measure.comparison import compare
+    from hapticd.report import style
+    from hapticd.report.comparison import comparison_figure, comparison_tables
+    from hapticd.report.table import text
+
+    found = compare(files, [name for name in allow.split(",") if name])
+    folder = common.folder(out, "compare")
+    with common.drawing(folder):
+        paths = style.save(comparison_figure(found), folder, "compare") if plot else ()
+    if as_json:
+        output.data_json({"ok": True, **_plain(found), "figures": [str(path) for path in paths]})
+        return
+    for display in found.displays:
+        output.data(f"{display.name}: {display.judged}")
+    for table in comparison_tables(found):
+        output.data(text(table))
+    if paths:
+        common.kept(folder, paths)
+
+
+def _plain(found: "Comparison") -> dict[str, Any]:
+    from hapticd.measure.plain import plain
+
+    displays = [
+        {
+            "name": display.name,
+            "conditions": plain(display.conditions),
+            "levels": [
+                {"added_damping_ns_per_m": one.damping_ns_per_m, "limits": plain(one.limits), "numbers": plain(dict(one.numbers))}
+                for one in display.levels
+            ],
+        }
+        for display in found.displays
+    ]
+    return {"displays": displays, "unlike": list(found.unlike)}

@@ -1,0 +1,165 @@
+"""The figure and the tables of displays beside each other: as they are, and per kilogram of what
+moves, where a larger display is no better one.
+"""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hapticd.analysis.boundary import AXES
+from hapticd.analysis.envelope import Envelope
+from hapticd.analysis.metrics import widths_db
+from hapticd.errors import AnalysisError
+from hapticd.measure.comparison import Compared, Comparison, Level
+from hapticd.report.style import (
+    BELOW,
+    DEVICES,
+    FINE,
+    OFF,
+    WIDTH_IN,
+    Look,
+    handles_of,
+    hertz_axis,
+    mosaic,
+    plain_axis,
+    styled,
+    tint,
+)  # fmt: skip
+from hapticd.report.table import Cell, Table, table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+UNITS = {"K": "N/m", "B": "N s/m", "M": "g"}
+SCALES = {"K": 1.0, "B": 1.0, "M": 1e3}
+PANELS = (("size",) * 3 + ("mass",) * 3, ("K", "K", "B", "B", "M", "M"))
+
+
+@styled()
+def comparison_figure(found: Comparison) -> "Figure":
+    """Envelopes |Z| [N s/m] and |Z| per mass [1/s] of all displays on the same axes, below them how
+    far K, B and M go alone, with their intervals. A dashed line is without added damping.
+    """
+    names = " and ".join(one.name for one in found.displays)
+    figure, places = mosaic(PANELS, WIDTH_IN, 5.6, f"{_badge(found)}{names}\n{how(found)}", height_ratios=(1.5, 1.0))
+    for rank, display in enumerate(found.displays):
+        for level in display.levels:
+            _draw(places["size"], level.envelope, _look(rank, level), _words(display, level))
+            if level.per_mass is not None:
+                _draw(places["mass"], level.per_mass, _look(rank, level), None)
+    for name, words in (("size", "|Z| (N s/m)"), ("mass", "|Z| per moving mass (1/s)")):
+        _finish(places[name], found, words)
+    for name in AXES:
+        _limits(places[name], found, name)
+    figure.legend(handles=handles_of(places["size"]), ncols=2, **BELOW)
+    return figure
+
+
+def how(found: Comparison) -> str:
+    """How all of them were found, in words; what is unlike by name."""
+    first = found.displays[0].conditions
+    same = (
+        f"{first.seconds:g} s of noise of {first.perturbation_psd_n2_per_hz:.3g} N^2/Hz a trial, "
+        f"{100 * first.confidence:g} %, {found.displays[0].judged}"
+    )
+    return f"{same}\nunlike: {', '.join(found.unlike)}" if found.unlike else same
+
+
+def comparison_tables(found: Comparison) -> tuple[Table, ...]:
+    """Conditions; limits with their intervals and per mass; widths of the envelopes and other numbers."""
+    return _conditions(found), _reaches(found), _widths(found)
+
+
+def _conditions(found: Comparison) -> Table:
+    rows = [
+        (
+            one.name, 1e3 * one.conditions.mass_kg, *one.conditions.judged_hz,
+            f"{one.conditions.perturbation_psd_n2_per_hz:.3g}", one.conditions.seconds, 100.0 * one.conditions.confidence,
+        )
+        for one in found.displays
+    ]  # fmt: skip
+    return table(
+        ("display", "mass g", "judged from Hz", "to Hz", "N^2/Hz", "s a trial", "confidence %"), rows, _badge(found) + how(found)
+    )
+
+
+def _reaches(found: Comparison) -> Table:
+    rows: list[tuple[Cell, ...]] = [
+        (
+            f"{reach.name} {UNITS[reach.name]}", display.name, level.damping_ns_per_m,
+            *(SCALES[reach.name] * value for value in (reach.value, reach.lower, reach.upper)), reach.per_mass,
+        )
+        for name in AXES
+        for display in found.displays
+        for level in display.levels
+        for reach in level.limits
+        if reach.name == name
+    ]  # fmt: skip
+    return table(("limit", "display", "added N s/m", "reaches", "passive up to", "not passive from", "per kg"), rows)
+
+
+def _widths(found: Comparison) -> Table:
+    every = [(display, level, _bands(level.envelope)) for display in found.displays for level in display.levels]
+    names = list(every[0][2])
+    rows: list[list[Cell]] = []
+    for display, level, bands in every:
+        widths = [bands.get(name, float("nan")) for name in names]
+        rows.append([display.name, level.damping_ns_per_m, *widths, *level.numbers.values()])
+    others = ("K-B area N^2 s/m^2", "dK/dB 1/s", "free to Hz")
+    return table(("Z-width dB", "added N s/m", *names, *others), rows)
+
+
+def _bands(envelope: Envelope) -> dict[str, float]:
+    try:
+        return {f"{band.low_hz:g}..{band.high_hz:g} Hz": band.width_db for band in widths_db(envelope)}
+    except AnalysisError:
+        return {}
+
+
+def _badge(found: Comparison) -> str:
+    return "SIMULATED " if any(one.conditions.simulated for one in found.displays) else ""
+
+
+def _look(rank: int, level: Level) -> Look:
+    look = DEVICES[rank % len(DEVICES)]
+    return {"color": look["color"], "linestyle": "-" if level.damping_ns_per_m else OFF["linestyle"]}
+
+
+def _words(display: Compared, level: Level) -> str:
+    added = f"with {level.damping_ns_per_m:g} N s/m added" if level.damping_ns_per_m else "without added damping"
+    return f"{display.name} {added}"
+
+
+def _draw(axis: "Axes", envelope: Envelope, look: Look, words: str | None) -> None:
+    f, lower, upper = envelope.frequency_hz, envelope.lower.value, envelope.upper.value
+    axis.fill_between(f, lower, upper, color=tint(look["color"]), linewidth=0, zorder=0.4)
+    axis.plot(f, upper, label=words, **look)
+    axis.plot(f, lower, **look)
+
+
+def _finish(axis: "Axes", found: Comparison, words: str) -> None:
+    ends = np.array([one.conditions.judged_hz for one in found.displays])
+    axis.set(yscale="log", ylabel=words)
+    hertz_axis(axis, float(ends[:, 0].min()), float(ends[:, 1].max()))
+    plain_axis(axis.yaxis, FINE)
+
+
+def _limits(axis: "Axes", found: Comparison, name: str) -> None:
+    places: list[str] = []
+    for rank, display in enumerate(found.displays):
+        for level in display.levels:
+            for reach in (one for one in level.limits if one.name == name):
+                _point(axis, len(places), [SCALES[name] * one for one in (reach.value, reach.lower, reach.upper)], rank, level)
+                places.append(f"{level.damping_ns_per_m:g}")
+    axis.set_xticks(range(len(places)), places)
+    axis.set(xlim=(-0.6, len(places) - 0.4), ylabel=f"{name} ({UNITS[name]})", xlabel="added damping (N s/m)")
+
+
+def _point(axis: "Axes", at: int, numbers: Sequence[float], rank: int, level: Level) -> None:
+    value, one, other = numbers
+    look = DEVICES[rank % len(DEVICES)]
+    axis.vlines(at, min(one, other), max(one, other), color=look["color"])
+    filled = look["color"] if level.damping_ns_per_m else "white"
+    axis.plot(at, value, linestyle="", color=look["color"], marker=look["marker"], markerfacecolor=filled)
