@@ -87,7 +87,7 @@ def test_comparison_is_one_object_of_json(tmp_path, capsys):
 def test_mass_that_is_not_known_is_not_divided_by(tmp_path):
     content = json.loads(OLD.read_text())
     (tmp_path / "a").write_text(json.dumps({**content, "device": "of nobody"}))
-    one, two = compare([OLD, tmp_path / "a"]).displays
+    one, two = compare([OLD, tmp_path / "a"], ["probe_mass_kg"]).displays
     assert one.levels[0].per_mass is not None
     assert two.levels[0].per_mass is None
 
