@@ -210,7 +210,8 @@ def _beside_paper(axis: "Axes", limit: Limit, x: float, printed: float, look: di
     """In percent of the paper's; a full mark at -100 % where nothing is passive."""
     scale, marked = 100.0 / printed, {**look, "linestyle": "none"}
     if limit.values.size or not isfinite(limit.predicted):
-        axis.errorbar(x, scale * limit.mean - 100.0, np.nan_to_num(abs(scale) * limit.sd), **marked)
+        bars = abs(scale) * limit.sd if isfinite(limit.sd) else None
+        axis.errorbar(x, scale * limit.mean - 100.0, bars, **marked)
     draw_guess(axis, x + BESIDE_GUESS, scale * limit.predicted - 100.0, marked)
 
 
@@ -249,7 +250,7 @@ def _over_edges(axis: "Axes", values: Floats, place: int, device: str) -> None:
         axis.plot([], [], label=device, **DEVICES[place])
         axis.text(0.97, 0.04, f"{device}: none is passive", fontsize=SMALL_PT, ha="right", transform=axis.transAxes)
         return
-    sd = values.std(axis=0, ddof=1) if len(values) > 1 else np.zeros(len(EDGES_HZ))
+    sd = values.std(axis=0, ddof=1) if len(values) > 1 else None
     axis.errorbar(EDGES_HZ, values.mean(axis=0), sd, label=device, **DEVICES[place])
 
 

@@ -41,6 +41,7 @@ from hapticd.report.style import (
     axes,
     handles_of,
     hertz_axis,
+    mark,
     mosaic,
     patch,
     plain_axis,
@@ -212,20 +213,18 @@ def impedance_rows(result: SceneResult, trial: Trial) -> list[dict[str, float]]:
     """|Z| and phase, measured and predicted, on a few frequencies of the band; empty without noise."""
     if trial.measured is None or trial.predicted is None:
         return []
-    rows = []
-    for f in frequencies(result.plan.params.band_hz):
-        at = int(np.argmin(np.abs(trial.measured.frequency_hz - f)))
-        z, expected = trial.measured.impedance_ns_per_m[at], trial.predicted[at]
-        row = {
-            "frequency_hz": f,
-            "impedance_ns_per_m": abs(z),
-            "phase_deg": np.degrees(np.angle(z)),
-            "phase_sd_deg": np.degrees(trial.measured.relative_sd[at]),
-            "predicted_ns_per_m": abs(expected),
-            "predicted_phase_deg": np.degrees(np.angle(expected)),
-        }
-        rows.append({name: float(value) for name, value in row.items()})
-    return rows
+    f = frequencies(result.plan.params.band_hz)
+    at = np.abs(trial.measured.frequency_hz - f[:, None]).argmin(axis=1)
+    z, expected = trial.measured.impedance_ns_per_m[at], trial.predicted[at]
+    columns = {
+        "frequency_hz": f,
+        "impedance_ns_per_m": np.abs(z),
+        "phase_deg": np.degrees(np.angle(z)),
+        "phase_sd_deg": np.degrees(trial.measured.relative_sd[at]),
+        "predicted_ns_per_m": np.abs(expected),
+        "predicted_phase_deg": np.degrees(np.angle(expected)),
+    }
+    return [dict(zip(columns, map(float, row), strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
 # --- what is simulated, and why --------------------------------------------------------------------------------------------------
@@ -388,7 +387,7 @@ def accuracy_table(result: AccuracyResult) -> Table:
 
 def _marks(row: Row) -> str:
     marks = ("default" if row.default else "", "knee" if row.knee else "", row.note)
-    return ", ".join(mark for mark in marks if mark)
+    return ", ".join(filter(None, marks))
 
 
 def accuracy_words(result: AccuracyResult) -> list[str]:
@@ -426,7 +425,8 @@ def accuracy_figure(result: AccuracyResult) -> "Figure":
     _draw_effects(result, places.pop("effect"))
     for name, axis in places.items():
         _draw_sweep(result, name, axis)
-    figure.legend(*places["sub-steps"].get_legend_handles_labels(), ncols=6, **BELOW)
+    handles = [*handles_of(places["sub-steps"]), mark("defaults", **DEFAULT), mark("knee", **KNEE)]
+    figure.legend(handles=handles, ncols=6, **BELOW)
     return figure
 
 
@@ -455,16 +455,12 @@ def _draw_sweep(result: AccuracyResult, sweep: str, axis: "Axes") -> None:
 
 
 def _draw_step_errors(result: AccuracyResult, rows: list[Row], axis: "Axes") -> None:
-    """Of the sub-step alone, and single precision beside it; the marks that all panels share get
-    their names here.
-    """
+    """Of the sub-step alone, and single precision beside it."""
     stepped = [row for row in rows if row.step > NOTHING * max(row.total for row in rows)]
     single = [row for row in result.sweep("precision") if row.label.startswith("f32") and row.total < inf]
     axis.plot([row.seconds for row in stepped], [row.step for row in stepped], "o:", color=SKY, label="error of the sub-step alone")
     words = "single precision, 1 and 4 sub-steps"
     axis.plot([row.seconds for row in single], [row.total for row in single], "v", color=PURPLE, label=words)
-    axis.plot([], [], label="defaults", **DEFAULT)
-    axis.plot([], [], label="knee", **KNEE)
 
 
 def _draw_effects(result: AccuracyResult, axis: "Axes") -> None:
