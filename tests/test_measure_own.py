@@ -1,17 +1,19 @@
 """What this package writes it reads: a recording, its exports and a trial's record, with rate, units, badge and environment."""
 
+import contextlib
 import json
 import shutil
 import sys
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from recorded import RecordedFlight, Source, room
 
 from hapticd.cli.app import main
 from hapticd.clock import VirtualClock
-from hapticd.errors import AnalysisError, ConfigError
+from hapticd.errors import AnalysisError, ConfigError, HapticdError
 from hapticd.mailbox.layout import Command, Value
 from hapticd.measure.given import given
 from hapticd.measure.recorded import Rendered, read_file
@@ -177,3 +179,34 @@ def test_environment_is_printed_before_the_trial_and_not_into_json(source, tmp_p
     told = capsys.readouterr()
     assert f"flies K 50 N/m, B 0 N s/m, M 0 kg, added damping 0 N s/m by the {source}, device weir2008 of scene fig4" in told.err
     assert json.loads(told.out)["environment"] == {"stiffness_n_per_m": 50.0, "damping_ns_per_m": 0.0, "mass_kg": 0.0}
+
+
+@pytest.mark.parametrize(
+    "gone", ["probe/index", "servo/state", "servo/time_ns", "life", "servo", "probe", "@configuration", "@simulated"]
+)
+def test_recording_of_which_something_is_missing_is_refused_in_words(gone, files, tmp_path):
+    path = shutil.copy(files["run.h5"], tmp_path / "a.h5")
+    with h5py.File(path, "a") as file:
+        if gone.startswith("@"):
+            del file.attrs[gone[1:]]
+        else:
+            del file[gone]
+    with pytest.raises(HapticdError, match=r"a\.h5: "):
+        read_file(Path(path))
+
+
+@pytest.mark.parametrize("name", ["run.h5", "run.mat", "run.probe.csv"])
+def test_damaged_recording_is_read_or_refused_in_words(name, files, tmp_path):
+    """Bits turned, a piece cut out, the end cut off: never a traceback."""
+    content, random = files[name].read_bytes(), np.random.default_rng(3)
+    for turn in range(24):
+        damaged, at = bytearray(content), int(random.integers(len(content)))
+        if turn % 3 == 0:
+            damaged[at] ^= 1 << int(random.integers(8))
+        elif turn % 3 == 1:
+            del damaged[at : at + int(random.integers(2000))]
+        else:
+            del damaged[at:]
+        (tmp_path / name).write_bytes(damaged)
+        with contextlib.suppress(HapticdError):
+            read_file(tmp_path / name)

@@ -188,3 +188,26 @@ def test_column_that_is_not_there_is_named_with_its_option(tmp_path):
     (tmp_path / "a.csv").write_text("kraft,velocity\n1,2\n")
     with pytest.raises(AnalysisError, match=r"it has kraft, velocity; name it with --force-column or --velocity-column"):
         read_file(tmp_path / "a.csv", rate_hz=4000.0)
+
+
+NOISE = np.random.default_rng(2).normal(size=(2, 20_000))
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"force": 1e300 * NOISE[0]}, "column force has values up to 4"),
+        ({"velocity": 1e-160 * NOISE[1]}, "column velocity has values up to 4"),
+        ({"fs": [4000.0, 1000.0]}, "column fs has values from 1000 to 4000 Hz; one rate was expected"),
+        ({"fs": 4.0}, "a sample rate of 4 Hz; it looks like 4000 Hz, in kHz"),
+        ({"fs": [], "time": np.arange(19_995) / 4000.0}, "column time has 19995 values, the force 20000"),
+        ({"trial": "junk"}, "no longer whole"),
+        ({"trial": '{"environment": 3, "simulated": 1}'}, "no longer whole"),
+        ({"trial": [1, 2, 3]}, "no longer whole"),
+    ],
+)
+def test_file_that_was_tampered_with_is_refused_in_words(changed, said, tmp_path):
+    np.savez(tmp_path / "a.npz", **{"force": NOISE[0], "velocity": NOISE[1], "fs": 4000.0, **changed})
+    with pytest.raises(HapticdError) as caught:
+        read_file(tmp_path / "a.npz")
+    assert said in str(caught.value)

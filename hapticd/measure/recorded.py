@@ -10,7 +10,8 @@ and counted, as those that a live trial loses are (`losses`).
 import csv
 import json
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ from hapticd.measure.own import COUNTED, OF_A_SERVO, Own, of_recording, of_remar
 from hapticd.measure.recording.opening import open_recording
 from hapticd.measure.recording.pack import derived
 from hapticd.measure.store import RECORD_H5, RECORD_NPZ, SUMMARY, origin_of, read_summary, record_path
-from hapticd.measure.times import Sampling, sampling
+from hapticd.measure.times import SLOWEST_HZ, Sampling, sampling
 
 FORCES = ("force_n", "torque_n", "force", "torque", "f", "y")
 VELOCITIES = ("velocity_m_per_s", "velocity", "v", "u")
@@ -35,7 +36,7 @@ TIMES = {"time_s": 1.0, "t_s": 1.0, "time": 1.0, "t": 1.0, "time_ms": 1e-3, "tim
 RATES = ("rate_hz", "fs")
 SAME_RATE = 1e-6
 ALIKE = 0.01  # rates of a file's rate and its times
-LEAST_HZ = 0.5  # of a rate that is one
+LARGEST, SMALLEST = 1e12, 1e-20  # N, m/s: beyond them it is no measurement
 BROKEN = (OSError, ValueError, EOFError, MemoryError, csv.Error, BadZipFile, zlib.error)  # what readers say of a broken file
 
 
@@ -94,15 +95,30 @@ def read_file(path: Path, force: str = "", velocity: str = "", rate_hz: float | 
     if not path.exists():
         raise ConfigError(f"{path}: No such file; check the path")
     if path.suffix in (".h5", ".hdf5") and is_recording(path):
-        return _of_own(path, _recording(path), rate_hz)
+        with _whole_file(path):
+            return _of_own(path, _recording(path), rate_hz)
     try:
         columns = readers[path.suffix](path)
-        ours = None if force or velocity else _exported(path, columns)
     except BROKEN as error:
         raise ConfigError(f"{path}: {error}; a record with named columns was expected") from error
-    if ours is not None:
-        return _of_own(path, ours, rate_hz)
-    return _of_trial(path, columns, _foreign(path, columns, (force, velocity), rate_hz))
+    with _whole_file(path):
+        ours = None if force or velocity else _exported(path, columns)
+        if ours is not None:
+            return _of_own(path, ours, rate_hz)
+    recorded = _foreign(path, columns, (force, velocity), rate_hz)
+    with _whole_file(path):
+        return _of_trial(path, columns, recorded)
+
+
+@contextmanager
+def _whole_file(path: Path) -> Iterator[None]:
+    """ConfigError where something of what this package writes is missing or was changed."""
+    try:
+        yield
+    except (*BROKEN, LookupError, TypeError, AttributeError) as error:
+        raise ConfigError(
+            f"{path}: hapticd wrote it, but it is no longer whole ({error!r}); take it from where it was written"
+        ) from error
 
 
 def _recording(path: Path) -> Own:
@@ -166,7 +182,7 @@ def _foreign(path: Path, columns: dict[str, Any], told: tuple[str, str], rate_hz
     y, u = (_named(path, known, name, usual) for name, usual in zip(told, (FORCES, VELOCITIES), strict=True))
     if y.size != u.size:
         raise AnalysisError(f"{path}: {y.size} samples of force and {u.size} of velocity; both were expected, sampled together")
-    found = _sampling(path, known, rate_hz)
+    found = _sampling(path, known, rate_hz, y.size)
     if found.place is None:
         return Recorded(y, u, found.rate_hz, path.name, simulated=False)
     return _filled(Recorded(y, u, found.rate_hz, path.name, simulated=False), found.place)
@@ -195,6 +211,9 @@ def _whole(path: Path, name: str, values: Floats) -> Floats:
         raise AnalysisError(
             f"{path}: {_place(path, first)}, column {name}: {values[first]:g}; a gap cannot be analysed, cut the record there"
         )
+    most = float(np.abs(values).max())
+    if most > LARGEST or 0.0 < most < SMALLEST:
+        raise AnalysisError(f"{path}: column {name} has values up to {most:.3g}; N and m/s were expected")
     return values
 
 
@@ -205,13 +224,13 @@ def _place(path: Path, sample: int) -> str:
     return f"line {line_of(path, sample)}"
 
 
-def _sampling(path: Path, known: dict[str, Floats], told_hz: float | None) -> Sampling:
+def _sampling(path: Path, known: dict[str, Floats], told_hz: float | None, count: int) -> Sampling:
     """Rate, as told or as the file says, and the places of the rows where its times show that some are missing."""
     if told_hz is not None:
         _usable(path, told_hz)
         _agrees(path, known, told_hz)
-    by_times, why = _by_times(path, known)
-    named_hz = next((float(known[name].flat[0]) for name in RATES if name in known), None)
+    by_times, why = _by_times(path, known, count)
+    named_hz = next((_single(path, name, known[name]) for name in RATES if name in known), None)
     rate_hz = told_hz if told_hz is not None else named_hz
     if rate_hz is None and by_times is None:
         raise AnalysisError(
@@ -228,19 +247,28 @@ def _sampling(path: Path, known: dict[str, Floats], told_hz: float | None) -> Sa
     return Sampling(rate_hz, by_times.place)
 
 
+def _single(path: Path, name: str, values: Floats) -> float:
+    """The one value of a column."""
+    if np.isfinite(values).all() and np.ptp(values) > SAME_RATE * np.abs(values).max():
+        raise AnalysisError(f"{path}: column {name} has values from {values.min():g} to {values.max():g} Hz; one rate was expected")
+    return float(values.flat[0])
+
+
 def _usable(path: Path, rate_hz: float) -> None:
     if not 0.0 < rate_hz < np.inf:
         raise AnalysisError(f"{path}: a sample rate of {rate_hz:g} Hz; say the right one with --rate-hz")
-    if rate_hz < LEAST_HZ:
+    if rate_hz < SLOWEST_HZ:
         likely = f"the period of {1.0 / rate_hz:.6g} Hz in seconds" if rate_hz < 0.01 else f"{1e3 * rate_hz:g} Hz, in kHz"
         raise AnalysisError(f"{path}: a sample rate of {rate_hz:g} Hz; it looks like {likely}: say the rate in Hz with --rate-hz")
 
 
-def _by_times(path: Path, known: dict[str, Floats]) -> tuple[Sampling | None, str]:
+def _by_times(path: Path, known: dict[str, Floats], count: int = 0) -> tuple[Sampling | None, str]:
     """What a column of seconds says, or why it says nothing."""
     for name, seconds in TIMES.items():
         if name not in known or known[name].size < 2:
             continue
+        if count and known[name].size != count:
+            return None, f"{path}: column {name} has {known[name].size} values, the force {count}: correct the file"
         try:
             return sampling(seconds * _column(path, name, known[name])), ""
         except AnalysisError as error:
