@@ -30,7 +30,6 @@ from hapticd.analysis.surrogate import Box, Observation, Prior, Surrogate, fit, 
 from hapticd.errors import AnalysisError
 
 Headroom = Callable[[Floats], Floats]  # environments (N, 3) -> (N,), larger is safer
-Oracle = Callable[[Floats], Observation | None]
 
 FEWEST = 4
 FIRST_STEPS = (0.15, 0.12, 0.10)  # of the box, of K, B and M
@@ -120,19 +119,6 @@ def doubtful_share(search: Search) -> float:
     near = np.abs(expected) < np.quantile(np.abs(expected), 0.5)
     doubtful = int((margin_sd(found, inside[near]) > np.abs(expected[near])).sum())
     return doubtful / max(1, passive)
-
-
-def directed_search(oracle: Oracle, begin: Search, inside: npt.ArrayLike, budget: int, doubt: float = 0.0) -> Search:
-    """Ask `oracle` at most `budget` times, or until `doubtful_share` is below `doubt`. `begin` has no trials yet. The oracle gets
-    (K, B, M) (3,) and returns what it saw, None if the loop was not stable. AnalysisError if one of the first four was not."""
-    first = first_trials(begin.box, inside)
-    search = begin.with_trials(first, [oracle(environment) for environment in first])
-    if search.unstable:
-        raise AnalysisError(f"not stable at {search.unstable[0].tolist()}: begin nearer to K = B = M = 0, or take a smaller box")
-    while len(search.trials) + len(search.unstable) < budget and doubtful_share(search) >= doubt:
-        wanted = next_trials(search)
-        search = search.with_trials(wanted, [oracle(wanted[0])])
-    return search
 
 
 def _fitted(search: Search) -> Surrogate:

@@ -19,7 +19,7 @@ from hapticd.clock import Clock, MonotonicClock
 from hapticd.errors import ConfigError, DaemonDown, HapticdError
 from hapticd.measure.recording import live, pack
 from hapticd.measure.recording.pack import packed
-from hapticd.measure.recording.provenance import provenance
+from hapticd.measure.recording.provenance import of_recording
 from hapticd.measure.recording.synchroniser import Synchroniser
 from hapticd.measure.recording.writer import TOPICS, Writer
 from hapticd.units import NS_PER_S
@@ -158,7 +158,7 @@ class Recorder:
             if topic != "servo.raw":
                 return
             header = BlockDecoder().decode(payload).header
-            self._writer = Writer(self._params.part, provenance(hello, status, header, self._params.note))
+            self._writer = Writer(self._params.part, of_recording(hello, status, header, self._params.note))
         self._writer.take(topic, payload, self._end_ns())
 
     def _end_ns(self) -> int | None:

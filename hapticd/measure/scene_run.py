@@ -12,14 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from hapticd.analysis.arrays import Complexes, Floats
-from hapticd.analysis.diagnostics import examine
-from hapticd.analysis.impedance import Impedance, impedance
-from hapticd.analysis.passivity import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge
-from hapticd.analysis.predict import predicted_impedance
-from hapticd.analysis.spa import DEFAULT_LAG, spa
+from hapticd.analysis.impedance import Impedance
+from hapticd.analysis.passivity import DEFAULT_BAND_HZ
+from hapticd.analysis.spa import DEFAULT_LAG
 from hapticd.analysis.verdict import Verdict
 from hapticd.measure.progress import Progress, Steps, silent
-from hapticd.measure.scenes import SUBSTEPS, filters, level, perturbation, point
+from hapticd.measure.recorded import Recorded
+from hapticd.measure.scenes import SUBSTEPS, level, point
+from hapticd.measure.sources import Trial as Asked
+from hapticd.measure.trial import SHORTEST_WINDOWS, TrialParams, TrialResult, judged, plan_trial
 from hapticd.params import ADDED_DAMPING_NS_PER_M
 from hapticd.plant.compose import compose
 from hapticd.plant.model import Model
@@ -28,7 +29,7 @@ from hapticd.sim.engine import BatchResult, simulate
 from hapticd.units import PROBE_RATE_HZ
 
 TEMPERATURES = 12
-LEAST_S = LEAST_FREEDOM / 2 * 0.75 * DEFAULT_LAG / PROBE_RATE_HZ  # for a verdict
+LEAST_S = SHORTEST_WINDOWS * DEFAULT_LAG / PROBE_RATE_HZ  # for a verdict
 
 DampingSteps = tuple[tuple[float, float], ...]  # time s, level N s/m
 ON: DampingSteps = ((0.0, ADDED_DAMPING_NS_PER_M),)
@@ -135,7 +136,7 @@ def _trial(plan: ScenePlan, model: Model, leg: Leg, steps: Steps) -> Trial:
     assert found.position_m is not None
     assert found.force_n is not None
     ticks = int(found.samples[0] * scene.rate_hz / found.rate_hz)
-    z, predicted, verdict = _judged(plan, model, leg, torque, velocity)
+    told = _judged(plan, model, leg, found)
     return Trial(
         leg=leg,
         position_m=found.position_m[0, :ticks].astype(np.float64),
@@ -146,9 +147,9 @@ def _trial(plan: ScenePlan, model: Model, leg: Leg, steps: Steps) -> Trial:
         max_force_n=float(found.max_force_n[0]),
         work_j=float(found.work_j[0]),
         diverged_at_s=float(found.diverged_at_s[0]),
-        measured=z,
-        predicted=predicted,
-        verdict=verdict,
+        measured=told.measured if told else None,
+        predicted=told.predicted if told else None,
+        verdict=told.verdict if told else None,
         winding_c=None if model.winding is None else _temperatures(plan, model, leg, steps),
     )
 
@@ -158,22 +159,16 @@ def _simulated(plan: ScenePlan, leg: Leg, seconds: float, keep: str) -> BatchRes
     return simulate(scene, [point(scene)], seconds, damping=leg.damping, substeps=substeps, keep=keep)
 
 
-def _judged(
-    plan: ScenePlan, model: Model, leg: Leg, torque: Floats, velocity: Floats
-) -> tuple[Impedance | None, Complexes | None, Verdict | None]:
+def _judged(plan: ScenePlan, model: Model, leg: Leg, found: BatchResult) -> TrialResult | None:
+    torque, velocity = (np.asarray(channel, np.float64) for channel in found.record(0))
     if not plan.impedance or torque.size < LEAST_S * PROBE_RATE_HZ:
-        return None, None, None
+        return None
     scene = plan.params.scene
-    trial = spa(torque, velocity)
-    record = examine(torque, velocity, PROBE_RATE_HZ)
-    verdict = judge(trial, record, plan.params.band_hz, channels=False)
-    z = impedance(trial)
-    predicted = np.full(z.frequency_hz.size, np.nan + 0j)
-    predicted[1:] = predicted_impedance(
-        model, point(scene), z.frequency_hz[1:], max(height for _, height in leg.damping), filters(scene),
-        perturbation(scene.excitation),
-    )  # fmt: skip
-    return z, predicted, verdict
+    highest = max(height for _, height in leg.damping)
+    asked = Asked(point(scene), highest, plan.seconds, scene.excitation)
+    most_n = float(found.max_force_n[0])
+    recorded = Recorded(torque, velocity, PROBE_RATE_HZ, scene.name, True, "", most_n, model.force_limit_n)
+    return judged(plan_trial(TrialParams(asked, scene, plan.params.band_hz)), recorded)
 
 
 def _temperatures(plan: ScenePlan, model: Model, leg: Leg, steps: Steps) -> tuple[Floats, Floats]:

@@ -12,15 +12,12 @@ several campaigns share, and files of other names. JSON knows no nan and no infi
 import hashlib
 import json
 import os
-import platform
 from collections.abc import Iterable, Mapping
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hapticd import __version__
 from hapticd.errors import ConfigError
 from hapticd.measure.plain import plain
 
@@ -34,25 +31,11 @@ OF_A_RECORD = (
     "simulated", "origin", "environment", "added_damping_ns_per_m", "ended", "max_command_n", "command_limit_n",
     "lost_samples", "samples", "lost_slots", "slots",
 )  # fmt: skip
-LIBRARIES = ("numpy", "numba", "scipy", "h5py")
 
 
 def fingerprint(value: Any) -> str:
     """SHA-256 (hex) over the canonical JSON of `value`: equal for equal values."""
     return hashlib.sha256(json.dumps(plain(value), sort_keys=True, separators=(",", ":")).encode()).hexdigest()
-
-
-def provenance(**more: Any) -> dict[str, Any]:
-    """Versions that the numbers come from, with whatever else is told."""
-    return {"hapticd": __version__, "python": platform.python_version(), "libraries": dict(_versions()), **more}
-
-
-def _versions() -> Iterable[tuple[str, str]]:
-    for name in LIBRARIES:
-        try:
-            yield name, version(name)
-        except PackageNotFoundError:
-            continue
 
 
 def write_run(

@@ -15,7 +15,6 @@ from hapticd.errors import HapticdError
 
 if TYPE_CHECKING:
     from hapticd.measure.outcomes import Conditions, Outcome
-    from hapticd.measure.progress import Progress
     from hapticd.measure.store import TrialStore
     from hapticd.plant.scene import Scene
 
@@ -54,19 +53,6 @@ TOLD = (
     "first_judged_hz",
     "last_judged_hz",
 )
-
-
-@contextmanager
-def progress() -> "Iterator[Progress]":
-    """A bar on stderr while something runs; nothing where nobody watches."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("", total=None)
-        yield lambda what, done, total: bar.update(task, description=what, completed=done, total=total)
 
 
 @contextmanager
@@ -169,6 +155,6 @@ def kept(folder: Path, files: Iterable[Path]) -> None:
 
 def told(**more: Any) -> dict[str, Any]:
     """Provenance with the time."""
-    from hapticd.measure.store import provenance
+    from hapticd.measure.recording.provenance import provenance
 
     return provenance(date=datetime.now(UTC).isoformat(timespec="seconds"), **more)

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hapticd.cli import output
+from hapticd.cli.progress import progress
 from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
@@ -58,7 +59,7 @@ def command(
         if as_json:
             common.follow(new, limit=AXES[scan.axis], amplitude=scan.amplitude, seed=given.excitation.seed)
 
-    with common.keeping(store, folder), executor(where) as pool, common.progress() as tell:
+    with common.keeping(store, folder), executor(where) as pool, progress() as tell:
         result = run_limits(plan_limits(params), store, tell, pool, hear)
     rows = [{"name": limit.name, **plain(limit)} for limit in result.limits]
     write_run(folder, {"kind": "limits", "scene": scene, "seconds": seconds, "limits": rows, "provenance": common.told(seed=seed)})

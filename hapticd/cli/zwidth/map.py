@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hapticd.cli import output
+from hapticd.cli.progress import progress
 from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ def command(
         plan = plan_map(MapParams(conditions, axes, common.levels(damping), near, everywhere, refine))
         points = len(plan.levels) * axes[0].size * axes[1].size * axes[2].size
         output.talk(f"{points} points predicted, {plan.trials} to be tried")
-        with common.progress() as tell:
+        with progress() as tell:
             result = run_map(plan, store, tell, pool, hear)
     told = [_told(level) for level in result.levels]
     asked = {"seconds": seconds, "seed": seed, "band_hz": band, "near": near, "everywhere": everywhere, "refine": refine}

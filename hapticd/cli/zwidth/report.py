@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hapticd.cli import options, output
+from hapticd.cli.progress import progress
 from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
@@ -163,7 +164,7 @@ def _of_device(what: str, damping: str, seconds: float, seed: int, out: Path | N
     conditions = common.conditions(scene, seconds, seed)
     folder = common.folder(out, f"report-{name}")
     store = TrialStore(folder / "trials.jsonl")
-    with common.keeping(store, folder), common.progress() as tell:
+    with common.keeping(store, folder), progress() as tell:
         limits = run_limits(plan_limits(LimitsParams(conditions, levels)), store, tell)
         found = _mapped(conditions, levels, limits, store, tell)
     told = conditions_of(conditions, found.judged)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hapticd.cli import options, output
+from hapticd.cli.progress import progress
 from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
@@ -61,5 +62,5 @@ def watched() -> "Iterator[Progress]":
     if not sys.stderr.isatty():
         yield line
         return
-    with common.progress() as tell:
+    with progress() as tell:
         yield tell

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hapticd.cli import output
+from hapticd.cli.progress import progress
 from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ def command(
     folder = common.folder(out, "search")
     store, results = TrialStore(folder / "trials.jsonl"), []
     hear = common.follow if as_json else lambda new: None
-    with common.keeping(store, folder), executor(where) as pool, common.progress() as tell:
+    with common.keeping(store, folder), executor(where) as pool, progress() as tell:
         for level in common.levels(damping):
             plan = plan_search(SearchParams(conditions, level, budget, together, doubt))
             results.append(run_search(plan, store, tell, pool, hear))

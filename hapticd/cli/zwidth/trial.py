@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hapticd.cli import options, output
+from hapticd.cli.progress import progress
 from hapticd.cli.zwidth import common
 from hapticd.cli.zwidth.trial_words import asked_for, compared, needed
 
@@ -108,7 +109,7 @@ def command(
         else:
             output.talk(asked_for(source, trial, loaded, recorded))
             recorder = file_source(recorded) if recorded else _source(source, named, loaded, stack)
-        tell = stack.enter_context(common.progress())
+        tell = stack.enter_context(progress())
         result = _flown(plan, recorder, source in LIVE, tell)
         referee = stepped_sine(trial, recorder, tell) if sine and may_follow(result.recorded) else None
     _show(result, referee, common.folder(out, "trial"), plot or admittance, admittance, as_json)

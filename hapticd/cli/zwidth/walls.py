@@ -5,6 +5,7 @@ from typing import Annotated
 import typer
 
 from hapticd.cli import options, output
+from hapticd.cli.progress import progress
 from hapticd.cli.zwidth import common
 
 
@@ -47,7 +48,7 @@ def command(
     walls = tuple(np.geomspace(low, high, count).tolist())
     dampings = tuple(np.linspace(*common.ranged("--viscous", viscous, 1)).tolist())
     plan = plan_walls(WallParams(loaded, walls, dampings, common.levels(damping), settle_s, still))
-    with common.interruptible(), common.progress() as tell:
+    with common.interruptible(), progress() as tell:
         result = run_walls(plan, tell)
     folder = common.folder(out, "walls")
     write_run(folder, {"kind": "walls", "scene": scene, "lines": result.lines, "provenance": common.told()})

@@ -1,4 +1,4 @@
-"""Where a recording comes from: device, configuration, software, machine, rights, clocks."""
+"""Where numbers come from: software and its versions; of a recording also device, configuration, machine, rights, clocks."""
 
 import hashlib
 import importlib.metadata
@@ -7,6 +7,7 @@ import platform
 import subprocess
 import time
 import uuid
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -15,11 +16,25 @@ import hapticd
 from hapticd.units import NS_PER_S
 
 SCHEMA = "hapticd-recording/1"
-LIBRARIES = ("numpy", "h5py", "pyzmq", "msgpack")
+LIBRARIES = ("numpy", "numba", "scipy", "h5py", "pyzmq", "msgpack")
 GIT_TIMEOUT_S = 5.0
 
 
-def provenance(hello: dict[str, Any], status: dict[str, Any], header: dict[str, Any], note: str) -> dict[str, Any]:
+def provenance(**more: Any) -> dict[str, Any]:
+    """Of a run: versions that its numbers come from, with whatever else is told."""
+    return {"hapticd": hapticd.__version__, "python": platform.python_version(), "libraries": versions(), **more}
+
+
+def versions() -> dict[str, str]:
+    """Of the libraries that are installed."""
+    found = {}
+    for name in LIBRARIES:
+        with suppress(importlib.metadata.PackageNotFoundError):
+            found[name] = importlib.metadata.version(name)
+    return found
+
+
+def of_recording(hello: dict[str, Any], status: dict[str, Any], header: dict[str, Any], note: str) -> dict[str, Any]:
     """Attributes of a recording: from the daemon's hello and status, and from the header of the first block of records.
 
     mono_ns and utc_ns are one instant on the clock of `time_ns` and in Unix time.
@@ -53,7 +68,7 @@ def provenance(hello: dict[str, Any], status: dict[str, Any], header: dict[str, 
         "hapticd_commit": commit(),
         "server_version": hello["version"],
         "python": platform.python_version(),
-        "libraries": json.dumps({name: importlib.metadata.version(name) for name in LIBRARIES}),
+        "libraries": json.dumps(versions()),
         "kernel": f"{platform.system()} {platform.release()} {platform.version()}",
         "cpu": processor(),
         "note": note,
