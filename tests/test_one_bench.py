@@ -11,8 +11,8 @@ import hapticd
 PACKAGE = Path(hapticd.__file__).parent
 ONLY = {  # what may be called from where: {called: {module: functions}}
     "judge": {
-        "measure.outcomes": {"_outcome"},  # trials of batches
-        "measure.trial": {"judged"},  # records
+        "measure.outcomes": {"_look"},  # trials of batches
+        "measure.trial": {"_verdict"},  # records
         "measure.sentinel": {"_decide"},  # whether a record that grows is decided already
     },
     "axis_limit": {"measure.limits": {"predicted_limit"}},
@@ -107,10 +107,12 @@ def test_a_second_implementation_is_seen(name: str, tmp_path: Path) -> None:
 
 def test_nobody_simulates_for_spectra_beside_the_bench() -> None:
     """Spectra of batches are what trials are judged by: only `outcomes.fly` asks the engine for them."""
-    asking = [
+    asking = {
         ".".join(file.relative_to(PACKAGE).with_suffix("").parts)
         for file in (PACKAGE / "measure").rglob("*.py")
-        for node in ast.walk(_parsed(file))
-        if isinstance(node, ast.keyword) and node.arg == "keep" and ast.unparse(node.value) == "'spectra'"
-    ]
-    assert asking == ["measure.outcomes"]
+        for call in ast.walk(_parsed(file))
+        if isinstance(call, ast.Call)
+        for given in (*call.args, *(keyword.value for keyword in call.keywords))
+        if isinstance(given, ast.Constant) and given.value == "spectra"
+    }
+    assert asking == {"measure.outcomes"}
