@@ -16,19 +16,19 @@ import hapticd
 from hapticd.units import NS_PER_S
 
 SCHEMA = "hapticd-recording/1"
-LIBRARIES = ("numpy", "numba", "scipy", "h5py", "pyzmq", "msgpack")
+OF_A_RUN, OF_A_RECORDING = ("numpy", "numba", "scipy", "h5py"), ("numpy", "h5py", "pyzmq", "msgpack")
 GIT_TIMEOUT_S = 5.0
 
 
 def provenance(**more: Any) -> dict[str, Any]:
     """Of a run: versions that its numbers come from, with whatever else is told."""
-    return {"hapticd": hapticd.__version__, "python": platform.python_version(), "libraries": versions(), **more}
+    return {"hapticd": hapticd.__version__, "python": platform.python_version(), "libraries": versions(OF_A_RUN), **more}
 
 
-def versions() -> dict[str, str]:
-    """Of the libraries that are installed."""
+def versions(libraries: tuple[str, ...]) -> dict[str, str]:
+    """Of those that are installed."""
     found = {}
-    for name in LIBRARIES:
+    for name in libraries:
         with suppress(importlib.metadata.PackageNotFoundError):
             found[name] = importlib.metadata.version(name)
     return found
@@ -68,7 +68,7 @@ def of_recording(hello: dict[str, Any], status: dict[str, Any], header: dict[str
         "hapticd_commit": commit(),
         "server_version": hello["version"],
         "python": platform.python_version(),
-        "libraries": json.dumps(versions()),
+        "libraries": json.dumps(versions(OF_A_RECORDING)),
         "kernel": f"{platform.system()} {platform.release()} {platform.version()}",
         "cpu": processor(),
         "note": note,
