@@ -27,6 +27,7 @@ from hapticd.report.style import (
     BELOW,
     BLACK,
     BLUE,
+    FINE,
     GREEN,
     GREY,
     OFF,
@@ -73,6 +74,7 @@ TITLES = {
 SWEEPS = ("tier", "sub-steps", "precision", "trial length", "window")
 WAYS = ("v", "^", "s", "o", "D", "P")
 FEWEST_BARS = 8
+TIMES = ((1.0,), (1.0, 3.0), *FINE)  # digits of ticks: their words are long
 NOTHING = 1e-6  # of the worst error: what is less is none
 DEFAULT: Look = {"marker": "o", "markersize": 12, "markerfacecolor": "none", "color": BLACK, "linestyle": ""}
 KNEE: Look = {"marker": "*", "markersize": 13, "color": ORANGE, "linestyle": "", "zorder": 3}
@@ -448,7 +450,7 @@ def _draw_sweep(result: AccuracyResult, sweep: str, axis: "Axes") -> None:
         _draw_step_errors(result, rows, axis)
     axis.set(yscale="log", xscale="log", title=TITLES[sweep], xlabel="time for one trial", ylabel=f"error ({result.unit})")
     axis.margins(x=0.2, y=0.9 if ways else 0.2)
-    plain_axis(axis.xaxis, words=duration)
+    plain_axis(axis.xaxis, TIMES, duration)
     plain_axis(axis.yaxis)
     if ways:
         axis.legend(loc="best")
