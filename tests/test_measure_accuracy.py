@@ -8,12 +8,21 @@ from measured_scenes import DRY, MASS_KG, VISCOUS_NS_PER_M, scene, stopwatch
 
 from hapticd.analysis.predict import predicted_impedance
 from hapticd.errors import AnalysisError
-from hapticd.measure.accuracy import REFERENCE, AccuracyParams, plan_accuracy, run_accuracy
-from hapticd.measure.gauge import GROUP, Setting
-from hapticd.measure.gauge_noise import NoiseGauge, phase_rms
-from hapticd.measure.gauge_trace import TraceGauge
+from hapticd.measure.accuracy import (
+    GROUP,
+    REFERENCE,
+    AccuracyParams,
+    NoiseGauge,
+    Row,
+    Setting,
+    TraceGauge,
+    knee,
+    phase_rms,
+    plan_accuracy,
+    run_accuracy,
+    with_knees,
+)
 from hapticd.measure.integrators import compare
-from hapticd.measure.knee import Row, knee, with_knees
 from hapticd.measure.lockstep_trial import MOST_S, fly
 from hapticd.measure.scenes import frequencies, spectra_on, without
 from hapticd.plant.compose import compose

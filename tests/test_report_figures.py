@@ -11,10 +11,9 @@ import pytest
 from measured_scenes import scene
 
 from hapticd.errors import ConfigError
-from hapticd.measure.accuracy import AccuracyParams, AccuracyResult, plan_accuracy
+from hapticd.measure.accuracy import AccuracyParams, AccuracyResult, Row, plan_accuracy
 from hapticd.measure.effects import EffectsParams, EffectsResult, Left, plan_effects
 from hapticd.measure.integrators import compare
-from hapticd.measure.knee import Row
 from hapticd.measure.scene_run import SceneResult, SceneRunParams, plan_scene, run_scene
 from hapticd.plant.scene import Excitation
 from hapticd.report import style

@@ -7,7 +7,7 @@ def command(scene: drawing.SceneName, as_json: options.Json = False) -> None:
     """Say what a scene simulates: states, nonlinearities, time constants, step, why each is there, and its measured cost."""
     import time
 
-    from hapticd.measure.cost import cost
+    from hapticd.measure.accuracy import cost
     from hapticd.measure.plain import plain
     from hapticd.measure.scenes import SUBSTEPS
     from hapticd.plant.compose import compose

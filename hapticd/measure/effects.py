@@ -25,7 +25,7 @@ import numpy as np
 from hapticd.analysis.arrays import Complexes, Floats
 from hapticd.analysis.predict import DEFAULT_BAND_HZ, predicted_impedance
 from hapticd.errors import AnalysisError, ConfigError
-from hapticd.measure.cost import engine_cost
+from hapticd.measure.accuracy import Stopwatch, engine_cost
 from hapticd.measure.limits import LimitsParams, LimitsPlan, plan_limits, run_limits
 from hapticd.measure.outcomes import Conditions
 from hapticd.measure.progress import Progress, Steps, silent
@@ -42,7 +42,6 @@ from hapticd.measure.scenes import (
     spectra_on,
     without,
 )  # fmt: skip
-from hapticd.measure.stopwatch import Stopwatch
 from hapticd.measure.store import TrialStore
 from hapticd.plant.scene import Scene
 from hapticd.sim.engine import simulate

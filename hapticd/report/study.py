@@ -12,13 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hapticd.analysis.arrays import Floats
-from hapticd.measure.accuracy import AccuracyResult
+from hapticd.measure.accuracy import GROUP, AccuracyResult, Cost, Row
 from hapticd.measure.ceiling import Ceiling
-from hapticd.measure.cost import Cost
 from hapticd.measure.effects import EffectsResult, Left
-from hapticd.measure.gauge import GROUP
 from hapticd.measure.integrators import Comparison
-from hapticd.measure.knee import Row
 from hapticd.measure.scene_run import SceneResult, Trial
 from hapticd.measure.scenes import SUBSTEPS, candidates, frequencies, point
 from hapticd.plant.explain import AtLevel, Explanation
