@@ -7,6 +7,9 @@ from pathlib import Path
 import pytest
 
 import hapticd
+from hapticd.cli.zwidth import common
+from hapticd.measure.reproduce import SCENES, SECONDS, conditions
+from hapticd.measure.store import fingerprint
 
 PACKAGE = Path(hapticd.__file__).parent
 ONLY = {  # what may be called from where: {called: {module: functions}}
@@ -116,3 +119,11 @@ def test_nobody_simulates_for_spectra_beside_the_bench() -> None:
         if isinstance(given, ast.Constant) and given.value == "spectra"
     }
     assert asking == {"measure.outcomes"}
+
+
+@pytest.mark.parametrize("device", SCENES)
+def test_reproduce_and_limits_ask_for_the_same_trials(device: str) -> None:
+    """So limits of paired seeds are the same but for the tolerance of the search; the key of a trial is all it depends on."""
+    asked = common.conditions(common.scene_of(SCENES[device]), SECONDS, seed=1)
+    assert fingerprint(asked) == fingerprint(conditions(device))
+    assert fingerprint(asked.shaken(more_seed=2)) == fingerprint(common.conditions(asked.scene, SECONDS, seed=3))
