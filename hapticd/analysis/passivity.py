@@ -95,14 +95,15 @@ def judge(
     )
 
 
-def needs_record(trial: Spectra, verdict: Verdict, estimator: Estimator = "spa") -> bool:
+def needs_record(trial: Spectra, verdict: Verdict, estimator: Estimator = "spa", linear: bool = False) -> bool:
     """Whether `verdict` on the window's spectra `trial` does not stand before the record was looked at (`resolved`).
+    `linear`: so is the device.
 
     It stands where all is passive at the window's resolution, and where the perturbation explains nothing of a line.
     """
     if verdict.answer == "passive" or any(one.code == "oscillation" for one in verdict.findings):
         return False
-    return bool(unresolved(trial, verdict.band_hz, estimator).any())
+    return bool(unresolved(trial, verdict.band_hz, estimator, linear).any())
 
 
 def _reread(trial: Spectra, findings: tuple[Finding, ...]) -> tuple[Finding, ...]:

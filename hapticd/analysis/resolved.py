@@ -71,12 +71,13 @@ class Resolved(Spectra):
         )
 
 
-def unresolved(trial: Spectra, band_hz: tuple[float, float], estimator: Estimator = "spa") -> Flags:
+def unresolved(trial: Spectra, band_hz: tuple[float, float], estimator: Estimator = "spa", linear: bool = False) -> Flags:
     """Which lines (F,) of a window's spectra need their record: all of a band that leaks, and those about a line that is not
-    explained, with the band; none where the window resolves the motion.
+    explained, with the band; none where the window resolves the motion. What a `linear` device leaves unexplained is the doing
+    of the window and of the record's ends, wherever it is.
     """
     line = None if trial.resolved else line_of(trial)
-    if trial.resolved or (line is None and not leakage_findings(trial, band_hz, estimator)):
+    if trial.resolved or not (linear or line or leakage_findings(trial, band_hz, estimator)):
         return np.zeros(trial.frequency_hz.size, np.bool_)
     low_hz = max(trial.lowest_hz, band_hz[0] - trial.bandwidth_hz)  # what is read together with the edge
     needed = (trial.frequency_hz >= low_hz) & (trial.frequency_hz <= band_hz[1])
@@ -92,12 +93,13 @@ def resolved(
     band_hz: tuple[float, float],
     estimator: Estimator = "spa",
     servo_rate_hz: float | None = None,
+    linear: bool = False,
 ) -> Spectra:
     """`trial`, the spectra of that record (N,), or where its window does not resolve the motion `Resolved`.
 
-    `servo_rate_hz`: of the law's samples, if known. AnalysisError for unequal lengths.
+    `servo_rate_hz`: of the law's samples, if known. `linear`: so is the device. AnalysisError for unequal lengths.
     """
-    needed = unresolved(trial, band_hz, estimator)
+    needed = unresolved(trial, band_hz, estimator, linear)
     if not needed.any():
         return trial
     force, velocity = (np.asarray(signal, np.float64) for signal in (force_n, velocity_m_per_s))

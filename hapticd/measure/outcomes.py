@@ -29,6 +29,7 @@ from hapticd.analysis.energy import Energy
 from hapticd.analysis.envelope import Envelope, merged, of_one
 from hapticd.analysis.impedance import impedance
 from hapticd.analysis.passivity import DEFAULT_BAND_HZ, judge, needs_record
+from hapticd.analysis.predict import coulomb
 from hapticd.analysis.resolved import resolved
 from hapticd.analysis.spa import DEFAULT_LAG
 from hapticd.analysis.spectra import Spectra, grid_frequencies
@@ -134,11 +135,14 @@ def fly(conditions: Conditions, damping_ns_per_m: float, points: Floats) -> list
     found = _flown(conditions, damping_ns_per_m, points, "spectra")
     whole = np.flatnonzero(~found.diverged).tolist()
     looks = {trial: _look(conditions, found, trial, found.spectra(trial)) for trial in whole}
-    unsure = [trial for trial, (spectra, verdict) in looks.items() if needs_record(spectra, verdict)]
+    linear = not coulomb(conditions.display.model).any()
+    unsure = [trial for trial, (spectra, verdict) in looks.items() if needs_record(spectra, verdict, linear=linear)]
     if unsure:
         records = _flown(conditions, damping_ns_per_m, points[unsure], "records")
         for place, trial in enumerate(unsure):
-            finer = resolved(*records.record(place), looks[trial][0], conditions.band_hz, servo_rate_hz=conditions.scene.rate_hz)
+            force, velocity = records.record(place)
+            rate_hz = conditions.scene.rate_hz
+            finer = resolved(force, velocity, looks[trial][0], conditions.band_hz, servo_rate_hz=rate_hz, linear=linear)
             looks[trial] = _look(conditions, found, trial, finer)
     return [_outcome(conditions, damping_ns_per_m, found, trial, looks.get(trial)) for trial in range(len(points))]
 

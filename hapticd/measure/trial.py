@@ -70,6 +70,11 @@ class TrialPlan:
     model: Model | None
     spectral_radius: float | None
 
+    @property
+    def linear(self) -> bool:
+        """Whether the device is known to have no friction."""
+        return self.spectral_radius is not None
+
 
 @dataclass(frozen=True, eq=False)
 class TrialResult:
@@ -142,7 +147,7 @@ def judged(plan: TrialPlan, recorded: Recorded) -> TrialResult:
         found += unit_findings(spectra, float(np.std(recorded.force_n)), record.velocity_sd_m_per_s)
     record = replace(record, findings=found)
     verdict = _verdict(plan, recorded, spectra, record)
-    if needs_record(raw, verdict, params.estimator):
+    if needs_record(raw, verdict, params.estimator, plan.linear):
         verdict = _verdict(plan, recorded, _corrected(params, _resolved(plan, recorded, raw)), record)
     z = impedance(spectra, params.estimator)
     z = z.without_mass(params.behind_mass_kg) if params.behind_mass_kg else z
@@ -180,7 +185,7 @@ def _resolved(plan: TrialPlan, recorded: Recorded, raw: Spectra) -> Spectra:
     """What is judged where the window does not resolve the motion."""
     scene, band_hz, estimator = plan.params.scene, plan.params.band_hz, plan.params.estimator
     servo_rate_hz = None if scene is None else scene.rate_hz
-    return resolved(recorded.force_n, recorded.velocity_m_per_s, raw, band_hz, estimator, servo_rate_hz)
+    return resolved(recorded.force_n, recorded.velocity_m_per_s, raw, band_hz, estimator, servo_rate_hz, plan.linear)
 
 
 def _spectral_findings(params: TrialParams, spectra: Spectra) -> tuple[Finding, ...]:
