@@ -126,7 +126,7 @@ def test_escape_by_the_seconds_is_none_where_the_perturbation_drives_it():
     """Its resonance rings for 4 s, so it swells and fades with the noise; beyond the limit the same device runs away."""
     device = display(0.12)
     inside, beyond = (verdict(device, stiffness, 1) for stiffness in (232.8, 242.4))
-    assert "escape" in codes(inside)
+    assert "swells" in codes(inside)
     assert "swells and fades" in str(inside)
     assert (inside.answer, inside.stability) == ("passive", "stable")
     assert (beyond.answer, beyond.stability) == ("not_passive", "unstable")

@@ -19,8 +19,6 @@ verdict names its first and its last frequency.
 What would break it: a band below 1/(M T), where the window smooths, or a record of too few windows; both are refused.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from hapticd.analysis.arrays import Floats
@@ -37,7 +35,7 @@ from hapticd.errors import AnalysisError
 DEFAULT_BAND_HZ = (2.0, 500.0)
 LEAST_FREEDOM = 20.0  # degrees of freedom of a window's values, below which the intervals mean nothing
 DRIVEN = 0.8  # of the velocity's power, from which a motion is the perturbation's
-SWELLS = "the velocity swells and fades by a factor of 4 or more, as the perturbation drives a resonance"
+SWELLS = "the velocity swells and fades 4 times and more, as the perturbation drives a resonance"
 LEAST_EXACT = 4.0  # of plain averages: two of them
 
 
@@ -96,10 +94,11 @@ def judge(
 
 
 def needs_record(trial: Spectra, verdict: Verdict, estimator: Estimator = "spa", linear: bool = False) -> bool:
-    """Whether `verdict` on the window's spectra `trial` does not stand before the record was looked at (`resolved`).
-    `linear`: so is the device.
+    """Whether `verdict` on the window's spectra `trial` stands only when its record was looked at
+    (`resolved`). `linear`: so is the device.
 
-    It stands where all is passive at the window's resolution, and where the perturbation explains nothing of a line.
+    It stands where all is passive at the window's resolution, and where the perturbation explains
+    nothing of a line.
     """
     if verdict.answer == "passive" or any(one.code == "oscillation" for one in verdict.findings):
         return False
@@ -107,14 +106,17 @@ def needs_record(trial: Spectra, verdict: Verdict, estimator: Estimator = "spa",
 
 
 def _reread(trial: Spectra, findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
-    """What the samples said, in the light of `resolved`: a motion that the perturbation explains did not run away by itself,
-    however it swells and fades; whether it is stable, Re Z at the resonance says.
+    """What the samples said, in the light of `resolved`: a motion that the perturbation explains did
+    not run away by itself, however it swells and fades. Re Z at the resonance says whether it is
+    stable.
     """
     if not isinstance(trial, Resolved):
         return findings
-    driven = trial.explained > DRIVEN
-    calm = [replace(one, unstable=False, message=SWELLS) if driven and one.code == "escape" else one for one in findings]
-    return (*calm, Finding("resolved", trial.said))
+    said = Finding("resolved", trial.said)
+    if trial.explained <= DRIVEN:
+        return (*findings, said)
+    swells = Finding("swells", SWELLS)
+    return (*(swells if one.code == "escape" else one for one in findings), said)
 
 
 def _turns_less(inside: Spectra) -> bool:

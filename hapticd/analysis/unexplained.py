@@ -3,13 +3,14 @@
 low_coherence   the perturbation explains less than half of the motion over part of the band, or at its lower edge
 oscillation     a narrow line carries much of the velocity and the perturbation does not explain it: a limit cycle
 line            the same with little of it: a limit cycle or hum
-unresolved      much of it in a line that is narrower than the window, which the perturbation may explain: a resonance, perhaps
+unresolved      much of it in a line that is narrower than the window, which the perturbation may explain
 
 Noise in the velocity makes "spa" read |Z| low by the coherence. The lower edge counts because it is read with the band: the
 window's 1.95 Hz is anybody's 2 Hz. Thresholds are those at which a 90 s trial of noise alone never raised them (tests).
 
-A window makes a resonance that is narrower than itself incoherent: a coherence of 0.2 is no proof of a limit cycle. What
-goes on by itself has none but that of chance, 2/nu. In between the record decides (`resolved`), where there is none nothing.
+A window makes a resonance that is narrower than itself incoherent: a coherence of 0.2 is no proof of
+a limit cycle. What goes on by itself has none but that of chance, 2/nu. In between the record
+decides (`resolved`), and without one nothing is decided.
 
 What would break it: a limit cycle that the perturbation drives in part, where there is no record.
 """
@@ -33,7 +34,9 @@ CHANCE = 3.0  # times the coherence that chance gives on average: below, a line 
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A narrow line at `place` of the frequencies: unexplained there, `share` of the velocity's power; greatest `coherence`."""
+    """A narrow line at `place` of the frequencies, in which `share` of the velocity's power is not
+    explained; median `coherence` about it.
+    """
 
     place: int
     frequency_hz: float
@@ -96,13 +99,19 @@ def _line(trial: Spectra) -> tuple[Finding, ...]:
     where = f"at {line.frequency_hz:.3g} Hz: {100 * line.share:.2g} % of the velocity's power"
     known = trial.resolved or line.coherence < CHANCE * trial.variance_factor
     if line.share <= LINE_SHARE:
-        message = f"line {where}, which the perturbation does not explain; hum of a sensor, or a small limit cycle"
+        message = (
+            f"line {where}, which the perturbation does not explain; "
+            "hum of a sensor, or a small limit cycle"
+        )
         return (Finding("line", message),) if known else ()
     if not known:
         message = (
-            f"line {where}, narrower than the {trial.span}: a resonance or a limit cycle; its record, or a longer window, "
-            "tells them apart"
+            f"line {where}, narrower than the {trial.span}: a resonance or a limit cycle; "
+            "its record, or a longer window, tells them apart"
         )
         return (Finding("unresolved", message, voids=True),)
-    message = f"oscillation {where} is a line that the perturbation does not explain; the loop has a limit cycle"
+    message = (
+        f"oscillation {where} is a line that the perturbation does not explain; "
+        "the loop has a limit cycle"
+    )
     return (Finding("oscillation", message, unstable=True),)

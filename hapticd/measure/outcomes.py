@@ -128,7 +128,7 @@ def key_of(shared: str, damping_ns_per_m: float, environment: Point) -> str:
 
 
 def fly(conditions: Conditions, damping_ns_per_m: float, points: Floats) -> list[Outcome]:
-    """Simulate and judge trials under `points` (n, 3); those whose verdict needs their records are simulated once more.
+    """Simulate and judge trials under `points` (n, 3); once more those whose verdict needs records.
 
     ConfigError as `simulate`, AnalysisError as `judge`.
     """
@@ -136,13 +136,14 @@ def fly(conditions: Conditions, damping_ns_per_m: float, points: Floats) -> list
     whole = np.flatnonzero(~found.diverged).tolist()
     looks = {trial: _look(conditions, found, trial, found.spectra(trial)) for trial in whole}
     linear = not coulomb(conditions.display.model).any()
-    unsure = [trial for trial, (spectra, verdict) in looks.items() if needs_record(spectra, verdict, linear=linear)]
+    unsure = [trial for trial, look in looks.items() if needs_record(*look, linear=linear)]
     if unsure:
+        band_hz = conditions.band_hz
+        rate_hz = conditions.scene.rate_hz
         records = _flown(conditions, damping_ns_per_m, points[unsure], "records")
         for place, trial in enumerate(unsure):
             force, velocity = records.record(place)
-            rate_hz = conditions.scene.rate_hz
-            finer = resolved(force, velocity, looks[trial][0], conditions.band_hz, servo_rate_hz=rate_hz, linear=linear)
+            finer = resolved(force, velocity, looks[trial][0], band_hz, "spa", rate_hz, linear)
             looks[trial] = _look(conditions, found, trial, finer)
     return [_outcome(conditions, damping_ns_per_m, found, trial, looks.get(trial)) for trial in range(len(points))]
 
