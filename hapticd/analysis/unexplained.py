@@ -99,10 +99,7 @@ def _line(trial: Spectra) -> tuple[Finding, ...]:
     where = f"at {line.frequency_hz:.3g} Hz: {100 * line.share:.2g} % of the velocity's power"
     known = trial.resolved or line.coherence < CHANCE * trial.variance_factor
     if line.share <= LINE_SHARE:
-        message = (
-            f"line {where}, which the perturbation does not explain; "
-            "hum of a sensor, or a small limit cycle"
-        )
+        message = f"line {where}, which the perturbation does not explain; hum of a sensor, or a small limit cycle"
         return (Finding("line", message),) if known else ()
     if not known:
         message = (
@@ -110,8 +107,5 @@ def _line(trial: Spectra) -> tuple[Finding, ...]:
             "its record, or a longer window, tells them apart"
         )
         return (Finding("unresolved", message, voids=True),)
-    message = (
-        f"oscillation {where} is a line that the perturbation does not explain; "
-        "the loop has a limit cycle"
-    )
+    message = f"oscillation {where} is a line that the perturbation does not explain; the loop has a limit cycle"
     return (Finding("oscillation", message, unstable=True),)
