@@ -36,7 +36,7 @@ from hapticd.measure.beyond import (
 from hapticd.measure.beyond_rows import PART, restored, rows
 from hapticd.measure.limits import REACH
 from hapticd.measure.outcomes import Conditions, Outcome, kept_frequencies
-from hapticd.measure.reproduce import AXES
+from hapticd.measure.reproduce import AXES, FINE
 from hapticd.plant.bodies import Masses, Viscous
 from hapticd.plant.mechanics import held_force_response
 from hapticd.plant.winding import Motor
@@ -217,7 +217,7 @@ def test_limit_is_searched_downwards_with_every_seed(monkeypatch):
     (found,) = bench(PARTS_OF_RIGID).limits((LEVEL,), (1, 2), (1,), (REACH[0], -12.0, REACH[2]))
     assert (found.level, found.axis) == (LEVEL, 1)
     assert found.predicted == pytest.approx(-(VISCOUS + LEVEL), rel=2e-3)
-    assert found.runs == pytest.approx([-1.0, -1.0], rel=1e-3)
+    assert found.runs == pytest.approx([-1.0, -1.0], rel=FINE)
     (alone,) = bench(PARTS_OF_RIGID).limits((LEVEL,), (), (1,), (REACH[0], -12.0, REACH[2]))
     assert not alone.runs.size
 

@@ -54,7 +54,7 @@ from hapticd.measure.directed import SearchParams, SearchResult, observed, plan_
 from hapticd.measure.limits import REACH, LimitsParams, plan_limits, predicted_limit, run_limits
 from hapticd.measure.outcomes import Conditions, Lot, Outcome, Point, flown, kept_frequencies, points_of
 from hapticd.measure.progress import Progress, Steps, silent
-from hapticd.measure.reproduce import AXES, SET_GRID, conditions
+from hapticd.measure.reproduce import AXES, FINE, SET_GRID, conditions
 from hapticd.measure.reproduce_rows import ADDED_NS_PER_M, LEVELS, MAIN
 from hapticd.measure.scenes import Display
 from hapticd.measure.store import TrialStore
@@ -69,7 +69,6 @@ NEGATIVE_STEPS = 8
 STEP = float(AXES[1][1] - AXES[1][0])
 GRID = grid((AXES[0], np.concatenate((-STEP * np.arange(NEGATIVE_STEPS, 0, -1), AXES[1])), AXES[2]))
 ROUNDS = 40
-FINE = 1e-3  # of a limit
 FURTHEST = -12.0  # N s/m, of a predicted search of B
 DAMPINGS, MASSES = 41, 25  # values of B and M that are looked at
 HIGHPASS_HZ = (0.5, 1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 14.0, 20.0, 30.0, 50.0, 100.0)
