@@ -26,7 +26,7 @@ from math import isnan, nan
 import numpy as np
 
 from hapticd.analysis.arrays import Flags, Floats, Integers
-from hapticd.analysis.boundary import Limits, PassiveSet, grid, passive_set, set_limits
+from hapticd.analysis.boundary import PassiveSet, grid, passive_set
 from hapticd.analysis.envelope import Envelope, accepted, of_predicted
 from hapticd.analysis.impedance import Impedance, impedance
 from hapticd.analysis.predict import DEFAULT_BAND_HZ, frequencies
@@ -160,11 +160,6 @@ class Found:
     flown: int
     envelope: Envelope
     environments: Floats
-
-    @property
-    def limits(self) -> Limits:
-        """Extremes of the set, in steps of the grid."""
-        return set_limits(self.as_set)
 
     @property
     def as_set(self) -> PassiveSet:
