@@ -213,32 +213,36 @@ class Transforms:
             rising[..., None] * self._images(at),
         )
         columns = np.asarray(np.concatenate(parts, axis=2), np.complex128)
-        return _least_squares(columns, y, inside.sum(axis=1), (np.abs(v) ** 2).sum(axis=1))
+        return _least_squares(columns, y, inside.sum(axis=1), _power(v[..., None]))
 
     def _images(self, at: Integers) -> Complexes:
         """The force at f + k times the servo rate (F, n, k); none where that is not known."""
         n = self.force.size
         shifts = np.arange(self.servo, n - 1, self.servo) if self.servo else np.empty(0, np.int64)
-        return np.asarray(self.force[(at[..., None] + shifts) % n])
+        return self.force.take(at[..., None] + shifts, mode="wrap")
 
 
 def _least_squares(columns: Complexes, y: Complexes, count: Integers, power: Floats) -> Fit:
     """Of `y` (F, n) by `columns` (F, n, c), those of Q first, then those of J; `count` bins, of
     which the velocity has `power`.
     """
-    size = np.maximum(np.sqrt((np.abs(columns) ** 2).sum(axis=1)), TINY)
-    columns = columns / size[:, None]
     conjugate = columns.conj().swapaxes(1, 2)
-    normal = conjugate @ columns + RIDGE * np.eye(columns.shape[2])
-    inverse = np.linalg.inv(normal)
-    found = inverse @ (conjugate @ y[..., None])
-    left = (np.abs(y[..., None] - columns @ found) ** 2).sum(axis=(1, 2))
+    normal = conjugate @ columns
+    size = np.maximum(np.sqrt(np.einsum("fcc->fc", normal).real), TINY)
+    normal /= size[:, :, None] * size[:, None, :]
+    inverse = np.linalg.inv(normal + RIDGE * np.eye(columns.shape[2]))
+    found = (inverse @ ((conjugate @ y[..., None]) / size[..., None])) / size[..., None]
+    left = _power(y[..., None] - columns @ found)
     ends = columns[..., TERMS : 2 * TERMS] @ found[:, TERMS : 2 * TERMS]
     freedom = np.maximum(count - columns.shape[2], 1)
-    total = np.maximum((np.abs(y) ** 2).sum(axis=1), TINY)
     return Fit(
-        z=found[:, 0, 0] / size[:, 0],
+        z=found[:, 0, 0],
         variance=left / freedom * inverse[:, 0, 0].real / size[:, 0] ** 2,
         power=power / count,
-        ends=(np.abs(ends) ** 2).sum(axis=(1, 2)) / total,
+        ends=_power(ends) / np.maximum(_power(y[..., None]), TINY),
     )
+
+
+def _power(values: Complexes) -> Floats:
+    """Sum of the squares of (F, n, 1)."""
+    return np.asarray((values.real**2 + values.imag**2).sum(axis=(1, 2)))
