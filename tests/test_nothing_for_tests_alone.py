@@ -30,12 +30,7 @@ ALLOWED = {
     "sim.engine.law.law_f32": "named in the text of a kernel, with its type",
     "sim.engine.law.law_f64": "named in the text of a kernel, with its type",
 }
-WAITING = {
-    "analysis.coupled.withstands": "the hand that shakes a display, in `zwidth predict`",
-    "analysis.coupled.shaking_hand": "the hand that shakes a display, in `zwidth predict`",
-    "analysis.coupled.coupled_radius": "the hand that shakes a display, in `zwidth predict`",
-    "analysis.search.directed_search": "the one search",
-}
+WAITING = {}
 
 
 class Definition(NamedTuple):
