@@ -130,8 +130,7 @@ def test_progress_counts_to_its_end(linear) -> None:
 
 def test_friction_error_is_of_first_order_in_the_step() -> None:
     small = scene(DRY, seconds=8.0, kbm=(50.0, 0.5, 0.0))
-    gauge = NoiseGauge(small, "", 8.0, Setting(8.0, 16), stopwatch())
-    gauge.prepare()
+    gauge = NoiseGauge(small, "", Setting(8.0, 16), stopwatch())
     assert "16 sub-steps" in gauge.reference
     one, two, four = (gauge.read(Setting(8.0, count)) for count in (1, 2, 4))
     assert 1.6 < one.step / two.step < 3.5
@@ -145,8 +144,7 @@ def test_friction_error_is_of_first_order_in_the_step() -> None:
 
 def test_trace_error_is_position_with_the_encoders_rounding() -> None:
     pushed = scene(DRY, seconds=0.4, kbm=(100.0, 1.0, 0.0), excitation=Excitation("push", force_n=0.5))
-    gauge = TraceGauge(pushed, "", 0.4, Setting(0.4, 16), stopwatch())
-    gauge.prepare()
+    gauge = TraceGauge(pushed, "", Setting(0.4, 16), stopwatch())
     exact, coarse = gauge.read(Setting(0.4, 16)), gauge.read(Setting(0.4, 1))
     assert (exact.step, exact.total) == (0.0, pytest.approx(0.5 / np.sqrt(12.0)))
     assert coarse.step > 0.0
@@ -156,15 +154,14 @@ def test_trace_error_is_position_with_the_encoders_rounding() -> None:
 @pytest.mark.slow
 def test_lockstep_flies_a_push_as_the_engine_does() -> None:
     toggle = load_scene("toggle")
-    gauge = TraceGauge(toggle, "toggle", 3.0, Setting(3.0, 4), stopwatch())
-    gauge.prepare()
+    gauge = TraceGauge(toggle, "toggle", Setting(3.0, 4), stopwatch())
     found, spent = gauge.lockstep(3.0)
     assert found.step < 1.0  # um; two counts, after damping has been switched
     assert spent == pytest.approx(1e-3)
 
 
 def test_lockstep_refuses_a_scene_that_begins_in_motion() -> None:
-    gauge = TraceGauge(load_scene("wall"), "wall", 1.0, Setting(1.0), stopwatch())
+    gauge = TraceGauge(load_scene("wall"), "wall", Setting(1.0), stopwatch())
     with pytest.raises(AnalysisError, match="the scene begins in motion, lock-step at rest"):
         gauge.lockstep(1.0)
 

@@ -11,7 +11,7 @@ from measured_scenes import MASS_KG, MOTOR, PARTS, VISCOUS_NS_PER_M, scene, stop
 from hapticd.errors import AnalysisError, ConfigError
 from hapticd.measure import outcomes
 from hapticd.measure.ceiling import ceiling
-from hapticd.measure.effects import EffectsParams, Limits, Peak, Phase, plan_effects, relative, run_effects
+from hapticd.measure.effects import PREDICTED, SIMULATED, EffectsParams, Limits, Peak, Phase, plan_effects, relative, run_effects
 from hapticd.measure.outcomes import Conditions, fly
 from hapticd.measure.scene_run import SceneRunParams, plan_scene, run_scene
 from hapticd.measure.scenes import frequencies, is_linear, without
@@ -31,7 +31,7 @@ CIRCUIT = (*PARTS, Amplifier(bandwidth_hz=5000.0), DampingCircuit(bandwidth_hz=1
 
 def test_predicted_stiffness_limit_is_twice_b_over_t() -> None:
     """Colgate and Schenkel 1997: K < 2 b / T for a rigid device without delay; exact for the first harmonic as well."""
-    found = Limits(scene()).predicted(scene())
+    found = Limits(scene()).values(scene(), PREDICTED)
     assert found[0] == pytest.approx(2.0 * VISCOUS_NS_PER_M * 1000.0, rel=1e-3)
     assert found[1] == pytest.approx(2.18, rel=0.02)
     assert found[2] < 0.0
@@ -40,7 +40,7 @@ def test_predicted_stiffness_limit_is_twice_b_over_t() -> None:
 def test_simulated_mass_limit_agrees_with_prediction() -> None:
     small = scene()
     limits = Limits(small, 12.0)
-    assert limits.simulated(small)[2] == pytest.approx(limits.predicted(small)[2], rel=0.08)
+    assert limits.values(small, SIMULATED)[2] == pytest.approx(limits.values(small, PREDICTED)[2], rel=0.08)
 
 
 def test_saturated_or_diverged_trials_do_not_pass(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -88,10 +88,10 @@ def test_peak_that_goes_away_is_a_change_without_measure() -> None:
 def test_peak_of_figure_8_lies_near_100_hz() -> None:
     """Weir 2008, section 5: a peak of the damped envelope near 100 Hz, owned by negative virtual mass; none without damping."""
     damped, undamped = load_scene("fig7"), load_scene("fig4")
-    height, frequency_hz, inside = Peak(damped, mass_kg=-0.022).predicted(damped)
+    height, frequency_hz, inside = Peak(damped, mass_kg=-0.022).values(damped, PREDICTED)
     assert (75.0 < frequency_hz < 100.0, inside) == (True, 1.0)
     assert 20.0 * np.log10(height) == pytest.approx(17.4, abs=0.5)
-    assert Peak(undamped, mass_kg=-0.006).predicted(undamped)[2] == 0.0
+    assert Peak(undamped, mass_kg=-0.006).values(undamped, PREDICTED)[2] == 0.0
 
 
 # --- leaving effects out ----------------------------------------------------------------------------------------------------

@@ -28,38 +28,34 @@ its cost is that of a full group, for each trial.
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from functools import cached_property
 from math import floor, inf, isnan, nan
 from pathlib import Path
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from hapticd.analysis.arrays import Complexes, Floats
-from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.predict import predict, predicted_impedance
 from hapticd.analysis.spa import DEFAULT_LAG, spa
 from hapticd.analysis.spectra import Spectra
 from hapticd.assembly.lockstep import LockStep
 from hapticd.assembly.scene import scene_params
 from hapticd.errors import AnalysisError, HapticdError
-from hapticd.measure.lockstep_trial import fly
+from hapticd.measure.lockstep_trial import Flown, fly
 from hapticd.measure.progress import Progress, Steps, silent
 from hapticd.measure.scenes import (
     SUBSTEPS,
-    calm,
     candidates,
     display,
-    filters,
     frequencies,
     is_linear,
     level,
     point,
     pooled,
+    spectra_of,
     spectra_on,
     without,
 )
-from hapticd.plant.compose import compose
 from hapticd.plant.scene import Scene
 from hapticd.sim.engine import BatchResult, simulate
 from hapticd.sim.engine.shape import LANES
@@ -77,6 +73,7 @@ T = TypeVar("T")
 Stopwatch = Callable[[], int]
 COST_ENGINE_S = 4.0
 REPEATS = 9  # the quickest counts: other programs only make it slower
+ALONE_REPEATS = 3
 COST_LOCKSTEP_S = 0.5
 SETTLING_TICKS = 100  # of a lock-step stack, before it is timed
 GROUP = LANES["f64"]
@@ -88,20 +85,14 @@ QUANTUM_M = 0.5e-6  # where the scene has no encoder: that of Weir 2008, section
 KNEE = 1.1
 
 
-def timed(now_ns: Stopwatch, call: Callable[[], T]) -> tuple[T, float]:
-    """(what `call` returns, seconds that it took)."""
-    begin_ns = now_ns()
-    found = call()
-    return found, (now_ns() - begin_ns) / NS_PER_S
+def timed(now_ns: Stopwatch, call: Callable[[], T], times: int = 1) -> tuple[T, float]:
+    """(what `call` returns, seconds) of the quickest of `times` calls, which nothing disturbed."""
 
+    def once() -> tuple[T, float]:
+        begin_ns = now_ns()
+        return call(), (now_ns() - begin_ns) / NS_PER_S
 
-def quickest(now_ns: Stopwatch, call: Callable[[], T], times: int = 3) -> tuple[T, float]:
-    """The same for the quickest of `times` calls: what the work takes when nothing disturbs it."""
-    found, least_s = timed(now_ns, call)
-    for _ in range(times - 1):
-        found, seconds = timed(now_ns, call)
-        least_s = min(least_s, seconds)
-    return found, least_s
+    return min((once() for _ in range(times)), key=lambda run: run[1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,26 +104,26 @@ class Cost:
     lockstep_s: float
 
 
-def engine_cost(scene: Scene, now_ns: Stopwatch, seconds: float = COST_ENGINE_S, substeps: int = 1, dtype: str = "f64") -> float:
-    """Seconds per simulated second of one trial in a full group. The kernel is compiled before. ConfigError as `simulate`."""
-    group = [point(scene)] * LANES[dtype]
-    simulate(scene, group, 1.0 / scene.rate_hz, substeps=substeps, dtype=dtype)
-    _, spent = quickest(now_ns, lambda: simulate(scene, group, seconds, substeps=substeps, dtype=dtype), REPEATS)
-    return spent / (seconds * len(group))
-
-
-def lockstep_cost(source: str | Path, now_ns: Stopwatch, seconds: float = COST_LOCKSTEP_S) -> float:
-    """Seconds per simulated second of the whole stack with the scene's device on the simulated board, nothing enabled."""
-    servo, board = scene_params(source)
-    ticks = round(seconds * servo.realtime.rate_hz)
-    with LockStep(servo, board, keep=False) as stack:
-        stack.run(SETTLING_TICKS)
-        return quickest(now_ns, lambda: stack.run(ticks))[1] / seconds
+def engine_cost(scene: Scene, now_ns: Stopwatch) -> float:
+    """Seconds per simulated second of one trial in a full group. The kernel is compiled before.
+    ConfigError as `simulate`.
+    """
+    group = [point(scene)] * GROUP
+    simulate(scene, group, 1.0 / scene.rate_hz)
+    _, spent = timed(now_ns, lambda: simulate(scene, group, COST_ENGINE_S), REPEATS)
+    return spent / (COST_ENGINE_S * GROUP)
 
 
 def cost(scene: Scene, source: str | Path, now_ns: Stopwatch) -> Cost:
-    """Both; `source` is the scene's name or file."""
-    return Cost(engine_cost(scene, now_ns), LANES["f64"], lockstep_cost(source, now_ns))
+    """Of the engine, and of the whole stack with the device on the simulated board and nothing
+    enabled; `source` is the scene's name or file.
+    """
+    servo, board = scene_params(source)
+    ticks = round(COST_LOCKSTEP_S * servo.realtime.rate_hz)
+    with LockStep(servo, board, keep=False) as stack:
+        stack.run(SETTLING_TICKS)
+        _, spent = timed(now_ns, lambda: stack.run(ticks), ALONE_REPEATS)
+    return Cost(engine_cost(scene, now_ns), GROUP, spent / COST_LOCKSTEP_S)
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,23 +145,22 @@ class Reading:
     total: float
 
 
-class Gauge(ABC):
-    """`exact` is how finely the reference is simulated. After `prepare` it may be read."""
+class Gauge(ABC, Generic[T]):
+    """A scene beside its reference, which is made with the gauge, simulated as `exact` says.
+
+    T is the answer whose step error is read; `reference` says what errors are measured against,
+    and how well that is known.
+    """
 
     unit: str
     quantity: str
+    reference: str
+    torque_n: Floats | None = None  # (GROUP, samples), for every setting; None: the scene's own
 
-    def __init__(self, scene: Scene, source: object, seconds: float, exact: Setting, now_ns: Stopwatch) -> None:
-        self.scene, self.source, self.seconds, self.exact, self.now_ns = scene, source, seconds, exact, now_ns
-
-    @abstractmethod
-    def prepare(self) -> None:
-        """Make the reference."""
-
-    @property
-    @abstractmethod
-    def reference(self) -> str:
-        """What errors are measured against, and how well that is known."""
+    def __init__(self, scene: Scene, source: str | Path, exact: Setting, now_ns: Stopwatch) -> None:
+        self.scene, self.source, self.exact, self.now_ns = scene, source, exact, now_ns
+        self.own = display(scene)
+        self._whole: dict[Setting, T] = {}
 
     @abstractmethod
     def read(self, setting: Setting) -> Reading:
@@ -181,125 +171,125 @@ class Gauge(ABC):
         """Seconds for one trial of a full group, timed once; the setting has been read before."""
 
     @abstractmethod
-    def alone(self, setting: Setting) -> float:
-        """Seconds for a single trial that is asked alone."""
+    def alone(self) -> float:
+        """Seconds for a single trial with the defaults that is asked alone."""
+
+    def lockstep(self, seconds: float) -> tuple[Reading, float]:
+        """One trial with the whole product, and what its flight took. ConfigError or AnalysisError
+        where the scene cannot be flown.
+        """
+        samples, source = round(seconds * PROBE_RATE_HZ), self.scene.excitation
+        torque = np.resize(torque_record(source, samples, source.seed), samples)
+        if self.torque_n is not None:
+            torque = self.torque_n[0, :samples]
+        steps = [(step.at_s, step.level_ns_per_m) for step in self.scene.damping]
+        flown, spent = timed(self.now_ns, lambda: fly(str(self.source), torque, steps))
+        return self._flight(flown, seconds, steps), spent
 
     @abstractmethod
-    def lockstep(self, seconds: float) -> tuple[Reading, float]:
-        """One trial with the whole product, and what it took. ConfigError or AnalysisError where the scene cannot be flown."""
+    def _flight(self, flown: Flown, seconds: float, steps: list[tuple[float, float]]) -> Reading:
+        """Of a trial in lock-step with damping steps (time s, level N s/m)."""
+
+    def _like(self, setting: Setting, answer: T, reference: T) -> T:
+        """What `answer` is compared with."""
+        if setting.without:
+            return self._whole[replace(setting, without=())]
+        self._whole[setting] = answer
+        return reference
+
+    def _flown(self, setting: Setting, trials: int) -> BatchResult:
+        noise = self.torque_n is not None
+        return simulate(
+            without(self.scene, *setting.without), [point(self.scene)] * trials, setting.seconds,
+            excitation=None if self.torque_n is None else self.torque_n[:trials], own_torque=noise,
+            substeps=setting.substeps, dtype=setting.dtype, keep="records" if noise else "ticks",
+        )  # fmt: skip
 
 
-class NoiseGauge(Gauge):
+class NoiseGauge(Gauge[Complexes]):
     """Errors in degrees."""
 
     unit = "deg"
     quantity = "phase of Z, rms over the band"
 
-    def prepare(self) -> None:
-        """Simulate the reference, or compute it."""
-        self._whole: dict[Setting, Complexes] = {}
-        self._linear, self._limit_n = is_linear(self.scene), display(self.scene).force_limit_n
-        flown = self._flown(self.exact, self._torque)
+    def __init__(self, scene: Scene, source: str | Path, exact: Setting, now_ns: Stopwatch) -> None:
+        super().__init__(scene, source, exact, now_ns)
+        samples, noise = round(exact.seconds * PROBE_RATE_HZ), scene.excitation
+        streams = range(Stream.TORQUE, Stream.TORQUE + GROUP)
+        records = [torque_record(noise, samples, noise.seed, stream) for stream in streams]
+        self.torque_n = np.stack(records)
+        self._f = frequencies()
+        flown = self._flown(exact, GROUP)
         self._step_free = pooled(self._spectra(flown, DEFAULT_LAG))
-        if self._linear:
-            self._true, self._known = self._exact(), 0.0
+        if is_linear(scene):
+            asked = point(scene), self._f, level(scene), self.own.filters
+            self._true = predicted_impedance(self.own.model, *asked)
+            self.reference = "exact first harmonic of the linear scene"
             return
         trials = self._spectra(flown, REFERENCE_LAG)
-        half = len(trials) // 2
-        self._true, self._known = pooled(trials), 0.5 * phase_rms(pooled(trials[half:]) / pooled(trials[:half]))
-
-    @property
-    def reference(self) -> str:
-        """Exact or simulated."""
-        if self._linear:
-            return "exact first harmonic of the linear scene"
-        return (
-            f"{GROUP} trials of {self.seconds:g} s, {self.exact.substeps} sub-steps, f64, "
-            f"window {REFERENCE_LAG}; known to {self._known:.2g} deg"
+        half, self._true = len(trials) // 2, pooled(trials)
+        known_deg = 0.5 * phase_rms(pooled(trials[half:]) / pooled(trials[:half]))
+        self.reference = (
+            f"{GROUP} trials of {exact.seconds:g} s, {exact.substeps} sub-steps, f64, "
+            f"window {REFERENCE_LAG}; known to {known_deg:.2g} deg"
         )
 
     def read(self, setting: Setting) -> Reading:
         """A group of trials, their spectra together and one by one."""
-        trials = self._spectra(self._flown(setting, self._torque), setting.lag)
+        trials = self._spectra(self._flown(setting, GROUP), setting.lag)
         together = pooled(trials)
-        if not setting.without:
-            self._whole[setting] = together
-        like = self._whole[replace(setting, without=())] if setting.without else self._step_free
-        comparable = setting.seconds == self.seconds and setting.lag == DEFAULT_LAG
-        step = phase_rms(together / like) if comparable else float("nan")
-        return Reading(step, self._total(trials))
+        step = phase_rms(together / self._like(setting, together, self._step_free))
+        comparable = (setting.seconds, setting.lag) == (self.exact.seconds, DEFAULT_LAG)
+        return Reading(step if comparable else nan, self._total(trials))
 
     def cost(self, setting: Setting) -> float:
         """Of simulation and spectra, these on the window's own grid."""
-        found, simulated_s = timed(self.now_ns, lambda: self._flown(setting, self._torque))
+        found, simulated_s = timed(self.now_ns, lambda: self._flown(setting, GROUP))
         records = [found.record(int(trial)) for trial in np.flatnonzero(~found.diverged)[:ANALYSED]]
         _, analysed_s = timed(self.now_ns, lambda: [spa(*record, lag=setting.lag) for record in records])
         return simulated_s / GROUP + analysed_s / max(1, len(records))
 
-    def alone(self, setting: Setting) -> float:
+    def alone(self) -> float:
         """One trial and its spectra."""
-
-        def ask() -> Spectra:
-            found = self._flown(setting, self._torque[:1])
-            return spectra_on(*found.record(0), self._f, setting.lag)
-
-        return quickest(self.now_ns, ask)[1]
-
-    def lockstep(self, seconds: float) -> tuple[Reading, float]:
-        """Noise through the wire."""
-        steps = [(step.at_s, step.level_ns_per_m) for step in self.scene.damping]
-        torque = self._torque[0, : round(seconds * PROBE_RATE_HZ)]
-
-        def ask() -> Spectra:
-            found = fly(str(self.source), torque, steps)
-            return spectra_on(found.torque_n, found.velocity_m_per_s, self._f)
-
-        trial, spent = timed(self.now_ns, ask)
-        return Reading(float("nan"), self._total([trial])), spent
-
-    def predicted(self) -> tuple[Reading, float, float]:
-        """Errors of the predicted Z, its seconds, and those of one of 1,000 environments that are asked for a verdict."""
-        model, kbm, damping = compose(self.scene), point(self.scene), level(self.scene)
-        z, spent = quickest(
+        asked = Setting(self.exact.seconds)
+        return timed(
             self.now_ns,
-            lambda: predicted_impedance(model, kbm, self._f, damping, filters(self.scene), self._perturbation),
+            lambda: self._spectra(self._flown(asked, 1), asked.lag),
+            ALONE_REPEATS,
+        )[1]
+
+    def predicted(self) -> Iterable["Row"]:
+        """Errors of the predicted Z with its seconds, and those of one of 1,000 environments that
+        are asked for a verdict.
+        """
+        own, kbm, damping = self.own, point(self.scene), level(self.scene)
+        shaken = own.filters, own.perturbation
+        z, alone_s = timed(
+            self.now_ns,
+            lambda: predicted_impedance(own.model, kbm, self._f, damping, *shaken),
+            ALONE_REPEATS,
         )
         many = np.tile(kbm, (BATCH, 1))
-        _, together = quickest(self.now_ns, lambda: predict(model, many, damping, filters(self.scene), self._perturbation))
+        _, together_s = timed(
+            self.now_ns,
+            lambda: predict(own.model, many, damping, *shaken),
+            ALONE_REPEATS,
+        )
         error = phase_rms(z / self._true)
-        return Reading(error, error), spent, together / BATCH
+        yield Row("tier", "predict, alone", alone_s, error, error)
+        yield Row("tier", "predict, 1,000 at once", together_s / BATCH, error, error)
 
-    @cached_property
-    def _f(self) -> Floats:
-        return frequencies()
-
-    @property
-    def _perturbation(self) -> Perturbation:
-        return Perturbation(self.scene.excitation.psd_n2_per_hz, self.scene.excitation.band_hz)
-
-    def _exact(self) -> Complexes:
-        return predicted_impedance(compose(self.scene), point(self.scene), self._f, level(self.scene), filters(self.scene))
-
-    @cached_property
-    def _torque(self) -> Floats:
-        """(GROUP, samples), the same for every setting."""
-        samples, source = round(self.seconds * PROBE_RATE_HZ), self.scene.excitation
-        return np.stack([torque_record(source, samples, source.seed, Stream.TORQUE + trial) for trial in range(GROUP)])
-
-    def _flown(self, setting: Setting, torque_n: Floats) -> BatchResult:
-        return simulate(
-            without(self.scene, *setting.without), np.tile(point(self.scene), (len(torque_n), 1)), setting.seconds,
-            excitation=torque_n, own_torque=True, substeps=setting.substeps, dtype=setting.dtype, keep="records",
-        )  # fmt: skip
+    def _flight(self, flown: Flown, seconds: float, steps: list[tuple[float, float]]) -> Reading:
+        trial = spectra_on(flown.torque_n, flown.velocity_m_per_s, self._f)
+        return Reading(nan, self._total([trial]))
 
     def _spectra(self, found: BatchResult, lag: int) -> list[Spectra]:
-        """Of every trial that has some."""
-        return [spectra_on(*found.record(trial), self._f, lag) for trial in calm(found, self._limit_n)]
+        return spectra_of(found, self._f, self.own.force_limit_n, lag)
 
     def _total(self, trials: list[Spectra]) -> float:
         """Of one trial: rms over trials and frequencies."""
         errors = [phase_rms(trial.cross / trial.velocity / self._true) for trial in trials]
-        return float(np.sqrt(np.mean(np.square(errors)))) if errors else float("inf")
+        return float(np.sqrt(np.mean(np.square(errors)))) if errors else inf
 
 
 def phase_rms(ratio: Complexes) -> float:
@@ -307,39 +297,33 @@ def phase_rms(ratio: Complexes) -> float:
     return float(np.degrees(np.sqrt(np.mean(np.angle(ratio) ** 2))))
 
 
-class TraceGauge(Gauge):
+class TraceGauge(Gauge[Floats]):
     """Errors in micrometres."""
 
     unit = "um"
     quantity = "position, rms over the trial"
 
-    def prepare(self) -> None:
-        """Simulate the reference."""
-        self._whole: dict[Setting, Floats] = {}
-        self._model = compose(self.scene)
-        self._floor = UM_PER_M * (self._model.encoder_quantum_m or QUANTUM_M) / np.sqrt(12.0)
-        self._true = self._position(self._flown(self.exact, 1))
-
-    @property
-    def reference(self) -> str:
-        """Simulated."""
-        return f"the same trial, {self.exact.substeps} sub-steps, f64; position known to a count ({self._floor:.2g} um rms)"
+    def __init__(self, scene: Scene, source: str | Path, exact: Setting, now_ns: Stopwatch) -> None:
+        super().__init__(scene, source, exact, now_ns)
+        quantum_m = self.own.model.encoder_quantum_m or QUANTUM_M
+        self._floor = UM_PER_M * quantum_m / np.sqrt(12.0)
+        self._true = _position(self._flown(exact, 1))
+        known = f"position known to a count ({self._floor:.2g} um rms)"
+        self.reference = f"the same trial, {exact.substeps} sub-steps, f64; {known}"
 
     def read(self, setting: Setting) -> Reading:
         """One trial."""
-        position = self._position(self._flown(setting, 1))
-        if not setting.without:
-            self._whole[setting] = position
-        like = self._whole[replace(setting, without=())] if setting.without else self._true
-        return self._reading(position - like)
+        position = _position(self._flown(setting, 1))
+        return self._reading(position - self._like(setting, position, self._true))
 
     def cost(self, setting: Setting) -> float:
         """Of a group of equal trials."""
         return timed(self.now_ns, lambda: self._flown(setting, GROUP))[1] / GROUP
 
-    def alone(self, setting: Setting) -> float:
+    def alone(self) -> float:
         """One trial."""
-        return quickest(self.now_ns, lambda: self._flown(setting, 1))[1]
+        asked = Setting(self.exact.seconds)
+        return timed(self.now_ns, lambda: self._flown(asked, 1), ALONE_REPEATS)[1]
 
     def lockstep(self, seconds: float) -> tuple[Reading, float]:
         """The push through the wire, compared with the engine under the forces that the probe then reported.
@@ -348,37 +332,33 @@ class TraceGauge(Gauge):
         """
         if self.scene.start_velocity_m_per_s or self.scene.start_position_m:
             raise AnalysisError("the scene begins in motion, lock-step at rest")
-        samples, rate_hz = round(seconds * PROBE_RATE_HZ), self.scene.rate_hz
-        torque = np.resize(torque_record(self.scene.excitation, samples, self.scene.excitation.seed), samples)
-        steps = [(step.at_s, step.level_ns_per_m) for step in self.scene.damping]
-        flown, spent = timed(self.now_ns, lambda: fly(str(self.source), torque, steps))
-        lead, ticks = self._lead(), 1 if self._lead() else 0
+        return super().lockstep(seconds)
+
+    def _flight(self, flown: Flown, seconds: float, steps: list[tuple[float, float]]) -> Reading:
+        """The engine's ticks, counted from the force, may begin a part of a period before those of
+        the servo: `lead` samples.
+        """
+        rate_hz, part = self.scene.rate_hz, self.own.model.delay_periods % 1.0
+        lead = floor((1.0 - part) * PROBE_RATE_HZ / rate_hz) if part else 0
+        ticks = 1 if lead else 0
         later = [(at_s + (ticks / rate_hz if at_s else 0.0), height) for at_s, height in steps]
-        played = np.concatenate((np.zeros(lead), flown.torque_n))[:samples]
-        like = simulate(
-            self.scene, [point(self.scene)], seconds, damping=later, excitation=played, substeps=self.exact.substeps, keep="ticks"
-        )
-        position = self._position(like)
-        return self._reading(flown.position_m[: len(position) - ticks] - position[ticks:]), spent
-
-    def _lead(self) -> int:
-        """Samples by which the engine's ticks, counted from the force, begin before those of the servo."""
-        part = self._model.delay_periods % 1.0
-        return floor((1.0 - part) * PROBE_RATE_HZ / self.scene.rate_hz) if part else 0
-
-    def _flown(self, setting: Setting, trials: int) -> BatchResult:
-        return simulate(
-            without(self.scene, *setting.without), np.tile(point(self.scene), (trials, 1)), setting.seconds,
-            substeps=setting.substeps, dtype=setting.dtype, keep="ticks",
+        played = np.concatenate((np.zeros(lead), flown.torque_n))[: round(seconds * PROBE_RATE_HZ)]
+        position = _position(
+            simulate(
+                self.scene, [point(self.scene)], seconds, damping=later, excitation=played,
+                substeps=self.exact.substeps, keep="ticks",
+            )
         )  # fmt: skip
-
-    def _position(self, found: BatchResult) -> Floats:
-        assert found.position_m is not None
-        return np.asarray(found.position_m[0], np.float64)
+        return self._reading(flown.position_m[: len(position) - ticks] - position[ticks:])
 
     def _reading(self, difference_m: Floats) -> Reading:
         step = UM_PER_M * float(np.sqrt(np.mean(difference_m**2)))
         return Reading(step, float(np.hypot(step, self._floor)))
+
+
+def _position(found: BatchResult) -> Floats:
+    """(ticks,) [m] of a single trial."""
+    return np.ravel(np.asarray(found.position_m, np.float64))
 
 
 @dataclass(frozen=True, slots=True)
@@ -422,17 +402,18 @@ class AccuracyParams:
 
 @dataclass(frozen=True, slots=True)
 class AccuracyPlan:
-    """What will be measured."""
+    """What will be measured: (sweep, label, setting) in turn, and a trial in lock-step."""
 
     params: AccuracyParams
-    noise: bool
     seconds: float
     lockstep_s: float
-    exact_substeps: int
-    substeps: tuple[int, ...]
-    lengths_s: tuple[float, ...]
-    windows: tuple[int, ...]
-    effects: tuple[str, ...]
+    exact: Setting
+    wanted: tuple[tuple[str, str, Setting], ...]
+
+    @property
+    def noise(self) -> bool:
+        """Whether noise moves the scene."""
+        return self.params.scene.excitation.kind == "noise"
 
 
 @dataclass(frozen=True, slots=True)
@@ -456,95 +437,84 @@ class AccuracyResult:
 
 
 def plan_accuracy(params: AccuracyParams) -> AccuracyPlan:
-    """The sweeps that the scene calls for."""
-    scene, quick = params.scene, params.quick
-    noise = scene.excitation.kind == "noise"
-    seconds = min(scene.seconds, QUICK_S) if quick else scene.seconds
+    """The sweeps that the scene calls for. An effect is compared with the whole scene at 1
+    sub-step, which therefore comes before.
+    """
+    scene, quick, noise = params.scene, params.quick, params.scene.excitation.kind == "noise"
+    base = Setting(min(scene.seconds, QUICK_S) if quick else scene.seconds)
     substeps = QUICK_SUBSTEPS if quick else SWEPT
-    lengths = [length for length in (QUICK_LENGTHS_S if quick else LENGTHS_S) if length < seconds]
-    return AccuracyPlan(
-        params, noise, seconds,
-        lockstep_s=min(seconds, QUICK_LOCKSTEP_S if quick else LOCKSTEP_S),
-        exact_substeps=substeps[-1],
-        substeps=substeps,
-        lengths_s=(*lengths, seconds) if noise else (),
-        windows=(QUICK_WINDOWS if quick else WINDOWS) if noise else (),
-        effects=candidates(scene),
-    )  # fmt: skip
+    shorter = [one for one in (QUICK_LENGTHS_S if quick else LENGTHS_S) if one < base.seconds]
+    lengths_s = (*shorter, base.seconds) if noise else ()
+    windows = (QUICK_WINDOWS if quick else WINDOWS) if noise else ()
+    kinds = [(dtype, count) for dtype in ("f64", "f32") for count in (1, SUBSTEPS)]
+    precisions = [replace(base, dtype=dtype, substeps=count) for dtype, count in kinds]
+    wanted = (
+        *(("sub-steps", str(count), replace(base, substeps=count)) for count in substeps),
+        *(("precision", f"{one.dtype}, {one.substeps}", one) for one in precisions),
+        *(("trial length", f"{length:g} s", replace(base, seconds=length)) for length in lengths_s),
+        *(("window", str(lag), replace(base, lag=lag)) for lag in windows),
+        *(("effect", key, replace(base, substeps=1, without=(key,))) for key in candidates(scene)),
+    )
+    lockstep_s = min(base.seconds, QUICK_LOCKSTEP_S if quick else LOCKSTEP_S)
+    exact = replace(base, substeps=substeps[-1])
+    return AccuracyPlan(params, base.seconds, lockstep_s, exact, wanted)
 
 
 def run_accuracy(plan: AccuracyPlan, now_ns: Stopwatch, tell: Progress = silent) -> AccuracyResult:
     """Measure. ConfigError as `compose` and `simulate`."""
-    scene, exact = plan.params.scene, Setting(plan.seconds, plan.exact_substeps)
-    wanted = _settings(plan)
-    steps = Steps(tell, len(wanted) + ROUNDS + 4)
-    gauge: Gauge = (NoiseGauge if plan.noise else TraceGauge)(scene, plan.params.source, plan.seconds, exact, now_ns)
+    steps = Steps(tell, len(plan.wanted) + ROUNDS + 4)
     steps.next("reference")
-    gauge.prepare()
-    rows = _read(gauge, wanted, steps)
-    default = next(row for row in rows if row.default)
-    rows = [*_tiers(plan, gauge, steps, default), *rows]
+    kind: type[NoiseGauge | TraceGauge] = NoiseGauge if plan.noise else TraceGauge
+    gauge = kind(plan.params.scene, plan.params.source, plan.exact, now_ns)
+    swept = _swept(plan, gauge, steps)
+    rows = [*_tiers(plan, gauge, steps, next(row for row in swept if row.default)), *swept]
     steps.end()
     return AccuracyResult(plan, gauge.unit, gauge.quantity, gauge.reference, tuple(with_knees(rows)))
 
 
-def _settings(plan: AccuracyPlan) -> list[tuple[str, str, Setting]]:
-    """(sweep, label, setting). An effect is compared with the whole scene at 1 sub-step, which therefore comes before."""
-    base = Setting(plan.seconds)
-    precisions = [(kind, count) for kind in ("f64", "f32") for count in (1, SUBSTEPS)]
-    return [
-        *(("sub-steps", str(count), replace(base, substeps=count)) for count in plan.substeps),
-        *(("precision", f"{kind}, {count}", replace(base, dtype=kind, substeps=count)) for kind, count in precisions),
-        *(("trial length", f"{length:g} s", replace(base, seconds=length)) for length in plan.lengths_s),
-        *(("window", str(lag), replace(base, lag=lag)) for lag in plan.windows),
-        *(("effect", key, replace(base, substeps=1, without=(key,))) for key in plan.effects),
-    ]
-
-
-def _read(gauge: Gauge, wanted: list[tuple[str, str, Setting]], steps: Steps) -> list[Row]:
+def _swept(plan: AccuracyPlan, gauge: NoiseGauge | TraceGauge, steps: Steps) -> list[Row]:
     """Errors first; then all are timed in turn, round by round, so that what disturbs the machine meets them alike."""
-    known: dict[Setting, Reading] = {}
-    notes: dict[Setting, str] = {}
-    for sweep, label, setting in wanted:
+    rows: dict[Setting, Row] = {}
+    for sweep, label, setting in plan.wanted:
         steps.next(f"{sweep}: {label}")
-        if setting not in known:
-            known[setting], notes[setting] = _attempt(lambda setting=setting: gauge.read(setting))  # type: ignore[misc]
-    seconds = {setting: nan if notes[setting] else inf for setting in known}
+        rows[setting] = rows.get(setting) or _row(gauge, setting, setting == Setting(plan.seconds))
     for _ in range(ROUNDS):
         steps.next("timing")
-        seconds = {setting: min(least, gauge.cost(setting)) if least == least else nan for setting, least in seconds.items()}
-    return [
-        _row(gauge, sweep, label, setting, known[setting], seconds[setting], notes[setting]) for sweep, label, setting in wanted
-    ]
+        for setting, row in rows.items():
+            if not isnan(row.seconds):
+                rows[setting] = replace(row, seconds=min(row.seconds, gauge.cost(setting)))
+    return [replace(rows[each], sweep=sweep, label=label) for sweep, label, each in plan.wanted]
 
 
-def _row(gauge: Gauge, sweep: str, label: str, setting: Setting, found: Reading, seconds: float, note: str) -> Row:
+def _row(gauge: NoiseGauge | TraceGauge, setting: Setting, default: bool) -> Row:
+    """What a setting reads, not timed yet: of no sweep so far. Or why it cannot be read."""
+    try:
+        found = gauge.read(setting)
+    except HapticdError as error:
+        return Row("", "", nan, inf, inf, default, note=str(error))
     if setting == gauge.exact:
-        return Row(sweep, label, seconds, nan, nan, note=REFERENCE)
-    return Row(sweep, label, seconds, found.step, found.total, setting == Setting(gauge.seconds), note=note)
+        return Row("", "", inf, nan, nan, note=REFERENCE)
+    return Row("", "", inf, found.step, found.total, default)
 
 
-def _tiers(plan: AccuracyPlan, gauge: Gauge, steps: Steps, default: Row) -> Iterable[Row]:
+def _tiers(
+    plan: AccuracyPlan,
+    gauge: NoiseGauge | TraceGauge,
+    steps: Steps,
+    default: Row,
+) -> Iterable[Row]:
     if isinstance(gauge, NoiseGauge):
         steps.next("predict")
-        found, alone, together = gauge.predicted()
-        yield Row("tier", "predict, alone", alone, found.step, found.total)
-        yield Row("tier", "predict, 1,000 at once", together, found.step, found.total)
+        yield from gauge.predicted()
     steps.next("simulate")
-    alone = gauge.alone(Setting(plan.seconds))
-    yield Row("tier", f"simulate {plan.seconds:g} s, alone", alone, default.step, default.total)
-    yield Row("tier", f"simulate {plan.seconds:g} s, {GROUP} at once", default.seconds, default.step, default.total, default=True)
+    tier = replace(default, sweep="tier", label=f"simulate {plan.seconds:g} s, {GROUP} at once")
+    alone = f"simulate {plan.seconds:g} s, alone"
+    yield replace(tier, label=alone, seconds=gauge.alone(), default=False)
+    yield tier
     steps.next("lock-step")
+    row = Row("tier", f"lock-step {plan.lockstep_s:g} s", nan, inf, inf)
     try:
         found, spent = gauge.lockstep(plan.lockstep_s)
-        yield Row("tier", f"lock-step {plan.lockstep_s:g} s", spent, found.step, found.total)
+        yield replace(row, seconds=spent, step=found.step, total=found.total)
     except HapticdError as error:
-        yield Row("tier", f"lock-step {plan.lockstep_s:g} s", nan, inf, inf, note=str(error))
-
-
-def _attempt(ask: Callable[[], Reading]) -> tuple[Reading, str]:
-    """A reading, or why there is none."""
-    try:
-        return ask(), ""
-    except HapticdError as error:
-        return Reading(inf, inf), str(error)
+        yield replace(row, note=str(error))

@@ -18,6 +18,7 @@ A scene that noise does not move gets the paper's perturbation. Walls are left o
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from functools import cache
 from math import inf, nan
 
 import numpy as np
@@ -25,12 +26,11 @@ import numpy as np
 from hapticd.analysis.arrays import Complexes, Floats
 from hapticd.analysis.predict import DEFAULT_BAND_HZ, predicted_impedance
 from hapticd.errors import AnalysisError, ConfigError
-from hapticd.measure.accuracy import Stopwatch, engine_cost
-from hapticd.measure.limits import LimitsParams, LimitsPlan, plan_limits, run_limits
+from hapticd.measure.accuracy import GROUP, Stopwatch, engine_cost
+from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
 from hapticd.measure.outcomes import Conditions
 from hapticd.measure.progress import Progress, Steps, silent
 from hapticd.measure.scenes import (
-    calm,
     candidates,
     display,
     free_of_walls,
@@ -39,15 +39,14 @@ from hapticd.measure.scenes import (
     noise,
     point,
     pooled,
-    spectra_on,
+    spectra_of,
     without,
 )  # fmt: skip
 from hapticd.measure.store import TrialStore
 from hapticd.plant.scene import Scene
 from hapticd.sim.engine import simulate
-from hapticd.sim.engine.shape import LANES
 
-TOGETHER = LANES["f64"]
+PREDICTED, SIMULATED = ("predicted", "simulated")
 PEAK_HZ = (40.0, 200.0)
 NAMES = {"K N/m": 1.0, "B N s/m": 1.0, "M g": 1e3}
 FINE = 1e-3  # of a limit: a change of 1 % is to be told from none
@@ -62,16 +61,12 @@ class Quantity(ABC):
     """`full` is the scene with all its effects; `seconds` the length of a simulated trial."""
 
     full: Scene
-    seconds: float = 90.0
+    seconds: float = SECONDS
     band_hz: tuple[float, float] = DEFAULT_BAND_HZ
 
     @abstractmethod
-    def predicted(self, scene: Scene) -> Floats:
-        """Its numbers for `full` with some of its effects."""
-
-    @abstractmethod
-    def simulated(self, scene: Scene) -> Floats:
-        """The same, by simulation."""
+    def values(self, scene: Scene, method: str) -> Floats:
+        """Its numbers for `full` with some of its effects, PREDICTED or SIMULATED."""
 
     @abstractmethod
     def change(self, full: Floats, other: Floats) -> float:
@@ -81,33 +76,29 @@ class Quantity(ABC):
     def told(self, full: Floats, other: Floats) -> dict[str, float]:
         """Numbers of `other` by name with unit."""
 
-    def exists(self, values: Floats) -> bool:
-        """Whether the question has an answer at all."""
-        return bool(np.isfinite(values).any())
-
-    def impedance(self, scene: Scene, kbm: tuple[float, float, float], frequency_hz: Floats, simulated: bool) -> Complexes:
+    def impedance(self, scene: Scene, kbm: tuple[float, float, float], frequency_hz: Floats, method: str) -> Complexes:
         """Z (F,) under one environment: predicted, or of a group of trials together."""
         own = display(scene, noise(self.full))
-        if not simulated:
+        if method == PREDICTED:
             return predicted_impedance(own.model, kbm, frequency_hz, level(scene), own.filters, own.perturbation)
         found = simulate(
-            scene, [kbm] * TOGETHER, self.seconds, damping=level(scene), environment=free_of_walls(scene),
+            scene, [kbm] * GROUP, self.seconds, damping=level(scene), environment=free_of_walls(scene),
             excitation=own.excitation, start=(0.0, 0.0), keep="records", own_torque=True,
         )  # fmt: skip
-        return pooled([spectra_on(*found.record(trial), frequency_hz) for trial in calm(found, own.force_limit_n)])
+        return pooled(spectra_of(found, frequency_hz, own.force_limit_n))
 
 
 @dataclass(frozen=True)
 class Limits(Quantity):
     """Numbers: K [N/m], B [Ns/m], M [kg] < 0; nan where K = B = M = 0 itself is not passive."""
 
-    def predicted(self, scene: Scene) -> Floats:
-        """By prediction."""
-        return np.array([scan.predicted for scan in self._plan(scene).scans])
-
-    def simulated(self, scene: Scene) -> Floats:
-        """By trials."""
-        return np.array([limit.value for limit in run_limits(self._plan(scene), TrialStore(None)).limits])
+    def values(self, scene: Scene, method: str) -> Floats:
+        """By prediction, or by trials."""
+        given = Conditions(scene, self.seconds, noise(self.full), self.band_hz)
+        plan = plan_limits(LimitsParams(given, (level(scene),), tolerance=FINE))
+        if method == PREDICTED:
+            return np.array([scan.predicted for scan in plan.scans])
+        return np.array([limit.value for limit in run_limits(plan, TrialStore(None)).limits])
 
     def change(self, full: Floats, other: Floats) -> float:
         """The largest relative one."""
@@ -117,22 +108,15 @@ class Limits(Quantity):
         """K, B and M."""
         return {name: float(factor * value) for (name, factor), value in zip(NAMES.items(), other, strict=True)}
 
-    def _plan(self, scene: Scene) -> LimitsPlan:
-        given = Conditions(scene, self.seconds, noise(self.full), self.band_hz)
-        return plan_limits(LimitsParams(given, (level(scene),), tolerance=FINE))
-
 
 @dataclass(frozen=True)
 class Phase(Quantity):
     """Numbers: phase [deg] (F,)."""
 
-    def predicted(self, scene: Scene) -> Floats:
-        """By prediction."""
-        return self._phase(scene, simulated=False)
-
-    def simulated(self, scene: Scene) -> Floats:
-        """By simulation."""
-        return self._phase(scene, simulated=True)
+    def values(self, scene: Scene, method: str) -> Floats:
+        """Under the scene's environment."""
+        z = self.impedance(scene, point(self.full), frequencies(self.band_hz), method)
+        return np.degrees(np.angle(z))
 
     def change(self, full: Floats, other: Floats) -> float:
         """The largest difference over 90 degrees."""
@@ -144,10 +128,6 @@ class Phase(Quantity):
         worst = int(np.argmax(np.abs(turned)))
         return {"phase deg": float(turned[worst]), "at Hz": float(frequencies(self.band_hz)[worst])}
 
-    def _phase(self, scene: Scene, simulated: bool) -> Floats:
-        z = self.impedance(scene, point(self.full), frequencies(self.band_hz), simulated)
-        return np.degrees(np.angle(z))
-
 
 @dataclass(frozen=True)
 class Peak(Quantity):
@@ -158,13 +138,14 @@ class Peak(Quantity):
 
     mass_kg: float = field(default=0.0, kw_only=True)
 
-    def predicted(self, scene: Scene) -> Floats:
-        """By prediction."""
-        return self._highest(scene, simulated=False)
-
-    def simulated(self, scene: Scene) -> Floats:
-        """By simulation."""
-        return self._highest(scene, simulated=True)
+    def values(self, scene: Scene, method: str) -> Floats:
+        """Of the highest maximum."""
+        f = frequencies(PEAK_HZ, count=1000)
+        size = np.abs(self.impedance(scene, (0.0, 0.0, self.mass_kg), f, method))
+        rising = np.diff(size) > 0.0
+        inner = np.flatnonzero(rising[:-1] & ~rising[1:]) + 1
+        highest = int(inner[np.argmax(size[inner])]) if inner.size else int(np.argmax(size))
+        return np.array([size[highest], f[highest], float(inner.size > 0)])
 
     def change(self, full: Floats, other: Floats) -> float:
         """The larger relative one of height and frequency; inf if the peak came or went."""
@@ -173,14 +154,6 @@ class Peak(Quantity):
     def told(self, full: Floats, other: Floats) -> dict[str, float]:
         """Height and place; no place where there is no maximum."""
         return {"peak N s/m": float(other[0]), "at Hz": float(other[1]) if other[2] else nan}
-
-    def _highest(self, scene: Scene, simulated: bool) -> Floats:
-        f = frequencies(PEAK_HZ, count=1000)
-        size = np.abs(self.impedance(scene, (0.0, 0.0, self.mass_kg), f, simulated))
-        rising = np.diff(size) > 0.0
-        inner = np.flatnonzero(rising[:-1] & ~rising[1:]) + 1
-        highest = int(inner[np.argmax(size[inner])]) if inner.size else int(np.argmax(size))
-        return np.array([size[highest], f[highest], float(inner.size > 0)])
 
 
 def _turned(degrees: Floats) -> Floats:
@@ -252,88 +225,69 @@ def plan_effects(params: EffectsParams) -> EffectsPlan:
         raise ConfigError(f"tolerance {params.tolerance:g}: must be above 0; 0.02 is 2 %")
     nonlinear = {effect.key for effect in params.scene.effects if effect.nonlinearity}
     keys = candidates(params.scene)
-    return EffectsPlan(
-        params,
-        _quantity(params),
-        tuple(key for key in keys if key not in nonlinear),
-        tuple(key for key in keys if key in nonlinear),
-    )
-
-
-def run_effects(plan: EffectsPlan, now_ns: Stopwatch, tell: Progress = silent) -> EffectsResult:
-    """Measure. ConfigError as `compose` and `simulate`."""
-    return _Study(plan, now_ns, tell).result()
+    predicted = tuple(key for key in keys if key not in nonlinear)
+    simulated = tuple(key for key in keys if key in nonlinear)
+    return EffectsPlan(params, _quantity(params), predicted, simulated)
 
 
 def _quantity(params: EffectsParams) -> Quantity:
-    scene, given = params.scene, (params.seconds, params.band_hz)
-    if params.question == "phase":
-        return Phase(scene, *given)
-    limits = Limits(scene, *given)
-    if params.question == "limits":
-        return limits
-    mass_kg = float(limits.predicted(scene)[2])
+    scene, given = params.scene, (params.scene, params.seconds, params.band_hz)
+    if params.question != "peak":
+        return Phase(*given) if params.question == "phase" else Limits(*given)
+    mass_kg = float(Limits(*given).values(scene, PREDICTED)[2])
     if not mass_kg < 0.0:
         raise AnalysisError(
             f"scene {scene.name!r}: not passive even without an environment, so no mass owns a peak; ask for limits or phase"
         )
-    return Peak(scene, *given, mass_kg=INSIDE * mass_kg)
+    return Peak(*given, mass_kg=INSIDE * mass_kg)
+
+
+def run_effects(plan: EffectsPlan, now_ns: Stopwatch, tell: Progress = silent) -> EffectsResult:
+    """Measure. ConfigError as `compose` and `simulate`."""
+    study = _Study(plan, Steps(tell, len(plan.predicted) + len(plan.simulated) + 4), now_ns)
+    whole = (study.left((), PREDICTED), study.left((), SIMULATED))
+    rows = [study.left((key,), PREDICTED) for key in plan.predicted]
+    rows += [study.left((key,), SIMULATED) for key in plan.simulated]
+    rows.sort(key=lambda row: row.change, reverse=True)
+    kept, proposal = study.proposal(rows)
+    study.steps.end()
+    return EffectsResult(plan, whole, tuple(rows), kept, proposal)
 
 
 class _Study:
-    """One run: it remembers what the whole scene gave."""
+    """One run: it remembers what the whole scene gave, which is asked first, and what was timed."""
 
-    def __init__(self, plan: EffectsPlan, now_ns: Stopwatch, tell: Progress) -> None:
-        self._plan, self._now_ns, self._quantity, self._scene = plan, now_ns, plan.quantity, plan.params.scene
-        self._steps = Steps(tell, len(plan.predicted) + len(plan.simulated) + 4)
+    def __init__(self, plan: EffectsPlan, steps: Steps, now_ns: Stopwatch) -> None:
+        self.steps, self._quantity = steps, plan.quantity
+        self._scene, self._tolerance = plan.params.scene, plan.params.tolerance
         self._full: dict[str, Floats] = {}
-        self._costs: dict[tuple[str, ...], float] = {}
+        self._cost = cache(lambda keys: engine_cost(without(self._scene, *keys), now_ns))
 
-    def result(self) -> EffectsResult:
-        """All of it."""
-        whole = (self._whole("predicted"), self._whole("simulated"))
-        rows = [self._left((key,), "predicted") for key in self._plan.predicted]
-        rows += [self._left((key,), "simulated") for key in self._plan.simulated]
-        rows.sort(key=lambda row: row.change, reverse=True)
-        kept, proposal = self._proposal(rows)
-        self._steps.end()
-        return EffectsResult(self._plan, whole, tuple(rows), kept, proposal)
-
-    def _whole(self, method: str) -> Left:
-        self._steps.next(f"all effects, {method}")
-        values = self._full[method] = self._values(method, self._scene)
-        return Left("", method, self._quantity.told(values, values), 0.0, self._cost(()))
-
-    def _left(self, keys: tuple[str, ...], method: str) -> Left:
-        self._steps.next(f"without {', '.join(keys)}")
+    def left(self, keys: tuple[str, ...], method: str) -> Left:
+        """The scene without `keys`; the whole scene if there are none."""
+        words = ", ".join(keys)
+        self.steps.next(f"without {words}" if keys else f"all effects, {method}")
         try:
-            values = self._values(method, without(self._scene, *keys))
+            values = self._quantity.values(without(self._scene, *keys), method)
         except (ConfigError, AnalysisError) as error:
-            return Left(", ".join(keys), method, {}, inf, nan, str(error))
-        full = self._full[method]
-        return Left(
-            ", ".join(keys), method, self._quantity.told(full, values), self._quantity.change(full, values), self._cost(keys)
-        )
+            if not keys:
+                raise
+            return Left(words, method, {}, inf, nan, str(error))
+        full = self._full[method] = self._full[method] if keys else values
+        change = self._quantity.change(full, values) if keys else 0.0
+        return Left(words, method, self._quantity.told(full, values), change, self._cost(keys))
 
-    def _values(self, method: str, scene: Scene) -> Floats:
-        return self._quantity.predicted(scene) if method == "predicted" else self._quantity.simulated(scene)
-
-    def _cost(self, keys: tuple[str, ...]) -> float:
-        if keys not in self._costs:
-            self._costs[keys] = engine_cost(without(self._scene, *keys), self._now_ns)
-        return self._costs[keys]
-
-    def _proposal(self, rows: list[Left]) -> tuple[tuple[str, ...], Left]:
+    def proposal(self, rows: list[Left]) -> tuple[tuple[str, ...], Left]:
         """The set that is kept and what it gives; everything where the question has no answer."""
-        if not self._quantity.exists(self._full["predicted"]):
-            return candidates(self._scene), self._whole("simulated")
-        droppable = [row.effect for row in rows if row.change <= self._plan.params.tolerance]
-        dropped = self._agreed(reversed(droppable))
+        droppable = [row.effect for row in rows if row.change <= self._tolerance]
+        answered = np.isfinite(self._full[PREDICTED]).any()
+        dropped = self._agreed(reversed(droppable)) if answered else []
+        found = self.left(tuple(dropped), SIMULATED)
         for _ in range(BACK):
-            found = self._left(tuple(dropped), "simulated") if dropped else self._whole("simulated")
-            if found.change <= self._plan.params.tolerance or not dropped:
+            if found.change <= self._tolerance:
                 break
             dropped = dropped[:-1]
+            found = self.left(tuple(dropped), SIMULATED)
         kept = tuple(key for key in candidates(self._scene) if key not in dropped)
         return kept, replace(found, effect=", ".join(kept))
 
@@ -342,9 +296,9 @@ class _Study:
         dropped: list[str] = []
         for key in keys:
             try:
-                values = self._quantity.predicted(without(self._scene, *dropped, key))
+                values = self._quantity.values(without(self._scene, *dropped, key), PREDICTED)
             except (ConfigError, AnalysisError):
                 continue
-            if self._quantity.change(self._full["predicted"], values) <= self._plan.params.tolerance:
+            if self._quantity.change(self._full[PREDICTED], values) <= self._tolerance:
                 dropped.append(key)
         return dropped

@@ -165,9 +165,17 @@ def spectra_on(torque_n: npt.ArrayLike, velocity_m_per_s: npt.ArrayLike, frequen
     return replace(whole, frequency_hz=frequency_hz, velocity=whole.velocity[at], force=whole.force[at], cross=whole.cross[at])
 
 
-def calm(found: BatchResult, force_limit_n: float) -> list[int]:
-    """Trials that ran to their end without reaching the force limit: the others ran away, and have no impedance."""
-    return [int(trial) for trial in np.flatnonzero(~found.diverged & (found.max_force_n < SATURATED * force_limit_n))]
+def spectra_of(
+    found: BatchResult,
+    frequency_hz: Floats,
+    force_limit_n: float,
+    lag: int = DEFAULT_LAG,
+) -> list[Spectra]:
+    """Of every trial at `frequency_hz` (F,) that ran to its end without reaching the force limit:
+    the others ran away, and have no impedance.
+    """
+    calm = ~found.diverged & (found.max_force_n < SATURATED * force_limit_n)
+    return [spectra_on(*found.record(int(one)), frequency_hz, lag) for one in np.flatnonzero(calm)]
 
 
 def pooled(trials: list[Spectra]) -> Complexes:
