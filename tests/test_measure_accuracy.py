@@ -22,8 +22,8 @@ from hapticd.measure.accuracy import (
     run_accuracy,
     with_knees,
 )
-from hapticd.measure.integrators import compare
 from hapticd.measure.lockstep_trial import MOST_S, fly
+from hapticd.measure.scene_run import compare_integrators
 from hapticd.measure.scenes import frequencies, spectra_on, without
 from hapticd.plant.compose import compose
 from hapticd.plant.scene import Excitation
@@ -197,7 +197,7 @@ def test_flown_trial_is_no_longer_than_the_waveform() -> None:
 
 def test_explicit_methods_are_stable_up_to_their_textbook_step() -> None:
     """One real pole at b/m: Euler up to 2 m/b, Runge-Kutta 4 up to 2.7853 m/b."""
-    found = compare(scene())
+    found = compare_integrators(scene())
     pole = VISCOUS_NS_PER_M / MASS_KG
     assert found.longest_s["euler"] == pytest.approx(2.0 / pole, rel=1e-9)
     assert found.longest_s["rk4"] == pytest.approx(2.785293563405282 / pole, rel=1e-9)
@@ -206,7 +206,7 @@ def test_explicit_methods_are_stable_up_to_their_textbook_step() -> None:
 
 
 def test_errors_fall_with_the_order_of_the_method() -> None:
-    found = compare(scene())
+    found = compare_integrators(scene())
     euler, rk4 = found.error["euler"], found.error["rk4"]
     assert euler[3] / euler[4] == pytest.approx(2.0, rel=0.02)
     assert rk4[0] / rk4[1] == pytest.approx(16.0, rel=0.1)
@@ -218,7 +218,7 @@ def test_errors_fall_with_the_order_of_the_method() -> None:
 
 
 def test_stiff_electronics_blow_explicit_methods_up() -> None:
-    found = compare(load_scene("fig7"))
+    found = compare_integrators(load_scene("fig7"))
     steps = found.steps_per_ms
     assert 8.5e-5 < found.longest_s["rk4"] < 9.5e-5
     assert np.isinf(found.error["rk4"][steps <= 8]).all()
@@ -227,7 +227,7 @@ def test_stiff_electronics_blow_explicit_methods_up() -> None:
 
 
 def test_device_that_only_drifts_is_stable_with_any_method() -> None:
-    found = compare(without(scene(), "viscous"))
+    found = compare_integrators(without(scene(), "viscous"))
     assert set(found.longest_s.values()) == {inf}
     assert found.fastest_s == inf
     assert found.error["euler"].max() < 1e-9

@@ -10,10 +10,9 @@ from measured_scenes import MASS_KG, MOTOR, PARTS, VISCOUS_NS_PER_M, scene, stop
 
 from hapticd.errors import AnalysisError, ConfigError
 from hapticd.measure import outcomes
-from hapticd.measure.ceiling import ceiling
 from hapticd.measure.effects import PREDICTED, SIMULATED, EffectsParams, Limits, Peak, Phase, plan_effects, relative, run_effects
 from hapticd.measure.outcomes import Conditions, fly
-from hapticd.measure.scene_run import SceneRunParams, plan_scene, run_scene
+from hapticd.measure.scene_run import SceneRunParams, ceiling, plan_scene, run_scene
 from hapticd.measure.scenes import frequencies, is_linear, without
 from hapticd.plant.bodies import Coupling, Viscous
 from hapticd.plant.electrical import Amplifier, Crowbar, DampingCircuit, Saturation

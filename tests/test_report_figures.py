@@ -13,8 +13,13 @@ from measured_scenes import scene
 from hapticd.errors import ConfigError
 from hapticd.measure.accuracy import AccuracyParams, AccuracyResult, Row, plan_accuracy
 from hapticd.measure.effects import EffectsParams, EffectsResult, Left, plan_effects
-from hapticd.measure.integrators import compare
-from hapticd.measure.scene_run import SceneResult, SceneRunParams, plan_scene, run_scene
+from hapticd.measure.scene_run import (
+    SceneResult,
+    SceneRunParams,
+    compare_integrators,
+    plan_scene,
+    run_scene,
+)
 from hapticd.plant.scene import Excitation
 from hapticd.report import style
 from hapticd.report.study import (
@@ -266,7 +271,7 @@ def test_scene_without_noise_has_three_panels(swept: AccuracyResult) -> None:
 
 
 def test_explicit_methods_are_drawn_with_their_limits() -> None:
-    found = compare(scene())
+    found = compare_integrators(scene())
     figure = integrators_figure(found, "a small scene")
     assert labels(figure) == [("steps per millisecond", "relative error after 20 ms")]
     names = {item.get_text() for item in figure.axes[0].get_legend().get_texts()}

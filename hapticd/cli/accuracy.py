@@ -22,15 +22,15 @@ def command(
     import time
 
     from hapticd.measure.accuracy import AccuracyParams, plan_accuracy, run_accuracy
-    from hapticd.measure.integrators import compare
     from hapticd.measure.plain import plain
+    from hapticd.measure.scene_run import compare_integrators
     from hapticd.report.study import accuracy_figure, accuracy_table, accuracy_words, integrators_figure
     from hapticd.report.table import text
     from hapticd.settings.scene import load_scene
 
     drawing.need_figures(plot)
     loaded = load_scene(scene)
-    explicit = compare(loaded)
+    explicit = compare_integrators(loaded)
     with progress(as_json) as tell:
         result = run_accuracy(plan_accuracy(AccuracyParams(loaded, scene, quick)), time.process_time_ns, tell)
     paths = []

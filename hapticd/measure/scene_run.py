@@ -1,35 +1,73 @@
-"""Simulate a scene with its electrical damping and without: traces, and where noise moves it, the impedance and a verdict.
+"""What can be asked of a scene by itself: what it does with its electrical damping and without, how
+much damping it bears, and where explicit methods blow up on its device.
 
-Both trials get the same perturbation. A scene without damping steps of its own is compared with the level that `damping on`
-means. A winding that warms up is looked at by trials of growing length, since a trial tells its temperature at its end.
+Both trials of a run get the same perturbation. A scene without damping steps of its own is compared
+with the level that `damping on` means. A winding that warms up is looked at by trials of growing
+length, since a trial tells its temperature at its end. Params -> plan -> Plan -> run -> Result.
 
-Params -> plan -> Plan -> run -> Result.
+The largest damping of the device, and the largest with the scene's environment around it, are edges
+of stability found by bisection on eigenvalues: of the open device in continuous time
+(`plant.stability`), and of the exact map of one servo tick (`analysis.closed`), Coulomb friction
+left out. Above the first the analog circuit oscillates whatever the servo does. The second is a
+range: too little damping can be unstable as well. What limits the device is its resistance
+compensation (Weir, Colgate and Peshkin 2008, section 5): a winding colder than it believes leaves a
+ceiling of K^2 / dR, a hot one may leave none. So the same is asked for a range of winding
+temperatures.
+
+Explicit Euler and Runge-Kutta 4 stand beside the exact map, on the linear device of the scene:
+
+    exact   x(t + h) = e^(A h) x(t)                     any h
+    euler   R(z) = 1 + z                                |R(h lambda)| <= 1 for every eigenvalue lambda of A
+    rk4     R(z) = 1 + z + z^2/2 + z^3/6 + z^4/24       the same; about h < 2.79 / |lambda| for a real one
+
+Electronics of microseconds decide the step, whether or not they matter: 5 kHz of amplifier
+bandwidth ask RK4 for a step below 88 us although the answer is spoken in milliseconds. A device
+that is let go with all bodies at one speed, over 20 ms; the error is that of the state, each
+coordinate over its largest value on the way.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import inf, nan, tau
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from hapticd.analysis.arrays import Complexes, Floats
+from hapticd.analysis.closed import spectral_radius
 from hapticd.analysis.impedance import Impedance
 from hapticd.analysis.passivity import DEFAULT_BAND_HZ
 from hapticd.analysis.spa import DEFAULT_LAG
 from hapticd.analysis.verdict import Verdict
+from hapticd.errors import ConfigError
 from hapticd.measure.progress import Progress, Steps, silent
 from hapticd.measure.recorded import Recorded
-from hapticd.measure.scenes import SUBSTEPS, level, point
+from hapticd.measure.scenes import SUBSTEPS, filters, level, point
 from hapticd.measure.sources import Trial as Asked
 from hapticd.measure.trial import SHORTEST_WINDOWS, TrialParams, TrialResult, judged, plan_trial
 from hapticd.params import ADDED_DAMPING_NS_PER_M
-from hapticd.plant.compose import compose
-from hapticd.plant.model import Model
+from hapticd.plant.compose import compose, compose_device
+from hapticd.plant.expm import expm
+from hapticd.plant.model import Array, Model
 from hapticd.plant.scene import Scene
+from hapticd.plant.stability import damping_ceiling, edge, modes, stability
+from hapticd.plant.winding import WindingTemperature
 from hapticd.sim.engine import BatchResult, simulate
 from hapticd.units import PROBE_RATE_HZ
 
 TEMPERATURES = 12
 LEAST_S = SHORTEST_WINDOWS * DEFAULT_LAG / PROBE_RATE_HZ  # for a verdict
+HIGHEST_NS_PER_M = 1e6  # no ceiling below it is none
+SCAN = 400
+WARMER_K = (-40.0, -20.0, -10.0, -5.0, 0.0, 10.0, 40.0)
+STEPS_PER_MS = tuple(2**k for k in range(12))
+SPAN_MS = 20  # at the end of each of them the error is taken
+SPEED_M_PER_S = 0.1
+BLOWN_UP = 1.0  # error beyond which nothing is left of the answer
+ORDERS = {"exact": 0, "rk4": 4, "euler": 1}  # of the series; the exact map is none
+LONGEST_S = 1.0
+DRIFT = 1e-6  # of the fastest pole
 
 DampingSteps = tuple[tuple[float, float], ...]  # time s, level N s/m
 ON: DampingSteps = ((0.0, ADDED_DAMPING_NS_PER_M),)
@@ -133,24 +171,27 @@ def _trial(plan: ScenePlan, model: Model, leg: Leg, steps: Steps) -> Trial:
     steps.next(f"simulating, {leg.name}")
     found = _simulated(plan, leg, plan.seconds, "ticks")
     torque, velocity = (np.asarray(channel, np.float64) for channel in found.record(0))
-    assert found.position_m is not None
-    assert found.force_n is not None
     ticks = int(found.samples[0] * scene.rate_hz / found.rate_hz)
-    told = _judged(plan, model, leg, found)
+    most_n = float(found.max_force_n[0])
+    recorded = Recorded(
+        torque, velocity, PROBE_RATE_HZ, scene.name, True, "", most_n, model.force_limit_n
+    )  # fmt: skip
+    told = _judged(plan, leg, recorded)
+    winding = model.winding
     return Trial(
         leg=leg,
-        position_m=found.position_m[0, :ticks].astype(np.float64),
-        force_n=found.force_n[0, :ticks].astype(np.float64),
+        position_m=np.ravel(np.asarray(found.position_m, np.float64))[:ticks],
+        force_n=np.ravel(np.asarray(found.force_n, np.float64))[:ticks],
         torque_n=torque,
         velocity_m_per_s=velocity,
         velocity_sd_m_per_s=float(found.sigma_v_m_per_s[0]),
-        max_force_n=float(found.max_force_n[0]),
+        max_force_n=most_n,
         work_j=float(found.work_j[0]),
         diverged_at_s=float(found.diverged_at_s[0]),
         measured=told.measured if told else None,
         predicted=told.predicted if told else None,
         verdict=told.verdict if told else None,
-        winding_c=None if model.winding is None else _temperatures(plan, model, leg, steps),
+        winding_c=None if winding is None else _temperatures(plan, winding.start_c, leg, steps),
     )
 
 
@@ -159,23 +200,159 @@ def _simulated(plan: ScenePlan, leg: Leg, seconds: float, keep: str) -> BatchRes
     return simulate(scene, [point(scene)], seconds, damping=leg.damping, substeps=substeps, keep=keep)
 
 
-def _judged(plan: ScenePlan, model: Model, leg: Leg, found: BatchResult) -> TrialResult | None:
-    torque, velocity = (np.asarray(channel, np.float64) for channel in found.record(0))
-    if not plan.impedance or torque.size < LEAST_S * PROBE_RATE_HZ:
+def _judged(plan: ScenePlan, leg: Leg, recorded: Recorded) -> TrialResult | None:
+    if not plan.impedance or recorded.force_n.size < LEAST_S * PROBE_RATE_HZ:
         return None
-    scene = plan.params.scene
-    highest = max(height for _, height in leg.damping)
+    scene, highest = plan.params.scene, max(height for _, height in leg.damping)
     asked = Asked(point(scene), highest, plan.seconds, scene.excitation)
-    most_n = float(found.max_force_n[0])
-    recorded = Recorded(torque, velocity, PROBE_RATE_HZ, scene.name, True, "", most_n, model.force_limit_n)
     return judged(plan_trial(TrialParams(asked, scene, plan.params.band_hz)), recorded)
 
 
-def _temperatures(plan: ScenePlan, model: Model, leg: Leg, steps: Steps) -> tuple[Floats, Floats]:
-    assert model.winding is not None
-    times, found = np.linspace(0.0, plan.seconds, TEMPERATURES + 1), [model.winding.start_c]
+def _temperatures(plan: ScenePlan, start_c: float, leg: Leg, steps: Steps) -> tuple[Floats, Floats]:
+    times, found = np.linspace(0.0, plan.seconds, TEMPERATURES + 1), [start_c]
     for seconds in times[1:]:
         steps.next(f"warming up, {leg.name}")
         winding_c = _simulated(plan, leg, float(seconds), "summary").winding_c
-        found.append(float("nan") if winding_c is None else float(winding_c[0]))
+        found.append(nan if winding_c is None else float(winding_c[0]))
     return times, np.asarray(found)
+
+
+@dataclass(frozen=True, slots=True)
+class Ceiling:
+    """All damping levels in N s/m.
+
+    `device`: the highest at which the device alone is stable, inf without one; `oscillation_hz` where it then oscillates (nan
+    if it grows without). `lowest`, `highest`: between them the loop with the scene's environment is stable; nan if never.
+    `scene` is the scene's own level, `loop_gain` g dR / K^2 at that level. `warmer`: (winding minus what the compensation
+    believes [K], ceiling of the device), empty if the scene has no winding.
+    """
+
+    device: float
+    oscillation_hz: float
+    lowest: float
+    highest: float
+    scene: float
+    loop_gain: float
+    warmer: tuple[tuple[float, float], ...]
+
+
+def ceiling(scene: Scene) -> Ceiling:
+    """Of a scene, whether or not its own level is stable. ConfigError as `compose_device`, or for
+    a shorted motor.
+    """
+    model = compose_device(scene.name, scene.effects, scene.rate_hz)
+    if not (model.a1.any() or model.b1.any()):
+        raise ConfigError(f"scene {scene.name!r}: the motor is shorted and obeys no damping command; leave out 'crowbar'")
+    top, asked = damping_ceiling(model, HIGHEST_NS_PER_M), level(scene)
+    growing = max(modes(model, top), key=lambda mode: mode.real)
+    windings = [effect for effect in scene.effects if isinstance(effect, WindingTemperature)]
+    lowest, highest = _loop(scene, model, top)
+    return Ceiling(
+        device=_finite(top),
+        oscillation_hz=nan if top >= HIGHEST_NS_PER_M else float(abs(growing.imag) / tau),
+        lowest=lowest,
+        highest=_finite(highest),
+        scene=asked,
+        loop_gain=stability(model, asked).loop_gain,
+        warmer=tuple((more, _warmer(scene, own, more)) for own in windings for more in WARMER_K),
+    )
+
+
+def _finite(level_ns_per_m: float) -> float:
+    return float(level_ns_per_m) if level_ns_per_m < HIGHEST_NS_PER_M else inf
+
+
+def _warmer(scene: Scene, own: WindingTemperature, kelvin: float) -> float:
+    """The ceiling with the winding `kelvin` above what is compensated."""
+    other = replace(own, temperature_c=own.compensated_c + kelvin)
+    effects = tuple(other if effect is own else effect for effect in scene.effects)
+    model = compose_device(scene.name, effects, scene.rate_hz)
+    return _finite(damping_ceiling(model, HIGHEST_NS_PER_M))
+
+
+def _loop(scene: Scene, model: Model, top: float) -> tuple[float, float]:
+    """(lowest, highest) damping with which the sampled loop is stable; nan if it never is."""
+    rendered = np.array([point(scene)])
+
+    def stable(level_ns_per_m: float) -> bool:
+        radius = spectral_radius(model, rendered, level_ns_per_m, filters(scene))
+        return bool(radius[0] < 1.0)
+
+    levels = [0.0, *np.geomspace(1e-3, top, SCAN).tolist()]
+    good = [stable(each) for each in levels]
+    if not any(good):
+        return nan, nan
+    first = good.index(True)
+    after = [*good, False].index(False, first)
+    lowest = edge(stable, levels[first], levels[first - 1]) if first else 0.0
+    ends = after == len(good)
+    return lowest, levels[-1] if ends else edge(stable, levels[after - 1], levels[after])
+
+
+@dataclass(frozen=True, eq=False)
+class Integrators:
+    """`error[method]` (S,) over `steps_per_ms` (S,); inf where it blew up. `longest_s[method]`: its
+    largest stable step.
+    """
+
+    steps_per_ms: Floats
+    error: dict[str, Floats]
+    longest_s: dict[str, float]
+    fastest_s: float  # time constant of the device
+
+
+def compare_integrators(scene: Scene) -> Integrators:
+    """Of the scene's device at its highest damping. ConfigError as `compose`."""
+    model = compose(scene)
+    a = model.a(level(scene))
+    moving = [state.name.endswith("_velocity") for state in model.states]
+    start = SPEED_M_PER_S * np.array(moving, np.float64)
+    true, steps = _marks(expm(a * 1e-3), start, 1), STEPS_PER_MS
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = {
+            method: np.array(
+                [_error(_step(method, a * (1e-3 / count)), count, start, true) for count in steps],
+            )
+            for method in ORDERS
+        }
+    poles = np.asarray(np.linalg.eigvals(a), np.complex128)
+    longest = {method: _longest(method, poles) for method in ORDERS}
+    fastest = float(np.abs(poles).max())
+    fastest_s = 1.0 / fastest if fastest else inf
+    return Integrators(np.array(steps, np.float64), error, longest, fastest_s)
+
+
+def _error(step: Array, steps_per_ms: int, start: Floats, true: Floats) -> float:
+    """The largest of any coordinate, over its largest value on the way."""
+    found = _marks(step, start, steps_per_ms)
+    size = np.abs(true).max(axis=0)
+    error = float((np.abs(found - true) / np.where(size == 0.0, 1.0, size)).max())
+    return error if error < BLOWN_UP else inf
+
+
+def _step(method: str, ah: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """The matrix that one step of a method multiplies the state with; `ah` is A h."""
+    if method == "exact":
+        return expm(ah)
+    matrix = term = np.eye(len(ah))
+    for k in range(1, ORDERS[method] + 1):
+        term = term @ ah / k
+        matrix = matrix + term
+    return matrix
+
+
+def _marks(step: Array, start: Floats, steps_per_ms: int) -> Floats:
+    """(SPAN_MS, n): the state at the end of each millisecond."""
+    states = [start]
+    for _ in range(SPAN_MS * steps_per_ms):
+        states.append(step @ states[-1])
+    return np.array(states[steps_per_ms::steps_per_ms])
+
+
+def _longest(method: str, poles: Complexes) -> float:
+    """The largest step at which no mode grows; inf for one that only drifts."""
+    if method == "exact" or not poles.any():
+        return inf
+    moving = np.abs(poles) > DRIFT * np.abs(poles).max()  # drift neither grows nor decays
+    own = np.diag(poles[moving])
+    return edge(lambda h: bool(np.abs(_step(method, own * h)).max() <= 1.0), 0.0, LONGEST_S)

@@ -8,6 +8,7 @@ What can make it unstable is the damping circuit alone: resistance over-compensa
 error, or more damping than its bandwidth allows (the ceiling).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy as np
 from hapticd.plant.model import Array, Model
 
 GROWTH_PER_S = 1e-6  # below this is rounding: e-fold in 11 days
-CEILING_STEPS = 200
+HALVINGS = 80  # of an interval, until its ends are neighbours
 NEAR_LOOP_GAIN = -0.95
 NEAR = "resistance over-compensated almost to the limit; lower the damping or the compensation"
 
@@ -56,14 +57,17 @@ def damping_ceiling(model: Model, highest_ns_per_m: float = 1e6) -> float:
     """Largest damping level [Ns/m] at which the device is stable; `highest_ns_per_m` if there is no ceiling below it."""
     if stability(model, highest_ns_per_m).stable:
         return highest_ns_per_m
-    low, high = 0.0, highest_ns_per_m
-    for _ in range(CEILING_STEPS):
-        middle = 0.5 * (low + high)
-        if stability(model, middle).stable:
-            low = middle
-        else:
-            high = middle
-    return low
+    return edge(lambda level: stability(model, level).stable, 0.0, highest_ns_per_m)
+
+
+def edge(holds: Callable[[float], bool], inside: float, outside: float) -> float:
+    """The last value at which something holds, on the way from `inside`, where it does, to
+    `outside`, where it does not.
+    """
+    for _ in range(HALVINGS):
+        middle = 0.5 * (inside + outside)
+        inside, outside = (middle, outside) if holds(middle) else (inside, middle)
+    return inside
 
 
 def _quotient(a: Array, shift: Array) -> Array:

@@ -13,10 +13,8 @@ import numpy as np
 
 from hapticd.analysis.arrays import Floats
 from hapticd.measure.accuracy import GROUP, AccuracyResult, Cost, Row
-from hapticd.measure.ceiling import Ceiling
 from hapticd.measure.effects import EffectsResult, Left
-from hapticd.measure.integrators import Comparison
-from hapticd.measure.scene_run import SceneResult, Trial
+from hapticd.measure.scene_run import Ceiling, Integrators, SceneResult, Trial
 from hapticd.measure.scenes import SUBSTEPS, candidates, frequencies, point
 from hapticd.plant.explain import AtLevel, Explanation
 from hapticd.plant.scene import Scene
@@ -180,32 +178,28 @@ def scene_table(result: SceneResult) -> Table:
     """One row for each trial; a verdict where noise moves the scene, a temperature where its
     winding warms up.
     """
-    columns = ["trial", "velocity mm/s rms", "largest force N", "work of the probe mJ", "end"]
-    rows = [_ran(trial) for trial in result.trials]
-    if result.plan.impedance:
-        columns += ["verdict", "margin deg", "at Hz"]
-        rows = [[*row, *_verdict(trial)] for row, trial in zip(rows, result.trials, strict=True)]
-    if any(trial.winding_c for trial in result.trials):
-        columns.append("winding degC")
-        rows = [[*row, _winding(trial)] for row, trial in zip(rows, result.trials, strict=True)]
-    return table(columns, rows)
+    heated = any(trial.winding_c for trial in result.trials)
+    rows = [_ran(trial, result.plan.impedance, heated) for trial in result.trials]
+    return table(list(rows[0]), [list(row.values()) for row in rows])
 
 
-def _ran(trial: Trial) -> list[Cell]:
-    name = f"{trial.leg.name}{' (the scene)' if trial.leg.own else ''}"
-    end = "ran to its end" if trial.diverged_at_s == inf else f"diverged at {trial.diverged_at_s:.3g} s"
-    return [name, 1e3 * trial.velocity_sd_m_per_s, trial.max_force_n, 1e3 * trial.work_j, end]
-
-
-def _verdict(trial: Trial) -> list[Cell]:
-    if trial.verdict is None:
-        return ["-", nan, nan]
-    margin = trial.verdict.margin_deg
-    return [trial.verdict.answer.replace("_", " "), margin.value, margin.frequency_hz]
-
-
-def _winding(trial: Trial) -> float:
-    return nan if trial.winding_c is None else float(trial.winding_c[1][-1])
+def _ran(trial: Trial, impedance: bool, heated: bool) -> dict[str, Cell]:
+    """By column."""
+    at_s, found, warmed = trial.diverged_at_s, trial.verdict, trial.winding_c
+    row: dict[str, Cell] = {
+        "trial": f"{trial.leg.name}{' (the scene)' if trial.leg.own else ''}",
+        "velocity mm/s rms": 1e3 * trial.velocity_sd_m_per_s,
+        "largest force N": trial.max_force_n,
+        "work of the probe mJ": 1e3 * trial.work_j,
+        "end": "ran to its end" if at_s == inf else f"diverged at {at_s:.3g} s",
+    }
+    if impedance:
+        row["verdict"] = found.answer.replace("_", " ") if found else "-"
+        row["margin deg"] = found.margin_deg.value if found else nan
+        row["at Hz"] = found.margin_deg.frequency_hz if found else nan
+    if heated:
+        row["winding degC"] = float(warmed[1][-1]) if warmed else nan
+    return row
 
 
 def impedance_rows(result: SceneResult, trial: Trial) -> list[dict[str, float]]:
@@ -378,15 +372,12 @@ def _changed(row: Left) -> str:
 
 def accuracy_table(result: AccuracyResult) -> Table:
     """Every setting that was measured."""
-    rows: Iterable[list[Cell]] = (
-        [row.sweep, row.label, duration(row.seconds), row.step, row.total, _marks(row)] for row in result.rows
-    )
-    return table(["sweep", "setting", "for one trial", f"setting's error {result.unit}", f"total error {result.unit}", ""], rows)
-
-
-def _marks(row: Row) -> str:
-    marks = ("default" if row.default else "", "knee" if row.knee else "", row.note)
-    return ", ".join(filter(None, marks))
+    errors = f"setting's error {result.unit}", f"total error {result.unit}"
+    rows: list[list[Cell]] = []
+    for row in result.rows:
+        marks = filter(None, ("default" * row.default, "knee" * row.knee, row.note))
+        rows.append([row.sweep, row.label, duration(row.seconds), row.step, row.total, ", ".join(marks)])
+    return table(["sweep", "setting", "for one trial", *errors, ""], rows)
 
 
 def accuracy_words(result: AccuracyResult) -> list[str]:
@@ -479,7 +470,7 @@ def _draw_effects(result: AccuracyResult, axis: "Axes") -> None:
 
 
 @styled()
-def integrators_figure(found: Comparison, title: str) -> "Figure":
+def integrators_figure(found: Integrators, title: str) -> "Figure":
     """Error over steps per millisecond; crosses where nothing is left of the answer. ConfigError
     without matplotlib.
     """
