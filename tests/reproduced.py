@@ -5,14 +5,14 @@ from functools import cache
 import pytest
 
 from hapticd.measure import beyond
-from hapticd.measure.beyond import BeyondParams, BeyondResult, plan_beyond, run_beyond
-from hapticd.measure.reproduce import ReproduceParams, ReproduceResult, plan_reproduce, run_reproduce
+from hapticd.measure.beyond import BeyondResult, plan_beyond, run_beyond
+from hapticd.measure.reproduce import ReproduceResult, plan_reproduce, run_reproduce
 
 
 @cache
 def by_prediction() -> ReproduceResult:
     """A run of `reproduce --quick`."""
-    return run_reproduce(plan_reproduce(ReproduceParams(quick=True)))
+    return run_reproduce(plan_reproduce(quick=True))
 
 
 @cache
@@ -22,4 +22,4 @@ def beyond_by_prediction() -> BeyondResult:
         patch.setattr(beyond, "HIGHPASS_HZ", (2.0, 10.0, 50.0))
         patch.setattr(beyond, "LOWPASS_HZ", (20.0, 200.0))
         patch.setattr(beyond, "DAMPING_LEVELS", (0.0, 0.87, 1.74, 3.48, 8.0))
-        return run_beyond(plan_beyond(BeyondParams(quick=True)))
+        return run_beyond(plan_beyond(quick=True))

@@ -17,17 +17,15 @@ from hapticd.measure.beyond import (
     GRID,
     LOW_HZ,
     Bench,
-    BeyondParams,
     Case,
+    bounds_of,
     candidates,
     damping_levels,
-    flown_bounds,
     free_motion,
     hardy,
     mean_db,
     mean_sd,
     plan_beyond,
-    predicted_bounds,
     run_beyond,
     safest,
     shown_hz,
@@ -174,7 +172,7 @@ class Fragile(Bench):
 
 def test_environment_that_fails_with_one_seed_is_struck_out_for_good():
     display, case = Fragile(bench(PARTS_OF_RIGID).conditions), Case("on", LEVEL, negative=True)
-    found = flown_bounds(display, case, (1, 2, 3), SMALL)
+    found = bounds_of(display, case, (1, 2, 3), SMALL)
     owners = found.points[np.concatenate((found.lower.owner, found.upper.owner))]
     assert owners[:, 1].min() >= -1.0
     assert found.struck > 0
@@ -203,7 +201,7 @@ def test_owners_that_are_shown_pass_when_flown_alone():
     """The real engine: 90 s trials of a device with friction, one seed, few environments."""
     display, case = bench(DRY, excitation=replace(scene().excitation, seed=4)), Case("on", LEVEL, negative=True, dry=False)
     few = SMALL[(SMALL[:, 0] <= 25.0) & (np.abs(SMALL[:, 2]) < 0.007)]
-    found = flown_bounds(display, case, (4,), few)
+    found = bounds_of(display, case, (4,), few)
     places, where = np.unique(found.lower.owner, return_inverse=True)
     fresh = Bench(display.conditions).flown(found.points[places], LEVEL, 4)
     assert all(outcome.passes for outcome in fresh)
@@ -217,9 +215,9 @@ def test_limit_is_searched_downwards_with_every_seed(monkeypatch):
     (found,) = bench(PARTS_OF_RIGID).limits((LEVEL,), (1, 2), (1,), (REACH[0], -12.0, REACH[2]))
     assert (found.level, found.axis) == (LEVEL, 1)
     assert found.predicted == pytest.approx(-(VISCOUS + LEVEL), rel=2e-3)
-    assert found.runs == pytest.approx([-1.0, -1.0], rel=FINE)
+    assert found.values == pytest.approx([-1.0, -1.0], rel=FINE)
     (alone,) = bench(PARTS_OF_RIGID).limits((LEVEL,), (), (1,), (REACH[0], -12.0, REACH[2]))
-    assert not alone.runs.size
+    assert not alone.values.size
 
 
 def test_each_environment_is_flown_once(monkeypatch):
@@ -324,9 +322,9 @@ def test_scatter_needs_two_seeds():
 
 
 def test_plan_counts_seeds_and_tells_its_steps(monkeypatch):
-    assert plan_beyond(BeyondParams(seeds=4)).seeds == (1, 2, 3, 4)
-    plan, told = plan_beyond(BeyondParams(quick=True)), []
-    for name in ("predicted_bounds", "free_motion", "shaped_damping", "damping_levels"):
+    assert plan_beyond(seeds=4).seeds == (1, 2, 3, 4)
+    plan, told = plan_beyond(quick=True), []
+    for name in ("bounds_of", "free_motion", "shaped_damping", "damping_levels"):
         monkeypatch.setattr(beyond, name, lambda *given: None)
     run_beyond(plan, lambda what, done, total: told.append((what, done, total)))
     assert told[0] == ("envelope, off", 0, 10)
@@ -362,7 +360,7 @@ def test_figures_carry_units_and_say_that_they_are_simulated(quick):
 
 
 def test_prediction_alone_has_no_uncertainty(rigid):
-    found = predicted_bounds(rigid, Case("on", LEVEL), SMALL)
+    found = bounds_of(rigid, Case("on", LEVEL), points=SMALL)
     assert not found.lower.sd.any()
     assert (found.flown, found.struck) == (0, 0)
     assert found.predicted_db() == found.lower_db()[0]

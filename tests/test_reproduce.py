@@ -20,11 +20,10 @@ from hapticd.measure.reproduce import (
     FINE,
     POINTS,
     SCENES,
-    ReproduceParams,
+    ReproducePlan,
     ReproduceResult,
     by_prediction,
     conditions,
-    plan_reproduce,
     run_reproduce,
     subject,
 )  # fmt: skip
@@ -207,7 +206,7 @@ def test_what_was_flown_reaches_the_table(monkeypatch: pytest.MonkeyPatch) -> No
 
     monkeypatch.setattr(reproduce, "hopeful", seventh)
     told: list[tuple[str, int, int]] = []
-    plan = plan_reproduce(ReproduceParams(seeds=3, devices=(MAIN, LITERAL)))
+    plan = ReproducePlan((1, 2, 3), (MAIN, LITERAL))
     result = run_reproduce(plan, lambda *step: told.append(step), StandIn(made_up))
     table = by_quantity(rows(result))
     found = {name: by_device[MAIN] for name, by_device in table.items() if MAIN in by_device}

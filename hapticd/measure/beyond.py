@@ -51,10 +51,10 @@ from hapticd.analysis.search import predicted_passive
 from hapticd.errors import AnalysisError
 from hapticd.measure.campaign import Axes, MapParams, plan_map, run_map
 from hapticd.measure.directed import SearchParams, SearchResult, observed, plan_search, run_search
-from hapticd.measure.limits import REACH, LimitsParams, plan_limits, predicted_limit, run_limits
+from hapticd.measure.limits import ORIGIN, REACH, LimitsParams, plan_limits, predicted_limit, run_limits
 from hapticd.measure.outcomes import Conditions, Lot, Outcome, Point, flown, kept_frequencies, points_of
 from hapticd.measure.progress import Progress, Steps, silent
-from hapticd.measure.reproduce import AXES, FINE, SET_GRID, conditions
+from hapticd.measure.reproduce import AXES, FINE, Limit, conditions, predicted_set
 from hapticd.measure.reproduce_rows import ADDED_NS_PER_M, LEVELS, MAIN
 from hapticd.measure.scenes import Display
 from hapticd.measure.store import TrialStore
@@ -62,7 +62,7 @@ from hapticd.plant.shaped_damping import ShapedDamping
 from hapticd.plant.stability import damping_ceiling
 
 SEEDS = 3
-ORIGIN = np.zeros((1, 3))
+FREE = np.array([ORIGIN])  # motion: nothing is rendered
 SHOWN_HZ = (2.0, 200.0)
 LOW_HZ = (2.0, 20.0)  # above it the mass of 8 g outweighs the undamped device's damping: |Z| is w m whatever is rendered
 NEGATIVE_STEPS = 8
@@ -119,13 +119,15 @@ class Bench:
 
     def limits(
         self, levels: tuple[float, ...], seeds: tuple[int, ...], axes: tuple[int, ...] = (0, 1, 2), reach: Point = REACH
-    ) -> "tuple[Limited, ...]":
-        """Axis limits, by trials with so many seeds; none without."""
+    ) -> tuple[Limit, ...]:
+        """Axis limits, by trials with so many seeds; predicted without."""
         plan = plan_limits(LimitsParams(self.conditions, levels, axes=axes, seeds=len(seeds), reach=reach, tolerance=FINE))
         found = run_limits(plan, self.store).limits if seeds else ()
         values = [np.array(one.values) for one in found] or [np.empty(0)] * len(plan.scans)
-        scans = zip(plan.scans, values, strict=True)
-        return tuple(Limited(scan.damping_ns_per_m, scan.axis, scan.predicted, runs) for scan, runs in scans)
+        return tuple(
+            Limit(MAIN, scan.damping_ns_per_m, scan.axis, ORIGIN, scan.predicted, runs)
+            for scan, runs in zip(plan.scans, values, strict=True)
+        )
 
     def shaped(self, highpass_hz: float = 0.0, lowpass_hz: float = 0.0) -> "Bench":
         """The same device with shaped damping."""
@@ -143,16 +145,6 @@ def shown_hz() -> Floats:
 def sizes(outcome: Outcome) -> Floats:
     """|Z| (F,) of a trial at `shown_hz()`."""
     return np.asarray(np.hypot(*outcome.z.T)[np.isin(outcome.frequency_hz, shown_hz())])
-
-
-@dataclass(frozen=True, eq=False)
-class Limited:
-    """An axis limit (0 K, 1 B, 2 M) at a level: predicted and by trials (seeds,), empty without."""
-
-    level: float
-    axis: int
-    predicted: float
-    runs: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,14 +216,14 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Free:
-    """`motions`: off, on, on_negative_B, on_negative_BM. `limits`: of B downwards by level: predicted, by trials (seeds,).
+    """`motions`: off, on, on_negative_B, on_negative_BM. `limits`: of B downwards, without and with damping.
 
     `needed`: damping that a rigid device needs under B alone [N s/m], `available` what this one has, without friction; `refusal`:
     what Eq. 2 answers about it.
     """
 
     motions: tuple[Motion, ...]
-    limits: dict[float, tuple[float, Floats]]
+    limits: tuple[Limit, ...]
     needed: float
     available: float
     refusal: str
@@ -239,17 +231,18 @@ class Free:
 
 @dataclass(frozen=True, slots=True)
 class Corner:
-    """One corner [Hz], 0 for none: predicted axis limits K, B, M [N/m, N s/m, kg] and mean |Z| of free motion in 2-20 Hz [dB]."""
+    """One corner of the damping [Hz], 0 for none: predicted axis limits K, B, M [N/m, N s/m, kg] and mean |Z| of
+    free motion in 2-20 Hz [dB]."""
 
-    highpass_hz: float
-    lowpass_hz: float
+    hertz: float
     limits: tuple[float, float, float]
     free_db: float
 
 
 @dataclass(frozen=True, eq=False)
 class Shaped:
-    """`plain` without a corner, `undamped` without damping; `bounds` and `confirmed` are those of the `best` high-pass.
+    """`plain` without a corner, `undamped` without damping; `bounds`, `confirmed` and `free` motion are those of the
+    `best` high-pass.
 
     `stiffest`: largest K [N/m] over the whole set, B and M beside it, predicted, of `plain` and of `best`.
     """
@@ -261,8 +254,8 @@ class Shaped:
     lowpass: tuple[Corner, ...]
     best: Corner
     bounds: Bounds
-    confirmed: tuple[Limited, ...]
-    free_runs: Floats
+    confirmed: tuple[Limit, ...]
+    free: Motion
     stiffest: tuple[float, float]
 
 
@@ -277,7 +270,7 @@ class Levels:
     limits: Floats
     volume: Floats
     free_db: Floats
-    confirmed: tuple[Limited, ...]
+    confirmed: tuple[Limit, ...]
     open_ends: tuple[str, ...]
     ceiling: float
 
@@ -321,19 +314,10 @@ CASES = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class BeyondParams:
-    """`quick`: prediction alone. `seeds`: noise realisations that everything shown passes with."""
-
-    quick: bool = False
-    seeds: int = SEEDS
-
-
 @dataclass(frozen=True, eq=False)
 class BeyondPlan:
-    """The device, and the seeds, none if quick."""
+    """The device, and the noise realisations that everything shown passes with; none: prediction alone."""
 
-    params: BeyondParams
     bench: Bench
     seeds: tuple[int, ...]
 
@@ -351,9 +335,9 @@ class BeyondResult:
     searches: tuple[Compared, ...]
 
 
-def plan_beyond(params: BeyondParams) -> BeyondPlan:
-    """ConfigError as `load_scene`."""
-    return BeyondPlan(params, Bench(conditions(MAIN)), () if params.quick else tuple(range(1, params.seeds + 1)))
+def plan_beyond(quick: bool = False, seeds: int = SEEDS) -> BeyondPlan:
+    """Seeds 1, 2, ..., none if quick. ConfigError as `load_scene`."""
+    return BeyondPlan(Bench(conditions(MAIN)), () if quick else tuple(range(1, seeds + 1)))
 
 
 def run_beyond(plan: BeyondPlan, tell: Progress = silent) -> BeyondResult:
@@ -362,7 +346,7 @@ def run_beyond(plan: BeyondPlan, tell: Progress = silent) -> BeyondResult:
     steps, envelopes = Steps(tell, len(CASES) + 3 + (len(LEVELS) if seeds else 0)), {}
     for case in CASES:
         steps.next(f"envelope, {case.name}")
-        envelopes[case.name] = flown_bounds(bench, case, seeds) if seeds else predicted_bounds(bench, case)
+        envelopes[case.name] = bounds_of(bench, case, seeds)
     survived = {name: hardy(bench, bounds, seeds[0]) for name, bounds in envelopes.items() if seeds}
     steps.next("free motion")
     free = free_motion(bench, ADDED_NS_PER_M, seeds)
@@ -396,33 +380,21 @@ def candidates(bench: Bench, case: Case, points: Floats = GRID) -> Floats:
     return np.asarray(kept[bench.display.passive(kept, case.level, dry=case.dry)])
 
 
-def predicted_bounds(bench: Bench, case: Case, points: Floats = GRID) -> Bounds:
-    """By prediction alone."""
+def bounds_of(bench: Bench, case: Case, seeds: tuple[int, ...] = (), points: Floats = GRID) -> Bounds:
+    """By trials of the owners, all of which pass with every seed; by prediction alone without seeds."""
     kept = candidates(bench, case, points)
     size = bench.sizes(kept, case.level)
-    owners = size.argmin(axis=0), size.argmax(axis=0)
-    return _bounds(case, kept, size[None], owners, size, (0, 0))
-
-
-def flown_bounds(bench: Bench, case: Case, seeds: tuple[int, ...], points: Floats = GRID) -> Bounds:
-    """By trials of the owners, all of which pass with every seed."""
-    kept = candidates(bench, case, points)
-    size = bench.sizes(kept, case.level)
-    runs: dict[int, Floats] = {}
-    alive, flown = np.ones(len(kept), np.bool_), 0
+    alive, tried, flown = np.ones(len(kept), np.bool_), np.zeros(len(kept), np.bool_), 0
+    if not seeds:
+        return _bounds(case, kept, size[None], _owners(size, alive), size, (0, 0))
+    every = np.full((len(seeds), *size.shape), np.nan)
     for _ in range(ROUNDS):
-        new = np.setdiff1d(np.concatenate(_owners(size, alive)), np.array(sorted(runs), np.int64))
+        new = np.setdiff1d(np.concatenate(_owners(size, alive)), np.flatnonzero(tried))
         if not new.size:
             break
-        passed, count = _flown(bench, case.level, kept, new, seeds)
-        runs |= passed
-        flown += count
-        alive[np.setdiff1d(new, np.array(sorted(passed), np.int64))] = False
-    known = np.array([place in runs for place in range(len(kept))])
-    every = np.full((len(seeds), *size.shape), np.nan)
-    for place, values in runs.items():
-        every[:, place] = values
-    return _bounds(case, kept, every, _owners(size, known), size, (flown, int((~alive).sum())))
+        tried[new] = True
+        flown += _flown(bench, case.level, kept, new, seeds, alive, every)
+    return _bounds(case, kept, every, _owners(size, alive & tried), size, (flown, int((~alive).sum())))
 
 
 def hardy(bench: Bench, bounds: Bounds, seed: int, amplitude: float = 2.0) -> float:
@@ -437,22 +409,19 @@ def _owners(size: Floats, among: "np.ndarray[tuple[int], np.dtype[np.bool_]]") -
     return np.where(among[:, None], size, np.inf).argmin(axis=0), np.where(among[:, None], size, -np.inf).argmax(axis=0)
 
 
-def _flown(bench: Bench, level: float, points: Floats, places: Integers, seeds: tuple[int, ...]) -> tuple[dict[int, Floats], int]:
-    """|Z| (seeds, F) of those of `places` that pass with every seed, and how many trials that took."""
-    runs: dict[int, list[Floats]] = {int(place): [] for place in places}
+def _flown(bench: Bench, level: float, points: Floats, left: Integers, seeds: tuple[int, ...], alive: Flags, every: Floats) -> int:
+    """Fly `left`, places of environments, until each failed or passed with every seed, and count the trials; |Z| goes into
+    `every` (seeds, N, F), whoever fails is no longer `alive` (N,)."""
     count = 0
-    for seed in seeds:
-        left = np.array(list(runs), np.int64)
-        if not left.size:
-            break
-        outcomes = bench.flown(points[left], level, seed)
-        count += len(left)
+    for row, seed in zip(every, seeds, strict=True):
+        outcomes = bench.flown(points[left], level, seed) if left.size else []
+        count += len(outcomes)
         for place, outcome in zip(left, outcomes, strict=True):
+            alive[place] = outcome.passes
             if outcome.passes:
-                runs[int(place)].append(sizes(outcome))
-            else:
-                del runs[int(place)]
-    return {place: np.array(values) for place, values in runs.items()}, count
+                row[place] = sizes(outcome)
+        left = left[alive[left]]
+    return count
 
 
 def _bounds(
@@ -483,11 +452,10 @@ def free_motion(bench: Bench, level: float, seeds: tuple[int, ...]) -> Free:
     )
     motions = tuple(_motion(bench, *each, seeds) for each in asked)
     downwards = bench.limits((0.0, level), seeds, (1,), (REACH[0], FURTHEST, REACH[2]))
-    limits = {each.level: (each.predicted, each.runs) for each in downwards}
     own = bench.display
     needed = required_damping([(0.0, damping, 0.0)], own.scene.rate_hz, own.model.delay_periods, own.filters)[0]
     available = own.model.viscous_ns_per_m + level
-    return Free(motions, limits, float(needed[0]), available, _refusal(damping, available))
+    return Free(motions, downwards, float(needed[0]), available, _refusal(damping, available))
 
 
 def safest(bench: Bench, level: float, end: float, lightest_kg: float) -> tuple[float, float]:
@@ -521,46 +489,36 @@ def _refusal(damping: float, physical: float) -> str:
 
 def shaped_damping(bench: Bench, level: float, seeds: tuple[int, ...]) -> Shaped:
     """All corners at a damping level [N s/m] by prediction, the best one by trials."""
-    undamped, plain = _corner(bench, 0.0), _corner(bench, level)
-    highpass = tuple(_corner(bench.shaped(highpass_hz=hertz), level, highpass_hz=hertz) for hertz in HIGHPASS_HZ)
-    lowpass = tuple(_corner(bench.shaped(lowpass_hz=hertz), level, lowpass_hz=hertz) for hertz in LOWPASS_HZ)
-    best = min((corner for corner in highpass if _keeps(corner, plain)), key=lambda corner: corner.free_db, default=plain)
-    own = bench.shaped(highpass_hz=best.highpass_hz) if best.highpass_hz else bench
-    case = Case("on_shaped", level)
-    bounds = flown_bounds(own, case, seeds) if seeds else predicted_bounds(own, case)
-    stiffest, confirmed = (_stiffest(bench, level), _stiffest(own, level)), own.limits((level,), seeds)
-    return Shaped(level, undamped, plain, highpass, lowpass, best, bounds, confirmed, _free_runs(own, level, seeds), stiffest)
+    undamped, plain = corner(bench, 0.0), corner(bench, level)
+    highpass = tuple(corner(bench.shaped(highpass_hz=hertz), level, hertz) for hertz in HIGHPASS_HZ)
+    lowpass = tuple(corner(bench.shaped(lowpass_hz=hertz), level, hertz) for hertz in LOWPASS_HZ)
+    best = min((each for each in highpass if _keeps(each, plain)), key=lambda each: each.free_db, default=plain)
+    own = bench.shaped(highpass_hz=best.hertz) if best.hertz else bench
+    stiffest = [float(predicted_set(each.display, level)[:, 0].max()) for each in (bench, own)]
+    return Shaped(
+        level, undamped, plain, highpass, lowpass, best, bounds_of(own, Case("on_shaped", level), seeds),
+        own.limits((level,), seeds), _motion(own, "shaped", level, 0.0, 0.0, seeds), (stiffest[0], stiffest[1]),
+    )  # fmt: skip
 
 
-def _corner(bench: Bench, level: float, highpass_hz: float = 0.0, lowpass_hz: float = 0.0) -> Corner:
+def corner(bench: Bench, level: float, hertz: float = 0.0) -> Corner:
+    """What is predicted of a display at a damping level [N s/m]; `hertz`: the corner that it has."""
     limits = (bench.limit(level, 0), bench.limit(level, 1), bench.limit(level, 2))
-    free = mean_db(shown_hz(), bench.sizes(ORIGIN, level), LOW_HZ)
-    return Corner(highpass_hz, lowpass_hz, limits, float(free[0]))
-
-
-def _stiffest(bench: Bench, level: float) -> float:
-    points = grid(SET_GRID)
-    return float(points[bench.display.passive(points, level), 0].max())
+    return Corner(hertz, limits, float(mean_db(shown_hz(), bench.sizes(FREE, level), LOW_HZ)[0]))
 
 
 def _keeps(corner: Corner, plain: Corner) -> bool:
     return all(corner.limits[axis] / plain.limits[axis] >= 1.0 - KEPT for axis in (1, 2))
 
 
-def _free_runs(bench: Bench, level: float, seeds: tuple[int, ...]) -> Floats:
-    """Mean |Z| of free motion by trials [dB] (seeds,)."""
-    from_trials = [bench.sized(ORIGIN, level, seed) for seed in seeds]
-    return mean_db(shown_hz(), np.concatenate(from_trials), LOW_HZ) if from_trials else np.empty(0)
-
-
 def damping_levels(bench: Bench, seeds: tuple[int, ...]) -> Levels:
     """All levels by prediction, FLOWN by trials."""
-    limits = np.array([[bench.limit(level, axis) for axis in range(3)] for level in DAMPING_LEVELS])
-    sets = [_set(bench, level, limits[place]) for place, level in enumerate(DAMPING_LEVELS)]
-    free = [mean_db(shown_hz(), bench.sizes(ORIGIN, level), LOW_HZ)[0] for level in DAMPING_LEVELS]
+    each = [corner(bench, level) for level in DAMPING_LEVELS]
+    limits, free = np.array([one.limits for one in each]), np.array([one.free_db for one in each])
+    sets = [_set(bench, *one) for one in zip(DAMPING_LEVELS, limits, strict=True)]
     ends = [f"{end} at {level:g} N s/m" for level, (_, cut) in zip(DAMPING_LEVELS, sets, strict=True) for end in cut]
     return Levels(
-        np.array(DAMPING_LEVELS), limits, np.array([size for size, _ in sets]), np.array(free),
+        np.array(DAMPING_LEVELS), limits, np.array([size for size, _ in sets]), free,
         bench.limits(FLOWN, seeds) if seeds else (), tuple(dict.fromkeys(ends)), damping_ceiling(bench.display.model),
     )  # fmt: skip
 

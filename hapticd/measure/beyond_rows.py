@@ -13,10 +13,9 @@ import numpy as np
 
 from hapticd.analysis.arrays import Floats
 from hapticd.measure.beyond import FLOWN, LOW_HZ, BeyondResult, Bounds, Levels, mean_db, mean_sd, shown_hz
-from hapticd.measure.reproduce_rows import ADDED_NS_PER_M, MAIN, NAMES, UNITS, Row
+from hapticd.measure.reproduce_rows import ADDED_NS_PER_M, MAIN, MODES, NAMES, UNITS, Row
 
 PART = "beyond"
-MODES = ((0.0, "off"), (ADDED_NS_PER_M, "on"))
 
 
 def parts(result: BeyondResult) -> dict[str, tuple[Row, ...]]:
@@ -75,26 +74,32 @@ def _free(result: BeyondResult) -> Iterator[Row]:
             f"without friction{f'; {len(motion.runs)} of {count} seeds pass' if count else ''}"
         )
         yield _row(f"free_motion_{motion.name}", motion.low_db(), "dB", count, guess, note)
-    for level, mode in MODES:
-        guess, runs = free.limits[level]
-        yield _row(f"B_min_{mode}", runs, "Ns/m", count, guess, "on its axis, at the perturbation: beyond it the device runs away")
+    for limit in free.limits:
+        yield _row(
+            f"B_min_{MODES[limit.level]}",
+            limit.values,
+            "Ns/m",
+            count,
+            limit.predicted,
+            "on its axis, at the perturbation: beyond it the device runs away",
+        )
     yield Row("eq2_on_negative_B", nan, nan, "-", "arithmetic", MAIN, note=f"refused: {free.refusal}", part=PART)
 
 
 def _shaped(result: BeyondResult) -> Iterator[Row]:
     shaped, count = result.shaped, len(result.plan.seeds)
     note = "high-pass with the lightest free motion of those that keep B and M within 5 %"
-    yield _row("shaped_corner", np.empty(0), "Hz", 0, shaped.best.highpass_hz, note)
+    yield _row("shaped_corner", np.empty(0), "Hz", 0, shaped.best.hertz, note)
     for each in shaped.confirmed:
         plain = shaped.plain.limits[each.axis]
         note = f"{100.0 * (each.predicted / plain - 1.0):+.0f} % by prediction against the same damping unshaped"
-        yield _row(f"shaped_{NAMES[each.axis]}", each.runs, UNITS[each.axis], count, each.predicted, note)
+        yield _row(f"shaped_{NAMES[each.axis]}", each.values, UNITS[each.axis], count, each.predicted, note)
     plain, best = shaped.stiffest
     note = f"predicted; {100.0 * (best / plain - 1.0):+.0f} % against unshaped: virtual B gives slow motion its dissipation back"
     yield _row("shaped_K_max_set", np.empty(0), "N/m", 0, best, note)
     yield _row("shaped_lower_bound", shaped.bounds.lower_db(), "dB", count, shaped.bounds.predicted_db())
     yield _row("shaped_zwidth", shaped.bounds.width_db(), "dB", count)
-    yield _row("shaped_free_motion", shaped.free_runs, "dB", count, shaped.best.free_db)
+    yield _row("shaped_free_motion", shaped.free.low_db(), "dB", count, shaped.best.free_db)
 
 
 def _levels(result: BeyondResult) -> Iterator[Row]:
@@ -114,7 +119,7 @@ def _levels(result: BeyondResult) -> Iterator[Row]:
 
 
 def _searches(result: BeyondResult) -> Iterator[Row]:
-    for found, (_, mode) in zip(result.searches, MODES, strict=False):
+    for found, mode in zip(result.searches, MODES.values(), strict=False):
         grid = f"of {found.passive} passive points among {found.points}"
 
         def row(name: str, value: float, unit: str, note: str, mode: str = mode) -> Row:
@@ -134,7 +139,7 @@ def _searches(result: BeyondResult) -> Iterator[Row]:
 
 def _grown(levels: Levels, axis: int, low: float, high: float) -> Floats:
     """Growth of a limit per N s/m between two levels by trials (seeds,), empty without."""
-    runs = {each.level: each.runs for each in levels.confirmed if each.axis == axis}
+    runs = {each.level: each.values for each in levels.confirmed if each.axis == axis}
     return (runs[high] - runs[low]) / (high - low) if runs else np.empty(0)
 
 

@@ -25,7 +25,7 @@ from math import isnan, nan
 
 import numpy as np
 
-from hapticd.analysis.arrays import Flags, Floats, Integers
+from hapticd.analysis.arrays import Flags, Floats
 from hapticd.analysis.boundary import PassiveSet, grid, passive_set
 from hapticd.analysis.envelope import Envelope, accepted, of_predicted
 from hapticd.analysis.impedance import Impedance, impedance
@@ -35,9 +35,9 @@ from hapticd.errors import AnalysisError
 from hapticd.measure.campaign import Axes, LevelMap, MapParams, MapPlan, plan_map, run_map
 from hapticd.measure.executors import pool_of
 from hapticd.measure.limits import ORIGIN, LimitsParams, LimitsPlan, Scan, predicted_limit, run_plans
-from hapticd.measure.outcomes import Conditions, Point
+from hapticd.measure.outcomes import Conditions, Point, points_of
 from hapticd.measure.progress import Progress, Steps, silent
-from hapticd.measure.reproduce_rows import ADDED_NS_PER_M, FIG_4, FIG_7, LEVELS, LITERAL, MAIN
+from hapticd.measure.reproduce_rows import ADDED_NS_PER_M, FIG_4, FIG_7, HIGH_PASS, LEVELS, LITERAL, MAIN
 from hapticd.measure.scenes import Display, noise
 from hapticd.measure.sources import Trial, engine_source
 from hapticd.measure.store import TrialStore
@@ -46,7 +46,7 @@ from hapticd.measure.walls import WallParams, WallResult, plan_walls, run_walls
 from hapticd.settings.scene import load_scene
 from hapticd.units import PROBE_RATE_HZ
 
-SCENES = {MAIN: "fig7", "weir2008_probe_hp": "rival", LITERAL: "literal"}
+SCENES = {MAIN: "fig7", HIGH_PASS: "rival", LITERAL: "literal"}
 SECONDS = 90.0  # section 2.2
 SEEDS = 8
 SET_SEEDS = EDGE_SEEDS = 4
@@ -73,20 +73,11 @@ WALL_STIFFNESSES = tuple(np.geomspace(20.0, 3000.0, 22).tolist())  # N/m
 
 
 @dataclass(frozen=True, slots=True)
-class ReproduceParams:
-    """`quick`: prediction alone, no trials. `seeds`: noise realisations behind each limit."""
-
-    quick: bool = False
-    seeds: int = SEEDS
-    devices: tuple[str, ...] = tuple(SCENES)
-
-
-@dataclass(frozen=True, slots=True)
 class ReproducePlan:
-    """What will be done; the trials of later stages depend on earlier ones."""
+    """`seeds`: noise realisations behind each limit; none: prediction alone, no trials."""
 
-    params: ReproduceParams
     seeds: tuple[int, ...]
+    devices: tuple[str, ...] = tuple(SCENES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,10 +157,6 @@ class Found:
         """With margins of +-1."""
         return passive_set(AXES, np.where(self.passive, 1.0, -1.0))
 
-    def owners(self, which: Integers) -> Floats:
-        """(K, B, M) (F, 3) of an edge's owners."""
-        return np.asarray(self.environments[which])
-
     def peak(self) -> Peak | None:
         """The upper edge's most prominent maximum in PEAK_HZ, if any."""
         f, edge = self.envelope.frequency_hz, self.envelope.upper
@@ -182,12 +169,12 @@ class Found:
         if rise[highest] < PROMINENT:
             return None
         at = int(inside[highest])
-        return Peak(float(f[at]), float(size[at]), float(rise[highest]) - 1.0, self.owners(edge.owner)[at])
+        return Peak(float(f[at]), float(size[at]), float(rise[highest]) - 1.0, self.environments[edge.owner[at]])
 
 
 @dataclass(frozen=True, eq=False)
 class ReproduceResult:
-    """`limits` on the axes, `sets` over the whole set; `edges` {(device, level): (seeds, EDGES_HZ)}; `singles` as in SHOWN.
+    """`limits` on the axes, `sets` over the whole set, `edges` of K on its axis from each of EDGES_HZ; `singles` as in SHOWN.
 
     `found` is the grid of the first device by trials, `predicted` that of each device; `walls` is None if quick.
     """
@@ -195,16 +182,16 @@ class ReproduceResult:
     plan: ReproducePlan
     limits: tuple[Limit, ...]
     sets: tuple[Limit, ...]
-    edges: dict[tuple[str, float], Floats]
+    edges: tuple[Limit, ...]
     singles: dict[str, tuple[Single, ...]]
     found: tuple[Found, ...]
     predicted: dict[str, tuple[Found | None, ...]]
     walls: WallResult | None
 
 
-def plan_reproduce(params: ReproduceParams) -> ReproducePlan:
+def plan_reproduce(quick: bool = False, seeds: int = SEEDS) -> ReproducePlan:
     """Seeds 1, 2, ..., none if quick."""
-    return ReproducePlan(params, () if params.quick else tuple(range(1, params.seeds + 1)))
+    return ReproducePlan(() if quick else tuple(range(1, seeds + 1)))
 
 
 @cache
@@ -225,8 +212,8 @@ def run_reproduce(plan: ReproducePlan, tell: Progress = silent, executor: Execut
     whole: list[Limit] = []
     edges: list[Limit] = []
     predicted: dict[str, tuple[Found | None, ...]] = {}
-    steps = Steps(tell, len(plan.params.devices))
-    for name in plan.params.devices:
+    steps = Steps(tell, len(plan.devices))
+    for name in plan.devices:
         steps.next(f"predicting, {name}")
         for level in LEVELS:
             axis += [_predicted(name, level, each, ORIGIN) for each in range(3)]
@@ -234,13 +221,13 @@ def run_reproduce(plan: ReproducePlan, tell: Progress = silent, executor: Execut
             edges += [_predicted(name, level, 0, ORIGIN, low_hz) for low_hz in EDGES_HZ]
         predicted[name] = tuple(_expected(name, level) for level in LEVELS)
     found = ReproduceResult(
-        plan, tuple(axis), tuple(whole), _by_level(edges), {name: _singles(name, {}) for name in plan.params.devices},
+        plan, tuple(axis), tuple(whole), tuple(edges), {name: _singles(name, {}) for name in plan.devices},
         tuple(each for each in predicted[MAIN] if each is not None), predicted, None,
     )  # fmt: skip
-    return _flown(found, edges, tell, executor) if plan.seeds else found
+    return _flown(found, tell, executor) if plan.seeds else found
 
 
-def _flown(found: ReproduceResult, edges: list[Limit], tell: Progress, executor: Executor | None) -> ReproduceResult:
+def _flown(found: ReproduceResult, tell: Progress, executor: Executor | None) -> ReproduceResult:
     """With trials in place of what was predicted."""
     seeds, store = len(found.plan.seeds), TrialStore(None)
     with pool_of(executor) as pool:
@@ -251,7 +238,7 @@ def _flown(found: ReproduceResult, edges: list[Limit], tell: Progress, executor:
         }  # fmt: skip
         asked = [(each, seeds) for each in found.limits] + [(each, min(seeds, SET_SEEDS)) for each in found.sets]
         limits = _searched(asked, store, tell, pool)
-        levels = _searched([(each, min(seeds, EDGE_SEEDS)) for each in edges], store, tell, pool)
+        edges = _searched([(each, min(seeds, EDGE_SEEDS)) for each in found.edges], store, tell, pool)
         mapped = run_map(hopeful(plan_map(MapParams(conditions(MAIN), AXES, LEVELS))), TrialStore(None), tell, pool)
         steps, done = Steps(tell, len(singles) + 1), {}
         for key, trial in singles.items():
@@ -262,9 +249,9 @@ def _flown(found: ReproduceResult, edges: list[Limit], tell: Progress, executor:
         steps.end()
     return replace(
         found,
-        limits=tuple(limits[: len(found.limits)]),
-        sets=tuple(limits[len(found.limits) :]),
-        edges=_by_level(levels),
+        limits=limits[: len(found.limits)],
+        sets=limits[len(found.limits) :],
+        edges=edges,
         singles={name: _singles(name, done) for name in found.singles},
         found=tuple(_of_map(level) for level in mapped.levels),
         walls=hit,
@@ -276,14 +263,14 @@ def _predicted(name: str, level: float, axis: int, base: Point | None, low_hz: f
     return Limit(name, level, axis, base or ORIGIN, value, np.empty(0), low_hz)
 
 
-def _searched(asked: list[tuple[Limit, int]], store: TrialStore, tell: Progress, pool: Executor) -> list[Limit]:
+def _searched(asked: list[tuple[Limit, int]], store: TrialStore, tell: Progress, pool: Executor) -> tuple[Limit, ...]:
     """By trials with so many seeds. Where nothing is predicted to be passive none is flown."""
     plans = [_search(limit, seeds) for limit, seeds in asked if not isnan(limit.predicted)]
     found = iter(run_plans(plans, store, tell, pool))
-    return [
+    return tuple(
         limit if isnan(limit.predicted) else replace(limit, values=np.nan_to_num(next(found).limits[0].values))
         for limit, _ in asked
-    ]  # fmt: skip
+    )  # fmt: skip
 
 
 def _search(limit: Limit, seeds: int) -> LimitsPlan:
@@ -292,31 +279,22 @@ def _search(limit: Limit, seeds: int) -> LimitsPlan:
     return LimitsPlan(params, (Scan(limit.axis, limit.level, 1.0, limit.predicted),))
 
 
-def _by_level(edges: list[Limit]) -> dict[tuple[str, float], Floats]:
-    """{(device, level): (seeds, EDGES_HZ)}; nan where nothing is passive; the prediction (1, EDGES_HZ) without trials."""
-    found: dict[tuple[str, float], list[Floats]] = {}
-    count = max(edge.values.size for edge in edges)
-    for edge in edges:
-        values = edge.values if edge.values.size else np.full(count or 1, nan if count else edge.predicted)
-        found.setdefault((edge.device, edge.level), []).append(values)
-    return {key: np.array(columns).T for key, columns in found.items()}
-
-
 def set_place(device: str, level: float, axis: int) -> Point | None:
     """Where the set reading of a parameter is searched from: the others at their predicted best, itself 0; None if none is."""
-    kept = _predicted_set(device, level)
+    kept = predicted_set(subject(device), level)
     if not len(kept):
         return None
     extreme = kept[:, axis].max() if axis < 2 else kept[:, axis].min()
     best = np.median(kept[kept[:, axis] == extreme], axis=0)
     best[axis] = 0.0
-    return float(best[0]), float(best[1]), float(best[2])
+    return points_of(best[None])[0]
 
 
 @cache
-def _predicted_set(device: str, level: float) -> Floats:
+def predicted_set(device: Display, level: float) -> Floats:
+    """Environments (N, 3) of SET_GRID that are predicted to be passive at a damping level [N s/m]."""
     points = grid(SET_GRID)
-    return np.asarray(points[subject(device).passive(points, level)])
+    return np.asarray(points[device.passive(points, level)])
 
 
 def single_trial(device: str, point: Point, level: float, seed: int) -> TrialResult | None:

@@ -19,7 +19,7 @@ from hapticd.units import COPPER_PER_K
 
 Kind = Literal["calibrated", "independent", "arithmetic"]
 PRINTED = "paper"  # the device of rows that need none
-MAIN, LITERAL = "weir2008", "weir2008_literal"
+MAIN, HIGH_PASS, LITERAL = "weir2008", "weir2008_probe_hp", "weir2008_literal"
 ADDED_NS_PER_M = 1.74  # Weir, Colgate and Peshkin 2008, section 5
 LEVELS = (0.0, ADDED_NS_PER_M)
 MODES = {0.0: "off", ADDED_NS_PER_M: "on"}

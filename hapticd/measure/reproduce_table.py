@@ -18,9 +18,10 @@ import numpy as np
 
 from hapticd.analysis.arrays import Complexes, Floats
 from hapticd.analysis.predict import predicted_impedance
-from hapticd.measure.reproduce import EDGES_HZ, SCENES, WINDOW_HZ, Found, Limit, ReproduceResult, Single, subject
+from hapticd.measure.reproduce import SCENES, WINDOW_HZ, Found, Limit, ReproduceResult, Single, subject
 from hapticd.measure.reproduce_rows import (
     ADDED_NS_PER_M,
+    HIGH_PASS,
     LEVELS,
     LITERAL,
     MAIN,
@@ -57,19 +58,18 @@ WINDOW = f"below 1/(M Ts) = {WINDOW_HZ:.2f} Hz: the window pulls the phase to 0"
 UNDAMPED_LITERAL = (
     "the paper prints no friction and no physical damping: Re Z = 0 at K = B = M = 0, and nothing beyond it is passive"
 )
-LITERAL_REASONS = {
-    "K_max": "without lag and friction, Eq. 2's KT/2 is all that 1.74 Ns/m has to pay; noise at 2 Hz costs the rest",
-    "B_max": "1.74 Ns/m over 0.458 per filtered Ns/m: no Coulomb friction that grows as the motion slows down",
-    "M_min": "1.74 Ns/m over 293 per kg: no Coulomb friction that grows as the motion slows down",
-}
-MAIN_REASONS = {
-    "K_max_off": "beyond it the motion runs away, which prediction does not see: it lies a tenth above the trials",
-    "M_min_on": "B wants more and M less in every fit: one damping for both cannot give 2.67 and 2.75",
-}
-HIGH_PASS_REASONS = {
-    "K_max_on": "fails in 2-3 Hz alone, where the high-pass turns the phase; scatter between seeds is large",
-    "K_max_off": "runs away beyond it: next to no viscous damping, so the limit scatters from seed to seed",
-}
+REASONS = {
+    (LITERAL, "K_max_on"): "without lag and friction, Eq. 2's KT/2 is all that 1.74 Ns/m has to pay; noise at 2 Hz costs the rest",
+    (LITERAL, "B_max_on"): "1.74 Ns/m over 0.458 per filtered Ns/m: no Coulomb friction that grows as the motion slows down",
+    (LITERAL, "M_min_on"): "1.74 Ns/m over 293 per kg: no Coulomb friction that grows as the motion slows down",
+    (LITERAL, ""): UNDAMPED_LITERAL,
+    (MAIN, "K_max_off"): "beyond it the motion runs away, which prediction does not see: it lies a tenth above the trials",
+    (MAIN, "M_min_on"): "B wants more and M less in every fit: one damping for both cannot give 2.67 and 2.75",
+    (MAIN, ""): "residual of a fit of five numbers to six limits",
+    (HIGH_PASS, "K_max_on"): "fails in 2-3 Hz alone, where the high-pass turns the phase; scatter between seeds is large",
+    (HIGH_PASS, "K_max_off"): "runs away beyond it: next to no viscous damping, so the limit scatters from seed to seed",
+    (HIGH_PASS, ""): "fitted on one seed and fewer frequencies",
+}  # of an axis limit by device; "" of any other
 RATIO_REASONS = {
     "K": "follows from its two limits",
     "B": "B wants more and M less from the same damping, in every fit",
@@ -80,7 +80,7 @@ BOUGHT = "damping and mass beside it buy stiffness, with and without added dampi
 
 def rows(result: ReproduceResult) -> tuple[Row, ...]:
     """All rows, part by part."""
-    devices = result.plan.params.devices
+    devices = result.plan.devices
     motor = next(effect for effect in load_scene(SCENES[MAIN]).effects if isinstance(effect, Motor))
     parts = {
         "limits": [row for name in devices for row in _limits(result, name)],
@@ -149,13 +149,10 @@ def _added(name: str) -> Row:
 
 
 def _edges(result: ReproduceResult, name: str) -> Iterator[Row]:
-    for level, mode in MODES.items():
-        for edge, column in zip(EDGES_HZ, result.edges[name, level].T, strict=True):
-            known = bool(np.isfinite(column).any())
-            flown = column.size if result.plan.seeds and known else 0
-            mean, sd = float(np.nan_to_num(column).mean()), np.nan_to_num(column).std(ddof=1) if flown > 1 else nan
-            note = WINDOW if edge < WINDOW_HZ else "" if known else UNDAMPED_LITERAL
-            yield Row(f"K_max_from_{edge:g}_Hz_{mode}", nan, mean, "N/m", "independent", name, sd, flown, note=note)
+    for limit in (each for each in result.edges if each.device == name):
+        quantity = f"K_max_from_{limit.low_hz:g}_Hz_{MODES[limit.level]}"
+        note = WINDOW if limit.low_hz < WINDOW_HZ else UNDAMPED_LITERAL if isnan(limit.predicted) else ""
+        yield Row(quantity, nan, limit.mean, "N/m", "independent", name, limit.sd, limit.values.size, note=note)
 
 
 def _read(result: ReproduceResult, name: str) -> Iterator[Row]:
@@ -274,14 +271,9 @@ def _bounds(mode: str, found: Found) -> Iterator[Row]:
 
 def of_limit(quantity: str, device: str, difference: float) -> str:
     """Of an axis limit by its name; nothing where it matches, except where the device cannot."""
-    stem, _, mode = quantity.rpartition("_")
-    if device == LITERAL:
-        return UNDAMPED_LITERAL if mode == "off" else LITERAL_REASONS[stem]
-    if abs(difference) <= TOLERANCE:
+    if abs(difference) <= TOLERANCE and device != LITERAL:
         return ""
-    if device == MAIN:
-        return MAIN_REASONS.get(quantity, "residual of a fit of five numbers to six limits")
-    return HIGH_PASS_REASONS.get(quantity, "fitted on one seed and fewer frequencies")
+    return REASONS.get((device, quantity), REASONS[device, ""])
 
 
 def of_ratio(name: str, row: Row) -> str:

@@ -24,6 +24,7 @@ from hapticd.measure.beyond import LOW_HZ, BeyondResult, Bounds, Corner, Motion,
 from hapticd.measure.reproduce import (
     AXES,
     CALMED,
+    EDGE_SEEDS,
     EDGES_HZ,
     POINTS,
     SECONDS,
@@ -191,7 +192,7 @@ def limits_figure(result: ReproduceResult) -> "Figure":
     for end in (-percent, percent):
         axis.axhline(end, color="#aaaaaa", linewidth=1.0, label=f"±{percent:g} %" if end > 0.0 else None)
     axis.axhline(0.0, color=BLACK, linewidth=0.8)
-    for place, device in enumerate(result.plan.params.devices):
+    for place, device in enumerate(result.plan.devices):
         axis.plot([], [], label=device, linestyle="none", **DEVICES[place])
         for limit in (each for each in result.limits if each.device == device):
             name = f"{NAMES[limit.axis]}_{'on' if limit.level else 'off'}"
@@ -210,8 +211,7 @@ def _beside_paper(axis: "Axes", limit: Limit, x: float, printed: float, look: di
     """In percent of the paper's; a full mark at -100 % where nothing is passive."""
     scale, marked = 100.0 / printed, {**look, "linestyle": "none"}
     if limit.values.size or not isfinite(limit.predicted):
-        bars = abs(scale) * limit.sd if isfinite(limit.sd) else None
-        axis.errorbar(x, scale * limit.mean - 100.0, bars, **marked)
+        axis.errorbar(x, scale * limit.mean - 100.0, abs(scale) * limit.sd, **marked)
     draw_guess(axis, x + BESIDE_GUESS, scale * limit.predicted - 100.0, marked)
 
 
@@ -225,14 +225,15 @@ def edges_figure(result: ReproduceResult) -> "Figure":
     """K limits over the lower band edge: what tells a lag in the force path from a high-pass in the
     probe.
     """
-    seeds = f"; bars: one sd over {len(next(iter(result.edges.values())))} seeds" if result.plan.seeds else ", predicted"
+    seeds = f"; bars: one sd over {min(len(result.plan.seeds), EDGE_SEEDS)} seeds" if result.plan.seeds else ", predicted"
     title = f"K limits over the lower band edge, SIMULATED{seeds}"
     figure, pair = axes(1, 2, WIDTH_IN, 3.8, title, sharex=True)
     unseen: Look = {"facecolor": "none", "edgecolor": "#bbbbbb", "hatch": "///", "linewidth": 0}
     pair[1].set(yscale="log")
     for axis, level, words in zip(pair, LEVELS, WORDS, strict=True):
-        for place, device in enumerate(result.plan.params.devices):
-            _over_edges(axis, np.nan_to_num(result.edges[device, level]), place, device)
+        for place, device in enumerate(result.plan.devices):
+            limits = [each for each in result.edges if (each.device, each.level) == (device, level)]
+            _over_edges(axis, limits, DEVICES[place])
         printed = PAPER["K_max_on" if level else "K_max_off"]
         axis.axhline(printed, color=BLACK, linewidth=0.8, label="the paper, its band is not stated")
         axis.axvspan(0.8, WINDOW_HZ, label="below the reach of the window", **unseen)
@@ -245,13 +246,13 @@ def edges_figure(result: ReproduceResult) -> "Figure":
     return figure
 
 
-def _over_edges(axis: "Axes", values: Floats, place: int, device: str) -> None:
-    if not values.any():
-        axis.plot([], [], label=device, **DEVICES[place])
+def _over_edges(axis: "Axes", limits: Sequence[Limit], look: Look) -> None:
+    device, means = limits[0].device, [limit.mean for limit in limits]
+    if not any(means):
+        axis.plot([], [], label=device, **look)
         axis.text(0.97, 0.04, f"{device}: none is passive", fontsize=SMALL_PT, ha="right", transform=axis.transAxes)
         return
-    sd = values.std(axis=0, ddof=1) if len(values) > 1 else None
-    axis.errorbar(EDGES_HZ, values.mean(axis=0), sd, label=device, **DEVICES[place])
+    axis.errorbar(EDGES_HZ, means, [limit.sd for limit in limits], label=device, **look)
 
 
 # --- the set on the paper's grid -------------------------------------------------------------------------------------------------
@@ -419,14 +420,14 @@ def shape_figure(result: BeyondResult) -> "Figure":
     shaped = result.shaped
     title = f"Frequency-shaped added damping, {shaped.level:g} N s/m\n{_how(result, 'lines predicted, marks ')}"
     figure, (above, below, free, size) = axes(2, 2, WIDTH_IN, 5.6, title)
-    _shares(above, shaped, shaped.highpass, "highpass_hz", "damping above the corner only")
-    _shares(below, shaped, shaped.lowpass, "lowpass_hz", "damping below the corner only")
+    _shares(above, shaped, shaped.highpass, "damping above the corner only")
+    _shares(below, shaped, shaped.lowpass, "damping below the corner only")
     for each in shaped.confirmed:
         scale = 100.0 / shaped.plain.limits[each.axis]
-        _by_trials(above, shaped.best.highpass_hz, each.runs, scale, LIMITS[each.axis][-1], None)
+        _by_trials(above, shaped.best.hertz, each.values, scale, LIMITS[each.axis][-1], None)
     above.set_ylabel("limit (% of unshaped)")
     _free(free, shaped)
-    looks = ((OFF, "none"), (ON, "unshaped"), (ALONE, f"above {shaped.best.highpass_hz:g} Hz"))
+    looks = ((OFF, "none"), (ON, "unshaped"), (ALONE, f"above {shaped.best.hertz:g} Hz"))
     _lines(size, [result.envelopes["off"], result.envelopes["on"], shaped.bounds], looks, len(result.plan.seeds))
     size.set(ylabel="envelope, B ≥ 0 (N s/m)", ylim=(0.003, None))
     _ends(size)
@@ -436,9 +437,9 @@ def shape_figure(result: BeyondResult) -> "Figure":
     return figure
 
 
-def _shares(axis: "Axes", shaped: Shaped, corners: tuple[Corner, ...], which: str, words: str) -> None:
+def _shares(axis: "Axes", shaped: Shaped, corners: tuple[Corner, ...], words: str) -> None:
     """Limits in percent of those without a corner; dashed those without damping."""
-    at = [getattr(corner, which) for corner in corners]
+    at = [corner.hertz for corner in corners]
     for place, (name, _, _, look) in enumerate(LIMITS):
         scale = 100.0 / shaped.plain.limits[place]
         axis.plot(at, [scale * corner.limits[place] for corner in corners], label=name, **look)
@@ -449,17 +450,21 @@ def _shares(axis: "Axes", shaped: Shaped, corners: tuple[Corner, ...], which: st
 
 
 def _free(axis: "Axes", shaped: Shaped) -> None:
-    for corners, which, sign, words in (
-        (shaped.highpass, "highpass_hz", "o", "damping above it"),
-        (shaped.lowpass, "lowpass_hz", "x", "damping below it"),
-    ):
-        at, low = [getattr(each, which) for each in corners], [each.free_db for each in corners]
-        axis.plot(at, low, marker=sign, color=BLUE, linewidth=0.9, label=words)
+    for corners, sign, words in ((shaped.highpass, "o", "damping above it"), (shaped.lowpass, "x", "damping below it")):
+        axis.plot(
+            [each.hertz for each in corners],
+            [each.free_db for each in corners],
+            marker=sign,
+            color=BLUE,
+            linewidth=0.9,
+            label=words,
+        )
     axis.axhline(shaped.plain.free_db, color=BLUE, linewidth=0.8)
     axis.axhline(shaped.undamped.free_db, linewidth=1.0, **OFF)
     for level, words, colour in ((shaped.plain.free_db, "unshaped", BLUE), (shaped.undamped.free_db, "without damping", RED)):
         axis.text(0.45, level + 0.3, words, fontsize=SMALL_PT, color=colour)
-    _by_trials(axis, shaped.best.highpass_hz, shaped.free_runs)
+    if len(shaped.free.runs):
+        _by_trials(axis, shaped.best.hertz, shaped.free.low_db())
     hertz_axis(axis, *CORNERS_HZ)
     axis.set(xlabel="corner (Hz)", ylabel="free motion (dB re 1 N s/m)", ylim=(-2.0, None), xticks=[0.5, 2, 10, 50, 200])
     axis.legend(loc="lower left")
@@ -473,7 +478,7 @@ def levels_figure(result: BeyondResult) -> "Figure":
     for axis, (panel, (name, unit, scale, look)) in enumerate(zip(grid, LIMITS, strict=False)):
         panel.plot(levels.level, scale * levels.limits[:, axis], color=look["color"], marker=".", label="predicted")
         for count, each in enumerate(limit for limit in levels.confirmed if limit.axis == axis):
-            _by_trials(panel, each.level, each.runs, scale, label=None if count else BY_TRIALS)
+            _by_trials(panel, each.level, each.values, scale, label=None if count else BY_TRIALS)
         panel.set_ylabel(f"{name} ({unit})")
     _volume(grid[3], result)
     for panel in grid:

@@ -246,7 +246,7 @@ def _shape_words(result: BeyondResult) -> str:
     beside = 100.0 * shaped.stiffest[1] / shaped.stiffest[0]
     low, wide = shaped.bounds.lower_db().mean(), shaped.bounds.width_db().mean()
     return (
-        f"Damping above {shaped.best.highpass_hz:g} Hz only keeps B and M within 5 % of what plain damping allows "
+        f"Damping above {shaped.best.hertz:g} Hz only keeps B and M within 5 % of what plain damping allows "
         f"and brings the lower edge in 2-20 Hz to {low:z.1f} dB, with B >= 0: a Z-width of {wide:.1f} dB. "
         f"K alone goes to {alone:.0f} % of what plain damping allows, K with its best B and M to {beside:.0f} %. "
         'The paper\'s "added mechanical dissipation is rarely needed at low frequency" does not hold for K alone: '

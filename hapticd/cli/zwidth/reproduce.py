@@ -28,13 +28,13 @@ def command(quick: Quick = False, seeds: Seeds = 8, out: common.Out = None, as_j
     Writes REPORT.md, the table (JSON, CSV, Markdown) and the figures (PNG, SVG); with --json only if --out names a folder.
     Ctrl-C is safe: the folder holds the files of one run, or none.
     """
-    from hapticd.measure.beyond import BeyondParams, plan_beyond, run_beyond
-    from hapticd.measure.reproduce import ReproduceParams, plan_reproduce, run_reproduce
+    from hapticd.measure.beyond import plan_beyond, run_beyond
+    from hapticd.measure.reproduce import plan_reproduce, run_reproduce
     from hapticd.report.paper_page import future_sections, keep, sections, terminal
     from hapticd.report.paper_table import as_json as table_json
 
-    plan, files = plan_reproduce(ReproduceParams(quick, seeds)), []
-    further = plan_beyond(BeyondParams(quick))
+    plan, files = plan_reproduce(quick, seeds), []
+    further = plan_beyond(quick)
     with common.interruptible(), watched() as tell:
         found = [*sections(run_reproduce(plan, tell)), *future_sections(run_beyond(further, tell))]
         table = table_json(row for section in found for row in section.rows)
