@@ -31,11 +31,17 @@ class BandWidth:
 
 def width_db(found: Envelope, low_hz: float, high_hz: float) -> float:
     """Mean width [dB] over ln f between two frequencies. AnalysisError unless the envelope has two values there."""
-    inside = (found.frequency_hz >= low_hz) & (found.frequency_hz <= high_hz)
+    return float(mean_over_ln_f(found.frequency_hz, found.width_db(), (low_hz, high_hz)))
+
+
+def mean_over_ln_f(frequency_hz: Floats, values: Floats, band_hz: tuple[float, float]) -> Floats:
+    """Mean (...,) of `values` (..., F) over ln f inside the band. AnalysisError unless two frequencies (F,) [Hz] are there."""
+    low_hz, high_hz = band_hz
+    inside = (frequency_hz >= low_hz) & (frequency_hz <= high_hz)
     if inside.sum() < 2:
         raise AnalysisError(f"the envelope has no two frequencies in {low_hz:g}..{high_hz:g} Hz; ask for a band that it covers")
-    place, width = np.log(found.frequency_hz[inside]), found.width_db()[inside]
-    return float(np.trapezoid(width, place) / (place[-1] - place[0]))
+    place = np.log(frequency_hz[inside])
+    return np.asarray(np.trapezoid(values[..., inside], place) / (place[-1] - place[0]))
 
 
 def widths_db(found: Envelope, bands_hz: tuple[tuple[float, float], ...] = BANDS_HZ) -> tuple[BandWidth, ...]:

@@ -46,6 +46,7 @@ from hapticd.analysis.arrays import Flags, Floats, Integers
 from hapticd.analysis.boundary import grid, open_ends, passive_set, volume
 from hapticd.analysis.envelope import Edge
 from hapticd.analysis.lifted import lift, lifted_margin, lifted_passive
+from hapticd.analysis.metrics import mean_over_ln_f
 from hapticd.analysis.requirement import paper_equation_2, required_damping
 from hapticd.analysis.search import predicted_passive
 from hapticd.errors import AnalysisError
@@ -369,9 +370,7 @@ def mean_sd(runs: Floats) -> tuple[float, float]:
 
 def mean_db(frequency_hz: Floats, values: Floats, band_hz: tuple[float, float]) -> Floats:
     """Mean over ln f [dB] (N,) of `values` (N, F) at the frequencies inside the band."""
-    inside = (frequency_hz >= band_hz[0]) & (frequency_hz <= band_hz[1])
-    place = np.log(frequency_hz[inside])
-    return np.asarray(np.trapezoid(20.0 * np.log10(values[:, inside]), place) / (place[-1] - place[0]))
+    return mean_over_ln_f(frequency_hz, 20.0 * np.log10(values), band_hz)
 
 
 def candidates(bench: Bench, case: Case, points: Floats = GRID) -> Floats:

@@ -75,14 +75,8 @@ def _free(result: BeyondResult) -> Iterator[Row]:
         )
         yield _row(f"free_motion_{motion.name}", motion.low_db(), "dB", count, guess, note)
     for limit in free.limits:
-        yield _row(
-            f"B_min_{MODES[limit.level]}",
-            limit.values,
-            "Ns/m",
-            count,
-            limit.predicted,
-            "on its axis, at the perturbation: beyond it the device runs away",
-        )
+        note = "on its axis, at the perturbation: beyond it the device runs away"
+        yield _row(f"B_min_{MODES[limit.level]}", limit.values, "Ns/m", count, limit.predicted, note)
     yield Row("eq2_on_negative_B", nan, nan, "-", "arithmetic", MAIN, note=f"refused: {free.refusal}", part=PART)
 
 
@@ -121,20 +115,23 @@ def _levels(result: BeyondResult) -> Iterator[Row]:
 def _searches(result: BeyondResult) -> Iterator[Row]:
     for found, mode in zip(result.searches, MODES.values(), strict=False):
         grid = f"of {found.passive} passive points among {found.points}"
-
-        def row(name: str, value: float, unit: str, note: str, mode: str = mode) -> Row:
-            return Row(f"{name}_{mode}", nan, value, unit, "independent", MAIN, note=note, part=PART)
-
-        yield row("grid_trials", float(found.points), "trials", "the whole grid flown, one seed of noise")
-        most = max(found.searched)
-        note = f"first of {', '.join(map(str, found.searched))} trials with no more wrong than the grid flown again"
-        yield row(
-            "search_trials", float(found.enough or nan), "trials", note if found.enough else f"more than {most} trials are needed"
-        )
-        for count, wrong in found.searched.items():
-            yield row(f"search_wrong_{count}", found.share(wrong), "%", f"yes or no that {count} trials hold otherwise, {grid}")
-        yield row("prediction_wrong", found.share(found.predicted), "%", f"the same without a trial, {grid}")
-        yield row("grid_again_wrong", found.share(found.other_noise), "%", f"the grid flown with other noise, {grid}")
+        counts = ", ".join(map(str, found.searched))
+        enough = f"first of {counts} trials with no more wrong than the grid flown again"
+        told = (
+            ("grid_trials", float(found.points), "trials", "the whole grid flown, one seed of noise"),
+            (
+                "search_trials", float(found.enough or nan), "trials",
+                enough if found.enough else f"more than {max(found.searched)} trials are needed",
+            ),
+            *(
+                (f"search_wrong_{count}", found.share(wrong), "%", f"yes or no that {count} trials hold otherwise, {grid}")
+                for count, wrong in found.searched.items()
+            ),
+            ("prediction_wrong", found.share(found.predicted), "%", f"the same without a trial, {grid}"),
+            ("grid_again_wrong", found.share(found.other_noise), "%", f"the grid flown with other noise, {grid}"),
+        )  # fmt: skip
+        for name, value, unit, note in told:
+            yield Row(f"{name}_{mode}", nan, value, unit, "independent", MAIN, note=note, part=PART)
 
 
 def _grown(levels: Levels, axis: int, low: float, high: float) -> Floats:

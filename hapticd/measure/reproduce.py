@@ -153,6 +153,11 @@ class Found:
     environments: Floats
 
     @property
+    def seeds(self) -> int:
+        """Behind each environment: one, or none if it was predicted."""
+        return min(self.flown, 1)
+
+    @property
     def as_set(self) -> PassiveSet:
         """With margins of +-1."""
         return passive_set(AXES, np.where(self.passive, 1.0, -1.0))

@@ -8,7 +8,7 @@ Six limits were fitted with five numbers (friction, viscous damping, delay, lag 
 there is a fit. Figs. 4, 7 and 8, the set readings and the lower band edge were not used.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from math import isfinite, nan
 from typing import Literal
@@ -67,32 +67,31 @@ def kind_of(device: str) -> Kind:
     return "independent" if device == LITERAL else "calibrated"
 
 
-def arithmetic(torque_constant_nm_per_a: float, resistance_ohm: float, lever_m: float) -> Iterator[Row]:
+def arithmetic(torque_constant_nm_per_a: float, resistance_ohm: float, lever_m: float) -> tuple[Row, ...]:
     """Rows from the paper's numbers alone, and from the motor of the device where the paper gives none."""
-    for name, printed in RATIOS.items():
-        on, off = (next(value for key, value in PAPER.items() if key[0] == name and key.endswith(mode)) for mode in ("_on", "_off"))
-        yield Row(f"{name}_ratio_printed", printed, on / off, "1", "arithmetic", PRINTED, note="of the limits as printed")
-    yield Row(
-        "K_gain_eq2", PAPER["K_max_on"] - PAPER["K_max_off"], 2.0 * ADDED_NS_PER_M / PERIOD_S, "N/m", "arithmetic", PRINTED,
-        note="Eq. 2, b > KT/2 + B, lets 1.74 Ns/m buy seven times what the paper measured: the loop loses 3.5 ms, not T/2",
+    of_limits = ((PAPER[f"{name}_on"] / PAPER[f"{name}_off"], name[0]) for name in NAMES)
+    told = (
+        *((f"{name}_ratio_printed", RATIOS[name], ratio, "1", "of the limits as printed") for ratio, name in of_limits),
+        (
+            "K_gain_eq2", PAPER["K_max_on"] - PAPER["K_max_off"], 2.0 * ADDED_NS_PER_M / PERIOD_S, "N/m",
+            "Eq. 2, b > KT/2 + B, lets 1.74 Ns/m buy seven times what the paper measured: the loop loses 3.5 ms, not T/2",
+        ),
+        (
+            "eq2_fig4_damping", FIG_4[0] * PERIOD_S / 2.0 + FIG_4[1], float(required_damping([FIG_4])[0][0]), "Ns/m",
+            "paper: Eq. 2 as printed, ours: the theorem behind it with the paper's filters and virtual mass",
+        ),
+        ("eq3_crowbar", CROWBAR_NMS, crowbar_nms_per_rad(torque_constant_nm_per_a, resistance_ohm), "Nms/rad", ""),
+        (
+            "eq3_crowbar_endpoint", CROWBAR_NS, CROWBAR_NMS / lever_m**2, "Ns/m",
+            f"the two printed figures need a lever of {lever_of_crowbar_m(CROWBAR_NMS, CROWBAR_NS):.2f} m; at "
+            f"{1e3 * lever_m:g} mm the crowbar damping is as large as what was added, not extremely small",
+        ),
+        (
+            "copper_40_K", WARMER_PERCENT, 100.0 * COPPER_PER_K * WARMER_K, "%",
+            'printed "0.00393 percent per degree"; 0.393 % is meant',
+        ),
     )  # fmt: skip
-    yield Row(
-        "eq2_fig4_damping", FIG_4[0] * PERIOD_S / 2.0 + FIG_4[1], float(required_damping([FIG_4])[0][0]), "Ns/m",
-        "arithmetic", PRINTED,
-        note="paper: Eq. 2 as printed, ours: the theorem behind it with the paper's filters and virtual mass",
-    )  # fmt: skip
-    yield Row(
-        "eq3_crowbar", CROWBAR_NMS, crowbar_nms_per_rad(torque_constant_nm_per_a, resistance_ohm), "Nms/rad", "arithmetic", PRINTED
-    )
-    yield Row(
-        "eq3_crowbar_endpoint", CROWBAR_NS, CROWBAR_NMS / lever_m**2, "Ns/m", "arithmetic", PRINTED,
-        note=f"the two printed figures need a lever of {lever_of_crowbar_m(CROWBAR_NMS, CROWBAR_NS):.2f} m; at "
-        f"{1e3 * lever_m:g} mm the crowbar damping is as large as what was added, not extremely small",
-    )  # fmt: skip
-    yield Row(
-        "copper_40_K", WARMER_PERCENT, 100.0 * COPPER_PER_K * WARMER_K, "%", "arithmetic", PRINTED,
-        note='printed "0.00393 percent per degree"; 0.393 % is meant',
-    )  # fmt: skip
+    return tuple(Row(name, paper, ours, unit, "arithmetic", PRINTED, note=note) for name, paper, ours, unit, note in told)
 
 
 def by_quantity(rows: Iterable[Row]) -> dict[str, dict[str, Row]]:

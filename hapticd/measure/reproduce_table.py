@@ -87,7 +87,7 @@ def rows(result: ReproduceResult) -> tuple[Row, ...]:
         "readings": [row for name in devices for row in _sets(result, name)],
         "figures": [row for name in devices for row in _read(result, name)],
         "band_edge": [row for name in devices for row in _edges(result, name)],
-        "arithmetic": list(arithmetic(motor.torque_constant_nm_per_a, motor.resistance_ohm, motor.lever_m)),
+        "arithmetic": arithmetic(motor.torque_constant_nm_per_a, motor.resistance_ohm, motor.lever_m),
     }
     return tuple(replace(row, part=part) for part, found in parts.items() for row in found)
 
@@ -136,7 +136,8 @@ def _ratio(letter: str, printed: float, own: dict[str, Row], reading: str) -> Ro
     ratio = on.ours / off.ours if off.ours else nan
     spread = abs(ratio) * hypot(on.sd / on.ours, off.sd / off.ours) if off.ours else nan
     row = Row(f"{letter}_ratio{reading}", printed, ratio, "1", on.kind, on.device, spread, on.seeds)
-    return replace(row, note=of_ratio(letter, row))
+    differs = "nothing is passive without added damping" if isnan(ratio) else RATIO_REASONS[letter]
+    return row if row.matches and not isnan(ratio) else replace(row, note=differs)
 
 
 def _added(name: str) -> Row:
@@ -227,7 +228,7 @@ def _peak(mode: str, found: Found | None, name: str) -> Iterator[Row]:
     """Of the upper envelope: by trials for the first device, by prediction for the others."""
     peak = None if found is None else found.peak()
     at = mass = rise = nan
-    count = 0 if found is None else seeds(found)
+    count = 0 if found is None else found.seeds
     note = "nothing is passive" if found is None else "no peak, as in the paper" if mode == "off" else "no peak found"
     if found is not None and peak is not None:
         at, rise, mass = peak.frequency_hz, 100.0 * peak.rise, float(peak.owner[2])
@@ -248,20 +249,15 @@ def _grid(found: tuple[Found, ...]) -> Iterator[Row]:
         if each.flown:
             doubt = f"{each.undecided} of those that pass are not certain at 95 %"
             how = f"{each.flown} trials flown, the rest cannot pass by prediction; {doubt}"
-        yield Row(f"grid_passive_{mode}", nan, count, "of 6384", "independent", MAIN, seeds=seeds(each), note=how)
+        yield Row(f"grid_passive_{mode}", nan, count, "of 6384", "independent", MAIN, seeds=each.seeds, note=how)
     yield Row("grid_growth", nan, counts[1] / counts[0], "1", "independent", MAIN, note="passive with over without added damping")
     for mode, each in zip(MODES.values(), found, strict=True):
         yield from _bounds(mode, each)
 
 
-def seeds(found: Found) -> int:
-    """Behind a grid: one, or none if it was predicted."""
-    return 1 if found.flown else 0
-
-
 def _bounds(mode: str, found: Found) -> Iterator[Row]:
     """Of Fig. 11, at the frequency next to 2 Hz."""
-    envelope, count = found.envelope, seeds(found)
+    envelope, count = found.envelope, found.seeds
     place = int(np.abs(envelope.frequency_hz - LOW_HZ[0]).argmin())
     stiffness = 2.0 * np.pi * float(envelope.frequency_hz[place]) * float(envelope.upper.value[place])
     yield Row(f"fig11_upper_K_{mode}", PAPER[f"K_max_{mode}"], stiffness, "N/m", "independent", MAIN, seeds=count, note=VISIBLE)
@@ -276,27 +272,16 @@ def of_limit(quantity: str, device: str, difference: float) -> str:
     return REASONS.get((device, quantity), REASONS[device, ""])
 
 
-def of_ratio(name: str, row: Row) -> str:
-    """Of on over off."""
-    if isnan(row.ours):
-        return "nothing is passive without added damping"
-    return "" if row.matches else RATIO_REASONS[name]
-
-
 def of_set(limit: Limit, row: Row, axis: Row) -> str:
     """Where on the set it is found, and why it is not the paper's; `axis` is its other reading."""
     if isnan(limit.predicted):
         return UNDAMPED_LITERAL
-    others = [f"{name} {factor * value:.3g} {unit}" for name, factor, value, unit in _beside(limit)]
-    place = f"with {' and '.join(others)} beside it"
     if row.matches:
         return ""
+    k, b, m = limit.base
+    others = [f"K {k:.3g} N/m", f"B {b:.3g} Ns/m", f"M {1e3 * m:.3g} g"]
+    del others[limit.axis]
+    place = f"with {' and '.join(others)} beside it"
     if limit.device == LITERAL or limit.axis:
         return f"{place}; its axis reading differs by {100.0 * axis.difference:+.1f} % already"
     return f"{place}; {BOUGHT}"
-
-
-def _beside(limit: Limit) -> list[tuple[str, float, float, str]]:
-    units = (("K", 1.0, "N/m"), ("B", 1.0, "Ns/m"), ("M", 1e3, "g"))
-    every = [(name, factor, value, unit) for (name, factor, unit), value in zip(units, limit.base, strict=True)]
-    return [each for axis, each in enumerate(every) if axis != limit.axis]

@@ -8,11 +8,15 @@ from dataclasses import fields
 from math import isfinite, nan
 from typing import Any
 
+from hapticd.measure.plain import plain
 from hapticd.measure.reproduce_rows import PRINTED, Row, by_quantity
 from hapticd.report.table import Table, shown, table
 
 MANY = 10.0  # from here on a difference is told as a ratio
 COLUMNS = ("quantity", "unit", "paper")
+OF_A_ROW = (
+    "quantity", "paper", "ours", "unit", "kind", "device", "sd", "difference", "seeds", "predicted", "note", "part",
+)  # fmt: skip
 
 
 def paper_table(rows: Iterable[Row]) -> Table:
@@ -57,14 +61,7 @@ def notes(rows: Iterable[Row]) -> list[str]:
 
 def as_json(rows: Iterable[Row]) -> list[dict[str, Any]]:
     """Objects with null where there is no number."""
-    return [
-        {
-            "quantity": row.quantity, "paper": _or_none(row.paper), "ours": _or_none(row.ours), "unit": row.unit, "kind": row.kind,
-            "device": row.device, "sd": _or_none(row.sd), "difference": _or_none(row.difference), "seeds": row.seeds,
-            "predicted": _or_none(row.predicted), "note": row.note, "part": row.part,
-        }
-        for row in rows
-    ]  # fmt: skip
+    return [{name: plain(getattr(row, name)) for name in OF_A_ROW} for row in rows]
 
 
 def from_json(content: Iterable[Mapping[str, Any]]) -> tuple[Row, ...]:
@@ -112,7 +109,3 @@ def _differs(relative: float) -> str:
     if not isfinite(relative):
         return ""
     return f" ({100.0 * relative:+.1f} %)" if relative < MANY else f" (x {relative + 1.0:,.0f})"
-
-
-def _or_none(value: float) -> float | None:
-    return float(value) if isfinite(value) else None
