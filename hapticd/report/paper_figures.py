@@ -211,7 +211,8 @@ def _beside_paper(axis: "Axes", limit: Limit, x: float, printed: float, look: di
     """In percent of the paper's; a full mark at -100 % where nothing is passive."""
     scale, marked = 100.0 / printed, {**look, "linestyle": "none"}
     if limit.values.size or not isfinite(limit.predicted):
-        axis.errorbar(x, scale * limit.mean - 100.0, abs(scale) * limit.sd, **marked)
+        bars = abs(scale) * limit.sd if isfinite(limit.sd) else None
+        axis.errorbar(x, scale * limit.mean - 100.0, bars, **marked)
     draw_guess(axis, x + BESIDE_GUESS, scale * limit.predicted - 100.0, marked)
 
 
@@ -252,7 +253,8 @@ def _over_edges(axis: "Axes", limits: Sequence[Limit], look: Look) -> None:
         axis.plot([], [], label=device, **look)
         axis.text(0.97, 0.04, f"{device}: none is passive", fontsize=SMALL_PT, ha="right", transform=axis.transAxes)
         return
-    axis.errorbar(EDGES_HZ, means, [limit.sd for limit in limits], label=device, **look)
+    bars = [limit.sd for limit in limits] if isfinite(limits[0].sd) else None
+    axis.errorbar(EDGES_HZ, means, bars, label=device, **look)
 
 
 # --- the set on the paper's grid -------------------------------------------------------------------------------------------------
