@@ -156,6 +156,7 @@ def test_band_edge_tells_the_explanations_apart(table: dict[str, dict[str, Row]]
 def test_grid_is_the_papers_thirteen_days() -> None:
     assert POINTS.shape == (6384, 3)
     found = by_prediction(subject(MAIN), LEVELS[1])
+    assert found is not None
     assert set_limits(found.as_set).mass[0] == pytest.approx(-0.022)
     assert found.envelope.upper.value.min() > 0.0
 

@@ -35,7 +35,7 @@ search has noise of its own. A point is wrong whose yes or no the search, or the
 the passive points.
 
 What would break it: Eq. 2 of the paper as a judge of B < 0, where it relaxes (`analysis.requirement` refuses it); a level at
-which the damping circuit itself oscillates (`ceiling`), or one that no board can command.
+which the damping circuit itself oscillates (`plant.stability`), or one that no board can command.
 """
 
 from dataclasses import dataclass, field, replace
@@ -47,7 +47,7 @@ from hapticd.analysis.boundary import grid, open_ends, passive_set, volume
 from hapticd.analysis.envelope import Edge
 from hapticd.analysis.lifted import lift, lifted_margin, lifted_passive
 from hapticd.analysis.metrics import mean_over_ln_f
-from hapticd.analysis.requirement import paper_equation_2, required_damping
+from hapticd.analysis.requirement import paper_equation_2
 from hapticd.analysis.search import predicted_passive
 from hapticd.errors import AnalysisError
 from hapticd.measure.campaign import Axes, MapParams, plan_map, run_map
@@ -60,7 +60,6 @@ from hapticd.measure.reproduce_rows import ADDED_NS_PER_M, LEVELS, MAIN
 from hapticd.measure.scenes import Display
 from hapticd.measure.store import TrialStore
 from hapticd.plant.shaped_damping import ShapedDamping
-from hapticd.plant.stability import damping_ceiling
 
 SEEDS = 3
 FREE = np.array([ORIGIN])  # motion: nothing is rendered
@@ -219,14 +218,11 @@ class Motion:
 class Free:
     """`motions`: off, on, on_negative_B, on_negative_BM. `limits`: of B downwards, without and with damping.
 
-    `needed`: damping that a rigid device needs under B alone [N s/m], `available` what this one has, without friction; `refusal`:
-    what Eq. 2 answers about it.
+    `refusal`: what Eq. 2 answers about B alone.
     """
 
     motions: tuple[Motion, ...]
     limits: tuple[Limit, ...]
-    needed: float
-    available: float
     refusal: str
 
 
@@ -264,7 +260,7 @@ class Shaped:
 class Levels:
     """`level` (L,), predicted `limits` (L, 3), `volume` (L,) [N/m N s/m kg], `free_db` (L,); `confirmed` by trials.
 
-    `open_ends` names where a grid did not reach beyond its set; `ceiling` [N s/m] of the device's circuit.
+    `open_ends` names where a grid did not reach beyond its set.
     """
 
     level: Floats
@@ -273,7 +269,6 @@ class Levels:
     free_db: Floats
     confirmed: tuple[Limit, ...]
     open_ends: tuple[str, ...]
-    ceiling: float
 
     def gain(self, low: float, high: float) -> Floats:
         """Mean growth of the limits (3,) per N s/m between two levels."""
@@ -451,10 +446,7 @@ def free_motion(bench: Bench, level: float, seeds: tuple[int, ...]) -> Free:
     )
     motions = tuple(_motion(bench, *each, seeds) for each in asked)
     downwards = bench.limits((0.0, level), seeds, (1,), (REACH[0], FURTHEST, REACH[2]))
-    own = bench.display
-    needed = required_damping([(0.0, damping, 0.0)], own.scene.rate_hz, own.model.delay_periods, own.filters)[0]
-    available = own.model.viscous_ns_per_m + level
-    return Free(motions, downwards, float(needed[0]), available, _refusal(damping, available))
+    return Free(motions, downwards, _refusal(damping, bench.display.model.viscous_ns_per_m + level))
 
 
 def safest(bench: Bench, level: float, end: float, lightest_kg: float) -> tuple[float, float]:
@@ -518,7 +510,7 @@ def damping_levels(bench: Bench, seeds: tuple[int, ...]) -> Levels:
     ends = [f"{end} at {level:g} N s/m" for level, (_, cut) in zip(DAMPING_LEVELS, sets, strict=True) for end in cut]
     return Levels(
         np.array(DAMPING_LEVELS), limits, np.array([size for size, _ in sets]), free,
-        bench.limits(FLOWN, seeds) if seeds else (), tuple(dict.fromkeys(ends)), damping_ceiling(bench.display.model),
+        bench.limits(FLOWN, seeds) if seeds else (), tuple(dict.fromkeys(ends)),
     )  # fmt: skip
 
 

@@ -113,11 +113,6 @@ class Single:
     predicted: bool
 
     @property
-    def flown(self) -> int:
-        """How many trials there were."""
-        return len(self.trials)
-
-    @property
     def passed(self) -> int:
         """How many were passive by the paper's rule."""
         return sum(trial is not None and accepted(trial.verdict, "within_90_deg") for trial in self.trials)
@@ -224,7 +219,7 @@ def run_reproduce(plan: ReproducePlan, tell: Progress = silent, executor: Execut
             axis += [_predicted(name, level, each, ORIGIN) for each in range(3)]
             whole += [_predicted(name, level, each, set_place(name, level, each)) for each in range(3)]
             edges += [_predicted(name, level, 0, ORIGIN, low_hz) for low_hz in EDGES_HZ]
-        predicted[name] = tuple(_expected(name, level) for level in LEVELS)
+        predicted[name] = tuple(by_prediction(subject(name), level) for level in LEVELS)
     found = ReproduceResult(
         plan, tuple(axis), tuple(whole), tuple(edges), {name: _singles(name, {}) for name in plan.devices},
         tuple(each for each in predicted[MAIN] if each is not None), predicted, None,
@@ -345,17 +340,12 @@ def _of_map(level: LevelMap) -> Found:
     return Found(level.damping_ns_per_m, level.found.passive & tried, undecided, len(level.outcomes), level.envelope, environments)
 
 
-def _expected(name: str, level: float) -> Found | None:
-    return None if name == LITERAL and level == 0.0 else by_prediction(subject(name), level)
-
-
-def by_prediction(device: Display, level: float) -> Found:
-    """The same without trials: `undecided` and `flown` are 0, the envelope has no uncertainty. AnalysisError for an empty set."""
+def by_prediction(device: Display, level: float) -> Found | None:
+    """The same without trials: `undecided` and `flown` are 0, the envelope has no uncertainty. None for an empty set."""
     passive = device.passive(POINTS, level)
     kept = POINTS[passive]
     if not len(kept):
-        name = device.scene.device
-        raise AnalysisError(f"{name}: no environment of the grid is passive at {level:g} N s/m; there is no envelope")
+        return None
     f = frequencies(SHOWN_HZ, device.perturbation)
     f = f[(f >= SHOWN_HZ[0]) & (f <= SHOWN_HZ[1])]
     shape = [axis.size for axis in AXES]

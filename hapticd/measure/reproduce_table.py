@@ -180,9 +180,10 @@ def _walls(walls: WallResult) -> Iterator[Row]:
 
 
 def _passive(quantity: str, printed: float, single: Single, name: str) -> Row:
-    share = single.passed / single.flown if single.flown else float(single.predicted)
-    note = UNDAMPED_LITERAL if name == LITERAL and not share else "" if single.flown else "by prediction"
-    return Row(quantity, printed, share, "share", "independent", name, seeds=single.flown, note=note)
+    flown = len(single.trials)
+    share = single.passed / flown if flown else float(single.predicted)
+    note = UNDAMPED_LITERAL if name == LITERAL and not share else "" if flown else "by prediction"
+    return Row(quantity, printed, share, "share", "independent", name, seeds=flown, note=note)
 
 
 def _compared(undamped: Single, damped: Single, name: str) -> Iterator[Row]:
@@ -200,8 +201,19 @@ def _compared(undamped: Single, damped: Single, name: str) -> Iterator[Row]:
 
 
 def compared(undamped: Single, damped: Single, name: str) -> Floats:
-    """(seeds, 3): added damping [Ns/m], phase advantage [deg], largest change of magnitude [%]; predicted if nothing was flown."""
-    return np.array([_three(f, off, on) for f, off, on in _pairs(undamped, damped, name)])
+    """(seeds, 3): added damping [Ns/m], phase advantage [deg], largest change of magnitude [%], of each seed that both trials
+    survived; predicted if there is none."""
+    pairs = zip(undamped.trials, damped.trials, strict=True)
+    both = [(off.measured, on.measured) for off, on in pairs if off is not None and on is not None]
+    flown = [_three(off.frequency_hz, off.impedance_ns_per_m, on.impedance_ns_per_m) for off, on in both]
+    return np.array(flown or [_foretold(undamped, damped, name)])
+
+
+def _foretold(undamped: Single, damped: Single, name: str) -> tuple[float, float, float]:
+    device, f = subject(name), np.geomspace(2.0, 1000.0, 200)
+    given = (device.filters, device.perturbation)
+    off, on = (predicted_impedance(device.model, one.point, f, one.level, *given) for one in (undamped, damped))
+    return _three(f, off, on)
 
 
 def _three(frequency_hz: Floats, off: Complexes, on: Complexes) -> tuple[float, float, float]:
@@ -209,19 +221,6 @@ def _three(frequency_hz: Floats, off: Complexes, on: Complexes) -> tuple[float, 
     gained = float((on - off).real[low].mean())
     turned = float(np.degrees(np.angle(off / on))[middle].mean())
     return gained, turned, float(100.0 * np.abs(np.abs(on / off) - 1.0)[high].max())
-
-
-def _pairs(undamped: Single, damped: Single, name: str) -> Iterator[tuple[Floats, Complexes, Complexes]]:
-    """(frequencies, Z off, Z on) of each seed that both trials survived; else one pair, predicted."""
-    pairs = zip(undamped.trials, damped.trials, strict=True)
-    both = [(off.measured, on.measured) for off, on in pairs if off is not None and on is not None]
-    for off, on in both:
-        yield off.frequency_hz, off.impedance_ns_per_m, on.impedance_ns_per_m
-    if not both:
-        device, f = subject(name), np.geomspace(2.0, 1000.0, 200)
-        given = (device.filters, device.perturbation)
-        z = [predicted_impedance(device.model, one.point, f, one.level, *given) for one in (undamped, damped)]
-        yield f, z[0], z[1]
 
 
 def _peak(mode: str, found: Found | None, name: str) -> Iterator[Row]:
