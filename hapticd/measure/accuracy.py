@@ -28,6 +28,7 @@ its cost is that of a full group, for each trial.
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 from math import floor, inf, isnan, nan
 from pathlib import Path
 from typing import Generic, TypeVar
@@ -139,10 +140,11 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """Errors in the gauge's unit. nan: does not apply."""
+    """Errors in the gauge's unit, nan: does not apply; what the trial took, inf: not timed."""
 
     step: float
     total: float
+    seconds: float = inf
 
 
 class Gauge(ABC, Generic[T]):
@@ -170,13 +172,18 @@ class Gauge(ABC, Generic[T]):
     def cost(self, setting: Setting) -> float:
         """Seconds for one trial of a full group, timed once; the setting has been read before."""
 
-    @abstractmethod
     def alone(self) -> float:
-        """Seconds for a single trial with the defaults that is asked alone."""
+        """Seconds for a single trial with the defaults that is asked alone, and for its answer."""
+        asked = Setting(self.exact.seconds)
+        return timed(
+            self.now_ns,
+            lambda: self._answer(self._flown(asked, 1), asked.lag),
+            ALONE_REPEATS,
+        )[1]
 
-    def lockstep(self, seconds: float) -> tuple[Reading, float]:
-        """One trial with the whole product, and what its flight took. ConfigError or AnalysisError
-        where the scene cannot be flown.
+    def lockstep(self, seconds: float) -> Reading:
+        """One trial with the whole product; the time is that of its flight. ConfigError or
+        AnalysisError where the scene cannot be flown.
         """
         samples, source = round(seconds * PROBE_RATE_HZ), self.scene.excitation
         torque = np.resize(torque_record(source, samples, source.seed), samples)
@@ -184,7 +191,11 @@ class Gauge(ABC, Generic[T]):
             torque = self.torque_n[0, :samples]
         steps = [(step.at_s, step.level_ns_per_m) for step in self.scene.damping]
         flown, spent = timed(self.now_ns, lambda: fly(str(self.source), torque, steps))
-        return self._flight(flown, seconds, steps), spent
+        return replace(self._flight(flown, seconds, steps), seconds=spent)
+
+    @abstractmethod
+    def _answer(self, found: BatchResult, lag: int) -> T:
+        """Of all trials together."""
 
     @abstractmethod
     def _flight(self, flown: Flown, seconds: float, steps: list[tuple[float, float]]) -> Reading:
@@ -220,7 +231,7 @@ class NoiseGauge(Gauge[Complexes]):
         self.torque_n = np.stack(records)
         self._f = frequencies()
         flown = self._flown(exact, GROUP)
-        self._step_free = pooled(self._spectra(flown, DEFAULT_LAG))
+        self._step_free = self._answer(flown, DEFAULT_LAG)
         if is_linear(scene):
             asked = point(scene), self._f, level(scene), self.own.filters
             self._true = predicted_impedance(self.own.model, *asked)
@@ -249,14 +260,8 @@ class NoiseGauge(Gauge[Complexes]):
         _, analysed_s = timed(self.now_ns, lambda: [spa(*record, lag=setting.lag) for record in records])
         return simulated_s / GROUP + analysed_s / max(1, len(records))
 
-    def alone(self) -> float:
-        """One trial and its spectra."""
-        asked = Setting(self.exact.seconds)
-        return timed(
-            self.now_ns,
-            lambda: self._spectra(self._flown(asked, 1), asked.lag),
-            ALONE_REPEATS,
-        )[1]
+    def _answer(self, found: BatchResult, lag: int) -> Complexes:
+        return pooled(self._spectra(found, lag))
 
     def predicted(self) -> Iterable["Row"]:
         """Errors of the predicted Z with its seconds, and those of one of 1,000 environments that
@@ -307,25 +312,20 @@ class TraceGauge(Gauge[Floats]):
         super().__init__(scene, source, exact, now_ns)
         quantum_m = self.own.model.encoder_quantum_m or QUANTUM_M
         self._floor = UM_PER_M * quantum_m / np.sqrt(12.0)
-        self._true = _position(self._flown(exact, 1))
+        self._true = self._answer(self._flown(exact, 1), exact.lag)
         known = f"position known to a count ({self._floor:.2g} um rms)"
         self.reference = f"the same trial, {exact.substeps} sub-steps, f64; {known}"
 
     def read(self, setting: Setting) -> Reading:
         """One trial."""
-        position = _position(self._flown(setting, 1))
+        position = self._answer(self._flown(setting, 1), setting.lag)
         return self._reading(position - self._like(setting, position, self._true))
 
     def cost(self, setting: Setting) -> float:
         """Of a group of equal trials."""
         return timed(self.now_ns, lambda: self._flown(setting, GROUP))[1] / GROUP
 
-    def alone(self) -> float:
-        """One trial."""
-        asked = Setting(self.exact.seconds)
-        return timed(self.now_ns, lambda: self._flown(asked, 1), ALONE_REPEATS)[1]
-
-    def lockstep(self, seconds: float) -> tuple[Reading, float]:
+    def lockstep(self, seconds: float) -> Reading:
         """The push through the wire, compared with the engine under the forces that the probe then reported.
 
         AnalysisError for a scene that begins in motion: the stack begins at rest.
@@ -343,27 +343,25 @@ class TraceGauge(Gauge[Floats]):
         ticks = 1 if lead else 0
         later = [(at_s + (ticks / rate_hz if at_s else 0.0), height) for at_s, height in steps]
         played = np.concatenate((np.zeros(lead), flown.torque_n))[: round(seconds * PROBE_RATE_HZ)]
-        position = _position(
-            simulate(
-                self.scene, [point(self.scene)], seconds, damping=later, excitation=played,
-                substeps=self.exact.substeps, keep="ticks",
-            )
+        like = simulate(
+            self.scene, [point(self.scene)], seconds, damping=later, excitation=played,
+            substeps=self.exact.substeps, keep="ticks",
         )  # fmt: skip
+        position = self._answer(like, self.exact.lag)
         return self._reading(flown.position_m[: len(position) - ticks] - position[ticks:])
+
+    def _answer(self, found: BatchResult, lag: int) -> Floats:
+        """Positions (ticks,) [m] of the first trial: all are the same."""
+        return np.asarray(np.asarray(found.position_m, np.float64)[0])
 
     def _reading(self, difference_m: Floats) -> Reading:
         step = UM_PER_M * float(np.sqrt(np.mean(difference_m**2)))
         return Reading(step, float(np.hypot(step, self._floor)))
 
 
-def _position(found: BatchResult) -> Floats:
-    """(ticks,) [m] of a single trial."""
-    return np.ravel(np.asarray(found.position_m, np.float64))
-
-
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One setting: seconds for one trial, its errors (see `gauge`), whether it is the default, and whether the knee."""
+    """One setting: seconds for one trial, its errors (see `Gauge`), whether it is the default, and whether the knee."""
 
     sweep: str
     label: str
@@ -405,15 +403,11 @@ class AccuracyPlan:
     """What will be measured: (sweep, label, setting) in turn, and a trial in lock-step."""
 
     params: AccuracyParams
+    noise: bool  # moves the scene
     seconds: float
     lockstep_s: float
     exact: Setting
     wanted: tuple[tuple[str, str, Setting], ...]
-
-    @property
-    def noise(self) -> bool:
-        """Whether noise moves the scene."""
-        return self.params.scene.excitation.kind == "noise"
 
 
 @dataclass(frozen=True, slots=True)
@@ -457,7 +451,7 @@ def plan_accuracy(params: AccuracyParams) -> AccuracyPlan:
     )
     lockstep_s = min(base.seconds, QUICK_LOCKSTEP_S if quick else LOCKSTEP_S)
     exact = replace(base, substeps=substeps[-1])
-    return AccuracyPlan(params, base.seconds, lockstep_s, exact, wanted)
+    return AccuracyPlan(params, noise, base.seconds, lockstep_s, exact, wanted)
 
 
 def run_accuracy(plan: AccuracyPlan, now_ns: Stopwatch, tell: Progress = silent) -> AccuracyResult:
@@ -477,7 +471,10 @@ def _swept(plan: AccuracyPlan, gauge: NoiseGauge | TraceGauge, steps: Steps) -> 
     rows: dict[Setting, Row] = {}
     for sweep, label, setting in plan.wanted:
         steps.next(f"{sweep}: {label}")
-        rows[setting] = rows.get(setting) or _row(gauge, setting, setting == Setting(plan.seconds))
+        rows[setting] = rows.get(setting) or _row(partial(gauge.read, setting))
+    default = Setting(plan.seconds)
+    rows[default] = replace(rows[default], default=True)
+    rows[plan.exact] = replace(rows[plan.exact], step=nan, total=nan, note=REFERENCE)
     for _ in range(ROUNDS):
         steps.next("timing")
         for setting, row in rows.items():
@@ -486,15 +483,13 @@ def _swept(plan: AccuracyPlan, gauge: NoiseGauge | TraceGauge, steps: Steps) -> 
     return [replace(rows[each], sweep=sweep, label=label) for sweep, label, each in plan.wanted]
 
 
-def _row(gauge: NoiseGauge | TraceGauge, setting: Setting, default: bool) -> Row:
-    """What a setting reads, not timed yet: of no sweep so far. Or why it cannot be read."""
+def _row(read: Callable[[], Reading]) -> Row:
+    """What is read, of no sweep so far; or why it cannot be."""
     try:
-        found = gauge.read(setting)
+        found = read()
     except HapticdError as error:
-        return Row("", "", nan, inf, inf, default, note=str(error))
-    if setting == gauge.exact:
-        return Row("", "", inf, nan, nan, note=REFERENCE)
-    return Row("", "", inf, found.step, found.total, default)
+        return Row("", "", nan, inf, inf, note=str(error))
+    return Row("", "", found.seconds, found.step, found.total)
 
 
 def _tiers(
@@ -512,9 +507,5 @@ def _tiers(
     yield replace(tier, label=alone, seconds=gauge.alone(), default=False)
     yield tier
     steps.next("lock-step")
-    row = Row("tier", f"lock-step {plan.lockstep_s:g} s", nan, inf, inf)
-    try:
-        found, spent = gauge.lockstep(plan.lockstep_s)
-        yield replace(row, seconds=spent, step=found.step, total=found.total)
-    except HapticdError as error:
-        yield replace(row, note=str(error))
+    flown = _row(partial(gauge.lockstep, plan.lockstep_s))
+    yield replace(flown, sweep="tier", label=f"lock-step {plan.lockstep_s:g} s")

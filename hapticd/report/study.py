@@ -244,7 +244,7 @@ def explained(found: Explanation) -> tuple[Table, ...]:
 
 def _adds(states: tuple[str, ...], nonlinearity: str) -> str:
     count = f"{len(states)} state{'s' if len(states) > 1 else ''}" if states else ""
-    return "; ".join(part for part in (count, nonlinearity) if part) or "numbers"
+    return "; ".join(filter(None, (count, nonlinearity))) or "numbers"
 
 
 def _mode(at: AtLevel, place: int) -> tuple[str, str, str]:
