@@ -35,7 +35,8 @@ def width_db(found: Envelope, low_hz: float, high_hz: float) -> float:
 
 
 def mean_over_ln_f(frequency_hz: Floats, values: Floats, band_hz: tuple[float, float]) -> Floats:
-    """Mean (...,) of `values` (..., F) over ln f inside the band. AnalysisError unless two frequencies (F,) [Hz] are there."""
+    """Mean (...,) of `values` (..., F) over ln f inside the band. AnalysisError unless two of the
+    frequencies (F,) [Hz] are there."""
     low_hz, high_hz = band_hz
     inside = (frequency_hz >= low_hz) & (frequency_hz <= high_hz)
     if inside.sum() < 2:

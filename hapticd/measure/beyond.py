@@ -228,8 +228,8 @@ class Free:
 
 @dataclass(frozen=True, slots=True)
 class Corner:
-    """One corner of the damping [Hz], 0 for none: predicted axis limits K, B, M [N/m, N s/m, kg] and mean |Z| of
-    free motion in 2-20 Hz [dB]."""
+    """One corner of the damping [Hz], 0 for none: predicted axis limits K, B, M [N/m, N s/m, kg]
+    and mean |Z| of free motion in 2-20 Hz [dB]."""
 
     hertz: float
     limits: tuple[float, float, float]
@@ -238,8 +238,8 @@ class Corner:
 
 @dataclass(frozen=True, eq=False)
 class Shaped:
-    """`plain` without a corner, `undamped` without damping; `bounds`, `confirmed` and `free` motion are those of the
-    `best` high-pass.
+    """`plain` without a corner, `undamped` without damping; `bounds`, `confirmed` and `free` motion
+    are those of the `best` high-pass.
 
     `stiffest`: largest K [N/m] over the whole set, B and M beside it, predicted, of `plain` and of `best`.
     """
@@ -312,7 +312,7 @@ CASES = (
 
 @dataclass(frozen=True, eq=False)
 class BeyondPlan:
-    """The device, and the noise realisations that everything shown passes with; none: prediction alone."""
+    """The device, and the noise that everything shown passes with; none: prediction alone."""
 
     bench: Bench
     seeds: tuple[int, ...]
@@ -375,7 +375,7 @@ def candidates(bench: Bench, case: Case, points: Floats = GRID) -> Floats:
 
 
 def bounds_of(bench: Bench, case: Case, seeds: tuple[int, ...] = (), points: Floats = GRID) -> Bounds:
-    """By trials of the owners, all of which pass with every seed; by prediction alone without seeds."""
+    """By trials of the owners, all of which pass with every seed; without seeds by prediction."""
     kept = candidates(bench, case, points)
     size = bench.sizes(kept, case.level)
     alive, tried, flown = np.ones(len(kept), np.bool_), np.zeros(len(kept), np.bool_), 0
@@ -404,8 +404,8 @@ def _owners(size: Floats, among: "np.ndarray[tuple[int], np.dtype[np.bool_]]") -
 
 
 def _flown(bench: Bench, level: float, points: Floats, left: Integers, seeds: tuple[int, ...], alive: Flags, every: Floats) -> int:
-    """Fly `left`, places of environments, until each failed or passed with every seed, and count the trials; |Z| goes into
-    `every` (seeds, N, F), whoever fails is no longer `alive` (N,)."""
+    """Fly `left`, places of environments, until each failed or passed with every seed, and count the
+    trials; |Z| goes into `every` (seeds, N, F), whoever fails is no longer `alive` (N,)."""
     count = 0
     for row, seed in zip(every, seeds, strict=True):
         outcomes = bench.flown(points[left], level, seed) if left.size else []
@@ -532,8 +532,9 @@ def compared_with_grid(
     """Fly the grid twice, search once with `budgets[-1]` trials; the search after fewer trials is a part of that one."""
     params = MapParams(conditions, SEARCHED[damping_ns_per_m], (damping_ns_per_m,), everywhere=True)
     prediction = plan_map(params).levels[0].prediction
-    truth, again = (_passive(replace(params, conditions=_with_seed(conditions, seed)), tell) for seed in GRID_SEEDS)
-    own = _with_seed(conditions, SEARCH_SEED)
+    noises = (*GRID_SEEDS, SEARCH_SEED)
+    *grids, own = (conditions.shaken(more_seed=seed - conditions.excitation.seed) for seed in noises)
+    truth, again = (_passive(replace(params, conditions=given), tell) for given in grids)
     search = plan_search(SearchParams(own, damping_ns_per_m, budgets[-1], doubt=0.0))
     found = run_search(search, TrialStore(None), tell)
     searched = {}
@@ -547,7 +548,3 @@ def compared_with_grid(
 
 def _passive(params: MapParams, tell: Progress) -> Flags:
     return run_map(plan_map(params), TrialStore(None), tell).levels[0].found.passive.ravel()
-
-
-def _with_seed(conditions: Conditions, seed: int) -> Conditions:
-    return replace(conditions, excitation=replace(conditions.excitation, seed=seed))

@@ -16,6 +16,7 @@ from hapticd.measure.beyond import FLOWN, LOW_HZ, BeyondResult, Bounds, Levels, 
 from hapticd.measure.reproduce_rows import ADDED_NS_PER_M, MAIN, MODES, NAMES, UNITS, Row
 
 PART = "beyond"
+LITTLE, SATURATES, GROWS = 0.5, "it saturates", "no saturation up to there"  # share of growth left
 
 
 def parts(result: BeyondResult) -> dict[str, tuple[Row, ...]]:
@@ -105,7 +106,8 @@ def _levels(result: BeyondResult) -> Iterator[Row]:
         unit = f"{UNITS[axis]} per Ns/m"
         yield _row(f"{name}_per_level", gained, unit, count, guess[0], f"between {low:g} and {middle:g} Ns/m of added damping")
         left = mean_sd(later / gained)[0] if len(gained) else guess[1] / guess[0]
-        note = f"between {middle:g} and {high:g} Ns/m; {100.0 * left:.0f} % of the growth before: {_saturation(left)}"
+        growth = f"{100.0 * left:.0f} % of the growth before: {SATURATES if left < LITTLE else GROWS}"
+        note = f"between {middle:g} and {high:g} Ns/m; {growth}"
         yield _row(f"{name}_per_level_beyond", later, unit, count, guess[1], note)
     at = int(np.argmin(np.abs(levels.level - ADDED_NS_PER_M)))
     note = f"predicted, B >= 0; {levels.volume[-1] / levels.volume[0]:.0f} times at {top:g} Ns/m"
@@ -138,8 +140,3 @@ def _grown(levels: Levels, axis: int, low: float, high: float) -> Floats:
     """Growth of a limit per N s/m between two levels by trials (seeds,), empty without."""
     runs = {each.level: each.values for each in levels.confirmed if each.axis == axis}
     return (runs[high] - runs[low]) / (high - low) if runs else np.empty(0)
-
-
-def _saturation(left: float) -> str:
-    """In words; a limit saturates where less than half of its growth is left."""
-    return "it saturates" if left < 0.5 else "no saturation up to there"

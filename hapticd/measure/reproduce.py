@@ -140,7 +140,6 @@ class Peak:
 class Found:
     """Of one damping level: `passive` (nK, nB, nM) of the grid, `flown` trials; the envelope, its owners' environments by name."""
 
-    level: float
     passive: Flags
     undecided: int
     flown: int
@@ -174,7 +173,8 @@ class Found:
 
 @dataclass(frozen=True, eq=False)
 class ReproduceResult:
-    """`limits` on the axes, `sets` over the whole set, `edges` of K on its axis from each of EDGES_HZ; `singles` as in SHOWN.
+    """`limits` on the axes, `sets` over the whole set, `edges` of K on its axis from each of
+    EDGES_HZ; `singles` as in SHOWN.
 
     `found` is the grid of the first device by trials, `predicted` that of each device; `walls` is None if quick.
     """
@@ -292,7 +292,7 @@ def set_place(device: str, level: float, axis: int) -> Point | None:
 
 @cache
 def predicted_set(device: Display, level: float) -> Floats:
-    """Environments (N, 3) of SET_GRID that are predicted to be passive at a damping level [N s/m]."""
+    """Environments (N, 3) of SET_GRID that are predicted passive at a damping level [N s/m]."""
     points = grid(SET_GRID)
     return np.asarray(points[device.passive(points, level)])
 
@@ -337,11 +337,12 @@ def _of_map(level: LevelMap) -> Found:
     undecided = sum(outcome.answer != "passive" for outcome in passed)
     environments = np.array([outcome.environment for outcome in passed])
     tried = level.tried.reshape(level.found.margin.shape)
-    return Found(level.damping_ns_per_m, level.found.passive & tried, undecided, len(level.outcomes), level.envelope, environments)
+    return Found(level.found.passive & tried, undecided, len(level.outcomes), level.envelope, environments)
 
 
 def by_prediction(device: Display, level: float) -> Found | None:
-    """The same without trials: `undecided` and `flown` are 0, the envelope has no uncertainty. None for an empty set."""
+    """The same without trials: `undecided` and `flown` are 0, the envelope has no uncertainty. None
+    for an empty set."""
     passive = device.passive(POINTS, level)
     kept = POINTS[passive]
     if not len(kept):
@@ -349,7 +350,7 @@ def by_prediction(device: Display, level: float) -> Found | None:
     f = frequencies(SHOWN_HZ, device.perturbation)
     f = f[(f >= SHOWN_HZ[0]) & (f <= SHOWN_HZ[1])]
     shape = [axis.size for axis in AXES]
-    return Found(level, passive.reshape(shape), 0, 0, of_predicted(f, device.impedances(kept, level, f)), kept)
+    return Found(passive.reshape(shape), 0, 0, of_predicted(f, device.impedances(kept, level, f)), kept)
 
 
 def _calmed(values: Floats) -> Floats:

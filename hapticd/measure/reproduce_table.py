@@ -201,8 +201,8 @@ def _compared(undamped: Single, damped: Single, name: str) -> Iterator[Row]:
 
 
 def compared(undamped: Single, damped: Single, name: str) -> Floats:
-    """(seeds, 3): added damping [Ns/m], phase advantage [deg], largest change of magnitude [%], of each seed that both trials
-    survived; predicted if there is none."""
+    """(seeds, 3): added damping [Ns/m], phase advantage [deg], largest change of magnitude [%], of
+    each seed that both trials survived; predicted if there is none."""
     pairs = zip(undamped.trials, damped.trials, strict=True)
     both = [(off.measured, on.measured) for off, on in pairs if off is not None and on is not None]
     flown = [_three(off.frequency_hz, off.impedance_ns_per_m, on.impedance_ns_per_m) for off, on in both]
