@@ -22,7 +22,7 @@ from hapticd.client import Client
 from hapticd.gateway.probe import DTYPE as PROBE
 from hapticd.mailbox.layout import RECORD
 from hapticd.measure.recorder import RecordingParams
-from hapticd.measure.recording.opening import open_recording
+from hapticd.measure.recording.file import open_recording
 from hapticd.measure.recording.pack import packed
 from hapticd.measure.reflight import refly
 from hapticd.units import PROBE_RATE_HZ

@@ -7,7 +7,7 @@ import pytest
 
 from hapticd.cli.app import main
 from hapticd.errors import AnalysisError, ConfigError
-from hapticd.measure.comparison import compare
+from hapticd.measure.portable import compare
 
 pytest.importorskip("matplotlib")
 

@@ -17,7 +17,7 @@ from hapticd.analysis.verdict import two_digits
 from hapticd.cli import change
 from hapticd.cli.app import main
 from hapticd.cli.zwidth.trial_words import compared, needed
-from hapticd.measure.lockstep_bench import LockStepBench
+from hapticd.measure.lockstep import LockStepBench
 from hapticd.measure.multisine import Layout
 from hapticd.measure.referee import Referee
 from hapticd.measure.scenes import device_scene, scene_of_device

@@ -16,7 +16,7 @@ from hapticd.gateway.flight import FILES_KEPT, flights_folder
 from hapticd.gateway.flight_file import Flight
 from hapticd.mailbox.client_side import Noted
 from hapticd.mailbox.layout import Command
-from hapticd.measure.recording.opening import open_recording
+from hapticd.measure.recording.file import open_recording
 from hapticd.params import InjectionParams
 
 

@@ -22,7 +22,7 @@ from hapticd.measure.accuracy import (
     run_accuracy,
     with_knees,
 )
-from hapticd.measure.lockstep_trial import MOST_S, fly
+from hapticd.measure.lockstep import MOST_S, fly
 from hapticd.measure.scene_run import compare_integrators
 from hapticd.measure.scenes import frequencies, spectra_on, without
 from hapticd.plant.compose import compose

@@ -9,7 +9,7 @@ from hapticd.assembly.scene import scene_params
 from hapticd.errors import CommandError
 from hapticd.mailbox.layout import Command, Value
 from hapticd.measure.bench import bench_source
-from hapticd.measure.lockstep_bench import LockStepBench
+from hapticd.measure.lockstep import LockStepBench
 from hapticd.measure.recorded import Recorded
 from hapticd.measure.referee import may_follow, stepped_sine
 from hapticd.measure.sources import Trial, engine_source

@@ -22,9 +22,8 @@ from hapticd.measure.campaign import MapParams, plan_map, run_map
 from hapticd.measure.executors import executor, threads
 from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
 from hapticd.measure.outcomes import Conditions, Outcome, fly
-from hapticd.measure.plain import plain
 from hapticd.measure.scenes import noise
-from hapticd.measure.store import TrialStore
+from hapticd.measure.store import TrialStore, plain
 from hapticd.settings.scene import load_scene
 from hapticd.sim.engine.cores import at_most, workers
 

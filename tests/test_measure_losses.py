@@ -13,14 +13,12 @@ from hapticd.assembly.scene import scene_params
 from hapticd.client.blocks import BlockDecoder
 from hapticd.errors import AnalysisError
 from hapticd.measure.bench import bench_source
-from hapticd.measure.lockstep_bench import LockStepBench
-from hapticd.measure.losses import Filler, loss_findings, summed
+from hapticd.measure.lockstep import LockStepBench
 from hapticd.measure.multisine import Layout, multisine_like, realised
 from hapticd.measure.recorded import Recorded, nearer
-from hapticd.measure.sentinel import Sentinel, Watch
 from hapticd.measure.sources import Trial
-from hapticd.measure.trial import TrialParams, judged, plan_trial, run_trial
-from hapticd.measure.trial_run import summary
+from hapticd.measure.trial import TrialParams, judged, plan_trial, run_trial, summary
+from hapticd.measure.watch import Filler, Sentinel, Watch, loss_findings, summed
 from hapticd.plant.scene import Excitation
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.load import load

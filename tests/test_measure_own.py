@@ -18,8 +18,8 @@ from hapticd.mailbox.layout import Command, Value
 from hapticd.measure.given import given
 from hapticd.measure.recorded import Rendered, read_file
 from hapticd.measure.recorder import Recorder, RecordingParams, record
-from hapticd.measure.recording import export
-from hapticd.measure.recording.opening import open_recording
+from hapticd.measure.recording import pack
+from hapticd.measure.recording.file import open_recording
 from hapticd.settings.scene import load_scene
 from hapticd.units import NS_PER_S
 
@@ -48,8 +48,8 @@ def files(flight, tmp_path_factory) -> dict[str, Path]:
     Recorder(Source(flight, again), RecordingParams(folder / "live.h5"), again, room).run(lambda: False, lambda progress: None)
     for name in ("run.h5", "live.part.h5"):
         with open_recording(folder / name) as recording:
-            export.to_mat(recording, folder / f"{name.partition('.')[0]}.mat")
-            export.to_csv(recording, folder / f"{name.partition('.')[0]}.csv")
+            pack.to_mat(recording, folder / f"{name.partition('.')[0]}.mat")
+            pack.to_csv(recording, folder / f"{name.partition('.')[0]}.csv")
     return {path.name: path for path in folder.iterdir()}
 
 

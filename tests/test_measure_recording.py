@@ -26,10 +26,9 @@ from hapticd.errors import ConfigError, DaemonDown, HapticdError
 from hapticd.mailbox.layout import Command, Value
 from hapticd.measure import recorder
 from hapticd.measure.recorder import RecordingParams, RecordingResult, Synchroniser, packed, record
-from hapticd.measure.recording import export, libraries, live, pack, provenance
-from hapticd.measure.recording.channels import as_channel, channels, columns, udunits
-from hapticd.measure.recording.opening import open_recording
-from hapticd.measure.recording.writer import GROUPS, Writer, event_row
+from hapticd.measure.recording import live, pack, provenance
+from hapticd.measure.recording.file import open_recording
+from hapticd.measure.recording.live import GROUPS, Writer, as_channel, channels, columns, event_row, udunits
 from hapticd.measure.reflight import refly
 from hapticd.params import InjectionParams
 from hapticd.units import NS_PER_S
@@ -274,7 +273,7 @@ def test_another_servo_life_is_no_gap(flown: RecordedFlight, tmp_path: Path) -> 
 HALF_WAY = """
 import pickle, sys, time
 from pathlib import Path
-from hapticd.measure.recording.writer import Writer
+from hapticd.measure.recording.live import Writer
 messages = pickle.load(open(sys.argv[1], "rb"))
 names = ("schema", "simulated", "configuration", "layout")
 writer = Writer(Path(sys.argv[2]), dict(zip(names, ("hapticd-recording/1", 1, *sys.argv[3:]))))
@@ -465,7 +464,7 @@ def test_live_file_is_not_opened_twice(tmp_path: Path) -> None:
 
 def test_missing_library_names_the_extra() -> None:
     with pytest.raises(HapticdError, match=r"this needs no_such_library .*install hapticd\[record\]"):
-        libraries.needed("no_such_library.part", "record")
+        provenance.needed("no_such_library.part", "record")
 
 
 def test_channels_and_columns_agree(flown: RecordedFlight) -> None:
@@ -489,7 +488,7 @@ def test_commit_of_nowhere_is_empty(tmp_path: Path) -> None:
 
 def test_mat_file_holds_what_the_recording_holds(file: Path, tmp_path: Path) -> None:
     with open_recording(file) as recording:
-        export.to_mat(recording, tmp_path / "run.mat")
+        pack.to_mat(recording, tmp_path / "run.mat")
         force = recording.column("servo", "force_n")
     content = scipy.io.loadmat(tmp_path / "run.mat", squeeze_me=True, struct_as_record=False)
     assert np.array_equal(content["servo"].force_n, force)
@@ -499,14 +498,14 @@ def test_mat_file_holds_what_the_recording_holds(file: Path, tmp_path: Path) -> 
 
 def test_csv_holds_every_bit(file: Path, tmp_path: Path) -> None:
     with open_recording(file) as recording:
-        main, probe = export.to_csv(recording, tmp_path / "run.csv")
+        main, probe = pack.to_csv(recording, tmp_path / "run.csv")
         force, tick = recording.column("servo", "force_n"), recording.column("servo", "tick")
     read = np.genfromtxt(main, delimiter=",", names=True)
     assert np.array_equal(read["force_n"], force)
     assert np.array_equal(read["tick"], tick)
     assert probe.name == "run.probe.csv"
     with open_recording(file) as recording, pytest.raises(HapticdError, match="choose another name"):
-        export.to_csv(recording, tmp_path / "run.csv")
+        pack.to_csv(recording, tmp_path / "run.csv")
 
 
 @pytest.mark.process

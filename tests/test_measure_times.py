@@ -5,11 +5,11 @@ import pytest
 
 from hapticd.analysis.arrays import Floats
 from hapticd.errors import AnalysisError
-from hapticd.measure.losses import loss_findings
 from hapticd.measure.recorded import read_file
 from hapticd.measure.sources import Trial, engine_source, file_source
 from hapticd.measure.times import sampling
 from hapticd.measure.trial import TrialParams, judged, plan_trial
+from hapticd.measure.watch import loss_findings
 from hapticd.settings.scene import load_scene
 
 N = 40_000

@@ -16,10 +16,9 @@ from hapticd.measure.campaign import MapParams, plan_map, run_map
 from hapticd.measure.directed import SearchParams, plan_search, rounded, run_search, slice_at
 from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
 from hapticd.measure.outcomes import Conditions, Outcome, envelope_of, fly, kept, kept_frequencies, key_of, restored
-from hapticd.measure.plain import plain
 from hapticd.measure.portable import device_hash, portable, read_portable, write_portable
 from hapticd.measure.scenes import noise
-from hapticd.measure.store import TrialStore, fingerprint
+from hapticd.measure.store import TrialStore, fingerprint, plain
 from hapticd.measure.walls import WallParams, hit, plan_walls, run_walls, to_and_fro
 from hapticd.settings.scene import load_scene
 

@@ -16,7 +16,7 @@ ONLY = {  # what may be called from where: {called: {module: functions}}
     "judge": {
         "measure.outcomes": {"_look"},  # trials of batches
         "measure.trial": {"_verdict"},  # records
-        "measure.sentinel": {"_decide"},  # whether a record that grows is decided already
+        "measure.watch": {"_decide"},  # whether a record that grows is decided already
     },
     "axis_limit": {"measure.limits": {"predicted_limit"}},
     "bracket": {"measure.limits": {"_rounds", "_together"}},

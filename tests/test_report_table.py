@@ -6,7 +6,7 @@ from math import inf, nan
 import numpy as np
 import pytest
 
-from hapticd.measure.plain import plain
+from hapticd.measure.store import plain
 from hapticd.report.table import duration, percent, shown, table, text
 
 

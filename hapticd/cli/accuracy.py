@@ -22,8 +22,8 @@ def command(
     import time
 
     from hapticd.measure.accuracy import AccuracyParams, plan_accuracy, run_accuracy
-    from hapticd.measure.plain import plain
     from hapticd.measure.scene_run import compare_integrators
+    from hapticd.measure.store import plain
     from hapticd.report.study import accuracy_figure, accuracy_table, accuracy_words, integrators_figure
     from hapticd.report.table import text
     from hapticd.settings.scene import load_scene

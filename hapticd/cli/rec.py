@@ -34,7 +34,7 @@ def recover(file: Source, out: Target = None, as_json: options.Json = False) -> 
 @app.command()
 def info(file: Source, as_json: options.Json = False) -> None:
     """What is in a recording and where it comes from."""
-    from hapticd.measure.recording.opening import open_recording
+    from hapticd.measure.recording.file import open_recording
     from hapticd.measure.recording.pack import summary
 
     with open_recording(file) as recording:
@@ -59,8 +59,8 @@ def _plain(value: Any) -> Any:
 @app.command()
 def export(kind: Kind, file: Source, out: Target = None, as_json: options.Json = False) -> None:
     """Convert: `hapticd rec export mat FILE`."""
-    from hapticd.measure.recording.export import to_csv, to_mat
-    from hapticd.measure.recording.opening import open_recording
+    from hapticd.measure.recording.file import open_recording
+    from hapticd.measure.recording.pack import to_csv, to_mat
 
     target = out or _beside(file, f".{kind}")
     with open_recording(file) as recording:

@@ -25,7 +25,7 @@ def command(file: File, held: Held = None, filter_hz: FilterHz = None, plot: Plo
 
     The motion stays the recorded one: it shows what the law would have asked for. Exit 1 if a plain flight differs by a bit.
     """
-    from hapticd.measure.recording.opening import open_recording
+    from hapticd.measure.recording.file import open_recording
     from hapticd.measure.reflight import refly
 
     corners = ("filters.velocity_hz", "filters.acceleration_hz") if filter_hz is not None else ()

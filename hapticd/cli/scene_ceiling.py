@@ -5,8 +5,8 @@ from hapticd.cli import drawing, options, output
 
 def command(scene: drawing.SceneName, as_json: options.Json = False) -> None:
     """Say the largest stable added damping: of the device alone, with the scene's environment, and hot or cold."""
-    from hapticd.measure.plain import plain
     from hapticd.measure.scene_run import ceiling
+    from hapticd.measure.store import plain
     from hapticd.report.study import ceiling_table, ceiling_words
     from hapticd.report.table import text
     from hapticd.settings.scene import load_scene

@@ -33,7 +33,7 @@ def command(
     import time
 
     from hapticd.measure.effects import EffectsParams, plan_effects, run_effects
-    from hapticd.measure.plain import plain
+    from hapticd.measure.store import plain
     from hapticd.report.study import effects_figure, effects_table, effects_words
     from hapticd.report.table import text
     from hapticd.settings.scene import load_scene

@@ -8,8 +8,8 @@ def command(scene: drawing.SceneName, as_json: options.Json = False) -> None:
     import time
 
     from hapticd.measure.accuracy import cost
-    from hapticd.measure.plain import plain
     from hapticd.measure.scenes import SUBSTEPS
+    from hapticd.measure.store import plain
     from hapticd.plant.compose import compose
     from hapticd.plant.explain import explain
     from hapticd.report import study as words

@@ -48,7 +48,7 @@ def _plain(result: "SceneResult") -> dict[str, Any]:
 
 
 def _trial(result: "SceneResult", trial: "Trial") -> dict[str, Any]:
-    from hapticd.measure.plain import plain
+    from hapticd.measure.store import plain
     from hapticd.report.study import impedance_rows
 
     arrays = ("position_m", "force_n", "torque_n", "velocity_m_per_s", "measured", "predicted")

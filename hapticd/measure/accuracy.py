@@ -42,7 +42,7 @@ from hapticd.analysis.spectra import Spectra
 from hapticd.assembly.lockstep import LockStep
 from hapticd.assembly.scene import scene_params
 from hapticd.errors import AnalysisError, HapticdError
-from hapticd.measure.lockstep_trial import Flown, fly
+from hapticd.measure.lockstep import Flown, fly
 from hapticd.measure.progress import Progress, Steps, silent
 from hapticd.measure.scenes import (
     SUBSTEPS,

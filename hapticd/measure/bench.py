@@ -1,23 +1,31 @@
 """A trial on the device of a daemon: enable, set, perturb, record at 4 kHz, force off.
 
-The daemon may be the real one (`hapticd.client.Client`) or the same stack on virtual time (`lockstep_bench`): what is used of
-it is the `Bench` below; what is heard meanwhile is in `heard`, what is lost in `losses`. The trial begins disabled, and ends
-disabled whatever happens; nobody's session is taken over. Whoever changes anything meanwhile ends it.
+The daemon may be the real one (`hapticd.client.Client`) or the same stack on virtual time (`lockstep`): what is used of it is
+the `Bench` below. The trial begins disabled, and ends disabled whatever happens; nobody's session is taken over. Heard
+meanwhile are the probe's samples, the servo's ticks beside them, and why it ends. The ticks tell what no sample does: every
+command, the winding, where the device stands, slots that were left out, and the revision of what is in force, so that whoever
+changes anything ends the trial. What is lost is in `watch`.
 
-What would break it: a board without probe inputs (refused), or a host so busy that slots are lost (named, then undecided).
+What would break it: a board without probe inputs (refused), a host so busy that slots are lost (named, then undecided), or
+ticks and samples that come much apart; both are cut by the same servo.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from math import nan
 from typing import Any, Protocol
 
+import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.arrays import Floats
-from hapticd.errors import AnalysisError
-from hapticd.measure.heard import Hearing
+from hapticd.analysis.arrays import Flags, Floats
+from hapticd.client.blocks import Block, BlockDecoder
+from hapticd.errors import AnalysisError, DaemonDown
+from hapticd.mailbox.layout import Flag, State
 from hapticd.measure.progress import Progress, silent
 from hapticd.measure.recorded import Recorded
 from hapticd.measure.sources import Source, Trial
+from hapticd.measure.watch import LOST_SLOTS, Filler, Sentinel
 from hapticd.sim.engine.torque import torque_record
 from hapticd.units import PROBE_RATE_HZ
 
@@ -77,3 +85,119 @@ def _leave(bench: Bench) -> None:
     finally:
         if bench.status()["state"] == "enabled":
             bench.disable()
+
+
+SETTLE_S = 1.0  # of perturbed motion before the record begins
+PROBE, TICKS = "probe", "servo.raw"
+LOOK_S = 0.05
+SILENT_LOOKS = 40  # without a message: 2 s
+CHANGED = "changed: someone changed what was rendered or the perturbation; be alone at the device, and repeat the trial"
+
+
+class Hearing:
+    """One trial while it is heard: the probe's samples so far, and what the ticks beside them say."""
+
+    def __init__(self, daemon: Bench, trial: Trial) -> None:
+        servo = daemon.hello()["servo"]
+        ends = servo["environment"]["workspace"]
+        self._limit_n = min(servo["safety"]["force_limit_n"], servo["device"]["force_limit_n"])
+        self._daemon, self._seconds = daemon, trial.seconds
+        watch = replace(
+            trial.watch, command_limit_n=self._limit_n, travel_m=(ends["lower_m"], ends["upper_m"]),
+            speed_limit_m_per_s=servo["device"]["speed_limit_m_per_s"],
+        )  # fmt: skip
+        self._sentinel = Sentinel(watch, PROBE_RATE_HZ)
+        self._filler, self._parts = Filler(), list[tuple[Floats, Flags]]()  # (2, n) force and velocity, and which came
+        self._taken, self._command_n, self._winding_c, self._enabled = 0, 0.0, nan, True
+        self._positions_m: tuple[float, float] = (nan, nan)  # least and most since the sentinel looked
+        self._first: tuple[int, int] | None = None  # tick and lost slots when the perturbation began
+        self._lost_slots = self._slots = 0
+        self._revision, self._changed = -1, False
+
+    def recorded(self, origin: str, tell: Progress) -> Recorded:
+        """Listen to the end, or to where the sentinel or the servo ends it. DaemonDown if the daemon falls silent."""
+        settle, ended = round(SETTLE_S * PROBE_RATE_HZ), ""
+        wanted = settle + round(self._seconds * PROBE_RATE_HZ)
+        for block in self._heard():
+            self._take(block)
+            tell(self._sentinel.outlook, round(self._taken / PROBE_RATE_HZ), round(wanted / PROBE_RATE_HZ))
+            if self._taken > settle:
+                force, velocity = self._parts[-1][0]
+                ended = self._sentinel.see(force, velocity, self._winding_c, self._command_n, self._positions_m)
+            self._positions_m = (nan, nan)  # what was before it settled is no matter
+            if ended or self._taken >= wanted:
+                break
+        if not self._parts:
+            raise AnalysisError(
+                "the probe stream is empty: this board has no probe inputs; record with another system and import it"
+            )
+        status = self._daemon.status()
+        force, velocity = np.concatenate([part for part, _ in self._parts], axis=1)[:, settle:wanted]
+        return Recorded(
+            force, velocity, PROBE_RATE_HZ, origin, bool(status.get("simulated", True)),
+            ended or _gone(status) or (CHANGED if self._changed else ""),
+            self._command_n, self._limit_n, self._more(settle, wanted, status),
+        )  # fmt: skip
+
+    def _more(self, settle: int, wanted: int, status: Mapping[str, Any]) -> dict[str, Any]:
+        came = np.concatenate([known for _, known in self._parts])[settle:wanted]
+        return {
+            "lost_samples": int((~came).sum()), "samples": came.size, "lost_slots": self._lost_slots, "slots": self._slots,
+            "winding_c": self._winding_c, "config_hash": status.get("config_hash", ""),
+        }  # fmt: skip
+
+    def _heard(self) -> Iterator[Block]:
+        """Blocks of the probe, the ticks before each taken in; none after the servo is no longer enabled or was changed."""
+        decoders, quiet = {PROBE: BlockDecoder(), TICKS: BlockDecoder()}, 0
+        for message in self._daemon.messages((PROBE, TICKS), LOOK_S):
+            if message is None:
+                quiet += 1
+                if quiet > SILENT_LOOKS or not self._enabled or self._changed:
+                    break
+                continue
+            quiet, block = 0, decoders[message[0]].decode(message[1])
+            if message[0] == TICKS:
+                self._hear(block.records)
+            elif len(block.records):
+                yield block
+        if self._enabled and not self._changed and not _gone(self._daemon.status()):
+            raise DaemonDown(f"nothing from the probe for {SILENT_LOOKS * LOOK_S:g} s; see `hapticd status`")
+
+    def _hear(self, ticks: Any) -> None:
+        if not len(ticks):
+            return
+        clamped = bool((ticks["flags"] & Flag.CLAMPED).any())
+        self._command_n = max(self._command_n, self._limit_n if clamped else float(np.abs(ticks["force_n"]).max()))
+        self._winding_c, self._enabled = float(ticks["winding_c"][-1]), bool(ticks["state"][-1] == State.ENABLED)
+        at_m = ticks["position_m"]
+        self._positions_m = (float(np.fmin(self._positions_m[0], at_m.min())), float(np.fmax(self._positions_m[1], at_m.max())))
+        playing = ticks[ticks["perturbing"] != 0]
+        if self._first is None and len(playing):
+            self._first, self._revision = (int(playing["tick"][0]), int(playing["lost_slots"][0])), int(playing["revision"][0])
+        if self._first is not None and ticks["tick"][-1] >= self._first[0]:
+            self._lost_slots = (int(ticks["lost_slots"][-1]) - self._first[1]) % LOST_SLOTS
+            self._slots = int(ticks["tick"][-1]) - self._first[0] + 1 + self._lost_slots
+        if self._first is not None:
+            self._changed |= bool(ticks["revision"][-1] != self._revision)
+
+    def _take(self, block: Block) -> None:
+        self._parts.append(self._filler.filled(block.records["index"], signals(block)))
+        self._taken += self._parts[-1][1].size
+
+
+def _gone(status: Mapping[str, Any]) -> str:
+    """Why the servo is no longer enabled; "" if it is."""
+    state, cause = status["state"], status.get("cause")
+    if state == "enabled":
+        return ""
+    return f"{state}: {cause}" if cause and state != "disabled" else f"{state}: somebody ended it"
+
+
+def signals(probe: Block) -> Floats:
+    """Force [N] and velocity [m/s] (2, n) of a block of the probe's samples."""
+    return np.stack([_scaled(probe, name) for name in ("torque", "velocity")])
+
+
+def _scaled(block: Block, name: str) -> Floats:
+    scale = block.header["scale"][name]
+    return np.asarray(scale["sign"] * (block.records[name].astype(np.float64) - scale["offset_count"]) * scale["per_count"])

@@ -21,10 +21,10 @@ import numpy as np
 from hapticd.analysis.periodic import CHANGING, PeriodicSpectra, changing, periodic
 from hapticd.analysis.spa import DEFAULT_LAG
 from hapticd.errors import AnalysisError
-from hapticd.measure.losses import summed
 from hapticd.measure.progress import Progress, Steps, silent
 from hapticd.measure.recorded import Recorded, nearer
 from hapticd.measure.sources import Source, Trial
+from hapticd.measure.watch import summed
 from hapticd.plant.scene import Excitation
 from hapticd.units import PROBE_RATE_HZ
 

@@ -25,8 +25,8 @@ import numpy as np
 from hapticd.analysis.arrays import Flags, Floats, Integers
 from hapticd.errors import AnalysisError, ConfigError
 from hapticd.mailbox.layout import State
-from hapticd.measure.losses import LOST_SLOTS, Filler
 from hapticd.measure.recording.provenance import SCHEMA
+from hapticd.measure.watch import LOST_SLOTS, Filler
 from hapticd.units import NS_PER_S, PROBE_RATE_HZ
 
 SETTLE_S = 1.0

@@ -4,7 +4,7 @@ Files: .csv with a head line of names, columns apart by comma, semicolon or tab 
 and .mat with named arrays; .h5 with named datasets. Force in N and velocity in m/s at the port, sampled together; the rate from
 `rate_hz`, from a column of seconds (`times`), or as told where the file does not say. Told otherwise than the file, the record is
 refused: every limit is proportional to the rate or its square. Rows that a column of seconds shows to be missing are filled in
-and counted, as those that a live trial loses are (`losses`).
+and counted, as those that a live trial loses are (`watch`).
 """
 
 import csv
@@ -21,14 +21,13 @@ import numpy as np
 
 from hapticd.analysis.arrays import Floats, Integers
 from hapticd.errors import AnalysisError, ConfigError
-from hapticd.measure.archives import is_recording, read_hdf5, read_mat, read_npz, structures
-from hapticd.measure.csv_file import line_of, read_csv
-from hapticd.measure.losses import COUNTS, Filler
+from hapticd.measure.archives import is_recording, line_of, read_csv, read_hdf5, read_mat, read_npz, structures
 from hapticd.measure.own import COUNTED, OF_A_SERVO, Own, of_recording, of_remark, read_remark
-from hapticd.measure.recording.opening import open_recording
+from hapticd.measure.recording.file import open_recording
 from hapticd.measure.recording.pack import derived
 from hapticd.measure.store import RECORD_H5, RECORD_NPZ, SUMMARY, origin_of, read_summary, record_path
 from hapticd.measure.times import SLOWEST_HZ, Sampling, sampling
+from hapticd.measure.watch import COUNTS, Filler
 
 FORCES = ("force_n", "torque_n", "force", "torque", "f", "y")
 VELOCITIES = ("velocity_m_per_s", "velocity", "v", "u")

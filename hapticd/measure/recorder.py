@@ -7,7 +7,9 @@ Before the disk is full the recording ends in order; after a write error it ends
 `hapticd rec recover`.
 """
 
+import os
 import shutil
+import threading
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -18,11 +20,44 @@ from hapticd.client.blocks import BlockDecoder
 from hapticd.clock import Clock, MonotonicClock
 from hapticd.errors import ConfigError, DaemonDown, HapticdError
 from hapticd.measure.recording import live, pack
+from hapticd.measure.recording.live import TOPICS, Writer
 from hapticd.measure.recording.pack import packed
 from hapticd.measure.recording.provenance import of_recording
-from hapticd.measure.recording.synchroniser import Synchroniser
-from hapticd.measure.recording.writer import TOPICS, Writer
 from hapticd.units import NS_PER_S
+
+
+class Synchroniser:
+    """A thread that has the operating system write a file to its disk; a request while it is busy is dropped."""
+
+    def __init__(self) -> None:
+        self._wanted, self._ending = threading.Event(), threading.Event()
+        self._descriptor = -1
+        self._thread: threading.Thread | None = None
+
+    def request(self, descriptor: int) -> None:
+        """Write `descriptor` out soon; it stays open until `stop` has returned."""
+        self._descriptor = descriptor
+        self._wanted.set()
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._run)
+            self._thread.start()
+
+    def _run(self) -> None:
+        while self._wanted.wait() and not self._ending.is_set():
+            self._wanted.clear()
+            try:
+                os.fdatasync(self._descriptor)
+            except OSError:
+                pass  # the next write says so, with a message
+
+    def stop(self) -> None:
+        """End the thread; may be called twice."""
+        self._ending.set()
+        self._wanted.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+
 
 LOOK_S = 0.1  # between two looks for what has come, each written and flushed at once
 SYNC_NS = NS_PER_S  # between two looks at the disk

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from hapticd.assembly.replay import Difference, Records, difference, fly
 from hapticd.errors import ConfigError
 from hapticd.mailbox.layout import Value
-from hapticd.measure.recording.reading import Recording
+from hapticd.measure.recording.file import Recording
 
 
 @dataclass(frozen=True, eq=False)

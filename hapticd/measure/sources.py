@@ -14,7 +14,7 @@ from hapticd.analysis.arrays import Floats
 from hapticd.measure.progress import Progress, silent
 from hapticd.measure.recorded import Recorded
 from hapticd.measure.scenes import free_of_walls
-from hapticd.measure.sentinel import Sentinel, Watch
+from hapticd.measure.watch import Sentinel, Watch
 from hapticd.plant.compose import compose
 from hapticd.plant.scene import Excitation, Scene
 from hapticd.sim.engine import simulate

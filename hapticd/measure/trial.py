@@ -3,10 +3,18 @@
 Params -> plan_trial -> Plan -> run_trial -> Result. The plan says beforehand what is expected: whether the predicted loop is
 stable, and its impedance, where the device is known by a model. A trial of an environment that is predicted to be unstable is
 flown all the same (the sentinel ends it); the verdict then says not passive, with the spectral radius.
+
+On disk it is a run folder with record, summary and Z(f):
+
+run.json         verdict and everything that it depends on
+impedance.csv    a line for each frequency that the estimate has, with the units in the head line; empty where not known
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import inf, isfinite, isnan
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,13 +32,14 @@ from hapticd.analysis.spa import DEFAULT_LAG, spa
 from hapticd.analysis.spectra import Spectra, corrected
 from hapticd.analysis.verdict import Verdict
 from hapticd.errors import AnalysisError
-from hapticd.measure.losses import loss_findings
-from hapticd.measure.multisine import Layout, checked, laid_out, realised
+from hapticd.measure.multisine import PERIOD, Layout, checked, laid_out, realised
 from hapticd.measure.progress import Progress, silent
 from hapticd.measure.recorded import Recorded, nearer
+from hapticd.measure.referee import Referee
 from hapticd.measure.scenes import filters, perturbation
-from hapticd.measure.sentinel import AT_LIMIT
 from hapticd.measure.sources import Source, Trial
+from hapticd.measure.store import IMPEDANCE, fingerprint, write_run
+from hapticd.measure.watch import AT_LIMIT, loss_findings
 from hapticd.plant.compose import compose
 from hapticd.plant.model import Model
 from hapticd.plant.scene import Scene
@@ -227,3 +236,69 @@ def _predicted(plan: TrialPlan, z: Impedance) -> Complexes | None:
         plan.model, trial.environment, z.frequency_hz[at], trial.damping_ns_per_m, filters(plan.params.scene), shaken
     )
     return np.asarray(found - 2j * np.pi * z.frequency_hz * plan.params.behind_mass_kg)
+
+
+KIND = "trial"
+COLUMNS = ("frequency_hz", "real_ns_per_m", "imaginary_ns_per_m", "sd_ns_per_m", "coherence")
+
+
+def summary(result: TrialResult, referee: Referee | None = None) -> dict[str, Any]:
+    """Verdict and everything that it depends on; SI units."""
+    params, recorded = result.plan.params, result.recorded
+    stiffness, damping, mass = params.trial.environment
+    return {
+        "kind": KIND,
+        "simulated": recorded.simulated,
+        "origin": recorded.origin,
+        "verdict": result.verdict,
+        "sentence": str(result.verdict),
+        "ended": recorded.ended,
+        "environment": {"stiffness_n_per_m": stiffness, "damping_ns_per_m": damping, "mass_kg": mass},
+        "added_damping_ns_per_m": params.trial.damping_ns_per_m,
+        "perturbation": params.trial.excitation,
+        "estimator": result.measured.estimator,
+        "interval_covers": result.covers,
+        "lag": params.lag,
+        "multisine": _multisine(result),
+        "max_command_n": recorded.max_command_n,
+        "command_limit_n": recorded.command_limit_n,
+        "port": result.measured.port,
+        "probe_mass_taken_out_kg": params.behind_mass_kg,
+        "skew_taken_out_s": params.skew_s,
+        "high_pass_taken_out_hz": params.high_pass_hz,
+        "rate_hz": recorded.rate_hz,
+        "seconds": recorded.seconds,
+        "seed": params.trial.excitation.seed,
+        "scene": params.scene.name if params.scene else None,
+        "scene_hash": fingerprint(params.scene) if params.scene else None,
+        **recorded.more,
+        **({} if referee is None else {"stepped_sine": referee}),
+    }
+
+
+def _multisine(result: TrialResult) -> dict[str, Any] | None:
+    """Layout of the record, and the scatter of the two kinds over the band."""
+    if result.plan.params.multisine is None or not isinstance(result.spectra, PeriodicSpectra):
+        return None
+    periods, realisations = result.spectra.scatter(result.verdict.band_hz)
+    return {
+        "realisations": result.spectra.realisations,
+        "periods": result.spectra.periods,
+        "period_samples": PERIOD,
+        "scatter_between_periods": periods,
+        "scatter_between_realisations": realisations,
+    }
+
+
+def write(folder: Path, result: TrialResult, provenance: Mapping[str, Any], referee: Referee | None = None) -> Path:
+    """The run folder. ConfigError if it cannot be written to."""
+    texts = {IMPEDANCE: impedance_csv(result.measured)}
+    return write_run(folder, {**summary(result, referee), "provenance": provenance}, result.recorded, texts)
+
+
+def impedance_csv(measured: Impedance) -> str:
+    """Z(f) as text: frequency, real and imaginary part, standard deviation of the complex value, coherence."""
+    z = measured.impedance_ns_per_m
+    columns = np.column_stack((measured.frequency_hz, z.real, z.imag, measured.sd_ns_per_m, measured.coherence))
+    rows = (",".join(f"{value:.9g}" if np.isfinite(value) else "" for value in row) for row in columns)
+    return "\n".join((",".join(COLUMNS), *rows, ""))

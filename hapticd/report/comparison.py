@@ -11,7 +11,7 @@ from hapticd.analysis.boundary import AXES
 from hapticd.analysis.envelope import Envelope
 from hapticd.analysis.metrics import widths_db
 from hapticd.errors import AnalysisError
-from hapticd.measure.comparison import Compared, Comparison, Level
+from hapticd.measure.portable import Compared, Comparison, Level
 from hapticd.report.style import (
     BELOW,
     DEVICES,

@@ -135,7 +135,7 @@ def ranged(name: str, given: Range, least: int = 2) -> Range:
 
 def follow(new: "list[Outcome]", **more: Any) -> None:
     """A line of JSON for each outcome: type "outcome", K, B and M, verdict, margin [N s/m] with its interval, and `more`."""
-    from hapticd.measure.plain import plain
+    from hapticd.measure.store import plain
 
     for outcome in new:
         output.data_json({"type": "outcome", **more, **plain({name: getattr(outcome, name) for name in TOLD})})

@@ -9,7 +9,7 @@ from hapticd.cli import options, output
 from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
-    from hapticd.measure.comparison import Comparison
+    from hapticd.measure.portable import Comparison
 
 Files = Annotated[list[Path], typer.Argument(metavar="A.zwidth B.zwidth ...", help="As `hapticd zwidth report` writes them.")]
 Allow = Annotated[
@@ -26,7 +26,7 @@ def command(
     Files of unlike conditions (band, judged frequencies, perturbation, length of a trial, confidence) are refused, the unlike ones
     named; --allow judged_hz,seconds compares them all the same, and says so.
     """
-    from hapticd.measure.comparison import compare
+    from hapticd.measure.portable import compare
     from hapticd.report import style
     from hapticd.report.comparison import comparison_figure, comparison_tables
     from hapticd.report.table import text
@@ -47,7 +47,7 @@ def command(
 
 
 def _plain(found: "Comparison") -> dict[str, Any]:
-    from hapticd.measure.plain import plain
+    from hapticd.measure.store import plain
 
     displays = [
         {

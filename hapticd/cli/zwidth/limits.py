@@ -41,8 +41,7 @@ def command(
     from hapticd.analysis.boundary import AXES
     from hapticd.measure.executors import executor
     from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
-    from hapticd.measure.plain import plain
-    from hapticd.measure.store import TrialStore, write_run
+    from hapticd.measure.store import TrialStore, plain, write_run
     from hapticd.report import style
     from hapticd.report.passive_set import limits_figure
     from hapticd.report.table import text

@@ -49,7 +49,7 @@ def rig(instance: str, stack: ExitStack) -> Rig:
 
 def announce(rig: Rig, trial: "Trial", scene: "Scene | None") -> None:
     """What is about to happen, on stderr, before it does. `scene` is the one that was named."""
-    from hapticd.measure.sentinel import CENTRING_N_PER_M
+    from hapticd.measure.watch import CENTRING_N_PER_M
 
     k, b, m = trial.environment
     kind = "simulated" if rig.simulated else "real, it moves"

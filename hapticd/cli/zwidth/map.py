@@ -50,8 +50,7 @@ def command(
 
     from hapticd.measure.campaign import MapParams, plan_map, run_map
     from hapticd.measure.executors import executor
-    from hapticd.measure.plain import plain
-    from hapticd.measure.store import TrialStore, write_run
+    from hapticd.measure.store import TrialStore, plain, write_run
 
     conditions = common.conditions(common.scene_of(scene), seconds, seed, band)
     axes: tuple[Floats, Floats, Floats] = (

@@ -129,7 +129,7 @@ def _named(hand: "Hand") -> str:
 
 
 def _told(found: "Outlook", point: tuple[float, float, float], level: float) -> dict[str, Any]:
-    from hapticd.measure.plain import plain
+    from hapticd.measure.store import plain
 
     shaken = found.true.perturbation
     numbers: dict[str, Any] = {

@@ -32,7 +32,7 @@ def command(
     """Every figure of a simulated device, with NAME.zwidth, its portable summary; or those of a run folder, drawn again
     there, or in --out.
     """
-    from hapticd.measure.plain import plain
+    from hapticd.measure.store import plain
 
     folder = Path(what)
     if (folder / "run.json").is_file():
@@ -99,12 +99,12 @@ def _of_run(folder: Path, out: Path) -> Drawn:
 def _trial_again(folder: Path, kept: dict[str, Any], out: Path) -> Drawn:
     from hapticd.analysis.spa import DEFAULT_LAG
     from hapticd.cli.zwidth.trial import draw
-    from hapticd.measure.losses import COUNTS
     from hapticd.measure.multisine import Layout
     from hapticd.measure.recorded import read_file
     from hapticd.measure.sources import Trial
     from hapticd.measure.store import record_path
     from hapticd.measure.trial import TrialParams, judged, plan_trial
+    from hapticd.measure.watch import COUNTS
     from hapticd.plant.scene import Excitation
 
     recorded = replace(

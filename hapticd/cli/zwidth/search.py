@@ -34,8 +34,7 @@ def command(
     """
     from hapticd.measure.directed import SearchParams, plan_search, run_search
     from hapticd.measure.executors import executor
-    from hapticd.measure.plain import plain
-    from hapticd.measure.store import TrialStore, write_run
+    from hapticd.measure.store import TrialStore, plain, write_run
     from hapticd.report import style
     from hapticd.report.passive_set import search_figure
     from hapticd.report.table import table, text

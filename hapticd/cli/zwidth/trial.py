@@ -82,9 +82,9 @@ def command(
     from hapticd.measure.given import given
     from hapticd.measure.multisine import Layout, multisine_like
     from hapticd.measure.referee import may_follow, stepped_sine
-    from hapticd.measure.sentinel import Watch
     from hapticd.measure.sources import Trial, file_source
     from hapticd.measure.trial import TrialParams, plan_trial
+    from hapticd.measure.watch import Watch
 
     _check(source, excitation, estimator, sine, until_decided)
     named = scene or (ENGINE_SCENE if source in ("engine", "lockstep") else "")
@@ -158,7 +158,7 @@ def _live(plan: "TrialPlan", scene: "Scene | None", instance: str, stack: ExitSt
 def _source(name: str, scene: str, loaded: Any, stack: ExitStack) -> "Source":
     from hapticd.assembly.scene import scene_params
     from hapticd.measure.bench import bench_source
-    from hapticd.measure.lockstep_bench import LockStepBench
+    from hapticd.measure.lockstep import LockStepBench
     from hapticd.measure.sources import engine_source
 
     if name == "engine":
@@ -167,8 +167,8 @@ def _source(name: str, scene: str, loaded: Any, stack: ExitStack) -> "Source":
 
 
 def _show(result: "TrialResult", referee: "Referee | None", folder: Path, plot: bool, admittance: bool, as_json: bool) -> None:
-    from hapticd.measure.plain import plain
-    from hapticd.measure.trial_run import summary, write
+    from hapticd.measure.store import plain
+    from hapticd.measure.trial import summary, write
 
     write(folder, result, common.told(), referee)
     with common.drawing(folder):

@@ -34,8 +34,7 @@ def command(
     import numpy as np
 
     from hapticd.errors import AnalysisError
-    from hapticd.measure.plain import plain
-    from hapticd.measure.store import write_run
+    from hapticd.measure.store import plain, write_run
     from hapticd.measure.walls import WallParams, plan_walls, run_walls
     from hapticd.report import style
     from hapticd.report.passive_set import walls_figure

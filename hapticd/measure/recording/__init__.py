@@ -15,5 +15,5 @@ Rules. Numbers are int64, float64, float32, small unsigned integers or fixed-len
 datasets and attributes exist before the live file becomes SWMR. Nothing is compressed while live: compression with frequent flushes
 writes forty times the bytes. After kill -9 all that was flushed is there, but such a file opens only as SWMR reader, so `rec
 recover` packs it. What would break it: two writers of one file, a dataset made late, a reader that trusts equal
-lengths of a crashed file's columns (`reading` cuts them).
+lengths of a crashed file's columns (`file` cuts them).
 """

@@ -1,4 +1,7 @@
-"""Where numbers come from: software and its versions; of a recording also device, configuration, machine, rights, clocks."""
+"""Where numbers come from: software and its versions; of a recording also device, configuration, machine, rights, clocks.
+
+Libraries that an extra brings are loaded here when they are used.
+"""
 
 import hashlib
 import importlib.metadata
@@ -9,10 +12,12 @@ import time
 import uuid
 from contextlib import suppress
 from datetime import UTC, datetime
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import hapticd
+from hapticd.errors import HapticdError
 from hapticd.units import NS_PER_S
 
 SCHEMA = "hapticd-recording/1"
@@ -95,3 +100,11 @@ def processor() -> str:
     except OSError:
         return platform.machine()
     return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine())
+
+
+def needed(module: str, extra: str) -> Any:
+    """The module. HapticdError that names the extra when it is not installed."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise HapticdError(f"this needs {module.partition('.')[0]} ({error}); install hapticd[{extra}]") from error

@@ -1,27 +1,40 @@
-"""A daemon on virtual time that a trial can be flown on: servo, wire, pyusb and simulated board, faster than real time.
+"""The whole product on virtual time, faster than real time: servo, wire, pyusb and simulated board.
 
-It answers what `bench.Bench` asks in the words of `hapticd.client.Client`. Telemetry goes the whole way: frames of the board,
-the gateway's decoder, its messages, the client's decoder. What is left out are sockets and processes.
+`LockStepBench` answers what `bench.Bench` asks in the words of `hapticd.client.Client`. Telemetry goes the whole way: frames of
+the board, the gateway's decoder, its messages, the client's decoder. What is left out are sockets and processes.
+
+`fly` is one trial of a scene. The stack comes up as after `hapticd run`: enabled at rest and the gain ramped to 1. Then, at one
+tick, the perturbation starts and the scene's damping steps begin to count. The records begin at that tick: positions and forces
+as the servo knew them, torque and velocity as the probe frames brought them. Converters of the wire quantise, whether the scene
+asks for it or not.
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
+from hapticd.analysis.arrays import Floats
 from hapticd.assembly.lockstep import LockStep
-from hapticd.errors import CommandError
+from hapticd.assembly.scene import scene_params
+from hapticd.client.blocks import BlockDecoder
+from hapticd.errors import AnalysisError, CommandError, LinkError
 from hapticd.faults import BY_NUMBER
 from hapticd.gateway.encode import Origin, raw_message
 from hapticd.gateway.feed import Block as RingBlock
 from hapticd.gateway.probe import ProbeDecoder
-from hapticd.gateway.records import as_records
-from hapticd.mailbox.layout import PERTURBATION_SAMPLES, RECORD, Command, Result, State, Value
+from hapticd.gateway.records import Records, as_records
+from hapticd.mailbox.layout import PERTURBATION_SAMPLES, RECORD, Command, Flag, Result, State, Value
+from hapticd.measure.bench import signals
 from hapticd.params import BoardParams, ServoParams, to_plain
+from hapticd.units import PROBE_RATE_HZ
 
 READY_TICKS = 5
+MOST_S = PERTURBATION_SAMPLES / PROBE_RATE_HZ
 BLOCK_TICKS = 500
 
 
@@ -29,17 +42,22 @@ class LockStepBench:
     """`servo` and `board` on one virtual clock, ready and disabled. Use it as a context manager."""
 
     def __init__(self, servo: ServoParams, board: BoardParams) -> None:
-        self._servo, self._stack = servo, LockStep(servo, board, keep=False)
+        self._servo, self.stack = servo, LockStep(servo, board, keep=False)
         self._samples, self._seen = 0, 0
         self._last = np.zeros(1, as_records(b"").dtype)[0]
 
     def __enter__(self) -> Self:
-        self._stack.__enter__()
+        self.stack.__enter__()
         self._fly(READY_TICKS)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self._stack.__exit__(kind, error, trace)
+        self.stack.__exit__(kind, error, trace)
+
+    @property
+    def tick(self) -> int:
+        """The newest one."""
+        return int(self._last["tick"])
 
     def hello(self) -> dict[str, Any]:
         """What the servo was set up with."""
@@ -58,8 +76,7 @@ class LockStepBench:
 
     def set(self, *, K: float, B: float, M: float, damping: float) -> None:
         """As `Client.set`."""
-        values = {Value.STIFFNESS: K, Value.DAMPING: B, Value.MASS: M, Value.ADDED_DAMPING: damping}
-        self._do(Command.SET, values)
+        self._do(Command.SET, {Value.STIFFNESS: K, Value.DAMPING: B, Value.MASS: M, Value.ADDED_DAMPING: damping})
 
     def damping(self, value: Any) -> None:
         """Switch the electrical damping "on" or "off"."""
@@ -83,7 +100,7 @@ class LockStepBench:
         """Force [N] at 4 kHz, (n,)."""
         scale = self._servo.device.probe_torque
         force = np.asarray(samples_n, np.float64)[:PERTURBATION_SAMPLES]
-        self._stack.load_waveform([scale.to_count(value, -32768, 32767) for value in force.tolist()])
+        self.stack.load_waveform([scale.to_count(value, -32768, 32767) for value in force.tolist()])
         self._samples = force.size
         return self._samples
 
@@ -109,12 +126,55 @@ class LockStepBench:
             yield None
 
     def _do(self, kind: Command, values: dict[Value, float] | None = None) -> None:
-        answer = self._stack.do(kind, values)
+        answer = self.stack.do(kind, values)
         if answer.result not in (Result.APPLIED, Result.SCHEDULED, Result.SUPERSEDED):
             raise CommandError(answer.result.name.lower(), f"the servo refused {kind.name.lower()}: {answer.result.name.lower()}")
         self._fly(1)
 
     def _fly(self, ticks: int) -> bytes:
-        data = self._stack.run(ticks)
+        data = self.stack.run(ticks)
         self._last = as_records(data[-RECORD.size :])[-1]
         return data
+
+
+@dataclass(frozen=True, eq=False)
+class Flown:
+    """`position_m`, `force_n` (ticks,); `torque_n`, `velocity_m_per_s` (samples,) interval means at 4 kHz."""
+
+    position_m: Floats
+    force_n: Floats
+    torque_n: Floats
+    velocity_m_per_s: Floats
+
+
+def fly(source: str | Path, torque_n: npt.ArrayLike, steps: Sequence[tuple[float, float]]) -> Flown:
+    """Fly the scene `source` under `torque_n` (samples,) [N] at 4 kHz with damping steps (time s, level Ns/m).
+
+    AnalysisError for a record of more than 131 s; LinkError if the stack did not fly it without a flaw.
+    """
+    force = np.asarray(torque_n, np.float64)
+    if force.size > PERTURBATION_SAMPLES:
+        raise AnalysisError(f"{force.size / PROBE_RATE_HZ:g} s in lock-step: the waveform holds {MOST_S:g} s; ask for less")
+    servo, board = scene_params(source)
+    rate_hz = servo.realtime.rate_hz
+    with LockStepBench(servo, board) as bench:
+        bench.perturb_load(force)
+        bench.enable()
+        begin, stack = bench.tick + 1, bench.stack
+        stack.command(Command.PERTURB_START, {Value.SAMPLES: float(force.size), Value.LOOP: 0.0})
+        for at_s, level in steps:
+            values = {Value.ADDED_DAMPING: level, Value.ADDED_DAMPING_ON: 1.0}
+            stack.command(Command.DAMPING, values, begin + round(at_s * rate_hz))
+        found = as_records(stack.run(round(force.size / PROBE_RATE_HZ * rate_hz)))
+        refused = [answer.result.name for answer in stack.gateway.answers() if answer.result > Result.SUPERSEDED]
+    return _records(servo, found, refused)
+
+
+def _records(servo: ServoParams, found: Records, refused: list[str]) -> Flown:
+    spoiled = int(((found["flags"] & (Flag.MISSING_IN | Flag.BAD_IN | Flag.LATE)) != 0).sum())
+    if refused or spoiled or found["fault"].any():
+        raise LinkError(f"lock-step: {spoiled} spoiled ticks, commands refused: {refused or 'none'}; fly it with `hapticd run`")
+    block = RingBlock(1, 0, 0, found.tobytes(), found)
+    (probe,) = ProbeDecoder(servo.device).messages(block, Origin(0, 0, servo.simulated))
+    torque, velocity = signals(BlockDecoder().decode(probe))
+    return Flown(found["position_m"].copy(), found["force_n"].copy(), torque, velocity)
