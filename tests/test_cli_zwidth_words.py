@@ -18,11 +18,10 @@ from hapticd.cli import change
 from hapticd.cli.app import main
 from hapticd.cli.zwidth.trial_words import compared, needed
 from hapticd.measure.lockstep import LockStepBench
-from hapticd.measure.multisine import Layout
 from hapticd.measure.referee import Referee
 from hapticd.measure.scenes import device_scene, scene_of_device
 from hapticd.measure.sources import Trial
-from hapticd.measure.trial import TrialParams
+from hapticd.measure.trial import Layout, TrialParams
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.load import load
 from hapticd.settings.resources import shipped

@@ -14,10 +14,9 @@ from hapticd.client.blocks import BlockDecoder
 from hapticd.errors import AnalysisError
 from hapticd.measure.bench import bench_source
 from hapticd.measure.lockstep import LockStepBench
-from hapticd.measure.multisine import Layout, multisine_like, realised
 from hapticd.measure.recorded import Recorded, nearer
 from hapticd.measure.sources import Trial
-from hapticd.measure.trial import TrialParams, judged, plan_trial, run_trial, summary
+from hapticd.measure.trial import Layout, TrialParams, judged, multisine_like, plan_trial, realised, run_trial, summary
 from hapticd.measure.watch import Filler, Sentinel, Watch, loss_findings, summed
 from hapticd.plant.scene import Excitation
 from hapticd.settings.build import board_params, servo_params

@@ -10,11 +10,10 @@ from hapticd.assembly.scene import scene_params
 from hapticd.errors import AnalysisError
 from hapticd.measure.bench import bench_source
 from hapticd.measure.lockstep import LockStepBench
-from hapticd.measure.multisine import Layout, multisine_like
 from hapticd.measure.recorded import read_file
 from hapticd.measure.sources import Trial, engine_source
 from hapticd.measure.store import read_summary, record_path
-from hapticd.measure.trial import TrialParams, judged, plan_trial, run_trial, write
+from hapticd.measure.trial import Layout, TrialParams, judged, multisine_like, plan_trial, run_trial, write
 from hapticd.plant.scene import Excitation
 from hapticd.settings.scene import load_scene
 

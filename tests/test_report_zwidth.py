@@ -5,12 +5,11 @@ import pytest
 
 from hapticd.analysis.boundary import PassiveSet
 from hapticd.measure.campaign import LevelMap, MapResult
-from hapticd.measure.multisine import Layout, multisine_like
 from hapticd.measure.outcomes import Conditions, Outcome, fly, kept_frequencies
 from hapticd.measure.recorded import Recorded
 from hapticd.measure.scenes import noise
 from hapticd.measure.sources import Trial, engine_source
-from hapticd.measure.trial import TrialParams, judged, plan_trial, run_trial
+from hapticd.measure.trial import Layout, TrialParams, judged, multisine_like, plan_trial, run_trial
 from hapticd.plant.scene import Excitation
 from hapticd.report.envelope import envelope_figure
 from hapticd.report.passive_set import slice_masses, slices

@@ -12,7 +12,6 @@ asks for it or not.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -38,21 +37,18 @@ MOST_S = PERTURBATION_SAMPLES / PROBE_RATE_HZ
 BLOCK_TICKS = 500
 
 
-class LockStepBench:
+class LockStepBench(LockStep):
     """`servo` and `board` on one virtual clock, ready and disabled. Use it as a context manager."""
 
     def __init__(self, servo: ServoParams, board: BoardParams) -> None:
-        self._servo, self.stack = servo, LockStep(servo, board, keep=False)
+        super().__init__(servo, board, keep=False)
+        self._servo = servo
         self._samples, self._seen = 0, 0
         self._last = np.zeros(1, as_records(b"").dtype)[0]
 
     def __enter__(self) -> Self:
-        self.stack.__enter__()
-        self._fly(READY_TICKS)
+        self.run(READY_TICKS)
         return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.stack.__exit__(kind, error, trace)
 
     @property
     def tick(self) -> int:
@@ -85,7 +81,7 @@ class LockStepBench:
     def enable(self) -> None:
         """Force on, with a gain ramp."""
         self._do(Command.ENABLE)
-        self._fly(round(self._servo.safety.enable_ramp_s * self._servo.realtime.rate_hz) + READY_TICKS)
+        self.run(round(self._servo.safety.enable_ramp_s * self._servo.realtime.rate_hz) + READY_TICKS)
 
     def disable(self) -> None:
         """Force off."""
@@ -100,7 +96,7 @@ class LockStepBench:
         """Force [N] at 4 kHz, (n,)."""
         scale = self._servo.device.probe_torque
         force = np.asarray(samples_n, np.float64)[:PERTURBATION_SAMPLES]
-        self.stack.load_waveform([scale.to_count(value, -32768, 32767) for value in force.tolist()])
+        self.load_waveform([scale.to_count(value, -32768, 32767) for value in force.tolist()])
         self._samples = force.size
         return self._samples
 
@@ -116,7 +112,7 @@ class LockStepBench:
         """Payloads of "servo.raw" and "probe", as far as asked, while time goes on; for ever."""
         probe, origin = ProbeDecoder(self._servo.device), Origin(0, 0, self._servo.simulated)
         while True:
-            data = self._fly(BLOCK_TICKS)
+            data = self.run(BLOCK_TICKS)
             block = RingBlock(1, self._seen, 0, data, as_records(data))
             self._seen += len(block.records)
             if "servo.raw" in topics:
@@ -126,13 +122,14 @@ class LockStepBench:
             yield None
 
     def _do(self, kind: Command, values: dict[Value, float] | None = None) -> None:
-        answer = self.stack.do(kind, values)
+        answer = self.do(kind, values)
         if answer.result not in (Result.APPLIED, Result.SCHEDULED, Result.SUPERSEDED):
             raise CommandError(answer.result.name.lower(), f"the servo refused {kind.name.lower()}: {answer.result.name.lower()}")
-        self._fly(1)
+        self.run(1)
 
-    def _fly(self, ticks: int) -> bytes:
-        data = self.stack.run(ticks)
+    def run(self, ticks: int) -> bytes:
+        """As `LockStep.run`, and keeps the newest record."""
+        data = super().run(ticks)
         self._last = as_records(data[-RECORD.size :])[-1]
         return data
 
@@ -160,13 +157,13 @@ def fly(source: str | Path, torque_n: npt.ArrayLike, steps: Sequence[tuple[float
     with LockStepBench(servo, board) as bench:
         bench.perturb_load(force)
         bench.enable()
-        begin, stack = bench.tick + 1, bench.stack
-        stack.command(Command.PERTURB_START, {Value.SAMPLES: float(force.size), Value.LOOP: 0.0})
+        begin = bench.tick + 1
+        bench.command(Command.PERTURB_START, {Value.SAMPLES: float(force.size), Value.LOOP: 0.0})
         for at_s, level in steps:
             values = {Value.ADDED_DAMPING: level, Value.ADDED_DAMPING_ON: 1.0}
-            stack.command(Command.DAMPING, values, begin + round(at_s * rate_hz))
-        found = as_records(stack.run(round(force.size / PROBE_RATE_HZ * rate_hz)))
-        refused = [answer.result.name for answer in stack.gateway.answers() if answer.result > Result.SUPERSEDED]
+            bench.command(Command.DAMPING, values, begin + round(at_s * rate_hz))
+        found = as_records(bench.run(round(force.size / PROBE_RATE_HZ * rate_hz)))
+        refused = [answer.result.name for answer in bench.gateway.answers() if answer.result > Result.SUPERSEDED]
     return _records(servo, found, refused)
 
 

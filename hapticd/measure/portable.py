@@ -180,17 +180,26 @@ def compare(paths: Iterable[Path], allow: Iterable[str] = ()) -> Comparison:
     """The displays in `paths`. ConfigError for a file that is no summary; AnalysisError for fewer than two, for conditions that
     are unlike and not in `allow`, and for names in `allow` that are no conditions.
     """
-    files = [(path, read_portable(path)) for path in paths]
+    files = [(path, *_display(path)) for path in paths]
     if len(files) < 2:
         raise AnalysisError("one display is no comparison; name two files that `hapticd zwidth report` wrote, or more")
-    known = [_conditions(path, content) for path, content in files]
-    unlike = _checked(known, set(allow))
-    names = [one.device if [two.device for two in known].count(one.device) == 1 else str(path)
-             for (path, _), one in zip(files, known, strict=True)]  # fmt: skip
+    devices = [known.device for _, known, _ in files]
+    unlike = _checked([known for _, known, _ in files], set(allow))
     displays = (
-        Compared(name, one, _levels(path, content, one)) for name, one, (path, content) in zip(names, known, files, strict=True)
+        Compared(known.device if devices.count(known.device) == 1 else str(path), known, levels) for path, known, levels in files
     )
     return Comparison(tuple(displays), unlike)
+
+
+def _display(path: Path) -> tuple[Conditions, tuple[Level, ...]]:
+    content = read_portable(path)
+    try:
+        known = _conditions(content)
+        return known, tuple(_level(content, one, known) for one in content["envelopes"])
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        raise ConfigError(
+            f"{path}: not a whole Z-width summary ({error!r}); write it again with `hapticd zwidth report`"
+        ) from error
 
 
 def _checked(known: list[Conditions], allow: set[str]) -> tuple[str, ...]:
@@ -209,27 +218,22 @@ def _unlike(one: Conditions, other: Conditions) -> tuple[str, ...]:
     return tuple(name for name in differences(one, other) if name not in same_force(one, other))
 
 
-def _conditions(path: Path, content: Mapping[str, Any]) -> Conditions:
-    try:
-        told, first = content["conditions"], content["envelopes"][0]["envelope"]
-        low, high = told["band_hz"]
-        inside = [f for f in first["frequency_hz"] if low <= f <= high]
-        judged = told.get("judged") or {"first_hz": inside[0], "last_hz": inside[-1]}
-        model = None if "mass_kg" in told else _model(content)
-        masses = {"mass_kg": model.mass_kg, "probe_mass_kg": model.probe_mass_kg} if model else {}
-        known = {**masses, **told}
-        return Conditions(
-            device=content["device"], mass_kg=known.get("mass_kg", nan), port=first["port"],
-            probe_mass_kg=known.get("probe_mass_kg", 0.0), rate_hz=told.get("rate_hz", 1000.0),
-            filters=told.get("filters", USUAL.filters), band_hz=(low, high), estimator=first["estimator"],
-            grip=told.get("grip", "free"), perturbation_psd_n2_per_hz=told["perturbation"]["psd_n2_per_hz"],
-            judged_hz=(judged["first_hz"], judged["last_hz"]), confidence=told.get("confidence", 0.95), seconds=told["seconds"],
-            simulated=told["simulated"],
-        )  # fmt: skip
-    except (KeyError, IndexError, TypeError, ValueError) as error:
-        raise ConfigError(
-            f"{path}: not a whole Z-width summary ({error!r}); write it again with `hapticd zwidth report`"
-        ) from error
+def _conditions(content: Mapping[str, Any]) -> Conditions:
+    told, first = content["conditions"], content["envelopes"][0]["envelope"]
+    low, high = told["band_hz"]
+    inside = [f for f in first["frequency_hz"] if low <= f <= high]
+    judged = told.get("judged") or {"first_hz": inside[0], "last_hz": inside[-1]}
+    model = None if "mass_kg" in told else _model(content)
+    masses = {"mass_kg": model.mass_kg, "probe_mass_kg": model.probe_mass_kg} if model else {}
+    known = {**masses, **told}
+    return Conditions(
+        device=content["device"], mass_kg=known.get("mass_kg", nan), port=first["port"],
+        probe_mass_kg=known.get("probe_mass_kg", 0.0), rate_hz=told.get("rate_hz", 1000.0),
+        filters=told.get("filters", USUAL.filters), band_hz=(low, high), estimator=first["estimator"],
+        grip=told.get("grip", "free"), perturbation_psd_n2_per_hz=told["perturbation"]["psd_n2_per_hz"],
+        judged_hz=(judged["first_hz"], judged["last_hz"]), confidence=told.get("confidence", 0.95), seconds=told["seconds"],
+        simulated=told["simulated"],
+    )  # fmt: skip
 
 
 def _model(content: Mapping[str, Any]) -> Model | None:
@@ -241,15 +245,6 @@ def _model(content: Mapping[str, Any]) -> Model | None:
         return None
     scene = device_scene(content["device"])
     return compose(scene) if scene else None
-
-
-def _levels(path: Path, content: Mapping[str, Any], conditions: Conditions) -> tuple[Level, ...]:
-    try:
-        return tuple(_level(content, one, conditions) for one in content["envelopes"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise ConfigError(
-            f"{path}: not a whole Z-width summary ({error!r}); write it again with `hapticd zwidth report`"
-        ) from error
 
 
 def _level(content: Mapping[str, Any], drawn: Mapping[str, Any], conditions: Conditions) -> Level:

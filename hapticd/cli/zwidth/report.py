@@ -99,11 +99,10 @@ def _of_run(folder: Path, out: Path) -> Drawn:
 def _trial_again(folder: Path, kept: dict[str, Any], out: Path) -> Drawn:
     from hapticd.analysis.spa import DEFAULT_LAG
     from hapticd.cli.zwidth.trial import draw
-    from hapticd.measure.multisine import Layout
     from hapticd.measure.recorded import read_file
     from hapticd.measure.sources import Trial
     from hapticd.measure.store import record_path
-    from hapticd.measure.trial import TrialParams, judged, plan_trial
+    from hapticd.measure.trial import Layout, TrialParams, judged, plan_trial
     from hapticd.measure.watch import COUNTS
     from hapticd.plant.scene import Excitation
 

@@ -80,10 +80,9 @@ def command(
 
     from hapticd.measure import scenes
     from hapticd.measure.given import given
-    from hapticd.measure.multisine import Layout, multisine_like
     from hapticd.measure.referee import may_follow, stepped_sine
     from hapticd.measure.sources import Trial, file_source
-    from hapticd.measure.trial import TrialParams, plan_trial
+    from hapticd.measure.trial import Layout, TrialParams, multisine_like, plan_trial
     from hapticd.measure.watch import Watch
 
     _check(source, excitation, estimator, sine, until_decided)
