@@ -18,9 +18,8 @@ from hapticd.analysis.spa import spa
 from hapticd.analysis.verdict import Verdict
 from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
 from hapticd.measure.outcomes import Conditions, Outcome, fly
-from hapticd.measure.recorded import Recorded
 from hapticd.measure.sources import Trial
-from hapticd.measure.store import TrialStore
+from hapticd.measure.store import Recorded, TrialStore
 from hapticd.measure.trial import TrialParams, judged, plan_trial
 from hapticd.plant.bodies import Masses, Probe, Viscous
 from hapticd.plant.compose import compose

@@ -10,9 +10,9 @@ from hapticd.errors import CommandError
 from hapticd.mailbox.layout import Command, Value
 from hapticd.measure.bench import bench_source
 from hapticd.measure.lockstep import LockStepBench
-from hapticd.measure.recorded import Recorded
 from hapticd.measure.referee import may_follow, stepped_sine
 from hapticd.measure.sources import Trial, engine_source
+from hapticd.measure.store import Recorded
 from hapticd.measure.trial import TrialParams, plan_trial, run_trial
 from hapticd.settings.scene import load_scene
 

@@ -14,8 +14,8 @@ from hapticd.client.blocks import BlockDecoder
 from hapticd.errors import AnalysisError
 from hapticd.measure.bench import bench_source
 from hapticd.measure.lockstep import LockStepBench
-from hapticd.measure.recorded import Recorded, nearer
 from hapticd.measure.sources import Trial
+from hapticd.measure.store import Recorded, nearer
 from hapticd.measure.trial import Layout, TrialParams, judged, multisine_like, plan_trial, realised, run_trial, summary
 from hapticd.measure.watch import Filler, Sentinel, Watch, loss_findings, summed
 from hapticd.plant.scene import Excitation

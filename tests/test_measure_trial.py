@@ -12,11 +12,11 @@ from hapticd.assembly.scene import scene_params
 from hapticd.errors import AnalysisError, ConfigError, DaemonDown
 from hapticd.measure.bench import bench_source
 from hapticd.measure.lockstep import LockStepBench
-from hapticd.measure.recorded import Recorded, read_file
+from hapticd.measure.recorded import read_file
 from hapticd.measure.referee import stepped_sine
 from hapticd.measure.scenes import device_scene, filters
 from hapticd.measure.sources import Trial, engine_source, file_source
-from hapticd.measure.store import TrialStore, fingerprint, plain, read_summary, record_path
+from hapticd.measure.store import Recorded, TrialStore, fingerprint, plain, read_summary, record_path
 from hapticd.measure.trial import TrialParams, judged, plan_trial, run_trial, write
 from hapticd.measure.watch import Sentinel, Watch
 from hapticd.plant.compose import compose

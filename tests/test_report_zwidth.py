@@ -6,9 +6,9 @@ import pytest
 from hapticd.analysis.boundary import PassiveSet
 from hapticd.measure.campaign import LevelMap, MapResult
 from hapticd.measure.outcomes import Conditions, Outcome, fly, kept_frequencies
-from hapticd.measure.recorded import Recorded
 from hapticd.measure.scenes import noise
 from hapticd.measure.sources import Trial, engine_source
+from hapticd.measure.store import Recorded
 from hapticd.measure.trial import Layout, TrialParams, judged, multisine_like, plan_trial, run_trial
 from hapticd.plant.scene import Excitation
 from hapticd.report.envelope import envelope_figure

@@ -14,7 +14,6 @@ import numpy as np
 from hapticd.analysis.arrays import Floats
 from hapticd.errors import ConfigError
 from hapticd.measure.own import Column
-from hapticd.measure.recording.provenance import SCHEMA
 
 MARKS = (",", ";", "\t")
 
@@ -99,21 +98,6 @@ def read_hdf5(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: HDF5 is read with h5py ({error}): install hapticd[record]") from error
     with h5py.File(path) as file:
         return {name: values[()] for name, values in file.items() if isinstance(values, h5py.Dataset)}
-
-
-def is_recording(path: Path) -> bool:
-    """Whether an HDF5 file is a recording of this package, finished or not."""
-    try:
-        import h5py
-    except ImportError:
-        return False
-    for live in (False, True):
-        try:
-            with h5py.File(path, "r", swmr=live) as file:
-                return bool(file.attrs.get("schema") == SCHEMA)
-        except OSError:
-            continue
-    return False
 
 
 def structures(content: dict[str, Any]) -> tuple[Column, dict[str, Any]] | None:

@@ -8,7 +8,7 @@ a property of the device's drive: it is the record's, else the scene's, unless i
 
 from hapticd.errors import AnalysisError
 from hapticd.measure import scenes
-from hapticd.measure.recorded import Recorded, Rendered
+from hapticd.measure.store import Recorded, Rendered
 from hapticd.plant.scene import Scene
 
 NAMES = (("K", "N/m"), ("B", "N s/m"), ("M", "kg"))

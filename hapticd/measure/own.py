@@ -22,11 +22,12 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.arrays import Flags, Floats, Integers
+from hapticd.analysis.arrays import Flags
 from hapticd.errors import AnalysisError, ConfigError
 from hapticd.mailbox.layout import State
 from hapticd.measure.recording.provenance import SCHEMA
-from hapticd.measure.watch import LOST_SLOTS, Filler
+from hapticd.measure.store import Recorded, Rendered
+from hapticd.measure.watch import LOST_SLOTS, in_even_time
 from hapticd.units import NS_PER_S, PROBE_RATE_HZ
 
 SETTLE_S = 1.0
@@ -57,25 +58,12 @@ class Stretch:
     end_s: float
 
 
-@dataclass(frozen=True, eq=False)
-class Own:
-    """Force and velocity (n,) in even time at `rate_hz`, and what else is known of them."""
-
-    force_n: Floats
-    velocity_m_per_s: Floats
-    stretch: Stretch
-    origin: str
-    simulated: bool
-    more: Mapping[str, Any]
-    rate_hz: float = float(PROBE_RATE_HZ)
-
-
-def of_recording(column: Column, attributes: Mapping[str, Any], name: str) -> Own:
+def of_recording(column: Column, attributes: Mapping[str, Any], name: str) -> Recorded:
     """The trial in a recording called `name`. AnalysisError for one without probe samples."""
     return _cut(column, attributes, stretch(column, attributes, name), name)
 
 
-def of_remark(column: Column, remark: Mapping[str, Any], name: str) -> Own:
+def of_remark(column: Column, remark: Mapping[str, Any], name: str) -> Recorded:
     """The trial in a text file `name` that ends with `remark`. AnalysisError for the table of the servo."""
     if "trial" not in remark:
         raise AnalysisError(f"{name}: a table of the servo's ticks; the probe's samples are in {Path(name).stem}.probe.csv")
@@ -148,15 +136,18 @@ def _fit(column: Column) -> Flags:
     return np.asarray(found)
 
 
-def _cut(column: Column, attributes: Mapping[str, Any], trial: Stretch, name: str) -> Own:
+def _cut(column: Column, attributes: Mapping[str, Any], trial: Stretch, name: str) -> Recorded:
     part = slice(trial.first, trial.after)
-    index: Integers = np.asarray(column("probe", "index"), np.int64)[part]
-    channels = [np.asarray(column("probe", one), np.float64)[part] for one in ("torque_n", "velocity_m_per_s")]
-    (force, velocity), came = Filler().filled(index, np.stack(channels))
-    lost = {"lost_samples": int((~came).sum()), "samples": came.size, "lost_slots": trial.lost_slots, "slots": trial.slots}
+    force, velocity = (np.asarray(column("probe", one), np.float64)[part] for one in ("torque_n", "velocity_m_per_s"))
     more = {one: _plain(attributes[one]) for one in KEPT if attributes.get(one) not in (None, "")}
-    origin = f"recording {name} of {attributes.get('device_name', 'a device')!s}, {trial.begin_s:.4g} to {trial.end_s:.4g} s"
-    return Own(force, velocity, trial, origin, bool(int(attributes["simulated"])), {**more, **lost})
+    recorded = Recorded(
+        force, velocity, float(PROBE_RATE_HZ),
+        f"recording {name} of {attributes.get('device_name', 'a device')!s}, {trial.begin_s:.4g} to {trial.end_s:.4g} s",
+        bool(int(attributes["simulated"])), max_command_n=trial.max_command_n, command_limit_n=trial.command_limit_n,
+        more={**more, "lost_slots": trial.lost_slots, "slots": trial.slots},
+        rendered=Rendered(trial.environment, trial.added_damping_ns_per_m),
+    )  # fmt: skip
+    return in_even_time(recorded, np.asarray(column("probe", "index"), np.int64)[part])
 
 
 def _plain(value: Any) -> Any:

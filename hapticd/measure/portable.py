@@ -207,15 +207,12 @@ def _checked(known: list[Conditions], allow: set[str]) -> tuple[str, ...]:
         raise AnalysisError(
             f"--allow {','.join(sorted(wrong))}: no such condition; known: {', '.join(Conditions.__dataclass_fields__)}"
         )
-    first = known[0]
+    first, unlike = known[0], list[str]()
     for other in known[1:]:
-        check_alike((first, other), {*allow, *same_force(first, other)})
-    return tuple(dict.fromkeys(name for other in known[1:] for name in _unlike(first, other)))
-
-
-def _unlike(one: Conditions, other: Conditions) -> tuple[str, ...]:
-    """Differences, but for what is the same force on displays of other masses."""
-    return tuple(name for name in differences(one, other) if name not in same_force(one, other))
+        alike = same_force(first, other)  # on displays of other masses
+        check_alike((first, other), {*allow, *alike})
+        unlike += [name for name in differences(first, other) if name not in alike]
+    return tuple(dict.fromkeys(unlike))
 
 
 def _conditions(content: Mapping[str, Any]) -> Conditions:

@@ -12,22 +12,22 @@ import json
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
 
-from hapticd.analysis.arrays import Floats, Integers
+from hapticd.analysis.arrays import Floats
 from hapticd.errors import AnalysisError, ConfigError
-from hapticd.measure.archives import is_recording, line_of, read_csv, read_hdf5, read_mat, read_npz, structures
-from hapticd.measure.own import COUNTED, OF_A_SERVO, Own, of_recording, of_remark, read_remark
-from hapticd.measure.recording.file import open_recording
+from hapticd.measure.archives import line_of, read_csv, read_hdf5, read_mat, read_npz, structures
+from hapticd.measure.own import COUNTED, OF_A_SERVO, of_recording, of_remark, read_remark
+from hapticd.measure.recording.file import is_recording, open_recording
 from hapticd.measure.recording.pack import derived
-from hapticd.measure.store import RECORD_H5, RECORD_NPZ, SUMMARY, origin_of, read_summary, record_path
+from hapticd.measure.store import RECORD_H5, RECORD_NPZ, SUMMARY, Recorded, Rendered, origin_of, read_summary, record_path
 from hapticd.measure.times import SLOWEST_HZ, Sampling, sampling
-from hapticd.measure.watch import COUNTS, Filler
+from hapticd.measure.watch import COUNTS, in_even_time
 
 FORCES = ("force_n", "torque_n", "force", "torque", "f", "y")
 VELOCITIES = ("velocity_m_per_s", "velocity", "v", "u")
@@ -37,44 +37,6 @@ SAME_RATE = 1e-6
 ALIKE = 0.01  # rates of a file's rate and its times
 LARGEST, SMALLEST = 1e12, 1e-20  # N, m/s: beyond them it is no measurement
 BROKEN = (OSError, ValueError, EOFError, MemoryError, csv.Error, BadZipFile, zlib.error)  # what readers say of a broken file
-
-
-@dataclass(frozen=True, slots=True)
-class Rendered:
-    """K [N/m], B [N s/m], M [kg] that were rendered, and the electrical damping [N s/m] beside them."""
-
-    environment: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    damping_ns_per_m: float = 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class Recorded:
-    """`force_n`, `velocity_m_per_s` (N,) float64 at `rate_hz`. `ended`: why before its time, "" if it was not.
-
-    `max_command_n` is the largest force that was commanded, `command_limit_n` what the device can do; None where not known.
-    `more`: what else the source says of itself, for the run's summary. `rendered`: what the record says that it was recorded in.
-    """
-
-    force_n: Floats
-    velocity_m_per_s: Floats
-    rate_hz: float
-    origin: str
-    simulated: bool
-    ended: str = ""
-    max_command_n: float | None = None
-    command_limit_n: float | None = None
-    more: Mapping[str, Any] = field(default_factory=dict)
-    rendered: Rendered | None = None
-
-    @property
-    def seconds(self) -> float:
-        """Length."""
-        return self.force_n.size / self.rate_hz
-
-
-def nearer(ended: str) -> str:
-    """Remedy after a trial that was too short because it ended so; "" where the reason brings its own."""
-    return "; go nearer to 0" if ended.startswith(("escape", "saturation", "fault")) else ""
 
 
 def read_file(path: Path, force: str = "", velocity: str = "", rate_hz: float | None = None) -> Recorded:
@@ -120,7 +82,7 @@ def _whole_file(path: Path) -> Iterator[None]:
         ) from error
 
 
-def _recording(path: Path) -> Own:
+def _recording(path: Path) -> Recorded:
     with open_recording(path) as recording:
         more = {(group, name): values for group, name, _, values in derived(recording)}
 
@@ -130,7 +92,7 @@ def _recording(path: Path) -> Own:
         return of_recording(column, recording.attributes, path.name)
 
 
-def _exported(path: Path, columns: dict[str, Any]) -> Own | None:
+def _exported(path: Path, columns: dict[str, Any]) -> Recorded | None:
     """The trial in an export of a recording; None of another file."""
     if path.suffix == ".mat":
         found = structures(columns)
@@ -145,15 +107,10 @@ def _exported(path: Path, columns: dict[str, Any]) -> Own | None:
     return None
 
 
-def _of_own(path: Path, found: Own, told_hz: float | None) -> Recorded:
+def _of_own(path: Path, found: Recorded, told_hz: float | None) -> Recorded:
     if told_hz is not None and abs(told_hz - found.rate_hz) > SAME_RATE * found.rate_hz:
         raise AnalysisError(f"{path}: a recording at {found.rate_hz:g} Hz, --rate-hz {told_hz:.9g} Hz: leave that out")
-    rendered = Rendered(found.stretch.environment, found.stretch.added_damping_ns_per_m)
-    return Recorded(
-        found.force_n, found.velocity_m_per_s, found.rate_hz, found.origin, found.simulated,
-        max_command_n=found.stretch.max_command_n, command_limit_n=found.stretch.command_limit_n, more=found.more,
-        rendered=rendered,
-    )  # fmt: skip
+    return found
 
 
 def _of_trial(path: Path, columns: dict[str, Any], recorded: Recorded) -> Recorded:
@@ -182,16 +139,8 @@ def _foreign(path: Path, columns: dict[str, Any], told: tuple[str, str], rate_hz
     if y.size != u.size:
         raise AnalysisError(f"{path}: {y.size} samples of force and {u.size} of velocity; both were expected, sampled together")
     found = _sampling(path, known, rate_hz, y.size)
-    if found.place is None:
-        return Recorded(y, u, found.rate_hz, path.name, simulated=False)
-    return _filled(Recorded(y, u, found.rate_hz, path.name, simulated=False), found.place)
-
-
-def _filled(recorded: Recorded, place: Integers) -> Recorded:
-    """`recorded` in even time, its samples at `place` (n,), with how many were lost."""
-    (force, velocity), came = Filler().filled(place, np.stack((recorded.force_n, recorded.velocity_m_per_s)))
-    lost = {"lost_samples": int((~came).sum()), "samples": came.size}
-    return replace(recorded, force_n=force, velocity_m_per_s=velocity, more={**recorded.more, **lost})
+    recorded = Recorded(y, u, found.rate_hz, path.name, simulated=False)
+    return recorded if found.place is None else in_even_time(recorded, found.place)
 
 
 def _named(path: Path, known: dict[str, Floats], told: str, usual: tuple[str, ...]) -> Floats:

@@ -180,8 +180,8 @@ class Recorder:
                 if now_ns - synced_ns >= SYNC_NS:
                     synced_ns = now_ns
                     self._sync.request(writer.file.descriptor)
-                    ended = self._nearly_full()
-                    tell(Progress(writer.records, writer.seconds, writer.missing["servo.raw"], self._size()))
+                    ended = "disk nearly full" if self._free_bytes(self._params.part.parent) < RESERVE_BYTES else ""
+                    tell(Progress(writer.records, writer.seconds, writer.missing["servo.raw"], self._params.part.stat().st_size))
             ended = ended or self._over(now_ns - heard_ns, should_stop)
         self._sync.stop()
         if self._writer:
@@ -207,12 +207,6 @@ class Recorder:
         if silent_ns >= SILENCE_NS:
             return "daemon ended"
         return "complete" if self._writer and self._writer.beyond else ""
-
-    def _nearly_full(self) -> str:
-        return "disk nearly full" if self._free_bytes(self._params.part.parent) < RESERVE_BYTES else ""
-
-    def _size(self) -> int:
-        return self._params.part.stat().st_size
 
     def _spoilt(self, error: Exception) -> HapticdError:
         part = self._params.part

@@ -12,8 +12,8 @@ import numpy as np
 
 from hapticd.analysis.arrays import Floats
 from hapticd.measure.progress import Progress, silent
-from hapticd.measure.recorded import Recorded
 from hapticd.measure.scenes import free_of_walls
+from hapticd.measure.store import Recorded
 from hapticd.measure.watch import Sentinel, Watch
 from hapticd.plant.compose import compose
 from hapticd.plant.scene import Excitation, Scene

@@ -15,13 +15,14 @@ import hashlib
 import json
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from hapticd.analysis.arrays import Floats
 from hapticd.errors import ConfigError
 
 
@@ -45,9 +46,6 @@ def plain(value: Any, *, skip: tuple[str, ...] = ()) -> Any:
     return value if isinstance(value, str | int | bool | None) else str(value)
 
 
-if TYPE_CHECKING:
-    from hapticd.measure.recorded import Recorded
-
 SUMMARY, RECORD_H5, RECORD_NPZ, IMPEDANCE = "run.json", "record.h5", "record.npz", "impedance.csv"
 FIGURES = ("trial", "trial_admittance", "limits", "walls", "search", "set", "envelope", "envelope_admittance", "envelope_so_far")
 OF_A_RUN = (SUMMARY, RECORD_H5, RECORD_NPZ, IMPEDANCE, *(f"{name}.{kind}" for name in FIGURES for kind in ("png", "svg")))
@@ -57,13 +55,51 @@ OF_A_RECORD = (
 )  # fmt: skip
 
 
+@dataclass(frozen=True, slots=True)
+class Rendered:
+    """K [N/m], B [N s/m], M [kg] that were rendered, and the electrical damping [N s/m] beside them."""
+
+    environment: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    damping_ns_per_m: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """`force_n`, `velocity_m_per_s` (N,) float64 at `rate_hz`. `ended`: why before its time, "" if it was not.
+
+    `max_command_n` is the largest force that was commanded, `command_limit_n` what the device can do; None where not known.
+    `more`: what else the source says of itself, for the run's summary. `rendered`: what the record says that it was recorded in.
+    """
+
+    force_n: Floats
+    velocity_m_per_s: Floats
+    rate_hz: float
+    origin: str
+    simulated: bool
+    ended: str = ""
+    max_command_n: float | None = None
+    command_limit_n: float | None = None
+    more: Mapping[str, Any] = field(default_factory=dict)
+    rendered: Rendered | None = None
+
+    @property
+    def seconds(self) -> float:
+        """Length."""
+        return self.force_n.size / self.rate_hz
+
+
+def nearer(ended: str) -> str:
+    """Remedy after a trial that was too short because it ended so; "" where the reason brings its own."""
+    return "; go nearer to 0" if ended.startswith(("escape", "saturation", "fault")) else ""
+
+
 def fingerprint(value: Any) -> str:
     """SHA-256 (hex) over the canonical JSON of `value`: equal for equal values."""
     return hashlib.sha256(json.dumps(plain(value), sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
 def write_run(
-    folder: Path, summary: Mapping[str, Any], recorded: "Recorded | None" = None, texts: Mapping[str, str] | None = None
+    folder: Path, summary: Mapping[str, Any], recorded: Recorded | None = None, texts: Mapping[str, str] | None = None
 ) -> Path:
     """A run folder, made if need be, in place of the run that was there; `texts`: further files by name.
 
@@ -105,7 +141,7 @@ def record_path(folder: Path) -> Path:
     raise ConfigError(f"{folder}: no record; {RECORD_H5} or {RECORD_NPZ} was expected")
 
 
-def _write_record(folder: Path, recorded: "Recorded", told: str) -> None:
+def _write_record(folder: Path, recorded: Recorded, told: str) -> None:
     channels = {name: np.asarray(getattr(recorded, name), np.float32) for name in ("force_n", "velocity_m_per_s")}
     try:
         import h5py

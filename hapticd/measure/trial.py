@@ -47,11 +47,10 @@ from hapticd.analysis.spectra import Spectra, corrected
 from hapticd.analysis.verdict import Verdict
 from hapticd.errors import AnalysisError
 from hapticd.measure.progress import Progress, Steps, silent
-from hapticd.measure.recorded import Recorded, nearer
 from hapticd.measure.referee import Referee
 from hapticd.measure.scenes import filters, perturbation
 from hapticd.measure.sources import Source, Trial
-from hapticd.measure.store import IMPEDANCE, fingerprint, write_run
+from hapticd.measure.store import IMPEDANCE, Recorded, fingerprint, nearer, write_run
 from hapticd.measure.watch import AT_LIMIT, loss_findings, summed
 from hapticd.plant.compose import compose
 from hapticd.plant.model import Model

@@ -35,7 +35,7 @@ What would break it: gaps that come with the motion (a board that loses what is 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, nan
 from typing import Any
 
@@ -48,6 +48,7 @@ from hapticd.analysis.passivity import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge
 from hapticd.analysis.spa import DEFAULT_LAG, SpectralStream
 from hapticd.analysis.spectra import Spectra
 from hapticd.analysis.verdict import needed
+from hapticd.measure.store import Recorded
 
 BRIDGED = 40  # samples at most: 10 ms
 MOST_LOST = 0.01  # share of samples or slots above which nothing is decided
@@ -79,6 +80,13 @@ class Filler:
         full = np.stack([np.interp(at, place, channel) for channel in known])
         full[:, 1:][:, silent & ~came[1:]] = 0.0
         return full[:, skip:], came[skip:]
+
+
+def in_even_time(recorded: Recorded, place: Integers) -> Recorded:
+    """`recorded`, its samples those at `place` (n,), with what is missing between them filled in and counted."""
+    (force, velocity), came = Filler().filled(place, np.stack((recorded.force_n, recorded.velocity_m_per_s)))
+    lost = {"lost_samples": int((~came).sum()), "samples": came.size}
+    return replace(recorded, force_n=force, velocity_m_per_s=velocity, more={**recorded.more, **lost})
 
 
 def loss_findings(counts: Mapping[str, Any]) -> tuple[Finding, ...]:

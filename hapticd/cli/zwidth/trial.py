@@ -14,9 +14,9 @@ from hapticd.cli.zwidth.trial_words import asked_for, compared, needed
 if TYPE_CHECKING:
     from hapticd.analysis.impedance import Estimator
     from hapticd.measure.progress import Progress
-    from hapticd.measure.recorded import Recorded
     from hapticd.measure.referee import Referee
     from hapticd.measure.sources import Source
+    from hapticd.measure.store import Recorded
     from hapticd.measure.trial import TrialPlan, TrialResult
     from hapticd.plant.scene import Scene
 

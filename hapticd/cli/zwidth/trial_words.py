@@ -3,9 +3,9 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from hapticd.measure.recorded import Recorded
     from hapticd.measure.referee import Referee
     from hapticd.measure.sources import Trial
+    from hapticd.measure.store import Recorded
     from hapticd.measure.trial import TrialResult
     from hapticd.plant.scene import Scene
 

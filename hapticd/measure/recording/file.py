@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapticd.assembly.replay import Leg
-from hapticd.errors import ConfigError
+from hapticd.errors import ConfigError, HapticdError
 from hapticd.gateway import flight_file
 from hapticd.gateway.encode import ENERGIES
 from hapticd.gateway.records import DTYPE, Records
@@ -73,8 +73,7 @@ class Recording:
 
     def unit(self, group: str, name: str) -> str:
         """Unit of a channel; empty when it has none."""
-        channel = next((one for one in GROUPS.get(group, []) if one.name == name), None)
-        return channel.unit if channel else ""
+        return next((channel.unit for channel in GROUPS.get(group, []) if channel.name == name), "")
 
     @property
     def params(self) -> ServoParams:
@@ -117,7 +116,7 @@ class Recording:
         return [(first, after, int(epoch)) for first, after, epoch in zip(edges[:-1], edges[1:], epochs, strict=True)]
 
     def _leg(self, first: int, after: int, epoch: int) -> Leg | None:
-        begin_tick, end_tick = int(self.column("servo", "tick", first, first + 1)[0]), 0
+        begin_tick = int(self.column("servo", "tick", first, first + 1)[0])
         end_tick = begin_tick + after - first
         breaks = [tick for one, tick in self._pairs("break") if one == epoch and begin_tick <= tick < end_tick]
         for (one, tick), state in zip(self._pairs("checkpoint"), self._states(), strict=False):
@@ -153,6 +152,15 @@ class Recording:
 def open_recording(path: Path) -> Recording:
     """The recording in `path`, of whatever kind. ConfigError: it is none, or cannot be read."""
     return _flight(path) if path.suffix == flight_file.SUFFIX else _hdf5(path)
+
+
+def is_recording(path: Path) -> bool:
+    """Whether an HDF5 file is a recording of this package, finished or not."""
+    try:
+        with _opened(needed("h5py", "record"), path) as file:
+            return bool(file.attrs.get("schema") == SCHEMA)
+    except (OSError, HapticdError):
+        return False
 
 
 def _hdf5(path: Path) -> Recording:

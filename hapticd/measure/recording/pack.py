@@ -14,6 +14,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapticd.errors import AnalysisError, HapticdError
-from hapticd.measure.own import Stretch, remark, stretch
 from hapticd.measure.recording import live
 from hapticd.measure.recording.file import Recording, open_recording
 from hapticd.measure.recording.provenance import needed
@@ -46,7 +46,8 @@ def pack(source: Path, final: Path, recovered: bool = False) -> dict[str, Any]:
         try:
             with h5py.File(fresh, "w", libver=("earliest", "v108")) as file:
                 _write(file, recording, told, recovered)
-            _synchronise(fresh)
+            with fresh.open("rb") as written:
+                os.fsync(written.fileno())
             fresh.replace(final)
         except OSError as error:
             raise HapticdError(f"{final}: {error}; free some space, then `hapticd rec recover {source}`") from error
@@ -133,14 +134,6 @@ def derived(recording: Recording) -> Iterator[tuple[str, str, str, NDArray[Any]]
         yield "probe", "t_s", "s", (index - index[0]) / PROBE_RATE_HZ
 
 
-def _synchronise(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
 def main(arguments: list[str]) -> int:
     """Pack in this process and print the summary as JSON; the exit code."""
     source, final, *recovered = arguments
@@ -180,18 +173,15 @@ def to_mat(recording: Recording, path: Path) -> Path:
 
 def to_csv(recording: Recording, path: Path) -> list[Path]:
     """The records in `path`, one line a tick, units in the names; probe samples beside it in NAME.probe.csv."""
-    written = [_table(recording, "servo", path, None)]
+    from hapticd.measure.own import remark, stretch  # with the analysis, which a recorder does without
+
+    written = [_table(recording, "servo", path, remark(recording.attributes, None))]
     if recording.rows["probe"]:
-        trial = _trial(recording)
-        written.append(_table(recording, "probe", path.with_suffix(".probe.csv"), trial))
+        trial = None
+        with suppress(AnalysisError):
+            trial = stretch(recording.column, recording.attributes, recording.path.name)
+        written.append(_table(recording, "probe", path.with_suffix(".probe.csv"), remark(recording.attributes, trial)))
     return written
-
-
-def _trial(recording: Recording) -> Stretch | None:
-    try:
-        return stretch(recording.column, recording.attributes, recording.path.name)
-    except AnalysisError:
-        return None
 
 
 def _more(recording: Recording, group: str) -> Columns:
@@ -200,7 +190,7 @@ def _more(recording: Recording, group: str) -> Columns:
     return {name: values for one, name, _, values in derived(recording) if one == group and name not in known}
 
 
-def _table(recording: Recording, group: str, path: Path, trial: Stretch | None) -> Path:
+def _table(recording: Recording, group: str, path: Path, remark: str) -> Path:
     names, more = [name for name in recording.names(group) if name not in FRAMES], _more(recording, group)
     try:
         with path.open("x", newline="") as file:
@@ -211,7 +201,7 @@ def _table(recording: Recording, group: str, path: Path, trial: Stretch | None) 
                 columns = [recording.column(group, name, begin, end).tolist() for name in names]
                 columns += [values[begin:end].tolist() for values in more.values()]
                 lines.writerows(zip(*columns, strict=True))
-            file.write(remark(recording.attributes, trial))
+            file.write(remark)
     except OSError as error:
         raise HapticdError(f"{path}: {error.strerror}; choose another name") from error
     return path

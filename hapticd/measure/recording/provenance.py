@@ -60,7 +60,7 @@ def of_recording(hello: dict[str, Any], status: dict[str, Any], header: dict[str
         "layout": header["layout"],
         "device_name": device["name"],
         "device_serial": device["serial"],
-        "device_hash": _digest(device),
+        "device_hash": hashlib.sha256(json.dumps(device, sort_keys=True).encode()).hexdigest(),
         "calibration": json.dumps(
             {name: scale["date"] for name, scale in device.items() if isinstance(scale, dict) and "date" in scale}
         ),
@@ -78,10 +78,6 @@ def of_recording(hello: dict[str, Any], status: dict[str, Any], header: dict[str
         "cpu": processor(),
         "note": note,
     }
-
-
-def _digest(plain: Any) -> str:
-    return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
 
 
 def commit(folder: Path = Path(hapticd.__file__).parent) -> str:
