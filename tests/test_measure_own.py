@@ -15,11 +15,11 @@ from hapticd.cli.app import main
 from hapticd.clock import VirtualClock
 from hapticd.errors import AnalysisError, ConfigError, HapticdError
 from hapticd.mailbox.layout import Command, Value
-from hapticd.measure.given import given
 from hapticd.measure.recorded import read_file
 from hapticd.measure.recorder import Recorder, RecordingParams, record
 from hapticd.measure.recording import pack
 from hapticd.measure.recording.file import open_recording
+from hapticd.measure.sources import given
 from hapticd.measure.store import Rendered
 from hapticd.settings.scene import load_scene
 from hapticd.units import NS_PER_S

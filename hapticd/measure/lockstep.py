@@ -38,22 +38,17 @@ BLOCK_TICKS = 500
 
 
 class LockStepBench(LockStep):
-    """`servo` and `board` on one virtual clock, ready and disabled. Use it as a context manager."""
+    """`servo` and `board` on one virtual clock, ready and disabled; `newest` is the record of the newest tick. Use it as a context manager."""
 
     def __init__(self, servo: ServoParams, board: BoardParams) -> None:
         super().__init__(servo, board, keep=False)
         self._servo = servo
         self._samples, self._seen = 0, 0
-        self._last = np.zeros(1, as_records(b"").dtype)[0]
+        self.newest = np.zeros(1, as_records(b"").dtype)[0]
 
     def __enter__(self) -> Self:
         self.run(READY_TICKS)
         return self
-
-    @property
-    def tick(self) -> int:
-        """The newest one."""
-        return int(self._last["tick"])
 
     def hello(self) -> dict[str, Any]:
         """What the servo was set up with."""
@@ -61,11 +56,11 @@ class LockStepBench(LockStep):
 
     def status(self) -> dict[str, Any]:
         """State, cause of a fault, temperature."""
-        fault = BY_NUMBER.get(int(self._last["fault"]))
+        fault = BY_NUMBER.get(int(self.newest["fault"]))
         return {
-            "state": State(int(self._last["state"])).name.lower(),
+            "state": State(int(self.newest["state"])).name.lower(),
             "cause": fault.cause if fault else "",
-            "winding_c": float(self._last["winding_c"]),
+            "winding_c": float(self.newest["winding_c"]),
             "simulated": self._servo.simulated,
             "config_hash": self._servo.config_hash,
         }
@@ -130,7 +125,7 @@ class LockStepBench(LockStep):
     def run(self, ticks: int) -> bytes:
         """As `LockStep.run`, and keeps the newest record."""
         data = super().run(ticks)
-        self._last = as_records(data[-RECORD.size :])[-1]
+        self.newest = as_records(data[-RECORD.size :])[-1]
         return data
 
 
@@ -157,7 +152,7 @@ def fly(source: str | Path, torque_n: npt.ArrayLike, steps: Sequence[tuple[float
     with LockStepBench(servo, board) as bench:
         bench.perturb_load(force)
         bench.enable()
-        begin = bench.tick + 1
+        begin = int(bench.newest["tick"]) + 1
         bench.command(Command.PERTURB_START, {Value.SAMPLES: float(force.size), Value.LOOP: 0.0})
         for at_s, level in steps:
             values = {Value.ADDED_DAMPING: level, Value.ADDED_DAMPING_ON: 1.0}

@@ -2,6 +2,12 @@
 
 A record that is there already is shown to the sentinel second by second, as a daemon would show it, and cut where it would
 have ended the trial.
+
+What a trial renders, of what was typed, the scene and the record, is one rule for all of them. Of K, B and M what is
+not given is that of the scene that was named, else 0: nobody who asks for K = 500 N/m alone asks for the B and M of a
+scene that was not named. With none of the three given the environment is that of the record, else of the scene as it
+is, else 0. The electrical damping is a property of the device's drive: it is the record's, else the scene's, unless it
+is given.
 """
 
 from collections.abc import Callable
@@ -11,9 +17,10 @@ from math import inf, nan
 import numpy as np
 
 from hapticd.analysis.arrays import Floats
+from hapticd.errors import AnalysisError
+from hapticd.measure import scenes
 from hapticd.measure.progress import Progress, silent
-from hapticd.measure.scenes import free_of_walls
-from hapticd.measure.store import Recorded
+from hapticd.measure.store import Recorded, Rendered
 from hapticd.measure.watch import Sentinel, Watch
 from hapticd.plant.compose import compose
 from hapticd.plant.scene import Excitation, Scene
@@ -21,6 +28,9 @@ from hapticd.sim.engine import simulate
 
 LEAST_KEPT_S = 8.0
 NOISE = Excitation("noise")
+NAMES = (("K", "N/m"), ("B", "N s/m"), ("M", "kg"))
+Typed = tuple[float | None, float | None, float | None]  # K [N/m], B [N s/m], M [kg]
+SAME = 1e-6  # relative
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +55,7 @@ def engine_source(scene: Scene, substeps: int = 4) -> Source:
         tell("simulating", 0, 1)
         found = simulate(
             scene, [trial.environment], trial.seconds, trial.excitation.seed, damping=trial.damping_ns_per_m,
-            environment=free_of_walls(scene), start=(0.0, 0.0), substeps=substeps, keep="ticks",
+            environment=scenes.free_of_walls(scene), start=(0.0, 0.0), substeps=substeps, keep="ticks",
             excitation=trial.excitation if trial.waveform_n is None else trial.waveform_n,
         )  # fmt: skip
         tell("simulated", 1, 1)
@@ -83,3 +93,29 @@ def _watched(whole: Recorded, watch: Watch, winding_c: float = nan, command_n: F
         return whole
     kept = max(round(LEAST_KEPT_S * whole.rate_hz), round(sentinel.seconds * whole.rate_hz))  # what is there may as well be judged
     return replace(whole, force_n=whole.force_n[:kept], velocity_m_per_s=whole.velocity_m_per_s[:kept], ended=sentinel.reason)
+
+
+def given(
+    typed: Typed, damping_ns_per_m: float | None, scene: Scene | None, named: bool, recorded: Recorded | None = None
+) -> Rendered:
+    """What is rendered; `named`: the user named `scene`. AnalysisError where a record was made in something else than what was
+    typed.
+    """
+    told = recorded.rendered if recorded else None
+    if told is not None:
+        _agrees(recorded.origin if recorded else "", typed, damping_ns_per_m, told)
+        return told
+    known = Rendered(scenes.point(scene), scenes.level(scene)) if scene else Rendered()
+    others = known.environment if named or typed == (None, None, None) else (0.0, 0.0, 0.0)
+    stiffness, damping, mass = (other if own is None else own for own, other in zip(typed, others, strict=True))
+    level = known.damping_ns_per_m if damping_ns_per_m is None else damping_ns_per_m
+    return Rendered((stiffness, damping, mass), level)
+
+
+def _agrees(origin: str, typed: Typed, damping_ns_per_m: float | None, told: Rendered) -> None:
+    every = zip(
+        (*NAMES, ("added damping", "N s/m")), (*typed, damping_ns_per_m), (*told.environment, told.damping_ns_per_m), strict=True
+    )
+    for (name, unit), said, known in every:
+        if said is not None and abs(said - known) > SAME * abs(known):
+            raise AnalysisError(f"{origin}: recorded in {name} = {known:g} {unit}, not {said:g} {unit}: leave that out")

@@ -55,7 +55,8 @@ def sampling(time_s: Floats) -> Sampling:
     still = float(np.mean(steps == 0.0))
     found = _rounded(time_s, steps) if still > ROUNDED else _counted(time_s, steps)
     if found.rate_hz < SLOWEST_HZ:
-        raise AnalysisError(_too_slow(found.rate_hz))
+        digits = 3 + max(0, int(-log10(found.rate_hz)))
+        raise AnalysisError(f"a sample rate of {found.rate_hz:.{digits}g} Hz, if it is in seconds; {unit_hint(found.rate_hz)}")
     return found
 
 
@@ -138,10 +139,6 @@ def _in_order(place: Integers) -> Integers:
     """Whole numbers that grow by 1 or more: a place that those after it do not allow was a late stamp."""
     at = np.arange(place.size)
     return np.asarray(np.minimum.accumulate((place - at)[::-1])[::-1] + at)
-
-
-def _too_slow(rate_hz: float) -> str:
-    return f"a sample rate of {rate_hz:.{3 + max(0, int(-log10(rate_hz)))}g} Hz, if it is in seconds; {unit_hint(rate_hz)}"
 
 
 def _uneven(steps: Floats) -> str:

@@ -79,9 +79,8 @@ def command(
     from dataclasses import replace
 
     from hapticd.measure import scenes
-    from hapticd.measure.given import given
     from hapticd.measure.referee import may_follow, stepped_sine
-    from hapticd.measure.sources import Trial, file_source
+    from hapticd.measure.sources import Trial, file_source, given
     from hapticd.measure.trial import Layout, TrialParams, multisine_like, plan_trial
     from hapticd.measure.watch import Watch
 

@@ -242,10 +242,10 @@ class Writer:
             self._stream(topic, self._decoders[topic].decode(payload), end_ns)
             return
         content = msgpack.unpackb(payload, use_list=False)
-        if topic == "event":
-            self._small["event"].append(event_row(content))
-        else:
-            self._replay(content)
+        found = {"event": [event_row(content)]} if topic == "event" else replay_rows(content)
+        for name, rows in found.items():
+            self._small[name] += rows
+        self._texts += [row["text"] for row in found.get("checkpoint", [])]
 
     def _stream(self, topic: str, block: Block, end_ns: int | None) -> None:
         if end_ns is not None:
@@ -267,11 +267,6 @@ class Writer:
             self.last_ns = int(block.records["time_ns"][-1])
         self._rows[topic] += len(block.records)
         self._blocks[topic].append(block)
-
-    def _replay(self, content: dict[str, Any]) -> None:
-        for name, rows in replay_rows(content).items():
-            self._small[name] += rows
-            self._texts += [row["text"] for row in rows if "text" in row]
 
     def write(self) -> None:
         """Put everything taken into the file and flush it. OSError or RuntimeError: it cannot be written (any more)."""

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapticd.errors import AnalysisError, HapticdError
-from hapticd.measure.recording import live
 from hapticd.measure.recording.file import Recording, open_recording
+from hapticd.measure.recording.live import SUFFIX, Columns
 from hapticd.measure.recording.provenance import needed
 from hapticd.params import DeviceParams, ScaleParams
 from hapticd.units import NS_PER_S, PROBE_RATE_HZ
@@ -33,6 +33,9 @@ CHUNK_ROWS, AT_ONCE = 4096, 1 << 18
 MODULE = "hapticd.measure.recording.pack"
 GZIP = 4
 FINAL = ".h5"
+LINES_AT_ONCE = 10_000  # of a text file
+GROUPS = ("servo", "probe", "event", "gap", "life")  # of a MATLAB file
+FRAMES = ("in_frame", "out_frame")  # not in a text file
 
 
 def pack(source: Path, final: Path, recovered: bool = False) -> dict[str, Any]:
@@ -62,7 +65,7 @@ def packed(part: Path, final: Path, recovered: bool = False) -> dict[str, Any]:
     done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "OPENBLAS_NUM_THREADS": "1"})
     if done.returncode:
         raise HapticdError((done.stderr.strip() or f"packing ended with code {done.returncode}").splitlines()[-1])
-    if part.name.endswith(live.SUFFIX):
+    if part.name.endswith(SUFFIX):
         part.unlink()
     summary: dict[str, Any] = json.loads(done.stdout)
     return summary
@@ -134,27 +137,6 @@ def derived(recording: Recording) -> Iterator[tuple[str, str, str, NDArray[Any]]
         yield "probe", "t_s", "s", (index - index[0]) / PROBE_RATE_HZ
 
 
-def main(arguments: list[str]) -> int:
-    """Pack in this process and print the summary as JSON; the exit code."""
-    source, final, *recovered = arguments
-    try:
-        os.write(1, json.dumps(pack(Path(source), Path(final), bool(recovered))).encode())
-    except HapticdError as error:
-        os.write(2, f"{error}\n".encode())
-        return error.exit_code
-    return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main(sys.argv[1:]))
-
-
-LINES_AT_ONCE = 10_000
-GROUPS = ("servo", "probe", "event", "gap", "life")
-FRAMES = ("in_frame", "out_frame")
-Columns = dict[str, NDArray[Any]]
-
-
 def to_mat(recording: Recording, path: Path) -> Path:
     """One structure per group, and `info` with the attributes. HapticdError: it cannot be written."""
     io = needed("scipy.io", "record")
@@ -205,3 +187,18 @@ def _table(recording: Recording, group: str, path: Path, remark: str) -> Path:
     except OSError as error:
         raise HapticdError(f"{path}: {error.strerror}; choose another name") from error
     return path
+
+
+def main(arguments: list[str]) -> int:
+    """Pack in this process and print the summary as JSON; the exit code."""
+    source, final, *recovered = arguments
+    try:
+        os.write(1, json.dumps(pack(Path(source), Path(final), bool(recovered))).encode())
+    except HapticdError as error:
+        os.write(2, f"{error}\n".encode())
+        return error.exit_code
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))
