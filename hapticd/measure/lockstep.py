@@ -38,7 +38,9 @@ BLOCK_TICKS = 500
 
 
 class LockStepBench(LockStep):
-    """`servo` and `board` on one virtual clock, ready and disabled; `newest` is the record of the newest tick. Use it as a context manager."""
+    """`servo` and `board` on one virtual clock, ready and disabled; `newest` is the record of the newest tick. Use it as a
+    context manager.
+    """
 
     def __init__(self, servo: ServoParams, board: BoardParams) -> None:
         super().__init__(servo, board, keep=False)
