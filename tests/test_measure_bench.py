@@ -55,7 +55,7 @@ def flown(rigid, act):
         bench.act = lambda: act(bench)
         found = run_trial(plan, bench_source(bench))
         assert bench.status()["state"] == "disabled"
-        assert not bench._last["perturbing"]
+        assert not bench.newest["perturbing"]
     return found
 
 

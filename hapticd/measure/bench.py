@@ -31,6 +31,11 @@ from hapticd.units import PROBE_RATE_HZ
 
 WAVEFORM_S = 120.0  # a longer trial repeats it
 SPARE_S = 10.0  # of waveform beyond the trial: settling, and what is heard late
+SETTLE_S = 1.0  # of perturbed motion before the record begins
+PROBE, TICKS = "probe", "servo.raw"
+LOOK_S = 0.05
+SILENT_LOOKS = 40  # without a message: 2 s
+CHANGED = "changed: someone changed what was rendered or the perturbation; be alone at the device, and repeat the trial"
 
 
 class Bench(Protocol):
@@ -85,13 +90,6 @@ def _leave(bench: Bench) -> None:
     finally:
         if bench.status()["state"] == "enabled":
             bench.disable()
-
-
-SETTLE_S = 1.0  # of perturbed motion before the record begins
-PROBE, TICKS = "probe", "servo.raw"
-LOOK_S = 0.05
-SILENT_LOOKS = 40  # without a message: 2 s
-CHANGED = "changed: someone changed what was rendered or the perturbation; be alone at the device, and repeat the trial"
 
 
 class Hearing:

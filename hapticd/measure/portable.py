@@ -41,6 +41,9 @@ from hapticd.settings.load import find_device
 from hapticd.settings.resources import shipped
 
 SUFFIX, VERSION = ".zwidth", 1
+EDGES = ("upper", "lower", "phase_upper", "phase_lower")
+USUAL = Conditions("", nan)
+NUMBERS = ("stiffness_damping_area", "stiffness_rate_per_s", "zero_mass_bandwidth_hz")
 
 
 def device_hash(name: str) -> str:
@@ -124,11 +127,6 @@ def read_portable(path: Path, device: str = "") -> dict[str, Any]:
     if device and content["device_file_sha256"] != device_hash(device):
         raise ConfigError(f"{path}: made with another file of device {device!r}; measure again, or go back to that file")
     return content
-
-
-EDGES = ("upper", "lower", "phase_upper", "phase_lower")
-USUAL = Conditions("", nan)
-NUMBERS = ("stiffness_damping_area", "stiffness_rate_per_s", "zero_mass_bandwidth_hz")
 
 
 @dataclass(frozen=True, slots=True)

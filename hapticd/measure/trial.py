@@ -60,6 +60,10 @@ from hapticd.units import PROBE_RATE_HZ
 PERIOD = 2 * DEFAULT_LAG  # samples
 SPARE_S = 0.01  # periods need not be whole ticks
 TRIES = 8  # of a realisation
+SHORTEST_WINDOWS = LEAST_FREEDOM / 2 * 0.75
+NOISE_COVERS = "the random error of a record of this length; not what the window smooths, which is named where it shows"
+KIND = "trial"
+COLUMNS = ("frequency_hz", "real_ns_per_m", "imaginary_ns_per_m", "sd_ns_per_m", "coherence")
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,10 +159,6 @@ def _joined(parts: list[Recorded], layout: Layout, ended: str, again: int) -> Re
     return replace(
         parts[-1], force_n=force, velocity_m_per_s=velocity, ended=ended, max_command_n=max(commands, default=None), more=more
     )
-
-
-SHORTEST_WINDOWS = LEAST_FREEDOM / 2 * 0.75
-NOISE_COVERS = "the random error of a record of this length; not what the window smooths, which is named where it shows"
 
 
 @dataclass(frozen=True, slots=True)
@@ -346,10 +346,6 @@ def _predicted(plan: TrialPlan, z: Impedance) -> Complexes | None:
         plan.model, trial.environment, z.frequency_hz[at], trial.damping_ns_per_m, filters(plan.params.scene), shaken
     )
     return np.asarray(found - 2j * np.pi * z.frequency_hz * plan.params.behind_mass_kg)
-
-
-KIND = "trial"
-COLUMNS = ("frequency_hz", "real_ns_per_m", "imaginary_ns_per_m", "sd_ns_per_m", "coherence")
 
 
 def summary(result: TrialResult, referee: Referee | None = None) -> dict[str, Any]:

@@ -31,7 +31,7 @@ was asked. No analysis puts that right. A record that lost more than a hundredth
 
 A file whose column of times shows that rows are missing (`times`) is treated alike.
 
-What would break it: gaps that come with the motion (a board that loses what is fast); they come with the host's load.
+What would break the filling: gaps that come with the motion (a board that loses what is fast); they come with the host's load.
 """
 
 from collections.abc import Mapping
@@ -56,6 +56,12 @@ COUNTS = ("lost_samples", "samples", "lost_slots", "slots")  # as the run's summ
 LOST_SLOTS = 1 << 32  # where the count of lost slots begins anew
 REMEDY_OF_FILES = "rows are missing by the times in the file, record again without gaps"
 REMEDY = "close other programs on this computer, see `hapticd doctor`"
+CALM_SECONDS = 4  # before which nothing is known of calm
+SATURATED_SHARE = 0.01
+AT_LIMIT = 1e-9  # of a limit, below which it counts as reached
+OWN = 4.0  # unexplained over explained power, times limit over perturbation: stable displays have 2 at most, escapes 40
+LOOK_S = 5.0  # between verdicts
+CENTRING_N_PER_M = 20.0  # a stiffness that holds a free display against the paper's noise within a few millimetres
 
 
 class Filler:
@@ -115,14 +121,6 @@ def _share(lost: int, total: int) -> str:
 def _named(code: str, words: str, share: float, remedy: str) -> Finding:
     void = f"; above {100 * MOST_LOST:g} % nothing is decided" if share > MOST_LOST else ""
     return Finding(code, f"{words}{void}: {remedy}", voids=share > MOST_LOST)
-
-
-CALM_SECONDS = 4  # before which nothing is known of calm
-SATURATED_SHARE = 0.01
-AT_LIMIT = 1e-9  # of a limit, below which it counts as reached
-OWN = 4.0  # unexplained over explained power, times limit over perturbation: stable displays have 2 at most, escapes 40
-LOOK_S = 5.0  # between verdicts
-CENTRING_N_PER_M = 20.0  # a stiffness that holds a free display against the paper's noise within a few millimetres
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,6 +29,13 @@ from hapticd.units import NS_PER_S, unit_of
 Columns = dict[str, NDArray[Any]]
 LEFT_OUT = "tail"  # repeats the tick, for readers of the ring
 _SIGNED = {"<u8": "<i8"}  # 64-bit unsigned integers are no joy in MATLAB
+CHUNK_ROWS = {"servo": 1024, "probe": 4096, "checkpoint_text": 4096}  # a chunk is written whole
+FEW_ROWS = 64  # in a chunk of all others
+FLUSHED, ROWS = "flushed", "rows"
+SUFFIX = ".part.h5"
+TOPICS = ("servo.raw", "probe", "event", "flight")
+STREAMS = {"servo.raw": "servo", "probe": "probe"}
+TEXT_BYTES = 128
 
 
 class Channel(NamedTuple):
@@ -80,12 +87,6 @@ def udunits(name: str) -> str:
     over, _, under = unit_of(name).partition("/")
     powers = [f"{base}-{power or 1}" for base, _, power in (part.partition("^") for part in under.split())]
     return " ".join([over, *powers]).strip()
-
-
-CHUNK_ROWS = {"servo": 1024, "probe": 4096, "checkpoint_text": 4096}  # a chunk is written whole
-FEW_ROWS = 64  # in a chunk of all others
-FLUSHED, ROWS = "flushed", "rows"
-SUFFIX = ".part.h5"
 
 
 class Column:
@@ -183,11 +184,6 @@ class LiveFile:
                 column.catch_up(Selections())
         self._file.flush()
         self._file.close()
-
-
-TOPICS = ("servo.raw", "probe", "event", "flight")
-STREAMS = {"servo.raw": "servo", "probe": "probe"}
-TEXT_BYTES = 128
 
 
 def _integers(*names: str) -> list[Channel]:
