@@ -8,8 +8,8 @@ from dataclasses import fields
 from math import isfinite, nan
 from typing import Any
 
-from hapticd.measure.plain import plain
 from hapticd.measure.reproduce_rows import PRINTED, Row, by_quantity
+from hapticd.measure.store import plain
 from hapticd.report.table import Table, shown, table
 
 MANY = 10.0  # from here on a difference is told as a ratio
