@@ -206,43 +206,47 @@ class Transforms:
         v = inside * self.velocity[at]
         rising = inside * (bins / places[:, None])
         y = rising * self.force[at]
-        powers = (reach / self.half)[:, None] ** np.arange(TERMS)
+        powers = (reach / self.half) ** np.arange(TERMS)[:, None]
         parts = (
-            v[..., None] * powers,
-            inside[..., None] * powers,
-            rising[..., None] * self._images(at),
+            v[:, None] * powers,
+            inside[:, None] * powers,
+            rising[:, None] * self._images(at),
         )
-        columns = np.asarray(np.concatenate(parts, axis=2), np.complex128)
-        return _least_squares(columns, y, inside.sum(axis=1), _power(v[..., None]))
+        columns = np.concatenate(parts, axis=1, dtype=np.complex128)
+        return _least_squares(columns, y, inside.sum(axis=1), _power(v))
 
     def _images(self, at: Integers) -> Complexes:
-        """The force at f + k times the servo rate (F, n, k); none where that is not known."""
+        """The force at f + k times the servo rate (F, k, n); none where that is not known."""
         n = self.force.size
         shifts = np.arange(self.servo, n - 1, self.servo) if self.servo else np.empty(0, np.int64)
-        return self.force.take(at[..., None] + shifts, mode="wrap")
+        return self.force.take(at[:, None] + shifts[:, None], mode="wrap")
 
 
 def _least_squares(columns: Complexes, y: Complexes, count: Integers, power: Floats) -> Fit:
-    """Of `y` (F, n) by `columns` (F, n, c), those of Q first, then those of J; `count` bins, of
+    """Of `y` (F, n) by `columns` (F, c, n), those of Q first, then those of J; `count` bins, of
     which the velocity has `power`.
+
+    By einsum, not BLAS: its threads wait for each other where every core has a trial of its own,
+    and its last bits depend on the number of cores.
     """
-    conjugate = columns.conj().swapaxes(1, 2)
-    normal = conjugate @ columns
+    conjugate = columns.conj()
+    normal = np.einsum("fcn,fdn->fcd", conjugate, columns)
     size = np.maximum(np.sqrt(np.einsum("fcc->fc", normal).real), TINY)
     normal /= size[:, :, None] * size[:, None, :]
-    inverse = np.linalg.inv(normal + RIDGE * np.eye(columns.shape[2]))
-    found = (inverse @ ((conjugate @ y[..., None]) / size[..., None])) / size[..., None]
-    left = _power(y[..., None] - columns @ found)
-    ends = columns[..., TERMS : 2 * TERMS] @ found[:, TERMS : 2 * TERMS]
-    freedom = np.maximum(count - columns.shape[2], 1)
+    inverse = np.linalg.inv(normal + RIDGE * np.eye(columns.shape[1]))
+    wanted = np.einsum("fcn,fn->fc", conjugate, y) / size
+    found = np.einsum("fcd,fd->fc", inverse, wanted) / size
+    left = _power(y - np.einsum("fc,fcn->fn", found, columns))
+    ends = np.einsum("fc,fcn->fn", found[:, TERMS : 2 * TERMS], columns[:, TERMS : 2 * TERMS])
+    freedom = np.maximum(count - columns.shape[1], 1)
     return Fit(
-        z=found[:, 0, 0],
+        z=found[:, 0],
         variance=left / freedom * inverse[:, 0, 0].real / size[:, 0] ** 2,
         power=power / count,
-        ends=_power(ends) / np.maximum(_power(y[..., None]), TINY),
+        ends=_power(ends) / np.maximum(_power(y), TINY),
     )
 
 
 def _power(values: Complexes) -> Floats:
-    """Sum of the squares of (F, n, 1)."""
-    return np.asarray((values.real**2 + values.imag**2).sum(axis=(1, 2)))
+    """Sum of the squares of (F, n)."""
+    return np.asarray((values.real**2 + values.imag**2).sum(axis=1))
