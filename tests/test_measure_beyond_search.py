@@ -35,12 +35,17 @@ def test_truth_is_the_grid_that_theory_gives(conditions, found):
     assert abs(found.passive - theory.sum()) <= 1.5 * found.other_noise  # single trials doubt what lies on the boundary
 
 
-def test_search_knows_as_much_as_another_grid_and_as_theory(found):
+def test_grid_with_other_noise_and_prediction_leave_no_point_wrong(found):
+    """Without friction all that noise could hide is resolved by the records."""
+    assert found.other_noise == 0
+    assert found.predicted == 0
+
+
+def test_search_is_wrong_on_few_points_of_the_boundary_alone(found):
     assert set(found.searched) == {6, 12}
     assert len(found.found.steps) == 12
     assert found.passive > 60
-    assert found.searched[12] <= found.other_noise
-    assert found.searched[12] < found.predicted + 1
+    assert found.searched[12] <= 0.03 * found.passive
 
 
 def test_search_has_noise_of_its_own(conditions, found):
