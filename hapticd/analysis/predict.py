@@ -5,7 +5,7 @@ over the band, with Coulomb friction linearised at a stated perturbation (`linea
 alone is not enough: of random environments with Re Z > 0 in 2-500 Hz one in twelve has a spectral radius above 1; K < 0 is
 refused for that reason unless asked for.
 
-Stability is looked at where Re Z leaves a choice, with the linearised friction of the point rounded down to a step of 5 %.
+Stability is looked at where Re Z leaves a choice, with the point's linearised friction, between steps of 5 %.
 The prediction is that of white noise (first harmonic, alike a measurement); what safety decides on is the lifted requirement
 without friction, `requirement`. A hand can shake what is predicted passive only outside the band, by images, or in motions so
 large that friction counts for less (`coupled`, docs/adr/0035). Against 90 s of simulated trials: phase to 0.6-1.9 degrees rms,
@@ -31,6 +31,7 @@ from hapticd.plant.model import Model
 DEFAULT_BAND_HZ = (2.0, 500.0)
 _TOGETHER = 1024  # environments at once: their spectra stay in the cache
 _FRICTION_STEP = 1.05
+_LEAST_FRICTION = 1e-4  # N s/m
 _NOMINAL_NS_PER_M = 1.5  # first guess of a body's friction
 
 
@@ -147,7 +148,9 @@ def frequencies(band_hz: tuple[float, float] = DEFAULT_BAND_HZ, perturbation: Pe
     if not 0.0 < band_hz[0] <= band_hz[1] < np.inf:
         raise AnalysisError(f"a band of {band_hz[0]:g}..{band_hz[1]:g} Hz: from above 0 Hz upwards is needed; 2..500 is usual")
     top = max(band_hz[1], perturbation.band_hz if perturbation else 0.0)
-    base = np.concatenate((np.geomspace(0.1, 5.0, 15)[:-1], np.arange(5.0, 130.0, 2.0), np.geomspace(130.0, 2000.0, 46)))
+    base = np.concatenate(
+        (np.geomspace(0.1, 5.0, 15)[:-1], np.arange(5.0, 41.0), np.geomspace(41.0, 130.0, 32)[:-1], np.geomspace(130.0, 2000.0, 46))
+    )
     return np.union1d(base[base <= top], band_hz)
 
 
@@ -187,12 +190,30 @@ def _chunks(kbm: Floats) -> list[Floats]:
 
 
 def _radius(model: Model, kbm: Floats, friction: Floats, damping_ns_per_m: float, filters: Filters) -> Floats:
-    """Spectral radius (N,), with friction rounded down so that few maps serve all points."""
-    steps = np.floor(np.log(np.maximum(friction, 1e-4)) / np.log(_FRICTION_STEP))
-    nodes, which = np.unique(steps, axis=1, return_inverse=True)
+    """Spectral radius (N,) with `friction` (ports, N): exact at nodes of friction that few maps serve,
+    linear between them, going from one to the next along the port that is furthest on its way first
+    (Freudenthal's triangulation)."""
+    rubbing = friction.any(axis=1)
+    steps = np.log(np.maximum(friction[rubbing], _LEAST_FRICTION)) / np.log(_FRICTION_STEP)
+    node = np.floor(steps)
+    order = np.argsort(node - steps, axis=0)
+    share = np.take_along_axis(steps - node, order, axis=0)
+    shares = np.vstack((np.ones(len(kbm)), share, np.zeros(len(kbm))))
+    radius = np.zeros(len(kbm))
+    for rank, weight in enumerate(shares[:-1] - shares[1:]):
+        if rank:
+            node[order[rank - 1], np.arange(len(kbm))] += 1.0
+        level = np.zeros_like(friction)
+        level[rubbing] = _FRICTION_STEP**node
+        radius += weight * _radius_at(model, kbm, level, damping_ns_per_m, filters)
+    return radius
+
+
+def _radius_at(model: Model, kbm: Floats, level: Floats, damping_ns_per_m: float, filters: Filters) -> Floats:
+    """Spectral radius (N,) with friction `level` (ports, N), by one map for each that occurs."""
+    nodes, which = np.unique(level, axis=1, return_inverse=True)
     radius = np.empty(len(kbm))
-    for node, step in enumerate(nodes.T):
-        mine = which.ravel() == node
-        level = np.where(friction.any(axis=1), _FRICTION_STEP**step, 0.0)
-        radius[mine] = spectral_radius(_rubbed(model, level), kbm[mine], damping_ns_per_m, filters)
+    for place, node in enumerate(nodes.T):
+        mine = which.ravel() == place
+        radius[mine] = spectral_radius(_rubbed(model, node), kbm[mine], damping_ns_per_m, filters)
     return radius

@@ -280,14 +280,17 @@ def _search(limit: Limit, seeds: int) -> LimitsPlan:
 
 
 def set_place(device: str, level: float, axis: int) -> Point | None:
-    """Where the set reading of a parameter is searched from: the others at their predicted best, itself 0; None if none is."""
-    kept = predicted_set(subject(device), level)
+    """Where the set reading of a parameter is searched from: of the places beside the extreme of the
+    predicted set the one that reaches farthest, itself 0; None if none is passive.
+    """
+    own = subject(device)
+    kept = predicted_set(own, level)
     if not len(kept):
         return None
     extreme = kept[:, axis].max() if axis < 2 else kept[:, axis].min()
-    best = np.median(kept[kept[:, axis] == extreme], axis=0)
-    best[axis] = 0.0
-    return points_of(best[None])[0]
+    beside = kept[kept[:, axis] == extreme]
+    beside[:, axis] = 0.0
+    return max(points_of(beside), key=lambda place: abs(predicted_limit(own, level, axis, place)))
 
 
 @cache
