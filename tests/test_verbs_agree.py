@@ -73,9 +73,18 @@ def told_of(verdict):
     return margins, (newton.frequency_hz, verdict.first_judged_hz, verdict.last_judged_hz)
 
 
-def test_every_verb_gives_the_margin_of_the_trial(searched, monkeypatch):
-    """At a stiffness whose least Re Z is at the lower edge: with the window's lines alone it would be another."""
+@pytest.fixture
+def short_trials(monkeypatch):
+    """`reproduce` makes trials of SECONDS; its conditions are kept, so what others asked is forgotten."""
     monkeypatch.setattr(reproduce, "SECONDS", SECONDS)
+    reproduce.conditions.cache_clear()
+    yield
+    reproduce.conditions.cache_clear()
+
+
+@pytest.mark.usefixtures("short_trials")
+def test_every_verb_gives_the_margin_of_the_trial(searched):
+    """At a stiffness whose least Re Z is at the lower edge: with the window's lines alone it would be another."""
     outcome, seed = searched[1], SEED + 1
     point, asked = outcome.environment, given("f64").shaken(more_seed=1)
     margins, places = told_of(by_trial(point, seed))
