@@ -88,7 +88,8 @@ def channel_findings(trial: Spectra) -> tuple[Finding, ...]:
 
 def unit_findings(trial: Spectra, force_rms_n: float, velocity_rms_m_per_s: float) -> tuple[Finding, ...]:
     """A force or velocity beyond any display, by the rms values [N, m/s] of a record and its spectra: what unit it may be in."""
-    found, mass_kg = [], moving_mass_kg(trial)
+    found = []
+    mass_kg = moving_mass_kg(trial)
     fast = velocity_rms_m_per_s > FASTEST_M_PER_S and not mass_kg >= FAST_AND_LIGHT_KG
     if fast or mass_kg < LIGHTEST_KG:
         moved = f" of what weighs {1e3 * mass_kg:.2g} g" if np.isfinite(mass_kg) else ""

@@ -141,7 +141,8 @@ class Moving:
     def __init__(self, frequency_hz: Floats, alone: Alone, weight: Floats) -> None:
         own = alone.real + 1j * alone.imag
         size = alone.real**2 + alone.imag**2
-        self._z, self._start = 1.0 / own, alone.start
+        self._z = 1.0 / own
+        self._start = alone.start
         share = alone.drive / size
         density = np.minimum(weight[1:], weight[:-1]) > 0.0
         per_hz = float(np.max(weight / np.gradient(frequency_hz)))
@@ -149,7 +150,8 @@ class Moving:
 
     def sd(self, damper: Floats) -> Floats:
         """Standard deviation (N,) of the port's velocity with a damper (N,) on it."""
-        real, imag = self._z.real + (damper - self._start)[:, None], self._z.imag
+        real = self._z.real + (damper - self._start)[:, None]
+        imag = self._z.imag
         size = np.sqrt(real**2 + imag**2)
         both = size[:, 1:] * size[:, :-1]
         along = real[:, 1:] * real[:, :-1] + imag[:, 1:] * imag[:, :-1]

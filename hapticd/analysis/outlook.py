@@ -91,14 +91,14 @@ def outlook(
         for seen in (False, True)
     )  # fmt: skip
     return Outlook(
-        1.0 / model.rate_hz,
-        radius,
-        float(lifted_margin(lifted, kbm)[0]),
-        radius < 1.0 and bool(lifted_passive(lifted, kbm)[0]),
-        safe,
-        _shaker(model, kbm, damping_ns_per_m, filters) if sought else None,
-        true,
-        recorded,
+        period_s=1.0 / model.rate_hz,
+        radius=radius,
+        theorem_margin=float(lifted_margin(lifted, kbm)[0]),
+        theorem_passive=radius < 1.0 and bool(lifted_passive(lifted, kbm)[0]),
+        withstands=safe,
+        shaker=_shaker(model, kbm, damping_ns_per_m, filters) if sought else None,
+        true=true,
+        recorded=recorded,
     )
 
 

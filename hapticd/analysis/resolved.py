@@ -223,8 +223,8 @@ class Transforms:
 
 
 def _least_squares(columns: Complexes, y: Complexes, count: Integers, power: Floats) -> Fit:
-    """Of `y` (F, n) by `columns` (F, c, n), those of Q first, then those of J; `count` bins, of
-    which the velocity has `power`.
+    """Of `y` (F, n) by `columns` (F, c, n), those of Q first, then those of J; `count` (F,) bins, in
+    which the velocity has `power` (F,) together.
 
     By einsum, not BLAS: its threads wait for each other where every core has a trial of its own,
     and its last bits depend on the number of cores.

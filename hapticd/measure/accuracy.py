@@ -434,7 +434,9 @@ def plan_accuracy(params: AccuracyParams) -> AccuracyPlan:
     """The sweeps that the scene calls for. An effect is compared with the whole scene at 1
     sub-step, which therefore comes before.
     """
-    scene, quick, noise = params.scene, params.quick, params.scene.excitation.kind == "noise"
+    scene = params.scene
+    quick = params.quick
+    noise = scene.excitation.kind == "noise"
     base = Setting(min(scene.seconds, QUICK_S) if quick else scene.seconds)
     substeps = QUICK_SUBSTEPS if quick else SWEPT
     shorter = [one for one in (QUICK_LENGTHS_S if quick else LENGTHS_S) if one < base.seconds]

@@ -106,11 +106,15 @@ class Hearing:
         )  # fmt: skip
         self._sentinel = Sentinel(watch, PROBE_RATE_HZ)
         self._filler, self._parts = Filler(), list[tuple[Floats, Flags]]()  # (2, n) force and velocity, and which came
-        self._taken, self._command_n, self._winding_c, self._enabled = 0, 0.0, nan, True
+        self._taken = 0  # samples
+        self._command_n = 0.0  # largest so far
+        self._winding_c = nan
+        self._enabled = True
         self._positions_m: tuple[float, float] = (nan, nan)  # least and most since the sentinel looked
         self._first: tuple[int, int] | None = None  # tick and lost slots when the perturbation began
         self._lost_slots = self._slots = 0
-        self._revision, self._changed = -1, False
+        self._revision = -1
+        self._changed = False
 
     def recorded(self, origin: str, tell: Progress) -> Recorded:
         """Listen to the end, or to where the sentinel or the servo ends it. DaemonDown if the daemon falls silent."""
@@ -146,14 +150,16 @@ class Hearing:
 
     def _heard(self) -> Iterator[Block]:
         """Blocks of the probe, the ticks before each taken in; none after the servo is no longer enabled or was changed."""
-        decoders, quiet = {PROBE: BlockDecoder(), TICKS: BlockDecoder()}, 0
+        decoders = {PROBE: BlockDecoder(), TICKS: BlockDecoder()}
+        quiet = 0
         for message in self._daemon.messages((PROBE, TICKS), LOOK_S):
             if message is None:
                 quiet += 1
                 if quiet > SILENT_LOOKS or not self._enabled or self._changed:
                     break
                 continue
-            quiet, block = 0, decoders[message[0]].decode(message[1])
+            quiet = 0
+            block = decoders[message[0]].decode(message[1])
             if message[0] == TICKS:
                 self._hear(block.records)
             elif len(block.records):
@@ -166,12 +172,14 @@ class Hearing:
             return
         clamped = bool((ticks["flags"] & Flag.CLAMPED).any())
         self._command_n = max(self._command_n, self._limit_n if clamped else float(np.abs(ticks["force_n"]).max()))
-        self._winding_c, self._enabled = float(ticks["winding_c"][-1]), bool(ticks["state"][-1] == State.ENABLED)
+        self._winding_c = float(ticks["winding_c"][-1])
+        self._enabled = bool(ticks["state"][-1] == State.ENABLED)
         at_m = ticks["position_m"]
         self._positions_m = (float(np.fmin(self._positions_m[0], at_m.min())), float(np.fmax(self._positions_m[1], at_m.max())))
         playing = ticks[ticks["perturbing"] != 0]
         if self._first is None and len(playing):
-            self._first, self._revision = (int(playing["tick"][0]), int(playing["lost_slots"][0])), int(playing["revision"][0])
+            self._first = (int(playing["tick"][0]), int(playing["lost_slots"][0]))
+            self._revision = int(playing["revision"][0])
         if self._first is not None and ticks["tick"][-1] >= self._first[0]:
             self._lost_slots = (int(ticks["lost_slots"][-1]) - self._first[1]) % LOST_SLOTS
             self._slots = int(ticks["tick"][-1]) - self._first[0] + 1 + self._lost_slots

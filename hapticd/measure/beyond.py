@@ -70,7 +70,8 @@ STEP = float(AXES[1][1] - AXES[1][0])
 GRID = grid((AXES[0], np.concatenate((-STEP * np.arange(NEGATIVE_STEPS, 0, -1), AXES[1])), AXES[2]))
 ROUNDS = 40
 FURTHEST = -12.0  # N s/m, of a predicted search of B
-DAMPINGS, MASSES = 41, 25  # values of B and M that are looked at
+DAMPINGS = 41  # values of B that are looked at
+MASSES = 25  # and of M
 HIGHPASS_HZ = (0.5, 1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 14.0, 20.0, 30.0, 50.0, 100.0)
 LOWPASS_HZ = (10.0, 20.0, 50.0, 100.0, 200.0, 500.0)
 KEPT = 0.05
@@ -80,7 +81,9 @@ FLOWN = (0.87, 1.74, 3.48, 8.0)  # half, once and twice the paper's, and far bey
 ROOM = (5.0, 1.3, 1.3)  # of the grid, in axis limits of K, B and M; K grows with B and M beside it
 HEAVIEST = 2.6  # M > 0, in limits of M < 0 and the device's own mass beside it
 STEPS = (13, 12, 16)
-SEARCH_SEED, GRID_SEEDS, BUDGETS = 101, (1, 2), (20, 40)
+SEARCH_SEED = 101
+GRID_SEEDS = (1, 2)
+BUDGETS = (20, 40)  # trials
 SEARCHED: dict[float, Axes] = {
     LEVELS[0]: (np.linspace(0.0, 450.0, 14), np.linspace(0.0, 4.0, 11), np.linspace(-0.010, 0.016, 13)),
     LEVELS[1]: (np.linspace(0.0, 1400.0, 14), np.linspace(0.0, 10.0, 11), np.linspace(-0.028, 0.040, 13)),

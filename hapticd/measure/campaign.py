@@ -133,15 +133,16 @@ def run_map(
 
     KeyboardInterrupt passes through after the tasks in flight were given up; what was finished is in the store.
     """
-    total, made, what = plan.trials, 0, "trials"
+    total = plan.trials
+    made = 0
 
     def told(place: int, lot: Lot, new: list[Outcome]) -> None:
         nonlocal made
         made += len(new)
-        tell(what, min(made, total), total)
+        tell("trials", min(made, total), total)
         hear(new)
 
-    tell(what, 0, total)
+    tell("trials", 0, total)
     with pool_of(executor) as pool:
         levels = run_all([_mapped(plan.params, level) for level in plan.levels], store, pool, told)
     return MapResult(plan, tuple(levels), made)

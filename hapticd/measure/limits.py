@@ -41,7 +41,7 @@ REACH = (2e4, 60.0, -0.25)  # of a predicted search: N/m, Ns/m, kg
 FIRST = (0.6, 1.5)  # of the predicted distance: where the first round looks
 OUTWARDS = 2.5
 ROUNDS = 6
-ROUND = 32  # values: the engine does as many at once as it does one
+ROUND = 32  # values: the engine takes no longer for them together than for one
 UNPREDICTED = 0.02  # of the reach, where the prediction has no limit to look near
 
 

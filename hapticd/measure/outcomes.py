@@ -140,7 +140,8 @@ def fly(conditions: Conditions, damping_ns_per_m: float, points: Floats) -> list
     if unsure:
         band_hz = conditions.band_hz
         rate_hz = conditions.scene.rate_hz
-        records = _flown(conditions, damping_ns_per_m, points[unsure], "records")
+        again = np.asarray(found.params[unsure], np.float64)
+        records = _flown(conditions, damping_ns_per_m, again, "records")
         for place, trial in enumerate(unsure):
             force, velocity = records.record(place)
             finer = resolved(force, velocity, looks[trial][0], band_hz, "spa", rate_hz, linear)

@@ -3,15 +3,13 @@
 It holds the envelopes with their owners and uncertainty, the axis limits, the conditions under which they were found, and the
 hash of the device file that they belong to: a file that was edited since is another device.
 
-Displays beside each other, by the files NAME.zwidth that `zwidth report` writes: read, checked to be comparable, divided by
-the mass that moves.
+`compare` reads several of them, checks that they are comparable, and divides by the mass that moves. Numbers of two displays
+are comparable where they were asked for in one way: band, judged frequencies, perturbation, length of a trial, confidence, port
+and estimator. What is unlike is refused by name unless it was allowed, and an allowed difference is told with the result. The
+perturbation counts as alike if its force is the same, or the same per mass (`analysis.compare`).
 
-Two numbers of displays are comparable where they were asked in one way: band, judged frequencies, perturbation, length of a
-trial, confidence, port and estimator. What is unlike is refused by name unless it was allowed, and an allowed difference is told
-with the result. The perturbation counts as alike if its force is the same, or the same per mass (`analysis.compare`).
-
-Files of before the judged frequencies were kept say neither them nor the mass: the first and last frequency of their envelope
-stand for the one, the device file with their hash, where it is shipped, for the other.
+Files that were written before the judged frequencies were kept have neither them nor the mass: the first and last frequency of
+their envelope stand for the one, the device file with their hash, where it is shipped, for the other.
 """
 
 import hashlib
@@ -96,12 +94,12 @@ def numbers_of(level: LevelMap, display: Display) -> dict[str, float]:
 
 def conditions_of(conditions: outcomes.Conditions, judged: Judged) -> dict[str, Any]:
     """Under which all of it was found, as `analysis.compare` asks for it, and as older programs read it."""
-    display = conditions.display.model
+    model = conditions.display.model
     corners = (one.frequency_hz for one in filters(conditions.scene))
     return {
         "seconds": conditions.seconds, "band_hz": conditions.band_hz, "judged": judged, "perturbation": conditions.excitation,
-        "simulated": True, "confidence": conditions.confidence, "mass_kg": display.mass_kg,
-        "probe_mass_kg": display.probe_mass_kg, "rate_hz": display.rate_hz,
+        "simulated": True, "confidence": conditions.confidence, "mass_kg": model.mass_kg,
+        "probe_mass_kg": model.probe_mass_kg, "rate_hz": model.rate_hz,
         "filters": ", ".join(f"{corner:g} Hz" for corner in corners), "port": "probe", "estimator": "spa", "grip": "free",
     }  # fmt: skip
 
@@ -253,17 +251,17 @@ def _level(content: Mapping[str, Any], drawn: Mapping[str, Any], conditions: Con
     )  # fmt: skip
 
 
-def _envelope(plain: Mapping[str, Any]) -> Envelope:
-    edges = {name: _edge(plain[name]) for name in EDGES}
+def _envelope(kept: Mapping[str, Any]) -> Envelope:
+    edges = {name: _edge(kept[name]) for name in EDGES}
     return Envelope(
-        frequency_hz=np.asarray(plain["frequency_hz"], np.float64), trials=tuple(plain["trials"]), port=plain["port"],
-        estimator=plain["estimator"], kind=plain["kind"], **edges,
+        frequency_hz=np.asarray(kept["frequency_hz"], np.float64), trials=tuple(kept["trials"]), port=kept["port"],
+        estimator=kept["estimator"], kind=kept["kind"], **edges,
     )  # fmt: skip
 
 
-def _edge(plain: Mapping[str, Any]) -> Edge:
-    value, sd = (np.array([_number(one) for one in plain[part]]) for part in ("value", "sd"))
-    return Edge(value, sd, np.asarray(plain["owner"], np.int64))
+def _edge(kept: Mapping[str, Any]) -> Edge:
+    value, sd = (np.array([_number(one) for one in kept[part]]) for part in ("value", "sd"))
+    return Edge(value, sd, np.asarray(kept["owner"], np.int64))
 
 
 def _reaches(limits: Iterable[Mapping[str, Any]], damping: float, mass_kg: float) -> Iterable[Reach]:

@@ -25,6 +25,13 @@ from hapticd.measure.recording.pack import packed
 from hapticd.measure.recording.provenance import of_recording
 from hapticd.units import NS_PER_S
 
+LOOK_S = 0.1  # between two looks for what has come, each written and flushed at once
+SYNC_NS = NS_PER_S  # between two looks at the disk
+RESERVE_BYTES = 64 << 20  # the disk is taken for full when so little is left
+SILENCE_NS = 10 * NS_PER_S  # a daemon that says nothing for so long has ended
+
+Message = tuple[str, bytes]
+
 
 class Synchroniser:
     """A thread that has the operating system write a file to its disk; a request while it is busy is dropped."""
@@ -57,14 +64,6 @@ class Synchroniser:
         if self._thread is not None:
             self._thread.join()
             self._thread = None
-
-
-LOOK_S = 0.1  # between two looks for what has come, each written and flushed at once
-SYNC_NS = NS_PER_S  # between two looks at the disk
-RESERVE_BYTES = 64 << 20  # the disk is taken for full when so little is left
-SILENCE_NS = 10 * NS_PER_S  # a daemon that says nothing for so long has ended
-
-Message = tuple[str, bytes]
 
 
 class Source(Protocol):

@@ -173,9 +173,7 @@ def _trial(plan: ScenePlan, model: Model, leg: Leg, steps: Steps) -> Trial:
     torque, velocity = (np.asarray(channel, np.float64) for channel in found.record(0))
     ticks = int(found.samples[0] * scene.rate_hz / found.rate_hz)
     most_n = float(found.max_force_n[0])
-    recorded = Recorded(
-        torque, velocity, PROBE_RATE_HZ, scene.name, True, "", most_n, model.force_limit_n
-    )  # fmt: skip
+    recorded = Recorded(torque, velocity, PROBE_RATE_HZ, scene.name, True, "", most_n, model.force_limit_n)
     told = _judged(plan, leg, recorded)
     winding = model.winding
     return Trial(

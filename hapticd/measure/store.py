@@ -25,6 +25,14 @@ import numpy as np
 from hapticd.analysis.arrays import Floats
 from hapticd.errors import ConfigError
 
+SUMMARY, RECORD_H5, RECORD_NPZ, IMPEDANCE = "run.json", "record.h5", "record.npz", "impedance.csv"
+FIGURES = ("trial", "trial_admittance", "limits", "walls", "search", "set", "envelope", "envelope_admittance", "envelope_so_far")
+OF_A_RUN = (SUMMARY, RECORD_H5, RECORD_NPZ, IMPEDANCE, *(f"{name}.{kind}" for name in FIGURES for kind in ("png", "svg")))
+OF_A_RECORD = (
+    "simulated", "origin", "environment", "added_damping_ns_per_m", "ended", "max_command_n", "command_limit_n",
+    "lost_samples", "samples", "lost_slots", "slots",
+)  # fmt: skip
+
 
 def plain(value: Any, *, skip: tuple[str, ...] = ()) -> Any:
     """`value` as dicts, lists, strings and finite numbers; fields named in `skip` are left out."""
@@ -44,15 +52,6 @@ def plain(value: Any, *, skip: tuple[str, ...] = ()) -> Any:
     if isinstance(value, float):
         return value if isfinite(value) else None
     return value if isinstance(value, str | int | bool | None) else str(value)
-
-
-SUMMARY, RECORD_H5, RECORD_NPZ, IMPEDANCE = "run.json", "record.h5", "record.npz", "impedance.csv"
-FIGURES = ("trial", "trial_admittance", "limits", "walls", "search", "set", "envelope", "envelope_admittance", "envelope_so_far")
-OF_A_RUN = (SUMMARY, RECORD_H5, RECORD_NPZ, IMPEDANCE, *(f"{name}.{kind}" for name in FIGURES for kind in ("png", "svg")))
-OF_A_RECORD = (
-    "simulated", "origin", "environment", "added_damping_ns_per_m", "ended", "max_command_n", "command_limit_n",
-    "lost_samples", "samples", "lost_slots", "slots",
-)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

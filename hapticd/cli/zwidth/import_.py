@@ -1,4 +1,4 @@
-"""Bring in a record of any other system."""
+"""Bring in a record: of any other system, or one that hapticd wrote itself."""
 
 from pathlib import Path
 from typing import Annotated
