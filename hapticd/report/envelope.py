@@ -121,7 +121,7 @@ def envelopes_figure(
     grey = dress(size, phase, band_hz, view, " at the probe")
     known = [interval(shown[-1].look, " of the owning trial")] if any(one.envelope.upper.sd.any() for one in shown) else []
     handles = [*handles_of(size), *known, grey]
-    size.legend(handles=handles, loc="upper center" if view is IMPEDANCE else "lower center")
+    size.legend(handles=handles, loc="lower right" if view is IMPEDANCE else "lower center")
     negative = any((drawn.environments[:, 1] < 0.0).any() for drawn in shown)
     figure.legend(handles=keys(negative), ncols=6, **BELOW)
     return figure
