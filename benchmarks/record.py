@@ -3,7 +3,6 @@
 The recorder's CPU is compared with that of a process which appends the same bytes by h5py at the same time.
 """
 
-import json
 import subprocess
 import sys
 import tempfile
@@ -12,12 +11,11 @@ from collections.abc import Iterator
 from math import pi, sin
 from pathlib import Path
 from statistics import median
-from typing import Any
 
 from benchmarks import daemon, targets
 from benchmarks.figures import Figure, compared
 from benchmarks.telemetry import cpu_s
-from benchmarks.worker import ROOT, BenchError, environment
+from benchmarks.worker import ROOT, BenchError, environment, started, told
 from hapticd.client import Client
 from hapticd.gateway.probe import DTYPE as PROBE
 from hapticd.mailbox.layout import RECORD
@@ -61,7 +59,7 @@ def _recorded(params: RecordingParams) -> tuple[float, float]:
             time.sleep(SETTLED_S)
             appending = _appending(params.file.with_name("bare.h5"))
             begin, begin_s = time.monotonic(), cpu_s(recorder.pid)
-            bare_s = _heard(appending)["cpu_s"]
+            bare_s = told(appending, "append_worker")["cpu_s"]
             took_s = time.monotonic() - begin
             if recorder.poll() is not None:
                 raise BenchError(f"the recorder ended early: {recorder.communicate()[1].decode()}")
@@ -75,19 +73,9 @@ def _recorded(params: RecordingParams) -> tuple[float, float]:
 def _appending(file: Path) -> "subprocess.Popen[bytes]":
     """An `append_worker` that has just begun to count."""
     rates = [str(TICKS_HZ), str(PROBE_RATE_HZ), str(MEASURED_S)]
-    command = [sys.executable, "-m", "benchmarks.append_worker", str(file), *rates]
-    process = subprocess.Popen(command, env=environment(), cwd=ROOT, stdout=subprocess.PIPE)
-    _heard(process)
+    process = started("append_worker", [str(file), *rates])
+    told(process, "append_worker")
     return process
-
-
-def _heard(process: "subprocess.Popen[bytes]") -> Any:
-    """What it says next. BenchError when it has ended instead."""
-    assert process.stdout is not None
-    line = process.stdout.readline()
-    if not line:
-        raise BenchError(f"append_worker ended early with code {process.wait()}")
-    return json.loads(line)
 
 
 def _bytes(part: Path) -> Figure:

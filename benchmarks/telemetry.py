@@ -4,24 +4,22 @@ The yardstick is a bare forwarder at the same time: it reads the same ring, pack
 subscribers. What the gateway does beyond that is looking at every record: histograms, events, the flight recorder.
 """
 
-import json
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 from benchmarks import daemon, targets
 from benchmarks.figures import Figure, compared
-from benchmarks.worker import ROOT, BenchError, environment
+from benchmarks.worker import BenchError, started, told
 from hapticd.client import Client
 from hapticd.units import NS_PER_S
 
 TARGETS = targets.of("telemetry")
 SUBSCRIBERS, RECORDED_S, LEAST = 5, 60, 0.9
+SUBSCRIBER = "a subscriber"  # in messages
 
 
 def measure() -> Iterator[Figure]:
@@ -35,11 +33,11 @@ def measure() -> Iterator[Figure]:
         listeners = [_started(stack, "telemetry_worker", [instance, str(RECORDED_S)]) for _ in range(SUBSCRIBERS)]
         bare = [_started(stack, "forward_worker", ["listen", endpoint, str(RECORDED_S)]) for _ in range(SUBSCRIBERS)]
         for one in (*listeners, *bare):
-            _heard(one)
+            told(one, SUBSCRIBER)
         before, begin = (cpu_s(gateway), cpu_s(forwarder.pid)), time.monotonic()
-        results = [_heard(listener) for listener in listeners]
+        results = [told(listener, SUBSCRIBER) for listener in listeners]
         took_s, after = time.monotonic() - begin, (cpu_s(gateway), cpu_s(forwarder.pid))
-        forwarded = min(_heard(one)["records"] for one in bare)
+        forwarded = min(told(one, SUBSCRIBER)["records"] for one in bare)
     got = min(result["records"] for result in results)
     if forwarded < LEAST * got:
         raise BenchError(f"the bare forwarder passed on {forwarded} records while the gateway sent {got}; quiet the machine")
@@ -56,17 +54,7 @@ def cpu_s(pid: int) -> float:
 
 
 def _started(stack: ExitStack, module: str, arguments: Sequence[str]) -> "subprocess.Popen[bytes]":
-    command = [sys.executable, "-m", f"benchmarks.{module}", *arguments]
-    process = subprocess.Popen(command, env=environment(), cwd=ROOT, stdout=subprocess.PIPE)
+    process = started(module, arguments)
     stack.callback(process.communicate)
     stack.callback(process.kill)
     return process
-
-
-def _heard(listener: "subprocess.Popen[bytes]") -> Any:
-    """What a listener says next. BenchError when it has ended instead."""
-    assert listener.stdout is not None
-    line = listener.stdout.readline()
-    if not line:
-        raise BenchError(f"a subscriber ended early with code {listener.wait()}")
-    return json.loads(line)

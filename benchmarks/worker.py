@@ -30,6 +30,21 @@ def environment() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONHASHSEED": "0", "OPENBLAS_NUM_THREADS": "1"}
 
 
+def started(module: str, arguments: Sequence[str] = ()) -> "subprocess.Popen[bytes]":
+    """Module `benchmarks.<module>` as a process that tells what it finds, one JSON value a line."""
+    command = [sys.executable, "-m", f"benchmarks.{module}", *arguments]
+    return subprocess.Popen(command, env=environment(), cwd=ROOT, stdout=subprocess.PIPE)
+
+
+def told(process: "subprocess.Popen[bytes]", name: str) -> Any:
+    """What a process of `started` says next. BenchError, by `name`, when it has ended instead."""
+    assert process.stdout is not None
+    line = process.stdout.readline()
+    if not line:
+        raise BenchError(f"{name} ended early with code {process.wait()}")
+    return json.loads(line)
+
+
 def servo_core() -> int:
     """The core that the servo takes: the last one allowed."""
     return max(os.sched_getaffinity(0))
