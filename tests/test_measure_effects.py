@@ -12,7 +12,7 @@ from hapticd.errors import AnalysisError, ConfigError
 from hapticd.measure import outcomes
 from hapticd.measure.effects import PREDICTED, SIMULATED, EffectsParams, Limits, Peak, Phase, plan_effects, relative, run_effects
 from hapticd.measure.outcomes import Conditions, fly
-from hapticd.measure.scene_run import SceneRunParams, ceiling, plan_scene, run_scene
+from hapticd.measure.scene_run import ceiling, plan_scene, run_scene
 from hapticd.measure.scenes import frequencies, is_linear, without
 from hapticd.plant.bodies import Coupling, Viscous
 from hapticd.plant.electrical import Amplifier, Crowbar, DampingCircuit, Saturation
@@ -195,7 +195,7 @@ def test_shorted_motor_has_no_ceiling() -> None:
 
 
 def test_undamped_scene_is_compared_with_damping_on() -> None:
-    plan = plan_scene(SceneRunParams(scene(seconds=10.0)))
+    plan = plan_scene(scene(seconds=10.0))
     assert [leg.damping for leg in plan.legs] == [((0.0, 0.0),), ((0.0, 1.74),)]
     assert [leg.own for leg in plan.legs] == [True, False]
     assert plan.impedance
@@ -203,7 +203,7 @@ def test_undamped_scene_is_compared_with_damping_on() -> None:
 
 def test_switched_scene_keeps_its_steps() -> None:
     steps = (DampingStep(0.0, 0.0), DampingStep(2.0, 3.0), DampingStep(4.0, 0.0))
-    plan = plan_scene(SceneRunParams(replace(scene(seconds=10.0), damping=steps), seconds=1.0))
+    plan = plan_scene(replace(scene(seconds=10.0), damping=steps), seconds=1.0)
     assert plan.legs[1].damping == ((0.0, 0.0), (2.0, 3.0), (4.0, 0.0))
     assert plan.legs[1].name == "added damping 3 N s/m, switched"
     assert (plan.legs[1].own, plan.seconds, plan.impedance) == (True, 1.0, False)
@@ -211,41 +211,44 @@ def test_switched_scene_keeps_its_steps() -> None:
 
 def test_free_mass_shows_its_impedance_with_and_without_damping() -> None:
     """Z = b + j w m; 1.74 N s/m more of electrical damping are 1.74 N s/m more of resistance."""
-    found = run_scene(plan_scene(SceneRunParams(scene(seconds=20.0))))
-    plain, damped = (trial.measured for trial in found.trials)
+    found = run_scene(plan_scene(scene(seconds=20.0)))
+    plain, damped = (trial.judged and trial.judged.measured for trial in found.trials)
     assert plain is not None
     assert damped is not None
     at = int(np.argmin(np.abs(plain.frequency_hz - 20.0)))
     expected = VISCOUS_NS_PER_M + 2j * np.pi * plain.frequency_hz[at] * MASS_KG
     assert plain.impedance_ns_per_m[at] == pytest.approx(expected, rel=0.03)
     assert damped.impedance_ns_per_m[at] == pytest.approx(expected + 1.74, rel=0.03)
-    assert [trial.verdict.answer for trial in found.trials if trial.verdict] == ["passive", "passive"]
-    assert found.trials[0].velocity_sd_m_per_s > found.trials[1].velocity_sd_m_per_s
-    assert all(trial.work_j > 0.0 and trial.diverged_at_s == inf for trial in found.trials)
+    assert [trial.judged.verdict.answer for trial in found.trials if trial.judged] == ["passive", "passive"]
+    one, other = (trial.numbers for trial in found.trials)
+    assert one["velocity_sd_m_per_s"] > other["velocity_sd_m_per_s"]
+    assert all(numbers["work_j"] > 0.0 and numbers["diverged_at_s"] == inf for numbers in (one, other))
 
 
 def test_predicted_line_lies_on_the_measured_one() -> None:
-    found = run_scene(plan_scene(SceneRunParams(scene(seconds=20.0, kbm=(100.0, 0.5, 0.002)))))
+    found = run_scene(plan_scene(scene(seconds=20.0, kbm=(100.0, 0.5, 0.002))))
     for trial in found.trials:
-        assert trial.measured is not None
-        assert trial.predicted is not None
-        inside = (trial.measured.frequency_hz > 5.0) & (trial.measured.frequency_hz < 500.0)
-        assert np.allclose(trial.measured.impedance_ns_per_m[inside], trial.predicted[inside], rtol=0.1)
+        assert trial.judged is not None
+        assert trial.judged.predicted is not None
+        z = trial.judged.measured
+        inside = (z.frequency_hz > 5.0) & (z.frequency_hz < 500.0)
+        assert np.allclose(z.impedance_ns_per_m[inside], trial.judged.predicted[inside], rtol=0.1)
 
 
 def test_pushed_scene_has_traces_and_no_impedance() -> None:
     pushed = scene(seconds=0.5, kbm=(100.0, 3.0, 0.0), excitation=Excitation("push", force_n=0.5))
-    trial = run_scene(plan_scene(SceneRunParams(pushed))).trials[0]
-    assert (trial.measured, trial.verdict, trial.winding_c) == (None, None, None)
-    assert trial.position_m[-1] == pytest.approx(0.5 / 100.0, rel=1e-3)
-    assert trial.force_n[-1] == pytest.approx(-0.5, rel=1e-3)
-    assert len(trial.position_m) == 500
-    assert len(trial.velocity_m_per_s) == 2000
+    trial = run_scene(plan_scene(pushed)).trials[0]
+    position_m, force_n = trial.found.traces(0)
+    assert (trial.judged, trial.winding_c) == (None, None)
+    assert position_m[-1] == pytest.approx(0.5 / 100.0, rel=1e-3)
+    assert force_n[-1] == pytest.approx(-0.5, rel=1e-3)
+    assert len(position_m) == len(force_n) == 500
+    assert len(trial.found.record(0)[1]) == 2000
 
 
 @pytest.mark.slow
 def test_hot_scene_tells_its_temperatures() -> None:
-    found = run_scene(plan_scene(SceneRunParams(load_scene("hot"), seconds=6.0)))
+    found = run_scene(plan_scene(load_scene("hot"), seconds=6.0))
     for trial in found.trials:
         assert trial.winding_c is not None
         times, celsius = trial.winding_c
@@ -255,10 +258,12 @@ def test_hot_scene_tells_its_temperatures() -> None:
 
 def test_unstable_trial_is_reported_as_diverged() -> None:
     wild = scene(seconds=6.0, kbm=(60_000.0, 0.0, 0.0))
-    trial = run_scene(plan_scene(SceneRunParams(wild))).trials[0]
-    assert trial.diverged_at_s < 6.0
-    assert len(trial.velocity_m_per_s) == pytest.approx(4000 * trial.diverged_at_s)
-    assert np.isfinite(trial.position_m).all()
+    trial = run_scene(plan_scene(wild)).trials[0]
+    at_s, (position_m, _) = trial.numbers["diverged_at_s"], trial.found.traces(0)
+    assert at_s < 6.0
+    assert len(trial.found.record(0)[1]) == pytest.approx(4000 * at_s)
+    assert len(position_m) == pytest.approx(1000 * at_s)
+    assert np.isfinite(position_m).all()
 
 
 # --- scenes ---------------------------------------------------------------------------------------------------------------------

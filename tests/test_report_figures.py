@@ -15,7 +15,6 @@ from hapticd.measure.accuracy import AccuracyParams, AccuracyResult, Row, plan_a
 from hapticd.measure.effects import EffectsParams, EffectsResult, Left, plan_effects
 from hapticd.measure.scene_run import (
     SceneResult,
-    SceneRunParams,
     compare_integrators,
     plan_scene,
     run_scene,
@@ -42,7 +41,7 @@ PNG = b"\x89PNG\r\n\x1a\n"
 
 @pytest.fixture(scope="module")
 def noisy() -> SceneResult:
-    return run_scene(plan_scene(SceneRunParams(scene(seconds=8.0, kbm=(100.0, 0.5, 0.0)))))
+    return run_scene(plan_scene(scene(seconds=8.0, kbm=(100.0, 0.5, 0.0))))
 
 
 def labels(figure: Any) -> list[tuple[str, str]]:
@@ -106,15 +105,15 @@ def test_legend_tells_both_trials_and_the_prediction(noisy: SceneResult) -> None
 def test_measured_line_is_what_was_measured(noisy: SceneResult) -> None:
     size = scene_figure(noisy).axes[1]
     drawn = next(line for line in size.lines if line.get_label() == "no added damping")
-    z = noisy.trials[0].measured
-    assert z is not None
+    assert noisy.trials[0].judged is not None
+    z = noisy.trials[0].judged.measured
     shown = (z.frequency_hz >= 1.9) & (z.frequency_hz <= 1000.0)
     assert np.array_equal(drawn.get_ydata(), np.abs(z.impedance_ns_per_m[shown]))
 
 
 def test_pushed_scene_shows_position_force_and_damping() -> None:
     pushed = scene(seconds=0.3, kbm=(100.0, 3.0, 0.0), excitation=Excitation("push", force_n=0.5))
-    figure = scene_figure(run_scene(plan_scene(SceneRunParams(pushed))))
+    figure = scene_figure(run_scene(plan_scene(pushed)))
     assert [label for _, label in labels(figure)] == ["position (mm)", "virtual force (N)", "added damping (N s/m)"]
     assert figure.axes[-1].get_xlabel() == "time (s)"
 
@@ -132,15 +131,21 @@ def test_scene_table_marks_its_own_trial_and_its_verdict(noisy: SceneResult) -> 
 
 
 def test_divergence_is_in_the_table(noisy: SceneResult) -> None:
-    wild = replace(noisy, trials=(replace(noisy.trials[0], diverged_at_s=1.25, verdict=None), noisy.trials[1]))
+    wild = replace(
+        noisy,
+        trials=(
+            replace(noisy.trials[0], found=replace(noisy.trials[0].found, samples=np.array([5000])), judged=None),
+            noisy.trials[1],
+        ),
+    )
     assert "diverged at 1.25 s" in text(scene_table(wild))
 
 
 def test_impedance_rows_are_those_of_the_trial(noisy: SceneResult) -> None:
-    rows = impedance_rows(noisy, noisy.trials[0])
+    rows = impedance_rows(noisy.trials[0])
     assert rows[0]["frequency_hz"] >= 2.0
     assert rows[10]["impedance_ns_per_m"] == pytest.approx(rows[10]["predicted_ns_per_m"], rel=0.3)
-    assert impedance_rows(noisy, replace(noisy.trials[0], measured=None)) == []
+    assert impedance_rows(replace(noisy.trials[0], judged=None)) == []
 
 
 def test_thinned_line_keeps_its_extremes() -> None:

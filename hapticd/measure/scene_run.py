@@ -33,18 +33,16 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from numpy.linalg import matrix_power
 
 from hapticd.analysis.arrays import Complexes, Floats
 from hapticd.analysis.closed import spectral_radius
-from hapticd.analysis.impedance import Impedance
-from hapticd.analysis.passivity import DEFAULT_BAND_HZ
 from hapticd.analysis.spa import DEFAULT_LAG
-from hapticd.analysis.verdict import Verdict
 from hapticd.errors import ConfigError
 from hapticd.measure.progress import Progress, Steps, silent
 from hapticd.measure.scenes import SUBSTEPS, filters, level, point
 from hapticd.measure.sources import Trial as Asked
-from hapticd.measure.store import Recorded
+from hapticd.measure.sources import simulated
 from hapticd.measure.trial import SHORTEST_WINDOWS, TrialParams, TrialResult, judged, plan_trial
 from hapticd.params import ADDED_DAMPING_NS_PER_M
 from hapticd.plant.compose import compose, compose_device
@@ -74,16 +72,6 @@ ON: DampingSteps = ((0.0, ADDED_DAMPING_NS_PER_M),)
 
 
 @dataclass(frozen=True, slots=True)
-class SceneRunParams:
-    """`seconds` None: the scene's own. `band_hz`: of the verdict. `substeps` per 4 kHz sample."""
-
-    scene: Scene
-    seconds: float | None = None
-    band_hz: tuple[float, float] = DEFAULT_BAND_HZ
-    substeps: int = SUBSTEPS
-
-
-@dataclass(frozen=True, slots=True)
 class Leg:
     """One trial to be made: damping steps (time s, level Ns/m); `own`: as the scene file says."""
 
@@ -96,7 +84,7 @@ class Leg:
 class ScenePlan:
     """What will be simulated."""
 
-    params: SceneRunParams
+    scene: Scene
     seconds: float
     legs: tuple[Leg, ...]
     impedance: bool  # noise moves it, long enough for a verdict
@@ -104,25 +92,25 @@ class ScenePlan:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One trial. `position_m`, `force_n` (ticks,) at the servo rate; `torque_n`, `velocity_m_per_s` (samples,) at 4 kHz.
-
-    `measured`, `predicted` (on its frequencies) and `verdict` are None without noise; `winding_c` is (times s, degC), None
+    """One trial, with its ticks. `judged` is None without noise, or if it ended too early; `winding_c` is (times s, degC), None
     where the winding's temperature is given.
     """
 
     leg: Leg
-    position_m: Floats
-    force_n: Floats
-    torque_n: Floats
-    velocity_m_per_s: Floats
-    velocity_sd_m_per_s: float
-    max_force_n: float
-    work_j: float
-    diverged_at_s: float
-    measured: Impedance | None = None
-    predicted: Complexes | None = None
-    verdict: Verdict | None = None
+    found: BatchResult
+    judged: TrialResult | None = None
     winding_c: tuple[Floats, Floats] | None = None
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Rms velocity and largest command, the work of the probe, when it diverged; by name with unit."""
+        found = self.found
+        return {
+            "velocity_sd_m_per_s": float(found.sigma_v_m_per_s[0]),
+            "max_force_n": float(found.max_force_n[0]),
+            "work_j": float(found.work_j[0]),
+            "diverged_at_s": float(found.diverged_at_s[0]),
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,30 +120,24 @@ class SceneResult:
     plan: ScenePlan
     trials: tuple[Trial, ...]
 
-    @property
-    def scene(self) -> Scene:
-        """What was simulated."""
-        return self.plan.params.scene
 
-
-def plan_scene(params: SceneRunParams) -> ScenePlan:
-    """Two legs: without damping and with it."""
-    scene = params.scene
+def plan_scene(scene: Scene, seconds: float | None = None) -> ScenePlan:
+    """Two legs: without damping and with it. `seconds` None: the scene's own."""
     own = tuple((step.at_s, step.level_ns_per_m) for step in scene.damping)
     damped = level(scene) > 0.0
     legs = (
         Leg("no added damping", ((0.0, 0.0),), own=not damped),
         Leg(_name(own), own, own=True) if damped else Leg(_name(ON), ON, own=False),
     )
-    seconds = params.seconds if params.seconds is not None else scene.seconds
-    return ScenePlan(params, seconds, legs, scene.excitation.kind == "noise" and seconds > LEAST_S)
+    seconds = scene.seconds if seconds is None else seconds
+    return ScenePlan(scene, seconds, legs, scene.excitation.kind == "noise" and seconds > LEAST_S)
 
 
 def run_scene(plan: ScenePlan, tell: Progress = silent) -> SceneResult:
     """Simulate. ConfigError as `compose` and `simulate`."""
-    model = compose(plan.params.scene)
-    steps = Steps(tell, len(plan.legs) * (1 + (TEMPERATURES if model.winding is not None else 0)))
-    trials = tuple(_trial(plan, model, leg, steps) for leg in plan.legs)
+    winding = compose(plan.scene).winding
+    steps = Steps(tell, len(plan.legs) * (1 + (TEMPERATURES if winding else 0)))
+    trials = tuple(_trial(plan, leg, winding.start_c if winding else None, steps) for leg in plan.legs)
     steps.end()
     return SceneResult(plan, trials)
 
@@ -166,44 +148,23 @@ def _name(steps: Sequence[tuple[float, float]]) -> str:
     return f"added damping {highest:.3g} N s/m{switched}"
 
 
-def _trial(plan: ScenePlan, model: Model, leg: Leg, steps: Steps) -> Trial:
-    scene = plan.params.scene
+def _trial(plan: ScenePlan, leg: Leg, start_c: float | None, steps: Steps) -> Trial:
     steps.next(f"simulating, {leg.name}")
     found = _simulated(plan, leg, plan.seconds, "ticks")
-    torque, velocity = (np.asarray(channel, np.float64) for channel in found.record(0))
-    ticks = int(found.samples[0] * scene.rate_hz / found.rate_hz)
-    most_n = float(found.max_force_n[0])
-    recorded = Recorded(torque, velocity, PROBE_RATE_HZ, scene.name, True, "", most_n, model.force_limit_n)
-    told = _judged(plan, leg, recorded)
-    winding = model.winding
-    return Trial(
-        leg=leg,
-        position_m=np.ravel(np.asarray(found.position_m, np.float64))[:ticks],
-        force_n=np.ravel(np.asarray(found.force_n, np.float64))[:ticks],
-        torque_n=torque,
-        velocity_m_per_s=velocity,
-        velocity_sd_m_per_s=float(found.sigma_v_m_per_s[0]),
-        max_force_n=most_n,
-        work_j=float(found.work_j[0]),
-        diverged_at_s=float(found.diverged_at_s[0]),
-        measured=told.measured if told else None,
-        predicted=told.predicted if told else None,
-        verdict=told.verdict if told else None,
-        winding_c=None if winding is None else _temperatures(plan, winding.start_c, leg, steps),
-    )
+    heated = None if start_c is None else _temperatures(plan, start_c, leg, steps)
+    return Trial(leg, found, _judged(plan, leg, found) if plan.impedance else None, heated)
 
 
 def _simulated(plan: ScenePlan, leg: Leg, seconds: float, keep: str) -> BatchResult:
-    scene, substeps = plan.params.scene, plan.params.substeps
-    return simulate(scene, [point(scene)], seconds, damping=leg.damping, substeps=substeps, keep=keep)
+    return simulate(plan.scene, [point(plan.scene)], seconds, damping=leg.damping, substeps=SUBSTEPS, keep=keep)
 
 
-def _judged(plan: ScenePlan, leg: Leg, recorded: Recorded) -> TrialResult | None:
-    if not plan.impedance or recorded.force_n.size < LEAST_S * PROBE_RATE_HZ:
+def _judged(plan: ScenePlan, leg: Leg, found: BatchResult) -> TrialResult | None:
+    recorded, scene = simulated(plan.scene, found), plan.scene
+    if recorded.seconds < LEAST_S:
         return None
-    scene, highest = plan.params.scene, max(height for _, height in leg.damping)
-    asked = Asked(point(scene), highest, plan.seconds, scene.excitation)
-    return judged(plan_trial(TrialParams(asked, scene, plan.params.band_hz)), recorded)
+    asked = Asked(point(scene), max(height for _, height in leg.damping), plan.seconds, scene.excitation)
+    return judged(plan_trial(TrialParams(asked, scene)), recorded)
 
 
 def _temperatures(plan: ScenePlan, start_c: float, leg: Leg, steps: Steps) -> tuple[Floats, Floats]:
@@ -305,12 +266,10 @@ def compare_integrators(scene: Scene) -> Integrators:
     a = model.a(level(scene))
     moving = [state.name.endswith("_velocity") for state in model.states]
     start = SPEED_M_PER_S * np.array(moving, np.float64)
-    true, steps = _marks(expm(a * 1e-3), start, 1), STEPS_PER_MS
+    true, steps = _marks(expm(a * 1e-3), start), STEPS_PER_MS
     with np.errstate(over="ignore", invalid="ignore"):
         error = {
-            method: np.array(
-                [_error(_step(method, a * (1e-3 / count)), count, start, true) for count in steps],
-            )
+            method: np.array([_error(matrix_power(_step(method, a * (1e-3 / count)), count), start, true) for count in steps])
             for method in ORDERS
         }
     poles = np.asarray(np.linalg.eigvals(a), np.complex128)
@@ -320,11 +279,10 @@ def compare_integrators(scene: Scene) -> Integrators:
     return Integrators(np.array(steps, np.float64), error, longest, fastest_s)
 
 
-def _error(step: Array, steps_per_ms: int, start: Floats, true: Floats) -> float:
+def _error(millisecond: Array, start: Floats, true: Floats) -> float:
     """The largest of any coordinate, over its largest value on the way."""
-    found = _marks(step, start, steps_per_ms)
     size = np.abs(true).max(axis=0)
-    error = float((np.abs(found - true) / np.where(size == 0.0, 1.0, size)).max())
+    error = float((np.abs(_marks(millisecond, start) - true) / np.where(size == 0.0, 1.0, size)).max())
     return error if error < BLOWN_UP else inf
 
 
@@ -339,12 +297,9 @@ def _step(method: str, ah: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return matrix
 
 
-def _marks(step: Array, start: Floats, steps_per_ms: int) -> Floats:
-    """(SPAN_MS, n): the state at the end of each millisecond."""
-    states = [start]
-    for _ in range(SPAN_MS * steps_per_ms):
-        states.append(step @ states[-1])
-    return np.array(states[steps_per_ms::steps_per_ms])
+def _marks(millisecond: Array, start: Floats) -> Floats:
+    """(SPAN_MS, n): the state at the end of each millisecond; `millisecond` is the matrix of one."""
+    return np.array([matrix_power(millisecond, count) @ start for count in range(1, SPAN_MS + 1)])
 
 
 def _longest(method: str, poles: Complexes) -> float:

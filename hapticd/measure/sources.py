@@ -24,7 +24,7 @@ from hapticd.measure.store import Recorded, Rendered
 from hapticd.measure.watch import Sentinel, Watch
 from hapticd.plant.compose import compose
 from hapticd.plant.scene import Excitation, Scene
-from hapticd.sim.engine import simulate
+from hapticd.sim.engine import BatchResult, simulate
 
 LEAST_KEPT_S = 8.0
 NOISE = Excitation("noise")
@@ -59,19 +59,23 @@ def engine_source(scene: Scene, substeps: int = 4) -> Source:
             excitation=trial.excitation if trial.waveform_n is None else trial.waveform_n,
         )  # fmt: skip
         tell("simulated", 1, 1)
-        limit_n, (force, velocity) = compose(scene).force_limit_n, found.record(0)
-        whole = Recorded(
-            np.asarray(force, np.float64), np.asarray(velocity, np.float64), found.rate_hz, f"engine, scene {scene.name}", True,
-            f"escape: diverged after {found.diverged_at_s[0]:.3g} s" if found.diverged[0] else "",
-            float(found.max_force_n[0]), limit_n,
-        )  # fmt: skip
-        watch = replace(trial.watch, command_limit_n=inf if limit_n is None else limit_n)
+        whole = simulated(scene, found)
+        watch = replace(trial.watch, command_limit_n=inf if whole.command_limit_n is None else whole.command_limit_n)
         winding_c = nan if found.winding_c is None else float(found.winding_c[0])
-        commands = np.abs(np.asarray(found.force_n)[0])
-        flown = round(commands.size * whole.seconds / found.seconds)
-        return _watched(whole, watch, winding_c, commands[:flown])
+        _, commands = found.traces(0)
+        return _watched(whole, watch, winding_c, np.abs(commands))
 
     return record
+
+
+def simulated(scene: Scene, found: BatchResult) -> Recorded:
+    """The first trial of a batch that kept its records."""
+    force, velocity = (np.asarray(channel, np.float64) for channel in found.record(0))
+    return Recorded(
+        force, velocity, found.rate_hz, f"engine, scene {scene.name}", True,
+        f"escape: diverged after {found.diverged_at_s[0]:.3g} s" if found.diverged[0] else "",
+        float(found.max_force_n[0]), compose(scene).force_limit_n,
+    )  # fmt: skip
 
 
 def file_source(recorded: Recorded) -> Source:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hapticd.analysis.arrays import Floats
+from hapticd.analysis.passivity import DEFAULT_BAND_HZ
 from hapticd.measure.accuracy import GROUP, AccuracyResult, Cost, Row
 from hapticd.measure.effects import EffectsResult, Left
 from hapticd.measure.scene_run import Ceiling, Integrators, SceneResult, Trial
@@ -94,7 +95,7 @@ def scene_figure(result: SceneResult) -> "Figure":
 
 def _with_impedance(result: SceneResult) -> "Figure":
     figure, (position, size, force, phase) = axes(2, 2, 10.0, 6.2, _title(result), width_ratios=(1.0, 1.3))
-    begin_s, band_hz = min(1.0, 0.5 * result.plan.seconds), result.plan.params.band_hz
+    begin_s, band_hz = min(1.0, 0.5 * result.plan.seconds), DEFAULT_BAND_HZ
     draw_traces((position, force), _traces(result, (begin_s, begin_s + SHOWN_S)))
     position.set_xlabel("time (s)")
     for trial, look in zip(result.trials, LOOKS, strict=True):
@@ -110,12 +111,12 @@ def _with_impedance(result: SceneResult) -> "Figure":
 
 
 def _draw_impedance(size: "Axes", phase: "Axes", trial: Trial, look: Look) -> None:
-    if trial.measured is None or trial.predicted is None:
+    if trial.judged is None or trial.judged.predicted is None:
         return
-    f = trial.measured.frequency_hz
-    seen = (f >= SHOWN_HZ[0]) & (f <= SHOWN_HZ[1])
-    draw(size, phase, Curve(f[seen], trial.predicted[seen], PREDICTED, "predicted"))
-    draw(size, phase, Curve(f[seen], trial.measured.impedance_ns_per_m[seen], look, trial.leg.name))
+    z = trial.judged.measured
+    seen = (z.frequency_hz >= SHOWN_HZ[0]) & (z.frequency_hz <= SHOWN_HZ[1])
+    draw(size, phase, Curve(z.frequency_hz[seen], trial.judged.predicted[seen], PREDICTED, "predicted"))
+    draw(size, phase, Curve(z.frequency_hz[seen], z.impedance_ns_per_m[seen], look, trial.leg.name))
 
 
 def _traces_alone(result: SceneResult) -> "Figure":
@@ -139,24 +140,23 @@ def _steps(trial: Trial, seconds: float, look: Look) -> Trace:
 
 
 def _title(result: SceneResult) -> str:
-    (k, b, m), wall = point(result.scene), result.scene.environment.wall
+    scene = result.plan.scene
+    (k, b, m), wall = point(scene), scene.environment.wall
     rendered = f"K = {k:g} N/m, B = {b:g} N s/m, M = {1e3 * m:g} g"
     if wall.side:
         rendered = f"wall of {wall.stiffness_n_per_m:g} N/m and {wall.damping_ns_per_m:g} N s/m at {1e3 * wall.position_m:g} mm"
-    return f"{result.scene.title}: {rendered}  (simulated {result.scene.device})"
+    return f"{scene.title}: {rendered}  (simulated {scene.device})"
 
 
 def _traces(result: SceneResult, span_s: tuple[float, float]) -> list[tuple[str, list[Trace]]]:
     """Position and force of each trial in that span."""
-    panels = []
-    for label, factor, name in (("position (mm)", 1e3, "position_m"), ("virtual force (N)", 1.0, "force_n")):
-        lines: list[Trace] = []
-        for trial, look in zip(result.trials, LOOKS, strict=True):
-            values = factor * getattr(trial, name)
-            time_s = np.arange(values.size) / result.scene.rate_hz
-            inside = (time_s >= span_s[0]) & (time_s <= span_s[1])
+    panels: list[tuple[str, list[Trace]]] = [("position (mm)", []), ("virtual force (N)", [])]
+    for trial, look in zip(result.trials, LOOKS, strict=True):
+        position_m, force_n = trial.found.traces(0)
+        time_s = np.arange(force_n.size) / result.plan.scene.rate_hz
+        inside = (time_s >= span_s[0]) & (time_s <= span_s[1])
+        for (_, lines), values in zip(panels, (1e3 * position_m, force_n), strict=True):
             lines.append((*thinned(time_s[inside], values[inside]), {**look, "label": trial.leg.name}))
-        panels.append((label, lines))
     return panels
 
 
@@ -185,12 +185,13 @@ def scene_table(result: SceneResult) -> Table:
 
 def _ran(trial: Trial, impedance: bool, heated: bool) -> dict[str, Cell]:
     """By column."""
-    at_s, found, warmed = trial.diverged_at_s, trial.verdict, trial.winding_c
+    numbers, found = trial.numbers, trial.judged.verdict if trial.judged else None
+    at_s = numbers["diverged_at_s"]
     row: dict[str, Cell] = {
         "trial": f"{trial.leg.name}{' (the scene)' if trial.leg.own else ''}",
-        "velocity mm/s rms": 1e3 * trial.velocity_sd_m_per_s,
-        "largest force N": trial.max_force_n,
-        "work of the probe mJ": 1e3 * trial.work_j,
+        "velocity mm/s rms": 1e3 * numbers["velocity_sd_m_per_s"],
+        "largest force N": numbers["max_force_n"],
+        "work of the probe mJ": 1e3 * numbers["work_j"],
         "end": "ran to its end" if at_s == inf else f"diverged at {at_s:.3g} s",
     }
     if impedance:
@@ -198,22 +199,22 @@ def _ran(trial: Trial, impedance: bool, heated: bool) -> dict[str, Cell]:
         row["margin deg"] = found.margin_deg.value if found else nan
         row["at Hz"] = found.margin_deg.frequency_hz if found else nan
     if heated:
-        row["winding degC"] = float(warmed[1][-1]) if warmed else nan
+        row["winding degC"] = float(trial.winding_c[1][-1]) if trial.winding_c else nan
     return row
 
 
-def impedance_rows(result: SceneResult, trial: Trial) -> list[dict[str, float]]:
+def impedance_rows(trial: Trial) -> list[dict[str, float]]:
     """|Z| and phase, measured and predicted, on a few frequencies of the band; empty without noise."""
-    if trial.measured is None or trial.predicted is None:
+    if trial.judged is None or trial.judged.predicted is None:
         return []
-    f = frequencies(result.plan.params.band_hz)
-    at = np.abs(trial.measured.frequency_hz - f[:, None]).argmin(axis=1)
-    z, expected = trial.measured.impedance_ns_per_m[at], trial.predicted[at]
+    measured, f = trial.judged.measured, frequencies()
+    at = np.abs(measured.frequency_hz - f[:, None]).argmin(axis=1)
+    z, expected = measured.impedance_ns_per_m[at], trial.judged.predicted[at]
     columns = {
         "frequency_hz": f,
         "impedance_ns_per_m": np.abs(z),
         "phase_deg": np.degrees(np.angle(z)),
-        "phase_sd_deg": np.degrees(trial.measured.relative_sd[at]),
+        "phase_sd_deg": np.degrees(measured.relative_sd[at]),
         "predicted_ns_per_m": np.abs(expected),
         "predicted_phase_deg": np.degrees(np.angle(expected)),
     }

@@ -55,6 +55,13 @@ class BatchResult:
         torque = self.torque_n if self.torque_n.ndim == 1 else self.torque_n[trial]
         return torque[:end], self.velocity_m_per_s[trial, :end]
 
+    def traces(self, trial: int) -> tuple[Floats, Floats]:
+        """(position, command) float64 of one trial at each tick up to its end. ValueError if they were not kept."""
+        if self.position_m is None or self.force_n is None:
+            raise ValueError("no ticks were kept; simulate with keep='ticks'")
+        end = int(self.samples[trial]) * self.force_n.shape[1] // round(self.seconds * self.rate_hz)
+        return np.asarray(self.position_m[trial, :end], np.float64), np.asarray(self.force_n[trial, :end], np.float64)
+
     def spectra(self, trial: int) -> Spectra:
         """Of one trial, as `spa` gives them of its record. ValueError if they were not kept, or it diverged."""
         if self.force_spectrum is None or self.velocity_spectrum is None or self.cross_spectrum is None:
