@@ -25,10 +25,11 @@ from hapticd.clock import VirtualClock
 from hapticd.errors import ConfigError, DaemonDown, HapticdError
 from hapticd.mailbox.layout import Command, Value
 from hapticd.measure import recorder
-from hapticd.measure.recorder import RecordingParams, RecordingResult, Synchroniser, packed, record
+from hapticd.measure.recorder import RecordingParams, record
 from hapticd.measure.recording import live, pack, provenance
 from hapticd.measure.recording.file import open_recording
 from hapticd.measure.recording.live import GROUPS, Writer, as_channel, channels, columns, event_row, udunits
+from hapticd.measure.recording.pack import packed
 from hapticd.measure.reflight import refly
 from hapticd.params import InjectionParams
 from hapticd.units import NS_PER_S
@@ -50,7 +51,7 @@ def flown() -> RecordedFlight:
     return flight
 
 
-def recorded_into(file: Path, flight: RecordedFlight, seconds: float | None = None, **more: Any) -> RecordingResult:
+def recorded_into(file: Path, flight: RecordedFlight, seconds: float | None = None, **more: Any) -> dict[str, Any]:
     """A recording of everything that was published; it ends by silence unless `seconds` are enough."""
     clock = VirtualClock(NS_PER_S)
     return record(
@@ -62,7 +63,7 @@ def recorded_into(file: Path, flight: RecordedFlight, seconds: float | None = No
 def file(flown: RecordedFlight, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("recording") / "run.h5"
     result = recorded_into(path, flown)
-    assert result.ended == "daemon ended"
+    assert result["ended"] == "daemon ended"
     return path
 
 
@@ -191,8 +192,8 @@ def test_short_recording_has_nothing_to_fly(flown: RecordedFlight, tmp_path: Pat
 
 def test_seconds_are_recorded_time(flown: RecordedFlight, tmp_path: Path) -> None:
     result = recorded_into(tmp_path / "one.h5", flown, seconds=1.0)
-    assert (result.ended, result.summary["records"]) == ("complete", 1000)
-    assert result.summary["seconds"] == pytest.approx(0.999)
+    assert (result["ended"], result["records"]) == ("complete", 1000)
+    assert result["seconds"] == pytest.approx(0.999)
     assert not (tmp_path / "one.part.h5").exists()
 
 
@@ -200,10 +201,10 @@ def test_operator_ends_it_in_order(flown: RecordedFlight, tmp_path: Path) -> Non
     clock, told = VirtualClock(NS_PER_S), []  # type: tuple[VirtualClock, list[Progress]]
     params = RecordingParams(tmp_path / "run.h5")
     result = record(Source(flown, clock), params, lambda: len(told) >= 3, told.append, clock, room)
-    assert result.ended == "stopped"
+    assert result["ended"] == "stopped"
     assert told[-1].records > 0
     assert told[-1].file_bytes > 100_000
-    assert result.summary["records"] >= told[-1].records
+    assert result["records"] >= told[-1].records
 
 
 def test_nearly_full_disk_ends_it_in_order(flown: RecordedFlight, tmp_path: Path) -> None:
@@ -211,8 +212,8 @@ def test_nearly_full_disk_ends_it_in_order(flown: RecordedFlight, tmp_path: Path
     result = record(
         Source(flown, clock), RecordingParams(tmp_path / "a.h5"), lambda: False, clock=clock, free_bytes=lambda folder: 1000
     )
-    assert result.ended == "disk nearly full"
-    assert result.summary["records"] > 0
+    assert result["ended"] == "disk nearly full"
+    assert result["records"] > 0
 
 
 def test_silent_daemon_is_told(tmp_path: Path) -> None:
@@ -245,7 +246,7 @@ def test_gap_is_stored_and_said(flown: RecordedFlight, tmp_path: Path) -> None:
     source = Source(flown, clock)
     lost = msgpack.unpackb(source.played.pop(ticks[40])[1])["n"]
     result = record(source, RecordingParams(tmp_path / "gap.h5"), lambda: False, clock=clock, free_bytes=room)
-    assert result.summary["missing"]["servo"] == lost
+    assert result["missing"]["servo"] == lost
     with open_recording(tmp_path / "gap.h5") as recording:
         (row,) = recording.column("gap", "row")[recording.column("gap", "stream") == b"servo"].tolist()
         tick = recording.column("servo", "tick")
@@ -262,7 +263,7 @@ def test_another_servo_life_is_no_gap(flown: RecordedFlight, tmp_path: Path) -> 
         if topic != "event":
             source.played.append((topic, msgpack.packb(content | {"epoch": 99})))
     result = record(source, RecordingParams(tmp_path / "lives.h5"), lambda: False, clock=clock, free_bytes=room)
-    assert (result.summary["lives"], result.summary["missing"]["servo"]) == (2, 0)
+    assert (result["lives"], result["missing"]["servo"]) == (2, 0)
     with open_recording(tmp_path / "lives.h5") as recording:
         assert len(recording.legs()) == 2
         assert all(replay.difference(leg.records, replay.fly(recording.params, leg)) is None for leg in recording.legs())
@@ -371,17 +372,22 @@ def test_stalled_disk_delays_and_loses_nothing(flown: RecordedFlight, tmp_path: 
 
     monkeypatch.setattr(Writer, "write", slow)
     result = record(Source(flown, clock), RecordingParams(tmp_path / "slow.h5"), lambda: False, clock=clock, free_bytes=room)
-    assert result.summary["missing"]["servo"] == 0
-    assert result.summary["records"] == 3000
+    assert result["missing"]["servo"] == 0
+    assert result["records"] == 3000
 
 
-def test_synchroniser_survives_a_bad_descriptor() -> None:
-    sync, closed = Synchroniser(), os.open("/dev/null", os.O_RDONLY)
-    os.close(closed)
-    sync.request(closed)
-    sync.request(closed)
-    sync.stop()
-    sync.stop()
+def test_disk_that_refuses_to_be_synchronised_loses_nothing(
+    flown: RecordedFlight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def refuse(descriptor: int) -> None:
+        asked.append(descriptor)
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(os, "fdatasync", refuse)
+    assert recorded_into(tmp_path / "run.h5", flown)["records"] == 3000
+    assert asked
 
 
 def test_column_that_stands_still_is_filled_and_the_unmeant_is_cut(tmp_path: Path) -> None:

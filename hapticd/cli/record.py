@@ -38,9 +38,9 @@ def command(
     with connect(instance) as client, _bar(seconds, quiet=as_json) as tell:
         result = record(client, RecordingParams(file, seconds, note), lambda: bool(asked), tell)
     if as_json:
-        output.data_json({"ok": True, "ended": result.ended, **result.summary})
+        output.data_json({"ok": True, **result})
     else:
-        output.data(told(result.ended, result.summary))
+        output.data(told(result["ended"], result))
 
 
 def told(ended: str, summary: dict[str, Any]) -> str:

@@ -24,7 +24,6 @@ from hapticd.errors import AnalysisError, ConfigError
 from hapticd.measure.archives import line_of, read_csv, read_hdf5, read_mat, read_npz, structures
 from hapticd.measure.own import COUNTED, OF_A_SERVO, of_recording, of_remark, read_remark
 from hapticd.measure.recording.file import is_recording, open_recording
-from hapticd.measure.recording.pack import derived
 from hapticd.measure.store import RECORD_H5, RECORD_NPZ, SUMMARY, Recorded, Rendered, origin_of, read_summary, record_path
 from hapticd.measure.times import SLOWEST_HZ, Sampling, sampling
 from hapticd.measure.watch import COUNTS, in_even_time
@@ -84,12 +83,7 @@ def _whole_file(path: Path) -> Iterator[None]:
 
 def _recording(path: Path) -> Recorded:
     with open_recording(path) as recording:
-        more = {(group, name): values for group, name, _, values in derived(recording)}
-
-        def column(group: str, name: str) -> Any:
-            return more[group, name] if (group, name) in more else recording.column(group, name)
-
-        return of_recording(column, recording.attributes, path.name)
+        return of_recording(recording.column, recording.attributes, path.name)
 
 
 def _exported(path: Path, columns: dict[str, Any]) -> Recorded | None:

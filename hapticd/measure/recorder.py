@@ -9,19 +9,19 @@ Before the disk is full the recording ends in order; after a write error it ends
 
 import os
 import shutil
-import threading
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from hapticd.client.blocks import BlockDecoder
+from hapticd.client.shell import Client
 from hapticd.clock import Clock, MonotonicClock
 from hapticd.errors import ConfigError, DaemonDown, HapticdError
 from hapticd.measure.recording import live, pack
 from hapticd.measure.recording.live import TOPICS, Writer
-from hapticd.measure.recording.pack import packed
 from hapticd.measure.recording.provenance import of_recording
 from hapticd.units import NS_PER_S
 
@@ -31,47 +31,6 @@ RESERVE_BYTES = 64 << 20  # the disk is taken for full when so little is left
 SILENCE_NS = 10 * NS_PER_S  # a daemon that says nothing for so long has ended
 
 Message = tuple[str, bytes]
-
-
-class Synchroniser:
-    """A thread that has the operating system write a file to its disk; a request while it is busy is dropped."""
-
-    def __init__(self) -> None:
-        self._wanted, self._ending = threading.Event(), threading.Event()
-        self._descriptor = -1
-        self._thread: threading.Thread | None = None
-
-    def request(self, descriptor: int) -> None:
-        """Write `descriptor` out soon; it stays open until `stop` has returned."""
-        self._descriptor = descriptor
-        self._wanted.set()
-        if self._thread is None:
-            self._thread = threading.Thread(target=self._run)
-            self._thread.start()
-
-    def _run(self) -> None:
-        while self._wanted.wait() and not self._ending.is_set():
-            self._wanted.clear()
-            try:
-                os.fdatasync(self._descriptor)
-            except OSError:
-                pass  # the next write says so, with a message
-
-    def stop(self) -> None:
-        """End the thread; may be called twice."""
-        self._ending.set()
-        self._wanted.set()
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
-
-
-class Source(Protocol):
-    """What is used of hapticd.client.Client."""
-
-    def hello(self) -> dict[str, Any]: ...
-    def status(self) -> dict[str, Any]: ...
-    def messages(self, topics: Sequence[str], look_s: float = ...) -> Generator[Message | None, None, None]: ...
 
 
 @dataclass(frozen=True)
@@ -98,23 +57,17 @@ class Progress:
     file_bytes: int
 
 
-@dataclass(frozen=True)
-class RecordingResult:
-    """`ended`: why it ended; `summary` as `pack.summary`, with the final file and its size."""
-
-    ended: str
-    summary: dict[str, Any]
-
-
 def record(
-    source: Source,
+    source: Client,
     params: RecordingParams,
     should_stop: Callable[[], bool],
     tell: Callable[[Progress], None] = lambda progress: None,
     clock: Clock | None = None,
     free_bytes: Callable[[Path], int] = lambda folder: shutil.disk_usage(folder).free,
-) -> RecordingResult:
+) -> dict[str, Any]:
     """Record until `seconds` are recorded, `should_stop()`, the disk is nearly full or the daemon has ended; then pack.
+
+    Why it `ended`, and what `pack.pack` says of the final file.
 
     ConfigError: the file exists. HapticdError: it cannot be written; what was flushed is in the live file. DaemonDown: nothing
     came.
@@ -122,7 +75,7 @@ def record(
     check_free(params)
     recorder = Recorder(source, params, clock or MonotonicClock(), free_bytes)
     ended = recorder.run(should_stop, tell)
-    return RecordingResult(ended, packed(params.part, params.file))
+    return {"ended": ended, **pack.packed(params.part, params.file)}
 
 
 def check_free(params: RecordingParams) -> None:
@@ -139,30 +92,30 @@ def check_free(params: RecordingParams) -> None:
 class Recorder:
     """The loop of one recording."""
 
-    def __init__(self, source: Source, params: RecordingParams, clock: Clock, free_bytes: Callable[[Path], int]) -> None:
+    def __init__(self, source: Client, params: RecordingParams, clock: Clock, free_bytes: Callable[[Path], int]) -> None:
         self._source, self._params, self._clock, self._free_bytes = source, params, clock, free_bytes
         self._writer: Writer | None = None
-        self._sync = Synchroniser()
 
     def run(self, should_stop: Callable[[], bool], tell: Callable[[Progress], None]) -> str:
-        """Record; why it ended."""
-        hello, status = self._source.hello(), self._source.status()
-        with closing(self._source.messages(TOPICS, LOOK_S)) as messages:
-            try:
-                ended = self._loop(messages, hello, status, should_stop, tell)
-            except (OSError, RuntimeError) as error:
-                raise self._spoilt(error) from error
-            finally:
-                self._sync.stop()
-        if self._writer is None:
-            raise DaemonDown("record: the daemon published nothing; see `hapticd status`")
+        """Record into the live file; why it ended."""
+        told = self._source.hello(), self._source.status()
+        try:
+            with closing(self._source.messages(TOPICS, LOOK_S)) as messages, ThreadPoolExecutor(1) as disk:
+                ended = self._loop(messages, told, disk, should_stop, tell)
+            if self._writer is None:
+                raise DaemonDown("record: the daemon published nothing; see `hapticd status`")
+            self._writer.file.close()
+        except (OSError, RuntimeError) as error:
+            part = self._params.part
+            remedy = f"what was flushed before is safe: free some space, then `hapticd rec recover {part}`"
+            raise HapticdError(f"{part}: {error}; {remedy}") from error
         return ended
 
     def _loop(
         self,
         messages: Generator[Message | None, None, None],
-        hello: dict[str, Any],
-        status: dict[str, Any],
+        told: tuple[dict[str, Any], dict[str, Any]],
+        disk: ThreadPoolExecutor,
         should_stop: Callable[[], bool],
         tell: Callable[[Progress], None],
     ) -> str:
@@ -172,33 +125,26 @@ class Recorder:
             message, now_ns = next(messages), self._clock.now_ns()
             if message is not None:
                 heard_ns = now_ns
-                self._take(*message, hello, status)
+                self._take(*message, told)
                 continue
             if writer := self._writer:
                 writer.write()
                 if now_ns - synced_ns >= SYNC_NS:
                     synced_ns = now_ns
-                    self._sync.request(writer.file.descriptor)
+                    disk.submit(os.fdatasync, writer.file.descriptor)  # if that fails, the next write says so
                     ended = "disk nearly full" if self._free_bytes(self._params.part.parent) < RESERVE_BYTES else ""
                     tell(Progress(writer.records, writer.seconds, writer.missing["servo.raw"], self._params.part.stat().st_size))
             ended = ended or self._over(now_ns - heard_ns, should_stop)
-        self._sync.stop()
-        if self._writer:
-            self._writer.file.close()
         return ended
 
-    def _take(self, topic: str, payload: bytes, hello: dict[str, Any], status: dict[str, Any]) -> None:
+    def _take(self, topic: str, payload: bytes, told: tuple[dict[str, Any], dict[str, Any]]) -> None:
         if self._writer is None:
             if topic != "servo.raw":
                 return
             header = BlockDecoder().decode(payload).header
-            self._writer = Writer(self._params.part, of_recording(hello, status, header, self._params.note))
-        self._writer.take(topic, payload, self._end_ns())
-
-    def _end_ns(self) -> int | None:
-        if self._params.seconds is None or self._writer is None or not self._writer.first_ns:
-            return None
-        return self._writer.first_ns + round(self._params.seconds * NS_PER_S)
+            attributes = of_recording(*told, header, self._params.note)
+            self._writer = Writer(self._params.part, attributes, self._params.seconds)
+        self._writer.take(topic, payload)
 
     def _over(self, silent_ns: int, should_stop: Callable[[], bool]) -> str:
         if should_stop():
@@ -206,8 +152,3 @@ class Recorder:
         if silent_ns >= SILENCE_NS:
             return "daemon ended"
         return "complete" if self._writer and self._writer.beyond else ""
-
-    def _spoilt(self, error: Exception) -> HapticdError:
-        part = self._params.part
-        reason = f"{part}: {error}; what was flushed before is safe: free some space, then `hapticd rec recover {part}`"
-        return HapticdError(reason)

@@ -30,11 +30,15 @@ from hapticd.measure.recording.live import (
     columns,
     replay_rows,
     table,
+    udunits,
 )
 from hapticd.measure.recording.provenance import SCHEMA, needed
-from hapticd.params import ServoParams, from_plain
+from hapticd.params import ScaleParams, ServoParams, from_plain
+from hapticd.units import NS_PER_S, PROBE_RATE_HZ
 
 TEXT = "checkpoint_text"
+CLOCKS = {"servo": ("time_ns", NS_PER_S), "probe": ("index", PROBE_RATE_HZ)}  # what counts time, and how fast
+COMPUTED = {"servo": ("t_s",), "probe": ("torque_n", "velocity_m_per_s", "t_s")}  # a finished file has them, too
 
 
 class Recording:
@@ -59,21 +63,32 @@ class Recording:
             self._file.close()
 
     def names(self, group: str) -> list[str]:
-        """The channels of `group`, in the order of the records, then those that were derived."""
+        """The channels of `group`, in the order of the records, then those that are computed from them (`COMPUTED`)."""
         there = self._groups.get(group, {})
-        known = [channel.name for channel in GROUPS.get(group, [])]
-        return [name for name in known if name in there] + [name for name in there if name not in known]
+        known = [channel.name for channel in GROUPS.get(group, []) if channel.name in there]
+        return list(dict.fromkeys([*known, *there, *(COMPUTED.get(group, ()) if self.rows.get(group) else ())]))
 
     def column(self, group: str, name: str, begin: int = 0, end: int | None = None) -> NDArray[Any]:
         """Rows begin..end of a channel: (n,), raw frames (n, bytes)."""
+        if name not in self._groups[group] and name in COMPUTED.get(group, ()):
+            return self._computed(group, name, begin, end)
         after, stored = self.rows[group] if end is None else min(end, self.rows[group]), self._groups[group][name]
         found = np.asarray(stored[begin:after])
         standing = max(0, after - max(begin, len(stored)))
         return np.concatenate([found, np.repeat(np.asarray(stored[-1:]), standing, axis=0)]) if standing else found
 
+    def _computed(self, group: str, name: str, begin: int, end: int | None) -> NDArray[Any]:
+        """What everybody computes first: seconds from the first record, and the probe's signals in SI."""
+        if name == "t_s":
+            count, rate_hz = CLOCKS[group]
+            return np.asarray((self.column(group, count, begin, end) - self.column(group, count, 0, 1)) / rate_hz)
+        counts = name.partition("_")[0]
+        scale: ScaleParams = getattr(self.params.device, f"probe_{counts}")
+        return np.asarray(scale.sign * (self.column(group, counts, begin, end) - scale.offset_count) * scale.per_count)
+
     def unit(self, group: str, name: str) -> str:
         """Unit of a channel; empty when it has none."""
-        return next((channel.unit for channel in GROUPS.get(group, []) if channel.name == name), "")
+        return next((channel.unit for channel in GROUPS.get(group, []) if channel.name == name), udunits(name))
 
     @property
     def params(self) -> ServoParams:

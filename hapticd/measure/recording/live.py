@@ -10,6 +10,7 @@ anywhere; then nothing more is written, and the file stays as it was at the last
 """
 
 from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -103,41 +104,36 @@ class Column:
         self._identifier, self._kind = self.dataset.id, self.dataset.id.get_type()
         self._last, self._standing, self._rows = b"", 0, 0
 
-    def append(self, values: NDArray[Any], selected: "Selections") -> None:
+    def append(self, values: NDArray[Any]) -> None:
         """Add `values`, of the bytes of the dataset's number type; nothing is written while all are what the last one was."""
         data = values.tobytes()
         if data == self._last * len(values):
             self._standing += len(values)
         else:
-            self._write(self._last * self._standing + data, selected)
+            self._write(self._last * self._standing + data)
 
-    def catch_up(self, selected: "Selections") -> None:
+    def catch_up(self) -> None:
         """Write the rows that stood still."""
         if self._standing:
-            self._write(self._last * self._standing, selected)
+            self._write(self._last * self._standing)
 
-    def _write(self, data: bytes, selected: "Selections") -> None:
+    def _write(self, data: bytes) -> None:
         values = np.frombuffer(data, self._dtype).reshape(-1, *self._row)
         begin, self._rows = self._rows, self._rows + len(values)
         self._identifier.set_extent((self._rows, *self._row))
-        self._identifier.write(*selected.of(begin, values.shape), values, self._kind)
+        self._identifier.write(*_selections(begin, values.shape), values, self._kind)
         self._last, self._standing = data[-self._bytes :], 0
 
 
-class Selections:
-    """Where a block lies in memory and where it goes in its dataset; the same for most columns of a group."""
-
-    def __init__(self) -> None:
-        self._spaces = needed("h5py", "record").h5s
-        self._made: dict[tuple[int, tuple[int, ...]], tuple[Any, Any]] = {}
-
-    def of(self, begin: int, shape: tuple[int, ...]) -> tuple[Any, Any]:
-        """For values of `shape` that go to row `begin` of a dataset that was just extended to hold them."""
-        if (begin, shape) not in self._made:
-            there = self._spaces.create_simple((begin + shape[0], *shape[1:]), (self._spaces.UNLIMITED, *shape[1:]))
-            there.select_hyperslab((begin, *(0,) * (len(shape) - 1)), shape)
-            self._made[begin, shape] = self._spaces.create_simple(shape), there
-        return self._made[begin, shape]
+@lru_cache(maxsize=4)
+def _selections(begin: int, shape: tuple[int, ...]) -> tuple[Any, Any]:
+    """Where a block of `shape` lies in memory, and where it goes in its dataset, which was just extended to hold it, from row
+    `begin` on; the same for most columns of a group.
+    """
+    spaces = needed("h5py", "record").h5s
+    there = spaces.create_simple((begin + shape[0], *shape[1:]), (spaces.UNLIMITED, *shape[1:]))
+    there.select_hyperslab((begin, *(0,) * (len(shape) - 1)), shape)
+    return spaces.create_simple(shape), there
 
 
 class LiveFile:
@@ -145,7 +141,6 @@ class LiveFile:
 
     def __init__(self, path: Path, attributes: Mapping[str, Any], groups: Mapping[str, Iterable[Channel]]) -> None:
         h5py = needed("h5py", "record")
-        self.path = path
         try:
             self._file = h5py.File(path, "x", libver=("v110", "v110"))
         except OSError as error:
@@ -165,23 +160,22 @@ class LiveFile:
 
     def append(self, group: str, columns: Mapping[str, NDArray[Any]]) -> None:
         """Add rows to all columns of `group`."""
-        selected = Selections()
         for name, values in columns.items():
-            self._groups[group][name].append(values, selected)
+            self._groups[group][name].append(values)
         self._rows[group] += len(values)
 
     def flush(self) -> None:
         """Hand everything to the operating system: from here on it survives the end of this process."""
         self._file.flush()
         counts = self._groups[FLUSHED][ROWS]
-        counts.append(np.array([list(self._rows.values())], "<i8"), Selections())
+        counts.append(np.array([list(self._rows.values())], "<i8"))
         counts.dataset.id.flush()
 
     def close(self) -> None:
         """Bring all columns to the same length and close an intact file."""
         for name in self._rows:
             for column in self._groups[name].values():
-                column.catch_up(Selections())
+                column.catch_up()
         self._file.flush()
         self._file.close()
 
@@ -208,9 +202,10 @@ GROUPS: dict[str, list[Channel]] = {
 
 
 class Writer:
-    """Collects what comes and writes it in blocks. Counts: records, probe samples, records missing, gaps, bytes come."""
+    """Collects what comes and writes it in blocks; records that are `seconds` after the first, or later, are left out."""
 
-    def __init__(self, path: Path, attributes: dict[str, Any]) -> None:
+    def __init__(self, path: Path, attributes: dict[str, Any], seconds: float | None = None) -> None:
+        self._seconds = seconds
         self.file = LiveFile(path, attributes, GROUPS)
         self._decoders = {topic: BlockDecoder() for topic in STREAMS}
         self._blocks: dict[str, list[Block]] = {topic: [] for topic in STREAMS}
@@ -232,10 +227,10 @@ class Writer:
         """Recorded time."""
         return (self.last_ns - self.first_ns) / NS_PER_S
 
-    def take(self, topic: str, payload: bytes, end_ns: int | None = None) -> None:
-        """Take one message; records of a time from `end_ns` on are left out."""
+    def take(self, topic: str, payload: bytes) -> None:
+        """Take one message."""
         if topic in STREAMS:
-            self._stream(topic, self._decoders[topic].decode(payload), end_ns)
+            self._stream(topic, self._decoders[topic].decode(payload))
             return
         content = msgpack.unpackb(payload, use_list=False)
         found = {"event": [event_row(content)]} if topic == "event" else replay_rows(content)
@@ -243,9 +238,9 @@ class Writer:
             self._small[name] += rows
         self._texts += [row["text"] for row in found.get("checkpoint", [])]
 
-    def _stream(self, topic: str, block: Block, end_ns: int | None) -> None:
-        if end_ns is not None:
-            inside = block.records["time_ns"] < end_ns
+    def _stream(self, topic: str, block: Block) -> None:
+        if self._seconds is not None and self.first_ns:
+            inside = block.records["time_ns"] < self.first_ns + round(self._seconds * NS_PER_S)
             self.beyond |= topic == "servo.raw" and not inside.all()
             block = Block(block.records[inside], block.gap, block.restarted, block.header)
         if not len(block.records):

@@ -13,21 +13,18 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hapticd.errors import AnalysisError, HapticdError
 from hapticd.measure.recording.file import Recording, open_recording
-from hapticd.measure.recording.live import SUFFIX, Columns
+from hapticd.measure.recording.live import SUFFIX
 from hapticd.measure.recording.provenance import needed
-from hapticd.params import DeviceParams, ScaleParams
-from hapticd.units import NS_PER_S, PROBE_RATE_HZ
+from hapticd.units import NS_PER_S
 
 CHUNK_ROWS, AT_ONCE = 4096, 1 << 18
 MODULE = "hapticd.measure.recording.pack"
@@ -95,10 +92,6 @@ def _write(file: Any, recording: Recording, told: dict[str, Any], recovered: boo
         target = file.create_group(group)
         for name in recording.names(group):
             _copy(target, name, recording, group, rows)
-    for group, name, unit, values in derived(recording):
-        if name in file[group]:  # the source was a finished file
-            continue
-        _dataset(file[group], name, values.shape, values.dtype, unit)[...] = values
 
 
 def _copy(target: Any, name: str, recording: Recording, group: str, rows: int) -> None:
@@ -121,29 +114,11 @@ def _dataset(target: Any, name: str, shape: tuple[int, ...], kind: Any, unit: st
     return dataset
 
 
-def derived(recording: Recording) -> Iterator[tuple[str, str, str, NDArray[Any]]]:
-    """What everybody computes first, (group, name, unit, values): seconds from the first record, and the probe's signals in SI."""
-    if recording.rows["servo"]:
-        time_ns = recording.column("servo", "time_ns")
-        yield "servo", "t_s", "s", (time_ns - time_ns[0]) / NS_PER_S
-    if recording.rows["probe"]:
-        device: DeviceParams = recording.params.device
-        scales: list[tuple[str, str, str, ScaleParams]] = [
-            ("torque", "torque_n", "N", device.probe_torque), ("velocity", "velocity_m_per_s", "m s-1", device.probe_velocity),
-        ]  # fmt: skip
-        for counts, name, unit, scale in scales:
-            yield "probe", name, unit, scale.sign * (recording.column("probe", counts) - scale.offset_count) * scale.per_count
-        index = recording.column("probe", "index")
-        yield "probe", "t_s", "s", (index - index[0]) / PROBE_RATE_HZ
-
-
 def to_mat(recording: Recording, path: Path) -> Path:
     """One structure per group, and `info` with the attributes. HapticdError: it cannot be written."""
     io = needed("scipy.io", "record")
     content: dict[str, Any] = {
-        group: {name: recording.column(group, name) for name in recording.names(group)} | _more(recording, group)
-        for group in GROUPS
-        if recording.names(group)
+        group: {name: recording.column(group, name) for name in names} for group in GROUPS if (names := recording.names(group))
     }
     content["info"] = {name: value for name, value in recording.attributes.items() if not isinstance(value, np.ndarray)}
     try:
@@ -166,22 +141,15 @@ def to_csv(recording: Recording, path: Path) -> list[Path]:
     return written
 
 
-def _more(recording: Recording, group: str) -> Columns:
-    """Columns of a finished file that an unfinished one has not yet."""
-    known = recording.names(group)
-    return {name: values for one, name, _, values in derived(recording) if one == group and name not in known}
-
-
 def _table(recording: Recording, group: str, path: Path, remark: str) -> Path:
-    names, more = [name for name in recording.names(group) if name not in FRAMES], _more(recording, group)
+    names = [name for name in recording.names(group) if name not in FRAMES]
     try:
         with path.open("x", newline="") as file:
             lines = csv.writer(file)
-            lines.writerow([*names, *more])
+            lines.writerow(names)
             for begin in range(0, recording.rows[group], LINES_AT_ONCE):
                 end = begin + LINES_AT_ONCE
                 columns = [recording.column(group, name, begin, end).tolist() for name in names]
-                columns += [values[begin:end].tolist() for values in more.values()]
                 lines.writerows(zip(*columns, strict=True))
             file.write(remark)
     except OSError as error:
