@@ -10,7 +10,7 @@ import time
 
 import numpy as np
 
-from hapticd.gateway.probe import DTYPE as PROBE
+from hapticd.gateway.telemetry import PROBE_DTYPE as PROBE
 from hapticd.mailbox.layout import RECORD
 from hapticd.measure.recorder import LOOK_S
 from hapticd.measure.recording.live import CHUNK_ROWS

@@ -11,7 +11,7 @@ import time
 import msgpack
 import zmq
 
-from hapticd.gateway.encode import DESCR
+from hapticd.gateway.telemetry import TICK_DESCR
 from hapticd.mailbox import files, layout
 from hapticd.params import GatewayParams
 
@@ -36,7 +36,7 @@ def forward(instance: str, endpoint: str) -> None:
             places = (layout.TELEMETRY_OFFSET + number % slots * size for number in (tail, tail + BATCH))
             begin, end = places
             data = page[begin:end] if begin < end else page[begin : begin + BATCH * size]
-            place = {"seq": tail, "next": tail + BATCH, "n": BATCH, "lost": 0, "descr": DESCR, "d": data}
+            place = {"seq": tail, "next": tail + BATCH, "n": BATCH, "lost": 0, "descr": TICK_DESCR, "d": data}
             socket.send_multipart([TOPIC, msgpack.packb(header | place)], zmq.DONTWAIT)
             tail += BATCH
 

@@ -17,7 +17,7 @@ from benchmarks.figures import Figure, compared
 from benchmarks.telemetry import cpu_s
 from benchmarks.worker import ROOT, BenchError, environment, started, told
 from hapticd.client import Client
-from hapticd.gateway.probe import DTYPE as PROBE
+from hapticd.gateway.telemetry import PROBE_DTYPE as PROBE
 from hapticd.mailbox.layout import RECORD
 from hapticd.measure.recorder import RecordingParams
 from hapticd.measure.recording.file import open_recording

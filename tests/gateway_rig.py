@@ -13,8 +13,8 @@ from gateway_stand_in import StandInServo, setup
 from hapticd.clock import VirtualClock
 from hapticd.gateway.codec import Encoding, encode
 from hapticd.gateway.desk import Desk
-from hapticd.gateway.events import Journal
-from hapticd.gateway.server import Gateway
+from hapticd.gateway.journal import Journal
+from hapticd.gateway.server import GatewayServer
 from hapticd.gateway.view import ServoView
 from hapticd.units import NS_PER_MS, NS_PER_S
 
@@ -84,7 +84,7 @@ class GatewayRig:
     def __init__(self, folder: Path, **options: Any) -> None:
         self.folder, self.clock = folder, VirtualClock(START_NS)
         self.servo = StandInServo(folder, self.clock)
-        self.gateway = Gateway(folder, setup(**options), self.clock, lambda: UNIX_NS)
+        self.gateway = GatewayServer(folder, setup(**options), self.clock, lambda: UNIX_NS)
         self.context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._sockets: list[zmq.Socket[bytes]] = []  # a context holds only weak references
         self.lock = threading.Lock()  # held while the rig steps

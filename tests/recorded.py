@@ -10,11 +10,9 @@ from models import board_params, servo_params
 
 from hapticd.assembly.lockstep import LockStep
 from hapticd.clock import VirtualClock
-from hapticd.gateway.actors import Actors
-from hapticd.gateway.events import Journal
+from hapticd.gateway.journal import Actors, Journal
 from hapticd.gateway.publisher import Publisher
-from hapticd.gateway.records import Records, as_records
-from hapticd.gateway.view import ServoView
+from hapticd.gateway.view import Records, ServoView, as_records
 from hapticd.mailbox.layout import Command, Value
 from hapticd.params import BoardParams, GatewayParams, GatewaySetup, ServoParams, to_plain
 from hapticd.units import NS_PER_MS, NS_PER_S

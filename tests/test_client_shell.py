@@ -15,7 +15,7 @@ from gateway_rig import GatewayRig, running
 from hapticd.client import Client, Receipt, fast_stop, shell
 from hapticd.client.fast_stop import main, stop
 from hapticd.errors import CommandError, ConfigError, DaemonDown
-from hapticd.gateway.records import DTYPE
+from hapticd.gateway.view import RECORD_DTYPE
 from hapticd.mailbox.client_side import press_stop
 from hapticd.mailbox.layout import Command, State
 from hapticd.units import NS_PER_S
@@ -119,7 +119,7 @@ def test_wait_for_returns_in_that_state(client: Client, rig: GatewayRig) -> None
 def test_stream_gives_whole_records(client: Client) -> None:
     blocks = list(client.stream(count=1000))
     records = np.concatenate([block.records for block in blocks])
-    assert records.dtype == DTYPE
+    assert records.dtype == RECORD_DTYPE
     assert len(records) == 1000
     assert (np.diff(records["tick"].astype(int)) == 1).all()
     assert [block.gap for block in blocks] == [0] * len(blocks)

@@ -13,7 +13,7 @@ import typer.main
 from hapticd.cli.app import app
 from hapticd.faults import BY_CODE, BY_NUMBER, FAULTS
 from hapticd.gateway.schemas import MODELS
-from hapticd.gateway.topics import TOPICS
+from hapticd.gateway.telemetry import TOPICS
 from hapticd.mailbox.layout import TELEMETRY
 from hapticd.settings.explain import leaves
 from hapticd.settings.load import load

@@ -15,7 +15,7 @@ from hapticd.cli.app import main
 from hapticd.clock import VirtualClock
 from hapticd.errors import ConfigError
 from hapticd.gateway import auth
-from hapticd.gateway.server import Gateway
+from hapticd.gateway.server import GatewayServer
 from hapticd.params import GatewayParams
 
 
@@ -96,7 +96,7 @@ def test_slip_with_keys_is_named(
 
 def test_incomplete_keys_are_refused(tmp_path: Path) -> None:
     def start() -> None:
-        Gateway(tmp_path / "run", setup(tcp_host="0.0.0.0", curve_keys=str(tmp_path / "keys")), VirtualClock(1))
+        GatewayServer(tmp_path / "run", setup(tcp_host="0.0.0.0", curve_keys=str(tmp_path / "keys")), VirtualClock(1))
 
     with pytest.raises(ConfigError, match=r"clients is missing; make it and put the public keys"):
         start()

@@ -11,9 +11,8 @@ from recorded import RecordedFlight
 
 from hapticd.assembly import replay
 from hapticd.errors import CommandError, ConfigError
-from hapticd.gateway import flight_file
-from hapticd.gateway.flight import FILES_KEPT, flights_folder
-from hapticd.gateway.flight_file import Flight
+from hapticd.gateway import flight
+from hapticd.gateway.flight import FILES_KEPT, Flight, flights_folder
 from hapticd.mailbox.client_side import Noted
 from hapticd.mailbox.layout import Command
 from hapticd.measure.recording.file import open_recording
@@ -41,7 +40,7 @@ def test_dump_holds_every_tick_with_raw_frames(folder: Path) -> None:
         flown.fly(1000)
         told = flown.publisher.flight.dump("asked")
         (path,) = written(flown, folder)
-        found = flight_file.read(path)
+        found = flight.read_flight(path)
         assert told == {"path": str(path), "records": len(found.records), "reason": "asked"}
         assert found.records.tobytes() == flown.records[: len(found.records)].tobytes()
         assert found.records["in_frame"][-1].tobytes() != bytes(64)
@@ -69,7 +68,7 @@ def test_fault_is_dumped_with_its_aftermath(folder: Path) -> None:
         flown.fly(600)
         (path,) = written(flown, folder)
         assert path.name.endswith("-sensor_range.flight")
-        states = flight_file.read(path).records["state"]
+        states = flight.read_flight(path).records["state"]
         assert np.count_nonzero(states == 3) > 900
         assert [event["kind"] for event in flown.journal.recent][-1] == "flight"
         assert flown.journal.recent[-1]["path"] == str(path)
@@ -108,7 +107,7 @@ def test_only_the_last_seconds_are_kept(folder: Path) -> None:
         flown.fly(20_000)
         flown.publisher.flight.dump("asked")
         (path,) = written(flown, folder)
-        found = flight_file.read(path)
+        found = flight.read_flight(path)
     assert 12_000 <= len(found.records) < 12_100  # 2 s, and the 10 s within which a checkpoint lies
     assert found.records["tick"][-1] == 19_999
     assert all(tick >= found.records["tick"][0] for tick, _ in found.header["checkpoints"])
@@ -123,7 +122,7 @@ def test_gap_is_noted_with_its_row(folder: Path) -> None:
         flown.fly(100)
         flown.publisher.flight.dump("asked")
         (path,) = written(flown, folder)
-        header, records = flight_file.read(path)
+        header, records = flight.read_flight(path)
         ((row, lost),) = header["gaps"]
         assert int(records["tick"][row]) - int(records["tick"][row - 1]) - 1 == lost > 0
 
@@ -136,7 +135,7 @@ def test_lost_requests_are_a_break(folder: Path) -> None:
         flown.fly(100)
         flown.publisher.flight.dump("asked")
         (path,) = written(flown, folder)
-        assert len(flight_file.read(path).header["breaks"]) == 1
+        assert len(flight.read_flight(path).header["breaks"]) == 1
 
 
 def test_topic_brings_requests_and_checkpoints() -> None:
@@ -196,7 +195,7 @@ def test_half_a_file_never_appears(tmp_path: Path) -> None:
         raise OSError(28, "No space left on device")
 
     with pytest.raises(OSError, match="No space"):
-        flight_file.write(tmp_path / "a.flight", {}, blocks())  # type: ignore[arg-type]
+        flight.write_flight(tmp_path / "a.flight", {}, blocks())  # type: ignore[arg-type]
     assert list(tmp_path.iterdir()) == []
 
 
@@ -208,22 +207,22 @@ def test_foreign_files_are_refused(tmp_path: Path, content: bytes, reason: str) 
     path = tmp_path / "x.flight"
     path.write_bytes(content)
     with pytest.raises(ConfigError, match=reason):
-        flight_file.read(path)
+        flight.read_flight(path)
 
 
 def test_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="No such file"):
-        flight_file.read(tmp_path / "x.flight")
+        flight.read_flight(tmp_path / "x.flight")
 
 
 def test_cut_file_is_damaged(tmp_path: Path) -> None:
     path = tmp_path / "x.flight"
-    flight_file.write(path, {"descr": [["tick", "<u8"]]}, [bytes(17)])
+    flight.write_flight(path, {"descr": [["tick", "<u8"]]}, [bytes(17)])
     with pytest.raises(ConfigError, match="is damaged"):
-        flight_file.read(path)
-    flight_file.write(path, {"descr": [["tick", "<u8"], ["v", "<f8", [2]]]}, [bytes(48)])
-    assert isinstance(flight_file.read(path), Flight)
-    assert json.dumps(flight_file.read(path).header)
+        flight.read_flight(path)
+    flight.write_flight(path, {"descr": [["tick", "<u8"], ["v", "<f8", [2]]]}, [bytes(48)])
+    assert isinstance(flight.read_flight(path), Flight)
+    assert json.dumps(flight.read_flight(path).header)
 
 
 @pytest.mark.parametrize(

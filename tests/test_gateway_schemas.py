@@ -6,12 +6,11 @@ import pytest
 from gateway_stand_in import setup
 
 from hapticd.errors import CommandError
-from hapticd.gateway.explain import json_schema, parse
-from hapticd.gateway.limits import PLACES, Limits, flat
-from hapticd.gateway.schemas import MODELS
+from hapticd.gateway.limits import PLACES, CommandLimits, flat
+from hapticd.gateway.schemas import MODELS, json_schema, parse
 from hapticd.mailbox.layout import VALUE_LIMITS
 
-LIMITS = Limits(setup().servo)
+LIMITS = CommandLimits(setup().servo)
 LIST = "the command `schema` lists what is allowed"
 
 ALLOWED: list[dict[str, Any]] = [

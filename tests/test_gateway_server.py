@@ -19,8 +19,7 @@ from gateway_stand_in import setup
 from hapticd.client.blocks import BlockDecoder
 from hapticd.clock import VirtualClock
 from hapticd.errors import ConfigError, MailboxError
-from hapticd.gateway.server import REQUESTS_PER_PASS, SETTLING_NS, Gateway, run
-from hapticd.gateway.sockets import MAX_SUBSCRIPTION_BYTES
+from hapticd.gateway.server import MAX_SUBSCRIPTION_BYTES, REQUESTS_PER_PASS, SETTLING_NS, GatewayServer, run
 from hapticd.mailbox.layout import GATEWAY_BEAT_WORD, Command
 from hapticd.units import NS_PER_MS
 
@@ -241,13 +240,13 @@ def test_nothing_is_left_behind(tmp_path: Path) -> None:
 
 def test_second_gateway_is_refused(rig: GatewayRig) -> None:
     with pytest.raises(MailboxError, match=r"a gateway .* already runs"):
-        Gateway(rig.folder, setup(), rig.clock)
+        GatewayServer(rig.folder, setup(), rig.clock)
     assert rig.ask(rig.client(), cmd="get")["ok"]
 
 
 def test_next_gateway_takes_over(tmp_path: Path) -> None:
     for _ in range(2):
-        gateway = Gateway(tmp_path, setup(), VirtualClock(START_NS))
+        gateway = GatewayServer(tmp_path, setup(), VirtualClock(START_NS))
         gateway.step(0)
         gateway.close()
 
@@ -262,7 +261,7 @@ def test_taken_port_falls_back_to_a_free_one(tmp_path: Path) -> None:
 
 
 def test_other_instance_leaves_the_usual_port_alone() -> None:
-    from hapticd.gateway.sockets import port_for
+    from hapticd.gateway.server import port_for
 
     usual = setup(telemetry_port=9872).gateway
     assert (port_for(usual, "default"), port_for(usual, "other")) == (9872, 0)
@@ -271,19 +270,19 @@ def test_other_instance_leaves_the_usual_port_alone() -> None:
 
 def test_foreign_address_is_a_config_error(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"gateway.tcp_host = '203.0.113.7': .*; name an address of this machine"):
-        Gateway(tmp_path, setup(tcp_host="203.0.113.7", allow_insecure=True), VirtualClock(START_NS))
-    Gateway(tmp_path, setup(), VirtualClock(START_NS)).close()
+        GatewayServer(tmp_path, setup(tcp_host="203.0.113.7", allow_insecure=True), VirtualClock(START_NS))
+    GatewayServer(tmp_path, setup(), VirtualClock(START_NS)).close()
 
 
 def test_too_long_a_path_is_a_config_error(tmp_path: Path) -> None:
     folder = tmp_path / ("long" * 30)
     with pytest.raises(ConfigError, match="a socket file has at most 107; use a shorter folder"):
-        Gateway(folder, setup(), VirtualClock(START_NS))
+        GatewayServer(folder, setup(), VirtualClock(START_NS))
 
 
 def test_gateway_alone_serves_status(tmp_path: Path) -> None:
     clock = VirtualClock(START_NS)
-    gateway = Gateway(tmp_path, setup(), clock)
+    gateway = GatewayServer(tmp_path, setup(), clock)
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     client = context.socket(zmq.DEALER)
     client.connect(str(gateway.endpoints["command"]))

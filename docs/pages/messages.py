@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from hapticd.gateway.explain import json_schema
-from hapticd.gateway.limits import Limits
-from hapticd.gateway.topics import TOPICS
+from hapticd.gateway.limits import CommandLimits
+from hapticd.gateway.schemas import json_schema
+from hapticd.gateway.telemetry import TOPICS
 from hapticd.mailbox.layout import TELEMETRY
 from hapticd.settings.build import servo_params
 from hapticd.settings.load import load
@@ -29,7 +29,7 @@ One per tick, little-endian, packed; `descr` in each message is this table as nu
 
 def messages_page() -> str:
     """Commands and telemetry over ZeroMQ, with the limits of the simulated device."""
-    found = json_schema(Limits(servo_params(load(shipped("config") / "hapticd.toml"), "default")))
+    found = json_schema(CommandLimits(servo_params(load(shipped("config") / "hapticd.toml"), "default")))
     commands = [
         f"### `{model['properties']['cmd']['const']}`\n\n{model['description']}\n\n{_fields(found, model)}"
         for model in (found["$defs"][item["$ref"].rpartition("/")[2]] for item in found["oneOf"])

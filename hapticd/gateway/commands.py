@@ -1,11 +1,26 @@
-"""Requests in the words of the mailbox, and the mailbox's answers in the words of a reply."""
+"""What stands between a client and the servo: interlocks, and requests as commands of the mailbox.
 
-from typing import Any
+A request becomes a posting (kind, tick, doubles) for the mailbox's command ring, and the mailbox's
+answer becomes the receipt or refusal in a reply. Before that it passes an ordered list of interlocks,
+each of which asks one question. The first one that objects answers.
+
+    schema     is it a command, complete, within the limits of this device?
+    state      would the servo refuse it anyway in its present state? (Only an early, better explained
+               answer: the servo decides.)
+    lease      may this client change this now? (Everyone may.)
+    passivity  is the display still passive with these parameters? (Not asked.)
+
+An interlock takes what is asked and the situation, and returns what is asked, possibly completed or
+altered; it raises CommandError to refuse. STOP passes none of them.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 from hapticd.errors import CommandError
 from hapticd.faults import BY_NUMBER, FAULTS
-from hapticd.gateway.limits import PLACES, flat
-from hapticd.gateway.schemas import Damping, Perturb, Request, Set
+from hapticd.gateway.limits import PLACES, CommandLimits, flat
+from hapticd.gateway.schemas import Change, Damping, Perturb, Request, Set, parse
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import COMMAND_VALUES, Command, Result, State, Value
@@ -46,7 +61,7 @@ def posting(request: Request, samples: int) -> Posting:
 
 
 def _switched(asked: str | float | None) -> dict[Value, float]:
-    """Added damping `on` | `off` | level: a level switches it on, 0 switches it off and keeps the level for the next `on`."""
+    """Active damping `on` | `off` | level: a level switches it on, 0 switches it off and keeps the level for the next `on`."""
     if asked is None:
         return {}
     if asked in ("on", "off", 0.0):
@@ -55,7 +70,7 @@ def _switched(asked: str | float | None) -> dict[Value, float]:
 
 
 def parameters(effective: tuple[float, ...]) -> dict[str, Any]:
-    """The parameters of an answer in the shape of a `set`, ramps at their ends, added damping as quantised on the wire."""
+    """The parameters of an answer in the shape of a `set`, ramps at their ends, active damping as quantised on the wire."""
     found: dict[str, Any] = {}
     for name, place in PLACES.items():
         *parts, leaf = name.split(".")
@@ -106,3 +121,76 @@ def wrong_state(cmd: str, view: ServoView) -> CommandError:
         return CommandError("refused", "home: the device file names no way to home; set `method` in its table [home]")
     allowed = " or ".join(state.name.lower() for state in ALLOWED.get(cmd, ()))
     return CommandError("refused", f"{cmd} in state {view.state_name}: possible only in {allowed or 'another state'}")
+
+
+class AskedRequest(NamedTuple):
+    """A request on its way: as it came, as the schema interlock understood it, and whose it is."""
+
+    plain: dict[str, Any]
+    actor: int
+    request: Request | None = None
+
+
+class Situation(NamedTuple):
+    """What an interlock may look at. `settled`: no command is on its way, so the newest record tells the state."""
+
+    limits: CommandLimits
+    view: ServoView
+    settled: bool
+    samples: int  # of the waveform that is loaded
+
+
+Interlock = Callable[[AskedRequest, Situation], AskedRequest]
+
+
+def schema(asked: AskedRequest, situation: Situation) -> AskedRequest:
+    """Understand the request."""
+    return asked._replace(request=parse(asked.plain, situation.limits))
+
+
+def state(asked: AskedRequest, situation: Situation) -> AskedRequest:
+    """Refuse early what the servo would refuse in the state it is in."""
+    request, view = asked.request, situation.view
+    if isinstance(request, Change):
+        _check_revision(request, situation)
+    if isinstance(request, Perturb) and request.action != "start":
+        return asked
+    if isinstance(request, Perturb) and not situation.samples:
+        raise CommandError("refused", "perturb start: no waveform is loaded; send it with action load first")
+    if request and situation.settled and view.state not in (None, *ALLOWED.get(request.cmd, State)):
+        raise wrong_state(request.cmd, view)
+    return asked
+
+
+def lease(asked: AskedRequest, situation: Situation) -> AskedRequest:
+    """Everyone may change everything."""
+    return asked
+
+
+def passivity(asked: AskedRequest, situation: Situation) -> AskedRequest:
+    """Every set of parameters passes."""
+    return asked
+
+
+INTERLOCKS: tuple[Interlock, ...] = (schema, state, lease, passivity)
+
+
+def admit(plain: dict[str, Any], actor: int, situation: Situation) -> Request:
+    """The request in `plain` once every interlock has let it pass. CommandError by the first that does not."""
+    asked = AskedRequest(plain, actor)
+    for interlock in INTERLOCKS:
+        asked = interlock(asked, situation)
+    if asked.request is None:
+        raise CommandError("invalid", "no interlock understood the request")
+    return asked.request
+
+
+def _check_revision(request: Change, situation: Situation) -> None:
+    if "if_rev" not in request.model_fields_set:
+        return
+    if not situation.settled:
+        raise CommandError("busy", f"if_rev = {request.if_rev}: another change is on its way; read the revision and ask again")
+    if request.if_rev != situation.view.revision:
+        raise CommandError(
+            "refused", f"if_rev = {request.if_rev}: the revision is {situation.view.revision}; look at what changed and ask again"
+        )

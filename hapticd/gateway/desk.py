@@ -1,31 +1,192 @@
 """Requests in, replies out: no socket, no clock.
 
-A request is opened, judged by the interlocks and, if the servo is concerned, posted to its command ring; its reply is
-written when the servo's answer is there and the newest record shows it in force, so `state` in a reply is never older than
-the command. Nobody waits: `serve` takes what came, `collect` gives what is due, also the replies to what the servo left
-unanswered for a second. STOP goes first among what came together, skips every interlock, and presses the stop page when
-others are ahead of it in the ring. What would break it: a request that is forgotten (each has a deadline), or a reply that
-repeats what a client sent (it holds nothing foreign but a bounded id and a few printable characters).
+A request is unpacked, judged by the interlocks and, if the servo is concerned, posted to its command
+ring; its reply is written when the servo's answer is there and the newest record shows it in force, so
+`state` in a reply is never older than the command. Nobody waits: `serve` takes what came, `collect`
+gives what is due, also the replies to what the servo left unanswered for a second. STOP goes first
+among what came together, skips every interlock, and presses the stop page when others are ahead of it
+in the ring.
+
+Commands that were posted are kept by servo life and sequence number until they are answered and seen
+in force (`Outstanding`); scheduled ones wait for their second answer. A perturbation waveform comes in
+chunks that follow each other (a message holds 64 kB), is converted from newtons into counts of the
+board's probe converter and written to the shared segment only while nothing is played from it.
+
+What would break it: a request that is forgotten (each has a deadline), or a reply that repeats what a
+client sent (it holds nothing foreign but a bounded id and a few printable characters).
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from hapticd.errors import CommandError, MailboxError
-from hapticd.gateway.actors import Actors
-from hapticd.gateway.commands import ACCEPTED, Posting, parameters, posting, receipt, refusal, values_of
-from hapticd.gateway.events import Journal
-from hapticd.gateway.explain import json_schema
-from hapticd.gateway.interlocks import Scene, admit
-from hapticd.gateway.letters import Letter, opened
-from hapticd.gateway.limits import Limits
-from hapticd.gateway.outstanding import Outstanding, Pending
-from hapticd.gateway.perturbation import Waveform
-from hapticd.gateway.schemas import Hello, Perturb, Request
+from hapticd.gateway.codec import Encoding, RequestId, decode, echo_id, encode, encoding_of, malformed
+from hapticd.gateway.commands import ACCEPTED, Posting, Situation, admit, parameters, posting, receipt, refusal, values_of
+from hapticd.gateway.journal import Actors, Journal
+from hapticd.gateway.limits import CommandLimits
+from hapticd.gateway.schemas import Hello, Perturb, Request, invalid, json_schema
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.client_side import Answer, press_stop
-from hapticd.mailbox.layout import Command
-from hapticd.units import NS_PER_S
+from hapticd.mailbox.layout import PERTURBATION_SAMPLES, Command, Result
+from hapticd.units import NS_PER_S, PROBE_RATE_HZ
+
+
+class RequestMessage(NamedTuple):
+    """A request with its envelope: where the reply goes, how it is written, and what was asked or what is wrong."""
+
+    envelope: tuple[bytes, ...]
+    encoding: Encoding
+    id: RequestId
+    cmd: str
+    plain: dict[str, Any]
+    error: CommandError | None
+
+    @property
+    def client(self) -> bytes:
+        """Identity of the sender's connection."""
+        return self.envelope[0]
+
+    def reply(self, content: dict[str, Any]) -> list[bytes]:
+        """Frames of the reply `content`, to which the id is added."""
+        return [*self.envelope, encode(self.encoding, {"id": self.id} | content)]
+
+
+def unpacked(frames: Sequence[bytes]) -> RequestMessage:
+    """The request in `frames`: client identity, an empty delimiter if a REQ socket sent it, payload. Never raises."""
+    identity, *rest = frames
+    delimiter = tuple(rest[:-1])
+    payload = rest[-1] if rest else b""
+    plain: dict[str, Any] = {}
+    error = None
+    try:
+        if delimiter not in ((), (b"",)):
+            delimiter = ()
+            raise malformed(f"{len(rest)} frames")
+        plain = decode(payload)
+    except CommandError as problem:
+        error = problem
+    cmd = plain.get("cmd")
+    return RequestMessage(
+        (identity, *delimiter), encoding_of(payload), echo_id(plain), cmd if isinstance(cmd, str) else "", plain, error
+    )
+
+
+MOST_SCHEDULED = 64  # more than a servo holds; older ones have lost their second answer
+
+
+class Pending(NamedTuple):
+    """A posted command whose reply is still to be written."""
+
+    message: RequestMessage
+    actor: int
+    life: int  # of the servo it was posted to
+    deadline_ns: int
+    answer: Answer | None = None
+
+
+class Outstanding:
+    """By servo life and sequence number. Everything leaves by `due` or `abandon`, scheduled ones by their second answer."""
+
+    def __init__(self) -> None:
+        self._pending: dict[tuple[int, int], Pending] = {}
+        self._scheduled: dict[tuple[int, int], Pending] = {}
+
+    def __len__(self) -> int:
+        return len(self._pending)
+
+    def add(self, seq: int, pending: Pending) -> None:
+        """A command was posted as number `seq`."""
+        self._pending[pending.life, seq] = pending
+
+    def take(self, answer: Answer, life: int) -> Pending | None:
+        """Note an answer of servo `life`. If it is the second one of a scheduled command: that command."""
+        key = life, answer.seq
+        pending = self._pending.get(key)
+        if pending is None or pending.answer is not None:
+            return self._scheduled.pop(key, None)
+        self._pending[key] = pending._replace(answer=answer)
+        if answer.result is Result.SCHEDULED:
+            self._scheduled[key] = pending
+            if len(self._scheduled) > MOST_SCHEDULED:
+                del self._scheduled[min(self._scheduled)]
+        return None
+
+    def due(self, tick: int, now_ns: int) -> list[Pending]:
+        """Remove and return what is to be replied to: refused, scheduled, in force at `tick`, or out of time."""
+        ready = [key for key, pending in self._pending.items() if _is_due(pending, tick, now_ns)]
+        return [self._pending.pop(key) for key in ready]
+
+    def abandon(self, life: int) -> list[Pending]:
+        """Remove and return all that another servo life than `life` was asked; its scheduled ones are forgotten."""
+        lost = [pending for pending in self._pending.values() if pending.life != life]
+        if lost or any(known != life for known, _ in self._scheduled):
+            self._pending = {key: pending for key, pending in self._pending.items() if key[0] == life}
+            self._scheduled = {key: pending for key, pending in self._scheduled.items() if key[0] == life}
+        return lost
+
+
+def _is_due(pending: Pending, tick: int, now_ns: int) -> bool:
+    answer = pending.answer
+    answered = answer is not None and (answer.result is not Result.APPLIED or tick >= answer.first_tick)
+    return answered or now_ns >= pending.deadline_ns
+
+
+INT16 = -32768, 32767
+
+
+class Waveform:
+    """How much of a waveform is loaded. A new servo life begins with none."""
+
+    def __init__(self, limits: CommandLimits) -> None:
+        self._limits = limits
+        self._life, self._samples, self._actor = 0, 0, 0
+
+    def samples(self, view: ServoView) -> int:
+        """Samples that are loaded in the present servo life."""
+        return self._samples if view.life == self._life else 0
+
+    def load(self, request: Perturb, view: ServoView, actor: int) -> int:
+        """Append the chunk of `request` by `actor`; samples loaded by now. CommandError (`invalid`, `refused`): nothing changed."""
+        if view.mailbox is None:
+            raise CommandError("servo_down", "perturb load: no servo runs; start it with `hapticd run`")
+        loaded, force_n = self.samples(view), samples_n(request.samples_n)
+        if request.offset not in (0, loaded):
+            raise CommandError("refused", f"offset = {request.offset} samples: {loaded} are loaded; send the chunks in order")
+        total = request.offset + len(force_n)
+        if total > PERTURBATION_SAMPLES:
+            limit = f"{PERTURBATION_SAMPLES} samples ({PERTURBATION_SAMPLES / PROBE_RATE_HZ:.0f} s)"
+            reason = f"samples_n: {total} samples are beyond the limit {limit}; shorten it or play it in a loop"
+            raise invalid([{"loc": "samples_n", "msg": reason}])
+        if request.offset and actor != self._actor:
+            raise CommandError("refused", f"offset = {request.offset} samples: another client's are loaded; begin with offset 0")
+        self._check(force_n, request.offset)
+        to_count = view.params.device.probe_torque.to_count
+        for place, value in enumerate(force_n.tolist(), request.offset):
+            view.mailbox.waveform[place] = to_count(value, *INT16)
+        self._life, self._samples, self._actor = view.life, total, actor
+        return total
+
+    def _check(self, force_n: NDArray[np.float64], offset: int) -> None:
+        limit = self._limits.of["samples_n"]
+        wrong = np.flatnonzero(~((force_n >= limit.low) & (force_n <= limit.high)))
+        if wrong.size:
+            first = int(wrong[0])
+            message = self._limits.complaint("samples_n", float(force_n[first]), f"samples_n[{offset + first}]")
+            raise invalid([{"loc": f"samples_n.{offset + first}", "msg": message}])
+
+
+def samples_n(sent: list[float] | bytes) -> NDArray[np.float64]:
+    """Force samples [N], float64 (n,), from a list of numbers or little-endian float32 bytes. CommandError `invalid`."""
+    if isinstance(sent, bytes):
+        if len(sent) % 4:
+            reason = f"samples_n has {len(sent)} bytes: not whole little-endian float32; send 4 bytes a sample"
+            raise invalid([{"loc": "samples_n", "msg": reason}])
+        return np.frombuffer(sent, "<f4").astype(np.float64)
+    return np.array(sent, np.float64)
+
 
 ANSWER_TIMEOUT_NS = NS_PER_S
 TAKEN_BACK = {"enable": Command.DISABLE, "home": Command.DISABLE, "perturb": Command.PERTURB_STOP}  # what brings force
@@ -44,7 +205,7 @@ class Desk:
 
     def __init__(self, view: ServoView, journal: Journal, inquire: Callable[[str], dict[str, Any]]) -> None:
         self._view, self._journal, self._inquire = view, journal, inquire
-        self.limits = Limits(view.params)
+        self.limits = CommandLimits(view.params)
         self.schema = json_schema(self.limits)
         self.actors = Actors()
         self.counts = {"requests": 0, "errors": 0, "timeouts": 0}
@@ -59,9 +220,10 @@ class Desk:
 
     def serve(self, messages: Sequence[Sequence[bytes]], now_ns: int, outdated: bool = False) -> list[Reply]:
         """Take requests that came together, stops first; the replies that can be given at once. `outdated`: stops alone count."""
-        letters = sorted(map(opened, messages), key=lambda letter: letter.cmd != "stop")
-        self.counts["requests"] += len(letters)
-        return [reply for letter in letters if (reply := self._attend(letter, now_ns, outdated)) is not None]
+        requests = sorted(map(unpacked, messages), key=lambda one: one.cmd != "stop")
+        self.counts["requests"] += len(requests)
+        replies = [self._attend(one, now_ns, outdated) for one in requests]
+        return [reply for reply in replies if reply is not None]
 
     def collect(self, now_ns: int) -> list[Reply]:
         """Read the servo's answers; the replies that are due."""
@@ -74,34 +236,34 @@ class Desk:
         except MailboxError as error:
             self._journal.note("warning", text=str(error))
         due = self._outstanding.due(self._view.tick, now_ns)
-        return [self._refused(one.letter, SERVO_ENDED) for one in lost] + [self._closed(one) for one in due]
+        return [self._refused(one.message, SERVO_ENDED) for one in lost] + [self._closed(one) for one in due]
 
-    def _attend(self, letter: Letter, now_ns: int, outdated: bool) -> Reply | None:
+    def _attend(self, message: RequestMessage, now_ns: int, outdated: bool) -> Reply | None:
         try:
-            if letter.error:
-                raise letter.error
-            actor = self.actors.number(letter.client)
-            if letter.cmd == "stop":
-                return self._stop(letter, actor, now_ns)
+            if message.error:
+                raise message.error
+            actor = self.actors.number(message.client)
+            if message.cmd == "stop":
+                return self._stop(message, actor, now_ns)
             if outdated:
                 reason = "the gateway stood still for more than 1 s and drops what came meanwhile; ask again"
-                raise CommandError("timeout", f"{letter.cmd}: {reason}")
-            scene = Scene(self.limits, self._view, not self.waiting, self._waveform.samples(self._view))
-            request = admit(letter.plain, actor, scene)
-            result = self._answered_here(request, letter)
+                raise CommandError("timeout", f"{message.cmd}: {reason}")
+            situation = Situation(self.limits, self._view, not self.waiting, self._waveform.samples(self._view))
+            request = admit(message.plain, actor, situation)
+            result = self._answered_here(request, message)
             if result is not None:
-                return self._accepted(letter, {"result": result})
-            self._post(letter, actor, posting(request, scene.samples), now_ns)
+                return self._accepted(message, {"result": result})
+            self._post(message, actor, posting(request, situation.samples), now_ns)
             return None
         except (CommandError, MailboxError) as error:
-            return self._refused(letter, error)
+            return self._refused(message, error)
 
-    def _answered_here(self, request: Request, letter: Letter) -> dict[str, Any] | None:
+    def _answered_here(self, request: Request, message: RequestMessage) -> dict[str, Any] | None:
         if isinstance(request, Hello):
-            self.actors.call(letter.client, request.name)
-            return self._inquire("hello") | {"actor": self.actors.number(letter.client), "limits": self.limits.plain()}
+            self.actors.call(message.client, request.name)
+            return self._inquire("hello") | {"actor": self.actors.number(message.client), "limits": self.limits.plain()}
         if isinstance(request, Perturb) and request.action == "load":
-            return self._load(request, self.actors.number(letter.client))
+            return self._load(request, self.actors.number(message.client))
         if request.cmd == "status":
             return self._inquire("status") | {"requests": dict(self.counts)}
         if request.cmd == "dump":
@@ -123,24 +285,24 @@ class Desk:
         if not self._view.alive:
             raise CommandError("servo_down", f"{cmd}: no servo answers; start it with `hapticd run`, see `hapticd status`")
 
-    def _post(self, letter: Letter, actor: int, what: Posting, now_ns: int) -> None:
-        self._require_servo(letter.cmd)
+    def _post(self, message: RequestMessage, actor: int, what: Posting, now_ns: int) -> None:
+        self._require_servo(message.cmd)
         kind, apply_tick, values = what
         seq = self._view.mailbox.post(kind, actor, apply_tick, values) if self._view.mailbox else None
         if seq is None:
-            raise CommandError("busy", f"{letter.cmd}: 64 commands wait for the servo already; slow down and ask again")
-        self._outstanding.add(seq, Pending(letter, actor, self._view.life, now_ns + ANSWER_TIMEOUT_NS))
+            raise CommandError("busy", f"{message.cmd}: 64 commands wait for the servo already; slow down and ask again")
+        self._outstanding.add(seq, Pending(message, actor, self._view.life, now_ns + ANSWER_TIMEOUT_NS))
 
-    def _stop(self, letter: Letter, actor: int, now_ns: int) -> Reply | None:
+    def _stop(self, message: RequestMessage, actor: int, now_ns: int) -> Reply | None:
         mailbox = self._view.mailbox
         behind = mailbox is None or not self._view.alive or mailbox.backlog >= TAKEN_PER_TICK
         pressed = behind and self._pressed()
         try:
-            self._post(letter, actor, (Command.STOP, 0, values_of({})), now_ns)
+            self._post(message, actor, (Command.STOP, 0, values_of({})), now_ns)
         except CommandError as error:
             if not pressed or error.code != "busy":
                 raise
-            return self._accepted(letter, {"receipt": {"result": "pressed"}})
+            return self._accepted(message, {"receipt": {"result": "pressed"}})
         return None
 
     def _pressed(self) -> bool:
@@ -158,29 +320,29 @@ class Desk:
             self._asked_life = self._asked_life if asked is None else self._view.life
 
     def _report(self, scheduled: Pending, answer: Answer) -> None:
-        letter, actor = scheduled.letter, scheduled.actor
-        self._journal.note("answer", cmd=letter.cmd, id=letter.id, actor=actor, name=self.actors.name(actor), **receipt(answer))
+        message, actor = scheduled.message, scheduled.actor
+        self._journal.note("answer", cmd=message.cmd, id=message.id, actor=actor, name=self.actors.name(actor), **receipt(answer))
 
     def _closed(self, pending: Pending) -> Reply:
-        letter, answer = pending.letter, pending.answer
+        message, answer = pending.message, pending.answer
         if answer is None:
             self.counts["timeouts"] += 1
-            outlook = "it is taken back" if self._taken_back(letter) else "whether it acts is open, ask with `get` or `status`"
-            reason = f"{letter.cmd}: no answer from the servo within 1 s; {outlook}"
-            return self._refused(letter, CommandError("timeout" if self._view.alive else "servo_down", reason))
+            outlook = "it is taken back" if self._taken_back(message) else "whether it acts is open, ask with `get` or `status`"
+            reason = f"{message.cmd}: no answer from the servo within 1 s; {outlook}"
+            return self._refused(message, CommandError("timeout" if self._view.alive else "servo_down", reason))
         if answer.result not in ACCEPTED:
-            return self._refused(letter, refusal(answer, letter.cmd, self._view))
-        return self._accepted(letter, {"rev": answer.revision, "receipt": receipt(answer)})
+            return self._refused(message, refusal(answer, message.cmd, self._view))
+        return self._accepted(message, {"rev": answer.revision, "receipt": receipt(answer)})
 
-    def _taken_back(self, letter: Letter) -> bool:
+    def _taken_back(self, message: RequestMessage) -> bool:
         """Whether a force that comes late, when nobody expects it any more, will end in the tick in which it begins."""
-        kind, mailbox = TAKEN_BACK.get(letter.cmd), self._view.mailbox
+        kind, mailbox = TAKEN_BACK.get(message.cmd), self._view.mailbox
         return kind is not None and mailbox is not None and mailbox.post(kind, GATEWAY_ACTOR, 0, values_of({})) is not None
 
-    def _accepted(self, letter: Letter, body: dict[str, Any]) -> Reply:
-        return letter.reply({"ok": True, "rev": self._view.revision, "state": self._view.state_name} | body)
+    def _accepted(self, message: RequestMessage, body: dict[str, Any]) -> Reply:
+        return message.reply({"ok": True, "rev": self._view.revision, "state": self._view.state_name} | body)
 
-    def _refused(self, letter: Letter, error: CommandError | MailboxError) -> Reply:
+    def _refused(self, message: RequestMessage, error: CommandError | MailboxError) -> Reply:
         self.counts["errors"] += 1
         code, detail = (error.code, error.detail) if isinstance(error, CommandError) else ("servo_down", None)
-        return letter.reply({"ok": False, "error": {"code": code, "message": str(error), "detail": detail or []}})
+        return message.reply({"ok": False, "error": {"code": code, "message": str(error), "detail": detail or []}})

@@ -1,34 +1,87 @@
-"""The flight recorder: the last minute at every tick with raw frames, and what flying it again needs. Dumped at faults.
+"""The flight recorder: the last minute at every tick with raw frames, and what a replay needs. Dumped at faults.
 
-It keeps the blocks that the feed has read, the requests that the servo noted, and a checkpoint of the servo's state every
-10 s; since a flight begins at a checkpoint it keeps 10 s more than is asked. A fault is written a second later, with
-its aftermath; what a servo left that fell silent under force, at once. Files are written by a thread of their own, from bytes that
-nobody changes: a slow disk delays the file and not the heartbeat. The newest FILES_KEPT files are kept.
+It keeps the blocks that were read from the telemetry ring, the requests that the servo noted, and a
+checkpoint of the servo's state every 10 s; since a replay begins at a checkpoint it keeps 10 s more
+than is asked. A fault is written a second later, with its aftermath; what a servo left that fell silent
+under force, at once. Files are written by a thread of their own, from bytes that nobody changes: a slow
+disk delays the file and not the heartbeat. The newest FILES_KEPT files are kept.
+
+A file holds records and all that replaying them needs, and is written whole or not at all:
+
+    hapticd-flight/1 LF | length of the header, u64 little-endian | header, JSON | records, `descr` of the header
+
+header: reason, written_utc, version, simulated, rate_hz, epoch, mono_unix_offset_ns, descr, servo
+(params.ServoParams), report (rights granted, board), gaps [[row, lost]], checkpoints [[tick, state]],
+requests [[tick, seq, kind, actor, apply_tick, values]], breaks [tick]: requests were lost there, so no
+replay leads over it.
 """
 
+import json
 import os
+import struct
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 import hapticd
-from hapticd.errors import CommandError
+from hapticd.errors import CommandError, ConfigError
 from hapticd.faults import BY_NUMBER, FAULTS
-from hapticd.gateway import flight_file
-from hapticd.gateway.encode import DESCR, Origin
-from hapticd.gateway.events import Journal
-from hapticd.gateway.feed import Block
-from hapticd.gateway.view import ServoView
+from hapticd.gateway.journal import Journal
+from hapticd.gateway.telemetry import TICK_DESCR, Origin, RingBlock
+from hapticd.gateway.view import Records, ServoView
 from hapticd.mailbox.client_side import Checkpoint, Noted
 from hapticd.mailbox.files import DEFAULT_INSTANCE
 from hapticd.mailbox.layout import State
 from hapticd.params import GatewaySetup, to_plain
 from hapticd.units import NS_PER_S
+
+SUFFIX = ".flight"
+_MAGIC, _LENGTH = b"hapticd-flight/1\n", struct.Struct("<Q")
+
+
+class Flight(NamedTuple):
+    """What is in such a file."""
+
+    header: dict[str, Any]
+    records: Records
+
+
+def write_flight(path: Path, header: dict[str, Any], blocks: Iterable[bytes]) -> None:
+    """Write `header` and the records in `blocks` to `path`, whose folder is made. OSError: no room, no right."""
+    path.parent.mkdir(mode=0o750, parents=True, exist_ok=True)
+    text = json.dumps(header).encode()
+    fresh = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with fresh.open("wb") as file:
+            file.write(_MAGIC + _LENGTH.pack(len(text)) + text)
+            file.writelines(blocks)
+        fresh.replace(path)
+    finally:
+        fresh.unlink(missing_ok=True)
+
+
+def read_flight(path: Path) -> Flight:
+    """The flight in `path`. ConfigError if it is none, or cut short."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}; check the path") from error
+    begin = len(_MAGIC) + _LENGTH.size
+    if len(data) < begin or not data.startswith(_MAGIC):
+        raise ConfigError(f"{path} is no flight recording; they are made by `hapticd dump` and at faults")
+    (length,) = _LENGTH.unpack_from(data, len(_MAGIC))
+    try:
+        header = json.loads(data[begin : begin + length])
+        dtype = np.dtype([(name, kind, *map(tuple, shape)) for name, kind, *shape in header["descr"]])
+        return Flight(header, np.frombuffer(data, dtype, offset=begin + length))
+    except (ValueError, KeyError, TypeError) as error:
+        raise ConfigError(f"{path} is damaged: {error}") from error
+
 
 CHECKPOINT_S = 10
 AFTERMATH_NS = NS_PER_S
@@ -48,7 +101,7 @@ class FlightRecorder:
         self._clear()
 
     def _clear(self) -> None:
-        self._blocks: deque[Block] = deque()
+        self._blocks: deque[RingBlock] = deque()
         self._records = 0
         self._requests: deque[Noted] = deque()
         self._checkpoints: deque[Checkpoint] = deque()
@@ -101,7 +154,7 @@ class FlightRecorder:
             self._state = State.DISABLED
             self.dump("servo_silent")
 
-    def add(self, block: Block, now_ns: int) -> None:
+    def add(self, block: RingBlock, now_ns: int) -> None:
         """Keep `block`, forget what has become too old, and note a fault in it."""
         self._blocks.append(block)
         self._records += len(block.records)
@@ -138,7 +191,7 @@ class FlightRecorder:
         if not self._records:
             raise CommandError("refused", "dump: nothing has been recorded yet; is a servo running?")
         stamp = datetime.fromtimestamp(self._unix_ns() / NS_PER_S, UTC)
-        path = self._folder / f"{stamp:%Y%m%d-%H%M%S.%f}-{reason}{flight_file.SUFFIX}"
+        path = self._folder / f"{stamp:%Y%m%d-%H%M%S.%f}-{reason}{SUFFIX}"
         blocks = [block.data for block in self._blocks]
         header = self._header(reason, stamp.isoformat())
         thread = threading.Thread(target=self._write, args=(path, header, blocks, reason), daemon=False)
@@ -157,7 +210,7 @@ class FlightRecorder:
             "version": hapticd.__version__,
             "rate_hz": self._setup.servo.realtime.rate_hz,
             **(self._origin.header if self._origin else {}),
-            "descr": DESCR,
+            "descr": TICK_DESCR,
             "servo": to_plain(self._setup.servo),
             "report": self._report,
             "gaps": gaps,
@@ -170,8 +223,8 @@ class FlightRecorder:
         """In a thread: nothing here is shared but the queue of results."""
         told = {"reason": reason, "path": str(path)}
         try:
-            flight_file.write(path, header, blocks)
-            for old in sorted(path.parent.glob(f"*{flight_file.SUFFIX}"))[:-FILES_KEPT]:
+            write_flight(path, header, blocks)
+            for old in sorted(path.parent.glob(f"*{SUFFIX}"))[:-FILES_KEPT]:
                 old.unlink(missing_ok=True)
         except OSError as error:
             told["error"] = f"{error.strerror}; free some space or correct its rights"

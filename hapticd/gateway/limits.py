@@ -28,7 +28,7 @@ SOURCES = {
 }
 
 
-class Limit(NamedTuple):
+class CommandLimit(NamedTuple):
     """Lowest and highest value with their unit, and where the limit comes from."""
 
     low: float
@@ -49,14 +49,18 @@ def flat(table: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
             yield prefix + name, value
 
 
-class Limits:
+class CommandLimits:
     """The limits by dotted field name; `value` of the damping command is the same quantity as `damping` of set."""
 
     def __init__(self, params: ServoParams) -> None:
         table = value_limits(params.realtime.rate_hz, params.device.damping_limit_ns_per_m)
-        self.of = {name: Limit(*table[place], SOURCES.get(place, "it is fixed in this version")) for name, place in PLACES.items()}
+        self.of = {
+            name: CommandLimit(*table[place], SOURCES.get(place, "it is fixed in this version")) for name, place in PLACES.items()
+        }
         self.of["value"] = self.of["damping"]
-        self.of["samples_n"] = Limit(-params.device.probe_limit_n, params.device.probe_limit_n, "N", "the device file sets it")
+        self.of["samples_n"] = CommandLimit(
+            -params.device.probe_limit_n, params.device.probe_limit_n, "N", "the device file sets it"
+        )
 
     def broken_by(self, given: dict[str, Any]) -> list[dict[str, str]]:
         """One {loc, msg} for each number in `given` (nested as in the request) that is beyond its limit."""

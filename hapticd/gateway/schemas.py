@@ -1,14 +1,21 @@
-"""What a client may ask, as strict models: one per command, told apart by `cmd`.
+"""What a client may ask, as strict models: one per command, told apart by `cmd`; and what is wrong, in words.
 
-Strict means: no text for numbers, no booleans for numbers, no null for "not given", no unknown keys, nothing infinite. The
-ranges are not here but in `limits`, since they depend on the device; `explain` puts both complaints in the same form.
+Strict means: no text for numbers, no booleans for numbers, no null for "not given", no unknown keys,
+nothing infinite. The ranges are not here but in `limits`, since they depend on the device. `parse` puts
+both kinds of complaint in the same form: field, value, what the field takes with unit and limit, and
+what to do; nothing that a client sent is repeated but in printable ASCII and cut short. `json_schema`
+is the same for machines.
 """
 
+from difflib import get_close_matches
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter, WithJsonSchema, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError, WithJsonSchema, model_validator
+from pydantic_core import ErrorDetails
 
-from hapticd.gateway.codec import ID_LENGTH, ID_LIMIT, RequestId, request_id
+from hapticd.errors import CommandError
+from hapticd.gateway.codec import ID_LENGTH, ID_LIMIT, SHOWN, RequestId, request_id, shown
+from hapticd.gateway.limits import CommandLimits
 
 PROTOCOL_VERSION = 1
 _ID_SCHEMA = {"anyOf": [{"type": "integer", "minimum": 0, "maximum": ID_LIMIT - 1}, {"type": "string", "maxLength": ID_LENGTH}]}
@@ -30,7 +37,7 @@ def _absent(text: str, **limits: Any) -> Any:
     return Field(default=None, description=text, **limits)
 
 
-class Table(BaseModel):
+class MessagePart(BaseModel):
     """Common to all messages and their parts."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
@@ -41,27 +48,27 @@ class Table(BaseModel):
         return self.model_dump(exclude_unset=True)
 
 
-class Command(Table):
+class CommandMessage(MessagePart):
     """Common to all commands."""
 
     v: int = Field(PROTOCOL_VERSION, description="version of this protocol")
     id: Id = Field(None, description="comes back in the reply")
 
 
-class Hello(Command):
+class Hello(CommandMessage):
     """Who is there: versions, limits, endpoints; gives the client a name."""
 
     cmd: Literal["hello"]
     name: str = Field("client", pattern=r"^[ -~]{1,32}$", description="shown as the actor of this client's changes")
 
 
-class Get(Command):
+class Get(CommandMessage):
     """The parameters in force."""
 
     cmd: Literal["get"]
 
 
-class Filters(Table):
+class Filters(MessagePart):
     """Low-pass filters of the derivatives."""
 
     velocity_hz: float = _absent("corner of the velocity filter")
@@ -70,7 +77,7 @@ class Filters(Table):
     acceleration_zeta: float = _absent("its damping ratio")
 
 
-class Wall(Table):
+class Wall(MessagePart):
     """Unilateral wall."""
 
     stiffness_n_per_m: float = _absent("stiffness")
@@ -79,7 +86,7 @@ class Wall(Table):
     side: Side = _absent("+1: solid beyond the position, -1: before it, 0: no wall")
 
 
-class Change(Command):
+class Change(CommandMessage):
     """Common to what may be timed."""
 
     at_tick: Tick = _absent("servo tick at which it comes into force; left out: the next")
@@ -95,7 +102,7 @@ class Set(Change):
     M: float = _absent("virtual mass")
     filters: Filters = _absent("derivative filters")
     wall: Wall = _absent("unilateral wall")
-    damping: float = _absent("added electrical damping; 0 switches it off and keeps the level")
+    damping: float = _absent("active damping; 0 switches it off and keeps the level")
     ramp_s: float = _absent("length of the ramp; left out: as configured")
 
     @model_validator(mode="after")
@@ -104,55 +111,55 @@ class Set(Change):
             raise ValueError("nothing to set; give one of K, B, M, filters, wall, damping")
         return self
 
-    def parts(self) -> list[Table]:
+    def parts(self) -> list[MessagePart]:
         """The sub-tables that were sent."""
-        return [part for name in ("filters", "wall") if isinstance(part := getattr(self, name), Table)]
+        return [part for name in ("filters", "wall") if isinstance(part := getattr(self, name), MessagePart)]
 
 
 class Damping(Change):
-    """Switch the added electrical damping, or set its level and switch it on."""
+    """Switch the active damping, or set its level and switch it on."""
 
     cmd: Literal["damping"]
     value: Literal["on", "off"] | float = Field(description="on, off or a level; 0 is off")
 
 
-class Enable(Command):
+class Enable(CommandMessage):
     """Force on, with a gain ramp."""
 
     cmd: Literal["enable"]
 
 
-class Disable(Command):
+class Disable(CommandMessage):
     """Force off."""
 
     cmd: Literal["disable"]
 
 
-class Stop(Command):
+class Stop(CommandMessage):
     """Latched stop; taken from anyone at any time, whatever else the message holds."""
 
     cmd: Literal["stop"]
 
 
-class Reset(Command):
+class Reset(CommandMessage):
     """Leave `stopped` or `fault` for `disabled`."""
 
     cmd: Literal["reset"]
 
 
-class Zero(Command):
+class Zero(CommandMessage):
     """Here is x = 0."""
 
     cmd: Literal["zero"]
 
 
-class Home(Command):
+class Home(CommandMessage):
     """Find the origin as the device file says."""
 
     cmd: Literal["home"]
 
 
-class Perturb(Command):
+class Perturb(CommandMessage):
     """Load a waveform in chunks, then start and stop it."""
 
     cmd: Literal["perturb"]
@@ -172,19 +179,19 @@ class Perturb(Command):
         return self
 
 
-class Status(Command):
+class Status(CommandMessage):
     """Everything about servo and gateway."""
 
     cmd: Literal["status"]
 
 
-class Dump(Command):
+class Dump(CommandMessage):
     """Write the flight recording now; the reply names the file, an event `flight` tells when it is there."""
 
     cmd: Literal["dump"]
 
 
-class Schema(Command):
+class Schema(CommandMessage):
     """This protocol as JSON schema."""
 
     cmd: Literal["schema"]
@@ -192,7 +199,80 @@ class Schema(Command):
 
 Request = Hello | Get | Set | Damping | Enable | Disable | Stop | Reset | Zero | Home | Perturb | Status | Dump | Schema
 ADAPTER: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="cmd")])
-MODELS: dict[str, type[Command]] = {
+MODELS: dict[str, type[CommandMessage]] = {
     model.model_fields["cmd"].annotation.__args__[0]: model  # type: ignore[union-attr]
     for model in (Hello, Get, Set, Damping, Enable, Disable, Stop, Reset, Zero, Home, Perturb, Status, Dump, Schema)
 }
+
+
+MOST_DETAILS = 8
+_BRANCHES = frozenset({"list[float]", "bytes", "float", "literal['on','off']"})  # names of union members in an error's path
+_REMEDY = "the command `schema` lists what is allowed"
+
+
+def parse(plain: dict[str, Any], limits: CommandLimits) -> Request:
+    """The request in `plain`. CommandError `unsupported_version` or `invalid`, with one line per wrong field."""
+    version = plain.get("v", PROTOCOL_VERSION)
+    if type(version) is int and version != PROTOCOL_VERSION:
+        raise CommandError(
+            "unsupported_version", f"v = {shown(version)}: this gateway speaks {PROTOCOL_VERSION}; use a client of the same release"
+        )
+    try:
+        request = ADAPTER.validate_python(plain)
+    except ValidationError as error:
+        found = [_explained(item, limits) for item in error.errors(include_url=False)]
+        raise invalid(list({item["loc"]: item for item in reversed(found)}.values())[::-1]) from error
+    if broken := limits.broken_by(request.given):
+        raise invalid(broken)
+    return request
+
+
+def invalid(detail: list[dict[str, str]]) -> CommandError:
+    """The error for a request that breaks the schema or a limit; `detail` is a list of {loc, msg}."""
+    detail = detail[:MOST_DETAILS]
+    return CommandError("invalid", "; ".join(item["msg"] for item in detail), detail)
+
+
+def _explained(item: ErrorDetails, limits: CommandLimits) -> dict[str, str]:
+    command, *path = [str(part) for part in item["loc"]] or [""]
+    names = [part for part in path if part not in _BRANCHES]
+    loc, value = ".".join(map(shown, names)), shown(item["input"])
+    if item["type"].startswith("union_tag"):
+        asked = item["input"].get("cmd", "") if isinstance(item["input"], dict) else ""
+        reason = f"unknown command{_meant(asked, tuple(MODELS))}; known: {', '.join(MODELS)}"
+        return {"loc": "cmd", "msg": f"cmd = {shown(asked)}: {reason}"}
+    if item["type"] == "extra_forbidden":
+        return {"loc": loc, "msg": f"{loc}: unknown field{_meant(names[-1], _fields(command, names))}; {_REMEDY}"}
+    if item["type"] == "missing":
+        return {"loc": loc, "msg": f"{loc}: missing; {_REMEDY}"}
+    if item["type"] == "value_error" and not loc:
+        return {"loc": command, "msg": f"{command}: {item['ctx']['error']}"}
+    reason = item["msg"].removeprefix("Value error, ")
+    remedy = limits.remedy(loc.partition(".")[0] if loc.startswith("samples_n") else loc) or _REMEDY
+    return {"loc": loc or command, "msg": f"{loc or command} = {value}: {shown(reason, 120)}; {remedy}"}
+
+
+def _meant(name: Any, known: tuple[str, ...]) -> str:
+    lower = {one.lower(): one for one in known}
+    near = get_close_matches(str(name)[:SHOWN].lower(), lower, n=1)
+    return f", did you mean {lower[near[0]]!r}?" if near else ""
+
+
+def _fields(command: str, names: list[str]) -> tuple[str, ...]:
+    parts: dict[str, type[MessagePart]] = {"filters": Filters, "wall": Wall}
+    part = parts.get(names[0]) if len(names) > 1 else MODELS.get(command)
+    return tuple(part.model_fields) if part else ()
+
+
+def json_schema(limits: CommandLimits) -> dict[str, Any]:
+    """The protocol as JSON schema, with unit, minimum and maximum of every limited field on this device."""
+    schema: dict[str, Any] = ADAPTER.json_schema()
+    for title, model in schema["$defs"].items():
+        part = {"Filters": "filters.", "Wall": "wall."}.get(title, "")
+        for name, field in model.get("properties", {}).items():
+            if field.get("default", ...) is None and name != "id":
+                del field["default"]
+            if part + name in limits.of and name != "samples_n":
+                limit = limits.of[part + name]
+                field |= {"unit": limit.unit, "minimum": limit.low, "maximum": limit.high}
+    return schema

@@ -1,20 +1,48 @@
 """The servo as the gateway sees it: its mailbox while there is one, the newest record, and what it last promised.
 
-A servo may die and another start; each life has its own mailbox. The view notices (the heartbeat stays away, or the file
-in the folder is another one), lets go and tries again ten times a second. `life` counts the mailboxes it has opened.
+A servo may die and another start; each life has its own mailbox. The view notices (the heartbeat stays
+away, or the file in the folder is another one), lets go and tries again ten times a second. `life`
+counts the mailboxes it has opened. Telemetry records are numpy structured arrays whose dtype is made
+from the one table in mailbox.layout.
 """
 
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hapticd.errors import MailboxError
 from hapticd.faults import BY_NUMBER, FAULTS, Fault
-from hapticd.gateway.records import rows
+from hapticd.mailbox import layout
 from hapticd.mailbox.client_side import Answer, GatewayMailbox
 from hapticd.mailbox.layout import COMMAND_VALUES, TELEMETRY_HEAD_WORD, State, Value
 from hapticd.params import ServoParams
 from hapticd.units import NS_PER_MS, NS_PER_S
+
+Records = NDArray[np.void]
+
+RECORD_DTYPE = np.dtype(list(layout.TELEMETRY))
+FIELDS: tuple[str, ...] = tuple(str(field[0]) for field in layout.TELEMETRY)
+assert RECORD_DTYPE.itemsize == layout.RECORD.size
+
+
+def as_records(data: bytes) -> Records:
+    """Whole records in `data` as a structured array (n,) of DTYPE that shares its memory."""
+    return np.frombuffer(data, RECORD_DTYPE)
+
+
+def rows(data: bytes) -> list[dict[str, Any]]:
+    """Whole records in `data` as maps of plain Python values."""
+    return [dict(zip(FIELDS, values, strict=True)) for values in as_records(data).tolist()]
+
+
+def last_torn(records: Records) -> int:
+    """Number of leading records up to the last one whose end is not of the same tick as its beginning; 0 if all are whole."""
+    torn = np.flatnonzero(records["tick"] != records["tail"])
+    return int(torn[-1]) + 1 if torn.size else 0
+
 
 RETRY_NS = 100 * NS_PER_MS
 SILENCE_NS = NS_PER_S  # a servo without a tick for so long is taken for dead

@@ -23,10 +23,9 @@ from hapticd.assembly.scene import scene_params
 from hapticd.client.blocks import BlockDecoder
 from hapticd.errors import AnalysisError, CommandError, LinkError
 from hapticd.faults import BY_NUMBER
-from hapticd.gateway.encode import Origin, raw_message
-from hapticd.gateway.feed import Block as RingBlock
-from hapticd.gateway.probe import ProbeDecoder
-from hapticd.gateway.records import Records, as_records
+from hapticd.gateway.telemetry import Origin, ProbeDecoder, raw_message
+from hapticd.gateway.telemetry import RingBlock as RingBlock
+from hapticd.gateway.view import Records, as_records
 from hapticd.mailbox.layout import PERTURBATION_SAMPLES, RECORD, Command, Flag, Result, State, Value
 from hapticd.measure.bench import signals
 from hapticd.params import BoardParams, ServoParams, to_plain

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from hapticd.assembly.replay import Leg
 from hapticd.errors import ConfigError, HapticdError
-from hapticd.gateway import flight_file
-from hapticd.gateway.encode import ENERGIES
-from hapticd.gateway.records import DTYPE, Records
+from hapticd.gateway import flight
+from hapticd.gateway.telemetry import ENERGIES
+from hapticd.gateway.view import RECORD_DTYPE, Records
 from hapticd.mailbox.client_side import Noted
 from hapticd.mailbox.layout import COMMAND_VALUES, LAYOUT_HASH
 from hapticd.measure.recording.live import (
@@ -106,13 +106,13 @@ class Recording:
         if self.attributes["layout"] != LAYOUT_HASH.hex():
             version = self.attributes.get("server_version", "another version")
             raise ConfigError(f"{self.path} was recorded by hapticd {version} with other records; replay it with that one")
-        found = np.empty(end - begin, DTYPE)
-        for name in DTYPE.names or ():
+        found = np.empty(end - begin, RECORD_DTYPE)
+        for name in RECORD_DTYPE.names or ():
             if name == "energy_j":
                 for place, part in enumerate(ENERGIES):
                     found[name][:, place] = self.column("servo", part, begin, end)
-            elif DTYPE[name].kind == "V":
-                found[name] = np.ascontiguousarray(self.column("servo", name, begin, end)).view(DTYPE[name]).ravel()
+            elif RECORD_DTYPE[name].kind == "V":
+                found[name] = np.ascontiguousarray(self.column("servo", name, begin, end)).view(RECORD_DTYPE[name]).ravel()
             else:
                 found[name] = self.column("servo", "tick" if name == LEFT_OUT else name, begin, end)
         return found
@@ -166,7 +166,7 @@ class Recording:
 
 def open_recording(path: Path) -> Recording:
     """The recording in `path`, of whatever kind. ConfigError: it is none, or cannot be read."""
-    return _flight(path) if path.suffix == flight_file.SUFFIX else _hdf5(path)
+    return _flight(path) if path.suffix == flight.SUFFIX else _hdf5(path)
 
 
 def is_recording(path: Path) -> bool:
@@ -202,7 +202,7 @@ def _opened(h5py: Any, path: Path) -> Any:
 
 
 def _flight(path: Path) -> Recording:
-    header, records = flight_file.read(path)
+    header, records = flight.read_flight(path)
     attributes = {
         "schema": SCHEMA, "started_utc": header["written_utc"], "simulated": int(header["simulated"]), "rate_hz": header["rate_hz"],
         "note": f"flight recording: {header['reason']}", "layout": header["layout"], "configuration": json.dumps(header["servo"]),

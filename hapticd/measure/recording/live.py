@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from hapticd.client.blocks import Block, BlockDecoder
 from hapticd.errors import HapticdError
-from hapticd.gateway.encode import DESCR as TICKS
-from hapticd.gateway.encode import ENERGIES
-from hapticd.gateway.probe import DESCR as PROBE
+from hapticd.gateway.telemetry import ENERGIES
+from hapticd.gateway.telemetry import PROBE_DESCR as PROBE
+from hapticd.gateway.telemetry import TICK_DESCR as TICKS
 from hapticd.mailbox.layout import COMMAND_VALUES
 from hapticd.measure.recording.provenance import needed
 from hapticd.units import NS_PER_S, unit_of

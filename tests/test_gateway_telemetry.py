@@ -1,4 +1,9 @@
-"""Records into messages: every one once, in order, lossless, and counted when it is lost."""
+"""Records into messages: every one once, in order, lossless, and counted when it is lost.
+
+The topic table and the prefix trap.
+
+Stage histograms against numpy's percentiles of the same numbers.
+"""
 
 import math
 from pathlib import Path
@@ -11,11 +16,11 @@ from gateway_rig import START_NS, UNIX_NS, DeskRig
 from gateway_stand_in import StandInServo
 
 from hapticd.client.blocks import BlockDecoder
-from hapticd.gateway.encode import COLUMNS, ENERGIES
 from hapticd.gateway.publisher import Publisher
-from hapticd.gateway.records import DTYPE
+from hapticd.gateway.telemetry import COLUMNS, EDGES_NS, ENERGIES, NAMES, PER_DECADE, StageHistograms, Subscriptions, wanted_by
+from hapticd.gateway.view import RECORD_DTYPE
 from hapticd.mailbox import layout
-from hapticd.mailbox.layout import Flag
+from hapticd.mailbox.layout import STAGES, Flag
 from hapticd.units import NS_PER_MS
 
 
@@ -58,7 +63,7 @@ def test_raw_records_are_lossless(rig: FeedRig) -> None:
     ring = bytes(rig.servo.mailbox.ring)[layout.TELEMETRY_OFFSET :]
     written = ring[: rig.servo.ticks // 20 * 20 * layout.RECORD.size]
     assert b"".join(block.records.tobytes() for block in blocks) == written
-    assert {block.records.dtype for block in blocks} == {DTYPE}
+    assert {block.records.dtype for block in blocks} == {RECORD_DTYPE}
     assert sum(block.gap for block in blocks) == 0
 
 
@@ -328,3 +333,94 @@ def test_stop_page_is_named_as_actor(rig: FeedRig) -> None:
     rig.servo.tick(20)
     rig.take("event")
     assert [event["name"] for event in rig.journal.recent if event["kind"] == "state"] == ["stop page"]
+
+
+@pytest.mark.parametrize(
+    ("prefix", "topics"),
+    [
+        (b"servo", {"servo"}),
+        (b"servo.raw", {"servo.raw"}),
+        (b"servo.", {"servo.raw"}),
+        (b"s", {"servo", "servo.raw", "state"}),
+        (b"", set(NAMES)),
+        (b"servo.raw.more", set()),
+        (b"\xff\xfe", set()),
+    ],
+)
+def test_subscription_wants_exactly_its_topic(prefix: bytes, topics: set[str]) -> None:
+    assert wanted_by(prefix) == topics
+
+
+def test_wanted_follows_subscriptions() -> None:
+    subscriptions = Subscriptions()
+    assert subscriptions.take(b"\1servo") == {"servo"}
+    assert subscriptions.take(b"\1st") == {"state"}
+    assert subscriptions.wanted == {"servo", "state"}
+    assert subscriptions.take(b"\0servo") == frozenset()
+    assert subscriptions.wanted == {"state"}
+
+
+def test_repeated_subscription_is_news_again() -> None:
+    subscriptions = Subscriptions()
+    assert [subscriptions.take(b"\1state") for _ in range(2)] == [{"state"}, {"state"}]
+
+
+def test_foreign_prefixes_are_not_kept() -> None:
+    subscriptions = Subscriptions()
+    for number in range(1000):
+        subscriptions.take(b"\1foreign%d" % number)
+    subscriptions.take(b"")
+    subscriptions.take(b"\7servo")
+    assert subscriptions.wanted == frozenset()
+    assert not subscriptions._prefixes
+
+
+BIN = 10 ** (1 / PER_DECADE)
+
+
+def records(times_ns: np.ndarray, start_ns: int = 0) -> np.ndarray:
+    found = np.zeros(len(times_ns), RECORD_DTYPE)
+    found["time_ns"] = start_ns + 1_000_000 * np.arange(len(times_ns))
+    for place, stage in enumerate(STAGES):
+        found[f"{stage}_ns"] = times_ns * (place + 1)
+    return found
+
+
+def test_percentiles_are_exact_to_one_bin() -> None:
+    times_ns = np.random.default_rng(1).lognormal(9.0, 1.0, 50_000).astype(np.int32)
+    histograms = StageHistograms(grace_s=0.0)
+    for part in np.array_split(times_ns, 70):
+        histograms.add(records(part), 0)
+    for place, stage in enumerate(STAGES):
+        found = histograms.summary()[stage]
+        for name, share in (("p50_us", 50), ("p99_us", 99), ("p999_us", 99.9)):
+            exact_us = np.percentile(times_ns, share) * (place + 1) / 1000
+            assert exact_us / 1.001 <= found[name] <= exact_us * BIN * 1.001
+        assert found["max_us"] == times_ns.max() * (place + 1) / 1000
+        assert found["count"] == len(times_ns)
+
+
+def test_grace_is_left_out() -> None:
+    histograms = StageHistograms(grace_s=0.5)
+    histograms.add(records(np.full(1000, 100), start_ns=7), 7)
+    assert histograms.summary()["wake"]["count"] == 500
+
+
+def test_extremes_stay_in_the_table() -> None:
+    histograms = StageHistograms(grace_s=0.0)
+    histograms.add(records(np.array([-5, 0, 3, 400_000_000])), 0)
+    found = histograms.summary()["wake"]
+    assert (found["count"], found["max_us"]) == (4, 400_000.0)
+    assert found["p50_us"] == EDGES_NS[0] / 1000
+
+
+def test_empty_histogram_is_zero() -> None:
+    assert StageHistograms(0.0).summary()["read"] == {"count": 0, "p50_us": 0.0, "p99_us": 0.0, "p999_us": 0.0, "max_us": 0.0}
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_clear_begins_anew(stage: str) -> None:
+    histograms = StageHistograms(grace_s=0.0)
+    histograms.add(records(np.full(10, 100)), 0)
+    histograms.clear()
+    assert histograms.summary()[stage]["count"] == 0

@@ -7,9 +7,9 @@ from gateway_rig import DeskRig
 from gateway_stand_in import NEXT_STATE
 
 from hapticd.errors import CommandError
-from hapticd.gateway import interlocks
-from hapticd.gateway.actors import RESERVED
+from hapticd.gateway import commands
 from hapticd.gateway.commands import ALLOWED
+from hapticd.gateway.journal import RESERVED
 from hapticd.mailbox.layout import Command, Result, State
 from hapticd.servo import safety
 from hapticd.servo.inbox import ACTOR_STOP_WORD
@@ -22,12 +22,12 @@ def rig(tmp_path: Path) -> DeskRig:
     return DeskRig(tmp_path)
 
 
-def scene(rig: DeskRig, settled: bool = True, samples: int = 0) -> interlocks.Scene:
-    return interlocks.Scene(rig.desk.limits, rig.view, settled, samples)
+def situation(rig: DeskRig, settled: bool = True, samples: int = 0) -> commands.Situation:
+    return commands.Situation(rig.desk.limits, rig.view, settled, samples)
 
 
 def test_order_is_schema_state_lease_passivity() -> None:
-    assert [interlock.__name__ for interlock in interlocks.INTERLOCKS] == ["schema", "state", "lease", "passivity"]
+    assert [interlock.__name__ for interlock in commands.INTERLOCKS] == ["schema", "state", "lease", "passivity"]
 
 
 @pytest.mark.parametrize("kind", TABLED)
@@ -47,24 +47,24 @@ def test_actor_of_the_stop_page_is_the_servos() -> None:
     assert RESERVED[ACTOR_STOP_WORD] == "stop page"
 
 
-@pytest.mark.parametrize("interlock", [interlocks.lease, interlocks.passivity])
-def test_later_interlocks_pass_everything(rig: DeskRig, interlock: interlocks.Interlock) -> None:
-    asked = interlocks.Asked({"cmd": "enable"}, 16)
-    assert interlock(asked, scene(rig)) is asked
+@pytest.mark.parametrize("interlock", [commands.lease, commands.passivity])
+def test_later_interlocks_pass_everything(rig: DeskRig, interlock: commands.Interlock) -> None:
+    asked = commands.AskedRequest({"cmd": "enable"}, 16)
+    assert interlock(asked, situation(rig)) is asked
 
 
 def test_first_objection_is_the_answer(rig: DeskRig) -> None:
     rig.ask(cmd="stop")
     with pytest.raises(CommandError) as caught:
-        interlocks.admit({"cmd": "enable", "force": 1}, 16, scene(rig))
+        commands.admit({"cmd": "enable", "force": 1}, 16, situation(rig))
     assert caught.value.code == "invalid"
 
 
 def test_unsettled_state_is_left_to_the_servo(rig: DeskRig) -> None:
     rig.ask(cmd="stop")
-    assert interlocks.admit({"cmd": "enable"}, 16, scene(rig, settled=False)).cmd == "enable"
+    assert commands.admit({"cmd": "enable"}, 16, situation(rig, settled=False)).cmd == "enable"
 
 
 def test_start_without_waveform_is_refused(rig: DeskRig) -> None:
     with pytest.raises(CommandError, match="perturb start: no waveform is loaded; send it with action load first"):
-        interlocks.admit({"cmd": "perturb", "action": "start"}, 16, scene(rig))
+        commands.admit({"cmd": "perturb", "action": "start"}, 16, situation(rig))

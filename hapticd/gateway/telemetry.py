@@ -1,0 +1,323 @@
+"""Telemetry: the ring of tick records becomes the messages of each topic.
+
+Topics. A telemetry message is always two frames, [topic, payload], and every payload is one msgpack
+value: a map or an array of maps. ZeroMQ matches subscriptions by prefix, at the publisher and again at
+the subscriber, so whoever asks for `servo` is also sent `servo.raw` while somebody else has asked for
+that. No order of frames avoids it as long as the frame is the topic's plain name, and it has to be:
+PlotJuggler subscribes to what its user types. So
+- here, a subscription wants the topic of exactly that name; only a prefix that is no topic (`""`, `s`,
+  `servo.`) wants all topics it begins. `servo` alone therefore never causes a `servo.raw` to be encoded;
+- at the subscriber, hapticd's client compares the first frame with the topic; a foreign one that does
+  not do so decodes a msgpack map of a few numbers and one binary, which PlotJuggler and generic
+  decoders skip.
+
+Blocks. The ring is read in blocks: every record once, in order, or counted as lost. `seq` is the number
+of a record in the ring of one servo life (0 is the first tick it recorded), so consecutive blocks that
+belong together satisfy seq + n = next seq, and what is missing was lost, here or on the way.
+
+Two forms of tick records. `servo` is for viewers: an array of maps of plain numbers, one per tick, each
+with its own `timestamp`; a number that is not finite is left out of its map. `servo.raw` is for
+acquisition: one map with a header and, in `d`, the records byte by byte as the servo wrote them;
+numpy.frombuffer(d, numpy.dtype(descr)) is lossless and copies nothing.
+
+Probe. The 4 kHz stream is taken out of the IN frames that the tick records carry. A frame holds 0..6
+(torque, velocity) pairs and the board's index of the first one, 32 bits that wrap. Here the index is
+unwrapped, intervals that come twice are dropped, missing ones are counted, and each pair gets the host
+time of the tick that brought it. Counts stay counts; the header carries the scales of this device. When
+the board starts anew its index does too: that is a new `run`, not a gap.
+
+Stage times. Histograms with logarithmic bins say how long each stage of a tick takes: 40 bins a decade
+from 10 ns to 100 ms, so a percentile is exact to 6 %, whatever its size. The first seconds after the
+start (`grace_s`) are left out. Late events and lost slots are counters of the servo; a histogram cannot
+show what did not happen.
+"""
+
+import math
+import struct
+from typing import Any, NamedTuple
+
+import msgpack
+import numpy as np
+
+from hapticd.gateway.view import Records, ServoView, as_records, last_torn
+from hapticd.mailbox.layout import LAYOUT_HASH, RECORD, RING_RECORDS, STAGES, TELEMETRY, Flag
+from hapticd.params import DeviceParams, ScaleParams
+from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US, PROBE_RATE_HZ
+from hapticd.wire import frames
+from hapticd.wire.session import PROBE_INDEX_BITS, unwrap
+
+
+class Topic(NamedTuple):
+    """One row: what is in a payload, how often it comes, and how many ticks share one sample of it."""
+
+    name: str
+    content: str
+    rate: str
+    decimation: int  # servo ticks per sample; 0: not tied to ticks
+
+
+TOPICS: tuple[Topic, ...] = (
+    Topic("servo", "array of maps of numbers, `timestamp` in Unix seconds, `seq` +1 per tick", "`batch` ticks a message", 1),
+    Topic("servo.raw", "map: header and `d`, little-endian records of dtype `descr`, lossless", "`batch` ticks or more", 1),
+    Topic("probe", "map: header and `d`, 4 kHz torque and velocity in counts, index and host time", "as `servo.raw`", 1),
+    Topic("state", "map: state, fault, revision, parameters, counters", "on change, at 1 Hz, on subscription", 0),
+    Topic("event", "map with `kind`: state, answer, gap, servo_up, servo_down, flight, warning", "when it happens", 0),
+    Topic("flight", "map: requests that the servo obeyed, checkpoints of its state; for replaying records", "when there are", 0),
+)  # fmt: skip
+NAMES = frozenset(topic.name for topic in TOPICS)
+BY_NAME = {topic.name: topic for topic in TOPICS}
+
+
+def wanted_by(prefix: bytes) -> frozenset[str]:
+    """Topics that a subscription to `prefix` wants."""
+    text = prefix.decode("ascii", errors="replace")
+    return frozenset({text}) if text in NAMES else frozenset(name for name in NAMES if name.startswith(text))
+
+
+class Subscriptions:
+    """The set of live subscriptions, as XPUB reports them: each first one and, with XPUB_VERBOSE, each repeated one."""
+
+    def __init__(self) -> None:
+        self._prefixes: set[bytes] = set()
+        self.wanted: frozenset[str] = frozenset()
+
+    def take(self, message: bytes) -> frozenset[str]:
+        """Note one message of the XPUB socket; topics that it newly asks for. Prefixes of no topic are not kept."""
+        kind, prefix = message[:1], message[1:]
+        topics = wanted_by(prefix)
+        if not topics or kind not in (b"\0", b"\1"):
+            return frozenset()
+        (self._prefixes.add if kind == b"\1" else self._prefixes.discard)(prefix)
+        self.wanted = frozenset().union(*map(wanted_by, self._prefixes))
+        return topics if kind == b"\1" else frozenset()
+
+
+MOST_RECORDS = 512  # in one block
+LINGER_NS = 100 * NS_PER_MS  # an unfinished batch does not wait longer for its last ticks
+
+
+class RingBlock(NamedTuple):
+    """Consecutive records of one servo life; `lost` of them went missing just before. `records` shares the memory of `data`."""
+
+    life: int
+    seq: int
+    lost: int
+    data: bytes
+    records: Records
+
+
+class Feed:
+    """Reads whole batches, or what there is when no batch was completed for a while."""
+
+    def __init__(self, view: ServoView, batch: int) -> None:
+        self._view, self._batch = view, batch
+        self._life, self._tail, self._taken_ns = 0, 0, 0
+        self.lost = 0
+
+    def take(self, now_ns: int) -> list[RingBlock]:
+        """The blocks that are due; each is a whole number of batches unless the ring stood still."""
+        view = self._view
+        if view.mailbox is None:
+            return []
+        if self._life != view.life:
+            self._begin(now_ns)
+        blocks = []
+        while ready := self._ready(now_ns):
+            data, tail, lost = view.mailbox.records(self._tail, ready)
+            records = as_records(data)
+            torn = last_torn(records)
+            seq = tail - len(records) + torn
+            blocks.append(RingBlock(self._life, seq, lost + torn, data[torn * RECORD.size :], records[torn:]))
+            self._tail, self._taken_ns = tail, now_ns
+            self.lost += lost + torn
+        return [block for block in blocks if len(block.records) or block.lost]
+
+    def _begin(self, now_ns: int) -> None:
+        """A young ring is read from its first record; one that has long been running from now on."""
+        head = self._view.head
+        self._life, self._taken_ns = self._view.life, now_ns
+        self._tail = 0 if head < RING_RECORDS // 2 else head
+
+    def _ready(self, now_ns: int) -> int:
+        self._tail = min(self._tail, self._view.head)  # a head that fell back had been written over
+        waiting = min(self._view.head - self._tail, MOST_RECORDS)
+        whole = waiting - waiting % self._batch if self._batch <= MOST_RECORDS else 0
+        return whole or (waiting if now_ns - self._taken_ns >= LINGER_NS else 0)
+
+
+BLOCK_VERSION = 1
+_LEFT_OUT = frozenset({"time_ns", "in_frame", "out_frame", "tail", "energy_j"})
+COLUMNS: tuple[str, ...] = tuple(str(field[0]) for field in TELEMETRY if field[0] not in _LEFT_OUT)
+ENERGIES = tuple(f"energy_{name}_j" for name in ("stiffness", "damping", "mass", "field", "force", "electrical"))
+TICK_DESCR = [list(field) for field in TELEMETRY]
+
+
+class Origin:
+    """What the header of every block says about where it comes from: one per servo life."""
+
+    def __init__(self, epoch: int, unix_offset_ns: int, simulated: bool) -> None:
+        self.epoch, self.unix_offset_ns = epoch, unix_offset_ns
+        self.header: dict[str, Any] = {
+            "v": BLOCK_VERSION,
+            "epoch": epoch,
+            "mono_unix_offset_ns": unix_offset_ns,
+            "simulated": simulated,
+            "layout": LAYOUT_HASH.hex(),
+        }
+
+
+def servo_messages(block: RingBlock, origin: Origin, batch: int, decimation: int) -> list[bytes]:
+    """Payloads of topic `servo`: every `decimation`-th tick, at most `batch` of them in one."""
+    wanted = np.flatnonzero((block.seq + np.arange(len(block.records))) % decimation == 0)
+    records = block.records[wanted]
+    columns: list[Any] = [
+        ((records["time_ns"] + origin.unix_offset_ns) / NS_PER_S).tolist(),
+        (block.seq + wanted).tolist(),
+        *(records[name].tolist() for name in COLUMNS),
+        *records["energy_j"].T.tolist(),
+    ]
+    names = ("timestamp", "seq", *COLUMNS, *ENERGIES)
+    maps = [_finite(dict(zip(names, values, strict=True))) for values in zip(*columns, strict=True)]
+    return [bytes(msgpack.packb(maps[start : start + batch])) for start in range(0, len(maps), batch)]
+
+
+def _finite(numbers: dict[str, Any]) -> dict[str, Any]:
+    # a sum is finite unless one of its terms is not (or it overflows, and then the slow way finds nothing)
+    if math.isfinite(sum(numbers.values())):
+        return numbers
+    return {name: value for name, value in numbers.items() if math.isfinite(value)}
+
+
+def raw_message(block: RingBlock, origin: Origin) -> bytes:
+    """Payload of topic `servo.raw`: {.., seq, next, n, lost, descr, d}."""
+    return packed_block(origin, block.seq, block.seq + len(block.records), len(block.records), block.lost, TICK_DESCR, block.data)
+
+
+def packed_block(origin: Origin, seq: int, after: int, count: int, lost: int, descr: list[Any], data: bytes, **more: Any) -> bytes:
+    """Header and records: `seq` numbers the first one, `next` the one after the last; `lost` are missing since the last block."""
+    place = {"seq": seq, "next": after, "n": count, "lost": lost, "descr": descr}
+    return bytes(msgpack.packb(origin.header | place | more | {"d": data}))
+
+
+PROBE_DESCR = [["index", "<u8"], ["time_ns", "<i8"], ["torque", "<i2"], ["velocity", "<i2"]]
+PROBE_DTYPE = np.dtype([(name, kind) for name, kind in PROBE_DESCR])
+RESTART = PROBE_RATE_HZ // 10  # an index that falls back further is no late frame but a board that started anew
+
+_COUNT_PLACE = 5
+_INDEX = struct.Struct("<I")
+_INDEX_PLACE, _PAIRS_PLACE = frames.IN_HEAD.size - _INDEX.size, frames.IN_HEAD.size
+_PAIR_BYTES = frames.IN_PAIRS.size // frames.PROBE_MAX
+_STALE = Flag.MISSING_IN | Flag.BAD_IN  # the record repeats an older frame
+
+
+def scales(device: DeviceParams) -> dict[str, dict[str, Any]]:
+    """What the counts of the two signals mean: value = sign * (count - offset_count) * per_count, in `unit`."""
+
+    def plain(scale: ScaleParams, unit: str) -> dict[str, Any]:
+        return {"per_count": scale.per_count, "sign": scale.sign, "offset_count": scale.offset_count, "unit": unit}
+
+    return {"torque": plain(device.probe_torque, "N"), "velocity": plain(device.probe_velocity, "m/s")}
+
+
+class ProbeDecoder:
+    """Follows one stream of blocks. `forget` when nobody listened for a while, so that the pause is no gap."""
+
+    def __init__(self, device: DeviceParams) -> None:
+        self._more = {"rate_hz": PROBE_RATE_HZ, "scale": scales(device)}
+        self.run = 0
+        self.forget()
+
+    def forget(self) -> None:
+        """The next frame begins the stream."""
+        self._next: int | None = None
+        self._clear()
+
+    def _clear(self) -> None:
+        self._lost = 0
+        self._stretches: list[tuple[int, int, int]] = []  # first index, pairs, host time
+        self._pairs: list[bytes] = []
+
+    def messages(self, block: RingBlock, origin: Origin) -> list[bytes]:
+        """Payloads of topic `probe` for the pairs in `block`: one for each run of the board, none if there is no pair."""
+        found = []
+        records = block.records
+        for flags, time_ns, frame in zip(*(records[name].tolist() for name in ("flags", "time_ns", "in_frame")), strict=True):
+            count = min(frame[_COUNT_PLACE], frames.PROBE_MAX)
+            if flags & _STALE or not count:
+                continue
+            if self._is_restart(frame):
+                found += self._flush(origin)
+                self._next, self.run = None, self.run + 1
+            self._gather(frame, count, time_ns)
+        return found + self._flush(origin)
+
+    def _is_restart(self, frame: bytes) -> bool:
+        return self._next is not None and self._first(frame) < self._next - RESTART
+
+    def _first(self, frame: bytes) -> int:
+        (wrapped,) = _INDEX.unpack_from(frame, _INDEX_PLACE)
+        return int(wrapped) if self._next is None else unwrap(self._next, wrapped, PROBE_INDEX_BITS)
+
+    def _gather(self, frame: bytes, count: int, time_ns: int) -> None:
+        first = self._first(frame)
+        expected = first if self._next is None else self._next
+        known = max(0, expected - first)
+        if known < count:
+            self._lost += max(0, first - expected)
+            self._stretches.append((first + known, count - known, time_ns))
+            self._pairs.append(frame[_PAIRS_PLACE + known * _PAIR_BYTES : _PAIRS_PLACE + count * _PAIR_BYTES])
+            self._next = first + count
+
+    def _flush(self, origin: Origin) -> list[bytes]:
+        if not self._stretches:
+            return []
+        first, count, time_ns = np.array(self._stretches, np.int64).T
+        samples = np.empty(int(count.sum()), PROBE_DTYPE)
+        samples["index"] = np.repeat(first, count) + np.arange(len(samples)) - np.repeat(np.cumsum(count) - count, count)
+        samples["time_ns"] = np.repeat(time_ns, count)
+        samples["torque"], samples["velocity"] = np.frombuffer(b"".join(self._pairs), "<i2").reshape(-1, 2).T
+        seq, after, lost = int(first[0]), int(first[-1] + count[-1]), self._lost
+        self._clear()
+        return [packed_block(origin, seq, after, len(samples), lost, PROBE_DESCR, samples.tobytes(), run=self.run, **self._more)]
+
+
+PER_DECADE, DECADES, LOWEST_NS = 40, 7, 10.0
+EDGES_NS = LOWEST_NS * 10.0 ** (np.arange(PER_DECADE * DECADES + 1) / PER_DECADE)
+BINS = len(EDGES_NS) + 1  # below the lowest edge, between edges, above the highest
+PERCENTILES = {"p50_us": 0.5, "p99_us": 0.99, "p999_us": 0.999}
+
+
+class StageHistograms:
+    """One histogram per stage (layout.STAGES)."""
+
+    def __init__(self, grace_s: float) -> None:
+        self._grace_ns = grace_s * NS_PER_S
+        self.clear()
+
+    def clear(self) -> None:
+        """Begin anew, for another servo life."""
+        self._counts = np.zeros((len(STAGES), BINS), np.int64)
+        self._max_ns = np.zeros(len(STAGES), np.int64)
+
+    def add(self, records: Records, start_ns: int) -> None:
+        """Count the ticks in `records` that came after the grace that began with the servo's life at `start_ns`."""
+        settled = records[records["time_ns"] - start_ns >= self._grace_ns]
+        if not settled.size:
+            return
+        times_ns = np.stack([settled[f"{stage}_ns"] for stage in STAGES])
+        bins = np.searchsorted(EDGES_NS, times_ns, side="right") + np.arange(len(STAGES))[:, None] * BINS
+        self._counts += np.bincount(bins.ravel(), minlength=self._counts.size).reshape(self._counts.shape)
+        np.maximum(self._max_ns, times_ns.max(axis=1), out=self._max_ns)
+
+    def summary(self) -> dict[str, dict[str, float]]:
+        """{stage: {count, p50_us, p99_us, p999_us, max_us}}; a percentile is the upper edge of its bin, at most the maximum."""
+        return {stage: self._one(row) for row, stage in enumerate(STAGES)}
+
+    def _one(self, row: int) -> dict[str, float]:
+        below = np.cumsum(self._counts[row])
+        highest_us = self._max_ns[row] / NS_PER_US
+        found: dict[str, float] = {"count": int(below[-1])}
+        for name, share in PERCENTILES.items():
+            place = min(int(np.searchsorted(below, share * below[-1])), len(EDGES_NS) - 1)
+            found[name] = min(float(EDGES_NS[place]) / NS_PER_US, float(highest_us))
+        return found | {"max_us": float(highest_us)}
