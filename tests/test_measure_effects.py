@@ -10,7 +10,17 @@ from measured_scenes import MASS_KG, MOTOR, PARTS, VISCOUS_NS_PER_M, scene, stop
 
 from hapticd.errors import AnalysisError, ConfigError
 from hapticd.measure import outcomes
-from hapticd.measure.effects import PREDICTED, SIMULATED, EffectsParams, Limits, Peak, Phase, plan_effects, relative, run_effects
+from hapticd.measure.effects import (
+    PREDICTED,
+    QUESTIONS,
+    SIMULATED,
+    EffectsParams,
+    limits,
+    peak,
+    plan_effects,
+    relative,
+    run_effects,
+)
 from hapticd.measure.outcomes import Conditions, fly
 from hapticd.measure.scene_run import ceiling, plan_scene, run_scene
 from hapticd.measure.scenes import frequencies, is_linear, without
@@ -30,16 +40,15 @@ CIRCUIT = (*PARTS, Amplifier(bandwidth_hz=5000.0), DampingCircuit(bandwidth_hz=1
 
 def test_predicted_stiffness_limit_is_twice_b_over_t() -> None:
     """Colgate and Schenkel 1997: K < 2 b / T for a rigid device without delay; exact for the first harmonic as well."""
-    found = Limits(scene()).values(scene(), PREDICTED)
+    found = limits(EffectsParams(scene()), scene(), PREDICTED)
     assert found[0] == pytest.approx(2.0 * VISCOUS_NS_PER_M * 1000.0, rel=1e-3)
     assert found[1] == pytest.approx(2.18, rel=0.02)
     assert found[2] < 0.0
 
 
 def test_simulated_mass_limit_agrees_with_prediction() -> None:
-    small = scene()
-    limits = Limits(small, 12.0)
-    assert limits.values(small, SIMULATED)[2] == pytest.approx(limits.values(small, PREDICTED)[2], rel=0.08)
+    asked = EffectsParams(scene(), seconds=12.0)
+    assert limits(asked, scene(), SIMULATED)[2] == pytest.approx(limits(asked, scene(), PREDICTED)[2], rel=0.08)
 
 
 def test_saturated_or_diverged_trials_do_not_pass(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -57,12 +66,12 @@ def test_saturated_or_diverged_trials_do_not_pass(monkeypatch: pytest.MonkeyPatc
 
 
 def test_change_is_the_largest_of_the_limits() -> None:
-    limits = Limits(scene())
+    asked = QUESTIONS["limits"]
     full = np.array([100.0, 2.0, -0.01])
-    assert limits.change(full, np.array([103.0, 1.9, -0.01])) == pytest.approx(0.05)
-    assert limits.change(full, np.array([np.nan, 2.0, -0.01])) == inf
-    assert limits.change(full * np.nan, full * np.nan) == 0.0
-    assert limits.told(full, full) == {"K N/m": 100.0, "B N s/m": 2.0, "M g": -10.0}
+    assert asked.change(full, np.array([103.0, 1.9, -0.01])) == pytest.approx(0.05)
+    assert asked.change(full, np.array([np.nan, 2.0, -0.01])) == inf
+    assert asked.change(full * np.nan, full * np.nan) == 0.0
+    assert asked.told(full, full) == {"K N/m": 100.0, "B N s/m": 2.0, "M g": -10.0}
 
 
 def test_limit_of_nothing_has_no_relative_change() -> None:
@@ -71,26 +80,25 @@ def test_limit_of_nothing_has_no_relative_change() -> None:
 
 
 def test_phase_change_knows_that_the_circle_closes() -> None:
-    phase = Phase(scene())
     full = np.full(frequencies().size, 179.0)
-    assert phase.change(full, -full) == pytest.approx(2.0 / 90.0)
+    assert QUESTIONS["phase"].change(full, -full) == pytest.approx(2.0 / 90.0)
 
 
 def test_peak_that_goes_away_is_a_change_without_measure() -> None:
-    peak = Peak(scene(), mass_kg=-0.01)
+    asked = QUESTIONS["peak"]
     there, gone = np.array([7.5, 85.0, 1.0]), np.array([7.5, 85.0, 0.0])
-    assert peak.change(there, gone) == inf
-    assert peak.change(there, np.array([7.8, 85.0, 1.0])) == pytest.approx(0.04)
-    assert isnan(peak.told(there, gone)["at Hz"])
+    assert asked.change(there, gone) == inf
+    assert asked.change(there, np.array([7.8, 85.0, 1.0])) == pytest.approx(0.04)
+    assert isnan(asked.told(there, gone)["at Hz"])
 
 
 def test_peak_of_figure_8_lies_near_100_hz() -> None:
     """Weir 2008, section 5: a peak of the damped envelope near 100 Hz, owned by negative virtual mass; none without damping."""
     damped, undamped = load_scene("fig7"), load_scene("fig4")
-    height, frequency_hz, inside = Peak(damped, mass_kg=-0.022).values(damped, PREDICTED)
+    height, frequency_hz, inside = peak(EffectsParams(damped), damped, PREDICTED, -0.022)
     assert (75.0 < frequency_hz < 100.0, inside) == (True, 1.0)
     assert 20.0 * np.log10(height) == pytest.approx(17.4, abs=0.5)
-    assert Peak(undamped, mass_kg=-0.006).values(undamped, PREDICTED)[2] == 0.0
+    assert peak(EffectsParams(undamped), undamped, PREDICTED, -0.006)[2] == 0.0
 
 
 # --- leaving effects out ----------------------------------------------------------------------------------------------------
@@ -110,10 +118,9 @@ def test_scene_without_dissipation_has_no_peak() -> None:
 
 def test_linear_effects_are_predicted_and_others_simulated() -> None:
     plan = plan_effects(EffectsParams(load_scene("fig7")))
-    assert "coulomb" in plan.simulated
-    assert "encoder" in plan.simulated
-    assert "smoothing" in plan.predicted
-    assert not {"masses", "motor"} & {*plan.predicted, *plan.simulated}
+    assert plan.methods["coulomb"] == plan.methods["encoder"] == SIMULATED
+    assert plan.methods["smoothing"] == PREDICTED
+    assert not {"masses", "motor"} & set(plan.methods)
 
 
 def test_cheapest_set_keeps_what_dissipates_and_drops_a_stiff_coupling() -> None:

@@ -15,16 +15,15 @@ with the same perturbation for every set of effects, so that differences are tho
 A scene that noise does not move gets the paper's perturbation. Walls are left out: they have no impedance of their own.
 """
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from functools import cache
 from math import inf, nan
 
 import numpy as np
 
 from hapticd.analysis.arrays import Complexes, Floats
-from hapticd.analysis.predict import DEFAULT_BAND_HZ, predicted_impedance
+from hapticd.analysis.predict import predicted_impedance
 from hapticd.errors import AnalysisError, ConfigError
 from hapticd.measure.accuracy import GROUP, Stopwatch, engine_cost
 from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
@@ -50,110 +49,117 @@ PREDICTED, SIMULATED = ("predicted", "simulated")
 PEAK_HZ = (40.0, 200.0)
 NAMES = {"K N/m": 1.0, "B N s/m": 1.0, "M g": 1e3}
 FINE = 1e-3  # of a limit: a change of 1 % is to be told from none
-QUESTIONS = ("limits", "phase", "peak")
-SECONDS = 90.0
 INSIDE = 0.9  # of the predicted mass limit, for the peak: near it a long trial may run away
-BACK = 6  # effects that may come back
 
 
-@dataclass(frozen=True)
-class Quantity(ABC):
-    """`full` is the scene with all its effects; `seconds` the length of a simulated trial."""
+@dataclass(frozen=True, slots=True)
+class EffectsParams:
+    """`scene` with all its effects, and which of QUESTIONS is asked. `tolerance`: 0.02 is 2 %. `seconds`: of simulated trials."""
 
-    full: Scene
-    seconds: float = SECONDS
-    band_hz: tuple[float, float] = DEFAULT_BAND_HZ
-
-    @abstractmethod
-    def values(self, scene: Scene, method: str) -> Floats:
-        """Its numbers for `full` with some of its effects, PREDICTED or SIMULATED."""
-
-    @abstractmethod
-    def change(self, full: Floats, other: Floats) -> float:
-        """Of `other` against `full`, 0.02 is 2 %; inf where only one of the two exists."""
-
-    @abstractmethod
-    def told(self, full: Floats, other: Floats) -> dict[str, float]:
-        """Numbers of `other` by name with unit."""
-
-    def impedance(self, scene: Scene, kbm: tuple[float, float, float], frequency_hz: Floats, method: str) -> Complexes:
-        """Z (F,) under one environment: predicted, or of a group of trials together."""
-        own = display(scene, noise(self.full))
-        if method == PREDICTED:
-            return predicted_impedance(own.model, kbm, frequency_hz, level(scene), own.filters, own.perturbation)
-        found = simulate(
-            scene, [kbm] * GROUP, self.seconds, damping=level(scene), environment=free_of_walls(scene),
-            excitation=own.excitation, start=(0.0, 0.0), keep="records", own_torque=True,
-        )  # fmt: skip
-        return pooled(spectra_of(found, frequency_hz, own.force_limit_n))
+    scene: Scene
+    question: str = "limits"
+    tolerance: float = 0.02
+    seconds: float = 90.0
 
 
-@dataclass(frozen=True)
-class Limits(Quantity):
-    """Numbers: K [N/m], B [Ns/m], M [kg] < 0; nan where K = B = M = 0 itself is not passive."""
-
-    def values(self, scene: Scene, method: str) -> Floats:
-        """By prediction, or by trials."""
-        given = Conditions(scene, self.seconds, noise(self.full), self.band_hz)
-        plan = plan_limits(LimitsParams(given, (level(scene),), tolerance=FINE))
-        if method == PREDICTED:
-            return np.array([scan.predicted for scan in plan.scans])
-        return np.array([limit.value for limit in run_limits(plan, TrialStore(None)).limits])
-
-    def change(self, full: Floats, other: Floats) -> float:
-        """The largest relative one."""
-        return max(relative(one, two) for one, two in zip(full, other, strict=True))
-
-    def told(self, full: Floats, other: Floats) -> dict[str, float]:
-        """K, B and M."""
-        return {name: float(factor * value) for (name, factor), value in zip(NAMES.items(), other, strict=True)}
-
-
-@dataclass(frozen=True)
-class Phase(Quantity):
-    """Numbers: phase [deg] (F,)."""
-
-    def values(self, scene: Scene, method: str) -> Floats:
-        """Under the scene's environment."""
-        z = self.impedance(scene, point(self.full), frequencies(self.band_hz), method)
-        return np.degrees(np.angle(z))
-
-    def change(self, full: Floats, other: Floats) -> float:
-        """The largest difference over 90 degrees."""
-        return float(np.abs(_turned(other - full)).max() / 90.0)
-
-    def told(self, full: Floats, other: Floats) -> dict[str, float]:
-        """The largest difference, and where."""
-        turned = _turned(other - full)
-        worst = int(np.argmax(np.abs(turned)))
-        return {"phase deg": float(turned[worst]), "at Hz": float(frequencies(self.band_hz)[worst])}
-
-
-@dataclass(frozen=True)
-class Peak(Quantity):
-    """Numbers: height [Ns/m], frequency [Hz], and whether it is a maximum inside the band (1) or its end (0).
-
-    `mass_kg` < 0 is what is rendered.
+@dataclass(frozen=True, slots=True)
+class Question:
+    """`values`: its numbers for the scene asked about with some of its effects, PREDICTED or SIMULATED. `change` of others against
+    those of the whole scene, 0.02 is 2 %, inf where only one of the two exists. `told`: the others by name with unit.
     """
 
-    mass_kg: float = field(default=0.0, kw_only=True)
+    values: Callable[[EffectsParams, Scene, str], Floats]
+    change: Callable[[Floats, Floats], float]
+    told: Callable[[Floats, Floats], dict[str, float]]
 
-    def values(self, scene: Scene, method: str) -> Floats:
-        """Of the highest maximum."""
-        f = frequencies(PEAK_HZ, count=1000)
-        size = np.abs(self.impedance(scene, (0.0, 0.0, self.mass_kg), f, method))
-        rising = np.diff(size) > 0.0
-        inner = np.flatnonzero(rising[:-1] & ~rising[1:]) + 1
-        highest = int(inner[np.argmax(size[inner])]) if inner.size else int(np.argmax(size))
-        return np.array([size[highest], f[highest], float(inner.size > 0)])
 
-    def change(self, full: Floats, other: Floats) -> float:
-        """The larger relative one of height and frequency; inf if the peak came or went."""
-        return inf if full[2] != other[2] else float(np.abs(other[:2] / full[:2] - 1.0).max())
+def impedance(params: EffectsParams, scene: Scene, kbm: tuple[float, float, float], frequency_hz: Floats, method: str) -> Complexes:
+    """Z (F,) under one environment: predicted, or of a group of trials together."""
+    own = display(scene, noise(params.scene))
+    if method == PREDICTED:
+        return predicted_impedance(own.model, kbm, frequency_hz, level(scene), own.filters, own.perturbation)
+    found = simulate(
+        scene, [kbm] * GROUP, params.seconds, damping=level(scene), environment=free_of_walls(scene),
+        excitation=own.excitation, start=(0.0, 0.0), keep="records", own_torque=True,
+    )  # fmt: skip
+    return pooled(spectra_of(found, frequency_hz, own.force_limit_n))
 
-    def told(self, full: Floats, other: Floats) -> dict[str, float]:
-        """Height and place; no place where there is no maximum."""
-        return {"peak N s/m": float(other[0]), "at Hz": float(other[1]) if other[2] else nan}
+
+def limits(params: EffectsParams, scene: Scene, method: str) -> Floats:
+    """K [N/m], B [N s/m], M [kg] < 0; nan where K = B = M = 0 itself is not passive."""
+    given = Conditions(scene, params.seconds, noise(params.scene))
+    plan = plan_limits(LimitsParams(given, (level(scene),), tolerance=FINE))
+    if method == PREDICTED:
+        return np.array([scan.predicted for scan in plan.scans])
+    return np.array([limit.value for limit in run_limits(plan, TrialStore(None)).limits])
+
+
+def limits_change(full: Floats, other: Floats) -> float:
+    """The largest relative one."""
+    return max(relative(one, two) for one, two in zip(full, other, strict=True))
+
+
+def limits_told(full: Floats, other: Floats) -> dict[str, float]:
+    """K, B and M."""
+    return {name: float(factor * value) for (name, factor), value in zip(NAMES.items(), other, strict=True)}
+
+
+def phase(params: EffectsParams, scene: Scene, method: str) -> Floats:
+    """Phase [deg] (F,) of Z under the scene's environment."""
+    return np.degrees(np.angle(impedance(params, scene, point(params.scene), frequencies(), method)))
+
+
+def phase_change(full: Floats, other: Floats) -> float:
+    """The largest difference over 90 degrees."""
+    return float(np.abs(_turned(other - full)).max() / 90.0)
+
+
+def phase_told(full: Floats, other: Floats) -> dict[str, float]:
+    """The largest difference, and where."""
+    turned = _turned(other - full)
+    worst = int(np.argmax(np.abs(turned)))
+    return {"phase deg": float(turned[worst]), "at Hz": float(frequencies()[worst])}
+
+
+def peak(params: EffectsParams, scene: Scene, method: str, mass_kg: float | None = None) -> Floats:
+    """Height [N s/m] and frequency [Hz] of the highest maximum, and whether it lies inside the band (1) or at its end (0).
+
+    `mass_kg` < 0 is what is rendered; by default near the limit of the whole scene.
+    """
+    f, rendered = frequencies(PEAK_HZ, count=1000), peak_mass_kg(params) if mass_kg is None else mass_kg
+    size = np.abs(impedance(params, scene, (0.0, 0.0, rendered), f, method))
+    rising = np.diff(size) > 0.0
+    inner = np.flatnonzero(rising[:-1] & ~rising[1:]) + 1
+    highest = int(inner[np.argmax(size[inner])]) if inner.size else int(np.argmax(size))
+    return np.array([size[highest], f[highest], float(inner.size > 0)])
+
+
+def peak_change(full: Floats, other: Floats) -> float:
+    """The larger relative one of height and frequency; inf if the peak came or went."""
+    return inf if full[2] != other[2] else float(np.abs(other[:2] / full[:2] - 1.0).max())
+
+
+def peak_told(full: Floats, other: Floats) -> dict[str, float]:
+    """Height and place; no place where there is no maximum."""
+    return {"peak N s/m": float(other[0]), "at Hz": float(other[1]) if other[2] else nan}
+
+
+@cache
+def peak_mass_kg(params: EffectsParams) -> float:
+    """What is rendered for the peak. AnalysisError if no mass owns one."""
+    mass_kg = float(limits(params, params.scene, PREDICTED)[2])
+    if not mass_kg < 0.0:
+        raise AnalysisError(
+            f"scene {params.scene.name!r}: not passive even without an environment, so no mass owns a peak; ask for limits or phase"
+        )
+    return INSIDE * mass_kg
+
+
+QUESTIONS = {
+    "limits": Question(limits, limits_change, limits_told),
+    "phase": Question(phase, phase_change, phase_told),
+    "peak": Question(peak, peak_change, peak_told),
+}
 
 
 def _turned(degrees: Floats) -> Floats:
@@ -171,24 +177,11 @@ def relative(full: float, other: float) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class EffectsParams:
-    """`question`: limits | phase | peak. `tolerance`: 0.02 is 2 %. `seconds`: of simulated trials."""
-
-    scene: Scene
-    question: str = "limits"
-    tolerance: float = 0.02
-    seconds: float = SECONDS
-    band_hz: tuple[float, float] = DEFAULT_BAND_HZ
-
-
-@dataclass(frozen=True, slots=True)
 class EffectsPlan:
-    """The quantity, and which effects are left out with which method."""
+    """Which effects are left out, each with its method."""
 
     params: EffectsParams
-    quantity: Quantity
-    predicted: tuple[str, ...]
-    simulated: tuple[str, ...]
+    methods: dict[str, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,31 +216,18 @@ def plan_effects(params: EffectsParams) -> EffectsPlan:
         raise ConfigError(f"question {params.question!r}: use one of {', '.join(QUESTIONS)}")
     if not params.tolerance > 0.0:
         raise ConfigError(f"tolerance {params.tolerance:g}: must be above 0; 0.02 is 2 %")
+    if params.question == "peak":
+        peak_mass_kg(params)
     nonlinear = {effect.key for effect in params.scene.effects if effect.nonlinearity}
-    keys = candidates(params.scene)
-    predicted = tuple(key for key in keys if key not in nonlinear)
-    simulated = tuple(key for key in keys if key in nonlinear)
-    return EffectsPlan(params, _quantity(params), predicted, simulated)
-
-
-def _quantity(params: EffectsParams) -> Quantity:
-    scene, given = params.scene, (params.scene, params.seconds, params.band_hz)
-    if params.question != "peak":
-        return Phase(*given) if params.question == "phase" else Limits(*given)
-    mass_kg = float(Limits(*given).values(scene, PREDICTED)[2])
-    if not mass_kg < 0.0:
-        raise AnalysisError(
-            f"scene {scene.name!r}: not passive even without an environment, so no mass owns a peak; ask for limits or phase"
-        )
-    return Peak(*given, mass_kg=INSIDE * mass_kg)
+    methods = {key: SIMULATED if key in nonlinear else PREDICTED for key in candidates(params.scene)}
+    return EffectsPlan(params, methods)
 
 
 def run_effects(plan: EffectsPlan, now_ns: Stopwatch, tell: Progress = silent) -> EffectsResult:
     """Measure. ConfigError as `compose` and `simulate`."""
-    study = _Study(plan, Steps(tell, len(plan.predicted) + len(plan.simulated) + 4), now_ns)
+    study = _Study(plan, Steps(tell, len(plan.methods) + 4), now_ns)
     whole = (study.left((), PREDICTED), study.left((), SIMULATED))
-    rows = [study.left((key,), PREDICTED) for key in plan.predicted]
-    rows += [study.left((key,), SIMULATED) for key in plan.simulated]
+    rows = [study.left((key,), method) for key, method in plan.methods.items()]
     rows.sort(key=lambda row: row.change, reverse=True)
     kept, proposal = study.proposal(rows)
     study.steps.end()
@@ -258,47 +238,48 @@ class _Study:
     """One run: it remembers what the whole scene gave, which is asked first, and what was timed."""
 
     def __init__(self, plan: EffectsPlan, steps: Steps, now_ns: Stopwatch) -> None:
-        self.steps, self._quantity = steps, plan.quantity
-        self._scene, self._tolerance = plan.params.scene, plan.params.tolerance
+        self.steps, self._plan, self._params = steps, plan, plan.params
+        self._question = QUESTIONS[plan.params.question]
         self._full: dict[str, Floats] = {}
-        self._cost = cache(lambda keys: engine_cost(without(self._scene, *keys), now_ns))
+        self._cost = cache(lambda keys: engine_cost(without(plan.params.scene, *keys), now_ns))
 
     def left(self, keys: tuple[str, ...], method: str) -> Left:
         """The scene without `keys`; the whole scene if there are none."""
         words = ", ".join(keys)
         self.steps.next(f"without {words}" if keys else f"all effects, {method}")
         try:
-            values = self._quantity.values(without(self._scene, *keys), method)
+            values = self._values(keys, method)
         except (ConfigError, AnalysisError) as error:
             if not keys:
                 raise
             return Left(words, method, {}, inf, nan, str(error))
-        full = self._full[method] = self._full[method] if keys else values
-        change = self._quantity.change(full, values) if keys else 0.0
-        return Left(words, method, self._quantity.told(full, values), change, self._cost(keys))
+        full = self._full.setdefault(method, values)
+        change = self._question.change(full, values) if keys else 0.0
+        return Left(words, method, self._question.told(full, values), change, self._cost(keys))
+
+    def _values(self, keys: tuple[str, ...], method: str) -> Floats:
+        return self._question.values(self._params, without(self._params.scene, *keys), method)
 
     def proposal(self, rows: list[Left]) -> tuple[tuple[str, ...], Left]:
         """The set that is kept and what it gives; everything where the question has no answer."""
-        droppable = [row.effect for row in rows if row.change <= self._tolerance]
+        droppable = [row.effect for row in rows if row.change <= self._params.tolerance]
         answered = np.isfinite(self._full[PREDICTED]).any()
-        dropped = self._agreed(reversed(droppable)) if answered else []
-        found = self.left(tuple(dropped), SIMULATED)
-        for _ in range(BACK):
-            if found.change <= self._tolerance:
-                break
+        dropped = self._agreed(reversed(droppable)) if answered else ()
+        found = self.left(dropped, SIMULATED)
+        while dropped and not found.change <= self._params.tolerance:
             dropped = dropped[:-1]
-            found = self.left(tuple(dropped), SIMULATED)
-        kept = tuple(key for key in candidates(self._scene) if key not in dropped)
+            found = self.left(dropped, SIMULATED)
+        kept = tuple(key for key in self._plan.methods if key not in dropped)
         return kept, replace(found, effect=", ".join(kept))
 
-    def _agreed(self, keys: Iterable[str]) -> list[str]:
+    def _agreed(self, keys: Iterable[str]) -> tuple[str, ...]:
         """Those of `keys`, the least important first, that prediction lets go together."""
-        dropped: list[str] = []
+        dropped: tuple[str, ...] = ()
         for key in keys:
             try:
-                values = self._quantity.values(without(self._scene, *dropped, key), PREDICTED)
+                values = self._values((*dropped, key), PREDICTED)
             except (ConfigError, AnalysisError):
                 continue
-            if self._quantity.change(self._full[PREDICTED], values) <= self._tolerance:
-                dropped.append(key)
+            if self._question.change(self._full[PREDICTED], values) <= self._params.tolerance:
+                dropped = (*dropped, key)
         return dropped
