@@ -11,7 +11,6 @@ from hapticd.errors import AnalysisError
 from hapticd.measure.accuracy import (
     GROUP,
     REFERENCE,
-    AccuracyParams,
     NoiseGauge,
     Row,
     Setting,
@@ -60,9 +59,9 @@ def test_every_sweep_has_one_knee_and_effects_none() -> None:
 @pytest.fixture(scope="module")
 def linear():
     """Measured on the shipped scene of sampled-data theory."""
-    params = AccuracyParams(load_scene("theory"), "theory", quick=True)
+    plan = plan_accuracy(load_scene("theory"), "theory", quick=True)
     heard: list[tuple[str, int, int]] = []
-    found = run_accuracy(plan_accuracy(params), stopwatch(), lambda *told: heard.append(told))
+    found = run_accuracy(plan, stopwatch(), lambda *told: heard.append(told))
     return found, heard
 
 

@@ -11,7 +11,7 @@ import pytest
 from measured_scenes import scene
 
 from hapticd.errors import ConfigError
-from hapticd.measure.accuracy import AccuracyParams, AccuracyResult, Row, plan_accuracy
+from hapticd.measure.accuracy import AccuracyResult, Row, plan_accuracy
 from hapticd.measure.effects import EffectsParams, EffectsResult, Left, plan_effects
 from hapticd.measure.scene_run import (
     SceneResult,
@@ -210,7 +210,7 @@ def test_scene_without_limits_is_told(judged: EffectsResult) -> None:
 
 @pytest.fixture
 def swept() -> AccuracyResult:
-    plan = plan_accuracy(AccuracyParams(scene(seconds=90.0), "small"))
+    plan = plan_accuracy(scene(seconds=90.0), "small")
     rows = (
         Row("tier", "predict, alone", 0.007, 0.5, 0.5),
         Row("tier", "simulate", 0.01, 0.09, 0.4, default=True, knee=True),
@@ -270,7 +270,7 @@ def test_words_say_what_the_defaults_buy(swept: AccuracyResult) -> None:
 
 
 def test_scene_without_noise_has_three_panels(swept: AccuracyResult) -> None:
-    plan = plan_accuracy(AccuracyParams(scene(excitation=Excitation("push", force_n=1.0)), "small"))
+    plan = plan_accuracy(scene(excitation=Excitation("push", force_n=1.0)), "small")
     figure = accuracy_figure(replace(swept, plan=plan, unit="um"))
     assert len(figure.axes) == 3
 

@@ -21,7 +21,7 @@ def command(
     """
     import time
 
-    from hapticd.measure.accuracy import AccuracyParams, plan_accuracy, run_accuracy
+    from hapticd.measure.accuracy import plan_accuracy, run_accuracy
     from hapticd.measure.scene_run import compare_integrators
     from hapticd.measure.store import plain
     from hapticd.report.study import accuracy_figure, accuracy_table, accuracy_words, integrators_figure
@@ -32,7 +32,7 @@ def command(
     loaded = load_scene(scene)
     explicit = compare_integrators(loaded)
     with progress(as_json) as tell:
-        result = run_accuracy(plan_accuracy(AccuracyParams(loaded, scene, quick)), time.process_time_ns, tell)
+        result = run_accuracy(plan_accuracy(loaded, scene, quick), time.process_time_ns, tell)
     paths = []
     if plot:
         paths += drawing.keep(accuracy_figure(result), out, f"{loaded.name}-accuracy", as_json)

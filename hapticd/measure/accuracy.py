@@ -139,12 +139,19 @@ class Setting:
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
-    """Errors in the gauge's unit, nan: does not apply; what the trial took, inf: not timed."""
+class Row:
+    """One setting: seconds for one trial (inf: not timed, nan: it cannot be), its errors in the gauge's unit (nan: does not
+    apply), whether it is the default, and whether the knee.
+    """
 
-    step: float
-    total: float
+    sweep: str = ""
+    label: str = ""
     seconds: float = inf
+    step: float = nan
+    total: float = inf
+    default: bool = False
+    knee: bool = False
+    note: str = ""
 
 
 class Gauge(ABC, Generic[T]):
@@ -165,26 +172,20 @@ class Gauge(ABC, Generic[T]):
         self._whole: dict[Setting, T] = {}
 
     @abstractmethod
-    def read(self, setting: Setting) -> Reading:
-        """A trial in a full group. With `without`: against the whole scene as it was read with that setting, else the reference."""
+    def read(self, setting: Setting) -> Row:
+        """Errors of a trial. With `without`: against the whole scene as it was read with that setting, else the reference."""
 
-    @abstractmethod
-    def cost(self, setting: Setting) -> float:
-        """Seconds for one trial of a full group, timed once; the setting has been read before."""
+    def cost(self, setting: Setting, trials: int = GROUP, repeats: int = 1) -> float:
+        """Seconds for one of `trials` together and for its answer; in a full group the setting has been read before."""
+        found, simulated_s = timed(self.now_ns, lambda: self._flown(setting, trials), repeats)
+        return simulated_s / trials + self._analysis_s(found, setting.lag)
 
-    def alone(self) -> float:
-        """Seconds for a single trial with the defaults that is asked alone, and for its answer."""
-        asked = Setting(self.exact.seconds)
-        return timed(
-            self.now_ns,
-            lambda: self._answer(self._flown(asked, 1), asked.lag),
-            ALONE_REPEATS,
-        )[1]
-
-    def lockstep(self, seconds: float) -> Reading:
-        """One trial with the whole product; the time is that of its flight. ConfigError or
-        AnalysisError where the scene cannot be flown.
+    def lockstep(self, seconds: float) -> Row:
+        """One trial with the whole product; the time is that of its flight. ConfigError or AnalysisError where the scene cannot
+        be flown: the stack begins at rest.
         """
+        if self.scene.start_velocity_m_per_s or self.scene.start_position_m:
+            raise AnalysisError("the scene begins in motion, lock-step at rest")
         samples, source = round(seconds * PROBE_RATE_HZ), self.scene.excitation
         torque = np.resize(torque_record(source, samples, source.seed), samples)
         if self.torque_n is not None:
@@ -194,12 +195,12 @@ class Gauge(ABC, Generic[T]):
         return replace(self._flight(flown, seconds, steps), seconds=spent)
 
     @abstractmethod
-    def _answer(self, found: BatchResult, lag: int) -> T:
-        """Of all trials together."""
-
-    @abstractmethod
-    def _flight(self, flown: Flown, seconds: float, steps: list[tuple[float, float]]) -> Reading:
+    def _flight(self, flown: Flown, seconds: float, steps: list[tuple[float, float]]) -> Row:
         """Of a trial in lock-step with damping steps (time s, level N s/m)."""
+
+    def _analysis_s(self, found: BatchResult, lag: int) -> float:
+        """Of one trial."""
+        return 0.0
 
     def _like(self, setting: Setting, answer: T, reference: T) -> T:
         """What `answer` is compared with."""
@@ -218,7 +219,7 @@ class Gauge(ABC, Generic[T]):
 
 
 class NoiseGauge(Gauge[Complexes]):
-    """Errors in degrees."""
+    """Errors in degrees, of a group of trials."""
 
     unit = "deg"
     quantity = "phase of Z, rms over the band"
@@ -227,14 +228,12 @@ class NoiseGauge(Gauge[Complexes]):
         super().__init__(scene, source, exact, now_ns)
         samples, noise = round(exact.seconds * PROBE_RATE_HZ), scene.excitation
         streams = range(Stream.TORQUE, Stream.TORQUE + GROUP)
-        records = [torque_record(noise, samples, noise.seed, stream) for stream in streams]
-        self.torque_n = np.stack(records)
+        self.torque_n = np.stack([torque_record(noise, samples, noise.seed, stream) for stream in streams])
         self._f = frequencies()
         flown = self._flown(exact, GROUP)
-        self._step_free = self._answer(flown, DEFAULT_LAG)
+        self._step_free = pooled(self._spectra(flown, DEFAULT_LAG))
         if is_linear(scene):
-            asked = point(scene), self._f, level(scene), self.own.filters
-            self._true = predicted_impedance(self.own.model, *asked)
+            self._true = predicted_impedance(self.own.model, point(scene), self._f, level(scene), self.own.filters)
             self.reference = "exact first harmonic of the linear scene"
             return
         trials = self._spectra(flown, REFERENCE_LAG)
@@ -245,48 +244,35 @@ class NoiseGauge(Gauge[Complexes]):
             f"window {REFERENCE_LAG}; known to {known_deg:.2g} deg"
         )
 
-    def read(self, setting: Setting) -> Reading:
+    def read(self, setting: Setting) -> Row:
         """A group of trials, their spectra together and one by one."""
         trials = self._spectra(self._flown(setting, GROUP), setting.lag)
         together = pooled(trials)
         step = phase_rms(together / self._like(setting, together, self._step_free))
         comparable = (setting.seconds, setting.lag) == (self.exact.seconds, DEFAULT_LAG)
-        return Reading(step if comparable else nan, self._total(trials))
+        return Row(step=step if comparable else nan, total=self._total(trials))
 
-    def cost(self, setting: Setting) -> float:
-        """Of simulation and spectra, these on the window's own grid."""
-        found, simulated_s = timed(self.now_ns, lambda: self._flown(setting, GROUP))
-        records = [found.record(int(trial)) for trial in np.flatnonzero(~found.diverged)[:ANALYSED]]
-        _, analysed_s = timed(self.now_ns, lambda: [spa(*record, lag=setting.lag) for record in records])
-        return simulated_s / GROUP + analysed_s / max(1, len(records))
-
-    def _answer(self, found: BatchResult, lag: int) -> Complexes:
-        return pooled(self._spectra(found, lag))
-
-    def predicted(self) -> Iterable["Row"]:
+    def predicted(self) -> Iterable[Row]:
         """Errors of the predicted Z with its seconds, and those of one of 1,000 environments that
         are asked for a verdict.
         """
         own, kbm, damping = self.own, point(self.scene), level(self.scene)
-        shaken = own.filters, own.perturbation
-        z, alone_s = timed(
-            self.now_ns,
-            lambda: predicted_impedance(own.model, kbm, self._f, damping, *shaken),
-            ALONE_REPEATS,
-        )
+        asked = damping, own.filters, own.perturbation
+        z, alone_s = timed(self.now_ns, lambda: predicted_impedance(own.model, kbm, self._f, *asked), ALONE_REPEATS)
         many = np.tile(kbm, (BATCH, 1))
-        _, together_s = timed(
-            self.now_ns,
-            lambda: predict(own.model, many, damping, *shaken),
-            ALONE_REPEATS,
-        )
+        _, together_s = timed(self.now_ns, lambda: predict(own.model, many, *asked), ALONE_REPEATS)
         error = phase_rms(z / self._true)
         yield Row("tier", "predict, alone", alone_s, error, error)
         yield Row("tier", "predict, 1,000 at once", together_s / BATCH, error, error)
 
-    def _flight(self, flown: Flown, seconds: float, steps: list[tuple[float, float]]) -> Reading:
-        trial = spectra_on(flown.torque_n, flown.velocity_m_per_s, self._f)
-        return Reading(nan, self._total([trial]))
+    def _flight(self, flown: Flown, seconds: float, steps: list[tuple[float, float]]) -> Row:
+        return Row(total=self._total([spectra_on(flown.torque_n, flown.velocity_m_per_s, self._f)]))
+
+    def _analysis_s(self, found: BatchResult, lag: int) -> float:
+        """On the window's own grid."""
+        records = [found.record(int(trial)) for trial in np.flatnonzero(~found.diverged)[:ANALYSED]]
+        _, spent = timed(self.now_ns, lambda: [spa(*record, lag=lag) for record in records])
+        return spent / max(1, len(records))
 
     def _spectra(self, found: BatchResult, lag: int) -> list[Spectra]:
         return spectra_of(found, self._f, self.own.force_limit_n, lag)
@@ -294,7 +280,7 @@ class NoiseGauge(Gauge[Complexes]):
     def _total(self, trials: list[Spectra]) -> float:
         """Of one trial: rms over trials and frequencies."""
         errors = [phase_rms(trial.cross / trial.velocity / self._true) for trial in trials]
-        return float(np.sqrt(np.mean(np.square(errors)))) if errors else inf
+        return float(np.sqrt(np.mean(np.square(errors))))
 
 
 def phase_rms(ratio: Complexes) -> float:
@@ -303,7 +289,7 @@ def phase_rms(ratio: Complexes) -> float:
 
 
 class TraceGauge(Gauge[Floats]):
-    """Errors in micrometres."""
+    """Errors in micrometres, of one trial: all are the same."""
 
     unit = "um"
     quantity = "position, rms over the trial"
@@ -312,31 +298,18 @@ class TraceGauge(Gauge[Floats]):
         super().__init__(scene, source, exact, now_ns)
         quantum_m = self.own.model.encoder_quantum_m or QUANTUM_M
         self._floor = UM_PER_M * quantum_m / np.sqrt(12.0)
-        self._true = self._answer(self._flown(exact, 1), exact.lag)
+        self._true, _ = self._flown(exact, 1).traces(0)
         known = f"position known to a count ({self._floor:.2g} um rms)"
         self.reference = f"the same trial, {exact.substeps} sub-steps, f64; {known}"
 
-    def read(self, setting: Setting) -> Reading:
-        """One trial."""
-        position = self._answer(self._flown(setting, 1), setting.lag)
-        return self._reading(position - self._like(setting, position, self._true))
+    def read(self, setting: Setting) -> Row:
+        """The positions of one trial."""
+        position, _ = self._flown(setting, 1).traces(0)
+        return self._row(position - self._like(setting, position, self._true))
 
-    def cost(self, setting: Setting) -> float:
-        """Of a group of equal trials."""
-        return timed(self.now_ns, lambda: self._flown(setting, GROUP))[1] / GROUP
-
-    def lockstep(self, seconds: float) -> Reading:
-        """The push through the wire, compared with the engine under the forces that the probe then reported.
-
-        AnalysisError for a scene that begins in motion: the stack begins at rest.
-        """
-        if self.scene.start_velocity_m_per_s or self.scene.start_position_m:
-            raise AnalysisError("the scene begins in motion, lock-step at rest")
-        return super().lockstep(seconds)
-
-    def _flight(self, flown: Flown, seconds: float, steps: list[tuple[float, float]]) -> Reading:
-        """The engine's ticks, counted from the force, may begin a part of a period before those of
-        the servo: `lead` samples.
+    def _flight(self, flown: Flown, seconds: float, steps: list[tuple[float, float]]) -> Row:
+        """The push through the wire, compared with the engine under the forces that the probe then reported. The engine's ticks,
+        counted from the force, may begin a part of a period before those of the servo: `lead` samples.
         """
         rate_hz, part = self.scene.rate_hz, self.own.model.delay_periods % 1.0
         lead = floor((1.0 - part) * PROBE_RATE_HZ / rate_hz) if part else 0
@@ -347,30 +320,12 @@ class TraceGauge(Gauge[Floats]):
             self.scene, [point(self.scene)], seconds, damping=later, excitation=played,
             substeps=self.exact.substeps, keep="ticks",
         )  # fmt: skip
-        position = self._answer(like, self.exact.lag)
-        return self._reading(flown.position_m[: len(position) - ticks] - position[ticks:])
+        position, _ = like.traces(0)
+        return self._row(flown.position_m[: len(position) - ticks] - position[ticks:])
 
-    def _answer(self, found: BatchResult, lag: int) -> Floats:
-        """Positions (ticks,) [m] of the first trial: all are the same."""
-        return np.asarray(np.asarray(found.position_m, np.float64)[0])
-
-    def _reading(self, difference_m: Floats) -> Reading:
+    def _row(self, difference_m: Floats) -> Row:
         step = UM_PER_M * float(np.sqrt(np.mean(difference_m**2)))
-        return Reading(step, float(np.hypot(step, self._floor)))
-
-
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One setting: seconds for one trial, its errors (see `Gauge`), whether it is the default, and whether the knee."""
-
-    sweep: str
-    label: str
-    seconds: float
-    step: float
-    total: float
-    default: bool = False
-    knee: bool = False
-    note: str = ""
+        return Row(step=step, total=float(np.hypot(step, self._floor)))
 
 
 def with_knees(rows: list[Row]) -> Iterable[Row]:
@@ -390,21 +345,12 @@ def knee(rows: Iterable[Row]) -> Row | None:
 
 
 @dataclass(frozen=True, slots=True)
-class AccuracyParams:
-    """`source` is the scene's name or file, for lock-step. `quick`: a coarse look in seconds."""
+class AccuracyPlan:
+    """What will be measured: (sweep, label, setting) in turn, and a trial in lock-step of `source`, the scene's name or file."""
 
     scene: Scene
     source: str | Path
-    quick: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class AccuracyPlan:
-    """What will be measured: (sweep, label, setting) in turn, and a trial in lock-step."""
-
-    params: AccuracyParams
     noise: bool  # moves the scene
-    seconds: float
     lockstep_s: float
     exact: Setting
     wanted: tuple[tuple[str, str, Setting], ...]
@@ -427,15 +373,13 @@ class AccuracyResult:
     @property
     def default(self) -> Row:
         """The defaults, in a full group."""
-        return next(row for row in self.rows if row.sweep == "sub-steps" and row.default)
+        return next(row for row in self.sweep("sub-steps") if row.default)
 
 
-def plan_accuracy(params: AccuracyParams) -> AccuracyPlan:
-    """The sweeps that the scene calls for. An effect is compared with the whole scene at 1
-    sub-step, which therefore comes before.
+def plan_accuracy(scene: Scene, source: str | Path, quick: bool = False) -> AccuracyPlan:
+    """The sweeps that the scene calls for; `quick`: a coarse look in seconds. An effect is compared
+    with the whole scene at 1 sub-step, which therefore comes before.
     """
-    scene = params.scene
-    quick = params.quick
     noise = scene.excitation.kind == "noise"
     base = Setting(min(scene.seconds, QUICK_S) if quick else scene.seconds)
     substeps = QUICK_SUBSTEPS if quick else SWEPT
@@ -443,17 +387,15 @@ def plan_accuracy(params: AccuracyParams) -> AccuracyPlan:
     lengths_s = (*shorter, base.seconds) if noise else ()
     windows = (QUICK_WINDOWS if quick else WINDOWS) if noise else ()
     kinds = [(dtype, count) for dtype in ("f64", "f32") for count in (1, SUBSTEPS)]
-    precisions = [replace(base, dtype=dtype, substeps=count) for dtype, count in kinds]
     wanted = (
         *(("sub-steps", str(count), replace(base, substeps=count)) for count in substeps),
-        *(("precision", f"{one.dtype}, {one.substeps}", one) for one in precisions),
+        *(("precision", f"{dtype}, {count}", replace(base, dtype=dtype, substeps=count)) for dtype, count in kinds),
         *(("trial length", f"{length:g} s", replace(base, seconds=length)) for length in lengths_s),
         *(("window", str(lag), replace(base, lag=lag)) for lag in windows),
         *(("effect", key, replace(base, substeps=1, without=(key,))) for key in candidates(scene)),
     )
     lockstep_s = min(base.seconds, QUICK_LOCKSTEP_S if quick else LOCKSTEP_S)
-    exact = replace(base, substeps=substeps[-1])
-    return AccuracyPlan(params, noise, base.seconds, lockstep_s, exact, wanted)
+    return AccuracyPlan(scene, source, noise, lockstep_s, replace(base, substeps=substeps[-1]), wanted)
 
 
 def run_accuracy(plan: AccuracyPlan, now_ns: Stopwatch, tell: Progress = silent) -> AccuracyResult:
@@ -461,7 +403,7 @@ def run_accuracy(plan: AccuracyPlan, now_ns: Stopwatch, tell: Progress = silent)
     steps = Steps(tell, len(plan.wanted) + ROUNDS + 4)
     steps.next("reference")
     kind: type[NoiseGauge | TraceGauge] = NoiseGauge if plan.noise else TraceGauge
-    gauge = kind(plan.params.scene, plan.params.source, plan.exact, now_ns)
+    gauge = kind(plan.scene, plan.source, plan.exact, now_ns)
     swept = _swept(plan, gauge, steps)
     rows = [*_tiers(plan, gauge, steps, next(row for row in swept if row.default)), *swept]
     steps.end()
@@ -474,7 +416,7 @@ def _swept(plan: AccuracyPlan, gauge: NoiseGauge | TraceGauge, steps: Steps) -> 
     for sweep, label, setting in plan.wanted:
         steps.next(f"{sweep}: {label}")
         rows[setting] = rows.get(setting) or _row(partial(gauge.read, setting))
-    default = Setting(plan.seconds)
+    default = Setting(plan.exact.seconds)
     rows[default] = replace(rows[default], default=True)
     rows[plan.exact] = replace(rows[plan.exact], step=nan, total=nan, note=REFERENCE)
     for _ in range(ROUNDS):
@@ -485,29 +427,22 @@ def _swept(plan: AccuracyPlan, gauge: NoiseGauge | TraceGauge, steps: Steps) -> 
     return [replace(rows[each], sweep=sweep, label=label) for sweep, label, each in plan.wanted]
 
 
-def _row(read: Callable[[], Reading]) -> Row:
-    """What is read, of no sweep so far; or why it cannot be."""
+def _row(read: Callable[[], Row]) -> Row:
+    """What is read, or why it cannot be."""
     try:
-        found = read()
+        return read()
     except HapticdError as error:
-        return Row("", "", nan, inf, inf, note=str(error))
-    return Row("", "", found.seconds, found.step, found.total)
+        return Row(seconds=nan, step=inf, note=str(error))
 
 
-def _tiers(
-    plan: AccuracyPlan,
-    gauge: NoiseGauge | TraceGauge,
-    steps: Steps,
-    default: Row,
-) -> Iterable[Row]:
+def _tiers(plan: AccuracyPlan, gauge: NoiseGauge | TraceGauge, steps: Steps, default: Row) -> Iterable[Row]:
     if isinstance(gauge, NoiseGauge):
         steps.next("predict")
         yield from gauge.predicted()
     steps.next("simulate")
-    tier = replace(default, sweep="tier", label=f"simulate {plan.seconds:g} s, {GROUP} at once")
-    alone = f"simulate {plan.seconds:g} s, alone"
-    yield replace(tier, label=alone, seconds=gauge.alone(), default=False)
-    yield tier
+    seconds = plan.exact.seconds
+    words, alone_s = f"simulate {seconds:g} s", gauge.cost(Setting(seconds), 1, ALONE_REPEATS)
+    yield replace(default, sweep="tier", label=f"{words}, alone", seconds=alone_s, default=False)
+    yield replace(default, sweep="tier", label=f"{words}, {GROUP} at once")
     steps.next("lock-step")
-    flown = _row(partial(gauge.lockstep, plan.lockstep_s))
-    yield replace(flown, sweep="tier", label=f"lock-step {plan.lockstep_s:g} s")
+    yield replace(_row(partial(gauge.lockstep, plan.lockstep_s)), sweep="tier", label=f"lock-step {plan.lockstep_s:g} s")

@@ -384,7 +384,7 @@ def accuracy_table(result: AccuracyResult) -> Table:
 def accuracy_words(result: AccuracyResult) -> list[str]:
     """What the defaults buy, and where each sweep has its knee."""
     default, window = result.default, ", window 2048" if result.plan.noise else ""
-    defaults = f"{result.plan.seconds:g} s, {SUBSTEPS} sub-steps, f64{window}"
+    defaults = f"{result.plan.exact.seconds:g} s, {SUBSTEPS} sub-steps, f64{window}"
     return [
         f"Reference: {result.reference}. Error: {result.quantity}. Seconds of one core, for one of {GROUP} trials together.",
         f"The defaults ({defaults}) cost {duration(default.seconds)} and leave {shown(default.total)} {result.unit}, "
@@ -409,7 +409,7 @@ def accuracy_figure(result: AccuracyResult) -> "Figure":
     """Error over seconds, a panel for each sweep, and what leaving an effect out does. ConfigError
     without matplotlib.
     """
-    noise, scene = result.plan.noise, result.plan.params.scene
+    noise, scene = result.plan.noise, result.plan.scene
     title = f"{scene.title}: what accuracy costs in time\nerror: {result.quantity}; reference: {result.reference}"
     panels = PANELS_OF_NOISE if noise else PANELS_OF_NOISE[:1]
     figure, places = mosaic(panels, 12.5, 7.0 if noise else 5.0, title)
