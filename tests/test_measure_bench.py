@@ -63,7 +63,7 @@ def flown(rigid, act):
     "act",
     [
         lambda bench: bench.set(K=400.0, B=1.0, M=0.0, damping=0.0),
-        lambda bench: bench._do(Command.DAMPING, {Value.ADDED_DAMPING: 1.74, Value.ADDED_DAMPING_ON: 1.0}),
+        lambda bench: bench.stack.do(Command.DAMPING, {Value.ADDED_DAMPING: 1.74, Value.ADDED_DAMPING_ON: 1.0}),
         lambda bench: bench.perturb_stop(),
     ],
     ids=["environment", "damping", "perturbation"],

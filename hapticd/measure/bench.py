@@ -1,10 +1,9 @@
 """A trial on the device of a daemon: enable, set, perturb, record at 4 kHz, force off.
 
-The daemon may be the real one (`hapticd.client.Client`) or the same stack on virtual time (`lockstep`): what is used of it is
-the `Bench` below. The trial begins disabled, and ends disabled whatever happens; nobody's session is taken over. Heard
-meanwhile are the probe's samples, the servo's ticks beside them, and why it ends. The ticks tell what no sample does: every
-command, the winding, where the device stands, slots that were left out, and the revision of what is in force, so that whoever
-changes anything ends the trial. What is lost is in `watch`.
+The daemon may be the real one or the same stack on virtual time (`lockstep`), the client is the same. The trial begins disabled,
+and ends disabled whatever happens; nobody's session is taken over. Heard meanwhile are the probe's samples, the servo's ticks
+beside them, and why it ends. The ticks tell what no sample does: every command, the winding, where the device stands, slots that
+were left out, and the revision of what is in force, so that whoever changes anything ends the trial. What is lost is in `watch`.
 
 What would break it: a board without probe inputs (refused), a host so busy that slots are lost (named, then undecided), or
 ticks and samples that come much apart; both are cut by the same servo.
@@ -13,13 +12,13 @@ ticks and samples that come much apart; both are cut by the same servo.
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from math import nan
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hapticd.analysis.arrays import Flags, Floats
 from hapticd.client.blocks import Block, BlockDecoder
+from hapticd.client.shell import Client
 from hapticd.errors import AnalysisError, DaemonDown
 from hapticd.mailbox.layout import Flag, State
 from hapticd.measure.progress import Progress, silent
@@ -38,23 +37,7 @@ SILENT_LOOKS = 40  # without a message: 2 s
 CHANGED = "changed: someone changed what was rendered or the perturbation; be alone at the device, and repeat the trial"
 
 
-class Bench(Protocol):
-    """What is used of a daemon; see `hapticd.client.Client`."""
-
-    def hello(self) -> dict[str, Any]: ...
-    def status(self) -> dict[str, Any]: ...
-    def set(self, *, K: float, B: float, M: float, damping: float) -> Any: ...
-    def enable(self) -> Any: ...
-    def disable(self) -> Any: ...
-    def damping(self, value: Any) -> Any: ...
-    def wait_for(self, state: str, timeout_s: float = 10.0) -> None: ...
-    def perturb_load(self, samples_n: npt.ArrayLike) -> int: ...
-    def perturb_start(self, loop: bool = False) -> Any: ...
-    def perturb_stop(self) -> Any: ...
-    def messages(self, topics: Any, look_s: float = 0.05) -> Iterator[tuple[str, bytes] | None]: ...
-
-
-def bench_source(bench: Bench, origin: str = "daemon") -> Source:
+def bench_source(bench: Client, origin: str = "daemon") -> Source:
     """Trials on the device of a daemon; AnalysisError unless it is `disabled`."""
 
     def record(trial: Trial, tell: Progress = silent) -> Recorded:
@@ -83,7 +66,7 @@ def _waveform(trial: Trial) -> Floats:
     return torque_record(trial.excitation, round(PROBE_RATE_HZ * min(WAVEFORM_S, trial.seconds + SPARE_S)), trial.excitation.seed)
 
 
-def _leave(bench: Bench) -> None:
+def _leave(bench: Client) -> None:
     """Force off whatever happened; a stop or a fault has done so already."""
     try:
         bench.perturb_stop()
@@ -95,7 +78,7 @@ def _leave(bench: Bench) -> None:
 class Hearing:
     """One trial while it is heard: the probe's samples so far, and what the ticks beside them say."""
 
-    def __init__(self, daemon: Bench, trial: Trial) -> None:
+    def __init__(self, daemon: Client, trial: Trial) -> None:
         servo = daemon.hello()["servo"]
         ends = servo["environment"]["workspace"]
         self._limit_n = min(servo["safety"]["force_limit_n"], servo["device"]["force_limit_n"])

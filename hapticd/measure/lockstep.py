@@ -1,7 +1,7 @@
 """The whole product on virtual time, faster than real time: servo, wire, pyusb and simulated board.
 
-`LockStepBench` answers what `bench.Bench` asks in the words of `hapticd.client.Client`. Telemetry goes the whole way: frames of
-the board, the gateway's decoder, its messages, the client's decoder. What is left out are sockets and processes.
+`LockStepBench` is a `hapticd.client.Client` whose calls go straight to the servo. Telemetry goes the whole way: frames of the
+board, the gateway's decoder, its messages, the client's decoder. What is left out are sockets and processes.
 
 `fly` is one trial of a scene. The stack comes up as after `hapticd run`: enabled at rest and the gain ramped to 1. Then, at one
 tick, the perturbation starts and the scene's damping steps begin to count. The records begin at that tick: positions and forces
@@ -9,10 +9,10 @@ as the servo knew them, torque and velocity as the probe frames brought them. Co
 asks for it or not.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,14 +21,18 @@ from hapticd.analysis.arrays import Floats
 from hapticd.assembly.lockstep import LockStep
 from hapticd.assembly.scene import scene_params
 from hapticd.client.blocks import BlockDecoder
+from hapticd.client.core import Receipt
+from hapticd.client.shell import Client
 from hapticd.errors import AnalysisError, CommandError, LinkError
 from hapticd.faults import BY_NUMBER
-from hapticd.gateway.telemetry import Origin, ProbeDecoder, raw_message
-from hapticd.gateway.telemetry import RingBlock as RingBlock
+from hapticd.gateway.commands import ACCEPTED, posting, receipt
+from hapticd.gateway.schemas import ADAPTER
+from hapticd.gateway.telemetry import Origin, ProbeDecoder, RingBlock, raw_message
 from hapticd.gateway.view import Records, as_records
 from hapticd.mailbox.layout import PERTURBATION_SAMPLES, RECORD, Command, Flag, Result, State, Value
 from hapticd.measure.bench import signals
 from hapticd.params import BoardParams, ServoParams, to_plain
+from hapticd.servo.plan import meant
 from hapticd.units import PROBE_RATE_HZ
 
 READY_TICKS = 5
@@ -36,29 +40,41 @@ MOST_S = PERTURBATION_SAMPLES / PROBE_RATE_HZ
 BLOCK_TICKS = 500
 
 
-class LockStepBench(LockStep):
+class LockStepBench(Client):
     """`servo` and `board` on one virtual clock, ready and disabled; `newest` is the record of the newest tick. Use it as a
     context manager.
     """
 
     def __init__(self, servo: ServoParams, board: BoardParams) -> None:
-        super().__init__(servo, board, keep=False)
+        self.stack = LockStep(servo, board, keep=False)
+        super().__init__(name="lock-step", folder=self.stack.mailbox.folder)
         self._servo = servo
         self._samples, self._seen = 0, 0
-        self.newest = np.zeros(1, as_records(b"").dtype)[0]
-
-    def __enter__(self) -> Self:
         self.run(READY_TICKS)
-        return self
 
-    def hello(self) -> dict[str, Any]:
-        """What the servo was set up with."""
-        return {"servo": to_plain(self._servo)}
+    def close(self) -> None:
+        """End the stack."""
+        super().close()
+        self.stack.close()
 
-    def status(self) -> dict[str, Any]:
-        """State, cause of a fault, temperature."""
+    def call(self, cmd: str, **fields: Any) -> dict[str, Any]:
+        """A command, obeyed by the servo before this returns, or what is known of the servo. CommandError if it refuses."""
+        if cmd in ("hello", "get", "status"):
+            told = self._told()
+            return {"state": told["state"], "result": told}
+        given = {name: value for name, value in fields.items() if value is not None}
+        kind, _, values = posting(ADAPTER.validate_python({"cmd": cmd, **given}), self._samples)
+        answer = self.stack.do(kind, {Value(place): values[place] for place in meant(values)})
+        if answer.result not in ACCEPTED:
+            raise CommandError(answer.result.name.lower(), f"the servo refused {cmd}: {answer.result.name.lower()}")
+        self.run(1)
+        return {"state": self._told()["state"], "receipt": receipt(answer)}
+
+    def _told(self) -> dict[str, Any]:
+        """What the servo was set up with, its state, the cause of a fault, its temperature."""
         fault = BY_NUMBER.get(int(self.newest["fault"]))
         return {
+            "servo": to_plain(self._servo),
             "state": State(int(self.newest["state"])).name.lower(),
             "cause": fault.cause if fault else "",
             "winding_c": float(self.newest["winding_c"]),
@@ -66,45 +82,21 @@ class LockStepBench(LockStep):
             "config_hash": self._servo.config_hash,
         }
 
-    def set(self, *, K: float, B: float, M: float, damping: float) -> None:
-        """As `Client.set`."""
-        self._do(Command.SET, {Value.STIFFNESS: K, Value.DAMPING: B, Value.MASS: M, Value.ADDED_DAMPING: damping})
-
-    def damping(self, value: Any) -> None:
-        """Switch the electrical damping "on" or "off"."""
-        self._do(Command.DAMPING, {Value.ADDED_DAMPING_ON: float(value == "on")})
-
-    def enable(self) -> None:
-        """Force on, with a gain ramp."""
-        self._do(Command.ENABLE)
+    def enable(self) -> Receipt:
+        """Force on, with a gain ramp, to its end."""
+        found = super().enable()
         self.run(round(self._servo.safety.enable_ramp_s * self._servo.realtime.rate_hz) + READY_TICKS)
-
-    def disable(self) -> None:
-        """Force off."""
-        self._do(Command.DISABLE)
-
-    def wait_for(self, state: str, timeout_s: float = 10.0) -> None:
-        """CommandError unless it is in `state` now: nothing happens here by itself."""
-        if (found := self.status()["state"]) != state:
-            raise CommandError("timeout", f"state is {found!r}, not {state!r}")
+        return found
 
     def perturb_load(self, samples_n: npt.ArrayLike) -> int:
         """Force [N] at 4 kHz, (n,)."""
         scale = self._servo.device.probe_torque
         force = np.asarray(samples_n, np.float64)[:PERTURBATION_SAMPLES]
-        self.load_waveform([scale.to_count(value, -32768, 32767) for value in force.tolist()])
+        self.stack.load_waveform([scale.to_count(value, -32768, 32767) for value in force.tolist()])
         self._samples = force.size
         return self._samples
 
-    def perturb_start(self, loop: bool = False) -> None:
-        """Play it."""
-        self._do(Command.PERTURB_START, {Value.SAMPLES: float(self._samples), Value.LOOP: float(loop)})
-
-    def perturb_stop(self) -> None:
-        """Stop playing."""
-        self._do(Command.PERTURB_STOP)
-
-    def messages(self, topics: Sequence[str], look_s: float = 0.05) -> Iterator[tuple[str, bytes] | None]:
+    def messages(self, topics: Sequence[str], look_s: float = 0.05) -> Generator[tuple[str, bytes] | None, None, None]:
         """Payloads of "servo.raw" and "probe", as far as asked, while time goes on; for ever."""
         probe, origin = ProbeDecoder(self._servo.device), Origin(0, 0, self._servo.simulated)
         while True:
@@ -117,15 +109,9 @@ class LockStepBench(LockStep):
                 yield from (("probe", payload) for payload in probe.messages(block, origin))
             yield None
 
-    def _do(self, kind: Command, values: dict[Value, float] | None = None) -> None:
-        answer = self.do(kind, values)
-        if answer.result not in (Result.APPLIED, Result.SCHEDULED, Result.SUPERSEDED):
-            raise CommandError(answer.result.name.lower(), f"the servo refused {kind.name.lower()}: {answer.result.name.lower()}")
-        self.run(1)
-
     def run(self, ticks: int) -> bytes:
         """As `LockStep.run`, and keeps the newest record."""
-        data = super().run(ticks)
+        data = self.stack.run(ticks)
         self.newest = as_records(data[-RECORD.size :])[-1]
         return data
 
@@ -154,12 +140,12 @@ def fly(source: str | Path, torque_n: npt.ArrayLike, steps: Sequence[tuple[float
         bench.perturb_load(force)
         bench.enable()
         begin = int(bench.newest["tick"]) + 1
-        bench.command(Command.PERTURB_START, {Value.SAMPLES: float(force.size), Value.LOOP: 0.0})
+        bench.stack.command(Command.PERTURB_START, {Value.SAMPLES: float(force.size), Value.LOOP: 0.0})
         for at_s, level in steps:
             values = {Value.ADDED_DAMPING: level, Value.ADDED_DAMPING_ON: 1.0}
-            bench.command(Command.DAMPING, values, begin + round(at_s * rate_hz))
+            bench.stack.command(Command.DAMPING, values, begin + round(at_s * rate_hz))
         found = as_records(bench.run(round(force.size / PROBE_RATE_HZ * rate_hz)))
-        refused = [answer.result.name for answer in bench.gateway.answers() if answer.result > Result.SUPERSEDED]
+        refused = [answer.result.name for answer in bench.stack.gateway.answers() if answer.result > Result.SUPERSEDED]
     return _records(servo, found, refused)
 
 
