@@ -7,14 +7,10 @@ from typing import Any
 import numpy as np
 
 from hapticd.params import EnvironmentParams
-from hapticd.plant.bodies import Coupling, Masses, Viscous
 from hapticd.plant.compose import compose_device
-from hapticd.plant.electrical import Delay, Saturation
-from hapticd.plant.friction import Coulomb
+from hapticd.plant.effects import Coulomb, Coupling, Delay, Encoder, Masses, Motor, Saturation, Viscous
 from hapticd.plant.model import Model
 from hapticd.plant.scene import DampingStep, Excitation
-from hapticd.plant.sensing import Encoder
-from hapticd.plant.winding import Motor
 from hapticd.sim.engine.group import Group
 from hapticd.sim.engine.job import Job, prepared, shared_torque
 

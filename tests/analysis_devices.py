@@ -1,11 +1,8 @@
 """Composed devices for the analysis: the rigid one of theory, and one like the calibrated display."""
 
-from hapticd.plant.bodies import Coupling, Masses, Probe, Viscous
 from hapticd.plant.compose import compose_device
-from hapticd.plant.electrical import Amplifier, DampingCircuit, Delay, Smoothing
-from hapticd.plant.friction import Coulomb
+from hapticd.plant.effects import Amplifier, Coulomb, Coupling, DampingCircuit, Delay, Masses, Motor, ProbeMass, Smoothing, Viscous
 from hapticd.plant.model import Model
-from hapticd.plant.winding import Motor
 
 MOTOR = Motor(torque_constant_nm_per_a=0.0165, lever_m=0.01, resistance_ohm=1.6)
 
@@ -23,7 +20,7 @@ def display(scale=1.0, coulomb=0.0293, slider_coulomb=0.0, viscous=0.358, delay=
     effects = [
         Masses(rotor_kg=scale * 0.0025, slider_kg=scale * 0.0025),
         MOTOR,
-        Probe(mass_kg=scale * 0.003),
+        ProbeMass(mass_kg=scale * 0.003),
         Coupling(stiffness_n_per_m=scale * 4e4, damping_ns_per_m=scale * 2.0),
         Viscous(rotor_ns_per_m=scale * 0.6 * viscous, slider_ns_per_m=scale * 0.4 * viscous),
         Delay(periods=delay),

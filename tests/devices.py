@@ -2,12 +2,27 @@
 
 from dataclasses import replace
 
-from hapticd.plant.bodies import Coupling, Hand, Load, MagnetCogging, Masses, Probe, Viscous, WorkspaceEnds
 from hapticd.plant.compose import compose_device
-from hapticd.plant.electrical import Amplifier, DampingCircuit, Delay, Saturation, Smoothing
-from hapticd.plant.friction import Coulomb
-from hapticd.plant.sensing import Encoder
-from hapticd.plant.winding import Heating, Motor, WindingTemperature
+from hapticd.plant.effects import (
+    Amplifier,
+    Coulomb,
+    Coupling,
+    DampingCircuit,
+    Delay,
+    Encoder,
+    Load,
+    MagnetCogging,
+    Masses,
+    Motor,
+    PassiveHand,
+    ProbeMass,
+    Saturation,
+    Smoothing,
+    Viscous,
+    WindingHeating,
+    WindingTemperature,
+    WorkspaceEnds,
+)
 
 MOTOR = Motor(torque_constant_nm_per_a=0.0165, lever_m=0.01, resistance_ohm=1.6)
 RIGID = (Masses(rotor_kg=0.008), MOTOR)
@@ -20,7 +35,7 @@ TWO_MASSES = (
 STAR = (
     Masses(rotor_kg=0.0025, slider_kg=0.0025),
     MOTOR,
-    Probe(mass_kg=0.003),
+    ProbeMass(mass_kg=0.003),
     Coupling(stiffness_n_per_m=4e4, damping_ns_per_m=2.0),
     Viscous(rotor_ns_per_m=0.215, slider_ns_per_m=0.143),
     Smoothing(corner_hz=31.8),
@@ -33,8 +48,10 @@ DRY = Coulomb(rotor_n=0.0293)
 LIMIT = Saturation(limit_n=8.0)
 COGS = MagnetCogging(amplitude_n=0.05, pitch_m=0.004, phase_rad=0.3)
 ENDS = WorkspaceEnds(lower_m=-0.002, upper_m=0.003)
-HAND = Hand(mass_kg=0.1, damping_ns_per_m=2.0, stiffness_n_per_m=100.0, grip_stiffness_n_per_m=2000.0, grip_damping_ns_per_m=5.0)
-WARMING = Heating(thermal_resistance_k_per_w=20.0, time_constant_s=10.0, ambient_c=20.0)
+HAND = PassiveHand(
+    mass_kg=0.1, damping_ns_per_m=2.0, stiffness_n_per_m=100.0, grip_stiffness_n_per_m=2000.0, grip_damping_ns_per_m=5.0
+)
+WARMING = WindingHeating(thermal_resistance_k_per_w=20.0, time_constant_s=10.0, ambient_c=20.0)
 SPRING = Load(stiffness_n_per_m=500.0)
 
 

@@ -4,11 +4,8 @@ from collections.abc import Callable
 from typing import Any
 
 from hapticd.params import EnvironmentParams
-from hapticd.plant.bodies import Masses, Viscous
-from hapticd.plant.effects import Effect
-from hapticd.plant.friction import Coulomb
+from hapticd.plant.effects import Coulomb, Effect, Masses, Motor, Viscous
 from hapticd.plant.scene import DampingStep, Excitation, Scene
-from hapticd.plant.winding import Motor
 
 MOTOR = Motor(torque_constant_nm_per_a=0.0165, lever_m=0.01, resistance_ohm=1.6)
 MASS_KG, VISCOUS_NS_PER_M = 0.008, 1.0

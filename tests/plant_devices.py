@@ -2,20 +2,30 @@
 
 from typing import Any
 
-from hapticd.plant.bodies import Coupling, Masses, Probe, Viscous
 from hapticd.plant.compose import compose_device
-from hapticd.plant.effects import Effect
-from hapticd.plant.electrical import Amplifier, DampingCircuit, Delay, Multiplier, Smoothing
-from hapticd.plant.friction import Coulomb
+from hapticd.plant.effects import (
+    Amplifier,
+    Coulomb,
+    Coupling,
+    DampingCircuit,
+    Delay,
+    Effect,
+    Masses,
+    Motor,
+    Multiplier,
+    ProbeMass,
+    Smoothing,
+    Viscous,
+    WindingTemperature,
+)
 from hapticd.plant.model import Model
-from hapticd.plant.winding import Motor, WindingTemperature
 
 N_PER_A = 1.65  # 16.5 mNm/A over 10 mm
 
 EFFECTS: dict[str, Effect] = {
     "masses": Masses(rotor_kg=0.0025, slider_kg=0.0025),
     "motor": Motor(torque_constant_nm_per_a=0.0165, lever_m=0.01, resistance_ohm=1.6),
-    "probe": Probe(mass_kg=0.003),
+    "probe": ProbeMass(mass_kg=0.003),
     "coupling": Coupling(stiffness_n_per_m=4e4, damping_ns_per_m=2.0),
     "viscous": Viscous(rotor_ns_per_m=0.2148, slider_ns_per_m=0.1432),
     "coulomb": Coulomb(rotor_n=0.0293),

@@ -9,9 +9,8 @@ from hapticd.analysis.linearise import Perturbation, port_admittance
 from hapticd.analysis.loop import close_loop
 from hapticd.analysis.narrow import dip, mode_lines
 from hapticd.analysis.predict import frequencies, predict
-from hapticd.plant.bodies import Coupling, Masses, Viscous
 from hapticd.plant.compose import compose_device
-from hapticd.plant.electrical import Delay
+from hapticd.plant.effects import Coupling, Delay, Masses, Viscous
 
 GRID = frequencies()
 DENSE = np.arange(2.0, 500.0, 0.05)

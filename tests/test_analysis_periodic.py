@@ -17,10 +17,10 @@ from hapticd.analysis.periodic import periodic, periodic_findings
 from hapticd.analysis.predict import predicted_impedance
 from hapticd.analysis.spa import spa
 from hapticd.errors import AnalysisError
+from hapticd.plant.effects import AntiAlias, Encoder
+from hapticd.plant.excitation import generator, multisine, torque_record
 from hapticd.plant.scene import Excitation
-from hapticd.plant.sensing import AntiAlias, Encoder
 from hapticd.sim.engine import simulate
-from hapticd.sim.engine.torque import generator, multisine, torque_record
 
 RATE_HZ = 4000.0
 PERIOD = 4096

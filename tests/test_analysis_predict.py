@@ -18,12 +18,9 @@ from hapticd.analysis.predict import predict, predicted_impedance
 from hapticd.analysis.spa import spa
 from hapticd.errors import AnalysisError
 from hapticd.params import EnvironmentParams, FilterParams
-from hapticd.plant.bodies import Hand, Load
 from hapticd.plant.discrete import discretise
-from hapticd.plant.electrical import Multiplier
-from hapticd.plant.mechanics import held_force_response
-from hapticd.plant.sensing import AntiAlias, VelocityHighpass
-from hapticd.plant.winding import WindingTemperature
+from hapticd.plant.effects import AntiAlias, Load, Multiplier, PassiveHand, VelocityHighpass, WindingTemperature
+from hapticd.plant.step import held_force_response
 from hapticd.render.environment import at_rest, design_coefficients, render
 
 F = np.array([0.5, 2.0, 10.0, 47.0, 120.0, 333.0, 499.0, 700.0, 1500.0])
@@ -299,7 +296,9 @@ def test_passive_hand_does_not_make_a_passive_loop_unstable():
     assert len(passive) > 20
     for _ in range(20):
         m, b, k, grip_k, grip_b = random.uniform((0.001, 0.2, 5, 200, 0.5), (0.05, 4, 300, 5000, 10))
-        hand = Hand(mass_kg=m, damping_ns_per_m=b, stiffness_n_per_m=k, grip_stiffness_n_per_m=grip_k, grip_damping_ns_per_m=grip_b)
+        hand = PassiveHand(
+            mass_kg=m, damping_ns_per_m=b, stiffness_n_per_m=k, grip_stiffness_n_per_m=grip_k, grip_damping_ns_per_m=grip_b
+        )
         assert (spectral_radius(display(coulomb=0.0, viscous=1.5, extra=[hand]), passive) < 1.0).all()
 
 

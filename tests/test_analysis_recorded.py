@@ -9,7 +9,7 @@ from hapticd.analysis.predict import DEFAULT_BAND_HZ, frequencies, predict, pred
 from hapticd.measure.limits import predicted_limit
 from hapticd.measure.reproduce import EDGES_HZ, POINTS, TOP_HZ, subject
 from hapticd.measure.reproduce_rows import LEVELS, MAIN
-from hapticd.plant.sensing import VelocityHighpass
+from hapticd.plant.effects import VelocityHighpass
 
 WHITE, RIVAL = Perturbation(), "weir2008_probe_hp"
 LEVEL = pytest.mark.parametrize("level", LEVELS)

@@ -21,12 +21,9 @@ from hapticd.measure.outcomes import Conditions, Outcome, fly
 from hapticd.measure.sources import Trial
 from hapticd.measure.store import Recorded, TrialStore
 from hapticd.measure.trial import TrialParams, judged, plan_trial
-from hapticd.plant.bodies import Masses, Probe, Viscous
 from hapticd.plant.compose import compose
-from hapticd.plant.electrical import Saturation
-from hapticd.plant.friction import Coulomb
+from hapticd.plant.effects import Coulomb, Encoder, Masses, ProbeMass, Saturation, Viscous
 from hapticd.plant.scene import Excitation, Scene
-from hapticd.plant.sensing import Encoder
 from hapticd.sim.engine import simulate
 
 T = 1e-3
@@ -38,7 +35,7 @@ NOISE = Excitation("noise")
 
 
 def display(viscous: float, *effects, mass_kg: float = 0.008) -> Scene:
-    parts = (Masses(rotor_kg=mass_kg - 0.003), MOTOR, Probe(mass_kg=0.003), Viscous(rotor_ns_per_m=viscous))
+    parts = (Masses(rotor_kg=mass_kg - 0.003), MOTOR, ProbeMass(mass_kg=0.003), Viscous(rotor_ns_per_m=viscous))
     return scene((*parts, *effects), seconds=90.0)
 
 

@@ -35,9 +35,8 @@ from hapticd.measure.beyond_rows import PART, restored, rows
 from hapticd.measure.limits import REACH
 from hapticd.measure.outcomes import Conditions, Outcome, kept_frequencies
 from hapticd.measure.reproduce import AXES, FINE
-from hapticd.plant.bodies import Masses, Viscous
-from hapticd.plant.mechanics import held_force_response
-from hapticd.plant.winding import Motor
+from hapticd.plant.effects import Masses, Motor, Viscous
+from hapticd.plant.step import held_force_response
 from hapticd.report import style
 from hapticd.report.envelope import weightiest
 from hapticd.report.paper_page import future_sections as sections

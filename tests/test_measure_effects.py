@@ -24,10 +24,8 @@ from hapticd.measure.effects import (
 from hapticd.measure.outcomes import Conditions, fly
 from hapticd.measure.scene_run import ceiling, plan_scene, run_scene
 from hapticd.measure.scenes import frequencies, is_linear, without
-from hapticd.plant.bodies import Coupling, Viscous
-from hapticd.plant.electrical import Amplifier, Crowbar, DampingCircuit, Saturation
+from hapticd.plant.effects import Amplifier, Coupling, Crowbar, DampingCircuit, Saturation, Viscous, WindingTemperature, copper_ohm
 from hapticd.plant.scene import DampingStep, Excitation
-from hapticd.plant.winding import WindingTemperature, copper_ohm
 from hapticd.settings.scene import load_scene
 from hapticd.sim.engine import BatchResult, simulate
 

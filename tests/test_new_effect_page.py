@@ -1,5 +1,6 @@
 """docs/new-effect.md, followed to the letter in a copy of the package."""
 
+import ast
 import json
 import os
 import re
@@ -14,22 +15,33 @@ from scipy.special import ellipk
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "new-effect.md").read_text()
-BLOCKS = dict(re.findall(r"```(?:python|toml)\n# (\S+)\n(.*?)```", PAGE, re.DOTALL))
+FENCE = re.compile(r"```(?:python|toml)\n# ([^\s,]+)(?:, after class (\w+))?\n(.*?)```", re.DOTALL)
+BLOCKS = {name: text for name, _, text in FENCE.findall(PAGE)}
+AFTER = {name: neighbour for name, neighbour, _ in FENCE.findall(PAGE)}
 CODE = {name: text for name, text in BLOCKS.items() if name.startswith("hapticd/")}
 STIFFNESS_N_PER_M, DOUBLING_M, MASS_KG, START_M = 200.0, 0.005, 0.008, 0.01
 
 
 @pytest.fixture(scope="module")
 def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The package with what the page appends to it."""
+    """The package with what the page adds to it."""
     root = tmp_path_factory.mktemp("copy")
     for folder in ("hapticd", "config"):
         shutil.copytree(ROOT / folder, root / folder, ignore=shutil.ignore_patterns("__pycache__"))
     for name, text in BLOCKS.items():
         place = root / name
         before = place.read_text() if place.exists() else ""
-        place.write_text(f"{before}\n\n{text}")
+        place.write_text(with_piece(before, text, AFTER[name]))
     return root
+
+
+def with_piece(before: str, piece: str, neighbour: str) -> str:
+    """`before` with the piece behind the class `neighbour`, or at the end where none is named."""
+    if not neighbour:
+        return f"{before}\n\n{piece}"
+    found = next(node for node in ast.parse(before).body if getattr(node, "name", "") == neighbour)
+    lines = before.splitlines(keepends=True)
+    return "".join([*lines[: found.end_lineno], "\n\n", piece, *lines[found.end_lineno :]])
 
 
 def run(copy: Path, *command: str) -> str:
@@ -47,7 +59,7 @@ def exact_period_s() -> float:
 
 
 def test_page_touches_the_catalogue_once_and_each_backend_once() -> None:
-    assert list(CODE) == ["hapticd/plant/bodies.py", "hapticd/plant/straight.py", "hapticd/sim/engine/rotor_laws.py"]
+    assert list(CODE) == ["hapticd/plant/effects.py", "hapticd/plant/composed.py", "hapticd/sim/engine/rotor_laws.py"]
 
 
 @pytest.mark.slow
@@ -60,5 +72,5 @@ def test_effect_of_the_page_moves_as_physics_says(copy: Path) -> None:
 def test_effect_of_the_page_is_explained_and_in_the_schema(copy: Path) -> None:
     schema = run(copy, "-m", "hapticd", "config", "schema", "--device")
     assert '"doubling_m"' in schema
-    source = "from hapticd.plant.catalogue import KINDS; print([kind.key for kind in KINDS])"
+    source = "from hapticd.plant.effects import KINDS; print([kind.key for kind in KINDS])"
     assert "'ends', 'flexure', 'coulomb'" in run(copy, "-c", source)

@@ -7,12 +7,25 @@ import pytest
 from plant_devices import EFFECTS, FULL, N_PER_A, device
 
 from hapticd.errors import ConfigError
-from hapticd.plant.bodies import Hand, Load
 from hapticd.plant.compose import compose_device
-from hapticd.plant.electrical import Amplifier, Crowbar, DampingCircuit, Multiplier, Smoothing
-from hapticd.plant.friction import Coulomb
-from hapticd.plant.sensing import AntiAlias, Encoder, ProbeAdc, SensorNoise, VelocityHighpass
-from hapticd.plant.winding import Heating, InductanceError, WindingTemperature
+from hapticd.plant.effects import (
+    Amplifier,
+    AntiAlias,
+    Coulomb,
+    Crowbar,
+    DampingCircuit,
+    Encoder,
+    InductanceError,
+    Load,
+    Multiplier,
+    PassiveHand,
+    ProbeAdc,
+    SensorNoise,
+    Smoothing,
+    VelocityHighpass,
+    WindingHeating,
+    WindingTemperature,
+)
 
 LEVEL = 1.74
 
@@ -166,7 +179,7 @@ def test_plain_record_is_the_motion():
 
 @pytest.mark.parametrize("hz", [1.0, 10.0, 100.0])
 def test_hand_and_load_add_their_impedance(hz):
-    hand = Hand(
+    hand = PassiveHand(
         mass_kg=0.006, damping_ns_per_m=1.0, stiffness_n_per_m=30.0, grip_stiffness_n_per_m=1500.0, grip_damping_ns_per_m=2.5
     )
     load = Load(mass_kg=0.01, damping_ns_per_m=0.5, stiffness_n_per_m=20.0)
@@ -197,7 +210,7 @@ def test_order_of_the_list_does_not_matter():
 )
 def test_residual_may_change_afterwards(lags):
     """Heating: the model at another residual is the one composed with the winding at that temperature."""
-    heating = Heating(thermal_resistance_k_per_w=8.0, time_constant_s=10.0, ambient_c=20.0)
+    heating = WindingHeating(thermal_resistance_k_per_w=8.0, time_constant_s=10.0, ambient_c=20.0)
 
     def at(celsius):
         return device("probe", *lags, heating=heating, winding=WindingTemperature(temperature_c=celsius, compensated_c=20.0))

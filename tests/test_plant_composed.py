@@ -12,24 +12,31 @@ from plant_devices import EFFECTS, FULL, N_PER_A, device
 
 from hapticd.errors import ConfigError
 from hapticd.params import from_plain, to_plain
-from hapticd.plant.bodies import Hand, MagnetCogging, WorkspaceEnds
-from hapticd.plant.composed import composed_step
+from hapticd.plant.composed import Lookup, RowTerms, composed_source, composed_step
 from hapticd.plant.discrete import discretise
-from hapticd.plant.electrical import DampingDac, Multiplier
-from hapticd.plant.friction import Coulomb, stick_one, stick_two
-from hapticd.plant.lookup import Lookup
-from hapticd.plant.sensing import AntiAlias, VelocityHighpass
-from hapticd.plant.shape import Shape
+from hapticd.plant.effects import (
+    AntiAlias,
+    Coulomb,
+    DampingDac,
+    MagnetCogging,
+    Multiplier,
+    PassiveHand,
+    VelocityHighpass,
+    WindingHeating,
+    WindingTemperature,
+    WorkspaceEnds,
+)
+from hapticd.plant.friction import stick_one, stick_two
 from hapticd.plant.step import make_plant
-from hapticd.plant.straight import step_source
 from hapticd.plant.tables import board_fields, plant_params
-from hapticd.plant.winding import Heating, WindingTemperature
 
 H = 1e-3 / 16
 LEVELS = (0.0, 1.74)
 QUANTUM = 10.0 / 65535
 EXACT = round(1.74 / QUANTUM) * QUANTUM
-HAND = Hand(mass_kg=0.006, damping_ns_per_m=1.0, stiffness_n_per_m=30.0, grip_stiffness_n_per_m=1500.0, grip_damping_ns_per_m=2.5)
+HAND = PassiveHand(
+    mass_kg=0.006, damping_ns_per_m=1.0, stiffness_n_per_m=30.0, grip_stiffness_n_per_m=1500.0, grip_damping_ns_per_m=2.5
+)
 
 MODELS = {
     "whole": device(*FULL, dac=DampingDac(quantum_ns_per_m=QUANTUM)),
@@ -167,7 +174,7 @@ def test_cogging_holds_a_detent_and_conserves_energy():
 def test_winding_heats_up_and_weakens_the_motor():
     """2 N on a stuck rotor: T rises to ambient + R(T) R_th (F / K)^2 and alpha falls with it."""
     per_w, seconds = 8.0, 0.02
-    heating = Heating(thermal_resistance_k_per_w=per_w, time_constant_s=seconds, ambient_c=20.0)
+    heating = WindingHeating(thermal_resistance_k_per_w=per_w, time_constant_s=seconds, ambient_c=20.0)
     model = device(
         "amplifier", "damping_circuit", "probe", heating=heating, coulomb=Coulomb(rotor_n=5.0),
         winding=WindingTemperature(temperature_c=20.0, compensated_c=20.0),
@@ -185,7 +192,7 @@ def test_winding_heats_up_and_weakens_the_motor():
 
 
 def test_heating_follows_its_time_constant():
-    heating = Heating(thermal_resistance_k_per_w=0.0, time_constant_s=0.1, ambient_c=20.0)
+    heating = WindingHeating(thermal_resistance_k_per_w=0.0, time_constant_s=0.1, ambient_c=20.0)
     model = device("amplifier", "probe", heating=heating, winding=WindingTemperature(temperature_c=60.0, compensated_c=20.0))
     plant = make_plant(board(model))
     state = plant.rest(0.0)
@@ -213,7 +220,7 @@ def test_source_holds_only_what_the_device_has():
     def source(model):
         params = plant_params(model, H, LEVELS, 10.0)
         _, shape = composed_step(params, board_params(), H)
-        return step_source(shape, H, 1.65)
+        return composed_source(shape, H, 1.65)
 
     rigid = source(MODELS["rigid"])
     for absent in ("friction", "sin(", "gauss(0", "celsius", "stretch", "end :="):
@@ -229,7 +236,7 @@ def test_source_holds_only_what_the_device_has():
 def test_zero_products_are_left_out():
     params = plant_params(MODELS["whole"], H, LEVELS, 10.0)
     _, shape = composed_step(params, board_params(), H)
-    assert isinstance(shape, Shape)
+    assert isinstance(shape, RowTerms)
     smoothed = params.states.index("smoothed_force")
     assert shape.row("a", smoothed).count("*") == 2
     assert "stretch" not in shape.row("a", smoothed)

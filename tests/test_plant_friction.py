@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plant_devices import device
 
-from hapticd.plant.bodies import Load, Masses
 from hapticd.plant.discrete import discretise
-from hapticd.plant.friction import Coulomb, stick_one, stick_two
+from hapticd.plant.effects import Coulomb, Load, Masses
+from hapticd.plant.friction import stick_one, stick_two
 
 LEVEL = 0.03
 

@@ -7,11 +7,9 @@ from plant_devices import EFFECTS, FULL, N_PER_A, device
 
 from hapticd.errors import ConfigError
 from hapticd.plant.compose import compose
-from hapticd.plant.electrical import Amplifier, DampingCircuit
-from hapticd.plant.explain import explain
+from hapticd.plant.effects import Amplifier, DampingCircuit, InductanceError, Motor, WindingTemperature
 from hapticd.plant.scene import DampingStep, Scene
-from hapticd.plant.stability import damping_ceiling, modes, stability
-from hapticd.plant.winding import InductanceError, Motor, WindingTemperature
+from hapticd.plant.stability import damping_ceiling, explain, modes, stability
 
 LEVEL = 1.74
 LOOP = ("probe", "coupling", "viscous", "smoothing", "amplifier", "damping_circuit")

@@ -7,10 +7,8 @@ import pytest
 from plant_devices import alpha
 
 from hapticd.errors import ConfigError
-from hapticd.plant.catalogue import ALWAYS, KINDS
 from hapticd.plant.compose import compose
-from hapticd.plant.friction import Coulomb
-from hapticd.plant.winding import WindingTemperature
+from hapticd.plant.effects import ALWAYS, KINDS, Coulomb, WindingTemperature
 from hapticd.settings import build
 from hapticd.settings.load import load
 from hapticd.settings.resources import shipped

@@ -6,7 +6,7 @@ import pytest
 from boards import ENABLE, LATCH_NS, PERTURB, TICK_NS, board_params, exchange, out_packet
 
 from hapticd.errors import ConfigError
-from hapticd.plant.mechanics import held_force_response
+from hapticd.plant.step import held_force_response
 from hapticd.sim.board import BoardModel
 from hapticd.wire import codec
 from hapticd.wire.frames import OUT_BYTES, PROTOCOL_HASH, Capability, OutFlag, Request, Status

@@ -4,12 +4,10 @@ import pytest
 from boards import ENABLE, LATCH_NS, PERTURB, TICK_NS, board_params, exchange, out_packet
 from plant_devices import FULL, device
 
-from hapticd.plant.bodies import WorkspaceEnds
 from hapticd.plant.discrete import discretise
+from hapticd.plant.effects import AntiAlias, SensorNoise, VelocityHighpass, WindingHeating, WindingTemperature, WorkspaceEnds
 from hapticd.plant.model import Model
-from hapticd.plant.sensing import AntiAlias, SensorNoise, VelocityHighpass
 from hapticd.plant.tables import board_fields
-from hapticd.plant.winding import Heating, WindingTemperature
 from hapticd.sim.axis import Axis
 from hapticd.sim.board import BoardModel
 from hapticd.sim.probe import Probe
@@ -104,7 +102,7 @@ def test_noise_of_the_velocity_channel_is_seeded():
 
 
 def test_frames_tell_a_winding_that_warms_up():
-    heating = Heating(thermal_resistance_k_per_w=50.0, time_constant_s=0.05, ambient_c=20.0)
+    heating = WindingHeating(thermal_resistance_k_per_w=50.0, time_constant_s=0.05, ambient_c=20.0)
     cold = WindingTemperature(temperature_c=20.0, compensated_c=20.0)
     board = BoardModel(board_of(device("probe", "amplifier", "coulomb", winding=cold, heating=heating)))
     first = exchange(board, 0, flags=ENABLE, torque=32767)

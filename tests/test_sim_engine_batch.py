@@ -9,11 +9,9 @@ import pytest
 from devices import COUNTS, DRY, LIMIT, RIGID, STAR, device, rigid
 
 from hapticd.errors import ConfigError
-from hapticd.plant.bodies import Masses
-from hapticd.plant.electrical import DampingDac
+from hapticd.plant.effects import DampingDac, Masses, ProbeAdc
 from hapticd.plant.model import Noise
 from hapticd.plant.scene import DampingStep, Excitation, Scene
-from hapticd.plant.sensing import ProbeAdc
 from hapticd.sim.engine import batch, simulate
 from hapticd.sim.engine.source import VELOCITY_MAX_M_PER_S
 

@@ -6,12 +6,10 @@ from devices import COGS, COUNTS, DRY, ENDS, HAND, LIMIT, RIGID, SPRING, STAR, T
 from straight import Straight
 
 from hapticd.params import EnvironmentParams, FilterParams, WallParams, WorkspaceParams
-from hapticd.plant.electrical import ForceDac, Multiplier
-from hapticd.plant.friction import Coulomb
+from hapticd.plant.effects import AntiAlias, Coulomb, ForceDac, Multiplier, VelocityHighpass
+from hapticd.plant.excitation import Stream, held_noise
 from hapticd.plant.model import Noise
-from hapticd.plant.sensing import AntiAlias, VelocityHighpass
 from hapticd.sim.engine import simulate
-from hapticd.sim.engine.torque import Stream, held_noise
 
 TRIALS = [[100.0, 1.0, 0.010], [50.0, 2.0, 0.0], [0.0, 0.0, 0.0], [600.0, 0.5, -0.002]]
 TORQUE = 0.3 * np.random.default_rng(3).standard_normal(400)

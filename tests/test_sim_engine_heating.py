@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from devices import MOTOR, WARMING, device
 
-from hapticd.plant.bodies import Load, Masses
-from hapticd.plant.electrical import Amplifier, DampingCircuit
+from hapticd.plant.effects import Amplifier, DampingCircuit, Load, Masses, WindingTemperature, copper_ohm
 from hapticd.plant.scene import Excitation
-from hapticd.plant.winding import WindingTemperature, copper_ohm
 from hapticd.sim.engine import simulate
 from hapticd.units import COPPER_PER_K
 

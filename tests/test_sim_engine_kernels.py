@@ -15,9 +15,7 @@ from numba import njit
 from hapticd.analysis.arrays import aligned
 from hapticd.errors import ConfigError
 from hapticd.params import EnvironmentParams, WallParams
-from hapticd.plant.electrical import ForceDac
-from hapticd.plant.friction import Coulomb
-from hapticd.plant.sensing import AntiAlias
+from hapticd.plant.effects import AntiAlias, Coulomb, ForceDac
 from hapticd.sim.engine import kernels, simulate
 from hapticd.sim.engine.coordinates import reduced
 from hapticd.sim.engine.kernels import cache_folder, kernel

@@ -6,8 +6,7 @@ from devices import COUNTS, DRY, LIMIT, RIGID, TWO_MASSES, device
 from law import environment_tuple
 
 from hapticd.params import EnvironmentParams, FilterParams, WallParams, WorkspaceParams
-from hapticd.plant.bodies import Viscous
-from hapticd.plant.electrical import Saturation
+from hapticd.plant.effects import Saturation, Viscous
 from hapticd.plant.scene import Excitation
 from hapticd.render.environment import at_rest, design_coefficients, render
 from hapticd.sim.engine import simulate

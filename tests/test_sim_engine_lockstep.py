@@ -15,7 +15,7 @@ from hapticd.assembly import lockstep
 from hapticd.assembly.lockstep import LockStep
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Result, Value
-from hapticd.plant.electrical import DampingDac, ForceDac, Saturation
+from hapticd.plant.effects import DampingDac, ForceDac, Saturation
 from hapticd.plant.tables import board_fields
 from hapticd.servo.safety import State
 from hapticd.sim.backend import SimulatedBackend

@@ -3,7 +3,7 @@
 import pytest
 from boards import ENABLE, PERTURB, board_params, exchange, out_packet
 
-from hapticd.plant.mechanics import held_force_response
+from hapticd.plant.step import held_force_response
 from hapticd.sim.board import BoardModel
 from hapticd.sim.probe import PAIRS_MAX, i16_count
 from hapticd.wire import codec

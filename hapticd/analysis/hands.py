@@ -18,8 +18,8 @@ import numpy as np
 
 from hapticd.analysis.arrays import Complexes, Flags, Floats, Integers
 from hapticd.errors import AnalysisError
+from hapticd.plant.blueprint import StateVariable
 from hapticd.plant.model import Model, Output, Outputs
-from hapticd.plant.parts import State
 
 GROUND = -1
 _ROUNDING = 1e-9
@@ -138,5 +138,5 @@ def _seen(outputs: Outputs, size: int) -> Outputs:
     return replace(outputs, **changed)
 
 
-def _names(nodes: Integers, what: str, unit: str) -> list[State]:
-    return [State(f"hand_{node}_{what}", unit, "hand") for node in nodes]
+def _names(nodes: Integers, what: str, unit: str) -> list[StateVariable]:
+    return [StateVariable(f"hand_{node}_{what}", unit, "hand") for node in nodes]

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from hapticd.params import BoardParams, RealtimeParams, SafetyParams, ServoParams, UsbParams
 from hapticd.plant.compose import compose
-from hapticd.plant.electrical import sample_timing
+from hapticd.plant.effects import sample_timing
 from hapticd.settings.build import board_of, device_params
 from hapticd.settings.scene import build_scene, load_files
 

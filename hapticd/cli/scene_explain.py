@@ -11,7 +11,7 @@ def command(scene: drawing.SceneName, as_json: options.Json = False) -> None:
     from hapticd.measure.scenes import SUBSTEPS
     from hapticd.measure.store import plain
     from hapticd.plant.compose import compose
-    from hapticd.plant.explain import explain
+    from hapticd.plant.stability import explain
     from hapticd.report import study as words
     from hapticd.report.table import text
     from hapticd.settings.scene import load_scene

@@ -57,10 +57,10 @@ from hapticd.measure.scenes import (
     spectra_on,
     without,
 )
+from hapticd.plant.excitation import Stream, torque_record
 from hapticd.plant.scene import Scene
 from hapticd.sim.engine import BatchResult, simulate
 from hapticd.sim.engine.shape import LANES
-from hapticd.sim.engine.torque import Stream, torque_record
 from hapticd.units import NS_PER_S, PROBE_RATE_HZ
 
 REFERENCE = "the reference"

@@ -25,7 +25,7 @@ from hapticd.measure.progress import Progress, silent
 from hapticd.measure.sources import Source, Trial
 from hapticd.measure.store import Recorded
 from hapticd.measure.watch import LOST_SLOTS, Filler, Sentinel
-from hapticd.sim.engine.torque import torque_record
+from hapticd.plant.excitation import torque_record
 from hapticd.units import PROBE_RATE_HZ
 
 WAVEFORM_S = 120.0  # a longer trial repeats it

@@ -59,7 +59,7 @@ from hapticd.measure.reproduce import AXES, FINE, Limit, conditions, predicted_s
 from hapticd.measure.reproduce_rows import ADDED_NS_PER_M, LEVELS, MAIN
 from hapticd.measure.scenes import Display
 from hapticd.measure.store import TrialStore
-from hapticd.plant.shaped_damping import ShapedDamping
+from hapticd.plant.effects import ShapedDamping
 
 SEEDS = 3
 FREE = np.array([ORIGIN])  # motion: nothing is rendered

@@ -37,7 +37,7 @@ from hapticd.measure.reproduce_rows import (
     kind_of,
 )  # fmt: skip
 from hapticd.measure.walls import WallResult
-from hapticd.plant.winding import Motor
+from hapticd.plant.effects import Motor
 from hapticd.settings.scene import load_scene
 
 READ_HZ = 5.0  # where the added damping of the device alone is read

@@ -46,11 +46,11 @@ from hapticd.measure.sources import simulated
 from hapticd.measure.trial import SHORTEST_WINDOWS, TrialParams, TrialResult, judged, plan_trial
 from hapticd.params import ADDED_DAMPING_NS_PER_M
 from hapticd.plant.compose import compose, compose_device
-from hapticd.plant.expm import expm
+from hapticd.plant.discrete import expm
+from hapticd.plant.effects import WindingTemperature
 from hapticd.plant.model import Array, Model
 from hapticd.plant.scene import Scene
 from hapticd.plant.stability import damping_ceiling, edge, modes, stability
-from hapticd.plant.winding import WindingTemperature
 from hapticd.sim.engine import BatchResult, simulate
 from hapticd.units import PROBE_RATE_HZ
 

@@ -23,14 +23,10 @@ from hapticd.analysis.spa import DEFAULT_LAG, spa
 from hapticd.analysis.spectra import Spectra
 from hapticd.errors import AnalysisError, ConfigError
 from hapticd.params import EnvironmentParams, FilterParams, WallParams
-from hapticd.plant.bodies import Masses, Viscous, WorkspaceEnds
-from hapticd.plant.catalogue import ALWAYS
 from hapticd.plant.compose import compose
-from hapticd.plant.effects import Effect
-from hapticd.plant.electrical import Delay
+from hapticd.plant.effects import ALWAYS, Delay, Effect, Masses, Motor, Viscous, WorkspaceEnds
 from hapticd.plant.model import Model
 from hapticd.plant.scene import Excitation, Scene
-from hapticd.plant.winding import Motor
 from hapticd.settings.build import DEFAULT_PHASE, converter_effects, device_effects
 from hapticd.settings.device import Device, Plant
 from hapticd.settings.document import read

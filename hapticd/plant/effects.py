@@ -1,16 +1,71 @@
-"""The base of every effect: a frozen value that says why it exists, where its numbers come from, and what it adds.
+"""Every effect that a simulated device can have, one class each, in the order of composition.
 
-An effect is one table of a device file ([model.KEY]). Its parameters are its fields, with the unit in the name; every
-number carries one of three tags: paper (printed by Weir, Colgate and Peshkin 2008), inferred (from other known facts or
-from good practice), calibrated (fitted so that the device reproduces the paper's limits).
+An effect is one table of a device file ([model.KEY]) and a frozen value: it says why it exists,
+where its numbers come from, and what it adds to the equations. Its parameters are its fields, with
+the unit in the name; every number carries one of three tags: paper (printed by Weir, Colgate and
+Peshkin 2008), inferred (from other known facts or from good practice), calibrated (fitted so that
+the device reproduces the paper's limits). The catalogue (`KINDS`, at the end) is what this module
+defines, in the order of the text; a scene names an effect by its `key`, and `ALWAYS` are built
+without being named.
+
+What moves: one mass or two, what resists, and what is attached at either end.
+
+    m_r v_r' = -k (x_r - x_s) - b (v_r - v_s) - b_r v_r + F_motor + F_probe + F_cogging - Coulomb
+    m_s v_s' =  k (x_r - x_s) + b (v_r - v_s) - b_s v_s + F_load + F_hand              - Coulomb
+
+Everything is reflected to the endpoint (N, m, kg, Ns/m). The encoder sits on the slider; motor,
+probe and velocity coil sit on the rotor: not colocated (Weir 2008, section 2.1). Without `Coupling`
+the two are one mass, and all of it acts on that.
+
+Electronics: transport, converter, smoothing, amplifier and damping circuit lie between the force
+command and the motor force. Each leaves its number in the blueprint; `compose` writes the equations
+of the loop that they make together. The winding says what a newton costs in amperes and watts, and
+how heat spoils the resistance compensation:
+
+    R(T) = R_0 (1 + 0.00393 (T - T_0))     copper (the paper prints "percent"; 0.393 %/K is meant)
+    T'   = (R(T) (F / K)^2 R_th - (T - T_ambient)) / tau
+    dR   = R(T) - R_compensated            the residual that stays in the velocity estimate
+
+The paper's Eq. 3 gives the crowbar damping K_m^2 / R = 1.7e-4 Nms/rad. It prints 3.7e-5 Ns/m for it
+at the endpoint, which would need a lever of 2.14 m; with the lever of some 10 mm that fits the
+device it is 1.70 Ns/m. R and K_m themselves are not printed: R is assumed and K_m follows.
+
+Shaped damping is a filter between the velocity estimate and the multiplier of the damping circuit:
+
+    Z_added(s) = b H(s),   H(s) = s / (s + w_l) * w_h / (s + w_h)     either factor may be left out
+
+"Future work could address a frequency dependent active damping, since added mechanical dissipation
+is rarely needed at low frequency" (Weir, Colgate and Peshkin 2008, section 6; Brown 1995). In
+mechanical terms the high-pass puts a free mass b / w_l in series with the damper b, the low-pass a
+spring b w_h. A chain of passive elements is passive, so is the shaped damper alone:
+
+    high-pass  Re Z = b w^2 / (w^2 + w_l^2)        low-pass  Re Z = b w_h^2 / (w^2 + w_h^2)
+    both       Re Z = b w_h w^2 (w_l + w_h) / ((w_l w_h - w^2)^2 + w^2 (w_l + w_h)^2)
+
+w_l -> 0 and w_h -> infinity give the plain damper back, w_l -> infinity and w_h -> 0 take it away.
+A high-pass also keeps what a hot winding leaves in the estimate out of the static force: alpha is 1
+at DC.
+
+Sensing: the servo's encoder, and the probe's 4 kHz record of torque and velocity. A record holds
+means over its 250 us, so that the sum of torque x velocity x 250 us is the exact work. The mean of
+a filtered channel needs no extra state: a first-order high-pass y = v - h, h' = w (v - h) has the
+integral h / w, and a second-order low-pass y'' + 2 zeta w y' + w^2 y = w^2 u has the integral of u
+minus (y' + 2 zeta w y) / w^2. These integrals are `travel` (of velocity) and `impulse` (what the
+filter keeps back of the torque).
+
+What would break it: an effect written before one whose signals it takes up; and a low-pass of the
+shaped damping beside the circuit's own bandwidth w_d. Two lags in series turn damping into its
+opposite above sqrt(w_h w_d), and there the shaped damper is active; a high-pass and one lag never
+do that.
 """
 
+from collections.abc import Iterable
 from dataclasses import MISSING, dataclass, field, fields
+from math import floor, sqrt, tau
 from typing import Any, ClassVar
 
-from hapticd.plant.blueprint import Blueprint
-from hapticd.plant.parts import Note
-from hapticd.units import unit_of
+from hapticd.plant.blueprint import Blueprint, Form, Note
+from hapticd.units import COPPER_PER_K, unit_of
 
 PROVENANCE = ("source", "sources", "note")
 
@@ -50,3 +105,528 @@ class Effect:
         """This effect in words, with the states that it added."""
         why = f"{self.why}; {self.note}" if self.note else self.why
         return Note(self.key, why, states, self.nonlinearity, self.time_constants_s(), self.parameters())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Masses(Effect):
+    """The masses themselves; always built."""
+
+    key: ClassVar[str] = "masses"
+    why: ClassVar[str] = "what is moved"
+    rotor_kg: float = number(gt=0, le=100)
+    slider_kg: float = number(0.0, ge=0, le=100)
+
+    def build(self, plan: Blueprint) -> None:
+        """One rigid body; `Coupling` splits it."""
+        rotor = plan.body("rotor", self.rotor_kg + self.slider_kg, self.key)
+        plan.slider_kg = self.slider_kg
+        plan.travel, plan.channel = rotor.position, rotor.velocity
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProbeMass(Effect):
+    """The Z-width probe on the rotor: its inertia. Its torque input and velocity output exist on every device."""
+
+    key: ClassVar[str] = "probe"
+    why: ClassVar[str] = "the probe moves with the rotor while it measures"
+    mass_kg: float = number(ge=0, le=100)
+
+    def build(self, plan: Blueprint) -> None:
+        """Heavier rotor."""
+        plan.rotor.mass_kg += self.mass_kg
+        plan.probe_mass_kg = self.mass_kg
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Coupling(Effect):
+    """A flexible transmission between rotor and slider."""
+
+    key: ClassVar[str] = "coupling"
+    why: ClassVar[str] = "the encoder is not on the motor: a mode above 300 Hz between the two"
+    stiffness_n_per_m: float = number(gt=0, le=1e9)
+    damping_ns_per_m: float = number(ge=0, le=1e5)
+
+    def build(self, plan: Blueprint) -> None:
+        """Take the slider off the rotor and hold it by a spring and a damper."""
+        rotor = plan.rotor
+        rotor.mass_kg -= plan.slider_kg
+        slider = plan.body("slider", plan.slider_kg, self.key)
+        stretch, rate = rotor.position - slider.position, rotor.velocity - slider.velocity
+        held = self.stiffness_n_per_m * stretch + self.damping_ns_per_m * rate
+        rotor.force -= held
+        slider.force += held
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Viscous(Effect):
+    """Friction proportional to velocity, at either body."""
+
+    key: ClassVar[str] = "viscous"
+    why: ClassVar[str] = "physical damping: the budget that sampling and delay spend"
+    rotor_ns_per_m: float = number(ge=0, le=1e5)
+    slider_ns_per_m: float = number(0.0, ge=0, le=1e5)
+
+    def build(self, plan: Blueprint) -> None:
+        """-b v on each body."""
+        for body, level in ((plan.rotor, self.rotor_ns_per_m), (plan.endpoint, self.slider_ns_per_m)):
+            body.force -= level * body.velocity
+            plan.viscous_ns_per_m += level
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Load(Effect):
+    """Mass, spring and damper against ground, fixed to the endpoint."""
+
+    key: ClassVar[str] = "load"
+    why: ClassVar[str] = "something is mounted at the endpoint"
+    mass_kg: float = number(0.0, ge=0, le=100)
+    damping_ns_per_m: float = number(0.0, ge=0, le=1e5)
+    stiffness_n_per_m: float = number(0.0, ge=0, le=1e8)
+
+    def build(self, plan: Blueprint) -> None:
+        """Act on the endpoint."""
+        end = plan.endpoint
+        end.mass_kg += self.mass_kg
+        end.force -= self.damping_ns_per_m * end.velocity + self.stiffness_n_per_m * end.position
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PassiveHand(Effect):
+    """A passive human: finger mass held by the arm's spring and damper, touching through the finger pad's.
+
+    All parameters are 0 or more, therefore passive (Colgate and Schenkel 1997 need no more of a human).
+    """
+
+    key: ClassVar[str] = "hand"
+    why: ClassVar[str] = "somebody holds the endpoint"
+    mass_kg: float = number(gt=0, le=100)
+    damping_ns_per_m: float = number(ge=0, le=1e5)
+    stiffness_n_per_m: float = number(ge=0, le=1e8)
+    grip_stiffness_n_per_m: float = number(ge=0, le=1e8)
+    grip_damping_ns_per_m: float = number(ge=0, le=1e5)
+
+    def build(self, plan: Blueprint) -> None:
+        """A body of its own at the endpoint."""
+        end, hand = plan.endpoint, plan.body("hand", self.mass_kg, self.key)
+        grip = self.grip_stiffness_n_per_m * (end.position - hand.position)
+        grip += self.grip_damping_ns_per_m * (end.velocity - hand.velocity)
+        end.force -= grip
+        hand.force += grip - self.damping_ns_per_m * hand.velocity - self.stiffness_n_per_m * hand.position
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MagnetCogging(Effect):
+    """Torque of the magnets on the iron, periodic in rotor position."""
+
+    key: ClassVar[str] = "cogging"
+    why: ClassVar[str] = "iron in the stator pulls the magnets to preferred positions"
+    nonlinearity: ClassVar[str] = "force periodic in position"
+    amplitude_n: float = number(ge=0, le=100)
+    pitch_m: float = number(gt=0, le=1)
+    phase_rad: float = number(0.0, ge=-7, le=7)
+
+    def build(self, plan: Blueprint) -> None:
+        """A force input that the simulation feeds."""
+        plan.rotor_force("sine", self.amplitude_n, self.pitch_m, self.phase_rad)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorkspaceEnds(Effect):
+    """Inelastic mechanical ends at the endpoint."""
+
+    key: ClassVar[str] = "ends"
+    why: ClassVar[str] = "travel ends somewhere"
+    nonlinearity: ClassVar[str] = "position held inside the travel"
+    lower_m: float = number(ge=-10, le=10)
+    upper_m: float = number(ge=-10, le=10)
+
+    def build(self, plan: Blueprint) -> None:
+        """Remember them."""
+        plan.ends_m = (self.lower_m, self.upper_m)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Coulomb(Effect):
+    """Dry friction at either body."""
+
+    key: ClassVar[str] = "coulomb"
+    why: ClassVar[str] = "dry friction: most of the undamped device's damping, and more of it when motion is small"
+    nonlinearity: ClassVar[str] = "set-valued force, stick at v = 0"
+    rotor_n: float = number(ge=0, le=100)
+    slider_n: float = number(0.0, ge=0, le=100)
+
+    def build(self, plan: Blueprint) -> None:
+        """A contact on each body that has some."""
+        plan.rotor.coulomb_n += self.rotor_n
+        plan.endpoint.coulomb_n += self.slider_n
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Delay(Effect):
+    """From the encoder sample to the force that it leads to, in servo periods; may be fractional and more than 1."""
+
+    key: ClassVar[str] = "delay"
+    why: ClassVar[str] = "computing and transport take time"
+    periods: float = number(ge=0, le=10)
+
+    def build(self, plan: Blueprint) -> None:
+        """Shift the command."""
+        plan.delay_periods = self.periods
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ForceDac(Effect):
+    """The torque command is a count."""
+
+    key: ClassVar[str] = "force_dac"
+    why: ClassVar[str] = "the torque command is a count"
+    nonlinearity: ClassVar[str] = "force rounded to a count"
+    quantum_n: float = number(gt=0)
+
+    def build(self, plan: Blueprint) -> None:
+        """Remember its step."""
+        plan.numbers["force_quantum_n"] = self.quantum_n
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Saturation(Effect):
+    """The force command is limited."""
+
+    key: ClassVar[str] = "saturation"
+    why: ClassVar[str] = "motor and amplifier give so much and no more; bounds what is unstable"
+    nonlinearity: ClassVar[str] = "force held inside its limit"
+    limit_n: float = number(gt=0)
+
+    def build(self, plan: Blueprint) -> None:
+        """Remember the limit."""
+        plan.numbers["force_limit_n"] = self.limit_n
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Smoothing(Effect):
+    """First-order low-pass on the virtual-force command alone, not on the damping."""
+
+    key: ClassVar[str] = "smoothing"
+    why: ClassVar[str] = "reconstruction filter behind the torque DAC: lag of the virtual force at low frequency"
+    corner_hz: float = number(gt=0, le=1e6)
+
+    def build(self, plan: Blueprint) -> None:
+        """One state between command and amplifier."""
+        smooth = plan.state("smoothed_force", "N", self.key)
+        plan.rates["smoothed_force"] = tau * self.corner_hz * (plan.command - smooth)
+        plan.command = smooth
+
+    def time_constants_s(self) -> tuple[float, ...]:
+        """Its lag."""
+        return (1.0 / (tau * self.corner_hz),)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Amplifier(Effect):
+    """Current amplifier of finite bandwidth."""
+
+    key: ClassVar[str] = "amplifier"
+    why: ClassVar[str] = "current does not follow its command at once"
+    bandwidth_hz: float = number(gt=0, le=1e7)
+
+    def build(self, plan: Blueprint) -> None:
+        """Gives the motor force a state."""
+        plan.amplifier_rad_s = tau * self.bandwidth_hz
+
+    def time_constants_s(self) -> tuple[float, ...]:
+        """Its lag."""
+        return (1.0 / (tau * self.bandwidth_hz),)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DampingDac(Effect):
+    """The damping scale factor is a count."""
+
+    key: ClassVar[str] = "damping_dac"
+    why: ClassVar[str] = "the damping scale factor is a count"
+    nonlinearity: ClassVar[str] = "level rounded to a count"
+    quantum_ns_per_m: float = number(gt=0)
+
+    def build(self, plan: Blueprint) -> None:
+        """Remember its step."""
+        plan.numbers["damping_quantum_ns_per_m"] = self.quantum_ns_per_m
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DampingCircuit(Effect):
+    """The analog velocity estimate has a bandwidth."""
+
+    key: ClassVar[str] = "damping_circuit"
+    why: ClassVar[str] = "the back-EMF estimate is filtered; its bandwidth sets the damping ceiling"
+    bandwidth_hz: float = number(gt=0, le=1e7)
+
+    def build(self, plan: Blueprint) -> None:
+        """Gives the estimate a state."""
+        plan.circuit_rad_s = tau * self.bandwidth_hz
+
+    def time_constants_s(self) -> tuple[float, ...]:
+        """Its lag."""
+        return (1.0 / (tau * self.bandwidth_hz),)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Multiplier(Effect):
+    """Analog multiplier of velocity and scale factor (the paper's AD534): gain and offset errors, noise."""
+
+    key: ClassVar[str] = "multiplier"
+    why: ClassVar[str] = "analog multipliers have gain and offset errors: switching damping steps the force"
+    gain_error: float = number(0.0, gt=-1, le=10)
+    scale_offset_ns_per_m: float = number(0.0, ge=-10, le=10)
+    velocity_offset_m_per_s: float = number(0.0, ge=-1, le=1)
+    noise_psd: float = number(0.0, ge=0, le=1)
+
+    def build(self, plan: Blueprint) -> None:
+        """Change the level that arrives and what it is multiplied with."""
+        plan.level_gain += self.gain_error
+        plan.level_offset_ns_per_m += self.scale_offset_ns_per_m
+        plan.estimate_offset_m_per_s += self.velocity_offset_m_per_s
+        plan.estimate_psd += self.noise_psd
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Crowbar(Effect):
+    """The motor shorted: damping K_m^2 / R (Weir 2008, Eq. 3). Torque and crowbar exclude each other."""
+
+    key: ClassVar[str] = "crowbar"
+    why: ClassVar[str] = "a shorted winding damps by itself, and gives no torque"
+
+    def build(self, plan: Blueprint) -> None:
+        """Nothing of the command arrives."""
+        plan.crowbar = True
+
+
+def sample_timing(delay_periods: float) -> tuple[float, int]:
+    """(sample_phase, lag_periods): when a board latches after an OUT, and how much later a torque takes effect.
+
+    The OUT of the next tick then acts (1 - sample_phase + lag_periods) periods after the sample, which is `delay_periods`.
+    """
+    whole = floor(delay_periods)
+    return 1.0 - (delay_periods - whole), whole
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShapedDamping(Effect):
+    """Electrical damping above `highpass_hz` and below `lowpass_hz`, first order each; 0 leaves a corner out."""
+
+    key: ClassVar[str] = "shaped_damping"
+    why: ClassVar[str] = "damping that acts only above a corner, below one, or between two, instead of everywhere"
+    highpass_hz: float = number(0.0, ge=0, le=1e6)
+    lowpass_hz: float = number(0.0, ge=0, le=1e6)
+
+    def build(self, plan: Blueprint) -> None:
+        """Leave the corners to `drive`."""
+        plan.shaping_rad_s = (tau * self.highpass_hz, tau * self.lowpass_hz)
+
+    def time_constants_s(self) -> tuple[float, ...]:
+        """Of the corners that there are."""
+        return tuple(1.0 / (tau * corner) for corner in (self.highpass_hz, self.lowpass_hz) if corner)
+
+
+def shaped(plan: Blueprint, estimate: Form) -> Form:
+    """The velocity estimate as the multiplier gets it: a state for each corner, none without."""
+    above, below = plan.shaping_rad_s
+    if above:
+        slow = plan.state("slow_estimate", "m/s", ShapedDamping.key)
+        plan.rates["slow_estimate"] = above * (estimate - slow)
+        estimate = estimate - slow
+    if below:
+        smooth = plan.state("smooth_estimate", "m/s", ShapedDamping.key)
+        plan.rates["smooth_estimate"] = below * (estimate - smooth)
+        estimate = smooth
+    return estimate
+
+
+def copper_ohm(resistance_ohm: float, reference_c: float, temperature_c: float) -> float:
+    """Resistance at `temperature_c` of a copper winding that has `resistance_ohm` at `reference_c`."""
+    return resistance_ohm * (1.0 + COPPER_PER_K * (temperature_c - reference_c))
+
+
+def crowbar_nms_per_rad(torque_constant_nm_per_a: float, resistance_ohm: float) -> float:
+    """Damping of a shorted motor (Weir 2008, Eq. 3)."""
+    return torque_constant_nm_per_a**2 / resistance_ohm
+
+
+def lever_of_crowbar_m(crowbar_nms: float, crowbar_ns: float) -> float:
+    """The lever radius that would make both of the paper's crowbar figures true."""
+    return sqrt(crowbar_nms / crowbar_ns)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Motor(Effect):
+    """Motor and lever; always built: constants without a state."""
+
+    key: ClassVar[str] = "motor"
+    why: ClassVar[str] = "force per ampere and ohms, for currents, losses and the crowbar"
+    torque_constant_nm_per_a: float = number(gt=0, le=100)
+    lever_m: float = number(gt=0, le=10)
+    resistance_ohm: float = number(gt=0, le=1e4)  # at reference_c
+    reference_c: float = number(20.0, ge=-40, le=150)
+
+    def build(self, plan: Blueprint) -> None:
+        """The winding at its reference temperature, fully compensated."""
+        plan.torque_constant_n_per_a = self.torque_constant_nm_per_a / self.lever_m
+        plan.resistance_ohm = self.resistance_ohm
+        plan.winding = (self.resistance_ohm, self.reference_c, self.resistance_ohm, self.reference_c)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WindingTemperature(Effect):
+    """The winding is not as warm as the resistance compensation believes."""
+
+    key: ClassVar[str] = "winding"
+    why: ClassVar[str] = "copper's resistance grows 0.393 %/K; what is not compensated scales damping and force by alpha"
+    temperature_c: float = number(ge=-40, le=250)
+    compensated_c: float = number(ge=-40, le=250)
+
+    def build(self, plan: Blueprint) -> None:
+        """A residual resistance; needs a `Motor` before."""
+        cold_ohm, reference_c, _, _ = plan.winding
+        compensated_ohm = copper_ohm(cold_ohm, reference_c, self.compensated_c)
+        plan.resistance_ohm = copper_ohm(cold_ohm, reference_c, self.temperature_c)
+        plan.residual_ohm = plan.resistance_ohm - compensated_ohm
+        plan.winding = (cold_ohm, reference_c, compensated_ohm, self.temperature_c)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WindingHeating(Effect):
+    """Copper loss heats the winding while it works."""
+
+    key: ClassVar[str] = "heating"
+    why: ClassVar[str] = "8 N cost some 38 W of copper loss: the winding warms up and the compensation drifts"
+    nonlinearity: ClassVar[str] = "temperature driven by the square of the current, resistance in the loop"
+    thermal_resistance_k_per_w: float = number(ge=0, le=1e4)
+    time_constant_s: float = number(gt=0, le=1e5)
+    ambient_c: float = number(ge=-40, le=100)
+
+    def build(self, plan: Blueprint) -> None:
+        """A slow state of its own, outside the linear model."""
+        plan.heating = (self.thermal_resistance_k_per_w, self.time_constant_s, self.ambient_c)
+
+    def time_constants_s(self) -> tuple[float, ...]:
+        """Of the winding against its surroundings."""
+        return (self.time_constant_s,)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InductanceError(Effect):
+    """L di/dt is not cancelled completely (error_h > 0) or too much (< 0)."""
+
+    key: ClassVar[str] = "inductance"
+    why: ClassVar[str] = "what is left of L di/dt looks like velocity"
+    error_h: float = number(ge=-1, le=1)
+
+    def build(self, plan: Blueprint) -> None:
+        """Feed the derivative of the current to the estimate."""
+        plan.inductance_error_h = self.error_h
+
+
+ZETA = sqrt(0.5)  # Butterworth
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Encoder(Effect):
+    """The servo sees counts."""
+
+    key: ClassVar[str] = "encoder"
+    why: ClassVar[str] = "position comes in counts"
+    nonlinearity: ClassVar[str] = "position rounded to a count"
+    quantum_m: float = number(gt=0)
+
+    def build(self, plan: Blueprint) -> None:
+        """Remember its step."""
+        plan.numbers["encoder_quantum_m"] = self.quantum_m
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProbeAdc(Effect):
+    """The record holds counts."""
+
+    key: ClassVar[str] = "probe_adc"
+    why: ClassVar[str] = "torque and velocity of the record come in counts"
+    nonlinearity: ClassVar[str] = "record rounded to counts"
+    velocity_quantum_m_per_s: float = number(gt=0)
+    torque_quantum_n: float = number(gt=0)
+
+    def build(self, plan: Blueprint) -> None:
+        """Remember both steps."""
+        plan.numbers["velocity_quantum_m_per_s"] = self.velocity_quantum_m_per_s
+        plan.numbers["torque_quantum_n"] = self.torque_quantum_n
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VelocityHighpass(Effect):
+    """The velocity amplifier is AC-coupled."""
+
+    key: ClassVar[str] = "velocity_highpass"
+    why: ClassVar[str] = "an AC-coupled velocity amplifier makes a spring look active at low frequency"
+    corner_hz: float = number(gt=0, le=1e6)
+
+    def build(self, plan: Blueprint) -> None:
+        """One state behind the velocity coil."""
+        rate_rad_s, low = tau * self.corner_hz, plan.state("velocity_baseline", "m/s", self.key)
+        plan.rates["velocity_baseline"] = rate_rad_s * (plan.channel - low)
+        plan.channel, plan.travel = plan.channel - low, low / rate_rad_s
+
+    def time_constants_s(self) -> tuple[float, ...]:
+        """Of the coupling capacitor."""
+        return (1.0 / (tau * self.corner_hz),)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AntiAlias(Effect):
+    """The same second-order Butterworth low-pass before both converters of the record."""
+
+    key: ClassVar[str] = "anti_alias"
+    why: ClassVar[str] = "keeps what lies above 2 kHz out of the record; equal in both channels, so the ratio stays"
+    corner_hz: float = number(gt=0, le=1e6)
+
+    def build(self, plan: Blueprint) -> None:
+        """Two states per channel."""
+        plan.channel, kept = self._filtered(plan, "recorded_velocity", "m/s", plan.channel)
+        plan.travel -= kept
+        _, delayed = self._filtered(plan, "recorded_torque", "N", Form.symbol("torque"))
+        plan.impulse = -delayed
+
+    def time_constants_s(self) -> tuple[float, ...]:
+        """Its delay at low frequency."""
+        return (2.0 * ZETA / (tau * self.corner_hz),)
+
+    def _filtered(self, plan: Blueprint, name: str, unit: str, signal: Form) -> tuple[Form, Form]:
+        """The low-passed signal, and how much of its integral the filter keeps back."""
+        w = tau * self.corner_hz
+        low, slope = plan.state(name, unit, self.key), plan.state(f"{name}_slope", f"{unit}/s", self.key)
+        plan.rates[name] = slope
+        plan.rates[f"{name}_slope"] = w * w * (signal - low) - 2.0 * ZETA * w * slope
+        return low, (slope + 2.0 * ZETA * w * low) / (w * w)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorNoise(Effect):
+    """White noise of the velocity channel."""
+
+    key: ClassVar[str] = "sensor_noise"
+    why: ClassVar[str] = "the velocity coil's amplifier is noisy: |Z| is biased, its phase is not"
+    nonlinearity: ClassVar[str] = "random"
+    velocity_m_per_s: float = number(ge=0, le=10)
+
+    def build(self, plan: Blueprint) -> None:
+        """Remember its rms."""
+        plan.velocity_noise_m_per_s = self.velocity_m_per_s
+
+
+KINDS: tuple[type[Effect], ...] = tuple(
+    kind for kind in list(globals().values()) if isinstance(kind, type) and issubclass(kind, Effect) and kind is not Effect
+)
+ALWAYS = (Masses.key, Motor.key)
+BY_KEY = {kind.key: kind for kind in KINDS}
+
+
+def in_order(effects: Iterable[Effect]) -> tuple[Effect, ...]:
+    """Sorted as they are composed."""
+    keys = list(BY_KEY)
+    return tuple(sorted(effects, key=lambda effect: keys.index(effect.key)))

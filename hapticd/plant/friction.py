@@ -13,28 +13,6 @@ What would break it: W of a velocity over a time long against the fastest mode (
 viscous stand-in tanh(v / eps), which creeps. Functions take and return floats; the batch engine compiles the same.
 """
 
-from dataclasses import dataclass
-from typing import ClassVar
-
-from hapticd.plant.blueprint import Blueprint
-from hapticd.plant.effects import Effect, number
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Coulomb(Effect):
-    """Dry friction at either body."""
-
-    key: ClassVar[str] = "coulomb"
-    why: ClassVar[str] = "dry friction: most of the undamped device's damping, and more of it when motion is small"
-    nonlinearity: ClassVar[str] = "set-valued force, stick at v = 0"
-    rotor_n: float = number(ge=0, le=100)
-    slider_n: float = number(0.0, ge=0, le=100)
-
-    def build(self, plan: Blueprint) -> None:
-        """A contact on each body that has some."""
-        plan.rotor.coulomb_n += self.rotor_n
-        plan.endpoint.coulomb_n += self.slider_n
-
 
 def stick_one(v_free: float, response: float, level: float) -> float:
     """Friction force [N] of one contact: v_free [m/s] without friction, response W [m/s/N] > 0, level Fc [N]."""

@@ -25,10 +25,11 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.params import Contact, Ends, Noise, RotorForce
-from hapticd.plant.parts import Inputs, Note, State
+from hapticd.plant.blueprint import InputColumns, Note, StateVariable
 
 __all__ = [
-    "Array", "Contact", "Ends", "Inputs", "Map", "Model", "Noise", "Note", "Output", "Outputs", "RotorForce", "State", "Winding",
+    "Array", "Contact", "Ends", "InputColumns", "Map", "Model", "Noise", "Note", "Output",
+    "Outputs", "RotorForce", "StateVariable", "Winding",
 ]  # fmt: skip
 
 Array = npt.NDArray[np.float64]
@@ -101,12 +102,12 @@ class Model:
     name: str
     rate_hz: float  # of the servo; T = 1 / rate_hz
     delay_periods: float  # from the encoder sample to the command that it leads to, without the hold
-    states: tuple[State, ...]
+    states: tuple[StateVariable, ...]
     a0: Array
     a1: Array
     b0: Array
     b1: Array
-    inputs: Inputs
+    inputs: InputColumns
     outputs: Outputs
     contacts: tuple[Contact, ...] = ()  # at most two, on different bodies
     encoder_quantum_m: float | None = None

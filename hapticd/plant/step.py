@@ -1,26 +1,70 @@
-"""The plant as straight-line Python, generated from the numbers of board.json.
+"""The plant of a simulated board, and the step of one rigid mass as straight-line Python.
 
-A simulated board advances its plant in pieces of whole sub-steps, sixteen to a servo tick. `make_step` writes the source
-of one piece with every number as a literal and only the effects that the numbers call for (no stops: no comparison),
-compiles it, and leaves the source in `linecache` so that a traceback shows it. The coefficients of a piece depend on its
-length and on the damping level; they are made when first needed and forgotten when the level changes.
+A simulated board advances its plant in pieces of whole sub-steps, sixteen to a servo tick.
+`make_step` writes the source of one piece with every number of board.json as a literal and only the
+effects that the numbers call for (no stops: no comparison), compiles it, and leaves the source in
+`linecache` so that a traceback shows it. The coefficients of a piece depend on its length and on
+the damping level; they are made when first needed and forgotten when the level changes.
 
-The state is a tuple that only the plant understands; what a board sees of it are the views of `Plant`. Here is the one
-rigid mass, exact at any damping level; a device with more effects comes from `composed` behind the same functions.
+The state is a tuple that only the plant understands; what a board sees of it are the views of
+`Plant`. Here is the one rigid mass, exact at any damping level; a device with more effects comes
+from `composed` behind the same functions.
 
-What would break it: calling one step from two boards (it remembers the damping level), or a piece that is long against
-the motion when there are stops: a stop is met at the end of a piece, inelastically.
+One rigid mass with viscous damping c under a force f that is held for a time h, a = c h / m:
+
+    m dv/dt = f - c v,   dx/dt = v
+
+    v(h) = v e^-a          + (h / m)   phi1(a) f         phi1(a) = (1 - e^-a) / a
+    x(h) = x + h phi1(a) v + (h^2 / m) phi2(a) f         phi2(a) = (1 - phi1(a)) / a
+
+Written with phi1 and phi2 nothing is divided by c, so c -> 0 is no special case: phi1 comes from
+expm1, phi2 (which would cancel) from its series below |a| = 1. At the servo's sub-steps a is about
+0.003.
+
+Standard library alone: the servo process runs it.
+
+What would break it: a force that changes within h (hold it, as the amplifier does); calling one
+step from two boards (it remembers the damping level); or a piece that is long against the motion
+when there are stops: a stop is met at the end of a piece, inelastically.
 """
 
 from collections.abc import Callable
-from math import isfinite
+from math import exp, expm1, factorial, isfinite
 from typing import NamedTuple
 
 from hapticd.errors import ConfigError
 from hapticd.params import BoardParams
-from hapticd.plant.composed import Step, composed_step, rest
-from hapticd.plant.mechanics import held_force_response
-from hapticd.plant.views import State, View, compiled, viewer
+from hapticd.plant.composed import State, Step, View, compiled, composed_step, rest, viewer
+
+Response = tuple[float, float, float, float]
+
+_PHI2_SERIES = tuple((-1) ** k / factorial(k + 2) for k in reversed(range(18)))  # last term < 1e-17 at |a| = 1
+
+
+def phi1(a: float) -> float:
+    """(1 - e^-a) / a, 1 at a = 0."""
+    return -expm1(-a) / a if a else 1.0
+
+
+def phi2(a: float) -> float:
+    """(a - 1 + e^-a) / a^2, 1/2 at a = 0."""
+    if abs(a) >= 1.0:
+        return (1.0 - phi1(a)) / a
+    total = 0.0
+    for coefficient in _PHI2_SERIES:
+        total = total * a + coefficient
+    return total
+
+
+def held_force_response(mass_kg: float, damping_ns_per_m: float, duration_s: float) -> Response:
+    """Coefficients (decay, velocity_per_n, position_per_velocity, position_per_n) of a mass under a held force f:
+
+    v' = decay v + velocity_per_n f;  x' = x + position_per_velocity v + position_per_n f.  Units: 1, m/s/N, s, m/N.
+    """
+    a = damping_ns_per_m * duration_s / mass_kg
+    reach_s = duration_s * phi1(a)
+    return exp(-a), reach_s / mass_kg, reach_s, duration_s * duration_s / mass_kg * phi2(a)
+
 
 SUBSTEPS_PER_TICK = 16
 

@@ -13,9 +13,9 @@ import numpy as np
 
 from hapticd.params import HeatingParams, OutputParams, PlantParams
 from hapticd.plant.discrete import discretise
+from hapticd.plant.effects import copper_ohm
 from hapticd.plant.model import Model, Output
 from hapticd.plant.step import SUBSTEPS_PER_TICK
-from hapticd.plant.winding import copper_ohm
 
 GRID = 21  # damping levels from 0 to the highest
 RESIDUALS = 9  # residual resistances, when the winding heats up

@@ -17,8 +17,8 @@ from hapticd.measure.accuracy import GROUP, AccuracyResult, Cost, Row
 from hapticd.measure.effects import EffectsResult, Left
 from hapticd.measure.scene_run import Ceiling, Integrators, SceneResult, Trial
 from hapticd.measure.scenes import SUBSTEPS, candidates, frequencies, point
-from hapticd.plant.explain import AtLevel, Explanation
 from hapticd.plant.scene import Scene
+from hapticd.plant.stability import AtLevel, Explanation
 from hapticd.report.style import (
     BELOW,
     BLACK,

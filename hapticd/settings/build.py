@@ -19,9 +19,7 @@ from hapticd.params import (
     WallParams,
     WorkspaceParams,
 )
-from hapticd.plant.effects import Effect
-from hapticd.plant.electrical import DampingDac, Delay, ForceDac, Saturation, sample_timing
-from hapticd.plant.sensing import Encoder, ProbeAdc
+from hapticd.plant.effects import DampingDac, Delay, Effect, Encoder, ForceDac, ProbeAdc, Saturation, sample_timing
 from hapticd.settings.device import SIGNED_FULL_COUNT, UNSIGNED_FULL_COUNT, Device, Travel
 from hapticd.settings.effects import effects_of
 from hapticd.settings.load import Settings

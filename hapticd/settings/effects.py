@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field, create_model
 
-from hapticd.plant.catalogue import ALWAYS, BY_KEY
-from hapticd.plant.effects import PROVENANCE, Effect
+from hapticd.plant.effects import ALWAYS, BY_KEY, PROVENANCE, Effect
 from hapticd.settings.quantities import Table
 
 FROM_SCALES = ("encoder", "force_dac", "damping_dac", "probe_adc", "saturation")

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from hapticd.plant.catalogue import ALWAYS, BY_KEY
+from hapticd.plant.effects import ALWAYS, BY_KEY
 from hapticd.settings.device import Device
 from hapticd.settings.effects import FROM_SCALES, TABLES
 from hapticd.settings.meant import did_you_mean

@@ -18,8 +18,8 @@ from collections.abc import Sequence
 from math import ceil
 
 from hapticd.params import BoardParams
+from hapticd.plant.composed import State
 from hapticd.plant.step import SUBSTEPS_PER_TICK, make_plant
-from hapticd.plant.views import State
 from hapticd.sim.probe import Probe
 from hapticd.units import PROBE_RATE_HZ
 from hapticd.wire.frames import OutFlag, Status

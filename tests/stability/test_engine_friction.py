@@ -6,11 +6,8 @@ from devices import COUNTS, MOTOR, STAR, device, rigid
 from dry_friction import stop_time_s, turning_points_m
 from engine_state import final
 
-from hapticd.plant.bodies import Load, Masses, Viscous
-from hapticd.plant.electrical import Saturation
-from hapticd.plant.friction import Coulomb
+from hapticd.plant.effects import Coulomb, Encoder, Load, Masses, Saturation, Viscous
 from hapticd.plant.scene import Excitation
-from hapticd.plant.sensing import Encoder
 from hapticd.sim.engine import simulate
 
 RAW = (None, None)

@@ -7,7 +7,7 @@ import pytest
 from devices import RIGID, STAR, device, rigid
 from engine_state import final
 
-from hapticd.plant.bodies import Viscous
+from hapticd.plant.effects import Viscous
 from hapticd.plant.scene import Excitation
 from hapticd.sim.engine import simulate
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from hapticd.analysis.requirement import required_damping
 from hapticd.params import FilterParams
-from hapticd.plant.friction import Coulomb
+from hapticd.plant.effects import Coulomb
 from hapticd.plant.scene import Excitation
 from hapticd.sim.engine import simulate
 

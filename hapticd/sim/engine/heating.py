@@ -11,8 +11,8 @@ from math import exp
 
 import numpy as np
 
+from hapticd.plant.effects import copper_ohm
 from hapticd.plant.model import Array, Winding
-from hapticd.plant.winding import copper_ohm
 from hapticd.sim.engine.group import Group
 from hapticd.sim.engine.numbers import plant_numbers
 

@@ -14,6 +14,7 @@ import numpy as np
 from hapticd.analysis.arrays import Values
 from hapticd.errors import ConfigError
 from hapticd.params import EnvironmentParams
+from hapticd.plant.excitation import Stream, held_noise, torque_record
 from hapticd.plant.model import Array, Model
 from hapticd.plant.scene import DampingStep, Excitation
 from hapticd.sim.engine.coordinates import reduced
@@ -22,7 +23,6 @@ from hapticd.sim.engine.numbers import Filters, plant_numbers
 from hapticd.sim.engine.shape import Shape
 from hapticd.sim.engine.shaping import shape_of
 from hapticd.sim.engine.source import SCALARS
-from hapticd.sim.engine.torque import Stream, held_noise, torque_record
 from hapticd.units import PROBE_RATE_HZ
 
 CACHED = 4  # jobs, records: a few are compared, the rest would only fill memory

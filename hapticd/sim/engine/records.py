@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 
 from hapticd.analysis.arrays import Values, aligned
+from hapticd.plant.excitation import Stream, generator
 from hapticd.sim.engine.inputs import BLOCK_TICKS, Inputs
 from hapticd.sim.engine.job import Job, Prepared
-from hapticd.sim.engine.torque import Stream, generator
 
 
 class Records:

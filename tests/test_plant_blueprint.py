@@ -2,7 +2,7 @@
 
 import pytest
 
-from hapticd.plant.forms import Form
+from hapticd.plant.blueprint import Form
 
 
 def test_arithmetic_is_by_symbol():

@@ -1,4 +1,6 @@
-"""Damping that depends on frequency: closed forms of what it adds, its passivity, and that it costs nothing where it is not."""
+"""Effects one by one: closed forms of shaped damping, its passivity, and that it costs nothing where
+it is not; motor figures of the paper, and copper.
+"""
 
 from math import tau
 
@@ -6,15 +8,21 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from plant_devices import FULL, device
+from plant_devices import FULL, alpha, device
 from straight import Straight
 
 from hapticd.errors import ConfigError
 from hapticd.plant.compose import compose
-from hapticd.plant.electrical import Crowbar, DampingCircuit
-from hapticd.plant.explain import explain
-from hapticd.plant.shaped_damping import ShapedDamping
-from hapticd.plant.winding import WindingTemperature
+from hapticd.plant.effects import (
+    Crowbar,
+    DampingCircuit,
+    ShapedDamping,
+    WindingTemperature,
+    copper_ohm,
+    crowbar_nms_per_rad,
+    lever_of_crowbar_m,
+)
+from hapticd.plant.stability import explain
 from hapticd.settings.scene import load_scene
 from hapticd.sim.engine import simulate
 from hapticd.sim.engine.coordinates import reduced
@@ -174,3 +182,21 @@ def test_scene_names_it_with_corner_and_reason():
     assert note.time_constants_s == (pytest.approx(1 / (tau * 10.0)),)
     assert note.parameters[0] == ("highpass_hz", 10.0, "Hz", "inferred")
     assert "above a corner" in note.why
+
+
+def test_crowbar_figures_of_the_paper():
+    """Eq. 3: 1.7e-4 Nms/rad; its 3.7e-5 Ns/m would need a lever of 2.14 m, and 10 mm gives 1.70 Ns/m."""
+    crowbar = crowbar_nms_per_rad(0.016492422502470644, 1.6)
+    assert crowbar == pytest.approx(1.7e-4, rel=1e-12)
+    assert lever_of_crowbar_m(1.7e-4, 3.7e-5) == pytest.approx(2.1435, abs=1e-4)
+    assert crowbar / 0.01**2 == pytest.approx(1.70, rel=1e-12)
+
+
+def test_forty_kelvin_are_sixteen_percent():
+    assert copper_ohm(1.6, 20.0, 60.0) / 1.6 == pytest.approx(1.1572)
+    assert copper_ohm(1.6, 20.0, 20.0) == 1.6
+
+
+def test_hot_is_weaker_cold_is_stronger():
+    figures = [alpha(1.74, 1.6 * 0.00393 * kelvin, 1.649242) for kelvin in (-10, 0, 10, 20, 40)]
+    assert figures == pytest.approx([1.0419, 1.0, 0.9613, 0.9256, 0.8614], abs=1e-4)
