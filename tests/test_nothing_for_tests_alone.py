@@ -116,7 +116,7 @@ def called_from_outside(item: Definition, foreign: set[str]) -> bool:
 
 
 def trees(folder: str) -> dict[str, ast.Module]:
-    """Syntax by module, as `client.core` for hapticd/client/core.py."""
+    """Syntax by module, as `client.client` for hapticd/client/client.py."""
     files = sorted((ROOT / folder).rglob("*.py"))
     names = (file.relative_to(ROOT / folder).with_suffix("").parts for file in files)
     texts = (ast.parse(file.read_text()) for file in files)

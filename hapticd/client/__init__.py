@@ -15,17 +15,16 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from hapticd.client.blocks import Block
-    from hapticd.client.core import Receipt
-    from hapticd.client.shell import Client
+    from hapticd.client.client import Client, Receipt
     from hapticd.errors import CommandError, DaemonDown
 
 __all__ = ["Block", "Client", "CommandError", "DaemonDown", "Receipt"]
 _HOMES = {
     "Block": "hapticd.client.blocks",
-    "Client": "hapticd.client.shell",
+    "Client": "hapticd.client.client",
     "CommandError": "hapticd.errors",
     "DaemonDown": "hapticd.errors",
-    "Receipt": "hapticd.client.core",
+    "Receipt": "hapticd.client.client",
 }
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from hapticd.client.blocks import BlockDecoder
-from hapticd.client.shell import Client
+from hapticd.client.client import Client
 from hapticd.clock import Clock, MonotonicClock
 from hapticd.errors import ConfigError, DaemonDown, HapticdError
 from hapticd.measure.recording import live, pack
