@@ -13,10 +13,8 @@ import pytest
 
 from hapticd.cli.app import main
 from hapticd.clock import VirtualClock
-from hapticd.doctor import folders, kernel, machine, processor, rights, usb, wake
-from hapticd.doctor.asked import Asked, asked_of
-from hapticd.doctor.examine import CHECKS, examine
-from hapticd.doctor.finding import Finding
+from hapticd.doctor import checks, machine, wake
+from hapticd.doctor.checks import CHECKS, CheckResult, Requirements, examine, requirements
 from hapticd.doctor.machine import CAP_IPC_LOCK, CAP_SYS_NICE, UNLIMITED, Machine, cores_in
 from hapticd.params import RealtimeParams, UsbParams
 from hapticd.servo.wait import virtual_wait
@@ -24,7 +22,7 @@ from hapticd.settings.load import load
 from hapticd.settings.resources import shipped
 from hapticd.units import NS_PER_S, NS_PER_US
 
-Check = Callable[[Machine, Asked], Finding]
+Check = Callable[[Machine, Requirements], CheckResult]
 NO_LIMIT = (UNLIMITED, UNLIMITED)
 BOARD_FILES = {
     "sys/bus/usb/devices/1-2/idVendor": "1209",
@@ -60,22 +58,22 @@ def make(tmp_path: Path) -> Callable[..., Machine]:
     return build
 
 
-def asked(**changes: Any) -> Asked:
-    base = Asked(RealtimeParams(), UsbParams(serial="HB-7"), False, Path("/nowhere"), Path("/data"), None)
+def asked(**changes: Any) -> Requirements:
+    base = Requirements(RealtimeParams(), UsbParams(serial="HB-7"), False, Path("/nowhere"), Path("/data"), None)
     return dataclasses.replace(base, **changes)
 
 
-def realtime(**changes: Any) -> Asked:
+def realtime(**changes: Any) -> Requirements:
     return asked(realtime=RealtimeParams(**changes))
 
 
-Row = tuple[Check, dict[str, str], dict[str, Any], Asked, str, str, str]
+Row = tuple[Check, dict[str, str], dict[str, Any], Requirements, str, str, str]
 CONFIG = "boot/config-6.1"
 RELEASE = {"proc/sys/kernel/osrelease": "6.1"}
 FOUR_CORES = [f"sys/devices/system/cpu/cpu{core}/cpufreq/scaling_governor" for core in range(4)]
-CLOCK, NOW = f"{processor.CLOCK}/available_clocksource", f"{processor.CLOCK}/current_clocksource"
-CPU, IDLE = processor.CPU, f"{processor.CPU}/cpuidle/current_driver"
-FLAW, LATENCY = f"{CPU}/vulnerabilities/mds", rights.DMA_LATENCY
+CLOCK, NOW = f"{checks.CLOCK}/available_clocksource", f"{checks.CLOCK}/current_clocksource"
+CPU, IDLE = checks.CPU, f"{checks.CPU}/cpuidle/current_driver"
+FLAW, LATENCY = f"{CPU}/vulnerabilities/mds", checks.DMA_LATENCY
 RT_TIME = "sys/fs/cgroup/cpu/user.slice/cpu.rt_runtime_us"
 IRQS, POWER, RULE = "proc/interrupts", "sys/bus/usb/devices/1-2/power/control", "etc/udev/rules.d/70-hapticd.rules"
 IRQ_STAT = "77 (irq/128-xhci_hcd) S " + " ".join(["0"] * 36) + " 50 1 0"
@@ -88,7 +86,7 @@ ASKED = asked()
 
 
 def throttled(runtime_us: int) -> dict[str, str]:
-    return {f"{kernel.SCHED}_runtime_us": str(runtime_us), f"{kernel.SCHED}_period_us": "1000000"}
+    return {f"{checks.SCHED}_runtime_us": str(runtime_us), f"{checks.SCHED}_period_us": "1000000"}
 
 
 def limited(name: str, limit: tuple[int, int]) -> dict[str, Any]:
@@ -101,99 +99,99 @@ def swapping(swappiness: int) -> dict[str, str]:
 
 ROWS: list[Row] = [
     # --- rights
-    (rights.group, {}, {"uid": 0, "groups": frozenset()}, ASKED, "ok", "root", ""),
-    (rights.group, {}, {}, ASKED, "ok", "member of hapticd", ""),
-    (rights.group, {"etc/group": "hapticd:x:999:"}, {"groups": frozenset()}, ASKED, "warn", "not a member", "usermod --append"),
-    (rights.group, {"etc/group": "users:x:100:"}, {"groups": frozenset()}, ASKED, "warn", "there is no group", "systemd-sysusers"),
-    (rights.rtprio, {}, {}, ASKED, "ok", "85, the servo asks for 79", ""),
-    (rights.rtprio, {}, {"capabilities": 1 << CAP_SYS_NICE, "limits": {"rtprio": (0, 0)}}, ASKED, "ok", "CAP_SYS_NICE", ""),
-    (rights.rtprio, {}, limited("rtprio", (0, 0)), ASKED, "fail", "0, the servo asks for 79", "LimitRTPRIO=85"),
-    (rights.rtprio, {}, limited("rtprio", (85, 85)), realtime(priority=90), "fail", "85, the servo asks for 90", "rtprio 85"),
-    (rights.memlock, {}, {}, ASKED, "ok", "unlimited", ""),
-    (rights.memlock, {}, limited("memlock", (1 << 23, 1 << 28)), ASKED, "ok", "256 MB", ""),
-    (rights.memlock, {}, limited("memlock", (1 << 23, 1 << 23)), ASKED, "warn", "8 MB", "LimitMEMLOCK=infinity"),
-    (rights.memlock, {}, {"capabilities": 1 << CAP_IPC_LOCK, "limits": {"memlock": (0, 0)}}, ASKED, "ok", "CAP_IPC_LOCK", ""),
-    (rights.rttime, {}, {}, ASKED, "ok", "unlimited", ""),
-    (rights.rttime, {}, limited("rttime", (200_000, 200_000)), ASKED, "warn", "200000 us", "LimitRTTIME=infinity"),
-    (rights.c_states, {LATENCY: ""}, {}, ASKED, "ok", "may be written", ""),
-    (rights.c_states, {LATENCY: ""}, DENIED, ASKED, "warn", "may not be written", "udev rule"),
-    (rights.c_states, {IDLE: "haltpoll"}, {}, ASKED, "ok", "haltpoll", ""),
-    (rights.c_states, {}, {}, ASKED, "ok", "driver none", ""),
-    (rights.c_states, {IDLE: "intel_idle"}, {}, ASKED, "warn", "intel_idle", "max_cstate=1"),
+    (checks.group, {}, {"uid": 0, "groups": frozenset()}, ASKED, "ok", "root", ""),
+    (checks.group, {}, {}, ASKED, "ok", "member of hapticd", ""),
+    (checks.group, {"etc/group": "hapticd:x:999:"}, {"groups": frozenset()}, ASKED, "warn", "not a member", "usermod --append"),
+    (checks.group, {"etc/group": "users:x:100:"}, {"groups": frozenset()}, ASKED, "warn", "there is no group", "systemd-sysusers"),
+    (checks.rtprio, {}, {}, ASKED, "ok", "85, the servo asks for 79", ""),
+    (checks.rtprio, {}, {"capabilities": 1 << CAP_SYS_NICE, "limits": {"rtprio": (0, 0)}}, ASKED, "ok", "CAP_SYS_NICE", ""),
+    (checks.rtprio, {}, limited("rtprio", (0, 0)), ASKED, "fail", "0, the servo asks for 79", "LimitRTPRIO=85"),
+    (checks.rtprio, {}, limited("rtprio", (85, 85)), realtime(priority=90), "fail", "85, the servo asks for 90", "rtprio 85"),
+    (checks.memlock, {}, {}, ASKED, "ok", "unlimited", ""),
+    (checks.memlock, {}, limited("memlock", (1 << 23, 1 << 28)), ASKED, "ok", "256 MB", ""),
+    (checks.memlock, {}, limited("memlock", (1 << 23, 1 << 23)), ASKED, "warn", "8 MB", "LimitMEMLOCK=infinity"),
+    (checks.memlock, {}, {"capabilities": 1 << CAP_IPC_LOCK, "limits": {"memlock": (0, 0)}}, ASKED, "ok", "CAP_IPC_LOCK", ""),
+    (checks.rttime, {}, {}, ASKED, "ok", "unlimited", ""),
+    (checks.rttime, {}, limited("rttime", (200_000, 200_000)), ASKED, "warn", "200000 us", "LimitRTTIME=infinity"),
+    (checks.c_states, {LATENCY: ""}, {}, ASKED, "ok", "may be written", ""),
+    (checks.c_states, {LATENCY: ""}, DENIED, ASKED, "warn", "may not be written", "udev rule"),
+    (checks.c_states, {IDLE: "haltpoll"}, {}, ASKED, "ok", "haltpoll", ""),
+    (checks.c_states, {}, {}, ASKED, "ok", "driver none", ""),
+    (checks.c_states, {IDLE: "intel_idle"}, {}, ASKED, "warn", "intel_idle", "max_cstate=1"),
     # --- processor
-    (processor.governor, {}, {}, ASKED, "ok", "not scaled", ""),
-    (processor.governor, dict.fromkeys(FOUR_CORES, "performance"), {}, ASKED, "ok", "performance on all 4 cores", ""),
-    (processor.governor, dict.fromkeys(FOUR_CORES, "powersave"), {}, ASKED, "warn", "powersave on 4 of 4", "cpupower"),
-    (processor.smt, {}, {}, ASKED, "ok", "no two threads", ""),
-    (processor.smt, {f"{CPU}/smt/active": "0"}, {}, ASKED, "ok", "no two threads", ""),
-    (processor.smt, {f"{CPU}/smt/active": "1"}, {}, ASKED, "warn", "two threads share a core", "smt/control"),
-    (processor.cores, {}, {}, ASKED, "ok", "0,1,2,3 allowed, the servo takes 3", ""),
-    (processor.cores, {}, {}, realtime(core=7), "fail", "realtime.core = 7, this process may use 0,1,2,3", "name one of 0,1,2,3"),
-    (processor.cores, {f"{CPU}/isolated": "7"}, {}, realtime(core=7), "ok", "takes 7", ""),
-    (processor.cores, {}, {"cores": frozenset({2})}, ASKED, "warn", "only core 2", "second core"),
-    (processor.isolation, {f"{CPU}/isolated": "2-3"}, {}, ASKED, "ok", "core 3 is isolated", ""),
-    (processor.isolation, {}, {}, ASKED, "ok", "not needed at 1000 Hz", ""),
-    (processor.isolation, {}, {}, realtime(rate_hz=4000.0), "warn", "not isolated at 4000 Hz", "isolcpus=managed_irq,domain,3"),
-    (processor.clock_source, {NOW: "tsc"}, {}, ASKED, "ok", "tsc", ""),
-    (processor.clock_source, {NOW: "hpet", CLOCK: "tsc hpet"}, {}, ASKED, "warn", "hpet", "echo tsc"),
-    (processor.clock_source, {NOW: "hpet"}, {}, ASKED, "warn", "hpet", "dmesg"),
-    (processor.clock_source, {NOW: "jiffies"}, {}, ASKED, "fail", "jiffies", "dmesg"),
-    (processor.mitigations, {"proc/cmdline": "quiet mitigations=off"}, {}, ASKED, "ok", "off", ""),
-    (processor.mitigations, {FLAW: "Not affected"}, {}, ASKED, "ok", "none is active", ""),
-    (processor.mitigations, {FLAW: "Mitigation: clear"}, {}, ASKED, "warn", "1 active (mds)", "mitigations=off"),
+    (checks.governor, {}, {}, ASKED, "ok", "not scaled", ""),
+    (checks.governor, dict.fromkeys(FOUR_CORES, "performance"), {}, ASKED, "ok", "performance on all 4 cores", ""),
+    (checks.governor, dict.fromkeys(FOUR_CORES, "powersave"), {}, ASKED, "warn", "powersave on 4 of 4", "cpupower"),
+    (checks.smt, {}, {}, ASKED, "ok", "no two threads", ""),
+    (checks.smt, {f"{CPU}/smt/active": "0"}, {}, ASKED, "ok", "no two threads", ""),
+    (checks.smt, {f"{CPU}/smt/active": "1"}, {}, ASKED, "warn", "two threads share a core", "smt/control"),
+    (checks.cores, {}, {}, ASKED, "ok", "0,1,2,3 allowed, the servo takes 3", ""),
+    (checks.cores, {}, {}, realtime(core=7), "fail", "realtime.core = 7, this process may use 0,1,2,3", "name one of 0,1,2,3"),
+    (checks.cores, {f"{CPU}/isolated": "7"}, {}, realtime(core=7), "ok", "takes 7", ""),
+    (checks.cores, {}, {"cores": frozenset({2})}, ASKED, "warn", "only core 2", "second core"),
+    (checks.isolation, {f"{CPU}/isolated": "2-3"}, {}, ASKED, "ok", "core 3 is isolated", ""),
+    (checks.isolation, {}, {}, ASKED, "ok", "not needed at 1000 Hz", ""),
+    (checks.isolation, {}, {}, realtime(rate_hz=4000.0), "warn", "not isolated at 4000 Hz", "isolcpus=managed_irq,domain,3"),
+    (checks.clock_source, {NOW: "tsc"}, {}, ASKED, "ok", "tsc", ""),
+    (checks.clock_source, {NOW: "hpet", CLOCK: "tsc hpet"}, {}, ASKED, "warn", "hpet", "echo tsc"),
+    (checks.clock_source, {NOW: "hpet"}, {}, ASKED, "warn", "hpet", "dmesg"),
+    (checks.clock_source, {NOW: "jiffies"}, {}, ASKED, "fail", "jiffies", "dmesg"),
+    (checks.mitigations, {"proc/cmdline": "quiet mitigations=off"}, {}, ASKED, "ok", "off", ""),
+    (checks.mitigations, {FLAW: "Not affected"}, {}, ASKED, "ok", "none is active", ""),
+    (checks.mitigations, {FLAW: "Mitigation: clear"}, {}, ASKED, "warn", "1 active (mds)", "mitigations=off"),
     # --- kernel
-    (kernel.timers, {}, {}, ASKED, "ok", "high resolution", ""),
-    (kernel.timers, {**RELEASE, CONFIG: "CONFIG_HZ=250"}, {}, ASKED, "ok", "high resolution, HZ=250", ""),
-    (kernel.timers, HZ_100, {"clock_resolution_s": 0.01}, ASKED, "fail", "10 ms, HZ=100", "HIGH_RES"),
-    (kernel.tickless, {f"{CPU}/nohz_full": "3"}, {}, ASKED, "ok", "core 3 has no scheduler tick", ""),
-    (kernel.tickless, {}, {}, ASKED, "ok", "only while busy", ""),
-    (kernel.tickless, {"proc/cmdline": "nohz=off"}, {}, ASKED, "warn", "off", "remove nohz=off"),
-    (kernel.tickless, {**RELEASE, CONFIG: "CONFIG_HZ_PERIODIC=y"}, {}, ASKED, "warn", "off", "NO_HZ_IDLE"),
-    (kernel.preemption, {"sys/kernel/realtime": "1"}, {}, ASKED, "ok", "PREEMPT_RT", ""),
-    (kernel.preemption, {"proc/version": "Linux 6.12 #1 SMP PREEMPT_RT"}, {}, ASKED, "ok", "PREEMPT_RT", ""),
-    (kernel.preemption, {"sys/kernel/debug/sched/preempt": "none voluntary (full)"}, {}, ASKED, "ok", "full", ""),
-    (kernel.preemption, {"proc/cmdline": "preempt=voluntary threadirqs"}, {}, ASKED, "ok", "voluntary, threadirqs", ""),
-    (kernel.preemption, {**RELEASE, CONFIG: "CONFIG_PREEMPT_VOLUNTARY=y"}, {}, ASKED, "warn", "voluntary", "preempt=full"),
-    (kernel.preemption, {}, {}, ASKED, "warn", "unknown", "linux-image-rt-amd64"),
-    (kernel.irq_priority, {}, {}, ASKED, "ok", "no threads", ""),
-    (kernel.irq_priority, IRQ_THREAD, {}, ASKED, "warn", "xhci_hcd runs at 50, the servo at 79", "chrt --fifo --pid 85 77"),
-    (kernel.irq_priority, {"proc/77/stat": IRQ_STAT.replace(" 50 1 0", " 90 1 0")}, {}, ASKED, "ok", "above the servo's 79", ""),
-    (kernel.irq_sharing, {IRQS: " 16: 5 IO-APIC xhci_hcd:usb1"}, {}, ASKED, "ok", "no interrupt line", ""),
-    (kernel.irq_sharing, {IRQS: " 16: 5 IO-APIC xhci_hcd:usb1, snd_hda"}, {}, ASKED, "warn", "line 16 is shared", "another"),
-    (kernel.throttling, throttled(950000), {}, ASKED, "ok", "950000 of", ""),
-    (kernel.throttling, throttled(-1), {}, ASKED, "warn", "off", "sched_rt_runtime_us=950000"),
-    (kernel.throttling, throttled(400000), {}, ASKED, "fail", "400000 of", "sched_rt_runtime_us=950000"),
-    (kernel.throttling, {}, {}, ASKED, "ok", "does not throttle", ""),
-    (kernel.rt_group, {}, {}, ASKED, "ok", "no real-time time is given to groups", ""),
-    (kernel.rt_group, {**GROUPED, "proc/cmdline": "rt_group_sched=0"}, {}, ASKED, "ok", "no real-time time is given to groups", ""),
-    (kernel.rt_group, {**GROUPED, "proc/self/cgroup": "1:cpu:/"}, {}, ASKED, "ok", "root group", ""),
-    (kernel.rt_group, GROUPED, {}, ASKED, "fail", "group /user.slice has no", "cpu/user.slice/cpu.rt_runtime_us"),
-    (kernel.rt_group, {**GROUPED, RT_TIME: "950000"}, {}, ASKED, "ok", "has real-time time", ""),
-    (kernel.swap, {"proc/swaps": "Filename Type Size"}, {}, ASKED, "ok", "none", ""),
-    (kernel.swap, swapping(60), {}, ASKED, "warn", "swappiness 60", "swappiness=10"),
-    (kernel.swap, swapping(1), {}, ASKED, "ok", "swappiness 1", ""),
+    (checks.timers, {}, {}, ASKED, "ok", "high resolution", ""),
+    (checks.timers, {**RELEASE, CONFIG: "CONFIG_HZ=250"}, {}, ASKED, "ok", "high resolution, HZ=250", ""),
+    (checks.timers, HZ_100, {"clock_resolution_s": 0.01}, ASKED, "fail", "10 ms, HZ=100", "HIGH_RES"),
+    (checks.tickless, {f"{CPU}/nohz_full": "3"}, {}, ASKED, "ok", "core 3 has no scheduler tick", ""),
+    (checks.tickless, {}, {}, ASKED, "ok", "only while busy", ""),
+    (checks.tickless, {"proc/cmdline": "nohz=off"}, {}, ASKED, "warn", "off", "remove nohz=off"),
+    (checks.tickless, {**RELEASE, CONFIG: "CONFIG_HZ_PERIODIC=y"}, {}, ASKED, "warn", "off", "NO_HZ_IDLE"),
+    (checks.preemption, {"sys/kernel/realtime": "1"}, {}, ASKED, "ok", "PREEMPT_RT", ""),
+    (checks.preemption, {"proc/version": "Linux 6.12 #1 SMP PREEMPT_RT"}, {}, ASKED, "ok", "PREEMPT_RT", ""),
+    (checks.preemption, {"sys/kernel/debug/sched/preempt": "none voluntary (full)"}, {}, ASKED, "ok", "full", ""),
+    (checks.preemption, {"proc/cmdline": "preempt=voluntary threadirqs"}, {}, ASKED, "ok", "voluntary, threadirqs", ""),
+    (checks.preemption, {**RELEASE, CONFIG: "CONFIG_PREEMPT_VOLUNTARY=y"}, {}, ASKED, "warn", "voluntary", "preempt=full"),
+    (checks.preemption, {}, {}, ASKED, "warn", "unknown", "linux-image-rt-amd64"),
+    (checks.irq_priority, {}, {}, ASKED, "ok", "no threads", ""),
+    (checks.irq_priority, IRQ_THREAD, {}, ASKED, "warn", "xhci_hcd runs at 50, the servo at 79", "chrt --fifo --pid 85 77"),
+    (checks.irq_priority, {"proc/77/stat": IRQ_STAT.replace(" 50 1 0", " 90 1 0")}, {}, ASKED, "ok", "above the servo's 79", ""),
+    (checks.irq_sharing, {IRQS: " 16: 5 IO-APIC xhci_hcd:usb1"}, {}, ASKED, "ok", "no interrupt line", ""),
+    (checks.irq_sharing, {IRQS: " 16: 5 IO-APIC xhci_hcd:usb1, snd_hda"}, {}, ASKED, "warn", "line 16 is shared", "another"),
+    (checks.throttling, throttled(950000), {}, ASKED, "ok", "950000 of", ""),
+    (checks.throttling, throttled(-1), {}, ASKED, "warn", "off", "sched_rt_runtime_us=950000"),
+    (checks.throttling, throttled(400000), {}, ASKED, "fail", "400000 of", "sched_rt_runtime_us=950000"),
+    (checks.throttling, {}, {}, ASKED, "ok", "does not throttle", ""),
+    (checks.rt_group, {}, {}, ASKED, "ok", "no real-time time is given to groups", ""),
+    (checks.rt_group, {**GROUPED, "proc/cmdline": "rt_group_sched=0"}, {}, ASKED, "ok", "no real-time time is given to groups", ""),
+    (checks.rt_group, {**GROUPED, "proc/self/cgroup": "1:cpu:/"}, {}, ASKED, "ok", "root group", ""),
+    (checks.rt_group, GROUPED, {}, ASKED, "fail", "group /user.slice has no", "cpu/user.slice/cpu.rt_runtime_us"),
+    (checks.rt_group, {**GROUPED, RT_TIME: "950000"}, {}, ASKED, "ok", "has real-time time", ""),
+    (checks.swap, {"proc/swaps": "Filename Type Size"}, {}, ASKED, "ok", "none", ""),
+    (checks.swap, swapping(60), {}, ASKED, "warn", "swappiness 60", "swappiness=10"),
+    (checks.swap, swapping(1), {}, ASKED, "ok", "swappiness 1", ""),
     # --- usb
-    (usb.board, BOARD_FILES, {}, ASKED, "ok", "1209:0001 at 1-2", ""),
-    (usb.board, BOARD_FILES, {}, asked(usb=UsbParams(serial="HB-8")), "fail", "with serial HB-8", "lsusb -d 1209:0001"),
-    (usb.board, {}, {}, asked(usb=UsbParams()), "fail", "no 1209:0001 on the bus", "plug it in"),
-    (usb.board, {}, {}, asked(simulated=True), "ok", "simulated", ""),
-    (usb.permission, BOARD_FILES, {}, ASKED, "ok", "/dev/bus/usb/001/012 may be opened", ""),
-    (usb.permission, BOARD_FILES, DENIED, ASKED, "fail", "/dev/bus/usb/001/012 may not be", "udevadm trigger"),
-    (usb.permission, {}, {}, ASKED, "ok", "no board", ""),
-    (usb.permission, {}, {}, asked(simulated=True), "ok", "simulated", ""),
-    (usb.autosuspend, BOARD_FILES | {POWER: "on"}, {}, ASKED, "ok", "off", ""),
-    (usb.autosuspend, BOARD_FILES | {POWER: "auto"}, {}, ASKED, "warn", "on", "1-2/power/control"),
-    (usb.autosuspend, {}, {}, ASKED, "ok", "no board", ""),
-    (usb.udev_rule, {RULE: '"1209" "0001"'}, {}, ASKED, "ok", "70-hapticd.rules", ""),
-    (usb.udev_rule, {RULE: '"16c0" "04d2"'}, {}, ASKED, "warn", "names another board", "install-system"),
-    (usb.udev_rule, {}, {}, ASKED, "warn", "none for hapticd", "install-system --root /"),
-    (usb.udev_rule, {}, {}, asked(simulated=True), "ok", "simulated", ""),
+    (checks.board, BOARD_FILES, {}, ASKED, "ok", "1209:0001 at 1-2", ""),
+    (checks.board, BOARD_FILES, {}, asked(usb=UsbParams(serial="HB-8")), "fail", "with serial HB-8", "lsusb -d 1209:0001"),
+    (checks.board, {}, {}, asked(usb=UsbParams()), "fail", "no 1209:0001 on the bus", "plug it in"),
+    (checks.board, {}, {}, asked(simulated=True), "ok", "simulated", ""),
+    (checks.permission, BOARD_FILES, {}, ASKED, "ok", "/dev/bus/usb/001/012 may be opened", ""),
+    (checks.permission, BOARD_FILES, DENIED, ASKED, "fail", "/dev/bus/usb/001/012 may not be", "udevadm trigger"),
+    (checks.permission, {}, {}, ASKED, "ok", "no board", ""),
+    (checks.permission, {}, {}, asked(simulated=True), "ok", "simulated", ""),
+    (checks.autosuspend, BOARD_FILES | {POWER: "on"}, {}, ASKED, "ok", "off", ""),
+    (checks.autosuspend, BOARD_FILES | {POWER: "auto"}, {}, ASKED, "warn", "on", "1-2/power/control"),
+    (checks.autosuspend, {}, {}, ASKED, "ok", "no board", ""),
+    (checks.udev_rule, {RULE: '"1209" "0001"'}, {}, ASKED, "ok", "70-hapticd.rules", ""),
+    (checks.udev_rule, {RULE: '"16c0" "04d2"'}, {}, ASKED, "warn", "names another board", "install-system"),
+    (checks.udev_rule, {}, {}, ASKED, "warn", "none for hapticd", "install-system --root /"),
+    (checks.udev_rule, {}, {}, asked(simulated=True), "ok", "simulated", ""),
     # --- folders
-    (folders.disk, {}, {}, ASKED, "ok", "1e+03 GB free in /data", ""),
-    (folders.disk, {}, {"free_bytes": lambda path: 10**9}, ASKED, "warn", "1 GB free in /data", "record elsewhere"),
-    (folders.disk, {}, {"free_bytes": lambda path: 10**8}, ASKED, "fail", "0.1 GB free", "record elsewhere"),
-    (folders.runtime_folder, {}, {}, ASKED, "ok", "no daemon has run yet", ""),
-    (folders.keys, {}, {}, ASKED, "ok", "none needed", ""),
+    (checks.disk, {}, {}, ASKED, "ok", "1e+03 GB free in /data", ""),
+    (checks.disk, {}, {"free_bytes": lambda path: 10**9}, ASKED, "warn", "1 GB free in /data", "record elsewhere"),
+    (checks.disk, {}, {"free_bytes": lambda path: 10**8}, ASKED, "fail", "0.1 GB free", "record elsewhere"),
+    (checks.runtime_folder, {}, {}, ASKED, "ok", "no daemon has run yet", ""),
+    (checks.keys, {}, {}, ASKED, "ok", "none needed", ""),
 ]  # fmt: skip
 
 
@@ -224,9 +222,9 @@ def test_runtime_folder_open_to_others_fails(make: Callable[..., Machine], tmp_p
     folder.mkdir(mode=0o750)
     folder.chmod(0o750)
     wanted = asked(runtime=folder)
-    assert folders.runtime_folder(make(), wanted).level == "ok"
+    assert checks.runtime_folder(make(), wanted).level == "ok"
     folder.chmod(0o777)
-    finding = folders.runtime_folder(make(), wanted)
+    finding = checks.runtime_folder(make(), wanted)
     assert (finding.level, finding.found) == ("fail", f"{folder} has mode 0777")
     assert finding.fix.startswith(f"chmod 0750 {folder}")
 
@@ -237,7 +235,7 @@ def test_socket_open_to_others_fails(make: Callable[..., Machine], tmp_path: Pat
     with socket.socket(socket.AF_UNIX) as command:
         command.bind(str(folder / "command"))
         (folder / "command").chmod(0o666)
-        finding = folders.runtime_folder(make(), asked(runtime=folder))
+        finding = checks.runtime_folder(make(), asked(runtime=folder))
     assert (finding.level, finding.found) == ("fail", "open to others: command 0666")
     assert finding.fix == f"chmod o= {folder / 'command'}"
 
@@ -245,9 +243,9 @@ def test_socket_open_to_others_fails(make: Callable[..., Machine], tmp_path: Pat
 def test_key_readable_by_others_fails(make: Callable[..., Machine], tmp_path: Path) -> None:
     secret = tmp_path / "server.key_secret"
     secret.touch(mode=0o600)
-    assert folders.keys(make(), asked(keys=tmp_path)).level == "ok"
+    assert checks.keys(make(), asked(keys=tmp_path)).level == "ok"
     secret.chmod(0o644)
-    finding = folders.keys(make(), asked(keys=tmp_path))
+    finding = checks.keys(make(), asked(keys=tmp_path))
     assert (finding.level, finding.fix.startswith(f"chmod 600 {secret}")) == ("fail", True)
 
 
@@ -281,7 +279,7 @@ def test_core_lists_are_those_of_the_kernel(text: str, cores: set[int]) -> None:
 
 
 def test_this_machine_can_be_examined() -> None:
-    wanted = asked_of(load(shipped("config") / "hapticd.toml"))
+    wanted = requirements(load(shipped("config") / "hapticd.toml"))
     assert wanted.simulated
     assert len(examine(machine.this_machine(), wanted)) == len(CHECKS)
 
@@ -347,13 +345,13 @@ def test_worker_that_fails_says_why() -> None:
 
 
 @pytest.fixture
-def findings(monkeypatch: pytest.MonkeyPatch) -> list[Finding]:
-    found = [Finding("one", "ok", "good"), Finding("two", "warn", "so so", "because", "do this")]
-    monkeypatch.setattr("hapticd.doctor.examine.CHECKS", tuple(lambda m, a, item=item: item for item in found))
+def findings(monkeypatch: pytest.MonkeyPatch) -> list[CheckResult]:
+    found = [CheckResult("one", "ok", "good"), CheckResult("two", "warn", "so so", "because", "do this")]
+    monkeypatch.setattr("hapticd.doctor.checks.CHECKS", tuple(lambda m, a, item=item: item for item in found))
     return found
 
 
-def test_doctor_prints_why_and_fix(runtime: Path, findings: list[Finding], capsys: pytest.CaptureFixture[str]) -> None:
+def test_doctor_prints_why_and_fix(runtime: Path, findings: list[CheckResult], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["doctor", "--seconds", "0", "--strict"]) == 0
     assert capsys.readouterr().out.splitlines() == [
         "ok    one               good",
@@ -366,7 +364,7 @@ def test_doctor_prints_why_and_fix(runtime: Path, findings: list[Finding], capsy
 def test_doctor_is_strict_only_when_asked(
     runtime: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("hapticd.doctor.examine.CHECKS", (lambda m, a: Finding("three", "fail", "bad", "because", "do that"),))
+    monkeypatch.setattr("hapticd.doctor.checks.CHECKS", (lambda m, a: CheckResult("three", "fail", "bad", "because", "do that"),))
     assert main(["doctor", "--seconds", "0"]) == 0
     assert main(["doctor", "--seconds", "0", "--strict", "--json"]) == 6
     out, err = capsys.readouterr()
@@ -379,7 +377,9 @@ def test_doctor_is_strict_only_when_asked(
     assert "1 of 1 fail: three" in err
 
 
-def test_doctor_adds_the_measurement(runtime: Path, findings: list[Finding], monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+def test_doctor_adds_the_measurement(
+    runtime: Path, findings: list[CheckResult], monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
     measured = {"granted": {"fifo": "granted"}, "histogram_us": {9: 10}, **wake.quantiles({9: 10})}
     monkeypatch.setattr(wake, "measure", lambda seconds, core: measured)
     assert main(["doctor", "--json"]) == 0
@@ -389,7 +389,7 @@ def test_doctor_adds_the_measurement(runtime: Path, findings: list[Finding], mon
 
 
 def test_doctor_survives_a_failed_measurement(
-    runtime: Path, findings: list[Finding], monkeypatch: pytest.MonkeyPatch, capsys: Any
+    runtime: Path, findings: list[CheckResult], monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
     def measure(seconds: float, core: int | None) -> dict[str, Any]:
         raise OSError("no more processes")

@@ -12,8 +12,7 @@ from boards import ENABLE, LATCH_NS, TICK_NS, board_params, out_packet
 from hapticd.clock import VirtualClock
 from hapticd.errors import ConfigError, LinkAccess, LinkLost, LinkStalled, LinkTimeout
 from hapticd.link.base import backoff_s
-from hapticd.link.failures import FAILURES, link_error
-from hapticd.link.usb import UsbLink, system_backend
+from hapticd.link.usb import FAILURES, UsbLink, link_error, system_backend
 from hapticd.params import InjectionParams, UsbParams
 from hapticd.sim.backend import SimulatedBackend
 from hapticd.sim.board import BoardModel

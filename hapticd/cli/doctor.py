@@ -9,8 +9,7 @@ from hapticd.cli import options, output
 from hapticd.errors import RealtimeError
 
 if TYPE_CHECKING:
-    from hapticd.doctor.asked import Asked
-    from hapticd.doctor.finding import Finding
+    from hapticd.doctor.checks import CheckResult, Requirements
 
 COLOURS = {"ok": output.GREEN, "warn": output.YELLOW, "fail": output.RED}
 Seconds = Annotated[float, typer.Option("--seconds", metavar="S", min=0, help="Length of the wake-up measurement; 0: none.")]
@@ -25,12 +24,11 @@ def command(
     as_json: options.Json = False,
 ) -> None:
     """Check rights, processor, kernel, USB, disk and folders, and measure how late this machine wakes. Changes nothing."""
-    from hapticd.doctor.asked import asked_of
-    from hapticd.doctor.examine import examine
+    from hapticd.doctor.checks import examine, requirements
     from hapticd.doctor.machine import this_machine
     from hapticd.settings.load import load
 
-    asked = asked_of(load(config), instance)
+    asked = requirements(load(config), instance)
     findings = examine(this_machine(), asked)
     measured: dict[str, Any] = {}
     if seconds > 0:
@@ -50,17 +48,17 @@ def command(
         raise typer.Exit(RealtimeError.exit_code)
 
 
-def _wake(seconds: float, asked: "Asked") -> "tuple[Finding, dict[str, Any]]":
-    from hapticd.doctor import finding, wake
+def _wake(seconds: float, asked: "Requirements") -> "tuple[CheckResult, dict[str, Any]]":
+    from hapticd.doctor import checks, wake
 
     try:
         measured = wake.measure(seconds, asked.realtime.core)
     except (OSError, ValueError, subprocess.SubprocessError) as error:
-        return finding.fail("wake-up", f"could not be measured: {error}", "", "run it again on an idle machine"), {}
+        return checks.fail("wake-up", f"could not be measured: {error}", "", "run it again on an idle machine"), {}
     return wake.judge(measured, asked), measured
 
 
-def _show(finding: "Finding") -> None:
+def _show(finding: "CheckResult") -> None:
     level = output.coloured(f"{finding.level:4}", COLOURS[finding.level])
     output.data(f"{level}  {finding.name:16}  {finding.found}")
     for label, text in (("why", finding.why), ("fix", finding.fix)):

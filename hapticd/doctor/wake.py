@@ -13,8 +13,7 @@ import time
 from collections import Counter
 from typing import Any
 
-from hapticd.doctor.asked import Asked
-from hapticd.doctor.finding import Finding, fail, ok, warn
+from hapticd.doctor.checks import CheckResult, Requirements, fail, ok, warn
 from hapticd.params import RealtimeParams
 from hapticd.servo import host
 from hapticd.servo.wait import Wait, first_deadline, spinning_wait
@@ -65,7 +64,7 @@ def measure(seconds: float, core: int | None) -> dict[str, Any]:
     return found | quantiles(found["histogram_us"])
 
 
-def judge(found: dict[str, Any], asked: Asked) -> Finding:
+def judge(found: dict[str, Any], asked: Requirements) -> CheckResult:
     """The measured histogram as a line."""
     name, count = "wake-up", sum(found["histogram_us"].values())
     shown = "p50 {p50_us} us, p99 {p99_us} us, p99.9 {p999_us} us, max {max_us} us".format(**found)

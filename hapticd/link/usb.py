@@ -1,28 +1,62 @@
 """The USB link: the one product file that talks to pyusb (its simulated twin sits below it, as a backend).
 
-Found by vendor, product and serial number; the endpoints, bulk or interrupt, are those of the vendor interface. A board
-that has a configuration keeps it: setting it again would reset its toggles and its firmware. Both buffers are
-array('B'), which pyusb passes on without a copy; every time-out is finite, since a blocked read cannot be cancelled.
+Found by vendor, product and serial number; the endpoints, bulk or interrupt, are those of the vendor
+interface. A board that has a configuration keeps it: setting it again would reset its toggles and its
+firmware. Both buffers are array('B'), which pyusb passes on without a copy; every time-out is finite,
+since a blocked read cannot be cancelled.
 
-Every way in which pyusb can fail becomes a LinkError by the table in `failures`. A halted endpoint is cleared once; if
-its next transfer stalls again the board counts as lost. After LinkLost the caller closes, waits `backoff_s(attempt)` and
-opens again: for a moment after an unplug the dead board is still listed, and its opening fails with LinkLost too.
+Every way in which pyusb can fail becomes a LinkError by the table FAILURES. Its numbers are those that
+pyusb reports on Linux; 5 (the bus failed) is what an unplug often looks like before the hub has noticed,
+so it is treated as 19 (no such device). libusb's "not supported" has no number and counts as lost. A
+halted endpoint is cleared once; if its next transfer stalls again the board counts as lost. After
+LinkLost the caller closes, waits `backoff_s(attempt)` and opens again: for a moment after an unplug the
+dead board is still listed, and its opening fails with LinkLost too.
 
 What would break it: sharing a device between threads, and a time-out used as a clock (libusb fires late).
 """
 
 import errno
 from array import array
-from typing import Any
+from typing import Any, NamedTuple
 
 import usb.core
 import usb.util
 
-from hapticd.errors import ConfigError, LinkError, LinkLost, LinkStalled
+from hapticd.errors import ConfigError, LinkAccess, LinkError, LinkLost, LinkStalled, LinkTimeout
 from hapticd.link.base import Link
-from hapticd.link.failures import link_error
 from hapticd.params import UsbParams
 from hapticd.wire.frames import Request
+
+
+class Failure(NamedTuple):
+    """What an errno means and what to do about it."""
+
+    kind: type[LinkError]
+    remedy: str
+
+
+_AGAIN = "it is opened again when it comes back; check plug, cable and hub"
+_RIGHTS = "install 70-hapticd.rules in /etc/udev/rules.d, join group plugdev and plug the board in again"
+_OWNER = "another program has claimed the board: stop it and try again"
+
+FAILURES: dict[int | None, Failure] = {
+    errno.ETIMEDOUT: Failure(LinkTimeout, "the tick goes on without the frame"),
+    errno.EPIPE: Failure(LinkStalled, "the halt is cleared once"),
+    errno.EOVERFLOW: Failure(LinkStalled, "more than a packet came; the halt is cleared once, check the board's firmware"),
+    errno.EIO: Failure(LinkLost, _AGAIN),
+    errno.ENODEV: Failure(LinkLost, _AGAIN),
+    errno.EACCES: Failure(LinkAccess, _RIGHTS),
+    errno.EBUSY: Failure(LinkAccess, _OWNER),
+}
+OTHERWISE = Failure(LinkLost, _AGAIN)
+
+
+def link_error(action: str, error: Exception) -> LinkError:
+    """The LinkError for `error`, which pyusb raised while trying to `action`; to be raised from it."""
+    number = getattr(error, "errno", None)
+    kind, remedy = FAILURES.get(number, OTHERWISE)
+    return kind(f"cannot {action}: {getattr(error, 'strerror', None) or error} (errno {number}); {remedy}")
+
 
 VENDOR_CLASS = 0xFF
 VENDOR_IN, VENDOR_OUT = 0xC0, 0x40  # bmRequestType, recipient device
