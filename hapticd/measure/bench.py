@@ -18,7 +18,7 @@ import numpy as np
 
 from hapticd.analysis.arrays import Flags, Floats
 from hapticd.client.blocks import Block, BlockDecoder
-from hapticd.client.shell import Client
+from hapticd.client.client import Client
 from hapticd.errors import AnalysisError, DaemonDown
 from hapticd.mailbox.layout import Flag, State
 from hapticd.measure.progress import Progress, silent

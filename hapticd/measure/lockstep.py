@@ -21,8 +21,7 @@ from hapticd.analysis.arrays import Floats
 from hapticd.assembly.lockstep import LockStep
 from hapticd.assembly.scene import scene_params
 from hapticd.client.blocks import BlockDecoder
-from hapticd.client.core import Receipt
-from hapticd.client.shell import Client
+from hapticd.client.client import Client, Receipt
 from hapticd.errors import AnalysisError, CommandError, LinkError
 from hapticd.faults import BY_NUMBER
 from hapticd.gateway.commands import ACCEPTED, posting, receipt
