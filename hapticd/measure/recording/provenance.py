@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import hapticd
-from hapticd.errors import HapticdError
+from hapticd.errors import ConfigError
 from hapticd.units import NS_PER_S
 
 SCHEMA = "hapticd-recording/1"
@@ -99,8 +99,8 @@ def processor() -> str:
 
 
 def needed(module: str, extra: str) -> Any:
-    """The module. HapticdError that names the extra when it is not installed."""
+    """The module. ConfigError that names the extra when it is not installed."""
     try:
         return import_module(module)
     except ImportError as error:
-        raise HapticdError(f"this needs {module.partition('.')[0]} ({error}); install hapticd[{extra}]") from error
+        raise ConfigError(f"this needs {module.partition('.')[0]} ({error}); install hapticd[{extra}]") from error
