@@ -16,7 +16,7 @@ from hapticd.measure.campaign import MapParams, plan_map, run_map
 from hapticd.measure.directed import SearchParams, plan_search, rounded, run_search, slice_at
 from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
 from hapticd.measure.outcomes import Conditions, Outcome, envelope_of, fly, kept, kept_frequencies, key_of, restored
-from hapticd.measure.portable import device_hash, portable, read_portable, write_portable
+from hapticd.measure.portable import device_hash, portable, read_portable
 from hapticd.measure.scenes import noise
 from hapticd.measure.store import TrialStore, fingerprint, plain
 from hapticd.measure.walls import WallParams, hit, plan_walls, run_walls, to_and_fro
@@ -311,12 +311,12 @@ def test_wall_procedure_refuses_what_it_cannot_hit():
 def test_portable_summary_belongs_to_its_device_file(tmp_path):
     outcomes = fly(conditions(), 0.0, np.array([[0.0, 0.0, 0.0]]))
     content = portable("ideal", device_hash("ideal"), [(0.0, envelope_of(outcomes)), (1.0, None)], (), {"seconds": 20.0})
-    path = write_portable(tmp_path / "x" / "ideal.zwidth", content)
-    found = read_portable(path, "ideal")
+    path = tmp_path / "ideal.zwidth"
+    path.write_text(json.dumps(content))
+    found = read_portable(path)
+    assert found["device_file_sha256"] == device_hash("ideal") != device_hash("weir2008")
     assert [drawn["added_damping_ns_per_m"] for drawn in found["envelopes"]] == [0.0]
     assert len(found["envelopes"][0]["envelope"]["upper"]["value"]) == kept_frequencies((2.0, 500.0)).size
-    with pytest.raises(ConfigError, match="another file of device 'weir2008'"):
-        read_portable(path, "weir2008")
     path.write_text('{"zwidth": 9}')
     with pytest.raises(ConfigError, match="version 9 of a Z-width summary; this program reads 1"):
         read_portable(path)

@@ -8,10 +8,9 @@ with the mass too, so the density that belongs to it is per mass squared.
 Envelopes measured under unlike conditions are not laid over each other unless the difference is named.
 """
 
-from collections.abc import Iterable
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, fields, replace
 
-from hapticd.analysis.boundary import Limits
 from hapticd.analysis.envelope import Edge, Envelope
 from hapticd.errors import AnalysisError
 
@@ -47,43 +46,32 @@ def differences(one: Conditions, other: Conditions) -> tuple[str, ...]:
     return tuple(item.name for item in fields(Conditions) if item.name not in FREE and not _alike(item.name, one, other))
 
 
-def check_alike(conditions: Iterable[Conditions], allow: Iterable[str] = ()) -> None:
-    """AnalysisError unless all differ at most in what `allow` names."""
-    every, told = list(conditions), set(allow)
-    for other in every[1:]:
-        found = [name for name in differences(every[0], other) if name not in told]
-        if found:
-            said = "; ".join(f"{name}: {getattr(every[0], name)!r} and {getattr(other, name)!r}" for name in found)
+def check_alike(conditions: Sequence[Conditions], allow: Collection[str] = ()) -> tuple[str, ...]:
+    """What is unlike the first of them. AnalysisError unless `allow` names all of it.
+
+    Alike is also what is so in itself and only unlike per mass: displays of other masses at the same probe, shaken alike.
+    """
+    first, unlike = conditions[0], list[str]()
+    for other in conditions[1:]:
+        same = [name for name in PER_MASS if _close(getattr(first, name), getattr(other, name))]
+        found = [name for name in differences(first, other) if name not in same]
+        unlike += found
+        if refused := [name for name in found if name not in allow]:
+            said = "; ".join(f"{name}: {getattr(first, name)!r} and {getattr(other, name)!r}" for name in refused)
             raise AnalysisError(
-                f"{every[0].device} and {other.device} were measured under unlike conditions: {said}; "
-                f"measure them alike, or say that it is meant: allow {', '.join(found)}"
+                f"{first.device} and {other.device} were measured under unlike conditions: {said}; "
+                f"measure them alike, or say that it is meant: allow {', '.join(refused)}"
             )
-
-
-def same_force(one: Conditions, other: Conditions) -> tuple[str, ...]:
-    """What is alike in itself and only unlike per mass: displays of other masses at the same probe, shaken alike."""
-    return tuple(name for name in PER_MASS if _close(getattr(one, name), getattr(other, name)))
+    return tuple(dict.fromkeys(unlike))
 
 
 def normalised(found: Envelope, mass_kg: float) -> Envelope:
-    """`found` per kilogram of moving mass: Z/m [1/s], or Y m [s]."""
-    _positive(mass_kg)
+    """`found` per kilogram of moving mass: Z/m [1/s], or Y m [s]. AnalysisError without a mass."""
+    if not mass_kg > 0.0:
+        raise AnalysisError(f"mass {mass_kg} kg: the mass that moves at the port must be positive to divide by it")
     factor = 1.0 / mass_kg if found.kind == "impedance" else mass_kg
     upper, lower = (Edge(factor * edge.value, edge.sd, edge.owner) for edge in (found.upper, found.lower))
     return replace(found, upper=upper, lower=lower)
-
-
-def normalised_limits(limits: Limits, mass_kg: float) -> Limits:
-    """K/m [1/s^2], B/m [1/s] and M/m [1]."""
-    _positive(mass_kg)
-    return Limits(*((low / mass_kg, high / mass_kg) for low, high in (limits.stiffness, limits.damping, limits.mass)))
-
-
-def compared(envelopes: Iterable[tuple[Conditions, Envelope]], allow: Iterable[str] = ()) -> tuple[tuple[str, Envelope], ...]:
-    """(device, mass-normalised envelope) of each, to be drawn on one pair of axes. AnalysisError as `check_alike`."""
-    pairs = list(envelopes)
-    check_alike((conditions for conditions, _ in pairs), allow)
-    return tuple((conditions.device, normalised(found, conditions.mass_kg)) for conditions, found in pairs)
 
 
 def _alike(name: str, one: Conditions, other: Conditions) -> bool:
@@ -96,8 +84,3 @@ def _alike(name: str, one: Conditions, other: Conditions) -> bool:
 
 def _close(a: float, b: float) -> bool:
     return bool(abs(a - b) <= CLOSE * max(abs(a), abs(b)))
-
-
-def _positive(mass_kg: float) -> None:
-    if not mass_kg > 0.0:
-        raise AnalysisError(f"mass {mass_kg} kg: the mass that moves at the port must be positive to divide by it")

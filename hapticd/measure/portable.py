@@ -14,7 +14,7 @@ their envelope stand for the one, the device file with their hash, where it is s
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from math import nan
 from pathlib import Path
@@ -22,8 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.boundary import AXES, Limits
-from hapticd.analysis.compare import Conditions, check_alike, compared, differences, normalised_limits, same_force
+from hapticd.analysis.boundary import AXES
+from hapticd.analysis.compare import Conditions, check_alike, normalised
 from hapticd.analysis.envelope import Edge, Envelope
 from hapticd.analysis.metrics import stiffness_damping_area, stiffness_rate, zero_mass_bandwidth_hz
 from hapticd.analysis.verdict import Judged
@@ -33,7 +33,6 @@ from hapticd.measure.campaign import LevelMap
 from hapticd.measure.scenes import Display, device_scene, filters
 from hapticd.measure.store import plain
 from hapticd.plant.compose import compose
-from hapticd.plant.model import Model
 from hapticd.settings.document import read
 from hapticd.settings.load import find_device
 from hapticd.settings.resources import shipped
@@ -67,7 +66,7 @@ def portable(
     conditions: Any,
     numbers: Iterable[Any] = (),
 ) -> dict[str, Any]:
-    """The content of such a file: `envelopes` by added damping [Ns/m], in SI units."""
+    """The content of such a file, as JSON: `envelopes` by added damping [Ns/m], in SI units."""
     drawn = [{"added_damping_ns_per_m": level, "envelope": found} for level, found in envelopes if found is not None]
     return {
         "zwidth": VERSION,
@@ -104,26 +103,14 @@ def conditions_of(conditions: outcomes.Conditions, judged: Judged) -> dict[str, 
     }  # fmt: skip
 
 
-def write_portable(path: Path, content: Mapping[str, Any]) -> Path:
-    """Write it. ConfigError if that cannot be done."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(content) + "\n")
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}; name a folder that you may write to with --out") from error
-    return path
-
-
-def read_portable(path: Path, device: str = "") -> dict[str, Any]:
-    """The content of `path`; with `device`, only if it belongs to that device file as it is now. ConfigError else."""
+def read_portable(path: Path) -> dict[str, Any]:
+    """The content of `path`. ConfigError if it is no such file."""
     try:
         content = dict(json.loads(path.read_text()))
     except (OSError, ValueError, TypeError) as error:
         raise ConfigError(f"{path}: no Z-width summary ({error})") from error
     if content.get("zwidth") != VERSION:
         raise ConfigError(f"{path}: version {content.get('zwidth')!r} of a Z-width summary; this program reads {VERSION}")
-    if device and content["device_file_sha256"] != device_hash(device):
-        raise ConfigError(f"{path}: made with another file of device {device!r}; measure again, or go back to that file")
     return content
 
 
@@ -172,15 +159,18 @@ class Comparison:
     unlike: tuple[str, ...]
 
 
-def compare(paths: Iterable[Path], allow: Iterable[str] = ()) -> Comparison:
+def compare(paths: Iterable[Path], allow: Collection[str] = ()) -> Comparison:
     """The displays in `paths`. ConfigError for a file that is no summary; AnalysisError for fewer than two, for conditions that
     are unlike and not in `allow`, and for names in `allow` that are no conditions.
     """
     files = [(path, *_display(path)) for path in paths]
     if len(files) < 2:
         raise AnalysisError("one display is no comparison; name two files that `hapticd zwidth report` wrote, or more")
+    names = Conditions.__dataclass_fields__
+    if wrong := set(allow) - set(names):
+        raise AnalysisError(f"--allow {','.join(sorted(wrong))}: no such condition; known: {', '.join(names)}")
+    unlike = check_alike([known for _, known, _ in files], allow)
     devices = [known.device for _, known, _ in files]
-    unlike = _checked([known for _, known, _ in files], set(allow))
     displays = (
         Compared(known.device if devices.count(known.device) == 1 else str(path), known, levels) for path, known, levels in files
     )
@@ -191,24 +181,11 @@ def _display(path: Path) -> tuple[Conditions, tuple[Level, ...]]:
     content = read_portable(path)
     try:
         known = _conditions(content)
-        return known, tuple(_level(content, one, known) for one in content["envelopes"])
+        return known, tuple(_level(content, one, known.mass_kg) for one in content["envelopes"])
     except (KeyError, IndexError, TypeError, ValueError) as error:
         raise ConfigError(
             f"{path}: not a whole Z-width summary ({error!r}); write it again with `hapticd zwidth report`"
         ) from error
-
-
-def _checked(known: list[Conditions], allow: set[str]) -> tuple[str, ...]:
-    if wrong := allow - set(Conditions.__dataclass_fields__):
-        raise AnalysisError(
-            f"--allow {','.join(sorted(wrong))}: no such condition; known: {', '.join(Conditions.__dataclass_fields__)}"
-        )
-    first, unlike = known[0], list[str]()
-    for other in known[1:]:
-        alike = same_force(first, other)  # on displays of other masses
-        check_alike((first, other), {*allow, *alike})
-        unlike += [name for name in differences(first, other) if name not in alike]
-    return tuple(dict.fromkeys(unlike))
 
 
 def _conditions(content: Mapping[str, Any]) -> Conditions:
@@ -216,9 +193,7 @@ def _conditions(content: Mapping[str, Any]) -> Conditions:
     low, high = told["band_hz"]
     inside = [f for f in first["frequency_hz"] if low <= f <= high]
     judged = told.get("judged") or {"first_hz": inside[0], "last_hz": inside[-1]}
-    model = None if "mass_kg" in told else _model(content)
-    masses = {"mass_kg": model.mass_kg, "probe_mass_kg": model.probe_mass_kg} if model else {}
-    known = {**masses, **told}
+    known = told if "mass_kg" in told else {**told, **_masses(content)}
     return Conditions(
         device=content["device"], mass_kg=known.get("mass_kg", nan), port=first["port"],
         probe_mass_kg=known.get("probe_mass_kg", 0.0), rate_hz=told.get("rate_hz", 1000.0),
@@ -229,57 +204,40 @@ def _conditions(content: Mapping[str, Any]) -> Conditions:
     )  # fmt: skip
 
 
-def _model(content: Mapping[str, Any]) -> Model | None:
-    """Of the shipped device that the file belongs to; None if it is another one."""
-    try:
-        if device_hash(content["device"]) != content["device_file_sha256"]:
-            return None
-    except ConfigError:
-        return None
-    scene = device_scene(content["device"])
-    return compose(scene) if scene else None
+def _masses(content: Mapping[str, Any]) -> dict[str, float]:
+    """Of the shipped device that the file belongs to; none if it is another one."""
+    device = content["device"]
+    scene = device_scene(device)
+    if scene is None or device_hash(device) != content["device_file_sha256"]:
+        return {}
+    model = compose(scene)
+    return {"mass_kg": model.mass_kg, "probe_mass_kg": model.probe_mass_kg}
 
 
-def _level(content: Mapping[str, Any], drawn: Mapping[str, Any], conditions: Conditions) -> Level:
+def _level(content: Mapping[str, Any], drawn: Mapping[str, Any], mass_kg: float) -> Level:
     damping, found = drawn["added_damping_ns_per_m"], _envelope(drawn["envelope"])
-    heavy = conditions.mass_kg > 0.0
     numbers: Mapping[str, Any] = next((one for one in content.get("numbers", ()) if one["added_damping_ns_per_m"] == damping), {})
+    known = np.array([numbers.get(name) for name in NUMBERS], np.float64)  # null is nan
     return Level(
-        damping, found, compared([(conditions, found)])[0][1] if heavy else None,
-        tuple(_reaches(content["limits"], damping, conditions.mass_kg if heavy else nan)),
-        {name: _number(numbers.get(name)) for name in NUMBERS},
+        damping, found, normalised(found, mass_kg) if mass_kg > 0.0 else None,
+        tuple(_reaches(content["limits"], damping, mass_kg)), dict(zip(NUMBERS, known.tolist(), strict=True)),
     )  # fmt: skip
 
 
 def _envelope(kept: Mapping[str, Any]) -> Envelope:
-    edges = {name: _edge(kept[name]) for name in EDGES}
+    edges = {
+        name: Edge(np.array(kept[name]["value"], np.float64), np.array(kept[name]["sd"], np.float64), np.array(kept[name]["owner"]))
+        for name in EDGES
+    }
     return Envelope(
         frequency_hz=np.asarray(kept["frequency_hz"], np.float64), trials=tuple(kept["trials"]), port=kept["port"],
         estimator=kept["estimator"], kind=kept["kind"], **edges,
     )  # fmt: skip
 
 
-def _edge(kept: Mapping[str, Any]) -> Edge:
-    value, sd = (np.array([_number(one) for one in kept[part]]) for part in ("value", "sd"))
-    return Edge(value, sd, np.asarray(kept["owner"], np.int64))
-
-
 def _reaches(limits: Iterable[Mapping[str, Any]], damping: float, mass_kg: float) -> Iterable[Reach]:
     for limit in limits:
         scan = limit["scan"]
-        if scan["damping_ns_per_m"] != damping or scan["amplitude"] != 1.0:
-            continue
-        value = _number(limit["value"])
-        yield Reach(AXES[scan["axis"]], value, _number(limit["lower"]), _number(limit["upper"]), _per_mass(value, mass_kg))
-
-
-def _per_mass(value: float, mass_kg: float) -> float:
-    if not mass_kg > 0.0:
-        return nan
-    both = (min(0.0, value), max(0.0, value))
-    low, high = normalised_limits(Limits(both, both, both), mass_kg).stiffness
-    return low + high
-
-
-def _number(value: Any) -> float:
-    return nan if value is None else float(value)
+        if scan["damping_ns_per_m"] == damping and scan["amplitude"] == 1.0:
+            value, lower, upper = np.array([limit[name] for name in ("value", "lower", "upper")], np.float64).tolist()
+            yield Reach(AXES[scan["axis"]], value, lower, upper, value / mass_kg if mass_kg > 0.0 else nan)

@@ -1,5 +1,6 @@
 """Every figure of a device, or of a run that was kept."""
 
+import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -152,7 +153,7 @@ def _asked(kept: dict[str, Any]) -> "MapParams":
 def _of_device(what: str, damping: str, seconds: float, seed: int, out: Path | None) -> Drawn:
     from hapticd.cli.zwidth.map import draw
     from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
-    from hapticd.measure.portable import SUFFIX, conditions_of, device_hash, numbers_of, portable, write_portable
+    from hapticd.measure.portable import SUFFIX, conditions_of, device_hash, numbers_of, portable
     from hapticd.measure.store import TrialStore, write_run
     from hapticd.report import style
     from hapticd.report.passive_set import limits_figure
@@ -166,15 +167,15 @@ def _of_device(what: str, damping: str, seconds: float, seed: int, out: Path | N
     with common.keeping(store, folder), progress() as tell:
         limits = run_limits(plan_limits(LimitsParams(conditions, levels)), store, tell)
         found = _mapped(conditions, levels, limits, store, tell)
-    told = conditions_of(conditions, found.judged)
-    write_run(folder, {"kind": "report", "device": name, **told, "provenance": common.told(seed=seed)})
-    paths = [*_own_trial(scene, seconds, folder), *style.save(limits_figure(limits), folder, "limits")]
-    paths += draw(found, folder)
+    told, provenance = conditions_of(conditions, found.judged), common.told(seed=seed)
     drawn = [(level.damping_ns_per_m, level.envelope) for level in found.levels]
     numbers = [numbers_of(level, conditions.display) for level in found.levels]
-    content = portable(name, file_hash, drawn, limits.limits, told, numbers)
-    paths.append(write_portable(folder / f"{name}{SUFFIX}", {**content, "provenance": common.told(seed=seed)}))
-    return Drawn(paths, found.judged)
+    content = {**portable(name, file_hash, drawn, limits.limits, told, numbers), "provenance": provenance}
+    summary = {"kind": "report", "device": name, **told, "provenance": provenance}
+    write_run(folder, summary, texts={f"{name}{SUFFIX}": json.dumps(content) + "\n"})
+    paths = [*_own_trial(scene, seconds, folder), *style.save(limits_figure(limits), folder, "limits")]
+    paths += draw(found, folder)
+    return Drawn([*paths, folder / f"{name}{SUFFIX}"], found.judged)
 
 
 def _mapped(conditions: Any, levels: tuple[float, ...], limits: Any, store: "TrialStore", tell: Any) -> "MapResult":
