@@ -31,7 +31,6 @@ from hapticd.measure.beyond import (
     shown_hz,
     sizes,
 )
-from hapticd.measure.beyond_rows import PART, restored, rows
 from hapticd.measure.limits import REACH
 from hapticd.measure.outcomes import Conditions, Outcome, kept_frequencies
 from hapticd.measure.reproduce import AXES, FINE
@@ -39,7 +38,8 @@ from hapticd.plant.effects import Masses, Motor, Viscous
 from hapticd.plant.step import held_force_response
 from hapticd.report import style
 from hapticd.report.envelope import weightiest
-from hapticd.report.paper_page import future_sections as sections
+from hapticd.report.future_work import PART, restored
+from hapticd.report.future_work import future_sections as sections
 from hapticd.report.style import PARTS
 
 MASS_KG, VISCOUS, LEVEL = 0.008, 0.4, 1.5
@@ -296,7 +296,7 @@ def test_set_of_a_linear_device_grows_with_the_cube_of_its_damping(monkeypatch):
 
 
 def test_rows_have_units_part_and_no_paper(quick):
-    found = rows(quick)
+    found = [row for section in sections(quick) for row in section.rows]
     names = [row.quantity for row in found]
     assert len(names) == len(set(names))
     assert {row.part for row in found} == {PART}
@@ -312,7 +312,7 @@ def test_rows_have_units_part_and_no_paper(quick):
 
 def test_rows_do_not_take_names_of_the_six_limits(quick):
     six = {f"{name}_{mode}" for name in ("K_max", "B_max", "M_min") for mode in ("off", "on")}
-    assert not six & {row.quantity for row in rows(quick)}
+    assert not six & {row.quantity for section in sections(quick) for row in section.rows}
 
 
 def test_scatter_needs_two_seeds():
@@ -339,7 +339,6 @@ def test_weightiest_part_has_a_sign():
 
 def test_page_tells_each_part_once_with_its_figure(quick):
     found = sections(quick)
-    assert [row.quantity for section in found for row in section.rows] == [row.quantity for row in rows(quick)]
     names = [drawing.name for section in found for drawing in section.drawings]
     assert names == ["beyond_lower_edge", "beyond_free_motion", "beyond_shaped", "beyond_levels"]
     low = quick.envelopes["on_negative_B"].lower_db()[0]

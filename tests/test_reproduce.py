@@ -11,7 +11,6 @@ import pytest
 import reproduced
 from stand_in import StandIn
 
-from hapticd.analysis.boundary import set_limits
 from hapticd.measure import reproduce
 from hapticd.measure.campaign import MapPlan
 from hapticd.measure.limits import LimitsParams, plan_limits, predicted_limit, run_limits
@@ -28,9 +27,8 @@ from hapticd.measure.reproduce import (
     subject,
 )  # fmt: skip
 from hapticd.measure.reproduce_rows import FIG_7, LEVELS, LITERAL, MAIN, PAPER, Row, arithmetic, by_quantity
-from hapticd.measure.reproduce_table import rows
 from hapticd.measure.store import TrialStore
-from hapticd.report.paper_table import from_json
+from hapticd.report.paper_table import from_json, rows
 
 DOCS = Path(__file__).parents[1] / "docs"
 NAMES = ("K_max_off", "B_max_off", "M_min_off", "K_max_on", "B_max_on", "M_min_on")
@@ -157,7 +155,7 @@ def test_grid_is_the_papers_thirteen_days() -> None:
     assert POINTS.shape == (6384, 3)
     found = by_prediction(subject(MAIN), LEVELS[1])
     assert found is not None
-    assert set_limits(found.as_set).mass[0] == pytest.approx(-0.022)
+    assert found.environments[:, 2].min() == pytest.approx(-0.022)
     assert found.envelope.upper.value.min() > 0.0
 
 

@@ -20,11 +20,10 @@ from hapticd.cli.zwidth import reproduce as verb
 from hapticd.errors import ConfigError
 from hapticd.measure.reproduce import SCENES, ReproduceResult
 from hapticd.measure.reproduce_rows import Row
-from hapticd.measure.reproduce_table import rows
 from hapticd.report.envelope import NOBODY, Drawn, weighty
 from hapticd.report.paper_figures import drawn
 from hapticd.report.paper_page import Drawing, Section, keep, page, parts, sections, terminal
-from hapticd.report.paper_table import as_json, from_json, markdown, notes, paper_table
+from hapticd.report.paper_table import as_json, from_json, markdown, notes, paper_table, rows
 
 DOCS = Path(__file__).parents[1] / "docs"
 FIGURES = {"fig03", "fig04", "fig07", "fig08", "fig09", "fig10", "fig11", "limits", "band_edge"} | {

@@ -52,10 +52,10 @@ from hapticd.analysis.search import predicted_passive
 from hapticd.errors import AnalysisError
 from hapticd.measure.campaign import Axes, MapParams, plan_map, run_map
 from hapticd.measure.directed import SearchParams, SearchResult, observed, plan_search, run_search
-from hapticd.measure.limits import ORIGIN, REACH, LimitsParams, plan_limits, predicted_limit, run_limits
+from hapticd.measure.limits import ORIGIN, REACH, LimitsParams, plan_limits, predicted_limit
 from hapticd.measure.outcomes import Conditions, Lot, Outcome, Point, flown, kept_frequencies, points_of
 from hapticd.measure.progress import Progress, Steps, silent
-from hapticd.measure.reproduce import AXES, FINE, Limit, conditions, predicted_set
+from hapticd.measure.reproduce import AXES, FINE, Limit, conditions, limits_of, predicted_set
 from hapticd.measure.reproduce_rows import ADDED_NS_PER_M, LEVELS, MAIN
 from hapticd.measure.scenes import Display
 from hapticd.measure.store import TrialStore
@@ -124,13 +124,8 @@ class Bench:
         self, levels: tuple[float, ...], seeds: tuple[int, ...], axes: tuple[int, ...] = (0, 1, 2), reach: Point = REACH
     ) -> tuple[Limit, ...]:
         """Axis limits, by trials with so many seeds; predicted without."""
-        plan = plan_limits(LimitsParams(self.conditions, levels, axes=axes, seeds=len(seeds), reach=reach, tolerance=FINE))
-        found = run_limits(plan, self.store).limits if seeds else ()
-        values = [np.array(one.values) for one in found] or [np.empty(0)] * len(plan.scans)
-        return tuple(
-            Limit(MAIN, scan.damping_ns_per_m, scan.axis, ORIGIN, scan.predicted, runs)
-            for scan, runs in zip(plan.scans, values, strict=True)
-        )
+        plan = plan_limits(LimitsParams(self.conditions, levels, axes=axes, seeds=max(1, len(seeds)), reach=reach, tolerance=FINE))
+        return limits_of([plan], self.store if seeds else None)
 
     def shaped(self, highpass_hz: float = 0.0, lowpass_hz: float = 0.0) -> "Bench":
         """The same device with shaped damping."""
@@ -215,6 +210,10 @@ class Motion:
     def low_db(self) -> Floats:
         """Mean over ln f in 2-20 Hz [dB re 1 N s/m], (seeds,), of the prediction (1,) without trials."""
         return mean_db(shown_hz(), self.runs if len(self.runs) else self.predicted[None], LOW_HZ)
+
+    def predicted_db(self) -> float:
+        """The same by prediction alone."""
+        return float(mean_db(shown_hz(), self.predicted[None], LOW_HZ)[0])
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,15 +18,16 @@ What would break it: comparing a limit of one perturbation with that of another;
 where a passive piece far from the rest would be missed.
 """
 
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from math import isnan, nan
 
 import numpy as np
 
 from hapticd.analysis.arrays import Flags, Floats
-from hapticd.analysis.boundary import PassiveSet, grid, passive_set
+from hapticd.analysis.boundary import grid
 from hapticd.analysis.envelope import Envelope, accepted, of_predicted
 from hapticd.analysis.impedance import Impedance, impedance
 from hapticd.analysis.predict import DEFAULT_BAND_HZ, frequencies
@@ -34,7 +35,7 @@ from hapticd.analysis.spa import DEFAULT_LAG
 from hapticd.errors import AnalysisError
 from hapticd.measure.campaign import Axes, LevelMap, MapParams, MapPlan, plan_map, run_map
 from hapticd.measure.executors import pool_of
-from hapticd.measure.limits import ORIGIN, LimitsParams, LimitsPlan, Scan, predicted_limit, run_plans
+from hapticd.measure.limits import ORIGIN, REACH, LimitsParams, LimitsPlan, plan_limits, predicted_limit, run_plans
 from hapticd.measure.outcomes import Conditions, Point, points_of
 from hapticd.measure.progress import Progress, Steps, silent
 from hapticd.measure.reproduce_rows import ADDED_NS_PER_M, FIG_4, FIG_7, HIGH_PASS, LEVELS, LITERAL, MAIN
@@ -67,7 +68,6 @@ NEAR = 0.85
 PEAK_HZ = (40.0, 200.0)
 PROMINENT = 1.01  # above the valleys on both sides
 CALMED = 3  # of the frequencies that are kept of a trial, about 10 % of one
-WALL_SCENE = "wall"
 WALL_DAMPINGS = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0)  # Ns/m
 WALL_STIFFNESSES = tuple(np.geomspace(20.0, 3000.0, 22).tolist())  # N/m
 
@@ -151,11 +151,6 @@ class Found:
         """Behind each environment: one, or none if it was predicted."""
         return min(self.flown, 1)
 
-    @property
-    def as_set(self) -> PassiveSet:
-        """With margins of +-1."""
-        return passive_set(AXES, np.where(self.passive, 1.0, -1.0))
-
     def peak(self) -> Peak | None:
         """The upper edge's most prominent maximum in PEAK_HZ, if any."""
         f, edge = self.envelope.frequency_hz, self.envelope.upper
@@ -208,89 +203,71 @@ def subject(device: str) -> Display:
 
 def run_reproduce(plan: ReproducePlan, tell: Progress = silent, executor: Executor | None = None) -> ReproduceResult:
     """Do it, trials on `executor` or on threads here. ConfigError as `simulate`."""
-    axis: list[Limit] = []
-    whole: list[Limit] = []
-    edges: list[Limit] = []
+    seeds = len(plan.seeds)
     predicted: dict[str, tuple[Found | None, ...]] = {}
-    steps = Steps(tell, len(plan.devices))
+    limits: list[LimitsPlan] = []
+    sets: list[LimitsPlan] = []
+    edges: list[LimitsPlan] = []
+    steps = Steps(tell, 2 * len(plan.devices))
     for name in plan.devices:
         steps.next(f"predicting, {name}")
-        for level in LEVELS:
-            axis += [_predicted(name, level, each, ORIGIN) for each in range(3)]
-            whole += [_predicted(name, level, each, set_place(name, level, each)) for each in range(3)]
-            edges += [_predicted(name, level, 0, ORIGIN, low_hz) for low_hz in EDGES_HZ]
         predicted[name] = tuple(by_prediction(subject(name), level) for level in LEVELS)
-    found = ReproduceResult(
-        plan, tuple(axis), tuple(whole), tuple(edges), {name: _singles(name, {}) for name in plan.devices},
-        tuple(each for each in predicted[MAIN] if each is not None), predicted, None,
-    )  # fmt: skip
-    return _flown(found, tell, executor) if plan.seeds else found
-
-
-def _flown(found: ReproduceResult, tell: Progress, executor: Executor | None) -> ReproduceResult:
-    """With trials in place of what was predicted."""
-    seeds, store = len(found.plan.seeds), TrialStore(None)
+        limits.append(_asked(name, seeds))
+        for level in LEVELS:
+            sets += [_asked(name, min(seeds, SET_SEEDS), (level,), (axis,), set_place(name, level, axis)) for axis in range(3)]
+            edges += [_asked(name, min(seeds, EDGE_SEEDS), (level,), (0,), low_hz=low_hz) for low_hz in EDGES_HZ]
+    store = TrialStore(None) if seeds else None
+    singles: dict[str, tuple[Single, ...]] = {}
     with pool_of(executor) as pool:
-        walls = pool.submit(run_walls, plan_walls(WallParams(load_scene(WALL_SCENE), WALL_STIFFNESSES, WALL_DAMPINGS, LEVELS)))
-        singles = {
-            (name, place, seed): pool.submit(single_trial, name, point, level, seed)
-            for seed in found.plan.seeds for name in found.singles for place, (point, level) in enumerate(SHOWN)
-        }  # fmt: skip
-        asked = [(each, seeds) for each in found.limits] + [(each, min(seeds, SET_SEEDS)) for each in found.sets]
-        limits = _searched(asked, store, tell, pool)
-        edges = _searched([(each, min(seeds, EDGE_SEEDS)) for each in found.edges], store, tell, pool)
-        mapped = run_map(hopeful(plan_map(MapParams(conditions(MAIN), AXES, LEVELS))), TrialStore(None), tell, pool)
-        steps, done = Steps(tell, len(singles) + 1), {}
-        for key, trial in singles.items():
-            steps.next("Figs. 4 and 7")
-            done[key] = trial.result()
-        steps.next("walls")
-        hit = walls.result()
-        steps.end()
-    return replace(
-        found,
-        limits=limits[: len(found.limits)],
-        sets=limits[len(found.limits) :],
-        edges=edges,
-        singles={name: _singles(name, done) for name in found.singles},
-        found=tuple(_of_map(level) for level in mapped.levels),
-        walls=hit,
-    )
+        for name in plan.devices:
+            steps.next(f"Figs. 4 and 7, {name}")
+            singles[name] = tuple(_single(name, point, level, plan.seeds, pool) for point, level in SHOWN)
+        read = [limits_of(asked, store, tell, pool) for asked in (limits, sets, edges)]
+        found = _grid(tell, pool) if seeds else tuple(each for each in predicted[MAIN] if each is not None)
+    hit = WallParams(load_scene("wall"), WALL_STIFFNESSES, WALL_DAMPINGS, LEVELS)
+    walls = run_walls(plan_walls(hit), tell) if seeds else None
+    return ReproduceResult(plan, read[0], read[1], read[2], singles, found, predicted, walls)
 
 
-def _predicted(name: str, level: float, axis: int, base: Point | None, low_hz: float = LOW_HZ) -> Limit:
-    value = nan if base is None else predicted_limit(subject(name), level, axis, base, (low_hz, TOP_HZ))
-    return Limit(name, level, axis, base or ORIGIN, value, np.empty(0), low_hz)
+def _asked(
+    name: str, seeds: int, levels: tuple[float, ...] = LEVELS, axes: tuple[int, ...] = (0, 1, 2), base: Point = ORIGIN,
+    low_hz: float = LOW_HZ,
+) -> LimitsPlan:  # fmt: skip
+    given = replace(conditions(name), band_hz=(low_hz, TOP_HZ), below_window=low_hz < WINDOW_HZ)
+    return plan_limits(LimitsParams(given, levels, axes=axes, seeds=max(1, seeds), base=base, tolerance=FINE))
 
 
-def _searched(asked: list[tuple[Limit, int]], store: TrialStore, tell: Progress, pool: Executor) -> tuple[Limit, ...]:
-    """By trials with so many seeds. Where nothing is predicted to be passive none is flown."""
-    plans = [_search(limit, seeds) for limit, seeds in asked if not isnan(limit.predicted)]
-    found = iter(run_plans(plans, store, tell, pool))
+def limits_of(
+    plans: Sequence[LimitsPlan], store: TrialStore | None, tell: Progress = silent, pool: Executor | None = None
+) -> tuple[Limit, ...]:
+    """Every limit of the plans, in their order: by trials into `store`, or predicted where there is none. Where nothing is
+    predicted to be passive none is flown.
+    """
+    asked = [(plan.params, scan) for plan in plans for scan in plan.scans]
+    values = {}
+    if store is not None:
+        passive = [replace(plan, scans=tuple(scan for scan in plan.scans if not isnan(scan.predicted))) for plan in plans]
+        found = run_plans(passive, store, tell, pool)
+        values = {(one.plan.params, limit.scan): np.nan_to_num(limit.values) for one in found for limit in one.limits}
     return tuple(
-        limit if isnan(limit.predicted) else replace(limit, values=np.nan_to_num(next(found).limits[0].values))
-        for limit, _ in asked
+        Limit(
+            params.conditions.scene.device, scan.damping_ns_per_m, scan.axis, params.base, scan.predicted,
+            values.get((params, scan), np.empty(0)), params.conditions.band_hz[0],
+        )
+        for params, scan in asked
     )  # fmt: skip
 
 
-def _search(limit: Limit, seeds: int) -> LimitsPlan:
-    given = replace(conditions(limit.device), band_hz=(limit.low_hz, TOP_HZ), below_window=limit.low_hz < WINDOW_HZ)
-    params = LimitsParams(given, (limit.level,), axes=(limit.axis,), seeds=seeds, base=limit.base, tolerance=FINE)
-    return LimitsPlan(params, (Scan(limit.axis, limit.level, 1.0, limit.predicted),))
-
-
-def set_place(device: str, level: float, axis: int) -> Point | None:
+def set_place(device: str, level: float, axis: int) -> Point:
     """Where the set reading of a parameter is searched from: of the places beside the extreme of the
-    predicted set the one that reaches farthest, itself 0; None if none is passive.
+    predicted set the one that reaches farthest, itself 0; K = B = M = 0 if none is passive.
     """
     own = subject(device)
     kept = predicted_set(own, level)
-    if not len(kept):
-        return None
-    extreme = kept[:, axis].max() if axis < 2 else kept[:, axis].min()
-    beside = kept[kept[:, axis] == extreme]
+    reach = np.abs(kept[:, axis]) * (np.sign(kept[:, axis]) == np.sign(REACH[axis]))
+    beside = kept[reach == reach.max(initial=0.0)]
     beside[:, axis] = 0.0
-    return max(points_of(beside), key=lambda place: abs(predicted_limit(own, level, axis, place)))
+    return max(points_of(beside), key=lambda place: abs(predicted_limit(own, level, axis, place)), default=ORIGIN)
 
 
 @cache
@@ -298,6 +275,11 @@ def predicted_set(device: Display, level: float) -> Floats:
     """Environments (N, 3) of SET_GRID that are predicted passive at a damping level [N s/m]."""
     points = grid(SET_GRID)
     return np.asarray(points[device.passive(points, level)])
+
+
+def _single(name: str, point: Point, level: float, seeds: tuple[int, ...], pool: Executor) -> Single:
+    trials = tuple(pool.map(partial(single_trial, name, point, level), seeds))
+    return Single(point, level, trials, bool(subject(name).passive(np.array([point]), level)[0]))
 
 
 def single_trial(device: str, point: Point, level: float, seed: int) -> TrialResult | None:
@@ -308,18 +290,13 @@ def single_trial(device: str, point: Point, level: float, seed: int) -> TrialRes
         found = run_trial(plan_trial(TrialParams(trial, given.scene)), engine_source(given.scene))
     except AnalysisError:
         return None
-    forgotten = replace(found.recorded, force_n=np.empty(0), velocity_m_per_s=np.empty(0))
-    return replace(found, recorded=forgotten)
+    return replace(found, recorded=replace(found.recorded, force_n=np.empty(0), velocity_m_per_s=np.empty(0)))
 
 
-def _singles(name: str, done: dict[tuple[str, int, int], TrialResult | None]) -> tuple[Single, ...]:
-    return tuple(
-        Single(
-            point, level, tuple(trial for (device, at, _), trial in done.items() if (device, at) == (name, place)),
-            bool(subject(name).passive(np.array([point]), level)[0]),
-        )
-        for place, (point, level) in enumerate(SHOWN)
-    )  # fmt: skip
+def _grid(tell: Progress, pool: Executor) -> tuple[Found, ...]:
+    """By trials, each level."""
+    plan = hopeful(plan_map(MapParams(conditions(MAIN), AXES, LEVELS)))
+    return tuple(_of_map(level) for level in run_map(plan, TrialStore(None), tell, pool).levels)
 
 
 def hopeful(plan: MapPlan) -> MapPlan:

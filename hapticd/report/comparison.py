@@ -3,7 +3,6 @@ moves, where a larger display is no better one.
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +17,8 @@ from hapticd.report.style import (
     FINE,
     OFF,
     WIDTH_IN,
+    Axes,
+    Figure,
     Look,
     handles_of,
     hertz_axis,
@@ -28,17 +29,13 @@ from hapticd.report.style import (
 )  # fmt: skip
 from hapticd.report.table import Cell, Table, table
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 UNITS = {"K": "N/m", "B": "N s/m", "M": "g"}
 SCALES = {"K": 1.0, "B": 1.0, "M": 1e3}
 PANELS = (("size",) * 3 + ("mass",) * 3, ("K", "K", "B", "B", "M", "M"))
 
 
 @styled()
-def comparison_figure(found: Comparison) -> "Figure":
+def comparison_figure(found: Comparison) -> Figure:
     """Envelopes |Z| [N s/m] and |Z| per mass [1/s] of all displays on the same axes, below them how
     far K, B and M go alone, with their intervals. A dashed line is without added damping.
     """
@@ -132,21 +129,21 @@ def _words(display: Compared, level: Level) -> str:
     return f"{display.name} {added}"
 
 
-def _draw(axis: "Axes", envelope: Envelope, look: Look, words: str | None) -> None:
+def _draw(axis: Axes, envelope: Envelope, look: Look, words: str | None) -> None:
     f, lower, upper = envelope.frequency_hz, envelope.lower.value, envelope.upper.value
     axis.fill_between(f, lower, upper, color=tint(look["color"]), linewidth=0, zorder=0.4)
     axis.plot(f, upper, label=words, **look)
     axis.plot(f, lower, **look)
 
 
-def _finish(axis: "Axes", found: Comparison, words: str) -> None:
+def _finish(axis: Axes, found: Comparison, words: str) -> None:
     ends = np.array([one.conditions.judged_hz for one in found.displays])
     axis.set(yscale="log", ylabel=words)
     hertz_axis(axis, float(ends[:, 0].min()), float(ends[:, 1].max()))
     plain_axis(axis.yaxis, FINE)
 
 
-def _limits(axis: "Axes", found: Comparison, name: str) -> None:
+def _limits(axis: Axes, found: Comparison, name: str) -> None:
     places: list[str] = []
     for rank, display in enumerate(found.displays):
         for level in display.levels:
@@ -157,7 +154,7 @@ def _limits(axis: "Axes", found: Comparison, name: str) -> None:
     axis.set(xlim=(-0.6, len(places) - 0.4), ylabel=f"{name} ({UNITS[name]})", xlabel="added damping (N s/m)")
 
 
-def _point(axis: "Axes", at: int, numbers: Sequence[float], rank: int, level: Level) -> None:
+def _point(axis: Axes, at: int, numbers: Sequence[float], rank: int, level: Level) -> None:
     value, one, other = numbers
     look = DEVICES[rank % len(DEVICES)]
     axis.vlines(at, min(one, other), max(one, other), color=look["color"])

@@ -11,7 +11,7 @@ smallest true one, so a lower edge lies below its prediction partly because it i
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -26,6 +26,8 @@ from hapticd.report.style import (
     PREDICTED,
     SMALL_PT,
     WIDTH_IN,
+    Axes,
+    Figure,
     Look,
     axes,
     banded,
@@ -39,10 +41,6 @@ from hapticd.report.style import (
     words_of,
 )  # fmt: skip
 from hapticd.report.trial import ADMITTANCE, IMPEDANCE, View, dress, interval
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 Levels = Sequence[tuple[float, Sequence[Outcome]]]
 
@@ -67,7 +65,7 @@ class Drawn:
 
 
 @styled()
-def envelope_figure(conditions: Conditions, levels: Levels, inverse: bool = False) -> "Figure":
+def envelope_figure(conditions: Conditions, levels: Levels, inverse: bool = False) -> Figure:
     """Largest and smallest |Z| [N s/m] and phase [deg] of the trials that pass, a strip of owners
     for each level; dotted what is predicted of the same trials. AnalysisError for a level of
     which none passes.
@@ -99,7 +97,7 @@ def _of_trials(conditions: Conditions, level: float, trials: Sequence[Outcome], 
 
 def envelopes_figure(
     shown: Sequence[Drawn], title: str, ends_hz: tuple[float, float], band_hz: tuple[float, float], view: View = IMPEDANCE
-) -> "Figure":
+) -> Figure:
     """Edges of size, a strip of owners for each envelope, edges of phase. Call it within `styled`."""
     count = len(shown)
     heights = [3.0, *([0.36] * count), 1.9]
@@ -127,7 +125,7 @@ def envelopes_figure(
     return figure
 
 
-def _edges(axis: "Axes", drawn: Drawn, edges: tuple[Edge, Edge], low: float, linear: bool = False) -> None:
+def _edges(axis: Axes, drawn: Drawn, edges: tuple[Edge, Edge], low: float, linear: bool = False) -> None:
     """Tinted between them, the first envelope on top."""
     f, (upper, lower) = drawn.envelope.frequency_hz, edges
     axis.fill_between(f, lower.value, upper.value, color=tint(drawn.look["color"]), linewidth=0, zorder=low)
@@ -167,7 +165,7 @@ def _majority(which: Floats, count: int) -> Floats:
     return np.asarray(kinds[(near[:, :, None] == kinds).sum(axis=1).argmax(axis=1)])
 
 
-def strip(axis: "Axes", frequency_hz: Floats, rows: Sequence[Floats], title: str, columns: int = 1) -> None:
+def strip(axis: Axes, frequency_hz: Floats, rows: Sequence[Floats], title: str, columns: int = 1) -> None:
     """Paint rows (F,) of indices into PARTS from below, white for NOBODY, with the names where they
     are wide enough, so that nobody needs the colours.
     """
@@ -185,7 +183,7 @@ def strip(axis: "Axes", frequency_hz: Floats, rows: Sequence[Floats], title: str
         _names(axis, borders, row, 0.5 + height, WIDE * columns)
 
 
-def _names(axis: "Axes", borders: Floats, row: Floats, height: float, wide: float) -> None:
+def _names(axis: Axes, borders: Floats, row: Floats, height: float, wide: float) -> None:
     changes = [0, *(np.flatnonzero(np.diff(row)) + 1), row.size]
     low_hz, high_hz = axis.get_xlim()
     for first, last in pairwise(changes):

@@ -12,12 +12,12 @@ the lower edge's owner weighs most at that frequency. All figures are drawn with
 
 from collections.abc import Sequence
 from math import isfinite
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from hapticd.analysis.arrays import Floats
-from hapticd.analysis.boundary import open_ends
+from hapticd.analysis.boundary import open_ends, passive_set
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.predict import predicted_impedance
 from hapticd.measure.beyond import LOW_HZ, BeyondResult, Bounds, Corner, Motion, Shaped, mean_sd, shown_hz
@@ -37,8 +37,8 @@ from hapticd.measure.reproduce import (
     subject,
 )
 from hapticd.measure.reproduce_rows import ADDED_NS_PER_M, FIG_4, FIG_7, LEVELS, MAIN, NAMES, PAPER, TOLERANCE
-from hapticd.measure.reproduce_table import MIDDLE_HZ, compared
 from hapticd.report.envelope import SHOWN_HZ, Drawn, envelopes_figure, keys, strip, weightiest
+from hapticd.report.paper_table import MIDDLE_HZ, compared
 from hapticd.report.passive_set import draw_guess
 from hapticd.report.style import (
     BELOW,
@@ -60,6 +60,8 @@ from hapticd.report.style import (
     RED,
     SMALL_PT,
     WIDTH_IN,
+    Axes,
+    Figure,
     Look,
     averaged,
     axes,
@@ -75,10 +77,6 @@ from hapticd.report.style import (
     words_of,
 )
 from hapticd.report.trial import Curve, draw, dress, interval
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 LOOKS = tuple(of_levels(LEVELS))
 WORDS = tuple(words_of(level) for level in LEVELS)
@@ -117,7 +115,7 @@ def _how(result: ReproduceResult | BeyondResult, more: str = "") -> str:
 # --- impedances and envelopes ----------------------------------------------------------------------------------------------------
 
 
-def single_figure(result: ReproduceResult, places: tuple[int, ...], title: str) -> "Figure":
+def single_figure(result: ReproduceResult, places: tuple[int, ...], title: str) -> Figure:
     """|Z| and phase of single trials of the first seed; of two, the phase that the second gains
     over the first.
     """
@@ -134,7 +132,7 @@ def single_figure(result: ReproduceResult, places: tuple[int, ...], title: str) 
     return figure
 
 
-def _single(size: "Axes", phase: "Axes", single: Single) -> None:
+def _single(size: Axes, phase: Axes, single: Single) -> None:
     """As measured, dotted what is predicted; the prediction alone where nothing was flown."""
     look, words = LOOKS[single.level > 0.0], WORDS[single.level > 0.0]
     device, f, shown = subject(MAIN), np.geomspace(*SHOWN_HZ, 400), single.shown
@@ -146,13 +144,13 @@ def _single(size: "Axes", phase: "Axes", single: Single) -> None:
     draw(size, phase, Curve(f, z, PREDICTED, "predicted"))
 
 
-def _advantage(phase: "Axes", degrees: float) -> None:
+def _advantage(phase: Axes, degrees: float) -> None:
     averaged(phase, MIDDLE_HZ, 0.14)
     words = f"{degrees:.0f} degrees\nfarther\nfrom +90"
     phase.text(float(np.sqrt(MIDDLE_HZ[0] * MIDDLE_HZ[1])), -45.0, words, fontsize=SMALL_PT, ha="center", va="center")
 
 
-def envelope_figure(result: ReproduceResult, places: tuple[int, ...], title: str) -> "Figure":
+def envelope_figure(result: ReproduceResult, places: tuple[int, ...], title: str) -> Figure:
     """|Z| and phase envelopes of damping levels, with the owners' strips; of added damping alone
     with the paper's peak.
     """
@@ -173,7 +171,7 @@ def drawn(result: ReproduceResult, place: int) -> Drawn:
     return Drawn(found.envelope, found.environments, LOOKS[place], WORDS[place], guess, CALMED if found.flown else 1)
 
 
-def _peak(axis: "Axes", peak: Peak) -> None:
+def _peak(axis: Axes, peak: Peak) -> None:
     axis.annotate(
         f"{peak.frequency_hz:.0f} Hz: M = {1e3 * peak.owner[2]:g} g\n(paper: near 100 Hz)",
         (peak.frequency_hz, peak.size_ns_per_m), (peak.frequency_hz, 2.6 * peak.size_ns_per_m),
@@ -184,7 +182,7 @@ def _peak(axis: "Axes", peak: Peak) -> None:
 # --- limits ----------------------------------------------------------------------------------------------------------------------
 
 
-def limits_figure(result: ReproduceResult) -> "Figure":
+def limits_figure(result: ReproduceResult) -> Figure:
     """Ours over the paper's, for each limit and device, with the scatter between seeds."""
     seeds = f"bars: one sd over {len(result.plan.seeds)} seeds" if result.plan.seeds else "predicted"
     figure, (axis,) = axes(1, 1, WIDTH_IN, 4.1, f"Limits on their axes beside the paper's, SIMULATED; {seeds}")
@@ -207,7 +205,7 @@ def limits_figure(result: ReproduceResult) -> "Figure":
     return figure
 
 
-def _beside_paper(axis: "Axes", limit: Limit, x: float, printed: float, look: dict[str, Any]) -> None:
+def _beside_paper(axis: Axes, limit: Limit, x: float, printed: float, look: dict[str, Any]) -> None:
     """In percent of the paper's; a full mark at -100 % where nothing is passive."""
     scale, marked = 100.0 / printed, {**look, "linestyle": "none"}
     if limit.values.size or not isfinite(limit.predicted):
@@ -222,7 +220,7 @@ def _labelled(name: str) -> str:
     return f"{name[0]} {name[2:5]}\n{mode}\n{unit}"
 
 
-def edges_figure(result: ReproduceResult) -> "Figure":
+def edges_figure(result: ReproduceResult) -> Figure:
     """K limits over the lower band edge: what tells a lag in the force path from a high-pass in the
     probe.
     """
@@ -247,7 +245,7 @@ def edges_figure(result: ReproduceResult) -> "Figure":
     return figure
 
 
-def _over_edges(axis: "Axes", limits: Sequence[Limit], look: Look) -> None:
+def _over_edges(axis: Axes, limits: Sequence[Limit], look: Look) -> None:
     device, means = limits[0].device, [limit.mean for limit in limits]
     if not any(means):
         axis.plot([], [], label=device, **look)
@@ -260,7 +258,7 @@ def _over_edges(axis: "Axes", limits: Sequence[Limit], look: Look) -> None:
 # --- the set on the paper's grid -------------------------------------------------------------------------------------------------
 
 
-def passive_figure(found: Found, title: str) -> "Figure":
+def passive_figure(found: Found, title: str) -> Figure:
     """The set in space, and the largest K over B and M."""
     count = int(found.passive.sum())
     how = f"{found.undecided} not certain at 95 %, {found.flown} trials" if found.flown else "predicted"
@@ -291,7 +289,7 @@ def _space(axis: Any, found: Found, colours: dict[str, Any]) -> None:
     axis.set_box_aspect((1.0, 1.0, 1.15), zoom=0.98)
 
 
-def _flat(axis: "Axes", found: Found, colours: dict[str, Any]) -> Any:
+def _flat(axis: Axes, found: Found, colours: dict[str, Any]) -> Any:
     """The largest passive K, and where the single trials lie."""
     stiffness = np.where(found.passive, AXES[0][:, None, None], -1.0).max(axis=0)
     shown = np.ma.masked_less(stiffness, 0.0)
@@ -312,7 +310,7 @@ def _cut(found: Found) -> str:
     """Where the grid ends and the set does not; K and B end at 0 by definition."""
     ends = {"K max": f"K = {AXES[0][-1]:g} N/m", "B max": f"B = {AXES[1][-1]:g} N s/m"}
     ends |= {"M max": f"M = {1e3 * AXES[2][-1]:g} g", "M min": f"M = {1e3 * AXES[2][0]:g} g"}
-    cut = [ends[end] for end in open_ends(found.as_set) if end in ends]
+    cut = [ends[end] for end in open_ends(passive_set(AXES, np.where(found.passive, 1.0, -1.0))) if end in ends]
     return f"The grid cuts the set at\n{', '.join(cut)}" if cut else "The grid reaches beyond the set"
 
 
@@ -325,14 +323,14 @@ def _stiffness_colours() -> dict[str, Any]:
     return {"cmap": colours, "norm": BoundaryNorm(np.concatenate(([-12.5], middle, [1100.0])), colours.N)}
 
 
-def _ends(axis: "Axes") -> None:
+def _ends(axis: Axes) -> None:
     """Axes of |Z| over the frequencies of all trials here."""
     f = shown_hz()
     hertz_axis(axis, float(f[0]), float(f[-1]))
     plain_axis(axis.yaxis)
 
 
-def _by_trials(axis: "Axes", x: float, runs: Floats, scale: float = 1.0, look: Look = DISC, label: str | None = BY_TRIALS) -> None:
+def _by_trials(axis: Axes, x: float, runs: Floats, scale: float = 1.0, look: Look = DISC, label: str | None = BY_TRIALS) -> None:
     """The mean of `runs` (seeds,), times `scale`, with its interval; nothing without trials."""
     if len(runs):
         mean, sd = mean_sd(runs)
@@ -349,7 +347,7 @@ def _by_trials(axis: "Axes", x: float, runs: Floats, scale: float = 1.0, look: L
 # --- future work, over frequency -------------------------------------------------------------------------------------------------
 
 
-def edge_figure(result: BeyondResult) -> "Figure":
+def edge_figure(result: BeyondResult) -> Figure:
     """Envelopes undamped, damped and with B < 0: by the paper's rule, and without counting on
     friction.
     """
@@ -376,7 +374,7 @@ def edge_figure(result: BeyondResult) -> "Figure":
     return figure
 
 
-def _lines(axis: "Axes", bounds: Sequence[Bounds], looks: Sequence[tuple[Look, str]], seeds: int) -> None:
+def _lines(axis: Axes, bounds: Sequence[Bounds], looks: Sequence[tuple[Look, str]], seeds: int) -> None:
     """Edges with their intervals, the lower one heavier, and the lower one predicted where there were trials."""
     axis.set_yscale("log")
     for found, (look, words) in zip(bounds, looks, strict=True):
@@ -386,7 +384,7 @@ def _lines(axis: "Axes", bounds: Sequence[Bounds], looks: Sequence[tuple[Look, s
             axis.plot(found.frequency_hz, found.predicted_lower, **{**PREDICTED, "color": look["color"]})
 
 
-def free_figure(result: BeyondResult) -> "Figure":
+def free_figure(result: BeyondResult) -> Figure:
     """|Z| of the device that renders no stiffness, for each way of making it lighter."""
     title = f"Free motion: passive for any input, friction not counted\n{_how(result)}"
     figure, (axis,) = axes(1, 1, WIDTH_IN, 4.4, title)
@@ -402,7 +400,7 @@ def free_figure(result: BeyondResult) -> "Figure":
     return figure
 
 
-def _motion(axis: "Axes", motion: Motion, look: Look) -> None:
+def _motion(axis: Axes, motion: Motion, look: Look) -> None:
     added = f"{motion.level:g} N s/m added" if motion.level else "no added damping"
     rendered = f", B = {motion.damping:.2f} N s/m" if motion.damping else ""
     rendered += f", M = {1e3 * motion.mass_kg:.1f} g" if motion.mass_kg else ""
@@ -417,7 +415,7 @@ def _motion(axis: "Axes", motion: Motion, look: Look) -> None:
 # --- future work, over a corner and over a level ---------------------------------------------------------------------------------
 
 
-def shape_figure(result: BeyondResult) -> "Figure":
+def shape_figure(result: BeyondResult) -> Figure:
     """What a corner in the damping circuit does to the limits, to free motion, and to the envelope."""
     shaped = result.shaped
     title = f"Frequency-shaped added damping, {shaped.level:g} N s/m\n{_how(result, 'lines predicted, marks ')}"
@@ -439,7 +437,7 @@ def shape_figure(result: BeyondResult) -> "Figure":
     return figure
 
 
-def _shares(axis: "Axes", shaped: Shaped, corners: tuple[Corner, ...], words: str) -> None:
+def _shares(axis: Axes, shaped: Shaped, corners: tuple[Corner, ...], words: str) -> None:
     """Limits in percent of those without a corner; dashed those without damping."""
     at = [corner.hertz for corner in corners]
     for place, (name, _, _, look) in enumerate(LIMITS):
@@ -451,7 +449,7 @@ def _shares(axis: "Axes", shaped: Shaped, corners: tuple[Corner, ...], words: st
     axis.set(ylim=(0.0, 118.0), xlabel="corner (Hz)", title=words)
 
 
-def _free(axis: "Axes", shaped: Shaped) -> None:
+def _free(axis: Axes, shaped: Shaped) -> None:
     for corners, sign, words in ((shaped.highpass, "o", "damping above it"), (shaped.lowpass, "x", "damping below it")):
         axis.plot(
             [each.hertz for each in corners],
@@ -472,7 +470,7 @@ def _free(axis: "Axes", shaped: Shaped) -> None:
     axis.legend(loc="lower left")
 
 
-def levels_figure(result: BeyondResult) -> "Figure":
+def levels_figure(result: BeyondResult) -> Figure:
     """Limits, volume and free motion over the level of added damping."""
     levels = result.levels
     how = _how(result, "lines predicted, marks ")
@@ -491,7 +489,7 @@ def levels_figure(result: BeyondResult) -> "Figure":
     return figure
 
 
-def _volume(axis: "Axes", result: BeyondResult) -> None:
+def _volume(axis: Axes, result: BeyondResult) -> None:
     levels, beside = result.levels, axis.twinx()
     growth = levels.volume / levels.volume[0]
     lines = axis.plot(levels.level, growth, color=BLACK, marker=".", label="volume of the set, predicted")

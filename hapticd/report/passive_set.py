@@ -8,7 +8,7 @@ and B moves with M; all trials are in the panel below.
 
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -30,6 +30,8 @@ from hapticd.report.style import (
     PREDICTED,
     SMALL_PT,
     WIDTH_IN,
+    Axes,
+    Figure,
     Look,
     axes,
     handles_of,
@@ -41,10 +43,6 @@ from hapticd.report.style import (
     tint,
     words_of,
 )  # fmt: skip
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 PANELS = 6
 COLUMNS = 3
@@ -65,7 +63,7 @@ def how(conditions: Conditions, ranges: Iterable[Judged]) -> str:
     return ", ".join((simulated(conditions.scene.device, conditions.seconds), *told))
 
 
-def area(axis: "Axes", damping: Floats, stiffness: Floats, look: Look, rank: int = 0, **more: Any) -> None:
+def area(axis: Axes, damping: Floats, stiffness: Floats, look: Look, rank: int = 0, **more: Any) -> None:
     """The largest K over B, tinted below; the first level, the smaller set, is on top."""
     low = 0.4 - 0.01 * rank
     axis.fill_between(damping, 0.0, stiffness, color=tint(look["color"]), linewidth=0, zorder=low)
@@ -82,7 +80,7 @@ def _closed(edge: Floats) -> Floats:
 
 
 @styled()
-def set_figure(result: MapResult) -> "Figure":
+def set_figure(result: MapResult) -> Figure:
     """The largest passive K over B, a panel for each of up to six virtual masses, a line and marks
     for each damping level.
 
@@ -129,7 +127,7 @@ def slices(result: MapResult) -> Integers:
     return np.asarray(chosen)
 
 
-def _plane(place: "Axes", level: LevelMap, panel: int, look: Look, rank: int, count: int) -> None:
+def _plane(place: Axes, level: LevelMap, panel: int, look: Look, rank: int, count: int) -> None:
     """One of `count` levels in one panel: what passes, what fails, what was only predicted to pass."""
     stiffness, damping, _ = level.found.axes
     passive, tried = (flags.reshape(level.found.margin.shape)[:, :, panel] for flags in (level.found.passive, level.tried))
@@ -155,7 +153,7 @@ def highest(found: PassiveSet, panel: int) -> Floats:
 
 
 @styled()
-def search_figure(results: Sequence[SearchResult]) -> "Figure":
+def search_figure(results: Sequence[SearchResult]) -> Figure:
     """For each damping level a row of slices through the set; below, each trial's expected and
     found least Re Z.
     """
@@ -184,7 +182,7 @@ def search_figure(results: Sequence[SearchResult]) -> "Figure":
     return figure
 
 
-def _slices(places: "list[Axes]", result: SearchResult, look: Look) -> None:
+def _slices(places: list[Axes], result: SearchResult, look: Look) -> None:
     mass = result.found.axes[2]
     passive = mass[result.found.passive.any(axis=(0, 1))]  # K = B = M = 0 is, or there had been no search
     tried = np.array([step.outcome.environment for step in result.steps])
@@ -213,7 +211,7 @@ def slice_masses(tried: Floats, borders: Floats, reach: float) -> list[float]:
     return chosen
 
 
-def _trials(place: "Axes", steps: tuple[Step, ...], near: Flags, look: Look) -> None:
+def _trials(place: Axes, steps: tuple[Step, ...], near: Flags, look: Look) -> None:
     """Those of this slice; with their numbers where no other number stands."""
     width, height = 2.4, 2.3  # in, of the axes, about
     (left, right), (foot, head), numbered = place.get_xlim(), place.get_ylim(), list[tuple[float, float]]()
@@ -232,7 +230,7 @@ def _answer(step: Step) -> str:
     return "escapes" if not step.teaches else "fails"
 
 
-def _foreseen(place: "Axes", result: SearchResult, look: Look) -> None:
+def _foreseen(place: Axes, result: SearchResult, look: Look) -> None:
     from matplotlib.ticker import MaxNLocator
 
     known = [(number, step) for number, step in enumerate(result.steps, start=1) if step.teaches]
@@ -258,7 +256,7 @@ def _foreseen(place: "Axes", result: SearchResult, look: Look) -> None:
 
 
 @styled()
-def limits_figure(result: LimitsResult) -> "Figure":
+def limits_figure(result: LimitsResult) -> Figure:
     """Axis limits over added damping, or over the perturbation where several amplitudes were
     scanned.
     """
@@ -283,7 +281,7 @@ def limits_figure(result: LimitsResult) -> "Figure":
     return figure
 
 
-def _limit_line(place: "Axes", limits: list[AxisLimit], many: bool, look: Look, name: str) -> None:
+def _limit_line(place: Axes, limits: list[AxisLimit], many: bool, look: Look, name: str) -> None:
     factor = AXIS_LABELS[limits[0].name][1]
     x = np.array([limit.perturbation_psd / PSD_UNIT if many else limit.scan.damping_ns_per_m for limit in limits])
     value, lower, upper = (factor * np.array([getattr(limit, part) for limit in limits]) for part in ("value", "lower", "upper"))
@@ -293,12 +291,12 @@ def _limit_line(place: "Axes", limits: list[AxisLimit], many: bool, look: Look, 
     draw_guess(place, x, np.array([factor * limit.scan.predicted for limit in limits]), dotted)
 
 
-def draw_guess(place: "Axes", x: Any, value: Any, look: Look) -> None:
+def draw_guess(place: Axes, x: Any, value: Any, look: Look) -> None:
     """What was predicted of limits: the same marks, hollow."""
     place.plot(x, value, **{**look, **HOLLOW, "markerfacecolor": "none"})
 
 
-def _perturbation_axis(place: "Axes", psd: list[float]) -> None:
+def _perturbation_axis(place: Axes, psd: list[float]) -> None:
     """A logarithmic axis with ticks at what was tried, and no more of them than there is room for."""
     shown = [value / PSD_UNIT for value in psd[:: -(-len(psd) // MOST_TICKS)]]
     place.set(xscale="log", xlabel="perturbation ($10^{-5}$ N²/Hz)")
@@ -311,7 +309,7 @@ def _perturbation_axis(place: "Axes", psd: list[float]) -> None:
 
 
 @styled()
-def walls_figure(result: WallResult, title: str = "Walls that come to rest") -> "Figure":
+def walls_figure(result: WallResult, title: str = "Walls that come to rest") -> Figure:
     """A line and an area for each damping level: marks are the stiffest stable walls, crosses the
     softest that was not.
     """
@@ -328,7 +326,7 @@ def walls_figure(result: WallResult, title: str = "Walls that come to rest") -> 
     return figure
 
 
-def _walls(place: "Axes", result: WallResult, level: float, look: Look, rank: int) -> None:
+def _walls(place: Axes, result: WallResult, level: float, look: Look, rank: int) -> None:
     """Of one level; where not even the softest wall rests the line is at 0 and its mark points
     down.
     """

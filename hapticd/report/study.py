@@ -7,7 +7,6 @@ As in the paper's Fig. 7 added damping is a solid line and none a dashed one.
 
 from collections.abc import Iterable
 from math import inf, isinf, isnan, nan
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -34,6 +33,8 @@ from hapticd.report.style import (
     RED,
     SKY,
     SMALL_PT,
+    Axes,
+    Figure,
     Look,
     axes,
     handles_of,
@@ -47,10 +48,6 @@ from hapticd.report.style import (
 from hapticd.report.table import Cell, Table, duration, percent, shown, table
 from hapticd.report.trial import Curve, Trace, draw, draw_traces, dress
 from hapticd.units import PROBE_RATE_HZ
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 LOOKS = (OFF, ON)
 SHOWN_S = 0.5  # of a noisy trace
@@ -86,14 +83,14 @@ SMALLEST, GONE = 1e-16, 3.0  # lowest error drawn; where those without an answer
 
 
 @styled()
-def scene_figure(result: SceneResult) -> "Figure":
+def scene_figure(result: SceneResult) -> Figure:
     """Traces; beside them |Z| and phase where the scene is moved by noise. ConfigError without
     matplotlib.
     """
     return _with_impedance(result) if result.plan.impedance else _traces_alone(result)
 
 
-def _with_impedance(result: SceneResult) -> "Figure":
+def _with_impedance(result: SceneResult) -> Figure:
     figure, (position, size, force, phase) = axes(2, 2, 10.0, 6.2, _title(result), width_ratios=(1.0, 1.3))
     begin_s, band_hz = min(1.0, 0.5 * result.plan.seconds), DEFAULT_BAND_HZ
     draw_traces((position, force), _traces(result, (begin_s, begin_s + SHOWN_S)))
@@ -110,7 +107,7 @@ def _with_impedance(result: SceneResult) -> "Figure":
     return figure
 
 
-def _draw_impedance(size: "Axes", phase: "Axes", trial: Trial, look: Look) -> None:
+def _draw_impedance(size: Axes, phase: Axes, trial: Trial, look: Look) -> None:
     if trial.judged is None or trial.judged.predicted is None:
         return
     z = trial.judged.measured
@@ -119,7 +116,7 @@ def _draw_impedance(size: "Axes", phase: "Axes", trial: Trial, look: Look) -> No
     draw(size, phase, Curve(z.frequency_hz[seen], z.impedance_ns_per_m[seen], look, trial.leg.name))
 
 
-def _traces_alone(result: SceneResult) -> "Figure":
+def _traces_alone(result: SceneResult) -> Figure:
     """With the steps of damping, and the temperature of a winding that warms up."""
     panels, pairs = _traces(result, (0.0, result.plan.seconds)), list(zip(result.trials, LOOKS, strict=True))
     panels.append(("added damping (N s/m)", [_steps(trial, result.plan.seconds, look) for trial, look in pairs]))
@@ -332,7 +329,7 @@ def effects_words(result: EffectsResult) -> str:
 
 
 @styled()
-def effects_figure(result: EffectsResult) -> "Figure":
+def effects_figure(result: EffectsResult) -> Figure:
     """Change of the answer, effect by effect. ConfigError without matplotlib."""
     params, rows = result.plan.params, result.rows[::-1]
     title = f"{params.scene.title}: {QUESTIONS[params.question]}"
@@ -353,7 +350,7 @@ def effects_figure(result: EffectsResult) -> "Figure":
     return figure
 
 
-def _bars(axis: "Axes", names: list[str], values: list[float], told: list[str], looks: list[Look]) -> None:
+def _bars(axis: Axes, names: list[str], values: list[float], told: list[str], looks: list[Look]) -> None:
     """One for each effect on a logarithmic axis, from below, with what it says beside it."""
     for place, (value, words, look) in enumerate(zip(values, told, looks, strict=True)):
         axis.barh(place, value, edgecolor="white", linewidth=0.0, **look)
@@ -405,7 +402,7 @@ def _knee(result: AccuracyResult, sweep: str) -> str:
 
 
 @styled()
-def accuracy_figure(result: AccuracyResult) -> "Figure":
+def accuracy_figure(result: AccuracyResult) -> Figure:
     """Error over seconds, a panel for each sweep, and what leaving an effect out does. ConfigError
     without matplotlib.
     """
@@ -421,7 +418,7 @@ def accuracy_figure(result: AccuracyResult) -> "Figure":
     return figure
 
 
-def _draw_sweep(result: AccuracyResult, sweep: str, axis: "Axes") -> None:
+def _draw_sweep(result: AccuracyResult, sweep: str, axis: Axes) -> None:
     rows = [row for row in result.sweep(sweep) if row.total < inf]
     known, ways = [row.total for row in result.rows if row.total < inf], sweep == "tier"
     least = 0.3 * min(total for total in known if total >= NOTHING * max(known))  # errors that are none are drawn below all others
@@ -445,7 +442,7 @@ def _draw_sweep(result: AccuracyResult, sweep: str, axis: "Axes") -> None:
         axis.legend(loc="best")
 
 
-def _draw_step_errors(result: AccuracyResult, rows: list[Row], axis: "Axes") -> None:
+def _draw_step_errors(result: AccuracyResult, rows: list[Row], axis: Axes) -> None:
     """Of the sub-step alone, and single precision beside it."""
     stepped = [row for row in rows if row.step > NOTHING * max(row.total for row in rows)]
     single = [row for row in result.sweep("precision") if row.label.startswith("f32") and row.total < inf]
@@ -454,7 +451,7 @@ def _draw_step_errors(result: AccuracyResult, rows: list[Row], axis: "Axes") -> 
     axis.plot([row.seconds for row in single], [row.total for row in single], "v", color=PURPLE, label=words)
 
 
-def _draw_effects(result: AccuracyResult, axis: "Axes") -> None:
+def _draw_effects(result: AccuracyResult, axis: Axes) -> None:
     """What leaving an effect out does to the answer, beside the error of one trial."""
     rows, own = sorted(result.sweep("effect"), key=lambda row: row.step), result.default.total
     worst = max([*(row.step for row in rows if row.step < inf), own])
@@ -471,7 +468,7 @@ def _draw_effects(result: AccuracyResult, axis: "Axes") -> None:
 
 
 @styled()
-def integrators_figure(found: Integrators, title: str) -> "Figure":
+def integrators_figure(found: Integrators, title: str) -> Figure:
     """Error over steps per millisecond; crosses where nothing is left of the answer. ConfigError
     without matplotlib.
     """

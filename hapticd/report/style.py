@@ -32,8 +32,10 @@ from hapticd.errors import ConfigError
 from hapticd.params import ADDED_DAMPING_NS_PER_M
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.axes import Axes as Axes
+    from matplotlib.figure import Figure as Figure
+else:
+    Axes = Figure = Any  # matplotlib is optional: it is imported where something is drawn
 
 Look = dict[str, Any]
 
@@ -89,7 +91,7 @@ def styled() -> Iterator[None]:
 # --- figures and axes ------------------------------------------------------------------------------------------------------------
 
 
-def sheet(width_in: float, height_in: float, title: str = "", layout: Any = "constrained") -> "Figure":
+def sheet(width_in: float, height_in: float, title: str = "", layout: Any = "constrained") -> Figure:
     """A figure without a window and without axes. Call it within `styled`."""
     from matplotlib.figure import Figure
 
@@ -99,13 +101,13 @@ def sheet(width_in: float, height_in: float, title: str = "", layout: Any = "con
     return figure
 
 
-def axes(rows: int, columns: int, width_in: float, height_in: float, title: str = "", **more: Any) -> "tuple[Figure, list[Axes]]":
+def axes(rows: int, columns: int, width_in: float, height_in: float, title: str = "", **more: Any) -> tuple[Figure, list[Axes]]:
     """A figure and its axes row by row. Call it within `styled`."""
     figure = sheet(width_in, height_in, title)
     return figure, list(figure.subplots(rows, columns, squeeze=False, **more).ravel())
 
 
-def mosaic(panels: Any, width_in: float, height_in: float, title: str = "", **more: Any) -> "tuple[Figure, dict[str, Axes]]":
+def mosaic(panels: Any, width_in: float, height_in: float, title: str = "", **more: Any) -> tuple[Figure, dict[str, Axes]]:
     """A figure whose axes have names; one that is named twice spans both places. Call it within
     `styled`.
     """
@@ -113,7 +115,7 @@ def mosaic(panels: Any, width_in: float, height_in: float, title: str = "", **mo
     return figure, figure.subplot_mosaic(panels, **more)
 
 
-def save(figure: "Figure", folder: Path, name: str) -> tuple[Path, Path]:
+def save(figure: Figure, folder: Path, name: str) -> tuple[Path, Path]:
     """NAME.png and NAME.svg in `folder`, which is made. ConfigError if it cannot be written to."""
     paths = folder / f"{name}.png", folder / f"{name}.svg"
     try:
@@ -133,7 +135,7 @@ def simulated(device: str, seconds: float, more: str = "") -> str:
     return f"SIMULATED {device}, {f'{more}{seconds:g} s of noise a trial' if seconds else 'predicted'}"
 
 
-def hertz_axis(axis: "Axes", low_hz: float, high_hz: float) -> None:
+def hertz_axis(axis: Axes, low_hz: float, high_hz: float) -> None:
     """A logarithmic frequency axis with the numbers that people say."""
     axis.set(xscale="log", xlim=(low_hz, high_hz), xlabel="frequency (Hz)")
     plain_axis(axis.xaxis, FINE[:1])
@@ -194,7 +196,7 @@ def tint(colour: str, share: float = 0.14) -> str:
     return "#" + "".join(f"{round(255 - share * (255 - part)):02x}" for part in parts)
 
 
-def banded(axis: "Axes", x: Floats, value: Floats, spread: Any, look: Look, label: str | None = None, linear: bool = False) -> None:
+def banded(axis: Axes, x: Floats, value: Floats, spread: Any, look: Look, label: str | None = None, linear: bool = False) -> None:
     """A line and its interval: `spread` (F,) on both sides of the logarithm of `value` (F,), or of
     itself if `linear`; nan: none.
     """
@@ -203,7 +205,7 @@ def banded(axis: "Axes", x: Floats, value: Floats, spread: Any, look: Look, labe
     axis.plot(x, value, label=label, **look)
 
 
-def handles_of(axis: "Axes") -> list[Any]:
+def handles_of(axis: Axes) -> list[Any]:
     """Of a legend: what is drawn, each label once."""
     return [*{str(handle.get_label()): handle for handle in axis.get_legend_handles_labels()[0]}.values()]
 
@@ -232,7 +234,7 @@ def not_judged(axes: Iterable["Axes"], band_hz: tuple[float, float]) -> Any:
     return patch("not judged", NOT_JUDGED)
 
 
-def averaged(axis: "Axes", band_hz: tuple[float, float], height: float = 0.03) -> None:
+def averaged(axis: Axes, band_hz: tuple[float, float], height: float = 0.03) -> None:
     """A bracket at that share of the height of the axes under the frequencies that are averaged,
     where their range shows them.
     """

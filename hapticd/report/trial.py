@@ -12,7 +12,7 @@ normal.
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from textwrap import fill
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -32,6 +32,8 @@ from hapticd.report.style import (
     MARKS,
     PREDICTED,
     PROBABILITY,
+    Axes,
+    Figure,
     Look,
     axes,
     banded,
@@ -43,10 +45,6 @@ from hapticd.report.style import (
     plain_axis,
     styled,
 )  # fmt: skip
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 Trace = tuple[Floats, Floats, Look]  # time [s], values, how they look
 
@@ -81,7 +79,7 @@ class Curve:
     spread: Floats | None = None
 
 
-def draw(size: "Axes", phase: "Axes", curve: Curve, view: View = IMPEDANCE) -> None:
+def draw(size: Axes, phase: Axes, curve: Curve, view: View = IMPEDANCE) -> None:
     """Its size and its phase, tinted where the interval is known."""
     spread = np.full(curve.z.size, np.nan) if curve.spread is None else np.where(curve.spread < 1.0, curve.spread, np.nan)
     banded(size, curve.frequency_hz, np.abs(curve.z) ** view.sign, spread, curve.look, curve.words)
@@ -90,7 +88,7 @@ def draw(size: "Axes", phase: "Axes", curve: Curve, view: View = IMPEDANCE) -> N
 
 
 def dress(
-    size: "Axes", phase: "Axes", band_hz: tuple[float, float], view: View = IMPEDANCE, where: str = "", more: "Iterable[Axes]" = ()
+    size: Axes, phase: Axes, band_hz: tuple[float, float], view: View = IMPEDANCE, where: str = "", more: Iterable[Axes] = ()
 ) -> Any:
     """Labels, the phases that are passive, grey over all that is not judged; the mark of grey for a
     legend.
@@ -111,7 +109,7 @@ def interval(look: Look, more: str = "") -> Any:
 
 
 @styled()
-def trial_figure(result: TrialResult, referee: Referee | None = None, admittance: bool = False) -> "Figure":
+def trial_figure(result: TrialResult, referee: Referee | None = None, admittance: bool = False) -> Figure:
     """Size, phase and coherence of Z (or Y) of one trial, with the stepped sine's as points.
     ConfigError without matplotlib.
 
@@ -179,7 +177,7 @@ def _excited(result: TrialResult) -> str:
 # --- over time -------------------------------------------------------------------------------------------------------------------
 
 
-def draw_traces(places: "Sequence[Axes]", panels: Sequence[tuple[str, Sequence[Trace]]]) -> None:
+def draw_traces(places: Sequence[Axes], panels: Sequence[tuple[str, Sequence[Trace]]]) -> None:
     """A label and lines for each of the axes, which share their time."""
     for place, (label, lines) in zip(places, panels, strict=True):
         for time_s, values, look in lines:
@@ -189,7 +187,7 @@ def draw_traces(places: "Sequence[Axes]", panels: Sequence[tuple[str, Sequence[T
     places[-1].figure.align_ylabels(places)
 
 
-def _escape(result: TrialResult, title: str, look: Look) -> "Figure":
+def _escape(result: TrialResult, title: str, look: Look) -> Figure:
     recorded, line = result.recorded, {"color": look["color"], "linewidth": 0.6, "rasterized": True}
     why = fill(f"ESCAPED, so there is no impedance to draw: {recorded.ended.removeprefix('escape: ')}", LETTERS)
     figure, places = axes(2, 1, 7.2, 5.4, f"{title}\n{why}", sharex=True)
@@ -201,7 +199,7 @@ def _escape(result: TrialResult, title: str, look: Look) -> "Figure":
 
 
 @styled()
-def reflight_figure(flight: Reflight, title: str, changed: str = "flown again") -> "Figure":
+def reflight_figure(flight: Reflight, title: str, changed: str = "flown again") -> Figure:
     """A motion, the force that was, the force that would have been, and their difference over time;
     `changed`: what was held otherwise. ConfigError without matplotlib.
     """

@@ -30,7 +30,8 @@ def command(quick: Quick = False, seeds: Seeds = 8, out: common.Out = None, as_j
     """
     from hapticd.measure.beyond import plan_beyond, run_beyond
     from hapticd.measure.reproduce import plan_reproduce, run_reproduce
-    from hapticd.report.paper_page import future_sections, keep, sections, terminal
+    from hapticd.report.future_work import future_sections
+    from hapticd.report.paper_page import keep, sections, terminal
     from hapticd.report.paper_table import as_json as table_json
 
     plan, files = plan_reproduce(quick, seeds), []
