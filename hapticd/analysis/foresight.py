@@ -24,8 +24,8 @@ from hapticd.analysis.arrays import Floats
 from hapticd.analysis.boundary import grid
 from hapticd.analysis.closed import spectral_radius
 from hapticd.analysis.linearise import BURSTS, Linearised, Perturbation, linearise, recorded_impedance
-from hapticd.analysis.loop import Filters, close_loop, port_states, with_viscous
-from hapticd.analysis.predict import coulomb, frequencies
+from hapticd.analysis.loop import Filters, close_loop
+from hapticd.analysis.predict import NOMINAL_NS_PER_M, chunks, coulomb, frequencies, rubbed
 from hapticd.analysis.surrogate import Box
 from hapticd.plant.model import Model
 
@@ -33,9 +33,7 @@ SHAPE = (20, 12, 14)  # of the grid of b_c
 SHARES = (  # of the friction at rest, at which stability is looked at
     -0.4, -0.2, -0.1, 0.0, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.2, 2.0,
 )  # fmt: skip
-_NOMINAL_NS_PER_M = 1.5  # first guess of a body's friction
 _LEAST_NS_PER_M = 1e-6
-_TOGETHER = 1024
 
 
 class Foresight:
@@ -47,8 +45,8 @@ class Foresight:
         self._coulomb, self._perturbation = coulomb(model), perturbation
         f = np.union1d(frequencies((frequency_hz[0], frequency_hz[-1]), perturbation), frequency_hz)
         self._at = np.searchsorted(f, frequency_hz)
-        self._start = np.where(self._coulomb > 0.0, _NOMINAL_NS_PER_M, 0.0)
-        self._loop = close_loop(_rubbed(model, self._start), f, damping_ns_per_m, filters)
+        self._start = np.where(self._coulomb > 0.0, NOMINAL_NS_PER_M, 0.0)
+        self._loop = close_loop(rubbed(model, self._start), f, damping_ns_per_m, filters)
         rest = self._linearised(np.zeros((1, 3)))[0].friction[:, 0]
         self._needed = _Table(box, _needed(model, box, rest, damping_ns_per_m, filters))
         self._last: tuple[Floats, Floats, Floats] | None = None
@@ -72,20 +70,14 @@ class Foresight:
         return self._last
 
     def _linearised(self, environments: Floats) -> list[Linearised]:
-        parts = (environments[first : first + _TOGETHER] for first in range(0, len(environments), _TOGETHER))
+        parts = chunks(environments)
         return [linearise(self._loop, part, self._coulomb, self._start, self._perturbation) for part in parts]
-
-
-def _rubbed(model: Model, level: Floats) -> Model:
-    """`model` with dampers `level` (ports,) on its bodies with friction."""
-    by_state = dict(zip(port_states(model), level, strict=True))
-    return with_viscous(model, tuple(float(by_state[contact.velocity]) for contact in model.contacts))
 
 
 def _needed(model: Model, box: Box, rest: Floats, damping_ns_per_m: float, filters: Filters) -> Floats:
     """Least friction (N,) [N s/m] at which the loop is stable, on the table's grid: between two looks by the line of the radius."""
     places, usual = grid(_axes(box)), float(rest.sum()) or 1.0
-    growth = [spectral_radius(_rubbed(model, share * rest), places, damping_ns_per_m, filters) - 1.0 for share in SHARES]
+    growth = [spectral_radius(rubbed(model, share * rest), places, damping_ns_per_m, filters) - 1.0 for share in SHARES]
     needed = np.full(len(places), SHARES[0])
     for share, after, this, following in zip(SHARES, SHARES[1:], growth, growth[1:], strict=False):
         with np.errstate(divide="ignore", invalid="ignore"):

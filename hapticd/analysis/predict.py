@@ -32,7 +32,7 @@ DEFAULT_BAND_HZ = (2.0, 500.0)
 _TOGETHER = 1024  # environments at once: their spectra stay in the cache
 _FRICTION_STEP = 1.05
 _LEAST_FRICTION = 1e-4  # N s/m
-_NOMINAL_NS_PER_M = 1.5  # first guess of a body's friction
+NOMINAL_NS_PER_M = 1.5  # first guess of a body's friction
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,12 +91,12 @@ def predict(
 
         def at(which: Integers, hz: Floats) -> Complexes:
             lines, line = np.unique(hz, return_inverse=True)
-            own = close_loop(_rubbed(model, start), lines, damping_ns_per_m, filters)
+            own = close_loop(rubbed(model, start), lines, damping_ns_per_m, filters)
             return impedance_each(own, line, part[which], (found.friction - start[:, None])[:, which], recorded)
 
         return bottom(f[inside], z[:, inside], at), found
 
-    least, found = zip(*(judged(part) for part in _chunks(kbm)), strict=True)
+    least, found = zip(*(judged(part) for part in chunks(kbm)), strict=True)
     margin, angle, worst = (np.concatenate([getattr(one, name) for one in least]) for name in ("margin", "angle", "hz"))
     sd, calm = (np.concatenate([getattr(one, name) for one in found]) for name in ("velocity_sd", "calm"))
     friction = np.concatenate([one.friction for one in found], axis=1)
@@ -128,7 +128,7 @@ def predicted_impedance(
     f, kbm = np.asarray(frequency_hz, np.float64), environments(np.atleast_2d(np.asarray(point, np.float64)))
     start, loop = _nominal(model, DEFAULT_BAND_HZ, damping_ns_per_m, filters, perturbation)
     level = linearise(loop, kbm, coulomb(model), start, perturbation).friction[:, 0]
-    exact = close_loop(_rubbed(model, level), f, damping_ns_per_m, filters)
+    exact = close_loop(rubbed(model, level), f, damping_ns_per_m, filters)
     z = linearise(exact, kbm, np.zeros(len(level)), np.zeros(len(level)), None).impedance
     return np.asarray((recorded_impedance(exact, kbm, z) if recorded else z)[0])
 
@@ -160,7 +160,7 @@ def coulomb(model: Model) -> Floats:
     return np.array([level.get(state, 0.0) for state in port_states(model)])
 
 
-def _rubbed(model: Model, level: Floats) -> Model:
+def rubbed(model: Model, level: Floats) -> Model:
     """`model` with the dampers `level` (ports,) on its bodies with friction."""
     by_state = dict(zip(port_states(model), level, strict=True))
     return with_viscous(model, tuple(float(by_state[contact.velocity]) for contact in model.contacts))
@@ -176,16 +176,17 @@ def _nominal(
     """Friction of the device without environment, and the loop that has it, with lines around its
     modes inside the band: what is changed afterwards stays small."""
     f, force = frequencies(band_hz, perturbation), coulomb(model)
-    start = np.where(force > 0.0, _NOMINAL_NS_PER_M if perturbation else 0.0, 0.0)
+    start = np.where(force > 0.0, NOMINAL_NS_PER_M if perturbation else 0.0, 0.0)
     for _ in range(2 if start.any() else 0):
-        loop = close_loop(_rubbed(model, start), f, damping_ns_per_m, filters)
+        loop = close_loop(rubbed(model, start), f, damping_ns_per_m, filters)
         start = linearise(loop, np.zeros((1, 3)), force, start, perturbation).friction[:, 0]
-    rubbed = _rubbed(model, start)
-    lines = np.union1d(f, mode_lines(rubbed, damping_ns_per_m, f[f <= band_hz[1]]))
-    return start, close_loop(rubbed, lines, damping_ns_per_m, filters)
+    near = rubbed(model, start)
+    lines = np.union1d(f, mode_lines(near, damping_ns_per_m, f[f <= band_hz[1]]))
+    return start, close_loop(near, lines, damping_ns_per_m, filters)
 
 
-def _chunks(kbm: Floats) -> list[Floats]:
+def chunks(kbm: Floats) -> list[Floats]:
+    """Environments (N, 3) in parts whose spectra stay in the cache."""
     return [kbm[first : first + _TOGETHER] for first in range(0, max(1, len(kbm)), _TOGETHER)]
 
 
@@ -215,5 +216,5 @@ def _radius_at(model: Model, kbm: Floats, level: Floats, damping_ns_per_m: float
     radius = np.empty(len(kbm))
     for place, node in enumerate(nodes.T):
         mine = which.ravel() == place
-        radius[mine] = spectral_radius(_rubbed(model, node), kbm[mine], damping_ns_per_m, filters)
+        radius[mine] = spectral_radius(rubbed(model, node), kbm[mine], damping_ns_per_m, filters)
     return radius

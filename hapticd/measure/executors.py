@@ -12,6 +12,7 @@ Outcomes do not depend on where they were made, to the last bit, as long as hapt
 with others is refused. What would break that: a cluster of unlike processors, for which numba compiles unlike code.
 """
 
+import re
 import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
@@ -30,6 +31,7 @@ PATIENCE_S = 5.0  # for a scheduler to answer and for a first worker to be there
 GREETING_MOST = 1 << 20  # bytes
 SAME = ("hapticd", "numpy", "numba")  # what the last bit of an outcome depends on
 SPECS = "thread, process or dask://HOST:PORT"
+DASK = re.compile(r"dask://(?P<host>[^/@:?#\s]+|\[[0-9A-Fa-f:.]+\]):(?P<port>[0-9]{1,5})")
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -104,7 +106,10 @@ def _leave_interrupts() -> None:
 
 @contextmanager
 def _cluster(address: str) -> Iterator[Executor]:
-    distributed = _library()
+    try:
+        distributed = import_module("distributed")
+    except ImportError as error:
+        raise ConfigError(f"executor dask:// needs Dask ({error}): pip install hapticd[cluster]") from error
     try:
         _greeted(address)
         client = distributed.Client(address, timeout=PATIENCE_S, set_as_default=False)
@@ -134,21 +139,10 @@ def _greeted(address: str) -> None:
 
 
 def _address(spec: str) -> str:
-    try:
-        parts = urlsplit(spec)
-        whole = parts.scheme == "dask" and parts.hostname and parts.port and spec == f"dask://{parts.netloc}"
-    except ValueError:  # a port that is no number
-        whole = False
-    if not whole or "@" in spec:
+    found = DASK.fullmatch(spec)
+    if found is None or not 0 < int(found["port"]) < 1 << 16:
         raise ConfigError(f"executor {spec!r}: use {SPECS}")
-    return f"tcp://{parts.netloc}"
-
-
-def _library() -> Any:
-    try:
-        return import_module("distributed")
-    except ImportError as error:
-        raise ConfigError(f"executor dask:// needs Dask ({error}): pip install hapticd[cluster]") from error
+    return f"tcp://{found['host']}:{found['port']}"
 
 
 def _look_at_workers(client: Any, address: str) -> None:

@@ -26,7 +26,7 @@ from hapticd.analysis.arrays import Flags
 from hapticd.errors import AnalysisError, ConfigError
 from hapticd.mailbox.layout import State
 from hapticd.measure.recording.provenance import SCHEMA
-from hapticd.measure.store import Recorded, Rendered
+from hapticd.measure.store import Recorded, Rendered, plain
 from hapticd.measure.watch import LOST_SLOTS, in_even_time
 from hapticd.units import NS_PER_S, PROBE_RATE_HZ
 
@@ -77,7 +77,7 @@ def remark(attributes: Mapping[str, Any], trial: Stretch | None) -> str:
     told["simulated"] = int(attributes["simulated"])
     if trial is not None:
         told["trial"] = asdict(trial)
-    return f"{REMARK}{json.dumps(told, default=_plain)}\n"
+    return f"{REMARK}{json.dumps(told, default=plain)}\n"
 
 
 def read_remark(path: Path) -> dict[str, Any] | None:
@@ -139,7 +139,7 @@ def _fit(column: Column) -> Flags:
 def _cut(column: Column, attributes: Mapping[str, Any], trial: Stretch, name: str) -> Recorded:
     part = slice(trial.first, trial.after)
     force, velocity = (np.asarray(column("probe", one), np.float64)[part] for one in ("torque_n", "velocity_m_per_s"))
-    more = {one: _plain(attributes[one]) for one in KEPT if attributes.get(one) not in (None, "")}
+    more = {one: plain(attributes[one]) for one in KEPT if attributes.get(one) not in (None, "")}
     recorded = Recorded(
         force, velocity, float(PROBE_RATE_HZ),
         f"recording {name} of {attributes.get('device_name', 'a device')!s}, {trial.begin_s:.4g} to {trial.end_s:.4g} s",
@@ -148,7 +148,3 @@ def _cut(column: Column, attributes: Mapping[str, Any], trial: Stretch, name: st
         rendered=Rendered(trial.environment, trial.added_damping_ns_per_m),
     )  # fmt: skip
     return in_even_time(recorded, np.asarray(column("probe", "index"), np.int64)[part])
-
-
-def _plain(value: Any) -> Any:
-    return value.item() if hasattr(value, "item") else str(value)

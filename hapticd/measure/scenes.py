@@ -156,9 +156,8 @@ def spectra_on(torque_n: npt.ArrayLike, velocity_m_per_s: npt.ArrayLike, frequen
     """Spectra of a record at `frequency_hz` (F,), by the whole grid of its window where that has them."""
     if lag % DEFAULT_LAG:
         return spa(torque_n, velocity_m_per_s, lag=lag, frequency_hz=frequency_hz)
-    whole = spa(torque_n, velocity_m_per_s, lag=lag)
     at = np.rint(frequency_hz * (2 * lag / PROBE_RATE_HZ)).astype(int)
-    return replace(whole, frequency_hz=frequency_hz, velocity=whole.velocity[at], force=whole.force[at], cross=whole.cross[at])
+    return spa(torque_n, velocity_m_per_s, lag=lag).part(at)
 
 
 def spectra_of(

@@ -37,11 +37,11 @@ def command(
 
     from hapticd.analysis.outlook import outlook
     from hapticd.measure import scenes
+    from hapticd.measure.sources import given
 
     shown = scenes.display(common.scene_of(scene or DEVICE_OF))
-    default = (*scenes.point(shown.scene), scenes.level(shown.scene)) if scene else (0.0, 0.0, 0.0, 0.0)
-    given = (stiffness, viscous, mass, damping)
-    k, b, m, level = (own if own is not None else other for own, other in zip(given, default, strict=True))
+    asked = given((stiffness, viscous, mass), damping, shown.scene if scene else None, bool(scene))
+    (k, b, m), level = asked.environment, asked.damping_ns_per_m
     for option, value, unit in (("-K", k, "N/m"), ("-B", b, "N s/m"), ("-M", m, "kg"), ("--damping", level, "N s/m")):
         if not isfinite(value):
             raise typer.BadParameter(f"{option} {value:g}: a finite number of {unit} is needed")
