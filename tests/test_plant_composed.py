@@ -259,7 +259,9 @@ def test_board_fields_describe_the_device():
 
 def test_damaged_tables_are_refused():
     params = board(MODELS["rigid"])
-    with pytest.raises(ConfigError, match=r"has not 22 maps of 2 x 4 numbers; resolve the configuration again"):
+    with pytest.raises(
+        ConfigError, match=r"must hold 22 plant maps of 2 x 4 numbers and does not; resolve the configuration again"
+    ):
         make_plant(replace(params, plant=replace(params.plant, maps=params.plant.maps[1:])))
     contact = MODELS["both"].contacts
     with pytest.raises(ConfigError, match=r"friction at 4 bodies: at most 2 can be solved"):

@@ -1,4 +1,4 @@
-"""The device between two servo commands: its effects, the model that they compose, and how it moves.
+"""The device between two servo commands: its effects, the composed model, and how it moves.
 
 A scene names effects; `compose` turns them into one linear state-space model with what is not
 linear beside it; the batch engine and the simulated board play that model. numpy is needed only

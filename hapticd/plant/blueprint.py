@@ -22,11 +22,20 @@ body whose name a state of another effect already has.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
-Coefficient = tuple[float, float, float, float]  # of 1, b, r, b r
 
-ONE: Coefficient = (1.0, 0.0, 0.0, 0.0)
-ZERO: Coefficient = (0.0, 0.0, 0.0, 0.0)
+class Coefficient(NamedTuple):
+    """c = one + level b + residual r + both b r: b damping level, r residual resistance."""
+
+    one: float  # in the unit of the form over that of the symbol, as all four
+    level: float  # per Ns/m
+    residual: float  # per ohm
+    both: float  # per Ns/m and ohm
+
+
+ONE = Coefficient(1.0, 0.0, 0.0, 0.0)
+ZERO = Coefficient(0.0, 0.0, 0.0, 0.0)
 
 
 class Form:
@@ -44,13 +53,13 @@ class Form:
 
     def __add__(self, other: "Form") -> "Form":
         total = dict(self.terms)
-        for name, (one, b, r, br) in other.terms.items():
+        for name, more in other.terms.items():
             mine = total.get(name, ZERO)
-            total[name] = (mine[0] + one, mine[1] + b, mine[2] + r, mine[3] + br)
+            total[name] = Coefficient(*(x + y for x, y in zip(mine, more, strict=True)))
         return Form(total)
 
     def __mul__(self, factor: float) -> "Form":
-        return Form({name: (factor * c[0], factor * c[1], factor * c[2], factor * c[3]) for name, c in self.terms.items()})
+        return Form({name: Coefficient(*(factor * x for x in c)) for name, c in self.terms.items()})
 
     __rmul__ = __mul__
 
@@ -65,67 +74,104 @@ class Form:
 
     def times_level(self) -> "Form":
         """Multiplied by the damping level. ValueError if it depends on the level already."""
-        if any(c[1] or c[3] for c in self.terms.values()):
+        if any(c.level or c.both for c in self.terms.values()):
             raise ValueError("a form of the second degree in the damping level")
-        return Form({name: (0.0, c[0], 0.0, c[2]) for name, c in self.terms.items()})
+        return Form({name: Coefficient(0.0, c.one, 0.0, c.residual) for name, c in self.terms.items()})
 
     def times_residual(self) -> "Form":
         """Multiplied by the residual resistance. ValueError if it depends on it already."""
-        if any(c[2] or c[3] for c in self.terms.values()):
+        if any(c.residual or c.both for c in self.terms.values()):
             raise ValueError("a form of the second degree in the residual resistance")
-        return Form({name: (0.0, 0.0, c[0], c[1]) for name, c in self.terms.items()})
+        return Form({name: Coefficient(0.0, 0.0, c.one, c.level) for name, c in self.terms.items()})
 
 
 @dataclass(frozen=True, slots=True)
 class StateVariable:
-    """One state variable: name, unit, and the effect that brought it."""
+    """One state variable of a model."""
 
-    name: str
+    name: str  # a position ends in _position, in m; a velocity in _velocity, in m/s
     unit: str
-    effect: str
+    effect: str  # key of the effect that added it
 
 
 @dataclass(frozen=True, slots=True)
 class InputColumns:
-    """Columns of B and D. `width` is their number, contacts included."""
+    """Columns of B and D; an input that the model does not have is None."""
 
-    command: int
-    torque: int
-    width: int
-    estimate: int | None = None
-    rotor_force: int | None = None
+    command: int  # virtual force, N
+    torque: int  # perturbation of the probe, as endpoint force, N
+    width: int  # number of columns, those of the contacts included
+    estimate: int | None = None  # error of the velocity estimate, m/s
+    rotor_force: int | None = None  # force on the rotor that is not linear, N
+
+
+class Parameter(NamedTuple):
+    """One number of an effect."""
+
+    name: str
+    value: float  # in `unit`
+    unit: str
+    source: str  # paper | inferred | calibrated
 
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """One effect in words: why it is there, what it adds, its time constants [s], parameters with unit and source tag."""
+    """One effect in words."""
 
-    effect: str
+    effect: str  # its key
     why: str
-    states: tuple[str, ...] = ()
-    nonlinearity: str = ""
-    time_constants_s: tuple[float, ...] = ()
-    parameters: tuple[tuple[str, float, str, str], ...] = ()  # name, value, unit, paper | inferred | calibrated
+    states: tuple[str, ...] = ()  # names of the states that it added
+    nonlinearity: str = ""  # empty for a linear effect
+    time_constants_s: tuple[float, ...] = ()  # its own
+    parameters: tuple[Parameter, ...] = ()
+
+
+class Copper(NamedTuple):
+    """The motor winding as it stands at the start."""
+
+    resistance_ohm: float  # at reference_c
+    reference_c: float
+    compensated_ohm: float  # that the damping circuit believes in
+    start_c: float
+
+
+class Warming(NamedTuple):
+    """How the winding warms up while it works."""
+
+    thermal_resistance_k_per_w: float
+    time_constant_s: float
+    ambient_c: float
+
+
+class Corners(NamedTuple):
+    """Corners of the filter in the active damping; 0 for none."""
+
+    highpass_rad_s: float
+    lowpass_rad_s: float
+
+
+NO_MOTOR = Copper(0.0, 20.0, 0.0, 20.0)
+UNSHAPED = Corners(0.0, 0.0)
 
 
 @dataclass
 class Body:
-    """A moving mass: `force` collects what acts on it, Coulomb friction apart."""
+    """A moving mass."""
 
     name: str
-    position: Form
-    velocity: Form
+    position: Form  # m
+    velocity: Form  # m/s
     mass_kg: float
-    force: Form = field(default_factory=Form)
-    coulomb_n: float = 0.0
+    force: Form = field(default_factory=Form)  # all that acts on it but Coulomb friction, N
+    coulomb_n: float = 0.0  # level of its Coulomb friction
 
 
 @dataclass
 class Blueprint:
-    """A model that is being composed."""
+    """A model that is being composed. Forces and masses are those at the endpoint."""
 
     states: list[StateVariable] = field(default_factory=list)
-    rates: dict[str, Form] = field(default_factory=dict)
+    rates: dict[str, Form] = field(default_factory=dict)  # time derivative of each state, by name
     inputs: list[str] = field(default_factory=list)
     bodies: dict[str, Body] = field(default_factory=dict)
     slider_kg: float = 0.0  # of the rotor's mass, until a coupling takes it off
@@ -135,35 +181,32 @@ class Blueprint:
     travel: Form = field(default_factory=Form)  # integral of the recorded velocity, m
     channel: Form = field(default_factory=Form)  # the recorded velocity, m/s
     impulse: Form | None = None  # what filters delay of the recorded torque, N s
-    motor: Form = field(default_factory=Form)  # motor force at the endpoint, N
+    motor: Form = field(default_factory=Form)  # motor force, N
     estimate: Form = field(default_factory=Form)  # back-EMF velocity estimate, m/s
 
-    delay_periods: float = 0.0
-    amplifier_rad_s: float | None = None
-    circuit_rad_s: float | None = None
-    shaping_rad_s: tuple[float, float] = (0.0, 0.0)  # corners of high-pass and low-pass of the damping, 0 for none
-    level_gain: float = 1.0
-    level_offset_ns_per_m: float = 0.0
-    estimate_offset_m_per_s: float = 0.0
-    estimate_psd: float = 0.0
-    torque_constant_n_per_a: float = 1.0
-    resistance_ohm: float = 0.0
-    residual_ohm: float = 0.0
-    inductance_error_h: float = 0.0
-    crowbar: bool = False
-    probe_mass_kg: float = 0.0
-    viscous_ns_per_m: float = 0.0
-    numbers: dict[str, float] = field(default_factory=dict)  # quanta and limits, by their names in Model
-    ends_m: tuple[float, float] | None = None
-    rotor_forces: list[tuple[str, tuple[float, ...]]] = field(default_factory=list)  # law, its numbers
-    velocity_noise_m_per_s: float = 0.0
-    heating: tuple[float, float, float] | None = None  # K/W, s, ambient degC
-    winding: tuple[float, float, float, float] = (
-        0.0,
-        20.0,
-        0.0,
-        20.0,
-    )  # ohm at reference, reference degC, compensated ohm, start degC
+    delay_periods: float = 0.0  # of the servo, from encoder sample to force
+    amplifier_rad_s: float | None = None  # None for an amplifier without lag
+    circuit_rad_s: float | None = None  # bandwidth of the velocity estimate; None for no lag
+    shaping: Corners = UNSHAPED
+    level_gain: float = 1.0  # of the multiplier, on the commanded damping level
+    level_offset_ns_per_m: float = 0.0  # added to the level behind that gain
+    estimate_offset_m_per_s: float = 0.0  # added to the velocity estimate
+    estimate_psd: float = 0.0  # one-sided density of the estimate's noise, (m/s)^2/Hz
+    torque_constant_n_per_a: float = 1.0  # K_m / lever radius
+    resistance_ohm: float = 0.0  # of the winding as it is at the start
+    residual_ohm: float = 0.0  # true minus compensated
+    inductance_error_h: float = 0.0  # true minus compensated
+    crowbar: bool = False  # the motor is shorted
+    probe_mass_kg: float = 0.0  # part of the rotor's mass
+    viscous_ns_per_m: float = 0.0  # all viscous friction, at both bodies
+    # quanta and limits, by their names in `Model`
+    numbers: dict[str, float] = field(default_factory=dict)
+    ends_m: tuple[float, float] | None = None  # lower and upper end of travel
+    # law and its numbers, SI units
+    rotor_forces: list[tuple[str, tuple[float, ...]]] = field(default_factory=list)
+    velocity_noise_m_per_s: float = 0.0  # rms, added to each 4 kHz value of the record
+    heating: Warming | None = None  # None: the winding keeps its temperature
+    copper: Copper = NO_MOTOR
 
     @property
     def rotor(self) -> Body:
@@ -172,7 +215,7 @@ class Blueprint:
 
     @property
     def endpoint(self) -> Body:
-        """Where hand and load act and the encoder sits: the slider, or the rotor of a rigid device."""
+        """The slider, where hand and load act and the encoder sits, or a rigid device's rotor."""
         return self.bodies.get("slider", self.rotor)
 
     def state(self, name: str, unit: str, effect: str, rate: Form | None = None) -> Form:
@@ -188,7 +231,10 @@ class Blueprint:
         return Form.symbol(name)
 
     def rotor_force(self, law: str, *numbers: float) -> None:
-        """Add a force on the rotor that is not linear: `law` is its name in both backends, SI units."""
+        """Add a force on the rotor that is not linear.
+
+        `law` names it in both backends; `numbers` are its parameters in SI units.
+        """
         if not self.rotor_forces:
             self.rotor.force += self.input("rotor_force")
         self.rotor_forces.append((law, numbers))

@@ -25,25 +25,30 @@ differential equation (refused).
 """
 
 from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 
 from hapticd.errors import ConfigError
 from hapticd.plant.blueprint import ZERO, Blueprint, Form
 from hapticd.plant.effects import Amplifier, DampingCircuit, Effect, ShapedDamping, in_order, shaped
-from hapticd.plant.model import Array, Contact, Ends, InputColumns, Model, Noise, Output, Outputs, RotorForce, Winding
+from hapticd.plant.model import Array, Contact, Ends, InputColumns, Model, Noise, Output, Outputs, RotorForce, Winding, frozen
 from hapticd.plant.scene import Scene
 from hapticd.plant.stability import stability
 
 
 def drive(plan: Blueprint) -> None:
-    """Close the loop: estimate, multiplier, amplifier, force on the rotor. ConfigError if a lag is missing or in excess."""
+    """Close the loop of the damping circuit: estimate, multiplier, amplifier, force on the rotor.
+
+    ConfigError if a lag is missing or in excess.
+    """
     rotor = plan.rotor
     if plan.crowbar:
         _short(plan)
         return
     _refuse_algebraic(plan)
-    lagging, filtered = plan.amplifier_rad_s, plan.circuit_rad_s
+    lagging = plan.amplifier_rad_s
+    filtered = plan.circuit_rad_s
     motor = plan.state("motor_force", "N", Amplifier.key) if lagging else None
     estimate = plan.state("velocity_estimate", "m/s", DampingCircuit.key) if filtered else None
     if estimate is None:
@@ -58,7 +63,8 @@ def drive(plan: Blueprint) -> None:
         if plan.inductance_error_h:
             source += (plan.inductance_error_h / plan.torque_constant_n_per_a**2) * plan.rates["motor_force"]
         plan.rates["velocity_estimate"] = filtered * (source - estimate)
-    plan.motor, plan.estimate = motor, estimate
+    plan.motor = motor
+    plan.estimate = estimate
     rotor.force += motor
 
 
@@ -88,7 +94,7 @@ def _refuse_algebraic(plan: Blueprint) -> None:
 
 
 def _short(plan: Blueprint) -> None:
-    if plan.amplifier_rad_s or plan.circuit_rad_s or plan.inductance_error_h or any(plan.shaping_rad_s):
+    if plan.amplifier_rad_s or plan.circuit_rad_s or plan.inductance_error_h or any(plan.shaping):
         raise ConfigError(
             f"a crowbar shorts the motor: leave out 'amplifier', 'damping_circuit', {ShapedDamping.key!r} and 'inductance'"
         )
@@ -99,7 +105,10 @@ def _short(plan: Blueprint) -> None:
 
 
 def compose(scene: Scene) -> Model:
-    """The model of `scene`. ConfigError if its effects contradict each other or the open device is unstable."""
+    """The model of `scene`.
+
+    ConfigError if its effects contradict each other or the open device is unstable.
+    """
     model = compose_device(scene.name, scene.effects, scene.rate_hz)
     if not scene.allow_unstable:
         levels = [step.level_ns_per_m for step in scene.damping]
@@ -119,8 +128,10 @@ def refuse_unstable(model: Model, levels_ns_per_m: Iterable[float], remedy: str 
 
 def compose_device(name: str, effects: Iterable[Effect], rate_hz: float = 1000.0) -> Model:
     """The model of a device with these effects, whatever its stability."""
-    plan, chosen = Blueprint(), in_order(effects)
-    plan.command, torque = plan.input("command"), plan.input("torque")
+    plan = Blueprint()
+    chosen = in_order(effects)
+    plan.command = plan.input("command")
+    torque = plan.input("torque")
     for effect in chosen:
         effect.build(plan)
     plan.rotor.force += torque
@@ -130,28 +141,35 @@ def compose_device(name: str, effects: Iterable[Effect], rate_hz: float = 1000.0
     return _model(name, plan, rate_hz)
 
 
+class _Parts(NamedTuple):
+    """[A B] = one + b level + r residual + b r both, each (states, inputs), as in `Coefficient`."""
+
+    one: Array
+    level: Array
+    residual: Array
+    both: Array
+
+    def at(self, residual_ohm: float) -> tuple[Array, Array]:
+        """(constant part, part that goes with the damping level), at a residual resistance."""
+        return self.one + residual_ohm * self.residual, self.level + residual_ohm * self.both
+
+
 def _model(name: str, plan: Blueprint, rate_hz: float) -> Model:
     contacts = _contacts(plan)
     inputs = _inputs(plan, len(contacts))
-    rates = {**plan.rates, **{f"{body.name}_velocity": body.force / body.mass_kg for body in plan.bodies.values()}}
     states = [state.name for state in plan.states]
-    names = states + plan.inputs
-    pieces = [np.array([[rates[row].terms.get(name, ZERO)[k] for name in names] for row in states]) for k in range(4)]
-    for contact in contacts:
-        forces = np.zeros((len(states), 1))
-        forces[contact.velocity, 0] = 1.0 / plan.bodies[contact.body].mass_kg
-        pieces = [np.hstack([piece, forces if k == 0 else 0.0 * forces]) for k, piece in enumerate(pieces)]
-    n, ohm = len(states), plan.residual_ohm
-    at = [frozen(pieces[0] + ohm * pieces[2]), frozen(pieces[1] + ohm * pieces[3])]
+    n = len(states)
+    parts = _parts(plan, states, contacts)
+    fixed, per_level = parts.at(plan.residual_ohm)
     return Model(
         name=name,
         rate_hz=rate_hz,
         delay_periods=plan.delay_periods,
         states=tuple(plan.states),
-        a0=frozen(at[0][:, :n]),
-        a1=frozen(at[1][:, :n]),
-        b0=frozen(at[0][:, n:]),
-        b1=frozen(at[1][:, n:]),
+        a0=frozen(fixed[:, :n]),
+        a1=frozen(per_level[:, :n]),
+        b0=frozen(fixed[:, n:]),
+        b1=frozen(per_level[:, n:]),
         inputs=inputs,
         outputs=_outputs(plan, states, inputs.width),
         contacts=contacts,
@@ -159,7 +177,7 @@ def _model(name: str, plan: Blueprint, rate_hz: float) -> Model:
         ends=_ends(plan, states),
         rotor_forces=_rotor_forces(plan, states),
         noise=_noise(plan),
-        winding=_winding(plan, pieces, n),
+        winding=_winding(plan, parts, n),
         estimate_offset_m_per_s=plan.estimate_offset_m_per_s,
         level_gain=plan.level_gain,
         level_offset_ns_per_m=plan.level_offset_ns_per_m,
@@ -169,17 +187,24 @@ def _model(name: str, plan: Blueprint, rate_hz: float) -> Model:
         coulomb_n=sum(contact.level_n for contact in contacts),
         torque_constant_n_per_a=plan.torque_constant_n_per_a,
         resistance_ohm=plan.resistance_ohm,
-        temperature_c=plan.winding[3],
-        residual_ohm=ohm,
+        temperature_c=plan.copper.start_c,
+        residual_ohm=plan.residual_ohm,
         notes=tuple(plan.notes),
     )
 
 
-def frozen(array: Array) -> Array:
-    """A contiguous copy that nobody changes."""
-    copy = np.array(array, dtype=np.float64)
-    copy.flags.writeable = False
-    return copy
+def _parts(plan: Blueprint, states: list[str], contacts: tuple[Contact, ...]) -> _Parts:
+    """The coefficients of all rates, and a column for the friction force of each contact."""
+    names = states + plan.inputs
+    accelerations = {f"{body.name}_velocity": body.force / body.mass_kg for body in plan.bodies.values()}
+    rates = {**plan.rates, **accelerations}
+    cells = np.array([[rates[row].terms.get(name, ZERO) for name in names] for row in states])
+    one, level, residual, both = np.moveaxis(cells, -1, 0)
+    forces = np.zeros((len(states), len(contacts)))
+    for column, contact in enumerate(contacts):
+        forces[contact.velocity, column] = 1.0 / plan.bodies[contact.body].mass_kg
+    none = np.zeros_like(forces)  # friction acts on a mass alone: neither level nor resistance
+    return _Parts(np.hstack([one, forces]), np.hstack([level, none]), np.hstack([residual, none]), np.hstack([both, none]))
 
 
 def _inputs(plan: Blueprint, contacts: int) -> InputColumns:
@@ -188,7 +213,8 @@ def _inputs(plan: Blueprint, contacts: int) -> InputColumns:
 
 
 def _contacts(plan: Blueprint) -> tuple[Contact, ...]:
-    names, rubbing = [state.name for state in plan.states], [body for body in plan.bodies.values() if body.coulomb_n > 0.0]
+    names = [state.name for state in plan.states]
+    rubbing = [body for body in plan.bodies.values() if body.coulomb_n > 0.0]
     return tuple(
         Contact(
             body.name,
@@ -203,12 +229,15 @@ def _contacts(plan: Blueprint) -> tuple[Contact, ...]:
 
 def _outputs(plan: Blueprint, states: list[str], width: int) -> Outputs:
     def output(form: Form, unit: str) -> Output:
-        rows = [np.zeros((2, len(states))), np.zeros((2, width))]
+        of_states = np.zeros((2, len(states)))  # without the level, and what goes with it
+        of_inputs = np.zeros((2, width))
         for name, c in form.terms.items():
-            at = (c[0] + plan.residual_ohm * c[2], c[1] + plan.residual_ohm * c[3])
-            where = (0, states.index(name)) if name in states else (1, plan.inputs.index(name))
-            rows[where[0]][:, where[1]] = at
-        return Output(unit, *(frozen(row) for table in rows for row in table))
+            at = (c.one + plan.residual_ohm * c.residual, c.level + plan.residual_ohm * c.both)
+            if name in states:
+                of_states[:, states.index(name)] = at
+            else:
+                of_inputs[:, plan.inputs.index(name)] = at
+        return Output(unit, *(frozen(row) for row in (*of_states, *of_inputs)))
 
     rotor = plan.rotor
     return Outputs(
@@ -231,7 +260,8 @@ def _ends(plan: Blueprint, states: list[str]) -> Ends | None:
 
 
 def _rotor_forces(plan: Blueprint, states: list[str]) -> tuple[RotorForce, ...]:
-    position, velocity = states.index("rotor_position"), states.index("rotor_velocity")
+    position = states.index("rotor_position")
+    velocity = states.index("rotor_velocity")
     return tuple(RotorForce(law, numbers, position, velocity) for law, numbers in plan.rotor_forces)
 
 
@@ -241,12 +271,21 @@ def _noise(plan: Blueprint) -> Noise | None:
     return Noise(plan.velocity_noise_m_per_s, plan.estimate_psd)
 
 
-def _winding(plan: Blueprint, pieces: list[Array], n: int) -> Winding | None:
+def _winding(plan: Blueprint, parts: _Parts, n: int) -> Winding | None:
     if plan.heating is None:
         return None
-    cold_ohm, reference_c, compensated_ohm, start_c = plan.winding
-    per_k_per_w, time_constant_s, ambient_c = plan.heating
+    copper = plan.copper
     return Winding(
-        cold_ohm, reference_c, compensated_ohm, plan.residual_ohm, per_k_per_w, time_constant_s, ambient_c, start_c,
-        frozen(pieces[2][:, :n]), frozen(pieces[3][:, :n]), frozen(pieces[2][:, n:]), frozen(pieces[3][:, n:]),
-    )  # fmt: skip
+        resistance_ohm=copper.resistance_ohm,
+        reference_c=copper.reference_c,
+        compensated_ohm=copper.compensated_ohm,
+        residual_ohm=plan.residual_ohm,
+        thermal_resistance_k_per_w=plan.heating.thermal_resistance_k_per_w,
+        time_constant_s=plan.heating.time_constant_s,
+        ambient_c=plan.heating.ambient_c,
+        start_c=copper.start_c,
+        a0=frozen(parts.residual[:, :n]),
+        a1=frozen(parts.both[:, :n]),
+        b0=frozen(parts.residual[:, n:]),
+        b1=frozen(parts.both[:, n:]),
+    )

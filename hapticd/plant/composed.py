@@ -1,5 +1,5 @@
-"""The composed device of a simulated board: its tables loaded, and its step written as straight-line
-Python with nothing in it that the device does not have. Standard library alone.
+"""The composed device of a simulated board: its tables loaded, and its step written as
+straight-line Python with nothing in it that the device does not have. Standard library alone.
 
     map        n rows of [Phi Gamma] for one sub-step, inputs held; exact at a node of the table
                (damping level, residual resistance), interpolated linearly between nodes
@@ -29,7 +29,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterable, Sequence
 from math import sin, sqrt, tau
 from random import Random
-from typing import Any
+from typing import Any, NamedTuple
 
 from hapticd.errors import ConfigError
 from hapticd.params import BoardParams, Contact, Ends, HeatingParams, Noise, OutputParams, PlantParams, RotorForce
@@ -37,20 +37,44 @@ from hapticd.plant.friction import stick_two
 from hapticd.units import COPPER_PER_K
 
 Row = tuple[float, ...]
-Map = tuple[Row, ...]
-Blocks = dict[str, Map]  # rows by the letter that names their coefficients in the source
+Rows = tuple[Row, ...]  # [Phi Gamma] of a piece, a row for each state
+Blocks = dict[str, Rows]  # rows by the letter that names their coefficients in the source
+State = tuple[float, ...]  # what a step takes and gives; only the plant understands it
+Step = Callable[[State, float, float, float, int], State]  # as `plant.step.make_step` returns it
+View = Callable[[State, float, float], float]  # of (state, force_n, damping_ns_per_m)
+
+TOLERANCE_OHM = 1e-4  # drift of the winding before its maps are loaded anew: 0.02 K of 1.6 ohm
+LEAPS = {4: "d", 2: "b"}  # sub-steps of a leap, and its block of coefficients
+ON_ROTOR = ("torque", "rotor_force", "friction_rotor")  # inputs with equal columns
+# name of an input in the generated text; those on the rotor are added up in `push` beforehand
+SIGNALS = {"command": "force_n", "torque": "push", "estimate": "error", "friction_slider": "rub"}
+
+_serial = itertools.count(1)  # of generated sources, so that tracebacks find their own
 
 
-def followed(first: Map, then: Map) -> Map:
+class Term(NamedTuple):
+    """One product of a row: a coefficient of the map times a variable of the generated text."""
+
+    variable: str
+    column: int  # of the map
+    sign: float  # +1 or -1, taken into the coefficient
+
+
+def followed(first: Rows, then: Rows) -> Rows:
     """`then` after `first`, with the same inputs."""
-    n, width = len(first), len(first[0])
+    n = len(first)
+    width = len(first[0])
     return tuple(
         tuple(sum(row[k] * first[k][j] for k in range(n)) + (row[j] if j >= n else 0.0) for j in range(width)) for row in then
     )
 
 
-def blocks(params: PlantParams, one: Map) -> Blocks:
-    """The rows of a node: a over one sub-step; b and d over 2 and 4, if nothing has to be decided in between."""
+def blocks(params: PlantParams, one: Rows) -> Blocks:
+    """The rows of a node: a over one sub-step, b and d over two and four where that is exact.
+
+    It is exact where nothing has to be decided in between: no friction, no force on the rotor that
+    is not linear, no heating.
+    """
     if params.contacts or params.rotor_forces or params.heating:
         return {"a": one}
     two = followed(one, one)
@@ -58,12 +82,14 @@ def blocks(params: PlantParams, one: Map) -> Blocks:
 
 
 class Lookup:
-    """Maps of a device by damping level and residual resistance."""
+    """Maps of a device by damping level [Ns/m] and residual resistance [ohm]."""
 
     def __init__(self, params: PlantParams) -> None:
-        self.levels, self.residuals = params.levels_ns_per_m, params.residuals_ohm
-        n, width = len(params.states), len(params.states) + len(params.columns)
-        self.nodes: list[Map] = [tuple(flat[i * width : (i + 1) * width] for i in range(n)) for flat in params.maps]
+        self.levels = params.levels_ns_per_m
+        self.residuals = params.residuals_ohm
+        n = len(params.states)
+        width = len(params.states) + len(params.columns)
+        self.nodes: list[Rows] = [tuple(flat[i * width : (i + 1) * width] for i in range(n)) for flat in params.maps]
 
     def node(self, level: float, residual: float) -> int | None:
         """Number of the node that stands exactly there; None if there is none."""
@@ -71,14 +97,16 @@ class Lookup:
             return self.residuals.index(residual) * len(self.levels) + self.levels.index(level)
         return None
 
-    def between(self, level: float, residual: float) -> Map:
+    def between(self, level: float, residual: float) -> Rows:
         """The map there, linear between nodes on either axis; the outermost nodes are extended."""
         place, part = _bracket(self.levels, level)
-        storey, height = _bracket(self.residuals, residual)
-        lower = self._mixed(storey * len(self.levels) + place, part)
-        return _blend(lower, self._mixed((storey + 1) * len(self.levels) + place, part), height) if height else lower
+        layer, height = _bracket(self.residuals, residual)
+        lower = self._mixed(layer * len(self.levels) + place, part)
+        if not height:
+            return lower
+        return _blend(lower, self._mixed((layer + 1) * len(self.levels) + place, part), height)
 
-    def _mixed(self, index: int, part: float) -> Map:
+    def _mixed(self, index: int, part: float) -> Rows:
         return _blend(self.nodes[index], self.nodes[index + 1], part) if part else self.nodes[index]
 
 
@@ -90,73 +118,72 @@ def _bracket(nodes: Sequence[float], value: float) -> tuple[int, float]:
     return low, (value - nodes[low]) / (nodes[low + 1] - nodes[low])
 
 
-def _blend(a: Map, b: Map, part: float) -> Map:
+def _blend(a: Rows, b: Rows, part: float) -> Rows:
     return tuple(tuple(x + part * (y - x) for x, y in zip(p, q, strict=True)) for p, q in zip(a, b, strict=True))
-
-
-Term = tuple[str, int, float]  # variable, column of the map, sign
-ON_ROTOR = ("torque", "rotor_force", "friction_rotor")
-SIGNALS = {"command": "force_n", "torque": "push", "estimate": "error", "friction_slider": "rub"}
 
 
 class RowTerms:
     """Which products the rows of a device's maps need, over all of its nodes."""
 
     def __init__(self, params: PlantParams, nodes: list[Blocks]) -> None:
-        self.params, self.n = params, len(params.states)
-        self.positions = [i for i, name in enumerate(params.states) if name.endswith("_position")] if params.floating else []
-        self.terms = {
+        self.params = params
+        self.n = len(params.states)
+        positions = [i for i, name in enumerate(params.states) if name.endswith("_position")]
+        # of a device that floats freely nothing depends on a position itself
+        self.positions = positions if params.floating else []
+        self.by_letter = {
             letter: [self._needed(i, [node[letter][i] for node in nodes]) for i in range(len(rows))]
             for letter, rows in nodes[0].items()
         }
+        # plain tuples, for they are unpacked at every tick of a slew between nodes
+        self._cells = {
+            letter: [[(term.column, term.sign) for term in row] for row in rows] for letter, rows in self.by_letter.items()
+        }
 
-    def flat(self, letter: str, rows: Map) -> Row:
+    def flat(self, letter: str, rows: Rows) -> Row:
         """Coefficients of the block `letter` in the order of its names."""
-        return tuple(sign * row[j] for row, terms in zip(rows, self.terms[letter], strict=True) for _, j, sign in terms)
+        pairs = zip(rows, self._cells[letter], strict=True)
+        return tuple(sign * row[column] for row, cells in pairs for column, sign in cells)
 
     def names(self, letter: str) -> list[str]:
-        """Of the cells of the block `letter`."""
-        return [f"{letter}{k}" for k in range(sum(map(len, self.terms[letter])))]
+        """The names of the cells of the block `letter`."""
+        return [f"{letter}{k}" for k in range(sum(map(len, self.by_letter[letter])))]
 
     def row(self, letter: str, i: int, **renamed: str) -> str:
-        """The expression of row i of the block; variables may be renamed, to "" to leave them out."""
-        first = sum(map(len, self.terms[letter][:i]))
-        products = [(f"{letter}{first + k}", renamed.get(term[0], term[0])) for k, term in enumerate(self.terms[letter][i])]
+        """The expression of row i of the block. `renamed` variables: "" leaves one out."""
+        first = sum(map(len, self.by_letter[letter][:i]))
+        factors = [renamed.get(term.variable, term.variable) for term in self.by_letter[letter][i]]
+        products = [f"{letter}{first + k} * {factor}" for k, factor in enumerate(factors) if factor]
         base = [f"x{i}"] if i in self.positions else []
-        return " + ".join(base + [f"{cell} * {variable}" for cell, variable in products if variable]) or "0.0"
+        return " + ".join(base + products) or "0.0"
 
     def cell(self, letter: str, i: int, column: str) -> str:
         """The cell that holds the coefficient of the input `column` in row i."""
         j = self.n + self.params.columns.index("torque" if column in ON_ROTOR else column)
-        first = sum(map(len, self.terms[letter][:i]))
-        return f"{letter}{first + [term[1] for term in self.terms[letter][i]].index(j)}"
+        first = sum(map(len, self.by_letter[letter][:i]))
+        return f"{letter}{first + [term.column for term in self.by_letter[letter][i]].index(j)}"
 
     def _needed(self, i: int, samples: list[Row]) -> list[Term]:
-        return [term for term in self._candidates(i) if any(row[term[1]] for row in samples)]
+        return [term for term in self._candidates(i) if any(row[term.column] for row in samples)]
 
     def _candidates(self, own: int) -> Iterable[Term]:
         for j in range(self.n):
             if j not in self.positions:
-                yield f"x{j}", j, 1.0
+                yield Term(f"x{j}", j, 1.0)
         if len(self.positions) == 2:
             first, second = self.positions
-            yield "stretch", (second if own == first else first), (-1.0 if own == first else 1.0)
+            other, sign = (second, -1.0) if own == first else (first, 1.0)
+            yield Term("stretch", other, sign)  # stretch = first - second
         for column, name in enumerate(self.params.columns):
             if name in SIGNALS:
-                yield SIGNALS[name], self.n + column, 1.0
+                yield Term(SIGNALS[name], self.n + column, 1.0)
 
 
-State = tuple[float, ...]
-View = Callable[[State, float, float], float]
-
-_serial = itertools.count(1)
-
-
-def viewer(shape: RowTerms, name: str) -> View:
+def viewer(terms: RowTerms, name: str) -> View:
     """`view(state, force_n, damping_ns_per_m)` of the output `name`."""
-    state = ", ".join(f"x{i}" for i in range(shape.n)) + (", _" if shape.params.heating else "")
-    source = f"def view(state, force_n, level):\n    {state}, = state\n    return {output_text(shape, name)}\n"
-    picked = picked_state(getattr(shape.params, name))
+    state = ", ".join(f"x{i}" for i in range(terms.n)) + (", _" if terms.params.heating else "")
+    source = f"def view(state, force_n, level):\n    {state}, = state\n    return {output_text(terms, name)}\n"
+    picked = picked_state(getattr(terms.params, name))
     if picked is not None:
         source = f"def view(state, force_n, level):\n    return state[{picked}]\n"
     view: View = compiled(source, f"plant {name}")["view"]
@@ -170,13 +197,14 @@ def picked_state(output: OutputParams) -> int | None:
     return places[0] if plain and len(places) == 1 and output.c0[places[0]] == 1.0 else None
 
 
-def output_text(shape: RowTerms, name: str, level: str = "level") -> str:
-    """The output `name` of `shape.params` as an expression in x0.., force_n and `level`."""
-    output, parts = getattr(shape.params, name), []
-    for c0, c1, variable in zip(output.c0, output.c1, (f"x{i}" for i in range(shape.n)), strict=True):
+def output_text(terms: RowTerms, name: str, level: str = "level") -> str:
+    """The output `name` of `terms.params` as an expression in x0.., force_n and `level`."""
+    output = getattr(terms.params, name)
+    parts = []
+    for c0, c1, variable in zip(output.c0, output.c1, (f"x{i}" for i in range(terms.n)), strict=True):
         parts += _scaled(c0, c1, variable, level)
-    inputs = {"command": "force_n", "estimate": repr(shape.params.estimate_offset_m_per_s)}
-    for d0, d1, column in zip(output.d0, output.d1, shape.params.columns, strict=True):
+    inputs = {"command": "force_n", "estimate": repr(terms.params.estimate_offset_m_per_s)}
+    for d0, d1, column in zip(output.d0, output.d1, terms.params.columns, strict=True):
         parts += _scaled(d0, d1, inputs.get(column, "0.0"), level)
     return " + ".join(parts) or "0.0"
 
@@ -195,46 +223,63 @@ def compiled(source: str, title: str) -> dict[str, Any]:
     return namespace
 
 
-TOLERANCE_OHM = 1e-4  # drift of the winding before its maps are loaded anew: 0.02 K of 1.6 ohm
-LEAPS = {4: "d", 2: "b"}  # sub-steps of a leap, and its block of coefficients
+def composed_source(terms: RowTerms, substep_s: float, torque_constant_n_per_a: float) -> str:
+    """Text of `bind(coefficients, gauss, sin, stick_two)`, which returns the step.
 
-
-def composed_source(shape: RowTerms, substep_s: float, torque_constant_n_per_a: float) -> str:
-    """Text of `bind(coefficients, gauss, sin, stick_two)`, which returns `step` as `plant.step.make_step` describes it."""
-    params, leaps = shape.params, _leaps(shape)
-    letters = list(shape.terms)
-    cells = [name for letter in letters for name in shape.names(letter)]
-    state = ", ".join([f"x{i}" for i in range(shape.n)] + (["celsius"] if params.heating else []))
-    heat, drifted = params.heating, f" or not -{TOLERANCE_OHM!r} < ohm - residual < {TOLERANCE_OHM!r}"
+    The step is that of `plant.step.make_step`. The cells of the closure are the coefficients; only
+    a change of the level (or a drift of the winding) loads them anew.
+    """
     lines = [
         "def bind(coefficients, gauss, sin, stick_two):",
-        f"    {' = '.join(cells)} = 0.0",
+        f"    {' = '.join(name for letter in terms.by_letter for name in terms.names(letter))} = 0.0",
         "    level = residual = None",
+        *_load(terms),
+        *_step(terms, substep_s, torque_constant_n_per_a),
+        "    return step",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _load(terms: RowTerms) -> list[str]:
+    """`load()`, which sets the cells for the level and the residual; no leaps between nodes."""
+    first, *leaps = terms.by_letter
+    cells = [name for letter in terms.by_letter for name in terms.names(letter)]
+    return [
         *(["    leaping = False"] if leaps else []),
         "",
         "    def load():",
         f"        nonlocal {'leaping, ' if leaps else ''}{', '.join(cells)}",
         "        rows = coefficients(level, residual)",
-        f"        ({', '.join(shape.names('a'))},) = rows['a']",
+        f"        ({', '.join(terms.names(first))},) = rows['{first}']",
         *(["        leaping = len(rows) > 1", "        if leaping:"] if leaps else []),
-        *(f"            ({', '.join(shape.names(letter))},) = rows['{letter}']" for letter in letters[1:]),
+        *(f"            ({', '.join(terms.names(letter))},) = rows['{letter}']" for letter in leaps),
         "",
+    ]
+
+
+def _step(terms: RowTerms, substep_s: float, torque_constant_n_per_a: float) -> list[str]:
+    """`step(...)`, which loads what changed and moves the device by whole sub-steps."""
+    params = terms.params
+    heat = params.heating
+    leaps = _leaps(terms)
+    state = ", ".join([f"x{i}" for i in range(terms.n)] + (["celsius"] if heat else []))
+    drifted = f" or not -{TOLERANCE_OHM!r} < ohm - residual < {TOLERANCE_OHM!r}" if heat else ""
+    return [
         "    def step(state, force_n, torque_n, damping_ns_per_m, n_substeps):",
         "        nonlocal level, residual",
         f"        {state} = state",
         *(_ohms(heat) if heat else []),
-        f"        if damping_ns_per_m != level{drifted if heat else ''}:",
-        f"            level, residual = damping_ns_per_m, {'ohm' if heat else repr(params.residuals_ohm[0])}",
+        f"        if damping_ns_per_m != level{drifted}:",
+        "            level = damping_ns_per_m",
+        f"            residual = {'ohm' if heat else repr(params.residuals_ohm[0])}",
         "            load()",
         *(_error(params.noise, params.estimate_offset_m_per_s, substep_s) if "estimate" in params.columns else []),
         *(_leaping(leaps) if leaps else ["        for _ in range(n_substeps):"]),
-        *(f"{' ' * (16 if leaps else 12)}{line}" for line in _substep(shape, substep_s)),
-        *(_warmed(shape, heat, substep_s, torque_constant_n_per_a) if heat else []),
+        *(f"{' ' * (16 if leaps else 12)}{line}" for line in _substep(terms, substep_s)),
+        *(_warmed(terms, heat, substep_s, torque_constant_n_per_a) if heat else []),
         f"        return {state}",
         "",
-        "    return step",
     ]
-    return "\n".join(lines) + "\n"
 
 
 def _leaping(leaps: list[str]) -> list[str]:
@@ -250,49 +295,58 @@ def _leaping(leaps: list[str]) -> list[str]:
     ]
 
 
-def _leaps(shape: RowTerms) -> list[str]:
-    """An `if` over the pieces that can be leapt, each left by `continue` or with `count` sub-steps to take one by one."""
+def _leaps(terms: RowTerms) -> list[str]:
+    """An `if` over the leaps.
+
+    Each is left by `continue`, or with `count` sub-steps to take one by one because an end of the
+    workspace would be met.
+    """
     lines: list[str] = []
-    for count, letter in LEAPS.items() if len(shape.terms) > 1 else ():
+    for count, letter in LEAPS.items() if len(terms.by_letter) > 1 else ():
         lines += [
             f"            {'elif' if lines else 'if'} leaping and left >= {count}:",
-            *(f"                {line}" for line in _leap(shape, count, letter)),
+            *(f"                {line}" for line in _leap(terms, count, letter)),
             f"                count = {count}",
         ]
     return lines
 
 
-def _leap(shape: RowTerms, count: int, letter: str) -> list[str]:
-    rows, ends = [shape.row(letter, i, push="torque_n") for i in range(shape.n)], shape.params.ends
-    stretch = [_stretch(shape)] if len(shape.positions) == 2 else []
+def _leap(terms: RowTerms, count: int, letter: str) -> list[str]:
+    """`count` sub-steps at once, unless the position at their end lies beyond an end of travel."""
+    rows = [terms.row(letter, i, push="torque_n") for i in range(terms.n)]
+    ends = terms.params.ends
+    stretch = [_stretch(terms)] if len(terms.positions) == 2 else []
     if ends is None:
-        return [*stretch, *_assigned(shape, rows), f"left -= {count}", "continue"]
+        return [*stretch, *_assigned(terms, rows), f"left -= {count}", "continue"]
     check = f"if {ends.lower_m!r} <= (end := {rows[ends.position]}) <= {ends.upper_m!r}:"
     rows[ends.position] = "end"
-    return [*stretch, check, *(f"    {line}" for line in [*_assigned(shape, rows), f"left -= {count}", "continue"])]
+    return [*stretch, check, *(f"    {line}" for line in [*_assigned(terms, rows), f"left -= {count}", "continue"])]
 
 
-def _substep(shape: RowTerms, substep_s: float) -> list[str]:
-    params = shape.params
-    lines = [_stretch(shape)] if len(shape.positions) == 2 else []
+def _substep(terms: RowTerms, substep_s: float) -> list[str]:
+    """One sub-step, friction solved and ends of travel met."""
+    params = terms.params
+    lines = [_stretch(terms)] if len(terms.positions) == 2 else []
     lines += _pulled(params.rotor_forces, substep_s)
     push = "pull" if params.rotor_forces else "torque_n"
     if not params.contacts:
-        rows = [shape.row("a", i, push=push) for i in range(shape.n)]
+        rows = [terms.row("a", i, push=push) for i in range(terms.n)]
     elif len(params.contacts) == 1:
-        more, rows = _one_contact(shape, params.contacts[0], push)
+        more, rows = _one_contact(terms, params.contacts[0], push)
         lines += more
     else:
-        more, rows = _two_contacts(shape, push)
+        more, rows = _two_contacts(terms, push)
         lines += more
-    lines += _assigned(shape, rows)
+    lines += _assigned(terms, rows)
     return lines + ([] if params.ends is None else _stopped(params.ends))
 
 
-def _one_contact(shape: RowTerms, contact: Contact, push: str) -> tuple[list[str], list[str]]:
-    response, level = shape.cell("a", contact.velocity, f"friction_{contact.body}"), repr(contact.level_n)
+def _one_contact(terms: RowTerms, contact: Contact, push: str) -> tuple[list[str], list[str]]:
+    """(lines that find the friction force, rows that use it): `friction.stick_one` written out."""
+    response = terms.cell("a", contact.velocity, f"friction_{contact.body}")
+    level = repr(contact.level_n)
     lines = [
-        f"v = {shape.row('a', contact.velocity, push=push, rub='')}",
+        f"v = {terms.row('a', contact.velocity, push=push, rub='')}",
         f"friction = -v / {response}",
         f"if friction > {level}:",
         f"    friction = {level}",
@@ -306,16 +360,20 @@ def _one_contact(shape: RowTerms, contact: Contact, push: str) -> tuple[list[str
     if contact.body == "rotor":
         lines.append(f"push = {push} + friction")
     renamed = {} if contact.body == "rotor" else {"push": push, "rub": "friction"}
-    rows = [shape.row("a", i, **renamed) for i in range(shape.n)]
+    rows = [terms.row("a", i, **renamed) for i in range(terms.n)]
     rows[contact.velocity] = "v"
     return lines, rows
 
 
-def _two_contacts(shape: RowTerms, push: str) -> tuple[list[str], list[str]]:
-    first, second = shape.params.contacts
+def _two_contacts(terms: RowTerms, push: str) -> tuple[list[str], list[str]]:
+    """(lines that find both friction forces, rows that use them).
+
+    A body that sticks gets v = 0.0 exactly, not what rounding leaves of it.
+    """
+    first, second = terms.params.contacts
     names = [f"friction_{contact.body}" for contact in (first, second)]
-    w = [[shape.cell("a", contact.velocity, name) for name in names] for contact in (first, second)]
-    free = [shape.row("a", contact.velocity, push=push, rub="") for contact in (first, second)]
+    w = [[terms.cell("a", contact.velocity, name) for name in names] for contact in (first, second)]
+    free = [terms.row("a", contact.velocity, push=push, rub="") for contact in (first, second)]
     lines = [
         f"v = {free[0]}",
         f"u = {free[1]}",
@@ -324,18 +382,19 @@ def _two_contacts(shape: RowTerms, push: str) -> tuple[list[str], list[str]]:
         f"u = 0.0 if -{second.level_n!r} < rub < {second.level_n!r} else u + {w[1][0]} * friction + {w[1][1]} * rub",
         f"push = {push} + friction",
     ]
-    rows = [shape.row("a", i) for i in range(shape.n)]
-    rows[first.velocity], rows[second.velocity] = "v", "u"
+    rows = [terms.row("a", i) for i in range(terms.n)]
+    rows[first.velocity] = "v"
+    rows[second.velocity] = "u"
     return lines, rows
 
 
-def _assigned(shape: RowTerms, rows: list[str]) -> list[str]:
+def _assigned(terms: RowTerms, rows: list[str]) -> list[str]:
     """All states at once, a row to a line."""
-    return [f"{', '.join(f'x{i}' for i in range(shape.n))} = (", *(f"    {row}," for row in rows), ")"]
+    return [f"{', '.join(f'x{i}' for i in range(terms.n))} = (", *(f"    {row}," for row in rows), ")"]
 
 
-def _stretch(shape: RowTerms) -> str:
-    first, second = shape.positions
+def _stretch(terms: RowTerms) -> str:
+    first, second = terms.positions
     return f"stretch = x{first} - x{second}"
 
 
@@ -343,44 +402,59 @@ def _sine(x: str, v: str, amplitude_n: float, pitch_m: float, phase_rad: float) 
     return f"{amplitude_n!r} * sin({tau / pitch_m!r} * {x} + {phase_rad!r})"
 
 
-# a force on the rotor [N] as an expression in the names of position [m] and velocity [m/s] and the law's numbers
+# law -> text of its force on the rotor [N], of the names of position [m] and velocity [m/s] and of
+# the law's numbers
 ROTOR_LAWS: dict[str, Callable[..., str]] = {"sine": _sine}
 
 
 def _pulled(forces: Sequence[RotorForce], substep_s: float) -> list[str]:
-    """At the middle of the sub-step, so that a conservative force stays nearly so."""
+    """Forces that are not linear, at mid sub-step: a conservative one stays nearly conservative."""
     if not forces:
         return []
-    x, v = f"x{forces[0].position}", f"x{forces[0].velocity}"
+    x = f"x{forces[0].position}"
+    v = f"x{forces[0].velocity}"
     texts = [ROTOR_LAWS[force.law]("where", v, *force.numbers) for force in forces]
     return [f"where = {x} + {0.5 * substep_s!r} * {v}", f"pull = {' + '.join(['torque_n', *texts])}"]
 
 
 def _stopped(ends: Ends) -> list[str]:
-    x, v = f"x{ends.position}", f"x{ends.velocity}"
+    """An inelastic end: the position is put back, and velocity towards the end is lost."""
+    x = f"x{ends.position}"
+    v = f"x{ends.velocity}"
     lines = []
     for stop_m, beyond in ((ends.upper_m, ">"), (ends.lower_m, "<")):
-        lines += [f"if {x} {beyond} {stop_m!r}:", f"    {x} = {stop_m!r}", f"    if {v} {beyond} 0.0:", f"        {v} = 0.0"]
+        lines += [
+            f"if {x} {beyond} {stop_m!r}:",
+            f"    {x} = {stop_m!r}",
+            f"    if {v} {beyond} 0.0:",
+            f"        {v} = 0.0",
+        ]
     return lines
 
 
 def _error(noise: Noise | None, offset_m_per_s: float, substep_s: float) -> Iterable[str]:
+    """The input `estimate`: offset, and noise of variance S / (2 h) for a value held for h."""
     density = 0.0 if noise is None else noise.estimate_psd
     random = f" + {sqrt(density / (2.0 * substep_s))!r} / n_substeps**0.5 * gauss(0.0, 1.0)" if density else ""
     return [f"        error = {offset_m_per_s!r}{random}"]
 
 
 def _ohms(heat: HeatingParams) -> list[str]:
-    cold, reference = heat.resistance_ohm, heat.reference_c
+    """Resistance of the winding as it is, and what of it is not compensated."""
+    cold = heat.resistance_ohm
+    reference = heat.reference_c
     return [
         f"        hot = {cold!r} * (1.0 + {COPPER_PER_K!r} * (celsius - {reference!r}))",
         f"        ohm = hot - {heat.compensated_ohm!r}",
     ]
 
 
-def _warmed(shape: RowTerms, heat: HeatingParams, substep_s: float, torque_constant_n_per_a: float) -> list[str]:
-    """Copper loss of the motor force at the end of the piece; a piece is a ten-thousandth of the time constant."""
-    force = output_text(shape, "motor_force", "damping_ns_per_m")
+def _warmed(terms: RowTerms, heat: HeatingParams, substep_s: float, torque_constant_n_per_a: float) -> list[str]:
+    """The winding warmed by the copper loss of the motor force at the end of the piece.
+
+    Euler's rule is enough: a piece is a ten-thousandth of the time constant.
+    """
+    force = output_text(terms, "motor_force", "damping_ns_per_m")
     per_w = heat.thermal_resistance_k_per_w / torque_constant_n_per_a**2
     return [
         f"        force = {force}",
@@ -389,23 +463,20 @@ def _warmed(shape: RowTerms, heat: HeatingParams, substep_s: float, torque_const
     ]
 
 
-Step = Callable[[State, float, float, float, int], State]
-
-
 def composed_step(params: PlantParams, board: BoardParams, substep_s: float) -> tuple[Step, RowTerms]:
-    """The step of the composed device, as `plant.step.make_step` describes it, and its shape."""
+    """The step of the composed device, as `plant.step.make_step` describes it, and its terms."""
     _check(params)
     lookup = Lookup(params)
     nodes = [blocks(params, node) for node in lookup.nodes]
-    shape = RowTerms(params, nodes)
-    ready = [{letter: shape.flat(letter, rows) for letter, rows in node.items()} for node in nodes]
+    terms = RowTerms(params, nodes)
+    ready = [{letter: terms.flat(letter, rows) for letter, rows in node.items()} for node in nodes]
 
     def coefficients(level: float, residual: float) -> dict[str, Row]:
         node = lookup.node(level, residual)
-        return {"a": shape.flat("a", lookup.between(level, residual))} if node is None else ready[node]
+        return {"a": terms.flat("a", lookup.between(level, residual))} if node is None else ready[node]
 
-    bind = compiled(composed_source(shape, substep_s, board.torque_constant_n_per_a), "plant step")["bind"]
-    return bind(coefficients, Random(board.seed).gauss, sin, stick_two), shape
+    bind = compiled(composed_source(terms, substep_s, board.torque_constant_n_per_a), "plant step")["bind"]
+    return bind(coefficients, Random(board.seed).gauss, sin, stick_two), terms
 
 
 def rest(params: PlantParams, position_m: float) -> State:
@@ -415,11 +486,12 @@ def rest(params: PlantParams, position_m: float) -> State:
 
 
 def _check(params: PlantParams) -> None:
-    n, m = len(params.states), len(params.columns)
+    n = len(params.states)
+    m = len(params.columns)
     nodes = len(params.levels_ns_per_m) * len(params.residuals_ohm)
     if len(params.maps) != nodes or any(len(flat) != n * (n + m) for flat in params.maps):
         raise ConfigError(
-            f"the plant's table has not {nodes} maps of {n} x {n + m} numbers; resolve the configuration again to make board.json"
+            f"board.json must hold {nodes} plant maps of {n} x {n + m} numbers and does not; resolve the configuration again"
         )
     if len(params.contacts) > 2:
         raise ConfigError(f"friction at {len(params.contacts)} bodies: at most 2 can be solved; leave some out")

@@ -27,7 +27,7 @@ from math import ceil, floor, log2
 
 import numpy as np
 
-from hapticd.plant.model import Array, Map, Model
+from hapticd.plant.model import Array, Map, Model, frozen
 
 TERMS = 25
 LARGEST_NORM = 0.5
@@ -66,7 +66,8 @@ def _balance(matrix: Array) -> Array:
     for _ in range(BALANCE_SWEEPS):
         scaled = off / scale[:, None] * scale
         for i in range(size):
-            row, column = scaled[i].sum(), scaled[:, i].sum()
+            row = scaled[i].sum()
+            column = scaled[:, i].sum()
             if row > 0.0 and column > 0.0:
                 factor = 2.0 ** round(0.5 * log2(row / column))
                 scale[i] *= factor
@@ -82,13 +83,17 @@ def discretise(model: Model, duration_s: float, damping_ns_per_m: float = 0.0) -
     """The exact map of `model` over `duration_s` at that damping level, inputs held."""
     n, m = model.b0.shape
     whole = np.zeros((n + m, n + m))
-    whole[:n, :n], whole[:n, n:] = model.a(damping_ns_per_m), model.b(damping_ns_per_m)
+    whole[:n, :n] = model.a(damping_ns_per_m)
+    whole[:n, n:] = model.b(damping_ns_per_m)
     response = expm(whole * duration_s)
-    return Map(duration_s, damping_ns_per_m, _kept(response[:n, :n]), _kept(response[:n, n:]))
+    return Map(duration_s, damping_ns_per_m, frozen(response[:n, :n]), frozen(response[:n, n:]))
 
 
 def late_command(model: Model, whole: Map, fraction: float) -> tuple[Array, Array]:
-    """Columns (old, new), each (n,), of a command that changes the `fraction` 0..1 of the step `whole` after its start."""
+    """Columns (old, new), each (n,), of a command that changes within the step `whole`.
+
+    It changes `fraction` (0..1) of the step after its start.
+    """
     column = model.inputs.command
     rest = discretise(model, (1.0 - fraction) * whole.duration_s, whole.damping_ns_per_m)
     return whole.b[:, column] - rest.b[:, column], rest.b[:, column]
@@ -100,9 +105,3 @@ def delay_steps(delay_periods: float, steps_per_period: int) -> tuple[int, float
     count = floor(steps + SNAP)
     fraction = steps - count
     return count, fraction if fraction > SNAP else 0.0
-
-
-def _kept(array: Array) -> Array:
-    copy = np.array(array)
-    copy.flags.writeable = False
-    return copy

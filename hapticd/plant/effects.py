@@ -62,30 +62,32 @@ do that.
 from collections.abc import Iterable
 from dataclasses import MISSING, dataclass, field, fields
 from math import floor, sqrt, tau
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
-from hapticd.plant.blueprint import Blueprint, Form, Note
+from hapticd.plant.blueprint import Blueprint, Copper, Corners, Form, Note, Parameter, Warming
 from hapticd.units import COPPER_PER_K, unit_of
 
-PROVENANCE = ("source", "sources", "note")
+PROVENANCE = ("source", "sources", "note")  # fields of every effect that are not parameters
+ZETA = sqrt(0.5)  # damping ratio of a Butterworth low-pass of the second order
 
 
 def number(default: Any = MISSING, **limits: float) -> Any:
-    """A parameter with what is sensible for it: gt, ge, lt, le, as the readers of files enforce them."""
+    """A parameter with its sensible range: gt, ge, lt, le, enforced where files are read."""
     return field(default=default, metadata=limits)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effect:
-    """`source` tags all parameters but those named in `sources` (name, tag); `note` says more in words."""
+    """The base of every effect: why it exists, where its numbers come from, what it adds."""
 
-    key: ClassVar[str]
-    why: ClassVar[str]
-    nonlinearity: ClassVar[str] = ""
+    key: ClassVar[str]  # table name in a device file: [model.KEY]
+    why: ClassVar[str]  # one sentence for `hapticd sim explain`
+    nonlinearity: ClassVar[str] = ""  # what is not linear about it; empty for a linear effect
 
+    # paper | inferred | calibrated, for every parameter not named in `sources`
     source: str = "inferred"
-    sources: tuple[tuple[str, str], ...] = ()
-    note: str = ""
+    sources: tuple[tuple[str, str], ...] = ()  # (parameter, tag) where the tag differs
+    note: str = ""  # more about the source, in words
 
     def build(self, plan: Blueprint) -> None:
         """Write states, forces, signals or nonlinearities into `plan`."""
@@ -95,44 +97,49 @@ class Effect:
         """Its own time constants; those of the device as a whole are eigenvalues of the model."""
         return ()
 
-    def parameters(self) -> tuple[tuple[str, float, str, str], ...]:
-        """(name, value, unit, tag) of every number."""
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Every number with its unit and its source."""
         tags = dict(self.sources)
-        numbers = [item.name for item in fields(self) if item.name not in PROVENANCE]
-        return tuple((name, getattr(self, name), unit_of(name), tags.get(name, self.source)) for name in numbers)
+        names = [item.name for item in fields(self) if item.name not in PROVENANCE]
+        return tuple(Parameter(name, getattr(self, name), unit_of(name), tags.get(name, self.source)) for name in names)
 
     def note_of(self, states: tuple[str, ...]) -> Note:
-        """This effect in words, with the states that it added."""
+        """The effect in words, with the names of the states that it added."""
         why = f"{self.why}; {self.note}" if self.note else self.why
         return Note(self.key, why, states, self.nonlinearity, self.time_constants_s(), self.parameters())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Masses(Effect):
-    """The masses themselves; always built."""
+    """The masses themselves. They are always built."""
 
     key: ClassVar[str] = "masses"
     why: ClassVar[str] = "what is moved"
+    # motor, lever and all that turns with it, reflected to the endpoint
     rotor_kg: float = number(gt=0, le=100)
-    slider_kg: float = number(0.0, ge=0, le=100)
+    slider_kg: float = number(0.0, ge=0, le=100)  # what slides with the encoder
 
     def build(self, plan: Blueprint) -> None:
         """One rigid body; `Coupling` splits it."""
         rotor = plan.body("rotor", self.rotor_kg + self.slider_kg, self.key)
         plan.slider_kg = self.slider_kg
-        plan.travel, plan.channel = rotor.position, rotor.velocity
+        plan.travel = rotor.position
+        plan.channel = rotor.velocity
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProbeMass(Effect):
-    """The Z-width probe on the rotor: its inertia. Its torque input and velocity output exist on every device."""
+    """The Z-width probe on the rotor: its inertia.
+
+    Its torque input and velocity output exist on every device.
+    """
 
     key: ClassVar[str] = "probe"
     why: ClassVar[str] = "the probe moves with the rotor while it measures"
-    mass_kg: float = number(ge=0, le=100)
+    mass_kg: float = number(ge=0, le=100)  # added to the rotor while the probe is mounted
 
     def build(self, plan: Blueprint) -> None:
-        """Heavier rotor."""
+        """Make the rotor heavier."""
         plan.rotor.mass_kg += self.mass_kg
         plan.probe_mass_kg = self.mass_kg
 
@@ -143,7 +150,8 @@ class Coupling(Effect):
 
     key: ClassVar[str] = "coupling"
     why: ClassVar[str] = "the encoder is not on the motor: a mode above 300 Hz between the two"
-    stiffness_n_per_m: float = number(gt=0, le=1e9)
+    stiffness_n_per_m: float = number(gt=0, le=1e9)  # of the transmission, seen at the endpoint
+    # of the transmission, relative to the motion of the slider
     damping_ns_per_m: float = number(ge=0, le=1e5)
 
     def build(self, plan: Blueprint) -> None:
@@ -151,7 +159,8 @@ class Coupling(Effect):
         rotor = plan.rotor
         rotor.mass_kg -= plan.slider_kg
         slider = plan.body("slider", plan.slider_kg, self.key)
-        stretch, rate = rotor.position - slider.position, rotor.velocity - slider.velocity
+        stretch = rotor.position - slider.position
+        rate = rotor.velocity - slider.velocity
         held = self.stiffness_n_per_m * stretch + self.damping_ns_per_m * rate
         rotor.force -= held
         slider.force += held
@@ -163,11 +172,11 @@ class Viscous(Effect):
 
     key: ClassVar[str] = "viscous"
     why: ClassVar[str] = "physical damping: the budget that sampling and delay spend"
-    rotor_ns_per_m: float = number(ge=0, le=1e5)
-    slider_ns_per_m: float = number(0.0, ge=0, le=1e5)
+    rotor_ns_per_m: float = number(ge=0, le=1e5)  # bearing and back iron of the motor
+    slider_ns_per_m: float = number(0.0, ge=0, le=1e5)  # guide of the slider
 
     def build(self, plan: Blueprint) -> None:
-        """-b v on each body."""
+        """Add -b v to the force on each body."""
         for body, level in ((plan.rotor, self.rotor_ns_per_m), (plan.endpoint, self.slider_ns_per_m)):
             body.force -= level * body.velocity
             plan.viscous_ns_per_m += level
@@ -179,12 +188,12 @@ class Load(Effect):
 
     key: ClassVar[str] = "load"
     why: ClassVar[str] = "something is mounted at the endpoint"
-    mass_kg: float = number(0.0, ge=0, le=100)
-    damping_ns_per_m: float = number(0.0, ge=0, le=1e5)
-    stiffness_n_per_m: float = number(0.0, ge=0, le=1e8)
+    mass_kg: float = number(0.0, ge=0, le=100)  # moves with the endpoint
+    damping_ns_per_m: float = number(0.0, ge=0, le=1e5)  # against ground
+    stiffness_n_per_m: float = number(0.0, ge=0, le=1e8)  # against ground, free at position 0
 
     def build(self, plan: Blueprint) -> None:
-        """Act on the endpoint."""
+        """Add mass and force to the endpoint."""
         end = plan.endpoint
         end.mass_kg += self.mass_kg
         end.force -= self.damping_ns_per_m * end.velocity + self.stiffness_n_per_m * end.position
@@ -192,22 +201,24 @@ class Load(Effect):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PassiveHand(Effect):
-    """A passive human: finger mass held by the arm's spring and damper, touching through the finger pad's.
-
-    All parameters are 0 or more, therefore passive (Colgate and Schenkel 1997 need no more of a human).
+    """A passive human: a finger mass on the arm's spring and damper, held through the finger pad.
+    All parameters are 0 or more, therefore passive (Colgate and Schenkel 1997 need no more of a
+    human).
     """
 
     key: ClassVar[str] = "hand"
     why: ClassVar[str] = "somebody holds the endpoint"
-    mass_kg: float = number(gt=0, le=100)
-    damping_ns_per_m: float = number(ge=0, le=1e5)
-    stiffness_n_per_m: float = number(ge=0, le=1e8)
+    mass_kg: float = number(gt=0, le=100)  # of the finger
+    damping_ns_per_m: float = number(ge=0, le=1e5)  # of the arm, against ground
+    stiffness_n_per_m: float = number(ge=0, le=1e8)  # of the arm, against ground
+    # of the finger pad, between endpoint and finger
     grip_stiffness_n_per_m: float = number(ge=0, le=1e8)
-    grip_damping_ns_per_m: float = number(ge=0, le=1e5)
+    grip_damping_ns_per_m: float = number(ge=0, le=1e5)  # of the finger pad
 
     def build(self, plan: Blueprint) -> None:
-        """A body of its own at the endpoint."""
-        end, hand = plan.endpoint, plan.body("hand", self.mass_kg, self.key)
+        """Add a body of its own, coupled to the endpoint."""
+        end = plan.endpoint
+        hand = plan.body("hand", self.mass_kg, self.key)
         grip = self.grip_stiffness_n_per_m * (end.position - hand.position)
         grip += self.grip_damping_ns_per_m * (end.velocity - hand.velocity)
         end.force -= grip
@@ -221,12 +232,12 @@ class MagnetCogging(Effect):
     key: ClassVar[str] = "cogging"
     why: ClassVar[str] = "iron in the stator pulls the magnets to preferred positions"
     nonlinearity: ClassVar[str] = "force periodic in position"
-    amplitude_n: float = number(ge=0, le=100)
-    pitch_m: float = number(gt=0, le=1)
-    phase_rad: float = number(0.0, ge=-7, le=7)
+    amplitude_n: float = number(ge=0, le=100)  # peak force at the endpoint
+    pitch_m: float = number(gt=0, le=1)  # travel of one period
+    phase_rad: float = number(0.0, ge=-7, le=7)  # at position 0
 
     def build(self, plan: Blueprint) -> None:
-        """A force input that the simulation feeds."""
+        """Add a force input that both backends compute by the law `sine`."""
         plan.rotor_force("sine", self.amplitude_n, self.pitch_m, self.phase_rad)
 
 
@@ -237,11 +248,11 @@ class WorkspaceEnds(Effect):
     key: ClassVar[str] = "ends"
     why: ClassVar[str] = "travel ends somewhere"
     nonlinearity: ClassVar[str] = "position held inside the travel"
-    lower_m: float = number(ge=-10, le=10)
-    upper_m: float = number(ge=-10, le=10)
+    lower_m: float = number(ge=-10, le=10)  # lowest position of the endpoint
+    upper_m: float = number(ge=-10, le=10)  # highest position of the endpoint
 
     def build(self, plan: Blueprint) -> None:
-        """Remember them."""
+        """State where travel ends; both backends hold the endpoint inside."""
         plan.ends_m = (self.lower_m, self.upper_m)
 
 
@@ -252,39 +263,39 @@ class Coulomb(Effect):
     key: ClassVar[str] = "coulomb"
     why: ClassVar[str] = "dry friction: most of the undamped device's damping, and more of it when motion is small"
     nonlinearity: ClassVar[str] = "set-valued force, stick at v = 0"
-    rotor_n: float = number(ge=0, le=100)
-    slider_n: float = number(0.0, ge=0, le=100)
+    rotor_n: float = number(ge=0, le=100)  # level Fc at the rotor
+    slider_n: float = number(0.0, ge=0, le=100)  # level Fc at the slider
 
     def build(self, plan: Blueprint) -> None:
-        """A contact on each body that has some."""
+        """Add the level to each body; a body with some of it becomes a contact."""
         plan.rotor.coulomb_n += self.rotor_n
         plan.endpoint.coulomb_n += self.slider_n
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Delay(Effect):
-    """From the encoder sample to the force that it leads to, in servo periods; may be fractional and more than 1."""
+    """The time from an encoder sample to the force that it leads to."""
 
     key: ClassVar[str] = "delay"
     why: ClassVar[str] = "computing and transport take time"
-    periods: float = number(ge=0, le=10)
+    periods: float = number(ge=0, le=10)  # of the servo; may be fractional and more than 1
 
     def build(self, plan: Blueprint) -> None:
-        """Shift the command."""
+        """State by how much the command comes later."""
         plan.delay_periods = self.periods
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ForceDac(Effect):
-    """The torque command is a count."""
+    """The converter of the torque command."""
 
     key: ClassVar[str] = "force_dac"
     why: ClassVar[str] = "the torque command is a count"
     nonlinearity: ClassVar[str] = "force rounded to a count"
-    quantum_n: float = number(gt=0)
+    quantum_n: float = number(gt=0)  # endpoint force of one count
 
     def build(self, plan: Blueprint) -> None:
-        """Remember its step."""
+        """State the force of one count."""
         plan.numbers["force_quantum_n"] = self.quantum_n
 
 
@@ -295,10 +306,10 @@ class Saturation(Effect):
     key: ClassVar[str] = "saturation"
     why: ClassVar[str] = "motor and amplifier give so much and no more; bounds what is unstable"
     nonlinearity: ClassVar[str] = "force held inside its limit"
-    limit_n: float = number(gt=0)
+    limit_n: float = number(gt=0)  # largest magnitude of the command
 
     def build(self, plan: Blueprint) -> None:
-        """Remember the limit."""
+        """State the limit."""
         plan.numbers["force_limit_n"] = self.limit_n
 
 
@@ -308,16 +319,16 @@ class Smoothing(Effect):
 
     key: ClassVar[str] = "smoothing"
     why: ClassVar[str] = "reconstruction filter behind the torque DAC: lag of the virtual force at low frequency"
-    corner_hz: float = number(gt=0, le=1e6)
+    corner_hz: float = number(gt=0, le=1e6)  # -3 dB
 
     def build(self, plan: Blueprint) -> None:
-        """One state between command and amplifier."""
+        """Add one state between command and amplifier."""
         smooth = plan.state("smoothed_force", "N", self.key)
         plan.rates["smoothed_force"] = tau * self.corner_hz * (plan.command - smooth)
         plan.command = smooth
 
     def time_constants_s(self) -> tuple[float, ...]:
-        """Its lag."""
+        """The lag of the low-pass."""
         return (1.0 / (tau * self.corner_hz),)
 
 
@@ -327,28 +338,28 @@ class Amplifier(Effect):
 
     key: ClassVar[str] = "amplifier"
     why: ClassVar[str] = "current does not follow its command at once"
-    bandwidth_hz: float = number(gt=0, le=1e7)
+    bandwidth_hz: float = number(gt=0, le=1e7)  # -3 dB of current over its command
 
     def build(self, plan: Blueprint) -> None:
-        """Gives the motor force a state."""
+        """Give the motor force a state, which `compose` writes."""
         plan.amplifier_rad_s = tau * self.bandwidth_hz
 
     def time_constants_s(self) -> tuple[float, ...]:
-        """Its lag."""
+        """The lag of the current."""
         return (1.0 / (tau * self.bandwidth_hz),)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DampingDac(Effect):
-    """The damping scale factor is a count."""
+    """The converter of the damping scale factor."""
 
     key: ClassVar[str] = "damping_dac"
     why: ClassVar[str] = "the damping scale factor is a count"
     nonlinearity: ClassVar[str] = "level rounded to a count"
-    quantum_ns_per_m: float = number(gt=0)
+    quantum_ns_per_m: float = number(gt=0)  # damping of one count
 
     def build(self, plan: Blueprint) -> None:
-        """Remember its step."""
+        """State the damping of one count."""
         plan.numbers["damping_quantum_ns_per_m"] = self.quantum_ns_per_m
 
 
@@ -358,30 +369,31 @@ class DampingCircuit(Effect):
 
     key: ClassVar[str] = "damping_circuit"
     why: ClassVar[str] = "the back-EMF estimate is filtered; its bandwidth sets the damping ceiling"
-    bandwidth_hz: float = number(gt=0, le=1e7)
+    bandwidth_hz: float = number(gt=0, le=1e7)  # -3 dB of the velocity estimate
 
     def build(self, plan: Blueprint) -> None:
-        """Gives the estimate a state."""
+        """Give the estimate a state, which `compose` writes."""
         plan.circuit_rad_s = tau * self.bandwidth_hz
 
     def time_constants_s(self) -> tuple[float, ...]:
-        """Its lag."""
+        """The lag of the estimate."""
         return (1.0 / (tau * self.bandwidth_hz),)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Multiplier(Effect):
-    """Analog multiplier of velocity and scale factor (the paper's AD534): gain and offset errors, noise."""
+    """Errors of the analog multiplier of velocity and scale factor (the paper's AD534)."""
 
     key: ClassVar[str] = "multiplier"
     why: ClassVar[str] = "analog multipliers have gain and offset errors: switching damping steps the force"
-    gain_error: float = number(0.0, gt=-1, le=10)
-    scale_offset_ns_per_m: float = number(0.0, ge=-10, le=10)
-    velocity_offset_m_per_s: float = number(0.0, ge=-1, le=1)
+    gain_error: float = number(0.0, gt=-1, le=10)  # relative: 0.01 is 1 % too much
+    scale_offset_ns_per_m: float = number(0.0, ge=-10, le=10)  # added to the commanded level
+    velocity_offset_m_per_s: float = number(0.0, ge=-1, le=1)  # added to the velocity estimate
+    # one-sided density of the estimate's noise, (m/s)^2/Hz
     noise_psd: float = number(0.0, ge=0, le=1)
 
     def build(self, plan: Blueprint) -> None:
-        """Change the level that arrives and what it is multiplied with."""
+        """Change the damping level that arrives and the velocity that it is multiplied by."""
         plan.level_gain += self.gain_error
         plan.level_offset_ns_per_m += self.scale_offset_ns_per_m
         plan.estimate_offset_m_per_s += self.velocity_offset_m_per_s
@@ -390,46 +402,56 @@ class Multiplier(Effect):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Crowbar(Effect):
-    """The motor shorted: damping K_m^2 / R (Weir 2008, Eq. 3). Torque and crowbar exclude each other."""
+    """The motor shorted: damping K_m^2 / R (Weir 2008, Eq. 3).
+
+    Torque and crowbar exclude each other.
+    """
 
     key: ClassVar[str] = "crowbar"
     why: ClassVar[str] = "a shorted winding damps by itself, and gives no torque"
 
     def build(self, plan: Blueprint) -> None:
-        """Nothing of the command arrives."""
+        """Take the motor off the command; `compose` writes the damping instead."""
         plan.crowbar = True
 
 
-def sample_timing(delay_periods: float) -> tuple[float, int]:
-    """(sample_phase, lag_periods): when a board latches after an OUT, and how much later a torque takes effect.
+class SampleTiming(NamedTuple):
+    """How a simulated board realises a delay.
 
-    The OUT of the next tick then acts (1 - sample_phase + lag_periods) periods after the sample, which is `delay_periods`.
+    The OUT of the next tick acts (1 - sample_phase + lag_periods) periods after the sample.
     """
+
+    sample_phase: float  # 0..1 of a period: when the board latches a sample after an OUT
+    lag_periods: int  # whole periods by which a torque takes effect later
+
+
+def sample_timing(delay_periods: float) -> SampleTiming:
+    """The timing of a board whose delay from sample to force is `delay_periods`."""
     whole = floor(delay_periods)
-    return 1.0 - (delay_periods - whole), whole
+    return SampleTiming(1.0 - (delay_periods - whole), whole)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShapedDamping(Effect):
-    """Electrical damping above `highpass_hz` and below `lowpass_hz`, first order each; 0 leaves a corner out."""
+    """Active damping above `highpass_hz` and below `lowpass_hz`, first order each."""
 
     key: ClassVar[str] = "shaped_damping"
     why: ClassVar[str] = "damping that acts only above a corner, below one, or between two, instead of everywhere"
-    highpass_hz: float = number(0.0, ge=0, le=1e6)
-    lowpass_hz: float = number(0.0, ge=0, le=1e6)
+    highpass_hz: float = number(0.0, ge=0, le=1e6)  # w_l / 2 pi; 0 for none
+    lowpass_hz: float = number(0.0, ge=0, le=1e6)  # w_h / 2 pi; 0 for none
 
     def build(self, plan: Blueprint) -> None:
-        """Leave the corners to `drive`."""
-        plan.shaping_rad_s = (tau * self.highpass_hz, tau * self.lowpass_hz)
+        """State the corners; `shaped` writes the filter where `compose` closes the loop."""
+        plan.shaping = Corners(tau * self.highpass_hz, tau * self.lowpass_hz)
 
     def time_constants_s(self) -> tuple[float, ...]:
-        """Of the corners that there are."""
+        """Those of the corners that exist."""
         return tuple(1.0 / (tau * corner) for corner in (self.highpass_hz, self.lowpass_hz) if corner)
 
 
 def shaped(plan: Blueprint, estimate: Form) -> Form:
-    """The velocity estimate as the multiplier gets it: a state for each corner, none without."""
-    above, below = plan.shaping_rad_s
+    """The velocity estimate as the multiplier gets it: one state for each corner."""
+    above, below = plan.shaping
     if above:
         slow = plan.state("slow_estimate", "m/s", ShapedDamping.key)
         plan.rates["slow_estimate"] = above * (estimate - slow)
@@ -442,17 +464,17 @@ def shaped(plan: Blueprint, estimate: Form) -> Form:
 
 
 def copper_ohm(resistance_ohm: float, reference_c: float, temperature_c: float) -> float:
-    """Resistance at `temperature_c` of a copper winding that has `resistance_ohm` at `reference_c`."""
+    """Resistance [ohm] at `temperature_c` of copper that has `resistance_ohm` at `reference_c`."""
     return resistance_ohm * (1.0 + COPPER_PER_K * (temperature_c - reference_c))
 
 
 def crowbar_nms_per_rad(torque_constant_nm_per_a: float, resistance_ohm: float) -> float:
-    """Damping of a shorted motor (Weir 2008, Eq. 3)."""
+    """Damping [Nms/rad] of a shorted motor, K_m^2 / R (Weir 2008, Eq. 3)."""
     return torque_constant_nm_per_a**2 / resistance_ohm
 
 
 def lever_of_crowbar_m(crowbar_nms: float, crowbar_ns: float) -> float:
-    """The lever radius that would make both of the paper's crowbar figures true."""
+    """The lever radius [m] that would make both of the paper's crowbar figures true."""
     return sqrt(crowbar_nms / crowbar_ns)
 
 
@@ -462,16 +484,17 @@ class Motor(Effect):
 
     key: ClassVar[str] = "motor"
     why: ClassVar[str] = "force per ampere and ohms, for currents, losses and the crowbar"
-    torque_constant_nm_per_a: float = number(gt=0, le=100)
-    lever_m: float = number(gt=0, le=10)
+    torque_constant_nm_per_a: float = number(gt=0, le=100)  # K_m
+    lever_m: float = number(gt=0, le=10)  # radius that turns torque into endpoint force
     resistance_ohm: float = number(gt=0, le=1e4)  # at reference_c
+    # temperature at which the resistance was measured
     reference_c: float = number(20.0, ge=-40, le=150)
 
     def build(self, plan: Blueprint) -> None:
-        """The winding at its reference temperature, fully compensated."""
+        """State the winding at its reference temperature, fully compensated."""
         plan.torque_constant_n_per_a = self.torque_constant_nm_per_a / self.lever_m
         plan.resistance_ohm = self.resistance_ohm
-        plan.winding = (self.resistance_ohm, self.reference_c, self.resistance_ohm, self.reference_c)
+        plan.copper = Copper(self.resistance_ohm, self.reference_c, self.resistance_ohm, self.reference_c)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -480,16 +503,17 @@ class WindingTemperature(Effect):
 
     key: ClassVar[str] = "winding"
     why: ClassVar[str] = "copper's resistance grows 0.393 %/K; what is not compensated scales damping and force by alpha"
-    temperature_c: float = number(ge=-40, le=250)
+    temperature_c: float = number(ge=-40, le=250)  # of the copper
+    # temperature that the resistance compensation was set for
     compensated_c: float = number(ge=-40, le=250)
 
     def build(self, plan: Blueprint) -> None:
-        """A residual resistance; needs a `Motor` before."""
-        cold_ohm, reference_c, _, _ = plan.winding
-        compensated_ohm = copper_ohm(cold_ohm, reference_c, self.compensated_c)
-        plan.resistance_ohm = copper_ohm(cold_ohm, reference_c, self.temperature_c)
+        """State the residual resistance. `Motor` comes before it in the order of composition."""
+        cold = plan.copper
+        compensated_ohm = copper_ohm(cold.resistance_ohm, cold.reference_c, self.compensated_c)
+        plan.resistance_ohm = copper_ohm(cold.resistance_ohm, cold.reference_c, self.temperature_c)
         plan.residual_ohm = plan.resistance_ohm - compensated_ohm
-        plan.winding = (cold_ohm, reference_c, compensated_ohm, self.temperature_c)
+        plan.copper = cold._replace(compensated_ohm=compensated_ohm, start_c=self.temperature_c)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -499,16 +523,16 @@ class WindingHeating(Effect):
     key: ClassVar[str] = "heating"
     why: ClassVar[str] = "8 N cost some 38 W of copper loss: the winding warms up and the compensation drifts"
     nonlinearity: ClassVar[str] = "temperature driven by the square of the current, resistance in the loop"
-    thermal_resistance_k_per_w: float = number(ge=0, le=1e4)
-    time_constant_s: float = number(gt=0, le=1e5)
-    ambient_c: float = number(ge=-40, le=100)
+    thermal_resistance_k_per_w: float = number(ge=0, le=1e4)  # winding to surroundings
+    time_constant_s: float = number(gt=0, le=1e5)  # of the winding against its surroundings
+    ambient_c: float = number(ge=-40, le=100)  # of the surroundings
 
     def build(self, plan: Blueprint) -> None:
-        """A slow state of its own, outside the linear model."""
-        plan.heating = (self.thermal_resistance_k_per_w, self.time_constant_s, self.ambient_c)
+        """Ask for a slow state of its own, outside the linear model."""
+        plan.heating = Warming(self.thermal_resistance_k_per_w, self.time_constant_s, self.ambient_c)
 
     def time_constants_s(self) -> tuple[float, ...]:
-        """Of the winding against its surroundings."""
+        """That of the winding against its surroundings."""
         return (self.time_constant_s,)
 
 
@@ -518,42 +542,39 @@ class InductanceError(Effect):
 
     key: ClassVar[str] = "inductance"
     why: ClassVar[str] = "what is left of L di/dt looks like velocity"
-    error_h: float = number(ge=-1, le=1)
+    error_h: float = number(ge=-1, le=1)  # true minus compensated; > 0: not cancelled completely
 
     def build(self, plan: Blueprint) -> None:
-        """Feed the derivative of the current to the estimate."""
+        """Feed the derivative of the current into the estimate."""
         plan.inductance_error_h = self.error_h
-
-
-ZETA = sqrt(0.5)  # Butterworth
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Encoder(Effect):
-    """The servo sees counts."""
+    """The encoder that the servo reads."""
 
     key: ClassVar[str] = "encoder"
     why: ClassVar[str] = "position comes in counts"
     nonlinearity: ClassVar[str] = "position rounded to a count"
-    quantum_m: float = number(gt=0)
+    quantum_m: float = number(gt=0)  # travel of one count
 
     def build(self, plan: Blueprint) -> None:
-        """Remember its step."""
+        """State the travel of one count."""
         plan.numbers["encoder_quantum_m"] = self.quantum_m
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProbeAdc(Effect):
-    """The record holds counts."""
+    """The converters of the probe's record."""
 
     key: ClassVar[str] = "probe_adc"
     why: ClassVar[str] = "torque and velocity of the record come in counts"
     nonlinearity: ClassVar[str] = "record rounded to counts"
-    velocity_quantum_m_per_s: float = number(gt=0)
-    torque_quantum_n: float = number(gt=0)
+    velocity_quantum_m_per_s: float = number(gt=0)  # velocity of one count
+    torque_quantum_n: float = number(gt=0)  # endpoint force of one count
 
     def build(self, plan: Blueprint) -> None:
-        """Remember both steps."""
+        """State the velocity and the force of one count."""
         plan.numbers["velocity_quantum_m_per_s"] = self.velocity_quantum_m_per_s
         plan.numbers["torque_quantum_n"] = self.torque_quantum_n
 
@@ -564,16 +585,18 @@ class VelocityHighpass(Effect):
 
     key: ClassVar[str] = "velocity_highpass"
     why: ClassVar[str] = "an AC-coupled velocity amplifier makes a spring look active at low frequency"
-    corner_hz: float = number(gt=0, le=1e6)
+    corner_hz: float = number(gt=0, le=1e6)  # -3 dB of the AC coupling
 
     def build(self, plan: Blueprint) -> None:
-        """One state behind the velocity coil."""
-        rate_rad_s, low = tau * self.corner_hz, plan.state("velocity_baseline", "m/s", self.key)
+        """Add one state behind the velocity coil."""
+        rate_rad_s = tau * self.corner_hz
+        low = plan.state("velocity_baseline", "m/s", self.key)
         plan.rates["velocity_baseline"] = rate_rad_s * (plan.channel - low)
-        plan.channel, plan.travel = plan.channel - low, low / rate_rad_s
+        plan.channel = plan.channel - low
+        plan.travel = low / rate_rad_s
 
     def time_constants_s(self) -> tuple[float, ...]:
-        """Of the coupling capacitor."""
+        """That of the coupling capacitor."""
         return (1.0 / (tau * self.corner_hz),)
 
 
@@ -583,23 +606,24 @@ class AntiAlias(Effect):
 
     key: ClassVar[str] = "anti_alias"
     why: ClassVar[str] = "keeps what lies above 2 kHz out of the record; equal in both channels, so the ratio stays"
-    corner_hz: float = number(gt=0, le=1e6)
+    corner_hz: float = number(gt=0, le=1e6)  # -3 dB, Butterworth of the second order
 
     def build(self, plan: Blueprint) -> None:
-        """Two states per channel."""
+        """Add two states per channel."""
         plan.channel, kept = self._filtered(plan, "recorded_velocity", "m/s", plan.channel)
         plan.travel -= kept
         _, delayed = self._filtered(plan, "recorded_torque", "N", Form.symbol("torque"))
         plan.impulse = -delayed
 
     def time_constants_s(self) -> tuple[float, ...]:
-        """Its delay at low frequency."""
+        """The delay at low frequency."""
         return (2.0 * ZETA / (tau * self.corner_hz),)
 
     def _filtered(self, plan: Blueprint, name: str, unit: str, signal: Form) -> tuple[Form, Form]:
         """The low-passed signal, and how much of its integral the filter keeps back."""
         w = tau * self.corner_hz
-        low, slope = plan.state(name, unit, self.key), plan.state(f"{name}_slope", f"{unit}/s", self.key)
+        low = plan.state(name, unit, self.key)
+        slope = plan.state(f"{name}_slope", f"{unit}/s", self.key)
         plan.rates[name] = slope
         plan.rates[f"{name}_slope"] = w * w * (signal - low) - 2.0 * ZETA * w * slope
         return low, (slope + 2.0 * ZETA * w * low) / (w * w)
@@ -612,21 +636,22 @@ class SensorNoise(Effect):
     key: ClassVar[str] = "sensor_noise"
     why: ClassVar[str] = "the velocity coil's amplifier is noisy: |Z| is biased, its phase is not"
     nonlinearity: ClassVar[str] = "random"
-    velocity_m_per_s: float = number(ge=0, le=10)
+    velocity_m_per_s: float = number(ge=0, le=10)  # rms, added to each 4 kHz value of the record
 
     def build(self, plan: Blueprint) -> None:
-        """Remember its rms."""
+        """State the rms."""
         plan.velocity_noise_m_per_s = self.velocity_m_per_s
 
 
+# every class of effect above, in the order of its definition, which is the order of composition
 KINDS: tuple[type[Effect], ...] = tuple(
     kind for kind in list(globals().values()) if isinstance(kind, type) and issubclass(kind, Effect) and kind is not Effect
 )
-ALWAYS = (Masses.key, Motor.key)
+ALWAYS = (Masses.key, Motor.key)  # built without being named
 BY_KEY = {kind.key: kind for kind in KINDS}
 
 
 def in_order(effects: Iterable[Effect]) -> tuple[Effect, ...]:
-    """Sorted as they are composed."""
+    """`effects` in the order in which they are composed."""
     keys = list(BY_KEY)
     return tuple(sorted(effects, key=lambda effect: keys.index(effect.key)))

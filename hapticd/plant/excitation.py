@@ -1,8 +1,9 @@
 """Perturbation records at 4 kHz, one value held for each 250 us, from a counter-based generator.
 
-Noise is band-limited Gaussian: white at the stated one-sided density S [N^2/Hz] up to the band, then a raised cosine down to
-nothing at the end of the taper, made in the frequency domain over the whole record. Stream i of a seed is Philox with the
-key (seed, i): the same numbers whoever draws them, in whatever order, so results cannot depend on chunks or threads.
+Noise is band-limited Gaussian: white at the stated one-sided density S [N^2/Hz] up to the band,
+then a raised cosine down to nothing at the end of the taper, made in the frequency domain over the
+whole record. Stream i of a seed is Philox with the key (seed, i): the same numbers whoever draws
+them, in whatever order, so results cannot depend on chunks or threads.
 
 rms = sqrt(S x band) plus the taper: 2.5e-5 N^2/Hz to 1.7 kHz is 0.21 N.
 """
@@ -18,12 +19,12 @@ from hapticd.plant.scene import Excitation
 from hapticd.units import PROBE_RATE_HZ
 
 Floats = npt.NDArray[np.float64]
-NOISE_SAMPLES_MAX = 1 << 26  # of one record: half a gigabyte
+NOISE_SAMPLES_MAX = 1 << 26  # of one record: half a gigabyte, 4.7 hours
 TAPER = 1.12  # the cosine ends at this multiple of the band, or at 2 kHz
 
 
 class Stream(IntEnum):
-    """Families of streams; trial i draws from family + i."""
+    """Families of streams, 2^32 apart; trial i draws from family + i."""
 
     SHARED = 0
     TORQUE = 1 << 32
@@ -37,7 +38,10 @@ def generator(seed: int, stream: int) -> np.random.Generator:
 
 
 def torque_record(excitation: Excitation, samples: int, seed: int, stream: int = Stream.SHARED) -> Floats:
-    """Force [N] at the endpoint, (samples,), or one period of it, which is then repeated. ConfigError for an unknown kind."""
+    """Force [N] at the endpoint, (samples,), or one period of it, which is then repeated.
+
+    ConfigError for an unknown kind, a band beyond 2 kHz, or noise too long to be kept in memory.
+    """
     if excitation.kind == "none":
         return np.zeros(samples)
     if excitation.kind == "push":
@@ -57,7 +61,10 @@ def torque_record(excitation: Excitation, samples: int, seed: int, stream: int =
 
 
 def band_noise(samples: int, psd_n2_per_hz: float, band_hz: float, random: np.random.Generator) -> Floats:
-    """Gaussian noise (samples,) of one-sided density `psd_n2_per_hz` up to `band_hz`, without mean."""
+    """Gaussian noise [N] (samples,), of one-sided density `psd_n2_per_hz` up to `band_hz`.
+
+    Its mean is 0: the line at 0 Hz is left out.
+    """
     frequency_hz = np.fft.rfftfreq(samples, 1.0 / PROBE_RATE_HZ)
     end_hz = min(TAPER * band_hz, 0.5 * PROBE_RATE_HZ)
     fall = np.clip((frequency_hz - band_hz) / max(end_hz - band_hz, 1e-9), 0.0, 1.0)
@@ -68,7 +75,10 @@ def band_noise(samples: int, psd_n2_per_hz: float, band_hz: float, random: np.ra
 
 
 def multisine(excitation: Excitation, random: np.random.Generator) -> Floats:
-    """One period: every harmonic up to the band with the same amplitude and a random phase, rms `force_n`."""
+    """One period [N]: every harmonic up to the band, of equal amplitude and random phase.
+
+    Its rms is `force_n`. ConfigError if the period holds no harmonic.
+    """
     samples = round(excitation.period_s * PROBE_RATE_HZ)
     highest = int(excitation.band_hz * excitation.period_s)
     if samples < 2 or not 1 <= highest < (samples + 1) // 2:
@@ -81,5 +91,5 @@ def multisine(excitation: Excitation, random: np.random.Generator) -> Floats:
 
 
 def held_noise(samples: int, psd: float, seed: int, stream: int) -> Floats:
-    """White noise (samples,) of one-sided density `psd` per Hz, a value held for each sample."""
+    """White noise (samples,) of one-sided density `psd` per Hz, a value held for each 250 us."""
     return sqrt(0.5 * psd * PROBE_RATE_HZ) * generator(seed, stream).standard_normal(samples)

@@ -2,20 +2,26 @@
 
     -f in Fc Sgn(v):   v > 0 -> f = -Fc,   v < 0 -> f = +Fc,   v = 0 -> any f in [-Fc, Fc]
 
-Over a sub-step the friction force is held and the velocity at its end is linear in it: v = v_free + W f with W > 0. The one
-f in the box [-Fc, Fc] with v = 0, or at the edge of the box with v still against it, is f = clamp(-v_free / W): implicit
-in time, no regularisation, no chatter; a stuck body has v = 0 exactly, for ever. Two bodies give the same problem in two
-unknowns with a P-matrix W (its off-diagonal is the coupling), which has one solution; `stick_two` finds it directly.
+Over a sub-step the friction force is held and the velocity at its end is linear in it: v = v_free +
+W f with W > 0. The one f in the box [-Fc, Fc] with v = 0, or at the edge of the box with v still
+against it, is f = clamp(-v_free / W): implicit in time, no regularisation, no chatter; a stuck body
+has v = 0 exactly, for ever. Two bodies give the same problem in two unknowns with a P-matrix W (its
+off-diagonal is the coupling), which has one solution; `stick_two` finds it directly.
 
-The error is that of holding f over the sub-step in which the sign changes: first order in the sub-step's length.
+The error is that of holding f over the sub-step in which the sign changes: first order in the
+sub-step's length.
 
-What would break it: W of a velocity over a time long against the fastest mode (then W may lose its positive diagonal), or a
-viscous stand-in tanh(v / eps), which creeps. Functions take and return floats; the batch engine compiles the same.
+What would break it: W of a velocity over a time long against the fastest mode (then W may lose its
+positive diagonal), or a viscous stand-in tanh(v / eps), which creeps. Functions take and return
+floats; the batch engine compiles the same.
 """
 
 
 def stick_one(v_free: float, response: float, level: float) -> float:
-    """Friction force [N] of one contact: v_free [m/s] without friction, response W [m/s/N] > 0, level Fc [N]."""
+    """Friction force [N] of one contact.
+
+    v_free [m/s] is the velocity without friction, `response` W [m/s/N] > 0, `level` Fc [N].
+    """
     force = -v_free / response
     if force > level:
         return level
@@ -27,9 +33,14 @@ def stick_one(v_free: float, response: float, level: float) -> float:
 def stick_two(
     v1: float, v2: float, w11: float, w12: float, w21: float, w22: float, level1: float, level2: float
 ) -> tuple[float, float]:
-    """Friction forces (f1, f2) [N] of two contacts with v_free = (v1, v2) and responses ((w11, w12), (w21, w22))."""
+    """Friction forces (f1, f2) [N] of two contacts.
+
+    (v1, v2) [m/s] are the velocities without friction, ((w11, w12), (w21, w22)) [m/s/N] the
+    responses W, `level1` and `level2` Fc [N].
+    """
     determinant = w11 * w22 - w12 * w21
-    f1, f2 = (w12 * v2 - w22 * v1) / determinant, (w21 * v1 - w11 * v2) / determinant
+    f1 = (w12 * v2 - w22 * v1) / determinant
+    f2 = (w21 * v1 - w11 * v2) / determinant
     if -level1 <= f1 <= level1 and -level2 <= f2 <= level2:
         return f1, f2
     for edge in (level1, -level1):  # contact 1 slides, towards -edge

@@ -1,22 +1,28 @@
-"""A composed model: what is left of a scene's device once every effect has said what it adds. Frozen values, no behaviour.
+"""A composed model: what is left of a scene's device once every effect has said what it adds.
 
-    x' = A(b) x + B(b) u            A(b) = a0 + b a1,  B(b) = b0 + b b1,  b = commanded damping level, Ns/m, >= 0
-    y  = C(b) x + D(b) u            for every Output
+Frozen values, no behaviour.
 
-`b` is the level after its DAC: gain and scale errors of the multiplier are already inside a1 and a0. A residual winding
-resistance dR (true minus compensated, ohm) is inside as well, as rho = dR / K^2 [m/s per N] on the velocity estimate, which
-scales command and damping by alpha = 1 / (1 + b rho); with a `Winding` it varies and `at_residual` gives the model there.
+    x' = A(b) x + B(b) u        A(b) = a0 + b a1,  B(b) = b0 + b b1,  b >= 0 damping level, Ns/m
+    y  = C(b) x + D(b) u        for every Output
 
-Columns of u, by name in `Inputs` (absent ones are None):
-    command   virtual force [N], held by the DAC; the value of tick k acts from (k + delay_periods) T to (k + 1 + delay_periods) T
-    torque    perturbation of the probe, as endpoint force [N]
-    estimate  error of the velocity estimate [m/s]: multiplier offset (constant, `estimate_offset_m_per_s`) and noise
+`b` is the level behind its DAC: gain and scale errors of the multiplier are already inside a1 and
+a0. A residual winding resistance dR (true minus compensated, ohm) is inside as well, as
+rho = dR / K^2 [m/s per N] on the velocity estimate, which scales command and damping by
+alpha = 1 / (1 + b rho); with a `Winding` it varies, and `at_residual` gives the model there.
+
+Columns of u, by name in `InputColumns` (absent ones are None):
+    command      virtual force [N], held by the DAC; the value of tick k acts for one period from
+                 (k + delay_periods) T on
+    torque       perturbation of the probe, as endpoint force [N]
+    estimate     error of the velocity estimate [m/s]: offset of the multiplier (constant,
+                 `estimate_offset_m_per_s`) and noise
     rotor_force  what acts on the rotor and is not linear in its position and velocity [N]
     each Contact brings its own column
 
-Everything that is not linear stands beside it, present or None: None means that no instruction is spent on it.
+Everything that is not linear stands beside it, present or None: for None no instruction is spent.
 
-What would break it: changing an array (they are read-only), or a level from before the DAC's quantisation.
+What would break it: changing an array (they are read-only), or a level from before the DAC's
+quantisation.
 """
 
 from dataclasses import dataclass, replace
@@ -29,60 +35,73 @@ from hapticd.plant.blueprint import InputColumns, Note, StateVariable
 
 __all__ = [
     "Array", "Contact", "Ends", "InputColumns", "Map", "Model", "Noise", "Note", "Output",
-    "Outputs", "RotorForce", "StateVariable", "Winding",
+    "Outputs", "RotorForce", "StateVariable", "Winding", "frozen",
 ]  # fmt: skip
 
 Array = npt.NDArray[np.float64]
 
 
+def frozen(array: Array) -> Array:
+    """A copy that nobody can change."""
+    copy = np.array(array, dtype=np.float64)
+    copy.flags.writeable = False
+    return copy
+
+
 @dataclass(frozen=True, eq=False)
 class Winding:
-    """Copper loss heats the winding, and its resistance grows (0.393 %/K):
+    """Copper loss heats the winding, and its resistance grows (0.393 %/K).
 
-    dT/dt = (R(T) (F/K)^2 R_th - (T - ambient)) / tau;  dR(T) = resistance_ohm (1 + 0.00393 (T - reference_c)) - compensated.
-    `a0, a1, b0, b1` are the changes of the model's arrays per ohm of residual dR.
+        dT/dt = (R(T) (F / K)^2 R_th - (T - ambient)) / tau
+        R(T)  = resistance_ohm (1 + 0.00393 (T - reference_c)),   dR = R(T) - compensated_ohm
+
+    `a0, a1, b0, b1` are the changes of the model's arrays per ohm of dR.
     """
 
     resistance_ohm: float  # at reference_c
-    reference_c: float
-    compensated_ohm: float
+    reference_c: float  # temperature of resistance_ohm
+    compensated_ohm: float  # resistance that the damping circuit believes in
     residual_ohm: float  # at which the model's own arrays hold
-    thermal_resistance_k_per_w: float
-    time_constant_s: float
-    ambient_c: float
-    start_c: float
-    a0: Array
-    a1: Array
-    b0: Array
-    b1: Array
+    thermal_resistance_k_per_w: float  # winding to surroundings
+    time_constant_s: float  # of the winding against its surroundings
+    ambient_c: float  # of the surroundings
+    start_c: float  # of the winding
+    a0: Array  # (n, n) per ohm, as all four
+    a1: Array  # per Ns/m as well
+    b0: Array  # (n, m)
+    b1: Array  # per Ns/m as well
 
 
 @dataclass(frozen=True, eq=False)
 class Output:
     """y = (c0 + b c1) x + (d0 + b d1) u: c0, c1 (states,), d0, d1 (inputs,)."""
 
-    unit: str
-    c0: Array
-    c1: Array
-    d0: Array
-    d1: Array
+    unit: str  # of y
+    c0: Array  # (states,)
+    c1: Array  # (states,), per Ns/m
+    d0: Array  # (inputs,)
+    d1: Array  # (inputs,), per Ns/m
 
     def row(self, damping_ns_per_m: float = 0.0) -> Array:
-        """(states,)"""
+        """C at that level, (states,)."""
         return self.c0 + damping_ns_per_m * self.c1
 
     def through(self, damping_ns_per_m: float = 0.0) -> Array:
-        """(inputs,)"""
+        """D at that level, (inputs,)."""
         return self.d0 + damping_ns_per_m * self.d1
 
 
 @dataclass(frozen=True, eq=False)
 class Outputs:
-    """What can be seen of the device.
+    """What is measured on the device, or could be.
 
-    The 4 kHz record holds means over its intervals h: velocity = [recorded_travel(end) - recorded_travel(start)] / h, torque
-    = mean of the held torque + [recorded_impulse(end) - recorded_impulse(start)] / h. `recorded_velocity` is the same channel
-    at an instant. Without high-pass and anti-alias filters recorded_travel is the probe's position and recorded_impulse None.
+    The 4 kHz record holds means over its intervals h:
+
+        velocity = [recorded_travel(end) - recorded_travel(start)] / h
+        torque   = mean of the held torque + [recorded_impulse(end) - recorded_impulse(start)] / h
+
+    `recorded_velocity` is the same channel at an instant. Without high-pass and anti-alias filters
+    recorded_travel is the probe's position and recorded_impulse None.
     """
 
     encoder: Output  # m, before quantisation; not on the motor in a two-mass device
@@ -101,28 +120,30 @@ class Model:
 
     name: str
     rate_hz: float  # of the servo; T = 1 / rate_hz
-    delay_periods: float  # from the encoder sample to the command that it leads to, without the hold
-    states: tuple[StateVariable, ...]
-    a0: Array
-    a1: Array
-    b0: Array
-    b1: Array
+    delay_periods: float  # from the encoder sample to its command, without the hold
+    states: tuple[StateVariable, ...]  # n of them
+    a0: Array  # (n, n), 1/s and the like, by the units of the states
+    a1: Array  # (n, n), per Ns/m of damping level
+    b0: Array  # (n, m)
+    b1: Array  # (n, m), per Ns/m
     inputs: InputColumns
     outputs: Outputs
     contacts: tuple[Contact, ...] = ()  # at most two, on different bodies
+    # one count; None for no rounding, as for the other quanta
     encoder_quantum_m: float | None = None
-    force_quantum_n: float | None = None
-    force_limit_n: float | None = None
-    damping_quantum_ns_per_m: float | None = None
-    ends: Ends | None = None
+    force_quantum_n: float | None = None  # one count of the force DAC
+    force_limit_n: float | None = None  # largest magnitude of the command; None for no limit
+    damping_quantum_ns_per_m: float | None = None  # one count of the damping DAC
+    ends: Ends | None = None  # mechanical ends of travel
+    # that are not linear; at most columns of Inputs.rotor_force
     rotor_forces: tuple[RotorForce, ...] = ()
-    noise: Noise | None = None
-    winding: Winding | None = None
+    noise: Noise | None = None  # of velocity channel and velocity estimate
+    winding: Winding | None = None  # None: the winding keeps its temperature
     estimate_offset_m_per_s: float = 0.0  # constant on Inputs.estimate
     level_gain: float = 1.0  # the circuit is asked for level_gain b + level_offset_ns_per_m
-    level_offset_ns_per_m: float = 0.0
+    level_offset_ns_per_m: float = 0.0  # of the multiplier
     mass_kg: float = 0.0  # all that moves with the endpoint, the probe included
-    probe_mass_kg: float = 0.0
+    probe_mass_kg: float = 0.0  # part of mass_kg
     viscous_ns_per_m: float = 0.0  # all viscous friction, at both bodies
     coulomb_n: float = 0.0  # all Coulomb friction
     velocity_quantum_m_per_s: float | None = None  # of the recorded velocity
@@ -131,7 +152,7 @@ class Model:
     resistance_ohm: float = 0.0  # of the winding as it is
     temperature_c: float = 20.0  # of the winding, at the start
     residual_ohm: float = 0.0  # that the damping circuit does not cancel
-    notes: tuple[Note, ...] = ()
+    notes: tuple[Note, ...] = ()  # the effects in words
 
     def a(self, damping_ns_per_m: float = 0.0) -> Array:
         """A at that level, (n, n)."""
@@ -141,15 +162,23 @@ class Model:
         """B at that level, (n, m)."""
         return self.b0 + damping_ns_per_m * self.b1
 
+    def translation(self) -> Array:
+        """All bodies moved by the same amount: 1 for every position, else 0, (n,)."""
+        return np.array([1.0 if state.name.endswith("_position") else 0.0 for state in self.states])
+
     def index(self, state: str) -> int:
         """Index of the state of that name. ValueError if the model has none."""
         return [item.name for item in self.states].index(state)
 
     def at_residual(self, residual_ohm: float) -> "Model":
-        """The same device with another residual resistance, a colder or hotter winding. Needs a `winding`."""
+        """The same device with another residual resistance, that of a colder or hotter winding.
+
+        ValueError if the model has no `winding`.
+        """
         if self.winding is None:
             raise ValueError(f"model {self.name!r} has no winding whose resistance changes")
-        w, change = self.winding, residual_ohm - self.winding.residual_ohm
+        w = self.winding
+        change = residual_ohm - self.winding.residual_ohm
         return replace(
             self,
             a0=self.a0 + change * w.a0,
@@ -164,9 +193,9 @@ class Model:
 
 @dataclass(frozen=True, eq=False)
 class Map:
-    """Exact response over `duration_s` to inputs that are held: x' = a x + b u; a (n, n), b (n, m)."""
+    """Exact response over a step to inputs that are held: x' = a x + b u."""
 
-    duration_s: float
-    damping_ns_per_m: float
-    a: Array
-    b: Array
+    duration_s: float  # of the step
+    damping_ns_per_m: float  # damping level that it holds for
+    a: Array  # (n, n)
+    b: Array  # (n, m)

@@ -1,5 +1,5 @@
-"""Is the open device, without virtual environment, stable at a damping level, and what does it consist
-of? Eigenvalues, with the reason in words, and the composed model as data.
+"""Is the open device, without virtual environment, stable at a damping level, and what does it
+consist of? Eigenvalues, with the reason in words, and the composed model as data.
 
 A device that nothing holds in place drifts: translation of all bodies together is an eigenvector
 with eigenvalue 0, and with no damping at all a double one. It is divided out first (A t = 0 makes A
@@ -26,21 +26,19 @@ from hapticd.plant.model import Array, Model
 
 GROWTH_PER_S = 1e-6  # below this is rounding: e-fold in 11 days
 HALVINGS = 80  # of an interval, until its ends are neighbours
-NEAR_LOOP_GAIN = -0.95
+NEARLY_ZERO_PER_S = 1e-9  # an eigenvalue below this is drift: no time constant, no damping ratio
+NEAR_LOOP_GAIN = -0.95  # of -1, where the circuit oscillates
 NEAR = "resistance over-compensated almost to the limit; lower the damping or the compensation"
 
 
 @dataclass(frozen=True, slots=True)
 class Stability:
-    """`growth_per_s` is the largest real part of an eigenvalue; `loop_gain` is g dR / K^2, unstable at -1.
-
-    `reason` says why it is unstable, or that it nearly is.
-    """
+    """Whether the open device is stable at a damping level, by how much, and why."""
 
     stable: bool
-    growth_per_s: float
-    loop_gain: float
-    reason: str
+    growth_per_s: float  # largest real part of an eigenvalue
+    loop_gain: float  # g dR / K^2; the circuit oscillates at -1
+    reason: str  # why it is unstable, or that it nearly is; else empty
 
 
 def stability(model: Model, damping_ns_per_m: float = 0.0) -> Stability:
@@ -49,30 +47,29 @@ def stability(model: Model, damping_ns_per_m: float = 0.0) -> Stability:
     asked = model.level_gain * damping_ns_per_m + model.level_offset_ns_per_m
     loop = asked * model.residual_ohm / model.torque_constant_n_per_a**2
     stable = growth <= GROWTH_PER_S
-    reason = _reason(loop, growth) if not stable else NEAR if loop < NEAR_LOOP_GAIN else ""
-    return Stability(stable, growth, loop, reason)
+    if not stable:
+        return Stability(stable, growth, loop, _reason(loop, growth))
+    return Stability(stable, growth, loop, NEAR if loop < NEAR_LOOP_GAIN else "")
 
 
 def modes(model: Model, damping_ns_per_m: float = 0.0) -> "np.ndarray[tuple[int], np.dtype[np.complex128]]":
     """Eigenvalues [1/s] of the device, its free translation left out."""
     a = model.a(damping_ns_per_m)
-    shift = np.array([1.0 if state.name.endswith("_position") else 0.0 for state in model.states])
+    shift = model.translation()
     if not (a @ shift).any():
         a = _quotient(a, shift)
     return np.asarray(np.linalg.eigvals(a), dtype=np.complex128)
 
 
 def damping_ceiling(model: Model, highest_ns_per_m: float = 1e6) -> float:
-    """Largest damping level [Ns/m] at which the device is stable; `highest_ns_per_m` if there is no ceiling below it."""
+    """Largest damping level [Ns/m] at which the device is stable, at most `highest_ns_per_m`."""
     if stability(model, highest_ns_per_m).stable:
         return highest_ns_per_m
     return edge(lambda level: stability(model, level).stable, 0.0, highest_ns_per_m)
 
 
 def edge(holds: Callable[[float], bool], inside: float, outside: float) -> float:
-    """The last value at which something holds, on the way from `inside`, where it does, to
-    `outside`, where it does not.
-    """
+    """The last value for which `holds` is true, between `inside`, where it is, and `outside`."""
     for _ in range(HALVINGS):
         middle = 0.5 * (inside + outside)
         inside, outside = (middle, outside) if holds(middle) else (inside, middle)
@@ -80,7 +77,9 @@ def edge(holds: Callable[[float], bool], inside: float, outside: float) -> float
 
 
 def _quotient(a: Array, shift: Array) -> Array:
-    basis, _ = np.linalg.qr(np.column_stack([shift, np.eye(len(a))[:, np.argsort(-shift, kind="stable")[1:]]]))
+    """A on what is left when translation of all bodies together is divided out."""
+    others = np.eye(len(a))[:, np.argsort(-shift, kind="stable")[1:]]  # all axes but one position
+    basis, _ = np.linalg.qr(np.column_stack([shift, others]))
     rest = basis[:, 1:]
     return np.asarray(rest.T @ a @ rest)
 
@@ -94,52 +93,48 @@ def _reason(loop: float, growth: float) -> str:
     return f"the damping circuit oscillates, growth {growth:.3g} 1/s; lower the damping or widen its bandwidth"
 
 
-NEARLY_ZERO_PER_S = 1e-9
-
-
 @dataclass(frozen=True, slots=True)
 class Mode:
-    """An eigenvalue of the open device, a conjugate pair told once. A real one has frequency 0 and damping ratio 1 (-1: grows)."""
+    """An eigenvalue of the open device; a conjugate pair is one mode."""
 
     time_constant_s: float  # of its envelope; infinite if it neither decays nor grows
-    frequency_hz: float
-    damping_ratio: float
+    frequency_hz: float  # 0 for a real eigenvalue
+    damping_ratio: float  # 1 for a real eigenvalue that decays, -1 for one that grows
 
 
 @dataclass(frozen=True, slots=True)
 class AtLevel:
-    """The open device at one damping level: whether it is stable, alpha at DC, and its modes from slow to fast."""
+    """The open device at one damping level."""
 
-    damping_ns_per_m: float
+    damping_ns_per_m: float  # active damping
     stability: Stability
-    alpha: float
-    modes: tuple[Mode, ...]
+    alpha: float  # factor on damping and force at DC
+    modes: tuple[Mode, ...]  # from slow to fast
 
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """Of a model: its states, what is not linear, its effects in words, and its behaviour at some damping levels."""
+    """What a composed model consists of, and how it behaves at some damping levels."""
 
     states: tuple[StateVariable, ...]
     nonlinearities: tuple[tuple[str, str], ...]  # effect, what it does
-    notes: tuple[Note, ...]
+    notes: tuple[Note, ...]  # why each effect is there
     levels: tuple[AtLevel, ...]
-    delay_s: float
+    delay_s: float  # from the encoder sample to its command
     fastest_s: float  # shortest time constant of all
 
 
 def explain(model: Model, levels_ns_per_m: Iterable[float] = (0.0,)) -> Explanation:
-    """`model` in data, with its modes at these damping levels."""
+    """What `model` consists of, with its modes at these damping levels."""
     found = tuple(at_level(model, level) for level in levels_ns_per_m)
+    highest = max(level.damping_ns_per_m for level in found)
     return Explanation(
         states=model.states,
         nonlinearities=tuple((note.effect, note.nonlinearity) for note in model.notes if note.nonlinearity),
         notes=model.notes,
         levels=found,
         delay_s=model.delay_periods / model.rate_hz,
-        fastest_s=min(
-            (1.0 / abs(value) for value in modes(model, max(level.damping_ns_per_m for level in found)) if value), default=inf
-        ),
+        fastest_s=min((1.0 / abs(value) for value in modes(model, highest) if value), default=inf),
     )
 
 

@@ -36,9 +36,11 @@ from hapticd.errors import ConfigError
 from hapticd.params import BoardParams
 from hapticd.plant.composed import State, Step, View, compiled, composed_step, rest, viewer
 
+# plain, not named: the generated step unpacks it in every piece
 Response = tuple[float, float, float, float]
 
-_PHI2_SERIES = tuple((-1) ** k / factorial(k + 2) for k in reversed(range(18)))  # last term < 1e-17 at |a| = 1
+# the last term is below 1e-17 at |a| = 1
+_PHI2_SERIES = tuple((-1) ** k / factorial(k + 2) for k in reversed(range(18)))
 
 
 def phi1(a: float) -> float:
@@ -57,9 +59,13 @@ def phi2(a: float) -> float:
 
 
 def held_force_response(mass_kg: float, damping_ns_per_m: float, duration_s: float) -> Response:
-    """Coefficients (decay, velocity_per_n, position_per_velocity, position_per_n) of a mass under a held force f:
+    """The exact response of a mass to a held force f, as four coefficients.
 
-    v' = decay v + velocity_per_n f;  x' = x + position_per_velocity v + position_per_n f.  Units: 1, m/s/N, s, m/N.
+        v' = decay v + velocity_per_n f
+        x' = x + position_per_velocity v + position_per_n f
+
+    They are returned in this order: decay [1], velocity_per_n [m/s/N], position_per_velocity [s],
+    position_per_n [m/N].
     """
     a = damping_ns_per_m * duration_s / mass_kg
     reach_s = duration_s * phi1(a)
@@ -68,6 +74,7 @@ def held_force_response(mass_kg: float, damping_ns_per_m: float, duration_s: flo
 
 SUBSTEPS_PER_TICK = 16
 
+# bind() keeps the rows of the present damping level in its closure: one dictionary look-up a piece
 _SOURCE = """\
 def bind(response):
     level, rows = None, {{}}
@@ -91,6 +98,7 @@ def bind(response):
     return step
 """
 
+# an inelastic stop, met at the end of a piece
 _STOP = """\
         if position {beyond} {stop_m!r}:
             position = {stop_m!r}
@@ -105,7 +113,7 @@ def rest_state(params: BoardParams, position_m: float = 0.0) -> State:
 
 
 def step_source(params: BoardParams) -> str:
-    """Source text of the step for `params`. Raises ConfigError if the numbers describe no device."""
+    """Source text of the step for `params`. ConfigError if the numbers describe no device."""
     _check(params)
     ends = ((params.upper_stop_m, ">"), (params.lower_stop_m, "<"))
     return _SOURCE.format(
@@ -117,30 +125,37 @@ def step_source(params: BoardParams) -> str:
 
 
 def make_step(params: BoardParams) -> Step:
-    """`step(state, force_n, torque_n, damping_ns_per_m, n_substeps) -> state`, exact for held inputs.
+    """`step(state, force_n, torque_n, damping_ns_per_m, n_substeps) -> state`, inputs held.
 
-    force_n: motor force, torque_n: perturbation torque as endpoint force, both to positive x; damping_ns_per_m: added
-    electrical damping; n_substeps: whole number of T/16. Raises ConfigError if the numbers describe no device.
+    force_n is the motor force, torque_n the perturbation torque as endpoint force, both to positive
+    x; damping_ns_per_m is the active damping; n_substeps a whole number of T / 16. ConfigError if
+    the numbers describe no device.
     """
     step: Step = compiled(step_source(params), "plant step")["bind"](held_force_response)
     return step
 
 
 class Plant(NamedTuple):
-    """What a board moves and how it sees it. A view is called with (state, force_n, damping_ns_per_m)."""
+    """What a board moves, and what it measures of it.
 
-    rest: Callable[[float], State]  # at a position
+    A view is called with (state, force_n, damping_ns_per_m).
+    """
+
+    rest: Callable[[float], State]  # state of everything still at a position, m
     step: Step
     encoder: View  # m
     travel: View  # m; differences over an interval are the recorded velocity
     impulse: View | None  # N s; differences over an interval are added to the recorded torque
     motor_force: View  # N
     estimate: View  # m/s, back-EMF velocity
-    celsius: Callable[[State], float] | None  # of a winding that heats up
+    celsius: Callable[[State], float] | None  # temperature of a winding that heats up
 
 
 def make_plant(params: BoardParams) -> Plant:
-    """The plant of `params`: composed if they bring one, else the rigid mass. ConfigError if the numbers describe none."""
+    """The plant of `params`: composed if they bring one, else the rigid mass.
+
+    ConfigError if the numbers describe none.
+    """
     if params.plant is None:
         return Plant(
             rest=lambda position_m: rest_state(params, position_m),
@@ -153,12 +168,12 @@ def make_plant(params: BoardParams) -> Plant:
             celsius=None,
         )
     plant = params.plant
-    step, shape = composed_step(plant, params, 1.0 / (SUBSTEPS_PER_TICK * params.rate_hz))
-    views = {name: viewer(shape, name) for name in ("encoder", "travel", "motor_force", "estimate")}
+    step, terms = composed_step(plant, params, 1.0 / (SUBSTEPS_PER_TICK * params.rate_hz))
+    views = {name: viewer(terms, name) for name in ("encoder", "travel", "motor_force", "estimate")}
     return Plant(
         rest=lambda position_m: rest(plant, position_m),
         step=step,
-        impulse=None if plant.impulse is None else viewer(shape, "impulse"),
+        impulse=None if plant.impulse is None else viewer(terms, "impulse"),
         celsius=None if plant.heating is None else lambda state: state[-1],
         **views,
     )

@@ -1,8 +1,14 @@
-"""A composed model as the numbers of board.json: exact maps over one sub-step at a grid of damping levels.
+"""A composed model as the numbers of board.json: exact maps at a grid of damping levels.
 
-The levels that a configuration uses are nodes, so a board that stands at one of them is exact; between nodes, while the
-servo slews, maps are interpolated linearly. With `GRID` nodes over 10 Ns/m the error of an interpolated sub-step is below
-1e-6 of the velocity. A winding that heats up adds a second axis, its residual resistance.
+A map covers one sub-step.
+
+The levels that a configuration uses are nodes, so a board that stands at one of them is exact;
+between nodes, while the servo slews, maps are interpolated linearly. With `GRID` nodes over 10 Ns/m
+the error of an interpolated sub-step is below 1e-6 of the velocity. A winding that heats up adds a
+second axis, its residual resistance.
+
+What would break it: a highest level far above 10 Ns/m with the same grid, or a winding that gets
+hotter than `HOTTEST_C` (the outermost maps are extended linearly).
 """
 
 from collections.abc import Iterable
@@ -19,24 +25,26 @@ from hapticd.plant.step import SUBSTEPS_PER_TICK
 
 GRID = 21  # damping levels from 0 to the highest
 RESIDUALS = 9  # residual resistances, when the winding heats up
-HOTTEST_C = 180.0
+HOTTEST_C = 180.0  # upper end of that axis
 FAR_M = 1e3  # where a device without ends would stop; JSON has no infinity
 
 
 def plant_params(model: Model, duration_s: float, exact_levels: Iterable[float], highest_ns_per_m: float) -> PlantParams:
-    """Tables of `model` for sub-steps of `duration_s`; exact at `exact_levels` [Ns/m], which are quantised as the DAC does."""
+    """Tables of `model` for sub-steps of `duration_s`, up to `highest_ns_per_m`.
+
+    They are exact at `exact_levels` [Ns/m], which are rounded to counts as the DAC rounds them.
+    """
     quantum = model.damping_quantum_ns_per_m
     levels = {float(level) for level in np.linspace(0.0, highest_ns_per_m, GRID)}
     levels |= {_dac(level, quantum) for level in exact_levels}
     residuals = _residuals(model)
     variants = [model.at_residual(ohm) if model.winding else model for ohm in residuals]
     maps = [discretise(variant, duration_s, level) for variant in variants for level in sorted(levels)]
-    shift = np.array([1.0 if state.name.endswith("_position") else 0.0 for state in model.states])
     out = model.outputs
     return PlantParams(
         states=tuple(state.name for state in model.states),
         columns=_columns(model),
-        floating=not (model.a0 @ shift).any(),
+        floating=not (model.a0 @ model.translation()).any(),
         levels_ns_per_m=tuple(sorted(levels)),
         residuals_ohm=residuals,
         maps=tuple(tuple(np.hstack([found.a, found.b]).ravel().tolist()) for found in maps),
@@ -55,7 +63,10 @@ def plant_params(model: Model, duration_s: float, exact_levels: Iterable[float],
 
 
 def board_fields(model: Model, exact_levels: Iterable[float], highest_ns_per_m: float) -> dict[str, Any]:
-    """The fields of BoardParams that describe `model`: the tables, and the rigid figures that firmware and pages show."""
+    """The fields of BoardParams that describe `model`.
+
+    The tables, and the figures of a rigid mass that firmware and pages show.
+    """
     substep_s = 1.0 / (SUBSTEPS_PER_TICK * model.rate_hz)
     return {
         "mass_kg": model.mass_kg,
@@ -87,19 +98,23 @@ def _residuals(model: Model) -> tuple[float, ...]:
     winding = model.winding
     if winding is None:
         return (model.residual_ohm,)
-    coldest_c = min(winding.start_c, winding.ambient_c)
-    low, high = (
-        copper_ohm(winding.resistance_ohm, winding.reference_c, end) - winding.compensated_ohm for end in (coldest_c, HOTTEST_C)
-    )
+    ends_c = (min(winding.start_c, winding.ambient_c), HOTTEST_C)
+    low, high = (copper_ohm(winding.resistance_ohm, winding.reference_c, end_c) - winding.compensated_ohm for end_c in ends_c)
     return tuple(float(ohm) for ohm in np.linspace(low, high, RESIDUALS))
 
 
 def _heating(model: Model) -> HeatingParams | None:
-    w = model.winding
-    if w is None:
+    winding = model.winding
+    if winding is None:
         return None
     return HeatingParams(
-        w.resistance_ohm, w.reference_c, w.compensated_ohm, w.thermal_resistance_k_per_w, w.time_constant_s, w.ambient_c, w.start_c
+        resistance_ohm=winding.resistance_ohm,
+        reference_c=winding.reference_c,
+        compensated_ohm=winding.compensated_ohm,
+        thermal_resistance_k_per_w=winding.thermal_resistance_k_per_w,
+        time_constant_s=winding.time_constant_s,
+        ambient_c=winding.ambient_c,
+        start_c=winding.start_c,
     )
 
 
