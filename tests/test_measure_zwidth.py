@@ -15,10 +15,10 @@ from hapticd.errors import AnalysisError, ConfigError
 from hapticd.measure.campaign import MapParams, plan_map, run_map
 from hapticd.measure.directed import SearchParams, plan_search, rounded, run_search, slice_at
 from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
-from hapticd.measure.outcomes import Conditions, Outcome, envelope_of, fly, kept, kept_frequencies, key_of, restored
+from hapticd.measure.outcomes import Conditions, Lot, Outcome, envelope_of, fly, kept_frequencies, restored
 from hapticd.measure.portable import device_hash, portable, read_portable
 from hapticd.measure.scenes import noise
-from hapticd.measure.store import TrialStore, fingerprint, plain
+from hapticd.measure.store import TrialStore, plain
 from hapticd.measure.walls import WallParams, hit, plan_walls, run_walls, to_and_fro
 from hapticd.settings.scene import load_scene
 
@@ -97,12 +97,12 @@ def test_friction_makes_limits_fall_with_amplitude():
 def test_outcome_survives_the_store_unchanged():
     (outcome,) = fly(conditions(), 0.0, np.array([[500.0, 0.5, 0.001]]))
     assert outcome.passes
-    again = restored(json.loads(json.dumps(plain(kept(outcome)))))
+    again = restored(json.loads(json.dumps(plain(vars(outcome)))))
     assert again.environment == outcome.environment
     assert np.array_equal(again.z, outcome.z)
     assert again.margin_ns_per_m == outcome.margin_ns_per_m
     escaped = replace(outcome, margin_ns_per_m=float("nan"), relative_sd=np.array([np.inf]))
-    again = restored(json.loads(json.dumps(plain(kept(escaped)))))
+    again = restored(json.loads(json.dumps(plain(vars(escaped)))))
     assert np.isnan(again.margin_ns_per_m)
     assert again.relative_sd[0] == np.inf
 
@@ -122,14 +122,12 @@ def test_envelope_of_a_campaign_names_its_owners():
 
 def test_keys_tell_trials_apart():
     point, longer = (1.0, 2.0, 3.0), conditions(seconds=21.0)
-    shared, other = fingerprint(conditions()), fingerprint(longer)
-    keys = {
-        key_of(shared, 0.0, point),
-        key_of(shared, 1.0, point),
-        key_of(shared, 0.0, (1.0, 2.0, 3.5)),
-        key_of(other, 0.0, point),
-    }
-    assert len(keys) == 4
+    lots = [
+        Lot(conditions(), 0.0, (point, (1.0, 2.0, 3.5))),
+        Lot(conditions(), 1.0, (point,)),
+        Lot(longer, 0.0, (point,)),
+    ]
+    assert len({key for lot in lots for key in lot.keys.values()}) == 4
 
 
 def test_map_tries_only_near_the_predicted_boundary_and_agrees_there():
@@ -238,7 +236,7 @@ def test_trials_of_a_search_have_noise_of_their_own():
     assert [outcome.environment for outcome in heard] == [step.outcome.environment for step in result.steps]
     third = result.steps[2].outcome
     other = replace(conditions(), excitation=replace(conditions().excitation, seed=conditions().excitation.seed + 2))
-    key = key_of(fingerprint(other), 0.0, tuple(rounded(first_trials(box, np.zeros(3)))[2]))
+    (key,) = Lot(other, 0.0, (tuple(rounded(first_trials(box, np.zeros(3)))[2]),)).keys.values()
     assert np.array_equal(restored(store.known[key]).z, third.z)
     assert not np.array_equal(third.z, fly(conditions(), 0.0, np.array([third.environment]))[0].z)
 

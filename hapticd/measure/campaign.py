@@ -14,9 +14,11 @@ What would break it: a device whose prediction is off by more than `near` (the l
 And a hole in the set that is smaller than a cell; no finer grid finds it where coarse neighbours agree.
 """
 
-from concurrent.futures import Executor
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass, replace
 from math import prod
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +28,6 @@ from hapticd.analysis.envelope import Envelope
 from hapticd.analysis.predict import Prediction
 from hapticd.analysis.verdict import Judged
 from hapticd.errors import AnalysisError
-from hapticd.measure.executors import pool_of
 from hapticd.measure.outcomes import (
     Conditions,
     Hear,
@@ -133,19 +134,25 @@ def run_map(
 
     KeyboardInterrupt passes through after the tasks in flight were given up; what was finished is in the store.
     """
-    total = plan.trials
-    made = 0
+    total, before = plan.trials, len(store.known)
 
     def told(place: int, lot: Lot, new: list[Outcome]) -> None:
-        nonlocal made
-        made += len(new)
-        tell("trials", min(made, total), total)
+        tell("trials", min(len(store.known) - before, total), total)
         hear(new)
 
     tell("trials", 0, total)
-    with pool_of(executor) as pool:
-        levels = run_all([_mapped(plan.params, level) for level in plan.levels], store, pool, told)
-    return MapResult(plan, tuple(levels), made)
+    levels = run_all([_mapped(plan.params, level) for level in plan.levels], store, executor, told)
+    return MapResult(plan, tuple(levels), len(store.known) - before)
+
+
+class Nobody(Executor):
+    """Makes no trial."""
+
+    def submit(self, task: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """No outcome."""
+        found: Future[list[Outcome]] = Future()
+        found.set_result([])
+        return found
 
 
 def kept_map(plan: MapPlan, store: TrialStore) -> MapResult:
@@ -154,29 +161,18 @@ def kept_map(plan: MapPlan, store: TrialStore) -> MapResult:
     Where the store has trials by other keys only, those of another version, they are told by level
     and environment.
     """
-    levels = []
+    conditions, own, every = plan.params.conditions, TrialStore(None), TrialStore(None)
+    lines = [restored(line) for line in store.known.values() if "environment" in line]
     for level in plan.levels:
-        found = passive_set(plan.params.axes, level.prediction.decided_margin)
-        have = _kept(plan.params, level, found, store)
-        found = _learnt(found, have)
-        for _ in range(plan.params.refine):
-            found = halved(found)
-            have = _kept(plan.params, level, found, store)
-            found = _learnt(found, have)
-        levels.append(_level_map(plan.params, level, found, have))
-    return MapResult(plan, tuple(levels), 0)
-
-
-def _kept(params: MapParams, level: LevelPlan, found: PassiveSet, store: TrialStore) -> list[Outcome]:
-    """What the store has on the grid of `found`."""
-    points = points_of(grid(found.axes))
-    either = (params.conditions, replace(params.conditions, substeps=1))
-    mine = [one for given in either for one in Lot(given, level.damping_ns_per_m, points).known(store)]
-    if not mine:
-        lines = (restored(line) for line in store.known.values() if "environment" in line)
-        own = {one.environment: one for one in lines if one.damping_ns_per_m == level.damping_ns_per_m}
-        mine = [own[point] for point in points if point in own]
-    return [judged_on_lines(one, params.conditions.band_hz) for one in mine]
+        mine = {one.environment: one for one in lines if one.damping_ns_per_m == level.damping_ns_per_m}
+        lots = [Lot(given, level.damping_ns_per_m, tuple(mine)) for given in (replace(conditions, substeps=1), conditions)]
+        for point, one in mine.items():
+            asked = lots[-1].keys[point]
+            every.known[asked] = vars(judged_on_lines(one, conditions.band_hz))
+            for key in (lot.keys[point] for lot in lots if lot.keys[point] in store.known):
+                own.known[asked] = store.known[key]
+    levels = tuple(replace(level, near=np.ones_like(level.near)) for level in plan.levels)
+    return run_map(replace(plan, levels=levels), own if own.known else every, executor=Nobody())
 
 
 def _predicted(params: MapParams, level: float, points: Floats) -> Prediction:
@@ -207,13 +203,18 @@ def _at_border(axes: Axes, passive: Flags) -> Flags:
     """(N,) points with a neighbour along an axis that is predicted otherwise."""
     cube = passive.reshape([axis.size for axis in axes])
     found = np.zeros_like(cube)
-    for place in range(3):
-        unlike = np.diff(cube.astype(np.int8), axis=place) != 0
-        behind, ahead = [slice(None)] * 3, [slice(None)] * 3
-        behind[place], ahead[place] = slice(None, -1), slice(1, None)
-        found[tuple(behind)] |= unlike
-        found[tuple(ahead)] |= unlike
+    for low, high in map(_neighbours, range(3)):
+        unlike = cube[low] != cube[high]
+        found[low] |= unlike
+        found[high] |= unlike
     return found.ravel()
+
+
+def _neighbours(place: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
+    """Where all points of a grid stand but the last along an axis, and all but the first."""
+    low, high = [slice(None)] * 3, [slice(None)] * 3
+    low[place], high[place] = slice(None, -1), slice(1, None)
+    return tuple(low), tuple(high)
 
 
 def _learnt(found: PassiveSet, outcomes: list[Outcome]) -> PassiveSet:
@@ -249,12 +250,9 @@ def between(found: PassiveSet) -> list[Point]:
     """Midpoints (K, B, M) [N/m, N s/m, kg] of neighbours along an axis of unlike answers."""
     cube = np.stack(np.meshgrid(*found.axes, indexing="ij"), axis=-1)
     middles: list[Point] = []
-    for place in range(3):
-        low, high = [slice(None)] * 3, [slice(None)] * 3
-        low[place], high[place] = slice(None, -1), slice(1, None)
-        unlike = found.passive[tuple(low)] != found.passive[tuple(high)]
-        rows = 0.5 * (cube[tuple(low)] + cube[tuple(high)])[unlike]
-        middles += [(float(k), float(b), float(m)) for k, b, m in rows]
+    for low, high in map(_neighbours, range(3)):
+        unlike = found.passive[low] != found.passive[high]
+        middles += points_of(0.5 * (cube[low] + cube[high])[unlike])
     return middles
 
 

@@ -16,6 +16,7 @@ what was found is the largest passive K over B at one M, beside what was predict
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -27,7 +28,6 @@ from hapticd.analysis.spa import DEFAULT_LAG
 from hapticd.analysis.surrogate import Box, Observation, margin
 from hapticd.analysis.verdict import Judged
 from hapticd.errors import AnalysisError
-from hapticd.measure.executors import pool_of
 from hapticd.measure.limits import predicted_limit
 from hapticd.measure.outcomes import Conditions, Hear, Lot, Outcome, Procedure, judged, kept_frequencies, points_of, run_all
 from hapticd.measure.progress import Progress, silent
@@ -108,23 +108,21 @@ def run_search(
 
     AnalysisError if one of the first four trials, near K = B = M = 0, is not stable.
     """
-    made: list[Outcome] = []
-    with pool_of(executor) as pool:
-        return run_all([_searched(plan, tell, hear, made)], store, pool, lambda place, lot, new: made.extend(new))[0]
+    return run_all([_searched(plan, store, tell, hear)], store, executor)[0]
 
 
-def _searched(plan: SearchPlan, tell: Progress, hear: Hear, made: list[Outcome]) -> Procedure[SearchResult]:
-    """`made`: new outcomes, as they come; `hear` gets those of a round in the order of the search."""
+def _searched(plan: SearchPlan, store: TrialStore, tell: Progress, hear: Hear) -> Procedure[SearchResult]:
+    """`hear` gets those of a round that the store has not, in the order of the search."""
     params, search, steps = plan.params, plan.begin, list[Step]()
     wanted = rounded(first_trials(plan.box, np.zeros(3)))
     while True:
         tell("trials", len(steps), params.budget)
         expected = _expected(search, wanted)
-        outcomes = yield _lots(params, wanted, len(steps))
-        new = {outcome.environment for outcome in made}
+        lots = _lots(params, wanted, len(steps))
+        new = {point for lot in lots for point, key in lot.keys.items() if key not in store.known}
+        outcomes = yield lots
         if new:
             hear([outcome for outcome in outcomes if outcome.environment in new])
-        made.clear()
         seen = [observed(params.conditions, outcome) for outcome in outcomes]
         for outcome, guess, one in zip(outcomes, expected, seen, strict=True):
             steps.append(Step(outcome, float(guess), one is not None))
@@ -213,12 +211,8 @@ def slice_at(result: SearchResult, mass_kg: float) -> Slice:
     given, level = params.conditions, params.damping_ns_per_m
     damping = np.linspace(box.low[1], box.high[1], SLICE[1])
 
-    def held(points: Floats) -> Flags:
-        return predicted_passive(result.search, points)
-
-    def guessed(points: Floats) -> Flags:
-        return given.display.passive(points, level, given.band_hz)
-
+    held = partial(predicted_passive, result.search)
+    guessed = partial(given.display.passive, level=level, band_hz=given.band_hz)
     edges = (_highest(holds, box, damping, mass_kg) for holds in (held, guessed))
     return Slice(mass_kg, damping, *edges)
 

@@ -18,10 +18,10 @@ amplitudes, make only the trials that are missing.
 What would break it: a set that is not in one piece along the line that is searched.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from itertools import product
+from itertools import islice, product, takewhile
 from math import isfinite, nan
 from typing import Any
 
@@ -30,7 +30,6 @@ import numpy as np
 from hapticd.analysis.arrays import Floats
 from hapticd.analysis.boundary import AXES, axis_limit
 from hapticd.analysis.verdict import NOTHING_JUDGED, Judged
-from hapticd.measure.executors import pool_of
 from hapticd.measure.outcomes import Conditions, Lot, Outcome, Point, Procedure, judged, points_of, run_all
 from hapticd.measure.progress import Progress, silent
 from hapticd.measure.scenes import Display
@@ -107,7 +106,7 @@ class AxisLimit:
 
 @dataclass(frozen=True, slots=True)
 class LimitsResult:
-    """In the order of the plan. `made` trials were new, the rest came from the store."""
+    """In the order of the plan. `made` trials, of all plans side by side, were new; the rest came from the store."""
 
     plan: LimitsPlan
     limits: tuple[AxisLimit, ...]
@@ -156,7 +155,7 @@ def run_plans(
         (plan.params, scan, plan.params.conditions.shaken(scan.amplitude, repeat))
         for plan in plans for scan in plan.scans for repeat in range(plan.params.seeds)
     ]  # fmt: skip
-    ended, made = 0, [0] * len(wanted)
+    ended = made = 0
 
     def counted(*given: Any) -> Procedure[list[Outcome]]:
         nonlocal ended
@@ -166,14 +165,16 @@ def run_plans(
         return tried
 
     def told(place: int, lot: Lot, new: list[Outcome]) -> None:
-        made[place] += len(new)
+        nonlocal made
+        made += len(new)
         hear(wanted[place][1], lot.conditions, new)
 
     tell("axis limits", 0, len(wanted))
-    with pool_of(executor) as pool:
-        tried = iter(run_all([counted(*each) for each in wanted], store, pool, told))
-    new = iter(made)
-    return tuple(_result(plan, tried, new) for plan in plans)
+    tried = iter(run_all([counted(*each) for each in wanted], store, executor, told))
+    return tuple(
+        LimitsResult(plan, tuple(_together(plan.params, scan, [*islice(tried, plan.params.seeds)]) for scan in plan.scans), made)
+        for plan in plans
+    )
 
 
 def bracketing(params: LimitsParams, scan: Scan, conditions: Conditions) -> Procedure[list[Outcome]]:
@@ -210,27 +211,16 @@ def _rounds(params: LimitsParams, scan: Scan, tried: list[Outcome]) -> Iterable[
 
 def bracket(axis: int, tried: list[Outcome]) -> tuple[float, float]:
     """Last value that passed before the first that failed, and that; nan where there is none."""
-    failed = next((place for place, outcome in enumerate(tried) if not outcome.passes), None)
-    last = (tried if failed is None else tried[:failed])[-1:]
-    return (
-        last[0].environment[axis] if last else nan,
-        nan if failed is None else tried[failed].environment[axis],
-    )
-
-
-def _result(plan: LimitsPlan, tried: Iterator[list[Outcome]], made: Iterator[int]) -> LimitsResult:
-    """Of the next trials of `tried`, and how many of them were made."""
-    params = plan.params
-    seeds = [[next(tried) for _ in range(params.seeds)] for _ in plan.scans]
-    limits = tuple(_together(params, scan, found) for scan, found in zip(plan.scans, seeds, strict=True))
-    return LimitsResult(plan, limits, sum(next(made) for _ in range(len(plan.scans) * params.seeds)))
+    values = [outcome.environment[axis] for outcome in tried]
+    count = len(list(takewhile(lambda outcome: outcome.passes, tried)))
+    return next(iter(values[:count][-1:]), nan), next(iter(values[count:]), nan)
 
 
 def _together(params: LimitsParams, scan: Scan, seeds: list[list[Outcome]]) -> AxisLimit:
     axis, begin = scan.axis, params.base[scan.axis]
     values = np.array([bracket(axis, tried)[0] for tried in seeds])
-    sure = [_first(axis, tried, "passive", stop=True) for tried in seeds]
-    never = [_first(axis, tried, "not_passive", stop=False) for tried in seeds]
+    sure = [[begin, *(one.environment[axis] for one in takewhile(_surely_passive, tried))][-1] for tried in seeds]
+    never = [next((one.environment[axis] for one in tried if one.answer == "not_passive"), nan) for tried in seeds]
     failed = next((outcome for outcome in seeds[0] if not outcome.passes), None)
     passed = [outcome for outcome in seeds[0] if abs(outcome.environment[axis] - begin) <= abs(values[0] - begin)]
     sense = -1.0 if params.reach[axis] < 0.0 else 1.0
@@ -249,14 +239,5 @@ def _together(params: LimitsParams, scan: Scan, seeds: list[list[Outcome]]) -> A
     )
 
 
-def _first(axis: int, tried: list[Outcome], answer: str, stop: bool) -> float:
-    """With `stop` the last value up to which all have this answer, else the first that has it."""
-    last = 0.0 if stop else nan
-    for outcome in tried:
-        if outcome.answer == answer:
-            last = outcome.environment[axis]
-            if not stop:
-                return last
-        elif stop:
-            break
-    return last
+def _surely_passive(outcome: Outcome) -> bool:
+    return outcome.answer == "passive"

@@ -35,7 +35,7 @@ from hapticd.analysis.spa import DEFAULT_LAG
 from hapticd.analysis.spectra import Spectra, grid_frequencies
 from hapticd.analysis.verdict import NOTHING_JUDGED, Judged, Verdict
 from hapticd.errors import AnalysisError
-from hapticd.measure.executors import threads
+from hapticd.measure.executors import pool_of
 from hapticd.measure.scenes import SATURATED, Display, display, free_of_walls, frequencies
 from hapticd.measure.store import TrialStore, fingerprint
 from hapticd.plant.scene import Excitation, Scene
@@ -120,11 +120,6 @@ def kept_frequencies(band_hz: tuple[float, float] | None = None) -> Floats:
     """Frequencies (F,) at which Z of a trial is kept: lines of the window evenly in ln f, and the
     edges of the judged band."""
     return np.union1d(frequencies(KEPT_BAND_HZ, FREQUENCIES), band_hz or ())
-
-
-def key_of(shared: str, damping_ns_per_m: float, environment: Point) -> str:
-    """Key of a trial in a store; `shared` is `fingerprint(conditions)`, the same for all of a campaign."""
-    return fingerprint((FORMAT, __version__, shared, damping_ns_per_m, environment))[:32]
 
 
 def fly(conditions: Conditions, damping_ns_per_m: float, points: Floats) -> list[Outcome]:
@@ -226,11 +221,6 @@ def _recorded(found: BatchResult, trial: int, spectra: Spectra) -> Record:
     return Record(spectra.n_samples / spectra.rate_hz, flowed, float(found.sigma_v_m_per_s[trial]), findings)
 
 
-def kept(outcome: Outcome) -> dict[str, Any]:
-    """An outcome as a store keeps it."""
-    return {name: getattr(outcome, name) for name in outcome.__dataclass_fields__}
-
-
 def restored(line: Mapping[str, Any]) -> Outcome:
     """An outcome from a store; what was not finite is nan."""
     values: dict[str, Any] = {name: nan if value is None else value for name, value in line.items()}
@@ -287,8 +277,8 @@ class Lot:
     @cached_property
     def keys(self) -> dict[Point, str]:
         """Of each point in a store."""
-        shared = fingerprint(self.conditions)
-        return {point: key_of(shared, self.damping_ns_per_m, point) for point in self.points}
+        shared = FORMAT, __version__, fingerprint(self.conditions), self.damping_ns_per_m
+        return {point: fingerprint((*shared, point))[:32] for point in self.points}
 
     def known(self, store: TrialStore) -> list[Outcome]:
         """What the store has of it."""
@@ -305,8 +295,12 @@ def points_of(rows: Floats) -> tuple[Point, ...]:
     return tuple((float(k), float(b), float(m)) for k, b, m in rows)
 
 
-def run_all(procedures: Sequence[Procedure[T]], store: TrialStore, pool: Executor, told: Told) -> list[T]:
-    """What the procedures return; `told` gets the place of a procedure, a lot of it, and the new outcomes of each task.
+def run_all(
+    procedures: Sequence[Procedure[T]], store: TrialStore, executor: Executor | None,
+    told: Told = lambda place, lot, new: None,
+) -> list[T]:  # fmt: skip
+    """What the procedures return, their trials made on `executor` or on threads here; `told` gets the place of a procedure, a lot
+    of it, and the new outcomes of each task.
 
     Each procedure has one request under way; the cores are kept busy by the others. If `told` raises, the rest is given up.
     """
@@ -317,8 +311,9 @@ def run_all(procedures: Sequence[Procedure[T]], store: TrialStore, pool: Executo
     def goes_on(place: int) -> None:
         """Until it ends, or has asked for what the store has not."""
         while not any(owner == place for owner, _ in waiting.values()):
+            found: Any = [outcome for lot in asked[place] for outcome in lot.known(store)] if place in asked else None
             try:
-                asked[place] = _request(procedures[place], asked.get(place), store)
+                asked[place] = procedures[place].send(found)
             except StopIteration as end:
                 results[place] = end.value
                 return
@@ -326,27 +321,21 @@ def run_all(procedures: Sequence[Procedure[T]], store: TrialStore, pool: Executo
                 for task in lot.tasks(store):
                     waiting[pool.submit(fly, lot.conditions, lot.damping_ns_per_m, task)] = place, lot
 
-    try:
-        for place in range(len(procedures)):
-            goes_on(place)
-        while waiting:
-            for future in wait(waiting, return_when=FIRST_COMPLETED).done:
-                outcomes = future.result()
-                place, lot = waiting.pop(future)
-                store.add((lot.keys[outcome.environment], kept(outcome)) for outcome in outcomes)
-                told(place, lot, outcomes)
+    with pool_of(executor) as pool:
+        try:
+            for place in range(len(procedures)):
                 goes_on(place)
-    finally:
-        for future in waiting:
-            future.cancel()
+            while waiting:
+                for future in wait(waiting, return_when=FIRST_COMPLETED).done:
+                    outcomes = future.result()
+                    place, lot = waiting.pop(future)
+                    store.add((lot.keys[outcome.environment], vars(outcome)) for outcome in outcomes)
+                    told(place, lot, outcomes)
+                    goes_on(place)
+        finally:
+            for future in waiting:
+                future.cancel()
     return [results[place] for place in range(len(procedures))]
-
-
-def _request(procedure: Procedure[T], before: Sequence[Lot] | None, store: TrialStore) -> Sequence[Lot]:
-    """What it asks for next, given the outcomes of what it asked for `before`. StopIteration with its result at its end."""
-    if before is None:
-        return next(procedure)
-    return procedure.send([outcome for lot in before for outcome in lot.known(store)])
 
 
 def flown(lot: Lot, store: TrialStore) -> list[Outcome]:
@@ -355,5 +344,4 @@ def flown(lot: Lot, store: TrialStore) -> list[Outcome]:
     def asking() -> Procedure[list[Outcome]]:
         return (yield [lot])
 
-    with threads() as pool:
-        return run_all([asking()], store, pool, lambda place, lot, new: None)[0]
+    return run_all([asking()], store, None)[0]

@@ -168,15 +168,10 @@ class TrialStore:
 
     def add(self, found: Iterable[tuple[str, Mapping[str, Any]]]) -> None:
         """Remember and write. ConfigError if the file cannot be written."""
-        new = {key: _kept(outcome) for key, outcome in found}
+        new = dict(found)
         if self._path is not None and new:
             _append(self._path, [json.dumps({"key": key, **plain(outcome)}) for key, outcome in new.items()])
         self.known.update(new)
-
-
-def _kept(outcome: Mapping[str, Any]) -> dict[str, Any]:
-    """As `plain`, but for arrays: as lists they would take four times the memory."""
-    return {name: value if isinstance(value, np.ndarray) else plain(value) for name, value in outcome.items()}
 
 
 def _append(path: Path, lines: list[str]) -> None:
