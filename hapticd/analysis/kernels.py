@@ -1,4 +1,4 @@
-"""The three inner loops of the spectral sums, compiled where numba is installed, in numpy otherwise.
+"""The inner loops of spectral sums and of local polynomials, compiled where numba is installed, in numpy otherwise.
 
 Both sets take the same arguments and give the same numbers to rounding. Nothing else in `analysis` needs a compiler.
 """
@@ -10,18 +10,20 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.arrays import Complexes, Floats
+from hapticd.analysis.arrays import Complexes, Floats, Integers
+from hapticd.analysis.local_fits import Fit, Transforms, local_fits
 
 _BLOCK = 16_384
 
 
 @dataclass(frozen=True)
 class Kernels:
-    """What `fitted_line`, `take_line_out` and `accumulate` below do."""
+    """What `fitted_line`, `take_line_out` and `accumulate` below and `local_fits` do."""
 
     fitted_line: Callable[[Floats], tuple[float, float]]
     take_line_out: Callable[[Floats, float, float, Floats], Any]
     accumulate: Callable[[Complexes, Complexes, Complexes], Any]
+    local_fits: Callable[[Transforms, Integers, Fit], Any]
     compiled: bool
 
 
@@ -29,10 +31,16 @@ class Kernels:
 def kernels() -> Kernels:
     """The compiled kernels, or the numpy ones where there is no numba."""
     try:
-        from hapticd.analysis import compiled
+        from hapticd.analysis import compiled, compiled_fits
     except ImportError:
         return PLAIN
-    return Kernels(compiled.fitted_line, compiled.take_line_out, compiled.accumulate, compiled=True)
+    return Kernels(
+        compiled.fitted_line,
+        compiled.take_line_out,
+        compiled.accumulate,
+        compiled_fits.local_fits,
+        compiled=True,
+    )
 
 
 def fitted_line(signal: Floats) -> tuple[float, float]:
@@ -66,4 +74,4 @@ def accumulate(velocity: Complexes, force: Complexes, sums: Complexes) -> None:
         sums[row] += np.einsum("ij,ij->j", first, second)
 
 
-PLAIN = Kernels(fitted_line, take_line_out, accumulate, compiled=False)
+PLAIN = Kernels(fitted_line, take_line_out, accumulate, local_fits, compiled=False)

@@ -30,20 +30,17 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.arrays import Complexes, Flags, Floats, Integers
+from hapticd.analysis.arrays import Flags, Floats
 from hapticd.analysis.impedance import Estimator
+from hapticd.analysis.kernels import kernels
 from hapticd.analysis.leakage import leakage_findings
+from hapticd.analysis.local_fits import TERMS, TINY, Fit, Transforms
 from hapticd.analysis.sections import same_length
 from hapticd.analysis.spectra import Spectra
 from hapticd.analysis.unexplained import LINE_WIDTH, line_of
 
-ORDER = 2  # of both polynomials
-TERMS = ORDER + 1
 WIDTH = 3.0  # times 1/(M T): a parabola through the middle then has the variance of the window
 ABOUT = 3 * LINE_WIDTH  # lines on each side of one that is not explained
-TOGETHER = 64  # frequencies at once: 4 MB
-TINY = float(np.finfo(np.float64).tiny) ** 0.5
-RIDGE = 1e-14  # of a column's power: a channel without power leaves numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,18 +124,6 @@ def resolved(
     return _replaced(trial, again, _fits(force, velocity, trial, again, servo_rate_hz))
 
 
-@dataclass(frozen=True, eq=False)
-class Fit:
-    """About F frequencies: `z` [N s/m] with its `variance`, the mean `power` of V, and `ends`, the
-    power of J over that of the force.
-    """
-
-    z: Complexes
-    variance: Floats
-    power: Floats
-    ends: Floats
-
-
 def _replaced(trial: Spectra, frequency_hz: Floats, fit: Fit) -> Resolved:
     """`trial` with what was fitted at `frequency_hz` (F,) in the place of its own lines there."""
     size = np.maximum(np.abs(fit.z) ** 2, TINY)
@@ -170,83 +155,14 @@ def _fits(
     frequency_hz: Floats,
     servo_rate_hz: float | None,
 ) -> Fit:
-    bins_per_hz = force.size / trial.rate_hz
-    half = max(2 * TERMS, round(0.5 * WIDTH * force.size / trial.lag))
+    samples = force.size
+    bins_per_hz = samples / trial.rate_hz
+    half = max(2 * TERMS, round(0.5 * WIDTH * samples / trial.lag))
     servo = 0 if servo_rate_hz is None else round(servo_rate_hz * bins_per_hz)
-    whole = Transforms(np.fft.fft(force), np.fft.rfft(velocity), half, servo)
-    places = np.rint(frequency_hz * bins_per_hz).astype(np.int64)
-    places = np.clip(places, 1, force.size // 2)
-    parts = [whole.fit(some) for some in np.array_split(places, -(-places.size // TOGETHER))]
-    return Fit(
-        np.concatenate([part.z for part in parts]),
-        np.concatenate([part.variance for part in parts]),
-        np.concatenate([part.power for part in parts]) / force.size,
-        np.concatenate([part.ends for part in parts]),
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class Transforms:
-    """Of a whole record: `force` (N,) at frequencies of both signs, `velocity` (N/2 + 1,).
-
-    A fit takes `half` bins on each side; `servo` is the bin of the servo rate, 0 if not known.
-    """
-
-    force: Complexes
-    velocity: Complexes
-    half: int
-    servo: int
-
-    def fit(self, places: Integers) -> Fit:
-        """About the bins `places` (F,)."""
-        reach = np.arange(-self.half, self.half + 1)
-        bins = places[:, None] + reach
-        inside = (bins > 0) & (bins < self.velocity.size)
-        at = np.where(inside, bins, 0)
-        v = inside * self.velocity[at]
-        rising = inside * (bins / places[:, None])
-        y = rising * self.force[at]
-        powers = (reach / self.half) ** np.arange(TERMS)[:, None]
-        parts = (
-            v[:, None] * powers,
-            inside[:, None] * powers,
-            rising[:, None] * self._images(at),
-        )
-        columns = np.concatenate(parts, axis=1, dtype=np.complex128)
-        return _least_squares(columns, y, inside.sum(axis=1), _power(v))
-
-    def _images(self, at: Integers) -> Complexes:
-        """The force at f + k times the servo rate (F, k, n); none where that is not known."""
-        n = self.force.size
-        shifts = np.arange(self.servo, n - 1, self.servo) if self.servo else np.empty(0, np.int64)
-        return self.force.take(at[:, None] + shifts[:, None], mode="wrap")
-
-
-def _least_squares(columns: Complexes, y: Complexes, count: Integers, power: Floats) -> Fit:
-    """Of `y` (F, n) by `columns` (F, c, n), those of Q first, then those of J; `count` (F,) bins, in
-    which the velocity has `power` (F,) together.
-
-    By einsum, not BLAS: its threads wait for each other where every core has a trial of its own,
-    and its last bits depend on the number of cores.
-    """
-    conjugate = columns.conj()
-    normal = np.einsum("fcn,fdn->fcd", conjugate, columns)
-    size = np.maximum(np.sqrt(np.einsum("fcc->fc", normal).real), TINY)
-    normal /= size[:, :, None] * size[:, None, :]
-    inverse = np.linalg.inv(normal + RIDGE * np.eye(columns.shape[1]))
-    wanted = np.einsum("fcn,fn->fc", conjugate, y) / size
-    found = np.einsum("fcd,fd->fc", inverse, wanted) / size
-    left = _power(y - np.einsum("fc,fcn->fn", found, columns))
-    ends = np.einsum("fc,fcn->fn", found[:, TERMS : 2 * TERMS], columns[:, TERMS : 2 * TERMS])
-    freedom = np.maximum(count - columns.shape[1], 1)
-    return Fit(
-        z=found[:, 0],
-        variance=left / freedom * inverse[:, 0, 0].real / size[:, 0] ** 2,
-        power=power / count,
-        ends=_power(ends) / np.maximum(_power(y), TINY),
-    )
-
-
-def _power(values: Complexes) -> Floats:
-    """Sum of the squares of (F, n)."""
-    return np.asarray((values.real**2 + values.imag**2).sum(axis=1))
+    shifts = np.arange(servo, samples - 1, servo) if servo else np.empty(0, np.int64)
+    whole = Transforms(np.fft.rfft(force), np.fft.rfft(velocity), samples, half, shifts)
+    places = np.clip(np.rint(frequency_hz * bins_per_hz).astype(np.int64), 1, samples // 2)
+    fit = Fit.empty(places.size)
+    kernels().local_fits(whole, places, fit)
+    fit.power[:] /= samples
+    return fit

@@ -1,0 +1,82 @@
+"""Local polynomials: compiled or not, they are what least squares over a window's bins give."""
+
+import numpy as np
+import pytest
+
+from hapticd.analysis import kernels as kernel_module
+from hapticd.analysis.local_fits import TERMS, Fit, Transforms, local_fits
+
+SAMPLES, HALF, SERVO = 4096, 20, 1000
+PLACES = np.array([1, 7, 50, 51, 68, 300, 301, 340, 900, 1500, 2030, 2048])  # ends, overlaps, gaps
+ALL = np.arange(SERVO, SAMPLES - 1, SERVO)
+
+
+def record(noise: float, shifts=ALL, ring: float = 0.999) -> Transforms:
+    """Force, and the velocity of a resonance that rings for 1/(1 - ring) samples."""
+    random = np.random.default_rng(5)
+    force, velocity = random.normal(size=SAMPLES), np.zeros(SAMPLES)
+    pole = ring * np.exp(2j * np.pi * 0.05)
+    for k in range(2, SAMPLES):
+        free = 2.0 * pole.real * velocity[k - 1] - ring**2 * velocity[k - 2]
+        velocity[k] = free + force[k] - force[k - 1]
+    velocity += noise * random.normal(size=SAMPLES)
+    return Transforms(np.fft.rfft(force), np.fft.rfft(velocity), SAMPLES, HALF, shifts)
+
+
+def fitted(fits, whole: Transforms, places=PLACES) -> Fit:
+    found = Fit.empty(places.size)
+    fits(whole, places, found)
+    return found
+
+
+@pytest.mark.parametrize("shifts", [ALL, ALL[:1], ALL[:0]], ids=["3 images", "1 image", "none"])
+@pytest.mark.parametrize("noise", [1.0, 1e-6])
+def test_compiled_fits_equal_the_plain_ones(noise, shifts):
+    assert kernel_module.kernels().compiled, "numba is part of the test environment"
+    whole = record(noise, shifts)
+    plain, compiled = fitted(local_fits, whole), fitted(kernel_module.kernels().local_fits, whole)
+    size = np.abs(plain.z)
+    assert (np.abs(compiled.z - plain.z) < 1e-10 * size).all()
+    assert (np.abs(np.sqrt(compiled.variance) - np.sqrt(plain.variance)) < 1e-9 * size).all()
+    assert compiled.power == pytest.approx(plain.power, rel=1e-13)
+    assert compiled.ends == pytest.approx(plain.ends, rel=1e-9)
+
+
+def columns_about(place: int, whole: Transforms):
+    """As the theory of the module writes them, of the full spectrum."""
+    force = np.fft.fft(np.fft.irfft(whole.force))
+    bins = np.arange(max(1, place - HALF), min(SAMPLES // 2, place + HALF) + 1)
+    r, x = (bins - place) / HALF, bins / place
+    powers = [r**k for k in range(TERMS)]
+    images = [x * force[(bins + shift) % SAMPLES] for shift in whole.shifts]
+    moved = [whole.velocity[bins] * one for one in powers]
+    return np.array([*moved, *powers, *images]).T, x * force[bins]
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("place", PLACES)
+def test_fit_is_that_of_least_squares(place, compiled):
+    whole = record(0.1)
+    kernels = kernel_module.kernels() if compiled else kernel_module.PLAIN
+    found = fitted(kernels.local_fits, whole, np.array([place]))
+    columns, force = columns_about(place, whole)
+    solution, *_ = np.linalg.lstsq(columns, force, rcond=None)
+    left = np.sum(np.abs(force - columns @ solution) ** 2) / max(len(force) - columns.shape[1], 1)
+    per_noise = np.linalg.inv(columns.conj().T @ columns)[0, 0].real
+    ends = np.sum(np.abs(columns[:, TERMS : 2 * TERMS] @ solution[TERMS : 2 * TERMS]) ** 2)
+    assert found.z[0] == pytest.approx(solution[0], rel=1e-8)
+    assert found.variance[0] == pytest.approx(left * per_noise, rel=1e-8)
+    assert found.ends[0] == pytest.approx(ends / np.sum(np.abs(force) ** 2), rel=1e-8)
+    assert found.power[0] == pytest.approx(np.mean(np.abs(columns[:, 0]) ** 2), rel=1e-12)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_channel_without_power_says_nothing(compiled):
+    kernels = kernel_module.kernels() if compiled else kernel_module.PLAIN
+    whole = record(0.0)
+    still = Transforms(whole.force, np.zeros_like(whole.velocity), SAMPLES, HALF, ALL)
+    found = fitted(kernels.local_fits, still)
+    assert (found.z == 0.0).all()
+    assert (found.variance > 1e100).all()
+    assert (found.power == 0.0).all()
+    assert np.isfinite(found.ends).all()
