@@ -32,7 +32,6 @@ from hapticd.report.study import (
     integrators_figure,
     scene_figure,
     scene_table,
-    thinned,
 )
 from hapticd.report.table import text
 
@@ -146,17 +145,6 @@ def test_impedance_rows_are_those_of_the_trial(noisy: SceneResult) -> None:
     assert rows[0]["frequency_hz"] >= 2.0
     assert rows[10]["impedance_ns_per_m"] == pytest.approx(rows[10]["predicted_ns_per_m"], rel=0.3)
     assert impedance_rows(replace(noisy.trials[0], judged=None)) == []
-
-
-def test_thinned_line_keeps_its_extremes() -> None:
-    time_s = np.arange(100_000) / 1000.0
-    values = np.random.default_rng(1).normal(size=100_000)
-    values[777], values[54_321] = 9.0, -9.0
-    at, thin = thinned(time_s, values)
-    assert len(thin) <= 1500
-    assert (thin.max(), thin.min()) == (9.0, -9.0)
-    assert (np.diff(at) >= 0.0).all()
-    assert np.array_equal(thinned(time_s[:50], values[:50])[1], values[:50])
 
 
 # --- effects ---------------------------------------------------------------------------------------------------------------------

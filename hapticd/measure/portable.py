@@ -144,12 +144,6 @@ class Compared:
     conditions: Conditions
     levels: tuple[Level, ...]
 
-    @property
-    def judged(self) -> str:
-        """Where it was judged, in words."""
-        first, last = self.conditions.judged_hz
-        return f"first judged {first:.3g} Hz, last judged {last:.3g} Hz"
-
 
 @dataclass(frozen=True, eq=False)
 class Comparison:

@@ -231,21 +231,18 @@ def _warmer(scene: Scene, own: WindingTemperature, kelvin: float) -> float:
 
 def _loop(scene: Scene, model: Model, top: float) -> tuple[float, float]:
     """(lowest, highest) damping with which the sampled loop is stable; nan if it never is."""
-    rendered = np.array([point(scene)])
 
     def stable(level_ns_per_m: float) -> bool:
-        radius = spectral_radius(model, rendered, level_ns_per_m, filters(scene))
-        return bool(radius[0] < 1.0)
+        return bool(spectral_radius(model, np.array([point(scene)]), level_ns_per_m, filters(scene))[0] < 1.0)
 
     levels = [0.0, *np.geomspace(1e-3, top, SCAN).tolist()]
     good = [stable(each) for each in levels]
     if not any(good):
         return nan, nan
     first = good.index(True)
-    after = [*good, False].index(False, first)
-    lowest = edge(stable, levels[first], levels[first - 1]) if first else 0.0
-    ends = after == len(good)
-    return lowest, levels[-1] if ends else edge(stable, levels[after - 1], levels[after])
+    last = [*good, False].index(False, first) - 1
+    below, above = levels[max(first - 1, 0)], levels[min(last + 1, SCAN)]  # themselves at the ends of the scan
+    return edge(stable, levels[first], below), edge(stable, levels[last], above)
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,8 +261,7 @@ def compare_integrators(scene: Scene) -> Integrators:
     """Of the scene's device at its highest damping. ConfigError as `compose`."""
     model = compose(scene)
     a = model.a(level(scene))
-    moving = [state.name.endswith("_velocity") for state in model.states]
-    start = SPEED_M_PER_S * np.array(moving, np.float64)
+    start = np.array([SPEED_M_PER_S if state.name.endswith("_velocity") else 0.0 for state in model.states])
     true, steps = _marks(expm(a * 1e-3), start), STEPS_PER_MS
     with np.errstate(over="ignore", invalid="ignore"):
         error = {
@@ -275,8 +271,7 @@ def compare_integrators(scene: Scene) -> Integrators:
     poles = np.asarray(np.linalg.eigvals(a), np.complex128)
     longest = {method: _longest(method, poles) for method in ORDERS}
     fastest = float(np.abs(poles).max())
-    fastest_s = 1.0 / fastest if fastest else inf
-    return Integrators(np.array(steps, np.float64), error, longest, fastest_s)
+    return Integrators(np.array(steps, np.float64), error, longest, 1.0 / fastest if fastest else inf)
 
 
 def _error(millisecond: Array, start: Floats, true: Floats) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 from hapticd.analysis.boundary import AXES
 from hapticd.analysis.envelope import Envelope
 from hapticd.analysis.metrics import widths_db
+from hapticd.analysis.verdict import Judged
 from hapticd.errors import AnalysisError
 from hapticd.measure.portable import Compared, Comparison, Level
 from hapticd.report.style import (
@@ -59,7 +60,7 @@ def how(found: Comparison) -> str:
     first = found.displays[0].conditions
     same = (
         f"{first.seconds:g} s of noise of {first.perturbation_psd_n2_per_hz:.3g} N^2/Hz a trial, "
-        f"{100 * first.confidence:g} %, {found.displays[0].judged}"
+        f"{100 * first.confidence:g} %, {Judged(*first.judged_hz).words}"
     )
     return f"{same}\nunlike: {', '.join(found.unlike)}" if found.unlike else same
 

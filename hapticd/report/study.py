@@ -10,7 +10,6 @@ from math import inf, isinf, isnan, nan
 
 import numpy as np
 
-from hapticd.analysis.arrays import Floats
 from hapticd.analysis.passivity import DEFAULT_BAND_HZ
 from hapticd.measure.accuracy import GROUP, AccuracyResult, Cost, Row
 from hapticd.measure.effects import EffectsResult, Left
@@ -51,7 +50,6 @@ from hapticd.units import PROBE_RATE_HZ
 
 LOOKS = (OFF, ON)
 SHOWN_S = 0.5  # of a noisy trace
-POINTS = 1500  # of a line
 SHOWN_HZ = (1.9, 1000.0)
 LEAST, MOST = 1e-4, 20.0  # ends of the axis of changes
 QUESTIONS = {"limits": "what its passivity limits need", "phase": "what the phase of Z needs", "peak": "what the peak of |Z| needs"}
@@ -153,22 +151,8 @@ def _traces(result: SceneResult, span_s: tuple[float, float]) -> list[tuple[str,
         time_s = np.arange(force_n.size) / result.plan.scene.rate_hz
         inside = (time_s >= span_s[0]) & (time_s <= span_s[1])
         for (_, lines), values in zip(panels, (1e3 * position_m, force_n), strict=True):
-            lines.append((*thinned(time_s[inside], values[inside]), {**look, "label": trial.leg.name}))
+            lines.append((time_s[inside], values[inside], {**look, "label": trial.leg.name}))
     return panels
-
-
-def thinned(time_s: Floats, values: Floats, most: int = POINTS) -> tuple[Floats, Floats]:
-    """A line of at most about `most` points that looks the same: lowest and highest of each
-    stretch, in their order.
-    """
-    if values.size <= most:
-        return time_s, values
-    stretch = int(np.ceil(2 * values.size / most))
-    count = values.size // stretch * stretch
-    parts = values[:count].reshape(-1, stretch)
-    ends = np.sort(np.stack((parts.argmin(axis=1), parts.argmax(axis=1)), axis=1), axis=1)
-    at = (ends + stretch * np.arange(len(parts))[:, None]).ravel()
-    return time_s[at], values[at]
 
 
 def scene_table(result: SceneResult) -> Table:

@@ -26,6 +26,7 @@ def command(
     Files of unlike conditions (band, judged frequencies, perturbation, length of a trial, confidence) are refused, the unlike ones
     named; --allow judged_hz,seconds compares them all the same, and says so.
     """
+    from hapticd.analysis.verdict import Judged
     from hapticd.measure.portable import compare
     from hapticd.report import style
     from hapticd.report.comparison import comparison_figure, comparison_tables
@@ -39,7 +40,7 @@ def command(
         output.data_json({"ok": True, **_plain(found), "figures": [str(path) for path in paths]})
         return
     for display in found.displays:
-        output.data(f"{display.name}: {display.judged}")
+        output.data(f"{display.name}: {Judged(*display.conditions.judged_hz).words}")
     for table in comparison_tables(found):
         output.data(text(table))
     if paths:
