@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from hapticd.cli import keyboard, monitor
+from hapticd.cli import monitor
 from hapticd.cli.app import main
-from hapticd.cli.chart import envelope, strip
-from hapticd.cli.screen import History, screen
+from hapticd.cli.screen import History, envelope, screen, strip
 from hapticd.client import fast_stop
 from hapticd.clock import VirtualClock
 from hapticd.errors import DaemonDown
@@ -176,7 +175,7 @@ def test_new_servo_life_begins_a_new_history(monkeypatch: pytest.MonkeyPatch, cl
 @pytest.mark.parametrize("key", [" ", "\x1b"])
 def test_space_and_escape_stop_the_daemon(monkeypatch: pytest.MonkeyPatch, clock: VirtualClock, key: str) -> None:
     pressed, stopped = iter(["", key, "q"]), []
-    monkeypatch.setattr(keyboard.Keys, "pressed", lambda self: next(pressed))
+    monkeypatch.setattr(monitor.Keys, "pressed", lambda self: next(pressed))
     monkeypatch.setattr(fast_stop, "stop", stopped.append)
     play(monkeypatch, clock, [block(20 * i) for i in range(10)])
     monitor.watch("left", None, lambda *view: None)
@@ -185,7 +184,7 @@ def test_space_and_escape_stop_the_daemon(monkeypatch: pytest.MonkeyPatch, clock
 
 def test_arrow_keys_do_not_stop(monkeypatch: pytest.MonkeyPatch, clock: VirtualClock) -> None:
     pressed, stopped = iter(["\x1b[A", "q"]), []
-    monkeypatch.setattr(keyboard.Keys, "pressed", lambda self: next(pressed))
+    monkeypatch.setattr(monitor.Keys, "pressed", lambda self: next(pressed))
     monkeypatch.setattr(fast_stop, "stop", stopped.append)
     play(monkeypatch, clock, [block(20 * i) for i in range(10)])
     monitor.watch("left", None, lambda *view: None)

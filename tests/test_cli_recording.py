@@ -15,8 +15,7 @@ from recorded import RecordedFlight, Source
 from test_cli_process import DEADLINE_S, Daemon, until
 
 from hapticd.assembly import process
-from hapticd.cli import dump as dump_verb
-from hapticd.cli import record as record_verb
+from hapticd.cli import daemon, recording
 from hapticd.cli.app import main
 from hapticd.clock import VirtualClock
 from hapticd.gateway.flight import flights_folder
@@ -50,7 +49,7 @@ def flown() -> RecordedFlight:
 def client(flown: RecordedFlight, monkeypatch: pytest.MonkeyPatch) -> ClientDouble:
     clock = VirtualClock(NS_PER_S)
     double = ClientDouble(flown, clock)
-    for module in (record_verb, dump_verb):
+    for module in (recording, daemon):
         monkeypatch.setattr(module, "connect", lambda instance: double)
     monkeypatch.setattr(recorder, "MonotonicClock", lambda: clock)
     monkeypatch.setattr(process, "on_stop", lambda handler: None)
@@ -145,7 +144,7 @@ def test_dump_waits_for_the_file(client: ClientDouble, tmp_path: Path, capsys: p
 
 
 def test_dump_that_never_comes_fails(client: ClientDouble, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
-    monkeypatch.setattr(dump_verb, "PATIENCE_S", 0.0)
+    monkeypatch.setattr(daemon, "DUMP_PATIENCE_S", 0.0)
     client.dumped = {"path": str(tmp_path / "x.flight"), "records": 12, "reason": "asked"}  # type: ignore[attr-defined]
     assert main(["dump"]) == 1
     assert "was not written within 0 s" in capsys.readouterr().err

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from hapticd.cli.app import main
-from hapticd.cli.progress import progress
+from hapticd.cli.terminal import progress
 
 MINE = """
 title = "mine"

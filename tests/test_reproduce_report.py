@@ -16,7 +16,7 @@ import reproduced
 
 from hapticd.analysis.envelope import Edge
 from hapticd.cli.app import main
-from hapticd.cli.zwidth import reproduce as verb
+from hapticd.cli.zwidth import report as verb
 from hapticd.errors import ConfigError
 from hapticd.measure.reproduce import SCENES, ReproduceResult
 from hapticd.measure.reproduce_rows import Row

@@ -1,36 +1,10 @@
 """All verbs under one name, and what becomes of errors."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import typer
 
-from hapticd.cli import (
-    accuracy,
-    config,
-    damping,
-    disable,
-    doctor,
-    dump,
-    enable,
-    get,
-    home,
-    install_system,
-    keys,
-    monitor,
-    output,
-    perturb,
-    rec,
-    record,
-    replay,
-    reset,
-    run,
-    sim,
-    status,
-    stop,
-    zero,
-    zwidth,
-)
-from hapticd.cli import set as set_verb
+from hapticd.cli import daemon, keys, monitor, recording, sim, system, terminal, zwidth
 from hapticd.errors import HapticdError
 
 USAGE = 2
@@ -42,17 +16,33 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for name, verb in {
-    "run": run, "set": set_verb, "get": get, "damping": damping, "enable": enable, "disable": disable, "stop": stop,
-    "reset": reset, "zero": zero, "home": home, "status": status, "monitor": monitor,
-    "record": record, "replay": replay, "dump": dump, "doctor": doctor, "accuracy": accuracy, "install-system": install_system,
-}.items():  # fmt: skip
-    app.command(name)(verb.command)
-app.add_typer(perturb.app, name="perturb")
-app.add_typer(rec.app, name="rec")
+VERBS: dict[str, Callable[..., None]] = {
+    "run": daemon.run,
+    "set": daemon.set_parameters,
+    "get": daemon.get_parameters,
+    "damping": daemon.damping,
+    "enable": daemon.enable,
+    "disable": daemon.disable,
+    "stop": daemon.stop,
+    "reset": daemon.reset,
+    "zero": daemon.zero,
+    "home": daemon.home,
+    "status": daemon.status,
+    "monitor": monitor.monitor,
+    "record": recording.record,
+    "replay": recording.replay,
+    "dump": daemon.dump,
+    "doctor": system.doctor,
+    "accuracy": sim.accuracy,
+    "install-system": system.install_system,
+}
+for name, verb in VERBS.items():
+    app.command(name)(verb)
+app.add_typer(daemon.perturb_app, name="perturb")
+app.add_typer(recording.rec_app, name="rec")
 app.add_typer(keys.app, name="keys")
-app.add_typer(config.app, name="config")
-app.add_typer(sim.app, name="sim")
+app.add_typer(system.config_app, name="config")
+app.add_typer(sim.sim_app, name="sim")
 app.add_typer(zwidth.app, name="zwidth")
 
 
@@ -61,7 +51,7 @@ def main(arguments: Sequence[str]) -> int:
     try:
         app(args=list(arguments), prog_name="hapticd")
     except HapticdError as error:
-        output.complain(error, as_json="--json" in arguments)
+        terminal.complain(error, as_json="--json" in arguments)
         return error.exit_code
     except SystemExit as ending:
         return _told(ending, "--json" in arguments)
@@ -71,5 +61,5 @@ def main(arguments: Sequence[str]) -> int:
 def _told(ending: SystemExit, as_json: bool) -> int:
     code = ending.code if isinstance(ending.code, int) else int(ending.code is not None)
     if code == USAGE and as_json:
-        output.data_json({"ok": False, "error": {"code": "usage", "message": "see stderr", "detail": None}})
+        terminal.data_json({"ok": False, "error": {"code": "usage", "message": "see stderr", "detail": None}})
     return code

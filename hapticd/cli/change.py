@@ -1,15 +1,52 @@
-"""What the verbs that change something share: ask the daemon, then show its receipt."""
+"""What the verbs that change something share: numbers and NAME=VALUE words, a connection, and the receipt.
+
+A word that is no number or names no parameter is a usage error (exit 2) before anybody is asked.
+"""
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from hapticd.cli import output
+import typer
+
+from hapticd.cli import terminal
 from hapticd.gateway.limits import PLACES, flat
 from hapticd.mailbox.layout import VALUE_LIMITS
+from hapticd.settings.meant import did_you_mean
 
 if TYPE_CHECKING:
     from hapticd.client import Client, Receipt
+
+
+NAMES = tuple(name for name in PLACES if name != "ramp_s")
+
+
+def number(name: str, text: str, expected: str = "a number") -> int | float:
+    """`text` as int or float."""
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    raise typer.BadParameter(f"{name}: {text!r} is not {expected}")
+
+
+def changes(words: Sequence[str]) -> dict[str, Any]:
+    """K=100 wall.side=1 -> {"K": 100, "wall": {"side": 1}}, the arguments of Client.set."""
+    found: dict[str, Any] = {}
+    for word in words:
+        name, equals, text = word.partition("=")
+        if not equals:
+            raise typer.BadParameter(f"{word!r}: write NAME=VALUE, for example K=100")
+        if name not in NAMES:
+            raise typer.BadParameter(f"{name!r} is unknown{did_you_mean(name, NAMES)}; see `hapticd set --help`")
+        *tables, leaf = name.split(".")
+        table = found.setdefault(tables[0], {}) if tables else found
+        if leaf in table:
+            raise typer.BadParameter(f"{name} is given twice")
+        table[leaf] = number(name, text)
+    return found
+
 
 ACTOR = "command line"
 
@@ -26,9 +63,9 @@ def change(instance: str, as_json: bool, ask: "Callable[[Client], Receipt]") -> 
     with connect(instance) as client:
         receipt = ask(client)
     if as_json:
-        output.data_json({"ok": True, **dataclasses.asdict(receipt)})
+        terminal.data_json({"ok": True, **dataclasses.asdict(receipt)})
     else:
-        output.data(receipt_text(receipt))
+        terminal.data(receipt_text(receipt))
 
 
 def receipt_text(receipt: "Receipt") -> str:

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from hapticd.cli import options, output
+from hapticd.cli import terminal
 
 app = typer.Typer(no_args_is_help=True, help=__doc__)
 Folder = Annotated[Path, typer.Argument(metavar="FOLDER", help="What gateway.curve_keys names.")]
@@ -16,7 +16,7 @@ Out = Annotated[
 
 
 @app.command()
-def server(folder: Folder, as_json: options.Json = False) -> None:
+def server(folder: Folder, as_json: terminal.Json = False) -> None:
     """The server's pair in a new FOLDER: server.key to hand out, server.key_secret for the gateway alone."""
     from hapticd.gateway.auth import make_keys
 
@@ -25,11 +25,11 @@ def server(folder: Folder, as_json: options.Json = False) -> None:
         _told(files, folder)
         return
     _told(files, None)
-    output.talk(f"set gateway.curve_keys to {folder}; who may listen: `hapticd keys client {folder} NAME`")
+    terminal.talk(f"set gateway.curve_keys to {folder}; who may listen: `hapticd keys client {folder} NAME`")
 
 
 @app.command()
-def client(folder: Folder, name: Name, out: Out = None, as_json: options.Json = False) -> None:
+def client(folder: Folder, name: Name, out: Out = None, as_json: terminal.Json = False) -> None:
     """A listener's pair: NAME.key among those whom FOLDER lets in, NAME.key_secret to be brought to the listener."""
     from hapticd.gateway.auth import make_client
 
@@ -38,12 +38,12 @@ def client(folder: Folder, name: Name, out: Out = None, as_json: options.Json = 
         _told(files, folder)
         return
     _told(files, None)
-    output.talk(f"bring {files[1]} and {folder / 'server.key'} to {name}, and delete the secret here; restart the gateway")
+    terminal.talk(f"bring {files[1]} and {folder / 'server.key'} to {name}, and delete the secret here; restart the gateway")
 
 
 def _told(files: tuple[Path, ...], folder: Path | None) -> None:
     if folder is not None:
-        output.data_json({"ok": True, "folder": str(folder), "files": [str(file) for file in files]})
+        terminal.data_json({"ok": True, "folder": str(folder), "files": [str(file) for file in files]})
         return
     for file in files:
-        output.data(str(file))
+        terminal.data(str(file))

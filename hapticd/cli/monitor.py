@@ -1,13 +1,22 @@
-"""Watch one daemon live: state, position, force, damping and latency as strip charts."""
+"""Watch one daemon live: state, position, force, damping and latency as strip charts; single keys stop it or end the view.
 
+Keys come from the terminal without waiting and without Enter, and none come when stdin is no terminal. What would break
+it: waiting for data without a time-out, for then a silent daemon would leave an old screen standing.
+"""
+
+import os
+import select
 import sys
+import termios
+import tty
 from collections.abc import Callable, Generator
 from contextlib import closing
-from typing import TYPE_CHECKING, Annotated, Any
+from types import TracebackType
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import typer
 
-from hapticd.cli import options, output
+from hapticd.cli import terminal
 from hapticd.cli.change import connect
 from hapticd.errors import DaemonDown, HapticdError
 from hapticd.units import NS_PER_S
@@ -16,16 +25,37 @@ if TYPE_CHECKING:
     from hapticd.cli.screen import History
     from hapticd.client import Block, Client
 
+
+class Keys:
+    """A context in which the terminal hands over each key at once and echoes none."""
+
+    def __enter__(self) -> Self:
+        self._before = termios.tcgetattr(sys.stdin) if sys.stdin.isatty() else None
+        if self._before is not None:
+            tty.setcbreak(sys.stdin)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if self._before is not None:
+            termios.tcsetattr(sys.stdin, termios.TCSADRAIN, self._before)
+
+    def pressed(self) -> str:
+        """The keys since the last call; an arrow or function key comes as its escape sequence."""
+        if self._before is None or not select.select([sys.stdin], [], [], 0)[0]:
+            return ""
+        return os.read(sys.stdin.fileno(), 64).decode(errors="replace")
+
+
 REDRAW_NS = NS_PER_S // 10
 RETRY_NS = NS_PER_S // 10
 NEWEST = ("tick", "position_m", "force_n", "stiffness_n_per_m", "damping_ns_per_m", "mass_kg", "added_damping_ns_per_m", "gain")
 Show = Callable[["History", bool | None, float], None]  # history, simulated, seconds without data
 
 
-def command(
-    instance: options.Instance = options.INSTANCE,
+def monitor(
+    instance: terminal.Instance = terminal.INSTANCE,
     seconds: Annotated[float | None, typer.Option("--seconds", metavar="S", help="End after S seconds.")] = None,
-    as_json: options.JsonLines = False,
+    as_json: terminal.JsonLines = False,
 ) -> None:
     """Watch live on one screen. Space or Esc stops the daemon, q or Ctrl-C only this screen.
 
@@ -50,7 +80,6 @@ def command(
 
 def watch(instance: str, seconds: float | None, show: Show) -> None:
     """Show what comes, ten times a second, also when nothing comes; obey keys. `seconds` None: until q."""
-    from hapticd.cli.keyboard import Keys
     from hapticd.cli.screen import NO_DATA_S, History
     from hapticd.clock import MonotonicClock
 
@@ -93,7 +122,7 @@ def _press_stop(instance: str) -> None:
     try:
         stop(daemon_folder(instance))
     except HapticdError as error:
-        output.talk(f"hapticd: stop: {error}")
+        terminal.talk(f"hapticd: stop: {error}")
 
 
 def _newest(history: "History", simulated: bool | None, silent_s: float) -> dict[str, Any]:
@@ -109,14 +138,14 @@ def _newest(history: "History", simulated: bool | None, silent_s: float) -> dict
 
 
 def _print_json(history: "History", simulated: bool | None, silent_s: float) -> None:
-    output.data_json(_newest(history, simulated, silent_s))
+    terminal.data_json(_newest(history, simulated, silent_s))
 
 
 def _print_line(history: "History", simulated: bool | None, silent_s: float) -> None:
     found = _newest(history, simulated, silent_s)
     badge = "SIMULATED " if simulated else ""
     if found["state"] == "no_data":
-        output.data(f"{badge}NO DATA for {silent_s:.1f} s")
+        terminal.data(f"{badge}NO DATA for {silent_s:.1f} s")
     else:
         x_mm, force_n, damping = 1e3 * found["position_m"], found["force_n"], found["added_damping_ns_per_m"]
-        output.data(f"{badge}{found['state']} x {x_mm:.4f} mm  force {force_n:.4f} N  damping {damping:.4g} N s/m")
+        terminal.data(f"{badge}{found['state']} x {x_mm:.4f} mm  force {force_n:.4f} N  damping {damping:.4g} N s/m")

@@ -2,20 +2,56 @@
 
 Two rules. The lamp shows the servo's state, never anybody's wish. When data stay away, lamp and charts give way to NO
 DATA: an old value never looks like a fresh one.
+
+Strip charts are drawn in braille, 2 x 4 dots in a character; every column of dots spans the lowest and highest value of
+its time. numpy and rich are imported at the top here and nowhere else in this package.
 """
 
 from collections import deque
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from hapticd.cli.banner import SIMULATED
-from hapticd.cli.chart import envelope, strip
+from hapticd.cli.terminal import SIMULATED_BANNER
 from hapticd.faults import BY_NUMBER
 from hapticd.mailbox.layout import State
 from hapticd.units import NS_PER_S
+
+_BITS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
+_BLANK = 0x2800
+
+
+def envelope(values: ArrayLike, length: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest of `values`, shape (n,), in each of `columns` equal parts of `length` samples, newest right.
+
+    Shape (columns,) each; NaN where there is no sample yet.
+    """
+    padded = np.full(columns * max(1, -(-length // columns)), np.nan)
+    newest = np.asarray(values, float)[-len(padded) :]
+    padded[len(padded) - len(newest) :] = newest
+    parts = padded.reshape(columns, -1)
+    empty = np.isnan(parts)
+    lows = np.where(empty, np.inf, parts).min(axis=1)
+    highs = np.where(empty, -np.inf, parts).max(axis=1)
+    known = ~empty.all(axis=1)
+    return np.where(known, lows, np.nan), np.where(known, highs, np.nan)
+
+
+def strip(values: ArrayLike, length: int, width: int, height: int, low: float, high: float) -> list[str]:
+    """`height` lines of `width` characters: the last `length` of `values`, shape (n,), between `low` and `high`."""
+    lows, highs = envelope(values, length, 2 * width)
+    rows = 4 * height
+    known = ~np.isnan(lows)
+    scale = (rows - 1) / (high - low) if high > low else 0.0
+    bottom, top = (np.clip(np.round((np.where(known, edge, low) - low) * scale), 0, rows - 1) for edge in (lows, highs))
+    level = np.arange(rows)[::-1, None]
+    dots = (level >= bottom) & (level <= top) & known
+    cells = dots.reshape(height, 4, width, 2) * _BITS[None, :, None, :]
+    return ["".join(map(chr, line)) for line in _BLANK + cells.sum(axis=(1, 3))]
+
 
 SHOWN_S = 10.0
 NO_DATA_S = 0.5
@@ -77,7 +113,7 @@ def screen(history: History, simulated: bool | None, silent_s: float, size: tupl
 def _badge(simulated: bool | None) -> Text:
     if simulated is None:
         return Text("waiting for the daemon\n")
-    return Text(SIMULATED, "bold yellow", no_wrap=True) if simulated else Text("REAL BOARD\n", "bold red")
+    return Text(SIMULATED_BANNER, "bold yellow", no_wrap=True) if simulated else Text("REAL BOARD\n", "bold red")
 
 
 def _lamp(newest: Any) -> Text:

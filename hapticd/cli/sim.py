@@ -1,9 +1,206 @@
-"""Simulate scenes: run them, explain them, ask which effects they need and how much damping they bear."""
+"""Simulate scenes: run them, explain them, ask which effects they need, how much damping they bear, what accuracy costs."""
+
+from enum import StrEnum
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hapticd.cli import scene_ceiling, scene_effects, scene_explain, scene_run
+from hapticd.cli import terminal
+from hapticd.cli.terminal import progress
 
-app = typer.Typer(no_args_is_help=True, help=__doc__)
-for name, verb in {"run": scene_run, "explain": scene_explain, "effects": scene_effects, "ceiling": scene_ceiling}.items():
-    app.command(name)(verb.command)
+if TYPE_CHECKING:
+    from hapticd.measure.scene_run import SceneResult, Trial
+
+
+sim_app = typer.Typer(
+    no_args_is_help=True,
+    help="Simulate scenes: run them, explain them, ask which effects they need and how much damping they bear.",
+)
+
+
+@sim_app.command("run")
+def sim_run(
+    scene: terminal.SceneName,
+    plot: terminal.Plot = False,
+    seconds: Annotated[
+        float | None, typer.Option("--seconds", metavar="S", min=0.001, help="Length in place of the scene's.")
+    ] = None,
+    out: terminal.Out = terminal.HERE,
+    as_json: terminal.Json = False,
+) -> None:
+    """Simulate a scene with and without its added damping: traces, and impedance and verdict where noise moves it."""
+    from hapticd.measure.scene_run import plan_scene, run_scene
+    from hapticd.report.study import scene_figure, scene_table
+    from hapticd.report.table import text
+    from hapticd.settings.scene import load_scene
+
+    terminal.need_figures(plot)
+    plan = plan_scene(load_scene(scene), seconds)
+    with progress(as_json) as tell:
+        result = run_scene(plan, tell)
+    paths = terminal.save_figure(scene_figure(result), out, plan.scene.name, as_json) if plot else []
+    if as_json:
+        terminal.data_json({**_result_json(result), "figures": paths})
+        return
+    terminal.data(f"{plan.scene.title}: {plan.seconds:g} s, SIMULATED {plan.scene.device}\n")
+    terminal.data(text(scene_table(result)))
+    for trial in result.trials:
+        if trial.judged is not None:
+            terminal.data(f"\n{trial.leg.name}: {trial.judged.verdict}")
+
+
+def _result_json(result: "SceneResult") -> dict[str, Any]:
+    scene, trials = result.plan.scene, [_trial_json(trial) for trial in result.trials]
+    head = {"ok": True, "simulated": True, "scene": scene.name, "title": scene.title, "device": scene.device}
+    return {**head, "seconds": result.plan.seconds, "trials": trials}
+
+
+def _trial_json(trial: "Trial") -> dict[str, Any]:
+    from hapticd.measure.store import plain
+    from hapticd.report.study import impedance_rows
+
+    verdict, rows = trial.judged and trial.judged.verdict, impedance_rows(trial)
+    told = {"leg": trial.leg, **trial.numbers, "verdict": verdict, "winding_c": trial.winding_c, "impedance": rows}
+    return {name: plain(value) for name, value in told.items()}
+
+
+@sim_app.command("explain")
+def sim_explain(scene: terminal.SceneName, as_json: terminal.Json = False) -> None:
+    """Say what a scene simulates: states, nonlinearities, time constants, step, why each is there, and its measured cost."""
+    import time
+
+    from hapticd.measure.accuracy import cost
+    from hapticd.measure.scenes import SUBSTEPS
+    from hapticd.measure.store import plain
+    from hapticd.plant.compose import compose
+    from hapticd.plant.stability import explain
+    from hapticd.report import study as words
+    from hapticd.report.table import text
+    from hapticd.settings.scene import load_scene
+
+    loaded = load_scene(scene)
+    found = explain(compose(loaded), sorted({step.level_ns_per_m for step in loaded.damping}))
+    spent = cost(loaded, scene, time.process_time_ns)
+    if as_json:
+        head = {"ok": True, "simulated": True, "scene": loaded.name, "title": loaded.title, "device": loaded.device}
+        terminal.data_json({**head, **plain(found), "cost": plain(spent), "substeps": SUBSTEPS})
+        return
+    terminal.data(
+        f"{loaded.title}: SIMULATED {loaded.device}, {len(found.states)} states, {len(found.nonlinearities)} nonlinearities"
+    )
+    for part in words.explained(found):
+        terminal.data(f"\n{text(part)}")
+    terminal.data("")
+    for line in (*words.step_words(found, loaded, SUBSTEPS), *words.cost_words(spent)):
+        terminal.data(line)
+
+
+class Question(StrEnum):
+    """What is asked of the scene."""
+
+    LIMITS = "limits"
+    PHASE = "phase"
+    PEAK = "peak"
+
+
+@sim_app.command("effects")
+def sim_effects(
+    scene: terminal.SceneName,
+    question: Annotated[
+        Question,
+        typer.Option("--for", help="limits: passive K, B and M; phase: of Z in the band; peak: of |Z| near 100 Hz, as in Fig. 8."),
+    ] = Question.LIMITS,
+    tolerance: Annotated[str, typer.Option("--tolerance", metavar="SHARE", help="Change that does not matter: 2% or 0.02.")] = "2%",
+    seconds: Annotated[float, typer.Option("--seconds", metavar="S", min=5.0, help="Length of simulated trials.")] = 90.0,
+    plot: terminal.Plot = True,
+    out: terminal.Out = terminal.HERE,
+    as_json: terminal.Json = False,
+) -> None:
+    """Leave effects out one at a time, see what the answer does, and propose the cheapest set that is enough."""
+    import time
+
+    from hapticd.measure.effects import EffectsParams, plan_effects, run_effects
+    from hapticd.measure.store import plain
+    from hapticd.report.study import effects_figure, effects_table, effects_words
+    from hapticd.report.table import text
+    from hapticd.settings.scene import load_scene
+
+    terminal.need_figures(plot)
+    loaded = load_scene(scene)
+    plan = plan_effects(EffectsParams(loaded, question.value, share(tolerance), seconds))
+    with progress(as_json) as tell:
+        result = run_effects(plan, time.process_time_ns, tell)
+    paths = terminal.save_figure(effects_figure(result), out, f"{loaded.name}-effects-{question.value}", as_json) if plot else []
+    if as_json:
+        head = {"ok": True, "simulated": True, "scene": loaded.name, "question": question.value, "tolerance": plan.params.tolerance}
+        terminal.data_json({**head, **plain(result, skip=("plan",)), "figures": paths})
+        return
+    terminal.data(f"{loaded.title}: SIMULATED {loaded.device}\n\n{text(effects_table(result))}\n\n{effects_words(result)}")
+
+
+def share(text: str) -> float:
+    """2% or 0.02."""
+    number, percent = text.rstrip().removesuffix("%"), text.rstrip().endswith("%")
+    try:
+        return float(number) / (100.0 if percent else 1.0)
+    except ValueError:
+        raise typer.BadParameter(f"--tolerance {text!r}: write 2% or 0.02") from None
+
+
+@sim_app.command("ceiling")
+def sim_ceiling(scene: terminal.SceneName, as_json: terminal.Json = False) -> None:
+    """Say the largest stable added damping: of the device alone, with the scene's environment, and hot or cold."""
+    from hapticd.measure.scene_run import ceiling
+    from hapticd.measure.store import plain
+    from hapticd.report.study import ceiling_table, ceiling_words
+    from hapticd.report.table import text
+    from hapticd.settings.scene import load_scene
+
+    loaded = load_scene(scene)
+    found = ceiling(loaded)
+    if as_json:
+        terminal.data_json({"ok": True, "simulated": True, "scene": loaded.name, "unit": "N s/m", **plain(found)})
+        return
+    terminal.data(f"{loaded.title}: SIMULATED {loaded.device}\n")
+    for line in ceiling_words(found):
+        terminal.data(line)
+    if found.warmer:
+        terminal.data(f"\n{text(ceiling_table(found))}")
+
+
+def accuracy(
+    scene: terminal.SceneName,
+    quick: Annotated[bool, typer.Option("--quick", help="A coarse look: shorter trials, fewer settings.")] = False,
+    plot: terminal.Plot = True,
+    out: terminal.Out = terminal.HERE,
+    as_json: terminal.Json = False,
+) -> None:
+    """Measure error against time: ways to simulate, sub-steps, precision, length, window, and each effect left out.
+
+    The first run of a scene also compiles its kernels, which are kept.
+    """
+    import time
+
+    from hapticd.measure.accuracy import plan_accuracy, run_accuracy
+    from hapticd.measure.scene_run import compare_integrators
+    from hapticd.measure.store import plain
+    from hapticd.report.study import accuracy_figure, accuracy_table, accuracy_words, integrators_figure
+    from hapticd.report.table import text
+    from hapticd.settings.scene import load_scene
+
+    terminal.need_figures(plot)
+    loaded = load_scene(scene)
+    explicit = compare_integrators(loaded)
+    with progress(as_json) as tell:
+        result = run_accuracy(plan_accuracy(loaded, scene, quick), time.process_time_ns, tell)
+    paths = []
+    if plot:
+        paths += terminal.save_figure(accuracy_figure(result), out, f"{loaded.name}-accuracy", as_json)
+        paths += terminal.save_figure(integrators_figure(explicit, loaded.title), out, f"{loaded.name}-integrators", as_json)
+    if as_json:
+        head = {"ok": True, "simulated": True, "scene": loaded.name, "title": loaded.title, "quick": quick}
+        terminal.data_json({**head, **plain(result, skip=("plan",)), "integrators": plain(explicit), "figures": paths})
+        return
+    terminal.data(f"{loaded.title}: SIMULATED {loaded.device}\n\n{text(accuracy_table(result))}\n")
+    for line in accuracy_words(result):
+        terminal.data(line)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hapticd.cli import output
+from hapticd.cli import terminal
 from hapticd.errors import HapticdError
 
 if TYPE_CHECKING:
@@ -61,11 +61,11 @@ def keeping(store: "TrialStore", folder: Path) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        output.talk(_goes_on(store, folder))
+        terminal.talk(_goes_on(store, folder))
         raise typer.Exit(130) from None
     except HapticdError:
         if store.known:
-            output.talk(_goes_on(store, folder))
+            terminal.talk(_goes_on(store, folder))
         raise
 
 
@@ -75,7 +75,7 @@ def interruptible(kept: str = "nothing of this run was kept") -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        output.talk(f"interrupted: {kept}")
+        terminal.talk(f"interrupted: {kept}")
         raise typer.Exit(130) from None
 
 
@@ -138,7 +138,7 @@ def follow(new: "list[Outcome]", **more: Any) -> None:
     from hapticd.measure.store import plain
 
     for outcome in new:
-        output.data_json({"type": "outcome", **more, **plain({name: getattr(outcome, name) for name in TOLD})})
+        terminal.data_json({"type": "outcome", **more, **plain({name: getattr(outcome, name) for name in TOLD})})
 
 
 def folder(out: Path | None, what: str) -> Path:
@@ -148,9 +148,9 @@ def folder(out: Path | None, what: str) -> Path:
 
 def kept(folder: Path, files: Iterable[Path]) -> None:
     """Say where results are, and name the figures."""
-    output.data(f"kept in {folder}")
+    terminal.data(f"kept in {folder}")
     for file in files:
-        output.data(str(file))
+        terminal.data(str(file))
 
 
 def told(**more: Any) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hapticd.cli import options, output
+from hapticd.cli import terminal
 from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ Allow = Annotated[
 
 
 def command(
-    files: Files, allow: Allow = "", out: common.Out = None, plot: common.Plot = True, as_json: options.Json = False
+    files: Files, allow: Allow = "", out: common.Out = None, plot: common.Plot = True, as_json: terminal.Json = False
 ) -> None:
     """The fair comparison of displays: envelopes and limits as they are, and divided by the mass that moves, where a larger
     display is no better one.
@@ -37,12 +37,12 @@ def command(
     with common.drawing(folder):
         paths = style.save(comparison_figure(found), folder, "compare") if plot else ()
     if as_json:
-        output.data_json({"ok": True, **_plain(found), "figures": [str(path) for path in paths]})
+        terminal.data_json({"ok": True, **_plain(found), "figures": [str(path) for path in paths]})
         return
     for display in found.displays:
-        output.data(f"{display.name}: {Judged(*display.conditions.judged_hz).words}")
+        terminal.data(f"{display.name}: {Judged(*display.conditions.judged_hz).words}")
     for table in comparison_tables(found):
-        output.data(text(table))
+        terminal.data(text(table))
     if paths:
         common.kept(folder, paths)
 

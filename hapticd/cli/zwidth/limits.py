@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hapticd.cli import output
-from hapticd.cli.progress import progress
+from hapticd.cli import terminal
+from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
@@ -66,12 +66,12 @@ def command(
         paths = style.save(limits_figure(result), folder, "limits") if plot else ()
     if as_json:
         figured = [str(path) for path in paths]
-        output.data_json({"ok": True, "made": result.made, "limits": rows, "folder": str(folder), "figures": figured})
+        terminal.data_json({"ok": True, "made": result.made, "limits": rows, "folder": str(folder), "figures": figured})
         return
-    output.data(text(_table(result)))
-    output.data(NOTE)
-    output.data("; ".join(sorted({limit.judged.words for limit in result.limits})))
-    output.data(f"{result.made} trials made")
+    terminal.data(text(_table(result)))
+    terminal.data(NOTE)
+    terminal.data("; ".join(sorted({limit.judged.words for limit in result.limits})))
+    terminal.data(f"{result.made} trials made")
     common.kept(folder, paths)
 
 

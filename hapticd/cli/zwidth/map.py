@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hapticd.cli import output
-from hapticd.cli.progress import progress
+from hapticd.cli import terminal
+from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def command(
     with common.keeping(store, folder), executor(where) as pool:
         plan = plan_map(MapParams(conditions, axes, common.levels(damping), near, everywhere, refine))
         points = len(plan.levels) * axes[0].size * axes[1].size * axes[2].size
-        output.talk(f"{points} points predicted, {plan.trials} to be tried")
+        terminal.talk(f"{points} points predicted, {plan.trials} to be tried")
         with progress() as tell:
             result = run_map(plan, store, tell, pool, hear)
     told = [_told(level) for level in result.levels]
@@ -80,15 +80,15 @@ def command(
         {"kind": "map", "scene": scene, "axes": axes, "parameters": asked, "levels": told, "provenance": common.told(seed=seed)},
     )
     with common.drawing(folder):
-        paths = draw(result, folder) if plot else []
+        paths = draw_map(result, folder) if plot else []
     if as_json:
         names = [str(path) for path in paths]
-        output.data_json({"ok": True, "made": result.made, "levels": plain(told), "folder": str(folder), "figures": names})
+        terminal.data_json({"ok": True, "made": result.made, "levels": plain(told), "folder": str(folder), "figures": names})
         return
     _print(result, told)
-    output.data(f"{result.made} trials made, kept in {folder}")
+    terminal.data(f"{result.made} trials made, kept in {folder}")
     for path in paths:
-        output.data(str(path))
+        terminal.data(str(path))
 
 
 class _Redrawn:
@@ -144,19 +144,19 @@ def _print(result: "MapResult", told: list[dict[str, Any]]) -> None:
         "added N s/m", "points", "tried", "unlike predicted", "passive", "K max N/m", "B max N s/m", "M min g",
         "width at 10-50 Hz dB",
     )  # fmt: skip
-    output.data(text(table(columns, rows, f"SIMULATED {result.plan.params.conditions.scene.device}: the set on the grid")))
-    output.data(result.judged.words)
-    output.data(
+    terminal.data(text(table(columns, rows, f"SIMULATED {result.plan.params.conditions.scene.device}: the set on the grid")))
+    terminal.data(result.judged.words)
+    terminal.data(
         "unlike predicted: trials that came out otherwise; K max, B max, M min: extremes over the set, not alone on their axis"
     )
     for level in told:
         if level["open_ends"]:
-            output.talk(
+            terminal.talk(
                 f"at {level['added_damping_ns_per_m']:g} N s/m the set goes beyond the grid: {', '.join(level['open_ends'])}"
             )
 
 
-def draw(result: "MapResult", folder: Path) -> list[Path]:
+def draw_map(result: "MapResult", folder: Path) -> list[Path]:
     """The set, and the envelopes of impedance and admittance where a trial passed."""
     from hapticd.report import style
     from hapticd.report.envelope import envelope_figure

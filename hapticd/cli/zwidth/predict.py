@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hapticd.cli import options, output
+from hapticd.cli import terminal
 from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ def command(
     mass: Annotated[float | None, typer.Option("-M", "--mass", metavar="KG", help="Virtual mass.")] = None,
     damping: Annotated[float | None, typer.Option("--damping", metavar="NS/M", help="Electrical damping.", min=0)] = None,
     band: common.Band = (2.0, 500.0),
-    as_json: options.Json = False,
+    as_json: terminal.Json = False,
 ) -> None:
     """Is one environment passive? By theory alone, without a trial: for every input, as a trial would show it, and in hands.
 
@@ -47,11 +47,13 @@ def command(
             raise typer.BadParameter(f"{option} {value:g}: a finite number of {unit} is needed")
     found = outlook(shown.model, (k, b, m), level, shown.filters, shown.perturbation, band)
     if as_json:
-        output.data_json({"ok": True, "simulated": True, "device": shown.scene.device, **_told(found, (k, b, m), level)})
+        terminal.data_json({"ok": True, "simulated": True, "device": shown.scene.device, **_told(found, (k, b, m), level)})
         return
-    output.data(f"SIMULATED {shown.scene.device}: K {k:g} N/m, B {b:g} N s/m, M {1e3 * m:g} g, electrical damping {level:g} N s/m")
+    terminal.data(
+        f"SIMULATED {shown.scene.device}: K {k:g} N/m, B {b:g} N s/m, M {1e3 * m:g} g, electrical damping {level:g} N s/m"
+    )
     for name, words in _lines(found, shown.perturbation):
-        output.data(f"{name:11} {words}")
+        terminal.data(f"{name:11} {words}")
 
 
 def _lines(found: "Outlook", shaken: "Perturbation") -> list[tuple[str, str]]:

@@ -1,34 +1,43 @@
-"""Every figure of a device, or of a run that was kept."""
+"""Every figure of a device, or of a run that was kept; and the paper again, its table and its figures, on three devices."""
 
 import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from math import inf
 from pathlib import Path
+from time import monotonic
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hapticd.cli import options, output
-from hapticd.cli.progress import progress
+from hapticd.cli import terminal
+from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
+from hapticd.cli.zwidth.map import draw_map
+from hapticd.cli.zwidth.trial import draw_trial
 
 if TYPE_CHECKING:
     from hapticd.analysis.verdict import Judged
     from hapticd.measure.campaign import MapParams, MapResult
+    from hapticd.measure.progress import Progress
     from hapticd.measure.store import TrialStore
     from hapticd.plant.scene import Scene
 
+
 What = Annotated[str, typer.Argument(metavar="DEVICE|RUN", help="A simulated device or scene, or the folder of a trial or a map.")]
 GRID = (12, 10)
-ROOM = (2.0, 1.15)  # of the grid over the largest axis limits: K, B
+GRID_MARGIN = (2.0, 1.15)  # of the grid over the largest axis limits: K, B
 
 
-def command(
+def report(
     what: What,
     damping: common.Damping = "0,1.74",
     seconds: common.Seconds = 90.0,
     seed: common.Seed = 1,
     out: common.Out = None,
-    as_json: options.Json = False,
+    as_json: terminal.Json = False,
 ) -> None:
     """Every figure of a simulated device, with NAME.zwidth, its portable summary; or those of a run folder, drawn again
     there, or in --out.
@@ -41,11 +50,11 @@ def command(
     else:
         drawn = _of_device(what, damping, seconds, seed, out)
     if as_json:
-        output.data_json({"ok": True, "files": [str(path) for path in drawn.files], "judged": plain(drawn.judged)})
+        terminal.data_json({"ok": True, "files": [str(path) for path in drawn.files], "judged": plain(drawn.judged)})
         return
-    output.data(drawn.judged.words)
+    terminal.data(drawn.judged.words)
     for path in drawn.files:
-        output.data(str(path))
+        terminal.data(str(path))
 
 
 @dataclass(frozen=True)
@@ -82,7 +91,6 @@ def _instead(folder: Path) -> str:
 
 
 def _of_run(folder: Path, out: Path) -> Drawn:
-    from hapticd.cli.zwidth.map import draw
     from hapticd.errors import ConfigError
     from hapticd.measure.campaign import kept_map, plan_map
     from hapticd.measure.store import TrialStore, read_summary
@@ -94,12 +102,11 @@ def _of_run(folder: Path, out: Path) -> Drawn:
         told = f"a run of kind {kept['kind']!r} is drawn by the command that made it, with --out {folder}; here a trial or a map is"
         raise ConfigError(f"{folder}: {told}")
     found = kept_map(plan_map(_asked(kept)), TrialStore(folder / "trials.jsonl"))
-    return Drawn(draw(found, out), found.judged)
+    return Drawn(draw_map(found, out), found.judged)
 
 
 def _trial_again(folder: Path, kept: dict[str, Any], out: Path) -> Drawn:
     from hapticd.analysis.spa import DEFAULT_LAG
-    from hapticd.cli.zwidth.trial import draw
     from hapticd.measure.recorded import read_file
     from hapticd.measure.sources import Trial
     from hapticd.measure.store import record_path
@@ -122,7 +129,7 @@ def _trial_again(folder: Path, kept: dict[str, Any], out: Path) -> Drawn:
         skew_s=kept.get("skew_taken_out_s", 0.0), high_pass_hz=kept.get("high_pass_taken_out_hz", 0.0),
     )  # fmt: skip
     result = judged(plan_trial(params), recorded)
-    return Drawn(draw(result, out), result.verdict.judged)
+    return Drawn(draw_trial(result, out), result.verdict.judged)
 
 
 def _same_scene(kept: dict[str, Any]) -> "Scene | None":
@@ -151,7 +158,6 @@ def _asked(kept: dict[str, Any]) -> "MapParams":
 
 
 def _of_device(what: str, damping: str, seconds: float, seed: int, out: Path | None) -> Drawn:
-    from hapticd.cli.zwidth.map import draw
     from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
     from hapticd.measure.portable import SUFFIX, conditions_of, device_hash, numbers_of, portable
     from hapticd.measure.store import TrialStore, write_run
@@ -174,7 +180,7 @@ def _of_device(what: str, damping: str, seconds: float, seed: int, out: Path | N
     summary = {"kind": "report", "device": name, **told, "provenance": provenance}
     write_run(folder, summary, texts={f"{name}{SUFFIX}": json.dumps(content) + "\n"})
     paths = [*_own_trial(scene, seconds, folder), *style.save(limits_figure(limits), folder, "limits")]
-    paths += draw(found, folder)
+    paths += draw_map(found, folder)
     return Drawn([*paths, folder / f"{name}{SUFFIX}"], found.judged)
 
 
@@ -188,19 +194,70 @@ def _mapped(conditions: Any, levels: tuple[float, ...], limits: Any, store: "Tri
     if not all(np.isfinite(most)) or min(most) == 0.0:
         raise AnalysisError("the display is not passive at K = B = M = 0, so there is no set to map; see `hapticd zwidth trial`")
     axes = (
-        np.linspace(0.0, ROOM[0] * most[0], GRID[0]),
-        np.linspace(0.0, ROOM[1] * most[1], GRID[1]),
+        np.linspace(0.0, GRID_MARGIN[0] * most[0], GRID[0]),
+        np.linspace(0.0, GRID_MARGIN[1] * most[1], GRID[1]),
         np.asarray(most[2] * 0.25 * np.arange(-5, 7)),  # M = 0 is one of them
     )
     return run_map(plan_map(MapParams(conditions, axes, levels)), store, tell)
 
 
 def _own_trial(scene: Any, seconds: float, folder: Path) -> list[Path]:
-    from hapticd.cli.zwidth.trial import draw
     from hapticd.measure.scenes import level, noise, point
     from hapticd.measure.sources import Trial, engine_source
     from hapticd.measure.trial import TrialParams, plan_trial, run_trial
 
     trial = Trial(point(scene), level(scene), seconds, noise(scene))
     result = run_trial(plan_trial(TrialParams(trial, scene)), engine_source(scene))
-    return draw(result, folder)
+    return draw_trial(result, folder)
+
+
+LINE_S = 10.0
+Quick = Annotated[bool, typer.Option("--quick", help="Prediction alone: seconds instead of minutes, without scatter and Fig. 2.")]
+Seeds = Annotated[int, typer.Option("--seeds", metavar="N", min=2, max=64, help="Noise realisations behind each limit.")]
+
+
+def reproduce(quick: Quick = False, seeds: Seeds = 8, out: common.Out = None, as_json: terminal.Json = False) -> None:
+    """Weir, Colgate and Peshkin 2008 on simulated devices: limits, ratios, equations and Figs. 2-4 and 7-11 beside the paper's,
+    and what the paper left to future work.
+
+    Writes REPORT.md, the table (JSON, CSV, Markdown) and the figures (PNG, SVG); with --json only if --out names a folder.
+    Ctrl-C is safe: the folder holds the files of one run, or none.
+    """
+    from hapticd.measure.beyond import plan_beyond, run_beyond
+    from hapticd.measure.reproduce import plan_reproduce, run_reproduce
+    from hapticd.report.future_work import future_sections
+    from hapticd.report.paper_page import keep, sections
+    from hapticd.report.paper_page import terminal as terminal_text
+    from hapticd.report.paper_table import as_json as table_json
+
+    plan, files = plan_reproduce(quick, seeds), []
+    further = plan_beyond(quick)
+    with common.interruptible(), watched() as tell:
+        found = [*sections(run_reproduce(plan, tell)), *future_sections(run_beyond(further, tell))]
+        table = table_json(row for section in found for row in section.rows)
+        told: dict[str, Any] = {"quick": quick, "seeds": len(plan.seeds), "table": table, "provenance": common.told()}
+        if out is not None or not as_json:
+            files = keep(found, common.folder(out, "reproduce"), told, tell)
+    if as_json:
+        terminal.data_json(told | ({"files": [str(file) for file in files]} if files else {}))
+        return
+    terminal.data(terminal_text(found))
+    terminal.data("\n".join(["", "kept", *(f"  {file}" for file in files)]))
+
+
+@contextmanager
+def watched() -> "Iterator[Progress]":
+    """The bar; where stderr is no terminal, a line every ten seconds, so that no log is silent for minutes."""
+    last_s = -inf
+
+    def line(what: str, done: int, total: int) -> None:
+        nonlocal last_s
+        if monotonic() >= last_s + LINE_S:
+            last_s = monotonic()
+            terminal.talk(f"{what}, {done} of {total}")
+
+    if not sys.stderr.isatty():
+        yield line
+        return
+    with progress() as tell:
+        yield tell

@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hapticd.cli import output
-from hapticd.cli.progress import progress
+from hapticd.cli import terminal
+from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def command(
     with common.drawing(folder):
         paths = style.save(search_figure(results), folder, "search") if plot else ()
     if as_json:
-        output.data_json({"ok": True, "levels": plain(told), "folder": str(folder), "figures": [str(path) for path in paths]})
+        terminal.data_json({"ok": True, "levels": plain(told), "folder": str(folder), "figures": [str(path) for path in paths]})
         return
     columns = ("added N s/m", "trials", "not stable", "doubt %", "K max N/m", "B max N s/m", "M min g", "volume", "miss N s/m")
     rows = [
@@ -62,11 +62,11 @@ def command(
         )
         for row in told
     ]  # fmt: skip
-    output.data(
+    terminal.data(
         text(table(columns, rows, f"SIMULATED {conditions.scene.device}: the set as the search holds it; extremes over the set"))
     )
-    output.data("; ".join(sorted({result.judged.words for result in results})))
-    output.data(NOTE)
+    terminal.data("; ".join(sorted({result.judged.words for result in results})))
+    terminal.data(NOTE)
     common.kept(folder, paths)
 
 

@@ -1,31 +1,168 @@
-"""One trial: perturb, record, judge."""
+"""One trial: perturb, record, judge; by the simulator, by the whole stack, on a daemon's device, or from a file.
 
-from contextlib import ExitStack
+Before a daemon's device moves, it is said which one it is, what is known of it and what will happen; whoever ends the
+process meanwhile ends the trial with force off. Beside the verdict it is said what would decide an undecided trial, and
+how single sines compare with the noise.
+"""
+
+import signal
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hapticd.cli import options, output
-from hapticd.cli.progress import progress
+from hapticd.cli import terminal
+from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
-from hapticd.cli.zwidth.trial_words import asked_for, compared, needed
 
 if TYPE_CHECKING:
     from hapticd.analysis.impedance import Estimator
+    from hapticd.client import Client
     from hapticd.measure.progress import Progress
     from hapticd.measure.referee import Referee
-    from hapticd.measure.sources import Source
+    from hapticd.measure.sources import Source, Trial
     from hapticd.measure.store import Recorded
     from hapticd.measure.trial import TrialPlan, TrialResult
     from hapticd.plant.scene import Scene
+
+
+def asked_for(source: str, trial: "Trial", scene: "Scene | None", recorded: "Recorded | None") -> str:
+    """What is about to be flown or read, environment and all."""
+    k, b, m = trial.environment
+    what = f"K {k:g} N/m, B {b:g} N s/m, M {m:g} kg, added damping {trial.damping_ns_per_m:g} N s/m"
+    if recorded is not None:
+        return f"reads {recorded.origin}, {recorded.seconds:.4g} s at {recorded.rate_hz:.6g} Hz, as recorded in {what}"
+    device = f", device {scene.device} of scene {scene.name}" if scene else ""
+    return f"flies {what} by the {source}{device}"
+
+
+def needed(result: "TrialResult") -> str:
+    """What would decide, as far as it can be said."""
+    from math import ceil
+
+    from hapticd.analysis import verdict as outlook
+
+    verdict, layout = result.verdict, result.plan.params.multisine
+    voiding = sorted({finding.code for finding in verdict.findings if finding.voids})
+    if voiding:
+        return f"no length of a record decides with {' and '.join(voiding)} in it: mend that first"
+    if layout is None:
+        return outlook.needed(verdict.seconds_needed, verdict.seconds)
+    more = verdict.seconds_needed / verdict.seconds
+    if not more <= outlook.FORESEEABLE:
+        return f"many more than {layout.realisations} realisations would be needed; use noise (--excitation noise)"
+    distorted = any(finding.code == "distortion" for finding in verdict.findings)
+    remedy = "; where friction distorts, noise decides sooner" if distorted else ""
+    return f"some {outlook.two_digits(ceil(layout.realisations * more))} realisations would decide{remedy}"
+
+
+def compared(result: "TrialResult", referee: "Referee") -> str:
+    """Sines and noise side by side, each frequency of `referee` a line."""
+    import numpy as np
+
+    from hapticd.report.table import table, text
+
+    rows, moved = [], 1e3 * referee.velocity_rms_m_per_s
+    for f, speed, sine in zip(referee.frequency_hz, moved, referee.impedance_ns_per_m, strict=True):
+        noise = result.measured.impedance_ns_per_m[int(np.argmin(np.abs(result.measured.frequency_hz - f)))]
+        sizes = (part(z) for part in (abs, lambda z: float(np.degrees(np.angle(z)))) for z in (sine, noise))
+        rows.append((float(f), float(speed), *sizes))
+    columns = ("Hz", "sine mm/s rms", "sine |Z| N s/m", "noise |Z|", "sine phase deg", "noise phase")
+    title = f"stepped sine of {referee.force_n:g} N rms beside the noise"
+    return f"{text(table(columns, rows, title))}\n{_amplitudes(result, moved[np.isfinite(moved)].tolist())}"
+
+
+def _amplitudes(result: "TrialResult", sines_mm_per_s: list[float]) -> str:
+    """Why sines and noise may differ, and which of them is judged."""
+    noise = 1e3 * result.verdict.amplitude.velocity_sd_m_per_s
+    between = f"{min(sines_mm_per_s):.3g} to {max(sines_mm_per_s):.3g}" if sines_mm_per_s else "unknown"
+    return (
+        f"the sines move the device at {between} mm/s rms, the noise at {noise:.3g} mm/s at all frequencies together; dry friction "
+        "is another damping at each amplitude, so with it the two differ and a sine may leave +-90 deg alone; the verdict is the "
+        "noise's"
+    )
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A daemon's device by the name in its device file; `model`: the scene of the device of that name, if one is known."""
+
+    client: "Client"
+    instance: str
+    device: str
+    simulated: bool
+    model: "Scene | None"
+
+    @property
+    def origin(self) -> str:
+        """Of its records."""
+        return f"daemon {self.instance!r}, device {self.device!r}"
+
+
+def open_rig(instance: str, stack: ExitStack) -> Rig:
+    """Connect for as long as `stack`; what ends this process meanwhile ends the trial with force off. DaemonDown."""
+    from hapticd.cli.change import connect
+    from hapticd.measure.scenes import scene_of_device
+    from hapticd.params import EnvironmentParams, from_plain
+
+    stack.enter_context(_signals_end_with_force_off())
+    client = stack.enter_context(connect(instance))
+    servo = client.hello()["servo"]
+    name, model = servo["device"]["name"], scene_of_device(servo["device"]["name"])
+    if model is not None:
+        own = from_plain(EnvironmentParams, servo["environment"])
+        filtered = replace(model.environment, velocity_filter=own.velocity_filter, acceleration_filter=own.acceleration_filter)
+        model = replace(model, environment=filtered)
+    return Rig(client, instance, name, servo["simulated"], model)
+
+
+def announce(rig: Rig, trial: "Trial", scene: "Scene | None") -> None:
+    """What is about to happen, on stderr, before it does. `scene` is the one that was named."""
+    from hapticd.measure.watch import CENTRING_N_PER_M
+
+    k, b, m = trial.environment
+    kind = "simulated" if rig.simulated else "real, it moves"
+    terminal.talk(
+        f"enables the device {rig.device!r} of daemon {rig.instance!r} ({kind}) in K {k:g} N/m, B {b:g} N s/m, M {m:g} kg, "
+        f"added damping {trial.damping_ns_per_m:g} N s/m, and shakes it; Ctrl-C ends it, force off"
+    )
+    if k == 0.0:
+        terminal.talk(f"with K = 0 nothing holds the device in its travel; -K {CENTRING_N_PER_M:g} would")
+    if rig.model is None:
+        terminal.talk(f"no model of a device {rig.device!r} is known, so nothing is predicted")
+    if scene is not None and (rig.model is None or scene.device != rig.model.device):
+        terminal.talk(
+            f"scene {scene.name!r} is of the device {scene.device!r}, the daemon has {rig.device!r}: what the scene says is "
+            "rendered on that"
+        )
+
+
+@contextmanager
+def _signals_end_with_force_off() -> Iterator[None]:
+    """Whoever ends this process, or closes its terminal, gets what Ctrl-C gets: force off. Exit 128 + the signal's number."""
+
+    def leave(number: int, frame: object) -> None:
+        raise SystemExit(128 + number)
+
+    heard = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) == signal.SIG_DFL]
+    for number in heard:
+        signal.signal(number, leave)
+    try:
+        yield
+    finally:
+        for number in heard:
+            signal.signal(number, signal.SIG_DFL)
+
 
 LIVE = ("engine", "lockstep", "live")
 FROM = "engine: simulate; lockstep: the whole stack on virtual time; live: the daemon's device, ENABLED by this; else a FILE."
 ENGINE_SCENE = "fig4"  # of engine and lockstep where none is named
 
 
-def command(
+def trial(
     source: Annotated[str, typer.Argument(metavar="engine|lockstep|live|FILE", help=FROM)] = "engine",
     scene: Annotated[
         str, typer.Option("--scene", metavar="NAME|FILE", help="Device and environment; engine, lockstep: else fig4.")
@@ -61,11 +198,11 @@ def command(
     high_pass: Annotated[
         float, typer.Option("--high-pass", metavar="HZ", help="Known corner of an AC-coupled velocity channel, taken out.", min=0)
     ] = 0.0,
-    instance: options.Instance = options.INSTANCE,
+    instance: terminal.Instance = terminal.INSTANCE,
     out: common.Out = None,
     plot: common.Plot = False,
     admittance: common.Admittance = False,
-    as_json: options.Json = False,
+    as_json: terminal.Json = False,
 ) -> None:
     """One trial of one environment: the probe shakes, impedance by spectral analysis, passive or not.
 
@@ -105,7 +242,7 @@ def command(
         if source == "live":
             plan, recorder = _live(plan, loaded, instance, stack)
         else:
-            output.talk(asked_for(source, trial, loaded, recorded))
+            terminal.talk(asked_for(source, trial, loaded, recorded))
             recorder = file_source(recorded) if recorded else _source(source, named, loaded, stack)
         tell = stack.enter_context(progress())
         result = _flown(plan, recorder, source in LIVE, tell)
@@ -142,11 +279,10 @@ def _live(plan: "TrialPlan", scene: "Scene | None", instance: str, stack: ExitSt
     """The plan with the curve of the daemon's device, and the source. Whether the loop is stable is seen, not predicted."""
     from dataclasses import replace
 
-    from hapticd.cli.zwidth.live import announce, rig
     from hapticd.measure.bench import bench_source
     from hapticd.measure.trial import plan_trial
 
-    found = rig(instance, stack)
+    found = open_rig(instance, stack)
     announce(found, plan.params.trial, scene)
     return replace(plan_trial(replace(plan.params, scene=found.model)), spectral_radius=None), bench_source(
         found.client, found.origin
@@ -170,30 +306,30 @@ def _show(result: "TrialResult", referee: "Referee | None", folder: Path, plot: 
 
     write(folder, result, common.told(), referee)
     with common.drawing(folder):
-        paths = draw(result, folder, referee, admittance) if plot else []
+        paths = draw_trial(result, folder, referee, admittance) if plot else []
     if as_json:
-        output.data_json(
+        terminal.data_json(
             {"ok": True, **plain(summary(result, referee)), "folder": str(folder), "figures": [str(path) for path in paths]}
         )
         return
     k, b, m = result.plan.params.trial.environment
     who = "SIMULATED " if result.recorded.simulated else ""
-    output.data(
+    terminal.data(
         f"{who}{result.recorded.origin}: K {k:g} N/m, B {b:g} N s/m, M {m:g} kg, "
         f"added damping {result.plan.params.trial.damping_ns_per_m:g} N s/m"
     )
-    output.data(str(result.verdict))
-    output.data(f"the interval covers {result.covers}")
+    terminal.data(str(result.verdict))
+    terminal.data(f"the interval covers {result.covers}")
     if result.recorded.ended:
-        output.data(f"ended early: {result.recorded.ended}")
+        terminal.data(f"ended early: {result.recorded.ended}")
     if result.verdict.answer == "undecided":
-        output.data(needed(result))
+        terminal.data(needed(result))
     if referee is not None:
-        output.data(compared(result, referee))
+        terminal.data(compared(result, referee))
     common.kept(folder, paths)
 
 
-def draw(result: "TrialResult", folder: Path, referee: "Referee | None" = None, admittance: bool = True) -> list[Path]:
+def draw_trial(result: "TrialResult", folder: Path, referee: "Referee | None" = None, admittance: bool = True) -> list[Path]:
     """The figure of the trial, and that of its admittance if asked."""
     from hapticd.report import style
     from hapticd.report.trial import trial_figure
@@ -202,3 +338,38 @@ def draw(result: "TrialResult", folder: Path, referee: "Referee | None" = None, 
     if admittance:
         paths += style.save(trial_figure(result, referee, admittance=True), folder, "trial_admittance")
     return paths
+
+
+RecordFile = Annotated[
+    Path,
+    typer.Argument(
+        metavar="FILE", help=".csv, .npz, .mat or .h5 with force in N and velocity in m/s; a recording, its export, a run folder."
+    ),
+]
+
+
+def import_record(
+    file: RecordFile,
+    stiffness: Annotated[float | None, typer.Option("-K", "--stiffness", metavar="N/M", help="What was rendered.")] = None,
+    viscous: Annotated[float | None, typer.Option("-B", "--viscous", metavar="NS/M", help="What was rendered.")] = None,
+    mass: Annotated[float | None, typer.Option("-M", "--mass", metavar="KG", help="What was rendered.")] = None,
+    damping: Annotated[float | None, typer.Option("--damping", metavar="NS/M", help="Electrical damping.", min=0)] = None,
+    force: Annotated[str, typer.Option("--force-column", metavar="NAME", help="Of FILE.")] = "",
+    velocity: Annotated[str, typer.Option("--velocity-column", metavar="NAME", help="Of FILE.")] = "",
+    rate_hz: Annotated[float | None, typer.Option("--rate-hz", metavar="HZ", help="Where FILE does not say.")] = None,
+    skew: Annotated[float, typer.Option("--skew", metavar="S", help="Known delay of the velocity channel, taken out.")] = 0.0,
+    high_pass: Annotated[
+        float, typer.Option("--high-pass", metavar="HZ", help="Known corner of an AC-coupled velocity channel, taken out.", min=0)
+    ] = 0.0,
+    band: common.Band = (2.0, 500.0),
+    out: common.Out = None,
+    plot: common.Plot = False,
+    as_json: terminal.Json = False,
+) -> None:
+    """Bring in a record of any other system: a run folder with the record, its verdict and summary (run.json) and impedance.csv,
+    as `trial` makes them. A recording, its exports and a run folder say themselves what was rendered.
+    """
+    trial(
+        source=str(file), stiffness=stiffness, viscous=viscous, mass=mass, damping=damping, force=force, velocity=velocity,
+        rate_hz=rate_hz, skew=skew, high_pass=high_pass, band=band, out=out, plot=plot, as_json=as_json,
+    )  # fmt: skip

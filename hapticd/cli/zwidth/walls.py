@@ -4,8 +4,8 @@ from typing import Annotated
 
 import typer
 
-from hapticd.cli import options, output
-from hapticd.cli.progress import progress
+from hapticd.cli import terminal
+from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
 
 
@@ -28,7 +28,7 @@ def command(
     still: Annotated[float, typer.Option("--still", metavar="M/S", help="Speed to and fro that counts as rest.")] = 2e-3,
     out: common.Out = None,
     plot: common.Plot = True,
-    as_json: options.Json = False,
+    as_json: terminal.Json = False,
 ) -> None:
     """How stiff a virtual wall may be at each damping before an impact sets it oscillating: the K-B plot of one device."""
     import numpy as np
@@ -55,7 +55,7 @@ def command(
         paths = style.save(walls_figure(result), folder, "walls") if plot else ()
     if as_json:
         lines = plain(result.lines)
-        output.data_json({"ok": True, "lines": lines, "folder": str(folder), "figures": [str(path) for path in paths]})
+        terminal.data_json({"ok": True, "lines": lines, "folder": str(folder), "figures": [str(path) for path in paths]})
         return
     rows: list[tuple[str | float, ...]] = [
         (
@@ -65,5 +65,5 @@ def command(
         for place in range(len(dampings))
     ]
     columns = ("wall B N s/m", *(f"K N/m at {level:g} N s/m" for level in plan.params.levels))
-    output.data(text(table(columns, rows, f"SIMULATED {loaded.device}: stiffest stable wall, by added damping")))
+    terminal.data(text(table(columns, rows, f"SIMULATED {loaded.device}: stiffest stable wall, by added damping")))
     common.kept(folder, paths)

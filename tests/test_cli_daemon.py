@@ -9,10 +9,7 @@ from typing import Any, Self
 import pytest
 
 import hapticd.__main__ as entry
-from hapticd.cli import change, home, output
-from hapticd.cli import get as get_verb
-from hapticd.cli import perturb as perturb_verb
-from hapticd.cli import status as status_verb
+from hapticd.cli import change, daemon, terminal
 from hapticd.cli.app import main
 from hapticd.client import Receipt, fast_stop
 from hapticd.errors import CommandError, ConfigError, DaemonDown, HapticdError, RealtimeError
@@ -70,7 +67,7 @@ class ClientDouble:
 @pytest.fixture
 def client(monkeypatch: pytest.MonkeyPatch) -> ClientDouble:
     double = ClientDouble()
-    for module in (change, get_verb, home, perturb_verb, status_verb):
+    for module in (change, daemon):
         monkeypatch.setattr(module, "connect", lambda instance, timeout_s=2.0: double)
     return double
 
@@ -241,10 +238,10 @@ def test_colour_only_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
             return True
 
     monkeypatch.delenv("NO_COLOR", raising=False)
-    assert output.coloured("x", output.RED) == "x"
-    assert output.coloured("x", output.RED, Terminal()) == "\x1b[1;31mx\x1b[0m"
+    assert terminal.coloured("x", terminal.RED) == "x"
+    assert terminal.coloured("x", terminal.RED, Terminal()) == "\x1b[1;31mx\x1b[0m"
     monkeypatch.setenv("NO_COLOR", "1")
-    assert output.coloured("x", output.RED, Terminal()) == "x"
+    assert terminal.coloured("x", terminal.RED, Terminal()) == "x"
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,216 @@
+"""Record a running daemon; finish, look at and convert recordings; replay them through the servo's own step."""
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from hapticd.cli import terminal
+from hapticd.cli.change import changes, connect
+from hapticd.errors import ConfigError, HapticdError
+
+if TYPE_CHECKING:
+    from hapticd.mailbox.layout import Value
+    from hapticd.measure.recorder import Progress
+    from hapticd.measure.reflight import Reflight
+
+
+NewFile = Annotated[Path, typer.Argument(metavar="FILE", help="NAME.h5; while it grows it is called NAME.part.h5.")]
+Seconds = Annotated[float | None, typer.Option("--seconds", metavar="S", help="Recorded time; else until Ctrl-C.", min=0.001)]
+Note = Annotated[str, typer.Option("--note", metavar="TEXT", help="Your words, kept in the file.")]
+
+
+def record(
+    file: NewFile,
+    seconds: Seconds = None,
+    note: Note = "",
+    instance: terminal.Instance = terminal.INSTANCE,
+    as_json: terminal.Json = False,
+) -> None:
+    """Record the running daemon: every tick with raw frames, the probe, events, and what a replay needs.
+
+    Ctrl-C ends it in order. A recorder that was killed loses at most 100 ms: `hapticd rec recover`.
+    """
+    from hapticd.assembly.process import on_stop
+    from hapticd.measure.recorder import RecordingParams, record
+
+    asked: list[bool] = []
+    on_stop(lambda: asked.append(True))
+    with connect(instance) as client, _bar(seconds, quiet=as_json) as tell:
+        result = record(client, RecordingParams(file, seconds, note), lambda: bool(asked), tell)
+    if as_json:
+        terminal.data_json({"ok": True, **result})
+    else:
+        terminal.data(finished_line(result["ended"], result))
+
+
+def finished_line(ended: str, summary: dict[str, Any]) -> str:
+    """One line about a finished file."""
+    simulated = "SIMULATED, " if summary["simulated"] else ""
+    missing, size_mb = summary["missing"]["servo"], summary["bytes"] / 1e6
+    taken = f"{summary['seconds']:.3f} s, {summary['records']} records, {missing} missing"
+    return f"{summary['file']}: {ended}, {simulated}{taken}, {size_mb:.3g} MB"
+
+
+@contextmanager
+def _bar(seconds: float | None, quiet: bool) -> "Iterator[Callable[[Progress], None]]":
+    """A progress bar on stderr, where someone watches."""
+    if quiet or not sys.stderr.isatty():
+        yield lambda progress: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bar
+
+    columns = TextColumn("recording"), BarColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
+    with Bar(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("", total=seconds)
+
+        def tell(progress: "Progress") -> None:
+            missing = f", {progress.missing} MISSING" if progress.missing else ""
+            text = f"{progress.seconds:.1f} s, {progress.records} records{missing}, {progress.file_bytes / 1e6:.1f} MB"
+            bar.update(task, completed=progress.seconds, description=text)
+
+        yield tell
+
+
+rec_app = typer.Typer(no_args_is_help=True, help="Finish, look at and convert recordings.")
+Source = Annotated[Path, typer.Argument(metavar="FILE", help="NAME.h5, NAME.part.h5 or NAME.flight.")]
+Target = Annotated[Path | None, typer.Argument(metavar="[OUT]", help="Else beside it, with another ending.", show_default=False)]
+Kind = Annotated[Literal["mat", "csv"], typer.Argument(metavar="mat|csv", help="MATLAB 5, or comma-separated values.")]
+ATTRIBUTES_SHOWN = (
+    "started_utc", "device_name", "device_serial", "rate_hz", "winding_c", "hapticd_version", "hapticd_commit", "kernel", "cpu",
+    "realtime", "note",
+)  # fmt: skip
+
+
+@rec_app.command()
+def recover(file: Source, out: Target = None, as_json: terminal.Json = False) -> None:
+    """Make a finished file of one whose recorder died, or of a flight recording."""
+    from hapticd.measure.recording.pack import packed
+
+    summary = packed(file, out or _beside(file, ".h5"), recovered=True)
+    if as_json:
+        terminal.data_json({"ok": True, **summary})
+    else:
+        terminal.data(finished_line("recovered", summary))
+
+
+@rec_app.command()
+def info(file: Source, as_json: terminal.Json = False) -> None:
+    """What is in a recording and where it comes from."""
+    from hapticd.measure.recording.file import open_recording
+    from hapticd.measure.recording.pack import summary
+
+    with open_recording(file) as recording:
+        found = summary(recording)
+        attributes = {name: _plain(value) for name, value in recording.attributes.items()}
+    if as_json:
+        terminal.data_json({"ok": True, **found, "attributes": attributes})
+        return
+    badge = terminal.coloured("SIMULATED  ", terminal.YELLOW) if found["simulated"] else ""
+    probe, missing = found["probe_samples"], found["missing"]
+    terminal.data(
+        f"{badge}{found['seconds']:.3f} s, {found['records']} records, {probe} probe samples, {found['lives']} servo life"
+    )
+    terminal.data(f"missing: {missing['servo']} records, {missing['probe']} probe samples")
+    for name in ATTRIBUTES_SHOWN:
+        if attributes.get(name) not in (None, ""):
+            terminal.data(f"{name} = {attributes[name]}")
+
+
+def _plain(value: Any) -> Any:
+    return value.item() if hasattr(value, "item") else value
+
+
+@rec_app.command()
+def export(kind: Kind, file: Source, out: Target = None, as_json: terminal.Json = False) -> None:
+    """Convert: `hapticd rec export mat FILE`."""
+    from hapticd.measure.recording.file import open_recording
+    from hapticd.measure.recording.pack import to_csv, to_mat
+
+    target = out or _beside(file, f".{kind}")
+    with open_recording(file) as recording:
+        written = [to_mat(recording, target)] if kind == "mat" else to_csv(recording, target)
+    if as_json:
+        terminal.data_json({"ok": True, "files": [str(path) for path in written]})
+        return
+    for path in written:
+        terminal.data(str(path))
+
+
+def _beside(file: Path, ending: str) -> Path:
+    stem = file.name.removesuffix(".part.h5").removesuffix(".h5").removesuffix(".flight")
+    target = file.with_name(stem + ending)
+    if target.exists():
+        raise ConfigError(f"{target} exists; name another file")
+    return target
+
+
+ReplayFile = Annotated[Path, typer.Argument(metavar="FILE", help="NAME.h5, NAME.part.h5 or NAME.flight.")]
+Held = Annotated[list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Hold a setting, as in `hapticd set`; repeat.")]
+FilterHz = Annotated[float | None, typer.Option("--filter-hz", metavar="HZ", help="Hold the corners of both filters.", min=0.1)]
+ReplayPlot = Annotated[Path | None, typer.Option("--plot", metavar="NAME", help="Draw NAME.png and NAME.svg; with --set always.")]
+
+
+def replay(
+    file: ReplayFile, held: Held = None, filter_hz: FilterHz = None, plot: ReplayPlot = None, as_json: terminal.Json = False
+) -> None:
+    """Fly a recorded motion again: bit by bit as it was, or with settings held at other values; then draw both forces.
+
+    The motion stays the recorded one: it shows what the law would have asked for. Exit 1 if a plain flight differs by a bit.
+    """
+    from hapticd.measure.recording.file import open_recording
+    from hapticd.measure.reflight import refly
+
+    corners = ("filters.velocity_hz", "filters.acceleration_hz") if filter_hz is not None else ()
+    words = [*(held or []), *(f"{name}={filter_hz:g}" for name in corners)]
+    with open_recording(file) as recording:
+        begin = time.process_time()
+        flight = refly(recording, _instead(words))
+        seconds = time.process_time() - begin
+        rate_hz, simulated = recording.params.realtime.rate_hz, bool(recording.attributes["simulated"])
+    found = {**flight.plain(), "times_real_time": len(flight.flown) / rate_hz / seconds, "held": words}
+    if words or plot:
+        drawn = plot or file.with_name(f"{file.name.partition('.')[0]}-replay")
+        found["figures"] = _drawn(flight, drawn, f"{file.name}{', SIMULATED' if simulated else ''}", ", ".join(words))
+    if as_json:
+        terminal.data_json({"ok": True, **found})
+    else:
+        _show_replay(found)
+    if not words and flight.different is not None:
+        raise HapticdError(f"{file}: the flight differs from the recording; another version recorded it, or the file is damaged")
+
+
+def _instead(words: list[str]) -> "dict[Value, float]":
+    from hapticd.gateway.limits import PLACES, flat
+    from hapticd.mailbox.layout import Value
+
+    found = {PLACES[name]: float(value) for name, value in flat(changes(words))}
+    if Value.ADDED_DAMPING in found:
+        found[Value.ADDED_DAMPING_ON] = float(found[Value.ADDED_DAMPING] != 0.0)
+    return found
+
+
+def _drawn(flight: "Reflight", path: Path, title: str, changed: str) -> list[str]:
+    from hapticd.report.style import save
+    from hapticd.report.trial import reflight_figure
+
+    figure = reflight_figure(flight, title, changed or "flown again")
+    return [str(one) for one in save(figure, path.parent, path.name.removesuffix(".png").removesuffix(".svg"))]
+
+
+def _show_replay(found: dict[str, Any]) -> None:
+    verdict = "bit-exact" if found["bit_exact"] else "different"
+    terminal.data(f"{found['ticks']} ticks in {found['legs']} legs, {found['times_real_time']:.0f} x real time: {verdict}")
+    if first := found["first_difference"]:
+        terminal.data(f"from tick {first['tick']}: {first['field']} was {first['recorded']}, is {first['flown']}")
+    for name in ("recorded", "flown"):
+        rms_n, peak_n = found["force_rms_n"][name], found["force_peak_n"][name]
+        terminal.data(f"force {name:8}  rms {rms_n:.4g} N, peak {peak_n:.4g} N")
+    for path in found.get("figures", []):
+        terminal.data(path)

@@ -1,0 +1,195 @@
+"""The machine and its configuration: check, show and resolve it; is the machine fit; what a service needs.
+
+All three print and none applies anything: `doctor` names the exact fix of what it finds, `install-system` writes files
+below a root.
+"""
+
+import subprocess
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hapticd.cli import terminal
+from hapticd.errors import RealtimeError
+
+if TYPE_CHECKING:
+    from hapticd.doctor.checks import CheckResult, Requirements
+
+
+config_app = typer.Typer(no_args_is_help=True, help="Check, show and resolve the configuration.")
+ConfigArgument = Annotated[Path | None, typer.Argument(metavar="[FILE]", help="Same as --config.", show_default=False)]
+
+
+@config_app.command("check")
+def check_config(file: ConfigArgument = None, config: terminal.ConfigFile = None, as_json: terminal.Json = False) -> None:
+    """Say what is wrong, with file, line, value and limit; exit 78 if anything is."""
+    from hapticd.gateway import auth
+    from hapticd.settings.build import gateway_params
+    from hapticd.settings.load import load
+
+    settings = load(file or config)
+    if warning := auth.warning(gateway_params(settings)):
+        terminal.talk(f"hapticd: {settings.origins['gateway.tcp_host']}: {warning}")
+    found = {"ok": True, "config": str(settings.config_file), "device": str(settings.device_file), "hash": settings.config_hash}
+    if as_json:
+        terminal.data_json(found)
+    else:
+        terminal.data(f"{settings.config_file}: good, with device {settings.device.name!r} of {settings.device_file}")
+
+
+@config_app.command("show")
+def show_config(
+    file: ConfigArgument = None,
+    config: terminal.ConfigFile = None,
+    origin: Annotated[bool, typer.Option("--origin", help="Also where each value comes from.")] = False,
+    as_json: terminal.Json = False,
+) -> None:
+    """Every value in force with its unit; the device file under `device`."""
+    from hapticd.settings.explain import dotted, leaves
+    from hapticd.settings.load import load
+    from hapticd.units import unit_of
+
+    settings = load(file or config)
+    if as_json and not origin:
+        terminal.data_json({**settings.plain(), "config_hash": settings.config_hash})
+        return
+    rows = [
+        (dotted(path), value, unit_of(str(path[-1])), settings.origins.get(dotted(path)))
+        for path, value in leaves(settings.plain())
+    ]
+    if as_json:
+        terminal.data_json({key: {"value": value, "unit": unit, "origin": source} for key, value, unit, source in rows})
+        return
+    terminal.data(f"# {settings.config_file}\n# {settings.device_file}")
+    for key, value, unit, source in rows:
+        terminal.data(f"{key} = {_shown(value)}{f' {unit}' if unit else ''}" + (f"    # {source}" if origin else ""))
+
+
+def _shown(value: Any) -> str:
+    import json
+
+    return "(not set)" if value is None else json.dumps(value)
+
+
+@config_app.command("schema")
+def config_schema(
+    device: Annotated[bool, typer.Option("--device", help="Of device files instead.")] = False,
+    scene: Annotated[bool, typer.Option("--scene", help="Of scene files instead.")] = False,
+) -> None:
+    """The JSON schema of hapticd.toml, for editors and checkers."""
+    from hapticd.settings import schema
+
+    terminal.data(schema.text("device" if device else "scene" if scene else "config").rstrip("\n"))
+
+
+@config_app.command("resolve")
+def resolve_config(
+    config: terminal.ConfigFile = None,
+    instance: terminal.Instance = terminal.INSTANCE,
+    as_json: terminal.Json = False,
+) -> None:
+    """Write servo.json, board.json and gateway.json into the runtime folder, as `hapticd run` does."""
+    from hapticd.assembly.resolve import write
+    from hapticd.mailbox.files import runtime_folder
+    from hapticd.settings.load import load
+
+    settings = load(config)
+    written = write(runtime_folder(instance), settings, instance)
+    if as_json:
+        terminal.data_json({"ok": True, "hash": settings.config_hash, "files": {name: str(path) for name, path in written.items()}})
+        return
+    for path in written.values():
+        terminal.data(str(path))
+
+
+LEVEL_COLOURS = {"ok": terminal.GREEN, "warn": terminal.YELLOW, "fail": terminal.RED}
+Seconds = Annotated[float, typer.Option("--seconds", metavar="S", min=0, help="Length of the wake-up measurement; 0: none.")]
+Strict = Annotated[bool, typer.Option("--strict", help="Exit 6 if anything fails.")]
+
+
+def doctor(
+    config: terminal.ConfigFile = None,
+    instance: terminal.Instance = terminal.INSTANCE,
+    seconds: Seconds = 5.0,
+    strict: Strict = False,
+    as_json: terminal.Json = False,
+) -> None:
+    """Check rights, processor, kernel, USB, disk and folders, and measure how late this machine wakes. Changes nothing."""
+    from hapticd.doctor.checks import examine, requirements
+    from hapticd.doctor.machine import this_machine
+    from hapticd.settings.load import load
+
+    asked = requirements(load(config), instance)
+    findings = examine(this_machine(), asked)
+    measured: dict[str, Any] = {}
+    if seconds > 0:
+        if not as_json:
+            terminal.talk(f"measuring wake-ups for {seconds:g} s")
+        finding, measured = _wake(seconds, asked)
+        findings.append(finding)
+    failed = [finding.name for finding in findings if finding.level == "fail"]
+    if as_json:
+        terminal.data_json({"ok": not failed, "checks": [finding._asdict() for finding in findings], "wake": measured})
+    else:
+        for finding in findings:
+            _show_check(finding)
+    if failed:
+        terminal.talk(f"hapticd: {len(failed)} of {len(findings)} fail: {', '.join(failed)}")
+    if failed and strict:
+        raise typer.Exit(RealtimeError.exit_code)
+
+
+def _wake(seconds: float, asked: "Requirements") -> "tuple[CheckResult, dict[str, Any]]":
+    from hapticd.doctor import checks, wake
+
+    try:
+        measured = wake.measure(seconds, asked.realtime.core)
+    except (OSError, ValueError, subprocess.SubprocessError) as error:
+        return checks.fail("wake-up", f"could not be measured: {error}", "", "run it again on an idle machine"), {}
+    return wake.judge(measured, asked), measured
+
+
+def _show_check(finding: "CheckResult") -> None:
+    level = terminal.coloured(f"{finding.level:4}", LEVEL_COLOURS[finding.level])
+    terminal.data(f"{level}  {finding.name:16}  {finding.found}")
+    for label, text in (("why", finding.why), ("fix", finding.fix)):
+        if text:
+            terminal.data(f"      {label}: {text}")
+
+
+Print = Annotated[bool, typer.Option("--print", help="Show the files.")]
+Root = Annotated[Path | None, typer.Option("--root", metavar="DIR", help="Write them below DIR; / installs them on this machine.")]
+
+
+def install_system(
+    show: Print = False, root: Root = None, config: terminal.ConfigFile = None, as_json: terminal.Json = False
+) -> None:
+    """Write systemd units, udev rule, service user, folders and limits below a root, or show them. Applies nothing."""
+    from hapticd.assembly.system_files import NEXT_STEPS, hidden_interpreter, system_files, write_below
+    from hapticd.settings.build import servo_params
+    from hapticd.settings.load import load
+
+    if show == (root is not None):
+        raise typer.BadParameter("say one of --print and --root DIR")
+    files = system_files(servo_params(load(config), terminal.INSTANCE).usb)
+    if warning := hidden_interpreter():
+        terminal.talk(f"hapticd: warning: {warning}")
+    if root is None:
+        _show_files(files, as_json)
+        return
+    written = write_below(root, files)
+    if as_json:
+        terminal.data_json({"ok": True, "files": [str(path) for path in written], "next": NEXT_STEPS})
+        return
+    for path in written:
+        terminal.data(str(path))
+    terminal.talk("next, as root:\n  " + "\n  ".join(NEXT_STEPS))
+
+
+def _show_files(files: dict[str, str], as_json: bool) -> None:
+    if as_json:
+        terminal.data_json({"ok": True, "files": files})
+        return
+    for place, content in files.items():
+        terminal.data(f"# === /{place}\n{content}")

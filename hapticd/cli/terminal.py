@@ -1,0 +1,121 @@
+"""What verbs share: options, what is printed where, the one progress bar, and figures on disk.
+
+Data go to stdout, talk to stderr, errors are one line each. rich and matplotlib are loaded where they are used.
+"""
+
+import json
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hapticd.errors import CommandError, HapticdError
+from hapticd.mailbox.files import DEFAULT_INSTANCE
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from hapticd.measure.progress import Progress
+
+
+BOLD, RED, YELLOW, GREEN = "1", "1;31", "1;33", "1;32"
+
+
+def data(text: str) -> None:
+    """A line of data."""
+    print(text, flush=True)
+
+
+def data_json(content: Any) -> None:
+    """One object in one line."""
+    print(json.dumps(content, default=str), flush=True)
+
+
+def talk(text: str) -> None:
+    """A line for a person who watches."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def hush() -> None:
+    """Nobody reads any more: drop everything that this process writes from here on."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for descriptor in (1, 2):
+        os.dup2(nowhere, descriptor)
+    os.close(nowhere)
+
+
+def coloured(text: str, colour: str, stream: Any = None) -> str:
+    """`text` in `colour` if the stream (default stdout) is a terminal and NO_COLOR is not set."""
+    plain = os.environ.get("NO_COLOR") or not (stream or sys.stdout).isatty()
+    return text if plain else f"\x1b[{colour}m{text}\x1b[0m"
+
+
+def complain(error: HapticdError, as_json: bool) -> None:
+    """What went wrong, in one line for each thing; with --json also as an object on stdout."""
+    for line in str(error).splitlines():
+        talk(f"{coloured('hapticd:', RED, sys.stderr)} {line}")
+    if as_json:
+        code = error.code if isinstance(error, CommandError) else type(error).__name__
+        detail = error.detail if isinstance(error, CommandError) else None
+        data_json({"ok": False, "error": {"code": code, "message": str(error), "detail": detail}})
+
+
+Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
+JsonLines = Annotated[bool, typer.Option("--json", help="One JSON object per line on stdout.")]
+Instance = Annotated[str, typer.Option("--instance", metavar="NAME", help="Which daemon.")]
+ConfigFile = Annotated[
+    Path | None,
+    typer.Option("--config", metavar="FILE", help="Configuration; else $HAPTICD_CONFIG, ~/.config, /etc, the shipped one."),
+]
+INSTANCE = DEFAULT_INSTANCE
+
+
+SIMULATED_BANNER = """\
+ ████  █  █   █  █   █  █       ███   █████  █████  ████
+█      █  ██ ██  █   █  █      █   █    █    █      █   █
+ ███   █  █ █ █  █   █  █      █████    █    ████   █   █
+    █  █  █   █  █   █  █      █   █    █    █      █   █
+████   █  █   █   ███   █████  █   █    █    █████  ████"""
+
+
+@contextmanager
+def progress(quiet: bool = False) -> "Iterator[Progress]":
+    """Yields `tell(what, done, total)`, which draws the bar; without a terminal, or `quiet`, it does nothing."""
+    from rich import progress as bars
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    columns = (bars.BarColumn(30), bars.MofNCompleteColumn(), bars.TimeElapsedColumn(), bars.TimeRemainingColumn())
+    hidden = quiet or not console.is_terminal
+    with bars.Progress(*columns, bars.TextColumn("{task.description}"), console=console, transient=True, disable=hidden) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda what, done, total: bar.update(task, description=what, completed=done, total=total)
+
+
+SceneName = Annotated[str, typer.Argument(metavar="SCENE", help="A shipped scene, or a path to a .toml file.")]
+Plot = Annotated[bool, typer.Option("--plot/--no-plot", help="Draw a figure, PNG and SVG.")]
+Out = Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Where figures go.")]
+HERE = Path()
+
+
+def need_figures(wanted: bool) -> None:
+    """Fail before the work rather than after it: ConfigError if figures are wanted and matplotlib is missing."""
+    if wanted:
+        from hapticd.report import style
+
+        with style.styled():
+            pass
+
+
+def save_figure(figure: "Figure", folder: Path, name: str, as_json: bool) -> list[str]:
+    """Save NAME.png and NAME.svg and say where; the paths."""
+    from hapticd.report import style
+
+    paths = [str(path) for path in style.save(figure, folder, name)]
+    if not as_json:
+        talk(f"drawn: {', '.join(paths)}")
+    return paths
