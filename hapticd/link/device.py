@@ -23,9 +23,9 @@ from hapticd.wire.frames import Hello, Request
 
 SEED = 1 << 20
 STALE_READS = 2
-Head = tuple[int, ...]  # fields of frames.IN_HEAD
+Head = tuple[int, ...]  # fields of frames.IN_SEALED
 Received = tuple[int, int, Head]  # arrival, unwrapped board time [us], head
-_EMPTY: Head = (0,) * 15
+NO_HEAD: Head = (0,) * 16
 
 
 class Device:
@@ -67,7 +67,7 @@ def _exchange(device: Device) -> tuple[Callable[[], None], Callable[[], Received
     parse, pack = codec.in_parser(in_buffer), codec.out_packer(out_buffer)
     shortest, longest = ceil(0.5 * period_us), floor(1.5 * period_us)  # whole, as board time is
     incoming, outgoing = session.SequenceCounter(), session.SequenceCounter()
-    head, board_us, expected, sent, missing, seeding = _EMPTY, 0, -1, 0, 0, True
+    head, board_us, expected, sent, missing, seeding = NO_HEAD, 0, -1, 0, 0, True
 
     def begin() -> None:
         nonlocal expected, missing, seeding

@@ -20,12 +20,17 @@ Store = Callable[[int, int], None]
 Load = Callable[[int], int]
 
 
+def plain_store(machine: str | None = None) -> bool:
+    """Whether a plain assignment publishes on this (or the named) machine: what a tick may do without a call."""
+    return (machine or platform.machine()) in STRONGLY_ORDERED
+
+
 def word_access(words: "memoryview[int]", machine: str | None = None) -> tuple[Store, Load]:
     """`(store(index, value), load(index))` with release and acquire order for u64 `words` on this (or the named) machine.
 
     Raises MailboxError where the machine is weakly ordered and libatomic is missing.
     """
-    if (machine or platform.machine()) in STRONGLY_ORDERED:
+    if plain_store(machine):
         return words.__setitem__, words.__getitem__
     return _libatomic_access(words)
 

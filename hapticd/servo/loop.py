@@ -2,7 +2,9 @@
 
     wait -> receive -> commands -> step -> send -> record -> next deadline
 
-Everything a tick needs is a local name; what is rare (a lost link, commands, answers, late ticks) is a call. A late tick
+Everything a tick needs is a local name; what is rare (a lost link, commands, answers, late ticks) is a call. The loop is a
+`while True`: CPython 3.11 specialises the instructions of a function that is entered once only after it has gone round a
+loop that ends in an unconditional jump, and unspecialised ones cost a seventh more. A late tick
 drops whole slots and never catches up; late events and lost slots are counted apart, those of the first second (`grace`)
 on their own. With the board gone the ticks go on: records say so, the force is 0, and the board is looked for with
 back-off. The loop ends when `stopping` is set or `ticks` are done; `finish` disables.
@@ -11,8 +13,9 @@ back-off. The loop ends when `stopping` is set or `ticks` are done; `finish` dis
 from hapticd.clock import Clock
 from hapticd.errors import HapticdError, LinkError, LinkLost, MailboxError
 from hapticd.link.base import backoff_s
-from hapticd.link.device import Device, Head
+from hapticd.link.device import NO_HEAD, Device, Head
 from hapticd.mailbox import layout
+from hapticd.mailbox.fence import plain_store
 from hapticd.mailbox.layout import Flag
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.params import ScaleParams, ServoParams
@@ -58,7 +61,9 @@ class ServoLoop:
         mailbox, device, inbox, streamer = self.mailbox, self.device, self.inbox, self.streamer
         words, stop_words, ring = mailbox.words, mailbox.stop_words, mailbox.ring
         publish, pack = mailbox.publish_head, layout.RECORD.pack_into
+        plain, ring_words = plain_store(), mailbox.ring_words
         beat_word, head_word = layout.GATEWAY_BEAT_WORD, layout.COMMAND_HEAD_WORD
+        ring_head = layout.TELEMETRY_HEAD_WORD
         servo_beat, first_slot, size, slots = (
             layout.SERVO_BEAT_WORD,
             layout.TELEMETRY_OFFSET,
@@ -69,17 +74,21 @@ class ServoLoop:
         in_bytes, out_bytes = device.in_buffer.tobytes, device.out_buffer.tobytes
         (temperature, t0), (current, c0), (voltage, v0), (emf, e0) = _sensor_lines(self.params)
         timeout_ns, period_ns = int(self.params.safety.gateway_timeout_s * NS_PER_S), self.period_ns
-        head: Head = (0,) * 15
+        head: Head = NO_HEAD
         board_us = publish_ns = 0
+        slot, end_slot = first_slot + self.tick % slots * size, first_slot + slots * size
         last = None if ticks is None else self.tick + ticks
 
         def rehearse() -> None:
             if self.tick < self.state[0]:  # not the long way: cold it takes longer than the spin
                 step(self.state, (), (head[6], head[4], head[10], 0, self.state[11], 0), self.tick)
-            pack(ring, first_slot + self.tick % slots * size, *_BLANK)  # the oldest record, which the tick replaces anyway
+            pack(ring, slot, *_BLANK)  # the oldest record, which the tick replaces anyway
 
-        while not self.stopping and self.tick != last:
-            deadline, tick = self.deadline_ns, self.tick
+        while True:
+            tick = self.tick
+            if self.stopping or tick == last:
+                break
+            deadline = self.deadline_ns
             start = wait(deadline, rehearse)
             if self.linked:
                 try:
@@ -89,6 +98,7 @@ class ServoLoop:
             else:
                 arrival = self._search(start)
             got = clock()
+            _, _, _, _, status, _, encoder, amperes, volts, speed, heat, level, _, index, _, _ = head
 
             commands: tuple[Request, ...] = ()
             # a plain load of the head is a hint, at worst a tick old; `take` loads it in order
@@ -99,12 +109,12 @@ class ServoLoop:
             age_ns = start - words[beat_word]
             if age_ns < timeout_ns and age_ns > -timeout_ns:  # no chain: CPython compares two small integers faster alone
                 host |= GATEWAY_ALIVE
-            self.state, output = step(self.state, commands, (head[6], head[4], head[10], arrival, host, head[13]), tick)
+            self.state, output = step(self.state, commands, (encoder, status, heat, arrival, host, index), tick)
             state = self.state
             torque, x, v, a, spring, damper, inertia, field, force, flags, answers = output
             out_flags, count, samples = state[3], 0, NO_SAMPLES
             if out_flags & _PERTURB or streamer.playing:
-                out_flags, count, samples = streamer.follow(state[12].wave, out_flags, head[11])
+                out_flags, count, samples = streamer.follow(state[12].wave, out_flags, level)
             stepped = clock()
             if self.linked:
                 try:
@@ -114,30 +124,39 @@ class ServoLoop:
                     self._unlink(start)
             sent = clock()
 
-            wake_ns, read_ns = start - deadline, got - start
-            step_ns, write_ns = stepped - got, sent - stepped
-            if sent - deadline > _LONGEST_NS:
-                wake_ns, read_ns, step_ns, write_ns = (min(stage, _LONGEST_NS) for stage in (wake_ns, read_ns, step_ns, write_ns))
-            if wake_ns > period_ns:
-                flags |= _LATE
+            wake_ns = start - deadline
+            read_ns = got - start
+            step_ns = stepped - got
+            write_ns = sent - stepped
+            if sent - deadline > period_ns:  # rare: what makes a tick late, and what may not fit its field
+                if wake_ns > period_ns:
+                    flags |= _LATE
+                stages = (wake_ns, read_ns, step_ns, write_ns)
+                wake_ns, read_ns, step_ns, write_ns = (min(stage, _LONGEST_NS) for stage in stages)
             pack(
-                ring, first_slot + tick % slots * size, tick, start, board_us, state[5], flags, head[4], arrival, host, x, v, a,
+                ring, slot, tick, start, board_us, state[5], flags, status, arrival, host, x, v, a,
                 spring, damper, inertia, field, force, *state[7][0],
-                head[10] * temperature + t0, head[7] * current + c0, head[8] * voltage + v0, head[9] * emf + e0,
+                heat * temperature + t0, amperes * current + c0, volts * voltage + v0, speed * emf + e0,
                 wake_ns, read_ns, step_ns, write_ns, publish_ns, self._lost_slots,
                 in_bytes(), out_bytes(), tick,
             )  # fmt: skip
-            publish(0, tick + 1)
+            if plain:
+                ring_words[ring_head] = tick + 1
+            else:
+                publish(ring_head, tick + 1)
             words[servo_beat] = start
             if answers:
                 self._answer(answers)
             if not tick & 255:
                 self._tally()
             self.tick = tick + 1
-            self.deadline_ns += period_ns
+            slot += size
+            if slot == end_slot:
+                slot = first_slot
+            self.deadline_ns = deadline = self.deadline_ns + period_ns
             end = clock()
             publish_ns = end - sent
-            if end > self.deadline_ns:
+            if end > deadline:
                 publish_ns = min(publish_ns, _LONGEST_NS)
                 self._late(end)
 

@@ -159,20 +159,20 @@ def out_packer(buffer: "array[int]") -> Callable[..., None]:
 
 
 def in_parser(buffer: "array[int]") -> Callable[[], tuple[int, ...] | None]:
-    """`parse()` of the IN frame in `buffer` (array('B'), 64 bytes): the fields of IN_HEAD, or None if it is refused.
+    """`parse()` of the IN frame in `buffer` (array('B'), 64 bytes): the fields of IN_SEALED, or None if it is refused.
 
     Refused is what `decode_in` refuses: CRC, count or axis; the caller has checked that 64 bytes were read.
     Fields: seq, echo, axis, probe_count, status, board_time_us, encoder, current, voltage, emf_velocity, temperature,
-    fifo_level, reserved0, index_offset, probe_index. The pairs stay in the frame; whoever wants them decodes it whole.
+    fifo_level, reserved0, index_offset, probe_index, CRC. The pairs stay in the frame; whoever wants them decodes it whole.
     """
     body = memoryview(buffer)[: frames.IN_BYTES - frames.CRC.size]
-    head, seal, check = frames.IN_HEAD.unpack_from, frames.CRC.unpack_from, crc_hqx
-    initial, offset, axes, most = frames.CRC_INITIAL, len(body), frames.AXIS_COUNT, frames.PROBE_MAX
+    unpack, check, initial = frames.IN_SEALED.unpack_from, crc_hqx, frames.CRC_INITIAL
+    axes, most = frames.AXIS_COUNT, frames.PROBE_MAX
 
     def parse() -> tuple[int, ...] | None:
-        if seal(buffer, offset)[0] != check(body, initial):
+        fields = unpack(buffer)
+        if fields[15] != check(body, initial) or fields[2] >= axes or fields[3] > most:
             return None
-        fields = head(buffer)
-        return fields if fields[2] < axes and fields[3] <= most else None
+        return fields
 
     return parse

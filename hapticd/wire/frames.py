@@ -20,10 +20,12 @@ OUT_HEAD = struct.Struct("<HBBhHhBB")  # the first 12 bytes of OUT: all before t
 OUT_SAMPLES = struct.Struct("<6h")
 IN = struct.Struct("<HHBBHIihhhhBBhI12h6sH")
 IN_HEAD = struct.Struct("<HHBBHIihhhhBBhI")  # the first 32 bytes of IN: all but pairs and CRC
+IN_SEALED = struct.Struct(f"{IN_HEAD.format}30xH")  # IN without what lies between its head and its CRC
 IN_PAIRS = struct.Struct("<12h")
 HELLO = struct.Struct("<8sHBBHH16s8f16s")
 CRC = struct.Struct("<H")
 assert (OUT.size, IN.size, HELLO.size) == (OUT_BYTES, IN_BYTES, HELLO_BYTES)
+assert IN_SEALED.size == IN_BYTES
 assert IN_HEAD.size + IN_PAIRS.size + 6 + CRC.size == IN_BYTES
 
 
