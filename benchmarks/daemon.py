@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from benchmarks.worker import ROOT, environment
 from hapticd.client import Client
 from hapticd.mailbox import files
-from hapticd.settings.resources import shipped
+from hapticd.settings.toml import shipped
 
 START_S = 30.0
 

@@ -16,7 +16,7 @@ from hapticd.mailbox import files
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.params import BoardParams, GatewaySetup, ServoParams, from_plain
 from hapticd.settings.load import load
-from hapticd.settings.resources import shipped
+from hapticd.settings.toml import shipped
 from hapticd.units import NS_PER_S
 
 

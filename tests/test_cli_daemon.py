@@ -13,7 +13,7 @@ from hapticd.cli import change, daemon, terminal
 from hapticd.cli.app import main
 from hapticd.client import Receipt, fast_stop
 from hapticd.errors import CommandError, ConfigError, DaemonDown, HapticdError, RealtimeError
-from hapticd.settings.resources import shipped
+from hapticd.settings.toml import shipped
 
 EFFECTIVE = {"K": 100.0, "B": 1.0, "M": 0.01, "wall": {"side": 0}, "damping": 1.74, "damping_level": 1.74}
 RECEIPT = Receipt("applied", "enabled", 7, 1200, 1250, EFFECTIVE)

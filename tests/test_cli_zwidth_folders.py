@@ -14,7 +14,7 @@ from measured_scenes import RIGID
 from hapticd.cli.app import main
 from hapticd.cli.zwidth.common import scene_of
 from hapticd.measure.portable import device_hash
-from hapticd.settings.resources import shipped
+from hapticd.settings.toml import shipped
 
 pytest.importorskip("matplotlib")
 

@@ -25,7 +25,7 @@ from hapticd.measure.sources import Trial
 from hapticd.measure.trial import Layout, TrialParams
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.load import load
-from hapticd.settings.resources import shipped
+from hapticd.settings.toml import shipped
 
 pytest.importorskip("matplotlib")
 

@@ -15,9 +15,9 @@ from hapticd.faults import BY_CODE, BY_NUMBER, FAULTS
 from hapticd.gateway.schemas import MODELS
 from hapticd.gateway.telemetry import TOPICS
 from hapticd.mailbox.layout import TELEMETRY
-from hapticd.settings.explain import leaves
 from hapticd.settings.load import load
-from hapticd.settings.resources import shipped
+from hapticd.settings.tables import leaves
+from hapticd.settings.toml import shipped
 from hapticd.units import unit_of
 
 ROOT = Path(__file__).parents[1]

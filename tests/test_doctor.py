@@ -19,7 +19,7 @@ from hapticd.doctor.machine import CAP_IPC_LOCK, CAP_SYS_NICE, UNLIMITED, Machin
 from hapticd.params import RealtimeParams, UsbParams
 from hapticd.servo.wait import virtual_wait
 from hapticd.settings.load import load
-from hapticd.settings.resources import shipped
+from hapticd.settings.toml import shipped
 from hapticd.units import NS_PER_S, NS_PER_US
 
 Check = Callable[[Machine, Requirements], CheckResult]

@@ -21,7 +21,7 @@ from hapticd.measure.watch import Filler, Sentinel, Watch, loss_findings, summed
 from hapticd.plant.scene import Excitation
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.load import load
-from hapticd.settings.resources import shipped
+from hapticd.settings.toml import shipped
 
 SECONDS = 20.0
 TRIAL = Trial((100.0, 1.0, 0.0), seconds=SECONDS)

@@ -7,9 +7,9 @@ import pytest
 
 from hapticd.mailbox import layout
 from hapticd.params import BoardParams, GatewayParams, ServoParams, from_plain, to_plain
-from hapticd.settings import build, check, schema
-from hapticd.settings.load import Settings, load
-from hapticd.settings.resources import shipped
+from hapticd.settings import build, scene
+from hapticd.settings.load import HIGHEST_CORNER, Settings, load
+from hapticd.settings.toml import shipped
 
 
 @pytest.fixture
@@ -91,21 +91,21 @@ def test_key_folder_lies_beside_the_file(tmp_path: Path) -> None:
 
 
 def test_ranges_equal_those_of_commands() -> None:
-    """A file may ask for exactly what `hapticd set` may ask for: two rooms of one floor, one table."""
-    properties = {name: table["properties"] for name, table in schema.schema("config")["$defs"].items()}
+    """A file may ask for exactly what `hapticd set` may ask for: two packages of one layer, one table."""
+    properties = {name: table["properties"] for name, table in scene.schema("config")["$defs"].items()}
     places = {
         layout.Value.STIFFNESS: ("Environment", "stiffness_n_per_m"),
         layout.Value.DAMPING: ("Environment", "damping_ns_per_m"),
         layout.Value.MASS: ("Environment", "mass_kg"),
         layout.Value.VELOCITY_FILTER_HZ: ("Filter", "frequency_hz"),
         layout.Value.VELOCITY_FILTER_ZETA: ("Filter", "damping_ratio"),
-        layout.Value.WALL_STIFFNESS: ("Wall", "stiffness_n_per_m"),
-        layout.Value.WALL_DAMPING: ("Wall", "damping_ns_per_m"),
-        layout.Value.WALL_POSITION: ("Wall", "position_m"),
+        layout.Value.WALL_STIFFNESS: ("WallTable", "stiffness_n_per_m"),
+        layout.Value.WALL_DAMPING: ("WallTable", "damping_ns_per_m"),
+        layout.Value.WALL_POSITION: ("WallTable", "position_m"),
         layout.Value.RAMP_S: ("Safety", "default_ramp_s"),
     }
     for place, (table, name) in places.items():
         entry = properties[table][name]
         assert (entry["minimum"], entry["maximum"]) == layout.VALUE_LIMITS[place][:2], name
         assert entry.get("unit", "1") == layout.VALUE_LIMITS[place][2]
-    assert check.HIGHEST_CORNER == layout.FILTER_LIMIT
+    assert HIGHEST_CORNER == layout.FILTER_LIMIT

@@ -11,8 +11,8 @@ from hapticd.plant.compose import compose
 from hapticd.plant.effects import ALWAYS, KINDS, Coulomb, WindingTemperature
 from hapticd.settings import build
 from hapticd.settings.load import load
-from hapticd.settings.resources import shipped
 from hapticd.settings.scene import load_scene, scene_names
+from hapticd.settings.toml import shipped
 
 DEVICES = ("weir2008", "weir2008_probe_hp", "weir2008_literal", "ideal")
 SCENE = 'title = "t"\ndevice = "weir2008"\neffects = ["probe", "viscous"]\n'

@@ -23,7 +23,7 @@ from hapticd.errors import ConfigError
 from hapticd.mailbox import files, layout
 from hapticd.params import RealtimeParams, UsbParams
 from hapticd.settings.load import Override, load
-from hapticd.settings.resources import shipped
+from hapticd.settings.toml import shipped
 from hapticd.units import NS_PER_S
 
 UNITS = ("hapticd-servo.service", "hapticd-gateway.service", "hapticd.target")

@@ -8,7 +8,7 @@ from hapticd.gateway.telemetry import TOPICS
 from hapticd.mailbox.layout import TELEMETRY
 from hapticd.settings.build import servo_params
 from hapticd.settings.load import load
-from hapticd.settings.resources import shipped
+from hapticd.settings.toml import shipped
 from pages.markdown import table
 from pages.schemas import Schema, described
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from hapticd.settings.schema import FILES, schema
+from hapticd.settings.scene import SCHEMA_FILES, schema
 from pages.markdown import table
 from pages.schemas import Schema, described, resolved
 
@@ -10,7 +10,11 @@ from pages.schemas import Schema, described, resolved
 def settings_page(kind: str, title: str) -> str:
     """Every key of hapticd.toml or of a device file, with unit, range and default."""
     found = schema(kind)
-    parts = [f"# {title}\n", f"{found.get('description', '')}\n", f"The schema for editors and checkers: `config/{FILES[kind]}`.\n"]
+    parts = [
+        f"# {title}\n",
+        f"{found.get('description', '')}\n",
+        f"The schema for editors and checkers: `config/{SCHEMA_FILES[kind]}`.\n",
+    ]
     for path, entry in tables(found, found, ()):
         heading = f"## `[{'.'.join(path)}]`\n" if path else ""
         rows = [(f"`{name}`", *described(found, field, name in entry.get("required", []))) for name, field in leaves(found, entry)]

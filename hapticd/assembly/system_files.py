@@ -10,7 +10,7 @@ from pathlib import Path
 
 from hapticd.errors import ConfigError
 from hapticd.params import UsbParams
-from hapticd.settings.resources import shipped
+from hapticd.settings.toml import shipped
 
 PLACES = {
     "hapticd-servo.service": "etc/systemd/system/hapticd-servo.service",

@@ -12,7 +12,6 @@ import typer
 from hapticd.cli import terminal
 from hapticd.gateway.limits import PLACES, flat
 from hapticd.mailbox.layout import VALUE_LIMITS
-from hapticd.settings.meant import did_you_mean
 
 if TYPE_CHECKING:
     from hapticd.client import Client, Receipt
@@ -39,6 +38,8 @@ def changes(words: Sequence[str]) -> dict[str, Any]:
         if not equals:
             raise typer.BadParameter(f"{word!r}: write NAME=VALUE, for example K=100")
         if name not in NAMES:
+            from hapticd.settings.toml import did_you_mean
+
             raise typer.BadParameter(f"{name!r} is unknown{did_you_mean(name, NAMES)}; see `hapticd set --help`")
         *tables, leaf = name.split(".")
         table = found.setdefault(tables[0], {}) if tables else found

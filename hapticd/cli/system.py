@@ -46,8 +46,8 @@ def show_config(
     as_json: terminal.Json = False,
 ) -> None:
     """Every value in force with its unit; the device file under `device`."""
-    from hapticd.settings.explain import dotted, leaves
     from hapticd.settings.load import load
+    from hapticd.settings.tables import dotted, leaves
     from hapticd.units import unit_of
 
     settings = load(file or config)
@@ -78,9 +78,9 @@ def config_schema(
     scene: Annotated[bool, typer.Option("--scene", help="Of scene files instead.")] = False,
 ) -> None:
     """The JSON schema of hapticd.toml, for editors and checkers."""
-    from hapticd.settings import schema
+    from hapticd.settings.scene import schema_text
 
-    terminal.data(schema.text("device" if device else "scene" if scene else "config").rstrip("\n"))
+    terminal.data(schema_text("device" if device else "scene" if scene else "config").rstrip("\n"))
 
 
 @config_app.command("resolve")

@@ -33,9 +33,8 @@ from hapticd.measure.campaign import LevelMap
 from hapticd.measure.scenes import Display, device_scene, filters
 from hapticd.measure.store import plain
 from hapticd.plant.compose import compose
-from hapticd.settings.document import read
 from hapticd.settings.load import find_device
-from hapticd.settings.resources import shipped
+from hapticd.settings.toml import read, shipped
 
 SUFFIX, VERSION = ".zwidth", 1
 EDGES = ("upper", "lower", "phase_upper", "phase_lower")

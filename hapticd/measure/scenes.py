@@ -28,10 +28,9 @@ from hapticd.plant.effects import ALWAYS, Delay, Effect, Masses, Motor, Viscous,
 from hapticd.plant.model import Model
 from hapticd.plant.scene import Excitation, Scene
 from hapticd.settings.build import DEFAULT_PHASE, converter_effects, device_effects
-from hapticd.settings.device import Device, Plant
-from hapticd.settings.document import read
+from hapticd.settings.device import DeviceFile, RigidTable
 from hapticd.settings.load import find_device, validated
-from hapticd.settings.resources import shipped
+from hapticd.settings.toml import read, shipped
 from hapticd.sim.engine import BatchResult
 from hapticd.units import PROBE_RATE_HZ
 
@@ -186,7 +185,7 @@ def device_scene(name: str) -> Scene | None:
         document = read(find_device(name, shipped("config") / "hapticd.toml", "device"))
     except ConfigError:
         return None
-    device = validated(Device, document.data, document.where)
+    device = validated(DeviceFile, document.data, document.where)
     effects = _rigid(device, device.plant) if device.plant else device_effects(device)
     if not effects:
         return None
@@ -201,7 +200,7 @@ def scene_of_device(title: str) -> Scene | None:
     return None
 
 
-def _rigid(device: Device, plant: Plant) -> tuple[Effect, ...]:
+def _rigid(device: DeviceFile, plant: RigidTable) -> tuple[Effect, ...]:
     """The one mass that the simulated board moves without a model of effects, latched when it does by default."""
     return (
         Masses(rotor_kg=plant.mass_kg),

@@ -1,13 +1,24 @@
-"""From TOML files to frozen parameters, or to a message that names file, line, field, value, unit and limit.
+"""From TOML files to frozen parameters, or to a message that names file, line, field, value, unit and
+limit.
 
-    config/hapticd.toml --.                              .--> ServoParams    (servo.json)
-                          |-- load --> Settings -- build -|--> BoardParams    (board.json, simulated boards only)
-    devices/NAME.toml ----'                              '--> GatewayParams  (gateway.json)
+    config/hapticd.toml --.                               .--> ServoParams   servo.json
+                          |-- load --> Settings -- build -|--> BoardParams   board.json, simulated
+    devices/NAME.toml ----'                               '--> GatewayParams gateway.json
+    scenes/NAME.toml --------- load_scene -------------------> Scene         for simulations
 
-Rules. The models are strict (no "100" for 100), closed (no unknown key), frozen, and refuse NaN and infinity. A unit
-lives in the name of its field and nowhere else: `quantities.unit_of` reads it for messages and for the JSON schema. A
-default is written once, in `hapticd.params`; what the board is, and what one count means on it, in its device file alone.
+A unit lives in the name of its field and nowhere else. A default is written once, in
+`hapticd.params`; what the board is, and what one count means on it, in its device file alone.
 
-What would break it: a second place for a fact that the device file holds (limits and scales are checked against it, not
-repeated), or a value changed after validation (overrides are merged before it, so that they are checked as well).
+Meant for scripts and other packages:
+
+    load     load(file, overrides) -> Settings: the validated configuration with its device
+    scene    load_scene(name or file) -> Scene; scene_names(); schema(kind)
+    build    servo_params, board_params, gateway_params, device_params: what processes read
+    toml     shipped(folder): files that travel with the package; read(file); did_you_mean
+
+`config`, `device` and `tables` are the tables themselves.
+
+What would break it: a second place for a fact that the device file holds (limits and scales are
+checked against it, not repeated), or a value changed after validation (overrides are merged before
+it, so that they are checked as well).
 """

@@ -20,10 +20,9 @@ from hapticd.params import (
     WorkspaceParams,
 )
 from hapticd.plant.effects import DampingDac, Delay, Effect, Encoder, ForceDac, ProbeAdc, Saturation, sample_timing
-from hapticd.settings.device import SIGNED_FULL_COUNT, UNSIGNED_FULL_COUNT, Device, Travel
-from hapticd.settings.effects import effects_of
+from hapticd.settings.config import Environment
+from hapticd.settings.device import SIGNED_FULL_COUNT, UNSIGNED_FULL_COUNT, DeviceFile, Travel, effects_of
 from hapticd.settings.load import Settings
-from hapticd.settings.models import Environment
 
 DEFAULT_PHASE = 0.875  # of BoardParams
 
@@ -66,7 +65,7 @@ def board_params(settings: Settings) -> BoardParams | None:
     )
 
 
-def device_effects(device: Device, names: tuple[str, ...] | None = None) -> tuple[Effect, ...]:
+def device_effects(device: DeviceFile, names: tuple[str, ...] | None = None) -> tuple[Effect, ...]:
     """The effects of a simulated device that are built: those named, else those that its file names; none of a rigid one."""
     model = device.model
     if model is None:
@@ -75,7 +74,7 @@ def device_effects(device: Device, names: tuple[str, ...] | None = None) -> tupl
 
 
 def board_of(
-    device: Device, rate_hz: float, effects: tuple[Effect, ...], exact_levels: tuple[float, ...], **firmware: Any
+    device: DeviceFile, rate_hz: float, effects: tuple[Effect, ...], exact_levels: tuple[float, ...], **firmware: Any
 ) -> BoardParams:
     """The simulated board of `device` with these effects; without any it moves the rigid mass of [plant].
 
@@ -101,12 +100,12 @@ def board_of(
     )
 
 
-def _rigid(device: Device) -> dict[str, Any]:
+def _rigid(device: DeviceFile) -> dict[str, Any]:
     assert device.plant is not None
     return device.plant.model_dump(exclude={"source"})
 
 
-def _composed(device: Device, rate_hz: float, effects: tuple[Effect, ...], exact_levels: tuple[float, ...]) -> dict[str, Any]:
+def _composed(device: DeviceFile, rate_hz: float, effects: tuple[Effect, ...], exact_levels: tuple[float, ...]) -> dict[str, Any]:
     from hapticd.plant.compose import compose_device, refuse_unstable
     from hapticd.plant.tables import board_fields
 
@@ -129,7 +128,7 @@ def gateway_params(settings: Settings) -> GatewayParams:
     return GatewayParams(**plain)
 
 
-def device_params(device: Device) -> DeviceParams:
+def device_params(device: DeviceFile) -> DeviceParams:
     """Scales per count and limits of a device file."""
     limits = device.limits
     return DeviceParams(
@@ -167,7 +166,7 @@ def environment_params(asked: Environment, travel: Travel) -> EnvironmentParams:
     )
 
 
-def converter_effects(device: Device) -> dict[str, Effect]:
+def converter_effects(device: DeviceFile) -> dict[str, Effect]:
     """Quantisation and limits as the device's own scales have them; by key. What a scale says of its source is the note."""
     scales = device_params(device)
     return {

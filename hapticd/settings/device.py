@@ -1,25 +1,108 @@
-"""devices/NAME.toml: what one count means on this very device, and what it may be asked for.
+"""devices/NAME.toml: what one count means on this very device, what it may be asked for, and what a
+simulated board of it moves.
 
-A scale is written as the value at the converter's full count (32767 signed, 65535 for the damping scale factor), as
-hapticd_wire.h states nominal scales: value = sign * (count - offset_count) * full_scale / full_count. Position and
-temperature are per count.
+A scale is written as the value at the converter's full count (32767 signed, 65535 for the damping
+scale factor), as hapticd_wire.h states nominal scales:
+value = sign * (count - offset_count) * full_scale / full_count. Position and temperature are given
+per count.
+
+[model] holds one table per effect, made from the effects themselves, so that each is described
+once:
+
+    [model]
+    effects = ["probe", "coulomb"]      what a live simulated board builds; a scene names its own
+    [model.coulomb]
+    rotor_n = 0.0293
+    source = "calibrated"               paper | inferred | calibrated; `sources` tags single numbers
+
+Converters and limits are not repeated there: `encoder`, `force_dac`, `damping_dac`, `probe_adc` and
+`saturation` take their numbers from the scales and limits of the same file.
+
+What would break it: an effect with a field that is not a number.
 """
 
 import datetime
-from typing import Literal
+from collections.abc import Iterable
+from dataclasses import MISSING, fields
+from typing import TYPE_CHECKING, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, create_model
 
 from hapticd.params import HomeParams, ScaleParams
-from hapticd.settings.effects import DeviceModel
-from hapticd.settings.quantities import Table
+from hapticd.plant.effects import ALWAYS, BY_KEY, PROVENANCE, Effect
+from hapticd.settings.tables import TomlTable
+
+FROM_SCALES = ("encoder", "force_dac", "damping_dac", "probe_adc", "saturation")
+Tag = Literal["paper", "inferred", "calibrated"]
+
+
+class EffectTable(TomlTable):
+    """What every effect has beside its numbers."""
+
+    source: Tag
+    """Where its numbers come from."""
+    sources: dict[str, Tag] = Field(default_factory=dict)
+    """Numbers that come from elsewhere."""
+    note: str = ""
+    """What else is to be said."""
+
+
+def _table(kind: type[Effect]) -> type[EffectTable]:
+    numbers: dict[str, Any] = {}
+    for item in fields(kind):
+        if item.name not in PROVENANCE:
+            default = ... if item.default is MISSING else item.default
+            numbers[item.name] = (float, Field(default, **item.metadata))
+    return create_model(kind.__name__, __base__=EffectTable, __doc__=kind.__doc__, **numbers)
+
+
+TABLES = {key: _table(kind) for key, kind in BY_KEY.items() if key not in FROM_SCALES}
+
+
+class _Tables(TomlTable):
+    def table(self, key: str) -> Any:
+        """Of the effect `key`; None if the device has none."""
+        return getattr(self, key)
+
+
+if TYPE_CHECKING:
+
+    class DeviceModel(_Tables):
+        """The effects of a simulated device."""
+
+        effects: tuple[str, ...]
+
+else:
+    DeviceModel = create_model(
+        "DeviceModel",
+        __base__=_Tables,
+        __doc__="The effects of a simulated device.",
+        effects=(
+            tuple[str, ...],
+            Field(strict=False, description="What a live board builds; masses and motor are always there."),
+        ),
+        **{key: (table, ...) if key in ALWAYS else (table | None, None) for key, table in TABLES.items()},
+    )
+
+
+def effects_of(model: DeviceModel, names: Iterable[str], scales: dict[str, Effect]) -> tuple[Effect, ...]:
+    """The effects `names` with the numbers of `model`, those of converters from `scales`; always with masses and motor."""
+    chosen = [*ALWAYS, *(name for name in names if name not in ALWAYS)]
+    return tuple(scales[name] if name in FROM_SCALES else _effect(name, model.table(name)) for name in chosen)
+
+
+def _effect(key: str, table: EffectTable) -> Effect:
+    plain = table.model_dump()
+    plain["sources"] = tuple(plain["sources"].items())
+    return BY_KEY[key](**plain)
+
 
 SIGNED_FULL_COUNT, UNSIGNED_FULL_COUNT = 32767, 65535
 SERIAL_BYTES = 16  # of the hello reply
 _home = HomeParams()
 
 
-class Scale(Table):
+class Scale(TomlTable):
     sign: Literal[-1, 1] = 1
     offset_count: float = 0.0
     """Count that means zero."""
@@ -66,7 +149,7 @@ class Temperature(Scale):
     c_per_count: float = Field(gt=0)
 
 
-class Limits(Table):
+class LimitsTable(TomlTable):
     """What the device may be asked for; the configuration may only be stricter."""
 
     force_n: float = Field(gt=0)
@@ -77,14 +160,14 @@ class Limits(Table):
     """Faster is not a motion but a sensor fault."""
 
 
-class Travel(Table):
+class Travel(TomlTable):
     """Usable range of position after homing."""
 
     lower_m: float
     upper_m: float
 
 
-class Home(Table):
+class HomeTable(TomlTable):
     """How the origin of position is found."""
 
     method: Literal["none", "stop", "index"] = "none"
@@ -98,7 +181,7 @@ class Home(Table):
     timeout_s: float = Field(_home.timeout_s, gt=0, le=600)
 
 
-class Plant(Table):
+class RigidTable(TomlTable):
     """What the simulated board moves: one rigid mass, without a model of its effects."""
 
     mass_kg: float = Field(gt=0)
@@ -112,7 +195,7 @@ class Plant(Table):
     source: str = Field(min_length=1)
 
 
-class Device(Table):
+class DeviceFile(TomlTable):
     """A device file."""
 
     name: str = Field(min_length=1)
@@ -128,10 +211,10 @@ class Device(Table):
     voltage: Voltage
     emf_velocity: Velocity
     temperature: Temperature
-    limits: Limits
+    limits: LimitsTable
     travel: Travel
-    home: Home = Home()
-    plant: Plant | None = None
+    home: HomeTable = HomeTable()
+    plant: RigidTable | None = None
     """What a simulated board moves: one rigid mass."""
     model: DeviceModel | None = None
     """What a simulated board moves, in full, instead of `plant`."""

@@ -1,10 +1,18 @@
-"""Find the files, read them, merge what the command line says, validate, and remember where every value came from."""
+"""Find the files, read them, merge what the command line says, validate, check the rules between
+fields, and remember where every value came from.
+
+A configuration may only be stricter than its device, a device must agree with itself, and the
+effects that somebody asks for must exist and fit together. Everything that is wrong is said at
+once, one line each, with file, line, value, unit and limit.
+
+What would break it: overrides merged after validation (they would go unchecked).
+"""
 
 import copy
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -12,18 +20,130 @@ from typing import Any, TypeVar
 from pydantic import ValidationError
 
 from hapticd.errors import ConfigError
-from hapticd.settings.check import check
-from hapticd.settings.device import Device
-from hapticd.settings.document import Document, KeyPath, read
-from hapticd.settings.explain import Where, config_error, dotted, leaves
-from hapticd.settings.meant import did_you_mean
-from hapticd.settings.models import Config
-from hapticd.settings.quantities import Table
-from hapticd.settings.resources import shipped
+from hapticd.plant.effects import ALWAYS, BY_KEY
+from hapticd.settings.config import Config
+from hapticd.settings.device import FROM_SCALES, TABLES, DeviceFile
+from hapticd.settings.tables import TomlTable, Where, config_error, dotted, leaves
+from hapticd.settings.toml import Document, KeyPath, did_you_mean, read, shipped
+from hapticd.units import unit_of
+
+Finding = tuple[tuple[str, ...], Any, str]  # key, value, what is wrong
+NEEDS = {"heating": "winding"}  # an effect that changes what another one brings
+
+
+def model_rules(device: DeviceFile) -> Iterator[Finding]:
+    """What is wrong with the [model] of a device file."""
+    model = device.model
+    if model is None:
+        return
+    if device.plant is not None:
+        yield ("plant",), None, "stands beside [model]; keep one of them"
+    yield from chosen_rules(device, ("model", "effects"), model.effects)
+    for key in TABLES:
+        table = model.table(key)
+        for name in () if table is None else table.sources:
+            if name not in type(table).model_fields:
+                hint = did_you_mean(name, list(type(table).model_fields))
+                yield ("model", key, "sources"), name, f"is no number of this table{hint}"
+    if model.table("coupling") is not None and model.table("masses").slider_kg == 0.0:
+        yield ("model", "masses", "slider_kg"), 0.0, "must be more than 0.0 kg: [model.coupling] needs something to couple"
+    ends = model.table("ends")
+    if ends is not None and ends.lower_m >= ends.upper_m:
+        yield ("model", "ends", "upper_m"), ends.upper_m, f"must be more than lower_m = {ends.lower_m} m"
+
+
+def chosen_rules(device: DeviceFile, path: tuple[str, ...], names: Sequence[str]) -> Iterator[Finding]:
+    """What is wrong with the list `names` of effects to build, which stands at `path`."""
+    if device.model is None:
+        yield path, None, f"device {device.name!r} has no [model] that effects could be taken from"
+        return
+    for place, name in enumerate(names):
+        if name not in BY_KEY:
+            yield path, name, f"is no effect{did_you_mean(name, list(BY_KEY))}; known: {', '.join(BY_KEY)}"
+        elif name in ALWAYS:
+            yield path, name, "is always built; leave it out"
+        elif name in names[:place]:
+            yield path, name, "is named twice"
+        elif name not in FROM_SCALES and device.model.table(name) is None:
+            yield path, name, f"device {device.name!r} has no table [model.{name}]; add it or leave the effect out"
+        elif name in NEEDS and NEEDS[name] not in names:
+            yield path, name, f"needs the effect {NEEDS[name]!r}; add it"
+
+
+HIGHEST_CORNER = 0.45  # of the servo rate
+
+
+def check(config: Config, device: DeviceFile, in_config: Where, in_device: Where) -> None:
+    """Raise ConfigError with every broken rule, one line each."""
+    built = config.simulation.effects
+    chosen = () if built is None else chosen_rules(device, ("simulation", "effects"), built)
+    report(
+        (in_config, _config_rules(config, device, in_device)),
+        (in_config, chosen),
+        (in_device, _device_rules(device)),
+        (in_device, model_rules(device)),
+    )
+
+
+def report(*parts: tuple[Where, Iterable[Finding]]) -> None:
+    """Raise ConfigError if any rule is broken; each part brings its own way to file and line."""
+    found = [_line(where, finding) for where, findings in parts for finding in findings]
+    if found:
+        raise ConfigError("\n".join(found))
+
+
+def _line(where: Where, finding: Finding) -> str:
+    path, value, reason = finding
+    unit = unit_of(path[-1])
+    return f"{where(path)}: {dotted(path)}{'' if value is None else f' = {value}'}{f' {unit}' if unit else ''}: {reason}"
+
+
+def _config_rules(config: Config, device: DeviceFile, in_device: Where) -> Iterator[Finding]:
+    force_n, damping = device.limits.force_n, device.limits.damping_ns_per_m
+    asked_n = config.safety.force_limit_n
+    if asked_n is not None and asked_n > force_n:
+        source = in_device(("limits", "force_n"))
+        yield ("safety", "force_limit_n"), asked_n, f"must be at most {force_n} N, the limit of the device ({source})"
+    levels: dict[tuple[str, ...], float] = {
+        ("added_damping_ns_per_m",): config.added_damping_ns_per_m,
+        ("safety", "safe_damping_ns_per_m"): config.safety.safe_damping_ns_per_m,
+    }
+    for path, level in levels.items():
+        if level > damping:
+            source = in_device(("limits", "damping_ns_per_m"))
+            yield path, level, f"must be at most {damping} N s/m, the limit of the device ({source})"
+    highest_hz = HIGHEST_CORNER * config.realtime.rate_hz
+    for name in ("velocity_filter", "acceleration_filter"):
+        corner_hz = getattr(config.environment, name).frequency_hz
+        if corner_hz > highest_hz:
+            reason = f"must be at most {highest_hz} Hz, {HIGHEST_CORNER} of realtime.rate_hz"
+            yield ("environment", name, "frequency_hz"), corner_hz, reason
+    margin_m, travel = config.environment.workspace.margin_m, device.travel
+    if 2 * margin_m > travel.upper_m - travel.lower_m >= 0:
+        most_m = (travel.upper_m - travel.lower_m) / 2
+        yield ("environment", "workspace", "margin_m"), margin_m, f"must be at most {most_m} m, half of the device's travel"
+
+
+def _device_rules(device: DeviceFile) -> Iterator[Finding]:
+    limits, plant = device.limits, device.plant
+    for name, limit, full in (
+        ("force_n", limits.force_n, device.force.full_scale_n),
+        ("damping_ns_per_m", limits.damping_ns_per_m, device.damping.full_scale_ns_per_m),
+        ("probe_n", limits.probe_n, device.probe_torque.full_scale_n),
+    ):
+        if limit > full:
+            yield ("limits", name), limit, f"must be at most {full} {unit_of(name)}, the full scale of its converter"
+    if device.travel.lower_m >= device.travel.upper_m:
+        yield ("travel", "upper_m"), device.travel.upper_m, f"must be more than lower_m = {device.travel.lower_m} m"
+    if device.simulated and plant is None and device.model is None:
+        yield ("plant",), None, "is missing; a simulated board needs to know what it moves"
+    if plant and plant.lower_stop_m >= plant.upper_stop_m:
+        yield ("plant", "upper_stop_m"), plant.upper_stop_m, f"must be more than lower_stop_m = {plant.lower_stop_m} m"
+
 
 FILE_NAME = "hapticd.toml"
 SYSTEM_FILE = Path("/etc/hapticd") / FILE_NAME
-T = TypeVar("T", bound=Table)
+T = TypeVar("T", bound=TomlTable)
 
 
 @dataclass(frozen=True)
@@ -40,7 +160,7 @@ class Settings:
     """Validated configuration and device; `origins` maps each dotted key to file:line, an option, or `default`."""
 
     config: Config
-    device: Device
+    device: DeviceFile
     config_file: Path
     device_file: Path
     origins: Mapping[str, str]
@@ -81,7 +201,7 @@ def load(given: Path | None = None, overrides: tuple[Override, ...] = ()) -> Set
 
     config = validated(Config, _merge(config_document.data, overrides), in_config)
     device_document = read(find_device(config.device, config_document.path, in_config(("device",))))
-    device = validated(Device, device_document.data, device_document.where)
+    device = validated(DeviceFile, device_document.data, device_document.where)
     check(config, device, in_config, device_document.where)
 
     def origin(document: Document, path: KeyPath, where: Where) -> str:

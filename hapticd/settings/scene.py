@@ -1,26 +1,84 @@
-"""Find a scene file and its device, merge what the scene changes, validate, and build the `Scene`.
+"""scenes/NAME.toml: a device, what it renders, what moves it, and which of its effects exist; and the
+JSON schemas of all kinds of file.
 
-A scene's [model.KEY] changes single numbers of the device's table of that name; the merged device is validated as if it
-stood in one file, and messages point to the file and line that the wrong number came from.
+`load_scene` finds a scene file and its device, merges what the scene changes, validates, and builds
+the `Scene`. A scene's [model.KEY] changes single numbers of the device's table of that name; the
+merged device is validated as if it stood in one file, and messages point to the file and line that
+the wrong number came from.
+
+The schemas serve editors (`#:schema` in the first line of a file) and `taplo check`.
+
+What would break it: a scene that changes a number of a table which its device does not have (the
+table then lacks its other numbers, and the message says so).
 """
 
 import copy
+import json
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+
+from pydantic import Field
 
 from hapticd.errors import ConfigError
+from hapticd.params import RealtimeParams
 from hapticd.plant.scene import DampingStep, Excitation, Scene
 from hapticd.settings.build import converter_effects, environment_params
-from hapticd.settings.check import report
-from hapticd.settings.device import Device
-from hapticd.settings.document import Document, KeyPath, read
-from hapticd.settings.effects import effects_of
-from hapticd.settings.explain import Where
-from hapticd.settings.load import find_device, validated
-from hapticd.settings.meant import did_you_mean
-from hapticd.settings.model_rules import chosen_rules, model_rules
-from hapticd.settings.resources import shipped
-from hapticd.settings.scene_file import SceneFile
+from hapticd.settings.config import Config, Environment
+from hapticd.settings.device import DeviceFile, effects_of
+from hapticd.settings.load import chosen_rules, find_device, model_rules, report, validated
+from hapticd.settings.tables import TomlTable, Where
+from hapticd.settings.toml import Document, KeyPath, did_you_mean, read, shipped
+
+_excitation = Excitation()
+
+
+class DampingStepTable(TomlTable):
+    """Electrical damping that the servo asks for from `at_s` on."""
+
+    at_s: float = Field(0.0, ge=0)
+    level_ns_per_m: float = Field(ge=0)
+
+
+class ExcitationTable(TomlTable):
+    """What the probe does, as endpoint force."""
+
+    kind: Literal["none", "noise", "multisine", "push"] = "none"
+    psd_n2_per_hz: float = Field(_excitation.psd_n2_per_hz, ge=0)
+    """One-sided density of the noise."""
+    band_hz: float = Field(_excitation.band_hz, gt=0, le=2000)
+    """Upper edge of noise and multisine."""
+    force_n: float = Field(_excitation.force_n, ge=-100, le=100)
+    """Of a push; rms of a multisine."""
+    start_s: float = Field(_excitation.start_s, ge=0)
+    period_s: float = Field(_excitation.period_s, gt=0)
+    seed: int = Field(_excitation.seed, ge=0)
+
+
+class Start(TomlTable):
+    """The endpoint at time 0."""
+
+    position_m: float = 0.0
+    velocity_m_per_s: float = 0.0
+
+
+class SceneFile(TomlTable):
+    """A scene file."""
+
+    title: str = Field(min_length=1)
+    device: str = Field(min_length=1)
+    """Name of a simulated device (devices/NAME.toml), or a path to one."""
+    effects: tuple[str, ...] = Field(strict=False)
+    """Effects of the device that are built; nothing else is."""
+    seconds: float = Field(10.0, gt=0, le=1e6)
+    rate_hz: float = Field(RealtimeParams().rate_hz, ge=50, le=20_000)
+    allow_unstable: bool = False
+    """Simulate a device whose damping circuit oscillates by itself."""
+    environment: Environment = Environment()
+    damping: tuple[DampingStepTable, ...] = Field((), strict=False)
+    excitation: ExcitationTable = ExcitationTable()
+    start: Start = Start()
+    model: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    """What is different about the device: tables of its [model], changed number by number."""
 
 
 def scene_names() -> list[str]:
@@ -33,13 +91,13 @@ def load_scene(name: str | Path) -> Scene:
     return build_scene(*load_files(name))
 
 
-def load_files(name: str | Path) -> tuple[str, SceneFile, Device]:
+def load_files(name: str | Path) -> tuple[str, SceneFile, DeviceFile]:
     """(name, scene file, its device with the scene's changes), validated."""
     document = read(find_scene(name))
     scene = validated(SceneFile, document.data, document.where)
     device_document = read(find_device(scene.device, document.path, document.where(("device",))))
     data, where = _changed(device_document, document)
-    device = validated(Device, data, where)
+    device = validated(DeviceFile, data, where)
     report((where, model_rules(device)), (document.where, chosen_rules(device, ("effects",), scene.effects)))
     return document.path.stem, scene, device
 
@@ -55,7 +113,7 @@ def find_scene(name: str | Path) -> Path:
     return file
 
 
-def build_scene(name: str, scene: SceneFile, device: Device) -> Scene:
+def build_scene(name: str, scene: SceneFile, device: DeviceFile) -> Scene:
     """The validated files as the values that `compose` takes."""
     assert device.model is not None
     steps = tuple(DampingStep(step.at_s, step.level_ns_per_m) for step in sorted(scene.damping, key=lambda step: step.at_s))
@@ -84,3 +142,17 @@ def _changed(device: Document, scene: Document) -> tuple[dict[str, Any], Where]:
         return scene.where(path) if scene.value(path) is not None else device.where(path)
 
     return data, where
+
+
+SCHEMA_FILES = {"config": "hapticd.schema.json", "device": "device.schema.json", "scene": "scene.schema.json"}
+_KINDS: dict[str, type[TomlTable]] = {"config": Config, "device": DeviceFile, "scene": SceneFile}
+
+
+def schema(kind: str) -> dict[str, Any]:
+    """JSON schema (draft 2020-12) of `config` (hapticd.toml), `device` or `scene` (files in these folders), with units."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_KINDS[kind].model_json_schema()}
+
+
+def schema_text(kind: str) -> str:
+    """The schema as it is shipped."""
+    return json.dumps(schema(kind), indent=2, ensure_ascii=False) + "\n"

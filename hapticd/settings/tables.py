@@ -1,15 +1,45 @@
-"""A validation error as a sentence: file:line, field = value unit, what is allowed, what was probably meant."""
+"""The base of every TOML table, and its validation errors as sentences: file:line, field = value with
+unit, what is allowed, what was probably meant.
+
+Tables are strict (no "100" for 100), closed (no unknown key), frozen, and refuse NaN and infinity.
+Units live in the names of fields; `hapticd.units.unit_of` reads them for messages and for the JSON
+schema.
+
+What would break it: a pydantic release that renames its error types (`REASONS` would fall back to
+pydantic's own words).
+"""
 
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
 from hapticd.errors import ConfigError
-from hapticd.settings.document import KeyPath
-from hapticd.settings.meant import did_you_mean
+from hapticd.settings.toml import KeyPath, did_you_mean
 from hapticd.units import unit_of
+
+
+def _say_units(schema: dict[str, Any]) -> None:
+    for name, entry in schema.get("properties", {}).items():
+        entry.pop("title", None)  # only repeats the name
+        if unit := unit_of(name):
+            entry["unit"] = unit
+
+
+class TomlTable(BaseModel):
+    """One TOML table: strict, closed, frozen, finite; its JSON schema says the units."""
+
+    model_config = ConfigDict(
+        strict=True,
+        extra="forbid",
+        frozen=True,
+        allow_inf_nan=False,
+        validate_default=True,
+        use_attribute_docstrings=True,
+        json_schema_extra=_say_units,
+    )
+
 
 Where = Callable[[KeyPath], str]
 

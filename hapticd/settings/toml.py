@@ -1,12 +1,34 @@
-"""A TOML file that remembers on which line each key stands (tomllib does not say)."""
+"""TOML files: where those that travel with the package lie, on which line each key stands, and what a
+misspelt name was probably meant to be. Standard library alone.
 
+tomllib does not tell line numbers, so `read` scans the text a second time for headers and keys; a
+`Document` answers `where(path)` with file:line of a key or of the nearest table around it.
+
+What would break it: a header or key whose quoted name holds the quote itself (the message would
+name the table around it).
+"""
+
+import difflib
 import re
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import hapticd
 from hapticd.errors import ConfigError
+
+_PACKAGE = Path(hapticd.__file__).parent
+
+
+def shipped(folder: str) -> Path:
+    """`config`, `firmware_iface` or `systemd`: inside an installed package, else beside it in the checkout."""
+    for base in (_PACKAGE / "_data", _PACKAGE.parent):
+        if (base / folder).is_dir():
+            return base / folder
+    raise ConfigError(f"{folder}/ did not travel with {_PACKAGE}; install hapticd again")
+
 
 KeyPath = tuple[str | int, ...]
 
@@ -85,3 +107,10 @@ def _lines(text: str) -> dict[KeyPath, int]:
         if (line.count('"""') + line.count("'''")) % 2:
             inside_string = not inside_string
     return lines
+
+
+def did_you_mean(word: str, known: Sequence[str]) -> str:
+    """`; did you mean 'x'?` or nothing."""
+    lower = {name.lower(): name for name in known}
+    close = difflib.get_close_matches(word.lower(), lower, 1, 0.6)
+    return f"; did you mean {lower[close[0]]!r}?" if close else ""

@@ -1,4 +1,8 @@
-"""hapticd.toml: what is asked of any device. Defaults come from hapticd.params; limits are those of good sense."""
+"""hapticd.toml: what is asked of any device.
+
+Defaults come from hapticd.params; limits are those of good sense. What a device itself allows is
+checked in `load`.
+"""
 
 from typing import Annotated, Any, Literal
 
@@ -15,7 +19,7 @@ from hapticd.params import (
     WallParams,
     WorkspaceParams,
 )
-from hapticd.settings.quantities import Table
+from hapticd.settings.tables import TomlTable
 
 _environment, _wall, _ends = EnvironmentParams(), WallParams(), WorkspaceParams()
 _safety, _realtime, _usb, _gateway = SafetyParams(), RealtimeParams(), UsbParams(), GatewayParams()
@@ -26,7 +30,7 @@ VirtualDamping = Annotated[float, Field(ge=-1e2, le=1e3)]
 Duration = Annotated[float, Field(ge=0, le=60)]
 
 
-class Filter(Table):
+class Filter(TomlTable):
     frequency_hz: float = Field(ge=0.1, le=1e5)
     """Corner of the second-order low-pass; at most 0.45 of the servo rate."""
     damping_ratio: float = Field(FilterParams(1.0).damping_ratio, ge=0.05, le=10)
@@ -39,7 +43,7 @@ def _filter(default: FilterParams) -> Filter:
     return Filter(frequency_hz=default.frequency_hz, damping_ratio=default.damping_ratio)
 
 
-class Wall(Table):
+class WallTable(TomlTable):
     stiffness_n_per_m: float = Field(_wall.stiffness_n_per_m, ge=0, le=1e5)
     damping_ns_per_m: float = Field(_wall.damping_ns_per_m, ge=0, le=1e3)
     position_m: float = Field(_wall.position_m, ge=-10, le=10)
@@ -47,14 +51,14 @@ class Wall(Table):
     """+1: solid beyond the position, -1: solid before it, 0: no wall."""
 
 
-class Workspace(Table):
+class Workspace(TomlTable):
     stiffness_n_per_m: float = Field(_ends.stiffness_n_per_m, ge=0, le=1e5)
     """Springs at both ends of the device's travel; 0: none."""
     margin_m: float = Field(0.0, ge=0, le=10)
     """How far before each end of travel they begin."""
 
 
-class Environment(Table):
+class Environment(TomlTable):
     """What is rendered at start; `hapticd set` changes it live."""
 
     stiffness_n_per_m: Stiffness = _environment.stiffness_n_per_m
@@ -62,11 +66,11 @@ class Environment(Table):
     mass_kg: float = Field(_environment.mass_kg, ge=-1, le=10)
     velocity_filter: Filter = _filter(_environment.velocity_filter)
     acceleration_filter: Filter = _filter(_environment.acceleration_filter)
-    wall: Wall = Wall()
+    wall: WallTable = WallTable()
     workspace: Workspace = Workspace()
 
 
-class Safety(Table):
+class Safety(TomlTable):
     """Times and levels of the safety table."""
 
     force_limit_n: float | None = Field(None, gt=0)
@@ -87,7 +91,7 @@ class Safety(Table):
     """Ramp of a `set` that names none."""
 
 
-class Realtime(Table):
+class Realtime(TomlTable):
     """What the servo process asks of the operating system."""
 
     rate_hz: float = Field(_realtime.rate_hz, ge=50, le=20_000)
@@ -103,7 +107,7 @@ class Realtime(Table):
     """Overruns right after the start are counted apart for this long."""
 
 
-class Usb(Table):
+class Usb(TomlTable):
     """Which board; its serial number stands in the device file."""
 
     vendor_id: int = Field(_usb.vendor_id, ge=0, le=0xFFFF)
@@ -111,7 +115,7 @@ class Usb(Table):
     timeout_ms: int = Field(_usb.timeout_ms, ge=1, le=1000)
 
 
-class Gateway(Table):
+class GatewayTable(TomlTable):
     """Where telemetry is offered. Commands are taken on a socket in the runtime folder."""
 
     telemetry_port: int = Field(_gateway.telemetry_port, ge=0, le=65_535)
@@ -127,7 +131,7 @@ class Gateway(Table):
     """What the flight recorder keeps, at every tick."""
 
 
-class Injection(Table):
+class Injection(TomlTable):
     """One seeded fault of the simulated board."""
 
     kind: str = Field(min_length=1)
@@ -138,7 +142,7 @@ class Injection(Table):
     value: float = 0.0
 
 
-class Simulation(Table):
+class Simulation(TomlTable):
     """The simulated board's firmware; ignored with a real one."""
 
     sample_phase: float | None = Field(None, ge=0, lt=1)
@@ -150,7 +154,7 @@ class Simulation(Table):
     injections: tuple[Injection, ...] = Field((), strict=False)
 
 
-class Config(Table):
+class Config(TomlTable):
     """hapticd.toml"""
 
     device: str = Field("simulated", min_length=1)
@@ -161,5 +165,5 @@ class Config(Table):
     safety: Safety = Safety()
     realtime: Realtime = Realtime()
     usb: Usb = Usb()
-    gateway: Gateway = Gateway()
+    gateway: GatewayTable = GatewayTable()
     simulation: Simulation = Simulation()
