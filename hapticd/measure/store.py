@@ -15,12 +15,12 @@ import hashlib
 import json
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
-from math import isfinite
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic_core import to_jsonable_python
 
 from hapticd.analysis.arrays import Floats
 from hapticd.errors import ConfigError
@@ -35,23 +35,15 @@ OF_A_RECORD = (
 
 
 def plain(value: Any, *, skip: tuple[str, ...] = ()) -> Any:
-    """`value` as dicts, lists, strings and finite numbers; fields named in `skip` are left out."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return {item.name: plain(getattr(value, item.name), skip=skip) for item in fields(value) if item.name not in skip}
-    if isinstance(value, Mapping):
-        return {str(key): plain(each, skip=skip) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(each, skip=skip) for each in value]
-    if isinstance(value, np.ndarray):
-        whole = value.dtype.kind in "fiub" and bool(np.isfinite(value).all())  # the usual case, at a hundredth of the time
-        return value.tolist() if whole else plain(value.tolist(), skip=skip)
-    if isinstance(value, np.generic):
-        return plain(value.item(), skip=skip)
-    if isinstance(value, complex):
-        return [plain(value.real), plain(value.imag)]
-    if isinstance(value, float):
-        return value if isfinite(value) else None
-    return value if isinstance(value, str | int | bool | None) else str(value)
+    """`value` as dicts, lists, strings and finite numbers; its own fields named in `skip` are left out."""
+    return to_jsonable_python(value, exclude=set(skip) or None, inf_nan_mode="null", fallback=_listed)
+
+
+def _listed(value: Any) -> Any:
+    """What pydantic does not know: numbers and arrays of numpy; anything else in words."""
+    if isinstance(value, np.ndarray) and value.dtype.kind == "c":
+        return np.stack((value.real, value.imag), axis=-1).tolist()
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)
 
 
 @dataclass(frozen=True, slots=True)
