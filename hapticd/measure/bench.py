@@ -91,13 +91,22 @@ class Hearing:
         self._filler, self._parts = Filler(), list[tuple[Floats, Flags]]()  # (2, n) force and velocity, and which came
         self._taken = 0  # samples
         self._command_n = 0.0  # largest so far
-        self._winding_c = nan
-        self._enabled = True
         self._positions_m: tuple[float, float] = (nan, nan)  # least and most since the sentinel looked
-        self._first: tuple[int, int] | None = None  # tick and lost slots when the perturbation began
-        self._lost_slots = self._slots = 0
-        self._revision = -1
-        self._changed = False
+        self._began: Any = None  # the first tick that was perturbed
+        self._newest: Any = None  # tick
+
+    @property
+    def _ended(self) -> bool:
+        """Whether the servo is no longer enabled, or renders something else than when the perturbation began."""
+        return self._newest is not None and (self._newest["state"] != State.ENABLED or self._changed)
+
+    @property
+    def _changed(self) -> bool:
+        return self._began is not None and bool(self._newest["revision"] != self._began["revision"])
+
+    @property
+    def _winding_c(self) -> float:
+        return nan if self._newest is None else float(self._newest["winding_c"])
 
     def recorded(self, origin: str, tell: Progress) -> Recorded:
         """Listen to the end, or to where the sentinel or the servo ends it. DaemonDown if the daemon falls silent."""
@@ -126,8 +135,12 @@ class Hearing:
 
     def _more(self, settle: int, wanted: int, status: Mapping[str, Any]) -> dict[str, Any]:
         came = np.concatenate([known for _, known in self._parts])[settle:wanted]
+        lost = slots = 0
+        if self._began is not None:
+            lost = (int(self._newest["lost_slots"]) - int(self._began["lost_slots"])) % LOST_SLOTS
+            slots = int(self._newest["tick"]) - int(self._began["tick"]) + 1 + lost
         return {
-            "lost_samples": int((~came).sum()), "samples": came.size, "lost_slots": self._lost_slots, "slots": self._slots,
+            "lost_samples": int((~came).sum()), "samples": came.size, "lost_slots": lost, "slots": slots,
             "winding_c": self._winding_c, "config_hash": status.get("config_hash", ""),
         }  # fmt: skip
 
@@ -138,7 +151,7 @@ class Hearing:
         for message in self._daemon.messages((PROBE, TICKS), LOOK_S):
             if message is None:
                 quiet += 1
-                if quiet > SILENT_LOOKS or not self._enabled or self._changed:
+                if quiet > SILENT_LOOKS or self._ended:
                     break
                 continue
             quiet = 0
@@ -147,7 +160,7 @@ class Hearing:
                 self._hear(block.records)
             elif len(block.records):
                 yield block
-        if self._enabled and not self._changed and not _gone(self._daemon.status()):
+        if not self._ended and not _gone(self._daemon.status()):
             raise DaemonDown(f"nothing from the probe for {SILENT_LOOKS * LOOK_S:g} s; see `hapticd status`")
 
     def _hear(self, ticks: Any) -> None:
@@ -155,19 +168,12 @@ class Hearing:
             return
         clamped = bool((ticks["flags"] & Flag.CLAMPED).any())
         self._command_n = max(self._command_n, self._limit_n if clamped else float(np.abs(ticks["force_n"]).max()))
-        self._winding_c = float(ticks["winding_c"][-1])
-        self._enabled = bool(ticks["state"][-1] == State.ENABLED)
         at_m = ticks["position_m"]
         self._positions_m = (float(np.fmin(self._positions_m[0], at_m.min())), float(np.fmax(self._positions_m[1], at_m.max())))
         playing = ticks[ticks["perturbing"] != 0]
-        if self._first is None and len(playing):
-            self._first = (int(playing["tick"][0]), int(playing["lost_slots"][0]))
-            self._revision = int(playing["revision"][0])
-        if self._first is not None and ticks["tick"][-1] >= self._first[0]:
-            self._lost_slots = (int(ticks["lost_slots"][-1]) - self._first[1]) % LOST_SLOTS
-            self._slots = int(ticks["tick"][-1]) - self._first[0] + 1 + self._lost_slots
-        if self._first is not None:
-            self._changed |= bool(ticks["revision"][-1] != self._revision)
+        if self._began is None and len(playing):
+            self._began = playing[0]
+        self._newest = ticks[-1]
 
     def _take(self, block: Block) -> None:
         self._parts.append(self._filler.filled(block.records["index"], signals(block)))
@@ -184,9 +190,8 @@ def _gone(status: Mapping[str, Any]) -> str:
 
 def signals(probe: Block) -> Floats:
     """Force [N] and velocity [m/s] (2, n) of a block of the probe's samples."""
-    return np.stack([_scaled(probe, name) for name in ("torque", "velocity")])
-
-
-def _scaled(block: Block, name: str) -> Floats:
-    scale = block.header["scale"][name]
-    return np.asarray(scale["sign"] * (block.records[name].astype(np.float64) - scale["offset_count"]) * scale["per_count"])
+    scales = {name: probe.header["scale"][name] for name in ("torque", "velocity")}
+    return np.stack([
+        one["sign"] * (probe.records[name].astype(np.float64) - one["offset_count"]) * one["per_count"]
+        for name, one in scales.items()
+    ])  # fmt: skip

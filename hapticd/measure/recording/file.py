@@ -4,6 +4,7 @@ records as they were, and the legs that can be flown again.
 
 import json
 from collections.abc import Mapping
+from itertools import pairwise
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -30,6 +31,7 @@ from hapticd.measure.recording.live import (
     columns,
     replay_rows,
     table,
+    texts,
     udunits,
 )
 from hapticd.measure.recording.provenance import SCHEMA, needed
@@ -146,13 +148,10 @@ class Recording:
         return list(zip(self.column(group, "epoch").tolist(), self.column(group, "tick").tolist(), strict=True))
 
     def _states(self) -> list[Any]:
-        text, place, found = self.column(TEXT, "bytes").tobytes(), 0, []
-        for length in self.column("checkpoint", "length").tolist():
-            if place + length > len(text):  # cut off with the rest
-                break
-            found.append(msgpack.unpackb(text[place : place + length], strict_map_key=False))
-            place += length
-        return found
+        text = self.column(TEXT, "bytes").tobytes()
+        ends = np.cumsum([0, *self.column("checkpoint", "length").tolist()]).tolist()
+        whole = [(begin, end) for begin, end in pairwise(ends) if end <= len(text)]  # others are cut off with the rest
+        return [msgpack.unpackb(text[begin:end], strict_map_key=False) for begin, end in whole]
 
     def _requests(self, epoch: int, begin: int, end: int) -> list[Noted]:
         numbers = np.stack([self.column("request", name) for name in ("epoch", *REQUEST)], axis=1).tolist()
@@ -212,22 +211,12 @@ def _flight(path: Path) -> Recording:
         "gap": [{"stream": "servo", "row": row, "missing": lost} for row, lost in header["gaps"]],
         "life": [{"row": 0, "epoch": header["epoch"], "mono_unix_offset_ns": header["mono_unix_offset_ns"]}],
         "event": [],
-        "request": [], "break": [], "checkpoint": [],
-    }  # fmt: skip
-    for checkpoint, requests, lost in _messages(header):
-        message = {"epoch": header["epoch"], "requests": requests, "break": lost, "checkpoint": checkpoint}
-        for name, more in replay_rows(message).items():
-            rows[name] += more
-    ticks, text = columns(records), b"".join(row["text"] for row in rows["checkpoint"])
+        **replay_rows(header["epoch"], header["requests"], header["breaks"], header["checkpoints"]),
+    }
+    ticks = columns(records)
     groups: dict[str, Columns] = {
         "servo": {channel.name: as_channel(channel, ticks[channel.name]) for channel in GROUPS["servo"]},
         "probe": {},
-        TEXT: {"bytes": np.frombuffer(text, "u1")},
+        TEXT: {"bytes": texts(rows["checkpoint"])},
     }
     return Recording(path, attributes, groups | {name: table(name, found) for name, found in rows.items()})
-
-
-def _messages(header: dict[str, Any]) -> list[tuple[Any, Any, Any]]:
-    """The header's lists as messages of topic `flight` would have brought them."""
-    states: list[tuple[Any, Any, Any]] = [(checkpoint, [], None) for checkpoint in header["checkpoints"]]
-    return [*states, (None, header["requests"], None), *((None, [], tick) for tick in header["breaks"])]

@@ -211,7 +211,6 @@ class Writer:
         self._blocks: dict[str, list[Block]] = {topic: [] for topic in STREAMS}
         self._rows = dict.fromkeys(STREAMS, 0)
         self._small: dict[str, list[dict[str, Any]]] = {name: [] for name in GROUPS if name not in STREAMS.values()}
-        self._texts: list[bytes] = []
         self._epoch: int | None = None
         self.missing = dict.fromkeys(STREAMS, 0)
         self.first_ns = self.last_ns = 0  # time of the first and the newest record taken
@@ -233,10 +232,13 @@ class Writer:
             self._stream(topic, self._decoders[topic].decode(payload))
             return
         content = msgpack.unpackb(payload, use_list=False)
-        found = {"event": [event_row(content)]} if topic == "event" else replay_rows(content)
+        if topic == "event":
+            found = {"event": [event_row(content)]}
+        else:
+            lost, checkpoint = ([] if content[one] is None else [content[one]] for one in ("break", "checkpoint"))
+            found = replay_rows(content["epoch"], content["requests"], lost, checkpoint)
         for name, rows in found.items():
             self._small[name] += rows
-        self._texts += [row["text"] for row in found.get("checkpoint", [])]
 
     def _stream(self, topic: str, block: Block) -> None:
         if self._seconds is not None and self.first_ns:
@@ -270,9 +272,8 @@ class Writer:
             if rows:
                 self._small[name] = []
                 self.file.append(name, table(name, rows))
-        if self._texts:
-            text, self._texts = b"".join(self._texts), []
-            self.file.append("checkpoint_text", {"bytes": np.frombuffer(text, "u1")})
+                if name == "checkpoint":
+                    self.file.append("checkpoint_text", {"bytes": texts(rows)})
         self.file.flush()
 
 
@@ -281,16 +282,24 @@ def table(group: str, rows: list[dict[str, Any]]) -> Columns:
     return {channel.name: np.array([row[channel.name] for row in rows], channel.kind) for channel in GROUPS[group]}
 
 
-def replay_rows(content: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:
-    """Rows of `request`, `break` and `checkpoint` (with its `state`) in a message of topic `flight`."""
-    epoch, checkpoint = content["epoch"], content["checkpoint"]
-    requests = [
-        {"epoch": epoch, **dict(zip(REQUEST, numbers, strict=True)), **{f"value_{n:02}": value for n, value in enumerate(values)}}
-        for *numbers, values in content["requests"]
-    ]
-    breaks = [] if content["break"] is None else [{"epoch": epoch, "tick": content["break"]}]
-    states = [] if checkpoint is None else [{"epoch": epoch, "tick": checkpoint[0], "text": msgpack.packb(checkpoint[1])}]
-    return {"request": requests, "break": breaks, "checkpoint": [{**row, "length": len(row["text"])} for row in states]}
+def texts(checkpoints: list[dict[str, Any]]) -> NDArray[np.uint8]:
+    """The bytes of `checkpoint_text` of rows of `checkpoint`."""
+    return np.frombuffer(b"".join(row["text"] for row in checkpoints), "u1")
+
+
+def replay_rows(
+    epoch: int, requests: Iterable[Any], breaks: Iterable[int], checkpoints: Iterable[tuple[int, Any]]
+) -> dict[str, list[dict[str, Any]]]:
+    """Rows of `request`, `break` and `checkpoint` (with its `text`) of what a flight was told in one servo life."""
+    packed = [(tick, msgpack.packb(state)) for tick, state in checkpoints]
+    return {
+        "request": [
+            {"epoch": epoch, **dict(zip(REQUEST, numbers, strict=True)), **{f"value_{n:02}": one for n, one in enumerate(values)}}
+            for *numbers, values in requests
+        ],
+        "break": [{"epoch": epoch, "tick": tick} for tick in breaks],
+        "checkpoint": [{"epoch": epoch, "tick": tick, "text": text, "length": len(text)} for tick, text in packed],
+    }
 
 
 def event_row(event: dict[str, Any]) -> dict[str, Any]:
