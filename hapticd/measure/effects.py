@@ -16,6 +16,7 @@ A scene that noise does not move gets the paper's perturbation. Walls are left o
 """
 
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from math import inf, nan
@@ -235,38 +236,33 @@ def run_effects(plan: EffectsPlan, now_ns: Stopwatch, tell: Progress = silent) -
 
 
 class _Study:
-    """One run: it remembers what the whole scene gave, which is asked first, and what was timed."""
+    """One run: it remembers what every set of effects gave, and what was timed."""
 
     def __init__(self, plan: EffectsPlan, steps: Steps, now_ns: Stopwatch) -> None:
-        self.steps, self._plan, self._params = steps, plan, plan.params
-        self._question = QUESTIONS[plan.params.question]
-        self._full: dict[str, Floats] = {}
-        self._cost = cache(lambda keys: engine_cost(without(plan.params.scene, *keys), now_ns))
+        self.steps, self._plan, params = steps, plan, plan.params
+        self._question = QUESTIONS[params.question]
+        self._values = cache(lambda keys, method: self._question.values(params, without(params.scene, *keys), method))
+        self._cost = cache(lambda keys: engine_cost(without(params.scene, *keys), now_ns))
 
     def left(self, keys: tuple[str, ...], method: str) -> Left:
         """The scene without `keys`; the whole scene if there are none."""
         words = ", ".join(keys)
         self.steps.next(f"without {words}" if keys else f"all effects, {method}")
+        full = self._values((), method)
         try:
-            values = self._values(keys, method)
+            change = self._change(keys, method)
         except (ConfigError, AnalysisError) as error:
-            if not keys:
-                raise
             return Left(words, method, {}, inf, nan, str(error))
-        full = self._full.setdefault(method, values)
-        change = self._question.change(full, values) if keys else 0.0
-        return Left(words, method, self._question.told(full, values), change, self._cost(keys))
-
-    def _values(self, keys: tuple[str, ...], method: str) -> Floats:
-        return self._question.values(self._params, without(self._params.scene, *keys), method)
+        return Left(words, method, self._question.told(full, self._values(keys, method)), change, self._cost(keys))
 
     def proposal(self, rows: list[Left]) -> tuple[tuple[str, ...], Left]:
         """The set that is kept and what it gives; everything where the question has no answer."""
-        droppable = [row.effect for row in rows if row.change <= self._params.tolerance]
-        answered = np.isfinite(self._full[PREDICTED]).any()
+        tolerance = self._plan.params.tolerance
+        droppable = [row.effect for row in rows if row.change <= tolerance]
+        answered = np.isfinite(self._values((), PREDICTED)).any()
         dropped = self._agreed(reversed(droppable)) if answered else ()
         found = self.left(dropped, SIMULATED)
-        while dropped and not found.change <= self._params.tolerance:
+        while dropped and not found.change <= tolerance:
             dropped = dropped[:-1]
             found = self.left(dropped, SIMULATED)
         kept = tuple(key for key in self._plan.methods if key not in dropped)
@@ -276,10 +272,10 @@ class _Study:
         """Those of `keys`, the least important first, that prediction lets go together."""
         dropped: tuple[str, ...] = ()
         for key in keys:
-            try:
-                values = self._values((*dropped, key), PREDICTED)
-            except (ConfigError, AnalysisError):
-                continue
-            if self._question.change(self._full[PREDICTED], values) <= self._params.tolerance:
-                dropped = (*dropped, key)
+            with suppress(ConfigError, AnalysisError):
+                if self._change((*dropped, key), PREDICTED) <= self._plan.params.tolerance:
+                    dropped = (*dropped, key)
         return dropped
+
+    def _change(self, keys: tuple[str, ...], method: str) -> float:
+        return self._question.change(self._values((), method), self._values(keys, method)) if keys else 0.0

@@ -42,18 +42,20 @@ def stepped_sine(
     force_n: float = FORCE_N,
 ) -> Referee:
     """Z of the environment of `trial` at whole frequencies, one short trial of `source` each."""
-    steps, found, moved = Steps(tell, len(frequency_hz)), [], []
-    for f in frequency_hz:
+    steps, count = Steps(tell, len(frequency_hz)), len(frequency_hz)
+    z, speed = np.full(count, np.nan, np.complex128), np.full(count, np.nan)
+    for place, f in enumerate(frequency_hz):
         steps.next(f"sine of {f:g} Hz")
         wave = np.sqrt(2.0) * force_n * np.sin(2.0 * np.pi * f * np.arange(PROBE_RATE_HZ) / PROBE_RATE_HZ)
         recorded = source(replace(trial, waveform_n=wave, seconds=DWELL_S), silent)
-        found.append(_ratio(recorded, f))
-        moved.append(float(np.std(_settled(recorded)[1])) if np.isfinite(found[-1]) else np.nan)
+        if not recorded.ended:
+            force, velocity = _settled(recorded)
+            turn = np.exp(-2j * np.pi * f * np.arange(force.size) / recorded.rate_hz)
+            z[place] = (force @ turn) / (velocity @ turn)
+            speed[place] = np.std(velocity)
         if not may_follow(recorded):
             break
     steps.end()
-    missing = [np.nan] * (len(frequency_hz) - len(found))
-    z, speed = np.array([*found, *missing], np.complex128), np.array([*moved, *missing])
     return Referee(np.asarray(frequency_hz, np.float64), z, force_n, speed)
 
 
@@ -62,16 +64,7 @@ def may_follow(recorded: Recorded) -> bool:
     return recorded.ended.startswith(("escape", "saturation", "decided")) or not recorded.ended
 
 
-def _ratio(recorded: Recorded, f: float) -> complex:
-    force, velocity = _settled(recorded)
-    if recorded.ended or not force.size:
-        return complex("nan")
-    turn = np.exp(-2j * np.pi * f * np.arange(force.size) / recorded.rate_hz)
-    return complex((force @ turn) / (velocity @ turn))
-
-
 def _settled(recorded: Recorded) -> tuple[Floats, Floats]:
     """Force and velocity of the whole seconds at the end, both (n,)."""
-    count = round(max(0, int(recorded.seconds - TRANSIENT_S)) * recorded.rate_hz)
-    first = recorded.force_n.size - count
-    return recorded.force_n[first:], recorded.velocity_m_per_s[first:]
+    count = round(int(recorded.seconds - TRANSIENT_S) * recorded.rate_hz)
+    return recorded.force_n[-count:], recorded.velocity_m_per_s[-count:]

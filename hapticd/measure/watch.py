@@ -55,6 +55,7 @@ MOST_LOST = 0.01  # share of samples or slots above which nothing is decided
 COUNTS = ("lost_samples", "samples", "lost_slots", "slots")  # as the run's summary names them
 LOST_SLOTS = 1 << 32  # where the count of lost slots begins anew
 REMEDY_OF_FILES = "rows are missing by the times in the file, record again without gaps"
+BETTER = "h_force reads |Z| better than spa"
 REMEDY = "close other programs on this computer, see `hapticd doctor`"
 CALM_SECONDS = 4  # before which nothing is known of calm
 SATURATED_SHARE = 0.01
@@ -97,30 +98,28 @@ def in_even_time(recorded: Recorded, place: Integers) -> Recorded:
 
 def loss_findings(counts: Mapping[str, Any]) -> tuple[Finding, ...]:
     """Lost samples and slots by `counts` (`COUNTS`, those that are known), each with value, share and remedy."""
-    lost_samples, samples, lost_slots, slots = (int(counts.get(name, 0)) for name in COUNTS)
-    found = []
-    if lost_samples:
-        words = f"samples of the probe {_share(lost_samples, samples)}; they were filled in, and lower the coherence"
-        remedy = REMEDY if "slots" in counts else REMEDY_OF_FILES
-        found.append(_named("lost_samples", words, lost_samples / samples, f"{remedy}; h_force reads |Z| better than spa"))
-    if lost_slots:
-        words = f"slots of the servo {_share(lost_slots, slots)}; the command before them stood longer than asked"
-        found.append(_named("lost_slots", words, lost_slots / slots, REMEDY))
-    return tuple(found)
+    remedy = REMEDY if "slots" in counts else REMEDY_OF_FILES
+    known = (
+        ("samples", "samples of the probe", "they were filled in, and lower the coherence", f"{remedy}; {BETTER}"),
+        ("slots", "slots of the servo", "the command before them stood longer than asked", REMEDY),
+    )
+    return tuple(
+        _lost(f"lost_{name}", what, counts[f"lost_{name}"], counts[name], so, remedy)
+        for name, what, so, remedy in known
+        if counts.get(f"lost_{name}")
+    )
+
+
+def _lost(code: str, what: str, lost: int, total: int, so: str, remedy: str) -> Finding:
+    share = lost / total
+    void = f"; above {100 * MOST_LOST:g} % nothing is decided" if share > MOST_LOST else ""
+    words = f"{what} lost: {lost} of {total}, {100.0 * share:.2g} %; {so}{void}: {remedy}"
+    return Finding(code, words, voids=share > MOST_LOST)
 
 
 def summed(parts: list[Mapping[str, Any]]) -> dict[str, int]:
     """Counts of several records together; none where the records have none."""
     return {name: sum(part[name] for part in parts) for name in COUNTS if all(name in part for part in parts)}
-
-
-def _share(lost: int, total: int) -> str:
-    return f"lost: {lost} of {total}, {100.0 * lost / total:.2g} %"
-
-
-def _named(code: str, words: str, share: float, remedy: str) -> Finding:
-    void = f"; above {100 * MOST_LOST:g} % nothing is decided" if share > MOST_LOST else ""
-    return Finding(code, f"{words}{void}: {remedy}", voids=share > MOST_LOST)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +150,7 @@ class Sentinel:
         self._at_limit = False  # the command was, by the end of the second before
         self._stream = SpectralStream(rate_hz)
         self._rms: list[tuple[float, float]] = []  # of force and velocity, a second each
-        self._rest: tuple[Floats, Floats] = (np.empty(0), np.empty(0))
+        self._rest = np.empty((2, 0))  # force and velocity of less than a second
         self._next_look_s = LEAST_FREEDOM * 0.375 * DEFAULT_LAG / rate_hz + 1.0
 
     @property
@@ -180,11 +179,11 @@ class Sentinel:
         positions `between_m`.
         """
         self.max_command_n = max(self.max_command_n, command_n)
-        self._rest = (np.concatenate((self._rest[0], force_n)), np.concatenate((self._rest[1], velocity_m_per_s)))
+        self._rest = np.column_stack((self._rest, np.stack((force_n, velocity_m_per_s))))
         second = round(self._rate_hz)
-        while self._rest[0].size >= second and not self.reason:
-            force, velocity = (signal[:second] for signal in self._rest)
-            self._rest = (self._rest[0][second:], self._rest[1][second:])
+        while self._rest.shape[1] >= second and not self.reason:
+            force, velocity = self._rest[:, :second]
+            self._rest = self._rest[:, second:]
             self._look_at(force, velocity)
         if not self.reason:
             self.reason = self._at_end(*between_m)

@@ -11,7 +11,7 @@ from hapticd.analysis.envelope import Envelope
 from hapticd.analysis.metrics import widths_db
 from hapticd.analysis.verdict import Judged
 from hapticd.errors import AnalysisError
-from hapticd.measure.portable import Compared, Comparison, Level
+from hapticd.measure.portable import Comparison, Level
 from hapticd.report.style import (
     BELOW,
     DEVICES,
@@ -27,6 +27,7 @@ from hapticd.report.style import (
     plain_axis,
     styled,
     tint,
+    words_of,
 )  # fmt: skip
 from hapticd.report.table import Cell, Table, table
 
@@ -44,7 +45,7 @@ def comparison_figure(found: Comparison) -> Figure:
     figure, places = mosaic(PANELS, WIDTH_IN, 5.6, f"{_badge(found)}{names}\n{how(found)}", height_ratios=(1.5, 1.0))
     for rank, display in enumerate(found.displays):
         for level in display.levels:
-            _draw(places["size"], level.envelope, _look(rank, level), _words(display, level))
+            _draw(places["size"], level.envelope, _look(rank, level), f"{display.name} {words_of(level.damping_ns_per_m)}")
             if level.per_mass is not None:
                 _draw(places["mass"], level.per_mass, _look(rank, level), None)
     for name, words in (("size", "|Z| (N s/m)"), ("mass", "|Z| per moving mass (1/s)")):
@@ -123,11 +124,6 @@ def _badge(found: Comparison) -> str:
 def _look(rank: int, level: Level) -> Look:
     look = DEVICES[rank % len(DEVICES)]
     return {"color": look["color"], "linestyle": "-" if level.damping_ns_per_m else OFF["linestyle"]}
-
-
-def _words(display: Compared, level: Level) -> str:
-    added = f"with {level.damping_ns_per_m:g} N s/m added" if level.damping_ns_per_m else "without added damping"
-    return f"{display.name} {added}"
 
 
 def _draw(axis: Axes, envelope: Envelope, look: Look, words: str | None) -> None:
