@@ -19,7 +19,7 @@ from hapticd.mailbox.files import DEFAULT_INSTANCE
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from hapticd.measure.progress import Progress
+    from hapticd.measure.store import Progress
 
 
 BOLD, RED, YELLOW, GREEN = "1", "1;31", "1;33", "1;32"

@@ -43,7 +43,6 @@ from hapticd.assembly.lockstep import LockStep
 from hapticd.assembly.scene import scene_params
 from hapticd.errors import AnalysisError, HapticdError
 from hapticd.measure.lockstep import Flown, fly
-from hapticd.measure.progress import Progress, Steps, silent
 from hapticd.measure.scenes import (
     SUBSTEPS,
     candidates,
@@ -57,6 +56,7 @@ from hapticd.measure.scenes import (
     spectra_on,
     without,
 )
+from hapticd.measure.store import Progress, Steps, silent
 from hapticd.plant.excitation import Stream, torque_record
 from hapticd.plant.scene import Scene
 from hapticd.sim.engine import BatchResult, simulate

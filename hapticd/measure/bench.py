@@ -21,9 +21,8 @@ from hapticd.client.blocks import Block, BlockDecoder
 from hapticd.client.client import Client
 from hapticd.errors import AnalysisError, DaemonDown
 from hapticd.mailbox.layout import Flag, State
-from hapticd.measure.progress import Progress, silent
 from hapticd.measure.sources import Source, Trial
-from hapticd.measure.store import Recorded
+from hapticd.measure.store import Progress, Recorded, silent
 from hapticd.measure.watch import LOST_SLOTS, Filler, Sentinel
 from hapticd.plant.excitation import torque_record
 from hapticd.units import PROBE_RATE_HZ

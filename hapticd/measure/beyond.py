@@ -54,11 +54,10 @@ from hapticd.measure.campaign import Axes, MapParams, plan_map, run_map
 from hapticd.measure.directed import SearchParams, SearchResult, observed, plan_search, run_search
 from hapticd.measure.limits import ORIGIN, REACH, LimitsParams, plan_limits, predicted_limit
 from hapticd.measure.outcomes import Conditions, Lot, Outcome, Point, flown, kept_frequencies, points_of
-from hapticd.measure.progress import Progress, Steps, silent
 from hapticd.measure.reproduce import AXES, FINE, Limit, conditions, limits_of, predicted_set
 from hapticd.measure.reproduce_rows import ADDED_NS_PER_M, LEVELS, MAIN
 from hapticd.measure.scenes import Display
-from hapticd.measure.store import TrialStore
+from hapticd.measure.store import Progress, Steps, TrialStore, silent
 from hapticd.plant.effects import ShapedDamping
 
 SEEDS = 3

@@ -42,8 +42,7 @@ from hapticd.measure.outcomes import (
     restored,
     run_all,
 )
-from hapticd.measure.progress import Progress, silent
-from hapticd.measure.store import TrialStore
+from hapticd.measure.store import Progress, TrialStore, silent
 
 Axes = tuple[Floats, Floats, Floats]
 NEAR = 0.15

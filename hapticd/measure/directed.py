@@ -30,9 +30,8 @@ from hapticd.analysis.verdict import Judged
 from hapticd.errors import AnalysisError
 from hapticd.measure.limits import predicted_limit
 from hapticd.measure.outcomes import Conditions, Hear, Lot, Outcome, Procedure, judged, kept_frequencies, points_of, run_all
-from hapticd.measure.progress import Progress, silent
 from hapticd.measure.scenes import SATURATED
-from hapticd.measure.store import TrialStore
+from hapticd.measure.store import Progress, TrialStore, silent
 from hapticd.units import PROBE_RATE_HZ
 
 ROOM = (3.2, 1.3, 1.3)  # the box beyond the predicted axis limits of K, B, -M

@@ -29,7 +29,6 @@ from hapticd.errors import AnalysisError, ConfigError
 from hapticd.measure.accuracy import GROUP, Stopwatch, engine_cost
 from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
 from hapticd.measure.outcomes import Conditions
-from hapticd.measure.progress import Progress, Steps, silent
 from hapticd.measure.scenes import (
     candidates,
     display,
@@ -42,7 +41,7 @@ from hapticd.measure.scenes import (
     spectra_of,
     without,
 )  # fmt: skip
-from hapticd.measure.store import TrialStore
+from hapticd.measure.store import Progress, Steps, TrialStore, silent
 from hapticd.plant.scene import Scene
 from hapticd.sim.engine import simulate
 

@@ -31,9 +31,8 @@ from hapticd.analysis.arrays import Floats
 from hapticd.analysis.boundary import AXES, axis_limit
 from hapticd.analysis.verdict import NOTHING_JUDGED, Judged
 from hapticd.measure.outcomes import Conditions, Lot, Outcome, Point, Procedure, judged, points_of, run_all
-from hapticd.measure.progress import Progress, silent
 from hapticd.measure.scenes import Display
-from hapticd.measure.store import TrialStore
+from hapticd.measure.store import Progress, TrialStore, silent
 
 ORIGIN: Point = (0.0, 0.0, 0.0)
 REACH = (2e4, 60.0, -0.25)  # of a predicted search: N/m, Ns/m, kg

@@ -11,9 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hapticd.analysis.arrays import Complexes, Floats
-from hapticd.measure.progress import Progress, Steps, silent
 from hapticd.measure.sources import Source, Trial
-from hapticd.measure.store import Recorded
+from hapticd.measure.store import Progress, Recorded, Steps, silent
 from hapticd.units import PROBE_RATE_HZ
 
 FREQUENCIES_HZ = (3.0, 5.0, 8.0, 13.0, 21.0, 34.0, 55.0, 89.0, 144.0, 233.0, 377.0, 480.0)

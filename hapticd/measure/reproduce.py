@@ -37,11 +37,10 @@ from hapticd.measure.campaign import Axes, LevelMap, MapParams, MapPlan, plan_ma
 from hapticd.measure.executors import pool_of
 from hapticd.measure.limits import ORIGIN, REACH, LimitsParams, LimitsPlan, plan_limits, predicted_limit, run_plans
 from hapticd.measure.outcomes import Conditions, Point, points_of
-from hapticd.measure.progress import Progress, Steps, silent
 from hapticd.measure.reproduce_rows import ADDED_NS_PER_M, FIG_4, FIG_7, HIGH_PASS, LEVELS, LITERAL, MAIN
 from hapticd.measure.scenes import Display, noise
 from hapticd.measure.sources import Trial, engine_source
-from hapticd.measure.store import TrialStore
+from hapticd.measure.store import Progress, Steps, TrialStore, silent
 from hapticd.measure.trial import TrialParams, TrialResult, plan_trial, run_trial
 from hapticd.measure.walls import WallParams, WallResult, plan_walls, run_walls
 from hapticd.settings.scene import load_scene

@@ -39,10 +39,10 @@ from hapticd.analysis.arrays import Complexes, Floats
 from hapticd.analysis.closed import spectral_radius
 from hapticd.analysis.spa import DEFAULT_LAG
 from hapticd.errors import ConfigError
-from hapticd.measure.progress import Progress, Steps, silent
 from hapticd.measure.scenes import SUBSTEPS, filters, level, point
 from hapticd.measure.sources import Trial as Asked
 from hapticd.measure.sources import simulated
+from hapticd.measure.store import Progress, Steps, silent
 from hapticd.measure.trial import SHORTEST_WINDOWS, TrialParams, TrialResult, judged, plan_trial
 from hapticd.params import ADDED_DAMPING_NS_PER_M
 from hapticd.plant.compose import compose, compose_device

@@ -19,8 +19,7 @@ import numpy as np
 from hapticd.analysis.arrays import Floats
 from hapticd.errors import AnalysisError
 from hapticd.measure import scenes
-from hapticd.measure.progress import Progress, silent
-from hapticd.measure.store import Recorded, Rendered
+from hapticd.measure.store import Progress, Recorded, Rendered, silent
 from hapticd.measure.watch import Sentinel, Watch
 from hapticd.plant.compose import compose
 from hapticd.plant.scene import Excitation, Scene

@@ -1,4 +1,6 @@
-"""Where results stay: a folder for each run, and an append-only file of trials by which campaigns go on after an interruption.
+"""What a procedure leaves behind, and how it tells on the way that it is getting on.
+
+Results stay in a folder for each run, and in an append-only file of trials by which campaigns go on after an interruption:
 
     run folder     run.json (verdict, conditions, provenance); of a trial record.h5, or record.npz where h5py is not installed,
                    and impedance.csv; figures
@@ -14,7 +16,7 @@ Results become objects that JSON can carry (`plain`): arrays become lists, compl
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -28,10 +30,31 @@ from hapticd.errors import ConfigError
 SUMMARY, RECORD_H5, RECORD_NPZ, IMPEDANCE = "run.json", "record.h5", "record.npz", "impedance.csv"
 FIGURES = ("trial", "trial_admittance", "limits", "walls", "search", "set", "envelope", "envelope_admittance", "envelope_so_far")
 OF_A_RUN = (SUMMARY, RECORD_H5, RECORD_NPZ, IMPEDANCE, *(f"{name}.{kind}" for name in FIGURES for kind in ("png", "svg")))
+Progress = Callable[[str, int, int], None]  # of what is done, how many are done, and of how many
 OF_A_RECORD = (
     "simulated", "origin", "environment", "added_damping_ns_per_m", "ended", "max_command_n", "command_limit_n",
     "lost_samples", "samples", "lost_slots", "slots",
 )  # fmt: skip
+
+
+def silent(what: str, done: int, total: int) -> None:
+    """Nobody listens."""
+
+
+class Steps:
+    """Counts the steps of a procedure: it tells before each, and once at the end."""
+
+    def __init__(self, tell: Progress, total: int) -> None:
+        self._tell, self._total, self._done = tell, total, 0
+
+    def next(self, what: str) -> None:
+        """The next step begins, and is `what`."""
+        self._tell(what, min(self._done, self._total), self._total)
+        self._done += 1
+
+    def end(self) -> None:
+        """All is done."""
+        self._tell("done", self._total, self._total)
 
 
 def plain(value: Any, *, skip: tuple[str, ...] = ()) -> Any:

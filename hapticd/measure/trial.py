@@ -46,11 +46,10 @@ from hapticd.analysis.spa import DEFAULT_LAG, spa
 from hapticd.analysis.spectra import Spectra, corrected
 from hapticd.analysis.verdict import Verdict
 from hapticd.errors import AnalysisError
-from hapticd.measure.progress import Progress, Steps, silent
 from hapticd.measure.referee import Referee
 from hapticd.measure.scenes import filters, perturbation
 from hapticd.measure.sources import Source, Trial
-from hapticd.measure.store import IMPEDANCE, Recorded, fingerprint, nearer, write_run
+from hapticd.measure.store import IMPEDANCE, Progress, Recorded, Steps, fingerprint, nearer, silent, write_run
 from hapticd.measure.watch import AT_LIMIT, loss_findings, summed
 from hapticd.plant.compose import compose
 from hapticd.plant.model import Model

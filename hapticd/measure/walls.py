@@ -18,7 +18,7 @@ import numpy as np
 
 from hapticd.analysis.arrays import Values
 from hapticd.errors import AnalysisError
-from hapticd.measure.progress import Progress, Steps, silent
+from hapticd.measure.store import Progress, Steps, silent
 from hapticd.plant.compose import compose
 from hapticd.plant.model import Model
 from hapticd.plant.scene import Scene

@@ -23,9 +23,9 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from hapticd.errors import ConfigError
-from hapticd.measure.progress import Progress, Steps, silent
 from hapticd.measure.reproduce import ReproduceResult
 from hapticd.measure.reproduce_rows import Row
+from hapticd.measure.store import Progress, Steps, silent
 from hapticd.report import style
 from hapticd.report.paper_figures import (
     WORDS,

@@ -21,8 +21,7 @@ from hapticd.cli.zwidth.trial import draw_trial
 if TYPE_CHECKING:
     from hapticd.analysis.verdict import Judged
     from hapticd.measure.campaign import MapParams, MapResult
-    from hapticd.measure.progress import Progress
-    from hapticd.measure.store import TrialStore
+    from hapticd.measure.store import Progress, TrialStore
     from hapticd.plant.scene import Scene
 
 

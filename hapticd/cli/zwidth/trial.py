@@ -21,10 +21,9 @@ from hapticd.cli.zwidth import common
 if TYPE_CHECKING:
     from hapticd.analysis.impedance import Estimator
     from hapticd.client import Client
-    from hapticd.measure.progress import Progress
     from hapticd.measure.referee import Referee
     from hapticd.measure.sources import Source, Trial
-    from hapticd.measure.store import Recorded
+    from hapticd.measure.store import Progress, Recorded
     from hapticd.measure.trial import TrialPlan, TrialResult
     from hapticd.plant.scene import Scene
 
