@@ -202,9 +202,10 @@ class Motion:
     spare: float
 
     @property
-    def size(self) -> Floats:
-        """|Z| (F,): mean over trials, the prediction without."""
-        return np.asarray(self.runs.mean(axis=0)) if len(self.runs) else self.predicted
+    def size(self) -> Edge:
+        """Mean over trials, with the sd of ln |Z| between seeds; the prediction without."""
+        nobody = np.zeros(self.predicted.size, np.int64)
+        return _edge(self.runs if len(self.runs) else self.predicted[None], nobody)
 
     def low_db(self) -> Floats:
         """Mean over ln f in 2-20 Hz [dB re 1 N s/m], (seeds,), of the prediction (1,) without trials."""

@@ -2,8 +2,6 @@
 moves, where a larger display is no better one.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from hapticd.analysis.boundary import AXES
@@ -11,7 +9,8 @@ from hapticd.analysis.envelope import Envelope
 from hapticd.analysis.metrics import widths_db
 from hapticd.analysis.verdict import Judged
 from hapticd.errors import AnalysisError
-from hapticd.measure.portable import Comparison, Level
+from hapticd.measure.portable import Compared, Comparison, Level, Reach
+from hapticd.report.envelope import edges
 from hapticd.report.style import (
     BELOW,
     DEVICES,
@@ -26,7 +25,6 @@ from hapticd.report.style import (
     mosaic,
     plain_axis,
     styled,
-    tint,
     words_of,
 )  # fmt: skip
 from hapticd.report.table import Cell, Table, table
@@ -45,11 +43,16 @@ def comparison_figure(found: Comparison) -> Figure:
     figure, places = mosaic(PANELS, WIDTH_IN, 5.6, f"{_badge(found)}{names}\n{how(found)}", height_ratios=(1.5, 1.0))
     for rank, display in enumerate(found.displays):
         for level in display.levels:
-            _draw(places["size"], level.envelope, _look(rank, level), f"{display.name} {words_of(level.damping_ns_per_m)}")
-            if level.per_mass is not None:
-                _draw(places["mass"], level.per_mass, _look(rank, level), None)
+            look = {"color": _device(rank)["color"], "linestyle": "-" if level.damping_ns_per_m else OFF["linestyle"]}
+            words = f"{display.name} {words_of(level.damping_ns_per_m)}"
+            for name, shown in (("size", level.envelope), ("mass", level.per_mass)):
+                if shown is not None:
+                    edges(places[name], shown.frequency_hz, (shown.upper, shown.lower), look, words, rank)
+    judged_hz = np.array([one.conditions.judged_hz for one in found.displays])
     for name, words in (("size", "|Z| (N s/m)"), ("mass", "|Z| per moving mass (1/s)")):
-        _finish(places[name], found, words)
+        places[name].set(yscale="log", ylabel=words)
+        hertz_axis(places[name], float(judged_hz[:, 0].min()), float(judged_hz[:, 1].max()))
+        plain_axis(places[name].yaxis, FINE)
     for name in AXES:
         _limits(places[name], found, name)
     figure.legend(handles=handles_of(places["size"]), ncols=2, **BELOW)
@@ -92,9 +95,7 @@ def _reaches(found: Comparison) -> Table:
         )
         for name in AXES
         for display in found.displays
-        for level in display.levels
-        for reach in level.limits
-        if reach.name == name
+        for level, reach in _reached(display, name)
     ]  # fmt: skip
     return table(("limit", "display", "added N s/m", "reaches", "passive up to", "not passive from", "per kg"), rows)
 
@@ -121,39 +122,23 @@ def _badge(found: Comparison) -> str:
     return "SIMULATED " if any(one.conditions.simulated for one in found.displays) else ""
 
 
-def _look(rank: int, level: Level) -> Look:
-    look = DEVICES[rank % len(DEVICES)]
-    return {"color": look["color"], "linestyle": "-" if level.damping_ns_per_m else OFF["linestyle"]}
-
-
-def _draw(axis: Axes, envelope: Envelope, look: Look, words: str | None) -> None:
-    f, lower, upper = envelope.frequency_hz, envelope.lower.value, envelope.upper.value
-    axis.fill_between(f, lower, upper, color=tint(look["color"]), linewidth=0, zorder=0.4)
-    axis.plot(f, upper, label=words, **look)
-    axis.plot(f, lower, **look)
-
-
-def _finish(axis: Axes, found: Comparison, words: str) -> None:
-    ends = np.array([one.conditions.judged_hz for one in found.displays])
-    axis.set(yscale="log", ylabel=words)
-    hertz_axis(axis, float(ends[:, 0].min()), float(ends[:, 1].max()))
-    plain_axis(axis.yaxis, FINE)
+def _device(rank: int) -> Look:
+    return DEVICES[rank % len(DEVICES)]
 
 
 def _limits(axis: Axes, found: Comparison, name: str) -> None:
-    places: list[str] = []
-    for rank, display in enumerate(found.displays):
-        for level in display.levels:
-            for reach in (one for one in level.limits if one.name == name):
-                _point(axis, len(places), [SCALES[name] * one for one in (reach.value, reach.lower, reach.upper)], rank, level)
-                places.append(f"{level.damping_ns_per_m:g}")
-    axis.set_xticks(range(len(places)), places)
-    axis.set(xlim=(-0.6, len(places) - 0.4), ylabel=f"{name} ({UNITS[name]})", xlabel="added damping (N s/m)")
+    """A mark and its interval for each display and level, hollow without added damping."""
+    told = [(rank, *one) for rank, display in enumerate(found.displays) for one in _reached(display, name)]
+    for at, (rank, level, reach) in enumerate(told):
+        look = _device(rank)
+        ends = sorted(SCALES[name] * end for end in (reach.lower, reach.upper))
+        axis.vlines(at, ends[0], ends[1], color=look["color"])
+        filled = look["color"] if level.damping_ns_per_m else "white"
+        axis.plot(at, SCALES[name] * reach.value, linestyle="", markerfacecolor=filled, **look)
+    axis.set_xticks(range(len(told)), [f"{level.damping_ns_per_m:g}" for _, level, _ in told])
+    axis.set(xlim=(-0.6, len(told) - 0.4), ylabel=f"{name} ({UNITS[name]})", xlabel="added damping (N s/m)")
 
 
-def _point(axis: Axes, at: int, numbers: Sequence[float], rank: int, level: Level) -> None:
-    value, one, other = numbers
-    look = DEVICES[rank % len(DEVICES)]
-    axis.vlines(at, min(one, other), max(one, other), color=look["color"])
-    filled = look["color"] if level.damping_ns_per_m else "white"
-    axis.plot(at, value, linestyle="", color=look["color"], marker=look["marker"], markerfacecolor=filled)
+def _reached(display: Compared, name: str) -> list[tuple[Level, Reach]]:
+    """The limit of that name at each level."""
+    return [(level, reach) for level in display.levels for reach in level.limits if reach.name == name]

@@ -104,9 +104,10 @@ def envelopes_figure(
     figure, (size, *strips, phase) = axes(2 + count, 1, WIDTH_IN, 6.4 + 0.42 * count, title, sharex=True, height_ratios=heights)
     hertz_axis(phase, *ends_hz)
     size.set_yscale("log")
-    for place, drawn in enumerate(shown):
-        _edges(size, drawn, (drawn.envelope.upper, drawn.envelope.lower), 0.4 - 0.01 * place)
-        _edges(phase, drawn, (drawn.envelope.phase_upper, drawn.envelope.phase_lower), 0.4 - 0.01 * place, linear=True)
+    for rank, drawn in enumerate(shown):
+        found, own = drawn.envelope, (drawn.look, drawn.words, rank)
+        edges(size, found.frequency_hz, (found.upper, found.lower), *own)
+        edges(phase, found.frequency_hz, (found.phase_upper, found.phase_lower), *own, linear=True)
     for guess in (drawn.guess for drawn in shown if drawn.guess is not None):
         for edge in (guess.upper, guess.lower):
             size.plot(guess.frequency_hz, edge.value, label="predicted", **PREDICTED)
@@ -125,12 +126,14 @@ def envelopes_figure(
     return figure
 
 
-def _edges(axis: Axes, drawn: Drawn, edges: tuple[Edge, Edge], low: float, linear: bool = False) -> None:
-    """Tinted between them, the first envelope on top."""
-    f, (upper, lower) = drawn.envelope.frequency_hz, edges
-    axis.fill_between(f, lower.value, upper.value, color=tint(drawn.look["color"]), linewidth=0, zorder=low)
-    for edge, words in ((upper, drawn.words), (lower, None)):
-        banded(axis, f, edge.value, NORMAL * edge.sd, drawn.look, words, linear)
+def edges(
+    axis: Axes, frequency_hz: Floats, pair: tuple[Edge, Edge], look: Look, words: str, rank: int = 0, linear: bool = False
+) -> None:
+    """Upper and lower edge with their intervals, tinted between them, the first envelope on top."""
+    upper, lower = pair
+    axis.fill_between(frequency_hz, lower.value, upper.value, color=tint(look["color"]), linewidth=0, zorder=0.4 - 0.01 * rank)
+    banded(axis, frequency_hz, upper.value, NORMAL * upper.sd, look, words, linear)
+    banded(axis, frequency_hz, lower.value, NORMAL * lower.sd, look, None, linear)
 
 
 # --- owners ----------------------------------------------------------------------------------------------------------------------

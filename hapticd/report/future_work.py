@@ -90,7 +90,7 @@ def _edge_note(result: BeyondResult, name: str, bounds: Bounds) -> str:
 def _free_motion(result: BeyondResult) -> Section:
     free, count = result.free, len(result.plan.seeds)
     off, on, alone, both = free.motions
-    heavier = shown_hz()[np.argmax(both.size > off.size)]
+    heavier = shown_hz()[np.argmax(both.size.value > off.size.value)]
     words = (
         "No grid matters where no stiffness is rendered. "
         f"Mean |Z| in 2-20 Hz is {off.low_db().mean():.1f} dB undamped and {on.low_db().mean():.1f} dB damped. "

@@ -11,15 +11,14 @@ the lower edge's owner weighs most at that frequency. All figures are drawn with
 """
 
 from collections.abc import Sequence
-from math import isfinite
+from math import isnan
 from typing import Any
 
 import numpy as np
 
 from hapticd.analysis.arrays import Floats
 from hapticd.analysis.boundary import open_ends, passive_set
-from hapticd.analysis.linearise import Perturbation
-from hapticd.analysis.predict import predicted_impedance
+from hapticd.analysis.envelope import Edge
 from hapticd.measure.beyond import LOW_HZ, BeyondResult, Bounds, Corner, Motion, Shaped, mean_sd, shown_hz
 from hapticd.measure.reproduce import (
     AXES,
@@ -30,15 +29,12 @@ from hapticd.measure.reproduce import (
     SECONDS,
     WINDOW_HZ,
     Found,
-    Limit,
     Peak,
     ReproduceResult,
-    Single,
-    subject,
 )
-from hapticd.measure.reproduce_rows import ADDED_NS_PER_M, FIG_4, FIG_7, LEVELS, MAIN, NAMES, PAPER, TOLERANCE
+from hapticd.measure.reproduce_rows import ADDED_NS_PER_M, FIG_4, FIG_7, LEVELS, MAIN, MODES, NAMES, PAPER, TOLERANCE
 from hapticd.report.envelope import SHOWN_HZ, Drawn, envelopes_figure, keys, strip, weightiest
-from hapticd.report.paper_table import MIDDLE_HZ, compared
+from hapticd.report.paper_table import MIDDLE_HZ, compared, predicted
 from hapticd.report.passive_set import draw_guess
 from hapticd.report.style import (
     BELOW,
@@ -49,7 +45,6 @@ from hapticd.report.style import (
     FOREST,
     HOLLOW,
     INTERVAL,
-    MARKS,
     NORMAL,
     OFF,
     OLIVE,
@@ -57,7 +52,6 @@ from hapticd.report.style import (
     PARTS,
     PREDICTED,
     PURPLE,
-    RED,
     SMALL_PT,
     WIDTH_IN,
     Axes,
@@ -94,6 +88,8 @@ CASES = (
     ("on_negative_B", NEGATIVE, f"{ADDED_NS_PER_M:g} N s/m added, any B"),
 )
 COLOURS = dict(PARTS)
+COLOURED: Look = {"cmap": "viridis", "vmin": 0, "vmax": len(AXES[0]) - 1}  # by the place of K on the grid
+PREDICTED_HZ = np.geomspace(*SHOWN_HZ, 400)
 LIMITS: tuple[tuple[str, str, float, Look], ...] = (
     ("largest K", "N/m", 1.0, {"color": COLOURS["K"], "marker": "o"}),
     ("largest B", "N s/m", 1.0, {"color": COLOURS["B > 0"], "marker": "s"}),
@@ -116,32 +112,25 @@ def _how(result: ReproduceResult | BeyondResult, more: str = "") -> str:
 
 
 def single_figure(result: ReproduceResult, places: tuple[int, ...], title: str) -> Figure:
-    """|Z| and phase of single trials of the first seed; of two, the phase that the second gains
-    over the first.
+    """|Z| and phase of single trials of the first seed, dotted what is predicted, which stands alone
+    where nothing was flown; of two, the phase that the second gains over the first.
     """
     figure, (size, phase) = axes(2, 1, WIDTH_IN, 5.8, f"{title}\n{_how(result)}", sharex=True, height_ratios=[3.0, 2.4])
     shown = [result.singles[MAIN][place] for place in places]
     hertz_axis(phase, *SHOWN_HZ)
+    known = []
     for single in shown:
-        _single(size, phase, single)
+        look, words, trial = LOOKS[single.level > 0.0], WORDS[single.level > 0.0], single.shown
+        guess = (look, f"{words}, predicted") if trial is None else (PREDICTED, "predicted")
+        if trial is not None:
+            draw(size, phase, Curve(trial.frequency_hz, trial.impedance_ns_per_m, look, words, NORMAL * trial.relative_sd))
+            known = [interval(look)]
+        draw(size, phase, Curve(PREDICTED_HZ, predicted(single, MAIN, PREDICTED_HZ), *guess))
     if len(shown) == 2:
         _advantage(phase, float(compared(shown[0], shown[1], MAIN).mean(axis=0)[1]))
-    known = [interval(LOOKS[shown[-1].level > 0.0])] if any(single.shown for single in shown) else []
     grey = dress(size, phase, TRUSTED_HZ, where=" at the probe")
     size.legend(handles=[*handles_of(size), *known, grey], loc="upper left")
     return figure
-
-
-def _single(size: Axes, phase: Axes, single: Single) -> None:
-    """As measured, dotted what is predicted; the prediction alone where nothing was flown."""
-    look, words = LOOKS[single.level > 0.0], WORDS[single.level > 0.0]
-    device, f, shown = subject(MAIN), np.geomspace(*SHOWN_HZ, 400), single.shown
-    z = predicted_impedance(device.model, single.point, f, single.level, device.filters, Perturbation())
-    if shown is None:
-        draw(size, phase, Curve(f, z, look, f"{words}, predicted"))
-        return
-    draw(size, phase, Curve(shown.frequency_hz, shown.impedance_ns_per_m, look, words, NORMAL * shown.relative_sd))
-    draw(size, phase, Curve(f, z, PREDICTED, "predicted"))
 
 
 def _advantage(phase: Axes, degrees: float) -> None:
@@ -183,18 +172,24 @@ def _peak(axis: Axes, peak: Peak) -> None:
 
 
 def limits_figure(result: ReproduceResult) -> Figure:
-    """Ours over the paper's, for each limit and device, with the scatter between seeds."""
+    """Ours over the paper's in percent, for each limit and device, with the scatter between seeds; a
+    full mark at -100 % where nothing is passive.
+    """
     seeds = f"bars: one sd over {len(result.plan.seeds)} seeds" if result.plan.seeds else "predicted"
     figure, (axis,) = axes(1, 1, WIDTH_IN, 4.1, f"Limits on their axes beside the paper's, SIMULATED; {seeds}")
     names, percent = list(PAPER), 100.0 * TOLERANCE
-    for end in (-percent, percent):
-        axis.axhline(end, color="#aaaaaa", linewidth=1.0, label=f"±{percent:g} %" if end > 0.0 else None)
+    axis.axhspan(-percent, percent, color="#e4e4e4", zorder=0.4, label=f"±{percent:g} %")
     axis.axhline(0.0, color=BLACK, linewidth=0.8)
     for place, device in enumerate(result.plan.devices):
-        axis.plot([], [], label=device, linestyle="none", **DEVICES[place])
-        for limit in (each for each in result.limits if each.device == device):
-            name = f"{NAMES[limit.axis]}_{'on' if limit.level else 'off'}"
-            _beside_paper(axis, limit, names.index(name) + BESIDE * (place - 1), PAPER[name], DEVICES[place])
+        limits = [limit for limit in result.limits if limit.device == device]
+        quantities = [f"{NAMES[limit.axis]}_{MODES[limit.level]}" for limit in limits]
+        scale = 100.0 / np.array([PAPER[name] for name in quantities])
+        ours, sd, guess = (scale * np.array([getattr(one, part) for one in limits]) for part in ("mean", "sd", "predicted"))
+        x = np.array([names.index(name) for name in quantities]) + BESIDE * (place - 1)
+        marked = {**DEVICES[place], "linestyle": "none"}
+        told = np.array([one.values.size > 0 or isnan(one.predicted) for one in limits])
+        axis.errorbar(x, np.where(told, ours - 100.0, np.nan), abs(sd), label=device, **marked)
+        draw_guess(axis, x + BESIDE_GUESS, guess - 100.0, marked)
     axis.plot([], [], "o", color=BLACK, label="predicted (hollow)", **HOLLOW)
     axis.set_yscale("symlog", linthresh=20.0)
     axis.set_yticks(TICKS, [f"{tick:+d}" if tick else "0" for tick in TICKS])
@@ -205,15 +200,6 @@ def limits_figure(result: ReproduceResult) -> Figure:
     return figure
 
 
-def _beside_paper(axis: Axes, limit: Limit, x: float, printed: float, look: dict[str, Any]) -> None:
-    """In percent of the paper's; a full mark at -100 % where nothing is passive."""
-    scale, marked = 100.0 / printed, {**look, "linestyle": "none"}
-    if limit.values.size or not isfinite(limit.predicted):
-        bars = abs(scale) * limit.sd if isfinite(limit.sd) else None
-        axis.errorbar(x, scale * limit.mean - 100.0, bars, **marked)
-    draw_guess(axis, x + BESIDE_GUESS, scale * limit.predicted - 100.0, marked)
-
-
 def _labelled(name: str) -> str:
     printed, mode = PAPER[name], "damped" if name.endswith("_on") else "undamped"
     unit = {"K": f"{printed:g} N/m", "B": f"{printed:g} N s/m", "M": f"{1e3 * printed:g} g"}[name[0]]
@@ -221,8 +207,8 @@ def _labelled(name: str) -> str:
 
 
 def edges_figure(result: ReproduceResult) -> Figure:
-    """K limits over the lower band edge: what tells a lag in the force path from a high-pass in the
-    probe.
+    """K limits over the lower band edge, 0 where none is passive: what tells a lag in the force path
+    from a high-pass in the probe.
     """
     seeds = f"; bars: one sd over {min(len(result.plan.seeds), EDGE_SEEDS)} seeds" if result.plan.seeds else ", predicted"
     title = f"K limits over the lower band edge, SIMULATED{seeds}"
@@ -230,97 +216,70 @@ def edges_figure(result: ReproduceResult) -> Figure:
     unseen: Look = {"facecolor": "none", "edgecolor": "#bbbbbb", "hatch": "///", "linewidth": 0}
     pair[1].set(yscale="log")
     for axis, level, words in zip(pair, LEVELS, WORDS, strict=True):
-        for place, device in enumerate(result.plan.devices):
+        for device, look in zip(result.plan.devices, DEVICES, strict=False):
             limits = [each for each in result.edges if (each.device, each.level) == (device, level)]
-            _over_edges(axis, limits, DEVICES[place])
+            axis.errorbar(EDGES_HZ, [each.mean for each in limits], [each.sd for each in limits], label=device, **look)
         printed = PAPER["K_max_on" if level else "K_max_off"]
         axis.axhline(printed, color=BLACK, linewidth=0.8, label="the paper, its band is not stated")
         axis.axvspan(0.8, WINDOW_HZ, label="below the reach of the window", **unseen)
         axis.set(xscale="log", xlim=(0.8, 12.5), xlabel="lower edge of the judged band (Hz)", title=words)
         plain_axis(axis.xaxis, ((1.0, 2.0, 3.0, 5.0),))
-    pair[0].set(ylim=(0, None), ylabel="largest passive K on its axis (N/m)")
+    pair[0].set(ylim=(-15, None), ylabel="largest passive K on its axis (N/m)")
     pair[1].set(ylim=(250, 4000))
     plain_axis(pair[1].yaxis, FINE[1:])
     figure.legend(*pair[1].get_legend_handles_labels(), ncols=3, **BELOW)
     return figure
 
 
-def _over_edges(axis: Axes, limits: Sequence[Limit], look: Look) -> None:
-    device, means = limits[0].device, [limit.mean for limit in limits]
-    if not any(means):
-        axis.plot([], [], label=device, **look)
-        axis.text(0.97, 0.04, f"{device}: none is passive", fontsize=SMALL_PT, ha="right", transform=axis.transAxes)
-        return
-    bars = [limit.sd for limit in limits] if isfinite(limits[0].sd) else None
-    axis.errorbar(EDGES_HZ, means, bars, label=device, **look)
-
-
 # --- the set on the paper's grid -------------------------------------------------------------------------------------------------
 
 
 def passive_figure(found: Found, title: str) -> Figure:
-    """The set in space, and the largest K over B and M."""
+    """The set in space, and the largest K over B and M; a colour for each K of the grid."""
     count = int(found.passive.sum())
     how = f"{found.undecided} not certain at 95 %, {found.flown} trials" if found.flown else "predicted"
     whole = f"{title}\nSIMULATED {MAIN}, {count} of {len(POINTS)} environments ({how})"
     figure = sheet(WIDTH_IN, 4.1, whole, layout=None)
-    space: Any = figure.add_axes((-0.02, 0.0, 0.49, 0.86), projection="3d")
-    flat = figure.add_axes((0.575, 0.13, 0.3, 0.6))
-    colours = _stiffness_colours()
-    _space(space, found, colours)
-    bar = figure.colorbar(_flat(flat, found, colours), cax=figure.add_axes((0.89, 0.13, 0.018, 0.6)), ticks=AXES[0])
-    bar.set_label("K (N/m)")
-    bar.ax.tick_params(labelsize=SMALL_PT)
+    _space(figure.add_axes((-0.02, 0.0, 0.49, 0.86), projection="3d"), found)
+    painted = _flat(figure.add_axes((0.575, 0.13, 0.3, 0.6)), found)
+    bar = figure.colorbar(painted, cax=figure.add_axes((0.89, 0.13, 0.018, 0.6)), label="K (N/m)")
+    bar.set_ticks(range(len(AXES[0])), labels=[f"{k:g}" for k in AXES[0]], fontsize=SMALL_PT)
     bar.ax.minorticks_off()
     return figure
 
 
-def _space(axis: Any, found: Found, colours: dict[str, Any]) -> None:
-    k, b, m = (AXES[each][index] for each, index in enumerate(np.nonzero(found.passive)))
-    order = np.argsort(b)[::-1]
-    axis.scatter(1e3 * m[order], b[order], k[order], c=k[order], s=5, depthshade=False, linewidths=0, **colours)
-    axis.set_xlabel("M (g)", labelpad=-4)
-    axis.set_ylabel("B (N s/m)", labelpad=-4)
-    axis.set_zlabel("K (N/m)", labelpad=4)
+def _space(axis: Any, found: Found) -> None:
+    rank, at_b, at_m = np.nonzero(found.passive)
+    m_g = 1e3 * AXES[2][at_m]
+    axis.scatter(m_g, AXES[1][at_b], AXES[0][rank], c=rank, s=5, depthshade=False, linewidths=0, **COLOURED)
     axis.set(xlim=(-24, 30), ylim=(0, 9), zlim=(0, 1000), xticks=(-20, 0, 20), yticks=(0, 3, 6, 9), zticks=(0, 500, 1000))
+    axis.set(xlabel="M (g)", ylabel="B (N s/m)", zlabel="K (N/m)")
     axis.tick_params(labelsize=SMALL_PT, pad=-2)
     axis.tick_params(axis="z", pad=1)
     axis.view_init(elev=20, azim=-60)
-    axis.set_box_aspect((1.0, 1.0, 1.15), zoom=0.98)
+    axis.set_box_aspect((1.0, 1.0, 1.15), zoom=0.95)
 
 
-def _flat(axis: Axes, found: Found, colours: dict[str, Any]) -> Any:
-    """The largest passive K, and where the single trials lie."""
-    stiffness = np.where(found.passive, AXES[0][:, None, None], -1.0).max(axis=0)
-    shown = np.ma.masked_less(stiffness, 0.0)
-    painted = axis.pcolormesh(1e3 * AXES[2], AXES[1], shown, edgecolors="white", linewidth=0.4, **colours)
+def _flat(axis: Axes, found: Found) -> Any:
+    """The largest passive K, and where the single trials lie; the ends at which the grid is smaller
+    than the set. K and B end at 0 by definition.
+    """
+    rank = np.where(found.passive, np.arange(len(AXES[0]))[:, None, None], -1).max(axis=0)
+    shown = np.ma.masked_less(rank, 0)
+    painted = axis.pcolormesh(1e3 * AXES[2], AXES[1], shown, edgecolors="white", linewidth=0.4, **COLOURED)
     for (_, b, m), sign, words in TRIALS:
         size = 6 if sign == "D" else 10
         axis.plot(1e3 * m, b, sign, color="white", markeredgecolor="black", markersize=size, label=words)
+    ends = open_ends(passive_set(AXES, np.where(found.passive, 1.0, -1.0)))
+    cut = ", ".join(end for end in ends if end not in ("K min", "B min"))
+    reach = f"The grid cuts the set at\n{cut}" if cut else "The grid reaches beyond the set"
     axis.set(
         xlabel="virtual mass M (g)", ylabel="virtual damping B (N s/m)", ylim=(-0.25, 11.3), yticks=range(0, 10, 2),
-        title=f"Largest passive K at each B and M.\n{_cut(found)}",
+        title=f"Largest passive K at each B and M.\n{reach}",
     )  # fmt: skip
     axis.grid(visible=False)
     axis.legend(loc="upper left", handletextpad=0.3)
     return painted
-
-
-def _cut(found: Found) -> str:
-    """Where the grid ends and the set does not; K and B end at 0 by definition."""
-    ends = {"K max": f"K = {AXES[0][-1]:g} N/m", "B max": f"B = {AXES[1][-1]:g} N s/m"}
-    ends |= {"M max": f"M = {1e3 * AXES[2][-1]:g} g", "M min": f"M = {1e3 * AXES[2][0]:g} g"}
-    cut = [ends[end] for end in open_ends(passive_set(AXES, np.where(found.passive, 1.0, -1.0))) if end in ends]
-    return f"The grid cuts the set at\n{', '.join(cut)}" if cut else "The grid reaches beyond the set"
-
-
-def _stiffness_colours() -> dict[str, Any]:
-    from matplotlib import colormaps
-    from matplotlib.colors import BoundaryNorm
-
-    middle = 0.5 * (AXES[0][1:] + AXES[0][:-1])
-    colours = colormaps["viridis"].resampled(len(AXES[0]))
-    return {"cmap": colours, "norm": BoundaryNorm(np.concatenate(([-12.5], middle, [1100.0])), colours.N)}
 
 
 def _ends(axis: Axes) -> None:
@@ -330,18 +289,15 @@ def _ends(axis: Axes) -> None:
     plain_axis(axis.yaxis)
 
 
-def _by_trials(axis: Axes, x: float, runs: Floats, scale: float = 1.0, look: Look = DISC, label: str | None = BY_TRIALS) -> None:
-    """The mean of `runs` (seeds,), times `scale`, with its interval; nothing without trials."""
-    if len(runs):
-        mean, sd = mean_sd(runs)
-        marked = {
-            "marker": "o",
-            "zorder": 3,
-            "markerfacecolor": look["color"],
-            **MARKS,
-            **{k: look[k] for k in ("marker",) if k in look},
-        }
-        axis.errorbar(x, scale * mean, abs(of_mean(len(runs)) * scale * sd), label=label, **marked)
+def _by_trials(
+    axis: Axes, x: Any, runs: Sequence[Floats], scale: float = 1.0, look: Look = DISC, label: str | None = BY_TRIALS
+) -> None:
+    """The mean of each of `runs` (seeds,), times `scale`, with its interval at `x`; nothing without trials."""
+    known = [mean_sd(each) for each in runs if len(each)]
+    bars = [abs(scale) * of_mean(len(each)) * sd for each, (_, sd) in zip(runs, known, strict=False)]
+    if known:
+        marked = {"markerfacecolor": look["color"], "zorder": 3, **look, "linestyle": ""}
+        axis.errorbar(x, [scale * mean for mean, _ in known], bars, label=label, **marked)
 
 
 # --- future work, over frequency -------------------------------------------------------------------------------------------------
@@ -375,41 +331,39 @@ def edge_figure(result: BeyondResult) -> Figure:
 
 
 def _lines(axis: Axes, bounds: Sequence[Bounds], looks: Sequence[tuple[Look, str]], seeds: int) -> None:
-    """Edges with their intervals, the lower one heavier, and the lower one predicted where there were trials."""
-    axis.set_yscale("log")
+    """Both edges, the lower one heavier."""
     for found, (look, words) in zip(bounds, looks, strict=True):
-        for edge, width, label in ((found.lower, 1.8, words), (found.upper, 0.8, None)):
-            banded(axis, found.frequency_hz, edge.value, of_mean(seeds) * edge.sd, {**look, "linewidth": width}, label)
-        if found.flown:
-            axis.plot(found.frequency_hz, found.predicted_lower, **{**PREDICTED, "color": look["color"]})
+        _line(axis, found.lower, found.predicted_lower if found.flown else None, seeds, {**look, "linewidth": 1.8}, words)
+        _line(axis, found.upper, None, seeds, {**look, "linewidth": 0.8})
+
+
+def _line(axis: Axes, size: Edge, predicted: Floats | None, seeds: int, look: Look, words: str | None = None) -> None:
+    """|Z| over `shown_hz()` with the interval of its mean over seeds; dotted what was predicted of it."""
+    axis.set_yscale("log")
+    banded(axis, shown_hz(), size.value, of_mean(seeds) * size.sd, look, words)
+    if predicted is not None:
+        axis.plot(shown_hz(), predicted, **{**PREDICTED, "color": look["color"]})
 
 
 def free_figure(result: BeyondResult) -> Figure:
     """|Z| of the device that renders no stiffness, for each way of making it lighter."""
     title = f"Free motion: passive for any input, friction not counted\n{_how(result)}"
     figure, (axis,) = axes(1, 1, WIDTH_IN, 4.4, title)
-    axis.set_yscale("log")
     for motion, look in zip(result.free.motions, (OFF, ON, NEGATIVE, WITH_MASS), strict=True):
-        _motion(axis, motion, look)
+        words = f"{_rendered(motion)}: {motion.low_db().mean():.1f} dB"
+        _line(axis, motion.size, motion.predicted if len(motion.runs) else None, len(motion.runs), look, words)
     bracket = mark(f"{BAND}: mean, dB re 1 N s/m", color=BLACK, marker="|", markersize=7, linewidth=1.0)
     _ends(axis)
     averaged(axis, LOW_HZ)
     axis.set_ylabel("|Z| at the probe, K = 0 (N s/m)")
-    handles = [*handles_of(axis), mark("predicted", **PREDICTED), bracket]
-    figure.legend(handles=handles, ncols=2, **BELOW)
+    figure.legend(handles=[*handles_of(axis), mark("predicted", **PREDICTED), bracket], ncols=2, **BELOW)
     return figure
 
 
-def _motion(axis: Axes, motion: Motion, look: Look) -> None:
+def _rendered(motion: Motion) -> str:
     added = f"{motion.level:g} N s/m added" if motion.level else "no added damping"
-    rendered = f", B = {motion.damping:.2f} N s/m" if motion.damping else ""
-    rendered += f", M = {1e3 * motion.mass_kg:.1f} g" if motion.mass_kg else ""
-    logs = np.log(motion.runs if len(motion.runs) else motion.predicted[None])
-    spread = of_mean(len(logs)) * logs.std(axis=0, ddof=1) if len(logs) > 1 else np.zeros(logs.shape[1])
-    label = f"{added}{rendered}: {motion.low_db().mean():.1f} dB"
-    banded(axis, shown_hz(), np.exp(logs.mean(axis=0)), spread, look, label)
-    if len(motion.runs):
-        axis.plot(shown_hz(), motion.predicted, **{**PREDICTED, "color": look["color"]})
+    damping = f", B = {motion.damping:.2f} N s/m" if motion.damping else ""
+    return added + damping + (f", M = {1e3 * motion.mass_kg:.1f} g" if motion.mass_kg else "")
 
 
 # --- future work, over a corner and over a level ---------------------------------------------------------------------------------
@@ -424,7 +378,7 @@ def shape_figure(result: BeyondResult) -> Figure:
     _shares(below, shaped, shaped.lowpass, "damping below the corner only")
     for each in shaped.confirmed:
         scale = 100.0 / shaped.plain.limits[each.axis]
-        _by_trials(above, shaped.best.hertz, each.values, scale, LIMITS[each.axis][-1], None)
+        _by_trials(above, shaped.best.hertz, [each.values], scale, LIMITS[each.axis][-1], None)
     above.set_ylabel("limit (% of unshaped)")
     _free(free, shaped)
     looks = ((OFF, "none"), (ON, "unshaped"), (ALONE, f"above {shaped.best.hertz:g} Hz"))
@@ -451,20 +405,13 @@ def _shares(axis: Axes, shaped: Shaped, corners: tuple[Corner, ...], words: str)
 
 def _free(axis: Axes, shaped: Shaped) -> None:
     for corners, sign, words in ((shaped.highpass, "o", "damping above it"), (shaped.lowpass, "x", "damping below it")):
-        axis.plot(
-            [each.hertz for each in corners],
-            [each.free_db for each in corners],
-            marker=sign,
-            color=BLUE,
-            linewidth=0.9,
-            label=words,
-        )
-    axis.axhline(shaped.plain.free_db, color=BLUE, linewidth=0.8)
-    axis.axhline(shaped.undamped.free_db, linewidth=1.0, **OFF)
-    for level, words, colour in ((shaped.plain.free_db, "unshaped", BLUE), (shaped.undamped.free_db, "without damping", RED)):
-        axis.text(0.45, level + 0.3, words, fontsize=SMALL_PT, color=colour)
+        free_db = [each.free_db for each in corners]
+        axis.plot([each.hertz for each in corners], free_db, marker=sign, color=BLUE, linewidth=0.9, label=words)
+    for level, words, look in ((shaped.plain.free_db, "unshaped", ON), (shaped.undamped.free_db, "without damping", OFF)):
+        axis.axhline(level, linewidth=0.9, **look)
+        axis.text(0.45, level + 0.3, words, fontsize=SMALL_PT, color=look["color"])
     if len(shaped.free.runs):
-        _by_trials(axis, shaped.best.hertz, shaped.free.low_db())
+        _by_trials(axis, shaped.best.hertz, [shaped.free.low_db()])
     hertz_axis(axis, *CORNERS_HZ)
     axis.set(xlabel="corner (Hz)", ylabel="free motion (dB re 1 N s/m)", ylim=(-2.0, None), xticks=[0.5, 2, 10, 50, 200])
     axis.legend(loc="lower left")
@@ -477,8 +424,8 @@ def levels_figure(result: BeyondResult) -> Figure:
     figure, grid = axes(2, 2, WIDTH_IN, 5.4, f"Levels of added damping; the two upright lines are those of the paper\n{how}")
     for axis, (panel, (name, unit, scale, look)) in enumerate(zip(grid, LIMITS, strict=False)):
         panel.plot(levels.level, scale * levels.limits[:, axis], color=look["color"], marker=".", label="predicted")
-        for count, each in enumerate(limit for limit in levels.confirmed if limit.axis == axis):
-            _by_trials(panel, each.level, each.values, scale, label=None if count else BY_TRIALS)
+        flown = [limit for limit in levels.confirmed if limit.axis == axis]
+        _by_trials(panel, [each.level for each in flown], [each.values for each in flown], scale)
         panel.set_ylabel(f"{name} ({unit})")
     _volume(grid[3], result)
     for panel in grid:

@@ -210,14 +210,14 @@ def compared(undamped: Single, damped: Single, name: str) -> Floats:
     pairs = zip(undamped.trials, damped.trials, strict=True)
     both = [(off.measured, on.measured) for off, on in pairs if off is not None and on is not None]
     flown = [_three(off.frequency_hz, off.impedance_ns_per_m, on.impedance_ns_per_m) for off, on in both]
-    return np.array(flown or [_foretold(undamped, damped, name)])
+    f = np.geomspace(2.0, 1000.0, 200)
+    return np.array(flown or [_three(f, predicted(undamped, name, f), predicted(damped, name, f))])
 
 
-def _foretold(undamped: Single, damped: Single, name: str) -> tuple[float, float, float]:
-    device, f = subject(name), np.geomspace(2.0, 1000.0, 200)
-    given = (device.filters, device.perturbation)
-    off, on = (predicted_impedance(device.model, one.point, f, one.level, *given) for one in (undamped, damped))
-    return _three(f, off, on)
+def predicted(single: Single, name: str, frequency_hz: Floats) -> Complexes:
+    """Z (F,) [N s/m] of its environment at `frequency_hz` (F,), at the perturbation of the trials of the device `name`."""
+    device = subject(name)
+    return predicted_impedance(device.model, single.point, frequency_hz, single.level, device.filters, device.perturbation)
 
 
 def _three(frequency_hz: Floats, off: Complexes, on: Complexes) -> tuple[float, float, float]:

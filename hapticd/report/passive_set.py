@@ -111,19 +111,13 @@ def slices(result: MapResult) -> Integers:
     """Up to six places on the axis of M, two rows or one: those nearest to 0 and others evenly
     apart, where something passes or was tried.
     """
-    mass = result.levels[0].found.axes[2]
-    there = np.zeros(mass.size, bool)
-    for level in result.levels:
-        there |= level.found.passive.any(axis=(0, 1)) | level.tried.reshape(level.found.margin.shape).any(axis=(0, 1))
-    zero = int(np.argmin(np.abs(mass)))
-    there[zero] = True
-    places = np.flatnonzero(there)
-    count = min(PANELS, len(places))
-    count -= count % COLUMNS if count > COLUMNS else 0
+    shapes = [level.found.margin.shape for level in result.levels]
+    shown = [level.found.passive | level.tried.reshape(shape) for level, shape in zip(result.levels, shapes, strict=True)]
+    zero = int(np.argmin(np.abs(result.levels[0].found.axes[2])))
+    places = np.union1d(np.flatnonzero(np.any(shown, axis=(0, 1, 2))), zero)
+    count = max(count for count in (1, 2, COLUMNS, PANELS) if count <= len(places))
     chosen = places[np.linspace(0, len(places) - 1, count).round().astype(int)]
-    if zero not in chosen:
-        inner = slice(1, -1) if len(chosen) > 2 else slice(None)
-        chosen[inner][np.argmin(np.abs(chosen[inner] - zero))] = zero
+    chosen[np.abs(chosen - zero).argmin()] = zero
     return np.asarray(chosen)
 
 

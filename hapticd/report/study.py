@@ -6,7 +6,9 @@ As in the paper's Fig. 7 added damping is a solid line and none a dashed one.
 """
 
 from collections.abc import Iterable
+from itertools import cycle
 from math import inf, isinf, isnan, nan
+from typing import Any
 
 import numpy as np
 
@@ -319,11 +321,9 @@ def effects_figure(result: EffectsResult) -> Figure:
     title = f"{params.scene.title}: {QUESTIONS[params.question]}"
     figure, (axis,) = axes(1, 1, 8.5, 1.8 + 0.3 * len(rows), title)
     changes = [min(max(row.change, LEAST), MOST) for row in rows]
-    looks = [
-        {"color": BLUE if row.effect in result.kept else DROPPED, "hatch": "" if row.method == "predicted" else "///"}
-        for row in rows
-    ]
-    _bars(axis, [row.effect for row in rows], changes, [_changed(row) for row in rows], looks)
+    colours = [BLUE if row.effect in result.kept else DROPPED for row in rows]
+    hatches = ["" if row.method == "predicted" else "///" for row in rows]
+    _bars(axis, [row.effect for row in rows], changes, [_changed(row) for row in rows], color=colours, hatch=hatches)
     axis.axvline(params.tolerance, color=RED)
     words = f"tolerance {percent(params.tolerance)}"
     axis.text(1.05 * params.tolerance, len(rows) - 0.45, words, color=RED, va="bottom", fontsize=SMALL_PT)
@@ -334,12 +334,10 @@ def effects_figure(result: EffectsResult) -> Figure:
     return figure
 
 
-def _bars(axis: Axes, names: list[str], values: list[float], told: list[str], looks: list[Look]) -> None:
+def _bars(axis: Axes, names: list[str], values: list[float], told: list[str], **look: Any) -> None:
     """One for each effect on a logarithmic axis, from below, with what it says beside it."""
-    for place, (value, words, look) in enumerate(zip(values, told, looks, strict=True)):
-        axis.barh(place, value, edgecolor="white", linewidth=0.0, **look)
-        axis.text(1.12 * value, place, words, va="center", fontsize=SMALL_PT)
-    axis.set(xscale="log", yticks=range(len(names)), yticklabels=names)
+    bars = axis.barh(range(len(names)), values, tick_label=names, log=True, edgecolor="white", linewidth=0.0, **look)
+    axis.bar_label(bars, told, padding=3, fontsize=SMALL_PT)
     axis.grid(visible=False, axis="y")
 
 
@@ -406,16 +404,18 @@ def _draw_sweep(result: AccuracyResult, sweep: str, axis: Axes) -> None:
     rows = [row for row in result.sweep(sweep) if row.total < inf]
     known, ways = [row.total for row in result.rows if row.total < inf], sweep == "tier"
     least = 0.3 * min(total for total in known if total >= NOTHING * max(known))  # errors that are none are drawn below all others
-    for place, row in enumerate(rows):
-        error, label = max(row.total, least), f"{row.label} (exact)" if row.total < least else row.label
-        named = label if ways else "total error of one trial" if not place else None
-        axis.plot(row.seconds, error, WAYS[place % len(WAYS)] if ways else "o", color=BLUE, markersize=6, label=named)
+    labels = [f"{row.label} (exact)" if row.total < least else row.label for row in rows]
+    places = [(row.seconds, max(row.total, least)) for row in rows]
+    if ways:
+        for place, label, sign in zip(places, labels, cycle(WAYS), strict=False):
+            axis.plot(*place, sign, color=BLUE, markersize=6, label=label)
+    else:
+        axis.plot(*zip(*places, strict=True), "o-", color=BLUE, markersize=6, label="total error of one trial")
+        for place, label in zip(places, labels, strict=True):
+            axis.annotate(label, place, xytext=(4, 6), textcoords="offset points", fontsize=SMALL_PT)
+    for place, row in zip(places, rows, strict=True):
         for look in (look for asked, look in ((row.default, DEFAULT), (row.knee, KNEE)) if asked):
-            axis.plot(row.seconds, error, **look)
-        if not ways:
-            axis.annotate(label, (row.seconds, error), xytext=(4, 6), textcoords="offset points", fontsize=SMALL_PT)
-    if not ways:
-        axis.plot([row.seconds for row in rows], [max(row.total, least) for row in rows], "-", color=BLUE)
+            axis.plot(*place, **look)
     if sweep == "sub-steps":
         _draw_step_errors(result, rows, axis)
     axis.set(yscale="log", xscale="log", title=TITLES[sweep], xlabel="time for one trial", ylabel=f"error ({result.unit})")
@@ -430,7 +430,7 @@ def _draw_step_errors(result: AccuracyResult, rows: list[Row], axis: Axes) -> No
     """Of the sub-step alone, and single precision beside it."""
     stepped = [row for row in rows if row.step > NOTHING * max(row.total for row in rows)]
     single = [row for row in result.sweep("precision") if row.label.startswith("f32") and row.total < inf]
-    axis.plot([row.seconds for row in stepped], [row.step for row in stepped], "o:", color=SKY, label="error of the sub-step alone")
+    axis.plot([row.seconds for row in stepped], [row.step for row in stepped], "o-", color=SKY, label="error of the sub-step alone")
     words = "single precision, 1 and 4 sub-steps"
     axis.plot([row.seconds for row in single], [row.total for row in single], "v", color=PURPLE, label=words)
 
@@ -442,8 +442,8 @@ def _draw_effects(result: AccuracyResult, axis: Axes) -> None:
     least, top = 1e-4 * worst, max(len(rows), FEWEST_BARS)
     told = ["cannot be left out" if row.step == inf else "none" if row.step < least else shown(row.step) for row in rows]
     errors = [min(max(row.step, least), 3.0 * worst) for row in rows]
-    _bars(axis, [row.label for row in rows], errors, told, [{"color": GREEN}] * len(rows))
-    axis.axvline(own, color=BLACK, linestyle="--", linewidth=1.0)
+    _bars(axis, [row.label for row in rows], errors, told, color=GREEN)
+    axis.axvline(own, color=BLACK, linewidth=0.8)
     axis.text(own, top - 0.4, "one trial's error", fontsize=SMALL_PT, ha="center", va="bottom")
     axis.set(xlim=(least, 60.0 * worst), ylim=(-0.6, top + 0.3), xlabel=f"error ({result.unit})", title="effects, each left out")
 
@@ -465,7 +465,7 @@ def integrators_figure(found: Integrators, title: str) -> Figure:
         gone = np.full(int((~kept).sum()), GONE * (1.6 if method == "euler" else 0.9))
         axis.plot(steps[~kept], gone, "x", color=colour, markersize=7)
         if np.isfinite(limit):
-            axis.axvline(1e-3 / limit, color=colour, linestyle=":", linewidth=1.0)
+            axis.axvline(1e-3 / limit, color=colour, linewidth=0.8)
     axis.set_xscale("log", base=2)
     axis.set(yscale="log", ylim=(SMALLEST, 30.0), xlabel="steps per millisecond", ylabel="relative error after 20 ms")
     axis.xaxis.set_major_formatter(lambda value, place: f"{value:g}")
