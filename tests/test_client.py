@@ -46,7 +46,7 @@ def test_numbers_may_come_out_of_arrays() -> None:
 def test_replies_are_matched_by_number() -> None:
     conversation = Conversation()
     first, second = ask(conversation)[0], ask(conversation)[0]
-    conversation.hear(msgpack.packb({"ok": True, "id": second}))
+    conversation.receive(msgpack.packb({"ok": True, "id": second}))
     assert conversation.outcome(first, 5) is None
     assert conversation.outcome(second, 5) == {"ok": True, "id": second}
 
@@ -62,7 +62,7 @@ def test_late_reply_is_dropped() -> None:
     conversation = Conversation()
     number, _ = ask(conversation)
     conversation.outcome(number, NS_PER_S)
-    conversation.hear(msgpack.packb({"ok": True, "id": number}))
+    conversation.receive(msgpack.packb({"ok": True, "id": number}))
     following, _ = ask(conversation, now_ns=NS_PER_S)
     assert conversation.outcome(following, NS_PER_S) is None
     assert not conversation._replies
@@ -72,7 +72,7 @@ def test_late_reply_is_dropped() -> None:
 def test_what_is_no_reply_is_dropped(payload: bytes) -> None:
     conversation = Conversation()
     number, _ = ask(conversation)
-    conversation.hear(payload)
+    conversation.receive(payload)
     assert conversation.outcome(number, 5) is None
 
 
@@ -80,7 +80,7 @@ def test_forgotten_request_takes_no_reply() -> None:
     conversation = Conversation()
     number, _ = ask(conversation)
     conversation.forget(number)
-    conversation.hear(msgpack.packb({"ok": True, "id": number}))
+    conversation.receive(msgpack.packb({"ok": True, "id": number}))
     assert not conversation._replies
 
 

@@ -6,9 +6,14 @@
         device.set(K=100, B=1, M=0.010)
         device.enable()
 
-A refusal raises CommandError (its `code` and text say why and what to do), silence DaemonDown. `core` holds the
-conversation without any I/O, `shell` adds the sockets, `blocks` decodes telemetry, and `fast_stop` is the short way
-to a stop. The names below are loaded when they are used, so that `fast_stop` stays fast.
+    Client         one connection: a method for every command, and the telemetry
+    Receipt        what became of an accepted change
+    Block          consecutive records of a telemetry topic, and what was lost before them
+    CommandError   the daemon refused: its `code` and text say why and what to do
+    DaemonDown     nobody answers, or the gateway has no servo
+
+`fast_stop` is the short way to a stop, for programs that may load nothing large. The names above
+are loaded when they are used, so that it stays fast.
 """
 
 from typing import TYPE_CHECKING, Any

@@ -15,15 +15,14 @@ Records = NDArray[np.void]
 class Block:
     """Consecutive records of topic `servo.raw` or `probe`.
 
-    records: structured array (n,), read-only, of the dtype that the message announces (field names carry units);
-    gap: records that were lost before it, on the way or in the gateway; restarted: the numbering began anew (another servo
-    life, or another run of the board), then `gap` is 0; header: everything else in the message, such as `simulated`,
-    `mono_unix_offset_ns` (add it to `time_ns` for Unix time) or, for the probe, `scale`.
+    The dtype of `records` is that which the message announces; its field names carry units.
     """
 
-    records: Records
-    gap: int
-    restarted: bool
+    records: Records  # structured array (n,), read-only
+    gap: int  # records that were lost before it, on the way or in the gateway; 0 if restarted
+    restarted: bool  # the numbering began anew: another servo life, or another run of the board
+    # everything else in the message, such as `simulated`, `mono_unix_offset_ns` (add it to
+    # `time_ns` for Unix time) or, for the probe, `scale`
     header: dict[str, Any]
 
 
@@ -47,5 +46,6 @@ class BlockDecoder:
         restarted = self._origin is not None and origin != self._origin
         first = self._next is None or restarted
         gap = 0 if first else header["next"] - self._next - len(records)
-        self._origin, self._next = origin, header["next"]
+        self._origin = origin
+        self._next = header["next"]
         return Block(records, gap, restarted, header)

@@ -1,17 +1,18 @@
-"""The client: one connection to a running daemon; synchronous, one thread, and never waiting for ever.
+"""The client: one connection to a running daemon; synchronous, one thread, never waiting for ever.
 
-Three layers, each above the other. `Conversation` holds the requests and replies without any I/O: both
-are bytes, time is passed in, a time-out is a value. Each request has a number that comes back in its
-reply, so a reply that arrives after its time-out is recognised and dropped, and never taken for the
-answer to a later request. `Line` holds the sockets: a DEALER for the conversation, a SUB per
-subscription. Requests are given only to a gateway that is connected (IMMEDIATE), so one that starts
-later finds no old commands in its queue; nothing lingers when the line is closed. `Client` gives every
-command a method.
+Three layers, each above the other. `Conversation` holds the requests and replies without any I/O:
+both are bytes, time is passed in, a time-out is a value. Each request has a number that comes back
+in its reply, so a reply that arrives after its time-out is recognised and dropped, and never taken
+for the answer to a later request. `Line` holds the sockets: a DEALER for the conversation, a SUB
+per subscription. Requests are given only to a gateway that is connected (IMMEDIATE), so one that
+starts later finds no old commands in its queue; nothing lingers when the line is closed. `Client`
+gives every command a method.
 
 Every call ends within its time-out, with a reply, a CommandError (the daemon refused: `code` and
 `detail` say why) or DaemonDown (nobody answers, or the gateway has no servo).
 
-What would break it: use from several threads; ZeroMQ's sockets belong to one.
+What would break it: use from several threads, since a ZeroMQ socket belongs to one; and waiting for
+a reply without a deadline, since a gateway may die between request and reply.
 """
 
 import time
@@ -34,28 +35,35 @@ from hapticd.mailbox.files import COMMAND_SOCKET, DEFAULT_INSTANCE, TELEMETRY_SO
 from hapticd.units import NS_PER_S
 
 PROTOCOL_VERSION = 1
+INTRODUCTION_MS = 40  # how long a new socket may take to connect before its hello is given up
+MESSAGES_QUEUED = 10_000  # per subscription, before ZeroMQ drops the newest
+STOP_TIMEOUT_S = 0.04  # then the stop page is pressed: force off may not wait for a gateway
+CHUNK_SAMPLES = 8192  # of a waveform, in one message
+POLL_S = 0.02  # between two looks at the state
+STREAMED = ("servo.raw", "probe")  # topics whose messages are blocks of records
 
 
 @dataclass(frozen=True, slots=True)
 class Receipt:
-    """What became of an accepted change. Ticks count from the start of the servo; `effective` has the shape of a `set`.
+    """What became of an accepted change, as the servo answered.
 
-    result: "applied" from `first_tick` on, ramps end at `ramp_end_tick`; "scheduled" for `first_tick`, `effective` is what
-    is in force until then; "pressed": a stop that took the way of the stop page, which gives no receipt.
+    Ticks count from the servo's start.
     """
 
+    # "applied": in force from `first_tick` on; "scheduled": will be, and `effective` holds until
+    # then; "pressed": a stop by way of the stop page, which gives no receipt
     result: str
-    state: str = ""
-    revision: int = 0
-    first_tick: int = 0
-    ramp_end_tick: int = 0
-    effective: dict[str, Any] = field(default_factory=dict)
+    state: str = ""  # of the servo: disabled, enabled, homing, stopped, fault
+    revision: int = 0  # number of accepted changes in this life of the servo
+    first_tick: int = 0  # from which the change acts
+    ramp_end_tick: int = 0  # at which the last ramp ends
+    effective: dict[str, Any] = field(default_factory=dict)  # parameters in the shape of a `set`
 
 
 class TimedOut(NamedTuple):
     """No reply came within the time allowed. Whether the command acts is open."""
 
-    cmd: str
+    cmd: str  # name of the command
     waited_s: float
 
 
@@ -63,6 +71,11 @@ Outcome = dict[str, Any] | TimedOut | None  # a reply, no reply in time, or not 
 
 
 class _Asked(NamedTuple):
+    """A request whose reply is still to come.
+
+    Times are those of the clock that the caller reads.
+    """
+
     cmd: str
     asked_ns: int
     deadline_ns: int
@@ -82,10 +95,10 @@ class Conversation:
         self._asked[self._last] = _Asked(cmd, now_ns, now_ns + timeout_ns)
         given = {name: value for name, value in fields.items() if value is not None}
         request = {"cmd": cmd, "v": PROTOCOL_VERSION, "id": self._last, **given}
-        return self._last, bytes(msgpack.packb(request, default=_plain))
+        return self._last, bytes(msgpack.packb(request, default=_python_number))
 
-    def hear(self, payload: bytes) -> None:
-        """Take a reply; one that nobody waits for, or that is none, is dropped."""
+    def receive(self, payload: bytes) -> None:
+        """Take a reply; what nobody waits for, and what is no reply, is dropped."""
         try:
             content = msgpack.unpackb(payload)
         except (ValueError, msgpack.UnpackException):
@@ -108,25 +121,33 @@ class Conversation:
         self._replies.pop(number, None)
 
 
-def _plain(value: Any) -> Any:
-    """A numpy number as a Python number, so that values may come out of arrays. CommandError: an int beyond 64 bits."""
+def _python_number(value: Any) -> Any:
+    """A numpy number as a Python number, so that values may come out of arrays.
+
+    msgpack calls this for what it cannot pack: CommandError for an int beyond 64 bits, TypeError
+    for what is no number at all.
+    """
     if isinstance(value, int):
-        raise CommandError(
-            "malformed", f"an integer of {value.bit_length()} bits cannot be sent, limit 64; no parameter is so large"
-        )
+        bits = value.bit_length()
+        reason = f"an integer of {bits} bits cannot be sent, limit 64; no parameter is so large"
+        raise CommandError("malformed", reason)
     if not hasattr(value, "item"):
         raise TypeError(f"{value!r} cannot be sent; use numbers, text, lists and maps")
     return value.item()
 
 
 def accepted(reply: dict[str, Any]) -> dict[str, Any]:
-    """`reply` if it says ok. Raises DaemonDown when the gateway has no servo, CommandError for every other refusal."""
+    """`reply` if it says ok.
+
+    DaemonDown: the gateway has no servo; CommandError: any other refusal.
+    """
     if reply.get("ok"):
         return reply
     error = reply.get("error", {})
-    if error.get("code") == "servo_down":
+    code = error.get("code", "unknown")
+    if code == "servo_down":
         raise DaemonDown(error.get("message", "the servo does not run"))
-    raise CommandError(error.get("code", "unknown"), error.get("message", "no reason given"), error.get("detail"))
+    raise CommandError(code, error.get("message", "no reason given"), error.get("detail"))
 
 
 def receipt_of(reply: dict[str, Any]) -> Receipt:
@@ -134,15 +155,12 @@ def receipt_of(reply: dict[str, Any]) -> Receipt:
     return Receipt(**reply["receipt"], state=reply["state"])
 
 
-INTRODUCTION_MS = 40
-MESSAGES_QUEUED = 10_000
-
-
 class Line:
     """Sockets to the gateway of a runtime folder; made when they are first needed."""
 
     def __init__(self, folder: Path, name: str) -> None:
-        self._folder, self._name = folder, name
+        self._folder = folder
+        self._name = name
         self._conversation = Conversation()
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._socket: zmq.Socket[bytes] | None = None
@@ -152,13 +170,16 @@ class Line:
         self._context.destroy(linger=0)
 
     def exchange(self, cmd: str, fields: dict[str, Any], timeout_s: float) -> dict[str, Any]:
-        """Send a request; its reply, accepted or not. DaemonDown if none comes in time, CommandError if it is too long."""
+        """Send a request; its reply, accepted or not.
+
+        DaemonDown: none in time; CommandError: too long.
+        """
         socket = self._connected()
-        number, payload = self._conversation.ask(cmd, fields, time.monotonic_ns(), round(timeout_s * NS_PER_S))
+        timeout_ns = round(timeout_s * NS_PER_S)
+        number, payload = self._conversation.ask(cmd, fields, time.monotonic_ns(), timeout_ns)
         if len(payload) > MAX_MESSAGE_BYTES:
-            raise CommandError(
-                "malformed", f"{cmd}: {len(payload)} bytes, a request has at most {MAX_MESSAGE_BYTES}; send less at once"
-            )
+            limit = f"a request has at most {MAX_MESSAGE_BYTES}; send less at once"
+            raise CommandError("malformed", f"{cmd}: {len(payload)} bytes, {limit}")
         unsent: list[bytes] = [payload]
         deadline = time.monotonic() + timeout_s
         while (outcome := self._conversation.outcome(number, time.monotonic_ns())) is None:
@@ -167,11 +188,10 @@ class Line:
                 if socket.poll(wait_ms, zmq.POLLOUT):
                     socket.send(unsent.pop())
             elif socket.poll(wait_ms):
-                self._conversation.hear(socket.recv())
+                self._conversation.receive(socket.recv())
         if isinstance(outcome, TimedOut):
-            raise DaemonDown(
-                f"{cmd}: no reply from {self._folder} within {outcome.waited_s:.2g} s; is `hapticd run` running there?"
-            )
+            silence = f"no reply from {self._folder} within {outcome.waited_s:.2g} s"
+            raise DaemonDown(f"{cmd}: {silence}; is `hapticd run` running there?")
         return outcome
 
     def _connected(self) -> "zmq.Socket[bytes]":
@@ -194,21 +214,21 @@ class Line:
             socket.send(payload)
 
     def listen(self, topic: str, timeout_s: float) -> Generator[bytes, None, None]:
-        """Payloads of exactly `topic` (the prefix `servo` brings `servo.raw` as well). DaemonDown after silence for `timeout_s`.
-
-        `event` may be silent for long; there, `state` shows that the gateway lives.
-        """
+        """Payloads of exactly `topic`. DaemonDown after silence for `timeout_s`."""
+        # events may be rare: there the state, which comes every second, shows that the gateway
+        # lives
         with self._subscribed({topic, "state"} if topic == "event" else {topic}) as socket:
             while socket.poll(round(1000 * timeout_s)):
                 name, payload = socket.recv_multipart()
-                if name == topic.encode():
+                if name == topic.encode():  # ZeroMQ matches prefixes: `servo` brings `servo.raw` too
                     yield payload
         raise DaemonDown(f"{topic}: nothing from {self._folder} for {timeout_s} s; see `hapticd status`")
 
     def listen_all(self, topics: Sequence[str], look_s: float) -> Generator[tuple[str, bytes] | None, None, None]:
-        """(topic, payload) of several topics in the order in which they come, None after all that came within `look_s`; for ever.
+        """(topic, payload) of several topics as they come, None after each look; it never ends.
 
-        It sleeps between its looks: being woken by every message would cost more than taking them.
+        It looks every `look_s` and sleeps in between: being woken by every message would cost more
+        than taking them.
         """
         with self._subscribed(set(topics)) as socket:
             while True:
@@ -232,20 +252,19 @@ class Line:
         return socket
 
 
-STOP_TIMEOUT_S = 0.04
-CHUNK_SAMPLES = 8192  # of a waveform, in one message
-POLL_S = 0.02
-STREAMED = ("servo.raw", "probe")
-
-
 class Client:
-    """One connection to the daemon `instance`; `name` is shown beside what it changes. Use it as a context manager."""
+    """One connection to the daemon `instance`, best used as a context manager.
+
+    `timeout_s` bounds every call; `name` is shown beside what this client changes; `folder` is the
+    runtime folder where it is not that of the instance.
+    """
 
     def __init__(
         self, instance: str = DEFAULT_INSTANCE, timeout_s: float = 2.0, name: str = "script", folder: Path | None = None
     ) -> None:
         self._folder = folder or daemon_folder(instance)
-        self._timeout_s, self._name = timeout_s, name
+        self._timeout_s = timeout_s
+        self._name = name
         self._line = Line(self._folder, name)
 
     def __enter__(self) -> Self:
@@ -258,10 +277,13 @@ class Client:
         """Give up the connection; may be called twice."""
         self._line.close()
 
-    # --- asking ------------------------------------------------------------------------------------------------------
+    # --- asking -----------------------------------------------------------------------------------
 
     def call(self, cmd: str, **fields: Any) -> dict[str, Any]:
-        """Send any command; its whole reply {ok, id, rev, state, result or receipt}. CommandError, DaemonDown."""
+        """Send any command; its whole reply {ok, id, rev, state, result or receipt}.
+
+        CommandError where the daemon refuses, DaemonDown where none answers in time.
+        """
         return accepted(self._line.exchange(cmd, fields, self._timeout_s))
 
     def hello(self) -> dict[str, Any]:
@@ -273,14 +295,14 @@ class Client:
         return self._result("get")
 
     def status(self) -> dict[str, Any]:
-        """State, fault, counters, latency histograms, what the servo was granted, the last events."""
+        """State, fault, counters, stage times, what the servo was granted, the last events."""
         return self._result("status")
 
     def schema(self) -> dict[str, Any]:
         """The protocol as JSON schema, with units and the limits of this device."""
         return self._result("schema")
 
-    # --- changing ----------------------------------------------------------------------------------------------------
+    # --- changing ---------------------------------------------------------------------------------
 
     def set(
         self,
@@ -295,16 +317,28 @@ class Client:
         at_tick: int | None = None,
         if_rev: int | None = None,
     ) -> Receipt:
-        """Change stiffness K [N/m], damping B [N s/m], mass M [kg], filters, wall, added electrical damping [N s/m].
+        """Change what is rendered; what is not given stays.
 
-        `ramp_s`: length of the ramp; `at_tick`: the tick from which it acts; `if_rev`: only if the revision is still this.
+        `K` virtual stiffness [N/m], `B` virtual damping [N s/m], `M` virtual mass [kg], `damping`
+        active damping [N s/m]; `filters` and `wall` by the names of `hapticd set`. `ramp_s` is the
+        length of the ramp [s], `at_tick` the servo tick from which it acts, and with `if_rev` it
+        acts only if the revision is still that one.
         """
         return self._change(
-            "set", K=K, B=B, M=M, filters=filters, wall=wall, damping=damping, ramp_s=ramp_s, at_tick=at_tick, if_rev=if_rev
+            "set",
+            K=K,
+            B=B,
+            M=M,
+            filters=filters,
+            wall=wall,
+            damping=damping,
+            ramp_s=ramp_s,
+            at_tick=at_tick,
+            if_rev=if_rev,
         )
 
     def damping(self, value: Literal["on", "off"] | float) -> Receipt:
-        """Switch the added electrical damping, or set its level [N s/m] and switch it on."""
+        """Switch the active damping, or set its level [N s/m] and switch it on."""
         return self._change("damping", value=value)
 
     def enable(self) -> Receipt:
@@ -324,11 +358,16 @@ class Client:
         return self._change("zero")
 
     def home(self) -> Receipt:
-        """Begin to look for the origin; only in `disabled`, which it returns to when it has found it."""
+        """Begin to look for the origin; only in `disabled`, to which it returns when it is found."""
         return self._change("home")
 
     def stop(self) -> Receipt:
-        """Latched stop. Without a reply within 40 ms the stop page is pressed. DaemonDown if there is no servo either."""
+        """Latched stop.
+
+        Without a reply within 40 ms the stop page is pressed, which the servo reads.
+
+        DaemonDown if there is no servo either.
+        """
         try:
             return receipt_of(accepted(self._line.exchange("stop", {}, STOP_TIMEOUT_S)))
         except (DaemonDown, CommandError):
@@ -356,13 +395,19 @@ class Client:
         return self._change("perturb", action="stop")
 
     def dump(self) -> dict[str, Any]:
-        """Write the flight recording; {path, records, reason}. The file is whole when it is there, soon after."""
+        """Write the flight recording; {path, records, reason}.
+
+        The file appears soon after this returns, and is whole when it does.
+        """
         return self._result("dump")
 
-    # --- watching ----------------------------------------------------------------------------------------------------
+    # --- watching ---------------------------------------------------------------------------------
 
     def wait_for(self, state: str, timeout_s: float = 10.0) -> None:
-        """Return when the servo is in `state`. CommandError `timeout` if it is not so in time; DaemonDown if nobody answers."""
+        """Return when the servo is in `state`.
+
+        CommandError `timeout` or DaemonDown after `timeout_s`.
+        """
         deadline = time.monotonic() + timeout_s
         while True:
             try:
@@ -374,7 +419,8 @@ class Client:
             if found == state:
                 return
             if time.monotonic() >= deadline:
-                raise CommandError("timeout", f"state is {found!r}, not {state!r}, after {timeout_s} s; see `hapticd status`")
+                reason = f"state is {found!r}, not {state!r}, after {timeout_s} s"
+                raise CommandError("timeout", f"{reason}; see `hapticd status`")
             time.sleep(POLL_S)
 
     def stream(
@@ -382,12 +428,16 @@ class Client:
     ) -> Generator[Block, None, None]:
         """Blocks of `servo.raw` (one record a tick) or `probe` (4 kHz) as they come: see Block.
 
-        `seconds` of recorded time or `count` records, the last block is cut to fit; without either, until you stop.
-        DaemonDown when nothing comes for the client's time-out; ConfigError for a topic without blocks (see `listen`).
+        `seconds` of recorded time or `count` records, the last block cut to fit; without either,
+        until you stop. DaemonDown when nothing comes for the client's time-out; ConfigError for a
+        topic without blocks (see `listen`).
         """
         if topic not in STREAMED:
-            raise ConfigError(f"topic {topic!r} has no blocks: stream takes {' or '.join(STREAMED)}, listen takes every topic")
-        decoder, taken, end_ns = BlockDecoder(), 0, None
+            known = f"stream takes {' or '.join(STREAMED)}, listen takes every topic"
+            raise ConfigError(f"topic {topic!r} has no blocks: {known}")
+        decoder = BlockDecoder()
+        taken = 0
+        end_ns = None
         for payload in self._line.listen(topic, self._timeout_s):
             block = decoder.decode(payload)
             records = block.records
@@ -403,17 +453,23 @@ class Client:
                 return
 
     def record(self, seconds: float, topic: str = "servo.raw") -> tuple[Records, int]:
-        """All records of the next `seconds` in one structured array (n,), and how many are missing in it."""
+        """All records of the next `seconds` in one structured array (n,), and how many it lacks."""
         blocks = list(self.stream(topic, seconds=seconds))
-        return np.concatenate([block.records for block in blocks]), sum(block.gap for block in blocks)
+        records = np.concatenate([block.records for block in blocks])
+        return records, sum(block.gap for block in blocks)
 
     def listen(self, topic: str) -> Generator[Any, None, None]:
-        """Decoded messages of `state`, `event` or `servo` as they come. DaemonDown when the daemon is silent for the time-out."""
+        """Decoded messages of `state`, `event` or `servo` as they come.
+
+        DaemonDown when the daemon is silent for the client's time-out.
+        """
         for payload in self._line.listen(topic, self._timeout_s):
             yield msgpack.unpackb(payload)
 
     def messages(self, topics: Sequence[str], look_s: float = 0.05) -> Generator[tuple[str, bytes] | None, None, None]:
-        """Raw (topic, payload) of several topics, None after all that came within `look_s`; until you stop."""
+        """Raw (topic, payload) of several topics, None after all that came within `look_s`;
+        endless.
+        """
         yield from self._line.listen_all(topics, look_s)
 
     def _result(self, cmd: str, **fields: Any) -> dict[str, Any]:

@@ -1,7 +1,10 @@
-"""The short way to a stop: `hapticd stop` runs this before anything large is loaded, within 90 ms, the interpreter included.
+"""The short way to a stop: `hapticd stop` runs this before anything large is loaded, within 90 ms
+in all.
 
-It asks the gateway, who says which state the servo is in then; without a reply within 40 ms, or without a gateway, it
-presses the stop page, which the servo looks at in every tick. Standard library and pyzmq only, the latter loaded last.
+It asks the gateway, whose reply names the state that the servo is in then; without a reply within
+40 ms, or without a gateway, it presses the stop page, which the servo reads in every tick. Standard
+library and pyzmq only, the latter loaded last. What would break it: an import at the top that costs
+milliseconds.
 """
 
 import json
@@ -31,7 +34,7 @@ def main(instance: str, as_json: bool) -> int:
 
 
 def stop(folder: Path) -> dict[str, Any]:
-    """Stop the servo of runtime folder `folder`; the gateway's reply, or {ok, state: "", receipt: {result: "pressed"}}.
+    """Stop the servo of runtime folder `folder`; the reply, or that the stop page was pressed.
 
     DaemonDown: neither a gateway nor a servo is there.
     """
