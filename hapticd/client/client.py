@@ -358,7 +358,7 @@ class Client:
         return self._change("zero")
 
     def home(self) -> Receipt:
-        """Begin to look for the origin; only in `disabled`, to which it returns when it is found."""
+        """Begin to look for the origin; only in `disabled`, to which it returns afterwards."""
         return self._change("home")
 
     def stop(self) -> Receipt:

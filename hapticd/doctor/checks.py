@@ -1,10 +1,10 @@
-"""The checks: each looks at one property of the machine and says whether it suits what the configuration asks.
+"""The checks: each looks at one property of the machine and says whether it suits the settings.
 
-A check is a pure function of the machine (files below a root folder and a few facts about this process)
-and of the requirements; it returns what was found and, unless all is well, why it matters and the exact
-fix. Nothing is measured and nothing is changed, so every branch is tested on a made-up tree of files.
-`CHECKS` lists them in the order in which a person reads them. A simulated board needs none of the USB
-checks.
+A check is a pure function of the machine (files below a root folder and a few facts about this
+process) and of the requirements; it returns what was found and, unless all is well, why it matters
+and the exact fix. Nothing is measured and nothing is changed, so every branch is tested on a
+made-up tree of files. `CHECKS` lists them in the order in which a person reads them. A simulated
+board needs none of the USB checks.
 
 What would break it: a check that raises for a file that is missing (containers and virtual machines
 lack many of them: `Machine.text` returns None), or a fix that the reader cannot paste into a shell.
@@ -27,14 +27,14 @@ from hapticd.settings.load import Settings
 
 @dataclass(frozen=True)
 class Requirements:
-    """`runtime`: folder of the daemon; `recordings`: where a recording would be written; `keys`: folder of CURVE keys."""
+    """What the configuration asks of the machine, as far as the checks care."""
 
-    realtime: RealtimeParams
-    usb: UsbParams
-    simulated: bool
-    runtime: Path
-    recordings: Path
-    keys: Path | None
+    realtime: RealtimeParams  # rate, priority, core and spin of the servo
+    usb: UsbParams  # which board
+    simulated: bool  # the configured board is simulated
+    runtime: Path  # folder of the daemon
+    recordings: Path  # folder in which a recording would be written
+    keys: Path | None  # folder of CURVE keys; None where telemetry needs none
 
     @property
     def board(self) -> str:
@@ -43,8 +43,12 @@ class Requirements:
 
 
 def requirements(settings: Settings, instance: str = DEFAULT_INSTANCE, recordings: Path | None = None) -> Requirements:
-    """What `settings` ask for the daemon `instance`; recordings go to the working folder unless told otherwise."""
-    servo, keys = servo_params(settings, instance), gateway_params(settings).curve_keys
+    """What `settings` ask for the daemon `instance`.
+
+    Recordings go to the working folder unless `recordings` names another.
+    """
+    servo = servo_params(settings, instance)
+    keys = gateway_params(settings).curve_keys
     return Requirements(
         realtime=servo.realtime,
         usb=servo.usb,
@@ -55,17 +59,19 @@ def requirements(settings: Settings, instance: str = DEFAULT_INSTANCE, recording
     )
 
 
-OK, WARN, FAIL = "ok", "warn", "fail"
+OK = "ok"  # nothing to do
+WARN = "warn"  # it works, and can be better, or will fail one day
+FAIL = "fail"  # the servo misses a right or a deadline
 
 
 class CheckResult(NamedTuple):
-    """One line: what was found, and unless it is ok, why it matters and the exact fix."""
+    """What a check says, as one line of the report."""
 
-    name: str
-    level: str
-    found: str
-    why: str = ""
-    fix: str = ""
+    name: str  # of the check
+    level: str  # OK, WARN or FAIL
+    found: str  # what was found
+    why: str = ""  # why it matters, unless it is ok
+    fix: str = ""  # the exact remedy, unless it is ok
 
 
 def ok(name: str, found: str) -> CheckResult:
@@ -86,7 +92,7 @@ def fail(name: str, found: str, why: str, fix: str) -> CheckResult:
 # --- rights: what this user may ask of the scheduler and of memory --------------------------------
 
 GROUP = "hapticd"
-SERVO_LOCKS_BYTES = 128 << 20  # everything a servo maps, libraries included, with room
+SERVO_LOCKS_BYTES = 128 << 20  # everything a servo maps, libraries included, with reserve
 JOIN = "sudo usermod --append --groups hapticd $USER, then log in again"
 INSTALL = "sudo hapticd install-system --root /"
 DMA_LATENCY = "dev/cpu_dma_latency"
@@ -94,7 +100,8 @@ DMA_LATENCY = "dev/cpu_dma_latency"
 
 def group(machine: Machine, asked: Requirements) -> CheckResult:
     """Member of the service's group: that is what rights, board and sockets are given to."""
-    name, why = "group", f"limits, board and sockets are given to members of group {GROUP}"
+    name = "group"
+    why = f"limits, board and sockets are given to members of group {GROUP}"
     if machine.uid == 0:
         return ok(name, "root needs no group")
     if GROUP in machine.groups:
@@ -107,40 +114,50 @@ def group(machine: Machine, asked: Requirements) -> CheckResult:
 
 def rtprio(machine: Machine, asked: Requirements) -> CheckResult:
     """Real-time priority: the one setting that decides the 99th percentile."""
-    name, limit, wanted = "rtprio limit", machine.limit("rtprio"), asked.realtime.priority
+    name = "rtprio limit"
+    limit = machine.limit("rtprio")
+    wanted = asked.realtime.priority
     if machine.capable(CAP_SYS_NICE):
         return ok(name, "CAP_SYS_NICE: any priority")
     if limit >= wanted:
         return ok(name, f"{limit:g}, the servo asks for {wanted}")
     why = "without SCHED_FIFO a busy machine wakes the servo milliseconds late"
-    fix = f"{INSTALL} (limits.d/95-hapticd.conf: @hapticd - rtprio 85); {JOIN}; in a unit: LimitRTPRIO=85"
+    rule = "limits.d/95-hapticd.conf: @hapticd - rtprio 85"
+    fix = f"{INSTALL} ({rule}); {JOIN}; in a unit: LimitRTPRIO=85"
     return fail(name, f"{limit:g}, the servo asks for {wanted}", why, fix)
 
 
 def memlock(machine: Machine, asked: Requirements) -> CheckResult:
     """Locked memory: no page fault within a tick."""
-    name, limit = "memlock limit", machine.hard_limit("memlock")
+    name = "memlock limit"
+    limit = machine.hard_limit("memlock")
     if machine.capable(CAP_IPC_LOCK):
         return ok(name, "CAP_IPC_LOCK: any amount")
     shown = "unlimited" if limit == float("inf") else f"{limit / 2**20:.3g} MB"
     if limit >= SERVO_LOCKS_BYTES:
         return ok(name, shown)
     why = "memory that is not locked may be missing when a tick needs it"
-    return warn(name, shown, why, f"{INSTALL} (limits.d: @hapticd - memlock unlimited); {JOIN}; in a unit: LimitMEMLOCK=infinity")
+    rule = "limits.d: @hapticd - memlock unlimited"
+    return warn(name, shown, why, f"{INSTALL} ({rule}); {JOIN}; in a unit: LimitMEMLOCK=infinity")
 
 
 def rttime(machine: Machine, asked: Requirements) -> CheckResult:
-    """RLIMIT_RTTIME: RealtimeKit sets it, and the kernel then kills a process that stays awake too long."""
-    name, limit = "rttime limit", machine.limit("rttime")
+    """No limit to how long a FIFO process may stay awake.
+
+    RealtimeKit sets RLIMIT_RTTIME, and the kernel then kills a process that does not sleep.
+    """
+    name = "rttime limit"
+    limit = machine.limit("rttime")
     if limit == float("inf"):
         return ok(name, "unlimited")
-    why = "the kernel ends a FIFO process that does not sleep for so long; a simulated board that catches up may not"
+    why = "the kernel ends a FIFO process that stays awake for longer, as a simulated board may"
     return warn(name, f"{limit:g} us", why, "ulimit -R unlimited (RealtimeKit lowers it); in a unit: LimitRTTIME=infinity")
 
 
 def c_states(machine: Machine, asked: Requirements) -> CheckResult:
     """/dev/cpu_dma_latency: held open, it keeps the core out of deep sleep."""
-    name, path = "C-state latency", machine.root / DMA_LATENCY
+    name = "C-state latency"
+    path = machine.root / DMA_LATENCY
     if path.exists():
         if machine.may_write(path):
             return ok(name, f"/{DMA_LATENCY} may be written")
@@ -194,13 +211,15 @@ def smt(machine: Machine, asked: Requirements) -> CheckResult:
 
 def cores(machine: Machine, asked: Requirements) -> CheckResult:
     """Servo and gateway want a core each."""
-    name, core = "cores", servo_core(machine, asked)
+    name = "cores"
+    core = servo_core(machine, asked)
     allowed = ",".join(map(str, sorted(machine.cores)))
     if core not in machine.cores | isolated(machine):
-        fix = f"name one of {allowed} as realtime.core, or leave it out; or widen the affinity: taskset, AllowedCPUs="
+        other = "or leave it out; or widen the affinity: taskset, AllowedCPUs="
+        fix = f"name one of {allowed} as realtime.core, {other}"
         return fail(name, f"realtime.core = {core}, this process may use {allowed}", "the servo cannot go to its core", fix)
     if len(machine.cores | {core}) < 2:
-        why = "servo, gateway and everything else share it: the gateway's heartbeat depends on the servo's sleep"
+        why = "servo and gateway share it: the gateway's heartbeat depends on the servo's sleep"
         return warn(name, f"only core {allowed}", why, "allow a second core: taskset, AllowedCPUs=, or a machine with two")
     return ok(name, f"{allowed} allowed, the servo takes {core}")
 
@@ -212,7 +231,9 @@ def isolated(machine: Machine) -> frozenset[int]:
 
 def isolation(machine: Machine, asked: Requirements) -> CheckResult:
     """An isolated core keeps its caches; at 1 kHz it does not show."""
-    name, core, rate_hz = "isolation", servo_core(machine, asked), asked.realtime.rate_hz
+    name = "isolation"
+    core = servo_core(machine, asked)
+    rate_hz = asked.realtime.rate_hz
     if core in isolated(machine):
         return ok(name, f"core {core} is isolated")
     if rate_hz < BUSY_RATE_HZ:
@@ -231,7 +252,8 @@ def clock_source(machine: Machine, asked: Requirements) -> CheckResult:
     quick = next((clock for clock in QUICK_CLOCKS if clock in available), None)
     fix = "see `dmesg | grep -i clocksource` for why the kernel distrusts the processor's counter"
     if quick:
-        fix = f"echo {quick} | sudo tee /{CLOCK}/current_clocksource; for good: clocksource={quick} on the kernel command line"
+        once = f"echo {quick} | sudo tee /{CLOCK}/current_clocksource"
+        fix = f"{once}; for good: clocksource={quick} on the kernel command line"
     why = "reading it costs a microsecond and more, and the loop reads it five times a tick"
     return (fail if current == "jiffies" else warn)(name, current, why, fix)
 
@@ -245,7 +267,8 @@ def mitigations(machine: Machine, asked: Requirements) -> CheckResult:
     if not active:
         return ok(name, "none is active")
     why = "each system call, two transfers a tick, pays for them; 1 kHz can live with it"
-    fix = "leave them; on a machine that runs nothing foreign: mitigations=off on the kernel command line"
+    alone = "on a machine that runs nothing foreign"
+    fix = f"leave them; {alone}: mitigations=off on the kernel command line"
     return warn(name, f"{len(active)} active ({', '.join(active)})", why, fix)
 
 
@@ -262,7 +285,8 @@ RT_PRIORITY_FIELD = 39  # of /proc/PID/stat, from 0; proc(5)
 
 def timers(machine: Machine, asked: Requirements) -> CheckResult:
     """Without high-resolution timers a sleep ends on a scheduler tick."""
-    name, hz = "timers", machine.kernel_option("HZ")
+    name = "timers"
+    hz = machine.kernel_option("HZ")
     shown = f", HZ={hz}" if hz.isdigit() else ""
     if machine.clock_resolution_s <= HIGH_RESOLUTION_S:
         return ok(name, f"high resolution{shown}")
@@ -273,24 +297,28 @@ def timers(machine: Machine, asked: Requirements) -> CheckResult:
 
 def tickless(machine: Machine, asked: Requirements) -> CheckResult:
     """The scheduler's own tick; the servo's deadlines lie half a period off it."""
-    name, core = "tickless", servo_core(machine, asked)
+    name = "tickless"
+    core = servo_core(machine, asked)
     if core in cores_in(machine.text(f"{CPU}/nohz_full") or ""):
         return ok(name, f"core {core} has no scheduler tick (nohz_full)")
     if machine.boot_option("nohz") == "off" or machine.kernel_option("HZ_PERIODIC") == "y":
         why = "the scheduler interrupts the servo's core even when nothing runs there"
-        return warn(name, "off", why, "remove nohz=off from the kernel command line, or boot a kernel with CONFIG_NO_HZ_IDLE=y")
+        fix = "remove nohz=off from the kernel command line, or boot one with CONFIG_NO_HZ_IDLE=y"
+        return warn(name, "off", why, fix)
     return ok(name, "ticks only while busy; the servo's deadlines lie half a period off them")
 
 
 def preemption(machine: Machine, asked: Requirements) -> CheckResult:
     """How long the kernel may keep a core that the servo wants."""
-    name, model = "preemption", preemption_model(machine)
+    name = "preemption"
+    model = preemption_model(machine)
     if model == "PREEMPT_RT":
         return ok(name, model)
     if model == "full" or machine.boot_option("threadirqs") is not None:
         return ok(name, f"{model}{', threadirqs' if machine.boot_option('threadirqs') is not None else ''}")
     why = "the kernel may keep the core for milliseconds while others make system calls"
-    fix = "preempt=full threadirqs on the kernel command line; or a PREEMPT_RT kernel (Debian: apt install linux-image-rt-amd64)"
+    kernel = "a PREEMPT_RT kernel (Debian: apt install linux-image-rt-amd64)"
+    fix = f"preempt=full threadirqs on the kernel command line; or {kernel}"
     return warn(name, model, why, fix)
 
 
@@ -306,8 +334,9 @@ def preemption_model(machine: Machine) -> str:
 
 
 def irq_priority(machine: Machine, asked: Requirements) -> CheckResult:
-    """Where interrupts are threads, that of the USB controller has to come before the servo that waits for it."""
-    name, servo = "IRQ priority", asked.realtime.priority
+    """Where interrupts are threads, the USB controller's goes before the servo that awaits it."""
+    name = "IRQ priority"
+    servo = asked.realtime.priority
     threads = list(_irq_threads(machine))
     low = [(pid, comm, priority) for pid, comm, priority in threads if priority <= servo]
     if not threads:
@@ -344,7 +373,9 @@ def irq_sharing(machine: Machine, asked: Requirements) -> CheckResult:
 
 def throttling(machine: Machine, asked: Requirements) -> CheckResult:
     """The kernel's safeguard against a runaway real-time loop; the servo stays far below it."""
-    name, runtime, period = "throttling", machine.number(f"{SCHED}_runtime_us"), machine.number(f"{SCHED}_period_us")
+    name = "throttling"
+    runtime = machine.number(f"{SCHED}_runtime_us")
+    period = machine.number(f"{SCHED}_period_us")
     if runtime is None or not period:
         return ok(name, "this kernel does not throttle")
     fix = f"sudo sysctl kernel.sched_rt_runtime_us={round(0.95 * period)}"
@@ -356,7 +387,7 @@ def throttling(machine: Machine, asked: Requirements) -> CheckResult:
 
 
 def rt_group(machine: Machine, asked: Requirements) -> CheckResult:
-    """Kernels with CONFIG_RT_GROUP_SCHED refuse FIFO in a control group that has no real-time time."""
+    """Kernels with CONFIG_RT_GROUP_SCHED refuse FIFO in a control group without real-time time."""
     name = "RT groups"
     if machine.kernel_option("RT_GROUP_SCHED") != "y" or machine.boot_option("rt_group_sched") == "0":
         return ok(name, "no real-time time is given to groups")
@@ -375,7 +406,8 @@ def rt_group(machine: Machine, asked: Requirements) -> CheckResult:
 
 def swap(machine: Machine, asked: Requirements) -> CheckResult:
     """The servo locks its memory; gateway and recorder do not."""
-    name, areas = "swap", (machine.text("proc/swaps") or "").splitlines()[1:]
+    name = "swap"
+    areas = (machine.text("proc/swaps") or "").splitlines()[1:]
     swappiness = machine.number("proc/sys/vm/swappiness")
     if not areas:
         return ok(name, "none")
@@ -403,19 +435,22 @@ def board_path(machine: Machine, asked: Requirements) -> Path | None:
 
 def board(machine: Machine, asked: Requirements) -> CheckResult:
     """The configured board is on the bus."""
-    name, path = "USB board", board_path(machine, asked)
+    name = "USB board"
+    path = board_path(machine, asked)
     if asked.simulated:
         return ok(name, SIMULATED)
     if path is not None:
         return ok(name, f"{asked.board} at {path.name}")
     serial = f" with serial {asked.usb.serial}" if asked.usb.serial else ""
-    fix = f"plug it in and switch it on (lsusb -d {asked.board}); ids: usb.vendor_id and usb.product_id, serial: device file"
+    ids = "ids: usb.vendor_id and usb.product_id, serial: device file"
+    fix = f"plug it in and switch it on (lsusb -d {asked.board}); {ids}"
     return fail(name, f"no {asked.board}{serial} on the bus", "the servo waits for it and renders nothing", fix)
 
 
 def permission(machine: Machine, asked: Requirements) -> CheckResult:
     """This user may open it."""
-    name, path = "USB permission", board_path(machine, asked)
+    name = "USB permission"
+    path = board_path(machine, asked)
     if asked.simulated or path is None:
         return ok(name, SIMULATED if asked.simulated else ABSENT)
     place = str(path.relative_to(machine.root))
@@ -429,7 +464,8 @@ def permission(machine: Machine, asked: Requirements) -> CheckResult:
 
 def autosuspend(machine: Machine, asked: Requirements) -> CheckResult:
     """It does not fall asleep while the servo pauses."""
-    name, path = "USB autosuspend", board_path(machine, asked)
+    name = "USB autosuspend"
+    path = board_path(machine, asked)
     if asked.simulated or path is None:
         return ok(name, SIMULATED if asked.simulated else ABSENT)
     control = f"{path.relative_to(machine.root)}/power/control"
@@ -460,24 +496,29 @@ def udev_rule(machine: Machine, asked: Requirements) -> CheckResult:
 # --- folders: disk, and who may read and write in the daemon's folders ----------------------------
 
 HOUR_S = 3600.0
-ENOUGH_H, TOO_LITTLE_H = 8.0, 0.25
+ENOUGH_H = 8.0  # of recording: a working day
+TOO_LITTLE_H = 0.25
 SECRETS = "*.key_secret"
 
 
 def disk(machine: Machine, asked: Requirements) -> CheckResult:
-    """Room for recordings at every tick."""
-    name, free = "disk", machine.free_bytes(asked.recordings)
+    """Space for recordings at every tick."""
+    name = "disk"
+    free = machine.free_bytes(asked.recordings)
     hours = free / (layout.RECORD.size * asked.realtime.rate_hz * HOUR_S)
-    found = f"{free / 1e9:.3g} GB free in {asked.recordings}: {hours:.3g} h of recording at {asked.realtime.rate_hz:g} Hz"
+    lasting = f"{hours:.3g} h of recording at {asked.realtime.rate_hz:g} Hz"
+    found = f"{free / 1e9:.3g} GB free in {asked.recordings}: {lasting}"
     if hours >= ENOUGH_H:
         return ok(name, found)
-    fix = f"free some space there, or record elsewhere; a working day takes {ENOUGH_H / max(hours, 1e-9) * free / 1e9:.3g} GB"
+    needed_gb = ENOUGH_H / max(hours, 1e-9) * free / 1e9
+    fix = f"free some space there, or record elsewhere; a working day takes {needed_gb:.3g} GB"
     return (fail if hours < TOO_LITTLE_H else warn)(name, found, "a recording ends when the disk is full", fix)
 
 
 def runtime_folder(machine: Machine, asked: Requirements) -> CheckResult:
     """Nobody but its owner and group reaches the daemon."""
-    name, why = "runtime folder", "whoever reaches its sockets commands a motor"
+    name = "runtime folder"
+    why = "whoever reaches its sockets commands a motor"
     if not asked.runtime.is_dir():
         return ok(name, f"{asked.runtime}: no daemon has run yet")
     mode = stat.S_IMODE(asked.runtime.stat().st_mode)

@@ -1,4 +1,7 @@
-"""The machine as the checks see it: files below a root, and facts about this process that no file tells."""
+"""The machine as the checks see it: files below a root, and facts about this process.
+
+The facts are those that no file tells: rights, limits, groups, free space.
+"""
 
 import grp
 import gzip
@@ -11,22 +14,23 @@ from dataclasses import dataclass
 from pathlib import Path
 
 UNLIMITED = resource.RLIM_INFINITY
-CAP_IPC_LOCK, CAP_SYS_NICE = 14, 23
+CAP_IPC_LOCK = 14  # bits of linux/capability.h
+CAP_SYS_NICE = 23
 
 
 @dataclass(frozen=True)
 class Machine:
-    """`limits` are (soft, hard) of rtprio, memlock [bytes] and rttime [us]; `capabilities` is the effective bit mask."""
+    """Files below `root`, and facts about this process. Tests build one of a few files."""
 
-    root: Path
-    uid: int
-    groups: frozenset[str]
-    limits: dict[str, tuple[int, int]]
-    capabilities: int
-    cores: frozenset[int]
-    clock_resolution_s: float
-    may_write: Callable[[Path], bool]
-    free_bytes: Callable[[Path], int]
+    root: Path  # below which proc, sys, dev, etc and boot are read
+    uid: int  # of this process
+    groups: frozenset[str]  # names of its groups
+    limits: dict[str, tuple[int, int]]  # (soft, hard) of rtprio, memlock [bytes] and rttime [us]
+    capabilities: int  # effective ones, as a bit mask; capabilities(7)
+    cores: frozenset[int]  # on which it may run
+    clock_resolution_s: float  # of CLOCK_MONOTONIC
+    may_write: Callable[[Path], bool]  # whether this user may write a file
+    free_bytes: Callable[[Path], int]  # of the disk that a folder is on
 
     def text(self, path: str) -> str | None:
         """Content of a file without blanks at its ends; None if it cannot be read."""
@@ -59,7 +63,9 @@ class Machine:
         return _plain(self.limits[name][1])
 
     def kernel_option(self, name: str) -> str:
-        """Value of CONFIG_<name> in the running kernel: y, m, a number, n when it is not set, empty when nothing tells."""
+        """Value of CONFIG_<name> in the running kernel: y, m, a number, n when it is not set, empty
+        when nothing tells.
+        """
         config = self._kernel_config()
         for line in config.splitlines():
             if line.startswith(f"CONFIG_{name}="):
@@ -73,7 +79,9 @@ class Machine:
             return self.text(f"boot/config-{self.text('proc/sys/kernel/osrelease')}") or ""
 
     def boot_option(self, name: str) -> str | None:
-        """Value of `name` on the kernel command line: empty if it stands there without one, None if it does not."""
+        """Value of `name` on the kernel command line: empty if it stands there without one, None if
+        it does not.
+        """
         words = (self.text("proc/cmdline") or "").split()
         found = [word.partition("=")[2] for word in words if word.partition("=")[0] == name]
         return found[-1] if found else None

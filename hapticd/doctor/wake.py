@@ -1,8 +1,11 @@
-"""How late this machine wakes a process that has the servo's rights: `python -m hapticd.doctor.wake SECONDS PRIORITY [CORE]`.
+"""How late this machine wakes a process that has the servo's rights.
 
-The same question as `cyclictest -m -p PRIORITY -i 1000`: locked memory, SCHED_FIFO, one core, absolute deadlines, and the
-time from deadline to waking in whole microseconds. No spin here; the servo's own spin hides what is below `spin_us`.
-In a process of its own, so that no right sticks to the caller. Prints one JSON object: granted, histogram_us.
+    python -m hapticd.doctor.wake SECONDS PRIORITY [CORE]
+
+The same question as `cyclictest -m -p PRIORITY -i 1000`: locked memory, SCHED_FIFO, one core,
+absolute deadlines, and the time from deadline to waking in whole microseconds. No spin here; the
+servo's own spin hides what is below `spin_us`. It is a process of its own, so that no right sticks
+to the caller, and prints one JSON object: granted, histogram_us.
 """
 
 import json
@@ -26,7 +29,9 @@ PATIENCE_S = 30.0
 
 
 def latencies_us(wait: Wait, now_ns: int, count: int) -> Counter[int]:
-    """How often each latency [us, rounded down] occurred in `count` wakes from `now_ns` on; a late wake drops whole periods."""
+    """How often each latency [us, rounded down] occurred in `count` wakes from `now_ns` on; a late
+    wake drops whole periods.
+    """
     found: Counter[int] = Counter()
     deadline_ns = first_deadline(now_ns, PERIOD_NS)
     for _ in range(count):
@@ -42,7 +47,8 @@ def _nothing() -> None:
 
 def quantiles(histogram: dict[int, int]) -> dict[str, int]:
     """p50, p99, p99.9 and maximum of a histogram {us: count}."""
-    total, found = sum(histogram.values()), {}
+    total = sum(histogram.values())
+    found = {}
     for name, share in QUANTILES.items():
         below = 0
         for us in sorted(histogram):
@@ -54,7 +60,10 @@ def quantiles(histogram: dict[int, int]) -> dict[str, int]:
 
 
 def measure(seconds: float, core: int | None) -> dict[str, Any]:
-    """Run the worker; {granted, histogram_us: {us: count}, quantiles}. OSError or ValueError when it could not run."""
+    """Run the worker; {granted, histogram_us: {us: count}, quantiles}.
+
+    OSError or ValueError when it could not run.
+    """
     command = [sys.executable, "-P", "-m", __name__, str(seconds), str(PRIORITY), *([] if core is None else [str(core)])]
     done = subprocess.run(command, capture_output=True, text=True, timeout=seconds + PATIENCE_S)
     if done.returncode:
@@ -66,18 +75,22 @@ def measure(seconds: float, core: int | None) -> dict[str, Any]:
 
 def judge(found: dict[str, Any], asked: Requirements) -> CheckResult:
     """The measured histogram as a line."""
-    name, count = "wake-up", sum(found["histogram_us"].values())
+    name = "wake-up"
+    count = sum(found["histogram_us"].values())
     shown = "p50 {p50_us} us, p99 {p99_us} us, p99.9 {p999_us} us, max {max_us} us".format(**found)
     fifo: str = found["granted"].get("fifo", "not asked")
     with_rights = fifo == "granted"
-    text = f"{shown} over {count} wakes, {'SCHED_FIFO ' + str(PRIORITY) if with_rights else 'without SCHED_FIFO'}"
-    spin_us, period_us = asked.realtime.spin_us, US_PER_S / asked.realtime.rate_hz
+    policy = f"SCHED_FIFO {PRIORITY}" if with_rights else "without SCHED_FIFO"
+    text = f"{shown} over {count} wakes, {policy}"
+    spin_us = asked.realtime.spin_us
+    period_us = US_PER_S / asked.realtime.rate_hz
     if found["p99_us"] > period_us / 2:
         return fail(
             name, text, f"one wake in a hundred is more than half a period ({period_us / 2:g} us) late", "see the lines above"
         )
     if found["p99_us"] > spin_us:
-        why = f"one wake in a hundred is later than the {spin_us:g} us that the servo spins ahead of its deadline"
+        spin = f"the {spin_us:g} us that the servo spins ahead of its deadline"
+        why = f"one wake in a hundred is later than {spin}"
         return warn(name, text, why, f"see the lines above; or realtime.spin_us = {found['p99_us'] // 10 * 10 + 20}")
     if not with_rights:
         return warn(name, text, f"good while the machine is idle; {fifo}", "see the rtprio limit above")
@@ -88,7 +101,8 @@ def main(arguments: list[str]) -> int:
     """The worker; the exit code."""
     seconds, priority, *core = arguments
     granted = host.prepare(RealtimeParams(priority=int(priority), core=int(core[0]) if core else None))
-    wait, count = spinning_wait(0, PERIOD_NS), max(1, round(float(seconds) * NS_PER_S / PERIOD_NS))
+    wait = spinning_wait(0, PERIOD_NS)
+    count = max(1, round(float(seconds) * NS_PER_S / PERIOD_NS))
     found = latencies_us(wait, time.monotonic_ns(), count)
     host.relax()
     os.write(1, json.dumps({"granted": granted, "histogram_us": found}).encode())

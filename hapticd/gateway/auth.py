@@ -1,8 +1,9 @@
 """Who may connect from where.
 
-Commands are taken on a socket file in the runtime folder: the file system says who. Telemetry is offered there and on the
-loopback; on any other address only with CURVE keys (the folder holds `server.key_secret` and, in `clients`, the public keys
-of those who may listen), or when the configuration says `allow_insecure`, and then with a warning.
+Commands are taken on a socket file in the runtime folder: the file system says who. Telemetry is
+offered there and on the loopback; on any other address only with CURVE keys (the folder holds
+`server.key_secret` and, in `clients`, the public keys of those who may listen), or when the
+configuration says `allow_insecure`, and then with a warning.
 """
 
 import ipaddress
@@ -25,7 +26,10 @@ SERVER, SERVER_KEY, CLIENTS = "server", "server.key_secret", "clients"
 
 
 def is_loopback(host: str) -> bool:
-    """Whether `host` is an address of this machine alone. Names other than localhost are not trusted to be."""
+    """Whether `host` is an address of this machine alone.
+
+    Names other than localhost are not trusted to be.
+    """
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -33,7 +37,10 @@ def is_loopback(host: str) -> bool:
 
 
 def warning(params: GatewayParams) -> str | None:
-    """What to warn of, None if nothing. ConfigError if telemetry would leave the machine in the clear without leave."""
+    """What to warn of, None if nothing.
+
+    ConfigError if telemetry would leave the machine in the clear without leave.
+    """
     host = params.tcp_host
     if is_loopback(host) or params.curve_keys is not None:
         return None
@@ -46,7 +53,10 @@ def warning(params: GatewayParams) -> str | None:
 
 
 def authenticator(context: "zmq.Context[zmq.Socket[bytes]]", params: GatewayParams) -> ThreadAuthenticator | None:
-    """A running check of client keys, to be stopped at the end; None where no keys are needed. ConfigError: folder incomplete."""
+    """A running check of client keys, to be stopped at the end; None where no keys are needed.
+
+    ConfigError: folder incomplete.
+    """
     if params.curve_keys is None or is_loopback(params.tcp_host):
         return None
     clients = Path(params.curve_keys) / CLIENTS
@@ -59,7 +69,10 @@ def authenticator(context: "zmq.Context[zmq.Socket[bytes]]", params: GatewayPara
 
 
 def encrypt(socket: "zmq.Socket[bytes]", params: GatewayParams) -> None:
-    """Make what `socket` binds from now on demand CURVE. ConfigError if the server's key is missing or readable by others."""
+    """Make what `socket` binds from now on demand CURVE.
+
+    ConfigError if the server's key is missing or readable by others.
+    """
     path = Path(params.curve_keys or "") / SERVER_KEY
     if not path.is_file():
         raise ConfigError(f"gateway.curve_keys: {path} is missing; make it with `hapticd keys server {path.parent}`")
@@ -70,8 +83,10 @@ def encrypt(socket: "zmq.Socket[bytes]", params: GatewayParams) -> None:
 
 
 def make_keys(folder: Path) -> tuple[Path, Path]:
-    """A server key pair and an empty folder for clients in `folder`; (public, secret). The secret is readable by its owner alone.
-    ConfigError where there is a pair already, or nothing can be written.
+    """A server key pair and an empty folder for clients in `folder`; (public, secret).
+
+    The secret is readable by its owner alone. ConfigError where there is a pair already, or nothing
+    can be written.
     """
     public, secret = folder / f"{SERVER}.key", folder / SERVER_KEY
     _free(public, secret)
@@ -82,8 +97,9 @@ def make_keys(folder: Path) -> tuple[Path, Path]:
 
 
 def make_client(folder: Path, name: str, out: Path) -> tuple[Path, Path]:
-    """A listener's pair: the public key in the clients of `folder`, the secret in `out`; (public, secret). ConfigError as
-    `make_keys`, for a folder without a server's pair, and for a name that is no name of a file.
+    """A listener's pair: the public key in the clients of `folder`, the secret in `out`; (public,
+    secret). ConfigError as `make_keys`, for a folder without a server's pair, and for a name that
+    is no name of a file.
     """
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", name):
         raise ConfigError(f"{name!r}: a client is named by letters, digits, dots, dashes and underscores")
@@ -109,7 +125,7 @@ def _free(*files: Path) -> None:
 
 @contextmanager
 def _private(folder: Path) -> Iterator[None]:
-    """What is written meanwhile is its owner's alone: pyzmq writes the secret key with whatever the umask allows."""
+    """What is written meanwhile is its owner's alone: pyzmq writes a key as the umask allows."""
     before = os.umask(0o077)
     try:
         yield

@@ -1,9 +1,10 @@
 """Requests and replies: msgpack or JSON, told apart by the first byte, both within hard limits.
 
-`{` (0x7B) begins every JSON object and no msgpack map, so the test is exact; the reply comes in the encoding of the
-request. Nothing is trusted: keys must be text and appear once, arrays and maps are bounded before they are built, and of a
-request only its `id` is ever echoed, and only if it is small and plain. Numbers that are not finite are left to the schema,
-which names the field: a stop is a stop whatever else the message holds.
+`{` (0x7B) begins every JSON object and no msgpack map, so the test is exact; the reply comes in the
+encoding of the request. Nothing is trusted: keys must be text and appear once, arrays and maps are
+bounded before they are built, and of a request only its `id` is ever echoed, and only if it is
+small and plain. Numbers that are not finite are left to the schema, which names the field: a stop
+is a stop whatever else the message holds.
 """
 
 import json
@@ -48,7 +49,9 @@ def decode(payload: bytes) -> dict[str, Any]:
 
 
 def encode(encoding: Encoding, content: Any) -> bytes:
-    """`content` (maps with text keys, lists, numbers, text, None) as bytes; numbers that are not finite become null."""
+    """`content` (maps with text keys, lists, numbers, text, None) as bytes; numbers that are not
+    finite become null.
+    """
     content = finite(content)
     if encoding is Encoding.JSON:
         return json.dumps(content, allow_nan=False, separators=(",", ":")).encode()
@@ -56,7 +59,9 @@ def encode(encoding: Encoding, content: Any) -> bytes:
 
 
 def request_id(value: Any) -> RequestId:
-    """`value` if it may be echoed: an int in [0, 2^53), printable ASCII of at most 64 characters, or None. Else ValueError."""
+    """`value` if it may be echoed: an int in [0, 2^53), printable ASCII of at most 64 characters,
+    or None. Else ValueError.
+    """
     if value is None or (type(value) is int and 0 <= value < ID_LIMIT):
         return value
     if type(value) is str and 0 < len(value) <= ID_LENGTH and value.isascii() and value.isprintable():

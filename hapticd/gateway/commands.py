@@ -1,12 +1,12 @@
 """What stands between a client and the servo: interlocks, and requests as commands of the mailbox.
 
 A request becomes a posting (kind, tick, doubles) for the mailbox's command ring, and the mailbox's
-answer becomes the receipt or refusal in a reply. Before that it passes an ordered list of interlocks,
-each of which asks one question. The first one that objects answers.
+answer becomes the receipt or refusal in a reply. Before that it passes an ordered list of
+interlocks, each of which asks one question. The first one that objects answers.
 
     schema     is it a command, complete, within the limits of this device?
-    state      would the servo refuse it anyway in its present state? (Only an early, better explained
-               answer: the servo decides.)
+    state      would the servo refuse it anyway in its present state? (Only an early, better
+               explained answer: the servo decides.)
     lease      may this client change this now? (Everyone may.)
     passivity  is the display still passive with these parameters? (Not asked.)
 
@@ -61,7 +61,9 @@ def posting(request: Request, samples: int) -> Posting:
 
 
 def _switched(asked: str | float | None) -> dict[Value, float]:
-    """Active damping `on` | `off` | level: a level switches it on, 0 switches it off and keeps the level for the next `on`."""
+    """Active damping `on` | `off` | level: a level switches it on, 0 switches it off and keeps the
+    level for the next `on`.
+    """
     if asked is None:
         return {}
     if asked in ("on", "off", 0.0):
@@ -70,7 +72,9 @@ def _switched(asked: str | float | None) -> dict[Value, float]:
 
 
 def parameters(effective: tuple[float, ...]) -> dict[str, Any]:
-    """The parameters of an answer in the shape of a `set`, ramps at their ends, active damping as quantised on the wire."""
+    """The parameters of an answer in the shape of a `set`, ramps at their ends, active damping as
+    quantised on the wire.
+    """
     found: dict[str, Any] = {}
     for name, place in PLACES.items():
         *parts, leaf = name.split(".")
@@ -84,7 +88,10 @@ def parameters(effective: tuple[float, ...]) -> dict[str, Any]:
 
 
 def receipt(answer: Answer) -> dict[str, Any]:
-    """The receipt of an accepted command. `effective` are the parameters in force when it was written."""
+    """The receipt of an accepted command.
+
+    `effective` are the parameters in force when it was written.
+    """
     return {
         "result": answer.result.name.lower(),
         "revision": answer.revision,
@@ -132,7 +139,10 @@ class AskedRequest(NamedTuple):
 
 
 class Situation(NamedTuple):
-    """What an interlock may look at. `settled`: no command is on its way, so the newest record tells the state."""
+    """What an interlock may look at.
+
+    `settled`: no command is on its way, so the newest record tells the state.
+    """
 
     limits: CommandLimits
     view: ServoView
@@ -176,7 +186,10 @@ INTERLOCKS: tuple[Interlock, ...] = (schema, state, lease, passivity)
 
 
 def admit(plain: dict[str, Any], actor: int, situation: Situation) -> Request:
-    """The request in `plain` once every interlock has let it pass. CommandError by the first that does not."""
+    """The request in `plain` once every interlock has let it pass.
+
+    CommandError by the first that does not.
+    """
     asked = AskedRequest(plain, actor)
     for interlock in INTERLOCKS:
         asked = interlock(asked, situation)

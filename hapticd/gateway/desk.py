@@ -1,19 +1,20 @@
 """Requests in, replies out: no socket, no clock.
 
-A request is unpacked, judged by the interlocks and, if the servo is concerned, posted to its command
-ring; its reply is written when the servo's answer is there and the newest record shows it in force, so
-`state` in a reply is never older than the command. Nobody waits: `serve` takes what came, `collect`
-gives what is due, also the replies to what the servo left unanswered for a second. STOP goes first
-among what came together, skips every interlock, and presses the stop page when others are ahead of it
-in the ring.
+A request is unpacked, judged by the interlocks and, if the servo is concerned, posted to its
+command ring; its reply is written when the servo's answer is there and the newest record shows it
+in force, so `state` in a reply is never older than the command. Nobody waits: `serve` takes what
+came, `collect` gives what is due, also the replies to what the servo left unanswered for a second.
+STOP goes first among what came together, skips every interlock, and presses the stop page when
+others are ahead of it in the ring.
 
-Commands that were posted are kept by servo life and sequence number until they are answered and seen
-in force (`Outstanding`); scheduled ones wait for their second answer. A perturbation waveform comes in
-chunks that follow each other (a message holds 64 kB), is converted from newtons into counts of the
-board's probe converter and written to the shared segment only while nothing is played from it.
+Commands that were posted are kept by servo life and sequence number until they are answered and
+seen in force (`Outstanding`); scheduled ones wait for their second answer. A perturbation waveform
+comes in chunks that follow each other (a message holds 64 kB), is converted from newtons into
+counts of the board's probe converter and written to the shared segment only while nothing is played
+from it.
 
-What would break it: a request that is forgotten (each has a deadline), or a reply that repeats what a
-client sent (it holds nothing foreign but a bounded id and a few printable characters).
+What would break it: a request that is forgotten (each has a deadline), or a reply that repeats what
+a client sent (it holds nothing foreign but a bounded id and a few printable characters).
 """
 
 from collections.abc import Callable, Sequence
@@ -35,7 +36,9 @@ from hapticd.units import NS_PER_S, PROBE_RATE_HZ
 
 
 class RequestMessage(NamedTuple):
-    """A request with its envelope: where the reply goes, how it is written, and what was asked or what is wrong."""
+    """A request with its envelope: where the reply goes, how it is written, and what was asked or
+    what is wrong.
+    """
 
     envelope: tuple[bytes, ...]
     encoding: Encoding
@@ -55,7 +58,9 @@ class RequestMessage(NamedTuple):
 
 
 def unpacked(frames: Sequence[bytes]) -> RequestMessage:
-    """The request in `frames`: client identity, an empty delimiter if a REQ socket sent it, payload. Never raises."""
+    """The request in `frames`: client identity, an empty delimiter if a REQ socket sent it,
+    payload. Never raises.
+    """
     identity, *rest = frames
     delimiter = tuple(rest[:-1])
     payload = rest[-1] if rest else b""
@@ -88,7 +93,10 @@ class Pending(NamedTuple):
 
 
 class Outstanding:
-    """By servo life and sequence number. Everything leaves by `due` or `abandon`, scheduled ones by their second answer."""
+    """By servo life and sequence number.
+
+    Everything leaves by `due` or `abandon`, scheduled ones by their second answer.
+    """
 
     def __init__(self) -> None:
         self._pending: dict[tuple[int, int], Pending] = {}
@@ -102,7 +110,10 @@ class Outstanding:
         self._pending[pending.life, seq] = pending
 
     def take(self, answer: Answer, life: int) -> Pending | None:
-        """Note an answer of servo `life`. If it is the second one of a scheduled command: that command."""
+        """Note an answer of servo `life`.
+
+        If it is the second one of a scheduled command: that command.
+        """
         key = life, answer.seq
         pending = self._pending.get(key)
         if pending is None or pending.answer is not None:
@@ -115,12 +126,16 @@ class Outstanding:
         return None
 
     def due(self, tick: int, now_ns: int) -> list[Pending]:
-        """Remove and return what is to be replied to: refused, scheduled, in force at `tick`, or out of time."""
+        """Remove and return what is to be replied to: refused, scheduled, in force at `tick`, or
+        out of time.
+        """
         ready = [key for key, pending in self._pending.items() if _is_due(pending, tick, now_ns)]
         return [self._pending.pop(key) for key in ready]
 
     def abandon(self, life: int) -> list[Pending]:
-        """Remove and return all that another servo life than `life` was asked; its scheduled ones are forgotten."""
+        """Remove and return all that another servo life than `life` was asked; its scheduled ones
+        are forgotten.
+        """
         lost = [pending for pending in self._pending.values() if pending.life != life]
         if lost or any(known != life for known, _ in self._scheduled):
             self._pending = {key: pending for key, pending in self._pending.items() if key[0] == life}
@@ -149,7 +164,10 @@ class Waveform:
         return self._samples if view.life == self._life else 0
 
     def load(self, request: Perturb, view: ServoView, actor: int) -> int:
-        """Append the chunk of `request` by `actor`; samples loaded by now. CommandError (`invalid`, `refused`): nothing changed."""
+        """Append the chunk of `request` by `actor`; samples loaded by now.
+
+        CommandError (`invalid`, `refused`): nothing changed.
+        """
         if view.mailbox is None:
             raise CommandError("servo_down", "perturb load: no servo runs; start it with `hapticd run`")
         loaded, force_n = self.samples(view), samples_n(request.samples_n)
@@ -179,7 +197,10 @@ class Waveform:
 
 
 def samples_n(sent: list[float] | bytes) -> NDArray[np.float64]:
-    """Force samples [N], float64 (n,), from a list of numbers or little-endian float32 bytes. CommandError `invalid`."""
+    """Force samples [N], float64 (n,), from a list of numbers or little-endian float32 bytes.
+
+    CommandError `invalid`.
+    """
     if isinstance(sent, bytes):
         if len(sent) % 4:
             reason = f"samples_n has {len(sent)} bytes: not whole little-endian float32; send 4 bytes a sample"
@@ -201,7 +222,10 @@ Reply = list[bytes]
 
 
 class Desk:
-    """The command side of the gateway. `inquire(cmd)` is the content of the replies to hello and status."""
+    """The command side of the gateway.
+
+    `inquire(cmd)` is the content of the replies to hello and status.
+    """
 
     def __init__(self, view: ServoView, journal: Journal, inquire: Callable[[str], dict[str, Any]]) -> None:
         self._view, self._journal, self._inquire = view, journal, inquire
@@ -219,7 +243,10 @@ class Desk:
         return len(self._outstanding) > 0
 
     def serve(self, messages: Sequence[Sequence[bytes]], now_ns: int, outdated: bool = False) -> list[Reply]:
-        """Take requests that came together, stops first; the replies that can be given at once. `outdated`: stops alone count."""
+        """Take requests that came together, stops first; the replies that can be given at once.
+
+        `outdated`: stops alone count.
+        """
         requests = sorted(map(unpacked, messages), key=lambda one: one.cmd != "stop")
         self.counts["requests"] += len(requests)
         replies = [self._attend(one, now_ns, outdated) for one in requests]
@@ -314,7 +341,9 @@ class Desk:
         return True
 
     def _ask_back(self) -> None:
-        """Learn the parameters after a restart of the gateway: a set for a tick long past is refused, and tells them."""
+        """Learn the parameters after a restart of the gateway: a set for a tick long past is
+        refused, and tells them.
+        """
         if self._view.unsure and self._asked_life != self._view.life and self._view.mailbox:
             asked = self._view.mailbox.post(Command.SET, GATEWAY_ACTOR, PAST_TICK, values_of({}))
             self._asked_life = self._asked_life if asked is None else self._view.life
@@ -335,7 +364,9 @@ class Desk:
         return self._accepted(message, {"rev": answer.revision, "receipt": receipt(answer)})
 
     def _taken_back(self, message: RequestMessage) -> bool:
-        """Whether a force that comes late, when nobody expects it any more, will end in the tick in which it begins."""
+        """Whether a force that comes late, when nobody expects it any more, will end in the tick in
+        which it begins.
+        """
         kind, mailbox = TAKEN_BACK.get(message.cmd), self._view.mailbox
         return kind is not None and mailbox is not None and mailbox.post(kind, GATEWAY_ACTOR, 0, values_of({})) is not None
 

@@ -1,19 +1,20 @@
-"""The flight recorder: the last minute at every tick with raw frames, and what a replay needs. Dumped at faults.
+"""The flight recorder: the last minute at every tick with raw frames, and what a replay needs.
 
-It keeps the blocks that were read from the telemetry ring, the requests that the servo noted, and a
-checkpoint of the servo's state every 10 s; since a replay begins at a checkpoint it keeps 10 s more
-than is asked. A fault is written a second later, with its aftermath; what a servo left that fell silent
-under force, at once. Files are written by a thread of their own, from bytes that nobody changes: a slow
-disk delays the file and not the heartbeat. The newest FILES_KEPT files are kept.
+It is dumped at faults and on demand. It keeps the blocks that were read from the telemetry ring,
+the requests that the servo noted, and a checkpoint of the servo's state every 10 s; since a replay
+begins at a checkpoint it keeps 10 s more than is asked. A fault is written a second later, with its
+aftermath; what a servo left that fell silent under force, at once. Files are written by a thread of
+their own, from bytes that nobody changes: a slow disk delays the file and not the heartbeat. The
+newest FILES_KEPT files are kept.
 
 A file holds records and all that replaying them needs, and is written whole or not at all:
 
-    hapticd-flight/1 LF | length of the header, u64 little-endian | header, JSON | records, `descr` of the header
+    hapticd-flight/1 LF | bytes of header, u64 little-endian | header, JSON | records of `descr`
 
 header: reason, written_utc, version, simulated, rate_hz, epoch, mono_unix_offset_ns, descr, servo
-(params.ServoParams), report (rights granted, board), gaps [[row, lost]], checkpoints [[tick, state]],
-requests [[tick, seq, kind, actor, apply_tick, values]], breaks [tick]: requests were lost there, so no
-replay leads over it.
+(params.ServoParams), report (rights granted, board), gaps [[row, lost]], checkpoints [[tick,
+state]], requests [[tick, seq, kind, actor, apply_tick, values]], breaks [tick]: requests were lost
+there, so no replay leads over it.
 """
 
 import json
@@ -52,7 +53,10 @@ class Flight(NamedTuple):
 
 
 def write_flight(path: Path, header: dict[str, Any], blocks: Iterable[bytes]) -> None:
-    """Write `header` and the records in `blocks` to `path`, whose folder is made. OSError: no room, no right."""
+    """Write `header` and the records in `blocks` to `path`, whose folder is made.
+
+    OSError: no room, no right.
+    """
     path.parent.mkdir(mode=0o750, parents=True, exist_ok=True)
     text = json.dumps(header).encode()
     fresh = path.with_name(f".{path.name}.{os.getpid()}")
@@ -90,7 +94,7 @@ UNDER_FORCE = (State.ENABLED, State.HOMING)
 
 
 class FlightRecorder:
-    """Keeps `setup.gateway.flight_s` seconds of the servo that `view` sees; dumps go into `folder`."""
+    """Keeps the last `setup.gateway.flight_s` seconds of `view`'s servo; dumps go into `folder`."""
 
     def __init__(self, view: ServoView, journal: Journal, setup: GatewaySetup, folder: Path, unix_ns: Callable[[], int]) -> None:
         self._view, self._journal, self._setup, self._folder, self._unix_ns = view, journal, setup, folder, unix_ns
@@ -126,7 +130,10 @@ class FlightRecorder:
         self._asked_ns = -CHECKPOINT_S * NS_PER_S
 
     def follow(self, now_ns: int) -> dict[str, Any] | None:
-        """Read what the servo noted; ask for a checkpoint when it is time. What is new, as a payload; None if nothing is."""
+        """Read what the servo noted; ask for a checkpoint when it is time.
+
+        What is new, as a payload; None if nothing is.
+        """
         mailbox = self._view.mailbox
         self._tell()
         if not self._view.alive:
@@ -184,7 +191,9 @@ class FlightRecorder:
             self.dump(reason)
 
     def dump(self, reason: str) -> dict[str, Any]:
-        """Begin to write what is kept; {path, records, reason}. An event `flight` tells when it is done.
+        """Begin to write what is kept; {path, records, reason}.
+
+        An event `flight` tells when it is done.
 
         CommandError when nothing is kept.
         """
@@ -246,7 +255,9 @@ class FlightRecorder:
 
 
 def flights_folder(instance: str) -> Path:
-    """Where flight recordings of `instance` go: $STATE_DIRECTORY (systemd), $XDG_STATE_HOME/hapticd, ~/.local/state/hapticd."""
+    """Where flight recordings of `instance` go: $STATE_DIRECTORY (systemd),
+    $XDG_STATE_HOME/hapticd, ~/.local/state/hapticd.
+    """
     service, home = os.environ.get("STATE_DIRECTORY"), os.environ.get("XDG_STATE_HOME")
     state = Path(service.split(":")[0]) if service else Path(home or Path.home() / ".local" / "state") / "hapticd"
     return state / "flights" if instance == DEFAULT_INSTANCE else state / f"instance-{instance}" / "flights"

@@ -2,12 +2,12 @@
 
 Events are maps, one per event: kept for `status`, and queued for the topic `event`. Their kinds:
 `state` (from, to, fault with cause, action and remedy, actor), `answer` (what became of a scheduled
-change), `gap` (ticks that were overwritten before they were read), `servo_up`, `servo_down`, `flight`
-(path, reason), `warning`.
+change), `gap` (ticks that were overwritten before they were read), `servo_up`, `servo_down`,
+`flight` (path, reason), `warning`.
 
-An actor is a small number per client, which travels in every tick record, and the name that the client
-gave itself. ZeroMQ does not report when a client leaves, so the table keeps the most recent ones;
-numbers are never used twice.
+An actor is a small number per client, which travels in every tick record, and the name that the
+client gave itself. ZeroMQ does not report when a client leaves, so the table keeps the most recent
+ones; numbers are never used twice.
 """
 
 from collections import OrderedDict, deque

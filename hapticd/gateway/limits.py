@@ -1,4 +1,6 @@
-"""How much of each parameter may be asked on this device at this rate: the mailbox's table under the names that clients use."""
+"""How much of each parameter may be asked on this device at this rate: the mailbox's table under
+the names that clients use.
+"""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -50,7 +52,9 @@ def flat(table: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
 
 
 class CommandLimits:
-    """The limits by dotted field name; `value` of the damping command is the same quantity as `damping` of set."""
+    """The limits by dotted field name; `value` of the damping command is the same quantity as
+    `damping` of set.
+    """
 
     def __init__(self, params: ServoParams) -> None:
         table = value_limits(params.realtime.rate_hz, params.device.damping_limit_ns_per_m)
@@ -63,7 +67,9 @@ class CommandLimits:
         )
 
     def broken_by(self, given: dict[str, Any]) -> list[dict[str, str]]:
-        """One {loc, msg} for each number in `given` (nested as in the request) that is beyond its limit."""
+        """One {loc, msg} for each number in `given` (nested as in the request) that is beyond its
+        limit.
+        """
         numbers = ((name, value) for name, value in flat(given) if isinstance(value, (int, float)) and name in self.of)
         return [{"loc": name, "msg": self.complaint(name, value)} for name, value in numbers if not self.allows(name, value)]
 

@@ -1,8 +1,8 @@
 """The telemetry side of the gateway: records in, [topic, payload] out. No socket, no clock.
 
 Every record is looked at once, for histograms and events; a topic is encoded only while someone
-subscribes to it. The topic `state` is the servo's state in words; `Transitions` finds every change of
-state or fault in a block of records, however short it was.
+subscribes to it. The topic `state` is the servo's state in words; `Transitions` finds every change
+of state or fault in a block of records, however short it was.
 """
 
 import time
@@ -72,7 +72,9 @@ def news(view: ServoView) -> tuple[Any, ...]:
 
 
 class Transitions:
-    """Follows states and faults from block to block and notes every change with its tick, however short it was."""
+    """Follows states and faults from block to block and notes every change with its tick, however
+    short it was.
+    """
 
     def __init__(self, view: ServoView, actors: Actors, journal: Journal) -> None:
         self._view, self._actors, self._journal = view, actors, journal
@@ -118,7 +120,10 @@ Message = tuple[str, bytes]  # topic, payload
 
 
 class Publisher:
-    """Turns what the servo writes into messages. `messages` is called at least every few milliseconds."""
+    """Turns what the servo writes into messages.
+
+    `messages` is called at least every few milliseconds.
+    """
 
     def __init__(
         self, view: ServoView, actors: Actors, journal: Journal, setup: GatewaySetup, unix_ns: Callable[[], int] = time.time_ns
@@ -136,7 +141,9 @@ class Publisher:
         self._state_ns = -STATE_PERIOD_NS
 
     def subscribe(self, message: bytes, unix_ns: int) -> list[Message]:
-        """Note a subscription or its end; whoever newly asks for `state` gets it at once, for `flight` a checkpoint soon."""
+        """Note a subscription or its end; whoever newly asks for `state` gets it at once, for
+        `flight` a checkpoint soon.
+        """
         topics = self._subscriptions.take(message)
         if "flight" in topics:
             self.flight.ask()

@@ -1,10 +1,11 @@
-"""What a client may ask, as strict models: one per command, told apart by `cmd`; and what is wrong, in words.
+"""What a client may ask, as strict models: one per command, told apart by `cmd`; and what is wrong,
+in words.
 
-Strict means: no text for numbers, no booleans for numbers, no null for "not given", no unknown keys,
-nothing infinite. The ranges are not here but in `limits`, since they depend on the device. `parse` puts
-both kinds of complaint in the same form: field, value, what the field takes with unit and limit, and
-what to do; nothing that a client sent is repeated but in printable ASCII and cut short. `json_schema`
-is the same for machines.
+Strict means: no text for numbers, no booleans for numbers, no null for "not given", no unknown
+keys, nothing infinite. The ranges are not here but in `limits`, since they depend on the device.
+`parse` puts both kinds of complaint in the same form: field, value, what the field takes with unit
+and limit, and what to do; nothing that a client sent is repeated but in printable ASCII and cut
+short. `json_schema` is the same for machines.
 """
 
 from difflib import get_close_matches
@@ -186,7 +187,7 @@ class Status(CommandMessage):
 
 
 class Dump(CommandMessage):
-    """Write the flight recording now; the reply names the file, an event `flight` tells when it is there."""
+    """Write the flight recording now; the reply names the file, an event tells when it is there."""
 
     cmd: Literal["dump"]
 
@@ -211,7 +212,10 @@ _REMEDY = "the command `schema` lists what is allowed"
 
 
 def parse(plain: dict[str, Any], limits: CommandLimits) -> Request:
-    """The request in `plain`. CommandError `unsupported_version` or `invalid`, with one line per wrong field."""
+    """The request in `plain`.
+
+    CommandError `unsupported_version` or `invalid`, with one line per wrong field.
+    """
     version = plain.get("v", PROTOCOL_VERSION)
     if type(version) is int and version != PROTOCOL_VERSION:
         raise CommandError(
@@ -228,7 +232,9 @@ def parse(plain: dict[str, Any], limits: CommandLimits) -> Request:
 
 
 def invalid(detail: list[dict[str, str]]) -> CommandError:
-    """The error for a request that breaks the schema or a limit; `detail` is a list of {loc, msg}."""
+    """The error for a request that breaks the schema or a limit; `detail` is a list of
+    {loc, msg}.
+    """
     detail = detail[:MOST_DETAILS]
     return CommandError("invalid", "; ".join(item["msg"] for item in detail), detail)
 
@@ -265,7 +271,9 @@ def _fields(command: str, names: list[str]) -> tuple[str, ...]:
 
 
 def json_schema(limits: CommandLimits) -> dict[str, Any]:
-    """The protocol as JSON schema, with unit, minimum and maximum of every limited field on this device."""
+    """The protocol as JSON schema, with unit, minimum and maximum of every limited field on this
+    device.
+    """
     schema: dict[str, Any] = ADAPTER.json_schema()
     for title, model in schema["$defs"].items():
         part = {"Filters": "filters.", "Wall": "wall."}.get(title, "")

@@ -4,18 +4,18 @@
     XPUB    ipc://<runtime folder>/telemetry   topics, for this machine
             tcp://127.0.0.1:9872               the same, where PlotJuggler looks for it
 
-The socket files are for user and group only; the folder decides further. A client that stops reading
-fills its own queue (SNDHWM) and loses messages, one that sends too much at once is cut off
+The socket files are for user and group only; the folder decides further. A client that stops
+reading fills its own queue (SNDHWM) and loses messages, one that sends too much at once is cut off
 (MAXMSGSIZE), one that is silent is dropped after three missed heartbeats. Only the default instance
 claims port 9872; where it is taken, any free one serves.
 
 One pass of the loop: tell the servo that the gateway lives, take at most 20 requests (stops first),
-give the replies that are due, note subscriptions, and every 10 ms publish what the ring holds. A pass
-waits for a socket at most 10 ms; while answers of the servo are outstanding it looks again after
-0.25 ms. Sends never wait: ZeroMQ drops messages to whoever does not read.
+give the replies that are due, note subscriptions, and every 10 ms publish what the ring holds. A
+pass waits for a socket at most 10 ms; while answers of the servo are outstanding it looks again
+after 0.25 ms. Sends never wait: ZeroMQ drops messages to whoever does not read.
 
-What would break it: a pass that takes longer than the servo's patience with the heartbeat (1 s), or a
-second gateway in the folder (the claim is taken before anything is bound).
+What would break it: a pass that takes longer than the servo's patience with the heartbeat (1 s), or
+a second gateway in the folder (the claim is taken before anything is bound).
 """
 
 import hashlib
@@ -57,7 +57,10 @@ Context = zmq.Context[zmq.Socket[bytes]]
 
 
 class Sockets:
-    """Both sockets, bound. `endpoints` is {command, telemetry: [..], pid}; `warning` is set when telemetry is in the clear."""
+    """Both sockets, bound.
+
+    `endpoints` is {command, telemetry: [..], pid}; `warning` is set when telemetry is in the clear.
+    """
 
     def __init__(self, folder: Path, setup: GatewaySetup) -> None:
         self._folder, params = folder, setup.gateway
@@ -112,7 +115,10 @@ class Sockets:
 
 
 def bind_file(socket: "zmq.Socket[bytes]", path: Path) -> str:
-    """Bind to a socket file; its endpoint. ConfigError when the path is too long for one, MailboxError when it cannot be made."""
+    """Bind to a socket file; its endpoint.
+
+    ConfigError when the path is too long for one, MailboxError when it cannot be made.
+    """
     if len(os.fsencode(path)) > LONGEST_PATH:
         raise ConfigError(f"{path}: {len(os.fsencode(path))} bytes, a socket file has at most {LONGEST_PATH}; use a shorter folder")
     try:
@@ -123,13 +129,18 @@ def bind_file(socket: "zmq.Socket[bytes]", path: Path) -> str:
 
 
 def port_for(params: GatewayParams, instance: str) -> int:
-    """The port to try first; 0 (any free one) for other instances, which must not take the default one's."""
+    """The port to try first; 0 (any free one) for other instances, which must not take the default
+    one's.
+    """
     usual = params.telemetry_port == GatewayParams().telemetry_port
     return 0 if usual and instance != DEFAULT_INSTANCE else params.telemetry_port
 
 
 def bind_tcp(socket: "zmq.Socket[bytes]", host: str, port: int) -> str:
-    """Bind to `port`, or to any free one if it is taken; the endpoint. ConfigError if the address is not ours."""
+    """Bind to `port`, or to any free one if it is taken; the endpoint.
+
+    ConfigError if the address is not ours.
+    """
     address = f"tcp://[{host}]" if ":" in host else f"tcp://{host}"
     try:
         socket.bind(f"{address}:{port or '*'}")
@@ -149,7 +160,10 @@ SETTLING_NS = 100 * NS_PER_MS  # until ZeroMQ's own thread has handed over all o
 
 
 class GatewayServer:
-    """One gateway in one runtime folder. MailboxError: another one is there; ConfigError: an address or key is wrong."""
+    """One gateway in one runtime folder.
+
+    MailboxError: another one is there; ConfigError: an address or key is wrong.
+    """
 
     def __init__(self, folder: Path, setup: GatewaySetup, clock: Clock, unix_ns: Callable[[], int] = time.time_ns) -> None:
         self._setup, self._clock, self._unix_ns = setup, clock, unix_ns
@@ -260,7 +274,10 @@ def run(
     should_stop: Callable[[], bool],
     on_ready: Callable[[], None] | None = None,
 ) -> None:
-    """Serve until `should_stop()`, asked once a pass (every 10 ms at least). MailboxError, ConfigError: it can not begin."""
+    """Serve until `should_stop()`, asked once a pass (every 10 ms at least).
+
+    MailboxError, ConfigError: it can not begin.
+    """
     gateway = GatewayServer(folder, setup, clock)
     try:
         if on_ready:

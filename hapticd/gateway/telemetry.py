@@ -1,35 +1,36 @@
 """Telemetry: the ring of tick records becomes the messages of each topic.
 
 Topics. A telemetry message is always two frames, [topic, payload], and every payload is one msgpack
-value: a map or an array of maps. ZeroMQ matches subscriptions by prefix, at the publisher and again at
-the subscriber, so whoever asks for `servo` is also sent `servo.raw` while somebody else has asked for
-that. No order of frames avoids it as long as the frame is the topic's plain name, and it has to be:
-PlotJuggler subscribes to what its user types. So
-- here, a subscription wants the topic of exactly that name; only a prefix that is no topic (`""`, `s`,
-  `servo.`) wants all topics it begins. `servo` alone therefore never causes a `servo.raw` to be encoded;
-- at the subscriber, hapticd's client compares the first frame with the topic; a foreign one that does
-  not do so decodes a msgpack map of a few numbers and one binary, which PlotJuggler and generic
-  decoders skip.
+value: a map or an array of maps. ZeroMQ matches subscriptions by prefix, at the publisher and again
+at the subscriber, so whoever asks for `servo` is also sent `servo.raw` while somebody else has
+asked for that. No order of frames avoids it as long as the frame is the topic's plain name, and it
+has to be: PlotJuggler subscribes to what its user types. So
+- here, a subscription wants the topic of exactly that name; only a prefix that is no topic (`""`,
+  `s`, `servo.`) wants all topics it begins. `servo` alone never causes a `servo.raw` to be encoded;
+- at the subscriber, hapticd's client compares the first frame with the topic; a foreign one that
+  does not do so decodes a msgpack map of a few numbers and one binary, which PlotJuggler and
+  generic decoders skip.
 
-Blocks. The ring is read in blocks: every record once, in order, or counted as lost. `seq` is the number
-of a record in the ring of one servo life (0 is the first tick it recorded), so consecutive blocks that
-belong together satisfy seq + n = next seq, and what is missing was lost, here or on the way.
+Blocks. The ring is read in blocks: every record once, in order, or counted as lost. `seq` is the
+number of a record in the ring of one servo life (0 is the first tick it recorded), so consecutive
+blocks that belong together satisfy seq + n = next seq, and what is missing was lost, here or on the
+way.
 
-Two forms of tick records. `servo` is for viewers: an array of maps of plain numbers, one per tick, each
-with its own `timestamp`; a number that is not finite is left out of its map. `servo.raw` is for
-acquisition: one map with a header and, in `d`, the records byte by byte as the servo wrote them;
-numpy.frombuffer(d, numpy.dtype(descr)) is lossless and copies nothing.
+Two forms of tick records. `servo` is for viewers: an array of maps of plain numbers, one per tick,
+each with its own `timestamp`; a number that is not finite is left out of its map. `servo.raw` is
+for acquisition: one map with a header and, in `d`, the records byte by byte as the servo wrote
+them; numpy.frombuffer(d, numpy.dtype(descr)) is lossless and copies nothing.
 
-Probe. The 4 kHz stream is taken out of the IN frames that the tick records carry. A frame holds 0..6
-(torque, velocity) pairs and the board's index of the first one, 32 bits that wrap. Here the index is
-unwrapped, intervals that come twice are dropped, missing ones are counted, and each pair gets the host
-time of the tick that brought it. Counts stay counts; the header carries the scales of this device. When
-the board starts anew its index does too: that is a new `run`, not a gap.
+Probe. The 4 kHz stream is taken out of the IN frames that the tick records carry. A frame holds
+0..6 (torque, velocity) pairs and the board's index of the first one, 32 bits that wrap. Here the
+index is unwrapped, intervals that come twice are dropped, missing ones are counted, and each pair
+gets the host time of the tick that brought it. Counts stay counts; the header carries the scales of
+this device. When the board starts anew its index does too: that is a new `run`, not a gap.
 
-Stage times. Histograms with logarithmic bins say how long each stage of a tick takes: 40 bins a decade
-from 10 ns to 100 ms, so a percentile is exact to 6 %, whatever its size. The first seconds after the
-start (`grace_s`) are left out. Late events and lost slots are counters of the servo; a histogram cannot
-show what did not happen.
+Stage times. Histograms with logarithmic bins say how long each stage of a tick takes: 40 bins a
+decade from 10 ns to 100 ms, so a percentile is exact to 6 %, whatever its size. The first seconds
+after the start (`grace_s`) are left out. Late events and lost slots are counters of the servo; a
+histogram cannot show what did not happen.
 """
 
 import math
@@ -48,7 +49,9 @@ from hapticd.wire.session import PROBE_INDEX_BITS, unwrap
 
 
 class Topic(NamedTuple):
-    """One row: what is in a payload, how often it comes, and how many ticks share one sample of it."""
+    """One row: what is in a payload, how often it comes, and how many ticks share one
+    sample of it.
+    """
 
     name: str
     content: str
@@ -75,14 +78,19 @@ def wanted_by(prefix: bytes) -> frozenset[str]:
 
 
 class Subscriptions:
-    """The set of live subscriptions, as XPUB reports them: each first one and, with XPUB_VERBOSE, each repeated one."""
+    """The set of live subscriptions, as XPUB reports them: each first one and, with XPUB_VERBOSE,
+    each repeated one.
+    """
 
     def __init__(self) -> None:
         self._prefixes: set[bytes] = set()
         self.wanted: frozenset[str] = frozenset()
 
     def take(self, message: bytes) -> frozenset[str]:
-        """Note one message of the XPUB socket; topics that it newly asks for. Prefixes of no topic are not kept."""
+        """Note one message of the XPUB socket; topics that it newly asks for.
+
+        Prefixes of no topic are not kept.
+        """
         kind, prefix = message[:1], message[1:]
         topics = wanted_by(prefix)
         if not topics or kind not in (b"\0", b"\1"):
@@ -97,7 +105,10 @@ LINGER_NS = 100 * NS_PER_MS  # an unfinished batch does not wait longer for its 
 
 
 class RingBlock(NamedTuple):
-    """Consecutive records of one servo life; `lost` of them went missing just before. `records` shares the memory of `data`."""
+    """Consecutive records of one servo life; `lost` of them went missing just before.
+
+    `records` shares the memory of `data`.
+    """
 
     life: int
     seq: int
@@ -115,7 +126,9 @@ class Feed:
         self.lost = 0
 
     def take(self, now_ns: int) -> list[RingBlock]:
-        """The blocks that are due; each is a whole number of batches unless the ring stood still."""
+        """The blocks that are due; each is a whole number of batches unless the ring
+        stood still.
+        """
         view = self._view
         if view.mailbox is None:
             return []
@@ -133,7 +146,9 @@ class Feed:
         return [block for block in blocks if len(block.records) or block.lost]
 
     def _begin(self, now_ns: int) -> None:
-        """A young ring is read from its first record; one that has long been running from now on."""
+        """A young ring is read from its first record; one that has long been running
+        from now on.
+        """
         head = self._view.head
         self._life, self._taken_ns = self._view.life, now_ns
         self._tail = 0 if head < RING_RECORDS // 2 else head
@@ -182,7 +197,8 @@ def servo_messages(block: RingBlock, origin: Origin, batch: int, decimation: int
 
 
 def _finite(numbers: dict[str, Any]) -> dict[str, Any]:
-    # a sum is finite unless one of its terms is not (or it overflows, and then the slow way finds nothing)
+    # a sum is finite unless one of its terms is not (or it overflows, and then the slow way finds
+    # nothing)
     if math.isfinite(sum(numbers.values())):
         return numbers
     return {name: value for name, value in numbers.items() if math.isfinite(value)}
@@ -194,7 +210,9 @@ def raw_message(block: RingBlock, origin: Origin) -> bytes:
 
 
 def packed_block(origin: Origin, seq: int, after: int, count: int, lost: int, descr: list[Any], data: bytes, **more: Any) -> bytes:
-    """Header and records: `seq` numbers the first one, `next` the one after the last; `lost` are missing since the last block."""
+    """Header and records: `seq` numbers the first one, `next` the one after the last; `lost` are
+    missing since the last block.
+    """
     place = {"seq": seq, "next": after, "n": count, "lost": lost, "descr": descr}
     return bytes(msgpack.packb(origin.header | place | more | {"d": data}))
 
@@ -211,7 +229,9 @@ _STALE = Flag.MISSING_IN | Flag.BAD_IN  # the record repeats an older frame
 
 
 def scales(device: DeviceParams) -> dict[str, dict[str, Any]]:
-    """What the counts of the two signals mean: value = sign * (count - offset_count) * per_count, in `unit`."""
+    """What the counts of the two signals mean: value = sign * (count - offset_count) * per_count,
+    in `unit`.
+    """
 
     def plain(scale: ScaleParams, unit: str) -> dict[str, Any]:
         return {"per_count": scale.per_count, "sign": scale.sign, "offset_count": scale.offset_count, "unit": unit}
@@ -220,7 +240,10 @@ def scales(device: DeviceParams) -> dict[str, dict[str, Any]]:
 
 
 class ProbeDecoder:
-    """Follows one stream of blocks. `forget` when nobody listened for a while, so that the pause is no gap."""
+    """Follows one stream of blocks.
+
+    `forget` when nobody listened for a while, so that the pause is no gap.
+    """
 
     def __init__(self, device: DeviceParams) -> None:
         self._more = {"rate_hz": PROBE_RATE_HZ, "scale": scales(device)}
@@ -238,7 +261,9 @@ class ProbeDecoder:
         self._pairs: list[bytes] = []
 
     def messages(self, block: RingBlock, origin: Origin) -> list[bytes]:
-        """Payloads of topic `probe` for the pairs in `block`: one for each run of the board, none if there is no pair."""
+        """Payloads of topic `probe` for the pairs in `block`: one for each run of the board, none
+        if there is no pair.
+        """
         found = []
         records = block.records
         for flags, time_ns, frame in zip(*(records[name].tolist() for name in ("flags", "time_ns", "in_frame")), strict=True):
@@ -300,7 +325,9 @@ class StageHistograms:
         self._max_ns = np.zeros(len(STAGES), np.int64)
 
     def add(self, records: Records, start_ns: int) -> None:
-        """Count the ticks in `records` that came after the grace that began with the servo's life at `start_ns`."""
+        """Count the ticks in `records` that came after the grace that began with the servo's life
+        at `start_ns`.
+        """
         settled = records[records["time_ns"] - start_ns >= self._grace_ns]
         if not settled.size:
             return
@@ -310,7 +337,9 @@ class StageHistograms:
         np.maximum(self._max_ns, times_ns.max(axis=1), out=self._max_ns)
 
     def summary(self) -> dict[str, dict[str, float]]:
-        """{stage: {count, p50_us, p99_us, p999_us, max_us}}; a percentile is the upper edge of its bin, at most the maximum."""
+        """{stage: {count, p50_us, p99_us, p999_us, max_us}}; a percentile is the upper edge of its
+        bin, at most the maximum.
+        """
         return {stage: self._one(row) for row, stage in enumerate(STAGES)}
 
     def _one(self, row: int) -> dict[str, float]:

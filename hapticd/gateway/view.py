@@ -1,9 +1,10 @@
-"""The servo as the gateway sees it: its mailbox while there is one, the newest record, and what it last promised.
+"""The servo as the gateway sees it: its mailbox while there is one, the newest record, and what it
+last promised.
 
-A servo may die and another start; each life has its own mailbox. The view notices (the heartbeat stays
-away, or the file in the folder is another one), lets go and tries again ten times a second. `life`
-counts the mailboxes it has opened. Telemetry records are numpy structured arrays whose dtype is made
-from the one table in mailbox.layout.
+A servo may die and another start; each life has its own mailbox. The view notices (the heartbeat
+stays away, or the file in the folder is another one), lets go and tries again ten times a second.
+`life` counts the mailboxes it has opened. Telemetry records are numpy structured arrays whose dtype
+is made from the one table in mailbox.layout.
 """
 
 from collections.abc import Callable
@@ -39,7 +40,9 @@ def rows(data: bytes) -> list[dict[str, Any]]:
 
 
 def last_torn(records: Records) -> int:
-    """Number of leading records up to the last one whose end is not of the same tick as its beginning; 0 if all are whole."""
+    """Number of leading records up to the last one whose end is not of the same tick as its
+    beginning; 0 if all are whole.
+    """
     torn = np.flatnonzero(records["tick"] != records["tail"])
     return int(torn[-1]) + 1 if torn.size else 0
 
@@ -128,7 +131,10 @@ class ServoView:
         self.unix_offset_ns = self._unix_ns() - now_ns  # once per life: time stamps of one life never jump
 
     def answers(self) -> list[Answer]:
-        """The servo's answers since the last call. Every one, refusals too, carries the parameters in force."""
+        """The servo's answers since the last call.
+
+        Every one, refusals too, carries the parameters in force.
+        """
         found = self.mailbox.answers() if self.mailbox else []
         if found:
             self._effective = found[-1].effective
@@ -137,12 +143,16 @@ class ServoView:
 
     @property
     def targets(self) -> tuple[float, ...]:
-        """The parameters by layout.Value, ramps at their ends: as last answered, else as configured."""
+        """The parameters by layout.Value, ramps at their ends: as last answered, else as
+        configured.
+        """
         return self._effective or configured(self.params)
 
     @property
     def unsure(self) -> bool:
-        """Whether this gateway came when parameters had already been changed, and has not been told to what."""
+        """Whether this gateway came when parameters had already been changed, and has not been told
+        to what.
+        """
         return self._came_late and self._effective is None and self.alive
 
     @property

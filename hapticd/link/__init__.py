@@ -1,4 +1,4 @@
-"""The way to a board: an abstract link, the USB link, and the device that gives its counts a meaning.
+"""The way to a board: an abstract link, the USB link, and the device behind either.
 
 base.Link       what the servo needs of any way to a board
 usb.UsbLink     the board at a USB bus; a simulated board is a backend below it

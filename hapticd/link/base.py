@@ -1,4 +1,7 @@
-"""What the servo needs of any way to a board. Real and simulated boards are twins below it: nobody above asks which."""
+"""What the servo needs of any way to a board.
+
+Real and simulated boards are twins below it: nobody above asks which.
+"""
 
 from abc import ABC, abstractmethod
 from array import array
@@ -19,7 +22,10 @@ class Link(ABC):
 
     @abstractmethod
     def read(self, buffer: "array[int]") -> int:
-        """Fill `buffer` (array('B'), one packet) with the next IN frame; number of bytes. LinkTimeout, LinkStalled, LinkLost."""
+        """Fill `buffer` (array('B'), one packet) with the next IN frame; number of bytes.
+
+        LinkTimeout, LinkStalled, LinkLost.
+        """
 
     @abstractmethod
     def write(self, buffer: "array[int]") -> None:
@@ -27,7 +33,9 @@ class Link(ABC):
 
     @abstractmethod
     def request(self, request: Request, length: int = 0) -> bytes:
-        """Vendor control request: IN when `length` > 0 (that many bytes at most), else OUT without data."""
+        """Vendor control request: IN when `length` > 0 (that many bytes at most), else OUT without
+        data.
+        """
 
 
 def backoff_s(attempt: int) -> float:

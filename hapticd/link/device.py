@@ -1,14 +1,15 @@
 """A board that answers: link, protocol session and buffers in one, made for one exchange per tick.
 
-`receive` gives the newest IN frame and says how it arrived: 0 is the next one on time, k > 0 came after k samples that
-never did, -k means that for the k-th tick in a row there is none (the old one is returned), SEED that the filters must
-start here. The judge is the board's own latch time, not the sequence number: after a host pause the sample that lay
-waiting is one period old and belongs to its own time, and the gap shows in the one after it.
+`receive` gives the newest IN frame and says how it arrived: 0 is the next one on time, k > 0 came
+after k samples that never did, -k means that for the k-th tick in a row there is none (the old one
+is returned), SEED that the filters must start here. The judge is the board's own latch time, not
+the sequence number: after a host pause the sample that lay waiting is one period old and belongs to
+its own time, and the gap shows in the one after it.
 
-A stale frame (a duplicate, or one that a time-out left behind) is read past, at most twice a tick. No buffer holds back
-session.BACKWARD ticks: a clock that still lies behind after so many is that of a board which started anew, and seeds.
-LinkLost is for the loop; everything less is counted and survived here. What would break it: two tasks calling it, buffers
-that are replaced.
+A stale frame (a duplicate, or one that a time-out left behind) is read past, at most twice a tick.
+No buffer holds back session.BACKWARD ticks: a clock that still lies behind after so many is that of
+a board which started anew, and seeds. LinkLost is for the loop; everything less is counted and
+survived here. What would break it: two tasks calling it, buffers that are replaced.
 """
 
 from array import array
@@ -29,7 +30,10 @@ NO_HEAD: Head = (0,) * 16
 
 
 class Device:
-    """The board as the servo sees it. `counts` are frames: missing, bad, stale, gap (IN lost), unseen (OUT the board missed)."""
+    """The board as the servo sees it.
+
+    `counts` are frames: missing, bad, stale, gap (IN lost), unseen (OUT the board missed).
+    """
 
     def __init__(self, link: Link, rate_hz: float) -> None:
         self.link = link
@@ -44,7 +48,10 @@ class Device:
         self._begin, self.receive, self.send = _exchange(self)
 
     def connect(self) -> Hello:
-        """Open, greet, check the protocol, and send one frame without torque. LinkError or ProtocolMismatch."""
+        """Open, greet, check the protocol, and send one frame without torque.
+
+        LinkError or ProtocolMismatch.
+        """
         self.link.open()
         self.hello = session.greet(self.link.request(Request.HELLO, frames.HELLO_BYTES))
         self._begin()
@@ -61,7 +68,9 @@ class Device:
 
 
 def _exchange(device: Device) -> tuple[Callable[[], None], Callable[[], Received], Callable[..., bool]]:
-    """Closures over the device's buffers: the state of the exchange lives in cells, at the cost of a local."""
+    """Closures over the device's buffers: the state of the exchange lives in cells, at the cost of
+    a local.
+    """
     read, write = device.link.read, device.link.write
     in_buffer, out_buffer, counts, period_us = device.in_buffer, device.out_buffer, device.counts, device.period_us
     parse, pack = codec.in_parser(in_buffer), codec.out_packer(out_buffer)

@@ -1,18 +1,19 @@
-"""The USB link: the one product file that talks to pyusb (its simulated twin sits below it, as a backend).
+"""The USB link: the one product file that talks to pyusb; a simulated board is a backend of it.
 
-Found by vendor, product and serial number; the endpoints, bulk or interrupt, are those of the vendor
-interface. A board that has a configuration keeps it: setting it again would reset its toggles and its
-firmware. Both buffers are array('B'), which pyusb passes on without a copy; every time-out is finite,
-since a blocked read cannot be cancelled.
+Found by vendor, product and serial number; the endpoints, bulk or interrupt, are those of the
+vendor interface. A board that has a configuration keeps it: setting it again would reset its
+toggles and its firmware. Both buffers are array('B'), which pyusb passes on without a copy; every
+time-out is finite, since a blocked read cannot be cancelled.
 
-Every way in which pyusb can fail becomes a LinkError by the table FAILURES. Its numbers are those that
-pyusb reports on Linux; 5 (the bus failed) is what an unplug often looks like before the hub has noticed,
-so it is treated as 19 (no such device). libusb's "not supported" has no number and counts as lost. A
-halted endpoint is cleared once; if its next transfer stalls again the board counts as lost. After
-LinkLost the caller closes, waits `backoff_s(attempt)` and opens again: for a moment after an unplug the
-dead board is still listed, and its opening fails with LinkLost too.
+Every way in which pyusb can fail becomes a LinkError by the table FAILURES. Its numbers are those
+that pyusb reports on Linux; 5 (the bus failed) is what an unplug often looks like before the hub
+has noticed, so it is treated as 19 (no such device). libusb's "not supported" has no number and
+counts as lost. A halted endpoint is cleared once; if its next transfer stalls again the board
+counts as lost. After LinkLost the caller closes, waits `backoff_s(attempt)` and opens again: for a
+moment after an unplug the dead board is still listed, and its opening fails with LinkLost too.
 
-What would break it: sharing a device between threads, and a time-out used as a clock (libusb fires late).
+What would break it: sharing a device between threads, and a time-out used as a clock, since libusb
+fires late.
 """
 
 import errno
@@ -52,7 +53,9 @@ OTHERWISE = Failure(LinkLost, _AGAIN)
 
 
 def link_error(action: str, error: Exception) -> LinkError:
-    """The LinkError for `error`, which pyusb raised while trying to `action`; to be raised from it."""
+    """The LinkError for `error`, which pyusb raised while trying to `action`; raise it
+    from that.
+    """
     number = getattr(error, "errno", None)
     kind, remedy = FAILURES.get(number, OTHERWISE)
     return kind(f"cannot {action}: {getattr(error, 'strerror', None) or error} (errno {number}); {remedy}")
@@ -67,7 +70,10 @@ ENGLISH_US = 0x0409
 
 
 def system_backend() -> Any:
-    """The libusb of the system, else the one of libusb-package. Raises ConfigError when there is neither."""
+    """The libusb of the system, else the one of libusb-package.
+
+    Raises ConfigError when there is neither.
+    """
     from usb.backend import libusb1  # loads ctypes and the library: not for a simulated board
 
     backend = libusb1.get_backend()
@@ -83,7 +89,9 @@ def system_backend() -> Any:
 
 
 class UsbLink(Link):
-    """The board that `params` describe at the bus of `backend` (a pyusb backend; None: the system's libusb)."""
+    """The board that `params` describe at the bus of `backend` (a pyusb backend; None: the system's
+    libusb).
+    """
 
     def __init__(self, params: UsbParams, backend: Any = None) -> None:
         if params.timeout_ms < 1:
