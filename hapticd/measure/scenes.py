@@ -66,11 +66,6 @@ def noise(scene: Scene) -> Excitation:
     return scene.excitation if scene.excitation.kind == "noise" else Excitation("noise", seed=scene.excitation.seed)
 
 
-def perturbation(source: Excitation) -> Perturbation:
-    """What a prediction knows of noise or a multisine."""
-    return Perturbation(source.psd_n2_per_hz, source.band_hz)
-
-
 @dataclass(frozen=True, eq=False)
 class Display:
     """A scene's device with its environment's filters, under the perturbation of its trials; as `display` makes it.
@@ -91,7 +86,7 @@ class Display:
     @property
     def perturbation(self) -> Perturbation:
         """Of its trials."""
-        return perturbation(self.excitation)
+        return Perturbation(self.excitation.psd_n2_per_hz, self.excitation.band_hz)
 
     @property
     def force_limit_n(self) -> float:

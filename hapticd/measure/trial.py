@@ -47,12 +47,10 @@ from hapticd.analysis.spectra import Spectra, corrected
 from hapticd.analysis.verdict import Verdict
 from hapticd.errors import AnalysisError
 from hapticd.measure.referee import Referee
-from hapticd.measure.scenes import filters, perturbation
+from hapticd.measure.scenes import Display, display
 from hapticd.measure.sources import Source, Trial
 from hapticd.measure.store import IMPEDANCE, Progress, Recorded, Steps, fingerprint, nearer, silent, write_run
 from hapticd.measure.watch import AT_LIMIT, loss_findings, summed
-from hapticd.plant.compose import compose
-from hapticd.plant.model import Model
 from hapticd.plant.scene import Excitation, Scene
 from hapticd.units import PROBE_RATE_HZ
 
@@ -81,16 +79,6 @@ class Layout:
     def seconds(self) -> float:
         """Of all realisations."""
         return self.realisations * self.samples / PROBE_RATE_HZ
-
-
-def checked(layout: Layout) -> Layout:
-    """`layout`. AnalysisError for one without an interval: less than two of whatever is averaged."""
-    if min(layout.realisations, layout.periods) < 1 or max(layout.realisations, layout.periods) < 2:
-        raise AnalysisError(
-            f"{layout.realisations} realisations of {layout.periods} periods have no scatter to learn from; ask for two or more "
-            "realisations"
-        )
-    return layout
 
 
 def multisine_like(noise: Excitation, highest_hz: float) -> Excitation:
@@ -187,7 +175,7 @@ class TrialPlan:
     """`spectral_radius` of the predicted closed loop, None without a model, or with Coulomb friction, which no radius knows."""
 
     params: TrialParams
-    model: Model | None
+    display: Display | None
     spectral_radius: float | None
 
     @property
@@ -214,23 +202,18 @@ class TrialResult:
 def plan_trial(params: TrialParams) -> TrialPlan:
     """What to expect. AnalysisError for a trial too short for a verdict; ConfigError as `compose`."""
     _possible(params)
-    least_s = SHORTEST_WINDOWS * params.lag / PROBE_RATE_HZ
-    if params.multisine is not None:
-        checked(params.multisine)
-    elif not params.trial.seconds >= least_s:
-        raise AnalysisError(f"a trial of {params.trial.seconds:g} s: a verdict takes {least_s:.3g} s or more; the paper took 90 s")
-    watch = replace(params.trial.watch, band_hz=params.band_hz, confidence=params.confidence, estimator=params.estimator)
-    asked = replace(params, trial=replace(params.trial, watch=watch))
-    model = compose(params.scene) if params.scene else None
-    if params.scene is None or model is None or coulomb(model).any():
-        return TrialPlan(asked, model, None)
-    points = np.array([params.trial.environment])
-    radius = spectral_radius(model, points, params.trial.damping_ns_per_m, filters(params.scene))
-    return TrialPlan(asked, model, float(radius[0]))
+    trial, scene = params.trial, params.scene
+    watch = replace(trial.watch, band_hz=params.band_hz, confidence=params.confidence, estimator=params.estimator)
+    asked = replace(params, trial=replace(trial, watch=watch))
+    shown = display(scene, trial.excitation) if scene else None
+    if shown is None or coulomb(shown.model).any():
+        return TrialPlan(asked, shown, None)
+    radius = spectral_radius(shown.model, np.array([trial.environment]), trial.damping_ns_per_m, shown.filters)
+    return TrialPlan(asked, shown, float(radius[0]))
 
 
 def _possible(params: TrialParams) -> None:
-    trial = params.trial
+    trial, layout = params.trial, params.multisine
     numbers = (
         *zip(("stiffness", "damping", "mass"), trial.environment, ("N/m", "N s/m", "kg"), strict=True),
         ("added damping", trial.damping_ns_per_m, "N s/m"),
@@ -246,6 +229,14 @@ def _possible(params: TrialParams) -> None:
         raise AnalysisError(f"perturbation of {psd:g} N^2/Hz: must be above 0; the paper's was about 2.5e-5")
     if isnan(hottest):
         raise AnalysisError(f"winding limit of {hottest:g} degC: a number is needed; inf for none")
+    if layout and (min(layout.realisations, layout.periods) < 1 or max(layout.realisations, layout.periods) < 2):
+        raise AnalysisError(
+            f"{layout.realisations} realisations of {layout.periods} periods have no scatter to learn from; ask for two or more "
+            "realisations"
+        )
+    least_s = SHORTEST_WINDOWS * params.lag / PROBE_RATE_HZ
+    if not (layout or trial.seconds >= least_s):
+        raise AnalysisError(f"a trial of {trial.seconds:g} s: a verdict takes {least_s:.3g} s or more; the paper took 90 s")
 
 
 def run_trial(plan: TrialPlan, source: Source, tell: Progress = silent) -> TrialResult:
@@ -266,7 +257,10 @@ def judged(plan: TrialPlan, recorded: Recorded) -> TrialResult:
     record = replace(record, findings=found)
     verdict = _verdict(plan, recorded, spectra, record)
     if needs_record(raw, verdict, params.estimator, plan.linear):
-        verdict = _verdict(plan, recorded, _corrected(params, _resolved(plan, recorded, raw)), record)
+        force, velocity = recorded.force_n, recorded.velocity_m_per_s
+        servo_rate_hz = params.scene.rate_hz if params.scene else None
+        finer = resolved(force, velocity, raw, params.band_hz, params.estimator, servo_rate_hz, plan.linear)
+        verdict = _verdict(plan, recorded, _corrected(params, finer), record)
     z = impedance(spectra, params.estimator)
     z = z.without_mass(params.behind_mass_kg) if params.behind_mass_kg else z
     covers = spectra.covers if isinstance(spectra, PeriodicSpectra) else NOISE_COVERS
@@ -299,13 +293,6 @@ def _corrected(params: TrialParams, raw: Spectra) -> Spectra:
     return corrected(raw, params.skew_s, params.high_pass_hz) if params.skew_s or params.high_pass_hz else raw
 
 
-def _resolved(plan: TrialPlan, recorded: Recorded, raw: Spectra) -> Spectra:
-    """What is judged where the window does not resolve the motion."""
-    scene, band_hz, estimator = plan.params.scene, plan.params.band_hz, plan.params.estimator
-    servo_rate_hz = None if scene is None else scene.rate_hz
-    return resolved(recorded.force_n, recorded.velocity_m_per_s, raw, band_hz, estimator, servo_rate_hz, plan.linear)
-
-
 def _spectral_findings(params: TrialParams, spectra: Spectra) -> tuple[Finding, ...]:
     if isinstance(spectra, PeriodicSpectra):
         return periodic_findings(spectra, params.band_hz)
@@ -335,15 +322,12 @@ def _refused(trial: Trial) -> tuple[Finding, ...]:
 
 
 def _predicted(plan: TrialPlan, z: Impedance) -> Complexes | None:
-    if plan.model is None or plan.params.scene is None:
+    shown, trial, at = plan.display, plan.params.trial, z.frequency_hz > 0.0
+    if shown is None:
         return None
-    trial, found = plan.params.trial, np.full(z.frequency_hz.size, np.nan + 0j)
-    at, source = z.frequency_hz > 0.0, trial.excitation
-    random = source.kind in ("noise", "multisine")
-    shaken = perturbation(source) if random else None
-    found[at] = predicted_impedance(
-        plan.model, trial.environment, z.frequency_hz[at], trial.damping_ns_per_m, filters(plan.params.scene), shaken
-    )
+    found = np.full(at.size, np.nan + 0j)
+    asked = trial.damping_ns_per_m, shown.filters, shown.perturbation
+    found[at] = predicted_impedance(shown.model, trial.environment, z.frequency_hz[at], *asked)
     return np.asarray(found - 2j * np.pi * z.frequency_hz * plan.params.behind_mass_kg)
 
 

@@ -9,7 +9,7 @@ the boundary is the last stable wall below the first that is not, and found agai
 Params -> plan_walls -> Plan -> run_walls -> Result.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from math import inf
@@ -115,18 +115,16 @@ def run_walls(plan: WallPlan, tell: Progress = silent) -> WallResult:
 
 
 def _line(plan: WallPlan, level: float, damping: float) -> WallLine:
-    coarse = list(_upwards(plan, level, damping, plan.params.stiffnesses))
-    if coarse[-1].stable:
-        return WallLine(level, damping, coarse[-1].wall_stiffness_n_per_m, True, tuple(coarse))
-    if len(coarse) == 1:
-        return WallLine(level, damping, 0.0, False, tuple(coarse))
-    ends = coarse[-2].wall_stiffness_n_per_m, coarse[-1].wall_stiffness_n_per_m
-    finer = list(_upwards(plan, level, damping, tuple(np.geomspace(*ends, FINER + 1)[1:-1].tolist())))
-    stable = [ends[0], *(impact.wall_stiffness_n_per_m for impact in finer if impact.stable)]
-    return WallLine(level, damping, max(stable), False, (*coarse, *finer))
+    impacts = list(_upwards(plan, level, damping, plan.params.stiffnesses))
+    stable = [impact.wall_stiffness_n_per_m for impact in impacts if impact.stable]
+    if stable and len(stable) < len(impacts):
+        between = np.geomspace(stable[-1], impacts[-1].wall_stiffness_n_per_m, FINER + 1)[1:-1]
+        impacts += _upwards(plan, level, damping, between.tolist())
+    highest = max((impact.wall_stiffness_n_per_m for impact in impacts if impact.stable), default=0.0)
+    return WallLine(level, damping, highest, all(impact.stable for impact in impacts), tuple(impacts))
 
 
-def _upwards(plan: WallPlan, level: float, damping: float, stiffnesses: tuple[float, ...]) -> Iterator[Impact]:
+def _upwards(plan: WallPlan, level: float, damping: float, stiffnesses: Sequence[float]) -> Iterator[Impact]:
     """Stiffer and stiffer walls, up to and with the first that is not stable."""
     for stiffness in stiffnesses:
         impact = hit(plan, level, stiffness, damping)
@@ -143,14 +141,13 @@ def hit(plan: WallPlan, level: float, stiffness: float, damping: float) -> Impac
         plan.model, [[0.0, 0.0, 0.0]], scene.seconds, damping=level, environment=replace(scene.environment, wall=wall),
         excitation=scene.excitation, start=(scene.start_position_m, scene.start_velocity_m_per_s), keep="ticks",
     )  # fmt: skip
-    _, velocity = found.record(0)
+    (_, velocity), (position_m, _) = found.record(0), found.traces(0)
     late = to_and_fro(velocity[int(params.settle_s * found.rate_hz) :])
-    assert found.position_m is not None
-    deepest = float((wall.side * (found.position_m[0] - wall.position_m)).max())
-    diverged = bool(found.diverged[0])
-    return Impact(level, stiffness, damping, not diverged and late < params.still_m_per_s, late, max(0.0, deepest))
+    deepest = float((wall.side * (position_m - wall.position_m)).max(initial=0.0))
+    stable = not found.diverged[0] and late < params.still_m_per_s
+    return Impact(level, stiffness, damping, bool(stable), late, deepest)
 
 
 def to_and_fro(velocity_m_per_s: Values) -> float:
     """The largest speed that is reached both ways [m/s]; 0 for a motion in one direction."""
-    return max(0.0, float(min(velocity_m_per_s.max(), -velocity_m_per_s.min())))
+    return max(0.0, float(min(velocity_m_per_s.max(initial=0.0), -velocity_m_per_s.min(initial=0.0))))
