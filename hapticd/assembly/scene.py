@@ -17,8 +17,9 @@ def scene_params(name: str | Path, instance: str = "scene", seed: int = 1) -> tu
     The servo renders the scene's environment once it is enabled; damping steps and excitation are commands, which the caller
     gives when their time has come. Converters of the wire quantise whether or not the scene asks for it.
     """
-    scene_name, file, device = load_files(name)
-    scene = build_scene(scene_name, file, device)
+    files = load_files(name)
+    device = files.device
+    scene = build_scene(files)
     model = compose(scene)
     phase, lag_periods = sample_timing(model.delay_periods)
     levels = tuple(step.level_ns_per_m for step in scene.damping)

@@ -1,5 +1,4 @@
-"""From TOML files to frozen parameters, or to a message that names file, line, field, value, unit and
-limit.
+"""From TOML files to frozen parameters, or to a message with file, line, value, unit and limit.
 
     config/hapticd.toml --.                               .--> ServoParams   servo.json
                           |-- load --> Settings -- build -|--> BoardParams   board.json, simulated

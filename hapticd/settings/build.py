@@ -1,4 +1,7 @@
-"""Settings -> the parameters that the processes read. The only place that turns full scales into values per count."""
+"""Settings -> the parameters that the processes read.
+
+The only place that turns full scales into values per count.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -19,17 +22,18 @@ from hapticd.params import (
     WallParams,
     WorkspaceParams,
 )
-from hapticd.plant.effects import DampingDac, Delay, Effect, Encoder, ForceDac, ProbeAdc, Saturation, sample_timing
+from hapticd.plant.effects import DampingDac, Delay, Effect, Encoder, ForceDac, ProbeAdc, SampleTiming, Saturation, sample_timing
 from hapticd.settings.config import Environment
 from hapticd.settings.device import SIGNED_FULL_COUNT, UNSIGNED_FULL_COUNT, DeviceFile, Travel, effects_of
 from hapticd.settings.load import Settings
 
-DEFAULT_PHASE = 0.875  # of BoardParams
+DEFAULT_PHASE = 0.875  # of a period, as in BoardParams: force acts T / 8 after the sample
 
 
 def servo_params(settings: Settings, instance: str) -> ServoParams:
     """servo.json"""
-    config, device = settings.config, settings.device
+    config = settings.config
+    device = settings.device
     safety = config.safety.model_dump()
     safety["force_limit_n"] = config.safety.force_limit_n or device.limits.force_n
     return ServoParams(
@@ -47,7 +51,8 @@ def servo_params(settings: Settings, instance: str) -> ServoParams:
 
 def board_params(settings: Settings) -> BoardParams | None:
     """board.json; None for a real board. Its nominal scales are those of the device file."""
-    device, simulation = settings.device, settings.config.simulation
+    device = settings.device
+    simulation = settings.config.simulation
     if not device.simulated:
         return None
     built = device_effects(device, simulation.effects)
@@ -66,7 +71,10 @@ def board_params(settings: Settings) -> BoardParams | None:
 
 
 def device_effects(device: DeviceFile, names: tuple[str, ...] | None = None) -> tuple[Effect, ...]:
-    """The effects of a simulated device that are built: those named, else those that its file names; none of a rigid one."""
+    """The effects of a simulated device that are built: `names`, else those that its file names.
+
+    A device of one rigid mass has none.
+    """
     model = device.model
     if model is None:
         return ()
@@ -76,10 +84,10 @@ def device_effects(device: DeviceFile, names: tuple[str, ...] | None = None) -> 
 def board_of(
     device: DeviceFile, rate_hz: float, effects: tuple[Effect, ...], exact_levels: tuple[float, ...], **firmware: Any
 ) -> BoardParams:
-    """The simulated board of `device` with these effects; without any it moves the rigid mass of [plant].
+    """The simulated board of `device` with these effects, or of the rigid mass of [plant].
 
-    `exact_levels` [Ns/m] of electrical damping are met exactly, others by interpolation. `firmware` are the last fields of
-    BoardParams.
+    `exact_levels` [Ns/m] of active damping are met exactly, others by interpolation. `firmware` are
+    the last fields of BoardParams.
     """
     scales = device_params(device)
     return BoardParams(
@@ -114,10 +122,10 @@ def _composed(device: DeviceFile, rate_hz: float, effects: tuple[Effect, ...], e
     return board_fields(model, exact_levels, device.limits.damping_ns_per_m)
 
 
-def _timing(effects: tuple[Effect, ...]) -> tuple[float, int]:
-    """(sample_phase, lag_periods) of a board with the device's transport delay, or the default without one."""
+def _timing(effects: tuple[Effect, ...]) -> SampleTiming:
+    """The timing of a board with the device's transport delay, or the default without one."""
     delay = next((effect.periods for effect in effects if isinstance(effect, Delay)), 0.0)
-    return sample_timing(delay) if delay else (DEFAULT_PHASE, 0)
+    return sample_timing(delay) if delay else SampleTiming(DEFAULT_PHASE, 0)
 
 
 def gateway_params(settings: Settings) -> GatewayParams:
@@ -167,7 +175,10 @@ def environment_params(asked: Environment, travel: Travel) -> EnvironmentParams:
 
 
 def converter_effects(device: DeviceFile) -> dict[str, Effect]:
-    """Quantisation and limits as the device's own scales have them; by key. What a scale says of its source is the note."""
+    """Quantisation and limits as the device's own scales have them; by key.
+
+    What a scale says of its source is the note.
+    """
     scales = device_params(device)
     return {
         "encoder": Encoder(quantum_m=scales.position.per_count, source=_tag(scales.position), note=scales.position.source),

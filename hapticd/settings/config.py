@@ -21,8 +21,13 @@ from hapticd.params import (
 )
 from hapticd.settings.tables import TomlTable
 
-_environment, _wall, _ends = EnvironmentParams(), WallParams(), WorkspaceParams()
-_safety, _realtime, _usb, _gateway = SafetyParams(), RealtimeParams(), UsbParams(), GatewayParams()
+_environment = EnvironmentParams()
+_wall = WallParams()
+_ends = WorkspaceParams()
+_safety = SafetyParams()
+_realtime = RealtimeParams()
+_usb = UsbParams()
+_gateway = GatewayParams()
 _added_damping_ns_per_m: Any = ServoParams.__dataclass_fields__["added_damping_ns_per_m"].default
 
 Stiffness = Annotated[float, Field(ge=-1e4, le=1e5)]
@@ -80,7 +85,7 @@ class Safety(TomlTable):
     damping_hold_s: Duration = _safety.damping_hold_s
     damping_release_s: Duration = _safety.damping_release_s
     safe_damping_ns_per_m: float = Field(_safety.safe_damping_ns_per_m, ge=0)
-    """Electrical damping held after a stop or fault."""
+    """Active damping held after a stop or fault."""
     damping_slew_ns_per_m_s: float = Field(_safety.damping_slew_ns_per_m_s, gt=0, le=1e6)
     gateway_timeout_s: float = Field(_safety.gateway_timeout_s, ge=0.2, le=60)
     on_gateway_loss: Literal["fault", "hold"] = "fault"
@@ -160,7 +165,7 @@ class Config(TomlTable):
     device: str = Field("simulated", min_length=1)
     """Name of a device file (devices/NAME.toml beside this file, else a shipped one), or a path to one."""
     added_damping_ns_per_m: float = Field(_added_damping_ns_per_m, ge=0)
-    """Electrical damping that `hapticd damping on` asks for."""
+    """Active damping that `hapticd damping on` asks for."""
     environment: Environment = Environment()
     safety: Safety = Safety()
     realtime: Realtime = Realtime()

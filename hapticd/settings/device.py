@@ -1,5 +1,4 @@
-"""devices/NAME.toml: what one count means on this very device, what it may be asked for, and what a
-simulated board of it moves.
+"""devices/NAME.toml: what one count means on this device, its limits, and its simulated plant.
 
 A scale is written as the value at the converter's full count (32767 signed, 65535 for the damping
 scale factor), as hapticd_wire.h states nominal scales:
@@ -32,8 +31,12 @@ from hapticd.params import HomeParams, ScaleParams
 from hapticd.plant.effects import ALWAYS, BY_KEY, PROVENANCE, Effect
 from hapticd.settings.tables import TomlTable
 
+SIGNED_FULL_COUNT = 32767  # of torque, probe, current, voltage and velocity converters
+UNSIGNED_FULL_COUNT = 65535  # of the damping scale factor
+SERIAL_BYTES = 16  # of the hello reply
 FROM_SCALES = ("encoder", "force_dac", "damping_dac", "probe_adc", "saturation")
 Tag = Literal["paper", "inferred", "calibrated"]
+_home = HomeParams()
 
 
 class EffectTable(TomlTable):
@@ -44,7 +47,7 @@ class EffectTable(TomlTable):
     sources: dict[str, Tag] = Field(default_factory=dict)
     """Numbers that come from elsewhere."""
     note: str = ""
-    """What else is to be said."""
+    """More about the numbers, in words."""
 
 
 def _table(kind: type[Effect]) -> type[EffectTable]:
@@ -61,7 +64,7 @@ TABLES = {key: _table(kind) for key, kind in BY_KEY.items() if key not in FROM_S
 
 class _Tables(TomlTable):
     def table(self, key: str) -> Any:
-        """Of the effect `key`; None if the device has none."""
+        """The table of the effect `key`; None if the device has none."""
         return getattr(self, key)
 
 
@@ -86,7 +89,10 @@ else:
 
 
 def effects_of(model: DeviceModel, names: Iterable[str], scales: dict[str, Effect]) -> tuple[Effect, ...]:
-    """The effects `names` with the numbers of `model`, those of converters from `scales`; always with masses and motor."""
+    """The effects `names` with the numbers of `model`, and masses and motor, which always exist.
+
+    Effects of converters are taken from `scales`, by key.
+    """
     chosen = [*ALWAYS, *(name for name in names if name not in ALWAYS)]
     return tuple(scales[name] if name in FROM_SCALES else _effect(name, model.table(name)) for name in chosen)
 
@@ -95,11 +101,6 @@ def _effect(key: str, table: EffectTable) -> Effect:
     plain = table.model_dump()
     plain["sources"] = tuple(plain["sources"].items())
     return BY_KEY[key](**plain)
-
-
-SIGNED_FULL_COUNT, UNSIGNED_FULL_COUNT = 32767, 65535
-SERIAL_BYTES = 16  # of the hello reply
-_home = HomeParams()
 
 
 class Scale(TomlTable):
@@ -112,6 +113,7 @@ class Scale(TomlTable):
     """How it is known: calibration record, data sheet, paper, or "assumed"."""
 
     def params(self, per_count: float) -> ScaleParams:
+        """As the processes read it."""
         date = self.date.isoformat() if self.date else ""
         return ScaleParams(per_count, self.sign, self.offset_count, date, self.source)
 

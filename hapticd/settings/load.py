@@ -15,7 +15,7 @@ import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from pydantic import ValidationError
 
@@ -24,146 +24,42 @@ from hapticd.plant.effects import ALWAYS, BY_KEY
 from hapticd.settings.config import Config
 from hapticd.settings.device import FROM_SCALES, TABLES, DeviceFile
 from hapticd.settings.tables import TomlTable, Where, config_error, dotted, leaves
-from hapticd.settings.toml import Document, KeyPath, did_you_mean, read, shipped
+from hapticd.settings.toml import KeyPath, did_you_mean, read, shipped
 from hapticd.units import unit_of
-
-Finding = tuple[tuple[str, ...], Any, str]  # key, value, what is wrong
-NEEDS = {"heating": "winding"}  # an effect that changes what another one brings
-
-
-def model_rules(device: DeviceFile) -> Iterator[Finding]:
-    """What is wrong with the [model] of a device file."""
-    model = device.model
-    if model is None:
-        return
-    if device.plant is not None:
-        yield ("plant",), None, "stands beside [model]; keep one of them"
-    yield from chosen_rules(device, ("model", "effects"), model.effects)
-    for key in TABLES:
-        table = model.table(key)
-        for name in () if table is None else table.sources:
-            if name not in type(table).model_fields:
-                hint = did_you_mean(name, list(type(table).model_fields))
-                yield ("model", key, "sources"), name, f"is no number of this table{hint}"
-    if model.table("coupling") is not None and model.table("masses").slider_kg == 0.0:
-        yield ("model", "masses", "slider_kg"), 0.0, "must be more than 0.0 kg: [model.coupling] needs something to couple"
-    ends = model.table("ends")
-    if ends is not None and ends.lower_m >= ends.upper_m:
-        yield ("model", "ends", "upper_m"), ends.upper_m, f"must be more than lower_m = {ends.lower_m} m"
-
-
-def chosen_rules(device: DeviceFile, path: tuple[str, ...], names: Sequence[str]) -> Iterator[Finding]:
-    """What is wrong with the list `names` of effects to build, which stands at `path`."""
-    if device.model is None:
-        yield path, None, f"device {device.name!r} has no [model] that effects could be taken from"
-        return
-    for place, name in enumerate(names):
-        if name not in BY_KEY:
-            yield path, name, f"is no effect{did_you_mean(name, list(BY_KEY))}; known: {', '.join(BY_KEY)}"
-        elif name in ALWAYS:
-            yield path, name, "is always built; leave it out"
-        elif name in names[:place]:
-            yield path, name, "is named twice"
-        elif name not in FROM_SCALES and device.model.table(name) is None:
-            yield path, name, f"device {device.name!r} has no table [model.{name}]; add it or leave the effect out"
-        elif name in NEEDS and NEEDS[name] not in names:
-            yield path, name, f"needs the effect {NEEDS[name]!r}; add it"
-
-
-HIGHEST_CORNER = 0.45  # of the servo rate
-
-
-def check(config: Config, device: DeviceFile, in_config: Where, in_device: Where) -> None:
-    """Raise ConfigError with every broken rule, one line each."""
-    built = config.simulation.effects
-    chosen = () if built is None else chosen_rules(device, ("simulation", "effects"), built)
-    report(
-        (in_config, _config_rules(config, device, in_device)),
-        (in_config, chosen),
-        (in_device, _device_rules(device)),
-        (in_device, model_rules(device)),
-    )
-
-
-def report(*parts: tuple[Where, Iterable[Finding]]) -> None:
-    """Raise ConfigError if any rule is broken; each part brings its own way to file and line."""
-    found = [_line(where, finding) for where, findings in parts for finding in findings]
-    if found:
-        raise ConfigError("\n".join(found))
-
-
-def _line(where: Where, finding: Finding) -> str:
-    path, value, reason = finding
-    unit = unit_of(path[-1])
-    return f"{where(path)}: {dotted(path)}{'' if value is None else f' = {value}'}{f' {unit}' if unit else ''}: {reason}"
-
-
-def _config_rules(config: Config, device: DeviceFile, in_device: Where) -> Iterator[Finding]:
-    force_n, damping = device.limits.force_n, device.limits.damping_ns_per_m
-    asked_n = config.safety.force_limit_n
-    if asked_n is not None and asked_n > force_n:
-        source = in_device(("limits", "force_n"))
-        yield ("safety", "force_limit_n"), asked_n, f"must be at most {force_n} N, the limit of the device ({source})"
-    levels: dict[tuple[str, ...], float] = {
-        ("added_damping_ns_per_m",): config.added_damping_ns_per_m,
-        ("safety", "safe_damping_ns_per_m"): config.safety.safe_damping_ns_per_m,
-    }
-    for path, level in levels.items():
-        if level > damping:
-            source = in_device(("limits", "damping_ns_per_m"))
-            yield path, level, f"must be at most {damping} N s/m, the limit of the device ({source})"
-    highest_hz = HIGHEST_CORNER * config.realtime.rate_hz
-    for name in ("velocity_filter", "acceleration_filter"):
-        corner_hz = getattr(config.environment, name).frequency_hz
-        if corner_hz > highest_hz:
-            reason = f"must be at most {highest_hz} Hz, {HIGHEST_CORNER} of realtime.rate_hz"
-            yield ("environment", name, "frequency_hz"), corner_hz, reason
-    margin_m, travel = config.environment.workspace.margin_m, device.travel
-    if 2 * margin_m > travel.upper_m - travel.lower_m >= 0:
-        most_m = (travel.upper_m - travel.lower_m) / 2
-        yield ("environment", "workspace", "margin_m"), margin_m, f"must be at most {most_m} m, half of the device's travel"
-
-
-def _device_rules(device: DeviceFile) -> Iterator[Finding]:
-    limits, plant = device.limits, device.plant
-    for name, limit, full in (
-        ("force_n", limits.force_n, device.force.full_scale_n),
-        ("damping_ns_per_m", limits.damping_ns_per_m, device.damping.full_scale_ns_per_m),
-        ("probe_n", limits.probe_n, device.probe_torque.full_scale_n),
-    ):
-        if limit > full:
-            yield ("limits", name), limit, f"must be at most {full} {unit_of(name)}, the full scale of its converter"
-    if device.travel.lower_m >= device.travel.upper_m:
-        yield ("travel", "upper_m"), device.travel.upper_m, f"must be more than lower_m = {device.travel.lower_m} m"
-    if device.simulated and plant is None and device.model is None:
-        yield ("plant",), None, "is missing; a simulated board needs to know what it moves"
-    if plant and plant.lower_stop_m >= plant.upper_stop_m:
-        yield ("plant", "upper_stop_m"), plant.upper_stop_m, f"must be more than lower_stop_m = {plant.lower_stop_m} m"
-
 
 FILE_NAME = "hapticd.toml"
 SYSTEM_FILE = Path("/etc/hapticd") / FILE_NAME
+HIGHEST_CORNER = 0.45  # of the servo rate: the highest corner that a filter may have
+NEEDS = {"heating": "winding"}  # an effect that changes what another one adds
 T = TypeVar("T", bound=TomlTable)
+
+
+class Mistake(NamedTuple):
+    """A rule that is broken."""
+
+    path: tuple[str, ...]  # of the key
+    value: Any  # that stands there; None to leave it out of the message
+    reason: str
 
 
 @dataclass(frozen=True)
 class Override:
-    """A value from the command line in place of the file's; `origin` is what the user typed."""
+    """A value from the command line in place of the file's."""
 
-    path: tuple[str, ...]
+    path: tuple[str, ...]  # of the key
     value: object
-    origin: str
+    origin: str  # what the user typed, for messages
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Validated configuration and device; `origins` maps each dotted key to file:line, an option, or `default`."""
+    """A validated configuration and its device."""
 
     config: Config
     device: DeviceFile
     config_file: Path
     device_file: Path
-    origins: Mapping[str, str]
+    origins: Mapping[str, str]  # dotted key -> file:line, an option, or `default`
 
     def plain(self) -> dict[str, Any]:
         """Everything as JSON values; the device file's content under `device`."""
@@ -171,12 +67,16 @@ class Settings:
 
     @property
     def config_hash(self) -> str:
-        """SHA-256 (hex) over the canonical JSON: equal for equal values, wherever they were written."""
+        """SHA-256 (hex) over the canonical JSON: equal for equal values, wherever they stand."""
         return hashlib.sha256(json.dumps(self.plain(), sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
 def find_config(given: Path | None = None, environ: Mapping[str, str] = os.environ) -> Path:
-    """--config > $HAPTICD_CONFIG > $XDG_CONFIG_HOME/hapticd/ > /etc/hapticd/ > the shipped one (simulated board)."""
+    """The first there is: --config, $HAPTICD_CONFIG, $XDG_CONFIG_HOME/hapticd/, /etc/hapticd/.
+
+    Else the shipped file, which asks for a simulated board. ConfigError if a file that is named
+    does not exist.
+    """
     named = [
         (given, "--config"),
         (Path(environ["HAPTICD_CONFIG"]) if environ.get("HAPTICD_CONFIG") else None, "$HAPTICD_CONFIG"),
@@ -192,7 +92,7 @@ def find_config(given: Path | None = None, environ: Mapping[str, str] = os.envir
 
 
 def load(given: Path | None = None, overrides: tuple[Override, ...] = ()) -> Settings:
-    """The whole configuration, validated. Raises ConfigError with one line for everything that is wrong."""
+    """The whole configuration, validated. ConfigError with one line for everything wrong."""
     config_document = read(find_config(given))
     typed: dict[KeyPath, str] = {override.path: override.origin for override in overrides}
 
@@ -204,17 +104,21 @@ def load(given: Path | None = None, overrides: tuple[Override, ...] = ()) -> Set
     device = validated(DeviceFile, device_document.data, device_document.where)
     check(config, device, in_config, device_document.where)
 
-    def origin(document: Document, path: KeyPath, where: Where) -> str:
-        return where(path) if path in typed or document.value(path) is not None else "default"
+    def config_origin(path: KeyPath) -> str:
+        given = path in typed or config_document.value(path) is not None
+        return in_config(path) if given else "default"
 
-    origins = {dotted(path): origin(config_document, path, in_config) for path, _ in leaves(config.model_dump())}
+    def device_origin(path: KeyPath) -> str:
+        return device_document.where(path) if device_document.value(path) is not None else "default"
+
+    origins = {dotted(path): config_origin(path) for path, _ in leaves(config.model_dump())}
     for path, _ in leaves(device.model_dump()):
-        origins[dotted(("device", *path))] = origin(device_document, path, device_document.where)
+        origins[dotted(("device", *path))] = device_origin(path)
     return Settings(config, device, config_document.path, device_document.path, origins)
 
 
 def validated(model: type[T], data: dict[str, Any], where: Where) -> T:
-    """`data` as `model`. ConfigError with one line for everything that is wrong."""
+    """`data` as `model`. ConfigError with one line for everything wrong."""
     try:
         return model.model_validate(data)
     except ValidationError as error:
@@ -227,13 +131,17 @@ def _merge(data: dict[str, Any], overrides: tuple[Override, ...]) -> dict[str, A
         table = merged
         for name in override.path[:-1]:
             table = table.setdefault(name, {}) if isinstance(table, dict) else {}
-        if isinstance(table, dict):  # else the file has a value where a table belongs: validation says so
+        if isinstance(table, dict):  # else a value stands where a table belongs; validation says so
             table[override.path[-1]] = override.value
     return merged
 
 
 def find_device(name: str, config_file: Path, origin: str) -> Path:
-    """The file of a device named in `config_file` at `origin`: a path beside it, devices/NAME.toml beside it, or a shipped one."""
+    """The file of the device `name`: a path beside `config_file`, devices/NAME.toml beside it, or
+    a shipped one.
+
+    ConfigError names those there are; `origin` says where the name stands.
+    """
     if "/" in name or name.endswith(".toml"):
         return config_file.parent / name
     folders = [config_file.parent / "devices", shipped("config") / "devices"]
@@ -243,3 +151,121 @@ def find_device(name: str, config_file: Path, origin: str) -> Path:
         hint = did_you_mean(name, known)
         raise ConfigError(f"{origin}: device = {name!r}: no such device file{hint}; known: {', '.join(known)}")
     return found
+
+
+def check(config: Config, device: DeviceFile, in_config: Where, in_device: Where) -> None:
+    """Raise ConfigError with every broken rule, one line each."""
+    built = config.simulation.effects
+    chosen = () if built is None else chosen_rules(device, ("simulation", "effects"), built)
+    report(
+        (in_config, _config_rules(config, device, in_device)),
+        (in_config, chosen),
+        (in_device, _device_rules(device)),
+        (in_device, model_rules(device)),
+    )
+
+
+def report(*parts: tuple[Where, Iterable[Mistake]]) -> None:
+    """Raise ConfigError if any rule is broken; each part brings its own way to file and line."""
+    found = [_line(where, finding) for where, findings in parts for finding in findings]
+    if found:
+        raise ConfigError("\n".join(found))
+
+
+def _line(where: Where, mistake: Mistake) -> str:
+    unit = unit_of(mistake.path[-1])
+    value = "" if mistake.value is None else f" = {mistake.value}"
+    return f"{where(mistake.path)}: {dotted(mistake.path)}{value}{f' {unit}' if unit else ''}: {mistake.reason}"
+
+
+def _config_rules(config: Config, device: DeviceFile, in_device: Where) -> Iterator[Mistake]:
+    """Where the configuration asks for more than the device, its travel or the rate allow."""
+    yield from _limit_rules(config, device, in_device)
+    highest_hz = HIGHEST_CORNER * config.realtime.rate_hz
+    for name in ("velocity_filter", "acceleration_filter"):
+        corner_hz = getattr(config.environment, name).frequency_hz
+        if corner_hz > highest_hz:
+            reason = f"must be at most {highest_hz} Hz, {HIGHEST_CORNER} of realtime.rate_hz"
+            yield Mistake(("environment", name, "frequency_hz"), corner_hz, reason)
+    margin_m = config.environment.workspace.margin_m
+    travel_m = device.travel.upper_m - device.travel.lower_m
+    if 2 * margin_m > travel_m >= 0:  # a negative travel is a mistake of the device file
+        reason = f"must be at most {travel_m / 2} m, half of the device's travel"
+        yield Mistake(("environment", "workspace", "margin_m"), margin_m, reason)
+
+
+def _limit_rules(config: Config, device: DeviceFile, in_device: Where) -> Iterator[Mistake]:
+    force_n = device.limits.force_n
+    asked_n = config.safety.force_limit_n
+    if asked_n is not None and asked_n > force_n:
+        source = in_device(("limits", "force_n"))
+        reason = f"must be at most {force_n} N, the limit of the device ({source})"
+        yield Mistake(("safety", "force_limit_n"), asked_n, reason)
+    damping = device.limits.damping_ns_per_m
+    levels: dict[tuple[str, ...], float] = {
+        ("added_damping_ns_per_m",): config.added_damping_ns_per_m,
+        ("safety", "safe_damping_ns_per_m"): config.safety.safe_damping_ns_per_m,
+    }
+    for path, level in levels.items():
+        if level > damping:
+            source = in_device(("limits", "damping_ns_per_m"))
+            reason = f"must be at most {damping} N s/m, the limit of the device ({source})"
+            yield Mistake(path, level, reason)
+
+
+def _device_rules(device: DeviceFile) -> Iterator[Mistake]:
+    """Where a device file contradicts itself."""
+    limits = device.limits
+    plant = device.plant
+    for name, limit, full in (
+        ("force_n", limits.force_n, device.force.full_scale_n),
+        ("damping_ns_per_m", limits.damping_ns_per_m, device.damping.full_scale_ns_per_m),
+        ("probe_n", limits.probe_n, device.probe_torque.full_scale_n),
+    ):
+        if limit > full:
+            yield Mistake(("limits", name), limit, f"must be at most {full} {unit_of(name)}, the full scale of its converter")
+    if device.travel.lower_m >= device.travel.upper_m:
+        yield Mistake(("travel", "upper_m"), device.travel.upper_m, f"must be more than lower_m = {device.travel.lower_m} m")
+    if device.simulated and plant is None and device.model is None:
+        yield Mistake(("plant",), None, "is missing; a simulated board needs to know what it moves")
+    if plant and plant.lower_stop_m >= plant.upper_stop_m:
+        yield Mistake(("plant", "upper_stop_m"), plant.upper_stop_m, f"must be more than lower_stop_m = {plant.lower_stop_m} m")
+
+
+def model_rules(device: DeviceFile) -> Iterator[Mistake]:
+    """What is wrong with the [model] of a device file."""
+    model = device.model
+    if model is None:
+        return
+    if device.plant is not None:
+        yield Mistake(("plant",), None, "stands beside [model]; keep one of them")
+    yield from chosen_rules(device, ("model", "effects"), model.effects)
+    for key in TABLES:
+        table = model.table(key)
+        for name in () if table is None else table.sources:
+            if name not in type(table).model_fields:
+                hint = did_you_mean(name, list(type(table).model_fields))
+                yield Mistake(("model", key, "sources"), name, f"is no number of this table{hint}")
+    if model.table("coupling") is not None and model.table("masses").slider_kg == 0.0:
+        yield Mistake(("model", "masses", "slider_kg"), 0.0, "must be more than 0.0 kg: [model.coupling] needs something to couple")
+    ends = model.table("ends")
+    if ends is not None and ends.lower_m >= ends.upper_m:
+        yield Mistake(("model", "ends", "upper_m"), ends.upper_m, f"must be more than lower_m = {ends.lower_m} m")
+
+
+def chosen_rules(device: DeviceFile, path: tuple[str, ...], names: Sequence[str]) -> Iterator[Mistake]:
+    """What is wrong with the list `names` of effects to build, which stands at `path`."""
+    if device.model is None:
+        yield Mistake(path, None, f"device {device.name!r} has no [model] that effects could be taken from")
+        return
+    for place, name in enumerate(names):
+        if name not in BY_KEY:
+            yield Mistake(path, name, f"is no effect{did_you_mean(name, list(BY_KEY))}; known: {', '.join(BY_KEY)}")
+        elif name in ALWAYS:
+            yield Mistake(path, name, "is always built; leave it out")
+        elif name in names[:place]:
+            yield Mistake(path, name, "is named twice")
+        elif name not in FROM_SCALES and device.model.table(name) is None:
+            yield Mistake(path, name, f"device {device.name!r} has no table [model.{name}]; add it or leave the effect out")
+        elif name in NEEDS and NEEDS[name] not in names:
+            yield Mistake(path, name, f"needs the effect {NEEDS[name]!r}; add it")

@@ -1,12 +1,12 @@
-"""scenes/NAME.toml: a device, what it renders, what moves it, and which of its effects exist; and the
-JSON schemas of all kinds of file.
+"""scenes/NAME.toml: a device, what it renders, what moves it, and which of its effects exist.
 
 `load_scene` finds a scene file and its device, merges what the scene changes, validates, and builds
 the `Scene`. A scene's [model.KEY] changes single numbers of the device's table of that name; the
 merged device is validated as if it stood in one file, and messages point to the file and line that
 the wrong number came from.
 
-The schemas serve editors (`#:schema` in the first line of a file) and `taplo check`.
+The JSON schemas of all kinds of file stand here too. They serve editors (`#:schema` in the first
+line of a file) and `taplo check`.
 
 What would break it: a scene that changes a number of a table which its device does not have (the
 table then lacks its other numbers, and the message says so).
@@ -15,7 +15,7 @@ table then lacks its other numbers, and the message says so).
 import copy
 import json
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from pydantic import Field
 
@@ -33,7 +33,7 @@ _excitation = Excitation()
 
 
 class DampingStepTable(TomlTable):
-    """Electrical damping that the servo asks for from `at_s` on."""
+    """Active damping that the servo asks for from `at_s` on."""
 
     at_s: float = Field(0.0, ge=0)
     level_ns_per_m: float = Field(ge=0)
@@ -81,25 +81,41 @@ class SceneFile(TomlTable):
     """What is different about the device: tables of its [model], changed number by number."""
 
 
+SCHEMA_FILES = {
+    "config": "hapticd.schema.json",
+    "device": "device.schema.json",
+    "scene": "scene.schema.json",
+}
+_KINDS: dict[str, type[TomlTable]] = {"config": Config, "device": DeviceFile, "scene": SceneFile}
+
+
 def scene_names() -> list[str]:
-    """The scenes that travel with the package."""
+    """The scenes shipped with the package."""
     return sorted(file.stem for file in (shipped("config") / "scenes").glob("*.toml"))
 
 
 def load_scene(name: str | Path) -> Scene:
-    """The scene of that name, or in that file. ConfigError with one line for everything that is wrong."""
-    return build_scene(*load_files(name))
+    """The scene of that name, or in that file. ConfigError with one line for everything wrong."""
+    return build_scene(load_files(name))
 
 
-def load_files(name: str | Path) -> tuple[str, SceneFile, DeviceFile]:
-    """(name, scene file, its device with the scene's changes), validated."""
+class SceneFiles(NamedTuple):
+    """A scene and its device, validated."""
+
+    name: str
+    scene: SceneFile
+    device: DeviceFile  # with the scene's changes
+
+
+def load_files(name: str | Path) -> SceneFiles:
+    """The files of a scene, validated. ConfigError with one line for everything wrong."""
     document = read(find_scene(name))
     scene = validated(SceneFile, document.data, document.where)
     device_document = read(find_device(scene.device, document.path, document.where(("device",))))
     data, where = _changed(device_document, document)
     device = validated(DeviceFile, data, where)
     report((where, model_rules(device)), (document.where, chosen_rules(device, ("effects",), scene.effects)))
-    return document.path.stem, scene, device
+    return SceneFiles(document.path.stem, scene, device)
 
 
 def find_scene(name: str | Path) -> Path:
@@ -113,10 +129,12 @@ def find_scene(name: str | Path) -> Path:
     return file
 
 
-def build_scene(name: str, scene: SceneFile, device: DeviceFile) -> Scene:
+def build_scene(files: SceneFiles) -> Scene:
     """The validated files as the values that `compose` takes."""
+    name, scene, device = files
     assert device.model is not None
-    steps = tuple(DampingStep(step.at_s, step.level_ns_per_m) for step in sorted(scene.damping, key=lambda step: step.at_s))
+    in_time = sorted(scene.damping, key=lambda step: step.at_s)
+    steps = tuple(DampingStep(step.at_s, step.level_ns_per_m) for step in in_time)
     return Scene(
         name=name,
         title=scene.title,
@@ -134,6 +152,7 @@ def build_scene(name: str, scene: SceneFile, device: DeviceFile) -> Scene:
 
 
 def _changed(device: Document, scene: Document) -> tuple[dict[str, Any], Where]:
+    """(the device's content with the scene's numbers in it, file:line of each key)."""
     data = copy.deepcopy(device.data)
     for key, numbers in scene.data.get("model", {}).items():
         data.setdefault("model", {}).setdefault(key, {}).update(numbers)
@@ -144,12 +163,8 @@ def _changed(device: Document, scene: Document) -> tuple[dict[str, Any], Where]:
     return data, where
 
 
-SCHEMA_FILES = {"config": "hapticd.schema.json", "device": "device.schema.json", "scene": "scene.schema.json"}
-_KINDS: dict[str, type[TomlTable]] = {"config": Config, "device": DeviceFile, "scene": SceneFile}
-
-
 def schema(kind: str) -> dict[str, Any]:
-    """JSON schema (draft 2020-12) of `config` (hapticd.toml), `device` or `scene` (files in these folders), with units."""
+    """JSON schema (draft 2020-12) of a kind of file, with units: `config`, `device` or `scene`."""
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_KINDS[kind].model_json_schema()}
 
 

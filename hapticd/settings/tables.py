@@ -1,5 +1,6 @@
-"""The base of every TOML table, and its validation errors as sentences: file:line, field = value with
-unit, what is allowed, what was probably meant.
+"""The base of every TOML table, and validation errors as sentences.
+
+A sentence names file:line, field = value with its unit, what is allowed, what was probably meant.
 
 Tables are strict (no "100" for 100), closed (no unknown key), frozen, and refuse NaN and infinity.
 Units live in the names of fields; `hapticd.units.unit_of` reads them for messages and for the JSON
@@ -18,6 +19,8 @@ from pydantic_core import ErrorDetails
 from hapticd.errors import ConfigError
 from hapticd.settings.toml import KeyPath, did_you_mean
 from hapticd.units import unit_of
+
+Where = Callable[[KeyPath], str]  # file:line of a key
 
 
 def _say_units(schema: dict[str, Any]) -> None:
@@ -40,8 +43,6 @@ class TomlTable(BaseModel):
         json_schema_extra=_say_units,
     )
 
-
-Where = Callable[[KeyPath], str]
 
 REASONS: Mapping[str, str] = {
     "greater_than": "must be more than {gt}{unit}",
@@ -67,7 +68,7 @@ REASONS: Mapping[str, str] = {
 
 
 def config_error(error: ValidationError, model: type[BaseModel], where: Where) -> ConfigError:
-    """All that is wrong, one line each. `where` tells file and line of a key."""
+    """Everything that is wrong, one line each. `where` tells file and line of a key."""
     return ConfigError("\n".join(_line(detail, model, where) for detail in error.errors()))
 
 
@@ -87,22 +88,44 @@ def leaves(table: Any, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Any]]:
 
 
 def _line(detail: ErrorDetails, model: type[BaseModel], where: Where) -> str:
-    path, kind = detail["loc"], detail["type"]
-    unit = unit_of(str(path[-1])) if path else ""
-    words = {"unit": f" {unit}" if unit else "", "of_unit": f" in {unit}" if unit else "", **detail.get("ctx", {})}
+    path = detail["loc"]
+    return f"{where(path)}: {dotted(path)}{_shown(detail)}: {_reason(detail, model)}"
+
+
+def _shown(detail: ErrorDetails) -> str:
+    """` = value unit`, where the value itself is what is wrong."""
+    if detail["type"] in ("missing", "extra_forbidden", "model_type", "tuple_type"):
+        return ""
+    value = detail["input"]
+    unit = _unit(detail) if type(value) in (int, float) else ""
+    return f" = {_show(value)}{unit}"
+
+
+def _reason(detail: ErrorDetails, model: type[BaseModel]) -> str:
+    path = detail["loc"]
+    kind = detail["type"]
+    unit = _unit(detail)
+    words = {"unit": unit, "of_unit": f" in{unit}" if unit else "", **detail.get("ctx", {})}
     reason = REASONS[kind].format(**words) if kind in REASONS else detail["msg"]
     if kind == "extra_forbidden":
-        reason += did_you_mean(str(path[-1]), _known_keys(model, path[:-1]))
-    elif kind.endswith("_type") and kind != "string_type" and isinstance(detail["input"], str):
-        reason += ", without quotes"
-    shown = "" if kind in ("missing", "extra_forbidden", "model_type", "tuple_type") else f" = {_show(detail['input'])}"
-    if shown and unit and type(detail["input"]) in (int, float):
-        shown += f" {unit}"
-    return f"{where(path)}: {dotted(path)}{shown}: {reason}"
+        return reason + did_you_mean(str(path[-1]), _known_keys(model, path[:-1]))
+    if kind.endswith("_type") and kind != "string_type" and isinstance(detail["input"], str):
+        return f"{reason}, without quotes"
+    return reason
+
+
+def _unit(detail: ErrorDetails) -> str:
+    """The unit of the key behind a blank, or nothing."""
+    path = detail["loc"]
+    unit = unit_of(str(path[-1])) if path else ""
+    return f" {unit}" if unit else ""
 
 
 def _show(value: Any) -> str:
-    return str(value).lower() if isinstance(value, bool) else repr(value) if isinstance(value, str) else str(value)
+    """`value` as TOML writes it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return repr(value) if isinstance(value, str) else str(value)
 
 
 def _known_keys(model: type[BaseModel], path: KeyPath) -> list[str]:

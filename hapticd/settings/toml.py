@@ -1,8 +1,8 @@
-"""TOML files: where those that travel with the package lie, on which line each key stands, and what a
-misspelt name was probably meant to be. Standard library alone.
+"""TOML files: those shipped, the line of every key, suggestions for misspelt names.
 
-tomllib does not tell line numbers, so `read` scans the text a second time for headers and keys; a
-`Document` answers `where(path)` with file:line of a key or of the nearest table around it.
+Standard library alone. tomllib does not tell line numbers, so `read` scans the text a second time
+for headers and keys; a `Document` answers `where(path)` with file:line of a key or of the nearest
+table around it.
 
 What would break it: a header or key whose quoted name holds the quote itself (the message would
 name the table around it).
@@ -19,18 +19,21 @@ from typing import Any
 import hapticd
 from hapticd.errors import ConfigError
 
+KeyPath = tuple[str | int, ...]  # names of tables and keys, places in lists
+
 _PACKAGE = Path(hapticd.__file__).parent
 
 
 def shipped(folder: str) -> Path:
-    """`config`, `firmware_iface` or `systemd`: inside an installed package, else beside it in the checkout."""
+    """The folder `config`, `firmware_iface` or `systemd`, from any working folder.
+
+    It lies inside an installed package, else beside the package in a checkout.
+    """
     for base in (_PACKAGE / "_data", _PACKAGE.parent):
         if (base / folder).is_dir():
             return base / folder
-    raise ConfigError(f"{folder}/ did not travel with {_PACKAGE}; install hapticd again")
+    raise ConfigError(f"{folder}/ is missing beside {_PACKAGE}; install hapticd again")
 
-
-KeyPath = tuple[str | int, ...]
 
 _NAME = r"""(?:[\w-]+|"[^"]*"|'[^']*')"""
 _DOTTED = rf"{_NAME}(?:\s*\.\s*{_NAME})*"
@@ -40,11 +43,11 @@ _KEY = re.compile(rf"\s*({_DOTTED})\s*=")
 
 @dataclass(frozen=True)
 class Document:
-    """Content of one file; `lines` maps the path of a table or key to its line."""
+    """Content of one file, and where each part of it stands."""
 
     path: Path
     data: dict[str, Any]
-    lines: dict[KeyPath, int]
+    lines: dict[KeyPath, int]  # line of a table or key, counted from 1
 
     def where(self, path: KeyPath) -> str:
         """`file:line` of the key, or of the nearest table around it."""
@@ -54,7 +57,7 @@ class Document:
         return str(self.path)
 
     def value(self, path: KeyPath) -> Any:
-        """What stands there; None if nothing does."""
+        """The value at `path`; None if there is none."""
         found: Any = self.data
         for step in path:
             try:
@@ -110,7 +113,7 @@ def _lines(text: str) -> dict[KeyPath, int]:
 
 
 def did_you_mean(word: str, known: Sequence[str]) -> str:
-    """`; did you mean 'x'?` or nothing."""
+    """`; did you mean 'x'?` for the nearest of `known`, or nothing."""
     lower = {name.lower(): name for name in known}
     close = difflib.get_close_matches(word.lower(), lower, 1, 0.6)
     return f"; did you mean {lower[close[0]]!r}?" if close else ""
