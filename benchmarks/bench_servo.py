@@ -18,6 +18,7 @@ from hapticd.mailbox.layout import Command
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.params import BoardParams, ServoParams, from_plain
 from hapticd.servo.loop import ServoLoop
+from hapticd.servo.state import SETTLED
 from hapticd.servo.wait import spinning_wait
 from hapticd.units import NS_PER_S, NS_PER_US
 
@@ -74,7 +75,7 @@ class BenchServo:
         self.loop.restart_clock()
         for _ in range(SETTLE_CHUNKS):
             self.loop.run(self._chunk)
-            if self.loop.state[0] > self.loop.tick:
+            if self.loop.state[SETTLED].wake_tick > self.loop.tick:
                 return
         raise BenchError("the servo's ramp does not end: the machine pauses it again and again; quiet the machine")
 

@@ -66,13 +66,13 @@ class CReference:
         head = IN_HEAD.unpack_from(first)
         period_us = round(US_PER_S / self._params.realtime.rate_hz)
         sensors = (device.temperature, device.current, device.voltage, device.emf_velocity)
-        _, environment, coefficients, out_flags, damping, plan, law, ledger, _, added, *_ = state
+        now, law, ledger, _ = state
         energies, newer, older, displacement = ledger
         force = device.force
         return HELD.pack(
-            *law, *environment, *coefficients, *energies, *newer, *older, displacement, device.position.to_value(1.0),
-            force.sign / force.per_count, force.to_value(1.0), added, DELAY, *(scale.to_value(1.0) for scale in sensors),
-            tick, head[BOARD_US] - period_us, period_us, head[SEQ], head[ECHO], out_flags, damping, plan,
+            *law, *now.environment, *now.coefficients, *energies, *newer, *older, displacement, device.position.to_value(1.0),
+            force.sign / force.per_count, force.to_value(1.0), now.added, DELAY, *(scale.to_value(1.0) for scale in sensors),
+            tick, head[BOARD_US] - period_us, period_us, head[SEQ], head[ECHO], now.out_flags, now.damping_count, now.blob,
         )  # fmt: skip
 
 

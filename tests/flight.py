@@ -6,7 +6,7 @@ from hapticd.link.device import SEED
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.servo.safety import State
-from hapticd.servo.state import GATEWAY_ALIVE, LINK_UP
+from hapticd.servo.state import GATEWAY_ALIVE, LINK_UP, SETTLED
 from hapticd.servo.step import initial_state, make_step
 
 HEALTHY = LINK_UP | GATEWAY_ALIVE
@@ -70,13 +70,13 @@ class Flight:
 
     @property
     def plan(self) -> Any:
-        return self.state[12]
+        return self.state[SETTLED].plan
 
     @property
     def blob(self) -> dict[str, Any]:
         """The plan part of the record of this tick."""
         names = [name for name, *_ in layout.PLAN_FIELDS]
-        return dict(zip(names, layout.PLAN.unpack(self.state[5]), strict=True))
+        return dict(zip(names, layout.PLAN.unpack(self.state[SETTLED].blob), strict=True))
 
 
 def enabled(params: Any, settings: dict[Value, float] | None = None, encoder: int = 0) -> Flight:

@@ -25,4 +25,4 @@ with LockStep(servo_params(), board_params(), keep=False) as stack:
     before = anonymous_kb()
     for _ in range(TICKS // AT_ONCE):
         stack.run(AT_ONCE)
-    print(anonymous_kb() - before, stack.loop.tick, stack.loop.state[12].state.name)
+    print(anonymous_kb() - before, stack.loop.tick, stack.loop.state[0].plan.state.name)

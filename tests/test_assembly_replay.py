@@ -13,7 +13,7 @@ from hapticd.assembly import replay
 from hapticd.mailbox.layout import Command, State, Value
 from hapticd.params import HomeParams, InjectionParams
 from hapticd.servo.checkpoint import flatten, unflatten
-from hapticd.servo.state import ServoState
+from hapticd.servo.state import SETTLED, ServoState
 
 ROUGH = tuple(
     InjectionParams(kind, tick=tick, count=count)
@@ -169,12 +169,13 @@ def states() -> list[ServoState]:
     return [*found, flight.state]
 
 
-@pytest.mark.parametrize("state", states(), ids=lambda state: state[12].state.name)
+@pytest.mark.parametrize("state", states(), ids=lambda state: state[SETTLED].plan.state.name)
 def test_every_state_survives_flattening(state: ServoState) -> None:
     again = unflatten(json.loads(json.dumps(flatten(state))))
     assert again == state
-    assert type(again[12]) is type(state[12])
-    assert [type(one) for one in again[12].scheduled] == [type(one) for one in state[12].scheduled]
+    plan = again[SETTLED].plan
+    assert type(plan) is type(state[SETTLED].plan)
+    assert [type(one) for one in plan.scheduled] == [type(one) for one in state[SETTLED].plan.scheduled]
 
 
 def test_request_during_a_pause_of_the_gateway_is_noted_once() -> None:

@@ -11,7 +11,7 @@ from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.params import HomeParams, SafetyParams
 from hapticd.servo import safety
 from hapticd.servo.safety import FAULT_EVENT, State
-from hapticd.servo.state import GATEWAY_ALIVE, LINK_UP
+from hapticd.servo.state import GATEWAY_ALIVE, LINK_UP, SETTLED
 from hapticd.wire.frames import OutFlag, Status
 
 STIFF = {Value.STIFFNESS: 100.0}
@@ -60,7 +60,7 @@ def test_start_comes_up_disabled_without_torque():
     out = flight.fly(10)
     assert flight.plan.state is D
     assert out[0] == 0
-    assert not flight.state[3] & OutFlag.ENABLE
+    assert not flight.state[SETTLED].out_flags & OutFlag.ENABLE
 
 
 def test_disabled_renders_no_force_even_with_stiffness_set():
@@ -86,7 +86,7 @@ def test_disable_takes_the_torque_away_at_once():
     flight.do(Command.DISABLE)
     assert flight.plan.state is D
     assert flight.fly()[0] == 0
-    assert not flight.state[3] & OutFlag.ENABLE
+    assert not flight.state[SETTLED].out_flags & OutFlag.ENABLE
 
 
 def test_stop_takes_the_force_to_zero_in_twenty_ticks():
@@ -96,7 +96,7 @@ def test_stop_takes_the_force_to_zero_in_twenty_ticks():
     assert forces == sorted(forces, reverse=True)
     assert 0.3 < forces[9] < 0.6
     assert forces[20] == 0.0
-    assert not flight.state[3] & OutFlag.ENABLE
+    assert not flight.state[SETTLED].out_flags & OutFlag.ENABLE
 
 
 def test_stop_latches_until_reset():
@@ -157,7 +157,7 @@ def test_damping_acts_while_disabled_when_asked():
     flight = Flight(servo_params())
     flight.do(Command.DAMPING, {Value.ADDED_DAMPING: 2.0, Value.ADDED_DAMPING_ON: 1.0})
     flight.fly(200)
-    assert flight.state[4] == round(2.0 / 10.0 * 65535)
+    assert flight.state[SETTLED].damping_count == round(2.0 / 10.0 * 65535)
     assert flight.fly()[0] == 0
 
 

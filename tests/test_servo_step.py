@@ -12,6 +12,7 @@ from hapticd.link.device import SEED
 from hapticd.mailbox.layout import Command, Flag, Result, Value
 from hapticd.params import HomeParams, ScaleParams
 from hapticd.servo.safety import State
+from hapticd.servo.state import LAW
 from hapticd.wire.frames import Status
 
 STIFF = {Value.STIFFNESS: 100.0}
@@ -271,13 +272,14 @@ def test_homing_is_refused_where_the_device_has_no_method():
 def test_law_that_overflows_is_a_fault_and_never_a_force():
     flight = enabled(servo_params(), STIFF, 20_000)
     law = (0.01, 0.0, math.inf, math.inf, 0.0, 0.0)
-    flight.state = (*flight.state[:6], law, *flight.state[7:])
+    settled, _, ledger, held = flight.state
+    flight.state = settled, law, ledger, held
     out = flight.fly()
     assert flight.plan.fault == BY_CODE["not_finite"].number
     assert out[9] & Flag.NOT_FINITE
     assert abs(out[8]) <= 1.0 + COUNT_N
     assert flight.fly(30)[0] == 0
-    assert all(math.isfinite(value) for value in flight.state[6])
+    assert all(math.isfinite(value) for value in flight.state[LAW])
 
 
 def test_step_is_a_function_of_its_arguments():

@@ -8,7 +8,8 @@ asked for, not what the handle would then have done.
 """
 
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,17 +18,13 @@ from hapticd.mailbox.client_side import Noted
 from hapticd.mailbox.layout import COMMAND_VALUES, PLAN_FIELDS, Command, Flag, Value
 from hapticd.params import ServoParams
 from hapticd.servo.checkpoint import unflatten
-from hapticd.servo.plan import Plan, meant
-from hapticd.servo.state import Request, ServoState
+from hapticd.servo.plan import meant
+from hapticd.servo.state import SETTLED, Request, ServoState
 from hapticd.servo.step import make_step
 from hapticd.wire import frames
 
 Records = NDArray[np.void]
 
-_DAMPING: Final = 4  # places in ServoState
-_BLOB: Final = 5
-_LEDGER: Final = 7
-_PLAN: Final = 12
 PLAN_DTYPE = np.dtype(list(PLAN_FIELDS))
 PLAN_NAMES = tuple(str(field[0]) for field in PLAN_FIELDS)
 COMPUTED = [
@@ -77,8 +74,9 @@ def fly(params: ServoParams, leg: Leg, instead: dict[Value, float] | None = None
             head = unpack(frame[:size])
         sample = head[6], head[4], head[10], arrival, host, head[13]
         state, (torque, *numbers, flags, _) = step(state, obeyed.get(tick, ()), sample, tick)
-        blobs.append(state[_BLOB])
-        rows.append((flags, torque, state[_DAMPING], *numbers, state[_LEDGER][0]))
+        settled, _, (energies, *_), _ = state
+        blobs.append(settled.blob)
+        rows.append((flags, torque, settled.damping_count, *numbers, energies))
     return _assembled(blobs, rows)
 
 
@@ -152,6 +150,7 @@ def _unmasked(values: tuple[float, ...], held: set[Value]) -> tuple[float, ...]:
 
 
 def _held(state: ServoState, held: set[Value]) -> ServoState:
-    plan: Plan = state[_PLAN]
+    settled = state[SETTLED]
+    plan = settled.plan
     scheduled = tuple(one._replace(values=_unmasked(one.values, held)) for one in plan.scheduled)
-    return (*state[:12], plan._replace(scheduled=scheduled))
+    return replace(settled, plan=plan._replace(scheduled=scheduled)), *state[1:]

@@ -20,7 +20,18 @@ from hapticd.servo.commands import Now, apply_settings, obey
 from hapticd.servo.hot import advance_added, hot
 from hapticd.servo.plan import Plan, coefficients_of
 from hapticd.servo.safety import FAULT_EVENT, LATCHED, State
-from hapticd.servo.state import ATTENTION, BOARD_FAULT, GATEWAY_ALIVE, LINK_UP, Answer, Request, Sample, ServoState
+from hapticd.servo.state import (
+    ATTENTION,
+    BOARD_FAULT,
+    GATEWAY_ALIVE,
+    LINK_UP,
+    SETTLED,
+    Answer,
+    Request,
+    Sample,
+    ServoState,
+    Settled,
+)
 from hapticd.units import round_half_up
 from hapticd.wire.frames import OutFlag, Status
 
@@ -80,17 +91,21 @@ def make_attend(params: ServoParams) -> Attend:
     def nothing_but_lost_frames(state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int) -> bool:
         """The usual reason to be here while a busy host drops slots; the plan stays as it is, so the long way would be late too."""
         _, status, temperature, arrival, host, _ = sample
-        calm = not commands and tick < state[0] and host == state[11] and not status & ATTENTION and temperature <= hot_count
+        settled = state[SETTLED]
+        unasked = not commands and tick < settled.wake_tick and host == settled.host
+        calm = unasked and not status & ATTENTION and temperature <= hot_count
         return calm and 0 < arrival <= params.safety.missing_frames_limit
 
     def attend(
         state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int
     ) -> tuple[ServoState, bool, tuple[Any, ...], int]:
         encoder, _, _, arrival, host, _ = sample
-        _, environment, coefficients, _, _, _, law, ledger, origin, added, held, _, plan = state
+        settled, law, ledger, held = state
+        environment, coefficients, origin, plan = settled.environment, settled.coefficients, settled.origin, settled.plan
+        added = settled.added
         if nothing_but_lost_frames(state, commands, sample, tick):
             law, ledger = bridge(law, ledger, (encoder - origin) * m_per_count, arrival, environment, coefficients, added)
-            return (*state[:6], law, ledger, *state[8:]), True, (), int(Flag.INTERPOLATED)
+            return (settled, law, ledger, held), True, (), int(Flag.INTERPOLATED)
         before = plan
         usable = arrival >= 0 and bool(host & LINK_UP)
         flags = 0
@@ -124,10 +139,11 @@ def make_attend(params: ServoParams) -> Attend:
             left = plan.fade.value(tick)
             held = (force.to_count(left, -32768, 32767), left)
         per_period = params.device.damping.to_value(ready.damping_count) * rate_hz
-        return (
-            ready.wake_tick, ready.environment, coefficients, out_flags(plan, tick), ready.damping_count, ready.blob, law, ledger,
-            plan.origin, per_period, held, host, plan,
-        ), usable, answers, flags  # fmt: skip
+        settled = Settled(
+            ready.wake_tick, ready.environment, coefficients, out_flags(plan, tick), ready.damping_count, ready.blob,
+            plan.origin, per_period, host, plan,
+        )  # fmt: skip
+        return (settled, law, ledger, held), usable, answers, flags
 
     return attend
 

@@ -2,6 +2,7 @@
 
 Every number stays the number it is, so a flight from a checkpoint gives the same bits as the flight that left it. Plain
 tuples are cheap to marshal (some 10 us, only when the gateway asks, after the record was published) and survive JSON.
+The order of the places is that of the first checkpoints ever written, which stay readable.
 What would break it: a field of Plan or ServoState that is added there and not here (the tests fly and compare).
 """
 
@@ -12,12 +13,13 @@ from hapticd.params import FilterParams
 from hapticd.render.ramp import Ramp
 from hapticd.servo.plan import Plan, Scheduled
 from hapticd.servo.safety import State
-from hapticd.servo.state import ServoState
+from hapticd.servo.state import ServoState, Settled
 
 
 def flatten(state: ServoState) -> tuple[Any, ...]:
     """`state` as tuples, numbers and text."""
-    wake, environment, coefficients, flags, damping, blob, law, ledger, origin, added, held, host, plan = state
+    settled, law, ledger, held = state
+    plan, s = settled.plan, settled
     plain = plan._asdict() | {
         "state": int(plan.state),
         "gain": tuple(plan.gain),
@@ -26,8 +28,8 @@ def flatten(state: ServoState) -> tuple[Any, ...]:
         "filters": tuple((one.frequency_hz, one.damping_ratio, one.mapping) for one in plan.filters),
         "scheduled": tuple(tuple(one) for one in plan.scheduled),
     }
-    before = wake, environment, coefficients, flags, damping, blob.hex()
-    return (*before, law, ledger, origin, added, held, host, tuple(plain.values()))
+    before = s.wake_tick, s.environment, s.coefficients, s.out_flags, s.damping_count, s.blob.hex()
+    return (*before, law, ledger, s.origin, s.added, held, s.host, tuple(plain.values()))
 
 
 def unflatten(plain: Sequence[Any]) -> ServoState:
@@ -45,7 +47,7 @@ def unflatten(plain: Sequence[Any]) -> ServoState:
     }
     law, ledger, origin, added, held, host = others
     before = wake, environment, coefficients, flags, damping, bytes.fromhex(blob)
-    return (*before, law, ledger, origin, added, held, host, Plan(**renewed))
+    return Settled(*before, origin, added, host, Plan(**renewed)), law, ledger, held
 
 
 def _tuples(item: Any) -> Any:

@@ -22,7 +22,7 @@ from hapticd.params import ScaleParams, ServoParams
 from hapticd.servo.checkpoint import flatten
 from hapticd.servo.inbox import Inbox
 from hapticd.servo.perturb import Streamer
-from hapticd.servo.state import GATEWAY_ALIVE, LINK_UP, Answer, Request
+from hapticd.servo.state import GATEWAY_ALIVE, LINK_UP, SETTLED, Answer, Request
 from hapticd.servo.step import initial_state, make_step
 from hapticd.servo.wait import Wait, first_deadline
 from hapticd.units import NS_PER_S
@@ -33,6 +33,7 @@ _COUNTER = {name: layout.COUNTER_WORD + index for index, name in enumerate(layou
 _TALLY = {"missing_in": "missing", "bad_in": "bad", "stale_in": "stale", "sequence_gap": "gap", "write_errors": "write_errors"}
 _PERTURB, _FIFO_CLEAR = int(OutFlag.PERTURB), int(OutFlag.FIFO_CLEAR)
 _LONGEST_NS = (1 << 31) - 1  # that a stage of a record can hold: 2.1 s
+_HEALTHY = LINK_UP | GATEWAY_ALIVE
 _U32 = (1 << 32) - 1
 _BLANK = layout.RECORD.unpack(bytes(layout.RECORD.size))
 _LATE, _WRITE_FAILED = int(Flag.LATE), int(Flag.WRITE_FAILED)
@@ -70,18 +71,24 @@ class ServoLoop:
             layout.RECORD.size,
             layout.RING_RECORDS,
         )
+        warm = device.rehearse
         receive, send, step, wait, clock = device.receive, device.send, self.step, self.wait, self.clock.now_ns
         in_bytes, out_bytes = device.in_buffer.tobytes, device.out_buffer.tobytes
         (temperature, t0), (current, c0), (voltage, v0), (emf, e0) = _sensor_lines(self.params)
         timeout_ns, period_ns = int(self.params.safety.gateway_timeout_s * NS_PER_S), self.period_ns
         head: Head = NO_HEAD
+        alive_until_ns = 0
         board_us = publish_ns = 0
         slot, end_slot = first_slot + self.tick % slots * size, first_slot + slots * size
         last = None if ticks is None else self.tick + ticks
 
         def rehearse() -> None:
-            if self.tick < self.state[0]:  # not the long way: cold it takes longer than the spin
-                step(self.state, (), (head[6], head[4], head[10], 0, self.state[11], 0), self.tick)
+            settled = self.state[SETTLED]
+            if self.tick < settled.wake_tick:  # not the long way: cold it takes longer than the spin
+                step(self.state, (), (head[6], head[4], head[10], 0, settled.host, 0), self.tick)
+            warm()
+            _ = stop_words[0], words[head_word], words[beat_word], mailbox.taken, inbox.waiting, streamer.playing
+            in_bytes()
             pack(ring, slot, *_BLANK)  # the oldest record, which the tick replaces anyway
 
         while True:
@@ -103,22 +110,28 @@ class ServoLoop:
             commands: tuple[Request, ...] = ()
             # a plain load of the head is a hint, at worst a tick old; `take` loads it in order
             if stop_words[0] or words[head_word] != mailbox.taken or inbox.waiting or streamer.playing:
-                commands = inbox.requests(tick, head, self.state[12])
+                commands = inbox.requests(tick, head, self.state[SETTLED].plan)
                 mailbox.note(tick, commands)
-            host = LINK_UP if self.linked else 0
-            age_ns = start - words[beat_word]
-            if age_ns < timeout_ns and age_ns > -timeout_ns:  # no chain: CPython compares two small integers faster alone
-                host |= GATEWAY_ALIVE
-            self.state, output = step(self.state, commands, (encoder, status, heat, arrival, host, index), tick)
-            state = self.state
+            if start >= alive_until_ns:  # the beat last seen says nothing any more: look for the next one
+                beat_ns = words[beat_word]
+                alive_until_ns = beat_ns + timeout_ns if -timeout_ns < start - beat_ns < timeout_ns else 0
+            host = _HEALTHY if alive_until_ns else LINK_UP
+            if not self.linked:
+                host &= ~LINK_UP
+            state, output = step(self.state, commands, (encoder, status, heat, arrival, host, index), tick)
+            self.state = state
+            settled, _, (energies, _, _, _), _ = state
+            e_spring, e_damper, e_inertia, e_field, e_force, e_electric = energies
             torque, x, v, a, spring, damper, inertia, field, force, flags, answers = output
-            out_flags, count, samples = state[3], 0, NO_SAMPLES
+            out_flags = settled.out_flags
+            count = 0
+            samples = NO_SAMPLES
             if out_flags & _PERTURB or streamer.playing:
-                out_flags, count, samples = streamer.follow(state[12].wave, out_flags, level)
+                out_flags, count, samples = streamer.follow(settled.plan.wave, out_flags, level)
             stepped = clock()
             if self.linked:
                 try:
-                    if not send(out_flags, torque, state[4], 0, count, samples):
+                    if not send(out_flags, torque, settled.damping_count, 0, count, samples):
                         flags |= _WRITE_FAILED
                 except LinkLost:
                     self._unlink(start)
@@ -134,8 +147,8 @@ class ServoLoop:
                 stages = (wake_ns, read_ns, step_ns, write_ns)
                 wake_ns, read_ns, step_ns, write_ns = (min(stage, _LONGEST_NS) for stage in stages)
             pack(
-                ring, slot, tick, start, board_us, state[5], flags, status, arrival, host, x, v, a,
-                spring, damper, inertia, field, force, *state[7][0],
+                ring, slot, tick, start, board_us, settled.blob, flags, status, arrival, host, x, v, a,
+                spring, damper, inertia, field, force, e_spring, e_damper, e_inertia, e_field, e_force, e_electric,
                 heat * temperature + t0, amperes * current + c0, volts * voltage + v0, speed * emf + e0,
                 wake_ns, read_ns, step_ns, write_ns, publish_ns, self._lost_slots,
                 in_bytes(), out_bytes(), tick,

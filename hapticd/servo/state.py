@@ -1,15 +1,40 @@
-"""The types one tick passes on, and the flags the loop tells it."""
+"""The types one tick passes on, and the flags the loop tells it.
 
-from typing import Any
+What changes with every sample is a plain tuple, which CPython takes apart and builds at the speed of C; what only `attend`
+changes is one frozen object with named slots that a calm tick passes on untouched.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Final
 
 from hapticd.render.energy import Ledger
 from hapticd.render.environment import Coefficients, Environment, LawState
 from hapticd.servo.plan import Plan
 from hapticd.wire.frames import Status
 
-# wake_tick, environment, coefficients, OUT flags, damping count, plan blob, law state, ledger, origin count,
-# added damping per period [N/m], held (torque count, force [N]), host flags, plan
-ServoState = tuple[int, Environment, Coefficients, int, int, bytes, LawState, Ledger, int, float, tuple[int, float], int, Plan]
+
+@dataclass(frozen=True, slots=True)
+class Settled:
+    """What a tick needs of the plan, in the form it needs it; holds until `attend` is called again."""
+
+    wake_tick: int  # look at the plan again at this tick
+    environment: Environment
+    coefficients: Coefficients
+    out_flags: int  # of the OUT frame
+    damping_count: int
+    blob: bytes  # layout.PLAN
+    origin: int  # encoder count at x = 0
+    added: float  # added electrical damping / period [N/m]
+    host: int  # host flags it was made under
+    plan: Plan
+
+
+Held = tuple[int, float]  # what was sent last: torque count, force [N]
+ServoState = tuple[Settled, LawState, Ledger, Held]
+SETTLED: Final = 0  # places in a ServoState
+LAW: Final = 1
+LEDGER: Final = 2
+HELD: Final = 3
 # encoder, status, temperature count, arrival (link.device), host flags, index offset
 Sample = tuple[int, int, int, int, int, int]
 # torque count, position, velocity, acceleration, force parts K B M field, force as sent, record flags, answers

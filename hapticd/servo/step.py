@@ -4,12 +4,13 @@ The same call flies live, in lock-step and in a replay. Almost every tick takes 
 `render`, count from the force, ledger. A tick on which anything else happens (a command, a running ramp, a lost frame, a
 status bit, a missing heartbeat) first goes through `attend`, which makes a new state; the short way then follows as ever.
 
-State is one flat tuple (see `state`), so that a tick unpacks and builds it at C speed; `plan` holds everything slow. The
+State is a short tuple (see `state`) whose first place holds everything slow, so that a tick hands it on in one piece. The
 force limit is the last thing before the wire: the law clamps in newtons, this module clamps the count once more.
 What would break it: mutable values in the state, a time or a random number read here, a float that reaches the wire.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from math import floor, isfinite
 from typing import Any
 
@@ -22,7 +23,7 @@ from hapticd.servo.attend import make_attend
 from hapticd.servo.hot import hot
 from hapticd.servo.plan import coefficients_of, initial_plan
 from hapticd.servo.safety import FAULT_EVENT
-from hapticd.servo.state import ATTENTION, LINK_UP, Output, Sample, ServoState
+from hapticd.servo.state import ATTENTION, LINK_UP, SETTLED, Output, Sample, ServoState, Settled
 from hapticd.units import round_half_up
 from hapticd.wire.session import ENCODER_BITS
 
@@ -38,22 +39,10 @@ def initial_state(params: ServoParams, tick: int = 0) -> ServoState:
     coefficients = coefficients_of(plan, params.realtime.rate_hz)
     now = hot(plan, tick, params, params.environment.workspace, 0.0)
     held = (params.device.force.to_count(0.0, -32768, 32767), 0.0)
-    law, origin = at_rest(0.0), plan.origin
-    return (
-        now.wake_tick,
-        now.environment,
-        coefficients,
-        0,
-        now.damping_count,
-        now.blob,
-        law,
-        EMPTY,
-        origin,
-        0.0,
-        held,
-        LINK_UP,
-        plan,
-    )
+    settled = Settled(
+        now.wake_tick, now.environment, coefficients, 0, now.damping_count, now.blob, plan.origin, 0.0, LINK_UP, plan
+    )  # fmt: skip
+    return settled, at_rest(0.0), EMPTY, held
 
 
 def make_step(params: ServoParams, delay: float = 0.125) -> Step:
@@ -77,8 +66,8 @@ def make_step(params: ServoParams, delay: float = 0.125) -> Step:
 
     def missing(state: ServoState, flags: int, answers: tuple[Any, ...]) -> tuple[ServoState, Output]:
         """No sample to believe: what was sent is sent again (0 once the torque is off)."""
-        torque, applied = state[10]
-        return state, (torque, state[6][0], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, applied, flags | _MISSING, answers)
+        _, law, _, (torque, applied) = state
+        return state, (torque, law[0], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, applied, flags | _MISSING, answers)
 
     def faulted(
         state: ServoState, sample: Sample, tick: int, fault: int, flags: int, answers: tuple[Any, ...]
@@ -92,23 +81,32 @@ def make_step(params: ServoParams, delay: float = 0.125) -> Step:
         state: ServoState, sample: Sample, tick: int, turns: int, flags: int, answers: tuple[Any, ...]
     ) -> tuple[ServoState, Output]:
         """The encoder's counter went round: its origin goes along, and the sample is judged again."""
-        origin = state[8] + (turns << ENCODER_BITS)
-        state = (*state[:8], origin, *state[9:12], state[12]._replace(origin=origin))
-        state, output = step(state, (), (sample[0], 0, sample[2], 0, sample[4], 0), tick)
+        settled = state[SETTLED]
+        origin = settled.origin + (turns << ENCODER_BITS)
+        settled = replace(settled, origin=origin, plan=settled.plan._replace(origin=origin))
+        state, output = step((settled, *state[1:]), (), (sample[0], 0, sample[2], 0, sample[4], 0), tick)
         return state, (*output[:9], output[9] | flags, answers + output[10])
 
     def step(state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int) -> tuple[ServoState, Output]:
         encoder, status, temperature, arrival, host, _ = sample
         answers: tuple[Any, ...] = ()
         flags = 0
-        if commands or arrival or tick >= state[0] or host != state[11] or status & ATTENTION or temperature > hot_limit:
+        settled, law, ledger, held = state
+        if (
+            commands
+            or arrival
+            or tick >= settled.wake_tick
+            or host != settled.host
+            or status & ATTENTION
+            or temperature > hot_limit
+        ):
             state, usable, answers, flags = attend(state, commands, sample, tick)
             if not usable:
                 return missing(state, flags, answers)
-        wake, environment, coefficients, out_flags, damping, blob, law, ledger, origin, added, _, host, plan = state
-        x = (encoder - origin) * m_per_count
-        newtons, total, v, a, spring, damper, inertia, field, after = render(x, law, environment, coefficients)
-        moved_m = after[1]
+            settled, law, ledger, held = state
+        x = (encoder - settled.origin) * m_per_count
+        newtons, total, v, a, spring, damper, inertia, field, law = render(x, law, settled.environment, settled.coefficients)
+        moved_m = law[1]
         if not (moved_m <= jump_m and moved_m >= back_m):  # no chain: CPython compares two floats faster alone
             if turns := round(moved_m / turn_m):
                 return turned(state, sample, tick, turns, flags, answers)
@@ -116,28 +114,13 @@ def make_step(params: ServoParams, delay: float = 0.125) -> Step:
         if newtons != total:
             flags |= _CLAMPED
             if not isfinite(total):
-                cleared = (*state[:6], at_rest(x), EMPTY, *state[8:])
-                return faulted(cleared, sample, tick, _FINITE, flags | _NOT_FINITE, answers)
+                return faulted((settled, at_rest(x), EMPTY, held), sample, tick, _FINITE, flags | _NOT_FINITE, answers)
         torque = floor(newtons * counts_per_n + rounding)
         if torque < low or torque > high:
             torque = low if torque < low else high
         applied = (torque - zero_count) * n_per_count
-        ledger = book(ledger, moved_m, (spring, damper, inertia, field, applied), delay, added)
-        state = (
-            wake,
-            environment,
-            coefficients,
-            out_flags,
-            damping,
-            blob,
-            after,
-            ledger,
-            origin,
-            added,
-            (torque, applied),
-            host,
-            plan,
-        )
+        ledger = book(ledger, moved_m, (spring, damper, inertia, field, applied), delay, settled.added)
+        state = (settled, law, ledger, (torque, applied))
         return state, (torque, x, v, a, spring, damper, inertia, field, applied, flags, answers)
 
     return step
