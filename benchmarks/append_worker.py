@@ -1,7 +1,9 @@
-"""The least that a recorder can cost: h5py appending the same bytes as often, from a process of its own.
+"""The least that a recorder can cost: h5py appending the same bytes as often, from a process of its
+own.
 
-Ticks of `layout.RECORD` and samples of the probe in one growing dataset of bytes each, flushed every 100 ms. Arguments: file,
-ticks and samples a second, seconds. Says `{}` when it begins to count, and its CPU seconds at the end.
+Ticks of `layout.RECORD` and samples of the probe in one growing dataset of bytes each, flushed
+every 100 ms. Arguments: file, ticks and samples a second, seconds. Says `{}` when it begins to
+count, and its CPU seconds at the end.
 """
 
 import json
@@ -25,11 +27,19 @@ def main() -> None:
     path, ticks_hz, samples_hz, seconds = sys.argv[1], *map(float, sys.argv[2:])
     with h5py.File(path, "x", libver=("v110", "v110")) as file:
         rows = [
-            (_dataset(file, "servo", RECORD.size), np.random.default_rng(1).bytes(round(ticks_hz * LOOK_S) * RECORD.size)),
-            (_dataset(file, "probe", PROBE.itemsize), np.random.default_rng(2).bytes(round(samples_hz * LOOK_S) * PROBE.itemsize)),
+            (
+                _dataset(file, "servo", RECORD.size),
+                np.random.default_rng(1).bytes(round(ticks_hz * LOOK_S) * RECORD.size),
+            ),
+            (
+                _dataset(file, "probe", PROBE.itemsize),
+                np.random.default_rng(2).bytes(round(samples_hz * LOOK_S) * PROBE.itemsize),
+            ),
         ]
         file.swmr_mode = True
-        blocks = [(data, np.frombuffer(raw, np.uint8).reshape(-1, data.shape[1])) for data, raw in rows]
+        blocks = [
+            (data, np.frombuffer(raw, np.uint8).reshape(-1, data.shape[1])) for data, raw in rows
+        ]
         for turn in range(SETTLED + round(seconds / LOOK_S)):
             if turn == SETTLED:
                 print("{}", flush=True)
@@ -43,7 +53,9 @@ def main() -> None:
 
 
 def _dataset(file: "object", name: str, width: int) -> "object":
-    return file.create_dataset(name, (0, width), "u1", maxshape=(None, width), chunks=(CHUNK_ROWS[name], width))  # type: ignore[attr-defined]
+    return file.create_dataset(
+        name, (0, width), "u1", maxshape=(None, width), chunks=(CHUNK_ROWS[name], width)
+    )  # type: ignore[attr-defined]
 
 
 if __name__ == "__main__":

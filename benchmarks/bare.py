@@ -1,7 +1,8 @@
-"""The bare path of a tick: pyusb above the simulated bus, a board that does nothing, the afternoon's tick, the wire's CRCs.
+"""The bare path of a tick: pyusb above the simulated bus, a board that does nothing, the
+afternoon's tick, the wire's CRCs.
 
-What is left out is what the product adds: the board's firmware and plant, the sequence, the commands, the safety table, the
-mailbox.
+What is left out is what the product adds: the board's firmware and plant, the sequence, the
+commands, the safety table, the mailbox.
 """
 
 import time
@@ -56,13 +57,19 @@ class BareLoop:
     """Wire, pyusb, empty board and bare tick, over and over."""
 
     def __init__(self, usb: UsbParams, board: BoardParams, tick: ReferenceTick) -> None:
-        self._link, self._tick = empty_link(usb, board, VirtualClock()), tick
+        self._link = empty_link(usb, board, VirtualClock())
+        self._tick = tick
 
     def cpu_s(self, ticks: int) -> float:
         """CPU time of that many."""
-        inward, outward = array("B", bytes(frames.PACKET_BYTES)), array("B", bytes(frames.OUT_BYTES))
-        read, write, tick = self._link.read, self._link.write, self._tick
-        parse, seal, offset = codec.in_parser(inward), frames.CRC.pack_into, frames.OUT_BYTES - frames.CRC.size
+        inward = array("B", bytes(frames.PACKET_BYTES))
+        outward = array("B", bytes(frames.OUT_BYTES))
+        read = self._link.read
+        write = self._link.write
+        tick = self._tick
+        parse = codec.in_parser(inward)
+        seal = frames.CRC.pack_into
+        offset = frames.OUT_BYTES - frames.CRC.size
         body = memoryview(outward)[:offset]
         begin = time.process_time()
         for number in range(ticks):

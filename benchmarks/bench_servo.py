@@ -24,7 +24,8 @@ from hapticd.units import NS_PER_S, NS_PER_US
 
 FOR_EVER_S = 1e6  # nobody beats here
 ACTOR = 1
-CHUNK_S, SETTLE_CHUNKS = 0.05, 100
+CHUNK_S = 0.05
+SETTLE_CHUNKS = 100
 NO_VALUES = (0.0,) * 20
 
 
@@ -33,19 +34,25 @@ def read_parameters(path: str) -> tuple[ServoParams, BoardParams]:
     plain = json.loads(Path(path).read_text())
     servo = from_plain(ServoParams, plain[files.SERVO_JSON], path)
     safety = dataclasses.replace(servo.safety, gateway_timeout_s=FOR_EVER_S)
-    return dataclasses.replace(servo, safety=safety), from_plain(BoardParams, plain[files.BOARD_JSON], path)
+    return dataclasses.replace(servo, safety=safety), from_plain(
+        BoardParams, plain[files.BOARD_JSON], path
+    )
 
 
 class BenchServo:
     """A servo above `link`; `before(ticks)` is called ahead of every run."""
 
-    def __init__(self, params: ServoParams, link: Link, before: Callable[[int], None] = lambda _: None) -> None:
+    def __init__(
+        self, params: ServoParams, link: Link, before: Callable[[int], None] = lambda _: None
+    ) -> None:
         path = files.prepare_folder(files.runtime_folder(f"bench-{os.getpid()}"))
         atexit.register(shutil.rmtree, path, ignore_errors=True)
         self._before, self.clock, rate_hz = before, MonotonicClock(), params.realtime.rate_hz
         self.device = Device(link, rate_hz)
         self.device.connect()
-        self.mailbox = ServoMailbox(path, rate_hz, params.config_hash, params.simulated, self.clock.now_ns())
+        self.mailbox = ServoMailbox(
+            path, rate_hz, params.config_hash, params.simulated, self.clock.now_ns()
+        )
         self.mailbox.publish()
         self.gateway = GatewayMailbox(path)
         wait = spinning_wait(int(params.realtime.spin_us * NS_PER_US), int(NS_PER_S / rate_hz))
@@ -70,17 +77,24 @@ class BenchServo:
             raise BenchError(f"the servo was not enabled: {results}")
 
     def settle(self) -> None:
-        """Go on from now until no ramp runs, also the one after a pause. BenchError when that does not end."""
+        """Go on from now until no ramp runs, also the one after a pause. BenchError when that
+        does not end.
+        """
         self._before(SETTLE_CHUNKS * self._chunk)
         self.loop.restart_clock()
         for _ in range(SETTLE_CHUNKS):
             self.loop.run(self._chunk)
             if self.loop.state[SETTLED].wake_tick > self.loop.tick:
                 return
-        raise BenchError("the servo's ramp does not end: the machine pauses it again and again; quiet the machine")
+        raise BenchError(
+            "the servo's ramp does not end: the machine pauses it again and again; quiet the"
+            " machine"
+        )
 
     def late_events(self, ticks: int) -> int:
-        """How many of the `ticks` ticks after `settle` end beyond the next deadline, grace or not."""
+        """How many of the `ticks` ticks after `settle` end beyond the next deadline, grace or
+        not.
+        """
         self.settle()
         before = self._late()
         self.loop.run(ticks)

@@ -1,4 +1,6 @@
-"""Numbers from blocks: a quantile of each block, then the median over the blocks, so that one disturbed block is one vote."""
+"""Numbers from blocks: a quantile of each block, then the median over the blocks, so that one
+disturbed block is one vote.
+"""
 
 from collections.abc import Sequence
 from statistics import median

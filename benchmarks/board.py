@@ -1,7 +1,9 @@
-"""The simulated board with the calibrated device: its share of a tick, and the whole stack in lock-step.
+"""The simulated board with the calibrated device: its share of a tick, and the whole stack in
+lock-step.
 
-`board_tick_ratio` is a write and read pair of the USB link with weir2008 (7 states, 16 sub-steps a tick) behind it. Its yardstick
-is the same pair with an empty board, and the plant's straight-line step alone, called as often and for as many sub-steps.
+`board_tick_ratio` is a write and read pair of the USB link with weir2008 (7 states, 16 sub-steps a
+tick) behind it. Its yardstick is the same pair with an empty board, and the plant's straight-line
+step alone, called as often and for as many sub-steps.
 """
 
 import time
@@ -25,7 +27,8 @@ from hapticd.wire.frames import OutFlag
 
 SCENE = "fig4"
 TARGETS = targets.of("board")
-PAIRS, BLOCKS = 1000, 15
+PAIRS = 1000
+BLOCKS = 15
 PIECES = 5  # of the plant in a tick: four ends of 250 us, and the latch between two of them
 
 
@@ -35,11 +38,19 @@ def measure() -> Iterator[Figure]:
     clocks = VirtualClock(NS_PER_MS), VirtualClock(NS_PER_MS)
     link = UsbLink(servo.usb, simulated_backend(board, clocks[0]))
     link.open()
-    pairs, empty = Pairs(link, clocks[0]), Pairs(empty_link(servo.usb, board, clocks[1]), clocks[1])
+    pairs = Pairs(link, clocks[0])
+    empty = Pairs(empty_link(servo.usb, board, clocks[1]), clocks[1])
     plant = PlantAlone(board)
     rounds = [(pairs.us(PAIRS), empty.us(PAIRS) + plant.us(PAIRS)) for _ in range(BLOCKS)]
     ours_us, alone_us = (min(times) for times in zip(*rounds, strict=True))
-    yield compared("board_tick_ratio", TARGETS["board_tick_ratio"], ours_us, "us", alone_us, f"scene {SCENE}, moving")
+    yield compared(
+        "board_tick_ratio",
+        TARGETS["board_tick_ratio"],
+        ours_us,
+        "us",
+        alone_us,
+        f"scene {SCENE}, moving",
+    )
     yield flown("lockstep_weir_ratio", TARGETS["lockstep_weir_ratio"], servo, board)
 
 
@@ -47,19 +58,27 @@ class Pairs:
     """Writes and reads of `link`; the device is kept moving by a changing force."""
 
     def __init__(self, link: UsbLink, clock: VirtualClock) -> None:
-        self._link, self._clock, self._number = link, clock, 0
+        self._link = link
+        self._clock = clock
+        self._number = 0
 
     def us(self, pairs: int) -> float:
         """Microseconds of one, the median of a block."""
-        out, reply = array("B", bytes(frames.OUT_BYTES)), array("B", bytes(frames.PACKET_BYTES))
-        pack, write, read, taken = codec.out_packer(out), self._link.write, self._link.read, []
+        out = array("B", bytes(frames.OUT_BYTES))
+        reply = array("B", bytes(frames.PACKET_BYTES))
+        pack = codec.out_packer(out)
+        write = self._link.write
+        read = self._link.read
+        taken = []
         for number in range(self._number, self._number + pairs):
             pack(number & 0xFFFF, int(OutFlag.ENABLE) if number else 0, force_count(number), 0, 0)
             begin = time.perf_counter_ns()
             write(out)
             read(reply)
             taken.append(time.perf_counter_ns() - begin)
-            self._clock.sleep_until_ns((number + 2) * NS_PER_MS)  # the read has moved it to the latch
+            self._clock.sleep_until_ns(
+                (number + 2) * NS_PER_MS
+            )  # the read has moved it to the latch
         self._number += pairs
         return quantile(taken, 0.5) / NS_PER_US
 
@@ -69,11 +88,19 @@ class PlantAlone:
 
     def __init__(self, board: BoardParams) -> None:
         plant = make_plant(board)
-        self._step, self._state, self._n_per_count, self._number = plant.step, plant.rest(0.0), board.force_n_per_count, 0
+        self._step, self._state, self._n_per_count, self._number = (
+            plant.step,
+            plant.rest(0.0),
+            board.force_n_per_count,
+            0,
+        )
 
     def us(self, ticks: int) -> float:
-        """Microseconds of the sub-steps of one tick, in as many pieces as the board plays them, the median of a block."""
-        step, state = self._step, self._state
+        """Microseconds of the sub-steps of one tick, in as many pieces as the board plays them,
+        the median of a block.
+        """
+        step = self._step
+        state = self._state
         piece, rest = divmod(SUBSTEPS_PER_TICK, PIECES - 1)
         assert not rest
         taken = []
@@ -83,7 +110,8 @@ class PlantAlone:
             for count in (piece, piece, piece, piece // 2, piece - piece // 2):
                 state = step(state, force_n, 0.0, 0.0, count)
             taken.append(time.perf_counter_ns() - begin)
-        self._state, self._number = state, self._number + ticks
+        self._state = state
+        self._number = self._number + ticks
         return quantile(taken, 0.5) / NS_PER_US
 
 

@@ -1,4 +1,6 @@
-"""cyclictest of rt-tests, the kernel people's own measure of wake-up latency: what the machine gives to a C program."""
+"""cyclictest of rt-tests, the kernel people's own measure of wake-up latency: what the machine
+gives to a C program.
+"""
 
 import re
 import shutil
@@ -7,13 +9,22 @@ import subprocess
 from benchmarks.worker import PRIORITY, BenchError, servo_core
 
 LONGEST_NS = 500_000  # later wakes count as this late
-REMEDY = "`make deps` installs the tool (rt-tests), and SCHED_FIFO must be allowed (root, or LimitRTPRIO)"
+REMEDY = (
+    "`make deps` installs the tool (rt-tests), and SCHED_FIFO must be allowed (root, or"
+    " LimitRTPRIO)"
+)
 
 
 def latencies_ns(samples: int, period_us: int) -> list[int]:
-    """Wake-up latencies of `samples` periods at the servo's priority and core. BenchError without tool or rights."""
+    """Wake-up latencies of `samples` periods at the servo's priority and core. BenchError
+    without tool or rights.
+    """
     text = _run(samples, period_us, ["-N", "-h", str(LONGEST_NS)], servo_core())
-    counted = [line.split() for line in text.splitlines() if line[:1].isdigit() and not line.endswith(" 000000")]
+    counted = [
+        line.split()
+        for line in text.splitlines()
+        if line[:1].isdigit() and not line.endswith(" 000000")
+    ]
     found = [int(bucket) for bucket, count in counted for _ in range(int(count))]
     return found + [LONGEST_NS] * _overflows(text)
 
@@ -30,8 +41,22 @@ def _overflows(text: str) -> int:
 def _run(samples: int, period_us: int, options: list[str], core: int) -> str:
     if shutil.which("cyclictest") is None:
         raise BenchError(f"cyclictest is missing: {REMEDY}")
-    command = ["cyclictest", "-m", "-q", "-t", "1", "-p", str(PRIORITY), "-a", str(core), "-i", str(period_us)]
-    done = subprocess.run([*command, "-l", str(samples), *options], capture_output=True, text=True, check=False)
+    command = [
+        "cyclictest",
+        "-m",
+        "-q",
+        "-t",
+        "1",
+        "-p",
+        str(PRIORITY),
+        "-a",
+        str(core),
+        "-i",
+        str(period_us),
+    ]
+    done = subprocess.run(
+        [*command, "-l", str(samples), *options], capture_output=True, text=True, check=False
+    )
     if done.returncode or "# Total:" not in done.stdout:
         said = (done.stderr.strip().splitlines() or ["no message"])[-1]
         raise BenchError(f"cyclictest ended with code {done.returncode} ({said}): {REMEDY}")

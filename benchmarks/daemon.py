@@ -1,4 +1,6 @@
-"""A daemon of its own for a benchmark: `hapticd run` on the shipped simulated board, in an instance that nobody else has."""
+"""A daemon of its own for a benchmark: `hapticd run` on the shipped simulated board, in an
+instance that nobody else has.
+"""
 
 import os
 import shutil
@@ -20,8 +22,20 @@ def running(name: str) -> Iterator[str]:
     """The instance of a daemon that is ready and disabled; it is ended afterwards."""
     instance = f"bench-{name}-{os.getpid()}"
     config = shipped("config") / "hapticd.toml"
-    command = [sys.executable, "-m", "hapticd", "run", "--json", "--instance", instance, "--config", str(config)]
-    process = subprocess.Popen(command, env=environment(), cwd=ROOT, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+    command = [
+        sys.executable,
+        "-m",
+        "hapticd",
+        "run",
+        "--json",
+        "--instance",
+        instance,
+        "--config",
+        str(config),
+    ]
+    process = subprocess.Popen(
+        command, env=environment(), cwd=ROOT, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL
+    )
     try:
         with Client(instance) as client:
             client.wait_for("disabled", START_S)

@@ -1,9 +1,12 @@
-"""Trials that the directed search needs: on oracles without noise for 2 % of the passive set's volume, and on weir2008.
+"""Trials that the directed search needs: on oracles without noise for 2 % of the passive set's
+volume, and on weir2008.
 
-The oracles: 8 g, 2 N s/m, 1 kHz, force held, one tick late, Butterworth filters of 100 and 72 Hz; the bent one has a damping
-that the environment changes by up to 0.55 N s/m. A grid of yes and no needs 290,000 and 180,000 trials.
+The oracles: 8 g, 2 N s/m, 1 kHz, force held, one tick late, Butterworth filters of 100 and 72 Hz;
+the bent one has a damping that the environment changes by up to 0.55 N s/m. A grid of yes and no
+needs 290,000 and 180,000 trials.
 
-weir2008, undamped and damped, trials of 90 s with noise: against a grid of 2,002 that is flown twice (`beyond_search`).
+weir2008, undamped and damped, trials of 90 s with noise: against a grid of 2,002 that is flown
+twice (`beyond_search`).
 """
 
 from collections.abc import Iterator
@@ -23,11 +26,19 @@ from hapticd.settings.scene import load_scene
 
 TARGETS = targets.of("directed")
 BEND = {"search_nonaffine": 1.0, "search_affine": 0.0}
-BOX, INSIDE = Box((0.0, -2.2, -0.009), (1450.0, 3.6, 0.015)), (300.0, 0.3, 0.001)
-RATE_HZ, DELAY, DAMPING, ENOUGH, BUDGET, SAMPLES = 1000.0, 1.0, 2.0, 0.02, 70, 40_000
+BOX = Box((0.0, -2.2, -0.009), (1450.0, 3.6, 0.015))
+INSIDE = (300.0, 0.3, 0.001)
+RATE_HZ = 1000.0
+DELAY = 1.0
+DAMPING = 2.0
+ENOUGH = 0.02
+BUDGET = 70
+SAMPLES = 40_000
 F = np.geomspace(1.0, 499.0, 400)
 
-SCENE, BUDGETS, HEADLINE = "fig4", (20, 40, 80), 40
+SCENE = "fig4"
+BUDGETS = (20, 40, 80)
+HEADLINE = 40
 
 
 def measure() -> Iterator[Figure]:
@@ -45,33 +56,58 @@ def _weir() -> Iterator[Figure]:
     scene = load_scene(SCENE)
     conditions = Conditions(scene, 90.0, noise(scene))
     levels = [compared_with_grid(conditions, level, BUDGETS) for level in LEVELS]
-    note = f"wrong yes or no on {levels[0].points} grid points each, {'; '.join(map(_told, levels))}"
+    note = (
+        f"wrong yes or no on {levels[0].points} grid points each, {'; '.join(map(_told, levels))}"
+    )
     passive = sum(level.passive for level in levels)
     share, before = (
-        100 * sum(wrong) / passive for wrong in ([x.searched[HEADLINE] for x in levels], [x.predicted for x in levels])
+        100 * sum(wrong) / passive
+        for wrong in ([x.searched[HEADLINE] for x in levels], [x.predicted for x in levels])
     )
-    yield compared("search_weir_wrong_share", TARGETS["search_weir_wrong_share"], share, "%", before, note)
+    yield compared(
+        "search_weir_wrong_share", TARGETS["search_weir_wrong_share"], share, "%", before, note
+    )
     enough = [level.enough for level in levels if level.enough is not None]
     if len(enough) < len(levels):
-        yield refused("search_weir_trials", TARGETS["search_weir_trials"], f"above the floor after {BUDGETS[-1]} trials; {note}")
+        yield refused(
+            "search_weir_trials",
+            TARGETS["search_weir_trials"],
+            f"above the floor after {BUDGETS[-1]} trials; {note}",
+        )
         return
-    needed, points = float(max(enough)), float(levels[0].points)
+    needed = float(max(enough))
+    points = float(levels[0].points)
     yield compared("search_weir_trials", TARGETS["search_weir_trials"], needed, "trials")
-    yield compared("search_weir_grid_trials", TARGETS["search_weir_grid_trials"], points, "trials", needed)
+    yield compared(
+        "search_weir_grid_trials", TARGETS["search_weir_grid_trials"], points, "trials", needed
+    )
 
 
 def _told(level: Compared) -> str:
-    shares = [f"{count} trials {level.share(wrong):.1f} %" for count, wrong in level.searched.items()]
-    rest = f"prediction {level.share(level.predicted):.1f} %, floor {level.share(level.other_noise):.1f} %"
-    return f"{level.damping_ns_per_m:g} N s/m: {', '.join(shares)}, {rest} of {level.passive} passive"
+    shares = [
+        f"{count} trials {level.share(wrong):.1f} %" for count, wrong in level.searched.items()
+    ]
+    rest = (
+        f"prediction {level.share(level.predicted):.1f} %, floor"
+        f" {level.share(level.other_noise):.1f} %"
+    )
+    return (
+        f"{level.damping_ns_per_m:g} N s/m: {', '.join(shares)}, {rest} of {level.passive} passive"
+    )
 
 
 def _trials(bend: float) -> int | None:
-    search, samples = Search(BOX), BOX.to_environment(np.random.default_rng(7).random((SAMPLES, 3)))
-    truth = np.concatenate([_resistance(part, bend).min(axis=1) >= 0.0 for part in np.array_split(samples, 20)])
+    search = Search(BOX)
+    samples = BOX.to_environment(np.random.default_rng(7).random((SAMPLES, 3)))
+    truth = np.concatenate(
+        [_resistance(part, bend).min(axis=1) >= 0.0 for part in np.array_split(samples, 20)]
+    )
     while len(search.trials) < BUDGET:
         wanted = next_trials(search) if search.surrogate else first_trials(BOX, INSIDE)
-        search = search.with_trials(wanted, [Observation(one, _resistance(one[None], bend)[0], np.zeros(F.size)) for one in wanted])
+        search = search.with_trials(
+            wanted,
+            [Observation(one, _resistance(one[None], bend)[0], np.zeros(F.size)) for one in wanted],
+        )
         if np.mean(predicted_passive(search, samples) != truth) <= ENOUGH * truth.mean():
             return len(search.trials)
     return None

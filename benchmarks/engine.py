@@ -1,6 +1,8 @@
-"""The batch engine's kernel beside C by hand, numba without lanes, MuJoCo and scipy, and what its effects cost.
+"""The batch engine's kernel beside C by hand, numba without lanes, MuJoCo and scipy, and what its
+effects cost.
 
-Nanoseconds of CPU per plant step of one trial; all that is compared runs interleaved in this process, least of all rounds.
+Nanoseconds of CPU per plant step of one trial; all that is compared runs interleaved in this
+process, least of all rounds.
 """
 
 from collections.abc import Callable, Iterator
@@ -14,8 +16,12 @@ from benchmarks.figures import Figure, compared
 from benchmarks.worker import BenchError
 
 TARGETS = targets.of("engine")
-TICKS, ROUNDS = 1024, 40
-MUJOCO_TICKS, MUJOCO_ROUNDS, SOLVER_TICKS, SOLVER_ROUNDS = 1000, 5, 100, 3
+TICKS = 1024
+ROUNDS = 40
+MUJOCO_TICKS = 1000
+MUJOCO_ROUNDS = 5
+SOLVER_TICKS = 100
+SOLVER_ROUNDS = 3
 ALIKE = 0.1  # of the rms velocity of a short run; integrators, friction models and delay differ
 LINEAR = ("coulomb", "encoder", "saturation", "delay")
 NS = 1e9
@@ -38,13 +44,21 @@ def _beside_c(name: str, dtype: str) -> Figure:
         check_same(Lanes(model(), dtype, TICKS), runs[f"C {lanes}"], dtype)
     times = least_cpu_s(runs, ROUNDS)
     best = min(times[f"C {lanes}"] / lanes for lanes in C_LANES[dtype]) * ours.lanes
-    return _compared(name, times["ours"], ours.steps, best, "reference: cc -O3 -march=native, best of three lane counts")
+    return _compared(
+        name,
+        times["ours"],
+        ours.steps,
+        best,
+        "reference: cc -O3 -march=native, best of three lane counts",
+    )
 
 
 def _beside_scalar() -> Figure:
     ours = Lanes(model(), "f32", TICKS)
     times = least_cpu_s({"ours": ours, "scalar": ScalarNumba(ours)}, ROUNDS // 2)
-    return _compared("engine_numba_scalar", times["scalar"] * ours.lanes, ours.steps, times["ours"], "f32")
+    return _compared(
+        "engine_numba_scalar", times["scalar"] * ours.lanes, ours.steps, times["ours"], "f32"
+    )
 
 
 def _beside_peers() -> Iterator[Figure]:
@@ -60,9 +74,18 @@ def _beside_peers() -> Iterator[Figure]:
         run = make(torque, ticks)
         found = run()
         if not abs(found / expected[ticks] - 1.0) < ALIKE:
-            raise BenchError(f"{name}: rms velocity {found:.3g} m/s, the engine's is {expected[ticks]:.3g} m/s; not the same scene")
+            raise BenchError(
+                f"{name}: rms velocity {found:.3g} m/s, the engine's is {expected[ticks]:.3g} m/s;"
+                " not the same scene"
+            )
         theirs_s = least_cpu_s({name: run}, rounds)[name]
-        yield _compared(name, theirs_s, 4 * ticks, ours_s * 4 * ticks, "f64, one trial against its share of a group")
+        yield _compared(
+            name,
+            theirs_s,
+            4 * ticks,
+            ours_s * 4 * ticks,
+            "f64, one trial against its share of a group",
+        )
 
 
 def _rms(torque: Any) -> dict[int, float]:
@@ -82,10 +105,21 @@ def _effects() -> Iterator[Figure]:
         "friction_off": Lanes(model("coulomb"), "f32", TICKS),
         "plant_only": Lanes(model(*LINEAR), "f32", TICKS, renders=False),
     }
-    times, steps = least_cpu_s(runs, ROUNDS), runs["all"].steps
-    yield _compared("effects_friction_off", times["all"], steps, times["friction_off"], "f32, the same scene without friction")
+    times = least_cpu_s(runs, ROUNDS)
+    steps = runs["all"].steps
     yield _compared(
-        "effects_plant_only", times["friction_off"], steps, times["plant_only"], "f32, without law, counts, limit as well"
+        "effects_friction_off",
+        times["all"],
+        steps,
+        times["friction_off"],
+        "f32, the same scene without friction",
+    )
+    yield _compared(
+        "effects_plant_only",
+        times["friction_off"],
+        steps,
+        times["plant_only"],
+        "f32, without law, counts, limit as well",
     )
 
 

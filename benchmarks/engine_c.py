@@ -1,7 +1,9 @@
-"""The yardstick of the engine in C: compiling engine_reference.c for a scene, and giving it the engine's own numbers.
+"""The yardstick of the engine in C: compiling engine_reference.c for a scene, and giving it the
+engine's own numbers.
 
-The C has what the scene's kernel has, and no more: the same states, the same coefficients that are not zero, the same friction,
-the same sub-steps. `Yard` is that C as a machine can run it at best: one thread a core, all cores at once, nothing else done.
+The C has what the scene's kernel has, and no more: the same states, the same coefficients that are
+not zero, the same friction, the same sub-steps. `Yard` is that C as a machine can run it at best:
+one thread a core, all cores at once, nothing else done.
 """
 
 import ctypes
@@ -38,23 +40,32 @@ OPTIONS = (
 )
 REALS = {"f32": "float", "f64": "double"}
 C_LANES = {"f32": (16, 32, 64), "f64": (8, 16, 32)}
-LAW_ROWS, SUM_ROWS = 6, 6
+LAW_ROWS = 6
+SUM_ROWS = 6
 CHOOSING = 9  # rounds in which the lane count is chosen
 COUNTED = ("COUNT", "COUNTS", "FORCE_COUNT", "FORCE_COUNTS", "LIMIT")
 AGREEMENT = {"f32": 1e-3, "f64": 1e-9}  # of the sums of a run; f32 differs by a count now and then
 
 
 class CReference:
-    """The same scene in C with `lanes` trials side by side; a call plays what `ours` plays. BenchError without a compiler."""
+    """The same scene in C with `lanes` trials side by side; a call plays what `ours` plays.
+    BenchError without a compiler.
+    """
 
     def __init__(self, ours: Lanes, dtype: str, lanes: int) -> None:
         shape = ours.group.made.shape
         self._play = _library(shape, REALS[dtype], lanes).play
         scalar = ours.torque.dtype.type
-        self.lanes, self.ticks, self.samples, self.kept = lanes, ours.ticks, shape.samples, 0
+        self.lanes = lanes
+        self.ticks = ours.ticks
+        self.samples = shape.samples
+        self.kept = 0
         self.scene = np.array(_scene(ours), scalar)
         self.state = aligned((shape.states + LAW_ROWS + 1) * lanes, scalar)
-        self.sums, self.out = aligned(SUM_ROWS * lanes, scalar), aligned((shape.samples + 1) * lanes * ours.ticks, scalar)
+        self.sums, self.out = (
+            aligned(SUM_ROWS * lanes, scalar),
+            aligned((shape.samples + 1) * lanes * ours.ticks, scalar),
+        )
         self.kbm = aligned(3 * lanes, scalar)
         self.kbm[:] = np.resize(ours.params, (lanes, 3)).T.ravel()
         self.torque = ours.torque
@@ -81,21 +92,26 @@ class CReference:
 
 
 class Yard:
-    """The C of the scene of `ours` on all cores, with its best lane count; `keep`: it leaves every sample, as analysis needs.
+    """The C of the scene of `ours` on all cores, with its best lane count; `keep`: it leaves every
+    sample, as analysis needs.
 
     BenchError without a compiler, or when C and engine play different motions.
     """
 
     def __init__(self, ours: Lanes, dtype: str, keep: bool = False) -> None:
         check_same(ours, CReference(ours, dtype, C_LANES[dtype][0]), dtype)
-        teams = [[CReference(ours, dtype, lanes) for _ in range(workers())] for lanes in C_LANES[dtype]]
+        teams = [
+            [CReference(ours, dtype, lanes) for _ in range(workers())] for lanes in C_LANES[dtype]
+        ]
         for one in (one for team in teams for one in team):
             one.kept = int(keep)
         self._team = min(teams, key=lambda team: min(_timed(team, 1) for _ in range(CHOOSING)))
         self.found: list[float] = []
 
     def time(self, samples: float) -> None:
-        """Add a round over as many 4 kHz samples, all trials together: seconds for each, on a machine whose cores all do this."""
+        """Add a round over as many 4 kHz samples, all trials together: seconds for each, on a
+        machine whose cores all do this.
+        """
         self.found.append(_timed(self._team, ceil(samples / sum(one.steps for one in self._team))))
 
 
@@ -119,13 +135,18 @@ def check_same(ours: Lanes, theirs: CReference, dtype: str) -> None:
     count = min(ours.lanes, theirs.lanes)
     difference = np.abs(theirs.squared()[:count] / ours.group.v2[:count] - 1.0).max()
     if not difference < AGREEMENT[dtype]:
-        raise BenchError(f"engine_reference.c moves otherwise than the engine, by {difference:.1e}; correct it")
+        raise BenchError(
+            f"engine_reference.c moves otherwise than the engine, by {difference:.1e}; correct it"
+        )
     theirs.reset()
 
 
 def _scene(ours: Lanes) -> list[float]:
-    """struct scene of engine_reference.c, by the engine's names; what the kernel has no number for is 0, or exactly 1."""
-    shape, names = ours.group.made.shape, ours.group.made.kernel.COEFFICIENTS
+    """struct scene of engine_reference.c, by the engine's names; what the kernel has no number
+    for is 0, or exactly 1.
+    """
+    shape = ours.group.made.shape
+    names = ours.group.made.kernel.COEFFICIENTS
     numbers = dict(zip(names, ours.group.coefficients, strict=True))
     states = range(shape.states)
     ones = {f"R{term.state}": 1.0 for term in shape.sample if term.one}
@@ -137,10 +158,14 @@ def _scene(ours: Lanes) -> list[float]:
 
 
 def _defines(shape: Shape) -> Iterable[str]:
-    """What is fixed when the C is compiled: which terms there are. BenchError for a scene that it has not."""
+    """What is fixed when the C is compiled: which terms there are. BenchError for a scene that
+    it has not.
+    """
     rubs = len(shape.contacts) == 1 and shape.contacts[0][0] == 1
     if not rubs or any(shape.drift) or shape.rotor_laws or shape.stops or shape.waits:
-        raise BenchError("engine_reference.c has friction on the first body and nothing else that is nonlinear")
+        raise BenchError(
+            "engine_reference.c has friction on the first body and nothing else that is nonlinear"
+        )
     yield f"STATES={shape.states}"
     yield f"SUBSTEPS={shape.substeps}"
     yield f"SAMPLE_AT={shape.sample_step}"
@@ -149,7 +174,9 @@ def _defines(shape: Shape) -> Iterable[str]:
     yield f"FEEDS={_mask(*(sum(1 << j for j in row) for row in shape.feeds))}"
     yield f"PUSHED={_mask(*map(int, shape.torque))}"
     yield f"RUBBED={_mask(*map(int, shape.contacts[0][1]))}"
-    yield f"SEEN={_mask(*(int(any(term.state == i for term in shape.sample)) for i in range(shape.states)))}"
+    yield (
+        f"SEEN={_mask(*(int(any(term.state == i for term in shape.sample)) for i in range(shape.states)))}"
+    )
 
 
 def _mask(*values: int) -> str:
@@ -161,7 +188,9 @@ def _library(shape: Shape, real: str, lanes: int) -> ctypes.CDLL:
     return compiled(SOURCE, [*OPTIONS, *asked], ["-lm"])
 
 
-def compiled(source: Path, options: list[str], libraries: list[str], remedy: str = "") -> ctypes.CDLL:
+def compiled(
+    source: Path, options: list[str], libraries: list[str], remedy: str = ""
+) -> ctypes.CDLL:
     """`source` as a library. BenchError without a compiler, or when it refuses."""
     compiler = shutil.which("cc")
     if compiler is None:
@@ -171,6 +200,8 @@ def compiled(source: Path, options: list[str], libraries: list[str], remedy: str
         command = [compiler, *options, str(source), "-o", str(library), *libraries]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
-            said = next((line for line in done.stderr.splitlines() if "error" in line), "no message")
+            said = next(
+                (line for line in done.stderr.splitlines() if "error" in line), "no message"
+            )
             raise BenchError(f"cc refused {source.name}{remedy}: {said}")
         return ctypes.CDLL(str(library))

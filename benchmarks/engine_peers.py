@@ -1,6 +1,8 @@
-"""What others need for the engine's scene: MuJoCo stepped under a 1 kHz controller, scipy's solver, and numba for one trial.
+"""What others need for the engine's scene: MuJoCo stepped under a 1 kHz controller, scipy's solver,
+and numba for one trial.
 
-Each plays `ticks` ticks of trial 0 of `engine_scene` and returns its rms velocity, which shows that it is the same scene.
+Each plays `ticks` ticks of trial 0 of `engine_scene` and returns its rms velocity, which shows that
+it is the same scene.
 """
 
 from collections.abc import Callable
@@ -16,7 +18,8 @@ from hapticd.render.environment import at_rest, design_coefficients, render
 from hapticd.sim.engine.kernels import kernel
 from hapticd.sim.engine.tick import LAW_STATE
 
-STEP_S, SAMPLES = 0.00025, 4
+STEP_S = 0.00025
+SAMPLES = 4
 WORLD = f"""
 <mujoco><option timestep="{STEP_S}" gravity="0 0 0" integrator="implicitfast"/>
 <worldbody><body name="rotor">
@@ -29,7 +32,9 @@ WORLD = f"""
   </body></body></worldbody></mujoco>
 """
 TOLERANCE = 1e-10  # of positions [m] that are read in counts of 5e-7
-SMOOTH_M_PER_S = 1e-4  # width of the tanh that stands for friction where a solver needs a derivative
+SMOOTH_M_PER_S = (
+    1e-4  # width of the tanh that stands for friction where a solver needs a derivative
+)
 
 Torque = "np.ndarray[tuple[int], np.dtype[np.float64]]"
 
@@ -38,7 +43,18 @@ class Controller:
     """The servo's law at 1 kHz on counts, for trial 0."""
 
     def __init__(self) -> None:
-        self._environment = (*scene.environments(1)[0], 0.0, scene.LIMIT_N, 0.0, 0.0, 0.0, 0.0, -np.inf, np.inf, 0.0)
+        self._environment = (
+            *scene.environments(1)[0],
+            0.0,
+            scene.LIMIT_N,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            -np.inf,
+            np.inf,
+            0.0,
+        )
         self._coefficients = design_coefficients(FilterParams(100.0), FilterParams(72.0), 1000.0)
         self._state = at_rest(0.0)
 
@@ -59,8 +75,11 @@ def mujoco_run(torque: Torque, ticks: int) -> Callable[[], float]:
     steps = torque.tolist()
 
     def run() -> float:
-        data, controller, squared = mujoco.MjData(world), Controller(), 0.0
-        applied, position = data.qfrc_applied, data.qpos
+        data = mujoco.MjData(world)
+        controller = Controller()
+        squared = 0.0
+        applied = data.qfrc_applied
+        position = data.qpos
         for tick in range(ticks):
             force = controller.force(position[0] + position[1])
             for j in range(SAMPLES):
@@ -87,13 +106,17 @@ def solve_ivp_run(torque: Torque, ticks: int) -> Callable[[], float]:
         return [v, (force - spring - drag) / scene.ROTOR_KG, u, spring / scene.SLIDER_KG]
 
     def run() -> float:
-        state, controller, squared = np.zeros(4), Controller(), 0.0
+        state = np.zeros(4)
+        controller = Controller()
+        squared = 0.0
         for tick in range(ticks):
             force = controller.force(state[2])
             for j in range(SAMPLES):
                 before = state[0]
                 pushed = force + torque[tick * SAMPLES + j]
-                state = solve_ivp(rates, (0.0, STEP_S), state, args=(pushed,), rtol=1e-6, atol=TOLERANCE).y[:, -1]
+                state = solve_ivp(
+                    rates, (0.0, STEP_S), state, args=(pushed,), rtol=1e-6, atol=TOLERANCE
+                ).y[:, -1]
                 squared += ((state[0] - before) / STEP_S) ** 2
         return float((squared / (ticks * SAMPLES)) ** 0.5)
 
@@ -104,13 +127,18 @@ class ScalarNumba:
     """The same kernel text for one trial at a time: what numba makes of it without lanes."""
 
     def __init__(self, ours: scene.Lanes) -> None:
-        made, rows = ours.group.made, ours.group.rows
+        made = ours.group.made
+        rows = ours.group.rows
         self._module = kernel(replace(made.shape, lanes=1))
         self._state = np.array([rows[name][0] for name in self._module.ROWS], made.scalar)
-        self._coefficients, self._torque, self._ticks = ours.group.coefficients, ours.torque, ours.ticks
+        self._coefficients = ours.group.coefficients
+        self._torque = ours.torque
+        self._ticks = ours.ticks
         for name in (*LAW_STATE, "U", *(name for name in self._module.ROWS if name[0] == "X")):
             self._state[self._module.ROWS.index(name)] = 0.0
 
     def __call__(self) -> None:
         nothing = self._state[:1] * 0.0
-        self._module.run(self._state, self._coefficients, self._torque, nothing, nothing, self._ticks, 0)
+        self._module.run(
+            self._state, self._coefficients, self._torque, nothing, nothing, self._ticks, 0
+        )

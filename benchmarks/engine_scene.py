@@ -1,4 +1,6 @@
-"""The scene that the engine's benchmarks share: two masses and a spring (4 states), friction, counts, 8 N limit, delay."""
+"""The scene that the engine's benchmarks share: two masses and a spring (4 states), friction,
+counts, 8 N limit, delay.
+"""
 
 import time
 from collections.abc import Callable
@@ -8,14 +10,30 @@ import numpy as np
 
 from hapticd.params import EnvironmentParams
 from hapticd.plant.compose import compose_device
-from hapticd.plant.effects import Coulomb, Coupling, Delay, Encoder, Masses, Motor, Saturation, Viscous
+from hapticd.plant.effects import (
+    Coulomb,
+    Coupling,
+    Delay,
+    Encoder,
+    Masses,
+    Motor,
+    Saturation,
+    Viscous,
+)
 from hapticd.plant.model import Model
 from hapticd.plant.scene import DampingStep, Excitation
 from hapticd.sim.engine.group import Group
 from hapticd.sim.engine.job import Job, prepared, shared_torque
 
-ROTOR_KG, SLIDER_KG, STIFFNESS_N_PER_M, DAMPING_NS_PER_M, VISCOUS_NS_PER_M = 0.005, 0.003, 2e4, 0.6, 0.3
-COULOMB_N, QUANTUM_M, LIMIT_N, DELAY_PERIODS = 0.01, 0.5e-6, 8.0, 0.125
+ROTOR_KG = 0.005
+SLIDER_KG = 0.003
+STIFFNESS_N_PER_M = 2e4
+DAMPING_NS_PER_M = 0.6
+VISCOUS_NS_PER_M = 0.3
+COULOMB_N = 0.01
+QUANTUM_M = 0.5e-6
+LIMIT_N = 8.0
+DELAY_PERIODS = 0.125
 EFFECTS = (
     Masses(rotor_kg=ROTOR_KG, slider_kg=SLIDER_KG),
     Motor(torque_constant_nm_per_a=0.0165, lever_m=0.01, resistance_ohm=1.6),
@@ -31,11 +49,15 @@ NOISE = Excitation("noise", psd_n2_per_hz=2.5e-5)
 
 def model(*without: str) -> Model:
     """The device without the effects of these keys."""
-    return compose_device("all effects", [effect for effect in EFFECTS if effect.key not in without])
+    return compose_device(
+        "all effects", [effect for effect in EFFECTS if effect.key not in without]
+    )
 
 
 def environments(count: int) -> "np.ndarray[tuple[int, int], np.dtype[np.float64]]":
-    """K, B, M of trials that are stable on that device, (count, 3); more of them begin with the same."""
+    """K, B, M of trials that are stable on that device, (count, 3); more of them begin with the
+    same.
+    """
     return np.random.default_rng(0).uniform((0.0, 0.0, -0.002), (100.0, 0.5, 0.005), (count, 3))
 
 
@@ -43,7 +65,13 @@ class Lanes:
     """A full group of the engine that runs `ticks` ticks whenever it is called, sums only."""
 
     def __init__(
-        self, device: Model, dtype: str, ticks: int, renders: bool = True, substeps: int = 1, level_ns_per_m: float = 0.0
+        self,
+        device: Model,
+        dtype: str,
+        ticks: int,
+        renders: bool = True,
+        substeps: int = 1,
+        level_ns_per_m: float = 0.0,
     ) -> None:
         environment = EnvironmentParams()
         filters = (environment.velocity_filter, environment.acceleration_filter)
@@ -53,7 +81,9 @@ class Lanes:
             start_position_m=0.0, start_velocity_m_per_s=0.0,
         )  # fmt: skip
         made = prepared(job)
-        self.lanes, self.ticks, self.samples = made.shape.lanes, ticks, made.shape.samples
+        self.lanes = made.shape.lanes
+        self.ticks = ticks
+        self.samples = made.shape.samples
         self.params = environments(self.lanes)
         self.group = Group(job, made, self.params)
         self.group.damp(level_ns_per_m)
@@ -70,7 +100,9 @@ class Lanes:
 
 
 def least_cpu_s(runs: dict[str, Callable[[], Any]], rounds: int) -> dict[str, float]:
-    """CPU time of each [s], all interleaved so that other load meets all alike: the least of all rounds."""
+    """CPU time of each [s], all interleaved so that other load meets all alike: the least of
+    all rounds.
+    """
     least = {name: float("inf") for name in runs}
     for name in [*runs, *(list(runs) * rounds)]:
         begin = time.process_time()

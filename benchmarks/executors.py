@@ -1,8 +1,9 @@
-"""Trials per second of a map in a pool of processes and on a Dask cluster, over those on threads of this process.
+"""Trials per second of a map in a pool of processes and on a Dask cluster, over those on threads of
+this process.
 
-The same map each time, trials of 90 s, kernels warm, pools running: one worker of one thread a core. They take turns, and the
-least time of each counts, so that what other programs take hits all alike. The map is long against a task, since at its end
-one core waits for the last of them.
+The same map each time, trials of 90 s, kernels warm, pools running: one worker of one thread a
+core. They take turns, and the least time of each counts, so that what other programs take hits all
+alike. The map is long against a task, since at its end one core waits for the last of them.
 """
 
 import time
@@ -28,7 +29,9 @@ SCENE = "fig7"
 ROUNDS = 10
 ENOUGH_S = 40.0  # after which no round is begun, on a machine that is busy with other things
 NEAR = 0.6  # of the boundary: all the map, in one lot
-WARM, TASKS = 4, 20  # tasks before, and in a round
+# tasks before, and in a round
+WARM = 4
+TASKS = 20
 
 
 def measure() -> Iterator[Figure]:
@@ -43,12 +46,17 @@ def measure() -> Iterator[Figure]:
         started_s = time.perf_counter() - begin
         plan = _map(TASKS)
         taken: dict[str, list[float]] = {name: [] for name in pools}
-        while not taken["thread"] or (len(taken["thread"]) < ROUNDS and time.perf_counter() - begin < ENOUGH_S):
+        while not taken["thread"] or (
+            len(taken["thread"]) < ROUNDS and time.perf_counter() - begin < ENOUGH_S
+        ):
             for name, pool in pools.items():
                 taken[name].append(_taken_s(plan, pool))
     rate = {name: plan.trials / min(times) for name, times in taken.items()}
     rounds = len(taken["thread"])
-    note = f"{plan.trials} trials of 90 s, tasks of {TOGETHER}, {workers()} cores, {rounds} rounds; pools warm in {started_s:.1f} s"
+    note = (
+        f"{plan.trials} trials of 90 s, tasks of {TOGETHER}, {workers()} cores, {rounds} rounds;"
+        f" pools warm in {started_s:.1f} s"
+    )
     for name, target in TARGETS.items():
         yield compared(name, target, rate[name], "1/s", rate["thread"], note)
 
@@ -58,7 +66,9 @@ def _cluster(stack: ExitStack) -> str:
     try:
         from distributed import LocalCluster
 
-        cluster = stack.enter_context(LocalCluster(n_workers=workers(), threads_per_worker=1, dashboard_address=":0"))
+        cluster = stack.enter_context(
+            LocalCluster(n_workers=workers(), threads_per_worker=1, dashboard_address=":0")
+        )
     except ImportError as error:
         raise BenchError(f"Dask is missing ({error}): pip install hapticd[cluster]") from error
     except RuntimeError as error:
@@ -69,7 +79,11 @@ def _cluster(stack: ExitStack) -> str:
 def _map(tasks: int) -> MapPlan:
     """A map of about so many tasks, on both sides of the boundary."""
     scene = load_scene(SCENE)
-    axes = (np.linspace(200.0, 1200.0, tasks), np.linspace(2.0, 9.0, 8), np.linspace(-0.02, 0.02, TOGETHER // 8))
+    axes = (
+        np.linspace(200.0, 1200.0, tasks),
+        np.linspace(2.0, 9.0, 8),
+        np.linspace(-0.02, 0.02, TOGETHER // 8),
+    )
     return plan_map(MapParams(Conditions(scene, excitation=noise(scene)), axes, (1.74,), NEAR))
 
 

@@ -7,8 +7,9 @@ A target is text that people read and `judge` parses:
     'p >= 0.01'            the probability of so many more events than the yardstick has, if both had the same rate
     ''                     nothing: the figure is told as information
 
-The ratio is value / reference; for a speed-up, where both are times, the caller gives it the other way round.
-What would break it: a time judged by its value, since another machine of the same kind then misses by its speed alone.
+The ratio is value / reference; for a speed-up, where both are times, the caller gives it the other
+way round. What would break it: a time judged by its value, since another machine of the same kind
+then misses by its speed alone.
 """
 
 import json
@@ -26,8 +27,9 @@ _TARGET = re.compile(r"(p\s*)?(<=|>=)\s*(-?\d+(?:\.\d+)?)\s*(x?)")
 class Figure:
     """A row of build/bench.json; `ok` is None for information.
 
-    `note` says why there is no value, or what the machine refused; `p` only where a target asks for it. `reference` is the
-    number of the `yardstick`; that and `reason` come from the table of targets.
+    `note` says why there is no value, or what the machine refused; `p` only where a target asks for
+    it. `reference` is the number of the `yardstick`; that and `reason` come from the table of
+    targets.
     """
 
     name: str
@@ -44,20 +46,30 @@ class Figure:
 
     def plain(self) -> dict[str, Any]:
         """The row; a note and p only where there is something to say."""
-        return {key: value for key, value in asdict(self).items() if key not in ("note", "p") or value not in ("", None)}
+        return {
+            key: value
+            for key, value in asdict(self).items()
+            if key not in ("note", "p") or value not in ("", None)
+        }
 
 
-def judge(target: str, value: float | None, ratio: float | None, p: float | None = None) -> bool | None:
+def judge(
+    target: str, value: float | None, ratio: float | None, p: float | None = None
+) -> bool | None:
     """Whether `target` is reached; None where there is none.
 
-    ValueError for a target that is not '<= number' or '>= number', with an x behind it or a p before it.
+    ValueError for a target that is not '<= number' or '>= number', with an x behind it or a p
+    before it.
     """
     if not target:
         return None
     found = _TARGET.match(target)
     if found is None:
         raise ValueError(f"target {target!r}: write '<= 25', '<= 1.25x', '>= 30x' or 'p >= 0.01'")
-    of_p, sense, limit, of_ratio = bool(found[1]), found[2], float(found[3]), bool(found[4])
+    of_p = bool(found[1])
+    sense = found[2]
+    limit = float(found[3])
+    of_ratio = bool(found[4])
     measured = p if of_p else ratio if of_ratio else value
     if measured is None or math.isnan(measured):
         return False
@@ -74,10 +86,14 @@ def compared(
     ratio: float | None = None,
     p: float | None = None,
 ) -> Figure:
-    """The figure for `value`, judged alone, by `ratio` (value / reference unless given) or by `p`."""
+    """The figure for `value`, judged alone, by `ratio` (value / reference unless given) or by
+    `p`.
+    """
     if ratio is None and reference:
         ratio = value / reference
-    return Figure(name, value, unit, reference, ratio, target, judge(target, value, ratio, p), note, p)
+    return Figure(
+        name, value, unit, reference, ratio, target, judge(target, value, ratio, p), note, p
+    )
 
 
 def refused(name: str, target: str, note: str) -> Figure:
@@ -86,7 +102,9 @@ def refused(name: str, target: str, note: str) -> Figure:
 
 
 def merge(old: Iterable[dict[str, Any]], new: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    """`old` rows in their order with those that were measured again replaced, then the rows that are new."""
+    """`old` rows in their order with those that were measured again replaced, then the rows
+    that are new.
+    """
     fresh = {row["name"]: row for row in new}
     kept = [fresh.pop(row["name"], row) for row in old]
     return kept + list(fresh.values())
@@ -98,7 +116,11 @@ def load(path: Path) -> list[dict[str, Any]]:
         rows = json.loads(path.read_text())
     except (OSError, ValueError):
         return []
-    return [row for row in rows if isinstance(row, dict) and "name" in row] if isinstance(rows, list) else []
+    return (
+        [row for row in rows if isinstance(row, dict) and "name" in row]
+        if isinstance(rows, list)
+        else []
+    )
 
 
 def save(path: Path, rows: list[dict[str, Any]]) -> None:

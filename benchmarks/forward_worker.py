@@ -1,4 +1,5 @@
-"""A bare forwarder of telemetry, and its subscriber: what packing and sending the same maps costs, and nothing else.
+"""A bare forwarder of telemetry, and its subscriber: what packing and sending the same maps costs,
+and nothing else.
 
 python -m benchmarks.forward_worker forward INSTANCE ENDPOINT   reads the instance's ring, sends on ENDPOINT until it is ended
 python -m benchmarks.forward_worker listen ENDPOINT SECONDS     says `{}` at the first block, then how many records it got
@@ -16,27 +17,46 @@ from hapticd.mailbox import files, layout
 from hapticd.params import GatewayParams
 
 PAUSE_S = 0.01  # as the gateway's
-TOPIC, BATCH = b"servo.raw", GatewayParams().batch
+TOPIC = b"servo.raw"
+BATCH = GatewayParams().batch
 SILENCE_MS = 10_000
 
 
 def forward(instance: str, endpoint: str) -> None:
     """Every 10 ms the whole batches that are there, as the map that `servo.raw` is."""
-    page = files.open_map(files.runtime_folder(instance) / files.TELEMETRY, layout.TELEMETRY_BYTES, writable=False)
-    words, size, slots = memoryview(page).cast("Q"), layout.RECORD.size, layout.RING_RECORDS
+    page = files.open_map(
+        files.runtime_folder(instance) / files.TELEMETRY, layout.TELEMETRY_BYTES, writable=False
+    )
+    words = memoryview(page).cast("Q")
+    size = layout.RECORD.size
+    slots = layout.RING_RECORDS
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     socket = context.socket(zmq.XPUB)
     socket.bind(endpoint)
-    header = {"v": 1, "epoch": words[layout.TELEMETRY_EPOCH_WORD], "mono_unix_offset_ns": 0, "simulated": True}
+    header = {
+        "v": 1,
+        "epoch": words[layout.TELEMETRY_EPOCH_WORD],
+        "mono_unix_offset_ns": 0,
+        "simulated": True,
+    }
     header["layout"] = layout.LAYOUT_HASH.hex()
     tail = words[layout.TELEMETRY_HEAD_WORD]
     while True:
         time.sleep(PAUSE_S)
         while words[layout.TELEMETRY_HEAD_WORD] - tail >= BATCH:
-            places = (layout.TELEMETRY_OFFSET + number % slots * size for number in (tail, tail + BATCH))
+            places = (
+                layout.TELEMETRY_OFFSET + number % slots * size for number in (tail, tail + BATCH)
+            )
             begin, end = places
             data = page[begin:end] if begin < end else page[begin : begin + BATCH * size]
-            place = {"seq": tail, "next": tail + BATCH, "n": BATCH, "lost": 0, "descr": TICK_DESCR, "d": data}
+            place = {
+                "seq": tail,
+                "next": tail + BATCH,
+                "n": BATCH,
+                "lost": 0,
+                "descr": TICK_DESCR,
+                "d": data,
+            }
             socket.send_multipart([TOPIC, msgpack.packb(header | place)], zmq.DONTWAIT)
             tail += BATCH
 
@@ -50,7 +70,8 @@ def listen(endpoint: str, seconds: str) -> None:
     socket.connect(endpoint)
     socket.recv_multipart()
     print("{}", flush=True)
-    records, end = 0, time.monotonic() + float(seconds)
+    records = 0
+    end = time.monotonic() + float(seconds)
     while time.monotonic() < end:
         records += msgpack.unpackb(socket.recv_multipart()[1])["n"]
     print(json.dumps({"records": records}), flush=True)

@@ -1,7 +1,9 @@
-"""A 90 s trial from simulation to spectra, without a record: the scene of `engine` with 4 states, float32, one core.
+"""A 90 s trial from simulation to spectra, without a record: the scene of `engine` with 4 states,
+float32, one core.
 
-CPU time of one thread for a group of 64 trials beside the C of the same scene, which leaves every sample in the cache, and
-FFTW's spectra of as many records, force transformed before; in turns, least of the rounds of each.
+CPU time of one thread for a group of 64 trials beside the C of the same scene, which leaves every
+sample in the cache, and FFTW's spectra of as many records, force transformed before; in turns,
+least of the rounds of each.
 """
 
 from collections.abc import Callable, Iterator
@@ -17,7 +19,10 @@ from hapticd.sim.engine import simulate
 from hapticd.units import PROBE_RATE_HZ
 
 TARGETS = targets.of("fused")
-TRIALS, SECONDS, ROUNDS, TICKS = 64, 90.0, 12, 512
+TRIALS = 64
+SECONDS = 90.0
+ROUNDS = 12
+TICKS = 512
 MS = 1e3
 
 
@@ -33,24 +38,47 @@ class Here(Executor):
 
 def measure() -> Iterator[Figure]:
     """All interleaved; kernels compiled and the torque made before."""
-    device, points, samples = model(), environments(TRIALS), round(SECONDS * PROBE_RATE_HZ)
+    device = model()
+    points = environments(TRIALS)
+    samples = round(SECONDS * PROBE_RATE_HZ)
 
     def run() -> None:
-        simulate(device, points, SECONDS, 1, excitation=NOISE, dtype="f32", keep="spectra", executor=Here(), chunk=TRIALS)
+        simulate(
+            device,
+            points,
+            SECONDS,
+            1,
+            excitation=NOISE,
+            dtype="f32",
+            keep="spectra",
+            executor=Here(),
+            chunk=TRIALS,
+        )
 
     spectra = SpectraYard(samples, float(PROBE_RATE_HZ))
     runs: dict[str, Any] = {"ours": run, "fftw": spectra.one} | _in_c(device)
     taken_s = least_cpu_s(runs, ROUNDS)
-    step_s = min(taken_s[name] / run.steps for name, run in runs.items() if isinstance(run, CReference))
+    step_s = min(
+        taken_s[name] / run.steps for name, run in runs.items() if isinstance(run, CReference)
+    )
     reference_ms = MS * (step_s * samples + taken_s["fftw"])
     note = f"C {MS * step_s * samples:.3g} ms, FFTW {MS * taken_s['fftw']:.3g} ms"
-    yield compared("fused_c", TARGETS["fused_c"], MS * taken_s["ours"] / TRIALS, "ms", reference_ms, note)
+    yield compared(
+        "fused_c", TARGETS["fused_c"], MS * taken_s["ours"] / TRIALS, "ms", reference_ms, note
+    )
 
 
 def _in_c(device: Any) -> dict[str, CReference]:
     """The C at each lane count, leaving every sample."""
-    check_same(Lanes(device, "f32", TICKS), CReference(Lanes(device, "f32", TICKS), "f32", C_LANES["f32"][0]), "f32")
-    made = {f"C {lanes}": CReference(Lanes(device, "f32", TICKS), "f32", lanes) for lanes in C_LANES["f32"]}
+    check_same(
+        Lanes(device, "f32", TICKS),
+        CReference(Lanes(device, "f32", TICKS), "f32", C_LANES["f32"][0]),
+        "f32",
+    )
+    made = {
+        f"C {lanes}": CReference(Lanes(device, "f32", TICKS), "f32", lanes)
+        for lanes in C_LANES["f32"]
+    }
     for one in made.values():
         one.kept = 1
     return made

@@ -1,9 +1,11 @@
-"""Late ticks at 1, 2, 4 and 8 kHz, the board's simulation included, beside the wakes that cyclictest gets too late.
+"""Late ticks at 1, 2, 4 and 8 kHz, the board's simulation included, beside the wakes that
+cyclictest gets too late.
 
-Both run at the same time and priority on two cores that they change after each block, so that a pause of the machine meets
-both alike; on one core they take turns. Late is a tick that ends beyond the next deadline, and a wake that comes a whole
-period late. Judged is whether the servo's rate may be cyclictest's: Fisher's exact test (Fisher 1935), one-sided. What would
-break it: a block so short that one pause of the machine decides it.
+Both run at the same time and priority on two cores that they change after each block, so that a
+pause of the machine meets both alike; on one core they take turns. Late is a tick that ends beyond
+the next deadline, and a wake that comes a whole period late. Judged is whether the servo's rate may
+be cyclictest's: Fisher's exact test (Fisher 1935), one-sided. What would break it: a block so short
+that one pause of the machine decides it.
 """
 
 import os
@@ -18,7 +20,9 @@ from benchmarks.worker import BenchError, Worker
 from hapticd.units import US_PER_S
 
 RATES_HZ = (1000, 2000, 4000, 8000)
-PERIODS, BLOCKS = 120_000, 6  # of each, in all
+# of each, in all
+PERIODS = 120_000
+BLOCKS = 6
 TARGETS = targets.of("late")
 
 
@@ -38,7 +42,8 @@ def measure() -> Iterator[Figure]:
 
 
 def fisher_p(ours: int, ours_of: int, theirs: int, theirs_of: int) -> float:
-    """Probability of `ours` events or more in `ours_of` if both have one rate and `theirs` came in `theirs_of` (Fisher 1935).
+    """Probability of `ours` events or more in `ours_of` if both have one rate and `theirs` came in
+    `theirs_of` (Fisher 1935).
 
     BenchError without scipy.
     """
@@ -51,14 +56,19 @@ def fisher_p(ours: int, ours_of: int, theirs: int, theirs_of: int) -> float:
 
 
 def _worker(stack: ExitStack, rate_hz: int, core: int) -> Worker:
-    return stack.enter_context(Worker("late_worker", [stack.enter_context(parameter_file(rate_hz, core))]))
+    return stack.enter_context(
+        Worker("late_worker", [stack.enter_context(parameter_file(rate_hz, core))])
+    )
 
 
 def _block(workers: list[Worker], cores: list[int], turn: int, rate_hz: int) -> tuple[int, int]:
     """Late ticks and late wakes in PERIODS / BLOCKS periods each."""
-    ticks, place = PERIODS // BLOCKS, turn % len(cores)
+    ticks = PERIODS // BLOCKS
+    place = turn % len(cores)
     with ThreadPoolExecutor(1) as other:
-        wakes = other.submit(cyclictest.wakes_beyond_period, ticks, US_PER_S // rate_hz, cores[place - 1])
+        wakes = other.submit(
+            cyclictest.wakes_beyond_period, ticks, US_PER_S // rate_hz, cores[place - 1]
+        )
         if len(cores) == 1:
             wakes.result()
         return workers[place].ask(ticks=ticks), wakes.result()

@@ -1,4 +1,6 @@
-"""The servo with the simulated board in its process, in blocks: how many ticks ended beyond the next deadline."""
+"""The servo with the simulated board in its process, in blocks: how many ticks ended beyond the
+next deadline.
+"""
 
 import sys
 

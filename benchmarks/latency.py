@@ -1,4 +1,6 @@
-"""From `set` in a script to the first tick that renders it, beside a bare ZeroMQ echo between two processes."""
+"""From `set` in a script to the first tick that renders it, beside a bare ZeroMQ echo between
+two processes.
+"""
 
 import random
 import subprocess
@@ -20,11 +22,16 @@ from hapticd.mailbox import files, layout
 from hapticd.units import NS_PER_MS
 
 TARGETS = targets.of("latency")
-BLOCKS, SAMPLES, WARM_UP = 6, 200, 30
+BLOCKS = 6
+SAMPLES = 200
+WARM_UP = 30
 PAUSE_S = (0.001, 0.005)  # drawn at random, so that no tick of the servo is preferred
-ABOVE_ECHO_MS, TICK_S = 2.2, 0.05
+ABOVE_ECHO_MS = 2.2
+TICK_S = 0.05
 STIFFNESS_N_PER_M = (80.0, 120.0)
-TICK, TIME_NS, TAIL = place("tick"), place("time_ns"), place("tail")
+TICK = place("tick")
+TIME_NS = place("time_ns")
+TAIL = place("tail")
 MESSAGE = bytes(60)
 
 
@@ -33,7 +40,9 @@ def measure() -> Iterator[Figure]:
     draw = random.Random(1)
     with daemon.running("latency") as instance, Client(instance) as client, _echo() as echo:
         client.enable()
-        page = files.open_map(files.runtime_folder(instance) / files.TELEMETRY, layout.TELEMETRY_BYTES, writable=False)
+        page = files.open_map(
+            files.runtime_folder(instance) / files.TELEMETRY, layout.TELEMETRY_BYTES, writable=False
+        )
 
         def one() -> tuple[float, float]:
             time.sleep(draw.uniform(*PAUSE_S))
@@ -46,12 +55,26 @@ def measure() -> Iterator[Figure]:
         pairs = [zip(*(one() for _ in range(SAMPLES)), strict=True) for _ in range(BLOCKS)]
         ours, echoes = zip(*pairs, strict=True)
     echo_ms = median_quantile(echoes, 0.99)
-    yield compared("set_p50_ms", TARGETS["set_p50_ms"], median_quantile(ours, 0.5), "ms", median_quantile(echoes, 0.5))
-    yield compared("set_p99_ms", f"<= {echo_ms + ABOVE_ECHO_MS:.3f}", median_quantile(ours, 0.99), "ms", echo_ms)
+    yield compared(
+        "set_p50_ms",
+        TARGETS["set_p50_ms"],
+        median_quantile(ours, 0.5),
+        "ms",
+        median_quantile(echoes, 0.5),
+    )
+    yield compared(
+        "set_p99_ms",
+        f"<= {echo_ms + ABOVE_ECHO_MS:.3f}",
+        median_quantile(ours, 0.99),
+        "ms",
+        echo_ms,
+    )
 
 
 def _set_ns(client: Client, ring: memoryview, stiffness: float) -> int:
-    """Time of the first tick with `stiffness`, as the servo recorded it, minus the time of sending."""
+    """Time of the first tick with `stiffness`, as the servo recorded it, minus the time of
+    sending.
+    """
     asked_ns = time.monotonic_ns()
     tick = client.set(K=stiffness, ramp_s=0.0).first_tick
     deadline = time.monotonic() + TICK_S
@@ -60,7 +83,10 @@ def _set_ns(client: Client, ring: memoryview, stiffness: float) -> int:
         record = layout.RECORD.unpack_from(ring, place)
         if record[TICK] == record[TAIL] == tick:
             return int(record[TIME_NS]) - asked_ns
-    raise BenchError(f"tick {tick} of the receipt is not in the ring after {TICK_S} s; the servo was paused or has ended")
+    raise BenchError(
+        f"tick {tick} of the receipt is not in the ring after {TICK_S} s; the servo was paused or"
+        " has ended"
+    )
 
 
 def _echo_ns(socket: "zmq.Socket[bytes]") -> int:
@@ -75,7 +101,9 @@ def _echo() -> Iterator["zmq.Socket[bytes]"]:
     """A DEALER whose messages come back."""
     with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder:
         endpoint = f"ipc://{folder}/echo"
-        process = subprocess.Popen([sys.executable, "-m", "benchmarks.echo_worker", endpoint], env=environment(), cwd=ROOT)
+        process = subprocess.Popen(
+            [sys.executable, "-m", "benchmarks.echo_worker", endpoint], env=environment(), cwd=ROOT
+        )
         context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         socket = context.socket(zmq.DEALER)
         socket.setsockopt(zmq.RCVTIMEO, 10_000)

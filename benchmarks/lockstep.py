@@ -1,6 +1,8 @@
-"""The whole stack on virtual time: CPU of 90 s of an enabled servo with a perturbation, every record read.
+"""The whole stack on virtual time: CPU of 90 s of an enabled servo with a perturbation, every
+record read.
 
-The yardstick is the bare path of a tick (`bare`) as often. Flights of 10 s and as many bare ticks take turns; least of each.
+The yardstick is the bare path of a tick (`bare`) as often. Flights of 10 s and as many bare ticks
+take turns; least of each.
 """
 
 import time
@@ -19,7 +21,9 @@ from hapticd.params import BoardParams, ServoParams
 from hapticd.settings.build import board_params, servo_params
 
 TARGETS = targets.of("lockstep")
-TOLD_S, FLOWN_S, ROUNDS = 90, 10, 9
+TOLD_S = 90
+FLOWN_S = 10
+ROUNDS = 9
 WAVE = [round(3000 * sin(2 * pi * 20 * index / 4000)) for index in range(4000)]
 
 
@@ -37,7 +41,9 @@ def flown(name: str, target: str, servo: ServoParams, board: BoardParams) -> Fig
     bare = BareLoop(servo.usb, board, yardstick(servo.environment, servo.realtime.rate_hz))
     taken = [(flight_s(servo, board, ticks), bare.cpu_s(ticks)) for _ in range(ROUNDS)]
     ours_s, bare_s = (TOLD_S / FLOWN_S * min(times) for times in zip(*taken, strict=True))
-    return compared(name, target, ours_s, "s", bare_s, f"CPU of {TOLD_S} s at {servo.realtime.rate_hz:g} Hz")
+    return compared(
+        name, target, ours_s, "s", bare_s, f"CPU of {TOLD_S} s at {servo.realtime.rate_hz:g} Hz"
+    )
 
 
 def flight_s(servo: ServoParams, board: BoardParams, ticks: int) -> float:
@@ -46,8 +52,14 @@ def flight_s(servo: ServoParams, board: BoardParams, ticks: int) -> float:
     with LockStep(servo, board) as flight:
         flight.run(10)
         flight.load_waveform(WAVE)
-        answers = (flight.do(Command.ENABLE), flight.do(Command.PERTURB_START, {Value.SAMPLES: len(WAVE), Value.LOOP: 1}))
+        answers = (
+            flight.do(Command.ENABLE),
+            flight.do(Command.PERTURB_START, {Value.SAMPLES: len(WAVE), Value.LOOP: 1}),
+        )
         flown = len(flight.run(ticks)) // RECORD.size
     if flown != ticks or any(answer.result is not Result.APPLIED for answer in answers):
-        raise BenchError(f"the flight ended with {flown} records of {ticks}, answers {[answer.result for answer in answers]}")
+        raise BenchError(
+            f"the flight ended with {flown} records of {ticks}, answers"
+            f" {[answer.result for answer in answers]}"
+        )
     return time.process_time() - begin

@@ -1,8 +1,10 @@
-"""The paper's grid by trials: 6,384 environments, undamped and damped, 90 s each on the calibrated device. Wall clock.
+"""The paper's grid by trials: 6,384 environments, undamped and damped, 90 s each on the calibrated
+device. Wall clock.
 
-A laboratory needs 13 days for it. All trials are made, near the predicted boundary with 4 sub-steps, elsewhere with one. The
-yardstick is what the same trials cost in C with the same sub-steps, every sample left, and their spectra by FFTW, all cores
-at once; it is timed before, between and after the two levels, and its median counts.
+A laboratory needs 13 days for it. All trials are made, near the predicted boundary with 4
+sub-steps, elsewhere with one. The yardstick is what the same trials cost in C with the same
+sub-steps, every sample left, and their spectra by FFTW, all cores at once; it is timed before,
+between and after the two levels, and its median counts.
 """
 
 import time
@@ -25,17 +27,28 @@ from hapticd.sim.engine.cores import workers
 from hapticd.units import PROBE_RATE_HZ
 
 TARGETS = targets.of("map_6384")
-SCENE, LEVELS_NS_PER_M, SECONDS = "fig7", (0.0, 1.74), 90.0
-TICKS, ROUNDS, TOGETHER = 512, 5, 64  # of the C; of a turn of the yardstick; trials in a round
+SCENE = "fig7"
+LEVELS_NS_PER_M = (0.0, 1.74)
+SECONDS = 90.0
+# of the C; of a turn of the yardstick; trials in a round
+TICKS = 512
+ROUNDS = 5
+TOGETHER = 64
 
 
 class Yardstick:
     """C of both kinds of trial, and their spectra."""
 
     def __init__(self, level_ns_per_m: float) -> None:
-        device, self.samples = compose(load_scene(SCENE)), round(SECONDS * PROBE_RATE_HZ)
+        device = compose(load_scene(SCENE))
+        self.samples = round(SECONDS * PROBE_RATE_HZ)
         self.plain, self.fine = (
-            Yard(Lanes(device, "f32", TICKS, substeps=count, level_ns_per_m=level_ns_per_m), "f32", keep=True) for count in (1, 4)
+            Yard(
+                Lanes(device, "f32", TICKS, substeps=count, level_ns_per_m=level_ns_per_m),
+                "f32",
+                keep=True,
+            )
+            for count in (1, 4)
         )
         self.spectra = SpectraYard(self.samples, float(PROBE_RATE_HZ))
 
@@ -49,7 +62,11 @@ class Yardstick:
     def wall_s(self, trials: int, near: int) -> float:
         """Of `trials`, `near` of them with 4 sub-steps."""
         plain_s, fine_s = (self.samples * median(one.found) for one in (self.plain, self.fine))
-        return (trials - near) * plain_s + near * fine_s + trials * median(self.spectra.found) / workers()
+        return (
+            (trials - near) * plain_s
+            + near * fine_s
+            + trials * median(self.spectra.found) / workers()
+        )
 
 
 def measure() -> Iterator[Figure]:
@@ -57,8 +74,14 @@ def measure() -> Iterator[Figure]:
     scene = load_scene(SCENE)
     conditions = Conditions(scene, SECONDS, noise(scene))
     few = tuple(axis[:2] for axis in AXES)
-    run_map(plan_map(MapParams(conditions, (few[0], few[1], few[2]), LEVELS_NS_PER_M, everywhere=True)), TrialStore(None))
-    yardstick, taken_s, near, trials = Yardstick(LEVELS_NS_PER_M[-1]), 0.0, 0, 0
+    run_map(
+        plan_map(MapParams(conditions, (few[0], few[1], few[2]), LEVELS_NS_PER_M, everywhere=True)),
+        TrialStore(None),
+    )
+    yardstick = Yardstick(LEVELS_NS_PER_M[-1])
+    taken_s = 0.0
+    near = 0
+    trials = 0
     yardstick.turn()
     for level in LEVELS_NS_PER_M:
         begin = time.perf_counter()
@@ -70,4 +93,6 @@ def measure() -> Iterator[Figure]:
         yardstick.turn()
     assert trials == 2 * 6384
     note = f"{trials} trials, {near} of them with 4 sub-steps"
-    yield compared("map_6384_c", TARGETS["map_6384_c"], taken_s, "s", yardstick.wall_s(trials, near), note)
+    yield compared(
+        "map_6384_c", TARGETS["map_6384_c"], taken_s, "s", yardstick.wall_s(trials, near), note
+    )

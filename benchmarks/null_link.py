@@ -1,8 +1,10 @@
-"""A board without time: the next IN frame lies ready and OUT frames vanish. What is left of a tick is the servo's own.
+"""A board without time: the next IN frame lies ready and OUT frames vanish. What is left of a tick
+is the servo's own.
 
-Frames are prepared ahead by `prepare`, valid in number, echo, board time and CRC, with a moving encoder. What the link
-itself costs is to be taken off the tick: `read_ns` holds the body of each read, `calls_ns` the rest of a read and the
-whole of a write, measured once without a pause (so rather too little is taken off than too much).
+Frames are prepared ahead by `prepare`, valid in number, echo, board time and CRC, with a moving
+encoder. What the link itself costs is to be taken off the tick: `read_ns` holds the body of each
+read, `calls_ns` the rest of a read and the whole of a write, measured once without a pause (so
+rather too little is taken off than too much).
 """
 
 import time
@@ -17,7 +19,8 @@ from hapticd.units import US_PER_S
 from hapticd.wire import codec, frames
 from hapticd.wire.frames import InFrame, Request
 
-AMPLITUDE_COUNTS, WAVE_HZ = 2000, 3.0
+AMPLITUDE_COUNTS = 2000
+WAVE_HZ = 3.0
 AMBIENT_COUNT = 2200
 TRIALS = 1000
 
@@ -26,14 +29,19 @@ class NullLink(Link):
     """The board of `params` at its rate, at no cost."""
 
     def __init__(self, params: BoardParams) -> None:
-        self._params, self._made, self._next = params, 0, 0
+        self._params = params
+        self._made = 0
+        self._next = 0
         self.frames: list[array[int]] = []
         self.read_ns = array("q")
         self.calls_ns = self._calibrate()
 
     def prepare(self, ticks: int) -> None:
-        """Lay ready the next `ticks` IN frames in place of the last ones, beginning after the last one read."""
-        self._made, self._next = self._made + self._next, 0
+        """Lay ready the next `ticks` IN frames in place of the last ones, beginning after the
+        last one read.
+        """
+        self._made = self._made + self._next
+        self._next = 0
         self.frames = [array("B", self._frame(self._made + index)) for index in range(ticks)]
         self.read_ns = array("q", bytes(8 * ticks))
 
@@ -42,17 +50,36 @@ class NullLink(Link):
         encoder = round(AMPLITUDE_COUNTS * sin(2.0 * pi * WAVE_HZ * number / self._params.rate_hz))
         status = int(frames.Status.ENABLED | frames.Status.SIMULATED)
         return codec.encode_in(
-            InFrame(number & 0xFFFF, number + 1 & 0xFFFF, 0, status, time_us & 0xFFFFFFFF, encoder, 5, 6, 7, AMBIENT_COUNT, 0, 0, 0)
+            InFrame(
+                number & 0xFFFF,
+                number + 1 & 0xFFFF,
+                0,
+                status,
+                time_us & 0xFFFFFFFF,
+                encoder,
+                5,
+                6,
+                7,
+                AMBIENT_COUNT,
+                0,
+                0,
+                0,
+            )
         )
 
     def _calibrate(self) -> float:
-        """Time [ns] of a read and a write as the caller sees it, without the reading of the clock and what `read_ns` holds."""
-        clock, read, write = time.monotonic_ns, self.read, self.write
+        """Time [ns] of a read and a write as the caller sees it, without the reading of the
+        clock and what `read_ns` holds.
+        """
+        clock = time.monotonic_ns
+        read = self.read
+        write = self.write
         buffer = array("B", bytes(frames.PACKET_BYTES))
         self.frames, self.read_ns = [buffer] * TRIALS, array("q", bytes(8 * TRIALS))
         stamps = []
         for _ in range(TRIALS):
-            start, begin = clock(), clock()
+            start = clock()
+            begin = clock()
             read(buffer)
             middle = clock()
             write(buffer)

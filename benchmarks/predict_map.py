@@ -1,7 +1,9 @@
-"""The map that takes a laboratory 13 days: 6,384 environments, undamped and damped, by prediction alone. CPU time of its thread.
+"""The map that takes a laboratory 13 days: 6,384 environments, undamped and damped, by prediction
+alone. CPU time of its thread.
 
-The yardstick is numpy's einsum over the same environments, frequencies and ports: the sums that the loop's admittances are, once,
-and as many sums over the perturbation's band as fitting a friction takes at most. Both in turns, least of the rounds of each.
+The yardstick is numpy's einsum over the same environments, frequencies and ports: the sums that the
+loop's admittances are, once, and as many sums over the perturbation's band as fitting a friction
+takes at most. Both in turns, least of the rounds of each.
 """
 
 import time
@@ -23,14 +25,19 @@ TARGETS = targets.of("predict_map")
 AXES = (np.linspace(0.0, 1100.0, 12), np.linspace(-1.0, 8.0, 19), np.linspace(-0.024, 0.03, 28))
 LEVELS_NS_PER_M = (0.0, 1.74)
 SCENE = "fig7"
-ROUNDS, TIMES = 7, 5  # the sums so often in a round: for about as long
+# the sums so often in a round: for about as long
+ROUNDS = 7
+TIMES = 5
 FITTING = 40  # sums over the band for each body that rubs
 TOGETHER = 1024  # environments at once: what fits into the cache, for both
 
 
 def measure() -> Iterator[Figure]:
-    """Seconds of CPU for both levels; linearised friction, stability and margin of every environment."""
-    model, points = compose(load_scene(SCENE)), grid(AXES)
+    """Seconds of CPU for both levels; linearised friction, stability and margin of every
+    environment.
+    """
+    model = compose(load_scene(SCENE))
+    points = grid(AXES)
     assert len(points) == 6384
     sums = _einsum(model, points)
     taken: dict[str, list[float]] = {"ours": [], "einsum": []}
@@ -43,16 +50,24 @@ def measure() -> Iterator[Figure]:
             sums()
         taken["ours"].append(middle - begin)
         taken["einsum"].append((time.thread_time() - middle) / TIMES)
-    yield compared("predict_map_ratio", TARGETS["predict_map_ratio"], min(taken["ours"]), "s", min(taken["einsum"]))
+    yield compared(
+        "predict_map_ratio",
+        TARGETS["predict_map_ratio"],
+        min(taken["ours"]),
+        "s",
+        min(taken["einsum"]),
+    )
 
 
 def _einsum(model: Model, points: np.ndarray) -> Callable[[], None]:
     """Same shapes, no physics, for one level."""
-    band, ports = frequencies(perturbation=Perturbation()).size, len(port_states(model))
+    band = frequencies(perturbation=Perturbation()).size
+    ports = len(port_states(model))
     rubbing = int((coulomb(model) > 0.0).sum())
     draw = np.random.default_rng(1)
     basis = draw.standard_normal((1 + ports**2, 4, band)) + 1j
-    kbm, weight = np.column_stack((np.ones(len(points)), points)), draw.random(band)
+    kbm = np.column_stack((np.ones(len(points)), points))
+    weight = draw.random(band)
 
     def run() -> None:
         for first in range(0, len(points), TOGETHER):

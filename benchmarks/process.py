@@ -1,4 +1,6 @@
-"""The servo process from outside: private memory, threads, page faults, and what 10^5 live ticks at 8 kHz add."""
+"""The servo process from outside: private memory, threads, page faults, and what 10^5 live
+ticks at 8 kHz add.
+"""
 
 import os
 import shutil
@@ -20,9 +22,13 @@ from hapticd.mailbox.client_side import GatewayMailbox
 from hapticd.mailbox.layout import Command
 
 TARGETS = targets.of("process")
-RATE_HZ, TICKS = 8000, 100_000
-START_S, SETTLE_S, BEAT_S = 20.0, 2.0, 0.1
-ACTOR, NO_VALUES = 1, (0.0,) * 20
+RATE_HZ = 8000
+TICKS = 100_000
+START_S = 20.0
+SETTLE_S = 2.0
+BEAT_S = 0.1
+ACTOR = 1
+NO_VALUES = (0.0,) * 20
 PRIVATE = ("Private_Clean", "Private_Dirty")  # pages that nobody else maps at this moment
 OWNED = ("Anonymous",)  # heap and stack: does not change when another Python process starts or ends
 MINOR_FAULTS = 7  # of /proc/PID/stat, counted behind the name
@@ -34,13 +40,22 @@ def measure() -> Iterator[Figure]:
     with _servo(instance) as (process, gateway):
         gateway.post(Command.ENABLE, ACTOR, 0, NO_VALUES)
         _fly(gateway, round(SETTLE_S * RATE_HZ))
-        owned_kb, faults = memory_kb(process.pid, OWNED), minor_faults(process.pid)
+        owned_kb = memory_kb(process.pid, OWNED)
+        faults = minor_faults(process.pid)
         flown = _fly(gateway, TICKS)
-        grown_kb, faulted = memory_kb(process.pid, OWNED) - owned_kb, minor_faults(process.pid) - faults
-        private_mb, threads = memory_kb(process.pid, PRIVATE) / 1024, len(os.listdir(f"/proc/{process.pid}/task"))
-        refused = [f"{name} {text}" for name, text in gateway.report().get("realtime", {}).items() if text.startswith("refused")]
+        grown_kb = memory_kb(process.pid, OWNED) - owned_kb
+        faulted = minor_faults(process.pid) - faults
+        private_mb = memory_kb(process.pid, PRIVATE) / 1024
+        threads = len(os.listdir(f"/proc/{process.pid}/task"))
+        refused = [
+            f"{name} {text}"
+            for name, text in gateway.report().get("realtime", {}).items()
+            if text.startswith("refused")
+        ]
     over = f"over {flown} ticks"
-    yield compared("servo_rss_mb", TARGETS["servo_rss_mb"], private_mb, "MB", note="; ".join(refused))
+    yield compared(
+        "servo_rss_mb", TARGETS["servo_rss_mb"], private_mb, "MB", note="; ".join(refused)
+    )
     yield compared("servo_growth_kb", TARGETS["servo_growth_kb"], grown_kb, "kB", note=over)
     yield compared("servo_threads", TARGETS["servo_threads"], threads, "")
     yield compared("servo_minor_faults", TARGETS["servo_minor_faults"], faulted, "", note=over)
@@ -48,7 +63,9 @@ def measure() -> Iterator[Figure]:
 
 def memory_kb(pid: int, kinds: tuple[str, ...]) -> int:
     """Sum of the fields `kinds` of /proc/PID/smaps_rollup."""
-    rows = dict(line.split(":") for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()[1:])
+    rows = dict(
+        line.split(":") for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()[1:]
+    )
     return sum(int(rows[kind].split()[0]) for kind in kinds)
 
 
@@ -58,12 +75,18 @@ def minor_faults(pid: int) -> int:
 
 
 def _fly(gateway: GatewayMailbox, ticks: int) -> int:
-    """Wait, with heartbeats, until `ticks` more ticks are done; how many were. BenchError when they do not come."""
-    begin, patience_s = gateway.load_head(0), START_S + 2 * ticks / RATE_HZ
+    """Wait, with heartbeats, until `ticks` more ticks are done; how many were. BenchError when
+    they do not come.
+    """
+    begin = gateway.load_head(0)
+    patience_s = START_S + 2 * ticks / RATE_HZ
     deadline = time.monotonic() + patience_s
     while gateway.load_head(0) - begin < ticks:
         if time.monotonic() > deadline:
-            raise BenchError(f"the servo flew {gateway.load_head(0) - begin} of {ticks} ticks in {patience_s:.0f} s")
+            raise BenchError(
+                f"the servo flew {gateway.load_head(0) - begin} of {ticks} ticks in"
+                f" {patience_s:.0f} s"
+            )
         gateway.beat(time.monotonic_ns())
         time.sleep(BEAT_S)
     return int(gateway.load_head(0) - begin)
@@ -74,13 +97,21 @@ def _servo(instance: str) -> Iterator[tuple["subprocess.Popen[bytes]", GatewayMa
     """A servo process as the supervisor starts it, and the gateway's end of its mailbox."""
     folder = files.runtime_folder(instance)
     paths = write(folder, settings(RATE_HZ), instance)
-    command = [sys.executable, "-m", "hapticd.assembly.servo_main", str(paths[files.SERVO_JSON]), str(paths[files.BOARD_JSON])]
+    command = [
+        sys.executable,
+        "-m",
+        "hapticd.assembly.servo_main",
+        str(paths[files.SERVO_JSON]),
+        str(paths[files.BOARD_JSON]),
+    ]
     process = subprocess.Popen(command, env=environment(), cwd=ROOT, stdin=subprocess.DEVNULL)
     try:
         deadline = time.monotonic() + START_S
         while not mailbox_served(folder, process.pid):
             if process.poll() is not None or time.monotonic() > deadline:
-                raise BenchError(f"the servo did not start within {START_S} s (exit code {process.poll()})")
+                raise BenchError(
+                    f"the servo did not start within {START_S} s (exit code {process.poll()})"
+                )
             time.sleep(BEAT_S)
         gateway = GatewayMailbox(folder)
         yield process, gateway

@@ -1,6 +1,7 @@
 """What recording costs, in time and in bytes, and how fast a recording flies again.
 
-The recorder's CPU is compared with that of a process which appends the same bytes by h5py at the same time.
+The recorder's CPU is compared with that of a process which appends the same bytes by h5py at the
+same time.
 """
 
 import subprocess
@@ -26,13 +27,17 @@ from hapticd.measure.reflight import refly
 from hapticd.units import PROBE_RATE_HZ
 
 TARGETS = targets.of("record")
-SETTLED_S, MEASURED_S, FLIGHTS = 3.0, 30.0, 3
+SETTLED_S = 3.0
+MEASURED_S = 30.0
+FLIGHTS = 3
 TICKS_HZ = 1000
 WAVE_N = [0.3 * sin(2 * pi * 5 * index / 4000) for index in range(4000)]
 
 
 def measure() -> Iterator[Figure]:
-    """CPU of a recorder of an enabled, moving servo; bytes of its live file over those that came; CPU of the re-flight."""
+    """CPU of a recorder of an enabled, moving servo; bytes of its live file over those that
+    came; CPU of the re-flight.
+    """
     with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder:
         params = RecordingParams(Path(folder) / "bench.h5")
         used, bare = _recorded(params)
@@ -44,21 +49,32 @@ def measure() -> Iterator[Figure]:
 
 
 def _recorded(params: RecordingParams) -> tuple[float, float]:
-    """Per cent of a core, of the recorder and of bare appending; the recorder is killed, so that its live file stays."""
+    """Per cent of a core, of the recorder and of bare appending; the recorder is killed, so
+    that its live file stays.
+    """
     with daemon.running("record") as instance:
         with Client(instance) as client:
             client.set(K=50, B=2)
             client.enable()
             client.perturb_load(WAVE_N)
             client.perturb_start(loop=True)
-        command = [sys.executable, "-m", "hapticd", "record", str(params.file), "--instance", instance]
+        command = [
+            sys.executable,
+            "-m",
+            "hapticd",
+            "record",
+            str(params.file),
+            "--instance",
+            instance,
+        ]
         recorder = subprocess.Popen(command, env=environment(), cwd=ROOT, stderr=subprocess.PIPE)
         try:
             while not params.part.exists() and recorder.poll() is None:
                 time.sleep(0.1)
             time.sleep(SETTLED_S)
             appending = _appending(params.file.with_name("bare.h5"))
-            begin, begin_s = time.monotonic(), cpu_s(recorder.pid)
+            begin = time.monotonic()
+            begin_s = cpu_s(recorder.pid)
             bare_s = told(appending, "append_worker")["cpu_s"]
             took_s = time.monotonic() - begin
             if recorder.poll() is not None:
@@ -81,10 +97,18 @@ def _appending(file: Path) -> "subprocess.Popen[bytes]":
 def _bytes(part: Path) -> Figure:
     """The live file, uncompressed, over the bytes of the records that came."""
     with open_recording(part) as recording:
-        ticks, samples = recording.rows["servo"], recording.rows["probe"]
+        ticks = recording.rows["servo"]
+        samples = recording.rows["probe"]
     raw = ticks * RECORD.size + samples * PROBE.itemsize
     note = f"per tick, with its probe samples; {ticks} ticks"
-    return compared("record_bytes_ratio", TARGETS["record_bytes_ratio"], part.stat().st_size / ticks, "B", raw / ticks, note)
+    return compared(
+        "record_bytes_ratio",
+        TARGETS["record_bytes_ratio"],
+        part.stat().st_size / ticks,
+        "B",
+        raw / ticks,
+        note,
+    )
 
 
 def _replay(file: Path) -> Figure:
@@ -98,5 +122,10 @@ def _replay(file: Path) -> Figure:
     if flight.different is not None:
         raise BenchError(f"the flight was not bit-exact: {flight.different}")
     return compared(
-        "replay_speed", TARGETS["replay_speed"], float(flight.time_s[-1]), "s", median(times), "recorded time over CPU time"
+        "replay_speed",
+        TARGETS["replay_speed"],
+        float(flight.time_s[-1]),
+        "s",
+        median(times),
+        "recorded time over CPU time",
     )

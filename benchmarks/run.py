@@ -6,8 +6,9 @@
     python benchmarks/run.py --repeat 5 --only new   so often, and for each figure its values, the worst, and 1.3 times that
     python benchmarks/run.py --page                  the table of targets, as docs/benchmarks.md has it
 
-A part is a module of this folder with TARGETS (names and targets of its figures) and `measure()`, which yields figures
-as they become known. What cannot be measured is a figure that is not ok and says why.
+A part is a module of this folder with TARGETS (names and targets of its figures) and `measure()`,
+which yields figures as they become known. What cannot be measured is a figure that is not ok and
+says why.
 """
 
 import argparse
@@ -33,9 +34,39 @@ from hapticd.errors import HapticdError
 
 PARTS = tuple(targets.TABLE)
 GROUPS = {  # parts whose figures belong together
-    "new": ("tick", "late", "telemetry", "lockstep", "record", "trials", "board", "fused", "predict_map", "map_6384"),
-    "servo": ("wake", "tick", "late", "latency", "telemetry", "lockstep", "process", "record", "board"),
-    "trials": ("engine", "trials", "spa", "fused", "predict_map", "map_6384", "directed", "executors"),
+    "new": (
+        "tick",
+        "late",
+        "telemetry",
+        "lockstep",
+        "record",
+        "trials",
+        "board",
+        "fused",
+        "predict_map",
+        "map_6384",
+    ),
+    "servo": (
+        "wake",
+        "tick",
+        "late",
+        "latency",
+        "telemetry",
+        "lockstep",
+        "process",
+        "record",
+        "board",
+    ),
+    "trials": (
+        "engine",
+        "trials",
+        "spa",
+        "fused",
+        "predict_map",
+        "map_6384",
+        "directed",
+        "executors",
+    ),
 }
 LOOSEST = 1.3  # times the worst of some runs: no target may be looser
 OUTPUT = Path(__file__).resolve().parents[1] / "build" / "bench.json"
@@ -53,7 +84,9 @@ def measure(part: str) -> list[Figure]:
             found[figure.name] = figure
     except (BenchError, HapticdError, OSError, subprocess.SubprocessError) as error:
         reason = str(error)
-    rows = [found.get(name) or refused(name, target, reason) for name, target in module.TARGETS.items()]
+    rows = [
+        found.get(name) or refused(name, target, reason) for name, target in module.TARGETS.items()
+    ]
     return [_explained(figure, targets.TABLE.get(part, {})) for figure in rows]
 
 
@@ -64,11 +97,15 @@ def _explained(figure: Figure, rows: dict[str, targets.Target]) -> Figure:
 
 
 def chosen(only: str) -> list[str]:
-    """Parts and groups named in `only`, separated by commas or blanks; all if it names none. SystemExit for an unknown one."""
+    """Parts and groups named in `only`, separated by commas or blanks; all if it names none.
+    SystemExit for an unknown one.
+    """
     names = only.replace(",", " ").split()
     unknown = [name for name in names if name not in PARTS and name not in GROUPS]
     if unknown:
-        raise SystemExit(f"no part {unknown[0]!r}; parts: {', '.join(PARTS)}; groups: {', '.join(GROUPS)}")
+        raise SystemExit(
+            f"no part {unknown[0]!r}; parts: {', '.join(PARTS)}; groups: {', '.join(GROUPS)}"
+        )
     wanted = {part for name in names for part in GROUPS.get(name, (name,))}
     return [part for part in PARTS if part in wanted or not names]
 
@@ -83,7 +120,11 @@ def table(rows: list[dict[str, Any]]) -> Table:
     drawn.add_column("")
     for row in rows:
         unit = row["unit"]
-        numbers = _number(row["value"], unit), _number(row["reference"], unit), _number(row["ratio"], "x")
+        numbers = (
+            _number(row["value"], unit),
+            _number(row["reference"], unit),
+            _number(row["ratio"], "x"),
+        )
         drawn.add_row(row["name"], *numbers, row["target"], VERDICTS[row["ok"]])
     return drawn
 
@@ -94,7 +135,13 @@ def _number(number: Any, unit: str) -> str:
 
 def judged(row: dict[str, Any]) -> float | None:
     """The number of a row that its target judges."""
-    found: float | None = row.get("p") if row["target"].startswith("p") else row["ratio"] if "x" in row["target"] else row["value"]
+    found: float | None = (
+        row.get("p")
+        if row["target"].startswith("p")
+        else row["ratio"]
+        if "x" in row["target"]
+        else row["value"]
+    )
     return found
 
 
@@ -114,27 +161,45 @@ def loosest(target: str, value: float | None) -> float | None:
 
 
 def spread(runs: list[list[dict[str, Any]]]) -> Table:
-    """What some runs found: each judged number, the worst, and the loosest target that it allows."""
+    """What some runs found: each judged number, the worst, and the loosest target that it
+    allows.
+    """
     drawn = Table(title=f"{len(runs)} runs", title_justify="left")
     for heading in ("name", "target", "found", "worst", f"{LOOSEST}x worst"):
         drawn.add_column(heading, no_wrap=heading != "found")
     for rows in zip(*runs, strict=True):
-        name, target = rows[0]["name"], rows[0]["target"]
+        name = rows[0]["name"]
+        target = rows[0]["target"]
         found = [judged(row) for row in rows]
         most = worst(target, found)
         drawn.add_row(
-            name, target, " ".join(_number(one, "") or "-" for one in found), _number(most, ""), _number(loosest(target, most), "")
+            name,
+            target,
+            " ".join(_number(one, "") or "-" for one in found),
+            _number(most, ""),
+            _number(loosest(target, most), ""),
         )
     return drawn
 
 
 def main(arguments: list[str]) -> int:
-    """Measure, write after each part, print; the exit code is 0 also where a target was missed: the file says so."""
-    parser = argparse.ArgumentParser(description="measure hapticd against its targets", allow_abbrev=False)
-    parts_help = f"parts, of {', '.join(PARTS)}, or groups, of {', '.join(GROUPS)} (default: $ONLY, else all)"
+    """Measure, write after each part, print; the exit code is 0 also where a target was missed:
+    the file says so.
+    """
+    parser = argparse.ArgumentParser(
+        description="measure hapticd against its targets", allow_abbrev=False
+    )
+    parts_help = (
+        f"parts, of {', '.join(PARTS)}, or groups, of {', '.join(GROUPS)} (default: $ONLY, else"
+        " all)"
+    )
     parser.add_argument("--only", default=os.environ.get("ONLY", ""), help=parts_help)
-    parser.add_argument("--repeat", type=int, default=1, help="run so often and print the worst of each figure")
-    parser.add_argument("--page", action="store_true", help="print the table of targets in Markdown and end")
+    parser.add_argument(
+        "--repeat", type=int, default=1, help="run so often and print the worst of each figure"
+    )
+    parser.add_argument(
+        "--page", action="store_true", help="print the table of targets in Markdown and end"
+    )
     parser.add_argument("--output", type=Path, default=OUTPUT)
     asked = parser.parse_args(arguments)
     if asked.page:
@@ -162,7 +227,9 @@ def _run(parts: list[str], some: bool, output: Path) -> list[dict[str, Any]]:
         console.print(f"{names}: {note}", style="dim", highlight=False, markup=False)
     ruled = [row for row in measured if row["ok"] is not None]
     passed = sum(bool(row["ok"]) for row in ruled)
-    console.print(f"{passed} of {len(ruled)} passed, {len(ruled) - passed} missed; written to {output}")
+    console.print(
+        f"{passed} of {len(ruled)} passed, {len(ruled) - passed} missed; written to {output}"
+    )
     return measured
 
 

@@ -18,8 +18,11 @@ from hapticd.analysis.spa import spa
 from hapticd.analysis.spectra import Spectra
 
 TARGETS = targets.of("spa")
-N_SAMPLES, RATE_HZ, LAG = 360_000, 4000.0, 2048
-EQUAL_RESOLUTION = 3072  # samples of scipy's Hann segments: the half-width and degrees of freedom of LAG, in a good size
+N_SAMPLES = 360_000
+RATE_HZ = 4000.0
+LAG = 2048
+# samples of scipy's Hann segments: the half-width and degrees of freedom of LAG, in a good size
+EQUAL_RESOLUTION = 3072
 ROUNDS = 30
 
 
@@ -27,9 +30,16 @@ def measure() -> Iterator[Figure]:
     """Our time against both, in one process."""
     force, velocity = _record()
     runs: dict[str, Callable[[], Any]] = {"ours": lambda: spa(force, velocity, RATE_HZ, LAG)}
-    missing = {name: _added(runs, name, make, force, velocity) for name, make in (("scipy", _scipy), ("fftw", _fftw))}
+    missing = {
+        name: _added(runs, name, make, force, velocity)
+        for name, make in (("scipy", _scipy), ("fftw", _fftw))
+    }
     times = _least(runs)
-    note = "" if kernels().compiled else "numba is missing: the plain kernels ran; install hapticd[fast]"
+    note = (
+        ""
+        if kernels().compiled
+        else "numba is missing: the plain kernels ran; install hapticd[fast]"
+    )
     if missing["scipy"]:
         yield refused("spa_scipy", TARGETS["spa_scipy"], missing["scipy"])
     else:
@@ -43,11 +53,18 @@ def measure() -> Iterator[Figure]:
 def _record() -> tuple[np.ndarray, np.ndarray]:
     random = np.random.default_rng(1)
     force = random.standard_normal(N_SAMPLES)
-    velocity = np.convolve(force, [0.5, 0.3, -0.2])[:N_SAMPLES] + 0.1 * random.standard_normal(N_SAMPLES)
+    velocity = np.convolve(force, [0.5, 0.3, -0.2])[:N_SAMPLES] + 0.1 * random.standard_normal(
+        N_SAMPLES
+    )
     return force, velocity
 
 
-def _added(runs: dict[str, Callable[[], Any]], name: str, make: Callable[..., Callable[[], Any]], *record: np.ndarray) -> str:
+def _added(
+    runs: dict[str, Callable[[], Any]],
+    name: str,
+    make: Callable[..., Callable[[], Any]],
+    *record: np.ndarray,
+) -> str:
     """Put the peer into `runs`; why it is not there, empty if it is."""
     try:
         runs[name] = make(*record)
@@ -62,14 +79,17 @@ def _scipy(force: np.ndarray, velocity: np.ndarray) -> Callable[[], Any]:
     options = {"fs": RATE_HZ, "window": "hann", "nperseg": EQUAL_RESOLUTION, "detrend": False}
 
     def run() -> tuple[Any, Any, Any]:
-        y, u = signal.detrend(force), signal.detrend(velocity)
+        y = signal.detrend(force)
+        u = signal.detrend(velocity)
         return signal.csd(u, y, **options), signal.welch(u, **options), signal.welch(y, **options)
 
     return run
 
 
 def _fftw(force: np.ndarray, velocity: np.ndarray) -> Callable[[], Any]:
-    """The compiled yardstick. BenchError without compiler or FFTW, or when its spectra are not ours."""
+    """The compiled yardstick. BenchError without compiler or FFTW, or when its spectra are not
+    ours.
+    """
     made = SpaReference("f64")
     _check_same(made.spectra(force, velocity), spa(force, velocity, RATE_HZ, LAG))
     return lambda: made.spectra(force, velocity)
@@ -78,7 +98,9 @@ def _fftw(force: np.ndarray, velocity: np.ndarray) -> Callable[[], Any]:
 def _check_same(theirs: np.ndarray, ours: Spectra) -> None:
     for mine, other in zip((ours.velocity, ours.force, ours.cross), theirs, strict=True):
         if np.max(np.abs(mine - other)) > 1e-9 * np.max(np.abs(mine)):
-            raise BenchError("spa_reference.c computes other spectra than hapticd.analysis.spa; correct it")
+            raise BenchError(
+                "spa_reference.c computes other spectra than hapticd.analysis.spa; correct it"
+            )
 
 
 def _least(runs: dict[str, Callable[[], Any]]) -> dict[str, float]:

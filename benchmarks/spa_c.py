@@ -1,4 +1,6 @@
-"""The yardstick of spectra: spa_reference.c with FFTW, compiled here, and timed on all cores at once."""
+"""The yardstick of spectra: spa_reference.c with FFTW, compiled here, and timed on all cores at
+once.
+"""
 
 import ctypes
 import time
@@ -15,7 +17,17 @@ from hapticd.analysis.spa import spa
 from hapticd.sim.engine.cores import workers
 
 SOURCE = Path(__file__).with_name("spa_reference.c")
-OPTIONS = ["-O3", "-march=native", "-ffast-math", "-std=gnu11", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared"]
+OPTIONS = [
+    "-O3",
+    "-march=native",
+    "-ffast-math",
+    "-std=gnu11",
+    "-Wall",
+    "-Wextra",
+    "-Werror",
+    "-fPIC",
+    "-shared",
+]
 SINGLE = ["-DREAL=float", "-DFFTW(name)=fftwf_##name"]
 LIBRARY = {"f64": "-lfftw3", "f32": "-lfftw3f"}
 REAL = {"f64": np.float64, "f32": np.float32}
@@ -56,7 +68,9 @@ class SpaReference:
 
 
 class SpectraYard:
-    """Spectra of a record by float32 FFTW on all cores, the force shared and transformed before, as a map's trials do it."""
+    """Spectra of a record by float32 FFTW on all cores, the force shared and transformed
+    before, as a map's trials do it.
+    """
 
     def __init__(self, samples: int, rate_hz: float) -> None:
         draw = np.random.default_rng(1)
@@ -73,7 +87,10 @@ class SpectraYard:
         theirs = self._made.shared(self._table, self._velocity)
         for own, other in zip((mine.velocity, mine.cross), theirs, strict=True):
             if np.max(np.abs(own - other)) > AGREEMENT * np.max(np.abs(own)):
-                raise BenchError("spa_reference.c computes other shared spectra than hapticd.analysis.spa; correct it")
+                raise BenchError(
+                    "spa_reference.c computes other shared spectra than hapticd.analysis.spa;"
+                    " correct it"
+                )
 
     def time(self, trials: int) -> None:
         """Add a round: seconds of a trial on one core, while all cores do this."""

@@ -1,4 +1,6 @@
-"""What stands on the bench: the shipped simulated device at some rate, with K = 100 N/m, B = 1 N s/m, M = 10 g."""
+"""What stands on the bench: the shipped simulated device at some rate, with K = 100 N/m, B = 1
+N s/m, M = 10 g.
+"""
 
 import json
 import tempfile
@@ -23,18 +25,26 @@ def settings(rate_hz: float = 1000.0, core: int | None = None, **gateway: Any) -
         "simulation": {"sample_phase": sample_phase(rate_hz)},
         "gateway": gateway,
     }
-    asked = tuple(Override((table, name), value, "benchmark") for table, rows in tables.items() for name, value in rows.items())
+    asked = tuple(
+        Override((table, name), value, "benchmark")
+        for table, rows in tables.items()
+        for name, value in rows.items()
+    )
     return load(shipped("config") / "hapticd.toml", asked)
 
 
 def sample_phase(rate_hz: float) -> float:
-    """When the board latches its encoder, in periods after OUT: it leaves the host the 125 us of 1 kHz, or half a period."""
+    """When the board latches its encoder, in periods after OUT: it leaves the host the 125 us
+    of 1 kHz, or half a period.
+    """
     return max(0.5, 1.0 - HOST_S * rate_hz)
 
 
 @contextmanager
 def parameter_file(rate_hz: float = 1000.0, core: int | None = None) -> Iterator[str]:
-    """A file for `bench_servo.read_parameters`: a worker loads neither TOML nor pydantic, as the servo process."""
+    """A file for `bench_servo.read_parameters`: a worker loads neither TOML nor pydantic, as
+    the servo process.
+    """
     with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder:
         path = Path(folder) / "stand.json"
         path.write_text(json.dumps(resolve(settings(rate_hz, core), "bench")))

@@ -1,8 +1,9 @@
 """Every figure with its target, the yardstick it is judged by, and why the target is what it is.
 
-This is the one table: parts ask it for their targets, build/bench.json and docs/benchmarks.md repeat it, a test compares them.
-A reason says what the figure does beyond its yardstick and what that should cost. What would break it: a time without a
-yardstick, since it says more about the machine than about the program; such figures have no target and are information.
+This is the one table: parts ask it for their targets, build/bench.json and docs/benchmarks.md
+repeat it, a test compares them. A reason says what the figure does beyond its yardstick and what
+that should cost. What would break it: a time without a yardstick, since it says more about the
+machine than about the program; such figures have no target and are information.
 """
 
 from typing import NamedTuple
@@ -18,92 +19,149 @@ class Target(NamedTuple):
 
 TABLE: dict[str, dict[str, Target]] = {
     "wake": {
-        "wake_p50": Target("<= 0.1x", "cyclictest, same core, priority and period", "the spin meets the deadline itself"),
+        "wake_p50": Target(
+            "<= 0.1x",
+            "cyclictest, same core, priority and period",
+            "the spin meets the deadline itself",
+        ),
         "wake_p99": Target("<= 0.6x", "the same", "only a wake later than the spin is long shows"),
-        "wake_stress_p99": Target("<= 0.6x", "the same under stress-ng", "the spin also hides what load adds to a wake"),
-        "wake_sleep_p50": Target("<= 1.25x", "the same", "no spin: the interpreter's way back from the system call"),
+        "wake_stress_p99": Target(
+            "<= 0.6x", "the same under stress-ng", "the spin also hides what load adds to a wake"
+        ),
+        "wake_sleep_p50": Target(
+            "<= 1.25x", "the same", "no spin: the interpreter's way back from the system call"
+        ),
         "wake_sleep_p99": Target("<= 1.4x", "the same", "the same with cold caches"),
     },
     "tick": {
         "tick_p50_ratio": Target(
             "<= 1.9x",
-            "tick_reference.py: two biquads, a 128-byte record, not one check, same frames and pace",
-            "both CRCs, sequence, commands, limits, energy ledger, and a record three times as long: less than that again",
+            "tick_reference.py: two biquads, a 128-byte record, not one check, same frames and"
+            " pace",
+            "both CRCs, sequence, commands, limits, energy ledger, and a record three times as"
+            " long: less than that again",
         ),
-        "tick_p99_ratio": Target("<= 2.5x", "the same", "the same with cold caches; it touches three times the memory"),
+        "tick_p99_ratio": Target(
+            "<= 2.5x", "the same", "the same with cold caches; it touches three times the memory"
+        ),
         "tick_c_ratio": Target(
-            "<= 16x", "tick_reference.c, -O2: the same work into the same record", "CPython against C without a pause"
+            "<= 16x",
+            "tick_reference.c, -O2: the same work into the same record",
+            "CPython against C without a pause",
         ),
         "usb_pair_ratio": Target(
             "<= 3.6x",
             "pyusb write and read, simulated bus, empty board, at the servo's pace",
-            "the board's firmware in Python: two CRCs, the clock, five pieces of plant, fail-safe, probe; 10 us to pyusb's 4",
+            "the board's firmware in Python: two CRCs, the clock, five pieces of plant, fail-safe,"
+            " probe; 10 us to pyusb's 4",
         ),
     },
     "late": {
         f"late_{khz}khz": Target(
             "p >= 0.01",
             "cyclictest's wakes a period late, as many periods at the same time on the other core",
-            "what the tick needs fits into the period, so the servo is late where the machine is; by chance 1 in 100 fails",
+            "what the tick needs fits into the period, so the servo is late where the machine is;"
+            " by chance 1 in 100 fails",
         )
         for khz in (1, 2, 4, 8)
     },
     "latency": {
-        "set_p50_ms": Target("", "a bare ROUTER and DEALER between two processes", "information: half a period, and the gateway"),
+        "set_p50_ms": Target(
+            "",
+            "a bare ROUTER and DEALER between two processes",
+            "information: half a period, and the gateway",
+        ),
         "set_p99_ms": Target(
-            "<= the echo's p99 + 2.2", "the same", "a period of waiting for the tick, and 1.2 ms until the gateway has seen it"
+            "<= the echo's p99 + 2.2",
+            "the same",
+            "a period of waiting for the tick, and 1.2 ms until the gateway has seen it",
         ),
     },
     "telemetry": {
         "telemetry_gaps": Target("<= 0", "", "no record may be missing"),
         "gateway_cpu_ratio": Target(
             "<= 4.5x",
-            "a bare forwarder of the same maps from the same ring to five subscribers, at the same time",
-            "histograms, events and the flight recorder look at every record, and the servo is told that someone lives",
+            "a bare forwarder of the same maps from the same ring to five subscribers, at the same"
+            " time",
+            "histograms, events and the flight recorder look at every record, and the servo is told"
+            " that someone lives",
         ),
     },
     "lockstep": {
         "lockstep_ratio": Target(
             "<= 6.2x",
             "wire, pyusb, empty board and tick_reference.py, as many ticks",
-            "the servo's checks, ledger and record; the board's firmware, plant and probe; reading every record",
+            "the servo's checks, ledger and record; the board's firmware, plant and probe; reading"
+            " every record",
         ),
     },
     "process": {
-        "servo_rss_mb": Target("<= 25", "", "an interpreter and pyusb, no numpy; the simulated board included"),
-        "servo_growth_kb": Target("<= 64", "", "nothing may grow; some pages of slack for the allocator"),
+        "servo_rss_mb": Target(
+            "<= 25", "", "an interpreter and pyusb, no numpy; the simulated board included"
+        ),
+        "servo_growth_kb": Target(
+            "<= 64", "", "nothing may grow; some pages of slack for the allocator"
+        ),
         "servo_threads": Target("<= 1", "", "one task, one thread"),
-        "servo_minor_faults": Target("<= 0", "", "everything is locked in memory before the first tick"),
+        "servo_minor_faults": Target(
+            "<= 0", "", "everything is locked in memory before the first tick"
+        ),
     },
     "record": {
         "record_cpu_ratio": Target(
             "<= 3.4x",
             "h5py appending the same bytes to two datasets as often, at the same time",
-            "50 columns with units instead of two blocks, messages decoded, gaps found, events and checkpoints kept",
+            "50 columns with units instead of two blocks, messages decoded, gaps found, events and"
+            " checkpoints kept",
         ),
         "record_bytes_ratio": Target("<= 1.15x", "the bytes that came", "HDF5's own structures"),
-        "replay_speed": Target(">= 50x", "recorded time", "the servo's step alone is some 100 times faster than real time"),
+        "replay_speed": Target(
+            ">= 50x",
+            "recorded time",
+            "the servo's step alone is some 100 times faster than real time",
+        ),
     },
     "engine": {
-        "engine_c_f32": Target("<= 1.25x", "engine_reference.c, -O3 -march=native", "the same instructions by another compiler"),
+        "engine_c_f32": Target(
+            "<= 1.25x",
+            "engine_reference.c, -O3 -march=native",
+            "the same instructions by another compiler",
+        ),
         "engine_c_f64": Target("<= 1.25x", "the same", "the same"),
         "engine_numba_scalar": Target(">= 10x", "numba trial after trial", "16 lanes a vector"),
-        "engine_mujoco": Target(">= 1000x", "MuJoCo under a 1 kHz controller", "a general solver, and a crossing of languages"),
-        "engine_solve_ivp": Target(">= 100000x", "scipy's solve_ivp", "error control at every switch of friction"),
-        "effects_friction_off": Target(">= 1.5x", "the scene without friction", "what a scene does not have must cost nothing"),
+        "engine_mujoco": Target(
+            ">= 1000x",
+            "MuJoCo under a 1 kHz controller",
+            "a general solver, and a crossing of languages",
+        ),
+        "engine_solve_ivp": Target(
+            ">= 100000x", "scipy's solve_ivp", "error control at every switch of friction"
+        ),
+        "effects_friction_off": Target(
+            ">= 1.5x", "the scene without friction", "what a scene does not have must cost nothing"
+        ),
         "effects_plant_only": Target(">= 1x", "that without law, counts, limit, delay", "the same"),
     },
     "trials": {
         "trials_1000_c": Target(
             "<= 1.25x",
             "C of the same 4 states and friction, as many steps, all cores",
-            "2.4 % of lanes without a trial, the law's state in memory, sums in double, tasks handed to threads",
+            "2.4 % of lanes without a trial, the law's state in memory, sums in double, tasks"
+            " handed to threads",
         ),
-        "trials_weir_1_c": Target("<= 1.25x", "C of the same 6 states, force in counts", "the same"),
-        "trials_weir_4_c": Target("<= 0.9x", "the same with 4 sub-steps", "the same; gcc keeps 6 states less well in registers"),
+        "trials_weir_1_c": Target(
+            "<= 1.25x", "C of the same 6 states, force in counts", "the same"
+        ),
+        "trials_weir_4_c": Target(
+            "<= 0.9x",
+            "the same with 4 sub-steps",
+            "the same; gcc keeps 6 states less well in registers",
+        ),
         "kernel_cold_s": Target("", "", "information: numba's compile time of a new scene"),
         "kernel_cached_s": Target("", "", "information: loading a kernel from disk"),
-        "engine_rss_mb": Target("<= 300", "", "numpy, numba and LLVM; the trials themselves keep sums only"),
+        "engine_rss_mb": Target(
+            "<= 300", "", "numpy, numba and LLVM; the trials themselves keep sums only"
+        ),
     },
     "board": {
         "board_tick_ratio": Target(
@@ -111,10 +169,16 @@ TABLE: dict[str, dict[str, Target]] = {
             "pyusb write and read with an empty board, and the plant's straight-line step alone",
             "two CRCs, the clock, fail-safe, probe, views of the plant",
         ),
-        "lockstep_weir_ratio": Target("<= 9.5x", "as lockstep_ratio", "the same, and 16 sub-steps of 7 states in Python"),
+        "lockstep_weir_ratio": Target(
+            "<= 9.5x", "as lockstep_ratio", "the same, and 16 sub-steps of 7 states in Python"
+        ),
     },
     "spa": {
-        "spa_scipy": Target(">= 5x", "scipy at equal resolution", "sections transformed once, not overlapping windows thrice"),
+        "spa_scipy": Target(
+            ">= 5x",
+            "scipy at equal resolution",
+            "sections transformed once, not overlapping windows thrice",
+        ),
         "spa_fftw": Target("<= 2x", "spa_reference.c with FFTW", "pocketfft against FFTW's plans"),
     },
     "fused": {
@@ -128,25 +192,37 @@ TABLE: dict[str, dict[str, Target]] = {
         "predict_map_ratio": Target(
             "<= 12x",
             "numpy's einsum: admittances of all environments, and 40 sums over the band",
-            "the friction's fit is arithmetic on whole arrays between the sums; bursts, radii and narrow modes come on top",
+            "the friction's fit is arithmetic on whole arrays between the sums; bursts, radii and"
+            " narrow modes come on top",
         ),
     },
     "map_6384": {
         "map_6384_c": Target(
             "<= 1.3x",
             "C with the same sub-steps and FFTW of every record, all cores",
-            "prediction of the grid, verdicts with intervals, the store; less is spent on spectra (fused_c)",
+            "prediction of the grid, verdicts with intervals, the store; less is spent on spectra"
+            " (fused_c)",
         ),
     },
     "directed": {
-        "search_nonaffine": Target("<= 60", "", "trials for 2 % of the volume on a device whose Re Z is bent"),
-        "search_affine": Target("<= 10", "", "4 trials determine an affine device, the rest confirms"),
-        "search_weir_wrong_share": Target("<= 0.8x", "the prediction's wrong share", "trials must tell more than the model does"),
-        "search_weir_trials": Target("<= 40", "", "until no more is wrong than in the grid flown again"),
+        "search_nonaffine": Target(
+            "<= 60", "", "trials for 2 % of the volume on a device whose Re Z is bent"
+        ),
+        "search_affine": Target(
+            "<= 10", "", "4 trials determine an affine device, the rest confirms"
+        ),
+        "search_weir_wrong_share": Target(
+            "<= 0.8x", "the prediction's wrong share", "trials must tell more than the model does"
+        ),
+        "search_weir_trials": Target(
+            "<= 40", "", "until no more is wrong than in the grid flown again"
+        ),
         "search_weir_grid_trials": Target(">= 25x", "trials of the grid", "what the search is for"),
     },
     "executors": {
-        "executor_process": Target(">= 0.9x", "threads here", "parameters go out, 5 kB a trial come back"),
+        "executor_process": Target(
+            ">= 0.9x", "threads here", "parameters go out, 5 kB a trial come back"
+        ),
         "executor_dask": Target(">= 0.85x", "threads here", "the same through a scheduler"),
     },
 }
@@ -162,6 +238,12 @@ def page() -> str:
     lines = ["| part | name | target | yardstick | why that much |", "|---|---|---|---|---|"]
     for part, rows in TABLE.items():
         for place, (name, target) in enumerate(rows.items()):
-            cells = ("" if place else part, f"`{name}`", target.limit or "-", target.yardstick or "-", target.reason)
+            cells = (
+                "" if place else part,
+                f"`{name}`",
+                target.limit or "-",
+                target.yardstick or "-",
+                target.reason,
+            )
             lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"

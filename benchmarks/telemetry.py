@@ -1,7 +1,8 @@
 """Every tick of a minute at 1 kHz, in five processes at once, and what that costs the gateway.
 
-The yardstick is a bare forwarder at the same time: it reads the same ring, packs the same maps and sends them to five bare
-subscribers. What the gateway does beyond that is looking at every record: histograms, events, the flight recorder.
+The yardstick is a bare forwarder at the same time: it reads the same ring, packs the same maps and
+sends them to five bare subscribers. What the gateway does beyond that is looking at every record:
+histograms, events, the flight recorder.
 """
 
 import subprocess
@@ -18,33 +19,58 @@ from hapticd.client import Client
 from hapticd.units import NS_PER_S
 
 TARGETS = targets.of("telemetry")
-SUBSCRIBERS, RECORDED_S, LEAST = 5, 60, 0.9
+SUBSCRIBERS = 5
+RECORDED_S = 60
+LEAST = 0.9
 SUBSCRIBER = "a subscriber"  # in messages
 
 
 def measure() -> Iterator[Figure]:
-    """Records that any of the five did not get, and CPU time of gateway and forwarder while all listen."""
+    """Records that any of the five did not get, and CPU time of gateway and forwarder while all
+    listen.
+    """
     with daemon.running("telemetry") as instance, ExitStack() as stack:
         with Client(instance) as client:
             client.enable()
             gateway = int(client.status()["gateway"]["pid"])
         endpoint = f"ipc://{stack.enter_context(tempfile.TemporaryDirectory(prefix='hapticd-bench-'))}/bare"
         forwarder = _started(stack, "forward_worker", ["forward", instance, endpoint])
-        listeners = [_started(stack, "telemetry_worker", [instance, str(RECORDED_S)]) for _ in range(SUBSCRIBERS)]
-        bare = [_started(stack, "forward_worker", ["listen", endpoint, str(RECORDED_S)]) for _ in range(SUBSCRIBERS)]
+        listeners = [
+            _started(stack, "telemetry_worker", [instance, str(RECORDED_S)])
+            for _ in range(SUBSCRIBERS)
+        ]
+        bare = [
+            _started(stack, "forward_worker", ["listen", endpoint, str(RECORDED_S)])
+            for _ in range(SUBSCRIBERS)
+        ]
         for one in (*listeners, *bare):
             told(one, SUBSCRIBER)
-        before, begin = (cpu_s(gateway), cpu_s(forwarder.pid)), time.monotonic()
+        before = (cpu_s(gateway), cpu_s(forwarder.pid))
+        begin = time.monotonic()
         results = [told(listener, SUBSCRIBER) for listener in listeners]
-        took_s, after = time.monotonic() - begin, (cpu_s(gateway), cpu_s(forwarder.pid))
+        took_s = time.monotonic() - begin
+        after = (cpu_s(gateway), cpu_s(forwarder.pid))
         forwarded = min(told(one, SUBSCRIBER)["records"] for one in bare)
     got = min(result["records"] for result in results)
     if forwarded < LEAST * got:
-        raise BenchError(f"the bare forwarder passed on {forwarded} records while the gateway sent {got}; quiet the machine")
-    ours, theirs = (100.0 * (end - start) / took_s for start, end in zip(before, after, strict=True))
+        raise BenchError(
+            f"the bare forwarder passed on {forwarded} records while the gateway sent {got}; quiet"
+            " the machine"
+        )
+    ours, theirs = (
+        100.0 * (end - start) / took_s for start, end in zip(before, after, strict=True)
+    )
     note = f"{SUBSCRIBERS} subscribers, {got} records each at least"
-    yield compared("telemetry_gaps", TARGETS["telemetry_gaps"], sum(result["missing"] for result in results), "records", note=note)
-    yield compared("gateway_cpu_ratio", TARGETS["gateway_cpu_ratio"], ours, "%", theirs, "of a core")
+    yield compared(
+        "telemetry_gaps",
+        TARGETS["telemetry_gaps"],
+        sum(result["missing"] for result in results),
+        "records",
+        note=note,
+    )
+    yield compared(
+        "gateway_cpu_ratio", TARGETS["gateway_cpu_ratio"], ours, "%", theirs, "of a core"
+    )
 
 
 def cpu_s(pid: int) -> float:

@@ -1,4 +1,6 @@
-"""A subscriber of `servo.raw`. Arguments: instance, seconds of recorded time. Says when it hears something, then what it got."""
+"""A subscriber of `servo.raw`. Arguments: instance, seconds of recorded time. Says when it
+hears something, then what it got.
+"""
 
 import json
 import sys

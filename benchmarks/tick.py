@@ -1,4 +1,6 @@
-"""The tick without USB: how long the servo's own work takes, beside the least that could be written in Python and in C."""
+"""The tick without USB: how long the servo's own work takes, beside the least that could be
+written in Python and in C.
+"""
 
 import tempfile
 from collections.abc import Iterator
@@ -13,12 +15,18 @@ from benchmarks.worker import BenchError, Worker
 from hapticd.units import NS_PER_US
 
 TARGETS = targets.of("tick")
-ROUNDS, PACED, HOT, PAIRS = 17, 600, 500, 200
+ROUNDS = 17
+PACED = 600
+HOT = 500
+PAIRS = 200
 
 
 def measure() -> Iterator[Figure]:
     """All of them; quantiles of each block, medians over blocks."""
-    with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder, parameter_file() as parameters:
+    with (
+        tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder,
+        parameter_file() as parameters,
+    ):
         library, missing = _library(Path(folder))
         with Worker("tick_worker", [parameters, library]) as worker:
             rounds = [_round(worker) for _ in range(ROUNDS)]
@@ -29,12 +37,23 @@ def measure() -> Iterator[Figure]:
 
     for quantile, fraction in (("p50", 0.5), ("p99", 0.99)):
         name = f"tick_{quantile}_ratio"
-        yield compared(name, TARGETS[name], us("servo", fraction), "us", us("reference", fraction), note)
-    yield compared("usb_pair_ratio", TARGETS["usb_pair_ratio"], us("pair", 0.5), "us", us("empty", 0.5), note)
+        yield compared(
+            name, TARGETS[name], us("servo", fraction), "us", us("reference", fraction), note
+        )
+    yield compared(
+        "usb_pair_ratio", TARGETS["usb_pair_ratio"], us("pair", 0.5), "us", us("empty", 0.5), note
+    )
     if missing:
         yield refused("tick_c_ratio", TARGETS["tick_c_ratio"], missing)
     else:
-        yield compared("tick_c_ratio", TARGETS["tick_c_ratio"], us("hot servo", 0.5), "us", us("hot c", 0.5), note)
+        yield compared(
+            "tick_c_ratio",
+            TARGETS["tick_c_ratio"],
+            us("hot servo", 0.5),
+            "us",
+            us("hot c", 0.5),
+            note,
+        )
 
 
 def _library(folder: Path) -> tuple[str, str]:
@@ -47,5 +66,10 @@ def _library(folder: Path) -> tuple[str, str]:
 
 def _round(worker: Worker) -> dict[str, list[int]]:
     """One block of everything, times in ns."""
-    paced, hot = worker.ask(what="paced", ticks=PACED), worker.ask(what="hot", ticks=HOT)
-    return {**paced, **{f"hot {name}": taken for name, taken in hot.items()}, **worker.ask(what="pairs", ticks=PAIRS)}
+    paced = worker.ask(what="paced", ticks=PACED)
+    hot = worker.ask(what="hot", ticks=HOT)
+    return {
+        **paced,
+        **{f"hot {name}": taken for name, taken in hot.items()},
+        **worker.ask(what="pairs", ticks=PAIRS),
+    }

@@ -1,4 +1,6 @@
-"""The yardstick in C: compiling tick_reference.c, and running it from the servo's own state over the servo's own frames."""
+"""The yardstick in C: compiling tick_reference.c, and running it from the servo's own state
+over the servo's own frames.
+"""
 
 import ctypes
 import shutil
@@ -19,7 +21,10 @@ from hapticd.wire.frames import IN_HEAD
 SOURCE = Path(__file__).with_name("tick_reference.c")
 OPTIONS = ("-O2", "-std=gnu11", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared")
 HELD = struct.Struct(f"=6d12d10d6d5d5dd2d3d4d3q4H{layout.PLAN.size}s")  # struct servo
-SEQ, ECHO, BOARD_US = 0, 1, 5  # places in IN_HEAD
+# places in IN_HEAD
+SEQ = 0
+ECHO = 1
+BOARD_US = 5
 NUMBERS = slice(place("position_m"), place("energy_j") + 6)  # of a record
 OUT_FRAME = place("out_frame")
 DELAY = 0.125  # of servo.step
@@ -32,7 +37,18 @@ def compile_library(folder: Path) -> str:
         raise BenchError("no C compiler `cc`: `make deps` installs one")
     library = folder / "tick_reference.so"
     (folder / "record.h").write_text(c_struct())
-    command = [compiler, *OPTIONS, "-I", str(folder), "-I", str(ROOT / "firmware_iface"), str(SOURCE), "-o", str(library), "-lm"]
+    command = [
+        compiler,
+        *OPTIONS,
+        "-I",
+        str(folder),
+        "-I",
+        str(ROOT / "firmware_iface"),
+        str(SOURCE),
+        "-o",
+        str(library),
+        "-lm",
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         said = next((line for line in done.stderr.splitlines() if "error" in line), "no message")
@@ -44,22 +60,37 @@ class CReference:
     """The compiled tick for the device of `params`."""
 
     def __init__(self, library: str, params: ServoParams) -> None:
-        self._library, self._params = ctypes.CDLL(library), params
+        self._library = ctypes.CDLL(library)
+        self._params = params
         self._ring = ctypes.create_string_buffer(layout.RING_RECORDS * layout.RECORD.size)
-        sizes = [ctypes.c_int.in_dll(self._library, name).value for name in ("record_bytes", "servo_bytes")]
+        sizes = [
+            ctypes.c_int.in_dll(self._library, name).value
+            for name in ("record_bytes", "servo_bytes")
+        ]
         if sizes != [layout.RECORD.size, HELD.size]:
-            raise BenchError(f"tick_reference.c has sizes {sizes}, expected {[layout.RECORD.size, HELD.size]}; correct it")
+            raise BenchError(
+                f"tick_reference.c has sizes {sizes}, expected {[layout.RECORD.size, HELD.size]};"
+                " correct it"
+            )
 
     def run(self, state: tuple[Any, ...], tick: int, frames: "list[array[int]]") -> bytes:
-        """Records of the ticks from `tick` on over `frames`, from `state`. BenchError when it refuses a frame."""
+        """Records of the ticks from `tick` on over `frames`, from `state`. BenchError when it
+        refuses a frame.
+        """
         held = ctypes.create_string_buffer(self._held(state, tick, frames[0]), HELD.size)
         packets = b"".join(frame.tobytes() for frame in frames)
         first = self._library.reference_ticks(held, packets, self._ring, len(frames))
         if first:
-            raise BenchError(f"tick_reference.c refused IN frame {first} of {len(frames)}; correct it")
-        size, slots = layout.RECORD.size, layout.RING_RECORDS
+            raise BenchError(
+                f"tick_reference.c refused IN frame {first} of {len(frames)}; correct it"
+            )
+        size = layout.RECORD.size
+        slots = layout.RING_RECORDS
         ring = bytes(self._ring)
-        return b"".join(ring[size * (n % slots) : size * (n % slots + 1)] for n in range(tick, tick + len(frames)))
+        return b"".join(
+            ring[size * (n % slots) : size * (n % slots + 1)]
+            for n in range(tick, tick + len(frames))
+        )
 
     def _held(self, state: tuple[Any, ...], tick: int, first: "array[int]") -> bytes:
         device = self._params.device
@@ -70,17 +101,45 @@ class CReference:
         energies, newer, older, displacement = ledger
         force = device.force
         return HELD.pack(
-            *law, *now.environment, *now.coefficients, *energies, *newer, *older, displacement, device.position.to_value(1.0),
-            force.sign / force.per_count, force.to_value(1.0), now.added, DELAY, *(scale.to_value(1.0) for scale in sensors),
-            tick, head[BOARD_US] - period_us, period_us, head[SEQ], head[ECHO], now.out_flags, now.damping_count, now.blob,
-        )  # fmt: skip
+            *law,
+            *now.environment,
+            *now.coefficients,
+            *energies,
+            *newer,
+            *older,
+            displacement,
+            device.position.to_value(1.0),
+            force.sign / force.per_count,
+            force.to_value(1.0),
+            now.added,
+            DELAY,
+            *(scale.to_value(1.0) for scale in sensors),
+            tick,
+            head[BOARD_US] - period_us,
+            period_us,
+            head[SEQ],
+            head[ECHO],
+            now.out_flags,
+            now.damping_count,
+            now.blob,
+        )
 
 
 def check_same_work(ours: bytes, theirs: bytes) -> None:
-    """BenchError unless the last record of both has the same numbers and the very same OUT frame."""
+    """BenchError unless the last record of both has the same numbers and the very same OUT
+    frame.
+    """
     mine, other = (layout.RECORD.unpack(block[-layout.RECORD.size :]) for block in (ours, theirs))
-    near = all(isclose(a, b, rel_tol=1e-9, abs_tol=1e-15) for a, b in zip(mine[NUMBERS], other[NUMBERS], strict=True))
+    near = all(
+        isclose(a, b, rel_tol=1e-9, abs_tol=1e-15)
+        for a, b in zip(mine[NUMBERS], other[NUMBERS], strict=True)
+    )
     if not near:
-        raise BenchError(f"tick_reference.c computes {other[NUMBERS]}, the servo {mine[NUMBERS]}; correct it")
+        raise BenchError(
+            f"tick_reference.c computes {other[NUMBERS]}, the servo {mine[NUMBERS]}; correct it"
+        )
     if mine[OUT_FRAME] != other[OUT_FRAME]:
-        raise BenchError(f"tick_reference.c sends {other[OUT_FRAME].hex()}, the servo {mine[OUT_FRAME].hex()}; correct it")
+        raise BenchError(
+            f"tick_reference.c sends {other[OUT_FRAME].hex()}, the servo {mine[OUT_FRAME].hex()};"
+            " correct it"
+        )

@@ -1,7 +1,9 @@
-"""The yardstick in Python: the tick as one writes it in an afternoon, precompiled structs and all, and nothing more.
+"""The yardstick in Python: the tick as one writes it in an afternoon, precompiled structs and all,
+and nothing more.
 
-Unpack, difference, two biquads, K-B-M, limit, pack, one 128-byte record. No CRC, no sequence, no check of any kind, no
-command, no ramp, no state but the filters'. It flies the same frames at the same pace as the servo's tick.
+Unpack, difference, two biquads, K-B-M, limit, pack, one 128-byte record. No CRC, no sequence, no
+check of any kind, no command, no ramp, no state but the filters'. It flies the same frames at the
+same pace as the servo's tick.
 """
 
 import struct
@@ -10,7 +12,9 @@ from hapticd.params import EnvironmentParams, FilterParams
 from hapticd.render.filters import design
 from hapticd.wire.frames import IN_HEAD, OUT
 
-RECORD = struct.Struct("<QqIihH4h10dIQ")  # number, times, encoder, torque, status, sensors, the law's numbers, flags, number
+RECORD = struct.Struct(
+    "<QqIihH4h10dIQ"
+)  # number, times, encoder, torque, status, sensors, the law's numbers, flags, number
 SLOTS = 8192
 assert RECORD.size == 128
 
@@ -32,32 +36,70 @@ class Biquad:
 
 
 class ReferenceTick:
-    """Calling it with a frame and the time gives the OUT frame; `rate_hz` is in the filters' input."""
+    """Calling it with a frame and the time gives the OUT frame; `rate_hz` is in the filters'
+    input.
+    """
 
-    def __init__(self, kbm: tuple[float, float, float], filters: tuple[Coefficients, Coefficients], rate_hz: float) -> None:
+    def __init__(
+        self,
+        kbm: tuple[float, float, float],
+        filters: tuple[Coefficients, Coefficients],
+        rate_hz: float,
+    ) -> None:
         self.stiffness, self.damping, self.mass = kbm
         self.velocity_filter, self.acceleration_filter = (Biquad(one) for one in filters)
-        self.rate_hz, self.m_per_count, self.n_per_count, self.limit_n = rate_hz, 0.5e-6, 8.0 / 32767, 8.0
+        self.rate_hz = rate_hz
+        self.m_per_count = 0.5e-6
+        self.n_per_count = 8.0 / 32767
+        self.limit_n = 8.0
         self.x1 = self.v1 = self.energy_j = 0.0
         self.number = 0
         self.ring = bytearray(SLOTS * RECORD.size)
 
     def __call__(self, frame: bytes, now_ns: int) -> bytes:
-        _, _, _, _, status, board_us, encoder, current, voltage, emf, celsius, _, _, _, _ = IN_HEAD.unpack_from(frame)
+        _, _, _, _, status, board_us, encoder, current, voltage, emf, celsius, _, _, _, _ = (
+            IN_HEAD.unpack_from(frame)
+        )
         x = encoder * self.m_per_count
         v_raw = (x - self.x1) * self.rate_hz
         a_raw = (v_raw - self.v1) * self.rate_hz
-        v, a = self.velocity_filter.step(v_raw), self.acceleration_filter.step(a_raw)
-        spring, damper, inertia = -self.stiffness * x, -self.damping * v, -self.mass * a
+        v = self.velocity_filter.step(v_raw)
+        a = self.acceleration_filter.step(a_raw)
+        spring = -self.stiffness * x
+        damper = -self.damping * v
+        inertia = -self.mass * a
         force = max(-self.limit_n, min(self.limit_n, spring + damper + inertia))
         torque = round(force / self.n_per_count)
         self.energy_j += force * (x - self.x1)
-        self.x1, self.v1 = x, v_raw
+        self.x1 = x
+        self.v1 = v_raw
         out = OUT.pack(self.number & 0xFFFF, 0, 1, torque, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, b"", 0)
         RECORD.pack_into(
-            self.ring, self.number % SLOTS * RECORD.size, self.number, now_ns, board_us, encoder, torque, status,
-            current, voltage, emf, celsius, x, v, a, v_raw, a_raw, spring, damper, inertia, force, self.energy_j, 0, self.number,
-        )  # fmt: skip
+            self.ring,
+            self.number % SLOTS * RECORD.size,
+            self.number,
+            now_ns,
+            board_us,
+            encoder,
+            torque,
+            status,
+            current,
+            voltage,
+            emf,
+            celsius,
+            x,
+            v,
+            a,
+            v_raw,
+            a_raw,
+            spring,
+            damper,
+            inertia,
+            force,
+            self.energy_j,
+            0,
+            self.number,
+        )
         self.number += 1
         return out
 
@@ -65,7 +107,10 @@ class ReferenceTick:
 def yardstick(environment: EnvironmentParams, rate_hz: float) -> ReferenceTick:
     """The tick with the servo's environment."""
     kbm = (environment.stiffness_n_per_m, environment.damping_ns_per_m, environment.mass_kg)
-    filters = _coefficients(environment.velocity_filter, rate_hz), _coefficients(environment.acceleration_filter, rate_hz)
+    filters = (
+        _coefficients(environment.velocity_filter, rate_hz),
+        _coefficients(environment.acceleration_filter, rate_hz),
+    )
     return ReferenceTick(kbm, filters, rate_hz)
 
 

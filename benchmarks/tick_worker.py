@@ -1,4 +1,6 @@
-"""Ticks without USB, timed: the servo's own, the Python yardstick's and the C yardstick's; and USB pairs on their own."""
+"""Ticks without USB, timed: the servo's own, the Python yardstick's and the C yardstick's; and
+USB pairs on their own.
+"""
 
 import sys
 import time
@@ -22,13 +24,18 @@ from hapticd.servo.wait import first_deadline
 from hapticd.wire import codec, frames
 from hapticd.wire.frames import OutFrame
 
-STAGES = slice(place("read_ns"), place("publish_ns") + 1)  # read, step, write, and publish of the tick before
+STAGES = slice(
+    place("read_ns"), place("publish_ns") + 1
+)  # read, step, write, and publish of the tick before
 
 
 def own_ns(block: bytes, read_ns: Sequence[int], calls_ns: float = 0.0) -> list[float]:
     """Time from wake to end of each tick in `block` but the last, less what the link took."""
     stages = [record[STAGES] for record in layout.RECORD.iter_unpack(block)]
-    return [sum(now[:3]) + after[3] - read - calls_ns for now, after, read in zip(stages, stages[1:], read_ns, strict=False)]
+    return [
+        sum(now[:3]) + after[3] - read - calls_ns
+        for now, after, read in zip(stages, stages[1:], read_ns, strict=False)
+    ]
 
 
 def no_wait(_deadline_ns: int, _rehearse: Callable[[], object]) -> int:
@@ -41,12 +48,15 @@ def _nothing() -> None:
 
 
 class TickBench:
-    """One servo over a null link, its yardsticks, and USB links to the simulated board and to an empty one."""
+    """One servo over a null link, its yardsticks, and USB links to the simulated board and to
+    an empty one.
+    """
 
     def __init__(self, params: ServoParams, board: BoardParams, library: str) -> None:
         self.link = NullLink(board)
         self.servo = BenchServo(params, self.link, self.link.prepare)
-        self.wait, self.period_ns = self.servo.loop.wait, self.servo.loop.period_ns
+        self.wait = self.servo.loop.wait
+        self.period_ns = self.servo.loop.period_ns
         self.reference = yardstick(params.environment, params.realtime.rate_hz)
         self.in_c = CReference(library, params) if library else None
         self.usb = UsbLink(params.usb, simulated_backend(board, MonotonicClock()))
@@ -60,9 +70,12 @@ class TickBench:
         return {"servo": ours, "reference": self._every_period(self.link.frames, self.reference)}
 
     def hot(self, ticks: int) -> dict[str, list[float]]:
-        """The servo's tick without a pause, and the C yardstick's from the same state over the same frames."""
+        """The servo's tick without a pause, and the C yardstick's from the same state over the
+        same frames.
+        """
         self.servo.loop.wait = no_wait
-        state, tick = self.servo.loop.state, self.servo.loop.tick
+        state = self.servo.loop.state
+        tick = self.servo.loop.tick
         ours = self.servo.run(ticks)
         taken = {"servo": own_ns(ours, self.link.read_ns, self.link.calls_ns)}
         if self.in_c is not None:
@@ -72,12 +85,15 @@ class TickBench:
         return taken
 
     def pairs(self, ticks: int) -> dict[str, list[float]]:
-        """A read and a write through pyusb at the servo's pace: the simulated board's, and an empty board's."""
+        """A read and a write through pyusb at the servo's pace: the simulated board's, and an
+        empty board's.
+        """
         return {"pair": self._pairs(self.usb, ticks), "empty": self._pairs(self.empty, ticks)}
 
     def _pairs(self, link: UsbLink, ticks: int) -> list[float]:
         inward = array("B", bytes(frames.PACKET_BYTES))
-        read, write = link.read, link.write
+        read = link.read
+        write = link.write
 
         def pair(outward: "array[int]", _: int) -> None:
             read(inward)
@@ -87,9 +103,15 @@ class TickBench:
         write(first)
         return self._every_period(outward, pair)
 
-    def _every_period(self, arguments: Sequence[Any], action: Callable[[Any, int], Any]) -> list[float]:
-        """How long `action(argument, start)` takes, one argument each period; periods that have passed are dropped."""
-        wait, clock, period_ns = self.wait, time.monotonic_ns, self.period_ns
+    def _every_period(
+        self, arguments: Sequence[Any], action: Callable[[Any, int], Any]
+    ) -> list[float]:
+        """How long `action(argument, start)` takes, one argument each period; periods that have
+        passed are dropped.
+        """
+        wait = self.wait
+        clock = time.monotonic_ns
+        period_ns = self.period_ns
         taken = [0.0] * len(arguments)
         deadline_ns = first_deadline(clock(), period_ns)
         for index, argument in enumerate(arguments):
@@ -106,7 +128,11 @@ def main() -> None:
     params, board = read_parameters(sys.argv[1])
     bench = TickBench(params, board, sys.argv[2] if len(sys.argv) > 2 else "")
     actions = {"paced": bench.paced, "hot": bench.hot, "pairs": bench.pairs}
-    serve(lambda request: actions[request["what"]](request["ticks"]), params.realtime, bench.servo.enable)
+    serve(
+        lambda request: actions[request["what"]](request["ticks"]),
+        params.realtime,
+        bench.servo.enable,
+    )
 
 
 if __name__ == "__main__":

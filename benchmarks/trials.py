@@ -1,9 +1,9 @@
 """1,000 trials of 90 s beside C of the same scene, and what a new scene costs before its first one.
 
-Wall time of `simulate` on all cores, warm, against the C of the same states, friction and sub-steps on all cores, in turns
-and for as many steps, least of the rounds of each. The first kernel comes in fresh processes with an empty cache folder and
-again with what the first left there: information, since the compiler's time is not ours. Last the peak memory of a process
-that keeps sums only.
+Wall time of `simulate` on all cores, warm, against the C of the same states, friction and sub-steps
+on all cores, in turns and for as many steps, least of the rounds of each. The first kernel comes in
+fresh processes with an empty cache folder and again with what the first left there: information,
+since the compiler's time is not ours. Last the peak memory of a process that keeps sums only.
 """
 
 import json
@@ -30,7 +30,10 @@ from hapticd.units import PROBE_RATE_HZ
 TARGETS = targets.of("trials")
 SCENE = "fig7"
 TICKS = 1024  # of a call of the C
-TRIALS, SECONDS, ROUNDS, PROCESSES = 1000, 90.0, 9, 3
+TRIALS = 1000
+SECONDS = 90.0
+ROUNDS = 9
+PROCESSES = 3
 PROCESS_S = 120.0
 
 
@@ -42,14 +45,24 @@ def measure() -> Iterator[Figure]:
     for substeps in (1, 4):
         yield _batch(f"trials_weir_{substeps}_c", weir, compose(weir), substeps, level_ns_per_m)
     yield from _first_kernel()
-    yield compared("engine_rss_mb", TARGETS["engine_rss_mb"], _ask("memory", os.environ.get("XDG_CACHE_HOME")), "MB")
+    yield compared(
+        "engine_rss_mb",
+        TARGETS["engine_rss_mb"],
+        _ask("memory", os.environ.get("XDG_CACHE_HOME")),
+        "MB",
+    )
 
 
-def _batch(name: str, scene: Scene | Model, device: Model, substeps: int, level_ns_per_m: float) -> Figure:
+def _batch(
+    name: str, scene: Scene | Model, device: Model, substeps: int, level_ns_per_m: float
+) -> Figure:
     params = environments(TRIALS)
     simulate(scene, params, 1.0, substeps=substeps)
-    yard = Yard(Lanes(device, "f64", TICKS, substeps=substeps, level_ns_per_m=level_ns_per_m), "f64")
-    taken, samples = [], TRIALS * SECONDS * PROBE_RATE_HZ
+    yard = Yard(
+        Lanes(device, "f64", TICKS, substeps=substeps, level_ns_per_m=level_ns_per_m), "f64"
+    )
+    taken = []
+    samples = TRIALS * SECONDS * PROBE_RATE_HZ
     for _ in range(ROUNDS):
         begin = time.perf_counter()
         simulate(scene, params, SECONDS, substeps=substeps)
@@ -60,20 +73,41 @@ def _batch(name: str, scene: Scene | Model, device: Model, substeps: int, level_
 
 
 def _first_kernel() -> Iterator[Figure]:
-    cold, cached = [], []
+    cold = []
+    cached = []
     for _ in range(PROCESSES):
         with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder:
             cold.append(_ask("first", folder))
             cached.append(_ask("first", folder))
-    yield compared("kernel_cold_s", TARGETS["kernel_cold_s"], min(cold), "s", note="fresh process after its imports, empty cache")
-    yield compared("kernel_cached_s", TARGETS["kernel_cached_s"], min(cached), "s", note="the same with the kernel on disk")
+    yield compared(
+        "kernel_cold_s",
+        TARGETS["kernel_cold_s"],
+        min(cold),
+        "s",
+        note="fresh process after its imports, empty cache",
+    )
+    yield compared(
+        "kernel_cached_s",
+        TARGETS["kernel_cached_s"],
+        min(cached),
+        "s",
+        note="the same with the kernel on disk",
+    )
 
 
 def _ask(question: str, cache: str | None) -> float:
     """Answer of a fresh `trials_worker`. BenchError when it fails."""
     variables = {**environment(), **({"XDG_CACHE_HOME": cache} if cache else {})}
     command = [sys.executable, "-m", "benchmarks.trials_worker", question]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=variables, cwd=ROOT, timeout=PROCESS_S)
+    done = subprocess.run(
+        command,
+        capture_output=True,
+        text=True,
+        check=False,
+        env=variables,
+        cwd=ROOT,
+        timeout=PROCESS_S,
+    )
     if done.returncode:
         raise BenchError(f"trials_worker {question} failed: {done.stderr.strip().splitlines()[-1]}")
     return float(json.loads(done.stdout))

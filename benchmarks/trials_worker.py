@@ -1,4 +1,5 @@
-"""One question about the batch engine, answered in a fresh process as a JSON number on standard output.
+"""One question about the batch engine, answered in a fresh process as a JSON number on standard
+output.
 
 python -m benchmarks.trials_worker first   seconds from importing the engine's kernel machinery to the first result
 python -m benchmarks.trials_worker memory  MB at most while 1,000 trials of 90 s are reduced to sums
@@ -11,7 +12,8 @@ import time
 from pathlib import Path
 
 KB_PER_MB = 1024.0
-TRIALS, SECONDS = 1000, 90.0
+TRIALS = 1000
+SECONDS = 90.0
 
 
 def first() -> float:
@@ -21,14 +23,17 @@ def first() -> float:
     from benchmarks.engine_scene import environments, model
     from hapticd.sim.engine import simulate
 
-    device, params = model(), environments(1)
+    device = model()
+    params = environments(1)
     begin = time.perf_counter()
     simulate(device, params, 0.1)
     return time.perf_counter() - begin
 
 
 def memory() -> float:
-    """Peak resident set of this program; what getrusage says begins with that of the process which started it."""
+    """Peak resident set of this program; what getrusage says begins with that of the process
+    which started it.
+    """
     from benchmarks.engine_scene import environments, model
     from hapticd.sim.engine import simulate
 

@@ -1,4 +1,6 @@
-"""Wake-up latency of the servo's wait against cyclictest: same priority, same core, same period, block by block."""
+"""Wake-up latency of the servo's wait against cyclictest: same priority, same core, same
+period, block by block.
+"""
 
 import shutil
 import subprocess
@@ -15,9 +17,26 @@ from hapticd.params import RealtimeParams
 from hapticd.units import NS_PER_US
 
 TARGETS = targets.of("wake")
-PERIOD_US, ROUNDS, SAMPLES = 1000, 15, 900
-STRESS_ROUNDS, STRESS_SAMPLES, STRESS_SETTLE_S = 6, 2000, 2.0
-LOAD = ("--cpu", "2", "--vm", "1", "--vm-bytes", "256M", "--hdd", "1", "--hdd-bytes", "128M", "--io", "1")
+PERIOD_US = 1000
+ROUNDS = 15
+SAMPLES = 900
+STRESS_ROUNDS = 6
+STRESS_SAMPLES = 2000
+STRESS_SETTLE_S = 2.0
+LOAD = (
+    "--cpu",
+    "2",
+    "--vm",
+    "1",
+    "--vm-bytes",
+    "256M",
+    "--hdd",
+    "1",
+    "--hdd-bytes",
+    "128M",
+    "--io",
+    "1",
+)
 SPIN_US = RealtimeParams().spin_us
 
 Blocks = dict[str, list[list[int]]]
@@ -35,7 +54,11 @@ def measure() -> Iterator[Figure]:
         ):
             yield _figure(name, quiet, kind, fraction, worker.note)
         if shutil.which("stress-ng") is None:
-            yield refused("wake_stress_p99", TARGETS["wake_stress_p99"], "stress-ng is missing: `make deps` installs it")
+            yield refused(
+                "wake_stress_p99",
+                TARGETS["wake_stress_p99"],
+                "stress-ng is missing: `make deps` installs it",
+            )
             return
         with _stress():
             loaded = _blocks(worker, STRESS_ROUNDS, STRESS_SAMPLES, {"spin": SPIN_US})

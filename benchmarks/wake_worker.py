@@ -14,7 +14,9 @@ def _nothing() -> None:
 
 
 def lateness_ns(request: dict[str, Any]) -> list[int]:
-    """Wakes of one block; deadlines that have passed are dropped, as in the servo and in cyclictest."""
+    """Wakes of one block; deadlines that have passed are dropped, as in the servo and in
+    cyclictest.
+    """
     period_ns = int(request["period_us"] * NS_PER_US)
     wait = spinning_wait(int(request["spin_us"] * NS_PER_US), period_ns)
     found = [0] * int(request["samples"])

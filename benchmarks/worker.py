@@ -1,7 +1,9 @@
-"""A measuring process on the servo's core that runs one block whenever it is asked, and sleeps between.
+"""A measuring process on the servo's core that runs one block whenever it is asked, and sleeps
+between.
 
-Protocol, one JSON value per line: the worker says what the machine granted it, then answers each request. It is
-started anew for a part and lives through all blocks of it, so that a pair is interleaved without start-up effects.
+Protocol, one JSON value per line: the worker says what the machine granted it, then answers each
+request. It is started anew for a part and lives through all blocks of it, so that a pair is
+interleaved without start-up effects.
 """
 
 import json
@@ -27,7 +29,12 @@ class BenchError(Exception):
 
 def environment() -> dict[str, str]:
     """Environment of a child that imports hapticd and benchmarks from this checkout."""
-    return {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONHASHSEED": "0", "OPENBLAS_NUM_THREADS": "1"}
+    return {
+        **os.environ,
+        "PYTHONPATH": str(ROOT),
+        "PYTHONHASHSEED": "0",
+        "OPENBLAS_NUM_THREADS": "1",
+    }
 
 
 def started(module: str, arguments: Sequence[str] = ()) -> "subprocess.Popen[bytes]":
@@ -51,14 +58,21 @@ def servo_core() -> int:
 
 
 class Worker:
-    """Module `benchmarks.<module>` as a process; use it as a context manager. BenchError when it dies."""
+    """Module `benchmarks.<module>` as a process; use it as a context manager. BenchError when
+    it dies.
+    """
 
     def __init__(self, module: str, arguments: Sequence[str] = ()) -> None:
         self.module = module
         self.process = subprocess.Popen(
             [sys.executable, "-m", f"benchmarks.{module}", *arguments],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment(), cwd=ROOT,
-        )  # fmt: skip
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment(),
+            cwd=ROOT,
+        )
         self.granted: dict[str, str] = self._reply()
 
     def ask(self, **request: Any) -> Any:
@@ -71,7 +85,9 @@ class Worker:
     @property
     def note(self) -> str:
         """What the machine refused; empty when it granted everything."""
-        return "; ".join(f"{name} {text}" for name, text in self.granted.items() if text.startswith("refused"))
+        return "; ".join(
+            f"{name} {text}" for name, text in self.granted.items() if text.startswith("refused")
+        )
 
     def _reply(self) -> Any:
         assert self.process.stdout is not None
@@ -79,13 +95,20 @@ class Worker:
         if not line:
             _, errors = self.process.communicate()
             last = (errors.strip().splitlines() or ["no message"])[-1]
-            raise BenchError(f"benchmarks.{self.module} ended with code {self.process.returncode}: {last}")
+            raise BenchError(
+                f"benchmarks.{self.module} ended with code {self.process.returncode}: {last}"
+            )
         return json.loads(line)
 
     def __enter__(self) -> "Worker":
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         try:
             if self.process.poll() is None:
                 self.process.communicate(timeout=END_S)  # closes its stdin: it ends
@@ -94,8 +117,14 @@ class Worker:
             self.process.communicate()
 
 
-def serve(answer: Callable[[dict[str, Any]], Any], realtime: RealtimeParams, begin: Callable[[], None] = lambda: None) -> None:
-    """The worker's side: take real-time rights, begin, say what was granted, answer until stdin ends."""
+def serve(
+    answer: Callable[[dict[str, Any]], Any],
+    realtime: RealtimeParams,
+    begin: Callable[[], None] = lambda: None,
+) -> None:
+    """The worker's side: take real-time rights, begin, say what was granted, answer until stdin
+    ends.
+    """
     granted = host.prepare(realtime)
     begin()
     print(json.dumps(granted), flush=True)

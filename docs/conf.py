@@ -1,4 +1,6 @@
-"""The documentation site: `make docs`. Pages that repeat a table of the program are made by generate.py before."""
+"""The documentation site: `make docs`. Pages that repeat a table of the program are made by
+generate.py before.
+"""
 
 import hapticd
 

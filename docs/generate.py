@@ -1,4 +1,6 @@
-"""Write the reference pages below docs/generated: `python docs/generate.py`, before each build of the site."""
+"""Write the reference pages below docs/generated: `python docs/generate.py`, before each build
+of the site.
+"""
 
 from pathlib import Path
 

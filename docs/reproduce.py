@@ -1,7 +1,9 @@
-"""Bring docs/reproduction.md up to date with a run: `python docs/reproduce.py build/reproduction`, or `make reproduction-docs`.
+"""Bring docs/reproduction.md up to date with a run: `python docs/reproduce.py build/reproduction`,
+or `make reproduction-docs`.
 
-Its table.json and its figures are copied, the figures with fewer colours: a third of the bytes. Numbers and tables of the page
-are filled in; the words are written by hand. After a change of words alone, docs/figures/reproduction is the run.
+Its table.json and its figures are copied, the figures with fewer colours: a third of the bytes.
+Numbers and tables of the page are filled in; the words are written by hand. After a change of words
+alone, docs/figures/reproduction is the run.
 """
 
 import json
@@ -14,7 +16,8 @@ from pages.reproduction import filled
 from hapticd.report.paper_table import from_json
 
 DOCS = Path(__file__).parent
-PAGE, FIGURES = DOCS / "reproduction.md", DOCS / "figures" / "reproduction"
+PAGE = DOCS / "reproduction.md"
+FIGURES = DOCS / "figures" / "reproduction"
 COLOURS = 128
 
 
@@ -42,7 +45,9 @@ def shrink(figure: Path, to: Path) -> None:
     """A PNG with at most COLOURS colours."""
     from PIL import Image  # comes with matplotlib
 
-    Image.open(figure).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(to, optimize=True)
+    Image.open(figure).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(
+        to, optimize=True
+    )
 
 
 if __name__ == "__main__":

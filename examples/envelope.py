@@ -1,4 +1,5 @@
-"""200 simulated trials of 90 s, and the envelope of those that pass: impedance that this display can render, drawn to envelope.png.
+"""200 simulated trials of 90 s, and the envelope of those that pass: impedance that this display
+can render, drawn to envelope.png.
 
 Needs hapticd[fast,plot] and no daemon; takes some seconds.
 """
@@ -15,7 +16,9 @@ from hapticd.settings.scene import load_scene
 
 def main(folder: Path, trials: int = 200, seconds: float = 90.0) -> int:
     """How many passed."""
-    lowest, highest = (0.0, 0.0, -0.025), (1200.0, 9.0, 0.030)  # K N/m, B N s/m, M kg
+    # K N/m, B N s/m, M kg
+    lowest = (0.0, 0.0, -0.025)
+    highest = (1200.0, 9.0, 0.030)
     environments = np.random.default_rng(1).uniform(lowest, highest, (trials, 3))
     conditions = Conditions(load_scene("fig4"), seconds)
     outcomes = fly(conditions, 1.74, environments)  # with 1.74 N s/m of added damping

@@ -1,16 +1,23 @@
-"""A ten-line experiment: shake the device with a 5 Hz force and see how far it moves at several stiffnesses."""
+"""A ten-line experiment: shake the device with a 5 Hz force and see how far it moves at several
+stiffnesses.
+"""
 
 import numpy as np
 
 from hapticd.client import Client
 
 with Client(name="sweep") as device:
-    device.perturb_load(0.2 * np.sin(2 * np.pi * 5 * np.arange(4000) / 4000))  # N, one second at 4 kHz
+    device.perturb_load(
+        0.2 * np.sin(2 * np.pi * 5 * np.arange(4000) / 4000)
+    )  # N, one second at 4 kHz
     device.enable()
     device.perturb_start(loop=True)
     for stiffness in (50, 100, 200, 400):
         receipt = device.set(K=stiffness, B=1.0, ramp_s=0.2)
         records, lost = device.record(seconds=1.0)
         x = 1e3 * records["position_m"][records["tick"] >= receipt.ramp_end_tick]
-        print(f"K = {stiffness:3d} N/m: {np.sqrt(np.mean(x**2)):.3f} mm rms over {len(x)} ticks, {lost} lost")
+        print(
+            f"K = {stiffness:3d} N/m: {np.sqrt(np.mean(x**2)):.3f} mm rms over {len(x)} ticks,"
+            f" {lost} lost"
+        )
     device.disable()

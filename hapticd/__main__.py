@@ -1,6 +1,7 @@
 """`hapticd` and `python -m hapticd`.
 
-`hapticd stop` has a way of its own: it acts before the command line with all its libraries is loaded.
+`hapticd stop` has a way of its own: it acts before the command line with all its libraries is
+loaded.
 """
 
 import sys

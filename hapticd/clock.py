@@ -1,8 +1,9 @@
 """Time is passed in.
 
-Everything that waits or stamps takes a Clock. `MonotonicClock` is the machine's CLOCK_MONOTONIC; `VirtualClock` only
-moves when someone moves it, so that the whole stack runs in lock-step, faster than real time and without sleeping.
-Clock readings are integer nanoseconds since an arbitrary origin.
+Everything that waits or stamps takes a Clock. `MonotonicClock` is the machine's CLOCK_MONOTONIC;
+`VirtualClock` only moves when someone moves it, so that the whole stack runs in lock-step, faster
+than real time and without sleeping. Clock readings are integer nanoseconds since an arbitrary
+origin.
 """
 
 import time
@@ -26,7 +27,9 @@ class Clock(ABC):
 class MonotonicClock(Clock):
     """The machine's clock."""
 
-    now_ns = staticmethod(time.monotonic_ns)  # without a call of Python: the tick reads it four times
+    now_ns = staticmethod(
+        time.monotonic_ns
+    )  # without a call of Python: the tick reads it four times
 
     def sleep_until_ns(self, deadline_ns: int) -> None:
         wait_ns = deadline_ns - time.monotonic_ns()

@@ -1,4 +1,5 @@
-"""The one error tree. Messages say what, the value with its unit, the limit, and what to do about it.
+"""The one error tree. Messages say what, the value with its unit, the limit, and what to do about
+it.
 
 HapticdError               (exit 1; `exit_code` of a class is what a process ends with when nobody caught it)
 ├── ConfigError            a file or argument is wrong: fix it where the message points (exit 78)
@@ -25,7 +26,9 @@ class HapticdError(Exception):
 
 
 class ConfigError(HapticdError):
-    """A configuration file, device file or argument is wrong; the message names file, line and field."""
+    """A configuration file, device file or argument is wrong; the message names file, line and
+    field.
+    """
 
     exit_code = 78  # EX_CONFIG of sysexits.h: a restart will not help
 
@@ -75,7 +78,9 @@ class RealtimeError(HapticdError):
 
 
 class AnalysisError(HapticdError):
-    """A record is too short, not finite or of unlike conditions, or a method does not apply; says what to do instead."""
+    """A record is too short, not finite or of unlike conditions, or a method does not apply;
+    says what to do instead.
+    """
 
     exit_code = 65  # EX_DATAERR of sysexits.h
 
@@ -90,7 +95,11 @@ class CommandError(HapticdError):
         self.exit_code = 5 if code == "stopped" else 4
 
     def __reduce__(self) -> tuple[type["CommandError"], tuple[str, str, object]]:
-        return type(self), (self.code, str(self), self.detail)  # an exception of several arguments does not pickle by itself
+        return type(self), (
+            self.code,
+            str(self),
+            self.detail,
+        )  # an exception of several arguments does not pickle by itself
 
 
 class DaemonDown(HapticdError):

@@ -1,7 +1,8 @@
 """What settings builds and everyone below reads: frozen values in SI units.
 
-`settings` validates TOML with pydantic and hands these down; `servo.json` and `board.json` are their plain JSON form, so
-that the servo process needs neither TOML nor pydantic. `from_plain` rebuilds a tree and refuses unknown or missing keys.
+`settings` validates TOML with pydantic and hands these down; `servo.json` and `board.json` are
+their plain JSON form, so that the servo process needs neither TOML nor pydantic. `from_plain`
+rebuilds a tree and refuses unknown or missing keys.
 """
 
 import dataclasses
@@ -20,7 +21,9 @@ ADDED_DAMPING_NS_PER_M = 1.74  # what `damping on` means: Weir, Colgate and Pesh
 
 @dataclass(frozen=True, slots=True)
 class FilterParams:
-    """Second-order low-pass: corner, damping ratio (0.7071 = Butterworth) and the way it is made discrete."""
+    """Second-order low-pass: corner, damping ratio (0.7071 = Butterworth) and the way it is
+    made discrete.
+    """
 
     frequency_hz: float
     damping_ratio: float = 0.7071067811865476
@@ -29,7 +32,9 @@ class FilterParams:
 
 @dataclass(frozen=True, slots=True)
 class WallParams:
-    """Unilateral wall: pushes back towards the free side only. `side` +1: solid for x > position; -1: x < position; 0: none."""
+    """Unilateral wall: pushes back towards the free side only. `side` +1: solid for x >
+    position; -1: x < position; 0: none.
+    """
 
     stiffness_n_per_m: float = 0.0
     damping_ns_per_m: float = 0.0
@@ -48,7 +53,9 @@ class WorkspaceParams:
 
 @dataclass(frozen=True, slots=True)
 class EnvironmentParams:
-    """The virtual environment of the paper (Weir 2008, section 2): K on raw position, B and M on filtered derivatives."""
+    """The virtual environment of the paper (Weir 2008, section 2): K on raw position, B and M
+    on filtered derivatives.
+    """
 
     stiffness_n_per_m: float = 0.0
     damping_ns_per_m: float = 0.0
@@ -61,7 +68,9 @@ class EnvironmentParams:
 
 @dataclass(frozen=True, slots=True)
 class ScaleParams:
-    """value = sign * (count - offset_count) * per_count; `date` and `source` say where it comes from."""
+    """value = sign * (count - offset_count) * per_count; `date` and `source` say where it comes
+    from.
+    """
 
     per_count: float
     sign: int = 1
@@ -75,12 +84,16 @@ class ScaleParams:
 
     def to_count(self, value: float, low: int, high: int) -> int:
         """Nearest count for a finite SI `value`, held inside `low`..`high`."""
-        return max(low, min(high, round_half_up(self.sign * value / self.per_count + self.offset_count)))
+        return max(
+            low, min(high, round_half_up(self.sign * value / self.per_count + self.offset_count))
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class HomeParams:
-    """How the position origin is found: `none`, against a `stop` at bounded force, or at the encoder `index`."""
+    """How the position origin is found: `none`, against a `stop` at bounded force, or at the
+    encoder `index`.
+    """
 
     method: str = "none"
     required: bool = False
@@ -137,7 +150,8 @@ class RealtimeParams:
     """What the servo process asks of the operating system."""
 
     rate_hz: float = 1000.0
-    mode: str = "best_effort"  # "strict": refuse to start without the rights | "best_effort": report what was granted | "off"
+    # "strict": refuse to start without the rights | "best_effort": report what was granted | "off"
+    mode: str = "best_effort"
     priority: int = 79
     core: int | None = None  # None: the last one of those allowed
     spin_us: float = 100.0
@@ -172,7 +186,9 @@ class ServoParams:
 
 @dataclass(frozen=True, slots=True)
 class InjectionParams:
-    """One seeded fault of the simulated board: at `tick` (or with `probability` each tick), `count` times."""
+    """One seeded fault of the simulated board: at `tick` (or with `probability` each tick),
+    `count` times.
+    """
 
     kind: str
     tick: int = -1
@@ -183,9 +199,11 @@ class InjectionParams:
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """Set-valued Coulomb friction on one body: force f on column `column`, f in [-level_n, level_n].
+    """Set-valued Coulomb friction on one body: force f on column `column`, f in [-level_n,
+    level_n].
 
-    Sliding f = -level_n sign(v); sticking v = 0 exactly. `velocity` and `position` are the indices of the body's states.
+    Sliding f = -level_n sign(v); sticking v = 0 exactly. `velocity` and `position` are the indices
+    of the body's states.
     """
 
     body: str
@@ -221,8 +239,10 @@ class RotorForce:
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """White noise: `velocity_m_per_s` rms added to each 4 kHz value of the recorded velocity; `estimate_psd` one-sided
-    density [(m/s)^2/Hz] of the velocity estimate (a value held for h seconds has the variance estimate_psd / (2 h))."""
+    """White noise: `velocity_m_per_s` rms added to each 4 kHz value of the recorded velocity;
+    `estimate_psd` one-sided density [(m/s)^2/Hz] of the velocity estimate (a value held for h
+    seconds has the variance estimate_psd / (2 h)).
+    """
 
     velocity_m_per_s: float = 0.0
     estimate_psd: float = 0.0
@@ -230,7 +250,9 @@ class Noise:
 
 @dataclass(frozen=True, slots=True)
 class OutputParams:
-    """y = (c0 + b c1) x + (d0 + b d1) u of the simulated device, over its states and inputs; b is the damping level."""
+    """y = (c0 + b c1) x + (d0 + b d1) u of the simulated device, over its states and inputs; b
+    is the damping level.
+    """
 
     c0: tuple[float, ...]
     c1: tuple[float, ...]
@@ -240,7 +262,9 @@ class OutputParams:
 
 @dataclass(frozen=True, slots=True)
 class HeatingParams:
-    """The winding's own state: dT/dt = (R(T) (F/K)^2 R_th - (T - ambient)) / tau, dR = R(T) - compensated_ohm."""
+    """The winding's own state: dT/dt = (R(T) (F/K)^2 R_th - (T - ambient)) / tau, dR = R(T) -
+    compensated_ohm.
+    """
 
     resistance_ohm: float  # at reference_c
     reference_c: float
@@ -253,14 +277,18 @@ class HeatingParams:
 
 @dataclass(frozen=True, slots=True)
 class PlantParams:
-    """The composed device of a simulated board: its exact maps over one sub-step, and what is not linear.
+    """The composed device of a simulated board: its exact maps over one sub-step, and what is not
+    linear.
 
-    n states, m inputs. `maps` holds for every residual resistance, and in it for every damping level, the n rows of
-    [Phi Gamma] (n + m numbers each) one after the other; between the nodes it is interpolated.
+    n states, m inputs. `maps` holds for every residual resistance, and in it for every damping
+    level, the n rows of [Phi Gamma] (n + m numbers each) one after the other; between the nodes it
+    is interpolated.
     """
 
     states: tuple[str, ...]
-    columns: tuple[str, ...]  # command, torque, then estimate, rotor_force and one per contact, as far as there are any
+    columns: tuple[
+        str, ...
+    ]  # command, torque, then estimate, rotor_force and one per contact, as far as there are any
     floating: bool  # nothing holds the device in place: only differences of positions matter
     levels_ns_per_m: tuple[float, ...]  # rising, from 0
     residuals_ohm: tuple[float, ...]  # rising; one, if the winding's temperature does not change
@@ -280,7 +308,9 @@ class PlantParams:
 
 @dataclass(frozen=True, slots=True)
 class BoardParams:
-    """Everything the simulated board needs (board.json): nominal scales of its firmware and the plant's numbers."""
+    """Everything the simulated board needs (board.json): nominal scales of its firmware and the
+    plant's numbers.
+    """
 
     serial: str
     rate_hz: float
@@ -305,13 +335,17 @@ class BoardParams:
     injections: tuple[InjectionParams, ...] = field(default_factory=tuple)
     emf_velocity_m_per_s_per_count: float = 2.0 / 32767
     temperature_c_per_count: float = 0.01
-    lag_periods: int = 0  # whole periods of transport delay between the receipt of a torque and its effect
+    lag_periods: int = (
+        0  # whole periods of transport delay between the receipt of a torque and its effect
+    )
     plant: PlantParams | None = None  # the composed device; without it one rigid mass
 
 
 @dataclass(frozen=True, slots=True)
 class GatewayParams:
-    """What the gateway process needs (gateway.json): where telemetry is offered and how many ticks share a message."""
+    """What the gateway process needs (gateway.json): where telemetry is offered and how many
+    ticks share a message.
+    """
 
     telemetry_port: int = 9872  # PlotJuggler's default; an ephemeral one when taken
     batch: int = 20  # ticks in one `servo` message
@@ -323,7 +357,9 @@ class GatewayParams:
 
 @dataclass(frozen=True, slots=True)
 class GatewaySetup:
-    """gateway.json: the gateway's own parameters, and the servo's for the limits and scales it checks against."""
+    """gateway.json: the gateway's own parameters, and the servo's for the limits and scales it
+    checks against.
+    """
 
     servo: ServoParams
     gateway: GatewayParams = GatewayParams()
@@ -335,18 +371,27 @@ def to_plain(value: Any) -> Any:
 
 
 def from_plain(kind: type[T], plain: Any, where: str = "") -> T:
-    """Dicts and lists -> dataclass tree of type `kind`. Raises ConfigError with the path of a wrong key."""
+    """Dicts and lists -> dataclass tree of type `kind`. Raises ConfigError with the path of a
+    wrong key.
+    """
     known = {item.name: item for item in dataclasses.fields(kind)}  # type: ignore[arg-type]
     if not isinstance(plain, dict):
         raise ConfigError(f"{where or kind.__name__}: expected a table, got {type(plain).__name__}")
     unknown = sorted(set(plain) - set(known))
     if unknown:
-        raise ConfigError(f"{where or kind.__name__}: unknown key {unknown[0]!r}; written by another version? resolve again")
+        raise ConfigError(
+            f"{where or kind.__name__}: unknown key {unknown[0]!r}; written by another version?"
+            " resolve again"
+        )
     hints = typing.get_type_hints(kind)
     try:
-        return kind(**{key: _value(hints[key], item, f"{where}.{key}") for key, item in plain.items()})
+        return kind(
+            **{key: _value(hints[key], item, f"{where}.{key}") for key, item in plain.items()}
+        )
     except TypeError as error:
-        raise ConfigError(f"{where or kind.__name__}: {error}; written by another version? resolve again") from error
+        raise ConfigError(
+            f"{where or kind.__name__}: {error}; written by another version? resolve again"
+        ) from error
 
 
 def _value(hint: Any, plain: Any, where: str) -> Any:
@@ -360,5 +405,7 @@ def _value(hint: Any, plain: Any, where: str) -> Any:
     if float in allowed and isinstance(plain, int) and not isinstance(plain, bool):
         return float(plain)
     if not isinstance(plain, tuple(allowed)) or plain != plain:  # NaN passes every limit
-        raise ConfigError(f"{where}: expected {hint}, got {plain!r}; resolve the configuration again")
+        raise ConfigError(
+            f"{where}: expected {hint}, got {plain!r}; resolve the configuration again"
+        )
     return plain

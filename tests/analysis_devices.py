@@ -1,7 +1,20 @@
-"""Composed devices for the analysis: the rigid one of theory, and one like the calibrated display."""
+"""Composed devices for the analysis: the rigid one of theory, and one like the calibrated
+display.
+"""
 
 from hapticd.plant.compose import compose_device
-from hapticd.plant.effects import Amplifier, Coulomb, Coupling, DampingCircuit, Delay, Masses, Motor, ProbeMass, Smoothing, Viscous
+from hapticd.plant.effects import (
+    Amplifier,
+    Coulomb,
+    Coupling,
+    DampingCircuit,
+    Delay,
+    Masses,
+    Motor,
+    ProbeMass,
+    Smoothing,
+    Viscous,
+)
 from hapticd.plant.model import Model
 
 MOTOR = Motor(torque_constant_nm_per_a=0.0165, lever_m=0.01, resistance_ohm=1.6)
@@ -9,13 +22,27 @@ MOTOR = Motor(torque_constant_nm_per_a=0.0165, lever_m=0.01, resistance_ohm=1.6)
 
 def rigid(mass_kg=0.008, viscous=2.0, delay=0.0, coulomb=0.0, scale=1.0, extra=()) -> Model:
     """One mass with damping and friction; `scale` bolts that many together."""
-    effects = [Masses(rotor_kg=scale * mass_kg), MOTOR, Viscous(rotor_ns_per_m=scale * viscous), Delay(periods=delay), *extra]
+    effects = [
+        Masses(rotor_kg=scale * mass_kg),
+        MOTOR,
+        Viscous(rotor_ns_per_m=scale * viscous),
+        Delay(periods=delay),
+        *extra,
+    ]
     if coulomb:
         effects.append(Coulomb(rotor_n=scale * coulomb))
     return compose_device("rigid", effects)
 
 
-def display(scale=1.0, coulomb=0.0293, slider_coulomb=0.0, viscous=0.358, delay=0.125, smoothing_hz=31.8, extra=()) -> Model:
+def display(
+    scale=1.0,
+    coulomb=0.0293,
+    slider_coulomb=0.0,
+    viscous=0.358,
+    delay=0.125,
+    smoothing_hz=31.8,
+    extra=(),
+) -> Model:
     """Two masses, smoothing, amplifier and damping circuit, as the calibrated device has them."""
     effects = [
         Masses(rotor_kg=scale * 0.0025, slider_kg=scale * 0.0025),

@@ -1,4 +1,6 @@
-"""The boards that tests simulate: the numbers of the default simulated device, changed where a test says so."""
+"""The boards that tests simulate: the numbers of the default simulated device, changed where a
+test says so.
+"""
 
 from dataclasses import replace
 from math import inf

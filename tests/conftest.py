@@ -24,7 +24,9 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
 
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+def pytest_terminal_summary(
+    terminalreporter: pytest.TerminalReporter, config: pytest.Config
+) -> None:
     missed = _missed(config)
     if missed:
         terminalreporter.section("not run, and every test has to (--all-must-run)", red=True)
@@ -36,7 +38,11 @@ def _missed(config: pytest.Config) -> list[str]:
     if not config.getoption("--all-must-run"):
         return []
     reporter = config.pluginmanager.getplugin("terminalreporter")
-    return [report.nodeid for report in reporter.stats.get("skipped", []) if not _may_be_skipped(report.nodeid)]
+    return [
+        report.nodeid
+        for report in reporter.stats.get("skipped", [])
+        if not _may_be_skipped(report.nodeid)
+    ]
 
 
 def _may_be_skipped(nodeid: str) -> bool:
@@ -55,6 +61,8 @@ def runtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
     monkeypatch.setenv("XDG_CONFIG_HOME", str(folder / "config"))
     monkeypatch.setenv("XDG_STATE_HOME", str(folder / "state"))
-    monkeypatch.setattr(files, "SERVICE_FOLDER", folder / "no-service")  # whatever runs on this machine
+    monkeypatch.setattr(
+        files, "SERVICE_FOLDER", folder / "no-service"
+    )  # whatever runs on this machine
     yield folder
     shutil.rmtree(folder)

@@ -49,7 +49,11 @@ LIMIT = Saturation(limit_n=8.0)
 COGS = MagnetCogging(amplitude_n=0.05, pitch_m=0.004, phase_rad=0.3)
 ENDS = WorkspaceEnds(lower_m=-0.002, upper_m=0.003)
 HAND = PassiveHand(
-    mass_kg=0.1, damping_ns_per_m=2.0, stiffness_n_per_m=100.0, grip_stiffness_n_per_m=2000.0, grip_damping_ns_per_m=5.0
+    mass_kg=0.1,
+    damping_ns_per_m=2.0,
+    stiffness_n_per_m=100.0,
+    grip_stiffness_n_per_m=2000.0,
+    grip_damping_ns_per_m=5.0,
 )
 WARMING = WindingHeating(thermal_resistance_k_per_w=20.0, time_constant_s=10.0, ambient_c=20.0)
 SPRING = Load(stiffness_n_per_m=500.0)

@@ -7,7 +7,9 @@ def stop_time_s(mass_kg: float, velocity_m_per_s: float, coulomb_n: float) -> fl
 
 
 def turning_points_m(start_m: float, stiffness_n_per_m: float, coulomb_n: float) -> list[float]:
-    """Positions at which a mass on a spring with Coulomb friction turns, until it sticks: each 2 Fc / K nearer to 0."""
+    """Positions at which a mass on a spring with Coulomb friction turns, until it sticks: each
+    2 Fc / K nearer to 0.
+    """
     band = coulomb_n / stiffness_n_per_m
     points = [start_m]
     while abs(points[-1]) > band:

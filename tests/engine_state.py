@@ -7,7 +7,9 @@ from hapticd.sim.engine.group import Group
 
 
 def final(monkeypatch, *arguments, **options):
-    """(rows of the first group after the batch by name, the result) of `simulate(*arguments, **options)`."""
+    """(rows of the first group after the batch by name, the result) of `simulate(*arguments,
+    **options)`.
+    """
     made = []
 
     class Watched(Group):

@@ -1,4 +1,6 @@
-"""Flying `servo.step` by hand: a tick counter, commands with masks, and a sample that is healthy unless told otherwise."""
+"""Flying `servo.step` by hand: a tick counter, commands with masks, and a sample that is
+healthy unless told otherwise.
+"""
 
 from typing import Any
 
@@ -27,7 +29,9 @@ class Flight:
     """One servo in the air. The first sample seeds the filters."""
 
     def __init__(self, params: Any, encoder: int = 0) -> None:
-        self.params, self.encoder, self.tick = params, encoder, 0
+        self.params = params
+        self.encoder = encoder
+        self.tick = 0
         self.step, self.state = make_step(params), initial_state(params)
         self.answers: list[Any] = []
         self._seq = 0
@@ -39,7 +43,9 @@ class Flight:
             out = self._one((), **sample)
         return out
 
-    def do(self, kind: int, values: dict[Value, float] | None = None, at_tick: int = 0, **sample: Any) -> Result:
+    def do(
+        self, kind: int, values: dict[Value, float] | None = None, at_tick: int = 0, **sample: Any
+    ) -> Result:
         """Command and tick; what became of it."""
         self._seq += 1
         out = self._one(((self._seq, int(kind), 9, at_tick, masked(values or {})),), **sample)

@@ -1,4 +1,6 @@
-"""Rigs for tests of gateway and client: the stand-in servo, virtual time, and either the desk alone or the whole gateway."""
+"""Rigs for tests of gateway and client: the stand-in servo, virtual time, and either the desk
+alone or the whole gateway.
+"""
 
 import threading
 from collections.abc import Iterator
@@ -29,7 +31,9 @@ def packed(**fields: Any) -> bytes:
 
 
 class DeskRig:
-    """A servo and a desk in front of it; no sockets. `ask` plays a client that waits for its reply."""
+    """A servo and a desk in front of it; no sockets. `ask` plays a client that waits for its
+    reply.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -57,7 +61,12 @@ class DeskRig:
 
     def send(self, *payloads: bytes, client: bytes = b"a") -> list[dict[str, Any]]:
         """Requests that come together; the replies given at once."""
-        return [decoded(reply) for reply in self.desk.serve([[client, payload] for payload in payloads], self.clock.now_ns())]
+        return [
+            decoded(reply)
+            for reply in self.desk.serve(
+                [[client, payload] for payload in payloads], self.clock.now_ns()
+            )
+        ]
 
     def ask(self, client: bytes = b"a", **fields: Any) -> dict[str, Any]:
         """One request and its reply, after at most three ticks."""
@@ -79,7 +88,9 @@ def decoded(frames: list[bytes]) -> Any:
 
 
 class GatewayRig:
-    """A servo and a whole gateway with its sockets, stepped by hand; sockets made here are closed with it."""
+    """A servo and a whole gateway with its sockets, stepped by hand; sockets made here are
+    closed with it.
+    """
 
     def __init__(self, folder: Path, **options: Any) -> None:
         self.folder, self.clock = folder, VirtualClock(START_NS)
@@ -139,7 +150,9 @@ class GatewayRig:
 
 @contextmanager
 def running(rig: GatewayRig, ticks: int = 5) -> Iterator[GatewayRig]:
-    """Servo and gateway of `rig` go on in a thread of their own, in virtual time, for clients that block."""
+    """Servo and gateway of `rig` go on in a thread of their own, in virtual time, for clients
+    that block.
+    """
     ended = threading.Event()
 
     def go() -> None:

@@ -1,7 +1,9 @@
-"""A small servo for tests of the gateway: it owns a mailbox, obeys commands at its ticks and writes records. It renders nothing.
+"""A small servo for tests of the gateway: it owns a mailbox, obeys commands at its ticks and writes
+records. It renders nothing.
 
-Its answers follow the contract of the mailbox (two commands a tick, effective values in every answer, a second answer for
-scheduled sets); its state machine is the happy path of the safety table.
+Its answers follow the contract of the mailbox (two commands a tick, effective values in every
+answer, a second answer for scheduled sets); its state machine is the happy path of the safety
+table.
 """
 
 import sys
@@ -31,9 +33,15 @@ from hapticd.wire.frames import InFrame
 
 NEXT_STATE = {
     Command.ENABLE: {State.DISABLED: State.ENABLED, State.ENABLED: State.ENABLED},
-    Command.DISABLE: {state: state if state in (State.STOPPED, State.FAULT) else State.DISABLED for state in State},
+    Command.DISABLE: {
+        state: state if state in (State.STOPPED, State.FAULT) else State.DISABLED for state in State
+    },
     Command.STOP: {state: state if state is State.FAULT else State.STOPPED for state in State},
-    Command.RESET: {State.STOPPED: State.DISABLED, State.FAULT: State.DISABLED, State.DISABLED: State.DISABLED},
+    Command.RESET: {
+        State.STOPPED: State.DISABLED,
+        State.FAULT: State.DISABLED,
+        State.DISABLED: State.DISABLED,
+    },
     Command.ZERO: {State.DISABLED: State.DISABLED},
     Command.HOME: {State.DISABLED: State.HOMING},
     Command.PERTURB_START: {State.ENABLED: State.ENABLED},
@@ -42,34 +50,66 @@ NEXT_STATE = {
 
 
 def setup(instance: str = "default", **gateway: Any) -> GatewaySetup:
-    """A device with round numbers: 1 mN/count of probe force, damping up to 2 N s/m, probe up to 1 N; any free port."""
+    """A device with round numbers: 1 mN/count of probe force, damping up to 2 N s/m, probe up
+    to 1 N; any free port.
+    """
     scale = ScaleParams(1e-3)
     device = DeviceParams(
-        "stand-in", "S1", position=ScaleParams(5e-7), force=scale, damping=scale, probe_torque=ScaleParams(1e-3, -1, 2.0),
-        probe_velocity=ScaleParams(1e-4), current=scale, voltage=scale, emf_velocity=scale, temperature=scale, force_limit_n=8.0,
-        damping_limit_ns_per_m=2.0, probe_limit_n=1.0, temperature_limit_c=100.0, speed_limit_m_per_s=5.0,
-    )  # fmt: skip
+        "stand-in",
+        "S1",
+        position=ScaleParams(5e-7),
+        force=scale,
+        damping=scale,
+        probe_torque=ScaleParams(1e-3, -1, 2.0),
+        probe_velocity=ScaleParams(1e-4),
+        current=scale,
+        voltage=scale,
+        emf_velocity=scale,
+        temperature=scale,
+        force_limit_n=8.0,
+        damping_limit_ns_per_m=2.0,
+        probe_limit_n=1.0,
+        temperature_limit_c=100.0,
+        speed_limit_m_per_s=5.0,
+    )
     servo = ServoParams(
-        instance, True, EnvironmentParams(), device, SafetyParams(), RealtimeParams(grace_s=0.0), UsbParams(), config_hash="c" * 64
+        instance,
+        True,
+        EnvironmentParams(),
+        device,
+        SafetyParams(),
+        RealtimeParams(grace_s=0.0),
+        UsbParams(),
+        config_hash="c" * 64,
     )
     return GatewaySetup(servo, GatewayParams(**({"telemetry_port": 0, "flight_s": 5.0} | gateway)))
 
 
 class StandInServo:
-    """Its mailbox is there once it is created; `tick()` runs one tick. `deaf`: takes no commands; `mute`: gives no answers."""
+    """Its mailbox is there once it is created; `tick()` runs one tick. `deaf`: takes no
+    commands; `mute`: gives no answers.
+    """
 
     def __init__(self, folder: Path, clock: Clock, rate_hz: float = 1000.0) -> None:
-        self.clock, self.rate_hz = clock, rate_hz
+        self.clock = clock
+        self.rate_hz = rate_hz
         start_ns = max(clock.now_ns(), 1)
         self.mailbox = ServoMailbox(folder, rate_hz, "c" * 64, True, start_ns)
         self.mailbox.report({"granted": "nothing"})
         self.mailbox.publish()
-        self.ticks, self.state, self.fault, self.revision, self.actor = 0, State.DISABLED, 0, 0, 0
+        self.ticks = 0
+        self.state = State.DISABLED
+        self.fault = 0
+        self.revision = 0
+        self.actor = 0
         self.perturbing = self.deaf = self.mute = False
         self.values = list(configured(setup().servo))
         self.scheduled: list[tuple[Any, ...]] = []
         self.taken: list[tuple[int, int]] = []  # (kind, actor) in the order of taking
-        self.probe_index, self.probe_pairs, self.flags, self.force_n = 0, 4, 0, 1.5
+        self.probe_index = 0
+        self.probe_pairs = 4
+        self.flags = 0
+        self.force_n = 1.5
         self.frame = bytes(64)
 
     def tick(self, count: int = 1) -> None:
@@ -88,7 +128,9 @@ class StandInServo:
                 self._command(command)
         pressed, self.mailbox.stop_words[0] = self.mailbox.stop_words[0], 0
         if pressed and self.state not in (State.STOPPED, State.FAULT):
-            self.state, self.fault, self.actor = State.STOPPED, 1, 2
+            self.state = State.STOPPED
+            self.fault = 1
+            self.actor = 2
             self.revision += 1
         for command in [one for one in self.scheduled if one[3] <= self.ticks]:
             self.scheduled.remove(command)
@@ -108,9 +150,12 @@ class StandInServo:
         elif self.state not in NEXT_STATE[Command(kind)]:
             self._answer(seq, Result.REFUSED_STATE)
         else:
-            self.state, self.actor = NEXT_STATE[Command(kind)][self.state], actor
+            self.state = NEXT_STATE[Command(kind)][self.state]
+            self.actor = actor
             self.fault = 1 if kind == Command.STOP else 0
-            self.perturbing = kind == Command.PERTURB_START or (self.perturbing and kind != Command.PERTURB_STOP)
+            self.perturbing = kind == Command.PERTURB_START or (
+                self.perturbing and kind != Command.PERTURB_STOP
+            )
             self.played = values[Value.SAMPLES], values[Value.LOOP]
             self.revision += 1
             self._answer(seq, Result.APPLIED)
@@ -123,24 +168,86 @@ class StandInServo:
         self.revision += 1
         self._answer(seq, Result.APPLIED, end=self.ticks + 50)
 
-    def _answer(self, seq: int, result: Result, first: int | None = None, end: int | None = None) -> None:
+    def _answer(
+        self, seq: int, result: Result, first: int | None = None, end: int | None = None
+    ) -> None:
         first = self.ticks if first is None else first
         if not self.mute:
-            self.mailbox.answer(seq, result, self.fault, self.revision, (first, end or first), tuple(self.values))
+            self.mailbox.answer(
+                seq, result, self.fault, self.revision, (first, end or first), tuple(self.values)
+            )
 
     def _publish(self) -> None:
-        now_ns, v = self.clock.now_ns(), self.values
+        now_ns = self.clock.now_ns()
+        v = self.values
         plan = layout.PLAN.pack(
-            self.revision, self.state, self.fault, self.perturbing, True, self.actor, 0, 0, 1.0, v[2], v[3], v[4], v[13], v[13]
+            self.revision,
+            self.state,
+            self.fault,
+            self.perturbing,
+            True,
+            self.actor,
+            0,
+            0,
+            1.0,
+            v[2],
+            v[3],
+            v[4],
+            v[13],
+            v[13],
         )
         pairs = tuple((self.probe_index + n & 0x7FFF, -n) for n in range(self.probe_pairs))
-        self.frame = encode_in(InFrame(self.ticks & 0xFFFF, 0, 0, 0, 0, 0, 0, 0, 0, 0, 8, 0, self.probe_index & 0xFFFFFFFF, pairs))
+        self.frame = encode_in(
+            InFrame(
+                self.ticks & 0xFFFF,
+                0,
+                0,
+                0,
+                0,
+                0,
+                0,
+                0,
+                0,
+                0,
+                8,
+                0,
+                self.probe_index & 0xFFFFFFFF,
+                pairs,
+            )
+        )
         self.probe_index += self.probe_pairs
         values = (
-            self.ticks, now_ns, now_ns // 1000, plan, self.flags, 0, 0, 3, 1e-3, 0.25, 2.0, 0.1, 0.2, 0.3, 0.4, self.force_n,
-            *(0.01 * n for n in range(6)), 25.0, 0.5, 12.0, 0.24, 1000, 20000, 8000, 30000, 4000, 0,
-            self.frame, bytes(32), self.ticks,
-        )  # fmt: skip
+            self.ticks,
+            now_ns,
+            now_ns // 1000,
+            plan,
+            self.flags,
+            0,
+            0,
+            3,
+            1e-3,
+            0.25,
+            2.0,
+            0.1,
+            0.2,
+            0.3,
+            0.4,
+            self.force_n,
+            *(0.01 * n for n in range(6)),
+            25.0,
+            0.5,
+            12.0,
+            0.24,
+            1000,
+            20000,
+            8000,
+            30000,
+            4000,
+            0,
+            self.frame,
+            bytes(32),
+            self.ticks,
+        )
         offset = layout.TELEMETRY_OFFSET + self.ticks % layout.RING_RECORDS * layout.RECORD.size
         layout.RECORD.pack_into(self.mailbox.ring, offset, *values)
         self.mailbox.publish_head(layout.TELEMETRY_HEAD_WORD, self.ticks + 1)

@@ -10,11 +10,24 @@ from hapticd.mailbox.servo_side import ServoMailbox
 STOP_AT = 1 << 40
 
 
-DERIVED = frozenset(("tick", "time_ns", "board_us", "position_m", "velocity_m_per_s", "stiffness_force_n", "force_n", "tail"))
+DERIVED = frozenset(
+    (
+        "tick",
+        "time_ns",
+        "board_us",
+        "position_m",
+        "velocity_m_per_s",
+        "stiffness_force_n",
+        "force_n",
+        "tail",
+    )
+)
 
 
 def derived_places() -> list[bool]:
-    """For each value of a record: whether it is to follow the tick. The plan is one value, an array as many as it has."""
+    """For each value of a record: whether it is to follow the tick. The plan is one value, an
+    array as many as it has.
+    """
     plan = {name for name, *_ in layout.PLAN_FIELDS}
     places: list[bool] = []
     for name, _, *shape in layout.TELEMETRY:
@@ -25,16 +38,27 @@ def derived_places() -> list[bool]:
 
 
 def write_records(folder: Path) -> None:
-    """Publish records whose numbers are derived from their tick, as fast as Python can, until the reader says stop."""
+    """Publish records whose numbers are derived from their tick, as fast as Python can, until
+    the reader says stop.
+    """
     servo = ServoMailbox(folder, 1000.0, "", True, 1)
     servo.publish()
-    pack, ring, publish, words = layout.RECORD.pack_into, servo.ring, servo.publish_head, servo.words
-    size, slots, first, stop = layout.RECORD.size, layout.RING_RECORDS, layout.TELEMETRY_OFFSET, layout.GATEWAY_BEAT_WORD
-    blank, follows = layout.RECORD.unpack(bytes(size)), derived_places()
+    pack = layout.RECORD.pack_into
+    ring = servo.ring
+    publish = servo.publish_head
+    words = servo.words
+    size = layout.RECORD.size
+    slots = layout.RING_RECORDS
+    first = layout.TELEMETRY_OFFSET
+    stop = layout.GATEWAY_BEAT_WORD
+    blank = layout.RECORD.unpack(bytes(size))
+    follows = derived_places()
     tick = 0
     while words[stop] < STOP_AT:
         for _ in range(1000):
-            values = [tick if follow else empty for follow, empty in zip(follows, blank, strict=True)]
+            values = [
+                tick if follow else empty for follow, empty in zip(follows, blank, strict=True)
+            ]
             pack(ring, first + tick % slots * size, *values)
             tick += 1
             publish(0, tick)
@@ -42,11 +66,16 @@ def write_records(folder: Path) -> None:
 
 
 def write_words(folder: Path) -> None:
-    """Store a word that is all zeros or all ones through the release store, as fast as Python can."""
+    """Store a word that is all zeros or all ones through the release store, as fast as Python
+    can.
+    """
     servo = ServoMailbox(folder, 1000.0, "", True, 1)
     servo.publish()
     store, _ = word_access(servo.words, sys.argv[3] if len(sys.argv) > 3 else None)
-    words, stop, target, ones = servo.words, layout.GATEWAY_BEAT_WORD, layout.SERVO_BEAT_WORD, (1 << 64) - 1
+    words = servo.words
+    stop = layout.GATEWAY_BEAT_WORD
+    target = layout.SERVO_BEAT_WORD
+    ones = (1 << 64) - 1
     while words[stop] < STOP_AT:
         for _ in range(1000):
             store(target, 0)

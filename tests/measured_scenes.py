@@ -8,8 +8,13 @@ from hapticd.plant.effects import Coulomb, Effect, Masses, Motor, Viscous
 from hapticd.plant.scene import DampingStep, Excitation, Scene
 
 MOTOR = Motor(torque_constant_nm_per_a=0.0165, lever_m=0.01, resistance_ohm=1.6)
-MASS_KG, VISCOUS_NS_PER_M = 0.008, 1.0
-PARTS: tuple[Effect, ...] = (Masses(rotor_kg=MASS_KG), MOTOR, Viscous(rotor_ns_per_m=VISCOUS_NS_PER_M))
+MASS_KG = 0.008
+VISCOUS_NS_PER_M = 1.0
+PARTS: tuple[Effect, ...] = (
+    Masses(rotor_kg=MASS_KG),
+    MOTOR,
+    Viscous(rotor_ns_per_m=VISCOUS_NS_PER_M),
+)
 DRY = (Masses(rotor_kg=MASS_KG), MOTOR, Viscous(rotor_ns_per_m=0.4), Coulomb(rotor_n=0.03))
 
 RIGID = """
@@ -26,12 +31,25 @@ kind = "noise"
 
 
 def scene(
-    effects: tuple[Effect, ...] = PARTS, level: float = 0.0, seconds: float = 6.0, kbm: Any = (0, 0, 0), **more: Any
+    effects: tuple[Effect, ...] = PARTS,
+    level: float = 0.0,
+    seconds: float = 6.0,
+    kbm: Any = (0, 0, 0),
+    **more: Any,
 ) -> Scene:
     """A rigid device under noise, unless told otherwise; `kbm` is what it renders."""
     more = {"excitation": Excitation("noise"), **more}
     rendered = EnvironmentParams(float(kbm[0]), float(kbm[1]), float(kbm[2]))
-    return Scene("small", "a small scene", "none", effects, rendered, (DampingStep(0.0, level),), seconds=seconds, **more)
+    return Scene(
+        "small",
+        "a small scene",
+        "none",
+        effects,
+        rendered,
+        (DampingStep(0.0, level),),
+        seconds=seconds,
+        **more,
+    )
 
 
 def stopwatch() -> Callable[[], int]:

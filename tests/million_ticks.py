@@ -1,4 +1,6 @@
-"""Fly a million ticks of the whole stack with noise on; print by how many kB its own (anonymous) memory grew after the first."""
+"""Fly a million ticks of the whole stack with noise on; print by how many kB its own
+(anonymous) memory grew after the first.
+"""
 
 import numpy as np
 from models import board_params, servo_params
@@ -6,7 +8,10 @@ from models import board_params, servo_params
 from hapticd.assembly.lockstep import LockStep
 from hapticd.mailbox.layout import Command, Value
 
-WARM_UP, TICKS, AT_ONCE = 100_000, 1_000_000, 1000  # the records of what is flown at once are kept until it has been
+# the records of what is flown at once are kept until it has been
+WARM_UP = 100_000
+TICKS = 1_000_000
+AT_ONCE = 1000
 
 
 def anonymous_kb() -> int:

@@ -1,4 +1,6 @@
-"""Parameter sets that tests share: the simulated device of config/devices/simulated.toml in plain values."""
+"""Parameter sets that tests share: the simulated device of config/devices/simulated.toml in
+plain values.
+"""
 
 import dataclasses
 from typing import Any
@@ -16,7 +18,9 @@ from hapticd.params import (
     UsbParams,
 )
 
-COUNT_M, COUNT_N, COUNT_NS_PER_M = BOARD.position_m_per_count, BOARD.force_n_per_count, BOARD.damping_ns_per_m_per_count
+COUNT_M = BOARD.position_m_per_count
+COUNT_N = BOARD.force_n_per_count
+COUNT_NS_PER_M = BOARD.damping_ns_per_m_per_count
 
 
 def device_params(**changes: Any) -> DeviceParams:
@@ -43,9 +47,15 @@ def device_params(**changes: Any) -> DeviceParams:
 
 def servo_params(**changes: Any) -> ServoParams:
     base = ServoParams(
-        instance="test", simulated=True, environment=EnvironmentParams(), device=device_params(), safety=SafetyParams(),
-        realtime=RealtimeParams(mode="off"), usb=UsbParams(), config_hash="0" * 64,
-    )  # fmt: skip
+        instance="test",
+        simulated=True,
+        environment=EnvironmentParams(),
+        device=device_params(),
+        safety=SafetyParams(),
+        realtime=RealtimeParams(mode="off"),
+        usb=UsbParams(),
+        config_hash="0" * 64,
+    )
     return dataclasses.replace(base, **changes)
 
 

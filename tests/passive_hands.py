@@ -1,14 +1,20 @@
-"""Random passive hands over wide logarithmic ranges: grips, arms, resonators, creep, meshes; also lossless and massless ones.
+"""Random passive hands over wide logarithmic ranges: grips, arms, resonators, creep, meshes; also
+lossless and massless ones.
 
-Every node hangs on the others by springs, so that a hand as a whole may drift, but no part of it alone.
+Every node hangs on the others by springs, so that a hand as a whole may drift, but no part of it
+alone.
 """
 
 import numpy as np
 
 from hapticd.analysis.hands import GROUND, Hand, Network
 
-MASS_KG, SPRING_N_PER_M, DAMPER_NS_PER_M = (1e-5, 30.0), (1e-1, 1e6), (1e-4, 1e3)
-TIME_S, MODE_HZ, LOSS = (1e-5, 10.0), (0.3, 2000.0), (1e-5, 3.0)
+MASS_KG = (1e-5, 30.0)
+SPRING_N_PER_M = (1e-1, 1e6)
+DAMPER_NS_PER_M = (1e-4, 1e3)
+TIME_S = (1e-5, 10.0)
+MODE_HZ = (0.3, 2000.0)
+LOSS = (1e-5, 3.0)
 
 
 class Draw:
@@ -20,17 +26,27 @@ class Draw:
 
     def size(self, bounds, absent=0.0):
         """Log-uniform, or 0 with probability `absent`."""
-        return 0.0 if self.random.random() < absent else float(np.exp(self.random.uniform(*np.log(bounds))))
+        return (
+            0.0
+            if self.random.random() < absent
+            else float(np.exp(self.random.uniform(*np.log(bounds))))
+        )
 
     def link(self, one, other, loose=0.0):
         """Spring and damper; half of them with a Maxwell arm beside."""
-        self.network.join(one, other, self.size(SPRING_N_PER_M, loose), self.size(DAMPER_NS_PER_M, max(loose, 0.2)))
+        self.network.join(
+            one,
+            other,
+            self.size(SPRING_N_PER_M, loose),
+            self.size(DAMPER_NS_PER_M, max(loose, 0.2)),
+        )
         if self.random.random() < 0.5:
             self.arm(one, other)
 
     def arm(self, one, other):
         """Spring and damper in a row, a massless node between them."""
-        stiffness, middle = self.size(SPRING_N_PER_M), self.network.node()
+        stiffness = self.size(SPRING_N_PER_M)
+        middle = self.network.node()
         self.network.join(one, middle, stiffness)
         self.network.join(middle, other, 0.0, stiffness * self.size(TIME_S))
 
@@ -54,8 +70,11 @@ def modes(draw):
     """One to six resonators side by side, down to a damping ratio of 1e-5 and to none."""
     grip(draw)
     for _ in range(draw.random.integers(1, 7)):
-        mass, rate = draw.size(MASS_KG), 2.0 * np.pi * draw.size(MODE_HZ)
-        draw.network.join(0, draw.network.node(mass), mass * rate**2, 2.0 * mass * rate * draw.size(LOSS, 0.2))
+        mass = draw.size(MASS_KG)
+        rate = 2.0 * np.pi * draw.size(MODE_HZ)
+        draw.network.join(
+            0, draw.network.node(mass), mass * rate**2, 2.0 * mass * rate * draw.size(LOSS, 0.2)
+        )
 
 
 def creep(draw):
@@ -73,7 +92,9 @@ def mesh(draw):
         draw.link(new, int(draw.random.integers(new)))
     for _ in range(count):
         one, other = draw.random.choice(np.arange(GROUND, count), 2, replace=False)
-        draw.network.join(int(one), int(other), draw.size(SPRING_N_PER_M, 0.3), draw.size(DAMPER_NS_PER_M, 0.3))
+        draw.network.join(
+            int(one), int(other), draw.size(SPRING_N_PER_M, 0.3), draw.size(DAMPER_NS_PER_M, 0.3)
+        )
 
 
 KINDS = (grip, chain, modes, creep, mesh)

@@ -1,4 +1,6 @@
-"""The whole stack in lock-step with the gateway's publisher beside it: every message that a recorder would have got."""
+"""The whole stack in lock-step with the gateway's publisher beside it: every message that a
+recorder would have got.
+"""
 
 from collections.abc import Generator, Sequence
 from pathlib import Path
@@ -25,7 +27,12 @@ AT_ONCE = 20
 class RecordedFlight:
     """A servo in the air and what is published of it. Use it as a context manager."""
 
-    def __init__(self, params: ServoParams | None = None, board: BoardParams | None = None, flight_s: float = 5.0) -> None:
+    def __init__(
+        self,
+        params: ServoParams | None = None,
+        board: BoardParams | None = None,
+        flight_s: float = 5.0,
+    ) -> None:
         self.params = params or servo_params()
         self.stack = LockStep(self.params, board or board_params())
         self.setup = GatewaySetup(self.params, GatewayParams(flight_s=flight_s))
@@ -42,7 +49,12 @@ class RecordedFlight:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self.view.drop()
         self.stack.__exit__(kind, error, trace)
         self.publisher.flight.close()
@@ -74,13 +86,23 @@ class RecordedFlight:
 
 
 class Source:
-    """Stands for hapticd.client.Client: plays `messages`, then nothing comes any more; each look takes `look_ms`."""
+    """Stands for hapticd.client.Client: plays `messages`, then nothing comes any more; each
+    look takes `look_ms`.
+    """
 
     def __init__(self, flight: RecordedFlight, clock: VirtualClock, look_ms: int = 20) -> None:
-        self.played, self.params, self._clock, self._look_ms = list(flight.messages), flight.params, clock, look_ms
+        self.played = list(flight.messages)
+        self.params = flight.params
+        self._clock = clock
+        self._look_ms = look_ms
 
     def hello(self) -> dict[str, Any]:
-        return {"instance": "test", "rate_hz": 1000.0, "version": "0.1.0", "servo": to_plain(self.params)}
+        return {
+            "instance": "test",
+            "rate_hz": 1000.0,
+            "version": "0.1.0",
+            "servo": to_plain(self.params),
+        }
 
     def status(self) -> dict[str, Any]:
         return {
@@ -89,7 +111,9 @@ class Source:
             "servo": {"realtime": {"fifo": "granted"}, "board": {"serial": "SIM0001"}},
         }
 
-    def messages(self, topics: Sequence[str], look_s: float = 0.05) -> Generator[tuple[str, bytes] | None, None, None]:
+    def messages(
+        self, topics: Sequence[str], look_s: float = 0.05
+    ) -> Generator[tuple[str, bytes] | None, None, None]:
         assert set(topics) == set(TOPICS)
         for place, message in enumerate(self.played):
             yield message

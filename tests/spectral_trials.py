@@ -1,4 +1,6 @@
-"""Trials whose impedance is known: spectra made to measure, and records of a linear device under noise."""
+"""Trials whose impedance is known: spectra made to measure, and records of a linear device
+under noise.
+"""
 
 import numpy as np
 
@@ -9,13 +11,17 @@ N_SAMPLES = 360_000
 LAG = 2048
 
 
-def exact_trial(impedance, coherence=1.0, n_samples=N_SAMPLES, force_psd=2.5e-5, lag=LAG) -> Spectra:
+def exact_trial(
+    impedance, coherence=1.0, n_samples=N_SAMPLES, force_psd=2.5e-5, lag=LAG
+) -> Spectra:
     """Spectra without error of a device of `impedance(f)`, on the grid of the window."""
     f = np.arange(lag + 1) * (0.5 * RATE_HZ / lag)
     z = impedance(np.maximum(f, f[1]))  # a window knows no pole at 0 Hz
     force = np.full(f.size, 0.5 * force_psd * RATE_HZ)
     cross = force / z.conj()
-    return Spectra(f, np.abs(cross) ** 2 / (coherence * force), force, cross, RATE_HZ, n_samples, lag)
+    return Spectra(
+        f, np.abs(cross) ** 2 / (coherence * force), force, cross, RATE_HZ, n_samples, lag
+    )
 
 
 def filtered(impedance, force: np.ndarray, noise: np.ndarray, rate_hz=RATE_HZ) -> np.ndarray:
@@ -33,7 +39,9 @@ def record(
     """Force and velocity of a trial: white force, white noise of the velocity sensor."""
     random = np.random.default_rng(seed)
     force = force_n * random.standard_normal(n_samples)
-    return force, filtered(impedance, force, noise_m_per_s * random.standard_normal(n_samples), rate_hz)
+    return force, filtered(
+        impedance, force, noise_m_per_s * random.standard_normal(n_samples), rate_hz
+    )
 
 
 def mass_damper(mass_kg=0.008, damping=1.0, stiffness=0.0):

@@ -1,7 +1,8 @@
-"""The engine's yardstick: the same model played step by step in numpy's long double, in the model's own coordinates.
+"""The engine's yardstick: the same model played step by step in numpy's long double, in the model's
+own coordinates.
 
-Nothing is shared with the engine but the law and the definition of a tick: own matrix exponential, own order of sums, friction
-from `plant.friction`, one trial at a time.
+Nothing is shared with the engine but the law and the definition of a tick: own matrix exponential,
+own order of sums, friction from `plant.friction`, one trial at a time.
 """
 
 from math import floor, pi, sin
@@ -41,7 +42,9 @@ def response(model, duration_s, level):
 
 
 def quantised(value, quantum):
-    return value if quantum is None else EXACT(floor(value * (1.0 / quantum) + 0.5)) * EXACT(quantum)
+    return (
+        value if quantum is None else EXACT(floor(value * (1.0 / quantum) + 0.5)) * EXACT(quantum)
+    )
 
 
 class Straight:
@@ -56,25 +59,33 @@ class Straight:
         self.waits = floor(delay + EXACT(1e-9) / self.steps)
         place = (1 - max(EXACT(0), delay - self.waits)) * self.steps
         self.at = floor(place + EXACT(1e-9))
-        self.part = response(model, (place - self.at) * h, level) if place - self.at > 1e-9 else None
+        self.part = (
+            response(model, (place - self.at) * h, level) if place - self.at > 1e-9 else None
+        )
         params = environment or EnvironmentParams()
         limit = model.force_limit_n or np.inf
         numbers = (*map(EXACT, kbm), *environment_tuple(params, limit)[3:])
         self.environment = tuple(EXACT(value) for value in numbers)
-        coefficients = design_coefficients(params.velocity_filter, params.acceleration_filter, model.rate_hz)
+        coefficients = design_coefficients(
+            params.velocity_filter, params.acceleration_filter, model.rate_hz
+        )
         self.coefficients = tuple(EXACT(value) for value in coefficients)
         self.x = np.zeros(len(model.states), dtype=EXACT)
         for index, state in enumerate(model.states):
             body, _, kind = state.name.rpartition("_")
             if body in ("rotor", "slider", "hand"):
                 self.x[index] = start[kind == "velocity"]
-        self.law = tuple(EXACT(value) for value in at_rest(quantised(EXACT(start[0]), model.encoder_quantum_m)))
+        self.law = tuple(
+            EXACT(value) for value in at_rest(quantised(EXACT(start[0]), model.encoder_quantum_m))
+        )
         self.queue = [EXACT(0)] * (self.waits + 1)
 
     def play(self, torque, noise=None):
         """Over `torque` (samples,)."""
         per_tick = self.steps // self.substeps
-        velocity, force, position = [], [], []
+        velocity = []
+        force = []
+        position = []
         for first in range(0, len(torque), per_tick):
             y = None
             for step in range(self.steps):
@@ -94,7 +105,8 @@ class Straight:
         return np.array(velocity), np.array(force), np.array(position)
 
     def _inputs(self, torque, noise):
-        model, u = self.model, np.zeros(self.model.inputs.width, dtype=EXACT)
+        model = self.model
+        u = np.zeros(self.model.inputs.width, dtype=EXACT)
         u[model.inputs.command], u[model.inputs.torque] = self.queue[0], torque
         if model.inputs.estimate is not None:
             u[model.inputs.estimate] = EXACT(model.estimate_offset_m_per_s) + noise
@@ -102,14 +114,19 @@ class Straight:
             assert pull.law == "sine"
             amplitude_n, pitch_m, phase_rad = pull.numbers
             middle = self.x[pull.position] + self.x[pull.velocity] * self.h / 2
-            u[model.inputs.rotor_force] += amplitude_n * sin(float(2 * pi * middle / pitch_m + phase_rad))
-        free, contacts = self.phi @ self.x + self.gamma @ u, model.contacts
+            u[model.inputs.rotor_force] += amplitude_n * sin(
+                float(2 * pi * middle / pitch_m + phase_rad)
+            )
+        free = self.phi @ self.x + self.gamma @ u
+        contacts = model.contacts
         w = [[self.gamma[a.velocity, b.column] for b in contacts] for a in contacts]
         v = [free[c.velocity] for c in contacts]
         if len(contacts) == 1:
             u[contacts[0].column] = stick_one(v[0], w[0][0], contacts[0].level_n)
         elif contacts:
-            u[[c.column for c in contacts]] = stick_two(*v, *w[0], *w[1], *(c.level_n for c in contacts))
+            u[[c.column for c in contacts]] = stick_two(
+                *v, *w[0], *w[1], *(c.level_n for c in contacts)
+            )
         return u
 
     def _step(self, u):

@@ -23,7 +23,9 @@ def disagreement(found, wanted):
     return max(np.abs(one - other).max() / np.abs(other).max() for one, other in pairs)
 
 
-@pytest.mark.parametrize(("rate_hz", "lag"), [(4000.0, 2048), (1000.0, 333), (7777.0, 512), (44_100.0, 4097)])
+@pytest.mark.parametrize(
+    ("rate_hz", "lag"), [(4000.0, 2048), (1000.0, 333), (7777.0, 512), (44_100.0, 4097)]
+)
 @pytest.mark.parametrize("places", [(2.048, 400.3), (1.5, 32.0), (0.01, 332.99), (7.25, 7.75)])
 def test_edges_are_those_of_the_windowed_sum_of_covariances(rate_hz, lag, places):
     force, velocity = record(mass_damper(0.008, 1.0, 50.0), 3, 30_000)
@@ -41,7 +43,9 @@ def geometric(ratio, angle, lag):
 
 
 def windowed(forward, backward, angle, lag):
-    """The same on both sides of 0, under the lag window: three shifted sums, for 2 W = 1 + cos(pi t / M)."""
+    """The same on both sides of 0, under the lag window: three shifted sums, for 2 W = 1 +
+    cos(pi t / M).
+    """
 
     def both(at):
         return geometric(forward, at, lag) + geometric(backward, -at, lag) - 1.0
@@ -50,7 +54,9 @@ def windowed(forward, backward, angle, lag):
 
 
 def test_edges_have_the_closed_form_of_geometric_covariances():
-    lag, rate_hz, decays = 512, 2000.0, np.arange(513)
+    lag = 512
+    rate_hz = 2000.0
+    decays = np.arange(513)
     given = Covariances(0.97**decays, 0.9**decays, 0.95**decays, 0.8**decays, 100_000)
     found = spectra(given, rate_hz).band((4.4, 611.1))
     angle = 2.0 * np.pi * found.frequency_hz / rate_hz
@@ -81,7 +87,8 @@ def test_a_stream_is_judged_at_the_edges_of_a_trial():
     stream = SpectralStream()
     for first in range(0, force.size, 700):
         stream.add(force[first : first + 700], velocity[first : first + 700])
-    found, wanted = stream.spectra().band((2.0, 333.3)), spa(force, velocity).band((2.0, 333.3))
+    found = stream.spectra().band((2.0, 333.3))
+    wanted = spa(force, velocity).band((2.0, 333.3))
     assert np.array_equal(found.frequency_hz, wanted.frequency_hz)
     assert disagreement(found, wanted) < 1e-9
 
@@ -93,7 +100,9 @@ def test_a_band_without_lines_is_judged_at_its_edges():
 
 
 def test_activity_below_the_first_line_is_found():
-    """A device that is active from 1.5 to 2.4 Hz only: a verdict from 2 Hz names it, and so does the plain rule."""
+    """A device that is active from 1.5 to 2.4 Hz only: a verdict from 2 Hz names it, and so
+    does the plain rule.
+    """
     trial = exact_trial(mass_damper(), 0.99)
     active = np.where(np.abs(trial.frequency_hz - 1.953125) < 0.1, -3.0, 1.0)
     cross = active * trial.cross.real + 1j * trial.cross.imag
@@ -114,7 +123,11 @@ def test_multisines_are_judged_from_their_first_line_and_say_so():
     force = np.tile(random.standard_normal((4, 1, 4096)), (1, 2, 1))
     trial = periodic(force, 0.7 * force + 1e-3 * random.standard_normal(force.shape), 4000.0)
     found = judge(trial, channels=False, estimator="h_force")
-    assert (found.first_judged_hz, found.last_judged_hz, found.n_frequencies) == (3 * 4000.0 / 4096, 500.0, 510)
+    assert (found.first_judged_hz, found.last_judged_hz, found.n_frequencies) == (
+        3 * 4000.0 / 4096,
+        500.0,
+        510,
+    )
     assert "judged 2.93 to 500 Hz" in str(found)
     assert trial.band((2.0, 500.0)).scatter((2.0, 500.0)) == trial.scatter((2.0, 500.0))
 
@@ -148,11 +161,15 @@ def test_an_edge_that_lost_its_power_to_a_drift_is_left_out():
     left_out = 0
     for seed in range(40):
         trial = drifting(seed)
-        asked, line = trial.band((16.0, 500.0)), trial.frequency_hz[3]
+        asked = trial.band((16.0, 500.0))
+        line = trial.frequency_hz[3]
         left_out += asked.frequency_hz[0] == line
         assert asked.frequency_hz[0] in (16.0, line)
         assert asked.velocity[0] >= 0.5 * trial.velocity[2:4].min()
-        assert judge(trial, band_hz=(16.0, 500.0), channels=False).first_judged_hz == asked.frequency_hz[0]
+        assert (
+            judge(trial, band_hz=(16.0, 500.0), channels=False).first_judged_hz
+            == asked.frequency_hz[0]
+        )
     assert 10 < left_out < 40
 
 

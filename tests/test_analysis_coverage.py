@@ -1,6 +1,7 @@
 """What a verdict promises, counted over many trials: false alarms, coverage of intervals, power.
 
-Trials of 90 s are scaled down where only N / M matters: the sample rate with the window, or both with the frequencies.
+Trials of 90 s are scaled down where only N / M matters: the sample rate with the window, or both
+with the frequencies.
 """
 
 import numpy as np
@@ -22,18 +23,23 @@ pytestmark = pytest.mark.slow
 
 def answers(z, noise_m_per_s, trials, band_hz=(16.0, 500.0)):
     """Shares of the three answers, and of trials that the plain +-90 degree rule calls passive."""
-    found, plain = [], 0
+    found = []
+    plain = 0
     for seed in range(trials):
         force, velocity = record(z, seed, 45_000, noise_m_per_s=noise_m_per_s)
         verdict = judge(spa(force, velocity, 4000.0, 256), band_hz=band_hz, channels=False)
         found.append(verdict.answer)
         plain += verdict.within_90_deg
-    return {answer: found.count(answer) / trials for answer in ("passive", "not_passive", "undecided")}, plain / trials
+    return {
+        answer: found.count(answer) / trials for answer in ("passive", "not_passive", "undecided")
+    }, plain / trials
 
 
 @pytest.mark.parametrize("noise_m_per_s", [5e-3, 5e-2])
 def test_lossless_device_is_rarely_called_active(noise_m_per_s):
-    """The hardest case: Re Z = 0 at every frequency, so every one of them may raise the alarm. 5 % + 3 standard errors."""
+    """The hardest case: Re Z = 0 at every frequency, so every one of them may raise the alarm.
+    5 % + 3 standard errors.
+    """
     shares, plain = answers(with_phase_margin(0.0), noise_m_per_s, 700)
     assert shares["not_passive"] <= 0.05 + 3.0 * np.sqrt(0.05 * 0.95 / 700)
     assert shares["passive"] == 0.0
@@ -57,7 +63,11 @@ def test_active_device_is_never_called_passive():
         return mass_damper(0.008, 1.0)(f) - 1.02 * ((f > 60.0) & (f < 70.0))
 
     found = [
-        judge(spa(*record(active, seed, 90_000, rate_hz=1000.0), 1000.0, 512), band_hz=(2.0, 400.0), channels=False)
+        judge(
+            spa(*record(active, seed, 90_000, rate_hz=1000.0), 1000.0, 512),
+            band_hz=(2.0, 400.0),
+            channels=False,
+        )
         for seed in range(200)
     ]
     assert sum(one.answer == "passive" for one in found) == 0
@@ -65,8 +75,11 @@ def test_active_device_is_never_called_passive():
 
 @pytest.mark.parametrize("estimator", ["h_force", "spa"])
 def test_95_percent_intervals_cover_95_percent(estimator):
-    """90 s, 1 kHz, M = 512: the window of 4 kHz and M = 2048. "spa" is counted for the phase alone: its |Z| is biased by g2."""
-    true, estimates = mass_damper(0.008, 1.0, 100.0), []
+    """90 s, 1 kHz, M = 512: the window of 4 kHz and M = 2048. "spa" is counted for the phase
+    alone: its |Z| is biased by g2.
+    """
+    true = mass_damper(0.008, 1.0, 100.0)
+    estimates = []
     for seed in range(300):
         trial = spa(*record(true, seed, 90_000, noise_m_per_s=5e-3, rate_hz=1000.0), 1000.0, 512)
         estimates.append(impedance(trial, estimator))
@@ -83,9 +96,19 @@ def test_95_percent_intervals_cover_95_percent(estimator):
 @pytest.mark.parametrize("noise_m_per_s", [0.0, 1e-4, 1e-3])
 @pytest.mark.parametrize("point", [(0.0, 0.0, 0.0), (100.0, 1.0, 0.0)])
 def test_intervals_cover_what_is_predicted_of_the_record(point, noise_m_per_s):
-    """24 trials of 90 s of a linear device, its force held, its velocity averaged; down to no noise."""
-    model, estimates = rigid(viscous=1.0), []
-    flown = simulate(model, np.tile(point, (24, 1)), 90.0, keep="records", own_torque=True, excitation=Excitation("noise"))
+    """24 trials of 90 s of a linear device, its force held, its velocity averaged; down to no
+    noise.
+    """
+    model = rigid(viscous=1.0)
+    estimates = []
+    flown = simulate(
+        model,
+        np.tile(point, (24, 1)),
+        90.0,
+        keep="records",
+        own_torque=True,
+        excitation=Excitation("noise"),
+    )
     for trial in range(24):
         force, velocity = (np.asarray(signal, np.float64) for signal in flown.record(trial))
         noise = noise_m_per_s * np.random.default_rng(trial).standard_normal(velocity.size)
@@ -109,7 +132,9 @@ def test_simultaneous_interval_covers_the_true_margin():
     covered = 0
     for seed in range(150):
         trial = spa(*record(true, seed, 90_000, rate_hz=1000.0), 1000.0, 512)
-        margin = judge(trial, band_hz=(2.0, 400.0), estimator="h_force", channels=False).margin_ns_per_m
+        margin = judge(
+            trial, band_hz=(2.0, 400.0), estimator="h_force", channels=False
+        ).margin_ns_per_m
         covered += margin.lower <= 0.3 <= margin.upper
     assert covered / 150 >= 0.95
 

@@ -41,7 +41,10 @@ def test_clipped_channel_is_saturated():
     force, velocity = trial()
     found = examine(np.clip(force, -0.5, 0.5), velocity, RATE_HZ).findings
     assert codes(found) == ["saturation"]
-    assert re.match(r"torque saturated at 0\.5 N in \S+ % of the samples; lower the perturbation", found[0].message)
+    assert re.match(
+        r"torque saturated at 0\.5 N in \S+ % of the samples; lower the perturbation",
+        found[0].message,
+    )
     assert found[0].voids
 
 
@@ -77,7 +80,11 @@ def test_limit_cycle_is_an_oscillation():
     cycle = 0.05 * np.sin(2 * np.pi * 41.3 * np.arange(N) / RATE_HZ)
     found = coherence_findings(spa(force, velocity + cycle), (2.0, 500.0))
     message = next(one.message for one in found if one.code == "oscillation")
-    assert re.match(r"oscillation at 41(\.\d)? Hz: \S+ % of the velocity's power is a line that the perturbation does not", message)
+    assert re.match(
+        r"oscillation at 41(\.\d)? Hz: \S+ % of the velocity's power is a line that the"
+        r" perturbation does not",
+        message,
+    )
     assert judge(spa(force, velocity + cycle)).stability == "unstable"
 
 
@@ -86,13 +93,17 @@ def test_resonance_under_noise_is_no_oscillation():
     assert "oscillation" not in codes(coherence_findings(spa(force, velocity), (2.0, 500.0)))
 
 
-@pytest.mark.parametrize("drift", [lambda v: v + 0.03, lambda v: v + np.linspace(-0.02, 0.02, v.size)])
+@pytest.mark.parametrize(
+    "drift", [lambda v: v + 0.03, lambda v: v + np.linspace(-0.02, 0.02, v.size)]
+)
 def test_offset_and_trend_are_drift(drift):
     force, velocity = trial()
     found = examine(force, drift(velocity), RATE_HZ).findings
     assert codes(found) == ["drift"]
     assert re.match(
-        r"velocity drift: offset \S+ m/s, trend \S+ m/s over the record, noise \S+ m/s; zero the sensor", found[0].message
+        r"velocity drift: offset \S+ m/s, trend \S+ m/s over the record, noise \S+ m/s; zero the"
+        r" sensor",
+        found[0].message,
     )
 
 
@@ -100,7 +111,10 @@ def test_perturbation_that_changes_is_drift():
     force, velocity = trial()
     force[N // 2 :] *= 1.5
     found = examine(force, velocity, RATE_HZ).findings
-    assert re.match(r"perturbation drift: \S+ rms in the first half, \S+ in the second; the trial mixes", found[0].message)
+    assert re.match(
+        r"perturbation drift: \S+ rms in the first half, \S+ in the second; the trial mixes",
+        found[0].message,
+    )
 
 
 def test_low_coherence_is_named_with_its_range():
@@ -108,15 +122,24 @@ def test_low_coherence_is_named_with_its_range():
     found = coherence_findings(spa(force, velocity), (2.0, 500.0))
     assert codes(found) == ["low_coherence"]
     assert re.match(
-        r"low coherence: below 0\.5 at \d+ % of the frequencies, from \S+ to 500 Hz; perturb more strongly", found[0].message
+        r"low coherence: below 0\.5 at \d+ % of the frequencies, from \S+ to 500 Hz; perturb more"
+        r" strongly",
+        found[0].message,
     )
 
 
 def test_low_coherence_says_what_spa_makes_of_the_size():
-    """The paper's estimator shrinks |Z| by the coherence; with the force as the input it does not."""
+    """The paper's estimator shrinks |Z| by the coherence; with the force as the input it does
+    not.
+    """
     noisy = exact_trial(mass_damper(0.008, 1.0), 0.31)
-    (by_spa,), (by_force,) = (coherence_findings(noisy, (2.0, 500.0), estimator) for estimator in ("spa", "h_force"))
-    assert re.search(r"; \|Z\| by spa reads low there by the coherence, at \S+ Hz to 0\.31 of its value, while", by_spa.message)
+    (by_spa,), (by_force,) = (
+        coherence_findings(noisy, (2.0, 500.0), estimator) for estimator in ("spa", "h_force")
+    )
+    assert re.search(
+        r"; \|Z\| by spa reads low there by the coherence, at \S+ Hz to 0\.31 of its value, while",
+        by_spa.message,
+    )
     assert by_spa.message.endswith("the sign of Re Z stay; h_force does not shrink it")
     assert "|Z|" not in by_force.message
     assert by_spa.message in str(judge(noisy, channels=False))
@@ -134,13 +157,18 @@ def test_low_coherence_at_the_lower_edge_is_named():
 
 
 def test_short_record_is_refused():
-    with pytest.raises(AnalysisError, match=re.escape("record of 1 s: at least 2 s are needed to tell noise from drift")):
+    with pytest.raises(
+        AnalysisError,
+        match=re.escape("record of 1 s: at least 2 s are needed to tell noise from drift"),
+    ):
         examine(np.ones(4000), np.ones(4000), RATE_HZ)
 
 
 def turned(impedance, skew_s=0.0, high_pass_hz=0.0):
     """Impedance as channels with these faults show it."""
-    return lambda f: impedance(f) / (np.exp(2j * np.pi * f * skew_s) * (1j * f / (high_pass_hz + 1j * f)))
+    return lambda f: (
+        impedance(f) / (np.exp(2j * np.pi * f * skew_s) * (1j * f / (high_pass_hz + 1j * f)))
+    )
 
 
 @pytest.mark.parametrize("skew_us", [-125.0, -40.0, 40.0, 125.0])
@@ -187,7 +215,9 @@ def test_high_pass_is_found_over_a_spring(stiffness):
     assert high_pass(shown).value == pytest.approx(0.5, rel=0.1)
     found = channel_findings(shown)
     assert codes(found) == ["high_pass_mismatch"]
-    assert re.match(r"high-pass mismatch: the velocity channel looks AC-coupled at 0\.5\d* Hz", found[0].message)
+    assert re.match(
+        r"high-pass mismatch: the velocity channel looks AC-coupled at 0\.5\d* Hz", found[0].message
+    )
     assert judge(shown).answer == "undecided"
 
 
@@ -195,7 +225,9 @@ def test_delayed_force_is_not_taken_for_a_high_pass():
     """A lag of 5 ms over a spring adds a constant to Re Z, a high-pass 1/f^2."""
 
     def late(f):
-        return mass_damper(0.008, 1.0)(f) + 100.0 * np.exp(-2j * np.pi * f * 5e-3) / (2j * np.pi * f)
+        return mass_damper(0.008, 1.0)(f) + 100.0 * np.exp(-2j * np.pi * f * 5e-3) / (
+            2j * np.pi * f
+        )
 
     shown = exact_trial(late, 0.995)
     assert abs(high_pass(shown).value) < 0.05
@@ -209,11 +241,15 @@ def test_without_a_spring_nothing_is_said_about_a_high_pass():
 def cut(force, velocity, changed):
     """The last quarter and more of the record changed, in ways that happen."""
     last = slice(int(0.6 * N), None)
-    force, velocity = force.copy(), velocity.copy()
+    force = force.copy()
+    velocity = velocity.copy()
     if changed == "dead":
         velocity[last] = velocity[last.start]
     if changed == "silent":
-        force[last], velocity[last] = 0.0, 1e-6 * np.random.default_rng(5).standard_normal(N - last.start)
+        force[last], velocity[last] = (
+            0.0,
+            1e-6 * np.random.default_rng(5).standard_normal(N - last.start),
+        )
     return force, velocity
 
 
@@ -231,12 +267,16 @@ def test_part_without_a_signal_is_no_escape_and_leaves_nothing_to_decide(changed
     (one,) = (one for one in found if one.code == "dropout")
     assert re.search(words, one.message)
     assert one.voids
-    assert judge(spa(*cut(*trial(), changed)), examine(*cut(*trial(), changed), RATE_HZ)).answer == "undecided"
+    assert (
+        judge(spa(*cut(*trial(), changed)), examine(*cut(*trial(), changed), RATE_HZ)).answer
+        == "undecided"
+    )
 
 
 def test_escape_in_the_last_part_of_a_second_is_seen():
     force, velocity = trial()
-    force, velocity = force[: -int(0.3 * RATE_HZ)], velocity[: -int(0.3 * RATE_HZ)]
+    force = force[: -int(0.3 * RATE_HZ)]
+    velocity = velocity[: -int(0.3 * RATE_HZ)]
     velocity[-int(0.6 * RATE_HZ) :] *= 20.0
     whole = velocity[: velocity.size // 4000 * 4000]
     whole[-4000:] = whole[:4000]  # only what is after the last whole second runs away
@@ -244,7 +284,9 @@ def test_escape_in_the_last_part_of_a_second_is_seen():
 
 
 def test_line_too_small_for_a_verdict_is_named_all_the_same():
-    """Hum of a sensor, or a limit cycle that the noise hides: the answer stays, with the line beside it."""
+    """Hum of a sensor, or a limit cycle that the noise hides: the answer stays, with the line
+    beside it.
+    """
     force, velocity = trial()
     hum = velocity + 0.5 * velocity.std() * np.sin(2 * np.pi * 1203.0 * np.arange(N) / RATE_HZ)
     (found,) = coherence_findings(spa(force, hum), (2.0, 500.0))

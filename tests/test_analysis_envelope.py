@@ -28,15 +28,19 @@ from hapticd.errors import AnalysisError
 
 def trial(name, z, coherence=0.99, estimator="h_force"):
     spectra = exact_trial(z, coherence)
-    return Trial(name, (0.0, 0.0, 0.0), impedance(spectra, estimator), judge(spectra, channels=False))
+    return Trial(
+        name, (0.0, 0.0, 0.0), impedance(spectra, estimator), judge(spectra, channels=False)
+    )
 
 
-SOFT, FIRM = trial("soft", mass_damper(0.008, 1.0)), trial("firm", mass_damper(0.004, 6.0), 0.9)
+SOFT = trial("soft", mass_damper(0.008, 1.0))
+FIRM = trial("firm", mass_damper(0.004, 6.0), 0.9)
 ACTIVE = trial("active", lambda f: mass_damper(0.02, 0.0)(f) - 9.0)
 
 
 def test_envelope_is_the_extreme_of_the_passive_trials():
-    found, f = envelope([SOFT, ACTIVE, FIRM]), SOFT.impedance.frequency_hz
+    found = envelope([SOFT, ACTIVE, FIRM])
+    f = SOFT.impedance.frequency_hz
     sizes = np.abs([SOFT.impedance.impedance_ns_per_m, FIRM.impedance.impedance_ns_per_m])
     assert found.trials == ("soft", "firm")
     assert found.upper.value == pytest.approx(sizes.max(axis=0))
@@ -44,19 +48,26 @@ def test_envelope_is_the_extreme_of_the_passive_trials():
     crossing = np.sqrt(35.0 / (0.008**2 - 0.004**2)) / (2 * np.pi)
     assert found.owner(found.upper)[10] == "firm"
     assert np.array_equal(found.upper.owner == 0, f > crossing)
-    assert found.phase_upper.value == pytest.approx(np.maximum(SOFT.impedance.phase_deg, FIRM.impedance.phase_deg))
+    assert found.phase_upper.value == pytest.approx(
+        np.maximum(SOFT.impedance.phase_deg, FIRM.impedance.phase_deg)
+    )
 
 
 def test_uncertainty_is_that_of_the_owner():
     found = envelope([SOFT, FIRM])
-    expected = np.where(found.upper.owner == 0, SOFT.impedance.relative_sd, FIRM.impedance.relative_sd)
+    expected = np.where(
+        found.upper.owner == 0, SOFT.impedance.relative_sd, FIRM.impedance.relative_sd
+    )
     assert found.upper.sd == pytest.approx(expected)
-    phase = np.where(found.phase_lower.owner == 0, SOFT.impedance.relative_sd, FIRM.impedance.relative_sd)
+    phase = np.where(
+        found.phase_lower.owner == 0, SOFT.impedance.relative_sd, FIRM.impedance.relative_sd
+    )
     assert found.phase_lower.sd == pytest.approx(np.degrees(phase))
 
 
 def test_order_of_trials_changes_names_alone():
-    one, other = envelope([SOFT, FIRM]), envelope([FIRM, SOFT])
+    one = envelope([SOFT, FIRM])
+    other = envelope([FIRM, SOFT])
     assert one.upper.value == pytest.approx(other.upper.value)
     assert one.owner(one.upper) == other.owner(other.upper)
 
@@ -90,7 +101,10 @@ def test_values_that_are_not_known_own_nothing():
     holed = FIRM.impedance.impedance_ns_per_m.copy()
     holed[5] = np.nan
     found = widened(
-        of_trial(SOFT), dataclasses.replace(FIRM, impedance=dataclasses.replace(FIRM.impedance, impedance_ns_per_m=holed))
+        of_trial(SOFT),
+        dataclasses.replace(
+            FIRM, impedance=dataclasses.replace(FIRM.impedance, impedance_ns_per_m=holed)
+        ),
     )
     assert found.upper.owner[5] == 0
     assert found.upper.owner[6] == 1
@@ -100,8 +114,14 @@ def test_values_that_are_not_known_own_nothing():
     ("trials", "message"),
     [
         ([ACTIVE], "no passive trial: there is no envelope to draw; begin with K = B = M = 0"),
-        ([SOFT, trial("other", mass_damper(), estimator="spa")], "at the probe by 'spa' beside others at the probe by 'h_force'"),
-        ([SOFT, dataclasses.replace(FIRM, impedance=FIRM.impedance.without_mass(0.003))], "a trial at the device by"),
+        (
+            [SOFT, trial("other", mass_damper(), estimator="spa")],
+            "at the probe by 'spa' beside others at the probe by 'h_force'",
+        ),
+        (
+            [SOFT, dataclasses.replace(FIRM, impedance=FIRM.impedance.without_mass(0.003))],
+            "a trial at the device by",
+        ),
     ],
 )
 def test_unlike_trials_are_refused(trials, message):
@@ -117,7 +137,7 @@ def test_unlike_frequencies_are_refused():
         widened(admittance(of_trial(SOFT)), FIRM)
 
 
-# --- the passive set ------------------------------------------------------------------------------------------------------
+# --- the passive set ------------------------------------------------------------------------------
 
 AXES = (np.linspace(0, 1000, 21), np.linspace(-2, 6, 17), np.linspace(-0.02, 0.02, 9))
 
@@ -151,21 +171,31 @@ def test_open_ends_are_where_the_grid_cuts_the_set():
 
 def test_axis_limits_differ_from_set_limits():
     """At B = 0 and not at B = 1 the axis sees less stiffness: the two readings of one headline."""
-    assert axis_limit(lambda points: wedge(points) >= 0, 0, 2000.0) == pytest.approx(1000 * (0.8 - 1 / 3), abs=0.1)
-    assert axis_limit(lambda points: wedge(points) >= 0, 2, -0.05) == pytest.approx(-0.01 * (0.8 - 1 / 3), abs=1e-5)
+    assert axis_limit(lambda points: wedge(points) >= 0, 0, 2000.0) == pytest.approx(
+        1000 * (0.8 - 1 / 3), abs=0.1
+    )
+    assert axis_limit(lambda points: wedge(points) >= 0, 2, -0.05) == pytest.approx(
+        -0.01 * (0.8 - 1 / 3), abs=1e-5
+    )
     assert set_limits(SET).stiffness[1] == 800.0
 
 
 def test_axis_limit_at_its_ends():
     assert axis_limit(lambda points: np.ones(len(points), bool), 1, 5.0) == 5.0
     assert np.isnan(axis_limit(lambda points: np.zeros(len(points), bool), 1, 5.0))
-    assert axis_limit(lambda points: points[:, 1] < 2.0, 1, 5.0, base=(7.0, 1.0, 0.0)) == pytest.approx(2.0, abs=1e-4)
+    assert axis_limit(
+        lambda points: points[:, 1] < 2.0, 1, 5.0, base=(7.0, 1.0, 0.0)
+    ) == pytest.approx(2.0, abs=1e-4)
 
 
 def test_volume_of_a_pyramid():
-    """Half an octahedron with K up to 800, B within 2.4 and M within 8 g of the middle: 800 x 4.8 x 0.016 / 6."""
+    """Half an octahedron with K up to 800, B within 2.4 and M within 8 g of the middle: 800 x
+    4.8 x 0.016 / 6.
+    """
     axes = (np.linspace(0, 1000, 41), np.linspace(-2, 6, 41), np.linspace(-0.02, 0.02, 41))
-    assert volume(passive_set(axes, wedge(grid(axes)))) == pytest.approx(800 * 4.8 * 0.016 / 6, rel=0.03)
+    assert volume(passive_set(axes, wedge(grid(axes)))) == pytest.approx(
+        800 * 4.8 * 0.016 / 6, rel=0.03
+    )
 
 
 def test_volume_counts_shares_of_cells():
@@ -178,8 +208,16 @@ def test_volume_counts_shares_of_cells():
 @pytest.mark.parametrize(
     ("axes", "margin", "message"),
     [
-        (([0.0, 1.0], [0.0, 1.0], [0.0, 1.0]), np.zeros(7), "7 margins for a grid of 2 x 2 x 2 environments"),
-        (([0.0], [0.0, 1.0], [0.0, 1.0]), np.zeros(4), "at least two ascending values on each of its three axes"),
+        (
+            ([0.0, 1.0], [0.0, 1.0], [0.0, 1.0]),
+            np.zeros(7),
+            "7 margins for a grid of 2 x 2 x 2 environments",
+        ),
+        (
+            ([0.0], [0.0, 1.0], [0.0, 1.0]),
+            np.zeros(4),
+            "at least two ascending values on each of its three axes",
+        ),
         (([1.0, 0.0], [0.0, 1.0], [0.0, 1.0]), np.zeros(8), "at least two ascending values"),
     ],
 )
@@ -200,11 +238,12 @@ def test_prediction_fills_a_set():
     assert np.array_equal(filled.passive.ravel(), found.passive)
 
 
-# --- metrics --------------------------------------------------------------------------------------------------------------
+# --- metrics --------------------------------------------------------------------------------------
 
 
 def test_width_is_the_ratio_of_the_edges_in_decibels():
-    one, other = trial("a", lambda f: 2.0 + 0j * f), trial("b", lambda f: 20.0 + 0j * f)
+    one = trial("a", lambda f: 2.0 + 0j * f)
+    other = trial("b", lambda f: 20.0 + 0j * f)
     found = envelope([one, other])
     assert width_db(found, 5.0, 50.0) == pytest.approx(20.0)
     assert [band.width_db for band in widths_db(found)] == pytest.approx([20.0] * 4)
@@ -213,7 +252,9 @@ def test_width_is_the_ratio_of_the_edges_in_decibels():
 def test_width_is_a_mean_over_the_logarithm_of_frequency():
     slope = envelope([trial("a", lambda f: 1.0 + 0j * f), trial("b", lambda f: f + 0j)])
     inside = slope.frequency_hz[(slope.frequency_hz >= 10.0) & (slope.frequency_hz <= 1000.0)]
-    assert width_db(slope, 10.0, 1000.0) == pytest.approx(10.0 * np.log10(inside[0] * inside[-1]), rel=2e-3)
+    assert width_db(slope, 10.0, 1000.0) == pytest.approx(
+        10.0 * np.log10(inside[0] * inside[-1]), rel=2e-3
+    )
 
 
 def test_width_outside_the_envelope_is_refused():
@@ -231,24 +272,31 @@ def test_stiffness_at_a_damping_and_its_rate():
     assert stiffness_rate(SET, 2.0) == pytest.approx(-1000 / 3, rel=1e-6)
     assert stiffness_rate(SET, 0.0) == pytest.approx(1000 / 3, rel=1e-6)
     assert np.isnan(stiffness_at(SET, 5.0))
-    with pytest.raises(AnalysisError, match=re.escape("damping 9 N s/m lies outside the grid -2..6")):
+    with pytest.raises(
+        AnalysisError, match=re.escape("damping 9 N s/m lies outside the grid -2..6")
+    ):
         stiffness_at(SET, 9.0)
-    with pytest.raises(AnalysisError, match=re.escape("no virtual mass 0.001 kg; the nearest is 0 kg")):
+    with pytest.raises(
+        AnalysisError, match=re.escape("no virtual mass 0.001 kg; the nearest is 0 kg")
+    ):
         stiffness_at(SET, 1.0, 0.001)
 
 
 def test_zero_mass_bandwidth_of_mass_and_damper():
     f = np.geomspace(1.0, 1000.0, 4000)
-    assert zero_mass_bandwidth_hz(f, mass_damper(0.008, 1.0)(f)) == pytest.approx(1.0 / (2 * np.pi * 0.008), rel=3e-3)
+    assert zero_mass_bandwidth_hz(f, mass_damper(0.008, 1.0)(f)) == pytest.approx(
+        1.0 / (2 * np.pi * 0.008), rel=3e-3
+    )
     assert zero_mass_bandwidth_hz(f, np.full(f.size, 2.0 + 0j)) == np.inf
 
 
-# --- two displays bolted together -----------------------------------------------------------------------------------------
+# --- two displays bolted together -----------------------------------------------------------------
 
 
 def measured(scale):
     """Envelope and set of so many displays, each perturbed alike, as the prediction sees them."""
-    model, push = display(scale=scale), Perturbation(scale**2 * 2.5e-5, 1700.0)
+    model = display(scale=scale)
+    push = Perturbation(scale**2 * 2.5e-5, 1700.0)
     f = np.geomspace(2.0, 500.0, 60)
     edges = []
     for point in ((0, 0, 0), (60, 1, 0), (0, 2, 0), (0, 0, -0.005)):
@@ -263,34 +311,52 @@ def measured(scale):
             noise_sd=z.real,
         )
         edges.append(Trial(str(point), point, exact, SOFT.verdict))
-    axes = tuple(scale * axis for axis in (np.linspace(0, 300, 13), np.linspace(-1, 5, 13), np.linspace(-0.01, 0.01, 9)))
+    axes = tuple(
+        scale * axis
+        for axis in (np.linspace(0, 300, 13), np.linspace(-1, 5, 13), np.linspace(-0.01, 0.01, 9))
+    )
     found = passive_set(axes, predict(model, grid(axes), perturbation=push).decided_margin)
     conditions = Conditions(
-        f"{scale:g} displays", scale * 0.008, probe_mass_kg=scale * 0.003, perturbation_psd_n2_per_hz=push.psd_n2_per_hz
+        f"{scale:g} displays",
+        scale * 0.008,
+        probe_mass_kg=scale * 0.003,
+        perturbation_psd_n2_per_hz=push.psd_n2_per_hz,
     )
     return conditions, envelope(edges), found
 
 
 def test_two_displays_bolted_together_are_no_better_display():
-    """The paper's paradox: K, B and M double, so does every stiffness-damping plot; per mass nothing has changed."""
+    """The paper's paradox: K, B and M double, so does every stiffness-damping plot; per mass
+    nothing has changed.
+    """
     (one, single, small), (two, double, large) = measured(1.0), measured(2.0)
-    for mine, other in zip(dataclasses.astuple(set_limits(small)), dataclasses.astuple(set_limits(large)), strict=True):
+    for mine, other in zip(
+        dataclasses.astuple(set_limits(small)), dataclasses.astuple(set_limits(large)), strict=True
+    ):
         assert other == pytest.approx(tuple(2.0 * value for value in mine))
     assert double.upper.value == pytest.approx(2.0 * single.upper.value, rel=1e-6)
     assert double.lower.value == pytest.approx(2.0 * single.lower.value, rel=1e-6)
-    assert stiffness_damping_area(large) == pytest.approx(4.0 * stiffness_damping_area(small), rel=1e-3)
+    assert stiffness_damping_area(large) == pytest.approx(
+        4.0 * stiffness_damping_area(small), rel=1e-3
+    )
     assert volume(large) == pytest.approx(8.0 * volume(small), rel=0.01)
     assert double.width_db() == pytest.approx(single.width_db(), abs=1e-5)
     assert check_alike([one, two]) == ()
-    a, b = normalised(single, one.mass_kg), normalised(double, two.mass_kg)
+    a = normalised(single, one.mass_kg)
+    b = normalised(double, two.mass_kg)
     assert b.upper.value == pytest.approx(a.upper.value, rel=1e-6)
     assert b.lower.value == pytest.approx(a.lower.value, rel=1e-6)
 
 
 def test_normalised_admittance_is_that_of_the_normalised_impedance():
     found = envelope([SOFT, FIRM])
-    assert normalised(admittance(found), 0.008).upper.value == pytest.approx(admittance(normalised(found, 0.008)).upper.value)
-    with pytest.raises(AnalysisError, match=re.escape("mass 0.0 kg: the mass that moves at the port must be positive")):
+    assert normalised(admittance(found), 0.008).upper.value == pytest.approx(
+        admittance(normalised(found, 0.008)).upper.value
+    )
+    with pytest.raises(
+        AnalysisError,
+        match=re.escape("mass 0.0 kg: the mass that moves at the port must be positive"),
+    ):
         normalised(found, 0.0)
 
 
@@ -301,7 +367,8 @@ def test_unlike_conditions_are_refused_and_named():
     other = dataclasses.replace(ONE, device="B", grip="hand", rate_hz=2000.0)
     assert differences(ONE, other) == ("rate_hz", "grip")
     message = (
-        "A and B were measured under unlike conditions: rate_hz: 1000.0 and 2000.0; grip: 'free' and 'hand'; measure them alike"
+        "A and B were measured under unlike conditions: rate_hz: 1000.0 and 2000.0; grip: 'free'"
+        " and 'hand'; measure them alike"
     )
     with pytest.raises(AnalysisError, match=re.escape(message)):
         check_alike([ONE, other])
@@ -311,7 +378,10 @@ def test_unlike_conditions_are_refused_and_named():
 
 
 def test_conditions_that_scale_with_mass_are_compared_per_mass():
-    assert differences(ONE, dataclasses.replace(ONE, device="B", mass_kg=0.016)) == ("probe_mass_kg", "perturbation_psd_n2_per_hz")
+    assert differences(ONE, dataclasses.replace(ONE, device="B", mass_kg=0.016)) == (
+        "probe_mass_kg",
+        "perturbation_psd_n2_per_hz",
+    )
     doubled = Conditions("B", 0.016, probe_mass_kg=0.006, perturbation_psd_n2_per_hz=1e-4)
     assert differences(ONE, doubled) == ()
     assert rigid(scale=2.0).mass_kg == pytest.approx(0.016)

@@ -1,4 +1,6 @@
-"""What a model foretells the directed search: Re Z as the prediction has it, and headroom against escape."""
+"""What a model foretells the directed search: Re Z as the prediction has it, and headroom
+against escape.
+"""
 
 import numpy as np
 import pytest
@@ -16,7 +18,8 @@ from hapticd.settings.scene import load_scene
 F = np.array([2.9296875, 8.7890625, 40.0390625, 90.8203125, 250.0, 499.0234375])
 BOX = Box((0.0, 0.0, -0.02), (1500.0, 9.0, 0.03))
 POINTS = BOX.to_environment(np.random.default_rng(2).random((300, 3)))
-WEIR, THEORY = load_scene("fig4"), load_scene("theory")
+WEIR = load_scene("fig4")
+THEORY = load_scene("theory")
 
 
 def foresight(scene, damping):
@@ -33,29 +36,43 @@ def test_resistance_is_that_of_the_prediction(damping):
 
 
 def test_headroom_is_the_friction_that_the_loop_can_lose():
-    """Left with the share 1/3 - headroom of its friction, the loop is at the edge of stability: spectral radius 1."""
-    model, chosen, friction = compose(WEIR), filters(WEIR), predict(compose(WEIR), POINTS, 1.74, perturbation=Perturbation())
+    """Left with the share 1/3 - headroom of its friction, the loop is at the edge of stability:
+    spectral radius 1.
+    """
+    model = compose(WEIR)
+    chosen = filters(WEIR)
+    friction = predict(compose(WEIR), POINTS, 1.74, perturbation=Perturbation())
     found = foresight(WEIR, 1.74).headroom(POINTS)
     share = 1.0 / 3.0 - found
     between = np.flatnonzero((share > 0.02) & (share < 0.9))
     assert len(between) > 8
     for place in between:
         edge = [
-            spectral_radius(with_viscous(model, (factor * friction.friction_ns_per_m[place],)), POINTS[place], 1.74, chosen)[0]
+            spectral_radius(
+                with_viscous(model, (factor * friction.friction_ns_per_m[place],)),
+                POINTS[place],
+                1.74,
+                chosen,
+            )[0]
             for factor in (share[place] - 0.15, share[place] + 0.15)
         ]
         assert edge[0] > 1.0 > edge[1]
 
 
 def test_headroom_falls_on_the_way_across_the_boundary():
-    """Damped, K = M = 0: passive up to about 8 N s/m; deep inside, where nothing escapes, it is not followed."""
+    """Damped, K = M = 0: passive up to about 8 N s/m; deep inside, where nothing escapes, it is
+    not followed.
+    """
     outwards = np.column_stack((np.zeros(12), np.linspace(6.0, 9.0, 12), np.zeros(12)))
     assert (np.diff(foresight(WEIR, 1.74).headroom(outwards)) <= 0.0).all()
 
 
 def test_without_friction_headroom_says_stable_or_not():
-    """A rigid display without friction: nothing to lose, so the loop is stable with all headroom or with none."""
-    model, points = compose(THEORY), POINTS[POINTS[:, 0] > 50.0]
+    """A rigid display without friction: nothing to lose, so the loop is stable with all
+    headroom or with none.
+    """
+    model = compose(THEORY)
+    points = POINTS[POINTS[:, 0] > 50.0]
     found = foresight(THEORY, 0.0).headroom(points)
     radius = spectral_radius(model, points, 0.0, filters(THEORY))
     clear = np.abs(radius - 1.0) > 5e-3

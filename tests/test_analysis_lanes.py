@@ -26,7 +26,8 @@ def analysed(force, velocity, scalar):
     count = len(velocity)
     sums = LaneSections(shared_force(force, scalar), count, scalar)
     block = aligned(LAG * WIDTH * count, scalar)
-    rows, place = block.reshape(-1, count), np.arange(LAG) * WIDTH * (count * np.dtype(scalar).itemsize // 64)
+    rows = block.reshape(-1, count)
+    place = np.arange(LAG) * WIDTH * (count * np.dtype(scalar).itemsize // 64)
     for start in range(0, force.size, LAG):
         part = velocity[:, start : start + LAG]
         rows[:] = 7.0

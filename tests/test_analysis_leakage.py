@@ -18,14 +18,25 @@ CIRCLE = 1 << 18  # samples of the closed form: 65 s, in which every device here
 
 
 def expected(device, n_samples=N, lag=LAG) -> Spectra:
-    """What spa gives on average for `device` under white force: closed form, covariances times window and times 1 - t/N."""
+    """What spa gives on average for `device` under white force: closed form, covariances times
+    window and times 1 - t/N.
+    """
     f = np.fft.rfftfreq(CIRCLE, 1.0 / RATE_HZ)
     y = 1.0 / device(np.maximum(f, 1e-6))
     velocity, cross = (np.fft.irfft(part, CIRCLE) for part in (np.abs(y) ** 2, y.conj()))
     lags = np.arange(lag + 1)
     ends = 1.0 - lags / n_samples
     white = np.where(lags == 0, 1.0, 0.0)
-    return spectra(Covariances(ends * velocity[: lag + 1], white, ends * cross[: lag + 1], ends * cross[-lags], n_samples), RATE_HZ)
+    return spectra(
+        Covariances(
+            ends * velocity[: lag + 1],
+            white,
+            ends * cross[: lag + 1],
+            ends * cross[-lags],
+            n_samples,
+        ),
+        RATE_HZ,
+    )
 
 
 def low(trial: Spectra, device, frequency_hz=2.93, estimator="spa") -> float:
@@ -45,8 +56,10 @@ def test_lightly_damped_spring_is_named(stiffness, damping):
     assert [one.code for one in found] == ["leakage"]
     assert not found[0].voids
     said = re.match(
-        r"leakage: \|Z\| reads about (\S+) % low at 2\.93 Hz and the phase is pulled \S+ deg towards 0, from 2\.93 to \S+ Hz more "
-        r"than 5 %: a window of 2048 samples does not resolve so lightly damped a motion; take a longer window \(--lag\), h_force, "
+        r"leakage: \|Z\| reads about (\S+) % low at 2\.93 Hz and the phase is pulled \S+ deg"
+        r" towards 0, from 2\.93 to \S+ Hz more "
+        r"than 5 %: a window of 2048 samples does not resolve so lightly damped a motion; take a"
+        r" longer window \(--lag\), h_force, "
         r"a multisine, or begin the band higher$",
         message,
     )
@@ -66,27 +79,38 @@ def test_damped_device_is_resolved(stiffness, damping):
 def test_each_remedy_cures_it(remedy):
     device = mass_damper(0.008, 1.0, 1000.0)
     if remedy == "h_force":
-        trial, band, estimator = expected(device), BAND, "h_force"
+        trial = expected(device)
+        band = BAND
+        estimator = "h_force"
     elif remedy == "higher band":
-        trial, band, estimator = expected(device), (5.0, 500.0), "spa"
+        trial = expected(device)
+        band = (5.0, 500.0)
+        estimator = "spa"
     else:
-        trial, band, estimator = expected(device, n_samples=4 * N, lag=4 * LAG), BAND, "spa"
+        trial = expected(device, n_samples=4 * N, lag=4 * LAG)
+        band = BAND
+        estimator = "spa"
     assert abs(low(trial, device, max(2.93, band[0]), estimator)) < 0.05
     assert leakage_findings(trial, band, estimator) == ()
 
 
 def test_phase_that_is_pulled_to_0_is_measured():
-    """K = 100 N/m, b = 1 N s/m: the phase at 3 Hz comes out nearly a degree nearer to 0, as its factor says."""
+    """K = 100 N/m, b = 1 N s/m: the phase at 3 Hz comes out nearly a degree nearer to 0, as its
+    factor says.
+    """
     device = mass_damper(0.008, 1.0, 100.0)
     trial = expected(device)
-    truth = np.degrees(np.angle(impedance(trial).impedance_ns_per_m[3] / device(trial.frequency_hz[3])))
+    truth = np.degrees(
+        np.angle(impedance(trial).impedance_ns_per_m[3] / device(trial.frequency_hz[3]))
+    )
     assert truth > 0.5
     assert np.degrees(np.angle(shrinkage(trial)[3])) == pytest.approx(truth, rel=0.35)
 
 
 def test_record_of_such_a_spring_is_named_as_well():
     """The same from samples: 90 s of noise, the device in steady state before and after."""
-    device, random = mass_damper(0.008, 0.3, 1000.0), np.random.default_rng(2)
+    device = mass_damper(0.008, 0.3, 1000.0)
+    random = np.random.default_rng(2)
     force = 0.2 * random.standard_normal(N + 40_000)
     f = np.maximum(np.fft.rfftfreq(force.size, 1.0 / RATE_HZ), 1e-3)
     velocity = np.fft.irfft(np.fft.rfft(force) / device(f), force.size)

@@ -6,7 +6,9 @@ import pytest
 from hapticd.analysis import kernels as kernel_module
 from hapticd.analysis.local_fits import TERMS, Fit, Transforms, local_fits
 
-SAMPLES, HALF, SERVO = 4096, 20, 1000
+SAMPLES = 4096
+HALF = 20
+SERVO = 1000
 PLACES = np.array([1, 7, 50, 51, 68, 300, 301, 340, 900, 1500, 2030, 2048])  # ends, overlaps, gaps
 ALL = np.arange(SERVO, SAMPLES - 1, SERVO)
 
@@ -14,7 +16,8 @@ ALL = np.arange(SERVO, SAMPLES - 1, SERVO)
 def record(noise: float, shifts=ALL, ring: float = 0.999) -> Transforms:
     """Force, and the velocity of a resonance that rings for 1/(1 - ring) samples."""
     random = np.random.default_rng(5)
-    force, velocity = random.normal(size=SAMPLES), np.zeros(SAMPLES)
+    force = random.normal(size=SAMPLES)
+    velocity = np.zeros(SAMPLES)
     pole = ring * np.exp(2j * np.pi * 0.05)
     for k in range(2, SAMPLES):
         free = 2.0 * pole.real * velocity[k - 1] - ring**2 * velocity[k - 2]
@@ -34,7 +37,8 @@ def fitted(fits, whole: Transforms, places=PLACES) -> Fit:
 def test_compiled_fits_equal_the_plain_ones(noise, shifts):
     assert kernel_module.kernels().compiled, "numba is part of the test environment"
     whole = record(noise, shifts)
-    plain, compiled = fitted(local_fits, whole), fitted(kernel_module.kernels().local_fits, whole)
+    plain = fitted(local_fits, whole)
+    compiled = fitted(kernel_module.kernels().local_fits, whole)
     size = np.abs(plain.z)
     assert (np.abs(compiled.z - plain.z) < 1e-10 * size).all()
     assert (np.abs(np.sqrt(compiled.variance) - np.sqrt(plain.variance)) < 1e-9 * size).all()
@@ -46,7 +50,8 @@ def columns_about(place: int, whole: Transforms):
     """As the theory of the module writes them, of the full spectrum."""
     force = np.fft.fft(np.fft.irfft(whole.force))
     bins = np.arange(max(1, place - HALF), min(SAMPLES // 2, place + HALF) + 1)
-    r, x = (bins - place) / HALF, bins / place
+    r = (bins - place) / HALF
+    x = bins / place
     powers = [r**k for k in range(TERMS)]
     images = [x * force[(bins + shift) % SAMPLES] for shift in whole.shifts]
     moved = [whole.velocity[bins] * one for one in powers]

@@ -36,10 +36,14 @@ def drawn(seed):
     def size(low, high):
         return np.exp(random.uniform(np.log(low), np.log(high)))
 
-    rotor, slider, rate = size(1e-3, 1e-2), size(1e-3, 1e-2), 2.0 * np.pi * size(40.0, 600.0)
+    rotor = size(1e-3, 1e-2)
+    slider = size(1e-3, 1e-2)
+    rate = 2.0 * np.pi * size(40.0, 600.0)
     reduced = rotor * slider / (rotor + slider)
     loss = 2.0 * size(3e-4, 0.1) * reduced * rate
-    model = flexible(rotor, slider, reduced * rate**2, loss, size(0.1, 2.0), random.uniform(0.0, 1.0))
+    model = flexible(
+        rotor, slider, reduced * rate**2, loss, size(0.1, 2.0), random.uniform(0.0, 1.0)
+    )
     points = random.uniform((0.0, 0.0, -0.002), (600.0, 2.0, 0.004), (20, 3))
     return model, points * np.exp(random.uniform(np.log(0.03), 0.0, (20, 1)))
 
@@ -72,7 +76,9 @@ def test_no_flexible_device_is_falsely_called_passive():
         assert not (margin[truth < 0.0] >= 0.0).any()
         assert (margin < truth + 1e-3 + 0.01 * np.abs(truth)).all()
         active += (truth < 0.0).sum()
-        unseen += (resistance(model, points[truth < 0.0], GRID[GRID >= 2.0]).min(axis=1) >= 0.0).sum()
+        unseen += (
+            resistance(model, points[truth < 0.0], GRID[GRID >= 2.0]).min(axis=1) >= 0.0
+        ).sum()
     assert active > 0.3 * 20 * DEVICES
     assert unseen > 0.02 * active
 
@@ -81,7 +87,9 @@ def test_no_flexible_device_is_falsely_called_passive():
 def computed(monkeypatch):
     """Counts of impedances computed on shared lines and one by one, and of frequencies of loops."""
     count = {"shared": 0, "single": 0, "lines": 0}
-    linearise, single, close = module.linearise, module.impedance_each, module.close_loop
+    linearise = module.linearise
+    single = module.impedance_each
+    close = module.close_loop
 
     def counted(name, made, of):
         def call(*given):
@@ -94,7 +102,9 @@ def computed(monkeypatch):
         return len(points) * loop.frequency_hz.size
 
     monkeypatch.setattr(module, "linearise", counted("shared", linearise, shared))
-    monkeypatch.setattr(module, "impedance_each", counted("single", single, lambda _, line, *__: len(line)))
+    monkeypatch.setattr(
+        module, "impedance_each", counted("single", single, lambda _, line, *__: len(line))
+    )
     monkeypatch.setattr(module, "close_loop", counted("lines", close, lambda _, f, *__: f.size))
     return count
 
@@ -110,7 +120,8 @@ def test_looking_between_lines_costs_less_than_the_lines(computed):
 
 
 def test_device_without_a_narrow_mode_gets_no_lines(computed):
-    model, points = display(), np.random.default_rng(1).uniform((0, 0, 0), (900, 7, 0.02), (1000, 3))
+    model = display()
+    points = np.random.default_rng(1).uniform((0, 0, 0), (900, 7, 0.02), (1000, 3))
     assert mode_lines(model, 1.74, GRID).size == 0
     predict(model, points, 1.74, perturbation=Perturbation())
     assert computed["single"] < 2 * len(points)
@@ -128,8 +139,11 @@ def test_undamped_mode_has_lines_but_none_upon_it():
 def test_dip_of_one_pole_is_found_from_three_lines(seed):
     random = np.random.default_rng(seed)
     constant, residue = random.normal(size=2) + 1j * random.normal(size=2)
-    pole = random.uniform(99.0, 101.0) + 1j * np.exp(random.uniform(-5.0, 1.0)) * random.choice((-1, 1))
-    f, dense = np.array([98.0, 100.3, 103.0]), np.linspace(98.0, 103.0, 500_001)
+    pole = random.uniform(99.0, 101.0) + 1j * np.exp(random.uniform(-5.0, 1.0)) * random.choice(
+        (-1, 1)
+    )
+    f = np.array([98.0, 100.3, 103.0])
+    dense = np.linspace(98.0, 103.0, 500_001)
 
     def z(hz):
         return constant + residue / (hz - pole)

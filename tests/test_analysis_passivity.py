@@ -21,7 +21,9 @@ LINE_HZ = 4000.0 / 4096
 
 def pushed(level, low_hz=150.0, high_hz=250.0, damping=1.0):
     """Mass and damper whose real part is `level` between two frequencies."""
-    return lambda f: mass_damper(0.008, 0.0)(f) + np.where((f > low_hz) & (f < high_hz), level, damping)
+    return lambda f: (
+        mass_damper(0.008, 0.0)(f) + np.where((f > low_hz) & (f < high_hz), level, damping)
+    )
 
 
 def test_positive_resistance_is_passive():
@@ -54,20 +56,35 @@ def test_intervals_are_students_at_sidaks_level():
     t = stats.t.ppf(0.95 ** (1 / found.n_frequencies), NU)
     half = t * np.sqrt((1 - 0.9) / (0.9 * NU))
     assert found.n_frequencies == 511, "510 lines, of which 500 Hz is one, and 2 Hz"
-    assert found.margin_ns_per_m.value == pytest.approx(1.8), "the paper's estimator shrinks by the coherence"
+    assert found.margin_ns_per_m.value == pytest.approx(1.8), (
+        "the paper's estimator shrinks by the coherence"
+    )
     assert found.margin_ns_per_m.lower == pytest.approx(1.8 * (1 - half))
     assert found.margin_ns_per_m.upper == pytest.approx(1.8 * (1 + half))
     assert found.margin_deg.value == pytest.approx(90.0)
     assert found.margin_deg.lower == pytest.approx(90.0 - np.degrees(np.arcsin(half)))
-    assert judge(exact_trial(mass_damper(0.0, 2.0), 0.9), estimator="h_force").margin_ns_per_m.value == pytest.approx(2.0)
+    assert judge(
+        exact_trial(mass_damper(0.0, 2.0), 0.9), estimator="h_force"
+    ).margin_ns_per_m.value == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize("degrees", [-3.0, -1.0, 0.5, 1.0, 3.0, 10.0])
 @pytest.mark.parametrize("coherence", [0.5, 0.95])
 def test_both_margins_give_one_answer(degrees, coherence):
-    band_hz = (3.0 * LINE_HZ, 500.0)  # from line to line: with a pole at 0 Hz these are no covariances inside a window
-    found = judge(exact_trial(with_phase_margin(degrees), coherence), band_hz=band_hz, channels=False)
-    by_angle = "passive" if found.margin_deg.lower > 0 else "not_passive" if found.margin_deg.upper < 0 else "undecided"
+    band_hz = (
+        3.0 * LINE_HZ,
+        500.0,
+    )  # from line to line: with a pole at 0 Hz these are no covariances inside a window
+    found = judge(
+        exact_trial(with_phase_margin(degrees), coherence), band_hz=band_hz, channels=False
+    )
+    by_angle = (
+        "passive"
+        if found.margin_deg.lower > 0
+        else "not_passive"
+        if found.margin_deg.upper < 0
+        else "undecided"
+    )
     assert found.answer == by_angle
     assert found.margin_deg.value == pytest.approx(degrees, abs=1e-6)
 
@@ -87,7 +104,9 @@ def test_impossible_confidence_is_refused(confidence):
 @pytest.mark.parametrize("probability", [0.05, 0.5, 0.975, 0.9999])
 def test_student_quantile_equals_scipy(probability, degrees_of_freedom):
     expected = stats.t.ppf(probability, degrees_of_freedom)
-    assert student_quantile(probability, degrees_of_freedom) == pytest.approx(expected, rel=1e-4, abs=1e-12)
+    assert student_quantile(probability, degrees_of_freedom) == pytest.approx(
+        expected, rel=1e-4, abs=1e-12
+    )
 
 
 def test_unstable_loop_is_not_passive_whatever_its_resistance():
@@ -100,7 +119,9 @@ def test_unstable_loop_is_not_passive_whatever_its_resistance():
 
 def test_findings_that_void_leave_it_undecided():
     seen = examine(*record(mass_damper(), 1, 40_000), 4000.0)
-    void = dataclasses.replace(seen, findings=(Finding("saturation", "torque saturated", voids=True),))
+    void = dataclasses.replace(
+        seen, findings=(Finding("saturation", "torque saturated", voids=True),)
+    )
     assert judge(exact_trial(mass_damper(), 0.99), seen).answer == "passive"
     found = judge(exact_trial(mass_damper(), 0.99), void)
     assert found.answer == "undecided"
@@ -111,12 +132,16 @@ def test_verdict_is_never_without_its_conditions():
     force, velocity = record(mass_damper(), 2)
     said = str(judge(spa(force, velocity), examine(force, velocity, 4000.0)))
     assert re.match(
-        r"passive in band \[2, 500\] Hz at 95 % confidence; stable as far as seen; margin .* N s/m, .* deg; perturbation 2\.4", said
+        r"passive in band \[2, 500\] Hz at 95 % confidence; stable as far as seen; margin .* N s/m,"
+        r" .* deg; perturbation 2\.4",
+        said,
     )
     assert re.search(r"velocity \S+ mm/s rms over 90 s at the probe$", said)
     assert "stability unknown" in str(judge(spa(force, velocity)))
     assert "stable, spectral radius 0.98;" in str(judge(spa(force, velocity), spectral_radius=0.98))
-    assert str(judge(spa(force, velocity), spectral_radius=1.01)).startswith("not passive in band [2, 500] Hz")
+    assert str(judge(spa(force, velocity), spectral_radius=1.01)).startswith(
+        "not passive in band [2, 500] Hz"
+    )
 
 
 def test_amplitude_is_that_of_the_trial():
@@ -128,7 +153,8 @@ def test_amplitude_is_that_of_the_trial():
 
 def test_mass_of_the_probe_turns_the_phase_and_not_the_verdict():
     trial = exact_trial(mass_damper(0.008, 1.0), 0.99)
-    at_probe, behind = judge(trial), judge(trial, behind_mass_kg=0.003)
+    at_probe = judge(trial)
+    behind = judge(trial, behind_mass_kg=0.003)
     assert (at_probe.port, behind.port) == ("probe", "device")
     assert behind.answer == at_probe.answer
     assert behind.margin_ns_per_m == at_probe.margin_ns_per_m
@@ -164,12 +190,23 @@ def test_frequency_without_power_leaves_it_undecided():
 @pytest.mark.parametrize(
     ("changes", "arguments", "message"),
     [
-        ({}, {"band_hz": (1.9, 500.0)}, "band from 1.9 Hz: the window of 2048 samples says nothing below 1.95 Hz"),
-        ({}, {"band_hz": (3000.0, 4000.0)}, "no frequency of the estimate lies in 3000..4000 Hz; widen the band"),
+        (
+            {},
+            {"band_hz": (1.9, 500.0)},
+            "band from 1.9 Hz: the window of 2048 samples says nothing below 1.95 Hz",
+        ),
+        (
+            {},
+            {"band_hz": (3000.0, 4000.0)},
+            "no frequency of the estimate lies in 3000..4000 Hz; widen the band",
+        ),
         (
             {"n_samples": 15_000},
             {},
-            "record of 3.75 s: too short for a verdict with a window of 2048 samples; record 3.84 s or more",
+            (
+                "record of 3.75 s: too short for a verdict with a window of 2048 samples; record"
+                " 3.84 s or more"
+            ),
         ),
     ],
 )
@@ -192,7 +229,9 @@ def test_energy_finds_where_a_spring_was_released():
 
 
 def test_held_force_does_exact_work_on_interval_means():
-    """A wall of 1 kN/m sampled at 1 kHz gives away K T^2/2 of energy a turn; instants of the velocity would book the opposite."""
+    """A wall of 1 kN/m sampled at 1 kHz gives away K T^2/2 of energy a turn; instants of the
+    velocity would book the opposite.
+    """
     time = np.arange(1001) * 1e-3
     x = 1e-3 * np.sin(2 * np.pi * 20.0 * time)
     force = -1000.0 * x[:-1]
@@ -205,7 +244,9 @@ def test_held_force_does_exact_work_on_interval_means():
 def test_band_beyond_half_the_sample_rate_is_refused(high_hz):
     """A verdict would name a band in which nothing was looked at."""
     assert judge(exact_trial(mass_damper(), 0.99), band_hz=(2.0, 2000.0)).band_hz == (2.0, 2000.0)
-    with pytest.raises(AnalysisError, match=r"samples at 4000 Hz say nothing above 2000 Hz; end there"):
+    with pytest.raises(
+        AnalysisError, match=r"samples at 4000 Hz say nothing above 2000 Hz; end there"
+    ):
         judge(exact_trial(mass_damper(), 0.99), band_hz=(2.0, high_hz))
 
 
@@ -222,7 +263,9 @@ def test_few_frequencies_are_judged_without_looking_for_lines():
 
 
 def test_sentence_says_how_fine_it_looks():
-    """What is narrower is averaged with what is beside it: activity of a light mode may not show."""
+    """What is narrower is averaged with what is beside it: activity of a light mode may not
+    show.
+    """
     found = judge(exact_trial(mass_damper(), 0.99))
     assert found.resolution_hz == pytest.approx(4000.0 / 1536.0)
     assert "margin at a resolution of 2.6 Hz" in str(found)

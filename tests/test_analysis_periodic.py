@@ -1,4 +1,6 @@
-"""Periods of a multisine: exact where the device is linear, and an interval that holds with noise and with friction."""
+"""Periods of a multisine: exact where the device is linear, and an interval that holds with
+noise and with friction.
+"""
 
 import re
 from dataclasses import replace
@@ -58,16 +60,19 @@ def covered(found, truth):
     return np.abs(turned) <= half[use]
 
 
-# --- linear ----------------------------------------------------------------------------------------------------------------------
+# --- linear ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("realisations", "periods"), [(1, 2), (2, 1), (3, 2)])
 def test_linear_device_is_measured_to_rounding(realisations, periods):
     force = forces(realisations, periods)
     found = periodic(force, answered(force), RATE_HZ)
-    use, truth = inside(found), DEVICE(np.maximum(found.frequency_hz, 1e-3))
+    use = inside(found)
+    truth = DEVICE(np.maximum(found.frequency_hz, 1e-3))
     for estimator in ("spa", "h_force"):
-        assert np.allclose(impedance(found, estimator).impedance_ns_per_m[use], truth[use], rtol=1e-10)
+        assert np.allclose(
+            impedance(found, estimator).impedance_ns_per_m[use], truth[use], rtol=1e-10
+        )
     assert found.coherence[use].min() > 1.0 - 1e-12
 
 
@@ -92,28 +97,38 @@ def test_harmonics_that_were_not_excited_are_not_known():
     force = forces(3, 1)
     found = periodic(force, answered(force, noise_m_per_s=1e-3), RATE_HZ)
     assert found.coherence[found.frequency_hz > 1701.0].max() == 0.0
-    assert judge(found, band_hz=(2.0, 1900.0), estimator="h_force", channels=False).answer == "undecided"
+    assert (
+        judge(found, band_hz=(2.0, 1900.0), estimator="h_force", channels=False).answer
+        == "undecided"
+    )
 
 
 def test_spring_without_window_is_no_high_pass():
-    """A window would have smoothed it, which `channels` takes out; here there is nothing to take out."""
+    """A window would have smoothed it, which `channels` takes out; here there is nothing to
+    take out.
+    """
     force = forces(4, 2)
     spring = mass_damper(0.008, 1.0, 100.0)
     assert channel_findings(periodic(force, answered(force, spring, 1e-5), RATE_HZ)) == ()
 
 
-# --- chance ----------------------------------------------------------------------------------------------------------------------
+# --- chance ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("freedom", [2, 4, 6, 10, 16])
 @pytest.mark.parametrize("probability", [0.5, 0.9, 0.975, 0.9999])
 def test_quantiles_of_few_degrees_of_freedom_are_exact(probability, freedom):
-    assert student_quantile(probability, freedom) == pytest.approx(student.ppf(probability, freedom), rel=1e-9, abs=1e-9)
+    assert student_quantile(probability, freedom) == pytest.approx(
+        student.ppf(probability, freedom), rel=1e-9, abs=1e-9
+    )
 
 
 @pytest.mark.parametrize("freedom", [0, 3, 4.5])
 def test_odd_and_broken_degrees_of_freedom_are_refused(freedom):
-    with pytest.raises(AnalysisError, match=f"{freedom:g} degrees of freedom: below 18 an even number is needed; average more"):
+    with pytest.raises(
+        AnalysisError,
+        match=f"{freedom:g} degrees of freedom: below 18 an even number is needed; average more",
+    ):
         student_quantile(0.95, freedom)
 
 
@@ -127,10 +142,17 @@ def test_interval_covers_sensor_noise(realisations, periods):
 
 
 def test_lossless_device_is_decided_in_one_of_twenty():
-    """Re Z = 0 everywhere: a verdict against the truth, either way, in at most 5 % of trials at 95 %."""
-    force, lossless = forces(6, 1), mass_damper(0.008, 0.0)
+    """Re Z = 0 everywhere: a verdict against the truth, either way, in at most 5 % of trials at
+    95 %.
+    """
+    force = forces(6, 1)
+    lossless = mass_damper(0.008, 0.0)
     answers = [
-        judge(periodic(force, answered(force, lossless, 5e-3, seed), RATE_HZ), estimator="h_force", channels=False).answer
+        judge(
+            periodic(force, answered(force, lossless, 5e-3, seed), RATE_HZ),
+            estimator="h_force",
+            channels=False,
+        ).answer
         for seed in range(300)
     ]
     assert answers.count("not_passive") <= 0.05 * 300 + 2.0 * (0.05 * 0.95 * 300) ** 0.5
@@ -141,17 +163,31 @@ def test_damped_device_is_passive_and_a_driven_one_is_not():
     force = forces(6, 2)
     for damping, answer in ((1.0, "passive"), (-0.5, "not_passive")):
         velocity = answered(force, mass_damper(0.008, damping), 1e-4)
-        assert judge(periodic(force, velocity, RATE_HZ), estimator="h_force", channels=False).answer == answer
+        assert (
+            judge(periodic(force, velocity, RATE_HZ), estimator="h_force", channels=False).answer
+            == answer
+        )
 
 
-# --- what is not linear ----------------------------------------------------------------------------------------------------------
+# --- what is not linear ---------------------------------------------------------------------------
 
 
 def flown(model, point, count, periods):
-    """(count, periods, PERIOD) of force and velocity of a simulated display, the first period left out."""
-    force = np.tile(forces(count, 1, shaken=replace(SHAKEN, band_hz=500.0, force_n=0.11))[:, 0], (1, periods + 1))
+    """(count, periods, PERIOD) of force and velocity of a simulated display, the first period
+    left out.
+    """
+    force = np.tile(
+        forces(count, 1, shaken=replace(SHAKEN, band_hz=500.0, force_n=0.11))[:, 0],
+        (1, periods + 1),
+    )
     found = simulate(
-        model, np.tile(point, (count, 1)), force.shape[1] / RATE_HZ, keep="records", own_torque=True, excitation=force, substeps=4
+        model,
+        np.tile(point, (count, 1)),
+        force.shape[1] / RATE_HZ,
+        keep="records",
+        own_torque=True,
+        excitation=force,
+        substeps=4,
     )
     return tuple(
         np.asarray(signal, np.float64).reshape(count, periods + 1, PERIOD)[:, 1:]
@@ -161,18 +197,35 @@ def flown(model, point, count, periods):
 
 def rms_error(spectra, estimator, model, point, band_hz):
     use = inside(spectra, band_hz)
-    ratio = impedance(spectra, estimator).impedance_ns_per_m[use] / predicted_impedance(model, point, spectra.frequency_hz[use])
+    ratio = impedance(spectra, estimator).impedance_ns_per_m[use] / predicted_impedance(
+        model, point, spectra.frequency_hz[use]
+    )
     return float(np.sqrt(np.mean(np.abs(ratio - 1.0) ** 2)))
 
 
 @pytest.mark.parametrize(
-    ("effects", "most"), [((), 4e-6), ((AntiAlias(corner_hz=1800.0),), 4e-6), ((Encoder(quantum_m=0.5e-6),), 8e-4)]
+    ("effects", "most"),
+    [((), 4e-6), ((AntiAlias(corner_hz=1800.0),), 4e-6), ((Encoder(quantum_m=0.5e-6),), 8e-4)],
 )
 def test_two_seconds_of_multisine_know_a_loop_better_than_90_s_of_noise(effects, most):
-    """K = 100 N/m, B = 1 N s/m: one period after one that settles, against the paper's trial, which leaves 2e-3."""
-    model, point = rigid(viscous=1.0, extra=effects), (100.0, 1.0, 0.0)
-    slow = simulate(model, [point], 90.0, keep="records", excitation=torque_record(Excitation("noise"), 360_000, 1))
-    assert rms_error(periodic(*flown(model, point, 1, 1), RATE_HZ), "h_force", model, point, (3.0, 499.0)) < most
+    """K = 100 N/m, B = 1 N s/m: one period after one that settles, against the paper's trial,
+    which leaves 2e-3.
+    """
+    model = rigid(viscous=1.0, extra=effects)
+    point = (100.0, 1.0, 0.0)
+    slow = simulate(
+        model,
+        [point],
+        90.0,
+        keep="records",
+        excitation=torque_record(Excitation("noise"), 360_000, 1),
+    )
+    assert (
+        rms_error(
+            periodic(*flown(model, point, 1, 1), RATE_HZ), "h_force", model, point, (3.0, 499.0)
+        )
+        < most
+    )
     assert rms_error(spa(*slow.record(0)), "spa", model, point, (3.0, 200.0)) > 1.5e-3
 
 
@@ -183,25 +236,37 @@ def rubbing():
 
 
 def test_interval_covers_coulomb_friction(rubbing):
-    """Truth: the mean over 160 realisations. 10 trials of 8 others hold it in 95 % of the frequencies, its own doubt included."""
-    truth = impedance(periodic(*(signal[:160] for signal in rubbing), RATE_HZ), "h_force").impedance_ns_per_m
-    trials = [periodic(*(signal[first : first + 8] for signal in rubbing), RATE_HZ) for first in range(160, 240, 8)]
+    """Truth: the mean over 160 realisations. 10 trials of 8 others hold it in 95 % of the
+    frequencies, its own doubt included.
+    """
+    truth = impedance(
+        periodic(*(signal[:160] for signal in rubbing), RATE_HZ), "h_force"
+    ).impedance_ns_per_m
+    trials = [
+        periodic(*(signal[first : first + 8] for signal in rubbing), RATE_HZ)
+        for first in range(160, 240, 8)
+    ]
     assert 0.92 < np.mean([covered(one, truth) for one in trials]) < 0.97
 
 
 def test_one_realisation_covers_no_friction_and_says_so(rubbing):
-    truth = impedance(periodic(*(signal[:160] for signal in rubbing), RATE_HZ), "h_force").impedance_ns_per_m
+    truth = impedance(
+        periodic(*(signal[:160] for signal in rubbing), RATE_HZ), "h_force"
+    ).impedance_ns_per_m
     alone = periodic(*(signal[200:201] for signal in rubbing), RATE_HZ)
     freedom = alone.degrees_of_freedom - 2.0
     assert freedom == 2.0
     assert np.mean(covered(alone, truth)) < 0.3
     found = periodic_findings(alone, BAND)
     assert found[0].voids
-    assert found[0].message == (
-        "one realisation: the interval covers noise alone, and nothing tells distortion from the device; "
-        "ask for several realisations"
+    assert (
+        found[0].message
+        == "one realisation: the interval covers noise alone, and nothing tells distortion from the"
+        " device; ask for several realisations"
     )
-    assert alone.covers.startswith("noise alone, from the scatter of 2 periods; nonlinear distortion such as friction's is not")
+    assert alone.covers.startswith(
+        "noise alone, from the scatter of 2 periods; nonlinear distortion such as friction's is not"
+    )
 
 
 def test_distortion_is_told_from_noise(rubbing):
@@ -210,28 +275,36 @@ def test_distortion_is_told_from_noise(rubbing):
     assert noise < 0.01 < 0.05 < total
     message = periodic_findings(several, BAND)[0].message
     assert re.match(
-        r"nonlinear distortion: realisations scatter by \S+ %, periods of one by \S+ %; more realisations make the interval",
+        r"nonlinear distortion: realisations scatter by \S+ %, periods of one by \S+ %; more"
+        r" realisations make the interval",
         message,
     )
-    assert several.covers == (
-        "noise and nonlinear distortion at this perturbation, from the scatter of 8 realisations of 2 periods"
+    assert (
+        several.covers
+        == "noise and nonlinear distortion at this perturbation, from the scatter of 8 realisations"
+        " of 2 periods"
     )
     single = periodic_findings(periodic(*(signal[:8, :1] for signal in rubbing), RATE_HZ), BAND)[0]
     assert re.match(
-        r"noise or nonlinear distortion: realisations scatter by \S+ %; more of them .*two periods of each", single.message
+        r"noise or nonlinear distortion: realisations scatter by \S+ %; more of them .*two periods"
+        r" of each",
+        single.message,
     )
     force = forces(8, 2)
     assert periodic_findings(periodic(force, answered(force, DEVICE, 5e-3), RATE_HZ), BAND) == ()
 
 
-# --- refused ---------------------------------------------------------------------------------------------------------------------
+# --- refused --------------------------------------------------------------------------------------
 
 
 def test_records_without_periods_are_refused():
     force = forces(2, 2)
     velocity = answered(force)
     with pytest.raises(
-        AnalysisError, match=r"force \(2, 4096\) and velocity \(2, 4096\): both must be \(realisations, periods, sam"
+        AnalysisError,
+        match=(
+            r"force \(2, 4096\) and velocity \(2, 4096\): both must be \(realisations, periods, sam"
+        ),
     ):
         periodic(force[0], velocity[0], RATE_HZ)
     with pytest.raises(AnalysisError, match="samples even"):
@@ -246,7 +319,10 @@ def test_force_that_does_not_repeat_is_refused():
     velocity = answered(force)
     force[1, 1] = np.roll(force[1, 1], 1)
     with pytest.raises(
-        AnalysisError, match=r"the force does not repeat from period to period \(\d+ % of it changes\): samples were"
+        AnalysisError,
+        match=(
+            r"the force does not repeat from period to period \(\d+ % of it changes\): samples were"
+        ),
     ):
         periodic(force, velocity, RATE_HZ)
     with pytest.raises(AnalysisError, match="the force does not repeat"):
@@ -256,9 +332,16 @@ def test_force_that_does_not_repeat_is_refused():
 def test_single_average_has_no_verdict():
     force = forces(1, 1)
     with pytest.raises(
-        AnalysisError, match=r"record of 1\.02 s: too short for a verdict with a period of 4096 samples; record 2\.05 s"
+        AnalysisError,
+        match=(
+            r"record of 1\.02 s: too short for a verdict with a period of 4096 samples; record"
+            r" 2\.05 s"
+        ),
     ):
         judge(periodic(force, answered(force), RATE_HZ))
     several = forces(4, 1)
-    with pytest.raises(AnalysisError, match=r"band from 0\.5 Hz: the period of 4096 samples says nothing below 0\.977 Hz"):
+    with pytest.raises(
+        AnalysisError,
+        match=r"band from 0\.5 Hz: the period of 4096 samples says nothing below 0\.977 Hz",
+    ):
         judge(periodic(several, answered(several), RATE_HZ), band_hz=(0.5, 500.0))

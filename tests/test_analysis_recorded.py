@@ -1,4 +1,6 @@
-"""The verdict as a measurement sees it: through the probe's velocity channel. The rival device's is AC-coupled at 0.1 Hz."""
+"""The verdict as a measurement sees it: through the probe's velocity channel. The rival
+device's is AC-coupled at 0.1 Hz.
+"""
 
 import numpy as np
 import pytest
@@ -11,20 +13,27 @@ from hapticd.measure.reproduce import EDGES_HZ, POINTS, TOP_HZ, subject
 from hapticd.measure.reproduce_rows import LEVELS, MAIN
 from hapticd.plant.effects import VelocityHighpass
 
-WHITE, RIVAL = Perturbation(), "weir2008_probe_hp"
+WHITE = Perturbation()
+RIVAL = "weir2008_probe_hp"
 LEVEL = pytest.mark.parametrize("level", LEVELS)
 
 
 def both(name, points, level, band_hz=DEFAULT_BAND_HZ):
     device = subject(name)
-    return [predict(device.model, points, level, device.filters, WHITE, band_hz, recorded=seen) for seen in (False, True)]
+    return [
+        predict(device.model, points, level, device.filters, WHITE, band_hz, recorded=seen)
+        for seen in (False, True)
+    ]
 
 
 @LEVEL
 def test_recorded_verdict_is_that_of_the_recorded_impedance(level):
-    """Re of Z times the channel's turn, one by one, next to the true verdict: the same set on the whole grid."""
+    """Re of Z times the channel's turn, one by one, next to the true verdict: the same set on
+    the whole grid.
+    """
     true, recorded = both(RIVAL, POINTS, level)
-    device, passive = subject(RIVAL), true.passive.copy()
+    device = subject(RIVAL)
+    passive = true.passive.copy()
     f = frequencies(DEFAULT_BAND_HZ, WHITE)
     z = device.impedances(POINTS[passive], level, f)
     passive[passive] = (z.real[:, (f >= 2.0) & (f <= 500.0)] >= 0.0).all(axis=1)
@@ -35,7 +44,9 @@ def test_recorded_verdict_is_that_of_the_recorded_impedance(level):
 
 @LEVEL
 def test_a_little_too_much_may_look_passive(level):
-    """Where Z is mass-like the channel adds X f_h / f: an environment short of it by less passes, as it does in trials."""
+    """Where Z is mass-like the channel adds X f_h / f: an environment short of it by less
+    passes, as it does in trials.
+    """
     true, recorded = both(RIVAL, POINTS, level)
     flattered = recorded.passive & ~true.passive
     assert 1 <= flattered.sum() <= 2
@@ -48,7 +59,14 @@ def test_spring_looks_short_of_damping(stiffness):
     """Re Z falls by K f_h / (2 pi f^2): 0.4 N s/m for 100 N/m at 2 Hz."""
     model = display(extra=[VelocityHighpass(corner_hz=0.1)])
     true, recorded = (
-        predict(model, [[stiffness, 1.0, 0.0]], 1.74, perturbation=WHITE, band_hz=(2.0, 2.2), recorded=seen)
+        predict(
+            model,
+            [[stiffness, 1.0, 0.0]],
+            1.74,
+            perturbation=WHITE,
+            band_hz=(2.0, 2.2),
+            recorded=seen,
+        )
         for seen in (False, True)
     )
     fall = true.margin_ns_per_m - recorded.margin_ns_per_m
@@ -60,16 +78,29 @@ def test_spring_looks_short_of_damping(stiffness):
 
 
 def test_rival_limits_move_with_the_lower_band_edge():
-    """Prototype: 249 N/m from 1 Hz, 619 from 2 Hz in the time domain, 15 % between seeds; ten times f_h / f^2 it is gone."""
-    limits = {edge: predicted_limit(subject(RIVAL), LEVELS[1], 0, band_hz=(edge, TOP_HZ)) for edge in EDGES_HZ}
+    """Prototype: 249 N/m from 1 Hz, 619 from 2 Hz in the time domain, 15 % between seeds; ten
+    times f_h / f^2 it is gone.
+    """
+    limits = {
+        edge: predicted_limit(subject(RIVAL), LEVELS[1], 0, band_hz=(edge, TOP_HZ))
+        for edge in EDGES_HZ
+    }
     assert limits[1.0] == pytest.approx(249.0, rel=0.15)
     assert limits[2.0] == pytest.approx(619.0, rel=0.15)
-    assert limits[1.0] < limits[2.0] < limits[3.0] < limits[5.0] == pytest.approx(limits[10.0], rel=1e-3)
+    assert (
+        limits[1.0]
+        < limits[2.0]
+        < limits[3.0]
+        < limits[5.0]
+        == pytest.approx(limits[10.0], rel=1e-3)
+    )
 
 
 @LEVEL
 def test_without_a_high_pass_nothing_is_turned(level):
-    """|Z| is larger as recorded, tan x / x for a mass, x = pi f / 4 kHz: 5 % at 500 Hz; no verdict changes."""
+    """|Z| is larger as recorded, tan x / x for a mass, x = pi f / 4 kHz: 5 % at 500 Hz; no
+    verdict changes.
+    """
     true, recorded = both(MAIN, POINTS, level)
     assert np.array_equal(true.passive, recorded.passive)
     told = np.abs(true.margin_ns_per_m) > 1e-3  # what the images of the law do is 1e-6 N s/m

@@ -1,4 +1,6 @@
-"""Colgate and Schenkel: closed forms, delays, the lifted theorem for a composed device, and the paper's Eq. 2."""
+"""Colgate and Schenkel: closed forms, delays, the lifted theorem for a composed device, and the
+paper's Eq. 2.
+"""
 
 import re
 
@@ -22,7 +24,9 @@ def needed(point, **options):
 
 @pytest.mark.parametrize("rate_hz", [500.0, 1000.0, 4000.0])
 def test_spring_needs_half_a_period_of_itself(rate_hz):
-    assert needed((300.0, 0.0, 0.0), rate_hz=rate_hz)[0] == pytest.approx(300.0 / (2 * rate_hz), rel=1e-9)
+    assert needed((300.0, 0.0, 0.0), rate_hz=rate_hz)[0] == pytest.approx(
+        300.0 / (2 * rate_hz), rel=1e-9
+    )
 
 
 @pytest.mark.parametrize(("damping", "worst_hz"), [(2.0, 500.0), (-2.0, 0.16)])
@@ -49,7 +53,9 @@ def test_all_three_follow_the_formula():
     assert needed(point)[0] == pytest.approx(formula.max(), rel=1e-5)
 
 
-@pytest.mark.parametrize(("delay", "level", "at_hz"), [(0, 1.0500, 500.0), (1, 1.05125, 246.0), (2, 1.05381, 162.0)])
+@pytest.mark.parametrize(
+    ("delay", "level", "at_hz"), [(0, 1.0500, 500.0), (1, 1.05125, 246.0), (2, 1.05381, 162.0)]
+)
 def test_whole_delays_of_spring_and_damper(delay, level, at_hz):
     found, at = needed((100.0, 1.0, 0.0), delay_periods=delay)
     assert found == pytest.approx(level, abs=1e-5)
@@ -58,7 +64,9 @@ def test_whole_delays_of_spring_and_damper(delay, level, at_hz):
 
 @pytest.mark.parametrize("delay", [0.0, 0.125, 0.5, 1.0, 2.0, 2.3])
 def test_delayed_spring_needs_it_at_rest_at_least(delay):
-    """K (T/2 + d T) at 0 Hz; a fraction of a tick, which no sampled law can undo, asks for a little more."""
+    """K (T/2 + d T) at 0 Hz; a fraction of a tick, which no sampled law can undo, asks for a
+    little more.
+    """
     level, _ = needed((1000.0, 0.0, 0.0), delay_periods=delay)
     least = 1000.0 * T * (0.5 + delay)
     assert level >= least * (1 - 1e-5)
@@ -72,7 +80,9 @@ def sums(theta, delay, images=100_000):
 
 @pytest.mark.parametrize("delay", [0.0, 0.3, 1.0, 1.7])
 def test_sum_over_images_is_linear_within_a_tick(delay):
-    """The step from the theorem to fractional delays, against 200,000 terms; the tail is 2/(images (2 pi)^2)."""
+    """The step from the theorem to fractional delays, against 200,000 terms; the tail is
+    2/(images (2 pi)^2).
+    """
     for theta in (0.3, 1.7, 3.0):
         whole, part = divmod(delay, 1.0)
         total, late = sums(theta, delay)
@@ -111,12 +121,17 @@ def test_composed_rigid_device_agrees_with_the_closed_form(delay):
 
 
 def least_eigenvalue(model, point, images):
-    """The theorem by brute force: invert the admittance between all harmonics, take the least eigenvalue of its Hermitian part."""
+    """The theorem by brute force: invert the admittance between all harmonics, take the least
+    eigenvalue of its Hermitian part.
+    """
     least = np.inf
     for theta in np.geomspace(2e-3, np.pi, 240):
         f = (theta / (2 * np.pi) + np.arange(-images, images + 1)) * model.rate_hz
-        p, turn = responses(model, f), np.array([np.exp(1j * theta)])
-        law = np.array(point) @ np.stack((np.ones(1), *derivatives(turn, model.rate_hz, PAPER_FILTERS)))
+        p = responses(model, f)
+        turn = np.array([np.exp(1j * theta)])
+        law = np.array(point) @ np.stack(
+            (np.ones(1), *derivatives(turn, model.rate_hz, PAPER_FILTERS))
+        )
         loop = law / (1 + pulse_transfer(model, turn) * law)
         out = p.velocity[0, 0] * held(f, model.rate_hz, model.delay_periods)
         z = np.linalg.inv(np.diag(p.velocity[0, 1]) - loop * np.outer(out, p.encoder[1]))
@@ -140,7 +155,9 @@ def test_lifted_yes_or_no_is_the_sign_of_the_margin():
 
 
 def test_friction_does_not_count_for_safety():
-    assert lifted_margin(lift(display(coulomb=0.0)), POINTS) == pytest.approx(lifted_margin(lift(display(coulomb=0.05)), POINTS))
+    assert lifted_margin(lift(display(coulomb=0.0)), POINTS) == pytest.approx(
+        lifted_margin(lift(display(coulomb=0.05)), POINTS)
+    )
 
 
 @pytest.mark.parametrize(("physical", "holds"), [(1.051, True), (1.05, False), (0.9, False)])
@@ -150,12 +167,15 @@ def test_equation_2_as_printed(physical, holds):
 
 def test_equation_2_refuses_negative_damping_and_says_why():
     message = (
-        "Eq. 2 does not hold for B = -0.5 N s/m: printed as b > KT/2 + B it would relax for negative virtual damping, "
-        "the theorem asks for b > KT/2 - B cos wT, here 0.55 N s/m at 0 Hz; use required_damping"
+        "Eq. 2 does not hold for B = -0.5 N s/m: printed as b > KT/2 + B it would relax for"
+        " negative virtual damping, the theorem asks for b > KT/2 - B cos wT, here 0.55 N s/m at 0"
+        " Hz; use required_damping"
     )
     with pytest.raises(AnalysisError, match=re.escape(message)):
         paper_equation_2(100.0, -0.5, 10.0)
-    assert required_damping([[100.0, -0.5, 0.0]], filters=PLAIN)[0][0] == pytest.approx(0.55, rel=1e-5)
+    assert required_damping([[100.0, -0.5, 0.0]], filters=PLAIN)[0][0] == pytest.approx(
+        0.55, rel=1e-5
+    )
 
 
 @pytest.mark.parametrize("points", [[1.0, 2.0, 3.0], [[1.0, 2.0]], [[1.0, 2.0, np.nan]]])
@@ -165,7 +185,9 @@ def test_environments_must_be_triples(points):
 
 
 def test_negative_stiffness_satisfies_neither_equation_2_nor_the_lifted_requirement():
-    """Below 1 Hz it is active, where no list of frequencies looks, and b > KT/2 + B would relax for it."""
+    """Below 1 Hz it is active, where no list of frequencies looks, and b > KT/2 + B would relax
+    for it.
+    """
     with pytest.raises(AnalysisError, match=r"Eq\. 2 does not hold for K = -34 N/m"):
         paper_equation_2(-34.0, 0.0, 1.0)
     points = [[-34.0, -0.86, 0.0048], [0.0, 0.0, 0.0]]

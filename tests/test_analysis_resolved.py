@@ -1,6 +1,8 @@
-"""A resonance is no instability, however narrow; a limit cycle is one. What decides is the record, not the window.
+"""A resonance is no instability, however narrow; a limit cycle is one. What decides is the record,
+not the window.
 
-Devices are the rigid display of theory with a probe: 8 g, sampled at 1 kHz without delay, passive up to K = 2 b / T.
+Devices are the rigid display of theory with a probe: 8 g, sampled at 1 kHz without delay, passive
+up to K = 2 b / T.
 """
 
 from dataclasses import replace
@@ -35,18 +37,33 @@ NOISE = Excitation("noise")
 
 
 def display(viscous: float, *effects, mass_kg: float = 0.008) -> Scene:
-    parts = (Masses(rotor_kg=mass_kg - 0.003), MOTOR, ProbeMass(mass_kg=0.003), Viscous(rotor_ns_per_m=viscous))
+    parts = (
+        Masses(rotor_kg=mass_kg - 0.003),
+        MOTOR,
+        ProbeMass(mass_kg=0.003),
+        Viscous(rotor_ns_per_m=viscous),
+    )
     return scene((*parts, *effects), seconds=90.0)
 
 
 def least_resistance(device: Scene, stiffness: float) -> float:
     """The exact one of the recorded channels, without noise."""
-    return predicted_impedance(compose(device), (stiffness, 0.0, 0.0), np.linspace(2.0, 500.0, 500)).real.min()
+    return predicted_impedance(
+        compose(device), (stiffness, 0.0, 0.0), np.linspace(2.0, 500.0, 500)
+    ).real.min()
 
 
 def verdict(device: Scene, stiffness: float, seed: int, source: Excitation = NOISE) -> Verdict:
     """Of a trial whose record was kept."""
-    found = simulate(device, [[stiffness, 0.0, 0.0]], 90.0, seed, excitation=source, start=(0.0, 0.0), keep="records")
+    found = simulate(
+        device,
+        [[stiffness, 0.0, 0.0]],
+        90.0,
+        seed,
+        excitation=source,
+        start=(0.0, 0.0),
+        keep="records",
+    )
     force, velocity = (np.asarray(channel, np.float64) for channel in found.record(0))
     plan = plan_trial(TrialParams(Trial((stiffness, 0.0, 0.0), seconds=90.0), device))
     return judged(plan, Recorded(force, velocity, found.rate_hz, "engine", True)).verdict
@@ -61,7 +78,9 @@ def outcomes(device: Scene, stiffness, seed: int = 1, source: Excitation = NOISE
 
 def limit_of(viscous: float, tmp_path: Path, seeds: int) -> float:
     """K [N/m] as the search of axis limits finds it."""
-    params = LimitsParams(Conditions(display(viscous), 90.0, NOISE), levels=(0.0,), axes=(0,), seeds=seeds)
+    params = LimitsParams(
+        Conditions(display(viscous), 90.0, NOISE), levels=(0.0,), axes=(0,), seeds=seeds
+    )
     (found,) = run_limits(plan_limits(params), TrialStore(tmp_path / "trials.jsonl")).limits
     return found.value
 
@@ -73,7 +92,8 @@ def codes(found: Verdict) -> list[str]:
 @pytest.mark.parametrize("viscous", [0.12, 0.3, 1.0])
 @pytest.mark.parametrize("share", [0.5, 0.83, 0.97])
 def test_display_inside_its_limit_is_passive_by_its_true_margin(viscous, share):
-    device, stiffness = display(viscous), share * 2.0 * viscous / T
+    device = display(viscous)
+    stiffness = share * 2.0 * viscous / T
     (found,) = outcomes(device, [stiffness])
     assert found.answer == "passive"
     assert found.passes
@@ -93,9 +113,10 @@ def test_verdict_says_how_and_where_it_was_judged_again():
     assert "stable, spectral radius 0.998" in str(found)
     assert "leakage: |Z| reads about" in str(found)
     assert (
-        "motion narrower than the window of 2048 samples: judged again by the record's own frequencies, 0.011 Hz apart, by local "
-        "polynomials 5.9 Hz wide from 1.95 to 500 Hz"
-    ) in str(found)
+        "motion narrower than the window of 2048 samples: judged again by the record's own"
+        " frequencies, 0.011 Hz apart, by local polynomials 5.9 Hz wide from 1.95 to 500 Hz"
+        in str(found)
+    )
 
 
 @pytest.mark.parametrize(
@@ -119,7 +140,9 @@ def test_axis_limit_of_a_lightly_damped_display_is_that_of_theory(tmp_path):
 
 
 def test_escape_by_the_seconds_is_none_where_the_perturbation_drives_it():
-    """Its resonance rings for 4 s, so it swells and fades with the noise; beyond the limit the same device runs away."""
+    """Its resonance rings for 4 s, so it swells and fades with the noise; beyond the limit the
+    same device runs away.
+    """
     device = display(0.12)
     inside, beyond = (verdict(device, stiffness, 1) for stiffness in (232.8, 242.4))
     assert "swells" in codes(inside)
@@ -130,19 +153,29 @@ def test_escape_by_the_seconds_is_none_where_the_perturbation_drives_it():
 
 def test_without_a_record_a_line_that_is_partly_explained_is_left_open():
     device = display(0.12)
-    found = simulate(device, [[216.0, 0.0, 0.0]], 90.0, 1, excitation=NOISE, start=(0.0, 0.0), keep="records")
+    found = simulate(
+        device, [[216.0, 0.0, 0.0]], 90.0, 1, excitation=NOISE, start=(0.0, 0.0), keep="records"
+    )
     seen = judge(spa(*found.record(0)), channels=False)
     assert (seen.answer, seen.stability) == ("undecided", "unknown")
     assert "narrower than the window of 2048 samples: a resonance or a limit cycle" in str(seen)
 
 
 def test_images_of_the_force_explain_what_the_sampled_law_answers():
-    """The law samples at 1 kHz: what the force does at f + 1 kHz moves the device at f. With it the interval is far narrower."""
-    device, stiffness = display(1.0), 1800.0
-    found = simulate(device, [[stiffness, 0.0, 0.0]], 90.0, 1, excitation=NOISE, start=(0.0, 0.0), keep="records")
+    """The law samples at 1 kHz: what the force does at f + 1 kHz moves the device at f. With it
+    the interval is far narrower.
+    """
+    device = display(1.0)
+    stiffness = 1800.0
+    found = simulate(
+        device, [[stiffness, 0.0, 0.0]], 90.0, 1, excitation=NOISE, start=(0.0, 0.0), keep="records"
+    )
     whole = spa(*found.record(0))
     blind, aware = (
-        judge(resolved(*found.record(0), whole, BAND, servo_rate_hz=rate_hz, linear=True), channels=False).margin_ns_per_m
+        judge(
+            resolved(*found.record(0), whole, BAND, servo_rate_hz=rate_hz, linear=True),
+            channels=False,
+        ).margin_ns_per_m
         for rate_hz in (None, 1.0 / T)
     )
     assert aware.upper - aware.lower < 0.05 * (blind.upper - blind.lower)
@@ -153,14 +186,21 @@ def test_images_of_the_force_explain_what_the_sampled_law_answers():
 @pytest.mark.slow
 @pytest.mark.parametrize("viscous", [0.12, 0.3, 1.0])
 def test_answers_and_intervals_hold_over_many_seeds(viscous):
-    """False "not passive" <= 5 %, undecided <= 20 % up to 0.9 of the limit, the true margin in >= 93 % of the intervals."""
-    device, shares = display(viscous), np.array([0.5, 0.7, 0.9, 0.97])
+    """False "not passive" <= 5 %, undecided <= 20 % up to 0.9 of the limit, the true margin in
+    >= 93 % of the intervals.
+    """
+    device = display(viscous)
+    shares = np.array([0.5, 0.7, 0.9, 0.97])
     stiffness = shares * 2.0 * viscous / T
     truth = [least_resistance(device, value) for value in stiffness]
     rows = [outcomes(device, stiffness, seed) for seed in range(1, 25)]
     wrong = np.array([[one.answer == "not_passive" for one in row] for row in rows])
     open_ = np.array([[one.answer == "undecided" for one in row] for row in rows])
-    holds = [one.margin_lower <= true <= one.margin_upper for row in rows for one, true in zip(row, truth, strict=True)]
+    holds = [
+        one.margin_lower <= true <= one.margin_upper
+        for row in rows
+        for one, true in zip(row, truth, strict=True)
+    ]
     assert wrong.mean() <= 0.05
     assert open_[:, shares <= 0.9].mean() <= 0.2
     assert np.mean(holds) >= 0.93
@@ -180,7 +220,11 @@ def test_axis_limits_are_those_of_theory(viscous, tmp_path):
         (display(0.3, LIMIT), (610.0, 700.0, 1000.0, 2000.0), NOISE),
         (display(0.3, Encoder(quantum_m=5e-5), LIMIT), (620.0, 700.0), NOISE),
         (display(0.3, COARSE, LIMIT), (500.0, 580.0, 700.0), QUIET),
-        (display(0.12, Encoder(quantum_m=5e-5), Coulomb(rotor_n=0.01), LIMIT), (400.0, 600.0), NOISE),
+        (
+            display(0.12, Encoder(quantum_m=5e-5), Coulomb(rotor_n=0.01), LIMIT),
+            (400.0, 600.0),
+            NOISE,
+        ),
     ],
 )
 def test_limit_cycles_stay_found_over_seeds(device, stiffness, source):

@@ -1,4 +1,6 @@
-"""The directed search on oracles whose boundary is known: how many trials it needs, with and without noise and a prior."""
+"""The directed search on oracles whose boundary is known: how many trials it needs, with and
+without noise and a prior.
+"""
 
 import re
 from dataclasses import replace
@@ -16,18 +18,29 @@ from hapticd.analysis.search import (
     next_trials,
     predicted_passive,
 )
-from hapticd.analysis.surrogate import Box, Observation, fit, log_chance, margin, margin_sd, resistance
+from hapticd.analysis.surrogate import (
+    Box,
+    Observation,
+    fit,
+    log_chance,
+    margin,
+    margin_sd,
+    resistance,
+)
 from hapticd.errors import AnalysisError
 
 T = 1e-3
-MASS, DAMPING = 0.008, 2.0
+MASS = 0.008
+DAMPING = 2.0
 W = 2.0 * np.pi * np.geomspace(1.0, 499.0, 300)
 BOX = Box((0.0, -2.2, -0.009), (1450.0, 3.6, 0.015))
 INSIDE = (300.0, 0.3, 0.001)
 
 
 def directed_search(oracle, begin, inside, budget, doubt=0.0):
-    """Ask `oracle`, one environment at a time, at most `budget` times, or until `doubtful_share` is below `doubt`."""
+    """Ask `oracle`, one environment at a time, at most `budget` times, or until
+    `doubtful_share` is below `doubt`.
+    """
     first = first_trials(begin.box, inside)
     search = begin.with_trials(first, [oracle(environment) for environment in first])
     while len(search.trials) + len(search.unstable) < budget and doubtful_share(search) >= doubt:
@@ -37,7 +50,9 @@ def directed_search(oracle, begin, inside, budget, doubt=0.0):
 
 
 def basis():
-    """dZ/d(K, B, M) of a rigid device at 1 kHz, held force, one tick late, Butterworth filters of 100 and 72 Hz."""
+    """dZ/d(K, B, M) of a rigid device at 1 kHz, held force, one tick late, Butterworth filters
+    of 100 and 72 Hz.
+    """
     back = np.exp(-1j * W * T)
     slope = (1.0 - back) / T
     low = [
@@ -61,19 +76,25 @@ class Oracle:
     """Re Z of the device; `bend` 0 is affine, 1 is not; `noise` relative to |Z|."""
 
     def __init__(self, bend=0.0, noise=0.0, seed=1):
-        self.bend, self.noise, self.asked = bend, noise, 0
+        self.bend = bend
+        self.noise = noise
+        self.asked = 0
         self.random = np.random.default_rng(seed)
 
     def exact(self, points):
         return DAMPING + self.bend * bent(points)[:, None] + np.atleast_2d(points) @ BASIS.real
 
     def passive(self, points):
-        return np.concatenate([self.exact(part).min(axis=1) >= 0.0 for part in np.array_split(points, 20)])
+        return np.concatenate(
+            [self.exact(part).min(axis=1) >= 0.0 for part in np.array_split(points, 20)]
+        )
 
     def __call__(self, environment):
         self.asked += 1
         sd = self.noise * np.abs(DAMPING + 1j * W * MASS + environment @ BASIS)
-        return Observation(environment, self.exact(environment)[0] + sd * self.random.standard_normal(W.size), sd)
+        return Observation(
+            environment, self.exact(environment)[0] + sd * self.random.standard_normal(W.size), sd
+        )
 
 
 SAMPLES = BOX.to_environment(np.random.default_rng(7).random((30_000, 3)))
@@ -113,12 +134,19 @@ def test_bent_device_within_sixty_trials_at_two_percent(inside):
 
 
 def test_noise_is_weighed_and_not_believed():
-    """0.5 % of |Z| at every frequency: the surrogate averages over trials, the least of noisy values would not."""
+    """0.5 % of |Z| at every frequency: the surrogate averages over trials, the least of noisy
+    values would not.
+    """
     oracle = Oracle(noise=0.005)
     found = directed_search(oracle, Search(BOX), INSIDE, budget=30)
-    naive = np.mean([trial.resistance.min() - Oracle().exact(trial.environment).min() for trial in found.trials])
+    naive = np.mean(
+        [trial.resistance.min() - Oracle().exact(trial.environment).min() for trial in found.trials]
+    )
     surrogate = np.mean(
-        [margin(found.surrogate, trial.environment) - Oracle().exact(trial.environment).min() for trial in found.trials]
+        [
+            margin(found.surrogate, trial.environment) - Oracle().exact(trial.environment).min()
+            for trial in found.trials
+        ]
     )
     assert abs(surrogate) < 0.35 * abs(naive)
     assert error(found, oracle) < 0.1
@@ -130,7 +158,9 @@ def test_next_trial_lies_on_the_predicted_boundary():
     level = margin(search.surrogate, environment)[0]
     at_end = np.isclose(np.abs(BOX.to_unit(environment) - 0.5).max(), 0.5, atol=0.002)
     assert at_end or abs(level) < 0.02
-    nearest = np.linalg.norm(BOX.to_unit([one.environment for one in search.trials]) - BOX.to_unit(environment), axis=1).min()
+    nearest = np.linalg.norm(
+        BOX.to_unit([one.environment for one in search.trials]) - BOX.to_unit(environment), axis=1
+    ).min()
     assert nearest > 0.1
 
 
@@ -143,7 +173,10 @@ def test_several_trials_at_once_are_apart():
 
 
 def test_doubt_shrinks_as_trials_arrive():
-    found = [doubtful_share(directed_search(Oracle(bend=1.0), Search(BOX), INSIDE, budget=n)) for n in (12, 40)]
+    found = [
+        doubtful_share(directed_search(Oracle(bend=1.0), Search(BOX), INSIDE, budget=n))
+        for n in (12, 40)
+    ]
     assert found[1] < 0.5 * found[0]
 
 
@@ -157,7 +190,9 @@ def test_uncertainty_covers_the_true_resistance():
 
 def test_stability_narrows_the_set():
     search = directed_search(Oracle(), Search(BOX), INSIDE, budget=5)
-    points = next_trials(replace(search, headroom=lambda environments: 400.0 - environments[:, 0]), 20)
+    points = next_trials(
+        replace(search, headroom=lambda environments: 400.0 - environments[:, 0]), 20
+    )
     assert points[:, 0].max() == pytest.approx(400.0, abs=2.0)
     assert next_trials(search, 20)[:, 0].max() > 800.0
 
@@ -179,10 +214,22 @@ def test_unstable_trial_is_not_learnt_from_and_stays_out():
 @pytest.mark.parametrize(
     ("action", "message"),
     [
-        (lambda: first_trials(BOX, (2000.0, 0.0, 0.0)), "the first environment [2000.0, 0.0, 0.0] lies outside the box"),
-        (lambda: next_trials(Search(BOX)), "0 stable trials so far: four are needed before the search can direct"),
-        (lambda: fit(BOX, [Oracle()(np.array(INSIDE))] * 3), "3 trials: at least four with spectra on the same frequencies"),
-        (lambda: fit(BOX, [Oracle()(np.array(INSIDE))] * 4), "the first trials lie in a plane: vary K, B and M each"),
+        (
+            lambda: first_trials(BOX, (2000.0, 0.0, 0.0)),
+            "the first environment [2000.0, 0.0, 0.0] lies outside the box",
+        ),
+        (
+            lambda: next_trials(Search(BOX)),
+            "0 stable trials so far: four are needed before the search can direct",
+        ),
+        (
+            lambda: fit(BOX, [Oracle()(np.array(INSIDE))] * 3),
+            "3 trials: at least four with spectra on the same frequencies",
+        ),
+        (
+            lambda: fit(BOX, [Oracle()(np.array(INSIDE))] * 4),
+            "the first trials lie in a plane: vary K, B and M each",
+        ),
     ],
 )
 def test_search_without_ground_is_refused(action, message):
@@ -199,7 +246,9 @@ def test_first_trials_step_along_each_axis():
 
 
 def foretold(points):
-    """A model of the bent device that knows nothing of its bend, and 0.3 N s/m too much damping at high frequencies."""
+    """A model of the bent device that knows nothing of its bend, and 0.3 N s/m too much damping
+    at high frequencies.
+    """
     return Oracle().exact(points) + 0.3 / (1.0 + (2.0 * np.pi * 100.0 / W) ** 2)
 
 
@@ -217,18 +266,25 @@ def test_search_with_noisy_trials_beats_the_prior_that_it_began_from():
 def test_exact_prior_leaves_nothing_to_learn():
     oracle = Oracle(bend=1.0)
     found = directed_search(oracle, Search(BOX, oracle.exact), INSIDE, budget=6)
-    assert np.allclose(resistance(found.surrogate, SAMPLES[:50]), oracle.exact(SAMPLES[:50]), atol=1e-9)
+    assert np.allclose(
+        resistance(found.surrogate, SAMPLES[:50]), oracle.exact(SAMPLES[:50]), atol=1e-9
+    )
     assert error(found, oracle) < 1e-3
 
 
 def test_chance_of_a_yes_is_that_of_noisy_trials():
     """Independent noise on 20 frequencies, counted over 400 trials of each environment."""
-    f, points = np.arange(0, W.size, 15), BOX.to_environment(np.random.default_rng(5).random((400, 3)))
-    sd, random = np.full(f.size, 0.05), np.random.default_rng(6)
+    f = np.arange(0, W.size, 15)
+    points = BOX.to_environment(np.random.default_rng(5).random((400, 3)))
+    sd = np.full(f.size, 0.05)
+    random = np.random.default_rng(6)
     trials = [Observation(point, Oracle().exact(point)[0, f], sd) for point in points[:40]]
-    found, yes = fit(BOX, trials, lambda environments: Oracle().exact(environments)[:, f]), np.zeros(len(points))
+    found = fit(BOX, trials, lambda environments: Oracle().exact(environments)[:, f])
+    yes = np.zeros(len(points))
     for _ in range(400):
-        yes += (Oracle().exact(points)[:, f] + sd * random.standard_normal((len(points), f.size)) >= 0.0).all(axis=1) / 400
+        yes += (
+            Oracle().exact(points)[:, f] + sd * random.standard_normal((len(points), f.size)) >= 0.0
+        ).all(axis=1) / 400
     chance = np.exp(log_chance(found, points, np.ones(f.size)))
     assert np.abs(chance - yes).max() < 0.1
     assert np.count_nonzero((yes > 0.1) & (yes < 0.9)) > 10
@@ -245,7 +301,9 @@ def test_without_noise_a_trial_says_what_is_expected():
 def escaping(least, noise=0.0):
     """An oracle that escapes where 1 - K/1000 falls below `least`."""
     oracle = Oracle(noise=noise)
-    return lambda environment: None if headroom(environment[None])[0] < least else oracle(environment)
+    return lambda environment: (
+        None if headroom(environment[None])[0] < least else oracle(environment)
+    )
 
 
 def headroom(environments):
@@ -254,11 +312,16 @@ def headroom(environments):
 
 @pytest.mark.parametrize("least", [0.25, 0.55])
 def test_where_trials_escape_is_learnt_from_those_that_did(least):
-    """Foretold to escape at K = 1000, found to do so at 750 or 450 N/m: to 50 N/m by 24 trials, most of them stable."""
-    found = directed_search(escaping(least), Search(BOX, headroom=headroom), (200.0, 0.3, 0.001), budget=24)
+    """Foretold to escape at K = 1000, found to do so at 750 or 450 N/m: to 50 N/m by 24 trials,
+    most of them stable.
+    """
+    found = directed_search(
+        escaping(least), Search(BOX, headroom=headroom), (200.0, 0.3, 0.001), budget=24
+    )
     assert found.least == pytest.approx(least, abs=0.05)
     assert 2 <= len(found.unstable) <= 12
-    held, stable = predicted_passive(found, SAMPLES), headroom(SAMPLES) >= least
+    held = predicted_passive(found, SAMPLES)
+    stable = headroom(SAMPLES) >= least
     assert np.mean(held != (Oracle().passive(SAMPLES) & stable)) / np.mean(held) < 0.05
 
 
@@ -272,9 +335,14 @@ def test_least_headroom_lies_between_stable_and_unstable_trials():
 
 
 def test_contradicting_trials_are_weighed_by_their_number():
-    """At one headroom where chance decides: mostly unstable means that the boundary lies above it, and the other way round."""
+    """At one headroom where chance decides: mostly unstable means that the boundary lies above
+    it, and the other way round.
+    """
     values = np.repeat([0.0, 0.2, 0.4], 10)
-    few, many = (np.concatenate((np.zeros(10), np.arange(10) < stable, np.ones(10))) > 0.5 for stable in (2, 8))
+    few, many = (
+        np.concatenate((np.zeros(10), np.arange(10) < stable, np.ones(10))) > 0.5
+        for stable in (2, 8)
+    )
     assert least_headroom(values, few) > 0.2 > least_headroom(values, many)
 
 

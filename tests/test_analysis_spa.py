@@ -24,15 +24,20 @@ RATE_HZ = 4000.0
 
 def direct(force, velocity, lag, frequency_hz, detrend=True):
     """Phi_u, Phi_y, Phi_yu by the sums of the definition."""
-    n, place = force.size, np.arange(force.size)
+    n = force.size
+    place = np.arange(force.size)
     if detrend:
-        force, velocity = (x - np.polyval(np.polyfit(place, x, 1), place) for x in (force, velocity))
+        force, velocity = (
+            x - np.polyval(np.polyfit(place, x, 1), place) for x in (force, velocity)
+        )
 
     def covariance(late, early, t):
         return late[t:] @ early[: n - t] / n if t >= 0 else covariance(early, late, -t)
 
     t = np.arange(-lag, lag + 1)
-    turn = np.exp(-2j * np.pi * np.outer(frequency_hz, t) / RATE_HZ) * (0.5 * (1.0 + np.cos(np.pi * t / lag)))
+    turn = np.exp(-2j * np.pi * np.outer(frequency_hz, t) / RATE_HZ) * (
+        0.5 * (1.0 + np.cos(np.pi * t / lag))
+    )
     pairs = ((velocity, velocity), (force, force), (force, velocity))
     return [turn @ np.array([covariance(late, early, step) for step in t]) for late, early in pairs]
 
@@ -41,7 +46,9 @@ def worst(found, expected):
     return float(np.max(np.abs(found - expected)) / np.max(np.abs(expected)))
 
 
-@pytest.mark.parametrize(("n_samples", "lag"), [(513, 512), (1000, 64), (4096, 64), (5001, 37), (40_000, 256)])
+@pytest.mark.parametrize(
+    ("n_samples", "lag"), [(513, 512), (1000, 64), (4096, 64), (5001, 37), (40_000, 256)]
+)
 @pytest.mark.parametrize("detrend", [True, False])
 def test_spectra_equal_the_direct_sums(n_samples, lag, detrend):
     force, velocity = record(n_samples, lag)
@@ -55,7 +62,11 @@ def test_any_frequency_equals_the_direct_sums():
     force, velocity = record(3000, 1)
     frequency_hz = np.array([0.0, 0.3, 17.77, 500.0, 1999.0, 2000.0])
     found = estimate(force, velocity, RATE_HZ, 50, frequency_hz)
-    for mine, other in zip((found.velocity, found.force, found.cross), direct(force, velocity, 50, frequency_hz), strict=True):
+    for mine, other in zip(
+        (found.velocity, found.force, found.cross),
+        direct(force, velocity, 50, frequency_hz),
+        strict=True,
+    ):
         assert worst(mine, other) < 1e-12
 
 
@@ -88,11 +99,13 @@ def test_without_numba_the_plain_kernels_are_used(monkeypatch):
 def test_stream_equals_the_whole_record(blocks, lag, detrend):
     n_samples = sum(blocks) + lag + 1
     force, velocity = record(n_samples, lag)
-    stream, start = SpectralStream(RATE_HZ, lag, detrend), 0
+    stream = SpectralStream(RATE_HZ, lag, detrend)
+    start = 0
     for size in (*blocks, lag + 1):
         stream.add(force[start : start + size], velocity[start : start + size])
         start += size
-    found, expected = stream.spectra(), estimate(force, velocity, RATE_HZ, lag, detrend=detrend)
+    found = stream.spectra()
+    expected = estimate(force, velocity, RATE_HZ, lag, detrend=detrend)
     for name in ("velocity", "force", "cross"):
         assert worst(getattr(found, name), getattr(expected, name)) < 1e-10
 
@@ -117,7 +130,13 @@ def test_stream_forgets_an_offset_ten_thousand_times_the_signal():
 
 def test_golden_file_of_octave():
     golden = json.loads(GOLDEN.read_text())
-    compare_with_octave(golden["force"], golden["velocity"], golden["lag"], golden["rate_hz"], np.array(golden["columns"]).T)
+    compare_with_octave(
+        golden["force"],
+        golden["velocity"],
+        golden["lag"],
+        golden["rate_hz"],
+        np.array(golden["columns"]).T,
+    )
 
 
 @pytest.mark.parametrize(("n_samples", "lag"), [(5000, 100), (20_000, 1024)])
@@ -143,13 +162,17 @@ def compare_with_octave(force, velocity, lag, rate_hz, columns):
 
 def test_missing_octave_names_the_remedy(monkeypatch):
     monkeypatch.setattr("octave.run.shutil.which", lambda name: None)
-    with pytest.raises(RuntimeError, match=r"octave with octave-signal is needed .* `make deps` installs both"):
+    with pytest.raises(
+        RuntimeError, match=r"octave with octave-signal is needed .* `make deps` installs both"
+    ):
         spa_by_octave(*record(100, 1), 10, RATE_HZ)
 
 
 def test_standard_deviations_are_those_of_ljung():
     found = estimate(*record(30_000, 6), RATE_HZ, 64)
-    z, n, c = impedance(found), 30_000, 0.75 * 64
+    z = impedance(found)
+    n = 30_000
+    c = 0.75 * 64
     window = 0.5 * (1.0 + np.cos(np.pi * np.arange(-64, 65) / 64))
     assert np.sum(window**2) == pytest.approx(c)
     g2 = np.abs(found.cross) ** 2 / (found.velocity * found.force)
@@ -174,8 +197,12 @@ def test_noisy_velocity_shrinks_spa_and_not_h_force():
     force = 2.0 * velocity
     found = estimate(force, velocity + random.standard_normal(400_000), RATE_HZ, 32)
     inside = slice(1, -1)
-    assert np.abs(impedance(found, "spa").impedance_ns_per_m[inside]) == pytest.approx(1.0, rel=0.05)
-    assert np.abs(impedance(found, "h_force").impedance_ns_per_m[inside]) == pytest.approx(2.0, rel=0.05)
+    assert np.abs(impedance(found, "spa").impedance_ns_per_m[inside]) == pytest.approx(
+        1.0, rel=0.05
+    )
+    assert np.abs(impedance(found, "h_force").impedance_ns_per_m[inside]) == pytest.approx(
+        2.0, rel=0.05
+    )
     assert np.angle(impedance(found, "spa").impedance_ns_per_m) == pytest.approx(
         np.angle(impedance(found, "h_force").impedance_ns_per_m)
     )
@@ -194,14 +221,18 @@ def test_mass_in_front_is_taken_off():
     assert behind.port == "device"
     assert z.port == "probe"
     assert behind.impedance_ns_per_m.real == pytest.approx(z.impedance_ns_per_m.real)
-    assert behind.impedance_ns_per_m.imag == pytest.approx(z.impedance_ns_per_m.imag - 2 * np.pi * z.frequency_hz * 0.003)
+    assert behind.impedance_ns_per_m.imag == pytest.approx(
+        z.impedance_ns_per_m.imag - 2 * np.pi * z.frequency_hz * 0.003
+    )
 
 
 def test_known_skew_and_high_pass_are_corrected():
     found = estimate(*record(5000, 11), RATE_HZ, 64)
     f = found.frequency_hz
     channel = np.exp(2j * np.pi * f * 60e-6) * (1j * f / (5.0 + 1j * f))
-    seen = dataclasses.replace(found, velocity=found.velocity * np.abs(channel) ** 2, cross=found.cross * channel.conj())
+    seen = dataclasses.replace(
+        found, velocity=found.velocity * np.abs(channel) ** 2, cross=found.cross * channel.conj()
+    )
     restored = corrected(seen, skew_s=60e-6, high_pass_hz=5.0)
     assert restored.cross[1:] == pytest.approx(found.cross[1:])
     assert restored.velocity[1:] == pytest.approx(found.velocity[1:])
@@ -217,13 +248,28 @@ def test_skew_sign_is_that_of_a_late_velocity():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((np.zeros(100), np.zeros(99)), "force (100,) and velocity (99,): two records of one length are needed"),
+        (
+            (np.zeros(100), np.zeros(99)),
+            "force (100,) and velocity (99,): two records of one length are needed",
+        ),
         ((np.zeros((2, 50)), np.zeros((2, 50))), "two records of one length"),
-        ((np.zeros(64), np.zeros(64), 4e3, 64), "record of 64 samples: more than the window of 64 are needed"),
-        ((np.zeros(64), np.zeros(64), 4e3, 1), "lag 1: a window of at least 2 samples is needed; the paper's has 2048"),
-        ((np.full(99, np.nan), np.zeros(99), 4e3, 9), "values that are not finite; drop or repair them before the analysis"),
+        (
+            (np.zeros(64), np.zeros(64), 4e3, 64),
+            "record of 64 samples: more than the window of 64 are needed",
+        ),
+        (
+            (np.zeros(64), np.zeros(64), 4e3, 1),
+            "lag 1: a window of at least 2 samples is needed; the paper's has 2048",
+        ),
+        (
+            (np.full(99, np.nan), np.zeros(99), 4e3, 9),
+            "values that are not finite; drop or repair them before the analysis",
+        ),
         ((np.zeros(99), np.full(99, np.inf), 4e3, 9, None, False), "values that are not finite"),
-        ((*record(99, 1), 4e3, 9, [2000.1]), "frequencies: a list inside 0..2000 Hz, half the sample rate, is needed"),
+        (
+            (*record(99, 1), 4e3, 9, [2000.1]),
+            "frequencies: a list inside 0..2000 Hz, half the sample rate, is needed",
+        ),
         ((*record(99, 1), 4e3, 9, []), "frequencies: a list inside"),
         ((*record(99, 1), 4e3, 9, [-1.0]), "frequencies: a list inside"),
     ],
@@ -255,7 +301,8 @@ def test_silent_channel_has_no_impedance():
 def test_stream_with_a_huge_offset_is_that_without_it():
     """Detrended covariances do not know an offset; its square must not drown them."""
     force, velocity = np.random.default_rng(9).normal(size=(2, 20_000))
-    plain, shifted = SpectralStream(), SpectralStream()
+    plain = SpectralStream()
+    shifted = SpectralStream()
     for part in np.array_split(np.arange(20_000), 7):
         plain.add(force[part], velocity[part])
         shifted.add(force[part] + 1e9, velocity[part] - 1e9)

@@ -1,4 +1,6 @@
-"""Flying recorded motions again: the same bits whatever happened, other forces for other settings, damage found."""
+"""Flying recorded motions again: the same bits whatever happened, other forces for other
+settings, damage found.
+"""
 
 import json
 
@@ -17,7 +19,12 @@ from hapticd.servo.state import SETTLED, ServoState
 
 ROUGH = tuple(
     InjectionParams(kind, tick=tick, count=count)
-    for kind, tick, count in (("drop_in", 1000, 3), ("corrupt_in", 1200, 2), ("drop_out", 1400, 2), ("drop_in", 1600, 6))
+    for kind, tick, count in (
+        ("drop_in", 1000, 3),
+        ("corrupt_in", 1200, 2),
+        ("drop_out", 1400, 2),
+        ("drop_in", 1600, 6),
+    )
 )
 
 
@@ -36,15 +43,22 @@ def one_leg(flight: RecordedFlight) -> replay.Leg:
 
 
 def eventful() -> tuple[RecordedFlight, replay.Leg]:
-    """Two and more seconds with everything: ramps, filters, scheduled changes, lost frames, stop, reset, fault."""
+    """Two and more seconds with everything: ramps, filters, scheduled changes, lost frames,
+    stop, reset, fault.
+    """
     with RecordedFlight(board=board_params(injections=ROUGH)) as flight:
         flight.move()
         flight.fly(800)
         stack = flight.stack
         stack.do(Command.DAMPING, {Value.ADDED_DAMPING: 1.74, Value.ADDED_DAMPING_ON: 1.0})
         flight.fly(400)
-        stack.do(Command.SET, {Value.VELOCITY_FILTER_HZ: 60.0, Value.WALL_STIFFNESS: 500.0, Value.WALL_SIDE: 1.0})
-        stack.command(Command.SET, {Value.STIFFNESS: 80.0, Value.RAMP_S: 0.3}, at_tick=stack.loop.tick + 100)
+        stack.do(
+            Command.SET,
+            {Value.VELOCITY_FILTER_HZ: 60.0, Value.WALL_STIFFNESS: 500.0, Value.WALL_SIDE: 1.0},
+        )
+        stack.command(
+            Command.SET, {Value.STIFFNESS: 80.0, Value.RAMP_S: 0.3}, at_tick=stack.loop.tick + 100
+        )
         flight.fly(600)
         for kind in (Command.STOP, Command.RESET, Command.ENABLE):
             stack.do(kind)
@@ -76,8 +90,14 @@ def test_reflight_is_bit_exact(flown: tuple[RecordedFlight, replay.Leg]) -> None
 
 def test_checkpoint_survives_json_and_msgpack(flown: tuple[RecordedFlight, replay.Leg]) -> None:
     flight, leg = flown
-    for again in (json.loads(json.dumps(leg.state)), msgpack.unpackb(msgpack.packb(leg.state), strict_map_key=False)):
-        assert replay.difference(leg.records, replay.fly(flight.params, leg._replace(state=again))) is None
+    for again in (
+        json.loads(json.dumps(leg.state)),
+        msgpack.unpackb(msgpack.packb(leg.state), strict_map_key=False),
+    ):
+        assert (
+            replay.difference(leg.records, replay.fly(flight.params, leg._replace(state=again)))
+            is None
+        )
 
 
 def test_one_changed_bit_is_found(flown: tuple[RecordedFlight, replay.Leg]) -> None:
@@ -93,7 +113,12 @@ def test_sent_torque_and_damping_are_compared(flown: tuple[RecordedFlight, repla
     flight, leg = flown
     for place, field in ((4, "torque"), (6, "damping")):
         records = leg.records.copy()
-        frames = np.ascontiguousarray(records["out_frame"]).view(np.uint8).reshape(len(records), -1).copy()
+        frames = (
+            np.ascontiguousarray(records["out_frame"])
+            .view(np.uint8)
+            .reshape(len(records), -1)
+            .copy()
+        )
         frames[50, place] ^= 1
         records["out_frame"] = frames.view(records.dtype["out_frame"]).ravel()
         found = replay.difference(records, replay.fly(flight.params, leg))
@@ -105,7 +130,9 @@ def test_bytes_of_a_bad_frame_are_not_believed(flown: tuple[RecordedFlight, repl
     flight, leg = flown
     records = leg.records.copy()
     records["in_frame"][records["arrival"] < 0] = np.void(b"\xff" * 64)
-    assert replay.difference(records, replay.fly(flight.params, leg._replace(records=records))) is None
+    assert (
+        replay.difference(records, replay.fly(flight.params, leg._replace(records=records))) is None
+    )
 
 
 def test_forgotten_request_is_found(flown: tuple[RecordedFlight, replay.Leg]) -> None:
@@ -114,12 +141,21 @@ def test_forgotten_request_is_found(flown: tuple[RecordedFlight, replay.Leg]) ->
     assert replay.difference(leg.records, replay.fly(flight.params, without)) is not None
 
 
-def test_held_settings_act_from_the_first_tick_to_the_last(flown: tuple[RecordedFlight, replay.Leg]) -> None:
+def test_held_settings_act_from_the_first_tick_to_the_last(
+    flown: tuple[RecordedFlight, replay.Leg],
+) -> None:
     flight, leg = flown
-    other = replay.fly(flight.params, leg, {Value.STIFFNESS: 10.0, Value.DAMPING: 0.0, Value.ADDED_DAMPING_ON: 0.0})
+    other = replay.fly(
+        flight.params, leg, {Value.STIFFNESS: 10.0, Value.DAMPING: 0.0, Value.ADDED_DAMPING_ON: 0.0}
+    )
     enabled = (other["gain"] == 1.0) & (leg.records["arrival"] >= 0)
     assert set(other["stiffness_n_per_m"].tolist()) == {10.0}
-    assert np.allclose(other["stiffness_force_n"][enabled], -10.0 * leg.records["position_m"][enabled], rtol=1e-12, atol=1e-12)
+    assert np.allclose(
+        other["stiffness_force_n"][enabled],
+        -10.0 * leg.records["position_m"][enabled],
+        rtol=1e-12,
+        atol=1e-12,
+    )
     assert other["damping_force_n"].any() == np.False_
     assert other["added_damping_asked_ns_per_m"].max() == pytest.approx(0.0)
     assert np.array_equal(other["position_m"], leg.records["position_m"])
@@ -139,7 +175,9 @@ def test_scheduled_change_of_a_held_setting_is_ignored() -> None:
         flight.fly(1200)
         leg = one_leg(flight)
     assert leg.records["stiffness_n_per_m"].max() == 80.0
-    assert set(replay.fly(flight.params, leg, {Value.STIFFNESS: 10.0})["stiffness_n_per_m"].tolist()) == {10.0}
+    assert set(
+        replay.fly(flight.params, leg, {Value.STIFFNESS: 10.0})["stiffness_n_per_m"].tolist()
+    ) == {10.0}
 
 
 def test_fault_is_flown_again() -> None:
@@ -161,7 +199,9 @@ def states() -> list[ServoState]:
     found.append(flight.state)
     flight.do(Command.DISABLE)
     flight.do(Command.ENABLE)
-    flight.do(Command.SET, {Value.STIFFNESS: 100.0, Value.WALL_SIDE: -1.0}, at_tick=flight.tick + 500)
+    flight.do(
+        Command.SET, {Value.STIFFNESS: 100.0, Value.WALL_SIDE: -1.0}, at_tick=flight.tick + 500
+    )
     flight.fly(50, encoder=1000)
     found.append(flight.state)
     flight.do(Command.STOP)
@@ -175,7 +215,9 @@ def test_every_state_survives_flattening(state: ServoState) -> None:
     assert again == state
     plan = again[SETTLED].plan
     assert type(plan) is type(state[SETTLED].plan)
-    assert [type(one) for one in plan.scheduled] == [type(one) for one in state[SETTLED].plan.scheduled]
+    assert [type(one) for one in plan.scheduled] == [
+        type(one) for one in state[SETTLED].plan.scheduled
+    ]
 
 
 def test_request_during_a_pause_of_the_gateway_is_noted_once() -> None:

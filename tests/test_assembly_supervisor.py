@@ -1,4 +1,6 @@
-"""The supervisor on virtual time with scripted processes: order of start and end, restarts, signals, what is left behind."""
+"""The supervisor on virtual time with scripted processes: order of start and end, restarts,
+signals, what is left behind.
+"""
 
 import json
 import os
@@ -21,10 +23,13 @@ from hapticd.units import NS_PER_S
 
 
 class ScriptedProcess:
-    """A process that says ready at once (unless told otherwise), ends on SIGTERM (unless stubborn), dies when told."""
+    """A process that says ready at once (unless told otherwise), ends on SIGTERM (unless
+    stubborn), dies when told.
+    """
 
     def __init__(self, pid: int, stubborn: bool) -> None:
-        self.pid, self.stubborn = pid, stubborn
+        self.pid = pid
+        self.stubborn = stubborn
         self.code: int | None = None
         self.got: list[str] = []
 
@@ -49,10 +54,13 @@ class Stage:
         self.events: list[tuple[float, Event]] = []
         self.processes: dict[str, list[ScriptedProcess]] = {"servo_main": [], "gateway_main": []}
         self.on_start: Callable[[str, ScriptedProcess], None] = lambda name, process: None
-        self.gateway_serves, self.stubborn = True, False
+        self.gateway_serves = True
+        self.stubborn = False
         self._script: list[tuple[float, Callable[[], None]]] = []
         settings = load(shipped("config") / "hapticd.toml")
-        self.supervisor = Supervisor(folder, settings, "default", self.clock, self._tell, self._start, self._served)
+        self.supervisor = Supervisor(
+            folder, settings, "default", self.clock, self._tell, self._start, self._served
+        )
         sleep = self.clock.sleep_until_ns
 
         def sleep_and_act(deadline_ns: int) -> None:
@@ -123,7 +131,9 @@ def test_gateway_waits_for_the_mailbox(stage: Stage) -> None:
     stage.at(0.5, lambda: setattr(stage, "published", True))
     stage.at(1.0, stage.supervisor.stop)
     stage.supervisor.run()
-    started = {event.process: seconds for seconds, event in stage.events if event.kind == "starting"}
+    started = {
+        event.process: seconds for seconds, event in stage.events if event.kind == "starting"
+    }
     assert started["servo"] == 0
     assert started["gateway"] == pytest.approx(0.5, abs=0.05)
 
@@ -133,14 +143,21 @@ def test_missing_board_is_told_once(stage: Stage) -> None:
     stage.at(60.0, stage.supervisor.stop)
     stage.supervisor.run()
     told = [(seconds, event.text) for seconds, event in stage.events if event.kind == "waiting"]
-    assert told == [(pytest.approx(5.0, abs=0.1), "still waiting for the servo (is the board plugged in and switched on?)")]
+    assert told == [
+        (
+            pytest.approx(5.0, abs=0.1),
+            "still waiting for the servo (is the board plugged in and switched on?)",
+        )
+    ]
 
 
 def test_silent_gateway_is_told(stage: Stage) -> None:
     stage.gateway_serves = False
     stage.at(60.0, stage.supervisor.stop)
     stage.supervisor.run()
-    assert [event.text for _, event in stage.events if event.kind == "waiting"] == ["still waiting for the gateway"]
+    assert [event.text for _, event in stage.events if event.kind == "waiting"] == [
+        "still waiting for the gateway"
+    ]
     assert "ready" not in stage.kinds()
 
 
@@ -156,8 +173,12 @@ def test_dead_process_comes_back(stage: Stage, name: str, module: str) -> None:
 
 
 def test_fourth_death_gives_up(stage: Stage) -> None:
-    stage.on_start = lambda name, process: name == "servo_main" and stage.at(stage.seconds + 0.1, stage.die(name, 3))
-    with pytest.raises(HapticdError, match=r"the servo died 4 times within 60 s \(exit code 3 at last\); giving up"):
+    stage.on_start = lambda name, process: (
+        name == "servo_main" and stage.at(stage.seconds + 0.1, stage.die(name, 3))
+    )
+    with pytest.raises(
+        HapticdError, match=r"the servo died 4 times within 60 s \(exit code 3 at last\); giving up"
+    ):
         stage.supervisor.run()
     assert len(stage.processes["servo_main"]) == 4
     assert stage.processes["gateway_main"][-1].got == ["TERM"]
@@ -174,7 +195,9 @@ def test_restarts_are_counted_per_minute() -> None:
 def test_failed_start_is_not_tried_again(stage: Stage) -> None:
     stage.published = False
     stage.at(0.1, stage.die("servo_main", 1))
-    with pytest.raises(HapticdError, match=r"the servo could not start \(exit code 1\); see its message above"):
+    with pytest.raises(
+        HapticdError, match=r"the servo could not start \(exit code 1\); see its message above"
+    ):
         stage.supervisor.run()
     assert len(stage.processes["servo_main"]) == 1
 
@@ -190,7 +213,14 @@ def test_stubborn_process_is_killed_after_5_s(stage: Stage) -> None:
     stage.stubborn = True
     stage.at(1.0, stage.supervisor.stop)
     stage.supervisor.run()
-    assert stage.kinds() == [*START, "ending servo", "killed servo", "ending gateway", "killed gateway", "ended"]
+    assert stage.kinds() == [
+        *START,
+        "ending servo",
+        "killed servo",
+        "ending gateway",
+        "killed gateway",
+        "ended",
+    ]
     assert stage.seconds == pytest.approx(11.0, abs=0.2)
 
 
@@ -213,7 +243,9 @@ def test_second_supervisor_is_refused(stage: Stage, folder: Path) -> None:
     assert not (folder / files.SERVO_JSON).exists()
 
 
-def test_lock_removed_by_its_owner_is_taken_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lock_removed_by_its_owner_is_taken_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     real = files.fcntl.flock
 
     def flock_after_release(descriptor: int, operation: int) -> None:
@@ -243,8 +275,15 @@ def test_mailbox_counts_only_of_this_process(tmp_path: Path) -> None:
 
 def test_resolved_files_hold_the_parameters(folder: Path) -> None:
     resolve.write(folder, load(shipped("config") / "hapticd.toml"), "default")
-    kinds = {files.SERVO_JSON: ServoParams, files.BOARD_JSON: BoardParams, files.GATEWAY_JSON: GatewaySetup}
-    found = {name: from_plain(kind, json.loads((folder / name).read_text())) for name, kind in kinds.items()}
+    kinds = {
+        files.SERVO_JSON: ServoParams,
+        files.BOARD_JSON: BoardParams,
+        files.GATEWAY_JSON: GatewaySetup,
+    }
+    found = {
+        name: from_plain(kind, json.loads((folder / name).read_text()))
+        for name, kind in kinds.items()
+    }
     servo = found[files.SERVO_JSON]
     assert isinstance(servo, ServoParams)
     assert servo.config_hash == load(shipped("config") / "hapticd.toml").config_hash

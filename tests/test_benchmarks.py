@@ -1,4 +1,6 @@
-"""The bookkeeping of `make bench`: judging, merging, the table, and yardsticks that do the work they claim. Nothing is timed."""
+"""The bookkeeping of `make bench`: judging, merging, the table, and yardsticks that do the work
+they claim. Nothing is timed.
+"""
 
 import importlib
 import json
@@ -45,13 +47,47 @@ PROMISED = {
     *(f"wake_{name}" for name in ("p50", "p99", "stress_p99", "sleep_p50", "sleep_p99")),
     *(f"tick_{name}" for name in ("p50_ratio", "p99_ratio", "c_ratio")),
     *(f"late_{rate}khz" for rate in (1, 2, 4, 8)),
-    *("usb_pair_ratio", "board_tick_ratio", "set_p50_ms", "set_p99_ms", "telemetry_gaps", "gateway_cpu_ratio"),
-    *("lockstep_ratio", "lockstep_weir_ratio", "servo_rss_mb", "servo_growth_kb", "servo_threads", "servo_minor_faults"),
-    *("record_cpu_ratio", "record_bytes_ratio", "replay_speed", "engine_rss_mb", "spa_scipy", "spa_fftw"),
+    *(
+        "usb_pair_ratio",
+        "board_tick_ratio",
+        "set_p50_ms",
+        "set_p99_ms",
+        "telemetry_gaps",
+        "gateway_cpu_ratio",
+    ),
+    *(
+        "lockstep_ratio",
+        "lockstep_weir_ratio",
+        "servo_rss_mb",
+        "servo_growth_kb",
+        "servo_threads",
+        "servo_minor_faults",
+    ),
+    *(
+        "record_cpu_ratio",
+        "record_bytes_ratio",
+        "replay_speed",
+        "engine_rss_mb",
+        "spa_scipy",
+        "spa_fftw",
+    ),
     *("engine_c_f32", "engine_c_f64", "engine_numba_scalar", "engine_mujoco", "engine_solve_ivp"),
     *("effects_friction_off", "effects_plant_only", "executor_process", "executor_dask"),
-    *("trials_1000_c", "trials_weir_1_c", "trials_weir_4_c", "fused_c", "map_6384_c", "predict_map_ratio"),
-    *("search_nonaffine", "search_affine", "search_weir_wrong_share", "search_weir_trials", "search_weir_grid_trials"),
+    *(
+        "trials_1000_c",
+        "trials_weir_1_c",
+        "trials_weir_4_c",
+        "fused_c",
+        "map_6384_c",
+        "predict_map_ratio",
+    ),
+    *(
+        "search_nonaffine",
+        "search_affine",
+        "search_weir_wrong_share",
+        "search_weir_trials",
+        "search_weir_grid_trials",
+    ),
 }
 TIMES = re.compile(r"_(us|ms|s|pct)$")
 ROWS = [(name, row) for rows in targets.TABLE.values() for name, row in rows.items()]
@@ -78,7 +114,9 @@ def test_targets_judge_value_or_ratio(target: str, value: Any, ratio: Any, ok: b
 
 
 def test_unreadable_target_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"target 'about 8': write '<= 25', '<= 1\.25x', '>= 30x' or 'p >= 0\.01'"):
+    with pytest.raises(
+        ValueError, match=r"target 'about 8': write '<= 25', '<= 1\.25x', '>= 30x' or 'p >= 0\.01'"
+    ):
         judge("about 8", 8.0, None)
 
 
@@ -88,7 +126,9 @@ def test_ratio_is_ours_over_reference() -> None:
 
 
 def test_speed_up_is_given_by_the_caller() -> None:
-    assert compared("a", ">= 30x", 0.1, "s", 4.0, ratio=40.0) == Figure("a", 0.1, "s", 4.0, 40.0, ">= 30x", True)
+    assert compared("a", ">= 30x", 0.1, "s", 4.0, ratio=40.0) == Figure(
+        "a", 0.1, "s", 4.0, 40.0, ">= 30x", True
+    )
 
 
 def test_zero_reference_gives_no_ratio() -> None:
@@ -104,15 +144,27 @@ def test_rows_have_the_promised_keys() -> None:
 
 def test_refused_figure_is_not_ok() -> None:
     assert refused("a", "<= 2", "no tool").plain() | {"note": ""} == {
-        "name": "a", "value": None, "unit": "", "reference": None, "ratio": None, "target": "<= 2", "ok": False, "note": "",
-        "yardstick": "", "reason": "",
-    }  # fmt: skip
+        "name": "a",
+        "value": None,
+        "unit": "",
+        "reference": None,
+        "ratio": None,
+        "target": "<= 2",
+        "ok": False,
+        "note": "",
+        "yardstick": "",
+        "reason": "",
+    }
 
 
 def test_merge_replaces_in_place() -> None:
     old = [{"name": "a", "value": 1}, {"name": "b", "value": 2}]
     new = [{"name": "c", "value": 3}, {"name": "a", "value": 4}]
-    assert merge(old, new) == [{"name": "a", "value": 4}, {"name": "b", "value": 2}, {"name": "c", "value": 3}]
+    assert merge(old, new) == [
+        {"name": "a", "value": 4},
+        {"name": "b", "value": 2},
+        {"name": "c", "value": 3},
+    ]
 
 
 def test_saved_rows_are_loaded(tmp_path: Path) -> None:
@@ -130,7 +182,9 @@ def test_foreign_file_counts_as_empty(tmp_path: Path, content: str) -> None:
 
 
 def test_every_promised_name_is_measured() -> None:
-    measured = [name for part in run.PARTS for name in importlib.import_module(f"benchmarks.{part}").TARGETS]
+    measured = [
+        name for part in run.PARTS for name in importlib.import_module(f"benchmarks.{part}").TARGETS
+    ]
     assert len(measured) == len(set(measured))
     assert set(measured) >= PROMISED
     assert measured == [name for name, _ in ROWS]
@@ -152,20 +206,32 @@ def test_every_target_says_what_it_is_judged_by(name: str, row: targets.Target) 
         assert not row.limit, f"{name} is a time: judge it by a yardstick of the same run"
 
 
-@pytest.mark.parametrize(("name", "row"), [(name, row) for name, row in ROWS if row.limit.endswith("x")])
+@pytest.mark.parametrize(
+    ("name", "row"), [(name, row) for name, row in ROWS if row.limit.endswith("x")]
+)
 def test_slowed_down_subject_misses(name: str, row: targets.Target) -> None:
-    """Whatever the machine's speed: a subject that just passes, made a third slower against its yardstick, does not pass."""
+    """Whatever the machine's speed: a subject that just passes, made a third slower against its
+    yardstick, does not pass.
+    """
     limit = float(row.limit.split()[1].rstrip("x"))
     for machine in (1.0, 0.1, 7.0):
         if row.limit.startswith("<="):
-            passing, slowed = (compared(name, row.limit, factor * limit * machine, "s", machine) for factor in (0.99, 1.34))
+            passing, slowed = (
+                compared(name, row.limit, factor * limit * machine, "s", machine)
+                for factor in (0.99, 1.34)
+            )
         else:
-            passing, slowed = (compared(name, row.limit, limit * machine / factor, "s", machine) for factor in (0.99, 1.34))
+            passing, slowed = (
+                compared(name, row.limit, limit * machine / factor, "s", machine)
+                for factor in (0.99, 1.34)
+            )
         assert (passing.ok, slowed.ok) == (True, False)
 
 
 def test_rare_events_are_judged_by_chance() -> None:
-    """Fisher's exact test in closed form: all of n events on one of two equal sides has the probability of n draws."""
+    """Fisher's exact test in closed form: all of n events on one of two equal sides has the
+    probability of n draws.
+    """
     assert fisher_p(0, 120_000, 0, 120_000) == 1.0
     assert fisher_p(3, 120_000, 0, 120_000) == pytest.approx(0.5**3, rel=1e-4)
     assert judge("p >= 0.01", 30, None, fisher_p(30, 120_000, 25, 120_000)) is True
@@ -178,19 +244,29 @@ def test_explained_rows_carry_yardstick_and_reason(monkeypatch: pytest.MonkeyPat
     def measure() -> Any:
         yield compared("spa_fftw", "<= 2x", 1.0, "ms", 1.0)
 
-    monkeypatch.setitem(sys.modules, "benchmarks.spa", SimpleNamespace(TARGETS=targets.of("spa"), measure=measure))
+    monkeypatch.setitem(
+        sys.modules, "benchmarks.spa", SimpleNamespace(TARGETS=targets.of("spa"), measure=measure)
+    )
     scipy, fftw = run.measure("spa")
-    assert (fftw.yardstick, fftw.reason) == (targets.TABLE["spa"]["spa_fftw"].yardstick, targets.TABLE["spa"]["spa_fftw"].reason)
+    assert (fftw.yardstick, fftw.reason) == (
+        targets.TABLE["spa"]["spa_fftw"].yardstick,
+        targets.TABLE["spa"]["spa_fftw"].reason,
+    )
     assert scipy.note == "not measured"
     assert scipy.reason
 
 
-def test_repeated_runs_show_the_worst(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_repeated_runs_show_the_worst(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     found = iter([(1.0, 40.0), (1.2, 36.0), (1.1, 39.0)])
 
     def measure(_part: str) -> list[Figure]:
         slow, fast = next(found)
-        return [compared("slow", "<= 2x", slow, "s", 1.0), compared("fast", ">= 30x", fast, "s", 1.0)]
+        return [
+            compared("slow", "<= 2x", slow, "s", 1.0),
+            compared("fast", ">= 30x", fast, "s", 1.0),
+        ]
 
     monkeypatch.setattr(run, "measure", measure)
     run.main(["--only", "spa", "--repeat", "3", "--output", str(tmp_path / "bench.json")])
@@ -205,7 +281,12 @@ def test_empty_board_answers_every_write() -> None:
     assert board is not None
     port = EmptyBoard(board)
     assert codec.decode_in(port.poll_in(0) or b"").status == frames.Status.SIMULATED
-    assert BareLoop(servo_params(stand, "bench").usb, board, yardstick(EnvironmentParams(), 1000.0)).cpu_s(20) > 0.0
+    assert (
+        BareLoop(
+            servo_params(stand, "bench").usb, board, yardstick(EnvironmentParams(), 1000.0)
+        ).cpu_s(20)
+        > 0.0
+    )
 
 
 def test_only_takes_commas_and_blanks() -> None:
@@ -219,7 +300,10 @@ def test_unknown_part_names_the_known() -> None:
         run.chosen("wakke")
 
 
-@pytest.mark.parametrize("error", [BenchError("no tool: `make deps`"), DaemonDown("nobody answers"), OSError("no such file")])
+@pytest.mark.parametrize(
+    "error",
+    [BenchError("no tool: `make deps`"), DaemonDown("nobody answers"), OSError("no such file")],
+)
 def test_broken_part_says_why(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
     def measure() -> Any:
         yield compared("first", "<= 2", 1.0, "s")
@@ -227,13 +311,20 @@ def test_broken_part_says_why(monkeypatch: pytest.MonkeyPatch, error: Exception)
 
     part = SimpleNamespace(TARGETS={"second": "<= 3x", "first": "<= 2"}, measure=measure)
     monkeypatch.setitem(sys.modules, "benchmarks.broken", part)
-    assert run.measure("broken") == [refused("second", "<= 3x", str(error)), compared("first", "<= 2", 1.0, "s")]
+    assert run.measure("broken") == [
+        refused("second", "<= 3x", str(error)),
+        compared("first", "<= 2", 1.0, "s"),
+    ]
 
 
-def test_only_merges_into_the_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_only_merges_into_the_file(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     output = tmp_path / "bench.json"
     save(output, [{"name": "old"}, {"name": "wake_p50", "ok": False}])
-    monkeypatch.setattr(run, "measure", lambda part: [refused("wake_p50", "<= 0.1x", f"{part} is [new]")])
+    monkeypatch.setattr(
+        run, "measure", lambda part: [refused("wake_p50", "<= 0.1x", f"{part} is [new]")]
+    )
     assert run.main(["--only", "wake", "--output", str(output)]) == 0
     rows = json.loads(output.read_text())
     assert [row["name"] for row in rows] == ["old", "wake_p50"]
@@ -253,7 +344,12 @@ def test_whole_run_begins_anew(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
 
 
 def test_quantile_is_nearest_rank() -> None:
-    assert [quantile([5, 1, 4, 2, 3], fraction) for fraction in (0.0, 0.5, 0.99, 1.0)] == [1, 3, 5, 5]
+    assert [quantile([5, 1, 4, 2, 3], fraction) for fraction in (0.0, 0.5, 0.99, 1.0)] == [
+        1,
+        3,
+        5,
+        5,
+    ]
 
 
 def test_one_disturbed_block_is_one_vote() -> None:
@@ -263,7 +359,12 @@ def test_one_disturbed_block_is_one_vote() -> None:
 def test_places_follow_the_table() -> None:
     dtype = np.dtype([tuple(row) for row in layout.TELEMETRY])
     marked = np.zeros(1, dtype)
-    marked["position_m"], marked["energy_j"][0, 5], marked["publish_ns"], marked["tail"] = 1.5, 2.5, 3, 4
+    marked["position_m"], marked["energy_j"][0, 5], marked["publish_ns"], marked["tail"] = (
+        1.5,
+        2.5,
+        3,
+        4,
+    )
     record = layout.RECORD.unpack(marked.tobytes())
     assert record[place("position_m")] == 1.5
     assert record[place("energy_j") + 5] == 2.5
@@ -274,18 +375,30 @@ def test_places_follow_the_table() -> None:
 
 
 def test_c_yardstick_fills_the_same_record(tmp_path: Path) -> None:
-    CReference(compile_library(tmp_path), servo_params(settings(), "bench"))  # refuses other sizes than layout.RECORD
+    CReference(
+        compile_library(tmp_path), servo_params(settings(), "bench")
+    )  # refuses other sizes than layout.RECORD
 
 
 @pytest.mark.parametrize(("scene", "substeps"), [(None, 1), ("fig7", 1), ("fig7", 4)])
 def test_c_of_a_scene_moves_as_the_engine(scene: str | None, substeps: int) -> None:
     device = model() if scene is None else compose(load_scene(scene))
-    ours = Lanes(device, "f64", 64, substeps=substeps, level_ns_per_m=0.0 if scene is None else 1.74)
+    ours = Lanes(
+        device, "f64", 64, substeps=substeps, level_ns_per_m=0.0 if scene is None else 1.74
+    )
     theirs = CScene(ours, "f64", 8)
     check_same(ours, theirs, "f64")
     theirs.scene[1] *= 1.01  # how a velocity moves a position: row 0 of the map
-    with pytest.raises(BenchError, match=r"engine_reference\.c moves otherwise than the engine, by .*; correct it"):
-        check_same(Lanes(device, "f64", 64, substeps=substeps, level_ns_per_m=0.0 if scene is None else 1.74), theirs, "f64")
+    with pytest.raises(
+        BenchError, match=r"engine_reference\.c moves otherwise than the engine, by .*; correct it"
+    ):
+        check_same(
+            Lanes(
+                device, "f64", 64, substeps=substeps, level_ns_per_m=0.0 if scene is None else 1.74
+            ),
+            theirs,
+            "f64",
+        )
 
 
 def test_yardstick_of_other_work_is_refused() -> None:
@@ -298,13 +411,20 @@ def test_yardstick_of_other_work_is_refused() -> None:
     with pytest.raises(BenchError, match=r"tick_reference\.c computes .*1e-06.*; correct it"):
         check_same_work(ours, layout.RECORD.pack(*fields))
     fields[place("force_n")], fields[place("out_frame")] = 0.0, b"\1" * 32
-    with pytest.raises(BenchError, match=r"tick_reference\.c sends 0101.*, the servo 0000.*; correct it"):
+    with pytest.raises(
+        BenchError, match=r"tick_reference\.c sends 0101.*, the servo 0000.*; correct it"
+    ):
         check_same_work(ours, layout.RECORD.pack(*fields))
 
 
 def test_own_time_leaves_out_the_link() -> None:
     record = np.zeros(2, [tuple(row) for row in layout.TELEMETRY])
-    for name, values in (("read_ns", (1000, 1)), ("step_ns", (2000, 1)), ("write_ns", (500, 1)), ("publish_ns", (77, 300))):
+    for name, values in (
+        ("read_ns", (1000, 1)),
+        ("step_ns", (2000, 1)),
+        ("write_ns", (500, 1)),
+        ("publish_ns", (77, 300)),
+    ):
         record[name] = values  # publish is that of the tick before
     assert own_ns(record.tobytes(), [200, 0], 50.0) == [1000 + 2000 + 500 + 300 - 200 - 50]
 
@@ -313,7 +433,8 @@ def test_null_link_frames_follow_each_other() -> None:
     with parameter_file() as path:
         link = NullLink(read_parameters(path)[1])
     buffer = array("B", bytes(frames.PACKET_BYTES))
-    parse, heads = codec.in_parser(buffer), []
+    parse = codec.in_parser(buffer)
+    heads = []
     for _ in range(2):  # the second time goes on where reading stopped, whatever lay ready
         link.prepare(5)
         for _ in range(3):
@@ -330,10 +451,12 @@ def test_python_yardstick_renders_the_same_force() -> None:
     with parameter_file() as path:
         link = NullLink(read_parameters(path)[1])
     link.prepare(200)
-    tick, state = yardstick(params.environment, 1000.0), at_rest(0.0)
-    law, filters = environment_tuple(params.environment, 8.0), design_coefficients(
+    tick = yardstick(params.environment, 1000.0)
+    state = at_rest(0.0)
+    law = environment_tuple(params.environment, 8.0)
+    filters = design_coefficients(
         params.environment.velocity_filter, params.environment.acceleration_filter, 1000.0
-    )  # fmt: skip
+    )
     for frame in link.frames:
         x = codec.decode_in(frame.tobytes()).encoder * 0.5e-6
         force, *_, state = render(x, state, law, filters)
@@ -341,7 +464,9 @@ def test_python_yardstick_renders_the_same_force() -> None:
         assert abs(torque - force * 32767 / 8.0) <= 0.5 + 1e-6
 
 
-@pytest.mark.parametrize(("rate_hz", "phase"), [(1000, 0.875), (2000, 0.75), (4000, 0.5), (8000, 0.5)])
+@pytest.mark.parametrize(
+    ("rate_hz", "phase"), [(1000, 0.875), (2000, 0.75), (4000, 0.5), (8000, 0.5)]
+)
 def test_board_leaves_the_host_its_time(rate_hz: float, phase: float) -> None:
     assert sample_phase(rate_hz) == phase
     assert settings(rate_hz).config.simulation.sample_phase == phase

@@ -15,12 +15,21 @@ from hapticd.client import Receipt, fast_stop
 from hapticd.errors import CommandError, ConfigError, DaemonDown, HapticdError, RealtimeError
 from hapticd.settings.toml import shipped
 
-EFFECTIVE = {"K": 100.0, "B": 1.0, "M": 0.01, "wall": {"side": 0}, "damping": 1.74, "damping_level": 1.74}
+EFFECTIVE = {
+    "K": 100.0,
+    "B": 1.0,
+    "M": 0.01,
+    "wall": {"side": 0},
+    "damping": 1.74,
+    "damping_level": 1.74,
+}
 RECEIPT = Receipt("applied", "enabled", 7, 1200, 1250, EFFECTIVE)
 
 
 class ClientDouble:
-    """Speaks for a daemon that accepts everything, or raises `error`; remembers what it was asked."""
+    """Speaks for a daemon that accepts everything, or raises `error`; remembers what it was
+    asked.
+    """
 
     def __init__(self) -> None:
         self.asked: list[tuple[str, Any]] = []
@@ -30,7 +39,12 @@ class ClientDouble:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self.asked.append(("closed", None))
 
     def _ask(self, verb: str, what: Any = None) -> Receipt:
@@ -72,13 +86,29 @@ def client(monkeypatch: pytest.MonkeyPatch) -> ClientDouble:
     return double
 
 
-def test_set_asks_for_everything_at_once(client: ClientDouble, capsys: pytest.CaptureFixture[str]) -> None:
-    words = "set K=100 B=-1 M=0.010 wall.side=-1 filters.velocity_hz=80 damping=1.74 --ramp-s 0.1 --at-tick 9 --if-rev 3"
+def test_set_asks_for_everything_at_once(
+    client: ClientDouble, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = (
+        "set K=100 B=-1 M=0.010 wall.side=-1 filters.velocity_hz=80 damping=1.74 --ramp-s 0.1"
+        " --at-tick 9 --if-rev 3"
+    )
     assert main(words.split()) == 0
-    asked = {"K": 100, "B": -1, "M": 0.01, "wall": {"side": -1}, "filters": {"velocity_hz": 80}, "damping": 1.74}
-    assert client.asked == [("set", {**asked, "ramp_s": 0.1, "at_tick": 9, "if_rev": 3}), ("closed", None)]
+    asked = {
+        "K": 100,
+        "B": -1,
+        "M": 0.01,
+        "wall": {"side": -1},
+        "filters": {"velocity_hz": 80},
+        "damping": 1.74,
+    }
+    assert client.asked == [
+        ("set", {**asked, "ramp_s": 0.1, "at_tick": 9, "if_rev": 3}),
+        ("closed", None),
+    ]
     expected = (
-        "enabled: applied at tick 1200, ramp ends at tick 1250, revision 7: K 100 N/m, B 1 N s/m, M 0.01 kg, damping 1.74 N s/m"
+        "enabled: applied at tick 1200, ramp ends at tick 1250, revision 7: K 100 N/m, B 1 N s/m, M"
+        " 0.01 kg, damping 1.74 N s/m"
     )
     assert capsys.readouterr().out == expected + "\n"
 
@@ -99,7 +129,10 @@ MISTAKES = {
 
 @pytest.mark.parametrize("word", MISTAKES)
 def test_mistyped_change_is_a_usage_error(
-    client: ClientDouble, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, word: str
+    client: ClientDouble,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    word: str,
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")
     assert main(["set", word]) == 2
@@ -107,7 +140,9 @@ def test_mistyped_change_is_a_usage_error(
     assert client.asked == []
 
 
-def test_value_given_twice_is_refused(client: ClientDouble, capsys: pytest.CaptureFixture[str]) -> None:
+def test_value_given_twice_is_refused(
+    client: ClientDouble, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["set", "K=1", "K=2"]) == 2
     assert "K is given twice" in capsys.readouterr().err
 
@@ -117,13 +152,17 @@ def test_usage_error_is_json_too(client: ClientDouble, capsys: pytest.CaptureFix
     assert json.loads(capsys.readouterr().out)["error"]["code"] == "usage"
 
 
-@pytest.mark.parametrize(("word", "value"), [("on", "on"), ("off", "off"), ("1.74", 1.74), ("2", 2)])
+@pytest.mark.parametrize(
+    ("word", "value"), [("on", "on"), ("off", "off"), ("1.74", 1.74), ("2", 2)]
+)
 def test_damping_on_off_or_level(client: ClientDouble, word: str, value: Any) -> None:
     assert main(["damping", word]) == 0
     assert client.asked[0] == ("damping", value)
 
 
-def test_damping_takes_no_other_word(client: ClientDouble, capsys: pytest.CaptureFixture[str]) -> None:
+def test_damping_takes_no_other_word(
+    client: ClientDouble, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["damping", "onn"]) == 2
     assert "'onn' is not on, off or a level in N s/m" in capsys.readouterr().err
 
@@ -142,7 +181,9 @@ def test_home_waits_for_the_end(client: ClientDouble, capsys: pytest.CaptureFixt
 
 
 def test_failed_home_exits_5(client: ClientDouble, capsys: pytest.CaptureFixture[str]) -> None:
-    client.states = [{"state": "fault", "cause": "no stop was found", "remedy": "check the mechanism"}]
+    client.states = [
+        {"state": "fault", "cause": "no stop was found", "remedy": "check the mechanism"}
+    ]
     assert main(["home"]) == 5
     assert "hapticd: home: no stop was found; check the mechanism" in capsys.readouterr().err
 
@@ -150,8 +191,13 @@ def test_failed_home_exits_5(client: ClientDouble, capsys: pytest.CaptureFixture
 def test_get_shows_units(client: ClientDouble, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["get"]) == 0
     assert capsys.readouterr().out.splitlines() == [
-        "K = 100 N/m", "B = 1 N s/m", "M = 0.01 kg", "wall.side = 0", "damping = 1.74 N s/m", "damping_level = 1.74 N s/m",
-    ]  # fmt: skip
+        "K = 100 N/m",
+        "B = 1 N s/m",
+        "M = 0.01 kg",
+        "wall.side = 0",
+        "damping = 1.74 N s/m",
+        "damping_level = 1.74 N s/m",
+    ]
 
 
 ERRORS = [
@@ -165,7 +211,9 @@ ERRORS = [
 ]
 
 
-@pytest.mark.parametrize(("error", "code"), ERRORS, ids=[f"{type(error).__name__}-{code}" for error, code in ERRORS])
+@pytest.mark.parametrize(
+    ("error", "code"), ERRORS, ids=[f"{type(error).__name__}-{code}" for error, code in ERRORS]
+)
 def test_errors_are_one_line_and_a_code(
     client: ClientDouble, capsys: pytest.CaptureFixture[str], error: HapticdError, code: int
 ) -> None:
@@ -175,14 +223,21 @@ def test_errors_are_one_line_and_a_code(
     assert (shown.out, shown.err) == ("", f"hapticd: {error}\n")
 
 
-def test_errors_are_json_when_asked(client: ClientDouble, capsys: pytest.CaptureFixture[str]) -> None:
+def test_errors_are_json_when_asked(
+    client: ClientDouble, capsys: pytest.CaptureFixture[str]
+) -> None:
     client.error = CommandError("invalid", "no", [{"loc": "K", "msg": "no"}])
     assert main(["enable", "--json"]) == 4
     found = json.loads(capsys.readouterr().out)
-    assert found == {"ok": False, "error": {"code": "invalid", "message": "no", "detail": [{"loc": "K", "msg": "no"}]}}
+    assert found == {
+        "ok": False,
+        "error": {"code": "invalid", "message": "no", "detail": [{"loc": "K", "msg": "no"}]},
+    }
 
 
-def test_perturb_reads_text_and_npy(client: ClientDouble, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_perturb_reads_text_and_npy(
+    client: ClientDouble, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     import numpy as np
 
     (tmp_path / "wave.txt").write_text("0.1\n-0.2\n0.3\n")
@@ -190,7 +245,10 @@ def test_perturb_reads_text_and_npy(client: ClientDouble, tmp_path: Path, capsys
     assert main(["perturb", "load", str(tmp_path / "wave.txt")]) == 0
     assert main(["perturb", "load", str(tmp_path / "wave.npy"), "--json"]) == 0
     assert client.asked[0] == ("perturb_load", [0.1, -0.2, 0.3])
-    assert capsys.readouterr().out == '3 samples loaded, 0.001 s\n{"ok": true, "samples": 8, "seconds": 0.002}\n'
+    assert (
+        capsys.readouterr().out
+        == '3 samples loaded, 0.001 s\n{"ok": true, "samples": 8, "seconds": 0.002}\n'
+    )
     assert main(["perturb", "start", "--loop"]) == 0
     assert client.asked[-2] == ("perturb_start", True)
 
@@ -216,9 +274,21 @@ def test_status_without_a_daemon_exits_3(capsys: pytest.CaptureFixture[str]) -> 
     assert capsys.readouterr().out.startswith("down: ")
 
 
-@pytest.mark.parametrize(("state", "code"), [("down", 3), ("starting", 3), ("disabled", 0), ("enabled", 0), ("stopped", 0)])
+@pytest.mark.parametrize(
+    ("state", "code"),
+    [("down", 3), ("starting", 3), ("disabled", 0), ("enabled", 0), ("stopped", 0)],
+)
 def test_status_exit_says_ready(client: ClientDouble, state: str, code: int) -> None:
-    client.states = [{"state": state, "simulated": True, "rate_hz": 1000.0, "revision": 0, "fault": "none", "instance": "x"}]
+    client.states = [
+        {
+            "state": state,
+            "simulated": True,
+            "rate_hz": 1000.0,
+            "revision": 0,
+            "fault": "none",
+            "instance": "x",
+        }
+    ]
     assert main(["status"]) == code
     assert main(["status", "--json"]) == code
 
@@ -226,10 +296,21 @@ def test_status_exit_says_ready(client: ClientDouble, state: str, code: int) -> 
 def test_status_explains_a_fault(client: ClientDouble, capsys: pytest.CaptureFixture[str]) -> None:
     row = {"cause": "the board was unplugged", "action": "force to 0", "remedy": "plug it in"}
     client.states = [
-        {"state": "fault", "simulated": True, "rate_hz": 1e3, "revision": 3, "fault": "usb_lost", "instance": "x", **row}
+        {
+            "state": "fault",
+            "simulated": True,
+            "rate_hz": 1e3,
+            "revision": 3,
+            "fault": "usb_lost",
+            "instance": "x",
+            **row,
+        }
     ]
     assert main(["status"]) == 0
-    assert "usb_lost: the board was unplugged. force to 0. To leave: plug it in" in capsys.readouterr().out
+    assert (
+        "usb_lost: the board was unplugged. force to 0. To leave: plug it in"
+        in capsys.readouterr().out
+    )
 
 
 def test_colour_only_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -246,9 +327,16 @@ def test_colour_only_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize(
     ("words", "instance"),
-    [([], "default"), (["--json"], "default"), (["--instance", "a"], "a"), (["--json", "--instance=b"], "b")],
+    [
+        ([], "default"),
+        (["--json"], "default"),
+        (["--instance", "a"], "a"),
+        (["--json", "--instance=b"], "b"),
+    ],
 )
-def test_stop_takes_the_short_way(monkeypatch: pytest.MonkeyPatch, words: list[str], instance: str) -> None:
+def test_stop_takes_the_short_way(
+    monkeypatch: pytest.MonkeyPatch, words: list[str], instance: str
+) -> None:
     asked: list[tuple[str, bool]] = []
     monkeypatch.setattr(fast_stop, "main", lambda name, as_json: asked.append((name, as_json)) or 0)
     monkeypatch.setattr("sys.argv", ["hapticd", "stop", *words])
@@ -256,7 +344,9 @@ def test_stop_takes_the_short_way(monkeypatch: pytest.MonkeyPatch, words: list[s
     assert asked == [(instance, "--json" in words)]
 
 
-def test_misspelt_stop_is_explained(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_misspelt_stop_is_explained(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr("sys.argv", ["hapticd", "stop", "--instanse", "a"])
     assert entry.main() == 2
     assert "--instance" in capsys.readouterr().err
@@ -269,7 +359,21 @@ def test_stop_without_a_daemon_exits_3(capsys: pytest.CaptureFixture[str]) -> No
 
 
 @pytest.mark.parametrize(
-    "verb", ["run", "set", "get", "damping", "enable", "disable", "stop", "reset", "zero", "home", "status", "monitor"]
+    "verb",
+    [
+        "run",
+        "set",
+        "get",
+        "damping",
+        "enable",
+        "disable",
+        "stop",
+        "reset",
+        "zero",
+        "home",
+        "status",
+        "monitor",
+    ],
 )
 def test_every_verb_explains_itself(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([verb, "--help"]) == 0
@@ -283,7 +387,7 @@ def test_abbreviations_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert "--ramp-s" in capsys.readouterr().err
 
 
-# --- config ----------------------------------------------------------------------------------------------------------
+# --- config ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.usefixtures("runtime")
@@ -301,18 +405,27 @@ def test_config_check_good_and_bad(tmp_path: Path, capsys: pytest.CaptureFixture
     ]
 
 
-def test_config_check_knows_open_telemetry(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_config_check_knows_open_telemetry(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     file = tmp_path / "open.toml"
     file.write_text("[gateway]\ntcp_host = '0.0.0.0'\n")
     assert main(["config", "check", str(file)]) == 78
-    assert "gateway.tcp_host = '0.0.0.0': beyond this machine telemetry needs keys" in capsys.readouterr().err
+    assert (
+        "gateway.tcp_host = '0.0.0.0': beyond this machine telemetry needs keys"
+        in capsys.readouterr().err
+    )
     file.write_text("[gateway]\ntcp_host = '0.0.0.0'\nallow_insecure = true\n")
     assert main(["config", "check", str(file)]) == 0
-    assert f"hapticd: {file}:2: INSECURE: telemetry is offered on 0.0.0.0" in capsys.readouterr().err
+    assert (
+        f"hapticd: {file}:2: INSECURE: telemetry is offered on 0.0.0.0" in capsys.readouterr().err
+    )
 
 
 @pytest.mark.usefixtures("runtime")
-def test_config_show_says_units_and_origin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_config_show_says_units_and_origin(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     file = tmp_path / "mine.toml"
     file.write_text("[realtime]\nrate_hz = 2000\n")
     assert main(["config", "show", "--origin", "--config", str(file)]) == 0
@@ -320,7 +433,11 @@ def test_config_show_says_units_and_origin(tmp_path: Path, capsys: pytest.Captur
     assert f"realtime.rate_hz = 2000.0 Hz    # {file}:2" in lines
     assert "realtime.priority = 79    # default" in lines
     assert main(["config", "show", "--origin", "--json", "--config", str(file)]) == 0
-    assert json.loads(capsys.readouterr().out)["realtime.rate_hz"] == {"value": 2000.0, "unit": "Hz", "origin": f"{file}:2"}
+    assert json.loads(capsys.readouterr().out)["realtime.rate_hz"] == {
+        "value": 2000.0,
+        "unit": "Hz",
+        "origin": f"{file}:2",
+    }
     assert main(["config", "show", "--json", "--config", str(file)]) == 0
     assert json.loads(capsys.readouterr().out)["device"]["serial"] == "SIM0001"
 
@@ -332,18 +449,25 @@ def test_config_schema_is_the_shipped_one(capsys: pytest.CaptureFixture[str]) ->
     assert capsys.readouterr().out == (shipped("config") / "device.schema.json").read_text()
 
 
-def test_config_resolve_writes_the_runtime_files(runtime: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_config_resolve_writes_the_runtime_files(
+    runtime: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["config", "resolve", "--instance", "left", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     folder = runtime / "hapticd" / "instance-left"
-    assert {name: Path(path) for name, path in found["files"].items()} == {file.name: file for file in folder.iterdir()}
+    assert {name: Path(path) for name, path in found["files"].items()} == {
+        file.name: file for file in folder.iterdir()
+    }
     assert json.loads((folder / "servo.json").read_text())["config_hash"] == found["hash"]
 
 
 @pytest.mark.usefixtures("runtime")
 def test_run_refuses_a_bad_configuration(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", "--rate-hz", "-5"]) == 78
-    assert capsys.readouterr().err == "hapticd: --rate-hz: realtime.rate_hz = -5.0 Hz: must be at least 50.0 Hz\n"
+    assert (
+        capsys.readouterr().err
+        == "hapticd: --rate-hz: realtime.rate_hz = -5.0 Hz: must be at least 50.0 Hz\n"
+    )
     assert main(["run", "--config", "/nowhere.toml", "--json"]) == 78
     assert json.loads(capsys.readouterr().out)["error"]["code"] == "ConfigError"
 
@@ -351,4 +475,6 @@ def test_run_refuses_a_bad_configuration(capsys: pytest.CaptureFixture[str]) -> 
 @pytest.mark.usefixtures("runtime")
 def test_instance_names_are_checked(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["get", "--instance", "../other"]) == 1
-    assert "instance name '../other': use 1 to 64 letters, digits, - and _" in capsys.readouterr().err
+    assert (
+        "instance name '../other': use 1 to 64 letters, digits, - and _" in capsys.readouterr().err
+    )

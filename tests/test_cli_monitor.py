@@ -69,7 +69,9 @@ def test_history_holds_ten_seconds() -> None:
 
 def test_screen_shows_state_and_simulated_badge() -> None:
     history = History()
-    history.add(records(1000, state=State.ENABLED, stiffness_n_per_m=100.0, position_m=0.002, force_n=-0.2))
+    history.add(
+        records(1000, state=State.ENABLED, stiffness_n_per_m=100.0, position_m=0.002, force_n=-0.2)
+    )
     text = drawn(history, True, 0.0)
     assert "████" in text
     assert " ENABLED   K 100 N/m" in text
@@ -88,7 +90,8 @@ def test_screen_of_a_real_board_says_so() -> None:
 
 
 def test_screen_names_fault_and_remedy() -> None:
-    history, fault = History(), BY_CODE["usb_lost"]
+    history = History()
+    fault = BY_CODE["usb_lost"]
     history.add(records(10, state=State.FAULT, fault=fault.number))
     assert f"usb_lost: {fault.cause}; {fault.remedy}" in drawn(history, True, 0.0)
 
@@ -104,7 +107,9 @@ def test_silence_replaces_every_value() -> None:
 
 
 class StreamDouble:
-    """A daemon whose telemetry is a script: blocks 20 ms apart, None for half a second of silence."""
+    """A daemon whose telemetry is a script: blocks 20 ms apart, None for half a second of
+    silence.
+    """
 
     def __init__(self, clock: VirtualClock, script: list[Any]) -> None:
         self._clock, self._script = clock, iter(script)
@@ -112,7 +117,12 @@ class StreamDouble:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         return None
 
     def hello(self) -> dict[str, Any]:
@@ -135,7 +145,9 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> VirtualClock:
 
 
 def block(first: int, restarted: bool = False, **fields: Any) -> Any:
-    return SimpleNamespace(records=records(20, first, **fields), restarted=restarted, header={"simulated": True})
+    return SimpleNamespace(
+        records=records(20, first, **fields), restarted=restarted, header={"simulated": True}
+    )
 
 
 def play(monkeypatch: pytest.MonkeyPatch, clock: VirtualClock, script: list[Any]) -> None:
@@ -145,7 +157,16 @@ def play(monkeypatch: pytest.MonkeyPatch, clock: VirtualClock, script: list[Any]
 def test_json_lines_follow_data_and_silence(
     monkeypatch: pytest.MonkeyPatch, clock: VirtualClock, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    play(monkeypatch, clock, [*(block(20 * i, state=1, force_n=0.5) for i in range(20)), None, None, block(400, state=2, fault=1)])
+    play(
+        monkeypatch,
+        clock,
+        [
+            *(block(20 * i, state=1, force_n=0.5) for i in range(20)),
+            None,
+            None,
+            block(400, state=2, fault=1),
+        ],
+    )
     assert main(["monitor", "--json", "--seconds", "3"]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert {line["simulated"] for line in lines} == {True}
@@ -165,16 +186,32 @@ def test_plain_lines_when_stdout_is_no_terminal(
     assert lines[1] == "SIMULATED NO DATA for 0.5 s"
 
 
-def test_new_servo_life_begins_a_new_history(monkeypatch: pytest.MonkeyPatch, clock: VirtualClock) -> None:
+def test_new_servo_life_begins_a_new_history(
+    monkeypatch: pytest.MonkeyPatch, clock: VirtualClock
+) -> None:
     lengths: list[int] = []
-    play(monkeypatch, clock, [*(block(20 * i) for i in range(10)), *(block(20 * i, restarted=i == 0) for i in range(10))])
-    monitor.watch("default", 0.39, lambda history, simulated, silent_s: lengths.append(len(history.column("tick"))))
+    play(
+        monkeypatch,
+        clock,
+        [
+            *(block(20 * i) for i in range(10)),
+            *(block(20 * i, restarted=i == 0) for i in range(10)),
+        ],
+    )
+    monitor.watch(
+        "default",
+        0.39,
+        lambda history, simulated, silent_s: lengths.append(len(history.column("tick"))),
+    )
     assert lengths == [20, 120, 20, 120]
 
 
 @pytest.mark.parametrize("key", [" ", "\x1b"])
-def test_space_and_escape_stop_the_daemon(monkeypatch: pytest.MonkeyPatch, clock: VirtualClock, key: str) -> None:
-    pressed, stopped = iter(["", key, "q"]), []
+def test_space_and_escape_stop_the_daemon(
+    monkeypatch: pytest.MonkeyPatch, clock: VirtualClock, key: str
+) -> None:
+    pressed = iter(["", key, "q"])
+    stopped = []
     monkeypatch.setattr(monitor.Keys, "pressed", lambda self: next(pressed))
     monkeypatch.setattr(fast_stop, "stop", stopped.append)
     play(monkeypatch, clock, [block(20 * i) for i in range(10)])
@@ -183,7 +220,8 @@ def test_space_and_escape_stop_the_daemon(monkeypatch: pytest.MonkeyPatch, clock
 
 
 def test_arrow_keys_do_not_stop(monkeypatch: pytest.MonkeyPatch, clock: VirtualClock) -> None:
-    pressed, stopped = iter(["\x1b[A", "q"]), []
+    pressed = iter(["\x1b[A", "q"])
+    stopped = []
     monkeypatch.setattr(monitor.Keys, "pressed", lambda self: next(pressed))
     monkeypatch.setattr(fast_stop, "stop", stopped.append)
     play(monkeypatch, clock, [block(20 * i) for i in range(10)])

@@ -1,4 +1,6 @@
-"""The command line against real processes: start, set, damping, stop, the end by every signal, deaths and restarts."""
+"""The command line against real processes: start, set, damping, stop, the end by every signal,
+deaths and restarts.
+"""
 
 import contextlib
 import json
@@ -41,13 +43,27 @@ class Daemon:
         config.write_text(QUIET)
         self.log = runtime / "log"
         self.seen: set[int] = set()
-        command = [sys.executable, "-m", "hapticd", "run", "--instance", self.instance, "--config", str(config), "--json"]
+        command = [
+            sys.executable,
+            "-m",
+            "hapticd",
+            "run",
+            "--instance",
+            self.instance,
+            "--config",
+            str(config),
+            "--json",
+        ]
         with self.log.open("wb") as log:
             self.process = subprocess.Popen(
                 command,
                 stdout=log,
                 stderr=subprocess.STDOUT,
-                preexec_fn=(lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)) if ignore_interrupt else None,
+                preexec_fn=(
+                    (lambda: signal.signal(signal.SIGINT, signal.SIG_IGN))
+                    if ignore_interrupt
+                    else None
+                ),
             )
 
     def __enter__(self) -> Self:
@@ -66,7 +82,11 @@ class Daemon:
 
     def told(self) -> list[str]:
         lines = self.log.read_text().splitlines()
-        return [json.loads(line)["event"] for line in lines if line.startswith("{") and line.endswith("}")]
+        return [
+            json.loads(line)["event"]
+            for line in lines
+            if line.startswith("{") and line.endswith("}")
+        ]
 
     def children(self) -> dict[str, int]:
         """Process ids of servo and gateway."""
@@ -75,14 +95,23 @@ class Daemon:
         for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
             with contextlib.suppress(OSError):
                 words = Path(f"/proc/{child}/cmdline").read_bytes().split(b"\0")
-                found |= {name: int(child) for name in ("servo", "gateway") if f"hapticd.assembly.{name}_main".encode() in words}
+                found |= {
+                    name: int(child)
+                    for name in ("servo", "gateway")
+                    if f"hapticd.assembly.{name}_main".encode() in words
+                }
         self.seen |= set(found.values())
         return found
 
     def cli(self, *words: str) -> int:
         return main([*words, "--instance", self.instance])
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         """Leave nothing running, whatever the test found."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGCONT)
@@ -90,7 +119,9 @@ class Daemon:
             self.process.wait(DEADLINE_S)
         for pid in self.seen:
             with contextlib.suppress(OSError):
-                if str(self.folder).encode() in Path(f"/proc/{pid}/cmdline").read_bytes():  # the number may be another's by now
+                if (
+                    str(self.folder).encode() in Path(f"/proc/{pid}/cmdline").read_bytes()
+                ):  # the number may be another's by now
                     os.kill(pid, signal.SIGKILL)
 
 
@@ -118,11 +149,16 @@ def gone(pid: int) -> bool:
         return True
 
 
-def test_from_start_to_stop(daemon: Daemon, ask: Callable[..., Any], capsys: pytest.CaptureFixture[str]) -> None:
+def test_from_start_to_stop(
+    daemon: Daemon, ask: Callable[..., Any], capsys: pytest.CaptureFixture[str]
+) -> None:
     status = ask("status")
     assert (status["state"], status["simulated"], status["rate_hz"]) == ("disabled", True, 1000.0)
     assert (status["revision"], status["fault"]) == (0, "none")
-    assert status["config_hash"] == json.loads((daemon.folder / files.SERVO_JSON).read_text())["config_hash"]
+    assert (
+        status["config_hash"]
+        == json.loads((daemon.folder / files.SERVO_JSON).read_text())["config_hash"]
+    )
 
     # the setting of Fig. 4, then that of Fig. 7 with the damping toggled live
     assert ask("set", "K=100", "B=1", "M=0.010", "--ramp-s", "0.1")["revision"] == 1
@@ -163,8 +199,19 @@ def test_from_start_to_stop(daemon: Daemon, ask: Callable[..., Any], capsys: pyt
 
 def test_foreground_run_says_what_to_try(runtime: Path) -> None:
     (runtime / "hapticd.toml").write_text(QUIET)
-    command = [sys.executable, "-m", "hapticd", "run", "--instance", "words", "--config", str(runtime / "hapticd.toml")]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    command = [
+        sys.executable,
+        "-m",
+        "hapticd",
+        "run",
+        "--instance",
+        "words",
+        "--config",
+        str(runtime / "hapticd.toml"),
+    ]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
         assert process.stdout is not None
         text = "".join(iter(process.stdout.readline, "Ctrl-C here ends it.\n"))
         process.send_signal(signal.SIGINT)
@@ -180,7 +227,17 @@ def test_foreground_run_says_what_to_try(runtime: Path) -> None:
 
 def test_run_ends_when_its_reader_leaves(runtime: Path) -> None:
     (runtime / "hapticd.toml").write_text(QUIET)
-    command = [sys.executable, "-m", "hapticd", "run", "--instance", "pipe", "--config", str(runtime / "hapticd.toml"), "--json"]
+    command = [
+        sys.executable,
+        "-m",
+        "hapticd",
+        "run",
+        "--instance",
+        "pipe",
+        "--config",
+        str(runtime / "hapticd.toml"),
+        "--json",
+    ]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
         assert process.stdout is not None
         assert json.loads(process.stdout.readline())["event"] == "starting"
@@ -192,7 +249,9 @@ def test_run_ends_when_its_reader_leaves(runtime: Path) -> None:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
 @pytest.mark.parametrize("background", [False, True], ids=["foreground", "background"])
 def test_signals_end_cleanly(runtime: Path, number: int, background: bool) -> None:
-    """Enabled, with a spring and damping on: both processes gone, nothing left but the flight record."""
+    """Enabled, with a spring and damping on: both processes gone, nothing left but the flight
+    record.
+    """
     with Daemon(runtime, ignore_interrupt=background) as daemon:
         children = daemon.children()
         assert set(children) == {"servo", "gateway"}
@@ -208,7 +267,10 @@ def test_signals_end_cleanly(runtime: Path, number: int, background: bool) -> No
 def test_second_run_is_refused(daemon: Daemon, capsys: pytest.CaptureFixture[str]) -> None:
     before = (daemon.folder / files.SERVO_JSON).read_bytes()
     assert daemon.cli("run", "--rate-hz", "500") == 1
-    assert f"a supervisor (pid {daemon.process.pid}) already runs in {daemon.folder}" in capsys.readouterr().err
+    assert (
+        f"a supervisor (pid {daemon.process.pid}) already runs in {daemon.folder}"
+        in capsys.readouterr().err
+    )
     assert (daemon.folder / files.SERVO_JSON).read_bytes() == before
 
 
@@ -220,7 +282,10 @@ def test_killed_servo_comes_back_disabled(daemon: Daemon, ask: Callable[..., Any
     after = daemon.children()
     assert after["servo"] != before["servo"]
     assert after["gateway"] == before["gateway"]
-    status = until(lambda: (found := ask_any(daemon, "status"))["state"] == "disabled" and found, "the gateway sees the new servo")
+    status = until(
+        lambda: (found := ask_any(daemon, "status"))["state"] == "disabled" and found,
+        "the gateway sees the new servo",
+    )
     assert status["revision"] == 0
 
 
@@ -256,8 +321,12 @@ def ask_any(daemon: Daemon, *words: str) -> Any:
     return json.loads(subprocess.run(command, check=False, capture_output=True).stdout)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=["SIGINT", "SIGTERM", "SIGHUP"])
-def test_trial_that_is_ended_leaves_the_device_disabled(daemon: Daemon, ask: Callable[..., Any], number: int) -> None:
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=["SIGINT", "SIGTERM", "SIGHUP"]
+)
+def test_trial_that_is_ended_leaves_the_device_disabled(
+    daemon: Daemon, ask: Callable[..., Any], number: int
+) -> None:
     """Whoever closes the terminal must not leave the device shaking."""
     folder = str(daemon.folder.parent / "trial")
     command = [

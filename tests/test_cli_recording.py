@@ -1,4 +1,6 @@
-"""record, rec, dump and replay from the command line; the way from a live toggle to the plot of another one."""
+"""record, rec, dump and replay from the command line; the way from a live toggle to the plot of
+another one.
+"""
 
 import json
 import os
@@ -30,7 +32,12 @@ class ClientDouble(Source):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         pass
 
     def dump(self) -> dict[str, Any]:
@@ -63,18 +70,31 @@ def file(client: ClientDouble, tmp_path: Path, capsys: pytest.CaptureFixture[str
     return tmp_path / "run.h5"
 
 
-def test_record_says_what_it_has(client: ClientDouble, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_record_says_what_it_has(
+    client: ClientDouble, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["record", str(tmp_path / "a.h5"), "--seconds", "0.5"]) == 0
-    assert capsys.readouterr().out.startswith(f"{tmp_path / 'a.h5'}: complete, SIMULATED, 0.499 s, 500 records, 0 missing, ")
+    assert capsys.readouterr().out.startswith(
+        f"{tmp_path / 'a.h5'}: complete, SIMULATED, 0.499 s, 500 records, 0 missing, "
+    )
 
 
-def test_record_as_json(client: ClientDouble, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_record_as_json(
+    client: ClientDouble, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["record", str(tmp_path / "a.h5"), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert (told["ok"], told["ended"], told["missing"]["servo"], told["simulated"]) == (True, "daemon ended", 0, True)
+    assert (told["ok"], told["ended"], told["missing"]["servo"], told["simulated"]) == (
+        True,
+        "daemon ended",
+        0,
+        True,
+    )
 
 
-def test_record_refuses_what_is_in_the_way(client: ClientDouble, file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_record_refuses_what_is_in_the_way(
+    client: ClientDouble, file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["record", str(file)]) == 78
     assert "run.h5 exists; choose another name" in capsys.readouterr().err
 
@@ -91,8 +111,12 @@ def test_info_says_where_it_comes_from(file: Path, capsys: pytest.CaptureFixture
     assert told["lives"] == 1
 
 
-@pytest.mark.parametrize(("kind", "names"), [("mat", ["run.mat"]), ("csv", ["run.csv", "run.probe.csv"])])
-def test_export_names_its_files(kind: str, names: list[str], file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("kind", "names"), [("mat", ["run.mat"]), ("csv", ["run.csv", "run.probe.csv"])]
+)
+def test_export_names_its_files(
+    kind: str, names: list[str], file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["rec", "export", kind, str(file), "--json"]) == 0
     assert [Path(path).name for path in json.loads(capsys.readouterr().out)["files"]] == names
     assert main(["rec", "export", kind, str(file)]) == 78
@@ -110,10 +134,17 @@ def test_replay_is_bit_exact(file: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert "figures" not in told
 
 
-def test_replay_with_other_settings_draws_both(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["replay", str(file), "--set", "B=5", "--set", "damping=0", "--filter-hz", "60"]) == 0
+def test_replay_with_other_settings_draws_both(
+    file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert (
+        main(["replay", str(file), "--set", "B=5", "--set", "damping=0", "--filter-hz", "60"]) == 0
+    )
     lines = capsys.readouterr().out.splitlines()
-    assert lines[-2:] == [str(file.with_name("run-replay.png")), str(file.with_name("run-replay.svg"))]
+    assert lines[-2:] == [
+        str(file.with_name("run-replay.png")),
+        str(file.with_name("run-replay.svg")),
+    ]
     assert all(Path(line).stat().st_size > 10_000 for line in lines[-2:])
     assert any(line.startswith("force flown") for line in lines)
     svg = Path(lines[-1]).read_text()
@@ -136,21 +167,27 @@ def test_replay_that_differs_fails(file: Path, capsys: pytest.CaptureFixture[str
     assert "the flight differs from the recording" in err
 
 
-def test_dump_waits_for_the_file(client: ClientDouble, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_dump_waits_for_the_file(
+    client: ClientDouble, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "x.flight").touch()
     client.dumped = {"path": str(tmp_path / "x.flight"), "records": 12, "reason": "asked"}  # type: ignore[attr-defined]
     assert main(["dump"]) == 0
     assert capsys.readouterr().out == f"{tmp_path / 'x.flight'}: 12 records\n"
 
 
-def test_dump_that_never_comes_fails(client: ClientDouble, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+def test_dump_that_never_comes_fails(
+    client: ClientDouble, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
     monkeypatch.setattr(daemon, "DUMP_PATIENCE_S", 0.0)
     client.dumped = {"path": str(tmp_path / "x.flight"), "records": 12, "reason": "asked"}  # type: ignore[attr-defined]
     assert main(["dump"]) == 1
     assert "was not written within 0 s" in capsys.readouterr().err
 
 
-def test_flight_recording_becomes_a_file_for_everyone(runtime: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_flight_recording_becomes_a_file_for_everyone(
+    runtime: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     board = board_params(injections=(InjectionParams("encoder_jump", tick=900, value=100_000.0),))
     with RecordedFlight(board=board) as flight:
         flight.move()
@@ -166,15 +203,29 @@ def test_flight_recording_becomes_a_file_for_everyone(runtime: Path, capsys: pyt
 
 
 @pytest.mark.process
-def test_from_a_live_toggle_to_the_plot_of_another(runtime: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    part, final = tmp_path / "toggle.part.h5", tmp_path / "toggle.h5"
+def test_from_a_live_toggle_to_the_plot_of_another(
+    runtime: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    part = tmp_path / "toggle.part.h5"
+    final = tmp_path / "toggle.h5"
     with Daemon(runtime) as daemon:
         for words in (["set", "K=50", "B=2"], ["enable"]):
             assert daemon.cli(*words) == 0
-        command = [sys.executable, "-m", "hapticd", "record", str(final), "--instance", daemon.instance]
+        command = [
+            sys.executable,
+            "-m",
+            "hapticd",
+            "record",
+            str(final),
+            "--instance",
+            daemon.instance,
+        ]
         recording = subprocess.Popen(command, stdout=subprocess.DEVNULL)
         try:
-            size = until(lambda: part.exists() and part.stat().st_size > 500_000 and part.stat().st_size, "it records")
+            size = until(
+                lambda: part.exists() and part.stat().st_size > 500_000 and part.stat().st_size,
+                "it records",
+            )
             assert daemon.cli("damping", "on") == 0
             until(lambda: part.stat().st_size > size + 1_000_000, "it goes on")
         finally:
@@ -194,9 +245,24 @@ def test_from_a_live_toggle_to_the_plot_of_another(runtime: Path, tmp_path: Path
 @pytest.mark.process
 def test_interrupt_ends_a_recording_in_order(runtime: Path, tmp_path: Path) -> None:
     with Daemon(runtime) as daemon:
-        command = [sys.executable, "-m", "hapticd", "record", str(tmp_path / "a.h5"), "--instance", daemon.instance, "--json"]
+        command = [
+            sys.executable,
+            "-m",
+            "hapticd",
+            "record",
+            str(tmp_path / "a.h5"),
+            "--instance",
+            daemon.instance,
+            "--json",
+        ]
         recording = subprocess.Popen(command, stdout=subprocess.PIPE, env={**os.environ})
-        until(lambda: (tmp_path / "a.part.h5").exists() and (tmp_path / "a.part.h5").stat().st_size > 300_000, "it records")
+        until(
+            lambda: (
+                (tmp_path / "a.part.h5").exists()
+                and (tmp_path / "a.part.h5").stat().st_size > 300_000
+            ),
+            "it records",
+        )
         recording.send_signal(signal.SIGINT)
         out, _ = recording.communicate(timeout=DEADLINE_S)
     told = json.loads(out)

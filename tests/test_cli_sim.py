@@ -44,10 +44,12 @@ def told(capsys: pytest.CaptureFixture[str], *arguments: str) -> Any:
     return json.loads(out)
 
 
-# --- run ------------------------------------------------------------------------------------------------------------------------
+# --- run ------------------------------------------------------------------------------------------
 
 
-def test_run_compares_with_and_without_damping(capsys: pytest.CaptureFixture[str], mine: str) -> None:
+def test_run_compares_with_and_without_damping(
+    capsys: pytest.CaptureFixture[str], mine: str
+) -> None:
     code, out, err = spoken(capsys, "sim", "run", mine)
     assert (code, err) == (0, "")
     assert out.startswith("mine: 8 s, SIMULATED ideal\n")
@@ -55,7 +57,9 @@ def test_run_compares_with_and_without_damping(capsys: pytest.CaptureFixture[str
     assert "added damping 1.74 N s/m: passive in band [2, 500] Hz at 95 % confidence" in out
 
 
-def test_run_draws_where_it_is_told(capsys: pytest.CaptureFixture[str], mine: str, tmp_path: Path) -> None:
+def test_run_draws_where_it_is_told(
+    capsys: pytest.CaptureFixture[str], mine: str, tmp_path: Path
+) -> None:
     folder = tmp_path / "figures"
     code, _, err = spoken(capsys, "sim", "run", mine, "--plot", "--out", str(folder))
     assert code == 0
@@ -63,20 +67,31 @@ def test_run_draws_where_it_is_told(capsys: pytest.CaptureFixture[str], mine: st
     assert sorted(path.name for path in folder.iterdir()) == ["mine.png", "mine.svg"]
 
 
-def test_run_draws_nothing_unasked(capsys: pytest.CaptureFixture[str], mine: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_run_draws_nothing_unasked(
+    capsys: pytest.CaptureFixture[str], mine: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = Path(mine).parent
     monkeypatch.chdir(folder)
     spoken(capsys, "sim", "run", mine, "--seconds", "1")
     assert [path.name for path in folder.iterdir()] == ["mine.toml"]
 
 
-def test_run_as_json_has_trials_and_impedance(capsys: pytest.CaptureFixture[str], mine: str) -> None:
+def test_run_as_json_has_trials_and_impedance(
+    capsys: pytest.CaptureFixture[str], mine: str
+) -> None:
     found = told(capsys, "sim", "run", mine, "--seconds", "6")
-    assert (found["ok"], found["simulated"], found["seconds"], found["figures"]) == (True, True, 6.0, [])
+    assert (found["ok"], found["simulated"], found["seconds"], found["figures"]) == (
+        True,
+        True,
+        6.0,
+        [],
+    )
     first, second = found["trials"]
     assert first["leg"] == {"name": "no added damping", "damping": [[0.0, 0.0]], "own": True}
     assert second["verdict"]["answer"] in ("passive", "undecided")
-    assert {"frequency_hz", "impedance_ns_per_m", "phase_deg", "predicted_phase_deg"} <= first["impedance"][0].keys()
+    assert {"frequency_hz", "impedance_ns_per_m", "phase_deg", "predicted_phase_deg"} <= first[
+        "impedance"
+    ][0].keys()
     assert first["diverged_at_s"] is None
 
 
@@ -101,20 +116,31 @@ def test_missing_matplotlib_is_told_before_the_work(
     assert "install hapticd[plot]" in err
 
 
-# --- explain, ceiling ----------------------------------------------------------------------------------------------------------
+# --- explain, ceiling -----------------------------------------------------------------------------
 
 
-def test_explain_says_states_reasons_step_and_cost(capsys: pytest.CaptureFixture[str], mine: str) -> None:
+def test_explain_says_states_reasons_step_and_cost(
+    capsys: pytest.CaptureFixture[str], mine: str
+) -> None:
     code, out, _ = spoken(capsys, "sim", "explain", mine)
     assert code == 0
     for expected in (
-        "2 states, 0 nonlinearities", "rotor_velocity", "physical damping: the budget", "MODES OF THE OPEN DEVICE", "8 ms",
-        "PARAMETERS", "Step: 62.5 us, 4 per 4 kHz sample", "batch engine, each of", "lock-step, the whole product",
-    ):  # fmt: skip
+        "2 states, 0 nonlinearities",
+        "rotor_velocity",
+        "physical damping: the budget",
+        "MODES OF THE OPEN DEVICE",
+        "8 ms",
+        "PARAMETERS",
+        "Step: 62.5 us, 4 per 4 kHz sample",
+        "batch engine, each of",
+        "lock-step, the whole product",
+    ):
         assert expected in out
 
 
-def test_explain_as_json_has_effects_and_cost(capsys: pytest.CaptureFixture[str], mine: str) -> None:
+def test_explain_as_json_has_effects_and_cost(
+    capsys: pytest.CaptureFixture[str], mine: str
+) -> None:
     found = told(capsys, "sim", "explain", mine)
     assert [state["name"] for state in found["states"]] == ["rotor_position", "rotor_velocity"]
     assert {note["effect"] for note in found["notes"]} == {"masses", "motor", "probe", "viscous"}
@@ -137,11 +163,25 @@ def test_ceiling_as_json_has_no_infinities(capsys: pytest.CaptureFixture[str]) -
     assert found["warmer"][0] == [-40.0, pytest.approx(10.17, rel=0.01)]
 
 
-# --- effects ---------------------------------------------------------------------------------------------------------------------
+# --- effects --------------------------------------------------------------------------------------
 
 
-def test_effects_propose_a_set(capsys: pytest.CaptureFixture[str], mine: str, tmp_path: Path) -> None:
-    verb = ("sim", "effects", mine, "--for", "phase", "--tolerance", "60 %", "--seconds", "5", "--out", str(tmp_path))
+def test_effects_propose_a_set(
+    capsys: pytest.CaptureFixture[str], mine: str, tmp_path: Path
+) -> None:
+    verb = (
+        "sim",
+        "effects",
+        mine,
+        "--for",
+        "phase",
+        "--tolerance",
+        "60 %",
+        "--seconds",
+        "5",
+        "--out",
+        str(tmp_path),
+    )
     code, out, err = spoken(capsys, *verb)
     assert code == 0
     assert "without viscous" in out
@@ -150,15 +190,33 @@ def test_effects_propose_a_set(capsys: pytest.CaptureFixture[str], mine: str, tm
     assert (tmp_path / "mine-effects-phase.svg").is_file()
 
 
-def test_effects_as_json_have_rows_and_the_proposal(capsys: pytest.CaptureFixture[str], mine: str) -> None:
-    found = told(capsys, "sim", "effects", mine, "--for", "phase", "--tolerance", "0.02", "--seconds", "5", "--no-plot")
+def test_effects_as_json_have_rows_and_the_proposal(
+    capsys: pytest.CaptureFixture[str], mine: str
+) -> None:
+    found = told(
+        capsys,
+        "sim",
+        "effects",
+        mine,
+        "--for",
+        "phase",
+        "--tolerance",
+        "0.02",
+        "--seconds",
+        "5",
+        "--no-plot",
+    )
     assert (found["question"], found["tolerance"], found["figures"]) == ("phase", 0.02, [])
     assert {row["effect"] for row in found["rows"]} == {"probe", "viscous"}
     assert found["kept"] == ["probe", "viscous"]
 
 
-@pytest.mark.parametrize("words", [("--tolerance", "little"), ("--for", "width"), ("--seconds", "1")])
-def test_effects_refuse_what_they_do_not_understand(capsys: pytest.CaptureFixture[str], words: tuple[str, str]) -> None:
+@pytest.mark.parametrize(
+    "words", [("--tolerance", "little"), ("--for", "width"), ("--seconds", "1")]
+)
+def test_effects_refuse_what_they_do_not_understand(
+    capsys: pytest.CaptureFixture[str], words: tuple[str, str]
+) -> None:
     assert spoken(capsys, "sim", "effects", "theory", *words)[0] == 2
 
 
@@ -168,7 +226,7 @@ def test_tolerance_of_nothing_is_refused(capsys: pytest.CaptureFixture[str]) -> 
     assert "tolerance 0: must be above 0" in err
 
 
-# --- accuracy ---------------------------------------------------------------------------------------------------------------------
+# --- accuracy -------------------------------------------------------------------------------------
 
 
 def test_quick_accuracy_prints_draws_and_says_what_defaults_buy(
@@ -178,19 +236,33 @@ def test_quick_accuracy_prints_draws_and_says_what_defaults_buy(
     assert code == 0
     assert "Reference: exact first harmonic of the linear scene." in out
     assert "The defaults (8 s, 4 sub-steps, f64, window 2048) cost" in out
-    names = ["mine-accuracy.png", "mine-accuracy.svg", "mine-integrators.png", "mine-integrators.svg"]
+    names = [
+        "mine-accuracy.png",
+        "mine-accuracy.svg",
+        "mine-integrators.png",
+        "mine-integrators.svg",
+    ]
     assert sorted(path.name for path in (tmp_path / "f").iterdir()) == names
 
 
-def test_quick_accuracy_as_json_has_every_tier(capsys: pytest.CaptureFixture[str], mine: str) -> None:
+def test_quick_accuracy_as_json_has_every_tier(
+    capsys: pytest.CaptureFixture[str], mine: str
+) -> None:
     found = told(capsys, "accuracy", mine, "--quick", "--no-plot")
-    assert {row["sweep"] for row in found["rows"]} == {"tier", "sub-steps", "precision", "trial length", "window", "effect"}
+    assert {row["sweep"] for row in found["rows"]} == {
+        "tier",
+        "sub-steps",
+        "precision",
+        "trial length",
+        "window",
+        "effect",
+    }
     assert sum(row["knee"] for row in found["rows"]) == 5
     assert found["integrators"]["longest_s"]["exact"] is None
     assert (found["unit"], found["quick"], found["simulated"]) == ("deg", True, True)
 
 
-# --- progress --------------------------------------------------------------------------------------------------------------
+# --- progress -------------------------------------------------------------------------------------
 
 
 def test_progress_is_silent_without_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:

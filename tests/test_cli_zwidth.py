@@ -1,4 +1,6 @@
-"""`hapticd zwidth`: what a person types, gets printed, and finds in the run folder; slips are named and nothing is started."""
+"""`hapticd zwidth`: what a person types, gets printed, and finds in the run folder; slips are
+named and nothing is started.
+"""
 
 import json
 import re
@@ -22,11 +24,19 @@ def run(arguments, capsys):
 
 
 def test_trial_prints_a_sentence_and_keeps_a_run(tmp_path, capsys):
-    code, out, _ = run(["trial", *SHORT, "--out", str(tmp_path / "a"), "--plot", "-K", "50", "-B", "1"], capsys)
+    code, out, _ = run(
+        ["trial", *SHORT, "--out", str(tmp_path / "a"), "--plot", "-K", "50", "-B", "1"], capsys
+    )
     assert code == 0
-    assert out.startswith("SIMULATED engine, scene fig4: K 50 N/m, B 1 N s/m, M 0 kg, added damping 0 N s/m\n")
+    assert out.startswith(
+        "SIMULATED engine, scene fig4: K 50 N/m, B 1 N s/m, M 0 kg, added damping 0 N s/m\n"
+    )
     assert "in band [2, 500] Hz at 95 % confidence; stable as far as seen" in out
-    assert {path.name for path in (tmp_path / "a").iterdir()} >= {"run.json", "trial.png", "trial.svg"}
+    assert {path.name for path in (tmp_path / "a").iterdir()} >= {
+        "run.json",
+        "trial.png",
+        "trial.svg",
+    }
     kept = json.loads((tmp_path / "a" / "run.json").read_text())
     assert kept["simulated"] is True
     assert kept["provenance"]["hapticd"]
@@ -56,8 +66,23 @@ def test_undecided_trial_says_what_would_decide(tmp_path, capsys):
 
 def test_import_makes_a_run_of_any_record(tmp_path, capsys):
     force = np.random.default_rng(1).normal(0.0, 0.2, 80_000)
-    np.savetxt(tmp_path / "x.csv", np.column_stack((force, force / 3.0)), delimiter=",", header="force,velocity", comments="")
-    words = ["import", str(tmp_path / "x.csv"), "--rate-hz", "4000", "--out", str(tmp_path / "run"), "-B", "3"]
+    np.savetxt(
+        tmp_path / "x.csv",
+        np.column_stack((force, force / 3.0)),
+        delimiter=",",
+        header="force,velocity",
+        comments="",
+    )
+    words = [
+        "import",
+        str(tmp_path / "x.csv"),
+        "--rate-hz",
+        "4000",
+        "--out",
+        str(tmp_path / "run"),
+        "-B",
+        "3",
+    ]
     code, out, _ = run(words, capsys)
     assert code == 0
     assert out.startswith("x.csv: K 0 N/m, B 3 N s/m")
@@ -67,7 +92,18 @@ def test_import_makes_a_run_of_any_record(tmp_path, capsys):
 
 
 def test_limits_table_names_its_conditions(tmp_path, capsys):
-    words = ["limits", *SHORT, "--axis", "B", "--damping", "0", "--levels", "2", "--out", str(tmp_path)]
+    words = [
+        "limits",
+        *SHORT,
+        "--axis",
+        "B",
+        "--damping",
+        "0",
+        "--levels",
+        "2",
+        "--out",
+        str(tmp_path),
+    ]
     code, out, _ = run(words, capsys)
     assert code == 0
     assert out.splitlines()[0] == "SIMULATED weir2008: axis limits, the other two being 0"
@@ -81,8 +117,26 @@ def test_limits_table_names_its_conditions(tmp_path, capsys):
 
 
 def test_map_goes_on_and_is_drawn_again(tmp_path, capsys):
-    words = ["map", *SHORT, "--out", str(tmp_path), "--damping", "1.74", "--stiffness", "0", "900", "3",
-             "--viscous", "0", "6", "3", "--mass", "-0.01", "0.01", "3"]  # fmt: skip
+    words = [
+        "map",
+        *SHORT,
+        "--out",
+        str(tmp_path),
+        "--damping",
+        "1.74",
+        "--stiffness",
+        "0",
+        "900",
+        "3",
+        "--viscous",
+        "0",
+        "6",
+        "3",
+        "--mass",
+        "-0.01",
+        "0.01",
+        "3",
+    ]
     code, out, err = run(words, capsys)
     assert code == 0
     assert "27 points predicted" in err
@@ -111,8 +165,32 @@ def test_interrupted_map_says_how_to_go_on(tmp_path, capsys, monkeypatch):
 
 def small_map(folder, *more):
     """A map of 27 points at one damping level."""
-    grid = ["--stiffness", "0", "900", "3", "--viscous", "0", "6", "3", "--mass", "-0.01", "0.01", "3"]
-    return ["map", *SHORT, "--out", str(folder), "--damping", "1.74", *grid, "--everywhere", "--no-plot", *more]
+    grid = [
+        "--stiffness",
+        "0",
+        "900",
+        "3",
+        "--viscous",
+        "0",
+        "6",
+        "3",
+        "--mass",
+        "-0.01",
+        "0.01",
+        "3",
+    ]
+    return [
+        "map",
+        *SHORT,
+        "--out",
+        str(folder),
+        "--damping",
+        "1.74",
+        *grid,
+        "--everywhere",
+        "--no-plot",
+        *more,
+    ]
 
 
 def trials(folder):
@@ -121,9 +199,18 @@ def trials(folder):
 
 
 OUTCOME = {
-    "type", "environment", "damping_ns_per_m", "answer", "passes", "margin_ns_per_m", "margin_lower", "margin_upper", "worst_hz",
-    "first_judged_hz", "last_judged_hz",
-}  # fmt: skip
+    "type",
+    "environment",
+    "damping_ns_per_m",
+    "answer",
+    "passes",
+    "margin_ns_per_m",
+    "margin_lower",
+    "margin_upper",
+    "worst_hz",
+    "first_judged_hz",
+    "last_judged_hz",
+}
 
 
 def test_map_tells_outcomes_as_they_arrive(tmp_path, capsys):
@@ -134,7 +221,9 @@ def test_map_tells_outcomes_as_they_arrive(tmp_path, capsys):
     assert {outcome["type"] for outcome in outcomes} == {"outcome"}
     kept = {tuple(line["environment"]): line for line in map(json.loads, trials(tmp_path))}
     for outcome in outcomes:
-        assert {name: kept[tuple(outcome["environment"])][name] for name in OUTCOME - {"type"}}.items() <= outcome.items()
+        assert {
+            name: kept[tuple(outcome["environment"])][name] for name in OUTCOME - {"type"}
+        }.items() <= outcome.items()
     assert (last["ok"], last["made"], last["levels"][0]["tried"]) == (True, 27, 27)
     _, again, _ = run(small_map(tmp_path, "--json"), capsys)
     assert json.loads(again)["made"] == 0  # one line: what was kept is not told again
@@ -149,7 +238,10 @@ def test_interrupted_map_has_told_what_it_kept(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(common, "follow", left)
     code, _, err = run(small_map(tmp_path, "--json"), capsys)
     assert code == 130
-    assert f"{len(trials(tmp_path))} trials are kept in {tmp_path}; the same command with --out {tmp_path} goes on there" in err
+    assert (
+        f"{len(trials(tmp_path))} trials are kept in {tmp_path}; the same command with --out"
+        f" {tmp_path} goes on there" in err
+    )
 
 
 def test_dead_workers_leave_what_is_kept(tmp_path, capsys, monkeypatch):
@@ -170,7 +262,20 @@ def test_dead_workers_leave_what_is_kept(tmp_path, capsys, monkeypatch):
 
 
 def test_limits_tell_outcomes_with_their_limit(tmp_path, capsys):
-    words = ["limits", *SHORT, "--axis", "BM", "--damping", "0", "--levels", "2", "--seed", "4", "--no-plot", "--json"]
+    words = [
+        "limits",
+        *SHORT,
+        "--axis",
+        "BM",
+        "--damping",
+        "0",
+        "--levels",
+        "2",
+        "--seed",
+        "4",
+        "--no-plot",
+        "--json",
+    ]
     code, out, _ = run([*words, "--out", str(tmp_path)], capsys)
     *outcomes, last = map(json.loads, out.splitlines())
     assert code == 0
@@ -208,7 +313,9 @@ def test_search_tells_outcomes_and_runs_where_it_is_told(tmp_path, capsys, monke
 def test_campaigns_run_on_dask(tmp_path, capsys):
     distributed = pytest.importorskip("distributed")
     assert run(small_map(tmp_path / "here"), capsys)[0] == 0
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=":0") as it:
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=":0"
+    ) as it:
         there = ["--executor", it.scheduler_address.replace("tcp://", "dask://")]
         assert run(small_map(tmp_path / "there", *there), capsys)[0] == 0
         words = ["limits", *SHORT, "--axis", "B", "--damping", "0", "--no-plot", "--json"]
@@ -226,20 +333,43 @@ def test_map_runs_in_processes(tmp_path, capsys):
 
 
 def test_search_reports_its_doubt(tmp_path, capsys):
-    code, out, _ = run(["search", *SHORT, "--damping", "1.74", "--budget", "8", "--out", str(tmp_path)], capsys)
+    code, out, _ = run(
+        ["search", *SHORT, "--damping", "1.74", "--budget", "8", "--out", str(tmp_path)], capsys
+    )
     assert code == 0
-    assert "doubt: share of the volume that noise leaves open; volume of the set over K, B and M: N/m x N s/m x kg" in out
+    assert (
+        "doubt: share of the volume that noise leaves open; volume of the set over K, B and M: N/m"
+        " x N s/m x kg" in out
+    )
     assert "miss: median difference of expected and found least Re Z" in out
     assert (tmp_path / "search.png").is_file()
     assert len((tmp_path / "trials.jsonl").read_text().splitlines()) <= 8
 
 
 def test_walls_prints_the_boundary(tmp_path, capsys):
-    words = ["walls", "--stiffness", "50", "1600", "4", "--viscous", "0", "2", "2", "--out", str(tmp_path), "--json"]
+    words = [
+        "walls",
+        "--stiffness",
+        "50",
+        "1600",
+        "4",
+        "--viscous",
+        "0",
+        "2",
+        "2",
+        "--out",
+        str(tmp_path),
+        "--json",
+    ]
     code, out, _ = run(words, capsys)
     assert code == 0
     lines = json.loads(out)["lines"]
-    assert [(line["damping_ns_per_m"], line["wall_damping_ns_per_m"]) for line in lines] == [(0, 0), (0, 2), (1.74, 0), (1.74, 2)]
+    assert [(line["damping_ns_per_m"], line["wall_damping_ns_per_m"]) for line in lines] == [
+        (0, 0),
+        (0, 2),
+        (1.74, 0),
+        (1.74, 2),
+    ]
     assert (tmp_path / "walls.png").is_file()
 
 
@@ -248,7 +378,9 @@ def test_report_of_a_device_has_every_figure(tmp_path, capsys, monkeypatch):
 
     monkeypatch.setattr(report, "GRID", (3, 3, 3))
     (tmp_path / "walls.png").touch()  # of the run before
-    code, out, _ = run(["report", "weir2008", *SHORT, "--damping", "1.74", "--out", str(tmp_path)], capsys)
+    code, out, _ = run(
+        ["report", "weir2008", *SHORT, "--damping", "1.74", "--out", str(tmp_path)], capsys
+    )
     assert code == 0
     for name in ("trial.png", "limits.png", "set.png", "envelope.png", "weir2008.zwidth"):
         assert (tmp_path / name).is_file()
@@ -269,9 +401,21 @@ def test_report_of_a_device_has_every_figure(tmp_path, capsys, monkeypatch):
         (["limits", "--axis", "X"], 2, "letters out of KBM"),
         (["limits", "--damping", "on"], 2, "numbers in N s/m"),
         (["limits", "--damping", "-1"], 2, "levels are not negative"),
-        (["map", "--executor", "ray"], 78, "executor 'ray': use thread, process or dask://HOST:PORT"),
-        (["limits", "--executor", "dask://here"], 78, "executor 'dask://here': use thread, process or dask://HOST:PORT"),
-        (["search", "--executor", "dask:8786"], 78, "executor 'dask:8786': use thread, process or dask://HOST:PORT"),
+        (
+            ["map", "--executor", "ray"],
+            78,
+            "executor 'ray': use thread, process or dask://HOST:PORT",
+        ),
+        (
+            ["limits", "--executor", "dask://here"],
+            78,
+            "executor 'dask://here': use thread, process or dask://HOST:PORT",
+        ),
+        (
+            ["search", "--executor", "dask:8786"],
+            78,
+            "executor 'dask:8786': use thread, process or dask://HOST:PORT",
+        ),
         (["walls", "--scene", "fig4"], 65, "it has no wall to hit"),
     ],
 )
@@ -296,7 +440,10 @@ def test_envelope_is_drawn_while_trials_arrive(tmp_path, monkeypatch):
     redrawn([failed])
     assert not list(tmp_path.iterdir())
     redrawn([passed])
-    assert {path.name for path in tmp_path.iterdir()} == {"envelope_so_far.png", "envelope_so_far.svg"}
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "envelope_so_far.png",
+        "envelope_so_far.svg",
+    }
     write_run(tmp_path, {"kind": "map"})
     assert {path.name for path in tmp_path.iterdir()} == {"run.json"}
 
@@ -326,7 +473,25 @@ WALLS = ["walls", "--no-plot", "--damping", "0"]
         ([*MAP, "--stiffness", "0", "1000", "2000000000"], 2, "--stiffness 0 1000 2000000000"),
         ([*MAP, "--stiffness", "1000", "0", "4"], 2, "--stiffness 1000 0 4"),
         ([*MAP, "--mass", "nan", "0", "4"], 2, "--mass nan 0 4"),
-        ([*MAP, "--stiffness", "0", "1", "1000", "--viscous", "0", "1", "1000", "--mass", "0", "1", "11"], 65, "11000000 environ"),
+        (
+            [
+                *MAP,
+                "--stiffness",
+                "0",
+                "1",
+                "1000",
+                "--viscous",
+                "0",
+                "1",
+                "1000",
+                "--mass",
+                "0",
+                "1",
+                "11",
+            ],
+            65,
+            "11000000 environ",
+        ),
         ([*MAP, "--seconds", "0.2"], 78, "more than the window of 2048"),
         (["limits", "--no-plot", "--damping", "0", "--band", "500", "2"], 65, "band of 500..2 Hz"),
         (["search", "--no-plot", "--damping", "0", "--band", "500", "2"], 65, "band of 500..2 Hz"),

@@ -1,4 +1,6 @@
-"""`zwidth compare`: displays beside each other by what `report` wrote; what is not comparable is refused by name."""
+"""`zwidth compare`: displays beside each other by what `report` wrote; what is not comparable
+is refused by name.
+"""
 
 import json
 from pathlib import Path
@@ -18,11 +20,17 @@ def changed(path, factor=1.0, device="B", **conditions):
     """The old summary of a display that is `factor` times as large: two bolted together are 2."""
     content = json.loads(OLD.read_text())
     content["device"] = device
-    content["conditions"] |= {"mass_kg": 0.008 * factor, "probe_mass_kg": 0.003 * factor, **conditions}
+    content["conditions"] |= {
+        "mass_kg": 0.008 * factor,
+        "probe_mass_kg": 0.003 * factor,
+        **conditions,
+    }
     content["conditions"]["perturbation"]["psd_n2_per_hz"] *= factor**2
     for drawn in content["envelopes"]:
         for edge in ("upper", "lower"):
-            drawn["envelope"][edge]["value"] = [factor * value for value in drawn["envelope"][edge]["value"]]
+            drawn["envelope"][edge]["value"] = [
+                factor * value for value in drawn["envelope"][edge]["value"]
+            ]
     for limit in content["limits"]:
         limit["value"] *= factor
     path.write_text(json.dumps(content))
@@ -44,12 +52,20 @@ def test_two_displays_bolted_together_are_no_better_one(tmp_path):
     [
         ({"seconds": 90.0}, "seconds: 10.0 and 90.0"),
         ({"band_hz": [2.0, 400.0]}, r"band_hz: \(2.0, 500.0\) and \(2.0, 400.0\)"),
-        ({"judged": {"first_hz": 2.0, "last_hz": 500.0}}, r"judged_hz: \(2.9\d*, 479.\d*\) and \(2.0, 500.0\)"),
+        (
+            {"judged": {"first_hz": 2.0, "last_hz": 500.0}},
+            r"judged_hz: \(2.9\d*, 479.\d*\) and \(2.0, 500.0\)",
+        ),
         ({"confidence": 0.99}, "confidence: 0.95 and 0.99"),
-        ({"perturbation": {"psd_n2_per_hz": 1e-4}}, "perturbation_psd_n2_per_hz: 2.5e-05 and 0.0001"),
+        (
+            {"perturbation": {"psd_n2_per_hz": 1e-4}},
+            "perturbation_psd_n2_per_hz: 2.5e-05 and 0.0001",
+        ),
     ],
 )
-def test_unlike_conditions_are_refused_by_name_or_named_with_the_result(conditions, named, tmp_path):
+def test_unlike_conditions_are_refused_by_name_or_named_with_the_result(
+    conditions, named, tmp_path
+):
     files = [changed(tmp_path / "a", device="A"), changed(tmp_path / "b", **conditions)]
     with pytest.raises(AnalysisError, match=named):
         compare(files)
@@ -64,7 +80,14 @@ def test_same_force_on_displays_of_other_masses_is_comparable(tmp_path):
 
 
 def test_old_file_says_where_it_was_judged_first(tmp_path, capsys):
-    words = ["zwidth", "compare", str(OLD), str(changed(tmp_path / "b")), "--out", str(tmp_path / "out")]
+    words = [
+        "zwidth",
+        "compare",
+        str(OLD),
+        str(changed(tmp_path / "b")),
+        "--out",
+        str(tmp_path / "out"),
+    ]
     assert main(words) == 0, capsys.readouterr().err
     told = capsys.readouterr().out
     assert "weir2008: first judged 2.93 Hz, last judged 479 Hz" in told
@@ -80,7 +103,11 @@ def test_comparison_is_one_object_of_json(tmp_path, capsys):
     assert main(["zwidth", "compare", *files, "--json", "--no-plot"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert [one["name"] for one in told["displays"]] == ["A", "B"]
-    assert [limit["name"] for limit in told["displays"][0]["levels"][0]["limits"]] == ["K", "B", "M"]
+    assert [limit["name"] for limit in told["displays"][0]["levels"][0]["limits"]] == [
+        "K",
+        "B",
+        "M",
+    ]
     assert told["unlike"] == told["figures"] == []
 
 
@@ -94,7 +121,14 @@ def test_mass_that_is_not_known_is_not_divided_by(tmp_path):
 
 @pytest.mark.parametrize(
     "content",
-    ["", "[]", "3", '{"zwidth": 1}', '{"zwidth": 1, "conditions": 3, "envelopes": []}', '{"zwidth": 1, "envelopes": [{}]}'],
+    [
+        "",
+        "[]",
+        "3",
+        '{"zwidth": 1}',
+        '{"zwidth": 1, "conditions": 3, "envelopes": []}',
+        '{"zwidth": 1, "envelopes": [{}]}',
+    ],
 )
 def test_file_that_is_no_whole_summary_is_refused(content, tmp_path):
     (tmp_path / "a").write_text(content)
@@ -105,5 +139,7 @@ def test_file_that_is_no_whole_summary_is_refused(content, tmp_path):
 def test_one_display_is_no_comparison():
     with pytest.raises(AnalysisError, match="one display is no comparison"):
         compare([OLD])
-    with pytest.raises(AnalysisError, match="--allow colour: no such condition; known: device, mass_kg"):
+    with pytest.raises(
+        AnalysisError, match="--allow colour: no such condition; known: device, mass_kg"
+    ):
         compare([OLD, OLD], ["colour"])

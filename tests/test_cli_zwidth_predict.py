@@ -45,15 +45,24 @@ def test_negative_stiffness_is_refused_though_its_resistance_is_positive(capsys)
 
 
 def test_theorem_and_prediction_may_differ(capsys):
-    """Friction carries it at a trial's amplitude; without, a hand shakes it. Its eigenvalues say so."""
+    """Friction carries it at a trial's amplitude; without, a hand shakes it. Its eigenvalues
+    say so.
+    """
     found = told(DIFFERING, capsys)
     assert found["prediction"]["passive"]
     assert found["theorem"]["margin_ns_per_m"] < 0.0
     assert not found["theorem"]["passive"]
     assert not found["withstands_every_hand"]
-    hand = Hand(*(np.array(found["hand"][name]) for name in ("mass_kg", "damping_ns_per_m", "stiffness_n_per_m")))
+    hand = Hand(
+        *(
+            np.array(found["hand"][name])
+            for name in ("mass_kg", "damping_ns_per_m", "stiffness_n_per_m")
+        )
+    )
     fig4 = display(load_scene("fig4"))
-    radius = spectral_radius(held_by(fig4.model, hand), np.array([[800.0, 1.0, 0.02]]), 1.74, fig4.filters)[0]
+    radius = spectral_radius(
+        held_by(fig4.model, hand), np.array([[800.0, 1.0, 0.02]]), 1.74, fig4.filters
+    )[0]
     assert radius == pytest.approx(found["hand"]["spectral_radius"])
     assert radius > 1.001
     assert "the theorem differs" in said(DIFFERING, capsys)
@@ -92,7 +101,9 @@ def test_prediction_is_that_of_a_map(capsys):
     assert found["recorded"]["worst_hz"] == pytest.approx(expected.worst_hz[0])
 
 
-@pytest.mark.parametrize("point", [(1000.0, 1.0, 0.0), (0.0, 3.0, 0.0), (3000.0, 0.0, 0.0), (4500.0, 0.0, 0.0)])
+@pytest.mark.parametrize(
+    "point", [(1000.0, 1.0, 0.0), (0.0, 3.0, 0.0), (3000.0, 0.0, 0.0), (4500.0, 0.0, 0.0)]
+)
 def test_theorem_of_a_rigid_device_is_colgate_and_schenkels(point):
     found = outlook(rigid(viscous=2.0), point, 0.0, PAPER_FILTERS, Perturbation(), BAND)
     assert found.theorem_margin == pytest.approx(2.0 - required_damping([point])[0][0], abs=2e-3)

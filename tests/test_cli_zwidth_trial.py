@@ -1,4 +1,6 @@
-"""`hapticd zwidth trial` and `import`: multisines, windows, admittance, live devices, and what is said of a result."""
+"""`hapticd zwidth trial` and `import`: multisines, windows, admittance, live devices, and what
+is said of a result.
+"""
 
 import json
 import re
@@ -45,8 +47,8 @@ def test_multisine_trial_says_what_its_interval_covers(tmp_path, capsys):
     assert code == 0
     assert "passive in band [2, 500] Hz at 95 % confidence" in out
     assert (
-        "the interval covers noise and nonlinear distortion at this perturbation, from the scatter of 6 realisations of 1 per"
-        in out
+        "the interval covers noise and nonlinear distortion at this perturbation, from the scatter"
+        " of 6 realisations of 1 per" in out
     )
     kept = json.loads((tmp_path / "run.json").read_text())
     assert kept["estimator"] == "h_force"
@@ -57,7 +59,17 @@ def test_multisine_trial_says_what_its_interval_covers(tmp_path, capsys):
 
 
 def test_multisine_trial_runs_by_the_whole_stack(tmp_path, capsys):
-    words = ["trial", "lockstep", *LINEAR, *MULTISINE, "--realisations", "3", "--out", str(tmp_path), "--json"]
+    words = [
+        "trial",
+        "lockstep",
+        *LINEAR,
+        *MULTISINE,
+        "--realisations",
+        "3",
+        "--out",
+        str(tmp_path),
+        "--json",
+    ]
     code, out, _ = run(words, capsys)
     assert code == 0
     found = json.loads(out)
@@ -77,11 +89,15 @@ def test_multisines_of_a_file_are_judged_in_their_layout(tmp_path, capsys):
     run(["trial", *LINEAR, *MULTISINE, "--out", str(tmp_path / "made")], capsys)
     made = json.loads((tmp_path / "made" / "run.json").read_text())
     record = str(tmp_path / "made" / "record.h5")
-    code, out, _ = run(["trial", record, *MULTISINE, "--out", str(tmp_path / "again"), "--json"], capsys)
+    code, out, _ = run(
+        ["trial", record, *MULTISINE, "--out", str(tmp_path / "again"), "--json"], capsys
+    )
     assert code == 0
     found = json.loads(out)
     assert found["multisine"]["realisations"] == 6
-    assert found["verdict"]["margin_deg"]["value"] == pytest.approx(made["verdict"]["margin_deg"]["value"], abs=1e-2)
+    assert found["verdict"]["margin_deg"]["value"] == pytest.approx(
+        made["verdict"]["margin_deg"]["value"], abs=1e-2
+    )
 
 
 def test_run_of_multisines_is_drawn_again_with_its_admittance(tmp_path, capsys):
@@ -97,7 +113,9 @@ def test_run_of_multisines_is_drawn_again_with_its_admittance(tmp_path, capsys):
 
 
 def test_longer_window_is_kept_with_the_run(tmp_path, capsys):
-    code, _, _ = run(["trial", *LINEAR, "--seconds", "30", "--lag", "4096", "--out", str(tmp_path)], capsys)
+    code, _, _ = run(
+        ["trial", *LINEAR, "--seconds", "30", "--lag", "4096", "--out", str(tmp_path)], capsys
+    )
     assert code == 0
     assert json.loads((tmp_path / "run.json").read_text())["lag"] == 4096
 
@@ -108,8 +126,13 @@ def test_damping_is_electrical_and_viscous_is_virtual(virtual, electrical, tmp_p
     """As in `map` and in `hapticd damping`; the second name is a former one."""
     record = np.random.default_rng(1).normal(0.0, 0.2, (2, 40_000))
     np.savez(tmp_path / "a.npz", force=record[0], velocity=record[1], fs=4000.0)
-    for words in (["trial", "--seconds", "8", "-K", "0", "-M", "0"], ["import", str(tmp_path / "a.npz")]):
-        code, out, _ = run([*words, virtual, "3", electrical, "1.74", "--out", str(tmp_path / words[0])], capsys)
+    for words in (
+        ["trial", "--seconds", "8", "-K", "0", "-M", "0"],
+        ["import", str(tmp_path / "a.npz")],
+    ):
+        code, out, _ = run(
+            [*words, virtual, "3", electrical, "1.74", "--out", str(tmp_path / words[0])], capsys
+        )
         assert code == 0
         assert "K 0 N/m, B 3 N s/m, M 0 kg, added damping 1.74 N s/m\n" in out
 
@@ -140,11 +163,27 @@ def test_brackets_of_help_texts_are_printed(capsys):
     ("words", "code", "said"),
     [
         (["--excitation", "chirp"], 2, "--excitation 'chirp': use noise or multisine"),
-        (["--excitation", "multisine", "--until-decided"], 2, "multisines are judged at their end; ask for fewer --realisations"),
-        (["--excitation", "multisine", "--realisations", "1", "--periods", "1"], 65, "have no scatter to learn from"),
-        (["--excitation", "multisine", "--band", "0.5", "500"], 65, "the period of 4096 samples says nothing below 0.977 Hz"),
+        (
+            ["--excitation", "multisine", "--until-decided"],
+            2,
+            "multisines are judged at their end; ask for fewer --realisations",
+        ),
+        (
+            ["--excitation", "multisine", "--realisations", "1", "--periods", "1"],
+            65,
+            "have no scatter to learn from",
+        ),
+        (
+            ["--excitation", "multisine", "--band", "0.5", "500"],
+            65,
+            "the period of 4096 samples says nothing below 0.977 Hz",
+        ),
         (["--lag", "4096", "--seconds", "5"], 65, "a verdict takes 7.68 s or more"),
-        (["noise.npz", "--excitation", "multisine"], 65, "a realisation of 1 + 2 periods of 4096 samples takes 3.07 s"),
+        (
+            ["noise.npz", "--excitation", "multisine"],
+            65,
+            "a realisation of 1 + 2 periods of 4096 samples takes 3.07 s",
+        ),
     ],
 )
 def test_mistakes_are_answered_in_words(words, code, said, tmp_path, capsys, monkeypatch):
@@ -157,20 +196,46 @@ def test_mistakes_are_answered_in_words(words, code, said, tmp_path, capsys, mon
 
 def judged_as(layout, seconds_needed, *findings):
     """A result that is not decided."""
-    verdict = replace(judge(exact_trial(mass_damper(), 0.99), channels=False), answer="undecided", findings=findings)
+    verdict = replace(
+        judge(exact_trial(mass_damper(), 0.99), channels=False),
+        answer="undecided",
+        findings=findings,
+    )
     verdict = replace(verdict, seconds=90.0, seconds_needed=seconds_needed)
-    return SimpleNamespace(verdict=verdict, plan=SimpleNamespace(params=TrialParams(Trial(), multisine=layout)))
+    return SimpleNamespace(
+        verdict=verdict, plan=SimpleNamespace(params=TrialParams(Trial(), multisine=layout))
+    )
 
 
 @pytest.mark.parametrize(
     ("layout", "seconds_needed", "findings", "said"),
     [
         (None, 123.4, (), "a record like it of some 120 s would decide"),
-        (None, 901.0, (), "a record more than 10 times as long would be needed: the margin is not told from 0"),
-        (None, float("inf"), (), "a record more than 10 times as long would be needed: the margin is not told from 0"),
+        (
+            None,
+            901.0,
+            (),
+            "a record more than 10 times as long would be needed: the margin is not told from 0",
+        ),
+        (
+            None,
+            float("inf"),
+            (),
+            "a record more than 10 times as long would be needed: the margin is not told from 0",
+        ),
         (Layout(8), 123.4, (), "some 11 realisations would decide"),
-        (Layout(8), 123.4, (Finding("distortion", "x"),), "some 11 realisations would decide; where friction distorts, noise"),
-        (Layout(8), 9e4, (), "many more than 8 realisations would be needed; use noise (--excitation noise)"),
+        (
+            Layout(8),
+            123.4,
+            (Finding("distortion", "x"),),
+            "some 11 realisations would decide; where friction distorts, noise",
+        ),
+        (
+            Layout(8),
+            9e4,
+            (),
+            "many more than 8 realisations would be needed; use noise (--excitation noise)",
+        ),
         (
             None,
             0.0,
@@ -190,20 +255,39 @@ def test_length_that_decides_is_never_0():
 def test_stepped_sine_is_compared_in_words():
     z = exact_trial(mass_damper(), 0.99)
     result = SimpleNamespace(verdict=judge(z, channels=False), measured=impedance(z))
-    said = compared(result, Referee(np.array([3.0, 5.0]), np.array([1.0 + 1j, np.nan]), 0.2, np.array([0.0123, np.nan])))
+    said = compared(
+        result,
+        Referee(
+            np.array([3.0, 5.0]), np.array([1.0 + 1j, np.nan]), 0.2, np.array([0.0123, np.nan])
+        ),
+    )
     assert "the sines move the device at 12.3 to 12.3 mm/s rms, the noise at" in said
     assert "dry friction is another damping at each amplitude" in said
     assert said.endswith("the verdict is the noise's")
 
 
 def test_stepped_sine_says_how_fast_it_moved(tmp_path, capsys):
-    """A sine of 0.2 N rms on mass m and damping b at f: v = F / |Z|, as long as nothing but f moves."""
-    words = ["trial", "--scene", "theory", "-K", "0", "--seconds", "8", "--stepped-sine", "--out", str(tmp_path)]
+    """A sine of 0.2 N rms on mass m and damping b at f: v = F / |Z|, as long as nothing but f
+    moves.
+    """
+    words = [
+        "trial",
+        "--scene",
+        "theory",
+        "-K",
+        "0",
+        "--seconds",
+        "8",
+        "--stepped-sine",
+        "--out",
+        str(tmp_path),
+    ]
     code, out, _ = run(words, capsys)
     assert code == 0
     assert "another damping at each amplitude" in out
     told = json.loads((tmp_path / "run.json").read_text())["stepped_sine"]
-    moved, f = np.array(told["velocity_rms_m_per_s"]), np.array(told["frequency_hz"])
+    moved = np.array(told["velocity_rms_m_per_s"])
+    f = np.array(told["frequency_hz"])
     size = np.abs([complex(*pair) for pair in told["impedance_ns_per_m"]])
     assert moved[2:8] == pytest.approx(0.2 / size[2:8], rel=0.05)
     assert f.size == 12
@@ -212,7 +296,9 @@ def test_stepped_sine_says_how_fast_it_moved(tmp_path, capsys):
 @pytest.fixture
 def early(tmp_path):
     """A passive device whose velocity is sampled half a sample early."""
-    force, velocity = record(lambda f: mass_damper(0.008, 4.0)(f) * np.exp(2j * np.pi * f * 125e-6), 5, 120_000)
+    force, velocity = record(
+        lambda f: mass_damper(0.008, 4.0)(f) * np.exp(2j * np.pi * f * 125e-6), 5, 120_000
+    )
     np.savez(tmp_path / "early.npz", force_n=force, velocity_m_per_s=velocity, rate_hz=4000.0)
     return str(tmp_path / "early.npz")
 
@@ -230,7 +316,9 @@ def test_known_skew_is_taken_out_of_a_record(verb, early, tmp_path, capsys):
 
 
 def test_known_high_pass_is_taken_out_of_a_record(tmp_path, capsys):
-    force, velocity = record(lambda f: mass_damper(0.008, 1.0, 100.0)(f) * (1.0 + 0.5 / (1j * f)), 7)
+    force, velocity = record(
+        lambda f: mass_damper(0.008, 1.0, 100.0)(f) * (1.0 + 0.5 / (1j * f)), 7
+    )
     np.savez(tmp_path / "ac.npz", force_n=force, velocity_m_per_s=velocity, rate_hz=4000.0)
     words = ["trial", str(tmp_path / "ac.npz"), "--estimator", "h_force"]
     _, out, _ = run([*words, "--out", str(tmp_path / "a")], capsys)
@@ -254,13 +342,28 @@ def daemon(monkeypatch):
 
 
 def test_live_trial_names_the_daemons_device_before_it_moves(daemon, tmp_path, capsys):
-    code, out, err = run(["trial", "live", "-K", "50", "-B", "0.5", "--seconds", "8", "--out", str(tmp_path), "--plot"], capsys)
+    code, out, err = run(
+        [
+            "trial",
+            "live",
+            "-K",
+            "50",
+            "-B",
+            "0.5",
+            "--seconds",
+            "8",
+            "--out",
+            str(tmp_path),
+            "--plot",
+        ],
+        capsys,
+    )
     assert code == 0
     who = "daemon 'default', device 'simulated display'"
     assert out.startswith(f"SIMULATED {who}: K 50 N/m, B 0.5 N s/m, M 0 kg")
     assert (
-        "enables the device 'simulated display' of daemon 'default' (simulated) in K 50 N/m, B 0.5 N s/m, M 0 kg, "
-        "added damping 0 N s/m, and shakes it; Ctrl-C ends it, force off" in err
+        "enables the device 'simulated display' of daemon 'default' (simulated) in K 50 N/m, B 0.5"
+        " N s/m, M 0 kg, added damping 0 N s/m, and shakes it; Ctrl-C ends it, force off" in err
     )
     assert "with K = 0" not in err
     told = json.loads((tmp_path / "run.json").read_text())
@@ -282,10 +385,24 @@ def test_live_trial_without_stiffness_ends_at_the_stop(daemon, tmp_path, capsys)
 
 
 def test_live_trial_of_a_scene_of_another_device_says_so(daemon, tmp_path, capsys):
-    words = ["trial", "live", "--scene", "fig4", "-M", "0", "--seconds", "8", "--out", str(tmp_path)]
+    words = [
+        "trial",
+        "live",
+        "--scene",
+        "fig4",
+        "-M",
+        "0",
+        "--seconds",
+        "8",
+        "--out",
+        str(tmp_path),
+    ]
     code, out, err = run(words, capsys)
     assert code == 0
-    assert "scene 'fig4' is of the device 'weir2008', the daemon has 'simulated display': what the scene says is rendered on" in err
+    assert (
+        "scene 'fig4' is of the device 'weir2008', the daemon has 'simulated display': what the"
+        " scene says is rendered on" in err
+    )
     assert "device 'simulated display': K 100 N/m, B 1 N s/m, M 0 kg" in out
 
 
@@ -295,7 +412,10 @@ def test_help_says_what_live_does(capsys, monkeypatch):
     said = " ".join(out.replace("│", " ").split())
     assert "live: the daemon's device, ENABLED by this" in said
     assert "live without --scene they are 0" in said
-    assert "`live` enables the daemon's device by itself, says so, shakes it, and disables it at the end and on Ctrl-C" in said
+    assert (
+        "`live` enables the daemon's device by itself, says so, shakes it, and disables it at the"
+        " end and on Ctrl-C" in said
+    )
 
 
 def test_device_is_known_by_its_name():

@@ -1,4 +1,6 @@
-"""The conversation without I/O, and the client against a whole gateway that runs in a thread of its own, in virtual time."""
+"""The conversation without I/O, and the client against a whole gateway that runs in a thread of
+its own, in virtual time.
+"""
 
 import itertools
 import os
@@ -24,7 +26,9 @@ from hapticd.mailbox.layout import Command, State
 from hapticd.units import NS_PER_S
 
 
-def ask(conversation: Conversation, cmd: str = "get", now_ns: int = 0, **fields: object) -> tuple[int, dict[str, object]]:
+def ask(
+    conversation: Conversation, cmd: str = "get", now_ns: int = 0, **fields: object
+) -> tuple[int, dict[str, object]]:
     number, payload = conversation.ask(cmd, fields, now_ns, NS_PER_S)
     return number, msgpack.unpackb(payload)
 
@@ -37,7 +41,9 @@ def test_request_carries_number_and_version() -> None:
 
 
 def test_numbers_may_come_out_of_arrays() -> None:
-    _, request = ask(Conversation(), "set", K=np.int64(3), B=np.float32(0.5), wall={"side": np.int8(-1)})
+    _, request = ask(
+        Conversation(), "set", K=np.int64(3), B=np.float32(0.5), wall={"side": np.int8(-1)}
+    )
     assert (request["K"], request["B"], request["wall"]) == (3, 0.5, {"side": -1})
     with pytest.raises(TypeError, match="cannot be sent; use numbers, text, lists and maps"):
         ask(Conversation(), "set", K={1})
@@ -45,7 +51,8 @@ def test_numbers_may_come_out_of_arrays() -> None:
 
 def test_replies_are_matched_by_number() -> None:
     conversation = Conversation()
-    first, second = ask(conversation)[0], ask(conversation)[0]
+    first = ask(conversation)[0]
+    second = ask(conversation)[0]
     conversation.receive(msgpack.packb({"ok": True, "id": second}))
     assert conversation.outcome(first, 5) is None
     assert conversation.outcome(second, 5) == {"ok": True, "id": second}
@@ -68,7 +75,10 @@ def test_late_reply_is_dropped() -> None:
     assert not conversation._replies
 
 
-@pytest.mark.parametrize("payload", [b"", b"\xc1", msgpack.packb([1]), msgpack.packb({"id": 99}), msgpack.packb({"id": "1"})])
+@pytest.mark.parametrize(
+    "payload",
+    [b"", b"\xc1", msgpack.packb([1]), msgpack.packb({"id": 99}), msgpack.packb({"id": "1"})],
+)
 def test_what_is_no_reply_is_dropped(payload: bytes) -> None:
     conversation = Conversation()
     number, _ = ask(conversation)
@@ -85,16 +95,30 @@ def test_forgotten_request_takes_no_reply() -> None:
 
 
 def test_refusal_becomes_an_error() -> None:
-    refused = {"ok": False, "error": {"code": "invalid", "message": "K is wrong", "detail": [{"loc": "K", "msg": "K is wrong"}]}}
+    refused = {
+        "ok": False,
+        "error": {
+            "code": "invalid",
+            "message": "K is wrong",
+            "detail": [{"loc": "K", "msg": "K is wrong"}],
+        },
+    }
     with pytest.raises(CommandError, match="K is wrong") as caught:
         accepted(refused)
-    assert (caught.value.code, caught.value.detail) == ("invalid", [{"loc": "K", "msg": "K is wrong"}])
+    assert (caught.value.code, caught.value.detail) == (
+        "invalid",
+        [{"loc": "K", "msg": "K is wrong"}],
+    )
     with pytest.raises(DaemonDown, match="no servo answers"):
         accepted({"ok": False, "error": {"code": "servo_down", "message": "no servo answers"}})
 
 
 def test_receipt_has_the_state() -> None:
-    reply = {"ok": True, "state": "enabled", "receipt": {"result": "applied", "revision": 2, "first_tick": 3, "ramp_end_tick": 4}}
+    reply = {
+        "ok": True,
+        "state": "enabled",
+        "receipt": {"result": "applied", "revision": 2, "first_tick": 3, "ramp_end_tick": 4},
+    }
     assert receipt_of(reply) == Receipt("applied", "enabled", 2, 3, 4, {})
 
 
@@ -117,16 +141,26 @@ def rig(folder: Path) -> Iterator[GatewayRig]:
 
 @pytest.fixture
 def client(rig: GatewayRig, monkeypatch: pytest.MonkeyPatch) -> Iterator[Client]:
-    monkeypatch.setattr("hapticd.client.client.STOP_TIMEOUT_S", 10.0)  # a busy machine is no reason to press the page
+    monkeypatch.setattr(
+        "hapticd.client.client.STOP_TIMEOUT_S", 10.0
+    )  # a busy machine is no reason to press the page
     with Client(name="test", timeout_s=10.0) as client:
         yield client
 
 
-# --- asking and changing -------------------------------------------------------------------------------------------------
+# --- asking and changing --------------------------------------------------------------------------
 
 
 def test_set_returns_a_receipt(client: Client) -> None:
-    receipt = client.set(K=100, B=1, M=0.010, wall={"side": 1}, filters={"velocity_hz": 90.0}, damping=1.0, ramp_s=0.1)
+    receipt = client.set(
+        K=100,
+        B=1,
+        M=0.010,
+        wall={"side": 1},
+        filters={"velocity_hz": 90.0},
+        damping=1.0,
+        ramp_s=0.1,
+    )
     assert isinstance(receipt, Receipt)
     assert (receipt.result, receipt.state, receipt.revision) == ("applied", "disabled", 1)
     assert receipt.ramp_end_tick > receipt.first_tick
@@ -134,7 +168,11 @@ def test_set_returns_a_receipt(client: Client) -> None:
 
 
 def test_every_verb_has_its_method(client: Client) -> None:
-    assert [client.enable().state, client.disable().state, client.zero().state] == ["enabled", "disabled", "disabled"]
+    assert [client.enable().state, client.disable().state, client.zero().state] == [
+        "enabled",
+        "disabled",
+        "disabled",
+    ]
     assert client.damping("on").effective["damping"] == 1.74
     assert client.damping(0.5).effective["damping"] == 0.5
     assert client.damping("off").effective["damping"] == 0.0
@@ -147,7 +185,9 @@ def test_every_verb_has_its_method(client: Client) -> None:
 
 
 def test_refusal_is_a_command_error(client: Client) -> None:
-    with pytest.raises(CommandError, match=r"damping = 9 N s/m: beyond the limit 0..2 N s/m") as caught:
+    with pytest.raises(
+        CommandError, match=r"damping = 9 N s/m: beyond the limit 0..2 N s/m"
+    ) as caught:
         client.set(damping=9)
     assert caught.value.code == "invalid"
     client.stop()
@@ -191,12 +231,14 @@ def test_too_large_a_request_is_not_sent(client: Client) -> None:
 def test_wait_for_returns_in_that_state(client: Client, rig: GatewayRig) -> None:
     press_stop(rig.folder)
     client.wait_for("stopped")
-    with pytest.raises(CommandError, match="state is 'stopped', not 'enabled', after 0 s") as caught:
+    with pytest.raises(
+        CommandError, match="state is 'stopped', not 'enabled', after 0 s"
+    ) as caught:
         client.wait_for("enabled", timeout_s=0)
     assert caught.value.code == "timeout"
 
 
-# --- watching ------------------------------------------------------------------------------------------------------------
+# --- watching -------------------------------------------------------------------------------------
 
 
 def test_stream_gives_whole_records(client: Client) -> None:
@@ -226,7 +268,8 @@ def test_gap_is_reported(client: Client, rig: GatewayRig) -> None:
     first = next(stream)
     with rig.lock:
         rig.servo.tick(9000)  # more than the ring holds
-    lost, taken = 0, first.header["next"]
+    lost = 0
+    taken = first.header["next"]
     while not lost:
         block = next(stream)
         lost += block.gap
@@ -244,7 +287,8 @@ def test_listen_gives_states(client: Client, rig: GatewayRig) -> None:
 
 
 def test_listen_waits_for_events(client: Client, rig: GatewayRig) -> None:
-    events, flip = client.listen("event"), itertools.cycle((State.STOPPED, State.DISABLED))
+    events = client.listen("event")
+    flip = itertools.cycle((State.STOPPED, State.DISABLED))
     publish = rig.servo._publish
 
     def flipping() -> None:
@@ -257,13 +301,21 @@ def test_listen_waits_for_events(client: Client, rig: GatewayRig) -> None:
     events.close()
 
 
-# --- nobody there --------------------------------------------------------------------------------------------------------
+# --- nobody there ---------------------------------------------------------------------------------
 
 
 def test_no_daemon_is_told_at_once(folder: Path) -> None:
     with Client() as client:
-        for ask in (client.get, client.stop, client.enable, lambda: next(client.stream()), lambda: client.record(1.0)):
-            with pytest.raises(DaemonDown, match=r"no daemon runs there|start one with `hapticd run`"):
+        for ask in (
+            client.get,
+            client.stop,
+            client.enable,
+            lambda: next(client.stream()),
+            lambda: client.record(1.0),
+        ):
+            with pytest.raises(
+                DaemonDown, match=r"no daemon runs there|start one with `hapticd run`"
+            ):
                 ask()
 
 
@@ -272,9 +324,13 @@ def test_dead_socket_times_out(folder: Path) -> None:
     for name in ("command", "telemetry"):
         (folder / name).touch()
     with Client(timeout_s=0.05) as client:
-        with pytest.raises(DaemonDown, match=r"get: no reply from .* within .* s; is `hapticd run` running there"):
+        with pytest.raises(
+            DaemonDown, match=r"get: no reply from .* within .* s; is `hapticd run` running there"
+        ):
             client.get()
-        with pytest.raises(DaemonDown, match=r"servo.raw: nothing from .* for 0.05 s; see `hapticd status`"):
+        with pytest.raises(
+            DaemonDown, match=r"servo.raw: nothing from .* for 0.05 s; see `hapticd status`"
+        ):
             next(client.stream())
 
 
@@ -314,10 +370,12 @@ def test_servo_down_is_daemon_down(client: Client, rig: GatewayRig) -> None:
         client.enable()
 
 
-# --- the short way to a stop ---------------------------------------------------------------------------------------------
+# --- the short way to a stop ----------------------------------------------------------------------
 
 
-def test_fast_stop_asks_the_gateway(rig: GatewayRig, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fast_stop_asks_the_gateway(
+    rig: GatewayRig, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(fast_stop, "REPLY_TIMEOUT_MS", 10_000)
     assert stop(rig.folder)["state"] == "stopped"
     assert Command.STOP in [kind for kind, _ in rig.servo.taken]
@@ -348,13 +406,23 @@ def test_fast_stop_loads_nothing_large() -> None:
     loaded = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=os.getcwd()
     ).stdout.split()
-    assert not {"zmq", "numpy", "msgpack", "pydantic", "typer", "rich", "hapticd.client.client"} & set(loaded)
+    assert not {
+        "zmq",
+        "numpy",
+        "msgpack",
+        "pydantic",
+        "typer",
+        "rich",
+        "hapticd.client.client",
+    } & set(loaded)
 
 
 def test_client_package_names_are_lazy_but_known() -> None:
     import hapticd.client
 
-    assert [getattr(hapticd.client, name).__name__ for name in hapticd.client.__all__] == list(hapticd.client.__all__)
+    assert [getattr(hapticd.client, name).__name__ for name in hapticd.client.__all__] == list(
+        hapticd.client.__all__
+    )
     assert not hasattr(hapticd.client, "Klient")
 
 
@@ -370,7 +438,10 @@ def test_closed_client_leaves_no_socket(rig: GatewayRig) -> None:
 
 
 def test_stream_of_a_topic_without_blocks_is_refused() -> None:
-    with pytest.raises(ConfigError, match=r"topic 'sevo\.raw' has no blocks: stream takes servo\.raw or probe, listen takes"):
+    with pytest.raises(
+        ConfigError,
+        match=r"topic 'sevo\.raw' has no blocks: stream takes servo\.raw or probe, listen takes",
+    ):
         next(Client.stream(None, "sevo.raw"))  # type: ignore[arg-type]
 
 

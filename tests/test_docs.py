@@ -1,4 +1,6 @@
-"""The documentation repeats the program's tables, all of them; the table of faults is complete; the site builds."""
+"""The documentation repeats the program's tables, all of them; the table of faults is complete;
+the site builds.
+"""
 
 import ast
 import importlib.util
@@ -29,7 +31,9 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the documentation's sources with its generated pages."""
     root = tmp_path_factory.mktemp("site")
     for folder in ("docs", "firmware_iface"):
-        shutil.copytree(ROOT / folder, root / folder, ignore=shutil.ignore_patterns("generated", "__pycache__"))
+        shutil.copytree(
+            ROOT / folder, root / folder, ignore=shutil.ignore_patterns("generated", "__pycache__")
+        )
     shutil.copy(ROOT / "CHANGELOG.md", root)
     subprocess.run([sys.executable, "-B", "docs/generate.py"], cwd=root, check=True)
     return root / "docs"
@@ -39,7 +43,7 @@ def page(site: Path, name: str) -> str:
     return (site / "generated" / name).read_text()
 
 
-# --- the table of faults -----------------------------------------------------------------------------------------------
+# --- the table of faults --------------------------------------------------------------------------
 
 
 def raised_codes() -> set[str]:
@@ -47,7 +51,11 @@ def raised_codes() -> set[str]:
     found = set()
     for path in (ROOT / "hapticd").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.Subscript) and isinstance(node.value, ast.Name) and node.value.id == "BY_CODE":
+            if (
+                isinstance(node, ast.Subscript)
+                and isinstance(node.value, ast.Name)
+                and node.value.id == "BY_CODE"
+            ):
                 found.add(ast.literal_eval(node.slice))
     return found
 
@@ -62,15 +70,27 @@ def test_numbers_and_codes_are_unique() -> None:
 
 
 def test_every_fault_says_what_to_do() -> None:
-    assert not [fault.code for fault in FAULTS if not (fault.cause and fault.action and fault.remedy)]
+    assert not [
+        fault.code for fault in FAULTS if not (fault.cause and fault.action and fault.remedy)
+    ]
     assert not [fault.code for fault in FAULTS[1:] if "reset" not in fault.remedy]
 
 
 @pytest.mark.parametrize("code", CODES)
 def test_every_fault_has_its_page(site: Path, code: str) -> None:
-    text, fault = page(site, f"faults/{code}.md"), BY_CODE[code]
+    text = page(site, f"faults/{code}.md")
+    fault = BY_CODE[code]
     assert text.startswith(f"# {code}\n")
-    assert all(part in text for part in (fault.cause, fault.action, fault.remedy, f"fault == {fault.number}", "## What to look at"))
+    assert all(
+        part in text
+        for part in (
+            fault.cause,
+            fault.action,
+            fault.remedy,
+            f"fault == {fault.number}",
+            "## What to look at",
+        )
+    )
     assert f"[`{code}`]({code}.md)" in page(site, "faults/index.md")
 
 
@@ -78,16 +98,19 @@ def test_no_note_is_left_of_a_fault_that_is_gone() -> None:
     assert sorted(path.stem for path in (ROOT / "docs" / "faults").glob("*.md")) == sorted(CODES)
 
 
-# --- reference pages -----------------------------------------------------------------------------------------------------
+# --- reference pages ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "part"), [("configuration.md", "config"), ("device.md", "device")])
+@pytest.mark.parametrize(
+    ("name", "part"), [("configuration.md", "config"), ("device.md", "device")]
+)
 def test_every_key_is_listed_with_its_unit(site: Path, name: str, part: str) -> None:
     plain = load(shipped("config") / "hapticd.toml").plain()
     known = plain.pop("device")
     text = page(site, name)
     for path, _ in leaves(known if part == "device" else plain):
-        unit, table = unit_of(str(path[-1])), f"## `[{'.'.join(map(str, path))}]`"
+        unit = unit_of(str(path[-1]))
+        table = f"## `[{'.'.join(map(str, path))}]`"
         if table in text:  # a list of tables, or a table that is not given
             continue
         assert f"| `{path[-1]}` | {unit} |" in text, path
@@ -98,21 +121,30 @@ def test_configuration_page_says_range_and_default(site: Path) -> None:
     text = page(site, "configuration.md")
     assert "| `rate_hz` | Hz | number >= 50, <= 20000 | `1000.0` |" in text
     assert '| `on_gateway_loss` |  | `"fault"`, `"hold"` | `"fault"` |' in text
-    assert "| `core` |  | integer >= 0 | not set | Left out: the last core that this process may use. |" in text
+    assert (
+        "| `core` |  | integer >= 0 | not set | Left out: the last core that this process may"
+        " use. |" in text
+    )
 
 
 def test_every_verb_is_listed(site: Path) -> None:
     text = page(site, "commands.md")
     group = typer.main.get_command(app)
     for name, command in group.commands.items():  # type: ignore[attr-defined]
-        for verb in [f"{name} {inner}" for inner in command.commands] if hasattr(command, "commands") else [name]:
+        for verb in (
+            [f"{name} {inner}" for inner in command.commands]
+            if hasattr(command, "commands")
+            else [name]
+        ):
             assert f"## `hapticd {verb}`\n" in text
 
 
 def test_every_message_topic_and_field_is_listed(site: Path) -> None:
     text = page(site, "messages.md")
     assert not [name for name in MODELS if f"### `{name}`\n" not in text]
-    assert not [topic.name for topic in TOPICS if f"| `{topic.name}` | {topic.content} |" not in text]
+    assert not [
+        topic.name for topic in TOPICS if f"| `{topic.name}` | {topic.content} |" not in text
+    ]
     assert not [field[0] for field in TELEMETRY if f"| `{field[0]}` | `{field[1]}" not in text]
     assert "| `K` | N/m | number >= -10000, <= 100000 | virtual stiffness |" in text
 
@@ -120,8 +152,21 @@ def test_every_message_topic_and_field_is_listed(site: Path) -> None:
 @pytest.mark.slow
 def test_site_builds_without_a_warning(site: Path, tmp_path: Path) -> None:
     if importlib.util.find_spec("sphinx") is None or importlib.util.find_spec("furo") is None:
-        pytest.fail("sphinx and furo are missing; install them with `make test` or pip install --group docs")
-    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", str(site), str(tmp_path)]
+        pytest.fail(
+            "sphinx and furo are missing; install them with `make test` or pip install --group docs"
+        )
+    command = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "-W",
+        "--keep-going",
+        "-q",
+        "-b",
+        "html",
+        str(site),
+        str(tmp_path),
+    ]
     done = subprocess.run(command, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
     assert (tmp_path / "generated/faults/usb_lost.html").is_file()

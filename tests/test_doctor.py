@@ -59,7 +59,9 @@ def make(tmp_path: Path) -> Callable[..., Machine]:
 
 
 def asked(**changes: Any) -> Requirements:
-    base = Requirements(RealtimeParams(), UsbParams(serial="HB-7"), False, Path("/nowhere"), Path("/data"), None)
+    base = Requirements(
+        RealtimeParams(), UsbParams(serial="HB-7"), False, Path("/nowhere"), Path("/data"), None
+    )
     return dataclasses.replace(base, **changes)
 
 
@@ -71,15 +73,24 @@ Row = tuple[Check, dict[str, str], dict[str, Any], Requirements, str, str, str]
 CONFIG = "boot/config-6.1"
 RELEASE = {"proc/sys/kernel/osrelease": "6.1"}
 FOUR_CORES = [f"sys/devices/system/cpu/cpu{core}/cpufreq/scaling_governor" for core in range(4)]
-CLOCK, NOW = f"{checks.CLOCK}/available_clocksource", f"{checks.CLOCK}/current_clocksource"
-CPU, IDLE = checks.CPU, f"{checks.CPU}/cpuidle/current_driver"
-FLAW, LATENCY = f"{CPU}/vulnerabilities/mds", checks.DMA_LATENCY
+CLOCK = f"{checks.CLOCK}/available_clocksource"
+NOW = f"{checks.CLOCK}/current_clocksource"
+CPU = checks.CPU
+IDLE = f"{checks.CPU}/cpuidle/current_driver"
+FLAW = f"{CPU}/vulnerabilities/mds"
+LATENCY = checks.DMA_LATENCY
 RT_TIME = "sys/fs/cgroup/cpu/user.slice/cpu.rt_runtime_us"
-IRQS, POWER, RULE = "proc/interrupts", "sys/bus/usb/devices/1-2/power/control", "etc/udev/rules.d/70-hapticd.rules"
+IRQS = "proc/interrupts"
+POWER = "sys/bus/usb/devices/1-2/power/control"
+RULE = "etc/udev/rules.d/70-hapticd.rules"
 IRQ_STAT = "77 (irq/128-xhci_hcd) S " + " ".join(["0"] * 36) + " 50 1 0"
 HZ_100 = {**RELEASE, CONFIG: "CONFIG_HZ=100"}
 IRQ_THREAD = {"proc/77/stat": IRQ_STAT}
-GROUPED = {**RELEASE, CONFIG: "CONFIG_RT_GROUP_SCHED=y", "proc/self/cgroup": "9:name=systemd:/\n1:cpu,cpuacct:/user.slice\n0::/"}
+GROUPED = {
+    **RELEASE,
+    CONFIG: "CONFIG_RT_GROUP_SCHED=y",
+    "proc/self/cgroup": "9:name=systemd:/\n1:cpu,cpuacct:/user.slice\n0::/",
+}
 
 DENIED = {"may_write": lambda path: False}
 ASKED = asked()
@@ -101,18 +112,82 @@ ROWS: list[Row] = [
     # --- rights
     (checks.group, {}, {"uid": 0, "groups": frozenset()}, ASKED, "ok", "root", ""),
     (checks.group, {}, {}, ASKED, "ok", "member of hapticd", ""),
-    (checks.group, {"etc/group": "hapticd:x:999:"}, {"groups": frozenset()}, ASKED, "warn", "not a member", "usermod --append"),
-    (checks.group, {"etc/group": "users:x:100:"}, {"groups": frozenset()}, ASKED, "warn", "there is no group", "systemd-sysusers"),
+    (
+        checks.group,
+        {"etc/group": "hapticd:x:999:"},
+        {"groups": frozenset()},
+        ASKED,
+        "warn",
+        "not a member",
+        "usermod --append",
+    ),
+    (
+        checks.group,
+        {"etc/group": "users:x:100:"},
+        {"groups": frozenset()},
+        ASKED,
+        "warn",
+        "there is no group",
+        "systemd-sysusers",
+    ),
     (checks.rtprio, {}, {}, ASKED, "ok", "85, the servo asks for 79", ""),
-    (checks.rtprio, {}, {"capabilities": 1 << CAP_SYS_NICE, "limits": {"rtprio": (0, 0)}}, ASKED, "ok", "CAP_SYS_NICE", ""),
-    (checks.rtprio, {}, limited("rtprio", (0, 0)), ASKED, "fail", "0, the servo asks for 79", "LimitRTPRIO=85"),
-    (checks.rtprio, {}, limited("rtprio", (85, 85)), realtime(priority=90), "fail", "85, the servo asks for 90", "rtprio 85"),
+    (
+        checks.rtprio,
+        {},
+        {"capabilities": 1 << CAP_SYS_NICE, "limits": {"rtprio": (0, 0)}},
+        ASKED,
+        "ok",
+        "CAP_SYS_NICE",
+        "",
+    ),
+    (
+        checks.rtprio,
+        {},
+        limited("rtprio", (0, 0)),
+        ASKED,
+        "fail",
+        "0, the servo asks for 79",
+        "LimitRTPRIO=85",
+    ),
+    (
+        checks.rtprio,
+        {},
+        limited("rtprio", (85, 85)),
+        realtime(priority=90),
+        "fail",
+        "85, the servo asks for 90",
+        "rtprio 85",
+    ),
     (checks.memlock, {}, {}, ASKED, "ok", "unlimited", ""),
     (checks.memlock, {}, limited("memlock", (1 << 23, 1 << 28)), ASKED, "ok", "256 MB", ""),
-    (checks.memlock, {}, limited("memlock", (1 << 23, 1 << 23)), ASKED, "warn", "8 MB", "LimitMEMLOCK=infinity"),
-    (checks.memlock, {}, {"capabilities": 1 << CAP_IPC_LOCK, "limits": {"memlock": (0, 0)}}, ASKED, "ok", "CAP_IPC_LOCK", ""),
+    (
+        checks.memlock,
+        {},
+        limited("memlock", (1 << 23, 1 << 23)),
+        ASKED,
+        "warn",
+        "8 MB",
+        "LimitMEMLOCK=infinity",
+    ),
+    (
+        checks.memlock,
+        {},
+        {"capabilities": 1 << CAP_IPC_LOCK, "limits": {"memlock": (0, 0)}},
+        ASKED,
+        "ok",
+        "CAP_IPC_LOCK",
+        "",
+    ),
     (checks.rttime, {}, {}, ASKED, "ok", "unlimited", ""),
-    (checks.rttime, {}, limited("rttime", (200_000, 200_000)), ASKED, "warn", "200000 us", "LimitRTTIME=infinity"),
+    (
+        checks.rttime,
+        {},
+        limited("rttime", (200_000, 200_000)),
+        ASKED,
+        "warn",
+        "200000 us",
+        "LimitRTTIME=infinity",
+    ),
     (checks.c_states, {LATENCY: ""}, {}, ASKED, "ok", "may be written", ""),
     (checks.c_states, {LATENCY: ""}, DENIED, ASKED, "warn", "may not be written", "udev rule"),
     (checks.c_states, {IDLE: "haltpoll"}, {}, ASKED, "ok", "haltpoll", ""),
@@ -120,79 +195,303 @@ ROWS: list[Row] = [
     (checks.c_states, {IDLE: "intel_idle"}, {}, ASKED, "warn", "intel_idle", "max_cstate=1"),
     # --- processor
     (checks.governor, {}, {}, ASKED, "ok", "not scaled", ""),
-    (checks.governor, dict.fromkeys(FOUR_CORES, "performance"), {}, ASKED, "ok", "performance on all 4 cores", ""),
-    (checks.governor, dict.fromkeys(FOUR_CORES, "powersave"), {}, ASKED, "warn", "powersave on 4 of 4", "cpupower"),
+    (
+        checks.governor,
+        dict.fromkeys(FOUR_CORES, "performance"),
+        {},
+        ASKED,
+        "ok",
+        "performance on all 4 cores",
+        "",
+    ),
+    (
+        checks.governor,
+        dict.fromkeys(FOUR_CORES, "powersave"),
+        {},
+        ASKED,
+        "warn",
+        "powersave on 4 of 4",
+        "cpupower",
+    ),
     (checks.smt, {}, {}, ASKED, "ok", "no two threads", ""),
     (checks.smt, {f"{CPU}/smt/active": "0"}, {}, ASKED, "ok", "no two threads", ""),
-    (checks.smt, {f"{CPU}/smt/active": "1"}, {}, ASKED, "warn", "two threads share a core", "smt/control"),
+    (
+        checks.smt,
+        {f"{CPU}/smt/active": "1"},
+        {},
+        ASKED,
+        "warn",
+        "two threads share a core",
+        "smt/control",
+    ),
     (checks.cores, {}, {}, ASKED, "ok", "0,1,2,3 allowed, the servo takes 3", ""),
-    (checks.cores, {}, {}, realtime(core=7), "fail", "realtime.core = 7, this process may use 0,1,2,3", "name one of 0,1,2,3"),
+    (
+        checks.cores,
+        {},
+        {},
+        realtime(core=7),
+        "fail",
+        "realtime.core = 7, this process may use 0,1,2,3",
+        "name one of 0,1,2,3",
+    ),
     (checks.cores, {f"{CPU}/isolated": "7"}, {}, realtime(core=7), "ok", "takes 7", ""),
     (checks.cores, {}, {"cores": frozenset({2})}, ASKED, "warn", "only core 2", "second core"),
     (checks.isolation, {f"{CPU}/isolated": "2-3"}, {}, ASKED, "ok", "core 3 is isolated", ""),
     (checks.isolation, {}, {}, ASKED, "ok", "not needed at 1000 Hz", ""),
-    (checks.isolation, {}, {}, realtime(rate_hz=4000.0), "warn", "not isolated at 4000 Hz", "isolcpus=managed_irq,domain,3"),
+    (
+        checks.isolation,
+        {},
+        {},
+        realtime(rate_hz=4000.0),
+        "warn",
+        "not isolated at 4000 Hz",
+        "isolcpus=managed_irq,domain,3",
+    ),
     (checks.clock_source, {NOW: "tsc"}, {}, ASKED, "ok", "tsc", ""),
     (checks.clock_source, {NOW: "hpet", CLOCK: "tsc hpet"}, {}, ASKED, "warn", "hpet", "echo tsc"),
     (checks.clock_source, {NOW: "hpet"}, {}, ASKED, "warn", "hpet", "dmesg"),
     (checks.clock_source, {NOW: "jiffies"}, {}, ASKED, "fail", "jiffies", "dmesg"),
     (checks.mitigations, {"proc/cmdline": "quiet mitigations=off"}, {}, ASKED, "ok", "off", ""),
     (checks.mitigations, {FLAW: "Not affected"}, {}, ASKED, "ok", "none is active", ""),
-    (checks.mitigations, {FLAW: "Mitigation: clear"}, {}, ASKED, "warn", "1 active (mds)", "mitigations=off"),
+    (
+        checks.mitigations,
+        {FLAW: "Mitigation: clear"},
+        {},
+        ASKED,
+        "warn",
+        "1 active (mds)",
+        "mitigations=off",
+    ),
     # --- kernel
     (checks.timers, {}, {}, ASKED, "ok", "high resolution", ""),
-    (checks.timers, {**RELEASE, CONFIG: "CONFIG_HZ=250"}, {}, ASKED, "ok", "high resolution, HZ=250", ""),
-    (checks.timers, HZ_100, {"clock_resolution_s": 0.01}, ASKED, "fail", "10 ms, HZ=100", "HIGH_RES"),
-    (checks.tickless, {f"{CPU}/nohz_full": "3"}, {}, ASKED, "ok", "core 3 has no scheduler tick", ""),
+    (
+        checks.timers,
+        {**RELEASE, CONFIG: "CONFIG_HZ=250"},
+        {},
+        ASKED,
+        "ok",
+        "high resolution, HZ=250",
+        "",
+    ),
+    (
+        checks.timers,
+        HZ_100,
+        {"clock_resolution_s": 0.01},
+        ASKED,
+        "fail",
+        "10 ms, HZ=100",
+        "HIGH_RES",
+    ),
+    (
+        checks.tickless,
+        {f"{CPU}/nohz_full": "3"},
+        {},
+        ASKED,
+        "ok",
+        "core 3 has no scheduler tick",
+        "",
+    ),
     (checks.tickless, {}, {}, ASKED, "ok", "only while busy", ""),
     (checks.tickless, {"proc/cmdline": "nohz=off"}, {}, ASKED, "warn", "off", "remove nohz=off"),
-    (checks.tickless, {**RELEASE, CONFIG: "CONFIG_HZ_PERIODIC=y"}, {}, ASKED, "warn", "off", "NO_HZ_IDLE"),
+    (
+        checks.tickless,
+        {**RELEASE, CONFIG: "CONFIG_HZ_PERIODIC=y"},
+        {},
+        ASKED,
+        "warn",
+        "off",
+        "NO_HZ_IDLE",
+    ),
     (checks.preemption, {"sys/kernel/realtime": "1"}, {}, ASKED, "ok", "PREEMPT_RT", ""),
-    (checks.preemption, {"proc/version": "Linux 6.12 #1 SMP PREEMPT_RT"}, {}, ASKED, "ok", "PREEMPT_RT", ""),
-    (checks.preemption, {"sys/kernel/debug/sched/preempt": "none voluntary (full)"}, {}, ASKED, "ok", "full", ""),
-    (checks.preemption, {"proc/cmdline": "preempt=voluntary threadirqs"}, {}, ASKED, "ok", "voluntary, threadirqs", ""),
-    (checks.preemption, {**RELEASE, CONFIG: "CONFIG_PREEMPT_VOLUNTARY=y"}, {}, ASKED, "warn", "voluntary", "preempt=full"),
+    (
+        checks.preemption,
+        {"proc/version": "Linux 6.12 #1 SMP PREEMPT_RT"},
+        {},
+        ASKED,
+        "ok",
+        "PREEMPT_RT",
+        "",
+    ),
+    (
+        checks.preemption,
+        {"sys/kernel/debug/sched/preempt": "none voluntary (full)"},
+        {},
+        ASKED,
+        "ok",
+        "full",
+        "",
+    ),
+    (
+        checks.preemption,
+        {"proc/cmdline": "preempt=voluntary threadirqs"},
+        {},
+        ASKED,
+        "ok",
+        "voluntary, threadirqs",
+        "",
+    ),
+    (
+        checks.preemption,
+        {**RELEASE, CONFIG: "CONFIG_PREEMPT_VOLUNTARY=y"},
+        {},
+        ASKED,
+        "warn",
+        "voluntary",
+        "preempt=full",
+    ),
     (checks.preemption, {}, {}, ASKED, "warn", "unknown", "linux-image-rt-amd64"),
     (checks.irq_priority, {}, {}, ASKED, "ok", "no threads", ""),
-    (checks.irq_priority, IRQ_THREAD, {}, ASKED, "warn", "xhci_hcd runs at 50, the servo at 79", "chrt --fifo --pid 85 77"),
-    (checks.irq_priority, {"proc/77/stat": IRQ_STAT.replace(" 50 1 0", " 90 1 0")}, {}, ASKED, "ok", "above the servo's 79", ""),
-    (checks.irq_sharing, {IRQS: " 16: 5 IO-APIC xhci_hcd:usb1"}, {}, ASKED, "ok", "no interrupt line", ""),
-    (checks.irq_sharing, {IRQS: " 16: 5 IO-APIC xhci_hcd:usb1, snd_hda"}, {}, ASKED, "warn", "line 16 is shared", "another"),
+    (
+        checks.irq_priority,
+        IRQ_THREAD,
+        {},
+        ASKED,
+        "warn",
+        "xhci_hcd runs at 50, the servo at 79",
+        "chrt --fifo --pid 85 77",
+    ),
+    (
+        checks.irq_priority,
+        {"proc/77/stat": IRQ_STAT.replace(" 50 1 0", " 90 1 0")},
+        {},
+        ASKED,
+        "ok",
+        "above the servo's 79",
+        "",
+    ),
+    (
+        checks.irq_sharing,
+        {IRQS: " 16: 5 IO-APIC xhci_hcd:usb1"},
+        {},
+        ASKED,
+        "ok",
+        "no interrupt line",
+        "",
+    ),
+    (
+        checks.irq_sharing,
+        {IRQS: " 16: 5 IO-APIC xhci_hcd:usb1, snd_hda"},
+        {},
+        ASKED,
+        "warn",
+        "line 16 is shared",
+        "another",
+    ),
     (checks.throttling, throttled(950000), {}, ASKED, "ok", "950000 of", ""),
     (checks.throttling, throttled(-1), {}, ASKED, "warn", "off", "sched_rt_runtime_us=950000"),
-    (checks.throttling, throttled(400000), {}, ASKED, "fail", "400000 of", "sched_rt_runtime_us=950000"),
+    (
+        checks.throttling,
+        throttled(400000),
+        {},
+        ASKED,
+        "fail",
+        "400000 of",
+        "sched_rt_runtime_us=950000",
+    ),
     (checks.throttling, {}, {}, ASKED, "ok", "does not throttle", ""),
     (checks.rt_group, {}, {}, ASKED, "ok", "no real-time time is given to groups", ""),
-    (checks.rt_group, {**GROUPED, "proc/cmdline": "rt_group_sched=0"}, {}, ASKED, "ok", "no real-time time is given to groups", ""),
-    (checks.rt_group, {**GROUPED, "proc/self/cgroup": "1:cpu:/"}, {}, ASKED, "ok", "root group", ""),
-    (checks.rt_group, GROUPED, {}, ASKED, "fail", "group /user.slice has no", "cpu/user.slice/cpu.rt_runtime_us"),
+    (
+        checks.rt_group,
+        {**GROUPED, "proc/cmdline": "rt_group_sched=0"},
+        {},
+        ASKED,
+        "ok",
+        "no real-time time is given to groups",
+        "",
+    ),
+    (
+        checks.rt_group,
+        {**GROUPED, "proc/self/cgroup": "1:cpu:/"},
+        {},
+        ASKED,
+        "ok",
+        "root group",
+        "",
+    ),
+    (
+        checks.rt_group,
+        GROUPED,
+        {},
+        ASKED,
+        "fail",
+        "group /user.slice has no",
+        "cpu/user.slice/cpu.rt_runtime_us",
+    ),
     (checks.rt_group, {**GROUPED, RT_TIME: "950000"}, {}, ASKED, "ok", "has real-time time", ""),
     (checks.swap, {"proc/swaps": "Filename Type Size"}, {}, ASKED, "ok", "none", ""),
     (checks.swap, swapping(60), {}, ASKED, "warn", "swappiness 60", "swappiness=10"),
     (checks.swap, swapping(1), {}, ASKED, "ok", "swappiness 1", ""),
     # --- usb
     (checks.board, BOARD_FILES, {}, ASKED, "ok", "1209:0001 at 1-2", ""),
-    (checks.board, BOARD_FILES, {}, asked(usb=UsbParams(serial="HB-8")), "fail", "with serial HB-8", "lsusb -d 1209:0001"),
+    (
+        checks.board,
+        BOARD_FILES,
+        {},
+        asked(usb=UsbParams(serial="HB-8")),
+        "fail",
+        "with serial HB-8",
+        "lsusb -d 1209:0001",
+    ),
     (checks.board, {}, {}, asked(usb=UsbParams()), "fail", "no 1209:0001 on the bus", "plug it in"),
     (checks.board, {}, {}, asked(simulated=True), "ok", "simulated", ""),
     (checks.permission, BOARD_FILES, {}, ASKED, "ok", "/dev/bus/usb/001/012 may be opened", ""),
-    (checks.permission, BOARD_FILES, DENIED, ASKED, "fail", "/dev/bus/usb/001/012 may not be", "udevadm trigger"),
+    (
+        checks.permission,
+        BOARD_FILES,
+        DENIED,
+        ASKED,
+        "fail",
+        "/dev/bus/usb/001/012 may not be",
+        "udevadm trigger",
+    ),
     (checks.permission, {}, {}, ASKED, "ok", "no board", ""),
     (checks.permission, {}, {}, asked(simulated=True), "ok", "simulated", ""),
     (checks.autosuspend, BOARD_FILES | {POWER: "on"}, {}, ASKED, "ok", "off", ""),
-    (checks.autosuspend, BOARD_FILES | {POWER: "auto"}, {}, ASKED, "warn", "on", "1-2/power/control"),
+    (
+        checks.autosuspend,
+        BOARD_FILES | {POWER: "auto"},
+        {},
+        ASKED,
+        "warn",
+        "on",
+        "1-2/power/control",
+    ),
     (checks.autosuspend, {}, {}, ASKED, "ok", "no board", ""),
     (checks.udev_rule, {RULE: '"1209" "0001"'}, {}, ASKED, "ok", "70-hapticd.rules", ""),
-    (checks.udev_rule, {RULE: '"16c0" "04d2"'}, {}, ASKED, "warn", "names another board", "install-system"),
+    (
+        checks.udev_rule,
+        {RULE: '"16c0" "04d2"'},
+        {},
+        ASKED,
+        "warn",
+        "names another board",
+        "install-system",
+    ),
     (checks.udev_rule, {}, {}, ASKED, "warn", "none for hapticd", "install-system --root /"),
     (checks.udev_rule, {}, {}, asked(simulated=True), "ok", "simulated", ""),
     # --- folders
     (checks.disk, {}, {}, ASKED, "ok", "1e+03 GB free in /data", ""),
-    (checks.disk, {}, {"free_bytes": lambda path: 10**9}, ASKED, "warn", "1 GB free in /data", "record elsewhere"),
-    (checks.disk, {}, {"free_bytes": lambda path: 10**8}, ASKED, "fail", "0.1 GB free", "record elsewhere"),
+    (
+        checks.disk,
+        {},
+        {"free_bytes": lambda path: 10**9},
+        ASKED,
+        "warn",
+        "1 GB free in /data",
+        "record elsewhere",
+    ),
+    (
+        checks.disk,
+        {},
+        {"free_bytes": lambda path: 10**8},
+        ASKED,
+        "fail",
+        "0.1 GB free",
+        "record elsewhere",
+    ),
     (checks.runtime_folder, {}, {}, ASKED, "ok", "no daemon has run yet", ""),
     (checks.keys, {}, {}, ASKED, "ok", "none needed", ""),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: f"{row[0].__name__}-{row[4]}-{row[5][:24]}")
@@ -214,7 +513,7 @@ def test_names_are_unique(make: Callable[..., Machine]) -> None:
     assert len(set(names)) == len(names) == len(CHECKS)
 
 
-# --- folders ------------------------------------------------------------------------------------------------------------
+# --- folders --------------------------------------------------------------------------------------
 
 
 def test_runtime_folder_open_to_others_fails(make: Callable[..., Machine], tmp_path: Path) -> None:
@@ -249,10 +548,12 @@ def test_key_readable_by_others_fails(make: Callable[..., Machine], tmp_path: Pa
     assert (finding.level, finding.fix.startswith(f"chmod 600 {secret}")) == ("fail", True)
 
 
-# --- the machine ---------------------------------------------------------------------------------------------------------
+# --- the machine ----------------------------------------------------------------------------------
 
 
-def test_kernel_options_come_from_the_running_kernel(make: Callable[..., Machine], tmp_path: Path) -> None:
+def test_kernel_options_come_from_the_running_kernel(
+    make: Callable[..., Machine], tmp_path: Path
+) -> None:
     found = make(RELEASE | {CONFIG: "CONFIG_HZ=100\n# CONFIG_PREEMPT is not set"})
     assert (found.kernel_option("HZ"), found.kernel_option("PREEMPT")) == ("100", "n")
     (tmp_path / "proc/config.gz").write_bytes(gzip.compress(b"CONFIG_HZ=1000\n"))
@@ -265,7 +566,11 @@ def test_kernel_without_a_config_tells_nothing(make: Callable[..., Machine]) -> 
 
 def test_boot_options_are_read_by_name(make: Callable[..., Machine]) -> None:
     found = make({"proc/cmdline": "quiet preempt=none threadirqs preempt=full"})
-    assert [found.boot_option(name) for name in ("preempt", "threadirqs", "nohz")] == ["full", "", None]
+    assert [found.boot_option(name) for name in ("preempt", "threadirqs", "nohz")] == [
+        "full",
+        "",
+        None,
+    ]
 
 
 def test_unreadable_numbers_are_none(make: Callable[..., Machine]) -> None:
@@ -284,7 +589,7 @@ def test_this_machine_can_be_examined() -> None:
     assert len(examine(machine.this_machine(), wanted)) == len(CHECKS)
 
 
-# --- the wake-up measurement ---------------------------------------------------------------------------------------------
+# --- the wake-up measurement ----------------------------------------------------------------------
 
 
 def test_latencies_are_from_deadline_to_waking() -> None:
@@ -298,30 +603,45 @@ def test_latencies_are_from_deadline_to_waking() -> None:
 
 
 def test_late_wake_drops_periods_instead_of_catching_up() -> None:
-    clock, deadlines = VirtualClock(NS_PER_S), []
+    clock = VirtualClock(NS_PER_S)
+    deadlines = []
 
     def wait(deadline_ns: int, rehearse: Callable[[], object]) -> int:
         deadlines.append(deadline_ns)
-        return virtual_wait(clock)(deadline_ns + (2500 * NS_PER_US if len(deadlines) == 1 else 0), rehearse)
+        return virtual_wait(clock)(
+            deadline_ns + (2500 * NS_PER_US if len(deadlines) == 1 else 0), rehearse
+        )
 
     wake.latencies_us(wait, clock.now_ns(), 3)
     assert [deadline - deadlines[0] for deadline in deadlines] == [0, 3_000_000, 4_000_000]
 
 
 def test_quantiles_of_a_histogram() -> None:
-    assert wake.quantiles({10: 500, 20: 480, 90: 19, 4000: 1}) == {"p50_us": 10, "p99_us": 90, "p999_us": 90, "max_us": 4000}
+    assert wake.quantiles({10: 500, 20: 480, 90: 19, 4000: 1}) == {
+        "p50_us": 10,
+        "p99_us": 90,
+        "p999_us": 90,
+        "max_us": 4000,
+    }
 
 
 @pytest.mark.parametrize(
     ("p99_us", "fifo", "level", "text"),
     [
-        (30, "granted", "ok", "p50 30 us, p99 30 us, p99.9 30 us, max 30 us over 100 wakes, SCHED_FIFO 80"),
+        (
+            30,
+            "granted",
+            "ok",
+            "p50 30 us, p99 30 us, p99.9 30 us, max 30 us over 100 wakes, SCHED_FIFO 80",
+        ),
         (30, "refused: EPERM", "warn", "without SCHED_FIFO"),
         (150, "granted", "warn", "p99 150 us"),
         (600, "granted", "fail", "p99 600 us"),
     ],
 )
-def test_histogram_is_judged_by_spin_and_period(p99_us: int, fifo: str, level: str, text: str) -> None:
+def test_histogram_is_judged_by_spin_and_period(
+    p99_us: int, fifo: str, level: str, text: str
+) -> None:
     histogram = {p99_us: 100}
     found = {"granted": {"fifo": fifo}, "histogram_us": histogram, **wake.quantiles(histogram)}
     finding = wake.judge(found, asked())
@@ -341,17 +661,24 @@ def test_worker_that_fails_says_why() -> None:
         wake.measure(0.0, "x")  # type: ignore[arg-type]
 
 
-# --- the verb ----------------------------------------------------------------------------------------------------------
+# --- the verb -------------------------------------------------------------------------------------
 
 
 @pytest.fixture
 def findings(monkeypatch: pytest.MonkeyPatch) -> list[CheckResult]:
-    found = [CheckResult("one", "ok", "good"), CheckResult("two", "warn", "so so", "because", "do this")]
-    monkeypatch.setattr("hapticd.doctor.checks.CHECKS", tuple(lambda m, a, item=item: item for item in found))
+    found = [
+        CheckResult("one", "ok", "good"),
+        CheckResult("two", "warn", "so so", "because", "do this"),
+    ]
+    monkeypatch.setattr(
+        "hapticd.doctor.checks.CHECKS", tuple(lambda m, a, item=item: item for item in found)
+    )
     return found
 
 
-def test_doctor_prints_why_and_fix(runtime: Path, findings: list[CheckResult], capsys: pytest.CaptureFixture[str]) -> None:
+def test_doctor_prints_why_and_fix(
+    runtime: Path, findings: list[CheckResult], capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["doctor", "--seconds", "0", "--strict"]) == 0
     assert capsys.readouterr().out.splitlines() == [
         "ok    one               good",
@@ -364,14 +691,19 @@ def test_doctor_prints_why_and_fix(runtime: Path, findings: list[CheckResult], c
 def test_doctor_is_strict_only_when_asked(
     runtime: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("hapticd.doctor.checks.CHECKS", (lambda m, a: CheckResult("three", "fail", "bad", "because", "do that"),))
+    monkeypatch.setattr(
+        "hapticd.doctor.checks.CHECKS",
+        (lambda m, a: CheckResult("three", "fail", "bad", "because", "do that"),),
+    )
     assert main(["doctor", "--seconds", "0"]) == 0
     assert main(["doctor", "--seconds", "0", "--strict", "--json"]) == 6
     out, err = capsys.readouterr()
     told = json.loads(out.splitlines()[-1])
     assert told == {
         "ok": False,
-        "checks": [{"name": "three", "level": "fail", "found": "bad", "why": "because", "fix": "do that"}],
+        "checks": [
+            {"name": "three", "level": "fail", "found": "bad", "why": "because", "fix": "do that"}
+        ],
         "wake": {},
     }
     assert "1 of 1 fail: three" in err

@@ -1,4 +1,6 @@
-"""What the processes really load. import-linter (in `make test`) holds the declared floors; this looks at what runs."""
+"""What the processes really load. import-linter (in `make test`) holds the declared floors;
+this looks at what runs.
+"""
 
 import json
 import subprocess
@@ -12,7 +14,18 @@ from hapticd.assembly import resolve
 from hapticd.settings.load import load
 
 # logging is not among them: pyusb brings it along; nothing of ours may import it (import-linter)
-NEVER_IN_SERVO = {"numpy", "scipy", "numba", "zmq", "msgpack", "pydantic", "typer", "rich", "asyncio", "tomllib"}
+NEVER_IN_SERVO = {
+    "numpy",
+    "scipy",
+    "numba",
+    "zmq",
+    "msgpack",
+    "pydantic",
+    "typer",
+    "rich",
+    "asyncio",
+    "tomllib",
+}
 NEVER_IN_GATEWAY = {"numba", "scipy", "usb", "typer", "rich", "tomllib"}
 
 FLY_AND_TELL = """
@@ -32,7 +45,9 @@ print(json.dumps({"code": code, "threads": threads, "modules": sorted(sys.module
 
 
 def modules_after(program: str, *arguments: str) -> Any:
-    done = subprocess.run([sys.executable, "-c", program, *arguments], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", program, *arguments], capture_output=True, text=True, check=True
+    )
     return json.loads(done.stdout)
 
 
@@ -42,7 +57,9 @@ def packages(modules: list[str]) -> set[str]:
 
 @pytest.mark.process
 def test_flying_servo_is_small_and_single(runtime: Path) -> None:
-    """The simulated board included: one thread, and none of the libraries that bring threads, locks or pauses."""
+    """The simulated board included: one thread, and none of the libraries that bring threads,
+    locks or pauses.
+    """
     config = runtime / "hapticd.toml"
     config.write_text("[realtime]\nmode = 'off'\nspin_us = 0.0\n")
     written = resolve.write(runtime / "hapticd" / "instance-floors", load(config), "floors")
@@ -51,20 +68,38 @@ def test_flying_servo_is_small_and_single(runtime: Path) -> None:
     assert found["threads"] == 1
     assert packages(found["modules"]) & NEVER_IN_SERVO == set()
     assert "hapticd.sim.backend" in found["modules"]
-    assert not [name for name in found["modules"] if name.startswith(("hapticd.settings", "hapticd.gateway", "hapticd.client"))]
+    assert not [
+        name
+        for name in found["modules"]
+        if name.startswith(("hapticd.settings", "hapticd.gateway", "hapticd.client"))
+    ]
 
 
 def test_gateway_brings_no_compiler_and_no_board() -> None:
-    modules = modules_after("import json, sys, hapticd.assembly.gateway_main; print(json.dumps(sorted(sys.modules)))")
+    modules = modules_after(
+        "import json, sys, hapticd.assembly.gateway_main; print(json.dumps(sorted(sys.modules)))"
+    )
     assert packages(modules) & NEVER_IN_GATEWAY == set()
-    assert not [name for name in modules if name.startswith(("hapticd.servo", "hapticd.sim", "hapticd.settings", "hapticd.link"))]
+    assert not [
+        name
+        for name in modules
+        if name.startswith(("hapticd.servo", "hapticd.sim", "hapticd.settings", "hapticd.link"))
+    ]
 
 
 def test_quick_stop_loads_no_models() -> None:
-    modules = modules_after("import json, sys, hapticd.__main__, hapticd.client.fast_stop; print(json.dumps(sorted(sys.modules)))")
-    assert packages(modules) & {"numpy", "pydantic", "typer", "rich", "zmq", "msgpack", "asyncio"} == set()
+    modules = modules_after(
+        "import json, sys, hapticd.__main__, hapticd.client.fast_stop;"
+        " print(json.dumps(sorted(sys.modules)))"
+    )
+    assert (
+        packages(modules) & {"numpy", "pydantic", "typer", "rich", "zmq", "msgpack", "asyncio"}
+        == set()
+    )
 
 
 def test_command_line_starts_without_models() -> None:
-    modules = modules_after("import json, sys, hapticd.cli.app; print(json.dumps(sorted(sys.modules)))")
+    modules = modules_after(
+        "import json, sys, hapticd.cli.app; print(json.dumps(sorted(sys.modules)))"
+    )
     assert packages(modules) & {"numpy", "pydantic", "zmq", "rich", "tomllib"} == set()

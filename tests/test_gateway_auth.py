@@ -21,16 +21,29 @@ from hapticd.params import GatewayParams
 
 @pytest.mark.parametrize(
     ("host", "loopback"),
-    [("127.0.0.1", True), ("127.8.9.1", True), ("::1", True), ("localhost", True), ("0.0.0.0", False), ("*", False),
-     ("192.168.1.5", False), ("rig.lab", False), ("::", False)],
-)  # fmt: skip
+    [
+        ("127.0.0.1", True),
+        ("127.8.9.1", True),
+        ("::1", True),
+        ("localhost", True),
+        ("0.0.0.0", False),
+        ("*", False),
+        ("192.168.1.5", False),
+        ("rig.lab", False),
+        ("::", False),
+    ],
+)
 def test_loopback_is_recognised(host: str, loopback: bool) -> None:
     assert auth.is_loopback(host) == loopback
 
 
 def test_open_network_is_refused() -> None:
     with pytest.raises(
-        ConfigError, match=r"gateway.tcp_host = '0.0.0.0': beyond this machine telemetry needs keys; set gateway.curve_keys"
+        ConfigError,
+        match=(
+            r"gateway.tcp_host = '0.0.0.0': beyond this machine telemetry needs keys; set"
+            r" gateway.curve_keys"
+        ),
     ):
         auth.warning(GatewayParams(tcp_host="0.0.0.0"))
 
@@ -51,14 +64,19 @@ def mode_of(path: Path) -> int:
 
 
 def test_made_keys_are_private(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    keys, before = tmp_path / "keys", os.umask(0o022)
+    keys = tmp_path / "keys"
+    before = os.umask(0o022)
     try:
         assert main(["keys", "server", str(keys), "--json"]) == 0
         told = json.loads(capsys.readouterr().out)
         assert main(["keys", "client", str(keys), "friend", "--out", str(tmp_path / "away")]) == 0
     finally:
         os.umask(before)
-    assert told == {"ok": True, "folder": str(keys), "files": [str(keys / "server.key"), str(keys / "server.key_secret")]}
+    assert told == {
+        "ok": True,
+        "folder": str(keys),
+        "files": [str(keys / "server.key"), str(keys / "server.key_secret")],
+    }
     for secret in (keys / "server.key_secret", tmp_path / "away" / "friend.key_secret"):
         assert mode_of(secret) == 0o600
     assert [path.name for path in (keys / "clients").iterdir()] == ["friend.key"]
@@ -67,7 +85,10 @@ def test_made_keys_are_private(tmp_path: Path, capsys: pytest.CaptureFixture[str
 def test_keys_are_not_made_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Whoever has the other half would be locked out."""
     keys = tmp_path / "keys"
-    words = [["keys", "server", str(keys)], ["keys", "client", str(keys), "friend", "--out", str(tmp_path)]]
+    words = [
+        ["keys", "server", str(keys)],
+        ["keys", "client", str(keys), "friend", "--out", str(tmp_path)],
+    ]
     assert [main(one) for one in words] == [0, 0]
     before = {path: path.read_bytes() for path in tmp_path.rglob("*key*") if path.is_file()}
     assert len(before) == 4
@@ -80,13 +101,20 @@ def test_keys_are_not_made_again(tmp_path: Path, capsys: pytest.CaptureFixture[s
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["client", "nowhere", "friend"], "no server.key_secret in it; make it with `hapticd keys server nowhere`"),
+        (
+            ["client", "nowhere", "friend"],
+            "no server.key_secret in it; make it with `hapticd keys server nowhere`",
+        ),
         (["client", "nowhere", "../friend"], "a client is named by letters, digits, dots, dashes"),
         (["server", "file/keys"], "name a folder that you may write to"),
     ],
 )
 def test_slip_with_keys_is_named(
-    words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    words: list[str],
+    said: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("file").write_text("")
@@ -96,7 +124,11 @@ def test_slip_with_keys_is_named(
 
 def test_incomplete_keys_are_refused(tmp_path: Path) -> None:
     def start() -> None:
-        GatewayServer(tmp_path / "run", setup(tcp_host="0.0.0.0", curve_keys=str(tmp_path / "keys")), VirtualClock(1))
+        GatewayServer(
+            tmp_path / "run",
+            setup(tcp_host="0.0.0.0", curve_keys=str(tmp_path / "keys")),
+            VirtualClock(1),
+        )
 
     with pytest.raises(ConfigError, match=r"clients is missing; make it and put the public keys"):
         start()
@@ -122,10 +154,16 @@ def test_only_known_keys_may_listen(tmp_path: Path) -> None:
 
         def listener(name: Path) -> "zmq.Socket[bytes]":
             public, secret = zmq.auth.load_certificate(name)
-            more = {"CURVE_SERVERKEY": server, "CURVE_PUBLICKEY": public, "CURVE_SECRETKEY": secret, "SUBSCRIBE": b"servo.raw"}
+            more = {
+                "CURVE_SERVERKEY": server,
+                "CURVE_PUBLICKEY": public,
+                "CURVE_SECRETKEY": secret,
+                "SUBSCRIBE": b"servo.raw",
+            }
             return rig.socket(zmq.SUB, f"tcp://127.0.0.1:{port}", **more)
 
-        friend, stranger = listener(tmp_path / "friend.key_secret"), listener(tmp_path / "stranger.key_secret")
+        friend = listener(tmp_path / "friend.key_secret")
+        stranger = listener(tmp_path / "stranger.key_secret")
         plain = rig.socket(zmq.SUB, f"tcp://127.0.0.1:{port}", SUBSCRIBE=b"servo.raw")
         local = rig.subscriber("servo.raw")
         for _ in range(10):

@@ -44,7 +44,9 @@ ATTACKS = {
 
 @pytest.mark.parametrize("name", ATTACKS)
 def test_attack_is_malformed(name: str) -> None:
-    with pytest.raises(CommandError, match=r"not a request: .*; send one msgpack or JSON map within 65536 bytes") as caught:
+    with pytest.raises(
+        CommandError, match=r"not a request: .*; send one msgpack or JSON map within 65536 bytes"
+    ) as caught:
         decode(ATTACKS[name])
     assert caught.value.code == "malformed"
     assert len(str(caught.value)) < 200
@@ -74,12 +76,32 @@ def test_plain_id_is_echoed(value: object) -> None:
     assert echo_id({"id": value}) == value
 
 
-@pytest.mark.parametrize("value", [-1, 2**53, 10**39, True, 1.0, "", "y" * 65, "é", "\ud800", "a\nb", "\x7f", [1], {"a": 1}, b"x"])
+@pytest.mark.parametrize(
+    "value",
+    [
+        -1,
+        2**53,
+        10**39,
+        True,
+        1.0,
+        "",
+        "y" * 65,
+        "é",
+        "\ud800",
+        "a\nb",
+        "\x7f",
+        [1],
+        {"a": 1},
+        b"x",
+    ],
+)
 def test_strange_id_is_not_echoed(value: Any) -> None:
     assert echo_id({"id": value}) is None
 
 
-@pytest.mark.parametrize("value", ["\ud800" * 500, b"\xff" * 500, 10**4000, [[[[[[[[[1]]]]]]]]], {"a" * 900: 1}, "plain"])
+@pytest.mark.parametrize(
+    "value", ["\ud800" * 500, b"\xff" * 500, 10**4000, [[[[[[[[[1]]]]]]]]], {"a" * 900: 1}, "plain"]
+)
 def test_shown_is_short_and_printable(value: Any) -> None:
     text = shown(value)
     assert len(text) <= 51
@@ -88,7 +110,9 @@ def test_shown_is_short_and_printable(value: Any) -> None:
 
 
 def test_float_that_overflows_is_no_number() -> None:
-    assert decode(b'{"K":1e400}')["K"] == float("inf")  # the schema refuses it, see test_gateway_schemas
+    assert decode(b'{"K":1e400}')["K"] == float(
+        "inf"
+    )  # the schema refuses it, see test_gateway_schemas
     assert decode(b"\x81\xa1K\xcb" + struct.pack(">d", float("nan")))["K"] != 0
 
 

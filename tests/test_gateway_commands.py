@@ -1,4 +1,6 @@
-"""The ordered list of interlocks, and that the early answers of the state interlock are the servo's own."""
+"""The ordered list of interlocks, and that the early answers of the state interlock are the
+servo's own.
+"""
 
 from pathlib import Path
 
@@ -14,7 +16,15 @@ from hapticd.mailbox.layout import Command, Result, State
 from hapticd.servo import safety
 from hapticd.servo.inbox import ACTOR_STOP_WORD
 
-TABLED = (Command.ENABLE, Command.DISABLE, Command.STOP, Command.RESET, Command.ZERO, Command.HOME, Command.PERTURB_START)
+TABLED = (
+    Command.ENABLE,
+    Command.DISABLE,
+    Command.STOP,
+    Command.RESET,
+    Command.ZERO,
+    Command.HOME,
+    Command.PERTURB_START,
+)
 
 
 @pytest.fixture
@@ -27,13 +37,20 @@ def situation(rig: DeskRig, settled: bool = True, samples: int = 0) -> commands.
 
 
 def test_order_is_schema_state_lease_passivity() -> None:
-    assert [interlock.__name__ for interlock in commands.INTERLOCKS] == ["schema", "state", "lease", "passivity"]
+    assert [interlock.__name__ for interlock in commands.INTERLOCKS] == [
+        "schema",
+        "state",
+        "lease",
+        "passivity",
+    ]
 
 
 @pytest.mark.parametrize("kind", TABLED)
 @pytest.mark.parametrize("state", State)
 def test_early_answer_is_that_of_the_safety_table(kind: Command, state: State) -> None:
-    allowed = ALLOWED.get("perturb" if kind == Command.PERTURB_START else kind.name.lower(), tuple(State))
+    allowed = ALLOWED.get(
+        "perturb" if kind == Command.PERTURB_START else kind.name.lower(), tuple(State)
+    )
     assert (state in allowed) == (not isinstance(safety.transition(state, kind), Result))
 
 
@@ -66,5 +83,7 @@ def test_unsettled_state_is_left_to_the_servo(rig: DeskRig) -> None:
 
 
 def test_start_without_waveform_is_refused(rig: DeskRig) -> None:
-    with pytest.raises(CommandError, match="perturb start: no waveform is loaded; send it with action load first"):
+    with pytest.raises(
+        CommandError, match="perturb start: no waveform is loaded; send it with action load first"
+    ):
         commands.admit({"cmd": "perturb", "action": "start"}, 16, situation(rig))

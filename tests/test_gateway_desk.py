@@ -21,12 +21,30 @@ def rig(tmp_path: Path) -> DeskRig:
 
 
 def test_set_gives_its_own_receipt(rig: DeskRig) -> None:
-    reply = rig.ask(cmd="set", id=7, K=100, B=1, M=0.010, damping=1.74, wall={"side": 1}, filters={"velocity_hz": 200})
+    reply = rig.ask(
+        cmd="set",
+        id=7,
+        K=100,
+        B=1,
+        M=0.010,
+        damping=1.74,
+        wall={"side": 1},
+        filters={"velocity_hz": 200},
+    )
     receipt = reply["receipt"]
     assert (reply["ok"], reply["id"], reply["rev"], reply["state"]) == (True, 7, 1, "disabled")
-    assert (receipt["result"], receipt["first_tick"], receipt["ramp_end_tick"]) == ("applied", 2, 52)
+    assert (receipt["result"], receipt["first_tick"], receipt["ramp_end_tick"]) == (
+        "applied",
+        2,
+        52,
+    )
     effective = receipt["effective"]
-    assert (effective["K"], effective["B"], effective["M"], effective["damping"]) == (100.0, 1.0, 0.010, 1.74)
+    assert (effective["K"], effective["B"], effective["M"], effective["damping"]) == (
+        100.0,
+        1.0,
+        0.010,
+        1.74,
+    )
     assert effective["wall"]["side"] == 1
     assert effective["filters"]["velocity_hz"] == 200.0
 
@@ -48,10 +66,16 @@ def test_only_given_values_are_posted(rig: DeskRig) -> None:
 
 @pytest.mark.parametrize(
     ("value", "meant"),
-    [("on", {Value.ADDED_DAMPING_ON: 1.0}), ("off", {Value.ADDED_DAMPING_ON: 0.0}), (0, {Value.ADDED_DAMPING_ON: 0.0}),
-     (1.5, {Value.ADDED_DAMPING: 1.5, Value.ADDED_DAMPING_ON: 1.0})],
-)  # fmt: skip
-def test_damping_switches_or_sets_level(rig: DeskRig, value: object, meant: dict[Value, float]) -> None:
+    [
+        ("on", {Value.ADDED_DAMPING_ON: 1.0}),
+        ("off", {Value.ADDED_DAMPING_ON: 0.0}),
+        (0, {Value.ADDED_DAMPING_ON: 0.0}),
+        (1.5, {Value.ADDED_DAMPING: 1.5, Value.ADDED_DAMPING_ON: 1.0}),
+    ],
+)
+def test_damping_switches_or_sets_level(
+    rig: DeskRig, value: object, meant: dict[Value, float]
+) -> None:
     rig.servo.deaf = True
     rig.send(packed(cmd="damping", value=value))
     _, kind, _, _, values = rig.servo.mailbox.take() or ()
@@ -90,7 +114,8 @@ def test_latched_state_is_refused_early(rig: DeskRig, cmd: str) -> None:
     assert reply["error"]["code"] == "stopped"
     assert (
         reply["error"]["message"]
-        == f"{cmd} in state stopped (someone asked for a stop): make sure it is safe, then `hapticd reset`"
+        == f"{cmd} in state stopped (someone asked for a stop): make sure it is safe, then `hapticd"
+        " reset`"
     )
     assert rig.servo.mailbox.take() is None
 
@@ -106,8 +131,10 @@ def test_servo_has_the_last_word(rig: DeskRig) -> None:
     rig.send(packed(cmd="enable"), packed(cmd="zero"))
     replies = [decoded(reply) for reply in rig.run()]
     assert replies[1]["error"] == {
-        "code": "refused", "message": "zero in state enabled: possible only in disabled", "detail": [],
-    }  # fmt: skip
+        "code": "refused",
+        "message": "zero in state enabled: possible only in disabled",
+        "detail": [],
+    }
 
 
 def test_home_without_a_way_home_says_so(rig: DeskRig) -> None:
@@ -130,7 +157,12 @@ def test_scheduled_set_is_told_twice(rig: DeskRig) -> None:
     assert rig.journal.drain() == []
     rig.run(9)
     (event,) = rig.journal.drain()
-    assert (event["kind"], event["id"], event["result"], event["first_tick"]) == ("answer", "later", "applied", 9)
+    assert (event["kind"], event["id"], event["result"], event["first_tick"]) == (
+        "answer",
+        "later",
+        "applied",
+        9,
+    )
     assert event["effective"]["K"] == 10.0
 
 
@@ -199,8 +231,12 @@ def test_unanswered_command_times_out(rig: DeskRig) -> None:
         ({"cmd": "set", "K": 1.0}, None),
     ],
 )
-def test_force_that_was_not_answered_is_taken_back(rig: DeskRig, request_: dict[str, object], undo: Command | None) -> None:
-    """A servo that hung for seconds would obey in its first tick after that, when nobody expects it any more."""
+def test_force_that_was_not_answered_is_taken_back(
+    rig: DeskRig, request_: dict[str, object], undo: Command | None
+) -> None:
+    """A servo that hung for seconds would obey in its first tick after that, when nobody
+    expects it any more.
+    """
     rig.ask(cmd="perturb", action="load", samples_n=[0.1] * 8)
     if request_["cmd"] == "perturb":
         rig.ask(cmd="enable")
@@ -208,7 +244,9 @@ def test_force_that_was_not_answered_is_taken_back(rig: DeskRig, request_: dict[
     rig.send(packed(**request_))
     (reply,) = rig.run(1000)
     message = decoded(reply)["error"]["message"]
-    assert message.endswith("it is taken back" if undo else "whether it acts is open, ask with `get` or `status`")
+    assert message.endswith(
+        "it is taken back" if undo else "whether it acts is open, ask with `get` or `status`"
+    )
     posted = [rig.servo.mailbox.take() for _ in range(2)]
     assert [one and one[1] for one in posted][1] == undo
 
@@ -227,7 +265,10 @@ def test_silent_servo_is_down(rig: DeskRig) -> None:
     rig.pass_time(1)
     error = rig.send(packed(cmd="set", K=1))[0]["error"]
     assert error["code"] == "servo_down"
-    assert error["message"] == "set: no servo answers; start it with `hapticd run`, see `hapticd status`"
+    assert (
+        error["message"]
+        == "set: no servo answers; start it with `hapticd run`, see `hapticd status`"
+    )
     assert rig.view.state_name == "down"
 
 
@@ -240,7 +281,9 @@ def test_silent_servo_still_gets_the_stop_page(rig: DeskRig) -> None:
 def test_gateway_alone_answers_servo_down(tmp_path: Path, rig: DeskRig) -> None:
     rig.servo.mailbox.close()
     rig.pass_time(5)
-    assert [rig.send(packed(cmd=cmd))[0]["error"]["code"] for cmd in ("get", "enable", "stop")] == ["servo_down"] * 3
+    assert [rig.send(packed(cmd=cmd))[0]["error"]["code"] for cmd in ("get", "enable", "stop")] == [
+        "servo_down"
+    ] * 3
     assert rig.send(packed(cmd="status"))[0]["state"] == "down"
 
 
@@ -261,7 +304,9 @@ def test_restarted_servo_is_taken_up(rig: DeskRig) -> None:
 
 def test_killed_servo_leaves_no_ghost(rig: DeskRig) -> None:
     rig.servo.mailbox.close(clean=False)
-    rig.servo.mailbox.store(layout.EPOCH_WORD, rig.view.mailbox.epoch)  # as after SIGKILL: the old file says it lives
+    rig.servo.mailbox.store(
+        layout.EPOCH_WORD, rig.view.mailbox.epoch
+    )  # as after SIGKILL: the old file says it lives
     rig.servo = StandInServo(rig.folder, rig.clock)
     rig.servo.tick()
     rig.pass_time(100)
@@ -305,14 +350,30 @@ def test_schema_carries_units_and_limits(rig: DeskRig) -> None:
     assert schema["$defs"]["Set"]["properties"]["damping"]["maximum"] == 2.0
     assert schema["$defs"]["Wall"]["properties"]["stiffness_n_per_m"]["unit"] == "N/m"
     assert set(schema["discriminator"]["mapping"]) == {
-        "hello", "get", "set", "damping", "enable", "disable", "stop", "reset", "zero", "home", "perturb", "status", "dump",
+        "hello",
+        "get",
+        "set",
+        "damping",
+        "enable",
+        "disable",
+        "stop",
+        "reset",
+        "zero",
+        "home",
+        "perturb",
+        "status",
+        "dump",
         "schema",
-    }  # fmt: skip
+    }
 
 
 def test_counts_requests_and_errors(rig: DeskRig) -> None:
     rig.send(packed(cmd="hello"), b"junk")
-    assert rig.ask(cmd="status")["result"]["requests"] == {"requests": 3, "errors": 1, "timeouts": 0}
+    assert rig.ask(cmd="status")["result"]["requests"] == {
+        "requests": 3,
+        "errors": 1,
+        "timeouts": 0,
+    }
 
 
 def load(rig: DeskRig, samples: object, **more: object) -> dict[str, object]:
@@ -346,7 +407,9 @@ def test_chunk_of_another_client_is_refused(rig: DeskRig) -> None:
     load(rig, [0.1] * 10, client=b"a")
     load(rig, [0.2] * 10, client=b"b")
     error = load(rig, [0.1] * 5, offset=10, client=b"a")["error"]
-    assert error["message"] == "offset = 10 samples: another client's are loaded; begin with offset 0"
+    assert (
+        error["message"] == "offset = 10 samples: another client's are loaded; begin with offset 0"
+    )
     assert load(rig, [0.2] * 5, offset=10, client=b"b")["result"] == {"samples": 15}
 
 
@@ -358,7 +421,10 @@ def test_sample_beyond_limit_is_named(rig: DeskRig, bad: float) -> None:
     assert error["detail"] == [
         {
             "loc": "samples_n.5",
-            "msg": f"samples_n[5] = {bad} N: beyond the limit -1..1 N (the device file sets it); ask for a value inside",
+            "msg": (
+                f"samples_n[5] = {bad} N: beyond the limit -1..1 N (the device file sets it); ask"
+                " for a value inside"
+            ),
         }
     ]
     assert rig.servo.mailbox.waveform[4] == 0
@@ -371,13 +437,20 @@ def test_sample_that_is_no_number_is_named(rig: DeskRig) -> None:
 
 def test_broken_bytes_are_refused(rig: DeskRig) -> None:
     message = load(rig, b"\0\0\0")["error"]["message"]
-    assert message == "samples_n has 3 bytes: not whole little-endian float32; send 4 bytes a sample"
+    assert (
+        message == "samples_n has 3 bytes: not whole little-endian float32; send 4 bytes a sample"
+    )
 
 
 def test_too_long_a_waveform_is_refused(rig: DeskRig) -> None:
-    rig.desk._waveform._life, rig.desk._waveform._samples = rig.view.life, PERTURBATION_SAMPLES
+    rig.desk._waveform._life = rig.view.life
+    rig.desk._waveform._samples = PERTURBATION_SAMPLES
     message = load(rig, [0.1], offset=PERTURBATION_SAMPLES)["error"]["message"]
-    assert message == "samples_n: 524289 samples are beyond the limit 524288 samples (131 s); shorten it or play it in a loop"
+    assert (
+        message
+        == "samples_n: 524289 samples are beyond the limit 524288 samples (131 s); shorten it or"
+        " play it in a loop"
+    )
 
 
 def test_start_tells_the_length(rig: DeskRig) -> None:
@@ -400,4 +473,6 @@ def test_playing_waveform_is_not_overwritten(rig: DeskRig) -> None:
 def test_waveform_does_not_outlive_its_servo(rig: DeskRig) -> None:
     load(rig, [0.1] * 7)
     rig.view.life += 1
-    assert rig.ask(cmd="perturb", action="start")["error"]["message"].startswith("perturb start: no waveform is loaded")
+    assert rig.ask(cmd="perturb", action="start")["error"]["message"].startswith(
+        "perturb start: no waveform is loaded"
+    )

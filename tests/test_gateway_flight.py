@@ -1,4 +1,6 @@
-"""The flight recorder: what it keeps, when it writes, what is in the file, and that a bad disk harms nobody."""
+"""The flight recorder: what it keeps, when it writes, what is in the file, and that a bad disk
+harms nobody.
+"""
 
 import json
 from pathlib import Path
@@ -31,7 +33,12 @@ def written(flown: RecordedFlight, folder: Path) -> list[Path]:
 
 
 def moving(**more: object) -> RecordedFlight:
-    return RecordedFlight(board=board_params(injections=(InjectionParams("encoder_jump", tick=900, value=100_000.0),)), **more)  # type: ignore[arg-type]
+    return RecordedFlight(
+        board=board_params(
+            injections=(InjectionParams("encoder_jump", tick=900, value=100_000.0),)
+        ),
+        **more,
+    )  # type: ignore[arg-type]
 
 
 def test_dump_holds_every_tick_with_raw_frames(folder: Path) -> None:
@@ -173,7 +180,10 @@ def test_full_disk_is_a_warning(folder: Path) -> None:
 
 
 def test_nothing_to_dump_is_refused() -> None:
-    with RecordedFlight() as flown, pytest.raises(CommandError, match="nothing has been recorded yet"):
+    with (
+        RecordedFlight() as flown,
+        pytest.raises(CommandError, match="nothing has been recorded yet"),
+    ):
         flown.publisher.flight.dump("asked")
 
 
@@ -201,7 +211,11 @@ def test_half_a_file_never_appears(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("content", "reason"),
-    [(b"", "is no flight recording"), (b"HDF", "is no flight recording"), (b"hapticd-flight/1\n" + bytes(8), "is damaged")],
+    [
+        (b"", "is no flight recording"),
+        (b"HDF", "is no flight recording"),
+        (b"hapticd-flight/1\n" + bytes(8), "is damaged"),
+    ],
 )
 def test_foreign_files_are_refused(tmp_path: Path, content: bytes, reason: str) -> None:
     path = tmp_path / "x.flight"
@@ -233,7 +247,9 @@ def test_cut_file_is_damaged(tmp_path: Path) -> None:
         ({"HOME": "/home/lab"}, "/home/lab/.local/state/hapticd/flights"),
     ],
 )
-def test_folder_is_the_state_folder(variables: dict[str, str], folder: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_folder_is_the_state_folder(
+    variables: dict[str, str], folder: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for name in ("STATE_DIRECTORY", "XDG_STATE_HOME"):
         monkeypatch.delenv(name, raising=False)
     for name, value in variables.items():

@@ -16,21 +16,57 @@ from hypothesis import strategies as st
 from hapticd.gateway.schemas import MODELS
 from hapticd.mailbox.layout import Value, value_limits
 
-CODES = {"malformed", "invalid", "unsupported_version", "refused", "stopped", "busy", "timeout", "servo_down"}
-FIELDS = ["id", "v", "K", "B", "M", "filters", "wall", "damping", "ramp_s", "at_tick", "if_rev", "value", "name"]
+CODES = {
+    "malformed",
+    "invalid",
+    "unsupported_version",
+    "refused",
+    "stopped",
+    "busy",
+    "timeout",
+    "servo_down",
+}
+FIELDS = [
+    "id",
+    "v",
+    "K",
+    "B",
+    "M",
+    "filters",
+    "wall",
+    "damping",
+    "ramp_s",
+    "at_tick",
+    "if_rev",
+    "value",
+    "name",
+]
 FIELDS += ["action", "samples_n", "offset", "loop", "side", "velocity_hz", "position_m"]
 NUMBERS = st.one_of(st.integers(-(2**63), 2**64 - 1), st.floats(), st.floats(-10, 300))
-SCALARS = st.one_of(st.none(), st.booleans(), NUMBERS, st.text(max_size=20), st.sampled_from(["on", "off", "load", "start"]))
+SCALARS = st.one_of(
+    st.none(),
+    st.booleans(),
+    NUMBERS,
+    st.text(max_size=20),
+    st.sampled_from(["on", "off", "load", "start"]),
+)
 VALUES = st.recursive(
     SCALARS | st.binary(max_size=24),
-    lambda inner: st.lists(inner, max_size=5) | st.dictionaries(st.sampled_from(FIELDS) | st.text(max_size=8), inner, max_size=4),
+    lambda inner: (
+        st.lists(inner, max_size=5)
+        | st.dictionaries(st.sampled_from(FIELDS) | st.text(max_size=8), inner, max_size=4)
+    ),
     max_leaves=12,
 )
 REQUESTS = st.fixed_dictionaries(
-    {"cmd": st.sampled_from(list(MODELS)) | VALUES}, optional=dict.fromkeys(FIELDS, VALUES) | {"K": NUMBERS, "damping": NUMBERS}
+    {"cmd": st.sampled_from(list(MODELS)) | VALUES},
+    optional=dict.fromkeys(FIELDS, VALUES) | {"K": NUMBERS, "damping": NUMBERS},
 )
 MANY = settings(
-    max_examples=700, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large]
+    max_examples=700,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
 
 

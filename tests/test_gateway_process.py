@@ -65,7 +65,8 @@ def test_stopped_subscriber_harms_nobody(rig: GatewayRig) -> None:
     try:
         assert said(rig, child) == b"listening\n"
         os.waitpid(child.pid, os.WUNTRACED)
-        healthy, decoder = rig.subscriber("servo.raw"), BlockDecoder()
+        healthy = rig.subscriber("servo.raw")
+        decoder = BlockDecoder()
         gaps = [decoder.decode(rig.receive(healthy, ticks=20)[1]).gap for _ in range(500)]
         before = memory_kb()
         gaps += [decoder.decode(rig.receive(healthy, ticks=20)[1]).gap for _ in range(2500)]  # 50 s
@@ -82,7 +83,9 @@ def test_stopped_subscriber_harms_nobody(rig: GatewayRig) -> None:
 @pytest.mark.parametrize("cmd", ["set", "enable"])
 def test_client_killed_after_send_leaves_a_defined_state(rig: GatewayRig, cmd: str) -> None:
     request = packed(cmd="set", K=77) if cmd == "set" else packed(cmd="enable")
-    children = [start(COMMANDER, str(rig.gateway.endpoints["command"]), request.hex()) for _ in range(3)]
+    children = [
+        start(COMMANDER, str(rig.gateway.endpoints["command"]), request.hex()) for _ in range(3)
+    ]
     for child in children:
         assert child.stdout
         child.stdout.read(4)

@@ -18,45 +18,131 @@ ALLOWED: list[dict[str, Any]] = [
     {"cmd": "get", "v": 1, "id": "a"},
     {"cmd": "set", "K": 100, "B": 1.0, "M": 0, "ramp_s": 0.2, "at_tick": 9, "if_rev": 0},
     {"cmd": "set", "filters": {"velocity_hz": 80.0, "acceleration_zeta": 1}},
-    {"cmd": "set", "wall": {"stiffness_n_per_m": 1000, "damping_ns_per_m": 2, "position_m": -0.01, "side": -1}},
+    {
+        "cmd": "set",
+        "wall": {"stiffness_n_per_m": 1000, "damping_ns_per_m": 2, "position_m": -0.01, "side": -1},
+    },
     {"cmd": "damping", "value": "on"},
     {"cmd": "damping", "value": 2},
     {"cmd": "perturb", "action": "load", "samples_n": [0.1, -0.2], "offset": 10},
     {"cmd": "perturb", "action": "load", "samples_n": b"\0\0\0\0"},
     {"cmd": "perturb", "action": "start", "loop": True},
     {"cmd": "perturb", "action": "stop"},
-    *({"cmd": cmd} for cmd in ("enable", "disable", "stop", "reset", "zero", "home", "status", "schema")),
+    *(
+        {"cmd": cmd}
+        for cmd in ("enable", "disable", "stop", "reset", "zero", "home", "status", "schema")
+    ),
 ]
 
 WRONG: list[tuple[dict[str, Any], str, str]] = [
-    ({"cmd": "set", "K": 2e5}, "K",
-     "K = 200000 N/m: beyond the limit -10000..100000 N/m (it is fixed in this version); ask for a value inside"),
-    ({"cmd": "set", "damping": 2.5}, "damping",
-     "damping = 2.5 N s/m: beyond the limit 0..2 N s/m (the device file sets it); ask for a value inside"),
-    ({"cmd": "damping", "value": -0.1}, "value",
-     "value = -0.1 N s/m: beyond the limit 0..2 N s/m (the device file sets it); ask for a value inside"),
-    ({"cmd": "set", "filters": {"velocity_hz": 451}}, "filters.velocity_hz",
-     "filters.velocity_hz = 451 Hz: beyond the limit 0.1..450 Hz (it is 0.45 of the servo rate); ask for a value inside"),
-    ({"cmd": "set", "K": "100"}, "K", "K = 100: Input should be a valid number; send a number in -10000..100000 N/m"),
-    ({"cmd": "set", "K": True}, "K", "K = True: Input should be a valid number; send a number in -10000..100000 N/m"),
-    ({"cmd": "set", "K": None}, "K", "K = None: Input should be a valid number; send a number in -10000..100000 N/m"),
-    ({"cmd": "set", "K": float("nan")}, "K", "K = nan: Input should be a finite number; send a number in -10000..100000 N/m"),
-    ({"cmd": "set", "K": float("inf")}, "K", "K = inf: Input should be a finite number; send a number in -10000..100000 N/m"),
+    (
+        {"cmd": "set", "K": 2e5},
+        "K",
+        (
+            "K = 200000 N/m: beyond the limit -10000..100000 N/m (it is fixed in this version); ask"
+            " for a value inside"
+        ),
+    ),
+    (
+        {"cmd": "set", "damping": 2.5},
+        "damping",
+        (
+            "damping = 2.5 N s/m: beyond the limit 0..2 N s/m (the device file sets it); ask for a"
+            " value inside"
+        ),
+    ),
+    (
+        {"cmd": "damping", "value": -0.1},
+        "value",
+        (
+            "value = -0.1 N s/m: beyond the limit 0..2 N s/m (the device file sets it); ask for a"
+            " value inside"
+        ),
+    ),
+    (
+        {"cmd": "set", "filters": {"velocity_hz": 451}},
+        "filters.velocity_hz",
+        (
+            "filters.velocity_hz = 451 Hz: beyond the limit 0.1..450 Hz (it is 0.45 of the servo"
+            " rate); ask for a value inside"
+        ),
+    ),
+    (
+        {"cmd": "set", "K": "100"},
+        "K",
+        "K = 100: Input should be a valid number; send a number in -10000..100000 N/m",
+    ),
+    (
+        {"cmd": "set", "K": True},
+        "K",
+        "K = True: Input should be a valid number; send a number in -10000..100000 N/m",
+    ),
+    (
+        {"cmd": "set", "K": None},
+        "K",
+        "K = None: Input should be a valid number; send a number in -10000..100000 N/m",
+    ),
+    (
+        {"cmd": "set", "K": float("nan")},
+        "K",
+        "K = nan: Input should be a finite number; send a number in -10000..100000 N/m",
+    ),
+    (
+        {"cmd": "set", "K": float("inf")},
+        "K",
+        "K = inf: Input should be a finite number; send a number in -10000..100000 N/m",
+    ),
     ({"cmd": "set", "K": 1, "k": 1}, "k", f"k: unknown field, did you mean 'K'?; {LIST}"),
-    ({"cmd": "set", "wall": {"sides": 1}}, "wall.sides", f"wall.sides: unknown field, did you mean 'side'?; {LIST}"),
-    ({"cmd": "set", "wall": {"side": 2}}, "wall.side", f"wall.side = 2: Input should be -1, 0 or 1; {LIST}"),
-    ({"cmd": "set", "wall": {"side": True}}, "wall.side", f"wall.side = True: a number is meant, not true or false; {LIST}"),
+    (
+        {"cmd": "set", "wall": {"sides": 1}},
+        "wall.sides",
+        f"wall.sides: unknown field, did you mean 'side'?; {LIST}",
+    ),
+    (
+        {"cmd": "set", "wall": {"side": 2}},
+        "wall.side",
+        f"wall.side = 2: Input should be -1, 0 or 1; {LIST}",
+    ),
+    (
+        {"cmd": "set", "wall": {"side": True}},
+        "wall.side",
+        f"wall.side = True: a number is meant, not true or false; {LIST}",
+    ),
     ({"cmd": "set"}, "set", "set: nothing to set; give one of K, B, M, filters, wall, damping"),
-    ({"cmd": "set", "wall": {}, "ramp_s": 1}, "set", "set: nothing to set; give one of K, B, M, filters, wall, damping"),
-    ({"cmd": "set", "K": 1, "at_tick": 0}, "at_tick", f"at_tick = 0: Input should be greater than 0; {LIST}"),
-    ({"cmd": "damping", "value": "ON"}, "value", "value = ON: Input should be 'on' or 'off'; send a number in 0..2 N s/m"),
+    (
+        {"cmd": "set", "wall": {}, "ramp_s": 1},
+        "set",
+        "set: nothing to set; give one of K, B, M, filters, wall, damping",
+    ),
+    (
+        {"cmd": "set", "K": 1, "at_tick": 0},
+        "at_tick",
+        f"at_tick = 0: Input should be greater than 0; {LIST}",
+    ),
+    (
+        {"cmd": "damping", "value": "ON"},
+        "value",
+        "value = ON: Input should be 'on' or 'off'; send a number in 0..2 N s/m",
+    ),
     ({"cmd": "damping"}, "value", f"value: missing; {LIST}"),
-    ({"cmd": "perturb", "action": "load"}, "perturb", "perturb: samples_n is missing: load needs the force samples [N]"),
-    ({"cmd": "perturb", "action": "stop", "loop": True}, "perturb", "perturb: loop does not belong to action stop"),
-    ({"cmd": "get", "id": -1}, "id", f"id = -1: must be an integer in 0..2^53-1 or 1..64 printable ASCII characters; {LIST}"),
+    (
+        {"cmd": "perturb", "action": "load"},
+        "perturb",
+        "perturb: samples_n is missing: load needs the force samples [N]",
+    ),
+    (
+        {"cmd": "perturb", "action": "stop", "loop": True},
+        "perturb",
+        "perturb: loop does not belong to action stop",
+    ),
+    (
+        {"cmd": "get", "id": -1},
+        "id",
+        f"id = -1: must be an integer in 0..2^53-1 or 1..64 printable ASCII characters; {LIST}",
+    ),
     ({"cmd": "get", "v": True}, "v", f"v = True: Input should be a valid integer; {LIST}"),
     ({"cmd": "enable", "force": 1}, "force", f"force: unknown field; {LIST}"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize("plain", ALLOWED, ids=str)
@@ -77,7 +163,10 @@ def test_wrong_request_is_explained(plain: dict[str, Any], loc: str, message: st
 def test_unknown_command_lists_the_known() -> None:
     with pytest.raises(CommandError) as caught:
         parse({"cmd": "sett"}, LIMITS)
-    assert str(caught.value) == f"cmd = sett: unknown command, did you mean 'set'?; known: {', '.join(MODELS)}"
+    assert (
+        str(caught.value)
+        == f"cmd = sett: unknown command, did you mean 'set'?; known: {', '.join(MODELS)}"
+    )
 
 
 @pytest.mark.parametrize("cmd", ["\ud800", 5, None, ["set"], {"set": 1}, "x" * 10_000])
@@ -102,7 +191,9 @@ def test_details_are_bounded() -> None:
 
 
 def test_other_protocol_version_is_refused() -> None:
-    with pytest.raises(CommandError, match="v = 2: this gateway speaks 1; use a client of the same release") as caught:
+    with pytest.raises(
+        CommandError, match="v = 2: this gateway speaks 1; use a client of the same release"
+    ) as caught:
         parse({"cmd": "get", "v": 2}, LIMITS)
     assert caught.value.code == "unsupported_version"
 
@@ -120,6 +211,12 @@ def test_limit_itself_is_allowed() -> None:
 def test_schema_and_limits_name_the_same_fields() -> None:
     properties = json_schema(LIMITS)["$defs"]
     leaves = {name for name, field in properties["Set"]["properties"].items() if "unit" in field}
-    leaves |= {f"{part.lower()}.{name}" for part in ("Filters", "Wall") for name in properties[part]["properties"]}
+    leaves |= {
+        f"{part.lower()}.{name}"
+        for part in ("Filters", "Wall")
+        for name in properties[part]["properties"]
+    }
     assert leaves == set(PLACES)
-    assert not any(field.get("default", ...) is None for name, field in flat(properties) if name == "default")
+    assert not any(
+        field.get("default", ...) is None for name, field in flat(properties) if name == "default"
+    )

@@ -19,7 +19,13 @@ from gateway_stand_in import setup
 from hapticd.client.blocks import BlockDecoder
 from hapticd.clock import VirtualClock
 from hapticd.errors import ConfigError, MailboxError
-from hapticd.gateway.server import MAX_SUBSCRIPTION_BYTES, REQUESTS_PER_PASS, SETTLING_NS, GatewayServer, run
+from hapticd.gateway.server import (
+    MAX_SUBSCRIPTION_BYTES,
+    REQUESTS_PER_PASS,
+    SETTLING_NS,
+    GatewayServer,
+    run,
+)
 from hapticd.mailbox.layout import GATEWAY_BEAT_WORD, Command
 from hapticd.units import NS_PER_MS
 
@@ -30,7 +36,7 @@ def rig(tmp_path: Path) -> Iterator[GatewayRig]:
         yield rig
 
 
-# --- commands ------------------------------------------------------------------------------------------------------------
+# --- commands -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", [zmq.DEALER, zmq.REQ])
@@ -47,14 +53,31 @@ def test_json_client_needs_no_library(rig: GatewayRig) -> None:
     client.send(b'{"cmd":"status","id":"octave"}')
     reply = json.loads(rig.receive(client)[0])
     assert reply["id"] == "octave"
-    assert {"state", "simulated", "rate_hz", "revision", "fault", "stages", "endpoints", "servo", "events"} <= set(reply["result"])
+    assert {
+        "state",
+        "simulated",
+        "rate_hz",
+        "revision",
+        "fault",
+        "stages",
+        "endpoints",
+        "servo",
+        "events",
+    } <= set(reply["result"])
     assert reply["result"]["servo"] == {"granted": "nothing"}
 
 
 def test_hello_tells_where_and_what(rig: GatewayRig) -> None:
     result = rig.ask(rig.client(), cmd="hello", name="x")["result"]
     assert result["endpoints"] == rig.gateway.endpoints
-    assert [topic["name"] for topic in result["topics"]] == ["servo", "servo.raw", "probe", "state", "event", "flight"]
+    assert [topic["name"] for topic in result["topics"]] == [
+        "servo",
+        "servo.raw",
+        "probe",
+        "state",
+        "event",
+        "flight",
+    ]
     assert (result["protocol"], len(result["schema_hash"])) == (1, 16)
 
 
@@ -65,7 +88,8 @@ def test_beat_is_written_every_pass(rig: GatewayRig) -> None:
 
 
 def test_stop_gets_through_an_endless_flood(rig: GatewayRig) -> None:
-    flooders, other = [rig.client() for _ in range(4)], rig.client()
+    flooders = [rig.client() for _ in range(4)]
+    other = rig.client()
     rig.ask(other, cmd="enable")
     other.send(packed(cmd="stop"))
     for _ in range(PATIENCE):
@@ -82,7 +106,8 @@ def test_stop_gets_through_an_endless_flood(rig: GatewayRig) -> None:
 
 
 def test_too_large_a_message_cuts_only_its_sender(rig: GatewayRig) -> None:
-    bad, good = rig.client(), rig.client()
+    bad = rig.client()
+    good = rig.client()
     bad.send(b"x" * 70_000)
     for _ in range(20):
         rig.step()
@@ -91,15 +116,22 @@ def test_too_large_a_message_cuts_only_its_sender(rig: GatewayRig) -> None:
 
 
 def test_what_came_during_a_standstill_is_dropped(rig: GatewayRig) -> None:
-    """Its senders have given up; an enable that acts now would surprise somebody's hand. A stop is a stop."""
-    client, other = rig.client(), rig.client()
+    """Its senders have given up; an enable that acts now would surprise somebody's hand. A stop
+    is a stop.
+    """
+    client = rig.client()
+    other = rig.client()
     rig.ask(client, cmd="get")
     client.send(packed(cmd="enable", id=1))
     rig.servo.tick(1500)  # the servo goes on without the gateway
     error = decoded(rig.receive(client, ticks=0))["error"]
     assert (error["code"], error["message"]) == (
-        "timeout", "enable: the gateway stood still for more than 1 s and drops what came meanwhile; ask again",
-    )  # fmt: skip
+        "timeout",
+        (
+            "enable: the gateway stood still for more than 1 s and drops what came meanwhile; ask"
+            " again"
+        ),
+    )
     assert rig.ask(other, cmd="stop")["ok"] or rig.servo.mailbox.stop_words[0]
     assert not [kind for kind, _ in rig.servo.taken if kind == Command.ENABLE]
     rig.servo.tick(SETTLING_NS // NS_PER_MS)
@@ -110,7 +142,8 @@ def test_what_came_during_a_standstill_is_dropped(rig: GatewayRig) -> None:
 def test_subscription_bomb_is_cut_off(rig: GatewayRig) -> None:
     """libzmq keeps every byte of every prefix, some 50-fold; topics have names of a few."""
     endpoint = rig.gateway.endpoints["telemetry"][1]  # type: ignore[index]
-    bomber, listener = rig.socket(zmq.XSUB, endpoint), rig.subscriber("servo")
+    bomber = rig.socket(zmq.XSUB, endpoint)
+    listener = rig.subscriber("servo")
     bomber.send(b"\1servo")
     rig.receive(bomber)
     bomber.send(b"\1" + b"x" * 2000)
@@ -147,11 +180,13 @@ def test_telemetry_socket_ignores_what_is_no_subscription(rig: GatewayRig) -> No
     assert rig.receive(strange)[0] == b"state"
 
 
-# --- telemetry -----------------------------------------------------------------------------------------------------------
+# --- telemetry ------------------------------------------------------------------------------------
 
 
 def plotjuggler_decodes(frames: list[bytes]) -> list[dict[str, Any]]:
-    """What PlotJuggler >= 3.16 does with a ZeroMQ message: two frames, topic as text, msgpack array of maps = batch."""
+    """What PlotJuggler >= 3.16 does with a ZeroMQ message: two frames, topic as text, msgpack
+    array of maps = batch.
+    """
     topic, payload = frames
     topic.decode()
     batch = msgpack.unpackb(payload)
@@ -160,7 +195,10 @@ def plotjuggler_decodes(frames: list[bytes]) -> list[dict[str, Any]]:
         assert isinstance(sample, dict)
         assert all(isinstance(name, str) for name in sample)
         assert isinstance(sample["timestamp"], float)
-        assert all(isinstance(value, (bool, int, float)) and math.isfinite(value) for value in sample.values())
+        assert all(
+            isinstance(value, (bool, int, float)) and math.isfinite(value)
+            for value in sample.values()
+        )
     return batch
 
 
@@ -182,7 +220,8 @@ def test_servo_alone_never_brings_servo_raw(rig: GatewayRig) -> None:
 
 
 def test_servo_raw_seen_through_the_prefix_is_harmless(rig: GatewayRig) -> None:
-    plotjuggler, recorder = rig.subscriber("servo"), rig.subscriber("servo.raw")
+    plotjuggler = rig.subscriber("servo")
+    recorder = rig.subscriber("servo.raw")
     assert {rig.receive(recorder)[0] for _ in range(5)} == {b"servo.raw"}
     for _ in range(20):
         topic, payload = rig.receive(plotjuggler)
@@ -209,7 +248,8 @@ def test_every_message_has_two_frames(rig: GatewayRig) -> None:
 
 
 def test_slow_subscriber_loses_and_can_count(rig: GatewayRig) -> None:
-    slow, decoder = rig.subscriber("servo.raw", RCVHWM=2), BlockDecoder()
+    slow = rig.subscriber("servo.raw", RCVHWM=2)
+    decoder = BlockDecoder()
     blocks = [decoder.decode(rig.receive(slow)[1])]
     for _ in range(4000):
         rig.step()
@@ -219,11 +259,14 @@ def test_slow_subscriber_loses_and_can_count(rig: GatewayRig) -> None:
         blocks.append(decoder.decode(rig.receive(slow)[1]))
     lost = sum(block.gap for block in blocks)
     assert lost > 0
-    assert lost + sum(len(block.records) for block in blocks) == blocks[-1].header["next"] - blocks[0].header["seq"]
+    assert (
+        lost + sum(len(block.records) for block in blocks)
+        == blocks[-1].header["next"] - blocks[0].header["seq"]
+    )
     assert rig.gateway._publisher.feed.lost == 0
 
 
-# --- addresses, claims, files --------------------------------------------------------------------------------------------
+# --- addresses, claims, files ---------------------------------------------------------------------
 
 
 def test_socket_files_are_for_user_and_group(rig: GatewayRig) -> None:
@@ -269,8 +312,12 @@ def test_other_instance_leaves_the_usual_port_alone() -> None:
 
 
 def test_foreign_address_is_a_config_error(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"gateway.tcp_host = '203.0.113.7': .*; name an address of this machine"):
-        GatewayServer(tmp_path, setup(tcp_host="203.0.113.7", allow_insecure=True), VirtualClock(START_NS))
+    with pytest.raises(
+        ConfigError, match=r"gateway.tcp_host = '203.0.113.7': .*; name an address of this machine"
+    ):
+        GatewayServer(
+            tmp_path, setup(tcp_host="203.0.113.7", allow_insecure=True), VirtualClock(START_NS)
+        )
     GatewayServer(tmp_path, setup(), VirtualClock(START_NS)).close()
 
 
@@ -294,12 +341,22 @@ def test_gateway_alone_serves_status(tmp_path: Path) -> None:
         replies.append(decoded(client.recv_multipart()))
     context.destroy(linger=0)
     gateway.close()
-    assert (replies[0]["state"], replies[0]["result"]["servo_alive"], replies[0]["result"]["simulated"]) == ("down", False, True)
+    assert (
+        replies[0]["state"],
+        replies[0]["result"]["servo_alive"],
+        replies[0]["result"]["simulated"],
+    ) == ("down", False, True)
     assert replies[1]["error"]["code"] == "servo_down"
 
 
 def test_run_ends_when_told(tmp_path: Path) -> None:
     said: list[str] = []
-    run(tmp_path, setup(), VirtualClock(START_NS), lambda: len(said) == 1, lambda: said.append("ready"))
+    run(
+        tmp_path,
+        setup(),
+        VirtualClock(START_NS),
+        lambda: len(said) == 1,
+        lambda: said.append("ready"),
+    )
     assert said == ["ready"]
     assert not (tmp_path / "command").exists()

@@ -17,7 +17,16 @@ from gateway_stand_in import StandInServo
 
 from hapticd.client.blocks import BlockDecoder
 from hapticd.gateway.publisher import Publisher
-from hapticd.gateway.telemetry import COLUMNS, EDGES_NS, ENERGIES, NAMES, PER_DECADE, StageHistograms, Subscriptions, wanted_by
+from hapticd.gateway.telemetry import (
+    COLUMNS,
+    EDGES_NS,
+    ENERGIES,
+    NAMES,
+    PER_DECADE,
+    StageHistograms,
+    Subscriptions,
+    wanted_by,
+)
 from hapticd.gateway.view import RECORD_DTYPE
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import STAGES, Flag
@@ -49,7 +58,7 @@ def unpacked(payloads: list[bytes]) -> list[Any]:
     return [msgpack.unpackb(payload) for payload in payloads]
 
 
-# --- servo.raw -----------------------------------------------------------------------------------------------------------
+# --- servo.raw ------------------------------------------------------------------------------------
 
 
 def test_raw_records_are_lossless(rig: FeedRig) -> None:
@@ -73,9 +82,16 @@ def test_raw_header_says_where_it_comes_from(rig: FeedRig) -> None:
     (header,) = unpacked(rig.take("servo.raw"))
     del header["d"], header["descr"]
     assert header == {
-        "v": 1, "epoch": START_NS, "simulated": True, "layout": layout.LAYOUT_HASH.hex(), "seq": 0, "next": 20, "n": 20, "lost": 0,
+        "v": 1,
+        "epoch": START_NS,
+        "simulated": True,
+        "layout": layout.LAYOUT_HASH.hex(),
+        "seq": 0,
+        "next": 20,
+        "n": 20,
+        "lost": 0,
         "mono_unix_offset_ns": UNIX_NS - START_NS - 2 * NS_PER_MS,
-    }  # fmt: skip
+    }
 
 
 def test_batches_are_whole_unless_the_ring_stands_still(rig: FeedRig) -> None:
@@ -150,7 +166,7 @@ def test_late_gateway_starts_at_the_present(rig: FeedRig) -> None:
     assert (message["seq"], message["lost"]) == (6003, 0)
 
 
-# --- servo ---------------------------------------------------------------------------------------------------------------
+# --- servo ----------------------------------------------------------------------------------------
 
 
 def test_servo_is_an_array_of_maps_of_numbers(rig: FeedRig) -> None:
@@ -162,7 +178,9 @@ def test_servo_is_an_array_of_maps_of_numbers(rig: FeedRig) -> None:
     assert [row["seq"] for row in rows] == list(range(60))
     for row in rows:
         assert set(row) == {"timestamp", "seq", *COLUMNS, *ENERGIES}
-        assert all(type(value) in (int, float, bool) and math.isfinite(value) for value in row.values())
+        assert all(
+            type(value) in (int, float, bool) and math.isfinite(value) for value in row.values()
+        )
         assert type(row["timestamp"]) is float
     assert np.diff([row["timestamp"] for row in rows]) == pytest.approx(1e-3, abs=1e-6)
     assert rows[3]["timestamp"] == pytest.approx(UNIX_NS / 1e9 + 2e-3, abs=1e-6)
@@ -178,7 +196,7 @@ def test_number_that_is_not_finite_is_left_out(rig: FeedRig) -> None:
     assert all("position_m" in row for row in rows)
 
 
-# --- probe ---------------------------------------------------------------------------------------------------------------
+# --- probe ----------------------------------------------------------------------------------------
 
 
 def probe(rig: FeedRig, decoder: BlockDecoder) -> list[Any]:
@@ -193,8 +211,15 @@ def test_probe_pairs_come_with_index_and_time(rig: FeedRig) -> None:
     assert samples["index"].tolist() == list(range(80))
     assert samples["torque"].tolist() == list(range(80))
     assert samples["velocity"].tolist() == [0, -1, -2, -3] * 20
-    assert samples["time_ns"].tolist() == [START_NS + (tick + 1) * NS_PER_MS for tick in range(20) for _ in range(4)]
-    assert block.header["scale"]["torque"] == {"per_count": 1e-3, "sign": -1, "offset_count": 2.0, "unit": "N"}
+    assert samples["time_ns"].tolist() == [
+        START_NS + (tick + 1) * NS_PER_MS for tick in range(20) for _ in range(4)
+    ]
+    assert block.header["scale"]["torque"] == {
+        "per_count": 1e-3,
+        "sign": -1,
+        "offset_count": 2.0,
+        "unit": "N",
+    }
     assert (block.header["rate_hz"], block.gap) == (4000, 0)
 
 
@@ -228,9 +253,11 @@ def test_missing_intervals_are_counted(rig: FeedRig) -> None:
 def test_repeated_and_stale_frames_count_once(rig: FeedRig) -> None:
     rig.subscribe("probe")
     rig.servo.tick(8)
-    rig.servo.flags, rig.servo.probe_index = int(Flag.MISSING_IN), rig.servo.probe_index - 4
+    rig.servo.flags = int(Flag.MISSING_IN)
+    rig.servo.probe_index = rig.servo.probe_index - 4
     rig.servo.tick()
-    rig.servo.flags, rig.servo.probe_index = 0, rig.servo.probe_index - 6
+    rig.servo.flags = 0
+    rig.servo.probe_index = rig.servo.probe_index - 6
     rig.servo.tick(9)
     (block,) = probe(rig, BlockDecoder())
     assert (np.diff(block.records["index"].astype(np.int64)) == 1).all()
@@ -247,7 +274,11 @@ def test_board_that_starts_anew_is_another_run(rig: FeedRig) -> None:
     rig.servo.tick(10)
     before, after = probe(rig, decoder)
     assert (before.restarted, after.restarted) == (False, True)
-    assert (after.header["run"], after.gap, int(after.records["index"][0])) == (before.header["run"] + 1, 0, 0)
+    assert (after.header["run"], after.gap, int(after.records["index"][0])) == (
+        before.header["run"] + 1,
+        0,
+        0,
+    )
 
 
 def test_pause_without_listeners_is_no_probe_gap(rig: FeedRig) -> None:
@@ -268,10 +299,12 @@ def test_board_without_probe_sends_none(rig: FeedRig) -> None:
     rig.take("probe")
     rig.servo.probe_pairs = 0
     rig.servo.tick(60)
-    assert sum(message["n"] for message in unpacked(rig.take("probe"))) == 8  # of the two ticks before
+    assert (
+        sum(message["n"] for message in unpacked(rig.take("probe"))) == 8
+    )  # of the two ticks before
 
 
-# --- state and events ----------------------------------------------------------------------------------------------------
+# --- state and events -----------------------------------------------------------------------------
 
 
 def test_nothing_is_encoded_for_nobody(rig: FeedRig) -> None:
@@ -284,7 +317,12 @@ def test_state_comes_on_each_subscription(rig: FeedRig) -> None:
     for _ in range(2):
         ((topic, payload),) = rig.subscribe("state")
         content = msgpack.unpackb(payload)
-        assert (topic, content["state"], content["servo_alive"], content["simulated"]) == ("state", "disabled", True, True)
+        assert (topic, content["state"], content["servo_alive"], content["simulated"]) == (
+            "state",
+            "disabled",
+            True,
+            True,
+        )
         assert {"rate_hz", "revision", "fault", "actors", "counters", "timestamp"} <= set(content)
 
 
@@ -321,8 +359,10 @@ def test_every_transition_is_an_event(rig: FeedRig) -> None:
     rig.servo.tick(20)
     events = [event for event in unpacked(rig.take("event")) if event["kind"] == "state"]
     assert [(event["before"], event["state"], event["fault"]) for event in events] == [
-        ("disabled", "enabled", "none"), ("enabled", "stopped", "stop"), ("stopped", "disabled", "none"),
-    ]  # fmt: skip
+        ("disabled", "enabled", "none"),
+        ("enabled", "stopped", "stop"),
+        ("stopped", "disabled", "none"),
+    ]
     assert events[1]["remedy"] == "make sure it is safe, then `hapticd reset`"
     assert {(event["actor"], event["name"]) for event in events} == {(actor, "panel")}
     assert events[0]["tick"] == 2
@@ -332,7 +372,9 @@ def test_stop_page_is_named_as_actor(rig: FeedRig) -> None:
     rig.servo.mailbox.stop_words[0] = 1
     rig.servo.tick(20)
     rig.take("event")
-    assert [event["name"] for event in rig.journal.recent if event["kind"] == "state"] == ["stop page"]
+    assert [event["name"] for event in rig.journal.recent if event["kind"] == "state"] == [
+        "stop page"
+    ]
 
 
 @pytest.mark.parametrize(
@@ -415,7 +457,13 @@ def test_extremes_stay_in_the_table() -> None:
 
 
 def test_empty_histogram_is_zero() -> None:
-    assert StageHistograms(0.0).summary()["read"] == {"count": 0, "p50_us": 0.0, "p99_us": 0.0, "p999_us": 0.0, "max_us": 0.0}
+    assert StageHistograms(0.0).summary()["read"] == {
+        "count": 0,
+        "p50_us": 0.0,
+        "p99_us": 0.0,
+        "p999_us": 0.0,
+        "max_us": 0.0,
+    }
 
 
 @pytest.mark.parametrize("stage", STAGES)

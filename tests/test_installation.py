@@ -1,4 +1,6 @@
-"""What a checkout installs: pins within their ranges, and what happens where a program is missing."""
+"""What a checkout installs: pins within their ranges, and what happens where a program is
+missing.
+"""
 
 import os
 import subprocess
@@ -77,7 +79,9 @@ def planned(environment: Path, *options: str) -> str:
 
 
 @pytest.mark.parametrize("changed", ["pyproject.toml", "constraints.txt"])
-def test_environment_is_made_again_when_its_description_changes(environment: Path, changed: str) -> None:
+def test_environment_is_made_again_when_its_description_changes(
+    environment: Path, changed: str
+) -> None:
     assert "pip" not in planned(environment)
     lines = planned(environment, f"--what-if={changed}").splitlines()
     itself, package, tools = [line for line in lines if " install " in line]
@@ -101,7 +105,9 @@ def ordinary_user(tmp_path: Path) -> dict[str, str]:
 
 
 @pytest.mark.parametrize(("purpose", "code"), [("test", 0), ("bench", 1)])
-def test_user_is_told_what_to_install(ordinary_user: dict[str, str], purpose: str, code: int) -> None:
+def test_user_is_told_what_to_install(
+    ordinary_user: dict[str, str], purpose: str, code: int
+) -> None:
     command = [ROOT / ".ci" / "deps", purpose]
     done = subprocess.run(command, env=ordinary_user, capture_output=True, text=True)
     assert done.returncode == code

@@ -19,8 +19,25 @@ class Script(Link):
     """A link that plays prepared replies: an InFrame, bytes, or an error to raise."""
 
     def __init__(self, *replies):
-        self.replies, self.sent, self.opened = list(replies), [], 0
-        self.hello = Hello(frames.PROTOCOL_HASH, 0x0100, 1, 0x8003, 20, "SIM0001", 8.0, 10.0, 2.0, 2.0, 10.0, 30.0, 5e-7, 8.0)
+        self.replies = list(replies)
+        self.sent = []
+        self.opened = 0
+        self.hello = Hello(
+            frames.PROTOCOL_HASH,
+            0x0100,
+            1,
+            0x8003,
+            20,
+            "SIM0001",
+            8.0,
+            10.0,
+            2.0,
+            2.0,
+            10.0,
+            30.0,
+            5e-7,
+            8.0,
+        )
 
     def open(self):
         self.opened += 1
@@ -46,7 +63,21 @@ class Script(Link):
 def frame(n, time_us=None, echo=None, **changes):
     """The IN frame of tick n of a board that is read once a period."""
     stamp = (500_000 + n * PERIOD_US if time_us is None else time_us) & 0xFFFFFFFF
-    base = InFrame(n & 0xFFFF, (n + 1 if echo is None else echo) & 0xFFFF, 0, 0, stamp, 40 * n, 0, 0, 0, 2500, 0, 0, 4 * n)
+    base = InFrame(
+        n & 0xFFFF,
+        (n + 1 if echo is None else echo) & 0xFFFF,
+        0,
+        0,
+        stamp,
+        40 * n,
+        0,
+        0,
+        0,
+        2500,
+        0,
+        0,
+        4 * n,
+    )
     return base._replace(**changes)
 
 
@@ -66,7 +97,9 @@ def tick(device):
 def test_connect_greets_and_sends_a_frame_without_torque():
     device = connected()
     assert device.hello.serial == "SIM0001"
-    assert [(out.flags, out.torque, out.damping) for out in device.link.sent] == [(int(OutFlag.FIFO_CLEAR), 0, 0)]
+    assert [(out.flags, out.torque, out.damping) for out in device.link.sent] == [
+        (int(OutFlag.FIFO_CLEAR), 0, 0)
+    ]
 
 
 def test_board_of_another_protocol_gets_no_frame():
@@ -98,7 +131,8 @@ def test_lost_samples_are_counted_by_the_boards_own_clock(lost):
 
 def test_host_pause_shows_in_the_frame_after_the_waiting_one():
     """The frame that waited is one period old: no gap yet. The next was latched after the pause."""
-    waited, after = frame(2), frame(3, 500_000 + 25 * PERIOD_US)
+    waited = frame(2)
+    after = frame(3, 500_000 + 25 * PERIOD_US)
     device = connected(frame(0), frame(1), waited, after)
     assert [tick(device)[0] for _ in range(4)] == [SEED, 0, 0, 22]
     assert device.counts["gap"] == 0
@@ -116,7 +150,9 @@ def test_old_sample_is_returned_with_a_missing_one():
     assert tick(device)[1:] == first[1:]
 
 
-@pytest.mark.parametrize("damaged", [codec.encode_in(frame(1))[:-1] + b"\0", codec.encode_in(frame(1))[:31], b""])
+@pytest.mark.parametrize(
+    "damaged", [codec.encode_in(frame(1))[:-1] + b"\0", codec.encode_in(frame(1))[:31], b""]
+)
 def test_damaged_frame_is_missing_and_counted_as_bad(damaged):
     device = connected(frame(0), damaged)
     tick(device)
@@ -188,8 +224,12 @@ def test_backoff_doubles_and_stays_below_a_second():
 
 
 def test_board_whose_clock_fell_back_is_taken_for_a_new_one():
-    """It started anew without leaving the bus: after BACKWARD ticks no buffer can explain it any more."""
-    device = connected(frame(0), frame(1), *(frame(2 + n, time_us=n * PERIOD_US) for n in range(400)))
+    """It started anew without leaving the bus: after BACKWARD ticks no buffer can explain it
+    any more.
+    """
+    device = connected(
+        frame(0), frame(1), *(frame(2 + n, time_us=n * PERIOD_US) for n in range(400))
+    )
     arrivals = [tick(device)[0] for _ in range(2 + BACKWARD + 10)]
     assert arrivals[:2] == [SEED, 0]
     first = arrivals.index(SEED, 1)

@@ -1,4 +1,6 @@
-"""The USB link over the true usb.core and the simulated board: every way in which it can fail, and how it comes back."""
+"""The USB link over the true usb.core and the simulated board: every way in which it can fail,
+and how it comes back.
+"""
 
 import gc
 import sys
@@ -82,7 +84,8 @@ class Bench:
         self.clock, self.board = VirtualClock(), BoardModel(params)
         self.backend = Backend(with_injections(self.board, params), self.clock, transfer)
         self.link = UsbLink(UsbParams(**usb), self.backend)
-        self.buffer, self.tick = array("B", bytes(64)), 0
+        self.buffer = array("B", bytes(64))
+        self.tick = 0
         if opened:
             self.link.open()
 
@@ -102,7 +105,7 @@ def bench():
     return Bench()
 
 
-# --- finding and opening ----------------------------------------------------------------------------------------------
+# --- finding and opening --------------------------------------------------------------------------
 @pytest.mark.parametrize("transfer", ["bulk", "interrupt"])
 def test_endpoints_come_from_the_descriptors(transfer):
     bench = Bench(transfer=transfer)
@@ -137,7 +140,10 @@ def test_clear_fault_is_sent_through_the_link(bench):
 
 def test_serial_number_selects_the_board():
     assert Bench(serial="SIM0001").pair().echo == 0
-    with pytest.raises(LinkLost, match=r"no board 1209:0001 with serial SIM0002 at the bus; plug it in, or correct \[usb\]"):
+    with pytest.raises(
+        LinkLost,
+        match=r"no board 1209:0001 with serial SIM0002 at the bus; plug it in, or correct \[usb\]",
+    ):
         Bench(serial="SIM0002")
 
 
@@ -157,7 +163,9 @@ def test_foreign_device_without_a_serial_is_passed_over(descriptor):
 def test_device_without_vendor_interface_is_refused():
     bench = Bench(opened=False)
     bench.backend.interface_class = 0x03
-    with pytest.raises(LinkLost, match=r"no vendor interface with a bulk or interrupt OUT and IN endpoint"):
+    with pytest.raises(
+        LinkLost, match=r"no vendor interface with a bulk or interrupt OUT and IN endpoint"
+    ):
         bench.link.open()
     assert bench.backend.device.owner is None
 
@@ -170,7 +178,10 @@ def test_opening_twice_is_opening_anew(bench):
 
 def test_board_of_another_program_is_left_alone(bench):
     rival = UsbLink(UsbParams(), bench.backend)
-    with pytest.raises(LinkAccess, match=r"cannot open the board: Resource busy \(errno 16\); another program has claimed"):
+    with pytest.raises(
+        LinkAccess,
+        match=r"cannot open the board: Resource busy \(errno 16\); another program has claimed",
+    ):
         rival.open()
     assert bench.pair().echo == 0
     bench.link.close()
@@ -181,7 +192,10 @@ def test_board_of_another_program_is_left_alone(bench):
 def test_missing_rights_name_the_udev_rule(serial):
     bench = Bench(opened=False, serial=serial)
     bench.backend.access_denied = True
-    with pytest.raises(LinkAccess, match=r"Access denied \(insufficient permissions\) \(errno 13\); install 70-hapticd\.rules"):
+    with pytest.raises(
+        LinkAccess,
+        match=r"Access denied \(insufficient permissions\) \(errno 13\); install 70-hapticd\.rules",
+    ):
         bench.link.open()
 
 
@@ -215,11 +229,15 @@ def test_endless_time_out_is_refused():
         UsbLink(UsbParams(timeout_ms=0), object())
 
 
-# --- closing ----------------------------------------------------------------------------------------------------------
+# --- closing --------------------------------------------------------------------------------------
 def test_closed_link_says_so(bench):
     bench.link.close()
     bench.link.close()
-    for call in (bench.write, lambda: bench.link.read(bench.buffer), lambda: bench.link.request(Request.HELLO, 80)):
+    for call in (
+        bench.write,
+        lambda: bench.link.read(bench.buffer),
+        lambda: bench.link.request(Request.HELLO, 80),
+    ):
         with pytest.raises(LinkLost, match="the link is not open; open it first"):
             call()
     assert bench.backend.device.owner is None
@@ -232,12 +250,15 @@ def test_close_never_raises(bench, error):
     bench.link.close()
 
 
-# --- faults of the cable ----------------------------------------------------------------------------------------------
+# --- faults of the cable --------------------------------------------------------------------------
 def test_missing_in_is_a_time_out():
     bench = Bench(InjectionParams("drop_in", tick=1), timeout_ms=2)
     bench.pair()
     start_ns = bench.clock.now_ns()
-    with pytest.raises(LinkTimeout, match=r"cannot read endpoint 0x81: Operation timed out \(errno 110\); the tick goes on"):
+    with pytest.raises(
+        LinkTimeout,
+        match=r"cannot read endpoint 0x81: Operation timed out \(errno 110\); the tick goes on",
+    ):
         bench.pair()
     assert bench.clock.now_ns() == start_ns + 2_000_000
     assert bench.pair().echo == 2
@@ -269,11 +290,15 @@ def test_delayed_in_comes_in_a_later_tick():
     assert codec.decode_in(bench.buffer).echo == 3
 
 
-@pytest.mark.parametrize(("kind", "action", "endpoint"), [("stall_in", "read", "0x81"), ("stall_out", "write", "0x01")])
+@pytest.mark.parametrize(
+    ("kind", "action", "endpoint"), [("stall_in", "read", "0x81"), ("stall_out", "write", "0x01")]
+)
 def test_stall_is_cleared_once(kind, action, endpoint):
     bench = Bench(InjectionParams(kind, tick=1))
     bench.pair()
-    pattern = rf"cannot {action} endpoint {endpoint}: Pipe error \(errno 32\); the halt is cleared once"
+    pattern = (
+        rf"cannot {action} endpoint {endpoint}: Pipe error \(errno 32\); the halt is cleared once"
+    )
     with pytest.raises(LinkStalled, match=pattern):
         bench.pair()
     assert not bench.backend.device.halted
@@ -286,7 +311,9 @@ def test_second_stall_in_a_row_is_lost(kind):
     bench.pair()
     with pytest.raises(LinkStalled):
         bench.pair()
-    with pytest.raises(LinkLost, match=r"it stalled again after that: unplug the board and plug it in"):
+    with pytest.raises(
+        LinkLost, match=r"it stalled again after that: unplug the board and plug it in"
+    ):
         bench.pair()
 
 
@@ -303,13 +330,20 @@ def test_stalls_apart_are_cleared_each(kind):
 
 def test_babble_is_an_overflow():
     bench = Bench(InjectionParams("babble", tick=0))
-    with pytest.raises(LinkStalled, match=r"cannot read endpoint 0x81: Overflow \(errno 75\); more than a packet came"):
+    with pytest.raises(
+        LinkStalled,
+        match=r"cannot read endpoint 0x81: Overflow \(errno 75\); more than a packet came",
+    ):
         bench.pair()
     assert bench.pair().echo == 1
 
 
 @pytest.mark.parametrize(
-    ("error", "words"), [(usb_error(5), r"Input/Output Error \(errno 5\)"), (usb_error(38), r"not supported .* \(errno None\)")]
+    ("error", "words"),
+    [
+        (usb_error(5), r"Input/Output Error \(errno 5\)"),
+        (usb_error(38), r"not supported .* \(errno None\)"),
+    ],
 )
 def test_halt_that_cannot_be_cleared_is_lost(error, words):
     bench = Bench(InjectionParams("stall_in", tick=0))
@@ -321,24 +355,33 @@ def test_halt_that_cannot_be_cleared_is_lost(error, words):
 def test_disturbed_bus_is_lost_as_an_unplug_is():
     bench = Bench(InjectionParams("io_error", tick=1))
     bench.pair()
-    with pytest.raises(LinkLost, match=r"cannot write endpoint 0x01: Input/Output Error \(errno 5\); it is opened again"):
+    with pytest.raises(
+        LinkLost,
+        match=r"cannot write endpoint 0x01: Input/Output Error \(errno 5\); it is opened again",
+    ):
         bench.pair()
 
 
 @pytest.mark.parametrize("number", [12, 4, 22])
 def test_any_other_error_is_lost(bench, number):
     bench.backend.refuse = "read", usb_error(number)
-    with pytest.raises(LinkLost, match=rf"cannot read endpoint 0x81: .* \(errno {number}\); it is opened again"):
+    with pytest.raises(
+        LinkLost, match=rf"cannot read endpoint 0x81: .* \(errno {number}\); it is opened again"
+    ):
         bench.pair()
 
 
 def test_not_supported_is_lost(bench):
     bench.backend.refuse = "read", usb_error(38)
-    with pytest.raises(LinkLost, match=r"Operation not supported or unimplemented on this platform \(errno None\)"):
+    with pytest.raises(
+        LinkLost, match=r"Operation not supported or unimplemented on this platform \(errno None\)"
+    ):
         bench.pair()
 
 
-@pytest.mark.parametrize(("number", "kind"), [(32, LinkStalled), (110, LinkTimeout), (19, LinkLost), (38, LinkLost)])
+@pytest.mark.parametrize(
+    ("number", "kind"), [(32, LinkStalled), (110, LinkTimeout), (19, LinkLost), (38, LinkLost)]
+)
 def test_failed_request_names_the_request(bench, number, kind):
     bench.backend.refuse = "control", usb_error(number)
     with pytest.raises(kind, match="cannot request HELLO: "):
@@ -351,13 +394,17 @@ def test_damaged_frames_reach_the_codec():
     assert bench.link.read(bench.buffer) == 40
 
 
-# --- unplugged and back -----------------------------------------------------------------------------------------------
+# --- unplugged and back ---------------------------------------------------------------------------
 def test_unplug_is_lost_at_both_ends(bench):
     bench.pair()
     bench.backend.unplug()
-    with pytest.raises(LinkLost, match=r"cannot write endpoint 0x01: No such device .* \(errno 19\)"):
+    with pytest.raises(
+        LinkLost, match=r"cannot write endpoint 0x01: No such device .* \(errno 19\)"
+    ):
         bench.write()
-    with pytest.raises(LinkLost, match=r"cannot read endpoint 0x81: No such device .* \(errno 19\)"):
+    with pytest.raises(
+        LinkLost, match=r"cannot read endpoint 0x81: No such device .* \(errno 19\)"
+    ):
         bench.link.read(bench.buffer)
     bench.link.close()
 
@@ -395,19 +442,35 @@ def test_live_board_is_found_behind_a_stale_one():
     assert bench.pair().echo == 0
 
 
-# --- tables -----------------------------------------------------------------------------------------------------------
+# --- tables ---------------------------------------------------------------------------------------
 def test_backoff_doubles_to_a_second():
-    assert [backoff_s(attempt) for attempt in (0, 1, 2, 3, 4, 5, 1000)] == [0.05, 0.1, 0.2, 0.4, 0.8, 1.0, 1.0]
+    assert [backoff_s(attempt) for attempt in (0, 1, 2, 3, 4, 5, 1000)] == [
+        0.05,
+        0.1,
+        0.2,
+        0.4,
+        0.8,
+        1.0,
+        1.0,
+    ]
 
 
 def test_every_known_errno_has_its_class():
-    kinds = {110: LinkTimeout, 32: LinkStalled, 75: LinkStalled, 5: LinkLost, 19: LinkLost, 13: LinkAccess, 16: LinkAccess}
+    kinds = {
+        110: LinkTimeout,
+        32: LinkStalled,
+        75: LinkStalled,
+        5: LinkLost,
+        19: LinkLost,
+        13: LinkAccess,
+        16: LinkAccess,
+    }
     assert {number: row.kind for number, row in FAILURES.items()} == kinds
     for number, kind in kinds.items():
         assert type(link_error("try", usb_error(number))) is kind
 
 
-# --- libusb of the system ---------------------------------------------------------------------------------------------
+# --- libusb of the system -------------------------------------------------------------------------
 def test_system_libusb_comes_first(monkeypatch):
     monkeypatch.setattr(usb.backend.libusb1, "get_backend", lambda: "system")
     assert system_backend() == "system"
@@ -426,11 +489,13 @@ def test_packaged_libusb_comes_second(monkeypatch):
 def test_missing_libusb_names_what_to_install(monkeypatch):
     monkeypatch.setattr(usb.backend.libusb1, "get_backend", lambda: None)
     monkeypatch.setitem(sys.modules, "libusb_package", None)
-    with pytest.raises(ConfigError, match=r"apt install libusb-1\.0-0, or pip install 'hapticd\[usb\]'"):
+    with pytest.raises(
+        ConfigError, match=r"apt install libusb-1\.0-0, or pip install 'hapticd\[usb\]'"
+    ):
         UsbLink(UsbParams())
 
 
-# --- memory -----------------------------------------------------------------------------------------------------------
+# --- memory ---------------------------------------------------------------------------------------
 def test_ten_thousand_pairs_leave_nothing_behind(bench):
     out = array("B", bytes(32))
     pack = codec.out_packer(out)

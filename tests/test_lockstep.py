@@ -1,4 +1,6 @@
-"""The whole stack on virtual time: the paper's settings, every injected fault, receipts, energy, memory."""
+"""The whole stack on virtual time: the paper's settings, every injected fault, receipts,
+energy, memory.
+"""
 
 import gc
 from contextlib import suppress
@@ -22,10 +24,20 @@ FIG_4 = {Value.STIFFNESS: 100.0, Value.DAMPING: 1.0, Value.MASS: 0.010, Value.RA
 FREE = {Value.STIFFNESS: 0.0, Value.RAMP_S: 0.0}
 FIG_7 = {Value.STIFFNESS: 50.0, Value.DAMPING: 2.0, Value.MASS: 0.0, Value.RAMP_S: 0.0}
 FAULTS = [
-    ("drop_out", 1, 0.0), ("drop_out", 3, 0.0), ("drop_in", 1, 0.0), ("drop_in", 5, 0.0), ("delay_in", 1, 0.003),
-    ("duplicate_in", 4, 0.0), ("corrupt_in", 2, 0.0), ("corrupt_out", 2, 0.0), ("stall_in", 1, 0.0), ("stall_out", 1, 0.0),
-    ("babble", 1, 0.0), ("short_in", 2, 0.0), ("late", 3, 0.0004),
-]  # fmt: skip
+    ("drop_out", 1, 0.0),
+    ("drop_out", 3, 0.0),
+    ("drop_in", 1, 0.0),
+    ("drop_in", 5, 0.0),
+    ("delay_in", 1, 0.003),
+    ("duplicate_in", 4, 0.0),
+    ("corrupt_in", 2, 0.0),
+    ("corrupt_out", 2, 0.0),
+    ("stall_in", 1, 0.0),
+    ("stall_out", 1, 0.0),
+    ("babble", 1, 0.0),
+    ("short_in", 2, 0.0),
+    ("late", 3, 0.0004),
+]
 
 
 def records(block):
@@ -34,8 +46,13 @@ def records(block):
 
 def perturbed(stack, amplitude=3000, seed=3):
     """White noise into the probe motor, for ever."""
-    stack.load_waveform(np.random.default_rng(seed).integers(-amplitude, amplitude + 1, 8000).tolist())
-    assert stack.do(Command.PERTURB_START, {Value.SAMPLES: 8000.0, Value.LOOP: 1.0}).result is Result.APPLIED
+    stack.load_waveform(
+        np.random.default_rng(seed).integers(-amplitude, amplitude + 1, 8000).tolist()
+    )
+    assert (
+        stack.do(Command.PERTURB_START, {Value.SAMPLES: 8000.0, Value.LOOP: 1.0}).result
+        is Result.APPLIED
+    )
 
 
 def enable(stack, settings):
@@ -63,7 +80,9 @@ def test_figure_7_added_damping_is_toggled_live_and_slows_the_device():
         enable(stack, FIG_7)
         perturbed(stack)
         without = records(stack.run(8000))
-        receipt = stack.do(Command.DAMPING, {Value.ADDED_DAMPING: 1.74, Value.ADDED_DAMPING_ON: 1.0})
+        receipt = stack.do(
+            Command.DAMPING, {Value.ADDED_DAMPING: 1.74, Value.ADDED_DAMPING_ON: 1.0}
+        )
         assert receipt.effective[Value.ADDED_DAMPING] == pytest.approx(1.74, abs=COUNT_NS_PER_M)
         stack.run(200)
         added = records(stack.run(8000))
@@ -71,14 +90,17 @@ def test_figure_7_added_damping_is_toggled_live_and_slows_the_device():
         stack.run(200)
         again = records(stack.run(8000))
     assert set(added["added_damping_ns_per_m"]) == {receipt.effective[Value.ADDED_DAMPING]}
-    slow, fast = added["velocity_m_per_s"].std(), without["velocity_m_per_s"].std()
+    slow = added["velocity_m_per_s"].std()
+    fast = without["velocity_m_per_s"].std()
     assert slow < 0.8 * fast
     assert again["velocity_m_per_s"].std() == pytest.approx(fast, rel=0.1)
     assert set(again["added_damping_ns_per_m"]) == {0.0}
 
 
 def test_free_decay_shows_the_damping_that_was_commanded():
-    """After a push the velocity decays with m / (b + b_el): measured within 1 %, no virtual environment."""
+    """After a push the velocity decays with m / (b + b_el): measured within 1 %, no virtual
+    environment.
+    """
     with LockStep(servo_params(), board_params()) as stack:
         enable(stack, FREE)
         stack.do(Command.DAMPING, {Value.ADDED_DAMPING: 2.0, Value.ADDED_DAMPING_ON: 1.0})
@@ -196,7 +218,14 @@ def test_stop_word_latches_without_a_gateway_and_reset_clears_it():
 
 
 def test_homing_against_the_simulated_stop_finds_its_position():
-    home = HomeParams(method="stop", required=True, direction=-1, speed_m_per_s=0.05, force_n=0.5, position_m=-0.01)
+    home = HomeParams(
+        method="stop",
+        required=True,
+        direction=-1,
+        speed_m_per_s=0.05,
+        force_n=0.5,
+        position_m=-0.01,
+    )
     params = servo_params(device=device_params(home=home))
     with LockStep(params, board_params(lower_stop_m=-0.004, upper_stop_m=0.016)) as stack:
         stack.run(5)
@@ -227,11 +256,15 @@ def test_perturbation_arrives_whole_and_keeps_the_fifo_level():
     levels = [frame.fifo_level for frame in frames[20:900]]
     assert min(levels) >= 2
     assert max(levels) <= 12
-    assert not any(frame.status & (Status.FIFO_UNDERRUN | Status.FIFO_OVERFLOW) for frame in frames[20:900])
+    assert not any(
+        frame.status & (Status.FIFO_UNDERRUN | Status.FIFO_OVERFLOW) for frame in frames[20:900]
+    )
 
 
 def test_probe_pairs_give_the_exact_work_of_the_perturbation():
-    """sum(F v T) over the pairs = kinetic energy gained + heat lost; here against the motion of a free mass."""
+    """sum(F v T) over the pairs = kinetic energy gained + heat lost; here against the motion of
+    a free mass.
+    """
     with LockStep(servo_params(), board_params(viscous_ns_per_m=0.0)) as stack:
         enable(stack, FREE)
         stack.load_waveform([8000] * 40)
@@ -240,7 +273,8 @@ def test_probe_pairs_give_the_exact_work_of_the_perturbation():
     frames = [codec.decode_in(bytes(frame)) for frame in flown["in_frame"]]
     board = board_params()
     pairs = np.array([pair for frame in frames for pair in frame.pairs], float)
-    force, velocity = pairs[:, 0] * board.probe_torque_n_per_count, pairs[:, 1] * board.probe_velocity_m_per_s_per_count
+    force = pairs[:, 0] * board.probe_torque_n_per_count
+    velocity = pairs[:, 1] * board.probe_velocity_m_per_s_per_count
     work = float(np.sum(force * velocity) * 250e-6)
     speed = 8000 * board.probe_torque_n_per_count * 40 * 250e-6 / 0.008
     assert work == pytest.approx(0.5 * 0.008 * speed**2, rel=2e-3)
@@ -270,7 +304,9 @@ def test_end_of_the_process_is_recorded_as_disabled():
 def test_two_runs_are_equal_to_the_byte():
     blocks = []
     for _ in range(2):
-        with LockStep(servo_params(), board_params(injections=(InjectionParams("drop_in", probability=0.01),))) as stack:
+        with LockStep(
+            servo_params(), board_params(injections=(InjectionParams("drop_in", probability=0.01),))
+        ) as stack:
             enable(stack, FIG_4)
             perturbed(stack)
             stack.run(2000)
@@ -337,7 +373,9 @@ def test_replug_needs_homing_again():
     home = HomeParams(method="stop", required=True, direction=-1, speed_m_per_s=0.05, force_n=0.5)
     injections = (InjectionParams("unplug", tick=3000, value=0.2),)
     params = servo_params(device=device_params(home=home))
-    with LockStep(params, board_params(lower_stop_m=-0.004, upper_stop_m=0.016, injections=injections)) as stack:
+    with LockStep(
+        params, board_params(lower_stop_m=-0.004, upper_stop_m=0.016, injections=injections)
+    ) as stack:
         stack.run(5)
         stack.do(Command.HOME)
         assert records(stack.run(2500))["homed"][-1] == 1
@@ -351,7 +389,9 @@ def test_replug_without_room_for_the_report_goes_on(monkeypatch):
     def no_room(content):
         raise MailboxError("no room")
 
-    with LockStep(servo_params(), board_params(injections=(InjectionParams("unplug", tick=1000, value=0.2),))) as stack:
+    with LockStep(
+        servo_params(), board_params(injections=(InjectionParams("unplug", tick=1000, value=0.2),))
+    ) as stack:
         stack.run(100)
         monkeypatch.setattr(stack.mailbox, "report", no_room)
         stack.run(2000)
@@ -376,14 +416,21 @@ def test_board_is_let_go_even_if_the_last_tick_fails(monkeypatch):
 
 
 OWN_WORDS = (
-    layout.EPOCH_WORD, layout.SERVO_BEAT_WORD, layout.COMMAND_TAIL_WORD, layout.ANSWER_HEAD_WORD, layout.JOURNAL_HEAD_WORD,
-    layout.CHECKPOINT_HEAD_WORD, *range(layout.COUNTER_WORD, layout.COUNTER_WORD + len(layout.COUNTERS)),
-)  # fmt: skip
+    layout.EPOCH_WORD,
+    layout.SERVO_BEAT_WORD,
+    layout.COMMAND_TAIL_WORD,
+    layout.ANSWER_HEAD_WORD,
+    layout.JOURNAL_HEAD_WORD,
+    layout.CHECKPOINT_HEAD_WORD,
+    *range(layout.COUNTER_WORD, layout.COUNTER_WORD + len(layout.COUNTERS)),
+)
 
 
 @pytest.mark.parametrize("garbage", [0, 12345, 2**63, 2**64 - 1])
 def test_servo_survives_what_is_written_over_the_mailbox(garbage):
-    with LockStep(servo_params(), board_params(injections=(InjectionParams("unplug", tick=900, value=0.1),))) as stack:
+    with LockStep(
+        servo_params(), board_params(injections=(InjectionParams("unplug", tick=900, value=0.1),))
+    ) as stack:
         enable(stack, FIG_4)
         for word in (*OWN_WORDS, layout.COMMAND_HEAD_WORD, layout.ANSWER_TAIL_WORD):
             stack.gateway.words[word] = garbage
@@ -397,13 +444,19 @@ def test_servo_survives_what_is_written_over_the_mailbox(garbage):
 
 
 def test_lost_board_leaves_no_garbage_in_circles():
-    """The servo never collects, so nothing may depend on it: re-plugs, refused rights, small faults."""
+    """The servo never collects, so nothing may depend on it: re-plugs, refused rights, small
+    faults.
+    """
     faults = ("stall_in", "stall_out", "babble", "drop_in", "corrupt_in", "duplicate_in")
     injections = (
         InjectionParams("unplug", probability=0.02, value=0.02),
         *(InjectionParams(kind, probability=0.02) for kind in faults),
     )
-    with LockStep(servo_params(usb=UsbParams(serial="SIM0001")), board_params(injections=injections), keep=False) as stack:
+    with LockStep(
+        servo_params(usb=UsbParams(serial="SIM0001")),
+        board_params(injections=injections),
+        keep=False,
+    ) as stack:
         stack.run(500)
         gc.collect()
         gc.disable()

@@ -1,4 +1,6 @@
-"""A million ticks grow no memory: a process of its own, so that nothing else allocates beside it."""
+"""A million ticks grow no memory: a process of its own, so that nothing else allocates beside
+it.
+"""
 
 import subprocess
 import sys

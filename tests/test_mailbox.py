@@ -40,13 +40,18 @@ def publish(servo, tick):
     count = len(layout.RECORD.unpack(bytes(layout.RECORD.size)))
     kinds = [b"" if code.endswith("s") else 0 for code in struct_codes(layout.RECORD.format, count)]
     values = [tick, *kinds[1:-1], tick]
-    layout.RECORD.pack_into(servo.ring, layout.TELEMETRY_OFFSET + tick % layout.RING_RECORDS * layout.RECORD.size, *values)
+    layout.RECORD.pack_into(
+        servo.ring,
+        layout.TELEMETRY_OFFSET + tick % layout.RING_RECORDS * layout.RECORD.size,
+        *values,
+    )
     servo.publish_head(0, tick + 1)
 
 
 def struct_codes(text, count):
     """One code per value of a struct format."""
-    codes, digits = [], ""
+    codes = []
+    digits = ""
     for char in text.lstrip("<"):
         if char.isdigit():
             digits += char
@@ -76,7 +81,12 @@ def test_words_and_rings_do_not_overlap():
         layout.COMMAND_HEAD_WORD,
         layout.COMMAND_TAIL_WORD,
     ]
-    words += [layout.ANSWER_HEAD_WORD, layout.ANSWER_TAIL_WORD, layout.GATEWAY_PID_WORD, layout.COUNTER_WORD]
+    words += [
+        layout.ANSWER_HEAD_WORD,
+        layout.ANSWER_TAIL_WORD,
+        layout.GATEWAY_PID_WORD,
+        layout.COUNTER_WORD,
+    ]
     assert len(set(words)) == len(words)
     assert layout.HEADER.size <= 8 * layout.EPOCH_WORD
     assert 8 * end <= layout.COMMAND_OFFSET
@@ -156,7 +166,10 @@ def test_lapped_reader_counts_what_it_lost(servo, gateway):
 
 
 def test_second_servo_in_one_folder_is_refused(servo, tmp_path):
-    with pytest.raises(MailboxError, match=rf"a servo \(pid {os.getpid()}\) already runs in .*; stop it or use --instance NAME"):
+    with pytest.raises(
+        MailboxError,
+        match=rf"a servo \(pid {os.getpid()}\) already runs in .*; stop it or use --instance NAME",
+    ):
         ServoMailbox(tmp_path, 1000.0, "", True, 1)
 
 
@@ -202,7 +215,9 @@ def test_reader_notices_a_new_epoch(servo, gateway):
 
 def test_truncated_file_is_refused_with_sizes(servo, tmp_path):
     os.truncate(tmp_path / files.MAILBOX, 100)
-    with pytest.raises(MailboxError, match=f"has 100 bytes, this version expects {layout.MAILBOX_BYTES}"):
+    with pytest.raises(
+        MailboxError, match=f"has 100 bytes, this version expects {layout.MAILBOX_BYTES}"
+    ):
         GatewayMailbox(tmp_path)
     os.truncate(tmp_path / files.MAILBOX, layout.MAILBOX_BYTES)
 
@@ -213,9 +228,13 @@ def test_stop_word_reaches_the_servo_without_a_gateway(servo, tmp_path):
 
 
 def test_stop_page_may_be_written_by_the_group_and_nothing_else(servo, tmp_path):
-    modes = {path.name: path.stat().st_mode & 0o777 for path in tmp_path.iterdir() if path.is_file()}
+    modes = {
+        path.name: path.stat().st_mode & 0o777 for path in tmp_path.iterdir() if path.is_file()
+    }
     assert modes[files.STOP] == 0o660
-    assert all(mode == 0o600 for name, mode in modes.items() if name not in (files.STOP, files.REPORT))
+    assert all(
+        mode == 0o600 for name, mode in modes.items() if name not in (files.STOP, files.REPORT)
+    )
 
 
 def test_clean_end_leaves_only_the_last_ring(tmp_path):
@@ -317,18 +336,27 @@ def test_stop_page_of_a_dead_servo_says_so(tmp_path):
     mailbox = ServoMailbox(tmp_path, 1000.0, "", True, 5)
     press_stop(tmp_path)
     os.close(mailbox._stop_claim)  # as the kernel does for a killed process
-    with pytest.raises(MailboxError, match=r"stop: its servo has ended, and the board stopped with it"):
+    with pytest.raises(
+        MailboxError, match=r"stop: its servo has ended, and the board stopped with it"
+    ):
         press_stop(tmp_path)
     mailbox._stop_claim = os.open(os.devnull, os.O_RDONLY)
     mailbox.close()
 
 
-@pytest.mark.parametrize("name", [files.MAILBOX, files.TELEMETRY, files.STOP, files.PERTURBATION, files.SERVO_LOCK])
+@pytest.mark.parametrize(
+    "name", [files.MAILBOX, files.TELEMETRY, files.STOP, files.PERTURBATION, files.SERVO_LOCK]
+)
 def test_what_is_in_the_way_is_named(tmp_path, name):
     (tmp_path / name / "x").mkdir(parents=True)
     if name == files.TELEMETRY:
         (tmp_path / files.LAST_TELEMETRY / "x").mkdir(parents=True)  # else it is moved there
-    with pytest.raises(MailboxError, match=rf"{name}: Is a directory; make room, correct its rights or remove what is in the way"):
+    with pytest.raises(
+        MailboxError,
+        match=(
+            rf"{name}: Is a directory; make room, correct its rights or remove what is in the way"
+        ),
+    ):
         ServoMailbox(tmp_path, 1000.0, "", True, 5)
 
 

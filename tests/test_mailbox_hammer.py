@@ -15,13 +15,23 @@ from hapticd.mailbox.client_side import GatewayMailbox
 HAMMER = Path(__file__).with_name("hammer.py")
 DTYPE = np.dtype([tuple(field) for field in layout.TELEMETRY])
 ENOUGH = 1 << 41
-DERIVED = ("time_ns", "board_us", "position_m", "velocity_m_per_s", "stiffness_force_n", "force_n", "tail")
+DERIVED = (
+    "time_ns",
+    "board_us",
+    "position_m",
+    "velocity_m_per_s",
+    "stiffness_force_n",
+    "force_n",
+    "tail",
+)
 
 
 @pytest.fixture
 def hammered(request, tmp_path):
     """A mailbox that a second process writes to at full speed."""
-    writer = subprocess.Popen([sys.executable, str(HAMMER), *request.param[:1], str(tmp_path), *request.param[1:]])
+    writer = subprocess.Popen(
+        [sys.executable, str(HAMMER), *request.param[:1], str(tmp_path), *request.param[1:]]
+    )
     mailbox = _open(tmp_path, writer)
     yield mailbox
     mailbox.words[layout.GATEWAY_BEAT_WORD] = ENOUGH
@@ -42,7 +52,10 @@ def _open(folder, writer):
 @pytest.mark.process
 @pytest.mark.parametrize("hammered", [("words",), ("words", "aarch64")], indirect=True)
 def test_ten_million_word_reads_are_never_torn(hammered):
-    load, ones, torn, seen = hammered.load, (1 << 64) - 1, 0, set()
+    load = hammered.load
+    ones = (1 << 64) - 1
+    torn = 0
+    seen = set()
     for _ in range(10_000_000):
         value = load(layout.SERVO_BEAT_WORD)
         if value and value != ones:
@@ -55,7 +68,9 @@ def test_ten_million_word_reads_are_never_torn(hammered):
 @pytest.mark.process
 @pytest.mark.parametrize("hammered", [("records",)], indirect=True)
 def test_ten_million_record_numbers_are_never_torn(hammered):
-    """Every record is read as 7 numbers that must agree with its tick; lapped ones are counted as lost, not delivered."""
+    """Every record is read as 7 numbers that must agree with its tick; lapped ones are counted
+    as lost, not delivered.
+    """
     tail = delivered = lost = 0
     while delivered * len(DERIVED) < 10_000_000:
         assert hammered.current

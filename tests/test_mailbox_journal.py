@@ -33,7 +33,11 @@ def test_requests_are_noted_with_their_tick(ends: tuple[ServoMailbox, GatewayMai
     servo.note(7, (request(1, 5.0, 6.0), request(2)))
     servo.note(9, (request(3, *range(20)),))
     found, tail, lost = gateway.journal(0)
-    assert [(one.tick, one.seq, one.kind, one.actor) for one in found] == [(7, 1, 1, 16), (7, 2, 1, 16), (9, 3, 1, 16)]
+    assert [(one.tick, one.seq, one.kind, one.actor) for one in found] == [
+        (7, 1, 1, 16),
+        (7, 2, 1, 16),
+        (9, 3, 1, 16),
+    ]
     assert found[0].values == (5.0, 6.0, *(0.0,) * 18)
     assert (tail, lost) == (3, 0)
     assert gateway.journal(tail) == ([], 3, 0)
@@ -86,7 +90,9 @@ def test_damaged_checkpoint_is_none(ends: tuple[ServoMailbox, GatewayMailbox]) -
     assert gateway.checkpoint() is None
 
 
-def test_checkpoint_too_long_for_its_slot_is_left_out(ends: tuple[ServoMailbox, GatewayMailbox]) -> None:
+def test_checkpoint_too_long_for_its_slot_is_left_out(
+    ends: tuple[ServoMailbox, GatewayMailbox],
+) -> None:
     servo, gateway = ends
     servo.checkpoint(10, ("x" * layout.CHECKPOINT_SLOT,))
     assert (gateway.checkpoints, gateway.checkpoint()) == (0, None)

@@ -1,4 +1,6 @@
-"""What accuracy costs: the knee, both gauges against closed forms, lock-step trials, explicit methods."""
+"""What accuracy costs: the knee, both gauges against closed forms, lock-step trials, explicit
+methods.
+"""
 
 from math import exp, inf, nan
 
@@ -29,7 +31,7 @@ from hapticd.plant.scene import Excitation
 from hapticd.settings.scene import load_scene
 from hapticd.sim.engine import simulate
 
-# --- the knee ----------------------------------------------------------------------------------------------------------
+# --- the knee -------------------------------------------------------------------------------------
 
 
 def row(seconds: float, total: float, sweep: str = "s") -> Row:
@@ -49,11 +51,15 @@ def test_knee_ignores_what_was_not_measured() -> None:
 
 
 def test_every_sweep_has_one_knee_and_effects_none() -> None:
-    marked = list(with_knees([row(1.0, 1.0, "a"), row(2.0, 1.0, "a"), row(1.0, 5.0, "b"), row(1.0, 1.0, "effect")]))
+    marked = list(
+        with_knees(
+            [row(1.0, 1.0, "a"), row(2.0, 1.0, "a"), row(1.0, 5.0, "b"), row(1.0, 1.0, "effect")]
+        )
+    )
     assert [one.knee for one in marked] == [True, False, True, False]
 
 
-# --- a linear scene, exactly known ------------------------------------------------------------------------------------
+# --- a linear scene, exactly known ----------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +82,9 @@ def test_linear_scene_has_no_step_error(linear) -> None:
     found, _ = linear
     assert max(one.step for one in found.sweep("sub-steps") if one.note != REFERENCE) < 1e-9
     assert max(one.step for one in found.sweep("precision")) < 1e-2
-    assert len({round(one.total, 3) for one in found.sweep("sub-steps") if one.note != REFERENCE}) == 1
+    assert (
+        len({round(one.total, 3) for one in found.sweep("sub-steps") if one.note != REFERENCE}) == 1
+    )
 
 
 def test_longer_trials_and_the_papers_window_are_better(linear) -> None:
@@ -91,14 +99,26 @@ def test_default_is_in_every_sweep_that_has_it(linear) -> None:
     found, _ = linear
     totals = {one.total for one in found.rows if one.default}
     assert totals == {found.default.total}
-    assert {one.sweep for one in found.rows if one.default} == {"tier", "sub-steps", "precision", "trial length", "window"}
+    assert {one.sweep for one in found.rows if one.default} == {
+        "tier",
+        "sub-steps",
+        "precision",
+        "trial length",
+        "window",
+    }
 
 
 def test_left_out_effect_errs_by_what_the_theory_says(linear) -> None:
-    """Without the probe the mass is 5 g instead of 8: the phase between two exact answers, within the trials' chance."""
+    """Without the probe the mass is 5 g instead of 8: the phase between two exact answers,
+    within the trials' chance.
+    """
     found, _ = linear
-    scene_, f = load_scene("theory"), frequencies()
-    whole, light = (predicted_impedance(compose(each), (1000.0, 0.0, 0.0), f) for each in (scene_, without(scene_, "probe")))
+    scene_ = load_scene("theory")
+    f = frequencies()
+    whole, light = (
+        predicted_impedance(compose(each), (1000.0, 0.0, 0.0), f)
+        for each in (scene_, without(scene_, "probe"))
+    )
     probe = next(one for one in found.sweep("effect") if one.label == "probe")
     assert probe.step == pytest.approx(phase_rms(light / whole), rel=0.05)
 
@@ -124,7 +144,7 @@ def test_progress_counts_to_its_end(linear) -> None:
     assert max(done for _, done, _ in heard[:-1]) < heard[-1][2]
 
 
-# --- friction: the step error is of first order ----------------------------------------------------------------------
+# --- friction: the step error is of first order ---------------------------------------------------
 
 
 def test_friction_error_is_of_first_order_in_the_step() -> None:
@@ -138,13 +158,16 @@ def test_friction_error_is_of_first_order_in_the_step() -> None:
     assert gauge.cost(Setting(8.0, 1)) == pytest.approx(1e-3 / GROUP + 1e-3 / 8)
 
 
-# --- pushed scenes --------------------------------------------------------------------------------------------------------
+# --- pushed scenes --------------------------------------------------------------------------------
 
 
 def test_trace_error_is_position_with_the_encoders_rounding() -> None:
-    pushed = scene(DRY, seconds=0.4, kbm=(100.0, 1.0, 0.0), excitation=Excitation("push", force_n=0.5))
+    pushed = scene(
+        DRY, seconds=0.4, kbm=(100.0, 1.0, 0.0), excitation=Excitation("push", force_n=0.5)
+    )
     gauge = TraceGauge(pushed, "", Setting(0.4, 16), stopwatch())
-    exact, coarse = gauge.read(Setting(0.4, 16)), gauge.read(Setting(0.4, 1))
+    exact = gauge.read(Setting(0.4, 16))
+    coarse = gauge.read(Setting(0.4, 1))
     assert (exact.step, exact.total) == (0.0, pytest.approx(0.5 / np.sqrt(12.0)))
     assert coarse.step > 0.0
     assert coarse.total == pytest.approx(np.hypot(coarse.step, exact.total))
@@ -165,7 +188,7 @@ def test_lockstep_refuses_a_scene_that_begins_in_motion() -> None:
         gauge.lockstep(1.0)
 
 
-# --- trials with the whole product ---------------------------------------------------------------------------------------
+# --- trials with the whole product ----------------------------------------------------------------
 
 
 def test_flown_trial_plays_the_forces_it_was_given() -> None:
@@ -178,20 +201,24 @@ def test_flown_trial_plays_the_forces_it_was_given() -> None:
 
 def test_flown_trial_has_the_impedance_of_the_engine() -> None:
     """Same forces, same counts: the two spectra differ by the rounding of the record alone."""
-    theory, f = load_scene("theory"), frequencies()
+    theory = load_scene("theory")
+    f = frequencies()
     force = np.random.default_rng(2).normal(0.0, 0.2, 24_000)
     flown = fly("theory", force, [(0.0, 0.0)])
     like = simulate(theory, [(1000.0, 0.0, 0.0)], 6.0, excitation=flown.torque_n, keep="records")
-    one, other = spectra_on(flown.torque_n, flown.velocity_m_per_s, f), spectra_on(*like.record(0), f)
+    one = spectra_on(flown.torque_n, flown.velocity_m_per_s, f)
+    other = spectra_on(*like.record(0), f)
     assert phase_rms((one.cross / one.velocity) / (other.cross / other.velocity)) < 0.2
 
 
 def test_flown_trial_is_no_longer_than_the_waveform() -> None:
-    with pytest.raises(AnalysisError, match=rf"in lock-step: the waveform holds {MOST_S:g} s; ask for less"):
+    with pytest.raises(
+        AnalysisError, match=rf"in lock-step: the waveform holds {MOST_S:g} s; ask for less"
+    ):
         fly("theory", np.zeros(round(4000 * MOST_S) + 1), [])
 
 
-# --- explicit methods -----------------------------------------------------------------------------------------------------
+# --- explicit methods -----------------------------------------------------------------------------
 
 
 def test_explicit_methods_are_stable_up_to_their_textbook_step() -> None:
@@ -206,11 +233,14 @@ def test_explicit_methods_are_stable_up_to_their_textbook_step() -> None:
 
 def test_errors_fall_with_the_order_of_the_method() -> None:
     found = compare_integrators(scene())
-    euler, rk4 = found.error["euler"], found.error["rk4"]
+    euler = found.error["euler"]
+    rk4 = found.error["rk4"]
     assert euler[3] / euler[4] == pytest.approx(2.0, rel=0.02)
     assert rk4[0] / rk4[1] == pytest.approx(16.0, rel=0.1)
     assert found.error["exact"].max() < 1e-11
-    step = 1e-3 * VISCOUS_NS_PER_M / MASS_KG  # one step a millisecond; the error of the velocity is largest after one time constant
+    step = (
+        1e-3 * VISCOUS_NS_PER_M / MASS_KG
+    )  # one step a millisecond; the error of the velocity is largest after one time constant
     times = np.arange(1, 21)
     expected = np.abs((1.0 - step) ** times - np.exp(-step * times)).max() / exp(-step)
     assert euler[0] == pytest.approx(expected, rel=1e-6)

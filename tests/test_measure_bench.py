@@ -1,4 +1,6 @@
-"""A live trial that somebody meddles with: named, never judged as what it was not, and always left disabled."""
+"""A live trial that somebody meddles with: named, never judged as what it was not, and always
+left disabled.
+"""
 
 from dataclasses import replace
 
@@ -38,7 +40,8 @@ def rigid(tmp_path):
 class Meddled(LockStepBench):
     """Someone else acts once, after the `count`-th look of half a second."""
 
-    act, count = None, 11
+    act = None
+    count = 11
 
     def messages(self, topics, look_s=0.05):
         looks = 0
@@ -63,7 +66,9 @@ def flown(rigid, act):
     "act",
     [
         lambda bench: bench.set(K=400.0, B=1.0, M=0.0, damping=0.0),
-        lambda bench: bench.stack.do(Command.DAMPING, {Value.ADDED_DAMPING: 1.74, Value.ADDED_DAMPING_ON: 1.0}),
+        lambda bench: bench.stack.do(
+            Command.DAMPING, {Value.ADDED_DAMPING: 1.74, Value.ADDED_DAMPING_ON: 1.0}
+        ),
         lambda bench: bench.perturb_stop(),
     ],
     ids=["environment", "damping", "perturbation"],
@@ -86,11 +91,16 @@ class Looped(LockStepBench):
         super().perturb_start(loop)
 
 
-@pytest.mark.parametrize(("waveform_n", "looped"), [(None, False), (0.1 * np.sin(np.arange(4096)), True)])
+@pytest.mark.parametrize(
+    ("waveform_n", "looped"), [(None, False), (0.1 * np.sin(np.arange(4096)), True)]
+)
 def test_waveform_that_is_long_enough_ends_by_itself(rigid, waveform_n, looped):
     """A client that is killed leaves nothing that shakes for ever."""
     with Looped(*scene_params(rigid)) as bench:
-        bench_source(bench)(Trial((100.0, 1.0, 0.0), seconds=2.0, waveform_n=waveform_n), lambda what, done, total: None)
+        bench_source(bench)(
+            Trial((100.0, 1.0, 0.0), seconds=2.0, waveform_n=waveform_n),
+            lambda what, done, total: None,
+        )
         assert bench.looped is looped
 
 
@@ -128,7 +138,14 @@ def test_stepped_sine_does_not_enable_what_someone_disabled(rigid):
 
 @pytest.mark.parametrize(
     ("ended", "again"),
-    [("", True), ("escape: x", True), ("decided: x", True), ("heat: x", False), ("stopped: x", False), ("changed: x", False)],
+    [
+        ("", True),
+        ("escape: x", True),
+        ("decided: x", True),
+        ("heat: x", False),
+        ("stopped: x", False),
+        ("changed: x", False),
+    ],
 )
 def test_what_ended_a_trial_says_whether_another_may_follow(ended, again):
     assert may_follow(Recorded(np.zeros(1), np.zeros(1), 4000.0, "made", True, ended)) == again

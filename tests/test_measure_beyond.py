@@ -1,4 +1,6 @@
-"""Beyond the paper: closed forms on a rigid device, the striking-out of failed owners, and what every row and point must keep."""
+"""Beyond the paper: closed forms on a rigid device, the striking-out of failed owners, and what
+every row and point must keep.
+"""
 
 from dataclasses import replace
 from math import isfinite, log
@@ -42,11 +44,14 @@ from hapticd.report.future_work import PART, restored
 from hapticd.report.future_work import future_sections as sections
 from hapticd.report.style import PARTS
 
-MASS_KG, VISCOUS, LEVEL = 0.008, 0.4, 1.5
+MASS_KG = 0.008
+VISCOUS = 0.4
+LEVEL = 1.5
 PARTS_OF_RIGID = (
-    Masses(rotor_kg=MASS_KG), Motor(torque_constant_nm_per_a=0.0165, lever_m=0.01, resistance_ohm=1.6),
+    Masses(rotor_kg=MASS_KG),
+    Motor(torque_constant_nm_per_a=0.0165, lever_m=0.01, resistance_ohm=1.6),
     Viscous(rotor_ns_per_m=VISCOUS),
-)  # fmt: skip
+)
 ORIGIN = np.zeros((1, 3))
 SMALL = GRID[(GRID[:, 0] <= 100.0) & (GRID[:, 2] % 0.006 < 1e-9)]
 
@@ -60,7 +65,21 @@ def made_up(given, level, points):
     """Trials that pass down to B = -1 N s/m."""
     nothing = np.empty(0)
     return [
-        Outcome(tuple(point), level, "passive", bool(point[1] >= -1.0), 0.1, 0.05, 0.2, 1.0, 3.0, 0.02, 1.0, nothing, nothing)
+        Outcome(
+            tuple(point),
+            level,
+            "passive",
+            bool(point[1] >= -1.0),
+            0.1,
+            0.05,
+            0.2,
+            1.0,
+            3.0,
+            0.02,
+            1.0,
+            nothing,
+            nothing,
+        )
         for point in points.tolist()
     ]
 
@@ -80,7 +99,9 @@ def quick():
 def test_mean_over_ln_f_of_a_slope_is_that_in_the_middle():
     f = np.geomspace(2.0, 20.0, 7)
     middle = np.exp(0.5 * (log(2.0) + log(20.0)))
-    assert mean_db(f, (3.0 * f)[None], LOW_HZ)[0] == pytest.approx(20 * np.log10(3.0 * middle), rel=1e-12)
+    assert mean_db(f, (3.0 * f)[None], LOW_HZ)[0] == pytest.approx(
+        20 * np.log10(3.0 * middle), rel=1e-12
+    )
     assert mean_db(f, np.full((2, 7), 10.0), LOW_HZ).tolist() == pytest.approx([20.0, 20.0])
 
 
@@ -104,12 +125,16 @@ def test_negative_damping_ends_where_it_has_cancelled_all_there_is(rigid, level)
 
 
 def test_stiffness_limit_grows_by_two_over_the_period(rigid):
-    """Weir 2008, Eq. 2 at B = 0: K < 2 b / T, so a N s/m of added damping buys 2,000 N/m. White noise sees the same."""
+    """Weir 2008, Eq. 2 at B = 0: K < 2 b / T, so a N s/m of added damping buys 2,000 N/m. White
+    noise sees the same.
+    """
     assert (rigid.limit(LEVEL, 0) - rigid.limit(0.0, 0)) / LEVEL == pytest.approx(2000.0, rel=5e-3)
 
 
 def test_corner_takes_stiffness_from_a_sampled_spring(rigid):
-    """K T / 2 is needed at every frequency (Colgate and Schenkel 1997); at 2 Hz a corner of 10 Hz leaves 4/104 of the damping."""
+    """K T / 2 is needed at every frequency (Colgate and Schenkel 1997); at 2 Hz a corner of 10
+    Hz leaves 4/104 of the damping.
+    """
     left = VISCOUS + LEVEL * 2.0**2 / (2.0**2 + 10.0**2)
     assert rigid.shaped(highpass_hz=10.0).limit(LEVEL, 0) == pytest.approx(2000.0 * left, rel=5e-3)
 
@@ -122,7 +147,9 @@ def test_safest_leaves_nothing_to_spare_but_something(rigid):
 
 
 def test_safest_holds_for_every_input_not_only_for_noise(rigid):
-    """On this grid the lightest point that noise calls passive is 6 mN s/m short of the lifted theorem."""
+    """On this grid the lightest point that noise calls passive is 6 mN s/m short of the lifted
+    theorem.
+    """
     asked = safest(rigid, LEVEL, -2.0, -0.012)
     lifted = lift(rigid.display.model, LEVEL, rigid.display.filters)
     assert lifted_margin(lifted, [(0.0, *asked)])[0] >= 0.0
@@ -133,12 +160,17 @@ def test_safest_holds_for_every_input_not_only_for_noise(rigid):
 
 def test_safest_refuses_a_device_that_bears_nothing():
     bare = bench((*PARTS_OF_RIGID[:2], Viscous(rotor_ns_per_m=0.0)))
-    with pytest.raises(AnalysisError, match=r"'small' at 0 N s/m: not passive without friction even where nothing is rendered"):
+    with pytest.raises(
+        AnalysisError,
+        match=r"'small' at 0 N s/m: not passive without friction even where nothing is rendered",
+    ):
         safest(bare, 0.0, -1.0, 0.0)
 
 
 def test_equation_2_refuses_what_it_would_wrongly_allow(rigid):
-    """As printed, b > KT/2 + B calls any B < 0 passive; the device with 1.9 N s/m does not bear -2.5."""
+    """As printed, b > KT/2 + B calls any B < 0 passive; the device with 1.9 N s/m does not bear
+    -2.5.
+    """
     point = np.array([[0.0, -2.5, 0.0]])
     assert not rigid.display.passive(point, LEVEL)[0]
     with pytest.raises(AnalysisError, match=r"Eq\. 2 does not hold for B = -2\.5 N s/m"):
@@ -157,7 +189,10 @@ class Fragile(Bench):
 
     def flown(self, points, level, seed, amplitude=1.0):
         z = self.display.impedances(points, level, shown_hz())
-        return [self._outcome(point, row, level, seed, amplitude) for point, row in zip(points, z, strict=True)]
+        return [
+            self._outcome(point, row, level, seed, amplitude)
+            for point, row in zip(points, z, strict=True)
+        ]
 
     def _outcome(self, point, z, level, seed, amplitude):
         whole = np.ones(kept_frequencies().size, np.complex128)
@@ -170,7 +205,8 @@ class Fragile(Bench):
 
 
 def test_environment_that_fails_with_one_seed_is_struck_out_for_good():
-    display, case = Fragile(bench(PARTS_OF_RIGID).conditions), Case("on", LEVEL, negative=True)
+    display = Fragile(bench(PARTS_OF_RIGID).conditions)
+    case = Case("on", LEVEL, negative=True)
     found = bounds_of(display, case, (1, 2, 3), SMALL)
     owners = found.points[np.concatenate((found.lower.owner, found.upper.owner))]
     assert owners[:, 1].min() >= -1.0
@@ -198,7 +234,8 @@ def test_what_counts_on_friction_is_more_than_what_does_not():
 
 def test_owners_that_are_shown_pass_when_flown_alone():
     """The real engine: 90 s trials of a device with friction, one seed, few environments."""
-    display, case = bench(DRY, excitation=replace(scene().excitation, seed=4)), Case("on", LEVEL, negative=True, dry=False)
+    display = bench(DRY, excitation=replace(scene().excitation, seed=4))
+    case = Case("on", LEVEL, negative=True, dry=False)
     few = SMALL[(SMALL[:, 0] <= 25.0) & (np.abs(SMALL[:, 2]) < 0.007)]
     found = bounds_of(display, case, (4,), few)
     places, where = np.unique(found.lower.owner, return_inverse=True)
@@ -220,7 +257,8 @@ def test_limit_is_searched_downwards_with_every_seed(monkeypatch):
 
 
 def test_each_environment_is_flown_once(monkeypatch):
-    display, asked = bench(DRY), []
+    display = bench(DRY)
+    asked = []
 
     def flying(given, level, points):
         asked.extend(map(tuple, points))
@@ -229,14 +267,18 @@ def test_each_environment_is_flown_once(monkeypatch):
     monkeypatch.setattr(outcomes, "fly", flying)
     display.flown(SMALL[:3], LEVEL, 1)
     found = display.flown(SMALL[:5], LEVEL, 1)
-    assert [outcome.environment for outcome in found] == [tuple(point) for point in SMALL[:5].tolist()]
+    assert [outcome.environment for outcome in found] == [
+        tuple(point) for point in SMALL[:5].tolist()
+    ]
     assert len(asked) == 5
     display.flown(SMALL[:1], LEVEL, 2)
     assert len(asked) == 6
 
 
 def test_every_predicted_owner_is_passive_and_stable(quick):
-    """Re Z >= 0 in the band and a spectral radius below 1 for every point that an edge shows; safe ones without friction too."""
+    """Re Z >= 0 in the band and a spectral radius below 1 for every point that an edge shows;
+    safe ones without friction too.
+    """
     display = quick.plan.bench.display
     for found in quick.envelopes.values():
         owners = found.points[np.unique(np.concatenate((found.lower.owner, found.upper.owner)))]
@@ -322,7 +364,8 @@ def test_scatter_needs_two_seeds():
 
 def test_plan_counts_seeds_and_tells_its_steps(monkeypatch):
     assert plan_beyond(seeds=4).seeds == (1, 2, 3, 4)
-    plan, told = plan_beyond(quick=True), []
+    plan = plan_beyond(quick=True)
+    told = []
     for name in ("bounds_of", "free_motion", "shaped_damping", "damping_levels"):
         monkeypatch.setattr(beyond, name, lambda *given: None)
     run_beyond(plan, lambda what, done, total: told.append((what, done, total)))
@@ -332,7 +375,10 @@ def test_plan_counts_seeds_and_tells_its_steps(monkeypatch):
 
 def test_weightiest_part_has_a_sign():
     f = np.array([5.0, 5.0, 5.0, 5.0, 50.0, 50.0])
-    owners = np.array([[0, 0, 0], [100, 0.1, 0], [0, 2, 0], [0, -2, 0.001], [0, 0.1, 0.01], [0, 0.1, -0.01]], float)
+    owners = np.array(
+        [[0, 0, 0], [100, 0.1, 0], [0, 2, 0], [0, -2, 0.001], [0, 0.1, 0.01], [0, 0.1, -0.01]],
+        float,
+    )
     assert weightiest(f, owners).tolist() == [-1, 0, 1, 3, 2, 4]
     assert [name for name, _ in PARTS] == ["K", "B > 0", "M > 0", "B < 0", "M < 0"]
 

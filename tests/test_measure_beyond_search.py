@@ -1,4 +1,6 @@
-"""The directed search beside the grid: on a rigid display without friction theory knows every answer."""
+"""The directed search beside the grid: on a rigid display without friction theory knows every
+answer.
+"""
 
 from dataclasses import replace
 
@@ -32,7 +34,9 @@ def found(conditions):
 def test_truth_is_the_grid_that_theory_gives(conditions, found):
     theory = plan_map(MapParams(conditions, AXES, (0.0,))).levels[0].prediction.passive
     assert found.points == len(grid(AXES))
-    assert abs(found.passive - theory.sum()) <= 1.5 * found.other_noise  # single trials doubt what lies on the boundary
+    assert (
+        abs(found.passive - theory.sum()) <= 1.5 * found.other_noise
+    )  # single trials doubt what lies on the boundary
 
 
 def test_grid_with_other_noise_and_prediction_leave_no_point_wrong(found):
@@ -55,7 +59,9 @@ def test_search_has_noise_of_its_own(conditions, found):
     assert beyond.SEARCH_SEED not in beyond.GRID_SEEDS
 
 
-@pytest.mark.parametrize(("wrong", "enough"), [({20: 5, 40: 3}, 20), ({20: 9, 40: 5}, 40), ({20: 9, 40: 6}, None)])
+@pytest.mark.parametrize(
+    ("wrong", "enough"), [({20: 5, 40: 3}, 20), ({20: 9, 40: 5}, 40), ({20: 9, 40: 6}, None)]
+)
 def test_enough_is_the_first_budget_not_above_the_floor(found, wrong, enough):
     assert Compared(0.0, 100, 50, 8, 5, wrong, found.found).enough == enough
 

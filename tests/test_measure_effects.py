@@ -24,7 +24,16 @@ from hapticd.measure.effects import (
 from hapticd.measure.outcomes import Conditions, fly
 from hapticd.measure.scene_run import ceiling, plan_scene, run_scene
 from hapticd.measure.scenes import frequencies, is_linear, without
-from hapticd.plant.effects import Amplifier, Coupling, Crowbar, DampingCircuit, Saturation, Viscous, WindingTemperature, copper_ohm
+from hapticd.plant.effects import (
+    Amplifier,
+    Coupling,
+    Crowbar,
+    DampingCircuit,
+    Saturation,
+    Viscous,
+    WindingTemperature,
+    copper_ohm,
+)
 from hapticd.plant.scene import DampingStep, Excitation
 from hapticd.settings.scene import load_scene
 from hapticd.sim.engine import BatchResult, simulate
@@ -33,11 +42,13 @@ AMPLIFIED = (*PARTS, Saturation(limit_n=8.0))
 CIRCUIT = (*PARTS, Amplifier(bandwidth_hz=5000.0), DampingCircuit(bandwidth_hz=1000.0))
 
 
-# --- quantities ------------------------------------------------------------------------------------------------------------
+# --- quantities -----------------------------------------------------------------------------------
 
 
 def test_predicted_stiffness_limit_is_twice_b_over_t() -> None:
-    """Colgate and Schenkel 1997: K < 2 b / T for a rigid device without delay; exact for the first harmonic as well."""
+    """Colgate and Schenkel 1997: K < 2 b / T for a rigid device without delay; exact for the
+    first harmonic as well.
+    """
     found = limits(EffectsParams(scene()), scene(), PREDICTED)
     assert found[0] == pytest.approx(2.0 * VISCOUS_NS_PER_M * 1000.0, rel=1e-3)
     assert found[1] == pytest.approx(2.18, rel=0.02)
@@ -46,12 +57,15 @@ def test_predicted_stiffness_limit_is_twice_b_over_t() -> None:
 
 def test_simulated_mass_limit_agrees_with_prediction() -> None:
     asked = EffectsParams(scene(), seconds=12.0)
-    assert limits(asked, scene(), SIMULATED)[2] == pytest.approx(limits(asked, scene(), PREDICTED)[2], rel=0.08)
+    assert limits(asked, scene(), SIMULATED)[2] == pytest.approx(
+        limits(asked, scene(), PREDICTED)[2], rel=0.08
+    )
 
 
 def test_saturated_or_diverged_trials_do_not_pass(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = Conditions(scene(AMPLIFIED), 8.0)
-    points, limit_n = np.array([(100.0, 0.0, 0.0)] * 3), asked.display.force_limit_n
+    points = np.array([(100.0, 0.0, 0.0)] * 3)
+    limit_n = asked.display.force_limit_n
     assert [outcome.passes for outcome in fly(asked, 0.0, points)] == [True] * 3
 
     def stand_in(*given: Any, **more: Any) -> BatchResult:
@@ -73,7 +87,10 @@ def test_change_is_the_largest_of_the_limits() -> None:
 
 
 def test_limit_of_nothing_has_no_relative_change() -> None:
-    with pytest.raises(AnalysisError, match="a limit of 0 has no relative change; widen the band or strengthen the device"):
+    with pytest.raises(
+        AnalysisError,
+        match="a limit of 0 has no relative change; widen the band or strengthen the device",
+    ):
         relative(0.0, 1.0)
 
 
@@ -84,22 +101,26 @@ def test_phase_change_knows_that_the_circle_closes() -> None:
 
 def test_peak_that_goes_away_is_a_change_without_measure() -> None:
     asked = QUESTIONS["peak"]
-    there, gone = np.array([7.5, 85.0, 1.0]), np.array([7.5, 85.0, 0.0])
+    there = np.array([7.5, 85.0, 1.0])
+    gone = np.array([7.5, 85.0, 0.0])
     assert asked.change(there, gone) == inf
     assert asked.change(there, np.array([7.8, 85.0, 1.0])) == pytest.approx(0.04)
     assert isnan(asked.told(there, gone)["at Hz"])
 
 
 def test_peak_of_figure_8_lies_near_100_hz() -> None:
-    """Weir 2008, section 5: a peak of the damped envelope near 100 Hz, owned by negative virtual mass; none without damping."""
-    damped, undamped = load_scene("fig7"), load_scene("fig4")
+    """Weir 2008, section 5: a peak of the damped envelope near 100 Hz, owned by negative
+    virtual mass; none without damping.
+    """
+    damped = load_scene("fig7")
+    undamped = load_scene("fig4")
     height, frequency_hz, inside = peak(EffectsParams(damped), damped, PREDICTED, -0.022)
     assert (75.0 < frequency_hz < 100.0, inside) == (True, 1.0)
     assert 20.0 * np.log10(height) == pytest.approx(17.4, abs=0.5)
     assert peak(EffectsParams(undamped), undamped, PREDICTED, -0.006)[2] == 0.0
 
 
-# --- leaving effects out ----------------------------------------------------------------------------------------------------
+# --- leaving effects out --------------------------------------------------------------------------
 
 
 def test_unknown_question_and_tolerance_are_refused() -> None:
@@ -110,7 +131,10 @@ def test_unknown_question_and_tolerance_are_refused() -> None:
 
 
 def test_scene_without_dissipation_has_no_peak() -> None:
-    with pytest.raises(AnalysisError, match="'small': not passive even without an environment, so no mass owns a peak"):
+    with pytest.raises(
+        AnalysisError,
+        match="'small': not passive even without an environment, so no mass owns a peak",
+    ):
         plan_effects(EffectsParams(without(scene(), "viscous"), "peak"))
 
 
@@ -122,12 +146,24 @@ def test_linear_effects_are_predicted_and_others_simulated() -> None:
 
 
 def test_cheapest_set_keeps_what_dissipates_and_drops_a_stiff_coupling() -> None:
-    """A coupling of 1e6 N/m is not seen below 500 Hz; without viscous friction all of Z is the mass's, at 90 degrees."""
+    """A coupling of 1e6 N/m is not seen below 500 Hz; without viscous friction all of Z is the
+    mass's, at 90 degrees.
+    """
     stiff = replace(PARTS[0], slider_kg=0.001, rotor_kg=MASS_KG - 0.001)
-    small = scene((stiff, MOTOR, Coupling(stiffness_n_per_m=1e6, damping_ns_per_m=50.0), Viscous(rotor_ns_per_m=1.0)), seconds=6.0)
+    small = scene(
+        (
+            stiff,
+            MOTOR,
+            Coupling(stiffness_n_per_m=1e6, damping_ns_per_m=50.0),
+            Viscous(rotor_ns_per_m=1.0),
+        ),
+        seconds=6.0,
+    )
     heard: list[str] = []
     found = run_effects(
-        plan_effects(EffectsParams(small, "phase", 0.05, 6.0)), stopwatch(), lambda what, done, total: heard.append(what)
+        plan_effects(EffectsParams(small, "phase", 0.05, 6.0)),
+        stopwatch(),
+        lambda what, done, total: heard.append(what),
     )
     by_effect = {row.effect: row for row in found.rows}
     turned = 90.0 - np.degrees(np.arctan(2.0 * np.pi * 2.9297 * MASS_KG / VISCOUS_NS_PER_M))
@@ -139,7 +175,9 @@ def test_cheapest_set_keeps_what_dissipates_and_drops_a_stiff_coupling() -> None
 
 
 def test_question_without_an_answer_keeps_everything() -> None:
-    bare = scene((PARTS[0], MOTOR, Coupling(stiffness_n_per_m=1e5, damping_ns_per_m=0.0)), seconds=5.0)
+    bare = scene(
+        (PARTS[0], MOTOR, Coupling(stiffness_n_per_m=1e5, damping_ns_per_m=0.0)), seconds=5.0
+    )
     bare = replace(bare, effects=(replace(PARTS[0], slider_kg=0.001), *bare.effects[1:]))
     found = run_effects(plan_effects(EffectsParams(bare, "limits", 0.02, 5.0)), stopwatch())
     assert all(isnan(number) for number in found.whole[0].numbers.values())
@@ -148,7 +186,14 @@ def test_question_without_an_answer_keeps_everything() -> None:
 
 def test_effect_that_another_needs_cannot_be_left_out() -> None:
     """A resistance error without any lag is refused by `compose`; the reason is kept."""
-    small = scene((*PARTS, Amplifier(bandwidth_hz=5000.0), WindingTemperature(temperature_c=30.0, compensated_c=20.0)), 1.0)
+    small = scene(
+        (
+            *PARTS,
+            Amplifier(bandwidth_hz=5000.0),
+            WindingTemperature(temperature_c=30.0, compensated_c=20.0),
+        ),
+        1.0,
+    )
     found = run_effects(plan_effects(EffectsParams(small, "phase", 0.5, 5.0)), stopwatch())
     amplifier = next(row for row in found.rows if row.effect == "amplifier")
     assert amplifier.change == inf
@@ -156,23 +201,33 @@ def test_effect_that_another_needs_cannot_be_left_out() -> None:
     assert "amplifier" in found.kept
 
 
-# --- ceilings -----------------------------------------------------------------------------------------------------------------
+# --- ceilings -------------------------------------------------------------------------------------
 
 
 def test_ceiling_is_that_of_routh() -> None:
-    """(m s + b)(s + wa)(s + wd) + g wa wd: stable while the two inner coefficients beat the two outer ones."""
-    wa, wd = 2.0 * np.pi * 5000.0, 2.0 * np.pi * 1000.0
-    m, b = MASS_KG, VISCOUS_NS_PER_M
+    """(m s + b)(s + wa)(s + wd) + g wa wd: stable while the two inner coefficients beat the two
+    outer ones.
+    """
+    wa = 2.0 * np.pi * 5000.0
+    wd = 2.0 * np.pi * 1000.0
+    m = MASS_KG
+    b = VISCOUS_NS_PER_M
     routh = (m * (wa + wd) + b) * (m * wa * wd + b * (wa + wd)) / (m * wa * wd) - b
     found = ceiling(scene(CIRCUIT, 1.74))
     assert found.device == pytest.approx(routh, rel=1e-6)
-    assert found.oscillation_hz == pytest.approx(np.sqrt((m * wa * wd + b * (wa + wd)) / m) / (2.0 * np.pi), rel=1e-4)
+    assert found.oscillation_hz == pytest.approx(
+        np.sqrt((m * wa * wd + b * (wa + wd)) / m) / (2.0 * np.pi), rel=1e-4
+    )
     assert (found.scene, found.loop_gain, found.warmer) == (1.74, 0.0, ())
 
 
 def test_cold_winding_bounds_damping_by_what_is_over_compensated() -> None:
-    """g dR / K^2 = -1 cannot be passed; a slow circuit gets close to it, a hot winding has no such bound."""
-    found = ceiling(scene((*CIRCUIT, WindingTemperature(temperature_c=20.0, compensated_c=20.0)), 1.74))
+    """g dR / K^2 = -1 cannot be passed; a slow circuit gets close to it, a hot winding has no
+    such bound.
+    """
+    found = ceiling(
+        scene((*CIRCUIT, WindingTemperature(temperature_c=20.0, compensated_c=20.0)), 1.74)
+    )
     warmer = dict(found.warmer)
     for kelvin in (-40.0, -20.0):
         excess_ohm = copper_ohm(1.6, 20.0, 20.0 + kelvin) - 1.6
@@ -183,7 +238,9 @@ def test_cold_winding_bounds_damping_by_what_is_over_compensated() -> None:
 
 
 def test_loop_is_stable_between_its_lowest_and_highest_damping() -> None:
-    """A spring of 4 kN/m needs more than the device's own 1 N s/m; what is needed does not depend on where it comes from."""
+    """A spring of 4 kN/m needs more than the device's own 1 N s/m; what is needed does not
+    depend on where it comes from.
+    """
     needy = scene(CIRCUIT, 1.74, kbm=(4000.0, 0.0, 0.0))
     found = ceiling(needy)
     assert 0.5 < found.lowest < 3.0
@@ -192,11 +249,13 @@ def test_loop_is_stable_between_its_lowest_and_highest_damping() -> None:
 
 
 def test_shorted_motor_has_no_ceiling() -> None:
-    with pytest.raises(ConfigError, match="the motor is shorted and obeys no damping command; leave out 'crowbar'"):
+    with pytest.raises(
+        ConfigError, match="the motor is shorted and obeys no damping command; leave out 'crowbar'"
+    ):
         ceiling(scene((*PARTS, Crowbar())))
 
 
-# --- scenes, twice -----------------------------------------------------------------------------------------------------------
+# --- scenes, twice --------------------------------------------------------------------------------
 
 
 def test_undamped_scene_is_compared_with_damping_on() -> None:
@@ -224,10 +283,15 @@ def test_free_mass_shows_its_impedance_with_and_without_damping() -> None:
     expected = VISCOUS_NS_PER_M + 2j * np.pi * plain.frequency_hz[at] * MASS_KG
     assert plain.impedance_ns_per_m[at] == pytest.approx(expected, rel=0.03)
     assert damped.impedance_ns_per_m[at] == pytest.approx(expected + 1.74, rel=0.03)
-    assert [trial.judged.verdict.answer for trial in found.trials if trial.judged] == ["passive", "passive"]
+    assert [trial.judged.verdict.answer for trial in found.trials if trial.judged] == [
+        "passive",
+        "passive",
+    ]
     one, other = (trial.numbers for trial in found.trials)
     assert one["velocity_sd_m_per_s"] > other["velocity_sd_m_per_s"]
-    assert all(numbers["work_j"] > 0.0 and numbers["diverged_at_s"] == inf for numbers in (one, other))
+    assert all(
+        numbers["work_j"] > 0.0 and numbers["diverged_at_s"] == inf for numbers in (one, other)
+    )
 
 
 def test_predicted_line_lies_on_the_measured_one() -> None:
@@ -271,7 +335,7 @@ def test_unstable_trial_is_reported_as_diverged() -> None:
     assert np.isfinite(position_m).all()
 
 
-# --- scenes ---------------------------------------------------------------------------------------------------------------------
+# --- scenes ---------------------------------------------------------------------------------------
 
 
 def test_only_scenes_without_nonlinearity_are_linear() -> None:

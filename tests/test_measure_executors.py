@@ -1,4 +1,6 @@
-"""Where trials run: names and what is wrong with them, the same outcomes everywhere, errors that come home, one core a task."""
+"""Where trials run: names and what is wrong with them, the same outcomes everywhere, errors
+that come home, one core a task.
+"""
 
 import os
 import pickle
@@ -51,7 +53,9 @@ def made(pool: Executor | None) -> dict[str, Any]:
 def scheduler() -> Iterator[str]:
     """A Dask cluster within this process: two workers of one thread; its address as an executor."""
     distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=":0") as it:
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=":0"
+    ) as it:
         yield it.scheduler_address.replace("tcp://", "dask://")
 
 
@@ -70,12 +74,26 @@ def every(kind: type[HapticdError]) -> list[type[HapticdError]]:
 
 @pytest.mark.parametrize(
     "spec",
-    ["", "ray", "threads", "dask", "dask://", "dask://here", "dask://here:", "dask://here:p", "dask://here:99999",
-     "dask://me@here:1", "dask://here:1/x", "tcp://here:1"],
-)  # fmt: skip
+    [
+        "",
+        "ray",
+        "threads",
+        "dask",
+        "dask://",
+        "dask://here",
+        "dask://here:",
+        "dask://here:p",
+        "dask://here:99999",
+        "dask://me@here:1",
+        "dask://here:1/x",
+        "tcp://here:1",
+    ],
+)
 def test_unknown_name_says_what_there_is(spec: str) -> None:
     with (
-        pytest.raises(ConfigError, match=f"executor {spec!r}: use thread, process or dask://HOST:PORT"),
+        pytest.raises(
+            ConfigError, match=f"executor {spec!r}: use thread, process or dask://HOST:PORT"
+        ),
         executor(spec),
     ):
         pass
@@ -83,7 +101,10 @@ def test_unknown_name_says_what_there_is(spec: str) -> None:
 
 def test_missing_library_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ConfigError, match=r"needs Dask .*: pip install hapticd\[cluster\]"), executor("dask://127.0.0.1:8786"):
+    with (
+        pytest.raises(ConfigError, match=r"needs Dask .*: pip install hapticd\[cluster\]"),
+        executor("dask://127.0.0.1:8786"),
+    ):
         pass
 
 
@@ -93,13 +114,20 @@ def test_silent_scheduler_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     with closing(socket.socket()) as taken:
         taken.bind(("127.0.0.1", 0))  # and nobody listens there
         port = taken.getsockname()[1]
-        said = rf"no Dask scheduler answers at tcp://127\.0\.0\.1:{port} within 0\.2 s .*: start `dask scheduler` there"
+        said = (
+            rf"no Dask scheduler answers at tcp://127\.0\.0\.1:{port} within 0\.2 s .*: start `dask"
+            r" scheduler` there"
+        )
         with pytest.raises(ConfigError, match=said), executor(f"dask://127.0.0.1:{port}"):
             pass
 
 
-@pytest.mark.parametrize(("greeting", "reason"), [(b"", "timed out"), (b"SSH-2.0-", "who answers does not speak Dask")])
-def test_other_server_is_no_scheduler(greeting: bytes, reason: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("greeting", "reason"), [(b"", "timed out"), (b"SSH-2.0-", "who answers does not speak Dask")]
+)
+def test_other_server_is_no_scheduler(
+    greeting: bytes, reason: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Such as the scheduler's own dashboard, which waits to be asked."""
     pytest.importorskip("distributed")
     monkeypatch.setattr(executors, "PATIENCE_S", 0.2)
@@ -111,9 +139,13 @@ def test_other_server_is_no_scheduler(greeting: bytes, reason: str, monkeypatch:
                 link.sendall(greeting)
                 link.recv(1)  # until the other side has gone
 
-        port, other = server.getsockname()[1], threading.Thread(target=greet)
+        port = server.getsockname()[1]
+        other = threading.Thread(target=greet)
         other.start()
-        said = rf"no Dask scheduler answers at tcp://127\.0\.0\.1:{port} within 0\.2 s \({reason}\): .* not that of its dashboard"
+        said = (
+            rf"no Dask scheduler answers at tcp://127\.0\.0\.1:{port} within 0\.2 s \({reason}\):"
+            r" .* not that of its dashboard"
+        )
         with pytest.raises(ConfigError, match=said), executor(f"dask://127.0.0.1:{port}"):
             pass
         other.join()
@@ -122,7 +154,9 @@ def test_other_server_is_no_scheduler(greeting: bytes, reason: str, monkeypatch:
 def test_cluster_without_workers_says_what_to_start(monkeypatch: pytest.MonkeyPatch) -> None:
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr(executors, "PATIENCE_S", 0.2)
-    with distributed.LocalCluster(n_workers=0, processes=False, protocol="tcp", dashboard_address=":0") as empty:
+    with distributed.LocalCluster(
+        n_workers=0, processes=False, protocol="tcp", dashboard_address=":0"
+    ) as empty:
         address = empty.scheduler_address
         said = f"scheduler at {address} has no worker after 0.2 s: start `dask worker {address}`"
         with pytest.raises(ConfigError, match=said), executor(address.replace("tcp", "dask")):
@@ -134,28 +168,48 @@ def test_cluster_without_workers_says_what_to_start(monkeypatch: pytest.MonkeyPa
     [
         ({"hapticd": "0.0.1"}, "has hapticd 0.0.1, here 1.0:"),
         ({"numba": None}, "has numba missing, here 0.61:"),
-        ({"python": "3.10.2.final.0", "numpy": "1.9"}, "has python 3.10, here 3.11; numpy 1.9, here 2.1:"),
+        (
+            {"python": "3.10.2.final.0", "numpy": "1.9"},
+            "has python 3.10, here 3.11; numpy 1.9, here 2.1:",
+        ),
     ],
 )
 def test_worker_of_other_versions_is_refused(there: dict[str, Any], said: str) -> None:
     here = {"python": "3.11.7.final.0", "hapticd": "1.0", "numpy": "2.1", "numba": "0.61"}
-    found = {"client": {"packages": here}, "workers": {"tcp://w:1": {"packages": here}, "tcp://w:2": {"packages": here | there}}}
-    client = SimpleNamespace(wait_for_workers=lambda count, timeout: None, get_versions=lambda packages: found)
-    with pytest.raises(ConfigError, match=f"Dask worker tcp://w:2 {said} outcomes would depend on where they were made; install"):
+    found = {
+        "client": {"packages": here},
+        "workers": {"tcp://w:1": {"packages": here}, "tcp://w:2": {"packages": here | there}},
+    }
+    client = SimpleNamespace(
+        wait_for_workers=lambda count, timeout: None, get_versions=lambda packages: found
+    )
+    with pytest.raises(
+        ConfigError,
+        match=(
+            f"Dask worker tcp://w:2 {said} outcomes would depend on where they were made; install"
+        ),
+    ):
         executors._look_at_workers(client, "tcp://w:0")
 
 
 def test_other_patch_of_python_is_the_same() -> None:
     here = {"python": "3.11.7.final.0", "hapticd": "1.0", "numpy": "2.1", "numba": "0.61"}
-    found = {"client": {"packages": here}, "workers": {"a": {"packages": here | {"python": "3.11.9.final.0"}}}}
-    client = SimpleNamespace(wait_for_workers=lambda count, timeout: None, get_versions=lambda packages: found)
+    found = {
+        "client": {"packages": here},
+        "workers": {"a": {"packages": here | {"python": "3.11.9.final.0"}}},
+    }
+    client = SimpleNamespace(
+        wait_for_workers=lambda count, timeout: None, get_versions=lambda packages: found
+    )
     executors._look_at_workers(client, "tcp://w:0")
 
 
 @pytest.mark.parametrize("kind", every(HapticdError))
 def test_every_error_travels(kind: type[HapticdError]) -> None:
     """As pools do it; what cannot be unpickled would end the pool instead."""
-    raised = kind("code", "what", {"limit": 8.0}) if issubclass(kind, CommandError) else kind("what")
+    raised = (
+        kind("code", "what", {"limit": 8.0}) if issubclass(kind, CommandError) else kind("what")
+    )
     back = pickle.loads(pickle.dumps(raised))
     assert type(back) is kind
     assert str(back) == "what"
@@ -164,7 +218,9 @@ def test_every_error_travels(kind: type[HapticdError]) -> None:
 
 
 def test_all_errors_are_in_one_tree() -> None:
-    assert {getattr(errors, name) for name in dir(errors) if isinstance(getattr(errors, name), type)} <= set(every(HapticdError))
+    assert {
+        getattr(errors, name) for name in dir(errors) if isinstance(getattr(errors, name), type)
+    } <= set(every(HapticdError))
 
 
 def test_tasks_of_a_pool_keep_to_one_core() -> None:
@@ -200,14 +256,17 @@ def test_thread_is_this_process() -> None:
 
 
 def test_given_up_campaign_cancels_what_has_not_begun() -> None:
-    release, waiting = threading.Event(), list[Future[int]]()
+    release = threading.Event()
+    waiting = list[Future[int]]()
 
     def campaign() -> None:
         with threads() as pool:
             for _ in range(workers()):
                 pool.submit(release.wait)
             waiting.extend(pool.submit(int) for _ in range(5))
-            waiting[-1].add_done_callback(lambda future: release.set())  # what is under way is waited for
+            waiting[-1].add_done_callback(
+                lambda future: release.set()
+            )  # what is under way is waited for
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -233,15 +292,31 @@ def stand_in(conditions: Conditions, level: float, points: Any) -> list[Outcome]
     found = []
     for point in points:
         good = abs(point).max() < 0.01 if point[2] else point.max() < (100.0 if point[0] else 1.5)
-        answer, nothing = ("passive" if good else "not_passive"), np.empty(0)
+        answer = "passive" if good else "not_passive"
+        nothing = np.empty(0)
         found.append(
-            Outcome(tuple(point.tolist()), level, answer, bool(good), 0.1, 0.0, 0.2, 1.0, 9.0, 0.02, 0.1, nothing, nothing)
+            Outcome(
+                tuple(point.tolist()),
+                level,
+                answer,
+                bool(good),
+                0.1,
+                0.0,
+                0.2,
+                1.0,
+                9.0,
+                0.02,
+                0.1,
+                nothing,
+                nothing,
+            )
         )
     return found
 
 
 def test_given_up_limits_cancel_what_has_not_begun() -> None:
-    pool, heard = FirstOnly(), []
+    pool = FirstOnly()
+    heard = []
 
     def hear(scan: Any, conditions: Conditions, new: list[Outcome]) -> None:
         heard.append(scan)
@@ -250,7 +325,9 @@ def test_given_up_limits_cancel_what_has_not_begun() -> None:
     with pytest.raises(KeyboardInterrupt):
         run_limits(LIMITS, TrialStore(None), executor=pool, hear=hear)
     assert heard == [LIMITS.scans[0]]
-    assert len(pool.futures) == 6  # each of the six limits its first round; outcomes are told before the next one
+    assert (
+        len(pool.futures) == 6
+    )  # each of the six limits its first round; outcomes are told before the next one
     assert all(future.cancelled() for future in pool.futures[1:])
 
 
@@ -258,7 +335,11 @@ def test_limits_do_not_depend_on_who_else_is_under_way(monkeypatch: pytest.Monke
     heard: list[tuple[str, int]] = []
     one_by_one = run_limits(LIMITS, TrialStore(None), executor=StandIn(stand_in))
     monkeypatch.setattr(outcomes, "fly", stand_in)
-    side_by_side = run_limits(LIMITS, TrialStore(None), hear=lambda scan, given, new: heard.append(("KBM"[scan.axis], len(new))))
+    side_by_side = run_limits(
+        LIMITS,
+        TrialStore(None),
+        hear=lambda scan, given, new: heard.append(("KBM"[scan.axis], len(new))),
+    )
     assert repr(one_by_one.limits) == repr(side_by_side.limits)
     assert sum(count for _, count in heard) == sum(limit.trials for limit in side_by_side.limits)
     assert {name for name, _ in heard} == {"K", "B", "M"}
@@ -300,7 +381,10 @@ def test_lost_dask_workers_are_told(what: str, scheduler: str) -> None:
     last = SimpleNamespace(address="tcp://w:1")
     lost = distributed.KilledWorker("fly", last, 3) if what == "killed" else CancelledError()
     why = "Attempted to run task .*" if what == "killed" else "tasks were given up"
-    told = rf"lost its scheduler or too many workers \({why}\); begun again, a map goes on from what it has kept"
+    told = (
+        rf"lost its scheduler or too many workers \({why}\); begun again, a map goes on from what"
+        r" it has kept"
+    )
     with pytest.raises(HapticdError, match=told), executor(scheduler):
         raise lost
 
@@ -331,7 +415,9 @@ def test_dead_process_is_told() -> None:
 def test_dask_processes_give_the_same_bytes(reference: dict[str, Any]) -> None:
     distributed = pytest.importorskip("distributed")
     with (
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as cluster,
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=":0"
+        ) as cluster,
         executor(cluster.scheduler_address.replace("tcp://", "dask://")) as pool,
     ):
         assert made(pool) == reference

@@ -1,4 +1,6 @@
-"""Axis limits and their store: what was interrupted goes on, and comes out as if it had not been."""
+"""Axis limits and their store: what was interrupted goes on, and comes out as if it had not
+been.
+"""
 
 from typing import Any
 
@@ -44,7 +46,8 @@ def test_limits_go_on_where_they_were_interrupted(tmp_path: Any) -> None:
     path = tmp_path / "trials.jsonl"
     with pytest.raises(KeyboardInterrupt):
         run_limits(PLAN, TrialStore(path), hear=interrupted)
-    had, flown = environments(TrialStore(path)), Flown()
+    had = environments(TrialStore(path))
+    flown = Flown()
     resumed = run_limits(PLAN, TrialStore(path), executor=StandIn(flown))
     assert repr(resumed.limits) == repr(whole.limits)
     assert 0 < len(had) < len(environments(uninterrupted))
@@ -76,5 +79,7 @@ def test_torn_round_costs_its_missing_trials_alone(tmp_path: Any) -> None:
     lines = path.read_text().splitlines(keepends=True)
     path.write_text("".join(lines[:-5]) + lines[-5][:100])
     flown = Flown()
-    assert repr(run_limits(PLAN, TrialStore(path), executor=StandIn(flown)).limits) == repr(whole.limits)
+    assert repr(run_limits(PLAN, TrialStore(path), executor=StandIn(flown)).limits) == repr(
+        whole.limits
+    )
     assert len(flown.points) == 5

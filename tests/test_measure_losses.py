@@ -1,4 +1,6 @@
-"""What is lost on the way of a live trial is filled in, counted and named; and where the device stands is watched."""
+"""What is lost on the way of a live trial is filled in, counted and named; and where the device
+stands is watched.
+"""
 
 from dataclasses import replace
 
@@ -16,7 +18,16 @@ from hapticd.measure.bench import bench_source
 from hapticd.measure.lockstep import LockStepBench
 from hapticd.measure.sources import Trial
 from hapticd.measure.store import Recorded, nearer
-from hapticd.measure.trial import Layout, TrialParams, judged, multisine_like, plan_trial, realised, run_trial, summary
+from hapticd.measure.trial import (
+    Layout,
+    TrialParams,
+    judged,
+    multisine_like,
+    plan_trial,
+    realised,
+    run_trial,
+    summary,
+)
 from hapticd.measure.watch import Filler, Sentinel, Watch, loss_findings, summed
 from hapticd.plant.scene import Excitation
 from hapticd.settings.build import board_params, servo_params
@@ -40,12 +51,17 @@ def unpacked(payload):
 
 
 class Lossy(LockStepBench):
-    """A busy host: `share` of the probe's samples never come, by sixes, and of the servo's slots."""
+    """A busy host: `share` of the probe's samples never come, by sixes, and of the servo's
+    slots.
+    """
 
-    share, slots, seed = 0.0, 0.0, 3
+    share = 0.0
+    slots = 0.0
+    seed = 3
 
     def messages(self, topics, look_s=0.05):
-        random, gone = np.random.default_rng(self.seed), 0
+        random = np.random.default_rng(self.seed)
+        gone = 0
         for message in super().messages(topics, look_s):
             if message is None:
                 yield None
@@ -66,14 +82,18 @@ class Lossy(LockStepBench):
 
 def flown(rigid, share=0.0, slots=0.0, trial=TRIAL):
     with Lossy(*scene_params(rigid)) as bench:
-        bench.share, bench.slots = share, slots
+        bench.share = share
+        bench.slots = slots
         return run_trial(plan_trial(TrialParams(trial)), bench_source(bench))
 
 
 def test_lost_samples_keep_their_place_in_time(rigid):
-    """Closed up, half a per cent of gaps took more than half of |Z| at 2 Hz over a spring of 500 N/m."""
+    """Closed up, half a per cent of gaps took more than half of |Z| at 2 Hz over a spring of
+    500 N/m.
+    """
     light = replace(TRIAL, environment=(500.0, 0.0, 0.0))
-    whole, lossy = flown(rigid, trial=light), flown(rigid, share=0.005, trial=light)
+    whole = flown(rigid, trial=light)
+    lossy = flown(rigid, share=0.005, trial=light)
     size, read = (np.abs(one.measured.impedance_ns_per_m[2:6]) for one in (whole, lossy))
     assert np.abs(read / size - 1.0).max() < 0.1
     assert lossy.recorded.force_n.size == whole.recorded.force_n.size
@@ -86,7 +106,10 @@ def test_lost_samples_are_counted_and_named(rigid):
     assert lost == pytest.approx(400, rel=0.3)
     (finding,) = (one for one in found.verdict.findings if one.code == "lost_samples")
     assert finding.message.startswith(f"samples of the probe lost: {lost} of 80000, 0.")
-    assert "close other programs on this computer, see `hapticd doctor`; h_force reads |Z| better than spa" in finding.message
+    assert (
+        "close other programs on this computer, see `hapticd doctor`; h_force reads |Z| better"
+        " than spa" in finding.message
+    )
     assert not finding.voids
     assert summary(found)["lost_samples"] == lost
 
@@ -103,7 +126,9 @@ def test_lost_slots_are_counted_and_named(rigid, share, answer):
     told = summary(found)
     assert told["lost_slots"] == pytest.approx(share * 21_000, rel=0.3)
     assert found.verdict.answer == answer
-    assert f"slots of the servo lost: {told['lost_slots']} of {told['slots']}, {share * 100:.0g}"[:-1] in str(found.verdict)
+    assert f"slots of the servo lost: {told['lost_slots']} of {told['slots']}, {share * 100:.0g}"[
+        :-1
+    ] in str(found.verdict)
     assert "the command before them stood longer than asked" in str(found.verdict)
 
 
@@ -125,7 +150,8 @@ def test_losses_of_realisations_add_up(rigid):
 
 
 def test_short_gap_is_bridged_and_a_long_one_is_silent():
-    filler, ramp = Filler(), np.arange(1.0, 300.0)
+    filler = Filler()
+    ramp = np.arange(1.0, 300.0)
     first, came = filler.filled(np.array([7, 8, 9]), np.stack((ramp[7:10], -ramp[7:10])))
     assert came.all()
     assert np.array_equal(first[0], ramp[7:10])
@@ -135,7 +161,9 @@ def test_short_gap_is_bridged_and_a_long_one_is_silent():
     assert np.allclose(second[0], ramp[10:57])
     assert np.allclose(second[1], -ramp[10:57])
     assert came.sum() == 4
-    third, came = filler.filled(np.array([98, 99]), np.stack((ramp[98:100], ramp[98:100])))  # a gap of 41
+    third, came = filler.filled(
+        np.array([98, 99]), np.stack((ramp[98:100], ramp[98:100]))
+    )  # a gap of 41
     assert not third[:, :41].any()
     assert np.array_equal(third[0, 41:], ramp[98:100])
     assert came.sum() == 2
@@ -145,7 +173,9 @@ def test_short_gap_is_bridged_and_a_long_one_is_silent():
 
 
 def test_bridge_spoils_the_impedance_less_than_closing_up():
-    """A mass of 8 g on 500 N/m in numbers: what is named of a trial that lost a hundredth by sixes."""
+    """A mass of 8 g on 500 N/m in numbers: what is named of a trial that lost a hundredth by
+    sixes.
+    """
     from spectral_trials import mass_damper, record
 
     force, velocity = record(mass_damper(0.008, 1.0, 500.0), 1, 120_000)
@@ -161,14 +191,17 @@ def test_bridge_spoils_the_impedance_less_than_closing_up():
 
 
 def test_free_device_that_drifts_to_its_stop_ends_its_trial():
-    """K = 0 on the simulated display: 4 s of noise push it 22 mm, and what is measured then is the stop."""
+    """K = 0 on the simulated display: 4 s of noise push it 22 mm, and what is measured then is
+    the stop.
+    """
     settings = load(shipped("config") / "hapticd.toml")
     with LockStepBench(servo_params(settings, "x"), board_params(settings)) as bench:
         found = bench_source(bench)(Trial(seconds=60.0), lambda *_: None)
         assert bench.status()["state"] == "disabled"
     assert found.ended.startswith("travel: the device stands at ")
     assert found.ended.endswith(
-        " mm, its travel ends at -20 and 20 mm; centre it, and render a small stiffness that holds it there (-K 20)"
+        " mm, its travel ends at -20 and 20 mm; centre it, and render a small stiffness that holds"
+        " it there (-K 20)"
     )
     assert found.seconds < 20.0
 
@@ -193,20 +226,29 @@ def test_device_that_comes_back_from_its_stop_may_be_tried(rigid):
 
 def test_device_at_its_stop_leaves_nothing_decided():
     force = np.random.default_rng(1).normal(0.0, 0.2, 40_000)
-    recorded = Recorded(force, force / 3.0, 4000.0, "made", True, "travel: the device stands at 22 mm")
+    recorded = Recorded(
+        force, force / 3.0, 4000.0, "made", True, "travel: the device stands at 22 mm"
+    )
     verdict = judged(plan_trial(TrialParams(Trial())), recorded).verdict
     assert verdict.answer == "undecided"
     assert "travel: the device stands at 22 mm" in str(verdict)
     short = replace(recorded, force_n=force[:8000], velocity_m_per_s=force[:8000])
-    with pytest.raises(AnalysisError, match=r"ended after 2 s \(travel: the device stands at 22 mm\): too short for a verdict$"):
+    with pytest.raises(
+        AnalysisError,
+        match=r"ended after 2 s \(travel: the device stands at 22 mm\): too short for a verdict$",
+    ):
         judged(plan_trial(TrialParams(Trial())), short)
     assert nearer("escape: x") == "; go nearer to 0"
 
 
-@pytest.mark.parametrize(("between_mm", "ended"), [((-19.9, 20.0), ""), ((-20.1, 3.0), "-20.1"), ((0.0, 21.0), "21")])
+@pytest.mark.parametrize(
+    ("between_mm", "ended"), [((-19.9, 20.0), ""), ((-20.1, 3.0), "-20.1"), ((0.0, 21.0), "21")]
+)
 def test_sentinel_knows_the_ends_of_travel(between_mm, ended):
     sentinel = Sentinel(Watch(travel_m=(-0.02, 0.02)), 4000.0)
-    reason = sentinel.see(np.ones(10), np.ones(10), between_m=(1e-3 * between_mm[0], 1e-3 * between_mm[1]))
+    reason = sentinel.see(
+        np.ones(10), np.ones(10), between_m=(1e-3 * between_mm[0], 1e-3 * between_mm[1])
+    )
     assert reason.startswith(f"travel: the device stands at {ended} mm") if ended else reason == ""
 
 

@@ -1,4 +1,6 @@
-"""Trials by multisines: realisations that repeat, their scatter, and the whole stack beside the engine."""
+"""Trials by multisines: realisations that repeat, their scatter, and the whole stack beside the
+engine.
+"""
 
 from dataclasses import replace
 
@@ -13,7 +15,15 @@ from hapticd.measure.lockstep import LockStepBench
 from hapticd.measure.recorded import read_file
 from hapticd.measure.sources import Trial, engine_source
 from hapticd.measure.store import read_summary, record_path
-from hapticd.measure.trial import Layout, TrialParams, judged, multisine_like, plan_trial, run_trial, write
+from hapticd.measure.trial import (
+    Layout,
+    TrialParams,
+    judged,
+    multisine_like,
+    plan_trial,
+    run_trial,
+    write,
+)
 from hapticd.plant.scene import Excitation
 from hapticd.settings.scene import load_scene
 
@@ -38,12 +48,20 @@ def test_multisine_trial_lands_on_its_prediction(rigid):
     assert found.verdict.answer == "passive"
     assert found.recorded.seconds == pytest.approx(6 * 2 * 4096 / 4000)
     inside = (found.measured.frequency_hz >= 2.0) & (found.measured.frequency_hz <= 200.0)
-    assert np.abs(found.measured.impedance_ns_per_m[inside] / found.predicted[inside] - 1.0).max() < 1e-3
-    assert found.covers == "noise and nonlinear distortion at this perturbation, from the scatter of 6 realisations of 1 periods"
+    assert (
+        np.abs(found.measured.impedance_ns_per_m[inside] / found.predicted[inside] - 1.0).max()
+        < 1e-3
+    )
+    assert (
+        found.covers
+        == "noise and nonlinear distortion at this perturbation, from the scatter of 6 realisations"
+        " of 1 periods"
+    )
 
 
 def test_multisine_trial_by_the_whole_stack_lands_within_its_interval_of_the_engine(rigid):
-    scene, layout = load_scene(rigid), Layout(6, 2)
+    scene = load_scene(rigid)
+    layout = Layout(6, 2)
     by_engine = run_trial(shaken(layout, scene=scene), engine_source(scene))
     with LockStepBench(*scene_params(rigid)) as bench:
         live = run_trial(shaken(layout, scene=scene), bench_source(bench))
@@ -53,7 +71,11 @@ def test_multisine_trial_by_the_whole_stack_lands_within_its_interval_of_the_eng
     inside = (live.measured.frequency_hz >= 2.0) & (live.measured.frequency_hz <= 500.0)
     ratio = live.measured.impedance_ns_per_m[inside] / by_engine.measured.impedance_ns_per_m[inside]
     assert np.sqrt(np.mean(np.abs(ratio - 1.0) ** 2)) < 3e-3
-    assert live.verdict.margin_ns_per_m.lower <= by_engine.verdict.margin_ns_per_m.value <= live.verdict.margin_ns_per_m.upper
+    assert (
+        live.verdict.margin_ns_per_m.lower
+        <= by_engine.verdict.margin_ns_per_m.value
+        <= live.verdict.margin_ns_per_m.upper
+    )
 
 
 def test_multisine_of_friction_says_that_only_realisations_help():
@@ -71,30 +93,43 @@ def test_single_realisation_decides_nothing(rigid):
 
 
 def stalling(source, stalls):
-    """`source` whose first records are those of a host that let the board run out of samples for 4 ms."""
+    """`source` whose first records are those of a host that let the board run out of samples
+    for 4 ms.
+    """
     left = [stalls]
 
     def record(trial, tell):
         found = source(trial, tell)
         left[0] -= 1
-        return replace(found, force_n=np.insert(found.force_n[:-16], 5000, np.zeros(16))) if left[0] >= 0 else found
+        return (
+            replace(found, force_n=np.insert(found.force_n[:-16], 5000, np.zeros(16)))
+            if left[0] >= 0
+            else found
+        )
 
     return record
 
 
 def test_realisation_that_did_not_repeat_is_flown_again(rigid):
-    engine, plan = engine_source(load_scene(rigid)), shaken(Layout(3, 1))
+    engine = engine_source(load_scene(rigid))
+    plan = shaken(Layout(3, 1))
     found, calm = (run_trial(plan, stalling(engine, stalls)) for stalls in (2, 0))
     assert found.recorded.more["flown_again"] == 2
     assert np.array_equal(found.recorded.force_n, calm.recorded.force_n)
     with pytest.raises(
-        AnalysisError, match="the force did not repeat in 8 tries of a realisation: the host stalls for milliseconds"
+        AnalysisError,
+        match=(
+            "the force did not repeat in 8 tries of a realisation: the host stalls for milliseconds"
+        ),
     ):
         run_trial(plan, stalling(engine, 8))
 
 
 def test_layouts_without_scatter_are_refused():
-    with pytest.raises(AnalysisError, match="1 realisations of 1 periods have no scatter to learn from; ask for two or more"):
+    with pytest.raises(
+        AnalysisError,
+        match="1 realisations of 1 periods have no scatter to learn from; ask for two or more",
+    ):
         shaken(Layout(1, 1))
     with pytest.raises(AnalysisError, match="8 realisations of 0 periods have no scatter"):
         shaken(Layout(8, 0))
@@ -102,12 +137,15 @@ def test_layouts_without_scatter_are_refused():
 
 def test_multisine_of_a_runaway_loop_is_no_verdict_but_an_answer(rigid):
     scene = load_scene(rigid)
-    with pytest.raises(AnalysisError, match=r"ended after \S+ s \(escape: .*\): too short for a verdict"):
+    with pytest.raises(
+        AnalysisError, match=r"ended after \S+ s \(escape: .*\): too short for a verdict"
+    ):
         run_trial(shaken(Layout(4, 1), (0.0, 100.0, 0.0), scene), engine_source(scene))
 
 
 def test_multisine_run_folder_brings_the_trial_back(tmp_path, rigid):
-    scene, layout = load_scene(rigid), Layout(4, 1)
+    scene = load_scene(rigid)
+    layout = Layout(4, 1)
     result = run_trial(shaken(layout, scene=scene), engine_source(scene))
     write(tmp_path, result, {})
     told = read_summary(tmp_path)
@@ -117,6 +155,11 @@ def test_multisine_run_folder_brings_the_trial_back(tmp_path, rigid):
     assert 0.0 < told["multisine"]["scatter_between_realisations"] < 0.01
     assert told["interval_covers"].startswith("noise and nonlinear distortion")
     again = judged(shaken(layout), read_file(record_path(tmp_path)))
-    assert again.verdict.margin_deg.value == pytest.approx(result.verdict.margin_deg.value, abs=1e-2)
-    with pytest.raises(AnalysisError, match=r"record of 8\.19 s: a realisation of 1 \+ 9 periods of 4096 samples takes 10\.2 s"):
+    assert again.verdict.margin_deg.value == pytest.approx(
+        result.verdict.margin_deg.value, abs=1e-2
+    )
+    with pytest.raises(
+        AnalysisError,
+        match=r"record of 8\.19 s: a realisation of 1 \+ 9 periods of 4096 samples takes 10\.2 s",
+    ):
         judged(shaken(Layout(2, 9)), read_file(record_path(tmp_path)))

@@ -1,4 +1,6 @@
-"""Records of other systems: what cannot be a record of one trial is refused in words, whatever is wrong with the file."""
+"""Records of other systems: what cannot be a record of one trial is refused in words, whatever
+is wrong with the file.
+"""
 
 import h5py
 import numpy as np
@@ -21,7 +23,9 @@ def csv(path, *columns, head="force_n,velocity_m_per_s,t", encoding="utf-8", dig
 
 @pytest.mark.parametrize("content", [b"", b"hello", b"PK\x03\x04 but torn"])
 @pytest.mark.parametrize("kind", [".npz", ".mat", ".h5", ".csv"])
-@pytest.mark.filterwarnings("ignore:unclosed file")  # numpy leaves a broken archive to the collector
+@pytest.mark.filterwarnings(
+    "ignore:unclosed file"
+)  # numpy leaves a broken archive to the collector
 def test_broken_file_is_refused_in_words(tmp_path, kind, content):
     path = tmp_path / f"record{kind}"
     path.write_bytes(content)
@@ -64,8 +68,12 @@ def test_old_matlab_columns_are_vectors(tmp_path):
 
 def test_table_is_no_channel(tmp_path):
     """Flattened it would interleave two channels, and be analysed."""
-    np.savez(tmp_path / "a.npz", force=FORCE.reshape(-1, 2), velocity=VELOCITY.reshape(-1, 2), fs=4000.0)
-    with pytest.raises(AnalysisError, match=r"force has the shape \(200, 2\).*one column of numbers"):
+    np.savez(
+        tmp_path / "a.npz", force=FORCE.reshape(-1, 2), velocity=VELOCITY.reshape(-1, 2), fs=4000.0
+    )
+    with pytest.raises(
+        AnalysisError, match=r"force has the shape \(200, 2\).*one column of numbers"
+    ):
         read_file(tmp_path / "a.npz")
 
 
@@ -111,7 +119,10 @@ def test_seconds_with_few_digits_still_give_the_rate(tmp_path):
 LATE = TIME > 0.05
 
 
-@pytest.mark.parametrize("time", [TIME[::-1], np.zeros(400), np.where(LATE, TIME + 1.0, TIME), np.where(LATE, np.nan, TIME)])
+@pytest.mark.parametrize(
+    "time",
+    [TIME[::-1], np.zeros(400), np.where(LATE, TIME + 1.0, TIME), np.where(LATE, np.nan, TIME)],
+)
 def test_seconds_that_do_not_run_evenly_are_refused(tmp_path, time):
     with pytest.raises(AnalysisError, match=r"column t: .*--rate-hz"):
         read_file(csv(tmp_path / "a.csv", FORCE, VELOCITY, time))
@@ -119,7 +130,9 @@ def test_seconds_that_do_not_run_evenly_are_refused(tmp_path, time):
 
 def test_rate_that_contradicts_the_time_column_is_refused(tmp_path):
     path = csv(tmp_path / "a.csv", FORCE, VELOCITY, TIME)
-    with pytest.raises(AnalysisError, match=r"a\.csv: column t says 4000 Hz, --rate-hz 1000 Hz: leave that out"):
+    with pytest.raises(
+        AnalysisError, match=r"a\.csv: column t says 4000 Hz, --rate-hz 1000 Hz: leave that out"
+    ):
         read_file(path, rate_hz=1000.0)
     assert read_file(path, rate_hz=4000.0).rate_hz == 4000.0
     np.savez(tmp_path / "b.npz", force=FORCE, velocity=VELOCITY, fs=4000.0)
@@ -128,19 +141,29 @@ def test_rate_that_contradicts_the_time_column_is_refused(tmp_path):
 
 
 def test_rate_may_be_told_where_seconds_say_none(tmp_path):
-    """Rounded seconds know it to a step; seconds with a gap do not know it, and a record may be whole all the same."""
+    """Rounded seconds know it to a step; seconds with a gap do not know it, and a record may be
+    whole all the same.
+    """
     rounded = csv(tmp_path / "a.csv", FORCE, VELOCITY, TIME, digits=3)
     assert read_file(rounded, rate_hz=4000.0).rate_hz == 4000.0
     with pytest.raises(AnalysisError, match=r"column t says 3990 Hz, --rate-hz 3900 Hz"):
         read_file(rounded, rate_hz=3900.0)
-    assert read_file(csv(tmp_path / "b.csv", FORCE, VELOCITY, TIME[::-1]), rate_hz=4000.0).rate_hz == 4000.0
+    assert (
+        read_file(csv(tmp_path / "b.csv", FORCE, VELOCITY, TIME[::-1]), rate_hz=4000.0).rate_hz
+        == 4000.0
+    )
     np.savez(tmp_path / "c.npz", force=FORCE, velocity=VELOCITY, fs=0.0)
     assert read_file(tmp_path / "c.npz", rate_hz=4000.0).rate_hz == 4000.0
 
 
-@pytest.mark.parametrize(("mark", "point"), [(";", ","), (";", "."), ("\t", ","), ("\t", "."), (",", ".")])
+@pytest.mark.parametrize(
+    ("mark", "point"), [(";", ","), (";", "."), ("\t", ","), ("\t", "."), (",", ".")]
+)
 def test_columns_are_apart_as_the_head_line_says(tmp_path, mark, point):
-    rows = (mark.join(f"{value:.9f}".replace(".", point) for value in row) for row in zip(FORCE, VELOCITY, TIME, strict=True))
+    rows = (
+        mark.join(f"{value:.9f}".replace(".", point) for value in row)
+        for row in zip(FORCE, VELOCITY, TIME, strict=True)
+    )
     path = tmp_path / "a.csv"
     path.write_text("\n".join([mark.join(("force", "velocity", "time")), *rows]))
     found = read_file(path)
@@ -156,7 +179,10 @@ def test_columns_are_apart_as_the_head_line_says(tmp_path, mark, point):
         ("1,2\n1,2,3\n", "line 3: 3 values under 2 names"),
         ("1,2\n1\n", "line 3: 1 values under 2 names"),
         ("1\n2\n", "line 2: 1 values under 2 names"),
-        ("1,5,2,5\n", "line 2: 4 values under 2 names; a decimal comma needs ; or tabs between columns"),
+        (
+            "1,5,2,5\n",
+            "line 2: 4 values under 2 names; a decimal comma needs ; or tabs between columns",
+        ),
         ("1;2\n", "line 2: 1 values under 2 names"),
         ("1_0,2\n", "there is something else than numbers in it"),
         ("", "no samples under a head line"),
@@ -166,13 +192,21 @@ def test_line_that_is_no_row_of_numbers_is_named(tmp_path, rows, said):
     (tmp_path / "a.csv").write_text(f"force,velocity\n{rows}")
     with pytest.raises(ConfigError) as caught:
         read_file(tmp_path / "a.csv", rate_hz=4000.0)
-    assert str(caught.value) == f"{tmp_path / 'a.csv'}: {said}; a record with named columns was expected"
+    assert (
+        str(caught.value)
+        == f"{tmp_path / 'a.csv'}: {said}; a record with named columns was expected"
+    )
 
 
 @pytest.mark.parametrize("wrong", ["nan", "inf"])
 def test_sample_that_is_no_number_is_placed(tmp_path, wrong):
     (tmp_path / "a.csv").write_text(f"force,velocity\n1,2\n\n1,2\n1,{wrong}\n1,{wrong}\n")
-    with pytest.raises(AnalysisError, match=rf"a\.csv: line 5, column velocity: {wrong}; a gap cannot be analysed, cut the record"):
+    with pytest.raises(
+        AnalysisError,
+        match=(
+            rf"a\.csv: line 5, column velocity: {wrong}; a gap cannot be analysed, cut the record"
+        ),
+    ):
         read_file(tmp_path / "a.csv", rate_hz=4000.0)
     np.savez(tmp_path / "b.npz", force=[1.0, float(wrong)], velocity=[1.0, 2.0], fs=4000.0)
     with pytest.raises(AnalysisError, match=rf"b\.npz: sample 2, column force: {wrong}"):
@@ -186,7 +220,10 @@ def test_gap_in_a_column_that_is_not_used_is_no_matter(tmp_path):
 
 def test_column_that_is_not_there_is_named_with_its_option(tmp_path):
     (tmp_path / "a.csv").write_text("kraft,velocity\n1,2\n")
-    with pytest.raises(AnalysisError, match=r"it has kraft, velocity; name it with --force-column or --velocity-column"):
+    with pytest.raises(
+        AnalysisError,
+        match=r"it has kraft, velocity; name it with --force-column or --velocity-column",
+    ):
         read_file(tmp_path / "a.csv", rate_hz=4000.0)
 
 
@@ -198,16 +235,24 @@ NOISE = np.random.default_rng(2).normal(size=(2, 20_000))
     [
         ({"force": 1e300 * NOISE[0]}, "column force has values up to 4"),
         ({"velocity": 1e-160 * NOISE[1]}, "column velocity has values up to 4"),
-        ({"fs": [4000.0, 1000.0]}, "column fs has values from 1000 to 4000 Hz; one rate was expected"),
+        (
+            {"fs": [4000.0, 1000.0]},
+            "column fs has values from 1000 to 4000 Hz; one rate was expected",
+        ),
         ({"fs": 4.0}, "a sample rate of 4 Hz; it looks like 4000 Hz, in kHz"),
-        ({"fs": [], "time": np.arange(19_995) / 4000.0}, "column time has 19995 values, the force 20000"),
+        (
+            {"fs": [], "time": np.arange(19_995) / 4000.0},
+            "column time has 19995 values, the force 20000",
+        ),
         ({"trial": "junk"}, "no longer whole"),
         ({"trial": '{"environment": 3, "simulated": 1}'}, "no longer whole"),
         ({"trial": [1, 2, 3]}, "no longer whole"),
     ],
 )
 def test_file_that_was_tampered_with_is_refused_in_words(changed, said, tmp_path):
-    np.savez(tmp_path / "a.npz", **{"force": NOISE[0], "velocity": NOISE[1], "fs": 4000.0, **changed})
+    np.savez(
+        tmp_path / "a.npz", **{"force": NOISE[0], "velocity": NOISE[1], "fs": 4000.0, **changed}
+    )
     with pytest.raises(HapticdError) as caught:
         read_file(tmp_path / "a.npz")
     assert said in str(caught.value)

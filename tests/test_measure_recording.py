@@ -1,4 +1,6 @@
-"""Recordings: every value arrives, gaps are said, killed and crowded recorders lose little, other programs open the files."""
+"""Recordings: every value arrives, gaps are said, killed and crowded recorders lose little,
+other programs open the files.
+"""
 
 import json
 import os
@@ -28,7 +30,15 @@ from hapticd.measure import recorder
 from hapticd.measure.recorder import RecordingParams, record
 from hapticd.measure.recording import live, pack, provenance
 from hapticd.measure.recording.file import open_recording
-from hapticd.measure.recording.live import GROUPS, Writer, as_channel, channels, columns, event_row, udunits
+from hapticd.measure.recording.live import (
+    GROUPS,
+    Writer,
+    as_channel,
+    channels,
+    columns,
+    event_row,
+    udunits,
+)
 from hapticd.measure.recording.pack import packed
 from hapticd.measure.reflight import refly
 from hapticd.params import InjectionParams
@@ -39,8 +49,12 @@ DEADLINE_S = 60
 
 @pytest.fixture(scope="module")
 def flown() -> RecordedFlight:
-    """Three seconds with a live damping toggle and one lost frame; the stack is gone, the messages are there."""
-    with RecordedFlight(board=board_params(injections=(InjectionParams("drop_in", tick=1500, count=2),))) as flight:
+    """Three seconds with a live damping toggle and one lost frame; the stack is gone, the
+    messages are there.
+    """
+    with RecordedFlight(
+        board=board_params(injections=(InjectionParams("drop_in", tick=1500, count=2),))
+    ) as flight:
         flight.move()
         flight.fly(1000)
         flight.stack.do(Command.DAMPING, {Value.ADDED_DAMPING: 1.74, Value.ADDED_DAMPING_ON: 1.0})
@@ -51,11 +65,20 @@ def flown() -> RecordedFlight:
     return flight
 
 
-def recorded_into(file: Path, flight: RecordedFlight, seconds: float | None = None, **more: Any) -> dict[str, Any]:
-    """A recording of everything that was published; it ends by silence unless `seconds` are enough."""
+def recorded_into(
+    file: Path, flight: RecordedFlight, seconds: float | None = None, **more: Any
+) -> dict[str, Any]:
+    """A recording of everything that was published; it ends by silence unless `seconds` are
+    enough.
+    """
     clock = VirtualClock(NS_PER_S)
     return record(
-        Source(flight, clock), RecordingParams(file, seconds, "a note"), lambda: False, clock=clock, free_bytes=room, **more
+        Source(flight, clock),
+        RecordingParams(file, seconds, "a note"),
+        lambda: False,
+        clock=clock,
+        free_bytes=room,
+        **more,
     )
 
 
@@ -67,7 +90,7 @@ def file(flown: RecordedFlight, tmp_path_factory: pytest.TempPathFactory) -> Pat
     return path
 
 
-# --- what is in it -----------------------------------------------------------------------------------------------------
+# --- what is in it --------------------------------------------------------------------------------
 
 
 def test_every_value_of_every_tick_is_there(file: Path, flown: RecordedFlight) -> None:
@@ -97,7 +120,9 @@ def test_probe_samples_of_lost_frames_are_a_gap(file: Path) -> None:
 def test_plain_numbers_and_fixed_text_only(file: Path) -> None:
     kinds = set()
     with h5py.File(file) as content:
-        content.visititems(lambda name, item: kinds.add(item.dtype.str) if isinstance(item, h5py.Dataset) else None)
+        content.visititems(
+            lambda name, item: kinds.add(item.dtype.str) if isinstance(item, h5py.Dataset) else None
+        )
         assert all(item.ndim <= 2 for group in content.values() for item in group.values())
     assert {kind for kind in kinds if kind[1] not in "ifuS"} == set()
 
@@ -116,9 +141,15 @@ def test_finished_file_is_compressed_and_old_enough_for_everyone(file: Path) -> 
 def test_units_are_those_of_udunits(file: Path) -> None:
     with h5py.File(file) as content:
         units = {
-            name: content["servo"][name].attrs["units"] for name in ("position_m", "velocity_m_per_s", "damping_ns_per_m", "tick")
+            name: content["servo"][name].attrs["units"]
+            for name in ("position_m", "velocity_m_per_s", "damping_ns_per_m", "tick")
         }
-    assert units == {"position_m": "m", "velocity_m_per_s": "m s-1", "damping_ns_per_m": "N s m-1", "tick": ""}
+    assert units == {
+        "position_m": "m",
+        "velocity_m_per_s": "m s-1",
+        "damping_ns_per_m": "N s m-1",
+        "tick": "",
+    }
 
 
 @pytest.mark.parametrize(
@@ -140,7 +171,11 @@ def test_provenance_is_complete(file: Path) -> None:
         found = recording.attributes
     assert found["schema"] == "hapticd-recording/1"
     assert (found["simulated"], found["notice"][:9]) == (1, "SIMULATED")
-    assert (found["note"], found["device_serial"], found["rate_hz"]) == ("a note", "SIM0001", 1000.0)
+    assert (found["note"], found["device_serial"], found["rate_hz"]) == (
+        "a note",
+        "SIM0001",
+        1000.0,
+    )
     assert json.loads(found["realtime"]) == {"fifo": "granted"}
     assert json.loads(found["configuration"])["device"]["serial"] == "SIM0001"
     assert set(json.loads(found["calibration"])) >= {"position", "force", "damping"}
@@ -149,14 +184,22 @@ def test_provenance_is_complete(file: Path) -> None:
     assert found["kernel"].startswith("Linux ")
     assert found["utc_ns"] - found["mono_ns"] > 0
     assert set(json.loads(found["libraries"])) == {"numpy", "h5py", "pyzmq", "msgpack"}
-    assert {"uuid", "started_utc", "hapticd_version", "hapticd_commit", "server_version", "python", "cpu", "config_hash"} <= set(
-        found
-    )
+    assert {
+        "uuid",
+        "started_utc",
+        "hapticd_version",
+        "hapticd_commit",
+        "server_version",
+        "python",
+        "cpu",
+        "config_hash",
+    } <= set(found)
 
 
 def test_events_are_in_fixed_columns(file: Path) -> None:
     with open_recording(file) as recording:
-        kinds, faults = recording.column("event", "kind"), recording.column("event", "fault")
+        kinds = recording.column("event", "kind")
+        faults = recording.column("event", "fault")
         text = recording.column("event", "text")
     assert b"state" in kinds
     assert b"stop" in faults
@@ -183,11 +226,14 @@ def test_recording_can_be_flown_again(file: Path) -> None:
 
 def test_short_recording_has_nothing_to_fly(flown: RecordedFlight, tmp_path: Path) -> None:
     recorded_into(tmp_path / "short.h5", flown, seconds=0.1)
-    with open_recording(tmp_path / "short.h5") as recording, pytest.raises(ConfigError, match="holds no checkpoint"):
+    with (
+        open_recording(tmp_path / "short.h5") as recording,
+        pytest.raises(ConfigError, match="holds no checkpoint"),
+    ):
         refly(recording)
 
 
-# --- when it ends, and what it tells -----------------------------------------------------------------------------------
+# --- when it ends, and what it tells --------------------------------------------------------------
 
 
 def test_seconds_are_recorded_time(flown: RecordedFlight, tmp_path: Path) -> None:
@@ -198,7 +244,9 @@ def test_seconds_are_recorded_time(flown: RecordedFlight, tmp_path: Path) -> Non
 
 
 def test_operator_ends_it_in_order(flown: RecordedFlight, tmp_path: Path) -> None:
-    clock, told = VirtualClock(NS_PER_S), []  # type: tuple[VirtualClock, list[Progress]]
+    # type: tuple[VirtualClock, list[Progress]]
+    clock = VirtualClock(NS_PER_S)
+    told = []
     params = RecordingParams(tmp_path / "run.h5")
     result = record(Source(flown, clock), params, lambda: len(told) >= 3, told.append, clock, room)
     assert result["ended"] == "stopped"
@@ -210,7 +258,11 @@ def test_operator_ends_it_in_order(flown: RecordedFlight, tmp_path: Path) -> Non
 def test_nearly_full_disk_ends_it_in_order(flown: RecordedFlight, tmp_path: Path) -> None:
     clock = VirtualClock(NS_PER_S)
     result = record(
-        Source(flown, clock), RecordingParams(tmp_path / "a.h5"), lambda: False, clock=clock, free_bytes=lambda folder: 1000
+        Source(flown, clock),
+        RecordingParams(tmp_path / "a.h5"),
+        lambda: False,
+        clock=clock,
+        free_bytes=lambda folder: 1000,
     )
     assert result["ended"] == "disk nearly full"
     assert result["records"] > 0
@@ -220,7 +272,13 @@ def test_silent_daemon_is_told(tmp_path: Path) -> None:
     with RecordedFlight() as flight:
         clock = VirtualClock(NS_PER_S)
         with pytest.raises(DaemonDown, match="published nothing"):
-            record(Source(flight, clock), RecordingParams(tmp_path / "a.h5"), lambda: False, clock=clock, free_bytes=room)
+            record(
+                Source(flight, clock),
+                RecordingParams(tmp_path / "a.h5"),
+                lambda: False,
+                clock=clock,
+                free_bytes=room,
+            )
     assert list(tmp_path.iterdir()) == []
 
 
@@ -233,7 +291,9 @@ def test_silent_daemon_is_told(tmp_path: Path) -> None:
         ("no/a.h5", "", "no such folder"),
     ],
 )
-def test_what_is_in_the_way_is_refused(name: str, existing: str, reason: str, tmp_path: Path) -> None:
+def test_what_is_in_the_way_is_refused(
+    name: str, existing: str, reason: str, tmp_path: Path
+) -> None:
     if existing:
         (tmp_path / existing).touch()
     with pytest.raises(ConfigError, match=reason):
@@ -245,10 +305,14 @@ def test_gap_is_stored_and_said(flown: RecordedFlight, tmp_path: Path) -> None:
     clock = VirtualClock(NS_PER_S)
     source = Source(flown, clock)
     lost = msgpack.unpackb(source.played.pop(ticks[40])[1])["n"]
-    result = record(source, RecordingParams(tmp_path / "gap.h5"), lambda: False, clock=clock, free_bytes=room)
+    result = record(
+        source, RecordingParams(tmp_path / "gap.h5"), lambda: False, clock=clock, free_bytes=room
+    )
     assert result["missing"]["servo"] == lost
     with open_recording(tmp_path / "gap.h5") as recording:
-        (row,) = recording.column("gap", "row")[recording.column("gap", "stream") == b"servo"].tolist()
+        (row,) = recording.column("gap", "row")[
+            recording.column("gap", "stream") == b"servo"
+        ].tolist()
         tick = recording.column("servo", "tick")
         assert tick[row] - tick[row - 1] - 1 == lost
         first, second = recording._stretches()
@@ -262,14 +326,19 @@ def test_another_servo_life_is_no_gap(flown: RecordedFlight, tmp_path: Path) -> 
         content = msgpack.unpackb(payload, strict_map_key=False)
         if topic != "event":
             source.played.append((topic, msgpack.packb(content | {"epoch": 99})))
-    result = record(source, RecordingParams(tmp_path / "lives.h5"), lambda: False, clock=clock, free_bytes=room)
+    result = record(
+        source, RecordingParams(tmp_path / "lives.h5"), lambda: False, clock=clock, free_bytes=room
+    )
     assert (result["lives"], result["missing"]["servo"]) == (2, 0)
     with open_recording(tmp_path / "lives.h5") as recording:
         assert len(recording.legs()) == 2
-        assert all(replay.difference(leg.records, replay.fly(recording.params, leg)) is None for leg in recording.legs())
+        assert all(
+            replay.difference(leg.records, replay.fly(recording.params, leg)) is None
+            for leg in recording.legs()
+        )
 
 
-# --- what a recorder survives ---------------------------------------------------------------------------------------------
+# --- what a recorder survives ---------------------------------------------------------------------
 
 HALF_WAY = """
 import pickle, sys, time
@@ -289,16 +358,27 @@ time.sleep(600)
 
 
 def write_elsewhere(flown: RecordedFlight, folder: Path, **more: Any) -> "subprocess.Popen[str]":
-    """A process that writes all messages into run.part.h5, saying how many records it has flushed."""
+    """A process that writes all messages into run.part.h5, saying how many records it has
+    flushed.
+    """
     import pickle
 
     from hapticd.mailbox.layout import LAYOUT_HASH
     from hapticd.params import to_plain
 
     (folder / "messages").write_bytes(pickle.dumps(flown.messages))
-    arguments = [str(folder / "messages"), str(folder / "run.part.h5"), json.dumps(to_plain(flown.params)), LAYOUT_HASH.hex()]
+    arguments = [
+        str(folder / "messages"),
+        str(folder / "run.part.h5"),
+        json.dumps(to_plain(flown.params)),
+        LAYOUT_HASH.hex(),
+    ]
     return subprocess.Popen(
-        [sys.executable, "-c", HALF_WAY, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **more
+        [sys.executable, "-c", HALF_WAY, *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        **more,
     )
 
 
@@ -318,7 +398,8 @@ def test_killed_recorder_loses_nothing_that_was_flushed(
     flushed = [int(writing.stdout.readline()) for _ in range(10)][-1]
     writing.send_signal(signal.SIGKILL)
     writing.wait(DEADLINE_S)
-    part, final = tmp_path / "run.part.h5", tmp_path / "run.h5"
+    part = tmp_path / "run.part.h5"
+    final = tmp_path / "run.h5"
     with pytest.raises(OSError, match=r"."):
         h5py.File(part, "r")
     summary = packed(part, final, recovered=True)
@@ -341,7 +422,11 @@ def test_live_file_can_be_read_meanwhile(writing: "subprocess.Popen[str]", tmp_p
 @pytest.mark.process
 def test_full_disk_keeps_what_was_flushed(flown: RecordedFlight, tmp_path: Path) -> None:
     limit = 1 << 20
-    process = write_elsewhere(flown, tmp_path, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)))
+    process = write_elsewhere(
+        flown,
+        tmp_path,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+    )
     out, err = process.communicate(timeout=DEADLINE_S)
     assert process.returncode != 0
     assert "File too large" in err or "OSError" in err or "RuntimeError" in err
@@ -352,26 +437,41 @@ def test_full_disk_keeps_what_was_flushed(flown: RecordedFlight, tmp_path: Path)
     assert records.tobytes() == flown.recorded[: len(records)].tobytes()  # type: ignore[attr-defined]
 
 
-def test_write_error_ends_it_with_the_remedy(flown: RecordedFlight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_write_error_ends_it_with_the_remedy(
+    flown: RecordedFlight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def write(self: Writer) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Writer, "write", write)
     with pytest.raises(
-        HapticdError, match=r"No space left on device; what was flushed before is safe: .*rec recover .*run\.part\.h5"
+        HapticdError,
+        match=(
+            r"No space left on device; what was flushed before is safe: .*rec recover"
+            r" .*run\.part\.h5"
+        ),
     ):
         recorded_into(tmp_path / "run.h5", flown)
 
 
-def test_stalled_disk_delays_and_loses_nothing(flown: RecordedFlight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    clock, write = VirtualClock(NS_PER_S), Writer.write
+def test_stalled_disk_delays_and_loses_nothing(
+    flown: RecordedFlight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = VirtualClock(NS_PER_S)
+    write = Writer.write
 
     def slow(self: Writer) -> None:
         clock.time_ns += 3 * NS_PER_S
         write(self)
 
     monkeypatch.setattr(Writer, "write", slow)
-    result = record(Source(flown, clock), RecordingParams(tmp_path / "slow.h5"), lambda: False, clock=clock, free_bytes=room)
+    result = record(
+        Source(flown, clock),
+        RecordingParams(tmp_path / "slow.h5"),
+        lambda: False,
+        clock=clock,
+        free_bytes=room,
+    )
     assert result["missing"]["servo"] == 0
     assert result["records"] == 3000
 
@@ -407,11 +507,15 @@ def test_column_that_stands_still_is_filled_and_the_unmeant_is_cut(tmp_path: Pat
 
 
 def test_standing_column_is_not_written_until_it_moves(tmp_path: Path) -> None:
-    file = live.LiveFile(tmp_path / "a.part.h5", {"schema": "hapticd-recording/1"}, {"life": GROUPS["life"]})
+    file = live.LiveFile(
+        tmp_path / "a.part.h5", {"schema": "hapticd-recording/1"}, {"life": GROUPS["life"]}
+    )
     rows = np.array([1, 1, 2, 2, 2, 3], "<i8")
     for begin in range(0, 6, 2):
         block = rows[begin : begin + 2]
-        file.append("life", {"row": block, "epoch": np.full(2, 7, "<i8"), "mono_unix_offset_ns": block})
+        file.append(
+            "life", {"row": block, "epoch": np.full(2, 7, "<i8"), "mono_unix_offset_ns": block}
+        )
         file.flush()
     with open_recording(tmp_path / "a.part.h5") as recording:
         assert len(recording._groups["life"]["epoch"]) == 2
@@ -423,7 +527,7 @@ def test_standing_column_is_not_written_until_it_moves(tmp_path: Path) -> None:
         assert content["flushed/rows"][:].tolist() == [[2], [4], [6]]
 
 
-# --- opening and packing --------------------------------------------------------------------------------------------------
+# --- opening and packing --------------------------------------------------------------------------
 
 
 def test_foreign_files_are_refused(tmp_path: Path) -> None:
@@ -442,7 +546,10 @@ def test_records_of_another_version_are_not_flown(file: Path, tmp_path: Path) ->
     other = shutil.copy(file, tmp_path / "old.h5")
     with h5py.File(other, "a") as content:
         content.attrs["layout"] = "0123456789abcdef"
-    with open_recording(other) as recording, pytest.raises(ConfigError, match=r"was recorded by hapticd 0\.1\.0 with other"):
+    with (
+        open_recording(other) as recording,
+        pytest.raises(ConfigError, match=r"was recorded by hapticd 0\.1\.0 with other"),
+    ):
         recording.legs()
 
 
@@ -469,14 +576,21 @@ def test_live_file_is_not_opened_twice(tmp_path: Path) -> None:
 
 
 def test_missing_library_names_the_extra() -> None:
-    with pytest.raises(HapticdError, match=r"this needs no_such_library .*install hapticd\[record\]"):
+    with pytest.raises(
+        HapticdError, match=r"this needs no_such_library .*install hapticd\[record\]"
+    ):
         provenance.needed("no_such_library.part", "record")
 
 
 def test_channels_and_columns_agree(flown: RecordedFlight) -> None:
     records = flown.recorded  # type: ignore[attr-defined]
-    known, found = channels(records.dtype.descr), columns(records)
-    assert list(found) == [channel.name for channel in known] == [channel.name for channel in GROUPS["servo"]]
+    known = channels(records.dtype.descr)
+    found = columns(records)
+    assert (
+        list(found)
+        == [channel.name for channel in known]
+        == [channel.name for channel in GROUPS["servo"]]
+    )
     assert "energy_stiffness_j" in found
     for channel in known:
         values = as_channel(channel, found[channel.name])
@@ -489,7 +603,7 @@ def test_commit_of_nowhere_is_empty(tmp_path: Path) -> None:
     assert provenance.processor()
 
 
-# --- other programs -------------------------------------------------------------------------------------------------------
+# --- other programs -------------------------------------------------------------------------------
 
 
 def test_mat_file_holds_what_the_recording_holds(file: Path, tmp_path: Path) -> None:
@@ -505,12 +619,16 @@ def test_mat_file_holds_what_the_recording_holds(file: Path, tmp_path: Path) -> 
 def test_csv_holds_every_bit(file: Path, tmp_path: Path) -> None:
     with open_recording(file) as recording:
         main, probe = pack.to_csv(recording, tmp_path / "run.csv")
-        force, tick = recording.column("servo", "force_n"), recording.column("servo", "tick")
+        force = recording.column("servo", "force_n")
+        tick = recording.column("servo", "tick")
     read = np.genfromtxt(main, delimiter=",", names=True)
     assert np.array_equal(read["force_n"], force)
     assert np.array_equal(read["tick"], tick)
     assert probe.name == "run.probe.csv"
-    with open_recording(file) as recording, pytest.raises(HapticdError, match="choose another name"):
+    with (
+        open_recording(file) as recording,
+        pytest.raises(HapticdError, match="choose another name"),
+    ):
         pack.to_csv(recording, tmp_path / "run.csv")
 
 
@@ -523,10 +641,20 @@ def test_octave_opens_it(file: Path, tmp_path: Path) -> None:
         printf('%d\\n', numel(r.probe.torque_n));
     """
     environment = {**os.environ, "HOME": str(tmp_path)}
-    done = subprocess.run([octave, "--norc", "--eval", script], capture_output=True, text=True, env=environment, timeout=DEADLINE_S)
+    done = subprocess.run(
+        [octave, "--norc", "--eval", script],
+        capture_output=True,
+        text=True,
+        env=environment,
+        timeout=DEADLINE_S,
+    )
     lines = done.stdout.split()
     with open_recording(file) as recording:
         position = recording.column("servo", "position_m")
         assert lines == [
-            str(len(position)), f"{np.abs(position).max():.17g}", "int64", "struct", str(recording.rows["probe"]),
-        ], done.stderr  # fmt: skip
+            str(len(position)),
+            f"{np.abs(position).max():.17g}",
+            "int64",
+            "struct",
+            str(recording.rows["probe"]),
+        ], done.stderr

@@ -40,7 +40,10 @@ def test_store_that_cannot_be_read_is_named(tmp_path):
 def test_full_disk_is_named(tmp_path):
     (tmp_path / "more.csv").symlink_to("/dev/full")
     (tmp_path / "run.json").write_text("{}")
-    with pytest.raises(ConfigError, match=r"No space left on device; name a folder that you may write to with --out"):
+    with pytest.raises(
+        ConfigError,
+        match=r"No space left on device; name a folder that you may write to with --out",
+    ):
         write_run(tmp_path, {"x": 1}, texts={"more.csv": "f"})
     assert not (tmp_path / "run.json").exists()  # who finds one finds all that belongs to it
 

@@ -1,4 +1,6 @@
-"""Trials from every source: engine, file, and the whole stack in lock-step; the sentinel; run folders."""
+"""Trials from every source: engine, file, and the whole stack in lock-step; the sentinel; run
+folders.
+"""
 
 import json
 from dataclasses import replace
@@ -16,7 +18,14 @@ from hapticd.measure.recorded import read_file
 from hapticd.measure.referee import stepped_sine
 from hapticd.measure.scenes import device_scene, filters
 from hapticd.measure.sources import Trial, engine_source, file_source
-from hapticd.measure.store import Recorded, TrialStore, fingerprint, plain, read_summary, record_path
+from hapticd.measure.store import (
+    Recorded,
+    TrialStore,
+    fingerprint,
+    plain,
+    read_summary,
+    record_path,
+)
 from hapticd.measure.trial import TrialParams, judged, plan_trial, run_trial, write
 from hapticd.measure.watch import Sentinel, Watch
 from hapticd.plant.compose import compose
@@ -36,10 +45,12 @@ def rigid(tmp_path):
 def mass_record(seconds=30.0, mass_kg=0.008, damping_ns_per_m=2.0, seed=1):
     """Held white force on m, b: exact interval means of the velocity."""
     force = np.random.default_rng(seed).normal(0.0, 0.2, round(seconds * RATE_HZ))
-    dt, rate = 1.0 / RATE_HZ, damping_ns_per_m / mass_kg
+    dt = 1.0 / RATE_HZ
+    rate = damping_ns_per_m / mass_kg
     decay = np.exp(-rate * dt)
     share = (1.0 - decay) / (rate * dt)
-    speed, mean = 0.0, np.empty(force.size)
+    speed = 0.0
+    mean = np.empty(force.size)
     for k, value in enumerate(force / damping_ns_per_m):
         mean[k] = value + (speed - value) * share
         speed = value + (speed - value) * decay
@@ -63,10 +74,17 @@ def test_file_trial_finds_mass_and_damping(tmp_path):
 @pytest.mark.parametrize("suffix", [".csv", ".npz", ".mat", ".h5"])
 def test_record_reads_alike_from_every_format(tmp_path, suffix):
     force, velocity = (signal[:50] for signal in mass_record(1.0))
-    time, path = np.arange(50) / RATE_HZ, tmp_path / f"trial{suffix}"
+    time = np.arange(50) / RATE_HZ
+    path = tmp_path / f"trial{suffix}"
     columns = {"time_s": time, "Force": force, "Velocity": velocity}
     if suffix == ".csv":
-        np.savetxt(path, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="")
+        np.savetxt(
+            path,
+            np.column_stack(list(columns.values())),
+            delimiter=",",
+            header=",".join(columns),
+            comments="",
+        )
     elif suffix == ".npz":
         np.savez(path, **columns)
     elif suffix == ".mat":
@@ -88,7 +106,9 @@ def test_unreadable_records_say_what_to_do(tmp_path):
         read_file(tmp_path / "a.csv")
     path = tmp_path / "b.csv"
     path.write_text("t,x\n0,1\n1,2\n")
-    with pytest.raises(AnalysisError, match=r"no column any of force_n.*it has t, x; name it with --force"):
+    with pytest.raises(
+        AnalysisError, match=r"no column any of force_n.*it has t, x; name it with --force"
+    ):
         read_file(path)
     path.write_text("force,velocity\n0,1\n1,2\n")
     with pytest.raises(AnalysisError, match=r"rate is not in the file .*--rate-hz"):
@@ -100,7 +120,9 @@ def test_unreadable_records_say_what_to_do(tmp_path):
 
 
 def test_engine_trial_agrees_with_its_prediction():
-    """Fig. 4: passive, and the phase within two degrees of the linearised prediction over the band (physics: 0.6-1.9 rms)."""
+    """Fig. 4: passive, and the phase within two degrees of the linearised prediction over the
+    band (physics: 0.6-1.9 rms).
+    """
     scene = load_scene("fig4")
     trial = Trial((100.0, 1.0, 0.010), seconds=90.0)
     found = run_trial(plan_trial(TrialParams(trial, scene)), engine_source(scene))
@@ -111,11 +133,16 @@ def test_engine_trial_agrees_with_its_prediction():
 
 
 def lands_within(one, other):
-    """Z of one trial lies in the 95 % interval of the other: the margin, and the complex value in 19 of 20 bins of 2..500 Hz.
+    """Z of one trial lies in the 95 % interval of the other: the margin, and the complex value in
+    19 of 20 bins of 2..500 Hz.
 
     A complex difference of total variance s^2 is below sqrt(3) s in 95 % of bins.
     """
-    assert other.verdict.margin_ns_per_m.lower <= one.verdict.margin_ns_per_m.value <= other.verdict.margin_ns_per_m.upper
+    assert (
+        other.verdict.margin_ns_per_m.lower
+        <= one.verdict.margin_ns_per_m.value
+        <= other.verdict.margin_ns_per_m.upper
+    )
     inside = (one.measured.frequency_hz >= 2.0) & (one.measured.frequency_hz <= 500.0)
     apart = np.abs(one.measured.impedance_ns_per_m - other.measured.impedance_ns_per_m)[inside]
     spread = np.hypot(one.measured.sd_ns_per_m, other.measured.sd_ns_per_m)[inside]
@@ -124,7 +151,9 @@ def lands_within(one, other):
 
 @pytest.mark.parametrize("damping_ns_per_m", [0.0, 1.74])
 def test_lockstep_trial_lands_within_its_interval_of_the_engine(damping_ns_per_m):
-    """The calibrated display of fig. 7, undamped and damped: 25 s by the whole stack and by the engine, of other noise."""
+    """The calibrated display of fig. 7, undamped and damped: 25 s by the whole stack and by the
+    engine, of other noise.
+    """
     scene = load_scene("fig7")
     trial = Trial((50.0, 2.0, 0.0), damping_ns_per_m, seconds=25.0)
     plan = plan_trial(TrialParams(trial, scene))
@@ -144,7 +173,10 @@ def test_lockstep_trial_lands_within_its_interval_of_the_engine(damping_ns_per_m
 def test_lockstep_trial_of_another_damping_does_not_land_there():
     """The comparison can fail: 1.74 N s/m against none."""
     scene = load_scene("fig7")
-    plans = [plan_trial(TrialParams(Trial((50.0, 2.0, 0.0), level, seconds=20.0), scene)) for level in (0.0, 1.74)]
+    plans = [
+        plan_trial(TrialParams(Trial((50.0, 2.0, 0.0), level, seconds=20.0), scene))
+        for level in (0.0, 1.74)
+    ]
     undamped, damped = (run_trial(plan, engine_source(scene)) for plan in plans)
     damped = replace(damped, verdict=undamped.verdict)
     assert lands_within(damped, undamped) < 0.5
@@ -153,7 +185,9 @@ def test_lockstep_trial_of_another_damping_does_not_land_there():
 def test_lockstep_trial_refuses_a_session_that_runs(rigid):
     with LockStepBench(*scene_params(rigid)) as bench:
         bench.enable()
-        with pytest.raises(AnalysisError, match="the servo is enabled, a trial begins from disabled"):
+        with pytest.raises(
+            AnalysisError, match="the servo is enabled, a trial begins from disabled"
+        ):
             bench_source(bench)(Trial(seconds=5.0), lambda *_: None)
         assert bench.status()["state"] == "enabled"
 
@@ -171,12 +205,16 @@ def test_lockstep_trial_of_a_runaway_loop_ends_early_and_disabled(rigid):
 def weak(rigid):
     """The rigid display with a force limit of 0.16 N."""
     servo, board = scene_params(rigid)
-    with LockStepBench(replace(servo, safety=replace(servo.safety, force_limit_n=0.16)), board) as bench:
+    with LockStepBench(
+        replace(servo, safety=replace(servo.safety, force_limit_n=0.16)), board
+    ) as bench:
         yield bench
 
 
 def test_lockstep_trial_whose_command_saturates_is_ended_and_named(weak):
-    """Passive and calm, but the force it commands is cut at 0.16 N: what was asked is not rendered."""
+    """Passive and calm, but the force it commands is cut at 0.16 N: what was asked is not
+    rendered.
+    """
     trial = Trial((100.0, 1.0, 0.002), seconds=60.0)
     found = bench_source(weak)(trial, lambda *_: None)
     assert weak.status()["state"] == "disabled"
@@ -191,8 +229,12 @@ def test_lockstep_trial_whose_command_saturates_is_ended_and_named(weak):
 def test_engine_trial_whose_command_saturates_is_ended_alike(rigid):
     rigid.write_text(RIGID.replace('"viscous"]', '"viscous", "saturation"]'))
     scene = load_scene(rigid)
-    weak_effects = tuple(replace(one, limit_n=0.12) if one.key == "saturation" else one for one in scene.effects)
-    found = engine_source(replace(scene, effects=weak_effects))(Trial((100.0, 1.0, 0.002), seconds=60.0), lambda *_: None)
+    weak_effects = tuple(
+        replace(one, limit_n=0.12) if one.key == "saturation" else one for one in scene.effects
+    )
+    found = engine_source(replace(scene, effects=weak_effects))(
+        Trial((100.0, 1.0, 0.002), seconds=60.0), lambda *_: None
+    )
     assert found.ended == "saturation: the command reached its limit of 0.12 N"
     assert 5.0 < found.seconds < 60.0
     assert found.max_command_n == found.command_limit_n == 0.12
@@ -201,7 +243,9 @@ def test_engine_trial_whose_command_saturates_is_ended_alike(rigid):
 def test_daemon_that_falls_silent_is_not_waited_for_for_ever(rigid):
     with LockStepBench(*scene_params(rigid)) as bench:
         bench.messages = lambda *_: iter([None] * 1000)
-        with pytest.raises(DaemonDown, match=r"nothing from the probe for 2 s; see `hapticd status`"):
+        with pytest.raises(
+            DaemonDown, match=r"nothing from the probe for 2 s; see `hapticd status`"
+        ):
             bench_source(bench)(Trial(seconds=5.0), lambda *_: None)
         assert bench.status()["state"] == "disabled"
 
@@ -209,13 +253,19 @@ def test_daemon_that_falls_silent_is_not_waited_for_for_ever(rigid):
 def test_board_without_probe_is_told_apart(rigid):
     with LockStepBench(*scene_params(rigid)) as bench:
         of_all = bench.messages
-        bench.messages = lambda topics, look_s: of_all(["servo.raw"], look_s) if bench.disable() else iter([])
-        with pytest.raises(AnalysisError, match="the probe stream is empty: this board has no probe inputs"):
+        bench.messages = lambda topics, look_s: (
+            of_all(["servo.raw"], look_s) if bench.disable() else iter([])
+        )
+        with pytest.raises(
+            AnalysisError, match="the probe stream is empty: this board has no probe inputs"
+        ):
             bench_source(bench)(Trial(seconds=5.0), lambda *_: None)
 
 
 def test_trial_that_ends_in_a_fault_says_which(rigid):
-    """B = -5 N s/m beyond b = 2: faster than any motion can be, the servo faults within a second."""
+    """B = -5 N s/m beyond b = 2: faster than any motion can be, the servo faults within a
+    second.
+    """
     with LockStepBench(*scene_params(rigid)) as bench:
         plan = plan_trial(TrialParams(Trial((0.0, -5.0, 0.0), seconds=5.0)))
         with pytest.raises(AnalysisError, match=r"ended after 0 s \(fault: .*\): too short"):
@@ -237,7 +287,10 @@ def test_silence_before_the_perturbation_is_no_escape_after_it():
     """Seconds of rest would otherwise be the calm ones, and a passive device be called unstable."""
     force, velocity = mass_record(20.0)
     quiet = 1e-5 * np.random.default_rng(2).standard_normal((2, round(8 * RATE_HZ)))
-    force, velocity = (np.concatenate((rest, signal)) for rest, signal in zip(quiet, (force, velocity), strict=True))
+    force, velocity = (
+        np.concatenate((rest, signal))
+        for rest, signal in zip(quiet, (force, velocity), strict=True)
+    )
     source = file_source(Recorded(force, velocity, RATE_HZ, "made", False))
     found = run_trial(plan_trial(TrialParams(Trial(seconds=28.0))), source)
     assert found.recorded.ended == ""
@@ -270,13 +323,20 @@ def test_sentinel_ends_saturation_and_heat():
 def test_sentinel_ends_a_command_at_its_limit_but_calls_a_runaway_by_its_name():
     """The second after the limit was reached decides which of the two it was."""
     force, velocity = mass_record(20.0)
-    second, calm, wild = round(RATE_HZ), Watch(command_limit_n=8.0), velocity.copy()
+    second = round(RATE_HZ)
+    calm = Watch(command_limit_n=8.0)
+    wild = velocity.copy()
     wild[round(11 * RATE_HZ) :] *= 10.0
-    for record, reason in ((velocity, "saturation: the command reached its limit of 8 N"), (wild, "escape: velocity of")):
+    for record, reason in (
+        (velocity, "saturation: the command reached its limit of 8 N"),
+        (wild, "escape: velocity of"),
+    ):
         sentinel = Sentinel(calm, RATE_HZ)
         for start in range(0, force.size, second):
             part = slice(start, start + second)
-            if sentinel.see(force[part], record[part], command_n=8.0 if start == 10 * second else 3.0):
+            if sentinel.see(
+                force[part], record[part], command_n=8.0 if start == 10 * second else 3.0
+            ):
                 break
         assert sentinel.reason.startswith(reason)
         assert sentinel.seconds == 12.0
@@ -296,7 +356,9 @@ def test_sentinel_says_what_the_confidence_costs_and_ends_when_decided():
 def test_commands_at_their_limit_leave_nothing_decided():
     force, velocity = mass_record(20.0)
     plan = plan_trial(TrialParams(Trial(seconds=20.0)))
-    recorded = Recorded(force, velocity, RATE_HZ, "made", True, max_command_n=8.0, command_limit_n=8.0)
+    recorded = Recorded(
+        force, velocity, RATE_HZ, "made", True, max_command_n=8.0, command_limit_n=8.0
+    )
     found = judged(plan, recorded)
     assert found.verdict.answer == "undecided"
     assert "command saturated at 8 N" in str(found.verdict)
@@ -313,16 +375,24 @@ def test_short_trials_are_refused():
 
 def test_run_folder_brings_the_trial_back(tmp_path):
     force, velocity = mass_record(20.0)
-    plan = plan_trial(TrialParams(Trial((1.0, 2.0, 0.003), seconds=20.0, excitation=Excitation("noise", seed=7))))
+    plan = plan_trial(
+        TrialParams(Trial((1.0, 2.0, 0.003), seconds=20.0, excitation=Excitation("noise", seed=7)))
+    )
     result = judged(plan, Recorded(force, velocity, RATE_HZ, "made", False))
     write(tmp_path / "run", result, {"date": "today"})
     told = read_summary(tmp_path / "run")
     assert told["verdict"]["answer"] == "passive"
-    assert told["environment"] == {"stiffness_n_per_m": 1.0, "damping_ns_per_m": 2.0, "mass_kg": 0.003}
+    assert told["environment"] == {
+        "stiffness_n_per_m": 1.0,
+        "damping_ns_per_m": 2.0,
+        "mass_kg": 0.003,
+    }
     assert told["seed"] == 7
     assert told["provenance"] == {"date": "today"}
     again = judged(plan, read_file(record_path(tmp_path / "run")))
-    assert again.verdict.margin_deg.value == pytest.approx(result.verdict.margin_deg.value, abs=1e-3)
+    assert again.verdict.margin_deg.value == pytest.approx(
+        result.verdict.margin_deg.value, abs=1e-3
+    )
     with pytest.raises(ConfigError, match=r"no run folder"):
         read_summary(tmp_path)
 
@@ -356,8 +426,11 @@ def test_device_is_a_scene_with_all_its_effects():
 
 @pytest.mark.parametrize("whole_stack", [False, True])
 def test_stepped_sine_agrees_with_the_exact_impedance_of_a_linear_display(rigid, whole_stack):
-    """No friction: single sines give the predicted first harmonic to 1 % at 5..144 Hz, by the engine and by the whole stack."""
-    scene, trial = load_scene(rigid), Trial((100.0, 1.0, 0.002))
+    """No friction: single sines give the predicted first harmonic to 1 % at 5..144 Hz, by the
+    engine and by the whole stack.
+    """
+    scene = load_scene(rigid)
+    trial = Trial((100.0, 1.0, 0.002))
     f = (5.0, 21.0, 55.0, 144.0)
     if whole_stack:
         with LockStepBench(*scene_params(rigid)) as bench:
@@ -369,7 +442,9 @@ def test_stepped_sine_agrees_with_the_exact_impedance_of_a_linear_display(rigid,
 
 
 def test_stepped_sine_has_no_number_where_the_loop_escapes(rigid):
-    found = stepped_sine(Trial((0.0, 100.0, 0.0)), engine_source(load_scene(rigid)), frequency_hz=(21.0,))
+    found = stepped_sine(
+        Trial((0.0, 100.0, 0.0)), engine_source(load_scene(rigid)), frequency_hz=(21.0,)
+    )
     assert np.isnan(found.impedance_ns_per_m[0])
 
 
@@ -377,7 +452,10 @@ def test_stepped_sine_has_no_number_where_the_loop_escapes(rigid):
 def test_spring_that_the_window_does_not_resolve_is_named(stiffness, named):
     """The scene of theory: at K = 1,000 N/m it rings, at 30 N/m it does not."""
     scene = load_scene("theory")
-    found = run_trial(plan_trial(TrialParams(Trial((stiffness, 0.0, 0.0), seconds=90.0), scene)), engine_source(scene))
+    found = run_trial(
+        plan_trial(TrialParams(Trial((stiffness, 0.0, 0.0), seconds=90.0), scene)),
+        engine_source(scene),
+    )
     assert ("leakage: |Z| reads about" in str(found.verdict)) == named
     at = 3
     assert (np.abs(found.measured.impedance_ns_per_m[at] / found.predicted[at]) < 0.96) == named
@@ -405,13 +483,20 @@ def test_linear_display_that_is_pushed_hard_is_stable(rigid, stronger):
 
 @pytest.mark.parametrize(
     ("scene", "environment"),
-    [("fig4", (4000.0, 0.0, 0.0)), ("fig4", (0.0, 12.0, 0.0)), ("fig4", (0.0, 0.0, 0.06)), ("rival", (3000.0, 0.0, 0.0))],
+    [
+        ("fig4", (4000.0, 0.0, 0.0)),
+        ("fig4", (0.0, 12.0, 0.0)),
+        ("fig4", (0.0, 0.0, 0.06)),
+        ("rival", (3000.0, 0.0, 0.0)),
+    ],
 )
 def test_escape_before_the_record_begins_is_found_at_the_limit_of_the_force(scene, environment):
     """Nothing grows any more; what moves the device is not the perturbation."""
     trial = Trial(environment, seconds=20.0)
     found = run_trial(plan_trial(TrialParams(trial)), engine_source(load_scene(scene)))
-    assert found.recorded.ended.startswith("escape: the command reached its limit of 8 N in a motion of its own")
+    assert found.recorded.ended.startswith(
+        "escape: the command reached its limit of 8 N in a motion of its own"
+    )
     assert found.verdict.answer == "not_passive"
 
 
@@ -432,7 +517,9 @@ def test_device_faster_than_its_own_limit_has_escaped():
 
 @pytest.mark.parametrize("mass_kg", [0.006, 0.02, 0.05])
 def test_velocity_in_millimetres_is_suspected_and_called_neither_stable_nor_passive(mass_kg):
-    """A record of 20 mm/s as 20 m/s: undecided, with the question; the same record in m/s is passive."""
+    """A record of 20 mm/s as 20 m/s: undecided, with the question; the same record in m/s is
+    passive.
+    """
     force, velocity = mass_record(20.0, mass_kg)
     for scale, answer in ((1.0, "passive"), (1e3, "undecided")):
         source = file_source(Recorded(force, scale * velocity, RATE_HZ, "a.csv", False))

@@ -19,7 +19,10 @@ FENCE = re.compile(r"```(?:python|toml)\n# ([^\s,]+)(?:, after class (\w+))?\n(.
 BLOCKS = {name: text for name, _, text in FENCE.findall(PAGE)}
 AFTER = {name: neighbour for name, neighbour, _ in FENCE.findall(PAGE)}
 CODE = {name: text for name, text in BLOCKS.items() if name.startswith("hapticd/")}
-STIFFNESS_N_PER_M, DOUBLING_M, MASS_KG, START_M = 200.0, 0.005, 0.008, 0.01
+STIFFNESS_N_PER_M = 200.0
+DOUBLING_M = 0.005
+MASS_KG = 0.008
+START_M = 0.01
 
 
 @pytest.fixture(scope="module")
@@ -46,20 +49,28 @@ def with_piece(before: str, piece: str, neighbour: str) -> str:
 
 def run(copy: Path, *command: str) -> str:
     environment = {**os.environ, "PYTHONPATH": str(copy), "XDG_CACHE_HOME": str(copy / "cache")}
-    done = subprocess.run([sys.executable, *command], cwd=copy, env=environment, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, *command], cwd=copy, env=environment, capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
 def exact_period_s() -> float:
-    """Duffing's equation from rest, undamped: 4 K(n) / w (Landau and Lifshitz, Mechanics, section 28, to all orders)."""
+    """Duffing's equation from rest, undamped: 4 K(n) / w (Landau and Lifshitz, Mechanics,
+    section 28, to all orders).
+    """
     cubic = STIFFNESS_N_PER_M / DOUBLING_M**2
     at_start = STIFFNESS_N_PER_M + cubic * START_M**2
     return float(4.0 * ellipk(cubic * START_M**2 / (2.0 * at_start)) / (at_start / MASS_KG) ** 0.5)
 
 
 def test_page_touches_the_catalogue_once_and_each_backend_once() -> None:
-    assert list(CODE) == ["hapticd/plant/effects.py", "hapticd/plant/composed.py", "hapticd/sim/engine/rotor_laws.py"]
+    assert list(CODE) == [
+        "hapticd/plant/effects.py",
+        "hapticd/plant/composed.py",
+        "hapticd/sim/engine/rotor_laws.py",
+    ]
 
 
 @pytest.mark.slow

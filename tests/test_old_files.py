@@ -21,7 +21,9 @@ def test_an_old_run_folder_is_drawn_again(kind, tmp_path, capsys):
     assert list(folder.glob("*.png"))
 
 
-def test_an_old_map_is_drawn_of_its_own_trials_and_says_where_they_were_judged(tmp_path, capsys, monkeypatch):
+def test_an_old_map_is_drawn_of_its_own_trials_and_says_where_they_were_judged(
+    tmp_path, capsys, monkeypatch
+):
     """No trial is flown again, and none is said to have been judged at 2 Hz."""
 
     def flown(*_, **__):

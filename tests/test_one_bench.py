@@ -1,4 +1,6 @@
-"""One bench: trials are judged in one function, limits searched in one, batches run by one, and nobody else does it."""
+"""One bench: trials are judged in one function, limits searched in one, batches run by one, and
+nobody else does it.
+"""
 
 import ast
 from functools import cache
@@ -40,7 +42,9 @@ HOME = {
 
 
 def users(package: Path, name: str, home: str) -> dict[str, set[str]]:
-    """{module: innermost functions} that mention `name` of the module `home`, by whatever name they imported it."""
+    """{module: innermost functions} that mention `name` of the module `home`, by whatever name
+    they imported it.
+    """
     found: dict[str, set[str]] = {}
     for file in package.rglob("*.py"):
         module = ".".join(file.relative_to(package).with_suffix("").parts)
@@ -61,7 +65,11 @@ def _mentions(tree: ast.Module, module: str, name: str, home: str) -> list[tuple
     def mentions(node: ast.AST) -> bool:
         if isinstance(node, ast.Name):
             return node.id in direct and isinstance(node.ctx, ast.Load)
-        return isinstance(node, ast.Attribute) and node.attr == name and ast.unparse(node.value) in modules
+        return (
+            isinstance(node, ast.Attribute)
+            and node.attr == name
+            and ast.unparse(node.value) in modules
+        )
 
     found: list[tuple[str, bool]] = []
 
@@ -77,14 +85,24 @@ def _mentions(tree: ast.Module, module: str, name: str, home: str) -> list[tuple
 
 def _names(tree: ast.Module, module: str, name: str, home: str) -> tuple[set[str], set[str]]:
     """Names of the function itself, and of the module that it lies in."""
-    direct, modules = ({name} if module == home else set()), {f"hapticd.{home}"}
+    direct = {name} if module == home else set()
+    modules = {f"hapticd.{home}"}
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.module == f"hapticd.{home}":
             direct |= {item.asname or item.name for item in node.names if item.name == name}
-        elif isinstance(node, ast.ImportFrom) and f"{node.module}" == f"hapticd.{home}".rpartition(".")[0]:
-            modules |= {item.asname or item.name for item in node.names if f"{node.module}.{item.name}" == f"hapticd.{home}"}
+        elif (
+            isinstance(node, ast.ImportFrom)
+            and f"{node.module}" == f"hapticd.{home}".rpartition(".")[0]
+        ):
+            modules |= {
+                item.asname or item.name
+                for item in node.names
+                if f"{node.module}.{item.name}" == f"hapticd.{home}"
+            }
         elif isinstance(node, ast.Import):
-            modules |= {item.asname for item in node.names if item.asname and item.name == f"hapticd.{home}"}
+            modules |= {
+                item.asname for item in node.names if item.asname and item.name == f"hapticd.{home}"
+            }
     return direct, modules
 
 
@@ -94,9 +112,18 @@ def test_one_implementation(name: str) -> None:
 
 
 PLANTED = {
-    "judge": "from hapticd.analysis.passivity import judge as rule\n\ndef passes(trial):\n    return rule(trial).within_90_deg\n",
-    "axis_limit": "from hapticd.analysis import boundary\n\ndef searched(flown):\n    return boundary.axis_limit(flown, 0, 2e4)\n",
-    "fly": "def mine(pool, given):\n    from hapticd.measure.outcomes import fly\n\n    return pool.map(fly, given)\n",
+    "judge": (
+        "from hapticd.analysis.passivity import judge as rule\n\ndef passes(trial):\n    return"
+        " rule(trial).within_90_deg\n"
+    ),
+    "axis_limit": (
+        "from hapticd.analysis import boundary\n\ndef searched(flown):\n    return"
+        " boundary.axis_limit(flown, 0, 2e4)\n"
+    ),
+    "fly": (
+        "def mine(pool, given):\n    from hapticd.measure.outcomes import fly\n\n    return"
+        " pool.map(fly, given)\n"
+    ),
 }
 
 
@@ -109,7 +136,9 @@ def test_a_second_implementation_is_seen(name: str, tmp_path: Path) -> None:
 
 
 def test_nobody_simulates_for_spectra_beside_the_bench() -> None:
-    """Spectra of batches are what trials are judged by: only `outcomes.fly` asks the engine for them."""
+    """Spectra of batches are what trials are judged by: only `outcomes.fly` asks the engine for
+    them.
+    """
     asking = {
         ".".join(file.relative_to(PACKAGE).with_suffix("").parts)
         for file in (PACKAGE / "measure").rglob("*.py")
@@ -123,7 +152,11 @@ def test_nobody_simulates_for_spectra_beside_the_bench() -> None:
 
 @pytest.mark.parametrize("device", SCENES)
 def test_reproduce_and_limits_ask_for_the_same_trials(device: str) -> None:
-    """So limits of paired seeds are the same but for the tolerance of the search; the key of a trial is all it depends on."""
+    """So limits of paired seeds are the same but for the tolerance of the search; the key of a
+    trial is all it depends on.
+    """
     asked = common.conditions(common.scene_of(SCENES[device]), SECONDS, seed=1)
     assert fingerprint(asked) == fingerprint(conditions(device))
-    assert fingerprint(asked.shaken(more_seed=2)) == fingerprint(common.conditions(asked.scene, SECONDS, seed=3))
+    assert fingerprint(asked.shaken(more_seed=2)) == fingerprint(
+        common.conditions(asked.scene, SECONDS, seed=3)
+    )

@@ -1,4 +1,6 @@
-"""The composed device as straight-line Python: the same motion as the model's own maps, and nothing that it does not have."""
+"""The composed device as straight-line Python: the same motion as the model's own maps, and
+nothing that it does not have.
+"""
 
 import traceback
 from dataclasses import replace
@@ -35,7 +37,11 @@ LEVELS = (0.0, 1.74)
 QUANTUM = 10.0 / 65535
 EXACT = round(1.74 / QUANTUM) * QUANTUM
 HAND = PassiveHand(
-    mass_kg=0.006, damping_ns_per_m=1.0, stiffness_n_per_m=30.0, grip_stiffness_n_per_m=1500.0, grip_damping_ns_per_m=2.5
+    mass_kg=0.006,
+    damping_ns_per_m=1.0,
+    stiffness_n_per_m=30.0,
+    grip_stiffness_n_per_m=1500.0,
+    grip_damping_ns_per_m=2.5,
 )
 
 MODELS = {
@@ -46,8 +52,15 @@ MODELS = {
     "both": device("coupling", "viscous", coulomb=Coulomb(rotor_n=0.02, slider_n=0.01)),
     "hand": device(*FULL, hand=HAND),
     "hand on a rigid one": device("probe", coulomb=Coulomb(rotor_n=0.03), hand=HAND),
-    "offset": device("probe", "coulomb", "amplifier", multiplier=Multiplier(velocity_offset_m_per_s=0.02)),
-    "filters": device("probe", "viscous", highpass=VelocityHighpass(corner_hz=0.1), alias=AntiAlias(corner_hz=1800.0)),
+    "offset": device(
+        "probe", "coulomb", "amplifier", multiplier=Multiplier(velocity_offset_m_per_s=0.02)
+    ),
+    "filters": device(
+        "probe",
+        "viscous",
+        highpass=VelocityHighpass(corner_hz=0.1),
+        alias=AntiAlias(corner_hz=1800.0),
+    ),
 }
 
 
@@ -80,13 +93,15 @@ def forces(model, level, x, u):
 @pytest.mark.parametrize("level", [0.0, EXACT], ids=["undamped", "damped"])
 @pytest.mark.parametrize("name", MODELS)
 def test_played_motion_is_the_models(name, level):
-    model, random = MODELS[name], Random(1)
+    model = MODELS[name]
+    random = Random(1)
     plant = make_plant(board(model, (level,)))
     state = plant.rest(0.0)
     x = largest = np.zeros(len(model.states))
     stuck = 0
     for tick in range(60):
-        force, torque = random.gauss(0.0, 0.1), random.gauss(0.0, 0.1)
+        force = random.gauss(0.0, 0.1)
+        torque = random.gauss(0.0, 0.1)
         if tick >= 40:
             force = torque = 0.0
         u = np.zeros(model.inputs.width)
@@ -103,9 +118,15 @@ def test_played_motion_is_the_models(name, level):
         assert [v == 0.0 for v in state] == [v == 0.0 for v in x]
     assert stuck > 0 or not model.contacts
     outputs = model.outputs
-    for view, row in (("encoder", outputs.encoder), ("travel", outputs.recorded_travel), ("motor_force", outputs.motor_force)):
+    for view, row in (
+        ("encoder", outputs.encoder),
+        ("travel", outputs.recorded_travel),
+        ("motor_force", outputs.motor_force),
+    ):
         expected = row.row(level) @ x + row.through(level)[0] * 0.5
-        assert getattr(plant, view)(state, 0.5, level) == pytest.approx(expected, rel=1e-9, abs=1e-15)
+        assert getattr(plant, view)(state, 0.5, level) == pytest.approx(
+            expected, rel=1e-9, abs=1e-15
+        )
     assert (plant.impulse is None) is (outputs.recorded_impulse is None)
 
 
@@ -118,7 +139,8 @@ def test_stuck_body_stands_exactly_still():
 
 
 def test_level_between_nodes_is_nearly_exact():
-    model, level = MODELS["whole"], 1.7
+    model = MODELS["whole"]
+    level = 1.7
     lookup = Lookup(plant_params(model, H, LEVELS, 10.0))
     assert lookup.node(level, model.residual_ohm) is None
     exact = discretise(model, H, level)
@@ -130,17 +152,22 @@ def test_level_between_nodes_is_nearly_exact():
 
 def test_level_may_change_between_pieces():
     model = MODELS["whole"]
-    plant, state = make_plant(board(model)), None
-    x, u = np.array([0.0, 0.1, 0.0, 0.1, 0.0, 0.0, 0.0]), np.zeros(model.inputs.width)
+    plant = make_plant(board(model))
+    state = None
+    x = np.array([0.0, 0.1, 0.0, 0.1, 0.0, 0.0, 0.0])
+    u = np.zeros(model.inputs.width)
     state = tuple(x)
     for level in (0.0, EXACT, EXACT, 0.0):
-        state, x = plant.step(state, 0.0, 0.0, level, 1), forces(model, level, x, u)
+        state = plant.step(state, 0.0, 0.0, level, 1)
+        x = forces(model, level, x, u)
         assert state == pytest.approx(tuple(x), rel=1e-12)
 
 
 def test_ends_hold_and_release():
     for extra in ((), ("coulomb",)):
-        model = device("probe", "coupling", "viscous", *extra, ends=WorkspaceEnds(lower_m=-0.02, upper_m=0.01))
+        model = device(
+            "probe", "coupling", "viscous", *extra, ends=WorkspaceEnds(lower_m=-0.02, upper_m=0.01)
+        )
         plant = make_plant(board(model))
         state = plant.rest(0.0099)
         for _ in range(400):
@@ -154,15 +181,20 @@ def test_ends_hold_and_release():
 
 
 def test_cogging_holds_a_detent_and_conserves_energy():
-    """Undamped mass in A sin(2 pi x / p): energy m v^2 / 2 + (A p / 2 pi) cos(2 pi x / p) stays, for 1,000 swings."""
+    """Undamped mass in A sin(2 pi x / p): energy m v^2 / 2 + (A p / 2 pi) cos(2 pi x / p)
+    stays, for 1,000 swings.
+    """
     model = device("probe", cogging=MagnetCogging(amplitude_n=0.5, pitch_m=0.005, phase_rad=pi))
-    plant, state = make_plant(board(model)), (1e-4, 0.0)
-    k, a = tau / 0.005, 0.5
+    plant = make_plant(board(model))
+    state = (1e-4, 0.0)
+    k = tau / 0.005
+    a = 0.5
 
     def energy(state):
         return 0.5 * 0.008 * state[1] ** 2 - a / k * np.cos(k * state[0])
 
-    start, found = energy(state), []
+    start = energy(state)
+    found = []
     for _ in range(40_000):
         state = plant.step(state, 0.0, 0.0, 0.0, 4)
         found.append(energy(state))
@@ -173,8 +205,11 @@ def test_cogging_holds_a_detent_and_conserves_energy():
 
 def test_winding_heats_up_and_weakens_the_motor():
     """2 N on a stuck rotor: T rises to ambient + R(T) R_th (F / K)^2 and alpha falls with it."""
-    per_w, seconds = 8.0, 0.02
-    heating = WindingHeating(thermal_resistance_k_per_w=per_w, time_constant_s=seconds, ambient_c=20.0)
+    per_w = 8.0
+    seconds = 0.02
+    heating = WindingHeating(
+        thermal_resistance_k_per_w=per_w, time_constant_s=seconds, ambient_c=20.0
+    )
     model = device(
         "amplifier", "damping_circuit", "probe", heating=heating, coulomb=Coulomb(rotor_n=5.0),
         winding=WindingTemperature(temperature_c=20.0, compensated_c=20.0),
@@ -184,7 +219,8 @@ def test_winding_heats_up_and_weakens_the_motor():
     assert plant.celsius(state) == 20.0
     for _ in range(1000):
         state = plant.step(state, 2.0, 0.0, EXACT, 4)
-    found_c, force = plant.celsius(state), plant.motor_force(state, 2.0, EXACT)
+    found_c = plant.celsius(state)
+    force = plant.motor_force(state, 2.0, EXACT)
     ohm = 1.6 * (1 + 0.00393 * (found_c - 20.0))
     assert found_c == pytest.approx(20.0 + per_w * ohm * (force / N_PER_A) ** 2, rel=1e-4)
     assert force == pytest.approx(2.0 / (1 + EXACT * (ohm - 1.6) / N_PER_A**2), rel=2e-4)
@@ -193,7 +229,12 @@ def test_winding_heats_up_and_weakens_the_motor():
 
 def test_heating_follows_its_time_constant():
     heating = WindingHeating(thermal_resistance_k_per_w=0.0, time_constant_s=0.1, ambient_c=20.0)
-    model = device("amplifier", "probe", heating=heating, winding=WindingTemperature(temperature_c=60.0, compensated_c=20.0))
+    model = device(
+        "amplifier",
+        "probe",
+        heating=heating,
+        winding=WindingTemperature(temperature_c=60.0, compensated_c=20.0),
+    )
     plant = make_plant(board(model))
     state = plant.rest(0.0)
     for _ in range(400):
@@ -202,7 +243,9 @@ def test_heating_follows_its_time_constant():
 
 
 def test_noise_of_the_estimate_has_its_density():
-    """Velocity noise of the estimate times 10 Ns/m on a mass: a random walk of velocity, S/2 (b / m)^2 per second."""
+    """Velocity noise of the estimate times 10 Ns/m on a mass: a random walk of velocity, S/2 (b
+    / m)^2 per second.
+    """
     model = device("probe", multiplier=Multiplier(noise_psd=1e-6))
     plant = make_plant(board(model, (10.0,), seed=5))
     squares = []
@@ -211,7 +254,8 @@ def test_noise_of_the_estimate_has_its_density():
         for count in (4, 4, 4, 2, 2) * 2:
             state = plant.step(state, 0.0, 0.0, 10.0, count)
         squares.append(state[1] ** 2)
-    rate, seconds = 10.0 / 0.008, 2e-3
+    rate = 10.0 / 0.008
+    seconds = 2e-3
     expected = 0.5e-6 * rate**2 * (1 - exp(-2 * rate * seconds)) / (2 * rate)
     assert np.mean(squares) == pytest.approx(expected, rel=0.25)
 
@@ -260,7 +304,11 @@ def test_board_fields_describe_the_device():
 def test_damaged_tables_are_refused():
     params = board(MODELS["rigid"])
     with pytest.raises(
-        ConfigError, match=r"must hold 22 plant maps of 2 x 4 numbers and does not; resolve the configuration again"
+        ConfigError,
+        match=(
+            r"must hold 22 plant maps of 2 x 4 numbers and does not; resolve the configuration"
+            r" again"
+        ),
     ):
         make_plant(replace(params, plant=replace(params.plant, maps=params.plant.maps[1:])))
     contact = MODELS["both"].contacts
@@ -278,18 +326,25 @@ def test_traceback_shows_the_generated_line():
 
 
 def test_passive_device_never_creates_energy():
-    """Held random torque: its exact work is at least the energy stored, at every instant, damped or not, stuck or not."""
+    """Held random torque: its exact work is at least the energy stored, at every instant,
+    damped or not, stuck or not.
+    """
     model = MODELS["both"]
     assert all(name in EFFECTS for name in ("coupling", "viscous"))
-    plant, random = make_plant(board(model)), Random(3)
-    state, work, torque = plant.rest(0.0), 0.0, 0.0
+    plant = make_plant(board(model))
+    random = Random(3)
+    state = plant.rest(0.0)
+    work = 0.0
+    torque = 0.0
     for k in range(20_000):
         if k % 50 == 0:
             torque = random.gauss(0.0, 0.1) if k % 1000 < 600 else 0.0
         before = state
         state = plant.step(state, 0.0, torque, 0.0, 4)
         work += torque * (state[0] - before[0])
-        stored = 0.5 * (0.0025 * state[1] ** 2 + 0.0025 * state[3] ** 2 + 4e4 * (state[0] - state[2]) ** 2)
+        stored = 0.5 * (
+            0.0025 * state[1] ** 2 + 0.0025 * state[3] ** 2 + 4e4 * (state[0] - state[2]) ** 2
+        )
         assert work >= stored - 1e-9
 
 

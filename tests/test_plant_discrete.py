@@ -1,5 +1,5 @@
-"""Exact discretisation: closed forms, composition of pieces, commands that change inside a step; the
-matrix exponential against 60-digit decimals.
+"""Exact discretisation: closed forms, composition of pieces, commands that change inside a step;
+the matrix exponential against 60-digit decimals.
 """
 
 from decimal import Decimal, getcontext
@@ -17,7 +17,8 @@ from hapticd.plant.step import held_force_response
 def decimal_expm(matrix):
     """e^M by a Taylor series in 60 digits, halved 40 times and squared back."""
     getcontext().prec = 60
-    n, halvings = len(matrix), 40
+    n = len(matrix)
+    halvings = 40
     small = [[Decimal(float(item)) / 2**halvings for item in row] for row in matrix]
     identity = [[Decimal(int(i == j)) for j in range(n)] for i in range(n)]
 
@@ -43,16 +44,22 @@ def block(model, level, h):
 @pytest.mark.parametrize("level", [0.0, 1.74, 10.0])
 @pytest.mark.parametrize("h", [1e-3 / 16, 1e-3])
 def test_stiff_electronics_to_the_last_digits(level, h):
-    stiff = device(*FULL, amplifier=Amplifier(bandwidth_hz=5e4), damping_circuit=DampingCircuit(bandwidth_hz=2e4))
+    stiff = device(
+        *FULL,
+        amplifier=Amplifier(bandwidth_hz=5e4),
+        damping_circuit=DampingCircuit(bandwidth_hz=2e4),
+    )
     matrix = block(stiff, level, h)
-    reference, found = decimal_expm(matrix), expm(matrix)
+    reference = decimal_expm(matrix)
+    found = expm(matrix)
     largest = abs(reference).max(axis=1, keepdims=True)
     assert (abs(found - reference) / largest).max() < 4e-16
 
 
 def test_every_entry_is_accurate():
     matrix = block(device("probe", "coupling", "viscous"), 0.0, 1e-3)
-    reference, found = decimal_expm(matrix), expm(matrix)
+    reference = decimal_expm(matrix)
+    found = expm(matrix)
     there = abs(reference) > 1e-12 * abs(reference).max(axis=1, keepdims=True)
     assert (abs(found - reference)[there] / abs(reference)[there]).max() < 1e-13
 
@@ -88,8 +95,10 @@ def test_rigid_mass_is_the_closed_form():
 @pytest.mark.parametrize("pieces", [2, 16, 100])
 def test_pieces_compose_to_the_whole(pieces):
     model = device(*FULL)
-    whole, piece = discretise(model, 1e-3, 1.74), discretise(model, 1e-3 / pieces, 1.74)
-    x, u = np.linspace(-1.0, 1.0, 7) * 1e-3, np.array([0.5, -0.2, 0.03])
+    whole = discretise(model, 1e-3, 1.74)
+    piece = discretise(model, 1e-3 / pieces, 1.74)
+    x = np.linspace(-1.0, 1.0, 7) * 1e-3
+    u = np.array([0.5, -0.2, 0.03])
     stepped = x
     for _ in range(pieces):
         stepped = piece.a @ stepped + piece.b @ u
@@ -98,11 +107,13 @@ def test_pieces_compose_to_the_whole(pieces):
 
 @pytest.mark.parametrize("fraction", [0.0, 0.125, 1 / 3, 0.9, 1.0])
 def test_late_command_is_two_exact_pieces(fraction):
-    model, h = device(*FULL), 1e-3
+    model = device(*FULL)
+    h = 1e-3
     whole = discretise(model, h, 1.74)
     old, new = late_command(model, whole, fraction)
     x, (before, after) = np.array([1e-3, 0.1, 1e-3, 0.1, 0.2, 0.1, 0.1]), (0.7, -0.4)
-    first, second = discretise(model, fraction * h, 1.74), discretise(model, (1 - fraction) * h, 1.74)
+    first = discretise(model, fraction * h, 1.74)
+    second = discretise(model, (1 - fraction) * h, 1.74)
     column = model.inputs.command
     middle = first.a @ x + first.b[:, column] * before
     expected = second.a @ middle + second.b[:, column] * after
@@ -111,23 +122,37 @@ def test_late_command_is_two_exact_pieces(fraction):
 
 @pytest.mark.parametrize(
     ("periods", "steps", "expected"),
-    [(0.125, 16, (2, 0.0)), (0.125, 4, (0, 0.5)), (1.4375, 16, (23, 0.0)), (1.0, 1, (1, 0.0)), (0.3, 10, (3, 0.0))],
-)  # fmt: skip
+    [
+        (0.125, 16, (2, 0.0)),
+        (0.125, 4, (0, 0.5)),
+        (1.4375, 16, (23, 0.0)),
+        (1.0, 1, (1, 0.0)),
+        (0.3, 10, (3, 0.0)),
+    ],
+)
 def test_delay_is_split_into_steps_and_a_rest(periods, steps, expected):
     count, fraction = delay_steps(periods, steps)
     assert (count, pytest.approx(fraction, abs=1e-12)) == expected
 
 
 def test_lightly_damped_coupling_decays_as_it_should():
-    """Two masses on a spring, relative motion: e^(-zeta w t) (cos w_d t + zeta / sqrt(1 - zeta^2) sin w_d t)."""
-    stiffness, damping, m1, m2 = 4e4, 0.02, 0.0055, 0.0025
+    """Two masses on a spring, relative motion: e^(-zeta w t) (cos w_d t + zeta / sqrt(1 -
+    zeta^2) sin w_d t).
+    """
+    stiffness = 4e4
+    damping = 0.02
+    m1 = 0.0055
+    m2 = 0.0025
     model = device(
-        masses=Masses(rotor_kg=m1 + 0.0, slider_kg=m2), coupling=Coupling(stiffness_n_per_m=stiffness, damping_ns_per_m=damping)
+        masses=Masses(rotor_kg=m1 + 0.0, slider_kg=m2),
+        coupling=Coupling(stiffness_n_per_m=stiffness, damping_ns_per_m=damping),
     )
     reduced = m1 * m2 / (m1 + m2)
-    w, zeta = sqrt(stiffness / reduced), damping / (2 * sqrt(stiffness * reduced))
+    w = sqrt(stiffness / reduced)
+    zeta = damping / (2 * sqrt(stiffness * reduced))
     wd = w * sqrt(1 - zeta**2)
-    step, x = discretise(model, 1e-3 / 16), np.array([m2 / (m1 + m2), 0.0, -m1 / (m1 + m2), 0.0]) * 1e-4
+    step = discretise(model, 1e-3 / 16)
+    x = np.array([m2 / (m1 + m2), 0.0, -m1 / (m1 + m2), 0.0]) * 1e-4
     x0 = x[0] - x[2]
     assert w / (2 * pi) == pytest.approx(767, abs=1)
     assert zeta < 2e-3

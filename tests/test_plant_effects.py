@@ -1,5 +1,5 @@
-"""Effects one by one: closed forms of shaped damping, its passivity, and that it costs nothing where
-it is not; motor figures of the paper, and copper.
+"""Effects one by one: closed forms of shaped damping, its passivity, and that it costs nothing
+where it is not; motor figures of the paper, and copper.
 """
 
 from math import tau
@@ -42,7 +42,9 @@ def shaped_impedance(level_ns_per_m, frequency_hz, highpass_hz=0.0, lowpass_hz=0
 def impedance(model, level, hz):
     """Torque over velocity at the rotor, exactly."""
     s = 1j * tau * hz
-    states = np.linalg.solve(s * np.eye(len(model.states)) - model.a(level), model.b(level)[:, model.inputs.torque])
+    states = np.linalg.solve(
+        s * np.eye(len(model.states)) - model.a(level), model.b(level)[:, model.inputs.torque]
+    )
     return 1.0 / (model.outputs.velocity.row(level) @ states)
 
 
@@ -53,26 +55,38 @@ def added(model, hz, level=LEVEL):
 
 def ideal(highpass_hz=0.0, lowpass_hz=0.0):
     """A rigid device whose circuit has no lags but the shape."""
-    return device("probe", "viscous", shaped_damping=ShapedDamping(highpass_hz=highpass_hz, lowpass_hz=lowpass_hz))
+    return device(
+        "probe",
+        "viscous",
+        shaped_damping=ShapedDamping(highpass_hz=highpass_hz, lowpass_hz=lowpass_hz),
+    )
 
 
 @pytest.mark.parametrize("hz", HERTZ)
 def test_highpass_adds_a_damper_in_series_with_a_mass(hz):
-    s, corner = 1j * tau * hz, tau * 10.0
+    s = 1j * tau * hz
+    corner = tau * 10.0
     assert added(ideal(highpass_hz=10.0), hz) == pytest.approx(LEVEL * s / (s + corner), rel=1e-9)
     mass_kg = LEVEL / corner
-    assert added(ideal(highpass_hz=10.0), hz) == pytest.approx(1 / (1 / LEVEL + 1 / (mass_kg * s)), rel=1e-9)
+    assert added(ideal(highpass_hz=10.0), hz) == pytest.approx(
+        1 / (1 / LEVEL + 1 / (mass_kg * s)), rel=1e-9
+    )
 
 
 @pytest.mark.parametrize("hz", HERTZ)
 def test_lowpass_adds_a_damper_in_series_with_a_spring(hz):
-    s, stiffness = 1j * tau * hz, LEVEL * tau * 40.0
-    assert added(ideal(lowpass_hz=40.0), hz) == pytest.approx(1 / (1 / LEVEL + s / stiffness), rel=1e-9)
+    s = 1j * tau * hz
+    stiffness = LEVEL * tau * 40.0
+    assert added(ideal(lowpass_hz=40.0), hz) == pytest.approx(
+        1 / (1 / LEVEL + s / stiffness), rel=1e-9
+    )
 
 
 @pytest.mark.parametrize("hz", HERTZ)
 def test_both_corners_make_a_band(hz):
-    s, low, high = 1j * tau * hz, tau * 5.0, tau * 80.0
+    s = 1j * tau * hz
+    low = tau * 5.0
+    high = tau * 80.0
     expected = LEVEL * s / (s + low) * high / (s + high)
     assert added(ideal(5.0, 80.0), hz) == pytest.approx(expected, rel=1e-9)
     assert shaped_impedance(LEVEL, hz, 5.0, 80.0) == pytest.approx(expected, rel=1e-12)
@@ -89,16 +103,30 @@ def test_corners_far_away_are_plain_damping_or_none(hz):
 
 
 @given(
-    st.floats(0.01, 2000.0), st.sampled_from([0.0, 0.3, 7.0, 90.0, 1e3]), st.sampled_from([0.0, 0.5, 12.0, 200.0, 5e3])
-)  # fmt: skip
+    st.floats(0.01, 2000.0),
+    st.sampled_from([0.0, 0.3, 7.0, 90.0, 1e3]),
+    st.sampled_from([0.0, 0.5, 12.0, 200.0, 5e3]),
+)
 def test_shaped_damper_alone_is_passive(hz, highpass_hz, lowpass_hz):
     """And Re Z is what the closed forms of the module say."""
-    w, low, high = tau * hz, tau * highpass_hz, tau * lowpass_hz
+    w = tau * hz
+    low = tau * highpass_hz
+    high = tau * lowpass_hz
     z = shaped_impedance(LEVEL, hz, highpass_hz, lowpass_hz)
     if low and high:
-        real = LEVEL * high * w**2 * (low + high) / ((low * high - w**2) ** 2 + w**2 * (low + high) ** 2)
+        real = (
+            LEVEL
+            * high
+            * w**2
+            * (low + high)
+            / ((low * high - w**2) ** 2 + w**2 * (low + high) ** 2)
+        )
     else:
-        real = LEVEL * (w**2 / (w**2 + low**2) if low else 1.0) * (high**2 / (w**2 + high**2) if high else 1.0)
+        real = (
+            LEVEL
+            * (w**2 / (w**2 + low**2) if low else 1.0)
+            * (high**2 / (w**2 + high**2) if high else 1.0)
+        )
     assert z.real == pytest.approx(real, rel=1e-9)
     assert z.real > 0.0
     assert added(ideal(highpass_hz, lowpass_hz), hz).real == pytest.approx(real, rel=1e-6, abs=1e-9)
@@ -107,7 +135,9 @@ def test_shaped_damper_alone_is_passive(hz, highpass_hz, lowpass_hz):
 def test_lowpass_beside_the_circuits_own_lag_is_active_above_their_geometric_mean():
     """Z = b / ((1 + s/w_h)(1 + s/w_d)): Re Z = 0 at w = sqrt(w_h w_d)."""
     circuit = DampingCircuit(bandwidth_hz=1e3)
-    model = device("probe", "viscous", damping_circuit=circuit, shaped_damping=ShapedDamping(lowpass_hz=100.0))
+    model = device(
+        "probe", "viscous", damping_circuit=circuit, shaped_damping=ShapedDamping(lowpass_hz=100.0)
+    )
     turn = np.sqrt(100.0 * 1e3)
     assert added(model, 0.98 * turn).real > 0.0 > added(model, 1.02 * turn).real
 
@@ -115,13 +145,19 @@ def test_lowpass_beside_the_circuits_own_lag_is_active_above_their_geometric_mea
 @pytest.mark.parametrize("hz", [0.1, 10.0, 300.0, 1e4])
 def test_highpass_beside_one_lag_stays_passive(hz):
     circuit = DampingCircuit(bandwidth_hz=1e3)
-    model = device("probe", "viscous", damping_circuit=circuit, shaped_damping=ShapedDamping(highpass_hz=100.0))
+    model = device(
+        "probe", "viscous", damping_circuit=circuit, shaped_damping=ShapedDamping(highpass_hz=100.0)
+    )
     assert added(model, hz).real > 0.0
 
 
 def held_force(model, level):
     """Motor force after a newton of command has been held for long, the rotor fixed."""
-    electrical = [place for place, state in enumerate(model.states) if not state.name.endswith(("_position", "rotor_velocity"))]
+    electrical = [
+        place
+        for place, state in enumerate(model.states)
+        if not state.name.endswith(("_position", "rotor_velocity"))
+    ]
     inflow = model.b(level)[electrical, model.inputs.command]
     settled = np.linalg.solve(model.a(level)[np.ix_(electrical, electrical)], -inflow)
     return model.outputs.motor_force.row(level)[electrical] @ settled
@@ -130,7 +166,13 @@ def held_force(model, level):
 def test_highpass_keeps_a_hot_winding_out_of_the_static_force():
     hot = {"winding": WindingTemperature(temperature_c=60.0, compensated_c=20.0)}
     plain = device("probe", "amplifier", "damping_circuit", **hot)
-    shaped = device("probe", "amplifier", "damping_circuit", **hot, shaped_damping=ShapedDamping(highpass_hz=10.0))
+    shaped = device(
+        "probe",
+        "amplifier",
+        "damping_circuit",
+        **hot,
+        shaped_damping=ShapedDamping(highpass_hz=10.0),
+    )
     assert held_force(plain, LEVEL) < 0.9
     assert held_force(shaped, LEVEL) == pytest.approx(1.0, rel=1e-12)
 
@@ -154,11 +196,17 @@ def test_undamped_engine_computes_no_shape():
 
 
 def test_engine_plays_it_exactly():
-    model = device(*(name for name in FULL if name != "coulomb"), shaped_damping=ShapedDamping(highpass_hz=10.0, lowpass_hz=300.0))
-    torque, kbm = 0.3 * np.random.default_rng(5).standard_normal(400), [50.0, 2.0, 0.0]
+    model = device(
+        *(name for name in FULL if name != "coulomb"),
+        shaped_damping=ShapedDamping(highpass_hz=10.0, lowpass_hz=300.0),
+    )
+    torque = 0.3 * np.random.default_rng(5).standard_normal(400)
+    kbm = [50.0, 2.0, 0.0]
     found = simulate(model, [kbm], 0.1, excitation=torque, damping=LEVEL, keep="ticks")
     expected = Straight(model, kbm, None, LEVEL, 1, (0.0, 0.0)).play(torque)
-    for ours, theirs in zip((found.velocity_m_per_s[0], found.force_n[0], found.position_m[0]), expected, strict=True):
+    for ours, theirs in zip(
+        (found.velocity_m_per_s[0], found.force_n[0], found.position_m[0]), expected, strict=True
+    ):
         assert float(abs(ours - theirs).max() / abs(theirs).max()) < 1e-12
 
 
@@ -166,11 +214,16 @@ def test_level_may_be_switched_while_the_shape_keeps_its_state():
     """The filter sits before the multiplier: its own equation does not know the level."""
     model = device(*FULL, shaped_damping=ShapedDamping(highpass_hz=10.0))
     assert not model.a1[model.index("slow_estimate")].any()
-    assert model.a1[model.index("motor_force"), model.index("slow_estimate")] == pytest.approx(tau * 5e3 * 1.05)
+    assert model.a1[model.index("motor_force"), model.index("slow_estimate")] == pytest.approx(
+        tau * 5e3 * 1.05
+    )
 
 
 def test_crowbar_and_shape_exclude_each_other():
-    message = r"a crowbar shorts the motor: leave out 'amplifier', 'damping_circuit', 'shaped_damping' and 'inductance'"
+    message = (
+        r"a crowbar shorts the motor: leave out 'amplifier', 'damping_circuit', 'shaped_damping'"
+        r" and 'inductance'"
+    )
     with pytest.raises(ConfigError, match=message):
         device(crowbar=Crowbar(), shaped_damping=ShapedDamping(highpass_hz=10.0))
 
@@ -185,7 +238,9 @@ def test_scene_names_it_with_corner_and_reason():
 
 
 def test_crowbar_figures_of_the_paper():
-    """Eq. 3: 1.7e-4 Nms/rad; its 3.7e-5 Ns/m would need a lever of 2.14 m, and 10 mm gives 1.70 Ns/m."""
+    """Eq. 3: 1.7e-4 Nms/rad; its 3.7e-5 Ns/m would need a lever of 2.14 m, and 10 mm gives 1.70
+    Ns/m.
+    """
     crowbar = crowbar_nms_per_rad(0.016492422502470644, 1.6)
     assert crowbar == pytest.approx(1.7e-4, rel=1e-12)
     assert lever_of_crowbar_m(1.7e-4, 3.7e-5) == pytest.approx(2.1435, abs=1e-4)

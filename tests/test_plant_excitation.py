@@ -13,7 +13,8 @@ NOISE = Excitation("noise", psd_n2_per_hz=2.5e-5, band_hz=1700.0)
 def test_noise_has_the_stated_density_and_band():
     record = torque_record(NOISE, 360_000, 1)
     frequency, density = signal.welch(record, 4000, nperseg=4000, scaling="density")
-    inside, outside = (frequency > 1.0) & (frequency < 1690.0), frequency > 1915.0
+    inside = (frequency > 1.0) & (frequency < 1690.0)
+    outside = frequency > 1915.0
     assert density[inside].mean() == pytest.approx(2.5e-5, rel=0.01)
     assert density[inside].std() < 0.2 * 2.5e-5  # 180 averages, overlapped
     assert density[outside].max() < 1e-4 * 2.5e-5
@@ -29,7 +30,8 @@ def test_noise_is_gaussian():
 
 def test_streams_and_seeds_are_independent():
     records = [
-        torque_record(NOISE, 40_000, seed, stream) for seed, stream in ((1, 0), (1, Stream.TORQUE), (1, Stream.TORQUE + 1), (2, 0))
+        torque_record(NOISE, 40_000, seed, stream)
+        for seed, stream in ((1, 0), (1, Stream.TORQUE), (1, Stream.TORQUE + 1), (2, 0))
     ]
     related = np.corrcoef(records) - np.eye(4)
     assert abs(related).max() < 0.025
@@ -37,7 +39,9 @@ def test_streams_and_seeds_are_independent():
 
 
 def test_multisine_is_flat_and_has_its_rms():
-    record = torque_record(Excitation("multisine", force_n=0.2, band_hz=1700.0, period_s=1.024), 0, 3)
+    record = torque_record(
+        Excitation("multisine", force_n=0.2, band_hz=1700.0, period_s=1.024), 0, 3
+    )
     spectrum = abs(np.fft.rfft(record))
     assert len(record) == 4096
     assert record.std() == pytest.approx(0.2, rel=1e-12)
@@ -53,4 +57,6 @@ def test_push_begins_at_its_time():
 
 
 def test_held_noise_has_the_variance_of_its_density():
-    assert held_noise(400_000, 1e-6, 1, Stream.ESTIMATE).var() == pytest.approx(1e-6 * 4000 / 2, rel=0.01)
+    assert held_noise(400_000, 1e-6, 1, Stream.ESTIMATE).var() == pytest.approx(
+        1e-6 * 4000 / 2, rel=0.01
+    )

@@ -24,7 +24,9 @@ def brute_force(v, w, levels):
         loose = [k for k in (0, 1) if modes[k] == 0]
         if loose:
             rest = [-v[k] - sum(w[k][j] * f[j] for j in (0, 1) if j not in loose) for k in loose]
-            for k, force in zip(loose, np.linalg.solve([[w[k][j] for j in loose] for k in loose], rest), strict=True):
+            for k, force in zip(
+                loose, np.linalg.solve([[w[k][j] for j in loose] for k in loose], rest), strict=True
+            ):
                 f[k] = force
         after = [v[k] + w[k][0] * f[0] + w[k][1] * f[1] for k in (0, 1)]
         held = all(abs(f[k]) <= levels[k] * (1 + 1e-12) for k in loose)
@@ -35,9 +37,11 @@ def brute_force(v, w, levels):
 
 @settings(derandomize=True, max_examples=400)
 @given(
-    v=st.tuples(st.floats(-1, 1), st.floats(-1, 1)), share=st.floats(0.0, 0.99), ratio=st.floats(0.1, 10.0),
+    v=st.tuples(st.floats(-1, 1), st.floats(-1, 1)),
+    share=st.floats(0.0, 0.99),
+    ratio=st.floats(0.1, 10.0),
     levels=st.tuples(st.floats(0.0, 0.5), st.floats(0.0, 0.5)),
-)  # fmt: skip
+)
 def test_two_contacts_equal_brute_force(v, share, ratio, levels):
     w12 = share * sqrt(ratio)
     w = ((1.0, w12), (w12, ratio))
@@ -53,7 +57,8 @@ def test_one_contact_sticks_or_slides():
 
 def play(model, x, steps, h, force=0.0, level=LEVEL):
     """States after each sub-step of a device with one contact, under a held torque."""
-    step, contact = discretise(model, h), model.contacts[0]
+    step = discretise(model, h)
+    contact = model.contacts[0]
     u = np.zeros(model.inputs.width)
     u[model.inputs.torque] = force
     states = [x]
@@ -69,7 +74,8 @@ def play(model, x, steps, h, force=0.0, level=LEVEL):
 
 @pytest.mark.parametrize("substeps", [1, 2, 4, 16, 64])
 def test_sliding_mass_stops_within_a_substep(substeps):
-    model, h = device("probe", coulomb=Coulomb(rotor_n=LEVEL)), 1e-3 / substeps
+    model = device("probe", coulomb=Coulomb(rotor_n=LEVEL))
+    h = 1e-3 / substeps
     x = play(model, np.array([0.0, 0.05]), 40 * substeps, h)
     exact_s = stop_time_s(0.008, 0.05, LEVEL)
     assert exact_s == pytest.approx(0.0133333, rel=1e-5)
@@ -78,7 +84,9 @@ def test_sliding_mass_stops_within_a_substep(substeps):
     assert (x[moving[-1] + 1 :, 1] == 0.0).all()
     stopped = x[moving[-1] + 1 :, 0]
     assert (stopped == stopped[0]).all()
-    assert stopped[0] == pytest.approx(0.008 * 0.05**2 / (2 * LEVEL), rel=2.0 / substeps**2 / 10 + 1e-4)
+    assert stopped[0] == pytest.approx(
+        0.008 * 0.05**2 / (2 * LEVEL), rel=2.0 / substeps**2 / 10 + 1e-4
+    )
 
 
 def test_friction_holds_below_its_level_and_yields_above():
@@ -89,8 +97,11 @@ def test_friction_holds_below_its_level_and_yields_above():
 
 
 def test_stick_slip_loses_two_bands_each_half_cycle():
-    """Spring 200 N/m, 8 g: turning points 2 Fc / K nearer to 0 each half cycle of sqrt(K / m), then stick for ever."""
-    stiffness, start = 200.0, 2.1e-3
+    """Spring 200 N/m, 8 g: turning points 2 Fc / K nearer to 0 each half cycle of sqrt(K / m),
+    then stick for ever.
+    """
+    stiffness = 200.0
+    start = 2.1e-3
     model = device("probe", load=Load(stiffness_n_per_m=stiffness), coulomb=Coulomb(rotor_n=LEVEL))
     exact = turning_points_m(start, stiffness, LEVEL)
     assert len(exact) == 8
@@ -108,9 +119,17 @@ def test_stick_slip_loses_two_bands_each_half_cycle():
 
 @pytest.mark.parametrize("slider_kg", [0.0025, 0.02])
 def test_stuck_rotor_lets_the_slider_ring(slider_kg):
-    """Friction at the rotor alone: the rotor stands exactly still while the slider swings on the coupling."""
-    model = device("coupling", masses=Masses(rotor_kg=0.0055, slider_kg=slider_kg), coulomb=Coulomb(rotor_n=LEVEL))
+    """Friction at the rotor alone: the rotor stands exactly still while the slider swings on
+    the coupling.
+    """
+    model = device(
+        "coupling",
+        masses=Masses(rotor_kg=0.0055, slider_kg=slider_kg),
+        coulomb=Coulomb(rotor_n=LEVEL),
+    )
     x = play(model, np.array([0.0, 0.0, 5e-7, 0.0]), 4000, 1e-3 / 16)
     assert (x[:, 1] == 0.0).all()
-    assert abs(x[:, 0]).max() < 1e-8  # the force is held over a sub-step while the spring moves in it
+    assert (
+        abs(x[:, 0]).max() < 1e-8
+    )  # the force is held over a sub-step while the spring moves in it
     assert abs(x[1:100, 3]).max() > 1e-4

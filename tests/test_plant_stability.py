@@ -7,7 +7,13 @@ from plant_devices import EFFECTS, FULL, N_PER_A, device
 
 from hapticd.errors import ConfigError
 from hapticd.plant.compose import compose
-from hapticd.plant.effects import Amplifier, DampingCircuit, InductanceError, Motor, WindingTemperature
+from hapticd.plant.effects import (
+    Amplifier,
+    DampingCircuit,
+    InductanceError,
+    Motor,
+    WindingTemperature,
+)
 from hapticd.plant.scene import DampingStep, Scene
 from hapticd.plant.stability import damping_ceiling, explain, modes, stability
 
@@ -38,10 +44,20 @@ def test_resistance_over_compensated_beyond_minus_one_grows(loop_gain, sign):
 
 def test_unstable_device_is_refused_unless_asked_for():
     scene = Scene(
-        "hot", "", "test", tuple(overcompensated(-1.01).values()), damping=(DampingStep(0.0, 0.0), DampingStep(1.0, LEVEL))
+        "hot",
+        "",
+        "test",
+        tuple(overcompensated(-1.01).values()),
+        damping=(DampingStep(0.0, 0.0), DampingStep(1.0, LEVEL)),
     )
-    message = r"'hot': the device without virtual environment is unstable at 1\.74 N s/m: resistance over-compensated, "
-    with pytest.raises(ConfigError, match=message + r"g dR / K\^2 = -1\.01 \(limit -1\), growth .* set allow_unstable = true"):
+    message = (
+        r"'hot': the device without virtual environment is unstable at 1\.74 N s/m: resistance"
+        r" over-compensated, "
+    )
+    with pytest.raises(
+        ConfigError,
+        match=message + r"g dR / K\^2 = -1\.01 \(limit -1\), growth .* set allow_unstable = true",
+    ):
         compose(scene)
     allowed = Scene("hot", "", "test", scene.effects, damping=scene.damping, allow_unstable=True)
     assert compose(allowed).residual_ohm < 0
@@ -60,10 +76,17 @@ def test_translation_is_divided_out():
 
 
 def test_ceiling_is_the_routh_limit():
-    """m s^3 + (b + m(wa + wd)) s^2 + ... with rigid mass m, viscous b and lags wa, wd: third-order Routh."""
-    wa, wd, m, b = tau * 5e3, tau * 1e3, 0.008, 0.358
+    """m s^3 + (b + m(wa + wd)) s^2 + ... with rigid mass m, viscous b and lags wa, wd:
+    third-order Routh.
+    """
+    wa = tau * 5e3
+    wd = tau * 1e3
+    m = 0.008
+    b = 0.358
     rigid = ("probe", "viscous", "amplifier", "damping_circuit")
-    a2, a1, a0 = wa + wd + b / m, wa * wd + (wa + wd) * b / m, wa * wd * b / m
+    a2 = wa + wd + b / m
+    a1 = wa * wd + (wa + wd) * b / m
+    a0 = wa * wd * b / m
     limit = (a2 * a1 - a0) * m / (wa * wd)
     assert damping_ceiling(device(*rigid)) == pytest.approx(limit, rel=1e-6)
     assert stability(device(*rigid), 0.999 * limit).stable
@@ -80,17 +103,25 @@ def test_ceiling_of_the_display(bandwidth_hz, ceiling):
 def test_hot_winding_raises_the_ceiling_cold_lowers_it():
     rigid = ("probe", "viscous", "amplifier", "damping_circuit")
     exact = damping_ceiling(device(*rigid))
-    hot, cold = (device(*rigid, winding=WindingTemperature(temperature_c=c, compensated_c=20.0)) for c in (21.0, 19.0))
+    hot, cold = (
+        device(*rigid, winding=WindingTemperature(temperature_c=c, compensated_c=20.0))
+        for c in (21.0, 19.0)
+    )
     assert damping_ceiling(cold) < exact < damping_ceiling(hot)
 
 
 @pytest.mark.parametrize("side", [0.98, 1.02])
 def test_inductance_error_has_a_closed_limit(side):
-    """(wa + wd) + wa wd g dL / K^2 > 0 for the electrical pair alone: the rotor is too heavy to follow."""
-    wa, wd = tau * 5e3, tau * 1e3
+    """(wa + wd) + wa wd g dL / K^2 > 0 for the electrical pair alone: the rotor is too heavy to
+    follow.
+    """
+    wa = tau * 5e3
+    wd = tau * 1e3
     error_h = -side * (1 / wa + 1 / wd) / LEVEL * N_PER_A**2
     heavy = {"masses": EFFECTS["masses"].__class__(rotor_kg=50.0)}
-    model = device("amplifier", "damping_circuit", inductance=InductanceError(error_h=error_h), **heavy)
+    model = device(
+        "amplifier", "damping_circuit", inductance=InductanceError(error_h=error_h), **heavy
+    )
     assert stability(model, LEVEL).stable is (side < 1)
 
 
@@ -115,6 +146,12 @@ def test_drifting_mass_has_an_endless_mode():
 
 def test_motor_without_winding_effect_is_compensated():
     model = device(
-        "probe", amplifier=Amplifier(bandwidth_hz=1e3), motor=Motor(torque_constant_nm_per_a=0.02, lever_m=0.01, resistance_ohm=2.0)
+        "probe",
+        amplifier=Amplifier(bandwidth_hz=1e3),
+        motor=Motor(torque_constant_nm_per_a=0.02, lever_m=0.01, resistance_ohm=2.0),
     )
-    assert (model.residual_ohm, model.resistance_ohm, model.torque_constant_n_per_a) == (0.0, 2.0, 2.0)
+    assert (model.residual_ohm, model.resistance_ohm, model.torque_constant_n_per_a) == (
+        0.0,
+        2.0,
+        2.0,
+    )

@@ -1,5 +1,5 @@
-"""The rigid mass: its exact response against 60-digit decimals, the balance of work, and the generated
-step: what it computes, what it leaves out, and that a traceback shows it.
+"""The rigid mass: its exact response against 60-digit decimals, the balance of work, and the
+generated step: what it computes, what it leaves out, and that a traceback shows it.
 """
 
 import traceback
@@ -21,7 +21,9 @@ DURATIONS_S = (1e-3 / 16, 250e-6, 1e-3, 62.5e-3, 1.0)
 
 
 def decimal_phis(a: float) -> tuple[Decimal, Decimal]:
-    """phi1 and phi2 by their series, term by term in 60 digits (or closed where the series is long)."""
+    """phi1 and phi2 by their series, term by term in 60 digits (or closed where the series is
+    long).
+    """
     getcontext().prec = 60
     x = Decimal(a)
     if abs(x) > 5:
@@ -41,10 +43,13 @@ def decimal_phis(a: float) -> tuple[Decimal, Decimal]:
 def test_response_agrees_with_decimals(damping_ns_per_m, duration_s):
     a = damping_ns_per_m * duration_s / MASS_KG
     first, second = decimal_phis(a)
-    m, h = Decimal(MASS_KG), Decimal(duration_s)
+    m = Decimal(MASS_KG)
+    h = Decimal(duration_s)
     expected = ((-Decimal(a)).exp(), h / m * first, h * first, h * h / m * second)
     found = held_force_response(MASS_KG, damping_ns_per_m, duration_s)
-    assert found == pytest.approx([float(value) for value in expected], rel=4e-16 * max(1.0, a), abs=0.0)
+    assert found == pytest.approx(
+        [float(value) for value in expected], rel=4e-16 * max(1.0, a), abs=0.0
+    )
 
 
 def test_no_damping_is_exactly_ballistic():
@@ -52,7 +57,8 @@ def test_no_damping_is_exactly_ballistic():
 
 
 def test_phis_are_smooth_where_the_form_changes():
-    below, above = 1.0 - 2.0**-53, 1.0
+    below = 1.0 - 2.0**-53
+    above = 1.0
     assert phi2(below) == pytest.approx(phi2(above), rel=1e-15)
     assert (phi1(0.0), phi2(0.0)) == (1.0, 0.5)
 
@@ -60,32 +66,61 @@ def test_phis_are_smooth_where_the_form_changes():
 @pytest.mark.parametrize("pieces", [2, 3, 16, 1000])
 def test_pieces_compose_to_the_whole(pieces):
     decay, gain, reach, push = held_force_response(MASS_KG, 0.36, 0.004 / pieces)
-    x, v, force_n = 0.001, 0.3, -1.5
+    x = 0.001
+    v = 0.3
+    force_n = -1.5
     for _ in range(pieces):
-        x, v = x + reach * v + push * force_n, decay * v + gain * force_n
+        x = x + reach * v + push * force_n
+        v = decay * v + gain * force_n
     decay, gain, reach, push = held_force_response(MASS_KG, 0.36, 0.004)
-    assert (x, v) == pytest.approx((0.001 + reach * 0.3 + push * force_n, decay * 0.3 + gain * force_n), rel=1e-13)
+    assert (x, v) == pytest.approx(
+        (0.001 + reach * 0.3 + push * force_n, decay * 0.3 + gain * force_n), rel=1e-13
+    )
 
 
 def dissipated_j(damping: float, duration_s: float, v: float, force_n: float) -> float:
-    """c times the integral of v(t)^2 with v(t) = vt + (v - vt) e^-rt, vt = f/c, r = c/m; in 60 digits."""
+    """c times the integral of v(t)^2 with v(t) = vt + (v - vt) e^-rt, vt = f/c, r = c/m; in 60
+    digits.
+    """
     getcontext().prec = 60
-    c, h, f, m = Decimal(damping), Decimal(duration_s), Decimal(force_n), Decimal(MASS_KG)
-    terminal, rate = f / c, c / m
-    excess, once, twice = Decimal(v) - terminal, 1 - (-rate * h).exp(), 1 - (-2 * rate * h).exp()
-    return float(c * (terminal * terminal * h + 2 * terminal * excess * once / rate + excess * excess * twice / (2 * rate)))
+    c = Decimal(damping)
+    h = Decimal(duration_s)
+    f = Decimal(force_n)
+    m = Decimal(MASS_KG)
+    terminal = f / c
+    rate = c / m
+    excess = Decimal(v) - terminal
+    once = 1 - (-rate * h).exp()
+    twice = 1 - (-2 * rate * h).exp()
+    return float(
+        c
+        * (
+            terminal * terminal * h
+            + 2 * terminal * excess * once / rate
+            + excess * excess * twice / (2 * rate)
+        )
+    )
 
 
 @settings(derandomize=True, max_examples=300)
 @given(
-    damping=st.floats(1e-3, 50.0), duration_s=st.floats(1e-5, 0.05), v=st.floats(-3.0, 3.0), force_n=st.floats(-10.0, 10.0)
-)  # fmt: skip
+    damping=st.floats(1e-3, 50.0),
+    duration_s=st.floats(1e-5, 0.05),
+    v=st.floats(-3.0, 3.0),
+    force_n=st.floats(-10.0, 10.0),
+)
 def test_work_is_kinetic_plus_dissipated(damping, duration_s, v, force_n):
     decay, gain, reach, push = held_force_response(MASS_KG, damping, duration_s)
-    distance, after = reach * v + push * force_n, decay * v + gain * force_n
-    work, kinetic = force_n * distance, 0.5 * MASS_KG * (after * after - v * v)
+    distance = reach * v + push * force_n
+    after = decay * v + gain * force_n
+    work = force_n * distance
+    kinetic = 0.5 * MASS_KG * (after * after - v * v)
     lost = dissipated_j(damping, duration_s, v, force_n)
-    turnover = abs(force_n) * (abs(reach * v) + push * abs(force_n)) + 0.5 * MASS_KG * (after * after + v * v) + lost
+    turnover = (
+        abs(force_n) * (abs(reach * v) + push * abs(force_n))
+        + 0.5 * MASS_KG * (after * after + v * v)
+        + lost
+    )
     assert work == pytest.approx(kinetic + lost, rel=0.0, abs=1e-12 * turnover + 1e-300)
 
 
@@ -107,7 +142,8 @@ def test_coefficients_are_made_once_per_level(monkeypatch):
         return held_force_response(*arguments)
 
     monkeypatch.setattr(plant_step, "held_force_response", counted)
-    step, state = make_step(board_params()), rest_state(board_params())
+    step = make_step(board_params())
+    state = rest_state(board_params())
     for damping in (0.0, 1.0, 1.0, 0.0):
         for _ in range(50):
             state = step(state, 1.0, 0.0, damping, 4)
@@ -131,7 +167,8 @@ def test_free_travel_has_no_comparison():
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_stop_holds_and_releases(sign):
-    step, state = make_step(STOPPED), rest_state(STOPPED, sign * 0.0219)
+    step = make_step(STOPPED)
+    state = rest_state(STOPPED, sign * 0.0219)
     for _ in range(100):
         state = step(state, sign * 5.0, 0.0, 0.0, 4)
         assert abs(state[0]) <= 0.022
@@ -146,9 +183,12 @@ def test_stop_lets_an_inward_velocity_pass():
 
 
 def test_two_steps_do_not_share_a_level():
-    first, second = make_step(board_params()), make_step(board_params())
+    first = make_step(board_params())
+    second = make_step(board_params())
     first((0.0, 1.0), 0.0, 0.0, 5.0, 4)
-    assert second((0.0, 1.0), 0.0, 0.0, 0.0, 4) == make_step(board_params())((0.0, 1.0), 0.0, 0.0, 0.0, 4)
+    assert second((0.0, 1.0), 0.0, 0.0, 0.0, 4) == make_step(board_params())(
+        (0.0, 1.0), 0.0, 0.0, 0.0, 4
+    )
 
 
 def test_traceback_shows_the_generated_line():
@@ -167,7 +207,10 @@ def test_traceback_shows_the_generated_line():
         ({"viscous_ns_per_m": -0.1}, r"plant damping -0\.1 Ns/m must be 0 or more"),
         ({"viscous_ns_per_m": inf}, r"plant damping inf Ns/m must be 0 or more"),
         ({"rate_hz": 0.0}, r"servo rate 0\.0 Hz must be positive"),
-        ({"lower_stop_m": 0.01, "upper_stop_m": 0.01}, r"stops at 0\.01 m and 0\.01 m leave no travel"),
+        (
+            {"lower_stop_m": 0.01, "upper_stop_m": 0.01},
+            r"stops at 0\.01 m and 0\.01 m leave no travel",
+        ),
     ],
 )
 def test_impossible_devices_are_refused(changes, message):

@@ -11,10 +11,14 @@ from hapticd.errors import ConfigError
 from hapticd.render.filters import carry_over, design, scaled
 
 
-@pytest.mark.parametrize(("corner_hz", "rate_hz"), [(100.0, 1000.0), (72.0, 1000.0), (10.0, 8000.0), (450.0, 1000.0)])
+@pytest.mark.parametrize(
+    ("corner_hz", "rate_hz"), [(100.0, 1000.0), (72.0, 1000.0), (10.0, 8000.0), (450.0, 1000.0)]
+)
 def test_default_design_is_scipy_butterworth(corner_hz, rate_hz):
     b, a = signal.butter(2, corner_hz, fs=rate_hz)
-    assert design(corner_hz, math.sqrt(0.5), "prewarped", rate_hz) == pytest.approx((*b, *a[1:]), rel=1e-12, abs=1e-14)
+    assert design(corner_hz, math.sqrt(0.5), "prewarped", rate_hz) == pytest.approx(
+        (*b, *a[1:]), rel=1e-12, abs=1e-14
+    )
 
 
 @pytest.mark.parametrize("zeta", [0.3, 0.7071, 1.0, 1.63])
@@ -49,11 +53,20 @@ def test_prewarped_corner_is_three_decibels_down():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((500.0, 0.7, "prewarped", 1000.0), "filter corner 500.0 Hz: must lie between 0 and 500.0 Hz, half the servo rate"),
+        (
+            (500.0, 0.7, "prewarped", 1000.0),
+            "filter corner 500.0 Hz: must lie between 0 and 500.0 Hz, half the servo rate",
+        ),
         ((0.0, 0.7, "prewarped", 1000.0), "filter corner 0.0 Hz: must lie"),
         ((math.nan, 0.7, "prewarped", 1000.0), "filter corner nan Hz"),
-        ((100.0, 0.0, "prewarped", 1000.0), "damping ratio 0.0: must lie between 0 and 100; 0.7071 is Butterworth"),
-        ((100.0, 0.7, "magic", 1000.0), "filter mapping 'magic': use one of prewarped, bilinear, matched"),
+        (
+            (100.0, 0.0, "prewarped", 1000.0),
+            "damping ratio 0.0: must lie between 0 and 100; 0.7071 is Butterworth",
+        ),
+        (
+            (100.0, 0.7, "magic", 1000.0),
+            "filter mapping 'magic': use one of prewarped, bilinear, matched",
+        ),
     ],
 )
 def test_impossible_design_is_refused(arguments, message):

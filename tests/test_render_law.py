@@ -21,7 +21,9 @@ BUTTERWORTH = design_coefficients(FilterParams(100.0), FilterParams(72.0), RATE_
 
 def fly(positions, params, limit_n=1e9, coefficients=BUTTERWORTH):
     """Forces and velocities of the law over `positions`, from rest at the first."""
-    state, numbers, out = at_rest(positions[0]), environment_tuple(params, limit_n), []
+    state = at_rest(positions[0])
+    numbers = environment_tuple(params, limit_n)
+    out = []
     for x in positions:
         force, _, v, a, *_, state = render(x, state, numbers, coefficients)
         out.append((force, v, a))
@@ -34,12 +36,16 @@ def reference(positions, params):
     padded = np.concatenate(([x[0], x[0]], x))
     velocity = np.diff(padded)[1:] * RATE_HZ
     acceleration = np.diff(padded, 2) * RATE_HZ**2
-    first, second = signal.butter(2, 100.0, fs=RATE_HZ), signal.butter(2, 72.0, fs=RATE_HZ)
-    v, a = signal.lfilter(*first, velocity), signal.lfilter(*second, acceleration)
+    first = signal.butter(2, 100.0, fs=RATE_HZ)
+    second = signal.butter(2, 72.0, fs=RATE_HZ)
+    v = signal.lfilter(*first, velocity)
+    a = signal.lfilter(*second, acceleration)
     return -(params.stiffness_n_per_m * x + params.damping_ns_per_m * v + params.mass_kg * a), v, a
 
 
-@pytest.mark.parametrize(("k", "b", "m"), [(100.0, 1.0, 0.010), (50.0, 2.0, 0.0), (600.0, 8.0, -0.022), (0.0, 0.0, 0.0)])
+@pytest.mark.parametrize(
+    ("k", "b", "m"), [(100.0, 1.0, 0.010), (50.0, 2.0, 0.0), (600.0, 8.0, -0.022), (0.0, 0.0, 0.0)]
+)
 def test_force_equals_scipy_reference(k, b, m):
     rng = np.random.default_rng(1)
     positions = 1e-3 + np.cumsum(rng.integers(-40, 41, 20_000)) * 0.5e-6
@@ -69,24 +75,47 @@ def jitted_law():
     """`render` itself compiled by numba, with its helpers, without fastmath."""
     helpers = {
         name: njit(value)
-        for name, value in (("wall_force", fields.wall_force), ("end_force", fields.end_force), ("clamp", limits.clamp))
+        for name, value in (
+            ("wall_force", fields.wall_force),
+            ("end_force", fields.end_force),
+            ("clamp", limits.clamp),
+        )
     }
     twin = types.FunctionType(render.__code__, {**environment.__dict__, **helpers})
     return njit(twin)
 
 
 def random_call(draw: random.Random):
-    """One law call with everything on: walls, ends, clamps, and now and then a NaN or an infinity."""
+    """One law call with everything on: walls, ends, clamps, and now and then a NaN or an
+    infinity.
+    """
     x = draw.choice((draw.gauss(0, 1e-3), draw.gauss(0, 0.1), round(draw.gauss(0, 2000)) * 0.5e-6))
     if draw.random() < 0.01:
         x = draw.choice((math.nan, math.inf, -math.inf))
     state = tuple(draw.gauss(0, 10.0 ** draw.randint(-6, 0)) for _ in range(6))
-    kbm = (draw.uniform(-500, 5000), draw.uniform(-5, 50), draw.uniform(-0.05, 0.1), draw.gauss(0, 0.1))
-    wall = (draw.uniform(0, 1e4), draw.uniform(0, 50), draw.gauss(0, 1e-3), draw.choice((-1.0, 0.0, 1.0)))
+    kbm = (
+        draw.uniform(-500, 5000),
+        draw.uniform(-5, 50),
+        draw.uniform(-0.05, 0.1),
+        draw.gauss(0, 0.1),
+    )
+    wall = (
+        draw.uniform(0, 1e4),
+        draw.uniform(0, 50),
+        draw.gauss(0, 1e-3),
+        draw.choice((-1.0, 0.0, 1.0)),
+    )
     return (
         x,
         state,
-        (*kbm, draw.choice((0.5, 8.0, 1e9)), *wall, -draw.uniform(0, 0.01), draw.uniform(0, 0.01), draw.uniform(0, 1e4)),
+        (
+            *kbm,
+            draw.choice((0.5, 8.0, 1e9)),
+            *wall,
+            -draw.uniform(0, 0.01),
+            draw.uniform(0, 0.01),
+            draw.uniform(0, 1e4),
+        ),
     )
 
 
@@ -96,7 +125,8 @@ def bits(result) -> bytes:
 
 
 def test_numba_and_cpython_agree_to_the_bit():
-    law, draw = jitted_law(), random.Random(7)
+    law = jitted_law()
+    draw = random.Random(7)
     seen_walls = seen_clamps = seen_nans = 0
     for _ in range(100_000):
         x, state, numbers = random_call(draw)
@@ -116,7 +146,9 @@ def test_force_is_finite_whatever_the_position(bad):
     assert -8.0 <= force <= 8.0
 
 
-@pytest.mark.parametrize("force", [8.0, -8.0, 8.000001, -8.000001, 1e300, -1e300, math.inf, -math.inf])
+@pytest.mark.parametrize(
+    "force", [8.0, -8.0, 8.000001, -8.000001, 1e300, -1e300, math.inf, -math.inf]
+)
 def test_clamp_holds_at_its_boundary(force):
     assert limits.clamp(force, 8.0) == math.copysign(8.0, force)
     assert limits.clamp(math.nan, 8.0) == 0.0
@@ -135,7 +167,9 @@ def test_wall_pushes_only_outwards_and_only_inside():
 def test_workspace_ends_are_soft_and_symmetric():
     params = EnvironmentParams(workspace=WorkspaceParams(-0.01, 0.01, 500.0))
     numbers = environment_tuple(params, 8.0)
-    inside, right, left = (render(x, at_rest(x), numbers, BUTTERWORTH)[0] for x in (0.005, 0.012, -0.012))
+    inside, right, left = (
+        render(x, at_rest(x), numbers, BUTTERWORTH)[0] for x in (0.005, 0.012, -0.012)
+    )
     assert inside == 0.0
     assert right == pytest.approx(-1.0)
     assert left == pytest.approx(1.0)

@@ -11,7 +11,9 @@ from hapticd.render.ramp import Ramp, constant
 
 def test_ramp_arrives_exactly_on_its_end_tick():
     ramp = Ramp(1.0, 3.0, 100, 50)
-    assert [ramp.value(tick) for tick in (99, 100, 125, 149, 150, 151)] == pytest.approx([1.0, 1.0, 2.0, 2.96, 3.0, 3.0])
+    assert [ramp.value(tick) for tick in (99, 100, 125, 149, 150, 151)] == pytest.approx(
+        [1.0, 1.0, 2.0, 2.96, 3.0, 3.0]
+    )
     assert ramp.value(150) == 3.0
     assert ramp.running(149)
     assert not ramp.running(150)
@@ -36,7 +38,8 @@ def test_slew_reaches_its_target_and_stays():
 
 def ledger_of(positions, stiffness, delay):
     """Energies after a spring was rendered over `positions`, sampled and held."""
-    ledger, last = EMPTY, positions[0]
+    ledger = EMPTY
+    last = positions[0]
     for x in positions:
         force = -stiffness * x
         ledger = book(ledger, x - last, (force, 0.0, 0.0, 0.0, force), delay, 0.0)
@@ -48,7 +51,9 @@ def exact_work(positions, stiffness, delay):
     """Work of the held force on motion that is straight between samples."""
     work = 0.0
     for k in range(len(positions) - 2):
-        way = (1 - delay) * (positions[k + 1] - positions[k]) + delay * (positions[k + 2] - positions[k + 1])
+        way = (1 - delay) * (positions[k + 1] - positions[k]) + delay * (
+            positions[k + 2] - positions[k + 1]
+        )
         work += -stiffness * positions[k] * way
     return work
 
@@ -62,7 +67,9 @@ def test_ledger_is_the_exact_work_of_the_held_force(delay):
 
 
 def test_held_spring_leaks_energy_to_the_user():
-    """K A^2 N (1 - cos wT) / 2 for N ticks of a sine: 3.94 mJ for 1000 N/m, 1 mm, 20 Hz, 1 s; exact delivery is positive."""
+    """K A^2 N (1 - cos wT) / 2 for N ticks of a sine: 3.94 mJ for 1000 N/m, 1 mm, 20 Hz, 1 s;
+    exact delivery is positive.
+    """
     positions = [1e-3 * math.sin(2 * math.pi * 20.0 * n / 1000.0) for n in range(1001)]
     closed_form = 1000.0 * 1e-6 * 1000 / 2 * (1 - math.cos(2 * math.pi * 20.0 / 1000.0))
     assert ledger_of(positions, 1000.0, 0.0)[0] == pytest.approx(closed_form, rel=5e-3)

@@ -1,4 +1,6 @@
-"""Figures: what is drawn is what was measured, labelled with units; the same data give the same bytes."""
+"""Figures: what is drawn is what was measured, labelled with units; the same data give the same
+bytes.
+"""
 
 import sys
 from dataclasses import replace
@@ -49,10 +51,14 @@ def labels(figure: Any) -> list[tuple[str, str]]:
 
 def written(figure: Any) -> set[str]:
     """All words in a figure."""
-    return {found.get_text() for found in figure.findobj(lambda item: hasattr(item, "get_text")) if found.get_text()}
+    return {
+        found.get_text()
+        for found in figure.findobj(lambda item: hasattr(item, "get_text"))
+        if found.get_text()
+    }
 
 
-# --- files ---------------------------------------------------------------------------------------------------------------------
+# --- files ----------------------------------------------------------------------------------------
 
 
 def test_figure_is_kept_as_png_and_svg(tmp_path: Path, noisy: SceneResult) -> None:
@@ -70,17 +76,23 @@ def test_same_result_gives_the_same_bytes(tmp_path: Path, noisy: SceneResult) ->
 def test_folder_that_cannot_be_written_is_named(tmp_path: Path, noisy: SceneResult) -> None:
     blocker = tmp_path / "file"
     blocker.touch()
-    with pytest.raises(ConfigError, match=f"{blocker}: .*; name a folder that you may write to with --out"):
+    with pytest.raises(
+        ConfigError, match=f"{blocker}: .*; name a folder that you may write to with --out"
+    ):
         style.save(scene_figure(noisy), blocker, "x")
 
 
-def test_missing_matplotlib_is_told_with_its_remedy(monkeypatch: pytest.MonkeyPatch, noisy: SceneResult) -> None:
+def test_missing_matplotlib_is_told_with_its_remedy(
+    monkeypatch: pytest.MonkeyPatch, noisy: SceneResult
+) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(ConfigError, match=r"figures are drawn with matplotlib .*: install hapticd\[plot\]"):
+    with pytest.raises(
+        ConfigError, match=r"figures are drawn with matplotlib .*: install hapticd\[plot\]"
+    ):
         scene_figure(noisy)
 
 
-# --- scenes --------------------------------------------------------------------------------------------------------------------
+# --- scenes ---------------------------------------------------------------------------------------
 
 
 def test_axes_of_a_noisy_scene_have_units(noisy: SceneResult) -> None:
@@ -113,12 +125,18 @@ def test_measured_line_is_what_was_measured(noisy: SceneResult) -> None:
 def test_pushed_scene_shows_position_force_and_damping() -> None:
     pushed = scene(seconds=0.3, kbm=(100.0, 3.0, 0.0), excitation=Excitation("push", force_n=0.5))
     figure = scene_figure(run_scene(plan_scene(pushed)))
-    assert [label for _, label in labels(figure)] == ["position (mm)", "virtual force (N)", "added damping (N s/m)"]
+    assert [label for _, label in labels(figure)] == [
+        "position (mm)",
+        "virtual force (N)",
+        "added damping (N s/m)",
+    ]
     assert figure.axes[-1].get_xlabel() == "time (s)"
 
 
 def test_scene_says_that_it_is_simulated_and_what_it_renders(noisy: SceneResult) -> None:
-    assert "a small scene: K = 100 N/m, B = 0.5 N s/m, M = 0 g  (simulated none)" in written(scene_figure(noisy))
+    assert "a small scene: K = 100 N/m, B = 0.5 N s/m, M = 0 g  (simulated none)" in written(
+        scene_figure(noisy)
+    )
 
 
 def test_scene_table_marks_its_own_trial_and_its_verdict(noisy: SceneResult) -> None:
@@ -133,7 +151,11 @@ def test_divergence_is_in_the_table(noisy: SceneResult) -> None:
     wild = replace(
         noisy,
         trials=(
-            replace(noisy.trials[0], found=replace(noisy.trials[0].found, samples=np.array([5000])), judged=None),
+            replace(
+                noisy.trials[0],
+                found=replace(noisy.trials[0].found, samples=np.array([5000])),
+                judged=None,
+            ),
             noisy.trials[1],
         ),
     )
@@ -147,13 +169,16 @@ def test_impedance_rows_are_those_of_the_trial(noisy: SceneResult) -> None:
     assert impedance_rows(replace(noisy.trials[0], judged=None)) == []
 
 
-# --- effects ---------------------------------------------------------------------------------------------------------------------
+# --- effects --------------------------------------------------------------------------------------
 
 
 @pytest.fixture
 def judged() -> EffectsResult:
     plan = plan_effects(EffectsParams(scene(), "limits"))
-    whole = (Left("", "predicted", {"K N/m": 100.0}, 0.0, 2e-5), Left("", "simulated", {"K N/m": 95.0}, 0.0, 2e-5))
+    whole = (
+        Left("", "predicted", {"K N/m": 100.0}, 0.0, 2e-5),
+        Left("", "simulated", {"K N/m": 95.0}, 0.0, 2e-5),
+    )
     rows = (
         Left("smoothing", "predicted", {"K N/m": 500.0}, 4.0, 2e-5),
         Left("lag", "predicted", {}, inf, nan, "needs a lag"),
@@ -167,7 +192,12 @@ def judged() -> EffectsResult:
 def test_every_effect_has_a_bar_with_its_change(judged: EffectsResult) -> None:
     figure = effects_figure(judged)
     axis = figure.axes[0]
-    assert [label.get_text() for label in axis.get_yticklabels()] == ["encoder", "coulomb", "lag", "smoothing"]
+    assert [label.get_text() for label in axis.get_yticklabels()] == [
+        "encoder",
+        "coulomb",
+        "lag",
+        "smoothing",
+    ]
     assert {"400 %", "40 %", "0 %", "cannot be left out", "tolerance 2 %"} <= written(figure)
     assert axis.get_xlabel() == "change of limits when left out"
     assert len(axis.patches) == 4
@@ -184,16 +214,20 @@ def test_proposal_is_said_in_a_sentence(judged: EffectsResult) -> None:
     all_kept = replace(judged, kept=("viscous",))
     assert effects_words(all_kept) == "Every effect changes limits by more than 2 %: keep them all."
     words = effects_words(replace(judged, kept=()))
-    assert words.startswith("For limits within 2 % keep none. Without viscous the answer changes by 0.5 % together")
+    assert words.startswith(
+        "For limits within 2 % keep none. Without viscous the answer changes by 0.5 % together"
+    )
     assert words.endswith("a simulated second costs 10 us instead of 20 us.")
 
 
 def test_scene_without_limits_is_told(judged: EffectsResult) -> None:
     none = replace(judged.whole[0], numbers={"K N/m": nan})
-    assert "not passive already, so it has no limits" in effects_words(replace(judged, whole=(none, judged.whole[1])))
+    assert "not passive already, so it has no limits" in effects_words(
+        replace(judged, whole=(none, judged.whole[1]))
+    )
 
 
-# --- accuracy ---------------------------------------------------------------------------------------------------------------------
+# --- accuracy -------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -231,7 +265,11 @@ def test_every_sweep_has_its_panel_with_units(swept: AccuracyResult) -> None:
 
 def test_points_are_seconds_and_total_errors(swept: AccuracyResult) -> None:
     panel = accuracy_figure(swept).axes[1]
-    line = next(found for found in panel.lines if found.get_linestyle() == "-" and len(found.get_xdata()) == 2)
+    line = next(
+        found
+        for found in panel.lines
+        if found.get_linestyle() == "-" and len(found.get_xdata()) == 2
+    )
     assert list(line.get_xdata()) == [0.008, 0.01]
     assert list(line.get_ydata()) == [0.6, 0.4]
 
@@ -248,11 +286,12 @@ def test_words_say_what_the_defaults_buy(swept: AccuracyResult) -> None:
     words = accuracy_words(swept)
     assert (
         words[1]
-        == "The defaults (90 s, 4 sub-steps, f64, window 2048) cost 10 ms and leave 0.4 deg, 0.09 deg of it by the sub-step."
+        == "The defaults (90 s, 4 sub-steps, f64, window 2048) cost 10 ms and leave 0.4 deg, 0.09"
+        " deg of it by the sub-step."
     )
     assert (
-        "trial length: the knee is 90 s (10 ms, 0.4 deg); the error still falls as 1/sqrt(length), a longer trial would buy more."
-        in words
+        "trial length: the knee is 90 s (10 ms, 0.4 deg); the error still falls as 1/sqrt(length),"
+        " a longer trial would buy more." in words
     )
     assert "tier: the knee is simulate (10 ms, 0.4 deg)." in words
 
@@ -268,4 +307,8 @@ def test_explicit_methods_are_drawn_with_their_limits() -> None:
     figure = integrators_figure(found, "a small scene")
     assert labels(figure) == [("steps per millisecond", "relative error after 20 ms")]
     names = {item.get_text() for item in figure.axes[0].get_legend().get_texts()}
-    assert names == {"exact map: stable at any step", "Runge-Kutta 4: stable below 22.3 ms", "explicit Euler: stable below 16 ms"}
+    assert names == {
+        "exact map: stable at any step",
+        "Runge-Kutta 4: stable below 22.3 ms",
+        "explicit Euler: stable below 16 ms",
+    }

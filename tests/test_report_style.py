@@ -1,4 +1,6 @@
-"""The family look: ticks that tell values apart, legends that say a thing once, bands and bars that are what they mean."""
+"""The family look: ticks that tell values apart, legends that say a thing once, bands and bars
+that are what they mean.
+"""
 
 from math import e
 
@@ -7,7 +9,18 @@ import pytest
 
 from hapticd.measure.walls import WallLine, WallParams, WallResult, plan_walls
 from hapticd.report.passive_set import area, draw_guess, walls_figure
-from hapticd.report.style import FINE, NOT_JUDGED, ON, axes, banded, handles_of, hertz_axis, not_judged, plain_axis, styled
+from hapticd.report.style import (
+    FINE,
+    NOT_JUDGED,
+    ON,
+    axes,
+    banded,
+    handles_of,
+    hertz_axis,
+    not_judged,
+    plain_axis,
+    styled,
+)
 from hapticd.settings.scene import load_scene
 
 pytest.importorskip("matplotlib")
@@ -27,10 +40,14 @@ def ticks(axis):
     """Words at an axis, by their value, those in view."""
     low, high = axis.get_view_interval()
     words = axis.get_major_formatter().format_ticks(axis.get_majorticklocs())
-    return {place: word for place, word in zip(axis.get_majorticklocs(), words, strict=True) if low <= place <= high}
+    return {
+        place: word
+        for place, word in zip(axis.get_majorticklocs(), words, strict=True)
+        if low <= place <= high
+    }
 
 
-# --- axes ------------------------------------------------------------------------------------------------------------------------
+# --- axes -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("spread", [1.0, 1.0001, 1.02, 1.3, 5.0, 400.0])
@@ -46,7 +63,17 @@ def test_logarithmic_ticks_are_round_and_unlike_however_short_the_axis(axis, spr
 
 def test_frequencies_are_told_at_one_two_and_five(axis):
     hertz_axis(axis, 2.0, 1000.0)
-    assert list(ticks(axis.xaxis).values()) == ["2", "5", "10", "20", "50", "100", "200", "500", "1000"]
+    assert list(ticks(axis.xaxis).values()) == [
+        "2",
+        "5",
+        "10",
+        "20",
+        "50",
+        "100",
+        "200",
+        "500",
+        "1000",
+    ]
     assert axis.get_xlabel() == "frequency (Hz)"
 
 
@@ -63,7 +90,7 @@ def test_grey_covers_what_is_not_judged_and_keeps_the_range(axis):
     assert NOT_JUDGED == "#e9e9e9"
 
 
-# --- lines and marks -------------------------------------------------------------------------------------------------------------
+# --- lines and marks ------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("linear", "expected"), [(False, (1.0, e**2)), (True, (e - 1.0, e + 1.0))])
@@ -98,18 +125,23 @@ def test_smaller_set_lies_on_top(axis):
     assert small > large
 
 
-# --- walls -----------------------------------------------------------------------------------------------------------------------
+# --- walls ----------------------------------------------------------------------------------------
 
 
 def walls(highest):
     """One level: the stiffest stable wall at each of three dampings."""
     plan = plan_walls(WallParams(load_scene("wall"), (20.0, 40.0), (0.0, 1.0, 2.0), (1.74,)))
-    lines = (WallLine(1.74, damping, stiffness, False, ()) for damping, stiffness in zip((0.0, 1.0, 2.0), highest, strict=True))
+    lines = (
+        WallLine(1.74, damping, stiffness, False, ())
+        for damping, stiffness in zip((0.0, 1.0, 2.0), highest, strict=True)
+    )
     return walls_figure(WallResult(plan, tuple(lines)))
 
 
 def test_walls_fill_their_figure_whether_or_not_all_rest():
-    """A line without points that is not clipped lies in the corner of a figure, and axes would make room for it."""
+    """A line without points that is not clipped lies in the corner of a figure, and axes would
+    make room for it.
+    """
     figures = [walls(highest) for highest in ((900.0, 950.0, 800.0), (900.0, 950.0, 0.0))]
     for figure in figures:
         figure.draw_without_rendering()

@@ -1,4 +1,6 @@
-"""The paper's numbers: arithmetic, the table's schema, limits by prediction and, marked slow, by trials."""
+"""The paper's numbers: arithmetic, the table's schema, limits by prediction and, marked slow,
+by trials.
+"""
 
 import json
 from dataclasses import replace
@@ -26,7 +28,16 @@ from hapticd.measure.reproduce import (
     run_reproduce,
     subject,
 )  # fmt: skip
-from hapticd.measure.reproduce_rows import FIG_7, LEVELS, LITERAL, MAIN, PAPER, Row, arithmetic, by_quantity
+from hapticd.measure.reproduce_rows import (
+    FIG_7,
+    LEVELS,
+    LITERAL,
+    MAIN,
+    PAPER,
+    Row,
+    arithmetic,
+    by_quantity,
+)
 from hapticd.measure.store import TrialStore
 from hapticd.report.paper_table import from_json, rows
 
@@ -71,7 +82,11 @@ def test_every_device_has_six_limits(table: dict[str, dict[str, Row]]) -> None:
 def test_fitted_numbers_are_called_calibrated(table: dict[str, dict[str, Row]]) -> None:
     for name in NAMES:
         kinds = {device: row.kind for device, row in table[name].items()}
-        assert kinds == {"weir2008": "calibrated", "weir2008_probe_hp": "calibrated", "weir2008_literal": "independent"}
+        assert kinds == {
+            "weir2008": "calibrated",
+            "weir2008_probe_hp": "calibrated",
+            "weir2008_literal": "independent",
+        }
     assert table["fig8_peak_on"][MAIN].kind == "independent"
 
 
@@ -116,19 +131,28 @@ def test_ratios_and_gain_are_of_the_limits(table: dict[str, dict[str, Row]]) -> 
         for name in ("K_max", "B_max", "M_min"):
             on, off = (table[f"{name}{reading}_{mode}"][MAIN].ours for mode in ("on", "off"))
             assert table[f"{name[0]}_ratio{reading}"][MAIN].ours == pytest.approx(on / off)
-    assert table["K_gain"][MAIN].ours == pytest.approx(table["K_max_on"][MAIN].ours - table["K_max_off"][MAIN].ours)
+    assert table["K_gain"][MAIN].ours == pytest.approx(
+        table["K_max_on"][MAIN].ours - table["K_max_off"][MAIN].ours
+    )
 
 
 def test_set_is_no_smaller_than_its_axis(table: dict[str, dict[str, Row]]) -> None:
-    """The axis lies in the set; the search for the set stands beside a predicted place, hence 2 %."""
+    """The axis lies in the set; the search for the set stands beside a predicted place, hence 2
+    %.
+    """
     for name in NAMES:
         stem, mode = name.rsplit("_", 1)
         for device in ("weir2008", "weir2008_probe_hp"):
-            assert abs(table[f"{stem}_set_{mode}"][device].ours) > 0.98 * abs(table[name][device].ours)
+            assert abs(table[f"{stem}_set_{mode}"][device].ours) > 0.98 * abs(
+                table[name][device].ours
+            )
 
 
 def test_scatter_of_a_ratio_is_that_of_both_limits(quick: ReproduceResult) -> None:
-    limits = tuple(replace(limit, values=limit.predicted * np.array([0.98, 1.0, 1.02])) for limit in quick.limits)
+    limits = tuple(
+        replace(limit, values=limit.predicted * np.array([0.98, 1.0, 1.02]))
+        for limit in quick.limits
+    )
     found = by_quantity(rows(replace(quick, limits=limits)))
     assert found["K_max_on"][MAIN].sd == pytest.approx(0.02 * found["K_max_on"][MAIN].ours)
     assert found["K_ratio"][MAIN].sd == pytest.approx(0.02 * 2**0.5 * found["K_ratio"][MAIN].ours)
@@ -182,22 +206,31 @@ OUT_OF_LUCK = 2  # the seed with which nothing on an axis passes without added d
 
 def made_up(given: Conditions, level: float, points: np.ndarray) -> list[Outcome]:
     """Passes up to its predicted limit, more with each seed; 70 N/m from any higher band edge."""
-    seed, from_higher = given.excitation.seed, given.band_hz[0] > 2.0
+    seed = given.excitation.seed
+    from_higher = given.band_hz[0] > 2.0
     z = np.ones((kept_frequencies().size, 2))
     found = []
     for point in points:
         axis = int(np.argmax(np.abs(point / np.array([1000.0, 10.0, 0.02]))))
         end = 70.0 if from_higher else (1.0 + SCATTER * seed) * foretold(given.display, level, axis)
         alone = np.count_nonzero(point) < 2
-        good = not alone or (abs(point[axis]) < abs(end) and not (seed == OUT_OF_LUCK and level == 0.0))
+        good = not alone or (
+            abs(point[axis]) < abs(end) and not (seed == OUT_OF_LUCK and level == 0.0)
+        )
         sd = np.full(len(z), 0.01)
         k, b, m = point.tolist()
-        found.append(Outcome((k, b, m), level, "passive", bool(good), 0.1, 0.0, 0.2, 1.0, 9.0, 0.02, 0.1, z, sd))
+        found.append(
+            Outcome(
+                (k, b, m), level, "passive", bool(good), 0.1, 0.0, 0.2, 1.0, 9.0, 0.02, 0.1, z, sd
+            )
+        )
     return found
 
 
 def test_what_was_flown_reaches_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The whole run on two devices with made-up trials, one environment of the grid, and true single trials and walls."""
+    """The whole run on two devices with made-up trials, one environment of the grid, and true
+    single trials and walls.
+    """
 
     def seventh(plan: MapPlan) -> MapPlan:
         only = (POINTS == FIG_7).all(axis=1)
@@ -213,15 +246,31 @@ def test_what_was_flown_reaches_the_table(monkeypatch: pytest.MonkeyPatch) -> No
     assert found["K_max_on"].ours == pytest.approx((1.0 + 2 * SCATTER) * expected, rel=2 * FINE)
     assert found["K_max_on"].sd == pytest.approx(SCATTER * expected, rel=0.1)
     expected = predicted_limit(subject(MAIN), LEVELS[0], 1)
-    unlucky = (1.0 + SCATTER + 1.0 + 3 * SCATTER) / 3.0  # a seed with which nothing passes counts as 0
+    unlucky = (
+        1.0 + SCATTER + 1.0 + 3 * SCATTER
+    ) / 3.0  # a seed with which nothing passes counts as 0
     assert found["B_max_off"].ours == pytest.approx(unlucky * expected, rel=2 * FINE)
-    assert (found["K_max_on"].seeds, found["K_ratio"].seeds, found["fig7_phase_advantage"].seeds) == (3, 3, 3)
+    assert (
+        found["K_max_on"].seeds,
+        found["K_ratio"].seeds,
+        found["fig7_phase_advantage"].seeds,
+    ) == (3, 3, 3)
     assert found["K_max_from_5_Hz_on"].ours == pytest.approx(70.0, rel=2 * FINE)
     assert found["fig4_passive"].seeds == 3
     assert (found["grid_passive_off"].ours, found["grid_growth"].ours) == (1, 1.0)
     assert "1 trials flown" in found["grid_passive_on"].note
     assert 200.0 < found["fig2_wall_K_off"].ours < 250.0
     assert "known to 4 %" in found["fig2_wall_K_off"].note
-    assert (table["K_max_off"][LITERAL].ours, table["K_max_off"][LITERAL].seeds) == (0.0, 0)  # nothing predicted, none flown
-    assert {what.split(",")[0] for what, _, _ in told} >= {"predicting", "axis limits", "trials", "Figs. 4 and 7", "walls", "done"}
+    assert (table["K_max_off"][LITERAL].ours, table["K_max_off"][LITERAL].seeds) == (
+        0.0,
+        0,
+    )  # nothing predicted, none flown
+    assert {what.split(",")[0] for what, _, _ in told} >= {
+        "predicting",
+        "axis limits",
+        "trials",
+        "Figs. 4 and 7",
+        "walls",
+        "done",
+    }
     assert all(0 <= done <= total for _, done, total in told)

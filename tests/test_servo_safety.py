@@ -16,7 +16,12 @@ from hapticd.wire.frames import OutFlag, Status
 
 STIFF = {Value.STIFFNESS: 100.0}
 DENTED = 20_000  # counts = 10 mm: -1 N at 100 N/m
-NO, D, E, S, F, H = Result.REFUSED_STATE, State.DISABLED, State.ENABLED, State.STOPPED, State.FAULT, State.HOMING
+NO = Result.REFUSED_STATE
+D = State.DISABLED
+E = State.ENABLED
+S = State.STOPPED
+F = State.FAULT
+H = State.HOMING
 
 CELLS = {
     # state: enable, disable, stop, reset, zero, home, perturb, fault
@@ -51,7 +56,11 @@ def test_settings_never_change_the_state(state, kind):
 
 
 def test_fault_numbers_and_codes_are_unique():
-    assert len({fault.number for fault in FAULTS}) == len({fault.code for fault in FAULTS}) == len(FAULTS)
+    assert (
+        len({fault.number for fault in FAULTS})
+        == len({fault.code for fault in FAULTS})
+        == len(FAULTS)
+    )
     assert all(fault.cause and fault.action and fault.remedy for fault in FAULTS)
 
 
@@ -234,7 +243,12 @@ def test_every_loss_leads_to_a_latched_fault_with_its_cause(sample, code):
 
 
 @pytest.mark.parametrize(
-    "sample", [{"status": int(Status.AMPLIFIER_FAULT)}, {"celsius": 121.0}, {"host": GATEWAY_ALIVE, "arrival": -3}]
+    "sample",
+    [
+        {"status": int(Status.AMPLIFIER_FAULT)},
+        {"celsius": 121.0},
+        {"host": GATEWAY_ALIVE, "arrival": -3},
+    ],
 )
 def test_reset_is_refused_while_the_cause_persists(sample):
     flight = enabled(servo_params())
@@ -269,7 +283,9 @@ def test_one_missing_frame_holds_the_force_and_is_flagged():
 
 
 def test_stop_lets_the_spring_follow_the_motion():
-    """The force of a stop is the law's on its way out, not a push that ignores where the device is."""
+    """The force of a stop is the law's on its way out, not a push that ignores where the device
+    is.
+    """
     flight = enabled(servo_params(), STIFF, DENTED)
     flight.do(Command.STOP)
     flight.fly(4)
@@ -306,7 +322,9 @@ def test_enable_and_reset_are_refused_for_what_would_fault_at_once(sample):
 
 
 def test_damping_may_be_released_at_once_after_the_hold():
-    flight = enabled(servo_params(safety=SafetyParams(safe_damping_ns_per_m=1.0, damping_release_s=0.0)))
+    flight = enabled(
+        servo_params(safety=SafetyParams(safe_damping_ns_per_m=1.0, damping_release_s=0.0))
+    )
     flight.do(Command.STOP)
     flight.fly(1999)
     assert flight.blob["added_damping_ns_per_m"] == pytest.approx(1.0, abs=1e-4)
@@ -326,6 +344,8 @@ def test_stop_cancels_what_is_scheduled_also_when_stopped_already():
 def test_fault_that_persists_leaves_later_schedules_alone():
     flight = enabled(servo_params())
     flight.fly(1, celsius=121.0)
-    assert flight.do(Command.SET, STIFF, at_tick=flight.tick + 20, celsius=121.0) is Result.SCHEDULED
+    assert (
+        flight.do(Command.SET, STIFF, at_tick=flight.tick + 20, celsius=121.0) is Result.SCHEDULED
+    )
     flight.fly(10, celsius=121.0)
     assert len(flight.plan.scheduled) == 1

@@ -36,7 +36,9 @@ def test_force_limit_is_the_last_thing_before_the_wire():
 
 
 def test_configured_limit_below_the_device_limit_wins():
-    flight = enabled(servo_params(device=device_params(force_limit_n=2.0)), {Value.STIFFNESS: 1e4}, 10_000)
+    flight = enabled(
+        servo_params(device=device_params(force_limit_n=2.0)), {Value.STIFFNESS: 1e4}, 10_000
+    )
     assert flight.fly()[8] == pytest.approx(-2.0, abs=COUNT_N)
     assert abs(flight.fly()[8]) <= 2.0 + 0.5 * COUNT_N
 
@@ -78,14 +80,22 @@ def test_receipt_tells_damping_after_quantisation():
 @pytest.mark.parametrize(
     ("place", "value"),
     [
-        (Value.STIFFNESS, math.nan), (Value.STIFFNESS, 1e6), (Value.DAMPING, math.inf), (Value.MASS, -2.0),
-        (Value.VELOCITY_FILTER_HZ, 451.0), (Value.VELOCITY_FILTER_ZETA, 0.0), (Value.WALL_SIDE, 2.0),
-        (Value.ADDED_DAMPING, 10.1), (Value.ADDED_DAMPING, -0.1), (Value.RAMP_S, 61.0),
+        (Value.STIFFNESS, math.nan),
+        (Value.STIFFNESS, 1e6),
+        (Value.DAMPING, math.inf),
+        (Value.MASS, -2.0),
+        (Value.VELOCITY_FILTER_HZ, 451.0),
+        (Value.VELOCITY_FILTER_ZETA, 0.0),
+        (Value.WALL_SIDE, 2.0),
+        (Value.ADDED_DAMPING, 10.1),
+        (Value.ADDED_DAMPING, -0.1),
+        (Value.RAMP_S, 61.0),
     ],
-)  # fmt: skip
+)
 def test_values_out_of_range_change_nothing(place, value):
     flight = enabled(servo_params(), STIFF, 20_000)
-    before, revision = flight.fly(), flight.plan.revision
+    before = flight.fly()
+    revision = flight.plan.revision
     assert flight.do(Command.SET, {place: value}) is Result.REFUSED_RANGE
     assert flight.fly()[:9] == before[:9]
     assert flight.plan.revision == revision
@@ -124,7 +134,9 @@ def test_filter_change_is_bumpless():
     for n in range(300):
         out = flight.fly(1, encoder=40 * n)
     before = out[8]
-    assert flight.do(Command.SET, {Value.VELOCITY_FILTER_HZ: 30.0}, encoder=40 * 300) is Result.APPLIED
+    assert (
+        flight.do(Command.SET, {Value.VELOCITY_FILTER_HZ: 30.0}, encoder=40 * 300) is Result.APPLIED
+    )
     after = [flight.fly(1, encoder=40 * n)[8] for n in range(301, 400)]
     assert before == pytest.approx(-5.0 * 0.02, abs=1e-3)
     assert max(abs(force - before) for force in after) < 2 * COUNT_N
@@ -133,7 +145,10 @@ def test_filter_change_is_bumpless():
 def test_scheduled_set_acts_on_its_very_tick():
     flight = enabled(servo_params(), {Value.STIFFNESS: 100.0}, 20_000)
     target = flight.tick + 10
-    assert flight.do(Command.SET, {Value.STIFFNESS: 200.0, Value.RAMP_S: 0.0}, at_tick=target) is Result.SCHEDULED
+    assert (
+        flight.do(Command.SET, {Value.STIFFNESS: 200.0, Value.RAMP_S: 0.0}, at_tick=target)
+        is Result.SCHEDULED
+    )
     first = flight.tick
     forces = dict(enumerate((flight.fly()[8] for _ in range(15)), first))
     assert forces[target - 1] == pytest.approx(-1.0, abs=COUNT_N)
@@ -146,7 +161,9 @@ def test_later_set_for_the_same_tick_supersedes():
     flight = Flight(servo_params())
     target = flight.tick + 20
     flight.do(Command.SET, {Value.STIFFNESS: 200.0}, at_tick=target)
-    flight.do(Command.SET, {Value.STIFFNESS: 300.0, Value.MASS: 0.01, Value.RAMP_S: 0.0}, at_tick=target)
+    flight.do(
+        Command.SET, {Value.STIFFNESS: 300.0, Value.MASS: 0.01, Value.RAMP_S: 0.0}, at_tick=target
+    )
     results = [(answer[0], Result(answer[1])) for answer in flight.answers]
     assert (1, Result.SUPERSEDED) in results
     flight.fly(30)
@@ -217,7 +234,9 @@ def test_zero_is_refused_while_enabled():
     assert flight.fly()[1] == pytest.approx(0.01)
 
 
-HOME = HomeParams(method="stop", direction=-1, speed_m_per_s=0.01, force_n=0.5, position_m=-0.02, timeout_s=2.0)
+HOME = HomeParams(
+    method="stop", direction=-1, speed_m_per_s=0.01, force_n=0.5, position_m=-0.02, timeout_s=2.0
+)
 
 
 def test_homing_pushes_with_bounded_force_and_finds_the_stop():
@@ -257,7 +276,14 @@ def test_failed_homing_lets_go_in_twenty_ticks():
 
 
 def test_homing_at_the_index_takes_the_mark():
-    home = HomeParams(method="index", direction=1, speed_m_per_s=0.01, force_n=0.5, position_m=0.003, timeout_s=2.0)
+    home = HomeParams(
+        method="index",
+        direction=1,
+        speed_m_per_s=0.01,
+        force_n=0.5,
+        position_m=0.003,
+        timeout_s=2.0,
+    )
     flight = Flight(servo_params(device=device_params(home=home)))
     flight.do(Command.HOME)
     flight.fly(1, encoder=700, status=int(Status.INDEX), index=20)
@@ -284,7 +310,8 @@ def test_law_that_overflows_is_a_fault_and_never_a_force():
 
 def test_step_is_a_function_of_its_arguments():
     flight = enabled(servo_params(), {**STIFF, Value.DAMPING: 1.0, Value.MASS: 0.01}, 2000)
-    state, sample = flight.state, (2040, 0, 2500, 0, 3, 0)
+    state = flight.state
+    sample = (2040, 0, 2500, 0, 3, 0)
     command = ((77, Command.SET, 1, 0, masked({Value.STIFFNESS: 400.0})),)
     assert flight.step(state, command, sample, 900) == flight.step(state, command, sample, 900)
     assert state == flight.state
@@ -301,7 +328,10 @@ def test_perturbation_runs_only_where_the_table_lets_it():
 
 
 def test_perturbation_of_no_samples_is_refused():
-    assert enabled(servo_params()).do(Command.PERTURB_START, {Value.SAMPLES: 0.0, Value.LOOP: 0.0}) is Result.REFUSED_RANGE
+    assert (
+        enabled(servo_params()).do(Command.PERTURB_START, {Value.SAMPLES: 0.0, Value.LOOP: 0.0})
+        is Result.REFUSED_RANGE
+    )
 
 
 def test_seed_after_replug_keeps_the_servo_disabled():
@@ -324,9 +354,13 @@ def test_perturbation_must_say_what_it_plays(samples):
 @pytest.mark.parametrize("sign", [1, -1])
 def test_encoder_counter_goes_round_without_a_jump(sign):
     position = ScaleParams(COUNT_M, sign=sign)
-    flight = enabled(servo_params(device=device_params(position=position)), {Value.DAMPING: 1.0}, 2**31 - 500)
+    flight = enabled(
+        servo_params(device=device_params(position=position)), {Value.DAMPING: 1.0}, 2**31 - 500
+    )
     there = [2**31 - 500 + 10 * n for n in range(101)]
-    flown = [flight.fly(1, encoder=(count + 2**31) % 2**32 - 2**31) for count in (*there, *there[-2::-1])]
+    flown = [
+        flight.fly(1, encoder=(count + 2**31) % 2**32 - 2**31) for count in (*there, *there[-2::-1])
+    ]
     assert flight.plan.state is State.ENABLED
     assert {round(abs(b[1] - a[1]) / COUNT_M) for a, b in pairwise(flown)} == {10}
     assert flown[-1][1] == pytest.approx(flown[0][1], abs=1e-9)
@@ -352,7 +386,12 @@ def test_wall_changes_sides_without_a_jump():
 
 def test_new_life_of_the_board_forgets_origin_and_homing():
     home = HomeParams(method="stop", required=True)
-    flight = Flight(servo_params(device=device_params(home=home, position=ScaleParams(COUNT_M, offset_count=40.0))), 1000)
+    flight = Flight(
+        servo_params(
+            device=device_params(home=home, position=ScaleParams(COUNT_M, offset_count=40.0))
+        ),
+        1000,
+    )
     flight.do(Command.ZERO)
     assert flight.blob["homed"] == 1
     assert flight.fly(1, arrival=9)[1] == 0.0  # a gap is no new life

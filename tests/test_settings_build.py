@@ -38,10 +38,14 @@ def test_simulated_scales_are_the_paper_device(settings: Settings) -> None:
 
 
 def test_board_is_what_its_device_file_says(settings: Settings) -> None:
-    board, device = build.board_params(settings), build.servo_params(settings, "default").device
+    board = build.board_params(settings)
+    device = build.servo_params(settings, "default").device
     assert isinstance(board, BoardParams)
     assert (board.mass_kg, board.viscous_ns_per_m) == (0.008, 0.36)
-    assert (board.position_m_per_count, board.force_n_per_count) == (device.position.per_count, device.force.per_count)
+    assert (board.position_m_per_count, board.force_n_per_count) == (
+        device.position.per_count,
+        device.force.per_count,
+    )
     assert board.damping_ns_per_m_per_count == device.damping.per_count
     assert (board.serial, board.force_limit_n) == (device.serial, device.force_limit_n)
     assert 1e3 / board.rate_hz * (1 - board.sample_phase) == pytest.approx(0.125)
@@ -57,14 +61,26 @@ def test_real_board_has_no_board_file(tmp_path: Path) -> None:
 
 
 def test_force_limit_defaults_to_the_device(tmp_path: Path) -> None:
-    assert build.servo_params(configured(tmp_path, 'device = "example-board"'), "x").safety.force_limit_n == 2.0
-    assert build.servo_params(configured(tmp_path, "safety.force_limit_n = 4"), "x").safety.force_limit_n == 4.0
+    assert (
+        build.servo_params(
+            configured(tmp_path, 'device = "example-board"'), "x"
+        ).safety.force_limit_n
+        == 2.0
+    )
+    assert (
+        build.servo_params(
+            configured(tmp_path, "safety.force_limit_n = 4"), "x"
+        ).safety.force_limit_n
+        == 4.0
+    )
 
 
 def test_soft_ends_start_inside_the_travel(tmp_path: Path) -> None:
     text = "[environment.workspace]\nmargin_m = 0.005\nstiffness_n_per_m = 500"
     ends = build.servo_params(configured(tmp_path, text), "x").environment.workspace
-    assert (ends.lower_m, ends.upper_m, ends.stiffness_n_per_m) == pytest.approx((-0.015, 0.015, 500))
+    assert (ends.lower_m, ends.upper_m, ends.stiffness_n_per_m) == pytest.approx(
+        (-0.015, 0.015, 500)
+    )
 
 
 def test_hash_travels_to_the_servo(settings: Settings) -> None:
@@ -73,26 +89,44 @@ def test_hash_travels_to_the_servo(settings: Settings) -> None:
 
 def test_defaults_equal_those_of_params(settings: Settings) -> None:
     built = build.servo_params(settings, "default")
-    plain = {name: value for name, value in to_plain(built).items() if name in ("realtime", "safety")}
-    default = ServoParams("", True, built.environment, built.device, type(built.safety)(), type(built.realtime)(), built.usb)
+    plain = {
+        name: value for name, value in to_plain(built).items() if name in ("realtime", "safety")
+    }
+    default = ServoParams(
+        "",
+        True,
+        built.environment,
+        built.device,
+        type(built.safety)(),
+        type(built.realtime)(),
+        built.usb,
+    )
     assert plain == {name: to_plain(default)[name] for name in plain}
     assert build.gateway_params(settings) == GatewayParams()
 
 
 def test_injections_reach_the_board(tmp_path: Path) -> None:
-    settings = configured(tmp_path, '[[simulation.injections]]\nkind = "drop"\ntick = 5\ncount = 3\n')
+    settings = configured(
+        tmp_path, '[[simulation.injections]]\nkind = "drop"\ntick = 5\ncount = 3\n'
+    )
     board = build.board_params(settings)
     assert board is not None
     assert [(item.kind, item.tick, item.count) for item in board.injections] == [("drop", 5, 3)]
 
 
 def test_key_folder_lies_beside_the_file(tmp_path: Path) -> None:
-    assert build.gateway_params(configured(tmp_path, 'gateway.curve_keys = "keys"')).curve_keys == str(tmp_path / "keys")
+    assert build.gateway_params(
+        configured(tmp_path, 'gateway.curve_keys = "keys"')
+    ).curve_keys == str(tmp_path / "keys")
 
 
 def test_ranges_equal_those_of_commands() -> None:
-    """A file may ask for exactly what `hapticd set` may ask for: two packages of one layer, one table."""
-    properties = {name: table["properties"] for name, table in scene.schema("config")["$defs"].items()}
+    """A file may ask for exactly what `hapticd set` may ask for: two packages of one layer, one
+    table.
+    """
+    properties = {
+        name: table["properties"] for name, table in scene.schema("config")["$defs"].items()
+    }
     places = {
         layout.Value.STIFFNESS: ("Environment", "stiffness_n_per_m"),
         layout.Value.DAMPING: ("Environment", "damping_ns_per_m"),

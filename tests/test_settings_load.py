@@ -1,5 +1,5 @@
-"""Configuration files: search order, defaults, merging, hash, devices by name, origins of values, and
-every way to write a wrong file with the sentence that answers it.
+"""Configuration files: search order, defaults, merging, hash, devices by name, origins of values,
+and every way to write a wrong file with the sentence that answers it.
 """
 
 import json
@@ -47,8 +47,12 @@ def test_search_order_first_found_wins(nowhere: Path, monkeypatch: pytest.Monkey
 @pytest.mark.parametrize("origin", ["--config", "$HAPTICD_CONFIG"])
 def test_named_file_must_exist(nowhere: Path, origin: str) -> None:
     missing = nowhere / "missing.toml"
-    given, environ = (missing, {}) if origin == "--config" else (None, {"HAPTICD_CONFIG": str(missing)})
-    with pytest.raises(ConfigError, match=f"missing.toml: no such file, named by {origin.replace('$', '.')}"):
+    given, environ = (
+        (missing, {}) if origin == "--config" else (None, {"HAPTICD_CONFIG": str(missing)})
+    )
+    with pytest.raises(
+        ConfigError, match=f"missing.toml: no such file, named by {origin.replace('$', '.')}"
+    ):
         find_config(given, environ)
 
 
@@ -71,15 +75,22 @@ def test_shipped_file_names_every_key() -> None:
             assert f"{name} = " in text or f".{name}]" in text, name
 
 
-@pytest.mark.parametrize("name", ["simulated", "example-board", "ideal", "weir2008", "weir2008_probe_hp", "weir2008_literal"])
+@pytest.mark.parametrize(
+    "name",
+    ["simulated", "example-board", "ideal", "weir2008", "weir2008_probe_hp", "weir2008_literal"],
+)
 def test_shipped_devices_are_valid(tmp_path: Path, name: str) -> None:
     assert load(write(tmp_path / "hapticd.toml", f'device = "{name}"')).device_file.stem == name
 
 
 @pytest.mark.parametrize("kind", ["config", "device", "scene"])
 def test_shipped_schema_equals_models(kind: str) -> None:
-    """When this fails after a change of the models: `hapticd config schema [--device] > config/<file>`."""
-    assert json.loads((shipped("config") / scene.SCHEMA_FILES[kind]).read_text()) == scene.schema(kind)
+    """When this fails after a change of the models: `hapticd config schema [--device] >
+    config/<file>`.
+    """
+    assert json.loads((shipped("config") / scene.SCHEMA_FILES[kind]).read_text()) == scene.schema(
+        kind
+    )
 
 
 def test_shipped_files_name_their_schema() -> None:
@@ -93,10 +104,15 @@ def test_schema_says_the_units() -> None:
     definitions = scene.schema("config")["$defs"]
     assert definitions["Environment"]["properties"]["stiffness_n_per_m"]["unit"] == "N/m"
     assert definitions["Safety"]["properties"]["damping_slew_ns_per_m_s"]["unit"] == "N s/m per s"
-    assert scene.schema("device")["$defs"]["Position"]["properties"]["m_per_count"]["unit"] == "m/count"
+    assert (
+        scene.schema("device")["$defs"]["Position"]["properties"]["m_per_count"]["unit"]
+        == "m/count"
+    )
 
 
-def test_installed_package_brings_its_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_installed_package_brings_its_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     package = tmp_path / "site-packages" / "hapticd"
     package.mkdir(parents=True)
     monkeypatch.setattr(toml, "_PACKAGE", package)
@@ -115,13 +131,17 @@ def test_device_beside_the_file_comes_first(tmp_path: Path) -> None:
 def test_device_may_be_a_path(tmp_path: Path) -> None:
     text = (shipped("config") / "devices" / "simulated.toml").read_text()
     write(tmp_path / "lab" / "left.toml", text)
-    assert load(write(tmp_path / "hapticd.toml", 'device = "lab/left.toml"')).device_file.name == "left.toml"
+    assert (
+        load(write(tmp_path / "hapticd.toml", 'device = "lab/left.toml"')).device_file.name
+        == "left.toml"
+    )
 
 
 def test_unknown_device_lists_those_known(tmp_path: Path) -> None:
     file = write(tmp_path / "hapticd.toml", '\ndevice = "simulatd"')
     expected = (
-        r"hapticd.toml:2: device = 'simulatd': no such device file; did you mean 'simulated'\?; known: example-board, ideal, sim"
+        r"hapticd.toml:2: device = 'simulatd': no such device file; did you mean 'simulated'\?;"
+        r" known: example-board, ideal, sim"
     )
     with pytest.raises(ConfigError, match=expected):
         load(file)
@@ -133,30 +153,43 @@ def test_command_line_wins_and_is_checked(tmp_path: Path) -> None:
     settings = load(file, (Override(("realtime", "rate_hz"), 2000.0, "--rate-hz"),))
     assert settings.config.realtime.rate_hz == 2000
     assert settings.origins["realtime.rate_hz"] == "--rate-hz"
-    with pytest.raises(ConfigError, match=r"^--rate-hz: realtime.rate_hz = -3.0 Hz: must be at least 50.0 Hz$"):
+    with pytest.raises(
+        ConfigError, match=r"^--rate-hz: realtime.rate_hz = -3.0 Hz: must be at least 50.0 Hz$"
+    ):
         load(file, (Override(("realtime", "rate_hz"), -3.0, "--rate-hz"),))
 
 
 def test_origins_name_file_and_line(tmp_path: Path) -> None:
-    file = write(tmp_path / "hapticd.toml", "[environment]\nwall.side = 1\n\n[safety]\nstop_ramp_s = 0.03\n")
+    file = write(
+        tmp_path / "hapticd.toml", "[environment]\nwall.side = 1\n\n[safety]\nstop_ramp_s = 0.03\n"
+    )
     origins = load(file).origins
     assert origins["environment.wall.side"] == f"{file}:2"
     assert origins["safety.stop_ramp_s"] == f"{file}:5"
     assert origins["safety.enable_ramp_s"] == "default"
-    assert origins["device.force.full_scale_n"].startswith(str(shipped("config") / "devices" / "simulated.toml:"))
+    assert origins["device.force.full_scale_n"].startswith(
+        str(shipped("config") / "devices" / "simulated.toml:")
+    )
 
 
 def test_hash_follows_values_not_places(tmp_path: Path) -> None:
     same = load(write(tmp_path / "a" / "hapticd.toml", "# a comment\n[realtime]\nrate_hz = 1000\n"))
     other = load(write(tmp_path / "b" / "hapticd.toml", "[realtime]\nrate_hz = 1001.0\n"))
-    assert same.config_hash == load(shipped("config") / "hapticd.toml").config_hash != other.config_hash
+    assert (
+        same.config_hash
+        == load(shipped("config") / "hapticd.toml").config_hash
+        != other.config_hash
+    )
     assert len(bytes.fromhex(same.config_hash)) == 32
 
 
 def test_hash_follows_the_device(tmp_path: Path) -> None:
     text = (shipped("config") / "devices" / "simulated.toml").read_text().replace("0.36", "0.37")
     write(tmp_path / "devices" / "simulated.toml", text)
-    assert load(write(tmp_path / "hapticd.toml")).config_hash != load(shipped("config") / "hapticd.toml").config_hash
+    assert (
+        load(write(tmp_path / "hapticd.toml")).config_hash
+        != load(shipped("config") / "hapticd.toml").config_hash
+    )
 
 
 def test_models_are_frozen_and_finite() -> None:
@@ -167,7 +200,10 @@ def test_models_are_frozen_and_finite() -> None:
 
 
 def test_lines_survive_every_toml_form(tmp_path: Path) -> None:
-    text = 'a = 1\n"b c".d = 2\n[t]\nx = """\na = 3\n"""\n[[t.list]]\nk = 1\n[[t.list]]\nk = 2\n[ t . sub ]\nz = {w = 1}\n'
+    text = (
+        'a = 1\n"b c".d = 2\n[t]\nx = """\na = 3\n"""\n[[t.list]]\nk = 1\n[[t.list]]\nk = 2\n[ t .'
+        " sub ]\nz = {w = 1}\n"
+    )
     document = read(write(tmp_path / "any.toml", text))
     assert document.where(("a",)).endswith(":1")
     assert document.where(("b c", "d")).endswith(":2")
@@ -249,19 +285,31 @@ CASES = (
     ),
     (
         "[safety]\nsafe_damping_ns_per_m = 11",
-        "2: safety.safe_damping_ns_per_m = 11.0 N s/m: must be at most 10.0 N s/m, the limit of the device",
+        (
+            "2: safety.safe_damping_ns_per_m = 11.0 N s/m: must be at most 10.0 N s/m, the limit of"
+            " the device"
+        ),
     ),
     (
         "added_damping_ns_per_m = 11",
-        "1: added_damping_ns_per_m = 11.0 N s/m: must be at most 10.0 N s/m, the limit of the device",
+        (
+            "1: added_damping_ns_per_m = 11.0 N s/m: must be at most 10.0 N s/m, the limit of the"
+            " device"
+        ),
     ),
     (
         "[realtime]\nrate_hz = 150",
-        " environment.velocity_filter.frequency_hz = 100.0 Hz: must be at most 67.5 Hz, 0.45 of realtime.rate_hz",
+        (
+            " environment.velocity_filter.frequency_hz = 100.0 Hz: must be at most 67.5 Hz, 0.45 of"
+            " realtime.rate_hz"
+        ),
     ),
     (
         "[environment.workspace]\nmargin_m = 0.03",
-        "2: environment.workspace.margin_m = 0.03 m: must be at most 0.02 m, half of the device's travel",
+        (
+            "2: environment.workspace.margin_m = 0.03 m: must be at most 0.02 m, half of the"
+            " device's travel"
+        ),
     ),
     (
         "realtime = 5",
@@ -288,7 +336,10 @@ CASES = (
         "1: simulation.injections[0].kind: is missing; add it",
     ),
     (
-        "[[simulation.injections]]\nkind = 'drop'\n[[simulation.injections]]\nkind = 'drop'\ncont = 1",
+        (
+            "[[simulation.injections]]\nkind = 'drop'\n[[simulation.injections]]\nkind ="
+            " 'drop'\ncont = 1"
+        ),
         "5: simulation.injections[1].cont: is unknown; did you mean 'count'?",
     ),
     (
@@ -314,27 +365,52 @@ CASES = (
 )
 
 
-@pytest.mark.parametrize(("text", "expected"), CASES, ids=[re.sub(r"\W+", "_", text)[:40] for text, _ in CASES])
+@pytest.mark.parametrize(
+    ("text", "expected"), CASES, ids=[re.sub(r"\W+", "_", text)[:40] for text, _ in CASES]
+)
 def test_message_names_line_value_limit(tmp_path: Path, text: str, expected: str) -> None:
     """Texts, and what is said behind `hapticd.toml:`."""
     assert message(tmp_path, text).startswith(f"hapticd.toml:{expected}")
 
 
 DEVICE_CASES = {
-    ("force_n = 8.0", "force_n = 9.0"): "limits.force_n = 9.0 N: must be at most 8.0 N, the full scale of its converter",
-    ("damping_ns_per_m = 10.0 ", "damping_ns_per_m = 11.0 "): "limits.damping_ns_per_m = 11.0 N s/m: must be at most 10.0 N s/m",
+    (
+        "force_n = 8.0",
+        "force_n = 9.0",
+    ): "limits.force_n = 9.0 N: must be at most 8.0 N, the full scale of its converter",
+    (
+        "damping_ns_per_m = 10.0 ",
+        "damping_ns_per_m = 11.0 ",
+    ): "limits.damping_ns_per_m = 11.0 N s/m: must be at most 10.0 N s/m",
     ("probe_n = 2.0", "probe_n = 2.5"): "limits.probe_n = 2.5 N: must be at most 2.0 N",
-    ("upper_m = 0.02", "upper_m = -0.02"): "travel.upper_m = -0.02 m: must be more than lower_m = -0.02 m",
-    ("upper_stop_m = 0.022", "upper_stop_m = -1.0"): "plant.upper_stop_m = -1.0 m: must be more than lower_stop_m = -0.022 m",
+    (
+        "upper_m = 0.02",
+        "upper_m = -0.02",
+    ): "travel.upper_m = -0.02 m: must be more than lower_m = -0.02 m",
+    (
+        "upper_stop_m = 0.022",
+        "upper_stop_m = -1.0",
+    ): "plant.upper_stop_m = -1.0 m: must be more than lower_stop_m = -0.022 m",
     ('source = "assumed"', ""): "probe_velocity.source: is missing; add it",
     ('"SIM0001"', '"SIM 0001"'): "serial = 'SIM 0001': must be printable ASCII without blanks",
-    ('"SIM0001"', '"SIM00000000000001"'): "serial = 'SIM00000000000001': must have at most 16 characters",
-    ("date = 2026-11-20", 'date = "yesterday"'): "position.date = 'yesterday': must be a date like 2026-11-20, without quotes",
-    ("m_per_count = 0.5e-6", "m_per_count = -0.5e-6"): "position.m_per_count = -5e-07 m/count: must be more than 0.0 m/count",
-}  # fmt: skip
+    (
+        '"SIM0001"',
+        '"SIM00000000000001"',
+    ): "serial = 'SIM00000000000001': must have at most 16 characters",
+    (
+        "date = 2026-11-20",
+        'date = "yesterday"',
+    ): "position.date = 'yesterday': must be a date like 2026-11-20, without quotes",
+    (
+        "m_per_count = 0.5e-6",
+        "m_per_count = -0.5e-6",
+    ): "position.m_per_count = -5e-07 m/count: must be more than 0.0 m/count",
+}
 
 
-@pytest.mark.parametrize("change", DEVICE_CASES, ids=lambda change: re.sub(r"\W+", "_", change[1])[:40])
+@pytest.mark.parametrize(
+    "change", DEVICE_CASES, ids=lambda change: re.sub(r"\W+", "_", change[1])[:40]
+)
 def test_device_file_is_checked(tmp_path: Path, change: tuple[str, str]) -> None:
     found = message(tmp_path, "", SIMULATED.replace(*change, 1))
     assert re.match(r"devices/simulated.toml:\d+: ", found)
@@ -343,12 +419,19 @@ def test_device_file_is_checked(tmp_path: Path, change: tuple[str, str]) -> None
 
 def test_simulated_board_needs_a_plant(tmp_path: Path) -> None:
     found = message(tmp_path, "", SIMULATED.split("[plant]")[0])
-    assert found == "devices/simulated.toml: plant: is missing; a simulated board needs to know what it moves"
+    assert (
+        found
+        == "devices/simulated.toml: plant: is missing; a simulated board needs to know what it"
+        " moves"
+    )
 
 
 def test_all_mistakes_are_told_at_once(tmp_path: Path) -> None:
     found = message(tmp_path, "[realtime]\nrate_hz = 1\npriority = 0\n")
-    assert [line.split(": ")[0] for line in found.splitlines()] == ["hapticd.toml:2", "hapticd.toml:3"]
+    assert [line.split(": ")[0] for line in found.splitlines()] == [
+        "hapticd.toml:2",
+        "hapticd.toml:3",
+    ]
 
 
 def test_value_in_place_of_a_table(tmp_path: Path) -> None:
@@ -359,10 +442,14 @@ def test_value_in_place_of_a_table(tmp_path: Path) -> None:
 
 
 def test_unreadable_files_are_named(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"nowhere.toml: No such file or directory; check the path"):
+    with pytest.raises(
+        ConfigError, match=r"nowhere.toml: No such file or directory; check the path"
+    ):
         load_device(tmp_path, "nowhere.toml")
     (tmp_path / "latin.toml").write_bytes(b"name = '\xe4'")
-    with pytest.raises(ConfigError, match=r"latin.toml: not UTF-8 text \(byte 8\); save it as UTF-8"):
+    with pytest.raises(
+        ConfigError, match=r"latin.toml: not UTF-8 text \(byte 8\); save it as UTF-8"
+    ):
         load_device(tmp_path, "latin.toml")
 
 

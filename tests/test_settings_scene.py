@@ -1,4 +1,6 @@
-"""Scene files and composed devices: what is shipped, what a scene may change, and what is told when it is wrong."""
+"""Scene files and composed devices: what is shipped, what a scene may change, and what is told
+when it is wrong.
+"""
 
 import re
 from pathlib import Path
@@ -31,7 +33,17 @@ def message(folder: Path, text: str = "", head: str = SCENE) -> str:
 
 
 def test_every_asked_scene_is_shipped() -> None:
-    asked = {"fig4", "fig7", "toggle", "toggle_offset", "wall", "wall_inductance", "hot", "free", "hand"}
+    asked = {
+        "fig4",
+        "fig7",
+        "toggle",
+        "toggle_offset",
+        "wall",
+        "wall_inductance",
+        "hot",
+        "free",
+        "hand",
+    }
     assert asked <= set(scene_names())
 
 
@@ -46,8 +58,10 @@ def test_shipped_scenes_compose_and_are_stable(name: str) -> None:
 
 
 def test_paper_figures_are_rendered_as_printed() -> None:
-    fig4, fig7 = load_scene("fig4"), load_scene("fig7")
-    first, second = fig4.environment, fig7.environment
+    fig4 = load_scene("fig4")
+    fig7 = load_scene("fig7")
+    first = fig4.environment
+    second = fig7.environment
     assert (first.stiffness_n_per_m, first.damping_ns_per_m, first.mass_kg) == (100.0, 1.0, 0.010)
     assert (second.stiffness_n_per_m, second.damping_ns_per_m, second.mass_kg) == (50.0, 2.0, 0.0)
     assert fig4.damping[-1].level_ns_per_m == 0.0
@@ -77,7 +91,11 @@ def test_calibrated_device_delivers_what_is_commanded() -> None:
 
 def test_delays_fall_on_the_grid_of_the_board(tmp_path: Path) -> None:
     file = tmp_path / "hapticd.toml"
-    for name, expected in (("weir2008", (0.875, 0)), ("weir2008_probe_hp", (0.5625, 1)), ("ideal", (0.875, 0))):
+    for name, expected in (
+        ("weir2008", (0.875, 0)),
+        ("weir2008_probe_hp", (0.5625, 1)),
+        ("ideal", (0.875, 0)),
+    ):
         file.write_text(f'device = "{name}"')
         board = build.board_params(load(file))
         assert board is not None
@@ -96,18 +114,29 @@ def test_simulation_may_build_fewer_effects(tmp_path: Path) -> None:
     assert board.plant is not None
     assert board.plant.states == ("rotor_position", "rotor_velocity")
     file.write_text('[simulation]\neffects = ["probe"]')
-    with pytest.raises(ConfigError, match=r"simulation.effects: device 'simulated display' has no \[model\] that effects"):
+    with pytest.raises(
+        ConfigError,
+        match=r"simulation.effects: device 'simulated display' has no \[model\] that effects",
+    ):
         load(file)
     file.write_text('device = "weir2008"\n[simulation]\neffects = ["prob"]')
     with pytest.raises(
-        ConfigError, match=r"toml:3: simulation.effects = prob: is no effect; did you mean 'probe'\?; known: masses"
+        ConfigError,
+        match=(
+            r"toml:3: simulation.effects = prob: is no effect; did you mean 'probe'\?; known:"
+            r" masses"
+        ),
     ):
         load(file)
 
 
 def test_scene_changes_single_numbers(tmp_path: Path) -> None:
     scene = load_scene(
-        scene_file(tmp_path, "[model.coulomb]\nrotor_n = 0.05\n", SCENE.replace('"viscous"', '"coulomb", "encoder"'))
+        scene_file(
+            tmp_path,
+            "[model.coulomb]\nrotor_n = 0.05\n",
+            SCENE.replace('"viscous"', '"coulomb", "encoder"'),
+        )
     )
     coulomb = next(effect for effect in scene.effects if isinstance(effect, Coulomb))
     assert (coulomb.rotor_n, coulomb.source) == (0.05, "calibrated")
@@ -117,48 +146,131 @@ def test_scene_changes_single_numbers(tmp_path: Path) -> None:
 def test_scene_brings_tables_the_device_has_not(tmp_path: Path) -> None:
     text = '[model.winding]\ntemperature_c = 60.0\ncompensated_c = 20.0\nsource = "inferred"\n'
     head = SCENE.replace("weir2008", "ideal").replace('"viscous"', '"viscous", "winding"')
-    winding = next(e for e in load_scene(scene_file(tmp_path, text, head)).effects if isinstance(e, WindingTemperature))
+    winding = next(
+        e
+        for e in load_scene(scene_file(tmp_path, text, head)).effects
+        if isinstance(e, WindingTemperature)
+    )
     assert winding.temperature_c == 60.0
 
 
 CASES = (
-    ("", "effects", "mine.toml:3: effects = viscos: is no effect; did you mean 'viscous'?; known: ", ('"viscous"', '"viscos"')),
-    ("", "twice", "mine.toml:3: effects = probe: is named twice", ('"viscous"', '"probe"')),
-    ("", "always", "mine.toml:3: effects = masses: is always built; leave it out", ('"viscous"', '"masses"')),
-    ("", "needs", "mine.toml:3: effects = heating: needs the effect 'winding'; add it", ('"viscous"', '"heating"')),
     (
-        "", "table", "mine.toml:3: effects = smoothing: device 'ideal display' has no table [model.smoothing]; add it or leave",
+        "",
+        "effects",
+        "mine.toml:3: effects = viscos: is no effect; did you mean 'viscous'?; known: ",
+        ('"viscous"', '"viscos"'),
+    ),
+    ("", "twice", "mine.toml:3: effects = probe: is named twice", ('"viscous"', '"probe"')),
+    (
+        "",
+        "always",
+        "mine.toml:3: effects = masses: is always built; leave it out",
+        ('"viscous"', '"masses"'),
+    ),
+    (
+        "",
+        "needs",
+        "mine.toml:3: effects = heating: needs the effect 'winding'; add it",
+        ('"viscous"', '"heating"'),
+    ),
+    (
+        "",
+        "table",
+        (
+            "mine.toml:3: effects = smoothing: device 'ideal display' has no table"
+            " [model.smoothing]; add it or leave"
+        ),
         ('weir2008"\neffects = ["probe", "viscous"]', 'ideal"\neffects = ["probe", "smoothing"]'),
     ),
-    ("", "device", "mine.toml:2: device = 'weir2009': no such device file; did you mean 'weir2008'?; known: ", ("2008", "2009")),
-    ("[model.coulomb]\nrotor_n = -1.0\n", "range", "mine.toml:5: model.coulomb.rotor_n = -1.0 N: must be at least 0", ("", "")),
-    ("[model.coulomb]\nrotr_n = 1.0\n", "key", "mine.toml:5: model.coulomb.rotr_n: is unknown; did you mean 'rotor_n'?", ("", "")),
-    ("[model.colomb]\nrotor_n = 1.0\n", "name", "mine.toml:4: model.colomb: is unknown; did you mean 'coulomb'?", ("", "")),
-    ("[model.delay]\nsource = 'guess'\n", "tag", "mine.toml:5: model.delay.source = 'guess': must be 'paper'", ("", "")),
-    ("[model.ends]\nlower_m = 0.5\n", "ends", "devices/weir2008.toml:", ("", "")),
-    ("[model.masses]\nslider_kg = 0.0\n", "slider", "mine.toml:5: model.masses.slider_kg = 0.0 kg: must be more", ("", "")),
     (
-        "[model.delay]\nsources = { period = 'paper' }\n", "sources",
-        "mine.toml:5: model.delay.sources = period: is no number of this table; did you mean 'periods'?", ("", ""),
+        "",
+        "device",
+        "mine.toml:2: device = 'weir2009': no such device file; did you mean 'weir2008'?; known: ",
+        ("2008", "2009"),
     ),
-    ("[excitation]\nkind = 'nois'\n", "kind", "mine.toml:5: excitation.kind = 'nois': must be 'none', 'noise', ", ("", "")),
-    ("[[damping]]\nat_s = 1\n", "step", "mine.toml:4: damping[0].level_ns_per_m: is missing; add it in N s/m", ("", "")),
-    ("secnds = 3.0\n", "word", "mine.toml:4: secnds: is unknown; did you mean 'seconds'?", ("", "")),
-)  # fmt: skip
+    (
+        "[model.coulomb]\nrotor_n = -1.0\n",
+        "range",
+        "mine.toml:5: model.coulomb.rotor_n = -1.0 N: must be at least 0",
+        ("", ""),
+    ),
+    (
+        "[model.coulomb]\nrotr_n = 1.0\n",
+        "key",
+        "mine.toml:5: model.coulomb.rotr_n: is unknown; did you mean 'rotor_n'?",
+        ("", ""),
+    ),
+    (
+        "[model.colomb]\nrotor_n = 1.0\n",
+        "name",
+        "mine.toml:4: model.colomb: is unknown; did you mean 'coulomb'?",
+        ("", ""),
+    ),
+    (
+        "[model.delay]\nsource = 'guess'\n",
+        "tag",
+        "mine.toml:5: model.delay.source = 'guess': must be 'paper'",
+        ("", ""),
+    ),
+    ("[model.ends]\nlower_m = 0.5\n", "ends", "devices/weir2008.toml:", ("", "")),
+    (
+        "[model.masses]\nslider_kg = 0.0\n",
+        "slider",
+        "mine.toml:5: model.masses.slider_kg = 0.0 kg: must be more",
+        ("", ""),
+    ),
+    (
+        "[model.delay]\nsources = { period = 'paper' }\n",
+        "sources",
+        (
+            "mine.toml:5: model.delay.sources = period: is no number of this table; did you mean"
+            " 'periods'?"
+        ),
+        ("", ""),
+    ),
+    (
+        "[excitation]\nkind = 'nois'\n",
+        "kind",
+        "mine.toml:5: excitation.kind = 'nois': must be 'none', 'noise', ",
+        ("", ""),
+    ),
+    (
+        "[[damping]]\nat_s = 1\n",
+        "step",
+        "mine.toml:4: damping[0].level_ns_per_m: is missing; add it in N s/m",
+        ("", ""),
+    ),
+    (
+        "secnds = 3.0\n",
+        "word",
+        "mine.toml:4: secnds: is unknown; did you mean 'seconds'?",
+        ("", ""),
+    ),
+)
 
 
-@pytest.mark.parametrize(("text", "expected", "change"), [(c[0], c[2], c[3]) for c in CASES], ids=[c[1] for c in CASES])
-def test_message_names_line_and_remedy(tmp_path: Path, text: str, expected: str, change: tuple[str, str]) -> None:
+@pytest.mark.parametrize(
+    ("text", "expected", "change"), [(c[0], c[2], c[3]) for c in CASES], ids=[c[1] for c in CASES]
+)
+def test_message_names_line_and_remedy(
+    tmp_path: Path, text: str, expected: str, change: tuple[str, str]
+) -> None:
     assert message(tmp_path, text, SCENE.replace(*change, 1)).startswith(expected)
 
 
 def test_unknown_scene_lists_those_known() -> None:
-    with pytest.raises(ConfigError, match=r"^'fig5': no such scene; did you mean 'fig[47]'\?; known: .*fig4, fig7"):
+    with pytest.raises(
+        ConfigError, match=r"^'fig5': no such scene; did you mean 'fig[47]'\?; known: .*fig4, fig7"
+    ):
         load_scene("fig5")
 
 
 def test_device_without_model_makes_no_scene(tmp_path: Path) -> None:
-    expected = "mine.toml:3: effects: device 'simulated display' has no [model] that effects could be taken from"
+    expected = (
+        "mine.toml:3: effects: device 'simulated display' has no [model] that effects could be"
+        " taken from"
+    )
     assert message(tmp_path, "", SCENE.replace("weir2008", "simulated")) == expected
 
 
@@ -168,12 +280,16 @@ def test_plant_and_model_exclude_each_other(tmp_path: Path) -> None:
     whole = (shipped("config") / "devices" / "weir2008.toml").read_text()
     (tmp_path / "devices" / "both.toml").write_text(whole + "\n" + rigid[rigid.index("[plant]") :])
     (tmp_path / "hapticd.toml").write_text('device = "both"')
-    with pytest.raises(ConfigError, match=r"both.toml:\d+: plant: stands beside \[model\]; keep one of them"):
+    with pytest.raises(
+        ConfigError, match=r"both.toml:\d+: plant: stands beside \[model\]; keep one of them"
+    ):
         load(tmp_path / "hapticd.toml")
 
 
 def test_every_effect_is_in_a_shipped_device_or_scale() -> None:
     text = (shipped("config") / "devices" / "weir2008.toml").read_text()
     from_scales = {"encoder", "force_dac", "damping_dac", "probe_adc", "saturation"}
-    missing = {kind.key for kind in KINDS if not re.search(rf"^\[model\.{kind.key}\]", text, re.M)} - from_scales
+    missing = {
+        kind.key for kind in KINDS if not re.search(rf"^\[model\.{kind.key}\]", text, re.M)
+    } - from_scales
     assert missing == {"velocity_highpass"}

@@ -10,7 +10,8 @@ from hapticd.sim.board import BoardModel
 from hapticd.wire.frames import FIFO_DEPTH, Status
 
 WATCHDOG_SUBSTEPS = 250 * 16
-HOLD_SUBSTEPS, RELEASE_SUBSTEPS = 2000 * 16, 500 * 16
+HOLD_SUBSTEPS = 2000 * 16
+RELEASE_SUBSTEPS = 500 * 16
 
 
 def enabled_axis(torque=1000, damping=65535, samples=()):
@@ -55,8 +56,13 @@ def test_damping_is_held_then_released_linearly(after, expected):
 
 
 def test_release_never_rises():
-    axis, levels = enabled_axis(), []
-    for substep in range(WATCHDOG_SUBSTEPS + HOLD_SUBSTEPS, WATCHDOG_SUBSTEPS + HOLD_SUBSTEPS + RELEASE_SUBSTEPS + 8, 4):
+    axis = enabled_axis()
+    levels = []
+    for substep in range(
+        WATCHDOG_SUBSTEPS + HOLD_SUBSTEPS,
+        WATCHDOG_SUBSTEPS + HOLD_SUBSTEPS + RELEASE_SUBSTEPS + 8,
+        4,
+    ):
         axis.run_to(substep)
         levels.append(axis.damping_n)
     assert levels == sorted(levels, reverse=True)
@@ -67,7 +73,11 @@ def test_watchdog_stays_until_an_out_without_enable():
     axis = enabled_axis()
     axis.run_to(WATCHDOG_SUBSTEPS)
     axis.obey(ENABLE, 2000, 0, ())
-    assert (axis.status, axis.force_n, axis.damping_n) == (Status.WATCHDOG, 0.0, pytest.approx(10.0))
+    assert (axis.status, axis.force_n, axis.damping_n) == (
+        Status.WATCHDOG,
+        0.0,
+        pytest.approx(10.0),
+    )
     axis.obey(0, 2000, 0, ())
     assert (axis.status, axis.force_n, axis.damping_n) == (0, 0.0, 0.0)
     axis.obey(ENABLE, 2000, 0, ())

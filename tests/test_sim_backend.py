@@ -14,7 +14,8 @@ from hapticd.sim.board import BoardModel
 from hapticd.sim.libusb import LIBUSB_ERRORS, usb_error
 from hapticd.wire import codec
 
-OUT, IN = 0x01, 0x81
+OUT = 0x01
+IN = 0x81
 
 
 class Bench:
@@ -42,12 +43,18 @@ def fails(number, call, *arguments):
     code, text = LIBUSB_ERRORS[number]
     with pytest.raises(usb.core.USBError) as caught:
         call(*arguments)
-    assert (caught.value.errno, caught.value.backend_error_code, caught.value.strerror) == (number, code, text)
+    assert (caught.value.errno, caught.value.backend_error_code, caught.value.strerror) == (
+        number,
+        code,
+        text,
+    )
     return caught.value
 
 
 def test_errors_are_worded_as_libusb_does():
-    assert str(usb_error(errno.ENODEV)) == "[Errno 19] No such device (it may have been disconnected)"
+    assert (
+        str(usb_error(errno.ENODEV)) == "[Errno 19] No such device (it may have been disconnected)"
+    )
     assert isinstance(usb_error(errno.ETIMEDOUT), usb.core.USBTimeoutError)
     assert not isinstance(usb_error(errno.EIO), usb.core.USBTimeoutError)
     assert isinstance(usb_error(errno.ENOSYS), NotImplementedError)
@@ -56,7 +63,11 @@ def test_errors_are_worded_as_libusb_does():
 def test_descriptors_describe_one_vendor_interface(bench):
     device = bench.find()
     assert (device.bus, device.address, device.speed, device.parent) == (1, 1, 2, None)
-    assert (device.manufacturer, device.product, device.serial_number) == ("hapticd", "analog board (simulated)", "SIM0001")
+    assert (device.manufacturer, device.product, device.serial_number) == (
+        "hapticd",
+        "analog board (simulated)",
+        "SIM0001",
+    )
     (configuration,) = device
     (interface,) = configuration
     assert interface.bInterfaceClass == 0xFF
@@ -86,7 +97,8 @@ def test_pair_carries_one_frame_each_way(transfer):
 
 
 def test_read_waits_for_the_latch_and_no_longer(bench):
-    device, start_ns = bench.find(), bench.clock.now_ns()
+    device = bench.find()
+    start_ns = bench.clock.now_ns()
     device.write(OUT, bench.out(), 10)
     device.read(IN, bench.buffer, 10)
     assert bench.clock.now_ns() == start_ns + LATCH_NS
@@ -103,7 +115,8 @@ def test_latched_frame_is_read_without_waiting(bench):
 
 @pytest.mark.parametrize(("timeout_ms", "waited_ms"), [(2, 2), (7, 7), (0, ENDLESS_MS)])
 def test_read_times_out_exactly_and_always(bench, timeout_ms, waited_ms):
-    device, start_ns = bench.find(), bench.clock.now_ns()
+    device = bench.find()
+    start_ns = bench.clock.now_ns()
     error = fails(errno.ETIMEDOUT, device.read, IN, bench.buffer, timeout_ms)
     assert isinstance(error, usb.core.USBTimeoutError)
     assert bench.clock.now_ns() == start_ns + waited_ms * 1_000_000
@@ -113,7 +126,8 @@ class SteppingClock(MonotonicClock):
     """A wall clock whose every reading is a microsecond later and whose sleep is 40 us late."""
 
     def __init__(self):
-        self.time_ns, self.sleeps_ns = 10**9, []
+        self.time_ns = 10**9
+        self.sleeps_ns = []
 
     def now_ns(self):
         self.time_ns += 1000
@@ -136,7 +150,8 @@ def test_wall_clock_is_slept_then_spun_to_the_latch():
 
 
 def test_second_owner_is_refused(bench):
-    first, second = bench.find(), bench.find()
+    first = bench.find()
+    second = bench.find()
     usb.util.claim_interface(first, 0)
     fails(errno.EBUSY, usb.util.claim_interface, second, 0)
     fails(errno.EBUSY, second.write, OUT, bench.out(), 10)

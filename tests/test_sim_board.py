@@ -19,7 +19,9 @@ COUNT_N = BOARD.force_n_per_count
 
 def coast(position_m, velocity, force_n, damping, duration_s):
     """Closed form of the plant over one held interval."""
-    decay, gain, reach, push = held_force_response(BOARD.mass_kg, BOARD.viscous_ns_per_m + damping, duration_s)
+    decay, gain, reach, push = held_force_response(
+        BOARD.mass_kg, BOARD.viscous_ns_per_m + damping, duration_s
+    )
     return position_m + reach * velocity + push * force_n, decay * velocity + gain * force_n
 
 
@@ -27,9 +29,10 @@ def counts(value, per_count):
     return floor(value / per_count + 0.5)
 
 
-# --- one tick ---------------------------------------------------------------------------------------------------------
+# --- one tick -------------------------------------------------------------------------------------
 def test_force_acts_on_receipt_and_encoder_is_latched_at_sample_phase():
-    board, state = BoardModel(BOARD), (0.0, 0.0)
+    board = BoardModel(BOARD)
+    state = (0.0, 0.0)
     torques = (4000, -9000, 0, 12345)
     for tick, torque in enumerate(torques):
         state = coast(*state, torque * COUNT_N, 0.0, 0.875e-3)
@@ -63,7 +66,8 @@ def test_frame_says_who_when_and_simulated():
 
 
 def test_current_and_voltage_follow_the_motor():
-    board, damping = BoardModel(BOARD), 20000
+    board = BoardModel(BOARD)
+    damping = 20000
     frame = exchange(board, 0, flags=ENABLE, torque=8000, damping=damping)
     level = damping * BOARD.damping_ns_per_m_per_count
     _, velocity = coast(0.0, 0.0, 8000 * COUNT_N, level, 0.875e-3)
@@ -88,7 +92,8 @@ def test_encoder_wraps_at_32_bits():
 
 
 def test_torque_is_clamped_at_the_boards_own_limit():
-    board, free = BoardModel(board_params(force_limit_n=2.0)), BoardModel(BOARD)
+    board = BoardModel(board_params(force_limit_n=2.0))
+    free = BoardModel(BOARD)
     limit = int(2.0 / COUNT_N)
     clamped = exchange(board, 0, flags=ENABLE, torque=-32768)
     assert clamped.status & Status.FORCE_CLAMPED
@@ -102,11 +107,15 @@ def test_no_enable_means_no_torque_but_damping():
     first = exchange(board, 1, torque=30000, damping=65535)
     second = exchange(board, 2, torque=30000, damping=65535)
     assert not first.status & Status.ENABLED
-    _, expected = coast(0.0, first.emf_velocity * BOARD.emf_velocity_m_per_s_per_count, 0.0, 10.0, 1e-3)
-    assert second.emf_velocity == pytest.approx(counts(expected, BOARD.emf_velocity_m_per_s_per_count), abs=1)
+    _, expected = coast(
+        0.0, first.emf_velocity * BOARD.emf_velocity_m_per_s_per_count, 0.0, 10.0, 1e-3
+    )
+    assert second.emf_velocity == pytest.approx(
+        counts(expected, BOARD.emf_velocity_m_per_s_per_count), abs=1
+    )
 
 
-# --- what is refused --------------------------------------------------------------------------------------------------
+# --- what is refused ------------------------------------------------------------------------------
 def resealed(offset, value):
     """A frame with one byte changed and a CRC that fits."""
     packet = bytearray(out_packet(1, flags=ENABLE, torque=30000, damping=30000))
@@ -131,7 +140,8 @@ BAD_PACKETS = {
 
 @pytest.mark.parametrize("name", BAD_PACKETS)
 def test_bad_frame_changes_nothing(name):
-    board, twin = BoardModel(BOARD), BoardModel(BOARD)
+    board = BoardModel(BOARD)
+    twin = BoardModel(BOARD)
     for model in (board, twin):
         exchange(model, 0, flags=ENABLE, torque=500)
     board.on_out(memoryview(BAD_PACKETS[name]), TICK_NS)
@@ -168,7 +178,7 @@ def test_sequence_wraps_without_a_gap():
     assert not codec.decode_in(board.poll_in(2 * TICK_NS)).status & Status.SEQ_GAP
 
 
-# --- one OUT, one IN --------------------------------------------------------------------------------------------------
+# --- one OUT, one IN ------------------------------------------------------------------------------
 def test_nothing_is_latched_before_the_first_out():
     board = BoardModel(BOARD)
     assert board.next_in_ns() is None
@@ -187,7 +197,9 @@ def test_unread_in_is_replaced_and_loses_nothing():
     board = BoardModel(BOARD)
     board.on_out(out_packet(0), 0)
     board.on_out(out_packet(9), TICK_NS)  # latches the IN of OUT 0, which is not read
-    board.on_out(out_packet(10), 2 * TICK_NS)  # replaces it; SEQ_GAP was reported in an IN that nobody read
+    board.on_out(
+        out_packet(10), 2 * TICK_NS
+    )  # replaces it; SEQ_GAP was reported in an IN that nobody read
     frame = codec.decode_in(board.poll_in(3 * TICK_NS))
     assert board.in_replaced == 2
     assert (frame.seq, frame.echo) == (2, 10)
@@ -213,7 +225,7 @@ def test_postponed_in_comes_late():
     assert codec.decode_in(board.poll_in(1_125_000)).board_time_us == 1125
 
 
-# --- host pauses ------------------------------------------------------------------------------------------------------
+# --- host pauses ----------------------------------------------------------------------------------
 def test_pause_is_skipped_and_counted():
     slips = []
     board = BoardModel(board_params(watchdog_ms=100.0), on_slip=slips.append)
@@ -233,8 +245,10 @@ def test_pause_of_20_ms_is_lived_through():
     assert board.sim_slip_ns == 0
 
 
-# --- faults of the hardware -------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("fault", [Status.AMPLIFIER_FAULT, Status.ENCODER_FAULT, Status.OVER_TEMPERATURE])
+# --- faults of the hardware -----------------------------------------------------------------------
+@pytest.mark.parametrize(
+    "fault", [Status.AMPLIFIER_FAULT, Status.ENCODER_FAULT, Status.OVER_TEMPERATURE]
+)
 def test_board_fault_latches_until_cleared_without_cause(fault):
     board = BoardModel(BOARD)
     exchange(board, 0, flags=ENABLE, torque=1000)
@@ -260,7 +274,9 @@ def test_board_fault_takes_the_torque_away():
 def test_power_up_starts_afresh():
     board = BoardModel(BOARD)
     for tick in range(50):
-        last = exchange(board, tick, flags=ENABLE | PERTURB, torque=20000, damping=100, perturbation=(5,) * 6)
+        last = exchange(
+            board, tick, flags=ENABLE | PERTURB, torque=20000, damping=100, perturbation=(5,) * 6
+        )
     assert last.encoder > 1000
     board.power_up()
     assert board.next_in_ns() is None
@@ -270,11 +286,17 @@ def test_power_up_starts_afresh():
     assert (fresh.fifo_level, fresh.probe_index, fresh.pairs) == (0, 0, ((0, 0),) * 3)
 
 
-# --- endpoint 0 -------------------------------------------------------------------------------------------------------
+# --- endpoint 0 -----------------------------------------------------------------------------------
 def test_hello_describes_the_board():
     hello = codec.decode_hello(BoardModel(BOARD).control(0xC0, Request.HELLO, 0, 80))
     assert hello.protocol_hash == PROTOCOL_HASH
-    assert hello.capabilities == Capability.PROBE | Capability.INTERVAL_MEAN | Capability.TEMPERATURE | Capability.SIMULATED
+    assert (
+        hello.capabilities
+        == Capability.PROBE
+        | Capability.INTERVAL_MEAN
+        | Capability.TEMPERATURE
+        | Capability.SIMULATED
+    )
     assert (hello.serial, hello.axis_count, hello.watchdog_ms) == ("SIM0001", 1, 250)
     assert hello[6:] == pytest.approx((8.0, 10.0, 2.0, 2.0, 10.0, 30.0, 0.5e-6, 8.0), rel=1e-6)
 
@@ -286,12 +308,14 @@ def test_strings_are_usb_string_descriptors():
     assert board.control(0x80, 6, 0x0303, 4) == b"\x10\x03S\0"
 
 
-@pytest.mark.parametrize("setup", [(0xC0, 0x77, 0), (0x40, 0x77, 0), (0xC0, 0x01, 1), (0x80, 6, 0x0309)])
+@pytest.mark.parametrize(
+    "setup", [(0xC0, 0x77, 0), (0x40, 0x77, 0), (0xC0, 0x01, 1), (0x80, 6, 0x0309)]
+)
 def test_unknown_control_request_stalls(setup):
     assert BoardModel(BOARD).control(*setup, 64) is None
 
 
-# --- what is no board -------------------------------------------------------------------------------------------------
+# --- what is no board -----------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

@@ -1,11 +1,20 @@
-"""The fake board with a composed device: what its frames say of it, transport delay, and a plant that runs away."""
+"""The fake board with a composed device: what its frames say of it, transport delay, and a
+plant that runs away.
+"""
 
 import pytest
 from boards import ENABLE, LATCH_NS, PERTURB, TICK_NS, board_params, exchange, out_packet
 from plant_devices import FULL, device
 
 from hapticd.plant.discrete import discretise
-from hapticd.plant.effects import AntiAlias, SensorNoise, VelocityHighpass, WindingHeating, WindingTemperature, WorkspaceEnds
+from hapticd.plant.effects import (
+    AntiAlias,
+    SensorNoise,
+    VelocityHighpass,
+    WindingHeating,
+    WindingTemperature,
+    WorkspaceEnds,
+)
 from hapticd.plant.model import Model
 from hapticd.plant.tables import board_fields
 from hapticd.sim.axis import Axis
@@ -25,18 +34,31 @@ def test_frames_tell_slider_current_and_estimate():
     params = board_of(model)
     board = BoardModel(params)
     frame = exchange(board, 0, flags=ENABLE, torque=20000, damping=65535)
-    step, force = discretise(model, LATCH_NS * 1e-9, 65535 * params.damping_ns_per_m_per_count), 20000 * params.force_n_per_count
-    x = dict(zip((state.name for state in model.states), step.b[:, model.inputs.command] * force, strict=True))
+    step = discretise(model, LATCH_NS * 1e-9, 65535 * params.damping_ns_per_m_per_count)
+    force = 20000 * params.force_n_per_count
+    x = dict(
+        zip(
+            (state.name for state in model.states),
+            step.b[:, model.inputs.command] * force,
+            strict=True,
+        )
+    )
     assert frame.encoder == round(x["slider_position"] / params.position_m_per_count)
-    assert frame.current * params.current_a_per_count == pytest.approx(x["motor_force"] / 1.65, abs=params.current_a_per_count)
-    assert frame.emf_velocity * params.emf_velocity_m_per_s_per_count == pytest.approx(x["velocity_estimate"], abs=1e-4)
+    assert frame.current * params.current_a_per_count == pytest.approx(
+        x["motor_force"] / 1.65, abs=params.current_a_per_count
+    )
+    assert frame.emf_velocity * params.emf_velocity_m_per_s_per_count == pytest.approx(
+        x["velocity_estimate"], abs=1e-4
+    )
     volts = 1.6 * x["motor_force"] / 1.65 + 1.65 * x["velocity_estimate"]
     assert frame.voltage * params.voltage_v_per_count == pytest.approx(volts, abs=1e-3)
 
 
 @pytest.mark.parametrize(("phase", "lag"), [(0.5625, 1), (0.875, 0), (0.875, 3)])
 def test_torque_takes_effect_after_its_lag(phase, lag):
-    """The device of physics with 1.4375 periods of delay latches at 0.5625 T and lags one period."""
+    """The device of physics with 1.4375 periods of delay latches at 0.5625 T and lags one
+    period.
+    """
     axis = Axis(board_of(device("probe"), sample_phase=phase, lag_periods=lag))
     axis.obey(ENABLE, 1000, 0, ())
     axis.run_to(16 * lag)
@@ -65,17 +87,26 @@ def test_torques_on_their_way_keep_their_order():
 
 
 def test_record_is_the_filtered_channel():
-    """A step of torque on a free mass: high-passed velocity, and both channels through the same low-pass."""
-    model = device("probe", highpass=VelocityHighpass(corner_hz=0.1), alias=AntiAlias(corner_hz=1000.0))
+    """A step of torque on a free mass: high-passed velocity, and both channels through the same
+    low-pass.
+    """
+    model = device(
+        "probe", highpass=VelocityHighpass(corner_hz=0.1), alias=AntiAlias(corner_hz=1000.0)
+    )
     params = board_of(model, probe_velocity_m_per_s_per_count=1e-5, probe_torque_n_per_count=1e-5)
-    axis, h = Axis(params), 1e-3 / 16
+    axis = Axis(params)
+    h = 1e-3 / 16
     axis.obey(ENABLE | PERTURB, 0, 0, (5000,) * 12)
     axis.run_to(48)
-    step, u, x, found = discretise(model, h), [0.0, 0.0], None, []
+    step = discretise(model, h)
+    u = [0.0, 0.0]
+    x = None
+    found = []
     x = step.b[:, 0] * 0.0
     for interval in range(12):
         u[1] = 5000 * 1e-5 if interval else 0.0
-        before, kept = model.outputs.recorded_travel.row() @ x, model.outputs.recorded_impulse.row() @ x
+        before = model.outputs.recorded_travel.row() @ x
+        kept = model.outputs.recorded_impulse.row() @ x
         for _ in range(4):
             x = step.a @ x + step.b @ u
         found.append((model.outputs.recorded_impulse.row() @ x - kept) / 250e-6 + u[1])
@@ -85,7 +116,10 @@ def test_record_is_the_filtered_channel():
 
 
 def test_noise_of_the_velocity_channel_is_seeded():
-    params = board_of(device("probe", noise=SensorNoise(velocity_m_per_s=1e-3)), probe_velocity_m_per_s_per_count=1e-6)
+    params = board_of(
+        device("probe", noise=SensorNoise(velocity_m_per_s=1e-3)),
+        probe_velocity_m_per_s_per_count=1e-6,
+    )
 
     def record(seed):
         axis = Axis(board_of(device("probe", noise=SensorNoise(velocity_m_per_s=1e-3)), seed=seed))
@@ -104,7 +138,9 @@ def test_noise_of_the_velocity_channel_is_seeded():
 def test_frames_tell_a_winding_that_warms_up():
     heating = WindingHeating(thermal_resistance_k_per_w=50.0, time_constant_s=0.05, ambient_c=20.0)
     cold = WindingTemperature(temperature_c=20.0, compensated_c=20.0)
-    board = BoardModel(board_of(device("probe", "amplifier", "coulomb", winding=cold, heating=heating)))
+    board = BoardModel(
+        board_of(device("probe", "amplifier", "coulomb", winding=cold, heating=heating))
+    )
     first = exchange(board, 0, flags=ENABLE, torque=32767)
     for tick in range(1, 5):
         last = exchange(board, tick, flags=ENABLE, torque=32767 * (-1) ** tick)
@@ -135,7 +171,11 @@ def test_power_up_rests_where_it_stood():
 
 
 def test_ends_stop_the_slider_on_the_board():
-    board = BoardModel(board_of(device(*LINEAR, ends=WorkspaceEnds(lower_m=-0.001, upper_m=0.001)), force_limit_n=8.0))
+    board = BoardModel(
+        board_of(
+            device(*LINEAR, ends=WorkspaceEnds(lower_m=-0.001, upper_m=0.001)), force_limit_n=8.0
+        )
+    )
     for tick in range(40):
         frame = exchange(board, tick, flags=ENABLE, torque=20000)
     assert frame.encoder == 2000

@@ -1,4 +1,6 @@
-"""A batch: the same bytes however it is spread, records that agree with sums, divergence with its time, refusals."""
+"""A batch: the same bytes however it is spread, records that agree with sums, divergence with
+its time, refusals.
+"""
 
 import pickle
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
@@ -17,7 +19,9 @@ from hapticd.sim.engine.source import VELOCITY_MAX_M_PER_S
 
 WEIR = device(*STAR, DRY, COUNTS, LIMIT)
 RNG = np.random.default_rng(1)
-PARAMS = np.column_stack([RNG.uniform(0, 100, 70), RNG.uniform(0, 2, 70), RNG.uniform(-0.002, 0.01, 70)])
+PARAMS = np.column_stack(
+    [RNG.uniform(0, 100, 70), RNG.uniform(0, 2, 70), RNG.uniform(-0.002, 0.01, 70)]
+)
 SUMS = ("sigma_v_m_per_s", "max_force_n", "work_j", "min_energy_j", "samples")
 
 
@@ -26,7 +30,9 @@ class Inline(Executor):
 
     def submit(self, task, /, *args, **kwargs):
         done = Future()
-        done.set_result(pickle.loads(pickle.dumps(task))(*pickle.loads(pickle.dumps(args)), **kwargs))
+        done.set_result(
+            pickle.loads(pickle.dumps(task))(*pickle.loads(pickle.dumps(args)), **kwargs)
+        )
         return done
 
 
@@ -51,13 +57,17 @@ def test_bytes_do_not_depend_on_chunks_or_threads(reference, chunk, threads, mon
 
 
 def test_any_executor_gives_the_same_bytes(reference):
-    assert same_bytes(reference, simulate(WEIR, PARAMS, 0.5, 7, damping=1.74, keep="records", executor=Inline()))
+    assert same_bytes(
+        reference, simulate(WEIR, PARAMS, 0.5, 7, damping=1.74, keep="records", executor=Inline())
+    )
 
 
 @pytest.mark.process
 def test_process_pool_gives_the_same_bytes(reference):
     with ProcessPoolExecutor(1) as pool:
-        assert same_bytes(reference, simulate(WEIR, PARAMS, 0.5, 7, damping=1.74, keep="records", executor=pool))
+        assert same_bytes(
+            reference, simulate(WEIR, PARAMS, 0.5, 7, damping=1.74, keep="records", executor=pool)
+        )
 
 
 @pytest.mark.parametrize("chunk", [1, 7, 64])
@@ -70,16 +80,21 @@ def test_own_torque_does_not_depend_on_chunks(chunk):
 
 def test_own_torque_of_a_trial_is_a_record_like_any_other():
     whole = simulate(WEIR, PARAMS[:3], 0.1, 7, damping=1.74, keep="records", own_torque=True)
-    alone = simulate(WEIR, PARAMS[2:3], 0.1, damping=1.74, keep="records", excitation=whole.torque_n[2])
+    alone = simulate(
+        WEIR, PARAMS[2:3], 0.1, damping=1.74, keep="records", excitation=whole.torque_n[2]
+    )
     assert np.allclose(alone.velocity_m_per_s, whole.velocity_m_per_s[2:3], rtol=1e-11, atol=1e-15)
 
 
 def test_sums_are_those_of_the_records(reference):
-    force, velocity = reference.torque_n, reference.velocity_m_per_s
+    force = reference.torque_n
+    velocity = reference.velocity_m_per_s
     work = np.cumsum(force * velocity, axis=1) / 4000
     assert np.allclose(reference.sigma_v_m_per_s, np.sqrt((velocity**2).mean(axis=1)), rtol=1e-12)
     assert np.allclose(reference.work_j, work[:, -1], rtol=1e-12)
-    assert np.allclose(reference.min_energy_j, np.minimum(work[:, 3::4].min(axis=1), 0.0), rtol=1e-9, atol=1e-18)
+    assert np.allclose(
+        reference.min_energy_j, np.minimum(work[:, 3::4].min(axis=1), 0.0), rtol=1e-9, atol=1e-18
+    )
     assert set(reference.samples) == {2000}
     assert not reference.diverged.any()
 
@@ -90,7 +105,12 @@ def test_summary_keeps_the_same_sums_and_no_record(reference, dtype):
     assert summary.velocity_m_per_s is None
     assert summary.torque_n is None
     for name in SUMS:
-        assert np.allclose(getattr(summary, name), getattr(reference, name), rtol=1e-12 if dtype == "f64" else 5e-3, atol=1e-12)
+        assert np.allclose(
+            getattr(summary, name),
+            getattr(reference, name),
+            rtol=1e-12 if dtype == "f64" else 5e-3,
+            atol=1e-12,
+        )
     with pytest.raises(ValueError, match="keep='records'"):
         summary.record(0)
 
@@ -104,7 +124,9 @@ def test_work_is_exact_energy_of_a_free_mass():
 
 
 def test_divergence_is_reported_with_its_time_and_never_as_nan():
-    """A free mass with K < 0: v grows; the record ends at the first tick with an rms speed past the limit."""
+    """A free mass with K < 0: v grows; the record ends at the first tick with an rms speed past
+    the limit.
+    """
     trials = [[0.0, 0.0, 0.0], [-2000.0, 0.0, 0.0], [-5000.0, 0.0, 0.0]]
     result = simulate(rigid(0.1), trials, 3.0, 2, keep="ticks")
     assert list(result.diverged) == [False, True, True]
@@ -122,16 +144,25 @@ def test_divergence_is_reported_with_its_time_and_never_as_nan():
 
 def test_diverged_trial_leaves_its_neighbours_alone():
     alone = simulate(rigid(0.1), [[100.0, 0.0, 0.0]], 3.0, 2, keep="records")
-    among = simulate(rigid(0.1), [[-9e5, 0.0, 0.0], [100.0, 0.0, 0.0], [0.0, 0.0, -5.0]], 3.0, 2, keep="records")
+    among = simulate(
+        rigid(0.1), [[-9e5, 0.0, 0.0], [100.0, 0.0, 0.0], [0.0, 0.0, -5.0]], 3.0, 2, keep="records"
+    )
     assert list(among.diverged) == [True, False, True]
     assert among.velocity_m_per_s[1].tobytes() == alone.velocity_m_per_s[0].tobytes()
 
 
 def test_damping_is_switched_at_its_tick():
     steps = simulate(WEIR, [[50.0, 2.0, 0.0]], 0.4, 7, damping=[(0.2, 1.74)], keep="records")
-    off, on = (simulate(WEIR, [[50.0, 2.0, 0.0]], 0.4, 7, damping=level, keep="records") for level in (0.0, 1.74))
-    assert np.allclose(steps.velocity_m_per_s[0, :800], off.velocity_m_per_s[0, :800], rtol=1e-9, atol=1e-15)
-    assert not np.allclose(steps.velocity_m_per_s[0, 800:810], off.velocity_m_per_s[0, 800:810], rtol=1e-3)
+    off, on = (
+        simulate(WEIR, [[50.0, 2.0, 0.0]], 0.4, 7, damping=level, keep="records")
+        for level in (0.0, 1.74)
+    )
+    assert np.allclose(
+        steps.velocity_m_per_s[0, :800], off.velocity_m_per_s[0, :800], rtol=1e-9, atol=1e-15
+    )
+    assert not np.allclose(
+        steps.velocity_m_per_s[0, 800:810], off.velocity_m_per_s[0, 800:810], rtol=1e-3
+    )
     assert steps.velocity_m_per_s[0, 1000:].std() < off.velocity_m_per_s[0, 1000:].std()
     assert on.velocity_m_per_s[0].std() < off.velocity_m_per_s[0].std()
 
@@ -152,12 +183,18 @@ def test_short_record_repeats():
 
 
 def test_sensor_noise_and_counts_are_in_the_record_alone():
-    noisy = device(*STAR, ProbeAdc(velocity_quantum_m_per_s=1e-4, torque_quantum_n=1e-3), noise=Noise(velocity_m_per_s=0.01))
+    noisy = device(
+        *STAR,
+        ProbeAdc(velocity_quantum_m_per_s=1e-4, torque_quantum_n=1e-3),
+        noise=Noise(velocity_m_per_s=0.01),
+    )
     result = simulate(noisy, PARAMS[:2], 1.0, 7, keep="records")
     plain = simulate(device(*STAR), PARAMS[:2], 1.0, excitation=result.torque_n, keep="records")
     error = result.velocity_m_per_s - plain.velocity_m_per_s
     assert error.std() == pytest.approx(0.01, rel=0.05)
-    assert np.allclose(result.velocity_m_per_s / 1e-4, np.round(result.velocity_m_per_s / 1e-4), atol=1e-6)
+    assert np.allclose(
+        result.velocity_m_per_s / 1e-4, np.round(result.velocity_m_per_s / 1e-4), atol=1e-6
+    )
     assert np.allclose(result.torque_n / 1e-3, np.round(result.torque_n / 1e-3), atol=1e-6)
     assert np.array_equal(result.sigma_v_m_per_s, plain.sigma_v_m_per_s)
 
@@ -168,7 +205,9 @@ def test_scene_brings_its_own_length_damping_and_seed():
         damping=(DampingStep(0.0, 1.0),), excitation=Excitation("noise", seed=9), seconds=0.25,
     )  # fmt: skip
     by_scene = simulate(scene, PARAMS[:3], keep="records")
-    by_hand = simulate(device(*scene.effects, delay=0), PARAMS[:3], 0.25, 9, damping=1.0, keep="records")
+    by_hand = simulate(
+        device(*scene.effects, delay=0), PARAMS[:3], 0.25, 9, damping=1.0, keep="records"
+    )
     assert same_bytes(by_scene, by_hand)
 
 

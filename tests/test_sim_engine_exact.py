@@ -1,8 +1,23 @@
-"""The engine against the same model in long double, step by step: exact for what is linear, and for what is not."""
+"""The engine against the same model in long double, step by step: exact for what is linear, and
+for what is not.
+"""
 
 import numpy as np
 import pytest
-from devices import COGS, COUNTS, DRY, ENDS, HAND, LIMIT, RIGID, SPRING, STAR, TWO_MASSES, device, rigid
+from devices import (
+    COGS,
+    COUNTS,
+    DRY,
+    ENDS,
+    HAND,
+    LIMIT,
+    RIGID,
+    SPRING,
+    STAR,
+    TWO_MASSES,
+    device,
+    rigid,
+)
 from straight import Straight
 
 from hapticd.params import EnvironmentParams, FilterParams, WallParams, WorkspaceParams
@@ -15,17 +30,31 @@ TRIALS = [[100.0, 1.0, 0.010], [50.0, 2.0, 0.0], [0.0, 0.0, 0.0], [600.0, 0.5, -
 TORQUE = 0.3 * np.random.default_rng(3).standard_normal(400)
 
 
-def largest_error(model, level=0.0, substeps=1, torque=TORQUE, environment=None, start=(0.0, 0.0), **options):
+def largest_error(
+    model, level=0.0, substeps=1, torque=TORQUE, environment=None, start=(0.0, 0.0), **options
+):
     """Of velocity, force and position, each relative to its largest value over a trial."""
     result = simulate(
-        model, TRIALS, len(torque) / 4000, excitation=torque, damping=level, substeps=substeps, environment=environment,
-        start=start, keep="ticks", **options,
-    )  # fmt: skip
+        model,
+        TRIALS,
+        len(torque) / 4000,
+        excitation=torque,
+        damping=level,
+        substeps=substeps,
+        environment=environment,
+        start=start,
+        keep="ticks",
+        **options,
+    )
     worst = 0.0
     for trial, kbm in enumerate(TRIALS):
         expected = Straight(model, kbm, environment, level, substeps, start).play(torque)
-        for ours, theirs in zip((result.velocity_m_per_s, result.force_n, result.position_m), expected, strict=True):
-            worst = max(worst, float(abs(ours[trial] - theirs).max() / max(abs(theirs).max(), 1e-9)))
+        for ours, theirs in zip(
+            (result.velocity_m_per_s, result.force_n, result.position_m), expected, strict=True
+        ):
+            worst = max(
+                worst, float(abs(ours[trial] - theirs).max() / max(abs(theirs).max(), 1e-9))
+            )
     return worst
 
 
@@ -41,7 +70,12 @@ def test_linear_device_with_microsecond_electronics_is_exact(substeps):
 
 @pytest.mark.parametrize(
     "model",
-    [rigid(), device(*RIGID, SPRING), device(*TWO_MASSES, HAND), device(*TWO_MASSES, VelocityHighpass(corner_hz=10.0))],
+    [
+        rigid(),
+        device(*RIGID, SPRING),
+        device(*TWO_MASSES, HAND),
+        device(*TWO_MASSES, VelocityHighpass(corner_hz=10.0)),
+    ],
     ids=["rigid", "spring to ground", "hand", "high-pass"],
 )
 def test_linear_device_is_exact(model):
@@ -75,7 +109,9 @@ def test_position_dependent_forces_are_as_defined(extra):
 def test_servo_rate_filters_walls_and_ends_reach_the_law():
     wall = WallParams(stiffness_n_per_m=2000.0, damping_ns_per_m=1.0, position_m=1e-4, side=1)
     environment = EnvironmentParams(
-        velocity_filter=FilterParams(200.0, 1.0, "matched"), wall=wall, workspace=WorkspaceParams(-2e-4, 1.5e-4, 800.0)
+        velocity_filter=FilterParams(200.0, 1.0, "matched"),
+        wall=wall,
+        workspace=WorkspaceParams(-2e-4, 1.5e-4, 800.0),
     )
     assert largest_error(device(*TWO_MASSES, rate_hz=2000.0), environment=environment) < 1e-11
 
@@ -99,11 +135,19 @@ def test_single_precision_follows_double_to_its_digits():
 
 
 def test_anti_alias_filter_delays_torque_and_velocity_alike():
-    """A rigid free mass: filtered force and velocity still have the ratio m s, so work over a period of a sine is 0."""
+    """A rigid free mass: filtered force and velocity still have the ratio m s, so work over a
+    period of a sine is 0.
+    """
     model = device(*RIGID, AntiAlias(corner_hz=800.0), delay=0.0)
     torque = 0.1 * np.sin(2 * np.pi * 100.0 * np.arange(4000) / 4000)
     result = simulate(model, [[0, 0, 0]], 1.0, excitation=torque, keep="records")
-    force, velocity = result.torque_n[0][2000:], result.velocity_m_per_s[0][2000:]
-    phases = np.array([np.exp(-2j * np.pi * 100.0 * np.arange(2000) / 4000) @ signal for signal in (force, velocity)])
+    force = result.torque_n[0][2000:]
+    velocity = result.velocity_m_per_s[0][2000:]
+    phases = np.array(
+        [
+            np.exp(-2j * np.pi * 100.0 * np.arange(2000) / 4000) @ signal
+            for signal in (force, velocity)
+        ]
+    )
     assert abs(phases[0] / phases[1] / (1j * 2 * np.pi * 100.0 * 0.008) - 1.0) < 3e-3
     assert abs(phases[0]) < 0.999 * 0.1 * 1000

@@ -1,10 +1,19 @@
-"""A winding that heats up under load: its temperature against the closed form, and what it does to the force."""
+"""A winding that heats up under load: its temperature against the closed form, and what it does
+to the force.
+"""
 
 import numpy as np
 import pytest
 from devices import MOTOR, WARMING, device
 
-from hapticd.plant.effects import Amplifier, DampingCircuit, Load, Masses, WindingTemperature, copper_ohm
+from hapticd.plant.effects import (
+    Amplifier,
+    DampingCircuit,
+    Load,
+    Masses,
+    WindingTemperature,
+    copper_ohm,
+)
 from hapticd.plant.scene import Excitation
 from hapticd.sim.engine import simulate
 from hapticd.units import COPPER_PER_K
@@ -19,13 +28,24 @@ WARM = (
 
 
 def holding(stiffness, seconds, level=0.0):
-    """A motor that works against a 2 N push with a virtual spring, the device's own spring taking the rest."""
+    """A motor that works against a 2 N push with a virtual spring, the device's own spring
+    taking the rest.
+    """
     push = Excitation("push", force_n=2.0)
-    return simulate(device(*WARM), [[stiffness, 0.0, 0.0], [0.0, 0.0, 0.0]], seconds, excitation=push, damping=level, keep="ticks")
+    return simulate(
+        device(*WARM),
+        [[stiffness, 0.0, 0.0], [0.0, 0.0, 0.0]],
+        seconds,
+        excitation=push,
+        damping=level,
+        keep="ticks",
+    )
 
 
 def closed_form_c(force_n, seconds):
-    """T' = (R0 (1 + a (T - T0)) (F/K)^2 R_th - (T - T0)) / tau: an exponential with a slower rate as copper warms."""
+    """T' = (R0 (1 + a (T - T0)) (F/K)^2 R_th - (T - T0)) / tau: an exponential with a slower
+    rate as copper warms.
+    """
     heat = copper_ohm(1.6, 20.0, 20.0) * (force_n / PER_N_PER_A) ** 2 * 20.0
     slower = 1.0 - COPPER_PER_K * heat
     return 20.0 + heat / slower * (1.0 - np.exp(-slower * seconds / 10.0))
@@ -40,11 +60,15 @@ def test_temperature_follows_the_closed_form():
 
 
 def test_hot_winding_weakens_the_rendered_spring_by_alpha():
-    """At DC the motor gives alpha F_cmd, alpha = 1 / (1 + g dR / K^2): the spring yields more, the command grows."""
+    """At DC the motor gives alpha F_cmd, alpha = 1 / (1 + g dR / K^2): the spring yields more,
+    the command grows.
+    """
     level = 3.0
     result = holding(2000.0, 30.0, level)
     residual = copper_ohm(1.6, 20.0, float(result.winding_c[0])) - 1.6
     alpha = 1.0 / (1.0 + level * residual / PER_N_PER_A**2)
     assert residual > 0.05
-    assert result.force_n[0, -1] == pytest.approx(-2000.0 * 2.0 / (2000.0 + 2000.0 * alpha), rel=1e-3)
+    assert result.force_n[0, -1] == pytest.approx(
+        -2000.0 * 2.0 / (2000.0 + 2000.0 * alpha), rel=1e-3
+    )
     assert abs(result.force_n[0, -1]) > 1.01 * 1.0

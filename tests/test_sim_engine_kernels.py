@@ -24,23 +24,40 @@ from hapticd.sim.engine.source import SCALARS, kernel_source
 
 HERE = Path(__file__).parent
 ALL = device(*TWO_MASSES, DRY, COUNTS, LIMIT)
-LARGE = device(*STAR, Coulomb(rotor_n=0.02, slider_n=0.01), COUNTS, LIMIT, AntiAlias(corner_hz=1000.0), HAND, delay=1.5)
+LARGE = device(
+    *STAR,
+    Coulomb(rotor_n=0.02, slider_n=0.01),
+    COUNTS,
+    LIMIT,
+    AntiAlias(corner_hz=1000.0),
+    HAND,
+    delay=1.5,
+)
 HOT = device(*STAR, DRY, COUNTS, LIMIT, WARMING)
-X86 = pytest.mark.skipif(platform.machine() != "x86_64", reason="looks for the vector registers of x86")
+X86 = pytest.mark.skipif(
+    platform.machine() != "x86_64", reason="looks for the vector registers of x86"
+)
 WALL = EnvironmentParams(wall=WallParams(stiffness_n_per_m=1000.0, position_m=0.001, side=1))
 
 
 def shape(model, damped=False, substeps=1, dtype="f64", environment=None):
-    return shape_of(reduced(model, damped)[0], environment or EnvironmentParams(), damped, substeps, dtype)
+    return shape_of(
+        reduced(model, damped)[0], environment or EnvironmentParams(), damped, substeps, dtype
+    )
 
 
 def assembly(model, **options):
     """Assembly of the kernel, compiled anew: code from the cache has no text."""
     made = shape(model, **options)
-    module, scalar = kernel(made), SCALARS[made.dtype]
+    module = kernel(made)
+    scalar = SCALARS[made.dtype]
     fresh = njit(fastmath={"contract", "nsz"}, error_model="numpy")(module.run.py_func)
-    coefficients, torque, nothing = (np.zeros(size, scalar) for size in (len(module.COEFFICIENTS) or 1, made.samples, 1))
-    fresh(aligned(len(module.ROWS) * made.lanes, scalar), coefficients, torque, nothing, nothing, 1, 0)
+    coefficients, torque, nothing = (
+        np.zeros(size, scalar) for size in (len(module.COEFFICIENTS) or 1, made.samples, 1)
+    )
+    fresh(
+        aligned(len(module.ROWS) * made.lanes, scalar), coefficients, torque, nothing, nothing, 1, 0
+    )
     (text,) = fresh.inspect_asm().values()
     return text
 
@@ -59,7 +76,9 @@ def assembly(model, **options):
     ids=["all", "wall", "places", "large", "hot"],
 )
 def test_lane_loop_is_vector_code(model, environment, damped, dtype):
-    """Every multiplication and addition of the tick works on whole registers, from a stack that begins on a cache line."""
+    """Every multiplication and addition of the tick works on whole registers, from a stack that
+    begins on a cache line.
+    """
     text = assembly(model, environment=environment, dtype=dtype, damped=damped)
     loop = max(re.split(r"\n(?=\.LBB)", text), key=lambda block: len(re.findall(r"[yz]mm", block)))
     kind = "ps" if dtype == "f32" else "pd"
@@ -74,7 +93,21 @@ def test_lane_loop_is_vector_code(model, environment, damped, dtype):
 @pytest.mark.parametrize(
     ("extra", "words"),
     [
-        ((), ("floor", "LEVEL", "WALL", "STOP", "PULL0_0", "WAIT", "FORCE_COUNT", "HEAT", "TRAVEL", " LIMIT")),
+        (
+            (),
+            (
+                "floor",
+                "LEVEL",
+                "WALL",
+                "STOP",
+                "PULL0_0",
+                "WAIT",
+                "FORCE_COUNT",
+                "HEAT",
+                "TRAVEL",
+                " LIMIT",
+            ),
+        ),
         ((COUNTS,), ("LEVEL", "WALL", "STOP", "PULL0_0", "FORCE_COUNT")),
         ((DRY,), ("floor", "WALL", "STOP", "PULL0_0")),
     ],
@@ -86,15 +119,34 @@ def test_absent_effect_leaves_no_trace(extra, words):
 
 def test_effects_leave_theirs():
     text = kernel_source(
-        shape(device(*TWO_MASSES, DRY, COUNTS, LIMIT, COGS, ENDS, ForceDac(quantum_n=0.001), delay=1.5), environment=WALL)
+        shape(
+            device(
+                *TWO_MASSES, DRY, COUNTS, LIMIT, COGS, ENDS, ForceDac(quantum_n=0.001), delay=1.5
+            ),
+            environment=WALL,
+        )
     )
-    assert all(word in text for word in ("floor", "LEVEL0", "WALL_K", "STOP_UP", "PULL0_0", "WAIT0", "FORCE_COUNT", "LIMIT"))
+    assert all(
+        word in text
+        for word in (
+            "floor",
+            "LEVEL0",
+            "WALL_K",
+            "STOP_UP",
+            "PULL0_0",
+            "WAIT0",
+            "FORCE_COUNT",
+            "LIMIT",
+        )
+    )
 
 
 def test_relative_positions_and_unused_states_save_coefficients():
     relative, whole = (shape(device(*STAR), damped=damped) for damped in (False, True))
     assert (relative.states, whole.states) == (6, 7)
-    assert sum(map(len, whole.feeds)) == 37  # of 49: the rotor's position drives nothing, the smoothed command is its own
+    assert (
+        sum(map(len, whole.feeds)) == 37
+    )  # of 49: the rotor's position drives nothing, the smoothed command is its own
     assert sum(map(len, relative.feeds)) < 37
 
 
@@ -105,15 +157,18 @@ def test_numbers_do_not_make_a_new_kernel():
 
 
 def replace_coupling(stiffness):
-    return [replace(e, stiffness_n_per_m=stiffness) if e.key == "coupling" else e for e in TWO_MASSES]
+    return [
+        replace(e, stiffness_n_per_m=stiffness) if e.key == "coupling" else e for e in TWO_MASSES
+    ]
 
 
 def test_kernel_is_found_again_by_another_process(tmp_path):
     """The second process loads what the first compiled: numba counts a hit and no miss."""
     code = (
-        "from devices import *; from hapticd.sim.engine import kernels, simulate; from test_sim_engine_kernels import shape, ALL\n"
-        "simulate(ALL, [[1, 0, 0]], 0.01); run = kernels.kernel(shape(ALL)).run\n"
-        "print(sum(run.stats.cache_hits.values()), sum(run.stats.cache_misses.values()))"
+        "from devices import *; from hapticd.sim.engine import kernels, simulate; from"
+        " test_sim_engine_kernels import shape, ALL\nsimulate(ALL, [[1, 0, 0]], 0.01); run ="
+        " kernels.kernel(shape(ALL)).run\nprint(sum(run.stats.cache_hits.values()),"
+        " sum(run.stats.cache_misses.values()))"
     )
     found = [
         subprocess.run(

@@ -22,11 +22,18 @@ SOLID = EnvironmentParams(
 def replayed(positions, kbm, environment, limit_n, scalar):
     """Forces of `render` in CPython over `positions`, all numbers of type `scalar`."""
     params = EnvironmentParams(
-        *kbm, environment.velocity_filter, environment.acceleration_filter, environment.wall, environment.workspace
+        *kbm,
+        environment.velocity_filter,
+        environment.acceleration_filter,
+        environment.wall,
+        environment.workspace,
     )
     numbers = tuple(scalar(value) for value in environment_tuple(params, limit_n))
-    designed = design_coefficients(environment.velocity_filter, environment.acceleration_filter, 1000.0)
-    coefficients, state = tuple(scalar(value) for value in designed), tuple(scalar(value) for value in at_rest(0.0))
+    designed = design_coefficients(
+        environment.velocity_filter, environment.acceleration_filter, 1000.0
+    )
+    coefficients = tuple(scalar(value) for value in designed)
+    state = tuple(scalar(value) for value in at_rest(0.0))
     forces = []
     for x in positions:
         force, *_, state = render(scalar(x), state, numbers, coefficients)
@@ -35,13 +42,16 @@ def replayed(positions, kbm, environment, limit_n, scalar):
 
 
 @pytest.mark.parametrize(("dtype", "scalar"), [("f64", np.float64), ("f32", np.float32)])
-@pytest.mark.parametrize("environment", [EnvironmentParams(), SOLID], ids=["plain", "wall and ends"])
+@pytest.mark.parametrize(
+    "environment", [EnvironmentParams(), SOLID], ids=["plain", "wall and ends"]
+)
 def test_forces_equal_cpython_to_the_bit(environment, dtype, scalar):
     model = device(*TWO_MASSES, DRY, COUNTS, Saturation(limit_n=0.4))
     result = simulate(model, TRIALS, 2.0, environment=environment, dtype=dtype, keep="ticks")
     limited = 0
     for trial, kbm in enumerate(TRIALS):
-        positions, forces = result.position_m[trial], result.force_n[trial]
+        positions = result.position_m[trial]
+        forces = result.force_n[trial]
         expected = replayed(positions, kbm, environment, 0.4, scalar)
         assert forces.tobytes() == expected.astype(forces.dtype).tobytes()
         limited += int((abs(forces) == scalar(0.4)).sum())
@@ -50,6 +60,8 @@ def test_forces_equal_cpython_to_the_bit(environment, dtype, scalar):
 
 def test_force_stays_finite_and_limited_when_the_motion_runs_away():
     model = device(*RIGID, Viscous(rotor_ns_per_m=0.3), LIMIT)
-    wild = simulate(model, [[0.0, 0.0, -0.05]], 2.0, excitation=Excitation("push", force_n=50.0), keep="ticks")
+    wild = simulate(
+        model, [[0.0, 0.0, -0.05]], 2.0, excitation=Excitation("push", force_n=50.0), keep="ticks"
+    )
     assert np.isfinite(wild.force_n).all()
     assert wild.max_force_n[0] == 8.0

@@ -1,4 +1,6 @@
-"""Spectra kept instead of records: those that `spa` gives of the records, however the batch is spread."""
+"""Spectra kept instead of records: those that `spa` gives of the records, however the batch is
+spread.
+"""
 
 from dataclasses import replace
 
@@ -14,7 +16,9 @@ from hapticd.sim.engine import simulate
 
 WEIR = device(*STAR, DRY, COUNTS, LIMIT)
 RNG = np.random.default_rng(1)
-PARAMS = np.column_stack([RNG.uniform(0, 100, 70), RNG.uniform(0, 2, 70), RNG.uniform(-0.002, 0.01, 70)])
+PARAMS = np.column_stack(
+    [RNG.uniform(0, 100, 70), RNG.uniform(0, 2, 70), RNG.uniform(-0.002, 0.01, 70)]
+)
 KEPT = ("force_spectrum", "velocity_spectrum", "cross_spectrum", "section_rms_m_per_s")
 
 
@@ -24,11 +28,17 @@ def both(model, *arguments, **options):
 
 def assert_alike(spectra, records, trials, tolerance):
     for trial in trials:
-        found, exact = spectra.spectra(trial), spa(*records.record(trial))
+        found = spectra.spectra(trial)
+        exact = spa(*records.record(trial))
         for name in ("force", "velocity", "cross"):
-            one, other = getattr(found, name), getattr(exact, name)
+            one = getattr(found, name)
+            other = getattr(exact, name)
             assert np.abs(one - other).max() < tolerance * np.abs(other).max(), name
-        assert (found.n_samples, found.lag, found.rate_hz) == (exact.n_samples, exact.lag, exact.rate_hz)
+        assert (found.n_samples, found.lag, found.rate_hz) == (
+            exact.n_samples,
+            exact.lag,
+            exact.rate_hz,
+        )
 
 
 @pytest.mark.parametrize(("dtype", "tolerance"), [("f64", 1e-12), ("f32", 2e-6)])
@@ -55,15 +65,21 @@ def test_winding_that_heats_up_is_in_the_spectra():
     scene = load_scene("hot")
     spectra, records = both(replace(scene, excitation=Excitation("noise")), PARAMS[:3], 2.5, 3)
     assert records.winding_c is not None
-    assert_alike(spectra, records, (0, 2), 1e-6)  # the temperature is looked at where sections end as well
+    assert_alike(
+        spectra, records, (0, 2), 1e-6
+    )  # the temperature is looked at where sections end as well
 
 
 def test_periodic_torque_repeats_in_the_spectra():
-    spectra, records = both(WEIR, PARAMS[:2], 3.0, 3, excitation=Excitation("multisine", force_n=0.2, period_s=1.024))
+    spectra, records = both(
+        WEIR, PARAMS[:2], 3.0, 3, excitation=Excitation("multisine", force_n=0.2, period_s=1.024)
+    )
     assert_alike(spectra, records, (0, 1), 1e-12)
 
 
-@pytest.mark.parametrize("changes", [{"noise": Noise(velocity_m_per_s=1e-3)}, {"velocity_quantum_m_per_s": 1e-4}])
+@pytest.mark.parametrize(
+    "changes", [{"noise": Noise(velocity_m_per_s=1e-3)}, {"velocity_quantum_m_per_s": 1e-4}]
+)
 def test_what_the_probe_adds_is_in_the_spectra(changes):
     spectra, records = both(replace(WEIR, **changes), PARAMS[:3], 1.5, 3)
     assert_alike(spectra, records, (0, 2), 1e-12)
@@ -79,7 +95,11 @@ def test_section_rms_is_that_of_the_record():
     spectra, records = both(WEIR, PARAMS[:2], 1.5, 3)
     velocity = records.velocity_m_per_s
     parts = np.split(velocity, [2048, 4096], axis=1)
-    assert np.allclose(spectra.section_rms_m_per_s, np.stack([np.sqrt((p**2).mean(axis=1)) for p in parts], axis=1), rtol=1e-12)
+    assert np.allclose(
+        spectra.section_rms_m_per_s,
+        np.stack([np.sqrt((p**2).mean(axis=1)) for p in parts], axis=1),
+        rtol=1e-12,
+    )
 
 
 def test_diverged_trial_has_no_spectra_and_leaves_its_neighbours_alone():
@@ -93,7 +113,10 @@ def test_diverged_trial_has_no_spectra_and_leaves_its_neighbours_alone():
         found.spectra(7)
     assert np.isfinite(found.velocity_spectrum).all()
     others = [trial for trial in range(20) if trial != 7]
-    assert all(getattr(found, name)[others].tobytes() == getattr(calm, name)[others].tobytes() for name in KEPT[1:])
+    assert all(
+        getattr(found, name)[others].tobytes() == getattr(calm, name)[others].tobytes()
+        for name in KEPT[1:]
+    )
 
 
 def test_overflow_leaves_no_nan():

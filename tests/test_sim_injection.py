@@ -43,7 +43,10 @@ def test_no_injection_is_no_injector():
 
 
 def test_unknown_kind_is_refused_by_name():
-    with pytest.raises(ConfigError, match=r"injection kind 'gremlin' is unknown; use one of amplifier_fault, babble, "):
+    with pytest.raises(
+        ConfigError,
+        match=r"injection kind 'gremlin' is unknown; use one of amplifier_fault, babble, ",
+    ):
         injected(InjectionParams("gremlin"))
 
 
@@ -63,7 +66,8 @@ def test_corrupt_out_is_refused_by_the_board():
 
 
 @pytest.mark.parametrize(
-    ("kind", "number", "away_s"), [("stall_out", errno.EPIPE, None), ("io_error", errno.EIO, None), ("unplug", errno.EIO, 0.7)]
+    ("kind", "number", "away_s"),
+    [("stall_out", errno.EPIPE, None), ("io_error", errno.EIO, None), ("unplug", errno.EIO, 0.7)],
 )
 def test_failed_out_raises_what_the_bus_reports(kind, number, away_s):
     port = one(kind, value=0.7)
@@ -141,7 +145,8 @@ def test_stalled_in_raises_at_the_read():
 
 
 @pytest.mark.parametrize(
-    ("kind", "value", "length"), [("babble", 0, 65), ("babble", 9, 73), ("short_in", 0, 31), ("short_in", 63, 63)]
+    ("kind", "value", "length"),
+    [("babble", 0, 65), ("babble", 9, 73), ("short_in", 0, 31), ("short_in", 63, 63)],
 )
 def test_packet_of_a_wrong_length(kind, value, length):
     port = one(kind, value=value)
@@ -157,8 +162,13 @@ def test_encoder_jumps_inside_a_valid_frame():
 
 
 def test_encoder_jump_wraps_as_32_bits_do():
-    assert codec.decode_in(tick_of(injected(InjectionParams("encoder_jump", tick=0, value=2.0**31)), 0)).encoder == -(2**31)
-    assert codec.decode_in(tick_of(injected(InjectionParams("encoder_jump", tick=0)), 0)).encoder == 1_000_000
+    assert codec.decode_in(
+        tick_of(injected(InjectionParams("encoder_jump", tick=0, value=2.0**31)), 0)
+    ).encoder == -(2**31)
+    assert (
+        codec.decode_in(tick_of(injected(InjectionParams("encoder_jump", tick=0)), 0)).encoder
+        == 1_000_000
+    )
 
 
 @pytest.mark.parametrize(("value", "count"), [(0.0, 32767), (-32768.0, -32768)])
@@ -210,7 +220,9 @@ def test_power_up_forgets_what_was_held():
 @pytest.mark.parametrize("damage", ["babble", "short_in", "corrupt_in"])
 @pytest.mark.parametrize("first", [True, False])
 def test_sensor_fault_comes_before_damage_on_the_way(damage, first):
-    """A board that reads wrongly sends a valid packet; what the cable does to it comes after, in whatever order they are named."""
+    """A board that reads wrongly sends a valid packet; what the cable does to it comes after,
+    in whatever order they are named.
+    """
     both = [InjectionParams(kind, tick=STRUCK, value=0.0) for kind in (damage, "encoder_jump")]
     port = injected(*(both if first else both[::-1]))
     healthy(port, 0, 1)

@@ -10,7 +10,9 @@ from hapticd.wire import codec
 from hapticd.wire.frames import OutFlag, Status
 
 PLAY = ENABLE | PERTURB
-UNDERRUN, OVERFLOW, LOST = Status.FIFO_UNDERRUN, Status.FIFO_OVERFLOW, Status.PROBE_OVERFLOW
+UNDERRUN = Status.FIFO_UNDERRUN
+OVERFLOW = Status.FIFO_OVERFLOW
+LOST = Status.PROBE_OVERFLOW
 
 
 def played(frames):
@@ -22,8 +24,14 @@ def test_samples_play_in_order_one_per_interval():
     samples = list(range(1, 81))
     sent = iter(samples)
     frames = [exchange(board, 0, flags=PLAY, perturbation=tuple(next(sent) for _ in range(6)))]
-    frames += [exchange(board, tick, flags=PLAY, perturbation=tuple(next(sent) for _ in range(4))) for tick in range(1, 18)]
-    assert played(frames) == [0, *samples[: 4 * 18 - 2]]  # 3 + 4 x 17 intervals; interval 0 began before the first sample
+    frames += [
+        exchange(board, tick, flags=PLAY, perturbation=tuple(next(sent) for _ in range(4)))
+        for tick in range(1, 18)
+    ]
+    assert played(frames) == [
+        0,
+        *samples[: 4 * 18 - 2],
+    ]  # 3 + 4 x 17 intervals; interval 0 began before the first sample
     assert all(not frame.status & (UNDERRUN | OVERFLOW | LOST) for frame in frames)
 
 
@@ -49,7 +57,12 @@ def test_samples_wait_without_the_play_flag():
     waiting = exchange(board, 0, flags=ENABLE, perturbation=(9, 9, 9))
     assert (waiting.fifo_level, played([waiting])) == (3, [0, 0, 0])
     playing = exchange(board, 1, flags=PLAY)
-    assert played([playing]) == [0, 0, 9, 9]  # the interval at the instant of this OUT began before it was taken
+    assert played([playing]) == [
+        0,
+        0,
+        9,
+        9,
+    ]  # the interval at the instant of this OUT began before it was taken
 
 
 def test_full_fifo_drops_the_rest():
@@ -62,7 +75,9 @@ def test_full_fifo_drops_the_rest():
 def test_fifo_clear_drops_before_taking():
     board = BoardModel(board_params())
     exchange(board, 0, flags=ENABLE, perturbation=(1,) * 6)
-    assert exchange(board, 1, flags=ENABLE | OutFlag.FIFO_CLEAR, perturbation=(2, 2)).fifo_level == 2
+    assert (
+        exchange(board, 1, flags=ENABLE | OutFlag.FIFO_CLEAR, perturbation=(2, 2)).fifo_level == 2
+    )
 
 
 def test_no_torque_without_enable_though_the_fifo_runs():
@@ -75,7 +90,8 @@ def test_mean_velocity_is_distance_over_the_interval():
     fine = board_params(probe_velocity_m_per_s_per_count=1e-6, mass_kg=0.8)
     board = BoardModel(fine)
     frame = exchange(board, 0, flags=ENABLE, torque=16000)
-    state, expected = (0.0, 0.0), []
+    state = (0.0, 0.0)
+    expected = []
     decay, gain, reach, push = held_force_response(0.8, 0.36, 250e-6)
     for _ in range(3):
         distance_m = reach * state[1] + push * 16000 * fine.force_n_per_count
@@ -85,22 +101,32 @@ def test_mean_velocity_is_distance_over_the_interval():
 
 
 def test_sum_of_pairs_is_the_exact_work():
-    """Perturbation alone on an undamped mass: sum(F v T) is the kinetic energy gained, to the rounding of the counts."""
+    """Perturbation alone on an undamped mass: sum(F v T) is the kinetic energy gained, to the
+    rounding of the counts.
+    """
     fine = board_params(viscous_ns_per_m=0.0, mass_kg=0.02, probe_velocity_m_per_s_per_count=1e-5)
-    board, work_j = BoardModel(fine), 0.0
+    board = BoardModel(fine)
+    work_j = 0.0
     samples = [round(8000 * (-1) ** (k // 7)) + 40 * k for k in range(44)]
     for tick in range(11):
-        frame = exchange(board, tick, flags=PLAY, perturbation=tuple(samples[4 * tick : 4 * tick + 4]))
+        frame = exchange(
+            board, tick, flags=PLAY, perturbation=tuple(samples[4 * tick : 4 * tick + 4])
+        )
         work_j += sum(t * fine.probe_torque_n_per_count * v * 1e-5 * 250e-6 for t, v in frame.pairs)
-    impulse = sum(played_sample * fine.probe_torque_n_per_count * 250e-6 for played_sample in samples[:42])
+    impulse = sum(
+        played_sample * fine.probe_torque_n_per_count * 250e-6 for played_sample in samples[:42]
+    )
     velocity = impulse / 0.02
     assert frame.probe_index + len(frame.pairs) == 43
     assert work_j == pytest.approx(0.5 * 0.02 * velocity**2, abs=43 * 2.0 * 0.5e-5 * 250e-6)
 
 
-@pytest.mark.parametrize(("rate_hz", "pairs"), [(2000.0, {2}), (4000.0, {1}), (8000.0, {0, 1}), (900.0, {4, 5})])
+@pytest.mark.parametrize(
+    ("rate_hz", "pairs"), [(2000.0, {2}), (4000.0, {1}), (8000.0, {0, 1}), (900.0, {4, 5})]
+)
 def test_the_4_khz_clock_is_the_boards_own(rate_hz, pairs):
-    board, period_ns = BoardModel(board_params(rate_hz=rate_hz)), 1e9 / rate_hz
+    board = BoardModel(board_params(rate_hz=rate_hz))
+    period_ns = 1e9 / rate_hz
     frames = []
     for tick in range(400):
         board.on_out(out_packet(tick), round(tick * period_ns))
@@ -111,11 +137,16 @@ def test_the_4_khz_clock_is_the_boards_own(rate_hz, pairs):
 
 
 def test_uneven_intervals_give_even_velocities():
-    """900 Hz: an interval is 3 or 4 sub-steps, and a mass that coasts has one velocity in all of them."""
+    """900 Hz: an interval is 3 or 4 sub-steps, and a mass that coasts has one velocity in all
+    of them.
+    """
     fine = board_params(rate_hz=900.0, viscous_ns_per_m=0.0, probe_velocity_m_per_s_per_count=1e-4)
-    board, velocities = BoardModel(fine), set()
+    board = BoardModel(fine)
+    velocities = set()
     for tick in range(50):
-        board.on_out(out_packet(tick, flags=ENABLE, torque=4000 if tick == 0 else 0), round(tick * 1e9 / 900))
+        board.on_out(
+            out_packet(tick, flags=ENABLE, torque=4000 if tick == 0 else 0), round(tick * 1e9 / 900)
+        )
         frame = codec.decode_in(board.poll_in(round((tick + 0.99) * 1e9 / 900)))
         if tick > 2:
             velocities |= {velocity for _, velocity in frame.pairs}
@@ -140,7 +171,16 @@ def test_unread_pairs_are_kept_then_lost_from_the_front():
 
 
 @pytest.mark.parametrize(
-    ("value", "count"), [(0.5, 1), (-0.5, 0), (1.49, 1), (32767.4, 32767), (40000.0, 32767), (-32768.6, -32768), (-1e9, -32768)]
+    ("value", "count"),
+    [
+        (0.5, 1),
+        (-0.5, 0),
+        (1.49, 1),
+        (32767.4, 32767),
+        (40000.0, 32767),
+        (-32768.6, -32768),
+        (-1e9, -32768),
+    ],
 )
 def test_counts_round_half_up_and_saturate(value, count):
     assert i16_count(value) == count

@@ -1,4 +1,6 @@
-"""The units, as systemd's own tools judge them; the promises they make; what the processes tell systemd."""
+"""The units, as systemd's own tools judge them; the promises they make; what the processes tell
+systemd.
+"""
 
 import json
 import os
@@ -50,12 +52,14 @@ def unit(root: Path, name: str) -> dict[str, list[str]]:
     return found
 
 
-# --- what systemd thinks of them --------------------------------------------------------------------------------------
+# --- what systemd thinks of them ------------------------------------------------------------------
 
 
 def test_units_verify_without_a_word(root: Path) -> None:
     paths = [str(root / system_files.PLACES[name]) for name in UNITS]
-    done = subprocess.run([program("systemd-analyze"), "verify", "--man=no", *paths], capture_output=True, text=True)
+    done = subprocess.run(
+        [program("systemd-analyze"), "verify", "--man=no", *paths], capture_output=True, text=True
+    )
     said = [line for line in (done.stdout + done.stderr).splitlines() if "hapticd" in line]
     assert (done.returncode, said) == (0, [])
 
@@ -63,7 +67,11 @@ def test_units_verify_without_a_word(root: Path) -> None:
 @pytest.mark.parametrize("name", SERVICES)
 def test_exposure_is_at_most_three(root: Path, name: str) -> None:
     path = str(root / system_files.PLACES[name])
-    done = subprocess.run([program("systemd-analyze"), "security", "--offline=true", path], capture_output=True, text=True)
+    done = subprocess.run(
+        [program("systemd-analyze"), "security", "--offline=true", path],
+        capture_output=True,
+        text=True,
+    )
     level = re.search(r"Overall exposure level for \S+: (\d+\.\d+)", done.stdout)
     assert level is not None, done.stdout + done.stderr
     assert float(level[1]) <= EXPOSURE_LIMIT
@@ -71,14 +79,19 @@ def test_exposure_is_at_most_three(root: Path, name: str) -> None:
 
 def test_user_and_folders_can_be_made(tmp_path: Path) -> None:
     system_files.write_below(tmp_path, system_files.system_files(UsbParams()))
-    subprocess.run([program("systemd-sysusers"), f"--root={tmp_path}"], check=True, capture_output=True)
+    subprocess.run(
+        [program("systemd-sysusers"), f"--root={tmp_path}"], check=True, capture_output=True
+    )
     assert (tmp_path / "etc/passwd").read_text().startswith("hapticd:x:")
     if os.getuid() == 0:
-        subprocess.run([program("systemd-tmpfiles"), f"--root={tmp_path}", "--create", "hapticd.conf"], check=True)
+        subprocess.run(
+            [program("systemd-tmpfiles"), f"--root={tmp_path}", "--create", "hapticd.conf"],
+            check=True,
+        )
         assert (tmp_path / "var/lib/hapticd/flights").stat().st_mode & 0o777 == 0o750
 
 
-# --- what they promise -------------------------------------------------------------------------------------------------
+# --- what they promise ----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", SERVICES)
@@ -128,7 +141,9 @@ def test_target_starts_both(root: Path) -> None:
 
 
 def test_udev_rule_names_the_configured_board() -> None:
-    rule = system_files.system_files(UsbParams(vendor_id=0x16C0, product_id=0x04D2))["etc/udev/rules.d/70-hapticd.rules"]
+    rule = system_files.system_files(UsbParams(vendor_id=0x16C0, product_id=0x04D2))[
+        "etc/udev/rules.d/70-hapticd.rules"
+    ]
     assert rule.count('ATTR{idVendor}=="16c0", ATTR{idProduct}=="04d2"') == 2
     assert 'GROUP="hapticd", MODE="0660", TAG+="uaccess"' in rule
     assert 'ATTR{power/control}="on"' in rule
@@ -136,32 +151,46 @@ def test_udev_rule_names_the_configured_board() -> None:
 
 
 def test_no_template_word_is_left() -> None:
-    assert not [place for place, content in system_files.system_files(UsbParams()).items() if re.search(r"@[A-Z]+@", content)]
+    assert not [
+        place
+        for place, content in system_files.system_files(UsbParams()).items()
+        if re.search(r"@[A-Z]+@", content)
+    ]
 
 
 def test_every_template_has_a_place() -> None:
     assert {path.name for path in shipped("systemd").iterdir()} == set(system_files.PLACES)
 
 
-# --- install-system ----------------------------------------------------------------------------------------------------
+# --- install-system -------------------------------------------------------------------------------
 
 
 def test_print_shows_every_file(runtime: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["install-system", "--print"]) == 0
     shown = capsys.readouterr().out
-    assert [line[7:] for line in shown.splitlines() if line.startswith("# === /")] == list(system_files.PLACES.values())
+    assert [line[7:] for line in shown.splitlines() if line.startswith("# === /")] == list(
+        system_files.PLACES.values()
+    )
 
 
-def test_root_receives_every_file_and_nothing_else(runtime: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_root_receives_every_file_and_nothing_else(
+    runtime: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["install-system", "--root", str(tmp_path), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     there = {str(path) for path in tmp_path.rglob("*") if path.is_file()}
-    assert set(told["files"]) == there == {str(tmp_path / place) for place in system_files.PLACES.values()}
+    assert (
+        set(told["files"])
+        == there
+        == {str(tmp_path / place) for place in system_files.PLACES.values()}
+    )
     assert told["next"][-1] == "systemctl enable --now hapticd.target"
 
 
 @pytest.mark.parametrize("words", [[], ["--print", "--root", "/tmp"]])
-def test_print_or_root_must_be_said(words: list[str], runtime: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_print_or_root_must_be_said(
+    words: list[str], runtime: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["install-system", *words]) == 2
     assert "one of --print and --root DIR" in capsys.readouterr().err
 
@@ -169,7 +198,11 @@ def test_print_or_root_must_be_said(words: list[str], runtime: Path, capsys: pyt
 def test_root_that_cannot_be_written_says_so(tmp_path: Path) -> None:
     (tmp_path / "etc").write_text("a file where a folder should be")
     with pytest.raises(
-        ConfigError, match=r"etc/systemd/system/hapticd-servo\.service: .*; write elsewhere with --root DIR, or as root"
+        ConfigError,
+        match=(
+            r"etc/systemd/system/hapticd-servo\.service: .*; write elsewhere with --root DIR, or as"
+            r" root"
+        ),
     ):
         system_files.write_below(tmp_path, system_files.system_files(UsbParams()))
 
@@ -177,14 +210,18 @@ def test_root_that_cannot_be_written_says_so(tmp_path: Path) -> None:
 def test_interpreter_in_a_home_is_warned_about(tmp_path: Path) -> None:
     (tmp_path / "python").symlink_to("/root/.pyenv/versions/3.11/bin/python")
     assert system_files.hidden_interpreter(str(tmp_path / "python")).startswith("/root/.pyenv")
-    assert "install hapticd into /opt/hapticd" in system_files.hidden_interpreter("/home/lab/venv/bin/python")
+    assert "install hapticd into /opt/hapticd" in system_files.hidden_interpreter(
+        "/home/lab/venv/bin/python"
+    )
     assert system_files.hidden_interpreter("/opt/hapticd/bin/python") == ""
 
 
-# --- where clients find the service ------------------------------------------------------------------------------------
+# --- where clients find the service ---------------------------------------------------------------
 
 
-def test_client_finds_the_service_when_alone(runtime: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_client_finds_the_service_when_alone(
+    runtime: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     service = runtime / "service"
     monkeypatch.setattr(files, "SERVICE_FOLDER", service)
     assert files.daemon_folder() == files.runtime_folder()
@@ -196,7 +233,7 @@ def test_client_finds_the_service_when_alone(runtime: Path, monkeypatch: pytest.
     assert files.daemon_folder() == files.runtime_folder()
 
 
-# --- what systemd hears -------------------------------------------------------------------------------------------------
+# --- what systemd hears ---------------------------------------------------------------------------
 
 
 class Service:
@@ -210,7 +247,7 @@ class Service:
 
     def hear(self) -> tuple[int, list[str]]:
         text, ancillary, _, _ = self.socket.recvmsg(4096, socket.CMSG_SPACE(struct.calcsize("3i")))
-        (pid, _, _) = struct.unpack("3i", ancillary[0][2])
+        pid, _, _ = struct.unpack("3i", ancillary[0][2])
         return pid, text.decode().splitlines()
 
 
@@ -254,7 +291,9 @@ def test_feeder_feeds_four_times_a_limit(service: Service, monkeypatch: pytest.M
     assert heard == ["WATCHDOG=1"] * 4 + ["end"]
 
 
-def test_feeder_without_a_watchdog_is_silent(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_feeder_without_a_watchdog_is_silent(
+    service: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.delenv("WATCHDOG_USEC", raising=False)
     notify.Feeder(VirtualClock(NS_PER_S)).feed()
     notify.notify("end")
@@ -266,19 +305,34 @@ def test_sentinel_feeds_only_while_the_head_advances() -> None:
     heads = iter([7, 7, 8, 9, 9, 9, 12, 12])
     fed: list[int] = []
     clock = VirtualClock()
-    sentinel.watch(lambda: next(heads), lambda: fed.append(clock.now_ns() // NS_PER_S), clock, NS_PER_S, looks=7)
+    sentinel.watch(
+        lambda: next(heads),
+        lambda: fed.append(clock.now_ns() // NS_PER_S),
+        clock,
+        NS_PER_S,
+        looks=7,
+    )
     assert fed == [2, 3, 6]
 
 
 def test_sentinel_without_a_ring_says_so(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    arguments = [sys.executable, "-m", "hapticd.assembly.sentinel", str(tmp_path), "--parent", str(os.getpid())]
+    arguments = [
+        sys.executable,
+        "-m",
+        "hapticd.assembly.sentinel",
+        str(tmp_path),
+        "--parent",
+        str(os.getpid()),
+    ]
     assert subprocess.run(arguments).returncode == 1
     assert "hapticd sentinel:" in capfd.readouterr().err
 
 
 @contextmanager
 def servo_process(folder: Path, environment: dict[str, str]) -> Iterator[subprocess.Popen[bytes]]:
-    settings = load(shipped("config") / "hapticd.toml", (Override(("realtime", "mode"), "off", "test"),))
+    settings = load(
+        shipped("config") / "hapticd.toml", (Override(("realtime", "mode"), "off", "test"),)
+    )
     written = resolve.write(folder, settings, files.DEFAULT_INSTANCE)
     command = [
         sys.executable,
@@ -316,7 +370,9 @@ def test_ring_of_a_live_servo_moves_for_the_sentinel(service: Service) -> None:
     with servo_process(files.runtime_folder(), {"WATCHDOG_USEC": "0"}):
         while "READY=1" not in service.hear()[1]:
             pass
-        ring = files.open_map(files.runtime_folder() / files.TELEMETRY, layout.TELEMETRY_BYTES, writable=False)
+        ring = files.open_map(
+            files.runtime_folder() / files.TELEMETRY, layout.TELEMETRY_BYTES, writable=False
+        )
         words = memoryview(ring).cast("Q")
         first = words[layout.TELEMETRY_HEAD_WORD]
         while words[layout.TELEMETRY_HEAD_WORD] == first:

@@ -15,7 +15,10 @@ from hapticd.measure.store import TrialStore
 from hapticd.measure.trial import TrialParams, plan_trial, run_trial
 from hapticd.settings.scene import load_scene
 
-SCENE, LEVEL, SEED, SECONDS = "fig7", 1.74, 3, 20.0
+SCENE = "fig7"
+LEVEL = 1.74
+SEED = 3
+SECONDS = 20.0
 ALONE = 1.0  # a tolerance that ends a search of a limit after its first round
 
 
@@ -46,8 +49,12 @@ def by_limits(point, asked):
 
 
 def by_map(point, asked):
-    """Its outcome in `zwidth map`: the grid's other points are far off, so it lies at the edge of the set."""
-    axes = tuple(np.array([value, value + far]) for value, far in zip(point, (4e3, 40.0, 0.2), strict=True))
+    """Its outcome in `zwidth map`: the grid's other points are far off, so it lies at the edge
+    of the set.
+    """
+    axes = tuple(
+        np.array([value, value + far]) for value, far in zip(point, (4e3, 40.0, 0.2), strict=True)
+    )
     result = run_map(plan_map(MapParams(asked, axes, (LEVEL,))), TrialStore(None))
     return next(one for one in result.levels[0].outcomes if one.environment == point)
 
@@ -62,7 +69,12 @@ def searched():
 
 def told(outcome):
     """What an outcome says."""
-    margins = (outcome.margin_ns_per_m, outcome.margin_lower, outcome.margin_upper, outcome.margin_deg)
+    margins = (
+        outcome.margin_ns_per_m,
+        outcome.margin_lower,
+        outcome.margin_upper,
+        outcome.margin_deg,
+    )
     return margins, (outcome.worst_hz, outcome.first_judged_hz, outcome.last_judged_hz)
 
 
@@ -75,7 +87,9 @@ def told_of(verdict):
 
 @pytest.fixture
 def short_trials(monkeypatch):
-    """`reproduce` makes trials of SECONDS; its conditions are kept, so what others asked is forgotten."""
+    """`reproduce` makes trials of SECONDS; its conditions are kept, so what others asked is
+    forgotten.
+    """
     monkeypatch.setattr(reproduce, "SECONDS", SECONDS)
     reproduce.conditions.cache_clear()
     yield
@@ -84,13 +98,22 @@ def short_trials(monkeypatch):
 
 @pytest.mark.usefixtures("short_trials")
 def test_every_verb_gives_the_margin_of_the_trial(searched):
-    """At a stiffness whose least Re Z is at the lower edge: with the window's lines alone it would be another."""
-    outcome, seed = searched[1], SEED + 1
-    point, asked = outcome.environment, given("f64").shaken(more_seed=1)
+    """At a stiffness whose least Re Z is at the lower edge: with the window's lines alone it
+    would be another.
+    """
+    outcome = searched[1]
+    seed = SEED + 1
+    point = outcome.environment
+    asked = given("f64").shaken(more_seed=1)
     margins, places = told_of(by_trial(point, seed))
     assert places == (2.0, 2.0, 500.0)
     shown = reproduce.single_trial(reproduce.MAIN, point, LEVEL, seed)
-    found = [told(outcome), told(by_limits(point, asked)), told(by_map(point, asked)), told_of(shown.verdict)]
+    found = [
+        told(outcome),
+        told(by_limits(point, asked)),
+        told(by_map(point, asked)),
+        told_of(shown.verdict),
+    ]
     for of_verb, where in found:
         assert of_verb == pytest.approx(margins, rel=1e-9)
         assert where == places

@@ -1,4 +1,6 @@
-"""The simulated board speaks the protocol of the golden frames: it takes what it must and refuses what it must."""
+"""The simulated board speaks the protocol of the golden frames: it takes what it must and
+refuses what it must.
+"""
 
 import json
 from typing import Any
@@ -19,12 +21,24 @@ VENDOR_IN = 0xC0
 
 def board() -> BoardModel:
     params = BoardParams(
-        serial="HD-0001", rate_hz=1000.0, position_m_per_count=5e-7, force_n_per_count=8.0 / 32767,
-        damping_ns_per_m_per_count=10.0 / 65535, probe_torque_n_per_count=2.0 / 32767,
-        probe_velocity_m_per_s_per_count=0.5 / 32767, current_a_per_count=4.0 / 32767, voltage_v_per_count=24.0 / 32767,
-        force_limit_n=8.0, mass_kg=0.008, viscous_ns_per_m=0.36, lower_stop_m=-0.02, upper_stop_m=0.02,
-        torque_constant_n_per_a=2.0, winding_ohm=8.0, ambient_c=20.0,
-    )  # fmt: skip
+        serial="HD-0001",
+        rate_hz=1000.0,
+        position_m_per_count=5e-7,
+        force_n_per_count=8.0 / 32767,
+        damping_ns_per_m_per_count=10.0 / 65535,
+        probe_torque_n_per_count=2.0 / 32767,
+        probe_velocity_m_per_s_per_count=0.5 / 32767,
+        current_a_per_count=4.0 / 32767,
+        voltage_v_per_count=24.0 / 32767,
+        force_limit_n=8.0,
+        mass_kg=0.008,
+        viscous_ns_per_m=0.36,
+        lower_stop_m=-0.02,
+        upper_stop_m=0.02,
+        torque_constant_n_per_a=2.0,
+        winding_ohm=8.0,
+        ambient_c=20.0,
+    )
     return BoardModel(params)
 
 
@@ -47,7 +61,11 @@ def test_board_says_bad_frame_once() -> None:
         data[4] ^= damaged
         model.on_out(memoryview(data), tick * PERIOD_NS)
         reply = model.poll_in((tick + 1) * PERIOD_NS)
-        statuses.append(None if reply is None else codec.decode_in(reply).status & (Status.BAD_FRAME | Status.SEQ_GAP))
+        statuses.append(
+            None
+            if reply is None
+            else codec.decode_in(reply).status & (Status.BAD_FRAME | Status.SEQ_GAP)
+        )
     assert statuses == [0, None, Status.BAD_FRAME | Status.SEQ_GAP, 0]
 
 

@@ -1,4 +1,6 @@
-"""Bytes <-> frames: what is refused, and that the servo's in-place form agrees with the named one."""
+"""Bytes <-> frames: what is refused, and that the servo's in-place form agrees with the named
+one.
+"""
 
 import struct
 from array import array
@@ -15,20 +17,44 @@ from hapticd.wire.frames import Hello, InFrame, OutFrame
 
 repeatable = settings(deadline=None, derandomize=True, database=None, max_examples=300)
 
-U8, U16, U32 = st.integers(0, 2**8 - 1), st.integers(0, 2**16 - 1), st.integers(0, 2**32 - 1)
-I16, I32 = st.integers(-(2**15), 2**15 - 1), st.integers(-(2**31), 2**31 - 1)
+U8 = st.integers(0, 2**8 - 1)
+U16 = st.integers(0, 2**16 - 1)
+U32 = st.integers(0, 2**32 - 1)
+I16 = st.integers(-(2**15), 2**15 - 1)
+I32 = st.integers(-(2**31), 2**31 - 1)
 AXIS = st.integers(0, frames.AXIS_COUNT - 1)
 SAMPLES = st.lists(I16, max_size=frames.PROBE_MAX).map(tuple)
 PAIRS = st.lists(st.tuples(I16, I16), max_size=frames.PROBE_MAX).map(tuple)
 OUT_FRAMES = st.builds(OutFrame, U16, AXIS, U8, I16, U16, I16, SAMPLES)
-IN_FRAMES = st.builds(InFrame, U16, U16, AXIS, U16, U32, I32, I16, I16, I16, I16, U8, I16, U32, PAIRS)
+IN_FRAMES = st.builds(
+    InFrame, U16, U16, AXIS, U16, U32, I32, I16, I16, I16, I16, U8, I16, U32, PAIRS
+)
 SERIALS = st.text(st.characters(min_codepoint=0x20, max_codepoint=0x7E), max_size=16)
 F32 = st.floats(width=32, allow_nan=False, allow_infinity=False)
-HELLOS = st.builds(Hello, st.binary(min_size=8, max_size=8), U16, U8, U16, U16, SERIALS, *(F32,) * 8)
+HELLOS = st.builds(
+    Hello, st.binary(min_size=8, max_size=8), U16, U8, U16, U16, SERIALS, *(F32,) * 8
+)
 
 OUT = OutFrame(1000, 0, 5, 4915, 11403, -7, (1638, 3277, -1638))
-IN = InFrame(1001, 1000, 0, 1, 1_001_875, -2400, 4915, 6608, 1311, 3125, 8, 0, 4003, ((819, 1302), (-1638, 1318)))
-HELLO = Hello(frames.PROTOCOL_HASH, 0x0102, 1, 3, 20, "HD-0001", 8.0, 10.0, 2.0, 0.5, 4.0, 24.0, 2.0**-21, 8.0)
+IN = InFrame(
+    1001,
+    1000,
+    0,
+    1,
+    1_001_875,
+    -2400,
+    4915,
+    6608,
+    1311,
+    3125,
+    8,
+    0,
+    4003,
+    ((819, 1302), (-1638, 1318)),
+)
+HELLO = Hello(
+    frames.PROTOCOL_HASH, 0x0102, 1, 3, 20, "HD-0001", 8.0, 10.0, 2.0, 0.5, 4.0, 24.0, 2.0**-21, 8.0
+)
 
 
 def bitwise_crc(data: bytes) -> int:
@@ -87,7 +113,10 @@ def test_any_buffer_is_decoded(kind: Any) -> None:
     assert codec.decode_hello(kind(codec.encode_hello(HELLO))) == HELLO
 
 
-@pytest.mark.parametrize(("data", "decode"), [(codec.encode_out(OUT), codec.decode_out), (codec.encode_in(IN), codec.decode_in)])
+@pytest.mark.parametrize(
+    ("data", "decode"),
+    [(codec.encode_out(OUT), codec.decode_out), (codec.encode_in(IN), codec.decode_in)],
+)
 def test_every_bit_flip_is_refused(data: bytes, decode: Any) -> None:
     for bit in range(8 * len(data)):
         with pytest.raises(FrameError, match="CRC"):
@@ -106,37 +135,53 @@ def test_every_two_bit_error_changes_crc(data: bytes) -> None:
 @pytest.mark.parametrize("size", [*range(32), 33, 64])
 def test_out_of_other_length_is_refused(size: int) -> None:
     data = (codec.encode_out(OUT) * 2)[:size]
-    with pytest.raises(FrameError, match=rf"^OUT frame has a length of {size} bytes, expected 32; is another protocol"):
+    with pytest.raises(
+        FrameError,
+        match=rf"^OUT frame has a length of {size} bytes, expected 32; is another protocol",
+    ):
         codec.decode_out(data)
 
 
 @pytest.mark.parametrize("size", [*range(64), 65, 128])
 def test_in_of_other_length_is_refused(size: int) -> None:
     data = (codec.encode_in(IN) * 2)[:size]
-    with pytest.raises(FrameError, match=rf"^IN frame has a length of {size} bytes, expected 64; is another protocol"):
+    with pytest.raises(
+        FrameError,
+        match=rf"^IN frame has a length of {size} bytes, expected 64; is another protocol",
+    ):
         codec.decode_in(data)
 
 
 @pytest.mark.parametrize("size", [0, 8, 64, 79, 81])
 def test_hello_of_other_length_is_refused(size: int) -> None:
-    with pytest.raises(FrameError, match=rf"^hello frame has a length of {size} bytes, expected 80; update the board's"):
+    with pytest.raises(
+        FrameError,
+        match=rf"^hello frame has a length of {size} bytes, expected 80; update the board's",
+    ):
         codec.decode_hello((codec.encode_hello(HELLO) * 2)[:size])
 
 
 def test_crc_message_names_both_values() -> None:
     data = codec.encode_out(OUT)[:-2]
     expected = bitwise_crc(data)
-    with pytest.raises(FrameError, match=rf"^OUT frame has CRC 0x1234, expected 0x{expected:04x}; it was damaged"):
+    with pytest.raises(
+        FrameError, match=rf"^OUT frame has CRC 0x1234, expected 0x{expected:04x}; it was damaged"
+    ):
         codec.decode_out(data + b"\x34\x12")
 
 
 @pytest.mark.parametrize("count", [7, 8, 255])
 def test_counts_beyond_six_are_refused(count: int) -> None:
-    out, received = bytearray(codec.encode_out(OUT)), bytearray(codec.encode_in(IN))
+    out = bytearray(codec.encode_out(OUT))
+    received = bytearray(codec.encode_in(IN))
     out[10] = received[5] = count
-    with pytest.raises(FrameError, match=rf"^OUT frame has a count of {count} probe values, limit 6"):
+    with pytest.raises(
+        FrameError, match=rf"^OUT frame has a count of {count} probe values, limit 6"
+    ):
         codec.decode_out(resealed(bytes(out)))
-    with pytest.raises(FrameError, match=rf"^IN frame has a count of {count} probe values, limit 6"):
+    with pytest.raises(
+        FrameError, match=rf"^IN frame has a count of {count} probe values, limit 6"
+    ):
         codec.decode_in(resealed(bytes(received)))
 
 
@@ -149,35 +194,65 @@ def test_too_many_samples_are_refused() -> None:
 
 @pytest.mark.parametrize("axis", [1, 255])
 def test_frames_of_another_axis_are_refused(axis: int) -> None:
-    with pytest.raises(FrameError, match=rf"^OUT frame is for axis {axis}, limit 0; this protocol has one axis"):
+    with pytest.raises(
+        FrameError, match=rf"^OUT frame is for axis {axis}, limit 0; this protocol has one axis"
+    ):
         codec.decode_out(codec.encode_out(OUT._replace(axis=axis)))
-    with pytest.raises(FrameError, match=rf"^IN frame is for axis {axis}, limit 0; this protocol has one axis"):
+    with pytest.raises(
+        FrameError, match=rf"^IN frame is for axis {axis}, limit 0; this protocol has one axis"
+    ):
         codec.decode_in(codec.encode_in(IN._replace(axis=axis)))
 
 
 def test_what_lies_beyond_the_count_is_ignored() -> None:
-    out, received = bytearray(codec.encode_out(OUT)), bytearray(codec.encode_in(IN))
+    out = bytearray(codec.encode_out(OUT))
+    received = bytearray(codec.encode_in(IN))
     out[11], out[18:30] = 0xFF, b"\xff" * 12  # reserved0, samples 3 to 5, reserved
     received[25], received[40:62] = 0xFF, b"\xff" * 22  # reserved0, pairs 2 to 5, reserved
     assert codec.decode_out(resealed(bytes(out))) == OUT
     assert codec.decode_in(resealed(bytes(received))) == IN
 
 
-FIELDS_OUT = {"seq": 65536, "axis": 256, "flags": 256, "torque": 32768, "damping": -1, "resistance": -32769}
-FIELDS_IN = {"seq": -1, "echo": 65536, "axis": 256, "status": 65536, "board_time_us": 1 << 32, "encoder": 1 << 31,
-             "current": 32768, "voltage": -32769, "emf_velocity": 32768, "temperature": 32768, "fifo_level": 256,
-             "index_offset": 32768, "probe_index": -1}  # fmt: skip
+FIELDS_OUT = {
+    "seq": 65536,
+    "axis": 256,
+    "flags": 256,
+    "torque": 32768,
+    "damping": -1,
+    "resistance": -32769,
+}
+FIELDS_IN = {
+    "seq": -1,
+    "echo": 65536,
+    "axis": 256,
+    "status": 65536,
+    "board_time_us": 1 << 32,
+    "encoder": 1 << 31,
+    "current": 32768,
+    "voltage": -32769,
+    "emf_velocity": 32768,
+    "temperature": 32768,
+    "fifo_level": 256,
+    "index_offset": 32768,
+    "probe_index": -1,
+}
 
 
 @pytest.mark.parametrize(("name", "value"), [*FIELDS_OUT.items(), ("perturbation", (32768,))])
 def test_out_value_beyond_field_is_refused(name: str, value: Any) -> None:
-    with pytest.raises(FrameError, match=r"^a value does not fit its field: .*; scale or clamp it before encoding"):
+    with pytest.raises(
+        FrameError, match=r"^a value does not fit its field: .*; scale or clamp it before encoding"
+    ):
         codec.encode_out(OUT._replace(**{name: value}))
 
 
-@pytest.mark.parametrize(("name", "value"), [*FIELDS_IN.items(), ("pairs", ((0, -32769),)), ("pairs", ((0,),))])
+@pytest.mark.parametrize(
+    ("name", "value"), [*FIELDS_IN.items(), ("pairs", ((0, -32769),)), ("pairs", ((0,),))]
+)
 def test_in_value_beyond_field_is_refused(name: str, value: Any) -> None:
-    with pytest.raises(FrameError, match=r"^a value does not fit its field: .*; scale or clamp it before encoding"):
+    with pytest.raises(
+        FrameError, match=r"^a value does not fit its field: .*; scale or clamp it before encoding"
+    ):
         codec.encode_in(IN._replace(**{name: value}))
 
 
@@ -194,7 +269,9 @@ def test_no_float_reaches_a_count(value: float) -> None:
 def test_hello_scales_are_finite(name: str, value: float) -> None:
     data = bytearray(codec.encode_hello(HELLO))
     struct.pack_into("<f", data, 32 + 4 * Hello._fields[6:].index(name), value)
-    with pytest.raises(FrameError, match=rf"^{name} of the hello reply is {value}, not a finite number; correct"):
+    with pytest.raises(
+        FrameError, match=rf"^{name} of the hello reply is {value}, not a finite number; correct"
+    ):
         codec.decode_hello(bytes(data))
     with pytest.raises(FrameError, match=name):
         codec.encode_hello(HELLO._replace(**{name: value}))
@@ -202,7 +279,9 @@ def test_hello_scales_are_finite(name: str, value: float) -> None:
 
 @pytest.mark.parametrize("serial", ["é", "a\nb", "\x1b[2J", "12345678901234567"])
 def test_hello_serial_is_short_printable_ascii(serial: str) -> None:
-    with pytest.raises(FrameError, match=r"^serial '.*' of the hello reply is not 16 or less printable ASCII"):
+    with pytest.raises(
+        FrameError, match=r"^serial '.*' of the hello reply is not 16 or less printable ASCII"
+    ):
         codec.encode_hello(HELLO._replace(serial=serial))
 
 
@@ -212,14 +291,18 @@ def test_hello_serial_ends_at_first_zero() -> None:
     assert codec.decode_hello(bytes(data)).serial == "AB"
 
 
-@pytest.mark.parametrize(("name", "value"), [("force_limit_n", 1e39), ("firmware_version", 65536), ("axis_count", -1)])
+@pytest.mark.parametrize(
+    ("name", "value"), [("force_limit_n", 1e39), ("firmware_version", 65536), ("axis_count", -1)]
+)
 def test_hello_value_beyond_field_is_refused(name: str, value: float) -> None:
     with pytest.raises(FrameError, match=r"^a value does not fit its field of the hello reply: "):
         codec.encode_hello(HELLO._replace(**{name: value}))
 
 
 def test_hello_hash_has_eight_bytes() -> None:
-    with pytest.raises(FrameError, match=r"^protocol hash of the hello reply has 7 bytes, expected 8"):
+    with pytest.raises(
+        FrameError, match=r"^protocol hash of the hello reply has 7 bytes, expected 8"
+    ):
         codec.encode_hello(HELLO._replace(protocol_hash=bytes(7)))
 
 

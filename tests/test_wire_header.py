@@ -13,9 +13,18 @@ import wire_header as header
 from hapticd.wire import frames
 from hapticd.wire.header import protocol_hash
 
-ENUMS = {"REQUEST": frames.Request, "FLAG": frames.OutFlag, "STATUS": frames.Status, "CAPABILITY": frames.Capability}
+ENUMS = {
+    "REQUEST": frames.Request,
+    "FLAG": frames.OutFlag,
+    "STATUS": frames.Status,
+    "CAPABILITY": frames.Capability,
+}
 LAYOUTS = {"hapticd_out": frames.OUT, "hapticd_in": frames.IN, "hapticd_hello": frames.HELLO}
-VALUES = {"hapticd_out": frames.OutFrame, "hapticd_in": frames.InFrame, "hapticd_hello": frames.Hello}
+VALUES = {
+    "hapticd_out": frames.OutFrame,
+    "hapticd_in": frames.InFrame,
+    "hapticd_hello": frames.Hello,
+}
 CASES = [(name, member) for name, members in header.STRUCTS.items() for member in members]
 
 
@@ -25,8 +34,11 @@ def probe_source() -> str:
     for name, members in header.STRUCTS.items():
         lines.append(f'printf("{{\\"{name}\\": [%zu, 0]}}\\n", sizeof(struct {name}));')
         for item in members:
-            size, offset = f"sizeof(((struct {name} *)0)->{item.name})", f"offsetof(struct {name}, {item.name})"
-            lines.append(f'printf("{{\\"{name}.{item.name}\\": [%zu, %zu]}}\\n", {size}, {offset});')
+            size = f"sizeof(((struct {name} *)0)->{item.name})"
+            offset = f"offsetof(struct {name}, {item.name})"
+            lines.append(
+                f'printf("{{\\"{name}.{item.name}\\": [%zu, %zu]}}\\n", {size}, {offset});'
+            )
     for name in header.CONSTANTS:
         lines.append(f'printf("{{\\"{name}\\": %llu}}\\n", (unsigned long long){name});')
     return "\n".join([*lines, "return 0; }\n"])
@@ -51,7 +63,9 @@ def code(member: header.Member) -> str:
 
 def test_parser_finds_whole_header() -> None:
     assert list(header.STRUCTS) == list(LAYOUTS)
-    assert len(header.CONSTANTS) == len(re.findall(r"^#define HAPTICD_\w+[ \t]", header.HEADER, re.MULTILINE))
+    assert len(header.CONSTANTS) == len(
+        re.findall(r"^#define HAPTICD_\w+[ \t]", header.HEADER, re.MULTILINE)
+    )
     assert [len(members) for members in header.STRUCTS.values()] == [11, 18, 16]
 
 
@@ -67,16 +81,27 @@ def test_struct_size_equals_compiled(name: str, compiled: dict[str, Any]) -> Non
     assert compiled[name] == [LAYOUTS[name].size, 0]
 
 
-@pytest.mark.parametrize(("name", "member"), CASES, ids=[f"{name}.{member.name}" for name, member in CASES])
-def test_member_offset_equals_compiled(name: str, member: header.Member, compiled: dict[str, Any]) -> None:
+@pytest.mark.parametrize(
+    ("name", "member"), CASES, ids=[f"{name}.{member.name}" for name, member in CASES]
+)
+def test_member_offset_equals_compiled(
+    name: str, member: header.Member, compiled: dict[str, Any]
+) -> None:
     members = header.STRUCTS[name]
     before = "<" + "".join(code(item) for item in members[: members.index(member)])
-    assert compiled[f"{name}.{member.name}"] == [struct.calcsize("<" + code(member)), struct.calcsize(before)]
+    assert compiled[f"{name}.{member.name}"] == [
+        struct.calcsize("<" + code(member)),
+        struct.calcsize(before),
+    ]
 
 
 @pytest.mark.parametrize("name", VALUES)
 def test_value_fields_follow_members(name: str) -> None:
-    kept = [m.name for m in header.STRUCTS[name] if m.name not in ("probe_count", "crc") and "reserved" not in m.name]
+    kept = [
+        m.name
+        for m in header.STRUCTS[name]
+        if m.name not in ("probe_count", "crc") and "reserved" not in m.name
+    ]
     assert list(VALUES[name]._fields) == ["pairs" if item == "pair" else item for item in kept]
 
 
@@ -93,9 +118,13 @@ def test_constant_equals_compiled(name: str, compiled: dict[str, Any]) -> None:
 
 
 def test_python_has_no_extra_constant() -> None:
-    plain = {name for name, value in vars(frames).items() if name.isupper() and isinstance(value, int)}
+    plain = {
+        name for name, value in vars(frames).items() if name.isupper() and isinstance(value, int)
+    }
     members = {f"{family}_{item.name}" for family, kind in ENUMS.items() for item in kind}
-    assert {f"HAPTICD_{name}" for name in plain | members | {"PROTOCOL_HASH"}} == set(header.CONSTANTS)
+    assert {f"HAPTICD_{name}" for name in plain | members | {"PROTOCOL_HASH"}} == set(
+        header.CONSTANTS
+    )
 
 
 def test_frames_fit_one_packet() -> None:
@@ -114,21 +143,32 @@ def test_bits_do_not_overlap(kind: type[Any]) -> None:
 
 def test_hash_equals_header() -> None:
     found = protocol_hash(header.HEADER)
-    assert found == frames.PROTOCOL_HASH, f"declarations changed: put {found.hex()} where {frames.PROTOCOL_HASH.hex()} is"
+    assert found == frames.PROTOCOL_HASH, (
+        f"declarations changed: put {found.hex()} where {frames.PROTOCOL_HASH.hex()} is"
+    )
 
 
-DECLARED = [m[0].strip() for m in re.finditer(r"^( {4}\w+ \w+.*?;|#define HAPTICD_\w+ \S+)", header.HEADER, re.MULTILINE)]
+DECLARED = [
+    m[0].strip()
+    for m in re.finditer(r"^( {4}\w+ \w+.*?;|#define HAPTICD_\w+ \S+)", header.HEADER, re.MULTILINE)
+]
 
 
 @pytest.mark.parametrize("line", [line for line in DECLARED if "PROTOCOL_HASH" not in line])
 def test_changed_declaration_changes_hash(line: str) -> None:
-    other = line.replace("_t ", "_t x", 1) if line.endswith(";") and "_t " in line else line[:-1] + "1" + line[-1]
+    other = (
+        line.replace("_t ", "_t x", 1)
+        if line.endswith(";") and "_t " in line
+        else line[:-1] + "1" + line[-1]
+    )
     assert other != line
     assert protocol_hash(header.HEADER.replace(line, other, 1)) != frames.PROTOCOL_HASH
 
 
 def test_swapped_fields_change_hash() -> None:
-    swapped = header.HEADER.replace("int16_t current;", "@").replace("int16_t voltage;", "int16_t current;")
+    swapped = header.HEADER.replace("int16_t current;", "@").replace(
+        "int16_t voltage;", "int16_t current;"
+    )
     assert protocol_hash(swapped.replace("@", "int16_t voltage;")) != frames.PROTOCOL_HASH
 
 
@@ -137,7 +177,9 @@ def test_swapped_fields_change_hash() -> None:
     [
         lambda text: text.replace("/* torque command DAC */", "/* another word */"),
         lambda text: re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL),
-        lambda text: text.replace("uint16_t seq; ", "uint16_t seq; // a comment of the other form\n"),
+        lambda text: text.replace(
+            "uint16_t seq; ", "uint16_t seq; // a comment of the other form\n"
+        ),
         lambda text: text.replace("\n", "\r\n"),
         lambda text: text.replace("    ", "\t\v\f"),
         lambda text: re.sub(r"0x[0-9a-f]{16}ULL", "0xffffffffffffffffULL /* stale */", text),
@@ -153,4 +195,6 @@ def test_changed_comment_keeps_hash(change: Any) -> None:
 
 def test_hash_of_known_text() -> None:
     text = "/* no */ #define A 1 // no\n  #define HAPTICD_PROTOCOL_HASH 0x1ULL\nint x;\n"
-    assert protocol_hash(text).hex() == "343f9659a58aa6c0"  # first 8 bytes of sha256sum of `#defineA1intx;`
+    assert (
+        protocol_hash(text).hex() == "343f9659a58aa6c0"
+    )  # first 8 bytes of sha256sum of `#defineA1intx;`

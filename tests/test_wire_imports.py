@@ -1,4 +1,6 @@
-"""The wire is the standard library alone: it can be carried to any host, and the servo stays small."""
+"""The wire is the standard library alone: it can be carried to any host, and the servo stays
+small.
+"""
 
 import json
 import subprocess
@@ -15,16 +17,26 @@ print(json.dumps(sorted(set(sys.modules) - before)))
 
 
 def loaded() -> set[str]:
-    done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=True
+    )
     return set(json.loads(done.stdout))
 
 
 def test_wire_loads_standard_library_only() -> None:
     modules = loaded()
-    assert {"hapticd.wire.frames", "hapticd.wire.codec", "hapticd.wire.session", "hapticd.wire.header"} <= modules
+    assert {
+        "hapticd.wire.frames",
+        "hapticd.wire.codec",
+        "hapticd.wire.session",
+        "hapticd.wire.header",
+    } <= modules
     ours = {name for name in modules if name.partition(".")[0] == "hapticd"}
     assert {name.partition(".")[0] for name in modules - ours} <= sys.stdlib_module_names
-    assert {name for name in ours if not name.startswith("hapticd.wire")} <= {"hapticd", "hapticd.errors"}
+    assert {name for name in ours if not name.startswith("hapticd.wire")} <= {
+        "hapticd",
+        "hapticd.errors",
+    }
 
 
 def test_wire_loads_no_input_output() -> None:

@@ -9,11 +9,36 @@ from hypothesis import strategies as st
 from hapticd.errors import FrameError, ProtocolMismatch, WireError
 from hapticd.wire import codec, frames, session
 from hapticd.wire.frames import Capability, Hello
-from hapticd.wire.session import Arrival, Event, SequenceCounter, State, advance, check_hello, classify, greet, unwrap
+from hapticd.wire.session import (
+    Arrival,
+    Event,
+    SequenceCounter,
+    State,
+    advance,
+    check_hello,
+    classify,
+    greet,
+    unwrap,
+)
 
 repeatable = settings(deadline=None, derandomize=True, database=None, max_examples=300)
 
-HELLO = Hello(frames.PROTOCOL_HASH, 0x0102, 1, 0x0003, 20, "HD-0001", 8.0, 10.0, 2.0, 0.5, 4.0, 24.0, 5e-7, 8.0)
+HELLO = Hello(
+    frames.PROTOCOL_HASH,
+    0x0102,
+    1,
+    0x0003,
+    20,
+    "HD-0001",
+    8.0,
+    10.0,
+    2.0,
+    0.5,
+    4.0,
+    24.0,
+    5e-7,
+    8.0,
+)
 OTHER = bytes.fromhex("0123456789abcdef")
 
 # rows: states; columns: events; - is impossible
@@ -27,7 +52,9 @@ LOST        FOUND   -         -          -            LOST
 REFUSED     -       -         -          -            LOST
 """
 EVENTS, *ROWS = [line.split() for line in TABLE.strip().splitlines()]
-CELLS = [(row[0], event, after) for row in ROWS for event, after in zip(EVENTS, row[1:], strict=True)]
+CELLS = [
+    (row[0], event, after) for row in ROWS for event, after in zip(EVENTS, row[1:], strict=True)
+]
 
 
 def test_table_has_every_state_and_event() -> None:
@@ -40,18 +67,23 @@ def test_every_cell_of_the_handshake(before: str, event: str, after: str) -> Non
     if after != "-":
         assert advance(State[before], Event[event]) is State[after]
         return
-    with pytest.raises(WireError, match=rf"^{event} cannot happen in state {before}, only .*[A-Z]; restart the link"):
+    with pytest.raises(
+        WireError,
+        match=rf"^{event} cannot happen in state {before}, only .*[A-Z]; restart the link",
+    ):
         advance(State[before], Event[event])
 
 
 def test_only_greeted_boards_may_run() -> None:
-    before_running = {state for (state, _), after in session.TRANSITIONS.items() if after is State.RUNNING}
+    before_running = {
+        state for (state, _), after in session.TRANSITIONS.items() if after is State.RUNNING
+    }
     before_greeted = {key for key, after in session.TRANSITIONS.items() if after is State.GREETED}
     assert before_running == {State.GREETED}
     assert before_greeted == {(State.FOUND, Event.HELLO_OK)}
 
 
-# --- hello ------------------------------------------------------------------------------------------------------------
+# --- hello ----------------------------------------------------------------------------------------
 
 
 def test_right_board_is_greeted() -> None:
@@ -62,7 +94,8 @@ def test_right_board_is_greeted() -> None:
 MISMATCH = (
     r"^the board speaks protocol 0123456789abcdef, this hapticd "
     + frames.PROTOCOL_HASH.hex()
-    + r"; flash firmware built against the hapticd_wire\.h of this hapticd, or install the hapticd whose "
+    + r"; flash firmware built against the hapticd_wire\.h of this hapticd, or install the hapticd"
+    r" whose "
     r"HAPTICD_PROTOCOL_HASH is the board's$"
 )
 
@@ -85,30 +118,41 @@ def test_malformed_reply_with_our_hash() -> None:
 
 @pytest.mark.parametrize("axes", [0, 2])
 def test_other_axis_count_is_refused(axes: int) -> None:
-    with pytest.raises(ProtocolMismatch, match=rf"^board HD-0001 has {axes} axes, expected 1; flash firmware for one"):
+    with pytest.raises(
+        ProtocolMismatch,
+        match=rf"^board HD-0001 has {axes} axes, expected 1; flash firmware for one",
+    ):
         check_hello(HELLO._replace(axis_count=axes))
 
 
 def test_missing_capabilities_are_named() -> None:
     check_hello(HELLO, Capability.PROBE | Capability.INTERVAL_MEAN)
     wanted = Capability.PROBE | Capability.INDEX | Capability.TEMPERATURE
-    with pytest.raises(ProtocolMismatch, match=r"^board HD-0001 lacks INDEX and TEMPERATURE; flash firmware that has it or"):
+    with pytest.raises(
+        ProtocolMismatch,
+        match=r"^board HD-0001 lacks INDEX and TEMPERATURE; flash firmware that has it or",
+    ):
         check_hello(HELLO, wanted)
 
 
 def test_board_without_watchdog_is_refused() -> None:
-    with pytest.raises(ProtocolMismatch, match=r"^board without serial has a watchdog of 0 ms, limit > 0 ms; flash"):
+    with pytest.raises(
+        ProtocolMismatch, match=r"^board without serial has a watchdog of 0 ms, limit > 0 ms; flash"
+    ):
         check_hello(HELLO._replace(watchdog_ms=0, serial=""))
 
 
 @pytest.mark.parametrize("name", ["force_full_scale_n", "force_limit_n"])
 @pytest.mark.parametrize("value", [0.0, -8.0, float("nan"), float("inf")])
 def test_board_without_force_is_refused(name: str, value: float) -> None:
-    with pytest.raises(ProtocolMismatch, match=rf"^board HD-0001 states {name} = {value:g} N, limit > 0 N; correct its"):
+    with pytest.raises(
+        ProtocolMismatch,
+        match=rf"^board HD-0001 states {name} = {value:g} N, limit > 0 N; correct its",
+    ):
         check_hello(HELLO._replace(**{name: value}))
 
 
-# --- wrapping ---------------------------------------------------------------------------------------------------------
+# --- wrapping -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -133,7 +177,9 @@ def test_unwrap_across_the_wrap(previous: int, wrapped: int, bits: int, expected
 
 @repeatable
 @given(st.integers(-(10**15), 10**15), st.sampled_from([16, 32]), st.booleans(), st.data())
-def test_unwrap_finds_any_near_value(previous: int, bits: int, signed: bool, data: st.DataObject) -> None:
+def test_unwrap_finds_any_near_value(
+    previous: int, bits: int, signed: bool, data: st.DataObject
+) -> None:
     half = 1 << (bits - 1)
     true = previous + data.draw(st.integers(-half, half - 1))
     wrapped = true % (2 * half)
@@ -159,7 +205,7 @@ def test_probe_index_and_encoder_wrap_both_ways() -> None:
             assert unwrap(before - 2**31, signed, session.ENCODER_BITS) == after - 2**31
 
 
-# --- sequence ---------------------------------------------------------------------------------------------------------
+# --- sequence -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -193,13 +239,20 @@ def test_unbroken_stream_counts_nothing(start: int) -> None:
     arrivals = [counter.observe((start + n) & 0xFFFF)[0] for n in range(70_000)]
     assert arrivals[0] is Arrival.FIRST
     assert set(arrivals[1:]) == {Arrival.NEXT}
-    assert (counter.received, counter.lost, counter.gaps, counter.duplicates, counter.reordered) == (70_000, 0, 0, 0, 0)
+    assert (
+        counter.received,
+        counter.lost,
+        counter.gaps,
+        counter.duplicates,
+        counter.reordered,
+    ) == (70_000, 0, 0, 0, 0)
 
 
 @repeatable
 @given(st.integers(0, 65_535), st.lists(st.integers(0, 1000), min_size=1, max_size=50))
 def test_counter_counts_all_losses(start: int, losses: list[int]) -> None:
-    counter, seq = SequenceCounter(), start
+    counter = SequenceCounter()
+    seq = start
     counter.observe(seq & 0xFFFF)
     for lost in losses:
         seq += 1 + lost

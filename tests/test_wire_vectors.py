@@ -13,9 +13,14 @@ from hapticd.errors import FrameError
 from hapticd.wire import codec, frames
 
 VECTORS = [json.loads(line) for line in (header.FOLDER / "vectors.jsonl").read_text().splitlines()]
-GOOD, BAD = [v for v in VECTORS if "fields" in v], [v for v in VECTORS if "error" in v]
+GOOD = [v for v in VECTORS if "fields" in v]
+BAD = [v for v in VECTORS if "error" in v]
 DECODE = {"out": codec.decode_out, "in": codec.decode_in, "hello": codec.decode_hello}
-ENCODE: dict[str, Any] = {"out": codec.encode_out, "in": codec.encode_in, "hello": codec.encode_hello}
+ENCODE: dict[str, Any] = {
+    "out": codec.encode_out,
+    "in": codec.encode_in,
+    "hello": codec.encode_hello,
+}
 KINDS: dict[str, Any] = {"out": frames.OutFrame, "in": frames.InFrame, "hello": frames.Hello}
 
 
@@ -61,16 +66,25 @@ def test_python_refuses_bad_vector(vector: dict[str, Any]) -> None:
         DECODE[vector["kind"]](bytes.fromhex(vector["hex"]))
 
 
-PACKETS = [vector for vector in VECTORS if vector["kind"] == "in" and len(vector["hex"]) == 2 * frames.IN_BYTES]
+PACKETS = [
+    vector
+    for vector in VECTORS
+    if vector["kind"] == "in" and len(vector["hex"]) == 2 * frames.IN_BYTES
+]
 
 
 @pytest.mark.parametrize("vector", PACKETS, ids=names(PACKETS))
 def test_in_parser_takes_only_good_vectors(vector: dict[str, Any]) -> None:
-    assert (codec.in_parser(array("B", bytes.fromhex(vector["hex"])))() is None) == ("error" in vector)
+    assert (codec.in_parser(array("B", bytes.fromhex(vector["hex"])))() is None) == (
+        "error" in vector
+    )
 
 
 def test_c_agrees_on_every_vector(answers: list[dict[str, Any]]) -> None:
-    expected = [{key: vector[key] for key in ("fields", "hex", "error") if key in vector} for vector in VECTORS]
+    expected = [
+        {key: vector[key] for key in ("fields", "hex", "error") if key in vector}
+        for vector in VECTORS
+    ]
     for vector in expected:
         if "error" in vector:
             del vector["hex"]
@@ -92,7 +106,9 @@ def flat(values: Any) -> Any:
 
 
 def extremes(kind: str, name: str) -> set[int]:
-    member = next(m for m in header.STRUCTS[f"hapticd_{kind}"] if m.name == name.replace("pairs", "pair"))
+    member = next(
+        m for m in header.STRUCTS[f"hapticd_{kind}"] if m.name == name.replace("pairs", "pair")
+    )
     code = header.CODES[member.type]
     bits = 8 * struct.calcsize("<" + code)
     return {0, (1 << bits) - 1} if code.isupper() else {-(1 << bits - 1), (1 << bits - 1) - 1}

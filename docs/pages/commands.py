@@ -12,7 +12,11 @@ from pages.markdown import table
 def commands_page() -> str:
     """Every verb with its options."""
     root = typer.main.get_command(app)
-    parts = ["# Commands\n", f"{root.help}\n", *(_verb(name, command) for name, command in _verbs(root, "hapticd"))]
+    parts = [
+        "# Commands\n",
+        f"{root.help}\n",
+        *(_verb(name, command) for name, command in _verbs(root, "hapticd")),
+    ]
     return "\n".join(parts)
 
 
@@ -26,14 +30,22 @@ def _verbs(group: Any, prefix: str) -> Iterator[tuple[str, Any]]:
 
 def _verb(name: str, command: Any) -> str:
     rows = [_parameter(parameter) for parameter in command.params if parameter.name != "help"]
-    usage = " ".join(_metavar(parameter) for parameter in command.params if parameter.param_type_name == "argument")
+    usage = " ".join(
+        _metavar(parameter)
+        for parameter in command.params
+        if parameter.param_type_name == "argument"
+    )
     head = f"## `{name}`\n\n    {name} {'[OPTIONS] ' if rows else ''}{usage}\n\n{command.help}\n"
     return f"{head}\n{table(('option', 'meaning'), rows)}" if rows else head
 
 
 def _parameter(parameter: Any) -> tuple[str, str]:
     value = "" if getattr(parameter, "is_flag", False) else _metavar(parameter)
-    names = value if parameter.param_type_name == "argument" else f"{', '.join(parameter.opts)} {value}".strip()
+    names = (
+        value
+        if parameter.param_type_name == "argument"
+        else f"{', '.join(parameter.opts)} {value}".strip()
+    )
     return f"`{names}`", parameter.help or ""
 
 

@@ -28,14 +28,22 @@ persists. In a recording: `fault == {number}`.
 
 def faults_page() -> str:
     """The table of faults."""
-    rows = [(str(fault.number), f"[`{fault.code}`]({fault.code}.md)", fault.cause, fault.remedy) for fault in FAULTS[1:]]
+    rows = [
+        (str(fault.number), f"[`{fault.code}`]({fault.code}.md)", fault.cause, fault.remedy)
+        for fault in FAULTS[1:]
+    ]
     contents = TABLE_OF_CONTENTS.format(pages="\n".join(fault.code for fault in FAULTS[1:]))
     return f"{INTRODUCTION}\n{table(('number', 'code', 'cause', 'remedy'), rows)}{contents}"
 
 
 def fault_page(fault: Fault) -> str:
     """One fault: the row of the table, and what to look at."""
-    rows = [("number", str(fault.number)), ("cause", fault.cause), ("what happens", fault.action), ("remedy", fault.remedy)]
+    rows = [
+        ("number", str(fault.number)),
+        ("cause", fault.cause),
+        ("what happens", fault.action),
+        ("remedy", fault.remedy),
+    ]
     state = "stopped" if fault.code == "stop" else "fault"
     after = AFTERWARDS.format(state=state, exit_code=REFUSED_EXIT, number=fault.number)
     return f"# {fault.code}\n\n{table(('', ''), rows)}\n{(NOTES / f'{fault.code}.md').read_text()}{after}"

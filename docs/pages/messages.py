@@ -29,7 +29,9 @@ One per tick, little-endian, packed; `descr` in each message is this table as nu
 
 def messages_page() -> str:
     """Commands and telemetry over ZeroMQ, with the limits of the simulated device."""
-    found = json_schema(CommandLimits(servo_params(load(shipped("config") / "hapticd.toml"), "default")))
+    found = json_schema(
+        CommandLimits(servo_params(load(shipped("config") / "hapticd.toml"), "default"))
+    )
     commands = [
         f"### `{model['properties']['cmd']['const']}`\n\n{model['description']}\n\n{_fields(found, model)}"
         for model in (found["$defs"][item["$ref"].rpartition("/")[2]] for item in found["oneOf"])
@@ -38,8 +40,13 @@ def messages_page() -> str:
         f"### `{name}` of `set`\n\n{_fields(found, found['$defs'][title])}"
         for name, title in (("filters", "Filters"), ("wall", "Wall"))
     ]
-    topics = table(("topic", "payload", "rate"), [(f"`{topic.name}`", topic.content, topic.rate) for topic in TOPICS])
-    records = table(("field", "type"), [(f"`{field[0]}`", f"`{_kind(field)}`") for field in TELEMETRY])
+    topics = table(
+        ("topic", "payload", "rate"),
+        [(f"`{topic.name}`", topic.content, topic.rate) for topic in TOPICS],
+    )
+    records = table(
+        ("field", "type"), [(f"`{field[0]}`", f"`{_kind(field)}`") for field in TELEMETRY]
+    )
     return "\n".join([INTRODUCTION, *commands, *parts, "## Topics\n", topics, RECORDS, records])
 
 

@@ -1,4 +1,5 @@
-"""Numbers and tables of docs/reproduction.md, from the table of a run. Marks say what goes where; whoever reads the page sees none.
+"""Numbers and tables of docs/reproduction.md, from the table of a run. Marks say what goes where;
+whoever reads the page sees none.
 
     <!-- table limits -->...<!-- /table -->            the table of a part, with its notes
     <!--= K_max_off weir2008 .0f -->105<!--/-->        a number as Python formats it: quantity, device, format
@@ -15,23 +16,34 @@ from hapticd.measure.reproduce_rows import Row, by_quantity
 from hapticd.report.paper_page import parts, table_part
 
 TABLE = re.compile(r"(<!-- table (\w+) -->\n).*?(<!-- /table -->)", re.DOTALL)
-NUMBER = re.compile(r"(<!--= (\w+)(?::(\w+))? (\w+) (\S+?)(?: x(\S+))? -->).*?(<!--/-->)", re.DOTALL)
+NUMBER = re.compile(
+    r"(<!--= (\w+)(?::(\w+))? (\w+) (\S+?)(?: x(\S+))? -->).*?(<!--/-->)", re.DOTALL
+)
 
 
 def filled(page: str, rows: Iterable[Row]) -> str:
     """The page with tables and numbers of `rows`. ConfigError for a mark without its row."""
     found = tuple(rows)
-    sections, quantities = parts(found), by_quantity(found)
+    sections = parts(found)
+    quantities = by_quantity(found)
 
     def table(mark: re.Match[str]) -> str:
         if mark[2] not in sections:
-            raise ConfigError(f"{mark[0].splitlines()[0]}: the table has no part of that name; it has {', '.join(sections)}")
+            raise ConfigError(
+                f"{mark[0].splitlines()[0]}: the table has no part of that name; it has"
+                f" {', '.join(sections)}"
+            )
         return f"{mark[1]}\n{table_part(sections[mark[2]])}\n\n{mark[3]}"
 
     def number(mark: re.Match[str]) -> str:
         row = quantities.get(mark[2], {}).get(mark[4])
         if row is None:
-            raise ConfigError(f"{mark[1]}: the table has no {mark[2]} of {mark[4]}; correct the mark, or run what makes that row")
-        return f"{mark[1]}{getattr(row, mark[3] or 'ours') * float(mark[6] or 1.0):{mark[5]}}{mark[7]}"
+            raise ConfigError(
+                f"{mark[1]}: the table has no {mark[2]} of {mark[4]}; correct the mark, or run what"
+                " makes that row"
+            )
+        return (
+            f"{mark[1]}{getattr(row, mark[3] or 'ours') * float(mark[6] or 1.0):{mark[5]}}{mark[7]}"
+        )
 
     return NUMBER.sub(number, TABLE.sub(table, page))

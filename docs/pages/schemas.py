@@ -14,7 +14,13 @@ def resolved(root: Schema, field: Schema) -> Schema:
 
 def described(root: Schema, field: Schema, required: bool) -> tuple[str, str, str, str]:
     """Unit, range, default and meaning of one key."""
-    default = "required" if required else "not set" if field.get("default") is None else f"`{_toml(field['default'])}`"
+    default = (
+        "required"
+        if required
+        else "not set"
+        if field.get("default") is None
+        else f"`{_toml(field['default'])}`"
+    )
     return field.get("unit", ""), taken(field), default, field.get("description", "")
 
 
@@ -25,11 +31,21 @@ def taken(field: Schema) -> str:
             return taken(choice)
     if "enum" in field or "const" in field:
         return ", ".join(f"`{_toml(item)}`" for item in field.get("enum", [field.get("const")]))
-    low, high = field.get("minimum", field.get("exclusiveMinimum")), field.get("maximum", field.get("exclusiveMaximum"))
-    above, below = (">" if "exclusiveMinimum" in field else ">="), ("<" if "exclusiveMaximum" in field else "<=")
-    limits = [f"{sign} {limit:g}" for sign, limit in ((above, low), (below, high)) if limit is not None]
+    low = field.get("minimum", field.get("exclusiveMinimum"))
+    high = field.get("maximum", field.get("exclusiveMaximum"))
+    above = ">" if "exclusiveMinimum" in field else ">="
+    below = "<" if "exclusiveMaximum" in field else "<="
+    limits = [
+        f"{sign} {limit:g}" for sign, limit in ((above, low), (below, high)) if limit is not None
+    ]
     return " ".join([field.get("type", "any"), ", ".join(limits)]).strip()
 
 
 def _toml(value: Any) -> str:
-    return str(value).lower() if isinstance(value, bool) else f'"{value}"' if isinstance(value, str) else str(value)
+    return (
+        str(value).lower()
+        if isinstance(value, bool)
+        else f'"{value}"'
+        if isinstance(value, str)
+        else str(value)
+    )

@@ -17,7 +17,10 @@ def settings_page(kind: str, title: str) -> str:
     ]
     for path, entry in tables(found, found, ()):
         heading = f"## `[{'.'.join(path)}]`\n" if path else ""
-        rows = [(f"`{name}`", *described(found, field, name in entry.get("required", []))) for name, field in leaves(found, entry)]
+        rows = [
+            (f"`{name}`", *described(found, field, name in entry.get("required", [])))
+            for name, field in leaves(found, entry)
+        ]
         if rows:
             parts += [
                 heading,
@@ -27,7 +30,9 @@ def settings_page(kind: str, title: str) -> str:
     return "\n".join(parts)
 
 
-def tables(root: Schema, entry: Schema, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Schema]]:
+def tables(
+    root: Schema, entry: Schema, path: tuple[str, ...]
+) -> Iterator[tuple[tuple[str, ...], Schema]]:
     """(path, schema) of a table and all tables in it."""
     yield path, entry
     for name, field in entry["properties"].items():
@@ -38,4 +43,8 @@ def tables(root: Schema, entry: Schema, path: tuple[str, ...]) -> Iterator[tuple
 
 def leaves(root: Schema, entry: Schema) -> list[tuple[str, Schema]]:
     """(key, schema) of what is no table itself."""
-    return [(name, field) for name, field in entry["properties"].items() if "properties" not in resolved(root, field)]
+    return [
+        (name, field)
+        for name, field in entry["properties"].items()
+        if "properties" not in resolved(root, field)
+    ]

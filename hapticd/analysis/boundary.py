@@ -1,11 +1,12 @@
 """The passive set in the space of K, B and M, and numbers that are drawn from it.
 
-A headline such as "K up to 600 N/m" can mean two things, and they differ by a factor: the axis limit, the others being 0 while
-one is scanned from 0 to its first failure; or the maximum over the whole set. Both are always given, side by side.
+A headline such as "K up to 600 N/m" can mean two things, and they differ by a factor: the axis
+limit, the others being 0 while one is scanned from 0 to its first failure; or the maximum over the
+whole set. Both are always given, side by side.
 
-The volume is that of the grid's cells, a cell counting by the share of it where the margin, linear between corners, is not
-negative. What would break it: a grid that does not reach beyond the set; then limits are those of the grid, and `open_ends`
-says so.
+The volume is that of the grid's cells, a cell counting by the share of it where the margin, linear
+between corners, is not negative. What would break it: a grid that does not reach beyond the set;
+then limits are those of the grid, and `open_ends` says so.
 """
 
 from collections.abc import Callable
@@ -23,7 +24,9 @@ _SPLIT = 4  # parts of a cell's edge when its share is counted
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Largest and smallest passive values: (K_min, K_max), (B_min, B_max), (M_min, M_max) [N/m, N s/m, kg]."""
+    """Largest and smallest passive values: (K_min, K_max), (B_min, B_max), (M_min, M_max) [N/m,
+    N s/m, kg].
+    """
 
     stiffness: tuple[float, float]
     damping: tuple[float, float]
@@ -32,7 +35,9 @@ class Limits:
 
 @dataclass(frozen=True, eq=False)
 class PassiveSet:
-    """Margins [N s/m] on a grid: `axes` three ascending lists, `margin` (nK, nB, nM); negative or nan is not passive."""
+    """Margins [N s/m] on a grid: `axes` three ascending lists, `margin` (nK, nB, nM); negative
+    or nan is not passive.
+    """
 
     axes: tuple[Floats, Floats, Floats]
     margin: Floats
@@ -43,14 +48,20 @@ class PassiveSet:
         return np.asarray(self.margin >= 0.0)
 
 
-def passive_set(axes: tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike], margin: npt.ArrayLike) -> PassiveSet:
-    """The set from margins in the order of `grid`. AnalysisError unless the axes ascend and the numbers fit."""
+def passive_set(
+    axes: tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike], margin: npt.ArrayLike
+) -> PassiveSet:
+    """The set from margins in the order of `grid`. AnalysisError unless the axes ascend and the
+    numbers fit.
+    """
     lists = tuple(np.asarray(axis, np.float64) for axis in axes)
     shape = tuple(axis.size for axis in lists)
     values = np.asarray(margin, np.float64)
     ascending(lists)
     if values.size != np.prod(shape):
-        raise AnalysisError(f"{values.size} margins for a grid of {' x '.join(map(str, shape))} environments")
+        raise AnalysisError(
+            f"{values.size} margins for a grid of {' x '.join(map(str, shape))} environments"
+        )
     return PassiveSet((lists[0], lists[1], lists[2]), values.reshape(shape))
 
 
@@ -62,19 +73,26 @@ def ascending(axes: tuple[Floats, ...]) -> None:
 
 def grid(axes: tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike]) -> Floats:
     """All environments (N, 3) of a grid, M changing fastest."""
-    return np.stack(np.meshgrid(*(np.asarray(axis, np.float64) for axis in axes), indexing="ij"), axis=-1).reshape(-1, 3)
+    return np.stack(
+        np.meshgrid(*(np.asarray(axis, np.float64) for axis in axes), indexing="ij"), axis=-1
+    ).reshape(-1, 3)
 
 
 def set_limits(found: PassiveSet) -> Limits:
     """Extremes over the whole set. AnalysisError for an empty one."""
     if not found.passive.any():
         raise AnalysisError("no environment of the grid is passive: there are no limits")
-    kept = [axis[np.any(found.passive, axis=tuple(i for i in range(3) if i != place))] for place, axis in enumerate(found.axes)]
+    kept = [
+        axis[np.any(found.passive, axis=tuple(i for i in range(3) if i != place))]
+        for place, axis in enumerate(found.axes)
+    ]
     return Limits(*((float(values[0]), float(values[-1])) for values in kept))
 
 
 def open_ends(found: PassiveSet) -> tuple[str, ...]:
-    """Ends of the grid that are passive, as "K max": beyond them nothing was looked at. K = 0 is no such end: K < 0 is active."""
+    """Ends of the grid that are passive, as "K max": beyond them nothing was looked at. K = 0
+    is no such end: K < 0 is active.
+    """
     ends = []
     for place, (name, axis) in enumerate(zip(AXES, found.axes, strict=True)):
         for word, index in (("min", 0), ("max", -1)):
@@ -92,13 +110,20 @@ def volume(found: PassiveSet) -> float:
 
 
 def axis_limit(
-    decide: Callable[[Floats], Flags], axis: int, reach: float, base: tuple[float, float, float] = (0.0, 0.0, 0.0), steps: int = 60
+    decide: Callable[[Floats], Flags],
+    axis: int,
+    reach: float,
+    base: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    steps: int = 60,
 ) -> float:
-    """First failure from `base` on along `axis` (0 K, 1 B, 2 M) towards base + `reach`, refined to reach / steps^3.
+    """First failure from `base` on along `axis` (0 K, 1 B, 2 M) towards base + `reach`, refined to
+    reach / steps^3.
 
-    `decide` takes environments (N, 3) and returns (N,) whether passive; nan if `base` itself fails, base + reach if none does.
+    `decide` takes environments (N, 3) and returns (N,) whether passive; nan if `base` itself fails,
+    base + reach if none does.
     """
-    low, high = 0.0, 1.0
+    low = 0.0
+    high = 1.0
     for _ in range(3):
         at = np.linspace(low, high, steps + 1)
         points = np.tile(np.asarray(base, np.float64), (at.size, 1))
@@ -108,14 +133,16 @@ def axis_limit(
             return base[axis] + reach
         if failed[0] == 0:
             return float("nan")
-        low, high = float(at[failed[0] - 1]), float(at[failed[0]])
+        low = float(at[failed[0] - 1])
+        high = float(at[failed[0]])
     return base[axis] + reach * low
 
 
 def _shares(margin: Floats) -> Floats:
     """Share (nK-1, nB-1, nM-1) of each cell where the trilinear margin is not negative.
 
-    A corner that is nan, not passive without a number, counts as the median of all magnitudes, negative.
+    A corner that is nan, not passive without a number, counts as the median of all magnitudes,
+    negative.
     """
     known = np.abs(margin[np.isfinite(margin)])
     corners = np.nan_to_num(margin, nan=-float(np.median(known)) if known.size else -1.0)
@@ -127,5 +154,6 @@ def _shares(margin: Floats) -> Floats:
 
 
 def _between(values: Floats, axis: int, share: float) -> Floats:
-    first, second = np.take(values, range(values.shape[axis] - 1), axis), np.take(values, range(1, values.shape[axis]), axis)
+    first = np.take(values, range(values.shape[axis] - 1), axis)
+    second = np.take(values, range(1, values.shape[axis]), axis)
     return np.asarray(first + share * (second - first))

@@ -1,10 +1,12 @@
 """Faults of the measuring channels that look like physics, found in the spectra of a trial.
 
 skew        the velocity is sampled d seconds after the force: Z is turned by e^(-jwd). |Z| stays as it is, so where |Z| grows
-            with f the device is a mass with some damping, of phase 90 degrees - b/(w m), and what falls off with f besides
-            is skew. 125 us turn the phase by 22 degrees at 500 Hz and make (d < 0) every passive display look active.
+            with f the device is a mass with some damping, of phase 90 degrees - b/(w m), and what
+            falls off with f besides is skew. 125 us turn the phase by 22 degrees at 500 Hz and make
+            (d < 0) every passive display look active.
 high-pass   an AC-coupled velocity amplifier of corner f_h: Z is multiplied by 1 + f_h/(jf). Over a spring K this adds
-            -K f_h / (2 pi f^2) to Re Z, unlike a delayed force, which adds a constant. 0.1 Hz look like 4 ms at 2 Hz.
+            -K f_h / (2 pi f^2) to Re Z, unlike a delayed force, which adds a constant. 0.1 Hz look
+            like 4 ms at 2 Hz.
 units       a velocity in mm/s is a thousand times too fast, and the display it moves a thousand
             times too light: lighter than a tenth of a gram between 100 and 500 Hz, or light and
             faster than any display. That says nothing of its stability.
@@ -15,7 +17,8 @@ out. What 90 s of noise can show is a skew from 20 us (coupling modes do up to 1
 corner from about 0.4 Hz; a smaller one shows when the lower band edge of a stiffness limit is
 moved.
 
-What would break it: a device that is a mass nowhere between 0.06 and 0.4 of the sample rate (then nothing is said).
+What would break it: a device that is a mass nowhere between 0.06 and 0.4 of the sample rate (then
+nothing is said).
 """
 
 from dataclasses import dataclass
@@ -40,11 +43,13 @@ LEAST_HIGH_PASS_HZ = 0.02
 CERTAINTY = 4.0  # standard deviations
 FASTEST_M_PER_S = 5.0  # rms; a device file calls less a fault of the sensor
 LIGHTEST_KG = 1e-4  # that moves at the port of a display; the paper's is 8 g
-FAST_AND_LIGHT_KG = 3e-3  # a display of 3 kg, its velocity in mm/s: what is fast and heavier ran away, or was pushed hard
+# a display of 3 kg, its velocity in mm/s: what is fast and heavier ran away, or was pushed hard
+FAST_AND_LIGHT_KG = 3e-3
 STRONGEST_N = 500.0  # rms; the paper's perturbation was 0.2 N
 MASS_BAND_HZ = (100.0, 500.0)
 LEAST_LINES = 8  # of frequencies at which |Z| is known
-_ROUNDS, _BISQUARE = 12, 4.685
+_ROUNDS = 12
+_BISQUARE = 4.685
 _NEIGHBOURS = 8.0 / 3.0  # values per independent one: bandwidth over spacing
 
 
@@ -60,24 +65,41 @@ NOT_FITTED = Fitted(float("nan"), float("inf"))
 
 
 def skew(trial: Spectra) -> Fitted:
-    """Seconds by which the velocity is sampled later than the force: + turns the phase down, - turns it up."""
+    """Seconds by which the velocity is sampled later than the force: + turns the phase down, -
+    turns it up.
+    """
     z, f, known = _part(trial, SKEW_BAND[0] * trial.rate_hz, SKEW_BAND[1] * trial.rate_hz)
     stretches = [part for part in _stretches(f) if part.size >= 5 and _is_mass(z[part], f[part])]
     if len(stretches) < LEAST_SEGMENTS:
         return NOT_FITTED
     w = np.array([2.0 * np.pi * f[part].mean() for part in stretches])
-    fallen = np.array([-np.angle(np.sum(z[part] * known[part] / (1j * f[part]))) for part in stretches])
-    certain = np.array([np.sqrt(part.size / _NEIGHBOURS) * (known[part] * np.abs(z[part])).mean() for part in stretches])
+    fallen = np.array(
+        [-np.angle(np.sum(z[part] * known[part] / (1j * f[part]))) for part in stretches]
+    )
+    certain = np.array(
+        [
+            np.sqrt(part.size / _NEIGHBOURS) * (known[part] * np.abs(z[part])).mean()
+            for part in stretches
+        ]
+    )
     return Fitted(*_robust(np.stack((w, 1.0 / w), axis=1), fallen, certain))
 
 
 def high_pass(trial: Spectra) -> Fitted:
-    """Corner [Hz] of a first-order high-pass in the velocity channel, from a trial with a spring."""
-    z, f, known = _part(trial, max(HIGH_PASS_BAND_HZ[0], 1.5 * trial.lowest_hz), HIGH_PASS_BAND_HZ[1])
+    """Corner [Hz] of a first-order high-pass in the velocity channel, from a trial with a
+    spring.
+    """
+    z, f, known = _part(
+        trial, max(HIGH_PASS_BAND_HZ[0], 1.5 * trial.lowest_hz), HIGH_PASS_BAND_HZ[1]
+    )
     if z.size < 5 or np.degrees(np.angle(z[0])) > SPRING_PHASE_DEG:
         return NOT_FITTED
     over, _ = _robust(np.stack((1.0 / f, f), axis=1), z.imag, known)
-    steep, sd = _robust(np.stack((1.0 / f**2, 1.0 + trial.smoothing_hz2 / f**2), axis=1), z.real, known / np.sqrt(_NEIGHBOURS))
+    steep, sd = _robust(
+        np.stack((1.0 / f**2, 1.0 + trial.smoothing_hz2 / f**2), axis=1),
+        z.real,
+        known / np.sqrt(_NEIGHBOURS),
+    )
     return Fitted(steep / over, sd / abs(over)) if over else NOT_FITTED
 
 
@@ -86,31 +108,43 @@ def channel_findings(trial: Spectra) -> tuple[Finding, ...]:
     return (*_skew_finding(skew(trial)), *_high_pass_finding(high_pass(trial)))
 
 
-def unit_findings(trial: Spectra, force_rms_n: float, velocity_rms_m_per_s: float) -> tuple[Finding, ...]:
-    """A force or velocity beyond any display, by the rms values [N, m/s] of a record and its spectra: what unit it may be in."""
+def unit_findings(
+    trial: Spectra, force_rms_n: float, velocity_rms_m_per_s: float
+) -> tuple[Finding, ...]:
+    """A force or velocity beyond any display, by the rms values [N, m/s] of a record and its
+    spectra: what unit it may be in.
+    """
     found = []
     mass_kg = moving_mass_kg(trial)
     fast = velocity_rms_m_per_s > FASTEST_M_PER_S and not mass_kg >= FAST_AND_LIGHT_KG
     if fast or mass_kg < LIGHTEST_KG:
         moved = f" of what weighs {1e3 * mass_kg:.2g} g" if np.isfinite(mass_kg) else ""
         found.append(
-            f"velocity of {velocity_rms_m_per_s:.3g} m/s rms{moved}: no display does that; is the velocity in mm/s? Give m/s"
+            f"velocity of {velocity_rms_m_per_s:.3g} m/s rms{moved}: no display does that; is the"
+            " velocity in mm/s? Give m/s"
         )
     if force_rms_n > STRONGEST_N:
-        found.append(f"force of {force_rms_n:.3g} N rms: no display takes that; is the force in mN? Give N")
+        found.append(
+            f"force of {force_rms_n:.3g} N rms: no display takes that; is the force in mN? Give N"
+        )
     return tuple(Finding("units", f"units: {words}", voids=True) for words in found)
 
 
 def moving_mass_kg(trial: Spectra) -> float:
-    """Median of |Z| / (2 pi f) where the display is mostly a mass; nan where too little is known of it."""
+    """Median of |Z| / (2 pi f) where the display is mostly a mass; nan where too little is
+    known of it.
+    """
     z, f, _ = _part(trial, *MASS_BAND_HZ)
-    return float(np.median(np.abs(z) / (2.0 * np.pi * f))) if f.size >= LEAST_LINES else float("nan")
+    return (
+        float(np.median(np.abs(z) / (2.0 * np.pi * f))) if f.size >= LEAST_LINES else float("nan")
+    )
 
 
 def _skew_finding(found: Fitted) -> tuple[Finding, ...]:
     if found.sd > WORST_SKEW_SD_S or not abs(found.value) > max(LEAST_SKEW_S, CERTAINTY * found.sd):
         return ()
-    late, size = "after" if found.value > 0.0 else "before", 1e6 * abs(found.value)
+    late = "after" if found.value > 0.0 else "before"
+    size = 1e6 * abs(found.value)
     message = (
         f"channel skew: velocity sampled {size:.3g} us (+-{1e6 * found.sd:.2g}) {late} the force; "
         f"sample both together, or take a skew that is known out with --skew {found.value:.3g}"
@@ -122,23 +156,34 @@ def _high_pass_finding(found: Fitted) -> tuple[Finding, ...]:
     if not found.value > max(LEAST_HIGH_PASS_HZ, CERTAINTY * found.sd):
         return ()
     message = (
-        f"high-pass mismatch: the velocity channel looks AC-coupled at {found.value:.3g} Hz (+-{found.sd:.2g}); "
-        f"couple it to DC, take a corner that is known out with --high-pass {found.value:.2g}, or judge from a higher frequency"
+        f"high-pass mismatch: the velocity channel looks AC-coupled at {found.value:.3g} Hz"
+        f" (+-{found.sd:.2g}); couple it to DC, take a corner that is known out with --high-pass"
+        f" {found.value:.2g}, or judge from a higher frequency"
     )
     return (Finding("high_pass_mismatch", message, voids=True),)
 
 
 def _part(trial: Spectra, low_hz: float, high_hz: float) -> tuple[Complexes, Floats, Floats]:
-    """Impedance, frequency and weight 1/sd of Re Z between two frequencies where there is coherence."""
-    use = (trial.frequency_hz >= low_hz) & (trial.frequency_hz <= high_hz) & (trial.coherence > LEAST_COHERENCE)
+    """Impedance, frequency and weight 1/sd of Re Z between two frequencies where there is
+    coherence.
+    """
+    use = (
+        (trial.frequency_hz >= low_hz)
+        & (trial.frequency_hz <= high_hz)
+        & (trial.coherence > LEAST_COHERENCE)
+    )
     z = impedance(trial, "h_force").impedance_ns_per_m[use]
     spread = np.abs(z) * relative_sd(trial.coherence[use], trial.degrees_of_freedom)
     return z, trial.frequency_hz[use], 1.0 / np.maximum(spread, 1e-6 * np.abs(z) + 1e-300)
 
 
 def _robust(columns: Floats, values: Floats, weight: Floats) -> tuple[float, float]:
-    """First coefficient of `values` ~ `columns`, known with `weight` = 1/sd, and its standard deviation."""
-    scaled, target, trust = columns * weight[:, None], values * weight, np.ones(values.size)
+    """First coefficient of `values` ~ `columns`, known with `weight` = 1/sd, and its standard
+    deviation.
+    """
+    scaled = columns * weight[:, None]
+    target = values * weight
+    trust = np.ones(values.size)
     for _ in range(_ROUNDS):
         root = np.sqrt(trust)
         solution = np.linalg.lstsq(scaled * root[:, None], target * root, rcond=None)[0]

@@ -1,10 +1,13 @@
-"""Is the sampled loop stable? The exact map of one tick, device, delay and filters together, and its spectral radius.
+"""Is the sampled loop stable? The exact map of one tick, device, delay and filters together, and
+its spectral radius.
 
-Its state is the device's, the commands on their way, the two last positions and the filters'. It is affine in (K, B, M): the
-law is one row that is added through one column. With K = 0 nothing holds the device in place; translation of everything
-together is an eigenvector with eigenvalue 1 and is left out, once. Below 1 everything else dies out.
+Its state is the device's, the commands on their way, the two last positions and the filters'. It is
+affine in (K, B, M): the law is one row that is added through one column. With K = 0 nothing holds
+the device in place; translation of everything together is an eigenvector with eigenvalue 1 and is
+left out, once. Below 1 everything else dies out.
 
-What would break it: judging by the growth of a 90 s record; at K = 2,000 N/m a radius of 1.00002 takes half a minute to show.
+What would break it: judging by the growth of a 90 s record; at K = 2,000 N/m a radius of 1.00002
+takes half a minute to show.
 """
 
 import numpy as np
@@ -15,8 +18,12 @@ from hapticd.plant.model import Model
 from hapticd.render.filters import Biquad
 
 
-def spectral_radius(model: Model, points: Floats, damping_ns_per_m: float = 0.0, filters: Filters = PAPER_FILTERS) -> Floats:
-    """Largest |eigenvalue| (N,) of one tick of `model` under the environments `points` (N, 3): K, B, M in SI."""
+def spectral_radius(
+    model: Model, points: Floats, damping_ns_per_m: float = 0.0, filters: Filters = PAPER_FILTERS
+) -> Floats:
+    """Largest |eigenvalue| (N,) of one tick of `model` under the environments `points` (N, 3):
+    K, B, M in SI.
+    """
     kbm = np.atleast_2d(np.asarray(points, np.float64))
     base, column, rows = _tick(sampled(model, damping_ns_per_m), model.rate_hz, filters)
     matrices = base - column[:, None] * (kbm @ rows)[:, None, :]
@@ -34,11 +41,15 @@ def _drifts(model: Model, damping_ns_per_m: float) -> bool:
 
 
 def _tick(device: Sampled, rate_hz: float, filters: Filters) -> tuple[Floats, Floats, Floats]:
-    """(matrix without law, column through which the command enters, rows (3, n) of position, velocity and acceleration)."""
-    n, waiting = len(device.a), device.steps + 1
+    """(matrix without law, column through which the command enters, rows (3, n) of position,
+    velocity and acceleration).
+    """
+    n = len(device.a)
+    waiting = device.steps + 1
     size = n + waiting + 6
     unit = np.eye(size)
-    base, column = np.zeros((size, size)), np.zeros(size)
+    base = np.zeros((size, size))
+    column = np.zeros(size)
     base[:n, :n] = device.a
     if device.steps:
         base[:n, n + device.steps - 1] += device.new

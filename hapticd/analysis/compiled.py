@@ -1,7 +1,8 @@
-"""The loops of `kernels` in numba: one pass each, without temporaries. Imported only by `kernels`, only if numba is there.
+"""The loops of `kernels` in numba: one pass each, without temporaries. Imported only by `kernels`,
+only if numba is there.
 
-They release the interpreter lock, so trials may run on threads. Sums are reassociated for vector registers: results agree
-with numpy's to rounding, not to the bit.
+They release the interpreter lock, so trials may run on threads. Sums are reassociated for vector
+registers: results agree with numpy's to rounding, not to the bit.
 """
 
 import numba

@@ -1,18 +1,18 @@
 """`local_fits` in numba: normal equations from moments that neighbouring frequencies share.
 
-Every column of a fit is a power of r times one of the sequences V, 1 and G_k = bin F(bin + k servo),
-k = 0 .. K, so all its products are moments
+Every column of a fit is a power of r times one of the sequences V, 1 and G_k = bin F(bin + k
+servo), k = 0 .. K, so all its products are moments
 
     m_p(a, b) = sum r^p conj(a) b
 
-with p = 0 .. 4 between V and 1, 0 .. 2 between one of them and a G, 0 between two G. Windows overlap
-six times. Between two neighbouring ends of windows all bins belong to the same ones: the moments of
-such a block are summed once, about its own middle, and moved to the place of each window by the
-binomial theorem; |r| <= 1 keeps their digits.
+with p = 0 .. 4 between V and 1, 0 .. 2 between one of them and a G, 0 between two G. Windows
+overlap six times. Between two neighbouring ends of windows all bins belong to the same ones: the
+moments of such a block are summed once, about its own middle, and moved to the place of each window
+by the binomial theorem; |r| <= 1 keeps their digits.
 
-The equations are solved by Cholesky's factor R of the columns with the force behind them. With q0 as
-the last column its variance per unit of noise is 1 / R[q,q]^2, and the last pivot is the force that
-is not explained.
+The equations are solved by Cholesky's factor R of the columns with the force behind them. With q0
+as the last column its variance per unit of noise is 1 / R[q,q]^2, and the last pivot is the force
+that is not explained.
 
 What would break it: that pivot is y^2 less what is explained, so it is known to 1e-15 of y^2 alone;
 `local_fits` in numpy, which sums what is left, knows more where nothing is left.
@@ -29,7 +29,10 @@ from hapticd.analysis.arrays import Integers
 from hapticd.analysis.local_fits import ORDER, RIDGE, TERMS, TINY, Fit, Transforms
 
 _SUMS = {"contract", "reassoc", "nsz"}
-_V, _ONE, _FORCE = 0, 1, 2  # sequences; those of the images follow
+# sequences; those of the images follow
+_V = 0
+_ONE = 1
+_FORCE = 2
 _ONES = 2  # the pair of 1 with itself
 _POWERS = 2 * ORDER + 1
 _BINOMIAL = np.array([[comb(p, i) for i in range(_POWERS)] for p in range(_POWERS)], np.float64)
@@ -127,8 +130,10 @@ def _sum(rows, count, half, pairs, high, work, moments):  # type: ignore[no-unty
     for i in range(count):
         away[i] = (i - 0.5 * (count - 1)) / half
     for pair in range(len(pairs)):
-        a_real, a_imag = rows[0, pairs[pair, 0]], rows[1, pairs[pair, 0]]
-        b_real, b_imag = rows[0, pairs[pair, 1]], rows[1, pairs[pair, 1]]
+        a_real = rows[0, pairs[pair, 0]]
+        a_imag = rows[1, pairs[pair, 0]]
+        b_real = rows[0, pairs[pair, 1]]
+        b_imag = rows[1, pairs[pair, 1]]
         for i in range(count):
             real[i] = a_real[i] * b_real[i] + a_imag[i] * b_imag[i]
             imag[i] = a_real[i] * b_imag[i] - a_imag[i] * b_real[i]
@@ -190,7 +195,9 @@ def _normal(moments, pairs, columns):  # type: ignore[no-untyped-def]
     size = np.empty(n)
     for d in range(n):
         for c in range(d + 1):
-            a, b, p = columns[c, 0], columns[d, 0], columns[c, 1] + columns[d, 1]
+            a = columns[c, 0]
+            b = columns[d, 0]
+            p = columns[c, 1] + columns[d, 1]
             value = moments[p, index[a, b]] if a <= b else moments[p, index[b, a]].conjugate()
             products[c, d] = value
         size[d] = max(np.sqrt(max(products[d, d].real, 0.0)), TINY)

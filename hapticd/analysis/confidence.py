@@ -1,9 +1,10 @@
 """Quantiles for statements about many frequencies at once. Standard library alone.
 
-`sidak`: n statements that each hold with probability p^(1/n) hold together with at least p when their errors are
-independent or, as between neighbouring values of a windowed spectrum, positively correlated (Sidak 1967; Slepian 1962). It
-is taken over all values that are looked at: the number of independent ones (band over bandwidth) is smaller, but with it a
-lossless device raises twice the promised false alarms, because the extreme of a smooth curve lies between them.
+`sidak`: n statements that each hold with probability p^(1/n) hold together with at least p when
+their errors are independent or, as between neighbouring values of a windowed spectrum, positively
+correlated (Sidak 1967; Slepian 1962). It is taken over all values that are looked at: the number of
+independent ones (band over bandwidth) is smaller, but with it a lossless device raises twice the
+promised false alarms, because the extreme of a smooth curve lies between them.
 """
 
 from math import atan, cos, isclose, sin, sqrt, tan
@@ -22,13 +23,16 @@ def sidak(confidence: float, statements: int) -> float:
 
 
 def student_quantile(probability: float, degrees_of_freedom: float) -> float:
-    """Quantile of Student's t: Cornish-Fisher expansion in 1/nu (Abramowitz and Stegun 26.7.5), 1e-4 of t from nu = 18 on.
+    """Quantile of Student's t: Cornish-Fisher expansion in 1/nu (Abramowitz and Stegun 26.7.5),
+    1e-4 of t from nu = 18 on.
 
-    Below, where nu must be 2, 4, 6 .. as for a mean of complex values, it is exact. AnalysisError for any other nu below.
+    Below, where nu must be 2, 4, 6 .. as for a mean of complex values, it is exact. AnalysisError
+    for any other nu below.
     """
     if degrees_of_freedom < MANY:
         return _few(probability, degrees_of_freedom)
-    z, nu = NormalDist().inv_cdf(probability), degrees_of_freedom
+    z = NormalDist().inv_cdf(probability)
+    nu = degrees_of_freedom
     terms = (
         (z**3 + z) / 4.0,
         (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / 96.0,
@@ -39,11 +43,17 @@ def student_quantile(probability: float, degrees_of_freedom: float) -> float:
 
 
 def _few(probability: float, degrees_of_freedom: float) -> float:
-    """By halving: P(t) = (1 + sin a (1 + cos^2 a / 2 + 3 cos^4 a / 8 + ..)) / 2, tan a = t / sqrt(nu), nu even (26.7.4 there)."""
+    """By halving: P(t) = (1 + sin a (1 + cos^2 a / 2 + 3 cos^4 a / 8 + ..)) / 2, tan a = t /
+    sqrt(nu), nu even (26.7.4 there).
+    """
     nu = round(degrees_of_freedom)
     if nu < 2 or nu % 2 or not isclose(nu, degrees_of_freedom):
-        raise AnalysisError(f"{degrees_of_freedom:g} degrees of freedom: below {MANY:g} an even number is needed; average more")
-    low, high = atan(-1e9), atan(1e9)
+        raise AnalysisError(
+            f"{degrees_of_freedom:g} degrees of freedom: below {MANY:g} an even number is needed;"
+            " average more"
+        )
+    low = atan(-1e9)
+    high = atan(1e9)
     for _ in range(100):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if _student(middle, nu) < probability else (low, middle)

@@ -1,9 +1,11 @@
-"""The definition itself: energy that has flowed into the device at the port, never less than minus what it held at the start.
+"""The definition itself: energy that has flowed into the device at the port, never less than minus
+what it held at the start.
 
-E(t) = integral of F v. With interval means of both channels sum(F_k v_k) T is the exact work of a force held over each
-interval; no trend is removed, because the energy of a trial is that of its true force and velocity. Starting at rest a
-passive device keeps E >= 0. A trial whose noise drives mostly frequencies where the device dissipates stays far above 0
-although it is active at others: the spectral verdict is the sharper one, this is the unconditional one.
+E(t) = integral of F v. With interval means of both channels sum(F_k v_k) T is the exact work of a
+force held over each interval; no trend is removed, because the energy of a trial is that of its
+true force and velocity. Starting at rest a passive device keeps E >= 0. A trial whose noise drives
+mostly frequencies where the device dissipates stays far above 0 although it is active at others:
+the spectral verdict is the sharper one, this is the unconditional one.
 """
 
 from dataclasses import dataclass
@@ -15,7 +17,9 @@ from hapticd.analysis.arrays import Floats
 
 @dataclass(frozen=True, slots=True)
 class Energy:
-    """Energy integral of a record [J]: its minimum with the time of it [s], and its value at the end."""
+    """Energy integral of a record [J]: its minimum with the time of it [s], and its value at
+    the end.
+    """
 
     minimum_j: float
     minimum_s: float

@@ -1,13 +1,17 @@
-"""The Z-width as the paper draws it: at every frequency the largest and the smallest passive |Z|, and of the phase.
+"""The Z-width as the paper draws it: at every frequency the largest and the smallest passive |Z|,
+and of the phase.
 
-"The Z-width envelope is iteratively updated as successive trials are performed" (Weir, Colgate and Peshkin 2008, section 2).
-Every point remembers the trial that set it and how well that trial knew it, so a bump can be asked where it comes from. Trials
-that are not passive do not widen it. The uncertainty is that of the owner alone: the largest of many noisy values lies above
-the true maximum by about one of its standard deviations; confirm an owner with a second trial before quoting it.
+"The Z-width envelope is iteratively updated as successive trials are performed" (Weir, Colgate and
+Peshkin 2008, section 2). Every point remembers the trial that set it and how well that trial knew
+it, so a bump can be asked where it comes from. Trials that are not passive do not widen it. The
+uncertainty is that of the owner alone: the largest of many noisy values lies above the true maximum
+by about one of its standard deviations; confirm an owner with a second trial before quoting it.
 
-The envelope of the admittance is the same with maximum and minimum exchanged: 1/|Z|, minus the phase.
+The envelope of the admittance is the same with maximum and minimum exchanged: 1/|Z|, minus the
+phase.
 
-What would break it: trials on other frequencies, or at another port or with another estimator (all refused).
+What would break it: trials on other frequencies, or at another port or with another estimator (all
+refused).
 """
 
 from collections.abc import Iterable
@@ -36,7 +40,9 @@ class Trial:
 
 @dataclass(frozen=True, eq=False)
 class Edge:
-    """One line of the envelope: `value` (F,), standard deviation `sd` (F,) of the owner's estimate, `owner` (F,) into `trials`."""
+    """One line of the envelope: `value` (F,), standard deviation `sd` (F,) of the owner's
+    estimate, `owner` (F,) into `trials`.
+    """
 
     value: Floats
     sd: Floats
@@ -45,9 +51,11 @@ class Edge:
 
 @dataclass(frozen=True, eq=False)
 class Envelope:
-    """Upper and lower edges over `frequency_hz` (F,): |Z| or |Y| with sd of its logarithm, phase [deg] with sd in degrees.
+    """Upper and lower edges over `frequency_hz` (F,): |Z| or |Y| with sd of its logarithm, phase
+    [deg] with sd in degrees.
 
-    `trials` are the names that owners point to, in the order of adding. `kind` is "impedance" [N s/m] or "admittance" [m/(N s)].
+    `trials` are the names that owners point to, in the order of adding. `kind` is "impedance" [N
+    s/m] or "admittance" [m/(N s)].
     """
 
     frequency_hz: Floats
@@ -70,7 +78,8 @@ class Envelope:
 
 
 def envelope(trials: Iterable[Trial], accept: Accept = "judged") -> Envelope:
-    """Envelope of those of `trials` that are passive: by their verdict, or by the paper's +-90 degree rule.
+    """Envelope of those of `trials` that are passive: by their verdict, or by the paper's +-90
+    degree rule.
 
     AnalysisError if none is, or if they are on unlike frequencies, ports or estimators.
     """
@@ -79,12 +88,16 @@ def envelope(trials: Iterable[Trial], accept: Accept = "judged") -> Envelope:
         if accepted(trial.verdict, accept):
             found = of_trial(trial) if found is None else widened(found, trial)
     if found is None:
-        raise AnalysisError("no passive trial: there is no envelope to draw; begin with K = B = M = 0")
+        raise AnalysisError(
+            "no passive trial: there is no envelope to draw; begin with K = B = M = 0"
+        )
     return found
 
 
 def accepted(verdict: Verdict, accept: Accept = "judged") -> bool:
-    """Whether a trial may widen an envelope. The plain rule does not accept an unstable one either."""
+    """Whether a trial may widen an envelope. The plain rule does not accept an unstable one
+    either.
+    """
     if accept == "judged":
         return verdict.answer == "passive"
     return verdict.within_90_deg and verdict.stability != "unstable"
@@ -93,11 +106,17 @@ def accepted(verdict: Verdict, accept: Accept = "judged") -> bool:
 def of_trial(trial: Trial) -> Envelope:
     """The envelope of one trial: upper and lower edges are the same line."""
     z = trial.impedance
-    return of_one(trial.name, z.frequency_hz, z.impedance_ns_per_m, z.relative_sd, z.port, z.estimator)
+    return of_one(
+        trial.name, z.frequency_hz, z.impedance_ns_per_m, z.relative_sd, z.port, z.estimator
+    )
 
 
-def of_one(name: str, frequency_hz: Floats, z: Complexes, relative_sd: Floats, port: str, estimator: str) -> Envelope:
-    """The same from Z (F,) [N s/m] at `frequency_hz` (F,) and the standard deviation (F,) of ln|Z|, and of its phase in radians."""
+def of_one(
+    name: str, frequency_hz: Floats, z: Complexes, relative_sd: Floats, port: str, estimator: str
+) -> Envelope:
+    """The same from Z (F,) [N s/m] at `frequency_hz` (F,) and the standard deviation (F,) of
+    ln|Z|, and of its phase in radians.
+    """
     owner = np.zeros(frequency_hz.size, np.int64)
     size = Edge(np.abs(z), relative_sd, owner)
     phase = Edge(np.degrees(np.angle(z)), np.degrees(relative_sd), owner)
@@ -106,7 +125,9 @@ def of_one(name: str, frequency_hz: Floats, z: Complexes, relative_sd: Floats, p
 
 def of_predicted(frequency_hz: Floats, z: Complexes) -> Envelope:
     """The envelope of predicted Z (N, F) [N s/m], without uncertainty; owners are places (N,)."""
-    size, angle, none = np.abs(z), np.degrees(np.angle(z)), np.zeros(frequency_hz.size)
+    size = np.abs(z)
+    angle = np.degrees(np.angle(z))
+    none = np.zeros(frequency_hz.size)
 
     def edge(values: Floats, which: Integers) -> Edge:
         return Edge(np.take_along_axis(values, which[None], 0)[0], none, which)
@@ -120,14 +141,19 @@ def of_predicted(frequency_hz: Floats, z: Complexes) -> Envelope:
 
 
 def widened(found: Envelope, trial: Trial) -> Envelope:
-    """`found` with `trial`, which is taken to be passive. AnalysisError if it is unlike the ones before."""
+    """`found` with `trial`, which is taken to be passive. AnalysisError if it is unlike the
+    ones before.
+    """
     return merged(found, of_trial(trial))
 
 
 def merged(found: Envelope, new: Envelope) -> Envelope:
     """The envelope of the trials of both. AnalysisError if they are unlike each other."""
     if found.kind != "impedance":
-        raise AnalysisError("an admittance envelope cannot be widened; widen the impedance envelope and take its admittance")
+        raise AnalysisError(
+            "an admittance envelope cannot be widened; widen the impedance envelope and take its"
+            " admittance"
+        )
     _alike(found, new)
     before = len(found.trials)
     return replace(
@@ -145,7 +171,14 @@ def admittance(found: Envelope) -> Envelope:
     kind = "admittance" if found.kind == "impedance" else "impedance"
     turned = [replace(edge, value=1.0 / edge.value) for edge in (found.lower, found.upper)]
     phases = [replace(edge, value=-edge.value) for edge in (found.phase_lower, found.phase_upper)]
-    return replace(found, upper=turned[0], lower=turned[1], phase_upper=phases[0], phase_lower=phases[1], kind=kind)
+    return replace(
+        found,
+        upper=turned[0],
+        lower=turned[1],
+        phase_upper=phases[0],
+        phase_lower=phases[1],
+        kind=kind,
+    )
 
 
 def _outer(old: Edge, new: Edge, before: int, sense: float) -> Edge:
@@ -159,8 +192,11 @@ def _outer(old: Edge, new: Edge, before: int, sense: float) -> Edge:
 
 def _alike(found: Envelope, new: Envelope) -> None:
     if not np.array_equal(found.frequency_hz, new.frequency_hz):
-        raise AnalysisError("trials on unlike frequencies: estimate all with one window and one list of frequencies")
+        raise AnalysisError(
+            "trials on unlike frequencies: estimate all with one window and one list of frequencies"
+        )
     if (found.port, found.estimator) != (new.port, new.estimator):
         raise AnalysisError(
-            f"a trial at the {new.port} by {new.estimator!r} beside others at the {found.port} by {found.estimator!r}: choose one"
+            f"a trial at the {new.port} by {new.estimator!r} beside others at the {found.port} by"
+            f" {found.estimator!r}: choose one"
         )

@@ -1,18 +1,22 @@
-"""What a model says of any environment before a trial, for the directed search: Re Z, and headroom against escape.
+"""What a model says of any environment before a trial, for the directed search: Re Z, and headroom
+against escape.
 
-Re Z is that of the recorded channels, with friction linearised at each point, on the frequencies that trials are kept at.
+Re Z is that of the recorded channels, with friction linearised at each point, on the frequencies
+that trials are kept at.
 
-Headroom: friction of b N s/m (linearised) keeps the loop calm; below b_c the sampled loop is unstable by its spectral radius.
-Motion s times larger makes friction s times weaker, so the loop escapes in bursts of b / b_c times the usual motion:
+Headroom: friction of b N s/m (linearised) keeps the loop calm; below b_c the sampled loop is
+unstable by its spectral radius. Motion s times larger makes friction s times weaker, so the loop
+escapes in bursts of b / b_c times the usual motion:
 
     headroom = 1 / 3 - b_c / b
 
-0 where bursts of three times the usual escape, as `linearise` assumes; above, larger ones are needed; a loop that is stable
-without friction has b_c <= 0, and is not followed below -0.4 of the friction at rest. Which headroom 90 s of trial need is not
-known from theory (`escape` learns it).
+0 where bursts of three times the usual escape, as `linearise` assumes; above, larger ones are
+needed; a loop that is stable without friction has b_c <= 0, and is not followed below -0.4 of the
+friction at rest. Which headroom 90 s of trial need is not known from theory (`escape` learns it).
 
-Re Z and b are computed for each point; b_c, smooth in K, B and M, is interpolated on a grid of the box. Where several bodies
-rub, their friction is scaled together. What would break it: a device that escapes otherwise, as by its quantiser.
+Re Z and b are computed for each point; b_c, smooth in K, B and M, is interpolated on a grid of the
+box. Where several bodies rub, their friction is scaled together. What would break it: a device that
+escapes otherwise, as by its quantiser.
 """
 
 from collections.abc import Sequence
@@ -23,7 +27,13 @@ import numpy as np
 from hapticd.analysis.arrays import Floats
 from hapticd.analysis.boundary import grid
 from hapticd.analysis.closed import spectral_radius
-from hapticd.analysis.linearise import BURSTS, Linearised, Perturbation, linearise, recorded_impedance
+from hapticd.analysis.linearise import (
+    BURSTS,
+    Linearised,
+    Perturbation,
+    linearise,
+    recorded_impedance,
+)
 from hapticd.analysis.loop import Filters, close_loop
 from hapticd.analysis.predict import NOMINAL_NS_PER_M, chunks, coulomb, frequencies, rubbed
 from hapticd.analysis.surrogate import Box
@@ -40,9 +50,16 @@ class Foresight:
     """`resistance` and `headroom` of `model` at a damping level under environments in `box`."""
 
     def __init__(
-        self, model: Model, box: Box, frequency_hz: Floats, damping_ns_per_m: float, filters: Filters, perturbation: Perturbation
+        self,
+        model: Model,
+        box: Box,
+        frequency_hz: Floats,
+        damping_ns_per_m: float,
+        filters: Filters,
+        perturbation: Perturbation,
     ) -> None:
-        self._coulomb, self._perturbation = coulomb(model), perturbation
+        self._coulomb = coulomb(model)
+        self._perturbation = perturbation
         f = np.union1d(frequencies((frequency_hz[0], frequency_hz[-1]), perturbation), frequency_hz)
         self._at = np.searchsorted(f, frequency_hz)
         self._start = np.where(self._coulomb > 0.0, NOMINAL_NS_PER_M, 0.0)
@@ -57,27 +74,46 @@ class Foresight:
 
     def headroom(self, environments: Floats) -> Floats:
         """(N,) in -1..1."""
-        share = self._needed(environments) / np.maximum(self._known(environments)[2], _LEAST_NS_PER_M)
+        share = self._needed(environments) / np.maximum(
+            self._known(environments)[2], _LEAST_NS_PER_M
+        )
         return np.clip(1.0 / BURSTS[-1] - share, -1.0, 1.0)
 
     def _known(self, environments: Floats) -> tuple[Floats, Floats, Floats]:
-        """(environments, Re Z, friction); the last ones are kept, because both are asked of the same points in turn."""
+        """(environments, Re Z, friction); the last ones are kept, because both are asked of the
+        same points in turn.
+        """
         if self._last is None or not np.array_equal(self._last[0], environments):
             parts = self._linearised(environments)
             true = np.concatenate([part.impedance for part in parts])
             z = recorded_impedance(self._loop, environments, true)[:, self._at].real
-            self._last = environments.copy(), z, np.concatenate([part.friction.sum(axis=0) for part in parts])
+            self._last = (
+                environments.copy(),
+                z,
+                np.concatenate([part.friction.sum(axis=0) for part in parts]),
+            )
         return self._last
 
     def _linearised(self, environments: Floats) -> list[Linearised]:
         parts = chunks(environments)
-        return [linearise(self._loop, part, self._coulomb, self._start, self._perturbation) for part in parts]
+        return [
+            linearise(self._loop, part, self._coulomb, self._start, self._perturbation)
+            for part in parts
+        ]
 
 
-def _needed(model: Model, box: Box, rest: Floats, damping_ns_per_m: float, filters: Filters) -> Floats:
-    """Least friction (N,) [N s/m] at which the loop is stable, on the table's grid: between two looks by the line of the radius."""
-    places, usual = grid(_axes(box)), float(rest.sum()) or 1.0
-    growth = [spectral_radius(rubbed(model, share * rest), places, damping_ns_per_m, filters) - 1.0 for share in SHARES]
+def _needed(
+    model: Model, box: Box, rest: Floats, damping_ns_per_m: float, filters: Filters
+) -> Floats:
+    """Least friction (N,) [N s/m] at which the loop is stable, on the table's grid: between two
+    looks by the line of the radius.
+    """
+    places = grid(_axes(box))
+    usual = float(rest.sum()) or 1.0
+    growth = [
+        spectral_radius(rubbed(model, share * rest), places, damping_ns_per_m, filters) - 1.0
+        for share in SHARES
+    ]
     needed = np.full(len(places), SHARES[0])
     for share, after, this, following in zip(SHARES, SHARES[1:], growth, growth[1:], strict=False):
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -87,7 +123,9 @@ def _needed(model: Model, box: Box, rest: Floats, damping_ns_per_m: float, filte
 
 
 def _axes(box: Box) -> tuple[Floats, Floats, Floats]:
-    k, b, m = (np.linspace(box.low[place], box.high[place], count) for place, count in enumerate(SHAPE))
+    k, b, m = (
+        np.linspace(box.low[place], box.high[place], count) for place, count in enumerate(SHAPE)
+    )
     return k, b, m
 
 
@@ -101,7 +139,10 @@ class _Table:
         last = np.array(SHAPE) - 1
         at = np.clip(self._box.to_unit(environments), 0.0, 1.0) * last
         cell = np.minimum(at.astype(int), last - 1)
-        return sum((self._corner(cell, at - cell, corner) for corner in product((0, 1), repeat=3)), np.zeros(len(at)))
+        return sum(
+            (self._corner(cell, at - cell, corner) for corner in product((0, 1), repeat=3)),
+            np.zeros(len(at)),
+        )
 
     def _corner(self, cell: Floats, share: Floats, corner: Sequence[int]) -> Floats:
         weight = np.where(np.array(corner) == 1, share, 1.0 - share).prod(axis=1)

@@ -2,13 +2,16 @@
 
     M x'' + D x' + K x = f,   node 0 is the probe,   Z_h = S(s) / s with S the stiffness seen at node 0, the others free
 
-M, D and K have no negative eigenvalue (masses are on the nodes; a damper or spring adds a square of one difference). For every
-s with Re s > 0 that alone makes Re Z_h(s) >= 0, so all of them are positive real: passive by construction (Brune 1931), from a
-fingertip to a tree of resonators without any loss. A node may be without a mass where a damper holds it, as in a Maxwell arm.
+M, D and K have no negative eigenvalue (masses are on the nodes; a damper or spring adds a square of
+one difference). For every s with Re s > 0 that alone makes Re Z_h(s) >= 0, so all of them are
+positive real: passive by construction (Brune 1931), from a fingertip to a tree of resonators
+without any loss. A node may be without a mass where a damper holds it, as in a Maxwell arm.
 
-`held_by` grips the rotor of a composed device: exact, so that its sampled loop can be asked for its eigenvalues.
+`held_by` grips the rotor of a composed device: exact, so that its sampled loop can be asked for its
+eigenvalues.
 
-What would break it: a node that only dampers hold. It stays where it is pushed to, an eigenvalue 1 that is no oscillation.
+What would break it: a node that only dampers hold. It stays where it is pushed to, an eigenvalue 1
+that is no oscillation.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -27,9 +30,11 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Hand:
-    """`mass_kg` (n,), `damping_ns_per_m` (n, n), `stiffness_n_per_m` (n, n), float64; node 0 is the probe.
+    """`mass_kg` (n,), `damping_ns_per_m` (n, n), `stiffness_n_per_m` (n, n), float64; node 0 is the
+    probe.
 
-    AnalysisError unless they are symmetric without negative eigenvalue, and every other node has a mass or a damper.
+    AnalysisError unless they are symmetric without negative eigenvalue, and every other node has a
+    mass or a damper.
     """
 
     mass_kg: Floats
@@ -43,13 +48,18 @@ class Hand:
             ("damping", self.damping_ns_per_m),
             ("stiffness", self.stiffness_n_per_m),
         ):
-            least, size = float(np.linalg.eigvalsh(matrix)[0]), float(np.abs(matrix).max())
+            least = float(np.linalg.eigvalsh(matrix)[0])
+            size = float(np.abs(matrix).max())
             if not np.allclose(matrix, matrix.T) or least < -_ROUNDING * size:
                 raise AnalysisError(
-                    f"a hand whose {name} matrix has the eigenvalue {least:.3g} is not passive; it takes symmetric, >= 0"
+                    f"a hand whose {name} matrix has the eigenvalue {least:.3g} is not passive; it"
+                    " takes symmetric, >= 0"
                 )
         if np.any(self.loose & (np.diag(self.damping_ns_per_m) <= 0.0)):
-            raise AnalysisError("a node of a hand without mass and without damper; give it one of them, or leave it out")
+            raise AnalysisError(
+                "a node of a hand without mass and without damper; give it one of them, or leave"
+                " it out"
+            )
 
     @property
     def loose(self) -> Flags:
@@ -59,7 +69,9 @@ class Hand:
     def impedance(self, s: Complexes) -> Complexes:
         """Z_h(s) (F,) [N s/m] at complex frequencies s (F,) [rad/s] that are not its poles."""
         x = s[:, None, None]
-        all_nodes = x * x * np.diag(self.mass_kg) + x * self.damping_ns_per_m + self.stiffness_n_per_m
+        all_nodes = (
+            x * x * np.diag(self.mass_kg) + x * self.damping_ns_per_m + self.stiffness_n_per_m
+        )
         inner = np.linalg.solve(all_nodes[:, 1:, 1:], all_nodes[:, 1:, :1])
         return np.asarray((all_nodes[:, 0, 0] - (all_nodes[:, :1, 1:] @ inner)[:, 0, 0]) / s)
 
@@ -75,7 +87,9 @@ class Network:
         self._masses.append(mass_kg)
         return len(self._masses) - 1
 
-    def join(self, one: int, other: int, stiffness_n_per_m: float = 0.0, damping_ns_per_m: float = 0.0) -> None:
+    def join(
+        self, one: int, other: int, stiffness_n_per_m: float = 0.0, damping_ns_per_m: float = 0.0
+    ) -> None:
         """A spring and a damper side by side between two nodes."""
         self._joints.append((one, other, stiffness_n_per_m, damping_ns_per_m))
 
@@ -85,7 +99,9 @@ class Network:
         stiffness, damping = np.zeros((2, size, size))
         for one, other, spring, damper in self._joints:
             across = np.zeros(size)
-            across[[node for node in (one, other) if node != GROUND]] = (1.0, -1.0)[: 2 - (one, other).count(GROUND)]
+            across[[node for node in (one, other) if node != GROUND]] = (1.0, -1.0)[
+                : 2 - (one, other).count(GROUND)
+            ]
             stiffness += spring * np.outer(across, across)
             damping += damper * np.outer(across, across)
         return Hand(np.array(self._masses), damping, stiffness)
@@ -93,8 +109,11 @@ class Network:
 
 def held_by(model: Model, hand: Hand) -> Model:
     """`model` with `hand` on its rotor, where the probe is. Its winding stays as warm as it is."""
-    rotor, place = int(np.argmax(model.outputs.velocity.c0)), int(np.argmax(model.outputs.position.c0))
-    n, inner, heavy = len(model.states), np.arange(1, hand.mass_kg.size), np.flatnonzero(hand.mass_kg[1:]) + 1
+    rotor = int(np.argmax(model.outputs.velocity.c0))
+    place = int(np.argmax(model.outputs.position.c0))
+    n = len(model.states)
+    inner = np.arange(1, hand.mass_kg.size)
+    heavy = np.flatnonzero(hand.mass_kg[1:]) + 1
     size = n + inner.size + heavy.size
     unit = np.eye(size)
     position = np.vstack((unit[place], unit[n : n + inner.size]))
@@ -132,9 +151,15 @@ def _wider(matrix: Floats, rows: int, columns: int, rotor: int, share: float) ->
 
 def _seen(outputs: Outputs, size: int) -> Outputs:
     def wider(one: Output | None) -> Output | None:
-        return one and replace(one, c0=np.pad(one.c0, (0, size - one.c0.size)), c1=np.pad(one.c1, (0, size - one.c1.size)))
+        return one and replace(
+            one,
+            c0=np.pad(one.c0, (0, size - one.c0.size)),
+            c1=np.pad(one.c1, (0, size - one.c1.size)),
+        )
 
-    changed: dict[str, Any] = {part.name: wider(getattr(outputs, part.name)) for part in fields(outputs)}
+    changed: dict[str, Any] = {
+        part.name: wider(getattr(outputs, part.name)) for part in fields(outputs)
+    }
     return replace(outputs, **changed)
 
 

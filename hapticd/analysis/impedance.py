@@ -8,8 +8,9 @@
     Var Z = (C/N) |Z|^2 (1 - g2) / g2             of the complex value, half of it in each part
     Var Phi_v = (C/N) Phi_v^2                     twice that at 0 and half the sample rate
 
-(Ljung, System Identification, 2nd ed. 1999, section 6.4.) With a noisy velocity "spa" shrinks |Z| by g2; its phase stays. The
-force is exogenous and almost without noise, so "h_force" has no such bias: use it where |Z| counts and g2 is low.
+(Ljung, System Identification, 2nd ed. 1999, section 6.4.) With a noisy velocity "spa" shrinks |Z|
+by g2; its phase stays. The force is exogenous and almost without noise, so "h_force" has no such
+bias: use it where |Z| counts and g2 is low.
 """
 
 from dataclasses import dataclass, replace
@@ -26,9 +27,11 @@ Estimator = Literal["spa", "h_force"]
 
 @dataclass(frozen=True, eq=False)
 class Impedance:
-    """Z(f) of one trial: `impedance_ns_per_m` (F,) complex128, its standard deviation (of the complex value) and coherence.
+    """Z(f) of one trial: `impedance_ns_per_m` (F,) complex128, its standard deviation (of the
+    complex value) and coherence.
 
-    `noise` (F,) is the spectrum of the output that the input does not explain, `noise_sd` its standard deviation.
+    `noise` (F,) is the spectrum of the output that the input does not explain, `noise_sd` its
+    standard deviation.
     """
 
     frequency_hz: Floats
@@ -52,38 +55,64 @@ class Impedance:
         return relative_sd(self.coherence, self.degrees_of_freedom)
 
     def without_mass(self, mass_kg: float, port: str = "device") -> "Impedance":
-        """The impedance behind a rigid mass at the port: Z - j 2 pi f m. The real part, and with it the verdict, stays."""
+        """The impedance behind a rigid mass at the port: Z - j 2 pi f m. The real part, and
+        with it the verdict, stays.
+        """
         behind = self.impedance_ns_per_m - 2j * np.pi * self.frequency_hz * mass_kg
         return replace(self, impedance_ns_per_m=behind, port=port)
 
 
 def relative_sd(coherence: Floats, degrees_of_freedom: float) -> Floats:
     """sqrt((1 - g2) / (g2 nu)) (F,): standard deviation of phase [rad] and of ln|Z|."""
-    unexplained = np.divide(1.0 - coherence, coherence, out=np.full_like(coherence, np.inf), where=coherence > 0.0)
+    unexplained = np.divide(
+        1.0 - coherence, coherence, out=np.full_like(coherence, np.inf), where=coherence > 0.0
+    )
     return np.sqrt(unexplained / degrees_of_freedom)
 
 
 def spread_of(size: Floats, relative: Floats) -> Floats:
     """`size` times its relative spread (F,); inf where nothing is known, whatever the size."""
-    return np.asarray(np.multiply(size, relative, out=np.full_like(size, np.inf), where=np.isfinite(relative)))
+    return np.asarray(
+        np.multiply(size, relative, out=np.full_like(size, np.inf), where=np.isfinite(relative))
+    )
 
 
 def impedance(trial: Spectra, estimator: Estimator = "spa") -> Impedance:
-    """Z with its uncertainty by "spa" (velocity as input, the paper's) or "h_force" (force as input)."""
+    """Z with its uncertainty by "spa" (velocity as input, the paper's) or "h_force" (force as
+    input).
+    """
     coherence = trial.coherence
     if estimator == "spa":
-        z, output, of_input = _ratio(trial.cross, trial.velocity), trial.force, trial.velocity
+        z = _ratio(trial.cross, trial.velocity)
+        output = trial.force
+        of_input = trial.velocity
     elif estimator == "h_force":
-        z, output, of_input = _ratio(trial.force, trial.cross.conj()), trial.velocity, trial.force
+        z = _ratio(trial.force, trial.cross.conj())
+        output = trial.velocity
+        of_input = trial.force
     else:
-        raise AnalysisError(f"estimator {estimator!r}: use 'spa' (velocity as input) or 'h_force' (force as input)")
+        raise AnalysisError(
+            f"estimator {estimator!r}: use 'spa' (velocity as input) or 'h_force' (force as input)"
+        )
     square = trial.cross.real**2 + trial.cross.imag**2
-    noise = np.maximum(output - np.divide(square, of_input, out=np.zeros_like(square), where=of_input > 0.0), 0.0)
+    noise = np.maximum(
+        output - np.divide(square, of_input, out=np.zeros_like(square), where=of_input > 0.0), 0.0
+    )
     spread = np.sqrt(2.0) * relative_sd(coherence, trial.degrees_of_freedom)
     at_ends = np.isclose(trial.frequency_hz % (0.5 * trial.rate_hz), 0.0)
     noise_sd = noise * np.sqrt(np.where(at_ends, 2.0, 1.0) * trial.variance_factor)
     sd = spread_of(np.abs(z), spread)
-    return Impedance(trial.frequency_hz, z, sd, coherence, noise, noise_sd, estimator, trial.port, trial.degrees_of_freedom)
+    return Impedance(
+        trial.frequency_hz,
+        z,
+        sd,
+        coherence,
+        noise,
+        noise_sd,
+        estimator,
+        trial.port,
+        trial.degrees_of_freedom,
+    )
 
 
 def _ratio(numerator: Complexes | Floats, denominator: Complexes | Floats) -> Complexes:

@@ -1,13 +1,15 @@
-"""Transforms of sections of 2,048 samples, 16 trials at once, and what `lanes` sums over them. numba and `simd` only.
+"""Transforms of sections of 2,048 samples, 16 trials at once, and what `lanes` sums over them.
+numba and `simd` only.
 
-A section of real samples x, padded to 4,096, is a complex series z[n] = x[2n] + i x[2n+1] of 2,048 points, half of them zero:
+A section of real samples x, padded to 4,096, is a complex series z[n] = x[2n] + i x[2n+1] of 2,048
+points, half of them zero:
 
     columns    b = 0..63:  DFT of 32 points (16 of them zero) over n = 64 a + b, times exp(-2 pi i b k1 / 2048)  -> row k1
     row        k1 = 0..32: DFT of 64 points over b                                                            -> Z[k1 + 32 k2]
     take       Z[k] and Z[2048-k] -> X[k] and X[2048-k] of the real series -> sums over sections
 
-Rows k1 and 32 - k1 are transformed together and summed at once, so spectra never leave the first-level cache. What one trial
-gets does not depend on its neighbours in the vector.
+Rows k1 and 32 - k1 are transformed together and summed at once, so spectra never leave the
+first-level cache. What one trial gets does not depend on its neighbours in the vector.
 """
 
 from typing import Any
@@ -18,8 +20,12 @@ from numba import njit
 from hapticd.analysis.simd import fma, load, store
 
 PITCH = 65  # of a row: not a power of two, whose lines would fall on the same places of the cache
-WORK, PART = 2 * 32 * PITCH, 2 * 64  # vectors of an intermediate section, of a row
-KEPT = 16  # vectors of a pair of bins: for each bin velocity, forward, backward (complex), and the spectrum before
+# vectors of an intermediate section, of a row
+WORK = 2 * 32 * PITCH
+PART = 2 * 64
+# vectors of a pair of bins: for each bin velocity, forward, backward (complex), and the spectrum
+# before
+KEPT = 16
 PAIRS = 1025
 ROOT_HALF = float(np.sqrt(0.5))
 
@@ -35,7 +41,9 @@ def twiddles() -> tuple[Any, ...]:
 
 
 def pair_order() -> tuple[Any, Any]:
-    """(first, count) of the pairs of each k1 = 0..16, and the lower bin k (PAIRS,) of each pair; the upper one is 2048 - k."""
+    """(first, count) of the pairs of each k1 = 0..16, and the lower bin k (PAIRS,) of each
+    pair; the upper one is 2048 - k.
+    """
     counts = [33, *[64] * 15, 32]
     first = np.concatenate(([0], np.cumsum(counts)[:-1]))
     bins = np.concatenate([k1 + 32 * np.arange(count) for k1, count in enumerate(counts)])
@@ -45,16 +53,43 @@ def pair_order() -> tuple[Any, Any]:
 @njit(forceinline=True)
 def _dft8(a0, b0, a1, b1, a2, b2, a3, b3, a4, b4, a5, b5, a6, b6, a7, b7):  # type: ignore[no-untyped-def]
     """8 points, real a and imaginary b, in natural order."""
-    p0, q0, p4, q4 = a0 + a4, b0 + b4, a0 - a4, b0 - b4
-    p1, q1, p5, q5 = a1 + a5, b1 + b5, a1 - a5, b1 - b5
-    p2, q2, p6, q6 = a2 + a6, b2 + b6, a2 - a6, b2 - b6
-    p3, q3, p7, q7 = a3 + a7, b3 + b7, a3 - a7, b3 - b7
-    r0, s0, r2, s2 = p0 + p2, q0 + q2, p0 - p2, q0 - q2
-    r1, s1, r3, s3 = p1 + p3, q1 + q3, p1 - p3, q1 - q3
-    t0, u0, t1, u1 = p4 + q6, q4 - p6, p4 - q6, q4 + p6
-    v0, w0, v1, w1 = p5 + q7, q5 - p7, p5 - q7, q5 + p7
+    p0 = a0 + a4
+    q0 = b0 + b4
+    p4 = a0 - a4
+    q4 = b0 - b4
+    p1 = a1 + a5
+    q1 = b1 + b5
+    p5 = a1 - a5
+    q5 = b1 - b5
+    p2 = a2 + a6
+    q2 = b2 + b6
+    p6 = a2 - a6
+    q6 = b2 - b6
+    p3 = a3 + a7
+    q3 = b3 + b7
+    p7 = a3 - a7
+    q7 = b3 - b7
+    r0 = p0 + p2
+    s0 = q0 + q2
+    r2 = p0 - p2
+    s2 = q0 - q2
+    r1 = p1 + p3
+    s1 = q1 + q3
+    r3 = p1 - p3
+    s3 = q1 - q3
+    t0 = p4 + q6
+    u0 = q4 - p6
+    t1 = p4 - q6
+    u1 = q4 + p6
+    v0 = p5 + q7
+    w0 = q5 - p7
+    v1 = p5 - q7
+    w1 = q5 + p7
     h = ROOT_HALF
-    e, f, g, k = (v0 + w0) * h, (w0 - v0) * h, (w1 - v1) * h, (v1 + w1) * h
+    e = (v0 + w0) * h
+    f = (w0 - v0) * h
+    g = (w1 - v1) * h
+    k = (v1 + w1) * h
     return (
         r0 + r1, s0 + s1, t0 + e, u0 + f, r2 + s3, s2 - r3, t1 + g, u1 - k,
         r0 - r1, s0 - s1, t0 - e, u0 - f, r2 - s3, s2 + r3, t1 - g, u1 + k,
@@ -77,23 +112,40 @@ def _kept(target, row, x, y):  # type: ignore[no-untyped-def]
 @njit(forceinline=True)
 def _eight(source, row, step):  # type: ignore[no-untyped-def]
     """DFT of 8 complex values, `step` rows apart."""
-    i, d = 2 * row, 2 * step
+    i = 2 * row
+    d = 2 * step
     return _dft8(
-        load(source, i), load(source, i + 1), load(source, i + d), load(source, i + d + 1),
-        load(source, i + 2 * d), load(source, i + 2 * d + 1), load(source, i + 3 * d), load(source, i + 3 * d + 1),
-        load(source, i + 4 * d), load(source, i + 4 * d + 1), load(source, i + 5 * d), load(source, i + 5 * d + 1),
-        load(source, i + 6 * d), load(source, i + 6 * d + 1), load(source, i + 7 * d), load(source, i + 7 * d + 1),
-    )  # fmt: skip
+        load(source, i),
+        load(source, i + 1),
+        load(source, i + d),
+        load(source, i + d + 1),
+        load(source, i + 2 * d),
+        load(source, i + 2 * d + 1),
+        load(source, i + 3 * d),
+        load(source, i + 3 * d + 1),
+        load(source, i + 4 * d),
+        load(source, i + 4 * d + 1),
+        load(source, i + 5 * d),
+        load(source, i + 5 * d + 1),
+        load(source, i + 6 * d),
+        load(source, i + 6 * d + 1),
+        load(source, i + 7 * d),
+        load(source, i + 7 * d + 1),
+    )
 
 
 @njit(nogil=True)
 def columns(samples, place, offset, work, part, by32, by2048):  # type: ignore[no-untyped-def]
-    """First half of a section's transform; sample t of the section is vector place[t] + offset of `samples`."""
+    """First half of a section's transform; sample t of the section is vector place[t] + offset
+    of `samples`.
+    """
     for b in range(64):
         for a in range(8):
             n = 2 * (64 * a + b)
-            xr, xi = load(samples, place[n] + offset), load(samples, place[n + 1] + offset)
-            yr, yi = load(samples, place[n + 1024] + offset), load(samples, place[n + 1025] + offset)
+            xr = load(samples, place[n] + offset)
+            xi = load(samples, place[n + 1] + offset)
+            yr = load(samples, place[n + 1024] + offset)
+            yi = load(samples, place[n + 1025] + offset)
             _kept(part, a, xr + yr, xi + yi)
             _turned(part, 8 + a, xr + yi, xi - yr, by32[1, a, 0], by32[1, a, 1])
             _turned(part, 16 + a, xr - yr, xi - yi, by32[2, a, 0], by32[2, a, 1])
@@ -114,7 +166,9 @@ def columns(samples, place, offset, work, part, by32, by2048):  # type: ignore[n
 def row(work, k1, part, out, by64):  # type: ignore[no-untyped-def]
     """Second half for one k1: Z[k1 + 32 k2] into rows k2 of `out`."""
     for b in range(8):
-        x0, y0, x1, y1, x2, y2, x3, y3, x4, y4, x5, y5, x6, y6, x7, y7 = _eight(work, k1 * PITCH + b, 8)
+        x0, y0, x1, y1, x2, y2, x3, y3, x4, y4, x5, y5, x6, y6, x7, y7 = _eight(
+            work, k1 * PITCH + b, 8
+        )
         _kept(part, b, x0, y0)
         _turned(part, 8 + b, x1, y1, by64[1, b, 0], by64[1, b, 1])
         _turned(part, 16 + b, x2, y2, by64[2, b, 0], by64[2, b, 1])
@@ -137,9 +191,13 @@ def row(work, k1, part, out, by64):  # type: ignore[no-untyped-def]
 
 @njit(forceinline=True)
 def _bin(sums, at, before, xr, xi, sign, gr, gi, hr, hi):  # type: ignore[no-untyped-def]
-    """Add a section's X[k] = xr + i xi to the sums of its bin: velocity with what came before, force ahead and behind."""
-    pr, pi = load(sums, before), load(sums, before + 1)
-    tr, ti = fma(xr, sign, pr), fma(xi, sign, pi)
+    """Add a section's X[k] = xr + i xi to the sums of its bin: velocity with what came before,
+    force ahead and behind.
+    """
+    pr = load(sums, before)
+    pi = load(sums, before + 1)
+    tr = fma(xr, sign, pr)
+    ti = fma(xi, sign, pi)
     store(sums, at, fma(pr, tr, fma(pi, ti, load(sums, at))))
     store(sums, at + 1, load(sums, at + 1) + (pr * ti - pi * tr))
     store(sums, at + 2, fma(xr, gr, fma(xi, gi, load(sums, at + 2))))
@@ -152,23 +210,35 @@ def _bin(sums, at, before, xr, xi, sign, gr, gi, hr, hi):  # type: ignore[no-unt
 
 @njit(nogil=True)
 def take(lower, upper, k1, first, count, sums, force, turn):  # type: ignore[no-untyped-def]
-    """Sum the pairs of one k1 and its partner. `force` (PAIRS, 8): for each bin Y of this section with the one after, before."""
+    """Sum the pairs of one k1 and its partner. `force` (PAIRS, 8): for each bin Y of this
+    section with the one after, before.
+    """
     one = force[0, 0] * 0 + 1
     sign = one if k1 % 2 == 0 else -one
     for k2 in range(count):
         other = (64 - k2) % 64 if k1 == 0 else 63 - k2
         p = first + k2
-        zr, zi, vr, vi = load(lower, 2 * k2), load(lower, 2 * k2 + 1), load(upper, 2 * other), load(upper, 2 * other + 1)
-        er, ei, dr, di = zr + vr, zi - vi, zi + vi, vr - zr
-        c, s = turn[p, 0], turn[p, 1]
-        wr, wi = dr * c - di * s, fma(di, c, dr * s)
+        zr = load(lower, 2 * k2)
+        zi = load(lower, 2 * k2 + 1)
+        vr = load(upper, 2 * other)
+        vi = load(upper, 2 * other + 1)
+        er = zr + vr
+        ei = zi - vi
+        dr = zi + vi
+        di = vr - zr
+        c = turn[p, 0]
+        s = turn[p, 1]
+        wr = dr * c - di * s
+        wi = fma(di, c, dr * s)
         f = force[p]
         _bin(sums, KEPT * p, KEPT * p + 12, er + wr, ei + wi, sign, f[0], f[1], f[2], f[3])
         _bin(sums, KEPT * p + 6, KEPT * p + 14, er - wr, wi - ei, sign, f[4], f[5], f[6], f[7])
 
 
 @njit(nogil=True, cache=True)
-def add_section(samples, place, sums, force, work, part, lower, upper, by32, by64, by2048, turn, order):  # type: ignore[no-untyped-def]
+def add_section(  # type: ignore[no-untyped-def]
+    samples, place, sums, force, work, part, lower, upper, by32, by64, by2048, turn, order
+):
     """A section of the trials of every vector into their `sums` (vectors, PAIRS * KEPT * 16)."""
     for vector in range(len(sums)):
         columns(samples, place, vector, work, part, by32, by2048)
@@ -177,7 +247,16 @@ def add_section(samples, place, sums, force, work, part, lower, upper, by32, by6
             partner = (32 - k1) % 32
             if partner != k1:
                 row(work, partner, part, upper, by64)
-            take(lower, lower if partner == k1 else upper, k1, order[k1, 0], order[k1, 1], sums[vector], force, turn)
+            take(
+                lower,
+                lower if partner == k1 else upper,
+                k1,
+                order[k1, 0],
+                order[k1, 1],
+                sums[vector],
+                force,
+                turn,
+            )
 
 
 @njit(nogil=True, cache=True)
@@ -185,10 +264,14 @@ def moments(samples, place, vectors, found):  # type: ignore[no-untyped-def]
     """Sum of x, of t x and of x^2 over a section of every vector into `found` (3 vectors, 16)."""
     for vector in range(vectors):
         x = load(samples, place[0] + vector)
-        total, moment, square = x, x * 0.0, x * x
+        total = x
+        moment = x * 0.0
+        square = x * x
         for t in range(1, len(place)):
             x = load(samples, place[t] + vector)
-            total, moment, square = total + x, fma(x, t, moment), fma(x, x, square)
+            total = total + x
+            moment = fma(x, t, moment)
+            square = fma(x, x, square)
         store(found, 3 * vector, total)
         store(found, 3 * vector + 1, moment)
         store(found, 3 * vector + 2, square)

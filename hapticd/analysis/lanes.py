@@ -1,14 +1,18 @@
-"""Spectra of many trials that share one force record, while they are simulated: no velocity record is ever kept.
+"""Spectra of many trials that share one force record, while they are simulated: no velocity record
+is ever kept.
 
-As `sections`, with the trials side by side: every 2,048 samples each trial's section is transformed once (`lane_kernels`), and
-six numbers a frequency are summed. The force is the same for all, so its transforms are made once. With U of the velocity, Y
-of the force, s = (-1)^k for a delay by a section:
+As `sections`, with the trials side by side: every 2,048 samples each trial's section is transformed
+once (`lane_kernels`), and six numbers a frequency are summed. The force is the same for all, so its
+transforms are made once. With U of the velocity, Y of the force, s = (-1)^k for a delay by a
+section:
 
     velocity   sum conj(U_i) (U_i + s U_i+1)     forward   sum conj(U_i) (Y_i + s Y_i+1)     backward   sum U_i conj(Y_i + s Y_i-1)
 
-Trends are taken out of the covariances afterwards (`trend`). float32 costs 1e-7 of the largest value of a spectrum.
+Trends are taken out of the covariances afterwards (`trend`). float32 costs 1e-7 of the largest
+value of a spectrum.
 
-What would break it: a force record that differs between trials, or a window other than 2,048 samples (`spa` is for those).
+What would break it: a force record that differs between trials, or a window other than 2,048
+samples (`spa` is for those).
 """
 
 from dataclasses import dataclass
@@ -26,7 +30,9 @@ from hapticd.analysis.trend import NO_SAMPLES, Moments, line_products
 
 @dataclass(frozen=True, eq=False)
 class SharedForce:
-    """A force record (N,) as `LaneSections` needs it: `table` (sections, pairs of bins, 8), covariance (M + 1,), moments."""
+    """A force record (N,) as `LaneSections` needs it: `table` (sections, pairs of bins, 8),
+    covariance (M + 1,), moments.
+    """
 
     table: Values
     covariance: Floats
@@ -44,13 +50,25 @@ def shared_force(force_n: Floats, scalar: type[np.floating[Any]]) -> SharedForce
     count = -(-force_n.size // LAG)
     padded = np.zeros((count + 2, 2 * LAG))  # a section of nothing before and after
     np.copyto(padded[1:-1, :LAG], _cut(force_n, count))
-    found, sign = np.fft.rfft(padded, axis=1), _sign()
-    ahead, behind = found[1:-1] + sign * found[2:], found[1:-1] + sign * found[:-2]
-    lower, upper = _bins(), LAG - _bins()
-    columns = [part for k in (lower, upper) for z in (ahead[:, k], behind[:, k]) for part in (z.real, z.imag)]
+    found = np.fft.rfft(padded, axis=1)
+    sign = _sign()
+    ahead = found[1:-1] + sign * found[2:]
+    behind = found[1:-1] + sign * found[:-2]
+    lower = _bins()
+    upper = LAG - _bins()
+    columns = [
+        part
+        for k in (lower, upper)
+        for z in (ahead[:, k], behind[:, k])
+        for part in (z.real, z.imag)
+    ]
     sums = Sections(LAG)
     sums.add(force_n, force_n)
-    return SharedForce(np.stack(columns, axis=-1).astype(scalar), sums.covariances().force, NO_SAMPLES.extended(force_n, LAG))
+    return SharedForce(
+        np.stack(columns, axis=-1).astype(scalar),
+        sums.covariances().force,
+        NO_SAMPLES.extended(force_n, LAG),
+    )
 
 
 class LaneSections:
@@ -59,26 +77,44 @@ class LaneSections:
     def __init__(self, force: SharedForce, count: int, scalar: type[np.floating[Any]]) -> None:
         from hapticd.analysis import lane_kernels as compiled
 
-        self._force, self._scalar = force, scalar
+        self._force = force
+        self._scalar = scalar
         self._compiled: Any = compiled
         self._lanes = CACHE_LINE // np.dtype(scalar).itemsize
-        self._vectors, self._taken = count // self._lanes, 0
-        self._sums = self._room(self._vectors * compiled.PAIRS * compiled.KEPT).reshape(self._vectors, -1)
-        self._rooms = [self._room(size) for size in (compiled.WORK, compiled.PART, compiled.PART, compiled.PART)]
-        self._tables = [np.ascontiguousarray(table, scalar) for table in (*compiled.twiddles(), _turn())]
+        self._vectors = count // self._lanes
+        self._taken = 0
+        self._sums = self._room(self._vectors * compiled.PAIRS * compiled.KEPT).reshape(
+            self._vectors, -1
+        )
+        self._rooms = [
+            self._room(size)
+            for size in (compiled.WORK, compiled.PART, compiled.PART, compiled.PART)
+        ]
+        self._tables = [
+            np.ascontiguousarray(table, scalar) for table in (*compiled.twiddles(), _turn())
+        ]
         self._order = compiled.pair_order()[0]
         self._found = self._room(3 * self._vectors)
         self._moments = np.zeros((len(force.table), 3, count))
         self._ends: list[Floats] = []  # first section, and the last two, (count, M)
 
     def add(self, samples: Values, place: Integers) -> None:
-        """The next section of all trials. `samples` is flat and begins on 64 bytes; sample t of them is `count` values from
-        place[t] vectors on. After the end of the record it is 0."""
+        """The next section of all trials. `samples` is flat and begins on 64 bytes; sample t of
+        them is `count` values from place[t] vectors on. After the end of the record it is 0.
+        """
         self._compiled.add_section(
-            samples, place, self._sums, self._force.table[self._taken], *self._rooms, *self._tables, self._order
+            samples,
+            place,
+            self._sums,
+            self._force.table[self._taken],
+            *self._rooms,
+            *self._tables,
+            self._order,
         )
         self._compiled.moments(samples, place, self._vectors, self._found)
-        self._moments[self._taken] = self._found.reshape(self._vectors, 3, -1).transpose(1, 0, 2).reshape(3, -1)
+        self._moments[self._taken] = (
+            self._found.reshape(self._vectors, 3, -1).transpose(1, 0, 2).reshape(3, -1)
+        )
         self._taken += 1
         if self._taken == 1 or self._taken >= len(self._force.table) - 1:
             self._ends.append(self._copied(samples, place))
@@ -89,9 +125,13 @@ class LaneSections:
         return self._moments[:, 2]
 
     def spectra(self) -> tuple[Floats, Complexes]:
-        """Of velocity and cross, as `spa` gives them: (count, M + 1) [(m/s)^2] and [N m/s], when all sections are in."""
-        count, u = self._vectors * self._lanes, self._velocity()
-        velocity, cross = np.empty((count, LAG + 1)), np.empty((count, LAG + 1), np.complex128)
+        """Of velocity and cross, as `spa` gives them: (count, M + 1) [(m/s)^2] and [N m/s],
+        when all sections are in.
+        """
+        count = self._vectors * self._lanes
+        u = self._velocity()
+        velocity = np.empty((count, LAG + 1))
+        cross = np.empty((count, LAG + 1), np.complex128)
         for first in range(0, count, self._lanes):  # what fits into the cache
             some = slice(first, first + self._lanes)
             mine = Moments(u.length, u.total[some], u.moment[some], u.head[some], u.tail[some])
@@ -102,12 +142,17 @@ class LaneSections:
         y = self._force.moments
         lags = [np.fft.irfft(z, axis=-1)[:, : LAG + 1] / u.length for z in self._summed(vector)]
         velocity = lags[0] - line_products(u, u, LAG)
-        forward, backward = lags[1] - line_products(y, u, LAG), lags[2] - line_products(u, y, LAG)
+        forward = lags[1] - line_products(y, u, LAG)
+        backward = lags[2] - line_products(u, y, LAG)
         return np.maximum(on_the_grid(velocity, velocity).real, 0.0), on_the_grid(forward, backward)
 
     def _summed(self, vector: int) -> tuple[Complexes, Complexes, Complexes]:
         """The three sums of the module (lanes, M + 1); kernels leave twice every spectrum."""
-        rows = self._sums[vector].reshape(self._compiled.PAIRS, self._compiled.KEPT, self._lanes).transpose(1, 2, 0)
+        rows = (
+            self._sums[vector]
+            .reshape(self._compiled.PAIRS, self._compiled.KEPT, self._lanes)
+            .transpose(1, 2, 0)
+        )
 
         def complete(row: int, other: int, scale: float) -> Complexes:
             found = np.empty((self._lanes, LAG + 1), np.complex128)
@@ -116,15 +161,25 @@ class LaneSections:
             return found
 
         last = complete(12, 14, 0.5)
-        return complete(0, 6, 0.25) + np.abs(last) ** 2, complete(2, 8, 0.5), complete(4, 10, 0.5).conj()
+        return (
+            complete(0, 6, 0.25) + np.abs(last) ** 2,
+            complete(2, 8, 0.5),
+            complete(4, 10, 0.5).conj(),
+        )
 
     def _velocity(self) -> Moments:
-        n, first = self._force.moments.length, LAG * np.arange(len(self._moments), dtype=np.float64)
-        total, moment = self._moments[:, 0], self._moments[:, 1]
+        n = self._force.moments.length
+        first = LAG * np.arange(len(self._moments), dtype=np.float64)
+        total = self._moments[:, 0]
+        moment = self._moments[:, 1]
         last = np.concatenate(self._ends[-2:], axis=1) if len(self._ends) > 1 else self._ends[0]
         rest = n - LAG * (len(self._moments) - 1) + last.shape[1] - LAG
         return Moments(
-            n, total.sum(axis=0), (moment + first[:, None] * total).sum(axis=0), self._ends[0], last[:, max(0, rest - LAG) : rest]
+            n,
+            total.sum(axis=0),
+            (moment + first[:, None] * total).sum(axis=0),
+            self._ends[0],
+            last[:, max(0, rest - LAG) : rest],
         )
 
     def _copied(self, samples: Values, place: Integers) -> Floats:

@@ -1,18 +1,21 @@
-"""How far "spa" reads |Z| low where the velocity has little power: below the resonance of a lightly damped spring.
+"""How far "spa" reads |Z| low where the velocity has little power: below the resonance of a lightly
+damped spring.
 
-There the spring lets through v ~ f / K, so the velocity's spectrum is steep, and small beside that of the resonance. Two
-things fill it up, and Z = Phi_yu / Phi_u shrinks as they do:
+There the spring lets through v ~ f / K, so the velocity's spectrum is steep, and small beside that
+of the resonance. Two things fill it up, and Z = Phi_yu / Phi_u shrinks as they do:
 
     window      covariances at lag t are multiplied by W(t): the spectrum is smoothed, and |Z| of a spring shrinks by
                 s^2 / (f^2 + s^2), 5 % at 3 Hz for M = 2048
     record      those of a record of N samples are multiplied by 1 - |t|/N as well: a sharp resonance leaks down to the band
                 edge, whatever the window
 
-What they did once is seen by doing it once more (twicing, Tukey 1977), which is a product with the covariances. The phase is
-pulled towards 0 as well, and can hide a little activity. A longer window cures the first, a longer record the second, whole
-periods (`periodic`) both; "h_force" leaves Phi_u out, which is what is filled up.
+What they did once is seen by doing it once more (twicing, Tukey 1977), which is a product with the
+covariances. The phase is pulled towards 0 as well, and can hide a little activity. A longer window
+cures the first, a longer record the second, whole periods (`periodic`) both; "h_force" leaves Phi_u
+out, which is what is filled up.
 
-What would break it: spectra that are not on the window's own grid, which do not hold the covariances (nothing is said).
+What would break it: spectra that are not on the window's own grid, which do not hold the
+covariances (nothing is said).
 """
 
 import numpy as np
@@ -28,7 +31,9 @@ CERTAINTY = 3.0  # standard deviations of |Z|
 
 
 def shrinkage(trial: Spectra, estimator: Estimator = "spa") -> Complexes:
-    """What window and ends of the record did to Z, as the factor (F,) by which doing it again changes it; 1 if it is unknown."""
+    """What window and ends of the record did to Z, as the factor (F,) by which doing it again
+    changes it; 1 if it is unknown.
+    """
     if trial.frequency_hz.size != trial.lag + 1 or trial.exact:
         return np.ones(trial.frequency_hz.size, np.complex128)
     rows = np.stack((trial.velocity + 0j, trial.force + 0j, trial.cross))
@@ -48,22 +53,29 @@ def shrinkage(trial: Spectra, estimator: Estimator = "spa") -> Complexes:
     return np.asarray(np.divide(changed, z, out=np.ones_like(z), where=np.isfinite(z) & (z != 0.0)))
 
 
-def leakage_findings(trial: Spectra, band_hz: tuple[float, float], estimator: Estimator = "spa") -> tuple[Finding, ...]:
+def leakage_findings(
+    trial: Spectra, band_hz: tuple[float, float], estimator: Estimator = "spa"
+) -> tuple[Finding, ...]:
     """|Z| that is read low inside `band_hz` by more than a twentieth, and more than chance does, named with its range.
 
     Where there is little coherence, that is what is named (`unexplained`).
     """
     inside = (trial.frequency_hz >= band_hz[0]) & (trial.frequency_hz <= band_hz[1])
     factor = shrinkage(trial, estimator)[inside]
-    low, spread = 1.0 - np.abs(factor), impedance(trial, estimator).relative_sd[inside]
-    named = (low > LOW_SHARE) & (low > CERTAINTY * spread) & (trial.coherence[inside] > LOW_COHERENCE)
+    low = 1.0 - np.abs(factor)
+    spread = impedance(trial, estimator).relative_sd[inside]
+    named = (
+        (low > LOW_SHARE) & (low > CERTAINTY * spread) & (trial.coherence[inside] > LOW_COHERENCE)
+    )
     if not named.any():
         return ()
-    f, worst = trial.frequency_hz[inside], int(np.argmax(np.where(named, low, 0.0)))
+    f = trial.frequency_hz[inside]
+    worst = int(np.argmax(np.where(named, low, 0.0)))
     message = (
-        f"leakage: |Z| reads about {100 * low[worst]:.2g} % low at {f[worst]:.3g} Hz and the phase is pulled "
-        f"{abs(np.degrees(np.angle(factor[worst]))):.2g} deg towards 0, from {f[named][0]:.3g} to {f[named][-1]:.3g} Hz more than "
-        f"{100 * LOW_SHARE:g} %: a window of {trial.lag} samples does not resolve so lightly damped a motion; take a longer window "
-        "(--lag), h_force, a multisine, or begin the band higher"
+        f"leakage: |Z| reads about {100 * low[worst]:.2g} % low at {f[worst]:.3g} Hz and the phase"
+        f" is pulled {abs(np.degrees(np.angle(factor[worst]))):.2g} deg towards 0, from"
+        f" {f[named][0]:.3g} to {f[named][-1]:.3g} Hz more than {100 * LOW_SHARE:g} %: a window of"
+        f" {trial.lag} samples does not resolve so lightly damped a motion; take a longer window"
+        " (--lag), h_force, a multisine, or begin the band higher"
     )
     return (Finding("leakage", message),)

@@ -1,19 +1,23 @@
-"""Colgate and Schenkel's requirement for a composed device: flexible, smoothed, damped by a circuit, encoder not on the motor.
+"""Colgate and Schenkel's requirement for a composed device: flexible, smoothed, damped by a
+circuit, encoder not on the motor.
 
-At each wT the impedance at the probe between the harmonics w_k = w + 2 pi k / T is a diagonal and one product
+At each wT the impedance at the probe between the harmonics w_k = w + 2 pi k / T is a diagonal and
+one product
 
     Z = diag(1 / P_vt) + C / (1 + C (G - E)) h q,   h_k = P_vF H0 / P_vt,  q_l = P_xt / P_vt,  E = sum h_k P_xt(w_k)
 
-(Sherman and Morrison on the admittance of `loop`, all harmonics kept; for a rigid device E = G). With r_k = Re 1/P_vt the
-Hermitian part of Z - x is positive exactly where
+(Sherman and Morrison on the admittance of `loop`, all harmonics kept; for a rigid device E = G).
+With r_k = Re 1/P_vt the Hermitian part of Z - x is positive exactly where
 
     1 + ( Re(c p) - sqrt(|c|^2 a b - Im(c p)^2) ) / 2 >= 0,   a = sum |h|^2/(r - x), b = sum |q|^2/(r - x), p = sum q h/(r - x)
 
-and the largest such x < min r is the damping that the device has to spare: what safety decides on. It has no friction in it
-and holds for every input, a multisine that drives f and 1/T - f together included. Harmonics beyond `_IMAGES` fall off as
-1/w_k^2 at least; their sum in closed form, scaled to the last one, stands for them.
+and the largest such x < min r is the damping that the device has to spare: what safety decides on.
+It has no friction in it and holds for every input, a multisine that drives f and 1/T - f together
+included. Harmonics beyond `_IMAGES` fall off as 1/w_k^2 at least; their sum in closed form, scaled
+to the last one, stands for them.
 
-What would break it: an unstable loop (see `closed`), or r_k < 0 by the device itself, which then has nothing to spare.
+What would break it: an unstable loop (see `closed`), or r_k < 0 by the device itself, which then
+has nothing to spare.
 """
 
 from dataclasses import dataclass
@@ -22,7 +26,14 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.analysis.arrays import Complexes, Flags, Floats
-from hapticd.analysis.loop import PAPER_FILTERS, Filters, derivatives, held, pulse_transfer, responses
+from hapticd.analysis.loop import (
+    PAPER_FILTERS,
+    Filters,
+    derivatives,
+    held,
+    pulse_transfer,
+    responses,
+)
 from hapticd.analysis.predict import environments
 from hapticd.plant.model import Model
 
@@ -34,8 +45,10 @@ _CLOSEST = 1e-9  # N s/m to the limit that the device's own damping sets
 
 @dataclass(frozen=True, eq=False)
 class Lift:
-    """A device seen at all harmonics, A angles and H harmonics: `law` (3, A) of K, B, M; `inner` (A,) G - E;
-    `resistance` (A, H) r_k; `out`, `back`, `both` (A, H) the weights |h|^2, |q|^2 and q h of the sums."""
+    """A device seen at all harmonics, A angles and H harmonics: `law` (3, A) of K, B, M; `inner`
+    (A,) G - E; `resistance` (A, H) r_k; `out`, `back`, `both` (A, H) the weights |h|^2, |q|^2 and q
+    h of the sums.
+    """
 
     law: Complexes
     inner: Complexes
@@ -46,10 +59,14 @@ class Lift:
 
 
 def lift(model: Model, damping_ns_per_m: float = 0.0, filters: Filters = PAPER_FILTERS) -> Lift:
-    """`model` at that damping level, without Coulomb friction, with velocity and acceleration filter."""
-    images, rate_hz = np.arange(-_IMAGES, _IMAGES + 1), model.rate_hz
+    """`model` at that damping level, without Coulomb friction, with velocity and acceleration
+    filter.
+    """
+    images = np.arange(-_IMAGES, _IMAGES + 1)
+    rate_hz = model.rate_hz
     f = (ANGLES[:, None] / (2.0 * np.pi) + images) * rate_hz
-    turn, shape = np.exp(1j * ANGLES), f.shape
+    turn = np.exp(1j * ANGLES)
+    shape = f.shape
     p = responses(model, f.ravel(), damping_ns_per_m)
     own = p.velocity[0, 1].reshape(shape)
     out = (p.velocity[0, 0] * held(f.ravel(), rate_hz, model.delay_periods)).reshape(shape) / own
@@ -72,7 +89,8 @@ def lift(model: Model, damping_ns_per_m: float = 0.0, filters: Filters = PAPER_F
 
 
 def lifted_margin(lifted: Lift, points: npt.ArrayLike) -> Floats:
-    """Damping [N s/m] (N,) that the device has to spare at the probe under `points` (N, 3); negative: that it is short of.
+    """Damping [N s/m] (N,) that the device has to spare at the probe under `points` (N, 3);
+    negative: that it is short of.
 
     For a rigid device: its damping minus `requirement.required_damping`.
     """
@@ -80,7 +98,8 @@ def lifted_margin(lifted: Lift, points: npt.ArrayLike) -> Floats:
 
 
 def lifted_passive(lifted: Lift, points: npt.ArrayLike) -> Flags:
-    """Whether there is damping to spare (N,), for maps: one look instead of forty per environment. The loop must be stable.
+    """Whether there is damping to spare (N,), for maps: one look instead of forty per environment.
+    The loop must be stable.
 
     Never with K < 0, which is active below all angles that are looked at.
     """
@@ -97,14 +116,25 @@ def _gains(lifted: Lift, points: npt.ArrayLike) -> Complexes:
 
 def _positive(lifted: Lift, gain: Complexes, spare: float) -> bool:
     share = 1.0 / np.maximum(lifted.resistance - spare, _CLOSEST)
-    out, back, both = ((weights * share).sum(axis=1) for weights in (lifted.out, lifted.back, lifted.both))
+    out, back, both = (
+        (weights * share).sum(axis=1) for weights in (lifted.out, lifted.back, lifted.both)
+    )
     cp = gain * both
-    return bool(np.all(2.0 + cp.real - np.sqrt(np.maximum(np.abs(gain) ** 2 * out * back - cp.imag**2, 0.0)) >= 0.0))
+    return bool(
+        np.all(
+            2.0 + cp.real - np.sqrt(np.maximum(np.abs(gain) ** 2 * out * back - cp.imag**2, 0.0))
+            >= 0.0
+        )
+    )
 
 
 def _spare(lifted: Lift, gain: Complexes) -> float:
     high = float(lifted.resistance.min())
-    low = high - float(np.max(np.abs(gain) * np.sqrt(lifted.out.sum(axis=1) * lifted.back.sum(axis=1)))) - 1e-9
+    low = (
+        high
+        - float(np.max(np.abs(gain) * np.sqrt(lifted.out.sum(axis=1) * lifted.back.sum(axis=1))))
+        - 1e-9
+    )
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         if _positive(lifted, gain, middle):
@@ -115,12 +145,16 @@ def _spare(lifted: Lift, gain: Complexes) -> float:
 
 
 def _beyond(angles: Floats, delay_periods: float) -> tuple[Floats, Complexes]:
-    """Sums of 1/(w_k T)^2 and e^(-j w_k d T)/(w_k T)^2 over the harmonics beyond those of `angles` (A, H) = w_k T."""
+    """Sums of 1/(w_k T)^2 and e^(-j w_k d T)/(w_k T)^2 over the harmonics beyond those of
+    `angles` (A, H) = w_k T.
+    """
     whole, part = divmod(delay_periods, 1.0)
     total = (0.5 / np.sin(0.5 * ANGLES)) ** 2
     turn: Complexes = np.exp(-1j * ANGLES)
     late: Complexes = total * turn**whole * ((1.0 - part) + part * turn)
-    return total - (1.0 / angles**2).sum(axis=1), late - (np.exp(-1j * angles * delay_periods) / angles**2).sum(axis=1)
+    return total - (1.0 / angles**2).sum(axis=1), late - (
+        np.exp(-1j * angles * delay_periods) / angles**2
+    ).sum(axis=1)
 
 
 def _last(weights: npt.NDArray[np.inexact], f: Floats, rate_hz: float) -> "npt.NDArray[np.inexact]":

@@ -1,17 +1,22 @@
-"""Coulomb friction as the damper that takes the same power from a random motion: statistical linearisation.
+"""Coulomb friction as the damper that takes the same power from a random motion: statistical
+linearisation.
 
-For a Gaussian velocity of standard deviation s the force -Fc sign(v) has the gain sqrt(2/pi) Fc / s (Booton 1953); what is
-left of it, (1 - 2/pi) Fc^2, is noise. The device decides s itself: with a perturbation of one-sided density S
+For a Gaussian velocity of standard deviation s the force -Fc sign(v) has the gain sqrt(2/pi) Fc / s
+(Booton 1953); what is left of it, (1 - 2/pi) Fc^2, is noise. The device decides s itself: with a
+perturbation of one-sided density S
 
     b s(b) = sqrt(2/pi) Fc,     s(b)^2 = integral of S |Y / (1 + b Y)|^2 df
 
-so friction counts for more the less the device moves, and a limit is a limit at a stated perturbation. Only Fc^2 / S enters.
-Where two bodies rub, each in turn is given the damper that fits, until both do.
+so friction counts for more the less the device moves, and a limit is a limit at a stated
+perturbation. Only Fc^2 / S enters. Where two bodies rub, each in turn is given the damper that
+fits, until both do.
 
-A loop that is active without friction has a second solution: moving so fast that friction no longer holds it, it runs away.
-The calm one counts only where bursts of up to three times its motion would die out; a 90 s trial brings such bursts.
+A loop that is active without friction has a second solution: moving so fast that friction no longer
+holds it, it runs away. The calm one counts only where bursts of up to three times its motion would
+die out; a 90 s trial brings such bursts.
 
-What would break it: a perturbation that hardly gets the device moving, when the velocity is far from Gaussian.
+What would break it: a perturbation that hardly gets the device moving, when the velocity is far
+from Gaussian.
 """
 
 from dataclasses import dataclass
@@ -23,7 +28,9 @@ from hapticd.analysis.loop import Loop
 
 GAIN = float(np.sqrt(2.0 / np.pi))
 BURSTS = (1.2, 1.5, 2.0, 2.5, 3.0)
-_LEAST, _MOST = 1e-4, 1e4  # N s/m; a body that sticks stays at the most, one that runs away ends at the least
+# N s/m; a body that sticks stays at the most, one that runs away ends at the least
+_LEAST = 1e-4
+_MOST = 1e4
 _ROUNDS_OF_ONE = 40  # each halves the error of a free mass
 _BEND = 16.0 / 3.0 - 1.5 * np.pi  # p'(1) = -1/3
 _OPPOSITE = 1e-12  # (1 + cos theta) / 2 where Z + b passes through 0
@@ -32,7 +39,9 @@ _ROUNDS = 8  # between two bodies
 
 @dataclass(frozen=True, slots=True)
 class Perturbation:
-    """White force of one-sided density `psd_n2_per_hz` up to `band_hz`; the default is that of the calibrated device."""
+    """White force of one-sided density `psd_n2_per_hz` up to `band_hz`; the default is that of
+    the calibrated device.
+    """
 
     psd_n2_per_hz: float = 2.5e-5
     band_hz: float = 1700.0
@@ -40,7 +49,8 @@ class Perturbation:
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """`impedance` (N, F) complex128 at the port, `friction` (ports, N) the dampers [N s/m], `velocity_sd` (N,) of the port [m/s].
+    """`impedance` (N, F) complex128 at the port, `friction` (ports, N) the dampers [N s/m],
+    `velocity_sd` (N,) of the port [m/s].
 
     `calm` (N,): a burst of motion dies out.
     """
@@ -51,16 +61,28 @@ class Linearised:
     calm: Flags
 
 
-def linearise(loop: Loop, points: Floats, coulomb_n: Floats, start: Floats, perturbation: Perturbation | None) -> Linearised:
-    """Z of `loop` under the environments `points` (N, 3) with friction `coulomb_n` (ports,) at that perturbation.
+def linearise(
+    loop: Loop, points: Floats, coulomb_n: Floats, start: Floats, perturbation: Perturbation | None
+) -> Linearised:
+    """Z of `loop` under the environments `points` (N, 3) with friction `coulomb_n` (ports,) at that
+    perturbation.
 
-    `start` (ports,): dampers that the loop's model already has on its bodies; they are taken off where friction is less.
-    Without a perturbation the friction is left out, and the velocity's deviation is unknown (nan).
+    `start` (ports,): dampers that the loop's model already has on its bodies; they are taken off
+    where friction is less. Without a perturbation the friction is left out, and the velocity's
+    deviation is unknown (nan).
     """
     y = port_admittance(loop, points)
-    weight = np.zeros(loop.frequency_hz.size) if perturbation is None else density_weights(loop.frequency_hz, perturbation)
+    weight = (
+        np.zeros(loop.frequency_hz.size)
+        if perturbation is None
+        else density_weights(loop.frequency_hz, perturbation)
+    )
     level = np.repeat(start[:, None], len(points), axis=1)
-    rubbing = [] if perturbation is None else [port for port, force in enumerate(coulomb_n) if force > 0.0]
+    rubbing = (
+        []
+        if perturbation is None
+        else [port for port, force in enumerate(coulomb_n) if force > 0.0]
+    )
     for _ in range(_ROUNDS if len(rubbing) > 1 else 1):
         for port in rubbing:
             alone = _alone(y, level, start, port)
@@ -83,7 +105,9 @@ def recorded_impedance(loop: Loop, points: Floats, impedance: Complexes) -> Comp
     return np.asarray(impedance * product(kbm, loop.admittance[0, 0]) / product(kbm, loop.recorded))
 
 
-def impedance_each(loop: Loop, line: Integers, points: Floats, dampers: Floats, recorded: bool) -> Complexes:
+def impedance_each(
+    loop: Loop, line: Integers, points: Floats, dampers: Floats, recorded: bool
+) -> Complexes:
     """Z (N,) of environments `points` (N, 3), each at its own `line` (N,) of `loop`, with `dampers`
     (ports, N) hung on its ports; `recorded` as in `recorded_impedance`."""
     kbm = np.column_stack((np.ones(len(points)), points)).T
@@ -97,7 +121,9 @@ def port_admittance(loop: Loop, points: Floats) -> Complexes:
     """Y_ab (ports, ports, N, F) of the closed loop, without anything hung on the ports."""
     kbm = np.column_stack((np.ones(len(points)), points))
     common = 1.0 / product(kbm, loop.common)
-    return np.stack([np.stack([product(kbm, pair) * common for pair in row]) for row in loop.admittance])
+    return np.stack(
+        [np.stack([product(kbm, pair) * common for pair in row]) for row in loop.admittance]
+    )
 
 
 def product(weights: Floats, basis: Complexes) -> Complexes:
@@ -116,7 +142,9 @@ def hung(y: Complexes, dampers: Floats, skip: int = -1) -> Complexes:
 
 @dataclass(frozen=True, eq=False)
 class Alone:
-    """A port to which a damper is added: |Y_i0|^2 and Y_ii in parts, (N, F), with `start` N s/m on it already."""
+    """A port to which a damper is added: |Y_i0|^2 and Y_ii in parts, (N, F), with `start` N s/m
+    on it already.
+    """
 
     drive: Floats
     real: Floats
@@ -133,9 +161,10 @@ class Alone:
 class Moving:
     """The same port moving more, with less friction: its resonance may be narrower than the grid.
 
-    A sum over lines would then see the peak or step over it, and sets would end in teeth. Between two
-    lines Z + b runs straight from a to a', and the integral of 1/|Z + b|^2 is theta / (|a| |a'| sin theta)
-    of the distance, theta the angle between them: p(q) / q with q = cos(theta / 2), p to 0.4 %.
+    A sum over lines would then see the peak or step over it, and sets would end in teeth. Between
+    two lines Z + b runs straight from a to a', and the integral of 1/|Z + b|^2 is theta / (|a| |a'|
+    sin theta) of the distance, theta the angle between them: p(q) / q with q = cos(theta / 2), p to
+    0.4 %.
     """
 
     def __init__(self, frequency_hz: Floats, alone: Alone, weight: Floats) -> None:
@@ -146,7 +175,9 @@ class Moving:
         share = alone.drive / size
         density = np.minimum(weight[1:], weight[:-1]) > 0.0
         per_hz = float(np.max(weight / np.gradient(frequency_hz)))
-        self._share = 0.5 * (share[:, 1:] + share[:, :-1]) * (per_hz * density * np.diff(frequency_hz))
+        self._share = (
+            0.5 * (share[:, 1:] + share[:, :-1]) * (per_hz * density * np.diff(frequency_hz))
+        )
 
     def sd(self, damper: Floats) -> Floats:
         """Standard deviation (N,) of the port's velocity with a damper (N,) on it."""
@@ -167,9 +198,10 @@ def _straight(q: Floats) -> Floats:
 def fitting_damper(alone: Alone, gain_n: float, weight: Floats) -> Floats:
     """b (N,) with b s(b) = `gain_n`.
 
-    Iterated from rest, b <- g / s(b), downwards only: the damper of a body that hardly moves is too strong, lets go, and stays at
-    the strongest one that fits. That is the calm solution, where a loop that is active without friction has several. If
-    there is none, b falls past the value at which the loop begins to oscillate, and Re Z < 0 there says so.
+    Iterated from rest, b <- g / s(b), downwards only: the damper of a body that hardly moves is too
+    strong, lets go, and stays at the strongest one that fits. That is the calm solution, where a
+    loop that is active without friction has several. If there is none, b falls past the value at
+    which the loop begins to oscillate, and Re Z < 0 there says so.
     """
     b = np.full(len(alone.drive), _MOST)
     for _ in range(_ROUNDS_OF_ONE):
@@ -180,7 +212,8 @@ def fitting_damper(alone: Alone, gain_n: float, weight: Floats) -> Floats:
 def _alone(y: Complexes, level: Floats, start: Floats, port: int) -> Alone:
     """`port` of `y` with the dampers of the others changed from `start` to `level`."""
     others = hung(y, level - start[:, None], skip=port)
-    through, own = others[port, 0], others[port, port]
+    through = others[port, 0]
+    own = others[port, port]
     return Alone(through.real**2 + through.imag**2, own.real, own.imag, float(start[port]))
 
 

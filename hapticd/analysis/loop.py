@@ -1,22 +1,25 @@
 """The sampled loop as seen from the probe: its first harmonic, exactly, and its closed-loop matrix.
 
-The port is where torque and velocity of the rotor are. With the device's responses P(jw) from torque t and command F to the
-velocity v and to the encoder x, the hold H0 = (1 - e^(-jwT))/(jwT) e^(-jwdT), the pulse transfer G(z) of hold, delay and P_xF
-(exact, the fraction of a tick included) and the law C = K + B H_v(z) + M H_a(z) at z = e^(jwT):
+The port is where torque and velocity of the rotor are. With the device's responses P(jw) from
+torque t and command F to the velocity v and to the encoder x, the hold H0 = (1 - e^(-jwT))/(jwT)
+e^(-jwdT), the pulse transfer G(z) of hold, delay and P_xF (exact, the fraction of a tick included)
+and the law C = K + B H_v(z) + M H_a(z) at z = e^(jwT):
 
     Y = P_vt - P_vF H0 C P_xt / (1 + G C) = (P_vt + (G P_vt - P_vF H0 P_xt) C) / (1 + G C)
 
-Numerator and denominator are affine in (K, B, M), so a map of thousands of environments is two matrix products. White noise
-sees this first harmonic: images of the torque at f + k/T are uncorrelated with it, and the mass leaves less than 1e-4 of them.
+Numerator and denominator are affine in (K, B, M), so a map of thousands of environments is two
+matrix products. White noise sees this first harmonic: images of the torque at f + k/T are
+uncorrelated with it, and the mass leaves less than 1e-4 of them.
 
-Bodies with friction get a port of their own, so that a damper can be hung on them afterwards (`friction`).
+Bodies with friction get a port of their own, so that a damper can be hung on them afterwards
+(`friction`).
 
-The board's record is another port. Its torque is held, and its velocity averaged, over intervals
-h = 1/4 kHz, so P_vt becomes the exact transfer at e^(j2 pi f h) from held torque to mean velocity,
-images of the hold included. They are no detail: a mass reads (2m/h) tan(pi f h), which 1/sinc(f h)^2
-alone misses by 0.17 % at 500 Hz and 3.2 % at 1 kHz, many times the error of a quiet trial. The way
-through the law (P_vF H0 P_xt) keeps its first harmonic, times sinc(f h)^2: it falls off with the
-fourth power of the frequency, and its images are below 5e-5 of Z up to 500 Hz.
+The board's record is another port. Its torque is held, and its velocity averaged, over intervals h
+= 1/4 kHz, so P_vt becomes the exact transfer at e^(j2 pi f h) from held torque to mean velocity,
+images of the hold included. They are no detail: a mass reads (2m/h) tan(pi f h), which 1/sinc(f
+h)^2 alone misses by 0.17 % at 500 Hz and 3.2 % at 1 kHz, many times the error of a quiet trial. The
+way through the law (P_vF H0 P_xt) keeps its first harmonic, times sinc(f h)^2: it falls off with
+the fourth power of the frequency, and its images are below 5e-5 of Z up to 500 Hz.
 
 What would break it: a quantiser or a limit that binds, or a device that is not stable by itself.
 """
@@ -32,7 +35,9 @@ from hapticd.plant.model import Model
 from hapticd.render.filters import Biquad, design
 from hapticd.units import PROBE_RATE_HZ
 
-Filters = tuple[FilterParams | None, FilterParams | None]  # of velocity and acceleration; None: none
+Filters = tuple[
+    FilterParams | None, FilterParams | None
+]  # of velocity and acceleration; None: none
 
 PAPER_FILTERS: Filters = (FilterParams(100.0), FilterParams(72.0))  # Weir 2008, section 2
 NO_FILTER: Biquad = (1.0, 0.0, 0.0, 0.0, 0.0)
@@ -42,9 +47,9 @@ NO_FILTER: Biquad = (1.0, 0.0, 0.0, 0.0, 0.0)
 class Loop:
     """A model at a damping level with its filters, at `frequency_hz` (F,).
 
-    Y_ab of port b to port a is `admittance[a, b]` . (1, K, B, M) over `common` . (1, K, B, M); port 0 is the probe's.
-    admittance (p, p, 4, F), common (4, F) complex128. `recorded` (4, F) is the same for 1/Z of the
-    board's recorded channels.
+    Y_ab of port b to port a is `admittance[a, b]` . (1, K, B, M) over `common` . (1, K, B, M); port
+    0 is the probe's. admittance (p, p, 4, F), common (4, F) complex128. `recorded` (4, F) is the
+    same for 1/Z of the board's recorded channels.
     """
 
     frequency_hz: Floats
@@ -61,8 +66,15 @@ def with_viscous(model: Model, ns_per_m: tuple[float, ...]) -> Model:
     return replace(model, a0=a0)
 
 
-def close_loop(model: Model, frequency_hz: Floats, damping_ns_per_m: float = 0.0, filters: Filters = PAPER_FILTERS) -> Loop:
-    """The loop around `model` at that damping level, with velocity and acceleration filter, at `frequency_hz` (F,) > 0."""
+def close_loop(
+    model: Model,
+    frequency_hz: Floats,
+    damping_ns_per_m: float = 0.0,
+    filters: Filters = PAPER_FILTERS,
+) -> Loop:
+    """The loop around `model` at that damping level, with velocity and acceleration filter, at
+    `frequency_hz` (F,) > 0.
+    """
     f = np.asarray(frequency_hz, np.float64)
     turn = np.exp(2j * np.pi * f / model.rate_hz)
     ports = port_states(model)
@@ -105,12 +117,19 @@ def port_states(model: Model) -> list[int]:
 
 def responses(model: Model, frequency_hz: Floats, damping_ns_per_m: float = 0.0) -> Responses:
     """Continuous responses of the device alone."""
-    ports, outputs, level = port_states(model), model.outputs, damping_ns_per_m
+    ports = port_states(model)
+    outputs = model.outputs
+    level = damping_ns_per_m
     s = 2j * np.pi * frequency_hz
-    columns = [model.inputs.command, model.inputs.torque, *(_force_column(model, state) for state in ports[1:])]
+    columns = [
+        model.inputs.command,
+        model.inputs.torque,
+        *(_force_column(model, state) for state in ports[1:]),
+    ]
     forces = model.b(level)[:, columns]
     state = np.linalg.solve(
-        s[:, None, None] * np.eye(len(forces)) - model.a(level), np.broadcast_to(forces, (s.size, *forces.shape))
+        s[:, None, None] * np.eye(len(forces)) - model.a(level),
+        np.broadcast_to(forces, (s.size, *forces.shape)),
     )
     x = np.moveaxis(state, 0, 2)  # states, inputs, F
     encoder = np.tensordot(outputs.encoder.row(level), x, axes=1)
@@ -120,10 +139,14 @@ def responses(model: Model, frequency_hz: Floats, damping_ns_per_m: float = 0.0)
     return Responses(velocity, np.asarray(encoder, np.complex128), channel)
 
 
-def recorded_channels(model: Model, frequency_hz: Floats, damping_ns_per_m: float = 0.0) -> Complexes:
-    """Recorded torque and recorded mean velocity (2, F) of the device alone, per torque that is held
-    over each 4 kHz interval: exact."""
-    step, outputs = discretise(model, 1.0 / PROBE_RATE_HZ, damping_ns_per_m), model.outputs
+def recorded_channels(
+    model: Model, frequency_hz: Floats, damping_ns_per_m: float = 0.0
+) -> Complexes:
+    """Recorded torque and recorded mean velocity (2, F) of the device alone, per torque that is
+    held over each 4 kHz interval: exact.
+    """
+    step = discretise(model, 1.0 / PROBE_RATE_HZ, damping_ns_per_m)
+    outputs = model.outputs
     turn = np.exp(2j * np.pi * frequency_hz / PROBE_RATE_HZ)
     push = np.broadcast_to(step.b[:, [model.inputs.torque]], (turn.size, len(step.a), 1))
     x = np.linalg.solve(turn[:, None, None] * np.eye(len(step.a)) - step.a, push)[:, :, 0]
@@ -144,8 +167,12 @@ def held(frequency_hz: Floats, rate_hz: float, delay_periods: float) -> Complexe
     return np.asarray(np.sinc(ratio) * np.exp(-2j * np.pi * ratio * (0.5 + delay_periods)))
 
 
-def derivatives(turn: Complexes, rate_hz: float, filters: Filters = PAPER_FILTERS) -> tuple[Complexes, Complexes]:
-    """Velocity and acceleration as the law forms them from a position, at z = `turn` (F,); None leaves a filter out."""
+def derivatives(
+    turn: Complexes, rate_hz: float, filters: Filters = PAPER_FILTERS
+) -> tuple[Complexes, Complexes]:
+    """Velocity and acceleration as the law forms them from a position, at z = `turn` (F,); None
+    leaves a filter out.
+    """
     slope = (1.0 - 1.0 / turn) * rate_hz
     low = [_at(turn, biquad_of(one, rate_hz)) for one in filters]
     return slope * low[0], slope * slope * low[1]
@@ -153,7 +180,11 @@ def derivatives(turn: Complexes, rate_hz: float, filters: Filters = PAPER_FILTER
 
 def biquad_of(one: FilterParams | None, rate_hz: float) -> Biquad:
     """Coefficients of a filter of the law."""
-    return NO_FILTER if one is None else design(one.frequency_hz, one.damping_ratio, one.mapping, rate_hz)
+    return (
+        NO_FILTER
+        if one is None
+        else design(one.frequency_hz, one.damping_ratio, one.mapping, rate_hz)
+    )
 
 
 def _at(turn: Complexes, biquad: Biquad) -> Complexes:
@@ -164,7 +195,9 @@ def _at(turn: Complexes, biquad: Biquad) -> Complexes:
 
 @dataclass(frozen=True, eq=False)
 class Sampled:
-    """The device from tick to tick: x' = a x + new u_(k-steps) + old u_(k-steps-1), encoder row y = row x."""
+    """The device from tick to tick: x' = a x + new u_(k-steps) + old u_(k-steps-1), encoder row
+    y = row x.
+    """
 
     a: Floats
     new: Floats
@@ -185,6 +218,9 @@ def pulse_transfer(model: Model, turn: Complexes, damping_ns_per_m: float = 0.0)
     """G(z) from command to encoder at z = `turn` (F,)."""
     device = sampled(model, damping_ns_per_m)
     late = np.stack((device.new, device.old), axis=1)
-    x = np.linalg.solve(turn[:, None, None] * np.eye(len(late)) - device.a, np.broadcast_to(late, (turn.size, *late.shape)))
+    x = np.linalg.solve(
+        turn[:, None, None] * np.eye(len(late)) - device.a,
+        np.broadcast_to(late, (turn.size, *late.shape)),
+    )
     new, old = (device.row @ x).T
     return np.asarray((new + old / turn) * turn ** (-device.steps))

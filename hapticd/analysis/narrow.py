@@ -1,21 +1,23 @@
 """What stands between the lines of a grid: narrow dips of Re Z, sought at the poles of the loop.
 
-With G the pulse transfer of the command, C the law, E the part of G that passes through the probe at w,
-and h, q what a command does to the probe and the probe to the encoder (see `lifted`),
+With G the pulse transfer of the command, C the law, E the part of G that passes through the probe
+at w, and h, q what a command does to the probe and the probe to the encoder (see `lifted`),
 
     Z = 1/P_vt + C h q / (1 + C (G - E))
 
-is sharp only near its poles: the modes of the device with its probe held still (zeros of P_vt) and the
-aliases of its free modes (poles of G), both moved by the law. Steps of 6 % miss a mode of 1 %: +0.38 is
-read where Re Z falls to -0.93 N s/m over 8 Hz. So
+is sharp only near its poles: the modes of the device with its probe held still (zeros of P_vt) and
+the aliases of its free modes (poles of G), both moved by the law. Steps of 6 % miss a mode of 1 %:
++0.38 is read where Re Z falls to -0.93 N s/m over 8 Hz. So
 
-1. `mode_lines` adds a few lines around each mode that is narrower than the grid, for all environments;
-2. `bottom` reads Z between three neighbouring lines as (a + b x) / (1 + c x), exact for one pole on a
-   constant; the least real part of that is known in closed form. Where it is below the least so far, Z
-   is computed, of that environment alone, and the dip followed. Only computed values count.
+1. `mode_lines` adds a few lines around each mode that is narrower than the grid, for all
+environments; 2. `bottom` reads Z between three neighbouring lines as (a + b x) / (1 + c x), exact
+for one pole on a
+   constant; the least real part of that is known in closed form. Where it is below the least so
+   far, Z is computed, of that environment alone, and the dip followed. Only computed values count.
 
-What would break it: two modes within one step that are narrower than it, or a law that moves a mode by
-many of its widths without damping it, away from the lines, so that it hardly shows on any of them.
+What would break it: two modes within one step that are narrower than it, or a law that moves a mode
+by many of its widths without damping it, away from the lines, so that it hardly shows on any of
+them.
 """
 
 from collections.abc import Callable
@@ -39,7 +41,9 @@ _WORTH_NS_PER_M = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class Bottom:
-    """Least Re Z [N s/m], least 90 - |phase| [deg] and the frequency [Hz] of the former, all (N,)."""
+    """Least Re Z [N s/m], least 90 - |phase| [deg] and the frequency [Hz] of the former, all
+    (N,).
+    """
 
     margin: Floats
     angle: Floats
@@ -47,9 +51,12 @@ class Bottom:
 
 
 def mode_lines(model: Model, damping_ns_per_m: float, grid_hz: Floats) -> Floats:
-    """Frequencies (L,) around the modes of `model` that are narrower than a step of `grid_hz` (F,)."""
+    """Frequencies (L,) around the modes of `model` that are narrower than a step of `grid_hz`
+    (F,).
+    """
     poles = _poles(model, damping_ns_per_m, float(grid_hz[-1]))
-    centre, half = np.abs(poles.imag) / (2.0 * np.pi), np.abs(poles.real) / (2.0 * np.pi)
+    centre = np.abs(poles.imag) / (2.0 * np.pi)
+    half = np.abs(poles.real) / (2.0 * np.pi)
     place = np.clip(np.searchsorted(grid_hz, centre), 1, grid_hz.size - 1)
     step = grid_hz[place] - grid_hz[place - 1]
     narrow = (centre > grid_hz[0]) & (centre < grid_hz[-1]) & (half < step)
@@ -60,8 +67,11 @@ def mode_lines(model: Model, damping_ns_per_m: float, grid_hz: Floats) -> Floats
 
 def _poles(model: Model, damping_ns_per_m: float, top_hz: float) -> Complexes:
     """Of the device with its probe held, and of the free one with its aliases up to `top_hz`."""
-    a, rotor = model.a(damping_ns_per_m), port_states(model)[0]
-    free, still = (np.linalg.eigvals(one) for one in (a, np.delete(np.delete(a, rotor, 0), rotor, 1)))
+    a = model.a(damping_ns_per_m)
+    rotor = port_states(model)[0]
+    free, still = (
+        np.linalg.eigvals(one) for one in (a, np.delete(np.delete(a, rotor, 0), rotor, 1))
+    )
     reach = int((np.abs(free.imag).max() / (2.0 * np.pi) + top_hz) / model.rate_hz) + 1
     turns = 2j * np.pi * model.rate_hz * np.arange(-reach, reach + 1)
     return np.concatenate((still, (free[:, None] + turns).ravel()))
@@ -78,7 +88,9 @@ def bottom(frequency_hz: Floats, z: Complexes, at: At) -> Bottom:
 
 
 def _follow(found: Bottom, f: Floats, z: Complexes, at: At) -> None:
-    """Lower `found` where a dip is expected between lines: the deepest first, others while deeper."""
+    """Lower `found` where a dip is expected between lines: the deepest first, others while
+    deeper.
+    """
     three = np.stack((f[:-2], f[1:-1], f[2:]))
     _, expected = dip(three, np.stack((z[:, :-2], z[:, 1:-1], z[:, 2:])))
     for _ in range(_DIPS):
@@ -93,17 +105,24 @@ def _follow(found: Bottom, f: Floats, z: Complexes, at: At) -> None:
 
 
 def _worth(margin: Floats) -> Floats:
-    """By how much (N,) a dip must be lower to be followed; by nothing where it would change the sign."""
+    """By how much (N,) a dip must be lower to be followed; by nothing where it would change the
+    sign.
+    """
     least = np.maximum(_WORTH_NS_PER_M, _WORTH * np.abs(margin))
     return np.where(margin > 0.0, np.minimum(least, margin), least)
 
 
 def _descend(found: Bottom, which: Integers, f: Floats, z: Complexes, at: At) -> None:
-    """Compute the dips of environments `which` (n,) between lines `f` (n, 3), and once more inside."""
+    """Compute the dips of environments `which` (n,) between lines `f` (n, 3), and once more
+    inside.
+    """
     for _ in range(_ROUNDS):
         x, _ = dip(f.T, z.T)
         going = np.isfinite(x) & ~(f == x[:, None]).any(axis=1)
-        which, x, f, z = which[going], x[going], f[going], z[going]
+        which = which[going]
+        x = x[going]
+        f = f[going]
+        z = z[going]
         computed = at(which, x)
         _lower(found, which, x, computed)
         f, z = _around(f, z, x, computed)
@@ -118,9 +137,11 @@ def _lower(found: Bottom, which: Integers, hz: Floats, z: Complexes) -> None:
 
 def _around(three: Floats, values: Complexes, x: Floats, z: Complexes) -> tuple[Floats, Complexes]:
     """The lowest of four lines with its neighbours, (n, 3)."""
-    f, all_z = np.column_stack((three, x)), np.column_stack((values, z))
+    f = np.column_stack((three, x))
+    all_z = np.column_stack((values, z))
     order = np.argsort(f, axis=1)
-    f, all_z = np.take_along_axis(f, order, 1), np.take_along_axis(all_z, order, 1)
+    f = np.take_along_axis(f, order, 1)
+    all_z = np.take_along_axis(all_z, order, 1)
     first = np.clip(np.argmin(all_z.real, axis=1), 1, 2)[:, None] - 1 + np.arange(3)
     return np.take_along_axis(f, first, 1), np.take_along_axis(all_z, first, 1)
 
@@ -128,12 +149,15 @@ def _around(three: Floats, values: Complexes, x: Floats, z: Complexes) -> tuple[
 def dip(f: Floats, z: Complexes) -> tuple[Floats, Floats]:
     """Where [Hz] the real part of the one pole through three values is least, and that least value.
 
-    `f` (3, ...), ascending, and `z` (3, ...); inf and inf where it is not between the outer two. From the
-    middle one, Z = e + w / (d + x): the pole is at x = -d, and the real part of w / (d + x) is least,
-    (s Im w - |w|) / (2 |Im d|) with s the sign of Im d: a line becomes a circle through 0.
+    `f` (3, ...), ascending, and `z` (3, ...); inf and inf where it is not between the outer two.
+    From the middle one, Z = e + w / (d + x): the pole is at x = -d, and the real part of w / (d +
+    x) is least, (s Im w - |w|) / (2 |Im d|) with s the sign of Im d: a line becomes a circle
+    through 0.
     """
-    below, above = f[1] - f[0], f[2] - f[1]
-    before, after = (z[1] - z[0]) / below, (z[2] - z[1]) / above
+    below = f[1] - f[0]
+    above = f[2] - f[1]
+    before = (z[1] - z[0]) / below
+    after = (z[2] - z[1]) / above
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         d = (z[2] - z[0]) / (before - after)
         part = -after * (above + d)

@@ -1,15 +1,18 @@
-"""One environment before any trial: what the theorem, the tick's eigenvalues, the prediction and hands say.
+"""One environment before any trial: what the theorem, the tick's eigenvalues, the prediction and
+hands say.
 
     radius       of the exact tick, friction left out: at 1 and above the display moves by itself
     theorem      damping to spare at every image, for every input, friction left out (`lifted`)
     prediction   least Re Z at a stated perturbation, Coulomb friction linearised there (`predict`)
     hand         without friction, a passive hand in which the loop grows (`coupled`), tried by its tick
 
-The theorem is about all inputs and large motions, the prediction about what a trial of that amplitude
-shows: between them they differ where friction carries a display, or images do not show in noise.
+The theorem is about all inputs and large motions, the prediction about what a trial of that
+amplitude shows: between them they differ where friction carries a display, or images do not show in
+noise.
 
-What would break it: K < 0. It is active below every band that is looked at, so Re Z >= 0 says nothing,
-and the loop may be unstable with Re Z > 0 all over the band; it is refused whatever the numbers are.
+What would break it: K < 0. It is active below every band that is looked at, so Re Z >= 0 says
+nothing, and the loop may be unstable with Re Z > 0 all over the band; it is refused whatever the
+numbers are.
 """
 
 from dataclasses import dataclass
@@ -43,8 +46,9 @@ class Outlook:
     """Of one environment. Margins in N s/m, `period_s` of a tick.
 
     `theorem_passive` needs stability as well; `withstands`: no passive hand brings it to oscillate.
-    `shaker` is None where it withstands, is unstable by itself, or no hand could be built. `true` and
-    `recorded` are predictions of Z and of what the probe's channels show of it, K < 0 let through.
+    `shaker` is None where it withstands, is unstable by itself, or no hand could be built. `true`
+    and `recorded` are predictions of Z and of what the probe's channels show of it, K < 0 let
+    through.
     """
 
     period_s: float
@@ -102,7 +106,9 @@ def outlook(
     )
 
 
-def _shaker(model: Model, kbm: npt.NDArray[np.float64], level: float, filters: Filters) -> Shaker | None:
+def _shaker(
+    model: Model, kbm: npt.NDArray[np.float64], level: float, filters: Filters
+) -> Shaker | None:
     found = shaking_hand(model, kbm[0], level, filters)
     if found is None:
         return None

@@ -1,22 +1,26 @@
-"""The verdict on a trial: passive in a band, not passive in it, or undecided; never without its conditions.
+"""The verdict on a trial: passive in a band, not passive in it, or undecided; never without its
+conditions.
 
-Z is positive real where Re Z >= 0, and the sign of Re Z is that of the cross-power Re Phi_Fv, whichever estimator is used.
-Re Z is known to h = t |Z| sqrt((1 - g2) / (g2 (nu - 2))) at each frequency, the phase to arcsin(h / |Z|), with Student's t
-at a level raised so that all intervals of the band hold together (`confidence.sidak`). The margin, the least Re Z or the
-least 90 degrees - |phase|, then lies between the least lower and the least upper limit:
+Z is positive real where Re Z >= 0, and the sign of Re Z is that of the cross-power Re Phi_Fv,
+whichever estimator is used. Re Z is known to h = t |Z| sqrt((1 - g2) / (g2 (nu - 2))) at each
+frequency, the phase to arcsin(h / |Z|), with Student's t at a level raised so that all intervals of
+the band hold together (`confidence.sidak`). The margin, the least Re Z or the least 90 degrees -
+|phase|, then lies between the least lower and the least upper limit:
 
     passive       the least lower limit is above 0         not passive    an upper limit is below 0
 
-A device that is not stable is not passive, whatever its Re Z: with a virtual K < 0 or a closed loop of spectral radius above
-1 the real part may be positive throughout. Findings that turn the phase (skew, high-pass) or bend the channels (saturation)
-leave nothing to decide. The paper's plain rule, all phases within +-90 degrees, is answered beside it; with 5 mm/s of sensor
-noise it calls a passive device with a margin of 1 degree non-passive in every trial.
+A device that is not stable is not passive, whatever its Re Z: with a virtual K < 0 or a closed loop
+of spectral radius above 1 the real part may be positive throughout. Findings that turn the phase
+(skew, high-pass) or bend the channels (saturation) leave nothing to decide. The paper's plain rule,
+all phases within +-90 degrees, is answered beside it; with 5 mm/s of sensor noise it calls a
+passive device with a margin of 1 degree non-passive in every trial.
 
 The band is judged from edge to edge: an edge that is no line of the window is interpolated
 (`Spectra.band`). Multisines, and frequencies of one's own choice, are judged where they are, so a
 verdict names its first and its last frequency.
 
-What would break it: a band below 1/(M T), where the window smooths, or a record of too few windows; both are refused.
+What would break it: a band below 1/(M T), where the window smooths, or a record of too few windows;
+both are refused.
 """
 
 import numpy as np
@@ -33,7 +37,9 @@ from hapticd.analysis.verdict import Amplitude, Answer, Margin, Stability, Verdi
 from hapticd.errors import AnalysisError
 
 DEFAULT_BAND_HZ = (2.0, 500.0)
-LEAST_FREEDOM = 20.0  # degrees of freedom of a window's values, below which the intervals mean nothing
+LEAST_FREEDOM = (
+    20.0  # degrees of freedom of a window's values, below which the intervals mean nothing
+)
 DRIVEN = 0.8  # of the velocity's power, from which a motion is the perturbation's
 SWELLS = "the velocity swells and fades 4 times and more, as the perturbation drives a resonance"
 LEAST_EXACT = 4.0  # of plain averages: two of them
@@ -50,25 +56,30 @@ def judge(
     channels: bool = True,
     below_window: bool = False,
 ) -> Verdict:
-    """Verdict on `trial`. `record` (of `diagnostics.examine`) brings energy, escape and saturation; `spectral_radius` is that
-    of the predicted closed loop. `behind_mass_kg` > 0 judges the device behind the probe's mass: Re Z is the same there.
-    `channels`: also look for skew and high-pass, which takes longer than the rest; simulated records have neither.
+    """Verdict on `trial`. `record` (of `diagnostics.examine`) brings energy, escape and saturation;
+    `spectral_radius` is that of the predicted closed loop. `behind_mass_kg` > 0 judges the device
+    behind the probe's mass: Re Z is the same there. `channels`: also look for skew and high-pass,
+    which takes longer than the rest; simulated records have neither.
 
     `below_window`: of a band that begins below 1/(M T), which is else refused, read what the window
     makes of it.
 
-    AnalysisError for a band below 1/(M T), above half the sample rate or without frequencies, and for records of fewer than 20
-    degrees of freedom.
+    AnalysisError for a band below 1/(M T), above half the sample rate or without frequencies, and
+    for records of fewer than 20 degrees of freedom.
     """
     inside = _judged(trial, band_hz, below_window)
     f = inside.frequency_hz
     at_port = impedance(inside, estimator)
     z = at_port.without_mass(behind_mass_kg) if behind_mass_kg else at_port
     ohm = z.impedance_ns_per_m
-    half = spread_of(np.abs(at_port.impedance_ns_per_m), half_width(trial, inside, sidak(confidence, f.size)))
+    half = spread_of(
+        np.abs(at_port.impedance_ns_per_m), half_width(trial, inside, sidak(confidence, f.size))
+    )
     angle = 90.0 - np.abs(np.degrees(np.angle(ohm)))
     newton = _least(ohm.real, half, f)
-    findings = _reread(trial, record.findings if record else ()) + coherence_findings(trial, band_hz, estimator)
+    findings = _reread(trial, record.findings if record else ()) + coherence_findings(
+        trial, band_hz, estimator
+    )
     findings += channel_findings(trial) if channels else ()
     stability = _stability(findings, record is not None, spectral_radius)
     return Verdict(
@@ -93,7 +104,9 @@ def judge(
     )
 
 
-def needs_record(trial: Spectra, verdict: Verdict, estimator: Estimator = "spa", linear: bool = False) -> bool:
+def needs_record(
+    trial: Spectra, verdict: Verdict, estimator: Estimator = "spa", linear: bool = False
+) -> bool:
     """Whether `verdict` on the window's spectra `trial` stands only when its record was looked at
     (`resolved`). `linear`: so is the device.
 
@@ -106,9 +119,9 @@ def needs_record(trial: Spectra, verdict: Verdict, estimator: Estimator = "spa",
 
 
 def _reread(trial: Spectra, findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
-    """What the samples said, in the light of `resolved`: a motion that the perturbation explains did
-    not run away by itself, however it swells and fades. Re Z at the resonance says whether it is
-    stable.
+    """What the samples said, in the light of `resolved`: a motion that the perturbation explains
+    did not run away by itself, however it swells and fades. Re Z at the resonance says whether it
+    is stable.
     """
     if not isinstance(trial, Resolved):
         return findings
@@ -129,25 +142,31 @@ def _judged(trial: Spectra, band_hz: tuple[float, float], below_window: bool) ->
     low, high = band_hz
     if low < trial.lowest_hz and not below_window:
         raise AnalysisError(
-            f"band from {low:g} Hz: the {trial.span} says nothing below {trial.lowest_hz:.3g} Hz; begin there, or take a longer one"
+            f"band from {low:g} Hz: the {trial.span} says nothing below {trial.lowest_hz:.3g} Hz;"
+            " begin there, or take a longer one"
         )
     least = LEAST_EXACT if trial.exact else LEAST_FREEDOM
     if trial.degrees_of_freedom < least:
         needed = least / trial.degrees_of_freedom * trial.n_samples / trial.rate_hz
         raise AnalysisError(
-            f"record of {trial.n_samples / trial.rate_hz:.3g} s: too short for a verdict with a {trial.span}; "
-            f"record {needed:.3g} s or more"
+            f"record of {trial.n_samples / trial.rate_hz:.3g} s: too short for a verdict with a"
+            f" {trial.span}; record {needed:.3g} s or more"
         )
     half_rate_hz = 0.5 * trial.rate_hz
     if not low <= min(high, half_rate_hz):
-        raise AnalysisError(f"no frequency of the estimate lies in {low:g}..{high:g} Hz; widen the band")
+        raise AnalysisError(
+            f"no frequency of the estimate lies in {low:g}..{high:g} Hz; widen the band"
+        )
     if high > half_rate_hz * (1.0 + 1e-12):
         raise AnalysisError(
-            f"band to {high:g} Hz: samples at {trial.rate_hz:g} Hz say nothing above {half_rate_hz:g} Hz; end there"
+            f"band to {high:g} Hz: samples at {trial.rate_hz:g} Hz say nothing above"
+            f" {half_rate_hz:g} Hz; end there"
         )
     inside = trial.band(band_hz)
     if not inside.frequency_hz.size:
-        raise AnalysisError(f"no frequency of the estimate lies in {low:g}..{high:g} Hz; widen the band")
+        raise AnalysisError(
+            f"no frequency of the estimate lies in {low:g}..{high:g} Hz; widen the band"
+        )
     return inside
 
 
@@ -180,9 +199,12 @@ def _angle_deg(half: Floats, size: Floats) -> Floats:
 def _least(values: Floats, half: Floats, frequency_hz: Floats) -> Margin:
     """Margin of `values` known to +-`half`; a value that is not known (nan) may be anything."""
     known = np.isfinite(values)
-    lower, upper = np.where(known, values - half, -np.inf), np.where(known, values + half, np.inf)
+    lower = np.where(known, values - half, -np.inf)
+    upper = np.where(known, values + half, np.inf)
     worst = int(np.argmin(np.where(known, values, np.inf)))
-    return Margin(float(values[worst]), float(lower.min()), float(upper.min()), float(frequency_hz[worst]))
+    return Margin(
+        float(values[worst]), float(lower.min()), float(upper.min()), float(frequency_hz[worst])
+    )
 
 
 def _answer(margin: Margin, stability: Stability, findings: tuple[Finding, ...]) -> Answer:
@@ -195,20 +217,28 @@ def _answer(margin: Margin, stability: Stability, findings: tuple[Finding, ...])
     return "passive" if margin.lower > 0.0 else "undecided"
 
 
-def _stability(findings: tuple[Finding, ...], recorded: bool, spectral_radius: float | None) -> Stability:
-    if any(finding.unstable for finding in findings) or (spectral_radius is not None and not spectral_radius < 1.0):
+def _stability(
+    findings: tuple[Finding, ...], recorded: bool, spectral_radius: float | None
+) -> Stability:
+    if any(finding.unstable for finding in findings) or (
+        spectral_radius is not None and not spectral_radius < 1.0
+    ):
         return "unstable"
     return "stable" if recorded or spectral_radius is not None else "unknown"
 
 
 def _velocity_sd(trial: Spectra) -> float:
-    """From the spectrum: its mean over a whole turn is the variance; on other frequencies a trapezoid over what there is."""
+    """From the spectrum: its mean over a whole turn is the variance; on other frequencies a
+    trapezoid over what there is.
+    """
     power = float(np.trapezoid(trial.velocity, trial.frequency_hz)) * 2.0 / trial.rate_hz
     return float(np.sqrt(power))
 
 
 def _seconds_needed(values: Floats, half: Floats, trial: Spectra) -> float:
-    """A record longer by (half / value)^2 brings the limit of a value to 0; all must be there, or one below."""
+    """A record longer by (half / value)^2 brings the limit of a value to 0; all must be there,
+    or one below.
+    """
     seconds = trial.n_samples / trial.rate_hz
     with np.errstate(divide="ignore", invalid="ignore"):
         factor = np.where(np.isfinite(values), (half / values) ** 2, np.inf)

@@ -1,19 +1,22 @@
 """Z from a force that repeats: no window, no leakage, and an interval that holds with friction too.
 
-Over a whole period of a settled motion the discrete Fourier transform sees every harmonic alone. With R realisations of the
-force (the same amplitudes, other random phases) and F_m, V_m their means over the periods:
+Over a whole period of a settled motion the discrete Fourier transform sees every harmonic alone.
+With R realisations of the force (the same amplitudes, other random phases) and F_m, V_m their means
+over the periods:
 
     Y    = <V_m F_m*> / <|F_m|^2>                  means over the realisations: the best linear approximation of 1/Z
     s^2  = sum |V_m / F_m - Y|^2 / (R - 1)         scatter of one realisation: noise, and nonlinear distortion
     s^2 / R                                        variance of Y; exactly Student's t with 2 (R - 1) degrees of freedom
 
-(Pintelon and Schoukens, System Identification, 2nd ed. 2012, sections 3.4 and 4.3.) What the device distorts repeats with the
-period: averaging periods removes noise and leaves it, and the scatter between periods does not show it. Only other phases
-do, so one realisation has an interval that covers noise alone, and decides nothing. Several are told by what they are: their
-mean spectra have the form of `spectra.Spectra`, with coherence 1 / (1 + (R - 1) s^2 / (R |Y|^2)), and `judge` takes them.
+(Pintelon and Schoukens, System Identification, 2nd ed. 2012, sections 3.4 and 4.3.) What the device
+distorts repeats with the period: averaging periods removes noise and leaves it, and the scatter
+between periods does not show it. Only other phases do, so one realisation has an interval that
+covers noise alone, and decides nothing. Several are told by what they are: their mean spectra have
+the form of `spectra.Spectra`, with coherence 1 / (1 + (R - 1) s^2 / (R |Y|^2)), and `judge` takes
+them.
 
-What would break it: a motion that has not settled, samples that were lost (refused: the force does not repeat), or one
-realisation taken for the whole truth.
+What would break it: a motion that has not settled, samples that were lost (refused: the force does
+not repeat), or one realisation taken for the whole truth.
 """
 
 from dataclasses import dataclass, field, replace
@@ -27,16 +30,20 @@ from hapticd.analysis.spectra import Spectra, grid_frequencies
 from hapticd.errors import AnalysisError
 
 LEAST_POWER = 1e-9  # of a harmonic's force over the strongest one: below, it is not excited
-CHANGING = 0.03  # of the force's rms, what may not repeat: resolution and noise of the torque channel
+CHANGING = (
+    0.03  # of the force's rms, what may not repeat: resolution and noise of the torque channel
+)
 DISTORTED = 0.01  # scatter between realisations from which it is named
 UNKNOWN: Floats = np.empty(0)
 
 
 @dataclass(frozen=True, eq=False)
 class PeriodicSpectra(Spectra):
-    """Means over realisations, on the harmonics k rate / period, k = 0..period/2; no power where nothing was excited.
+    """Means over realisations, on the harmonics k rate / period, k = 0..period/2; no power where
+    nothing was excited.
 
-    `between_periods`, `between_realisations` (F,): standard deviation of V/F of one of them over its mean; nan where one is all.
+    `between_periods`, `between_realisations` (F,): standard deviation of V/F of one of them over
+    its mean; nan where one is all.
     """
 
     realisations: int = 1
@@ -86,41 +93,55 @@ class PeriodicSpectra(Spectra):
         """What the intervals cover, in words."""
         if self.realisations > 1:
             return (
-                f"noise and nonlinear distortion at this perturbation, from the scatter of {self.realisations} realisations "
-                f"of {self.periods} periods"
+                "noise and nonlinear distortion at this perturbation, from the scatter of"
+                f" {self.realisations} realisations of {self.periods} periods"
             )
-        return f"noise alone, from the scatter of {self.periods} periods; nonlinear distortion such as friction's is not covered"
+        return (
+            f"noise alone, from the scatter of {self.periods} periods; nonlinear distortion such as"
+            " friction's is not covered"
+        )
 
     def scatter(self, band_hz: tuple[float, float]) -> tuple[float, float]:
-        """Medians over a band of the relative scatter between periods and between realisations; nan where it is not known."""
+        """Medians over a band of the relative scatter between periods and between realisations;
+        nan where it is not known.
+        """
         inside = (self.frequency_hz >= band_hz[0]) & (self.frequency_hz <= band_hz[1])
-        return float(np.median(self.between_periods[inside])), float(np.median(self.between_realisations[inside]))
+        return float(np.median(self.between_periods[inside])), float(
+            np.median(self.between_realisations[inside])
+        )
 
 
-def periodic(force_n: npt.ArrayLike, velocity_m_per_s: npt.ArrayLike, rate_hz: float) -> PeriodicSpectra:
+def periodic(
+    force_n: npt.ArrayLike, velocity_m_per_s: npt.ArrayLike, rate_hz: float
+) -> PeriodicSpectra:
     """Spectra of settled periods, force and velocity (realisations, periods, samples) float64.
 
-    AnalysisError for other shapes, odd periods, values that are not finite, or a force that does not repeat.
+    AnalysisError for other shapes, odd periods, values that are not finite, or a force that does
+    not repeat.
     """
     force, velocity = (np.asarray(signal, np.float64) for signal in (force_n, velocity_m_per_s))
     if force.ndim != 3 or force.shape != velocity.shape or not force.size or force.shape[2] % 2:
         raise AnalysisError(
-            f"force {force.shape} and velocity {velocity.shape}: both must be (realisations, periods, samples), samples even"
+            f"force {force.shape} and velocity {velocity.shape}: both must be (realisations,"
+            " periods, samples), samples even"
         )
     if not (np.isfinite(force).all() and np.isfinite(velocity).all()):
-        raise AnalysisError("the record holds values that are not finite; drop or repair them before the analysis")
+        raise AnalysisError(
+            "the record holds values that are not finite; drop or repair them before the analysis"
+        )
     f, v = (_harmonics(signal) for signal in (force, velocity))
     if (share := _changing(f)) > CHANGING:
         raise AnalysisError(
-            f"the force does not repeat from period to period ({100 * share:.2g} % of it changes): samples were lost, or it is no "
-            "multisine of that period; record it again"
+            f"the force does not repeat from period to period ({100 * share:.2g} % of it changes):"
+            " samples were lost, or it is no multisine of that period; record it again"
         )
     power = _power(f).mean(axis=(0, 1))
     v[..., power < LEAST_POWER * power.max()] = 0.0
     between_periods = np.sqrt(np.mean(_scatter(v, axis=1), axis=0))
     between_realisations = np.sqrt(_scatter(v.mean(axis=1) * f.mean(axis=1).conj(), axis=0))
     if len(f) > 1:
-        f, v = f.mean(axis=1)[:, None], v.mean(axis=1)[:, None]
+        f = f.mean(axis=1)[:, None]
+        v = v.mean(axis=1)[:, None]
     return PeriodicSpectra(
         frequency_hz=grid_frequencies(rate_hz, force.shape[2] // 2),
         velocity=_power(v).mean(axis=(0, 1)) / force.shape[2],
@@ -137,11 +158,13 @@ def periodic(force_n: npt.ArrayLike, velocity_m_per_s: npt.ArrayLike, rate_hz: f
 
 
 def periodic_findings(trial: PeriodicSpectra, band_hz: tuple[float, float]) -> tuple[Finding, ...]:
-    """One realisation decides nothing; distortion above a hundredth is named, with what helps against it."""
+    """One realisation decides nothing; distortion above a hundredth is named, with what helps
+    against it.
+    """
     if trial.realisations == 1:
         message = (
-            "one realisation: the interval covers noise alone, and nothing tells distortion from the device; ask for several "
-            "realisations"
+            "one realisation: the interval covers noise alone, and nothing tells distortion from"
+            " the device; ask for several realisations"
         )
         return (Finding("one_realisation", message, voids=True),)
     noise, total = trial.scatter(band_hz)
@@ -149,13 +172,13 @@ def periodic_findings(trial: PeriodicSpectra, band_hz: tuple[float, float]) -> t
         return ()
     if trial.periods == 1:
         message = (
-            f"noise or nonlinear distortion: realisations scatter by {100 * total:.2g} %; more of them make the interval shorter, "
-            "and two periods of each would tell which it is"
+            f"noise or nonlinear distortion: realisations scatter by {100 * total:.2g} %; more of"
+            " them make the interval shorter, and two periods of each would tell which it is"
         )
         return (Finding("scatter", message),)
     message = (
-        f"nonlinear distortion: realisations scatter by {100 * total:.2g} %, periods of one by {100 * noise:.2g} %; more "
-        "realisations make the interval shorter, more periods do not"
+        f"nonlinear distortion: realisations scatter by {100 * total:.2g} %, periods of one by"
+        f" {100 * noise:.2g} %; more realisations make the interval shorter, more periods do not"
     )
     return (Finding("distortion", message),)
 
@@ -171,19 +194,26 @@ def _power(harmonics: Complexes) -> Floats:
 
 
 def _scatter(values: Complexes, axis: int) -> Floats:
-    """Variance along `axis` over the square of the mean; nan for a single value, or none but zeros."""
-    count, mean = values.shape[axis], values.mean(axis=axis, keepdims=True)
-    variance, square = _power(values - mean).sum(axis=axis) / max(1, count - 1), _power(mean).sum(axis=axis)
+    """Variance along `axis` over the square of the mean; nan for a single value, or none but
+    zeros.
+    """
+    count = values.shape[axis]
+    mean = values.mean(axis=axis, keepdims=True)
+    variance = _power(values - mean).sum(axis=axis) / max(1, count - 1)
+    square = _power(mean).sum(axis=axis)
     known = (square > 0.0) & (count > 1)
     return np.asarray(np.divide(variance, square, out=np.full_like(variance, np.nan), where=known))
 
 
 def changing(force_n: Floats) -> float:
-    """What does not repeat in a force (realisations, periods, samples), over what does, both rms; inf for no force at all."""
+    """What does not repeat in a force (realisations, periods, samples), over what does, both
+    rms; inf for no force at all.
+    """
     return _changing(_harmonics(force_n))
 
 
 def _changing(force: Complexes) -> float:
     mean = force.mean(axis=1, keepdims=True)
-    changes, stays = float(_power(force - mean).sum()), float(_power(mean).sum()) * force.shape[1]
+    changes = float(_power(force - mean).sum())
+    stays = float(_power(mean).sum()) * force.shape[1]
     return float(np.sqrt(changes / stays)) if stays > 0.0 else np.inf

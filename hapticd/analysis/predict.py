@@ -1,18 +1,22 @@
-"""Predicting whether an environment is passive on a device: thousands of them in the time of one trial's millisecond.
+"""Predicting whether an environment is passive on a device: thousands of them in the time of one
+trial's millisecond.
 
-Passive means both: the sampled loop is stable (`closed`), and the first harmonic of its impedance (`loop`) has Re Z >= 0 all
-over the band, with Coulomb friction linearised at a stated perturbation (`linearise`), from which it must not run away. Re Z
-alone is not enough: of random environments with Re Z > 0 in 2-500 Hz one in twelve has a spectral radius above 1; K < 0 is
-refused for that reason unless asked for.
+Passive means both: the sampled loop is stable (`closed`), and the first harmonic of its impedance
+(`loop`) has Re Z >= 0 all over the band, with Coulomb friction linearised at a stated perturbation
+(`linearise`), from which it must not run away. Re Z alone is not enough: of random environments
+with Re Z > 0 in 2-500 Hz one in twelve has a spectral radius above 1; K < 0 is refused for that
+reason unless asked for.
 
-Stability is looked at where Re Z leaves a choice, with the point's linearised friction, between steps of 5 %.
-The prediction is that of white noise (first harmonic, alike a measurement); what safety decides on is the lifted requirement
-without friction, `requirement`. A hand can shake what is predicted passive only outside the band, by images, or in motions so
-large that friction counts for less (`coupled`, docs/adr/0035). Against 90 s of simulated trials: phase to 0.6-1.9 degrees rms,
+Stability is looked at where Re Z leaves a choice, with the point's linearised friction, between
+steps of 5 %. The prediction is that of white noise (first harmonic, alike a measurement); what
+safety decides on is the lifted requirement without friction, `requirement`. A hand can shake what
+is predicted passive only outside the band, by images, or in motions so large that friction counts
+for less (`coupled`, docs/adr/0035). Against 90 s of simulated trials: phase to 0.6-1.9 degrees rms,
 limits of K and B to 5-14 %.
 
-Z is the true one, unless `recorded`: then it is what the probe's channels show, for comparison with a measurement. An AC-coupled
-velocity amplifier of 0.1 Hz turns a spring's phase so far that 1,200 N/m read as 690; no loop is safer or less safe for that.
+Z is the true one, unless `recorded`: then it is what the probe's channels show, for comparison with
+a measurement. An AC-coupled velocity amplifier of 0.1 Hz turns a spring's phase so far that 1,200
+N/m read as 690; no loop is safer or less safe for that.
 """
 
 from dataclasses import dataclass
@@ -22,8 +26,21 @@ import numpy.typing as npt
 
 from hapticd.analysis.arrays import Complexes, Flags, Floats, Integers
 from hapticd.analysis.closed import spectral_radius
-from hapticd.analysis.linearise import Linearised, Perturbation, impedance_each, linearise, recorded_impedance
-from hapticd.analysis.loop import PAPER_FILTERS, Filters, Loop, close_loop, port_states, with_viscous
+from hapticd.analysis.linearise import (
+    Linearised,
+    Perturbation,
+    impedance_each,
+    linearise,
+    recorded_impedance,
+)
+from hapticd.analysis.loop import (
+    PAPER_FILTERS,
+    Filters,
+    Loop,
+    close_loop,
+    port_states,
+    with_viscous,
+)
 from hapticd.analysis.narrow import Bottom, bottom, mode_lines
 from hapticd.errors import AnalysisError
 from hapticd.plant.model import Model
@@ -39,10 +56,11 @@ NOMINAL_NS_PER_M = 1.5  # first guess of a body's friction
 class Prediction:
     """For each of N environments (K, B, M): passive or not, and why.
 
-    `margin_ns_per_m`, `margin_deg`: least Re Z and 90 - |phase| over `band_hz`, the former at `worst_hz`. `friction_ns_per_m`:
-    linearised Coulomb friction of all bodies, `velocity_sd` at the port (nan without perturbation). `spectral_radius` is nan
-    where Re Z < 0 had decided. `calm`: bursts of motion die out. `refused`: K < 0. All (N,) but `points` (N, 3).
-    `recorded`: margins, and so `passive`, are those of the recorded channels.
+    `margin_ns_per_m`, `margin_deg`: least Re Z and 90 - |phase| over `band_hz`, the former at
+    `worst_hz`. `friction_ns_per_m`: linearised Coulomb friction of all bodies, `velocity_sd` at the
+    port (nan without perturbation). `spectral_radius` is nan where Re Z < 0 had decided. `calm`:
+    bursts of motion die out. `refused`: K < 0. All (N,) but `points` (N, 3). `recorded`: margins,
+    and so `passive`, are those of the recorded channels.
     """
 
     points: Floats
@@ -75,10 +93,12 @@ def predict(
     allow_negative_stiffness: bool = False,
     recorded: bool = False,
 ) -> Prediction:
-    """Passivity of `model` at that damping level under the environments `points` (N, 3): K [N/m], B [N s/m], M [kg].
+    """Passivity of `model` at that damping level under the environments `points` (N, 3): K [N/m], B
+    [N s/m], M [kg].
 
-    `filters`: velocity and acceleration. `perturbation` None leaves Coulomb friction out. `recorded`: Re Z as a measurement would
-    see it, as in `predicted_impedance`; not for decisions on safety. AnalysisError for a wrong shape.
+    `filters`: velocity and acceleration. `perturbation` None leaves Coulomb friction out.
+    `recorded`: Re Z as a measurement would see it, as in `predicted_impedance`; not for decisions
+    on safety. AnalysisError for a wrong shape.
     """
     kbm = environments(points)
     start, loop = _nominal(model, band_hz, damping_ns_per_m, filters, perturbation)
@@ -92,13 +112,19 @@ def predict(
         def at(which: Integers, hz: Floats) -> Complexes:
             lines, line = np.unique(hz, return_inverse=True)
             own = close_loop(rubbed(model, start), lines, damping_ns_per_m, filters)
-            return impedance_each(own, line, part[which], (found.friction - start[:, None])[:, which], recorded)
+            return impedance_each(
+                own, line, part[which], (found.friction - start[:, None])[:, which], recorded
+            )
 
         return bottom(f[inside], z[:, inside], at), found
 
     least, found = zip(*(judged(part) for part in chunks(kbm)), strict=True)
-    margin, angle, worst = (np.concatenate([getattr(one, name) for one in least]) for name in ("margin", "angle", "hz"))
-    sd, calm = (np.concatenate([getattr(one, name) for one in found]) for name in ("velocity_sd", "calm"))
+    margin, angle, worst = (
+        np.concatenate([getattr(one, name) for one in least]) for name in ("margin", "angle", "hz")
+    )
+    sd, calm = (
+        np.concatenate([getattr(one, name) for one in found]) for name in ("velocity_sd", "calm")
+    )
     friction = np.concatenate([one.friction for one in found], axis=1)
     refused = (kbm[:, 0] < 0.0) & (not allow_negative_stiffness)
     hopeful = (margin >= 0.0) & calm & ~refused
@@ -106,9 +132,20 @@ def predict(
     radius[hopeful] = _radius(model, kbm[hopeful], friction[:, hopeful], damping_ns_per_m, filters)
     passive = hopeful & (np.nan_to_num(radius, nan=2.0) < 1.0)
     return Prediction(
-        kbm, passive, margin, angle, worst, friction.sum(axis=0), sd, radius, calm, refused, band_hz, perturbation,
+        kbm,
+        passive,
+        margin,
+        angle,
+        worst,
+        friction.sum(axis=0),
+        sd,
+        radius,
+        calm,
+        refused,
+        band_hz,
+        perturbation,
         recorded,
-    )  # fmt: skip
+    )
 
 
 def predicted_impedance(
@@ -125,7 +162,8 @@ def predicted_impedance(
     `recorded`: as the board's probe shows it, its force held and its velocity averaged over 250 us
     (`loop`), through the velocity channel's filters; False for the true one.
     """
-    f, kbm = np.asarray(frequency_hz, np.float64), environments(np.atleast_2d(np.asarray(point, np.float64)))
+    f = np.asarray(frequency_hz, np.float64)
+    kbm = environments(np.atleast_2d(np.asarray(point, np.float64)))
     start, loop = _nominal(model, DEFAULT_BAND_HZ, damping_ns_per_m, filters, perturbation)
     level = linearise(loop, kbm, coulomb(model), start, perturbation).friction[:, 0]
     exact = close_loop(rubbed(model, level), f, damping_ns_per_m, filters)
@@ -138,18 +176,31 @@ def environments(points: npt.ArrayLike) -> Floats:
     kbm = np.asarray(points, np.float64)
     if kbm.ndim != 2 or kbm.shape[1] != 3 or not np.isfinite(kbm).all():
         raise AnalysisError(
-            f"environments of shape {kbm.shape}: rows of three finite numbers K [N/m], B [N s/m], M [kg] are needed"
+            f"environments of shape {kbm.shape}: rows of three finite numbers K [N/m], B [N s/m], M"
+            " [kg] are needed"
         )
     return kbm
 
 
-def frequencies(band_hz: tuple[float, float] = DEFAULT_BAND_HZ, perturbation: Perturbation | None = None) -> Floats:
-    """Where Z is computed: dense where K, B and M act, up to the end of the perturbation, both ends of the band included."""
+def frequencies(
+    band_hz: tuple[float, float] = DEFAULT_BAND_HZ, perturbation: Perturbation | None = None
+) -> Floats:
+    """Where Z is computed: dense where K, B and M act, up to the end of the perturbation, both
+    ends of the band included.
+    """
     if not 0.0 < band_hz[0] <= band_hz[1] < np.inf:
-        raise AnalysisError(f"a band of {band_hz[0]:g}..{band_hz[1]:g} Hz: from above 0 Hz upwards is needed; 2..500 is usual")
+        raise AnalysisError(
+            f"a band of {band_hz[0]:g}..{band_hz[1]:g} Hz: from above 0 Hz upwards is needed;"
+            " 2..500 is usual"
+        )
     top = max(band_hz[1], perturbation.band_hz if perturbation else 0.0)
     base = np.concatenate(
-        (np.geomspace(0.1, 5.0, 15)[:-1], np.arange(5.0, 41.0), np.geomspace(41.0, 130.0, 32)[:-1], np.geomspace(130.0, 2000.0, 46))
+        (
+            np.geomspace(0.1, 5.0, 15)[:-1],
+            np.arange(5.0, 41.0),
+            np.geomspace(41.0, 130.0, 32)[:-1],
+            np.geomspace(130.0, 2000.0, 46),
+        )
     )
     return np.union1d(base[base <= top], band_hz)
 
@@ -163,7 +214,9 @@ def coulomb(model: Model) -> Floats:
 def rubbed(model: Model, level: Floats) -> Model:
     """`model` with the dampers `level` (ports,) on its bodies with friction."""
     by_state = dict(zip(port_states(model), level, strict=True))
-    return with_viscous(model, tuple(float(by_state[contact.velocity]) for contact in model.contacts))
+    return with_viscous(
+        model, tuple(float(by_state[contact.velocity]) for contact in model.contacts)
+    )
 
 
 def _nominal(
@@ -175,7 +228,8 @@ def _nominal(
 ) -> tuple[Floats, Loop]:
     """Friction of the device without environment, and the loop that has it, with lines around its
     modes inside the band: what is changed afterwards stays small."""
-    f, force = frequencies(band_hz, perturbation), coulomb(model)
+    f = frequencies(band_hz, perturbation)
+    force = coulomb(model)
     start = np.where(force > 0.0, NOMINAL_NS_PER_M if perturbation else 0.0, 0.0)
     for _ in range(2 if start.any() else 0):
         loop = close_loop(rubbed(model, start), f, damping_ns_per_m, filters)
@@ -190,10 +244,13 @@ def chunks(kbm: Floats) -> list[Floats]:
     return [kbm[first : first + _TOGETHER] for first in range(0, max(1, len(kbm)), _TOGETHER)]
 
 
-def _radius(model: Model, kbm: Floats, friction: Floats, damping_ns_per_m: float, filters: Filters) -> Floats:
-    """Spectral radius (N,) with `friction` (ports, N): exact at nodes of friction that few maps serve,
-    linear between them, going from one to the next along the port that is furthest on its way first
-    (Freudenthal's triangulation)."""
+def _radius(
+    model: Model, kbm: Floats, friction: Floats, damping_ns_per_m: float, filters: Filters
+) -> Floats:
+    """Spectral radius (N,) with `friction` (ports, N): exact at nodes of friction that few maps
+    serve, linear between them, going from one to the next along the port that is furthest on its
+    way first (Freudenthal's triangulation).
+    """
     rubbing = friction.any(axis=1)
     steps = np.log(np.maximum(friction[rubbing], _LEAST_FRICTION)) / np.log(_FRICTION_STEP)
     node = np.floor(steps)
@@ -210,7 +267,9 @@ def _radius(model: Model, kbm: Floats, friction: Floats, damping_ns_per_m: float
     return radius
 
 
-def _radius_at(model: Model, kbm: Floats, level: Floats, damping_ns_per_m: float, filters: Filters) -> Floats:
+def _radius_at(
+    model: Model, kbm: Floats, level: Floats, damping_ns_per_m: float, filters: Filters
+) -> Floats:
     """Spectral radius (N,) with friction `level` (ports, N), by one map for each that occurs."""
     nodes, which = np.unique(level, axis=1, return_inverse=True)
     radius = np.empty(len(kbm))

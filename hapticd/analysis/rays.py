@@ -1,7 +1,9 @@
-"""Where rays from inside a set in the unit box leave it: the set's boundary by yes and no alone, for `search`.
+"""Where rays from inside a set in the unit box leave it: the set's boundary by yes and no alone,
+for `search`.
 
-Directions lie evenly on the sphere (Fibonacci spiral: Swinbank and Purser 2006); each ray is halved between its start, which
-is inside, and the box's end. What would break it: a set that a ray leaves twice; only one of its exits is found.
+Directions lie evenly on the sphere (Fibonacci spiral: Swinbank and Purser 2006); each ray is halved
+between its start, which is inside, and the box's end. What would break it: a set that a ray leaves
+twice; only one of its exits is found.
 """
 
 from collections.abc import Callable
@@ -17,25 +19,34 @@ _EDGE = 0.999  # of the way to the end of the box
 
 
 def boundary(holds: Callable[[Floats], Flags], middle: Floats) -> tuple[Floats, Flags]:
-    """Where rays from `middle` (3,) leave the set `holds`: (N_RAYS, 3) in the unit box, and which reach the box's end inside."""
+    """Where rays from `middle` (3,) leave the set `holds`: (N_RAYS, 3) in the unit box, and
+    which reach the box's end inside.
+    """
     rays = directions()
     with np.errstate(divide="ignore"):
-        to_end = np.where(rays > 0.0, (1.0 - middle) / rays, np.where(rays < 0.0, -middle / rays, np.inf)).min(axis=1)
-    low, high = np.zeros(N_RAYS), _EDGE * to_end
+        to_end = np.where(
+            rays > 0.0, (1.0 - middle) / rays, np.where(rays < 0.0, -middle / rays, np.inf)
+        ).min(axis=1)
+    low = np.zeros(N_RAYS)
+    high = _EDGE * to_end
     ends = holds(middle + rays * high[:, None])
     low = np.where(ends, high, low)
     for _ in range(_HALVINGS):
         half = 0.5 * (low + high)
         inside = holds(middle + rays * half[:, None])
-        low, high = np.where(inside, half, low), np.where(inside, high, half)
+        low = np.where(inside, half, low)
+        high = np.where(inside, high, half)
     return middle + rays * (0.5 * (low + high))[:, None], ends
 
 
 def directions() -> Floats:
     """Unit vectors (N_RAYS, 3)."""
     at = np.arange(N_RAYS) + 0.5
-    down, around = np.arccos(1.0 - 2.0 * at / N_RAYS), np.pi * (1.0 + np.sqrt(5.0)) * at
-    return np.column_stack((np.cos(around) * np.sin(down), np.sin(around) * np.sin(down), np.cos(down)))
+    down = np.arccos(1.0 - 2.0 * at / N_RAYS)
+    around = np.pi * (1.0 + np.sqrt(5.0)) * at
+    return np.column_stack(
+        (np.cos(around) * np.sin(down), np.sin(around) * np.sin(down), np.cos(down))
+    )
 
 
 def samples() -> Floats:

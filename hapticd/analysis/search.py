@@ -1,20 +1,25 @@
-"""The directed search that the paper left to future work: few trials, each where it tells most about the boundary.
+"""The directed search that the paper left to future work: few trials, each where it tells most
+about the boundary.
 
-A `surrogate` of Re Z(w; K, B, M) says where the boundary probably is. Rays from the middle of the set meet it in points
-(`rays`); the next trial is the one farthest from all trials so far. So every trial also confirms the boundary that was
-foreseen. On an affine device 4 trials suffice; with a smooth non-affine part about 45 leave 2 % of the volume wrong, where a
-grid of yes and no needs 180,000.
+A `surrogate` of Re Z(w; K, B, M) says where the boundary probably is. Rays from the middle of the
+set meet it in points (`rays`); the next trial is the one farthest from all trials so far. So every
+trial also confirms the boundary that was foreseen. On an affine device 4 trials suffice; with a
+smooth non-affine part about 45 leave 2 % of the volume wrong, where a grid of yes and no needs
+180,000.
 
 What is known beforehand helps, and each of it may be left out:
     prior        Re Z as a model predicts it; only what was measured otherwise is learnt (`surrogate`)
     headroom     orders environments by how near they are to escape; how much of it a trial needs is learnt (`escape`)
     independent  how many independent values the estimate has at each frequency; then the set is that of environments whose
-                 trial rather passes than fails, and without it the one whose expected Re Z is nowhere negative
+                 trial rather passes than fails, and without it the one whose expected Re Z is
+                 nowhere negative
 
-Stability is a question of its own (K < 0, slow poles, friction overcome): unstable trials teach no spectrum. Without a
-headroom, what is nearer to an unstable trial than to every stable one stays out.
+Stability is a question of its own (K < 0, slow poles, friction overcome): unstable trials teach no
+spectrum. Without a headroom, what is nearer to an unstable trial than to every stable one stays
+out.
 
-What would break it: a first trial that is not passive, or a set that rays from its middle meet twice.
+What would break it: a first trial that is not passive, or a set that rays from its middle meet
+twice.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,7 +31,16 @@ import numpy.typing as npt
 from hapticd.analysis.arrays import Flags, Floats
 from hapticd.analysis.escape import least_headroom
 from hapticd.analysis.rays import boundary, distance, samples
-from hapticd.analysis.surrogate import Box, Observation, Prior, Surrogate, fit, log_chance, margin, margin_sd
+from hapticd.analysis.surrogate import (
+    Box,
+    Observation,
+    Prior,
+    Surrogate,
+    fit,
+    log_chance,
+    margin,
+    margin_sd,
+)
 from hapticd.errors import AnalysisError
 
 Headroom = Callable[[Floats], Floats]  # environments (N, 3) -> (N,), larger is safer
@@ -34,14 +48,17 @@ Headroom = Callable[[Floats], Floats]  # environments (N, 3) -> (N,), larger is 
 FEWEST = 4
 FIRST_STEPS = (0.15, 0.12, 0.10)  # of the box, of K, B and M
 _END_INTEREST = 0.3  # of a point at the end of the box, where the set goes on
-_ESCAPE_INTEREST = 0.5  # of a point where escape ends the set: half of such trials teach yes or no alone, and no spectrum
+# of a point where escape ends the set: half of such trials teach yes or no alone, and no spectrum
+_ESCAPE_INTEREST = 0.5
 _NARROW = 0.01  # of headroom, about its least
 
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """State of a search: the box, what is known beforehand, stable trials, environments that were not stable, and what was
-    learnt: the fit (None before four trials) and the least headroom of a stable trial."""
+    """State of a search: the box, what is known beforehand, stable trials, environments that were
+    not stable, and what was learnt: the fit (None before four trials) and the least headroom of a
+    stable trial.
+    """
 
     box: Box
     prior: Prior | None = None
@@ -52,15 +69,26 @@ class Search:
     surrogate: Surrogate | None = None
     least: float = 0.0
 
-    def with_trials(self, environments: npt.ArrayLike, seen: Sequence[Observation | None]) -> "Search":
+    def with_trials(
+        self, environments: npt.ArrayLike, seen: Sequence[Observation | None]
+    ) -> "Search":
         """The search after trials of `environments` (n, 3); None where the loop was not stable."""
         places = np.atleast_2d(np.asarray(environments, np.float64))
         trials = (*self.trials, *(one for one in seen if one is not None))
-        unstable = (*self.unstable, *(place for place, one in zip(places, seen, strict=True) if one is None))
+        unstable = (
+            *self.unstable,
+            *(place for place, one in zip(places, seen, strict=True) if one is None),
+        )
         found = self.surrogate
         if len(trials) > len(self.trials) and len(trials) >= FEWEST:
             found = fit(self.box, trials, self.prior)
-        return replace(self, trials=trials, unstable=unstable, surrogate=found, least=self._least(trials, unstable))
+        return replace(
+            self,
+            trials=trials,
+            unstable=unstable,
+            surrogate=found,
+            least=self._least(trials, unstable),
+        )
 
     def _least(self, trials: tuple[Observation, ...], unstable: tuple[Floats, ...]) -> float:
         if self.headroom is None:
@@ -70,17 +98,25 @@ class Search:
 
 
 def first_trials(box: Box, inside: npt.ArrayLike) -> Floats:
-    """(4, 3): `inside`, an environment that is passive for sure, and a step from it along each axis, towards the farther end."""
+    """(4, 3): `inside`, an environment that is passive for sure, and a step from it along each
+    axis, towards the farther end.
+    """
     centre = box.to_unit(inside)[0]
     if np.any(centre < 0.0) or np.any(centre > 1.0):
-        raise AnalysisError(f"the first environment {np.asarray(inside).tolist()} lies outside the box {box.low}..{box.high}")
+        raise AnalysisError(
+            f"the first environment {np.asarray(inside).tolist()} lies outside the box"
+            f" {box.low}..{box.high}"
+        )
     steps = np.diag(np.where(centre <= 0.5, 1.0, -1.0) * np.asarray(FIRST_STEPS))
     return box.to_environment(np.vstack((centre, centre + steps)))
 
 
 def next_trials(search: Search, count: int = 1) -> Floats:
-    """Environments (count, 3) to try next, in order: points of the boundary, each the farthest from all trials and those before."""
-    found, box = _fitted(search), search.box
+    """Environments (count, 3) to try next, in order: points of the boundary, each the farthest
+    from all trials and those before.
+    """
+    found = _fitted(search)
+    box = search.box
     unit, ends = _boundary(search)
     interest = np.where(ends, _END_INTEREST, 1.0)
     if search.headroom is not None:
@@ -111,7 +147,9 @@ def predicted_passive(search: Search, environments: npt.ArrayLike) -> Flags:
 
 
 def doubtful_share(search: Search) -> float:
-    """Volume whose margin is within one standard deviation of 0, over the volume held for passive: when to stop."""
+    """Volume whose margin is within one standard deviation of 0, over the volume held for
+    passive: when to stop.
+    """
     found = _fitted(search)
     inside = search.box.to_environment(samples())
     expected = margin(found, inside)
@@ -123,17 +161,25 @@ def doubtful_share(search: Search) -> float:
 
 def _fitted(search: Search) -> Surrogate:
     if search.surrogate is None:
-        raise AnalysisError(f"{len(search.trials)} stable trials so far: four are needed before the search can direct")
+        raise AnalysisError(
+            f"{len(search.trials)} stable trials so far: four are needed before the search can"
+            " direct"
+        )
     return search.surrogate
 
 
 def _boundary(search: Search) -> tuple[Floats, Flags]:
-    return boundary(lambda unit: predicted_passive(search, search.box.to_environment(unit)), _middle(search))
+    return boundary(
+        lambda unit: predicted_passive(search, search.box.to_environment(unit)), _middle(search)
+    )
 
 
 def _middle(search: Search) -> Floats:
-    """Mean of the set, or the trial with the largest margin where that is not inside. (3,) in the unit box."""
-    found, places = _fitted(search), samples()
+    """Mean of the set, or the trial with the largest margin where that is not inside. (3,) in
+    the unit box.
+    """
+    found = _fitted(search)
+    places = samples()
     inside = places[predicted_passive(search, search.box.to_environment(places))]
     mean = inside.mean(axis=0) if len(inside) else found.unit[0]
     if predicted_passive(search, search.box.to_environment(mean))[0]:

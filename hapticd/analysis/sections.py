@@ -1,11 +1,15 @@
-"""Covariances of a long record from short transforms (Rader 1970, "An improved algorithm for high speed autocorrelation").
+"""Covariances of a long record from short transforms (Rader 1970, "An improved algorithm for high
+speed autocorrelation").
 
-The record is cut into sections of M samples, each padded with zeros to 2 M and transformed once. Lags 0..M of section i
-with the record that follows it need section i and i + 1 only, and shifting section i + 1 by M samples is a factor (-1)^k on
-bin k. Summing conj(U_i) (Y_i + (-1)^k Y_{i+1}) over all sections and one inverse transform at the end give the exact biased
-covariances: memory O(M), any length, fed in pieces of any size. About 43 Mflop for 360,000 samples, against 1.5 Gflop direct.
+The record is cut into sections of M samples, each padded with zeros to 2 M and transformed once.
+Lags 0..M of section i with the record that follows it need section i and i + 1 only, and shifting
+section i + 1 by M samples is a factor (-1)^k on bin k. Summing conj(U_i) (Y_i + (-1)^k Y_{i+1})
+over all sections and one inverse transform at the end give the exact biased covariances: memory
+O(M), any length, fed in pieces of any size. About 43 Mflop for 360,000 samples, against 1.5 Gflop
+direct.
 
-What would break it: a lag that changes while sums are kept, or blocks of unequal length in the two channels (refused).
+What would break it: a lag that changes while sums are kept, or blocks of unequal length in the two
+channels (refused).
 """
 
 from dataclasses import dataclass
@@ -23,7 +27,8 @@ TOGETHER = 32_768  # samples transformed together: their spectra stay in the sec
 class Covariances:
     """Biased covariances (1/N) for lags t = 0..M, each (M + 1,) float64.
 
-    `velocity` R_u [(m/s)^2], `force` R_y [N^2], `forward` R_yu(t) = 1/N sum y(k+t) u(k) and `backward` R_yu(-t) [N m/s].
+    `velocity` R_u [(m/s)^2], `force` R_y [N^2], `forward` R_yu(t) = 1/N sum y(k+t) u(k) and
+    `backward` R_yu(-t) [N m/s].
     """
 
     velocity: Floats
@@ -34,7 +39,9 @@ class Covariances:
 
 
 class Sections:
-    """Sums over a record that arrives in blocks. `covariances()` may be asked at any time and changes nothing."""
+    """Sums over a record that arrives in blocks. `covariances()` may be asked at any time and
+    changes nothing.
+    """
 
     def __init__(self, lag: int) -> None:
         self.lag = lag
@@ -43,7 +50,9 @@ class Sections:
         self._sums = np.zeros((4, lag + 1), np.complex128)
         self._waiting = np.zeros((2, 0))  # less than a section of velocity and force
         self._padded = np.zeros((self._together, 2 * lag))
-        self._spectra = np.zeros((2, self._together + 1, lag + 1), np.complex128)  # row 0: of the section before, zero at first
+        self._spectra = np.zeros(
+            (2, self._together + 1, lag + 1), np.complex128
+        )  # row 0: of the section before, zero at first
 
     def add(self, force: Floats, velocity: Floats) -> None:
         """Append samples, both (n,) float64. AnalysisError for unequal lengths."""
@@ -58,7 +67,9 @@ class Sections:
         self._waiting = np.concatenate((self._waiting, (velocity[stop:], force[stop:])), axis=1)
 
     def covariances(self) -> Covariances:
-        """Of all samples so far, as they are: no trend is taken out. Without samples an AnalysisError."""
+        """Of all samples so far, as they are: no trend is taken out. Without samples an
+        AnalysisError.
+        """
         if not self.n_samples:
             raise AnalysisError("no samples: nothing to correlate; feed a record first")
         end = np.zeros((2, 2, 2 * self.lag))
@@ -88,11 +99,16 @@ class Sections:
         for channel, sections in enumerate(rows):
             padded[:, : self.lag] = sections
             np.fft.rfft(padded, axis=1, out=self._spectra[channel, 1 : count + 1])
-        kernels().accumulate(self._spectra[0, : count + 1], self._spectra[1, : count + 1], self._sums)
+        kernels().accumulate(
+            self._spectra[0, : count + 1], self._spectra[1, : count + 1], self._sums
+        )
         self._spectra[:, 0] = self._spectra[:, count]
 
 
 def same_length(force: Floats, velocity: Floats) -> None:
     """AnalysisError unless both are (n,)."""
     if force.ndim != 1 or force.shape != velocity.shape:
-        raise AnalysisError(f"force {force.shape} and velocity {velocity.shape}: two records of one length are needed")
+        raise AnalysisError(
+            f"force {force.shape} and velocity {velocity.shape}: two records of one length are"
+            " needed"
+        )

@@ -1,12 +1,15 @@
-"""Vectors of 64 bytes in numba: 16 float32 or 8 float64 that stay in one register, or in a few where registers are smaller.
+"""Vectors of 64 bytes in numba: 16 float32 or 8 float64 that stay in one register, or in a few
+where registers are smaller.
 
-numba leaves it to LLVM whether a loop becomes vector instructions; a transform with its strides and many arrays loses that game.
-Here a lane of a vector is a trial, so the text of a scalar algorithm does 16 trials at once, whatever LLVM thinks of its loops.
+numba leaves it to LLVM whether a loop becomes vector instructions; a transform with its strides and
+many arrays loses that game. Here a lane of a vector is a trial, so the text of a scalar algorithm
+does 16 trials at once, whatever LLVM thinks of its loops.
 
     load(a, row)      16 values of the flat array `a` from `row` * 64 bytes on    store(a, row, v)
     + - *             lane by lane, with vectors or a number                      fma(x, y, z) = x y + z
 
-Arrays must begin on a 64 byte border (`arrays.aligned`). What would break it: llvmlite without typed pointers in its IR builder.
+Arrays must begin on a 64 byte border (`arrays.aligned`). What would break it: llvmlite without
+typed pointers in its IR builder.
 """
 
 import operator
@@ -36,7 +39,8 @@ class Vector(types.Type):
     """numba's type of a vector of `element`."""
 
     def __init__(self, element: Any) -> None:
-        self.element, self.count = element, 8 * CACHE_LINE // element.bitwidth
+        self.element = element
+        self.count = 8 * CACHE_LINE // element.bitwidth
         super().__init__(name=f"Vector({element})")
 
     @property
@@ -69,7 +73,9 @@ def store(typing: Any, array: Any, row: Any, value: Any) -> Any:
     """See the module."""
 
     def code(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-        builder.store(given[2], _pointer(context, builder, signature, given, value)).align = CACHE_LINE
+        builder.store(
+            given[2], _pointer(context, builder, signature, given, value)
+        ).align = CACHE_LINE
         return context.get_dummy_value()
 
     return types.void(array, row, value), code
@@ -83,8 +89,13 @@ def fma(typing: Any, x: Any, y: Any, z: Any) -> Any:
     def code(context: Any, builder: Any, signature: Any, given: Any) -> Any:
         width = "f32" if kind.element == types.float32 else "f64"
         function = ir.FunctionType(kind.llvm, [kind.llvm] * 3)
-        muladd = utils.get_or_insert_function(builder.module, function, f"llvm.fmuladd.v{kind.count}{width}")
-        return builder.call(muladd, [_spread(context, builder, *pair, kind) for pair in zip(given, (x, y, z), strict=True)])
+        muladd = utils.get_or_insert_function(
+            builder.module, function, f"llvm.fmuladd.v{kind.count}{width}"
+        )
+        return builder.call(
+            muladd,
+            [_spread(context, builder, *pair, kind) for pair in zip(given, (x, y, z), strict=True)],
+        )
 
     return kind(x, y, z), code
 
@@ -100,7 +111,8 @@ def _spread(context: Any, builder: Any, value: Any, kind: Any, wanted: Vector) -
     """`value` itself, or a number in all lanes."""
     if isinstance(kind, Vector):
         return value
-    number, zero = context.cast(builder, value, kind, wanted.element), ir.Constant(ir.IntType(32), 0)
+    number = context.cast(builder, value, kind, wanted.element)
+    zero = ir.Constant(ir.IntType(32), 0)
     first = builder.insert_element(ir.Constant(wanted.llvm, ir.Undefined), number, zero)
     everywhere = ir.Constant(ir.VectorType(ir.IntType(32), wanted.count), [0] * wanted.count)
     return builder.shuffle_vector(first, ir.Constant(wanted.llvm, ir.Undefined), everywhere)
@@ -112,7 +124,9 @@ def _operator(python: Any, llvm: str) -> None:
         kind = x if isinstance(x, Vector) else y
 
         def code(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-            values = [_spread(context, builder, *pair, kind) for pair in zip(given, (x, y), strict=True)]
+            values = [
+                _spread(context, builder, *pair, kind) for pair in zip(given, (x, y), strict=True)
+            ]
             return getattr(builder, llvm)(*values, flags=FLAGS)
 
         return kind(x, y), code

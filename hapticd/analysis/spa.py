@@ -1,10 +1,11 @@
 """`spa`: from a record of force and velocity to its spectra, at once or while it arrives.
 
-The definition is in `spectra`, the arithmetic in `sections`. 90 s at 4 kHz with M = 2048 give 2.6 Hz bandwidth and 469
-degrees of freedom; at coherence 0.9 that is 0.9 degrees and 1.5 %.
+The definition is in `spectra`, the arithmetic in `sections`. 90 s at 4 kHz with M = 2048 give 2.6
+Hz bandwidth and 469 degrees of freedom; at coherence 0.9 that is 0.9 degrees and 1.5 %.
 
-What would break it: velocity sampled at the instant at which a held force changes. Record what the board's probe records,
-the means of force and velocity over the same interval; or correct the skew (`spectra.corrected`).
+What would break it: velocity sampled at the instant at which a held force changes. Record what the
+board's probe records, the means of force and velocity over the same interval; or correct the skew
+(`spectra.corrected`).
 """
 
 import numpy as np
@@ -29,12 +30,16 @@ def spa(
     frequency_hz: npt.ArrayLike | None = None,
     detrend: bool = True,
 ) -> Spectra:
-    """Spectra of a record, force and velocity (N,) float64, as MATLAB's `spa(iddata(force, velocity), lag)` computes them.
+    """Spectra of a record, force and velocity (N,) float64, as MATLAB's `spa(iddata(force,
+    velocity), lag)` computes them.
 
-    `frequency_hz` (F,): any frequencies up to rate/2, by default k rate/(2 lag), k = 0..lag. `detrend` takes a straight line
-    out of both channels first. AnalysisError for unequal, short (N <= lag) or not finite records.
+    `frequency_hz` (F,): any frequencies up to rate/2, by default k rate/(2 lag), k = 0..lag.
+    `detrend` takes a straight line out of both channels first. AnalysisError for unequal, short (N
+    <= lag) or not finite records.
     """
-    force, velocity = (np.ascontiguousarray(signal, np.float64) for signal in (force_n, velocity_m_per_s))
+    force, velocity = (
+        np.ascontiguousarray(signal, np.float64) for signal in (force_n, velocity_m_per_s)
+    )
     same_length(force, velocity)
     _long_enough(force.size, lag)
     sums = Sections(lag)
@@ -42,14 +47,24 @@ def spa(
         _add_detrended(sums, force, velocity)
     else:
         sums.add(force, velocity)
-    return spectra(_finite(sums.covariances()), rate_hz, None if frequency_hz is None else np.asarray(frequency_hz, np.float64))
+    return spectra(
+        _finite(sums.covariances()),
+        rate_hz,
+        None if frequency_hz is None else np.asarray(frequency_hz, np.float64),
+    )
 
 
 class SpectralStream:
-    """The same for a record that arrives in blocks: memory O(lag), spectra of all so far at any time."""
+    """The same for a record that arrives in blocks: memory O(lag), spectra of all so far at any
+    time.
+    """
 
-    def __init__(self, rate_hz: float = PROBE_RATE_HZ, lag: int = DEFAULT_LAG, detrend: bool = True) -> None:
-        self._sums, self._rate_hz, self._detrend = Sections(lag), rate_hz, detrend
+    def __init__(
+        self, rate_hz: float = PROBE_RATE_HZ, lag: int = DEFAULT_LAG, detrend: bool = True
+    ) -> None:
+        self._sums = Sections(lag)
+        self._rate_hz = rate_hz
+        self._detrend = detrend
         self._force = self._velocity = NO_SAMPLES
         self._first = 0.0, 0.0  # samples
 
@@ -60,23 +75,32 @@ class SpectralStream:
 
     def add(self, force_n: npt.ArrayLike, velocity_m_per_s: npt.ArrayLike) -> None:
         """Append a block, both (n,) float64 of any length. AnalysisError for unequal lengths."""
-        force, velocity = (np.ascontiguousarray(signal, np.float64) for signal in (force_n, velocity_m_per_s))
+        force, velocity = (
+            np.ascontiguousarray(signal, np.float64) for signal in (force_n, velocity_m_per_s)
+        )
         if self._detrend and force.size and velocity.size:
             if not self.n_samples:
                 self._first = force[0], velocity[0]
-            force, velocity = force - self._first[0], velocity - self._first[1]  # else the square of an offset drowns the rest
+            # else the square of an offset drowns the rest
+            force = force - self._first[0]
+            velocity = velocity - self._first[1]
         self._sums.add(force, velocity)
         if self._detrend:
             self._force = self._force.extended(force, self._sums.lag)
             self._velocity = self._velocity.extended(velocity, self._sums.lag)
 
     def spectra(self, frequency_hz: Floats | None = None) -> Spectra:
-        """Spectra of the whole record so far, as `spa` gives them. AnalysisError if it is not longer than the lag."""
+        """Spectra of the whole record so far, as `spa` gives them. AnalysisError if it is not
+        longer than the lag.
+        """
         _long_enough(self.n_samples, self._sums.lag)
         return spectra(_finite(self._covariances()), self._rate_hz, frequency_hz)
 
     def _covariances(self) -> Covariances:
-        raw, lag, u, y = self._sums.covariances(), self._sums.lag, self._velocity, self._force
+        raw = self._sums.covariances()
+        lag = self._sums.lag
+        u = self._velocity
+        y = self._force
         if not self._detrend:
             return raw
         return Covariances(
@@ -90,25 +114,35 @@ class SpectralStream:
 
 def _add_detrended(sums: Sections, force: Floats, velocity: Floats) -> None:
     """Block by block, so that no copy of the record is made."""
-    size, (fitted_line, take_line_out) = max(1, TOGETHER // sums.lag) * sums.lag, (kernels().fitted_line, kernels().take_line_out)
+    size, (fitted_line, take_line_out) = (
+        max(1, TOGETHER // sums.lag) * sums.lag,
+        (kernels().fitted_line, kernels().take_line_out),
+    )
     lines = [(signal, *fitted_line(signal), np.empty(size)) for signal in (force, velocity)]
     for start in range(0, force.size, size):
         count = min(size, force.size - start)
         for signal, value, slope, block in lines:
-            take_line_out(signal[start : start + count], value + slope * start, slope, block[:count])
+            take_line_out(
+                signal[start : start + count], value + slope * start, slope, block[:count]
+            )
         sums.add(lines[0][-1][:count], lines[1][-1][:count])
 
 
 def _long_enough(n_samples: int, lag: int) -> None:
     if lag < 2:
-        raise AnalysisError(f"lag {lag}: a window of at least 2 samples is needed; the paper's has {DEFAULT_LAG}")
+        raise AnalysisError(
+            f"lag {lag}: a window of at least 2 samples is needed; the paper's has {DEFAULT_LAG}"
+        )
     if n_samples <= lag:
         raise AnalysisError(
-            f"record of {n_samples} samples: more than the window of {lag} are needed; record longer or take a smaller lag"
+            f"record of {n_samples} samples: more than the window of {lag} are needed; record"
+            " longer or take a smaller lag"
         )
 
 
 def _finite(covariances: Covariances) -> Covariances:
     if not np.isfinite(covariances.velocity[0] + covariances.force[0] + covariances.forward[0]):
-        raise AnalysisError("the record holds values that are not finite; drop or repair them before the analysis")
+        raise AnalysisError(
+            "the record holds values that are not finite; drop or repair them before the analysis"
+        )
     return covariances

@@ -1,25 +1,27 @@
-"""Blackman-Tukey spectra: the definition of MATLAB's `spa`. The impedance that follows from them is in `impedance`.
+"""Blackman-Tukey spectra: the definition of MATLAB's `spa`. The impedance that follows from them is
+in `impedance`.
 
-Velocity u is the input, force y the output, as in the paper (Weir, Colgate and Peshkin 2008, section 2.2):
+Velocity u is the input, force y the output, as in the paper (Weir, Colgate and Peshkin 2008,
+section 2.2):
 
     R_yu(t)   = 1/N sum_k y(k + t) u(k),  |t| <= M          biased covariances of the detrended record
     W(t)      = (1 + cos(pi t / M)) / 2                     Hann lag window, W(0) = 1, W(+-M) = 0
     Phi_yu(w) = sum_t W(t) R_yu(t) e^(-iwt)                 no sampling interval, no 1/(2 pi)
     C         = sum W^2 = 3 M / 4                           C/N: relative variance of a spectrum inside the band
 
-(Ljung, System Identification, 2nd ed. 1999, section 6.4. Older MATLAB help calls this window Hamming.) Because W(+-M) = 0, the
-M + 1 frequencies k/(2 M) of the sample rate, the lines, hold the whole estimate; what lies between
-them is their trigonometric interpolation:
+(Ljung, System Identification, 2nd ed. 1999, section 6.4. Older MATLAB help calls this window
+Hamming.) Because W(+-M) = 0, the M + 1 frequencies k/(2 M) of the sample rate, the lines, hold the
+whole estimate; what lies between them is their trigonometric interpolation:
 
     Phi(w) = sum_k Phi_k D(w - w_k),   D(x) = sin(M x) / (2 M tan(x/2)),   k over a circle of 2 M
 
 So a band is looked at from end to end (`Spectra.band`) although 2 Hz is no line of the paper's
 window.
 
-What would break it: a record shorter than a few windows, a spring below 1/(M T) (the window smooths the steep spectrum and
-pulls the phase to 0), channels not sampled together (a skew d turns the phase by 360 f d degrees;
-`corrected` undoes it). A drift: the window's side lobes, up to -0.03 of what is at 0 Hz, have their
-zeros on the lines but not between them.
+What would break it: a record shorter than a few windows, a spring below 1/(M T) (the window smooths
+the steep spectrum and pulls the phase to 0), channels not sampled together (a skew d turns the
+phase by 360 f d degrees; `corrected` undoes it). A drift: the window's side lobes, up to -0.03 of
+what is at 0 Hz, have their zeros on the lines but not between them.
 """
 
 from dataclasses import dataclass, replace
@@ -55,7 +57,8 @@ class Channel:
 
 @dataclass(frozen=True, eq=False)
 class Spectra:
-    """Spectra of one trial at `frequency_hz` (F,): `velocity` [(m/s)^2], `force` [N^2] float64, `cross` Phi_yu [N m/s] complex128.
+    """Spectra of one trial at `frequency_hz` (F,): `velocity` [(m/s)^2], `force` [N^2] float64,
+    `cross` Phi_yu [N m/s] complex128.
 
     A one-sided density per hertz is 2 Phi / rate_hz. `port` names where velocity was measured,
     `taken_out` what was corrected.
@@ -93,15 +96,24 @@ class Spectra:
 
     @property
     def whole(self) -> bool:
-        """Whether these are all lines of the window, which hold the estimate between them as well."""
+        """Whether these are all lines of the window, which hold the estimate between them as
+        well.
+        """
         if self.exact or self.frequency_hz.size != self.lag + 1:
             return False
         return np.array_equal(self.frequency_hz, _lines(self.rate_hz, self.lag))
 
     def part(self, which: Flags | Integers | slice) -> "Spectra":
         """Those at some of the frequencies, `which` (F,)."""
-        f, cross = self.frequency_hz[which], self.cross[which]
-        return replace(self, frequency_hz=f, velocity=self.velocity[which], force=self.force[which], cross=cross)
+        f = self.frequency_hz[which]
+        cross = self.cross[which]
+        return replace(
+            self,
+            frequency_hz=f,
+            velocity=self.velocity[which],
+            force=self.force[which],
+            cross=cross,
+        )
 
     def band(self, band_hz: tuple[float, float]) -> "Spectra":
         """Those from `band_hz[0]` to `band_hz[1]`, both ends among them: what is no line is
@@ -147,17 +159,23 @@ class Spectra:
 
     @property
     def smoothing_hz2(self) -> float:
-        """s^2, second moment of the window in frequency: what is curved is changed by half of its second derivative times that."""
+        """s^2, second moment of the window in frequency: what is curved is changed by half of
+        its second derivative times that.
+        """
         return 0.125 * (self.rate_hz / self.lag) ** 2
 
     @property
     def exact(self) -> bool:
-        """Whether these are plain averages, whose intervals hold for few of them as well; a window's need many."""
+        """Whether these are plain averages, whose intervals hold for few of them as well; a
+        window's need many.
+        """
         return False
 
     @property
     def resolved(self) -> bool:
-        """Whether motion that is narrower than the window was told apart where it mattered (`resolved`)."""
+        """Whether motion that is narrower than the window was told apart where it mattered
+        (`resolved`).
+        """
         return self.exact
 
     @property
@@ -170,11 +188,17 @@ class Spectra:
         """g2 (F,), between 0 and 1; 0 where a channel has no power."""
         power = self.velocity * self.force
         square = self.cross.real**2 + self.cross.imag**2
-        return np.clip(np.divide(square, power, out=np.zeros_like(power), where=power > 0.0), 0.0, 1.0)
+        return np.clip(
+            np.divide(square, power, out=np.zeros_like(power), where=power > 0.0), 0.0, 1.0
+        )
 
 
-def spectra(covariances: Covariances, rate_hz: float, frequency_hz: Floats | None = None) -> Spectra:
-    """Windowed transform of `covariances` at `frequency_hz` (F,), by default at k rate/(2 M), k = 0..M."""
+def spectra(
+    covariances: Covariances, rate_hz: float, frequency_hz: Floats | None = None
+) -> Spectra:
+    """Windowed transform of `covariances` at `frequency_hz` (F,), by default at k rate/(2 M), k
+    = 0..M.
+    """
     lag = covariances.velocity.size - 1
     ahead = np.stack((covariances.velocity, covariances.force, covariances.forward))
     behind = np.stack((covariances.velocity, covariances.force, covariances.backward))
@@ -191,9 +215,10 @@ def spectra(covariances: Covariances, rate_hz: float, frequency_hz: Floats | Non
 def corrected(trial: Spectra, skew_s: float = 0.0, high_pass_hz: float = 0.0) -> Spectra:
     """`trial` as it had been with channels sampled together and a velocity channel down to 0 Hz.
 
-    `skew_s`: the velocity is that of `skew_s` later than the force of the same sample. `high_pass_hz`: corner of a
-    first-order high-pass in the velocity channel; the value at 0 Hz stays as it is. That force is
-    held and velocity averaged is no fault: a model is compared as it would be recorded (`loop`).
+    `skew_s`: the velocity is that of `skew_s` later than the force of the same sample.
+    `high_pass_hz`: corner of a first-order high-pass in the velocity channel; the value at 0 Hz
+    stays as it is. That force is held and velocity averaged is no fault: a model is compared as it
+    would be recorded (`loop`).
     """
     return _corrected(trial, Channel(skew_s, high_pass_hz))
 
@@ -244,8 +269,9 @@ def _weights(lag: int, place: float) -> tuple[Floats, Floats]:
 
 
 def _kernel(lag: int, place: float) -> Floats:
-    """D (M + 1,) of the module at `place` - k, k = 0..M; the sine by the part of a line, which keeps
-    its digits."""
+    """D (M + 1,) of the module at `place` - k, k = 0..M; the sine by the part of a line, which
+    keeps its digits.
+    """
     k = np.arange(lag + 1)
     line = round(place)
     sine = (1.0 - 2.0 * ((line - k) % 2)) * np.sin(np.pi * (place - line))
@@ -270,11 +296,16 @@ def lines_beside(frequency_hz: float, rate_hz: float, lag: int) -> tuple[int, in
 
 
 def on_the_grid(ahead: Floats, behind: Floats) -> Complexes:
-    """Windowed transform (..., M + 1) of covariances at lags 0..M and 0..-M, both (..., M + 1), on `grid_frequencies`."""
+    """Windowed transform (..., M + 1) of covariances at lags 0..M and 0..-M, both (..., M + 1),
+    on `grid_frequencies`.
+    """
     lag = ahead.shape[-1] - 1
-    circular, window = np.zeros((*ahead.shape[:-1], 2 * lag)), _window(lag)
+    circular = np.zeros((*ahead.shape[:-1], 2 * lag))
+    window = _window(lag)
     np.multiply(ahead[..., :lag], window[:lag], out=circular[..., :lag])
-    np.multiply(behind[..., lag - 1 : 0 : -1], window[lag - 1 : 0 : -1], out=circular[..., lag + 1 :])
+    np.multiply(
+        behind[..., lag - 1 : 0 : -1], window[lag - 1 : 0 : -1], out=circular[..., lag + 1 :]
+    )
     return np.fft.rfft(circular, axis=-1)
 
 
@@ -293,5 +324,7 @@ def _inside(frequency_hz: Floats, rate_hz: float) -> Floats:
         or not frequency_hz.size
         or not np.all((frequency_hz >= 0.0) & (frequency_hz <= 0.5 * rate_hz * (1 + 1e-12)))
     ):
-        raise AnalysisError(f"frequencies: a list inside 0..{0.5 * rate_hz:g} Hz, half the sample rate, is needed")
+        raise AnalysisError(
+            f"frequencies: a list inside 0..{0.5 * rate_hz:g} Hz, half the sample rate, is needed"
+        )
     return frequency_hz

@@ -1,21 +1,27 @@
-"""Learning Re Z(w; K, B, M) from few trials: what is known beforehand at every frequency, plus what is left over.
+"""Learning Re Z(w; K, B, M) from few trials: what is known beforehand at every frequency, plus what
+is left over.
 
-For a rigid collocated device Re Z is affine in (K, B, M) at each w, so the passive set is convex and four trials know it.
-Real devices bend this: the rest is a Gaussian process of the environment (radial basis functions, one length for all
-frequencies), so at each frequency  Re Z = c0 + c (K, B, M) + g + e,  g ~ GP(amplitude^2 exp(-d^2 / 2 length^2)), e the trial's
-own noise as weight. c, g and their uncertainty follow in closed form (generalised least squares, universal kriging: Matheron
-1969); length and amplitude are those of greatest likelihood on a coarse grid. Learning the spectrum and not the yes or no, nor
-its minimum (which noise biases), is what saves trials: 40 times fewer than a surrogate of the margin.
+For a rigid collocated device Re Z is affine in (K, B, M) at each w, so the passive set is convex
+and four trials know it. Real devices bend this: the rest is a Gaussian process of the environment
+(radial basis functions, one length for all frequencies), so at each frequency  Re Z = c0 + c (K, B,
+M) + g + e,  g ~ GP(amplitude^2 exp(-d^2 / 2 length^2)), e the trial's own noise as weight. c, g and
+their uncertainty follow in closed form (generalised least squares, universal kriging: Matheron
+1969); length and amplitude are those of greatest likelihood on a coarse grid. Learning the spectrum
+and not the yes or no, nor its minimum (which noise biases), is what saves trials: 40 times fewer
+than a surrogate of the margin.
 
-Where the device is known by a model, its prediction is the mean instead: `prior` gives Re Z of any environments, and only
-measured - predicted is learnt, one constant c0 a frequency and g. Trials with noise decide on length and amplitude by the
-likelihood of a dozen frequencies, each with the noise of its own trials.
+Where the device is known by a model, its prediction is the mean instead: `prior` gives Re Z of any
+environments, and only measured - predicted is learnt, one constant c0 a frequency and g. Trials
+with noise decide on length and amplitude by the likelihood of a dozen frequencies, each with the
+noise of its own trials.
 
-A trial says yes if its estimate of Re Z is not negative at any frequency. With noise that asks more than the expected Re Z >= 0:
-the chance of a yes is the product of Phi(Re Z / sd) over as many frequencies as are independent (`log_chance`).
+A trial says yes if its estimate of Re Z is not negative at any frequency. With noise that asks more
+than the expected Re Z >= 0: the chance of a yes is the product of Phi(Re Z / sd) over as many
+frequencies as are independent (`log_chance`).
 
-Environments are scaled to a unit box. What would break it: trials that were not stable (their spectra are of a limit cycle;
-do not feed them), a device whose Re Z jumps, or a prior that does: what is learnt must be smooth.
+Environments are scaled to a unit box. What would break it: trials that were not stable (their
+spectra are of a limit cycle; do not feed them), a device whose Re Z jumps, or a prior that does:
+what is learnt must be smooth.
 """
 
 from collections.abc import Callable, Sequence
@@ -55,7 +61,9 @@ class Box:
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """One stable trial: environment (3,), Re Z at F frequencies [N s/m] and its standard deviation (F,), 0 if exact."""
+    """One stable trial: environment (3,), Re Z at F frequencies [N s/m] and its standard
+    deviation (F,), 0 if exact.
+    """
 
     environment: Floats
     resistance: Floats
@@ -64,9 +72,11 @@ class Observation:
 
 @dataclass(frozen=True, eq=False)
 class Surrogate:
-    """The fit: n trials at `unit` (n, 3), `slopes` (F, t) of (1, K, B, M), of 1 alone with a `prior`, `weights` (F, n) of the rest;
-    G = 1 or F: `inverse` (G, n, n) of the covariance, `spread` (G, t, t) that of the slopes. `length` and `amplitude` of the
-    process; `sd` (F,) the median over trials of their own."""
+    """The fit: n trials at `unit` (n, 3), `slopes` (F, t) of (1, K, B, M), of 1 alone with a
+    `prior`, `weights` (F, n) of the rest; G = 1 or F: `inverse` (G, n, n) of the covariance,
+    `spread` (G, t, t) that of the slopes. `length` and `amplitude` of the process; `sd` (F,) the
+    median over trials of their own.
+    """
 
     box: Box
     unit: Floats
@@ -81,11 +91,17 @@ class Surrogate:
 
 
 def fit(box: Box, trials: Sequence[Observation], prior: Prior | None = None) -> Surrogate:
-    """Surrogate of `trials`, at least four that span the box. AnalysisError for fewer or for unlike spectra."""
+    """Surrogate of `trials`, at least four that span the box. AnalysisError for fewer or for
+    unlike spectra.
+    """
     if len(trials) < 4 or len({trial.resistance.size for trial in trials}) != 1:
-        raise AnalysisError(f"{len(trials)} trials: at least four with spectra on the same frequencies are needed to begin")
+        raise AnalysisError(
+            f"{len(trials)} trials: at least four with spectra on the same frequencies are needed"
+            " to begin"
+        )
     places = np.stack([trial.environment for trial in trials])
-    unit, values = box.to_unit(places), np.stack([trial.resistance for trial in trials]).T
+    unit = box.to_unit(places)
+    values = np.stack([trial.resistance for trial in trials]).T
     sd = np.stack([trial.sd for trial in trials]).T
     if np.linalg.matrix_rank(np.column_stack((np.ones(len(unit)), unit))) < 4:
         raise AnalysisError("the first trials lie in a plane: vary K, B and M each at least once")
@@ -98,7 +114,18 @@ def fit(box: Box, trials: Sequence[Observation], prior: Prior | None = None) -> 
     by_frequency = values[:, :, None]
     slopes = spread @ (trend.T @ (inverse @ by_frequency))
     weights = inverse @ (by_frequency - trend @ slopes)
-    return Surrogate(box, unit, slopes[:, :, 0], weights[:, :, 0], inverse, spread, length, amplitude, np.median(sd, axis=1), prior)
+    return Surrogate(
+        box,
+        unit,
+        slopes[:, :, 0],
+        weights[:, :, 0],
+        inverse,
+        spread,
+        length,
+        amplitude,
+        np.median(sd, axis=1),
+        prior,
+    )
 
 
 def resistance(found: Surrogate, environments: npt.ArrayLike) -> Floats:
@@ -116,22 +143,37 @@ def margin(found: Surrogate, environments: npt.ArrayLike) -> Floats:
 
 
 def log_chance(found: Surrogate, environments: npt.ArrayLike, independent: Floats) -> Floats:
-    """ln (N,) of the chance that a trial's estimate has Re Z >= 0 throughout, `independent` (F,) values at each frequency."""
+    """ln (N,) of the chance that a trial's estimate has Re Z >= 0 throughout, `independent`
+    (F,) values at each frequency.
+    """
     if not found.sd.any():
         return np.where(margin(found, environments) >= 0.0, 0.0, -np.inf)
     scale = -_LOGISTIC / np.maximum(found.sd, _LEAST)
-    return np.concatenate([-np.logaddexp(0.0, resistance(found, part) * scale) @ independent for part in _parts(environments)])
+    return np.concatenate(
+        [
+            -np.logaddexp(0.0, resistance(found, part) * scale) @ independent
+            for part in _parts(environments)
+        ]
+    )
 
 
 def margin_sd(found: Surrogate, environments: npt.ArrayLike) -> Floats:
     """Standard deviation (N,) of Re Z at the frequency where it is least [N s/m]."""
     places = np.atleast_2d(np.asarray(environments, np.float64))
     unit = found.box.to_unit(places)
-    worst = np.argmin(resistance(found, places), axis=1) if len(found.inverse) > 1 else np.zeros(len(unit), np.int64)
+    worst = (
+        np.argmin(resistance(found, places), axis=1)
+        if len(found.inverse) > 1
+        else np.zeros(len(unit), np.int64)
+    )
     near = found.amplitude**2 * kernel(unit, found.unit, found.length)
     gained = np.einsum("ni,nij->nj", near, found.inverse[worst])
     missed = _trend(unit, found.prior) - gained @ _trend(found.unit, found.prior)
-    variance = found.amplitude**2 - (gained * near).sum(axis=1) + np.einsum("ni,nij,nj->n", missed, found.spread[worst], missed)
+    variance = (
+        found.amplitude**2
+        - (gained * near).sum(axis=1)
+        + np.einsum("ni,nij,nj->n", missed, found.spread[worst], missed)
+    )
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 

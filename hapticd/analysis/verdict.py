@@ -1,4 +1,6 @@
-"""What a judgement on a trial says: the answer and, always with it, band, confidence, margins, stability and amplitude."""
+"""What a judgement on a trial says: the answer and, always with it, band, confidence, margins,
+stability and amplitude.
+"""
 
 from dataclasses import dataclass, field
 from math import isnan, nan
@@ -10,15 +12,24 @@ from hapticd.analysis.energy import Energy
 Answer = Literal["passive", "not_passive", "undecided"]
 Stability = Literal["stable", "unstable", "unknown"]
 
-FORESEEABLE = 10.0  # times the length of a record; beyond it the margin is not told from 0, and no length can be foretold
+# times the length of a record; beyond it the margin is not told from 0, and no length can be
+# foretold
+FORESEEABLE = 10.0
 
-_WORDS = {"passive": "passive in band", "not_passive": "not passive in band", "undecided": "undecided in band"}
+_WORDS = {
+    "passive": "passive in band",
+    "not_passive": "not passive in band",
+    "undecided": "undecided in band",
+}
 
 
 def needed(seconds_needed: float, seconds: float) -> str:
     """What record would decide where one of `seconds` did not, in words."""
     if not seconds_needed <= FORESEEABLE * seconds:
-        return f"a record more than {FORESEEABLE:g} times as long would be needed: the margin is not told from 0"
+        return (
+            f"a record more than {FORESEEABLE:g} times as long would be needed: the margin is not"
+            " told from 0"
+        )
     return f"a record like it of some {two_digits(seconds_needed)} s would decide"
 
 
@@ -34,7 +45,9 @@ def two_digits(value: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Margin:
-    """Least value over the band, at `frequency_hz`, and limits between which the true least value lies."""
+    """Least value over the band, at `frequency_hz`, and limits between which the true least
+    value lies.
+    """
 
     value: float
     lower: float
@@ -42,7 +55,10 @@ class Margin:
     frequency_hz: float
 
     def __str__(self) -> str:
-        return f"{self.value:.3g} ({self.lower:.3g}..{self.upper:.3g}, worst at {self.frequency_hz:.1f} Hz)"
+        return (
+            f"{self.value:.3g} ({self.lower:.3g}..{self.upper:.3g}, worst at"
+            f" {self.frequency_hz:.1f} Hz)"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +86,9 @@ NOTHING_JUDGED = Judged(nan, nan)
 
 @dataclass(frozen=True, slots=True)
 class Amplitude:
-    """One-sided density of the perturbation, mean over the band, and standard deviation of the velocity."""
+    """One-sided density of the perturbation, mean over the band, and standard deviation of the
+    velocity.
+    """
 
     force_psd_n2_per_hz: float
     velocity_sd_m_per_s: float
@@ -78,15 +96,17 @@ class Amplitude:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Answer and conditions. `within_90_deg` is the paper's plain rule, `port` the place where Z was looked at.
+    """Answer and conditions. `within_90_deg` is the paper's plain rule, `port` the place where Z
+    was looked at.
 
     What was judged are `n_frequencies`, from `first_judged_hz` to `last_judged_hz`: the edges of
     `band_hz`, unless the spectra are of lines alone (a multisine) or of chosen frequencies; then
     the first and the last of those inside.
 
-    "stable" without a `spectral_radius` (of the predicted loop) says that no escape was seen in this record. `seconds` is
-    the length of the record, `seconds_needed` that of one like it that would decide; inf at margin 0. What is narrower than
-    `resolution_hz` was averaged with what is beside it.
+    "stable" without a `spectral_radius` (of the predicted loop) says that no escape was seen in
+    this record. `seconds` is the length of the record, `seconds_needed` that of one like it that
+    would decide; inf at margin 0. What is narrower than `resolution_hz` was averaged with what is
+    beside it.
     """
 
     answer: Answer
@@ -110,13 +130,22 @@ class Verdict:
 
     def __str__(self) -> str:
         low, high = self.band_hz
-        density, speed = self.amplitude.force_psd_n2_per_hz, 1e3 * self.amplitude.velocity_sd_m_per_s
+        density = self.amplitude.force_psd_n2_per_hz
+        speed = 1e3 * self.amplitude.velocity_sd_m_per_s
         words = (
-            f"{_WORDS[self.answer]} [{low:g}, {high:g}] Hz at {100 * self.confidence:g} % confidence",
+            (
+                f"{_WORDS[self.answer]} [{low:g}, {high:g}] Hz at {100 * self.confidence:g} %"
+                " confidence"
+            ),
             self._stability(),
-            f"margin at a resolution of {self.resolution_hz:.2g} Hz, {self.judged}: {self.margin_ns_per_m} N s/m, "
-            f"{self.margin_deg} deg",
-            f"perturbation {density:.3g} N^2/Hz, velocity {speed:.3g} mm/s rms over {self.seconds:.3g} s at the {self.port}",
+            (
+                f"margin at a resolution of {self.resolution_hz:.2g} Hz, {self.judged}:"
+                f" {self.margin_ns_per_m} N s/m, {self.margin_deg} deg"
+            ),
+            (
+                f"perturbation {density:.3g} N^2/Hz, velocity {speed:.3g} mm/s rms over"
+                f" {self.seconds:.3g} s at the {self.port}"
+            ),
             *(finding.message for finding in self.findings),
         )
         return "; ".join(words)
@@ -129,4 +158,8 @@ class Verdict:
     def _stability(self) -> str:
         if self.spectral_radius is not None:
             return f"{self.stability}, spectral radius {self.spectral_radius:.6g}"
-        return {"stable": "stable as far as seen", "unstable": "unstable", "unknown": "stability unknown"}[self.stability]
+        return {
+            "stable": "stable as far as seen",
+            "unstable": "unstable",
+            "unknown": "stability unknown",
+        }[self.stability]

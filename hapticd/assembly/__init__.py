@@ -1,1 +1,3 @@
-"""Composition roots: where clocks, boards, links, loops and processes are put together. Import-light, silent."""
+"""Composition roots: where clocks, boards, links, loops and processes are put together.
+Import-light, silent.
+"""

@@ -1,7 +1,9 @@
-"""One child process of the supervisor: how it is started, when it counts as ready, how often it may come back.
+"""One child process of the supervisor: how it is started, when it counts as ready, how often it may
+come back.
 
-A child is started by exec, never forked from a process that has threads or a big heap. It gets a process group of its
-own, so that Ctrl-C in a terminal reaches the supervisor alone and the end is in order; it dies with its parent.
+A child is started by exec, never forked from a process that has threads or a big heap. It gets a
+process group of its own, so that Ctrl-C in a terminal reaches the supervisor alone and the end is
+in order; it dies with its parent.
 """
 
 import os
@@ -17,7 +19,8 @@ from hapticd.errors import MailboxError
 from hapticd.mailbox import files, layout
 from hapticd.units import NS_PER_S
 
-RESTARTS_MAX, WINDOW_NS = 3, 60 * NS_PER_S
+RESTARTS_MAX = 3
+WINDOW_NS = 60 * NS_PER_S
 FIRST_PAUSE_NS = NS_PER_S // 2  # doubled with each restart within the window
 
 
@@ -35,9 +38,22 @@ Spawn = Callable[[Sequence[str], int], Process]  # module and arguments, descrip
 
 
 def spawn(command: Sequence[str], ready: int) -> Process:
-    """`python -m command` in a fresh interpreter; its messages go to our stderr, descriptor `ready` is handed down."""
+    """`python -m command` in a fresh interpreter; its messages go to our stderr, descriptor
+    `ready` is handed down.
+    """
     return subprocess.Popen(
-        [sys.executable, "-X", "utf8", "-P", "-m", *command, "--parent", str(os.getpid()), "--ready", str(ready)],
+        [
+            sys.executable,
+            "-X",
+            "utf8",
+            "-P",
+            "-m",
+            *command,
+            "--parent",
+            str(os.getpid()),
+            "--ready",
+            str(ready),
+        ],
         stdin=subprocess.DEVNULL,
         stdout=2,
         pass_fds=(ready,),
@@ -47,7 +63,9 @@ def spawn(command: Sequence[str], ready: int) -> Process:
 
 
 def _import_path() -> dict[str, str]:
-    """-P keeps the working folder out of the child's imports; a checkout that is not installed has to be named then."""
+    """-P keeps the working folder out of the child's imports; a checkout that is not installed
+    has to be named then.
+    """
     root = Path(hapticd.__file__).parents[1]
     if root.name in ("site-packages", "dist-packages"):
         return {}
@@ -80,7 +98,9 @@ class Child:
     """The servo or the gateway."""
 
     def __init__(self, name: str, command: Sequence[str], start: Spawn) -> None:
-        self.name, self.command, self._spawn = name, command, start
+        self.name = name
+        self.command = command
+        self._spawn = start
         self.process: Process | None = None
         self.restarts = Restarts()
         self.start_at_ns: int | None = 0  # None: running
@@ -101,7 +121,9 @@ class Child:
 
     def died(self) -> int | None:
         """Exit code of a child that should run and does not."""
-        return self.process.poll() if self.process is not None and self.start_at_ns is None else None
+        return (
+            self.process.poll() if self.process is not None and self.start_at_ns is None else None
+        )
 
     def alive(self) -> bool:
         """Whether a process of it exists."""

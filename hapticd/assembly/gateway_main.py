@@ -1,8 +1,9 @@
-"""The gateway process: `python -m hapticd.assembly.gateway_main FOLDER [--parent PID] [--ready FD]`.
+"""The gateway process: `python -m hapticd.assembly.gateway_main FOLDER [--parent PID] [--ready
+FD]`.
 
-Serves the servo of runtime folder FOLDER with the parameters in its gateway.json until SIGTERM or SIGINT; a byte on
-descriptor FD says that it serves. Exit code 0: asked to end; 1: a hapticd error, told in one line on stderr; 78: the
-configuration is wrong and a restart would not help.
+Serves the servo of runtime folder FOLDER with the parameters in its gateway.json until SIGTERM or
+SIGINT; a byte on descriptor FD says that it serves. Exit code 0: asked to end; 1: a hapticd error,
+told in one line on stderr; 78: the configuration is wrong and a restart would not help.
 """
 
 import argparse

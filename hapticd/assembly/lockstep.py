@@ -1,7 +1,9 @@
-"""The whole stack on virtual time: servo, wire, pyusb and the simulated board, tick by tick, faster than real time.
+"""The whole stack on virtual time: servo, wire, pyusb and the simulated board, tick by tick, faster
+than real time.
 
-The same classes as in the servo process, with a clock that jumps. Nothing sleeps, nothing depends on the machine, and two
-runs with the same parameters, commands and seeds give the same bytes. The gateway's place is taken by `command`.
+The same classes as in the servo process, with a clock that jumps. Nothing sleeps, nothing depends
+on the machine, and two runs with the same parameters, commands and seeds give the same bytes. The
+gateway's place is taken by `command`.
 """
 
 import tempfile
@@ -30,25 +32,41 @@ START_NS = 10_000_000
 class LockStep:
     """A servo and its simulated board on one virtual clock. Use it as a context manager."""
 
-    def __init__(self, params: ServoParams, board: BoardParams, clock: VirtualClock | None = None, keep: bool = True) -> None:
+    def __init__(
+        self,
+        params: ServoParams,
+        board: BoardParams,
+        clock: VirtualClock | None = None,
+        keep: bool = True,
+    ) -> None:
         self.clock = clock or VirtualClock(START_NS)
         self._folder = tempfile.TemporaryDirectory(prefix="hapticd-lockstep-")
         self.backend = simulated_backend(board, self.clock)
         self.device = Device(UsbLink(params.usb, self.backend), params.realtime.rate_hz)
         self.device.connect()
         path = Path(self._folder.name)
-        self.mailbox = ServoMailbox(path, params.realtime.rate_hz, params.config_hash, params.simulated, self.clock.now_ns())
+        self.mailbox = ServoMailbox(
+            path, params.realtime.rate_hz, params.config_hash, params.simulated, self.clock.now_ns()
+        )
         self.mailbox.publish()
         self.gateway = GatewayMailbox(path)
         self.gateway_alive = True
-        self.loop = ServoLoop(params, self.device, self.mailbox, self.clock, virtual_wait(self.clock))
-        self._keep, self._tail = keep, 0
+        self.loop = ServoLoop(
+            params, self.device, self.mailbox, self.clock, virtual_wait(self.clock)
+        )
+        self._keep = keep
+        self._tail = 0
         self.blocks: list[bytes] = []
 
     def __enter__(self) -> "LockStep":
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self.close()
 
     def close(self) -> None:
@@ -59,7 +77,9 @@ class LockStep:
         self._folder.cleanup()
 
     def run(self, ticks: int) -> bytes:
-        """Fly `ticks` ticks; their records (layout.TELEMETRY) as bytes, also kept in `blocks` unless told otherwise."""
+        """Fly `ticks` ticks; their records (layout.TELEMETRY) as bytes, also kept in `blocks`
+        unless told otherwise.
+        """
         blocks = []
         while ticks > 0:
             if self.gateway_alive:
@@ -73,22 +93,34 @@ class LockStep:
             self.blocks += blocks
         return b"".join(blocks)
 
-    def command(self, kind: Command, values: dict[Value, float] | None = None, at_tick: int = 0, actor: int = 1) -> int:
+    def command(
+        self,
+        kind: Command,
+        values: dict[Value, float] | None = None,
+        at_tick: int = 0,
+        actor: int = 1,
+    ) -> int:
         """Post a command as the gateway would; its sequence number."""
         seq = self.gateway.post(kind, actor, at_tick, pack_values(values or {}))
         if seq is None:
-            raise MailboxError(f"all {layout.RING_SLOTS} command slots are taken; run some ticks first")
+            raise MailboxError(
+                f"all {layout.RING_SLOTS} command slots are taken; run some ticks first"
+            )
         return seq
 
     def do(self, kind: Command, values: dict[Value, float] | None = None) -> Answer:
-        """Post a command and fly until its answer is there (one tick, a few for a reset that asks the board)."""
+        """Post a command and fly until its answer is there (one tick, a few for a reset that
+        asks the board).
+        """
         seq = self.command(kind, values)
         for _ in range(ANSWER_TICKS):
             self.run(1)
             for answer in self.gateway.answers():
                 if answer.seq == seq:
                     return answer
-        raise MailboxError(f"command {seq} was not answered within {ANSWER_TICKS} ticks; is the servo running?")
+        raise MailboxError(
+            f"command {seq} was not answered within {ANSWER_TICKS} ticks; is the servo running?"
+        )
 
     def load_waveform(self, counts: Sequence[int]) -> None:
         """Put perturbation samples (probe counts) where the servo reads them."""

@@ -1,4 +1,6 @@
-"""Telling systemd how we are: one datagram to the socket that it names. Without systemd nothing happens."""
+"""Telling systemd how we are: one datagram to the socket that it names. Without systemd nothing
+happens.
+"""
 
 import os
 
@@ -7,18 +9,24 @@ from hapticd.units import NS_PER_US
 
 
 def notify(*lines: str) -> None:
-    """Send `lines` ("READY=1", "STATUS=...", "WATCHDOG=1", "STOPPING=1") to $NOTIFY_SOCKET, if there is one."""
+    """Send `lines` ("READY=1", "STATUS=...", "WATCHDOG=1", "STOPPING=1") to $NOTIFY_SOCKET, if
+    there is one.
+    """
     address = os.environ.get("NOTIFY_SOCKET")
     if not address:
         return
     import socket  # a process without systemd does not pay for it
 
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as service:
-        service.sendto("\n".join(lines).encode(), f"\0{address[1:]}" if address.startswith("@") else address)
+        service.sendto(
+            "\n".join(lines).encode(), f"\0{address[1:]}" if address.startswith("@") else address
+        )
 
 
 def feeding_period_ns() -> int:
-    """A quarter of the time that systemd's watchdog allows between two WATCHDOG=1; 0 without a watchdog."""
+    """A quarter of the time that systemd's watchdog allows between two WATCHDOG=1; 0 without a
+    watchdog.
+    """
     return int(os.environ.get("WATCHDOG_USEC", "0")) * NS_PER_US // 4
 
 

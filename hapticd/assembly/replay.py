@@ -1,10 +1,12 @@
-"""Flying a recorded motion again through `servo.step`: bit by bit as it was, or as it would have been with other settings.
+"""Flying a recorded motion again through `servo.step`: bit by bit as it was, or as it would have
+been with other settings.
 
-A leg is a stretch of records without a gap that begins with a checkpoint. Every tick gets what it got: the sample of its
-IN frame, how that arrived, what the host knew, and the requests it obeyed. So every number that step computed comes out the
-same; whatever differs would be another program or a damaged file. A counterfactual flight holds some settings at other
-values and ignores what was later asked of them; the motion stays the recorded one, so it shows what the law would have
-asked for, not what the handle would then have done.
+A leg is a stretch of records without a gap that begins with a checkpoint. Every tick gets what it
+got: the sample of its IN frame, how that arrived, what the host knew, and the requests it obeyed.
+So every number that step computed comes out the same; whatever differs would be another program or
+a damaged file. A counterfactual flight holds some settings at other values and ignores what was
+later asked of them; the motion stays the recorded one, so it shows what the law would have asked
+for, not what the handle would then have done.
 """
 
 from collections.abc import Sequence
@@ -28,17 +30,30 @@ Records = NDArray[np.void]
 PLAN_DTYPE = np.dtype(list(PLAN_FIELDS))
 PLAN_NAMES = tuple(str(field[0]) for field in PLAN_FIELDS)
 COMPUTED = [
-    ("flags", "<u4"), ("torque", "<i4"), ("damping", "<u4"), ("position_m", "<f8"), ("velocity_m_per_s", "<f8"),
-    ("acceleration_m_per_s2", "<f8"), ("stiffness_force_n", "<f8"), ("damping_force_n", "<f8"), ("mass_force_n", "<f8"),
-    ("field_force_n", "<f8"), ("force_n", "<f8"), ("energy_j", "<f8", (6,)),
-]  # fmt: skip
+    ("flags", "<u4"),
+    ("torque", "<i4"),
+    ("damping", "<u4"),
+    ("position_m", "<f8"),
+    ("velocity_m_per_s", "<f8"),
+    ("acceleration_m_per_s2", "<f8"),
+    ("stiffness_force_n", "<f8"),
+    ("damping_force_n", "<f8"),
+    ("mass_force_n", "<f8"),
+    ("field_force_n", "<f8"),
+    ("force_n", "<f8"),
+    ("energy_j", "<f8", (6,)),
+]
 FLOWN = np.dtype([*PLAN_FIELDS, *COMPUTED])
 LOOP_FLAGS = int(Flag.LATE | Flag.WRITE_FAILED)  # not step's
-_TORQUE_PLACE, _DAMPING_PLACE = 4, 6  # in an OUT frame
+# in an OUT frame
+_TORQUE_PLACE = 4
+_DAMPING_PLACE = 6
 
 
 class Leg(NamedTuple):
-    """`state` before `tick` (servo.checkpoint), the records from that tick on, and what was asked in their time."""
+    """`state` before `tick` (servo.checkpoint), the records from that tick on, and what was
+    asked in their time.
+    """
 
     tick: int
     state: Any
@@ -55,19 +70,29 @@ class Difference(NamedTuple):
     flown: Any
 
 
-def fly(params: ServoParams, leg: Leg, instead: dict[Value, float] | None = None) -> NDArray[np.void]:
-    """What step computes at each tick of `leg`: array of FLOWN (n,). `instead`: settings held at these values from the start."""
-    step, state = make_step(params), unflatten(leg.state)
+def fly(
+    params: ServoParams, leg: Leg, instead: dict[Value, float] | None = None
+) -> NDArray[np.void]:
+    """What step computes at each tick of `leg`: array of FLOWN (n,). `instead`: settings held
+    at these values from the start.
+    """
+    step = make_step(params)
+    state = unflatten(leg.state)
     obeyed = _by_tick(leg.requests)
     if instead:
         state = _held(state, set(instead))
-        obeyed = {tick: tuple(_without(one, set(instead)) for one in requests) for tick, requests in obeyed.items()}
+        obeyed = {
+            tick: tuple(_without(one, set(instead)) for one in requests)
+            for tick, requests in obeyed.items()
+        }
         obeyed[leg.tick] = (_settings(instead), *obeyed.get(leg.tick, ()))
-    unpack, size = frames.IN_HEAD.unpack, frames.IN_HEAD.size
+    unpack = frames.IN_HEAD.unpack
+    size = frames.IN_HEAD.size
     records = leg.records
     heads = records["in_frame"].tolist()
     head = unpack(heads[0][:size])
-    blobs, rows = [], []
+    blobs = []
+    rows = []
     columns = (records[name].tolist() for name in ("tick", "arrival", "host"))
     for tick, arrival, host, frame in zip(*columns, heads, strict=True):
         if arrival >= 0:
@@ -93,11 +118,14 @@ def _assembled(blobs: list[bytes], rows: list[tuple[Any, ...]]) -> NDArray[np.vo
 def difference(records: Records, flown: NDArray[np.void]) -> Difference | None:
     """Where `flown` differs from what was recorded, compared bit by bit; None if nowhere."""
     for name in (*PLAN_NAMES, *(str(field[0]) for field in COMPUTED)):
-        recorded, again = recorded_as_flown(records, name), flown[name]
+        recorded = recorded_as_flown(records, name)
+        again = flown[name]
         places = np.flatnonzero(_bits(recorded) != _bits(again))
         if places.size:
             place = int(places[0]) // (again.size // len(again))
-            return Difference(int(records["tick"][place]), name, recorded[place].tolist(), again[place].tolist())
+            return Difference(
+                int(records["tick"][place]), name, recorded[place].tolist(), again[place].tolist()
+            )
     return None
 
 
@@ -114,17 +142,24 @@ def recorded_as_flown(records: Records, name: str) -> NDArray[Any]:
 
 
 def _bits(column: NDArray[Any]) -> NDArray[np.uint64] | NDArray[Any]:
-    return column.ravel().view(np.uint64) if column.dtype.kind == "f" and column.dtype.itemsize == 8 else column.ravel()
+    return (
+        column.ravel().view(np.uint64)
+        if column.dtype.kind == "f" and column.dtype.itemsize == 8
+        else column.ravel()
+    )
 
 
 def _by_tick(requests: Sequence[Noted]) -> dict[int, tuple[Request, ...]]:
     found: dict[int, tuple[Request, ...]] = {}
     for one in requests:
-        found[one.tick] = (*found.get(one.tick, ()), (one.seq, one.kind, one.actor, one.apply_tick, tuple(one.values)))
+        found[one.tick] = (
+            *found.get(one.tick, ()),
+            (one.seq, one.kind, one.actor, one.apply_tick, tuple(one.values)),
+        )
     return found
 
 
-# --- the counterfactual ---------------------------------------------------------------------------------------------------
+# --- the counterfactual ---------------------------------------------------------------------------
 
 
 def _settings(instead: dict[Value, float]) -> Request:

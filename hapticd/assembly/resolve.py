@@ -20,10 +20,12 @@ def resolve(settings: Settings, instance: str) -> dict[str, Any]:
 
 
 def write(folder: Path, settings: Settings, instance: str) -> dict[str, Path]:
-    """Write them into `folder` (made and checked), each whole or not at all; a board.json that is not meant any more is removed.
+    """Write them into `folder` (made and checked), each whole or not at all; a board.json that is
+    not meant any more is removed.
 
-    Under systemd both units do so before they start; a file that is meant is never missing for a moment.
-    Returns the path of each file written. Raises MailboxError when the folder is not ours or full.
+    Under systemd both units do so before they start; a file that is meant is never missing for a
+    moment. Returns the path of each file written. Raises MailboxError when the folder is not ours
+    or full.
     """
     files.prepare_folder(folder)
     plain = resolve(settings, instance)

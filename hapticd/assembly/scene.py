@@ -1,4 +1,6 @@
-"""A scene for the whole stack: the parameters of a servo and of the simulated board that it is played on, for lock-step runs."""
+"""A scene for the whole stack: the parameters of a servo and of the simulated board that it is
+played on, for lock-step runs.
+"""
 
 from pathlib import Path
 
@@ -11,11 +13,15 @@ from hapticd.settings.scene import build_scene, load_files
 AT_ONCE_NS_PER_M_S = 1e6  # damping steps of a scene are steps
 
 
-def scene_params(name: str | Path, instance: str = "scene", seed: int = 1) -> tuple[ServoParams, BoardParams]:
-    """(servo, board) that play the scene `name` at its rate and with its delay. ConfigError as `load_scene` and `compose`.
+def scene_params(
+    name: str | Path, instance: str = "scene", seed: int = 1
+) -> tuple[ServoParams, BoardParams]:
+    """(servo, board) that play the scene `name` at its rate and with its delay. ConfigError as
+    `load_scene` and `compose`.
 
-    The servo renders the scene's environment once it is enabled; damping steps and excitation are commands, which the caller
-    gives when their time has come. Converters of the wire quantise whether or not the scene asks for it.
+    The servo renders the scene's environment once it is enabled; damping steps and excitation are
+    commands, which the caller gives when their time has come. Converters of the wire quantise
+    whether or not the scene asks for it.
     """
     files = load_files(name)
     device = files.device
@@ -23,7 +29,15 @@ def scene_params(name: str | Path, instance: str = "scene", seed: int = 1) -> tu
     model = compose(scene)
     phase, lag_periods = sample_timing(model.delay_periods)
     levels = tuple(step.level_ns_per_m for step in scene.damping)
-    board = board_of(device, scene.rate_hz, scene.effects, levels, sample_phase=phase, lag_periods=lag_periods, seed=seed)
+    board = board_of(
+        device,
+        scene.rate_hz,
+        scene.effects,
+        levels,
+        sample_phase=phase,
+        lag_periods=lag_periods,
+        seed=seed,
+    )
     limit_n = model.force_limit_n or device.limits.force_n
     servo = ServoParams(
         instance=instance,

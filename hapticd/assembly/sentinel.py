@@ -1,11 +1,14 @@
-"""The servo's watchdog feeder: `python -m hapticd.assembly.sentinel FOLDER --parent PID`, a small process in the servo's unit.
+"""The servo's watchdog feeder: `python -m hapticd.assembly.sentinel FOLDER --parent PID`, a small
+process in the servo's unit.
 
-systemd takes WATCHDOG=1 from processes of the unit alone, so the gateway cannot send it; the servo's only thread may not,
-for a datagram costs more than a tick. This process looks at the head of the telemetry ring four times within the time that
-the watchdog allows and feeds it if the head has advanced: what is proved is that ticks happen, not that a process exists.
+systemd takes WATCHDOG=1 from processes of the unit alone, so the gateway cannot send it; the
+servo's only thread may not, for a datagram costs more than a tick. This process looks at the head
+of the telemetry ring four times within the time that the watchdog allows and feeds it if the head
+has advanced: what is proved is that ticks happen, not that a process exists.
 
-It maps the ring for reading, starts before the servo takes real-time rights (so it has none), and dies with the servo.
-What would break it: a ring that is replaced while the servo lives (a servo makes it once), or NotifyAccess=main.
+It maps the ring for reading, starts before the servo takes real-time rights (so it has none), and
+dies with the servo. What would break it: a ring that is replaced while the servo lives (a servo
+makes it once), or NotifyAccess=main.
 """
 
 import os
@@ -21,15 +24,25 @@ from hapticd.mailbox import files, layout
 
 
 def start_sentinel(folder: Path) -> int | None:
-    """Start the feeder of the servo in this process, whose ring is in `folder`; its pid, None without a watchdog."""
+    """Start the feeder of the servo in this process, whose ring is in `folder`; its pid, None
+    without a watchdog.
+    """
     if not feeding_period_ns():
         return None
     command = [sys.executable, "-P", "-m", __name__, str(folder), "--parent", str(os.getpid())]
     return os.posix_spawn(sys.executable, command, os.environ)
 
 
-def watch(head: Callable[[], int], feed: Callable[[], None], clock: Clock, period_ns: int, looks: int | None = None) -> None:
-    """Look at `head()` every `period_ns`; `feed()` after each look that found it advanced. `looks` None: for ever."""
+def watch(
+    head: Callable[[], int],
+    feed: Callable[[], None],
+    clock: Clock,
+    period_ns: int,
+    looks: int | None = None,
+) -> None:
+    """Look at `head()` every `period_ns`; `feed()` after each look that found it advanced.
+    `looks` None: for ever.
+    """
     last = head()
     while looks != 0:
         clock.sleep_until_ns(clock.now_ns() + period_ns)
@@ -45,12 +58,19 @@ def main(arguments: list[str]) -> int:
     folder, _, parent = arguments
     die_with_parent(int(parent))
     try:
-        ring = files.open_map(Path(folder) / files.TELEMETRY, layout.TELEMETRY_BYTES, writable=False)
+        ring = files.open_map(
+            Path(folder) / files.TELEMETRY, layout.TELEMETRY_BYTES, writable=False
+        )
     except MailboxError as error:
         os.write(2, f"hapticd sentinel: {error}\n".encode())
         return error.exit_code
     words = memoryview(ring).cast("Q")  # unordered reads will do: only that it moves matters
-    watch(lambda: words[layout.TELEMETRY_HEAD_WORD], lambda: notify("WATCHDOG=1"), MonotonicClock(), feeding_period_ns())
+    watch(
+        lambda: words[layout.TELEMETRY_HEAD_WORD],
+        lambda: notify("WATCHDOG=1"),
+        MonotonicClock(),
+        feeding_period_ns(),
+    )
     return 0
 
 

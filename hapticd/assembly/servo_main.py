@@ -1,9 +1,12 @@
-"""The servo process: `python -m hapticd.assembly.servo_main SERVO_JSON [BOARD_JSON] [--parent PID]`.
+"""The servo process: `python -m hapticd.assembly.servo_main SERVO_JSON [BOARD_JSON] [--parent
+PID]`.
 
-Order of a start: parameters -> board found, greeted, hash checked -> mailbox made -> real-time rights -> mailbox published,
-systemd told -> loop. A simulated board (SERVO_JSON says so, BOARD_JSON describes it) lives in this process and thread, behind
-the same pyusb. Exit code 0: asked to end; else the `exit_code` of the error, which is told in one line on stderr: 78 the
-configuration or the board's protocol is wrong, 6 a right was refused in strict mode (a restart would not help), 1 others.
+Order of a start: parameters -> board found, greeted, hash checked -> mailbox made -> real-time
+rights -> mailbox published, systemd told -> loop. A simulated board (SERVO_JSON says so, BOARD_JSON
+describes it) lives in this process and thread, behind the same pyusb. Exit code 0: asked to end;
+else the `exit_code` of the error, which is told in one line on stderr: 78 the configuration or the
+board's protocol is wrong, 6 a right was refused in strict mode (a restart would not help), 1
+others.
 """
 
 import json
@@ -42,13 +45,16 @@ class Servo:
     """The parts of one servo process."""
 
     def __init__(self, params: ServoParams, board: BoardParams | None, clock: Clock) -> None:
-        self.params, self.clock = params, clock
+        self.params = params
+        self.clock = clock
         self.stopping = False
         self.loop: ServoLoop | None = None
         self.slip_ns = 0
         backend = None
         if board is not None:
-            from hapticd.assembly.simulation import simulated_backend  # a real board brings no simulator along
+            from hapticd.assembly.simulation import (
+                simulated_backend,
+            )  # a real board brings no simulator along
 
             backend = simulated_backend(board, clock, self._slipped)
         self.device = Device(UsbLink(params.usb, backend), params.realtime.rate_hz)
@@ -61,7 +67,9 @@ class Servo:
             self.loop.stopping = True
 
     def connect(self) -> None:
-        """Wait for the board, looking for it with back-off; anything but its absence ends the start."""
+        """Wait for the board, looking for it with back-off; anything but its absence ends the
+        start.
+        """
         attempt = 0
         while not self.stopping:
             try:
@@ -79,9 +87,12 @@ class Servo:
         if self.stopping:
             self.device.close()
             return
-        params, rate_hz = self.params, self.params.realtime.rate_hz
+        params = self.params
+        rate_hz = self.params.realtime.rate_hz
         folder = files.runtime_folder(params.instance)
-        self.mailbox = ServoMailbox(folder, rate_hz, params.config_hash, params.simulated, self.clock.now_ns())
+        self.mailbox = ServoMailbox(
+            folder, rate_hz, params.config_hash, params.simulated, self.clock.now_ns()
+        )
         wait = spinning_wait(int(params.realtime.spin_us * NS_PER_US), int(NS_PER_S / rate_hz))
         self.loop = ServoLoop(params, self.device, self.mailbox, self.clock, wait)
         self.loop.stopping = self.stopping
@@ -102,13 +113,21 @@ class Servo:
 
     def _about(self) -> dict[str, Any]:
         hello = self.device.hello
-        described = {} if hello is None else {**hello._asdict(), "protocol_hash": hello.protocol_hash.hex()}
-        return {"board": described, "simulated": self.params.simulated, "period_us": US_PER_S / self.params.realtime.rate_hz}
+        described = (
+            {} if hello is None else {**hello._asdict(), "protocol_hash": hello.protocol_hash.hex()}
+        )
+        return {
+            "board": described,
+            "simulated": self.params.simulated,
+            "period_us": US_PER_S / self.params.realtime.rate_hz,
+        }
 
     def _slipped(self, slip_ns: int) -> None:
         self.slip_ns += slip_ns
         if self.mailbox is not None:
-            self.mailbox.words[layout.COUNTER_WORD + layout.COUNTERS.index("sim_slip_ns")] = self.slip_ns
+            self.mailbox.words[layout.COUNTER_WORD + layout.COUNTERS.index("sim_slip_ns")] = (
+                self.slip_ns
+            )
 
 
 def main(arguments: list[str]) -> int:
@@ -118,7 +137,9 @@ def main(arguments: list[str]) -> int:
     die_with_parent(parent)
     try:
         if not paths:
-            raise ConfigError("name the servo.json to start from; `hapticd config resolve` makes one")
+            raise ConfigError(
+                "name the servo.json to start from; `hapticd config resolve` makes one"
+            )
         params = read_json(ServoParams, paths[0])
         if params.simulated and len(paths) < 2:
             raise ConfigError(f"{paths[0]} says simulated; name the board.json too")

@@ -9,6 +9,10 @@ from hapticd.sim.board import BoardModel
 from hapticd.sim.injection import with_injections
 
 
-def simulated_backend(params: BoardParams, clock: Clock, on_slip: Callable[[int], None] | None = None) -> SimulatedBackend:
-    """A backend with one board plugged in; `on_slip(ns)` hears of time that a paused host cost the simulation."""
+def simulated_backend(
+    params: BoardParams, clock: Clock, on_slip: Callable[[int], None] | None = None
+) -> SimulatedBackend:
+    """A backend with one board plugged in; `on_slip(ns)` hears of time that a paused host cost
+    the simulation.
+    """
     return SimulatedBackend(with_injections(BoardModel(params, on_slip), params), clock)

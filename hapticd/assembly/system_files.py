@@ -1,7 +1,9 @@
-"""What a machine needs to run hapticd as a service: units, udev rule, user, folders, limits. Files in, files out.
+"""What a machine needs to run hapticd as a service: units, udev rule, user, folders, limits. Files
+in, files out.
 
-The templates travel with the package (systemd/); three words in them are filled in: the interpreter that runs this, and
-vendor and product of the board in the configuration. Nothing is applied: no user made, no unit started.
+The templates travel with the package (systemd/); three words in them are filled in: the interpreter
+that runs this, and vendor and product of the board in the configuration. Nothing is applied: no
+user made, no unit started.
 """
 
 import os
@@ -34,8 +36,15 @@ NEXT_STEPS = (
 
 def system_files(usb: UsbParams, python: str = sys.executable) -> dict[str, str]:
     """Content of each file by its path below the root."""
-    words = {"@PYTHON@": python, "@VENDOR@": f"{usb.vendor_id:04x}", "@PRODUCT@": f"{usb.product_id:04x}"}
-    return {place: filled((shipped("systemd") / name).read_text(), words) for name, place in PLACES.items()}
+    words = {
+        "@PYTHON@": python,
+        "@VENDOR@": f"{usb.vendor_id:04x}",
+        "@PRODUCT@": f"{usb.product_id:04x}",
+    }
+    return {
+        place: filled((shipped("systemd") / name).read_text(), words)
+        for name, place in PLACES.items()
+    }
 
 
 def filled(template: str, words: dict[str, str]) -> str:
@@ -55,14 +64,21 @@ def write_below(root: Path, files: dict[str, str]) -> list[Path]:
             path.write_text(content)
             path.chmod(0o644)
         except OSError as error:
-            raise ConfigError(f"{path}: {error.strerror}; write elsewhere with --root DIR, or as root") from error
+            raise ConfigError(
+                f"{path}: {error.strerror}; write elsewhere with --root DIR, or as root"
+            ) from error
         written.append(path)
     return written
 
 
 def hidden_interpreter(python: str = sys.executable) -> str:
     """A warning when the units could not start `python`; empty when they can."""
-    real = os.path.realpath(python)  # of an environment it is a link to where Python itself was installed
+    real = os.path.realpath(
+        python
+    )  # of an environment it is a link to where Python itself was installed
     if not real.startswith(HIDDEN):
         return ""
-    return f"{real} lies in a folder that the units do not see (ProtectHome=yes); install hapticd into /opt/hapticd instead"
+    return (
+        f"{real} lies in a folder that the units do not see (ProtectHome=yes); install hapticd into"
+        " /opt/hapticd instead"
+    )

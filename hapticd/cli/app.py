@@ -61,5 +61,7 @@ def main(arguments: Sequence[str]) -> int:
 def _told(ending: SystemExit, as_json: bool) -> int:
     code = ending.code if isinstance(ending.code, int) else int(ending.code is not None)
     if code == USAGE and as_json:
-        terminal.data_json({"ok": False, "error": {"code": "usage", "message": "see stderr", "detail": None}})
+        terminal.data_json(
+            {"ok": False, "error": {"code": "usage", "message": "see stderr", "detail": None}}
+        )
     return code

@@ -1,4 +1,5 @@
-"""What the verbs that change something share: numbers and NAME=VALUE words, a connection, and the receipt.
+"""What the verbs that change something share: numbers and NAME=VALUE words, a connection, and the
+receipt.
 
 A word that is no number or names no parameter is a usage error (exit 2) before anybody is asked.
 """
@@ -40,7 +41,9 @@ def changes(words: Sequence[str]) -> dict[str, Any]:
         if name not in NAMES:
             from hapticd.settings.toml import did_you_mean
 
-            raise typer.BadParameter(f"{name!r} is unknown{did_you_mean(name, NAMES)}; see `hapticd set --help`")
+            raise typer.BadParameter(
+                f"{name!r} is unknown{did_you_mean(name, NAMES)}; see `hapticd set --help`"
+            )
         *tables, leaf = name.split(".")
         table = found.setdefault(tables[0], {}) if tables else found
         if leaf in table:
@@ -77,7 +80,9 @@ def receipt_text(receipt: "Receipt") -> str:
     if receipt.ramp_end_tick > receipt.first_tick:
         when += f", ramp ends at tick {receipt.ramp_end_tick}"
     values = dict(parameters(receipt.effective))
-    shown = ", ".join(f"{name} {values[name]}" for name in ("K", "B", "M", "damping") if name in values)
+    shown = ", ".join(
+        f"{name} {values[name]}" for name in ("K", "B", "M", "damping") if name in values
+    )
     return f"{receipt.state}: {when}, revision {receipt.revision}: {shown}"
 
 

@@ -1,7 +1,8 @@
-"""The verbs of a daemon: start it, ask it, change what it renders, stop it, have it write what it recorded.
+"""The verbs of a daemon: start it, ask it, change what it renders, stop it, have it write what it
+recorded.
 
-`hapticd stop` is taken by hapticd.__main__ and client.fast_stop without loading this; the verb here serves its help and
-mistakes.
+`hapticd stop` is taken by hapticd.__main__ and client.fast_stop without loading this; the verb here
+serves its help and mistakes.
 """
 
 import time
@@ -24,23 +25,32 @@ if TYPE_CHECKING:
 def run(
     config: terminal.ConfigFile = None,
     instance: terminal.Instance = terminal.INSTANCE,
-    rate_hz: Annotated[float | None, typer.Option("--rate-hz", metavar="HZ", help="Servo rate in place of the file's.")] = None,
+    rate_hz: Annotated[
+        float | None,
+        typer.Option("--rate-hz", metavar="HZ", help="Servo rate in place of the file's."),
+    ] = None,
     as_json: terminal.JsonLines = False,
 ) -> None:
-    """Start the daemon in the foreground. Ctrl-C ends it: force to 0, disabled. A second Ctrl-C kills it."""
+    """Start the daemon in the foreground. Ctrl-C ends it: force to 0, disabled. A second Ctrl-C
+    kills it.
+    """
     from hapticd.assembly.process import on_stop
     from hapticd.assembly.supervisor import Supervisor
     from hapticd.clock import MonotonicClock
     from hapticd.mailbox.files import runtime_folder
     from hapticd.settings.load import Override, load
 
-    overrides = () if rate_hz is None else (Override(("realtime", "rate_hz"), rate_hz, "--rate-hz"),)
+    overrides = (
+        () if rate_hz is None else (Override(("realtime", "rate_hz"), rate_hz, "--rate-hz"),)
+    )
     settings = load(config, overrides)
 
     def tell(event: "Event") -> None:
         try:
             if as_json:
-                terminal.data_json({"event": event.kind, "process": event.process, "text": event.text})
+                terminal.data_json(
+                    {"event": event.kind, "process": event.process, "text": event.text}
+                )
             elif event.kind == "ready":
                 terminal.data(_ready_text(settings, instance))
             else:
@@ -55,12 +65,19 @@ def run(
 
 
 def _ready_text(settings: "Settings", instance: str) -> str:
-    device, config = settings.device, settings.config
+    device = settings.device
+    config = settings.config
     which = "" if instance == terminal.INSTANCE else f" --instance {instance}"
     if device.simulated:
-        head = terminal.coloured(SIMULATED_BANNER, terminal.YELLOW) + "\n\nSIMULATED board: no force leaves this computer."
+        head = (
+            terminal.coloured(SIMULATED_BANNER, terminal.YELLOW)
+            + "\n\nSIMULATED board: no force leaves this computer."
+        )
     else:
-        head = terminal.coloured(f"REAL BOARD {device.serial}: {device.name}, up to {device.limits.force_n} N.", terminal.RED)
+        head = terminal.coloured(
+            f"REAL BOARD {device.serial}: {device.name}, up to {device.limits.force_n} N.",
+            terminal.RED,
+        )
     return f"""
 {head}
 hapticd is ready, disabled, at {config.realtime.rate_hz:g} Hz. Try in another terminal:
@@ -82,7 +99,9 @@ STATE_COLOURS = {"disabled": terminal.BOLD, "enabled": terminal.GREEN, "homing":
 
 
 def status(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False) -> None:
-    """State, parameters in force, faults and timing. Exit 3 until servo and gateway are both ready."""
+    """State, parameters in force, faults and timing. Exit 3 until servo and gateway are both
+    ready.
+    """
     try:
         with connect(instance) as client:
             found = client.status()
@@ -100,33 +119,56 @@ def status(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Js
 def _status_lines(found: dict[str, Any]) -> list[str]:
     state = terminal.coloured(found["state"], STATE_COLOURS.get(found["state"], terminal.RED))
     if found["state"] in NOT_READY:
-        return [f"{state}: {found.get('reason', 'the gateway runs, the servo does not answer (yet)')}"]
+        return [
+            f"{state}: {found.get('reason', 'the gateway runs, the servo does not answer (yet)')}"
+        ]
     simulated = f"  {terminal.coloured('SIMULATED', terminal.YELLOW)}" if found["simulated"] else ""
     lines = [f"{state}{simulated}  instance {found['instance']}, revision {found['revision']}"]
     if found["fault"] != "none":
-        lines.append(f"  {found['fault']}: {found['cause']}. {found['action']}. To leave: {found['remedy']}")
+        lines.append(
+            f"  {found['fault']}: {found['cause']}. {found['action']}. To leave: {found['remedy']}"
+        )
     counters = found.get("counters", {})
     lines += [
         f"  renders   {_rendered(found)}",
-        f"  now       x {1e3 * found.get('position_m', 0):.4f} mm, force {found.get('force_n', 0):.4f} N, tick {found.get('tick')}",
-        f"  timing    {found['rate_hz']:g} Hz, {counters.get('late_events', 0)} late, {counters.get('lost_slots', 0)} slots lost, "
-        f"{counters.get('missing_in', 0)} frames missing",
+        (
+            f"  now       x {1e3 * found.get('position_m', 0):.4f} mm, force"
+            f" {found.get('force_n', 0):.4f} N, tick {found.get('tick')}"
+        ),
+        (
+            f"  timing    {found['rate_hz']:g} Hz, {counters.get('late_events', 0)} late,"
+            f" {counters.get('lost_slots', 0)} slots lost, {counters.get('missing_in', 0)} frames"
+            " missing"
+        ),
     ]
-    return lines + [f"  {stage:9} {_percentiles(row)}" for stage, row in found.get("stages", {}).items()]
+    return lines + [
+        f"  {stage:9} {_percentiles(row)}" for stage, row in found.get("stages", {}).items()
+    ]
 
 
 def _rendered(found: dict[str, Any]) -> str:
-    stiffness, damping, mass = (found.get(name, 0) for name in ("stiffness_n_per_m", "damping_ns_per_m", "mass_kg"))
+    stiffness, damping, mass = (
+        found.get(name, 0) for name in ("stiffness_n_per_m", "damping_ns_per_m", "mass_kg")
+    )
     electrical = f"electrical damping {found.get('added_damping_ns_per_m', 0):.4g} N s/m"
-    return f"K {stiffness:g} N/m, B {damping:g} N s/m, M {mass:g} kg, {electrical}, gain {found.get('gain', 0):.3g}"
+    return (
+        f"K {stiffness:g} N/m, B {damping:g} N s/m, M {mass:g} kg, {electrical}, gain"
+        f" {found.get('gain', 0):.3g}"
+    )
 
 
 def _percentiles(row: dict[str, float]) -> str:
-    return f"p50 {row['p50_us']:8.1f} us   p99 {row['p99_us']:8.1f} us   max {row['max_us']:8.1f} us"
+    return (
+        f"p50 {row['p50_us']:8.1f} us   p99 {row['p99_us']:8.1f} us   max {row['max_us']:8.1f} us"
+    )
 
 
-def get_parameters(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False) -> None:
-    """Show the parameters that were asked for (ramps at their ends); with --json also what is in force at this tick."""
+def get_parameters(
+    instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False
+) -> None:
+    """Show the parameters that were asked for (ramps at their ends); with --json also what is
+    in force at this tick.
+    """
     with connect(instance) as client:
         found = client.get()
     if as_json:
@@ -136,10 +178,25 @@ def get_parameters(instance: terminal.Instance = terminal.INSTANCE, as_json: ter
         terminal.data(f"{name} = {value}")
 
 
-Changes = Annotated[list[str], typer.Argument(metavar="NAME=VALUE", help="K in N/m, B in N s/m, M in kg, damping in N s/m, ...")]
-Ramp = Annotated[float | None, typer.Option("--ramp-s", metavar="S", help="Length of the ramp; else as configured.")]
-AtTick = Annotated[int | None, typer.Option("--at-tick", metavar="N", help="Servo tick from which it acts; else the next one.")]
-IfRev = Annotated[int | None, typer.Option("--if-rev", metavar="N", help="Only if the revision is still N.")]
+Changes = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="NAME=VALUE", help="K in N/m, B in N s/m, M in kg, damping in N s/m, ..."
+    ),
+]
+Ramp = Annotated[
+    float | None,
+    typer.Option("--ramp-s", metavar="S", help="Length of the ramp; else as configured."),
+]
+AtTick = Annotated[
+    int | None,
+    typer.Option(
+        "--at-tick", metavar="N", help="Servo tick from which it acts; else the next one."
+    ),
+]
+IfRev = Annotated[
+    int | None, typer.Option("--if-rev", metavar="N", help="Only if the revision is still N.")
+]
 
 
 def set_parameters(
@@ -150,21 +207,37 @@ def set_parameters(
     instance: terminal.Instance = terminal.INSTANCE,
     as_json: terminal.Json = False,
 ) -> None:
-    """Change what is rendered, e.g. `hapticd set K=100 B=1 M=0.010 --ramp-s 0.1`. All of it or nothing.
+    """Change what is rendered, e.g. `hapticd set K=100 B=1 M=0.010 --ramp-s 0.1`. All of it or
+    nothing.
 
-    Also filters.velocity_hz, filters.velocity_zeta, filters.acceleration_hz, filters.acceleration_zeta,
-    wall.stiffness_n_per_m, wall.damping_ns_per_m, wall.position_m, wall.side (-1, 0, 1).
+    Also filters.velocity_hz, filters.velocity_zeta, filters.acceleration_hz,
+    filters.acceleration_zeta, wall.stiffness_n_per_m, wall.damping_ns_per_m, wall.position_m,
+    wall.side (-1, 0, 1).
     """
     asked = changes(what)
-    change(instance, as_json, lambda client: client.set(**asked, ramp_s=ramp_s, at_tick=at_tick, if_rev=if_rev))
+    change(
+        instance,
+        as_json,
+        lambda client: client.set(**asked, ramp_s=ramp_s, at_tick=at_tick, if_rev=if_rev),
+    )
 
 
-DampingValue = Annotated[str, typer.Argument(metavar="on|off|LEVEL", help="LEVEL in N s/m; 0 is off.")]
+DampingValue = Annotated[
+    str, typer.Argument(metavar="on|off|LEVEL", help="LEVEL in N s/m; 0 is off.")
+]
 
 
-def damping(value: DampingValue, instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False) -> None:
-    """Switch the added electrical damping on or off, or set its level (N s/m) and switch it on; live, in every state."""
-    asked = value if value in ("on", "off") else number("damping", value, "on, off or a level in N s/m")
+def damping(
+    value: DampingValue,
+    instance: terminal.Instance = terminal.INSTANCE,
+    as_json: terminal.Json = False,
+) -> None:
+    """Switch the added electrical damping on or off, or set its level (N s/m) and switch it on;
+    live, in every state.
+    """
+    asked = (
+        value if value in ("on", "off") else number("damping", value, "on, off or a level in N s/m")
+    )
     change(instance, as_json, lambda client: client.damping(asked))  # type: ignore[arg-type]
 
 
@@ -173,13 +246,17 @@ def enable(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Js
     change(instance, as_json, lambda client: client.enable())
 
 
-def disable(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False) -> None:
+def disable(
+    instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False
+) -> None:
     """Force off."""
     change(instance, as_json, lambda client: client.disable())
 
 
 def stop(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False) -> None:
-    """Stop: force to 0 at once, latched until `hapticd reset`. Anyone may, at any time; never refused."""
+    """Stop: force to 0 at once, latched until `hapticd reset`. Anyone may, at any time; never
+    refused.
+    """
     from hapticd.client.fast_stop import main
 
     raise typer.Exit(main(instance, as_json))
@@ -211,20 +288,31 @@ def home(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json
     if as_json:
         terminal.data_json({"ok": True, "state": found["state"], "homed": bool(found.get("homed"))})
     else:
-        terminal.data("disabled: the origin is known" if found.get("homed") else "disabled: this device needs no homing")
+        terminal.data(
+            "disabled: the origin is known"
+            if found.get("homed")
+            else "disabled: this device needs no homing"
+        )
 
 
-DUMP_PATIENCE_S, DUMP_POLL_S = 20.0, 0.05
+DUMP_PATIENCE_S = 20.0
+DUMP_POLL_S = 0.05
 
 
 def dump(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False) -> None:
-    """Write the last minute at every tick, with raw frames, to a file; as it is done at every fault. See `hapticd replay`."""
+    """Write the last minute at every tick, with raw frames, to a file; as it is done at every
+    fault. See `hapticd replay`.
+    """
     with connect(instance) as client:
         found = client.dump()
-    path, deadline = Path(found["path"]), time.monotonic() + DUMP_PATIENCE_S
+    path = Path(found["path"])
+    deadline = time.monotonic() + DUMP_PATIENCE_S
     while not path.exists():
         if time.monotonic() > deadline:
-            raise HapticdError(f"{path} was not written within {DUMP_PATIENCE_S:g} s; `hapticd status` lists the last events")
+            raise HapticdError(
+                f"{path} was not written within {DUMP_PATIENCE_S:g} s; `hapticd status` lists the"
+                " last events"
+            )
         time.sleep(DUMP_POLL_S)
     if as_json:
         terminal.data_json({"ok": True, **found})
@@ -233,15 +321,25 @@ def dump(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json
 
 
 perturb_app = typer.Typer(
-    no_args_is_help=True, help="Load, start and stop a perturbation: a force waveform at 4 kHz on top of what is rendered."
+    no_args_is_help=True,
+    help=(
+        "Load, start and stop a perturbation: a force waveform at 4 kHz on top of what is rendered."
+    ),
 )
 WaveformFile = Annotated[
-    Path, typer.Argument(metavar="FILE", help="Force in N: .npy of shape (n,), or text with one number a line.")
+    Path,
+    typer.Argument(
+        metavar="FILE", help="Force in N: .npy of shape (n,), or text with one number a line."
+    ),
 ]
 
 
 @perturb_app.command("load")
-def load_waveform(file: WaveformFile, instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False) -> None:
+def load_waveform(
+    file: WaveformFile,
+    instance: terminal.Instance = terminal.INSTANCE,
+    as_json: terminal.Json = False,
+) -> None:
     """Load a waveform; it does not start by itself."""
     import warnings
 
@@ -249,11 +347,19 @@ def load_waveform(file: WaveformFile, instance: terminal.Instance = terminal.INS
 
     try:
         with warnings.catch_warnings(action="ignore"):  # of an empty file; it is refused below
-            samples_n = np.load(file, allow_pickle=False) if file.suffix == ".npy" else np.loadtxt(file, ndmin=1)
+            samples_n = (
+                np.load(file, allow_pickle=False)
+                if file.suffix == ".npy"
+                else np.loadtxt(file, ndmin=1)
+            )
     except (OSError, ValueError) as error:
-        raise ConfigError(f"{file}: {error}; expected force in N, one number a line or a .npy of shape (n,)") from error
+        raise ConfigError(
+            f"{file}: {error}; expected force in N, one number a line or a .npy of shape (n,)"
+        ) from error
     if samples_n.ndim != 1 or samples_n.dtype.kind not in "fiu" or not samples_n.size:
-        raise ConfigError(f"{file}: shape {samples_n.shape} of {samples_n.dtype}; expected numbers of shape (n,)")
+        raise ConfigError(
+            f"{file}: shape {samples_n.shape} of {samples_n.dtype}; expected numbers of shape (n,)"
+        )
     with connect(instance) as client:
         count = client.perturb_load(samples_n)
     if as_json:
@@ -273,6 +379,8 @@ def start_waveform(
 
 
 @perturb_app.command("stop")
-def stop_waveform(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False) -> None:
+def stop_waveform(
+    instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False
+) -> None:
     """Stop playing."""
     change(instance, as_json, lambda client: client.perturb_stop())

@@ -9,15 +9,24 @@ from hapticd.cli import terminal
 
 app = typer.Typer(no_args_is_help=True, help=__doc__)
 Folder = Annotated[Path, typer.Argument(metavar="FOLDER", help="What gateway.curve_keys names.")]
-Name = Annotated[str, typer.Argument(metavar="NAME", help="Of the machine or person that may listen.")]
+Name = Annotated[
+    str, typer.Argument(metavar="NAME", help="Of the machine or person that may listen.")
+]
 Out = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="Where the client's secret is written; else the current folder.")
+    Path | None,
+    typer.Option(
+        "--out",
+        metavar="DIR",
+        help="Where the client's secret is written; else the current folder.",
+    ),
 ]
 
 
 @app.command()
 def server(folder: Folder, as_json: terminal.Json = False) -> None:
-    """The server's pair in a new FOLDER: server.key to hand out, server.key_secret for the gateway alone."""
+    """The server's pair in a new FOLDER: server.key to hand out, server.key_secret for the
+    gateway alone.
+    """
     from hapticd.gateway.auth import make_keys
 
     files = make_keys(folder)
@@ -25,12 +34,16 @@ def server(folder: Folder, as_json: terminal.Json = False) -> None:
         _told(files, folder)
         return
     _told(files, None)
-    terminal.talk(f"set gateway.curve_keys to {folder}; who may listen: `hapticd keys client {folder} NAME`")
+    terminal.talk(
+        f"set gateway.curve_keys to {folder}; who may listen: `hapticd keys client {folder} NAME`"
+    )
 
 
 @app.command()
 def client(folder: Folder, name: Name, out: Out = None, as_json: terminal.Json = False) -> None:
-    """A listener's pair: NAME.key among those whom FOLDER lets in, NAME.key_secret to be brought to the listener."""
+    """A listener's pair: NAME.key among those whom FOLDER lets in, NAME.key_secret to be
+    brought to the listener.
+    """
     from hapticd.gateway.auth import make_client
 
     files = make_client(folder, name, out or Path())
@@ -38,12 +51,17 @@ def client(folder: Folder, name: Name, out: Out = None, as_json: terminal.Json =
         _told(files, folder)
         return
     _told(files, None)
-    terminal.talk(f"bring {files[1]} and {folder / 'server.key'} to {name}, and delete the secret here; restart the gateway")
+    terminal.talk(
+        f"bring {files[1]} and {folder / 'server.key'} to {name}, and delete the secret here;"
+        " restart the gateway"
+    )
 
 
 def _told(files: tuple[Path, ...], folder: Path | None) -> None:
     if folder is not None:
-        terminal.data_json({"ok": True, "folder": str(folder), "files": [str(file) for file in files]})
+        terminal.data_json(
+            {"ok": True, "folder": str(folder), "files": [str(file) for file in files]}
+        )
         return
     for file in files:
         terminal.data(str(file))

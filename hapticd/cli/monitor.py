@@ -1,7 +1,9 @@
-"""Watch one daemon live: state, position, force, damping and latency as strip charts; single keys stop it or end the view.
+"""Watch one daemon live: state, position, force, damping and latency as strip charts; single keys
+stop it or end the view.
 
-Keys come from the terminal without waiting and without Enter, and none come when stdin is no terminal. What would break
-it: waiting for data without a time-out, for then a silent daemon would leave an old screen standing.
+Keys come from the terminal without waiting and without Enter, and none come when stdin is no
+terminal. What would break it: waiting for data without a time-out, for then a silent daemon would
+leave an old screen standing.
 """
 
 import os
@@ -35,7 +37,12 @@ class Keys:
             tty.setcbreak(sys.stdin)
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         if self._before is not None:
             termios.tcsetattr(sys.stdin, termios.TCSADRAIN, self._before)
 
@@ -48,13 +55,24 @@ class Keys:
 
 REDRAW_NS = NS_PER_S // 10
 RETRY_NS = NS_PER_S // 10
-NEWEST = ("tick", "position_m", "force_n", "stiffness_n_per_m", "damping_ns_per_m", "mass_kg", "added_damping_ns_per_m", "gain")
+NEWEST = (
+    "tick",
+    "position_m",
+    "force_n",
+    "stiffness_n_per_m",
+    "damping_ns_per_m",
+    "mass_kg",
+    "added_damping_ns_per_m",
+    "gain",
+)
 Show = Callable[["History", bool | None, float], None]  # history, simulated, seconds without data
 
 
 def monitor(
     instance: terminal.Instance = terminal.INSTANCE,
-    seconds: Annotated[float | None, typer.Option("--seconds", metavar="S", help="End after S seconds.")] = None,
+    seconds: Annotated[
+        float | None, typer.Option("--seconds", metavar="S", help="End after S seconds.")
+    ] = None,
     as_json: terminal.JsonLines = False,
 ) -> None:
     """Watch live on one screen. Space or Esc stops the daemon, q or Ctrl-C only this screen.
@@ -79,14 +97,22 @@ def monitor(
 
 
 def watch(instance: str, seconds: float | None, show: Show) -> None:
-    """Show what comes, ten times a second, also when nothing comes; obey keys. `seconds` None: until q."""
+    """Show what comes, ten times a second, also when nothing comes; obey keys. `seconds` None:
+    until q.
+    """
     from hapticd.cli.screen import NO_DATA_S, History
     from hapticd.clock import MonotonicClock
 
     clock = MonotonicClock()
     begin_ns = heard_ns = clock.now_ns()
-    shown_ns, history, simulated = 0, History(), None
-    with connect(instance, timeout_s=NO_DATA_S) as client, Keys() as keys, closing(_blocks(client)) as blocks:
+    shown_ns = 0
+    history = History()
+    simulated = None
+    with (
+        connect(instance, timeout_s=NO_DATA_S) as client,
+        Keys() as keys,
+        closing(_blocks(client)) as blocks,
+    ):
         client.hello()  # nobody there at the start is an error; one who goes away later is NO DATA
         for block in blocks:
             now_ns = clock.now_ns()
@@ -94,7 +120,8 @@ def watch(instance: str, seconds: float | None, show: Show) -> None:
                 clock.sleep_until_ns(now_ns + RETRY_NS)
             elif len(block.records):
                 heard_ns = now_ns
-                simulated, history = bool(block.header["simulated"]), History() if block.restarted else history
+                simulated = bool(block.header["simulated"])
+                history = History() if block.restarted else history
                 history.add(block.records)
             if now_ns - shown_ns >= REDRAW_NS:
                 shown_ns = now_ns
@@ -133,8 +160,16 @@ def _newest(history: "History", simulated: bool | None, silent_s: float) -> dict
     newest = history.newest
     if newest is None or silent_s >= NO_DATA_S:
         return {"state": "no_data", "simulated": simulated, "silent_s": round(silent_s, 3)}
-    words = {"state": State(int(newest["state"])).name.lower(), "fault": BY_NUMBER[int(newest["fault"])].code}
-    return {**words, "simulated": simulated, **{name: newest[name].item() for name in NEWEST}, "wake_us": newest["wake_ns"] / 1e3}
+    words = {
+        "state": State(int(newest["state"])).name.lower(),
+        "fault": BY_NUMBER[int(newest["fault"])].code,
+    }
+    return {
+        **words,
+        "simulated": simulated,
+        **{name: newest[name].item() for name in NEWEST},
+        "wake_us": newest["wake_ns"] / 1e3,
+    }
 
 
 def _print_json(history: "History", simulated: bool | None, silent_s: float) -> None:
@@ -147,5 +182,10 @@ def _print_line(history: "History", simulated: bool | None, silent_s: float) -> 
     if found["state"] == "no_data":
         terminal.data(f"{badge}NO DATA for {silent_s:.1f} s")
     else:
-        x_mm, force_n, damping = 1e3 * found["position_m"], found["force_n"], found["added_damping_ns_per_m"]
-        terminal.data(f"{badge}{found['state']} x {x_mm:.4f} mm  force {force_n:.4f} N  damping {damping:.4g} N s/m")
+        x_mm = 1e3 * found["position_m"]
+        force_n = found["force_n"]
+        damping = found["added_damping_ns_per_m"]
+        terminal.data(
+            f"{badge}{found['state']} x {x_mm:.4f} mm  force {force_n:.4f} N  damping {damping:.4g}"
+            " N s/m"
+        )

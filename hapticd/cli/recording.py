@@ -1,4 +1,6 @@
-"""Record a running daemon; finish, look at and convert recordings; replay them through the servo's own step."""
+"""Record a running daemon; finish, look at and convert recordings; replay them through the
+servo's own step.
+"""
 
 import sys
 import time
@@ -19,8 +21,13 @@ if TYPE_CHECKING:
     from hapticd.measure.reflight import Reflight
 
 
-NewFile = Annotated[Path, typer.Argument(metavar="FILE", help="NAME.h5; while it grows it is called NAME.part.h5.")]
-Seconds = Annotated[float | None, typer.Option("--seconds", metavar="S", help="Recorded time; else until Ctrl-C.", min=0.001)]
+NewFile = Annotated[
+    Path, typer.Argument(metavar="FILE", help="NAME.h5; while it grows it is called NAME.part.h5.")
+]
+Seconds = Annotated[
+    float | None,
+    typer.Option("--seconds", metavar="S", help="Recorded time; else until Ctrl-C.", min=0.001),
+]
 Note = Annotated[str, typer.Option("--note", metavar="TEXT", help="Your words, kept in the file.")]
 
 
@@ -31,7 +38,8 @@ def record(
     instance: terminal.Instance = terminal.INSTANCE,
     as_json: terminal.Json = False,
 ) -> None:
-    """Record the running daemon: every tick with raw frames, the probe, events, and what a replay needs.
+    """Record the running daemon: every tick with raw frames, the probe, events, and what a replay
+    needs.
 
     Ctrl-C ends it in order. A recorder that was killed loses at most 100 ms: `hapticd rec recover`.
     """
@@ -51,7 +59,8 @@ def record(
 def finished_line(ended: str, summary: dict[str, Any]) -> str:
     """One line about a finished file."""
     simulated = "SIMULATED, " if summary["simulated"] else ""
-    missing, size_mb = summary["missing"]["servo"], summary["bytes"] / 1e6
+    missing = summary["missing"]["servo"]
+    size_mb = summary["bytes"] / 1e6
     taken = f"{summary['seconds']:.3f} s, {summary['records']} records, {missing} missing"
     return f"{summary['file']}: {ended}, {simulated}{taken}, {size_mb:.3g} MB"
 
@@ -66,26 +75,53 @@ def _bar(seconds: float | None, quiet: bool) -> "Iterator[Callable[[Progress], N
     from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bar
 
-    columns = TextColumn("recording"), BarColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
+    columns = (
+        TextColumn("recording"),
+        BarColumn(),
+        TextColumn("{task.description}"),
+        TimeElapsedColumn(),
+    )
     with Bar(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task("", total=seconds)
 
         def tell(progress: "Progress") -> None:
             missing = f", {progress.missing} MISSING" if progress.missing else ""
-            text = f"{progress.seconds:.1f} s, {progress.records} records{missing}, {progress.file_bytes / 1e6:.1f} MB"
+            text = (
+                f"{progress.seconds:.1f} s, {progress.records} records{missing},"
+                f" {progress.file_bytes / 1e6:.1f} MB"
+            )
             bar.update(task, completed=progress.seconds, description=text)
 
         yield tell
 
 
 rec_app = typer.Typer(no_args_is_help=True, help="Finish, look at and convert recordings.")
-Source = Annotated[Path, typer.Argument(metavar="FILE", help="NAME.h5, NAME.part.h5 or NAME.flight.")]
-Target = Annotated[Path | None, typer.Argument(metavar="[OUT]", help="Else beside it, with another ending.", show_default=False)]
-Kind = Annotated[Literal["mat", "csv"], typer.Argument(metavar="mat|csv", help="MATLAB 5, or comma-separated values.")]
+Source = Annotated[
+    Path, typer.Argument(metavar="FILE", help="NAME.h5, NAME.part.h5 or NAME.flight.")
+]
+Target = Annotated[
+    Path | None,
+    typer.Argument(
+        metavar="[OUT]", help="Else beside it, with another ending.", show_default=False
+    ),
+]
+Kind = Annotated[
+    Literal["mat", "csv"],
+    typer.Argument(metavar="mat|csv", help="MATLAB 5, or comma-separated values."),
+]
 ATTRIBUTES_SHOWN = (
-    "started_utc", "device_name", "device_serial", "rate_hz", "winding_c", "hapticd_version", "hapticd_commit", "kernel", "cpu",
-    "realtime", "note",
-)  # fmt: skip
+    "started_utc",
+    "device_name",
+    "device_serial",
+    "rate_hz",
+    "winding_c",
+    "hapticd_version",
+    "hapticd_commit",
+    "kernel",
+    "cpu",
+    "realtime",
+    "note",
+)
 
 
 @rec_app.command()
@@ -113,9 +149,11 @@ def info(file: Source, as_json: terminal.Json = False) -> None:
         terminal.data_json({"ok": True, **found, "attributes": attributes})
         return
     badge = terminal.coloured("SIMULATED  ", terminal.YELLOW) if found["simulated"] else ""
-    probe, missing = found["probe_samples"], found["missing"]
+    probe = found["probe_samples"]
+    missing = found["missing"]
     terminal.data(
-        f"{badge}{found['seconds']:.3f} s, {found['records']} records, {probe} probe samples, {found['lives']} servo life"
+        f"{badge}{found['seconds']:.3f} s, {found['records']} records, {probe} probe samples,"
+        f" {found['lives']} servo life"
     )
     terminal.data(f"missing: {missing['servo']} records, {missing['probe']} probe samples")
     for name in ATTRIBUTES_SHOWN:
@@ -151,18 +189,37 @@ def _beside(file: Path, ending: str) -> Path:
     return target
 
 
-ReplayFile = Annotated[Path, typer.Argument(metavar="FILE", help="NAME.h5, NAME.part.h5 or NAME.flight.")]
-Held = Annotated[list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Hold a setting, as in `hapticd set`; repeat.")]
-FilterHz = Annotated[float | None, typer.Option("--filter-hz", metavar="HZ", help="Hold the corners of both filters.", min=0.1)]
-ReplayPlot = Annotated[Path | None, typer.Option("--plot", metavar="NAME", help="Draw NAME.png and NAME.svg; with --set always.")]
+ReplayFile = Annotated[
+    Path, typer.Argument(metavar="FILE", help="NAME.h5, NAME.part.h5 or NAME.flight.")
+]
+Held = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", metavar="NAME=VALUE", help="Hold a setting, as in `hapticd set`; repeat."
+    ),
+]
+FilterHz = Annotated[
+    float | None,
+    typer.Option("--filter-hz", metavar="HZ", help="Hold the corners of both filters.", min=0.1),
+]
+ReplayPlot = Annotated[
+    Path | None,
+    typer.Option("--plot", metavar="NAME", help="Draw NAME.png and NAME.svg; with --set always."),
+]
 
 
 def replay(
-    file: ReplayFile, held: Held = None, filter_hz: FilterHz = None, plot: ReplayPlot = None, as_json: terminal.Json = False
+    file: ReplayFile,
+    held: Held = None,
+    filter_hz: FilterHz = None,
+    plot: ReplayPlot = None,
+    as_json: terminal.Json = False,
 ) -> None:
-    """Fly a recorded motion again: bit by bit as it was, or with settings held at other values; then draw both forces.
+    """Fly a recorded motion again: bit by bit as it was, or with settings held at other values;
+    then draw both forces.
 
-    The motion stays the recorded one: it shows what the law would have asked for. Exit 1 if a plain flight differs by a bit.
+    The motion stays the recorded one: it shows what the law would have asked for. Exit 1 if a plain
+    flight differs by a bit.
     """
     from hapticd.measure.recording.file import open_recording
     from hapticd.measure.reflight import refly
@@ -173,17 +230,27 @@ def replay(
         begin = time.process_time()
         flight = refly(recording, _instead(words))
         seconds = time.process_time() - begin
-        rate_hz, simulated = recording.params.realtime.rate_hz, bool(recording.attributes["simulated"])
-    found = {**flight.plain(), "times_real_time": len(flight.flown) / rate_hz / seconds, "held": words}
+        rate_hz = recording.params.realtime.rate_hz
+        simulated = bool(recording.attributes["simulated"])
+    found = {
+        **flight.plain(),
+        "times_real_time": len(flight.flown) / rate_hz / seconds,
+        "held": words,
+    }
     if words or plot:
         drawn = plot or file.with_name(f"{file.name.partition('.')[0]}-replay")
-        found["figures"] = _drawn(flight, drawn, f"{file.name}{', SIMULATED' if simulated else ''}", ", ".join(words))
+        found["figures"] = _drawn(
+            flight, drawn, f"{file.name}{', SIMULATED' if simulated else ''}", ", ".join(words)
+        )
     if as_json:
         terminal.data_json({"ok": True, **found})
     else:
         _show_replay(found)
     if not words and flight.different is not None:
-        raise HapticdError(f"{file}: the flight differs from the recording; another version recorded it, or the file is damaged")
+        raise HapticdError(
+            f"{file}: the flight differs from the recording; another version recorded it, or the"
+            " file is damaged"
+        )
 
 
 def _instead(words: list[str]) -> "dict[Value, float]":
@@ -201,16 +268,26 @@ def _drawn(flight: "Reflight", path: Path, title: str, changed: str) -> list[str
     from hapticd.report.trial import reflight_figure
 
     figure = reflight_figure(flight, title, changed or "flown again")
-    return [str(one) for one in save(figure, path.parent, path.name.removesuffix(".png").removesuffix(".svg"))]
+    return [
+        str(one)
+        for one in save(figure, path.parent, path.name.removesuffix(".png").removesuffix(".svg"))
+    ]
 
 
 def _show_replay(found: dict[str, Any]) -> None:
     verdict = "bit-exact" if found["bit_exact"] else "different"
-    terminal.data(f"{found['ticks']} ticks in {found['legs']} legs, {found['times_real_time']:.0f} x real time: {verdict}")
+    terminal.data(
+        f"{found['ticks']} ticks in {found['legs']} legs, {found['times_real_time']:.0f} x real"
+        f" time: {verdict}"
+    )
     if first := found["first_difference"]:
-        terminal.data(f"from tick {first['tick']}: {first['field']} was {first['recorded']}, is {first['flown']}")
+        terminal.data(
+            f"from tick {first['tick']}: {first['field']} was {first['recorded']}, is"
+            f" {first['flown']}"
+        )
     for name in ("recorded", "flown"):
-        rms_n, peak_n = found["force_rms_n"][name], found["force_peak_n"][name]
+        rms_n = found["force_rms_n"][name]
+        peak_n = found["force_peak_n"][name]
         terminal.data(f"force {name:8}  rms {rms_n:.4g} N, peak {peak_n:.4g} N")
     for path in found.get("figures", []):
         terminal.data(path)

@@ -1,10 +1,12 @@
-"""What `hapticd monitor` shows: from the records of the last seconds to one screen. No socket, no clock, no terminal.
+"""What `hapticd monitor` shows: from the records of the last seconds to one screen. No socket, no
+clock, no terminal.
 
-Two rules. The lamp shows the servo's state, never anybody's wish. When data stay away, lamp and charts give way to NO
-DATA: an old value never looks like a fresh one.
+Two rules. The lamp shows the servo's state, never anybody's wish. When data stay away, lamp and
+charts give way to NO DATA: an old value never looks like a fresh one.
 
-Strip charts are drawn in braille, 2 x 4 dots in a character; every column of dots spans the lowest and highest value of
-its time. numpy and rich are imported at the top here and nowhere else in this package.
+Strip charts are drawn in braille, 2 x 4 dots in a character; every column of dots spans the lowest
+and highest value of its time. numpy and rich are imported at the top here and nowhere else in this
+package.
 """
 
 from collections import deque
@@ -25,7 +27,8 @@ _BLANK = 0x2800
 
 
 def envelope(values: ArrayLike, length: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest of `values`, shape (n,), in each of `columns` equal parts of `length` samples, newest right.
+    """Lowest and highest of `values`, shape (n,), in each of `columns` equal parts of `length`
+    samples, newest right.
 
     Shape (columns,) each; NaN where there is no sample yet.
     """
@@ -40,13 +43,20 @@ def envelope(values: ArrayLike, length: int, columns: int) -> tuple[np.ndarray, 
     return np.where(known, lows, np.nan), np.where(known, highs, np.nan)
 
 
-def strip(values: ArrayLike, length: int, width: int, height: int, low: float, high: float) -> list[str]:
-    """`height` lines of `width` characters: the last `length` of `values`, shape (n,), between `low` and `high`."""
+def strip(
+    values: ArrayLike, length: int, width: int, height: int, low: float, high: float
+) -> list[str]:
+    """`height` lines of `width` characters: the last `length` of `values`, shape (n,), between
+    `low` and `high`.
+    """
     lows, highs = envelope(values, length, 2 * width)
     rows = 4 * height
     known = ~np.isnan(lows)
     scale = (rows - 1) / (high - low) if high > low else 0.0
-    bottom, top = (np.clip(np.round((np.where(known, edge, low) - low) * scale), 0, rows - 1) for edge in (lows, highs))
+    bottom, top = (
+        np.clip(np.round((np.where(known, edge, low) - low) * scale), 0, rows - 1)
+        for edge in (lows, highs)
+    )
     level = np.arange(rows)[::-1, None]
     dots = (level >= bottom) & (level <= top) & known
     cells = dots.reshape(height, 4, width, 2) * _BITS[None, :, None, :]
@@ -55,9 +65,14 @@ def strip(values: ArrayLike, length: int, width: int, height: int, low: float, h
 
 SHOWN_S = 10.0
 NO_DATA_S = 0.5
-LAMPS = {State.DISABLED: "black on white", State.ENABLED: "black on green", State.HOMING: "black on yellow"}
+LAMPS = {
+    State.DISABLED: "black on white",
+    State.ENABLED: "black on green",
+    State.HOMING: "black on yellow",
+}
 TRIPPED = "bold white on red"
-HEAD_LINES, MOST_HEIGHT = 12, 8
+HEAD_LINES = 12
+MOST_HEIGHT = 8
 CHARTS = (  # title, unit, field, factor, whether the chart begins at 0
     ("position", "mm", "position_m", 1e3, False),
     ("force", "N", "force_n", 1.0, False),
@@ -85,7 +100,9 @@ class History:
 
     def column(self, name: str) -> np.ndarray:
         """Values of field `name`, oldest first, shape (n,)."""
-        return np.concatenate([block[name] for block in self._blocks]) if self._blocks else np.empty(0)
+        return (
+            np.concatenate([block[name] for block in self._blocks]) if self._blocks else np.empty(0)
+        )
 
     @property
     def newest(self) -> Any:
@@ -93,11 +110,16 @@ class History:
         return self._blocks[-1][-1] if self._blocks else None
 
 
-def screen(history: History, simulated: bool | None, silent_s: float, size: tuple[int, int]) -> RenderableType:
+def screen(
+    history: History, simulated: bool | None, silent_s: float, size: tuple[int, int]
+) -> RenderableType:
     """One screen of `size` (columns, lines). `simulated` is None until the daemon said so."""
     width, lines = size
     fresh = history.newest is not None and silent_s < NO_DATA_S
-    parts = [_badge(simulated), _lamp(history.newest) if fresh else Text(f"\n NO DATA for {silent_s:.1f} s \n", TRIPPED)]
+    parts = [
+        _badge(simulated),
+        _lamp(history.newest) if fresh else Text(f"\n NO DATA for {silent_s:.1f} s \n", TRIPPED),
+    ]
     height = min(MOST_HEIGHT, max(1, (lines - HEAD_LINES) // len(CHARTS) - 1))
     if fresh:
         parts.append(_states(history, width - 1))
@@ -113,19 +135,37 @@ def screen(history: History, simulated: bool | None, silent_s: float, size: tupl
 def _badge(simulated: bool | None) -> Text:
     if simulated is None:
         return Text("waiting for the daemon\n")
-    return Text(SIMULATED_BANNER, "bold yellow", no_wrap=True) if simulated else Text("REAL BOARD\n", "bold red")
+    return (
+        Text(SIMULATED_BANNER, "bold yellow", no_wrap=True)
+        if simulated
+        else Text("REAL BOARD\n", "bold red")
+    )
 
 
 def _lamp(newest: Any) -> Text:
-    state, fault = State(int(newest["state"])), BY_NUMBER[int(newest["fault"])]
+    state = State(int(newest["state"]))
+    fault = BY_NUMBER[int(newest["fault"])]
     text = Text("\n").append(f" {state.name} ", LAMPS.get(state, TRIPPED))
-    text.append(f"  K {newest['stiffness_n_per_m']:g} N/m  B {newest['damping_ns_per_m']:g} N s/m  M {newest['mass_kg']:g} kg")
-    text.append(f"  gain {newest['gain']:.2f}  revision {newest['revision']}  tick {newest['tick']}\n")
-    return text.append(f" {fault.code}: {fault.cause}; {fault.remedy}\n", "bold red") if fault.number else text.append("\n")
+    text.append(
+        f"  K {newest['stiffness_n_per_m']:g} N/m  B {newest['damping_ns_per_m']:g} N s/m  M"
+        f" {newest['mass_kg']:g} kg"
+    )
+    text.append(
+        f"  gain {newest['gain']:.2f}  revision {newest['revision']}  tick {newest['tick']}\n"
+    )
+    return (
+        text.append(f" {fault.code}: {fault.cause}; {fault.remedy}\n", "bold red")
+        if fault.number
+        else text.append("\n")
+    )
 
 
 def _title(title: str, unit: str, values: np.ndarray) -> Text:
-    return Text(f"{title}  {values[-1]:.6g} {unit}   ({values.min():.4g} .. {values.max():.4g})", style="cyan", no_wrap=True)
+    return Text(
+        f"{title}  {values[-1]:.6g} {unit}   ({values.min():.4g} .. {values.max():.4g})",
+        style="cyan",
+        no_wrap=True,
+    )
 
 
 def _states(history: History, width: int) -> Text:
@@ -133,5 +173,8 @@ def _states(history: History, width: int) -> Text:
     text = Text(no_wrap=True)
     for worst in envelope(history.column("state"), history.length, width)[1]:
         state = None if np.isnan(worst) else State(int(worst))
-        text.append(" " if state is None else state.name[0], "" if state is None else LAMPS.get(state, TRIPPED))
+        text.append(
+            " " if state is None else state.name[0],
+            "" if state is None else LAMPS.get(state, TRIPPED),
+        )
     return text

@@ -1,4 +1,6 @@
-"""Simulate scenes: run them, explain them, ask which effects they need, how much damping they bear, what accuracy costs."""
+"""Simulate scenes: run them, explain them, ask which effects they need, how much damping they
+bear, what accuracy costs.
+"""
 
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,7 +16,10 @@ if TYPE_CHECKING:
 
 sim_app = typer.Typer(
     no_args_is_help=True,
-    help="Simulate scenes: run them, explain them, ask which effects they need and how much damping they bear.",
+    help=(
+        "Simulate scenes: run them, explain them, ask which effects they need and how much damping"
+        " they bear."
+    ),
 )
 
 
@@ -23,12 +28,15 @@ def sim_run(
     scene: terminal.SceneName,
     plot: terminal.Plot = False,
     seconds: Annotated[
-        float | None, typer.Option("--seconds", metavar="S", min=0.001, help="Length in place of the scene's.")
+        float | None,
+        typer.Option("--seconds", metavar="S", min=0.001, help="Length in place of the scene's."),
     ] = None,
     out: terminal.Out = terminal.HERE,
     as_json: terminal.Json = False,
 ) -> None:
-    """Simulate a scene with and without its added damping: traces, and impedance and verdict where noise moves it."""
+    """Simulate a scene with and without its added damping: traces, and impedance and verdict
+    where noise moves it.
+    """
     from hapticd.measure.scene_run import plan_scene, run_scene
     from hapticd.report.study import scene_figure, scene_table
     from hapticd.report.table import text
@@ -38,7 +46,9 @@ def sim_run(
     plan = plan_scene(load_scene(scene), seconds)
     with progress(as_json) as tell:
         result = run_scene(plan, tell)
-    paths = terminal.save_figure(scene_figure(result), out, plan.scene.name, as_json) if plot else []
+    paths = (
+        terminal.save_figure(scene_figure(result), out, plan.scene.name, as_json) if plot else []
+    )
     if as_json:
         terminal.data_json({**_result_json(result), "figures": paths})
         return
@@ -50,8 +60,15 @@ def sim_run(
 
 
 def _result_json(result: "SceneResult") -> dict[str, Any]:
-    scene, trials = result.plan.scene, [_trial_json(trial) for trial in result.trials]
-    head = {"ok": True, "simulated": True, "scene": scene.name, "title": scene.title, "device": scene.device}
+    scene = result.plan.scene
+    trials = [_trial_json(trial) for trial in result.trials]
+    head = {
+        "ok": True,
+        "simulated": True,
+        "scene": scene.name,
+        "title": scene.title,
+        "device": scene.device,
+    }
     return {**head, "seconds": result.plan.seconds, "trials": trials}
 
 
@@ -59,14 +76,23 @@ def _trial_json(trial: "Trial") -> dict[str, Any]:
     from hapticd.measure.store import plain
     from hapticd.report.study import impedance_rows
 
-    verdict, rows = trial.judged and trial.judged.verdict, impedance_rows(trial)
-    told = {"leg": trial.leg, **trial.numbers, "verdict": verdict, "winding_c": trial.winding_c, "impedance": rows}
+    verdict = trial.judged and trial.judged.verdict
+    rows = impedance_rows(trial)
+    told = {
+        "leg": trial.leg,
+        **trial.numbers,
+        "verdict": verdict,
+        "winding_c": trial.winding_c,
+        "impedance": rows,
+    }
     return {name: plain(value) for name, value in told.items()}
 
 
 @sim_app.command("explain")
 def sim_explain(scene: terminal.SceneName, as_json: terminal.Json = False) -> None:
-    """Say what a scene simulates: states, nonlinearities, time constants, step, why each is there, and its measured cost."""
+    """Say what a scene simulates: states, nonlinearities, time constants, step, why each is
+    there, and its measured cost.
+    """
     import time
 
     from hapticd.measure.accuracy import cost
@@ -82,11 +108,18 @@ def sim_explain(scene: terminal.SceneName, as_json: terminal.Json = False) -> No
     found = explain(compose(loaded), sorted({step.level_ns_per_m for step in loaded.damping}))
     spent = cost(loaded, scene, time.process_time_ns)
     if as_json:
-        head = {"ok": True, "simulated": True, "scene": loaded.name, "title": loaded.title, "device": loaded.device}
+        head = {
+            "ok": True,
+            "simulated": True,
+            "scene": loaded.name,
+            "title": loaded.title,
+            "device": loaded.device,
+        }
         terminal.data_json({**head, **plain(found), "cost": plain(spent), "substeps": SUBSTEPS})
         return
     terminal.data(
-        f"{loaded.title}: SIMULATED {loaded.device}, {len(found.states)} states, {len(found.nonlinearities)} nonlinearities"
+        f"{loaded.title}: SIMULATED {loaded.device}, {len(found.states)} states,"
+        f" {len(found.nonlinearities)} nonlinearities"
     )
     for part in words.explained(found):
         terminal.data(f"\n{text(part)}")
@@ -108,15 +141,30 @@ def sim_effects(
     scene: terminal.SceneName,
     question: Annotated[
         Question,
-        typer.Option("--for", help="limits: passive K, B and M; phase: of Z in the band; peak: of |Z| near 100 Hz, as in Fig. 8."),
+        typer.Option(
+            "--for",
+            help=(
+                "limits: passive K, B and M; phase: of Z in the band; peak: of |Z| near 100 Hz, as"
+                " in Fig. 8."
+            ),
+        ),
     ] = Question.LIMITS,
-    tolerance: Annotated[str, typer.Option("--tolerance", metavar="SHARE", help="Change that does not matter: 2% or 0.02.")] = "2%",
-    seconds: Annotated[float, typer.Option("--seconds", metavar="S", min=5.0, help="Length of simulated trials.")] = 90.0,
+    tolerance: Annotated[
+        str,
+        typer.Option(
+            "--tolerance", metavar="SHARE", help="Change that does not matter: 2% or 0.02."
+        ),
+    ] = "2%",
+    seconds: Annotated[
+        float, typer.Option("--seconds", metavar="S", min=5.0, help="Length of simulated trials.")
+    ] = 90.0,
     plot: terminal.Plot = True,
     out: terminal.Out = terminal.HERE,
     as_json: terminal.Json = False,
 ) -> None:
-    """Leave effects out one at a time, see what the answer does, and propose the cheapest set that is enough."""
+    """Leave effects out one at a time, see what the answer does, and propose the cheapest set
+    that is enough.
+    """
     import time
 
     from hapticd.measure.effects import EffectsParams, plan_effects, run_effects
@@ -130,17 +178,33 @@ def sim_effects(
     plan = plan_effects(EffectsParams(loaded, question.value, share(tolerance), seconds))
     with progress(as_json) as tell:
         result = run_effects(plan, time.process_time_ns, tell)
-    paths = terminal.save_figure(effects_figure(result), out, f"{loaded.name}-effects-{question.value}", as_json) if plot else []
+    paths = (
+        terminal.save_figure(
+            effects_figure(result), out, f"{loaded.name}-effects-{question.value}", as_json
+        )
+        if plot
+        else []
+    )
     if as_json:
-        head = {"ok": True, "simulated": True, "scene": loaded.name, "question": question.value, "tolerance": plan.params.tolerance}
+        head = {
+            "ok": True,
+            "simulated": True,
+            "scene": loaded.name,
+            "question": question.value,
+            "tolerance": plan.params.tolerance,
+        }
         terminal.data_json({**head, **plain(result, skip=("plan",)), "figures": paths})
         return
-    terminal.data(f"{loaded.title}: SIMULATED {loaded.device}\n\n{text(effects_table(result))}\n\n{effects_words(result)}")
+    terminal.data(
+        f"{loaded.title}: SIMULATED"
+        f" {loaded.device}\n\n{text(effects_table(result))}\n\n{effects_words(result)}"
+    )
 
 
 def share(text: str) -> float:
     """2% or 0.02."""
-    number, percent = text.rstrip().removesuffix("%"), text.rstrip().endswith("%")
+    number = text.rstrip().removesuffix("%")
+    percent = text.rstrip().endswith("%")
     try:
         return float(number) / (100.0 if percent else 1.0)
     except ValueError:
@@ -149,7 +213,9 @@ def share(text: str) -> float:
 
 @sim_app.command("ceiling")
 def sim_ceiling(scene: terminal.SceneName, as_json: terminal.Json = False) -> None:
-    """Say the largest stable added damping: of the device alone, with the scene's environment, and hot or cold."""
+    """Say the largest stable added damping: of the device alone, with the scene's environment,
+    and hot or cold.
+    """
     from hapticd.measure.scene_run import ceiling
     from hapticd.measure.store import plain
     from hapticd.report.study import ceiling_table, ceiling_words
@@ -159,7 +225,9 @@ def sim_ceiling(scene: terminal.SceneName, as_json: terminal.Json = False) -> No
     loaded = load_scene(scene)
     found = ceiling(loaded)
     if as_json:
-        terminal.data_json({"ok": True, "simulated": True, "scene": loaded.name, "unit": "N s/m", **plain(found)})
+        terminal.data_json(
+            {"ok": True, "simulated": True, "scene": loaded.name, "unit": "N s/m", **plain(found)}
+        )
         return
     terminal.data(f"{loaded.title}: SIMULATED {loaded.device}\n")
     for line in ceiling_words(found):
@@ -170,12 +238,15 @@ def sim_ceiling(scene: terminal.SceneName, as_json: terminal.Json = False) -> No
 
 def accuracy(
     scene: terminal.SceneName,
-    quick: Annotated[bool, typer.Option("--quick", help="A coarse look: shorter trials, fewer settings.")] = False,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="A coarse look: shorter trials, fewer settings.")
+    ] = False,
     plot: terminal.Plot = True,
     out: terminal.Out = terminal.HERE,
     as_json: terminal.Json = False,
 ) -> None:
-    """Measure error against time: ways to simulate, sub-steps, precision, length, window, and each effect left out.
+    """Measure error against time: ways to simulate, sub-steps, precision, length, window, and each
+    effect left out.
 
     The first run of a scene also compiles its kernels, which are kept.
     """
@@ -184,7 +255,12 @@ def accuracy(
     from hapticd.measure.accuracy import plan_accuracy, run_accuracy
     from hapticd.measure.scene_run import compare_integrators
     from hapticd.measure.store import plain
-    from hapticd.report.study import accuracy_figure, accuracy_table, accuracy_words, integrators_figure
+    from hapticd.report.study import (
+        accuracy_figure,
+        accuracy_table,
+        accuracy_words,
+        integrators_figure,
+    )
     from hapticd.report.table import text
     from hapticd.settings.scene import load_scene
 
@@ -195,11 +271,28 @@ def accuracy(
         result = run_accuracy(plan_accuracy(loaded, scene, quick), time.process_time_ns, tell)
     paths = []
     if plot:
-        paths += terminal.save_figure(accuracy_figure(result), out, f"{loaded.name}-accuracy", as_json)
-        paths += terminal.save_figure(integrators_figure(explicit, loaded.title), out, f"{loaded.name}-integrators", as_json)
+        paths += terminal.save_figure(
+            accuracy_figure(result), out, f"{loaded.name}-accuracy", as_json
+        )
+        paths += terminal.save_figure(
+            integrators_figure(explicit, loaded.title), out, f"{loaded.name}-integrators", as_json
+        )
     if as_json:
-        head = {"ok": True, "simulated": True, "scene": loaded.name, "title": loaded.title, "quick": quick}
-        terminal.data_json({**head, **plain(result, skip=("plan",)), "integrators": plain(explicit), "figures": paths})
+        head = {
+            "ok": True,
+            "simulated": True,
+            "scene": loaded.name,
+            "title": loaded.title,
+            "quick": quick,
+        }
+        terminal.data_json(
+            {
+                **head,
+                **plain(result, skip=("plan",)),
+                "integrators": plain(explicit),
+                "figures": paths,
+            }
+        )
         return
     terminal.data(f"{loaded.title}: SIMULATED {loaded.device}\n\n{text(accuracy_table(result))}\n")
     for line in accuracy_words(result):

@@ -1,7 +1,8 @@
-"""The machine and its configuration: check, show and resolve it; is the machine fit; what a service needs.
+"""The machine and its configuration: check, show and resolve it; is the machine fit; what a service
+needs.
 
-All three print and none applies anything: `doctor` names the exact fix of what it finds, `install-system` writes files
-below a root.
+All three print and none applies anything: `doctor` names the exact fix of what it finds,
+`install-system` writes files below a root.
 """
 
 import subprocess
@@ -18,11 +19,15 @@ if TYPE_CHECKING:
 
 
 config_app = typer.Typer(no_args_is_help=True, help="Check, show and resolve the configuration.")
-ConfigArgument = Annotated[Path | None, typer.Argument(metavar="[FILE]", help="Same as --config.", show_default=False)]
+ConfigArgument = Annotated[
+    Path | None, typer.Argument(metavar="[FILE]", help="Same as --config.", show_default=False)
+]
 
 
 @config_app.command("check")
-def check_config(file: ConfigArgument = None, config: terminal.ConfigFile = None, as_json: terminal.Json = False) -> None:
+def check_config(
+    file: ConfigArgument = None, config: terminal.ConfigFile = None, as_json: terminal.Json = False
+) -> None:
     """Say what is wrong, with file, line, value and limit; exit 78 if anything is."""
     from hapticd.gateway import auth
     from hapticd.settings.build import gateway_params
@@ -31,18 +36,28 @@ def check_config(file: ConfigArgument = None, config: terminal.ConfigFile = None
     settings = load(file or config)
     if warning := auth.warning(gateway_params(settings)):
         terminal.talk(f"hapticd: {settings.origins['gateway.tcp_host']}: {warning}")
-    found = {"ok": True, "config": str(settings.config_file), "device": str(settings.device_file), "hash": settings.config_hash}
+    found = {
+        "ok": True,
+        "config": str(settings.config_file),
+        "device": str(settings.device_file),
+        "hash": settings.config_hash,
+    }
     if as_json:
         terminal.data_json(found)
     else:
-        terminal.data(f"{settings.config_file}: good, with device {settings.device.name!r} of {settings.device_file}")
+        terminal.data(
+            f"{settings.config_file}: good, with device {settings.device.name!r} of"
+            f" {settings.device_file}"
+        )
 
 
 @config_app.command("show")
 def show_config(
     file: ConfigArgument = None,
     config: terminal.ConfigFile = None,
-    origin: Annotated[bool, typer.Option("--origin", help="Also where each value comes from.")] = False,
+    origin: Annotated[
+        bool, typer.Option("--origin", help="Also where each value comes from.")
+    ] = False,
     as_json: terminal.Json = False,
 ) -> None:
     """Every value in force with its unit; the device file under `device`."""
@@ -59,11 +74,19 @@ def show_config(
         for path, value in leaves(settings.plain())
     ]
     if as_json:
-        terminal.data_json({key: {"value": value, "unit": unit, "origin": source} for key, value, unit, source in rows})
+        terminal.data_json(
+            {
+                key: {"value": value, "unit": unit, "origin": source}
+                for key, value, unit, source in rows
+            }
+        )
         return
     terminal.data(f"# {settings.config_file}\n# {settings.device_file}")
     for key, value, unit, source in rows:
-        terminal.data(f"{key} = {_shown(value)}{f' {unit}' if unit else ''}" + (f"    # {source}" if origin else ""))
+        terminal.data(
+            f"{key} = {_shown(value)}{f' {unit}' if unit else ''}"
+            + (f"    # {source}" if origin else "")
+        )
 
 
 def _shown(value: Any) -> str:
@@ -89,7 +112,9 @@ def resolve_config(
     instance: terminal.Instance = terminal.INSTANCE,
     as_json: terminal.Json = False,
 ) -> None:
-    """Write servo.json, board.json and gateway.json into the runtime folder, as `hapticd run` does."""
+    """Write servo.json, board.json and gateway.json into the runtime folder, as `hapticd run`
+    does.
+    """
     from hapticd.assembly.resolve import write
     from hapticd.mailbox.files import runtime_folder
     from hapticd.settings.load import load
@@ -97,14 +122,25 @@ def resolve_config(
     settings = load(config)
     written = write(runtime_folder(instance), settings, instance)
     if as_json:
-        terminal.data_json({"ok": True, "hash": settings.config_hash, "files": {name: str(path) for name, path in written.items()}})
+        terminal.data_json(
+            {
+                "ok": True,
+                "hash": settings.config_hash,
+                "files": {name: str(path) for name, path in written.items()},
+            }
+        )
         return
     for path in written.values():
         terminal.data(str(path))
 
 
 LEVEL_COLOURS = {"ok": terminal.GREEN, "warn": terminal.YELLOW, "fail": terminal.RED}
-Seconds = Annotated[float, typer.Option("--seconds", metavar="S", min=0, help="Length of the wake-up measurement; 0: none.")]
+Seconds = Annotated[
+    float,
+    typer.Option(
+        "--seconds", metavar="S", min=0, help="Length of the wake-up measurement; 0: none."
+    ),
+]
 Strict = Annotated[bool, typer.Option("--strict", help="Exit 6 if anything fails.")]
 
 
@@ -115,7 +151,9 @@ def doctor(
     strict: Strict = False,
     as_json: terminal.Json = False,
 ) -> None:
-    """Check rights, processor, kernel, USB, disk and folders, and measure how late this machine wakes. Changes nothing."""
+    """Check rights, processor, kernel, USB, disk and folders, and measure how late this machine
+    wakes. Changes nothing.
+    """
     from hapticd.doctor.checks import examine, requirements
     from hapticd.doctor.machine import this_machine
     from hapticd.settings.load import load
@@ -130,7 +168,13 @@ def doctor(
         findings.append(finding)
     failed = [finding.name for finding in findings if finding.level == "fail"]
     if as_json:
-        terminal.data_json({"ok": not failed, "checks": [finding._asdict() for finding in findings], "wake": measured})
+        terminal.data_json(
+            {
+                "ok": not failed,
+                "checks": [finding._asdict() for finding in findings],
+                "wake": measured,
+            }
+        )
     else:
         for finding in findings:
             _show_check(finding)
@@ -146,7 +190,12 @@ def _wake(seconds: float, asked: "Requirements") -> "tuple[CheckResult, dict[str
     try:
         measured = wake.measure(seconds, asked.realtime.core)
     except (OSError, ValueError, subprocess.SubprocessError) as error:
-        return checks.fail("wake-up", f"could not be measured: {error}", "", "run it again on an idle machine"), {}
+        return (
+            checks.fail(
+                "wake-up", f"could not be measured: {error}", "", "run it again on an idle machine"
+            ),
+            {},
+        )
     return wake.judge(measured, asked), measured
 
 
@@ -159,14 +208,29 @@ def _show_check(finding: "CheckResult") -> None:
 
 
 Print = Annotated[bool, typer.Option("--print", help="Show the files.")]
-Root = Annotated[Path | None, typer.Option("--root", metavar="DIR", help="Write them below DIR; / installs them on this machine.")]
+Root = Annotated[
+    Path | None,
+    typer.Option(
+        "--root", metavar="DIR", help="Write them below DIR; / installs them on this machine."
+    ),
+]
 
 
 def install_system(
-    show: Print = False, root: Root = None, config: terminal.ConfigFile = None, as_json: terminal.Json = False
+    show: Print = False,
+    root: Root = None,
+    config: terminal.ConfigFile = None,
+    as_json: terminal.Json = False,
 ) -> None:
-    """Write systemd units, udev rule, service user, folders and limits below a root, or show them. Applies nothing."""
-    from hapticd.assembly.system_files import NEXT_STEPS, hidden_interpreter, system_files, write_below
+    """Write systemd units, udev rule, service user, folders and limits below a root, or show
+    them. Applies nothing.
+    """
+    from hapticd.assembly.system_files import (
+        NEXT_STEPS,
+        hidden_interpreter,
+        system_files,
+        write_below,
+    )
     from hapticd.settings.build import servo_params
     from hapticd.settings.load import load
 
@@ -180,7 +244,9 @@ def install_system(
         return
     written = write_below(root, files)
     if as_json:
-        terminal.data_json({"ok": True, "files": [str(path) for path in written], "next": NEXT_STEPS})
+        terminal.data_json(
+            {"ok": True, "files": [str(path) for path in written], "next": NEXT_STEPS}
+        )
         return
     for path in written:
         terminal.data(str(path))

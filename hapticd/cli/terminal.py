@@ -1,6 +1,7 @@
 """What verbs share: options, what is printed where, the one progress bar, and figures on disk.
 
-Data go to stdout, talk to stderr, errors are one line each. rich and matplotlib are loaded where they are used.
+Data go to stdout, talk to stderr, errors are one line each. rich and matplotlib are loaded where
+they are used.
 """
 
 import json
@@ -22,7 +23,10 @@ if TYPE_CHECKING:
     from hapticd.measure.store import Progress
 
 
-BOLD, RED, YELLOW, GREEN = "1", "1;31", "1;33", "1;32"
+BOLD = "1"
+RED = "1;31"
+YELLOW = "1;33"
+GREEN = "1;32"
 
 
 def data(text: str) -> None:
@@ -69,7 +73,11 @@ JsonLines = Annotated[bool, typer.Option("--json", help="One JSON object per lin
 Instance = Annotated[str, typer.Option("--instance", metavar="NAME", help="Which daemon.")]
 ConfigFile = Annotated[
     Path | None,
-    typer.Option("--config", metavar="FILE", help="Configuration; else $HAPTICD_CONFIG, ~/.config, /etc, the shipped one."),
+    typer.Option(
+        "--config",
+        metavar="FILE",
+        help="Configuration; else $HAPTICD_CONFIG, ~/.config, /etc, the shipped one.",
+    ),
 ]
 INSTANCE = DEFAULT_INSTANCE
 
@@ -84,26 +92,45 @@ SIMULATED_BANNER = """\
 
 @contextmanager
 def progress(quiet: bool = False) -> "Iterator[Progress]":
-    """Yields `tell(what, done, total)`, which draws the bar; without a terminal, or `quiet`, it does nothing."""
+    """Yields `tell(what, done, total)`, which draws the bar; without a terminal, or `quiet`, it
+    does nothing.
+    """
     from rich import progress as bars
     from rich.console import Console
 
     console = Console(stderr=True)
-    columns = (bars.BarColumn(30), bars.MofNCompleteColumn(), bars.TimeElapsedColumn(), bars.TimeRemainingColumn())
+    columns = (
+        bars.BarColumn(30),
+        bars.MofNCompleteColumn(),
+        bars.TimeElapsedColumn(),
+        bars.TimeRemainingColumn(),
+    )
     hidden = quiet or not console.is_terminal
-    with bars.Progress(*columns, bars.TextColumn("{task.description}"), console=console, transient=True, disable=hidden) as bar:
+    with bars.Progress(
+        *columns,
+        bars.TextColumn("{task.description}"),
+        console=console,
+        transient=True,
+        disable=hidden,
+    ) as bar:
         task = bar.add_task("", total=None)
-        yield lambda what, done, total: bar.update(task, description=what, completed=done, total=total)
+        yield lambda what, done, total: bar.update(
+            task, description=what, completed=done, total=total
+        )
 
 
-SceneName = Annotated[str, typer.Argument(metavar="SCENE", help="A shipped scene, or a path to a .toml file.")]
+SceneName = Annotated[
+    str, typer.Argument(metavar="SCENE", help="A shipped scene, or a path to a .toml file.")
+]
 Plot = Annotated[bool, typer.Option("--plot/--no-plot", help="Draw a figure, PNG and SVG.")]
 Out = Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Where figures go.")]
 HERE = Path()
 
 
 def need_figures(wanted: bool) -> None:
-    """Fail before the work rather than after it: ConfigError if figures are wanted and matplotlib is missing."""
+    """Fail before the work rather than after it: ConfigError if figures are wanted and
+    matplotlib is missing.
+    """
     if wanted:
         from hapticd.report import style
 

@@ -89,7 +89,9 @@ class Conversation:
         self._asked: dict[int, _Asked] = {}
         self._replies: dict[int, dict[str, Any]] = {}
 
-    def ask(self, cmd: str, fields: dict[str, Any], now_ns: int, timeout_ns: int) -> tuple[int, bytes]:
+    def ask(
+        self, cmd: str, fields: dict[str, Any], now_ns: int, timeout_ns: int
+    ) -> tuple[int, bytes]:
         """The number and the bytes of a new request; fields that are None are left out."""
         self._last += 1
         self._asked[self._last] = _Asked(cmd, now_ns, now_ns + timeout_ns)
@@ -113,7 +115,11 @@ class Conversation:
         if reply is None and now_ns < asked.deadline_ns:
             return None
         del self._asked[number]
-        return reply if reply is not None else TimedOut(asked.cmd, (now_ns - asked.asked_ns) / NS_PER_S)
+        return (
+            reply
+            if reply is not None
+            else TimedOut(asked.cmd, (now_ns - asked.asked_ns) / NS_PER_S)
+        )
 
     def forget(self, number: int) -> None:
         """Nobody waits for the reply to `number` any more."""
@@ -220,11 +226,17 @@ class Line:
         with self._subscribed({topic, "state"} if topic == "event" else {topic}) as socket:
             while socket.poll(round(1000 * timeout_s)):
                 name, payload = socket.recv_multipart()
-                if name == topic.encode():  # ZeroMQ matches prefixes: `servo` brings `servo.raw` too
+                if (
+                    name == topic.encode()
+                ):  # ZeroMQ matches prefixes: `servo` brings `servo.raw` too
                     yield payload
-        raise DaemonDown(f"{topic}: nothing from {self._folder} for {timeout_s} s; see `hapticd status`")
+        raise DaemonDown(
+            f"{topic}: nothing from {self._folder} for {timeout_s} s; see `hapticd status`"
+        )
 
-    def listen_all(self, topics: Sequence[str], look_s: float) -> Generator[tuple[str, bytes] | None, None, None]:
+    def listen_all(
+        self, topics: Sequence[str], look_s: float
+    ) -> Generator[tuple[str, bytes] | None, None, None]:
         """(topic, payload) of several topics as they come, None after each look; it never ends.
 
         It looks every `look_s` and sleeps in between: being woken by every message would cost more
@@ -260,7 +272,11 @@ class Client:
     """
 
     def __init__(
-        self, instance: str = DEFAULT_INSTANCE, timeout_s: float = 2.0, name: str = "script", folder: Path | None = None
+        self,
+        instance: str = DEFAULT_INSTANCE,
+        timeout_s: float = 2.0,
+        name: str = "script",
+        folder: Path | None = None,
     ) -> None:
         self._folder = folder or daemon_folder(instance)
         self._timeout_s = timeout_s
@@ -270,7 +286,12 @@ class Client:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self.close()
 
     def close(self) -> None:
@@ -383,7 +404,9 @@ class Client:
         loaded: int = 0
         for start in range(0, max(len(samples), 1), CHUNK_SAMPLES):
             chunk = samples[start : start + CHUNK_SAMPLES].tobytes()
-            loaded = self._result("perturb", action="load", samples_n=chunk, offset=start)["samples"]
+            loaded = self._result("perturb", action="load", samples_n=chunk, offset=start)[
+                "samples"
+            ]
         return loaded
 
     def perturb_start(self, loop: bool = False) -> Receipt:
@@ -466,7 +489,9 @@ class Client:
         for payload in self._line.listen(topic, self._timeout_s):
             yield msgpack.unpackb(payload)
 
-    def messages(self, topics: Sequence[str], look_s: float = 0.05) -> Generator[tuple[str, bytes] | None, None, None]:
+    def messages(
+        self, topics: Sequence[str], look_s: float = 0.05
+    ) -> Generator[tuple[str, bytes] | None, None, None]:
         """Raw (topic, payload) of several topics, None after all that came within `look_s`;
         endless.
         """

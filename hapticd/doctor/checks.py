@@ -42,7 +42,9 @@ class Requirements:
         return f"{self.usb.vendor_id:04x}:{self.usb.product_id:04x}"
 
 
-def requirements(settings: Settings, instance: str = DEFAULT_INSTANCE, recordings: Path | None = None) -> Requirements:
+def requirements(
+    settings: Settings, instance: str = DEFAULT_INSTANCE, recordings: Path | None = None
+) -> Requirements:
     """What `settings` ask for the daemon `instance`.
 
     Recordings go to the working folder unless `recordings` names another.
@@ -106,10 +108,14 @@ def group(machine: Machine, asked: Requirements) -> CheckResult:
         return ok(name, "root needs no group")
     if GROUP in machine.groups:
         return ok(name, f"member of {GROUP}")
-    known = any(line.startswith(f"{GROUP}:") for line in (machine.text("etc/group") or "").splitlines())
+    known = any(
+        line.startswith(f"{GROUP}:") for line in (machine.text("etc/group") or "").splitlines()
+    )
     if known:
         return warn(name, f"not a member of {GROUP}", why, JOIN)
-    return warn(name, f"there is no group {GROUP}", why, f"{INSTALL} && sudo systemd-sysusers; {JOIN}")
+    return warn(
+        name, f"there is no group {GROUP}", why, f"{INSTALL} && sudo systemd-sysusers; {JOIN}"
+    )
 
 
 def rtprio(machine: Machine, asked: Requirements) -> CheckResult:
@@ -151,7 +157,12 @@ def rttime(machine: Machine, asked: Requirements) -> CheckResult:
     if limit == float("inf"):
         return ok(name, "unlimited")
     why = "the kernel ends a FIFO process that stays awake for longer, as a simulated board may"
-    return warn(name, f"{limit:g} us", why, "ulimit -R unlimited (RealtimeKit lowers it); in a unit: LimitRTTIME=infinity")
+    return warn(
+        name,
+        f"{limit:g} us",
+        why,
+        "ulimit -R unlimited (RealtimeKit lowers it); in a unit: LimitRTTIME=infinity",
+    )
 
 
 def c_states(machine: Machine, asked: Requirements) -> CheckResult:
@@ -162,13 +173,21 @@ def c_states(machine: Machine, asked: Requirements) -> CheckResult:
         if machine.may_write(path):
             return ok(name, f"/{DMA_LATENCY} may be written")
         why = "a core in deep sleep takes 100 us and more to wake"
-        return warn(name, f"/{DMA_LATENCY} may not be written", why, f"{INSTALL} (udev rule), sudo udevadm trigger; {JOIN}")
+        return warn(
+            name,
+            f"/{DMA_LATENCY} may not be written",
+            why,
+            f"{INSTALL} (udev rule), sudo udevadm trigger; {JOIN}",
+        )
     driver = machine.text("sys/devices/system/cpu/cpuidle/current_driver") or "none"
     if driver in ("none", "haltpoll"):
         return ok(name, f"no deep sleep to forbid (cpuidle driver {driver})")
     why = "a core in deep sleep takes 100 us and more to wake"
     return warn(
-        name, f"/{DMA_LATENCY} is missing, cpuidle driver {driver}", why, "processor.max_cstate=1 on the kernel command line"
+        name,
+        f"/{DMA_LATENCY} is missing, cpuidle driver {driver}",
+        why,
+        "processor.max_cstate=1 on the kernel command line",
     )
 
 
@@ -188,14 +207,22 @@ def servo_core(machine: Machine, asked: Requirements) -> int:
 def governor(machine: Machine, asked: Requirements) -> CheckResult:
     """A core that slows down between ticks is slow when the tick comes."""
     name = "governor"
-    found = [path.read_text().strip() for path in machine.find(f"{CPU}/cpu[0-9]*/cpufreq/scaling_governor")]
+    found = [
+        path.read_text().strip()
+        for path in machine.find(f"{CPU}/cpu[0-9]*/cpufreq/scaling_governor")
+    ]
     slow = [governor for governor in found if governor != "performance"]
     if not found:
         return ok(name, "the frequency is not scaled here (virtual machine, or fixed)")
     if not slow:
         return ok(name, f"performance on all {len(found)} cores")
     why = "a core that slows down between ticks is slow when the tick comes"
-    return warn(name, f"{slow[0]} on {len(slow)} of {len(found)} cores", why, "sudo cpupower frequency-set --governor performance")
+    return warn(
+        name,
+        f"{slow[0]} on {len(slow)} of {len(found)} cores",
+        why,
+        "sudo cpupower frequency-set --governor performance",
+    )
 
 
 def smt(machine: Machine, asked: Requirements) -> CheckResult:
@@ -205,7 +232,10 @@ def smt(machine: Machine, asked: Requirements) -> CheckResult:
         return ok(name, "no two threads share a core")
     why = "a sibling thread takes half of the servo's core whenever it likes"
     return warn(
-        name, "two threads share a core", why, f"echo off | sudo tee /{CPU}/smt/control; for good: nosmt on the kernel command line"
+        name,
+        "two threads share a core",
+        why,
+        f"echo off | sudo tee /{CPU}/smt/control; for good: nosmt on the kernel command line",
     )
 
 
@@ -217,10 +247,20 @@ def cores(machine: Machine, asked: Requirements) -> CheckResult:
     if core not in machine.cores | isolated(machine):
         other = "or leave it out; or widen the affinity: taskset, AllowedCPUs="
         fix = f"name one of {allowed} as realtime.core, {other}"
-        return fail(name, f"realtime.core = {core}, this process may use {allowed}", "the servo cannot go to its core", fix)
+        return fail(
+            name,
+            f"realtime.core = {core}, this process may use {allowed}",
+            "the servo cannot go to its core",
+            fix,
+        )
     if len(machine.cores | {core}) < 2:
         why = "servo and gateway share it: the gateway's heartbeat depends on the servo's sleep"
-        return warn(name, f"only core {allowed}", why, "allow a second core: taskset, AllowedCPUs=, or a machine with two")
+        return warn(
+            name,
+            f"only core {allowed}",
+            why,
+            "allow a second core: taskset, AllowedCPUs=, or a machine with two",
+        )
     return ok(name, f"{allowed} allowed, the servo takes {core}")
 
 
@@ -238,8 +278,15 @@ def isolation(machine: Machine, asked: Requirements) -> CheckResult:
         return ok(name, f"core {core} is isolated")
     if rate_hz < BUSY_RATE_HZ:
         return ok(name, f"core {core} is not isolated; not needed at {rate_hz:g} Hz")
-    fix = f"isolcpus=managed_irq,domain,{core} on the kernel command line, and realtime.core = {core}"
-    return warn(name, f"core {core} is not isolated at {rate_hz:g} Hz", "other work takes its caches and its time", fix)
+    fix = (
+        f"isolcpus=managed_irq,domain,{core} on the kernel command line, and realtime.core = {core}"
+    )
+    return warn(
+        name,
+        f"core {core} is not isolated at {rate_hz:g} Hz",
+        "other work takes its caches and its time",
+        fix,
+    )
 
 
 def clock_source(machine: Machine, asked: Requirements) -> CheckResult:
@@ -263,7 +310,11 @@ def mitigations(machine: Machine, asked: Requirements) -> CheckResult:
     name = "mitigations"
     if machine.boot_option("mitigations") == "off":
         return ok(name, "off")
-    active = [path.name for path in machine.find(f"{CPU}/vulnerabilities/*") if path.read_text().startswith("Mitigation")]
+    active = [
+        path.name
+        for path in machine.find(f"{CPU}/vulnerabilities/*")
+        if path.read_text().startswith("Mitigation")
+    ]
     if not active:
         return ok(name, "none is active")
     why = "each system call, two transfers a tick, pays for them; 1 kHz can live with it"
@@ -278,7 +329,12 @@ SCHED = "proc/sys/kernel/sched_rt"
 HIGH_RESOLUTION_S = 1e-6
 SERVO_SHARE = 0.5  # of a core: 0.4 of spinning at most, and the tick
 SWAPPINESS_MAX = 10
-LAZY_MODELS = {"PREEMPT_NONE": "none", "PREEMPT_VOLUNTARY": "voluntary", "PREEMPT_LAZY": "lazy", "PREEMPT": "full"}
+LAZY_MODELS = {
+    "PREEMPT_NONE": "none",
+    "PREEMPT_VOLUNTARY": "voluntary",
+    "PREEMPT_LAZY": "lazy",
+    "PREEMPT": "full",
+}
 CONTROLLER = "xhci"  # the USB host controller's driver
 RT_PRIORITY_FIELD = 39  # of /proc/PID/stat, from 0; proc(5)
 
@@ -315,7 +371,10 @@ def preemption(machine: Machine, asked: Requirements) -> CheckResult:
     if model == "PREEMPT_RT":
         return ok(name, model)
     if model == "full" or machine.boot_option("threadirqs") is not None:
-        return ok(name, f"{model}{', threadirqs' if machine.boot_option('threadirqs') is not None else ''}")
+        return ok(
+            name,
+            f"{model}{', threadirqs' if machine.boot_option('threadirqs') is not None else ''}",
+        )
     why = "the kernel may keep the core for milliseconds while others make system calls"
     kernel = "a PREEMPT_RT kernel (Debian: apt install linux-image-rt-amd64)"
     fix = f"preempt=full threadirqs on the kernel command line; or {kernel}"
@@ -324,12 +383,17 @@ def preemption(machine: Machine, asked: Requirements) -> CheckResult:
 
 def preemption_model(machine: Machine) -> str:
     """PREEMPT_RT, full, lazy, voluntary, none or unknown."""
-    if machine.text("sys/kernel/realtime") == "1" or "PREEMPT_RT" in (machine.text("proc/version") or ""):
+    if machine.text("sys/kernel/realtime") == "1" or "PREEMPT_RT" in (
+        machine.text("proc/version") or ""
+    ):
         return "PREEMPT_RT"
     chosen = re.search(r"\((\w+)\)", machine.text("sys/kernel/debug/sched/preempt") or "")
     if chosen:
         return chosen[1]
-    built = next((model for option, model in LAZY_MODELS.items() if machine.kernel_option(option) == "y"), "unknown")
+    built = next(
+        (model for option, model in LAZY_MODELS.items() if machine.kernel_option(option) == "y"),
+        "unknown",
+    )
     return machine.boot_option("preempt") or built
 
 
@@ -351,7 +415,9 @@ def irq_priority(machine: Machine, asked: Requirements) -> CheckResult:
 
 def _irq_threads(machine: Machine) -> Iterator[tuple[int, str, int]]:
     for path in machine.find("proc/[0-9]*/stat"):
-        text = machine.text(str(path.relative_to(machine.root))) or ""  # a process may end while we look
+        text = (
+            machine.text(str(path.relative_to(machine.root))) or ""
+        )  # a process may end while we look
         comm = text[text.find("(") + 1 : text.rfind(")")]
         if comm.startswith("irq/") and CONTROLLER in comm:
             after = text[text.rfind(")") + 2 :].split()
@@ -361,13 +427,18 @@ def _irq_threads(machine: Machine) -> Iterator[tuple[int, str, int]]:
 def irq_sharing(machine: Machine, asked: Requirements) -> CheckResult:
     """An interrupt line that the USB controller shares runs other drivers first."""
     name = "IRQ sharing"
-    lines = [line for line in (machine.text("proc/interrupts") or "").splitlines() if CONTROLLER in line]
+    lines = [
+        line for line in (machine.text("proc/interrupts") or "").splitlines() if CONTROLLER in line
+    ]
     shared = [line.split()[0].rstrip(":") for line in lines if "," in line]
     if not shared:
         return ok(name, "the USB controller shares no interrupt line")
     why = "other drivers run before each USB transfer is seen"
     return warn(
-        name, f"line {', '.join(shared)} is shared", why, "plug the board into a port of another controller; see /proc/interrupts"
+        name,
+        f"line {', '.join(shared)} is shared",
+        why,
+        "plug the board into a port of another controller; see /proc/interrupts",
     )
 
 
@@ -382,17 +453,30 @@ def throttling(machine: Machine, asked: Requirements) -> CheckResult:
     if runtime < 0:
         return warn(name, "off", "a runaway real-time loop would hang its core for good", fix)
     if runtime < SERVO_SHARE * period:
-        return fail(name, f"{runtime} of {period} us", "the servo would be held back for the rest of each period", fix)
+        return fail(
+            name,
+            f"{runtime} of {period} us",
+            "the servo would be held back for the rest of each period",
+            fix,
+        )
     return ok(name, f"{runtime} of {period} us")
 
 
 def rt_group(machine: Machine, asked: Requirements) -> CheckResult:
     """Kernels with CONFIG_RT_GROUP_SCHED refuse FIFO in a control group without real-time time."""
     name = "RT groups"
-    if machine.kernel_option("RT_GROUP_SCHED") != "y" or machine.boot_option("rt_group_sched") == "0":
+    if (
+        machine.kernel_option("RT_GROUP_SCHED") != "y"
+        or machine.boot_option("rt_group_sched") == "0"
+    ):
         return ok(name, "no real-time time is given to groups")
     line = next(
-        (line for line in (machine.text("proc/self/cgroup") or "").splitlines() if re.match(r"\d+:[^:]*\bcpu\b[^:]*:", line)), ""
+        (
+            line
+            for line in (machine.text("proc/self/cgroup") or "").splitlines()
+            if re.match(r"\d+:[^:]*\bcpu\b[^:]*:", line)
+        ),
+        "",
     )
     path = line.rpartition(":")[2]
     if path in ("", "/"):
@@ -401,7 +485,12 @@ def rt_group(machine: Machine, asked: Requirements) -> CheckResult:
     if (machine.number(share) or 0) > 0:
         return ok(name, f"group {path} has real-time time")
     fix = f"echo 950000 | sudo tee /{share}; for good: rt_group_sched=0 on the kernel command line"
-    return fail(name, f"group {path} has no real-time time", "SCHED_FIFO is refused in it, whatever the limits say", fix)
+    return fail(
+        name,
+        f"group {path} has no real-time time",
+        "SCHED_FIFO is refused in it, whatever the limits say",
+        fix,
+    )
 
 
 def swap(machine: Machine, asked: Requirements) -> CheckResult:
@@ -414,7 +503,12 @@ def swap(machine: Machine, asked: Requirements) -> CheckResult:
     if swappiness is not None and swappiness <= SWAPPINESS_MAX:
         return ok(name, f"{len(areas)} area, swappiness {swappiness}")
     why = "gateway and recorder do not lock their memory and may stall when it is fetched back"
-    return warn(name, f"{len(areas)} area, swappiness {swappiness}", why, f"sudo sysctl vm.swappiness={SWAPPINESS_MAX}")
+    return warn(
+        name,
+        f"{len(areas)} area, swappiness {swappiness}",
+        why,
+        f"sudo sysctl vm.swappiness={SWAPPINESS_MAX}",
+    )
 
 
 # --- usb: is the board there, may we open it, does it stay awake ----------------------------------
@@ -427,7 +521,10 @@ ABSENT = "no board to look at"
 def board_path(machine: Machine, asked: Requirements) -> Path | None:
     """Folder of the configured board in sysfs; None if it is not on the bus."""
     for path in machine.find("sys/bus/usb/devices/*"):
-        found = [machine.text(str(path.relative_to(machine.root) / name)) for name in ("idVendor", "idProduct", "serial")]
+        found = [
+            machine.text(str(path.relative_to(machine.root) / name))
+            for name in ("idVendor", "idProduct", "serial")
+        ]
         if found[:2] == asked.board.split(":") and asked.usb.serial in (None, found[2]):
             return path
     return None
@@ -444,7 +541,12 @@ def board(machine: Machine, asked: Requirements) -> CheckResult:
     serial = f" with serial {asked.usb.serial}" if asked.usb.serial else ""
     ids = "ids: usb.vendor_id and usb.product_id, serial: device file"
     fix = f"plug it in and switch it on (lsusb -d {asked.board}); {ids}"
-    return fail(name, f"no {asked.board}{serial} on the bus", "the servo waits for it and renders nothing", fix)
+    return fail(
+        name,
+        f"no {asked.board}{serial} on the bus",
+        "the servo waits for it and renders nothing",
+        fix,
+    )
 
 
 def permission(machine: Machine, asked: Requirements) -> CheckResult:
@@ -472,7 +574,12 @@ def autosuspend(machine: Machine, asked: Requirements) -> CheckResult:
     if machine.text(control) != "auto":
         return ok(name, "off for the board")
     why = "the board falls asleep while no one talks to it, and takes milliseconds to come back"
-    return warn(name, "on for the board", why, f"echo on | sudo tee /{control}; for good: {INSTALL} (udev rule)")
+    return warn(
+        name,
+        "on for the board",
+        why,
+        f"echo on | sudo tee /{control}; for good: {INSTALL} (udev rule)",
+    )
 
 
 def udev_rule(machine: Machine, asked: Requirements) -> CheckResult:
@@ -484,7 +591,11 @@ def udev_rule(machine: Machine, asked: Requirements) -> CheckResult:
         return ok(name, f"/{found[0].relative_to(machine.root)}")
     if asked.simulated:
         return ok(name, SIMULATED)
-    shown = f"/{found[0].relative_to(machine.root)} names another board" if found else "none for hapticd"
+    shown = (
+        f"/{found[0].relative_to(machine.root)} names another board"
+        if found
+        else "none for hapticd"
+    )
     return warn(
         name,
         shown,
@@ -512,7 +623,9 @@ def disk(machine: Machine, asked: Requirements) -> CheckResult:
         return ok(name, found)
     needed_gb = ENOUGH_H / max(hours, 1e-9) * free / 1e9
     fix = f"free some space there, or record elsewhere; a working day takes {needed_gb:.3g} GB"
-    return (fail if hours < TOO_LITTLE_H else warn)(name, found, "a recording ends when the disk is full", fix)
+    return (fail if hours < TOO_LITTLE_H else warn)(
+        name, found, "a recording ends when the disk is full", fix
+    )
 
 
 def runtime_folder(machine: Machine, asked: Requirements) -> CheckResult:
@@ -523,16 +636,32 @@ def runtime_folder(machine: Machine, asked: Requirements) -> CheckResult:
         return ok(name, f"{asked.runtime}: no daemon has run yet")
     mode = stat.S_IMODE(asked.runtime.stat().st_mode)
     if mode & 0o027:
-        return fail(name, f"{asked.runtime} has mode {mode:04o}", why, f"chmod 0750 {asked.runtime}, or 0700 if you are alone")
+        return fail(
+            name,
+            f"{asked.runtime} has mode {mode:04o}",
+            why,
+            f"chmod 0750 {asked.runtime}, or 0700 if you are alone",
+        )
     open_files = list(_open_to_others(asked.runtime))
     if open_files:
         shown = ", ".join(f"{path.name} {mode:04o}" for path, mode in open_files)
-        return fail(name, f"open to others: {shown}", why, f"chmod o= {' '.join(str(path) for path, _ in open_files)}")
+        return fail(
+            name,
+            f"open to others: {shown}",
+            why,
+            f"chmod o= {' '.join(str(path) for path, _ in open_files)}",
+        )
     return ok(name, f"{asked.runtime}, mode {mode:04o}")
 
 
 def _open_to_others(folder: Path) -> Iterator[tuple[Path, int]]:
-    for name in (files.COMMAND_SOCKET, files.TELEMETRY_SOCKET, files.STOP, files.MAILBOX, files.TELEMETRY):
+    for name in (
+        files.COMMAND_SOCKET,
+        files.TELEMETRY_SOCKET,
+        files.STOP,
+        files.MAILBOX,
+        files.TELEMETRY,
+    ):
         try:
             mode = stat.S_IMODE((folder / name).stat().st_mode)
         except OSError:
@@ -549,8 +678,15 @@ def keys(machine: Machine, asked: Requirements) -> CheckResult:
     readable = [path for path in sorted(asked.keys.rglob(SECRETS)) if path.stat().st_mode & 0o077]
     if not readable:
         return ok(name, f"{asked.keys}: secret keys are for their owner alone")
-    fix = f"chmod 600 {' '.join(map(str, readable))}, and make new ones if someone may have read them"
-    return fail(name, f"{len(readable)} secret key readable by others", "whoever has the key can pose as its owner", fix)
+    fix = (
+        f"chmod 600 {' '.join(map(str, readable))}, and make new ones if someone may have read them"
+    )
+    return fail(
+        name,
+        f"{len(readable)} secret key readable by others",
+        "whoever has the key can pose as its owner",
+        fix,
+    )
 
 
 Check = Callable[[Machine, Requirements], CheckResult]

@@ -64,7 +64,15 @@ def measure(seconds: float, core: int | None) -> dict[str, Any]:
 
     OSError or ValueError when it could not run.
     """
-    command = [sys.executable, "-P", "-m", __name__, str(seconds), str(PRIORITY), *([] if core is None else [str(core)])]
+    command = [
+        sys.executable,
+        "-P",
+        "-m",
+        __name__,
+        str(seconds),
+        str(PRIORITY),
+        *([] if core is None else [str(core)]),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=seconds + PATIENCE_S)
     if done.returncode:
         raise OSError((done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1])
@@ -86,21 +94,33 @@ def judge(found: dict[str, Any], asked: Requirements) -> CheckResult:
     period_us = US_PER_S / asked.realtime.rate_hz
     if found["p99_us"] > period_us / 2:
         return fail(
-            name, text, f"one wake in a hundred is more than half a period ({period_us / 2:g} us) late", "see the lines above"
+            name,
+            text,
+            f"one wake in a hundred is more than half a period ({period_us / 2:g} us) late",
+            "see the lines above",
         )
     if found["p99_us"] > spin_us:
         spin = f"the {spin_us:g} us that the servo spins ahead of its deadline"
         why = f"one wake in a hundred is later than {spin}"
-        return warn(name, text, why, f"see the lines above; or realtime.spin_us = {found['p99_us'] // 10 * 10 + 20}")
+        return warn(
+            name,
+            text,
+            why,
+            f"see the lines above; or realtime.spin_us = {found['p99_us'] // 10 * 10 + 20}",
+        )
     if not with_rights:
-        return warn(name, text, f"good while the machine is idle; {fifo}", "see the rtprio limit above")
+        return warn(
+            name, text, f"good while the machine is idle; {fifo}", "see the rtprio limit above"
+        )
     return ok(name, text)
 
 
 def main(arguments: list[str]) -> int:
     """The worker; the exit code."""
     seconds, priority, *core = arguments
-    granted = host.prepare(RealtimeParams(priority=int(priority), core=int(core[0]) if core else None))
+    granted = host.prepare(
+        RealtimeParams(priority=int(priority), core=int(core[0]) if core else None)
+    )
     wait = spinning_wait(0, PERIOD_NS)
     count = max(1, round(float(seconds) * NS_PER_S / PERIOD_NS))
     found = latencies_us(wait, time.monotonic_ns(), count)

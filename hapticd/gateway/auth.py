@@ -22,7 +22,9 @@ from zmq.auth.thread import ThreadAuthenticator
 from hapticd.errors import ConfigError
 from hapticd.params import GatewayParams
 
-SERVER, SERVER_KEY, CLIENTS = "server", "server.key_secret", "clients"
+SERVER = "server"
+SERVER_KEY = "server.key_secret"
+CLIENTS = "clients"
 
 
 def is_loopback(host: str) -> bool:
@@ -46,13 +48,19 @@ def warning(params: GatewayParams) -> str | None:
         return None
     if not params.allow_insecure:
         raise ConfigError(
-            f"gateway.tcp_host = {host!r}: beyond this machine telemetry needs keys; set gateway.curve_keys, "
-            f"or gateway.allow_insecure = true if everyone on that network may listen, or use 127.0.0.1"
+            f"gateway.tcp_host = {host!r}: beyond this machine telemetry needs keys; set"
+            " gateway.curve_keys, or gateway.allow_insecure = true if everyone on that network may"
+            " listen, or use 127.0.0.1"
         )
-    return f"INSECURE: telemetry is offered on {host} to everyone, without keys or encryption; set gateway.curve_keys"
+    return (
+        f"INSECURE: telemetry is offered on {host} to everyone, without keys or encryption; set"
+        " gateway.curve_keys"
+    )
 
 
-def authenticator(context: "zmq.Context[zmq.Socket[bytes]]", params: GatewayParams) -> ThreadAuthenticator | None:
+def authenticator(
+    context: "zmq.Context[zmq.Socket[bytes]]", params: GatewayParams
+) -> ThreadAuthenticator | None:
     """A running check of client keys, to be stopped at the end; None where no keys are needed.
 
     ConfigError: folder incomplete.
@@ -61,7 +69,10 @@ def authenticator(context: "zmq.Context[zmq.Socket[bytes]]", params: GatewayPara
         return None
     clients = Path(params.curve_keys) / CLIENTS
     if not clients.is_dir():
-        raise ConfigError(f"gateway.curve_keys: {clients} is missing; make it and put the public keys of allowed clients there")
+        raise ConfigError(
+            f"gateway.curve_keys: {clients} is missing; make it and put the public keys of allowed"
+            " clients there"
+        )
     guard = ThreadAuthenticator(context)
     guard.start()
     guard.configure_curve(domain="*", location=str(clients))
@@ -75,7 +86,10 @@ def encrypt(socket: "zmq.Socket[bytes]", params: GatewayParams) -> None:
     """
     path = Path(params.curve_keys or "") / SERVER_KEY
     if not path.is_file():
-        raise ConfigError(f"gateway.curve_keys: {path} is missing; make it with `hapticd keys server {path.parent}`")
+        raise ConfigError(
+            f"gateway.curve_keys: {path} is missing; make it with `hapticd keys server"
+            f" {path.parent}`"
+        )
     if path.stat().st_mode & 0o077:
         raise ConfigError(f"gateway.curve_keys: {path} is readable by others; chmod 600 it")
     socket.curve_publickey, socket.curve_secretkey = zmq.auth.load_certificate(path)
@@ -88,7 +102,8 @@ def make_keys(folder: Path) -> tuple[Path, Path]:
     The secret is readable by its owner alone. ConfigError where there is a pair already, or nothing
     can be written.
     """
-    public, secret = folder / f"{SERVER}.key", folder / SERVER_KEY
+    public = folder / f"{SERVER}.key"
+    secret = folder / SERVER_KEY
     _free(public, secret)
     with _private(folder):
         (folder / CLIENTS).mkdir(parents=True, exist_ok=True)
@@ -102,10 +117,15 @@ def make_client(folder: Path, name: str, out: Path) -> tuple[Path, Path]:
     is no name of a file.
     """
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", name):
-        raise ConfigError(f"{name!r}: a client is named by letters, digits, dots, dashes and underscores")
+        raise ConfigError(
+            f"{name!r}: a client is named by letters, digits, dots, dashes and underscores"
+        )
     if not (folder / SERVER_KEY).is_file():
-        raise ConfigError(f"{folder}: no {SERVER_KEY} in it; make it with `hapticd keys server {folder}`")
-    public, secret = folder / CLIENTS / f"{name}.key", out / f"{name}.key_secret"
+        raise ConfigError(
+            f"{folder}: no {SERVER_KEY} in it; make it with `hapticd keys server {folder}`"
+        )
+    public = folder / CLIENTS / f"{name}.key"
+    secret = out / f"{name}.key_secret"
     _free(public, secret)
     with _private(out), TemporaryDirectory() as made:
         out.mkdir(parents=True, exist_ok=True)
@@ -120,7 +140,10 @@ def _free(*files: Path) -> None:
     """ConfigError if one of `files` is there: whoever has its other half would be locked out."""
     for file in files:
         if file.exists():
-            raise ConfigError(f"{file} exists; a key is not made again: remove both halves yourself, or choose another name")
+            raise ConfigError(
+                f"{file} exists; a key is not made again: remove both halves yourself, or choose"
+                " another name"
+            )
 
 
 @contextmanager
@@ -130,6 +153,8 @@ def _private(folder: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise ConfigError(f"{folder}: {error.strerror}; name a folder that you may write to") from error
+        raise ConfigError(
+            f"{folder}: {error.strerror}; name a folder that you may write to"
+        ) from error
     finally:
         os.umask(before)

@@ -18,8 +18,11 @@ import msgpack
 from hapticd.errors import CommandError
 
 MAX_MESSAGE_BYTES = 64 * 1024
-MAX_ARRAY, MAX_MAP, MAX_TEXT = 256, 64, 1024
-ID_LIMIT, ID_LENGTH = 1 << 53, 64
+MAX_ARRAY = 256
+MAX_MAP = 64
+MAX_TEXT = 1024
+ID_LIMIT = 1 << 53
+ID_LENGTH = 64
 SHOWN = 48  # characters of a foreign value that a message repeats
 
 RequestId = int | str | None
@@ -40,7 +43,9 @@ def encoding_of(payload: bytes) -> Encoding:
 def decode(payload: bytes) -> dict[str, Any]:
     """The request map in `payload`. CommandError `malformed` says what is wrong with it."""
     try:
-        found = _from_json(payload) if encoding_of(payload) is Encoding.JSON else _from_msgpack(payload)
+        found = (
+            _from_json(payload) if encoding_of(payload) is Encoding.JSON else _from_msgpack(payload)
+        )
     except (ValueError, TypeError, OverflowError, RecursionError, msgpack.UnpackException) as error:
         raise malformed(shown(str(error) or type(error).__name__)) from error
     if not isinstance(found, dict):
@@ -64,9 +69,16 @@ def request_id(value: Any) -> RequestId:
     """
     if value is None or (type(value) is int and 0 <= value < ID_LIMIT):
         return value
-    if type(value) is str and 0 < len(value) <= ID_LENGTH and value.isascii() and value.isprintable():
+    if (
+        type(value) is str
+        and 0 < len(value) <= ID_LENGTH
+        and value.isascii()
+        and value.isprintable()
+    ):
         return value
-    raise ValueError(f"must be an integer in 0..2^53-1 or 1..{ID_LENGTH} printable ASCII characters")
+    raise ValueError(
+        f"must be an integer in 0..2^53-1 or 1..{ID_LENGTH} printable ASCII characters"
+    )
 
 
 def echo_id(request: dict[str, Any]) -> RequestId:
@@ -86,7 +98,10 @@ def shown(value: Any, most: int = SHOWN) -> str:
 
 def malformed(reason: str) -> CommandError:
     """The error for bytes that are no request."""
-    return CommandError("malformed", f"not a request: {reason}; send one msgpack or JSON map within {MAX_MESSAGE_BYTES} bytes")
+    return CommandError(
+        "malformed",
+        f"not a request: {reason}; send one msgpack or JSON map within {MAX_MESSAGE_BYTES} bytes",
+    )
 
 
 def finite(content: Any) -> Any:

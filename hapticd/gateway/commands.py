@@ -27,7 +27,9 @@ from hapticd.mailbox.layout import COMMAND_VALUES, Command, Result, State, Value
 
 Posting = tuple[Command, int, tuple[float, ...]]  # kind, apply_tick (0: now), values
 LATCHED = frozenset({State.STOPPED, State.FAULT})
-ALLOWED: dict[str, tuple[State, ...]] = {  # what the servo's safety table allows; the others are allowed in every state
+ALLOWED: dict[
+    str, tuple[State, ...]
+] = {  # what the servo's safety table allows; the others are allowed in every state
     "enable": (State.DISABLED, State.ENABLED),
     "reset": (State.DISABLED, State.STOPPED, State.FAULT),
     "zero": (State.DISABLED,),
@@ -50,13 +52,21 @@ def posting(request: Request, samples: int) -> Posting:
     """What to post for `request`; `samples` is the length of the waveform that is loaded."""
     if isinstance(request, Set):
         given = {PLACES[name]: value for name, value in flat(request.given) if name in PLACES}
-        return Command.SET, request.at_tick or 0, values_of(given | _switched(given.pop(Value.ADDED_DAMPING, None)))
+        return (
+            Command.SET,
+            request.at_tick or 0,
+            values_of(given | _switched(given.pop(Value.ADDED_DAMPING, None))),
+        )
     if isinstance(request, Damping):
         return Command.DAMPING, request.at_tick or 0, values_of(_switched(request.value))
     if isinstance(request, Perturb):
         if request.action == "stop":
             return Command.PERTURB_STOP, 0, values_of({})
-        return Command.PERTURB_START, 0, values_of({Value.SAMPLES: samples, Value.LOOP: request.loop})
+        return (
+            Command.PERTURB_START,
+            0,
+            values_of({Value.SAMPLES: samples, Value.LOOP: request.loop}),
+        )
     return Command[request.cmd.upper()], 0, values_of({})
 
 
@@ -106,13 +116,34 @@ def refusal(answer: Answer, cmd: str, view: ServoView) -> CommandError:
     fault = BY_NUMBER.get(answer.fault, FAULTS[0])
     cause = f"{fault.cause}; {fault.remedy}" if fault.number else "see `hapticd status`"
     texts = {
-        Result.REFUSED_CAUSE: ("refused", f"what caused, or would cause, a fault is still there: {cause}"),
+        Result.REFUSED_CAUSE: (
+            "refused",
+            f"what caused, or would cause, a fault is still there: {cause}",
+        ),
         Result.REFUSED_NOT_HOMED: ("refused", "the device has no origin yet; `hapticd home` first"),
-        Result.REFUSED_NO_GATEWAY: ("refused", "the servo misses the gateway's heartbeat; try again, then see `hapticd status`"),
-        Result.REFUSED_RANGE: ("invalid", "a value is out of range for this device; see `limits` in the reply to `hello`"),
-        Result.REFUSED_FULL: ("busy", "16 changes are scheduled already; wait until one is in force, or stop, which cancels them"),
-        Result.REFUSED_LATE: ("refused", f"at_tick has passed, it is tick {view.tick}; choose a later one"),
-        Result.CANCELLED: ("stopped", "a stop or fault came first; `hapticd reset`, then ask again"),
+        Result.REFUSED_NO_GATEWAY: (
+            "refused",
+            "the servo misses the gateway's heartbeat; try again, then see `hapticd status`",
+        ),
+        Result.REFUSED_RANGE: (
+            "invalid",
+            "a value is out of range for this device; see `limits` in the reply to `hello`",
+        ),
+        Result.REFUSED_FULL: (
+            "busy",
+            (
+                "16 changes are scheduled already; wait until one is in force, or stop, which"
+                " cancels them"
+            ),
+        ),
+        Result.REFUSED_LATE: (
+            "refused",
+            f"at_tick has passed, it is tick {view.tick}; choose a later one",
+        ),
+        Result.CANCELLED: (
+            "stopped",
+            "a stop or fault came first; `hapticd reset`, then ask again",
+        ),
     }
     if answer.result not in texts:
         return wrong_state(cmd, view)
@@ -123,11 +154,19 @@ def refusal(answer: Answer, cmd: str, view: ServoView) -> CommandError:
 def wrong_state(cmd: str, view: ServoView) -> CommandError:
     """The error for a command that the present state does not allow."""
     if view.state in LATCHED:
-        return CommandError("stopped", f"{cmd} in state {view.state_name} ({view.fault.cause}): {view.fault.remedy}")
+        return CommandError(
+            "stopped", f"{cmd} in state {view.state_name} ({view.fault.cause}): {view.fault.remedy}"
+        )
     if cmd == "home" and view.params.device.home.method == "none":
-        return CommandError("refused", "home: the device file names no way to home; set `method` in its table [home]")
+        return CommandError(
+            "refused",
+            "home: the device file names no way to home; set `method` in its table [home]",
+        )
     allowed = " or ".join(state.name.lower() for state in ALLOWED.get(cmd, ()))
-    return CommandError("refused", f"{cmd} in state {view.state_name}: possible only in {allowed or 'another state'}")
+    return CommandError(
+        "refused",
+        f"{cmd} in state {view.state_name}: possible only in {allowed or 'another state'}",
+    )
 
 
 class AskedRequest(NamedTuple):
@@ -160,13 +199,16 @@ def schema(asked: AskedRequest, situation: Situation) -> AskedRequest:
 
 def state(asked: AskedRequest, situation: Situation) -> AskedRequest:
     """Refuse early what the servo would refuse in the state it is in."""
-    request, view = asked.request, situation.view
+    request = asked.request
+    view = situation.view
     if isinstance(request, Change):
         _check_revision(request, situation)
     if isinstance(request, Perturb) and request.action != "start":
         return asked
     if isinstance(request, Perturb) and not situation.samples:
-        raise CommandError("refused", "perturb start: no waveform is loaded; send it with action load first")
+        raise CommandError(
+            "refused", "perturb start: no waveform is loaded; send it with action load first"
+        )
     if request and situation.settled and view.state not in (None, *ALLOWED.get(request.cmd, State)):
         raise wrong_state(request.cmd, view)
     return asked
@@ -202,8 +244,14 @@ def _check_revision(request: Change, situation: Situation) -> None:
     if "if_rev" not in request.model_fields_set:
         return
     if not situation.settled:
-        raise CommandError("busy", f"if_rev = {request.if_rev}: another change is on its way; read the revision and ask again")
+        raise CommandError(
+            "busy",
+            f"if_rev = {request.if_rev}: another change is on its way; read the revision and ask"
+            " again",
+        )
     if request.if_rev != situation.view.revision:
         raise CommandError(
-            "refused", f"if_rev = {request.if_rev}: the revision is {situation.view.revision}; look at what changed and ask again"
+            "refused",
+            f"if_rev = {request.if_rev}: the revision is {situation.view.revision}; look at what"
+            " changed and ask again",
         )

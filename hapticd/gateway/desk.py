@@ -24,8 +24,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapticd.errors import CommandError, MailboxError
-from hapticd.gateway.codec import Encoding, RequestId, decode, echo_id, encode, encoding_of, malformed
-from hapticd.gateway.commands import ACCEPTED, Posting, Situation, admit, parameters, posting, receipt, refusal, values_of
+from hapticd.gateway.codec import (
+    Encoding,
+    RequestId,
+    decode,
+    echo_id,
+    encode,
+    encoding_of,
+    malformed,
+)
+from hapticd.gateway.commands import (
+    ACCEPTED,
+    Posting,
+    Situation,
+    admit,
+    parameters,
+    posting,
+    receipt,
+    refusal,
+    values_of,
+)
 from hapticd.gateway.journal import Actors, Journal
 from hapticd.gateway.limits import CommandLimits
 from hapticd.gateway.schemas import Hello, Perturb, Request, invalid, json_schema
@@ -75,7 +93,12 @@ def unpacked(frames: Sequence[bytes]) -> RequestMessage:
         error = problem
     cmd = plain.get("cmd")
     return RequestMessage(
-        (identity, *delimiter), encoding_of(payload), echo_id(plain), cmd if isinstance(cmd, str) else "", plain, error
+        (identity, *delimiter),
+        encoding_of(payload),
+        echo_id(plain),
+        cmd if isinstance(cmd, str) else "",
+        plain,
+        error,
     )
 
 
@@ -138,14 +161,20 @@ class Outstanding:
         """
         lost = [pending for pending in self._pending.values() if pending.life != life]
         if lost or any(known != life for known, _ in self._scheduled):
-            self._pending = {key: pending for key, pending in self._pending.items() if key[0] == life}
-            self._scheduled = {key: pending for key, pending in self._scheduled.items() if key[0] == life}
+            self._pending = {
+                key: pending for key, pending in self._pending.items() if key[0] == life
+            }
+            self._scheduled = {
+                key: pending for key, pending in self._scheduled.items() if key[0] == life
+            }
         return lost
 
 
 def _is_due(pending: Pending, tick: int, now_ns: int) -> bool:
     answer = pending.answer
-    answered = answer is not None and (answer.result is not Result.APPLIED or tick >= answer.first_tick)
+    answered = answer is not None and (
+        answer.result is not Result.APPLIED or tick >= answer.first_tick
+    )
     return answered or now_ns >= pending.deadline_ns
 
 
@@ -157,7 +186,9 @@ class Waveform:
 
     def __init__(self, limits: CommandLimits) -> None:
         self._limits = limits
-        self._life, self._samples, self._actor = 0, 0, 0
+        self._life = 0
+        self._samples = 0
+        self._actor = 0
 
     def samples(self, view: ServoView) -> int:
         """Samples that are loaded in the present servo life."""
@@ -169,22 +200,37 @@ class Waveform:
         CommandError (`invalid`, `refused`): nothing changed.
         """
         if view.mailbox is None:
-            raise CommandError("servo_down", "perturb load: no servo runs; start it with `hapticd run`")
-        loaded, force_n = self.samples(view), samples_n(request.samples_n)
+            raise CommandError(
+                "servo_down", "perturb load: no servo runs; start it with `hapticd run`"
+            )
+        loaded = self.samples(view)
+        force_n = samples_n(request.samples_n)
         if request.offset not in (0, loaded):
-            raise CommandError("refused", f"offset = {request.offset} samples: {loaded} are loaded; send the chunks in order")
+            raise CommandError(
+                "refused",
+                f"offset = {request.offset} samples: {loaded} are loaded; send the chunks in order",
+            )
         total = request.offset + len(force_n)
         if total > PERTURBATION_SAMPLES:
             limit = f"{PERTURBATION_SAMPLES} samples ({PERTURBATION_SAMPLES / PROBE_RATE_HZ:.0f} s)"
-            reason = f"samples_n: {total} samples are beyond the limit {limit}; shorten it or play it in a loop"
+            reason = (
+                f"samples_n: {total} samples are beyond the limit {limit}; shorten it or play it in"
+                " a loop"
+            )
             raise invalid([{"loc": "samples_n", "msg": reason}])
         if request.offset and actor != self._actor:
-            raise CommandError("refused", f"offset = {request.offset} samples: another client's are loaded; begin with offset 0")
+            raise CommandError(
+                "refused",
+                f"offset = {request.offset} samples: another client's are loaded; begin with"
+                " offset 0",
+            )
         self._check(force_n, request.offset)
         to_count = view.params.device.probe_torque.to_count
         for place, value in enumerate(force_n.tolist(), request.offset):
             view.mailbox.waveform[place] = to_count(value, *INT16)
-        self._life, self._samples, self._actor = view.life, total, actor
+        self._life = view.life
+        self._samples = total
+        self._actor = actor
         return total
 
     def _check(self, force_n: NDArray[np.float64], offset: int) -> None:
@@ -192,7 +238,9 @@ class Waveform:
         wrong = np.flatnonzero(~((force_n >= limit.low) & (force_n <= limit.high)))
         if wrong.size:
             first = int(wrong[0])
-            message = self._limits.complaint("samples_n", float(force_n[first]), f"samples_n[{offset + first}]")
+            message = self._limits.complaint(
+                "samples_n", float(force_n[first]), f"samples_n[{offset + first}]"
+            )
             raise invalid([{"loc": f"samples_n.{offset + first}", "msg": message}])
 
 
@@ -203,20 +251,36 @@ def samples_n(sent: list[float] | bytes) -> NDArray[np.float64]:
     """
     if isinstance(sent, bytes):
         if len(sent) % 4:
-            reason = f"samples_n has {len(sent)} bytes: not whole little-endian float32; send 4 bytes a sample"
+            reason = (
+                f"samples_n has {len(sent)} bytes: not whole little-endian float32; send 4 bytes a"
+                " sample"
+            )
             raise invalid([{"loc": "samples_n", "msg": reason}])
         return np.frombuffer(sent, "<f4").astype(np.float64)
     return np.array(sent, np.float64)
 
 
 ANSWER_TIMEOUT_NS = NS_PER_S
-TAKEN_BACK = {"enable": Command.DISABLE, "home": Command.DISABLE, "perturb": Command.PERTURB_STOP}  # what brings force
+TAKEN_BACK = {
+    "enable": Command.DISABLE,
+    "home": Command.DISABLE,
+    "perturb": Command.PERTURB_STOP,
+}  # what brings force
 TAKEN_PER_TICK = 2  # by the servo; a stop behind more commands than that presses the page as well
-PAST_TICK, GATEWAY_ACTOR = 1, 1
+PAST_TICK = 1
+GATEWAY_ACTOR = 1
 IN_FORCE = (
-    "tick", "gain", "stiffness_n_per_m", "damping_ns_per_m", "mass_kg", "added_damping_asked_ns_per_m", "added_damping_ns_per_m",
-)  # fmt: skip
-SERVO_ENDED = CommandError("servo_down", "the servo ended before it answered; when it starts anew it is disabled")
+    "tick",
+    "gain",
+    "stiffness_n_per_m",
+    "damping_ns_per_m",
+    "mass_kg",
+    "added_damping_asked_ns_per_m",
+    "added_damping_ns_per_m",
+)
+SERVO_ENDED = CommandError(
+    "servo_down", "the servo ended before it answered; when it starts anew it is disabled"
+)
 
 Reply = list[bytes]
 
@@ -227,8 +291,12 @@ class Desk:
     `inquire(cmd)` is the content of the replies to hello and status.
     """
 
-    def __init__(self, view: ServoView, journal: Journal, inquire: Callable[[str], dict[str, Any]]) -> None:
-        self._view, self._journal, self._inquire = view, journal, inquire
+    def __init__(
+        self, view: ServoView, journal: Journal, inquire: Callable[[str], dict[str, Any]]
+    ) -> None:
+        self._view = view
+        self._journal = journal
+        self._inquire = inquire
         self.limits = CommandLimits(view.params)
         self.schema = json_schema(self.limits)
         self.actors = Actors()
@@ -242,7 +310,9 @@ class Desk:
         """Whether answers are due, so that looking often is worth it."""
         return len(self._outstanding) > 0
 
-    def serve(self, messages: Sequence[Sequence[bytes]], now_ns: int, outdated: bool = False) -> list[Reply]:
+    def serve(
+        self, messages: Sequence[Sequence[bytes]], now_ns: int, outdated: bool = False
+    ) -> list[Reply]:
         """Take requests that came together, stops first; the replies that can be given at once.
 
         `outdated`: stops alone count.
@@ -263,7 +333,9 @@ class Desk:
         except MailboxError as error:
             self._journal.note("warning", text=str(error))
         due = self._outstanding.due(self._view.tick, now_ns)
-        return [self._refused(one.message, SERVO_ENDED) for one in lost] + [self._closed(one) for one in due]
+        return [self._refused(one.message, SERVO_ENDED) for one in lost] + [
+            self._closed(one) for one in due
+        ]
 
     def _attend(self, message: RequestMessage, now_ns: int, outdated: bool) -> Reply | None:
         try:
@@ -273,9 +345,14 @@ class Desk:
             if message.cmd == "stop":
                 return self._stop(message, actor, now_ns)
             if outdated:
-                reason = "the gateway stood still for more than 1 s and drops what came meanwhile; ask again"
+                reason = (
+                    "the gateway stood still for more than 1 s and drops what came meanwhile; ask"
+                    " again"
+                )
                 raise CommandError("timeout", f"{message.cmd}: {reason}")
-            situation = Situation(self.limits, self._view, not self.waiting, self._waveform.samples(self._view))
+            situation = Situation(
+                self.limits, self._view, not self.waiting, self._waveform.samples(self._view)
+            )
             request = admit(message.plain, actor, situation)
             result = self._answered_here(request, message)
             if result is not None:
@@ -288,7 +365,10 @@ class Desk:
     def _answered_here(self, request: Request, message: RequestMessage) -> dict[str, Any] | None:
         if isinstance(request, Hello):
             self.actors.call(message.client, request.name)
-            return self._inquire("hello") | {"actor": self.actors.number(message.client), "limits": self.limits.plain()}
+            return self._inquire("hello") | {
+                "actor": self.actors.number(message.client),
+                "limits": self.limits.plain(),
+            }
         if isinstance(request, Perturb) and request.action == "load":
             return self._load(request, self.actors.number(message.client))
         if request.cmd == "status":
@@ -310,15 +390,25 @@ class Desk:
 
     def _require_servo(self, cmd: str) -> None:
         if not self._view.alive:
-            raise CommandError("servo_down", f"{cmd}: no servo answers; start it with `hapticd run`, see `hapticd status`")
+            raise CommandError(
+                "servo_down",
+                f"{cmd}: no servo answers; start it with `hapticd run`, see `hapticd status`",
+            )
 
     def _post(self, message: RequestMessage, actor: int, what: Posting, now_ns: int) -> None:
         self._require_servo(message.cmd)
         kind, apply_tick, values = what
-        seq = self._view.mailbox.post(kind, actor, apply_tick, values) if self._view.mailbox else None
+        seq = (
+            self._view.mailbox.post(kind, actor, apply_tick, values) if self._view.mailbox else None
+        )
         if seq is None:
-            raise CommandError("busy", f"{message.cmd}: 64 commands wait for the servo already; slow down and ask again")
-        self._outstanding.add(seq, Pending(message, actor, self._view.life, now_ns + ANSWER_TIMEOUT_NS))
+            raise CommandError(
+                "busy",
+                f"{message.cmd}: 64 commands wait for the servo already; slow down and ask again",
+            )
+        self._outstanding.add(
+            seq, Pending(message, actor, self._view.life, now_ns + ANSWER_TIMEOUT_NS)
+        )
 
     def _stop(self, message: RequestMessage, actor: int, now_ns: int) -> Reply | None:
         mailbox = self._view.mailbox
@@ -349,16 +439,31 @@ class Desk:
             self._asked_life = self._asked_life if asked is None else self._view.life
 
     def _report(self, scheduled: Pending, answer: Answer) -> None:
-        message, actor = scheduled.message, scheduled.actor
-        self._journal.note("answer", cmd=message.cmd, id=message.id, actor=actor, name=self.actors.name(actor), **receipt(answer))
+        message = scheduled.message
+        actor = scheduled.actor
+        self._journal.note(
+            "answer",
+            cmd=message.cmd,
+            id=message.id,
+            actor=actor,
+            name=self.actors.name(actor),
+            **receipt(answer),
+        )
 
     def _closed(self, pending: Pending) -> Reply:
-        message, answer = pending.message, pending.answer
+        message = pending.message
+        answer = pending.answer
         if answer is None:
             self.counts["timeouts"] += 1
-            outlook = "it is taken back" if self._taken_back(message) else "whether it acts is open, ask with `get` or `status`"
+            outlook = (
+                "it is taken back"
+                if self._taken_back(message)
+                else "whether it acts is open, ask with `get` or `status`"
+            )
             reason = f"{message.cmd}: no answer from the servo within 1 s; {outlook}"
-            return self._refused(message, CommandError("timeout" if self._view.alive else "servo_down", reason))
+            return self._refused(
+                message, CommandError("timeout" if self._view.alive else "servo_down", reason)
+            )
         if answer.result not in ACCEPTED:
             return self._refused(message, refusal(answer, message.cmd, self._view))
         return self._accepted(message, {"rev": answer.revision, "receipt": receipt(answer)})
@@ -367,13 +472,24 @@ class Desk:
         """Whether a force that comes late, when nobody expects it any more, will end in the tick in
         which it begins.
         """
-        kind, mailbox = TAKEN_BACK.get(message.cmd), self._view.mailbox
-        return kind is not None and mailbox is not None and mailbox.post(kind, GATEWAY_ACTOR, 0, values_of({})) is not None
+        kind = TAKEN_BACK.get(message.cmd)
+        mailbox = self._view.mailbox
+        return (
+            kind is not None
+            and mailbox is not None
+            and mailbox.post(kind, GATEWAY_ACTOR, 0, values_of({})) is not None
+        )
 
     def _accepted(self, message: RequestMessage, body: dict[str, Any]) -> Reply:
-        return message.reply({"ok": True, "rev": self._view.revision, "state": self._view.state_name} | body)
+        return message.reply(
+            {"ok": True, "rev": self._view.revision, "state": self._view.state_name} | body
+        )
 
     def _refused(self, message: RequestMessage, error: CommandError | MailboxError) -> Reply:
         self.counts["errors"] += 1
-        code, detail = (error.code, error.detail) if isinstance(error, CommandError) else ("servo_down", None)
-        return message.reply({"ok": False, "error": {"code": code, "message": str(error), "detail": detail or []}})
+        code, detail = (
+            (error.code, error.detail) if isinstance(error, CommandError) else ("servo_down", None)
+        )
+        return message.reply(
+            {"ok": False, "error": {"code": code, "message": str(error), "detail": detail or []}}
+        )

@@ -42,7 +42,8 @@ from hapticd.params import GatewaySetup, to_plain
 from hapticd.units import NS_PER_S
 
 SUFFIX = ".flight"
-_MAGIC, _LENGTH = b"hapticd-flight/1\n", struct.Struct("<Q")
+_MAGIC = b"hapticd-flight/1\n"
+_LENGTH = struct.Struct("<Q")
 
 
 class Flight(NamedTuple):
@@ -77,11 +78,15 @@ def read_flight(path: Path) -> Flight:
         raise ConfigError(f"{path}: {error.strerror}; check the path") from error
     begin = len(_MAGIC) + _LENGTH.size
     if len(data) < begin or not data.startswith(_MAGIC):
-        raise ConfigError(f"{path} is no flight recording; they are made by `hapticd dump` and at faults")
+        raise ConfigError(
+            f"{path} is no flight recording; they are made by `hapticd dump` and at faults"
+        )
     (length,) = _LENGTH.unpack_from(data, len(_MAGIC))
     try:
         header = json.loads(data[begin : begin + length])
-        dtype = np.dtype([(name, kind, *map(tuple, shape)) for name, kind, *shape in header["descr"]])
+        dtype = np.dtype(
+            [(name, kind, *map(tuple, shape)) for name, kind, *shape in header["descr"]]
+        )
         return Flight(header, np.frombuffer(data, dtype, offset=begin + length))
     except (ValueError, KeyError, TypeError) as error:
         raise ConfigError(f"{path} is damaged: {error}") from error
@@ -96,9 +101,22 @@ UNDER_FORCE = (State.ENABLED, State.HOMING)
 class FlightRecorder:
     """Keeps the last `setup.gateway.flight_s` seconds of `view`'s servo; dumps go into `folder`."""
 
-    def __init__(self, view: ServoView, journal: Journal, setup: GatewaySetup, folder: Path, unix_ns: Callable[[], int]) -> None:
-        self._view, self._journal, self._setup, self._folder, self._unix_ns = view, journal, setup, folder, unix_ns
-        self._kept_ticks = round((setup.gateway.flight_s + CHECKPOINT_S) * setup.servo.realtime.rate_hz)
+    def __init__(
+        self,
+        view: ServoView,
+        journal: Journal,
+        setup: GatewaySetup,
+        folder: Path,
+        unix_ns: Callable[[], int],
+    ) -> None:
+        self._view = view
+        self._journal = journal
+        self._setup = setup
+        self._folder = folder
+        self._unix_ns = unix_ns
+        self._kept_ticks = round(
+            (setup.gateway.flight_s + CHECKPOINT_S) * setup.servo.realtime.rate_hz
+        )
         self._threads: list[threading.Thread] = []
         self._written: deque[dict[str, Any]] = deque()
         self._origin: Origin | None = None
@@ -112,7 +130,9 @@ class FlightRecorder:
         self._breaks: deque[int] = deque()
         self._journal_tail = self._checkpoints_read = 0
         self._asked_ns = -CHECKPOINT_S * NS_PER_S
-        self._state, self._due = 0, (0, "")  # when to dump, and why
+        # when to dump, and why
+        self._state = 0
+        self._due = (0, "")
         self._report: dict[str, Any] = {}
 
     def begin(self, origin: Origin) -> None:
@@ -153,7 +173,12 @@ class FlightRecorder:
             self._checkpoints.append(checkpoint)
         if not (requests or lost or checkpoint):
             return None
-        return {**self._origin.header, "requests": requests, "break": self._view.tick if lost else None, "checkpoint": checkpoint}
+        return {
+            **self._origin.header,
+            "requests": requests,
+            "break": self._view.tick if lost else None,
+            "checkpoint": checkpoint,
+        }
 
     def _write_if_silent(self) -> None:
         """Write what a servo left that fell silent under force."""
@@ -167,9 +192,13 @@ class FlightRecorder:
         self._records += len(block.records)
         while self._records - len(self._blocks[0].records) >= self._kept_ticks:
             self._records -= len(self._blocks.popleft().records)
-        self._forget_before(int(self._blocks[0].records["tick"][0]) if len(self._blocks[0].records) else 0)
+        self._forget_before(
+            int(self._blocks[0].records["tick"][0]) if len(self._blocks[0].records) else 0
+        )
         states = block.records["state"]
-        fallen = np.flatnonzero((states == State.FAULT) & (np.concatenate(([self._state], states[:-1])) != State.FAULT))
+        fallen = np.flatnonzero(
+            (states == State.FAULT) & (np.concatenate(([self._state], states[:-1])) != State.FAULT)
+        )
         if fallen.size and not self._due[0]:
             number = int(block.records["fault"][fallen[0]])
             self._due = now_ns + AFTERMATH_NS, BY_NUMBER.get(number, FAULTS[0]).code
@@ -198,18 +227,23 @@ class FlightRecorder:
         CommandError when nothing is kept.
         """
         if not self._records:
-            raise CommandError("refused", "dump: nothing has been recorded yet; is a servo running?")
+            raise CommandError(
+                "refused", "dump: nothing has been recorded yet; is a servo running?"
+            )
         stamp = datetime.fromtimestamp(self._unix_ns() / NS_PER_S, UTC)
         path = self._folder / f"{stamp:%Y%m%d-%H%M%S.%f}-{reason}{SUFFIX}"
         blocks = [block.data for block in self._blocks]
         header = self._header(reason, stamp.isoformat())
-        thread = threading.Thread(target=self._write, args=(path, header, blocks, reason), daemon=False)
+        thread = threading.Thread(
+            target=self._write, args=(path, header, blocks, reason), daemon=False
+        )
         self._threads = [one for one in self._threads if one.is_alive()] + [thread]
         thread.start()
         return {"path": str(path), "records": self._records, "reason": reason}
 
     def _header(self, reason: str, written_utc: str) -> dict[str, Any]:
-        gaps, row = [], 0
+        gaps = []
+        row = 0
         for block in self._blocks:
             gaps += [[row, block.lost]] if block.lost and row else []
             row += len(block.records)
@@ -243,7 +277,10 @@ class FlightRecorder:
         while self._written:
             told = self._written.popleft()
             if error := told.get("error"):
-                self._journal.note("warning", text=f"{told['path']}: the flight recording could not be written: {error}")
+                self._journal.note(
+                    "warning",
+                    text=f"{told['path']}: the flight recording could not be written: {error}",
+                )
             else:
                 self._journal.note("flight", **told)
 
@@ -258,6 +295,15 @@ def flights_folder(instance: str) -> Path:
     """Where flight recordings of `instance` go: $STATE_DIRECTORY (systemd),
     $XDG_STATE_HOME/hapticd, ~/.local/state/hapticd.
     """
-    service, home = os.environ.get("STATE_DIRECTORY"), os.environ.get("XDG_STATE_HOME")
-    state = Path(service.split(":")[0]) if service else Path(home or Path.home() / ".local" / "state") / "hapticd"
-    return state / "flights" if instance == DEFAULT_INSTANCE else state / f"instance-{instance}" / "flights"
+    service = os.environ.get("STATE_DIRECTORY")
+    home = os.environ.get("XDG_STATE_HOME")
+    state = (
+        Path(service.split(":")[0])
+        if service
+        else Path(home or Path.home() / ".local" / "state") / "hapticd"
+    )
+    return (
+        state / "flights"
+        if instance == DEFAULT_INSTANCE
+        else state / f"instance-{instance}" / "flights"
+    )

@@ -16,7 +16,8 @@ from typing import Any
 
 from hapticd.units import NS_PER_S
 
-KEPT, QUEUED = 32, 256
+KEPT = 32
+QUEUED = 256
 
 
 class Journal:

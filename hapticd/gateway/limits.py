@@ -59,19 +59,31 @@ class CommandLimits:
     def __init__(self, params: ServoParams) -> None:
         table = value_limits(params.realtime.rate_hz, params.device.damping_limit_ns_per_m)
         self.of = {
-            name: CommandLimit(*table[place], SOURCES.get(place, "it is fixed in this version")) for name, place in PLACES.items()
+            name: CommandLimit(*table[place], SOURCES.get(place, "it is fixed in this version"))
+            for name, place in PLACES.items()
         }
         self.of["value"] = self.of["damping"]
         self.of["samples_n"] = CommandLimit(
-            -params.device.probe_limit_n, params.device.probe_limit_n, "N", "the device file sets it"
+            -params.device.probe_limit_n,
+            params.device.probe_limit_n,
+            "N",
+            "the device file sets it",
         )
 
     def broken_by(self, given: dict[str, Any]) -> list[dict[str, str]]:
         """One {loc, msg} for each number in `given` (nested as in the request) that is beyond its
         limit.
         """
-        numbers = ((name, value) for name, value in flat(given) if isinstance(value, (int, float)) and name in self.of)
-        return [{"loc": name, "msg": self.complaint(name, value)} for name, value in numbers if not self.allows(name, value)]
+        numbers = (
+            (name, value)
+            for name, value in flat(given)
+            if isinstance(value, (int, float)) and name in self.of
+        )
+        return [
+            {"loc": name, "msg": self.complaint(name, value)}
+            for name, value in numbers
+            if not self.allows(name, value)
+        ]
 
     def allows(self, name: str, value: float) -> bool:
         """Whether `value` is within the limit of field `name`."""
@@ -80,12 +92,20 @@ class CommandLimits:
     def complaint(self, name: str, value: float, where: str = "") -> str:
         """What to tell about `value` in field `name`, beyond its limit."""
         limit = self.of[name]
-        return f"{where or name} = {value:g} {limit.unit}: beyond the limit {limit} ({limit.source}); ask for a value inside"
+        return (
+            f"{where or name} = {value:g} {limit.unit}: beyond the limit {limit} ({limit.source});"
+            " ask for a value inside"
+        )
 
     def remedy(self, name: str) -> str:
         """What to send in field `name`; empty if it has no limit."""
-        return f"send a number in {self.of[name]}" if name in self.of and name != "wall.side" else ""
+        return (
+            f"send a number in {self.of[name]}" if name in self.of and name != "wall.side" else ""
+        )
 
     def plain(self) -> dict[str, dict[str, Any]]:
         """All limits as maps {low, high, unit}, by field name."""
-        return {name: {"low": limit.low, "high": limit.high, "unit": limit.unit} for name, limit in self.of.items()}
+        return {
+            name: {"low": limit.low, "high": limit.high, "unit": limit.unit}
+            for name, limit in self.of.items()
+        }

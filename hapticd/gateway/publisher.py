@@ -32,15 +32,35 @@ from hapticd.params import GatewaySetup
 from hapticd.units import NS_PER_S
 
 RECORD_FIELDS_SHOWN = (
-    "tick", "homed", "perturbing", "gain", "stiffness_n_per_m", "damping_ns_per_m", "mass_kg", "added_damping_asked_ns_per_m",
-    "added_damping_ns_per_m", "position_m", "force_n", "winding_c", "actor",
-)  # fmt: skip
-NEWS = ("state", "fault", "revision", "actor", "homed", "perturbing")  # a change of one of these is published at once
+    "tick",
+    "homed",
+    "perturbing",
+    "gain",
+    "stiffness_n_per_m",
+    "damping_ns_per_m",
+    "mass_kg",
+    "added_damping_asked_ns_per_m",
+    "added_damping_ns_per_m",
+    "position_m",
+    "force_n",
+    "winding_c",
+    "actor",
+)
+NEWS = (
+    "state",
+    "fault",
+    "revision",
+    "actor",
+    "homed",
+    "perturbing",
+)  # a change of one of these is published at once
 
 
 def state_map(view: ServoView, actors: Actors, unix_ns: int) -> dict[str, Any]:
     """Everything a lamp, a title bar or a late joiner needs to know."""
-    mailbox, record, fault = view.mailbox, view.record, view.fault
+    mailbox = view.mailbox
+    record = view.record
+    fault = view.fault
     header = mailbox.header if mailbox else None
     return {
         "timestamp": unix_ns / NS_PER_S,
@@ -77,16 +97,21 @@ class Transitions:
     """
 
     def __init__(self, view: ServoView, actors: Actors, journal: Journal) -> None:
-        self._view, self._actors, self._journal = view, actors, journal
-        self._life, self._last = 0, (0, 0)
+        self._view = view
+        self._actors = actors
+        self._journal = journal
+        self._life = 0
+        self._last = (0, 0)
 
     def follow(self, block: RingBlock) -> None:
         """Note the changes in `block`, and the gap before it."""
         if self._life != block.life:
-            self._life, self._last = block.life, (0, 0)
+            self._life = block.life
+            self._last = (0, 0)
         if block.lost:
             self._journal.note("gap", seq=block.seq, lost=block.lost)
-        states, faults = block.records["state"], block.records["fault"]
+        states = block.records["state"]
+        faults = block.records["fault"]
         before_states = np.concatenate(([self._last[0]], states[:-1]))
         before_faults = np.concatenate(([self._last[1]], faults[:-1]))
         for place in np.flatnonzero((states != before_states) | (faults != before_faults)).tolist():
@@ -126,17 +151,28 @@ class Publisher:
     """
 
     def __init__(
-        self, view: ServoView, actors: Actors, journal: Journal, setup: GatewaySetup, unix_ns: Callable[[], int] = time.time_ns
+        self,
+        view: ServoView,
+        actors: Actors,
+        journal: Journal,
+        setup: GatewaySetup,
+        unix_ns: Callable[[], int] = time.time_ns,
     ) -> None:
-        self._view, self._actors, self._journal, self._batch = view, actors, journal, setup.gateway.batch
+        self._view = view
+        self._actors = actors
+        self._journal = journal
+        self._batch = setup.gateway.batch
         self.feed = Feed(view, setup.gateway.batch)
         self.stages = StageHistograms(setup.servo.realtime.grace_s)
-        self.flight = FlightRecorder(view, journal, setup, flights_folder(setup.servo.instance), unix_ns)
+        self.flight = FlightRecorder(
+            view, journal, setup, flights_folder(setup.servo.instance), unix_ns
+        )
         self._subscriptions = Subscriptions()
         self._transitions = Transitions(view, actors, journal)
         self._probe = ProbeDecoder(setup.servo.device)
         self._origin = Origin(0, 0, setup.servo.simulated)
-        self._life, self._alive = 0, False
+        self._life = 0
+        self._alive = False
         self._news: tuple[Any, ...] = ()
         self._state_ns = -STATE_PERIOD_NS
 
@@ -171,19 +207,28 @@ class Publisher:
         view = self._view
         if view.mailbox and view.life != self._life:
             self._life = view.life
-            self._origin = Origin(view.mailbox.epoch, view.unix_offset_ns, view.mailbox.header.simulated)
+            self._origin = Origin(
+                view.mailbox.epoch, view.unix_offset_ns, view.mailbox.header.simulated
+            )
             self.stages.clear()
             self.flight.begin(self._origin)
             self._probe.forget()
         if view.alive != self._alive:
             self._alive = view.alive
-            self._journal.note("servo_up" if view.alive else "servo_down", epoch=self._origin.epoch, text=view.trouble)
+            self._journal.note(
+                "servo_up" if view.alive else "servo_down",
+                epoch=self._origin.epoch,
+                text=view.trouble,
+            )
 
     def _ticks(self, block: RingBlock, wanted: frozenset[str]) -> list[Message]:
         found: list[Message] = []
         if "servo" in wanted:
             decimation = BY_NAME["servo"].decimation
-            found += [("servo", payload) for payload in servo_messages(block, self._origin, self._batch, decimation)]
+            found += [
+                ("servo", payload)
+                for payload in servo_messages(block, self._origin, self._batch, decimation)
+            ]
         if "servo.raw" in wanted:
             found.append(("servo.raw", raw_message(block, self._origin)))
         if "probe" in wanted:
@@ -196,7 +241,8 @@ class Publisher:
         latest = news(self._view)
         if latest == self._news and now_ns - self._state_ns < STATE_PERIOD_NS:
             return []
-        self._news, self._state_ns = latest, now_ns
+        self._news = latest
+        self._state_ns = now_ns
         return [self._state(unix_ns)] if "state" in self._subscriptions.wanted else []
 
     def _state(self, unix_ns: int) -> Message:

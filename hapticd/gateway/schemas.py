@@ -11,7 +11,16 @@ short. `json_schema` is the same for machines.
 from difflib import get_close_matches
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError, WithJsonSchema, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    TypeAdapter,
+    ValidationError,
+    WithJsonSchema,
+    model_validator,
+)
 from pydantic_core import ErrorDetails
 
 from hapticd.errors import CommandError
@@ -19,7 +28,12 @@ from hapticd.gateway.codec import ID_LENGTH, ID_LIMIT, SHOWN, RequestId, request
 from hapticd.gateway.limits import CommandLimits
 
 PROTOCOL_VERSION = 1
-_ID_SCHEMA = {"anyOf": [{"type": "integer", "minimum": 0, "maximum": ID_LIMIT - 1}, {"type": "string", "maxLength": ID_LENGTH}]}
+_ID_SCHEMA = {
+    "anyOf": [
+        {"type": "integer", "minimum": 0, "maximum": ID_LIMIT - 1},
+        {"type": "string", "maxLength": ID_LENGTH},
+    ]
+}
 
 
 def _no_switch(value: Any) -> Any:
@@ -30,7 +44,9 @@ def _no_switch(value: Any) -> Any:
 
 Id = Annotated[RequestId, BeforeValidator(request_id), WithJsonSchema(_ID_SCHEMA)]
 Tick = Annotated[int, Field(gt=0, lt=ID_LIMIT)]
-Side = Annotated[Literal[-1, 0, 1], BeforeValidator(_no_switch)]  # true equals 1 and would pass as one
+Side = Annotated[
+    Literal[-1, 0, 1], BeforeValidator(_no_switch)
+]  # true equals 1 and would pass as one
 
 
 def _absent(text: str, **limits: Any) -> Any:
@@ -60,7 +76,11 @@ class Hello(CommandMessage):
     """Who is there: versions, limits, endpoints; gives the client a name."""
 
     cmd: Literal["hello"]
-    name: str = Field("client", pattern=r"^[ -~]{1,32}$", description="shown as the actor of this client's changes")
+    name: str = Field(
+        "client",
+        pattern=r"^[ -~]{1,32}$",
+        description="shown as the actor of this client's changes",
+    )
 
 
 class Get(CommandMessage):
@@ -108,13 +128,19 @@ class Set(Change):
 
     @model_validator(mode="after")
     def _asks_for_something(self) -> "Set":
-        if not self.model_fields_set & {"K", "B", "M", "damping"} and not any(part.given for part in self.parts()):
+        if not self.model_fields_set & {"K", "B", "M", "damping"} and not any(
+            part.given for part in self.parts()
+        ):
             raise ValueError("nothing to set; give one of K, B, M, filters, wall, damping")
         return self
 
     def parts(self) -> list[MessagePart]:
         """The sub-tables that were sent."""
-        return [part for name in ("filters", "wall") if isinstance(part := getattr(self, name), MessagePart)]
+        return [
+            part
+            for name in ("filters", "wall")
+            if isinstance(part := getattr(self, name), MessagePart)
+        ]
 
 
 class Damping(Change):
@@ -165,8 +191,15 @@ class Perturb(CommandMessage):
 
     cmd: Literal["perturb"]
     action: Literal["load", "start", "stop"]
-    samples_n: list[float] | bytes = _absent("force in newtons at 4 kHz: numbers, or little-endian float32 (msgpack only)")
-    offset: int = Field(0, ge=0, lt=ID_LIMIT, description="samples loaded before this chunk; 0 begins a new waveform")
+    samples_n: list[float] | bytes = _absent(
+        "force in newtons at 4 kHz: numbers, or little-endian float32 (msgpack only)"
+    )
+    offset: int = Field(
+        0,
+        ge=0,
+        lt=ID_LIMIT,
+        description="samples loaded before this chunk; 0 begins a new waveform",
+    )
     loop: bool = Field(False, description="start: repeat until stopped")
 
     @model_validator(mode="after")
@@ -198,16 +231,48 @@ class Schema(CommandMessage):
     cmd: Literal["schema"]
 
 
-Request = Hello | Get | Set | Damping | Enable | Disable | Stop | Reset | Zero | Home | Perturb | Status | Dump | Schema
+Request = (
+    Hello
+    | Get
+    | Set
+    | Damping
+    | Enable
+    | Disable
+    | Stop
+    | Reset
+    | Zero
+    | Home
+    | Perturb
+    | Status
+    | Dump
+    | Schema
+)
 ADAPTER: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="cmd")])
 MODELS: dict[str, type[CommandMessage]] = {
     model.model_fields["cmd"].annotation.__args__[0]: model  # type: ignore[union-attr]
-    for model in (Hello, Get, Set, Damping, Enable, Disable, Stop, Reset, Zero, Home, Perturb, Status, Dump, Schema)
+    for model in (
+        Hello,
+        Get,
+        Set,
+        Damping,
+        Enable,
+        Disable,
+        Stop,
+        Reset,
+        Zero,
+        Home,
+        Perturb,
+        Status,
+        Dump,
+        Schema,
+    )
 }
 
 
 MOST_DETAILS = 8
-_BRANCHES = frozenset({"list[float]", "bytes", "float", "literal['on','off']"})  # names of union members in an error's path
+_BRANCHES = frozenset(
+    {"list[float]", "bytes", "float", "literal['on','off']"}
+)  # names of union members in an error's path
 _REMEDY = "the command `schema` lists what is allowed"
 
 
@@ -219,13 +284,17 @@ def parse(plain: dict[str, Any], limits: CommandLimits) -> Request:
     version = plain.get("v", PROTOCOL_VERSION)
     if type(version) is int and version != PROTOCOL_VERSION:
         raise CommandError(
-            "unsupported_version", f"v = {shown(version)}: this gateway speaks {PROTOCOL_VERSION}; use a client of the same release"
+            "unsupported_version",
+            f"v = {shown(version)}: this gateway speaks {PROTOCOL_VERSION}; use a client of the"
+            " same release",
         )
     try:
         request = ADAPTER.validate_python(plain)
     except ValidationError as error:
         found = [_explained(item, limits) for item in error.errors(include_url=False)]
-        raise invalid(list({item["loc"]: item for item in reversed(found)}.values())[::-1]) from error
+        raise invalid(
+            list({item["loc"]: item for item in reversed(found)}.values())[::-1]
+        ) from error
     if broken := limits.broken_by(request.given):
         raise invalid(broken)
     return request
@@ -242,20 +311,27 @@ def invalid(detail: list[dict[str, str]]) -> CommandError:
 def _explained(item: ErrorDetails, limits: CommandLimits) -> dict[str, str]:
     command, *path = [str(part) for part in item["loc"]] or [""]
     names = [part for part in path if part not in _BRANCHES]
-    loc, value = ".".join(map(shown, names)), shown(item["input"])
+    loc = ".".join(map(shown, names))
+    value = shown(item["input"])
     if item["type"].startswith("union_tag"):
         asked = item["input"].get("cmd", "") if isinstance(item["input"], dict) else ""
         reason = f"unknown command{_meant(asked, tuple(MODELS))}; known: {', '.join(MODELS)}"
         return {"loc": "cmd", "msg": f"cmd = {shown(asked)}: {reason}"}
     if item["type"] == "extra_forbidden":
-        return {"loc": loc, "msg": f"{loc}: unknown field{_meant(names[-1], _fields(command, names))}; {_REMEDY}"}
+        return {
+            "loc": loc,
+            "msg": f"{loc}: unknown field{_meant(names[-1], _fields(command, names))}; {_REMEDY}",
+        }
     if item["type"] == "missing":
         return {"loc": loc, "msg": f"{loc}: missing; {_REMEDY}"}
     if item["type"] == "value_error" and not loc:
         return {"loc": command, "msg": f"{command}: {item['ctx']['error']}"}
     reason = item["msg"].removeprefix("Value error, ")
     remedy = limits.remedy(loc.partition(".")[0] if loc.startswith("samples_n") else loc) or _REMEDY
-    return {"loc": loc or command, "msg": f"{loc or command} = {value}: {shown(reason, 120)}; {remedy}"}
+    return {
+        "loc": loc or command,
+        "msg": f"{loc or command} = {value}: {shown(reason, 120)}; {remedy}",
+    }
 
 
 def _meant(name: Any, known: tuple[str, ...]) -> str:

@@ -41,16 +41,28 @@ from hapticd.gateway.schemas import PROTOCOL_VERSION
 from hapticd.gateway.telemetry import TOPICS
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox import files
-from hapticd.mailbox.files import COMMAND_SOCKET, DEFAULT_INSTANCE, ENDPOINTS, TELEMETRY_SOCKET, remove, write_whole
+from hapticd.mailbox.files import (
+    COMMAND_SOCKET,
+    DEFAULT_INSTANCE,
+    ENDPOINTS,
+    TELEMETRY_SOCKET,
+    remove,
+    write_whole,
+)
 from hapticd.mailbox.layout import LAYOUT_HASH
 from hapticd.params import GatewayParams, GatewaySetup, to_plain
 from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US
 
 LONGEST_PATH = 107  # of a socket file
-REQUESTS_QUEUED, REPLIES_QUEUED = 200, 200
+REQUESTS_QUEUED = 200
+REPLIES_QUEUED = 200
 MESSAGES_QUEUED = 100  # per subscriber: 2 s
-MAX_SUBSCRIPTION_BYTES = 1024  # libzmq keeps some 50 bytes for each; handshakes with keys need several 100
-HEARTBEAT_MS, SILENCE_MS, HANDSHAKE_MS = 2000, 6000, 3000
+MAX_SUBSCRIPTION_BYTES = (
+    1024  # libzmq keeps some 50 bytes for each; handshakes with keys need several 100
+)
+HEARTBEAT_MS = 2000
+SILENCE_MS = 6000
+HANDSHAKE_MS = 3000
 SOCKET_UMASK = 0o117
 
 Context = zmq.Context[zmq.Socket[bytes]]
@@ -63,13 +75,20 @@ class Sockets:
     """
 
     def __init__(self, folder: Path, setup: GatewaySetup) -> None:
-        self._folder, params = folder, setup.gateway
+        self._folder = folder
+        params = setup.gateway
         self.warning = auth.warning(params)
         self.context: Context = zmq.Context()
         self._guard: ThreadAuthenticator | None = None
         try:
-            self.command = self._socket(zmq.ROUTER, {zmq.RCVHWM: REQUESTS_QUEUED, zmq.SNDHWM: REPLIES_QUEUED})
-            spoken: dict[int, int] = {zmq.SNDHWM: MESSAGES_QUEUED, zmq.XPUB_VERBOSE: 1, zmq.MAXMSGSIZE: MAX_SUBSCRIPTION_BYTES}
+            self.command = self._socket(
+                zmq.ROUTER, {zmq.RCVHWM: REQUESTS_QUEUED, zmq.SNDHWM: REPLIES_QUEUED}
+            )
+            spoken: dict[int, int] = {
+                zmq.SNDHWM: MESSAGES_QUEUED,
+                zmq.XPUB_VERBOSE: 1,
+                zmq.MAXMSGSIZE: MAX_SUBSCRIPTION_BYTES,
+            }
             self.telemetry = self._socket(zmq.XPUB, spoken)
             self._guard = auth.authenticator(self.context, params)
             self.endpoints = self._bound(params, setup.servo.instance)
@@ -93,10 +112,8 @@ class Sockets:
     def _bound(self, params: GatewayParams, instance: str) -> dict[str, object]:
         before = os.umask(SOCKET_UMASK)
         try:
-            command, telemetry = (
-                bind_file(self.command, self._folder / COMMAND_SOCKET),
-                bind_file(self.telemetry, self._folder / TELEMETRY_SOCKET),
-            )
+            command = bind_file(self.command, self._folder / COMMAND_SOCKET)
+            telemetry = bind_file(self.telemetry, self._folder / TELEMETRY_SOCKET)
         finally:
             os.umask(before)
         if self._guard:
@@ -120,11 +137,16 @@ def bind_file(socket: "zmq.Socket[bytes]", path: Path) -> str:
     ConfigError when the path is too long for one, MailboxError when it cannot be made.
     """
     if len(os.fsencode(path)) > LONGEST_PATH:
-        raise ConfigError(f"{path}: {len(os.fsencode(path))} bytes, a socket file has at most {LONGEST_PATH}; use a shorter folder")
+        raise ConfigError(
+            f"{path}: {len(os.fsencode(path))} bytes, a socket file has at most {LONGEST_PATH}; use"
+            " a shorter folder"
+        )
     try:
         socket.bind(f"ipc://{path}")
     except zmq.ZMQError as error:
-        raise MailboxError(f"{path}: {error.strerror}; make room, correct its rights or remove what is in the way") from error
+        raise MailboxError(
+            f"{path}: {error.strerror}; make room, correct its rights or remove what is in the way"
+        ) from error
     return f"ipc://{path}"
 
 
@@ -146,7 +168,9 @@ def bind_tcp(socket: "zmq.Socket[bytes]", host: str, port: int) -> str:
         socket.bind(f"{address}:{port or '*'}")
     except zmq.ZMQError as error:
         if error.errno != zmq.EADDRINUSE or port == 0:
-            raise ConfigError(f"gateway.tcp_host = {host!r}: {error}; name an address of this machine") from error
+            raise ConfigError(
+                f"gateway.tcp_host = {host!r}: {error}; name an address of this machine"
+            ) from error
         return bind_tcp(socket, host, 0)
     return socket.getsockopt_string(zmq.LAST_ENDPOINT)
 
@@ -165,8 +189,16 @@ class GatewayServer:
     MailboxError: another one is there; ConfigError: an address or key is wrong.
     """
 
-    def __init__(self, folder: Path, setup: GatewaySetup, clock: Clock, unix_ns: Callable[[], int] = time.time_ns) -> None:
-        self._setup, self._clock, self._unix_ns = setup, clock, unix_ns
+    def __init__(
+        self,
+        folder: Path,
+        setup: GatewaySetup,
+        clock: Clock,
+        unix_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self._setup = setup
+        self._clock = clock
+        self._unix_ns = unix_ns
         self._claim = files.claim(files.prepare_folder(folder), files.GATEWAY_LOCK)
         try:
             self._sockets = Sockets(folder, setup)
@@ -198,7 +230,11 @@ class GatewayServer:
         if now_ns - self._passed_ns > STANDSTILL_NS:
             self._settled_ns = now_ns + SETTLING_NS
         self._passed_ns = now_ns
-        requests = _received(self._sockets.command, REQUESTS_PER_PASS) if self._sockets.command in ready else []
+        requests = (
+            _received(self._sockets.command, REQUESTS_PER_PASS)
+            if self._sockets.command in ready
+            else []
+        )
         outdated = now_ns < self._settled_ns
         for reply in self._desk.serve(requests, now_ns, outdated) + self._desk.collect(now_ns):
             self._sockets.command.send_multipart(reply, zmq.DONTWAIT)
@@ -244,7 +280,11 @@ class GatewayServer:
             "stages": self._publisher.stages.summary(),
             "endpoints": self.endpoints,
             "servo": mailbox.report() if mailbox else {},
-            "gateway": {"pid": os.getpid(), "cpu_s": time.process_time(), "telemetry_lost": self._publisher.feed.lost},
+            "gateway": {
+                "pid": os.getpid(),
+                "cpu_s": time.process_time(),
+                "telemetry_lost": self._publisher.feed.lost,
+            },
             "events": list(self._journal.recent),
         }
 

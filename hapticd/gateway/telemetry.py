@@ -60,13 +60,43 @@ class Topic(NamedTuple):
 
 
 TOPICS: tuple[Topic, ...] = (
-    Topic("servo", "array of maps of numbers, `timestamp` in Unix seconds, `seq` +1 per tick", "`batch` ticks a message", 1),
-    Topic("servo.raw", "map: header and `d`, little-endian records of dtype `descr`, lossless", "`batch` ticks or more", 1),
-    Topic("probe", "map: header and `d`, 4 kHz torque and velocity in counts, index and host time", "as `servo.raw`", 1),
-    Topic("state", "map: state, fault, revision, parameters, counters", "on change, at 1 Hz, on subscription", 0),
-    Topic("event", "map with `kind`: state, answer, gap, servo_up, servo_down, flight, warning", "when it happens", 0),
-    Topic("flight", "map: requests that the servo obeyed, checkpoints of its state; for replaying records", "when there are", 0),
-)  # fmt: skip
+    Topic(
+        "servo",
+        "array of maps of numbers, `timestamp` in Unix seconds, `seq` +1 per tick",
+        "`batch` ticks a message",
+        1,
+    ),
+    Topic(
+        "servo.raw",
+        "map: header and `d`, little-endian records of dtype `descr`, lossless",
+        "`batch` ticks or more",
+        1,
+    ),
+    Topic(
+        "probe",
+        "map: header and `d`, 4 kHz torque and velocity in counts, index and host time",
+        "as `servo.raw`",
+        1,
+    ),
+    Topic(
+        "state",
+        "map: state, fault, revision, parameters, counters",
+        "on change, at 1 Hz, on subscription",
+        0,
+    ),
+    Topic(
+        "event",
+        "map with `kind`: state, answer, gap, servo_up, servo_down, flight, warning",
+        "when it happens",
+        0,
+    ),
+    Topic(
+        "flight",
+        "map: requests that the servo obeyed, checkpoints of its state; for replaying records",
+        "when there are",
+        0,
+    ),
+)
 NAMES = frozenset(topic.name for topic in TOPICS)
 BY_NAME = {topic.name: topic for topic in TOPICS}
 
@@ -74,7 +104,11 @@ BY_NAME = {topic.name: topic for topic in TOPICS}
 def wanted_by(prefix: bytes) -> frozenset[str]:
     """Topics that a subscription to `prefix` wants."""
     text = prefix.decode("ascii", errors="replace")
-    return frozenset({text}) if text in NAMES else frozenset(name for name in NAMES if name.startswith(text))
+    return (
+        frozenset({text})
+        if text in NAMES
+        else frozenset(name for name in NAMES if name.startswith(text))
+    )
 
 
 class Subscriptions:
@@ -91,7 +125,8 @@ class Subscriptions:
 
         Prefixes of no topic are not kept.
         """
-        kind, prefix = message[:1], message[1:]
+        kind = message[:1]
+        prefix = message[1:]
         topics = wanted_by(prefix)
         if not topics or kind not in (b"\0", b"\1"):
             return frozenset()
@@ -121,8 +156,11 @@ class Feed:
     """Reads whole batches, or what there is when no batch was completed for a while."""
 
     def __init__(self, view: ServoView, batch: int) -> None:
-        self._view, self._batch = view, batch
-        self._life, self._tail, self._taken_ns = 0, 0, 0
+        self._view = view
+        self._batch = batch
+        self._life = 0
+        self._tail = 0
+        self._taken_ns = 0
         self.lost = 0
 
     def take(self, now_ns: int) -> list[RingBlock]:
@@ -140,8 +178,11 @@ class Feed:
             records = as_records(data)
             torn = last_torn(records)
             seq = tail - len(records) + torn
-            blocks.append(RingBlock(self._life, seq, lost + torn, data[torn * RECORD.size :], records[torn:]))
-            self._tail, self._taken_ns = tail, now_ns
+            blocks.append(
+                RingBlock(self._life, seq, lost + torn, data[torn * RECORD.size :], records[torn:])
+            )
+            self._tail = tail
+            self._taken_ns = now_ns
             self.lost += lost + torn
         return [block for block in blocks if len(block.records) or block.lost]
 
@@ -150,7 +191,8 @@ class Feed:
         from now on.
         """
         head = self._view.head
-        self._life, self._taken_ns = self._view.life, now_ns
+        self._life = self._view.life
+        self._taken_ns = now_ns
         self._tail = 0 if head < RING_RECORDS // 2 else head
 
     def _ready(self, now_ns: int) -> int:
@@ -163,7 +205,9 @@ class Feed:
 BLOCK_VERSION = 1
 _LEFT_OUT = frozenset({"time_ns", "in_frame", "out_frame", "tail", "energy_j"})
 COLUMNS: tuple[str, ...] = tuple(str(field[0]) for field in TELEMETRY if field[0] not in _LEFT_OUT)
-ENERGIES = tuple(f"energy_{name}_j" for name in ("stiffness", "damping", "mass", "field", "force", "electrical"))
+ENERGIES = tuple(
+    f"energy_{name}_j" for name in ("stiffness", "damping", "mass", "field", "force", "electrical")
+)
 TICK_DESCR = [list(field) for field in TELEMETRY]
 
 
@@ -171,7 +215,8 @@ class Origin:
     """What the header of every block says about where it comes from: one per servo life."""
 
     def __init__(self, epoch: int, unix_offset_ns: int, simulated: bool) -> None:
-        self.epoch, self.unix_offset_ns = epoch, unix_offset_ns
+        self.epoch = epoch
+        self.unix_offset_ns = unix_offset_ns
         self.header: dict[str, Any] = {
             "v": BLOCK_VERSION,
             "epoch": epoch,
@@ -193,7 +238,9 @@ def servo_messages(block: RingBlock, origin: Origin, batch: int, decimation: int
     ]
     names = ("timestamp", "seq", *COLUMNS, *ENERGIES)
     maps = [_finite(dict(zip(names, values, strict=True))) for values in zip(*columns, strict=True)]
-    return [bytes(msgpack.packb(maps[start : start + batch])) for start in range(0, len(maps), batch)]
+    return [
+        bytes(msgpack.packb(maps[start : start + batch])) for start in range(0, len(maps), batch)
+    ]
 
 
 def _finite(numbers: dict[str, Any]) -> dict[str, Any]:
@@ -206,10 +253,27 @@ def _finite(numbers: dict[str, Any]) -> dict[str, Any]:
 
 def raw_message(block: RingBlock, origin: Origin) -> bytes:
     """Payload of topic `servo.raw`: {.., seq, next, n, lost, descr, d}."""
-    return packed_block(origin, block.seq, block.seq + len(block.records), len(block.records), block.lost, TICK_DESCR, block.data)
+    return packed_block(
+        origin,
+        block.seq,
+        block.seq + len(block.records),
+        len(block.records),
+        block.lost,
+        TICK_DESCR,
+        block.data,
+    )
 
 
-def packed_block(origin: Origin, seq: int, after: int, count: int, lost: int, descr: list[Any], data: bytes, **more: Any) -> bytes:
+def packed_block(
+    origin: Origin,
+    seq: int,
+    after: int,
+    count: int,
+    lost: int,
+    descr: list[Any],
+    data: bytes,
+    **more: Any,
+) -> bytes:
     """Header and records: `seq` numbers the first one, `next` the one after the last; `lost` are
     missing since the last block.
     """
@@ -219,11 +283,14 @@ def packed_block(origin: Origin, seq: int, after: int, count: int, lost: int, de
 
 PROBE_DESCR = [["index", "<u8"], ["time_ns", "<i8"], ["torque", "<i2"], ["velocity", "<i2"]]
 PROBE_DTYPE = np.dtype([(name, kind) for name, kind in PROBE_DESCR])
-RESTART = PROBE_RATE_HZ // 10  # an index that falls back further is no late frame but a board that started anew
+RESTART = (
+    PROBE_RATE_HZ // 10
+)  # an index that falls back further is no late frame but a board that started anew
 
 _COUNT_PLACE = 5
 _INDEX = struct.Struct("<I")
-_INDEX_PLACE, _PAIRS_PLACE = frames.IN_HEAD.size - _INDEX.size, frames.IN_HEAD.size
+_INDEX_PLACE = frames.IN_HEAD.size - _INDEX.size
+_PAIRS_PLACE = frames.IN_HEAD.size
 _PAIR_BYTES = frames.IN_PAIRS.size // frames.PROBE_MAX
 _STALE = Flag.MISSING_IN | Flag.BAD_IN  # the record repeats an older frame
 
@@ -234,9 +301,17 @@ def scales(device: DeviceParams) -> dict[str, dict[str, Any]]:
     """
 
     def plain(scale: ScaleParams, unit: str) -> dict[str, Any]:
-        return {"per_count": scale.per_count, "sign": scale.sign, "offset_count": scale.offset_count, "unit": unit}
+        return {
+            "per_count": scale.per_count,
+            "sign": scale.sign,
+            "offset_count": scale.offset_count,
+            "unit": unit,
+        }
 
-    return {"torque": plain(device.probe_torque, "N"), "velocity": plain(device.probe_velocity, "m/s")}
+    return {
+        "torque": plain(device.probe_torque, "N"),
+        "velocity": plain(device.probe_velocity, "m/s"),
+    }
 
 
 class ProbeDecoder:
@@ -266,13 +341,16 @@ class ProbeDecoder:
         """
         found = []
         records = block.records
-        for flags, time_ns, frame in zip(*(records[name].tolist() for name in ("flags", "time_ns", "in_frame")), strict=True):
+        for flags, time_ns, frame in zip(
+            *(records[name].tolist() for name in ("flags", "time_ns", "in_frame")), strict=True
+        ):
             count = min(frame[_COUNT_PLACE], frames.PROBE_MAX)
             if flags & _STALE or not count:
                 continue
             if self._is_restart(frame):
                 found += self._flush(origin)
-                self._next, self.run = None, self.run + 1
+                self._next = None
+                self.run = self.run + 1
             self._gather(frame, count, time_ns)
         return found + self._flush(origin)
 
@@ -290,7 +368,9 @@ class ProbeDecoder:
         if known < count:
             self._lost += max(0, first - expected)
             self._stretches.append((first + known, count - known, time_ns))
-            self._pairs.append(frame[_PAIRS_PLACE + known * _PAIR_BYTES : _PAIRS_PLACE + count * _PAIR_BYTES])
+            self._pairs.append(
+                frame[_PAIRS_PLACE + known * _PAIR_BYTES : _PAIRS_PLACE + count * _PAIR_BYTES]
+            )
             self._next = first + count
 
     def _flush(self, origin: Origin) -> list[bytes]:
@@ -298,15 +378,37 @@ class ProbeDecoder:
             return []
         first, count, time_ns = np.array(self._stretches, np.int64).T
         samples = np.empty(int(count.sum()), PROBE_DTYPE)
-        samples["index"] = np.repeat(first, count) + np.arange(len(samples)) - np.repeat(np.cumsum(count) - count, count)
+        samples["index"] = (
+            np.repeat(first, count)
+            + np.arange(len(samples))
+            - np.repeat(np.cumsum(count) - count, count)
+        )
         samples["time_ns"] = np.repeat(time_ns, count)
-        samples["torque"], samples["velocity"] = np.frombuffer(b"".join(self._pairs), "<i2").reshape(-1, 2).T
-        seq, after, lost = int(first[0]), int(first[-1] + count[-1]), self._lost
+        samples["torque"], samples["velocity"] = (
+            np.frombuffer(b"".join(self._pairs), "<i2").reshape(-1, 2).T
+        )
+        seq = int(first[0])
+        after = int(first[-1] + count[-1])
+        lost = self._lost
         self._clear()
-        return [packed_block(origin, seq, after, len(samples), lost, PROBE_DESCR, samples.tobytes(), run=self.run, **self._more)]
+        return [
+            packed_block(
+                origin,
+                seq,
+                after,
+                len(samples),
+                lost,
+                PROBE_DESCR,
+                samples.tobytes(),
+                run=self.run,
+                **self._more,
+            )
+        ]
 
 
-PER_DECADE, DECADES, LOWEST_NS = 40, 7, 10.0
+PER_DECADE = 40
+DECADES = 7
+LOWEST_NS = 10.0
 EDGES_NS = LOWEST_NS * 10.0 ** (np.arange(PER_DECADE * DECADES + 1) / PER_DECADE)
 BINS = len(EDGES_NS) + 1  # below the lowest edge, between edges, above the highest
 PERCENTILES = {"p50_us": 0.5, "p99_us": 0.99, "p999_us": 0.999}
@@ -332,8 +434,13 @@ class StageHistograms:
         if not settled.size:
             return
         times_ns = np.stack([settled[f"{stage}_ns"] for stage in STAGES])
-        bins = np.searchsorted(EDGES_NS, times_ns, side="right") + np.arange(len(STAGES))[:, None] * BINS
-        self._counts += np.bincount(bins.ravel(), minlength=self._counts.size).reshape(self._counts.shape)
+        bins = (
+            np.searchsorted(EDGES_NS, times_ns, side="right")
+            + np.arange(len(STAGES))[:, None] * BINS
+        )
+        self._counts += np.bincount(bins.ravel(), minlength=self._counts.size).reshape(
+            self._counts.shape
+        )
         np.maximum(self._max_ns, times_ns.max(axis=1), out=self._max_ns)
 
     def summary(self) -> dict[str, dict[str, float]]:

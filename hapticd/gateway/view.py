@@ -49,14 +49,17 @@ def last_torn(records: Records) -> int:
 
 RETRY_NS = 100 * NS_PER_MS
 SILENCE_NS = NS_PER_S  # a servo without a tick for so long is taken for dead
-DOWN, STARTING = "down", "starting"
+DOWN = "down"
+STARTING = "starting"
 STATES = {int(state): state for state in State}
 
 
 def configured(params: ServoParams) -> tuple[float, ...]:
     """The parameters with which a servo starts, by layout.Value."""
-    environment, wall = params.environment, params.environment.wall
-    velocity, acceleration = environment.velocity_filter, environment.acceleration_filter
+    environment = params.environment
+    wall = params.environment.wall
+    velocity = environment.velocity_filter
+    acceleration = environment.acceleration_filter
     places = {
         Value.STIFFNESS: environment.stiffness_n_per_m,
         Value.DAMPING: environment.damping_ns_per_m,
@@ -71,14 +74,18 @@ def configured(params: ServoParams) -> tuple[float, ...]:
         Value.WALL_SIDE: wall.side,
         Value.ADDED_DAMPING: params.added_damping_ns_per_m,
     }
-    return tuple(float(places[Value(place)]) if place in places else 0.0 for place in range(COMMAND_VALUES))
+    return tuple(
+        float(places[Value(place)]) if place in places else 0.0 for place in range(COMMAND_VALUES)
+    )
 
 
 class ServoView:
     """What is known of the servo. `refresh` is cheap and is called before anything is asked."""
 
     def __init__(self, folder: Path, params: ServoParams, unix_ns: Callable[[], int]) -> None:
-        self.folder, self.params, self._unix_ns = folder, params, unix_ns
+        self.folder = folder
+        self.params = params
+        self._unix_ns = unix_ns
         self.mailbox: GatewayMailbox | None = None
         self.life = 0
         self.alive = False
@@ -91,7 +98,8 @@ class ServoView:
         self._effective: tuple[float, ...] | None = None
         self.unix_offset_ns = 0
         self._came_late = False
-        self._head, self._promised = 0, 0
+        self._head = 0
+        self._promised = 0
 
     def refresh(self, now_ns: int) -> None:
         """Open, let go or reopen the mailbox as needed; read the newest record."""
@@ -118,7 +126,8 @@ class ServoView:
         """Let go of the mailbox; its servo is gone."""
         if self.mailbox:
             self.mailbox.close()
-        self.mailbox, self.alive = None, False
+        self.mailbox = None
+        self.alive = False
 
     def _open(self, now_ns: int) -> None:
         try:
@@ -128,7 +137,9 @@ class ServoView:
             return
         self.life += 1
         self._forget()
-        self.unix_offset_ns = self._unix_ns() - now_ns  # once per life: time stamps of one life never jump
+        self.unix_offset_ns = (
+            self._unix_ns() - now_ns
+        )  # once per life: time stamps of one life never jump
 
     def answers(self) -> list[Answer]:
         """The servo's answers since the last call.

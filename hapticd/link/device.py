@@ -78,22 +78,43 @@ def _exchange(
     """Closures over the device's buffers: the state of the exchange lives in cells, at the cost of
     a local.
     """
-    read, write = device.link.read, device.link.write
-    in_buffer, out_buffer, counts, period_us = device.in_buffer, device.out_buffer, device.counts, device.period_us
-    parse, pack = codec.in_parser(in_buffer), codec.out_packer(out_buffer)
-    unpack, fill, check, initial = frames.IN_SEALED.unpack_from, frames.OUT_HEAD.pack_into, crc_hqx, frames.CRC_INITIAL
+    read = device.link.read
+    write = device.link.write
+    in_buffer = device.in_buffer
+    out_buffer = device.out_buffer
+    counts = device.counts
+    period_us = device.period_us
+    parse = codec.in_parser(in_buffer)
+    pack = codec.out_packer(out_buffer)
+    unpack = frames.IN_SEALED.unpack_from
+    fill = frames.OUT_HEAD.pack_into
+    check = crc_hqx
+    initial = frames.CRC_INITIAL
     in_body, out_body = (memoryview(one)[: -frames.CRC.size] for one in (in_buffer, out_buffer))
-    out_seal, seal_place = memoryview(out_buffer).cast("H"), len(out_body) // frames.CRC.size  # this host is little-endian
-    whole, most = frames.IN_BYTES, frames.PROBE_MAX
-    shortest, longest = ceil(0.5 * period_us), floor(1.5 * period_us)  # whole, as board time is
-    incoming, outgoing = session.SequenceCounter(), session.SequenceCounter()
-    head, board_us, expected, sent, missing, seeding = NO_HEAD, 0, -1, 0, 0, True
+    # this host is little-endian
+    out_seal = memoryview(out_buffer).cast("H")
+    seal_place = len(out_body) // frames.CRC.size
+    whole = frames.IN_BYTES
+    most = frames.PROBE_MAX
+    # whole, as board time is
+    shortest = ceil(0.5 * period_us)
+    longest = floor(1.5 * period_us)
+    incoming = session.SequenceCounter()
+    outgoing = session.SequenceCounter()
+    head = NO_HEAD
+    board_us = 0
+    expected = -1
+    sent = 0
+    missing = 0
+    seeding = True
     scratch = bytearray(frames.OUT_BYTES)
     left = 0  # samples of the OUT frame before
 
     def begin() -> None:
         nonlocal expected, missing, seeding
-        expected, missing, seeding = -1, 0, True
+        expected = -1
+        missing = 0
+        seeding = True
         incoming.restart()
         outgoing.restart()
 
@@ -115,7 +136,9 @@ def _exchange(
     def odd(found: Head) -> Received:
         """A frame that is not simply the next one: stale, after a gap, or the first."""
         nonlocal head, board_us, expected, missing, seeding
-        latched = found[5] if seeding else session.unwrap(board_us, found[5], session.BOARD_TIME_BITS)
+        latched = (
+            found[5] if seeding else session.unwrap(board_us, found[5], session.BOARD_TIME_BITS)
+        )
         if missing > session.BACKWARD and latched < board_us:
             begin()
             latched = found[5]
@@ -126,16 +149,22 @@ def _exchange(
             again = fetch()
             if isinstance(again, str):
                 return absent(again)
-            found, latched = again, session.unwrap(board_us, again[5], session.BOARD_TIME_BITS)
+            found = again
+            latched = session.unwrap(board_us, again[5], session.BOARD_TIME_BITS)
         else:
             if not seeding and latched <= board_us:
                 return absent("missing")
         if not seeding:
-            incoming.newest, outgoing.newest = head[0], head[1]
+            incoming.newest = head[0]
+            outgoing.newest = head[1]
         counts["gap"] += incoming.observe(found[0])[1]
         counts["unseen"] += outgoing.observe(found[1])[1]
         lost = SEED if seeding else max(0, round((latched - board_us) / period_us) - 1)
-        head, board_us, expected, missing, seeding = found, latched, (found[0] + 1) & 0xFFFF, 0, False
+        head = found
+        board_us = latched
+        expected = (found[0] + 1) & 0xFFFF
+        missing = 0
+        seeding = False
         return lost, board_us, head
 
     def receive() -> Received:
@@ -158,11 +187,19 @@ def _exchange(
         ):
             intact = parse() if size == whole else None
             return absent("bad") if intact is None else odd(intact)
-        head, missing, expected, board_us = found, 0, (expected + 1) & 0xFFFF, board_us + passed
+        head = found
+        missing = 0
+        expected = (expected + 1) & 0xFFFF
+        board_us = board_us + passed
         return 0, board_us, found
 
     def send(
-        flags: int, torque: int, damping: int, resistance: int, count: int = 0, samples: Sequence[int] = codec.NO_SAMPLES
+        flags: int,
+        torque: int,
+        damping: int,
+        resistance: int,
+        count: int = 0,
+        samples: Sequence[int] = codec.NO_SAMPLES,
     ) -> bool:
         nonlocal sent, left
         sent = (sent + 1) & 0xFFFF
@@ -180,7 +217,9 @@ def _exchange(
         return True
 
     def rehearse() -> None:
-        """What `receive` and `send` do between their transfers, to no effect: it warms the caches."""
+        """What `receive` and `send` do between their transfers, to no effect: it warms the
+        caches.
+        """
         unpack(in_buffer)
         check(in_body, initial)
         fill(scratch, 0, sent, 0, 0, 0, 0, 0, 0, 0)

@@ -37,13 +37,17 @@ class Failure(NamedTuple):
 
 
 _AGAIN = "it is opened again when it comes back; check plug, cable and hub"
-_RIGHTS = "install 70-hapticd.rules in /etc/udev/rules.d, join group plugdev and plug the board in again"
+_RIGHTS = (
+    "install 70-hapticd.rules in /etc/udev/rules.d, join group plugdev and plug the board in again"
+)
 _OWNER = "another program has claimed the board: stop it and try again"
 
 FAILURES: dict[int | None, Failure] = {
     errno.ETIMEDOUT: Failure(LinkTimeout, "the tick goes on without the frame"),
     errno.EPIPE: Failure(LinkStalled, "the halt is cleared once"),
-    errno.EOVERFLOW: Failure(LinkStalled, "more than a packet came; the halt is cleared once, check the board's firmware"),
+    errno.EOVERFLOW: Failure(
+        LinkStalled, "more than a packet came; the halt is cleared once, check the board's firmware"
+    ),
     errno.EIO: Failure(LinkLost, _AGAIN),
     errno.ENODEV: Failure(LinkLost, _AGAIN),
     errno.EACCES: Failure(LinkAccess, _RIGHTS),
@@ -58,11 +62,15 @@ def link_error(action: str, error: Exception) -> LinkError:
     """
     number = getattr(error, "errno", None)
     kind, remedy = FAILURES.get(number, OTHERWISE)
-    return kind(f"cannot {action}: {getattr(error, 'strerror', None) or error} (errno {number}); {remedy}")
+    return kind(
+        f"cannot {action}: {getattr(error, 'strerror', None) or error} (errno {number}); {remedy}"
+    )
 
 
 VENDOR_CLASS = 0xFF
-VENDOR_IN, VENDOR_OUT = 0xC0, 0x40  # bmRequestType, recipient device
+# bmRequestType, recipient device
+VENDOR_IN = 0xC0
+VENDOR_OUT = 0x40
 CONTROL_TIMEOUT_MS = 100  # three bus transactions, never within a tick
 FRAME_TRANSFERS = (usb.util.ENDPOINT_TYPE_BULK, usb.util.ENDPOINT_TYPE_INTR)
 DEVICE_ERRORS = (usb.core.USBError, NotImplementedError)  # libusb's "not supported" is no USBError
@@ -81,7 +89,10 @@ def system_backend() -> Any:
         try:
             from libusb_package import get_libusb1_backend
         except ImportError:
-            raise ConfigError("libusb 1.0 is not installed: apt install libusb-1.0-0, or pip install 'hapticd[usb]'") from None
+            raise ConfigError(
+                "libusb 1.0 is not installed: apt install libusb-1.0-0, or pip install"
+                " 'hapticd[usb]'"
+            ) from None
         backend = get_libusb1_backend()
     if backend is None:
         raise ConfigError("libusb 1.0 is there but cannot be loaded; reinstall libusb-1.0-0")
@@ -95,7 +106,10 @@ class UsbLink(Link):
 
     def __init__(self, params: UsbParams, backend: Any = None) -> None:
         if params.timeout_ms < 1:
-            raise ConfigError(f"usb timeout_ms {params.timeout_ms} ms: 1 ms is the shortest, 0 would wait for ever")
+            raise ConfigError(
+                f"usb timeout_ms {params.timeout_ms} ms: 1 ms is the shortest, 0 would wait for"
+                " ever"
+            )
         self._params = params
         self._backend = system_backend() if backend is None else backend
         self._timeout_ms = params.timeout_ms
@@ -148,7 +162,9 @@ class UsbLink(Link):
             _not_open()
         try:
             if length:
-                reply = self._device.ctrl_transfer(VENDOR_IN, request.value, 0, 0, length, CONTROL_TIMEOUT_MS)
+                reply = self._device.ctrl_transfer(
+                    VENDOR_IN, request.value, 0, 0, length, CONTROL_TIMEOUT_MS
+                )
                 return bytes(reply)
             self._device.ctrl_transfer(VENDOR_OUT, request.value, 0, 0, None, CONTROL_TIMEOUT_MS)
         except DEVICE_ERRORS as error:
@@ -156,7 +172,8 @@ class UsbLink(Link):
         return b""
 
     def _find(self) -> Any:
-        params, unreadable = self._params, None
+        params = self._params
+        unreadable = None
         ids = {"idVendor": params.vendor_id, "idProduct": params.product_id}
         try:
             found = list(usb.core.find(find_all=True, backend=self._backend, **ids))
@@ -172,7 +189,10 @@ class UsbLink(Link):
         serial = "" if params.serial is None else f" with serial {params.serial}"
         name = f"{params.vendor_id:04x}:{params.product_id:04x}{serial}"
         try:
-            raise unreadable or LinkLost(f"no board {name} at the bus; plug it in, or correct [usb] and the device file's serial")
+            raise unreadable or LinkLost(
+                f"no board {name} at the bus; plug it in, or correct [usb] and the device file's"
+                " serial"
+            )
         finally:
             del unreadable  # it holds this frame: a circle, which nobody collects in the servo
 
@@ -180,14 +200,17 @@ class UsbLink(Link):
         number, self._out, self._in = _frame_endpoints(_configuration(device))
         _detach_kernel_driver(device, number)
         usb.util.claim_interface(device, number)
-        self._read, self._write = device.read, device.write
+        self._read = device.read
+        self._write = device.write
 
     def _transfer_failure(self, action: str, endpoint: int, error: Exception) -> LinkError:
         failure = link_error(f"{action} endpoint 0x{endpoint:02x}", error)
         if not isinstance(failure, LinkStalled):
             return failure
         if endpoint in self._halted:
-            return LinkLost(f"{failure}; it stalled again after that: unplug the board and plug it in")
+            return LinkLost(
+                f"{failure}; it stalled again after that: unplug the board and plug it in"
+            )
         self._halted.add(endpoint)
         try:
             self._device.clear_halt(endpoint)
@@ -226,12 +249,27 @@ def _frame_endpoints(configuration: Any) -> tuple[int, int, int]:
     """Number of the vendor interface and the addresses of its OUT and IN endpoint."""
     for interface in configuration:
         if interface.bInterfaceClass == VENDOR_CLASS and interface.bAlternateSetting == 0:
-            found = [e.bEndpointAddress for e in interface if usb.util.endpoint_type(e.bmAttributes) in FRAME_TRANSFERS]
-            outs = [address for address in found if usb.util.endpoint_direction(address) == usb.util.ENDPOINT_OUT]
-            ins = [address for address in found if usb.util.endpoint_direction(address) == usb.util.ENDPOINT_IN]
+            found = [
+                e.bEndpointAddress
+                for e in interface
+                if usb.util.endpoint_type(e.bmAttributes) in FRAME_TRANSFERS
+            ]
+            outs = [
+                address
+                for address in found
+                if usb.util.endpoint_direction(address) == usb.util.ENDPOINT_OUT
+            ]
+            ins = [
+                address
+                for address in found
+                if usb.util.endpoint_direction(address) == usb.util.ENDPOINT_IN
+            ]
             if outs and ins:
                 return interface.bInterfaceNumber, outs[0], ins[0]
-    raise LinkLost("the device has no vendor interface with a bulk or interrupt OUT and IN endpoint; is it a hapticd board?")
+    raise LinkLost(
+        "the device has no vendor interface with a bulk or interrupt OUT and IN endpoint; is it a"
+        " hapticd board?"
+    )
 
 
 def _detach_kernel_driver(device: Any, number: int) -> None:

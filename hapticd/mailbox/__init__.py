@@ -8,10 +8,12 @@ The servo creates and owns every file in the runtime folder; the gateway and oth
     perturbation    waveform in probe counts, written by the gateway while no perturbation runs
     servo.report    JSON: what the operating system granted, what the board said
 
-Which mailbox for which need: every value, in order, once -> command and answer ring; every value, lossy but counted ->
-telemetry; the latest value -> a word. A writer never waits: a full ring answers busy, an unread record is overwritten.
+Which mailbox for which need: every value, in order, once -> command and answer ring; every value,
+lossy but counted -> telemetry; the latest value -> a word. A writer never waits: a full ring
+answers busy, an unread record is overwritten.
 
-What would break it: a store of the head that overtakes the data it announces (see `fence`), a reader that trusts what it
-maps (readers check magic, layout hash and epoch; the servo checks sequence, CRC and range of every command), two servos
-in one folder (`files.claim` refuses), two writers of one ring (there is one gateway, its claim is checked the same way).
+What would break it: a store of the head that overtakes the data it announces (see `fence`), a
+reader that trusts what it maps (readers check magic, layout hash and epoch; the servo checks
+sequence, CRC and range of every command), two servos in one folder (`files.claim` refuses), two
+writers of one ring (there is one gateway, its claim is checked the same way).
 """

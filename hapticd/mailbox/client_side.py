@@ -1,4 +1,6 @@
-"""The other end: the gateway posts commands and reads answers and telemetry; anyone of the group may set the stop word."""
+"""The other end: the gateway posts commands and reads answers and telemetry; anyone of the
+group may set the stop word.
+"""
 
 import json
 import marshal
@@ -25,7 +27,9 @@ class Header(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """What the servo said about command `seq` (layout.Result); `effective` are values after quantisation, by layout.Value."""
+    """What the servo said about command `seq` (layout.Result); `effective` are values after
+    quantisation, by layout.Value.
+    """
 
     seq: int
     result: layout.Result
@@ -37,16 +41,23 @@ class Answer(NamedTuple):
 
 
 def press_stop(folder: Path) -> None:
-    """Latch STOP in the servo of `folder` without the gateway. MailboxError if no servo is there (any more)."""
+    """Latch STOP in the servo of `folder` without the gateway. MailboxError if no servo is
+    there (any more).
+    """
     path = folder / files.STOP
     page = files.open_map(path, layout.STOP_BYTES)
     memoryview(page).cast("Q")[0] = 1
     if not files.is_held(path):
-        raise MailboxError(f"{path}: its servo has ended, and the board stopped with it; start one with `hapticd run`")
+        raise MailboxError(
+            f"{path}: its servo has ended, and the board stopped with it; start one with `hapticd"
+            " run`"
+        )
 
 
 class Noted(NamedTuple):
-    """A request that the servo obeyed at `tick`; `kind` is layout.Command or an event of the servo itself."""
+    """A request that the servo obeyed at `tick`; `kind` is layout.Command or an event of the
+    servo itself.
+    """
 
     tick: int
     seq: int
@@ -66,13 +77,16 @@ class Checkpoint(NamedTuple):
 class GatewayMailbox:
     """The gateway's end. One per folder: a second one is refused.
 
-    A gateway that outlives servos holds the claim of files.GATEWAY_LOCK itself (`claimed`) and opens one of these per life.
+    A gateway that outlives servos holds the claim of files.GATEWAY_LOCK itself (`claimed`) and
+    opens one of these per life.
     """
 
     def __init__(self, folder: Path, claimed: bool = False) -> None:
         self.folder = folder
         if not folder.is_dir():
-            raise MailboxError(f"{folder}: no such folder; no servo runs there, start one with `hapticd run`")
+            raise MailboxError(
+                f"{folder}: no such folder; no servo runs there, start one with `hapticd run`"
+            )
         self._claim = None if claimed else files.claim(folder, files.GATEWAY_LOCK)
         try:
             self._map_all()
@@ -81,29 +95,50 @@ class GatewayMailbox:
             raise
 
     def _map_all(self) -> None:
-        self._inode = self._inode_now()  # before the map: a file replaced in between is then not current
+        self._inode = (
+            self._inode_now()
+        )  # before the map: a file replaced in between is then not current
         self._map = files.open_map(self.folder / files.MAILBOX, layout.MAILBOX_BYTES)
         self.words = memoryview(self._map).cast("Q")
         self.store, self.load = word_access(self.words)
-        magic, layout_hash, pid, start_ns, rate_hz, config_hash, simulated = layout.HEADER.unpack_from(self._map, 0)
+        magic, layout_hash, pid, start_ns, rate_hz, config_hash, simulated = (
+            layout.HEADER.unpack_from(self._map, 0)
+        )
         if magic != layout.MAGIC or layout_hash != layout.LAYOUT_HASH:
-            raise MailboxError(f"{self.folder}: mailbox of another version; restart servo and gateway together")
+            raise MailboxError(
+                f"{self.folder}: mailbox of another version; restart servo and gateway together"
+            )
         self.epoch = self.load(layout.EPOCH_WORD)
         if self.epoch == 0 or self.epoch != start_ns:
-            raise MailboxError(f"{self.folder}: the servo has ended or is still starting; wait or run `hapticd run`")
+            raise MailboxError(
+                f"{self.folder}: the servo has ended or is still starting; wait or run `hapticd"
+                " run`"
+            )
         if not (0 < rate_hz <= 100_000):
-            raise MailboxError(f"{self.folder}: rate {rate_hz} Hz out of range 0..100000; restart the servo")
-        self.header = Header(pid, start_ns, rate_hz, config_hash.rstrip(b"\0").decode(errors="replace"), bool(simulated))
+            raise MailboxError(
+                f"{self.folder}: rate {rate_hz} Hz out of range 0..100000; restart the servo"
+            )
+        self.header = Header(
+            pid,
+            start_ns,
+            rate_hz,
+            config_hash.rstrip(b"\0").decode(errors="replace"),
+            bool(simulated),
+        )
         self._ring = files.open_map(self.folder / files.TELEMETRY, layout.TELEMETRY_BYTES)
         self.ring = memoryview(self._ring)
         _, self.load_head = word_access(self.ring.cast("Q"))
-        self._wave = files.open_map(self.folder / files.PERTURBATION, layout.PERTURBATION_HEADER + 2 * layout.PERTURBATION_SAMPLES)
+        self._wave = files.open_map(
+            self.folder / files.PERTURBATION,
+            layout.PERTURBATION_HEADER + 2 * layout.PERTURBATION_SAMPLES,
+        )
         self.waveform = memoryview(self._wave)[layout.PERTURBATION_HEADER :].cast("h")
         self.words[layout.GATEWAY_PID_WORD] = os.getpid()
 
     @property
     def current(self) -> bool:
-        """Whether the mapped mailbox is still the one in the folder; when not, close this and open a new one.
+        """Whether the mapped mailbox is still the one in the folder; when not, close this and open
+        a new one.
 
         A servo that was killed leaves its epoch behind, so the file itself is compared as well.
         """
@@ -131,10 +166,15 @@ class GatewayMailbox:
 
     def counters(self) -> dict[str, int]:
         """The servo's counters by name."""
-        return {name: self.words[layout.COUNTER_WORD + index] for index, name in enumerate(layout.COUNTERS)}
+        return {
+            name: self.words[layout.COUNTER_WORD + index]
+            for index, name in enumerate(layout.COUNTERS)
+        }
 
     def report(self) -> dict[str, Any]:
-        """What the servo wrote at start: rights granted, board, device. Empty while it is being replaced."""
+        """What the servo wrote at start: rights granted, board, device. Empty while it is being
+        replaced.
+        """
         try:
             content = json.loads((self.folder / files.REPORT).read_text())
         except (OSError, ValueError):
@@ -142,53 +182,78 @@ class GatewayMailbox:
         return content if isinstance(content, dict) else {}
 
     def post(self, kind: int, actor: int, apply_tick: int, values: tuple[float, ...]) -> int | None:
-        """Post a command of 20 doubles (layout.Value); its sequence number, or None when the ring is full (`busy`)."""
+        """Post a command of 20 doubles (layout.Value); its sequence number, or None when the
+        ring is full (`busy`).
+        """
         head = self.words[layout.COMMAND_HEAD_WORD]
         if not 0 <= self.backlog < layout.RING_SLOTS:
             return None
         offset = layout.COMMAND_OFFSET + head % layout.RING_SLOTS * layout.COMMAND.size
-        layout.COMMAND.pack_into(self._map, offset, head + 1, kind, actor, apply_tick, *values, 0, 0)
+        layout.COMMAND.pack_into(
+            self._map, offset, head + 1, kind, actor, apply_tick, *values, 0, 0
+        )
         crc = zlib.crc32(self._map[offset : offset + layout.COMMAND_CRC_OFFSET])
-        layout.COMMAND.pack_into(self._map, offset, head + 1, kind, actor, apply_tick, *values, crc, 0)
+        layout.COMMAND.pack_into(
+            self._map, offset, head + 1, kind, actor, apply_tick, *values, crc, 0
+        )
         self.store(layout.COMMAND_HEAD_WORD, head + 1)
         return head + 1
 
     def answers(self) -> list[Answer]:
         """All answers since the last call, in order."""
         found = []
-        tail, head = self.words[layout.ANSWER_TAIL_WORD], self.load(layout.ANSWER_HEAD_WORD)
+        tail = self.words[layout.ANSWER_TAIL_WORD]
+        head = self.load(layout.ANSWER_HEAD_WORD)
         if not 0 <= head - tail <= layout.RING_SLOTS:
             self.store(layout.ANSWER_TAIL_WORD, head)
-            raise MailboxError(f"{self.folder}: {head - tail} answers in a ring of {layout.RING_SLOTS}; they are skipped")
+            raise MailboxError(
+                f"{self.folder}: {head - tail} answers in a ring of {layout.RING_SLOTS}; they are"
+                " skipped"
+            )
         while tail != head:
             offset = layout.ANSWER_OFFSET + tail % layout.RING_SLOTS * layout.ANSWER.size
-            seq, result, fault, revision, first, end, *values, crc, _ = layout.ANSWER.unpack_from(self._map, offset)
+            seq, result, fault, revision, first, end, *values, crc, _ = layout.ANSWER.unpack_from(
+                self._map, offset
+            )
             intact = zlib.crc32(self._map[offset : offset + layout.ANSWER.size - 8]) == crc
             tail += 1
             self.store(layout.ANSWER_TAIL_WORD, tail)
             if not intact:
-                raise MailboxError(f"{self.folder}: answer {tail} is damaged; restart servo and gateway")
-            found.append(Answer(seq, layout.Result(result), fault, revision, first, end, tuple(values)))
+                raise MailboxError(
+                    f"{self.folder}: answer {tail} is damaged; restart servo and gateway"
+                )
+            found.append(
+                Answer(seq, layout.Result(result), fault, revision, first, end, tuple(values))
+            )
         return found
 
     def records(self, tail: int, most: int) -> tuple[bytes, int, int]:
-        """Up to `most` whole records after number `tail`: (bytes, new tail, records lost before them). Never waits."""
+        """Up to `most` whole records after number `tail`: (bytes, new tail, records lost before
+        them). Never waits.
+        """
         head = self.load_head(layout.TELEMETRY_HEAD_WORD)
         first = max(tail, head - layout.RING_RECORDS + SAFE_DISTANCE)
         count = min(most, head - first)
         if count <= 0:
             return b"", tail, 0
-        size, slot = layout.RECORD.size, first % layout.RING_RECORDS
+        size = layout.RECORD.size
+        slot = first % layout.RING_RECORDS
         until_wrap = min(count, layout.RING_RECORDS - slot)
         begin = layout.TELEMETRY_OFFSET + slot * size
         block = bytes(self.ring[begin : begin + until_wrap * size])
-        block += bytes(self.ring[layout.TELEMETRY_OFFSET : layout.TELEMETRY_OFFSET + (count - until_wrap) * size])
+        block += bytes(
+            self.ring[
+                layout.TELEMETRY_OFFSET : layout.TELEMETRY_OFFSET + (count - until_wrap) * size
+            ]
+        )
         overwritten = self.load_head(layout.TELEMETRY_HEAD_WORD) - layout.RING_RECORDS + 1 - first
         spoiled = max(0, min(count, overwritten))
         return block[spoiled * size :], first + count, first - tail + spoiled
 
     def journal(self, tail: int) -> tuple[list[Noted], int, int]:
-        """Requests obeyed after number `tail`: (requests, new tail, how many were overwritten before they were read)."""
+        """Requests obeyed after number `tail`: (requests, new tail, how many were overwritten
+        before they were read).
+        """
         head = self.load(layout.JOURNAL_HEAD_WORD)
         first = max(tail, head - layout.JOURNAL_SLOTS)
         found = [self._noted(number) for number in range(first, head)]
@@ -197,8 +262,14 @@ class GatewayMailbox:
 
     def _noted(self, number: int) -> Noted | None:
         offset = layout.JOURNAL_OFFSET + number % layout.JOURNAL_SLOTS * layout.JOURNAL.size
-        begin, tick, seq, kind, actor, apply_tick, *values, end = layout.JOURNAL.unpack_from(self._map, offset)
-        return Noted(tick, seq, kind, actor, apply_tick, tuple(values)) if begin == end == number else None
+        begin, tick, seq, kind, actor, apply_tick, *values, end = layout.JOURNAL.unpack_from(
+            self._map, offset
+        )
+        return (
+            Noted(tick, seq, kind, actor, apply_tick, tuple(values))
+            if begin == end == number
+            else None
+        )
 
     def ask_checkpoint(self) -> None:
         """Ask the servo for a checkpoint; it writes one within 256 ticks."""
@@ -218,7 +289,11 @@ class GatewayMailbox:
         found, tick, length, crc = layout.CHECKPOINT.unpack_from(self._map, offset)
         begin = offset + layout.CHECKPOINT.size
         data = self._map[begin : begin + min(length, layout.CHECKPOINT_SLOT)]
-        return Checkpoint(tick, marshal.loads(data)) if found == number and zlib.crc32(data) == crc else None
+        return (
+            Checkpoint(tick, marshal.loads(data))
+            if found == number and zlib.crc32(data) == crc
+            else None
+        )
 
     def close(self) -> None:
         """Give up the claim; the maps go with the object."""

@@ -1,10 +1,12 @@
 """Publishing a word so that no reader sees it before the data it announces.
 
-On x86-64 an aligned 8-byte store from a memoryview is one `mov`, stores are not reordered with earlier stores (TSO), and
-the call into C stops the compiler: a plain assignment is a release store. On aarch64 the same store is single-copy atomic
-but may overtake the data written before it, so the word is stored by libatomic's `__atomic_store_8(..., RELEASE)` and
-read by `__atomic_load_8(..., ACQUIRE)`. A Python lock or a bare `dmb`-less store would not do: neither is documented as a
-barrier. Records carry their number first and last and commands carry a CRC, so a mistake here is detected, not believed.
+On x86-64 an aligned 8-byte store from a memoryview is one `mov`, stores are not reordered with
+earlier stores (TSO), and the call into C stops the compiler: a plain assignment is a release store.
+On aarch64 the same store is single-copy atomic but may overtake the data written before it, so the
+word is stored by libatomic's `__atomic_store_8(..., RELEASE)` and read by `__atomic_load_8(...,
+ACQUIRE)`. A Python lock or a bare `dmb`-less store would not do: neither is documented as a
+barrier. Records carry their number first and last and commands carry a CRC, so a mistake here is
+detected, not believed.
 """
 
 import ctypes
@@ -13,7 +15,9 @@ from collections.abc import Callable
 
 from hapticd.errors import MailboxError
 
-RELEASE, ACQUIRE = 3, 2  # __ATOMIC_RELEASE, __ATOMIC_ACQUIRE
+# __ATOMIC_RELEASE, __ATOMIC_ACQUIRE
+RELEASE = 3
+ACQUIRE = 2
 STRONGLY_ORDERED = frozenset({"x86_64", "amd64", "AMD64", "i686"})
 
 Store = Callable[[int, int], None]
@@ -21,12 +25,15 @@ Load = Callable[[int], int]
 
 
 def plain_store(machine: str | None = None) -> bool:
-    """Whether a plain assignment publishes on this (or the named) machine: what a tick may do without a call."""
+    """Whether a plain assignment publishes on this (or the named) machine: what a tick may do
+    without a call.
+    """
     return (machine or platform.machine()) in STRONGLY_ORDERED
 
 
 def word_access(words: "memoryview[int]", machine: str | None = None) -> tuple[Store, Load]:
-    """`(store(index, value), load(index))` with release and acquire order for u64 `words` on this (or the named) machine.
+    """`(store(index, value), load(index))` with release and acquire order for u64 `words` on this
+    (or the named) machine.
 
     Raises MailboxError where the machine is weakly ordered and libatomic is missing.
     """
@@ -39,10 +46,15 @@ def _libatomic_access(words: "memoryview[int]") -> tuple[Store, Load]:
     try:
         library = ctypes.CDLL("libatomic.so.1")
     except OSError as error:
-        raise MailboxError(f"this processor needs libatomic for ordered stores ({error}); install libatomic1") from error
-    put, get = library.__atomic_store_8, library.__atomic_load_8
-    put.argtypes, put.restype = (ctypes.c_void_p, ctypes.c_uint64, ctypes.c_int), None
-    get.argtypes, get.restype = (ctypes.c_void_p, ctypes.c_int), ctypes.c_uint64
+        raise MailboxError(
+            f"this processor needs libatomic for ordered stores ({error}); install libatomic1"
+        ) from error
+    put = library.__atomic_store_8
+    get = library.__atomic_load_8
+    put.argtypes = (ctypes.c_void_p, ctypes.c_uint64, ctypes.c_int)
+    put.restype = None
+    get.argtypes = (ctypes.c_void_p, ctypes.c_int)
+    get.restype = ctypes.c_uint64
     anchor = ctypes.c_char.from_buffer(words)  # holds the map; its address is the address of word 0
     base = ctypes.addressof(anchor)
 

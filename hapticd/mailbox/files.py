@@ -1,4 +1,6 @@
-"""The runtime folder: where it is, who may own it, and how its files are created, claimed, mapped and removed."""
+"""The runtime folder: where it is, who may own it, and how its files are created, claimed,
+mapped and removed.
+"""
 
 import fcntl
 import mmap
@@ -11,25 +13,41 @@ from pathlib import Path
 
 from hapticd.errors import MailboxError
 
-MAILBOX, TELEMETRY, STOP, PERTURBATION = "mailbox", "telemetry.ring", "stop", "perturbation"
-LAST_TELEMETRY, REPORT = "last.ring", "servo.report"
-SERVO_JSON, BOARD_JSON, GATEWAY_JSON = "servo.json", "board.json", "gateway.json"  # what the processes start from
-COMMAND_SOCKET, TELEMETRY_SOCKET, ENDPOINTS = "command", "telemetry", "endpoints.json"  # the gateway's
-SERVO_LOCK, GATEWAY_LOCK = "servo.lock", "gateway.lock"
-DEFAULT_INSTANCE, LONGEST_NAME = "default", 64
+MAILBOX = "mailbox"
+TELEMETRY = "telemetry.ring"
+STOP = "stop"
+PERTURBATION = "perturbation"
+LAST_TELEMETRY = "last.ring"
+REPORT = "servo.report"
+# what the processes start from
+SERVO_JSON = "servo.json"
+BOARD_JSON = "board.json"
+GATEWAY_JSON = "gateway.json"
+# the gateway's
+COMMAND_SOCKET = "command"
+TELEMETRY_SOCKET = "telemetry"
+ENDPOINTS = "endpoints.json"
+SERVO_LOCK = "servo.lock"
+GATEWAY_LOCK = "gateway.lock"
+DEFAULT_INSTANCE = "default"
+LONGEST_NAME = 64
 SERVICE_FOLDER = Path("/run/hapticd")  # RuntimeDirectory= of the systemd units
 
 
 def runtime_folder(instance: str = DEFAULT_INSTANCE) -> Path:
     """Folder of `instance`, the same for every process of this user. Not created, not checked.
 
-    $RUNTIME_DIRECTORY (systemd), else $XDG_RUNTIME_DIR/hapticd, else hapticd-<uid> in shared memory (/dev/shm), else in
-    <tempdir>: mapped files on a disk are written back and their pages fault again within a tick. Another instance than
-    the default one gets a folder of its own inside.
+    $RUNTIME_DIRECTORY (systemd), else $XDG_RUNTIME_DIR/hapticd, else hapticd-<uid> in shared memory
+    (/dev/shm), else in <tempdir>: mapped files on a disk are written back and their pages fault
+    again within a tick. Another instance than the default one gets a folder of its own inside.
     """
     if not 0 < len(instance) <= LONGEST_NAME or not all(c.isalnum() or c in "-_" for c in instance):
-        raise MailboxError(f"instance name {instance[:LONGEST_NAME]!r}: use 1 to {LONGEST_NAME} letters, digits, - and _")
-    systemd, session = os.environ.get("RUNTIME_DIRECTORY"), os.environ.get("XDG_RUNTIME_DIR")
+        raise MailboxError(
+            f"instance name {instance[:LONGEST_NAME]!r}: use 1 to {LONGEST_NAME} letters, digits, -"
+            " and _"
+        )
+    systemd = os.environ.get("RUNTIME_DIRECTORY")
+    session = os.environ.get("XDG_RUNTIME_DIR")
     if systemd:
         base = Path(systemd.split(":")[0])
     else:
@@ -38,7 +56,8 @@ def runtime_folder(instance: str = DEFAULT_INSTANCE) -> Path:
 
 
 def daemon_folder(instance: str = DEFAULT_INSTANCE) -> Path:
-    """Where a client finds the daemon `instance`: in this user's own folder, or else in the system service's if that is there.
+    """Where a client finds the daemon `instance`: in this user's own folder, or else in the system
+    service's if that is there.
 
     Only the default instance is a service. Not created, not checked.
     """
@@ -54,7 +73,9 @@ def refusals(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise MailboxError(f"{path}: {error.strerror}; make room, correct its rights or remove what is in the way") from error
+        raise MailboxError(
+            f"{path}: {error.strerror}; make room, correct its rights or remove what is in the way"
+        ) from error
 
 
 def _memory_folder() -> Path:
@@ -63,7 +84,9 @@ def _memory_folder() -> Path:
 
 
 def prepare_folder(folder: Path) -> Path:
-    """Make `folder` (0700) and check that it is ours. Raises MailboxError when someone else owns it, or it cannot be made."""
+    """Make `folder` (0700) and check that it is ours. Raises MailboxError when someone else
+    owns it, or it cannot be made.
+    """
     for step in (folder.parent, folder) if folder.name.startswith("instance-") else (folder,):
         with refusals(step):
             step.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -71,14 +94,22 @@ def prepare_folder(folder: Path) -> Path:
         if stat.S_ISLNK(found.st_mode):
             raise MailboxError(f"{step} is a link; remove it or set XDG_RUNTIME_DIR")
         if found.st_uid != os.getuid():
-            raise MailboxError(f"{step} belongs to user {found.st_uid}, not to {os.getuid()}; remove it or set XDG_RUNTIME_DIR")
+            raise MailboxError(
+                f"{step} belongs to user {found.st_uid}, not to {os.getuid()}; remove it or set"
+                " XDG_RUNTIME_DIR"
+            )
         if found.st_mode & 0o022:
-            raise MailboxError(f"{step} may be written by others (mode {stat.S_IMODE(found.st_mode):o}); chmod 700 it")
+            raise MailboxError(
+                f"{step} may be written by others (mode {stat.S_IMODE(found.st_mode):o}); chmod"
+                " 700 it"
+            )
     return folder
 
 
 def claim(folder: Path, lock: str) -> int:
-    """Hold `lock` until this process ends; the returned descriptor is the claim. MailboxError if someone alive has it."""
+    """Hold `lock` until this process ends; the returned descriptor is the claim. MailboxError
+    if someone alive has it.
+    """
     with refusals(folder / lock):
         descriptor = os.open(folder / lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     try:
@@ -87,8 +118,12 @@ def claim(folder: Path, lock: str) -> int:
         owner = os.read(descriptor, 32).decode(errors="replace").strip() or "unknown"
         os.close(descriptor)
         role = lock.removesuffix(".lock")
-        raise MailboxError(f"a {role} (pid {owner}) already runs in {folder}; stop it or use --instance NAME") from None
-    if os.fstat(descriptor).st_nlink == 0:  # released, and so removed, between our open and our lock
+        raise MailboxError(
+            f"a {role} (pid {owner}) already runs in {folder}; stop it or use --instance NAME"
+        ) from None
+    if (
+        os.fstat(descriptor).st_nlink == 0
+    ):  # released, and so removed, between our open and our lock
         os.close(descriptor)
         return claim(folder, lock)
     with refusals(folder / lock):
@@ -104,7 +139,9 @@ def release(folder: Path, lock: str, descriptor: int) -> None:
 
 
 def hold(path: Path) -> int:
-    """Show that the owner of the existing file `path` lives, until the returned descriptor is closed or this process ends."""
+    """Show that the owner of the existing file `path` lives, until the returned descriptor is
+    closed or this process ends.
+    """
     with refusals(path):
         descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -125,7 +162,9 @@ def is_held(path: Path) -> bool:
 
 
 def write_whole(path: Path, text: str) -> Path:
-    """Write `text` into `path` as a whole or not at all. MailboxError when there is no room or no right."""
+    """Write `text` into `path` as a whole or not at all. MailboxError when there is no room or
+    no right.
+    """
     fresh = path.with_name(f"{path.name}.{os.getpid()}")
     with refusals(path):
         try:
@@ -136,7 +175,9 @@ def write_whole(path: Path, text: str) -> Path:
 
 
 def remove(folder: Path, *names: str) -> None:
-    """Remove files of ours as far as that goes; what stays is replaced, or refused by name, at the next start."""
+    """Remove files of ours as far as that goes; what stays is replaced, or refused by name, at
+    the next start.
+    """
     for name in names:
         try:
             (folder / name).unlink(missing_ok=True)
@@ -145,7 +186,9 @@ def remove(folder: Path, *names: str) -> None:
 
 
 def keep_last(folder: Path) -> None:
-    """The telemetry ring of a servo that has ended becomes the last one, for the flight recorder; if it can."""
+    """The telemetry ring of a servo that has ended becomes the last one, for the flight
+    recorder; if it can.
+    """
     try:
         (folder / TELEMETRY).replace(folder / LAST_TELEMETRY)
     except OSError:
@@ -153,7 +196,9 @@ def keep_last(folder: Path) -> None:
 
 
 def create_map(path: Path, size: int, mode: int = 0o600) -> mmap.mmap:
-    """A fresh zeroed file of `size` bytes, mapped shared and touched, in place of any stale one. MailboxError: no room."""
+    """A fresh zeroed file of `size` bytes, mapped shared and touched, in place of any stale
+    one. MailboxError: no room.
+    """
     with refusals(path):
         path.unlink(missing_ok=True)
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
@@ -164,21 +209,30 @@ def create_map(path: Path, size: int, mode: int = 0o600) -> mmap.mmap:
         finally:
             os.close(descriptor)
     for page in range(0, size, mmap.PAGESIZE):
-        fresh[page] = 0  # the first write to a page costs 8 us (dirty bit, nested tables): not within a tick
+        fresh[page] = (
+            0  # the first write to a page costs 8 us (dirty bit, nested tables): not within a tick
+        )
     return fresh
 
 
 def open_map(path: Path, size: int, writable: bool = True) -> mmap.mmap:
-    """Map an existing file of exactly `size` bytes. MailboxError if it is missing or of another size."""
+    """Map an existing file of exactly `size` bytes. MailboxError if it is missing or of another
+    size.
+    """
     access = os.O_RDWR if writable else os.O_RDONLY
     try:
         descriptor = os.open(path, access | os.O_CLOEXEC | os.O_NOFOLLOW)
     except OSError as error:
-        raise MailboxError(f"{path}: {error.strerror}; no servo runs there, start one with `hapticd run`") from error
+        raise MailboxError(
+            f"{path}: {error.strerror}; no servo runs there, start one with `hapticd run`"
+        ) from error
     try:
         found = os.fstat(descriptor).st_size
         if found != size:
-            raise MailboxError(f"{path} has {found} bytes, this version expects {size}; restart servo and gateway together")
+            raise MailboxError(
+                f"{path} has {found} bytes, this version expects {size}; restart servo and gateway"
+                " together"
+            )
         protection = mmap.PROT_READ | (mmap.PROT_WRITE if writable else 0)
         return mmap.mmap(descriptor, size, mmap.MAP_SHARED, protection)
     finally:

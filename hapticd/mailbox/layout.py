@@ -1,7 +1,8 @@
 """The tables of the mailbox: every offset, record and number that two processes must agree on.
 
-A change of any table changes LAYOUT_HASH, and processes of different versions refuse each other. The telemetry table is
-also the dtype that `servo.raw` announces (numpy `descr` form), so an acquisition client needs no copy of it.
+A change of any table changes LAYOUT_HASH, and processes of different versions refuse each other.
+The telemetry table is also the dtype that `servo.raw` announces (numpy `descr` form), so an
+acquisition client needs no copy of it.
 """
 
 import hashlib
@@ -10,11 +11,15 @@ from enum import IntEnum
 
 MAGIC = b"HAPTICD\0"
 
-# --- header page: written once by the servo before `epoch`, which is written last -----------------------------------
-HEADER = struct.Struct("<8s8sQqd64sB")  # magic, layout hash, pid, start_ns, rate_hz, config hash (hex), simulated
-EPOCH_WORD = 32  # u64 index into the mailbox file: start time of this servo life, 0 while it is being built
+# --- header page: written once by the servo before `epoch`, which is written last -----------------
+HEADER = struct.Struct(
+    "<8s8sQqd64sB"
+)  # magic, layout hash, pid, start_ns, rate_hz, config hash (hex), simulated
+EPOCH_WORD = (
+    32  # u64 index into the mailbox file: start time of this servo life, 0 while it is being built
+)
 
-# --- words: single u64, one writer each ------------------------------------------------------------------------------
+# --- words: single u64, one writer each -----------------------------------------------------------
 SERVO_BEAT_WORD = 64  # monotonic ns, written every tick
 GATEWAY_BEAT_WORD = 72  # monotonic ns, written by the gateway at least every 100 ms
 COMMAND_HEAD_WORD = 80  # commands posted (gateway)
@@ -29,9 +34,22 @@ COUNTER_WORD = 128  # COUNTERS, u64 each
 PAGE = 4096
 
 COUNTERS = (
-    "ticks", "late_events", "lost_slots", "grace_late_events", "grace_lost_slots", "missing_in", "bad_in", "stale_in",
-    "sequence_gap", "write_errors", "reconnects", "sim_slip_ns", "commands", "bad_commands", "dropped_answers",
-)  # fmt: skip
+    "ticks",
+    "late_events",
+    "lost_slots",
+    "grace_late_events",
+    "grace_lost_slots",
+    "missing_in",
+    "bad_in",
+    "stale_in",
+    "sequence_gap",
+    "write_errors",
+    "reconnects",
+    "sim_slip_ns",
+    "commands",
+    "bad_commands",
+    "dropped_answers",
+)
 STAGES = (
     "wake",
     "read",
@@ -40,24 +58,33 @@ STAGES = (
     "publish",
 )  # each has its `_ns` in the record; histograms are made from those
 
-# --- command ring: gateway -> servo ----------------------------------------------------------------------------------
+# --- command ring: gateway -> servo ---------------------------------------------------------------
 RING_SLOTS = 64
-COMMAND = struct.Struct("<QIIQ20dII")  # seq, kind, actor, apply_tick (0: now), values, crc32 of all before, pad
+COMMAND = struct.Struct(
+    "<QIIQ20dII"
+)  # seq, kind, actor, apply_tick (0: now), values, crc32 of all before, pad
 COMMAND_VALUES = 20
 COMMAND_OFFSET = 2 * PAGE
 COMMAND_CRC_OFFSET = COMMAND.size - 8
 
-# --- answer ring: servo -> gateway -----------------------------------------------------------------------------------
-ANSWER = struct.Struct("<QIIQQQ20dII")  # seq, result, fault number, revision, first_tick, ramp_end_tick, effective, crc32, pad
+# --- answer ring: servo -> gateway ----------------------------------------------------------------
+ANSWER = struct.Struct(
+    "<QIIQQQ20dII"
+)  # seq, result, fault number, revision, first_tick, ramp_end_tick, effective, crc32, pad
 ANSWER_OFFSET = COMMAND_OFFSET + 4 * PAGE
 
-# --- journal: what the servo obeyed, at which tick; with the records and a checkpoint it is all that a re-flight needs --------
+# --- journal: what the servo obeyed, at which tick; with the records and a checkpoint it is all
+# that a re-flight needs
 JOURNAL_SLOTS = 256
-JOURNAL = struct.Struct("<QQQIIQ20dQ")  # number, tick, seq, kind, actor, apply_tick, values, number again
+JOURNAL = struct.Struct(
+    "<QQQIIQ20dQ"
+)  # number, tick, seq, kind, actor, apply_tick, values, number again
 JOURNAL_OFFSET = ANSWER_OFFSET + 5 * PAGE
 
-# --- checkpoints: the servo's whole state before a tick, when it is asked for, two slots in turn ------------------------
-CHECKPOINT = struct.Struct("<QQII")  # number, tick, length and crc32 of the marshalled state behind it
+# --- checkpoints: the servo's whole state before a tick, when it is asked for, two slots in turn --
+CHECKPOINT = struct.Struct(
+    "<QQII"
+)  # number, tick, length and crc32 of the marshalled state behind it
 CHECKPOINT_SLOT = 2 * PAGE
 CHECKPOINT_OFFSET = JOURNAL_OFFSET + JOURNAL_SLOTS * JOURNAL.size
 MAILBOX_BYTES = CHECKPOINT_OFFSET + 2 * CHECKPOINT_SLOT
@@ -94,7 +121,9 @@ class Command(IntEnum):
 
 
 class Value(IntEnum):
-    """Places of the 20 doubles of a command; bit `1 << place` in MASK says that the place is meant."""
+    """Places of the 20 doubles of a command; bit `1 << place` in MASK says that the place is
+    meant.
+    """
 
     MASK = 0
     RAMP_S = 1
@@ -141,14 +170,21 @@ VALUE_LIMITS: dict[Value, tuple[float, float, str]] = {
 FILTER_LIMIT = 0.45  # highest corner as a fraction of the rate
 
 
-def value_limits(rate_hz: float, added_damping_limit_ns_per_m: float) -> dict[Value, tuple[float, float, str]]:
-    """VALUE_LIMITS (lowest, highest, unit) as narrowed by the servo rate [Hz] and by the device's damping limit [N s/m]."""
+def value_limits(
+    rate_hz: float, added_damping_limit_ns_per_m: float
+) -> dict[Value, tuple[float, float, str]]:
+    """VALUE_LIMITS (lowest, highest, unit) as narrowed by the servo rate [Hz] and by the
+    device's damping limit [N s/m].
+    """
     narrower = {
         Value.ADDED_DAMPING: added_damping_limit_ns_per_m,
         Value.VELOCITY_FILTER_HZ: FILTER_LIMIT * rate_hz,
         Value.ACCELERATION_FILTER_HZ: FILTER_LIMIT * rate_hz,
     }
-    return {place: (low, min(high, narrower.get(place, high)), unit) for place, (low, high, unit) in VALUE_LIMITS.items()}
+    return {
+        place: (low, min(high, narrower.get(place, high)), unit)
+        for place, (low, high, unit) in VALUE_LIMITS.items()
+    }
 
 
 class Result(IntEnum):
@@ -167,28 +203,57 @@ class Result(IntEnum):
     CANCELLED = 11  # a stop or fault removed a scheduled command
 
 
-# --- telemetry: one record per tick ----------------------------------------------------------------------------------
+# --- telemetry: one record per tick ---------------------------------------------------------------
 TELEMETRY = (
-    ("tick", "<u8"), ("time_ns", "<i8"), ("board_us", "<i8"),
+    ("tick", "<u8"),
+    ("time_ns", "<i8"),
+    ("board_us", "<i8"),
     # --- the plan: changes only on commands, ramps and safety transitions; packed once per change
-    ("revision", "<u4"), ("state", "u1"), ("fault", "u1"), ("perturbing", "u1"), ("homed", "u1"),
-    ("actor", "<u4"), ("lease_control", "<u4"), ("lease_damping", "<u4"), ("gain", "<f4"),
-    ("stiffness_n_per_m", "<f8"), ("damping_ns_per_m", "<f8"), ("mass_kg", "<f8"),
-    ("added_damping_asked_ns_per_m", "<f8"), ("added_damping_ns_per_m", "<f8"),
+    ("revision", "<u4"),
+    ("state", "u1"),
+    ("fault", "u1"),
+    ("perturbing", "u1"),
+    ("homed", "u1"),
+    ("actor", "<u4"),
+    ("lease_control", "<u4"),
+    ("lease_damping", "<u4"),
+    ("gain", "<f4"),
+    ("stiffness_n_per_m", "<f8"),
+    ("damping_ns_per_m", "<f8"),
+    ("mass_kg", "<f8"),
+    ("added_damping_asked_ns_per_m", "<f8"),
+    ("added_damping_ns_per_m", "<f8"),
     # --- this tick
-    ("flags", "<u4"), ("status", "<u4"),
-    ("arrival", "<i4"),  # of the sample: 0 on time, k after k lost ones, -k missing for the k-th time (link.device)
+    ("flags", "<u4"),
+    ("status", "<u4"),
+    (
+        "arrival",
+        "<i4",
+    ),  # of the sample: 0 on time, k after k lost ones, -k missing for the k-th time (link.device)
     ("host", "<u4"),  # 1: the board is linked, 2: the gateway's heartbeat is there
-    ("position_m", "<f8"), ("velocity_m_per_s", "<f8"), ("acceleration_m_per_s2", "<f8"),
-    ("stiffness_force_n", "<f8"), ("damping_force_n", "<f8"), ("mass_force_n", "<f8"), ("field_force_n", "<f8"),
+    ("position_m", "<f8"),
+    ("velocity_m_per_s", "<f8"),
+    ("acceleration_m_per_s2", "<f8"),
+    ("stiffness_force_n", "<f8"),
+    ("damping_force_n", "<f8"),
+    ("mass_force_n", "<f8"),
+    ("field_force_n", "<f8"),
     ("force_n", "<f8"),
     ("energy_j", "<f8", (6,)),  # see render.energy
-    ("winding_c", "<f4"), ("current_a", "<f4"), ("voltage_v", "<f4"), ("emf_velocity_m_per_s", "<f4"),
-    ("wake_ns", "<i4"), ("read_ns", "<i4"), ("step_ns", "<i4"), ("write_ns", "<i4"), ("publish_ns", "<i4"),
+    ("winding_c", "<f4"),
+    ("current_a", "<f4"),
+    ("voltage_v", "<f4"),
+    ("emf_velocity_m_per_s", "<f4"),
+    ("wake_ns", "<i4"),
+    ("read_ns", "<i4"),
+    ("step_ns", "<i4"),
+    ("write_ns", "<i4"),
+    ("publish_ns", "<i4"),
     ("lost_slots", "<u4"),
-    ("in_frame", "V64"), ("out_frame", "V32"),
+    ("in_frame", "V64"),
+    ("out_frame", "V32"),
     ("tail", "<u8"),  # = tick; differs while the record is being overwritten
-)  # fmt: skip
+)
 
 _PLAN_END = [name for name, *_ in TELEMETRY].index("added_damping_ns_per_m") + 1
 PLAN_FIELDS = TELEMETRY[3:_PLAN_END]
@@ -199,7 +264,11 @@ def _codes(fields: tuple[tuple[object, ...], ...]) -> str:
     parts = []
     for _, kind, *shape in fields:
         text = str(kind)
-        parts.append(f"{text[1:]}s" if text[0] == "V" else (f"{shape[0][0]}" if shape else "") + _CODES[text])  # type: ignore[index]
+        if text[0] == "V":
+            parts.append(f"{text[1:]}s")
+            continue
+        count = f"{shape[0][0]}" if shape else ""  # type: ignore[index]
+        parts.append(count + _CODES[text])
     return "".join(parts)
 
 

@@ -1,7 +1,9 @@
-"""The servo's end: creates all files, takes commands, gives answers, publishes one record a tick. Never waits.
+"""The servo's end: creates all files, takes commands, gives answers, publishes one record a tick.
+Never waits.
 
-What the servo itself counts (commands taken, answers given, events) it keeps here and only shows in the mapped words: it
-never reads back what others could have written over. Of the gateway's words it takes none for granted.
+What the servo itself counts (commands taken, answers given, events) it keeps here and only shows in
+the mapped words: it never reads back what others could have written over. Of the gateway's words it
+takes none for granted.
 """
 
 import json
@@ -20,17 +22,26 @@ _COMMANDS = frozenset(layout.Command)
 
 
 class ServoMailbox:
-    """Owner of the runtime folder. `take`, `note`, `answer` and `checkpoint` are called by the loop."""
+    """Owner of the runtime folder. `take`, `note`, `answer` and `checkpoint` are called by the
+    loop.
+    """
 
-    def __init__(self, folder: Path, rate_hz: float, config_hash: str, simulated: bool, start_ns: int) -> None:
+    def __init__(
+        self, folder: Path, rate_hz: float, config_hash: str, simulated: bool, start_ns: int
+    ) -> None:
         self.folder = files.prepare_folder(folder)
         self._claim = files.claim(folder, files.SERVO_LOCK)
         files.keep_last(folder)
         self._map = files.create_map(folder / files.MAILBOX, layout.MAILBOX_BYTES)
         self._ring = files.create_map(folder / files.TELEMETRY, layout.TELEMETRY_BYTES)
         self._stop = files.create_map(folder / files.STOP, layout.STOP_BYTES, 0o660)
-        self._stop_claim = files.hold(folder / files.STOP)  # so that who presses it knows that someone is there
-        self._wave = files.create_map(folder / files.PERTURBATION, layout.PERTURBATION_HEADER + 2 * layout.PERTURBATION_SAMPLES)
+        self._stop_claim = files.hold(
+            folder / files.STOP
+        )  # so that who presses it knows that someone is there
+        self._wave = files.create_map(
+            folder / files.PERTURBATION,
+            layout.PERTURBATION_HEADER + 2 * layout.PERTURBATION_SAMPLES,
+        )
         self.words = memoryview(self._map).cast("Q")
         self.stop_words = memoryview(self._stop).cast("Q")
         self.waveform = memoryview(self._wave)[layout.PERTURBATION_HEADER :].cast("h")
@@ -38,7 +49,15 @@ class ServoMailbox:
         self.ring_words = self.ring.cast("Q")
         self.store, self.load = word_access(self.words)
         self.publish_head, _ = word_access(self.ring_words)
-        values = (layout.MAGIC, layout.LAYOUT_HASH, os.getpid(), start_ns, rate_hz, config_hash.encode(), simulated)
+        values = (
+            layout.MAGIC,
+            layout.LAYOUT_HASH,
+            os.getpid(),
+            start_ns,
+            rate_hz,
+            config_hash.encode(),
+            simulated,
+        )
         self._header = layout.HEADER.pack(*values)
         self.ring_words[layout.TELEMETRY_EPOCH_WORD] = start_ns
         self._start_ns = start_ns
@@ -64,11 +83,16 @@ class ServoMailbox:
     def report(self, content: dict[str, Any]) -> None:
         """Replace servo.report; called while the loop stands still (start, re-plug)."""
         self.last_report = content
-        files.write_whole(self.folder / files.REPORT, json.dumps(content))  # no indent: its encoder leaves garbage in circles
+        files.write_whole(
+            self.folder / files.REPORT, json.dumps(content)
+        )  # no indent: its encoder leaves garbage in circles
 
     def take(self) -> tuple[Any, ...] | None:
-        """Next command as (seq, kind, actor, apply_tick, values); None if there is none or it is damaged or unknown (counted)."""
-        tail, waiting = self.taken, self.load(layout.COMMAND_HEAD_WORD) - self.taken
+        """Next command as (seq, kind, actor, apply_tick, values); None if there is none or it
+        is damaged or unknown (counted).
+        """
+        tail = self.taken
+        waiting = self.load(layout.COMMAND_HEAD_WORD) - self.taken
         if not 0 < waiting <= layout.RING_SLOTS:
             self.store(layout.COMMAND_TAIL_WORD, tail)
             if waiting:  # no gateway posts like this: someone wrote over the head
@@ -76,8 +100,13 @@ class ServoMailbox:
                 self.count("bad_commands")
             return None
         offset = layout.COMMAND_OFFSET + tail % layout.RING_SLOTS * layout.COMMAND.size
-        seq, kind, actor, apply_tick, *values, crc, _ = layout.COMMAND.unpack_from(self._map, offset)
-        intact = zlib.crc32(self._map[offset : offset + layout.COMMAND_CRC_OFFSET]) == crc and seq == tail + 1
+        seq, kind, actor, apply_tick, *values, crc, _ = layout.COMMAND.unpack_from(
+            self._map, offset
+        )
+        intact = (
+            zlib.crc32(self._map[offset : offset + layout.COMMAND_CRC_OFFSET]) == crc
+            and seq == tail + 1
+        )
         self.taken = tail + 1
         self.store(layout.COMMAND_TAIL_WORD, self.taken)
         self.count("commands")
@@ -91,27 +120,43 @@ class ServoMailbox:
         self._counts[name] += amount
         self.words[_COUNTER[name]] = self._counts[name]
 
-    def answer(self, seq: int, result: int, fault: int, revision: int, ticks: tuple[int, int], values: tuple[float, ...]) -> bool:
+    def answer(
+        self,
+        seq: int,
+        result: int,
+        fault: int,
+        revision: int,
+        ticks: tuple[int, int],
+        values: tuple[float, ...],
+    ) -> bool:
         """Post one answer; False (counted) when the gateway does not read them."""
         head = self._answered
         if head - self.load(layout.ANSWER_TAIL_WORD) >= layout.RING_SLOTS:
             self.count("dropped_answers")
             return False
         offset = layout.ANSWER_OFFSET + head % layout.RING_SLOTS * layout.ANSWER.size
-        layout.ANSWER.pack_into(self._map, offset, seq, result, fault, revision, *ticks, *values, 0, 0)
+        layout.ANSWER.pack_into(
+            self._map, offset, seq, result, fault, revision, *ticks, *values, 0, 0
+        )
         crc = zlib.crc32(self._map[offset : offset + layout.ANSWER.size - 8])
-        layout.ANSWER.pack_into(self._map, offset, seq, result, fault, revision, *ticks, *values, crc, 0)
+        layout.ANSWER.pack_into(
+            self._map, offset, seq, result, fault, revision, *ticks, *values, crc, 0
+        )
         self._answered = head + 1
         self.store(layout.ANSWER_HEAD_WORD, self._answered)
         return True
 
     def note(self, tick: int, requests: tuple[tuple[Any, ...], ...]) -> None:
-        """Journal the requests (seq, kind, actor, apply_tick, values) that `tick` obeys; an unread one is overwritten."""
+        """Journal the requests (seq, kind, actor, apply_tick, values) that `tick` obeys; an
+        unread one is overwritten.
+        """
         for seq, kind, actor, apply_tick, values in requests:
             number = self._journaled
             offset = layout.JOURNAL_OFFSET + number % layout.JOURNAL_SLOTS * layout.JOURNAL.size
             twenty = (*values, *_ZEROS[len(values) :])
-            layout.JOURNAL.pack_into(self._map, offset, number, tick, seq, kind, actor, apply_tick, *twenty, number)
+            layout.JOURNAL.pack_into(
+                self._map, offset, number, tick, seq, kind, actor, apply_tick, *twenty, number
+            )
             self._journaled = number + 1
             self.store(layout.JOURNAL_HEAD_WORD, self._journaled)
 
@@ -121,19 +166,25 @@ class ServoMailbox:
         return self.words[layout.CHECKPOINT_ASKED_WORD] > self._checkpointed
 
     def checkpoint(self, tick: int, state: tuple[Any, ...]) -> None:
-        """Write `state` (nested plain tuples) as it is before `tick`; one that is too long for its slot is left out."""
+        """Write `state` (nested plain tuples) as it is before `tick`; one that is too long for
+        its slot is left out.
+        """
         number = self._checkpointed
         offset = layout.CHECKPOINT_OFFSET + number % 2 * layout.CHECKPOINT_SLOT
         data = marshal.dumps(state)
         if len(data) <= layout.CHECKPOINT_SLOT - layout.CHECKPOINT.size:
             begin = offset + layout.CHECKPOINT.size
             self._map[begin : begin + len(data)] = data
-            layout.CHECKPOINT.pack_into(self._map, offset, number, tick, len(data), zlib.crc32(data))
+            layout.CHECKPOINT.pack_into(
+                self._map, offset, number, tick, len(data), zlib.crc32(data)
+            )
             self._checkpointed = number + 1
             self.store(layout.CHECKPOINT_HEAD_WORD, self._checkpointed)
 
     def close(self, clean: bool = True) -> None:
-        """Mark the mailbox dead; a clean end removes all files but the telemetry of this life (as last.ring)."""
+        """Mark the mailbox dead; a clean end removes all files but the telemetry of this life
+        (as last.ring).
+        """
         self.store(layout.EPOCH_WORD, 0)
         if clean:
             files.keep_last(self.folder)

@@ -1,4 +1,5 @@
-"""What accuracy costs in time, measured then and there: error against a reference over seconds, for every way to simulate.
+"""What accuracy costs in time, measured then and there: error against a reference over seconds, for
+every way to simulate.
 
 tier          predict, simulate, lock-step
 sub-steps     1..32 in a 4 kHz sample: matter to friction, ends and cogging alone
@@ -6,23 +7,27 @@ precision     f64, f32
 trial length  5..90 s        window   256..8192 samples: only where noise moves the scene
 effect        each left out, at 1 sub-step: the difference is what counts, and its kernel compiles soonest
 
-A gauge reads two errors of a setting. `step` is what the setting does to the answer for the same perturbation: the sub-step's,
-the precision's, a left-out effect's. `total` is the error of one trial that is made with it, chance or resolution included; of
-two settings with the same total the cheaper one is the better. The knee of a sweep is its cheapest setting whose total error is
-within 10 % of the best one's: what costs more buys little. A knee at the far end says that the sweep has none.
+A gauge reads two errors of a setting. `step` is what the setting does to the answer for the same
+perturbation: the sub-step's, the precision's, a left-out effect's. `total` is the error of one
+trial that is made with it, chance or resolution included; of two settings with the same total the
+cheaper one is the better. The knee of a sweep is its cheapest setting whose total error is within
+10 % of the best one's: what costs more buys little. A knee at the far end says that the sweep has
+none.
 
-Noise (`NoiseGauge`): phase of the impedance, rms over the band. The reference of a linear scene is its exact first harmonic
-(`analysis.loop`). Of any other it is simulated: a group of trials of the scene's length, each with a perturbation of its own, in
-double precision with 32 sub-steps per sample, their spectra added up under a window four times as long as the paper's. It is
-known to a third of the deviation of one trial, no better.
+Noise (`NoiseGauge`): phase of the impedance, rms over the band. The reference of a linear scene is
+its exact first harmonic (`analysis.loop`). Of any other it is simulated: a group of trials of the
+scene's length, each with a perturbation of its own, in double precision with 32 sub-steps per
+sample, their spectra added up under a window four times as long as the paper's. It is known to a
+third of the deviation of one trial, no better.
 
-A push (`TraceGauge`): position, rms over the trial, in micrometres. The reference is the same trial in double precision with 32
-sub-steps per sample. What can be seen of a position is a count, so the total error holds the encoder's rounding (quantum /
-sqrt(12)) as well.
+A push (`TraceGauge`): position, rms over the trial, in micrometres. The reference is the same trial
+in double precision with 32 sub-steps per sample. What can be seen of a position is a count, so the
+total error holds the encoder's rounding (quantum / sqrt(12)) as well.
 
-The command line passes the processor time of this process (`time.process_time_ns`) to time with: seconds of one core, whatever
-else the machine does. What is timed here runs on one thread. The engine computes a group of trials with every instruction, so
-its cost is that of a full group, for each trial.
+The command line passes the processor time of this process (`time.process_time_ns`) to time with:
+seconds of one core, whatever else the machine does. What is timed here runs on one thread. The
+engine computes a group of trials with every instruction, so its cost is that of a full group, for
+each trial.
 """
 
 from abc import ABC, abstractmethod
@@ -66,10 +71,14 @@ from hapticd.units import NS_PER_S, PROBE_RATE_HZ
 REFERENCE = "the reference"
 ROUNDS = 3  # of timing
 LOCKSTEP_S = 20.0
-SWEPT, QUICK_SUBSTEPS = (1, 2, 4, 8, 16, 32), (1, 4, 8)
-LENGTHS_S, QUICK_LENGTHS_S = (5.0, 10.0, 20.0, 45.0, 90.0), (5.0, 10.0)
-WINDOWS, QUICK_WINDOWS = (256, 512, 1024, 2048, 4096, 8192), (512, 2048)
-QUICK_S, QUICK_LOCKSTEP_S = 10.0, 5.0
+SWEPT = (1, 2, 4, 8, 16, 32)
+QUICK_SUBSTEPS = (1, 4, 8)
+LENGTHS_S = (5.0, 10.0, 20.0, 45.0, 90.0)
+QUICK_LENGTHS_S = (5.0, 10.0)
+WINDOWS = (256, 512, 1024, 2048, 4096, 8192)
+QUICK_WINDOWS = (512, 2048)
+QUICK_S = 10.0
+QUICK_LOCKSTEP_S = 5.0
 T = TypeVar("T")
 Stopwatch = Callable[[], int]
 COST_ENGINE_S = 4.0
@@ -98,7 +107,9 @@ def timed(now_ns: Stopwatch, call: Callable[[], T], times: int = 1) -> tuple[T, 
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """Seconds of one core per simulated second: `engine_s` of one trial in a full group of `lanes`, `lockstep_s` of the stack."""
+    """Seconds of one core per simulated second: `engine_s` of one trial in a full group of
+    `lanes`, `lockstep_s` of the stack.
+    """
 
     engine_s: float
     lanes: int
@@ -129,7 +140,9 @@ def cost(scene: Scene, source: str | Path, now_ns: Stopwatch) -> Cost:
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """How a scene is simulated and looked at; the defaults are those of the procedures. `without`: effects that are left out."""
+    """How a scene is simulated and looked at; the defaults are those of the procedures.
+    `without`: effects that are left out.
+    """
 
     seconds: float
     substeps: int = SUBSTEPS
@@ -140,8 +153,8 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One setting: seconds for one trial (inf: not timed, nan: it cannot be), its errors in the gauge's unit (nan: does not
-    apply), whether it is the default, and whether the knee.
+    """One setting: seconds for one trial (inf: not timed, nan: it cannot be), its errors in the
+    gauge's unit (nan: does not apply), whether it is the default, and whether the knee.
     """
 
     sweep: str = ""
@@ -167,26 +180,34 @@ class Gauge(ABC, Generic[T]):
     torque_n: Floats | None = None  # (GROUP, samples), for every setting; None: the scene's own
 
     def __init__(self, scene: Scene, source: str | Path, exact: Setting, now_ns: Stopwatch) -> None:
-        self.scene, self.source, self.exact, self.now_ns = scene, source, exact, now_ns
+        self.scene = scene
+        self.source = source
+        self.exact = exact
+        self.now_ns = now_ns
         self.own = display(scene)
         self._whole: dict[Setting, T] = {}
 
     @abstractmethod
     def read(self, setting: Setting) -> Row:
-        """Errors of a trial. With `without`: against the whole scene as it was read with that setting, else the reference."""
+        """Errors of a trial. With `without`: against the whole scene as it was read with that
+        setting, else the reference.
+        """
 
     def cost(self, setting: Setting, trials: int = GROUP, repeats: int = 1) -> float:
-        """Seconds for one of `trials` together and for its answer; in a full group the setting has been read before."""
+        """Seconds for one of `trials` together and for its answer; in a full group the setting
+        has been read before.
+        """
         found, simulated_s = timed(self.now_ns, lambda: self._flown(setting, trials), repeats)
         return simulated_s / trials + self._analysis_s(found, setting.lag)
 
     def lockstep(self, seconds: float) -> Row:
-        """One trial with the whole product; the time is that of its flight. ConfigError or AnalysisError where the scene cannot
-        be flown: the stack begins at rest.
+        """One trial with the whole product; the time is that of its flight. ConfigError or
+        AnalysisError where the scene cannot be flown: the stack begins at rest.
         """
         if self.scene.start_velocity_m_per_s or self.scene.start_position_m:
             raise AnalysisError("the scene begins in motion, lock-step at rest")
-        samples, source = round(seconds * PROBE_RATE_HZ), self.scene.excitation
+        samples = round(seconds * PROBE_RATE_HZ)
+        source = self.scene.excitation
         torque = np.resize(torque_record(source, samples, source.seed), samples)
         if self.torque_n is not None:
             torque = self.torque_n[0, :samples]
@@ -226,18 +247,24 @@ class NoiseGauge(Gauge[Complexes]):
 
     def __init__(self, scene: Scene, source: str | Path, exact: Setting, now_ns: Stopwatch) -> None:
         super().__init__(scene, source, exact, now_ns)
-        samples, noise = round(exact.seconds * PROBE_RATE_HZ), scene.excitation
+        samples = round(exact.seconds * PROBE_RATE_HZ)
+        noise = scene.excitation
         streams = range(Stream.TORQUE, Stream.TORQUE + GROUP)
-        self.torque_n = np.stack([torque_record(noise, samples, noise.seed, stream) for stream in streams])
+        self.torque_n = np.stack(
+            [torque_record(noise, samples, noise.seed, stream) for stream in streams]
+        )
         self._f = frequencies()
         flown = self._flown(exact, GROUP)
         self._step_free = pooled(self._spectra(flown, DEFAULT_LAG))
         if is_linear(scene):
-            self._true = predicted_impedance(self.own.model, point(scene), self._f, level(scene), self.own.filters)
+            self._true = predicted_impedance(
+                self.own.model, point(scene), self._f, level(scene), self.own.filters
+            )
             self.reference = "exact first harmonic of the linear scene"
             return
         trials = self._spectra(flown, REFERENCE_LAG)
-        half, self._true = len(trials) // 2, pooled(trials)
+        half = len(trials) // 2
+        self._true = pooled(trials)
         known_deg = 0.5 * phase_rms(pooled(trials[half:]) / pooled(trials[:half]))
         self.reference = (
             f"{GROUP} trials of {exact.seconds:g} s, {exact.substeps} sub-steps, f64, "
@@ -256,9 +283,13 @@ class NoiseGauge(Gauge[Complexes]):
         """Errors of the predicted Z with its seconds, and those of one of 1,000 environments that
         are asked for a verdict.
         """
-        own, kbm, damping = self.own, point(self.scene), level(self.scene)
+        own = self.own
+        kbm = point(self.scene)
+        damping = level(self.scene)
         asked = damping, own.filters, own.perturbation
-        z, alone_s = timed(self.now_ns, lambda: predicted_impedance(own.model, kbm, self._f, *asked), ALONE_REPEATS)
+        z, alone_s = timed(
+            self.now_ns, lambda: predicted_impedance(own.model, kbm, self._f, *asked), ALONE_REPEATS
+        )
         many = np.tile(kbm, (BATCH, 1))
         _, together_s = timed(self.now_ns, lambda: predict(own.model, many, *asked), ALONE_REPEATS)
         error = phase_rms(z / self._true)
@@ -308,10 +339,12 @@ class TraceGauge(Gauge[Floats]):
         return self._row(position - self._like(setting, position, self._true))
 
     def _flight(self, flown: Flown, seconds: float, steps: list[tuple[float, float]]) -> Row:
-        """The push through the wire, compared with the engine under the forces that the probe then reported. The engine's ticks,
-        counted from the force, may begin a part of a period before those of the servo: `lead` samples.
+        """The push through the wire, compared with the engine under the forces that the probe then
+        reported. The engine's ticks, counted from the force, may begin a part of a period before
+        those of the servo: `lead` samples.
         """
-        rate_hz, part = self.scene.rate_hz, self.own.model.delay_periods % 1.0
+        rate_hz = self.scene.rate_hz
+        part = self.own.model.delay_periods % 1.0
         lead = floor((1.0 - part) * PROBE_RATE_HZ / rate_hz) if part else 0
         ticks = 1 if lead else 0
         later = [(at_s + (ticks / rate_hz if at_s else 0.0), height) for at_s, height in steps]
@@ -330,13 +363,18 @@ class TraceGauge(Gauge[Floats]):
 
 def with_knees(rows: list[Row]) -> Iterable[Row]:
     """`rows` with the knee of every sweep marked; effects have none."""
-    chosen = {sweep: knee([row for row in rows if row.sweep == sweep]) for sweep in {row.sweep for row in rows} - {"effect"}}
+    chosen = {
+        sweep: knee([row for row in rows if row.sweep == sweep])
+        for sweep in {row.sweep for row in rows} - {"effect"}
+    }
     for row in rows:
         yield replace(row, knee=row is chosen.get(row.sweep))
 
 
 def knee(rows: Iterable[Row]) -> Row | None:
-    """The cheapest of `rows` whose total error is within 10 % of the least; None if none was measured."""
+    """The cheapest of `rows` whose total error is within 10 % of the least; None if none was
+    measured.
+    """
     known = [row for row in rows if not isnan(row.seconds) and row.total < inf]  # nan is not less
     if not known:
         return None
@@ -346,7 +384,9 @@ def knee(rows: Iterable[Row]) -> Row | None:
 
 @dataclass(frozen=True, slots=True)
 class AccuracyPlan:
-    """What will be measured: (sweep, label, setting) in turn, and a trial in lock-step of `source`, the scene's name or file."""
+    """What will be measured: (sweep, label, setting) in turn, and a trial in lock-step of
+    `source`, the scene's name or file.
+    """
 
     scene: Scene
     source: str | Path
@@ -389,13 +429,18 @@ def plan_accuracy(scene: Scene, source: str | Path, quick: bool = False) -> Accu
     kinds = [(dtype, count) for dtype in ("f64", "f32") for count in (1, SUBSTEPS)]
     wanted = (
         *(("sub-steps", str(count), replace(base, substeps=count)) for count in substeps),
-        *(("precision", f"{dtype}, {count}", replace(base, dtype=dtype, substeps=count)) for dtype, count in kinds),
+        *(
+            ("precision", f"{dtype}, {count}", replace(base, dtype=dtype, substeps=count))
+            for dtype, count in kinds
+        ),
         *(("trial length", f"{length:g} s", replace(base, seconds=length)) for length in lengths_s),
         *(("window", str(lag), replace(base, lag=lag)) for lag in windows),
         *(("effect", key, replace(base, substeps=1, without=(key,))) for key in candidates(scene)),
     )
     lockstep_s = min(base.seconds, QUICK_LOCKSTEP_S if quick else LOCKSTEP_S)
-    return AccuracyPlan(scene, source, noise, lockstep_s, replace(base, substeps=substeps[-1]), wanted)
+    return AccuracyPlan(
+        scene, source, noise, lockstep_s, replace(base, substeps=substeps[-1]), wanted
+    )
 
 
 def run_accuracy(plan: AccuracyPlan, now_ns: Stopwatch, tell: Progress = silent) -> AccuracyResult:
@@ -407,11 +452,15 @@ def run_accuracy(plan: AccuracyPlan, now_ns: Stopwatch, tell: Progress = silent)
     swept = _swept(plan, gauge, steps)
     rows = [*_tiers(plan, gauge, steps, next(row for row in swept if row.default)), *swept]
     steps.end()
-    return AccuracyResult(plan, gauge.unit, gauge.quantity, gauge.reference, tuple(with_knees(rows)))
+    return AccuracyResult(
+        plan, gauge.unit, gauge.quantity, gauge.reference, tuple(with_knees(rows))
+    )
 
 
 def _swept(plan: AccuracyPlan, gauge: NoiseGauge | TraceGauge, steps: Steps) -> list[Row]:
-    """Errors first; then all are timed in turn, round by round, so that what disturbs the machine meets them alike."""
+    """Errors first; then all are timed in turn, round by round, so that what disturbs the
+    machine meets them alike.
+    """
     rows: dict[Setting, Row] = {}
     for sweep, label, setting in plan.wanted:
         steps.next(f"{sweep}: {label}")
@@ -435,14 +484,21 @@ def _row(read: Callable[[], Row]) -> Row:
         return Row(seconds=nan, step=inf, note=str(error))
 
 
-def _tiers(plan: AccuracyPlan, gauge: NoiseGauge | TraceGauge, steps: Steps, default: Row) -> Iterable[Row]:
+def _tiers(
+    plan: AccuracyPlan, gauge: NoiseGauge | TraceGauge, steps: Steps, default: Row
+) -> Iterable[Row]:
     if isinstance(gauge, NoiseGauge):
         steps.next("predict")
         yield from gauge.predicted()
     steps.next("simulate")
     seconds = plan.exact.seconds
-    words, alone_s = f"simulate {seconds:g} s", gauge.cost(Setting(seconds), 1, ALONE_REPEATS)
+    words = f"simulate {seconds:g} s"
+    alone_s = gauge.cost(Setting(seconds), 1, ALONE_REPEATS)
     yield replace(default, sweep="tier", label=f"{words}, alone", seconds=alone_s, default=False)
     yield replace(default, sweep="tier", label=f"{words}, {GROUP} at once")
     steps.next("lock-step")
-    yield replace(_row(partial(gauge.lockstep, plan.lockstep_s)), sweep="tier", label=f"lock-step {plan.lockstep_s:g} s")
+    yield replace(
+        _row(partial(gauge.lockstep, plan.lockstep_s)),
+        sweep="tier",
+        label=f"lock-step {plan.lockstep_s:g} s",
+    )

@@ -1,14 +1,18 @@
-"""Beyond the paper: what Weir, Colgate and Peshkin (2008, section 6) left for future work, on the calibrated device.
+"""Beyond the paper: what Weir, Colgate and Peshkin (2008, section 6) left for future work, on the
+calibrated device.
 
-Prediction carries the load; 90 s trials confirm what is shown, each with every seed. `quick` predicts alone.
+Prediction carries the load; 90 s trials confirm what is shown, each with every seed. `quick`
+predicts alone.
 
-Envelopes. "Future work will address adding negative virtual damping to counteract the additional physical damping in the system
-and shift the lower impedance boundary back toward the original undamped boundary". Virtual damping passes through filter, delay
-and hold, so B < 0 cancels at low frequency only, while the circuit's damping goes on to act at high frequency, where it is
-needed. The grid is that of the paper's search, with rows of B < 0 added in the same steps. The lower edge is where something
-cancels, M < 0 the mass or K a mass against a spring, so it lies at the edge of passivity and sinks as a grid gets finer:
-envelopes are compared on one grid only. An environment that owns a point of an edge is flown with every seed; where one fails in
-any, it is struck out and the next owner is flown, until all owners have passed. Owners are chosen by prediction, not by their
+Envelopes. "Future work will address adding negative virtual damping to counteract the additional
+physical damping in the system and shift the lower impedance boundary back toward the original
+undamped boundary". Virtual damping passes through filter, delay and hold, so B < 0 cancels at low
+frequency only, while the circuit's damping goes on to act at high frequency, where it is needed.
+The grid is that of the paper's search, with rows of B < 0 added in the same steps. The lower edge
+is where something cancels, M < 0 the mass or K a mass against a spring, so it lies at the edge of
+passivity and sinks as a grid gets finer: envelopes are compared on one grid only. An environment
+that owns a point of an edge is flown with every seed; where one fails in any, it is struck out and
+the next owner is flown, until all owners have passed. Owners are chosen by prediction, not by their
 own noise, so their mean over seeds is not biased.
 
 Free motion. K = 0, so nothing resonates and no grid matters: |Z| is damping, mass, and what negative virtual damping takes away.
@@ -18,24 +22,29 @@ trials dry friction carries a part of B < 0; it fades as the motion grows, until
 the lifted theorem of Colgate and Schenkel as well, without friction, for every input. The best safe (B, M) has the least mean
 |Z| in dB over 2-20 Hz.
 
-Shaped damping. "Future work could address a frequency dependent active damping, since added mechanical dissipation is rarely
-needed at low frequency". A high-pass takes the dissipation out of slow motion, leaves a mass b / w_l there, and damps where
-filtered B and M need it. K is another matter: a sampled spring alone needs b > K t at every frequency, down to 0, t being half a
-period and the lag of the loop (Colgate and Schenkel 1997 for T / 2), so a corner costs stiffness on any device; virtual B beside
-it gives slow motion its dissipation back. A low-pass does the opposite. The best high-pass is the one with the lightest free
-motion among those that keep the limits of B and M within `KEPT`.
+Shaped damping. "Future work could address a frequency dependent active damping, since added
+mechanical dissipation is rarely needed at low frequency". A high-pass takes the dissipation out of
+slow motion, leaves a mass b / w_l there, and damps where filtered B and M need it. K is another
+matter: a sampled spring alone needs b > K t at every frequency, down to 0, t being half a period
+and the lag of the loop (Colgate and Schenkel 1997 for T / 2), so a corner costs stiffness on any
+device; virtual B beside it gives slow motion its dissipation back. A low-pass does the opposite.
+The best high-pass is the one with the lightest free motion among those that keep the limits of B
+and M within `KEPT`.
 
-Levels. The paper measured with 1.74 N s/m and without; how do the limits grow between and beyond? For each level: the three axis
-limits, the volume of the passive set, and free motion, by prediction; a few levels are flown. The set is looked at on a grid
-that grows with the limits, B >= 0, so that its volume does not depend on where the grid ends.
+Levels. The paper measured with 1.74 N s/m and without; how do the limits grow between and beyond?
+For each level: the three axis limits, the volume of the passive set, and free motion, by
+prediction; a few levels are flown. The set is looked at on a grid that grows with the limits, B >=
+0, so that its volume does not depend on where the grid ends.
 
-Searches. The directed search against the grid that it replaces: a grid of 2,002 environments is flown twice, all of it, with
-unlike noise. The first is the truth; how the second differs from it is what one grid can know of the boundary, the floor. The
-search has noise of its own. A point is wrong whose yes or no the search, or the prediction alone, holds otherwise; shares are of
-the passive points.
+Searches. The directed search against the grid that it replaces: a grid of 2,002 environments is
+flown twice, all of it, with unlike noise. The first is the truth; how the second differs from it is
+what one grid can know of the boundary, the floor. The search has noise of its own. A point is wrong
+whose yes or no the search, or the prediction alone, holds otherwise; shares are of the passive
+points.
 
-What would break it: Eq. 2 of the paper as a judge of B < 0, where it relaxes (`analysis.requirement` refuses it); a level at
-which the damping circuit itself oscillates (`plant.stability`), or one that no board can command.
+What would break it: Eq. 2 of the paper as a judge of B < 0, where it relaxes
+(`analysis.requirement` refuses it); a level at which the damping circuit itself oscillates
+(`plant.stability`), or one that no board can command.
 """
 
 from dataclasses import dataclass, field, replace
@@ -53,7 +62,15 @@ from hapticd.errors import AnalysisError
 from hapticd.measure.campaign import Axes, MapParams, plan_map, run_map
 from hapticd.measure.directed import SearchParams, SearchResult, observed, plan_search, run_search
 from hapticd.measure.limits import ORIGIN, REACH, LimitsParams, plan_limits, predicted_limit
-from hapticd.measure.outcomes import Conditions, Lot, Outcome, Point, flown, kept_frequencies, points_of
+from hapticd.measure.outcomes import (
+    Conditions,
+    Lot,
+    Outcome,
+    Point,
+    flown,
+    kept_frequencies,
+    points_of,
+)
 from hapticd.measure.reproduce import AXES, FINE, Limit, conditions, limits_of, predicted_set
 from hapticd.measure.reproduce_rows import ADDED_NS_PER_M, LEVELS, MAIN
 from hapticd.measure.scenes import Display
@@ -63,7 +80,10 @@ from hapticd.plant.effects import ShapedDamping
 SEEDS = 3
 FREE = np.array([ORIGIN])  # motion: nothing is rendered
 SHOWN_HZ = (2.0, 200.0)
-LOW_HZ = (2.0, 20.0)  # above it the mass of 8 g outweighs the undamped device's damping: |Z| is w m whatever is rendered
+LOW_HZ = (
+    2.0,
+    20.0,
+)  # above it the mass of 8 g outweighs the undamped device's damping: |Z| is w m whatever is rendered
 NEGATIVE_STEPS = 8
 STEP = float(AXES[1][1] - AXES[1][0])
 GRID = grid((AXES[0], np.concatenate((-STEP * np.arange(NEGATIVE_STEPS, 0, -1), AXES[1])), AXES[2]))
@@ -84,14 +104,24 @@ SEARCH_SEED = 101
 GRID_SEEDS = (1, 2)
 BUDGETS = (20, 40)  # trials
 SEARCHED: dict[float, Axes] = {
-    LEVELS[0]: (np.linspace(0.0, 450.0, 14), np.linspace(0.0, 4.0, 11), np.linspace(-0.010, 0.016, 13)),
-    LEVELS[1]: (np.linspace(0.0, 1400.0, 14), np.linspace(0.0, 10.0, 11), np.linspace(-0.028, 0.040, 13)),
+    LEVELS[0]: (
+        np.linspace(0.0, 450.0, 14),
+        np.linspace(0.0, 4.0, 11),
+        np.linspace(-0.010, 0.016, 13),
+    ),
+    LEVELS[1]: (
+        np.linspace(0.0, 1400.0, 14),
+        np.linspace(0.0, 10.0, 11),
+        np.linspace(-0.028, 0.040, 13),
+    ),
 }
 
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """A display whose environment and damping level are varied: predicted in microseconds, or flown, each trial once."""
+    """A display whose environment and damping level are varied: predicted in microseconds, or
+    flown, each trial once.
+    """
 
     conditions: Conditions
     store: TrialStore = field(default_factory=lambda: TrialStore(None), repr=False)
@@ -105,8 +135,12 @@ class Bench:
         """Predicted |Z| (N, F) at `shown_hz()` of environments (N, 3)."""
         return np.abs(self.display.impedances(points, level, shown_hz()))
 
-    def flown(self, points: Floats, level: float, seed: int, amplitude: float = 1.0) -> list[Outcome]:
-        """A trial of each environment (N, 3) with the noise of `seed`, its force multiplied by `amplitude`."""
+    def flown(
+        self, points: Floats, level: float, seed: int, amplitude: float = 1.0
+    ) -> list[Outcome]:
+        """A trial of each environment (N, 3) with the noise of `seed`, its force multiplied by
+        `amplitude`.
+        """
         given = self.conditions.shaken(amplitude, seed - self.conditions.excitation.seed)
         return flown(Lot(given, level, points_of(points)), self.store)
 
@@ -120,17 +154,33 @@ class Bench:
         return predicted_limit(self.display, level, axis, reach=reach)
 
     def limits(
-        self, levels: tuple[float, ...], seeds: tuple[int, ...], axes: tuple[int, ...] = (0, 1, 2), reach: Point = REACH
+        self,
+        levels: tuple[float, ...],
+        seeds: tuple[int, ...],
+        axes: tuple[int, ...] = (0, 1, 2),
+        reach: Point = REACH,
     ) -> tuple[Limit, ...]:
         """Axis limits, by trials with so many seeds; predicted without."""
-        plan = plan_limits(LimitsParams(self.conditions, levels, axes=axes, seeds=max(1, len(seeds)), reach=reach, tolerance=FINE))
+        plan = plan_limits(
+            LimitsParams(
+                self.conditions,
+                levels,
+                axes=axes,
+                seeds=max(1, len(seeds)),
+                reach=reach,
+                tolerance=FINE,
+            )
+        )
         return limits_of([plan], self.store if seeds else None)
 
     def shaped(self, highpass_hz: float = 0.0, lowpass_hz: float = 0.0) -> "Bench":
         """The same device with shaped damping."""
         effect = ShapedDamping(highpass_hz=highpass_hz, lowpass_hz=lowpass_hz)
         scene = self.conditions.scene
-        return Bench(replace(self.conditions, scene=replace(scene, effects=(*scene.effects, effect))), self.store)
+        return Bench(
+            replace(self.conditions, scene=replace(scene, effects=(*scene.effects, effect))),
+            self.store,
+        )
 
 
 def shown_hz() -> Floats:
@@ -146,7 +196,9 @@ def sizes(outcome: Outcome) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One envelope: `negative` allows B < 0, `dry` counts on dry friction at the perturbation of the trials."""
+    """One envelope: `negative` allows B < 0, `dry` counts on dry friction at the perturbation
+    of the trials.
+    """
 
     name: str
     level: float
@@ -156,10 +208,11 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class Bounds:
-    """Edges of one case over `frequency_hz` (F,), their owners places in `points` (N, 3); sd is that of ln |Z| between seeds.
+    """Edges of one case over `frequency_hz` (F,), their owners places in `points` (N, 3); sd is
+    that of ln |Z| between seeds.
 
-    `lower_runs`, `upper_runs` (seeds, F): of each seed, the prediction alone (1, F) without trials. `predicted_lower` (F,): of all
-    that are predicted to be passive. `struck` failed a trial.
+    `lower_runs`, `upper_runs` (seeds, F): of each seed, the prediction alone (1, F) without trials.
+    `predicted_lower` (F,): of all that are predicted to be passive. `struck` failed a trial.
     """
 
     case: Case
@@ -208,7 +261,9 @@ class Motion:
         return _edge(self.runs if len(self.runs) else self.predicted[None], nobody)
 
     def low_db(self) -> Floats:
-        """Mean over ln f in 2-20 Hz [dB re 1 N s/m], (seeds,), of the prediction (1,) without trials."""
+        """Mean over ln f in 2-20 Hz [dB re 1 N s/m], (seeds,), of the prediction (1,) without
+        trials.
+        """
         return mean_db(shown_hz(), self.runs if len(self.runs) else self.predicted[None], LOW_HZ)
 
     def predicted_db(self) -> float:
@@ -218,7 +273,8 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Free:
-    """`motions`: off, on, on_negative_B, on_negative_BM. `limits`: of B downwards, without and with damping.
+    """`motions`: off, on, on_negative_B, on_negative_BM. `limits`: of B downwards, without and with
+    damping.
 
     `refusal`: what Eq. 2 answers about B alone.
     """
@@ -243,7 +299,8 @@ class Shaped:
     """`plain` without a corner, `undamped` without damping; `bounds`, `confirmed` and `free` motion
     are those of the `best` high-pass.
 
-    `stiffest`: largest K [N/m] over the whole set, B and M beside it, predicted, of `plain` and of `best`.
+    `stiffest`: largest K [N/m] over the whole set, B and M beside it, predicted, of `plain` and of
+    `best`.
     """
 
     level: float
@@ -260,7 +317,8 @@ class Shaped:
 
 @dataclass(frozen=True, eq=False)
 class Levels:
-    """`level` (L,), predicted `limits` (L, 3), `volume` (L,) [N/m N s/m kg], `free_db` (L,); `confirmed` by trials.
+    """`level` (L,), predicted `limits` (L, 3), `volume` (L,) [N/m N s/m kg], `free_db` (L,);
+    `confirmed` by trials.
 
     `open_ends` names where a grid did not reach beyond its set.
     """
@@ -275,13 +333,17 @@ class Levels:
     def gain(self, low: float, high: float) -> Floats:
         """Mean growth of the limits (3,) per N s/m between two levels."""
         at = [int(np.argmin(np.abs(self.level - each))) for each in (low, high)]
-        return np.asarray((self.limits[at[1]] - self.limits[at[0]]) / (self.level[at[1]] - self.level[at[0]]))
+        return np.asarray(
+            (self.limits[at[1]] - self.limits[at[0]]) / (self.level[at[1]] - self.level[at[0]])
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """Of one level of added damping: `points` of the grid, `passive` of them; wrong are `predicted` by prediction alone,
-    `other_noise` by the second grid, `searched` by n trials. `found` is the search with all of its trials."""
+    """Of one level of added damping: `points` of the grid, `passive` of them; wrong are `predicted`
+    by prediction alone, `other_noise` by the second grid, `searched` by n trials. `found` is the
+    search with all of its trials.
+    """
 
     damping_ns_per_m: float
     points: int
@@ -294,7 +356,9 @@ class Compared:
     @property
     def enough(self) -> int | None:
         """The first number of trials that leaves no more wrong than the floor; None if none did."""
-        return next((count for count, wrong in self.searched.items() if wrong <= self.other_noise), None)
+        return next(
+            (count for count, wrong in self.searched.items() if wrong <= self.other_noise), None
+        )
 
     def share(self, wrong: int) -> float:
         """Of the passive points [%]."""
@@ -322,7 +386,9 @@ class BeyondPlan:
 
 @dataclass(frozen=True, eq=False)
 class BeyondResult:
-    """`envelopes` by the name of their case; `hardy`: share of the low owners of an envelope that pass at twice the force."""
+    """`envelopes` by the name of their case; `hardy`: share of the low owners of an envelope
+    that pass at twice the force.
+    """
 
     plan: BeyondPlan
     envelopes: dict[str, Bounds]
@@ -340,8 +406,10 @@ def plan_beyond(quick: bool = False, seeds: int = SEEDS) -> BeyondPlan:
 
 def run_beyond(plan: BeyondPlan, tell: Progress = silent) -> BeyondResult:
     """Do it. ConfigError as `simulate`."""
-    bench, seeds = plan.bench, plan.seeds
-    steps, envelopes = Steps(tell, len(CASES) + 3 + (len(LEVELS) if seeds else 0)), {}
+    bench = plan.bench
+    seeds = plan.seeds
+    steps = Steps(tell, len(CASES) + 3 + (len(LEVELS) if seeds else 0))
+    envelopes = {}
     for case in CASES:
         steps.next(f"envelope, {case.name}")
         envelopes[case.name] = bounds_of(bench, case, seeds)
@@ -376,11 +444,15 @@ def candidates(bench: Bench, case: Case, points: Floats = GRID) -> Floats:
     return np.asarray(kept[bench.display.passive(kept, case.level, dry=case.dry)])
 
 
-def bounds_of(bench: Bench, case: Case, seeds: tuple[int, ...] = (), points: Floats = GRID) -> Bounds:
+def bounds_of(
+    bench: Bench, case: Case, seeds: tuple[int, ...] = (), points: Floats = GRID
+) -> Bounds:
     """By trials of the owners, all of which pass with every seed; without seeds by prediction."""
     kept = candidates(bench, case, points)
     size = bench.sizes(kept, case.level)
-    alive, tried, flown = np.ones(len(kept), np.bool_), np.zeros(len(kept), np.bool_), 0
+    alive = np.ones(len(kept), np.bool_)
+    tried = np.zeros(len(kept), np.bool_)
+    flown = 0
     if not seeds:
         return _bounds(case, kept, size[None], _owners(size, alive), size, (0, 0))
     every = np.full((len(seeds), *size.shape), np.nan)
@@ -390,24 +462,45 @@ def bounds_of(bench: Bench, case: Case, seeds: tuple[int, ...] = (), points: Flo
             break
         tried[new] = True
         flown += _flown(bench, case.level, kept, new, seeds, alive, every)
-    return _bounds(case, kept, every, _owners(size, alive & tried), size, (flown, int((~alive).sum())))
+    return _bounds(
+        case, kept, every, _owners(size, alive & tried), size, (flown, int((~alive).sum()))
+    )
 
 
 def hardy(bench: Bench, bounds: Bounds, seed: int, amplitude: float = 2.0) -> float:
-    """Share of the environments that own the lower edge in LOW_HZ which pass with `amplitude` times the force as well."""
+    """Share of the environments that own the lower edge in LOW_HZ which pass with `amplitude`
+    times the force as well.
+    """
     low = (bounds.frequency_hz >= LOW_HZ[0]) & (bounds.frequency_hz <= LOW_HZ[1])
     points = bounds.points[np.unique(bounds.lower.owner[low])]
-    return float(np.mean([outcome.passes for outcome in bench.flown(points, bounds.case.level, seed, amplitude)]))
+    return float(
+        np.mean(
+            [outcome.passes for outcome in bench.flown(points, bounds.case.level, seed, amplitude)]
+        )
+    )
 
 
-def _owners(size: Floats, among: "np.ndarray[tuple[int], np.dtype[np.bool_]]") -> tuple[Integers, Integers]:
+def _owners(
+    size: Floats, among: "np.ndarray[tuple[int], np.dtype[np.bool_]]"
+) -> tuple[Integers, Integers]:
     """Who has the least and the largest predicted |Z| (F,)."""
-    return np.where(among[:, None], size, np.inf).argmin(axis=0), np.where(among[:, None], size, -np.inf).argmax(axis=0)
+    return np.where(among[:, None], size, np.inf).argmin(axis=0), np.where(
+        among[:, None], size, -np.inf
+    ).argmax(axis=0)
 
 
-def _flown(bench: Bench, level: float, points: Floats, left: Integers, seeds: tuple[int, ...], alive: Flags, every: Floats) -> int:
-    """Fly `left`, places of environments, until each failed or passed with every seed, and count the
-    trials; |Z| goes into `every` (seeds, N, F), whoever fails is no longer `alive` (N,)."""
+def _flown(
+    bench: Bench,
+    level: float,
+    points: Floats,
+    left: Integers,
+    seeds: tuple[int, ...],
+    alive: Flags,
+    every: Floats,
+) -> int:
+    """Fly `left`, places of environments, until each failed or passed with every seed, and count
+    the trials; |Z| goes into `every` (seeds, N, F), whoever fails is no longer `alive` (N,).
+    """
     count = 0
     for row, seed in zip(every, seeds, strict=True):
         outcomes = bench.flown(points[left], level, seed) if left.size else []
@@ -421,12 +514,27 @@ def _flown(bench: Bench, level: float, points: Floats, left: Integers, seeds: tu
 
 
 def _bounds(
-    case: Case, points: Floats, every: Floats, owners: tuple[Integers, Integers], size: Floats, counts: tuple[int, int]
+    case: Case,
+    points: Floats,
+    every: Floats,
+    owners: tuple[Integers, Integers],
+    size: Floats,
+    counts: tuple[int, int],
 ) -> Bounds:
-    """`every` (seeds, N, F) of trials, `size` (N, F) by prediction, `counts` of trials and of what they struck out."""
+    """`every` (seeds, N, F) of trials, `size` (N, F) by prediction, `counts` of trials and of
+    what they struck out.
+    """
     lower, upper = (np.take_along_axis(every, which[None, None], 1)[:, 0] for which in owners)
     return Bounds(
-        case, shown_hz(), _edge(lower, owners[0]), _edge(upper, owners[1]), points, lower, upper, size.min(axis=0), *counts
+        case,
+        shown_hz(),
+        _edge(lower, owners[0]),
+        _edge(upper, owners[1]),
+        points,
+        lower,
+        upper,
+        size.min(axis=0),
+        *counts,
     )
 
 
@@ -459,14 +567,21 @@ def safest(bench: Bench, level: float, end: float, lightest_kg: float) -> tuple[
     points = points[own.passive(points, level, dry=False)]
     points = points[lifted_passive(lift(own.model, level, own.filters), points)]
     if not len(points):
-        raise AnalysisError(f"{own.scene.name!r} at {level:g} N s/m: not passive without friction even where nothing is rendered")
+        raise AnalysisError(
+            f"{own.scene.name!r} at {level:g} N s/m: not passive without friction even where"
+            " nothing is rendered"
+        )
     best = points[mean_db(shown_hz(), bench.sizes(points, level), LOW_HZ).argmin()]
     return float(best[1]), float(best[2])
 
 
-def _motion(bench: Bench, name: str, level: float, damping: float, mass_kg: float, seeds: tuple[int, ...]) -> Motion:
+def _motion(
+    bench: Bench, name: str, level: float, damping: float, mass_kg: float, seeds: tuple[int, ...]
+) -> Motion:
     point = np.array([[0.0, damping, mass_kg]])
-    runs = np.concatenate([np.empty((0, shown_hz().size)), *(bench.sized(point, level, seed) for seed in seeds)])
+    runs = np.concatenate(
+        [np.empty((0, shown_hz().size)), *(bench.sized(point, level, seed) for seed in seeds)]
+    )
     spare = float(lifted_margin(lift(bench.display.model, level, bench.display.filters), point)[0])
     return Motion(name, level, damping, mass_kg, bench.sizes(point, level)[0], runs, spare)
 
@@ -482,20 +597,35 @@ def _refusal(damping: float, physical: float) -> str:
 
 def shaped_damping(bench: Bench, level: float, seeds: tuple[int, ...]) -> Shaped:
     """All corners at a damping level [N s/m] by prediction, the best one by trials."""
-    undamped, plain = corner(bench, 0.0), corner(bench, level)
+    undamped = corner(bench, 0.0)
+    plain = corner(bench, level)
     highpass = tuple(corner(bench.shaped(highpass_hz=hertz), level, hertz) for hertz in HIGHPASS_HZ)
     lowpass = tuple(corner(bench.shaped(lowpass_hz=hertz), level, hertz) for hertz in LOWPASS_HZ)
-    best = min((each for each in highpass if _keeps(each, plain)), key=lambda each: each.free_db, default=plain)
+    best = min(
+        (each for each in highpass if _keeps(each, plain)),
+        key=lambda each: each.free_db,
+        default=plain,
+    )
     own = bench.shaped(highpass_hz=best.hertz) if best.hertz else bench
     stiffest = [float(predicted_set(each.display, level)[:, 0].max()) for each in (bench, own)]
     return Shaped(
-        level, undamped, plain, highpass, lowpass, best, bounds_of(own, Case("on_shaped", level), seeds),
-        own.limits((level,), seeds), _motion(own, "shaped", level, 0.0, 0.0, seeds), (stiffest[0], stiffest[1]),
-    )  # fmt: skip
+        level,
+        undamped,
+        plain,
+        highpass,
+        lowpass,
+        best,
+        bounds_of(own, Case("on_shaped", level), seeds),
+        own.limits((level,), seeds),
+        _motion(own, "shaped", level, 0.0, 0.0, seeds),
+        (stiffest[0], stiffest[1]),
+    )
 
 
 def corner(bench: Bench, level: float, hertz: float = 0.0) -> Corner:
-    """What is predicted of a display at a damping level [N s/m]; `hertz`: the corner that it has."""
+    """What is predicted of a display at a damping level [N s/m]; `hertz`: the corner that it
+    has.
+    """
     limits = (bench.limit(level, 0), bench.limit(level, 1), bench.limit(level, 2))
     return Corner(hertz, limits, float(mean_db(shown_hz(), bench.sizes(FREE, level), LOW_HZ)[0]))
 
@@ -507,9 +637,14 @@ def _keeps(corner: Corner, plain: Corner) -> bool:
 def damping_levels(bench: Bench, seeds: tuple[int, ...]) -> Levels:
     """All levels by prediction, FLOWN by trials."""
     each = [corner(bench, level) for level in DAMPING_LEVELS]
-    limits, free = np.array([one.limits for one in each]), np.array([one.free_db for one in each])
+    limits = np.array([one.limits for one in each])
+    free = np.array([one.free_db for one in each])
     sets = [_set(bench, *one) for one in zip(DAMPING_LEVELS, limits, strict=True)]
-    ends = [f"{end} at {level:g} N s/m" for level, (_, cut) in zip(DAMPING_LEVELS, sets, strict=True) for end in cut]
+    ends = [
+        f"{end} at {level:g} N s/m"
+        for level, (_, cut) in zip(DAMPING_LEVELS, sets, strict=True)
+        for end in cut
+    ]
     return Levels(
         np.array(DAMPING_LEVELS), limits, np.array([size for size, _ in sets]), free,
         bench.limits(FLOWN, seeds) if seeds else (), tuple(dict.fromkeys(ends)),
@@ -517,7 +652,9 @@ def damping_levels(bench: Bench, seeds: tuple[int, ...]) -> Levels:
 
 
 def _set(bench: Bench, level: float, limits: Floats) -> tuple[float, tuple[str, ...]]:
-    """Volume, and upper or lower ends at which the grid was too small; K and B begin at 0 by definition."""
+    """Volume, and upper or lower ends at which the grid was too small; K and B begin at 0 by
+    definition.
+    """
     k, b, m = limits * np.asarray(ROOM)
     axes = (
         np.linspace(0.0, k, STEPS[0]),
@@ -529,23 +666,34 @@ def _set(bench: Bench, level: float, limits: Floats) -> tuple[float, tuple[str, 
 
 
 def compared_with_grid(
-    conditions: Conditions, damping_ns_per_m: float, budgets: tuple[int, ...] = BUDGETS, tell: Progress = silent
+    conditions: Conditions,
+    damping_ns_per_m: float,
+    budgets: tuple[int, ...] = BUDGETS,
+    tell: Progress = silent,
 ) -> Compared:
-    """Fly the grid twice, search once with `budgets[-1]` trials; the search after fewer trials is a part of that one."""
+    """Fly the grid twice, search once with `budgets[-1]` trials; the search after fewer trials
+    is a part of that one.
+    """
     params = MapParams(conditions, SEARCHED[damping_ns_per_m], (damping_ns_per_m,), everywhere=True)
     prediction = plan_map(params).levels[0].prediction
     noises = (*GRID_SEEDS, SEARCH_SEED)
-    *grids, own = (conditions.shaken(more_seed=seed - conditions.excitation.seed) for seed in noises)
+    *grids, own = (
+        conditions.shaken(more_seed=seed - conditions.excitation.seed) for seed in noises
+    )
     truth, again = (_passive(replace(params, conditions=given), tell) for given in grids)
     search = plan_search(SearchParams(own, damping_ns_per_m, budgets[-1], doubt=0.0))
     found = run_search(search, TrialStore(None), tell)
     searched = {}
     for count in budgets:  # what is tried does not depend on how many trials are to follow
         outcomes = [step.outcome for step in found.steps[:count]]
-        known = search.begin.with_trials([one.environment for one in outcomes], [observed(own, one) for one in outcomes])
+        known = search.begin.with_trials(
+            [one.environment for one in outcomes], [observed(own, one) for one in outcomes]
+        )
         searched[count] = int((predicted_passive(known, prediction.points) != truth).sum())
     predicted, floor = (int((other != truth).sum()) for other in (prediction.passive, again))
-    return Compared(damping_ns_per_m, truth.size, int(truth.sum()), predicted, floor, searched, found)
+    return Compared(
+        damping_ns_per_m, truth.size, int(truth.sum()), predicted, floor, searched, found
+    )
 
 
 def _passive(params: MapParams, tell: Progress) -> Flags:

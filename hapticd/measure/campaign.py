@@ -1,17 +1,21 @@
-"""A map of the passive set: a grid of K, B and M, at any damping levels, as the paper's 13 days of trials, but thriftier.
+"""A map of the passive set: a grid of K, B and M, at any damping levels, as the paper's 13 days of
+trials, but thriftier.
 
-Everything is predicted first, in about a second. Trials are made where the prediction may be wrong: where it changes when the
-environment is scaled by 1 -+ `near` (15 %), and at grid points whose neighbour is predicted otherwise. The rest keeps its
-prediction, marked so; `everywhere` makes every trial, there with one sub-step, which is enough to tell what is far from the
-boundary. `refine` then halves the grid: a trial is made in the middle of two neighbours along an axis whose answers are unlike;
-every other new point gets the mean of its neighbours' margins, so where both pass it passes too. That is the same linear margin
-between corners that counts volumes (`analysis.boundary`).
+Everything is predicted first, in about a second. Trials are made where the prediction may be wrong:
+where it changes when the environment is scaled by 1 -+ `near` (15 %), and at grid points whose
+neighbour is predicted otherwise. The rest keeps its prediction, marked so; `everywhere` makes every
+trial, there with one sub-step, which is enough to tell what is far from the boundary. `refine` then
+halves the grid: a trial is made in the middle of two neighbours along an axis whose answers are
+unlike; every other new point gets the mean of its neighbours' margins, so where both pass it passes
+too. That is the same linear margin between corners that counts volumes (`analysis.boundary`).
 
-Outcomes go to an append-only store, keyed by all that they depend on; a map that was interrupted, or is asked again with a
-wider grid, makes only the trials that are missing. Tasks run on any executor of concurrent.futures; results do not depend on it.
+Outcomes go to an append-only store, keyed by all that they depend on; a map that was interrupted,
+or is asked again with a wider grid, makes only the trials that are missing. Tasks run on any
+executor of concurrent.futures; results do not depend on it.
 
-What would break it: a device whose prediction is off by more than `near` (the limits say by how much it is); then `everywhere`.
-And a hole in the set that is smaller than a cell; no finer grid finds it where coarse neighbours agree.
+What would break it: a device whose prediction is off by more than `near` (the limits say by how
+much it is); then `everywhere`. And a hole in the set that is smaller than a cell; no finer grid
+finds it where coarse neighbours agree.
 """
 
 from collections.abc import Callable
@@ -63,7 +67,9 @@ class MapParams:
 
 @dataclass(frozen=True, eq=False)
 class LevelPlan:
-    """One damping level: the whole grid's prediction, and which points (N,) are near its boundary."""
+    """One damping level: the whole grid's prediction, and which points (N,) are near its
+    boundary.
+    """
 
     damping_ns_per_m: float
     prediction: Prediction
@@ -80,12 +86,16 @@ class MapPlan:
     @property
     def trials(self) -> int:
         """Without refinement, and if the store had none."""
-        return sum(level.near.size if self.params.everywhere else int(level.near.sum()) for level in self.levels)
+        return sum(
+            level.near.size if self.params.everywhere else int(level.near.sum())
+            for level in self.levels
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class LevelMap:
-    """The set at one level, on the halved grid if it was refined; `tried` (N,) tells its points with a trial from others.
+    """The set at one level, on the halved grid if it was refined; `tried` (N,) tells its points
+    with a trial from others.
 
     `envelope` is None if no trial passed.
     """
@@ -113,27 +123,45 @@ class MapResult:
 
 
 def plan_map(params: MapParams) -> MapPlan:
-    """Predict the grid and choose. AnalysisError for axes that do not ascend or are too many points; ConfigError as `compose`."""
+    """Predict the grid and choose. AnalysisError for axes that do not ascend or are too many
+    points; ConfigError as `compose`.
+    """
     ascending(params.axes)
     if (count := prod(axis.size for axis in params.axes)) > MOST:
-        raise AnalysisError(f"a grid of {count} environments: {MOST} at most; refine it about the boundary instead")
-    points, plans = grid(params.axes), []
+        raise AnalysisError(
+            f"a grid of {count} environments: {MOST} at most; refine it about the boundary instead"
+        )
+    points = grid(params.axes)
+    plans = []
     for level in params.levels:
         here = _predicted(params, level, points)
-        scaled = [_predicted(params, level, factor * points).passive for factor in (1.0 - params.near, 1.0 + params.near)]
-        near = (scaled[0] != here.passive) | (scaled[1] != here.passive) | _at_border(params.axes, here.passive)
+        scaled = [
+            _predicted(params, level, factor * points).passive
+            for factor in (1.0 - params.near, 1.0 + params.near)
+        ]
+        near = (
+            (scaled[0] != here.passive)
+            | (scaled[1] != here.passive)
+            | _at_border(params.axes, here.passive)
+        )
         plans.append(LevelPlan(level, here, near))
     return MapPlan(params, tuple(plans))
 
 
 def run_map(
-    plan: MapPlan, store: TrialStore, tell: Progress = silent, executor: Executor | None = None, hear: Hear = lambda new: None
+    plan: MapPlan,
+    store: TrialStore,
+    tell: Progress = silent,
+    executor: Executor | None = None,
+    hear: Hear = lambda new: None,
 ) -> MapResult:
     """Make the trials that the store has not; `hear` gets the outcomes of each task.
 
-    KeyboardInterrupt passes through after the tasks in flight were given up; what was finished is in the store.
+    KeyboardInterrupt passes through after the tasks in flight were given up; what was finished is
+    in the store.
     """
-    total, before = plan.trials, len(store.known)
+    total = plan.trials
+    before = len(store.known)
 
     def told(place: int, lot: Lot, new: list[Outcome]) -> None:
         tell("trials", min(len(store.known) - before, total), total)
@@ -160,11 +188,18 @@ def kept_map(plan: MapPlan, store: TrialStore) -> MapResult:
     Where the store has trials by other keys only, those of another version, they are told by level
     and environment.
     """
-    conditions, own, every = plan.params.conditions, TrialStore(None), TrialStore(None)
+    conditions = plan.params.conditions
+    own = TrialStore(None)
+    every = TrialStore(None)
     lines = [restored(line) for line in store.known.values() if "environment" in line]
     for level in plan.levels:
-        mine = {one.environment: one for one in lines if one.damping_ns_per_m == level.damping_ns_per_m}
-        lots = [Lot(given, level.damping_ns_per_m, tuple(mine)) for given in (replace(conditions, substeps=1), conditions)]
+        mine = {
+            one.environment: one for one in lines if one.damping_ns_per_m == level.damping_ns_per_m
+        }
+        lots = [
+            Lot(given, level.damping_ns_per_m, tuple(mine))
+            for given in (replace(conditions, substeps=1), conditions)
+        ]
         for point, one in mine.items():
             asked = lots[-1].keys[point]
             every.known[asked] = vars(judged_on_lines(one, conditions.band_hz))
@@ -179,7 +214,8 @@ def _predicted(params: MapParams, level: float, points: Floats) -> Prediction:
 
 
 def _mapped(params: MapParams, level: LevelPlan) -> Procedure[LevelMap]:
-    lots, found = _lots(params, level), passive_set(params.axes, level.prediction.decided_margin)
+    lots = _lots(params, level)
+    found = passive_set(params.axes, level.prediction.decided_margin)
     have = yield lots
     found = _learnt(found, have)
     for _ in range(params.refine):
@@ -191,10 +227,17 @@ def _mapped(params: MapParams, level: LevelPlan) -> Procedure[LevelMap]:
 
 def _lots(params: MapParams, level: LevelPlan) -> list[Lot]:
     """Near the boundary with the conditions that are asked for, elsewhere with one sub-step."""
-    conditions, points = params.conditions, level.prediction.points
+    conditions = params.conditions
+    points = level.prediction.points
     lots = [Lot(conditions, level.damping_ns_per_m, points_of(points[level.near]))]
     if params.everywhere:
-        lots.append(Lot(replace(conditions, substeps=1), level.damping_ns_per_m, points_of(points[~level.near])))
+        lots.append(
+            Lot(
+                replace(conditions, substeps=1),
+                level.damping_ns_per_m,
+                points_of(points[~level.near]),
+            )
+        )
     return lots
 
 
@@ -211,7 +254,8 @@ def _at_border(axes: Axes, passive: Flags) -> Flags:
 
 def _neighbours(place: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
     """Where all points of a grid stand but the last along an axis, and all but the first."""
-    low, high = [slice(None)] * 3, [slice(None)] * 3
+    low = [slice(None)] * 3
+    high = [slice(None)] * 3
     low[place], high[place] = slice(None, -1), slice(1, None)
     return tuple(low), tuple(high)
 
@@ -221,11 +265,15 @@ def _learnt(found: PassiveSet, outcomes: list[Outcome]) -> PassiveSet:
     margin = found.margin.copy()
     for outcome in outcomes:
         value = abs(outcome.margin_ns_per_m)
-        margin[place_of(found, outcome.environment)] = value if outcome.passes else -value if np.isfinite(value) else np.nan
+        margin[place_of(found, outcome.environment)] = (
+            value if outcome.passes else -value if np.isfinite(value) else np.nan
+        )
     return replace(found, margin=margin)
 
 
-def _level_map(params: MapParams, level: LevelPlan, found: PassiveSet, outcomes: list[Outcome]) -> LevelMap:
+def _level_map(
+    params: MapParams, level: LevelPlan, found: PassiveSet, outcomes: list[Outcome]
+) -> LevelMap:
     tried = np.zeros(found.margin.shape, bool)
     for outcome in outcomes:
         tried[place_of(found, outcome.environment)] = True
@@ -236,7 +284,9 @@ def _level_map(params: MapParams, level: LevelPlan, found: PassiveSet, outcomes:
 
 
 def _unlike(params: MapParams, level: LevelPlan, outcomes: list[Outcome]) -> int:
-    """Trials that came out unlike their prediction; those between the points of the plan are predicted here."""
+    """Trials that came out unlike their prediction; those between the points of the plan are
+    predicted here.
+    """
     expected = dict(zip(points_of(level.prediction.points), level.prediction.passive, strict=True))
     new = [outcome.environment for outcome in outcomes if outcome.environment not in expected]
     if new:
@@ -266,7 +316,9 @@ def halved(found: PassiveSet) -> PassiveSet:
 
 def place_of(found: PassiveSet, point: Point) -> tuple[int, ...]:
     """Indices of a point of the grid."""
-    return tuple(int(np.searchsorted(axis, value)) for axis, value in zip(found.axes, point, strict=True))
+    return tuple(
+        int(np.searchsorted(axis, value)) for axis, value in zip(found.axes, point, strict=True)
+    )
 
 
 def _with_means(values: Floats) -> Floats:

@@ -1,18 +1,22 @@
-"""Which effects does a question need? Leave them out one at a time, see what the answer does, keep the cheapest set that does.
+"""Which effects does a question need? Leave them out one at a time, see what the answer does, keep
+the cheapest set that does.
 
-Linear effects are judged by prediction, which has no noise, others by simulation. All that alone change the answer by less than
-the tolerance are then left out together, the least important first, as long as prediction agrees; what is left is simulated
-against the whole scene, and the most important one comes back until that agrees as well.
+Linear effects are judged by prediction, which has no noise, others by simulation. All that alone
+change the answer by less than the tolerance are then left out together, the least important first,
+as long as prediction agrees; what is left is simulated against the whole scene, and the most
+important one comes back until that agrees as well.
 
-A set of effects is judged by one quantity, predicted (first harmonic, friction linearised: no noise) and simulated (the engine,
-with the same perturbation for every set of effects, so that differences are those of the effects):
+A set of effects is judged by one quantity, predicted (first harmonic, friction linearised: no
+noise) and simulated (the engine, with the same perturbation for every set of effects, so that
+differences are those of the effects):
 
     limits   of K, B and M, each from 0 on (`measure.limits`); change: the largest relative one
     phase    of Z under the scene's environment; change: the largest difference in the band over 90 degrees
     peak     highest |Z| between 40 and 200 Hz near the most negative passive mass, which owns the peak of Weir 2008, Fig. 8,
              and its frequency; change: the larger relative one of the two
 
-A scene that noise does not move gets the paper's perturbation. Walls are left out: they have no impedance of their own.
+A scene that noise does not move gets the paper's perturbation. Walls are left out: they have no
+impedance of their own.
 """
 
 from collections.abc import Callable, Iterable
@@ -45,7 +49,8 @@ from hapticd.measure.store import Progress, Steps, TrialStore, silent
 from hapticd.plant.scene import Scene
 from hapticd.sim.engine import simulate
 
-PREDICTED, SIMULATED = ("predicted", "simulated")
+PREDICTED = "predicted"
+SIMULATED = "simulated"
 PEAK_HZ = (40.0, 200.0)
 NAMES = {"K N/m": 1.0, "B N s/m": 1.0, "M g": 1e3}
 FINE = 1e-3  # of a limit: a change of 1 % is to be told from none
@@ -54,7 +59,9 @@ INSIDE = 0.9  # of the predicted mass limit, for the peak: near it a long trial 
 
 @dataclass(frozen=True, slots=True)
 class EffectsParams:
-    """`scene` with all its effects, and which of QUESTIONS is asked. `tolerance`: 0.02 is 2 %. `seconds`: of simulated trials."""
+    """`scene` with all its effects, and which of QUESTIONS is asked. `tolerance`: 0.02 is 2 %.
+    `seconds`: of simulated trials.
+    """
 
     scene: Scene
     question: str = "limits"
@@ -64,8 +71,9 @@ class EffectsParams:
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """`values`: its numbers for the scene asked about with some of its effects, PREDICTED or SIMULATED. `change` of others against
-    those of the whole scene, 0.02 is 2 %, inf where only one of the two exists. `told`: the others by name with unit.
+    """`values`: its numbers for the scene asked about with some of its effects, PREDICTED or
+    SIMULATED. `change` of others against those of the whole scene, 0.02 is 2 %, inf where only one
+    of the two exists. `told`: the others by name with unit.
     """
 
     values: Callable[[EffectsParams, Scene, str], Floats]
@@ -73,15 +81,30 @@ class Question:
     told: Callable[[Floats, Floats], dict[str, float]]
 
 
-def impedance(params: EffectsParams, scene: Scene, kbm: tuple[float, float, float], frequency_hz: Floats, method: str) -> Complexes:
+def impedance(
+    params: EffectsParams,
+    scene: Scene,
+    kbm: tuple[float, float, float],
+    frequency_hz: Floats,
+    method: str,
+) -> Complexes:
     """Z (F,) under one environment: predicted, or of a group of trials together."""
     own = display(scene, noise(params.scene))
     if method == PREDICTED:
-        return predicted_impedance(own.model, kbm, frequency_hz, level(scene), own.filters, own.perturbation)
+        return predicted_impedance(
+            own.model, kbm, frequency_hz, level(scene), own.filters, own.perturbation
+        )
     found = simulate(
-        scene, [kbm] * GROUP, params.seconds, damping=level(scene), environment=free_of_walls(scene),
-        excitation=own.excitation, start=(0.0, 0.0), keep="records", own_torque=True,
-    )  # fmt: skip
+        scene,
+        [kbm] * GROUP,
+        params.seconds,
+        damping=level(scene),
+        environment=free_of_walls(scene),
+        excitation=own.excitation,
+        start=(0.0, 0.0),
+        keep="records",
+        own_torque=True,
+    )
     return pooled(spectra_of(found, frequency_hz, own.force_limit_n))
 
 
@@ -101,12 +124,17 @@ def limits_change(full: Floats, other: Floats) -> float:
 
 def limits_told(full: Floats, other: Floats) -> dict[str, float]:
     """K, B and M."""
-    return {name: float(factor * value) for (name, factor), value in zip(NAMES.items(), other, strict=True)}
+    return {
+        name: float(factor * value)
+        for (name, factor), value in zip(NAMES.items(), other, strict=True)
+    }
 
 
 def phase(params: EffectsParams, scene: Scene, method: str) -> Floats:
     """Phase [deg] (F,) of Z under the scene's environment."""
-    return np.degrees(np.angle(impedance(params, scene, point(params.scene), frequencies(), method)))
+    return np.degrees(
+        np.angle(impedance(params, scene, point(params.scene), frequencies(), method))
+    )
 
 
 def phase_change(full: Floats, other: Floats) -> float:
@@ -122,11 +150,13 @@ def phase_told(full: Floats, other: Floats) -> dict[str, float]:
 
 
 def peak(params: EffectsParams, scene: Scene, method: str, mass_kg: float | None = None) -> Floats:
-    """Height [N s/m] and frequency [Hz] of the highest maximum, and whether it lies inside the band (1) or at its end (0).
+    """Height [N s/m] and frequency [Hz] of the highest maximum, and whether it lies inside the band
+    (1) or at its end (0).
 
     `mass_kg` < 0 is what is rendered; by default near the limit of the whole scene.
     """
-    f, rendered = frequencies(PEAK_HZ, count=1000), peak_mass_kg(params) if mass_kg is None else mass_kg
+    f = frequencies(PEAK_HZ, count=1000)
+    rendered = peak_mass_kg(params) if mass_kg is None else mass_kg
     size = np.abs(impedance(params, scene, (0.0, 0.0, rendered), f, method))
     rising = np.diff(size) > 0.0
     inner = np.flatnonzero(rising[:-1] & ~rising[1:]) + 1
@@ -150,7 +180,8 @@ def peak_mass_kg(params: EffectsParams) -> float:
     mass_kg = float(limits(params, params.scene, PREDICTED)[2])
     if not mass_kg < 0.0:
         raise AnalysisError(
-            f"scene {params.scene.name!r}: not passive even without an environment, so no mass owns a peak; ask for limits or phase"
+            f"scene {params.scene.name!r}: not passive even without an environment, so no mass owns"
+            " a peak; ask for limits or phase"
         )
     return INSIDE * mass_kg
 
@@ -168,11 +199,15 @@ def _turned(degrees: Floats) -> Floats:
 
 
 def relative(full: float, other: float) -> float:
-    """Change of `other` against `full`: inf where only one of them exists (nan), 0 where neither does."""
+    """Change of `other` against `full`: inf where only one of them exists (nan), 0 where
+    neither does.
+    """
     if np.isnan(full) or np.isnan(other):
         return 0.0 if np.isnan(full) and np.isnan(other) else inf
     if full == 0.0:
-        raise AnalysisError("a limit of 0 has no relative change; widen the band or strengthen the device")
+        raise AnalysisError(
+            "a limit of 0 has no relative change; widen the band or strengthen the device"
+        )
     return abs(other / full - 1.0)
 
 
@@ -186,9 +221,11 @@ class EffectsPlan:
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """The scene without `effect` ("" for the whole scene): its numbers by name and unit, their change, and the engine's cost.
+    """The scene without `effect` ("" for the whole scene): its numbers by name and unit, their
+    change, and the engine's cost.
 
-    `method` is "predicted" or "simulated"; `note` says why it cannot be left out, if it cannot. `cost_s` per simulated second.
+    `method` is "predicted" or "simulated"; `note` says why it cannot be left out, if it cannot.
+    `cost_s` per simulated second.
     """
 
     effect: str
@@ -201,7 +238,9 @@ class Left:
 
 @dataclass(frozen=True, slots=True)
 class EffectsResult:
-    """`rows` from important to not; `kept` is the proposal, `proposal` its row (simulated); `whole` those of the scene."""
+    """`rows` from important to not; `kept` is the proposal, `proposal` its row (simulated);
+    `whole` those of the scene.
+    """
 
     plan: EffectsPlan
     whole: tuple[Left, Left]  # predicted, simulated
@@ -211,7 +250,9 @@ class EffectsResult:
 
 
 def plan_effects(params: EffectsParams) -> EffectsPlan:
-    """What will be left out how. ConfigError for an unknown question; AnalysisError if the scene does not answer it."""
+    """What will be left out how. ConfigError for an unknown question; AnalysisError if the
+    scene does not answer it.
+    """
     if params.question not in QUESTIONS:
         raise ConfigError(f"question {params.question!r}: use one of {', '.join(QUESTIONS)}")
     if not params.tolerance > 0.0:
@@ -219,7 +260,9 @@ def plan_effects(params: EffectsParams) -> EffectsPlan:
     if params.question == "peak":
         peak_mass_kg(params)
     nonlinear = {effect.key for effect in params.scene.effects if effect.nonlinearity}
-    methods = {key: SIMULATED if key in nonlinear else PREDICTED for key in candidates(params.scene)}
+    methods = {
+        key: SIMULATED if key in nonlinear else PREDICTED for key in candidates(params.scene)
+    }
     return EffectsPlan(params, methods)
 
 
@@ -238,9 +281,13 @@ class _Study:
     """One run: it remembers what every set of effects gave, and what was timed."""
 
     def __init__(self, plan: EffectsPlan, steps: Steps, now_ns: Stopwatch) -> None:
-        self.steps, self._plan, params = steps, plan, plan.params
+        self.steps = steps
+        self._plan = plan
+        params = plan.params
         self._question = QUESTIONS[params.question]
-        self._values = cache(lambda keys, method: self._question.values(params, without(params.scene, *keys), method))
+        self._values = cache(
+            lambda keys, method: self._question.values(params, without(params.scene, *keys), method)
+        )
         self._cost = cache(lambda keys: engine_cost(without(params.scene, *keys), now_ns))
 
     def left(self, keys: tuple[str, ...], method: str) -> Left:
@@ -252,7 +299,13 @@ class _Study:
             change = self._change(keys, method)
         except (ConfigError, AnalysisError) as error:
             return Left(words, method, {}, inf, nan, str(error))
-        return Left(words, method, self._question.told(full, self._values(keys, method)), change, self._cost(keys))
+        return Left(
+            words,
+            method,
+            self._question.told(full, self._values(keys, method)),
+            change,
+            self._cost(keys),
+        )
 
     def proposal(self, rows: list[Left]) -> tuple[tuple[str, ...], Left]:
         """The set that is kept and what it gives; everything where the question has no answer."""
@@ -277,4 +330,8 @@ class _Study:
         return dropped
 
     def _change(self, keys: tuple[str, ...], method: str) -> float:
-        return self._question.change(self._values((), method), self._values(keys, method)) if keys else 0.0
+        return (
+            self._question.change(self._values((), method), self._values(keys, method))
+            if keys
+            else 0.0
+        )

@@ -1,21 +1,31 @@
-"""Where the trials of a campaign run: on threads of this process, in processes of this machine, on a Dask cluster.
+"""Where the trials of a campaign run: on threads of this process, in processes of this machine, on
+a Dask cluster.
 
     thread              the engine's own threads; its kernels release the interpreter lock
     process             a process for each core, started anew; for what holds the lock
     dask://HOST:PORT    the workers of a running scheduler (`dask scheduler`, `dask worker`)
 
-A task is a function and its arguments, a few kB; what comes back is some 2.5 kB a trial. Kernels are made where the task runs and
-kept on disk there. In a pool every task keeps to one core: there are as many tasks under way as cores, and the engine's own
-threads would only get in each other's way. Errors of ours come back as they were raised.
+A task is a function and its arguments, a few kB; what comes back is some 2.5 kB a trial. Kernels
+are made where the task runs and kept on disk there. In a pool every task keeps to one core: there
+are as many tasks under way as cores, and the engine's own threads would only get in each other's
+way. Errors of ours come back as they were raised.
 
-Outcomes do not depend on where they were made, to the last bit, as long as hapticd, numpy and numba are the same: a worker
-with others is refused. What would break that: a cluster of unlike processors, for which numba compiles unlike code.
+Outcomes do not depend on where they were made, to the last bit, as long as hapticd, numpy and numba
+are the same: a worker with others is refused. What would break that: a cluster of unlike
+processors, for which numba compiles unlike code.
 """
 
 import re
 import signal
 from collections.abc import Callable, Iterator
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import (
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+)
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
 from importlib import import_module
@@ -39,10 +49,12 @@ T = TypeVar("T")
 
 @contextmanager
 def executor(spec: str, processes: int | None = None) -> Iterator[Executor | None]:
-    """The executor of that name, closed afterwards: what has not begun by then is given up. None for the threads here.
+    """The executor of that name, closed afterwards: what has not begun by then is given up. None
+    for the threads here.
 
-    `processes` of a pool, by default one a core. ConfigError for another name, a scheduler that does not answer, without
-    workers or with workers of other versions, without the library; HapticdError when workers die.
+    `processes` of a pool, by default one a core. ConfigError for another name, a scheduler that
+    does not answer, without workers or with workers of other versions, without the library;
+    HapticdError when workers die.
     """
     if spec == "thread":
         yield None
@@ -88,12 +100,15 @@ def pool_of(executor: Executor | None) -> AbstractContextManager[Executor]:
 
 @contextmanager
 def _processes(count: int) -> Iterator[Executor]:
-    pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_leave_interrupts)
+    pool = ProcessPoolExecutor(
+        count, mp_context=get_context("spawn"), initializer=_leave_interrupts
+    )
     try:
         yield Alone(pool)
     except BrokenExecutor as error:
         raise HapticdError(
-            f"a worker process died, killed or out of memory ({error}); begun again, a map goes on from what it has kept"
+            f"a worker process died, killed or out of memory ({error}); begun again, a map goes on"
+            " from what it has kept"
         ) from error
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
@@ -109,14 +124,17 @@ def _cluster(address: str) -> Iterator[Executor]:
     try:
         distributed = import_module("distributed")
     except ImportError as error:
-        raise ConfigError(f"executor dask:// needs Dask ({error}): pip install hapticd[cluster]") from error
+        raise ConfigError(
+            f"executor dask:// needs Dask ({error}): pip install hapticd[cluster]"
+        ) from error
     try:
         _greeted(address)
         client = distributed.Client(address, timeout=PATIENCE_S, set_as_default=False)
     except OSError as error:
         raise ConfigError(
-            f"no Dask scheduler answers at {address} within {PATIENCE_S:g} s ({error}): start `dask scheduler` there, "
-            "or name the address that it printed, which is not that of its dashboard"
+            f"no Dask scheduler answers at {address} within {PATIENCE_S:g} s ({error}): start `dask"
+            " scheduler` there, or name the address that it printed, which is not that of its"
+            " dashboard"
         ) from error
     with client:
         _look_at_workers(client, address)
@@ -124,13 +142,16 @@ def _cluster(address: str) -> Iterator[Executor]:
             yield Alone(client.get_executor(pure=False))
         except (distributed.KilledWorker, CancelledError) as error:
             raise HapticdError(
-                f"the Dask cluster at {address} lost its scheduler or too many workers ({str(error) or 'tasks were given up'}); "
-                "begun again, a map goes on from what it has kept"
+                f"the Dask cluster at {address} lost its scheduler or too many workers"
+                f" ({str(error) or 'tasks were given up'}); begun again, a map goes on from what it"
+                " has kept"
             ) from error
 
 
 def _greeted(address: str) -> None:
-    """OSError unless someone there speaks first, as a scheduler does: for anyone else a client would wait for ever."""
+    """OSError unless someone there speaks first, as a scheduler does: for anyone else a client
+    would wait for ever.
+    """
     place = urlsplit(address)
     with create_connection((str(place.hostname), place.port or 0), timeout=PATIENCE_S) as link:
         length = link.recv(8)  # of what follows, little-endian
@@ -151,16 +172,21 @@ def _look_at_workers(client: Any, address: str) -> None:
         client.wait_for_workers(1, timeout=PATIENCE_S)
     except TimeoutError as error:
         raise ConfigError(
-            f"the Dask scheduler at {address} has no worker after {PATIENCE_S:g} s: start `dask worker {address}`"
+            f"the Dask scheduler at {address} has no worker after {PATIENCE_S:g} s: start `dask"
+            f" worker {address}`"
         ) from error
     found = client.get_versions(packages=SAME)
     here = _versions(found["client"])
     for name, worker in found["workers"].items():
-        unlike = [f"{what} {there}, here {here[what]}" for what, there in _versions(worker).items() if there != here[what]]
+        unlike = [
+            f"{what} {there}, here {here[what]}"
+            for what, there in _versions(worker).items()
+            if there != here[what]
+        ]
         if unlike:
             raise ConfigError(
-                f"Dask worker {name} has {'; '.join(unlike)}: outcomes would depend on where they were made; "
-                "install the same there and start the worker anew"
+                f"Dask worker {name} has {'; '.join(unlike)}: outcomes would depend on where they"
+                " were made; install the same there and start the worker anew"
             )
 
 

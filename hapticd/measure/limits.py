@@ -1,19 +1,22 @@
-"""Limits along axes by trials: how far one of K, B, M goes from a base point, its first failure being the end.
+"""Limits along axes by trials: how far one of K, B, M goes from a base point, its first failure
+being the end.
 
-The paper's headline numbers are those from K = B = M = 0; from where the other two stand at their best it is the maximum over
-the set. Whoever asks for a limit, asks here: a table of limits, the paper's, its band edges, a scene with an effect left out.
+The paper's headline numbers are those from K = B = M = 0; from where the other two stand at their
+best it is the maximum over the set. Whoever asks for a limit, asks here: a table of limits, the
+paper's, its band edges, a scene with an effect left out.
 
-The prediction says where to look: a first round of trials about it, further rounds outwards as long as none or all fail, then
-between the last that passed and the first that failed, until the limit is known to `tolerance`. A round is one task; what the
-next one is depends on the one before. The limit is the last value before the first failure by the paper's rule; below `lower`
-every verdict was passive at the confidence asked, at `upper` one was not passive.
+The prediction says where to look: a first round of trials about it, further rounds outwards as long
+as none or all fail, then between the last that passed and the first that failed, until the limit is
+known to `tolerance`. A round is one task; what the next one is depends on the one before. The limit
+is the last value before the first failure by the paper's rule; below `lower` every verdict was
+passive at the confidence asked, at `upper` one was not passive.
 
-Limits belong to a perturbation: with Coulomb friction they fall as it grows. `amplitudes` scans several, each a factor of the
-scene's force. `seeds` repeats the whole scan with other noise; the scatter is given beside the mean. A lower band edge is one of
-the conditions.
+Limits belong to a perturbation: with Coulomb friction they fall as it grows. `amplitudes` scans
+several, each a factor of the scene's force. `seeds` repeats the whole scan with other noise; the
+scatter is given beside the mean. A lower band edge is one of the conditions.
 
-Outcomes go to the append-only store of all campaigns: limits that were interrupted, or are asked again with more seeds, levels or
-amplitudes, make only the trials that are missing.
+Outcomes go to the append-only store of all campaigns: limits that were interrupted, or are asked
+again with more seeds, levels or amplitudes, make only the trials that are missing.
 
 What would break it: a set that is not in one piece along the line that is searched.
 """
@@ -30,7 +33,16 @@ import numpy as np
 from hapticd.analysis.arrays import Floats
 from hapticd.analysis.boundary import AXES, axis_limit
 from hapticd.analysis.verdict import NOTHING_JUDGED, Judged
-from hapticd.measure.outcomes import Conditions, Lot, Outcome, Point, Procedure, judged, points_of, run_all
+from hapticd.measure.outcomes import (
+    Conditions,
+    Lot,
+    Outcome,
+    Point,
+    Procedure,
+    judged,
+    points_of,
+    run_all,
+)
 from hapticd.measure.scenes import Display
 from hapticd.measure.store import Progress, TrialStore, silent
 
@@ -45,8 +57,9 @@ UNPREDICTED = 0.02  # of the reach, where the prediction has no limit to look ne
 
 @dataclass(frozen=True, slots=True)
 class LimitsParams:
-    """`levels`: of electrical damping [Ns/m]; `amplitudes`: factors of the perturbation's force. `axes` are 0 K, 1 B, 2 M, each
-    scanned from `base` towards `reach` [N/m, Ns/m, kg] beyond it; `tolerance`: of a limit, 0.01 is 1 %.
+    """`levels`: of electrical damping [Ns/m]; `amplitudes`: factors of the perturbation's force.
+    `axes` are 0 K, 1 B, 2 M, each scanned from `base` towards `reach` [N/m, Ns/m, kg] beyond it;
+    `tolerance`: of a limit, 0.01 is 1 %.
     """
 
     conditions: Conditions
@@ -79,10 +92,12 @@ class LimitsPlan:
 
 @dataclass(frozen=True, slots=True)
 class AxisLimit:
-    """`value` [N/m, Ns/m, kg]: mean over seeds, `sd` their scatter (nan for one); `lower`, `upper`: widest over seeds; `values`
-    those of each seed, nan where the base fails; `judged`: from where to where all trials were.
+    """`value` [N/m, Ns/m, kg]: mean over seeds, `sd` their scatter (nan for one); `lower`, `upper`:
+    widest over seeds; `values` those of each seed, nan where the base fails; `judged`: from where
+    to where all trials were.
 
-    `worst_hz`: where the first failure has its least Re Z; `velocity_sd` [m/s] of the last trial that passed.
+    `worst_hz`: where the first failure has its least Re Z; `velocity_sd` [m/s] of the last trial
+    that passed.
     """
 
     scan: Scan
@@ -105,7 +120,9 @@ class AxisLimit:
 
 @dataclass(frozen=True, slots=True)
 class LimitsResult:
-    """In the order of the plan. `made` trials, of all plans side by side, were new; the rest came from the store."""
+    """In the order of the plan. `made` trials, of all plans side by side, were new; the rest
+    came from the store.
+    """
 
     plan: LimitsPlan
     limits: tuple[AxisLimit, ...]
@@ -116,12 +133,20 @@ Hear = Callable[[Scan, Conditions, list[Outcome]], None]
 
 
 def predicted_limit(
-    device: Display, level: float, axis: int, base: Point = ORIGIN, band_hz: tuple[float, float] | None = None,
+    device: Display,
+    level: float,
+    axis: int,
+    base: Point = ORIGIN,
+    band_hz: tuple[float, float] | None = None,
     reach: float | None = None,
-) -> float:  # fmt: skip
-    """The first failure by prediction, from `base` on towards `reach`; nan where even the base is not passive."""
+) -> float:
+    """The first failure by prediction, from `base` on towards `reach`; nan where even the base
+    is not passive.
+    """
     band = () if band_hz is None else (band_hz,)
-    return axis_limit(lambda points: device.passive(points, level, *band), axis, reach or REACH[axis], base)
+    return axis_limit(
+        lambda points: device.passive(points, level, *band), axis, reach or REACH[axis], base
+    )
 
 
 def plan_limits(params: LimitsParams) -> LimitsPlan:
@@ -129,7 +154,9 @@ def plan_limits(params: LimitsParams) -> LimitsPlan:
     scans = []
     for level, amplitude, axis in product(params.levels, params.amplitudes, params.axes):
         shaken = params.conditions.shaken(amplitude)
-        near = predicted_limit(shaken.display, level, axis, params.base, shaken.band_hz, params.reach[axis])
+        near = predicted_limit(
+            shaken.display, level, axis, params.base, shaken.band_hz, params.reach[axis]
+        )
         scans.append(Scan(axis, level, amplitude, near))
     return LimitsPlan(params, tuple(scans))
 
@@ -138,17 +165,22 @@ def run_limits(
     plan: LimitsPlan, store: TrialStore, tell: Progress = silent, executor: Executor | None = None,
     hear: Hear = lambda scan, conditions, new: None,
 ) -> LimitsResult:  # fmt: skip
-    """Find them all by the trials that the store has not, on `executor` or on threads here; `hear` gets those of each round.
+    """Find them all by the trials that the store has not, on `executor` or on threads here; `hear`
+    gets those of each round.
 
-    KeyboardInterrupt passes through after the rounds in flight were given up; what was finished is in the store.
+    KeyboardInterrupt passes through after the rounds in flight were given up; what was finished is
+    in the store.
     """
     return run_plans([plan], store, tell, executor, hear)[0]
 
 
 def run_plans(
-    plans: Sequence[LimitsPlan], store: TrialStore, tell: Progress = silent, executor: Executor | None = None,
+    plans: Sequence[LimitsPlan],
+    store: TrialStore,
+    tell: Progress = silent,
+    executor: Executor | None = None,
     hear: Hear = lambda scan, conditions, new: None,
-) -> tuple[LimitsResult, ...]:  # fmt: skip
+) -> tuple[LimitsResult, ...]:
     """Several plans side by side."""
     wanted = [
         (plan.params, scan, plan.params.conditions.shaken(scan.amplitude, repeat))
@@ -171,12 +203,21 @@ def run_plans(
     tell("axis limits", 0, len(wanted))
     tried = iter(run_all([counted(*each) for each in wanted], store, executor, told))
     return tuple(
-        LimitsResult(plan, tuple(_together(plan.params, scan, [*islice(tried, plan.params.seeds)]) for scan in plan.scans), made)
+        LimitsResult(
+            plan,
+            tuple(
+                _together(plan.params, scan, [*islice(tried, plan.params.seeds)])
+                for scan in plan.scans
+            ),
+            made,
+        )
         for plan in plans
     )
 
 
-def bracketing(params: LimitsParams, scan: Scan, conditions: Conditions) -> Procedure[list[Outcome]]:
+def bracketing(
+    params: LimitsParams, scan: Scan, conditions: Conditions
+) -> Procedure[list[Outcome]]:
     """All trials of a scan under one noise, in order of the axis."""
     tried: list[Outcome] = []
     begin = params.base[scan.axis]
@@ -194,7 +235,8 @@ def _rounds(params: LimitsParams, scan: Scan, tried: list[Outcome]) -> Iterable[
     near = scan.predicted - begin
     if not isfinite(near) or near == 0.0:
         near = UNPREDICTED * params.reach[scan.axis]
-    low, high = FIRST[0] * near, FIRST[1] * near
+    low = FIRST[0] * near
+    high = FIRST[1] * near
     yield np.concatenate(([0.0], np.linspace(low, high, ROUND - 1)))
     for _ in range(ROUNDS):
         passed, failed = (value - begin for value in bracket(scan.axis, tried))
@@ -216,12 +258,23 @@ def bracket(axis: int, tried: list[Outcome]) -> tuple[float, float]:
 
 
 def _together(params: LimitsParams, scan: Scan, seeds: list[list[Outcome]]) -> AxisLimit:
-    axis, begin = scan.axis, params.base[scan.axis]
+    axis = scan.axis
+    begin = params.base[scan.axis]
     values = np.array([bracket(axis, tried)[0] for tried in seeds])
-    sure = [[begin, *(one.environment[axis] for one in takewhile(_surely_passive, tried))][-1] for tried in seeds]
-    never = [next((one.environment[axis] for one in tried if one.answer == "not_passive"), nan) for tried in seeds]
+    sure = [
+        [begin, *(one.environment[axis] for one in takewhile(_surely_passive, tried))][-1]
+        for tried in seeds
+    ]
+    never = [
+        next((one.environment[axis] for one in tried if one.answer == "not_passive"), nan)
+        for tried in seeds
+    ]
     failed = next((outcome for outcome in seeds[0] if not outcome.passes), None)
-    passed = [outcome for outcome in seeds[0] if abs(outcome.environment[axis] - begin) <= abs(values[0] - begin)]
+    passed = [
+        outcome
+        for outcome in seeds[0]
+        if abs(outcome.environment[axis] - begin) <= abs(values[0] - begin)
+    ]
     sense = -1.0 if params.reach[axis] < 0.0 else 1.0
     return AxisLimit(
         scan=scan,

@@ -1,16 +1,20 @@
-"""Many trials at once by the batch engine, each reduced to what a campaign keeps: verdict, margins, Z at some 120 frequencies.
+"""Many trials at once by the batch engine, each reduced to what a campaign keeps: verdict, margins,
+Z at some 120 frequencies.
 
-Trials are simulated and transformed together (`keep="spectra"`); no record is ever made. What `examine` reads off a record is
-taken from sums: energy from the work of each tick, an escape from the rms velocity of every second.
+Trials are simulated and transformed together (`keep="spectra"`); no record is ever made. What
+`examine` reads off a record is taken from sums: energy from the work of each tick, an escape from
+the rms velocity of every second.
 
-A task travels as parameters and comes back as 5 kB a trial, so it may run in a thread or in another process; the same task
-gives the same outcome wherever it runs. `passes` is the paper's rule: all phases within +-90 degrees, the loop calm, the
-command not at its end. `answer` is the verdict with its intervals. A trial that diverged has no spectra.
+A task travels as parameters and comes back as 5 kB a trial, so it may run in a thread or in another
+process; the same task gives the same outcome wherever it runs. `passes` is the paper's rule: all
+phases within +-90 degrees, the loop calm, the command not at its end. `answer` is the verdict with
+its intervals. A trial that diverged has no spectra.
 
-Whoever needs trials is a procedure: a generator that asks for lots, trials under one set of conditions, gets their outcomes,
-asks for more, and returns what it found. `run_all` runs any number of procedures side by side. A trial's key is all that it
-depends on, so what a store has is never flown again, whoever asked for it; each task is stored as soon as it is finished, and
-what has not begun is given up when the caller stops. Results do not depend on who else is under way.
+Whoever needs trials is a procedure: a generator that asks for lots, trials under one set of
+conditions, gets their outcomes, asks for more, and returns what it found. `run_all` runs any number
+of procedures side by side. A trial's key is all that it depends on, so what a store has is never
+flown again, whoever asked for it; each task is stored as soon as it is finished, and what has not
+begun is given up when the caller stops. Results do not depend on who else is under way.
 """
 
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
@@ -75,7 +79,9 @@ class Conditions:
     def shaken(self, amplitude: float = 1.0, more_seed: int = 0) -> "Conditions":
         """With the force multiplied by `amplitude`, and other noise."""
         source = self.excitation
-        changed = replace(source, psd_n2_per_hz=source.psd_n2_per_hz * amplitude**2, seed=source.seed + more_seed)
+        changed = replace(
+            source, psd_n2_per_hz=source.psd_n2_per_hz * amplitude**2, seed=source.seed + more_seed
+        )
         return replace(self, excitation=changed)
 
 
@@ -141,33 +147,69 @@ def fly(conditions: Conditions, damping_ns_per_m: float, points: Floats) -> list
             force, velocity = records.record(place)
             finer = resolved(force, velocity, looks[trial][0], band_hz, "spa", rate_hz, linear)
             looks[trial] = _look(conditions, found, trial, finer)
-    return [_outcome(conditions, damping_ns_per_m, found, trial, looks.get(trial)) for trial in range(len(points))]
+    return [
+        _outcome(conditions, damping_ns_per_m, found, trial, looks.get(trial))
+        for trial in range(len(points))
+    ]
 
 
-def _flown(conditions: Conditions, damping_ns_per_m: float, points: Floats, keep: str) -> BatchResult:
+def _flown(
+    conditions: Conditions, damping_ns_per_m: float, points: Floats, keep: str
+) -> BatchResult:
     return simulate(
-        conditions.scene, points, conditions.seconds, conditions.excitation.seed, damping=damping_ns_per_m,
-        environment=free_of_walls(conditions.scene), excitation=conditions.excitation, start=(0.0, 0.0),
-        substeps=conditions.substeps, dtype=conditions.dtype, keep=keep,
-    )  # fmt: skip
+        conditions.scene,
+        points,
+        conditions.seconds,
+        conditions.excitation.seed,
+        damping=damping_ns_per_m,
+        environment=free_of_walls(conditions.scene),
+        excitation=conditions.excitation,
+        start=(0.0, 0.0),
+        substeps=conditions.substeps,
+        dtype=conditions.dtype,
+        keep=keep,
+    )
 
 
-def _look(conditions: Conditions, found: BatchResult, trial: int, spectra: Spectra) -> tuple[Spectra, Verdict]:
+def _look(
+    conditions: Conditions, found: BatchResult, trial: int, spectra: Spectra
+) -> tuple[Spectra, Verdict]:
     recorded = _recorded(found, trial, spectra)
     return spectra, judge(
-        spectra, recorded, conditions.band_hz, conditions.confidence, channels=False, below_window=conditions.below_window
+        spectra,
+        recorded,
+        conditions.band_hz,
+        conditions.confidence,
+        channels=False,
+        below_window=conditions.below_window,
     )
 
 
 def _outcome(
-    conditions: Conditions, damping: float, found: BatchResult, trial: int, look: tuple[Spectra, Verdict] | None
+    conditions: Conditions,
+    damping: float,
+    found: BatchResult,
+    trial: int,
+    look: tuple[Spectra, Verdict] | None,
 ) -> Outcome:
     k, b, m = (float(value) for value in found.params[trial])
-    most, sd = float(found.max_force_n[trial]), float(found.sigma_v_m_per_s[trial])
+    most = float(found.max_force_n[trial])
+    sd = float(found.sigma_v_m_per_s[trial])
     if look is None:
         nothing = np.empty(0)
         unknown = (nan,) * 5
-        return Outcome((k, b, m), damping, "not_passive", False, *unknown, sd, most, nothing, nothing, band_hz=conditions.band_hz)
+        return Outcome(
+            (k, b, m),
+            damping,
+            "not_passive",
+            False,
+            *unknown,
+            sd,
+            most,
+            nothing,
+            nothing,
+            band_hz=conditions.band_hz,
+        )
     spectra, verdict = look
     limit_n = conditions.display.force_limit_n
     doubtful = most >= SATURATED * limit_n or k < 0.0  # a K < 0 is active below every band
@@ -218,7 +260,9 @@ def _recorded(found: BatchResult, trial: int, spectra: Spectra) -> Record:
     pairs = np.sqrt(np.mean(rms[: rms.size // 2 * 2].reshape(-1, 2) ** 2, axis=1))
     flowed = Energy(float(found.min_energy_j[trial]), nan, float(found.work_j[trial]))
     findings = escape_findings(pairs, 2 * DEFAULT_LAG / found.rate_hz)
-    return Record(spectra.n_samples / spectra.rate_hz, flowed, float(found.sigma_v_m_per_s[trial]), findings)
+    return Record(
+        spectra.n_samples / spectra.rate_hz, flowed, float(found.sigma_v_m_per_s[trial]), findings
+    )
 
 
 def restored(line: Mapping[str, Any]) -> Outcome:
@@ -226,7 +270,9 @@ def restored(line: Mapping[str, Any]) -> Outcome:
     values: dict[str, Any] = {name: nan if value is None else value for name, value in line.items()}
     values["environment"] = tuple(values["environment"])
     values["z"] = np.asarray(values["z"], np.float64).reshape(-1, 2)
-    values["relative_sd"] = np.array([inf if value is None else value for value in values["relative_sd"]], np.float64)
+    values["relative_sd"] = np.array(
+        [inf if value is None else value for value in values["relative_sd"]], np.float64
+    )
     values["band_hz"] = tuple(line["band_hz"]) if line.get("band_hz") else None
     return Outcome(**values)
 
@@ -242,24 +288,39 @@ def judged_on_lines(outcome: Outcome, band_hz: tuple[float, float]) -> Outcome:
 
 def judged(outcomes: Iterable[Outcome]) -> Judged:
     """From where to where every one of them was judged that did not run away."""
-    ends = [(one.first_judged_hz, one.last_judged_hz) for one in outcomes if not isnan(one.first_judged_hz)]
+    ends = [
+        (one.first_judged_hz, one.last_judged_hz)
+        for one in outcomes
+        if not isnan(one.first_judged_hz)
+    ]
     if not ends:
         return NOTHING_JUDGED
     return Judged(max(first for first, _ in ends), min(last for _, last in ends))
 
 
 def envelope_of(outcomes: list[Outcome]) -> Envelope:
-    """The envelope over the trials that pass, each point with the trial that owns it. AnalysisError if none does."""
+    """The envelope over the trials that pass, each point with the trial that owns it.
+    AnalysisError if none does.
+    """
     each = [_envelope(outcome) for outcome in outcomes if outcome.passes]
     if not each:
-        raise AnalysisError("no trial passed: there is no envelope; begin with K = B = M = 0 and a longer trial")
+        raise AnalysisError(
+            "no trial passed: there is no envelope; begin with K = B = M = 0 and a longer trial"
+        )
     return reduce(merged, each)
 
 
 def _envelope(outcome: Outcome) -> Envelope:
     k, b, m = outcome.environment
     name = f"K {k:.4g} N/m, B {b:.3g} N s/m, M {1e3 * m:.3g} g"
-    return of_one(name, outcome.frequency_hz, outcome.z[:, 0] + 1j * outcome.z[:, 1], outcome.relative_sd, "probe", "spa")
+    return of_one(
+        name,
+        outcome.frequency_hz,
+        outcome.z[:, 0] + 1j * outcome.z[:, 1],
+        outcome.relative_sd,
+        "probe",
+        "spa",
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,7 +348,10 @@ class Lot:
     def tasks(self, store: TrialStore) -> list[Floats]:
         """Points (n, 3) that the store has not, as many together as the engine does at once."""
         missing = [point for point, key in self.keys.items() if key not in store.known]
-        return [np.array(missing[first : first + TOGETHER]) for first in range(0, len(missing), TOGETHER)]
+        return [
+            np.array(missing[first : first + TOGETHER])
+            for first in range(0, len(missing), TOGETHER)
+        ]
 
 
 def points_of(rows: Floats) -> tuple[Point, ...]:
@@ -299,10 +363,11 @@ def run_all(
     procedures: Sequence[Procedure[T]], store: TrialStore, executor: Executor | None,
     told: Told = lambda place, lot, new: None,
 ) -> list[T]:  # fmt: skip
-    """What the procedures return, their trials made on `executor` or on threads here; `told` gets the place of a procedure, a lot
-    of it, and the new outcomes of each task.
+    """What the procedures return, their trials made on `executor` or on threads here; `told` gets
+    the place of a procedure, a lot of it, and the new outcomes of each task.
 
-    Each procedure has one request under way; the cores are kept busy by the others. If `told` raises, the rest is given up.
+    Each procedure has one request under way; the cores are kept busy by the others. If `told`
+    raises, the rest is given up.
     """
     asked: dict[int, Sequence[Lot]] = {}
     results: dict[int, T] = {}
@@ -311,7 +376,11 @@ def run_all(
     def goes_on(place: int) -> None:
         """Until it ends, or has asked for what the store has not."""
         while not any(owner == place for owner, _ in waiting.values()):
-            found: Any = [outcome for lot in asked[place] for outcome in lot.known(store)] if place in asked else None
+            found: Any = (
+                [outcome for lot in asked[place] for outcome in lot.known(store)]
+                if place in asked
+                else None
+            )
             try:
                 asked[place] = procedures[place].send(found)
             except StopIteration as end:
@@ -319,7 +388,10 @@ def run_all(
                 return
             for lot in asked[place]:
                 for task in lot.tasks(store):
-                    waiting[pool.submit(fly, lot.conditions, lot.damping_ns_per_m, task)] = place, lot
+                    waiting[pool.submit(fly, lot.conditions, lot.damping_ns_per_m, task)] = (
+                        place,
+                        lot,
+                    )
 
     with pool_of(executor) as pool:
         try:
@@ -329,7 +401,9 @@ def run_all(
                 for future in wait(waiting, return_when=FIRST_COMPLETED).done:
                     outcomes = future.result()
                     place, lot = waiting.pop(future)
-                    store.add((lot.keys[outcome.environment], vars(outcome)) for outcome in outcomes)
+                    store.add(
+                        (lot.keys[outcome.environment], vars(outcome)) for outcome in outcomes
+                    )
                     told(place, lot, outcomes)
                     goes_on(place)
         finally:

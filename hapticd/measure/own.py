@@ -1,4 +1,5 @@
-"""What this package wrote itself, as the record of one trial: a recording, its exports, a run folder's record.
+"""What this package wrote itself, as the record of one trial: a recording, its exports, a run
+folder's record.
 
     NAME.h5, NAME.part.h5      a recording by `hapticd record`: the probe's samples, the ticks beside them
     NAME.mat                   its export for MATLAB: the same as structures
@@ -42,8 +43,9 @@ Column = Callable[[str, str], Any]  # of a group and a name: its values, one a r
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """Part of a recording that is one trial: rows `first` to before `after` of its probe; K, B, M and the electrical damping that
-    were rendered [N/m, N s/m, kg, N s/m]; the largest command and its limit [N]; slots, and how many were lost.
+    """Part of a recording that is one trial: rows `first` to before `after` of its probe; K, B, M
+    and the electrical damping that were rendered [N/m, N s/m, kg, N s/m]; the largest command and
+    its limit [N]; slots, and how many were lost.
     """
 
     first: int
@@ -64,15 +66,22 @@ def of_recording(column: Column, attributes: Mapping[str, Any], name: str) -> Re
 
 
 def of_remark(column: Column, remark: Mapping[str, Any], name: str) -> Recorded:
-    """The trial in a text file `name` that ends with `remark`. AnalysisError for the table of the servo."""
+    """The trial in a text file `name` that ends with `remark`. AnalysisError for the table of
+    the servo.
+    """
     if "trial" not in remark:
-        raise AnalysisError(f"{name}: a table of the servo's ticks; the probe's samples are in {Path(name).stem}.probe.csv")
+        raise AnalysisError(
+            f"{name}: a table of the servo's ticks; the probe's samples are in"
+            f" {Path(name).stem}.probe.csv"
+        )
     told = {**remark["trial"], "environment": tuple(remark["trial"]["environment"])}
     return _cut(column, remark, Stretch(**told), name)
 
 
 def remark(attributes: Mapping[str, Any], trial: Stretch | None) -> str:
-    """The last line of a text file: where it comes from, and of the probe's which part is one trial."""
+    """The last line of a text file: where it comes from, and of the probe's which part is one
+    trial.
+    """
     told: dict[str, Any] = {name: attributes[name] for name in KEPT if name in attributes}
     told["simulated"] = int(attributes["simulated"])
     if trial is not None:
@@ -91,35 +100,58 @@ def read_remark(path: Path) -> dict[str, Any] | None:
     try:
         return dict(json.loads(last[0].removeprefix(REMARK)))
     except (ValueError, TypeError) as error:
-        raise ConfigError(f"{path}: its last line was changed ({error}); export it again") from error
+        raise ConfigError(
+            f"{path}: its last line was changed ({error}); export it again"
+        ) from error
 
 
 def stretch(column: Column, attributes: Mapping[str, Any], name: str) -> Stretch:
-    """The longest part of a recording in which nothing was changed. AnalysisError without ticks or probe samples."""
-    probe_ns, tick_ns = (np.asarray(column(group, "time_ns"), np.int64) for group in ("probe", "servo"))
+    """The longest part of a recording in which nothing was changed. AnalysisError without ticks
+    or probe samples.
+    """
+    probe_ns, tick_ns = (
+        np.asarray(column(group, "time_ns"), np.int64) for group in ("probe", "servo")
+    )
     if not probe_ns.size or not tick_ns.size:
-        raise AnalysisError(f"{name}: no samples of the probe in it; record while a board with probe inputs is connected")
+        raise AnalysisError(
+            f"{name}: no samples of the probe in it; record while a board with probe inputs is"
+            " connected"
+        )
     begin, end = _longest(column)
-    settle_ns = round(SETTLE_S * NS_PER_S) if begin and tick_ns[end] - tick_ns[begin] > 2 * SETTLE_S * NS_PER_S else 0
+    settle_ns = (
+        round(SETTLE_S * NS_PER_S)
+        if begin and tick_ns[end] - tick_ns[begin] > 2 * SETTLE_S * NS_PER_S
+        else 0
+    )
     first, after = np.searchsorted(probe_ns, [tick_ns[begin] + settle_ns, tick_ns[end] + 1])
     stiffness, damping, mass, added = (float(column("servo", one)[end]) for one in RENDERED)
     if column("servo", "state")[end] != State.ENABLED:
         stiffness = damping = mass = 0.0
-    lost = int(column("servo", "lost_slots")[end] - column("servo", "lost_slots")[begin]) % LOST_SLOTS
+    lost = (
+        int(column("servo", "lost_slots")[end] - column("servo", "lost_slots")[begin]) % LOST_SLOTS
+    )
     force = np.abs(np.asarray(column("servo", "force_n"), np.float64)[begin : end + 1])
     servo = json.loads(str(attributes["configuration"]))
     return Stretch(
-        int(first), int(after), (stiffness, damping, mass), added, float(force.max()),
+        int(first),
+        int(after),
+        (stiffness, damping, mass),
+        added,
+        float(force.max()),
         min(servo["safety"]["force_limit_n"], servo["device"]["force_limit_n"]),
-        lost, int(column("servo", "tick")[end] - column("servo", "tick")[begin]) + 1 + lost,
-        float(probe_ns[first : first + 1].sum() - probe_ns[0]) / NS_PER_S, float(probe_ns[after - 1] - probe_ns[0]) / NS_PER_S,
-    )  # fmt: skip
+        lost,
+        int(column("servo", "tick")[end] - column("servo", "tick")[begin]) + 1 + lost,
+        float(probe_ns[first : first + 1].sum() - probe_ns[0]) / NS_PER_S,
+        float(probe_ns[after - 1] - probe_ns[0]) / NS_PER_S,
+    )
 
 
 def _longest(column: Column) -> tuple[int, int]:
     """First and last tick of the longest run that is fit for a trial."""
     fit = _fit(column)
-    keys = np.stack([np.asarray(column("servo", name), np.float64) for name in ("revision", *RENDERED)])
+    keys = np.stack(
+        [np.asarray(column("servo", name), np.float64) for name in ("revision", *RENDERED)]
+    )
     changed = np.flatnonzero((np.diff(keys, axis=1) != 0.0).any(axis=0) | (np.diff(fit) != 0)) + 1
     lives = np.asarray(column("life", "row"), np.int64)
     edges = np.unique(np.concatenate(([0, fit.size], changed, lives)))
@@ -130,7 +162,9 @@ def _longest(column: Column) -> tuple[int, int]:
 
 def _fit(column: Column) -> Flags:
     """Ticks (n,) that were enabled and perturbed, or only enabled; all where none was."""
-    enabled = (np.asarray(column("servo", "state")) == State.ENABLED) & (np.asarray(column("servo", "gain")) >= 1.0)
+    enabled = (np.asarray(column("servo", "state")) == State.ENABLED) & (
+        np.asarray(column("servo", "gain")) >= 1.0
+    )
     shaken = enabled & (np.asarray(column("servo", "perturbing")) != 0)
     found = next((fit for fit in (shaken, enabled) if fit.any()), np.ones_like(enabled))
     return np.asarray(found)
@@ -138,13 +172,21 @@ def _fit(column: Column) -> Flags:
 
 def _cut(column: Column, attributes: Mapping[str, Any], trial: Stretch, name: str) -> Recorded:
     part = slice(trial.first, trial.after)
-    force, velocity = (np.asarray(column("probe", one), np.float64)[part] for one in ("torque_n", "velocity_m_per_s"))
+    force, velocity = (
+        np.asarray(column("probe", one), np.float64)[part]
+        for one in ("torque_n", "velocity_m_per_s")
+    )
     more = {one: plain(attributes[one]) for one in KEPT if attributes.get(one) not in (None, "")}
     recorded = Recorded(
-        force, velocity, float(PROBE_RATE_HZ),
-        f"recording {name} of {attributes.get('device_name', 'a device')!s}, {trial.begin_s:.4g} to {trial.end_s:.4g} s",
-        bool(int(attributes["simulated"])), max_command_n=trial.max_command_n, command_limit_n=trial.command_limit_n,
+        force,
+        velocity,
+        float(PROBE_RATE_HZ),
+        f"recording {name} of {attributes.get('device_name', 'a device')!s}, {trial.begin_s:.4g} to"
+        f" {trial.end_s:.4g} s",
+        bool(int(attributes["simulated"])),
+        max_command_n=trial.max_command_n,
+        command_limit_n=trial.command_limit_n,
         more={**more, "lost_slots": trial.lost_slots, "slots": trial.slots},
         rendered=Rendered(trial.environment, trial.added_damping_ns_per_m),
-    )  # fmt: skip
+    )
     return in_even_time(recorded, np.asarray(column("probe", "index"), np.int64)[part])

@@ -1,9 +1,11 @@
-"""The stepped sine: a second opinion on an impedance, by one frequency after the other and no spectral estimation at all.
+"""The stepped sine: a second opinion on an impedance, by one frequency after the other and no
+spectral estimation at all.
 
-At each frequency the probe plays one sine, the first second is left out, and Z is the ratio of the two channels' Fourier sums
-over whole seconds. Frequencies are whole hertz, so whole seconds hold whole periods and nothing leaks. On a linear device it
-must agree with noise; with Coulomb friction a sine of the same rms sees a different equivalent damping (4/pi Fc/V beside
-sqrt(2/pi) Fc/sigma), so there the two differ, and both are right for their amplitude.
+At each frequency the probe plays one sine, the first second is left out, and Z is the ratio of the
+two channels' Fourier sums over whole seconds. Frequencies are whole hertz, so whole seconds hold
+whole periods and nothing leaks. On a linear device it must agree with noise; with Coulomb friction
+a sine of the same rms sees a different equivalent damping (4/pi Fc/V beside sqrt(2/pi) Fc/sigma),
+so there the two differ, and both are right for their amplitude.
 """
 
 from dataclasses import dataclass, replace
@@ -23,8 +25,9 @@ FORCE_N = 0.2  # rms, as that of the paper's noise
 
 @dataclass(frozen=True, eq=False)
 class Referee:
-    """Z (F,) complex128 [N s/m] at `frequency_hz` (F,); nan where the trial ended early. `force_n` is the rms of each sine,
-    `velocity_rms_m_per_s` (F,) that of the motion, all frequencies together.
+    """Z (F,) complex128 [N s/m] at `frequency_hz` (F,); nan where the trial ended early. `force_n`
+    is the rms of each sine, `velocity_rms_m_per_s` (F,) that of the motion, all frequencies
+    together.
     """
 
     frequency_hz: Floats
@@ -41,11 +44,17 @@ def stepped_sine(
     force_n: float = FORCE_N,
 ) -> Referee:
     """Z of the environment of `trial` at whole frequencies, one short trial of `source` each."""
-    steps, count = Steps(tell, len(frequency_hz)), len(frequency_hz)
-    z, speed = np.full(count, np.nan, np.complex128), np.full(count, np.nan)
+    steps = Steps(tell, len(frequency_hz))
+    count = len(frequency_hz)
+    z = np.full(count, np.nan, np.complex128)
+    speed = np.full(count, np.nan)
     for place, f in enumerate(frequency_hz):
         steps.next(f"sine of {f:g} Hz")
-        wave = np.sqrt(2.0) * force_n * np.sin(2.0 * np.pi * f * np.arange(PROBE_RATE_HZ) / PROBE_RATE_HZ)
+        wave = (
+            np.sqrt(2.0)
+            * force_n
+            * np.sin(2.0 * np.pi * f * np.arange(PROBE_RATE_HZ) / PROBE_RATE_HZ)
+        )
         recorded = source(replace(trial, waveform_n=wave, seconds=DWELL_S), silent)
         if not recorded.ended:
             force, velocity = _settled(recorded)
@@ -59,7 +68,9 @@ def stepped_sine(
 
 
 def may_follow(recorded: Recorded) -> bool:
-    """Whether another trial may follow: not after someone switched off or changed something, nor on a hot winding."""
+    """Whether another trial may follow: not after someone switched off or changed something,
+    nor on a hot winding.
+    """
     return recorded.ended.startswith(("escape", "saturation", "decided")) or not recorded.ended
 
 

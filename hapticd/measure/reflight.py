@@ -15,7 +15,9 @@ from hapticd.measure.recording.file import Recording
 
 @dataclass(frozen=True, eq=False)
 class Reflight:
-    """`recorded` and `flown` row by row (n,); `legs` (first row, row after the last); `different`: None if bit-exact."""
+    """`recorded` and `flown` row by row (n,); `legs` (first row, row after the last);
+    `different`: None if bit-exact.
+    """
 
     recorded: Records
     flown: NDArray[np.void]
@@ -30,27 +32,43 @@ class Reflight:
 
     def plain(self) -> dict[str, Any]:
         """What came out, in numbers."""
-        recorded, flown = self.recorded["force_n"], self.flown["force_n"]
+        recorded = self.recorded["force_n"]
+        flown = self.flown["force_n"]
         return {
             "ticks": len(self.flown),
             "legs": len(self.legs),
             "bit_exact": self.different is None,
             "first_difference": None if self.different is None else self.different._asdict(),
-            "force_rms_n": {"recorded": _rms(recorded), "flown": _rms(flown), "difference": _rms(flown - recorded)},
-            "force_peak_n": {"recorded": float(np.abs(recorded).max()), "flown": float(np.abs(flown).max())},
+            "force_rms_n": {
+                "recorded": _rms(recorded),
+                "flown": _rms(flown),
+                "difference": _rms(flown - recorded),
+            },
+            "force_peak_n": {
+                "recorded": float(np.abs(recorded).max()),
+                "flown": float(np.abs(flown).max()),
+            },
         }
 
 
 def refly(recording: Recording, instead: dict[Value, float] | None = None) -> Reflight:
-    """Fly all legs of `recording`; `instead`: settings held at other values. ConfigError: nothing in it can be flown."""
+    """Fly all legs of `recording`; `instead`: settings held at other values. ConfigError:
+    nothing in it can be flown.
+    """
     legs = recording.legs()
     if not legs:
-        raise ConfigError(f"{recording.path} holds no checkpoint of the servo, from which to fly; record a second or longer")
+        raise ConfigError(
+            f"{recording.path} holds no checkpoint of the servo, from which to fly; record a second"
+            " or longer"
+        )
     params = recording.params
     flown = [fly(params, leg, instead) for leg in legs]
     ends = np.cumsum([len(leg.records) for leg in legs]).tolist()
-    recorded, again = np.concatenate([leg.records for leg in legs]), np.concatenate(flown)
-    return Reflight(recorded, again, list(zip([0, *ends[:-1]], ends, strict=True)), difference(recorded, again))
+    recorded = np.concatenate([leg.records for leg in legs])
+    again = np.concatenate(flown)
+    return Reflight(
+        recorded, again, list(zip([0, *ends[:-1]], ends, strict=True)), difference(recorded, again)
+    )
 
 
 def _rms(values: NDArray[Any]) -> float:

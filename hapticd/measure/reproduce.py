@@ -1,4 +1,5 @@
-"""Reproduce the paper: its six limits, its arithmetic and the data of Figs. 2, 3, 4, 7-11, on three simulated devices.
+"""Reproduce the paper: its six limits, its arithmetic and the data of Figs. 2, 3, 4, 7-11, on three
+simulated devices.
 
 Weir, Colgate and Peshkin, Measuring and increasing Z-width with active electrical damping, 2008.
 
@@ -8,14 +9,16 @@ Weir, Colgate and Peshkin, Measuring and increasing Z-width with active electric
     singles      the trials of Figs. 4 and 7 (`measure.trial`)
     walls        impacts for Fig. 2
 
-Two readings of a limit. Axis: the other two are 0, as the paper's numbers are understood here. Set: the largest over all passive
-K, B, M; its place is predicted, then only the parameter itself is searched by trials, from 0 at the predicted best of the others.
+Two readings of a limit. Axis: the other two are 0, as the paper's numbers are understood here. Set:
+the largest over all passive K, B, M; its place is predicted, then only the parameter itself is
+searched by trials, from 0 at the predicted best of the others.
 
-Prediction says which trials of the grid cannot pass: those where even 85 % of the environment would not. The others are flown.
-Between a laboratory's 13 days and seconds stands only that. Without trials the prediction alone fills set and envelope.
+Prediction says which trials of the grid cannot pass: those where even 85 % of the environment would
+not. The others are flown. Between a laboratory's 13 days and seconds stands only that. Without
+trials the prediction alone fills set and envelope.
 
-What would break it: comparing a limit of one perturbation with that of another; a set that is not star-shaped about K = B = M = 0,
-where a passive piece far from the rest would be missed.
+What would break it: comparing a limit of one perturbation with that of another; a set that is not
+star-shaped about K = B = M = 0, where a passive piece far from the rest would be missed.
 """
 
 from collections.abc import Sequence
@@ -35,9 +38,25 @@ from hapticd.analysis.spa import DEFAULT_LAG
 from hapticd.errors import AnalysisError
 from hapticd.measure.campaign import Axes, LevelMap, MapParams, MapPlan, plan_map, run_map
 from hapticd.measure.executors import pool_of
-from hapticd.measure.limits import ORIGIN, REACH, LimitsParams, LimitsPlan, plan_limits, predicted_limit, run_plans
+from hapticd.measure.limits import (
+    ORIGIN,
+    REACH,
+    LimitsParams,
+    LimitsPlan,
+    plan_limits,
+    predicted_limit,
+    run_plans,
+)
 from hapticd.measure.outcomes import Conditions, Point, points_of
-from hapticd.measure.reproduce_rows import ADDED_NS_PER_M, FIG_4, FIG_7, HIGH_PASS, LEVELS, LITERAL, MAIN
+from hapticd.measure.reproduce_rows import (
+    ADDED_NS_PER_M,
+    FIG_4,
+    FIG_7,
+    HIGH_PASS,
+    LEVELS,
+    LITERAL,
+    MAIN,
+)
 from hapticd.measure.scenes import Display, noise
 from hapticd.measure.sources import Trial, engine_source
 from hapticd.measure.store import Progress, Steps, TrialStore, silent
@@ -55,7 +74,11 @@ WINDOW_HZ = PROBE_RATE_HZ / DEFAULT_LAG  # 1/(M Ts): below it the window says no
 EDGES_HZ = (1.0, 2.0, 3.0, 5.0, 10.0)
 LOW_HZ, TOP_HZ = DEFAULT_BAND_HZ
 SET_GRID = (np.arange(31) * 50.0, np.arange(19) * 0.5, np.arange(-10, 11) * 0.0025)
-SHOWN = ((FIG_4, 0.0), (FIG_7, 0.0), (FIG_7, ADDED_NS_PER_M))  # environment and damping of the single trials
+SHOWN = (
+    (FIG_4, 0.0),
+    (FIG_7, 0.0),
+    (FIG_7, ADDED_NS_PER_M),
+)  # environment and damping of the single trials
 SHOWN_HZ = (1.9, 1000.0)
 AXES: Axes = (
     np.array([0.0, 25.0, 50.0, 75.0, 100.0, 150.0, 200.0, 300.0, 400.0, 600.0, 800.0, 1000.0]),
@@ -81,7 +104,9 @@ class ReproducePlan:
 
 @dataclass(frozen=True, eq=False)
 class Limit:
-    """Limit of one parameter: `values` (seeds,) by trials, empty without; 0, and nan in `predicted`, where nothing is passive."""
+    """Limit of one parameter: `values` (seeds,) by trials, empty without; 0, and nan in
+    `predicted`, where nothing is passive.
+    """
 
     device: str
     level: float
@@ -104,7 +129,9 @@ class Limit:
 
 @dataclass(frozen=True, eq=False)
 class Single:
-    """Trials of one environment by seed, None of one that ran away (no seeds if quick), and the prediction's verdict."""
+    """Trials of one environment by seed, None of one that ran away (no seeds if quick), and the
+    prediction's verdict.
+    """
 
     point: Point
     level: float
@@ -114,7 +141,9 @@ class Single:
     @property
     def passed(self) -> int:
         """How many were passive by the paper's rule."""
-        return sum(trial is not None and accepted(trial.verdict, "within_90_deg") for trial in self.trials)
+        return sum(
+            trial is not None and accepted(trial.verdict, "within_90_deg") for trial in self.trials
+        )
 
     @property
     def shown(self) -> Impedance | None:
@@ -122,12 +151,16 @@ class Single:
         found = next((trial.spectra for trial in self.trials if trial is not None), None)
         if found is None:
             return None
-        return impedance(found.part((found.frequency_hz >= SHOWN_HZ[0]) & (found.frequency_hz <= SHOWN_HZ[1])))
+        return impedance(
+            found.part((found.frequency_hz >= SHOWN_HZ[0]) & (found.frequency_hz <= SHOWN_HZ[1]))
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class Peak:
-    """A maximum of an envelope: its |Z| [N s/m], by how much it stands above the higher of its valleys, its owner (K, B, M)."""
+    """A maximum of an envelope: its |Z| [N s/m], by how much it stands above the higher of its
+    valleys, its owner (K, B, M).
+    """
 
     frequency_hz: float
     size_ns_per_m: float
@@ -137,7 +170,9 @@ class Peak:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Of one damping level: `passive` (nK, nB, nM) of the grid, `flown` trials; the envelope, its owners' environments by name."""
+    """Of one damping level: `passive` (nK, nB, nM) of the grid, `flown` trials; the envelope,
+    its owners' environments by name.
+    """
 
     passive: Flags
     undecided: int
@@ -152,17 +187,24 @@ class Found:
 
     def peak(self) -> Peak | None:
         """The upper edge's most prominent maximum in PEAK_HZ, if any."""
-        f, edge = self.envelope.frequency_hz, self.envelope.upper
+        f = self.envelope.frequency_hz
+        edge = self.envelope.upper
         size = _calmed(edge.value) if self.flown else edge.value
         inside = np.flatnonzero((f >= PEAK_HZ[0]) & (f <= PEAK_HZ[1]))
         part = size[inside]
-        before, after = np.minimum.accumulate(part), np.minimum.accumulate(part[::-1])[::-1]
+        before = np.minimum.accumulate(part)
+        after = np.minimum.accumulate(part[::-1])[::-1]
         rise = part / np.maximum(before, after)
         highest = int(np.argmax(rise))
         if rise[highest] < PROMINENT:
             return None
         at = int(inside[highest])
-        return Peak(float(f[at]), float(size[at]), float(rise[highest]) - 1.0, self.environments[edge.owner[at]])
+        return Peak(
+            float(f[at]),
+            float(size[at]),
+            float(rise[highest]) - 1.0,
+            self.environments[edge.owner[at]],
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +212,8 @@ class ReproduceResult:
     """`limits` on the axes, `sets` over the whole set, `edges` of K on its axis from each of
     EDGES_HZ; `singles` as in SHOWN.
 
-    `found` is the grid of the first device by trials, `predicted` that of each device; `walls` is None if quick.
+    `found` is the grid of the first device by trials, `predicted` that of each device; `walls` is
+    None if quick.
     """
 
     plan: ReproducePlan
@@ -200,7 +243,9 @@ def subject(device: str) -> Display:
     return conditions(device).display
 
 
-def run_reproduce(plan: ReproducePlan, tell: Progress = silent, executor: Executor | None = None) -> ReproduceResult:
+def run_reproduce(
+    plan: ReproducePlan, tell: Progress = silent, executor: Executor | None = None
+) -> ReproduceResult:
     """Do it, trials on `executor` or on threads here. ConfigError as `simulate`."""
     seeds = len(plan.seeds)
     predicted: dict[str, tuple[Found | None, ...]] = {}
@@ -213,60 +258,97 @@ def run_reproduce(plan: ReproducePlan, tell: Progress = silent, executor: Execut
         predicted[name] = tuple(by_prediction(subject(name), level) for level in LEVELS)
         limits.append(_asked(name, seeds))
         for level in LEVELS:
-            sets += [_asked(name, min(seeds, SET_SEEDS), (level,), (axis,), set_place(name, level, axis)) for axis in range(3)]
-            edges += [_asked(name, min(seeds, EDGE_SEEDS), (level,), (0,), low_hz=low_hz) for low_hz in EDGES_HZ]
+            sets += [
+                _asked(name, min(seeds, SET_SEEDS), (level,), (axis,), set_place(name, level, axis))
+                for axis in range(3)
+            ]
+            edges += [
+                _asked(name, min(seeds, EDGE_SEEDS), (level,), (0,), low_hz=low_hz)
+                for low_hz in EDGES_HZ
+            ]
     store = TrialStore(None) if seeds else None
     singles: dict[str, tuple[Single, ...]] = {}
     with pool_of(executor) as pool:
         for name in plan.devices:
             steps.next(f"Figs. 4 and 7, {name}")
-            singles[name] = tuple(_single(name, point, level, plan.seeds, pool) for point, level in SHOWN)
+            singles[name] = tuple(
+                _single(name, point, level, plan.seeds, pool) for point, level in SHOWN
+            )
         read = [limits_of(asked, store, tell, pool) for asked in (limits, sets, edges)]
-        found = _grid(tell, pool) if seeds else tuple(each for each in predicted[MAIN] if each is not None)
+        found = (
+            _grid(tell, pool)
+            if seeds
+            else tuple(each for each in predicted[MAIN] if each is not None)
+        )
     hit = WallParams(load_scene("wall"), WALL_STIFFNESSES, WALL_DAMPINGS, LEVELS)
     walls = run_walls(plan_walls(hit), tell) if seeds else None
     return ReproduceResult(plan, read[0], read[1], read[2], singles, found, predicted, walls)
 
 
 def _asked(
-    name: str, seeds: int, levels: tuple[float, ...] = LEVELS, axes: tuple[int, ...] = (0, 1, 2), base: Point = ORIGIN,
+    name: str,
+    seeds: int,
+    levels: tuple[float, ...] = LEVELS,
+    axes: tuple[int, ...] = (0, 1, 2),
+    base: Point = ORIGIN,
     low_hz: float = LOW_HZ,
-) -> LimitsPlan:  # fmt: skip
+) -> LimitsPlan:
     given = replace(conditions(name), band_hz=(low_hz, TOP_HZ), below_window=low_hz < WINDOW_HZ)
-    return plan_limits(LimitsParams(given, levels, axes=axes, seeds=max(1, seeds), base=base, tolerance=FINE))
+    return plan_limits(
+        LimitsParams(given, levels, axes=axes, seeds=max(1, seeds), base=base, tolerance=FINE)
+    )
 
 
 def limits_of(
-    plans: Sequence[LimitsPlan], store: TrialStore | None, tell: Progress = silent, pool: Executor | None = None
+    plans: Sequence[LimitsPlan],
+    store: TrialStore | None,
+    tell: Progress = silent,
+    pool: Executor | None = None,
 ) -> tuple[Limit, ...]:
-    """Every limit of the plans, in their order: by trials into `store`, or predicted where there is none. Where nothing is
-    predicted to be passive none is flown.
+    """Every limit of the plans, in their order: by trials into `store`, or predicted where there is
+    none. Where nothing is predicted to be passive none is flown.
     """
     asked = [(plan.params, scan) for plan in plans for scan in plan.scans]
     values = {}
     if store is not None:
-        passive = [replace(plan, scans=tuple(scan for scan in plan.scans if not isnan(scan.predicted))) for plan in plans]
+        passive = [
+            replace(plan, scans=tuple(scan for scan in plan.scans if not isnan(scan.predicted)))
+            for plan in plans
+        ]
         found = run_plans(passive, store, tell, pool)
-        values = {(one.plan.params, limit.scan): np.nan_to_num(limit.values) for one in found for limit in one.limits}
+        values = {
+            (one.plan.params, limit.scan): np.nan_to_num(limit.values)
+            for one in found
+            for limit in one.limits
+        }
     return tuple(
         Limit(
-            params.conditions.scene.device, scan.damping_ns_per_m, scan.axis, params.base, scan.predicted,
-            values.get((params, scan), np.empty(0)), params.conditions.band_hz[0],
+            params.conditions.scene.device,
+            scan.damping_ns_per_m,
+            scan.axis,
+            params.base,
+            scan.predicted,
+            values.get((params, scan), np.empty(0)),
+            params.conditions.band_hz[0],
         )
         for params, scan in asked
-    )  # fmt: skip
+    )
 
 
 def set_place(device: str, level: float, axis: int) -> Point:
-    """Where the set reading of a parameter is searched from: of the places beside the extreme of the
-    predicted set the one that reaches farthest, itself 0; K = B = M = 0 if none is passive.
+    """Where the set reading of a parameter is searched from: of the places beside the extreme of
+    the predicted set the one that reaches farthest, itself 0; K = B = M = 0 if none is passive.
     """
     own = subject(device)
     kept = predicted_set(own, level)
     reach = np.abs(kept[:, axis]) * (np.sign(kept[:, axis]) == np.sign(REACH[axis]))
     beside = kept[reach == reach.max(initial=0.0)]
     beside[:, axis] = 0.0
-    return max(points_of(beside), key=lambda place: abs(predicted_limit(own, level, axis, place)), default=ORIGIN)
+    return max(
+        points_of(beside),
+        key=lambda place: abs(predicted_limit(own, level, axis, place)),
+        default=ORIGIN,
+    )
 
 
 @cache
@@ -276,20 +358,26 @@ def predicted_set(device: Display, level: float) -> Floats:
     return np.asarray(points[device.passive(points, level)])
 
 
-def _single(name: str, point: Point, level: float, seeds: tuple[int, ...], pool: Executor) -> Single:
+def _single(
+    name: str, point: Point, level: float, seeds: tuple[int, ...], pool: Executor
+) -> Single:
     trials = tuple(pool.map(partial(single_trial, name, point, level), seeds))
     return Single(point, level, trials, bool(subject(name).passive(np.array([point]), level)[0]))
 
 
 def single_trial(device: str, point: Point, level: float, seed: int) -> TrialResult | None:
-    """A trial of Figs. 4 and 7, its record forgotten; None of one that ran away before anything could be said."""
+    """A trial of Figs. 4 and 7, its record forgotten; None of one that ran away before anything
+    could be said.
+    """
     given = conditions(device)
     trial = Trial(point, level, given.seconds, replace(given.excitation, seed=seed))
     try:
         found = run_trial(plan_trial(TrialParams(trial, given.scene)), engine_source(given.scene))
     except AnalysisError:
         return None
-    return replace(found, recorded=replace(found.recorded, force_n=np.empty(0), velocity_m_per_s=np.empty(0)))
+    return replace(
+        found, recorded=replace(found.recorded, force_n=np.empty(0), velocity_m_per_s=np.empty(0))
+    )
 
 
 def _grid(tell: Progress, pool: Executor) -> tuple[Found, ...]:
@@ -302,21 +390,30 @@ def hopeful(plan: MapPlan) -> MapPlan:
     """To be flown: what may pass by prediction, itself or when scaled down."""
     device = plan.params.conditions.display
     levels = [
-        replace(level, near=level.prediction.passive | device.passive(NEAR * POINTS, level.damping_ns_per_m))
+        replace(
+            level,
+            near=level.prediction.passive | device.passive(NEAR * POINTS, level.damping_ns_per_m),
+        )
         for level in plan.levels
-    ]  # fmt: skip
+    ]
     return replace(plan, levels=tuple(levels))
 
 
 def _of_map(level: LevelMap) -> Found:
-    """Set and envelope of the trials that passed, in the order of the grid. AnalysisError if none did."""
+    """Set and envelope of the trials that passed, in the order of the grid. AnalysisError if
+    none did.
+    """
     passed = [outcome for outcome in level.outcomes if outcome.passes]
     if level.envelope is None:
-        raise AnalysisError(f"no trial of the grid passed at {level.damping_ns_per_m:g} N s/m: there is no envelope")
+        raise AnalysisError(
+            f"no trial of the grid passed at {level.damping_ns_per_m:g} N s/m: there is no envelope"
+        )
     undecided = sum(outcome.answer != "passive" for outcome in passed)
     environments = np.array([outcome.environment for outcome in passed])
     tried = level.tried.reshape(level.found.margin.shape)
-    return Found(level.found.passive & tried, undecided, len(level.outcomes), level.envelope, environments)
+    return Found(
+        level.found.passive & tried, undecided, len(level.outcomes), level.envelope, environments
+    )
 
 
 def by_prediction(device: Display, level: float) -> Found | None:
@@ -329,7 +426,9 @@ def by_prediction(device: Display, level: float) -> Found | None:
     f = frequencies(SHOWN_HZ, device.perturbation)
     f = f[(f >= SHOWN_HZ[0]) & (f <= SHOWN_HZ[1])]
     shape = [axis.size for axis in AXES]
-    return Found(passive.reshape(shape), 0, 0, of_predicted(f, device.impedances(kept, level, f)), kept)
+    return Found(
+        passive.reshape(shape), 0, 0, of_predicted(f, device.impedances(kept, level, f)), kept
+    )
 
 
 def _calmed(values: Floats) -> Floats:

@@ -92,8 +92,8 @@ class ScenePlan:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One trial, with its ticks. `judged` is None without noise, or if it ended too early; `winding_c` is (times s, degC), None
-    where the winding's temperature is given.
+    """One trial, with its ticks. `judged` is None without noise, or if it ended too early;
+    `winding_c` is (times s, degC), None where the winding's temperature is given.
     """
 
     leg: Leg
@@ -103,7 +103,9 @@ class Trial:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """Rms velocity and largest command, the work of the probe, when it diverged; by name with unit."""
+        """Rms velocity and largest command, the work of the probe, when it diverged; by name
+        with unit.
+        """
         found = self.found
         return {
             "velocity_sd_m_per_s": float(found.sigma_v_m_per_s[0]),
@@ -137,7 +139,9 @@ def run_scene(plan: ScenePlan, tell: Progress = silent) -> SceneResult:
     """Simulate. ConfigError as `compose` and `simulate`."""
     winding = compose(plan.scene).winding
     steps = Steps(tell, len(plan.legs) * (1 + (TEMPERATURES if winding else 0)))
-    trials = tuple(_trial(plan, leg, winding.start_c if winding else None, steps) for leg in plan.legs)
+    trials = tuple(
+        _trial(plan, leg, winding.start_c if winding else None, steps) for leg in plan.legs
+    )
     steps.end()
     return SceneResult(plan, trials)
 
@@ -156,19 +160,25 @@ def _trial(plan: ScenePlan, leg: Leg, start_c: float | None, steps: Steps) -> Tr
 
 
 def _simulated(plan: ScenePlan, leg: Leg, seconds: float, keep: str) -> BatchResult:
-    return simulate(plan.scene, [point(plan.scene)], seconds, damping=leg.damping, substeps=SUBSTEPS, keep=keep)
+    return simulate(
+        plan.scene, [point(plan.scene)], seconds, damping=leg.damping, substeps=SUBSTEPS, keep=keep
+    )
 
 
 def _judged(plan: ScenePlan, leg: Leg, found: BatchResult) -> TrialResult | None:
-    recorded, scene = simulated(plan.scene, found), plan.scene
+    recorded = simulated(plan.scene, found)
+    scene = plan.scene
     if recorded.seconds < LEAST_S:
         return None
-    asked = Asked(point(scene), max(height for _, height in leg.damping), plan.seconds, scene.excitation)
+    asked = Asked(
+        point(scene), max(height for _, height in leg.damping), plan.seconds, scene.excitation
+    )
     return judged(plan_trial(TrialParams(asked, scene)), recorded)
 
 
 def _temperatures(plan: ScenePlan, start_c: float, leg: Leg, steps: Steps) -> tuple[Floats, Floats]:
-    times, found = np.linspace(0.0, plan.seconds, TEMPERATURES + 1), [start_c]
+    times = np.linspace(0.0, plan.seconds, TEMPERATURES + 1)
+    found = [start_c]
     for seconds in times[1:]:
         steps.next(f"warming up, {leg.name}")
         winding_c = _simulated(plan, leg, float(seconds), "summary").winding_c
@@ -180,10 +190,11 @@ def _temperatures(plan: ScenePlan, start_c: float, leg: Leg, steps: Steps) -> tu
 class Ceiling:
     """All damping levels in N s/m.
 
-    `device`: the highest at which the device alone is stable, inf without one; `oscillation_hz` where it then oscillates (nan
-    if it grows without). `lowest`, `highest`: between them the loop with the scene's environment is stable; nan if never.
-    `scene` is the scene's own level, `loop_gain` g dR / K^2 at that level. `warmer`: (winding minus what the compensation
-    believes [K], ceiling of the device), empty if the scene has no winding.
+    `device`: the highest at which the device alone is stable, inf without one; `oscillation_hz`
+    where it then oscillates (nan if it grows without). `lowest`, `highest`: between them the loop
+    with the scene's environment is stable; nan if never. `scene` is the scene's own level,
+    `loop_gain` g dR / K^2 at that level. `warmer`: (winding minus what the compensation believes
+    [K], ceiling of the device), empty if the scene has no winding.
     """
 
     device: float
@@ -201,8 +212,12 @@ def ceiling(scene: Scene) -> Ceiling:
     """
     model = compose_device(scene.name, scene.effects, scene.rate_hz)
     if not (model.a1.any() or model.b1.any()):
-        raise ConfigError(f"scene {scene.name!r}: the motor is shorted and obeys no damping command; leave out 'crowbar'")
-    top, asked = damping_ceiling(model, HIGHEST_NS_PER_M), level(scene)
+        raise ConfigError(
+            f"scene {scene.name!r}: the motor is shorted and obeys no damping command; leave out"
+            " 'crowbar'"
+        )
+    top = damping_ceiling(model, HIGHEST_NS_PER_M)
+    asked = level(scene)
     growing = max(modes(model, top), key=lambda mode: mode.real)
     windings = [effect for effect in scene.effects if isinstance(effect, WindingTemperature)]
     lowest, highest = _loop(scene, model, top)
@@ -233,7 +248,10 @@ def _loop(scene: Scene, model: Model, top: float) -> tuple[float, float]:
     """(lowest, highest) damping with which the sampled loop is stable; nan if it never is."""
 
     def stable(level_ns_per_m: float) -> bool:
-        return bool(spectral_radius(model, np.array([point(scene)]), level_ns_per_m, filters(scene))[0] < 1.0)
+        return bool(
+            spectral_radius(model, np.array([point(scene)]), level_ns_per_m, filters(scene))[0]
+            < 1.0
+        )
 
     levels = [0.0, *np.geomspace(1e-3, top, SCAN).tolist()]
     good = [stable(each) for each in levels]
@@ -241,7 +259,9 @@ def _loop(scene: Scene, model: Model, top: float) -> tuple[float, float]:
         return nan, nan
     first = good.index(True)
     last = [*good, False].index(False, first) - 1
-    below, above = levels[max(first - 1, 0)], levels[min(last + 1, SCAN)]  # themselves at the ends of the scan
+    # themselves at the ends of the scan
+    below = levels[max(first - 1, 0)]
+    above = levels[min(last + 1, SCAN)]
     return edge(stable, levels[first], below), edge(stable, levels[last], above)
 
 
@@ -261,23 +281,35 @@ def compare_integrators(scene: Scene) -> Integrators:
     """Of the scene's device at its highest damping. ConfigError as `compose`."""
     model = compose(scene)
     a = model.a(level(scene))
-    start = np.array([SPEED_M_PER_S if state.name.endswith("_velocity") else 0.0 for state in model.states])
-    true, steps = _marks(expm(a * 1e-3), start), STEPS_PER_MS
+    start = np.array(
+        [SPEED_M_PER_S if state.name.endswith("_velocity") else 0.0 for state in model.states]
+    )
+    true = _marks(expm(a * 1e-3), start)
+    steps = STEPS_PER_MS
     with np.errstate(over="ignore", invalid="ignore"):
         error = {
-            method: np.array([_error(matrix_power(_step(method, a * (1e-3 / count)), count), start, true) for count in steps])
+            method: np.array(
+                [
+                    _error(matrix_power(_step(method, a * (1e-3 / count)), count), start, true)
+                    for count in steps
+                ]
+            )
             for method in ORDERS
         }
     poles = np.asarray(np.linalg.eigvals(a), np.complex128)
     longest = {method: _longest(method, poles) for method in ORDERS}
     fastest = float(np.abs(poles).max())
-    return Integrators(np.array(steps, np.float64), error, longest, 1.0 / fastest if fastest else inf)
+    return Integrators(
+        np.array(steps, np.float64), error, longest, 1.0 / fastest if fastest else inf
+    )
 
 
 def _error(millisecond: Array, start: Floats, true: Floats) -> float:
     """The largest of any coordinate, over its largest value on the way."""
     size = np.abs(true).max(axis=0)
-    error = float((np.abs(_marks(millisecond, start) - true) / np.where(size == 0.0, 1.0, size)).max())
+    error = float(
+        (np.abs(_marks(millisecond, start) - true) / np.where(size == 0.0, 1.0, size)).max()
+    )
     return error if error < BLOWN_UP else inf
 
 
@@ -293,7 +325,9 @@ def _step(method: str, ah: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 def _marks(millisecond: Array, start: Floats) -> Floats:
-    """(SPAN_MS, n): the state at the end of each millisecond; `millisecond` is the matrix of one."""
+    """(SPAN_MS, n): the state at the end of each millisecond; `millisecond` is the matrix of
+    one.
+    """
     return np.array([matrix_power(millisecond, count) @ start for count in range(1, SPAN_MS + 1)])
 
 

@@ -1,8 +1,10 @@
-"""What procedures ask of a scene: its environment as a point, its damping level, itself without an effect, its impedance; and
-the device in it, composed once, with all that is predicted of it (`Display`).
+"""What procedures ask of a scene: its environment as a point, its damping level, itself without an
+effect, its impedance; and the device in it, composed once, with all that is predicted of it
+(`Display`).
 
-Z is measured as the paper does it (noise at the probe, `analysis.spa`) and taken on frequencies that are evenly spaced in
-ln f. They lie on the grid of the paper's window, so that a longer window has them on its grid too.
+Z is measured as the paper does it (noise at the probe, `analysis.spa`) and taken on frequencies
+that are evenly spaced in ln f. They lie on the grid of the paper's window, so that a longer window
+has them on its grid too.
 
 What would break it: comparing what is predicted at one perturbation with trials at another.
 """
@@ -63,15 +65,21 @@ def free_of_walls(scene: Scene) -> EnvironmentParams:
 
 def noise(scene: Scene) -> Excitation:
     """The scene's own noise, or the paper's where the scene has none."""
-    return scene.excitation if scene.excitation.kind == "noise" else Excitation("noise", seed=scene.excitation.seed)
+    return (
+        scene.excitation
+        if scene.excitation.kind == "noise"
+        else Excitation("noise", seed=scene.excitation.seed)
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class Display:
-    """A scene's device with its environment's filters, under the perturbation of its trials; as `display` makes it.
+    """A scene's device with its environment's filters, under the perturbation of its trials; as
+    `display` makes it.
 
-    Passive is what the paper's rule calls so at that perturbation. Much of a device's damping may be dry friction, which fades as
-    the motion grows; `dry=False` therefore asks for passivity without counting on it, at any amplitude.
+    Passive is what the paper's rule calls so at that perturbation. Much of a device's damping may
+    be dry friction, which fades as the motion grows; `dry=False` therefore asks for passivity
+    without counting on it, at any amplitude.
     """
 
     scene: Scene
@@ -94,30 +102,59 @@ class Display:
         return self.model.force_limit_n or inf
 
     def predicted(
-        self, points: Floats, level: float, band_hz: tuple[float, float] = DEFAULT_BAND_HZ, dry: bool = True
+        self,
+        points: Floats,
+        level: float,
+        band_hz: tuple[float, float] = DEFAULT_BAND_HZ,
+        dry: bool = True,
     ) -> Prediction:
-        """Of environments (N, 3) at a damping level [N s/m]; `dry`: with the friction as it is at the perturbation, and as the
-        trials record it."""
-        return predict(self.model, points, level, self.filters, self.perturbation if dry else None, band_hz, recorded=dry)
+        """Of environments (N, 3) at a damping level [N s/m]; `dry`: with the friction as it is at
+        the perturbation, and as the trials record it.
+        """
+        return predict(
+            self.model,
+            points,
+            level,
+            self.filters,
+            self.perturbation if dry else None,
+            band_hz,
+            recorded=dry,
+        )
 
-    def passive(self, points: Floats, level: float, band_hz: tuple[float, float] = DEFAULT_BAND_HZ, dry: bool = True) -> Flags:
+    def passive(
+        self,
+        points: Floats,
+        level: float,
+        band_hz: tuple[float, float] = DEFAULT_BAND_HZ,
+        dry: bool = True,
+    ) -> Flags:
         """(N,) at the perturbation; without `dry` also at any larger one."""
         found = self.predicted(points, level, band_hz).passive
-        return found if dry or not found.any() else found & self.predicted(points, level, band_hz, dry=False).passive
+        return (
+            found
+            if dry or not found.any()
+            else found & self.predicted(points, level, band_hz, dry=False).passive
+        )
 
     def impedances(self, points: Floats, level: float, frequency_hz: Floats) -> Complexes:
-        """Z (N, F) [N s/m] of environments (N, 3) at `frequency_hz` (F,) as trials record it; friction is linearised on the
-        frequencies of a prediction beside them."""
+        """Z (N, F) [N s/m] of environments (N, 3) at `frequency_hz` (F,) as trials record it;
+        friction is linearised on the frequencies of a prediction beside them.
+        """
         band_hz = float(frequency_hz.min()), float(frequency_hz.max())
-        f, friction = np.union1d(predicted_frequencies(band_hz, self.perturbation), frequency_hz), coulomb(self.model)
+        f = np.union1d(predicted_frequencies(band_hz, self.perturbation), frequency_hz)
+        friction = coulomb(self.model)
         loop = close_loop(self.model, f, level, self.filters)
-        true = linearise(loop, points, friction, np.zeros_like(friction), self.perturbation).impedance
+        true = linearise(
+            loop, points, friction, np.zeros_like(friction), self.perturbation
+        ).impedance
         return np.asarray(recorded_impedance(loop, points, true)[:, np.isin(f, frequency_hz)])
 
 
 @lru_cache(maxsize=64)
 def display(scene: Scene, excitation: Excitation | None = None) -> Display:
-    """The scene's device, composed once, under `excitation`, by default its own noise. ConfigError as `compose`."""
+    """The scene's device, composed once, under `excitation`, by default its own noise.
+    ConfigError as `compose`.
+    """
     return Display(scene, excitation or noise(scene), _composed(scene))
 
 
@@ -131,23 +168,38 @@ def candidates(scene: Scene) -> tuple[str, ...]:
 
 def without(scene: Scene, *keys: str) -> Scene:
     """The scene without these effects."""
-    return replace(scene, effects=tuple(effect for effect in scene.effects if effect.key not in keys))
+    return replace(
+        scene, effects=tuple(effect for effect in scene.effects if effect.key not in keys)
+    )
 
 
 def is_linear(scene: Scene) -> bool:
     """Whether nothing in it is not linear, so that its impedance is known exactly."""
-    return not any(effect.nonlinearity for effect in scene.effects) and scene.environment.wall.side == 0
+    return (
+        not any(effect.nonlinearity for effect in scene.effects)
+        and scene.environment.wall.side == 0
+    )
 
 
 def frequencies(band_hz: tuple[float, float] = DEFAULT_BAND_HZ, count: int = FREQUENCIES) -> Floats:
-    """About `count` frequencies (F,) [Hz] inside the band, evenly in ln f, on the grid of the paper's window."""
+    """About `count` frequencies (F,) [Hz] inside the band, evenly in ln f, on the grid of the
+    paper's window.
+    """
     spacing = 0.5 * PROBE_RATE_HZ / DEFAULT_LAG
-    first, last = np.ceil(band_hz[0] / spacing), np.floor(band_hz[1] / spacing)
+    first = np.ceil(band_hz[0] / spacing)
+    last = np.floor(band_hz[1] / spacing)
     return np.asarray(np.unique(np.round(np.geomspace(first, last, count))) * spacing)
 
 
-def spectra_on(torque_n: npt.ArrayLike, velocity_m_per_s: npt.ArrayLike, frequency_hz: Floats, lag: int = DEFAULT_LAG) -> Spectra:
-    """Spectra of a record at `frequency_hz` (F,), by the whole grid of its window where that has them."""
+def spectra_on(
+    torque_n: npt.ArrayLike,
+    velocity_m_per_s: npt.ArrayLike,
+    frequency_hz: Floats,
+    lag: int = DEFAULT_LAG,
+) -> Spectra:
+    """Spectra of a record at `frequency_hz` (F,), by the whole grid of its window where that
+    has them.
+    """
     if lag % DEFAULT_LAG:
         return spa(torque_n, velocity_m_per_s, lag=lag, frequency_hz=frequency_hz)
     at = np.rint(frequency_hz * (2 * lag / PROBE_RATE_HZ)).astype(int)
@@ -171,11 +223,15 @@ def pooled(trials: list[Spectra]) -> Complexes:
     """Z (F,) of several trials together: sums of their spectra. AnalysisError without trials."""
     if not trials:
         raise AnalysisError("not stable: no trial ran to its end, so there is no impedance")
-    return np.asarray(sum(trial.cross for trial in trials) / sum(trial.velocity for trial in trials))
+    return np.asarray(
+        sum(trial.cross for trial in trials) / sum(trial.velocity for trial in trials)
+    )
 
 
 def device_scene(name: str) -> Scene | None:
-    """The scene of the device file `name`; None if there is no such file, or none that can be simulated."""
+    """The scene of the device file `name`; None if there is no such file, or none that can be
+    simulated.
+    """
     try:
         document = read(find_device(name, shipped("config") / "hapticd.toml", "device"))
     except ConfigError:
@@ -184,11 +240,20 @@ def device_scene(name: str) -> Scene | None:
     effects = _rigid(device, device.plant) if device.plant else device_effects(device)
     if not effects:
         return None
-    return Scene(document.path.stem, device.name, document.path.stem, effects, excitation=Excitation("noise"), seconds=TRIAL_S)
+    return Scene(
+        document.path.stem,
+        device.name,
+        document.path.stem,
+        effects,
+        excitation=Excitation("noise"),
+        seconds=TRIAL_S,
+    )
 
 
 def scene_of_device(title: str) -> Scene | None:
-    """The scene of the shipped device file that gives its device this name; None if there is none, or none to simulate."""
+    """The scene of the shipped device file that gives its device this name; None if there is
+    none, or none to simulate.
+    """
     for path in sorted((shipped("config") / "devices").glob("*.toml")):
         if read(path).data.get("name") == title:
             return device_scene(path.stem)
@@ -196,10 +261,16 @@ def scene_of_device(title: str) -> Scene | None:
 
 
 def _rigid(device: DeviceFile, plant: RigidTable) -> tuple[Effect, ...]:
-    """The one mass that the simulated board moves without a model of effects, latched when it does by default."""
+    """The one mass that the simulated board moves without a model of effects, latched when it
+    does by default.
+    """
     return (
         Masses(rotor_kg=plant.mass_kg),
-        Motor(torque_constant_nm_per_a=plant.torque_constant_n_per_a, lever_m=1.0, resistance_ohm=plant.winding_ohm),
+        Motor(
+            torque_constant_nm_per_a=plant.torque_constant_n_per_a,
+            lever_m=1.0,
+            resistance_ohm=plant.winding_ohm,
+        ),
         Viscous(rotor_ns_per_m=plant.viscous_ns_per_m),
         WorkspaceEnds(lower_m=plant.lower_stop_m, upper_m=plant.upper_stop_m),
         Delay(periods=1.0 - DEFAULT_PHASE),

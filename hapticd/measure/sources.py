@@ -1,13 +1,14 @@
-"""Where a trial's record comes from: the batch engine, a file, or a daemon (`bench`). All give a `Recorded`.
+"""Where a trial's record comes from: the batch engine, a file, or a daemon (`bench`). All give a
+`Recorded`.
 
-A record that is there already is shown to the sentinel second by second, as a daemon would show it, and cut where it would
-have ended the trial.
+A record that is there already is shown to the sentinel second by second, as a daemon would show it,
+and cut where it would have ended the trial.
 
-What a trial renders, of what was typed, the scene and the record, is one rule for all of them. Of K, B and M what is
-not given is that of the scene that was named, else 0: nobody who asks for K = 500 N/m alone asks for the B and M of a
-scene that was not named. With none of the three given the environment is that of the record, else of the scene as it
-is, else 0. The electrical damping is a property of the device's drive: it is the record's, else the scene's, unless it
-is given.
+What a trial renders, of what was typed, the scene and the record, is one rule for all of them. Of
+K, B and M what is not given is that of the scene that was named, else 0: nobody who asks for K =
+500 N/m alone asks for the B and M of a scene that was not named. With none of the three given the
+environment is that of the record, else of the scene as it is, else 0. The electrical damping is a
+property of the device's drive: it is the record's, else the scene's, unless it is given.
 """
 
 from collections.abc import Callable
@@ -34,14 +35,18 @@ SAME = 1e-6  # relative
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """What a source is asked for: K [N/m], B [Ns/m], M [kg], electrical damping [Ns/m], length, perturbation with its seed."""
+    """What a source is asked for: K [N/m], B [Ns/m], M [kg], electrical damping [Ns/m], length,
+    perturbation with its seed.
+    """
 
     environment: tuple[float, float, float] = (0.0, 0.0, 0.0)
     damping_ns_per_m: float = 0.0
     seconds: float = 90.0
     excitation: Excitation = NOISE
     watch: Watch = field(default_factory=Watch)
-    waveform_n: Floats | None = field(default=None, compare=False)  # at 4 kHz, repeated; in place of the excitation
+    waveform_n: Floats | None = field(
+        default=None, compare=False
+    )  # at 4 kHz, repeated; in place of the excitation
 
 
 Source = Callable[[Trial, Progress], Recorded]
@@ -53,13 +58,23 @@ def engine_source(scene: Scene, substeps: int = 4) -> Source:
     def record(trial: Trial, tell: Progress = silent) -> Recorded:
         tell("simulating", 0, 1)
         found = simulate(
-            scene, [trial.environment], trial.seconds, trial.excitation.seed, damping=trial.damping_ns_per_m,
-            environment=scenes.free_of_walls(scene), start=(0.0, 0.0), substeps=substeps, keep="ticks",
+            scene,
+            [trial.environment],
+            trial.seconds,
+            trial.excitation.seed,
+            damping=trial.damping_ns_per_m,
+            environment=scenes.free_of_walls(scene),
+            start=(0.0, 0.0),
+            substeps=substeps,
+            keep="ticks",
             excitation=trial.excitation if trial.waveform_n is None else trial.waveform_n,
-        )  # fmt: skip
+        )
         tell("simulated", 1, 1)
         whole = simulated(scene, found)
-        watch = replace(trial.watch, command_limit_n=inf if whole.command_limit_n is None else whole.command_limit_n)
+        watch = replace(
+            trial.watch,
+            command_limit_n=inf if whole.command_limit_n is None else whole.command_limit_n,
+        )
         winding_c = nan if found.winding_c is None else float(found.winding_c[0])
         _, commands = found.traces(0)
         return _watched(whole, watch, winding_c, np.abs(commands))
@@ -78,31 +93,57 @@ def simulated(scene: Scene, found: BatchResult) -> Recorded:
 
 
 def file_source(recorded: Recorded) -> Source:
-    """The record of a file, whatever is asked; environment and damping are then what the user says they were."""
+    """The record of a file, whatever is asked; environment and damping are then what the user
+    says they were.
+    """
     return lambda trial, tell: _watched(recorded, trial.watch)
 
 
-def _watched(whole: Recorded, watch: Watch, winding_c: float = nan, command_n: Floats | None = None) -> Recorded:
-    """`whole` up to where the sentinel would have ended it. `command_n` (ticks,): sizes of the commands beside it."""
-    sentinel, second, total = Sentinel(watch, whole.rate_hz), round(whole.rate_hz), whole.force_n.size
+def _watched(
+    whole: Recorded, watch: Watch, winding_c: float = nan, command_n: Floats | None = None
+) -> Recorded:
+    """`whole` up to where the sentinel would have ended it. `command_n` (ticks,): sizes of the
+    commands beside it.
+    """
+    sentinel = Sentinel(watch, whole.rate_hz)
+    second = round(whole.rate_hz)
+    total = whole.force_n.size
     for start in range(0, total, second):
         part = slice(start, start + second)
         ticks = (
-            np.zeros(1) if command_n is None else command_n[start * len(command_n) // total : part.stop * len(command_n) // total]
+            np.zeros(1)
+            if command_n is None
+            else command_n[start * len(command_n) // total : part.stop * len(command_n) // total]
         )
-        if sentinel.see(whole.force_n[part], whole.velocity_m_per_s[part], winding_c, float(ticks.max(initial=0.0))):
+        if sentinel.see(
+            whole.force_n[part],
+            whole.velocity_m_per_s[part],
+            winding_c,
+            float(ticks.max(initial=0.0)),
+        ):
             break
     if not sentinel.reason:
         return whole
-    kept = max(round(LEAST_KEPT_S * whole.rate_hz), round(sentinel.seconds * whole.rate_hz))  # what is there may as well be judged
-    return replace(whole, force_n=whole.force_n[:kept], velocity_m_per_s=whole.velocity_m_per_s[:kept], ended=sentinel.reason)
+    kept = max(
+        round(LEAST_KEPT_S * whole.rate_hz), round(sentinel.seconds * whole.rate_hz)
+    )  # what is there may as well be judged
+    return replace(
+        whole,
+        force_n=whole.force_n[:kept],
+        velocity_m_per_s=whole.velocity_m_per_s[:kept],
+        ended=sentinel.reason,
+    )
 
 
 def given(
-    typed: Typed, damping_ns_per_m: float | None, scene: Scene | None, named: bool, recorded: Recorded | None = None
+    typed: Typed,
+    damping_ns_per_m: float | None,
+    scene: Scene | None,
+    named: bool,
+    recorded: Recorded | None = None,
 ) -> Rendered:
-    """What is rendered; `named`: the user named `scene`. AnalysisError where a record was made in something else than what was
-    typed.
+    """What is rendered; `named`: the user named `scene`. AnalysisError where a record was made in
+    something else than what was typed.
     """
     told = recorded.rendered if recorded else None
     if told is not None:
@@ -110,15 +151,23 @@ def given(
         return told
     known = Rendered(scenes.point(scene), scenes.level(scene)) if scene else Rendered()
     others = known.environment if named or typed == (None, None, None) else (0.0, 0.0, 0.0)
-    stiffness, damping, mass = (other if own is None else own for own, other in zip(typed, others, strict=True))
+    stiffness, damping, mass = (
+        other if own is None else own for own, other in zip(typed, others, strict=True)
+    )
     level = known.damping_ns_per_m if damping_ns_per_m is None else damping_ns_per_m
     return Rendered((stiffness, damping, mass), level)
 
 
 def _agrees(origin: str, typed: Typed, damping_ns_per_m: float | None, told: Rendered) -> None:
     every = zip(
-        (*NAMES, ("added damping", "N s/m")), (*typed, damping_ns_per_m), (*told.environment, told.damping_ns_per_m), strict=True
+        (*NAMES, ("added damping", "N s/m")),
+        (*typed, damping_ns_per_m),
+        (*told.environment, told.damping_ns_per_m),
+        strict=True,
     )
     for (name, unit), said, known in every:
         if said is not None and abs(said - known) > SAME * abs(known):
-            raise AnalysisError(f"{origin}: recorded in {name} = {known:g} {unit}, not {said:g} {unit}: leave that out")
+            raise AnalysisError(
+                f"{origin}: recorded in {name} = {known:g} {unit}, not {said:g} {unit}: leave"
+                " that out"
+            )

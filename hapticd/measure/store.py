@@ -1,16 +1,19 @@
 """What a procedure leaves behind, and how it tells on the way that it is getting on.
 
-Results stay in a folder for each run, and in an append-only file of trials by which campaigns go on after an interruption:
+Results stay in a folder for each run, and in an append-only file of trials by which campaigns go on
+after an interruption:
 
     run folder     run.json (verdict, conditions, provenance); of a trial record.h5, or record.npz where h5py is not installed,
                    and impedance.csv; figures
     trial store    one JSON object a line, keyed by the SHA-256 of everything that the trial's outcome depends on
 
-A line is written at once and flushed, so that Ctrl-C or a dead machine costs at most the trials in flight; a torn last line is
-not read. A run folder holds one run: whoever writes another there removes what the one before left, but for the store, which
-several campaigns share, and files of other names. JSON knows no nan and no infinity: both become null, and null is read as nan.
+A line is written at once and flushed, so that Ctrl-C or a dead machine costs at most the trials in
+flight; a torn last line is not read. A run folder holds one run: whoever writes another there
+removes what the one before left, but for the store, which several campaigns share, and files of
+other names. JSON knows no nan and no infinity: both become null, and null is read as nan.
 
-Results become objects that JSON can carry (`plain`): arrays become lists, complex numbers pairs, what is not finite null.
+Results become objects that JSON can carry (`plain`): arrays become lists, complex numbers pairs,
+what is not finite null.
 """
 
 import hashlib
@@ -27,14 +30,42 @@ from pydantic_core import to_jsonable_python
 from hapticd.analysis.arrays import Floats
 from hapticd.errors import ConfigError
 
-SUMMARY, RECORD_H5, RECORD_NPZ, IMPEDANCE = "run.json", "record.h5", "record.npz", "impedance.csv"
-FIGURES = ("trial", "trial_admittance", "limits", "walls", "search", "set", "envelope", "envelope_admittance", "envelope_so_far")
-OF_A_RUN = (SUMMARY, RECORD_H5, RECORD_NPZ, IMPEDANCE, *(f"{name}.{kind}" for name in FIGURES for kind in ("png", "svg")))
+SUMMARY = "run.json"
+RECORD_H5 = "record.h5"
+RECORD_NPZ = "record.npz"
+IMPEDANCE = "impedance.csv"
+FIGURES = (
+    "trial",
+    "trial_admittance",
+    "limits",
+    "walls",
+    "search",
+    "set",
+    "envelope",
+    "envelope_admittance",
+    "envelope_so_far",
+)
+OF_A_RUN = (
+    SUMMARY,
+    RECORD_H5,
+    RECORD_NPZ,
+    IMPEDANCE,
+    *(f"{name}.{kind}" for name in FIGURES for kind in ("png", "svg")),
+)
 Progress = Callable[[str, int, int], None]  # of what is done, how many are done, and of how many
 OF_A_RECORD = (
-    "simulated", "origin", "environment", "added_damping_ns_per_m", "ended", "max_command_n", "command_limit_n",
-    "lost_samples", "samples", "lost_slots", "slots",
-)  # fmt: skip
+    "simulated",
+    "origin",
+    "environment",
+    "added_damping_ns_per_m",
+    "ended",
+    "max_command_n",
+    "command_limit_n",
+    "lost_samples",
+    "samples",
+    "lost_slots",
+    "slots",
+)
 
 
 def silent(what: str, done: int, total: int) -> None:
@@ -45,7 +76,9 @@ class Steps:
     """Counts the steps of a procedure: it tells before each, and once at the end."""
 
     def __init__(self, tell: Progress, total: int) -> None:
-        self._tell, self._total, self._done = tell, total, 0
+        self._tell = tell
+        self._total = total
+        self._done = 0
 
     def next(self, what: str) -> None:
         """The next step begins, and is `what`."""
@@ -58,8 +91,12 @@ class Steps:
 
 
 def plain(value: Any, *, skip: tuple[str, ...] = ()) -> Any:
-    """`value` as dicts, lists, strings and finite numbers; its own fields named in `skip` are left out."""
-    return to_jsonable_python(value, exclude=set(skip) or None, inf_nan_mode="null", fallback=_listed)
+    """`value` as dicts, lists, strings and finite numbers; its own fields named in `skip` are
+    left out.
+    """
+    return to_jsonable_python(
+        value, exclude=set(skip) or None, inf_nan_mode="null", fallback=_listed
+    )
 
 
 def _listed(value: Any) -> Any:
@@ -71,7 +108,9 @@ def _listed(value: Any) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class Rendered:
-    """K [N/m], B [N s/m], M [kg] that were rendered, and the electrical damping [N s/m] beside them."""
+    """K [N/m], B [N s/m], M [kg] that were rendered, and the electrical damping [N s/m] beside
+    them.
+    """
 
     environment: tuple[float, float, float] = (0.0, 0.0, 0.0)
     damping_ns_per_m: float = 0.0
@@ -79,10 +118,12 @@ class Rendered:
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """`force_n`, `velocity_m_per_s` (N,) float64 at `rate_hz`. `ended`: why before its time, "" if it was not.
+    """`force_n`, `velocity_m_per_s` (N,) float64 at `rate_hz`. `ended`: why before its time, "" if
+    it was not.
 
-    `max_command_n` is the largest force that was commanded, `command_limit_n` what the device can do; None where not known.
-    `more`: what else the source says of itself, for the run's summary. `rendered`: what the record says that it was recorded in.
+    `max_command_n` is the largest force that was commanded, `command_limit_n` what the device can
+    do; None where not known. `more`: what else the source says of itself, for the run's summary.
+    `rendered`: what the record says that it was recorded in.
     """
 
     force_n: Floats
@@ -103,21 +144,30 @@ class Recorded:
 
 
 def nearer(ended: str) -> str:
-    """Remedy after a trial that was too short because it ended so; "" where the reason brings its own."""
+    """Remedy after a trial that was too short because it ended so; "" where the reason brings
+    its own.
+    """
     return "; go nearer to 0" if ended.startswith(("escape", "saturation", "fault")) else ""
 
 
 def fingerprint(value: Any) -> str:
     """SHA-256 (hex) over the canonical JSON of `value`: equal for equal values."""
-    return hashlib.sha256(json.dumps(plain(value), sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+    return hashlib.sha256(
+        json.dumps(plain(value), sort_keys=True, separators=(",", ":")).encode()
+    ).hexdigest()
 
 
 def write_run(
-    folder: Path, summary: Mapping[str, Any], recorded: Recorded | None = None, texts: Mapping[str, str] | None = None
+    folder: Path,
+    summary: Mapping[str, Any],
+    recorded: Recorded | None = None,
+    texts: Mapping[str, str] | None = None,
 ) -> Path:
-    """A run folder, made if need be, in place of the run that was there; `texts`: further files by name.
+    """A run folder, made if need be, in place of the run that was there; `texts`: further files by
+    name.
 
-    The summary is written last: a folder that has one has the rest. ConfigError if it cannot be written to.
+    The summary is written last: a folder that has one has the rest. ConfigError if it cannot be
+    written to.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -129,7 +179,9 @@ def write_run(
             (folder / name).write_text(content)
         (folder / SUMMARY).write_text(json.dumps(plain(summary), indent=1) + "\n")
     except OSError as error:
-        raise ConfigError(f"{folder}: {error.strerror}; name a folder that you may write to with --out") from error
+        raise ConfigError(
+            f"{folder}: {error.strerror}; name a folder that you may write to with --out"
+        ) from error
     return folder
 
 
@@ -139,16 +191,22 @@ def read_summary(folder: Path) -> dict[str, Any]:
         found = json.loads((folder / SUMMARY).read_text())
         return dict(found)
     except (OSError, ValueError, TypeError) as error:
-        raise ConfigError(f"{folder}: no run folder ({error}); a folder with {SUMMARY} was expected") from error
+        raise ConfigError(
+            f"{folder}: no run folder ({error}); a folder with {SUMMARY} was expected"
+        ) from error
 
 
 def origin_of(summary: Mapping[str, Any]) -> dict[str, Any]:
-    """What a record says of itself, of its run's summary: where it comes from, what was rendered, why it ended, what was lost."""
+    """What a record says of itself, of its run's summary: where it comes from, what was
+    rendered, why it ended, what was lost.
+    """
     return {name: summary[name] for name in OF_A_RECORD if name in summary}
 
 
 def record_path(folder: Path) -> Path:
-    """The record of a run folder, to be read with `recorded.read_file`. ConfigError if it holds none."""
+    """The record of a run folder, to be read with `recorded.read_file`. ConfigError if it holds
+    none.
+    """
     for name in (RECORD_H5, RECORD_NPZ):
         if (folder / name).is_file():
             return folder / name
@@ -156,7 +214,10 @@ def record_path(folder: Path) -> Path:
 
 
 def _write_record(folder: Path, recorded: Recorded, told: str) -> None:
-    channels = {name: np.asarray(getattr(recorded, name), np.float32) for name in ("force_n", "velocity_m_per_s")}
+    channels = {
+        name: np.asarray(getattr(recorded, name), np.float32)
+        for name in ("force_n", "velocity_m_per_s")
+    }
     try:
         import h5py
     except ImportError:
@@ -171,7 +232,9 @@ def _write_record(folder: Path, recorded: Recorded, told: str) -> None:
     with h5py.File(folder / RECORD_H5, "w") as file:
         file["rate_hz"], file["trial"] = recorded.rate_hz, told
         for name, values in channels.items():
-            file.create_dataset(name, data=values, chunks=True, shuffle=True, compression="gzip", compression_opts=1)
+            file.create_dataset(
+                name, data=values, chunks=True, shuffle=True, compression="gzip", compression_opts=1
+            )
 
 
 class TrialStore:
@@ -185,7 +248,10 @@ class TrialStore:
         """Remember and write. ConfigError if the file cannot be written."""
         new = dict(found)
         if self._path is not None and new:
-            _append(self._path, [json.dumps({"key": key, **plain(outcome)}) for key, outcome in new.items()])
+            _append(
+                self._path,
+                [json.dumps({"key": key, **plain(outcome)}) for key, outcome in new.items()],
+            )
         self.known.update(new)
 
 
@@ -195,7 +261,9 @@ def _append(path: Path, lines: list[str]) -> None:
         with path.open("a") as file:
             file.write("\n".join(lines) + "\n")
     except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}; name a folder that you may write to with --out") from error
+        raise ConfigError(
+            f"{path}: {error.strerror}; name a folder that you may write to with --out"
+        ) from error
 
 
 def _read(path: Path) -> Iterable[tuple[str, dict[str, Any]]]:
@@ -205,10 +273,14 @@ def _read(path: Path) -> Iterable[tuple[str, dict[str, Any]]]:
         if not path.is_file():
             raise ConfigError(f"{path}: no file; name a folder that you may write to with --out")
         content = path.read_bytes()
-        if not content.endswith(b"\n"):  # the run before died while writing: cut its line off, so that ours begins anew
+        if not content.endswith(
+            b"\n"
+        ):  # the run before died while writing: cut its line off, so that ours begins anew
             os.truncate(path, content.rfind(b"\n") + 1)
     except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}; name a folder that you may write to with --out") from error
+        raise ConfigError(
+            f"{path}: {error.strerror}; name a folder that you may write to with --out"
+        ) from error
     for line in content.splitlines():
         try:
             outcome = json.loads(line)

@@ -36,35 +36,50 @@ MOSTLY = 0.5  # share of rounded times that have all of their samples
 MOST_MISSING = 0.1  # share of a record; with more it is no record of one trial
 SLOWEST_HZ = 20.0  # nothing about a display is known from fewer samples
 USUAL_HZ = (100.0, 1e5)
-REMEDY = "sort the rows and remove what stands twice, cut the record there, or say --rate-hz if it is whole"
+REMEDY = (
+    "sort the rows and remove what stands twice, cut the record there, or say --rate-hz if it is"
+    " whole"
+)
 SPARE_UNITS = (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
 
 
 @dataclass(frozen=True, eq=False)
 class Sampling:
-    """`rate_hz` of the clock; `place` (n,) of each row on it, from 0, None where rows simply follow each other."""
+    """`rate_hz` of the clock; `place` (n,) of each row on it, from 0, None where rows simply
+    follow each other.
+    """
 
     rate_hz: float
     place: Integers | None = None
 
 
 def sampling(time_s: Floats) -> Sampling:
-    """Of rows at `time_s` (n,) [s], n > 1. AnalysisError for times that do not run evenly, or in another unit than seconds."""
+    """Of rows at `time_s` (n,) [s], n > 1. AnalysisError for times that do not run evenly, or
+    in another unit than seconds.
+    """
     steps = np.diff(time_s)
     _forwards(time_s, steps)
     still = float(np.mean(steps == 0.0))
     found = _rounded(time_s, steps) if still > ROUNDED else _counted(time_s, steps)
     if found.rate_hz < SLOWEST_HZ:
         digits = 3 + max(0, int(-log10(found.rate_hz)))
-        raise AnalysisError(f"a sample rate of {found.rate_hz:.{digits}g} Hz, if it is in seconds; {unit_hint(found.rate_hz)}")
+        raise AnalysisError(
+            f"a sample rate of {found.rate_hz:.{digits}g} Hz, if it is in seconds;"
+            f" {unit_hint(found.rate_hz)}"
+        )
     return found
 
 
 def unit_hint(rate_hz: float) -> str:
-    """Which unit of time would make a display's rate of one that is far too slow; "" if none would."""
+    """Which unit of time would make a display's rate of one that is far too slow; "" if none
+    would.
+    """
     for name, seconds in SPARE_UNITS:
         if USUAL_HZ[0] <= rate_hz / seconds <= USUAL_HZ[1]:
-            return f"it looks like {name}, of samples at {rate_hz / seconds:.6g} Hz: divide it by {1.0 / seconds:g}"
+            return (
+                f"it looks like {name}, of samples at {rate_hz / seconds:.6g} Hz: divide it by"
+                f" {1.0 / seconds:g}"
+            )
     return "seconds were expected"
 
 
@@ -73,18 +88,25 @@ def _forwards(time_s: Floats, steps: Floats) -> None:
     back = np.flatnonzero(~(steps >= 0.0))
     if back.size:
         row = int(back[0])
-        raise AnalysisError(f"sample {row + 2} at {time_s[row + 1]:.9g} s follows one at {time_s[row]:.9g} s; {REMEDY}")
+        raise AnalysisError(
+            f"sample {row + 2} at {time_s[row + 1]:.9g} s follows one at {time_s[row]:.9g} s;"
+            f" {REMEDY}"
+        )
     twice = np.flatnonzero(steps == 0.0)
     if 0 < twice.size <= ROUNDED * steps.size:
         row = int(twice[0])
         raise AnalysisError(
-            f"{twice.size} samples have the time of the one before, the first is sample {row + 2} at {time_s[row]:.9g} s; {REMEDY}"
+            f"{twice.size} samples have the time of the one before, the first is sample {row + 2}"
+            f" at {time_s[row]:.9g} s; {REMEDY}"
         )
 
 
 def _rounded(time_s: Floats, steps: Floats) -> Sampling:
-    """Times that repeat: whole numbers of samples to each, of which some are missing, or else the mean rate."""
-    period_s, usual_s = float(steps.mean()), float(np.median(steps[steps > 0.0])) if steps.any() else 0.0
+    """Times that repeat: whole numbers of samples to each, of which some are missing, or else
+    the mean rate.
+    """
+    period_s = float(steps.mean())
+    usual_s = float(np.median(steps[steps > 0.0])) if steps.any() else 0.0
     if not (period_s > 0.0 and steps.max() <= GAP * min(period_s, usual_s)):
         raise AnalysisError(_uneven(steps))
     first, counts = np.unique(time_s, return_index=True, return_counts=True)[1:]
@@ -111,8 +133,9 @@ def _counted(time_s: Floats, steps: Floats) -> Sampling:
 
 
 def _in_phase(time_s: Floats, rate_hz: float) -> float:
-    """The rate near `rate_hz` at which all times have one phase, whichever of them are missing: found over short stretches
-    first, where a rate that is somewhat wrong turns the phase by less than half, then over longer ones.
+    """The rate near `rate_hz` at which all times have one phase, whichever of them are missing:
+    found over short stretches first, where a rate that is somewhat wrong turns the phase by less
+    than half, then over longer ones.
     """
     length = SHORT
     while length < 2 * time_s.size:
@@ -131,18 +154,22 @@ def _placed(rate_hz: float, place: Integers, steps: Floats) -> Sampling:
     total = int(place[-1]) + 1
     lost = total - place.size
     if lost > MOST_MISSING * total:
-        raise AnalysisError(f"{lost} of {total} samples are missing, {100.0 * lost / total:.2g} %: {_uneven(steps)}")
+        raise AnalysisError(
+            f"{lost} of {total} samples are missing, {100.0 * lost / total:.2g} %: {_uneven(steps)}"
+        )
     return Sampling(rate_hz, place if lost else None)
 
 
 def _in_order(place: Integers) -> Integers:
-    """Whole numbers that grow by 1 or more: a place that those after it do not allow was a late stamp."""
+    """Whole numbers that grow by 1 or more: a place that those after it do not allow was a late
+    stamp.
+    """
     at = np.arange(place.size)
     return np.asarray(np.minimum.accumulate((place - at)[::-1])[::-1] + at)
 
 
 def _uneven(steps: Floats) -> str:
     return (
-        f"seconds do not run evenly, steps of {steps.min():.3g} to {steps.max():.3g} s; samples are missing or it is no time: cut "
-        "the record there, or say --rate-hz if it is whole"
+        f"seconds do not run evenly, steps of {steps.min():.3g} to {steps.max():.3g} s; samples are"
+        " missing or it is no time: cut the record there, or say --rate-hz if it is whole"
     )

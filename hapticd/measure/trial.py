@@ -1,20 +1,25 @@
-"""One trial of one environment: recorded under noise or multisines, judged, and kept with all that its numbers depend on.
+"""One trial of one environment: recorded under noise or multisines, judged, and kept with all that
+its numbers depend on.
 
-Params -> plan_trial -> Plan -> run_trial -> Result. The plan says beforehand what is expected: whether the predicted loop is
-stable, and its impedance, where the device is known by a model. A trial of an environment that is predicted to be unstable is
-flown all the same (the sentinel ends it); the verdict then says not passive, with the spectral radius.
+Params -> plan_trial -> Plan -> run_trial -> Result. The plan says beforehand what is expected:
+whether the predicted loop is stable, and its impedance, where the device is known by a model. A
+trial of an environment that is predicted to be unstable is flown all the same (the sentinel ends
+it); the verdict then says not passive, with the spectral radius.
 
-A trial by multisines flies several realisations of a force that repeats, each settled for one period and measured for
-some. It has the period of the window's grid (4096 samples), every harmonic with one amplitude, and random phases, other
-ones for every realisation; its density is that of the noise it stands for, so friction acts alike. It ends where the
-judged band ends: the loop is sampled, and what shakes it above half of its rate is folded back into the band (1e-3 of Z
-at 1 kHz).
+A trial by multisines flies several realisations of a force that repeats, each settled for one
+period and measured for some. It has the period of the window's grid (4096 samples), every harmonic
+with one amplitude, and random phases, other ones for every realisation; its density is that of the
+noise it stands for, so friction acts alike. It ends where the judged band ends: the loop is
+sampled, and what shakes it above half of its rate is folded back into the band (1e-3 of Z at 1
+kHz).
 
-For a device without friction 2 s of it know Z better than 90 s of noise. Friction distorts, the same way in every period: only
-more realisations average that, and only they show how much it is (`analysis.periodic`).
+For a device without friction 2 s of it know Z better than 90 s of noise. Friction distorts, the
+same way in every period: only more realisations average that, and only they show how much it is
+(`analysis.periodic`).
 
-The record holds the realisations one after the other, each with the period in which it settles, as it was flown from rest. One
-whose force did not repeat, because a stalled host let the board run out of samples, is flown again.
+The record holds the realisations one after the other, each with the period in which it settles, as
+it was flown from rest. One whose force did not repeat, because a stalled host let the board run out
+of samples, is flown again.
 
 What would break it: a loop so lightly damped that it rings for more than a period.
 
@@ -39,7 +44,13 @@ from hapticd.analysis.diagnostics import Finding, Record, examine
 from hapticd.analysis.impedance import Estimator, Impedance, impedance
 from hapticd.analysis.leakage import leakage_findings
 from hapticd.analysis.passivity import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge, needs_record
-from hapticd.analysis.periodic import CHANGING, PeriodicSpectra, changing, periodic, periodic_findings
+from hapticd.analysis.periodic import (
+    CHANGING,
+    PeriodicSpectra,
+    changing,
+    periodic,
+    periodic_findings,
+)
 from hapticd.analysis.predict import coulomb, predicted_impedance
 from hapticd.analysis.resolved import resolved
 from hapticd.analysis.spa import DEFAULT_LAG, spa
@@ -49,7 +60,16 @@ from hapticd.errors import AnalysisError
 from hapticd.measure.referee import Referee
 from hapticd.measure.scenes import Display, display
 from hapticd.measure.sources import Source, Trial
-from hapticd.measure.store import IMPEDANCE, Progress, Recorded, Steps, fingerprint, nearer, silent, write_run
+from hapticd.measure.store import (
+    IMPEDANCE,
+    Progress,
+    Recorded,
+    Steps,
+    fingerprint,
+    nearer,
+    silent,
+    write_run,
+)
 from hapticd.measure.watch import AT_LIMIT, loss_findings, summed
 from hapticd.plant.scene import Excitation, Scene
 from hapticd.units import PROBE_RATE_HZ
@@ -58,7 +78,10 @@ PERIOD = 2 * DEFAULT_LAG  # samples
 SPARE_S = 0.01  # periods need not be whole ticks
 TRIES = 8  # of a realisation
 SHORTEST_WINDOWS = LEAST_FREEDOM / 2 * 0.75
-NOISE_COVERS = "the random error of a record of this length; not what the window smooths, which is named where it shows"
+NOISE_COVERS = (
+    "the random error of a record of this length; not what the window smooths, which is named where"
+    " it shows"
+)
 KIND = "trial"
 COLUMNS = ("frequency_hz", "real_ns_per_m", "imaginary_ns_per_m", "sd_ns_per_m", "coherence")
 
@@ -85,15 +108,23 @@ def multisine_like(noise: Excitation, highest_hz: float) -> Excitation:
     """The multisine of the density and seed of `noise`, up to `highest_hz`."""
     band_hz = min(noise.band_hz, highest_hz)
     force_n = sqrt(noise.psd_n2_per_hz * band_hz)
-    return replace(noise, kind="multisine", band_hz=band_hz, force_n=force_n, period_s=PERIOD / PROBE_RATE_HZ)
+    return replace(
+        noise, kind="multisine", band_hz=band_hz, force_n=force_n, period_s=PERIOD / PROBE_RATE_HZ
+    )
 
 
 def realised(trial: Trial, layout: Layout, source: Source, tell: Progress = silent) -> Recorded:
-    """Every realisation by `source`, until one ends early. AnalysisError if not even the first was whole, or if one never
-    repeated; else as the source.
+    """Every realisation by `source`, until one ends early. AnalysisError if not even the first was
+    whole, or if one never repeated; else as the source.
     """
-    steps, whole, again = Steps(tell, layout.realisations), [], 0
-    asked = replace(trial, seconds=layout.samples / PROBE_RATE_HZ + SPARE_S, watch=replace(trial.watch, random=False))
+    steps = Steps(tell, layout.realisations)
+    whole = []
+    again = 0
+    asked = replace(
+        trial,
+        seconds=layout.samples / PROBE_RATE_HZ + SPARE_S,
+        watch=replace(trial.watch, random=False),
+    )
     for number in range(layout.realisations):
         steps.next(f"realisation {number + 1} of {layout.realisations}")
         excitation = replace(trial.excitation, seed=trial.excitation.seed + number)
@@ -105,7 +136,10 @@ def realised(trial: Trial, layout: Layout, source: Source, tell: Progress = sile
             break
     steps.end()
     if not whole:
-        raise AnalysisError(f"ended after {found.seconds:.3g} s ({found.ended}): too short for a verdict{nearer(found.ended)}")
+        raise AnalysisError(
+            f"ended after {found.seconds:.3g} s ({found.ended}): too short for a"
+            f" verdict{nearer(found.ended)}"
+        )
     return _joined(whole, layout, found.ended, again)
 
 
@@ -113,21 +147,27 @@ def _flown(asked: Trial, layout: Layout, source: Source) -> tuple[Recorded, int]
     """One realisation, and how often it took."""
     for tries in range(1, TRIES + 1):
         found = source(asked, silent)
-        if found.ended or changing(found.force_n[: layout.samples].reshape(1, -1, PERIOD)) <= CHANGING:
+        if (
+            found.ended
+            or changing(found.force_n[: layout.samples].reshape(1, -1, PERIOD)) <= CHANGING
+        ):
             return found, tries
     raise AnalysisError(
-        f"the force did not repeat in {TRIES} tries of a realisation: the host stalls for milliseconds or samples are lost; see "
-        "`hapticd doctor`, take fewer --periods, or noise"
+        f"the force did not repeat in {TRIES} tries of a realisation: the host stalls for"
+        " milliseconds or samples are lost; see `hapticd doctor`, take fewer --periods, or noise"
     )
 
 
 def laid_out(recorded: Recorded, layout: Layout) -> PeriodicSpectra:
-    """Spectra of as many whole realisations as there are in a record of that layout. AnalysisError if there is none."""
+    """Spectra of as many whole realisations as there are in a record of that layout.
+    AnalysisError if there is none.
+    """
     count = recorded.force_n.size // layout.samples
     if not count:
         raise AnalysisError(
-            f"record of {recorded.seconds:.3g} s: a realisation of 1 + {layout.periods} periods of {PERIOD} samples takes "
-            f"{layout.samples / recorded.rate_hz:.3g} s; record it whole, or say its --periods"
+            f"record of {recorded.seconds:.3g} s: a realisation of 1 + {layout.periods} periods of"
+            f" {PERIOD} samples takes {layout.samples / recorded.rate_hz:.3g} s; record it whole,"
+            " or say its --periods"
         )
     force, velocity = (
         channel[: count * layout.samples].reshape(count, layout.periods + 1, PERIOD)[:, 1:]
@@ -144,17 +184,24 @@ def _joined(parts: list[Recorded], layout: Layout, ended: str, again: int) -> Re
     commands = [part.max_command_n for part in parts if part.max_command_n is not None]
     more = {**parts[-1].more, "flown_again": again, **summed([part.more for part in parts])}
     return replace(
-        parts[-1], force_n=force, velocity_m_per_s=velocity, ended=ended, max_command_n=max(commands, default=None), more=more
+        parts[-1],
+        force_n=force,
+        velocity_m_per_s=velocity,
+        ended=ended,
+        max_command_n=max(commands, default=None),
+        more=more,
     )
 
 
 @dataclass(frozen=True, slots=True)
 class TrialParams:
-    """What is asked, and how it is judged. `scene` names the device where a model of it is known, else None.
+    """What is asked, and how it is judged. `scene` names the device where a model of it is known,
+    else None.
 
-    `behind_mass_kg`: judge the device behind that mass of the probe. `channels`: look for skew and high-pass as well.
-    `multisine`: the excitation of `trial` is a multisine, flown in that layout, in place of noise and a window of `lag` samples.
-    `skew_s`, `high_pass_hz`: known faults of the velocity channel that are taken out (`spectra.corrected`).
+    `behind_mass_kg`: judge the device behind that mass of the probe. `channels`: look for skew and
+    high-pass as well. `multisine`: the excitation of `trial` is a multisine, flown in that layout,
+    in place of noise and a window of `lag` samples. `skew_s`, `high_pass_hz`: known faults of the
+    velocity channel that are taken out (`spectra.corrected`).
     """
 
     trial: Trial
@@ -172,7 +219,9 @@ class TrialParams:
 
 @dataclass(frozen=True, eq=False)
 class TrialPlan:
-    """`spectral_radius` of the predicted closed loop, None without a model, or with Coulomb friction, which no radius knows."""
+    """`spectral_radius` of the predicted closed loop, None without a model, or with Coulomb
+    friction, which no radius knows.
+    """
 
     params: TrialParams
     display: Display | None
@@ -186,8 +235,8 @@ class TrialPlan:
 
 @dataclass(frozen=True, eq=False)
 class TrialResult:
-    """The record, Z (at the port that the verdict names), what was predicted there, the verdict; `spectra` are those of the port
-    of the probe. `covers`: what the intervals cover, in words.
+    """The record, Z (at the port that the verdict names), what was predicted there, the verdict;
+    `spectra` are those of the port of the probe. `covers`: what the intervals cover, in words.
     """
 
     plan: TrialPlan
@@ -200,22 +249,35 @@ class TrialResult:
 
 
 def plan_trial(params: TrialParams) -> TrialPlan:
-    """What to expect. AnalysisError for a trial too short for a verdict; ConfigError as `compose`."""
+    """What to expect. AnalysisError for a trial too short for a verdict; ConfigError as
+    `compose`.
+    """
     _possible(params)
-    trial, scene = params.trial, params.scene
-    watch = replace(trial.watch, band_hz=params.band_hz, confidence=params.confidence, estimator=params.estimator)
+    trial = params.trial
+    scene = params.scene
+    watch = replace(
+        trial.watch,
+        band_hz=params.band_hz,
+        confidence=params.confidence,
+        estimator=params.estimator,
+    )
     asked = replace(params, trial=replace(trial, watch=watch))
     shown = display(scene, trial.excitation) if scene else None
     if shown is None or coulomb(shown.model).any():
         return TrialPlan(asked, shown, None)
-    radius = spectral_radius(shown.model, np.array([trial.environment]), trial.damping_ns_per_m, shown.filters)
+    radius = spectral_radius(
+        shown.model, np.array([trial.environment]), trial.damping_ns_per_m, shown.filters
+    )
     return TrialPlan(asked, shown, float(radius[0]))
 
 
 def _possible(params: TrialParams) -> None:
-    trial, layout = params.trial, params.multisine
+    trial = params.trial
+    layout = params.multisine
     numbers = (
-        *zip(("stiffness", "damping", "mass"), trial.environment, ("N/m", "N s/m", "kg"), strict=True),
+        *zip(
+            ("stiffness", "damping", "mass"), trial.environment, ("N/m", "N s/m", "kg"), strict=True
+        ),
         ("added damping", trial.damping_ns_per_m, "N s/m"),
         ("mass behind the port", params.behind_mass_kg, "kg"),
         ("skew", params.skew_s, "s"),
@@ -224,24 +286,35 @@ def _possible(params: TrialParams) -> None:
     for name, value, unit in numbers:
         if not isfinite(value):
             raise AnalysisError(f"{name} of {value:g} {unit}: a finite number is needed")
-    psd, hottest = trial.excitation.psd_n2_per_hz, trial.watch.winding_limit_c
+    psd = trial.excitation.psd_n2_per_hz
+    hottest = trial.watch.winding_limit_c
     if not 0.0 < psd < inf:
-        raise AnalysisError(f"perturbation of {psd:g} N^2/Hz: must be above 0; the paper's was about 2.5e-5")
+        raise AnalysisError(
+            f"perturbation of {psd:g} N^2/Hz: must be above 0; the paper's was about 2.5e-5"
+        )
     if isnan(hottest):
         raise AnalysisError(f"winding limit of {hottest:g} degC: a number is needed; inf for none")
-    if layout and (min(layout.realisations, layout.periods) < 1 or max(layout.realisations, layout.periods) < 2):
+    if layout and (
+        min(layout.realisations, layout.periods) < 1 or max(layout.realisations, layout.periods) < 2
+    ):
         raise AnalysisError(
-            f"{layout.realisations} realisations of {layout.periods} periods have no scatter to learn from; ask for two or more "
-            "realisations"
+            f"{layout.realisations} realisations of {layout.periods} periods have no scatter to"
+            " learn from; ask for two or more realisations"
         )
     least_s = SHORTEST_WINDOWS * params.lag / PROBE_RATE_HZ
     if not (layout or trial.seconds >= least_s):
-        raise AnalysisError(f"a trial of {trial.seconds:g} s: a verdict takes {least_s:.3g} s or more; the paper took 90 s")
+        raise AnalysisError(
+            f"a trial of {trial.seconds:g} s: a verdict takes {least_s:.3g} s or more; the paper"
+            " took 90 s"
+        )
 
 
 def run_trial(plan: TrialPlan, source: Source, tell: Progress = silent) -> TrialResult:
-    """Record and judge. AnalysisError if the record became too short for a verdict; else as the source."""
-    layout, trial = plan.params.multisine, plan.params.trial
+    """Record and judge. AnalysisError if the record became too short for a verdict; else as the
+    source.
+    """
+    layout = plan.params.multisine
+    trial = plan.params.trial
     return judged(plan, realised(trial, layout, source, tell) if layout else source(trial, tell))
 
 
@@ -251,15 +324,23 @@ def judged(plan: TrialPlan, recorded: Recorded) -> TrialResult:
     raw = laid_out(recorded, params.multisine) if params.multisine else _windowed(params, recorded)
     spectra = _corrected(params, raw)
     record = examine(recorded.force_n, recorded.velocity_m_per_s, recorded.rate_hz)
-    found = (*record.findings, *_findings(recorded), *_refused(params.trial), *_spectral_findings(params, spectra))
+    found = (
+        *record.findings,
+        *_findings(recorded),
+        *_refused(params.trial),
+        *_spectral_findings(params, spectra),
+    )
     if not recorded.simulated:
         found += unit_findings(spectra, float(np.std(recorded.force_n)), record.velocity_sd_m_per_s)
     record = replace(record, findings=found)
     verdict = _verdict(plan, recorded, spectra, record)
     if needs_record(raw, verdict, params.estimator, plan.linear):
-        force, velocity = recorded.force_n, recorded.velocity_m_per_s
+        force = recorded.force_n
+        velocity = recorded.velocity_m_per_s
         servo_rate_hz = params.scene.rate_hz if params.scene else None
-        finer = resolved(force, velocity, raw, params.band_hz, params.estimator, servo_rate_hz, plan.linear)
+        finer = resolved(
+            force, velocity, raw, params.band_hz, params.estimator, servo_rate_hz, plan.linear
+        )
         verdict = _verdict(plan, recorded, _corrected(params, finer), record)
     z = impedance(spectra, params.estimator)
     z = z.without_mass(params.behind_mass_kg) if params.behind_mass_kg else z
@@ -270,27 +351,38 @@ def judged(plan: TrialPlan, recorded: Recorded) -> TrialResult:
 def _verdict(plan: TrialPlan, recorded: Recorded, spectra: Spectra, record: Record) -> Verdict:
     params = plan.params
     return judge(
-        spectra, record, params.band_hz, params.confidence, params.estimator, plan.spectral_radius, params.behind_mass_kg,
+        spectra,
+        record,
+        params.band_hz,
+        params.confidence,
+        params.estimator,
+        plan.spectral_radius,
+        params.behind_mass_kg,
         params.channels and not recorded.simulated,
-    )  # fmt: skip
+    )
 
 
 def _windowed(params: TrialParams, recorded: Recorded) -> Spectra:
     least_s = SHORTEST_WINDOWS * params.lag / recorded.rate_hz
     if recorded.ended and recorded.seconds < least_s:
         raise AnalysisError(
-            f"ended after {recorded.seconds:.3g} s ({recorded.ended}): too short for a verdict{nearer(recorded.ended)}"
+            f"ended after {recorded.seconds:.3g} s ({recorded.ended}): too short for a"
+            f" verdict{nearer(recorded.ended)}"
         )
     if recorded.seconds < least_s:
         raise AnalysisError(
-            f"{recorded.origin}: {recorded.seconds:.3g} s are too short for a verdict with a window of {params.lag} samples; "
-            f"record {least_s:.3g} s or more"
+            f"{recorded.origin}: {recorded.seconds:.3g} s are too short for a verdict with a window"
+            f" of {params.lag} samples; record {least_s:.3g} s or more"
         )
     return spa(recorded.force_n, recorded.velocity_m_per_s, recorded.rate_hz, params.lag)
 
 
 def _corrected(params: TrialParams, raw: Spectra) -> Spectra:
-    return corrected(raw, params.skew_s, params.high_pass_hz) if params.skew_s or params.high_pass_hz else raw
+    return (
+        corrected(raw, params.skew_s, params.high_pass_hz)
+        if params.skew_s or params.high_pass_hz
+        else raw
+    )
 
 
 def _spectral_findings(params: TrialParams, spectra: Spectra) -> tuple[Finding, ...]:
@@ -300,29 +392,44 @@ def _spectral_findings(params: TrialParams, spectra: Spectra) -> tuple[Finding, 
 
 
 def _findings(recorded: Recorded) -> tuple[Finding, ...]:
-    """What the samples cannot say: the command at its end, an escape that the sentinel saw, and what was lost."""
+    """What the samples cannot say: the command at its end, an escape that the sentinel saw, and
+    what was lost.
+    """
     found = []
-    most, limit = recorded.max_command_n, recorded.command_limit_n
+    most = recorded.max_command_n
+    limit = recorded.command_limit_n
     if most is not None and limit is not None and most >= limit * (1.0 - AT_LIMIT):
         message = f"command saturated at {limit:.3g} N; lower the perturbation or the stiffness"
         found.append(Finding("saturation", message, voids=True))
     if recorded.ended.startswith("escape"):
         found.append(Finding("escape", recorded.ended, unstable=True))
     elif recorded.ended and not recorded.ended.startswith("decided"):
-        found.append(Finding("ended", recorded.ended, voids=recorded.ended.startswith(("changed", "travel"))))
+        found.append(
+            Finding("ended", recorded.ended, voids=recorded.ended.startswith(("changed", "travel")))
+        )
     return (*found, *loss_findings(recorded.more))
 
 
 def _refused(trial: Trial) -> tuple[Finding, ...]:
-    """K < 0 pushes the device away for ever: at a low enough frequency it is active, however long the record."""
+    """K < 0 pushes the device away for ever: at a low enough frequency it is active, however
+    long the record.
+    """
     stiffness = trial.environment[0]
     if not stiffness < 0.0:
         return ()
-    return (Finding("negative_stiffness", f"K = {stiffness:g} N/m: below every band a negative stiffness is active", voids=True),)
+    return (
+        Finding(
+            "negative_stiffness",
+            f"K = {stiffness:g} N/m: below every band a negative stiffness is active",
+            voids=True,
+        ),
+    )
 
 
 def _predicted(plan: TrialPlan, z: Impedance) -> Complexes | None:
-    shown, trial, at = plan.display, plan.params.trial, z.frequency_hz > 0.0
+    shown = plan.display
+    trial = plan.params.trial
+    at = z.frequency_hz > 0.0
     if shown is None:
         return None
     found = np.full(at.size, np.nan + 0j)
@@ -333,7 +440,8 @@ def _predicted(plan: TrialPlan, z: Impedance) -> Complexes | None:
 
 def summary(result: TrialResult, referee: Referee | None = None) -> dict[str, Any]:
     """Verdict and everything that it depends on; SI units."""
-    params, recorded = result.plan.params, result.recorded
+    params = result.plan.params
+    recorded = result.recorded
     stiffness, damping, mass = params.trial.environment
     return {
         "kind": KIND,
@@ -342,7 +450,11 @@ def summary(result: TrialResult, referee: Referee | None = None) -> dict[str, An
         "verdict": result.verdict,
         "sentence": str(result.verdict),
         "ended": recorded.ended,
-        "environment": {"stiffness_n_per_m": stiffness, "damping_ns_per_m": damping, "mass_kg": mass},
+        "environment": {
+            "stiffness_n_per_m": stiffness,
+            "damping_ns_per_m": damping,
+            "mass_kg": mass,
+        },
         "added_damping_ns_per_m": params.trial.damping_ns_per_m,
         "perturbation": params.trial.excitation,
         "estimator": result.measured.estimator,
@@ -379,15 +491,25 @@ def _multisine(result: TrialResult) -> dict[str, Any] | None:
     }
 
 
-def write(folder: Path, result: TrialResult, provenance: Mapping[str, Any], referee: Referee | None = None) -> Path:
+def write(
+    folder: Path, result: TrialResult, provenance: Mapping[str, Any], referee: Referee | None = None
+) -> Path:
     """The run folder. ConfigError if it cannot be written to."""
     texts = {IMPEDANCE: impedance_csv(result.measured)}
-    return write_run(folder, {**summary(result, referee), "provenance": provenance}, result.recorded, texts)
+    return write_run(
+        folder, {**summary(result, referee), "provenance": provenance}, result.recorded, texts
+    )
 
 
 def impedance_csv(measured: Impedance) -> str:
-    """Z(f) as text: frequency, real and imaginary part, standard deviation of the complex value, coherence."""
+    """Z(f) as text: frequency, real and imaginary part, standard deviation of the complex
+    value, coherence.
+    """
     z = measured.impedance_ns_per_m
-    columns = np.column_stack((measured.frequency_hz, z.real, z.imag, measured.sd_ns_per_m, measured.coherence))
-    rows = (",".join(f"{value:.9g}" if np.isfinite(value) else "" for value in row) for row in columns)
+    columns = np.column_stack(
+        (measured.frequency_hz, z.real, z.imag, measured.sd_ns_per_m, measured.coherence)
+    )
+    rows = (
+        ",".join(f"{value:.9g}" if np.isfinite(value) else "" for value in row) for row in columns
+    )
     return "\n".join((",".join(COLUMNS), *rows, ""))

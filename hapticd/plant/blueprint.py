@@ -76,7 +76,9 @@ class Form:
         """Multiplied by the damping level. ValueError if it depends on the level already."""
         if any(c.level or c.both for c in self.terms.values()):
             raise ValueError("a form of the second degree in the damping level")
-        return Form({name: Coefficient(0.0, c.one, 0.0, c.residual) for name, c in self.terms.items()})
+        return Form(
+            {name: Coefficient(0.0, c.one, 0.0, c.residual) for name, c in self.terms.items()}
+        )
 
     def times_residual(self) -> "Form":
         """Multiplied by the residual resistance. ValueError if it depends on it already."""

@@ -32,7 +32,19 @@ import numpy as np
 from hapticd.errors import ConfigError
 from hapticd.plant.blueprint import ZERO, Blueprint, Form
 from hapticd.plant.effects import Amplifier, DampingCircuit, Effect, ShapedDamping, in_order, shaped
-from hapticd.plant.model import Array, Contact, Ends, InputColumns, Model, Noise, Output, Outputs, RotorForce, Winding, frozen
+from hapticd.plant.model import (
+    Array,
+    Contact,
+    Ends,
+    InputColumns,
+    Model,
+    Noise,
+    Output,
+    Outputs,
+    RotorForce,
+    Winding,
+    frozen,
+)
 from hapticd.plant.scene import Scene
 from hapticd.plant.stability import stability
 
@@ -61,7 +73,9 @@ def drive(plan: Blueprint) -> None:
     if filtered:
         source = rotor.velocity + _left_by_resistance(plan, motor)
         if plan.inductance_error_h:
-            source += (plan.inductance_error_h / plan.torque_constant_n_per_a**2) * plan.rates["motor_force"]
+            source += (plan.inductance_error_h / plan.torque_constant_n_per_a**2) * plan.rates[
+                "motor_force"
+            ]
         plan.rates["velocity_estimate"] = filtered * (source - estimate)
     plan.motor = motor
     plan.estimate = estimate
@@ -96,7 +110,8 @@ def _refuse_algebraic(plan: Blueprint) -> None:
 def _short(plan: Blueprint) -> None:
     if plan.amplifier_rad_s or plan.circuit_rad_s or plan.inductance_error_h or any(plan.shaping):
         raise ConfigError(
-            f"a crowbar shorts the motor: leave out 'amplifier', 'damping_circuit', {ShapedDamping.key!r} and 'inductance'"
+            "a crowbar shorts the motor: leave out 'amplifier', 'damping_circuit',"
+            f" {ShapedDamping.key!r} and 'inductance'"
         )
     damping = plan.torque_constant_n_per_a**2 / plan.resistance_ohm
     plan.motor = -damping * plan.rotor.velocity
@@ -122,7 +137,8 @@ def refuse_unstable(model: Model, levels_ns_per_m: Iterable[float], remedy: str 
         found = stability(model, level)
         if not found.stable:
             raise ConfigError(
-                f"{model.name!r}: the device without virtual environment is unstable at {level:g} N s/m: {found.reason}{remedy}"
+                f"{model.name!r}: the device without virtual environment is unstable at {level:g} N"
+                f" s/m: {found.reason}{remedy}"
             )
 
 
@@ -137,7 +153,9 @@ def compose_device(name: str, effects: Iterable[Effect], rate_hz: float = 1000.0
     plan.rotor.force += torque
     drive(plan)
     for effect in chosen:
-        plan.notes.append(effect.note_of(tuple(state.name for state in plan.states if state.effect == effect.key)))
+        plan.notes.append(
+            effect.note_of(tuple(state.name for state in plan.states if state.effect == effect.key))
+        )
     return _model(name, plan, rate_hz)
 
 
@@ -196,7 +214,9 @@ def _model(name: str, plan: Blueprint, rate_hz: float) -> Model:
 def _parts(plan: Blueprint, states: list[str], contacts: tuple[Contact, ...]) -> _Parts:
     """The coefficients of all rates, and a column for the friction force of each contact."""
     names = states + plan.inputs
-    accelerations = {f"{body.name}_velocity": body.force / body.mass_kg for body in plan.bodies.values()}
+    accelerations = {
+        f"{body.name}_velocity": body.force / body.mass_kg for body in plan.bodies.values()
+    }
     rates = {**plan.rates, **accelerations}
     cells = np.array([[rates[row].terms.get(name, ZERO) for name in names] for row in states])
     one, level, residual, both = np.moveaxis(cells, -1, 0)
@@ -204,12 +224,23 @@ def _parts(plan: Blueprint, states: list[str], contacts: tuple[Contact, ...]) ->
     for column, contact in enumerate(contacts):
         forces[contact.velocity, column] = 1.0 / plan.bodies[contact.body].mass_kg
     none = np.zeros_like(forces)  # friction acts on a mass alone: neither level nor resistance
-    return _Parts(np.hstack([one, forces]), np.hstack([level, none]), np.hstack([residual, none]), np.hstack([both, none]))
+    return _Parts(
+        np.hstack([one, forces]),
+        np.hstack([level, none]),
+        np.hstack([residual, none]),
+        np.hstack([both, none]),
+    )
 
 
 def _inputs(plan: Blueprint, contacts: int) -> InputColumns:
     place = {name: column for column, name in enumerate(plan.inputs)}
-    return InputColumns(place["command"], place["torque"], len(place) + contacts, place.get("estimate"), place.get("rotor_force"))
+    return InputColumns(
+        place["command"],
+        place["torque"],
+        len(place) + contacts,
+        place.get("estimate"),
+        place.get("rotor_force"),
+    )
 
 
 def _contacts(plan: Blueprint) -> tuple[Contact, ...]:

@@ -32,7 +32,16 @@ from random import Random
 from typing import Any, NamedTuple
 
 from hapticd.errors import ConfigError
-from hapticd.params import BoardParams, Contact, Ends, HeatingParams, Noise, OutputParams, PlantParams, RotorForce
+from hapticd.params import (
+    BoardParams,
+    Contact,
+    Ends,
+    HeatingParams,
+    Noise,
+    OutputParams,
+    PlantParams,
+    RotorForce,
+)
 from hapticd.plant.friction import stick_two
 from hapticd.units import COPPER_PER_K
 
@@ -65,7 +74,11 @@ def followed(first: Rows, then: Rows) -> Rows:
     n = len(first)
     width = len(first[0])
     return tuple(
-        tuple(sum(row[k] * first[k][j] for k in range(n)) + (row[j] if j >= n else 0.0) for j in range(width)) for row in then
+        tuple(
+            sum(row[k] * first[k][j] for k in range(n)) + (row[j] if j >= n else 0.0)
+            for j in range(width)
+        )
+        for row in then
     )
 
 
@@ -89,7 +102,9 @@ class Lookup:
         self.residuals = params.residuals_ohm
         n = len(params.states)
         width = len(params.states) + len(params.columns)
-        self.nodes: list[Rows] = [tuple(flat[i * width : (i + 1) * width] for i in range(n)) for flat in params.maps]
+        self.nodes: list[Rows] = [
+            tuple(flat[i * width : (i + 1) * width] for i in range(n)) for flat in params.maps
+        ]
 
     def node(self, level: float, residual: float) -> int | None:
         """Number of the node that stands exactly there; None if there is none."""
@@ -119,7 +134,10 @@ def _bracket(nodes: Sequence[float], value: float) -> tuple[int, float]:
 
 
 def _blend(a: Rows, b: Rows, part: float) -> Rows:
-    return tuple(tuple(x + part * (y - x) for x, y in zip(p, q, strict=True)) for p, q in zip(a, b, strict=True))
+    return tuple(
+        tuple(x + part * (y - x) for x, y in zip(p, q, strict=True))
+        for p, q in zip(a, b, strict=True)
+    )
 
 
 class RowTerms:
@@ -137,7 +155,8 @@ class RowTerms:
         }
         # plain tuples, for they are unpacked at every tick of a slew between nodes
         self._cells = {
-            letter: [[(term.column, term.sign) for term in row] for row in rows] for letter, rows in self.by_letter.items()
+            letter: [[(term.column, term.sign) for term in row] for row in rows]
+            for letter, rows in self.by_letter.items()
         }
 
     def flat(self, letter: str, rows: Rows) -> Row:
@@ -182,7 +201,10 @@ class RowTerms:
 def viewer(terms: RowTerms, name: str) -> View:
     """`view(state, force_n, damping_ns_per_m)` of the output `name`."""
     state = ", ".join(f"x{i}" for i in range(terms.n)) + (", _" if terms.params.heating else "")
-    source = f"def view(state, force_n, level):\n    {state}, = state\n    return {output_text(terms, name)}\n"
+    source = (
+        f"def view(state, force_n, level):\n    {state}, = state\n    return"
+        f" {output_text(terms, name)}\n"
+    )
     picked = picked_state(getattr(terms.params, name))
     if picked is not None:
         source = f"def view(state, force_n, level):\n    return state[{picked}]\n"
@@ -201,7 +223,9 @@ def output_text(terms: RowTerms, name: str, level: str = "level") -> str:
     """The output `name` of `terms.params` as an expression in x0.., force_n and `level`."""
     output = getattr(terms.params, name)
     parts = []
-    for c0, c1, variable in zip(output.c0, output.c1, (f"x{i}" for i in range(terms.n)), strict=True):
+    for c0, c1, variable in zip(
+        output.c0, output.c1, (f"x{i}" for i in range(terms.n)), strict=True
+    ):
         parts += _scaled(c0, c1, variable, level)
     inputs = {"command": "force_n", "estimate": repr(terms.params.estimate_offset_m_per_s)}
     for d0, d1, column in zip(output.d0, output.d1, terms.params.columns, strict=True):
@@ -231,7 +255,10 @@ def composed_source(terms: RowTerms, substep_s: float, torque_constant_n_per_a: 
     """
     lines = [
         "def bind(coefficients, gauss, sin, stick_two):",
-        f"    {' = '.join(name for letter in terms.by_letter for name in terms.names(letter))} = 0.0",
+        (
+            f"    {' = '.join(name for letter in terms.by_letter for name in terms.names(letter))}"
+            " = 0.0"
+        ),
         "    level = residual = None",
         *_load(terms),
         *_step(terms, substep_s, torque_constant_n_per_a),
@@ -252,7 +279,10 @@ def _load(terms: RowTerms) -> list[str]:
         "        rows = coefficients(level, residual)",
         f"        ({', '.join(terms.names(first))},) = rows['{first}']",
         *(["        leaping = len(rows) > 1", "        if leaping:"] if leaps else []),
-        *(f"            ({', '.join(terms.names(letter))},) = rows['{letter}']" for letter in leaps),
+        *(
+            f"            ({', '.join(terms.names(letter))},) = rows['{letter}']"
+            for letter in leaps
+        ),
         "",
     ]
 
@@ -273,7 +303,11 @@ def _step(terms: RowTerms, substep_s: float, torque_constant_n_per_a: float) -> 
         "            level = damping_ns_per_m",
         f"            residual = {'ohm' if heat else repr(params.residuals_ohm[0])}",
         "            load()",
-        *(_error(params.noise, params.estimate_offset_m_per_s, substep_s) if "estimate" in params.columns else []),
+        *(
+            _error(params.noise, params.estimate_offset_m_per_s, substep_s)
+            if "estimate" in params.columns
+            else []
+        ),
         *(_leaping(leaps) if leaps else ["        for _ in range(n_substeps):"]),
         *(f"{' ' * (16 if leaps else 12)}{line}" for line in _substep(terms, substep_s)),
         *(_warmed(terms, heat, substep_s, torque_constant_n_per_a) if heat else []),
@@ -320,7 +354,11 @@ def _leap(terms: RowTerms, count: int, letter: str) -> list[str]:
         return [*stretch, *_assigned(terms, rows), f"left -= {count}", "continue"]
     check = f"if {ends.lower_m!r} <= (end := {rows[ends.position]}) <= {ends.upper_m!r}:"
     rows[ends.position] = "end"
-    return [*stretch, check, *(f"    {line}" for line in [*_assigned(terms, rows), f"left -= {count}", "continue"])]
+    return [
+        *stretch,
+        check,
+        *(f"    {line}" for line in [*_assigned(terms, rows), f"left -= {count}", "continue"]),
+    ]
 
 
 def _substep(terms: RowTerms, substep_s: float) -> list[str]:
@@ -377,9 +415,18 @@ def _two_contacts(terms: RowTerms, push: str) -> tuple[list[str], list[str]]:
     lines = [
         f"v = {free[0]}",
         f"u = {free[1]}",
-        f"friction, rub = stick_two(v, u, {w[0][0]}, {w[0][1]}, {w[1][0]}, {w[1][1]}, {first.level_n!r}, {second.level_n!r})",
-        f"v = 0.0 if -{first.level_n!r} < friction < {first.level_n!r} else v + {w[0][0]} * friction + {w[0][1]} * rub",
-        f"u = 0.0 if -{second.level_n!r} < rub < {second.level_n!r} else u + {w[1][0]} * friction + {w[1][1]} * rub",
+        (
+            f"friction, rub = stick_two(v, u, {w[0][0]}, {w[0][1]}, {w[1][0]}, {w[1][1]},"
+            f" {first.level_n!r}, {second.level_n!r})"
+        ),
+        (
+            f"v = 0.0 if -{first.level_n!r} < friction < {first.level_n!r} else v + {w[0][0]} *"
+            f" friction + {w[0][1]} * rub"
+        ),
+        (
+            f"u = 0.0 if -{second.level_n!r} < rub < {second.level_n!r} else u + {w[1][0]} *"
+            f" friction + {w[1][1]} * rub"
+        ),
         f"push = {push} + friction",
     ]
     rows = [terms.row("a", i) for i in range(terms.n)]
@@ -390,7 +437,11 @@ def _two_contacts(terms: RowTerms, push: str) -> tuple[list[str], list[str]]:
 
 def _assigned(terms: RowTerms, rows: list[str]) -> list[str]:
     """All states at once, a row to a line."""
-    return [f"{', '.join(f'x{i}' for i in range(terms.n))} = (", *(f"    {row}," for row in rows), ")"]
+    return [
+        f"{', '.join(f'x{i}' for i in range(terms.n))} = (",
+        *(f"    {row}," for row in rows),
+        ")",
+    ]
 
 
 def _stretch(terms: RowTerms) -> str:
@@ -414,7 +465,10 @@ def _pulled(forces: Sequence[RotorForce], substep_s: float) -> list[str]:
     x = f"x{forces[0].position}"
     v = f"x{forces[0].velocity}"
     texts = [ROTOR_LAWS[force.law]("where", v, *force.numbers) for force in forces]
-    return [f"where = {x} + {0.5 * substep_s!r} * {v}", f"pull = {' + '.join(['torque_n', *texts])}"]
+    return [
+        f"where = {x} + {0.5 * substep_s!r} * {v}",
+        f"pull = {' + '.join(['torque_n', *texts])}",
+    ]
 
 
 def _stopped(ends: Ends) -> list[str]:
@@ -435,7 +489,11 @@ def _stopped(ends: Ends) -> list[str]:
 def _error(noise: Noise | None, offset_m_per_s: float, substep_s: float) -> Iterable[str]:
     """The input `estimate`: offset, and noise of variance S / (2 h) for a value held for h."""
     density = 0.0 if noise is None else noise.estimate_psd
-    random = f" + {sqrt(density / (2.0 * substep_s))!r} / n_substeps**0.5 * gauss(0.0, 1.0)" if density else ""
+    random = (
+        f" + {sqrt(density / (2.0 * substep_s))!r} / n_substeps**0.5 * gauss(0.0, 1.0)"
+        if density
+        else ""
+    )
     return [f"        error = {offset_m_per_s!r}{random}"]
 
 
@@ -449,7 +507,9 @@ def _ohms(heat: HeatingParams) -> list[str]:
     ]
 
 
-def _warmed(terms: RowTerms, heat: HeatingParams, substep_s: float, torque_constant_n_per_a: float) -> list[str]:
+def _warmed(
+    terms: RowTerms, heat: HeatingParams, substep_s: float, torque_constant_n_per_a: float
+) -> list[str]:
     """The winding warmed by the copper loss of the motor force at the end of the piece.
 
     Euler's rule is enough: a piece is a ten-thousandth of the time constant.
@@ -463,7 +523,9 @@ def _warmed(terms: RowTerms, heat: HeatingParams, substep_s: float, torque_const
     ]
 
 
-def composed_step(params: PlantParams, board: BoardParams, substep_s: float) -> tuple[Step, RowTerms]:
+def composed_step(
+    params: PlantParams, board: BoardParams, substep_s: float
+) -> tuple[Step, RowTerms]:
     """The step of the composed device, as `plant.step.make_step` describes it, and its terms."""
     _check(params)
     lookup = Lookup(params)
@@ -473,9 +535,13 @@ def composed_step(params: PlantParams, board: BoardParams, substep_s: float) -> 
 
     def coefficients(level: float, residual: float) -> dict[str, Row]:
         node = lookup.node(level, residual)
-        return {"a": terms.flat("a", lookup.between(level, residual))} if node is None else ready[node]
+        return (
+            {"a": terms.flat("a", lookup.between(level, residual))} if node is None else ready[node]
+        )
 
-    bind = compiled(composed_source(terms, substep_s, board.torque_constant_n_per_a), "plant step")["bind"]
+    bind = compiled(composed_source(terms, substep_s, board.torque_constant_n_per_a), "plant step")[
+        "bind"
+    ]
     return bind(coefficients, Random(board.seed).gauss, sin, stick_two), terms
 
 
@@ -491,7 +557,10 @@ def _check(params: PlantParams) -> None:
     nodes = len(params.levels_ns_per_m) * len(params.residuals_ohm)
     if len(params.maps) != nodes or any(len(flat) != n * (n + m) for flat in params.maps):
         raise ConfigError(
-            f"board.json must hold {nodes} plant maps of {n} x {n + m} numbers and does not; resolve the configuration again"
+            f"board.json must hold {nodes} plant maps of {n} x {n + m} numbers and does not;"
+            " resolve the configuration again"
         )
     if len(params.contacts) > 2:
-        raise ConfigError(f"friction at {len(params.contacts)} bodies: at most 2 can be solved; leave some out")
+        raise ConfigError(
+            f"friction at {len(params.contacts)} bodies: at most 2 can be solved; leave some out"
+        )

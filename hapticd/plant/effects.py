@@ -101,12 +101,17 @@ class Effect:
         """Every number with its unit and its source."""
         tags = dict(self.sources)
         names = [item.name for item in fields(self) if item.name not in PROVENANCE]
-        return tuple(Parameter(name, getattr(self, name), unit_of(name), tags.get(name, self.source)) for name in names)
+        return tuple(
+            Parameter(name, getattr(self, name), unit_of(name), tags.get(name, self.source))
+            for name in names
+        )
 
     def note_of(self, states: tuple[str, ...]) -> Note:
         """The effect in words, with the names of the states that it added."""
         why = f"{self.why}; {self.note}" if self.note else self.why
-        return Note(self.key, why, states, self.nonlinearity, self.time_constants_s(), self.parameters())
+        return Note(
+            self.key, why, states, self.nonlinearity, self.time_constants_s(), self.parameters()
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -177,7 +182,10 @@ class Viscous(Effect):
 
     def build(self, plan: Blueprint) -> None:
         """Add -b v to the force on each body."""
-        for body, level in ((plan.rotor, self.rotor_ns_per_m), (plan.endpoint, self.slider_ns_per_m)):
+        for body, level in (
+            (plan.rotor, self.rotor_ns_per_m),
+            (plan.endpoint, self.slider_ns_per_m),
+        ):
             body.force -= level * body.velocity
             plan.viscous_ns_per_m += level
 
@@ -222,7 +230,9 @@ class PassiveHand(Effect):
         grip = self.grip_stiffness_n_per_m * (end.position - hand.position)
         grip += self.grip_damping_ns_per_m * (end.velocity - hand.velocity)
         end.force -= grip
-        hand.force += grip - self.damping_ns_per_m * hand.velocity - self.stiffness_n_per_m * hand.position
+        hand.force += (
+            grip - self.damping_ns_per_m * hand.velocity - self.stiffness_n_per_m * hand.position
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -261,7 +271,9 @@ class Coulomb(Effect):
     """Dry friction at either body."""
 
     key: ClassVar[str] = "coulomb"
-    why: ClassVar[str] = "dry friction: most of the undamped device's damping, and more of it when motion is small"
+    why: ClassVar[str] = (
+        "dry friction: most of the undamped device's damping, and more of it when motion is small"
+    )
     nonlinearity: ClassVar[str] = "set-valued force, stick at v = 0"
     rotor_n: float = number(ge=0, le=100)  # level Fc at the rotor
     slider_n: float = number(0.0, ge=0, le=100)  # level Fc at the slider
@@ -318,7 +330,9 @@ class Smoothing(Effect):
     """First-order low-pass on the virtual-force command alone, not on the damping."""
 
     key: ClassVar[str] = "smoothing"
-    why: ClassVar[str] = "reconstruction filter behind the torque DAC: lag of the virtual force at low frequency"
+    why: ClassVar[str] = (
+        "reconstruction filter behind the torque DAC: lag of the virtual force at low frequency"
+    )
     corner_hz: float = number(gt=0, le=1e6)  # -3 dB
 
     def build(self, plan: Blueprint) -> None:
@@ -385,7 +399,9 @@ class Multiplier(Effect):
     """Errors of the analog multiplier of velocity and scale factor (the paper's AD534)."""
 
     key: ClassVar[str] = "multiplier"
-    why: ClassVar[str] = "analog multipliers have gain and offset errors: switching damping steps the force"
+    why: ClassVar[str] = (
+        "analog multipliers have gain and offset errors: switching damping steps the force"
+    )
     gain_error: float = number(0.0, gt=-1, le=10)  # relative: 0.01 is 1 % too much
     scale_offset_ns_per_m: float = number(0.0, ge=-10, le=10)  # added to the commanded level
     velocity_offset_m_per_s: float = number(0.0, ge=-1, le=1)  # added to the velocity estimate
@@ -436,7 +452,9 @@ class ShapedDamping(Effect):
     """Active damping above `highpass_hz` and below `lowpass_hz`, first order each."""
 
     key: ClassVar[str] = "shaped_damping"
-    why: ClassVar[str] = "damping that acts only above a corner, below one, or between two, instead of everywhere"
+    why: ClassVar[str] = (
+        "damping that acts only above a corner, below one, or between two, instead of everywhere"
+    )
     highpass_hz: float = number(0.0, ge=0, le=1e6)  # w_l / 2 pi; 0 for none
     lowpass_hz: float = number(0.0, ge=0, le=1e6)  # w_h / 2 pi; 0 for none
 
@@ -446,7 +464,9 @@ class ShapedDamping(Effect):
 
     def time_constants_s(self) -> tuple[float, ...]:
         """Those of the corners that exist."""
-        return tuple(1.0 / (tau * corner) for corner in (self.highpass_hz, self.lowpass_hz) if corner)
+        return tuple(
+            1.0 / (tau * corner) for corner in (self.highpass_hz, self.lowpass_hz) if corner
+        )
 
 
 def shaped(plan: Blueprint, estimate: Form) -> Form:
@@ -494,7 +514,9 @@ class Motor(Effect):
         """State the winding at its reference temperature, fully compensated."""
         plan.torque_constant_n_per_a = self.torque_constant_nm_per_a / self.lever_m
         plan.resistance_ohm = self.resistance_ohm
-        plan.copper = Copper(self.resistance_ohm, self.reference_c, self.resistance_ohm, self.reference_c)
+        plan.copper = Copper(
+            self.resistance_ohm, self.reference_c, self.resistance_ohm, self.reference_c
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -502,7 +524,10 @@ class WindingTemperature(Effect):
     """The winding is not as warm as the resistance compensation believes."""
 
     key: ClassVar[str] = "winding"
-    why: ClassVar[str] = "copper's resistance grows 0.393 %/K; what is not compensated scales damping and force by alpha"
+    why: ClassVar[str] = (
+        "copper's resistance grows 0.393 %/K; what is not compensated scales damping and force by"
+        " alpha"
+    )
     temperature_c: float = number(ge=-40, le=250)  # of the copper
     # temperature that the resistance compensation was set for
     compensated_c: float = number(ge=-40, le=250)
@@ -521,15 +546,21 @@ class WindingHeating(Effect):
     """Copper loss heats the winding while it works."""
 
     key: ClassVar[str] = "heating"
-    why: ClassVar[str] = "8 N cost some 38 W of copper loss: the winding warms up and the compensation drifts"
-    nonlinearity: ClassVar[str] = "temperature driven by the square of the current, resistance in the loop"
+    why: ClassVar[str] = (
+        "8 N cost some 38 W of copper loss: the winding warms up and the compensation drifts"
+    )
+    nonlinearity: ClassVar[str] = (
+        "temperature driven by the square of the current, resistance in the loop"
+    )
     thermal_resistance_k_per_w: float = number(ge=0, le=1e4)  # winding to surroundings
     time_constant_s: float = number(gt=0, le=1e5)  # of the winding against its surroundings
     ambient_c: float = number(ge=-40, le=100)  # of the surroundings
 
     def build(self, plan: Blueprint) -> None:
         """Ask for a slow state of its own, outside the linear model."""
-        plan.heating = Warming(self.thermal_resistance_k_per_w, self.time_constant_s, self.ambient_c)
+        plan.heating = Warming(
+            self.thermal_resistance_k_per_w, self.time_constant_s, self.ambient_c
+        )
 
     def time_constants_s(self) -> tuple[float, ...]:
         """That of the winding against its surroundings."""
@@ -584,7 +615,9 @@ class VelocityHighpass(Effect):
     """The velocity amplifier is AC-coupled."""
 
     key: ClassVar[str] = "velocity_highpass"
-    why: ClassVar[str] = "an AC-coupled velocity amplifier makes a spring look active at low frequency"
+    why: ClassVar[str] = (
+        "an AC-coupled velocity amplifier makes a spring look active at low frequency"
+    )
     corner_hz: float = number(gt=0, le=1e6)  # -3 dB of the AC coupling
 
     def build(self, plan: Blueprint) -> None:
@@ -605,7 +638,9 @@ class AntiAlias(Effect):
     """The same second-order Butterworth low-pass before both converters of the record."""
 
     key: ClassVar[str] = "anti_alias"
-    why: ClassVar[str] = "keeps what lies above 2 kHz out of the record; equal in both channels, so the ratio stays"
+    why: ClassVar[str] = (
+        "keeps what lies above 2 kHz out of the record; equal in both channels, so the ratio stays"
+    )
     corner_hz: float = number(gt=0, le=1e6)  # -3 dB, Butterworth of the second order
 
     def build(self, plan: Blueprint) -> None:
@@ -645,7 +680,9 @@ class SensorNoise(Effect):
 
 # every class of effect above, in the order of its definition, which is the order of composition
 KINDS: tuple[type[Effect], ...] = tuple(
-    kind for kind in list(globals().values()) if isinstance(kind, type) and issubclass(kind, Effect) and kind is not Effect
+    kind
+    for kind in list(globals().values())
+    if isinstance(kind, type) and issubclass(kind, Effect) and kind is not Effect
 )
 ALWAYS = (Masses.key, Motor.key)  # built without being named
 BY_KEY = {kind.key: kind for kind in KINDS}

@@ -37,7 +37,9 @@ def generator(seed: int, stream: int) -> np.random.Generator:
     return np.random.Generator(np.random.Philox(key=np.array([seed, stream], dtype=np.uint64)))
 
 
-def torque_record(excitation: Excitation, samples: int, seed: int, stream: int = Stream.SHARED) -> Floats:
+def torque_record(
+    excitation: Excitation, samples: int, seed: int, stream: int = Stream.SHARED
+) -> Floats:
     """Force [N] at the endpoint, (samples,), or one period of it, which is then repeated.
 
     ConfigError for an unknown kind, a band beyond 2 kHz, or noise too long to be kept in memory.
@@ -45,22 +47,32 @@ def torque_record(excitation: Excitation, samples: int, seed: int, stream: int =
     if excitation.kind == "none":
         return np.zeros(samples)
     if excitation.kind == "push":
-        return np.where(np.arange(samples) >= round(excitation.start_s * PROBE_RATE_HZ), excitation.force_n, 0.0)
+        return np.where(
+            np.arange(samples) >= round(excitation.start_s * PROBE_RATE_HZ), excitation.force_n, 0.0
+        )
     if not 0.0 < excitation.band_hz <= 0.5 * PROBE_RATE_HZ:
-        raise ConfigError(f"excitation band {excitation.band_hz:g} Hz: must lie between 0 and {PROBE_RATE_HZ // 2} Hz")
+        raise ConfigError(
+            f"excitation band {excitation.band_hz:g} Hz: must lie between 0 and"
+            f" {PROBE_RATE_HZ // 2} Hz"
+        )
     if excitation.kind == "noise":
         if samples > NOISE_SAMPLES_MAX:
             raise ConfigError(
-                f"noise for {samples / PROBE_RATE_HZ:g} s needs {samples * 8e-9:.1f} GB, at most "
-                f"{NOISE_SAMPLES_MAX / PROBE_RATE_HZ:g} s are made; use a multisine or a record that repeats"
+                f"noise for {samples / PROBE_RATE_HZ:g} s needs {samples * 8e-9:.1f} GB, at most"
+                f" {NOISE_SAMPLES_MAX / PROBE_RATE_HZ:g} s are made; use a multisine or a record"
+                " that repeats"
             )
-        return band_noise(samples, excitation.psd_n2_per_hz, excitation.band_hz, generator(seed, stream))
+        return band_noise(
+            samples, excitation.psd_n2_per_hz, excitation.band_hz, generator(seed, stream)
+        )
     if excitation.kind == "multisine":
         return multisine(excitation, generator(seed, stream))
     raise ConfigError(f"excitation {excitation.kind!r}: use one of none, noise, multisine, push")
 
 
-def band_noise(samples: int, psd_n2_per_hz: float, band_hz: float, random: np.random.Generator) -> Floats:
+def band_noise(
+    samples: int, psd_n2_per_hz: float, band_hz: float, random: np.random.Generator
+) -> Floats:
     """Gaussian noise [N] (samples,), of one-sided density `psd_n2_per_hz` up to `band_hz`.
 
     Its mean is 0: the line at 0 Hz is left out.
@@ -68,7 +80,9 @@ def band_noise(samples: int, psd_n2_per_hz: float, band_hz: float, random: np.ra
     frequency_hz = np.fft.rfftfreq(samples, 1.0 / PROBE_RATE_HZ)
     end_hz = min(TAPER * band_hz, 0.5 * PROBE_RATE_HZ)
     fall = np.clip((frequency_hz - band_hz) / max(end_hz - band_hz, 1e-9), 0.0, 1.0)
-    amplitude = sqrt(psd_n2_per_hz * PROBE_RATE_HZ * samples / 4.0) * 0.5 * (1.0 + np.cos(pi * fall))
+    amplitude = (
+        sqrt(psd_n2_per_hz * PROBE_RATE_HZ * samples / 4.0) * 0.5 * (1.0 + np.cos(pi * fall))
+    )
     amplitude[0] = 0.0
     parts = random.standard_normal((2, len(frequency_hz)))
     return np.fft.irfft(amplitude * (parts[0] + 1j * parts[1]), samples)
@@ -83,7 +97,8 @@ def multisine(excitation: Excitation, random: np.random.Generator) -> Floats:
     highest = int(excitation.band_hz * excitation.period_s)
     if samples < 2 or not 1 <= highest < (samples + 1) // 2:
         raise ConfigError(
-            f"multisine of {excitation.period_s:g} s up to {excitation.band_hz:g} Hz has no harmonics; lengthen period_s"
+            f"multisine of {excitation.period_s:g} s up to {excitation.band_hz:g} Hz has no"
+            " harmonics; lengthen period_s"
         )
     spectrum = np.zeros(samples // 2 + 1, dtype=complex)
     spectrum[1 : highest + 1] = np.exp(2j * pi * random.random(highest))

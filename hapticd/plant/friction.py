@@ -31,7 +31,14 @@ def stick_one(v_free: float, response: float, level: float) -> float:
 
 
 def stick_two(
-    v1: float, v2: float, w11: float, w12: float, w21: float, w22: float, level1: float, level2: float
+    v1: float,
+    v2: float,
+    w11: float,
+    w12: float,
+    w21: float,
+    w22: float,
+    level1: float,
+    level2: float,
 ) -> tuple[float, float]:
     """Friction forces (f1, f2) [N] of two contacts.
 

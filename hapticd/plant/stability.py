@@ -52,7 +52,9 @@ def stability(model: Model, damping_ns_per_m: float = 0.0) -> Stability:
     return Stability(stable, growth, loop, NEAR if loop < NEAR_LOOP_GAIN else "")
 
 
-def modes(model: Model, damping_ns_per_m: float = 0.0) -> "np.ndarray[tuple[int], np.dtype[np.complex128]]":
+def modes(
+    model: Model, damping_ns_per_m: float = 0.0
+) -> "np.ndarray[tuple[int], np.dtype[np.complex128]]":
     """Eigenvalues [1/s] of the device, its free translation left out."""
     a = model.a(damping_ns_per_m)
     shift = model.translation()
@@ -87,10 +89,13 @@ def _quotient(a: Array, shift: Array) -> Array:
 def _reason(loop: float, growth: float) -> str:
     if loop <= -1.0:
         return (
-            f"resistance over-compensated, g dR / K^2 = {loop:.3g} (limit -1), growth {growth:.3g} 1/s; "
-            "lower the damping or the compensation"
+            f"resistance over-compensated, g dR / K^2 = {loop:.3g} (limit -1), growth {growth:.3g}"
+            " 1/s; lower the damping or the compensation"
         )
-    return f"the damping circuit oscillates, growth {growth:.3g} 1/s; lower the damping or widen its bandwidth"
+    return (
+        f"the damping circuit oscillates, growth {growth:.3g} 1/s; lower the damping or widen its"
+        " bandwidth"
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +135,9 @@ def explain(model: Model, levels_ns_per_m: Iterable[float] = (0.0,)) -> Explanat
     highest = max(level.damping_ns_per_m for level in found)
     return Explanation(
         states=model.states,
-        nonlinearities=tuple((note.effect, note.nonlinearity) for note in model.notes if note.nonlinearity),
+        nonlinearities=tuple(
+            (note.effect, note.nonlinearity) for note in model.notes if note.nonlinearity
+        ),
         notes=model.notes,
         levels=found,
         delay_s=model.delay_periods / model.rate_hz,
@@ -143,11 +150,18 @@ def at_level(model: Model, damping_ns_per_m: float) -> AtLevel:
     verdict = stability(model, damping_ns_per_m)
     upper = [complex(value) for value in modes(model, damping_ns_per_m) if value.imag >= 0.0]
     slow_first = sorted(upper, key=abs)
-    return AtLevel(damping_ns_per_m, verdict, 1.0 / (1.0 + verdict.loop_gain), tuple(_mode(value) for value in slow_first))
+    return AtLevel(
+        damping_ns_per_m,
+        verdict,
+        1.0 / (1.0 + verdict.loop_gain),
+        tuple(_mode(value) for value in slow_first),
+    )
 
 
 def _mode(value: complex) -> Mode:
     size = abs(value)
     decay = -value.real
     time_constant_s = 1.0 / decay if abs(decay) > NEARLY_ZERO_PER_S else inf
-    return Mode(time_constant_s, abs(value.imag) / tau, decay / size if size > NEARLY_ZERO_PER_S else 0.0)
+    return Mode(
+        time_constant_s, abs(value.imag) / tau, decay / size if size > NEARLY_ZERO_PER_S else 0.0
+    )

@@ -120,7 +120,11 @@ def step_source(params: BoardParams) -> str:
         mass_kg=params.mass_kg,
         viscous_ns_per_m=params.viscous_ns_per_m,
         substep_rate_hz=SUBSTEPS_PER_TICK * params.rate_hz,
-        stops="".join(_STOP.format(stop_m=stop_m, beyond=beyond) for stop_m, beyond in ends if isfinite(stop_m)),
+        stops="".join(
+            _STOP.format(stop_m=stop_m, beyond=beyond)
+            for stop_m, beyond in ends
+            if isfinite(stop_m)
+        ),
     )
 
 
@@ -181,12 +185,18 @@ def make_plant(params: BoardParams) -> Plant:
 
 def _check(params: BoardParams) -> None:
     if not (isfinite(params.mass_kg) and params.mass_kg > 0.0):
-        raise ConfigError(f"plant mass {params.mass_kg} kg must be positive; correct mass_kg in the device file")
+        raise ConfigError(
+            f"plant mass {params.mass_kg} kg must be positive; correct mass_kg in the device file"
+        )
     if not (isfinite(params.viscous_ns_per_m) and params.viscous_ns_per_m >= 0.0):
-        raise ConfigError(f"plant damping {params.viscous_ns_per_m} Ns/m must be 0 or more; correct viscous_ns_per_m")
+        raise ConfigError(
+            f"plant damping {params.viscous_ns_per_m} Ns/m must be 0 or more; correct"
+            " viscous_ns_per_m"
+        )
     if not (isfinite(params.rate_hz) and params.rate_hz > 0.0):
         raise ConfigError(f"servo rate {params.rate_hz} Hz must be positive; correct rate_hz")
     if not params.lower_stop_m < params.upper_stop_m:
         raise ConfigError(
-            f"stops at {params.lower_stop_m} m and {params.upper_stop_m} m leave no travel; lower must be below upper"
+            f"stops at {params.lower_stop_m} m and {params.upper_stop_m} m leave no travel; lower"
+            " must be below upper"
         )

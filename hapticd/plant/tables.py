@@ -29,7 +29,9 @@ HOTTEST_C = 180.0  # upper end of that axis
 FAR_M = 1e3  # where a device without ends would stop; JSON has no infinity
 
 
-def plant_params(model: Model, duration_s: float, exact_levels: Iterable[float], highest_ns_per_m: float) -> PlantParams:
+def plant_params(
+    model: Model, duration_s: float, exact_levels: Iterable[float], highest_ns_per_m: float
+) -> PlantParams:
     """Tables of `model` for sub-steps of `duration_s`, up to `highest_ns_per_m`.
 
     They are exact at `exact_levels` [Ns/m], which are rounded to counts as the DAC rounds them.
@@ -39,7 +41,9 @@ def plant_params(model: Model, duration_s: float, exact_levels: Iterable[float],
     levels |= {_dac(level, quantum) for level in exact_levels}
     residuals = _residuals(model)
     variants = [model.at_residual(ohm) if model.winding else model for ohm in residuals]
-    maps = [discretise(variant, duration_s, level) for variant in variants for level in sorted(levels)]
+    maps = [
+        discretise(variant, duration_s, level) for variant in variants for level in sorted(levels)
+    ]
     out = model.outputs
     return PlantParams(
         states=tuple(state.name for state in model.states),
@@ -62,7 +66,9 @@ def plant_params(model: Model, duration_s: float, exact_levels: Iterable[float],
     )
 
 
-def board_fields(model: Model, exact_levels: Iterable[float], highest_ns_per_m: float) -> dict[str, Any]:
+def board_fields(
+    model: Model, exact_levels: Iterable[float], highest_ns_per_m: float
+) -> dict[str, Any]:
     """The fields of BoardParams that describe `model`.
 
     The tables, and the figures of a rigid mass that firmware and pages show.
@@ -99,7 +105,10 @@ def _residuals(model: Model) -> tuple[float, ...]:
     if winding is None:
         return (model.residual_ohm,)
     ends_c = (min(winding.start_c, winding.ambient_c), HOTTEST_C)
-    low, high = (copper_ohm(winding.resistance_ohm, winding.reference_c, end_c) - winding.compensated_ohm for end_c in ends_c)
+    low, high = (
+        copper_ohm(winding.resistance_ohm, winding.reference_c, end_c) - winding.compensated_ohm
+        for end_c in ends_c
+    )
     return tuple(float(ohm) for ohm in np.linspace(low, high, RESIDUALS))
 
 

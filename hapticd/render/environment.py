@@ -4,13 +4,14 @@
     a = LP_acceleration[(x_n - 2 x_{n-1} + x_{n-2}) / T^2]   second-order low-pass, 72 Hz
     F = clamp(bias - K x - B v - M a + field)       K on raw position (Weir, Colgate and Peshkin 2008, section 2)
 
-The servo runs `render` in CPython; the batch engine compiles the very same function with numba. Therefore: tuples of
-floats in and out, no attribute access, no defaults, coefficients designed outside, both filters always running (so that
-B and M may be switched on without a jump), helpers called only in the rare case. The rate is folded into the filter
-coefficients: they act on differences. Positive force pushes to positive x.
+The servo runs `render` in CPython; the batch engine compiles the very same function with numba.
+Therefore: tuples of floats in and out, no attribute access, no defaults, coefficients designed
+outside, both filters always running (so that B and M may be switched on without a jump), helpers
+called only in the rare case. The rate is folded into the filter coefficients: they act on
+differences. Positive force pushes to positive x.
 
-What would break it: fastmath or contraction in a compiler (bits differ from CPython), a clamp written so that NaN passes
-(`not (-limit <= f <= limit)` catches it), coefficients for another rate.
+What would break it: fastmath or contraction in a compiler (bits differ from CPython), a clamp
+written so that NaN passes (`not (-limit <= f <= limit)` catches it), coefficients for another rate.
 """
 
 from hapticd.params import FilterParams
@@ -19,20 +20,38 @@ from hapticd.render.filters import Biquad, design, scaled
 from hapticd.render.limits import clamp
 
 LawState = tuple[float, float, float, float, float, float]
-Environment = tuple[float, float, float, float, float, float, float, float, float, float, float, float]
+Environment = tuple[
+    float, float, float, float, float, float, float, float, float, float, float, float
+]
 Coefficients = tuple[float, float, float, float, float, float, float, float, float, float]
 Rendered = tuple[float, float, float, float, float, float, float, float, LawState]
 
 
-def render(x: float, state: LawState, environment: Environment, coefficients: Coefficients) -> Rendered:
+def render(
+    x: float, state: LawState, environment: Environment, coefficients: Coefficients
+) -> Rendered:
     """One tick of the law at position `x` [m].
 
-    `state` = (x_{n-1}, x_{n-1} - x_{n-2}, filter states); `environment` = (K, B, M, bias, limit, wall stiffness, damping,
-    position, side, lower end, upper end, end stiffness) in SI; `coefficients` as `design_coefficients` makes them.
-    Returns (force, sum before the clamp, v, a, K part, B part, M part, field part, new state) in N, m/s, m/s^2.
+    `state` = (x_{n-1}, x_{n-1} - x_{n-2}, filter states); `environment` = (K, B, M, bias, limit,
+    wall stiffness, damping, position, side, lower end, upper end, end stiffness) in SI;
+    `coefficients` as `design_coefficients` makes them. Returns (force, sum before the clamp, v, a,
+    K part, B part, M part, field part, new state) in N, m/s, m/s^2.
     """
     x1, d1, vz1, vz2, az1, az2 = state
-    stiffness, damping, mass, bias, limit, wall_k, wall_b, wall_x, wall_side, lower, upper, end_k = environment
+    (
+        stiffness,
+        damping,
+        mass,
+        bias,
+        limit,
+        wall_k,
+        wall_b,
+        wall_x,
+        wall_side,
+        lower,
+        upper,
+        end_k,
+    ) = environment
     vb0, vb1, vb2, va1, va2, ab0, ab1, ab2, aa1, aa2 = coefficients
     d = x - x1
     dd = d - d1
@@ -48,7 +67,9 @@ def render(x: float, state: LawState, environment: Environment, coefficients: Co
     field = 0.0
     if wall_side != 0.0:
         field = wall_force(x, v, wall_k, wall_b, wall_x, wall_side)
-    if not (x >= lower and x <= upper):  # no chain: CPython compares two floats faster alone; NaN does not pass
+    if not (
+        x >= lower and x <= upper
+    ):  # no chain: CPython compares two floats faster alone; NaN does not pass
         field += end_force(x, lower, upper, end_k)
     total = bias + spring + damper + inertia + field
     force = total
@@ -57,10 +78,16 @@ def render(x: float, state: LawState, environment: Environment, coefficients: Co
     return force, total, v, a, spring, damper, inertia, field, (x, d, vz1, vz2, az1, az2)
 
 
-def design_coefficients(velocity: FilterParams, acceleration: FilterParams, rate_hz: float) -> Coefficients:
-    """Coefficients for differences at `rate_hz`: the first filter gives m/s, the second m/s^2. ConfigError as `design`."""
+def design_coefficients(
+    velocity: FilterParams, acceleration: FilterParams, rate_hz: float
+) -> Coefficients:
+    """Coefficients for differences at `rate_hz`: the first filter gives m/s, the second m/s^2.
+    ConfigError as `design`.
+    """
     first = design(velocity.frequency_hz, velocity.damping_ratio, velocity.mapping, rate_hz)
-    second = design(acceleration.frequency_hz, acceleration.damping_ratio, acceleration.mapping, rate_hz)
+    second = design(
+        acceleration.frequency_hz, acceleration.damping_ratio, acceleration.mapping, rate_hz
+    )
     return scaled(first, rate_hz) + scaled(second, rate_hz * rate_hz)
 
 

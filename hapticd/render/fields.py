@@ -1,11 +1,16 @@
-"""Force fields beside K-B-M: a unilateral wall and the soft ends of the workspace. Floats in, newtons out.
+"""Force fields beside K-B-M: a unilateral wall and the soft ends of the workspace. Floats in,
+newtons out.
 
 Written for CPython and for numba alike: no attribute access, no defaults, no keyword arguments.
 """
 
 
-def wall_force(x: float, v: float, stiffness: float, damping: float, position: float, side: float) -> float:
-    """Force [N] of a wall that is solid where (x - position) * side > 0: spring and damper, never pulling (Colgate 1994)."""
+def wall_force(
+    x: float, v: float, stiffness: float, damping: float, position: float, side: float
+) -> float:
+    """Force [N] of a wall that is solid where (x - position) * side > 0: spring and damper,
+    never pulling (Colgate 1994).
+    """
     depth = (x - position) * side
     if depth > 0.0:
         push = stiffness * depth + damping * v * side

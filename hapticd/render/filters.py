@@ -1,12 +1,13 @@
 """Second-order low-pass filters for the differentiated position.
 
-Continuous prototype H(s) = w^2 / (s^2 + 2 zeta w s + w^2); zeta = 1/sqrt(2) is Butterworth. The paper (Weir, Colgate and
-Peshkin 2008, section 2) says "100 Hertz second order digital filter" for velocity and 72 Hz for acceleration and neither
-damping ratio nor mapping, so both are parameters. A filter is five numbers (b0, b1, b2, a1, a2) of
-y = b0 u + z1; z1' = b1 u - a1 y + z2; z2' = b2 u - a2 y (transposed direct form II), gain 1 at DC.
+Continuous prototype H(s) = w^2 / (s^2 + 2 zeta w s + w^2); zeta = 1/sqrt(2) is Butterworth. The
+paper (Weir, Colgate and Peshkin 2008, section 2) says "100 Hertz second order digital filter" for
+velocity and 72 Hz for acceleration and neither damping ratio nor mapping, so both are parameters. A
+filter is five numbers (b0, b1, b2, a1, a2) of y = b0 u + z1; z1' = b1 u - a1 y + z2; z2' = b2 u -
+a2 y (transposed direct form II), gain 1 at DC.
 
-What would break it: a corner at or above half the rate (refused), coefficients swapped under a running state without
-`carry_over` (a force step), a rate other than the tick's.
+What would break it: a corner at or above half the rate (refused), coefficients swapped under a
+running state without `carry_over` (a force step), a rate other than the tick's.
 """
 
 import math
@@ -20,13 +21,20 @@ MAPPINGS = ("prewarped", "bilinear", "matched")
 def design(frequency_hz: float, damping_ratio: float, mapping: str, rate_hz: float) -> Biquad:
     """Coefficients of a second-order low-pass.
 
-    `mapping`: "prewarped" bilinear (-3 dB point kept), plain "bilinear", or "matched" poles without zeros.
-    ConfigError if the corner is not inside 0..rate/2, the damping ratio not positive, or the mapping unknown.
+    `mapping`: "prewarped" bilinear (-3 dB point kept), plain "bilinear", or "matched" poles without
+    zeros. ConfigError if the corner is not inside 0..rate/2, the damping ratio not positive, or the
+    mapping unknown.
     """
     if not 0.0 < frequency_hz < 0.5 * rate_hz:
-        raise ConfigError(f"filter corner {frequency_hz} Hz: must lie between 0 and {0.5 * rate_hz} Hz, half the servo rate")
+        raise ConfigError(
+            f"filter corner {frequency_hz} Hz: must lie between 0 and {0.5 * rate_hz} Hz, half the"
+            " servo rate"
+        )
     if not 0.0 < damping_ratio < 100.0:
-        raise ConfigError(f"filter damping ratio {damping_ratio}: must lie between 0 and 100; 0.7071 is Butterworth")
+        raise ConfigError(
+            f"filter damping ratio {damping_ratio}: must lie between 0 and 100; 0.7071 is"
+            " Butterworth"
+        )
     if mapping == "matched":
         return _matched(2.0 * math.pi * frequency_hz / rate_hz, damping_ratio)
     if mapping not in MAPPINGS:
@@ -56,7 +64,9 @@ def scaled(biquad: Biquad, gain: float) -> Biquad:
 
 
 def carry_over(old: Biquad, new: Biquad, z: tuple[float, float], u: float) -> tuple[float, float]:
-    """State for `new` that repeats the next two outputs `old` would give if the input stayed at `u`: a bumpless change."""
+    """State for `new` that repeats the next two outputs `old` would give if the input stayed at
+    `u`: a bumpless change.
+    """
     b0, b1, _, a1, _ = old
     y0 = b0 * u + z[0]
     y1 = b0 * u + (b1 * u - a1 * y0 + z[1])

@@ -1,4 +1,6 @@
-"""Ramps: how a parameter goes from one value to the next. Each carries its own start tick, so several may overlap."""
+"""Ramps: how a parameter goes from one value to the next. Each carries its own start tick, so
+several may overlap.
+"""
 
 from typing import NamedTuple
 

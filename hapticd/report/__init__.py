@@ -1,1 +1,3 @@
-"""Figures and tables from results. They draw what they are given; nothing here drives a device, prints or opens a window."""
+"""Figures and tables from results. They draw what they are given; nothing here drives a device,
+prints or opens a window.
+"""

@@ -40,14 +40,26 @@ def comparison_figure(found: Comparison) -> Figure:
     far K, B and M go alone, with their intervals. A dashed line is without added damping.
     """
     names = " and ".join(one.name for one in found.displays)
-    figure, places = mosaic(PANELS, WIDTH_IN, 5.6, f"{_badge(found)}{names}\n{how(found)}", height_ratios=(1.5, 1.0))
+    figure, places = mosaic(
+        PANELS, WIDTH_IN, 5.6, f"{_badge(found)}{names}\n{how(found)}", height_ratios=(1.5, 1.0)
+    )
     for rank, display in enumerate(found.displays):
         for level in display.levels:
-            look = {"color": _device(rank)["color"], "linestyle": "-" if level.damping_ns_per_m else OFF["linestyle"]}
+            look = {
+                "color": _device(rank)["color"],
+                "linestyle": "-" if level.damping_ns_per_m else OFF["linestyle"],
+            }
             words = f"{display.name} {words_of(level.damping_ns_per_m)}"
             for name, shown in (("size", level.envelope), ("mass", level.per_mass)):
                 if shown is not None:
-                    edges(places[name], shown.frequency_hz, (shown.upper, shown.lower), look, words, rank)
+                    edges(
+                        places[name],
+                        shown.frequency_hz,
+                        (shown.upper, shown.lower),
+                        look,
+                        words,
+                        rank,
+                    )
     judged_hz = np.array([one.conditions.judged_hz for one in found.displays])
     for name, words in (("size", "|Z| (N s/m)"), ("mass", "|Z| per moving mass (1/s)")):
         places[name].set(yscale="log", ylabel=words)
@@ -70,38 +82,64 @@ def how(found: Comparison) -> str:
 
 
 def comparison_tables(found: Comparison) -> tuple[Table, ...]:
-    """Conditions; limits with their intervals and per mass; widths of the envelopes and other numbers."""
+    """Conditions; limits with their intervals and per mass; widths of the envelopes and other
+    numbers.
+    """
     return _conditions(found), _reaches(found), _widths(found)
 
 
 def _conditions(found: Comparison) -> Table:
     rows = [
         (
-            one.name, 1e3 * one.conditions.mass_kg, *one.conditions.judged_hz,
-            f"{one.conditions.perturbation_psd_n2_per_hz:.3g}", one.conditions.seconds, 100.0 * one.conditions.confidence,
+            one.name,
+            1e3 * one.conditions.mass_kg,
+            *one.conditions.judged_hz,
+            f"{one.conditions.perturbation_psd_n2_per_hz:.3g}",
+            one.conditions.seconds,
+            100.0 * one.conditions.confidence,
         )
         for one in found.displays
-    ]  # fmt: skip
+    ]
     return table(
-        ("display", "mass g", "judged from Hz", "to Hz", "N^2/Hz", "s a trial", "confidence %"), rows, _badge(found) + how(found)
+        ("display", "mass g", "judged from Hz", "to Hz", "N^2/Hz", "s a trial", "confidence %"),
+        rows,
+        _badge(found) + how(found),
     )
 
 
 def _reaches(found: Comparison) -> Table:
     rows: list[tuple[Cell, ...]] = [
         (
-            f"{reach.name} {UNITS[reach.name]}", display.name, level.damping_ns_per_m,
-            *(SCALES[reach.name] * value for value in (reach.value, reach.lower, reach.upper)), reach.per_mass,
+            f"{reach.name} {UNITS[reach.name]}",
+            display.name,
+            level.damping_ns_per_m,
+            *(SCALES[reach.name] * value for value in (reach.value, reach.lower, reach.upper)),
+            reach.per_mass,
         )
         for name in AXES
         for display in found.displays
         for level, reach in _reached(display, name)
-    ]  # fmt: skip
-    return table(("limit", "display", "added N s/m", "reaches", "passive up to", "not passive from", "per kg"), rows)
+    ]
+    return table(
+        (
+            "limit",
+            "display",
+            "added N s/m",
+            "reaches",
+            "passive up to",
+            "not passive from",
+            "per kg",
+        ),
+        rows,
+    )
 
 
 def _widths(found: Comparison) -> Table:
-    every = [(display, level, _bands(level.envelope)) for display in found.displays for level in display.levels]
+    every = [
+        (display, level, _bands(level.envelope))
+        for display in found.displays
+        for level in display.levels
+    ]
     names = list(every[0][2])
     rows: list[list[Cell]] = []
     for display, level, bands in every:
@@ -113,7 +151,9 @@ def _widths(found: Comparison) -> Table:
 
 def _bands(envelope: Envelope) -> dict[str, float]:
     try:
-        return {f"{band.low_hz:g}..{band.high_hz:g} Hz": band.width_db for band in widths_db(envelope)}
+        return {
+            f"{band.low_hz:g}..{band.high_hz:g} Hz": band.width_db for band in widths_db(envelope)
+        }
     except AnalysisError:
         return {}
 
@@ -128,7 +168,11 @@ def _device(rank: int) -> Look:
 
 def _limits(axis: Axes, found: Comparison, name: str) -> None:
     """A mark and its interval for each display and level, hollow without added damping."""
-    told = [(rank, *one) for rank, display in enumerate(found.displays) for one in _reached(display, name)]
+    told = [
+        (rank, *one)
+        for rank, display in enumerate(found.displays)
+        for one in _reached(display, name)
+    ]
     for at, (rank, level, reach) in enumerate(told):
         look = _device(rank)
         ends = sorted(SCALES[name] * end for end in (reach.lower, reach.upper))
@@ -136,9 +180,15 @@ def _limits(axis: Axes, found: Comparison, name: str) -> None:
         filled = look["color"] if level.damping_ns_per_m else "white"
         axis.plot(at, SCALES[name] * reach.value, linestyle="", markerfacecolor=filled, **look)
     axis.set_xticks(range(len(told)), [f"{level.damping_ns_per_m:g}" for _, level, _ in told])
-    axis.set(xlim=(-0.6, len(told) - 0.4), ylabel=f"{name} ({UNITS[name]})", xlabel="added damping (N s/m)")
+    axis.set(
+        xlim=(-0.6, len(told) - 0.4),
+        ylabel=f"{name} ({UNITS[name]})",
+        xlabel="added damping (N s/m)",
+    )
 
 
 def _reached(display: Compared, name: str) -> list[tuple[Level, Reach]]:
     """The limit of that name at each level."""
-    return [(level, reach) for level in display.levels for reach in level.limits if reach.name == name]
+    return [
+        (level, reach) for level in display.levels for reach in level.limits if reach.name == name
+    ]

@@ -74,7 +74,10 @@ def envelope_figure(conditions: Conditions, levels: Levels, inverse: bool = Fals
     values are owned by the smallest |Z|.
     """
     looks = of_levels([level for level, _ in levels])
-    shown = [_of_trials(conditions, *level, look, inverse) for level, look in zip(levels, looks, strict=True)]
+    shown = [
+        _of_trials(conditions, *level, look, inverse)
+        for level, look in zip(levels, looks, strict=True)
+    ]
     f = shown[0].envelope.frequency_hz
     seen = judged(trial for _, trials in levels for trial in trials)
     made = f"{simulated(conditions.scene.device, conditions.seconds)}, {seen}"
@@ -83,11 +86,17 @@ def envelope_figure(conditions: Conditions, levels: Levels, inverse: bool = Fals
     return envelopes_figure(shown, title, (float(f[0]), float(f[-1])), conditions.band_hz, view)
 
 
-def _of_trials(conditions: Conditions, level: float, trials: Sequence[Outcome], look: Look, inverse: bool) -> Drawn:
-    """Of those that pass, and what is predicted of the same environments where the figure shows it."""
+def _of_trials(
+    conditions: Conditions, level: float, trials: Sequence[Outcome], look: Look, inverse: bool
+) -> Drawn:
+    """Of those that pass, and what is predicted of the same environments where the figure shows
+    it.
+    """
     passed = [trial for trial in trials if trial.passes]
     points = np.array([trial.environment for trial in passed]).reshape(-1, 3)
-    f = np.union1d(frequencies(conditions.band_hz, conditions.display.perturbation), kept_frequencies())
+    f = np.union1d(
+        frequencies(conditions.band_hz, conditions.display.perturbation), kept_frequencies()
+    )
     z = conditions.display.impedances(points, level, f)
     inside = (f >= SHOWN_HZ[0]) & (f <= SHOWN_HZ[1])
     found = (envelope_of(passed), of_predicted(f[inside], z[:, inside]))
@@ -96,16 +105,25 @@ def _of_trials(conditions: Conditions, level: float, trials: Sequence[Outcome], 
 
 
 def envelopes_figure(
-    shown: Sequence[Drawn], title: str, ends_hz: tuple[float, float], band_hz: tuple[float, float], view: View = IMPEDANCE
+    shown: Sequence[Drawn],
+    title: str,
+    ends_hz: tuple[float, float],
+    band_hz: tuple[float, float],
+    view: View = IMPEDANCE,
 ) -> Figure:
-    """Edges of size, a strip of owners for each envelope, edges of phase. Call it within `styled`."""
+    """Edges of size, a strip of owners for each envelope, edges of phase. Call it within
+    `styled`.
+    """
     count = len(shown)
     heights = [3.0, *([0.36] * count), 1.9]
-    figure, (size, *strips, phase) = axes(2 + count, 1, WIDTH_IN, 6.4 + 0.42 * count, title, sharex=True, height_ratios=heights)
+    figure, (size, *strips, phase) = axes(
+        2 + count, 1, WIDTH_IN, 6.4 + 0.42 * count, title, sharex=True, height_ratios=heights
+    )
     hertz_axis(phase, *ends_hz)
     size.set_yscale("log")
     for rank, drawn in enumerate(shown):
-        found, own = drawn.envelope, (drawn.look, drawn.words, rank)
+        found = drawn.envelope
+        own = (drawn.look, drawn.words, rank)
         edges(size, found.frequency_hz, (found.upper, found.lower), *own)
         edges(phase, found.frequency_hz, (found.phase_upper, found.phase_lower), *own, linear=True)
     for guess in (drawn.guess for drawn in shown if drawn.guess is not None):
@@ -118,7 +136,11 @@ def envelopes_figure(
         strip(axis, drawn.envelope.frequency_hz, rows, f"owner of the envelope {drawn.words}")
         axis.set_yticks([0.5, 1.5], ["min", "max"], fontsize=SMALL_PT)
     grey = dress(size, phase, band_hz, view, " at the probe")
-    known = [interval(shown[-1].look, " of the owning trial")] if any(one.envelope.upper.sd.any() for one in shown) else []
+    known = (
+        [interval(shown[-1].look, " of the owning trial")]
+        if any(one.envelope.upper.sd.any() for one in shown)
+        else []
+    )
     handles = [*handles_of(size), *known, grey]
     size.legend(handles=handles, loc="lower right" if view is IMPEDANCE else "lower center")
     negative = any((drawn.environments[:, 1] < 0.0).any() for drawn in shown)
@@ -127,16 +149,29 @@ def envelopes_figure(
 
 
 def edges(
-    axis: Axes, frequency_hz: Floats, pair: tuple[Edge, Edge], look: Look, words: str, rank: int = 0, linear: bool = False
+    axis: Axes,
+    frequency_hz: Floats,
+    pair: tuple[Edge, Edge],
+    look: Look,
+    words: str,
+    rank: int = 0,
+    linear: bool = False,
 ) -> None:
     """Upper and lower edge with their intervals, tinted between them, the first envelope on top."""
     upper, lower = pair
-    axis.fill_between(frequency_hz, lower.value, upper.value, color=tint(look["color"]), linewidth=0, zorder=0.4 - 0.01 * rank)
+    axis.fill_between(
+        frequency_hz,
+        lower.value,
+        upper.value,
+        color=tint(look["color"]),
+        linewidth=0,
+        zorder=0.4 - 0.01 * rank,
+    )
     banded(axis, frequency_hz, upper.value, NORMAL * upper.sd, look, words, linear)
     banded(axis, frequency_hz, lower.value, NORMAL * lower.sd, look, None, linear)
 
 
-# --- owners ----------------------------------------------------------------------------------------------------------------------
+# --- owners ---------------------------------------------------------------------------------------
 
 
 def weightiest(frequency_hz: Floats, owners: Floats) -> Floats:
@@ -154,9 +189,14 @@ def weighty(drawn: Drawn, edge: Edge) -> Floats:
     """(F,) index into PARTS, NOBODY where nothing is rendered or noise alone would make the
     envelope as wide.
     """
-    upper, lower = drawn.envelope.upper, drawn.envelope.lower
+    upper = drawn.envelope.upper
+    lower = drawn.envelope.lower
     which = weightiest(drawn.envelope.frequency_hz, drawn.environments[edge.owner])
-    noise = 2.0 * np.sqrt(2.0 * np.log(max(2, len(drawn.environments)))) * np.maximum(upper.sd, lower.sd)
+    noise = (
+        2.0
+        * np.sqrt(2.0 * np.log(max(2, len(drawn.environments))))
+        * np.maximum(upper.sd, lower.sd)
+    )
     which[np.log(upper.value / lower.value) < noise] = NOBODY
     return _majority(which, drawn.calm)
 
@@ -168,7 +208,9 @@ def _majority(which: Floats, count: int) -> Floats:
     return np.asarray(kinds[(near[:, :, None] == kinds).sum(axis=1).argmax(axis=1)])
 
 
-def strip(axis: Axes, frequency_hz: Floats, rows: Sequence[Floats], title: str, columns: int = 1) -> None:
+def strip(
+    axis: Axes, frequency_hz: Floats, rows: Sequence[Floats], title: str, columns: int = 1
+) -> None:
     """Paint rows (F,) of indices into PARTS from below, white for NOBODY, with the names where they
     are wide enough, so that nobody needs the colours.
     """
@@ -176,8 +218,17 @@ def strip(axis: Axes, frequency_hz: Floats, rows: Sequence[Floats], title: str, 
 
     middle = np.sqrt(frequency_hz[1:] * frequency_hz[:-1])
     borders = np.concatenate((frequency_hz[:1], middle, frequency_hz[-1:]))
-    colours, heights = ListedColormap([NOTHING, *(colour for _, colour in PARTS)]), np.arange(len(rows) + 1.0)
-    axis.pcolormesh(borders, heights, np.array(rows), cmap=colours, vmin=-1.5, vmax=len(PARTS) - 0.5, rasterized=True)
+    colours = ListedColormap([NOTHING, *(colour for _, colour in PARTS)])
+    heights = np.arange(len(rows) + 1.0)
+    axis.pcolormesh(
+        borders,
+        heights,
+        np.array(rows),
+        cmap=colours,
+        vmin=-1.5,
+        vmax=len(PARTS) - 0.5,
+        rasterized=True,
+    )
     axis.grid(visible=False)
     axis.tick_params(length=0)
     axis.set_yticks([])
@@ -190,12 +241,21 @@ def _names(axis: Axes, borders: Floats, row: Floats, height: float, wide: float)
     changes = [0, *(np.flatnonzero(np.diff(row)) + 1), row.size]
     low_hz, high_hz = axis.get_xlim()
     for first, last in pairwise(changes):
-        low, high = borders[first], borders[last]
+        low = borders[first]
+        high = borders[last]
         if row[first] == NOBODY or np.log(high / low) < wide * np.log(high_hz / low_hz):
             continue
         name = PARTS[int(row[first])][0]
         ink = "white" if name == "B < 0" else "black"
-        axis.text(float(np.sqrt(low * high)), height, name, fontsize=SMALL_PT, ha="center", va="center", color=ink)
+        axis.text(
+            float(np.sqrt(low * high)),
+            height,
+            name,
+            fontsize=SMALL_PT,
+            ha="center",
+            va="center",
+            color=ink,
+        )
 
 
 def keys(negative: bool = True) -> list[Any]:

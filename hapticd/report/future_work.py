@@ -1,4 +1,5 @@
-"""What the paper left for future work: a section of the page for each part, with its rows, its words and its figure.
+"""What the paper left for future work: a section of the page for each part, with its rows, its
+words and its figure.
 
 lower_bound_*   mean |Z| of the envelope's lower edge over ln f in 2-20 Hz, dB re 1 N s/m
 zwidth_*        mean distance of its edges there, dB
@@ -32,7 +33,14 @@ def future_sections(result: BeyondResult) -> tuple[Section, ...]:
     return tuple(part(result) for part in parts)
 
 
-def _row(result: BeyondResult, quantity: str, runs: Floats, unit: str, predicted: float = nan, note: str = "") -> Row:
+def _row(
+    result: BeyondResult,
+    quantity: str,
+    runs: Floats,
+    unit: str,
+    predicted: float = nan,
+    note: str = "",
+) -> Row:
     """By trials of each seed, or as predicted where there are none."""
     ours, sd = mean_sd(runs) if len(runs) else (predicted, nan)
     seeds = len(result.plan.seeds) if len(runs) else 0
@@ -40,8 +48,12 @@ def _row(result: BeyondResult, quantity: str, runs: Floats, unit: str, predicted
 
 
 def restored(result: BeyondResult, kind: str = "") -> Floats:
-    """How much of what added damping raised the lower edge by is taken back [%] (seeds,); `kind` "" or "_safe"."""
-    off, on, negative = (result.envelopes[f"{name}{kind}"].lower_db() for name in ("off", "on", "on_negative_B"))
+    """How much of what added damping raised the lower edge by is taken back [%] (seeds,);
+    `kind` "" or "_safe".
+    """
+    off, on, negative = (
+        result.envelopes[f"{name}{kind}"].lower_db() for name in ("off", "on", "on_negative_B")
+    )
     return np.asarray(100.0 * (on - negative) / (on - off))
 
 
@@ -52,27 +64,41 @@ def _lower_edge(result: BeyondResult) -> Section:
     twice = ""
     if result.hardy:
         share = 100.0 * max(result.hardy[name] for name in ("off", "on", "on_negative_B"))
-        twice = f": shaken twice as hard, {share:.0f} % at most of the owners of any of these edges pass"
+        twice = (
+            f": shaken twice as hard, {share:.0f} % at most of the owners of any of these edges"
+            " pass"
+        )
     words = (
-        "Added damping raises the lower edge of the Z-width in 2-20 Hz "
-        f"from {low['off']:.1f} to {low['on']:.1f} dB (re 1 N s/m, mean over ln f). "
-        f"With B < 0 it comes to {low['on_negative_B']:.1f} dB, {at_noise:.0f} % of the way back, and the upper edge stays. "
-        f"The Z-width there is {wide['off']:.1f} dB without damping, {wide['on']:.1f} dB with it, "
-        f"and {wide['on_negative_B']:.1f} dB with B < 0 beside it. "
-        f"The undamped device with B < 0 reaches {low['off_negative_B']:.1f} dB.\n\n"
-        f"These edges count on dry friction, as limits at one perturbation do{twice}. "
-        f"Without counting on friction the lower edge is at {low['off_safe']:.1f} dB undamped, {low['on_safe']:.1f} dB damped, "
-        f"{low['on_negative_B_safe']:.1f} dB with B < 0 ({safe:.0f} % of the way back). "
-        "All are edges of one grid, that of Figs. 3 and 8 with rows of B < 0. A finer grid goes lower, because K and M cancel more "
-        "exactly, and other seeds let other environments pass: a decibel or two, more than the scatter in the table (ADR 0034)."
+        f"Added damping raises the lower edge of the Z-width in 2-20 Hz from {low['off']:.1f} to"
+        f" {low['on']:.1f} dB (re 1 N s/m, mean over ln f). With B < 0 it comes to"
+        f" {low['on_negative_B']:.1f} dB, {at_noise:.0f} % of the way back, and the upper edge"
+        f" stays. The Z-width there is {wide['off']:.1f} dB without damping, {wide['on']:.1f} dB"
+        f" with it, and {wide['on_negative_B']:.1f} dB with B < 0 beside it. The undamped device"
+        f" with B < 0 reaches {low['off_negative_B']:.1f} dB.\n\nThese edges count on dry friction,"
+        f" as limits at one perturbation do{twice}. Without counting on friction the lower edge is"
+        f" at {low['off_safe']:.1f} dB undamped, {low['on_safe']:.1f} dB damped,"
+        f" {low['on_negative_B_safe']:.1f} dB with B < 0 ({safe:.0f} % of the way back). All are"
+        " edges of one grid, that of Figs. 3 and 8 with rows of B < 0. A finer grid goes lower,"
+        " because K and M cancel more exactly, and other seeds let other environments pass: a"
+        " decibel or two, more than the scatter in the table (ADR 0034)."
     )
     rows = []
     for name, bounds in result.envelopes.items():
         told = _edge_note(result, name, bounds)
-        rows.append(_row(result, f"lower_bound_{name}", bounds.lower_db(), "dB", bounds.predicted_db(), told))
+        rows.append(
+            _row(
+                result, f"lower_bound_{name}", bounds.lower_db(), "dB", bounds.predicted_db(), told
+            )
+        )
         rows.append(_row(result, f"zwidth_{name}", bounds.width_db(), "dB"))
-    note = "of what added damping raised the lower edge by; sd of the owners alone, other seeds and grids choose others (ADR 0034)"
-    rows += [_row(result, f"lower_bound_restored{kind}", restored(result, kind), "%", note=note) for kind in ("", "_safe")]
+    note = (
+        "of what added damping raised the lower edge by; sd of the owners alone, other seeds and"
+        " grids choose others (ADR 0034)"
+    )
+    rows += [
+        _row(result, f"lower_bound_restored{kind}", restored(result, kind), "%", note=note)
+        for kind in ("", "_safe")
+    ]
     caption = f"Envelopes with the owners of their lower edges; {BANDS}."
     drawing = Drawing("beyond_lower_edge", caption, partial(edge_figure, result))
     return Section("Beyond the paper: negative virtual damping", words, tuple(rows), (drawing,))
@@ -83,35 +109,52 @@ def _edge_note(result: BeyondResult, name: str, bounds: Bounds) -> str:
         return "predicted on the grid of Figs. 3 and 8; a finer grid goes lower"
     share = 100.0 * result.hardy[name]
     return (
-        f"{bounds.flown} trials flown, {bounds.struck} environments struck out; at twice the force {share:.0f} % of its owners pass"
+        f"{bounds.flown} trials flown, {bounds.struck} environments struck out; at twice the force"
+        f" {share:.0f} % of its owners pass"
     )
 
 
 def _free_motion(result: BeyondResult) -> Section:
-    free, count = result.free, len(result.plan.seeds)
+    free = result.free
+    count = len(result.plan.seeds)
     off, on, alone, both = free.motions
     heavier = shown_hz()[np.argmax(both.size.value > off.size.value)]
     words = (
-        "No grid matters where no stiffness is rendered. "
-        f"Mean |Z| in 2-20 Hz is {off.low_db().mean():.1f} dB undamped and {on.low_db().mean():.1f} dB damped. "
-        f"B = {alone.damping:.2f} N s/m alone gives {alone.low_db().mean():.1f} dB, "
-        "because the lag of the loop turns it into mass; "
-        f"with M = {1e3 * both.mass_kg:.1f} g beside it {both.low_db().mean():.1f} dB is left, "
-        f"lighter than the undamped device below {heavier:.0f} Hz and heavier above. "
-        f"All four are passive for every input without friction, the last with {both.spare:.2g} N s/m to spare, "
-        "which leaves nothing for an error of the model. Eq. 2 of the paper must not be asked about B < 0; it refuses."
+        "No grid matters where no stiffness is rendered. Mean |Z| in 2-20 Hz is"
+        f" {off.low_db().mean():.1f} dB undamped and {on.low_db().mean():.1f} dB damped. B ="
+        f" {alone.damping:.2f} N s/m alone gives {alone.low_db().mean():.1f} dB, because the lag of"
+        f" the loop turns it into mass; with M = {1e3 * both.mass_kg:.1f} g beside it"
+        f" {both.low_db().mean():.1f} dB is left, lighter than the undamped device below"
+        f" {heavier:.0f} Hz and heavier above. All four are passive for every input without"
+        f" friction, the last with {both.spare:.2g} N s/m to spare, which leaves nothing for an"
+        " error of the model. Eq. 2 of the paper must not be asked about B < 0; it refuses."
     )
     rows = []
     for motion in free.motions:
         note = (
-            f"B {motion.damping:.3g} Ns/m, M {1e3 * motion.mass_kg:.3g} g; {motion.spare:.3g} Ns/m to spare by the lifted theorem, "
-            f"without friction{f'; {len(motion.runs)} of {count} seeds pass' if count else ''}"
+            f"B {motion.damping:.3g} Ns/m, M {1e3 * motion.mass_kg:.3g} g; {motion.spare:.3g} Ns/m"
+            " to spare by the lifted theorem, without"
+            f" friction{f'; {len(motion.runs)} of {count} seeds pass' if count else ''}"
         )
-        rows.append(_row(result, f"free_motion_{motion.name}", motion.low_db(), "dB", motion.predicted_db(), note))
+        rows.append(
+            _row(
+                result,
+                f"free_motion_{motion.name}",
+                motion.low_db(),
+                "dB",
+                motion.predicted_db(),
+                note,
+            )
+        )
     ends = "on its axis, at the perturbation: beyond it the device runs away"
-    rows += [_row(result, f"B_min_{MODES[end.level]}", end.values, "Ns/m", end.predicted, ends) for end in free.limits]
+    rows += [
+        _row(result, f"B_min_{MODES[end.level]}", end.values, "Ns/m", end.predicted, ends)
+        for end in free.limits
+    ]
     refused = f"refused: {free.refusal}"
-    rows.append(Row("eq2_on_negative_B", nan, nan, "-", "arithmetic", MAIN, note=refused, part=PART))
+    rows.append(
+        Row("eq2_on_negative_B", nan, nan, "-", "arithmetic", MAIN, note=refused, part=PART)
+    )
     caption = f"What is felt where no stiffness is rendered; {BANDS}."
     drawing = Drawing("beyond_free_motion", caption, partial(free_figure, result))
     return Section("Beyond the paper: free motion", words, tuple(rows), (drawing,))
@@ -119,28 +162,38 @@ def _free_motion(result: BeyondResult) -> Section:
 
 def _shaped(result: BeyondResult) -> Section:
     shaped, (plain_k, best_k) = result.shaped, result.shaped.stiffest
-    bounds, best, plain = shaped.bounds, shaped.best, shaped.plain
+    bounds = shaped.bounds
+    best = shaped.best
+    plain = shaped.plain
     words = (
-        f"Damping above {best.hertz:g} Hz only keeps B and M within 5 % of what plain damping allows "
-        f"and brings the lower edge in 2-20 Hz to {bounds.lower_db().mean():z.1f} dB, with B >= 0: "
-        f"a Z-width of {bounds.width_db().mean():.1f} dB. "
-        f"K alone goes to {100.0 * best.limits[0] / plain.limits[0]:.0f} % of what plain damping allows, "
-        f"K with its best B and M to {100.0 * best_k / plain_k:.0f} %. "
-        'The paper\'s "added mechanical dissipation is rarely needed at low frequency" does not hold for K alone: '
-        "a sampled spring needs its dissipation at every frequency, down to 0, unless virtual B beside it brings some. "
-        "A low-pass does the opposite, and beside the circuit's own lag it is active at high frequency."
+        f"Damping above {best.hertz:g} Hz only keeps B and M within 5 % of what plain damping"
+        f" allows and brings the lower edge in 2-20 Hz to {bounds.lower_db().mean():z.1f} dB, with"
+        f" B >= 0: a Z-width of {bounds.width_db().mean():.1f} dB. K alone goes to"
+        f" {100.0 * best.limits[0] / plain.limits[0]:.0f} % of what plain damping allows, K with"
+        f" its best B and M to {100.0 * best_k / plain_k:.0f} %. The paper's \"added mechanical"
+        ' dissipation is rarely needed at low frequency" does not hold for K alone: a sampled'
+        " spring needs its dissipation at every frequency, down to 0, unless virtual B beside it"
+        " brings some. A low-pass does the opposite, and beside the circuit's own lag it is active"
+        " at high frequency."
     )
     light = "high-pass with the lightest free motion of those that keep B and M within 5 %"
     beside = (
-        f"predicted; {100.0 * (best_k / plain_k - 1.0):+.0f} % against unshaped: virtual B gives slow motion its dissipation back"
+        f"predicted; {100.0 * (best_k / plain_k - 1.0):+.0f} % against unshaped: virtual B gives"
+        " slow motion its dissipation back"
     )
     limits = [
         (
-            f"shaped_{NAMES[each.axis]}", each.values, UNITS[each.axis], each.predicted,
-            f"{100.0 * (each.predicted / plain.limits[each.axis] - 1.0):+.0f} % by prediction against the same damping unshaped",
+            f"shaped_{NAMES[each.axis]}",
+            each.values,
+            UNITS[each.axis],
+            each.predicted,
+            (
+                f"{100.0 * (each.predicted / plain.limits[each.axis] - 1.0):+.0f} % by prediction"
+                " against the same damping unshaped"
+            ),
         )
         for each in shaped.confirmed
-    ]  # fmt: skip
+    ]
     told = (
         ("shaped_corner", PREDICTED, "Hz", best.hertz, light),
         *limits,
@@ -157,14 +210,16 @@ def _shaped(result: BeyondResult) -> Section:
 
 def _levels(result: BeyondResult) -> Section:
     levels, (low, _, high, highest) = result.levels, FLOWN
-    growth, later = levels.gain(low, high), levels.gain(high, highest)
+    growth = levels.gain(low, high)
+    later = levels.gain(high, highest)
     left = 100.0 * later / growth
     words = (
-        f"Between {low:g} and {high:g} N s/m each N s/m of added damping buys {growth[0]:.0f} N/m of K, "
-        f"{growth[1]:.2f} N s/m of B and {-1e3 * growth[2]:.1f} g of negative mass by prediction; the table has the trials. "
-        f"From there to {highest:g} N s/m it buys {left[0]:.0f} %, {left[1]:.0f} % and {left[2]:.0f} % of that. "
-        f"What is paid is free motion: {levels.free_db[0]:.1f} dB without, "
-        f"{levels.free_db[-1]:.1f} dB at {levels.level[-1]:g} N s/m."
+        f"Between {low:g} and {high:g} N s/m each N s/m of added damping buys {growth[0]:.0f} N/m"
+        f" of K, {growth[1]:.2f} N s/m of B and {-1e3 * growth[2]:.1f} g of negative mass by"
+        f" prediction; the table has the trials. From there to {highest:g} N s/m it buys"
+        f" {left[0]:.0f} %, {left[1]:.0f} % and {left[2]:.0f} % of that. What is paid is free"
+        f" motion: {levels.free_db[0]:.1f} dB without, {levels.free_db[-1]:.1f} dB at"
+        f" {levels.level[-1]:g} N s/m."
     )
     rows = []
     for axis, name in enumerate(NAMES):
@@ -172,51 +227,79 @@ def _levels(result: BeyondResult) -> Section:
         gained = (runs[high] - runs[low]) / (high - low) if runs else PREDICTED
         beyond = (runs[highest] - runs[high]) / (highest - high) if runs else PREDICTED
         share = 100.0 * (mean_sd(beyond / gained)[0] if runs else later[axis] / growth[axis])
-        unit, ends = f"{UNITS[axis]} per Ns/m", "it saturates" if share < 100.0 * LITTLE else "no saturation up to there"
+        unit = f"{UNITS[axis]} per Ns/m"
+        ends = "it saturates" if share < 100.0 * LITTLE else "no saturation up to there"
         note = f"between {low:g} and {high:g} Ns/m of added damping"
         rows.append(_row(result, f"{name}_per_level", gained, unit, float(growth[axis]), note))
         note = f"between {high:g} and {highest:g} Ns/m; {share:.0f} % of the growth before: {ends}"
-        rows.append(_row(result, f"{name}_per_level_beyond", beyond, unit, float(later[axis]), note))
+        rows.append(
+            _row(result, f"{name}_per_level_beyond", beyond, unit, float(later[axis]), note)
+        )
     larger = levels.volume / levels.volume[0]
     note = f"predicted, B >= 0; {larger[-1]:.0f} times at {levels.level[-1]:g} Ns/m"
     own = float(larger[np.argmin(np.abs(levels.level - ADDED_NS_PER_M))])
     rows.append(_row(result, "set_volume_ratio", PREDICTED, "1", own, note))
-    drawing = Drawing("beyond_levels", "Limits, set and free motion over the level.", partial(levels_figure, result))
+    drawing = Drawing(
+        "beyond_levels",
+        "Limits, set and free motion over the level.",
+        partial(levels_figure, result),
+    )
     return Section("Beyond the paper: levels of added damping", words, tuple(rows), (drawing,))
 
 
 def _search(result: BeyondResult) -> Section:
-    words, rows = [], []
+    words = []
+    rows = []
     for found, mode in zip(result.searches, MODES.values(), strict=False):
         wrong = {count: found.share(points) for count, points in found.searched.items()}
-        alone, again = found.share(found.predicted), found.share(found.other_noise)
+        alone = found.share(found.predicted)
+        again = found.share(found.other_noise)
         words.append(
-            f"At {found.damping_ns_per_m:g} N s/m the search holds wrongly, of the passive points, "
-            f"{', '.join(f'{share:.1f} % after {count}' for count, share in wrong.items())} trials; "
-            f"prediction alone {alone:.1f} %, the grid flown again with other noise {again:.1f} %."
+            f"At {found.damping_ns_per_m:g} N s/m the search holds wrongly, of the passive points,"
+            f" {', '.join(f'{share:.1f} % after {count}' for count, share in wrong.items())}"
+            f" trials; prediction alone {alone:.1f} %, the grid flown again with other noise"
+            f" {again:.1f} %."
         )
         grid = f"of {found.passive} passive points among {found.points}"
-        enough = f"first of {', '.join(map(str, wrong))} trials with no more wrong than the grid flown again"
+        enough = (
+            f"first of {', '.join(map(str, wrong))} trials with no more wrong than the grid flown"
+            " again"
+        )
         told = (
             ("grid_trials", found.points, "trials", "the whole grid flown, one seed of noise"),
             (
-                "search_trials", found.enough or nan, "trials",
+                "search_trials",
+                found.enough or nan,
+                "trials",
                 enough if found.enough else f"more than {max(wrong)} trials are needed",
             ),
             *(
-                (f"search_wrong_{count}", share, "%", f"yes or no that {count} trials hold otherwise, {grid}")
+                (
+                    f"search_wrong_{count}",
+                    share,
+                    "%",
+                    f"yes or no that {count} trials hold otherwise, {grid}",
+                )
                 for count, share in wrong.items()
             ),
             ("prediction_wrong", alone, "%", f"the same without a trial, {grid}"),
             ("grid_again_wrong", again, "%", f"the grid flown with other noise, {grid}"),
-        )  # fmt: skip
+        )
         rows += [
-            Row(f"{name}_{mode}", nan, float(value), unit, "independent", MAIN, note=note, part=PART)
+            Row(
+                f"{name}_{mode}", nan, float(value), unit, "independent", MAIN, note=note, part=PART
+            )
             for name, value, unit, note in told
         ]
-    saved = [f"{found.points} trials by {found.enough}" for found in result.searches if found.enough]
+    saved = [
+        f"{found.points} trials by {found.enough}" for found in result.searches if found.enough
+    ]
     if saved:
-        words.append(f"To know as much as one flight of the grid, it replaces {' and '.join(saved)}.")
+        words.append(
+            f"To know as much as one flight of the grid, it replaces {' and '.join(saved)}."
+        )
     caption = "Slices of the set with the trials next to each, and all trials in their order."
-    drawing = Drawing("beyond_search", caption, partial(search_figure, [found.found for found in result.searches]))
+    drawing = Drawing(
+        "beyond_search", caption, partial(search_figure, [found.found for found in result.searches])
+    )
     return Section("Beyond the paper: directed search", " ".join(words), tuple(rows), (drawing,))

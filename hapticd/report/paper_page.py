@@ -43,37 +43,51 @@ from hapticd.report.table import Table, text
 WORDED = {
     "limits": (
         "Limits on their axes",
-        "The other two parameters are 0 while one is searched. After ± one standard deviation between seeds, in round brackets\n"
-        "the difference from the paper, in square brackets the note below the table. *Calibrated*: fitted, or so by\n"
-        "construction; *independent*: not used in any fit; *arithmetic*: follows from printed numbers alone.",
+        (
+            "The other two parameters are 0 while one is searched. After ± one standard deviation"
+            " between seeds, in round brackets\nthe difference from the paper, in square brackets"
+            " the note below the table. *Calibrated*: fitted, or so by\nconstruction;"
+            " *independent*: not used in any fit; *arithmetic*: follows from printed numbers alone."
+        ),
     ),
     "readings": (
         "Axis and set readings",
-        '"The maximum passive virtual stiffness" can be the limit on its axis, or the largest over the whole passive set. Both,\n'
-        "side by side; the notes are those of the set readings.",
+        (
+            '"The maximum passive virtual stiffness" can be the limit on its axis, or the largest'
+            " over the whole passive set. Both,\nside by side; the notes are those of the set"
+            " readings."
+        ),
     ),
     "figures": (
         "Figures",
-        "The paper's curves exist only as pictures, so its words are compared. Added damping is a solid line, none a dashed one;\n"
-        "dotted lines are predicted; grey is not judged. A tinted band holds the true value with 95 % probability, as far as the\n"
-        "noise of the trial goes (in an envelope of the owning trial alone). An envelope's lower edge is the smallest of many\n"
-        "noisy values: it lies below its prediction partly because it is a minimum. `share` is that of the seeds which pass.",
+        (
+            "The paper's curves exist only as pictures, so its words are compared. Added damping is"
+            " a solid line, none a dashed one;\ndotted lines are predicted; grey is not judged. A"
+            " tinted band holds the true value with 95 % probability, as far as the\nnoise of the"
+            " trial goes (in an envelope of the owning trial alone). An envelope's lower edge is"
+            " the smallest of many\nnoisy values: it lies below its prediction partly because it is"
+            " a minimum. `share` is that of the seeds which pass."
+        ),
     ),
     "band_edge": (
         "Two explanations, one experiment",
-        "A lag in the path of the force costs K at every frequency, a high-pass in the velocity channel only at the lowest:\n"
-        "moving the lower edge of the judged band tells them apart, on an archived record too.",
+        (
+            "A lag in the path of the force costs K at every frequency, a high-pass in the velocity"
+            " channel only at the lowest:\nmoving the lower edge of the judged band tells them"
+            " apart, on an archived record too."
+        ),
     ),
     "arithmetic": ("Arithmetic", "No simulation: the paper's own numbers and equations."),
 }
 SHAPE = "The paper does not say how its walls were hit: only the shape can be compared."
 OWNERS = (
-    "The strip names the parameter of the owner that weighs most at each frequency: of K/w, B and |M| w the largest; nobody "
-    "where noise alone would make the envelope as wide. The lower edge over many noisy trials lies below its prediction partly "
-    "because it is a minimum."
+    "The strip names the parameter of the owner that weighs most at each frequency: of K/w, B and"
+    " |M| w the largest; nobody where noise alone would make the envelope as wide. The lower edge"
+    " over many noisy trials lies below its prediction partly because it is a minimum."
 )
 TITLE = "The paper, reproduced"
-TABLE_JSON, REPORT = "table.json", "REPORT.md"
+TABLE_JSON = "table.json"
+REPORT = "REPORT.md"
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +101,9 @@ class Drawing:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """`rows` of the table, shown as `content` if that is given; `words` and captions are Markdown."""
+    """`rows` of the table, shown as `content` if that is given; `words` and captions are
+    Markdown.
+    """
 
     title: str
     words: str
@@ -101,17 +117,32 @@ class Section:
         return self.content or paper_table(self.rows)
 
 
-# --- the paper -------------------------------------------------------------------------------------------------------------------
+# --- the paper ------------------------------------------------------------------------------------
 
 
 def sections(result: ReproduceResult) -> tuple[Section, ...]:
     """In the order of the page."""
     drawings = {
-        "limits": (Drawing("limits", "**Limits** on their axes beside the paper's.", partial(limits_figure, result)),),
+        "limits": (
+            Drawing(
+                "limits",
+                "**Limits** on their axes beside the paper's.",
+                partial(limits_figure, result),
+            ),
+        ),
         "figures": _drawings(result),
-        "band_edge": (Drawing("band_edge", "**K limits** over the lower edge of the judged band.", partial(edges_figure, result)),),
+        "band_edge": (
+            Drawing(
+                "band_edge",
+                "**K limits** over the lower edge of the judged band.",
+                partial(edges_figure, result),
+            ),
+        ),
     }
-    return tuple(replace(section, drawings=drawings.get(part, ())) for part, section in parts(rows(result)).items())
+    return tuple(
+        replace(section, drawings=drawings.get(part, ()))
+        for part, section in parts(rows(result)).items()
+    )
 
 
 def parts(found: Iterable[Row]) -> dict[str, Section]:
@@ -123,7 +154,9 @@ def parts(found: Iterable[Row]) -> dict[str, Section]:
         by_part[row.part] = (*by_part.get(row.part, ()), row)
     made = {part: Section(*WORDED.get(part, (part, "")), kept) for part, kept in by_part.items()}
     if "readings" in made:
-        made["readings"] = replace(made["readings"], content=readings_table(by_part["limits"], by_part["readings"]))
+        made["readings"] = replace(
+            made["readings"], content=readings_table(by_part["limits"], by_part["readings"])
+        )
     return made
 
 
@@ -132,15 +165,27 @@ def _drawings(result: ReproduceResult) -> tuple[Drawing, ...]:
     off, on = WORDS
     drawn: list[tuple[int, str, Callable[[str], Figure], str]] = [
         (3, f"Z-width {off}", partial(envelope_figure, result, (0,)), OWNERS),
-        (4, "one trial, K = 100 N/m, B = 1 N s/m, M = 10 g", partial(single_figure, result, (0,)), ""),
+        (
+            4,
+            "one trial, K = 100 N/m, B = 1 N s/m, M = 10 g",
+            partial(single_figure, result, (0,)),
+            "",
+        ),
         (7, "K = 50 N/m, B = 2 N s/m, M = 0", partial(single_figure, result, (1, 2)), ""),
         (8, f"Z-width {on}", partial(envelope_figure, result, (1,)), OWNERS),
         (9, f"passive environments {off}", partial(passive_figure, result.found[0]), ""),
         (10, f"passive environments {on}", partial(passive_figure, result.found[1]), ""),
-        (11, "Z-width without and with added damping", partial(envelope_figure, result, (0, 1)), OWNERS),
+        (
+            11,
+            "Z-width without and with added damping",
+            partial(envelope_figure, result, (0, 1)),
+            OWNERS,
+        ),
     ]
     if result.walls is not None:
-        drawn.insert(0, (2, "walls that come to rest, M = 0", partial(walls_figure, result.walls), SHAPE))
+        drawn.insert(
+            0, (2, "walls that come to rest, M = 0", partial(walls_figure, result.walls), SHAPE)
+        )
     return tuple(
         Drawing(
             f"fig{number:02d}",
@@ -151,7 +196,7 @@ def _drawings(result: ReproduceResult) -> tuple[Drawing, ...]:
     )
 
 
-# --- text ------------------------------------------------------------------------------------------------------------------------
+# --- text -----------------------------------------------------------------------------------------
 
 
 def page(title: str, head: str, sections: Iterable[Section]) -> str:
@@ -159,7 +204,10 @@ def page(title: str, head: str, sections: Iterable[Section]) -> str:
     parts = [f"# {title}", head]
     for section in sections:
         parts += [f"## {section.title}", section.words, table_part(section) if section.rows else ""]
-        parts += [f"![{drawing.name}]({drawing.name}.png)\n\n{drawing.caption}" for drawing in section.drawings]
+        parts += [
+            f"![{drawing.name}]({drawing.name}.png)\n\n{drawing.caption}"
+            for drawing in section.drawings
+        ]
     return "\n\n".join(part.strip() for part in parts if part) + "\n"
 
 
@@ -172,14 +220,18 @@ def table_part(section: Section) -> str:
 def terminal(sections: Sequence[Section]) -> str:
     """The same for a terminal, without figures."""
     return "\n\n".join(
-        "\n".join([section.title, "", text(section.table), *notes(section.rows)]) for section in sections if section.rows
+        "\n".join([section.title, "", text(section.table), *notes(section.rows)])
+        for section in sections
+        if section.rows
     )
 
 
-# --- files -----------------------------------------------------------------------------------------------------------------------
+# --- files ----------------------------------------------------------------------------------------
 
 
-def keep(sections: Sequence[Section], folder: Path, told: Mapping[str, Any], tell: Progress = silent) -> list[Path]:
+def keep(
+    sections: Sequence[Section], folder: Path, told: Mapping[str, Any], tell: Progress = silent
+) -> list[Path]:
     """Write it all into `folder`, which is made; `told` (quick, seeds, table, provenance) goes into
     table.json. ConfigError.
     """
@@ -194,7 +246,9 @@ def keep(sections: Sequence[Section], folder: Path, told: Mapping[str, Any], tel
                 (folder / name).unlink(missing_ok=True)
             return [file.replace(folder / file.name) for file in made]
     except OSError as error:
-        raise ConfigError(f"{folder}: {error.strerror}; name a folder that you may write to with --out") from error
+        raise ConfigError(
+            f"{folder}: {error.strerror}; name a folder that you may write to with --out"
+        ) from error
 
 
 def _of_the_run_before(folder: Path) -> set[str]:
@@ -234,7 +288,8 @@ def _head(told: Mapping[str, Any]) -> str:
     made = told["provenance"]
     versions = ", ".join(f"{name} {version}" for name, version in made["libraries"].items())
     return (
-        "D. W. Weir, J. E. Colgate and M. A. Peshkin, *Measuring and increasing Z-width with active electrical damping*, Haptics "
-        f"Symposium 2008, on SIMULATED devices: {how}. Made {made['date']} by hapticd {made['hapticd']} ({versions}). "
-        "What was tried and what does not match is told in docs/reproduction.md."
+        "D. W. Weir, J. E. Colgate and M. A. Peshkin, *Measuring and increasing Z-width with"
+        f" active electrical damping*, Haptics Symposium 2008, on SIMULATED devices: {how}. Made"
+        f" {made['date']} by hapticd {made['hapticd']} ({versions}). What was tried and what does"
+        " not match is told in docs/reproduction.md."
     )

@@ -50,7 +50,11 @@ ASIDE = 0.12  # of a step of B: how far apart the marks of two levels stand at o
 SHARES = (0.0, 0.2, 0.5, 0.8, 1.0)  # of the set's masses: between two of them it is sliced once
 NEAR = 0.02  # of the range of masses: trials so near to a slice are shown in it
 APART_IN = 0.17  # of two numbers
-AXIS_LABELS = {"K": ("largest K (N/m)", 1.0), "B": ("largest B (N s/m)", 1.0), "M": ("largest -M (g)", -1e3)}
+AXIS_LABELS = {
+    "K": ("largest K (N/m)", 1.0),
+    "B": ("largest B (N s/m)", 1.0),
+    "M": ("largest -M (g)", -1e3),
+}
 PSD_UNIT = 1e-5  # N^2/Hz
 MOST_TICKS = 5
 NARROWEST_IN = 6.0
@@ -63,7 +67,9 @@ def how(conditions: Conditions, ranges: Iterable[Judged]) -> str:
     return ", ".join((simulated(conditions.scene.device, conditions.seconds), *told))
 
 
-def area(axis: Axes, damping: Floats, stiffness: Floats, look: Look, rank: int = 0, **more: Any) -> None:
+def area(
+    axis: Axes, damping: Floats, stiffness: Floats, look: Look, rank: int = 0, **more: Any
+) -> None:
     """The largest K over B, tinted below; the first level, the smaller set, is on top."""
     low = 0.4 - 0.01 * rank
     axis.fill_between(damping, 0.0, stiffness, color=tint(look["color"]), linewidth=0, zorder=low)
@@ -76,7 +82,7 @@ def _closed(edge: Floats) -> Floats:
     return np.where(~known & np.roll(known, 1), 0.0, edge)
 
 
-# --- a map -----------------------------------------------------------------------------------------------------------------------
+# --- a map ----------------------------------------------------------------------------------------
 
 
 @styled()
@@ -86,11 +92,17 @@ def set_figure(result: MapResult) -> Figure:
 
     M = 0, or the mass nearest to it, is among them. ConfigError without matplotlib.
     """
-    mass, shown = result.levels[0].found.axes[2], slices(result)
+    mass = result.levels[0].found.axes[2]
+    shown = slices(result)
     columns = min(COLUMNS, len(shown))
     rows = -(-len(shown) // columns)
-    title = f"Passive set: the largest passive K at each B\n{how(result.plan.params.conditions, [result.judged])}"
-    figure, places = axes(rows, columns, 0.6 + 3.0 * columns, 2.7 * rows + 1.2, title, sharex=True, sharey=True)
+    title = (
+        "Passive set: the largest passive K at each"
+        f" B\n{how(result.plan.params.conditions, [result.judged])}"
+    )
+    figure, places = axes(
+        rows, columns, 0.6 + 3.0 * columns, 2.7 * rows + 1.2, title, sharex=True, sharey=True
+    )
     looks = of_levels([level.damping_ns_per_m for level in result.levels])
     for panel, place in zip(shown, places, strict=True):
         for turn, (level, look) in enumerate(zip(result.levels, looks, strict=True)):
@@ -98,7 +110,10 @@ def set_figure(result: MapResult) -> Figure:
         place.set(title=f"M = {1e3 * mass[panel]:.3g} g", xlabel="B (N s/m)", ylabel="K (N/m)")
         place.label_outer()
     handles = [
-        *(mark(words_of(level.damping_ns_per_m), **look) for level, look in zip(result.levels, looks, strict=True)),
+        *(
+            mark(words_of(level.damping_ns_per_m), **look)
+            for level, look in zip(result.levels, looks, strict=True)
+        ),
         mark("trial passes", marker=ANSWERS["passes"], **MARKS),
         mark("trial fails or escapes", marker=ANSWERS["fails"], **MARKS),
         mark("no trial: predicted, or between neighbours, to pass", marker="o", **MARKS, **HOLLOW),
@@ -112,7 +127,10 @@ def slices(result: MapResult) -> Integers:
     apart, where something passes or was tried.
     """
     shapes = [level.found.margin.shape for level in result.levels]
-    shown = [level.found.passive | level.tried.reshape(shape) for level, shape in zip(result.levels, shapes, strict=True)]
+    shown = [
+        level.found.passive | level.tried.reshape(shape)
+        for level, shape in zip(result.levels, shapes, strict=True)
+    ]
     zero = int(np.argmin(np.abs(result.levels[0].found.axes[2])))
     places = np.union1d(np.flatnonzero(np.any(shown, axis=(0, 1, 2))), zero)
     count = max(count for count in (1, 2, COLUMNS, PANELS) if count <= len(places))
@@ -122,9 +140,14 @@ def slices(result: MapResult) -> Integers:
 
 
 def _plane(place: Axes, level: LevelMap, panel: int, look: Look, rank: int, count: int) -> None:
-    """One of `count` levels in one panel: what passes, what fails, what was only predicted to pass."""
+    """One of `count` levels in one panel: what passes, what fails, what was only predicted to
+    pass.
+    """
     stiffness, damping, _ = level.found.axes
-    passive, tried = (flags.reshape(level.found.margin.shape)[:, :, panel] for flags in (level.found.passive, level.tried))
+    passive, tried = (
+        flags.reshape(level.found.margin.shape)[:, :, panel]
+        for flags in (level.found.passive, level.tried)
+    )
     aside = ASIDE * (damping[1] - damping[0]) * (rank - 0.5 * (count - 1))
     k, b = np.meshgrid(stiffness, damping + aside, indexing="ij")
     area(place, damping, highest(level.found, panel), look, rank)
@@ -139,11 +162,14 @@ def _plane(place: Axes, level: LevelMap, panel: int, look: Look, rank: int, coun
 
 def highest(found: PassiveSet, panel: int) -> Floats:
     """Largest passive K [N/m] (nB,) of the grid at each damping; nan where none is."""
-    stiffness, passive = found.axes[0], found.passive[:, :, panel]
-    return np.where(passive.any(axis=0), np.where(passive, stiffness[:, None], -np.inf).max(axis=0), np.nan)
+    stiffness = found.axes[0]
+    passive = found.passive[:, :, panel]
+    return np.where(
+        passive.any(axis=0), np.where(passive, stiffness[:, None], -np.inf).max(axis=0), np.nan
+    )
 
 
-# --- a directed search -----------------------------------------------------------------------------------------------------------
+# --- a directed search ----------------------------------------------------------------------------
 
 
 @styled()
@@ -154,7 +180,10 @@ def search_figure(results: Sequence[SearchResult]) -> Figure:
     rows = [[f"{row} {panel}" for panel in range(len(SHARES) - 1)] for row in range(len(results))]
     below = [f"foreseen {row}" for row in range(len(results))]
     seen = (result.judged for result in results)
-    title = f"Directed search: the set in slices of one M, and its trials\n{how(results[0].plan.params.conditions, seen)}"
+    title = (
+        "Directed search: the set in slices of one M, and its"
+        f" trials\n{how(results[0].plan.params.conditions, seen)}"
+    )
     panels = [[[row]] for row in (*rows, below)]
     figure, places = mosaic(panels, 11.0, 3.1 * len(panels) + 1.3, title)
     levels = [one.plan.params.damping_ns_per_m for one in results]
@@ -163,11 +192,18 @@ def search_figure(results: Sequence[SearchResult]) -> Figure:
         _slices([places[name] for name in row], result, look)
         _foreseen(places[foreseen], result, look)
     handles = [
-        *(mark(f"edge found, {words_of(level)}", **look) for level, look in zip(levels, looks, strict=True)),
+        *(
+            mark(f"edge found, {words_of(level)}", **look)
+            for level, look in zip(levels, looks, strict=True)
+        ),
         mark("edge predicted", **PREDICTED),
         mark("trial passes", marker=ANSWERS["passes"], **MARKS),
         mark("trial fails", marker=ANSWERS["fails"], **MARKS),
-        mark("trial escapes: the loop ran away, or its command filled the range", marker=ANSWERS["escapes"], **MARKS),
+        mark(
+            "trial escapes: the loop ran away, or its command filled the range",
+            marker=ANSWERS["escapes"],
+            **MARKS,
+        ),
         mark("below: found, with its 95 % interval", marker="_", markersize=8, **MARKS),
         mark("below: expected before the trial", marker="o", **MARKS, **HOLLOW),
         mark(f"slices show trials within {100 * NEAR:g} % of the range of M", linestyle=""),
@@ -178,13 +214,23 @@ def search_figure(results: Sequence[SearchResult]) -> Figure:
 
 def _slices(places: list[Axes], result: SearchResult, look: Look) -> None:
     mass = result.found.axes[2]
-    passive = mass[result.found.passive.any(axis=(0, 1))]  # K = B = M = 0 is, or there had been no search
+    passive = mass[
+        result.found.passive.any(axis=(0, 1))
+    ]  # K = B = M = 0 is, or there had been no search
     tried = np.array([step.outcome.environment for step in result.steps])
-    reach, level = NEAR * float(passive[-1] - passive[0]), f"{words_of(result.plan.params.damping_ns_per_m)}\n"
-    cuts = [slice_at(result, value) for value in slice_masses(tried[:, 2], np.quantile(passive, SHARES), reach)]
+    reach = NEAR * float(passive[-1] - passive[0])
+    level = f"{words_of(result.plan.params.damping_ns_per_m)}\n"
+    cuts = [
+        slice_at(result, value)
+        for value in slice_masses(tried[:, 2], np.quantile(passive, SHARES), reach)
+    ]
     top = max(np.nanmax((cut.held, cut.predicted)) for cut in cuts)
     for panel, (place, cut) in enumerate(zip(places, cuts, strict=True)):
-        place.set(xlabel="B (N s/m)", xlim=(-0.02 * cut.damping[-1], cut.damping[-1]), ylim=(-0.02 * top, 1.15 * top))
+        place.set(
+            xlabel="B (N s/m)",
+            xlim=(-0.02 * cut.damping[-1], cut.damping[-1]),
+            ylim=(-0.02 * top, 1.15 * top),
+        )
         area(place, cut.damping, _closed(cut.held), look)
         place.plot(cut.damping, _closed(cut.predicted), **PREDICTED)
         _trials(place, result.steps, np.abs(tried[:, 2] - cut.mass_kg) <= reach, look)
@@ -207,15 +253,31 @@ def slice_masses(tried: Floats, borders: Floats, reach: float) -> list[float]:
 
 def _trials(place: Axes, steps: tuple[Step, ...], near: Flags, look: Look) -> None:
     """Those of this slice; with their numbers where no other number stands."""
-    width, height = 2.4, 2.3  # in, of the axes, about
-    (left, right), (foot, head), numbered = place.get_xlim(), place.get_ylim(), list[tuple[float, float]]()
+    # in, of the axes, about
+    width = 2.4
+    height = 2.3
+    (left, right), (foot, head), numbered = (
+        place.get_xlim(),
+        place.get_ylim(),
+        list[tuple[float, float]](),
+    )
     for at in np.flatnonzero(near):
         k, b, _ = steps[at].outcome.environment
-        place.plot(b, k, ANSWERS[_answer(steps[at])], color=look["color"], markersize=5, clip_on=False, zorder=3)
+        place.plot(
+            b,
+            k,
+            ANSWERS[_answer(steps[at])],
+            color=look["color"],
+            markersize=5,
+            clip_on=False,
+            zorder=3,
+        )
         here = width * (b - left) / (right - left), height * (k - foot) / (head - foot)
         if all(abs(here[0] - x) > APART_IN or abs(here[1] - y) > APART_IN for x, y in numbered):
             numbered.append(here)
-            place.annotate(str(at + 1), (b, k), (4.0, 3.0), textcoords="offset points", fontsize=SMALL_PT)
+            place.annotate(
+                str(at + 1), (b, k), (4.0, 3.0), textcoords="offset points", fontsize=SMALL_PT
+            )
 
 
 def _answer(step: Step) -> str:
@@ -231,22 +293,51 @@ def _foreseen(place: Axes, result: SearchResult, look: Look) -> None:
     escaped = [number for number, step in enumerate(result.steps, start=1) if not step.teaches]
     at = [number for number, _ in known]
     found = np.array([step.outcome.margin_ns_per_m for _, step in known])
-    reach = np.abs(np.array([(step.outcome.margin_lower, step.outcome.margin_upper) for _, step in known]).T - found)
-    place.errorbar(at, found, np.nan_to_num(reach), fmt="_", markersize=7, color=look["color"], elinewidth=0.8, capsize=0)
-    place.plot(at, [step.expected_ns_per_m for _, step in known], **{**MARKS, **HOLLOW, "marker": "o", "markerfacecolor": "none"})
+    reach = np.abs(
+        np.array([(step.outcome.margin_lower, step.outcome.margin_upper) for _, step in known]).T
+        - found
+    )
+    place.errorbar(
+        at,
+        found,
+        np.nan_to_num(reach),
+        fmt="_",
+        markersize=7,
+        color=look["color"],
+        elinewidth=0.8,
+        capsize=0,
+    )
+    place.plot(
+        at,
+        [step.expected_ns_per_m for _, step in known],
+        **{**MARKS, **HOLLOW, "marker": "o", "markerfacecolor": "none"},
+    )
     low, high = np.quantile(found, (0.05, 0.95))
     foot = min(-0.5, 1.6 * low)
     if escaped:
-        place.plot(escaped, np.full(len(escaped), foot), ANSWERS["escapes"], color=look["color"], markersize=6, clip_on=False)
+        place.plot(
+            escaped,
+            np.full(len(escaped), foot),
+            ANSWERS["escapes"],
+            color=look["color"],
+            markersize=6,
+            clip_on=False,
+        )
     place.axhline(0.0, color=BLACK, linewidth=0.8)
     place.xaxis.set_major_locator(MaxNLocator(integer=True))
     place.set(
-        xlabel="trial", ylabel="least Re Z (N s/m)", xlim=(0.0, len(result.steps) + 1.0), ylim=(foot, max(0.8, 1.4 * high)),
-        title=f"{words_of(result.plan.params.damping_ns_per_m)}: {len(escaped)} of {len(result.steps)} trials escape",
-    )  # fmt: skip
+        xlabel="trial",
+        ylabel="least Re Z (N s/m)",
+        xlim=(0.0, len(result.steps) + 1.0),
+        ylim=(foot, max(0.8, 1.4 * high)),
+        title=(
+            f"{words_of(result.plan.params.damping_ns_per_m)}: {len(escaped)} of"
+            f" {len(result.steps)} trials escape"
+        ),
+    )
 
 
-# --- limits on the axes ----------------------------------------------------------------------------------------------------------
+# --- limits on the axes ---------------------------------------------------------------------------
 
 
 @styled()
@@ -256,15 +347,30 @@ def limits_figure(result: LimitsResult) -> Figure:
     """
     params = result.plan.params
     many = len(params.amplitudes) > 1
-    groups, looks = (params.levels, of_levels(params.levels)) if many else ((params.amplitudes[0],), [ALONE])
-    title = f"Axis limits, the other two being 0\n{how(params.conditions, (limit.judged for limit in result.limits))}"
-    figure, places = axes(1, len(params.axes), max(NARROWEST_IN, 3.2 * len(params.axes)), 4.2, title)
+    groups, looks = (
+        (params.levels, of_levels(params.levels)) if many else ((params.amplitudes[0],), [ALONE])
+    )
+    title = (
+        "Axis limits, the other two being"
+        f" 0\n{how(params.conditions, (limit.judged for limit in result.limits))}"
+    )
+    figure, places = axes(
+        1, len(params.axes), max(NARROWEST_IN, 3.2 * len(params.axes)), 4.2, title
+    )
     for place, axis in zip(places, params.axes, strict=True):
         mine = [limit for limit in result.limits if limit.scan.axis == axis]
         for group, look in zip(groups, looks, strict=True):
             name = f"by trials, {words_of(group)}" if many else "by trials"
-            _limit_line(place, [one for one in mine if not many or one.scan.damping_ns_per_m == group], many, look, name)
-        place.set(ylabel=AXIS_LABELS[mine[0].name][0], ylim=(0.0, None), xlabel="added damping (N s/m)")
+            _limit_line(
+                place,
+                [one for one in mine if not many or one.scan.damping_ns_per_m == group],
+                many,
+                look,
+                name,
+            )
+        place.set(
+            ylabel=AXIS_LABELS[mine[0].name][0], ylim=(0.0, None), xlabel="added damping (N s/m)"
+        )
         if many:
             _perturbation_axis(place, sorted({limit.perturbation_psd for limit in mine}))
     more = [
@@ -277,8 +383,16 @@ def limits_figure(result: LimitsResult) -> Figure:
 
 def _limit_line(place: Axes, limits: list[AxisLimit], many: bool, look: Look, name: str) -> None:
     factor = AXIS_LABELS[limits[0].name][1]
-    x = np.array([limit.perturbation_psd / PSD_UNIT if many else limit.scan.damping_ns_per_m for limit in limits])
-    value, lower, upper = (factor * np.array([getattr(limit, part) for limit in limits]) for part in ("value", "lower", "upper"))
+    x = np.array(
+        [
+            limit.perturbation_psd / PSD_UNIT if many else limit.scan.damping_ns_per_m
+            for limit in limits
+        ]
+    )
+    value, lower, upper = (
+        factor * np.array([getattr(limit, part) for limit in limits])
+        for part in ("value", "lower", "upper")
+    )
     bars = np.nan_to_num([np.maximum(value - lower, 0.0), np.maximum(upper - value, 0.0)])
     place.errorbar(x, value, bars, marker="o", label=name, **look)
     dotted = {**PREDICTED, "color": look["color"], "marker": "o", "markersize": 6}
@@ -291,15 +405,19 @@ def draw_guess(place: Axes, x: Any, value: Any, look: Look) -> None:
 
 
 def _perturbation_axis(place: Axes, psd: list[float]) -> None:
-    """A logarithmic axis with ticks at what was tried, and no more of them than there is room for."""
+    """A logarithmic axis with ticks at what was tried, and no more of them than there is room
+    for.
+    """
     shown = [value / PSD_UNIT for value in psd[:: -(-len(psd) // MOST_TICKS)]]
     place.set(xscale="log", xlabel="perturbation ($10^{-5}$ N²/Hz)")
-    place.set_xticks(shown, [f"{value:.3g}" if value < 1000.0 else f"{value:,.0f}" for value in shown])
+    place.set_xticks(
+        shown, [f"{value:.3g}" if value < 1000.0 else f"{value:,.0f}" for value in shown]
+    )
     place.minorticks_off()
     place.margins(x=0.1)
 
 
-# --- virtual walls ---------------------------------------------------------------------------------------------------------------
+# --- virtual walls --------------------------------------------------------------------------------
 
 
 @styled()
@@ -307,15 +425,25 @@ def walls_figure(result: WallResult, title: str = "Walls that come to rest") -> 
     """A line and an area for each damping level: marks are the stiffest stable walls, crosses the
     softest that was not.
     """
-    params, scene = result.plan.params, result.plan.params.scene
+    params = result.plan.params
+    scene = result.plan.params.scene
     impact = f"impact at {scene.start_velocity_m_per_s:g} m/s, push {scene.excitation.force_n:g} N"
     rest = f"below {1e3 * params.still_m_per_s:g} mm/s after {params.settle_s:g} s"
-    figure, (place,) = axes(1, 1, WIDTH_IN, 4.2, f"{title}\nSIMULATED {scene.device}: {impact}; {rest}")
+    figure, (place,) = axes(
+        1, 1, WIDTH_IN, 4.2, f"{title}\nSIMULATED {scene.device}: {impact}; {rest}"
+    )
     for rank, (level, look) in enumerate(zip(params.levels, of_levels(params.levels), strict=True)):
         _walls(place, result, level, {**look, "marker": LEVEL_MARKS[rank % len(LEVEL_MARKS)]}, rank)
     least = f"none rests: less than the least tried, {params.stiffnesses[0]:g} N/m"
-    more = [mark("softest wall that oscillates", marker="x", **MARKS), mark(least, marker="v", **MARKS)]
-    place.set(xlabel="virtual damping B of the wall (N s/m)", ylabel="stiffness K of the wall (N/m)", ylim=(0.0, None))
+    more = [
+        mark("softest wall that oscillates", marker="x", **MARKS),
+        mark(least, marker="v", **MARKS),
+    ]
+    place.set(
+        xlabel="virtual damping B of the wall (N s/m)",
+        ylabel="stiffness K of the wall (N/m)",
+        ylim=(0.0, None),
+    )
     figure.legend(handles=[*handles_of(place), *more], ncols=2, **BELOW)
     return figure
 
@@ -330,8 +458,30 @@ def _walls(place: Axes, result: WallResult, level: float, look: Look, rank: int)
         for name in ("wall_damping_ns_per_m", "highest_n_per_m", "first_unstable_n_per_m")
     )
     rests = highest > 0.0
-    shown: Look = {"clip_on": False, "zorder": 3, "label": f"stiffest wall that rests, {words_of(level)}"}
-    area(place, damping, highest, look, rank, **shown, markevery=[int(at) for at in np.flatnonzero(rests)])
+    shown: Look = {
+        "clip_on": False,
+        "zorder": 3,
+        "label": f"stiffest wall that rests, {words_of(level)}",
+    }
+    area(
+        place,
+        damping,
+        highest,
+        look,
+        rank,
+        **shown,
+        markevery=[int(at) for at in np.flatnonzero(rests)],
+    )
     if not rests.all():  # an empty line that is not clipped would take room in the layout
-        place.plot(damping[~rests], highest[~rests], "v", color=look["color"], markersize=6, clip_on=False, zorder=3)
-    place.plot(damping[rests], np.where(np.isfinite(first), first, np.nan)[rests], "x", color=look["color"])
+        place.plot(
+            damping[~rests],
+            highest[~rests],
+            "v",
+            color=look["color"],
+            markersize=6,
+            clip_on=False,
+            zorder=3,
+        )
+    place.plot(
+        damping[rests], np.where(np.isfinite(first), first, np.nan)[rests], "x", color=look["color"]
+    )

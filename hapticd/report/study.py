@@ -53,8 +53,14 @@ from hapticd.units import PROBE_RATE_HZ
 LOOKS = (OFF, ON)
 SHOWN_S = 0.5  # of a noisy trace
 SHOWN_HZ = (1.9, 1000.0)
-LEAST, MOST = 1e-4, 20.0  # ends of the axis of changes
-QUESTIONS = {"limits": "what its passivity limits need", "phase": "what the phase of Z needs", "peak": "what the peak of |Z| needs"}
+# ends of the axis of changes
+LEAST = 1e-4
+MOST = 20.0
+QUESTIONS = {
+    "limits": "what its passivity limits need",
+    "phase": "what the phase of Z needs",
+    "peak": "what the peak of |Z| needs",
+}
 TICKS = (1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0)
 DROPPED = "#c8d7e6"
 PANELS_OF_NOISE = [["tier", "sub-steps", "effect"], ["trial length", "window", "effect"]]
@@ -69,17 +75,25 @@ WAYS = ("v", "^", "s", "o", "D", "P")
 FEWEST_BARS = 8
 TIMES = ((1.0,), (1.0, 3.0), *FINE)  # digits of ticks: their words are long
 NOTHING = 1e-6  # of the worst error: what is less is none
-DEFAULT: Look = {"marker": "o", "markersize": 12, "markerfacecolor": "none", "color": BLACK, "linestyle": ""}
+DEFAULT: Look = {
+    "marker": "o",
+    "markersize": 12,
+    "markerfacecolor": "none",
+    "color": BLACK,
+    "linestyle": "",
+}
 KNEE: Look = {"marker": "*", "markersize": 13, "color": ORANGE, "linestyle": "", "zorder": 3}
 METHODS = {
     "exact": ("exact map", BLUE, "o"),
     "rk4": ("Runge-Kutta 4", GREEN, "s"),
     "euler": ("explicit Euler", RED, "^"),
 }
-SMALLEST, GONE = 1e-16, 3.0  # lowest error drawn; where those without an answer are drawn
+# lowest error drawn; where those without an answer are drawn
+SMALLEST = 1e-16
+GONE = 3.0
 
 
-# --- a scene that was run --------------------------------------------------------------------------------------------------------
+# --- a scene that was run -------------------------------------------------------------------------
 
 
 @styled()
@@ -91,8 +105,11 @@ def scene_figure(result: SceneResult) -> Figure:
 
 
 def _with_impedance(result: SceneResult) -> Figure:
-    figure, (position, size, force, phase) = axes(2, 2, 10.0, 6.2, _title(result), width_ratios=(1.0, 1.3))
-    begin_s, band_hz = min(1.0, 0.5 * result.plan.seconds), DEFAULT_BAND_HZ
+    figure, (position, size, force, phase) = axes(
+        2, 2, 10.0, 6.2, _title(result), width_ratios=(1.0, 1.3)
+    )
+    begin_s = min(1.0, 0.5 * result.plan.seconds)
+    band_hz = DEFAULT_BAND_HZ
     draw_traces((position, force), _traces(result, (begin_s, begin_s + SHOWN_S)))
     position.set_xlabel("time (s)")
     for trial, look in zip(result.trials, LOOKS, strict=True):
@@ -112,16 +129,28 @@ def _draw_impedance(size: Axes, phase: Axes, trial: Trial, look: Look) -> None:
         return
     z = trial.judged.measured
     seen = (z.frequency_hz >= SHOWN_HZ[0]) & (z.frequency_hz <= SHOWN_HZ[1])
-    draw(size, phase, Curve(z.frequency_hz[seen], trial.judged.predicted[seen], PREDICTED, "predicted"))
+    draw(
+        size,
+        phase,
+        Curve(z.frequency_hz[seen], trial.judged.predicted[seen], PREDICTED, "predicted"),
+    )
     draw(size, phase, Curve(z.frequency_hz[seen], z.impedance_ns_per_m[seen], look, trial.leg.name))
 
 
 def _traces_alone(result: SceneResult) -> Figure:
     """With the steps of damping, and the temperature of a winding that warms up."""
-    panels, pairs = _traces(result, (0.0, result.plan.seconds)), list(zip(result.trials, LOOKS, strict=True))
-    panels.append(("added damping (N s/m)", [_steps(trial, result.plan.seconds, look) for trial, look in pairs]))
+    panels = _traces(result, (0.0, result.plan.seconds))
+    pairs = list(zip(result.trials, LOOKS, strict=True))
+    panels.append(
+        (
+            "added damping (N s/m)",
+            [_steps(trial, result.plan.seconds, look) for trial, look in pairs],
+        )
+    )
     if any(trial.winding_c for trial in result.trials):
-        heated = [(*trial.winding_c, {**look, "marker": "."}) for trial, look in pairs if trial.winding_c]
+        heated = [
+            (*trial.winding_c, {**look, "marker": "."}) for trial, look in pairs if trial.winding_c
+        ]
         panels.append(("winding (°C)", heated))
     figure, places = axes(len(panels), 1, 9.0, 2.2 + 1.6 * len(panels), _title(result), sharex=True)
     draw_traces(places, panels)
@@ -141,7 +170,10 @@ def _title(result: SceneResult) -> str:
     (k, b, m), wall = point(scene), scene.environment.wall
     rendered = f"K = {k:g} N/m, B = {b:g} N s/m, M = {1e3 * m:g} g"
     if wall.side:
-        rendered = f"wall of {wall.stiffness_n_per_m:g} N/m and {wall.damping_ns_per_m:g} N s/m at {1e3 * wall.position_m:g} mm"
+        rendered = (
+            f"wall of {wall.stiffness_n_per_m:g} N/m and {wall.damping_ns_per_m:g} N s/m at"
+            f" {1e3 * wall.position_m:g} mm"
+        )
     return f"{scene.title}: {rendered}  (simulated {scene.device})"
 
 
@@ -168,7 +200,8 @@ def scene_table(result: SceneResult) -> Table:
 
 def _ran(trial: Trial, impedance: bool, heated: bool) -> dict[str, Cell]:
     """By column."""
-    numbers, found = trial.numbers, trial.judged.verdict if trial.judged else None
+    numbers = trial.numbers
+    found = trial.judged.verdict if trial.judged else None
     at_s = numbers["diverged_at_s"]
     row: dict[str, Cell] = {
         "trial": f"{trial.leg.name}{' (the scene)' if trial.leg.own else ''}",
@@ -187,12 +220,16 @@ def _ran(trial: Trial, impedance: bool, heated: bool) -> dict[str, Cell]:
 
 
 def impedance_rows(trial: Trial) -> list[dict[str, float]]:
-    """|Z| and phase, measured and predicted, on a few frequencies of the band; empty without noise."""
+    """|Z| and phase, measured and predicted, on a few frequencies of the band; empty without
+    noise.
+    """
     if trial.judged is None or trial.judged.predicted is None:
         return []
-    measured, f = trial.judged.measured, frequencies()
+    measured = trial.judged.measured
+    f = frequencies()
     at = np.abs(measured.frequency_hz - f[:, None]).argmin(axis=1)
-    z, expected = measured.impedance_ns_per_m[at], trial.judged.predicted[at]
+    z = measured.impedance_ns_per_m[at]
+    expected = trial.judged.predicted[at]
     columns = {
         "frequency_hz": f,
         "impedance_ns_per_m": np.abs(z),
@@ -201,27 +238,50 @@ def impedance_rows(trial: Trial) -> list[dict[str, float]]:
         "predicted_ns_per_m": np.abs(expected),
         "predicted_phase_deg": np.degrees(np.angle(expected)),
     }
-    return [dict(zip(columns, map(float, row), strict=True)) for row in zip(*columns.values(), strict=True)]
+    return [
+        dict(zip(columns, map(float, row), strict=True))
+        for row in zip(*columns.values(), strict=True)
+    ]
 
 
-# --- what is simulated, and why --------------------------------------------------------------------------------------------------
+# --- what is simulated, and why -------------------------------------------------------------------
 
 
 def explained(found: Explanation) -> tuple[Table, ...]:
     """The states; why every effect is there, what it adds and how fast it is; the time constants of
     the device as a whole at each damping level of the scene; every number with its source.
     """
-    states = [[str(place), state.name, state.unit, state.effect] for place, state in enumerate(found.states)]
+    states = [
+        [str(place), state.name, state.unit, state.effect]
+        for place, state in enumerate(found.states)
+    ]
     effects = [
-        [note.effect, _adds(note.states, note.nonlinearity), ", ".join(map(duration, note.time_constants_s)) or "-", note.why]
+        [
+            note.effect,
+            _adds(note.states, note.nonlinearity),
+            ", ".join(map(duration, note.time_constants_s)) or "-",
+            note.why,
+        ]
         for note in found.notes
     ]
-    numbers = [[note.effect, name, shown(value), unit, tag] for note in found.notes for name, value, unit, tag in note.parameters]
-    modes = [[shown(at.damping_ns_per_m), *_mode(at, place)] for at in found.levels for place in range(len(at.modes))]
+    numbers = [
+        [note.effect, name, shown(value), unit, tag]
+        for note in found.notes
+        for name, value, unit, tag in note.parameters
+    ]
+    modes = [
+        [shown(at.damping_ns_per_m), *_mode(at, place)]
+        for at in found.levels
+        for place in range(len(at.modes))
+    ]
     return (
         table(["", "state", "unit", "effect"], states, "STATES"),
         table(["effect", "adds", "time constant", "why it is there"], effects, "EFFECTS"),
-        table(["added damping N s/m", "time constant", "frequency Hz", "damping ratio"], modes, "MODES OF THE OPEN DEVICE"),
+        table(
+            ["added damping N s/m", "time constant", "frequency Hz", "damping ratio"],
+            modes,
+            "MODES OF THE OPEN DEVICE",
+        ),
         table(["effect", "parameter", "value", "unit", "source"], numbers, "PARAMETERS"),
     )
 
@@ -235,7 +295,11 @@ def _mode(at: AtLevel, place: int) -> tuple[str, str, str]:
     mode = at.modes[place]
     if isinf(mode.time_constant_s):
         return "drifts", "-", "-"
-    return duration(mode.time_constant_s), shown(mode.frequency_hz) if mode.frequency_hz else "-", shown(mode.damping_ratio)
+    return (
+        duration(mode.time_constant_s),
+        shown(mode.frequency_hz) if mode.frequency_hz else "-",
+        shown(mode.damping_ratio),
+    )
 
 
 def step_words(found: Explanation, scene: Scene, substeps: int) -> list[str]:
@@ -244,16 +308,24 @@ def step_words(found: Explanation, scene: Scene, substeps: int) -> list[str]:
     delay = duration(found.delay_s) if found.delay_s else "no delay"
     nonlinear = ", ".join(effect for effect, _ in found.nonlinearities) or "nothing"
     return [
-        f"Step: {duration(step_s)}, {substeps} per 4 kHz sample of the record, exact for what is linear however stiff "
-        f"(fastest time constant {duration(found.fastest_s)}).",
+        (
+            f"Step: {duration(step_s)}, {substeps} per 4 kHz sample of the record, exact for what"
+            f" is linear however stiff (fastest time constant {duration(found.fastest_s)})."
+        ),
         f"Not linear: {nonlinear}; friction, ends and cogging are solved once per step.",
-        f"Servo: {scene.rate_hz:g} Hz, {delay} from the encoder sample to the force, beside the hold.",
+        (
+            f"Servo: {scene.rate_hz:g} Hz, {delay} from the encoder sample to the force, beside the"
+            " hold."
+        ),
     ]
 
 
 def cost_words(found: Cost) -> list[str]:
     """What a simulated second takes."""
-    engine, lockstep = (f"{duration(each)} ({1.0 / each:,.0f} x real time)" for each in (found.engine_s, found.lockstep_s))
+    engine, lockstep = (
+        f"{duration(each)} ({1.0 / each:,.0f} x real time)"
+        for each in (found.engine_s, found.lockstep_s)
+    )
     return [
         "Cost of a simulated second on one core:",
         f"  batch engine, each of {found.lanes} trials together: {engine}",
@@ -263,7 +335,10 @@ def cost_words(found: Cost) -> list[str]:
 
 def ceiling_words(found: Ceiling) -> list[str]:
     """The limits of electrical damping."""
-    device = f"{shown(found.device)} N s/m; beyond it the device oscillates by itself at {shown(found.oscillation_hz)} Hz"
+    device = (
+        f"{shown(found.device)} N s/m; beyond it the device oscillates by itself at"
+        f" {shown(found.oscillation_hz)} Hz"
+    )
     if isinf(found.device):
         device = "no limit, the device alone is stable at any added damping"
     top = "any level" if found.highest == inf else f"{shown(found.highest)} N s/m"
@@ -273,26 +348,40 @@ def ceiling_words(found: Ceiling) -> list[str]:
     return [
         f"Largest stable added damping: {device}.",
         f"With the scene's environment: {loop}.",
-        f"The scene asks for {shown(found.scene)} N s/m: loop gain g dR / K^2 = {shown(found.loop_gain)}, unstable at -1.",
+        (
+            f"The scene asks for {shown(found.scene)} N s/m: loop gain g dR / K^2 ="
+            f" {shown(found.loop_gain)}, unstable at -1."
+        ),
     ]
 
 
 def ceiling_table(found: Ceiling) -> Table:
     """The ceiling over the winding's temperature."""
-    rows = [[f"{kelvin:+g} K", "none" if isinf(top) else shown(top)] for kelvin, top in found.warmer]
+    rows = [
+        [f"{kelvin:+g} K", "none" if isinf(top) else shown(top)] for kelvin, top in found.warmer
+    ]
     return table(["winding against its compensation", "ceiling N s/m"], rows)
 
 
-# --- which effects a question needs ----------------------------------------------------------------------------------------------
+# --- which effects a question needs ---------------------------------------------------------------
 
 
 def effects_table(result: EffectsResult) -> Table:
     """The whole scene, every effect left out, and the proposal."""
     names = list(result.whole[0].numbers)
     rows = [("all effects", row) for row in result.whole]
-    rows += [*((f"without {row.effect}", row) for row in result.rows), ("proposal", result.proposal)]
+    rows += [
+        *((f"without {row.effect}", row) for row in result.rows),
+        ("proposal", result.proposal),
+    ]
     cells: Iterable[list[Cell]] = (
-        [name, *(row.numbers.get(each, nan) for each in names), row.note or percent(row.change), row.method, duration(row.cost_s)]
+        [
+            name,
+            *(row.numbers.get(each, nan) for each in names),
+            row.note or percent(row.change),
+            row.method,
+            duration(row.cost_s),
+        ]
         for name, row in rows
     )
     return table(["scene", *names, "change", "method", "engine, per simulated s"], cells)
@@ -300,43 +389,84 @@ def effects_table(result: EffectsResult) -> Table:
 
 def effects_words(result: EffectsResult) -> str:
     """The proposal."""
-    params, kept = result.plan.params, result.kept
+    params = result.plan.params
+    kept = result.kept
     if all(isnan(number) for number in result.whole[0].numbers.values()):
-        return f"Without any environment the scene is not passive already, so it has no {params.question}; ask --for phase."
+        return (
+            "Without any environment the scene is not passive already, so it has no"
+            f" {params.question}; ask --for phase."
+        )
     left_out = [key for key in candidates(params.scene) if key not in kept]
     if not left_out:
-        return f"Every effect changes {params.question} by more than {percent(params.tolerance)}: keep them all."
-    before, after = result.whole[1].cost_s, result.proposal.cost_s
+        return (
+            f"Every effect changes {params.question} by more than {percent(params.tolerance)}: keep"
+            " them all."
+        )
+    before = result.whole[1].cost_s
+    after = result.proposal.cost_s
     return (
-        f"For {params.question} within {percent(params.tolerance)} keep {', '.join(kept) or 'none'}. Without {', '.join(left_out)} "
-        f"the answer changes by {percent(result.proposal.change)} together, and a simulated second costs {duration(after)} instead "
-        f"of {duration(before)}."
+        f"For {params.question} within {percent(params.tolerance)} keep"
+        f" {', '.join(kept) or 'none'}. Without {', '.join(left_out)} the answer changes by"
+        f" {percent(result.proposal.change)} together, and a simulated second costs"
+        f" {duration(after)} instead of {duration(before)}."
     )
 
 
 @styled()
 def effects_figure(result: EffectsResult) -> Figure:
     """Change of the answer, effect by effect. ConfigError without matplotlib."""
-    params, rows = result.plan.params, result.rows[::-1]
+    params = result.plan.params
+    rows = result.rows[::-1]
     title = f"{params.scene.title}: {QUESTIONS[params.question]}"
     figure, (axis,) = axes(1, 1, 8.5, 1.8 + 0.3 * len(rows), title)
     changes = [min(max(row.change, LEAST), MOST) for row in rows]
     colours = [BLUE if row.effect in result.kept else DROPPED for row in rows]
     hatches = ["" if row.method == "predicted" else "///" for row in rows]
-    _bars(axis, [row.effect for row in rows], changes, [_changed(row) for row in rows], color=colours, hatch=hatches)
+    _bars(
+        axis,
+        [row.effect for row in rows],
+        changes,
+        [_changed(row) for row in rows],
+        color=colours,
+        hatch=hatches,
+    )
     axis.axvline(params.tolerance, color=RED)
     words = f"tolerance {percent(params.tolerance)}"
-    axis.text(1.05 * params.tolerance, len(rows) - 0.45, words, color=RED, va="bottom", fontsize=SMALL_PT)
-    axis.set(xlim=(LEAST, 4 * MOST), ylim=(-0.6, len(rows) + 0.2), xlabel=f"change of {params.question} when left out")
+    axis.text(
+        1.05 * params.tolerance, len(rows) - 0.45, words, color=RED, va="bottom", fontsize=SMALL_PT
+    )
+    axis.set(
+        xlim=(LEAST, 4 * MOST),
+        ylim=(-0.6, len(rows) + 0.2),
+        xlabel=f"change of {params.question} when left out",
+    )
     axis.set_xticks(TICKS, [percent(tick) for tick in TICKS])
-    kinds = (("kept", BLUE, ""), ("left out", DROPPED, ""), ("by prediction", GREY, ""), ("by simulation", GREY, "///"))
-    axis.legend(handles=[patch(name, colour, hatch=hatch, edgecolor="white") for name, colour, hatch in kinds], loc="lower right")
+    kinds = (
+        ("kept", BLUE, ""),
+        ("left out", DROPPED, ""),
+        ("by prediction", GREY, ""),
+        ("by simulation", GREY, "///"),
+    )
+    axis.legend(
+        handles=[
+            patch(name, colour, hatch=hatch, edgecolor="white") for name, colour, hatch in kinds
+        ],
+        loc="lower right",
+    )
     return figure
 
 
 def _bars(axis: Axes, names: list[str], values: list[float], told: list[str], **look: Any) -> None:
     """One for each effect on a logarithmic axis, from below, with what it says beside it."""
-    bars = axis.barh(range(len(names)), values, tick_label=names, log=True, edgecolor="white", linewidth=0.0, **look)
+    bars = axis.barh(
+        range(len(names)),
+        values,
+        tick_label=names,
+        log=True,
+        edgecolor="white",
+        linewidth=0.0,
+        **look,
+    )
     axis.bar_label(bars, told, padding=3, fontsize=SMALL_PT)
     axis.grid(visible=False, axis="y")
 
@@ -347,7 +477,7 @@ def _changed(row: Left) -> str:
     return "the answer is gone" if row.change == inf else percent(row.change)
 
 
-# --- what accuracy costs in time -------------------------------------------------------------------------------------------------
+# --- what accuracy costs in time ------------------------------------------------------------------
 
 
 def accuracy_table(result: AccuracyResult) -> Table:
@@ -356,18 +486,27 @@ def accuracy_table(result: AccuracyResult) -> Table:
     rows: list[list[Cell]] = []
     for row in result.rows:
         marks = filter(None, ("default" * row.default, "knee" * row.knee, row.note))
-        rows.append([row.sweep, row.label, duration(row.seconds), row.step, row.total, ", ".join(marks)])
+        rows.append(
+            [row.sweep, row.label, duration(row.seconds), row.step, row.total, ", ".join(marks)]
+        )
     return table(["sweep", "setting", "for one trial", *errors, ""], rows)
 
 
 def accuracy_words(result: AccuracyResult) -> list[str]:
     """What the defaults buy, and where each sweep has its knee."""
-    default, window = result.default, ", window 2048" if result.plan.noise else ""
+    default = result.default
+    window = ", window 2048" if result.plan.noise else ""
     defaults = f"{result.plan.exact.seconds:g} s, {SUBSTEPS} sub-steps, f64{window}"
     return [
-        f"Reference: {result.reference}. Error: {result.quantity}. Seconds of one core, for one of {GROUP} trials together.",
-        f"The defaults ({defaults}) cost {duration(default.seconds)} and leave {shown(default.total)} {result.unit}, "
-        f"{shown(default.step)} {result.unit} of it by the sub-step.",
+        (
+            f"Reference: {result.reference}. Error: {result.quantity}. Seconds of one core, for one"
+            f" of {GROUP} trials together."
+        ),
+        (
+            f"The defaults ({defaults}) cost {duration(default.seconds)} and leave"
+            f" {shown(default.total)} {result.unit}, {shown(default.step)} {result.unit} of it by"
+            " the sub-step."
+        ),
         *(_knee(result, sweep) for sweep in SWEEPS if sweep in {row.sweep for row in result.rows}),
     ]
 
@@ -377,7 +516,10 @@ def _knee(result: AccuracyResult, sweep: str) -> str:
     best = next((row for row in rows if row.knee), None)
     if best is None:
         return f"{sweep}: nothing could be measured."
-    words = f"{sweep}: the knee is {best.label} ({duration(best.seconds)}, {shown(best.total)} {result.unit})"
+    words = (
+        f"{sweep}: the knee is {best.label} ({duration(best.seconds)}, {shown(best.total)}"
+        f" {result.unit})"
+    )
     if sweep == "trial length" and best is rows[-1]:
         return f"{words}; the error still falls as 1/sqrt(length), a longer trial would buy more."
     return f"{words}; dearer settings gain less than 10 %." if best is not rows[-1] else f"{words}."
@@ -388,8 +530,12 @@ def accuracy_figure(result: AccuracyResult) -> Figure:
     """Error over seconds, a panel for each sweep, and what leaving an effect out does. ConfigError
     without matplotlib.
     """
-    noise, scene = result.plan.noise, result.plan.scene
-    title = f"{scene.title}: what accuracy costs in time\nerror: {result.quantity}; reference: {result.reference}"
+    noise = result.plan.noise
+    scene = result.plan.scene
+    title = (
+        f"{scene.title}: what accuracy costs in time\nerror: {result.quantity}; reference:"
+        f" {result.reference}"
+    )
     panels = PANELS_OF_NOISE if noise else PANELS_OF_NOISE[:1]
     figure, places = mosaic(panels, 12.5, 7.0 if noise else 5.0, title)
     _draw_effects(result, places.pop("effect"))
@@ -402,23 +548,40 @@ def accuracy_figure(result: AccuracyResult) -> Figure:
 
 def _draw_sweep(result: AccuracyResult, sweep: str, axis: Axes) -> None:
     rows = [row for row in result.sweep(sweep) if row.total < inf]
-    known, ways = [row.total for row in result.rows if row.total < inf], sweep == "tier"
-    least = 0.3 * min(total for total in known if total >= NOTHING * max(known))  # errors that are none are drawn below all others
+    known = [row.total for row in result.rows if row.total < inf]
+    ways = sweep == "tier"
+    least = 0.3 * min(
+        total for total in known if total >= NOTHING * max(known)
+    )  # errors that are none are drawn below all others
     labels = [f"{row.label} (exact)" if row.total < least else row.label for row in rows]
     places = [(row.seconds, max(row.total, least)) for row in rows]
     if ways:
         for place, label, sign in zip(places, labels, cycle(WAYS), strict=False):
             axis.plot(*place, sign, color=BLUE, markersize=6, label=label)
     else:
-        axis.plot(*zip(*places, strict=True), "o-", color=BLUE, markersize=6, label="total error of one trial")
+        axis.plot(
+            *zip(*places, strict=True),
+            "o-",
+            color=BLUE,
+            markersize=6,
+            label="total error of one trial",
+        )
         for place, label in zip(places, labels, strict=True):
-            axis.annotate(label, place, xytext=(4, 6), textcoords="offset points", fontsize=SMALL_PT)
+            axis.annotate(
+                label, place, xytext=(4, 6), textcoords="offset points", fontsize=SMALL_PT
+            )
     for place, row in zip(places, rows, strict=True):
         for look in (look for asked, look in ((row.default, DEFAULT), (row.knee, KNEE)) if asked):
             axis.plot(*place, **look)
     if sweep == "sub-steps":
         _draw_step_errors(result, rows, axis)
-    axis.set(yscale="log", xscale="log", title=TITLES[sweep], xlabel="time for one trial", ylabel=f"error ({result.unit})")
+    axis.set(
+        yscale="log",
+        xscale="log",
+        title=TITLES[sweep],
+        xlabel="time for one trial",
+        ylabel=f"error ({result.unit})",
+    )
     axis.margins(x=0.2, y=0.9 if ways else 0.2)
     plain_axis(axis.xaxis, TIMES, duration)
     plain_axis(axis.yaxis)
@@ -429,26 +592,50 @@ def _draw_sweep(result: AccuracyResult, sweep: str, axis: Axes) -> None:
 def _draw_step_errors(result: AccuracyResult, rows: list[Row], axis: Axes) -> None:
     """Of the sub-step alone, and single precision beside it."""
     stepped = [row for row in rows if row.step > NOTHING * max(row.total for row in rows)]
-    single = [row for row in result.sweep("precision") if row.label.startswith("f32") and row.total < inf]
-    axis.plot([row.seconds for row in stepped], [row.step for row in stepped], "o-", color=SKY, label="error of the sub-step alone")
+    single = [
+        row for row in result.sweep("precision") if row.label.startswith("f32") and row.total < inf
+    ]
+    axis.plot(
+        [row.seconds for row in stepped],
+        [row.step for row in stepped],
+        "o-",
+        color=SKY,
+        label="error of the sub-step alone",
+    )
     words = "single precision, 1 and 4 sub-steps"
-    axis.plot([row.seconds for row in single], [row.total for row in single], "v", color=PURPLE, label=words)
+    axis.plot(
+        [row.seconds for row in single],
+        [row.total for row in single],
+        "v",
+        color=PURPLE,
+        label=words,
+    )
 
 
 def _draw_effects(result: AccuracyResult, axis: Axes) -> None:
     """What leaving an effect out does to the answer, beside the error of one trial."""
-    rows, own = sorted(result.sweep("effect"), key=lambda row: row.step), result.default.total
+    rows = sorted(result.sweep("effect"), key=lambda row: row.step)
+    own = result.default.total
     worst = max([*(row.step for row in rows if row.step < inf), own])
-    least, top = 1e-4 * worst, max(len(rows), FEWEST_BARS)
-    told = ["cannot be left out" if row.step == inf else "none" if row.step < least else shown(row.step) for row in rows]
+    least = 1e-4 * worst
+    top = max(len(rows), FEWEST_BARS)
+    told = [
+        "cannot be left out" if row.step == inf else "none" if row.step < least else shown(row.step)
+        for row in rows
+    ]
     errors = [min(max(row.step, least), 3.0 * worst) for row in rows]
     _bars(axis, [row.label for row in rows], errors, told, color=GREEN)
     axis.axvline(own, color=BLACK, linewidth=0.8)
     axis.text(own, top - 0.4, "one trial's error", fontsize=SMALL_PT, ha="center", va="bottom")
-    axis.set(xlim=(least, 60.0 * worst), ylim=(-0.6, top + 0.3), xlabel=f"error ({result.unit})", title="effects, each left out")
+    axis.set(
+        xlim=(least, 60.0 * worst),
+        ylim=(-0.6, top + 0.3),
+        xlabel=f"error ({result.unit})",
+        title="effects, each left out",
+    )
 
 
-# --- explicit methods beside the exact map ---------------------------------------------------------------------------------------
+# --- explicit methods beside the exact map --------------------------------------------------------
 
 
 @styled()
@@ -458,16 +645,29 @@ def integrators_figure(found: Integrators, title: str) -> Figure:
     """
     figure, (axis,) = axes(1, 1, 8.0, 4.8, title)
     for method, (name, colour, marker) in METHODS.items():
-        error, steps, limit = found.error[method], found.steps_per_ms, found.longest_s[method]
+        error = found.error[method]
+        steps = found.steps_per_ms
+        limit = found.longest_s[method]
         kept = np.isfinite(error)
         stable = "stable at any step" if np.isinf(limit) else f"stable below {duration(limit)}"
-        axis.plot(steps[kept], np.maximum(error[kept], SMALLEST), color=colour, marker=marker, label=f"{name}: {stable}")
+        axis.plot(
+            steps[kept],
+            np.maximum(error[kept], SMALLEST),
+            color=colour,
+            marker=marker,
+            label=f"{name}: {stable}",
+        )
         gone = np.full(int((~kept).sum()), GONE * (1.6 if method == "euler" else 0.9))
         axis.plot(steps[~kept], gone, "x", color=colour, markersize=7)
         if np.isfinite(limit):
             axis.axvline(1e-3 / limit, color=colour, linewidth=0.8)
     axis.set_xscale("log", base=2)
-    axis.set(yscale="log", ylim=(SMALLEST, 30.0), xlabel="steps per millisecond", ylabel="relative error after 20 ms")
+    axis.set(
+        yscale="log",
+        ylim=(SMALLEST, 30.0),
+        xlabel="steps per millisecond",
+        ylabel="relative error after 20 ms",
+    )
     axis.xaxis.set_major_formatter(lambda value, place: f"{value:g}")
     axis.text(found.steps_per_ms[-1], GONE, "blown up", ha="right", va="center", fontsize=SMALL_PT)
     axis.legend(loc="center right")

@@ -39,36 +39,68 @@ else:
 
 Look = dict[str, Any]
 
-BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK, GREY = (
-    "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#000000", "#888888",
-)  # fmt: skip
-BROWN, WINE, OLIVE, FOREST = "#8C510A", "#882255", "#7A7A1A", "#00553D"
+BLUE = "#0072B2"
+ORANGE = "#E69F00"
+GREEN = "#009E73"
+RED = "#D55E00"
+PURPLE = "#CC79A7"
+SKY = "#56B4E9"
+BLACK = "#000000"
+GREY = "#888888"
+BROWN = "#8C510A"
+WINE = "#882255"
+OLIVE = "#7A7A1A"
+FOREST = "#00553D"
 OFF: Look = {"color": RED, "linestyle": (0, (4, 1.5))}
 ON: Look = {"color": BLUE, "linestyle": "-"}
-MORE: tuple[Look, ...] = tuple({"color": colour, "linestyle": "-"} for colour in (BROWN, WINE, OLIVE, BLACK))
+MORE: tuple[Look, ...] = tuple(
+    {"color": colour, "linestyle": "-"} for colour in (BROWN, WINE, OLIVE, BLACK)
+)
 PREDICTED: Look = {"color": BLACK, "linestyle": (0, (1, 1.3)), "linewidth": 1.0}
 HOLLOW: Look = {"markerfacecolor": "white", "markeredgewidth": 0.8}
 MARKS: Look = {"color": BLACK, "linestyle": ""}
 PARTS = (("K", ORANGE), ("B > 0", GREEN), ("M > 0", SKY), ("B < 0", FOREST), ("M < 0", PURPLE))
-DEVICES: tuple[Look, ...] = tuple({"color": colour, "marker": mark} for colour, mark in ((BLACK, "o"), (WINE, "s"), (OLIVE, "^")))
+DEVICES: tuple[Look, ...] = tuple(
+    {"color": colour, "marker": mark} for colour, mark in ((BLACK, "o"), (WINE, "s"), (OLIVE, "^"))
+)
 LEVEL_MARKS = ("s", "o", "D", "v", "P")
 ANSWERS = {"passes": "o", "fails": "x", "escapes": "^"}
 INTERVAL = "95 % interval"
 PROBABILITY = 0.975  # each side of it
 NORMAL = 1.96  # standard deviations on each side of it
 NOT_JUDGED = "#e9e9e9"
-LOWEST_HZ, HIGHEST_HZ = 1e-3, 1e6  # beyond every frequency axis
+# beyond every frequency axis
+LOWEST_HZ = 1e-3
+HIGHEST_HZ = 1e6
 
 WIDTH_IN = 6.69  # 17 cm, two columns: letters keep their size in print
 SMALL_PT = 8.0  # nothing is smaller
 BELOW: Look = {"loc": "outside lower center", "frameon": False}  # a legend
 STYLE: Any = {
-    "figure.dpi": 110, "savefig.dpi": 110, "font.size": 9.5, "axes.titlesize": 9.5, "axes.labelsize": 9.5,
-    "axes.titlelocation": "left", "figure.titlesize": 10, "legend.fontsize": SMALL_PT, "legend.title_fontsize": SMALL_PT,
-    "axes.grid": True, "grid.color": "#dddddd", "grid.linewidth": 0.6, "axes.spines.top": False, "axes.spines.right": False,
-    "axes.axisbelow": True, "legend.frameon": True, "legend.framealpha": 0.9, "legend.edgecolor": "#cccccc", "lines.linewidth": 1.3,
-    "lines.markersize": 4.5, "errorbar.capsize": 3, "svg.hashsalt": "hapticd", "svg.fonttype": "none",
-}  # fmt: skip
+    "figure.dpi": 110,
+    "savefig.dpi": 110,
+    "font.size": 9.5,
+    "axes.titlesize": 9.5,
+    "axes.labelsize": 9.5,
+    "axes.titlelocation": "left",
+    "figure.titlesize": 10,
+    "legend.fontsize": SMALL_PT,
+    "legend.title_fontsize": SMALL_PT,
+    "axes.grid": True,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "legend.frameon": True,
+    "legend.framealpha": 0.9,
+    "legend.edgecolor": "#cccccc",
+    "lines.linewidth": 1.3,
+    "lines.markersize": 4.5,
+    "errorbar.capsize": 3,
+    "svg.hashsalt": "hapticd",
+    "svg.fonttype": "none",
+}
 FINE = ((1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 5.0, 7.0))
 ROUND = ((1.0,), *FINE)
 FEWEST_TICKS = 3
@@ -83,15 +115,19 @@ def styled() -> Iterator[None]:
     try:
         import matplotlib as mpl
     except ImportError as error:
-        raise ConfigError(f"figures are drawn with matplotlib ({error}): install hapticd[plot]") from error
+        raise ConfigError(
+            f"figures are drawn with matplotlib ({error}): install hapticd[plot]"
+        ) from error
     with mpl.rc_context(STYLE):
         yield
 
 
-# --- figures and axes ------------------------------------------------------------------------------------------------------------
+# --- figures and axes -----------------------------------------------------------------------------
 
 
-def sheet(width_in: float, height_in: float, title: str = "", layout: Any = "constrained") -> Figure:
+def sheet(
+    width_in: float, height_in: float, title: str = "", layout: Any = "constrained"
+) -> Figure:
     """A figure without a window and without axes. Call it within `styled`."""
     from matplotlib.figure import Figure
 
@@ -101,13 +137,17 @@ def sheet(width_in: float, height_in: float, title: str = "", layout: Any = "con
     return figure
 
 
-def axes(rows: int, columns: int, width_in: float, height_in: float, title: str = "", **more: Any) -> tuple[Figure, list[Axes]]:
+def axes(
+    rows: int, columns: int, width_in: float, height_in: float, title: str = "", **more: Any
+) -> tuple[Figure, list[Axes]]:
     """A figure and its axes row by row. Call it within `styled`."""
     figure = sheet(width_in, height_in, title)
     return figure, list(figure.subplots(rows, columns, squeeze=False, **more).ravel())
 
 
-def mosaic(panels: Any, width_in: float, height_in: float, title: str = "", **more: Any) -> tuple[Figure, dict[str, Axes]]:
+def mosaic(
+    panels: Any, width_in: float, height_in: float, title: str = "", **more: Any
+) -> tuple[Figure, dict[str, Axes]]:
     """A figure whose axes have names; one that is named twice spans both places. Call it within
     `styled`.
     """
@@ -124,7 +164,9 @@ def save(figure: Figure, folder: Path, name: str) -> tuple[Path, Path]:
             figure.savefig(paths[0], metadata={"Software": None})
             figure.savefig(paths[1], metadata={"Date": None})
     except OSError as error:
-        raise ConfigError(f"{folder}: {error.strerror}; name a folder that you may write to with --out") from error
+        raise ConfigError(
+            f"{folder}: {error.strerror}; name a folder that you may write to with --out"
+        ) from error
     return paths
 
 
@@ -132,7 +174,9 @@ def simulated(device: str, seconds: float, more: str = "") -> str:
     """The line below a title: how the numbers of a figure came about; 0 s of trials: by prediction
     alone.
     """
-    return f"SIMULATED {device}, {f'{more}{seconds:g} s of noise a trial' if seconds else 'predicted'}"
+    return (
+        f"SIMULATED {device}, {f'{more}{seconds:g} s of noise a trial' if seconds else 'predicted'}"
+    )
 
 
 def hertz_axis(axis: Axes, low_hz: float, high_hz: float) -> None:
@@ -141,7 +185,11 @@ def hertz_axis(axis: Axes, low_hz: float, high_hz: float) -> None:
     plain_axis(axis.xaxis, FINE[:1])
 
 
-def plain_axis(axis: Any, digits: Sequence[Sequence[float]] = ROUND, words: Callable[[float], str] = "{:g}".format) -> None:
+def plain_axis(
+    axis: Any,
+    digits: Sequence[Sequence[float]] = ROUND,
+    words: Callable[[float], str] = "{:g}".format,
+) -> None:
     """Label a logarithmic axis with a few round numbers: decades, or 1, 2, 5 of each, or finer ones
     where the axis is short; one that is nearly constant is widened. Call it when its data are
     drawn.
@@ -153,7 +201,12 @@ def plain_axis(axis: Any, digits: Sequence[Sequence[float]] = ROUND, words: Call
         low, high = (low * high / LEAST_RANGE) ** 0.5, (low * high * LEAST_RANGE) ** 0.5
         axis.axes.set(**{f"{axis.axis_name}lim": (low, high)})
     for these in digits:
-        ticks = [digit * 10.0**power for power in range(-15, 16) for digit in these if low <= digit * 10.0**power <= high]
+        ticks = [
+            digit * 10.0**power
+            for power in range(-15, 16)
+            for digit in these
+            if low <= digit * 10.0**power <= high
+        ]
         if len(ticks) >= FEWEST_TICKS:
             break
     axis.set_major_locator(FixedLocator(ticks))
@@ -161,16 +214,22 @@ def plain_axis(axis: Any, digits: Sequence[Sequence[float]] = ROUND, words: Call
     axis.set_major_formatter(lambda value, place: words(value))
 
 
-# --- lines, bands and marks ------------------------------------------------------------------------------------------------------
+# --- lines, bands and marks -----------------------------------------------------------------------
 
 
 def of_levels(levels: Sequence[float]) -> list[Look]:
     """One for each level of added damping [N s/m]: none; the usual one, or else the first that is
     some; the others in order.
     """
-    first = ADDED_DAMPING_NS_PER_M if ADDED_DAMPING_NS_PER_M in levels else next((level for level in levels if level), None)
+    first = (
+        ADDED_DAMPING_NS_PER_M
+        if ADDED_DAMPING_NS_PER_M in levels
+        else next((level for level in levels if level), None)
+    )
     others = iter(MORE)
-    return [OFF if not level else ON if level == first else next(others, MORE[-1]) for level in levels]
+    return [
+        OFF if not level else ON if level == first else next(others, MORE[-1]) for level in levels
+    ]
 
 
 def words_of(level: float) -> str:
@@ -187,7 +246,9 @@ def of_mean(count: int) -> float:
     freedom = count - 1
     if freedom == 1:
         return tan(pi * (PROBABILITY - 0.5)) / sqrt(count)
-    return student_quantile(PROBABILITY, freedom - freedom % 2 if freedom < MANY else freedom) / sqrt(count)
+    return student_quantile(
+        PROBABILITY, freedom - freedom % 2 if freedom < MANY else freedom
+    ) / sqrt(count)
 
 
 def tint(colour: str, share: float = 0.14) -> str:
@@ -196,18 +257,34 @@ def tint(colour: str, share: float = 0.14) -> str:
     return "#" + "".join(f"{round(255 - share * (255 - part)):02x}" for part in parts)
 
 
-def banded(axis: Axes, x: Floats, value: Floats, spread: Any, look: Look, label: str | None = None, linear: bool = False) -> None:
+def banded(
+    axis: Axes,
+    x: Floats,
+    value: Floats,
+    spread: Any,
+    look: Look,
+    label: str | None = None,
+    linear: bool = False,
+) -> None:
     """A line and its interval: `spread` (F,) on both sides of the logarithm of `value` (F,), or of
     itself if `linear`; nan: none.
     """
-    low, high = (value - spread, value + spread) if linear else (value * np.exp(-spread), value * np.exp(spread))
+    low, high = (
+        (value - spread, value + spread)
+        if linear
+        else (value * np.exp(-spread), value * np.exp(spread))
+    )
     axis.fill_between(x, low, high, color=look["color"], alpha=0.28, linewidth=0)
     axis.plot(x, value, label=label, **look)
 
 
 def handles_of(axis: Axes) -> list[Any]:
     """Of a legend: what is drawn, each label once."""
-    return [*{str(handle.get_label()): handle for handle in axis.get_legend_handles_labels()[0]}.values()]
+    return [
+        *{
+            str(handle.get_label()): handle for handle in axis.get_legend_handles_labels()[0]
+        }.values()
+    ]
 
 
 def mark(label: str, **look: Any) -> Any:
@@ -221,7 +298,9 @@ def patch(label: str, colour: str, **more: Any) -> Any:
     """An area of a legend."""
     from matplotlib.patches import Patch
 
-    return Patch(**{"facecolor": colour, "edgecolor": "#bbbbbb", "linewidth": 0.0, "label": label, **more})
+    return Patch(
+        **{"facecolor": colour, "edgecolor": "#bbbbbb", "linewidth": 0.0, "label": label, **more}
+    )
 
 
 def not_judged(axes: Iterable["Axes"], band_hz: tuple[float, float]) -> Any:
@@ -241,4 +320,6 @@ def averaged(axis: Axes, band_hz: tuple[float, float], height: float = 0.03) -> 
     low, high = axis.get_xlim()
     ends = max(low, band_hz[0]), min(high, band_hz[1])
     bracket: Look = {"color": BLACK, "linewidth": 1.0, "marker": "|", "markersize": 7}
-    axis.plot(ends, (height, height), transform=axis.get_xaxis_transform(), clip_on=False, **bracket)
+    axis.plot(
+        ends, (height, height), transform=axis.get_xaxis_transform(), clip_on=False, **bracket
+    )

@@ -28,14 +28,27 @@ def table(columns: Iterable[str], rows: Iterable[Iterable[Cell]], title: str = "
 
 
 def text(content: Table) -> str:
-    """The table, numbers to the right, words to the left, long words of the last column in several lines."""
+    """The table, numbers to the right, words to the left, long words of the last column in
+    several lines.
+    """
     cells = [content.columns, *([shown(cell) for cell in row] for row in content.rows)]
-    numeric = [all(not isinstance(row[place], str) for row in content.rows) for place in range(len(content.columns))]
+    numeric = [
+        all(not isinstance(row[place], str) for row in content.rows)
+        for place in range(len(content.columns))
+    ]
     broken = [_broken(row) for row in cells]
-    widths = [max(len(line[place]) for block in broken for line in block) for place in range(len(content.columns))]
+    widths = [
+        max(len(line[place]) for block in broken for line in block)
+        for place in range(len(content.columns))
+    ]
     ruler = [["-" * width for width in widths]]
     lines = [line for block in (broken[0], ruler, *broken[1:]) for line in block]
-    return "\n".join([*([content.title] if content.title else []), *(_aligned(line, widths, numeric) for line in lines)])
+    return "\n".join(
+        [
+            *([content.title] if content.title else []),
+            *(_aligned(line, widths, numeric) for line in lines),
+        ]
+    )
 
 
 def shown(cell: Cell) -> str:
@@ -75,4 +88,6 @@ def _broken(row: Sequence[str]) -> list[list[str]]:
 
 def _aligned(line: Sequence[str], widths: Sequence[int], numeric: Sequence[bool]) -> str:
     cells = zip(line, widths, numeric, strict=True)
-    return GAP.join(cell.rjust(width) if right else cell.ljust(width) for cell, width, right in cells).rstrip()
+    return GAP.join(
+        cell.rjust(width) if right else cell.ljust(width) for cell, width, right in cells
+    ).rstrip()

@@ -50,7 +50,9 @@ Trace = tuple[Floats, Floats, Look]  # time [s], values, how they look
 
 FEWEST = 2.0  # degrees of freedom that an interval takes
 SHOWN_HZ = (1.0, 1000.0)
-TITLE_WIDTH, LETTERS = 95, 100  # characters of a line
+# characters of a line
+TITLE_WIDTH = 95
+LETTERS = 100
 
 
 @dataclass(frozen=True)
@@ -81,14 +83,25 @@ class Curve:
 
 def draw(size: Axes, phase: Axes, curve: Curve, view: View = IMPEDANCE) -> None:
     """Its size and its phase, tinted where the interval is known."""
-    spread = np.full(curve.z.size, np.nan) if curve.spread is None else np.where(curve.spread < 1.0, curve.spread, np.nan)
+    spread = (
+        np.full(curve.z.size, np.nan)
+        if curve.spread is None
+        else np.where(curve.spread < 1.0, curve.spread, np.nan)
+    )
     banded(size, curve.frequency_hz, np.abs(curve.z) ** view.sign, spread, curve.look, curve.words)
     turned = view.sign * np.degrees(np.angle(curve.z))
-    banded(phase, curve.frequency_hz, turned, np.degrees(spread), curve.look, curve.words, linear=True)
+    banded(
+        phase, curve.frequency_hz, turned, np.degrees(spread), curve.look, curve.words, linear=True
+    )
 
 
 def dress(
-    size: Axes, phase: Axes, band_hz: tuple[float, float], view: View = IMPEDANCE, where: str = "", more: Iterable[Axes] = ()
+    size: Axes,
+    phase: Axes,
+    band_hz: tuple[float, float],
+    view: View = IMPEDANCE,
+    where: str = "",
+    more: Iterable[Axes] = (),
 ) -> Any:
     """Labels, the phases that are passive, grey over all that is not judged; the mark of grey for a
     legend.
@@ -97,7 +110,9 @@ def dress(
     """
     size.set(yscale="log", ylabel=f"|{view.symbol}|{where} ({view.unit})")
     plain_axis(size.yaxis, FINE)
-    phase.set(ylabel=f"phase of {view.symbol} (degrees)", ylim=(-105.0, 105.0), yticks=range(-90, 91, 45))
+    phase.set(
+        ylabel=f"phase of {view.symbol} (degrees)", ylim=(-105.0, 105.0), yticks=range(-90, 91, 45)
+    )
     for edge in (-90.0, 90.0):
         phase.axhline(edge, color=BLACK, linewidth=0.8)
     return not_judged((size, phase, *more), band_hz)
@@ -109,37 +124,57 @@ def interval(look: Look, more: str = "") -> Any:
 
 
 @styled()
-def trial_figure(result: TrialResult, referee: Referee | None = None, admittance: bool = False) -> Figure:
+def trial_figure(
+    result: TrialResult, referee: Referee | None = None, admittance: bool = False
+) -> Figure:
     """Size, phase and coherence of Z (or Y) of one trial, with the stepped sine's as points.
     ConfigError without matplotlib.
 
     Of a trial that escaped force and velocity: a spectrum of them would be that of no impedance.
     """
-    view, look = ADMITTANCE if admittance else IMPEDANCE, of_levels([result.plan.params.trial.damping_ns_per_m])[0]
+    view = ADMITTANCE if admittance else IMPEDANCE
+    look = of_levels([result.plan.params.trial.damping_ns_per_m])[0]
     if result.recorded.ended.startswith("escape"):
         return _escape(result, _title(result, view).rsplit("\n", 1)[0], look)
     figure, (size, phase, known) = axes(
         3, 1, 7.2, 8.4, _title(result, view), sharex=True, height_ratios=(2.2, 2.2, 1.0)
     )  # fmt: skip
-    z, worst = result.measured, result.verdict.margin_deg
+    z = result.measured
+    worst = result.verdict.margin_deg
     seen = (z.frequency_hz >= SHOWN_HZ[0]) & (z.frequency_hz <= SHOWN_HZ[1]) & (z.coherence > 0.0)
     f = z.frequency_hz[seen]
-    draw(size, phase, Curve(f, z.impedance_ns_per_m[seen], look, "measured", _interval(z)[seen]), view)
+    draw(
+        size,
+        phase,
+        Curve(f, z.impedance_ns_per_m[seen], look, "measured", _interval(z)[seen]),
+        view,
+    )
     if result.predicted is not None:
         draw(size, phase, Curve(f, result.predicted[seen], PREDICTED, "predicted"), view)
     if referee is not None:
-        points = Curve(referee.frequency_hz, referee.impedance_ns_per_m, {**MARKS, "marker": "D"}, "stepped sine")
+        points = Curve(
+            referee.frequency_hz,
+            referee.impedance_ns_per_m,
+            {**MARKS, "marker": "D"},
+            "stepped sine",
+        )
         draw(size, phase, points, view)
     phase.plot(
-        worst.frequency_hz, view.sign * np.interp(worst.frequency_hz, z.frequency_hz, z.phase_deg), "o", color=BLACK, markersize=6,
+        worst.frequency_hz,
+        view.sign * np.interp(worst.frequency_hz, z.frequency_hz, z.phase_deg),
+        "o",
+        color=BLACK,
+        markersize=6,
         label=f"worst: margin {worst.value:.2g} degrees",
-    )  # fmt: skip
+    )
     known.plot(f, z.coherence[seen], **look)
     known.set(ylabel="coherence", ylim=(0.0, 1.03))
     hertz_axis(known, max(SHOWN_HZ[0], float(f[0])), min(SHOWN_HZ[1], float(f[-1])))
     judged = result.verdict.judged
     grey = dress(size, phase, (judged.first_hz, judged.last_hz), view, more=(known,))
-    figure.legend(handles=[*handles_of(phase), interval(look, " at each frequency"), grey], ncols=3, **BELOW)
+    figure.legend(
+        handles=[*handles_of(phase), interval(look, " at each frequency"), grey], ncols=3, **BELOW
+    )
     figure.align_ylabels([size, phase, known])
     return figure
 
@@ -156,13 +191,16 @@ def _interval(z: Impedance) -> Floats:
 
 def _title(result: TrialResult, view: View) -> str:
     k, b, m = result.plan.params.trial.environment
-    verdict, simulated = result.verdict, "SIMULATED, " if result.recorded.simulated else ""
+    verdict = result.verdict
+    simulated = "SIMULATED, " if result.recorded.simulated else ""
     low, high = verdict.band_hz
-    who, level = f"{simulated}{result.recorded.origin}:", result.plan.params.trial.damping_ns_per_m
+    who = f"{simulated}{result.recorded.origin}:"
+    level = result.plan.params.trial.damping_ns_per_m
     what = f"K = {k:g} N/m, B = {b:g} N s/m, M = {1e3 * m:g} g, added damping {level:g} N s/m"
     judged = (
-        f"{verdict.answer.replace('_', ' ')} in {low:g}..{high:g} Hz at {100 * verdict.confidence:g} %, {verdict.judged}, "
-        f"{view.symbol} at the {verdict.port} by {result.measured.estimator!r}, {_excited(result)}"
+        f"{verdict.answer.replace('_', ' ')} in {low:g}..{high:g} Hz at"
+        f" {100 * verdict.confidence:g} %, {verdict.judged}, {view.symbol} at the {verdict.port} by"
+        f" {result.measured.estimator!r}, {_excited(result)}"
     )
     between = " " if len(who) + len(what) < TITLE_WIDTH else "\n"
     return f"{who}{between}{what}\n{judged}"
@@ -170,11 +208,14 @@ def _title(result: TrialResult, view: View) -> str:
 
 def _excited(result: TrialResult) -> str:
     if isinstance(result.spectra, PeriodicSpectra):
-        return f"multisine: {result.spectra.realisations} realisations of {result.spectra.periods} periods"
+        return (
+            f"multisine: {result.spectra.realisations} realisations of {result.spectra.periods}"
+            " periods"
+        )
     return f"{result.verdict.seconds:.3g} s of noise"
 
 
-# --- over time -------------------------------------------------------------------------------------------------------------------
+# --- over time ------------------------------------------------------------------------------------
 
 
 def draw_traces(places: Sequence[Axes], panels: Sequence[tuple[str, Sequence[Trace]]]) -> None:
@@ -188,11 +229,18 @@ def draw_traces(places: Sequence[Axes], panels: Sequence[tuple[str, Sequence[Tra
 
 
 def _escape(result: TrialResult, title: str, look: Look) -> Figure:
-    recorded, line = result.recorded, {"color": look["color"], "linewidth": 0.6, "rasterized": True}
-    why = fill(f"ESCAPED, so there is no impedance to draw: {recorded.ended.removeprefix('escape: ')}", LETTERS)
+    recorded = result.recorded
+    line = {"color": look["color"], "linewidth": 0.6, "rasterized": True}
+    why = fill(
+        f"ESCAPED, so there is no impedance to draw: {recorded.ended.removeprefix('escape: ')}",
+        LETTERS,
+    )
     figure, places = axes(2, 1, 7.2, 5.4, f"{title}\n{why}", sharex=True)
     time_s = np.arange(recorded.force_n.size) / recorded.rate_hz
-    channels = (("force of the probe (N)", recorded.force_n), ("velocity (m/s)", recorded.velocity_m_per_s))
+    channels = (
+        ("force of the probe (N)", recorded.force_n),
+        ("velocity (m/s)", recorded.velocity_m_per_s),
+    )
     draw_traces(places, [(label, [(time_s, values, line)]) for label, values in channels])
     places[-1].set_xlim(0.0, recorded.seconds)
     return figure
@@ -204,8 +252,11 @@ def reflight_figure(flight: Reflight, title: str, changed: str = "flown again") 
     `changed`: what was held otherwise. ConfigError without matplotlib.
     """
     figure, places = axes(3, 1, 10.0, 8.0, title, sharex=True)
-    was, would = {"color": BLACK, "label": "recorded"}, {"color": GREEN, "linewidth": 0.9, "label": changed}
-    time_s, recorded, flown = flight.time_s, flight.recorded["force_n"], flight.flown["force_n"]
+    was = {"color": BLACK, "label": "recorded"}
+    would = {"color": GREEN, "linewidth": 0.9, "label": changed}
+    time_s = flight.time_s
+    recorded = flight.recorded["force_n"]
+    flown = flight.flown["force_n"]
     panels: list[tuple[str, list[Trace]]] = [
         ("position as recorded (mm)", [(time_s, 1e3 * flight.recorded["position_m"], was)]),
         ("force (N)", [(time_s, recorded, was), (time_s, flown, would)]),

@@ -1,1 +1,3 @@
-"""The servo process: one thread, one loop, one tick after another. Standard library, pyusb and the floors below."""
+"""The servo process: one thread, one loop, one tick after another. Standard library, pyusb and
+the floors below.
+"""

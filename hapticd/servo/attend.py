@@ -1,7 +1,9 @@
-"""The long way of a tick: lost frames, causes of faults, commands, ramps, homing. It ends in a state for the short way.
+"""The long way of a tick: lost frames, causes of faults, commands, ramps, homing. It ends in a
+state for the short way.
 
-Order within a tick: what arrived -> what is wrong -> commands -> scheduled changes -> homing -> damping and ramps.
-So a stop that arrives with an enable wins, and a fault that appears in this tick is seen by a reset in the same tick.
+Order within a tick: what arrived -> what is wrong -> commands -> scheduled changes -> homing ->
+damping and ramps. So a stop that arrives with an enable wins, and a fault that appears in this tick
+is seen by a reset in the same tick.
 """
 
 from collections.abc import Callable
@@ -35,12 +37,17 @@ from hapticd.servo.state import (
 from hapticd.units import round_half_up
 from hapticd.wire.frames import OutFlag, Status
 
-Attend = Callable[[ServoState, tuple[Any, ...], Sample, int], tuple[ServoState, bool, tuple[Any, ...], int]]
+Attend = Callable[
+    [ServoState, tuple[Any, ...], Sample, int], tuple[ServoState, bool, tuple[Any, ...], int]
+]
 
 
 def make_attend(params: ServoParams) -> Attend:
-    """`attend(state, commands, sample, tick)` -> (state, whether the sample may be used, answers, record flags)."""
-    rate_hz, force = params.realtime.rate_hz, params.device.force
+    """`attend(state, commands, sample, tick)` -> (state, whether the sample may be used,
+    answers, record flags).
+    """
+    rate_hz = params.realtime.rate_hz
+    force = params.device.force
     limit_n = min(params.safety.force_limit_n, params.device.force_limit_n)
     hot_count = params.device.temperature.to_count(params.device.temperature_limit_c, -32768, 32767)
     m_per_count = params.device.position.per_count * params.device.position.sign
@@ -57,7 +64,9 @@ def make_attend(params: ServoParams) -> Attend:
         return 0
 
     def cause_under_force(sample: Sample) -> int:
-        """As `cause`, with what is harmless as long as there is no force: it keeps from enabling and from a reset."""
+        """As `cause`, with what is harmless as long as there is no force: it keeps from
+        enabling and from a reset.
+        """
         _, status, temperature, arrival, host, _ = sample
         if found := cause(status, temperature, host):
             return found
@@ -66,7 +75,9 @@ def make_attend(params: ServoParams) -> Attend:
         return BY_CODE["frames_lost"].number if -arrival > params.safety.missing_frames_limit else 0
 
     def newly_lost(plan: Plan, sample: Sample) -> int:
-        """Number of a fault that this sample brings, 0 for none; losses that matter only under force wait for force."""
+        """Number of a fault that this sample brings, 0 for none; losses that matter only under
+        force wait for force.
+        """
         _, status, temperature, _, host, _ = sample
         if plan.state not in (State.ENABLED, State.HOMING):
             return cause(status, temperature, host)
@@ -74,8 +85,12 @@ def make_attend(params: ServoParams) -> Attend:
             return cause(status, temperature, host) or BY_CODE["gateway_lost"].number
         return cause_under_force(sample)
 
-    def commanded(plan: Plan, commands: tuple[Request, ...], sample: Sample, now: Now) -> tuple[Plan, tuple[Answer, ...]]:
-        found = newly_lost(plan, sample) or (BY_CODE["home_failed"].number if homing.overdue(plan, now.tick, params) else 0)
+    def commanded(
+        plan: Plan, commands: tuple[Request, ...], sample: Sample, now: Now
+    ) -> tuple[Plan, tuple[Answer, ...]]:
+        found = newly_lost(plan, sample) or (
+            BY_CODE["home_failed"].number if homing.overdue(plan, now.tick, params) else 0
+        )
         events: tuple[Request, ...] = ((0, FAULT_EVENT, 0, 0, (float(found),)),) if found else ()
         answers: list[Answer] = []
         stops = tuple(one for one in commands if one[1] == Command.STOP)
@@ -88,8 +103,12 @@ def make_attend(params: ServoParams) -> Attend:
             answers += more
         return plan, tuple(answers)
 
-    def nothing_but_lost_frames(state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int) -> bool:
-        """The usual reason to be here while a busy host drops slots; the plan stays as it is, so the long way would be late too."""
+    def nothing_but_lost_frames(
+        state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int
+    ) -> bool:
+        """The usual reason to be here while a busy host drops slots; the plan stays as it is,
+        so the long way would be late too.
+        """
         _, status, temperature, arrival, host, _ = sample
         settled = state[SETTLED]
         unasked = not commands and tick < settled.wake_tick and host == settled.host
@@ -101,35 +120,62 @@ def make_attend(params: ServoParams) -> Attend:
     ) -> tuple[ServoState, bool, tuple[Any, ...], int]:
         encoder, _, _, arrival, host, _ = sample
         settled, law, ledger, held = state
-        environment, coefficients, origin, plan = settled.environment, settled.coefficients, settled.origin, settled.plan
+        environment = settled.environment
+        coefficients = settled.coefficients
+        origin = settled.origin
+        plan = settled.plan
         added = settled.added
         if nothing_but_lost_frames(state, commands, sample, tick):
-            law, ledger = bridge(law, ledger, (encoder - origin) * m_per_count, arrival, environment, coefficients, added)
+            law, ledger = bridge(
+                law,
+                ledger,
+                (encoder - origin) * m_per_count,
+                arrival,
+                environment,
+                coefficients,
+                added,
+            )
             return (settled, law, ledger, held), True, (), int(Flag.INTERPOLATED)
         before = plan
         usable = arrival >= 0 and bool(host & LINK_UP)
         flags = 0
         if usable and 0 < arrival <= params.safety.missing_frames_limit:
-            law, ledger = bridge(law, ledger, (encoder - origin) * m_per_count, arrival, environment, coefficients, added)
+            law, ledger = bridge(
+                law,
+                ledger,
+                (encoder - origin) * m_per_count,
+                arrival,
+                environment,
+                coefficients,
+                added,
+            )
             flags = int(Flag.INTERPOLATED)
-        if arrival == SEED:  # another life of the board: its counter began anew, from wherever the device was
+        if (
+            arrival == SEED
+        ):  # another life of the board: its counter began anew, from wherever the device was
             plan = plan._replace(origin=first_origin, homed=False)
         now = Now(tick, encoder, held[1], bool(host & GATEWAY_ALIVE), cause_under_force(sample))
         plan, answers = commanded(plan, commands, sample, now)
         if plan.state is State.HOMING and usable:
             plan = homing.advance(plan, sample, now, params)
         resetting = before.state in LATCHED and plan.state is State.DISABLED
-        seeding = usable and (arrival > params.safety.missing_frames_limit or plan.origin != origin or resetting)
+        seeding = usable and (
+            arrival > params.safety.missing_frames_limit or plan.origin != origin or resetting
+        )
         if seeding:
-            law, ledger = at_rest((encoder - plan.origin) * m_per_count), (ledger[0], ZERO_FORCES, ZERO_FORCES, 0.0)
+            law = at_rest((encoder - plan.origin) * m_per_count)
+            ledger = (ledger[0], ZERO_FORCES, ZERO_FORCES, 0.0)
             flags = int(Flag.SEEDED)
             if plan.state is State.ENABLED and before.state is State.ENABLED:
-                plan = plan._replace(gain=Ramp(0.0, 1.0, tick, round_half_up(params.safety.enable_ramp_s * rate_hz)))
+                plan = plan._replace(
+                    gain=Ramp(0.0, 1.0, tick, round_half_up(params.safety.enable_ramp_s * rate_hz))
+                )
                 flags |= int(Flag.QUIET_RAMP)
         plan = advance_added(plan, tick, params)
         if plan.filters != before.filters:
             renewed = coefficients_of(plan, rate_hz)
-            law, coefficients = carried(law, coefficients, renewed), renewed
+            law = carried(law, coefficients, renewed)
+            coefficients = renewed
         ready = hot(plan, tick, params, params.environment.workspace, limit_n)
         if plan.state is State.HOMING:
             ready = ready._replace(environment=homing.environment(plan, tick, params))
@@ -140,9 +186,17 @@ def make_attend(params: ServoParams) -> Attend:
             held = (force.to_count(left, -32768, 32767), left)
         per_period = params.device.damping.to_value(ready.damping_count) * rate_hz
         settled = Settled(
-            ready.wake_tick, ready.environment, coefficients, out_flags(plan, tick), ready.damping_count, ready.blob,
-            plan.origin, per_period, host, plan,
-        )  # fmt: skip
+            ready.wake_tick,
+            ready.environment,
+            coefficients,
+            out_flags(plan, tick),
+            ready.damping_count,
+            ready.blob,
+            plan.origin,
+            per_period,
+            host,
+            plan,
+        )
         return (settled, law, ledger, held), usable, answers, flags
 
     return attend
@@ -157,9 +211,17 @@ def out_flags(plan: Plan, tick: int) -> int:
 
 
 def bridge(
-    law: LawState, ledger: Any, x: float, lost: int, environment: Any, coefficients: Coefficients, added: float
+    law: LawState,
+    ledger: Any,
+    x: float,
+    lost: int,
+    environment: Any,
+    coefficients: Coefficients,
+    added: float,
 ) -> tuple[LawState, Any]:
-    """Feed the filters `lost` positions on the straight line to `x`, while the last force was held."""
+    """Feed the filters `lost` positions on the straight line to `x`, while the last force was
+    held.
+    """
     start = law[0]
     for index in range(1, lost + 1):
         law = render(start + (x - start) * index / (lost + 1), law, environment, coefficients)[8]
@@ -171,4 +233,9 @@ def carried(law: LawState, old: Coefficients, new: Coefficients) -> LawState:
     """The law's state for new filters, such that neither output jumps."""
     x, d, vz1, vz2, az1, az2 = law
     (old_v, old_a), (new_v, new_a) = split(old), split(new)
-    return (x, d, *carry_over(old_v, new_v, (vz1, vz2), d), *carry_over(old_a, new_a, (az1, az2), 0.0))
+    return (
+        x,
+        d,
+        *carry_over(old_v, new_v, (vz1, vz2), d),
+        *carry_over(old_a, new_a, (az1, az2), 0.0),
+    )

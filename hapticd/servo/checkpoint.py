@@ -1,9 +1,10 @@
 """The servo's whole state as nested plain tuples and back, exactly: what a re-flight starts from.
 
-Every number stays the number it is, so a flight from a checkpoint gives the same bits as the flight that left it. Plain
-tuples are cheap to marshal (some 10 us, only when the gateway asks, after the record was published) and survive JSON.
-The order of the places is that of the first checkpoints ever written, which stay readable.
-What would break it: a field of Plan or ServoState that is added there and not here (the tests fly and compare).
+Every number stays the number it is, so a flight from a checkpoint gives the same bits as the flight
+that left it. Plain tuples are cheap to marshal (some 10 us, only when the gateway asks, after the
+record was published) and survive JSON. The order of the places is that of the first checkpoints
+ever written, which stay readable. What would break it: a field of Plan or ServoState that is added
+there and not here (the tests fly and compare).
 """
 
 from collections.abc import Sequence
@@ -19,13 +20,16 @@ from hapticd.servo.state import ServoState, Settled
 def flatten(state: ServoState) -> tuple[Any, ...]:
     """`state` as tuples, numbers and text."""
     settled, law, ledger, held = state
-    plan, s = settled.plan, settled
+    plan = settled.plan
+    s = settled
     plain = plan._asdict() | {
         "state": int(plan.state),
         "gain": tuple(plan.gain),
         "fade": tuple(plan.fade),
         "values": tuple((place, tuple(ramp)) for place, ramp in plan.values.items()),
-        "filters": tuple((one.frequency_hz, one.damping_ratio, one.mapping) for one in plan.filters),
+        "filters": tuple(
+            (one.frequency_hz, one.damping_ratio, one.mapping) for one in plan.filters
+        ),
         "scheduled": tuple(tuple(one) for one in plan.scheduled),
     }
     before = s.wake_tick, s.environment, s.coefficients, s.out_flags, s.damping_count, s.blob.hex()

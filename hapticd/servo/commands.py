@@ -1,4 +1,6 @@
-"""One command on one plan: the next plan and the answer. Every accepted change gets its own receipt."""
+"""One command on one plan: the next plan and the answer. Every accepted change gets its own
+receipt.
+"""
 
 from typing import NamedTuple
 
@@ -9,7 +11,15 @@ from hapticd.params import ServoParams
 from hapticd.render.ramp import Ramp, constant
 from hapticd.servo import safety
 from hapticd.servo.hot import damping_count
-from hapticd.servo.plan import NO_WAVE, Plan, Scheduled, coefficients_of, meant, out_of_range, with_values
+from hapticd.servo.plan import (
+    NO_WAVE,
+    Plan,
+    Scheduled,
+    coefficients_of,
+    meant,
+    out_of_range,
+    with_values,
+)
 from hapticd.servo.safety import LATCHED, State
 from hapticd.servo.state import Answer, Request
 from hapticd.units import round_half_up
@@ -29,35 +39,52 @@ class Now(NamedTuple):
     cause: int  # fault number of what would be wrong under force at this moment, 0: nothing
 
 
-def answer(plan: Plan, seq: int, result: Result, ticks: tuple[int, int], params: ServoParams) -> Answer:
+def answer(
+    plan: Plan, seq: int, result: Result, ticks: tuple[int, int], params: ServoParams
+) -> Answer:
     """The receipt: result, revision, ticks and the values as they act, after quantisation."""
     effective = [0.0] * 20
     for place, ramp in plan.values.items():
         effective[place] = ramp.end
     first, second = plan.filters
-    effective[Value.VELOCITY_FILTER_HZ], effective[Value.VELOCITY_FILTER_ZETA] = first.frequency_hz, first.damping_ratio
+    effective[Value.VELOCITY_FILTER_HZ], effective[Value.VELOCITY_FILTER_ZETA] = (
+        first.frequency_hz,
+        first.damping_ratio,
+    )
     effective[Value.ACCELERATION_FILTER_HZ], effective[Value.ACCELERATION_FILTER_ZETA] = (
         second.frequency_hz,
         second.damping_ratio,
     )
-    effective[Value.ADDED_DAMPING] = params.device.damping.to_value(damping_count(plan.added_asked, params))
+    effective[Value.ADDED_DAMPING] = params.device.damping.to_value(
+        damping_count(plan.added_asked, params)
+    )
     effective[Value.ADDED_DAMPING_ON] = float(plan.added_on)
     effective[Value.LEASE_CONTROL], effective[Value.LEASE_DAMPING] = plan.leases
     return seq, int(result), plan.fault, plan.revision, ticks, tuple(effective)
 
 
-def enter(plan: Plan, state: State, now: Now, params: ServoParams, actor: int, fault: int = 0) -> Plan:
-    """`plan` in `state`: gain, remaining force, damping and perturbation as the safety table says."""
-    rate_hz, limits = params.realtime.rate_hz, params.safety
-    gain, fade = constant(0.0), constant(0.0)
+def enter(
+    plan: Plan, state: State, now: Now, params: ServoParams, actor: int, fault: int = 0
+) -> Plan:
+    """`plan` in `state`: gain, remaining force, damping and perturbation as the safety table
+    says.
+    """
+    rate_hz = params.realtime.rate_hz
+    limits = params.safety
+    gain = constant(0.0)
+    fade = constant(0.0)
     if state is State.ENABLED:
         gain = Ramp(0.0, 1.0, now.tick, round_half_up(limits.enable_ramp_s * rate_hz))
     if state in LATCHED:
         ticks = round_half_up(limits.stop_ramp_s * rate_hz)
-        gain, fade = plan.gain.towards(0.0, now.tick, ticks), Ramp(now.force_n, 0.0, now.tick, ticks)
+        gain = plan.gain.towards(0.0, now.tick, ticks)
+        fade = Ramp(now.force_n, 0.0, now.tick, ticks)
     if state in LATCHED and plan.state in LATCHED:
-        gain, fade = plan.gain, plan.fade
-    entered = plan._replace(state=state, since_tick=now.tick, fault=fault, actor=actor, gain=gain, fade=fade)
+        gain = plan.gain
+        fade = plan.fade
+    entered = plan._replace(
+        state=state, since_tick=now.tick, fault=fault, actor=actor, gain=gain, fade=fade
+    )
     if state is not State.ENABLED:
         entered = entered._replace(wave=NO_WAVE)
     if state in LATCHED:
@@ -77,24 +104,42 @@ def obey(plan: Plan, request: Request, now: Now, params: ServoParams) -> tuple[P
     target = _target(plan, kind, values, now, params)
     if isinstance(target, Result):
         return plan, [answer(plan, seq, target, (now.tick, now.tick), params)]
-    after, end = plan, now.tick
+    after = plan
+    end = now.tick
     cancelled: list[Answer] = []
     if target is not plan.state:
-        fault = int(values[0]) if kind == safety.FAULT_EVENT else safety.STOP_FAULT if target is State.STOPPED else 0
+        fault = (
+            int(values[0])
+            if kind == safety.FAULT_EVENT
+            else safety.STOP_FAULT
+            if target is State.STOPPED
+            else 0
+        )
         after = enter(plan, target, now, params, actor, fault)
-        end = max(after.gain.start_tick + after.gain.ticks, after.fade.start_tick + after.fade.ticks, now.tick)
+        end = max(
+            after.gain.start_tick + after.gain.ticks,
+            after.fade.start_tick + after.fade.ticks,
+            now.tick,
+        )
     if kind == Command.STOP or (kind == safety.FAULT_EVENT and target is not plan.state):
         after = after._replace(scheduled=())
-        cancelled = [answer(after, one.seq, Result.CANCELLED, (one.tick, one.tick), params) for one in plan.scheduled]
+        cancelled = [
+            answer(after, one.seq, Result.CANCELLED, (one.tick, one.tick), params)
+            for one in plan.scheduled
+        ]
     after = _action(after, kind, seq, values, now)
     receipt = [answer(after, seq, Result.APPLIED, (now.tick, end), params)] if seq else []
     return after, cancelled + receipt
 
 
-def _target(plan: Plan, kind: int, values: tuple[float, ...], now: Now, params: ServoParams) -> State | Result:
+def _target(
+    plan: Plan, kind: int, values: tuple[float, ...], now: Now, params: ServoParams
+) -> State | Result:
     target = safety.transition(plan.state, kind)
     if isinstance(target, Result) or target is plan.state:
-        if kind == Command.PERTURB_START and (out_of_range(values, params) or not WAVEFORM.issubset(meant(values))):
+        if kind == Command.PERTURB_START and (
+            out_of_range(values, params) or not WAVEFORM.issubset(meant(values))
+        ):
             return Result.REFUSED_RANGE
         return target
     if target is State.HOMING and params.device.home.method == "none":
@@ -111,13 +156,18 @@ def _action(plan: Plan, kind: int, seq: int, values: tuple[float, ...], now: Now
     if kind == Command.ZERO:
         return plan._replace(origin=now.encoder, homed=True, revision=plan.revision + 1)
     if kind == Command.PERTURB_START:
-        return plan._replace(wave=(seq, int(values[Value.SAMPLES]), bool(values[Value.LOOP])), revision=plan.revision + 1)
+        return plan._replace(
+            wave=(seq, int(values[Value.SAMPLES]), bool(values[Value.LOOP])),
+            revision=plan.revision + 1,
+        )
     if kind in (Command.PERTURB_STOP, safety.PERTURB_DONE_EVENT):
         return plan._replace(wave=NO_WAVE, revision=plan.revision + 1)
     return plan
 
 
-def _settings(plan: Plan, request: Request, now: Now, params: ServoParams) -> tuple[Plan, list[Answer]]:
+def _settings(
+    plan: Plan, request: Request, now: Now, params: ServoParams
+) -> tuple[Plan, list[Answer]]:
     seq, _, actor, apply_tick, values = request
     here = (now.tick, now.tick)
     if out_of_range(values, params):
@@ -131,12 +181,20 @@ def _settings(plan: Plan, request: Request, now: Now, params: ServoParams) -> tu
 
 def _schedule(plan: Plan, new: Scheduled, params: ServoParams) -> tuple[Plan, list[Answer]]:
     places = set(meant(new.values))
-    gone = [old for old in plan.scheduled if old.tick == new.tick and places.issuperset(meant(old.values))]
+    gone = [
+        old
+        for old in plan.scheduled
+        if old.tick == new.tick and places.issuperset(meant(old.values))
+    ]
     kept = tuple(old for old in plan.scheduled if old not in gone)
     if len(kept) >= MOST_SCHEDULED:
         return plan, [answer(plan, new.seq, Result.REFUSED_FULL, (new.tick, new.tick), params)]
-    after = plan._replace(scheduled=tuple(sorted((*kept, new), key=lambda one: (one.tick, one.seq))))
-    answers = [answer(plan, old.seq, Result.SUPERSEDED, (old.tick, old.tick), params) for old in gone]
+    after = plan._replace(
+        scheduled=tuple(sorted((*kept, new), key=lambda one: (one.tick, one.seq)))
+    )
+    answers = [
+        answer(plan, old.seq, Result.SUPERSEDED, (old.tick, old.tick), params) for old in gone
+    ]
     return after, [*answers, answer(plan, new.seq, Result.SCHEDULED, (new.tick, new.tick), params)]
 
 

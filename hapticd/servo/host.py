@@ -1,10 +1,12 @@
 """What the servo process asks of the operating system, and what it got.
 
-Each right is asked for on its own and the answer is kept: SCHED_FIFO decides the 99th percentile (45 us against 8.5 ms on
-a busy machine), locked memory and a frozen, disabled garbage collector keep page faults and collections out of the tick,
-timer slack and the C-state latency shape the wake-up. In strict mode a refusal stops the start; otherwise it is reported
-with its remedy and the loop runs as well as it can. FIFO comes last, so that nothing slow runs under it.
-What would break it: a second thread (one lock of the interpreter), a scheduler that throttles (duty stays below 90 %).
+Each right is asked for on its own and the answer is kept: SCHED_FIFO decides the 99th percentile
+(45 us against 8.5 ms on a busy machine), locked memory and a frozen, disabled garbage collector
+keep page faults and collections out of the tick, timer slack and the C-state latency shape the
+wake-up. In strict mode a refusal stops the start; otherwise it is reported with its remedy and the
+loop runs as well as it can. FIFO comes last, so that nothing slow runs under it. What would break
+it: a second thread (one lock of the interpreter), a scheduler that throttles (duty stays below 90
+%).
 """
 
 import ctypes
@@ -16,7 +18,8 @@ from collections.abc import Callable
 from hapticd.errors import RealtimeError
 from hapticd.params import RealtimeParams
 
-_PR_SET_TIMERSLACK, _MCL_CURRENT_AND_FUTURE = 29, 3
+_PR_SET_TIMERSLACK = 29
+_MCL_CURRENT_AND_FUTURE = 3
 _libc = ctypes.CDLL(None, use_errno=True)
 _held: list[int] = []  # the kernel forgets the C-state latency when its file is closed
 
@@ -30,14 +33,20 @@ def prepare(params: RealtimeParams) -> dict[str, str]:
         return {"mode": "off: nothing was asked for"}
     core = params.core if params.core is not None else max(os.sched_getaffinity(0))
     wanted: list[tuple[str, Callable[[], None], str]] = [
-        ("core", lambda: os.sched_setaffinity(0, {core}), f"allow core {core} to this process (cpuset)"),
+        (
+            "core",
+            lambda: os.sched_setaffinity(0, {core}),
+            f"allow core {core} to this process (cpuset)",
+        ),
         ("timer_slack", _timer_slack, "none known"),
         ("c_states", _c_states, "write access to /dev/cpu_dma_latency for the service group"),
         ("garbage_collector", _collect_and_stop, "none known"),
     ]
     if params.lock_memory:
         wanted.append(("memory", _lock_memory, "LimitMEMLOCK=infinity or `ulimit -l unlimited`"))
-    wanted.append(("fifo", lambda: _fifo(params.priority), f"LimitRTPRIO={params.priority} or CAP_SYS_NICE"))
+    wanted.append(
+        ("fifo", lambda: _fifo(params.priority), f"LimitRTPRIO={params.priority} or CAP_SYS_NICE")
+    )
     report = {name: _ask(action, remedy) for name, action, remedy in wanted}
     report["threads"] = str(len(os.listdir("/proc/self/task")))
     refused = {name: text for name, text in report.items() if text.startswith("refused")}

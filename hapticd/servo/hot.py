@@ -24,12 +24,16 @@ class Hot(NamedTuple):
 def added_target(plan: Plan, tick: int, params: ServoParams) -> float:
     """Level of added damping [N s/m] the table wants at `tick`, before the slew limit."""
     if plan.state in LATCHED:
-        return held_damping(plan.added_entry, (tick - plan.since_tick) / params.realtime.rate_hz, params.safety)
+        return held_damping(
+            plan.added_entry, (tick - plan.since_tick) / params.realtime.rate_hz, params.safety
+        )
     return plan.added_asked if plan.added_on else 0.0
 
 
 def advance_added(plan: Plan, tick: int, params: ServoParams) -> Plan:
-    """`plan` with its added damping one tick further: slew-limited, but released from a latched state on time."""
+    """`plan` with its added damping one tick further: slew-limited, but released from a latched
+    state on time.
+    """
     target = added_target(plan, tick, params)
     releasing = plan.state in LATCHED and target < plan.added
     step = params.safety.damping_slew_ns_per_m_s / params.realtime.rate_hz
@@ -39,24 +43,50 @@ def advance_added(plan: Plan, tick: int, params: ServoParams) -> Plan:
 
 def damping_count(level: float, params: ServoParams) -> int:
     """DAC count for `level` [N s/m], inside the DAC and the device's limit."""
-    return params.device.damping.to_count(min(level, params.device.damping_limit_ns_per_m), 0, 65535)
+    return params.device.damping.to_count(
+        min(level, params.device.damping_limit_ns_per_m), 0, 65535
+    )
 
 
-def hot(plan: Plan, tick: int, params: ServoParams, workspace: WorkspaceParams, limit_n: float) -> Hot:
-    """The flat form of `plan` at `tick`. Ends of the workspace, walls and K-B-M all carry the gain."""
+def hot(
+    plan: Plan, tick: int, params: ServoParams, workspace: WorkspaceParams, limit_n: float
+) -> Hot:
+    """The flat form of `plan` at `tick`. Ends of the workspace, walls and K-B-M all carry the
+    gain.
+    """
     gain = plan.gain.value(tick)
     at = {place: ramp.value(tick) for place, ramp in plan.values.items()}
     environment = (
-        gain * at[Value.STIFFNESS], gain * at[Value.DAMPING], gain * at[Value.MASS], _bias(plan, tick), limit_n,
-        gain * at[Value.WALL_STIFFNESS], gain * at[Value.WALL_DAMPING], at[Value.WALL_POSITION], at[Value.WALL_SIDE],
-        workspace.lower_m, workspace.upper_m, gain * workspace.stiffness_n_per_m,
-    )  # fmt: skip
+        gain * at[Value.STIFFNESS],
+        gain * at[Value.DAMPING],
+        gain * at[Value.MASS],
+        _bias(plan, tick),
+        limit_n,
+        gain * at[Value.WALL_STIFFNESS],
+        gain * at[Value.WALL_DAMPING],
+        at[Value.WALL_POSITION],
+        at[Value.WALL_SIDE],
+        workspace.lower_m,
+        workspace.upper_m,
+        gain * workspace.stiffness_n_per_m,
+    )
     count = damping_count(plan.added, params)
     added = params.device.damping.to_value(count)
     blob = layout.PLAN.pack(
-        plan.revision & 0xFFFFFFFF, plan.state, plan.fault, plan.wave[0] != 0, plan.homed, plan.actor, *plan.leases, gain,
-        at[Value.STIFFNESS], at[Value.DAMPING], at[Value.MASS], added_target(plan, tick, params), added,
-    )  # fmt: skip
+        plan.revision & 0xFFFFFFFF,
+        plan.state,
+        plan.fault,
+        plan.wave[0] != 0,
+        plan.homed,
+        plan.actor,
+        *plan.leases,
+        gain,
+        at[Value.STIFFNESS],
+        at[Value.DAMPING],
+        at[Value.MASS],
+        added_target(plan, tick, params),
+        added,
+    )
     return Hot(wake_tick(plan, tick, params), environment, count, blob)
 
 
@@ -68,11 +98,17 @@ def _bias(plan: Plan, tick: int) -> float:
 def wake_tick(plan: Plan, tick: int, params: ServoParams) -> int:
     """First tick after `tick` at which the plan differs from now."""
     ramps = (plan.gain, plan.fade, *plan.values.values())
-    if plan.state is State.HOMING or any(ramp.running(tick) for ramp in ramps) or plan.added != added_target(plan, tick, params):
+    if (
+        plan.state is State.HOMING
+        or any(ramp.running(tick) for ramp in ramps)
+        or plan.added != added_target(plan, tick, params)
+    ):
         return tick + 1
     events = [one.tick for one in plan.scheduled]
     if plan.state in LATCHED:
-        held = plan.since_tick + round_half_up(params.safety.damping_hold_s * params.realtime.rate_hz)
+        held = plan.since_tick + round_half_up(
+            params.safety.damping_hold_s * params.realtime.rate_hz
+        )
         if plan.added > 0.0:
             events.append(max(held, tick + 1))
     return min(events, default=NEVER)

@@ -1,9 +1,11 @@
-"""What a tick has to obey, from wherever it comes: the command ring, the stop word, and the loop's own findings.
+"""What a tick has to obey, from wherever it comes: the command ring, the stop word, and the loop's
+own findings.
 
-At most two commands are taken a tick. A reset while the board reports a fault first asks the board to forget it and
-waits for the frame that tells whether it did. The stop word is taken back to 0 as it is obeyed, whatever the state; the
-latch is the plan's, so no reset can clear a press that it has not outlived. Lost slots become a fault when too many fall
-into one second; pauses of a host with a simulated board harm no one and only count.
+At most two commands are taken a tick. A reset while the board reports a fault first asks the board
+to forget it and waits for the frame that tells whether it did. The stop word is taken back to 0 as
+it is obeyed, whatever the state; the latch is the plan's, so no reset can clear a press that it has
+not outlived. Lost slots become a fault when too many fall into one second; pauses of a host with a
+simulated board harm no one and only count.
 """
 
 from hapticd.errors import LinkError
@@ -25,10 +27,17 @@ _NO_VALUES = (0.0,) * 20
 
 
 class Inbox:
-    """Collects requests. Ask it when the ring or the stop word is not empty, while it is `waiting`, or a waveform plays."""
+    """Collects requests. Ask it when the ring or the stop word is not empty, while it is
+    `waiting`, or a waveform plays.
+    """
 
-    def __init__(self, params: ServoParams, mailbox: ServoMailbox, device: Device, streamer: Streamer) -> None:
-        self._params, self._mailbox, self._device, self._streamer = params, mailbox, device, streamer
+    def __init__(
+        self, params: ServoParams, mailbox: ServoMailbox, device: Device, streamer: Streamer
+    ) -> None:
+        self._params = params
+        self._mailbox = mailbox
+        self._device = device
+        self._streamer = streamer
         self._lost: list[tuple[int, int]] = []  # time, slots
         self._deferred: list[tuple[int, Request]] = []  # tick, reset
         self.waiting = False  # something of our own is due or near: `requests` must be asked
@@ -42,7 +51,9 @@ class Inbox:
         if head[4] & CLEARABLE and any(request[1] == Command.RESET for request in found):
             found = self._ask_board(found, tick)
         if self._mailbox.stop_words[0]:
-            self._mailbox.stop_words[0] = 0  # before it is obeyed: a press from here on is another one
+            self._mailbox.stop_words[0] = (
+                0  # before it is obeyed: a press from here on is another one
+            )
             found.append((0, Command.STOP, ACTOR_STOP_WORD, 0, _NO_VALUES))
         found += self._due(tick, any(request[1] == Command.STOP for request in found))
         if self._too_many_lost(plan):
@@ -69,11 +80,15 @@ class Inbox:
             self._device.clear_fault()
         except LinkError:
             return found  # the fault bit stays and the reset is refused
-        self._deferred += [(tick + CLEAR_TICKS, request) for request in found if request[1] == Command.RESET]
+        self._deferred += [
+            (tick + CLEAR_TICKS, request) for request in found if request[1] == Command.RESET
+        ]
         return [request for request in found if request[1] != Command.RESET]
 
     def _due(self, tick: int, stopping: bool) -> list[Request]:
-        """Resets that have waited long enough; before a stop all of them, since none may undo a later stop."""
+        """Resets that have waited long enough; before a stop all of them, since none may undo a
+        later stop.
+        """
         due = [item for item in self._deferred if stopping or item[0] <= tick]
         self._deferred = [item for item in self._deferred if item not in due]
         return [request for _, request in due]

@@ -2,11 +2,12 @@
 
     wait -> receive -> commands -> step -> send -> record -> next deadline
 
-Everything a tick needs is a local name; what is rare (a lost link, commands, answers, late ticks) is a call. The loop is a
-`while True`: CPython 3.11 specialises the instructions of a function that is entered once only after it has gone round a
-loop that ends in an unconditional jump, and unspecialised ones cost a seventh more. A late tick
-drops whole slots and never catches up; late events and lost slots are counted apart, those of the first second (`grace`)
-on their own. With the board gone the ticks go on: records say so, the force is 0, and the board is looked for with
+Everything a tick needs is a local name; what is rare (a lost link, commands, answers, late ticks)
+is a call. The loop is a `while True`: CPython 3.11 specialises the instructions of a function that
+is entered once only after it has gone round a loop that ends in an unconditional jump, and
+unspecialised ones cost a seventh more. A late tick drops whole slots and never catches up; late
+events and lost slots are counted apart, those of the first second (`grace`) on their own. With the
+board gone the ticks go on: records say so, the force is 0, and the board is looked for with
 back-off. The loop ends when `stopping` is set or `ticks` are done; `finish` disables.
 """
 
@@ -30,20 +31,34 @@ from hapticd.wire.codec import NO_SAMPLES
 from hapticd.wire.frames import OutFlag
 
 _COUNTER = {name: layout.COUNTER_WORD + index for index, name in enumerate(layout.COUNTERS)}
-_TALLY = {"missing_in": "missing", "bad_in": "bad", "stale_in": "stale", "sequence_gap": "gap", "write_errors": "write_errors"}
-_PERTURB, _FIFO_CLEAR = int(OutFlag.PERTURB), int(OutFlag.FIFO_CLEAR)
+_TALLY = {
+    "missing_in": "missing",
+    "bad_in": "bad",
+    "stale_in": "stale",
+    "sequence_gap": "gap",
+    "write_errors": "write_errors",
+}
+_PERTURB = int(OutFlag.PERTURB)
+_FIFO_CLEAR = int(OutFlag.FIFO_CLEAR)
 _LONGEST_NS = (1 << 31) - 1  # that a stage of a record can hold: 2.1 s
 _HEALTHY = LINK_UP | GATEWAY_ALIVE
 _U32 = (1 << 32) - 1
 _BLANK = layout.RECORD.unpack(bytes(layout.RECORD.size))
-_LATE, _WRITE_FAILED = int(Flag.LATE), int(Flag.WRITE_FAILED)
+_LATE = int(Flag.LATE)
+_WRITE_FAILED = int(Flag.WRITE_FAILED)
 
 
 class ServoLoop:
     """One device, one mailbox, one loop; `run` may be called again and goes on where it stopped."""
 
-    def __init__(self, params: ServoParams, device: Device, mailbox: ServoMailbox, clock: Clock, wait: Wait) -> None:
-        self.params, self.device, self.mailbox, self.clock, self.wait = params, device, mailbox, clock, wait
+    def __init__(
+        self, params: ServoParams, device: Device, mailbox: ServoMailbox, clock: Clock, wait: Wait
+    ) -> None:
+        self.params = params
+        self.device = device
+        self.mailbox = mailbox
+        self.clock = clock
+        self.wait = wait
         self.period_ns = round(NS_PER_S / params.realtime.rate_hz)
         self.step = make_step(params)
         self.state = initial_state(params)
@@ -52,42 +67,66 @@ class ServoLoop:
         self.tick = 0
         self.linked = device.hello is not None
         self.stopping = False
-        self._lost_slots, self._absent = 0, 0
-        self._attempt, self._retry_ns = 0, 0
+        self._lost_slots = 0
+        self._absent = 0
+        self._attempt = 0
+        self._retry_ns = 0
         self._started_ns = clock.now_ns()
         self.deadline_ns = first_deadline(self._started_ns, self.period_ns)
 
     def run(self, ticks: int | None = None) -> None:
         """Tick until `stopping`, or for `ticks` ticks."""
-        mailbox, device, inbox, streamer = self.mailbox, self.device, self.inbox, self.streamer
-        words, stop_words, ring = mailbox.words, mailbox.stop_words, mailbox.ring
-        publish, pack = mailbox.publish_head, layout.RECORD.pack_into
-        plain, ring_words = plain_store(), mailbox.ring_words
-        beat_word, head_word = layout.GATEWAY_BEAT_WORD, layout.COMMAND_HEAD_WORD
+        mailbox = self.mailbox
+        device = self.device
+        inbox = self.inbox
+        streamer = self.streamer
+        words = mailbox.words
+        stop_words = mailbox.stop_words
+        ring = mailbox.ring
+        publish = mailbox.publish_head
+        pack = layout.RECORD.pack_into
+        plain = plain_store()
+        ring_words = mailbox.ring_words
+        beat_word = layout.GATEWAY_BEAT_WORD
+        head_word = layout.COMMAND_HEAD_WORD
         ring_head = layout.TELEMETRY_HEAD_WORD
-        servo_beat, first_slot, size, slots = (
-            layout.SERVO_BEAT_WORD,
-            layout.TELEMETRY_OFFSET,
-            layout.RECORD.size,
-            layout.RING_RECORDS,
-        )
+        servo_beat = layout.SERVO_BEAT_WORD
+        first_slot = layout.TELEMETRY_OFFSET
+        size = layout.RECORD.size
+        slots = layout.RING_RECORDS
         warm = device.rehearse
-        receive, send, step, wait, clock = device.receive, device.send, self.step, self.wait, self.clock.now_ns
-        in_bytes, out_bytes = device.in_buffer.tobytes, device.out_buffer.tobytes
+        receive = device.receive
+        send = device.send
+        step = self.step
+        wait = self.wait
+        clock = self.clock.now_ns
+        in_bytes = device.in_buffer.tobytes
+        out_bytes = device.out_buffer.tobytes
         (temperature, t0), (current, c0), (voltage, v0), (emf, e0) = _sensor_lines(self.params)
-        timeout_ns, period_ns = int(self.params.safety.gateway_timeout_s * NS_PER_S), self.period_ns
+        timeout_ns = int(self.params.safety.gateway_timeout_s * NS_PER_S)
+        period_ns = self.period_ns
         head: Head = NO_HEAD
         alive_until_ns = 0
         board_us = publish_ns = 0
-        slot, end_slot = first_slot + self.tick % slots * size, first_slot + slots * size
+        slot = first_slot + self.tick % slots * size
+        end_slot = first_slot + slots * size
         last = None if ticks is None else self.tick + ticks
 
         def rehearse() -> None:
             settled = self.state[SETTLED]
-            if self.tick < settled.wake_tick:  # not the long way: cold it takes longer than the spin
+            if (
+                self.tick < settled.wake_tick
+            ):  # not the long way: cold it takes longer than the spin
                 step(self.state, (), (head[6], head[4], head[10], 0, settled.host, 0), self.tick)
             warm()
-            _ = stop_words[0], words[head_word], words[beat_word], mailbox.taken, inbox.waiting, streamer.playing
+            _ = (
+                stop_words[0],
+                words[head_word],
+                words[beat_word],
+                mailbox.taken,
+                inbox.waiting,
+                streamer.playing,
+            )
             in_bytes()
             pack(ring, slot, *_BLANK)  # the oldest record, which the tick replaces anyway
 
@@ -105,20 +144,33 @@ class ServoLoop:
             else:
                 arrival = self._search(start)
             got = clock()
-            _, _, _, _, status, _, encoder, amperes, volts, speed, heat, level, _, index, _, _ = head
+            _, _, _, _, status, _, encoder, amperes, volts, speed, heat, level, _, index, _, _ = (
+                head
+            )
 
             commands: tuple[Request, ...] = ()
             # a plain load of the head is a hint, at worst a tick old; `take` loads it in order
-            if stop_words[0] or words[head_word] != mailbox.taken or inbox.waiting or streamer.playing:
+            if (
+                stop_words[0]
+                or words[head_word] != mailbox.taken
+                or inbox.waiting
+                or streamer.playing
+            ):
                 commands = inbox.requests(tick, head, self.state[SETTLED].plan)
                 mailbox.note(tick, commands)
-            if start >= alive_until_ns:  # the beat last seen says nothing any more: look for the next one
+            if (
+                start >= alive_until_ns
+            ):  # the beat last seen says nothing any more: look for the next one
                 beat_ns = words[beat_word]
-                alive_until_ns = beat_ns + timeout_ns if -timeout_ns < start - beat_ns < timeout_ns else 0
+                alive_until_ns = (
+                    beat_ns + timeout_ns if -timeout_ns < start - beat_ns < timeout_ns else 0
+                )
             host = _HEALTHY if alive_until_ns else LINK_UP
             if not self.linked:
                 host &= ~LINK_UP
-            state, output = step(self.state, commands, (encoder, status, heat, arrival, host, index), tick)
+            state, output = step(
+                self.state, commands, (encoder, status, heat, arrival, host, index), tick
+            )
             self.state = state
             settled, _, (energies, _, _, _), _ = state
             e_spring, e_damper, e_inertia, e_field, e_force, e_electric = energies
@@ -141,18 +193,52 @@ class ServoLoop:
             read_ns = got - start
             step_ns = stepped - got
             write_ns = sent - stepped
-            if sent - deadline > period_ns:  # rare: what makes a tick late, and what may not fit its field
+            if (
+                sent - deadline > period_ns
+            ):  # rare: what makes a tick late, and what may not fit its field
                 if wake_ns > period_ns:
                     flags |= _LATE
                 stages = (wake_ns, read_ns, step_ns, write_ns)
                 wake_ns, read_ns, step_ns, write_ns = (min(stage, _LONGEST_NS) for stage in stages)
             pack(
-                ring, slot, tick, start, board_us, settled.blob, flags, status, arrival, host, x, v, a,
-                spring, damper, inertia, field, force, e_spring, e_damper, e_inertia, e_field, e_force, e_electric,
-                heat * temperature + t0, amperes * current + c0, volts * voltage + v0, speed * emf + e0,
-                wake_ns, read_ns, step_ns, write_ns, publish_ns, self._lost_slots,
-                in_bytes(), out_bytes(), tick,
-            )  # fmt: skip
+                ring,
+                slot,
+                tick,
+                start,
+                board_us,
+                settled.blob,
+                flags,
+                status,
+                arrival,
+                host,
+                x,
+                v,
+                a,
+                spring,
+                damper,
+                inertia,
+                field,
+                force,
+                e_spring,
+                e_damper,
+                e_inertia,
+                e_field,
+                e_force,
+                e_electric,
+                heat * temperature + t0,
+                amperes * current + c0,
+                volts * voltage + v0,
+                speed * emf + e0,
+                wake_ns,
+                read_ns,
+                step_ns,
+                write_ns,
+                publish_ns,
+                self._lost_slots,
+                in_bytes(),
+                out_bytes(),
+                tick,
+            )
             if plain:
                 ring_words[ring_head] = tick + 1
             else:
@@ -178,7 +264,9 @@ class ServoLoop:
         self.deadline_ns = first_deadline(self.clock.now_ns(), self.period_ns)
 
     def finish(self) -> None:
-        """One last recorded tick that disables, a frame without torque, damping and perturbation; then release the board."""
+        """One last recorded tick that disables, a frame without torque, damping and
+        perturbation; then release the board.
+        """
         self.inbox.leave()
         self.stopping = False
         try:
@@ -187,10 +275,16 @@ class ServoLoop:
             self._let_go()
 
     def _let_go(self) -> None:
-        force, damping = self.params.device.force, self.params.device.damping
+        force = self.params.device.force
+        damping = self.params.device.damping
         try:
             if self.linked:
-                self.device.send(_FIFO_CLEAR, force.to_count(0.0, -32768, 32767), damping.to_count(0.0, 0, 65535), 0)
+                self.device.send(
+                    _FIFO_CLEAR,
+                    force.to_count(0.0, -32768, 32767),
+                    damping.to_count(0.0, 0, 65535),
+                    0,
+                )
         except LinkError:
             pass  # it is gone; its watchdog does the same
         self.device.close()
@@ -201,7 +295,9 @@ class ServoLoop:
                 self.mailbox.answer(seq, result, fault, revision, ticks, values)
 
     def _tally(self) -> None:
-        """Bring the device's counts to the counters that others read; leave the state for a re-flight if it was asked for."""
+        """Bring the device's counts to the counters that others read; leave the state for a
+        re-flight if it was asked for.
+        """
         words = self.mailbox.words
         words[_COUNTER["ticks"]] = self.tick
         for name, key in _TALLY.items():
@@ -223,7 +319,8 @@ class ServoLoop:
 
     def _unlink(self, now_ns: int) -> int:
         """The board is gone: release it and look for it later. The arrival of this tick."""
-        self.linked, self._absent = False, 1
+        self.linked = False
+        self._absent = 1
         self.device.close()
         self._attempt, self._retry_ns = 0, now_ns + int(backoff_s(0) * NS_PER_S)
         return -1
@@ -241,7 +338,9 @@ class ServoLoop:
         return -self._absent
 
     def _relink(self, serial: str) -> None:
-        """The board answers again; its filters start anew with the next frame and the state stays latched."""
+        """The board answers again; its filters start anew with the next frame and the state
+        stays latched.
+        """
         self.linked = True
         self.mailbox.count("reconnects")
         try:
@@ -252,7 +351,16 @@ class ServoLoop:
 
 
 def _sensor_lines(params: ServoParams) -> tuple[tuple[float, float], ...]:
-    """Slope and intercept of value = count * slope + intercept: temperature, current, voltage, back-EMF velocity."""
+    """Slope and intercept of value = count * slope + intercept: temperature, current, voltage,
+    back-EMF velocity.
+    """
     device = params.device
-    scales: tuple[ScaleParams, ...] = (device.temperature, device.current, device.voltage, device.emf_velocity)
-    return tuple((scale.to_value(1.0) - scale.to_value(0.0), scale.to_value(0.0)) for scale in scales)
+    scales: tuple[ScaleParams, ...] = (
+        device.temperature,
+        device.current,
+        device.voltage,
+        device.emf_velocity,
+    )
+    return tuple(
+        (scale.to_value(1.0) - scale.to_value(0.0), scale.to_value(0.0)) for scale in scales
+    )

@@ -7,10 +7,11 @@
     stopped    ramp to 0 in 20 ms        max(current, safe) for 2 s, then to 0 in     reset, while no cause persists
     fault      ramp to 0 in 20 ms        0.5 s                                        reset, while no cause persists
 
-STOP comes from anyone at any time and is idempotent; `reset` leads to disabled, never further; a fault keeps its first
-cause. `set` and `damping` are taken in every state and act where the table lets them; a perturbation plays
-while enabled and ends with it. Pure: no clock, no I/O.
-What would break it: a state added without its row (TABLE is checked to be complete when this module is imported).
+STOP comes from anyone at any time and is idempotent; `reset` leads to disabled, never further; a
+fault keeps its first cause. `set` and `damping` are taken in every state and act where the table
+lets them; a perturbation plays while enabled and ends with it. Pure: no clock, no I/O. What would
+break it: a state added without its row (TABLE is checked to be complete when this module is
+imported).
 """
 
 from hapticd.faults import BY_CODE
@@ -24,12 +25,23 @@ FAULT_EVENT = 100  # internal command: something is lost; its first value is the
 PERTURB_DONE_EVENT = 101
 LATCHED = frozenset({State.STOPPED, State.FAULT})
 
-_STAY, _NO = None, Result.REFUSED_STATE
-_D, _E, _S, _F, _H = State.DISABLED, State.ENABLED, State.STOPPED, State.FAULT, State.HOMING
+_STAY = None
+_NO = Result.REFUSED_STATE
+_D = State.DISABLED
+_E = State.ENABLED
+_S = State.STOPPED
+_F = State.FAULT
+_H = State.HOMING
 _COLUMNS = (
-    Command.ENABLE, Command.DISABLE, Command.STOP, Command.RESET, Command.ZERO, Command.HOME, Command.PERTURB_START,
+    Command.ENABLE,
+    Command.DISABLE,
+    Command.STOP,
+    Command.RESET,
+    Command.ZERO,
+    Command.HOME,
+    Command.PERTURB_START,
     FAULT_EVENT,
-)  # fmt: skip
+)
 _ROWS: dict[State, tuple[State | Result | None, ...]] = {
     #   ENABLE  DISABLE STOP   RESET  ZERO   HOME  PERTURB FAULT
     _D: (_E,    _STAY,  _S,    _STAY, _STAY, _H,   _NO,    _F),
@@ -38,12 +50,18 @@ _ROWS: dict[State, tuple[State | Result | None, ...]] = {
     _F: (_NO,   _STAY,  _STAY, _D,    _NO,   _NO,  _NO,    _STAY),
     _H: (_NO,   _D,     _S,    _NO,   _NO,   _NO,  _NO,    _F),
 }  # fmt: skip
-TABLE = {(state, kind): row[column] for state, row in _ROWS.items() for column, kind in enumerate(_COLUMNS)}
+TABLE = {
+    (state, kind): row[column]
+    for state, row in _ROWS.items()
+    for column, kind in enumerate(_COLUMNS)
+}
 assert len(TABLE) == len(State) * len(_COLUMNS)
 
 
 def transition(state: State, kind: int) -> State | Result:
-    """Next state after command `kind`, or why it is refused. Kinds without a column never change the state."""
+    """Next state after command `kind`, or why it is refused. Kinds without a column never
+    change the state.
+    """
     found = TABLE.get((state, kind))
     return state if found is None else found
 
@@ -60,12 +78,18 @@ def enable_refusal(homed: bool, home_required: bool, gateway: bool, cause: int) 
 
 
 def held_damping(entry_level: float, elapsed_s: float, safety: SafetyParams) -> float:
-    """Added damping [N s/m] of a latched state `elapsed_s` after it was entered with `entry_level`."""
+    """Added damping [N s/m] of a latched state `elapsed_s` after it was entered with
+    `entry_level`.
+    """
     hold = max(entry_level, safety.safe_damping_ns_per_m)
     released_s = elapsed_s - safety.damping_hold_s
     if released_s <= 0.0:
         return hold
-    return hold * (1.0 - released_s / safety.damping_release_s) if released_s < safety.damping_release_s else 0.0
+    return (
+        hold * (1.0 - released_s / safety.damping_release_s)
+        if released_s < safety.damping_release_s
+        else 0.0
+    )
 
 
 STOP_FAULT = BY_CODE["stop"].number

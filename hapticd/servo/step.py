@@ -1,12 +1,15 @@
-"""One tick as a function: (state, commands, sample, tick) -> (state, output). No clock, no mailbox, no I/O.
+"""One tick as a function: (state, commands, sample, tick) -> (state, output). No clock, no mailbox,
+no I/O.
 
-The same call flies live, in lock-step and in a replay. Almost every tick takes the short way: position from the count,
-`render`, count from the force, ledger. A tick on which anything else happens (a command, a running ramp, a lost frame, a
-status bit, a missing heartbeat) first goes through `attend`, which makes a new state; the short way then follows as ever.
+The same call flies live, in lock-step and in a replay. Almost every tick takes the short way:
+position from the count, `render`, count from the force, ledger. A tick on which anything else
+happens (a command, a running ramp, a lost frame, a status bit, a missing heartbeat) first goes
+through `attend`, which makes a new state; the short way then follows as ever.
 
-State is a short tuple (see `state`) whose first place holds everything slow, so that a tick hands it on in one piece. The
-force limit is the last thing before the wire: the law clamps in newtons, this module clamps the count once more.
-What would break it: mutable values in the state, a time or a random number read here, a float that reaches the wire.
+State is a short tuple (see `state`) whose first place holds everything slow, so that a tick hands
+it on in one piece. The force limit is the last thing before the wire: the law clamps in newtons,
+this module clamps the count once more. What would break it: mutable values in the state, a time or
+a random number read here, a float that reaches the wire.
 """
 
 from collections.abc import Callable
@@ -29,32 +32,46 @@ from hapticd.wire.session import ENCODER_BITS
 
 Step = Callable[[ServoState, tuple[Any, ...], Sample, int], tuple[ServoState, Output]]
 
-_CLAMPED, _NOT_FINITE, _MISSING = int(Flag.CLAMPED), int(Flag.NOT_FINITE), int(Flag.MISSING_IN)
-_RANGE, _FINITE = BY_CODE["sensor_range"].number, BY_CODE["not_finite"].number
+_CLAMPED = int(Flag.CLAMPED)
+_NOT_FINITE = int(Flag.NOT_FINITE)
+_MISSING = int(Flag.MISSING_IN)
+_RANGE = BY_CODE["sensor_range"].number
+_FINITE = BY_CODE["not_finite"].number
 
 
 def initial_state(params: ServoParams, tick: int = 0) -> ServoState:
-    """Disabled, at rest at count 0; the first sample of a link seeds the filters where the device is."""
+    """Disabled, at rest at count 0; the first sample of a link seeds the filters where the
+    device is.
+    """
     plan = initial_plan(params)._replace(origin=round_half_up(params.device.position.offset_count))
     coefficients = coefficients_of(plan, params.realtime.rate_hz)
     now = hot(plan, tick, params, params.environment.workspace, 0.0)
     held = (params.device.force.to_count(0.0, -32768, 32767), 0.0)
     settled = Settled(
-        now.wake_tick, now.environment, coefficients, 0, now.damping_count, now.blob, plan.origin, 0.0, LINK_UP, plan
-    )  # fmt: skip
+        now.wake_tick,
+        now.environment,
+        coefficients,
+        0,
+        now.damping_count,
+        now.blob,
+        plan.origin,
+        0.0,
+        LINK_UP,
+        plan,
+    )
     return settled, at_rest(0.0), EMPTY, held
 
 
 def make_step(params: ServoParams, delay: float = 0.125) -> Step:
-    """The step for one device. `delay`: sample-to-force delay as a fraction of the period (for the energy ledger)."""
+    """The step for one device. `delay`: sample-to-force delay as a fraction of the period (for
+    the energy ledger).
+    """
     attend = make_attend(params)
     force = params.device.force
     m_per_count = params.device.position.per_count * params.device.position.sign
-    counts_per_n, zero_count, n_per_count = (
-        force.sign / force.per_count,
-        force.offset_count,
-        force.sign * force.per_count,
-    )
+    counts_per_n = force.sign / force.per_count
+    zero_count = force.offset_count
+    n_per_count = force.sign * force.per_count
     rounding = zero_count + 0.5
     limit_n = min(params.safety.force_limit_n, params.device.force_limit_n)
     ends = sorted((force.to_count(limit_n, -32768, 32767), force.to_count(-limit_n, -32768, 32767)))
@@ -64,13 +81,32 @@ def make_step(params: ServoParams, delay: float = 0.125) -> Step:
     back_m = -jump_m
     hot_limit = params.device.temperature.to_count(params.device.temperature_limit_c, -32768, 32767)
 
-    def missing(state: ServoState, flags: int, answers: tuple[Any, ...]) -> tuple[ServoState, Output]:
+    def missing(
+        state: ServoState, flags: int, answers: tuple[Any, ...]
+    ) -> tuple[ServoState, Output]:
         """No sample to believe: what was sent is sent again (0 once the torque is off)."""
         _, law, _, (torque, applied) = state
-        return state, (torque, law[0], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, applied, flags | _MISSING, answers)
+        return state, (
+            torque,
+            law[0],
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            applied,
+            flags | _MISSING,
+            answers,
+        )
 
     def faulted(
-        state: ServoState, sample: Sample, tick: int, fault: int, flags: int, answers: tuple[Any, ...]
+        state: ServoState,
+        sample: Sample,
+        tick: int,
+        fault: int,
+        flags: int,
+        answers: tuple[Any, ...],
     ) -> tuple[ServoState, Output]:
         event = (0, FAULT_EVENT, 0, 0, (float(fault),))
         unusable = (*sample[:3], -1, *sample[4:])
@@ -78,16 +114,27 @@ def make_step(params: ServoParams, delay: float = 0.125) -> Step:
         return missing(state, flags | more_flags, answers + more)
 
     def turned(
-        state: ServoState, sample: Sample, tick: int, turns: int, flags: int, answers: tuple[Any, ...]
+        state: ServoState,
+        sample: Sample,
+        tick: int,
+        turns: int,
+        flags: int,
+        answers: tuple[Any, ...],
     ) -> tuple[ServoState, Output]:
-        """The encoder's counter went round: its origin goes along, and the sample is judged again."""
+        """The encoder's counter went round: its origin goes along, and the sample is judged
+        again.
+        """
         settled = state[SETTLED]
         origin = settled.origin + (turns << ENCODER_BITS)
         settled = replace(settled, origin=origin, plan=settled.plan._replace(origin=origin))
-        state, output = step((settled, *state[1:]), (), (sample[0], 0, sample[2], 0, sample[4], 0), tick)
+        state, output = step(
+            (settled, *state[1:]), (), (sample[0], 0, sample[2], 0, sample[4], 0), tick
+        )
         return state, (*output[:9], output[9] | flags, answers + output[10])
 
-    def step(state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int) -> tuple[ServoState, Output]:
+    def step(
+        state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int
+    ) -> tuple[ServoState, Output]:
         encoder, status, temperature, arrival, host, _ = sample
         answers: tuple[Any, ...] = ()
         flags = 0
@@ -105,21 +152,34 @@ def make_step(params: ServoParams, delay: float = 0.125) -> Step:
                 return missing(state, flags, answers)
             settled, law, ledger, held = state
         x = (encoder - settled.origin) * m_per_count
-        newtons, total, v, a, spring, damper, inertia, field, law = render(x, law, settled.environment, settled.coefficients)
+        newtons, total, v, a, spring, damper, inertia, field, law = render(
+            x, law, settled.environment, settled.coefficients
+        )
         moved_m = law[1]
-        if not (moved_m <= jump_m and moved_m >= back_m):  # no chain: CPython compares two floats faster alone
+        if not (
+            moved_m <= jump_m and moved_m >= back_m
+        ):  # no chain: CPython compares two floats faster alone
             if turns := round(moved_m / turn_m):
                 return turned(state, sample, tick, turns, flags, answers)
             return faulted(state, sample, tick, _RANGE, flags, answers)
         if newtons != total:
             flags |= _CLAMPED
             if not isfinite(total):
-                return faulted((settled, at_rest(x), EMPTY, held), sample, tick, _FINITE, flags | _NOT_FINITE, answers)
+                return faulted(
+                    (settled, at_rest(x), EMPTY, held),
+                    sample,
+                    tick,
+                    _FINITE,
+                    flags | _NOT_FINITE,
+                    answers,
+                )
         torque = floor(newtons * counts_per_n + rounding)
         if torque < low or torque > high:
             torque = low if torque < low else high
         applied = (torque - zero_count) * n_per_count
-        ledger = book(ledger, moved_m, (spring, damper, inertia, field, applied), delay, settled.added)
+        ledger = book(
+            ledger, moved_m, (spring, damper, inertia, field, applied), delay, settled.added
+        )
         state = (settled, law, ledger, (torque, applied))
         return state, (torque, x, v, a, spring, damper, inertia, field, applied, flags, answers)
 

@@ -1,9 +1,10 @@
 """Waiting for the next tick.
 
-Live: sleep to `spin` before the deadline, then spin on the clock. The kernel wakes a sleeper 10-60 us late; the spin makes
-the tick start within 0.1 us for 10 % of a core at 1 kHz and warms the caches. Deadlines lie half a period off the
-millisecond, where the scheduler's own tick does not fall. In a millisecond of sleep the caches go cold and a tick costs
-twice what it costs hot; a rehearsal of the tick on dummy data at the start of the spin warms them. Virtual: move the clock.
+Live: sleep to `spin` before the deadline, then spin on the clock. The kernel wakes a sleeper 10-60
+us late; the spin makes the tick start within 0.1 us for 10 % of a core at 1 kHz and warms the
+caches. Deadlines lie half a period off the millisecond, where the scheduler's own tick does not
+fall. In a millisecond of sleep the caches go cold and a tick costs twice what it costs hot; a
+rehearsal of the tick on dummy data at the start of the spin warms them. Virtual: move the clock.
 """
 
 import time
@@ -17,9 +18,13 @@ REHEARSAL_NS = 30_000  # room that a rehearsal needs before the deadline
 
 
 def spinning_wait(spin_ns: int, period_ns: int) -> Wait:
-    """`wait(deadline_ns, rehearse)` -> monotonic ns at or after it. The spin is at most 0.4 periods: a core must breathe."""
+    """`wait(deadline_ns, rehearse)` -> monotonic ns at or after it. The spin is at most 0.4
+    periods: a core must breathe.
+    """
     margin_ns = min(spin_ns, int(0.4 * period_ns))
-    clock, sleep, per_ns = time.monotonic_ns, time.sleep, 1.0 / NS_PER_S
+    clock = time.monotonic_ns
+    sleep = time.sleep
+    per_ns = 1.0 / NS_PER_S
 
     def wait(deadline_ns: int, rehearse: Callable[[], object]) -> int:
         ahead = deadline_ns - margin_ns - clock()

@@ -22,9 +22,25 @@ from hapticd.params import (
     WallParams,
     WorkspaceParams,
 )
-from hapticd.plant.effects import DampingDac, Delay, Effect, Encoder, ForceDac, ProbeAdc, SampleTiming, Saturation, sample_timing
+from hapticd.plant.effects import (
+    DampingDac,
+    Delay,
+    Effect,
+    Encoder,
+    ForceDac,
+    ProbeAdc,
+    SampleTiming,
+    Saturation,
+    sample_timing,
+)
 from hapticd.settings.config import Environment
-from hapticd.settings.device import SIGNED_FULL_COUNT, UNSIGNED_FULL_COUNT, DeviceFile, Travel, effects_of
+from hapticd.settings.device import (
+    SIGNED_FULL_COUNT,
+    UNSIGNED_FULL_COUNT,
+    DeviceFile,
+    Travel,
+    effects_of,
+)
 from hapticd.settings.load import Settings
 
 DEFAULT_PHASE = 0.875  # of a period, as in BoardParams: force acts T / 8 after the sample
@@ -82,7 +98,11 @@ def device_effects(device: DeviceFile, names: tuple[str, ...] | None = None) -> 
 
 
 def board_of(
-    device: DeviceFile, rate_hz: float, effects: tuple[Effect, ...], exact_levels: tuple[float, ...], **firmware: Any
+    device: DeviceFile,
+    rate_hz: float,
+    effects: tuple[Effect, ...],
+    exact_levels: tuple[float, ...],
+    **firmware: Any,
 ) -> BoardParams:
     """The simulated board of `device` with these effects, or of the rigid mass of [plant].
 
@@ -113,7 +133,9 @@ def _rigid(device: DeviceFile) -> dict[str, Any]:
     return device.plant.model_dump(exclude={"source"})
 
 
-def _composed(device: DeviceFile, rate_hz: float, effects: tuple[Effect, ...], exact_levels: tuple[float, ...]) -> dict[str, Any]:
+def _composed(
+    device: DeviceFile, rate_hz: float, effects: tuple[Effect, ...], exact_levels: tuple[float, ...]
+) -> dict[str, Any]:
     from hapticd.plant.compose import compose_device, refuse_unstable
     from hapticd.plant.tables import board_fields
 
@@ -132,7 +154,9 @@ def gateway_params(settings: Settings) -> GatewayParams:
     """gateway.json. A relative key folder is meant beside the configuration file."""
     plain = settings.config.gateway.model_dump()
     if plain["curve_keys"] is not None:
-        plain["curve_keys"] = str((settings.config_file.parent / Path(plain["curve_keys"])).absolute())
+        plain["curve_keys"] = str(
+            (settings.config_file.parent / Path(plain["curve_keys"])).absolute()
+        )
     return GatewayParams(**plain)
 
 
@@ -145,11 +169,17 @@ def device_params(device: DeviceFile) -> DeviceParams:
         position=device.position.params(device.position.m_per_count),
         force=device.force.params(device.force.full_scale_n / SIGNED_FULL_COUNT),
         damping=device.damping.params(device.damping.full_scale_ns_per_m / UNSIGNED_FULL_COUNT),
-        probe_torque=device.probe_torque.params(device.probe_torque.full_scale_n / SIGNED_FULL_COUNT),
-        probe_velocity=device.probe_velocity.params(device.probe_velocity.full_scale_m_per_s / SIGNED_FULL_COUNT),
+        probe_torque=device.probe_torque.params(
+            device.probe_torque.full_scale_n / SIGNED_FULL_COUNT
+        ),
+        probe_velocity=device.probe_velocity.params(
+            device.probe_velocity.full_scale_m_per_s / SIGNED_FULL_COUNT
+        ),
         current=device.current.params(device.current.full_scale_a / SIGNED_FULL_COUNT),
         voltage=device.voltage.params(device.voltage.full_scale_v / SIGNED_FULL_COUNT),
-        emf_velocity=device.emf_velocity.params(device.emf_velocity.full_scale_m_per_s / SIGNED_FULL_COUNT),
+        emf_velocity=device.emf_velocity.params(
+            device.emf_velocity.full_scale_m_per_s / SIGNED_FULL_COUNT
+        ),
         temperature=device.temperature.params(device.temperature.c_per_count),
         force_limit_n=limits.force_n,
         damping_limit_ns_per_m=limits.damping_ns_per_m,
@@ -170,7 +200,9 @@ def environment_params(asked: Environment, travel: Travel) -> EnvironmentParams:
         velocity_filter=FilterParams(**asked.velocity_filter.model_dump()),
         acceleration_filter=FilterParams(**asked.acceleration_filter.model_dump()),
         wall=WallParams(**asked.wall.model_dump()),
-        workspace=WorkspaceParams(travel.lower_m + ends.margin_m, travel.upper_m - ends.margin_m, ends.stiffness_n_per_m),
+        workspace=WorkspaceParams(
+            travel.lower_m + ends.margin_m, travel.upper_m - ends.margin_m, ends.stiffness_n_per_m
+        ),
     )
 
 
@@ -181,10 +213,18 @@ def converter_effects(device: DeviceFile) -> dict[str, Effect]:
     """
     scales = device_params(device)
     return {
-        "encoder": Encoder(quantum_m=scales.position.per_count, source=_tag(scales.position), note=scales.position.source),
+        "encoder": Encoder(
+            quantum_m=scales.position.per_count,
+            source=_tag(scales.position),
+            note=scales.position.source,
+        ),
         "force_dac": ForceDac(quantum_n=scales.force.per_count, note="16 bits"),
-        "saturation": Saturation(limit_n=scales.force_limit_n, source=_tag(scales.force), note=scales.force.source),
-        "damping_dac": DampingDac(quantum_ns_per_m=scales.damping.per_count, note=scales.damping.source),
+        "saturation": Saturation(
+            limit_n=scales.force_limit_n, source=_tag(scales.force), note=scales.force.source
+        ),
+        "damping_dac": DampingDac(
+            quantum_ns_per_m=scales.damping.per_count, note=scales.damping.source
+        ),
         "probe_adc": ProbeAdc(
             velocity_quantum_m_per_s=scales.probe_velocity.per_count,
             torque_quantum_n=scales.probe_torque.per_count,

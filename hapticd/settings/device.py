@@ -82,19 +82,29 @@ else:
         __doc__="The effects of a simulated device.",
         effects=(
             tuple[str, ...],
-            Field(strict=False, description="What a live board builds; masses and motor are always there."),
+            Field(
+                strict=False,
+                description="What a live board builds; masses and motor are always there.",
+            ),
         ),
-        **{key: (table, ...) if key in ALWAYS else (table | None, None) for key, table in TABLES.items()},
+        **{
+            key: (table, ...) if key in ALWAYS else (table | None, None)
+            for key, table in TABLES.items()
+        },
     )
 
 
-def effects_of(model: DeviceModel, names: Iterable[str], scales: dict[str, Effect]) -> tuple[Effect, ...]:
+def effects_of(
+    model: DeviceModel, names: Iterable[str], scales: dict[str, Effect]
+) -> tuple[Effect, ...]:
     """The effects `names` with the numbers of `model`, and masses and motor, which always exist.
 
     Effects of converters are taken from `scales`, by key.
     """
     chosen = [*ALWAYS, *(name for name in names if name not in ALWAYS)]
-    return tuple(scales[name] if name in FROM_SCALES else _effect(name, model.table(name)) for name in chosen)
+    return tuple(
+        scales[name] if name in FROM_SCALES else _effect(name, model.table(name)) for name in chosen
+    )
 
 
 def _effect(key: str, table: EffectTable) -> Effect:

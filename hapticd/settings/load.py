@@ -63,12 +63,17 @@ class Settings:
 
     def plain(self) -> dict[str, Any]:
         """Everything as JSON values; the device file's content under `device`."""
-        return {**self.config.model_dump(mode="json"), "device": self.device.model_dump(mode="json")}
+        return {
+            **self.config.model_dump(mode="json"),
+            "device": self.device.model_dump(mode="json"),
+        }
 
     @property
     def config_hash(self) -> str:
         """SHA-256 (hex) over the canonical JSON: equal for equal values, wherever they stand."""
-        return hashlib.sha256(json.dumps(self.plain(), sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+        return hashlib.sha256(
+            json.dumps(self.plain(), sort_keys=True, separators=(",", ":")).encode()
+        ).hexdigest()
 
 
 def find_config(given: Path | None = None, environ: Mapping[str, str] = os.environ) -> Path:
@@ -79,7 +84,10 @@ def find_config(given: Path | None = None, environ: Mapping[str, str] = os.envir
     """
     named = [
         (given, "--config"),
-        (Path(environ["HAPTICD_CONFIG"]) if environ.get("HAPTICD_CONFIG") else None, "$HAPTICD_CONFIG"),
+        (
+            Path(environ["HAPTICD_CONFIG"]) if environ.get("HAPTICD_CONFIG") else None,
+            "$HAPTICD_CONFIG",
+        ),
     ]
     for path, origin in named:
         if path is not None:
@@ -145,11 +153,15 @@ def find_device(name: str, config_file: Path, origin: str) -> Path:
     if "/" in name or name.endswith(".toml"):
         return config_file.parent / name
     folders = [config_file.parent / "devices", shipped("config") / "devices"]
-    found = next((folder / f"{name}.toml" for folder in folders if (folder / f"{name}.toml").is_file()), None)
+    found = next(
+        (folder / f"{name}.toml" for folder in folders if (folder / f"{name}.toml").is_file()), None
+    )
     if found is None:
         known = sorted({file.stem for folder in folders for file in folder.glob("*.toml")})
         hint = did_you_mean(name, known)
-        raise ConfigError(f"{origin}: device = {name!r}: no such device file{hint}; known: {', '.join(known)}")
+        raise ConfigError(
+            f"{origin}: device = {name!r}: no such device file{hint}; known: {', '.join(known)}"
+        )
     return found
 
 
@@ -175,7 +187,10 @@ def report(*parts: tuple[Where, Iterable[Mistake]]) -> None:
 def _line(where: Where, mistake: Mistake) -> str:
     unit = unit_of(mistake.path[-1])
     value = "" if mistake.value is None else f" = {mistake.value}"
-    return f"{where(mistake.path)}: {dotted(mistake.path)}{value}{f' {unit}' if unit else ''}: {mistake.reason}"
+    return (
+        f"{where(mistake.path)}: {dotted(mistake.path)}{value}{f' {unit}' if unit else ''}:"
+        f" {mistake.reason}"
+    )
 
 
 def _config_rules(config: Config, device: DeviceFile, in_device: Where) -> Iterator[Mistake]:
@@ -223,13 +238,25 @@ def _device_rules(device: DeviceFile) -> Iterator[Mistake]:
         ("probe_n", limits.probe_n, device.probe_torque.full_scale_n),
     ):
         if limit > full:
-            yield Mistake(("limits", name), limit, f"must be at most {full} {unit_of(name)}, the full scale of its converter")
+            yield Mistake(
+                ("limits", name),
+                limit,
+                f"must be at most {full} {unit_of(name)}, the full scale of its converter",
+            )
     if device.travel.lower_m >= device.travel.upper_m:
-        yield Mistake(("travel", "upper_m"), device.travel.upper_m, f"must be more than lower_m = {device.travel.lower_m} m")
+        yield Mistake(
+            ("travel", "upper_m"),
+            device.travel.upper_m,
+            f"must be more than lower_m = {device.travel.lower_m} m",
+        )
     if device.simulated and plant is None and device.model is None:
         yield Mistake(("plant",), None, "is missing; a simulated board needs to know what it moves")
     if plant and plant.lower_stop_m >= plant.upper_stop_m:
-        yield Mistake(("plant", "upper_stop_m"), plant.upper_stop_m, f"must be more than lower_stop_m = {plant.lower_stop_m} m")
+        yield Mistake(
+            ("plant", "upper_stop_m"),
+            plant.upper_stop_m,
+            f"must be more than lower_stop_m = {plant.lower_stop_m} m",
+        )
 
 
 def model_rules(device: DeviceFile) -> Iterator[Mistake]:
@@ -247,25 +274,46 @@ def model_rules(device: DeviceFile) -> Iterator[Mistake]:
                 hint = did_you_mean(name, list(type(table).model_fields))
                 yield Mistake(("model", key, "sources"), name, f"is no number of this table{hint}")
     if model.table("coupling") is not None and model.table("masses").slider_kg == 0.0:
-        yield Mistake(("model", "masses", "slider_kg"), 0.0, "must be more than 0.0 kg: [model.coupling] needs something to couple")
+        yield Mistake(
+            ("model", "masses", "slider_kg"),
+            0.0,
+            "must be more than 0.0 kg: [model.coupling] needs something to couple",
+        )
     ends = model.table("ends")
     if ends is not None and ends.lower_m >= ends.upper_m:
-        yield Mistake(("model", "ends", "upper_m"), ends.upper_m, f"must be more than lower_m = {ends.lower_m} m")
+        yield Mistake(
+            ("model", "ends", "upper_m"),
+            ends.upper_m,
+            f"must be more than lower_m = {ends.lower_m} m",
+        )
 
 
-def chosen_rules(device: DeviceFile, path: tuple[str, ...], names: Sequence[str]) -> Iterator[Mistake]:
+def chosen_rules(
+    device: DeviceFile, path: tuple[str, ...], names: Sequence[str]
+) -> Iterator[Mistake]:
     """What is wrong with the list `names` of effects to build, which stands at `path`."""
     if device.model is None:
-        yield Mistake(path, None, f"device {device.name!r} has no [model] that effects could be taken from")
+        yield Mistake(
+            path, None, f"device {device.name!r} has no [model] that effects could be taken from"
+        )
         return
     for place, name in enumerate(names):
         if name not in BY_KEY:
-            yield Mistake(path, name, f"is no effect{did_you_mean(name, list(BY_KEY))}; known: {', '.join(BY_KEY)}")
+            yield Mistake(
+                path,
+                name,
+                f"is no effect{did_you_mean(name, list(BY_KEY))}; known: {', '.join(BY_KEY)}",
+            )
         elif name in ALWAYS:
             yield Mistake(path, name, "is always built; leave it out")
         elif name in names[:place]:
             yield Mistake(path, name, "is named twice")
         elif name not in FROM_SCALES and device.model.table(name) is None:
-            yield Mistake(path, name, f"device {device.name!r} has no table [model.{name}]; add it or leave the effect out")
+            yield Mistake(
+                path,
+                name,
+                f"device {device.name!r} has no table [model.{name}]; add it or leave the"
+                " effect out",
+            )
         elif name in NEEDS and NEEDS[name] not in names:
             yield Mistake(path, name, f"needs the effect {NEEDS[name]!r}; add it")

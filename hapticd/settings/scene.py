@@ -114,7 +114,10 @@ def load_files(name: str | Path) -> SceneFiles:
     device_document = read(find_device(scene.device, document.path, document.where(("device",))))
     data, where = _changed(device_document, document)
     device = validated(DeviceFile, data, where)
-    report((where, model_rules(device)), (document.where, chosen_rules(device, ("effects",), scene.effects)))
+    report(
+        (where, model_rules(device)),
+        (document.where, chosen_rules(device, ("effects",), scene.effects)),
+    )
     return SceneFiles(document.path.stem, scene, device)
 
 
@@ -125,7 +128,9 @@ def find_scene(name: str | Path) -> Path:
     file = shipped("config") / "scenes" / f"{name}.toml"
     if not file.is_file():
         known = scene_names()
-        raise ConfigError(f"{name!r}: no such scene{did_you_mean(str(name), known)}; known: {', '.join(known)}")
+        raise ConfigError(
+            f"{name!r}: no such scene{did_you_mean(str(name), known)}; known: {', '.join(known)}"
+        )
     return file
 
 
@@ -165,7 +170,10 @@ def _changed(device: Document, scene: Document) -> tuple[dict[str, Any], Where]:
 
 def schema(kind: str) -> dict[str, Any]:
     """JSON schema (draft 2020-12) of a kind of file, with units: `config`, `device` or `scene`."""
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_KINDS[kind].model_json_schema()}
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **_KINDS[kind].model_json_schema(),
+    }
 
 
 def schema_text(kind: str) -> str:

@@ -139,4 +139,8 @@ def _table_of(annotation: Any) -> type[BaseModel]:
     """The table inside `Table`, `Table | None` or `tuple[Table, ...]`."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    return next(item for item in annotation.__args__ if isinstance(item, type) and issubclass(item, BaseModel))
+    return next(
+        item
+        for item in annotation.__args__
+        if isinstance(item, type) and issubclass(item, BaseModel)
+    )

@@ -73,9 +73,13 @@ def read(path: Path) -> Document:
         text = path.read_text(encoding="utf-8")
         return Document(path, tomllib.loads(text), _lines(text))
     except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}; check the path and its permissions") from error
+        raise ConfigError(
+            f"{path}: {error.strerror}; check the path and its permissions"
+        ) from error
     except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from error
+        raise ConfigError(
+            f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8"
+        ) from error
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(_syntax_message(path, str(error))) from error
 

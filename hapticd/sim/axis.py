@@ -1,14 +1,17 @@
-"""One axis of the fake firmware: what it outputs, the plant that it moves, and the fail-safe that needs no host.
+"""One axis of the fake firmware: what it outputs, the plant that it moves, and the fail-safe that
+needs no host.
 
-Time here is a count of sub-steps of T/16. Force and electrical damping are held between OUT frames, the perturbation
-between the ends of the 250 us intervals of `probe`; `run_to` plays the plant piece by piece between those.
+Time here is a count of sub-steps of T/16. Force and electrical damping are held between OUT frames,
+the perturbation between the ends of the 250 us intervals of `probe`; `run_to` plays the plant piece
+by piece between those.
 
-Fail-safe: no OUT for the watchdog time -> torque 0, FIFO empty, damping held for 2 s, then released over 0.5 s in the
-steps of the 4 kHz clock. It stays tripped until an OUT without ENABLE. A board fault takes the torque away until
-`clear_faults` finds its cause gone; damping still obeys the host.
+Fail-safe: no OUT for the watchdog time -> torque 0, FIFO empty, damping held for 2 s, then released
+over 0.5 s in the steps of the 4 kHz clock. It stays tripped until an OUT without ENABLE. A board
+fault takes the torque away until `clear_faults` finds its cause gone; damping still obeys the host.
 
-A torque may take effect whole periods after its receipt (`lag_periods`, a device with a longer transport delay); whatever
-takes torque away acts at once. A plant that runs away (beyond 1 km/s) is left where it was, at rest: amplifier fault.
+A torque may take effect whole periods after its receipt (`lag_periods`, a device with a longer
+transport delay); whatever takes torque away acts at once. A plant that runs away (beyond 1 km/s) is
+left where it was, at rest: amplifier fault.
 
 What would break it: an OUT that arrives before the sub-step that the plant has reached.
 """
@@ -24,22 +27,51 @@ from hapticd.sim.probe import Probe
 from hapticd.units import PROBE_RATE_HZ
 from hapticd.wire.frames import OutFlag, Status
 
-DAMPING_HOLD_S, DAMPING_RELEASE_S = 2.0, 0.5
+DAMPING_HOLD_S = 2.0
+DAMPING_RELEASE_S = 0.5
 NEVER = 1 << 62
-ENABLE, FIFO_CLEAR, PERTURB = OutFlag.ENABLE.value, OutFlag.FIFO_CLEAR.value, OutFlag.PERTURB.value
+ENABLE = OutFlag.ENABLE.value
+FIFO_CLEAR = OutFlag.FIFO_CLEAR.value
+PERTURB = OutFlag.PERTURB.value
 RUNAWAY_M_PER_S = 1e3
 AMPLIFIER_FAULT = Status.AMPLIFIER_FAULT.value
-ENABLED, WATCHDOG, CLAMPED = Status.ENABLED.value, Status.WATCHDOG.value, Status.FORCE_CLAMPED.value
+ENABLED = Status.ENABLED.value
+WATCHDOG = Status.WATCHDOG.value
+CLAMPED = Status.FORCE_CLAMPED.value
 
 
 class Axis:
-    """Outputs, plant and fail-safe. `now` is the sub-step that the plant has reached, `state` its state there."""
+    """Outputs, plant and fail-safe. `now` is the sub-step that the plant has reached, `state`
+    its state there.
+    """
 
     __slots__ = (
-        "_alarm_at", "_coming", "_damping_count", "_held_count", "_hold", "_lag", "_params", "_present", "_release",
-        "_release_from", "_release_step", "_torque_max", "_tripped", "_watchdog",
-        "clamped", "damping_n", "diverged_at", "faults", "force_n", "live", "now", "plant", "probe", "state", "zero_m",
-    )  # fmt: skip
+        "_alarm_at",
+        "_coming",
+        "_damping_count",
+        "_held_count",
+        "_hold",
+        "_lag",
+        "_params",
+        "_present",
+        "_release",
+        "_release_from",
+        "_release_step",
+        "_torque_max",
+        "_tripped",
+        "_watchdog",
+        "clamped",
+        "damping_n",
+        "diverged_at",
+        "faults",
+        "force_n",
+        "live",
+        "now",
+        "plant",
+        "probe",
+        "state",
+        "zero_m",
+    )
 
     def __init__(self, params: BoardParams) -> None:
         substep_rate_hz = SUBSTEPS_PER_TICK * params.rate_hz
@@ -57,7 +89,9 @@ class Axis:
         self.power_up()
 
     def power_up(self) -> None:
-        """Supply was connected: no output, the plant at rest where it is, and the encoder counts from there."""
+        """Supply was connected: no output, the plant at rest where it is, and the encoder
+        counts from there.
+        """
         self.zero_m = self.plant.encoder(self.state, 0.0, 0.0)
         self.state = self.plant.rest(self.zero_m)
         self.probe.power_up(self.plant.travel(self.state, 0.0, 0.0))
@@ -71,7 +105,9 @@ class Axis:
 
     @property
     def status(self) -> int:
-        """Status bits that last; `clamped` and `probe.events` are taken and cleared by whoever reports them."""
+        """Status bits that last; `clamped` and `probe.events` are taken and cleared by whoever
+        reports them.
+        """
         return self.faults | (ENABLED if self.live else 0) | (WATCHDOG if self._tripped else 0)
 
     def obey(self, flags: int, torque: int, damping: int, samples: Sequence[int]) -> None:
@@ -86,7 +122,8 @@ class Axis:
         self.live = probe.live = bool(flags & ENABLE) and not self.faults
         if self.live:
             if not -self._torque_max <= torque <= self._torque_max:
-                torque, self.clamped = self._torque_max if torque > 0 else -self._torque_max, True
+                torque = self._torque_max if torque > 0 else -self._torque_max
+                self.clamped = True
             self._command(torque * self._params.force_n_per_count)
         else:
             self._cut_torque()
@@ -97,7 +134,9 @@ class Axis:
             probe.queue(samples)
 
     def trip(self, faults: int) -> None:
-        """The cause of these faults (Status bits) is present: latched, the torque is gone at once."""
+        """The cause of these faults (Status bits) is present: latched, the torque is gone at
+        once.
+        """
         self._present |= faults
         self.faults |= faults
         self._cut_torque()
@@ -134,8 +173,12 @@ class Axis:
         self._play(substep)
 
     def _play(self, substep: int) -> None:
-        now, state, probe = self.now, self.state, self.probe
-        step, travel, impulse = self.plant.step, self.plant.travel, self.plant.impulse
+        now = self.now
+        state = self.state
+        probe = self.probe
+        step = self.plant.step
+        travel = self.plant.travel
+        impulse = self.plant.impulse
         while (end := probe.end) <= substep:
             state = step(state, self.force_n, probe.torque_n, self.damping_n, end - now)
             probe.end_interval(travel(state, 0.0, 0.0), impulse and impulse(state, 0.0, 0.0))
@@ -145,7 +188,8 @@ class Axis:
             now = substep
         if not -RUNAWAY_M_PER_S < state[1] < RUNAWAY_M_PER_S:
             state = self._run_away(now)
-        self.now, self.state = now, state
+        self.now = now
+        self.state = state
 
     def _run_away(self, substep: int) -> State:
         self.diverged_at = substep

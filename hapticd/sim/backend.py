@@ -1,10 +1,12 @@
-"""The twin's side of the USB seam: a pyusb backend, so that the true `usb.core` runs above a simulated board.
+"""The twin's side of the USB seam: a pyusb backend, so that the true `usb.core` runs above a
+simulated board.
 
-It answers as libusb 1.0 on Linux does (same exceptions, numbers and words): a plugged device is configured by the
-kernel, a claimed interface refuses others and any change of configuration, a halted endpoint stays so until clear_halt,
-a handle of an unplugged device is dead for ever, a device that is plugged again has a new address, and for one more
-enumeration after an unplug the dead device is still listed. A read waits until the IN is latched, in wall time and in
-virtual time alike, and always comes to an end.
+It answers as libusb 1.0 on Linux does (same exceptions, numbers and words): a plugged device is
+configured by the kernel, a claimed interface refuses others and any change of configuration, a
+halted endpoint stays so until clear_halt, a handle of an unplugged device is dead for ever, a
+device that is plugged again has a new address, and for one more enumeration after an unplug the
+dead device is still listed. A read waits until the IN is latched, in wall time and in virtual time
+alike, and always comes to an end.
 
 What would break it: a second thread (there is no lock in the tick's way).
 """
@@ -56,10 +58,14 @@ class Handle:
 
 
 class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no types
-    """pyusb backend over `port`. `access_denied` and `kernel_driver` may be set to simulate a badly set up machine."""
+    """pyusb backend over `port`. `access_denied` and `kernel_driver` may be set to simulate a
+    badly set up machine.
+    """
 
     def __init__(self, port: Port, clock: Clock, transfer: descriptors.Transfer = "bulk") -> None:
-        self._port, self._clock, self._transfer = port, clock, transfer
+        self._port = port
+        self._clock = clock
+        self._transfer = transfer
         self._spin_ns = SPIN_NS if isinstance(clock, MonotonicClock) else 0
         self._addresses = 0
         self._stale: PluggedDevice | None = None
@@ -68,9 +74,11 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         self.device: PluggedDevice | None = None
         self.plug()
 
-    # --- the cable ----------------------------------------------------------------------------------------------------
+    # --- the cable --------------------------------------------------------------------------------
     def plug(self) -> None:
-        """Plug the board in: it powers up and gets a new address. Nothing happens if it is plugged in."""
+        """Plug the board in: it powers up and gets a new address. Nothing happens if it is
+        plugged in.
+        """
         if self.device is None:
             self._addresses += 1
             self._replug_ns = None
@@ -81,14 +89,18 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         """Pull the plug; it comes back by itself after `away_s`, if given."""
         if self.device is not None:
             self.device.gone = True
-            self._stale, self.device = self.device, None
-        self._replug_ns = None if away_s is None else self._clock.now_ns() + round(away_s * NS_PER_S)
+            self._stale = self.device
+            self.device = None
+        self._replug_ns = (
+            None if away_s is None else self._clock.now_ns() + round(away_s * NS_PER_S)
+        )
 
-    # --- enumeration --------------------------------------------------------------------------------------------------
+    # --- enumeration ------------------------------------------------------------------------------
     def enumerate_devices(self) -> Iterator[PluggedDevice]:
         if self._replug_ns is not None and self._clock.now_ns() >= self._replug_ns:
             self.plug()
-        stale, self._stale = self._stale, None
+        stale = self._stale
+        self._stale = None
         return iter([device for device in (stale, self.device) if device is not None])
 
     def get_parent(self, device: PluggedDevice) -> None:
@@ -100,13 +112,17 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
     def get_configuration_descriptor(self, device: PluggedDevice, index: int) -> SimpleNamespace:
         return descriptors.configuration_descriptor(index)
 
-    def get_interface_descriptor(self, device: PluggedDevice, index: int, alternate: int, _: int) -> SimpleNamespace:
+    def get_interface_descriptor(
+        self, device: PluggedDevice, index: int, alternate: int, _: int
+    ) -> SimpleNamespace:
         return descriptors.interface_descriptor(index, alternate)
 
-    def get_endpoint_descriptor(self, device: PluggedDevice, index: int, _i: int, _a: int, _c: int) -> SimpleNamespace:
+    def get_endpoint_descriptor(
+        self, device: PluggedDevice, index: int, _i: int, _a: int, _c: int
+    ) -> SimpleNamespace:
         return descriptors.endpoint_descriptor(index, self._transfer)
 
-    # --- life of a handle ---------------------------------------------------------------------------------------------
+    # --- life of a handle -------------------------------------------------------------------------
     def open_device(self, device: PluggedDevice) -> Handle:
         if self.access_denied:
             raise usb_error(errno.EACCES)
@@ -158,9 +174,16 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         _alive(handle.device)
         raise usb_error(errno.ENOENT)
 
-    # --- transfers ----------------------------------------------------------------------------------------------------
+    # --- transfers --------------------------------------------------------------------------------
     def ctrl_transfer(
-        self, handle: Handle, request_type: int, request: int, value: int, index: int, data: "array[int]", timeout_ms: int
+        self,
+        handle: Handle,
+        request_type: int,
+        request: int,
+        value: int,
+        index: int,
+        data: "array[int]",
+        timeout_ms: int,
     ) -> int:
         _alive(handle.device)
         reply = self._port.control(request_type, request, value, len(data))
@@ -169,7 +192,9 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         memoryview(data)[: len(reply)] = reply
         return len(reply)
 
-    def bulk_write(self, handle: Handle, endpoint: int, interface: int, data: "array[int]", timeout_ms: int) -> int:
+    def bulk_write(
+        self, handle: Handle, endpoint: int, interface: int, data: "array[int]", timeout_ms: int
+    ) -> int:
         device = handle.device
         if device.gone or device.halted:
             self._check(device, endpoint)
@@ -179,7 +204,9 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
             self._fail(fault, device, endpoint)
         return len(data)
 
-    def bulk_read(self, handle: Handle, endpoint: int, interface: int, buffer: "array[int]", timeout_ms: int) -> int:
+    def bulk_read(
+        self, handle: Handle, endpoint: int, interface: int, buffer: "array[int]", timeout_ms: int
+    ) -> int:
         device = handle.device
         if device.gone or device.halted:
             self._check(device, endpoint)
@@ -194,11 +221,13 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         memoryview(buffer)[: len(packet)] = packet
         return len(packet)
 
-    intr_write, intr_read = bulk_write, bulk_read
+    intr_write = bulk_write
+    intr_read = bulk_read
 
     def _wait(self, timeout_ms: int) -> bytes:
         """The next IN packet, when it comes within the time allowed."""
-        port, clock = self._port, self._clock
+        port = self._port
+        clock = self._clock
         deadline_ns = clock.now_ns() + (timeout_ms or ENDLESS_MS) * NS_PER_MS
         while True:
             due_ns = port.next_in_ns()

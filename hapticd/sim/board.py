@@ -1,14 +1,18 @@
-"""The fake firmware: bytes in, bytes out. Time reaches it only through `t_ns`, a host's integer nanoseconds.
+"""The fake firmware: bytes in, bytes out. Time reaches it only through `t_ns`, a host's integer
+nanoseconds.
 
-Every call first plays the plant up to its `t_ns` (to the nearest T/16). An OUT takes effect on receipt; its IN is latched
-`sample_phase` of a tick later, so that the OUT of the next tick acts d = (1 - sample_phase) T after the encoder was
-read. One accepted OUT latches one IN. An unread IN is replaced by the next: counted, and its event bits and pairs travel
-with the next. A refused OUT changes nothing, latches nothing and feeds no watchdog. The first OUT starts board time.
+Every call first plays the plant up to its `t_ns` (to the nearest T/16). An OUT takes effect on
+receipt; its IN is latched `sample_phase` of a tick later, so that the OUT of the next tick acts d =
+(1 - sample_phase) T after the encoder was read. One accepted OUT latches one IN. An unread IN is
+replaced by the next: counted, and its event bits and pairs travel with the next. A refused OUT
+changes nothing, latches nothing and feeds no watchdog. The first OUT starts board time.
 
-A host that pauses must not harm a simulation: one call plays 20 ms at most. The rest never happens on the board (board
-time, watchdog and probe stand still); it is counted in `sim_slip_ns` and told to `on_slip`.
+A host that pauses must not harm a simulation: one call plays 20 ms at most. The rest never happens
+on the board (board time, watchdog and probe stand still); it is counted in `sim_slip_ns` and told
+to `on_slip`.
 
-What would break it: a plant whose second state is not a velocity (it would not be seen running away), or a t_ns far in the past.
+What would break it: a plant whose second state is not a velocity (it would not be seen running
+away), or a t_ns far in the past.
 """
 
 import struct
@@ -32,14 +36,24 @@ ADVANCE_MAX_NS = 20 * NS_PER_MS
 RATES_HZ = (250.0, 32_000.0)
 LATCHES_MAX = 16
 SERIAL_MAX = 16  # of the hello reply
-POSITIVE = ("_per_count", "_per_a", "force_limit_n", "winding_ohm")  # endings of the names of numbers that divide or limit
+POSITIVE = (
+    "_per_count",
+    "_per_a",
+    "force_limit_n",
+    "winding_ohm",
+)  # endings of the names of numbers that divide or limit
 
 UNKNOWN_FLAGS = 0xFF & ~(ENABLE | FIFO_CLEAR | PERTURB)
-BAD_FRAME, SEQ_GAP, SIMULATED = Status.BAD_FRAME.value, Status.SEQ_GAP.value, Status.SIMULATED.value
+BAD_FRAME = Status.BAD_FRAME.value
+SEQ_GAP = Status.SEQ_GAP.value
+SIMULATED = Status.SIMULATED.value
 RESERVED = bytes(6)
-OUT_BODY, IN_BODY = frames.OUT_BYTES - frames.CRC.size, frames.IN_BYTES - frames.CRC.size
+OUT_BODY = frames.OUT_BYTES - frames.CRC.size
+IN_BODY = frames.IN_BYTES - frames.CRC.size
 IN_LAYOUTS = tuple(  # by the number of pairs; zeros up to the CRC
-    struct.Struct(f"{frames.IN_HEAD.format}{2 * pairs}h{IN_BODY - frames.IN_HEAD.size - 4 * pairs}x")
+    struct.Struct(
+        f"{frames.IN_HEAD.format}{2 * pairs}h{IN_BODY - frames.IN_HEAD.size - 4 * pairs}x"
+    )
     for pairs in range(frames.PROBE_MAX + 1)
 )
 
@@ -48,10 +62,30 @@ class BoardModel:
     """One simulated board with its plant. Raises ConfigError if `params` describe none."""
 
     __slots__ = (
-        "_axis", "_body", "_echo", "_events", "_frame", "_in_seq", "_latch_at", "_latches", "_next_seq", "_origin_ns",
-        "_pairs_end", "_params", "_phase", "_ready_events", "_ready_ns", "_replies", "_substep_ns", "_substeps_max",
-        "_temperature", "in_replaced", "on_slip", "out_refused", "sim_slip_ns",
-    )  # fmt: skip
+        "_axis",
+        "_body",
+        "_echo",
+        "_events",
+        "_frame",
+        "_in_seq",
+        "_latch_at",
+        "_latches",
+        "_next_seq",
+        "_origin_ns",
+        "_pairs_end",
+        "_params",
+        "_phase",
+        "_ready_events",
+        "_ready_ns",
+        "_replies",
+        "_substep_ns",
+        "_substeps_max",
+        "_temperature",
+        "in_replaced",
+        "on_slip",
+        "out_refused",
+        "sim_slip_ns",
+    )
 
     def __init__(self, params: BoardParams, on_slip: Callable[[int], None] | None = None) -> None:
         _check(params)
@@ -69,7 +103,9 @@ class BoardModel:
         self.power_up()
 
     def power_up(self) -> None:
-        """Supply was connected (or plugged in again): every register is zero, the encoder counts from here."""
+        """Supply was connected (or plugged in again): every register is zero, the encoder
+        counts from here.
+        """
         self._axis.power_up()
         self._origin_ns: int | None = None
         self._next_seq: int | None = None
@@ -79,20 +115,30 @@ class BoardModel:
         self._ready_ns: int | None = None
 
     def on_out(self, data: memoryview, t_ns: int) -> None:
-        """An OUT packet arrives at `t_ns`. What breaks the protocol is refused: nothing changes but BAD_FRAME."""
+        """An OUT packet arrives at `t_ns`. What breaks the protocol is refused: nothing changes
+        but BAD_FRAME.
+        """
         if self._origin_ns is None:
             self._origin_ns = t_ns
         self._advance(t_ns)
         if len(data) != frames.OUT_BYTES:
             return self._refuse()
-        seq, axis, flags, torque, damping, _, count, reserved, *samples, tail, crc = frames.OUT.unpack(data)
-        if crc != crc_hqx(data[:OUT_BODY], frames.CRC_INITIAL) or axis or flags & UNKNOWN_FLAGS or count > frames.PROBE_MAX:
+        seq, axis, flags, torque, damping, _, count, reserved, *samples, tail, crc = (
+            frames.OUT.unpack(data)
+        )
+        if (
+            crc != crc_hqx(data[:OUT_BODY], frames.CRC_INITIAL)
+            or axis
+            or flags & UNKNOWN_FLAGS
+            or count > frames.PROBE_MAX
+        ):
             return self._refuse()
         if reserved or tail != RESERVED:
             return self._refuse()
         if seq != self._next_seq and self._next_seq is not None:
             self._events |= SEQ_GAP
-        self._echo, self._next_seq = seq, (seq + 1) & 0xFFFF
+        self._echo = seq
+        self._next_seq = (seq + 1) & 0xFFFF
         self._latches.append(self._axis.now + self._phase)
         self._latch_at = self._latches[0]
         return self._axis.obey(flags, torque, damping, samples[:count])
@@ -110,7 +156,9 @@ class BoardModel:
         return bytes(self._frame)
 
     def next_in_ns(self) -> int | None:
-        """When the next IN will be, or the waiting one was, latched; None when no OUT is to be answered."""
+        """When the next IN will be, or the waiting one was, latched; None when no OUT is to be
+        answered.
+        """
         if self._ready_ns is not None:
             return self._ready_ns
         return self._to_ns(self._latch_at) if self._latches else None
@@ -124,7 +172,9 @@ class BoardModel:
         return None if reply is None else reply[:length]
 
     def trip(self, faults: int) -> None:
-        """The cause of AMPLIFIER_FAULT, ENCODER_FAULT or OVER_TEMPERATURE (Status bits) appears; the torque is gone."""
+        """The cause of AMPLIFIER_FAULT, ENCODER_FAULT or OVER_TEMPERATURE (Status bits)
+        appears; the torque is gone.
+        """
         self._axis.trip(faults)
 
     def heal(self, faults: int) -> None:
@@ -167,45 +217,84 @@ class BoardModel:
         self._axis.run_to(substep)
 
     def _latch(self) -> None:
-        axis, params, probe, events = self._axis, self._params, self._axis.probe, self._events
+        axis = self._axis
+        params = self._params
+        probe = self._axis.probe
+        events = self._events
         latched_at = self._latches.popleft()
         if self._ready_ns is not None:
             self.in_replaced += 1
             events |= self._ready_events
         events |= probe.events | (CLAMPED if axis.clamped else 0)
-        self._events, probe.events, axis.clamped = 0, 0, False
-        plant, seen = axis.plant, (axis.state, axis.force_n, axis.damping_n)
+        self._events = 0
+        probe.events = 0
+        axis.clamped = False
+        plant = axis.plant
+        seen = (axis.state, axis.force_n, axis.damping_n)
         velocity_m_per_s = plant.estimate(*seen)
         current_a = plant.motor_force(*seen) / params.torque_constant_n_per_a
-        voltage_v = params.winding_ohm * current_a + params.torque_constant_n_per_a * velocity_m_per_s
+        voltage_v = (
+            params.winding_ohm * current_a + params.torque_constant_n_per_a * velocity_m_per_s
+        )
         encoder = floor((plant.encoder(*seen) - axis.zero_m) / params.position_m_per_count + 0.5)
         if plant.celsius is not None:
-            self._temperature = i16_count(plant.celsius(axis.state) / params.temperature_c_per_count)
+            self._temperature = i16_count(
+                plant.celsius(axis.state) / params.temperature_c_per_count
+            )
         pairs = probe.pairs[: 2 * frames.PROBE_MAX]
         count = len(pairs) // 2
         IN_LAYOUTS[count].pack_into(
-            self._frame, 0, self._in_seq, self._echo, 0, count, events | axis.status | SIMULATED,
-            ceil(latched_at * self._substep_ns) // NS_PER_US & 0xFFFFFFFF, (encoder + 0x80000000 & 0xFFFFFFFF) - 0x80000000,
-            i16_count(current_a / params.current_a_per_count), i16_count(voltage_v / params.voltage_v_per_count),
-            i16_count(velocity_m_per_s / params.emf_velocity_m_per_s_per_count), self._temperature,
-            len(probe.fifo), 0, 0, probe.first_index & 0xFFFFFFFF, *pairs,
-        )  # fmt: skip
+            self._frame,
+            0,
+            self._in_seq,
+            self._echo,
+            0,
+            count,
+            events | axis.status | SIMULATED,
+            ceil(latched_at * self._substep_ns) // NS_PER_US & 0xFFFFFFFF,
+            (encoder + 0x80000000 & 0xFFFFFFFF) - 0x80000000,
+            i16_count(current_a / params.current_a_per_count),
+            i16_count(voltage_v / params.voltage_v_per_count),
+            i16_count(velocity_m_per_s / params.emf_velocity_m_per_s_per_count),
+            self._temperature,
+            len(probe.fifo),
+            0,
+            0,
+            probe.first_index & 0xFFFFFFFF,
+            *pairs,
+        )
         frames.CRC.pack_into(self._frame, IN_BODY, crc_hqx(self._body, frames.CRC_INITIAL))
         self._in_seq = self._in_seq + 1 & 0xFFFF
-        self._ready_ns, self._ready_events, self._pairs_end = self._to_ns(latched_at), events, probe.first_index + count
+        self._ready_ns = self._to_ns(latched_at)
+        self._ready_events = events
+        self._pairs_end = probe.first_index + count
         self._latch_at = self._latches[0] if self._latches else NEVER
 
 
 def _check(params: BoardParams) -> None:
     low_hz, high_hz = RATES_HZ
     if not low_hz <= params.rate_hz <= high_hz:
-        raise ConfigError(f"the simulated board runs at {low_hz:g}..{high_hz:g} Hz, not at {params.rate_hz:g} Hz; set rate_hz")
+        raise ConfigError(
+            f"the simulated board runs at {low_hz:g}..{high_hz:g} Hz, not at {params.rate_hz:g} Hz;"
+            " set rate_hz"
+        )
     if not 0.0 <= params.sample_phase <= 1.0 or params.sample_phase * SUBSTEPS_PER_TICK % 1.0:
-        raise ConfigError(f"sample_phase {params.sample_phase:g} must be a multiple of 1/{SUBSTEPS_PER_TICK} in 0..1")
+        raise ConfigError(
+            f"sample_phase {params.sample_phase:g} must be a multiple of 1/{SUBSTEPS_PER_TICK} in"
+            " 0..1"
+        )
     if not 1.0 <= params.watchdog_ms <= 65535.0:
-        raise ConfigError(f"watchdog_ms {params.watchdog_ms:g} ms is outside 1..65535 ms; 250 ms suits a simulated board")
+        raise ConfigError(
+            f"watchdog_ms {params.watchdog_ms:g} ms is outside 1..65535 ms; 250 ms suits a"
+            " simulated board"
+        )
     if not params.serial.isascii() or not 1 <= len(params.serial) <= SERIAL_MAX:
-        raise ConfigError(f"serial {params.serial!r} must be 1..{SERIAL_MAX} ASCII characters; correct the device file")
+        raise ConfigError(
+            f"serial {params.serial!r} must be 1..{SERIAL_MAX} ASCII characters; correct the device"
+            " file"
+        )
     for name in (field.name for field in fields(params)):
         if name.endswith(POSITIVE) and not 0.0 < getattr(params, name) < inf:
-            raise ConfigError(f"{name} {getattr(params, name)} must be positive; correct the device file")
+            raise ConfigError(
+                f"{name} {getattr(params, name)} must be positive; correct the device file"
+            )

@@ -1,14 +1,25 @@
-"""What the board answers on endpoint 0: the hello reply and its string descriptors, one table of bytes."""
+"""What the board answers on endpoint 0: the hello reply and its string descriptors, one table
+of bytes.
+"""
 
 from hapticd.params import BoardParams
 from hapticd.wire import codec, frames
 from hapticd.wire.frames import Capability, Hello, Request
 
-VENDOR_IN, VENDOR_OUT, STANDARD_IN = 0xC0, 0x40, 0x80
-GET_DESCRIPTOR, STRING, ENGLISH_US = 0x06, 0x03, 0x0409
-MANUFACTURER, PRODUCT, SERIAL = 1, 2, 3  # string indices
+VENDOR_IN = 0xC0
+VENDOR_OUT = 0x40
+STANDARD_IN = 0x80
+GET_DESCRIPTOR = 0x06
+STRING = 0x03
+ENGLISH_US = 0x0409
+# string indices
+MANUFACTURER = 1
+PRODUCT = 2
+SERIAL = 3
 FIRMWARE_VERSION = 0x0100
-CAPABILITIES = Capability.PROBE | Capability.INTERVAL_MEAN | Capability.TEMPERATURE | Capability.SIMULATED
+CAPABILITIES = (
+    Capability.PROBE | Capability.INTERVAL_MEAN | Capability.TEMPERATURE | Capability.SIMULATED
+)
 
 Replies = dict[tuple[int, int, int], bytes]  # by bmRequestType, bRequest, wValue
 
@@ -42,7 +53,12 @@ def string_descriptor(text: str) -> bytes:
 def control_replies(params: BoardParams) -> Replies:
     """Everything that may be read from endpoint 0; what is not in it stalls."""
     strings = {MANUFACTURER: "hapticd", PRODUCT: "analog board (simulated)", SERIAL: params.serial}
-    replies = {(STANDARD_IN, GET_DESCRIPTOR, STRING << 8 | i): string_descriptor(text) for i, text in strings.items()}
-    replies[STANDARD_IN, GET_DESCRIPTOR, STRING << 8] = bytes((4, STRING)) + ENGLISH_US.to_bytes(2, "little")
+    replies = {
+        (STANDARD_IN, GET_DESCRIPTOR, STRING << 8 | i): string_descriptor(text)
+        for i, text in strings.items()
+    }
+    replies[STANDARD_IN, GET_DESCRIPTOR, STRING << 8] = bytes((4, STRING)) + ENGLISH_US.to_bytes(
+        2, "little"
+    )
     replies[VENDOR_IN, Request.HELLO.value, 0] = codec.encode_hello(hello(params))
     return replies

@@ -1,4 +1,6 @@
-"""What the twin says at enumeration: one configuration, one vendor interface, one OUT and one IN endpoint."""
+"""What the twin says at enumeration: one configuration, one vendor interface, one OUT and one
+IN endpoint.
+"""
 
 from types import SimpleNamespace
 from typing import Literal
@@ -8,28 +10,55 @@ from hapticd.wire.frames import PACKET_BYTES, USB_PRODUCT_ID, USB_VENDOR_ID
 
 Transfer = Literal["bulk", "interrupt"]
 
-OUT_ADDRESS, IN_ADDRESS = 0x01, 0x81
-FULL_SPEED, VENDOR_CLASS = 2, 0xFF
-_ATTRIBUTES: dict[Transfer, tuple[int, int]] = {"bulk": (2, 0), "interrupt": (3, 1)}  # bmAttributes, bInterval
+OUT_ADDRESS = 0x01
+IN_ADDRESS = 0x81
+FULL_SPEED = 2
+VENDOR_CLASS = 0xFF
+_ATTRIBUTES: dict[Transfer, tuple[int, int]] = {
+    "bulk": (2, 0),
+    "interrupt": (3, 1),
+}  # bmAttributes, bInterval
 
 
 def device_descriptor(address: int) -> SimpleNamespace:
     """The 18 standard fields and where the device is plugged in."""
     return SimpleNamespace(
-        bLength=18, bDescriptorType=1, bcdUSB=0x0200, bDeviceClass=VENDOR_CLASS, bDeviceSubClass=0, bDeviceProtocol=0,
-        bMaxPacketSize0=64, idVendor=USB_VENDOR_ID, idProduct=USB_PRODUCT_ID, bcdDevice=0x0100,
-        iManufacturer=MANUFACTURER, iProduct=PRODUCT, iSerialNumber=SERIAL, bNumConfigurations=1,
-        address=address, bus=1, port_number=1, port_numbers=(1,), speed=FULL_SPEED,
-    )  # fmt: skip
+        bLength=18,
+        bDescriptorType=1,
+        bcdUSB=0x0200,
+        bDeviceClass=VENDOR_CLASS,
+        bDeviceSubClass=0,
+        bDeviceProtocol=0,
+        bMaxPacketSize0=64,
+        idVendor=USB_VENDOR_ID,
+        idProduct=USB_PRODUCT_ID,
+        bcdDevice=0x0100,
+        iManufacturer=MANUFACTURER,
+        iProduct=PRODUCT,
+        iSerialNumber=SERIAL,
+        bNumConfigurations=1,
+        address=address,
+        bus=1,
+        port_number=1,
+        port_numbers=(1,),
+        speed=FULL_SPEED,
+    )
 
 
 def configuration_descriptor(index: int) -> SimpleNamespace:
     """IndexError past the only one: pyusb's iteration relies on it."""
     _only("configuration", index)
     return SimpleNamespace(
-        bLength=9, bDescriptorType=2, wTotalLength=32, bNumInterfaces=1, bConfigurationValue=1, iConfiguration=0,
-        bmAttributes=0x80, bMaxPower=250, extra_descriptors=[],
-    )  # fmt: skip
+        bLength=9,
+        bDescriptorType=2,
+        wTotalLength=32,
+        bNumInterfaces=1,
+        bConfigurationValue=1,
+        iConfiguration=0,
+        bmAttributes=0x80,
+        bMaxPower=250,
+        extra_descriptors=[],
+    )
 
 
 def interface_descriptor(index: int, alternate: int) -> SimpleNamespace:
@@ -37,9 +66,17 @@ def interface_descriptor(index: int, alternate: int) -> SimpleNamespace:
     _only("interface", index)
     _only("alternate setting", alternate)
     return SimpleNamespace(
-        bLength=9, bDescriptorType=4, bInterfaceNumber=0, bAlternateSetting=0, bNumEndpoints=2,
-        bInterfaceClass=VENDOR_CLASS, bInterfaceSubClass=0, bInterfaceProtocol=0, iInterface=0, extra_descriptors=[],
-    )  # fmt: skip
+        bLength=9,
+        bDescriptorType=4,
+        bInterfaceNumber=0,
+        bAlternateSetting=0,
+        bNumEndpoints=2,
+        bInterfaceClass=VENDOR_CLASS,
+        bInterfaceSubClass=0,
+        bInterfaceProtocol=0,
+        iInterface=0,
+        extra_descriptors=[],
+    )
 
 
 def endpoint_descriptor(index: int, transfer: Transfer) -> SimpleNamespace:
@@ -48,9 +85,16 @@ def endpoint_descriptor(index: int, transfer: Transfer) -> SimpleNamespace:
         raise IndexError(f"Invalid endpoint index {index}")
     attributes, interval = _ATTRIBUTES[transfer]
     return SimpleNamespace(
-        bLength=7, bDescriptorType=5, bEndpointAddress=(OUT_ADDRESS, IN_ADDRESS)[index], bmAttributes=attributes,
-        wMaxPacketSize=PACKET_BYTES, bInterval=interval, bRefresh=0, bSynchAddress=0, extra_descriptors=[],
-    )  # fmt: skip
+        bLength=7,
+        bDescriptorType=5,
+        bEndpointAddress=(OUT_ADDRESS, IN_ADDRESS)[index],
+        bmAttributes=attributes,
+        wMaxPacketSize=PACKET_BYTES,
+        bInterval=interval,
+        bRefresh=0,
+        bSynchAddress=0,
+        extra_descriptors=[],
+    )
 
 
 def _only(what: str, index: int) -> None:

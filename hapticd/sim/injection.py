@@ -1,9 +1,9 @@
 """Seeded faults between the board and the cable: one table of what can go wrong.
 
-An Injector has the board's own methods and stands between it and the backend. Ticks count the OUT transfers that the
-host tries, from 0 (while unplugged there are none); a fault of an IN strikes the reply to that OUT. An InjectionParams
-strikes at its `tick`, or at any tick with its `probability`, and then for `count` ticks on end. The same seed and the
-same transfers give the same faults.
+An Injector has the board's own methods and stands between it and the backend. Ticks count the OUT
+transfers that the host tries, from 0 (while unplugged there are none); a fault of an IN strikes the
+reply to that OUT. An InjectionParams strikes at its `tick`, or at any tick with its `probability`,
+and then for `count` ticks on end. The same seed and the same transfers give the same faults.
 
 What would break it: a fault that must know what the board computes (it would belong to the board).
 """
@@ -21,7 +21,9 @@ from hapticd.wire.frames import Status
 
 
 class TransferFault(Exception):
-    """A transfer fails with errno `number`; the device is away for `away_s` afterwards, if given."""
+    """A transfer fails with errno `number`; the device is away for `away_s` afterwards, if
+    given.
+    """
 
     def __init__(self, number: int, away_s: float | None = None) -> None:
         super().__init__(number)
@@ -73,7 +75,8 @@ class Injector:
         latched_ns = self.board.next_in_ns()
         frame = self.board.poll_in(t_ns)
         if frame is not None and self._in_faults:
-            faults, self._in_faults = sorted(self._in_faults, key=lambda item: item[0] not in SENSED), []
+            faults = sorted(self._in_faults, key=lambda item: item[0] not in SENSED)
+            self._in_faults = []
             for fault, value in faults:
                 if frame is not None:
                     frame = fault(self, frame, value, latched_ns or t_ns)
@@ -118,7 +121,9 @@ def with_injections(board: BoardModel, params: BoardParams) -> BoardModel | Inje
 
 
 OutFault = Callable[[Injector, memoryview, float, int], memoryview | None]  # OUT packet, value, now
-InFault = Callable[[Injector, bytes, float, int], bytes | None]  # IN packet, value, when it was latched
+InFault = Callable[
+    [Injector, bytes, float, int], bytes | None
+]  # IN packet, value, when it was latched
 
 
 def _flipped(data: bytes | memoryview, random: Random) -> bytes:
@@ -175,7 +180,9 @@ def _jumped(injector: Injector, packet: bytes, value: float, t_ns: int) -> bytes
 def _saturated(injector: Injector, packet: bytes, value: float, t_ns: int) -> bytes:
     count = round(value) or 32767
     frame = codec.decode_in(packet)
-    return codec.encode_in(frame._replace(current=count, voltage=count, emf_velocity=count, temperature=count))
+    return codec.encode_in(
+        frame._replace(current=count, voltage=count, emf_velocity=count, temperature=count)
+    )
 
 
 OUT_FAULTS: dict[str, OutFault] = {
@@ -185,7 +192,9 @@ OUT_FAULTS: dict[str, OutFault] = {
     "io_error": _disturbed,  # EIO once, as under electrical interference
     "unplug": _unplugged,  # EIO, then ENODEV; plugged in again after `value` s
     "late": _latched_late,  # the board latches the reply `value` s late
-    "amplifier_fault": _board_fault(Status.AMPLIFIER_FAULT),  # the cause lasts `value` s, the fault until CLEAR_FAULT
+    "amplifier_fault": _board_fault(
+        Status.AMPLIFIER_FAULT
+    ),  # the cause lasts `value` s, the fault until CLEAR_FAULT
     "encoder_fault": _board_fault(Status.ENCODER_FAULT),
     "over_temperature": _board_fault(Status.OVER_TEMPERATURE),
 }
@@ -194,11 +203,21 @@ IN_FAULTS: dict[str, InFault] = {
     "drop_in": lambda injector, packet, value, t_ns: None,  # lost; the board believes it was read
     "delay_in": _delayed,  # delivered `value` s after it was latched
     "duplicate_in": _duplicated,  # delivered twice
-    "corrupt_in": lambda injector, packet, value, t_ns: _flipped(packet, injector.random),  # one random bit flipped
+    "corrupt_in": lambda injector, packet, value, t_ns: _flipped(
+        packet, injector.random
+    ),  # one random bit flipped
     "stall_in": _stalled,  # the IN endpoint halts until clear_halt
-    "babble": lambda injector, packet, value, t_ns: packet + bytes(round(value) or 1),  # longer than a packet, by `value`
-    "short_in": lambda injector, packet, value, t_ns: packet[: round(value) or 31],  # only the first `value` bytes
+    "babble": lambda injector, packet, value, t_ns: (
+        packet + bytes(round(value) or 1)
+    ),  # longer than a packet, by `value`
+    "short_in": lambda injector, packet, value, t_ns: packet[
+        : round(value) or 31
+    ],  # only the first `value` bytes
     "encoder_jump": _jumped,  # the encoder is off by `value` counts (1,000,000)
-    "sensor_extreme": _saturated,  # current, voltage, velocity and temperature read `value` counts (32767)
+    # current, voltage, velocity and temperature read `value` counts (32767)
+    "sensor_extreme": _saturated,
 }
-SENSED = (_jumped, _saturated)  # what the board reads wrongly comes before what happens to its packet on the way
+SENSED = (
+    _jumped,
+    _saturated,
+)  # what the board reads wrongly comes before what happens to its packet on the way

@@ -1,4 +1,6 @@
-"""The error words of libusb 1.0: what pyusb raises for every errno, so that the twin fails as the real one does."""
+"""The error words of libusb 1.0: what pyusb raises for every errno, so that the twin fails as
+the real one does.
+"""
 
 import errno
 
@@ -21,9 +23,13 @@ LIBUSB_ERRORS = {  # errno: (libusb code, libusb_strerror)
 
 
 def usb_error(number: int) -> Exception:
-    """The exception that pyusb's libusb1 backend raises for `number`; ENOSYS is no USBError there."""
+    """The exception that pyusb's libusb1 backend raises for `number`; ENOSYS is no USBError
+    there.
+    """
     code, text = LIBUSB_ERRORS[number]
     if number == errno.ENOSYS:
         return NotImplementedError(text)
-    error: Exception = (USBTimeoutError if number == errno.ETIMEDOUT else USBError)(text, code, number)
+    error: Exception = (USBTimeoutError if number == errno.ETIMEDOUT else USBError)(
+        text, code, number
+    )
     return error

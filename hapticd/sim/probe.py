@@ -1,12 +1,14 @@
 """The board's 4 kHz half: perturbation FIFO in, interval-mean pairs out.
 
-Every 250 us of board time one interval ends. It yields a pair: the mean perturbation torque that was output in it and
-the mean velocity, which is the distance travelled over 250 us, so that the sum of torque x velocity x 250 us is the
-exact work. The next interval then plays the next sample of the FIFO, or 0 when it is dry (an under-run). Pairs wait,
-64 at most, until the host has read them; beyond, the oldest is lost and the gap shows in the index.
+Every 250 us of board time one interval ends. It yields a pair: the mean perturbation torque that
+was output in it and the mean velocity, which is the distance travelled over 250 us, so that the sum
+of torque x velocity x 250 us is the exact work. The next interval then plays the next sample of the
+FIFO, or 0 when it is dry (an under-run). Pairs wait, 64 at most, until the host has read them;
+beyond, the oldest is lost and the gap shows in the index.
 
-What would break it: an interval grid that is not the plant's sub-step grid. Where 250 us are no whole number of
-sub-steps (rates that are not multiples of 250 Hz) an interval ends at the nearest sub-step: 4 kHz on average.
+What would break it: an interval grid that is not the plant's sub-step grid. Where 250 us are no
+whole number of sub-steps (rates that are not multiples of 250 Hz) an interval ends at the nearest
+sub-step: 4 kHz on average.
 """
 
 from collections import deque
@@ -20,9 +22,11 @@ from hapticd.units import PROBE_RATE_HZ
 from hapticd.wire.frames import FIFO_DEPTH, Status
 
 PAIRS_MAX = 64
-UNDERRUN, OVERFLOW = Status.FIFO_UNDERRUN.value, Status.FIFO_OVERFLOW.value
+UNDERRUN = Status.FIFO_UNDERRUN.value
+OVERFLOW = Status.FIFO_OVERFLOW.value
 PAIRS_LOST = Status.PROBE_OVERFLOW.value
-I16_LOWEST, I16_HIGHEST = -32768, 32767
+I16_LOWEST = -32768
+I16_HIGHEST = 32767
 
 
 def i16_count(value: float) -> int:
@@ -34,13 +38,32 @@ def i16_count(value: float) -> int:
 
 
 class Probe:
-    """Perturbation and measurement of one axis. `end` is the sub-step at which the running interval ends."""
+    """Perturbation and measurement of one axis. `end` is the sub-step at which the running
+    interval ends.
+    """
 
     __slots__ = (
-        "_counts", "_gauss", "_length", "_n_per_count", "_noise", "_sample", "_start", "_start_m", "_start_ns", "_torque_scale",
+        "_counts",
+        "_gauss",
+        "_length",
+        "_n_per_count",
+        "_noise",
+        "_sample",
+        "_start",
+        "_start_m",
+        "_start_ns",
+        "_torque_scale",
         "_velocity_scale",
-        "end", "events", "fifo", "first_index", "index", "live", "pairs", "playing", "torque_n",
-    )  # fmt: skip
+        "end",
+        "events",
+        "fifo",
+        "first_index",
+        "index",
+        "live",
+        "pairs",
+        "playing",
+        "torque_n",
+    )
 
     def __init__(self, params: BoardParams) -> None:
         substep_rate_hz = SUBSTEPS_PER_TICK * params.rate_hz
@@ -49,7 +72,9 @@ class Probe:
         self._velocity_scale = substep_rate_hz / params.probe_velocity_m_per_s_per_count
         self._torque_scale = substep_rate_hz / params.probe_torque_n_per_count
         noise = params.plant and params.plant.noise
-        self._noise = noise.velocity_m_per_s / params.probe_velocity_m_per_s_per_count if noise else 0.0
+        self._noise = (
+            noise.velocity_m_per_s / params.probe_velocity_m_per_s_per_count if noise else 0.0
+        )
         self._gauss = Random(params.seed).gauss
         self.power_up(0.0)
 
@@ -63,7 +88,9 @@ class Probe:
         self.playing = self.live = False
         self.torque_n = 0.0
         self._sample = self._counts = 0  # count being output; mean count of the running interval
-        self._start, self._start_m, self._start_ns = 0, position_m, 0.0
+        self._start = 0
+        self._start_m = position_m
+        self._start_ns = 0.0
         self.end = floor(self._length + 0.5)
 
     def queue(self, samples: Sequence[int]) -> None:
@@ -75,29 +102,42 @@ class Probe:
         self.fifo.extend(samples)
 
     def silence(self, substep: int) -> None:
-        """No torque from `substep` on, in the middle of an interval: its mean keeps what was output before."""
+        """No torque from `substep` on, in the middle of an interval: its mean keeps what was
+        output before.
+        """
         if self._sample:
             done = (substep - self._start) / (self.end - self._start)
-            self._counts, self._sample, self.torque_n = i16_count(self._sample * done), 0, 0.0
+            self._counts = i16_count(self._sample * done)
+            self._sample = 0
+            self.torque_n = 0.0
 
     def end_interval(self, travel_m: float, impulse_ns: float | None = None) -> None:
-        """The interval that ends at `end` is over: integral of the recorded velocity, and what filters keep of the torque's."""
+        """The interval that ends at `end` is over: integral of the recorded velocity, and what
+        filters keep of the torque's.
+        """
         end = self.end
         pairs = self.pairs
         length = end - self._start
         if impulse_ns is None:
             pairs.append(self._counts)
         else:
-            pairs.append(i16_count(self._counts + (impulse_ns - self._start_ns) * self._torque_scale / length))
+            pairs.append(
+                i16_count(
+                    self._counts + (impulse_ns - self._start_ns) * self._torque_scale / length
+                )
+            )
             self._start_ns = impulse_ns
         counts = (travel_m - self._start_m) * self._velocity_scale / length
-        pairs.append(i16_count(counts + self._noise * self._gauss(0.0, 1.0) if self._noise else counts))
+        pairs.append(
+            i16_count(counts + self._noise * self._gauss(0.0, 1.0) if self._noise else counts)
+        )
         self.index = index = self.index + 1
         if len(pairs) > 2 * PAIRS_MAX:
             del pairs[:2]
             self.first_index += 1
             self.events |= PAIRS_LOST
-        self._start, self._start_m = end, travel_m
+        self._start = end
+        self._start_m = travel_m
         self.end = floor((index + 1) * self._length + 0.5)
         sample = self._next_sample() if self.playing else 0
         if sample != self._sample or self._counts != sample:

@@ -1,1 +1,3 @@
-"""Bytes in, values out: frames, codec and session of the USB protocol. No I/O, no clock, standard library only."""
+"""Bytes in, values out: frames, codec and session of the USB protocol. No I/O, no clock,
+standard library only.
+"""

@@ -1,12 +1,13 @@
 """Bytes <-> frames, with the CRC.
 
-Two forms of the same rules: `encode_*`/`decode_*` give named values and clear errors, for boards, tests and tools;
-`out_packer`/`in_parser` work in place on the servo's two buffers, so that a tick allocates nothing that outlives it.
-A frame is taken whole or refused whole: length, CRC, count and axis must be right. Reserved bytes and samples beyond
-the count are sent as 0 and ignored on receipt.
-What would break it: a field order other than in `frames` (the packers use the same Struct objects), a buffer that is
-replaced instead of refilled (both keep memoryviews of the buffer they were given), or a short read that the caller does
-not notice (`in_parser` then sees the frame of the tick before).
+Two forms of the same rules: `encode_*`/`decode_*` give named values and clear errors, for boards,
+tests and tools; `out_packer`/`in_parser` work in place on the servo's two buffers, so that a tick
+allocates nothing that outlives it. A frame is taken whole or refused whole: length, CRC, count and
+axis must be right. Reserved bytes and samples beyond the count are sent as 0 and ignored on
+receipt. What would break it: a field order other than in `frames` (the packers use the same Struct
+objects), a buffer that is replaced instead of refilled (both keep memoryviews of the buffer they
+were given), or a short read that the caller does not notice (`in_parser` then sees the frame of the
+tick before).
 """
 
 import struct
@@ -22,7 +23,8 @@ from hapticd.wire.frames import Hello, InFrame, OutFrame
 
 NO_SAMPLES = (0,) * frames.PROBE_MAX
 _NO_PAIRS = (0,) * (2 * frames.PROBE_MAX)
-_SERIAL_BYTES, _HASH_BYTES = 16, 8
+_SERIAL_BYTES = 16
+_HASH_BYTES = 8
 
 
 def crc16(data: bytes | bytearray | memoryview) -> int:
@@ -34,32 +36,47 @@ def _sealed(layout: struct.Struct, *values: Any) -> bytes:
     try:
         body = layout.pack(*values, 0)[: -frames.CRC.size]
     except struct.error as error:
-        raise FrameError(f"a value does not fit its field: {error}; scale or clamp it before encoding") from error
+        raise FrameError(
+            f"a value does not fit its field: {error}; scale or clamp it before encoding"
+        ) from error
     return body + frames.CRC.pack(crc16(body))
 
 
-def _opened(layout: struct.Struct, data: bytes | bytearray | memoryview, kind: str) -> tuple[Any, ...]:
+def _opened(
+    layout: struct.Struct, data: bytes | bytearray | memoryview, kind: str
+) -> tuple[Any, ...]:
     _check_length(kind, len(data), layout.size, "is another protocol on the wire?")
-    expected, found = crc16(memoryview(data)[: -frames.CRC.size]), frames.CRC.unpack_from(data, layout.size - 2)[0]
+    expected = crc16(memoryview(data)[: -frames.CRC.size])
+    found = frames.CRC.unpack_from(data, layout.size - 2)[0]
     if expected != found:
-        raise FrameError(f"{kind} frame has CRC 0x{found:04x}, expected 0x{expected:04x}; it was damaged on the way")
+        raise FrameError(
+            f"{kind} frame has CRC 0x{found:04x}, expected 0x{expected:04x}; it was damaged on"
+            " the way"
+        )
     return layout.unpack(data)
 
 
 def _check_length(kind: str, found: int, expected: int, remedy: str) -> None:
     if found != expected:
-        raise FrameError(f"{kind} frame has a length of {found} bytes, expected {expected}; {remedy}")
+        raise FrameError(
+            f"{kind} frame has a length of {found} bytes, expected {expected}; {remedy}"
+        )
 
 
 def _counted(kind: str, count: int) -> int:
     if count > frames.PROBE_MAX:
-        raise FrameError(f"{kind} frame has a count of {count} probe values, limit {frames.PROBE_MAX}")
+        raise FrameError(
+            f"{kind} frame has a count of {count} probe values, limit {frames.PROBE_MAX}"
+        )
     return count
 
 
 def _check_axis(kind: str, axis: int) -> None:
     if axis >= frames.AXIS_COUNT:
-        raise FrameError(f"{kind} frame is for axis {axis}, limit {frames.AXIS_COUNT - 1}; this protocol has one axis")
+        raise FrameError(
+            f"{kind} frame is for axis {axis}, limit {frames.AXIS_COUNT - 1}; this protocol has one"
+            " axis"
+        )
 
 
 def encode_out(frame: OutFrame) -> bytes:
@@ -71,7 +88,9 @@ def encode_out(frame: OutFrame) -> bytes:
 
 def decode_out(data: bytes | bytearray | memoryview) -> OutFrame:
     """The OUT frame in 32 bytes. FrameError names length, CRC, count or axis."""
-    seq, axis, flags, torque, damping, resistance, count, _, *samples, _, _ = _opened(frames.OUT, data, "OUT")
+    seq, axis, flags, torque, damping, resistance, count, _, *samples, _, _ = _opened(
+        frames.OUT, data, "OUT"
+    )
     kept = tuple(samples[: _counted("OUT", count)])
     _check_axis("OUT", axis)
     return OutFrame(seq, axis, flags, torque, damping, resistance, kept)
@@ -88,12 +107,39 @@ def encode_in(frame: InFrame) -> bytes:
 def decode_in(data: bytes | bytearray | memoryview) -> InFrame:
     """The IN frame in 64 bytes. FrameError names length, CRC, count or axis."""
     values = _opened(frames.IN, data, "IN")
-    seq, echo, axis, count, status, time_us, encoder, current, voltage, emf, temperature, level, _, *tail = values
+    (
+        seq,
+        echo,
+        axis,
+        count,
+        status,
+        time_us,
+        encoder,
+        current,
+        voltage,
+        emf,
+        temperature,
+        level,
+        _,
+        *tail,
+    ) = values
     index_offset, probe_index, *flat, _, _ = tail
     pairs = tuple(zip(flat[::2], flat[1::2], strict=True))[: _counted("IN", count)]
     _check_axis("IN", axis)
     electrical = (current, voltage, emf, temperature)
-    return InFrame(seq, echo, axis, status, time_us, encoder, *electrical, level, index_offset, probe_index, pairs)
+    return InFrame(
+        seq,
+        echo,
+        axis,
+        status,
+        time_us,
+        encoder,
+        *electrical,
+        level,
+        index_offset,
+        probe_index,
+        pairs,
+    )
 
 
 def encode_hello(hello: Hello) -> bytes:
@@ -102,41 +148,79 @@ def encode_hello(hello: Hello) -> bytes:
     _check_hello_values(h)
     try:
         serial = h.serial.encode("ascii")
-        head = (h.protocol_hash, h.firmware_version, h.axis_count, 0, h.capabilities, h.watchdog_ms, serial)
+        head = (
+            h.protocol_hash,
+            h.firmware_version,
+            h.axis_count,
+            0,
+            h.capabilities,
+            h.watchdog_ms,
+            serial,
+        )
         return frames.HELLO.pack(*head, *h[6:], b"")
     except (struct.error, OverflowError) as error:
         raise FrameError(f"a value does not fit its field of the hello reply: {error}") from error
 
 
 def decode_hello(data: bytes | bytearray | memoryview) -> Hello:
-    """The hello reply in 80 bytes. FrameError names length, serial or a full scale that is not finite."""
+    """The hello reply in 80 bytes. FrameError names length, serial or a full scale that is not
+    finite.
+    """
     _check_length("hello", len(data), frames.HELLO_BYTES, "update the board's firmware")
-    protocol, version, axes, _, capabilities, watchdog, serial, *scales, _ = frames.HELLO.unpack(data)
-    hello = Hello(protocol, version, axes, capabilities, watchdog, serial.partition(b"\0")[0].decode("latin-1"), *scales)
+    protocol, version, axes, _, capabilities, watchdog, serial, *scales, _ = frames.HELLO.unpack(
+        data
+    )
+    hello = Hello(
+        protocol,
+        version,
+        axes,
+        capabilities,
+        watchdog,
+        serial.partition(b"\0")[0].decode("latin-1"),
+        *scales,
+    )
     _check_hello_values(hello)
     return hello
 
 
 def _check_hello_values(hello: Hello) -> None:
     if len(hello.protocol_hash) != _HASH_BYTES:
-        raise FrameError(f"protocol hash of the hello reply has {len(hello.protocol_hash)} bytes, expected {_HASH_BYTES}")
-    if len(hello.serial) > _SERIAL_BYTES or not (hello.serial.isascii() and hello.serial.isprintable()):
-        raise FrameError(f"serial {hello.serial!r} of the hello reply is not {_SERIAL_BYTES} or less printable ASCII characters")
+        raise FrameError(
+            f"protocol hash of the hello reply has {len(hello.protocol_hash)} bytes, expected"
+            f" {_HASH_BYTES}"
+        )
+    if len(hello.serial) > _SERIAL_BYTES or not (
+        hello.serial.isascii() and hello.serial.isprintable()
+    ):
+        raise FrameError(
+            f"serial {hello.serial!r} of the hello reply is not {_SERIAL_BYTES} or less printable"
+            " ASCII characters"
+        )
     for name, value in zip(Hello._fields[6:], hello[6:], strict=True):
         if not isfinite(value):
-            raise FrameError(f"{name} of the hello reply is {value}, not a finite number; correct the board's firmware")
+            raise FrameError(
+                f"{name} of the hello reply is {value}, not a finite number; correct the board's"
+                " firmware"
+            )
 
 
 def out_packer(buffer: "array[int]") -> Callable[..., None]:
-    """`pack(seq, flags, torque, damping, resistance, count=0, samples=...)` into `buffer` (array('B'), 32 bytes).
+    """`pack(seq, flags, torque, damping, resistance, count=0, samples=...)` into `buffer`
+    (array('B'), 32 bytes).
 
-    `samples` always has PROBE_MAX entries; those beyond `count` are 0. All values are counts within their fields: the
-    caller has clamped them, struct.error otherwise.
+    `samples` always has PROBE_MAX entries; those beyond `count` are 0. All values are counts within
+    their fields: the caller has clamped them, struct.error otherwise.
     """
     body = memoryview(buffer)[: frames.OUT_BYTES - frames.CRC.size]
-    fill, fill_samples = frames.OUT_HEAD.pack_into, frames.OUT_SAMPLES.pack_into
-    seal, check, initial, offset = frames.CRC.pack_into, crc_hqx, frames.CRC_INITIAL, len(body)
-    behind, none, left = frames.OUT_HEAD.size, NO_SAMPLES, 0
+    fill = frames.OUT_HEAD.pack_into
+    fill_samples = frames.OUT_SAMPLES.pack_into
+    seal = frames.CRC.pack_into
+    check = crc_hqx
+    initial = frames.CRC_INITIAL
+    offset = len(body)
+    behind = frames.OUT_HEAD.size
+    none = NO_SAMPLES
+    left = 0
     frames.OUT.pack_into(buffer, 0, *(0,) * 8, *none, b"", 0)
 
     def pack(
@@ -159,15 +243,20 @@ def out_packer(buffer: "array[int]") -> Callable[..., None]:
 
 
 def in_parser(buffer: "array[int]") -> Callable[[], tuple[int, ...] | None]:
-    """`parse()` of the IN frame in `buffer` (array('B'), 64 bytes): the fields of IN_SEALED, or None if it is refused.
+    """`parse()` of the IN frame in `buffer` (array('B'), 64 bytes): the fields of IN_SEALED, or
+    None if it is refused.
 
-    Refused is what `decode_in` refuses: CRC, count or axis; the caller has checked that 64 bytes were read.
-    Fields: seq, echo, axis, probe_count, status, board_time_us, encoder, current, voltage, emf_velocity, temperature,
-    fifo_level, reserved0, index_offset, probe_index, CRC. The pairs stay in the frame; whoever wants them decodes it whole.
+    Refused is what `decode_in` refuses: CRC, count or axis; the caller has checked that 64 bytes
+    were read. Fields: seq, echo, axis, probe_count, status, board_time_us, encoder, current,
+    voltage, emf_velocity, temperature, fifo_level, reserved0, index_offset, probe_index, CRC. The
+    pairs stay in the frame; whoever wants them decodes it whole.
     """
     body = memoryview(buffer)[: frames.IN_BYTES - frames.CRC.size]
-    unpack, check, initial = frames.IN_SEALED.unpack_from, crc_hqx, frames.CRC_INITIAL
-    axes, most = frames.AXIS_COUNT, frames.PROBE_MAX
+    unpack = frames.IN_SEALED.unpack_from
+    check = crc_hqx
+    initial = frames.CRC_INITIAL
+    axes = frames.AXIS_COUNT
+    most = frames.PROBE_MAX
 
     def parse() -> tuple[int, ...] | None:
         fields = unpack(buffer)

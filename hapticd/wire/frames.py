@@ -1,7 +1,8 @@
 """The frames of firmware_iface/hapticd_wire.h as Python sees them.
 
-The C header is the truth; tests/test_wire_header.py compiles it and compares every size, offset and constant with this
-file. PROTOCOL_HASH is what the board must report: a board built against another header is refused.
+The C header is the truth; tests/test_wire_header.py compiles it and compares every size, offset and
+constant with this file. PROTOCOL_HASH is what the board must report: a board built against another
+header is refused.
 """
 
 import struct
@@ -10,17 +11,28 @@ from typing import NamedTuple
 
 PROTOCOL_HASH = bytes.fromhex("903a2f9a7efad50f")
 
-USB_VENDOR_ID, USB_PRODUCT_ID = 0x1209, 0x0001
-PACKET_BYTES, OUT_BYTES, IN_BYTES, HELLO_BYTES = 64, 32, 64, 80
-AXIS_COUNT, PROBE_MAX, FIFO_DEPTH, FIFO_TARGET, PROBE_RATE_HZ = 1, 6, 16, 8, 4000
-CRC_POLYNOMIAL, CRC_INITIAL = 0x1021, 0xFFFF
+USB_VENDOR_ID = 0x1209
+USB_PRODUCT_ID = 0x0001
+PACKET_BYTES = 64
+OUT_BYTES = 32
+IN_BYTES = 64
+HELLO_BYTES = 80
+AXIS_COUNT = 1
+PROBE_MAX = 6
+FIFO_DEPTH = 16
+FIFO_TARGET = 8
+PROBE_RATE_HZ = 4000
+CRC_POLYNOMIAL = 0x1021
+CRC_INITIAL = 0xFFFF
 
 OUT = struct.Struct("<HBBhHhBB6h6sH")
 OUT_HEAD = struct.Struct("<HBBhHhBB")  # the first 12 bytes of OUT: all before the samples
 OUT_SAMPLES = struct.Struct("<6h")
 IN = struct.Struct("<HHBBHIihhhhBBhI12h6sH")
 IN_HEAD = struct.Struct("<HHBBHIihhhhBBhI")  # the first 32 bytes of IN: all but pairs and CRC
-IN_SEALED = struct.Struct(f"{IN_HEAD.format}30xH")  # IN without what lies between its head and its CRC
+IN_SEALED = struct.Struct(
+    f"{IN_HEAD.format}30xH"
+)  # IN without what lies between its head and its CRC
 IN_PAIRS = struct.Struct("<12h")
 HELLO = struct.Struct("<8sHBBHH16s8f16s")
 CRC = struct.Struct("<H")

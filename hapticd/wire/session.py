@@ -1,19 +1,23 @@
-"""What both ends must agree on beyond single frames: who they are, which frame comes next, and numbers that wrap.
+"""What both ends must agree on beyond single frames: who they are, which frame comes next, and
+numbers that wrap.
 
-Handshake. ABSENT, FOUND, GREETED, RUNNING: nothing is sent to a board that has not said hello with the hash of our own
-header (it is REFUSED), and a LOST one starts again at FOUND.
-TRANSITIONS is the whole truth; a pair that is not in it is a bug of the caller and raises. Read and write may both
+Handshake. ABSENT, FOUND, GREETED, RUNNING: nothing is sent to a board that has not said hello with
+the hash of our own header (it is REFUSED), and a LOST one starts again at FOUND. TRANSITIONS is the
+whole truth; a pair that is not in it is a bug of the caller and raises. Read and write may both
 report one loss, so LINK_LOST in LOST is no error.
 
-Sequence. Frames count modulo 2**16. USB keeps order, so only what lay in a buffer comes late: the BACKWARD last numbers
-mean REORDERED, every other distance forward GAP. With half the circle each way, a board that restarted its count would
-be REORDERED for up to 32768 frames; so it is one GAP, then NEXT. More than 65470 lost frames (8 s at 8 kHz) cannot be
-told from late ones: the link is given up long before.
+Sequence. Frames count modulo 2**16. USB keeps order, so only what lay in a buffer comes late: the
+BACKWARD last numbers mean REORDERED, every other distance forward GAP. With half the circle each
+way, a board that restarted its count would be REORDERED for up to 32768 frames; so it is one GAP,
+then NEXT. More than 65470 lost frames (8 s at 8 kHz) cannot be told from late ones: the link is
+given up long before.
 
-Wrapping. A reading stands for the integer nearest to the one before it; unique while less than half a period passes
-between two readings: 35 minutes of board time, 6 days of probe indices, 1 km of travel at 0.5 um.
+Wrapping. A reading stands for the integer nearest to the one before it; unique while less than half
+a period passes between two readings: 35 minutes of board time, 6 days of probe indices, 1 km of
+travel at 0.5 um.
 
-What would break it: keeping a `previous` across a re-plug (call `restart`, and unwrap from the first reading anew).
+What would break it: keeping a `previous` across a re-plug (call `restart`, and unwrap from the
+first reading anew).
 """
 
 from enum import Enum, auto
@@ -23,7 +27,10 @@ from hapticd.errors import ProtocolMismatch, WireError
 from hapticd.wire import codec, frames
 from hapticd.wire.frames import Capability, Hello
 
-SEQ_BITS, BOARD_TIME_BITS, PROBE_INDEX_BITS, ENCODER_BITS = 16, 32, 32, 32
+SEQ_BITS = 16
+BOARD_TIME_BITS = 32
+PROBE_INDEX_BITS = 32
+ENCODER_BITS = 32
 BACKWARD = 64
 _SEQ_MASK = (1 << SEQ_BITS) - 1
 
@@ -69,14 +76,17 @@ def advance(state: State, event: Event) -> State:
         return TRANSITIONS[state, event]
     except KeyError:
         known = ", ".join(after.name for before, after in TRANSITIONS if before is state)
-        raise WireError(f"{event.name} cannot happen in state {state.name}, only {known}; restart the link") from None
+        raise WireError(
+            f"{event.name} cannot happen in state {state.name}, only {known}; restart the link"
+        ) from None
 
 
 def greet(reply: bytes) -> Hello:
     """The hello in the bytes of a board's reply, if we can work with it.
 
-    The first 8 bytes are the protocol hash in every version, so a board of another version is named as such
-    (ProtocolMismatch) even if the rest of its reply has another form. FrameError: a reply with our hash is malformed.
+    The first 8 bytes are the protocol hash in every version, so a board of another version is named
+    as such (ProtocolMismatch) even if the rest of its reply has another form. FrameError: a reply
+    with our hash is malformed.
     """
     _check_hash(bytes(reply[: len(frames.PROTOCOL_HASH)]))
     hello = codec.decode_hello(reply)
@@ -85,34 +95,46 @@ def greet(reply: bytes) -> Hello:
 
 
 def check_hello(hello: Hello, required: int = 0) -> None:
-    """Return if the host can work with this board and it has all `required` Capability bits, else ProtocolMismatch."""
+    """Return if the host can work with this board and it has all `required` Capability bits,
+    else ProtocolMismatch.
+    """
     _check_hash(hello.protocol_hash)
     board = f"board {hello.serial or 'without serial'}"
     if hello.axis_count != frames.AXIS_COUNT:
-        raise ProtocolMismatch(f"{board} has {hello.axis_count} axes, expected 1; flash firmware for one axis")
+        raise ProtocolMismatch(
+            f"{board} has {hello.axis_count} axes, expected 1; flash firmware for one axis"
+        )
     missing = required & ~hello.capabilities
     if missing:
         names = " and ".join(str(bit.name) for bit in Capability(missing))
-        raise ProtocolMismatch(f"{board} lacks {names}; flash firmware that has it or change the configuration")
+        raise ProtocolMismatch(
+            f"{board} lacks {names}; flash firmware that has it or change the configuration"
+        )
     if hello.watchdog_ms <= 0:
-        raise ProtocolMismatch(f"{board} has a watchdog of 0 ms, limit > 0 ms; flash firmware that stops by itself")
+        raise ProtocolMismatch(
+            f"{board} has a watchdog of 0 ms, limit > 0 ms; flash firmware that stops by itself"
+        )
     for name in ("force_full_scale_n", "force_limit_n"):
         value = getattr(hello, name)
         if not (isfinite(value) and value > 0.0):
-            raise ProtocolMismatch(f"{board} states {name} = {value:g} N, limit > 0 N; correct its firmware")
+            raise ProtocolMismatch(
+                f"{board} states {name} = {value:g} N, limit > 0 N; correct its firmware"
+            )
 
 
 def _check_hash(found: bytes) -> None:
     ours = frames.PROTOCOL_HASH.hex()
     if found != frames.PROTOCOL_HASH:
         raise ProtocolMismatch(
-            f"the board speaks protocol {found.hex()}, this hapticd {ours}; flash firmware built against the "
-            f"hapticd_wire.h of this hapticd, or install the hapticd whose HAPTICD_PROTOCOL_HASH is the board's"
+            f"the board speaks protocol {found.hex()}, this hapticd {ours}; flash firmware built"
+            " against the hapticd_wire.h of this hapticd, or install the hapticd whose"
+            " HAPTICD_PROTOCOL_HASH is the board's"
         )
 
 
 def unwrap(previous: int, wrapped: int, bits: int) -> int:
-    """The integer nearest to `previous` that reads `wrapped` in a counter of `bits` bits, signed or not.
+    """The integer nearest to `previous` that reads `wrapped` in a counter of `bits` bits, signed or
+    not.
 
     Exactly half a period away counts as backward.
     """
@@ -130,11 +152,15 @@ class Arrival(Enum):
     REORDERED = auto()
 
 
-_NEXT, _DUPLICATE, _REORDERED = (Arrival.NEXT, 0), (Arrival.DUPLICATE, 0), (Arrival.REORDERED, 0)
+_NEXT = (Arrival.NEXT, 0)
+_DUPLICATE = (Arrival.DUPLICATE, 0)
+_REORDERED = (Arrival.REORDERED, 0)
 
 
 def classify(previous: int | None, seq: int) -> tuple[Arrival, int]:
-    """How frame `seq` follows the newest frame `previous` (None: there is none yet), and how many were lost between."""
+    """How frame `seq` follows the newest frame `previous` (None: there is none yet), and how
+    many were lost between.
+    """
     if previous is None:
         return Arrival.FIRST, 0
     step = (seq - previous) & _SEQ_MASK
@@ -150,8 +176,9 @@ def classify(previous: int | None, seq: int) -> tuple[Arrival, int]:
 class SequenceCounter:
     """Counts what became of the frames of one direction.
 
-    IN: `observe(frame.seq)` for every valid frame. OUT: `observe(frame.echo)` on another counter; `lost` are then OUT
-    frames that the board had not seen when it latched the IN after them: damaged, refused, or a tick late.
+    IN: `observe(frame.seq)` for every valid frame. OUT: `observe(frame.echo)` on another counter;
+    `lost` are then OUT frames that the board had not seen when it latched the IN after them:
+    damaged, refused, or a tick late.
     """
 
     __slots__ = ("duplicates", "gaps", "lost", "newest", "received", "reordered")
@@ -161,7 +188,9 @@ class SequenceCounter:
         self.received = self.lost = self.gaps = self.duplicates = self.reordered = 0
 
     def observe(self, seq: int) -> tuple[Arrival, int]:
-        """Classify and count `seq`. A frame that comes late stays counted as lost: its tick is over."""
+        """Classify and count `seq`. A frame that comes late stays counted as lost: its tick is
+        over.
+        """
         found = classify(self.newest, seq)
         self.received += 1
         if found is _DUPLICATE:

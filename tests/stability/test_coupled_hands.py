@@ -1,9 +1,12 @@
-"""Every environment called passive and stable stays stable in 1,000 random passive hands (Colgate and Hogan 1988).
+"""Every environment called passive and stable stays stable in 1,000 random passive hands (Colgate
+and Hogan 1988).
 
-Not pair by pair: 1,701 environments in 1,000 hands are a minute of eigenvalues (made once, docs/adr/0035). Instead, as
-`analysis.coupled` says, a circle at each angle that no hand leaves (all 1,000 are tried, by the exact pulse transfer of device
-and hand), and which no called environment's -1/C enters (all are tried). Eigenvalues then check that this is so: of environments
-at the edge in all hands, and of random pairs, inside and outside. And it can fail: 5 % outside a hand shakes the display.
+Not pair by pair: 1,701 environments in 1,000 hands are a minute of eigenvalues (made once,
+docs/adr/0035). Instead, as `analysis.coupled` says, a circle at each angle that no hand leaves (all
+1,000 are tried, by the exact pulse transfer of device and hand), and which no called environment's
+-1/C enters (all are tried). Eigenvalues then check that this is so: of environments at the edge in
+all hands, and of random pairs, inside and outside. And it can fail: 5 % outside a hand shakes the
+display.
 """
 
 import re
@@ -27,7 +30,12 @@ from hapticd.measure.reproduce_rows import ADDED_NS_PER_M, LEVELS, MAIN
 HANDS = random_hands(1000)
 ROUNDING = 1e-9  # of an eigenvalue of a mode without loss
 LEVEL = pytest.mark.parametrize("level", LEVELS)
-DEVICES = [(name, level) for name in SCENES for level in LEVELS if (name, level) != ("weir2008_literal", 0.0)]
+DEVICES = [
+    (name, level)
+    for name in SCENES
+    for level in LEVELS
+    if (name, level) != ("weir2008_literal", 0.0)
+]
 
 
 def called(name, level):
@@ -40,9 +48,12 @@ def called(name, level):
 
 
 def test_random_hands_are_positive_real():
-    """The definition: Re Z(s) >= 0 for every s in the right half-plane, not by the network's matrices but by Z itself."""
+    """The definition: Re Z(s) >= 0 for every s in the right half-plane, not by the network's
+    matrices but by Z itself.
+    """
     random = np.random.default_rng(0)
-    angle, size = random.uniform(-0.5, 0.5, 60) * np.pi, 10.0 ** random.uniform(-1, 5, 60)
+    angle = random.uniform(-0.5, 0.5, 60) * np.pi
+    size = 10.0 ** random.uniform(-1, 5, 60)
     for hand in HANDS:
         z = hand.impedance(size * np.exp(1j * angle))
         assert (z.real >= -ROUNDING * np.abs(z)).all()
@@ -60,22 +71,32 @@ def test_random_hands_are_of_many_kinds():
 @LEVEL
 def test_held_device_has_both_impedances(level):
     """1/Y of the composed model, states and all, is the device's 1/Y and Z_h."""
-    model, f = subject(MAIN).model, np.geomspace(0.1, 3000.0, 40)
+    model = subject(MAIN).model
+    f = np.geomspace(0.1, 3000.0, 40)
     alone = 1.0 / responses(model, f, level).velocity[0, 1]
     for hand in HANDS[:100]:
         together = 1.0 / responses(held_by(model, hand), f, level).velocity[0, 1]
         parts = alone, hand.impedance(2j * np.pi * f)
-        assert np.max(np.abs(together - parts[0] - parts[1]) / (np.abs(parts[0]) + np.abs(parts[1]))) < 1e-6
+        assert (
+            np.max(np.abs(together - parts[0] - parts[1]) / (np.abs(parts[0]) + np.abs(parts[1])))
+            < 1e-6
+        )
 
 
 @pytest.mark.parametrize(("name", "level"), DEVICES)
 def test_no_hand_leaves_its_circle(name, level):
-    """1,000 hands at 503 angles; some come to the rim, so the circle is no larger than it must be."""
-    device, turn = subject(name), np.exp(1j * ANGLES)
+    """1,000 hands at 503 angles; some come to the rim, so the circle is no larger than it must
+    be.
+    """
+    device = subject(name)
+    turn = np.exp(1j * ANGLES)
     found = reach(lift(device.model, level, device.filters))
     most = 0.0
     for hand in HANDS if name == MAIN else HANDS[:200]:
-        out = np.abs(pulse_transfer(held_by(device.model, hand), turn, level) - found.centre) / found.radius
+        out = (
+            np.abs(pulse_transfer(held_by(device.model, hand), turn, level) - found.centre)
+            / found.radius
+        )
         assert out.max() <= 1.0 + 1e-6
         most = max(most, out[ANGLES > 0.1].max())
     assert most > 0.99
@@ -83,7 +104,12 @@ def test_no_hand_leaves_its_circle(name, level):
 
 @pytest.mark.parametrize(
     ("name", "level", "count"),
-    [(MAIN, 0.0, 20), (MAIN, 1.74, 1500), ("weir2008_probe_hp", 1.74, 800), ("weir2008_literal", 1.74, 500)],
+    [
+        (MAIN, 0.0, 20),
+        (MAIN, 1.74, 1500),
+        ("weir2008_probe_hp", 1.74, 800),
+        ("weir2008_literal", 1.74, 500),
+    ],
 )
 def test_no_called_environment_enters_it(name, level, count):
     """By the lifted requirement, which safety decides on: all of them, no exception."""
@@ -94,7 +120,9 @@ def test_no_called_environment_enters_it(name, level, count):
 
 @LEVEL
 def test_called_environments_stay_stable_in_every_hand(level):
-    """Eigenvalues of the whole loop: ten environments at the edge in all 1,000 hands, and ten random ones in each."""
+    """Eigenvalues of the whole loop: ten environments at the edge in all 1,000 hands, and ten
+    random ones in each.
+    """
     model, filters, lifted, points = called(MAIN, level)
     random = np.random.default_rng(7)
     edge = points[~lifted_passive(lifted, 1.1 * points)]
@@ -106,37 +134,55 @@ def test_called_environments_stay_stable_in_every_hand(level):
 
 
 def test_whatever_a_hand_shakes_was_not_called():
-    """Ten times the set: many pairs are unstable only because of the hand, and none of them was said to withstand it."""
-    device, random = subject(MAIN), np.random.default_rng(8)
+    """Ten times the set: many pairs are unstable only because of the hand, and none of them was
+    said to withstand it.
+    """
+    device = subject(MAIN)
+    random = np.random.default_rng(8)
     points = random.uniform((0.0, -1.0, -0.03), (3000.0, 12.0, 0.05), (60, 3))
     points = points[spectral_radius(device.model, points, ADDED_NS_PER_M, device.filters) < 1.0]
     holds = withstands(lift(device.model, ADDED_NS_PER_M, device.filters), points)
-    shaken = coupled_radius(device.model, points, HANDS[:150], ADDED_NS_PER_M, device.filters) > 1.0 + ROUNDING
+    shaken = (
+        coupled_radius(device.model, points, HANDS[:150], ADDED_NS_PER_M, device.filters)
+        > 1.0 + ROUNDING
+    )
     assert shaken.sum() > 100
     assert not shaken[:, holds].any()
 
 
 def boundary(lifted, direction):
     """Factor of `direction` at which nothing is left to spare."""
-    low, high = 0.0, 1.0
+    low = 0.0
+    high = 1.0
     while lifted_passive(lifted, [high * direction])[0]:
-        low, high = high, 2.0 * high
+        low = high
+        high = 2.0 * high
     for _ in range(30):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if lifted_passive(lifted, [middle * direction])[0] else (low, middle)
+        low, high = (
+            (middle, high) if lifted_passive(lifted, [middle * direction])[0] else (low, middle)
+        )
     return low
 
 
-EDGES = [("rigid", 0.0), ("rigid late", 0.0), (MAIN, 0.0), (MAIN, ADDED_NS_PER_M), ("weir2008_probe_hp", ADDED_NS_PER_M)]
+EDGES = [
+    ("rigid", 0.0),
+    ("rigid late", 0.0),
+    (MAIN, 0.0),
+    (MAIN, ADDED_NS_PER_M),
+    ("weir2008_probe_hp", ADDED_NS_PER_M),
+]
 
 
 @pytest.mark.parametrize(("name", "level"), EDGES)
 def test_five_percent_outside_a_hand_shakes_it(name, level):
-    """The requirement is necessary: for every direction in K, B, M a passive hand destabilises the point beyond the boundary,
-    and the same hand does not 5 % inside."""
+    """The requirement is necessary: for every direction in K, B, M a passive hand destabilises the
+    point beyond the boundary, and the same hand does not 5 % inside.
+    """
     own = {"rigid": (rigid(), PAPER_FILTERS), "rigid late": (rigid(delay=0.5), PAPER_FILTERS)}
     model, filters = own[name] if name in own else (subject(name).model, subject(name).filters)
-    lifted, random = lift(model, level, filters), np.random.default_rng(5)
+    lifted = lift(model, level, filters)
+    random = np.random.default_rng(5)
     for _ in range(12):
         direction = random.normal(0.0, (500.0, 3.0, 0.01))
         direction[0] = abs(direction[0])
@@ -144,7 +190,9 @@ def test_five_percent_outside_a_hand_shakes_it(name, level):
         assert shaking_hand(model, 0.95 * edge, level, filters) is None
         found = shaking_hand(model, 1.05 * edge, level, filters)
         assert found is not None
-        inside, outside = coupled_radius(model, [0.95 * edge, 1.05 * edge], [found[0]], level, filters)[0]
+        inside, outside = coupled_radius(
+            model, [0.95 * edge, 1.05 * edge], [found[0]], level, filters
+        )[0]
         assert inside < 1.0 + ROUNDING
         assert outside > 1.0 + 100.0 * ROUNDING
 
@@ -160,21 +208,29 @@ def test_five_percent_outside_a_hand_shakes_it(name, level):
     ],
 )
 def test_few_predictions_are_open_to_hands_and_with_little_margin(name, level, share, margin):
-    """`predict`, friction linearised, sees the first harmonic, from 2 Hz on: no exception but for at most this share of its
-    passive environments, with a margin below this share of the damping. They are real: a hand is at hand that shakes them, but
-    for a few that lack 1 % or less, and would take more images than it is tuned for."""
+    """`predict`, friction linearised, sees the first harmonic, from 2 Hz on: no exception but for
+    at most this share of its passive environments, with a margin below this share of the damping.
+    They are real: a hand is at hand that shakes them, but for a few that lack 1 % or less, and
+    would take more images than it is tuned for.
+    """
     device = subject(name)
     found = predict(device.model, POINTS, level, device.filters, Perturbation())
     lifted = lift(device.model, level, device.filters)
-    passive, friction = np.flatnonzero(found.passive), found.friction_ns_per_m
+    passive = np.flatnonzero(found.passive)
+    friction = found.friction_ns_per_m
     exceptions = passive[~withstands(lifted, POINTS[passive], friction[passive])]
     assert len(exceptions) <= share * len(passive)
     shaken = 0
     for place in exceptions:
         assert found.margin_ns_per_m[place] < margin * (lifted.resistance.min() + friction[place])
-        hand, at_hz = shaking_hand(device.model, POINTS[place], level, device.filters, friction[place])
+        hand, at_hz = shaking_hand(
+            device.model, POINTS[place], level, device.filters, friction[place]
+        )
         rubbed = with_viscous(device.model, (friction[place],) * len(device.model.contacts))
-        shaken += bool(coupled_radius(rubbed, [POINTS[place]], [hand], level, device.filters)[0, 0] > 1.0 + ROUNDING)
+        shaken += bool(
+            coupled_radius(rubbed, [POINTS[place]], [hand], level, device.filters)[0, 0]
+            > 1.0 + ROUNDING
+        )
         if name == MAIN:
             assert at_hz < found.band_hz[0]
             assert hand.mass_kg[0] > 8.0
@@ -191,9 +247,19 @@ def test_nothing_is_withstood_without_damping():
     [
         ([-0.1], [[1.0]], [[1.0]], "mass matrix has the eigenvalue -0.1 is"),
         ([0.1], [[-1.0]], [[1.0]], "damping matrix has the eigenvalue -1 is"),
-        ([0.1, 0.1], np.eye(2), [[1.0, 2.0], [2.0, 1.0]], "stiffness matrix has the eigenvalue -1 is"),
+        (
+            [0.1, 0.1],
+            np.eye(2),
+            [[1.0, 2.0], [2.0, 1.0]],
+            "stiffness matrix has the eigenvalue -1 is",
+        ),
         ([0.1, 0.1], np.eye(2), [[1.0, 0.5], [0.0, 1.0]], "not passive; it takes symmetric, >= 0"),
-        ([0.1, 0.0], np.diag([1.0, 0.0]), np.eye(2), "without mass and without damper; give it one of them"),
+        (
+            [0.1, 0.0],
+            np.diag([1.0, 0.0]),
+            np.eye(2),
+            "without mass and without damper; give it one of them",
+        ),
     ],
 )
 def test_active_hand_is_refused(mass, damping, stiffness, why):

@@ -1,4 +1,6 @@
-"""Long and quiet trials: a day without drift, and motion that dies out below the smallest normal numbers."""
+"""Long and quiet trials: a day without drift, and motion that dies out below the smallest
+normal numbers.
+"""
 
 from dataclasses import replace
 
@@ -11,16 +13,22 @@ from hapticd.plant.effects import Viscous
 from hapticd.plant.scene import Excitation
 from hapticd.sim.engine import simulate
 
-DAY_S, PERIOD_S = 86_400.0, 1.024
+DAY_S = 86_400.0
+PERIOD_S = 1.024
 
 
 @pytest.mark.slow
 def test_a_day_leaves_no_drift_in_position_filters_or_time(monkeypatch):
-    """A periodic drive: after 84,375 periods every state is what it was after 100, and free motion has not wandered off."""
+    """A periodic drive: after 84,375 periods every state is what it was after 100, and free
+    motion has not wandered off.
+    """
     model = device(*RIGID, Viscous(rotor_ns_per_m=0.4), delay=0.125)
     drive = Excitation("multisine", force_n=0.2, period_s=PERIOD_S)
     trials = [[100.0, 1.0, 0.01], [400.0, 0.2, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]
-    short, day = (state_after(model, trials, drive, periods * PERIOD_S, monkeypatch) for periods in (100, round(DAY_S / PERIOD_S)))
+    short, day = (
+        state_after(model, trials, drive, periods * PERIOD_S, monkeypatch)
+        for periods in (100, round(DAY_S / PERIOD_S))
+    )
     (state, sums), (later, later_sums) = short, day
     assert (later_sums.samples == round(DAY_S * 4000)).all()
     assert later_sums.seconds == DAY_S
@@ -35,14 +43,23 @@ def test_a_day_leaves_no_drift_in_position_filters_or_time(monkeypatch):
 def state_after(model, trials, drive, seconds, monkeypatch):
     """(position, velocity and law state of the trials at the end, their sums)."""
     rows, sums = final(monkeypatch, model, trials, seconds, excitation=drive)
-    return np.array([row for name, row in rows.items() if name[0] in "XL" and name[1:].isdigit()]), sums
+    return (
+        np.array([row for name, row in rows.items() if name[0] in "XL" and name[1:].isdigit()]),
+        sums,
+    )
 
 
 @pytest.mark.parametrize("dtype", ["f32", "f64"])
 def test_motion_dies_out_through_denormal_numbers(dtype):
     model = rigid(0.5)
     result = simulate(
-        model, [[100.0, 0.5, 0.0]], 90.0, excitation=Excitation("none"), start=(1e-3, 0.0), dtype=dtype, keep="records"
+        model,
+        [[100.0, 0.5, 0.0]],
+        90.0,
+        excitation=Excitation("none"),
+        start=(1e-3, 0.0),
+        dtype=dtype,
+        keep="records",
     )
     velocity = result.velocity_m_per_s[0]
     smallest = np.finfo(velocity.dtype).tiny
@@ -69,13 +86,25 @@ def test_lightly_damped_coupling_rings_as_its_eigenvalue_says():
 
 def test_over_compensated_circuit_grows_as_its_eigenvalue_says():
     """A winding far colder than its compensation: g dR / K^2 below -1 oscillates on its own."""
-    effects = [replace(e, temperature_c=-40.0, compensated_c=180.0) if e.key == "winding" else e for e in STAR]
-    model, level = device(*effects), 4.0
+    effects = [
+        replace(e, temperature_c=-40.0, compensated_c=180.0) if e.key == "winding" else e
+        for e in STAR
+    ]
+    model = device(*effects)
+    level = 4.0
     growth = np.linalg.eigvals(model.a(level)).real.max()
     assert growth > 1.0
     result = simulate(
-        model, [[0.0, 0.0, 0.0]], 20.0 / growth, damping=level, excitation=Excitation("none"), start=(0.0, 1e-6), keep="records"
+        model,
+        [[0.0, 0.0, 0.0]],
+        20.0 / growth,
+        damping=level,
+        excitation=Excitation("none"),
+        start=(0.0, 1e-6),
+        keep="records",
     )
     velocity = np.abs(result.velocity_m_per_s[0])
     half = len(velocity) // 2
-    assert np.log(velocity[-1] / velocity[half]) / ((len(velocity) - 1 - half) / 4000) == pytest.approx(growth, rel=1e-3)
+    assert np.log(velocity[-1] / velocity[half]) / (
+        (len(velocity) - 1 - half) / 4000
+    ) == pytest.approx(growth, rel=1e-3)

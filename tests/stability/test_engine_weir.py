@@ -1,6 +1,8 @@
-"""The shipped device at the operating point of Weir 2008, Fig. 7, over a whole trial: what damping does to the impedance.
+"""The shipped device at the operating point of Weir 2008, Fig. 7, over a whole trial: what damping
+does to the impedance.
 
-The numbers are those of the calibration of `weir2008` (mean of seeds); one seed scatters by some percent and degrees.
+The numbers are those of the calibration of `weir2008` (mean of seeds); one seed scatters by some
+percent and degrees.
 """
 
 import numpy as np
@@ -16,9 +18,12 @@ DAMPED_DEG = np.array([-18.0, -1.0, 26.0, 46.0, 57.0, 64.0, 70.0, 77.0])
 
 
 def test_figure_7_has_its_impedance_and_its_phase_advantage():
-    scene, impedance = load_scene("fig7"), []
+    scene = load_scene("fig7")
+    impedance = []
     for level in (0.0, 1.74):
-        result = simulate(scene, [[50.0, 2.0, 0.0]], 90.0, 1, damping=level, substeps=4, keep="records")
+        result = simulate(
+            scene, [[50.0, 2.0, 0.0]], 90.0, 1, damping=level, substeps=4, keep="records"
+        )
         spectra = spa(*result.record(0), frequency_hz=FREQUENCY_HZ)
         impedance.append(spectra.cross / spectra.velocity)
     undamped, damped = impedance

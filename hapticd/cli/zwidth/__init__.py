@@ -22,4 +22,6 @@ VERBS: dict[str, Callable[..., None]] = {
     "reproduce": report.reproduce,
 }
 for name, verb in VERBS.items():
-    app.command(name, context_settings={"token_normalize_func": lambda option: FORMER.get(option, option)})(verb)
+    app.command(
+        name, context_settings={"token_normalize_func": lambda option: FORMER.get(option, option)}
+    )(verb)

@@ -1,4 +1,6 @@
-"""What the verbs of `zwidth` share: options, a progress bar, the scene that is meant, outcomes as lines, conditions."""
+"""What the verbs of `zwidth` share: options, a progress bar, the scene that is meant, outcomes
+as lines, conditions.
+"""
 
 from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -18,25 +20,50 @@ if TYPE_CHECKING:
     from hapticd.measure.store import TrialStore
     from hapticd.plant.scene import Scene
 
-SceneName = Annotated[str, typer.Option("--scene", metavar="NAME|FILE", help="Device, effects, filters and perturbation.")]
-Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Keep results there; else zwidth-runs/, by date.")]
+SceneName = Annotated[
+    str,
+    typer.Option("--scene", metavar="NAME|FILE", help="Device, effects, filters and perturbation."),
+]
+Out = Annotated[
+    Path | None,
+    typer.Option("--out", metavar="DIR", help="Keep results there; else zwidth-runs/, by date."),
+]
 Seconds = Annotated[float, typer.Option("--seconds", metavar="S", help="Length of a trial.")]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Of the perturbation.")]
-Band = Annotated[tuple[float, float], typer.Option("--band", metavar="LOW HIGH", help="Hz in which a verdict is given.")]
-Confidence = Annotated[float, typer.Option("--confidence", min=0.5, max=0.9999, help="Of a verdict.")]
-Damping = Annotated[str, typer.Option("--damping", metavar="LEVEL[,LEVEL...]", help="Electrical damping levels, N s/m.")]
-Plot = Annotated[bool, typer.Option("--plot/--no-plot", help="Draw PNG and SVG into the run folder.")]
+Band = Annotated[
+    tuple[float, float],
+    typer.Option("--band", metavar="LOW HIGH", help="Hz in which a verdict is given."),
+]
+Confidence = Annotated[
+    float, typer.Option("--confidence", min=0.5, max=0.9999, help="Of a verdict.")
+]
+Damping = Annotated[
+    str,
+    typer.Option("--damping", metavar="LEVEL[,LEVEL...]", help="Electrical damping levels, N s/m."),
+]
+Plot = Annotated[
+    bool, typer.Option("--plot/--no-plot", help="Draw PNG and SVG into the run folder.")
+]
 Where = Annotated[
     str,
     typer.Option(
         "--executor",
         metavar="thread|process|dask://HOST:PORT",
-        help="Where trials run: here, in a process a core, or on the workers of a Dask scheduler (extra: cluster).",
+        help=(
+            "Where trials run: here, in a process a core, or on the workers of a Dask scheduler"
+            " (extra: cluster)."
+        ),
     ),
 ]
 JsonOutcomes = Annotated[
     bool,
-    typer.Option("--json", help="One JSON object per line on stdout: each outcome as it arrives, at last the result with 'ok'."),
+    typer.Option(
+        "--json",
+        help=(
+            "One JSON object per line on stdout: each outcome as it arrives, at last the result"
+            " with 'ok'."
+        ),
+    ),
 ]
 Admittance = Annotated[bool, typer.Option("--admittance", help="Draw the admittance as well.")]
 Range = tuple[float, float, int]
@@ -57,7 +84,9 @@ TOLD = (
 
 @contextmanager
 def keeping(store: "TrialStore", folder: Path) -> Iterator[None]:
-    """Where something ends a campaign early, Ctrl-C (exit 130) or dead workers, say what is kept and how to go on."""
+    """Where something ends a campaign early, Ctrl-C (exit 130) or dead workers, say what is
+    kept and how to go on.
+    """
     try:
         yield
     except KeyboardInterrupt:
@@ -85,11 +114,16 @@ def drawing(folder: Path) -> AbstractContextManager[None]:
 
 
 def _goes_on(store: "TrialStore", folder: Path) -> str:
-    return f"{len(store.known)} trials are kept in {folder}; the same command with --out {folder} goes on there"
+    return (
+        f"{len(store.known)} trials are kept in {folder}; the same command with --out {folder} goes"
+        " on there"
+    )
 
 
 def scene_of(name: str) -> "Scene":
-    """The scene, or a simulated device's name with all of its effects. ConfigError names what there is."""
+    """The scene, or a simulated device's name with all of its effects. ConfigError names what
+    there is.
+    """
     from hapticd.errors import ConfigError
     from hapticd.measure.scenes import device_scene
     from hapticd.settings.scene import load_scene
@@ -104,7 +138,11 @@ def scene_of(name: str) -> "Scene":
 
 
 def conditions(
-    scene: "Scene", seconds: float, seed: int, band_hz: tuple[float, float] = (2.0, 500.0), confidence: float = 0.95
+    scene: "Scene",
+    seconds: float,
+    seed: int,
+    band_hz: tuple[float, float] = (2.0, 500.0),
+    confidence: float = 0.95,
 ) -> "Conditions":
     """Of a campaign: trials with the scene's noise of that seed."""
     from hapticd.measure.outcomes import Conditions
@@ -118,7 +156,9 @@ def levels(text: str) -> tuple[float, ...]:
     try:
         found = tuple(float(part) for part in text.split(","))
     except ValueError:
-        raise typer.BadParameter(f"--damping {text!r}: numbers in N s/m, separated by commas, for example 0,1.74") from None
+        raise typer.BadParameter(
+            f"--damping {text!r}: numbers in N s/m, separated by commas, for example 0,1.74"
+        ) from None
     if not all(0.0 <= level < inf for level in found):
         raise typer.BadParameter(f"--damping {text!r}: levels are not negative, and finite")
     return found
@@ -129,16 +169,22 @@ def ranged(name: str, given: Range, least: int = 2) -> Range:
     low, high, count = given
     if not (-inf < low < high < inf and least <= count <= 1000):
         told = f"{name} {low:g} {high:g} {count}"
-        raise typer.BadParameter(f"{told}: LOW below HIGH, and N values from {least} to 1000, are needed")
+        raise typer.BadParameter(
+            f"{told}: LOW below HIGH, and N values from {least} to 1000, are needed"
+        )
     return given
 
 
 def follow(new: "list[Outcome]", **more: Any) -> None:
-    """A line of JSON for each outcome: type "outcome", K, B and M, verdict, margin [N s/m] with its interval, and `more`."""
+    """A line of JSON for each outcome: type "outcome", K, B and M, verdict, margin [N s/m] with
+    its interval, and `more`.
+    """
     from hapticd.measure.store import plain
 
     for outcome in new:
-        terminal.data_json({"type": "outcome", **more, **plain({name: getattr(outcome, name) for name in TOLD})})
+        terminal.data_json(
+            {"type": "outcome", **more, **plain({name: getattr(outcome, name) for name in TOLD})}
+        )
 
 
 def folder(out: Path | None, what: str) -> Path:

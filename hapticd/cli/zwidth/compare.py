@@ -11,20 +11,33 @@ from hapticd.cli.zwidth import common
 if TYPE_CHECKING:
     from hapticd.measure.portable import Comparison
 
-Files = Annotated[list[Path], typer.Argument(metavar="A.zwidth B.zwidth ...", help="As `hapticd zwidth report` writes them.")]
+Files = Annotated[
+    list[Path],
+    typer.Argument(metavar="A.zwidth B.zwidth ...", help="As `hapticd zwidth report` writes them."),
+]
 Allow = Annotated[
-    str, typer.Option("--allow", metavar="NAME[,NAME...]", help="Conditions that may be unlike; they are named with the result.")
+    str,
+    typer.Option(
+        "--allow",
+        metavar="NAME[,NAME...]",
+        help="Conditions that may be unlike; they are named with the result.",
+    ),
 ]
 
 
 def command(
-    files: Files, allow: Allow = "", out: common.Out = None, plot: common.Plot = True, as_json: terminal.Json = False
+    files: Files,
+    allow: Allow = "",
+    out: common.Out = None,
+    plot: common.Plot = True,
+    as_json: terminal.Json = False,
 ) -> None:
-    """The fair comparison of displays: envelopes and limits as they are, and divided by the mass that moves, where a larger
-    display is no better one.
+    """The fair comparison of displays: envelopes and limits as they are, and divided by the mass
+    that moves, where a larger display is no better one.
 
-    Files of unlike conditions (band, judged frequencies, perturbation, length of a trial, confidence) are refused, the unlike ones
-    named; --allow judged_hz,seconds compares them all the same, and says so.
+    Files of unlike conditions (band, judged frequencies, perturbation, length of a trial,
+    confidence) are refused, the unlike ones named; --allow judged_hz,seconds compares them all the
+    same, and says so.
     """
     from hapticd.analysis.verdict import Judged
     from hapticd.measure.portable import compare
@@ -55,7 +68,11 @@ def _plain(found: "Comparison") -> dict[str, Any]:
             "name": display.name,
             "conditions": plain(display.conditions),
             "levels": [
-                {"added_damping_ns_per_m": one.damping_ns_per_m, "limits": plain(one.limits), "numbers": plain(dict(one.numbers))}
+                {
+                    "added_damping_ns_per_m": one.damping_ns_per_m,
+                    "limits": plain(one.limits),
+                    "numbers": plain(dict(one.numbers)),
+                }
                 for one in display.levels
             ],
         }

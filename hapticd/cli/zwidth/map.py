@@ -21,18 +21,34 @@ REDRAW_S = 5.0
 def command(
     scene: common.SceneName = "fig4",
     damping: common.Damping = "0,1.74",
-    stiffness: Annotated[common.Range, typer.Option("--stiffness", metavar="LOW HIGH N", help="Grid of K, N/m.")] = (
+    stiffness: Annotated[
+        common.Range, typer.Option("--stiffness", metavar="LOW HIGH N", help="Grid of K, N/m.")
+    ] = (
         0.0,
         1400.0,
         15,
     ),
-    viscous: Annotated[common.Range, typer.Option("--viscous", metavar="LOW HIGH N", help="Grid of B, N s/m.")] = (0.0, 9.0, 10),
-    mass: Annotated[common.Range, typer.Option("--mass", metavar="LOW HIGH N", help="Grid of M, kg.")] = (-0.030, 0.024, 10),
+    viscous: Annotated[
+        common.Range, typer.Option("--viscous", metavar="LOW HIGH N", help="Grid of B, N s/m.")
+    ] = (0.0, 9.0, 10),
+    mass: Annotated[
+        common.Range, typer.Option("--mass", metavar="LOW HIGH N", help="Grid of M, kg.")
+    ] = (-0.030, 0.024, 10),
     near: Annotated[
-        float, typer.Option("--near", help="Share about the predicted boundary that is tried.", min=0.0, max=0.9)
+        float,
+        typer.Option(
+            "--near", help="Share about the predicted boundary that is tried.", min=0.0, max=0.9
+        ),
     ] = 0.15,
-    everywhere: Annotated[bool, typer.Option("--everywhere", help="Try every point, the paper's way.")] = False,
-    refine: Annotated[int, typer.Option("--refine", metavar="N", help="Then halve the grid at the boundary.", min=0, max=1)] = 0,
+    everywhere: Annotated[
+        bool, typer.Option("--everywhere", help="Try every point, the paper's way.")
+    ] = False,
+    refine: Annotated[
+        int,
+        typer.Option(
+            "--refine", metavar="N", help="Then halve the grid at the boundary.", min=0, max=1
+        ),
+    ] = 0,
     where: common.Where = "thread",
     seconds: common.Seconds = 90.0,
     seed: common.Seed = 1,
@@ -41,10 +57,12 @@ def command(
     plot: common.Plot = True,
     as_json: common.JsonOutcomes = False,
 ) -> None:
-    """Map the passive set of a simulated display. Predicted first; trials where the prediction leaves doubt.
+    """Map the passive set of a simulated display. Predicted first; trials where the prediction
+    leaves doubt.
 
-    Ctrl-C is safe: the same command with the same --out goes on where it ended. With --json each new outcome is a line, and the
-    last line is the result; trials that --out had kept already are in its trials.jsonl.
+    Ctrl-C is safe: the same command with the same --out goes on where it ended. With --json each
+    new outcome is a line, and the last line is the result; trials that --out had kept already are
+    in its trials.jsonl.
     """
     import numpy as np
 
@@ -59,7 +77,8 @@ def command(
         np.linspace(*common.ranged("--mass", mass)),
     )
     folder = common.folder(out, "map")
-    store, redraw = TrialStore(folder / "trials.jsonl"), _Redrawn(conditions, folder)
+    store = TrialStore(folder / "trials.jsonl")
+    redraw = _Redrawn(conditions, folder)
 
     def hear(new: "list[Outcome]") -> None:
         if as_json:
@@ -68,22 +87,46 @@ def command(
             redraw(new)
 
     with common.keeping(store, folder), executor(where) as pool:
-        plan = plan_map(MapParams(conditions, axes, common.levels(damping), near, everywhere, refine))
+        plan = plan_map(
+            MapParams(conditions, axes, common.levels(damping), near, everywhere, refine)
+        )
         points = len(plan.levels) * axes[0].size * axes[1].size * axes[2].size
         terminal.talk(f"{points} points predicted, {plan.trials} to be tried")
         with progress() as tell:
             result = run_map(plan, store, tell, pool, hear)
     told = [_told(level) for level in result.levels]
-    asked = {"seconds": seconds, "seed": seed, "band_hz": band, "near": near, "everywhere": everywhere, "refine": refine}
+    asked = {
+        "seconds": seconds,
+        "seed": seed,
+        "band_hz": band,
+        "near": near,
+        "everywhere": everywhere,
+        "refine": refine,
+    }
     write_run(
         folder,
-        {"kind": "map", "scene": scene, "axes": axes, "parameters": asked, "levels": told, "provenance": common.told(seed=seed)},
+        {
+            "kind": "map",
+            "scene": scene,
+            "axes": axes,
+            "parameters": asked,
+            "levels": told,
+            "provenance": common.told(seed=seed),
+        },
     )
     with common.drawing(folder):
         paths = draw_map(result, folder) if plot else []
     if as_json:
         names = [str(path) for path in paths]
-        terminal.data_json({"ok": True, "made": result.made, "levels": plain(told), "folder": str(folder), "figures": names})
+        terminal.data_json(
+            {
+                "ok": True,
+                "made": result.made,
+                "levels": plain(told),
+                "folder": str(folder),
+                "figures": names,
+            }
+        )
         return
     _print(result, told)
     terminal.data(f"{result.made} trials made, kept in {folder}")
@@ -107,7 +150,11 @@ class _Redrawn:
                 self._passed.setdefault(outcome.damping_ns_per_m, []).append(outcome)
         if self._passed and monotonic() - self._drawn_s > REDRAW_S:
             self._drawn_s = monotonic()
-            style.save(envelope_figure(self._conditions, list(self._passed.items())), self._folder, "envelope_so_far")
+            style.save(
+                envelope_figure(self._conditions, list(self._passed.items())),
+                self._folder,
+                "envelope_so_far",
+            )
 
 
 def _told(level: "LevelMap") -> dict[str, Any]:
@@ -136,23 +183,44 @@ def _print(result: "MapResult", told: list[dict[str, Any]]) -> None:
     rows = []
     for level in told:
         limits = level["set_limits"]
-        extremes = (limits.stiffness[1], limits.damping[1], 1e3 * limits.mass[0]) if limits else (float("nan"),) * 3
+        extremes = (
+            (limits.stiffness[1], limits.damping[1], 1e3 * limits.mass[0])
+            if limits
+            else (float("nan"),) * 3
+        )
         width = level["widths_db"][1].width_db if level["widths_db"] else float("nan")
         counts = (level[name] for name in ("points", "tried", "unlike_prediction", "passive"))
         rows.append((level["added_damping_ns_per_m"], *counts, *extremes, width))
     columns = (
-        "added N s/m", "points", "tried", "unlike predicted", "passive", "K max N/m", "B max N s/m", "M min g",
+        "added N s/m",
+        "points",
+        "tried",
+        "unlike predicted",
+        "passive",
+        "K max N/m",
+        "B max N s/m",
+        "M min g",
         "width at 10-50 Hz dB",
-    )  # fmt: skip
-    terminal.data(text(table(columns, rows, f"SIMULATED {result.plan.params.conditions.scene.device}: the set on the grid")))
+    )
+    terminal.data(
+        text(
+            table(
+                columns,
+                rows,
+                f"SIMULATED {result.plan.params.conditions.scene.device}: the set on the grid",
+            )
+        )
+    )
     terminal.data(result.judged.words)
     terminal.data(
-        "unlike predicted: trials that came out otherwise; K max, B max, M min: extremes over the set, not alone on their axis"
+        "unlike predicted: trials that came out otherwise; K max, B max, M min: extremes over the"
+        " set, not alone on their axis"
     )
     for level in told:
         if level["open_ends"]:
             terminal.talk(
-                f"at {level['added_damping_ns_per_m']:g} N s/m the set goes beyond the grid: {', '.join(level['open_ends'])}"
+                f"at {level['added_damping_ns_per_m']:g} N s/m the set goes beyond the grid:"
+                f" {', '.join(level['open_ends'])}"
             )
 
 
@@ -165,6 +233,12 @@ def draw_map(result: "MapResult", folder: Path) -> list[Path]:
     paths = [*style.save(set_figure(result), folder, "set")]
     drawn = [(level.damping_ns_per_m, level.outcomes) for level in result.levels if level.envelope]
     if drawn:
-        paths += style.save(envelope_figure(result.plan.params.conditions, drawn), folder, "envelope")
-        paths += style.save(envelope_figure(result.plan.params.conditions, drawn, inverse=True), folder, "envelope_admittance")
+        paths += style.save(
+            envelope_figure(result.plan.params.conditions, drawn), folder, "envelope"
+        )
+        paths += style.save(
+            envelope_figure(result.plan.params.conditions, drawn, inverse=True),
+            folder,
+            "envelope_admittance",
+        )
     return paths

@@ -20,18 +20,28 @@ LEFT_OUT = "What is not given; without it the device of fig4, and 0."
 
 def command(
     scene: Annotated[str, typer.Option("--scene", metavar="NAME|FILE", help=LEFT_OUT)] = "",
-    stiffness: Annotated[float | None, typer.Option("-K", "--stiffness", metavar="N/M", help="Virtual stiffness.")] = None,
-    viscous: Annotated[float | None, typer.Option("-B", "--viscous", metavar="NS/M", help="Virtual damping.")] = None,
-    mass: Annotated[float | None, typer.Option("-M", "--mass", metavar="KG", help="Virtual mass.")] = None,
-    damping: Annotated[float | None, typer.Option("--damping", metavar="NS/M", help="Electrical damping.", min=0)] = None,
+    stiffness: Annotated[
+        float | None, typer.Option("-K", "--stiffness", metavar="N/M", help="Virtual stiffness.")
+    ] = None,
+    viscous: Annotated[
+        float | None, typer.Option("-B", "--viscous", metavar="NS/M", help="Virtual damping.")
+    ] = None,
+    mass: Annotated[
+        float | None, typer.Option("-M", "--mass", metavar="KG", help="Virtual mass.")
+    ] = None,
+    damping: Annotated[
+        float | None, typer.Option("--damping", metavar="NS/M", help="Electrical damping.", min=0)
+    ] = None,
     band: common.Band = (2.0, 500.0),
     as_json: terminal.Json = False,
 ) -> None:
-    """Is one environment passive? By theory alone, without a trial: for every input, as a trial would show it, and in hands.
+    """Is one environment passive? By theory alone, without a trial: for every input, as a trial
+    would show it, and in hands.
 
-    The theorem (Colgate and Schenkel, for all images of a composed device) leaves friction out and holds for every input. The
-    prediction counts friction at the amplitude of the trials, which fades as the motion grows. Where the theorem finds damping
-    missing, the passive hand that shakes the display is built and tried. K < 0 is always refused.
+    The theorem (Colgate and Schenkel, for all images of a composed device) leaves friction out and
+    holds for every input. The prediction counts friction at the amplitude of the trials, which
+    fades as the motion grows. Where the theorem finds damping missing, the passive hand that shakes
+    the display is built and tried. K < 0 is always refused.
     """
     from math import isfinite
 
@@ -42,15 +52,28 @@ def command(
     shown = scenes.display(common.scene_of(scene or DEVICE_OF))
     asked = given((stiffness, viscous, mass), damping, shown.scene if scene else None, bool(scene))
     (k, b, m), level = asked.environment, asked.damping_ns_per_m
-    for option, value, unit in (("-K", k, "N/m"), ("-B", b, "N s/m"), ("-M", m, "kg"), ("--damping", level, "N s/m")):
+    for option, value, unit in (
+        ("-K", k, "N/m"),
+        ("-B", b, "N s/m"),
+        ("-M", m, "kg"),
+        ("--damping", level, "N s/m"),
+    ):
         if not isfinite(value):
             raise typer.BadParameter(f"{option} {value:g}: a finite number of {unit} is needed")
     found = outlook(shown.model, (k, b, m), level, shown.filters, shown.perturbation, band)
     if as_json:
-        terminal.data_json({"ok": True, "simulated": True, "device": shown.scene.device, **_told(found, (k, b, m), level)})
+        terminal.data_json(
+            {
+                "ok": True,
+                "simulated": True,
+                "device": shown.scene.device,
+                **_told(found, (k, b, m), level),
+            }
+        )
         return
     terminal.data(
-        f"SIMULATED {shown.scene.device}: K {k:g} N/m, B {b:g} N s/m, M {1e3 * m:g} g, electrical damping {level:g} N s/m"
+        f"SIMULATED {shown.scene.device}: K {k:g} N/m, B {b:g} N s/m, M {1e3 * m:g} g, electrical"
+        f" damping {level:g} N s/m"
     )
     for name, words in _lines(found, shown.perturbation):
         terminal.data(f"{name:11} {words}")
@@ -59,9 +82,18 @@ def command(
 def _lines(found: "Outlook", shaken: "Perturbation") -> list[tuple[str, str]]:
     return [
         ("verdict", _verdict(found)),
-        ("stability", f"spectral radius {found.radius:.6f} without friction: {_motion(found.radius, found.period_s)}"),
+        (
+            "stability",
+            (
+                f"spectral radius {found.radius:.6f} without friction:"
+                f" {_motion(found.radius, found.period_s)}"
+            ),
+        ),
         ("theorem", _theorem(found)),
-        ("prediction", f"{_least(found.true)}, {_friction(found.true)}\n{'':11} {_amplitude(shaken)}"),
+        (
+            "prediction",
+            f"{_least(found.true)}, {_friction(found.true)}\n{'':11} {_amplitude(shaken)}",
+        ),
         ("a trial", f"would record {_least(found.recorded)}"),
         ("hand", _hand(found)),
     ]
@@ -75,7 +107,11 @@ def _verdict(found: "Outlook") -> str:
     if not found.passive:
         if prediction.margin_ns_per_m[0] < 0.0:
             return "not passive"
-        why = "a burst of motion does not die out" if not prediction.calm[0] else "the loop is unstable"
+        why = (
+            "a burst of motion does not die out"
+            if not prediction.calm[0]
+            else "the loop is unstable"
+        )
         return f"not passive: Re Z >= 0 all over the band, but {why}"
     if found.theorem_passive:
         return "passive, for every input and in every passive hand"
@@ -98,7 +134,9 @@ def _theorem(found: "Outlook") -> str:
 
 
 def _least(prediction: "Prediction") -> str:
-    return f"least Re Z {prediction.margin_ns_per_m[0]:+.3g} N s/m at {prediction.worst_hz[0]:.3g} Hz"
+    return (
+        f"least Re Z {prediction.margin_ns_per_m[0]:+.3g} N s/m at {prediction.worst_hz[0]:.3g} Hz"
+    )
 
 
 def _friction(prediction: "Prediction") -> str:
@@ -108,7 +146,10 @@ def _friction(prediction: "Prediction") -> str:
 
 def _amplitude(shaken: "Perturbation") -> str:
     force = sqrt(shaken.psd_n2_per_hz * shaken.band_hz)
-    return f"for noise of {shaken.psd_n2_per_hz:.3g} N^2/Hz up to {shaken.band_hz:g} Hz, {force:.2g} N rms"
+    return (
+        f"for noise of {shaken.psd_n2_per_hz:.3g} N^2/Hz up to {shaken.band_hz:g} Hz, {force:.2g}"
+        " N rms"
+    )
 
 
 def _hand(found: "Outlook") -> str:
@@ -125,8 +166,11 @@ def _hand(found: "Outlook") -> str:
 
 def _named(hand: "Hand") -> str:
     """Its largest part; the tuned masses beside serve images alone."""
-    mass, grounded = float(hand.mass_kg[0]), float(hand.stiffness_n_per_m[0].sum())
-    main = f"a mass of {1e3 * mass:.3g} g" if mass else f"a spring of {grounded:.3g} N/m to the wall"
+    mass = float(hand.mass_kg[0])
+    grounded = float(hand.stiffness_n_per_m[0].sum())
+    main = (
+        f"a mass of {1e3 * mass:.3g} g" if mass else f"a spring of {grounded:.3g} N/m to the wall"
+    )
     return f"{main} with {hand.mass_kg.size - 1} small tuned masses"
 
 
@@ -144,7 +188,9 @@ def _told(found: "Outlook", point: tuple[float, float, float], level: float) -> 
         "theorem": {"margin_ns_per_m": found.theorem_margin, "passive": found.theorem_passive},
         "prediction": _judged(found.true),
         "recorded": _judged(found.recorded),
-        "perturbation": shaken and {"psd_n2_per_hz": shaken.psd_n2_per_hz, "band_hz": shaken.band_hz},
+        "perturbation": (
+            shaken and {"psd_n2_per_hz": shaken.psd_n2_per_hz, "band_hz": shaken.band_hz}
+        ),
         "withstands_every_hand": found.withstands,
         "hand": _built(found),
     }
@@ -152,8 +198,18 @@ def _told(found: "Outlook", point: tuple[float, float, float], level: float) -> 
 
 
 def _judged(prediction: "Prediction") -> dict[str, Any]:
-    names = ("margin_ns_per_m", "margin_deg", "worst_hz", "friction_ns_per_m", "velocity_sd", "spectral_radius")
-    return {"passive": bool(prediction.passive[0]), **{name: float(getattr(prediction, name)[0]) for name in names}}
+    names = (
+        "margin_ns_per_m",
+        "margin_deg",
+        "worst_hz",
+        "friction_ns_per_m",
+        "velocity_sd",
+        "spectral_radius",
+    )
+    return {
+        "passive": bool(prediction.passive[0]),
+        **{name: float(getattr(prediction, name)[0]) for name in names},
+    }
 
 
 def _built(found: "Outlook") -> dict[str, Any] | None:

@@ -1,4 +1,6 @@
-"""Every figure of a device, or of a run that was kept; and the paper again, its table and its figures, on three devices."""
+"""Every figure of a device, or of a run that was kept; and the paper again, its table and its
+figures, on three devices.
+"""
 
 import json
 import sys
@@ -25,7 +27,12 @@ if TYPE_CHECKING:
     from hapticd.plant.scene import Scene
 
 
-What = Annotated[str, typer.Argument(metavar="DEVICE|RUN", help="A simulated device or scene, or the folder of a trial or a map.")]
+What = Annotated[
+    str,
+    typer.Argument(
+        metavar="DEVICE|RUN", help="A simulated device or scene, or the folder of a trial or a map."
+    ),
+]
 GRID = (12, 10)
 GRID_MARGIN = (2.0, 1.15)  # of the grid over the largest axis limits: K, B
 
@@ -38,8 +45,8 @@ def report(
     out: common.Out = None,
     as_json: terminal.Json = False,
 ) -> None:
-    """Every figure of a simulated device, with NAME.zwidth, its portable summary; or those of a run folder, drawn again
-    there, or in --out.
+    """Every figure of a simulated device, with NAME.zwidth, its portable summary; or those of a run
+    folder, drawn again there, or in --out.
     """
     from hapticd.measure.store import plain
 
@@ -49,7 +56,13 @@ def report(
     else:
         drawn = _of_device(what, damping, seconds, seed, out)
     if as_json:
-        terminal.data_json({"ok": True, "files": [str(path) for path in drawn.files], "judged": plain(drawn.judged)})
+        terminal.data_json(
+            {
+                "ok": True,
+                "files": [str(path) for path in drawn.files],
+                "judged": plain(drawn.judged),
+            }
+        )
         return
     terminal.data(drawn.judged.words)
     for path in drawn.files:
@@ -65,7 +78,9 @@ class Drawn:
 
 
 def _named(what: str) -> "Scene":
-    """The scene of that name. ConfigError, which says what a folder without a run is and what may be done with it."""
+    """The scene of that name. ConfigError, which says what a folder without a run is and what
+    may be done with it.
+    """
     from hapticd.errors import ConfigError
 
     try:
@@ -80,13 +95,19 @@ def _instead(folder: Path) -> str:
     from hapticd.report.paper_page import TABLE_JSON
 
     if (folder / TABLE_JSON).is_file():
-        return f"the paper, reproduced, with its figures in REPORT.md; make it again: `hapticd zwidth reproduce --out {folder}`"
+        return (
+            "the paper, reproduced, with its figures in REPORT.md; make it again: `hapticd zwidth"
+            f" reproduce --out {folder}`"
+        )
     if (folder / "trials.jsonl").is_file():
         return (
-            "a campaign that was not finished, of which the trials are kept; the command that began it, with "
-            f"--out {folder}, goes on there and draws it"
+            "a campaign that was not finished, of which the trials are kept; the command that"
+            f" began it, with --out {folder}, goes on there and draws it"
         )
-    return "no run folder: it has no run.json; name a simulated device, a scene, or the folder of a trial or a map"
+    return (
+        "no run folder: it has no run.json; name a simulated device, a scene, or the folder of a"
+        " trial or a map"
+    )
 
 
 def _of_run(folder: Path, out: Path) -> Drawn:
@@ -98,7 +119,10 @@ def _of_run(folder: Path, out: Path) -> Drawn:
     if kept["kind"] == "trial":
         return _trial_again(folder, kept, out)
     if kept["kind"] != "map":
-        told = f"a run of kind {kept['kind']!r} is drawn by the command that made it, with --out {folder}; here a trial or a map is"
+        told = (
+            f"a run of kind {kept['kind']!r} is drawn by the command that made it, with --out"
+            f" {folder}; here a trial or a map is"
+        )
         raise ConfigError(f"{folder}: {told}")
     found = kept_map(plan_map(_asked(kept)), TrialStore(folder / "trials.jsonl"))
     return Drawn(draw_map(found, out), found.judged)
@@ -114,19 +138,35 @@ def _trial_again(folder: Path, kept: dict[str, Any], out: Path) -> Drawn:
     from hapticd.plant.scene import Excitation
 
     recorded = replace(
-        read_file(record_path(folder)), origin=kept["origin"], simulated=kept["simulated"], ended=kept["ended"],
-        max_command_n=kept.get("max_command_n"), command_limit_n=kept.get("command_limit_n"),
+        read_file(record_path(folder)),
+        origin=kept["origin"],
+        simulated=kept["simulated"],
+        ended=kept["ended"],
+        max_command_n=kept.get("max_command_n"),
+        command_limit_n=kept.get("command_limit_n"),
         more={name: kept[name] for name in COUNTS if name in kept},
-    )  # fmt: skip
+    )
     k, b, m = kept["environment"].values()
     low, high = kept["verdict"]["band_hz"]
-    trial = Trial((k, b, m), kept["added_damping_ns_per_m"], kept["seconds"], Excitation(**kept["perturbation"]))
+    trial = Trial(
+        (k, b, m),
+        kept["added_damping_ns_per_m"],
+        kept["seconds"],
+        Excitation(**kept["perturbation"]),
+    )
     layout = kept.get("multisine")
     params = TrialParams(
-        trial, _same_scene(kept), (low, high), kept["verdict"]["confidence"], kept["estimator"], kept["probe_mass_taken_out_kg"],
-        lag=kept.get("lag", DEFAULT_LAG), multisine=Layout(layout["realisations"], layout["periods"]) if layout else None,
-        skew_s=kept.get("skew_taken_out_s", 0.0), high_pass_hz=kept.get("high_pass_taken_out_hz", 0.0),
-    )  # fmt: skip
+        trial,
+        _same_scene(kept),
+        (low, high),
+        kept["verdict"]["confidence"],
+        kept["estimator"],
+        kept["probe_mass_taken_out_kg"],
+        lag=kept.get("lag", DEFAULT_LAG),
+        multisine=Layout(layout["realisations"], layout["periods"]) if layout else None,
+        skew_s=kept.get("skew_taken_out_s", 0.0),
+        high_pass_hz=kept.get("high_pass_taken_out_hz", 0.0),
+    )
     result = judged(plan_trial(params), recorded)
     return Drawn(draw_trial(result, out), result.verdict.judged)
 
@@ -148,12 +188,20 @@ def _asked(kept: dict[str, Any]) -> "MapParams":
 
     from hapticd.measure.campaign import MapParams
 
-    scene, asked = common.scene_of(kept["scene"]), kept["parameters"]
+    scene = common.scene_of(kept["scene"])
+    asked = kept["parameters"]
     low, high = asked["band_hz"]
     conditions = common.conditions(scene, asked["seconds"], asked["seed"], (low, high))
     stiffness, damping, mass = (np.asarray(axis) for axis in kept["axes"])
     levels = tuple(level["added_damping_ns_per_m"] for level in kept["levels"])
-    return MapParams(conditions, (stiffness, damping, mass), levels, asked["near"], asked["everywhere"], asked["refine"])
+    return MapParams(
+        conditions,
+        (stiffness, damping, mass),
+        levels,
+        asked["near"],
+        asked["everywhere"],
+        asked["refine"],
+    )
 
 
 def _of_device(what: str, damping: str, seconds: float, seed: int, out: Path | None) -> Drawn:
@@ -164,7 +212,8 @@ def _of_device(what: str, damping: str, seconds: float, seed: int, out: Path | N
     from hapticd.report.passive_set import limits_figure
 
     scene = _named(what)
-    levels, name = common.levels(damping), Path(scene.device).stem
+    levels = common.levels(damping)
+    name = Path(scene.device).stem
     file_hash = device_hash(what if what.endswith(".toml") else scene.device)
     conditions = common.conditions(scene, seconds, seed)
     folder = common.folder(out, f"report-{name}")
@@ -172,26 +221,41 @@ def _of_device(what: str, damping: str, seconds: float, seed: int, out: Path | N
     with common.keeping(store, folder), progress() as tell:
         limits = run_limits(plan_limits(LimitsParams(conditions, levels)), store, tell)
         found = _mapped(conditions, levels, limits, store, tell)
-    told, provenance = conditions_of(conditions, found.judged), common.told(seed=seed)
+    told = conditions_of(conditions, found.judged)
+    provenance = common.told(seed=seed)
     drawn = [(level.damping_ns_per_m, level.envelope) for level in found.levels]
     numbers = [numbers_of(level, conditions.display) for level in found.levels]
-    content = {**portable(name, file_hash, drawn, limits.limits, told, numbers), "provenance": provenance}
+    content = {
+        **portable(name, file_hash, drawn, limits.limits, told, numbers),
+        "provenance": provenance,
+    }
     summary = {"kind": "report", "device": name, **told, "provenance": provenance}
     write_run(folder, summary, texts={f"{name}{SUFFIX}": json.dumps(content) + "\n"})
-    paths = [*_own_trial(scene, seconds, folder), *style.save(limits_figure(limits), folder, "limits")]
+    paths = [
+        *_own_trial(scene, seconds, folder),
+        *style.save(limits_figure(limits), folder, "limits"),
+    ]
     paths += draw_map(found, folder)
     return Drawn([*paths, folder / f"{name}{SUFFIX}"], found.judged)
 
 
-def _mapped(conditions: Any, levels: tuple[float, ...], limits: Any, store: "TrialStore", tell: Any) -> "MapResult":
+def _mapped(
+    conditions: Any, levels: tuple[float, ...], limits: Any, store: "TrialStore", tell: Any
+) -> "MapResult":
     import numpy as np
 
     from hapticd.errors import AnalysisError
     from hapticd.measure.campaign import MapParams, plan_map, run_map
 
-    most = [max((abs(limit.value) for limit in limits.limits if limit.scan.axis == axis), default=0.0) for axis in range(3)]
+    most = [
+        max((abs(limit.value) for limit in limits.limits if limit.scan.axis == axis), default=0.0)
+        for axis in range(3)
+    ]
     if not all(np.isfinite(most)) or min(most) == 0.0:
-        raise AnalysisError("the display is not passive at K = B = M = 0, so there is no set to map; see `hapticd zwidth trial`")
+        raise AnalysisError(
+            "the display is not passive at K = B = M = 0, so there is no set to map; see `hapticd"
+            " zwidth trial`"
+        )
     axes = (
         np.linspace(0.0, GRID_MARGIN[0] * most[0], GRID[0]),
         np.linspace(0.0, GRID_MARGIN[1] * most[1], GRID[1]),
@@ -211,16 +275,28 @@ def _own_trial(scene: Any, seconds: float, folder: Path) -> list[Path]:
 
 
 LINE_S = 10.0
-Quick = Annotated[bool, typer.Option("--quick", help="Prediction alone: seconds instead of minutes, without scatter and Fig. 2.")]
-Seeds = Annotated[int, typer.Option("--seeds", metavar="N", min=2, max=64, help="Noise realisations behind each limit.")]
+Quick = Annotated[
+    bool,
+    typer.Option(
+        "--quick", help="Prediction alone: seconds instead of minutes, without scatter and Fig. 2."
+    ),
+]
+Seeds = Annotated[
+    int,
+    typer.Option(
+        "--seeds", metavar="N", min=2, max=64, help="Noise realisations behind each limit."
+    ),
+]
 
 
-def reproduce(quick: Quick = False, seeds: Seeds = 8, out: common.Out = None, as_json: terminal.Json = False) -> None:
-    """Weir, Colgate and Peshkin 2008 on simulated devices: limits, ratios, equations and Figs. 2-4 and 7-11 beside the paper's,
-    and what the paper left to future work.
+def reproduce(
+    quick: Quick = False, seeds: Seeds = 8, out: common.Out = None, as_json: terminal.Json = False
+) -> None:
+    """Weir, Colgate and Peshkin 2008 on simulated devices: limits, ratios, equations and Figs. 2-4
+    and 7-11 beside the paper's, and what the paper left to future work.
 
-    Writes REPORT.md, the table (JSON, CSV, Markdown) and the figures (PNG, SVG); with --json only if --out names a folder.
-    Ctrl-C is safe: the folder holds the files of one run, or none.
+    Writes REPORT.md, the table (JSON, CSV, Markdown) and the figures (PNG, SVG); with --json only
+    if --out names a folder. Ctrl-C is safe: the folder holds the files of one run, or none.
     """
     from hapticd.measure.beyond import plan_beyond, run_beyond
     from hapticd.measure.reproduce import plan_reproduce, run_reproduce
@@ -229,12 +305,18 @@ def reproduce(quick: Quick = False, seeds: Seeds = 8, out: common.Out = None, as
     from hapticd.report.paper_page import terminal as terminal_text
     from hapticd.report.paper_table import as_json as table_json
 
-    plan, files = plan_reproduce(quick, seeds), []
+    plan = plan_reproduce(quick, seeds)
+    files = []
     further = plan_beyond(quick)
     with common.interruptible(), watched() as tell:
         found = [*sections(run_reproduce(plan, tell)), *future_sections(run_beyond(further, tell))]
         table = table_json(row for section in found for row in section.rows)
-        told: dict[str, Any] = {"quick": quick, "seeds": len(plan.seeds), "table": table, "provenance": common.told()}
+        told: dict[str, Any] = {
+            "quick": quick,
+            "seeds": len(plan.seeds),
+            "table": table,
+            "provenance": common.told(),
+        }
         if out is not None or not as_json:
             files = keep(found, common.folder(out, "reproduce"), told, tell)
     if as_json:
@@ -246,7 +328,9 @@ def reproduce(quick: Quick = False, seeds: Seeds = 8, out: common.Out = None, as
 
 @contextmanager
 def watched() -> "Iterator[Progress]":
-    """The bar; where stderr is no terminal, a line every ten seconds, so that no log is silent for minutes."""
+    """The bar; where stderr is no terminal, a line every ten seconds, so that no log is silent
+    for minutes.
+    """
     last_s = -inf
 
     def line(what: str, done: int, total: int) -> None:

@@ -1,8 +1,9 @@
-"""One trial: perturb, record, judge; by the simulator, by the whole stack, on a daemon's device, or from a file.
+"""One trial: perturb, record, judge; by the simulator, by the whole stack, on a daemon's device, or
+from a file.
 
-Before a daemon's device moves, it is said which one it is, what is known of it and what will happen; whoever ends the
-process meanwhile ends the trial with force off. Beside the verdict it is said what would decide an undecided trial, and
-how single sines compare with the noise.
+Before a daemon's device moves, it is said which one it is, what is known of it and what will
+happen; whoever ends the process meanwhile ends the trial with force off. Beside the verdict it is
+said what would decide an undecided trial, and how single sines compare with the noise.
 """
 
 import signal
@@ -28,12 +29,17 @@ if TYPE_CHECKING:
     from hapticd.plant.scene import Scene
 
 
-def asked_for(source: str, trial: "Trial", scene: "Scene | None", recorded: "Recorded | None") -> str:
+def asked_for(
+    source: str, trial: "Trial", scene: "Scene | None", recorded: "Recorded | None"
+) -> str:
     """What is about to be flown or read, environment and all."""
     k, b, m = trial.environment
     what = f"K {k:g} N/m, B {b:g} N s/m, M {m:g} kg, added damping {trial.damping_ns_per_m:g} N s/m"
     if recorded is not None:
-        return f"reads {recorded.origin}, {recorded.seconds:.4g} s at {recorded.rate_hz:.6g} Hz, as recorded in {what}"
+        return (
+            f"reads {recorded.origin}, {recorded.seconds:.4g} s at {recorded.rate_hz:.6g} Hz, as"
+            f" recorded in {what}"
+        )
     device = f", device {scene.device} of scene {scene.name}" if scene else ""
     return f"flies {what} by the {source}{device}"
 
@@ -44,7 +50,8 @@ def needed(result: "TrialResult") -> str:
 
     from hapticd.analysis import verdict as outlook
 
-    verdict, layout = result.verdict, result.plan.params.multisine
+    verdict = result.verdict
+    layout = result.plan.params.multisine
     voiding = sorted({finding.code for finding in verdict.findings if finding.voids})
     if voiding:
         return f"no length of a record decides with {' and '.join(voiding)} in it: mend that first"
@@ -52,10 +59,16 @@ def needed(result: "TrialResult") -> str:
         return outlook.needed(verdict.seconds_needed, verdict.seconds)
     more = verdict.seconds_needed / verdict.seconds
     if not more <= outlook.FORESEEABLE:
-        return f"many more than {layout.realisations} realisations would be needed; use noise (--excitation noise)"
+        return (
+            f"many more than {layout.realisations} realisations would be needed; use noise"
+            " (--excitation noise)"
+        )
     distorted = any(finding.code == "distortion" for finding in verdict.findings)
     remedy = "; where friction distorts, noise decides sooner" if distorted else ""
-    return f"some {outlook.two_digits(ceil(layout.realisations * more))} realisations would decide{remedy}"
+    return (
+        f"some {outlook.two_digits(ceil(layout.realisations * more))} realisations would"
+        f" decide{remedy}"
+    )
 
 
 def compared(result: "TrialResult", referee: "Referee") -> str:
@@ -64,12 +77,26 @@ def compared(result: "TrialResult", referee: "Referee") -> str:
 
     from hapticd.report.table import table, text
 
-    rows, moved = [], 1e3 * referee.velocity_rms_m_per_s
+    rows = []
+    moved = 1e3 * referee.velocity_rms_m_per_s
     for f, speed, sine in zip(referee.frequency_hz, moved, referee.impedance_ns_per_m, strict=True):
-        noise = result.measured.impedance_ns_per_m[int(np.argmin(np.abs(result.measured.frequency_hz - f)))]
-        sizes = (part(z) for part in (abs, lambda z: float(np.degrees(np.angle(z)))) for z in (sine, noise))
+        noise = result.measured.impedance_ns_per_m[
+            int(np.argmin(np.abs(result.measured.frequency_hz - f)))
+        ]
+        sizes = (
+            part(z)
+            for part in (abs, lambda z: float(np.degrees(np.angle(z))))
+            for z in (sine, noise)
+        )
         rows.append((float(f), float(speed), *sizes))
-    columns = ("Hz", "sine mm/s rms", "sine |Z| N s/m", "noise |Z|", "sine phase deg", "noise phase")
+    columns = (
+        "Hz",
+        "sine mm/s rms",
+        "sine |Z| N s/m",
+        "noise |Z|",
+        "sine phase deg",
+        "noise phase",
+    )
     title = f"stepped sine of {referee.force_n:g} N rms beside the noise"
     return f"{text(table(columns, rows, title))}\n{_amplitudes(result, moved[np.isfinite(moved)].tolist())}"
 
@@ -77,17 +104,21 @@ def compared(result: "TrialResult", referee: "Referee") -> str:
 def _amplitudes(result: "TrialResult", sines_mm_per_s: list[float]) -> str:
     """Why sines and noise may differ, and which of them is judged."""
     noise = 1e3 * result.verdict.amplitude.velocity_sd_m_per_s
-    between = f"{min(sines_mm_per_s):.3g} to {max(sines_mm_per_s):.3g}" if sines_mm_per_s else "unknown"
+    between = (
+        f"{min(sines_mm_per_s):.3g} to {max(sines_mm_per_s):.3g}" if sines_mm_per_s else "unknown"
+    )
     return (
-        f"the sines move the device at {between} mm/s rms, the noise at {noise:.3g} mm/s at all frequencies together; dry friction "
-        "is another damping at each amplitude, so with it the two differ and a sine may leave +-90 deg alone; the verdict is the "
-        "noise's"
+        f"the sines move the device at {between} mm/s rms, the noise at {noise:.3g} mm/s at all"
+        " frequencies together; dry friction is another damping at each amplitude, so with it the"
+        " two differ and a sine may leave +-90 deg alone; the verdict is the noise's"
     )
 
 
 @dataclass(frozen=True)
 class Rig:
-    """A daemon's device by the name in its device file; `model`: the scene of the device of that name, if one is known."""
+    """A daemon's device by the name in its device file; `model`: the scene of the device of
+    that name, if one is known.
+    """
 
     client: "Client"
     instance: str
@@ -102,7 +133,9 @@ class Rig:
 
 
 def open_rig(instance: str, stack: ExitStack) -> Rig:
-    """Connect for as long as `stack`; what ends this process meanwhile ends the trial with force off. DaemonDown."""
+    """Connect for as long as `stack`; what ends this process meanwhile ends the trial with
+    force off. DaemonDown.
+    """
     from hapticd.cli.change import connect
     from hapticd.measure.scenes import scene_of_device
     from hapticd.params import EnvironmentParams, from_plain
@@ -110,10 +143,15 @@ def open_rig(instance: str, stack: ExitStack) -> Rig:
     stack.enter_context(_signals_end_with_force_off())
     client = stack.enter_context(connect(instance))
     servo = client.hello()["servo"]
-    name, model = servo["device"]["name"], scene_of_device(servo["device"]["name"])
+    name = servo["device"]["name"]
+    model = scene_of_device(servo["device"]["name"])
     if model is not None:
         own = from_plain(EnvironmentParams, servo["environment"])
-        filtered = replace(model.environment, velocity_filter=own.velocity_filter, acceleration_filter=own.acceleration_filter)
+        filtered = replace(
+            model.environment,
+            velocity_filter=own.velocity_filter,
+            acceleration_filter=own.acceleration_filter,
+        )
         model = replace(model, environment=filtered)
     return Rig(client, instance, name, servo["simulated"], model)
 
@@ -125,28 +163,37 @@ def announce(rig: Rig, trial: "Trial", scene: "Scene | None") -> None:
     k, b, m = trial.environment
     kind = "simulated" if rig.simulated else "real, it moves"
     terminal.talk(
-        f"enables the device {rig.device!r} of daemon {rig.instance!r} ({kind}) in K {k:g} N/m, B {b:g} N s/m, M {m:g} kg, "
-        f"added damping {trial.damping_ns_per_m:g} N s/m, and shakes it; Ctrl-C ends it, force off"
+        f"enables the device {rig.device!r} of daemon {rig.instance!r} ({kind}) in K {k:g} N/m, B"
+        f" {b:g} N s/m, M {m:g} kg, added damping {trial.damping_ns_per_m:g} N s/m, and shakes it;"
+        " Ctrl-C ends it, force off"
     )
     if k == 0.0:
-        terminal.talk(f"with K = 0 nothing holds the device in its travel; -K {CENTRING_N_PER_M:g} would")
+        terminal.talk(
+            f"with K = 0 nothing holds the device in its travel; -K {CENTRING_N_PER_M:g} would"
+        )
     if rig.model is None:
         terminal.talk(f"no model of a device {rig.device!r} is known, so nothing is predicted")
     if scene is not None and (rig.model is None or scene.device != rig.model.device):
         terminal.talk(
-            f"scene {scene.name!r} is of the device {scene.device!r}, the daemon has {rig.device!r}: what the scene says is "
-            "rendered on that"
+            f"scene {scene.name!r} is of the device {scene.device!r}, the daemon has"
+            f" {rig.device!r}: what the scene says is rendered on that"
         )
 
 
 @contextmanager
 def _signals_end_with_force_off() -> Iterator[None]:
-    """Whoever ends this process, or closes its terminal, gets what Ctrl-C gets: force off. Exit 128 + the signal's number."""
+    """Whoever ends this process, or closes its terminal, gets what Ctrl-C gets: force off. Exit
+    128 + the signal's number.
+    """
 
     def leave(number: int, frame: object) -> None:
         raise SystemExit(128 + number)
 
-    heard = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) == signal.SIG_DFL]
+    heard = [
+        number
+        for number in (signal.SIGTERM, signal.SIGHUP)
+        if signal.getsignal(number) == signal.SIG_DFL
+    ]
     for number in heard:
         signal.signal(number, leave)
     try:
@@ -157,45 +204,113 @@ def _signals_end_with_force_off() -> Iterator[None]:
 
 
 LIVE = ("engine", "lockstep", "live")
-FROM = "engine: simulate; lockstep: the whole stack on virtual time; live: the daemon's device, ENABLED by this; else a FILE."
+FROM = (
+    "engine: simulate; lockstep: the whole stack on virtual time; live: the daemon's device,"
+    " ENABLED by this; else a FILE."
+)
 ENGINE_SCENE = "fig4"  # of engine and lockstep where none is named
 
 
 def trial(
-    source: Annotated[str, typer.Argument(metavar="engine|lockstep|live|FILE", help=FROM)] = "engine",
+    source: Annotated[
+        str, typer.Argument(metavar="engine|lockstep|live|FILE", help=FROM)
+    ] = "engine",
     scene: Annotated[
-        str, typer.Option("--scene", metavar="NAME|FILE", help="Device and environment; engine, lockstep: else fig4.")
+        str,
+        typer.Option(
+            "--scene",
+            metavar="NAME|FILE",
+            help="Device and environment; engine, lockstep: else fig4.",
+        ),
     ] = "",
-    stiffness: Annotated[float | None, typer.Option("-K", "--stiffness", metavar="N/M", help="Virtual stiffness.")] = None,
-    viscous: Annotated[float | None, typer.Option("-B", "--viscous", metavar="NS/M", help="Virtual damping.")] = None,
-    mass: Annotated[float | None, typer.Option("-M", "--mass", metavar="KG", help="Virtual mass.")] = None,
-    damping: Annotated[float | None, typer.Option("--damping", metavar="NS/M", help="Electrical damping.", min=0)] = None,
-    excitation: Annotated[str, typer.Option("--excitation", metavar="noise|multisine", help="Of the probe.")] = "noise",
-    seconds: Annotated[float, typer.Option("--seconds", metavar="S", help="Length of a trial by noise.")] = 90.0,
-    realisations: Annotated[int, typer.Option("--realisations", metavar="N", help="Multisines of other phases.", min=1)] = 8,
-    periods: Annotated[int, typer.Option("--periods", metavar="N", help="Of each that count, after one to settle.", min=1)] = 2,
+    stiffness: Annotated[
+        float | None, typer.Option("-K", "--stiffness", metavar="N/M", help="Virtual stiffness.")
+    ] = None,
+    viscous: Annotated[
+        float | None, typer.Option("-B", "--viscous", metavar="NS/M", help="Virtual damping.")
+    ] = None,
+    mass: Annotated[
+        float | None, typer.Option("-M", "--mass", metavar="KG", help="Virtual mass.")
+    ] = None,
+    damping: Annotated[
+        float | None, typer.Option("--damping", metavar="NS/M", help="Electrical damping.", min=0)
+    ] = None,
+    excitation: Annotated[
+        str, typer.Option("--excitation", metavar="noise|multisine", help="Of the probe.")
+    ] = "noise",
+    seconds: Annotated[
+        float, typer.Option("--seconds", metavar="S", help="Length of a trial by noise.")
+    ] = 90.0,
+    realisations: Annotated[
+        int, typer.Option("--realisations", metavar="N", help="Multisines of other phases.", min=1)
+    ] = 8,
+    periods: Annotated[
+        int,
+        typer.Option(
+            "--periods", metavar="N", help="Of each that count, after one to settle.", min=1
+        ),
+    ] = 2,
     seed: common.Seed = 1,
     psd: Annotated[
-        float | None, typer.Option("--psd", metavar="N2/HZ", help="Of the perturbation; else the scene's.", min=0)
+        float | None,
+        typer.Option(
+            "--psd", metavar="N2/HZ", help="Of the perturbation; else the scene's.", min=0
+        ),
     ] = None,
     band: common.Band = (2.0, 500.0),
     confidence: common.Confidence = 0.95,
     estimator: Annotated[
-        str, typer.Option("--estimator", metavar="spa|h_force", help="Input: velocity (paper, noise) or force (multisine).")
+        str,
+        typer.Option(
+            "--estimator",
+            metavar="spa|h_force",
+            help="Input: velocity (paper, noise) or force (multisine).",
+        ),
     ] = "",
-    lag: Annotated[int, typer.Option("--lag", metavar="N", help="Window, samples (noise).", min=64)] = 2048,
-    behind: Annotated[float, typer.Option("--behind-mass", metavar="KG", help="Mass of the probe to take out.", min=0)] = 0.0,
-    sine: Annotated[bool, typer.Option("--stepped-sine", help="Also by single sines at 12 frequencies, as a referee.")] = False,
-    until_decided: Annotated[bool, typer.Option("--until-decided", help="End when the verdict stands.")] = False,
-    hottest: Annotated[float, typer.Option("--hottest", metavar="C", help="Winding temperature that ends the trial.")] = 100.0,
+    lag: Annotated[
+        int, typer.Option("--lag", metavar="N", help="Window, samples (noise).", min=64)
+    ] = 2048,
+    behind: Annotated[
+        float,
+        typer.Option("--behind-mass", metavar="KG", help="Mass of the probe to take out.", min=0),
+    ] = 0.0,
+    sine: Annotated[
+        bool,
+        typer.Option(
+            "--stepped-sine", help="Also by single sines at 12 frequencies, as a referee."
+        ),
+    ] = False,
+    until_decided: Annotated[
+        bool, typer.Option("--until-decided", help="End when the verdict stands.")
+    ] = False,
+    hottest: Annotated[
+        float,
+        typer.Option("--hottest", metavar="C", help="Winding temperature that ends the trial."),
+    ] = 100.0,
     force: Annotated[str, typer.Option("--force-column", metavar="NAME", help="Of FILE.")] = "",
-    velocity: Annotated[str, typer.Option("--velocity-column", metavar="NAME", help="Of FILE.")] = "",
-    rate_hz: Annotated[float | None, typer.Option("--rate-hz", metavar="HZ", help="Of FILE, where it does not say.")] = None,
+    velocity: Annotated[
+        str, typer.Option("--velocity-column", metavar="NAME", help="Of FILE.")
+    ] = "",
+    rate_hz: Annotated[
+        float | None,
+        typer.Option("--rate-hz", metavar="HZ", help="Of FILE, where it does not say."),
+    ] = None,
     skew: Annotated[
-        float, typer.Option("--skew", metavar="S", help="Known delay of the velocity channel behind the force, taken out.")
+        float,
+        typer.Option(
+            "--skew",
+            metavar="S",
+            help="Known delay of the velocity channel behind the force, taken out.",
+        ),
     ] = 0.0,
     high_pass: Annotated[
-        float, typer.Option("--high-pass", metavar="HZ", help="Known corner of an AC-coupled velocity channel, taken out.", min=0)
+        float,
+        typer.Option(
+            "--high-pass",
+            metavar="HZ",
+            help="Known corner of an AC-coupled velocity channel, taken out.",
+            min=0,
+        ),
     ] = 0.0,
     instance: terminal.Instance = terminal.INSTANCE,
     out: common.Out = None,
@@ -203,14 +318,17 @@ def trial(
     admittance: common.Admittance = False,
     as_json: terminal.Json = False,
 ) -> None:
-    """One trial of one environment: the probe shakes, impedance by spectral analysis, passive or not.
+    """One trial of one environment: the probe shakes, impedance by spectral analysis, passive or
+    not.
 
-    White noise and spectral analysis, the paper's way, or multisines (period 1.024 s): better for a device without friction, and
-    with friction only as good as the number of realisations. Of K, B and M what is not given is that of the scene that --scene
-    names, else 0; with none of the three given they are those of fig4, live without --scene they are 0, and of a record of
-    hapticd's own what it says. Electrical damping and perturbation are the scene's unless given. `live` enables the daemon's
-    device by itself, says so, shakes it, and disables it at the end and on Ctrl-C; give a K that holds it in its travel (-K 20).
-    A FILE is .csv, .npz, .mat or .h5; one of multisines holds whole realisations, each with its settling period.
+    White noise and spectral analysis, the paper's way, or multisines (period 1.024 s): better for a
+    device without friction, and with friction only as good as the number of realisations. Of K, B
+    and M what is not given is that of the scene that --scene names, else 0; with none of the three
+    given they are those of fig4, live without --scene they are 0, and of a record of hapticd's own
+    what it says. Electrical damping and perturbation are the scene's unless given. `live` enables
+    the daemon's device by itself, says so, shakes it, and disables it at the end and on Ctrl-C;
+    give a K that holds it in its travel (-K 20). A FILE is .csv, .npz, .mat or .h5; one of
+    multisines holds whole realisations, each with its settling period.
     """
     from dataclasses import replace
 
@@ -226,15 +344,28 @@ def trial(
     recorded = None if source in LIVE else read(source, force, velocity, rate_hz)
     asked = given((stiffness, viscous, mass), damping, loaded, bool(scene), recorded)
     force_of = scenes.noise(loaded) if loaded else Trial().excitation
-    force_of = replace(force_of, seed=seed, psd_n2_per_hz=force_of.psd_n2_per_hz if psd is None else psd)
+    force_of = replace(
+        force_of, seed=seed, psd_n2_per_hz=force_of.psd_n2_per_hz if psd is None else psd
+    )
     repeats = Layout(realisations, periods) if excitation == "multisine" else None
     watch = Watch(until_decided=until_decided, winding_limit_c=hottest)
     shaken = multisine_like(force_of, band[1]) if repeats else force_of
     trial = Trial(asked.environment, asked.damping_ns_per_m, seconds, shaken, watch)
-    chosen: Estimator = "h_force" if estimator == "h_force" or (repeats and not estimator) else "spa"
+    chosen: Estimator = (
+        "h_force" if estimator == "h_force" or (repeats and not estimator) else "spa"
+    )
     model = loaded if source != "live" else None
     params = TrialParams(
-        trial, model, band, confidence, chosen, behind, lag=lag, multisine=repeats, skew_s=skew, high_pass_hz=high_pass
+        trial,
+        model,
+        band,
+        confidence,
+        chosen,
+        behind,
+        lag=lag,
+        multisine=repeats,
+        skew_s=skew,
+        high_pass_hz=high_pass,
     )
     plan = plan_trial(params)
     with common.interruptible(), ExitStack() as stack:
@@ -245,7 +376,9 @@ def trial(
             recorder = file_source(recorded) if recorded else _source(source, named, loaded, stack)
         tell = stack.enter_context(progress())
         result = _flown(plan, recorder, source in LIVE, tell)
-        referee = stepped_sine(trial, recorder, tell) if sine and may_follow(result.recorded) else None
+        referee = (
+            stepped_sine(trial, recorder, tell) if sine and may_follow(result.recorded) else None
+        )
     _show(result, referee, common.folder(out, "trial"), plot or admittance, admittance, as_json)
 
 
@@ -262,20 +395,34 @@ def _check(source: str, excitation: str, estimator: str, sine: bool, until_decid
     if excitation not in ("noise", "multisine"):
         raise typer.BadParameter(f"--excitation {excitation!r}: use noise or multisine")
     if sine and source not in LIVE:
-        raise typer.BadParameter("--stepped-sine: a record that exists cannot be perturbed again; use engine, lockstep or live")
+        raise typer.BadParameter(
+            "--stepped-sine: a record that exists cannot be perturbed again; use engine, lockstep"
+            " or live"
+        )
     if until_decided and excitation == "multisine":
-        raise typer.BadParameter("--until-decided: multisines are judged at their end; ask for fewer --realisations, or for noise")
+        raise typer.BadParameter(
+            "--until-decided: multisines are judged at their end; ask for fewer --realisations, or"
+            " for noise"
+        )
 
 
 def _flown(plan: "TrialPlan", recorder: "Source", flies: bool, tell: "Progress") -> "TrialResult":
     """A file of multisines is there already, realisation after realisation."""
     from hapticd.measure.trial import judged, run_trial
 
-    return run_trial(plan, recorder, tell) if flies else judged(plan, recorder(plan.params.trial, tell))
+    return (
+        run_trial(plan, recorder, tell)
+        if flies
+        else judged(plan, recorder(plan.params.trial, tell))
+    )
 
 
-def _live(plan: "TrialPlan", scene: "Scene | None", instance: str, stack: ExitStack) -> "tuple[TrialPlan, Source]":
-    """The plan with the curve of the daemon's device, and the source. Whether the loop is stable is seen, not predicted."""
+def _live(
+    plan: "TrialPlan", scene: "Scene | None", instance: str, stack: ExitStack
+) -> "tuple[TrialPlan, Source]":
+    """The plan with the curve of the daemon's device, and the source. Whether the loop is
+    stable is seen, not predicted.
+    """
     from dataclasses import replace
 
     from hapticd.measure.bench import bench_source
@@ -283,9 +430,9 @@ def _live(plan: "TrialPlan", scene: "Scene | None", instance: str, stack: ExitSt
 
     found = open_rig(instance, stack)
     announce(found, plan.params.trial, scene)
-    return replace(plan_trial(replace(plan.params, scene=found.model)), spectral_radius=None), bench_source(
-        found.client, found.origin
-    )
+    return replace(
+        plan_trial(replace(plan.params, scene=found.model)), spectral_radius=None
+    ), bench_source(found.client, found.origin)
 
 
 def _source(name: str, scene: str, loaded: Any, stack: ExitStack) -> "Source":
@@ -296,10 +443,19 @@ def _source(name: str, scene: str, loaded: Any, stack: ExitStack) -> "Source":
 
     if name == "engine":
         return engine_source(loaded)
-    return bench_source(stack.enter_context(LockStepBench(*scene_params(scene))), f"lock-step, scene {loaded.name}")
+    return bench_source(
+        stack.enter_context(LockStepBench(*scene_params(scene))), f"lock-step, scene {loaded.name}"
+    )
 
 
-def _show(result: "TrialResult", referee: "Referee | None", folder: Path, plot: bool, admittance: bool, as_json: bool) -> None:
+def _show(
+    result: "TrialResult",
+    referee: "Referee | None",
+    folder: Path,
+    plot: bool,
+    admittance: bool,
+    as_json: bool,
+) -> None:
     from hapticd.measure.store import plain
     from hapticd.measure.trial import summary, write
 
@@ -308,7 +464,12 @@ def _show(result: "TrialResult", referee: "Referee | None", folder: Path, plot: 
         paths = draw_trial(result, folder, referee, admittance) if plot else []
     if as_json:
         terminal.data_json(
-            {"ok": True, **plain(summary(result, referee)), "folder": str(folder), "figures": [str(path) for path in paths]}
+            {
+                "ok": True,
+                **plain(summary(result, referee)),
+                "folder": str(folder),
+                "figures": [str(path) for path in paths],
+            }
         )
         return
     k, b, m = result.plan.params.trial.environment
@@ -328,47 +489,89 @@ def _show(result: "TrialResult", referee: "Referee | None", folder: Path, plot: 
     common.kept(folder, paths)
 
 
-def draw_trial(result: "TrialResult", folder: Path, referee: "Referee | None" = None, admittance: bool = True) -> list[Path]:
+def draw_trial(
+    result: "TrialResult", folder: Path, referee: "Referee | None" = None, admittance: bool = True
+) -> list[Path]:
     """The figure of the trial, and that of its admittance if asked."""
     from hapticd.report import style
     from hapticd.report.trial import trial_figure
 
     paths = [*style.save(trial_figure(result, referee), folder, "trial")]
     if admittance:
-        paths += style.save(trial_figure(result, referee, admittance=True), folder, "trial_admittance")
+        paths += style.save(
+            trial_figure(result, referee, admittance=True), folder, "trial_admittance"
+        )
     return paths
 
 
 RecordFile = Annotated[
     Path,
     typer.Argument(
-        metavar="FILE", help=".csv, .npz, .mat or .h5 with force in N and velocity in m/s; a recording, its export, a run folder."
+        metavar="FILE",
+        help=(
+            ".csv, .npz, .mat or .h5 with force in N and velocity in m/s; a recording, its export,"
+            " a run folder."
+        ),
     ),
 ]
 
 
 def import_record(
     file: RecordFile,
-    stiffness: Annotated[float | None, typer.Option("-K", "--stiffness", metavar="N/M", help="What was rendered.")] = None,
-    viscous: Annotated[float | None, typer.Option("-B", "--viscous", metavar="NS/M", help="What was rendered.")] = None,
-    mass: Annotated[float | None, typer.Option("-M", "--mass", metavar="KG", help="What was rendered.")] = None,
-    damping: Annotated[float | None, typer.Option("--damping", metavar="NS/M", help="Electrical damping.", min=0)] = None,
+    stiffness: Annotated[
+        float | None, typer.Option("-K", "--stiffness", metavar="N/M", help="What was rendered.")
+    ] = None,
+    viscous: Annotated[
+        float | None, typer.Option("-B", "--viscous", metavar="NS/M", help="What was rendered.")
+    ] = None,
+    mass: Annotated[
+        float | None, typer.Option("-M", "--mass", metavar="KG", help="What was rendered.")
+    ] = None,
+    damping: Annotated[
+        float | None, typer.Option("--damping", metavar="NS/M", help="Electrical damping.", min=0)
+    ] = None,
     force: Annotated[str, typer.Option("--force-column", metavar="NAME", help="Of FILE.")] = "",
-    velocity: Annotated[str, typer.Option("--velocity-column", metavar="NAME", help="Of FILE.")] = "",
-    rate_hz: Annotated[float | None, typer.Option("--rate-hz", metavar="HZ", help="Where FILE does not say.")] = None,
-    skew: Annotated[float, typer.Option("--skew", metavar="S", help="Known delay of the velocity channel, taken out.")] = 0.0,
+    velocity: Annotated[
+        str, typer.Option("--velocity-column", metavar="NAME", help="Of FILE.")
+    ] = "",
+    rate_hz: Annotated[
+        float | None, typer.Option("--rate-hz", metavar="HZ", help="Where FILE does not say.")
+    ] = None,
+    skew: Annotated[
+        float,
+        typer.Option("--skew", metavar="S", help="Known delay of the velocity channel, taken out."),
+    ] = 0.0,
     high_pass: Annotated[
-        float, typer.Option("--high-pass", metavar="HZ", help="Known corner of an AC-coupled velocity channel, taken out.", min=0)
+        float,
+        typer.Option(
+            "--high-pass",
+            metavar="HZ",
+            help="Known corner of an AC-coupled velocity channel, taken out.",
+            min=0,
+        ),
     ] = 0.0,
     band: common.Band = (2.0, 500.0),
     out: common.Out = None,
     plot: common.Plot = False,
     as_json: terminal.Json = False,
 ) -> None:
-    """Bring in a record of any other system: a run folder with the record, its verdict and summary (run.json) and impedance.csv,
-    as `trial` makes them. A recording, its exports and a run folder say themselves what was rendered.
+    """Bring in a record of any other system: a run folder with the record, its verdict and summary
+    (run.json) and impedance.csv, as `trial` makes them. A recording, its exports and a run folder
+    say themselves what was rendered.
     """
     trial(
-        source=str(file), stiffness=stiffness, viscous=viscous, mass=mass, damping=damping, force=force, velocity=velocity,
-        rate_hz=rate_hz, skew=skew, high_pass=high_pass, band=band, out=out, plot=plot, as_json=as_json,
-    )  # fmt: skip
+        source=str(file),
+        stiffness=stiffness,
+        viscous=viscous,
+        mass=mass,
+        damping=damping,
+        force=force,
+        velocity=velocity,
+        rate_hz=rate_hz,
+        skew=skew,
+        high_pass=high_pass,
+        band=band,
+        out=out,
+        plot=plot,
+        as_json=as_json,
+    )

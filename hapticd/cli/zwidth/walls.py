@@ -13,24 +13,36 @@ def command(
     scene: common.SceneName = "wall",
     damping: common.Damping = "0,1.74",
     stiffness: Annotated[
-        common.Range, typer.Option("--stiffness", metavar="LOW HIGH N", help="Of the walls, N/m, evenly in ln K.")
+        common.Range,
+        typer.Option(
+            "--stiffness", metavar="LOW HIGH N", help="Of the walls, N/m, evenly in ln K."
+        ),
     ] = (
         20.0,
         3000.0,
         18,
     ),
-    viscous: Annotated[common.Range, typer.Option("--viscous", metavar="LOW HIGH N", help="Damping of the walls, N s/m.")] = (
+    viscous: Annotated[
+        common.Range,
+        typer.Option("--viscous", metavar="LOW HIGH N", help="Damping of the walls, N s/m."),
+    ] = (
         0.0,
         8.0,
         13,
     ),
-    settle_s: Annotated[float, typer.Option("--settle-s", metavar="S", help="Time to come to rest.")] = 1.5,
-    still: Annotated[float, typer.Option("--still", metavar="M/S", help="Speed to and fro that counts as rest.")] = 2e-3,
+    settle_s: Annotated[
+        float, typer.Option("--settle-s", metavar="S", help="Time to come to rest.")
+    ] = 1.5,
+    still: Annotated[
+        float, typer.Option("--still", metavar="M/S", help="Speed to and fro that counts as rest.")
+    ] = 2e-3,
     out: common.Out = None,
     plot: common.Plot = True,
     as_json: terminal.Json = False,
 ) -> None:
-    """How stiff a virtual wall may be at each damping before an impact sets it oscillating: the K-B plot of one device."""
+    """How stiff a virtual wall may be at each damping before an impact sets it oscillating: the
+    K-B plot of one device.
+    """
     import numpy as np
 
     from hapticd.errors import AnalysisError
@@ -50,20 +62,39 @@ def command(
     with common.interruptible(), progress() as tell:
         result = run_walls(plan, tell)
     folder = common.folder(out, "walls")
-    write_run(folder, {"kind": "walls", "scene": scene, "lines": result.lines, "provenance": common.told()})
+    write_run(
+        folder,
+        {"kind": "walls", "scene": scene, "lines": result.lines, "provenance": common.told()},
+    )
     with common.drawing(folder):
         paths = style.save(walls_figure(result), folder, "walls") if plot else ()
     if as_json:
         lines = plain(result.lines)
-        terminal.data_json({"ok": True, "lines": lines, "folder": str(folder), "figures": [str(path) for path in paths]})
+        terminal.data_json(
+            {
+                "ok": True,
+                "lines": lines,
+                "folder": str(folder),
+                "figures": [str(path) for path in paths],
+            }
+        )
         return
     rows: list[tuple[str | float, ...]] = [
         (
             dampings[place],
-            *(f"{'>' if line.open else ''}{line.highest_n_per_m:.3g}" for line in result.lines[place :: len(dampings)]),
+            *(
+                f"{'>' if line.open else ''}{line.highest_n_per_m:.3g}"
+                for line in result.lines[place :: len(dampings)]
+            ),
         )
         for place in range(len(dampings))
     ]
     columns = ("wall B N s/m", *(f"K N/m at {level:g} N s/m" for level in plan.params.levels))
-    terminal.data(text(table(columns, rows, f"SIMULATED {loaded.device}: stiffest stable wall, by added damping")))
+    terminal.data(
+        text(
+            table(
+                columns, rows, f"SIMULATED {loaded.device}: stiffest stable wall, by added damping"
+            )
+        )
+    )
     common.kept(folder, paths)

@@ -1,6 +1,7 @@
 """Recordings: HDF5 files that survive, one 1-D dataset per channel, readable without this package.
 
-    servo.raw, probe, event, flight --recorder--> NAME.part.h5  (live: SWMR, uncompressed, flushed every 100 ms)
+    servo.raw, probe, event, flight --recorder--> NAME.part.h5  (live: SWMR, uncompressed, flushed
+    every 100 ms)
                                                      | pack, in a process of its own, when the recording ends
                                                      v
                                                   NAME.h5       (HDF5 1.8 format, compressed, with checksums)
@@ -11,9 +12,10 @@
     /replay          checkpoints and obeyed requests: with /servo all that `hapticd replay` needs
     attributes       schema, provenance, configuration, what real-time rights were granted, UTC of the monotonic clock, note
 
-Rules. Numbers are int64, float64, float32, small unsigned integers or fixed-length text: what Octave 7 and MATLAB load. All
-datasets and attributes exist before the live file becomes SWMR. Nothing is compressed while live: compression with frequent flushes
-writes forty times the bytes. After kill -9 all that was flushed is there, but such a file opens only as SWMR reader, so `rec
-recover` packs it. What would break it: two writers of one file, a dataset made late, a reader that trusts equal
-lengths of a crashed file's columns (`file` cuts them).
+Rules. Numbers are int64, float64, float32, small unsigned integers or fixed-length text: what
+Octave 7 and MATLAB load. All datasets and attributes exist before the live file becomes SWMR.
+Nothing is compressed while live: compression with frequent flushes writes forty times the bytes.
+After kill -9 all that was flushed is there, but such a file opens only as SWMR reader, so `rec
+recover` packs it. What would break it: two writers of one file, a dataset made late, a reader that
+trusts equal lengths of a crashed file's columns (`file` cuts them).
 """

@@ -1,4 +1,5 @@
-"""From messages of the daemon to rows of the live file: columns that grow by blocks, single writer, multiple readers (SWMR).
+"""From messages of the daemon to rows of the live file: columns that grow by blocks, single writer,
+multiple readers (SWMR).
 
 A stream of records becomes one column a field, in units as UDUNITS writes them; payloads go in, and `Writer.write` is called now
 and then: no socket, no clock. Fifty columns more than ten times a second would cost more than a recorder may take, so
@@ -32,7 +33,8 @@ LEFT_OUT = "tail"  # repeats the tick, for readers of the ring
 _SIGNED = {"<u8": "<i8"}  # 64-bit unsigned integers are no joy in MATLAB
 CHUNK_ROWS = {"servo": 1024, "probe": 4096, "checkpoint_text": 4096}  # a chunk is written whole
 FEW_ROWS = 64  # in a chunk of all others
-FLUSHED, ROWS = "flushed", "rows"
+FLUSHED = "flushed"
+ROWS = "rows"
 SUFFIX = ".part.h5"
 TOPICS = ("servo.raw", "probe", "event", "flight")
 STREAMS = {"servo.raw": "servo", "probe": "probe"}
@@ -62,12 +64,16 @@ def channels(descr: Sequence[Sequence[Any]]) -> list[Channel]:
 
 
 def columns(records: NDArray[np.void]) -> Columns:
-    """The columns of a block of records, in the order of `channels`: views, of the bytes that the channels' types mean."""
+    """The columns of a block of records, in the order of `channels`: views, of the bytes that
+    the channels' types mean.
+    """
     found: Columns = {}
     for name in (name for name in records.dtype.names or () if name != LEFT_OUT):
         column = records[name]
         if column.ndim == 2:
-            found |= {part: column[:, place] for place, part in enumerate(_parts(name, column.shape[1]))}
+            found |= {
+                part: column[:, place] for place, part in enumerate(_parts(name, column.shape[1]))
+            }
         else:
             found[name] = column
     return found
@@ -86,7 +92,9 @@ def _parts(name: str, count: int) -> tuple[str, ...]:
 def udunits(name: str) -> str:
     """Unit of a field as UDUNITS writes it: N s/m -> N s m-1."""
     over, _, under = unit_of(name).partition("/")
-    powers = [f"{base}-{power or 1}" for base, _, power in (part.partition("^") for part in under.split())]
+    powers = [
+        f"{base}-{power or 1}" for base, _, power in (part.partition("^") for part in under.split())
+    ]
     return " ".join([over, *powers]).strip()
 
 
@@ -98,14 +106,22 @@ class Column:
         self._dtype = np.dtype(channel.kind)
         self._bytes = self._dtype.itemsize * max(1, channel.width)
         self.dataset = group.create_dataset(
-            channel.name, (0, *self._row), self._dtype, maxshape=(None, *self._row), chunks=(chunk_rows, *self._row)
+            channel.name,
+            (0, *self._row),
+            self._dtype,
+            maxshape=(None, *self._row),
+            chunks=(chunk_rows, *self._row),
         )
         self.dataset.attrs["units"] = channel.unit
         self._identifier, self._kind = self.dataset.id, self.dataset.id.get_type()
-        self._last, self._standing, self._rows = b"", 0, 0
+        self._last = b""
+        self._standing = 0
+        self._rows = 0
 
     def append(self, values: NDArray[Any]) -> None:
-        """Add `values`, of the bytes of the dataset's number type; nothing is written while all are what the last one was."""
+        """Add `values`, of the bytes of the dataset's number type; nothing is written while all
+        are what the last one was.
+        """
         data = values.tobytes()
         if data == self._last * len(values):
             self._standing += len(values)
@@ -119,16 +135,18 @@ class Column:
 
     def _write(self, data: bytes) -> None:
         values = np.frombuffer(data, self._dtype).reshape(-1, *self._row)
-        begin, self._rows = self._rows, self._rows + len(values)
+        begin = self._rows
+        self._rows = self._rows + len(values)
         self._identifier.set_extent((self._rows, *self._row))
         self._identifier.write(*_selections(begin, values.shape), values, self._kind)
-        self._last, self._standing = data[-self._bytes :], 0
+        self._last = data[-self._bytes :]
+        self._standing = 0
 
 
 @lru_cache(maxsize=4)
 def _selections(begin: int, shape: tuple[int, ...]) -> tuple[Any, Any]:
-    """Where a block of `shape` lies in memory, and where it goes in its dataset, which was just extended to hold it, from row
-    `begin` on; the same for most columns of a group.
+    """Where a block of `shape` lies in memory, and where it goes in its dataset, which was just
+    extended to hold it, from row `begin` on; the same for most columns of a group.
     """
     spaces = needed("h5py", "record").h5s
     there = spaces.create_simple((begin + shape[0], *shape[1:]), (spaces.UNLIMITED, *shape[1:]))
@@ -137,25 +155,35 @@ def _selections(begin: int, shape: tuple[int, ...]) -> tuple[Any, Any]:
 
 
 class LiveFile:
-    """`path` with one group per entry of `groups`; no other dataset or attribute can be added later. HapticdError: it exists."""
+    """`path` with one group per entry of `groups`; no other dataset or attribute can be added
+    later. HapticdError: it exists.
+    """
 
-    def __init__(self, path: Path, attributes: Mapping[str, Any], groups: Mapping[str, Iterable[Channel]]) -> None:
+    def __init__(
+        self, path: Path, attributes: Mapping[str, Any], groups: Mapping[str, Iterable[Channel]]
+    ) -> None:
         h5py = needed("h5py", "record")
         try:
             self._file = h5py.File(path, "x", libver=("v110", "v110"))
         except OSError as error:
-            raise HapticdError(f"{path}: {error}; choose another name, or `hapticd rec recover` it first") from error
+            raise HapticdError(
+                f"{path}: {error}; choose another name, or `hapticd rec recover` it first"
+            ) from error
         for name, value in attributes.items():
             self._file.attrs[name] = value
         counts = [Channel(ROWS, "<i8", len(groups), "")]
-        self._groups = {name: self._columns(name, channels) for name, channels in {**groups, FLUSHED: counts}.items()}
+        self._groups = {
+            name: self._columns(name, channels)
+            for name, channels in {**groups, FLUSHED: counts}.items()
+        }
         self._groups[FLUSHED][ROWS].dataset.attrs["groups"] = list(groups)
         self._rows = dict.fromkeys(groups, 0)
         self._file.swmr_mode = True
         self.descriptor: int = self._file.id.get_vfd_handle()
 
     def _columns(self, name: str, channels: Iterable[Channel]) -> dict[str, Column]:
-        group, chunk_rows = self._file.create_group(name), CHUNK_ROWS.get(name, FEW_ROWS)
+        group = self._file.create_group(name)
+        chunk_rows = CHUNK_ROWS.get(name, FEW_ROWS)
         return {channel.name: Column(group, channel, chunk_rows) for channel in channels}
 
     def append(self, group: str, columns: Mapping[str, NDArray[Any]]) -> None:
@@ -165,7 +193,9 @@ class LiveFile:
         self._rows[group] += len(values)
 
     def flush(self) -> None:
-        """Hand everything to the operating system: from here on it survives the end of this process."""
+        """Hand everything to the operating system: from here on it survives the end of this
+        process.
+        """
         self._file.flush()
         counts = self._groups[FLUSHED][ROWS]
         counts.append(np.array([list(self._rows.values())], "<i8"))
@@ -189,28 +219,40 @@ GROUPS: dict[str, list[Channel]] = {
     "servo": channels(TICKS),
     "probe": channels(PROBE),
     "event": [
-        Channel("timestamp", "<f8", 0, "s"), Channel("tick", "<i8", 0, ""), Channel("kind", "S16", 0, ""),
-        Channel("fault", "S32", 0, ""), Channel("text", f"S{TEXT_BYTES}", 0, ""),
+        Channel("timestamp", "<f8", 0, "s"),
+        Channel("tick", "<i8", 0, ""),
+        Channel("kind", "S16", 0, ""),
+        Channel("fault", "S32", 0, ""),
+        Channel("text", f"S{TEXT_BYTES}", 0, ""),
     ],
     "gap": [Channel("stream", "S16", 0, ""), *_integers("row", "missing")],
     "life": _integers("row", "epoch", "mono_unix_offset_ns"),
     "checkpoint": [*_integers("epoch", "tick", "length")],
     "checkpoint_text": [Channel("bytes", "u1", 0, "")],
-    "request": [*_integers("epoch", *REQUEST), *(Channel(f"value_{place:02}", "<f8", 0, "") for place in range(COMMAND_VALUES))],
+    "request": [
+        *_integers("epoch", *REQUEST),
+        *(Channel(f"value_{place:02}", "<f8", 0, "") for place in range(COMMAND_VALUES)),
+    ],
     "break": _integers("epoch", "tick"),
-}  # fmt: skip
+}
 
 
 class Writer:
-    """Collects what comes and writes it in blocks; records that are `seconds` after the first, or later, are left out."""
+    """Collects what comes and writes it in blocks; records that are `seconds` after the first,
+    or later, are left out.
+    """
 
-    def __init__(self, path: Path, attributes: dict[str, Any], seconds: float | None = None) -> None:
+    def __init__(
+        self, path: Path, attributes: dict[str, Any], seconds: float | None = None
+    ) -> None:
         self._seconds = seconds
         self.file = LiveFile(path, attributes, GROUPS)
         self._decoders = {topic: BlockDecoder() for topic in STREAMS}
         self._blocks: dict[str, list[Block]] = {topic: [] for topic in STREAMS}
         self._rows = dict.fromkeys(STREAMS, 0)
-        self._small: dict[str, list[dict[str, Any]]] = {name: [] for name in GROUPS if name not in STREAMS.values()}
+        self._small: dict[str, list[dict[str, Any]]] = {
+            name: [] for name in GROUPS if name not in STREAMS.values()
+        }
         self._epoch: int | None = None
         self.missing = dict.fromkeys(STREAMS, 0)
         self.first_ns = self.last_ns = 0  # time of the first and the newest record taken
@@ -235,7 +277,9 @@ class Writer:
         if topic == "event":
             found = {"event": [event_row(content)]}
         else:
-            lost, checkpoint = ([] if content[one] is None else [content[one]] for one in ("break", "checkpoint"))
+            lost, checkpoint = (
+                [] if content[one] is None else [content[one]] for one in ("break", "checkpoint")
+            )
             found = replay_rows(content["epoch"], content["requests"], lost, checkpoint)
         for name, rows in found.items():
             self._small[name] += rows
@@ -247,14 +291,17 @@ class Writer:
             block = Block(block.records[inside], block.gap, block.restarted, block.header)
         if not len(block.records):
             return
-        row, name = self._rows[topic], STREAMS[topic]
+        row = self._rows[topic]
+        name = STREAMS[topic]
         if block.gap:
             self.missing[topic] += block.gap
             self._small["gap"].append({"stream": name, "row": row, "missing": block.gap})
         if topic == "servo.raw" and block.header["epoch"] != self._epoch:
             self._epoch = block.header["epoch"]
             offset_ns = block.header["mono_unix_offset_ns"]
-            self._small["life"].append({"row": row, "epoch": self._epoch, "mono_unix_offset_ns": offset_ns})
+            self._small["life"].append(
+                {"row": row, "epoch": self._epoch, "mono_unix_offset_ns": offset_ns}
+            )
         if topic == "servo.raw":
             self.first_ns = self.first_ns or int(block.records["time_ns"][0])
             self.last_ns = int(block.records["time_ns"][-1])
@@ -262,7 +309,9 @@ class Writer:
         self._blocks[topic].append(block)
 
     def write(self) -> None:
-        """Put everything taken into the file and flush it. OSError or RuntimeError: it cannot be written (any more)."""
+        """Put everything taken into the file and flush it. OSError or RuntimeError: it cannot
+        be written (any more).
+        """
         for topic, name in STREAMS.items():
             if blocks := self._blocks[topic]:
                 self._blocks[topic] = []
@@ -279,7 +328,10 @@ class Writer:
 
 def table(group: str, rows: list[dict[str, Any]]) -> Columns:
     """The columns of a small group from its rows."""
-    return {channel.name: np.array([row[channel.name] for row in rows], channel.kind) for channel in GROUPS[group]}
+    return {
+        channel.name: np.array([row[channel.name] for row in rows], channel.kind)
+        for channel in GROUPS[group]
+    }
 
 
 def texts(checkpoints: list[dict[str, Any]]) -> NDArray[np.uint8]:
@@ -288,17 +340,29 @@ def texts(checkpoints: list[dict[str, Any]]) -> NDArray[np.uint8]:
 
 
 def replay_rows(
-    epoch: int, requests: Iterable[Any], breaks: Iterable[int], checkpoints: Iterable[tuple[int, Any]]
+    epoch: int,
+    requests: Iterable[Any],
+    breaks: Iterable[int],
+    checkpoints: Iterable[tuple[int, Any]],
 ) -> dict[str, list[dict[str, Any]]]:
-    """Rows of `request`, `break` and `checkpoint` (with its `text`) of what a flight was told in one servo life."""
+    """Rows of `request`, `break` and `checkpoint` (with its `text`) of what a flight was told
+    in one servo life.
+    """
     packed = [(tick, msgpack.packb(state)) for tick, state in checkpoints]
     return {
         "request": [
-            {"epoch": epoch, **dict(zip(REQUEST, numbers, strict=True)), **{f"value_{n:02}": one for n, one in enumerate(values)}}
+            {
+                "epoch": epoch,
+                **dict(zip(REQUEST, numbers, strict=True)),
+                **{f"value_{n:02}": one for n, one in enumerate(values)},
+            }
             for *numbers, values in requests
         ],
         "break": [{"epoch": epoch, "tick": tick} for tick in breaks],
-        "checkpoint": [{"epoch": epoch, "tick": tick, "text": text, "length": len(text)} for tick, text in packed],
+        "checkpoint": [
+            {"epoch": epoch, "tick": tick, "text": text, "length": len(text)}
+            for tick, text in packed
+        ],
     }
 
 

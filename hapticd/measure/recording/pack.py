@@ -1,11 +1,14 @@
-"""The final file: compressed, with checksums, in a format that HDF5 1.8 and so every Octave and MATLAB opens; and its exports.
+"""The final file: compressed, with checksums, in a format that HDF5 1.8 and so every Octave and
+MATLAB opens; and its exports.
 
-`python -m hapticd.measure.recording.pack SOURCE FINAL` in a process of its own, so that neither the recorder's memory nor
-its interpreter lock is concerned. The source may be a live file that was closed, one whose recorder died, or a flight recording.
+`python -m hapticd.measure.recording.pack SOURCE FINAL` in a process of its own, so that neither the
+recorder's memory nor its interpreter lock is concerned. The source may be a live file that was
+closed, one whose recorder died, or a flight recording.
 
-Exports are MATLAB 5 (.mat) and comma-separated values. What a finished file has beside the records, the probe's signals in SI and
-seconds, is in the export of an unfinished one too. A text file ends with a line that begins with # and says where it comes from,
-SIMULATED or not, and which part is one trial.
+Exports are MATLAB 5 (.mat) and comma-separated values. What a finished file has beside the records,
+the probe's signals in SI and seconds, is in the export of an unfinished one too. A text file ends
+with a line that begins with # and says where it comes from, SIMULATED or not, and which part is one
+trial.
 """
 
 import csv
@@ -26,7 +29,8 @@ from hapticd.measure.recording.live import SUFFIX
 from hapticd.measure.recording.provenance import needed
 from hapticd.units import NS_PER_S
 
-CHUNK_ROWS, AT_ONCE = 4096, 1 << 18
+CHUNK_ROWS = 4096
+AT_ONCE = 1 << 18
 MODULE = "hapticd.measure.recording.pack"
 GZIP = 4
 FINAL = ".h5"
@@ -36,7 +40,9 @@ FRAMES = ("in_frame", "out_frame")  # not in a text file
 
 
 def pack(source: Path, final: Path, recovered: bool = False) -> dict[str, Any]:
-    """Write `final` from `source`, whole or not at all; {file, records, seconds, missing, bytes}. HapticdError: it cannot be."""
+    """Write `final` from `source`, whole or not at all; {file, records, seconds, missing,
+    bytes}. HapticdError: it cannot be.
+    """
     h5py = needed("h5py", "record")
     if final.exists():
         raise HapticdError(f"{final} exists; move it away or choose another name")
@@ -50,18 +56,34 @@ def pack(source: Path, final: Path, recovered: bool = False) -> dict[str, Any]:
                 os.fsync(written.fileno())
             fresh.replace(final)
         except OSError as error:
-            raise HapticdError(f"{final}: {error}; free some space, then `hapticd rec recover {source}`") from error
+            raise HapticdError(
+                f"{final}: {error}; free some space, then `hapticd rec recover {source}`"
+            ) from error
         finally:
             fresh.unlink(missing_ok=True)
     return {"file": str(final), **told, "bytes": final.stat().st_size}
 
 
 def packed(part: Path, final: Path, recovered: bool = False) -> dict[str, Any]:
-    """Pack `part` into `final` in a process of its own and remove `part`; the summary. HapticdError: both stay as they are."""
-    command = [sys.executable, "-P", "-m", MODULE, str(part), str(final), *(["recovered"] if recovered else [])]
-    done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "OPENBLAS_NUM_THREADS": "1"})
+    """Pack `part` into `final` in a process of its own and remove `part`; the summary.
+    HapticdError: both stay as they are.
+    """
+    command = [
+        sys.executable,
+        "-P",
+        "-m",
+        MODULE,
+        str(part),
+        str(final),
+        *(["recovered"] if recovered else []),
+    ]
+    done = subprocess.run(
+        command, capture_output=True, text=True, env={**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+    )
     if done.returncode:
-        raise HapticdError((done.stderr.strip() or f"packing ended with code {done.returncode}").splitlines()[-1])
+        raise HapticdError(
+            (done.stderr.strip() or f"packing ended with code {done.returncode}").splitlines()[-1]
+        )
     if part.name.endswith(SUFFIX):
         part.unlink()
     summary: dict[str, Any] = json.loads(done.stdout)
@@ -71,7 +93,11 @@ def packed(part: Path, final: Path, recovered: bool = False) -> dict[str, Any]:
 def summary(recording: Recording) -> dict[str, Any]:
     """Records, probe samples, seconds, missing records, servo lives."""
     rows = recording.rows["servo"]
-    ends = [int(recording.column("servo", "time_ns", row, row + 1)[0]) for row in (0, rows - 1)] if rows else [0, 0]
+    ends = (
+        [int(recording.column("servo", "time_ns", row, row + 1)[0]) for row in (0, rows - 1)]
+        if rows
+        else [0, 0]
+    )
     return {
         "records": rows,
         "probe_samples": recording.rows["probe"],
@@ -96,7 +122,9 @@ def _write(file: Any, recording: Recording, told: dict[str, Any], recovered: boo
 
 def _copy(target: Any, name: str, recording: Recording, group: str, rows: int) -> None:
     first = recording.column(group, name, 0, 1)
-    dataset = _dataset(target, name, (rows, *first.shape[1:]), first.dtype, recording.unit(group, name))
+    dataset = _dataset(
+        target, name, (rows, *first.shape[1:]), first.dtype, recording.unit(group, name)
+    )
     for begin in range(0, rows, AT_ONCE):
         end = min(begin + AT_ONCE, rows)
         dataset[begin:end] = recording.column(group, name, begin, end)
@@ -106,7 +134,14 @@ def _dataset(target: Any, name: str, shape: tuple[int, ...], kind: Any, unit: st
     if shape[0]:
         chunks = (min(CHUNK_ROWS, shape[0]), *shape[1:])
         dataset = target.create_dataset(
-            name, shape, kind, chunks=chunks, compression="gzip", compression_opts=GZIP, shuffle=True, fletcher32=True
+            name,
+            shape,
+            kind,
+            chunks=chunks,
+            compression="gzip",
+            compression_opts=GZIP,
+            shuffle=True,
+            fletcher32=True,
         )
     else:
         dataset = target.create_dataset(name, shape, kind)
@@ -115,12 +150,20 @@ def _dataset(target: Any, name: str, shape: tuple[int, ...], kind: Any, unit: st
 
 
 def to_mat(recording: Recording, path: Path) -> Path:
-    """One structure per group, and `info` with the attributes. HapticdError: it cannot be written."""
+    """One structure per group, and `info` with the attributes. HapticdError: it cannot be
+    written.
+    """
     io = needed("scipy.io", "record")
     content: dict[str, Any] = {
-        group: {name: recording.column(group, name) for name in names} for group in GROUPS if (names := recording.names(group))
+        group: {name: recording.column(group, name) for name in names}
+        for group in GROUPS
+        if (names := recording.names(group))
     }
-    content["info"] = {name: value for name, value in recording.attributes.items() if not isinstance(value, np.ndarray)}
+    content["info"] = {
+        name: value
+        for name, value in recording.attributes.items()
+        if not isinstance(value, np.ndarray)
+    }
     try:
         io.savemat(path, content, do_compression=True, long_field_names=True, oned_as="column")
     except OSError as error:
@@ -129,15 +172,27 @@ def to_mat(recording: Recording, path: Path) -> Path:
 
 
 def to_csv(recording: Recording, path: Path) -> list[Path]:
-    """The records in `path`, one line a tick, units in the names; probe samples beside it in NAME.probe.csv."""
-    from hapticd.measure.own import remark, stretch  # with the analysis, which a recorder does without
+    """The records in `path`, one line a tick, units in the names; probe samples beside it in
+    NAME.probe.csv.
+    """
+    from hapticd.measure.own import (
+        remark,
+        stretch,
+    )  # with the analysis, which a recorder does without
 
     written = [_table(recording, "servo", path, remark(recording.attributes, None))]
     if recording.rows["probe"]:
         trial = None
         with suppress(AnalysisError):
             trial = stretch(recording.column, recording.attributes, recording.path.name)
-        written.append(_table(recording, "probe", path.with_suffix(".probe.csv"), remark(recording.attributes, trial)))
+        written.append(
+            _table(
+                recording,
+                "probe",
+                path.with_suffix(".probe.csv"),
+                remark(recording.attributes, trial),
+            )
+        )
     return written
 
 

@@ -1,4 +1,5 @@
-"""Where numbers come from: software and its versions; of a recording also device, configuration, machine, rights, clocks.
+"""Where numbers come from: software and its versions; of a recording also device, configuration,
+machine, rights, clocks.
 
 Libraries that an extra brings are loaded here when they are used.
 """
@@ -21,13 +22,19 @@ from hapticd.errors import ConfigError
 from hapticd.units import NS_PER_S
 
 SCHEMA = "hapticd-recording/1"
-OF_A_RUN, OF_A_RECORDING = ("numpy", "numba", "scipy", "h5py"), ("numpy", "h5py", "pyzmq", "msgpack")
+OF_A_RUN = ("numpy", "numba", "scipy", "h5py")
+OF_A_RECORDING = ("numpy", "h5py", "pyzmq", "msgpack")
 GIT_TIMEOUT_S = 5.0
 
 
 def provenance(**more: Any) -> dict[str, Any]:
     """Of a run: versions that its numbers come from, with whatever else is told."""
-    return {"hapticd": hapticd.__version__, "python": platform.python_version(), "libraries": versions(OF_A_RUN), **more}
+    return {
+        "hapticd": hapticd.__version__,
+        "python": platform.python_version(),
+        "libraries": versions(OF_A_RUN),
+        **more,
+    }
 
 
 def versions(libraries: tuple[str, ...]) -> dict[str, str]:
@@ -39,12 +46,16 @@ def versions(libraries: tuple[str, ...]) -> dict[str, str]:
     return found
 
 
-def of_recording(hello: dict[str, Any], status: dict[str, Any], header: dict[str, Any], note: str) -> dict[str, Any]:
-    """Attributes of a recording: from the daemon's hello and status, and from the header of the first block of records.
+def of_recording(
+    hello: dict[str, Any], status: dict[str, Any], header: dict[str, Any], note: str
+) -> dict[str, Any]:
+    """Attributes of a recording: from the daemon's hello and status, and from the header of the
+    first block of records.
 
     mono_ns and utc_ns are one instant on the clock of `time_ns` and in Unix time.
     """
-    servo, now_ns = hello["servo"], time.time_ns()
+    servo = hello["servo"]
+    now_ns = time.time_ns()
     device = servo["device"]
     report = status.get("servo", {})
     return {
@@ -54,7 +65,11 @@ def of_recording(hello: dict[str, Any], status: dict[str, Any], header: dict[str
         "mono_ns": now_ns - header["mono_unix_offset_ns"],
         "utc_ns": now_ns,
         "simulated": int(header["simulated"]),
-        "notice": "SIMULATED: the device behind this recording was computed" if header["simulated"] else "",
+        "notice": (
+            "SIMULATED: the device behind this recording was computed"
+            if header["simulated"]
+            else ""
+        ),
         "instance": hello["instance"],
         "rate_hz": hello["rate_hz"],
         "layout": header["layout"],
@@ -62,7 +77,11 @@ def of_recording(hello: dict[str, Any], status: dict[str, Any], header: dict[str
         "device_serial": device["serial"],
         "device_hash": hashlib.sha256(json.dumps(device, sort_keys=True).encode()).hexdigest(),
         "calibration": json.dumps(
-            {name: scale["date"] for name, scale in device.items() if isinstance(scale, dict) and "date" in scale}
+            {
+                name: scale["date"]
+                for name, scale in device.items()
+                if isinstance(scale, dict) and "date" in scale
+            }
         ),
         "config_hash": status.get("config_hash", servo["config_hash"]),
         "configuration": json.dumps(servo),
@@ -81,10 +100,23 @@ def of_recording(hello: dict[str, Any], status: dict[str, Any], header: dict[str
 
 
 def commit(folder: Path = Path(hapticd.__file__).parent) -> str:
-    """Commit of the checkout that runs, with -dirty when it was edited; empty for an installed package or without git."""
-    command = ["git", "-C", str(folder), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    """Commit of the checkout that runs, with -dirty when it was edited; empty for an installed
+    package or without git.
+    """
+    command = [
+        "git",
+        "-C",
+        str(folder),
+        "describe",
+        "--always",
+        "--dirty",
+        "--abbrev=40",
+        "--exclude=*",
+    ]
     try:
-        return subprocess.run(command, capture_output=True, text=True, timeout=GIT_TIMEOUT_S, check=True).stdout.strip()
+        return subprocess.run(
+            command, capture_output=True, text=True, timeout=GIT_TIMEOUT_S, check=True
+        ).stdout.strip()
     except (OSError, subprocess.SubprocessError):
         return ""
 
@@ -95,7 +127,10 @@ def processor() -> str:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
         return platform.machine()
-    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine())
+    return next(
+        (line.partition(":")[2].strip() for line in lines if line.startswith("model name")),
+        platform.machine(),
+    )
 
 
 def needed(module: str, extra: str) -> Any:
@@ -103,4 +138,6 @@ def needed(module: str, extra: str) -> Any:
     try:
         return import_module(module)
     except ImportError as error:
-        raise ConfigError(f"this needs {module.partition('.')[0]} ({error}); install hapticd[{extra}]") from error
+        raise ConfigError(
+            f"this needs {module.partition('.')[0]} ({error}); install hapticd[{extra}]"
+        ) from error

@@ -1,14 +1,17 @@
-"""The batch engine: thousands of trials of one scene, vectorised across trials, with the servo's own tick law.
+"""The batch engine: thousands of trials of one scene, vectorised across trials, with the servo's
+own tick law.
 
-    model --coordinates--> fewer coefficients --shaping--> what is compiled in --source, tick--> text --kernels--> machine code
-    K, B, M --group--> rows of the state array --kernel, block by block--> tallies, records --chunk, batch--> BatchResult
+    model --coordinates--> fewer coefficients --shaping--> what is compiled in --source, tick-->
+    text --kernels--> machine code K, B, M --group--> rows of the state array --kernel, block by
+    block--> tallies, records --chunk, batch--> BatchResult
 
-Every step is exact for held inputs (matrix exponential), so a linear scene has no step error at all; friction, ends and
-cogging are solved once per sub-step. The law is compiled from `render`, not written again. Nothing is spent on an effect
-that the scene does not have. Results do not depend on how trials are spread over lanes, tasks, threads or machines of one kind.
+Every step is exact for held inputs (matrix exponential), so a linear scene has no step error at
+all; friction, ends and cogging are solved once per sub-step. The law is compiled from `render`, not
+written again. Nothing is spent on an effect that the scene does not have. Results do not depend on
+how trials are spread over lanes, tasks, threads or machines of one kind.
 
-What would break it: fastmath with reassociation or without NaN (`source`), an array that does not begin on a cache line
-(half the speed), a law compiled without fastmath=False said aloud (`law`).
+What would break it: fastmath with reassociation or without NaN (`source`), an array that does not
+begin on a cache line (half the speed), a law compiled without fastmath=False said aloud (`law`).
 """
 
 from hapticd.sim.engine.batch import simulate

@@ -26,7 +26,9 @@ from hapticd.units import PROBE_RATE_HZ
 DEFAULT_SECONDS = 90.0  # a trial of the paper
 TICKS_MAX = 1e12
 SEEDS = 1 << 63
-REMOTE_GROUPS = 4  # groups of lanes in a task of a foreign executor, whose tasks cost more to hand over
+REMOTE_GROUPS = (
+    4  # groups of lanes in a task of a foreign executor, whose tasks cost more to hand over
+)
 
 
 def simulate(
@@ -64,16 +66,29 @@ def simulate(
     executor     any of concurrent.futures; None = threads here
     chunk        trials per task
 
-    What is None is the scene's; for a model: 90 s, seed 1, no damping, the paper's filters, noise of 2.5e-5 N^2/Hz up to
-    1.7 kHz, at rest at 0. The same call gives the same bytes for any executor and chunk. ConfigError for arguments out of
-    range, a rate that does not divide 4 kHz, or without numba.
+    What is None is the scene's; for a model: 90 s, seed 1, no damping, the paper's filters, noise
+    of 2.5e-5 N^2/Hz up to 1.7 kHz, at rest at 0. The same call gives the same bytes for any
+    executor and chunk. ConfigError for arguments out of range, a rate that does not divide 4 kHz,
+    or without numba.
     """
     trials = _checked(params)
     job = _job(
-        scene, seconds, seed, damping, environment, filters, excitation, start,
-        substeps=substeps, dtype=dtype, keep=keep, own_torque=own_torque,
-        renders=bool(trials.any()) or keep == "ticks" or _solid(environment or getattr(scene, "environment", None)),
-    )  # fmt: skip
+        scene,
+        seconds,
+        seed,
+        damping,
+        environment,
+        filters,
+        excitation,
+        start,
+        substeps=substeps,
+        dtype=dtype,
+        keep=keep,
+        own_torque=own_torque,
+        renders=bool(trials.any())
+        or keep == "ticks"
+        or _solid(environment or getattr(scene, "environment", None)),
+    )
     if chunk is not None and chunk < 1:
         raise ConfigError(f"{chunk} trials in a task: must be 1 or more, or None")
     made = prepared(job)  # compiles once, before there are threads that would wait for it
@@ -109,24 +124,32 @@ def _job(
     length_s = seconds if seconds is not None else given.seconds if given else DEFAULT_SECONDS
     if not 0.5 <= length_s * model.rate_hz <= TICKS_MAX:
         raise ConfigError(
-            f"a trial of {length_s:g} s: must be one tick of {1.0 / model.rate_hz:g} s or more, {TICKS_MAX:g} at most"
+            f"a trial of {length_s:g} s: must be one tick of {1.0 / model.rate_hz:g} s or more,"
+            f" {TICKS_MAX:g} at most"
         )
     if rest["keep"] == "spectra" and length_s * PROBE_RATE_HZ < LAG + 1:
         raise ConfigError(
-            f"spectra of {length_s:g} s: more than the window of {LAG} samples, {LAG / PROBE_RATE_HZ:g} s, are needed"
+            f"spectra of {length_s:g} s: more than the window of {LAG} samples,"
+            f" {LAG / PROBE_RATE_HZ:g} s, are needed"
         )
     number = seed if seed is not None else given.excitation.seed if given else 1
     if not 0 <= number < SEEDS:
         raise ConfigError(f"seed {number}: must lie in 0..{SEEDS - 1}")
-    source = excitation if excitation is not None else given.excitation if given else Excitation("noise")
-    position_m, velocity_m_per_s = start or ((given.start_position_m, given.start_velocity_m_per_s) if given else (0.0, 0.0))
+    source = (
+        excitation if excitation is not None else given.excitation if given else Excitation("noise")
+    )
+    position_m, velocity_m_per_s = start or (
+        (given.start_position_m, given.start_velocity_m_per_s) if given else (0.0, 0.0)
+    )
     rendered = environment or (given.environment if given else EnvironmentParams())
     return Job(
         model=model,
         environment=rendered,
         filters=filters or (rendered.velocity_filter, rendered.acceleration_filter),
         damping=_steps(damping) if damping is not None else given.damping if given else _steps(0.0),
-        excitation=source if isinstance(source, Excitation) else np.asarray(source, dtype=np.float64),
+        excitation=(
+            source if isinstance(source, Excitation) else np.asarray(source, dtype=np.float64)
+        ),
         ticks=round(length_s * model.rate_hz),
         seed=number,
         start_position_m=position_m,
@@ -137,21 +160,26 @@ def _job(
 
 def _solid(environment: EnvironmentParams | None) -> bool:
     """Whether there is something to touch beside K, B and M."""
-    return environment is not None and bool(environment.wall.side or environment.workspace.stiffness_n_per_m)
+    return environment is not None and bool(
+        environment.wall.side or environment.workspace.stiffness_n_per_m
+    )
 
 
 def _steps(damping: float | Sequence[tuple[float, float]]) -> tuple[DampingStep, ...]:
     steps = [(0.0, damping)] if isinstance(damping, int | float) else [(0.0, 0.0), *damping]
     if not np.isfinite(steps).all():
         raise ConfigError(f"damping steps {steps}: finite times [s] and levels [N s/m] are needed")
-    return tuple(DampingStep(at_s, level) for at_s, level in sorted(steps, key=lambda step: step[0]))
+    return tuple(
+        DampingStep(at_s, level) for at_s, level in sorted(steps, key=lambda step: step[0])
+    )
 
 
 def _checked(params: npt.ArrayLike) -> Array:
     trials = np.ascontiguousarray(params, dtype=np.float64)
     if trials.ndim != 2 or trials.shape[1] != 3 or not len(trials):
         raise ConfigError(
-            f"params of shape {trials.shape}: must be (n, 3), stiffness N/m, damping Ns/m and mass kg of n >= 1 trials"
+            f"params of shape {trials.shape}: must be (n, 3), stiffness N/m, damping Ns/m and mass"
+            " kg of n >= 1 trials"
         )
     if not np.isfinite(trials).all():
         raise ConfigError("params contain a value that is not finite")

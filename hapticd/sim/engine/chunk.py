@@ -1,4 +1,6 @@
-"""One task of a batch: some trials from start to end, group by group. Runs on any thread or in any process."""
+"""One task of a batch: some trials from start to end, group by group. Runs on any thread or in
+any process.
+"""
 
 import numpy as np
 
@@ -17,7 +19,12 @@ def run_chunk(job: Job, params: Array, first: int) -> BatchResult:
     """Trials `first`... of the batch with these K, B, M, (n, 3)."""
     made = prepared(job)
     starts = range(0, len(params), made.shape.lanes)
-    return joined([_run_group(job, made, params[start : start + made.shape.lanes], first + start) for start in starts])
+    return joined(
+        [
+            _run_group(job, made, params[start : start + made.shape.lanes], first + start)
+            for start in starts
+        ]
+    )
 
 
 def _run_group(job: Job, made: Prepared, params: Array, first: int) -> BatchResult:
@@ -30,7 +37,13 @@ def _run_group(job: Job, made: Prepared, params: Array, first: int) -> BatchResu
         if (wanted := level_at(job, start)) != level:
             level = wanted
             (heating or group).damp(level)
-        group.play(inputs.torque(start, end), inputs.noise(start, end), records.room(start), end - start, records.kept)
+        group.play(
+            inputs.torque(start, end),
+            inputs.noise(start, end),
+            records.room(start),
+            end - start,
+            records.kept,
+        )
         records.store(start, end, group.rows["ALIVE"])
         if heating is not None:
             heating.warm((end - start) / job.model.rate_hz, (end - start) * made.shape.samples)
@@ -39,7 +52,14 @@ def _run_group(job: Job, made: Prepared, params: Array, first: int) -> BatchResu
     return _result(job, params, group, heating, records, inputs)
 
 
-def _result(job: Job, params: Array, group: Group, heating: Heating | None, records: Records | Sums, inputs: Inputs) -> BatchResult:
+def _result(
+    job: Job,
+    params: Array,
+    group: Group,
+    heating: Heating | None,
+    records: Records | Sums,
+    inputs: Inputs,
+) -> BatchResult:
     n = group.count
     samples = group.samples[:n].astype(np.int64)
     return BatchResult(

@@ -3,15 +3,18 @@
 Two things are done before anything is generated:
 
     z_i = x_i - x_rotor    for every other position, where nothing is fixed to ground: then no rate depends on x_rotor,
-                           its column of the exact map is a unit vector, and differences of positions keep their digits
-                           in single precision while the device wanders off
-    states that reach nothing that is asked for are left out (the velocity estimate of an undamped run)
+                           its column of the exact map is a unit vector, and differences of
+                           positions keep their digits in single precision while the device wanders
+                           off
+    states that reach nothing that is asked for are left out (the velocity estimate of an undamped
+    run)
 
-What remains is judged by structure (which coefficient can be non-zero for any step length), so that one kernel serves all
-devices of a kind. The structure of exp(A h) is the transitive closure of that of A.
+What remains is judged by structure (which coefficient can be non-zero for any step length), so that
+one kernel serves all devices of a kind. The structure of exp(A h) is the transitive closure of that
+of A.
 
-Ends of the workspace and springs to ground need the positions themselves; such a device keeps them. What would break it: a
-position whose state is not named so (`_position`).
+Ends of the workspace and springs to ground need the positions themselves; such a device keeps them.
+What would break it: a position whose state is not named so (`_position`).
 """
 
 from dataclasses import fields, replace
@@ -29,7 +32,8 @@ CANCELLED = 1e-12  # relative size of a sum of coefficients that is zero but for
 
 
 def reduced(model: Model, damped: bool) -> tuple[Model, Array]:
-    """`model` in relative positions without the states that do not matter here, and the matrix from its states to these.
+    """`model` in relative positions without the states that do not matter here, and the matrix from
+    its states to these.
 
     `damped`: a damping level other than 0 occurs. A winding that heats up asks for the motor force.
     """
@@ -47,7 +51,8 @@ def reduced(model: Model, damped: bool) -> tuple[Model, Array]:
 
 def structure(model: Model, damped: bool) -> tuple[Mask, Mask]:
     """Which entries of the exact map can differ from 0: (n, n) and (n, m)."""
-    a, b = _entries(model, "a", damped), _entries(model, "b", damped)
+    a = _entries(model, "a", damped)
+    b = _entries(model, "b", damped)
     reach = np.eye(len(a), dtype=bool) | a
     for _ in range(len(a).bit_length()):
         reach = reach @ reach
@@ -55,7 +60,9 @@ def structure(model: Model, damped: bool) -> tuple[Mask, Mask]:
 
 
 def keepers(model: Model, damped: bool) -> tuple[bool, ...]:
-    """Which states drive nothing, themselves included: their column of the exact map is a unit vector."""
+    """Which states drive nothing, themselves included: their column of the exact map is a unit
+    vector.
+    """
     entries = _entries(model, "a", damped)
     return tuple(not entries[:, column].any() for column in range(len(entries)))
 
@@ -86,9 +93,12 @@ def _needed(model: Model, damped: bool) -> Mask:
 
 
 def _to_relative(model: Model) -> tuple[Array, Array, list[int]]:
-    """Matrices to relative positions and back, and the reference; identities where something is fixed to ground."""
+    """Matrices to relative positions and back, and the reference; identities where something is
+    fixed to ground.
+    """
     names = [state.name for state in model.states]
-    forward, back = np.eye(len(names)), np.eye(len(names))
+    forward = np.eye(len(names))
+    back = np.eye(len(names))
     places = np.array([name.endswith("_position") for name in names])
     if model.ends is not None or not _free(model, places):
         return forward, back, []
@@ -99,7 +109,9 @@ def _to_relative(model: Model) -> tuple[Array, Array, list[int]]:
 
 
 def _free(model: Model, places: Mask) -> bool:
-    return all((abs(a @ places) <= CANCELLED * (abs(a) @ places)).all() for a in (model.a0, model.a1))
+    return all(
+        (abs(a @ places) <= CANCELLED * (abs(a) @ places)).all() for a in (model.a0, model.a1)
+    )
 
 
 def _chosen(model: Model, kept: list[int]) -> Model:
@@ -109,7 +121,11 @@ def _chosen(model: Model, kept: list[int]) -> Model:
     place = {old: new for new, old in enumerate(kept)}
 
     def moved(part: Any) -> Any:
-        return None if part is None else replace(part, position=place[part.position], velocity=place[part.velocity])
+        return (
+            None
+            if part is None
+            else replace(part, position=place[part.position], velocity=place[part.velocity])
+        )
 
     return replace(
         smaller,

@@ -1,4 +1,6 @@
-"""How many cores a batch may use: those of the process, or fewer where whoever runs it shares them out."""
+"""How many cores a batch may use: those of the process, or fewer where whoever runs it shares
+them out.
+"""
 
 import os
 from collections.abc import Iterator

@@ -1,7 +1,8 @@
 """What drives a group, leg by leg: torque and noise, and where legs end.
 
-A leg is a run of ticks with one damping level, inside one period of the torque record, no longer than a block (and, where a
-winding heats up, than its refresh; where spectra are kept, inside one section).
+A leg is a run of ticks with one damping level, inside one period of the torque record, no longer
+than a block (and, where a winding heats up, than its refresh; where spectra are kept, inside one
+section).
 """
 
 from collections.abc import Iterator
@@ -23,7 +24,8 @@ class Inputs:
     """Torque and noise in the kernel's layout. A record that is shorter than the trial repeats."""
 
     def __init__(self, job: Job, made: Prepared, count: int, first: int) -> None:
-        self._samples, self._lanes = made.shape.samples, made.shape.lanes if job.own_torque else 1
+        self._samples = made.shape.samples
+        self._lanes = made.shape.lanes if job.own_torque else 1
         self._torque = _own(job, made, count, first) if job.own_torque else _shared(job, made)
         self._noise = estimate_noise(job).astype(made.scalar)
         self._borders = _borders(job, made, len(self._torque) // self._samples)
@@ -39,7 +41,11 @@ class Inputs:
 
     def noise(self, start: int, end: int) -> Values:
         """For the ticks of a leg; one zero if there is none."""
-        return self._noise if len(self._noise) == 1 else self._noise[start * self._samples : end * self._samples]
+        return (
+            self._noise
+            if len(self._noise) == 1
+            else self._noise[start * self._samples : end * self._samples]
+        )
 
     def rows(self, count: int, total: int) -> Values:
         """The records of the trials, (count, total)."""
@@ -48,8 +54,11 @@ class Inputs:
 
 def level_at(job: Job, tick: int) -> float:
     """Damping level [Ns/m] that acts from `tick` on, as its DAC gives it."""
-    asked = [step.level_ns_per_m for step in job.damping if round(step.at_s * job.model.rate_hz) <= tick]
-    level, quantum = asked[-1], job.model.damping_quantum_ns_per_m
+    asked = [
+        step.level_ns_per_m for step in job.damping if round(step.at_s * job.model.rate_hz) <= tick
+    ]
+    level = asked[-1]
+    quantum = job.model.damping_quantum_ns_per_m
     return level if quantum is None else float(np.floor(level / quantum + 0.5) * quantum)
 
 
@@ -74,7 +83,9 @@ def _repeated(record: Values, job: Job, made: Prepared) -> Values:
 
 
 def _period(length: int, samples: int, total: int) -> int:
-    """Samples after which the record repeats: whole ticks, and at least a block unless the trial is shorter."""
+    """Samples after which the record repeats: whole ticks, and at least a block unless the
+    trial is shorter.
+    """
     whole = lcm(length, samples)
     return min(total, whole * -(-BLOCK_TICKS * samples // whole))
 

@@ -1,7 +1,9 @@
-"""What a task of a batch carries: a device, an environment and how to simulate them. Values that pickle, no records.
+"""What a task of a batch carries: a device, an environment and how to simulate them. Values that
+pickle, no records.
 
-Everything that a task needs and that is costly to make (reduced model, shape, kernel, torque record) is made where it runs
-and kept there (`prepared`, `shared_torque`), so that a task travels as parameters and seeds only.
+Everything that a task needs and that is costly to make (reduced model, shape, kernel, torque
+record) is made where it runs and kept there (`prepared`, `shared_torque`), so that a task travels
+as parameters and seeds only.
 """
 
 from dataclasses import dataclass, field, replace
@@ -56,7 +58,9 @@ class Job:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A job where it runs: `model` in the engine's coordinates, `coordinates` from the model's states to those."""
+    """A job where it runs: `model` in the engine's coordinates, `coordinates` from the model's
+    states to those.
+    """
 
     model: Model
     coordinates: Array
@@ -80,7 +84,9 @@ def prepared(job: Job) -> Prepared:
     shape = shape_of(model, job.environment, damped, job.substeps, job.dtype)
     if job.keep not in KEEPS:
         raise ConfigError(f"keep {job.keep!r}: use one of {', '.join(KEEPS)}")
-    shape = replace(shape, renders=job.renders, own_torque=job.own_torque, ticks=job.keep == "ticks")
+    shape = replace(
+        shape, renders=job.renders, own_torque=job.own_torque, ticks=job.keep == "ticks"
+    )
     return Prepared(model, coordinates, shape, kernel(shape), SCALARS[shape.dtype])
 
 
@@ -106,7 +112,10 @@ def own_torque(job: Job, trial: int) -> Array:
     """The record of one trial."""
     if isinstance(job.excitation, np.ndarray):
         return _rounded(job.excitation[trial], job.model.torque_quantum_n)
-    return _rounded(torque_record(job.excitation, job.samples, job.seed, Stream.TORQUE + trial), job.model.torque_quantum_n)
+    return _rounded(
+        torque_record(job.excitation, job.samples, job.seed, Stream.TORQUE + trial),
+        job.model.torque_quantum_n,
+    )
 
 
 def estimate_noise(job: Job) -> Array:

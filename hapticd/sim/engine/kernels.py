@@ -1,7 +1,9 @@
-"""Kernels on disk: generated once per shape, compiled once per machine, then loaded in a fraction of a second.
+"""Kernels on disk: generated once per shape, compiled once per machine, then loaded in a fraction
+of a second.
 
-Folder: $XDG_CACHE_HOME/hapticd/kernels-VERSION (~/.cache without it). A kernel is k_HASH.py there, found through sys.path,
-because that is what numba's own disk cache needs to find compiled code again; HASH covers the text and the law it calls.
+Folder: $XDG_CACHE_HOME/hapticd/kernels-VERSION (~/.cache without it). A kernel is k_HASH.py there,
+found through sys.path, because that is what numba's own disk cache needs to find compiled code
+again; HASH covers the text and the law it calls.
 """
 
 import hashlib
@@ -22,7 +24,9 @@ from hapticd.sim.engine.source import kernel_source
 
 @cache
 def kernel(shape: Shape) -> ModuleType:
-    """The module of `shape`: `run`, `plant`, `tally`, ROWS. ConfigError without numba or a folder to write to."""
+    """The module of `shape`: `run`, `plant`, `tally`, ROWS. ConfigError without numba or a
+    folder to write to.
+    """
     _need_numba()
     text = kernel_source(shape)
     name = f"k_{_digest(text)}"
@@ -34,7 +38,8 @@ def kernel(shape: Shape) -> ModuleType:
             _write(path, text)
     except OSError as error:
         raise ConfigError(
-            f"kernels cannot be kept in {folder}: {error.strerror}; set XDG_CACHE_HOME to a folder of yours"
+            f"kernels cannot be kept in {folder}: {error.strerror}; set XDG_CACHE_HOME to a folder"
+            " of yours"
         ) from error
     if str(folder) not in sys.path:
         sys.path.append(str(folder))
@@ -52,7 +57,9 @@ def _need_numba() -> None:
     try:
         importlib.import_module("numba")
     except ImportError as error:
-        raise ConfigError(f"the batch engine compiles its kernels with numba ({error}): install hapticd[fast]") from error
+        raise ConfigError(
+            f"the batch engine compiles its kernels with numba ({error}): install hapticd[fast]"
+        ) from error
 
 
 @cache

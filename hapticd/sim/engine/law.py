@@ -1,9 +1,10 @@
-"""The one law, compiled for the kernels: `render.environment.render` itself, in double and in single precision.
+"""The one law, compiled for the kernels: `render.environment.render` itself, in double and in
+single precision.
 
-The code object is the servo's; only its literal numbers become numbers of the kernel's precision, so that a 0.0 does not
-drag single precision into double. Bit-identical to CPython on equal inputs, which needs `fastmath=False` said aloud: numba
-lets a callee without that word inherit the fastmath of the kernel that it is inlined into (measured: without it most forces
-differ in the last bit).
+The code object is the servo's; only its literal numbers become numbers of the kernel's precision,
+so that a 0.0 does not drag single precision into double. Bit-identical to CPython on equal inputs,
+which needs `fastmath=False` said aloud: numba lets a callee without that word inherit the fastmath
+of the kernel that it is inlined into (measured: without it most forces differ in the last bit).
 
 Imports numba: only kernels import this module.
 """
@@ -27,8 +28,12 @@ def compiled_law(scalar: type[np.floating[Any]]) -> Any:
 
 def _compiled(function: Any, scalar: type[np.floating[Any]], names: dict[str, Any]) -> Any:
     code = function.__code__
-    constants = tuple(scalar(value) if isinstance(value, float) else value for value in code.co_consts)
-    twin = FunctionType(code.replace(co_consts=constants), {**function.__globals__, **names}, function.__name__)
+    constants = tuple(
+        scalar(value) if isinstance(value, float) else value for value in code.co_consts
+    )
+    twin = FunctionType(
+        code.replace(co_consts=constants), {**function.__globals__, **names}, function.__name__
+    )
     return njit(fastmath=False, error_model="numpy")(twin)
 
 

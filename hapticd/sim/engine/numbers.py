@@ -1,4 +1,5 @@
-"""The coefficients: a model at a damping level, an environment and trials become numbers where the text wants them.
+"""The coefficients: a model at a damping level, an environment and trials become numbers where the
+text wants them.
 
 Every map is exact (`plant.discrete`). The kernel picks what it has by name.
 """
@@ -17,7 +18,9 @@ from hapticd.sim.engine.shaping import sample_point
 from hapticd.sim.engine.tick import ENDS, FILTERS, WALL
 from hapticd.units import PROBE_RATE_HZ
 
-Filters = tuple[FilterParams | None, FilterParams | None]  # of velocity and acceleration; None: none
+Filters = tuple[
+    FilterParams | None, FilterParams | None
+]  # of velocity and acceleration; None: none
 UNFILTERED: Biquad = (1.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -36,10 +39,15 @@ def plant_numbers(model: Model, shape: Shape, level_ns_per_m: float) -> dict[str
     return numbers
 
 
-def law_numbers(environment: EnvironmentParams, filters: Filters, rate_hz: float) -> dict[str, float]:
+def law_numbers(
+    environment: EnvironmentParams, filters: Filters, rate_hz: float
+) -> dict[str, float]:
     """What the law gets beside K, B, M and the limit."""
-    wall, ends = environment.wall, environment.workspace
-    coefficients = _derivative(filters[0], rate_hz, rate_hz) + _derivative(filters[1], rate_hz, rate_hz**2)
+    wall = environment.wall
+    ends = environment.workspace
+    coefficients = _derivative(filters[0], rate_hz, rate_hz) + _derivative(
+        filters[1], rate_hz, rate_hz**2
+    )
     solid = (wall.stiffness_n_per_m, wall.damping_ns_per_m, wall.position_m, float(wall.side))
     return {
         **dict(zip(FILTERS, coefficients, strict=True)),
@@ -52,7 +60,9 @@ def _derivative(filtered: FilterParams | None, rate_hz: float, gain: float) -> B
     """From differences to a derivative, through a filter or none."""
     if filtered is None:
         return scaled(UNFILTERED, gain)
-    return scaled(design(filtered.frequency_hz, filtered.damping_ratio, filtered.mapping, rate_hz), gain)
+    return scaled(
+        design(filtered.frequency_hz, filtered.damping_ratio, filtered.mapping, rate_hz), gain
+    )
 
 
 def _map_rows(model: Model, whole: Map) -> Iterator[tuple[str, float]]:
@@ -60,8 +70,15 @@ def _map_rows(model: Model, whole: Map) -> Iterator[tuple[str, float]]:
     columns = {"G": place.command, "T": place.torque, "E": place.estimate, "Z": place.rotor_force}
     for i, row in enumerate(whole.a):
         yield from ((f"A{i}_{j}", float(value)) for j, value in enumerate(row))
-        yield from ((f"{letter}{i}", float(whole.b[i, column])) for letter, column in columns.items() if column is not None)
-        yield from ((f"H{c}_{i}", float(whole.b[i, contact.column])) for c, contact in enumerate(model.contacts))
+        yield from (
+            (f"{letter}{i}", float(whole.b[i, column]))
+            for letter, column in columns.items()
+            if column is not None
+        )
+        yield from (
+            (f"H{c}_{i}", float(whole.b[i, contact.column]))
+            for c, contact in enumerate(model.contacts)
+        )
         if place.estimate is not None:
             yield f"D{i}", float(whole.b[i, place.estimate]) * model.estimate_offset_m_per_s
 
@@ -69,7 +86,9 @@ def _map_rows(model: Model, whole: Map) -> Iterator[tuple[str, float]]:
 def _friction_rows(model: Model, whole: Map) -> dict[str, float]:
     """W: velocity that a newton on contact d gives contact c; the kernel multiplies by -1 / W."""
     contacts = model.contacts
-    response = np.array([[whole.b[c.velocity, d.column] for d in contacts] for c in contacts]).reshape(len(contacts), len(contacts))
+    response = np.array(
+        [[whole.b[c.velocity, d.column] for d in contacts] for c in contacts]
+    ).reshape(len(contacts), len(contacts))
     rows = {f"LEVEL{c}": contact.level_n for c, contact in enumerate(contacts)}
     rows |= {f"W{c}": float(-1.0 / response[c, c]) for c in range(len(contacts))}
     if len(contacts) == 2:
@@ -79,8 +98,11 @@ def _friction_rows(model: Model, whole: Map) -> dict[str, float]:
 
 
 def _output_rows(model: Model, shape: Shape, duration_s: float, level: float) -> dict[str, float]:
-    outputs, place = model.outputs, model.inputs
-    rows = _named("TRAVEL", outputs.recorded_travel.row(level)) | _named("MOTOR", outputs.motor_force.row(level))
+    outputs = model.outputs
+    place = model.inputs
+    rows = _named("TRAVEL", outputs.recorded_travel.row(level)) | _named(
+        "MOTOR", outputs.motor_force.row(level)
+    )
     rows["MOTOR_U"] = float(outputs.motor_force.through(level)[place.command])
     if outputs.recorded_impulse is not None:
         rows |= _named("IMPULSE", outputs.recorded_impulse.row(level))
@@ -90,7 +112,12 @@ def _output_rows(model: Model, shape: Shape, duration_s: float, level: float) ->
     part = discretise(model, duration_s * sample_point(model.delay_periods, shape.steps)[1], level)
     through = encoder @ part.b
     rows |= _named("R", encoder @ part.a)
-    columns = {"RU": place.command, "RT": place.torque, "RE": place.estimate, "RZ": place.rotor_force}
+    columns = {
+        "RU": place.command,
+        "RT": place.torque,
+        "RE": place.estimate,
+        "RZ": place.rotor_force,
+    }
     rows |= {name: float(through[column]) for name, column in columns.items() if column is not None}
     rows |= {f"RH{c}": float(through[contact.column]) for c, contact in enumerate(model.contacts)}
     if place.estimate is not None:
@@ -110,7 +137,9 @@ def _rounding(model: Model) -> dict[str, float]:
 
 
 def _rotor_rows(model: Model, duration_s: float) -> dict[str, float]:
-    """How far the rotor goes to the middle of a sub-step, per velocity, and the numbers of the laws."""
+    """How far the rotor goes to the middle of a sub-step, per velocity, and the numbers of the
+    laws.
+    """
     rows = {"REACH": 0.5 * duration_s}
     for place, force in enumerate(model.rotor_forces):
         rows |= _named(f"PULL{place}_", np.array(ROTOR_LAWS[force.law].numbers(*force.numbers)))

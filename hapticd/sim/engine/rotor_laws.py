@@ -43,7 +43,8 @@ def _sine(force: str, position: str, velocity: str, number: Number) -> Iterator[
 
 def _series(square: str) -> str:
     """sin(r) / r by Horner's rule; complete to double precision on a quarter turn."""
-    coefficients, factorial = [], 1
+    coefficients = []
+    factorial = 1
     for k in range(SINE_TERMS):
         coefficients.append((-1) ** k / factorial)
         factorial *= (2 * k + 2) * (2 * k + 3)

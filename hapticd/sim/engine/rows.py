@@ -8,9 +8,11 @@ LONG_SUM = 4
 
 
 class Rows:
-    """Names that the text uses, in the order in which it first does: rows of the state array, and coefficients.
+    """Names that the text uses, in the order in which it first does: rows of the state array, and
+    coefficients.
 
-    Coefficients are scalars, C[NAME], the same for all trials, or with `per_lane` rows like any other.
+    Coefficients are scalars, C[NAME], the same for all trials, or with `per_lane` rows like any
+    other.
     """
 
     def __init__(self, first: Iterable[str], per_lane: bool) -> None:
@@ -39,11 +41,18 @@ def term(present: bool, name: str, factor: str, row: Rows) -> list[str]:
 
 def weighted(terms: Iterable[Term], letter: str, row: Rows) -> str:
     """Sum of states, each with its coefficient of `letter`."""
-    return " + ".join(f"x{t.state}" if t.one else f"{row.c(f'{letter}{t.state}')} * x{t.state}" for t in terms) or "ZERO"
+    return (
+        " + ".join(
+            f"x{t.state}" if t.one else f"{row.c(f'{letter}{t.state}')} * x{t.state}" for t in terms
+        )
+        or "ZERO"
+    )
 
 
 def total(name: str, terms: list[str]) -> Iterator[str]:
-    """`name` = sum of `terms`; a long one as two chains, which halves the wait from sub-step to sub-step."""
+    """`name` = sum of `terms`; a long one as two chains, which halves the wait from sub-step to
+    sub-step.
+    """
     half = len(terms) // 2
     if len(terms) > LONG_SUM:
         yield f"{name} = ({' + '.join(terms[:half])}) + ({' + '.join(terms[half:])})"

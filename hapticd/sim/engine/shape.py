@@ -1,7 +1,8 @@
-"""What is compiled in: everything about a scene that decides which instructions its kernel has, and no number.
+"""What is compiled in: everything about a scene that decides which instructions its kernel has, and
+no number.
 
-Two scenes with the same shape share a kernel; their numbers are its arguments. An effect that is absent leaves no trace here,
-so it costs nothing. `shaping` reads it off a model.
+Two scenes with the same shape share a kernel; their numbers are its arguments. An effect that is
+absent leaves no trace here, so it costs nothing. `shaping` reads it off a model.
 """
 
 from dataclasses import dataclass
@@ -45,7 +46,9 @@ class Shape:
     limit: bool = False
     wall: bool = False
     ends: bool = False  # the law's soft ends
-    heat: tuple[tuple[Term, ...], bool] | None = None  # the motor force, and whether the command is in it
+    heat: tuple[tuple[Term, ...], bool] | None = (
+        None  # the motor force, and whether the command is in it
+    )
     noise: tuple[bool, ...] | None = None  # the column of the velocity estimate's noise
     renders: bool = True  # the law is needed
     own_torque: bool = False  # a record for every trial
@@ -68,9 +71,13 @@ class Shape:
 
     @property
     def gaining(self) -> int | None:
-        """The state that is the recorded travel itself and only gains: its gains are the record, without a difference."""
+        """The state that is the recorded travel itself and only gains: its gains are the
+        record, without a difference.
+        """
         first = self.travel[0]
-        return first.state if len(self.travel) == 1 and first.one and self.keeps[first.state] else None
+        return (
+            first.state if len(self.travel) == 1 and first.one and self.keeps[first.state] else None
+        )
 
     @property
     def steps(self) -> int:
@@ -79,5 +86,7 @@ class Shape:
 
     @property
     def width(self) -> int:
-        """Values that a tick leaves for each lane: velocities, torques if filtered, force, position if kept."""
+        """Values that a tick leaves for each lane: velocities, torques if filtered, force,
+        position if kept.
+        """
         return self.samples * (1 if self.impulse is None else 2) + (2 if self.ticks else 1)

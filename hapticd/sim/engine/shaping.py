@@ -1,9 +1,10 @@
 """From a model and an environment to the shape of their kernel.
 
-A tick is counted from the moment a command takes effect, because then the command is held for all of it; the encoder is
-read the rest of the delay before its end. With a delay of m + p periods (0 <= p < 1) the sample lies (1 - p) of the tick
-in, possibly inside a sub-step (`sample_inside`: then an exact output row leads to it), and the command waits m whole
-ticks. That is the order of lock-step and of the hardware, and it needs no split input.
+A tick is counted from the moment a command takes effect, because then the command is held for all
+of it; the encoder is read the rest of the delay before its end. With a delay of m + p periods (0 <=
+p < 1) the sample lies (1 - p) of the tick in, possibly inside a sub-step (`sample_inside`: then an
+exact output row leads to it), and the command waits m whole ticks. That is the order of lock-step
+and of the hardware, and it needs no split input.
 """
 
 from dataclasses import replace
@@ -23,29 +24,45 @@ SNAP = 1e-9  # of a sub-step: a sample this near to a border of sub-steps is on 
 SUBSTEPS_MAX = 64
 
 
-def shape_of(model: Model, environment: EnvironmentParams, damped: bool, substeps: int, dtype: str) -> Shape:
-    """The shape of `model` (as `coordinates.reduced` left it) under that environment, with everything it calls for.
+def shape_of(
+    model: Model, environment: EnvironmentParams, damped: bool, substeps: int, dtype: str
+) -> Shape:
+    """The shape of `model` (as `coordinates.reduced` left it) under that environment, with
+    everything it calls for.
 
-    ConfigError for a rate that does not divide 4 kHz, an unknown dtype or a number of sub-steps outside 1..64.
+    ConfigError for a rate that does not divide 4 kHz, an unknown dtype or a number of sub-steps
+    outside 1..64.
     """
     samples = _samples(model.rate_hz)
     if dtype not in LANES:
         raise ConfigError(f"dtype {dtype!r}: the engine computes in {' or '.join(LANES)}")
     if not 1 <= substeps <= SUBSTEPS_MAX:
-        raise ConfigError(f"{substeps} sub-steps per 4 kHz sample: must be 1..{SUBSTEPS_MAX}; 4 suits 90 s trials")
+        raise ConfigError(
+            f"{substeps} sub-steps per 4 kHz sample: must be 1..{SUBSTEPS_MAX}; 4 suits 90 s trials"
+        )
     if not (model.contacts or model.ends or model.rotor_forces):
         substeps = 1  # nothing is decided within a sample, and the map over it is exact
     states, inputs = structure(model, damped)
     step, part, waits = sample_point(model.delay_periods, samples * substeps)
     keeps = keepers(model, damped)
-    outputs, place = model.outputs, model.inputs
+    outputs = model.outputs
+    place = model.inputs
     shape = Shape(
-        dtype, LANES[dtype], samples, substeps, keeps,
-        feeds=tuple(tuple(j for j in _where(row) if not (i == j and keeps[i])) for i, row in enumerate(states)),
+        dtype,
+        LANES[dtype],
+        samples,
+        substeps,
+        keeps,
+        feeds=tuple(
+            tuple(j for j in _where(row) if not (i == j and keeps[i]))
+            for i, row in enumerate(states)
+        ),
         command=_column(inputs, place.command),
         torque=_column(inputs, place.torque),
         drift=_column(inputs, place.estimate if model.estimate_offset_m_per_s else None),
-        contacts=tuple((contact.velocity, _column(inputs, contact.column)) for contact in model.contacts),
+        contacts=tuple(
+            (contact.velocity, _column(inputs, contact.column)) for contact in model.contacts
+        ),
         rotor_laws=(),
         rotor=None,
         stops=None if model.ends is None else (model.ends.position, model.ends.velocity),
@@ -60,14 +77,15 @@ def shape_of(model: Model, environment: EnvironmentParams, damped: bool, substep
         limit=model.force_limit_n is not None,
         wall=environment.wall.side != 0,
         ends=environment.workspace.stiffness_n_per_m != 0.0,
-    )  # fmt: skip
+    )
     return _with_rare_effects(shape, model, inputs)
 
 
 def sample_point(delay_periods: float, steps: int) -> tuple[int, float, int]:
     """Where in its tick the encoder is read, and how long the command waits.
 
-    (sub-step, part of it that has passed or 0 at its start, whole ticks of waiting) for `steps` sub-steps in a tick.
+    (sub-step, part of it that has passed or 0 at its start, whole ticks of waiting) for `steps`
+    sub-steps in a tick.
     """
     waits = floor(delay_periods + SNAP / steps)
     place = (1.0 - max(0.0, delay_periods - waits)) * steps
@@ -78,7 +96,10 @@ def sample_point(delay_periods: float, steps: int) -> tuple[int, float, int]:
 def _samples(rate_hz: float) -> int:
     samples = round(PROBE_RATE_HZ / rate_hz)
     if samples < 1 or abs(samples * rate_hz - PROBE_RATE_HZ) > 1e-9 * PROBE_RATE_HZ:
-        raise ConfigError(f"servo rate {rate_hz:g} Hz: the engine needs {PROBE_RATE_HZ} Hz to be a whole multiple of it")
+        raise ConfigError(
+            f"servo rate {rate_hz:g} Hz: the engine needs {PROBE_RATE_HZ} Hz to be a whole multiple"
+            " of it"
+        )
     return samples
 
 
@@ -87,7 +108,9 @@ def _with_rare_effects(shape: Shape, model: Model, inputs: Mask) -> Shape:
     for force in model.rotor_forces:
         rotor = (force.position, force.velocity, _column(inputs, place.rotor_force))
         shape = replace(shape, rotor_laws=(*shape.rotor_laws, force.law), rotor=rotor)
-    noisy = _column(inputs, place.estimate if model.noise is not None and model.noise.estimate_psd else None)
+    noisy = _column(
+        inputs, place.estimate if model.noise is not None and model.noise.estimate_psd else None
+    )
     if any(noisy):
         shape = replace(shape, noise=noisy)
     if model.winding is not None:
@@ -109,7 +132,9 @@ def _column(inputs: Mask, column: int | None) -> tuple[bool, ...]:
     return tuple(column is not None and bool(value) for value in inputs[:, column or 0])
 
 
-def _terms(row: Array, states: Mask | None = None, keeps: tuple[bool, ...] = ()) -> tuple[Term, ...]:
+def _terms(
+    row: Array, states: Mask | None = None, keeps: tuple[bool, ...] = ()
+) -> tuple[Term, ...]:
     """Terms of `row`, or of `row` after some time inside a sub-step."""
     if states is None:
         return tuple(Term(index, bool(row[index] == 1.0)) for index in _where(row))

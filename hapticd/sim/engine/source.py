@@ -1,17 +1,23 @@
-"""The module of a kernel as text: `run(S, P, F, N, out, ticks, keep)`, which plays the plant and tallies what it did.
+"""The module of a kernel as text: `run(S, P, F, N, out, ticks, keep)`, which plays the plant and
+tallies what it did.
 
-What makes numba turn a loop over lanes into vector instructions, each worth a factor of 10 to 20 (measured, ADR 0020):
+What makes numba turn a loop over lanes into vector instructions, each worth a factor of 10 to 20
+(measured, ADR 0020):
 
-    one flat state array; row offsets and the number of lanes are constants; no second index, no argument in an index; what
-        goes in and out is copied beside the lane loop, because a second array in it needs a check per pair of pointers,
-        and LLVM gives up beyond eight
+    one flat state array; row offsets and the number of lanes are constants; no second index, no
+    argument in an index; what
+        goes in and out is copied beside the lane loop, because a second array in it needs a check
+        per pair of pointers, and LLVM gives up beyond eight
     one control period as straight-line code; minima and maxima as conditional expressions
-    coefficients as scalars, which LLVM spreads over registers and, as there are too many, keeps on a stack that has to
-        begin on a cache line (`stack`); as rows it would load each once a tick and then copy it to that stack
+    coefficients as scalars, which LLVM spreads over registers and, as there are too many, keeps on
+    a stack that has to
+        begin on a cache line (`stack`); as rows it would load each once a tick and then copy it to
+        that stack
 
-S: rows of `lanes` values, named in ROWS; P: coefficients, named in COEFFICIENTS; F: perturbation [N] at 4 kHz, shared or
-one lane each; N: noise of the velocity estimate [m/s] at 4 kHz (one value if there is none); out: what each tick leaves
-if keep = 1, `Shape.width` rows of lanes. `step` is a function because numba then types a sub-step once, not 16 times.
+S: rows of `lanes` values, named in ROWS; P: coefficients, named in COEFFICIENTS; F: perturbation
+[N] at 4 kHz, shared or one lane each; N: noise of the velocity estimate [m/s] at 4 kHz (one value
+if there is none); out: what each tick leaves if keep = 1, `Shape.width` rows of lanes. `step` is a
+function because numba then types a sub-step once, not 16 times.
 """
 
 from collections.abc import Iterable
@@ -72,7 +78,8 @@ def kernel_source(shape: Shape) -> str:
     """The text; equal for equal shapes."""
     torque = [f"TT{j}" for j in range(shape.samples)] if shape.own_torque else []
     rows = Rows([*(f"O{i}" for i in range(shape.width)), *torque], shape.per_lane)
-    lane, step = list(tick(shape, rows)), list(substep(shape, rows))
+    lane = list(tick(shape, rows))
+    step = list(substep(shape, rows))
     offsets = [(name, place * shape.lanes) for place, name in enumerate(rows.names)]
     enumerated = [(name, place) for place, name in enumerate(rows.coefficients)]
     return MODULE.format(

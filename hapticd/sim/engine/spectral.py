@@ -1,9 +1,11 @@
-"""keep = "spectra": a group's spectra instead of its records, summed section by section while it is simulated.
+"""keep = "spectra": a group's spectra instead of its records, summed section by section while it is
+simulated.
 
-A section of 2,048 samples of all lanes is 0.5 MB: it is transformed while it is still in the cache (`analysis.lanes`), so
-nothing of a trial is stored but six sums a frequency. That needs one torque record for all trials and a velocity that is
-recorded as it is; where trials have their own torque, or the probe adds noise or counts, the group's records are kept
-until its end and analysed one by one, which gives the same spectra more slowly.
+A section of 2,048 samples of all lanes is 0.5 MB: it is transformed while it is still in the cache
+(`analysis.lanes`), so nothing of a trial is stored but six sums a frequency. That needs one torque
+record for all trials and a velocity that is recorded as it is; where trials have their own torque,
+or the probe adds noise or counts, the group's records are kept until its end and analysed one by
+one, which gives the same spectra more slowly.
 """
 
 from functools import lru_cache
@@ -27,8 +29,11 @@ Samples = npt.NDArray[np.int64]
 
 def spectral(job: Job, made: Prepared, count: int, first: int) -> "Sums | SpectraOfRecords":
     """What keeps the spectra of a group."""
-    noise, shape = job.model.noise, made.shape
-    measured = (noise is not None and noise.velocity_m_per_s) or job.model.velocity_quantum_m_per_s is not None
+    noise = job.model.noise
+    shape = made.shape
+    measured = (
+        noise is not None and noise.velocity_m_per_s
+    ) or job.model.velocity_quantum_m_per_s is not None
     if job.own_torque or measured or shape.impulse is not None or LAG % shape.samples:
         return SpectraOfRecords(job, made, count, first)
     return Sums(job, made, count)
@@ -40,9 +45,13 @@ class Sums:
     kept = True
 
     def __init__(self, job: Job, made: Prepared, count: int) -> None:
-        shape, self._count, self._samples = made.shape, count, job.samples
-        self._lanes, self._tick = shape.lanes, shape.width * shape.lanes
-        self._ticks, self._end = LAG // shape.samples, job.ticks
+        shape = made.shape
+        self._count = count
+        self._samples = job.samples
+        self._lanes = shape.lanes
+        self._tick = shape.width * shape.lanes
+        self._ticks = LAG // shape.samples
+        self._end = job.ticks
         self._out = aligned(self._ticks * self._tick, made.scalar)
         sample = np.arange(LAG)
         row = sample // shape.samples * shape.width + sample % shape.samples
@@ -54,7 +63,9 @@ class Sums:
         return self._out[start % self._ticks * self._tick :]
 
     def store(self, start: int, end: int, alive: Values) -> None:
-        """Take the leg; a section that is complete goes into the sums, without the lanes that diverged."""
+        """Take the leg; a section that is complete goes into the sums, without the lanes that
+        diverged.
+        """
         rows = self._out.reshape(-1, self._lanes)
         if not alive.all():
             rows[:, alive == 0.0] = 0.0
@@ -66,7 +77,9 @@ class Sums:
 
     def finished(self, samples: Samples, inputs: Inputs) -> dict[str, Any]:
         """By their names in BatchResult."""
-        velocity, cross = self._sections.spectra() if (samples == self._samples).any() else _nothing(self._lanes)
+        velocity, cross = (
+            self._sections.spectra() if (samples == self._samples).any() else _nothing(self._lanes)
+        )
         squares = self._sections.squares[:, : self._count]
         return {
             "velocity_spectrum": velocity[: self._count],
@@ -83,14 +96,20 @@ class SpectraOfRecords(Records):
         kept = super().finished(samples, inputs)
         velocity = np.asarray(kept["velocity_m_per_s"], np.float64)
         own = "torque_n" in kept
-        torque = kept["torque_n"] if own else played(shared_torque(self._job), velocity.shape[1], self._made.scalar)
+        torque = (
+            kept["torque_n"]
+            if own
+            else played(shared_torque(self._job), velocity.shape[1], self._made.scalar)
+        )
         force = np.broadcast_to(np.asarray(torque, np.float64), velocity.shape)
         found = [spa(*channels) for channels in zip(force, velocity, strict=True)]
         starts = np.arange(0, velocity.shape[1], LAG)
         return {
             "velocity_spectrum": np.stack([trial.velocity for trial in found]),
             "cross_spectrum": np.stack([trial.cross for trial in found]),
-            "section_rms_m_per_s": np.sqrt(np.add.reduceat(velocity**2, starts, axis=1) / _lengths(velocity.shape[1])),
+            "section_rms_m_per_s": np.sqrt(
+                np.add.reduceat(velocity**2, starts, axis=1) / _lengths(velocity.shape[1])
+            ),
             **({"force_spectrum": np.stack([trial.force for trial in found])} if own else {}),
         }
 
@@ -103,11 +122,15 @@ def force_spectrum(job: Job, made: Prepared) -> Floats:
 def _force(job: Job, made: Prepared) -> SharedForce:
     if isinstance(job.excitation, np.ndarray):
         return _prepared_for(shared_torque(job), job.samples, made.scalar)
-    return _drawn(job.excitation, job.samples, job.seed, job.model.torque_quantum_n, made.shape.dtype)
+    return _drawn(
+        job.excitation, job.samples, job.seed, job.model.torque_quantum_n, made.shape.dtype
+    )
 
 
 @lru_cache(maxsize=CACHED)
-def _drawn(excitation: Excitation, samples: int, seed: int, quantum_n: float | None, dtype: str) -> SharedForce:
+def _drawn(
+    excitation: Excitation, samples: int, seed: int, quantum_n: float | None, dtype: str
+) -> SharedForce:
     """Made once for all jobs that ask for it: it is the costly part of a small task."""
     return _prepared_for(drawn(excitation, samples, seed, quantum_n), samples, SCALARS[dtype])
 

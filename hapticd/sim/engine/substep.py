@@ -2,9 +2,10 @@
 
     x  state   n  next state   d  what a state that keeps itself gains   b  what inputs add   q  free friction   f  friction
 
-Friction is solved once, as in `plant.friction` but without branches: for one contact clamp(-v / W); for two, f1 is first taken
-from the free solution of both and clamped, which decides its side because W is a P-matrix, then f0 and f1 follow by clamping
-once each. A contact that sticks gets v = 0, not v + W f.
+Friction is solved once, as in `plant.friction` but without branches: for one contact clamp(-v / W);
+for two, f1 is first taken from the free solution of both and clamped, which decides its side
+because W is a P-matrix, then f0 and f1 follow by clamping once each. A contact that sticks gets v =
+0, not v + W f.
 """
 
 from collections.abc import Iterator
@@ -24,14 +25,20 @@ def step_arguments(shape: Shape) -> list[str]:
 def step_results(shape: Shape) -> list[str]:
     """Of `step`: states, the recorded gain, friction forces, the sum of the rotor forces."""
     forces = [f"f{c}" for c in range(len(shape.contacts))] + ["g"] * (shape.rotor is not None)
-    return [*(f"x{i}" for i in range(shape.states)), *(["d"] * (shape.gaining is not None)), *forces]
+    return [
+        *(f"x{i}" for i in range(shape.states)),
+        *(["d"] * (shape.gaining is not None)),
+        *forces,
+    ]
 
 
 def substep(shape: Shape, row: Rows) -> Iterator[str]:
     """The lines of `step`."""
     states = range(shape.states)
     for i in states:
-        terms = [f"b{i}"] * shape.fed(i) + [f"{row.c(f'A{i}_{c}')} * x{c}" for c in _late_last(shape, i)]
+        terms = [f"b{i}"] * shape.fed(i) + [
+            f"{row.c(f'A{i}_{c}')} * x{c}" for c in _late_last(shape, i)
+        ]
         yield from total(_target(shape, i), terms or ["ZERO"])
     if shape.rotor is not None:
         yield from _pulled(shape, row)
@@ -41,7 +48,9 @@ def substep(shape: Shape, row: Rows) -> Iterator[str]:
         yield from _stops(*shape.stops, row)
     kept = {f"x{i}": f"n{i}" for i in states}
     if shape.gaining is not None:
-        kept["d"] = f"d{shape.gaining}" if shape.stops is None else f"n{shape.gaining} - x{shape.gaining}"
+        kept["d"] = (
+            f"d{shape.gaining}" if shape.stops is None else f"n{shape.gaining} - x{shape.gaining}"
+        )
     yield f"return {', '.join(kept.get(name, name) for name in step_results(shape))}"
 
 
@@ -64,7 +73,9 @@ def _friction(shape: Shape, row: Rows) -> Iterator[str]:
 
 def _rubbed(shape: Shape, row: Rows, i: int) -> Iterator[str]:
     """What friction does to state `i`."""
-    pushes = [f"{row.c(f'H{c}_{i}')} * f{c}" for c, (_, column) in enumerate(shape.contacts) if column[i]]
+    pushes = [
+        f"{row.c(f'H{c}_{i}')} * f{c}" for c, (_, column) in enumerate(shape.contacts) if column[i]
+    ]
     if pushes:
         target = _target(shape, i)
         slid = " + ".join([target, *pushes])
@@ -80,7 +91,11 @@ def _pulled(shape: Shape, row: Rows) -> Iterator[str]:
     for place, law in enumerate(shape.rotor_laws):
         yield from ROTOR_LAWS[law].lines(f"g{place}", "h", f"x{velocity}", _numbers(place, row))
     yield f"g = {' + '.join(f'g{place}' for place in range(len(shape.rotor_laws)))}"
-    yield from (f"{_target(shape, i)} = {_target(shape, i)} + {row.c(f'Z{i}')} * g" for i, here in enumerate(column) if here)
+    yield from (
+        f"{_target(shape, i)} = {_target(shape, i)} + {row.c(f'Z{i}')} * g"
+        for i, here in enumerate(column)
+        if here
+    )
 
 
 def _numbers(place: int, row: Rows) -> Number:
@@ -89,12 +104,17 @@ def _numbers(place: int, row: Rows) -> Number:
 
 def _stops(position: int, velocity: int, row: Rows) -> Iterator[str]:
     for sign, stop in ((">", "STOP_UP"), ("<", "STOP_DOWN")):
-        yield f"n{velocity} = ZERO if (n{position} {sign} {row.c(stop)}) & (n{velocity} {sign} ZERO) else n{velocity}"
+        yield (
+            f"n{velocity} = ZERO if (n{position} {sign} {row.c(stop)}) & (n{velocity} {sign} ZERO)"
+            f" else n{velocity}"
+        )
         yield f"n{position} = {row.c(stop)} if n{position} {sign} {row.c(stop)} else n{position}"
 
 
 def _late_last(shape: Shape, i: int) -> list[int]:
-    """States of this sum, those that wait for friction last: a shorter chain from sub-step to sub-step."""
+    """States of this sum, those that wait for friction last: a shorter chain from sub-step to
+    sub-step.
+    """
     rubbed = {velocity for velocity, _ in shape.contacts}
     return sorted(shape.feeds[i], key=lambda state: state in rubbed)
 

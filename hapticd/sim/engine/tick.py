@@ -3,7 +3,8 @@
     x  state   h  what the held command adds   b  with perturbation   t  perturbation   e  noise of the estimate
     u  held command   y  encoder sample   c  new command   w, v  recorded travel and velocity   p  recorded torque
 
-Rows and coefficients are upper case; `group` fills them. The law stands after the last sub-step: nothing in the tick waits for it.
+Rows and coefficients are upper case; `group` fills them. The law stands after the last sub-step:
+nothing in the tick waits for it.
 """
 
 from collections.abc import Iterator
@@ -27,7 +28,10 @@ def tick(shape: Shape, row: Rows) -> Iterator[str]:
     if shape.own_torque:
         yield from (f"t{j} = {row(f'TT{j}')}" for j in range(shape.samples))
     for i in states:
-        yield from total(f"h{i}", term(shape.command[i], f"G{i}", " * u", row) + term(shape.drift[i], f"D{i}", "", row))
+        yield from total(
+            f"h{i}",
+            term(shape.command[i], f"G{i}", " * u", row) + term(shape.drift[i], f"D{i}", "", row),
+        )
     for j in range(shape.samples):
         yield from _sample(shape, row, j)
     if shape.renders and shape.sample_step == shape.steps:
@@ -44,7 +48,9 @@ def _sample(shape: Shape, row: Rows, j: int) -> Iterator[str]:
         held = [f"h{i}"] * (shape.command[i] or shape.drift[i])
         noise = term(shape.noise is not None and shape.noise[i], f"E{i}", f" * e{j}", row)
         yield from total(f"b{i}", held + term(shape.torque[i], f"T{i}", f" * t{j}", row) + noise)
-    yield "w = ZERO" if shape.gaining is not None else f"w = {weighted(shape.travel, 'TRAVEL', row)}"
+    yield (
+        "w = ZERO" if shape.gaining is not None else f"w = {weighted(shape.travel, 'TRAVEL', row)}"
+    )
     if shape.impulse is not None:
         yield f"p = {weighted(shape.impulse, 'IMPULSE', row)}"
     for k in range(j * shape.substeps, (j + 1) * shape.substeps):
@@ -66,7 +72,9 @@ def _substep(shape: Shape, row: Rows, j: int, k: int) -> Iterator[str]:
 def _inside(shape: Shape, row: Rows, j: int) -> str:
     """What inputs held through this sub-step add to the encoder somewhere inside it: exact."""
     terms = [f"{row.c('RU')} * u", f"{row.c('RT')} * t{j}"]
-    terms += term(any(shape.drift), "RD", "", row) + term(shape.noise is not None, "RE", f" * e{j}", row)
+    terms += term(any(shape.drift), "RD", "", row) + term(
+        shape.noise is not None, "RE", f" * e{j}", row
+    )
     terms += term(shape.rotor is not None, "RZ", " * g", row)
     return " + ".join(terms + [f"{row.c(f'RH{c}')} * f{c}" for c in range(len(shape.contacts))])
 
@@ -81,7 +89,9 @@ def _record(shape: Shape, row: Rows, j: int) -> Iterator[str]:
         yield f"{row(f'O{shape.samples + 1 + j}')} = p{j}"
     if shape.heat is not None:
         terms, direct = shape.heat
-        yield f"m = {' + '.join([weighted(terms, 'MOTOR', row), *term(direct, 'MOTOR_U', ' * u', row)])}"
+        yield (
+            f"m = {' + '.join([weighted(terms, 'MOTOR', row), *term(direct, 'MOTOR_U', ' * u', row)])}"
+        )
         yield f"{row('HEAT')} = {row('HEAT')} + m * m"
 
 
@@ -93,7 +103,8 @@ def _command(shape: Shape, row: Rows) -> Iterator[str]:
     wall = [row.c(name) if shape.wall else "ZERO" for name in WALL]
     ends = [row.c(name) for name in ENDS] if shape.ends else ["-INF", "INF", "ZERO"]
     environment = ", ".join([row("K"), row("B"), row("M"), "ZERO", limit, *wall, *ends])
-    state, filters = ", ".join(row(name) for name in LAW_STATE), ", ".join(row.c(name) for name in FILTERS)
+    state = ", ".join(row(name) for name in LAW_STATE)
+    filters = ", ".join(row.c(name) for name in FILTERS)
     yield f"c, _, _, _, _, _, _, _, state = law(y, ({state}), ({environment}), ({filters}))"
     yield from (f"{row(name)} = state[{i}]" for i, name in enumerate(LAW_STATE))
     if shape.force_quantum:
@@ -107,8 +118,11 @@ def _command(shape: Shape, row: Rows) -> Iterator[str]:
 
 
 def _tally(shape: Shape, row: Rows) -> Iterator[str]:
-    """Sums up to the tick in which the motion is too fast or no number: squared velocity, work, its lowest, largest command."""
-    samples, torque = range(shape.samples), "t" if shape.impulse is None else "p"
+    """Sums up to the tick in which the motion is too fast or no number: squared velocity, work,
+    its lowest, largest command.
+    """
+    samples = range(shape.samples)
+    torque = "t" if shape.impulse is None else "p"
     yield f"s2 = {' + '.join(f'v{j} * v{j}' for j in samples)}"
     yield f"e = {' + '.join(f'v{j} * {torque}{j}' for j in samples)}"
     yield f"a = {row('ALIVE')} if s2 < TOO_FAST else ZERO"
