@@ -326,8 +326,7 @@ def judged(plan: TrialPlan, recorded: Recorded) -> TrialResult:
     record = examine(recorded.force_n, recorded.velocity_m_per_s, recorded.rate_hz)
     found = (
         *record.findings,
-        *_findings(recorded),
-        *_refused(params.trial),
+        *_findings(recorded, params.trial),
         *_spectral_findings(params, spectra),
     )
     if not recorded.simulated:
@@ -391,9 +390,10 @@ def _spectral_findings(params: TrialParams, spectra: Spectra) -> tuple[Finding, 
     return leakage_findings(spectra, params.band_hz, params.estimator)
 
 
-def _findings(recorded: Recorded) -> tuple[Finding, ...]:
-    """What the samples cannot say: the command at its end, an escape that the sentinel saw, and
-    what was lost.
+def _findings(recorded: Recorded, trial: Trial) -> tuple[Finding, ...]:
+    """What the samples cannot say: the command at its end, an escape that the sentinel saw, what
+    was lost, and that K < 0 pushes the device away for ever: at a low enough frequency it is
+    active, however long the record.
     """
     found = []
     most = recorded.max_command_n
@@ -407,23 +407,10 @@ def _findings(recorded: Recorded) -> tuple[Finding, ...]:
         found.append(
             Finding("ended", recorded.ended, voids=recorded.ended.startswith(("changed", "travel")))
         )
+    if (stiffness := trial.environment[0]) < 0.0:
+        message = f"K = {stiffness:g} N/m: below every band a negative stiffness is active"
+        found.append(Finding("negative_stiffness", message, voids=True))
     return (*found, *loss_findings(recorded.more))
-
-
-def _refused(trial: Trial) -> tuple[Finding, ...]:
-    """K < 0 pushes the device away for ever: at a low enough frequency it is active, however
-    long the record.
-    """
-    stiffness = trial.environment[0]
-    if not stiffness < 0.0:
-        return ()
-    return (
-        Finding(
-            "negative_stiffness",
-            f"K = {stiffness:g} N/m: below every band a negative stiffness is active",
-            voids=True,
-        ),
-    )
 
 
 def _predicted(plan: TrialPlan, z: Impedance) -> Complexes | None:
