@@ -22,7 +22,7 @@ from hapticd.gateway.telemetry import PROBE_DTYPE as PROBE
 from hapticd.mailbox.layout import RECORD
 from hapticd.measure.recorder import RecordingParams
 from hapticd.measure.recording.file import open_recording
-from hapticd.measure.recording.pack import packed
+from hapticd.measure.recording.pack import pack
 from hapticd.measure.reflight import refly
 from hapticd.units import PROBE_RATE_HZ
 
@@ -44,7 +44,7 @@ def measure() -> Iterator[Figure]:
         note = f"of a core; {MEASURED_S:g} s at 1 kHz, probe at 4 kHz"
         yield compared("record_cpu_ratio", TARGETS["record_cpu_ratio"], used, "%", bare, note)
         yield _bytes(params.part)
-        packed(params.part, params.file)
+        pack(params.part, params.file)
         yield _replay(params.file)
 
 

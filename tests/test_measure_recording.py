@@ -39,7 +39,6 @@ from hapticd.measure.recording.live import (
     event_row,
     udunits,
 )
-from hapticd.measure.recording.pack import packed
 from hapticd.measure.reflight import refly
 from hapticd.params import InjectionParams
 from hapticd.units import NS_PER_S
@@ -402,7 +401,7 @@ def test_killed_recorder_loses_nothing_that_was_flushed(
     final = tmp_path / "run.h5"
     with pytest.raises(OSError, match=r"."):
         h5py.File(part, "r")
-    summary = packed(part, final, recovered=True)
+    summary = pack.pack(part, final, recovered=True)
     assert summary["records"] >= flushed
     with open_recording(final) as recording:
         assert recording.attributes["recovered"] == 1
@@ -430,7 +429,7 @@ def test_full_disk_keeps_what_was_flushed(flown: RecordedFlight, tmp_path: Path)
     out, err = process.communicate(timeout=DEADLINE_S)
     assert process.returncode != 0
     assert "File too large" in err or "OSError" in err or "RuntimeError" in err
-    summary = packed(tmp_path / "run.part.h5", tmp_path / "run.h5", recovered=True)
+    summary = pack.pack(tmp_path / "run.part.h5", tmp_path / "run.h5", recovered=True)
     assert summary["records"] >= int(out.split()[-1]) > 500
     with open_recording(tmp_path / "run.h5") as recording:
         records = recording.records(0, summary["records"])
@@ -564,7 +563,7 @@ def test_packing_that_fails_keeps_the_source(tmp_path: Path) -> None:
     part = tmp_path / "bad.part.h5"
     part.write_text("nothing")
     with pytest.raises(HapticdError, match="it is no HDF5 file"):
-        packed(part, tmp_path / "bad.h5")
+        pack.pack(part, tmp_path / "bad.h5")
     assert part.exists()
 
 

@@ -127,9 +127,9 @@ ATTRIBUTES_SHOWN = (
 @rec_app.command()
 def recover(file: Source, out: Target = None, as_json: terminal.Json = False) -> None:
     """Make a finished file of one whose recorder died, or of a flight recording."""
-    from hapticd.measure.recording.pack import packed
+    from hapticd.measure.recording.pack import pack
 
-    summary = packed(file, out or _beside(file, ".h5"), recovered=True)
+    summary = pack(file, out or _beside(file, ".h5"), recovered=True)
     if as_json:
         terminal.data_json({"ok": True, **summary})
     else:

@@ -80,7 +80,7 @@ def record(
     check_free(params)
     recorder = Recorder(source, params, clock or MonotonicClock(), free_bytes)
     ended = recorder.run(should_stop, tell)
-    return {"ended": ended, **pack.packed(params.part, params.file)}
+    return {"ended": ended, **pack.pack(params.part, params.file)}
 
 
 def check_free(params: RecordingParams) -> None:

@@ -2,7 +2,7 @@
 
     servo.raw, probe, event, flight --recorder--> NAME.part.h5  (live: SWMR, uncompressed, flushed
     every 100 ms)
-                                                     | pack, in a process of its own, when the recording ends
+                                                     | pack, when the recording ends
                                                      v
                                                   NAME.h5       (HDF5 1.8 format, compressed, with checksums)
 

@@ -1,9 +1,8 @@
 """The final file: compressed, with checksums, in a format that HDF5 1.8 and so every Octave and
 MATLAB opens; and its exports.
 
-`python -m hapticd.measure.recording.pack SOURCE FINAL` in a process of its own, so that neither the
-recorder's memory nor its interpreter lock is concerned. The source may be a live file that was
-closed, one whose recorder died, or a flight recording.
+The source may be a live file that was closed, one whose recorder died, or a flight recording. A live
+file is removed when the final one is on the disk; a source that cannot be packed stays as it is.
 
 Exports are MATLAB 5 (.mat) and comma-separated values. What a finished file has beside the records,
 the probe's signals in SI and seconds, is in the export of an unfinished one too. A text file ends
@@ -14,8 +13,6 @@ trial.
 import csv
 import json
 import os
-import subprocess
-import sys
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -31,7 +28,6 @@ from hapticd.units import NS_PER_S
 
 CHUNK_ROWS = 4096
 AT_ONCE = 1 << 18
-MODULE = "hapticd.measure.recording.pack"
 GZIP = 4
 FINAL = ".h5"
 LINES_AT_ONCE = 10_000  # of a text file
@@ -41,53 +37,29 @@ FRAMES = ("in_frame", "out_frame")  # not in a text file
 
 def pack(source: Path, final: Path, recovered: bool = False) -> dict[str, Any]:
     """Write `final` from `source`, whole or not at all; {file, records, seconds, missing,
-    bytes}. HapticdError: it cannot be.
+    bytes}. HapticdError: it cannot be, and `source` stays as it is.
     """
     h5py = needed("h5py", "record")
     if final.exists():
         raise HapticdError(f"{final} exists; move it away or choose another name")
     fresh = final.with_name(f".{final.name}.{os.getpid()}")
     with open_recording(source) as recording:
-        told = summary(recording)
         try:
+            told = summary(recording)
             with h5py.File(fresh, "w", libver=("earliest", "v108")) as file:
                 _write(file, recording, told, recovered)
             with fresh.open("rb") as written:
                 os.fsync(written.fileno())
             fresh.replace(final)
-        except OSError as error:
+        except (OSError, RuntimeError, LookupError, ValueError) as error:
             raise HapticdError(
                 f"{final}: {error}; free some space, then `hapticd rec recover {source}`"
             ) from error
         finally:
             fresh.unlink(missing_ok=True)
+    if source.name.endswith(SUFFIX):
+        source.unlink()
     return {"file": str(final), **told, "bytes": final.stat().st_size}
-
-
-def packed(part: Path, final: Path, recovered: bool = False) -> dict[str, Any]:
-    """Pack `part` into `final` in a process of its own and remove `part`; the summary.
-    HapticdError: both stay as they are.
-    """
-    command = [
-        sys.executable,
-        "-P",
-        "-m",
-        MODULE,
-        str(part),
-        str(final),
-        *(["recovered"] if recovered else []),
-    ]
-    done = subprocess.run(
-        command, capture_output=True, text=True, env={**os.environ, "OPENBLAS_NUM_THREADS": "1"}
-    )
-    if done.returncode:
-        raise HapticdError(
-            (done.stderr.strip() or f"packing ended with code {done.returncode}").splitlines()[-1]
-        )
-    if part.name.endswith(SUFFIX):
-        part.unlink()
-    summary: dict[str, Any] = json.loads(done.stdout)
-    return summary
 
 
 def summary(recording: Recording) -> dict[str, Any]:
@@ -210,18 +182,3 @@ def _table(recording: Recording, group: str, path: Path, remark: str) -> Path:
     except OSError as error:
         raise HapticdError(f"{path}: {error.strerror}; choose another name") from error
     return path
-
-
-def main(arguments: list[str]) -> int:
-    """Pack in this process and print the summary as JSON; the exit code."""
-    source, final, *recovered = arguments
-    try:
-        os.write(1, json.dumps(pack(Path(source), Path(final), bool(recovered))).encode())
-    except HapticdError as error:
-        os.write(2, f"{error}\n".encode())
-        return error.exit_code
-    return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main(sys.argv[1:]))
