@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from measured_scenes import MOTOR, scene
 from stand_in import StandIn
 
 from hapticd import errors
@@ -23,9 +24,10 @@ from hapticd.measure import executors, outcomes
 from hapticd.measure.campaign import MapParams, plan_map, run_map
 from hapticd.measure.executors import executor, threads
 from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
-from hapticd.measure.outcomes import Conditions, Outcome, fly
+from hapticd.measure.outcomes import TOGETHER, Conditions, Lot, Outcome, fly
 from hapticd.measure.scenes import noise
 from hapticd.measure.store import TrialStore, plain
+from hapticd.plant.effects import Masses, ProbeMass, Viscous
 from hapticd.settings.scene import load_scene
 from hapticd.sim.engine.cores import at_most, workers
 
@@ -248,6 +250,31 @@ def test_engine_begins_no_threads_in_a_task_of_a_pool(monkeypatch: pytest.Monkey
     points = np.zeros((200, 3))  # several groups of lanes
     executors.alone(fly, SHORT, 0.0, points)
     assert asked == [1]
+
+
+def test_outcomes_do_not_depend_on_the_size_of_a_task(monkeypatch: pytest.MonkeyPatch) -> None:
+    """More than a group of them are judged again by their records, flown together or not."""
+    again: list[object] = []
+    resolved = outcomes.resolved
+    monkeypatch.setattr(
+        outcomes, "resolved", lambda *given: again.append(given) or resolved(*given)
+    )
+    bare = (Masses(rotor_kg=0.005), MOTOR, ProbeMass(mass_kg=0.003), Viscous(rotor_ns_per_m=0.3))
+    given = Conditions(scene(bare, seconds=20.0), 20.0)
+    points = np.zeros((TOGETHER + 6, 3))
+    points[:, 0] = np.linspace(300.0, 590.0, len(points))
+    together = fly(given, 0.0, points)
+    assert len(again) > TOGETHER
+    alone = [one for part in np.array_split(points, 5) for one in fly(given, 0.0, part)]
+    assert plain([vars(one) for one in together]) == plain([vars(one) for one in alone])
+
+
+@pytest.mark.parametrize(("points", "size"), [(40, 40), (600, 64), (1100, 128), (5000, 256)])
+def test_tasks_grow_with_their_lot(points: int, size: int) -> None:
+    lot = Lot(SHORT, 0.0, tuple((float(k), 0.0, 0.0) for k in range(points)))
+    tasks = lot.tasks(TrialStore(None))
+    assert {len(task) for task in tasks[:-1]} <= {size}
+    assert np.array_equal(np.concatenate(tasks), np.array(lot.points))
 
 
 def test_thread_is_this_process() -> None:

@@ -1,21 +1,19 @@
 """`local_fits` in numba: normal equations from moments that neighbouring frequencies share.
 
-Every column of a fit is a power of r times one of the sequences V, 1 and G_k = bin F(bin + k
-servo), k = 0 .. K, so all its products are moments
+Every column of a fit is a power of r times one of the sequences V, 1 and G_k = bin F(bin + k servo),
+k = 0 .. K, so all its products are moments
 
     m_p(a, b) = sum r^p conj(a) b
 
-with p = 0 .. 4 between V and 1, 0 .. 2 between one of them and a G, 0 between two G. Windows
-overlap six times. Between two neighbouring ends of windows all bins belong to the same ones: the
-moments of such a block are summed once, about its own middle, and moved to the place of each window
-by the binomial theorem; |r| <= 1 keeps their digits.
+with p = 0 .. 4 between V and 1, 0 .. 2 between one of them and a G, 0 between two G. Windows overlap
+six times. Between two neighbouring ends of windows all bins belong to the same ones: the moments of
+such a block are summed once, about its own middle, and moved to the place of each window by the
+binomial theorem; |r| <= 1 keeps their digits.
 
-The equations are solved by Cholesky's factor R of the columns with the force behind them. With q0
-as the last column its variance per unit of noise is 1 / R[q,q]^2, and the last pivot is the force
-that is not explained.
-
-What would break it: that pivot is y^2 less what is explained, so it is known to 1e-15 of y^2 alone;
-`local_fits` in numpy, which sums what is left, knows more where nothing is left.
+The equations are solved by Cholesky's factor R of the columns with the force behind them. With q0 as
+the last column its variance per unit of noise is 1 / R[q,q]^2, and the last pivot is the force that
+is not explained: y^2 less what is, known to 1e-15 of y^2. Where that is too little, as without
+friction and noise, what is left is summed bin by bin.
 """
 
 from functools import lru_cache
@@ -29,14 +27,11 @@ from hapticd.analysis.arrays import Integers
 from hapticd.analysis.local_fits import ORDER, RIDGE, TERMS, TINY, Fit, Transforms
 
 _SUMS = {"contract", "reassoc", "nsz"}
-# sequences; those of the images follow
-_V = 0
-_ONE = 1
-_FORCE = 2
+_V, _ONE, _FORCE = 0, 1, 2  # sequences; those of the images follow
 _ONES = 2  # the pair of 1 with itself
 _POWERS = 2 * ORDER + 1
 _BINOMIAL = np.array([[comb(p, i) for i in range(_POWERS)] for p in range(_POWERS)], np.float64)
-_LEAST = float(np.finfo(np.float64).eps)  # of the force: what rounding leaves unexplained
+_CANCELLED = 1e-9  # of the force, below which what is left of it is summed
 
 
 def local_fits(whole: Transforms, places: Integers, fit: Fit) -> None:
@@ -82,7 +77,7 @@ def _fits(  # type: ignore[no-untyped-def]
     z, variance, power, ends,
 ):  # fmt: skip
     """The same; bins `borders[begin]` .. `borders[end]` - 1 are those about a place."""
-    rows = np.empty((2, _FORCE + 1 + shifts.size, 2 * half + 1))
+    rows = np.empty((_FORCE + 1 + shifts.size, 2, 2 * half + 1))
     work = np.empty((3, 2 * half + 1))
     blocks = np.zeros((borders.size, _POWERS, len(pairs)), np.complex128)
     moments = np.empty((_POWERS, len(pairs)), np.complex128)
@@ -96,11 +91,22 @@ def _fits(  # type: ignore[no-untyped-def]
         for block in range(begin[i], end[i]):
             middle = 0.5 * (borders[block] + borders[block + 1] - 1)
             _move(blocks[block], (middle - places[i]) / half, high, moments)
-        count = borders[end[i]] - borders[begin[i]]
-        power[i] = moments[0, 0].real / count
-        _solve(moments, pairs, columns, count, i, z, variance, ends)
-        z[i] /= places[i]
-        variance[i] /= float(places[i]) ** 2
+        first = borders[begin[i]]
+        last = borders[end[i]]
+        root, size = _normal(moments, pairs, columns)
+        found, left = _solved(root)
+        found *= size[-1] / size[:-1]
+        if left < _CANCELLED:
+            _gather(force, velocity, samples, shifts, first, last, rows)
+            left = (
+                _left(rows, columns, found, places[i] - first, last - first, half) / size[-1] ** 2
+            )
+        freedom = max(last - first - len(found), 1)
+        scale = size[-1] / (size[-2] * root[-2, -2].real * places[i])
+        z[i] = found[-1] / places[i]
+        variance[i] = scale**2 * left / freedom
+        power[i] = moments[0, 0].real / (last - first)
+        ends[i] = _power(found[-1 - TERMS : -1], moments) / size[-1] ** 2
 
 
 @numba.njit(cache=True)
@@ -108,51 +114,67 @@ def _gather(force, velocity, samples, shifts, first, last, rows):  # type: ignor
     """Real and imaginary parts of the sequences at bins `first` .. `last` - 1 to `rows`."""
     for i in range(last - first):
         place = first + i
-        rows[0, _V, i] = velocity[place].real
-        rows[1, _V, i] = velocity[place].imag
-        rows[0, _ONE, i] = 1.0
-        rows[1, _ONE, i] = 0.0
-        rows[0, _FORCE, i] = place * force[place].real
-        rows[1, _FORCE, i] = place * force[place].imag
+        rows[_V, 0, i] = velocity[place].real
+        rows[_V, 1, i] = velocity[place].imag
+        rows[_ONE, 0, i] = 1.0
+        rows[_ONE, 1, i] = 0.0
+        rows[_FORCE, 0, i] = place * force[place].real
+        rows[_FORCE, 1, i] = place * force[place].imag
     for k in range(shifts.size):
         for i in range(last - first):
             there = (first + i + shifts[k]) % samples
             mirrored = samples - there
             value = force[there] if there < mirrored else force[mirrored].conjugate()
-            rows[0, _FORCE + 1 + k, i] = (first + i) * value.real
-            rows[1, _FORCE + 1 + k, i] = (first + i) * value.imag
+            rows[_FORCE + 1 + k, 0, i] = (first + i) * value.real
+            rows[_FORCE + 1 + k, 1, i] = (first + i) * value.imag
 
 
 @numba.njit(fastmath=_SUMS, cache=True)
 def _sum(rows, count, half, pairs, high, work, moments):  # type: ignore[no-untyped-def]
     """`moments` (5, n) of a block of `count` bins about its middle, in units of `half`."""
-    away, real, imag = work
+    away = work[0]
     for i in range(count):
         away[i] = (i - 0.5 * (count - 1)) / half
     for pair in range(len(pairs)):
-        a_real = rows[0, pairs[pair, 0]]
-        a_imag = rows[1, pairs[pair, 0]]
-        b_real = rows[0, pairs[pair, 1]]
-        b_imag = rows[1, pairs[pair, 1]]
-        for i in range(count):
-            real[i] = a_real[i] * b_real[i] + a_imag[i] * b_imag[i]
-            imag[i] = a_real[i] * b_imag[i] - a_imag[i] * b_real[i]
-        for p in range(_POWERS):
-            if pair < high[p]:
-                moments[p, pair] = _total(real, imag, away, count)
+        a, b = pairs[pair, 0], pairs[pair, 1]
+        if pair < high[1]:
+            _multiply(rows[a], rows[b], work, count)
+            for p in range(5 if pair < high[3] else 3):
+                moments[p, pair] = _total(work, count)
+        else:
+            moments[0, pair] = _product(rows[a], rows[b], count)
 
 
 @numba.njit(fastmath=_SUMS, cache=True)
-def _total(real, imag, away, count):  # type: ignore[no-untyped-def]
-    """Sum of a sequence, which is then multiplied by r."""
-    sum_real = 0.0
-    sum_imag = 0.0
+def _product(a, b, count):  # type: ignore[no-untyped-def]
+    """Sum of conj(a) b."""
+    real = 0.0
+    imag = 0.0
     for i in range(count):
-        sum_real += real[i]
-        sum_imag += imag[i]
-        real[i] *= away[i]
-        imag[i] *= away[i]
-    return complex(sum_real, sum_imag)
+        real += a[0, i] * b[0, i] + a[1, i] * b[1, i]
+        imag += a[0, i] * b[1, i] - a[1, i] * b[0, i]
+    return complex(real, imag)
+
+
+@numba.njit(fastmath=_SUMS, cache=True)
+def _multiply(a, b, work, count):  # type: ignore[no-untyped-def]
+    """conj(a) b to `work`."""
+    for i in range(count):
+        work[1, i] = a[0, i] * b[0, i] + a[1, i] * b[1, i]
+        work[2, i] = a[0, i] * b[1, i] - a[1, i] * b[0, i]
+
+
+@numba.njit(fastmath=_SUMS, cache=True)
+def _total(work, count):  # type: ignore[no-untyped-def]
+    """Sum of what is there, which is then multiplied by r."""
+    real = 0.0
+    imag = 0.0
+    for i in range(count):
+        real += work[1, i]
+        imag += work[2, i]
+        work[1, i] *= work[0, i]
+        work[2, i] *= work[0, i]
+    return complex(real, imag)
 
 
 @numba.njit(fastmath=_SUMS, cache=True)
@@ -168,22 +190,6 @@ def _move(block, distance, high, moments):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(fastmath=_SUMS, cache=True)
-def _solve(moments, pairs, columns, count, i, z, variance, ends):  # type: ignore[no-untyped-def]
-    """Of one frequency, for a force that is multiplied by its bins."""
-    force = len(columns) - 1
-    q = force - 1
-    root, size = _normal(moments, pairs, columns)
-    _factor(root)
-    found = _coefficients(root)
-    left = root[force, force].real ** 2 - RIDGE * (found.real**2 + found.imag**2).sum()
-    freedom = max(count - force, 1)
-    scale = size[force] / size[q]
-    z[i] = scale * found[q]
-    variance[i] = scale**2 * max(left, _LEAST) / (freedom * root[q, q].real ** 2)
-    ends[i] = _power(found[q - TERMS : q] / size[q - TERMS : q], moments)
-
-
-@numba.njit(fastmath=_SUMS, cache=True)
 def _normal(moments, pairs, columns):  # type: ignore[no-untyped-def]
     """Upper half of the products of all columns of size 1, with a ridge, and their sizes."""
     n = len(columns)
@@ -195,9 +201,7 @@ def _normal(moments, pairs, columns):  # type: ignore[no-untyped-def]
     size = np.empty(n)
     for d in range(n):
         for c in range(d + 1):
-            a = columns[c, 0]
-            b = columns[d, 0]
-            p = columns[c, 1] + columns[d, 1]
+            a, b, p = columns[c, 0], columns[d, 0], columns[c, 1] + columns[d, 1]
             value = moments[p, index[a, b]] if a <= b else moments[p, index[b, a]].conjugate()
             products[c, d] = value
         size[d] = max(np.sqrt(max(products[d, d].real, 0.0)), TINY)
@@ -209,10 +213,13 @@ def _normal(moments, pairs, columns):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(fastmath=_SUMS, cache=True)
-def _factor(products):  # type: ignore[no-untyped-def]
-    """Cholesky's factor R in place of the upper half of R^H R."""
-    n = len(products)
-    for j in range(n):
+def _solved(products):  # type: ignore[no-untyped-def]
+    """Coefficients of all columns in the last one, all of size 1, and what they leave of it.
+
+    Cholesky's factor R takes the place of the upper half of `products`, R^H R.
+    """
+    n = len(products) - 1
+    for j in range(n + 1):
         for i in range(j):
             value = products[i, j]
             for k in range(i):
@@ -221,25 +228,35 @@ def _factor(products):  # type: ignore[no-untyped-def]
         pivot = products[j, j].real
         for k in range(j):
             pivot -= products[k, j].real ** 2 + products[k, j].imag ** 2
-        products[j, j] = np.sqrt(max(pivot, RIDGE if j < n - 1 else 0.0))
+        products[j, j] = np.sqrt(max(pivot, RIDGE if j < n else 0.0))
+    found = np.empty(n, np.complex128)
+    for c in range(n - 1, -1, -1):
+        value = products[c, n]
+        for d in range(c + 1, n):
+            value -= products[c, d] * found[d]
+        found[c] = value / products[c, c].real
+    ridge = RIDGE * (found.real**2 + found.imag**2).sum()
+    return found, products[n, n].real ** 2 - ridge
 
 
 @numba.njit(fastmath=_SUMS, cache=True)
-def _coefficients(root):  # type: ignore[no-untyped-def]
-    """Of all columns (n - 1,) in the last one."""
-    n = len(root) - 1
-    found = np.empty(n, np.complex128)
-    for c in range(n - 1, -1, -1):
-        value = root[c, n]
-        for d in range(c + 1, n):
-            value -= root[c, d] * found[d]
-        found[c] = value / root[c, c].real
-    return found
+def _left(rows, columns, found, place, count, half):  # type: ignore[no-untyped-def]
+    """Of the force, summed over its bins; `place` is that of r = 0."""
+    total = 0.0
+    for i in range(count):
+        away = (i - place) / half
+        value = complex(rows[_FORCE, 0, i], rows[_FORCE, 1, i])
+        for c in range(len(found)):
+            sequence = columns[c, 0]
+            column = complex(rows[sequence, 0, i], rows[sequence, 1, i])
+            value -= found[c] * column * away ** columns[c, 1]
+        total += value.real**2 + value.imag**2
+    return total
 
 
 @numba.njit(fastmath=_SUMS, cache=True)
 def _power(polynomial, moments):  # type: ignore[no-untyped-def]
-    """Sum of the squares of J, of `size` 1 of the force."""
+    """Sum of the squares of J."""
     total = 0.0
     for a in range(TERMS):
         for b in range(TERMS):

@@ -30,7 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.arrays import Flags, Floats
+from hapticd.analysis.arrays import Complexes, Flags, Floats
 from hapticd.analysis.impedance import Estimator
 from hapticd.analysis.kernels import kernels
 from hapticd.analysis.leakage import leakage_findings
@@ -108,10 +108,12 @@ def resolved(
     estimator: Estimator = "spa",
     servo_rate_hz: float | None = None,
     linear: bool = False,
+    transform_n: Complexes | None = None,
 ) -> Spectra:
     """`trial`, the spectra of that record (N,), or `Resolved` where its window will not do.
 
-    `servo_rate_hz`: of the law's samples, if known. `linear`: so is the device. AnalysisError for
+    `servo_rate_hz`: of the law's samples, if known. `linear`: so is the device. `transform_n`
+    (N/2 + 1,): that of the force by `rfft`, where it is known from another trial. AnalysisError for
     unequal lengths.
     """
     needed = unresolved(trial, band_hz, estimator, linear)
@@ -121,7 +123,8 @@ def resolved(
     velocity = np.asarray(velocity_m_per_s, np.float64)
     same_length(force, velocity)
     again = np.union1d(trial.frequency_hz[needed], band_hz)
-    return _replaced(trial, again, _fits(force, velocity, trial, again, servo_rate_hz))
+    known = np.fft.rfft(force) if transform_n is None else transform_n
+    return _replaced(trial, again, _fits(known, velocity, trial, again, servo_rate_hz))
 
 
 def _replaced(trial: Spectra, frequency_hz: Floats, fit: Fit) -> Resolved:
@@ -149,18 +152,18 @@ def _replaced(trial: Spectra, frequency_hz: Floats, fit: Fit) -> Resolved:
 
 
 def _fits(
-    force: Floats,
+    transform: Complexes,
     velocity: Floats,
     trial: Spectra,
     frequency_hz: Floats,
     servo_rate_hz: float | None,
 ) -> Fit:
-    samples = force.size
+    samples = velocity.size
     bins_per_hz = samples / trial.rate_hz
     half = max(2 * TERMS, round(0.5 * WIDTH * samples / trial.lag))
     servo = 0 if servo_rate_hz is None else round(servo_rate_hz * bins_per_hz)
     shifts = np.arange(servo, samples - 1, servo) if servo else np.empty(0, np.int64)
-    whole = Transforms(np.fft.rfft(force), np.fft.rfft(velocity), samples, half, shifts)
+    whole = Transforms(transform, np.fft.rfft(velocity), samples, half, shifts)
     places = np.clip(np.rint(frequency_hz * bins_per_hz).astype(np.int64), 1, samples // 2)
     fit = Fit.empty(places.size)
     kernels().local_fits(whole, places, fit)

@@ -27,7 +27,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from hapticd import __version__
-from hapticd.analysis.arrays import Floats
+from hapticd.analysis.arrays import Complexes, Floats, Values
 from hapticd.analysis.diagnostics import Record, escape_findings
 from hapticd.analysis.energy import Energy
 from hapticd.analysis.envelope import Envelope, merged, of_one
@@ -47,7 +47,9 @@ from hapticd.sim.engine import BatchResult, simulate
 from hapticd.sim.engine.shape import LANES
 from hapticd.units import PROBE_RATE_HZ
 
-TOGETHER = LANES["f32"]  # trials of a task: the engine does as many at once
+TOGETHER = LANES["f32"]  # trials that the engine does at once
+GROUPS = 4  # of so many in a task: what is flown again of a few fills one
+TASKS = 8  # of a lot, before they grow
 FREQUENCIES = 120
 KEPT_BAND_HZ = (2.0, 1000.0)
 NEAR_HZ = 1e-5  # an edge that is so near to a line is that line
@@ -138,14 +140,13 @@ def fly(conditions: Conditions, damping_ns_per_m: float, points: Floats) -> list
     looks = {trial: _look(conditions, found, trial, found.spectra(trial)) for trial in whole}
     linear = not coulomb(conditions.display.model).any()
     unsure = [trial for trial, look in looks.items() if needs_record(*look, linear=linear)]
-    if unsure:
-        band_hz = conditions.band_hz
-        rate_hz = conditions.scene.rate_hz
-        again = np.asarray(found.params[unsure], np.float64)
+    for first in range(0, len(unsure), TOGETHER):
+        some = unsure[first : first + TOGETHER]
+        again = np.asarray(found.params[some], np.float64)
         records = _flown(conditions, damping_ns_per_m, again, "records")
-        for place, trial in enumerate(unsure):
-            force, velocity = records.record(place)
-            finer = resolved(force, velocity, looks[trial][0], band_hz, "spa", rate_hz, linear)
+        shared = _shared_transform(records)
+        for place, trial in enumerate(some):
+            finer = _finer(conditions, records.record(place), looks[trial][0], linear, shared)
             looks[trial] = _look(conditions, found, trial, finer)
     return [
         _outcome(conditions, damping_ns_per_m, found, trial, looks.get(trial))
@@ -169,6 +170,24 @@ def _flown(
         dtype=conditions.dtype,
         keep=keep,
     )
+
+
+def _shared_transform(records: BatchResult) -> Complexes | None:
+    """Of the force (N/2 + 1,), if all trials have the same."""
+    force = records.torque_n
+    return None if force is None or force.ndim > 1 else np.fft.rfft(np.asarray(force, np.float64))
+
+
+def _finer(
+    conditions: Conditions,
+    record: tuple[Values, Values],
+    spectra: Spectra,
+    linear: bool,
+    shared: Complexes | None,
+) -> Spectra:
+    """`spectra` in the light of their record."""
+    rate_hz = conditions.scene.rate_hz
+    return resolved(*record, spectra, conditions.band_hz, "spa", rate_hz, linear, shared)
 
 
 def _look(
@@ -346,12 +365,12 @@ class Lot:
         return [restored(store.known[key]) for key in self.keys.values() if key in store.known]
 
     def tasks(self, store: TrialStore) -> list[Floats]:
-        """Points (n, 3) that the store has not, as many together as the engine does at once."""
+        """Points (n, 3) that the store has not, as many together as the engine does at once, or
+        several times as many where tasks are plenty.
+        """
         missing = [point for point, key in self.keys.items() if key not in store.known]
-        return [
-            np.array(missing[first : first + TOGETHER])
-            for first in range(0, len(missing), TOGETHER)
-        ]
+        size = TOGETHER * min(max(1, len(missing) // (TASKS * TOGETHER)), GROUPS)
+        return [np.array(missing[first : first + size]) for first in range(0, len(missing), size)]
 
 
 def points_of(rows: Floats) -> tuple[Point, ...]:
