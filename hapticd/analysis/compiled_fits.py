@@ -1,18 +1,18 @@
 """`local_fits` in numba: normal equations from moments that neighbouring frequencies share.
 
-Every column of a fit is a power of r times one of the sequences V, 1 and G_k = bin F(bin + k servo),
-k = 0 .. K, so all its products are moments
+Every column of a fit is a power of r times one of the sequences V, 1 and, with k = 0 .. K,
+G_k = bin F(bin + k servo), so all its products are moments
 
     m_p(a, b) = sum r^p conj(a) b
 
-with p = 0 .. 4 between V and 1, 0 .. 2 between one of them and a G, 0 between two G. Windows overlap
-six times. Between two neighbouring ends of windows all bins belong to the same ones: the moments of
-such a block are summed once, about its own middle, and moved to the place of each window by the
-binomial theorem; |r| <= 1 keeps their digits.
+with p = 0 .. 4 between V and 1, 0 .. 2 between one of them and a G, 0 between two G. Windows
+overlap six times. Between two neighbouring ends of windows all bins belong to the same ones: the
+moments of such a block are summed once, about its own middle, and moved to the place of each
+window by the binomial theorem; |r| <= 1 keeps their digits.
 
-The equations are solved by Cholesky's factor R of the columns with the force behind them. With q0 as
-the last column its variance per unit of noise is 1 / R[q,q]^2, and the last pivot is the force that
-is not explained: y^2 less what is, known to 1e-15 of y^2. Where that is too little, as without
+The equations are solved by Cholesky's factor R of the columns with the force behind them. With q0
+as the last column its variance per unit of noise is 1 / R[q,q]^2, and the last pivot is the force
+that is not explained: y^2 less what is, known to 1e-15 of y^2. Where that is too little, as without
 friction and noise, what is left is summed bin by bin.
 """
 
