@@ -15,8 +15,8 @@ from benchmarks.bare import empty_link
 from benchmarks.blocks import quantile
 from benchmarks.figures import Figure, compared
 from benchmarks.lockstep import flown
-from hapticd.assembly.scene import scene_params
-from hapticd.assembly.simulation import simulated_backend
+from hapticd.assembly.lockstep import scene_params
+from hapticd.assembly.servo_main import simulated_backend
 from hapticd.clock import VirtualClock
 from hapticd.link.usb import UsbLink
 from hapticd.params import BoardParams

@@ -15,8 +15,8 @@ from benchmarks import targets
 from benchmarks.figures import Figure, compared
 from benchmarks.stand import settings
 from benchmarks.worker import ROOT, BenchError, environment
-from hapticd.assembly.child import mailbox_served
 from hapticd.assembly.resolve import write
+from hapticd.assembly.supervisor import mailbox_served
 from hapticd.mailbox import files
 from hapticd.mailbox.client_side import GatewayMailbox
 from hapticd.mailbox.layout import Command

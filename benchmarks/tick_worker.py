@@ -15,7 +15,7 @@ from benchmarks.records import place
 from benchmarks.tick_c import CReference, check_same_work
 from benchmarks.tick_reference import yardstick
 from benchmarks.worker import serve
-from hapticd.assembly.simulation import simulated_backend
+from hapticd.assembly.servo_main import simulated_backend
 from hapticd.clock import MonotonicClock
 from hapticd.link.usb import UsbLink
 from hapticd.mailbox import layout

@@ -28,13 +28,13 @@ ROUGH = tuple(
 )
 
 
-def one_leg(flight: RecordedFlight) -> replay.Leg:
+def one_leg(flight: RecordedFlight) -> replay.Segment:
     """From the first checkpoint that the servo left to the end."""
     checkpoint = flight.publisher.flight._checkpoints[0]
     requests, _, lost = flight.stack.gateway.journal(0)
     assert lost == 0
     records = flight.records
-    return replay.Leg(
+    return replay.Segment(
         checkpoint.tick,
         checkpoint.state,
         records[records["tick"] >= checkpoint.tick],
@@ -42,7 +42,7 @@ def one_leg(flight: RecordedFlight) -> replay.Leg:
     )
 
 
-def eventful() -> tuple[RecordedFlight, replay.Leg]:
+def eventful() -> tuple[RecordedFlight, replay.Segment]:
     """Two and more seconds with everything: ramps, filters, scheduled changes, lost frames,
     stop, reset, fault.
     """
@@ -70,11 +70,11 @@ def eventful() -> tuple[RecordedFlight, replay.Leg]:
 
 
 @pytest.fixture(scope="module")
-def flown() -> tuple[RecordedFlight, replay.Leg]:
+def flown() -> tuple[RecordedFlight, replay.Segment]:
     return eventful()
 
 
-def test_flight_had_everything(flown: tuple[RecordedFlight, replay.Leg]) -> None:
+def test_flight_had_everything(flown: tuple[RecordedFlight, replay.Segment]) -> None:
     records = flown[1].records
     assert {State.DISABLED, State.ENABLED, State.STOPPED} <= set(records["state"].tolist())
     assert records["arrival"].min() < -1
@@ -83,33 +83,33 @@ def test_flight_had_everything(flown: tuple[RecordedFlight, replay.Leg]) -> None
     assert np.abs(records["force_n"]).max() > 0.01
 
 
-def test_reflight_is_bit_exact(flown: tuple[RecordedFlight, replay.Leg]) -> None:
+def test_reflight_is_bit_exact(flown: tuple[RecordedFlight, replay.Segment]) -> None:
     flight, leg = flown
-    assert replay.difference(leg.records, replay.fly(flight.params, leg)) is None
+    assert replay.difference(leg.records, replay.replay(flight.params, leg)) is None
 
 
-def test_checkpoint_survives_json_and_msgpack(flown: tuple[RecordedFlight, replay.Leg]) -> None:
+def test_checkpoint_survives_json_and_msgpack(flown: tuple[RecordedFlight, replay.Segment]) -> None:
     flight, leg = flown
     for again in (
         json.loads(json.dumps(leg.state)),
         msgpack.unpackb(msgpack.packb(leg.state), strict_map_key=False),
     ):
         assert (
-            replay.difference(leg.records, replay.fly(flight.params, leg._replace(state=again)))
+            replay.difference(leg.records, replay.replay(flight.params, leg._replace(state=again)))
             is None
         )
 
 
-def test_one_changed_bit_is_found(flown: tuple[RecordedFlight, replay.Leg]) -> None:
+def test_one_changed_bit_is_found(flown: tuple[RecordedFlight, replay.Segment]) -> None:
     flight, leg = flown
     records = leg.records.copy()
     records["energy_j"].view(np.uint64)[700, 3] ^= 1
-    found = replay.difference(records, replay.fly(flight.params, leg))
+    found = replay.difference(records, replay.replay(flight.params, leg))
     assert found is not None
     assert (found.field, found.tick) == ("energy_j", int(records["tick"][700]))
 
 
-def test_sent_torque_and_damping_are_compared(flown: tuple[RecordedFlight, replay.Leg]) -> None:
+def test_sent_torque_and_damping_are_compared(flown: tuple[RecordedFlight, replay.Segment]) -> None:
     flight, leg = flown
     for place, field in ((4, "torque"), (6, "damping")):
         records = leg.records.copy()
@@ -121,31 +121,34 @@ def test_sent_torque_and_damping_are_compared(flown: tuple[RecordedFlight, repla
         )
         frames[50, place] ^= 1
         records["out_frame"] = frames.view(records.dtype["out_frame"]).ravel()
-        found = replay.difference(records, replay.fly(flight.params, leg))
+        found = replay.difference(records, replay.replay(flight.params, leg))
         assert found is not None
         assert found.field == field
 
 
-def test_bytes_of_a_bad_frame_are_not_believed(flown: tuple[RecordedFlight, replay.Leg]) -> None:
+def test_bytes_of_a_bad_frame_are_not_believed(
+    flown: tuple[RecordedFlight, replay.Segment],
+) -> None:
     flight, leg = flown
     records = leg.records.copy()
     records["in_frame"][records["arrival"] < 0] = np.void(b"\xff" * 64)
     assert (
-        replay.difference(records, replay.fly(flight.params, leg._replace(records=records))) is None
+        replay.difference(records, replay.replay(flight.params, leg._replace(records=records)))
+        is None
     )
 
 
-def test_forgotten_request_is_found(flown: tuple[RecordedFlight, replay.Leg]) -> None:
+def test_forgotten_request_is_found(flown: tuple[RecordedFlight, replay.Segment]) -> None:
     flight, leg = flown
     without = leg._replace(requests=[one for one in leg.requests if one.kind != Command.SET])
-    assert replay.difference(leg.records, replay.fly(flight.params, without)) is not None
+    assert replay.difference(leg.records, replay.replay(flight.params, without)) is not None
 
 
 def test_held_settings_act_from_the_first_tick_to_the_last(
-    flown: tuple[RecordedFlight, replay.Leg],
+    flown: tuple[RecordedFlight, replay.Segment],
 ) -> None:
     flight, leg = flown
-    other = replay.fly(
+    other = replay.replay(
         flight.params, leg, {Value.STIFFNESS: 10.0, Value.DAMPING: 0.0, Value.ADDED_DAMPING_ON: 0.0}
     )
     enabled = (other["gain"] == 1.0) & (leg.records["arrival"] >= 0)
@@ -161,9 +164,11 @@ def test_held_settings_act_from_the_first_tick_to_the_last(
     assert np.array_equal(other["position_m"], leg.records["position_m"])
 
 
-def test_other_settings_stay_as_they_were_asked(flown: tuple[RecordedFlight, replay.Leg]) -> None:
+def test_other_settings_stay_as_they_were_asked(
+    flown: tuple[RecordedFlight, replay.Segment],
+) -> None:
     flight, leg = flown
-    other = replay.fly(flight.params, leg, {Value.DAMPING: 5.0})
+    other = replay.replay(flight.params, leg, {Value.DAMPING: 5.0})
     assert np.array_equal(other["stiffness_n_per_m"], leg.records["stiffness_n_per_m"])
     assert np.array_equal(other["state"], leg.records["state"])
 
@@ -176,7 +181,7 @@ def test_scheduled_change_of_a_held_setting_is_ignored() -> None:
         leg = one_leg(flight)
     assert leg.records["stiffness_n_per_m"].max() == 80.0
     assert set(
-        replay.fly(flight.params, leg, {Value.STIFFNESS: 10.0})["stiffness_n_per_m"].tolist()
+        replay.replay(flight.params, leg, {Value.STIFFNESS: 10.0})["stiffness_n_per_m"].tolist()
     ) == {10.0}
 
 
@@ -187,7 +192,7 @@ def test_fault_is_flown_again() -> None:
         flight.fly(1500)
         leg = one_leg(flight)
     assert State.FAULT in leg.records["state"]
-    assert replay.difference(leg.records, replay.fly(flight.params, leg)) is None
+    assert replay.difference(leg.records, replay.replay(flight.params, leg)) is None
 
 
 def states() -> list[ServoState]:

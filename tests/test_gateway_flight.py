@@ -64,7 +64,7 @@ def test_dump_can_be_flown_again(folder: Path) -> None:
     with open_recording(path) as recording:
         (leg,) = recording.legs()
         assert len(leg.records) > 600
-        assert replay.difference(leg.records, replay.fly(recording.params, leg)) is None
+        assert replay.difference(leg.records, replay.replay(recording.params, leg)) is None
 
 
 def test_fault_is_dumped_with_its_aftermath(folder: Path) -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hapticd.assembly.scene import scene_params
+from hapticd.assembly.lockstep import scene_params
 from hapticd.errors import CommandError
 from hapticd.mailbox.layout import Command, Value
 from hapticd.measure.bench import bench_source

@@ -11,7 +11,7 @@ from measured_scenes import RIGID
 
 from hapticd.analysis.impedance import impedance
 from hapticd.analysis.spa import spa
-from hapticd.assembly.scene import scene_params
+from hapticd.assembly.lockstep import scene_params
 from hapticd.client.blocks import BlockDecoder
 from hapticd.errors import AnalysisError
 from hapticd.measure.bench import bench_source

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from measured_scenes import RIGID
 
-from hapticd.assembly.scene import scene_params
+from hapticd.assembly.lockstep import scene_params
 from hapticd.errors import AnalysisError
 from hapticd.measure.bench import bench_source
 from hapticd.measure.lockstep import LockStepBench

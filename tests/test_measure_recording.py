@@ -332,7 +332,7 @@ def test_another_servo_life_is_no_gap(flown: RecordedFlight, tmp_path: Path) -> 
     with open_recording(tmp_path / "lives.h5") as recording:
         assert len(recording.legs()) == 2
         assert all(
-            replay.difference(leg.records, replay.fly(recording.params, leg)) is None
+            replay.difference(leg.records, replay.replay(recording.params, leg)) is None
             for leg in recording.legs()
         )
 

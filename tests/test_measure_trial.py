@@ -10,7 +10,7 @@ import pytest
 from measured_scenes import RIGID
 
 from hapticd.analysis.predict import predicted_impedance
-from hapticd.assembly.scene import scene_params
+from hapticd.assembly.lockstep import scene_params
 from hapticd.errors import AnalysisError, ConfigError, DaemonDown
 from hapticd.measure.bench import bench_source
 from hapticd.measure.lockstep import LockStepBench

@@ -17,8 +17,8 @@ from pathlib import Path
 import pytest
 from programs import program
 
-from hapticd.assembly import notify, resolve, sentinel, system_files
-from hapticd.assembly.child import RESTARTS_MAX, WINDOW_NS
+from hapticd.assembly import process, resolve, system_files, watchdog
+from hapticd.assembly.supervisor import RESTARTS_MAX, WINDOW_NS
 from hapticd.cli.app import main
 from hapticd.clock import VirtualClock
 from hapticd.errors import ConfigError
@@ -262,11 +262,11 @@ def service(runtime: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Service]
 
 def test_notify_without_systemd_is_silent(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
-    notify.notify("READY=1")
+    process.notify("READY=1")
 
 
 def test_notify_sends_one_datagram(service: Service) -> None:
-    notify.notify("READY=1", "STATUS=fine")
+    process.notify("READY=1", "STATUS=fine")
     assert service.hear() == (os.getpid(), ["READY=1", "STATUS=fine"])
 
 
@@ -274,7 +274,7 @@ def test_notify_knows_abstract_addresses(monkeypatch: pytest.MonkeyPatch) -> Non
     name = f"hapticd-test-{os.getpid()}"
     listener = Service(f"\0{name}")
     monkeypatch.setenv("NOTIFY_SOCKET", f"@{name}")
-    notify.notify("READY=1")
+    process.notify("READY=1")
     assert listener.hear()[1] == ["READY=1"]
     listener.socket.close()
 
@@ -282,11 +282,11 @@ def test_notify_knows_abstract_addresses(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_feeder_feeds_four_times_a_limit(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("WATCHDOG_USEC", "4000000")
     clock = VirtualClock(NS_PER_S)
-    feeder = notify.Feeder(clock)
+    feeder = process.Feeder(clock)
     for _ in range(40):
         feeder.feed()
         clock.time_ns += NS_PER_S // 10
-    notify.notify("end")
+    process.notify("end")
     heard = [service.hear()[1][0] for _ in range(5)]
     assert heard == ["WATCHDOG=1"] * 4 + ["end"]
 
@@ -295,17 +295,17 @@ def test_feeder_without_a_watchdog_is_silent(
     service: Service, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("WATCHDOG_USEC", raising=False)
-    notify.Feeder(VirtualClock(NS_PER_S)).feed()
-    notify.notify("end")
+    process.Feeder(VirtualClock(NS_PER_S)).feed()
+    process.notify("end")
     assert service.hear()[1] == ["end"]
-    assert sentinel.start_sentinel(Path("/nowhere")) is None
+    assert watchdog.start_feeder(Path("/nowhere")) is None
 
 
-def test_sentinel_feeds_only_while_the_head_advances() -> None:
+def test_feeder_feeds_only_while_the_head_advances() -> None:
     heads = iter([7, 7, 8, 9, 9, 9, 12, 12])
     fed: list[int] = []
     clock = VirtualClock()
-    sentinel.watch(
+    watchdog.watch(
         lambda: next(heads),
         lambda: fed.append(clock.now_ns() // NS_PER_S),
         clock,
@@ -315,17 +315,17 @@ def test_sentinel_feeds_only_while_the_head_advances() -> None:
     assert fed == [2, 3, 6]
 
 
-def test_sentinel_without_a_ring_says_so(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_feeder_without_a_ring_says_so(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     arguments = [
         sys.executable,
         "-m",
-        "hapticd.assembly.sentinel",
+        "hapticd.assembly.watchdog",
         str(tmp_path),
         "--parent",
         str(os.getpid()),
     ]
     assert subprocess.run(arguments).returncode == 1
-    assert "hapticd sentinel:" in capfd.readouterr().err
+    assert "hapticd watchdog:" in capfd.readouterr().err
 
 
 @contextmanager
@@ -340,12 +340,12 @@ def servo_process(folder: Path, environment: dict[str, str]) -> Iterator[subproc
         "hapticd.assembly.servo_main",
         *(str(written[name]) for name in (files.SERVO_JSON, files.BOARD_JSON)),
     ]
-    process = subprocess.Popen(command, env={**os.environ, **environment})
+    child = subprocess.Popen(command, env={**os.environ, **environment})
     try:
-        yield process
+        yield child
     finally:
-        process.kill()
-        process.wait(DEADLINE_S)
+        child.kill()
+        child.wait(DEADLINE_S)
 
 
 @pytest.mark.process
@@ -366,7 +366,7 @@ def test_servo_under_systemd_tells_its_life(service: Service) -> None:
 
 
 @pytest.mark.process
-def test_ring_of_a_live_servo_moves_for_the_sentinel(service: Service) -> None:
+def test_ring_of_a_live_servo_moves_for_the_feeder(service: Service) -> None:
     with servo_process(files.runtime_folder(), {"WATCHDOG_USEC": "0"}):
         while "READY=1" not in service.hear()[1]:
             pass

@@ -12,8 +12,7 @@ import os
 import sys
 from pathlib import Path
 
-from hapticd.assembly.notify import Feeder, notify
-from hapticd.assembly.process import die_with_parent, on_stop
+from hapticd.assembly.process import Feeder, die_with_parent, notify, on_stop
 from hapticd.clock import MonotonicClock
 from hapticd.errors import ConfigError, HapticdError
 from hapticd.gateway import server

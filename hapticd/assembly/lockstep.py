@@ -1,9 +1,11 @@
-"""The whole stack on virtual time: servo, wire, pyusb and the simulated board, tick by tick, faster
-than real time.
+"""The whole stack on virtual time: servo, wire, pyusb and the simulated board, tick by tick.
 
-The same classes as in the servo process, with a clock that jumps. Nothing sleeps, nothing depends
-on the machine, and two runs with the same parameters, commands and seeds give the same bytes. The
-gateway's place is taken by `command`.
+It runs faster than real time, with the same classes as in the servo process and a clock that jumps.
+Nothing sleeps, nothing depends on the machine, and two runs with the same parameters, commands and
+seeds give the same bytes. The gateway's place is taken by `command`. `scene_params` makes the
+parameters of servo and simulated board for a scene.
+
+What would break it: code in the servo that reads a clock of its own instead of the one it is given.
 """
 
 import tempfile
@@ -11,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 
-from hapticd.assembly.simulation import simulated_backend
+from hapticd.assembly.servo_main import simulated_backend
 from hapticd.clock import VirtualClock
 from hapticd.errors import MailboxError
 from hapticd.link.device import Device
@@ -20,7 +22,7 @@ from hapticd.mailbox import layout
 from hapticd.mailbox.client_side import Answer, GatewayMailbox
 from hapticd.mailbox.layout import Command, Value
 from hapticd.mailbox.servo_side import ServoMailbox
-from hapticd.params import BoardParams, ServoParams
+from hapticd.params import BoardParams, RealtimeParams, SafetyParams, ServoParams, UsbParams
 from hapticd.servo.loop import ServoLoop
 from hapticd.servo.wait import virtual_wait
 
@@ -135,3 +137,51 @@ def pack_values(values: dict[Value, float]) -> tuple[float, ...]:
         packed[place] = value
     packed[Value.MASK] = float(sum(1 << place for place in values))
     return tuple(packed)
+
+
+AT_ONCE_NS_PER_M_S = 1e6  # damping steps of a scene are steps
+
+
+def scene_params(
+    name: str | Path, instance: str = "scene", seed: int = 1
+) -> tuple[ServoParams, BoardParams]:
+    """(servo, board) that play the scene `name` at its rate and with its delay. ConfigError as
+    `load_scene` and `compose`.
+
+    The servo renders the scene's environment once it is enabled; damping steps and excitation are
+    commands, which the caller gives when their time has come. Converters of the wire quantise
+    whether or not the scene asks for it.
+    """
+    # imported here: a lock-step run by itself needs neither numpy nor pydantic
+    from hapticd.plant.compose import compose
+    from hapticd.plant.effects import sample_timing
+    from hapticd.settings.build import board_of, device_params
+    from hapticd.settings.scene import build_scene, load_files
+
+    files = load_files(name)
+    device = files.device
+    scene = build_scene(files)
+    model = compose(scene)
+    phase, lag_periods = sample_timing(model.delay_periods)
+    levels = tuple(step.level_ns_per_m for step in scene.damping)
+    board = board_of(
+        device,
+        scene.rate_hz,
+        scene.effects,
+        levels,
+        sample_phase=phase,
+        lag_periods=lag_periods,
+        seed=seed,
+    )
+    limit_n = model.force_limit_n or device.limits.force_n
+    servo = ServoParams(
+        instance=instance,
+        simulated=True,
+        environment=scene.environment,
+        device=device_params(device),
+        safety=SafetyParams(force_limit_n=limit_n, damping_slew_ns_per_m_s=AT_ONCE_NS_PER_M_S),
+        realtime=RealtimeParams(rate_hz=scene.rate_hz, mode="off"),
+        usb=UsbParams(serial=device.serial),
+        added_damping_ns_per_m=max(levels),
+    )
+    return servo, board

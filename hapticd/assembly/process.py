@@ -1,11 +1,18 @@
-"""What every hapticd process does about its end: it dies with its parent and stops on SIGINT
-and SIGTERM alike.
+"""What every hapticd process does beside its work: how it ends, and what it tells systemd.
+
+A process dies with its parent, and stops on SIGINT and SIGTERM alike. systemd is told by one
+datagram to the socket that it names; without systemd nothing happens.
+
+What would break it: a second thread that handles signals (Python runs handlers in the main thread).
 """
 
 import ctypes
 import os
 import signal
 from collections.abc import Callable
+
+from hapticd.clock import Clock
+from hapticd.units import NS_PER_US
 
 _PR_SET_PDEATHSIG = 1
 
@@ -27,3 +34,39 @@ def on_stop(handler: Callable[[], None]) -> None:
     """
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda _signal, _frame: handler())
+
+
+def notify(*lines: str) -> None:
+    """Send `lines` ("READY=1", "STATUS=...", "WATCHDOG=1", "STOPPING=1") to $NOTIFY_SOCKET, if
+    there is one.
+    """
+    address = os.environ.get("NOTIFY_SOCKET")
+    if not address:
+        return
+    import socket  # a process without systemd does not pay for it
+
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as service:
+        service.sendto(
+            "\n".join(lines).encode(), f"\0{address[1:]}" if address.startswith("@") else address
+        )
+
+
+def feeding_period_ns() -> int:
+    """A quarter of the time that systemd's watchdog allows between two WATCHDOG=1; 0 without a
+    watchdog.
+    """
+    return int(os.environ.get("WATCHDOG_USEC", "0")) * NS_PER_US // 4
+
+
+class Feeder:
+    """Feeds the watchdog of a process that calls `feed` often, as seldom as will do."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock, self._period_ns, self._fed_ns = clock, feeding_period_ns(), 0
+
+    def feed(self) -> None:
+        """Send WATCHDOG=1 if it is time; nothing without a watchdog."""
+        now_ns = self._clock.now_ns()
+        if self._period_ns and now_ns - self._fed_ns >= self._period_ns:
+            self._fed_ns = now_ns
+            notify("WATCHDOG=1")

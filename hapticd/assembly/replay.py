@@ -43,14 +43,14 @@ COMPUTED = [
     ("force_n", "<f8"),
     ("energy_j", "<f8", (6,)),
 ]
-FLOWN = np.dtype([*PLAN_FIELDS, *COMPUTED])
+REPLAYED = np.dtype([*PLAN_FIELDS, *COMPUTED])
 LOOP_FLAGS = int(Flag.LATE | Flag.WRITE_FAILED)  # not step's
 # in an OUT frame
 _TORQUE_PLACE = 4
 _DAMPING_PLACE = 6
 
 
-class Leg(NamedTuple):
+class Segment(NamedTuple):
     """`state` before `tick` (servo.checkpoint), the records from that tick on, and what was
     asked in their time.
     """
@@ -70,8 +70,8 @@ class Difference(NamedTuple):
     flown: Any
 
 
-def fly(
-    params: ServoParams, leg: Leg, instead: dict[Value, float] | None = None
+def replay(
+    params: ServoParams, leg: Segment, instead: dict[Value, float] | None = None
 ) -> NDArray[np.void]:
     """What step computes at each tick of `leg`: array of FLOWN (n,). `instead`: settings held
     at these values from the start.
@@ -106,7 +106,7 @@ def fly(
 
 
 def _assembled(blobs: list[bytes], rows: list[tuple[Any, ...]]) -> NDArray[np.void]:
-    flown = np.empty(len(rows), FLOWN)
+    flown = np.empty(len(rows), REPLAYED)
     plans = np.frombuffer(b"".join(blobs), PLAN_DTYPE)
     for name in PLAN_NAMES:
         flown[name] = plans[name]
@@ -118,7 +118,7 @@ def _assembled(blobs: list[bytes], rows: list[tuple[Any, ...]]) -> NDArray[np.vo
 def difference(records: Records, flown: NDArray[np.void]) -> Difference | None:
     """Where `flown` differs from what was recorded, compared bit by bit; None if nowhere."""
     for name in (*PLAN_NAMES, *(str(field[0]) for field in COMPUTED)):
-        recorded = recorded_as_flown(records, name)
+        recorded = recorded_column(records, name)
         again = flown[name]
         places = np.flatnonzero(_bits(recorded) != _bits(again))
         if places.size:
@@ -129,7 +129,7 @@ def difference(records: Records, flown: NDArray[np.void]) -> Difference | None:
     return None
 
 
-def recorded_as_flown(records: Records, name: str) -> NDArray[Any]:
+def recorded_column(records: Records, name: str) -> NDArray[Any]:
     """The recorded column that FLOWN calls `name`."""
     if name == "flags":
         return np.asarray(records["flags"] & ~np.uint32(LOOP_FLAGS))
@@ -137,7 +137,7 @@ def recorded_as_flown(records: Records, name: str) -> NDArray[Any]:
         frame = np.ascontiguousarray(records["out_frame"]).view(np.uint8).reshape(len(records), -1)
         place, kind = (_TORQUE_PLACE, "<i2") if name == "torque" else (_DAMPING_PLACE, "<u2")
         sent = np.ascontiguousarray(frame[:, place : place + 2]).view(kind).ravel()
-        return np.asarray(sent.astype(FLOWN[name]))
+        return np.asarray(sent.astype(REPLAYED[name]))
     return np.asarray(records[name])
 
 

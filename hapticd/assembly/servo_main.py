@@ -1,23 +1,25 @@
-"""The servo process: `python -m hapticd.assembly.servo_main SERVO_JSON [BOARD_JSON] [--parent
-PID]`.
+"""The servo process: `python -m hapticd.assembly.servo_main SERVO_JSON [BOARD_JSON] [--parent PID]`.
 
 Order of a start: parameters -> board found, greeted, hash checked -> mailbox made -> real-time
 rights -> mailbox published, systemd told -> loop. A simulated board (SERVO_JSON says so, BOARD_JSON
 describes it) lives in this process and thread, behind the same pyusb. Exit code 0: asked to end;
-else the `exit_code` of the error, which is told in one line on stderr: 78 the configuration or the
-board's protocol is wrong, 6 a right was refused in strict mode (a restart would not help), 1
+else the `exit_code` of the error, which is printed in one line on stderr: 78 the configuration or
+the board's protocol is wrong, 6 a right was refused in strict mode (a restart would not help), 1
 others.
+
+What would break it: an import at the top that loads numpy, pydantic or zmq, or a simulator for a
+real board; import-linter and a test look at that.
 """
 
 import json
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from hapticd.assembly.notify import notify
-from hapticd.assembly.process import die_with_parent, on_stop
-from hapticd.assembly.sentinel import start_sentinel
+from hapticd.assembly.process import die_with_parent, notify, on_stop
+from hapticd.assembly.watchdog import start_feeder
 from hapticd.clock import Clock, MonotonicClock
 from hapticd.errors import ConfigError, HapticdError, LinkLost
 from hapticd.link.base import backoff_s
@@ -30,6 +32,24 @@ from hapticd.servo import host
 from hapticd.servo.loop import ServoLoop
 from hapticd.servo.wait import spinning_wait
 from hapticd.units import NS_PER_S, NS_PER_US, US_PER_S
+
+if TYPE_CHECKING:
+    from hapticd.sim.backend import SimulatedBackend
+
+
+def simulated_backend(
+    params: BoardParams, clock: Clock, on_slip: Callable[[int], None] | None = None
+) -> "SimulatedBackend":
+    """A pyusb backend with one simulated board plugged in, and the faults that `params` ask for.
+
+    `on_slip(ns)` is called with the time that a paused host cost the simulation.
+    """
+    # imported here: a servo of a real board loads no simulator
+    from hapticd.sim.backend import SimulatedBackend
+    from hapticd.sim.board import BoardModel
+    from hapticd.sim.injection import with_injections
+
+    return SimulatedBackend(with_injections(BoardModel(params, on_slip), params), clock)
 
 
 def read_json(kind: Any, path: str) -> Any:
@@ -52,10 +72,6 @@ class Servo:
         self.slip_ns = 0
         backend = None
         if board is not None:
-            from hapticd.assembly.simulation import (
-                simulated_backend,
-            )  # a real board brings no simulator along
-
             backend = simulated_backend(board, clock, self._slipped)
         self.device = Device(UsbLink(params.usb, backend), params.realtime.rate_hz)
         self.mailbox: ServoMailbox | None = None
@@ -96,7 +112,7 @@ class Servo:
         wait = spinning_wait(int(params.realtime.spin_us * NS_PER_US), int(NS_PER_S / rate_hz))
         self.loop = ServoLoop(params, self.device, self.mailbox, self.clock, wait)
         self.loop.stopping = self.stopping
-        start_sentinel(folder)  # before the rights: it must not inherit them
+        start_feeder(folder)  # before the rights: it must not inherit them
         try:
             self.mailbox.report({"realtime": host.prepare(params.realtime), **self._about()})
             self.mailbox.publish()

@@ -1,30 +1,182 @@
-"""Starts servo and gateway in order, keeps them running, and ends them in order. Silent: progress
-goes to a callback.
+"""Starts servo and gateway in order, keeps them running, and ends them in order.
 
-    servo started -> its mailbox is published -> gateway started -> it serves -> ready asked to end
-    -> servo ends (force to 0, disabled, files removed) -> gateway ends -> our files removed
+    servo started -> its mailbox is published -> gateway started -> it serves -> ready
+    asked to end  -> servo ends (force to 0, disabled, files removed) -> gateway ends
+                  -> our files removed
 
-Rules. The gateway outlives a servo that dies and the other way round; each may come back 3 times
-within 60 s, and a servo that comes back is disabled, whatever it was before. A process that never
-became ready is not tried again, nor one that says its configuration is wrong. The first signal ends
-in order, a second one kills.
+A child is started by exec, never forked from a process that has threads or a big heap. It gets a
+process group of its own, so that Ctrl-C in a terminal reaches the supervisor alone and the end is
+in order; it dies with its parent.
+
+The gateway outlives a servo that dies and the other way round; each may come back 3 times within
+60 s, and a servo that comes back is disabled, whatever it was before. A process that never became
+ready is not tried again, nor one that says its configuration is wrong. The first signal ends in
+order, a second one kills. The supervisor prints nothing: progress goes to a callback.
 
 What would break it: a second supervisor in the folder (its claim is refused), or waiting without
 looking at signals: every wait here is a poll of POLL_NS.
 """
 
+import os
 import signal
-from collections.abc import Callable
+import subprocess
+import sys
+from collections import deque
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
+import hapticd
 from hapticd.assembly import resolve
-from hapticd.assembly.child import RESTARTS_MAX, WINDOW_NS, Child, Spawn, mailbox_served, spawn
 from hapticd.clock import Clock
-from hapticd.errors import ConfigError, HapticdError
-from hapticd.mailbox import files
+from hapticd.errors import ConfigError, HapticdError, MailboxError
+from hapticd.mailbox import files, layout
 from hapticd.settings.load import Settings
 from hapticd.units import NS_PER_MS, NS_PER_S
+
+RESTARTS_MAX = 3
+WINDOW_NS = 60 * NS_PER_S
+FIRST_PAUSE_NS = NS_PER_S // 2  # doubled with each restart within the window
+
+
+class Process(Protocol):
+    """What is used of subprocess.Popen."""
+
+    pid: int
+
+    def poll(self) -> int | None: ...
+    def terminate(self) -> None: ...
+    def kill(self) -> None: ...
+
+
+Spawn = Callable[[Sequence[str], int], Process]  # module and arguments, descriptor to hand down
+
+
+def spawn(command: Sequence[str], ready: int) -> Process:
+    """`python -m command` in a fresh interpreter; its messages go to our stderr, descriptor
+    `ready` is handed down.
+    """
+    return subprocess.Popen(
+        [
+            sys.executable,
+            "-X",
+            "utf8",
+            "-P",
+            "-m",
+            *command,
+            "--parent",
+            str(os.getpid()),
+            "--ready",
+            str(ready),
+        ],
+        stdin=subprocess.DEVNULL,
+        stdout=2,
+        pass_fds=(ready,),
+        env={**os.environ, **_import_path(), "OPENBLAS_NUM_THREADS": "1"},
+        process_group=0,
+    )
+
+
+def _import_path() -> dict[str, str]:
+    """-P keeps the working folder out of the child's imports; a checkout that is not installed
+    has to be named then.
+    """
+    root = Path(hapticd.__file__).parents[1]
+    if root.name in ("site-packages", "dist-packages"):
+        return {}
+    return {"PYTHONPATH": os.pathsep.join(filter(None, (str(root), os.environ.get("PYTHONPATH"))))}
+
+
+class Restarts:
+    """At most 3 restarts within 60 s, after 0.5, 1 and 2 s."""
+
+    def __init__(self) -> None:
+        self._times: deque[int] = deque()
+
+    def next_ns(self, now_ns: int) -> int | None:
+        """When the next start is allowed after a death at `now_ns`; None: no more."""
+        while self._times and now_ns - self._times[0] > WINDOW_NS:
+            self._times.popleft()
+        if len(self._times) >= RESTARTS_MAX:
+            return None
+        pause_ns = FIRST_PAUSE_NS << len(self._times)
+        self._times.append(now_ns)
+        return now_ns + pause_ns
+
+    @property
+    def used(self) -> int:
+        """Restarts within the window."""
+        return len(self._times)
+
+
+class Child:
+    """The servo or the gateway."""
+
+    def __init__(self, name: str, command: Sequence[str], start: Spawn) -> None:
+        self.name = name
+        self.command = command
+        self._spawn = start
+        self.process: Process | None = None
+        self.restarts = Restarts()
+        self.start_at_ns: int | None = 0  # None: running
+        self.ready = self.was_ready = False  # in this life, in any
+        self._pipe: int | None = None
+
+    def start(self) -> None:
+        """Start it now."""
+        self._close_pipe()
+        self._pipe, theirs = os.pipe()
+        os.set_blocking(self._pipe, False)
+        try:
+            self.process = self._spawn(self.command, theirs)
+        finally:
+            os.close(theirs)
+        self.start_at_ns = None
+        self.ready = False
+
+    def died(self) -> int | None:
+        """Exit code of a child that should run and does not."""
+        return (
+            self.process.poll() if self.process is not None and self.start_at_ns is None else None
+        )
+
+    def alive(self) -> bool:
+        """Whether a process of it exists."""
+        return self.process is not None and self.process.poll() is None
+
+    def note_ready(self, is_ready: Callable[[Process], bool]) -> None:
+        """Ask whether it serves, until it does."""
+        if self.process is not None and self.start_at_ns is None and not self.ready:
+            self.ready = is_ready(self.process)
+            self.was_ready |= self.ready
+
+    def said_ready(self) -> bool:
+        """Whether it wrote its byte since it was started."""
+        try:
+            return self._pipe is not None and bool(os.read(self._pipe, 1))
+        except BlockingIOError:
+            return False
+
+    def forget(self) -> None:
+        """Free what is left of a child that ended."""
+        self._close_pipe()
+        self.process = None
+
+    def _close_pipe(self) -> None:
+        if self._pipe is not None:
+            os.close(self._pipe)
+        self._pipe = None
+
+
+def mailbox_served(folder: Path, pid: int) -> bool:
+    """Whether the servo process `pid` has published its mailbox in `folder`."""
+    try:
+        page = files.open_map(folder / files.MAILBOX, layout.MAILBOX_BYTES, writable=False)
+    except MailboxError:
+        return False
+    header = layout.HEADER.unpack_from(page, 0)
+    return memoryview(page).cast("Q")[layout.EPOCH_WORD] != 0 and header[2] == pid
+
 
 SUPERVISOR_LOCK = "supervisor.lock"
 POLL_NS = 20 * NS_PER_MS
@@ -33,7 +185,7 @@ PATIENCE_NS = (
 )  # until a missing readiness is told, and until an ending process is killed
 
 
-class Event(NamedTuple):
+class Progress(NamedTuple):
     """Progress: `starting`, `waiting`, `ready`, `restart`, `ending`, `killed`, `ended`; which
     process, and what to say.
     """
@@ -54,7 +206,7 @@ class Supervisor:
         settings: Settings,
         instance: str,
         clock: Clock,
-        tell: Callable[[Event], None],
+        tell: Callable[[Progress], None],
         start: Spawn = spawn,
         served: Callable[[Path, int], bool] = mailbox_served,
     ) -> None:
@@ -99,7 +251,7 @@ class Supervisor:
             self._end(self.gateway)
             files.remove(self.folder, files.SERVO_JSON, files.BOARD_JSON, files.GATEWAY_JSON)
             files.release(self.folder, SUPERVISOR_LOCK, claim)
-        self.tell(Event("ended", "", "ended: force 0, disabled, both processes gone"))
+        self.tell(Progress("ended", "", "ended: force 0, disabled, both processes gone"))
 
     def _look(self, now_ns: int) -> None:
         for child in (self.servo, self.gateway):
@@ -114,21 +266,21 @@ class Supervisor:
 
     def _start_if_due(self, child: Child, now_ns: int) -> None:
         if child.start_at_ns is not None and now_ns >= child.start_at_ns:
-            self.tell(Event("starting", child.name, f"starting the {child.name}"))
+            self.tell(Progress("starting", child.name, f"starting the {child.name}"))
             child.start()
             self._impatient_ns = now_ns + PATIENCE_NS
 
     def _tell_readiness(self, now_ns: int) -> None:
         ready = self.servo.ready and self.gateway.ready
         if ready and not self.ready:
-            self.tell(Event("ready", "", "servo and gateway are ready"))
+            self.tell(Progress("ready", "", "servo and gateway are ready"))
         elif not ready and self._impatient_ns is not None and now_ns >= self._impatient_ns:
             reason = (
                 "the gateway"
                 if self.servo.ready
                 else "the servo (is the board plugged in and switched on?)"
             )
-            self.tell(Event("waiting", "", f"still waiting for {reason}"))
+            self.tell(Progress("waiting", "", f"still waiting for {reason}"))
             self._impatient_ns = None
         self.ready = ready
 
@@ -150,12 +302,12 @@ class Supervisor:
             )
         wait_s = (child.start_at_ns - now_ns) / NS_PER_S
         again = f"restart {child.restarts.used} of {RESTARTS_MAX} in {wait_s} s, disabled"
-        self.tell(Event("restart", child.name, f"the {child.name} died ({how}); {again}"))
+        self.tell(Progress("restart", child.name, f"the {child.name} died ({how}); {again}"))
 
     def _end(self, child: Child) -> None:
         process = child.process
         if process is not None and child.alive():
-            self.tell(Event("ending", child.name, f"ending the {child.name}"))
+            self.tell(Progress("ending", child.name, f"ending the {child.name}"))
             process.terminate()
             deadline_ns = self.clock.now_ns() + PATIENCE_NS
             while child.alive() and self._asked < 2 and self.clock.now_ns() < deadline_ns:
@@ -163,7 +315,9 @@ class Supervisor:
             if child.alive():
                 process.kill()
                 self.tell(
-                    Event("killed", child.name, f"killed the {child.name}: it did not end in time")
+                    Progress(
+                        "killed", child.name, f"killed the {child.name}: it did not end in time"
+                    )
                 )
             while child.alive():
                 self.clock.sleep_until_ns(self.clock.now_ns() + POLL_NS)

@@ -44,8 +44,7 @@ from hapticd.analysis.arrays import Complexes, Floats
 from hapticd.analysis.predict import predict, predicted_impedance
 from hapticd.analysis.spa import DEFAULT_LAG, spa
 from hapticd.analysis.spectra import Spectra
-from hapticd.assembly.lockstep import LockStep
-from hapticd.assembly.scene import scene_params
+from hapticd.assembly.lockstep import LockStep, scene_params
 from hapticd.errors import AnalysisError, HapticdError
 from hapticd.measure.lockstep import Flown, fly
 from hapticd.measure.scenes import (

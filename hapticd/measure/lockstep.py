@@ -20,8 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.analysis.arrays import Floats
-from hapticd.assembly.lockstep import LockStep
-from hapticd.assembly.scene import scene_params
+from hapticd.assembly.lockstep import LockStep, scene_params
 from hapticd.client.blocks import BlockDecoder
 from hapticd.client.client import Client, Receipt
 from hapticd.errors import AnalysisError, CommandError, LinkError

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hapticd.assembly.replay import Difference, Records, difference, fly
+from hapticd.assembly.replay import Difference, Records, difference, replay
 from hapticd.errors import ConfigError
 from hapticd.mailbox.layout import Value
 from hapticd.measure.recording.file import Recording
@@ -62,7 +62,7 @@ def refly(recording: Recording, instead: dict[Value, float] | None = None) -> Re
             " or longer"
         )
     params = recording.params
-    flown = [fly(params, leg, instead) for leg in legs]
+    flown = [replay(params, leg, instead) for leg in legs]
     ends = np.cumsum([len(leg.records) for leg in legs]).tolist()
     recorded = np.concatenate([leg.records for leg in legs])
     again = np.concatenate(flown)

@@ -436,7 +436,7 @@ def _live(
 
 
 def _source(name: str, scene: str, loaded: Any, stack: ExitStack) -> "Source":
-    from hapticd.assembly.scene import scene_params
+    from hapticd.assembly.lockstep import scene_params
     from hapticd.measure.bench import bench_source
     from hapticd.measure.lockstep import LockStepBench
     from hapticd.measure.sources import engine_source

@@ -13,7 +13,7 @@ import msgpack
 import numpy as np
 from numpy.typing import NDArray
 
-from hapticd.assembly.replay import Leg
+from hapticd.assembly.replay import Segment
 from hapticd.errors import ConfigError, HapticdError
 from hapticd.gateway import flight
 from hapticd.gateway.telemetry import ENERGIES
@@ -170,7 +170,7 @@ class Recording:
                 found[name] = self.column("servo", "tick" if name == LEFT_OUT else name, begin, end)
         return found
 
-    def legs(self) -> list[Leg]:
+    def legs(self) -> list[Segment]:
         """What can be flown again: for each stretch without a gap, from its first checkpoint on."""
         found = (self._leg(*stretch) for stretch in self._stretches())
         return [leg for leg in found if leg is not None]
@@ -187,7 +187,7 @@ class Recording:
             for first, after, epoch in zip(edges[:-1], edges[1:], epochs, strict=True)
         ]
 
-    def _leg(self, first: int, after: int, epoch: int) -> Leg | None:
+    def _leg(self, first: int, after: int, epoch: int) -> Segment | None:
         begin_tick = int(self.column("servo", "tick", first, first + 1)[0])
         end_tick = begin_tick + after - first
         breaks = [
@@ -200,7 +200,7 @@ class Recording:
                 end = min([end_tick, *(lost for lost in breaks if lost >= tick)])
                 row = first + tick - begin_tick
                 if end > tick:
-                    return Leg(
+                    return Segment(
                         tick,
                         state,
                         self.records(row, row + end - tick),

@@ -1,14 +1,16 @@
-"""The servo's watchdog feeder: `python -m hapticd.assembly.sentinel FOLDER --parent PID`, a small
+"""The servo's watchdog feeder: `python -m hapticd.assembly.watchdog FOLDER --parent PID`, a small
 process in the servo's unit.
 
 systemd takes WATCHDOG=1 from processes of the unit alone, so the gateway cannot send it; the
 servo's only thread may not, for a datagram costs more than a tick. This process looks at the head
 of the telemetry ring four times within the time that the watchdog allows and feeds it if the head
-has advanced: what is proved is that ticks happen, not that a process exists.
+has advanced: what is proved is that ticks happen, not that a process exists (ADR 0040).
 
 It maps the ring for reading, starts before the servo takes real-time rights (so it has none), and
-dies with the servo. What would break it: a ring that is replaced while the servo lives (a servo
-makes it once), or NotifyAccess=main.
+dies with the servo. Standard library alone.
+
+What would break it: a ring that is replaced while the servo lives (a servo makes it once), or
+NotifyAccess=main in the unit.
 """
 
 import os
@@ -16,14 +18,13 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from hapticd.assembly.notify import feeding_period_ns, notify
-from hapticd.assembly.process import die_with_parent
+from hapticd.assembly.process import die_with_parent, feeding_period_ns, notify
 from hapticd.clock import Clock, MonotonicClock
 from hapticd.errors import MailboxError
 from hapticd.mailbox import files, layout
 
 
-def start_sentinel(folder: Path) -> int | None:
+def start_feeder(folder: Path) -> int | None:
     """Start the feeder of the servo in this process, whose ring is in `folder`; its pid, None
     without a watchdog.
     """
@@ -62,7 +63,7 @@ def main(arguments: list[str]) -> int:
             Path(folder) / files.TELEMETRY, layout.TELEMETRY_BYTES, writable=False
         )
     except MailboxError as error:
-        os.write(2, f"hapticd sentinel: {error}\n".encode())
+        os.write(2, f"hapticd watchdog: {error}\n".encode())
         return error.exit_code
     words = memoryview(ring).cast("Q")  # unordered reads will do: only that it moves matters
     watch(
