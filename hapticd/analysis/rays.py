@@ -31,12 +31,22 @@ def boundary(holds: Callable[[Floats], Flags], middle: Floats) -> tuple[Floats, 
     high = _EDGE * to_end
     ends = holds(middle + rays * high[:, None])
     low = np.where(ends, high, low)
-    for _ in range(_HALVINGS):
+    low, high = halved(lambda share: holds(middle + rays * share[:, None]), low, high, _HALVINGS)
+    return middle + rays * (0.5 * (low + high))[:, None], ends
+
+
+def halved(
+    holds: Callable[[Floats], Flags], low: Floats, high: Floats, times: int
+) -> tuple[Floats, Floats]:
+    """Intervals (n,) about the edge of what holds at `low` and not at `high`, halved so many
+    `times`; `holds` takes a value in each of them.
+    """
+    for _ in range(times):
         half = 0.5 * (low + high)
-        inside = holds(middle + rays * half[:, None])
+        inside = holds(half)
         low = np.where(inside, half, low)
         high = np.where(inside, high, half)
-    return middle + rays * (0.5 * (low + high))[:, None], ends
+    return low, high
 
 
 def directions() -> Floats:

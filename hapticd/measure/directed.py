@@ -28,6 +28,7 @@ import numpy as np
 from hapticd.analysis.arrays import Flags, Floats
 from hapticd.analysis.boundary import PassiveSet, grid, passive_set
 from hapticd.analysis.foresight import Foresight
+from hapticd.analysis.rays import halved
 from hapticd.analysis.search import (
     Search,
     doubtful_share,
@@ -295,11 +296,10 @@ def _highest(holds: Callable[[Floats], Flags], box: Box, damping: Floats, mass_k
         k.size, damping.size
     )
     top = k.size - 1 - np.argmax(held[::-1], axis=0)
-    low = k[top]
-    high = k[np.minimum(top + 1, k.size - 1)]
-    for _ in range(_HALVINGS):
-        half = 0.5 * (low + high)
-        inside = holds(np.column_stack((half, damping, np.full(damping.size, mass_kg))))
-        low = np.where(inside, half, low)
-        high = np.where(inside, high, half)
-    return np.where(held.any(axis=0), low, np.nan)
+    edge, _ = halved(
+        lambda half: holds(np.column_stack((half, damping, np.full_like(half, mass_kg)))),
+        k[top],
+        k[np.minimum(top + 1, k.size - 1)],
+        _HALVINGS,
+    )
+    return np.where(held.any(axis=0), edge, np.nan)

@@ -51,15 +51,12 @@ def device_hash(name: str) -> str:
     """SHA-256 (hex) of the shipped device file `name`, or of the device file that `name` is, or
     that a scene's file of that name names. ConfigError if there is none.
     """
-    return hashlib.sha256(_device_file(name).read_bytes()).hexdigest()
-
-
-def _device_file(name: str) -> Path:
     path = Path(name)
     if path.suffix != ".toml":
-        return find_device(name, shipped("config") / "hapticd.toml", "device")
-    named = read(path).data.get("device")
-    return path if named is None else find_device(named, path, f"{path}: device")
+        path = find_device(name, shipped("config") / "hapticd.toml", "device")
+    elif named := read(path).data.get("device"):
+        path = find_device(named, path, f"{path}: device")
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def portable(
