@@ -107,3 +107,16 @@ def test_without_a_high_pass_nothing_is_turned(level):
     larger = recorded.margin_ns_per_m[told] / true.margin_ns_per_m[told]
     assert larger.min() > 0.999
     assert larger.max() < 1.06
+
+
+@LEVEL
+def test_impedances_of_many_are_those_of_each(level):
+    """Friction of each, as if it had been in the device from the start."""
+    device = subject(RIVAL)
+    f = np.geomspace(2.0, 500.0, 60)
+    points = POINTS[device.passive(POINTS, level)][::40]
+    each = [
+        predicted_impedance(device.model, point, f, level, device.filters, device.perturbation)
+        for point in points
+    ]
+    assert np.abs(device.impedances(points, level, f) / each - 1.0).max() < 2e-4

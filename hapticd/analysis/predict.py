@@ -29,8 +29,10 @@ from hapticd.analysis.closed import spectral_radius
 from hapticd.analysis.linearise import (
     Linearised,
     Perturbation,
+    hung,
     impedance_each,
     linearise,
+    port_admittance,
     recorded_impedance,
 )
 from hapticd.analysis.loop import (
@@ -169,6 +171,30 @@ def predicted_impedance(
     exact = close_loop(rubbed(model, level), f, damping_ns_per_m, filters)
     z = linearise(exact, kbm, np.zeros(len(level)), np.zeros(len(level)), None).impedance
     return np.asarray((recorded_impedance(exact, kbm, z) if recorded else z)[0])
+
+
+def recorded_impedances(
+    model: Model,
+    points: Floats,
+    frequency_hz: Floats,
+    damping_ns_per_m: float,
+    filters: Filters,
+    perturbation: Perturbation,
+) -> Complexes:
+    """Z (N, F) of environments `points` (N, 3) at `frequency_hz` (F,) as the board's probe shows
+    them.
+
+    Each is its `predicted_impedance` within 0.02 % up to 500 Hz, 0.1 % at 1 kHz: friction hangs on
+    the ports of a loop that has the device's own, as it is without an environment.
+    """
+    start, loop = _nominal(model, DEFAULT_BAND_HZ, damping_ns_per_m, filters, perturbation)
+    own = close_loop(rubbed(model, start), frequency_hz, damping_ns_per_m, filters)
+    parts = []
+    for part in chunks(points):
+        level = linearise(loop, part, coulomb(model), start, perturbation).friction
+        z = 1.0 / hung(port_admittance(own, part), level - start[:, None])[0, 0]
+        parts.append(recorded_impedance(own, part, z))
+    return np.concatenate(parts)
 
 
 def environments(points: npt.ArrayLike) -> Floats:

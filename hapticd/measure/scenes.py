@@ -17,10 +17,14 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.analysis.arrays import Complexes, Flags, Floats
-from hapticd.analysis.linearise import Perturbation, linearise, recorded_impedance
-from hapticd.analysis.loop import Filters, close_loop
-from hapticd.analysis.predict import DEFAULT_BAND_HZ, Prediction, coulomb, predict
-from hapticd.analysis.predict import frequencies as predicted_frequencies
+from hapticd.analysis.linearise import Perturbation
+from hapticd.analysis.loop import Filters
+from hapticd.analysis.predict import (
+    DEFAULT_BAND_HZ,
+    Prediction,
+    predict,
+    recorded_impedances,
+)
 from hapticd.analysis.spa import DEFAULT_LAG, spa
 from hapticd.analysis.spectra import Spectra
 from hapticd.errors import AnalysisError, ConfigError
@@ -137,17 +141,10 @@ class Display:
         )
 
     def impedances(self, points: Floats, level: float, frequency_hz: Floats) -> Complexes:
-        """Z (N, F) [N s/m] of environments (N, 3) at `frequency_hz` (F,) as trials record it;
-        friction is linearised on the frequencies of a prediction beside them.
-        """
-        band_hz = float(frequency_hz.min()), float(frequency_hz.max())
-        f = np.union1d(predicted_frequencies(band_hz, self.perturbation), frequency_hz)
-        friction = coulomb(self.model)
-        loop = close_loop(self.model, f, level, self.filters)
-        true = linearise(
-            loop, points, friction, np.zeros_like(friction), self.perturbation
-        ).impedance
-        return np.asarray(recorded_impedance(loop, points, true)[:, np.isin(f, frequency_hz)])
+        """Z (N, F) [N s/m] of environments (N, 3) at `frequency_hz` (F,) as trials record it."""
+        return recorded_impedances(
+            self.model, points, frequency_hz, level, self.filters, self.perturbation
+        )
 
 
 @lru_cache(maxsize=64)
