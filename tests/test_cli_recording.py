@@ -146,7 +146,7 @@ def test_replay_with_other_settings_draws_both(
         str(file.with_name("run-replay.svg")),
     ]
     assert all(Path(line).stat().st_size > 10_000 for line in lines[-2:])
-    assert any(line.startswith("force flown") for line in lines)
+    assert any(line.startswith("force replayed") for line in lines)
     svg = Path(lines[-1]).read_text()
     assert "SIMULATED" in svg
     assert "B=5, damping=0, filters.velocity_hz=60, filters.acceleration_hz=60" in svg
@@ -164,7 +164,7 @@ def test_replay_that_differs_fails(file: Path, capsys: pytest.CaptureFixture[str
     assert main(["replay", str(file)]) == 1
     out, err = capsys.readouterr()
     assert "force_n was" in out
-    assert "the flight differs from the recording" in err
+    assert "the replay differs from the recording" in err
 
 
 def test_dump_waits_for_the_file(

@@ -3,20 +3,22 @@
     app         all verbs under one name; errors become exit codes
     terminal    options that verbs share, what is printed where, the progress bar, figures on disk
     change      a connection to the daemon, NAME=VALUE words, receipts
-    daemon      run, status, get, set, damping, enable, disable, stop, reset, zero, home, dump, perturb
+    daemon      run, status, get, set, damping, enable, disable, stop, reset, zero, home, dump,
+                perturb
     monitor     the live screen (screen: what it shows)
     recording   record, rec, replay
     system      config, doctor, install-system
     keys        keys
     sim         sim run, explain, effects, ceiling; accuracy
-    zwidth/     zwidth predict, trial, limits, map, search, walls, import, report, compare, reproduce
+    zwidth/     zwidth predict, trial, limits, map, search, walls, import, report, compare,
+                reproduce
 
 stdout is data and stderr is talk. `--json` gives one object (or one per line for a stream), also
 when a command fails. Colour only on a terminal and without NO_COLOR. Every HapticdError becomes one
 line and its exit code:
 
-    0 done   1 failed   2 usage   3 no daemon   4 refused   5 stopped or faulted   6 requirement not met
-    78 configuration   130 interrupted
+    0 done   1 failed   2 usage   3 no daemon   4 refused   5 stopped or faulted
+    6 requirement not met   78 configuration   130 interrupted
 
 A verb imports what it needs when it runs, so that `--help` and the small verbs stay quick: nothing
 here may import numpy, pydantic, zmq or rich at its top, except `screen`, which `monitor` loads when

@@ -1,6 +1,6 @@
 """All verbs under one name, and what becomes of errors."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import typer
 
@@ -16,7 +16,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-VERBS: dict[str, Callable[..., None]] = {
+VERBS: dict[str, terminal.Verb] = {
     "run": daemon.run,
     "set": daemon.set_parameters,
     "get": daemon.get_parameters,
@@ -37,7 +37,7 @@ VERBS: dict[str, Callable[..., None]] = {
     "install-system": system.install_system,
 }
 for name, verb in VERBS.items():
-    app.command(name)(verb)
+    terminal.verb(app, name)(verb)
 app.add_typer(daemon.perturb_app, name="perturb")
 app.add_typer(recording.rec_app, name="rec")
 app.add_typer(keys.app, name="keys")

@@ -31,8 +31,8 @@ def run(
     ] = None,
     as_json: terminal.JsonLines = False,
 ) -> None:
-    """Start the daemon in the foreground. Ctrl-C ends it: force to 0, disabled. A second Ctrl-C
-    kills it.
+    """Start the daemon in the foreground. Ctrl-C ends it: force to 0, disabled. A second
+    Ctrl-C kills it.
     """
     from hapticd.assembly.process import on_stop
     from hapticd.assembly.supervisor import Supervisor
@@ -69,22 +69,20 @@ def _ready_text(settings: "Settings", instance: str) -> str:
     config = settings.config
     which = "" if instance == terminal.INSTANCE else f" --instance {instance}"
     if device.simulated:
-        head = (
-            terminal.coloured(SIMULATED_BANNER, terminal.YELLOW)
-            + "\n\nSIMULATED board: no force leaves this computer."
-        )
+        head = terminal.coloured(SIMULATED_BANNER, terminal.YELLOW)
+        head += "\n\nSIMULATED board: no force leaves this computer."
     else:
-        head = terminal.coloured(
-            f"REAL BOARD {device.serial}: {device.name}, up to {device.limits.force_n} N.",
-            terminal.RED,
-        )
+        board = f"REAL BOARD {device.serial}: {device.name}, up to {device.limits.force_n} N."
+        head = terminal.coloured(board, terminal.RED)
+    level = f"{config.added_damping_ns_per_m:g} N s/m"
+    ramp = f"{config.safety.enable_ramp_s:g} s"
     return f"""
 {head}
 hapticd is ready, disabled, at {config.realtime.rate_hz:g} Hz. Try in another terminal:
 
   hapticd set K=100 B=1 M=0.010{which}     stiffness N/m, damping N s/m, mass kg
-  hapticd enable{which}                    force on; the gain ramps up in {config.safety.enable_ramp_s:g} s
-  hapticd damping on{which}                electrical damping, {config.added_damping_ns_per_m:g} N s/m; also off, or a level
+  hapticd enable{which}                    force on; the gain ramps up in {ramp}
+  hapticd damping on{which}                active damping, {level}; also off, or a level
   hapticd monitor{which}                   watch it
   hapticd stop{which}                      force off, latched; then: hapticd reset
   hapticd status{which}
@@ -94,13 +92,13 @@ Ctrl-C here ends it.
 
 
 NOT_READY = ("down", "starting")
-MUST_HAVE = ("state", "simulated", "rate_hz", "revision", "fault")
+MUST_HAVE = ("state", "simulated", "rate_hz", "revision", "fault")  # also when nobody answers
 STATE_COLOURS = {"disabled": terminal.BOLD, "enabled": terminal.GREEN, "homing": terminal.YELLOW}
 
 
 def status(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False) -> None:
-    """State, parameters in force, faults and timing. Exit 3 until servo and gateway are both
-    ready.
+    """State, parameters in force, faults and timing. Exit 3 until servo and gateway are
+    both ready.
     """
     try:
         with connect(instance) as client:
@@ -128,33 +126,34 @@ def _status_lines(found: dict[str, Any]) -> list[str]:
         lines.append(
             f"  {found['fault']}: {found['cause']}. {found['action']}. To leave: {found['remedy']}"
         )
-    counters = found.get("counters", {})
     lines += [
         f"  renders   {_rendered(found)}",
-        (
-            f"  now       x {1e3 * found.get('position_m', 0):.4f} mm, force"
-            f" {found.get('force_n', 0):.4f} N, tick {found.get('tick')}"
-        ),
-        (
-            f"  timing    {found['rate_hz']:g} Hz, {counters.get('late_events', 0)} late,"
-            f" {counters.get('lost_slots', 0)} slots lost, {counters.get('missing_in', 0)} frames"
-            " missing"
-        ),
+        f"  now       {_moving(found)}",
+        f"  timing    {_timing(found)}",
     ]
     return lines + [
         f"  {stage:9} {_percentiles(row)}" for stage, row in found.get("stages", {}).items()
     ]
 
 
+def _moving(found: dict[str, Any]) -> str:
+    position = f"x {1e3 * found.get('position_m', 0):.4f} mm"
+    return f"{position}, force {found.get('force_n', 0):.4f} N, tick {found.get('tick')}"
+
+
+def _timing(found: dict[str, Any]) -> str:
+    counters = found.get("counters", {})
+    late = f"{counters.get('late_events', 0)} late, {counters.get('lost_slots', 0)} slots lost"
+    return f"{found['rate_hz']:g} Hz, {late}, {counters.get('missing_in', 0)} frames missing"
+
+
 def _rendered(found: dict[str, Any]) -> str:
     stiffness, damping, mass = (
         found.get(name, 0) for name in ("stiffness_n_per_m", "damping_ns_per_m", "mass_kg")
     )
-    electrical = f"electrical damping {found.get('added_damping_ns_per_m', 0):.4g} N s/m"
-    return (
-        f"K {stiffness:g} N/m, B {damping:g} N s/m, M {mass:g} kg, {electrical}, gain"
-        f" {found.get('gain', 0):.3g}"
-    )
+    active = f"active damping {found.get('added_damping_ns_per_m', 0):.4g} N s/m"
+    gain = f"gain {found.get('gain', 0):.3g}"
+    return f"K {stiffness:g} N/m, B {damping:g} N s/m, M {mass:g} kg, {active}, {gain}"
 
 
 def _percentiles(row: dict[str, float]) -> str:
@@ -166,8 +165,8 @@ def _percentiles(row: dict[str, float]) -> str:
 def get_parameters(
     instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False
 ) -> None:
-    """Show the parameters that were asked for (ramps at their ends); with --json also what is
-    in force at this tick.
+    """Show the parameters that were asked for (ramps at their ends); with --json also
+    what is in force at this tick.
     """
     with connect(instance) as client:
         found = client.get()
@@ -232,8 +231,8 @@ def damping(
     instance: terminal.Instance = terminal.INSTANCE,
     as_json: terminal.Json = False,
 ) -> None:
-    """Switch the added electrical damping on or off, or set its level (N s/m) and switch it on;
-    live, in every state.
+    """Switch the active damping on or off, or set its level (N s/m) and
+    switch it on; live, in every state.
     """
     asked = (
         value if value in ("on", "off") else number("damping", value, "on, off or a level in N s/m")
@@ -254,8 +253,8 @@ def disable(
 
 
 def stop(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False) -> None:
-    """Stop: force to 0 at once, latched until `hapticd reset`. Anyone may, at any time; never
-    refused.
+    """Stop: force to 0 at once, latched until `hapticd reset`. Anyone may, at any time;
+    never refused.
     """
     from hapticd.client.fast_stop import main
 
@@ -288,11 +287,8 @@ def home(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json
     if as_json:
         terminal.data_json({"ok": True, "state": found["state"], "homed": bool(found.get("homed"))})
     else:
-        terminal.data(
-            "disabled: the origin is known"
-            if found.get("homed")
-            else "disabled: this device needs no homing"
-        )
+        known = "the origin is known" if found.get("homed") else "this device needs no homing"
+        terminal.data(f"disabled: {known}")
 
 
 DUMP_PATIENCE_S = 20.0
@@ -300,8 +296,8 @@ DUMP_POLL_S = 0.05
 
 
 def dump(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False) -> None:
-    """Write the last minute at every tick, with raw frames, to a file; as it is done at every
-    fault. See `hapticd replay`.
+    """Write the last minute at every tick, with raw frames, to a file; as it is done at
+    every fault. See `hapticd replay`.
     """
     with connect(instance) as client:
         found = client.dump()
@@ -309,10 +305,8 @@ def dump(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json
     deadline = time.monotonic() + DUMP_PATIENCE_S
     while not path.exists():
         if time.monotonic() > deadline:
-            raise HapticdError(
-                f"{path} was not written within {DUMP_PATIENCE_S:g} s; `hapticd status` lists the"
-                " last events"
-            )
+            late = f"{path} was not written within {DUMP_PATIENCE_S:g} s"
+            raise HapticdError(f"{late}; `hapticd status` lists the last events")
         time.sleep(DUMP_POLL_S)
     if as_json:
         terminal.data_json({"ok": True, **found})
@@ -322,9 +316,7 @@ def dump(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json
 
 perturb_app = typer.Typer(
     no_args_is_help=True,
-    help=(
-        "Load, start and stop a perturbation: a force waveform at 4 kHz on top of what is rendered."
-    ),
+    help="Load, start and stop a perturbation: a force waveform at 4 kHz over what is rendered.",
 )
 WaveformFile = Annotated[
     Path,
@@ -334,7 +326,7 @@ WaveformFile = Annotated[
 ]
 
 
-@perturb_app.command("load")
+@terminal.verb(perturb_app, "load")
 def load_waveform(
     file: WaveformFile,
     instance: terminal.Instance = terminal.INSTANCE,
@@ -368,7 +360,7 @@ def load_waveform(
         terminal.data(f"{count} samples loaded, {count / PROBE_RATE_HZ:.3f} s")
 
 
-@perturb_app.command("start")
+@terminal.verb(perturb_app, "start")
 def start_waveform(
     loop: Annotated[bool, typer.Option("--loop", help="Repeat until stopped.")] = False,
     instance: terminal.Instance = terminal.INSTANCE,
@@ -378,7 +370,7 @@ def start_waveform(
     change(instance, as_json, lambda client: client.perturb_start(loop=loop))
 
 
-@perturb_app.command("stop")
+@terminal.verb(perturb_app, "stop")
 def stop_waveform(
     instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False
 ) -> None:

@@ -22,10 +22,10 @@ Out = Annotated[
 ]
 
 
-@app.command()
+@terminal.verb(app, "server")
 def server(folder: Folder, as_json: terminal.Json = False) -> None:
-    """The server's pair in a new FOLDER: server.key to hand out, server.key_secret for the
-    gateway alone.
+    """The server's pair in a new FOLDER: server.key to hand out, server.key_secret for
+    the gateway alone.
     """
     from hapticd.gateway.auth import make_keys
 
@@ -39,10 +39,10 @@ def server(folder: Folder, as_json: terminal.Json = False) -> None:
     )
 
 
-@app.command()
+@terminal.verb(app, "client")
 def client(folder: Folder, name: Name, out: Out = None, as_json: terminal.Json = False) -> None:
-    """A listener's pair: NAME.key among those whom FOLDER lets in, NAME.key_secret to be
-    brought to the listener.
+    """A listener's pair: NAME.key among those whom FOLDER lets in, NAME.key_secret to
+    be brought to the listener.
     """
     from hapticd.gateway.auth import make_client
 
@@ -51,10 +51,8 @@ def client(folder: Folder, name: Name, out: Out = None, as_json: terminal.Json =
         _told(files, folder)
         return
     _told(files, None)
-    terminal.talk(
-        f"bring {files[1]} and {folder / 'server.key'} to {name}, and delete the secret here;"
-        " restart the gateway"
-    )
+    brought = f"{files[1]} and {folder / 'server.key'}"
+    terminal.talk(f"bring {brought} to {name}, and delete the secret here; restart the gateway")
 
 
 def _told(files: tuple[Path, ...], folder: Path | None) -> None:

@@ -97,14 +97,15 @@ def monitor(
 
 
 def watch(instance: str, seconds: float | None, show: Show) -> None:
-    """Show what comes, ten times a second, also when nothing comes; obey keys. `seconds` None:
-    until q.
+    """Show what comes, ten times a second, also when nothing comes; obey keys.
+    `seconds` None: until q.
     """
     from hapticd.cli.screen import NO_DATA_S, History
     from hapticd.clock import MonotonicClock
 
     clock = MonotonicClock()
-    begin_ns = heard_ns = clock.now_ns()
+    begin_ns = clock.now_ns()
+    newest_ns = begin_ns  # when the last record came
     shown_ns = 0
     history = History()
     simulated = None
@@ -119,13 +120,13 @@ def watch(instance: str, seconds: float | None, show: Show) -> None:
             if block is None:
                 clock.sleep_until_ns(now_ns + RETRY_NS)
             elif len(block.records):
-                heard_ns = now_ns
+                newest_ns = now_ns
                 simulated = bool(block.header["simulated"])
                 history = History() if block.restarted else history
                 history.add(block.records)
             if now_ns - shown_ns >= REDRAW_NS:
                 shown_ns = now_ns
-                show(history, simulated, (now_ns - heard_ns) / NS_PER_S)
+                show(history, simulated, (now_ns - newest_ns) / NS_PER_S)
             pressed = keys.pressed()
             if pressed in (" ", "\x1b"):
                 _press_stop(instance)
@@ -185,7 +186,5 @@ def _print_line(history: "History", simulated: bool | None, silent_s: float) -> 
         x_mm = 1e3 * found["position_m"]
         force_n = found["force_n"]
         damping = found["added_damping_ns_per_m"]
-        terminal.data(
-            f"{badge}{found['state']} x {x_mm:.4f} mm  force {force_n:.4f} N  damping {damping:.4g}"
-            " N s/m"
-        )
+        moving = f"x {x_mm:.4f} mm  force {force_n:.4f} N  damping {damping:.4g} N s/m"
+        terminal.data(f"{badge}{found['state']} {moving}")

@@ -1,11 +1,9 @@
-"""Record a running daemon; finish, look at and convert recordings; replay them through the
-servo's own step.
+"""Record a running daemon; finish, look at and convert recordings; replay them.
+
+A replay runs the servo's own step over the recorded frames, so it repeats a recording bit by bit.
 """
 
-import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -48,8 +46,13 @@ def record(
 
     asked: list[bool] = []
     on_stop(lambda: asked.append(True))
-    with connect(instance) as client, _bar(seconds, quiet=as_json) as tell:
-        result = record(client, RecordingParams(file, seconds, note), lambda: bool(asked), tell)
+    params = RecordingParams(file, seconds, note)
+    with connect(instance) as client, terminal.progress(as_json) as tell:
+
+        def draw(progress: "Progress") -> None:
+            tell(_progress_words(progress), round(progress.seconds), round(seconds or 0))
+
+        result = record(client, params, lambda: bool(asked), draw)
     if as_json:
         terminal.data_json({"ok": True, **result})
     else:
@@ -65,34 +68,10 @@ def finished_line(ended: str, summary: dict[str, Any]) -> str:
     return f"{summary['file']}: {ended}, {simulated}{taken}, {size_mb:.3g} MB"
 
 
-@contextmanager
-def _bar(seconds: float | None, quiet: bool) -> "Iterator[Callable[[Progress], None]]":
-    """A progress bar on stderr, where someone watches."""
-    if quiet or not sys.stderr.isatty():
-        yield lambda progress: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
-    from rich.progress import Progress as Bar
-
-    columns = (
-        TextColumn("recording"),
-        BarColumn(),
-        TextColumn("{task.description}"),
-        TimeElapsedColumn(),
-    )
-    with Bar(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task("", total=seconds)
-
-        def tell(progress: "Progress") -> None:
-            missing = f", {progress.missing} MISSING" if progress.missing else ""
-            text = (
-                f"{progress.seconds:.1f} s, {progress.records} records{missing},"
-                f" {progress.file_bytes / 1e6:.1f} MB"
-            )
-            bar.update(task, completed=progress.seconds, description=text)
-
-        yield tell
+def _progress_words(progress: "Progress") -> str:
+    missing = f", {progress.missing} MISSING" if progress.missing else ""
+    size_mb = progress.file_bytes / 1e6
+    return f"{progress.seconds:.1f} s, {progress.records} records{missing}, {size_mb:.1f} MB"
 
 
 rec_app = typer.Typer(no_args_is_help=True, help="Finish, look at and convert recordings.")
@@ -110,21 +89,12 @@ Kind = Annotated[
     typer.Argument(metavar="mat|csv", help="MATLAB 5, or comma-separated values."),
 ]
 ATTRIBUTES_SHOWN = (
-    "started_utc",
-    "device_name",
-    "device_serial",
-    "rate_hz",
-    "winding_c",
-    "hapticd_version",
-    "hapticd_commit",
-    "kernel",
-    "cpu",
-    "realtime",
-    "note",
-)
+    "started_utc", "device_name", "device_serial", "rate_hz", "winding_c", "hapticd_version",
+    "hapticd_commit", "kernel", "cpu", "realtime", "note",
+)  # fmt: skip
 
 
-@rec_app.command()
+@terminal.verb(rec_app, "recover")
 def recover(file: Source, out: Target = None, as_json: terminal.Json = False) -> None:
     """Make a finished file of one whose recorder died, or of a flight recording."""
     from hapticd.measure.recording.pack import pack
@@ -136,7 +106,7 @@ def recover(file: Source, out: Target = None, as_json: terminal.Json = False) ->
         terminal.data(finished_line("recovered", summary))
 
 
-@rec_app.command()
+@terminal.verb(rec_app, "info")
 def info(file: Source, as_json: terminal.Json = False) -> None:
     """What is in a recording and where it comes from."""
     from hapticd.measure.recording.file import open_recording
@@ -151,10 +121,8 @@ def info(file: Source, as_json: terminal.Json = False) -> None:
     badge = terminal.coloured("SIMULATED  ", terminal.YELLOW) if found["simulated"] else ""
     probe = found["probe_samples"]
     missing = found["missing"]
-    terminal.data(
-        f"{badge}{found['seconds']:.3f} s, {found['records']} records, {probe} probe samples,"
-        f" {found['lives']} servo life"
-    )
+    size = f"{found['seconds']:.3f} s, {found['records']} records, {probe} probe samples"
+    terminal.data(f"{badge}{size}, {found['lives']} servo life")
     terminal.data(f"missing: {missing['servo']} records, {missing['probe']} probe samples")
     for name in ATTRIBUTES_SHOWN:
         if attributes.get(name) not in (None, ""):
@@ -165,7 +133,7 @@ def _plain(value: Any) -> Any:
     return value.item() if hasattr(value, "item") else value
 
 
-@rec_app.command()
+@terminal.verb(rec_app, "export")
 def export(kind: Kind, file: Source, out: Target = None, as_json: terminal.Json = False) -> None:
     """Convert: `hapticd rec export mat FILE`."""
     from hapticd.measure.recording.file import open_recording
@@ -215,11 +183,11 @@ def replay(
     plot: ReplayPlot = None,
     as_json: terminal.Json = False,
 ) -> None:
-    """Fly a recorded motion again: bit by bit as it was, or with settings held at other values;
+    """Replay a recorded motion: bit by bit as it was, or with settings held at other values;
     then draw both forces.
 
     The motion stays the recorded one: it shows what the law would have asked for. Exit 1 if a plain
-    flight differs by a bit.
+    replay differs by a bit.
     """
     from hapticd.measure.recording.file import open_recording
     from hapticd.measure.reflight import refly
@@ -247,10 +215,8 @@ def replay(
     else:
         _show_replay(found)
     if not words and flight.different is not None:
-        raise HapticdError(
-            f"{file}: the flight differs from the recording; another version recorded it, or the"
-            " file is damaged"
-        )
+        why = "another version recorded it, or the file is damaged"
+        raise HapticdError(f"{file}: the replay differs from the recording; {why}")
 
 
 def _instead(words: list[str]) -> "dict[Value, float]":
@@ -267,7 +233,7 @@ def _drawn(flight: "Reflight", path: Path, title: str, changed: str) -> list[str
     from hapticd.report.style import save
     from hapticd.report.trial import reflight_figure
 
-    figure = reflight_figure(flight, title, changed or "flown again")
+    figure = reflight_figure(flight, title, changed or "replayed")
     return [
         str(one)
         for one in save(figure, path.parent, path.name.removesuffix(".png").removesuffix(".svg"))
@@ -276,18 +242,14 @@ def _drawn(flight: "Reflight", path: Path, title: str, changed: str) -> list[str
 
 def _show_replay(found: dict[str, Any]) -> None:
     verdict = "bit-exact" if found["bit_exact"] else "different"
-    terminal.data(
-        f"{found['ticks']} ticks in {found['legs']} legs, {found['times_real_time']:.0f} x real"
-        f" time: {verdict}"
-    )
+    speed = f"{found['times_real_time']:.0f} x real time"
+    terminal.data(f"{found['ticks']} ticks in {found['legs']} legs, {speed}: {verdict}")
     if first := found["first_difference"]:
-        terminal.data(
-            f"from tick {first['tick']}: {first['field']} was {first['recorded']}, is"
-            f" {first['flown']}"
-        )
-    for name in ("recorded", "flown"):
+        difference = f"{first['field']} was {first['recorded']}, is {first['flown']}"
+        terminal.data(f"from tick {first['tick']}: {difference}")
+    for name, word in (("recorded", "recorded"), ("flown", "replayed")):
         rms_n = found["force_rms_n"][name]
         peak_n = found["force_peak_n"][name]
-        terminal.data(f"force {name:8}  rms {rms_n:.4g} N, peak {peak_n:.4g} N")
+        terminal.data(f"force {word:8}  rms {rms_n:.4g} N, peak {peak_n:.4g} N")
     for path in found.get("figures", []):
         terminal.data(path)

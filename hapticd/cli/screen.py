@@ -46,8 +46,8 @@ def envelope(values: ArrayLike, length: int, columns: int) -> tuple[np.ndarray, 
 def strip(
     values: ArrayLike, length: int, width: int, height: int, low: float, high: float
 ) -> list[str]:
-    """`height` lines of `width` characters: the last `length` of `values`, shape (n,), between
-    `low` and `high`.
+    """`height` lines of `width` characters: the last `length` of `values`, shape (n,),
+    between `low` and `high`.
     """
     lows, highs = envelope(values, length, 2 * width)
     rows = 4 * height
@@ -76,7 +76,7 @@ MOST_HEIGHT = 8
 CHARTS = (  # title, unit, field, factor, whether the chart begins at 0
     ("position", "mm", "position_m", 1e3, False),
     ("force", "N", "force_n", 1.0, False),
-    ("electrical damping", "N s/m", "added_damping_ns_per_m", 1.0, True),
+    ("active damping", "N s/m", "added_damping_ns_per_m", 1.0, True),
     ("wake-up latency", "us", "wake_ns", 1e-3, True),
 )
 
@@ -146,10 +146,8 @@ def _lamp(newest: Any) -> Text:
     state = State(int(newest["state"]))
     fault = BY_NUMBER[int(newest["fault"])]
     text = Text("\n").append(f" {state.name} ", LAMPS.get(state, TRIPPED))
-    text.append(
-        f"  K {newest['stiffness_n_per_m']:g} N/m  B {newest['damping_ns_per_m']:g} N s/m  M"
-        f" {newest['mass_kg']:g} kg"
-    )
+    text.append(f"  K {newest['stiffness_n_per_m']:g} N/m  B {newest['damping_ns_per_m']:g} N s/m")
+    text.append(f"  M {newest['mass_kg']:g} kg")
     text.append(
         f"  gain {newest['gain']:.2f}  revision {newest['revision']}  tick {newest['tick']}\n"
     )

@@ -1,5 +1,5 @@
-"""Simulate scenes: run them, explain them, ask which effects they need, how much damping they
-bear, what accuracy costs.
+"""Simulate scenes: run them, explain them, ask which effects they need, how much
+damping they bear, what accuracy costs.
 """
 
 from enum import StrEnum
@@ -16,14 +16,11 @@ if TYPE_CHECKING:
 
 sim_app = typer.Typer(
     no_args_is_help=True,
-    help=(
-        "Simulate scenes: run them, explain them, ask which effects they need and how much damping"
-        " they bear."
-    ),
+    help="Simulate scenes: run, explain, find the effects they need and the damping they bear.",
 )
 
 
-@sim_app.command("run")
+@terminal.verb(sim_app, "run")
 def sim_run(
     scene: terminal.SceneName,
     plot: terminal.Plot = False,
@@ -34,8 +31,8 @@ def sim_run(
     out: terminal.Out = terminal.HERE,
     as_json: terminal.Json = False,
 ) -> None:
-    """Simulate a scene with and without its added damping: traces, and impedance and verdict
-    where noise moves it.
+    """Simulate a scene with and without its active damping: traces, and impedance and
+    verdict where noise moves it.
     """
     from hapticd.measure.scene_run import plan_scene, run_scene
     from hapticd.report.study import scene_figure, scene_table
@@ -88,10 +85,10 @@ def _trial_json(trial: "Trial") -> dict[str, Any]:
     return {name: plain(value) for name, value in told.items()}
 
 
-@sim_app.command("explain")
+@terminal.verb(sim_app, "explain")
 def sim_explain(scene: terminal.SceneName, as_json: terminal.Json = False) -> None:
-    """Say what a scene simulates: states, nonlinearities, time constants, step, why each is
-    there, and its measured cost.
+    """Say what a scene simulates: states, nonlinearities, time constants, step, why
+    each is there, and its measured cost.
     """
     import time
 
@@ -117,15 +114,18 @@ def sim_explain(scene: terminal.SceneName, as_json: terminal.Json = False) -> No
         }
         terminal.data_json({**head, **plain(found), "cost": plain(spent), "substeps": SUBSTEPS})
         return
-    terminal.data(
-        f"{loaded.title}: SIMULATED {loaded.device}, {len(found.states)} states,"
-        f" {len(found.nonlinearities)} nonlinearities"
-    )
+    size = f"{len(found.states)} states, {len(found.nonlinearities)} nonlinearities"
+    terminal.data(f"{loaded.title}: SIMULATED {loaded.device}, {size}")
     for part in words.explained(found):
         terminal.data(f"\n{text(part)}")
     terminal.data("")
     for line in (*words.step_words(found, loaded, SUBSTEPS), *words.cost_words(spent)):
         terminal.data(line)
+
+
+QUESTIONS = (
+    "limits: passive K, B, M; phase: of Z in the band; peak: of |Z| near 100 Hz, as in Fig. 8."
+)
 
 
 class Question(StrEnum):
@@ -136,18 +136,12 @@ class Question(StrEnum):
     PEAK = "peak"
 
 
-@sim_app.command("effects")
+@terminal.verb(sim_app, "effects")
 def sim_effects(
     scene: terminal.SceneName,
     question: Annotated[
         Question,
-        typer.Option(
-            "--for",
-            help=(
-                "limits: passive K, B and M; phase: of Z in the band; peak: of |Z| near 100 Hz, as"
-                " in Fig. 8."
-            ),
-        ),
+        typer.Option("--for", help=QUESTIONS),
     ] = Question.LIMITS,
     tolerance: Annotated[
         str,
@@ -162,8 +156,8 @@ def sim_effects(
     out: terminal.Out = terminal.HERE,
     as_json: terminal.Json = False,
 ) -> None:
-    """Leave effects out one at a time, see what the answer does, and propose the cheapest set
-    that is enough.
+    """Leave effects out one at a time, see what the answer does, and propose the
+    cheapest set that is enough.
     """
     import time
 
@@ -195,10 +189,8 @@ def sim_effects(
         }
         terminal.data_json({**head, **plain(result, skip=("plan",)), "figures": paths})
         return
-    terminal.data(
-        f"{loaded.title}: SIMULATED"
-        f" {loaded.device}\n\n{text(effects_table(result))}\n\n{effects_words(result)}"
-    )
+    terminal.data(f"{loaded.title}: SIMULATED {loaded.device}\n\n{text(effects_table(result))}\n")
+    terminal.data(effects_words(result))
 
 
 def share(text: str) -> float:
@@ -211,10 +203,10 @@ def share(text: str) -> float:
         raise typer.BadParameter(f"--tolerance {text!r}: write 2% or 0.02") from None
 
 
-@sim_app.command("ceiling")
+@terminal.verb(sim_app, "ceiling")
 def sim_ceiling(scene: terminal.SceneName, as_json: terminal.Json = False) -> None:
-    """Say the largest stable added damping: of the device alone, with the scene's environment,
-    and hot or cold.
+    """Say the largest stable active damping: of the device alone, with the scene's
+    environment, and hot or cold.
     """
     from hapticd.measure.scene_run import ceiling
     from hapticd.measure.store import plain

@@ -24,7 +24,7 @@ ConfigArgument = Annotated[
 ]
 
 
-@config_app.command("check")
+@terminal.verb(config_app, "check")
 def check_config(
     file: ConfigArgument = None, config: terminal.ConfigFile = None, as_json: terminal.Json = False
 ) -> None:
@@ -45,13 +45,11 @@ def check_config(
     if as_json:
         terminal.data_json(found)
     else:
-        terminal.data(
-            f"{settings.config_file}: good, with device {settings.device.name!r} of"
-            f" {settings.device_file}"
-        )
+        device = f"device {settings.device.name!r} of {settings.device_file}"
+        terminal.data(f"{settings.config_file}: good, with {device}")
 
 
-@config_app.command("show")
+@terminal.verb(config_app, "show")
 def show_config(
     file: ConfigArgument = None,
     config: terminal.ConfigFile = None,
@@ -95,7 +93,7 @@ def _shown(value: Any) -> str:
     return "(not set)" if value is None else json.dumps(value)
 
 
-@config_app.command("schema")
+@terminal.verb(config_app, "schema")
 def config_schema(
     device: Annotated[bool, typer.Option("--device", help="Of device files instead.")] = False,
     scene: Annotated[bool, typer.Option("--scene", help="Of scene files instead.")] = False,
@@ -106,14 +104,14 @@ def config_schema(
     terminal.data(schema_text("device" if device else "scene" if scene else "config").rstrip("\n"))
 
 
-@config_app.command("resolve")
+@terminal.verb(config_app, "resolve")
 def resolve_config(
     config: terminal.ConfigFile = None,
     instance: terminal.Instance = terminal.INSTANCE,
     as_json: terminal.Json = False,
 ) -> None:
-    """Write servo.json, board.json and gateway.json into the runtime folder, as `hapticd run`
-    does.
+    """Write servo.json, board.json and gateway.json into the runtime folder, as
+    `hapticd run` does.
     """
     from hapticd.assembly.resolve import write
     from hapticd.mailbox.files import runtime_folder
@@ -151,8 +149,8 @@ def doctor(
     strict: Strict = False,
     as_json: terminal.Json = False,
 ) -> None:
-    """Check rights, processor, kernel, USB, disk and folders, and measure how late this machine
-    wakes. Changes nothing.
+    """Check rights, processor, kernel, USB, disk and folders, and measure how late this
+    machine wakes. Changes nothing.
     """
     from hapticd.doctor.checks import examine, requirements
     from hapticd.doctor.machine import this_machine
@@ -222,8 +220,8 @@ def install_system(
     config: terminal.ConfigFile = None,
     as_json: terminal.Json = False,
 ) -> None:
-    """Write systemd units, udev rule, service user, folders and limits below a root, or show
-    them. Applies nothing.
+    """Write systemd units, udev rule, service user, folders and limits below a root, or
+    show them. Applies nothing.
     """
     from hapticd.assembly.system_files import (
         NEXT_STEPS,

@@ -4,10 +4,11 @@ Data go to stdout, talk to stderr, errors are one line each. rich and matplotlib
 they are used.
 """
 
+import inspect
 import json
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -23,7 +24,25 @@ if TYPE_CHECKING:
     from hapticd.measure.store import Progress
 
 
-BOLD = "1"
+Verb = Callable[..., None]
+
+
+def verb(app: typer.Typer, name: str, **settings: Any) -> Callable[[Verb], Verb]:
+    """Makes a function the verb `name` of `app`; its docstring is the help.
+
+    Every paragraph becomes one line, which a terminal of any width may wrap.
+    """
+
+    def register(function: Verb) -> Verb:
+        paragraphs = inspect.cleandoc(function.__doc__ or "").split("\n\n")
+        text = "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
+        app.command(name, help=text, **settings)(function)
+        return function
+
+    return register
+
+
+BOLD = "1"  # SGR codes
 RED = "1;31"
 YELLOW = "1;33"
 GREEN = "1;32"
@@ -92,8 +111,9 @@ SIMULATED_BANNER = """\
 
 @contextmanager
 def progress(quiet: bool = False) -> "Iterator[Progress]":
-    """Yields `tell(what, done, total)`, which draws the bar; without a terminal, or `quiet`, it
-    does nothing.
+    """Yields `tell(what, done, total)`, which draws the bar; total 0: how many is not known.
+
+    Without a terminal, or `quiet`, it does nothing.
     """
     from rich import progress as bars
     from rich.console import Console
@@ -104,19 +124,16 @@ def progress(quiet: bool = False) -> "Iterator[Progress]":
         bars.MofNCompleteColumn(),
         bars.TimeElapsedColumn(),
         bars.TimeRemainingColumn(),
+        bars.TextColumn("{task.description}"),
     )
     hidden = quiet or not console.is_terminal
-    with bars.Progress(
-        *columns,
-        bars.TextColumn("{task.description}"),
-        console=console,
-        transient=True,
-        disable=hidden,
-    ) as bar:
+    with bars.Progress(*columns, console=console, transient=True, disable=hidden) as bar:
         task = bar.add_task("", total=None)
-        yield lambda what, done, total: bar.update(
-            task, description=what, completed=done, total=total
-        )
+
+        def tell(what: str, done: int, total: int) -> None:
+            bar.update(task, description=what, completed=done, total=total or None)
+
+        yield tell
 
 
 SceneName = Annotated[

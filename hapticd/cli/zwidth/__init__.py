@@ -1,15 +1,17 @@
-"""Measure, predict, map and draw the Z-width: of a rig, a recorded file, or the simulator."""
-
-from collections.abc import Callable
+"""The verbs of `hapticd zwidth`: measure, predict, map and draw the Z-width."""
 
 import typer
 
+from hapticd.cli import terminal
 from hapticd.cli.zwidth import compare, limits, map, predict, report, search, trial, walls
 
-FORMER = {"added-damping": "damping"}  # names of options that are still taken
+FORMER = {"added-damping": "damping"}  # former names of options, which are still taken
 
-app = typer.Typer(no_args_is_help=True, help=__doc__)
-VERBS: dict[str, Callable[..., None]] = {
+app = typer.Typer(
+    no_args_is_help=True,
+    help="Measure, predict, map and draw the Z-width: of a rig, a recorded file, or the simulator.",
+)
+VERBS: dict[str, terminal.Verb] = {
     "predict": predict.command,
     "trial": trial.trial,
     "limits": limits.command,
@@ -21,7 +23,11 @@ VERBS: dict[str, Callable[..., None]] = {
     "compare": compare.command,
     "reproduce": report.reproduce,
 }
+
+
+def _present_name(option: str) -> str:
+    return FORMER.get(option, option)
+
+
 for name, verb in VERBS.items():
-    app.command(
-        name, context_settings={"token_normalize_func": lambda option: FORMER.get(option, option)}
-    )(verb)
+    terminal.verb(app, name, context_settings={"token_normalize_func": _present_name})(verb)

@@ -1,5 +1,5 @@
-"""What the verbs of `zwidth` share: options, a progress bar, the scene that is meant, outcomes
-as lines, conditions.
+"""What the verbs of `zwidth` share: options, a progress bar, the scene that is meant,
+outcomes as lines, conditions.
 """
 
 from collections.abc import Iterable, Iterator
@@ -84,8 +84,8 @@ TOLD = (
 
 @contextmanager
 def keeping(store: "TrialStore", folder: Path) -> Iterator[None]:
-    """Where something ends a campaign early, Ctrl-C (exit 130) or dead workers, say what is
-    kept and how to go on.
+    """Where something ends a campaign early, Ctrl-C (exit 130) or dead workers, say
+    what is kept and how to go on.
     """
     try:
         yield
@@ -121,8 +121,8 @@ def _goes_on(store: "TrialStore", folder: Path) -> str:
 
 
 def scene_of(name: str) -> "Scene":
-    """The scene, or a simulated device's name with all of its effects. ConfigError names what
-    there is.
+    """The scene, or a simulated device's name with all of its effects. ConfigError
+    names what there is.
     """
     from hapticd.errors import ConfigError
     from hapticd.measure.scenes import device_scene
@@ -176,8 +176,8 @@ def ranged(name: str, given: Range, least: int = 2) -> Range:
 
 
 def follow(new: "list[Outcome]", **more: Any) -> None:
-    """A line of JSON for each outcome: type "outcome", K, B and M, verdict, margin [N s/m] with
-    its interval, and `more`.
+    """A line of JSON for each outcome: type "outcome", K, B and M, verdict, margin [N
+    s/m] with its interval, and `more`.
     """
     from hapticd.measure.store import plain
 

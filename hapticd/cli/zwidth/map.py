@@ -138,7 +138,9 @@ class _Redrawn:
     """Draws the envelope again as trials arrive, at most every few seconds."""
 
     def __init__(self, conditions: "Conditions", folder: Path) -> None:
-        self._conditions, self._folder, self._drawn_s = conditions, folder, monotonic()
+        self._conditions = conditions
+        self._folder = folder
+        self._drawn_s = monotonic()
         self._passed: dict[float, list[Outcome]] = {}
 
     def __call__(self, new: "list[Outcome]") -> None:

@@ -51,7 +51,8 @@ def command(
 
     shown = scenes.display(common.scene_of(scene or DEVICE_OF))
     asked = given((stiffness, viscous, mass), damping, shown.scene if scene else None, bool(scene))
-    (k, b, m), level = asked.environment, asked.damping_ns_per_m
+    k, b, m = asked.environment
+    level = asked.damping_ns_per_m
     for option, value, unit in (
         ("-K", k, "N/m"),
         ("-B", b, "N s/m"),

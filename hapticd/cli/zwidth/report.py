@@ -1,5 +1,5 @@
-"""Every figure of a device, or of a run that was kept; and the paper again, its table and its
-figures, on three devices.
+"""Every figure of a device, or of a run that was kept; and the paper again, its table
+and its figures, on three devices.
 """
 
 import json
@@ -78,8 +78,8 @@ class Drawn:
 
 
 def _named(what: str) -> "Scene":
-    """The scene of that name. ConfigError, which says what a folder without a run is and what
-    may be done with it.
+    """The scene of that name. ConfigError, which says what a folder without a run is
+    and what may be done with it.
     """
     from hapticd.errors import ConfigError
 
@@ -328,8 +328,8 @@ def reproduce(
 
 @contextmanager
 def watched() -> "Iterator[Progress]":
-    """The bar; where stderr is no terminal, a line every ten seconds, so that no log is silent
-    for minutes.
+    """The bar; where stderr is no terminal, a line every ten seconds, so that no log is
+    silent for minutes.
     """
     last_s = -inf
 

@@ -116,8 +116,8 @@ def _amplitudes(result: "TrialResult", sines_mm_per_s: list[float]) -> str:
 
 @dataclass(frozen=True)
 class Rig:
-    """A daemon's device by the name in its device file; `model`: the scene of the device of
-    that name, if one is known.
+    """A daemon's device by the name in its device file; `model`: the scene of the
+    device of that name, if one is known.
     """
 
     client: "Client"
@@ -133,8 +133,8 @@ class Rig:
 
 
 def open_rig(instance: str, stack: ExitStack) -> Rig:
-    """Connect for as long as `stack`; what ends this process meanwhile ends the trial with
-    force off. DaemonDown.
+    """Connect for as long as `stack`; what ends this process meanwhile ends the trial
+    with force off. DaemonDown.
     """
     from hapticd.cli.change import connect
     from hapticd.measure.scenes import scene_of_device
@@ -182,8 +182,8 @@ def announce(rig: Rig, trial: "Trial", scene: "Scene | None") -> None:
 
 @contextmanager
 def _signals_end_with_force_off() -> Iterator[None]:
-    """Whoever ends this process, or closes its terminal, gets what Ctrl-C gets: force off. Exit
-    128 + the signal's number.
+    """Whoever ends this process, or closes its terminal, gets what Ctrl-C gets: force
+    off. Exit 128 + the signal's number.
     """
 
     def leave(number: int, frame: object) -> None:
@@ -420,8 +420,8 @@ def _flown(plan: "TrialPlan", recorder: "Source", flies: bool, tell: "Progress")
 def _live(
     plan: "TrialPlan", scene: "Scene | None", instance: str, stack: ExitStack
 ) -> "tuple[TrialPlan, Source]":
-    """The plan with the curve of the daemon's device, and the source. Whether the loop is
-    stable is seen, not predicted.
+    """The plan with the curve of the daemon's device, and the source. Whether the loop
+    is stable is seen, not predicted.
     """
     from dataclasses import replace
 

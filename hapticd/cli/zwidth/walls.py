@@ -40,8 +40,8 @@ def command(
     plot: common.Plot = True,
     as_json: terminal.Json = False,
 ) -> None:
-    """How stiff a virtual wall may be at each damping before an impact sets it oscillating: the
-    K-B plot of one device.
+    """How stiff a virtual wall may be at each damping before an impact sets it
+    oscillating: the K-B plot of one device.
     """
     import numpy as np
 
