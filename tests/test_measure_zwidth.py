@@ -14,7 +14,7 @@ from hapticd.analysis.boundary import grid, passive_set, set_limits
 from hapticd.analysis.search import first_trials, predicted_passive
 from hapticd.analysis.surrogate import Box
 from hapticd.errors import AnalysisError, ConfigError
-from hapticd.measure.campaign import MapParams, plan_map, run_map
+from hapticd.measure.campaign import MapParams, kept_map, plan_map, run_map
 from hapticd.measure.directed import SearchParams, plan_search, rounded, run_search, slice_at
 from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
 from hapticd.measure.outcomes import (
@@ -180,6 +180,25 @@ def test_keys_tell_trials_apart():
         Lot(longer, 0.0, (point,)),
     ]
     assert len({key for lot in lots for key in lot.keys.values()}) == 4
+
+
+@pytest.mark.parametrize(
+    "more", [{}, {"everywhere": True}, {"refine": 1}], ids=["near", "everywhere", "refined"]
+)
+def test_map_of_its_kept_trials_is_the_map_that_was_flown(tmp_path, more):
+    """Also those far from the boundary, which were flown with one sub-step, and those of a finer grid."""
+    axes = (np.linspace(0.0, 3000.0, 3), np.linspace(0.0, 3.0, 3), np.array([-0.004, 0.0]))
+    plan, path = (
+        plan_map(MapParams(conditions(), axes, (0.0, 1.74), **more)),
+        tmp_path / "trials.jsonl",
+    )
+    flown, kept = run_map(plan, TrialStore(path)), kept_map(plan, TrialStore(path))
+    assert kept.made == 0
+    assert kept.judged == flown.judged
+    for ours, theirs in zip(kept.levels, flown.levels, strict=True):
+        assert np.array_equal(ours.found.margin, theirs.found.margin, equal_nan=True)
+        assert np.array_equal(ours.tried, theirs.tried)
+        assert ours.disagreements == theirs.disagreements
 
 
 def test_map_tries_only_near_the_predicted_boundary_and_agrees_there():

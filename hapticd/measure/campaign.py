@@ -219,7 +219,9 @@ def _mapped(params: MapParams, level: LevelPlan) -> Procedure[LevelMap]:
     have = yield lots
     found = _learnt(found, have)
     for _ in range(params.refine):
-        lots[0], found = lots[0].with_points(between(found)), halved(found)
+        points = dict.fromkeys((*lots[0].points, *between(found)))
+        lots[0] = replace(lots[0], points=tuple(points))
+        found = halved(found)
         have = yield lots
         found = _learnt(found, have)
     return _level_map(params, level, found, have)

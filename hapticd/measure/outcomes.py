@@ -350,10 +350,6 @@ class Lot:
     damping_ns_per_m: float
     points: tuple[Point, ...]
 
-    def with_points(self, more: Iterable[Point]) -> "Lot":
-        """With those that it does not have yet."""
-        return replace(self, points=tuple(dict.fromkeys((*self.points, *more))))
-
     @cached_property
     def keys(self) -> dict[Point, str]:
         """Of each point in a store."""

@@ -248,22 +248,17 @@ class TrialStore:
         """Remember and write. ConfigError if the file cannot be written."""
         new = dict(found)
         if self._path is not None and new:
-            _append(
-                self._path,
-                [json.dumps({"key": key, **plain(outcome)}) for key, outcome in new.items()],
-            )
+            try:
+                self._path.parent.mkdir(parents=True, exist_ok=True)
+                with self._path.open("a") as file:
+                    for key, outcome in new.items():
+                        file.write(json.dumps({"key": key, **plain(outcome)}) + "\n")
+            except OSError as error:
+                raise ConfigError(
+                    f"{self._path}: {error.strerror}; "
+                    "name a folder that you may write to with --out"
+                ) from error
         self.known.update(new)
-
-
-def _append(path: Path, lines: list[str]) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("a") as file:
-            file.write("\n".join(lines) + "\n")
-    except OSError as error:
-        raise ConfigError(
-            f"{path}: {error.strerror}; name a folder that you may write to with --out"
-        ) from error
 
 
 def _read(path: Path) -> Iterable[tuple[str, dict[str, Any]]]:

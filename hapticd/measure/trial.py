@@ -324,11 +324,12 @@ def judged(plan: TrialPlan, recorded: Recorded) -> TrialResult:
     raw = laid_out(recorded, params.multisine) if params.multisine else _windowed(params, recorded)
     spectra = _corrected(params, raw)
     record = examine(recorded.force_n, recorded.velocity_m_per_s, recorded.rate_hz)
-    found = (
-        *record.findings,
-        *_findings(recorded, params.trial),
-        *_spectral_findings(params, spectra),
+    spectral = (
+        periodic_findings(spectra, params.band_hz)
+        if isinstance(spectra, PeriodicSpectra)
+        else leakage_findings(spectra, params.band_hz, params.estimator)
     )
+    found = (*record.findings, *_findings(recorded, params.trial), *spectral)
     if not recorded.simulated:
         found += unit_findings(spectra, float(np.std(recorded.force_n)), record.velocity_sd_m_per_s)
     record = replace(record, findings=found)
@@ -382,12 +383,6 @@ def _corrected(params: TrialParams, raw: Spectra) -> Spectra:
         if params.skew_s or params.high_pass_hz
         else raw
     )
-
-
-def _spectral_findings(params: TrialParams, spectra: Spectra) -> tuple[Finding, ...]:
-    if isinstance(spectra, PeriodicSpectra):
-        return periodic_findings(spectra, params.band_hz)
-    return leakage_findings(spectra, params.band_hz, params.estimator)
 
 
 def _findings(recorded: Recorded, trial: Trial) -> tuple[Finding, ...]:
