@@ -207,16 +207,17 @@ class Gauge(ABC, Generic[T]):
             raise AnalysisError("the scene begins in motion, lock-step at rest")
         samples = round(seconds * PROBE_RATE_HZ)
         source = self.scene.excitation
-        torque = np.resize(torque_record(source, samples, source.seed), samples)
-        if self.torque_n is not None:
+        if self.torque_n is None:
+            torque = np.resize(torque_record(source, samples, source.seed), samples)
+        else:
             torque = self.torque_n[0, :samples]
         steps = [(step.at_s, step.level_ns_per_m) for step in self.scene.damping]
         flown, spent = timed(self.now_ns, lambda: fly(str(self.source), torque, steps))
-        return replace(self._flight(flown, seconds, steps), seconds=spent)
+        return replace(self._flight(flown), seconds=spent)
 
     @abstractmethod
-    def _flight(self, flown: Flown, seconds: float, steps: list[tuple[float, float]]) -> Row:
-        """Of a trial in lock-step with damping steps (time s, level N s/m)."""
+    def _flight(self, flown: Flown) -> Row:
+        """Of a trial in lock-step."""
 
     def _analysis_s(self, found: BatchResult, lag: int) -> float:
         """Of one trial."""
@@ -295,7 +296,7 @@ class NoiseGauge(Gauge[Complexes]):
         yield Row("tier", "predict, alone", alone_s, error, error)
         yield Row("tier", "predict, 1,000 at once", together_s / BATCH, error, error)
 
-    def _flight(self, flown: Flown, seconds: float, steps: list[tuple[float, float]]) -> Row:
+    def _flight(self, flown: Flown) -> Row:
         return Row(total=self._total([spectra_on(flown.torque_n, flown.velocity_m_per_s, self._f)]))
 
     def _analysis_s(self, found: BatchResult, lag: int) -> float:
@@ -337,7 +338,7 @@ class TraceGauge(Gauge[Floats]):
         position, _ = self._flown(setting, 1).traces(0)
         return self._row(position - self._like(setting, position, self._true))
 
-    def _flight(self, flown: Flown, seconds: float, steps: list[tuple[float, float]]) -> Row:
+    def _flight(self, flown: Flown) -> Row:
         """The push through the wire, compared with the engine under the forces that the probe then
         reported. The engine's ticks, counted from the force, may begin a part of a period before
         those of the servo: `lead` samples.
@@ -346,10 +347,14 @@ class TraceGauge(Gauge[Floats]):
         part = self.own.model.delay_periods % 1.0
         lead = floor((1.0 - part) * PROBE_RATE_HZ / rate_hz) if part else 0
         ticks = 1 if lead else 0
-        later = [(at_s + (ticks / rate_hz if at_s else 0.0), height) for at_s, height in steps]
-        played = np.concatenate((np.zeros(lead), flown.torque_n))[: round(seconds * PROBE_RATE_HZ)]
+        later = [
+            (step.at_s + (ticks / rate_hz if step.at_s else 0.0), step.level_ns_per_m)
+            for step in self.scene.damping
+        ]
+        samples = flown.torque_n.size
         like = simulate(
-            self.scene, [point(self.scene)], seconds, damping=later, excitation=played,
+            self.scene, [point(self.scene)], samples / PROBE_RATE_HZ, damping=later,
+            excitation=np.concatenate((np.zeros(lead), flown.torque_n))[:samples],
             substeps=self.exact.substeps, keep="ticks",
         )  # fmt: skip
         position, _ = like.traces(0)

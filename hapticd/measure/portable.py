@@ -43,7 +43,6 @@ from hapticd.settings.toml import read, shipped
 SUFFIX = ".zwidth"
 VERSION = 1
 EDGES = ("upper", "lower", "phase_upper", "phase_lower")
-USUAL = Conditions("", nan)
 NUMBERS = ("stiffness_damping_area", "stiffness_rate_per_s", "zero_mass_bandwidth_hz")
 
 
@@ -224,30 +223,24 @@ def _conditions(content: Mapping[str, Any]) -> Conditions:
     inside = [f for f in first["frequency_hz"] if low <= f <= high]
     judged = told.get("judged") or {"first_hz": inside[0], "last_hz": inside[-1]}
     known = told if "mass_kg" in told else {**told, **_masses(content)}
-    return Conditions(
-        device=content["device"],
-        mass_kg=known.get("mass_kg", nan),
-        port=first["port"],
-        probe_mass_kg=known.get("probe_mass_kg", 0.0),
-        rate_hz=told.get("rate_hz", 1000.0),
-        filters=told.get("filters", USUAL.filters),
-        band_hz=(low, high),
-        estimator=first["estimator"],
-        grip=told.get("grip", "free"),
-        perturbation_psd_n2_per_hz=told["perturbation"]["psd_n2_per_hz"],
-        judged_hz=(judged["first_hz"], judged["last_hz"]),
-        confidence=told.get("confidence", 0.95),
-        seconds=told["seconds"],
-        simulated=told["simulated"],
-    )
+    own = {name: value for name, value in known.items() if name in Conditions.__dataclass_fields__}
+    own |= {
+        "device": content["device"],
+        "port": first["port"],
+        "estimator": first["estimator"],
+        "band_hz": (low, high),
+        "judged_hz": (judged["first_hz"], judged["last_hz"]),
+        "perturbation_psd_n2_per_hz": told["perturbation"]["psd_n2_per_hz"],
+    }
+    return Conditions(**own)
 
 
 def _masses(content: Mapping[str, Any]) -> dict[str, float]:
-    """Of the shipped device that the file belongs to; none if it is another one."""
+    """Of the shipped device that the file belongs to; nan if it is another one."""
     device = content["device"]
     scene = device_scene(device)
     if scene is None or device_hash(device) != content["device_file_sha256"]:
-        return {}
+        return {"mass_kg": nan}
     model = compose(scene)
     return {"mass_kg": model.mass_kg, "probe_mass_kg": model.probe_mass_kg}
 

@@ -285,13 +285,12 @@ def compare_integrators(scene: Scene) -> Integrators:
         [SPEED_M_PER_S if state.name.endswith("_velocity") else 0.0 for state in model.states]
     )
     true = _marks(expm(a * 1e-3), start)
-    steps = STEPS_PER_MS
     with np.errstate(over="ignore", invalid="ignore"):
         error = {
             method: np.array(
                 [
                     _error(matrix_power(_step(method, a * (1e-3 / count)), count), start, true)
-                    for count in steps
+                    for count in STEPS_PER_MS
                 ]
             )
             for method in ORDERS
@@ -299,9 +298,8 @@ def compare_integrators(scene: Scene) -> Integrators:
     poles = np.asarray(np.linalg.eigvals(a), np.complex128)
     longest = {method: _longest(method, poles) for method in ORDERS}
     fastest = float(np.abs(poles).max())
-    return Integrators(
-        np.array(steps, np.float64), error, longest, 1.0 / fastest if fastest else inf
-    )
+    fastest_s = 1.0 / fastest if fastest else inf
+    return Integrators(np.array(STEPS_PER_MS, np.float64), error, longest, fastest_s)
 
 
 def _error(millisecond: Array, start: Floats, true: Floats) -> float:
