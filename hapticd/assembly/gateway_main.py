@@ -1,9 +1,11 @@
-"""The gateway process: `python -m hapticd.assembly.gateway_main FOLDER [--parent PID] [--ready
-FD]`.
+"""The gateway process: `python -m hapticd.assembly.gateway_main FOLDER`.
 
-Serves the servo of runtime folder FOLDER with the parameters in its gateway.json until SIGTERM or
-SIGINT; a byte on descriptor FD says that it serves. Exit code 0: asked to end; 1: a hapticd error,
-told in one line on stderr; 78: the configuration is wrong and a restart would not help.
+It serves the servo of runtime folder FOLDER with the parameters in its gateway.json until SIGTERM
+or SIGINT. `--parent PID` names the supervisor that it ends with; a byte written to the descriptor
+of `--ready FD` says that it serves. Exit code 0: asked to end; 1: a hapticd error, printed in one
+line on stderr; 78: the configuration is wrong and a restart would not help.
+
+What would break it: an import that brings numba, scipy or pyusb (import-linter and a test look).
 """
 
 import argparse

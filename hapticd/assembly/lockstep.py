@@ -26,9 +26,10 @@ from hapticd.params import BoardParams, RealtimeParams, SafetyParams, ServoParam
 from hapticd.servo.loop import ServoLoop
 from hapticd.servo.wait import virtual_wait
 
-ANSWER_TICKS = 10
+ANSWER_TICKS = 10  # within which a command is answered; a reset that asks the board takes a few
 CHUNK = 256  # ticks between gateway heartbeats; far below the ring and the heartbeat time-out
-START_NS = 10_000_000
+START_NS = 10_000_000  # of the virtual clock
+AT_ONCE_NS_PER_M_S = 1e6  # slew limit of scenes, whose damping changes in steps
 
 
 class LockStep:
@@ -72,15 +73,16 @@ class LockStep:
         self.close()
 
     def close(self) -> None:
-        """End it; its folder goes."""
+        """End the servo and remove its runtime folder."""
         self.loop.finish()
         self.gateway.close()
         self.mailbox.close()
         self._folder.cleanup()
 
     def run(self, ticks: int) -> bytes:
-        """Fly `ticks` ticks; their records (layout.TELEMETRY) as bytes, also kept in `blocks`
-        unless told otherwise.
+        """Run `ticks` ticks; their records (layout.TELEMETRY) as bytes.
+
+        They are also kept in `blocks`, unless this object was made with `keep=False`.
         """
         blocks = []
         while ticks > 0:
@@ -102,7 +104,7 @@ class LockStep:
         at_tick: int = 0,
         actor: int = 1,
     ) -> int:
-        """Post a command as the gateway would; its sequence number."""
+        """Post a command as the gateway would; its sequence number. MailboxError if full."""
         seq = self.gateway.post(kind, actor, at_tick, pack_values(values or {}))
         if seq is None:
             raise MailboxError(
@@ -111,9 +113,7 @@ class LockStep:
         return seq
 
     def do(self, kind: Command, values: dict[Value, float] | None = None) -> Answer:
-        """Post a command and fly until its answer is there (one tick, a few for a reset that
-        asks the board).
-        """
+        """Post a command and run ticks until it is answered. MailboxError if it is not."""
         seq = self.command(kind, values)
         for _ in range(ANSWER_TICKS):
             self.run(1)
@@ -131,26 +131,22 @@ class LockStep:
 
 
 def pack_values(values: dict[Value, float]) -> tuple[float, ...]:
-    """The 20 doubles of a command with the mask of what is meant."""
-    packed = [0.0] * 20
+    """The doubles of a command, with the mask that says which of them are given."""
+    packed = [0.0] * layout.COMMAND_VALUES
     for place, value in values.items():
         packed[place] = value
     packed[Value.MASK] = float(sum(1 << place for place in values))
     return tuple(packed)
 
 
-AT_ONCE_NS_PER_M_S = 1e6  # damping steps of a scene are steps
-
-
 def scene_params(
     name: str | Path, instance: str = "scene", seed: int = 1
 ) -> tuple[ServoParams, BoardParams]:
-    """(servo, board) that play the scene `name` at its rate and with its delay. ConfigError as
-    `load_scene` and `compose`.
+    """(servo, board) that play the scene `name` at its rate and with its delay.
 
     The servo renders the scene's environment once it is enabled; damping steps and excitation are
     commands, which the caller gives when their time has come. Converters of the wire quantise
-    whether or not the scene asks for it.
+    whether or not the scene asks for it. ConfigError as from `load_scene` and `compose`.
     """
     # imported here: a lock-step run by itself needs neither numpy nor pydantic
     from hapticd.plant.compose import compose
@@ -162,17 +158,9 @@ def scene_params(
     device = files.device
     scene = build_scene(files)
     model = compose(scene)
-    phase, lag_periods = sample_timing(model.delay_periods)
+    timing = sample_timing(model.delay_periods)._asdict()
     levels = tuple(step.level_ns_per_m for step in scene.damping)
-    board = board_of(
-        device,
-        scene.rate_hz,
-        scene.effects,
-        levels,
-        sample_phase=phase,
-        lag_periods=lag_periods,
-        seed=seed,
-    )
+    board = board_of(device, scene.rate_hz, scene.effects, levels, seed=seed, **timing)
     limit_n = model.force_limit_n or device.limits.force_n
     servo = ServoParams(
         instance=instance,

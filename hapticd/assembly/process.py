@@ -14,55 +14,55 @@ from collections.abc import Callable
 from hapticd.clock import Clock
 from hapticd.units import NS_PER_US
 
-_PR_SET_PDEATHSIG = 1
+_PR_SET_PDEATHSIG = 1  # of <linux/prctl.h>
 
 
 def die_with_parent(parent_pid: int | None) -> None:
     """Have the kernel send SIGTERM when the parent ends; end at once if it is gone already.
-    None: stand alone.
+
+    None: a process that was started by itself.
     """
     if parent_pid is None:
         return
     ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
-    if os.getppid() != parent_pid:
+    if os.getppid() != parent_pid:  # it ended before the kernel was asked
         os.kill(os.getpid(), signal.SIGTERM)
 
 
 def on_stop(handler: Callable[[], None]) -> None:
-    """Call `handler` on SIGINT and SIGTERM, also where a shell's background job had SIGINT
-    ignored.
-    """
+    """Call `handler` on SIGINT and SIGTERM, also in a background job that ignores SIGINT."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda _signal, _frame: handler())
 
 
 def notify(*lines: str) -> None:
-    """Send `lines` ("READY=1", "STATUS=...", "WATCHDOG=1", "STOPPING=1") to $NOTIFY_SOCKET, if
-    there is one.
+    """Send `lines` to $NOTIFY_SOCKET, if there is one.
+
+    READY=1, STATUS=..., WATCHDOG=1 and STOPPING=1 are what hapticd sends.
     """
     address = os.environ.get("NOTIFY_SOCKET")
     if not address:
         return
-    import socket  # a process without systemd does not pay for it
+    import socket  # a process without systemd does not load it
 
+    if address.startswith("@"):
+        address = f"\0{address[1:]}"  # a socket in the abstract namespace
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as service:
-        service.sendto(
-            "\n".join(lines).encode(), f"\0{address[1:]}" if address.startswith("@") else address
-        )
+        service.sendto("\n".join(lines).encode(), address)
 
 
 def feeding_period_ns() -> int:
-    """A quarter of the time that systemd's watchdog allows between two WATCHDOG=1; 0 without a
-    watchdog.
-    """
+    """A quarter of what systemd's watchdog allows between two WATCHDOG=1; 0 without one."""
     return int(os.environ.get("WATCHDOG_USEC", "0")) * NS_PER_US // 4
 
 
 class Feeder:
-    """Feeds the watchdog of a process that calls `feed` often, as seldom as will do."""
+    """Feeds the watchdog of a process that calls `feed` often, and no oftener than needed."""
 
     def __init__(self, clock: Clock) -> None:
-        self._clock, self._period_ns, self._fed_ns = clock, feeding_period_ns(), 0
+        self._clock = clock
+        self._period_ns = feeding_period_ns()
+        self._fed_ns = 0
 
     def feed(self) -> None:
         """Send WATCHDOG=1 if it is time; nothing without a watchdog."""

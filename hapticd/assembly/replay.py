@@ -1,12 +1,13 @@
-"""Flying a recorded motion again through `servo.step`: bit by bit as it was, or as it would have
-been with other settings.
+"""Replays a recorded motion through `servo.step`, bit by bit as it was or with other settings.
 
-A leg is a stretch of records without a gap that begins with a checkpoint. Every tick gets what it
-got: the sample of its IN frame, how that arrived, what the host knew, and the requests it obeyed.
-So every number that step computed comes out the same; whatever differs would be another program or
-a damaged file. A counterfactual flight holds some settings at other values and ignores what was
+A segment is a stretch of records without a gap that begins with a checkpoint. Every tick gets what
+it got: the sample of its IN frame, how that arrived, what the host knew, and the requests that it
+obeyed. So every number that step computed comes out the same; a difference means another program or
+a damaged file. A counterfactual replay holds some settings at other values and ignores what was
 later asked of them; the motion stays the recorded one, so it shows what the law would have asked
 for, not what the handle would then have done.
+
+What would break it: a step that reads a clock or the mailbox, or a request that is not recorded.
 """
 
 from collections.abc import Sequence
@@ -27,6 +28,7 @@ from hapticd.wire import frames
 
 Records = NDArray[np.void]
 
+# the columns of a replay: the plan of each tick, then what step computed
 PLAN_DTYPE = np.dtype(list(PLAN_FIELDS))
 PLAN_NAMES = tuple(str(field[0]) for field in PLAN_FIELDS)
 COMPUTED = [
@@ -44,21 +46,18 @@ COMPUTED = [
     ("energy_j", "<f8", (6,)),
 ]
 REPLAYED = np.dtype([*PLAN_FIELDS, *COMPUTED])
-LOOP_FLAGS = int(Flag.LATE | Flag.WRITE_FAILED)  # not step's
-# in an OUT frame
-_TORQUE_PLACE = 4
-_DAMPING_PLACE = 6
+LOOP_FLAGS = int(Flag.LATE | Flag.WRITE_FAILED)  # set by the loop, not by step
+_TORQUE_PLACE = 4  # byte of the torque count in an OUT frame
+_DAMPING_PLACE = 6  # byte of the damping count
 
 
 class Segment(NamedTuple):
-    """`state` before `tick` (servo.checkpoint), the records from that tick on, and what was
-    asked in their time.
-    """
+    """What a replay starts from and is fed with."""
 
-    tick: int
-    state: Any
-    records: Records
-    requests: Sequence[Noted]
+    tick: int  # of the first record
+    state: Any  # before that tick, flat, as servo.checkpoint writes it
+    records: Records  # (n,), without a gap
+    requests: Sequence[Noted]  # that were obeyed in their time
 
 
 class Difference(NamedTuple):
@@ -67,28 +66,29 @@ class Difference(NamedTuple):
     tick: int
     field: str
     recorded: Any
-    flown: Any
+    flown: Any  # the value of the replay, under its name in JSON
 
 
 def replay(
-    params: ServoParams, leg: Segment, instead: dict[Value, float] | None = None
+    params: ServoParams, segment: Segment, instead: dict[Value, float] | None = None
 ) -> NDArray[np.void]:
-    """What step computes at each tick of `leg`: array of FLOWN (n,). `instead`: settings held
-    at these values from the start.
+    """What step computes at each tick of `segment`: array of REPLAYED (n,).
+
+    Settings in `instead` are held at these values from the start.
     """
     step = make_step(params)
-    state = unflatten(leg.state)
-    obeyed = _by_tick(leg.requests)
+    state = unflatten(segment.state)
+    obeyed = _by_tick(segment.requests)
     if instead:
         state = _held(state, set(instead))
         obeyed = {
             tick: tuple(_without(one, set(instead)) for one in requests)
             for tick, requests in obeyed.items()
         }
-        obeyed[leg.tick] = (_settings(instead), *obeyed.get(leg.tick, ()))
+        obeyed[segment.tick] = (_settings(instead), *obeyed.get(segment.tick, ()))
     unpack = frames.IN_HEAD.unpack
     size = frames.IN_HEAD.size
-    records = leg.records
+    records = segment.records
     heads = records["in_frame"].tolist()
     head = unpack(heads[0][:size])
     blobs = []
@@ -106,20 +106,20 @@ def replay(
 
 
 def _assembled(blobs: list[bytes], rows: list[tuple[Any, ...]]) -> NDArray[np.void]:
-    flown = np.empty(len(rows), REPLAYED)
+    replayed = np.empty(len(rows), REPLAYED)
     plans = np.frombuffer(b"".join(blobs), PLAN_DTYPE)
     for name in PLAN_NAMES:
-        flown[name] = plans[name]
+        replayed[name] = plans[name]
     for field, column in zip(COMPUTED, zip(*rows, strict=True), strict=True):
-        flown[field[0]] = column
-    return flown
+        replayed[field[0]] = column
+    return replayed
 
 
-def difference(records: Records, flown: NDArray[np.void]) -> Difference | None:
-    """Where `flown` differs from what was recorded, compared bit by bit; None if nowhere."""
+def difference(records: Records, replayed: NDArray[np.void]) -> Difference | None:
+    """Where `replayed` differs from what was recorded, compared bit by bit; None if nowhere."""
     for name in (*PLAN_NAMES, *(str(field[0]) for field in COMPUTED)):
         recorded = recorded_column(records, name)
-        again = flown[name]
+        again = replayed[name]
         places = np.flatnonzero(_bits(recorded) != _bits(again))
         if places.size:
             place = int(places[0]) // (again.size // len(again))
@@ -130,7 +130,7 @@ def difference(records: Records, flown: NDArray[np.void]) -> Difference | None:
 
 
 def recorded_column(records: Records, name: str) -> NDArray[Any]:
-    """The recorded column that FLOWN calls `name`."""
+    """The recorded column that REPLAYED calls `name`."""
     if name == "flags":
         return np.asarray(records["flags"] & ~np.uint32(LOOP_FLAGS))
     if name in ("torque", "damping"):
@@ -142,11 +142,9 @@ def recorded_column(records: Records, name: str) -> NDArray[Any]:
 
 
 def _bits(column: NDArray[Any]) -> NDArray[np.uint64] | NDArray[Any]:
-    return (
-        column.ravel().view(np.uint64)
-        if column.dtype.kind == "f" and column.dtype.itemsize == 8
-        else column.ravel()
-    )
+    """Doubles as integers, so that NaN equals NaN and -0.0 differs from 0.0."""
+    flat = column.ravel()
+    return flat.view(np.uint64) if flat.dtype == np.float64 else flat
 
 
 def _by_tick(requests: Sequence[Noted]) -> dict[int, tuple[Request, ...]]:
@@ -163,7 +161,7 @@ def _by_tick(requests: Sequence[Noted]) -> dict[int, tuple[Request, ...]]:
 
 
 def _settings(instead: dict[Value, float]) -> Request:
-    """A set of `instead` without a ramp, for which nobody waits."""
+    """A set of `instead` without a ramp, for whose answer nobody waits."""
     values = [0.0] * COMMAND_VALUES
     for place, value in {**instead, Value.RAMP_S: 0.0}.items():
         values[place] = float(value)
@@ -172,7 +170,7 @@ def _settings(instead: dict[Value, float]) -> Request:
 
 
 def _without(request: Request, held: set[Value]) -> Request:
-    """`request` without a word about the settings that are held."""
+    """`request` without the settings that are held."""
     seq, kind, actor, apply_tick, values = request
     if kind not in (Command.SET, Command.DAMPING):
         return request

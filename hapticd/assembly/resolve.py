@@ -1,4 +1,9 @@
-"""Settings -> the JSON files that the two processes start from, in the runtime folder."""
+"""Settings -> servo.json, board.json and gateway.json in the runtime folder.
+
+The two processes start from these files alone: they read no TOML and load no pydantic.
+
+What would break it: a parameter that `to_plain` and `from_plain` do not carry to the last bit.
+"""
 
 import json
 from pathlib import Path
@@ -11,7 +16,7 @@ from hapticd.settings.load import Settings
 
 
 def resolve(settings: Settings, instance: str) -> dict[str, Any]:
-    """Content of each file by name; no board.json for a real board."""
+    """Content of each file, by its name. A real board has no board.json."""
     board = board_params(settings)
     servo = servo_params(settings, instance)
     setup = GatewaySetup(servo, gateway_params(settings))
@@ -20,12 +25,11 @@ def resolve(settings: Settings, instance: str) -> dict[str, Any]:
 
 
 def write(folder: Path, settings: Settings, instance: str) -> dict[str, Path]:
-    """Write them into `folder` (made and checked), each whole or not at all; a board.json that is
-    not meant any more is removed.
+    """Write the files into `folder`, which is made and checked; the path of each file written.
 
-    Under systemd both units do so before they start; a file that is meant is never missing for a
-    moment. Returns the path of each file written. Raises MailboxError when the folder is not ours
-    or full.
+    Each file is written whole or not at all, and is never missing for a moment: under systemd both
+    units write before they start. A board.json from before is removed if the board is real now.
+    MailboxError if the folder belongs to somebody else or is full.
     """
     files.prepare_folder(folder)
     plain = resolve(settings, instance)

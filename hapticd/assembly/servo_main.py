@@ -1,4 +1,6 @@
-"""The servo process: `python -m hapticd.assembly.servo_main SERVO_JSON [BOARD_JSON] [--parent PID]`.
+"""The servo process: `python -m hapticd.assembly.servo_main SERVO_JSON [BOARD_JSON]`.
+
+`--parent PID` names the supervisor that it ends with.
 
 Order of a start: parameters -> board found, greeted, hash checked -> mailbox made -> real-time
 rights -> mailbox published, systemd told -> loop. A simulated board (SERVO_JSON says so, BOARD_JSON
@@ -69,7 +71,7 @@ class Servo:
         self.clock = clock
         self.stopping = False
         self.loop: ServoLoop | None = None
-        self.slip_ns = 0
+        self.slip_ns = 0  # time by which a simulated board is behind, because the host paused
         backend = None
         if board is not None:
             backend = simulated_backend(board, clock, self._slipped)
@@ -83,9 +85,7 @@ class Servo:
             self.loop.stopping = True
 
     def connect(self) -> None:
-        """Wait for the board, looking for it with back-off; anything but its absence ends the
-        start.
-        """
+        """Look for the board with growing pauses; any error but its absence ends the start."""
         attempt = 0
         while not self.stopping:
             try:
@@ -97,7 +97,7 @@ class Servo:
                 attempt += 1
 
     def run(self) -> None:
-        """From the board to the end of the loop."""
+        """Find the board, publish the mailbox, and run the loop until `stop`."""
         notify("STATUS=looking for the board")
         self.connect()
         if self.stopping:
@@ -112,7 +112,7 @@ class Servo:
         wait = spinning_wait(int(params.realtime.spin_us * NS_PER_US), int(NS_PER_S / rate_hz))
         self.loop = ServoLoop(params, self.device, self.mailbox, self.clock, wait)
         self.loop.stopping = self.stopping
-        start_feeder(folder)  # before the rights: it must not inherit them
+        start_feeder(folder)  # before the real-time rights, which it must not inherit
         try:
             self.mailbox.report({"realtime": host.prepare(params.realtime), **self._about()})
             self.mailbox.publish()
@@ -128,22 +128,23 @@ class Servo:
                 self.mailbox.close()
 
     def _about(self) -> dict[str, Any]:
+        """What the mailbox's report says of the board and the rate."""
         hello = self.device.hello
-        described = (
-            {} if hello is None else {**hello._asdict(), "protocol_hash": hello.protocol_hash.hex()}
-        )
+        board = {} if hello is None else hello._asdict()
+        if hello is not None:
+            board["protocol_hash"] = hello.protocol_hash.hex()
         return {
-            "board": described,
+            "board": board,
             "simulated": self.params.simulated,
             "period_us": US_PER_S / self.params.realtime.rate_hz,
         }
 
     def _slipped(self, slip_ns: int) -> None:
+        """Count `slip_ns` more in the mailbox."""
         self.slip_ns += slip_ns
         if self.mailbox is not None:
-            self.mailbox.words[layout.COUNTER_WORD + layout.COUNTERS.index("sim_slip_ns")] = (
-                self.slip_ns
-            )
+            place = layout.COUNTER_WORD + layout.COUNTERS.index("sim_slip_ns")
+            self.mailbox.words[place] = self.slip_ns
 
 
 def main(arguments: list[str]) -> int:

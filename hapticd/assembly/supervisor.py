@@ -34,13 +34,17 @@ from hapticd.mailbox import files, layout
 from hapticd.settings.load import Settings
 from hapticd.units import NS_PER_MS, NS_PER_S
 
-RESTARTS_MAX = 3
+SUPERVISOR_LOCK = "supervisor.lock"
+POLL_NS = 20 * NS_PER_MS
+# until a process that is not ready is reported, and until one that does not end is killed
+PATIENCE_NS = 5 * NS_PER_S
+RESTARTS_MAX = 3  # within WINDOW_NS, of each process
 WINDOW_NS = 60 * NS_PER_S
 FIRST_PAUSE_NS = NS_PER_S // 2  # doubled with each restart within the window
 
 
 class Process(Protocol):
-    """What is used of subprocess.Popen."""
+    """The part of subprocess.Popen that is used here."""
 
     pid: int
 
@@ -53,22 +57,14 @@ Spawn = Callable[[Sequence[str], int], Process]  # module and arguments, descrip
 
 
 def spawn(command: Sequence[str], ready: int) -> Process:
-    """`python -m command` in a fresh interpreter; its messages go to our stderr, descriptor
-    `ready` is handed down.
+    """`python -m command` in a fresh interpreter, which inherits the descriptor `ready`.
+
+    Its messages go to our stderr.
     """
+    python = [sys.executable, "-X", "utf8", "-P", "-m"]
+    family = ["--parent", str(os.getpid()), "--ready", str(ready)]
     return subprocess.Popen(
-        [
-            sys.executable,
-            "-X",
-            "utf8",
-            "-P",
-            "-m",
-            *command,
-            "--parent",
-            str(os.getpid()),
-            "--ready",
-            str(ready),
-        ],
+        [*python, *command, *family],
         stdin=subprocess.DEVNULL,
         stdout=2,
         pass_fds=(ready,),
@@ -78,8 +74,10 @@ def spawn(command: Sequence[str], ready: int) -> Process:
 
 
 def _import_path() -> dict[str, str]:
-    """-P keeps the working folder out of the child's imports; a checkout that is not installed
-    has to be named then.
+    """PYTHONPATH of a child; empty for an installed package.
+
+    -P keeps the working folder out of its imports, so a checkout that is not installed has to be
+    named.
     """
     root = Path(hapticd.__file__).parents[1]
     if root.name in ("site-packages", "dist-packages"):
@@ -118,8 +116,9 @@ class Child:
         self._spawn = start
         self.process: Process | None = None
         self.restarts = Restarts()
-        self.start_at_ns: int | None = 0  # None: running
-        self.ready = self.was_ready = False  # in this life, in any
+        self.start_at_ns: int | None = 0  # when it is to be started; None: it runs
+        self.ready = False  # since it was last started
+        self.was_ready = False  # ever
         self._pipe: int | None = None
 
     def start(self) -> None:
@@ -135,23 +134,23 @@ class Child:
         self.ready = False
 
     def died(self) -> int | None:
-        """Exit code of a child that should run and does not."""
-        return (
-            self.process.poll() if self.process is not None and self.start_at_ns is None else None
-        )
+        """Exit code of a child that should run and does not; None if all is well."""
+        if self.process is None or self.start_at_ns is not None:
+            return None
+        return self.process.poll()
 
     def alive(self) -> bool:
-        """Whether a process of it exists."""
+        """Whether its process exists."""
         return self.process is not None and self.process.poll() is None
 
     def note_ready(self, is_ready: Callable[[Process], bool]) -> None:
-        """Ask whether it serves, until it does."""
+        """Ask `is_ready` whether it serves, until it does."""
         if self.process is not None and self.start_at_ns is None and not self.ready:
             self.ready = is_ready(self.process)
             self.was_ready |= self.ready
 
     def said_ready(self) -> bool:
-        """Whether it wrote its byte since it was started."""
+        """Whether it wrote its byte to the pipe since it was started."""
         try:
             return self._pipe is not None and bool(os.read(self._pipe, 1))
         except BlockingIOError:
@@ -178,27 +177,16 @@ def mailbox_served(folder: Path, pid: int) -> bool:
     return memoryview(page).cast("Q")[layout.EPOCH_WORD] != 0 and header[2] == pid
 
 
-SUPERVISOR_LOCK = "supervisor.lock"
-POLL_NS = 20 * NS_PER_MS
-PATIENCE_NS = (
-    5 * NS_PER_S
-)  # until a missing readiness is told, and until an ending process is killed
-
-
 class Progress(NamedTuple):
-    """Progress: `starting`, `waiting`, `ready`, `restart`, `ending`, `killed`, `ended`; which
-    process, and what to say.
-    """
+    """What a callback is told."""
 
-    kind: str
-    process: str
-    text: str
+    kind: str  # starting | waiting | ready | restart | ending | killed | ended
+    process: str  # servo | gateway; empty for both
+    text: str  # one line for a user
 
 
 class Supervisor:
-    """The two processes of `instance` in the runtime folder `folder`, with the parameters that
-    `settings` resolve to.
-    """
+    """The two processes of `instance`, in the runtime folder `folder`, as `settings` say."""
 
     def __init__(
         self,
@@ -216,14 +204,9 @@ class Supervisor:
         self._served = served
         self._settings = settings
         self._instance = instance
-        names = (
-            [files.SERVO_JSON, files.BOARD_JSON]
-            if settings.device.simulated
-            else [files.SERVO_JSON]
-        )
-        self.servo = Child(
-            "servo", ["hapticd.assembly.servo_main", *(str(folder / name) for name in names)], start
-        )
+        names = [files.SERVO_JSON, files.BOARD_JSON][: 2 if settings.device.simulated else 1]
+        paths = [str(folder / name) for name in names]
+        self.servo = Child("servo", ["hapticd.assembly.servo_main", *paths], start)
         self.gateway = Child("gateway", ["hapticd.assembly.gateway_main", str(folder)], start)
         self.ready = False
         self._asked = 0
@@ -234,13 +217,14 @@ class Supervisor:
         self._asked += 1
 
     def run(self) -> None:
-        """Serve until `stop`. MailboxError: someone else does; ConfigError or HapticdError: a
-        process could not be kept.
+        """Serve until `stop`.
+
+        MailboxError: another supervisor has the folder; ConfigError or HapticdError: a process
+        could not be kept running.
         """
         files.prepare_folder(self.folder)
-        claim = files.claim(
-            self.folder, SUPERVISOR_LOCK
-        )  # before a file is touched: they may be someone else's
+        # before a file is touched, for the files may be another supervisor's
+        claim = files.claim(self.folder, SUPERVISOR_LOCK)
         try:
             resolve.write(self.folder, self._settings, self._instance)
             while not self._asked:
@@ -254,6 +238,7 @@ class Supervisor:
         self.tell(Progress("ended", "", "ended: force 0, disabled, both processes gone"))
 
     def _look(self, now_ns: int) -> None:
+        """One poll: who died, who is due to start, who serves."""
         for child in (self.servo, self.gateway):
             if (code := child.died()) is not None:
                 self._bury(child, code, now_ns)
@@ -275,16 +260,15 @@ class Supervisor:
         if ready and not self.ready:
             self.tell(Progress("ready", "", "servo and gateway are ready"))
         elif not ready and self._impatient_ns is not None and now_ns >= self._impatient_ns:
-            reason = (
-                "the gateway"
-                if self.servo.ready
-                else "the servo (is the board plugged in and switched on?)"
-            )
-            self.tell(Progress("waiting", "", f"still waiting for {reason}"))
+            missing = "the servo (is the board plugged in and switched on?)"
+            if self.servo.ready:
+                missing = "the gateway"
+            self.tell(Progress("waiting", "", f"still waiting for {missing}"))
             self._impatient_ns = None
         self.ready = ready
 
     def _bury(self, child: Child, code: int, now_ns: int) -> None:
+        """Plan the restart of a child that died, or say why there is none."""
         child.ready = False
         how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
         if code == ConfigError.exit_code:
@@ -305,20 +289,20 @@ class Supervisor:
         self.tell(Progress("restart", child.name, f"the {child.name} died ({how}); {again}"))
 
     def _end(self, child: Child) -> None:
+        """End a child in order; kill it if it does not end in time or `stop` was asked twice."""
         process = child.process
         if process is not None and child.alive():
             self.tell(Progress("ending", child.name, f"ending the {child.name}"))
             process.terminate()
-            deadline_ns = self.clock.now_ns() + PATIENCE_NS
-            while child.alive() and self._asked < 2 and self.clock.now_ns() < deadline_ns:
-                self.clock.sleep_until_ns(self.clock.now_ns() + POLL_NS)
+            self._await_end(child, self.clock.now_ns() + PATIENCE_NS)
             if child.alive():
                 process.kill()
-                self.tell(
-                    Progress(
-                        "killed", child.name, f"killed the {child.name}: it did not end in time"
-                    )
-                )
+                text = f"killed the {child.name}: it did not end in time"
+                self.tell(Progress("killed", child.name, text))
             while child.alive():
                 self.clock.sleep_until_ns(self.clock.now_ns() + POLL_NS)
         child.forget()
+
+    def _await_end(self, child: Child, deadline_ns: int) -> None:
+        while child.alive() and self._asked < 2 and self.clock.now_ns() < deadline_ns:
+            self.clock.sleep_until_ns(self.clock.now_ns() + POLL_NS)

@@ -1,9 +1,10 @@
-"""What a machine needs to run hapticd as a service: units, udev rule, user, folders, limits. Files
-in, files out.
+"""What a machine needs to run hapticd as a service: units, udev rule, user, folders, limits.
 
-The templates travel with the package (systemd/); three words in them are filled in: the interpreter
-that runs this, and vendor and product of the board in the configuration. Nothing is applied: no
-user made, no unit started.
+The templates are shipped with the package (systemd/). Three words in them are filled in: the
+interpreter that runs this, and vendor and product of the board in the configuration. Files are
+written and nothing else: no user is made, no unit started.
+
+What would break it: an interpreter in a folder that the units do not see (`hidden_interpreter`).
 """
 
 import os
@@ -48,7 +49,7 @@ def system_files(usb: UsbParams, python: str = sys.executable) -> dict[str, str]
 
 
 def filled(template: str, words: dict[str, str]) -> str:
-    """`template` with each word replaced by its meaning."""
+    """`template` with each of `words` replaced by its value."""
     for word, meaning in words.items():
         template = template.replace(word, meaning)
     return template
@@ -73,9 +74,7 @@ def write_below(root: Path, files: dict[str, str]) -> list[Path]:
 
 def hidden_interpreter(python: str = sys.executable) -> str:
     """A warning when the units could not start `python`; empty when they can."""
-    real = os.path.realpath(
-        python
-    )  # of an environment it is a link to where Python itself was installed
+    real = os.path.realpath(python)  # in a virtual environment it is a link to Python itself
     if not real.startswith(HIDDEN):
         return ""
     return (

@@ -1,10 +1,10 @@
-"""The servo's watchdog feeder: `python -m hapticd.assembly.watchdog FOLDER --parent PID`, a small
-process in the servo's unit.
+"""The servo's watchdog feeder: `python -m hapticd.assembly.watchdog FOLDER --parent PID`.
 
-systemd takes WATCHDOG=1 from processes of the unit alone, so the gateway cannot send it; the
-servo's only thread may not, for a datagram costs more than a tick. This process looks at the head
-of the telemetry ring four times within the time that the watchdog allows and feeds it if the head
-has advanced: what is proved is that ticks happen, not that a process exists (ADR 0040).
+It is a small process in the servo's unit. systemd takes WATCHDOG=1 from processes of the unit
+alone, so the gateway cannot send it; the servo's only thread may not, for a datagram costs more
+than a tick. This process looks at the head of the telemetry ring four times within the time that
+the watchdog allows and feeds it if the head has advanced: what is proved is that ticks happen, not
+that a process exists (ADR 0040).
 
 It maps the ring for reading, starts before the servo takes real-time rights (so it has none), and
 dies with the servo. Standard library alone.
@@ -25,8 +25,9 @@ from hapticd.mailbox import files, layout
 
 
 def start_feeder(folder: Path) -> int | None:
-    """Start the feeder of the servo in this process, whose ring is in `folder`; its pid, None
-    without a watchdog.
+    """Start the feeder of the servo in this process, whose ring is in `folder`.
+
+    Returns its pid; None if systemd announces no watchdog.
     """
     if not feeding_period_ns():
         return None
@@ -41,8 +42,9 @@ def watch(
     period_ns: int,
     looks: int | None = None,
 ) -> None:
-    """Look at `head()` every `period_ns`; `feed()` after each look that found it advanced.
-    `looks` None: for ever.
+    """Look at `head()` every `period_ns`, and call `feed()` whenever it has advanced.
+
+    `looks` is the number of looks; None: for ever.
     """
     last = head()
     while looks != 0:
@@ -65,7 +67,8 @@ def main(arguments: list[str]) -> int:
     except MailboxError as error:
         os.write(2, f"hapticd watchdog: {error}\n".encode())
         return error.exit_code
-    words = memoryview(ring).cast("Q")  # unordered reads will do: only that it moves matters
+    # reads need no ordering here: only that the head moves matters
+    words = memoryview(ring).cast("Q")
     watch(
         lambda: words[layout.TELEMETRY_HEAD_WORD],
         lambda: notify("WATCHDOG=1"),
