@@ -2,8 +2,10 @@
 energy, memory.
 """
 
+import dis
 import gc
 from contextlib import suppress
+from types import FunctionType
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from hapticd.faults import BY_CODE
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Flag, Result, Value
 from hapticd.params import HomeParams, InjectionParams, RealtimeParams, UsbParams
+from hapticd.servo.loop import ServoLoop
 from hapticd.servo.safety import State
 from hapticd.wire import codec
 from hapticd.wire.frames import OutFlag, Status
@@ -204,6 +207,28 @@ def test_lost_gateway_heartbeat_faults_within_a_second():
     first = int(np.argmax(flown["state"] == State.FAULT))
     assert flown["fault"][first] == BY_CODE["gateway_lost"].number
     assert 700 <= first <= 1001
+
+
+def test_gateway_is_alive_exactly_as_long_as_its_last_beat_is_young():
+    """However rarely its word is read: from one second before the beat until one after it."""
+    with LockStep(servo_params(), board_params()) as stack:
+        stack.run(5)
+        beat_ns = stack.clock.now_ns() + 400_000_000
+        stack.gateway.beat(beat_ns)  # of a clock that is 0.4 s ahead
+        stack.loop.run(1800)
+        flown = records(stack.gateway.records(stack.loop.tick - 1800, 1800)[0])
+    alive = (flown["host"] & 2) > 0
+    assert np.array_equal(alive, np.abs(flown["time_ns"] - beat_ns) < 1_000_000_000)
+    assert 1300 < alive.sum() < 1500
+
+
+def test_loop_that_is_entered_once_is_specialised():
+    """As in the daemon; `replace` makes its code as new as in a process that has just begun."""
+    fresh = FunctionType(ServoLoop.run.__code__.replace(), ServoLoop.run.__globals__)
+    with LockStep(servo_params(), board_params()) as stack:
+        fresh(stack.loop, 200)
+    found = {one.opname for one in dis.get_instructions(fresh, adaptive=True)}
+    assert {"LOAD_ATTR_INSTANCE_VALUE", "STORE_ATTR_INSTANCE_VALUE"} <= found
 
 
 def test_stop_word_latches_without_a_gateway_and_reset_clears_it():

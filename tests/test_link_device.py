@@ -9,7 +9,7 @@ from hapticd.errors import LinkLost, LinkStalled, LinkTimeout, ProtocolMismatch
 from hapticd.link.base import Link, backoff_s
 from hapticd.link.device import SEED, Device
 from hapticd.wire import codec, frames
-from hapticd.wire.frames import Hello, InFrame, OutFlag
+from hapticd.wire.frames import Hello, InFrame, OutFlag, OutFrame
 from hapticd.wire.session import BACKWARD
 
 PERIOD_US = 1000
@@ -158,6 +158,35 @@ def test_damaged_frame_is_missing_and_counted_as_bad(damaged):
     tick(device)
     assert tick(device)[0] == -1
     assert device.counts["bad"] == 1
+
+
+@pytest.mark.parametrize(("place", "value"), [(4, 1), (5, frames.PROBE_MAX + 1)])
+def test_next_frame_for_another_axis_or_with_too_many_pairs_is_bad(place, value):
+    """In time, in sequence and with a CRC that fits: refused all the same."""
+    packet = bytearray(codec.encode_in(frame(1)))
+    packet[place] = value
+    packet[-2:] = codec.crc16(packet[:-2]).to_bytes(2, "little")
+    device = connected(frame(0), bytes(packet), frame(2))
+    tick(device)
+    assert tick(device)[0] == -1
+    assert device.counts["bad"] == 1
+    assert tick(device)[0] == 1
+
+
+def test_frame_is_as_the_encoder_makes_it_also_after_the_last_samples():
+    device = connected()
+    for seq, samples in enumerate([(1, 2, 3), (), (), (1, 2), ()], start=2):
+        filled = (*samples, *(0,) * (frames.PROBE_MAX - len(samples)))
+        device.send(1, -7, 8, 0, len(samples), filled)
+        assert bytes(device.out_buffer) == codec.encode_out(OutFrame(seq, 0, 1, -7, 8, 0, samples))
+
+
+def test_rehearsal_leaves_both_frames_as_they_are():
+    device = connected(frame(0))
+    tick(device)
+    before = bytes(device.in_buffer), bytes(device.out_buffer)
+    assert device.rehearse()[6] == frame(0).encoder
+    assert (bytes(device.in_buffer), bytes(device.out_buffer)) == before
 
 
 def test_duplicate_is_read_past():

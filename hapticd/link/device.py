@@ -49,7 +49,7 @@ class Device:
         self._begin: Callable[[], None]
         self.receive: Callable[[], Received]
         self.send: Callable[..., bool]
-        self.rehearse: Callable[[], None]
+        self.rehearse: Callable[[], Head]
         self._begin, self.receive, self.send, self.rehearse = _exchange(self)
 
     def connect(self) -> Hello:
@@ -74,7 +74,7 @@ class Device:
 
 def _exchange(
     device: Device,
-) -> tuple[Callable[[], None], Callable[[], Received], Callable[..., bool], Callable[[], None]]:
+) -> tuple[Callable[[], None], Callable[[], Received], Callable[..., bool], Callable[[], Head]]:
     """Closures over the device's buffers: the state of the exchange lives in cells, at the cost of
     a local.
     """
@@ -216,13 +216,13 @@ def _exchange(
             return False
         return True
 
-    def rehearse() -> None:
+    def rehearse() -> Head:
         """What `receive` and `send` do between their transfers, to no effect: it warms the
-        caches.
+        caches. The head that lies there.
         """
-        unpack(in_buffer)
         check(in_body, initial)
         fill(scratch, 0, sent, 0, 0, 0, 0, 0, 0, 0)
         check(out_body, initial)
+        return unpack(in_buffer)
 
     return begin, receive, send, rehearse

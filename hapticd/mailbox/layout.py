@@ -273,7 +273,9 @@ def _codes(fields: tuple[tuple[object, ...], ...]) -> str:
 
 
 PLAN = struct.Struct("<" + _codes(PLAN_FIELDS))
-RECORD = struct.Struct(f"<Qqq{PLAN.size}s" + _codes(TELEMETRY[_PLAN_END:]))
+RECORD = struct.Struct(
+    f"Qqq{PLAN.size}s" + _codes(TELEMETRY[_PLAN_END:])
+)  # every field on its own multiple: no gaps
 RING_RECORDS = 8192  # 8 s at 1 kHz
 TELEMETRY_HEAD_WORD = 0  # u64 index in telemetry.ring: records written
 TELEMETRY_EPOCH_WORD = 1

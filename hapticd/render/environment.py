@@ -56,11 +56,15 @@ def render(
     d = x - x1
     dd = d - d1
     v = vb0 * d + vz1
-    vz1 = vb1 * d - va1 * v + vz2
-    vz2 = vb2 * d - va2 * v
     a = ab0 * dd + az1
-    az1 = ab1 * dd - aa1 * a + az2
-    az2 = ab2 * dd - aa2 * a
+    after = (
+        x,
+        d,
+        vb1 * d - va1 * v + vz2,
+        vb2 * d - va2 * v,
+        ab1 * dd - aa1 * a + az2,
+        ab2 * dd - aa2 * a,
+    )
     spring = -stiffness * x
     damper = -damping * v
     inertia = -mass * a
@@ -75,7 +79,7 @@ def render(
     force = total
     if not (force <= limit and force >= -limit):
         force = clamp(force, limit)
-    return force, total, v, a, spring, damper, inertia, field, (x, d, vz1, vz2, az1, az2)
+    return force, total, v, a, spring, damper, inertia, field, after
 
 
 def design_coefficients(

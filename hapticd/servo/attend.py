@@ -195,6 +195,7 @@ def make_attend(params: ServoParams) -> Attend:
             plan.origin,
             per_period,
             host,
+            plan.wave,
             plan,
         )
         return (settled, law, ledger, held), usable, answers, flags

@@ -51,7 +51,8 @@ def unflatten(plain: Sequence[Any]) -> ServoState:
     }
     law, ledger, origin, added, held, host = others
     before = wake, environment, coefficients, flags, damping, bytes.fromhex(blob)
-    return Settled(*before, origin, added, host, Plan(**renewed)), law, ledger, held
+    whole = Plan(**renewed)
+    return Settled(*before, origin, added, host, whole.wave, whole), law, ledger, held
 
 
 def _tuples(item: Any) -> Any:

@@ -1,15 +1,21 @@
-"""The only `while` of the servo.
+"""The only loop of the servo.
 
     wait -> receive -> commands -> step -> send -> record -> next deadline
 
-Everything a tick needs is a local name; what is rare (a lost link, commands, answers, late ticks)
-is a call. The loop is a `while True`: CPython 3.11 specialises the instructions of a function that
-is entered once only after it has gone round a loop that ends in an unconditional jump, and
-unspecialised ones cost a seventh more. A late tick drops whole slots and never catches up; late
-events and lost slots are counted apart, those of the first second (`grace`) on their own. With the
-board gone the ticks go on: records say so, the force is 0, and the board is looked for with
-back-off. The loop ends when `stopping` is set or `ticks` are done; `finish` disables.
+Everything a tick needs is a local name that no closure shares, and what can be made ready before
+the wake is; what is rare (a lost link, commands, answers, late ticks) is a call. Two habits of
+CPython 3.11 show: the loop is a `while True`, because the instructions of a function that is
+entered once are specialised only after it has gone round a loop that ends in an unconditional jump
+(a seventh of a tick); a float stands before the integer it is multiplied by, because otherwise the
+integer is asked first.
+
+A late tick drops whole slots and never catches up; late events and lost slots are counted apart,
+those of the first second (`grace`) on their own. With the board gone the ticks go on: records say
+so, the force is 0, and the board is looked for with back-off. The loop ends when `stopping` is set
+or `ticks` are done; `finish` disables.
 """
+
+from collections.abc import Callable
 
 from hapticd.clock import Clock
 from hapticd.errors import HapticdError, LinkError, LinkLost, MailboxError
@@ -38,7 +44,6 @@ _TALLY = {
     "sequence_gap": "gap",
     "write_errors": "write_errors",
 }
-_PERTURB = int(OutFlag.PERTURB)
 _FIFO_CLEAR = int(OutFlag.FIFO_CLEAR)
 _LONGEST_NS = (1 << 31) - 1  # that a stage of a record can hold: 2.1 s
 _HEALTHY = LINK_UP | GATEWAY_ALIVE
@@ -94,7 +99,7 @@ class ServoLoop:
         first_slot = layout.TELEMETRY_OFFSET
         size = layout.RECORD.size
         slots = layout.RING_RECORDS
-        warm = device.rehearse
+        rehearse = self._rehearsal()
         receive = device.receive
         send = device.send
         step = self.step
@@ -108,33 +113,15 @@ class ServoLoop:
         head: Head = NO_HEAD
         alive_until_ns = 0
         board_us = publish_ns = 0
-        slot = first_slot + self.tick % slots * size
-        end_slot = first_slot + slots * size
         last = None if ticks is None else self.tick + ticks
-
-        def rehearse() -> None:
-            settled = self.state[SETTLED]
-            if (
-                self.tick < settled.wake_tick
-            ):  # not the long way: cold it takes longer than the spin
-                step(self.state, (), (head[6], head[4], head[10], 0, settled.host, 0), self.tick)
-            warm()
-            _ = (
-                stop_words[0],
-                words[head_word],
-                words[beat_word],
-                mailbox.taken,
-                inbox.waiting,
-                streamer.playing,
-            )
-            in_bytes()
-            pack(ring, slot, *_BLANK)  # the oldest record, which the tick replaces anyway
 
         while True:
             tick = self.tick
             if self.stopping or tick == last:
                 break
             deadline = self.deadline_ns
+            next_deadline = deadline + period_ns
+            slot = first_slot + tick % slots * size
             start = wait(deadline, rehearse)
             if self.linked:
                 try:
@@ -178,8 +165,8 @@ class ServoLoop:
             out_flags = settled.out_flags
             count = 0
             samples = NO_SAMPLES
-            if out_flags & _PERTURB or streamer.playing:
-                out_flags, count, samples = streamer.follow(settled.plan.wave, out_flags, level)
+            if settled.wave[0] or streamer.playing:
+                out_flags, count, samples = streamer.follow(settled.wave, out_flags, level)
             stepped = clock()
             if self.linked:
                 try:
@@ -193,9 +180,7 @@ class ServoLoop:
             read_ns = got - start
             step_ns = stepped - got
             write_ns = sent - stepped
-            if (
-                sent - deadline > period_ns
-            ):  # rare: what makes a tick late, and what may not fit its field
+            if sent > next_deadline:  # rare: what makes a tick late, and what may not fit its field
                 if wake_ns > period_ns:
                     flags |= _LATE
                 stages = (wake_ns, read_ns, step_ns, write_ns)
@@ -225,10 +210,10 @@ class ServoLoop:
                 e_field,
                 e_force,
                 e_electric,
-                heat * temperature + t0,
-                amperes * current + c0,
-                volts * voltage + v0,
-                speed * emf + e0,
+                temperature * heat + t0,
+                current * amperes + c0,
+                voltage * volts + v0,
+                emf * speed + e0,
                 wake_ns,
                 read_ns,
                 step_ns,
@@ -249,15 +234,44 @@ class ServoLoop:
             if not tick & 255:
                 self._tally()
             self.tick = tick + 1
-            slot += size
-            if slot == end_slot:
-                slot = first_slot
             self.deadline_ns = deadline = self.deadline_ns + period_ns
             end = clock()
             publish_ns = end - sent
             if end > deadline:
                 publish_ns = min(publish_ns, _LONGEST_NS)
                 self._late(end)
+
+    def _rehearsal(self) -> Callable[[], None]:
+        """The tick to no effect. No closure of `run`: what it shares with one costs a tick more
+        than a local.
+        """
+        device = self.device
+        step = self.step
+        words = self.mailbox.words
+        stop_words = self.mailbox.stop_words
+        pack = layout.RECORD.pack_into
+        ring = self.mailbox.ring
+        in_bytes = device.in_buffer.tobytes
+        size = layout.RECORD.size
+        slots = layout.RING_RECORDS
+
+        def rehearse() -> None:
+            _, _, _, _, status, _, encoder, _, _, _, heat, _, _, _, _, _ = device.rehearse()
+            settled = self.state[SETTLED]
+            if (
+                self.tick < settled.wake_tick
+            ):  # not the long way: cold it takes longer than the spin
+                step(self.state, (), (encoder, status, heat, 0, settled.host, 0), self.tick)
+            _ = (
+                stop_words[0],
+                words[layout.COMMAND_HEAD_WORD],
+                words[layout.GATEWAY_BEAT_WORD],
+                in_bytes(),
+            )
+            # the oldest record, which the tick replaces anyway
+            pack(ring, layout.TELEMETRY_OFFSET + self.tick % slots * size, *_BLANK)
+
+        return rehearse
 
     def restart_clock(self) -> None:
         """Begin anew with deadlines from now on, after something slow that was no tick."""

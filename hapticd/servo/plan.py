@@ -17,7 +17,8 @@ from hapticd.servo.safety import State
 from hapticd.units import round_half_up
 
 NEVER = 1 << 62
-NO_WAVE = (0, 0, False)
+Wave = tuple[int, int, bool]  # perturbation: number of its command (0: none), samples, loop
+NO_WAVE: Wave = (0, 0, False)
 BUMPLESS = (
     Value.STIFFNESS,
     Value.DAMPING,
@@ -48,9 +49,7 @@ class Plan(NamedTuple):
     leases: tuple[int, int]
     homed: bool
     origin: int  # encoder count at x = 0
-    wave: tuple[
-        int, int, bool
-    ]  # perturbation: sequence number of its command (0: none), samples, loop
+    wave: Wave
     anchor: tuple[int, int]  # homing: tick and count since which the encoder has not moved
     gain: Ramp
     fade: (

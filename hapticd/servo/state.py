@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from hapticd.render.energy import Ledger
 from hapticd.render.environment import Coefficients, Environment, LawState
-from hapticd.servo.plan import Plan
+from hapticd.servo.plan import Plan, Wave
 from hapticd.wire.frames import Status
 
 
@@ -29,6 +29,7 @@ class Settled:
     origin: int  # encoder count at x = 0
     added: float  # added electrical damping / period [N/m]
     host: int  # host flags it was made under
+    wave: Wave  # the plan's
     plan: Plan
 
 

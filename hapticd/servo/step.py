@@ -48,17 +48,9 @@ def initial_state(params: ServoParams, tick: int = 0) -> ServoState:
     now = hot(plan, tick, params, params.environment.workspace, 0.0)
     held = (params.device.force.to_count(0.0, -32768, 32767), 0.0)
     settled = Settled(
-        now.wake_tick,
-        now.environment,
-        coefficients,
-        0,
-        now.damping_count,
-        now.blob,
-        plan.origin,
-        0.0,
-        LINK_UP,
-        plan,
-    )
+        now.wake_tick, now.environment, coefficients, 0, now.damping_count, now.blob,
+        plan.origin, 0.0, LINK_UP, plan.wave, plan,
+    )  # fmt: skip
     return settled, at_rest(0.0), EMPTY, held
 
 
@@ -151,7 +143,7 @@ def make_step(params: ServoParams, delay: float = 0.125) -> Step:
             if not usable:
                 return missing(state, flags, answers)
             settled, law, ledger, held = state
-        x = (encoder - settled.origin) * m_per_count
+        x = m_per_count * (encoder - settled.origin)
         newtons, total, v, a, spring, damper, inertia, field, law = render(
             x, law, settled.environment, settled.coefficients
         )
@@ -176,7 +168,7 @@ def make_step(params: ServoParams, delay: float = 0.125) -> Step:
         torque = floor(newtons * counts_per_n + rounding)
         if torque < low or torque > high:
             torque = low if torque < low else high
-        applied = (torque - zero_count) * n_per_count
+        applied = n_per_count * (torque - zero_count)
         ledger = book(
             ledger, moved_m, (spring, damper, inertia, field, applied), delay, settled.added
         )
