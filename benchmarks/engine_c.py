@@ -153,7 +153,7 @@ def _scene(ours: Lanes) -> list[float]:
     numbers = ones | numbers
     wanted = [f"A{i}_{j}" for i in states for j in states]
     wanted += [f"{letter}{i}" for letter in ("G", "T", "H0_", "R") for i in states]
-    wanted += ["RU", "RT", "RH0", "LEVEL0", "W0", *COUNTED, *(f"FILTER{i}" for i in range(10))]
+    wanted += ["RU", "RT", "RH0", "LEVEL0", *COUNTED, *(f"FILTER{i}" for i in range(10))]
     return [float(numbers.get(name, 0.0)) for name in wanted]
 
 
@@ -166,6 +166,7 @@ def _defines(shape: Shape) -> Iterable[str]:
         raise BenchError(
             "engine_reference.c has friction on the first body and nothing else that is nonlinear"
         )
+    states = range(shape.states)
     yield f"STATES={shape.states}"
     yield f"SUBSTEPS={shape.substeps}"
     yield f"SAMPLE_AT={shape.sample_step}"
@@ -173,7 +174,8 @@ def _defines(shape: Shape) -> Iterable[str]:
     yield f"FORCE_QUANTUM={int(shape.force_quantum)}"
     yield f"FEEDS={_mask(*(sum(1 << j for j in row) for row in shape.feeds))}"
     yield f"PUSHED={_mask(*map(int, shape.torque))}"
-    yield f"RUBBED={_mask(*map(int, shape.contacts[0][1]))}"
+    yield f"RUBBED={_mask(*map(int, shape.contacts[0][2]))}"
+    yield f"APART={_mask(*(int(i in shape.distances) for i in states))}"
     yield (
         f"SEEN={_mask(*(int(any(term.state == i for term in shape.sample)) for i in range(shape.states)))}"
     )

@@ -4,8 +4,8 @@
  * encoder in counts, the tick law with its two filters, clamp, force in counts, fractional delay; an exact map per sub-step,
  * SUBSTEPS to a 4 kHz sample, one 1 kHz tick = 4 samples. Which terms a sum has is known when this is compiled (FEEDS and so
  * on), as it is in the engine's kernel. LANES trials side by side, states in registers over a tick; sums of velocity squared,
- * work, its lowest value, ticks until divergence, largest command. The position of the first body keeps itself, others are
- * relative to it. Positive force pushes to positive x; units SI. State rows: the states, the law's, the held force. Numbers
+ * work, its lowest value, ticks until divergence, largest command. The position of the first body keeps itself, others (APART)
+ * are relative to it. A body that stood and sticks stays where it is. Positive force pushes to positive x; units SI. State rows: the states, the law's, the held force. Numbers
  * of `struct scene` come from the engine, so that both compute the same motion.
  */
 #include <math.h>
@@ -21,11 +21,12 @@
 
 struct scene {
     REAL a[STATES][STATES], command[STATES], torque[STATES], friction[STATES], sample[STATES];
-    REAL sample_command, sample_torque, sample_friction, friction_n, friction_gain;
+    REAL sample_command, sample_torque, sample_friction, friction_m_per_s;
     REAL quantum_m, counts_per_m, quantum_n, counts_per_n, limit_n, velocity[5], acceleration[5];
 };
 
 static const int feeds[STATES] = FEEDS, pushed[STATES] = PUSHED, rubbed[STATES] = RUBBED, seen[STATES] = SEEN;
+static const int apart[STATES] = APART;
 
 static inline REAL clamp(REAL value, REAL limit)
 {
@@ -69,13 +70,18 @@ void play(REAL *restrict state, const REAL *restrict kbm, REAL *restrict sums, c
                         for (int k = STATES - 1; k > 0; k--)
                             n[i] += feeds[i] >> k & 1 ? c.a[i][k] * x[k] : 0;
                     }
-                    REAL free = n[1] * c.friction_gain, f = clamp(free, c.friction_n);
+                    REAL free = n[1], taken = clamp(free, c.friction_m_per_s);
 #pragma GCC unroll 8
                     for (int i = 0; i < STATES; i++)
-                        n[i] += rubbed[i] ? c.friction[i] * f : 0;
-                    n[1] = f == free ? 0 : n[1];
+                        n[i] += rubbed[i] && i != 1 ? c.friction[i] * taken : 0;
+                    n[1] = free - taken;
+                    REAL stood = taken == free ? x[1] : 1, crept = stood == 0 ? n[0] : 0;
+                    n[0] -= crept;
+#pragma GCC unroll 8
+                    for (int i = 0; i < STATES; i++)
+                        n[i] += apart[i] ? crept : 0;
                     if (sampled && SAMPLE_INSIDE)
-                        y += c.sample_command * u + c.sample_torque * t[j] + c.sample_friction * f;
+                        y += c.sample_command * u + c.sample_torque * t[j] + c.sample_friction * taken;
                     speed[j] += n[0];
                     x[0] += n[0];
 #pragma GCC unroll 8

@@ -131,10 +131,13 @@ class Straight:
 
     def _step(self, u):
         model = self.model
+        before = self.x
         self.x = self.phi @ self.x + self.gamma @ u
         for contact in model.contacts:
             if abs(u[contact.column]) < contact.level_n:
                 self.x[contact.velocity] = 0
+                if before[contact.velocity] == 0:
+                    self.x[contact.position] = before[contact.position]
         if model.ends is not None:
             e = model.ends
             for sign, stop in ((1, e.upper_m), (-1, e.lower_m)):

@@ -400,6 +400,7 @@ def _one_contact(terms: RowTerms, contact: Contact, push: str) -> tuple[list[str
     renamed = {} if contact.body == "rotor" else {"push": push, "rub": "friction"}
     rows = [terms.row("a", i, **renamed) for i in range(terms.n)]
     rows[contact.velocity] = "v"
+    rows[contact.position] = _unmoved(contact, "v", rows[contact.position])
     return lines, rows
 
 
@@ -432,7 +433,14 @@ def _two_contacts(terms: RowTerms, push: str) -> tuple[list[str], list[str]]:
     rows = [terms.row("a", i) for i in range(terms.n)]
     rows[first.velocity] = "v"
     rows[second.velocity] = "u"
+    for contact, after in ((first, "v"), (second, "u")):
+        rows[contact.position] = _unmoved(contact, after, rows[contact.position])
     return lines, rows
+
+
+def _unmoved(contact: Contact, after: str, moved: str) -> str:
+    """Its body's position: where it was if it stood and sticks, else `moved`; see `friction`."""
+    return f"x{contact.position} if x{contact.velocity} == 0.0 == {after} else {moved}"
 
 
 def _assigned(terms: RowTerms, rows: list[str]) -> list[str]:

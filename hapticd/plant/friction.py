@@ -8,6 +8,11 @@ against it, is f = clamp(-v_free / W): implicit in time, no regularisation, no c
 has v = 0 exactly, for ever. Two bodies give the same problem in two unknowns with a P-matrix W (its
 off-diagonal is the coupling), which has one solution; `stick_two` finds it directly.
 
+v = 0 at both ends of a sub-step says nothing of the way between them: where a spring or a filter
+changes the force on the body, a held f leaves it some nanometres of way (dF h^2 / 12 m), and
+elsewhere rounding. A body that stood and sticks stays, so whoever plays a sub-step puts its
+position back, and nothing else: what the others saw of that way is of the fifth order in h.
+
 The error is that of holding f over the sub-step in which the sign changes: first order in the
 sub-step's length.
 

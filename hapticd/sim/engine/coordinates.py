@@ -67,6 +67,22 @@ def keepers(model: Model, damped: bool) -> tuple[bool, ...]:
     return tuple(not entries[:, column].any() for column in range(len(entries)))
 
 
+def distances(model: Model, keeps: tuple[bool, ...]) -> tuple[int, ...]:
+    """Position states of a `reduced` model that count from the rotor's: all others where
+    nothing depends on that one.
+    """
+    names = [state.name for state in model.states]
+    if not keeps[names.index(REFERENCE)]:
+        return ()
+    return tuple(
+        index for index, name in enumerate(names) if _is_position(name) and name != REFERENCE
+    )
+
+
+def _is_position(name: str) -> bool:
+    return name.endswith("_position")
+
+
 def _entries(model: Model, letter: str, damped: bool) -> Mask:
     holders: list[Any] = [model] if model.winding is None else [model, model.winding]
     found = np.zeros(getattr(model, f"{letter}0").shape, dtype=bool)
@@ -99,7 +115,7 @@ def _to_relative(model: Model) -> tuple[Array, Array, list[int]]:
     names = [state.name for state in model.states]
     forward = np.eye(len(names))
     back = np.eye(len(names))
-    places = np.array([name.endswith("_position") for name in names])
+    places = np.array([_is_position(name) for name in names])
     if model.ends is not None or not _free(model, places):
         return forward, back, []
     reference = names.index(REFERENCE)

@@ -29,8 +29,8 @@ def plant_numbers(model: Model, shape: Shape, level_ns_per_m: float) -> dict[str
     duration_s = 1.0 / (PROBE_RATE_HZ * shape.substeps)
     whole = discretise(model, duration_s, level_ns_per_m)
     numbers = dict(_map_rows(model, whole))
-    numbers |= _friction_rows(model, whole)
-    numbers |= _output_rows(model, shape, duration_s, level_ns_per_m)
+    numbers |= dict(_friction_rows(model, whole))
+    numbers |= _output_rows(model, shape, whole)
     numbers |= _rounding(model)
     if model.rotor_forces:
         numbers |= _rotor_rows(model, duration_s)
@@ -75,31 +75,37 @@ def _map_rows(model: Model, whole: Map) -> Iterator[tuple[str, float]]:
             for letter, column in columns.items()
             if column is not None
         )
-        yield from (
-            (f"H{c}_{i}", float(whole.b[i, contact.column]))
-            for c, contact in enumerate(model.contacts)
-        )
         if place.estimate is not None:
             yield f"D{i}", float(whole.b[i, place.estimate]) * model.estimate_offset_m_per_s
 
 
-def _friction_rows(model: Model, whole: Map) -> dict[str, float]:
-    """W: velocity that a newton on contact d gives contact c; the kernel multiplies by -1 / W."""
+def _friction_rows(model: Model, whole: Map) -> Iterator[tuple[str, float]]:
+    """Of each contact, per m/s that it takes from its own body: H what it does to states, LEVEL
+    the most it takes.
+    """
     contacts = model.contacts
-    response = np.array(
-        [[whole.b[c.velocity, d.column] for d in contacts] for c in contacts]
-    ).reshape(len(contacts), len(contacts))
-    rows = {f"LEVEL{c}": contact.level_n for c, contact in enumerate(contacts)}
-    rows |= {f"W{c}": float(-1.0 / response[c, c]) for c in range(len(contacts))}
+    own = _own_responses(model, whole)
+    for c, contact in enumerate(contacts):
+        yield f"LEVEL{c}", contact.level_n * own[c]
+        column = -whole.b[:, contact.column] / own[c]
+        yield from ((f"H{c}_{i}", float(value)) for i, value in enumerate(column))
     if len(contacts) == 2:
-        inverse = -np.linalg.inv(response)
-        rows |= {"W10": float(inverse[1, 0]), "W11": float(inverse[1, 1])}
-    return rows
+        columns = [contact.column for contact in contacts]
+        response = whole.b[np.ix_([contact.velocity for contact in contacts], columns)]
+        inverse = np.linalg.inv(response) * own[1]
+        yield "W10", float(inverse[1, 0])
+        yield "W11", float(inverse[1, 1])
 
 
-def _output_rows(model: Model, shape: Shape, duration_s: float, level: float) -> dict[str, float]:
+def _own_responses(model: Model, whole: Map) -> list[float]:
+    """m/s that a newton on each contact gives to its own body over `whole`."""
+    return [float(whole.b[contact.velocity, contact.column]) for contact in model.contacts]
+
+
+def _output_rows(model: Model, shape: Shape, whole: Map) -> dict[str, float]:
     outputs = model.outputs
     place = model.inputs
+    level = whole.damping_ns_per_m
     rows = _named("TRAVEL", outputs.recorded_travel.row(level)) | _named(
         "MOTOR", outputs.motor_force.row(level)
     )
@@ -109,7 +115,8 @@ def _output_rows(model: Model, shape: Shape, duration_s: float, level: float) ->
     encoder = outputs.encoder.row(level)
     if not shape.sample_inside:
         return rows | _named("R", encoder)
-    part = discretise(model, duration_s * sample_point(model.delay_periods, shape.steps)[1], level)
+    share = sample_point(model.delay_periods, shape.steps)[1]
+    part = discretise(model, whole.duration_s * share, level)
     through = encoder @ part.b
     rows |= _named("R", encoder @ part.a)
     columns = {
@@ -119,7 +126,10 @@ def _output_rows(model: Model, shape: Shape, duration_s: float, level: float) ->
         "RZ": place.rotor_force,
     }
     rows |= {name: float(through[column]) for name, column in columns.items() if column is not None}
-    rows |= {f"RH{c}": float(through[contact.column]) for c, contact in enumerate(model.contacts)}
+    for c, (contact, own) in enumerate(
+        zip(model.contacts, _own_responses(model, whole), strict=True)
+    ):
+        rows[f"RH{c}"] = float(-through[contact.column] / own)
     if place.estimate is not None:
         rows["RD"] = rows["RE"] * model.estimate_offset_m_per_s
     return rows

@@ -31,7 +31,9 @@ class Shape:
     command: tuple[bool, ...]
     torque: tuple[bool, ...]
     drift: tuple[bool, ...]  # a constant is added at every sub-step
-    contacts: tuple[tuple[int, tuple[bool, ...]], ...]  # velocity state, column
+    contacts: tuple[tuple[int, int, tuple[bool, ...]], ...]  # velocity and position state, column
+    origin: int  # position state of the rotor
+    distances: tuple[int, ...]  # position states that count from the rotor's, see `coordinates`
     rotor_laws: tuple[str, ...]  # forces on the rotor that are not linear
     rotor: tuple[int, int, tuple[bool, ...]] | None  # position, velocity, column of these
     stops: tuple[int, int] | None  # position, velocity

@@ -16,7 +16,7 @@ import numpy as np
 from hapticd.errors import ConfigError
 from hapticd.params import EnvironmentParams
 from hapticd.plant.model import Array, Model
-from hapticd.sim.engine.coordinates import Mask, keepers, structure
+from hapticd.sim.engine.coordinates import REFERENCE, Mask, distances, keepers, structure
 from hapticd.sim.engine.shape import LANES, Shape, Term
 from hapticd.units import PROBE_RATE_HZ
 
@@ -60,9 +60,9 @@ def shape_of(
         command=_column(inputs, place.command),
         torque=_column(inputs, place.torque),
         drift=_column(inputs, place.estimate if model.estimate_offset_m_per_s else None),
-        contacts=tuple(
-            (contact.velocity, _column(inputs, contact.column)) for contact in model.contacts
-        ),
+        contacts=tuple((c.velocity, c.position, _column(inputs, c.column)) for c in model.contacts),
+        origin=[state.name for state in model.states].index(REFERENCE),
+        distances=distances(model, keeps),
         rotor_laws=(),
         rotor=None,
         stops=None if model.ends is None else (model.ends.position, model.ends.velocity),

@@ -1,11 +1,16 @@
 """One sub-step of one lane: the exact map, then what is not linear.
 
-    x  state   n  next state   d  what a state that keeps itself gains   b  what inputs add   q  free friction   f  friction
+    x  state   n  next state   d  what a state that keeps itself gains   b  what inputs add
+    q  a body's velocity without its own friction   f  what friction takes from it [m/s]
 
-Friction is solved once, as in `plant.friction` but without branches: for one contact clamp(-v / W);
-for two, f1 is first taken from the free solution of both and clamped, which decides its side
-because W is a P-matrix, then f0 and f1 follow by clamping once each. A contact that sticks gets v =
-0, not v + W f.
+Friction is solved once, as in `plant.friction`, but without branches and in velocities, f = W times
+the force: for one contact f = clamp(v, W Fc), and v - f is left, which is 0 exactly where it
+sticks; for two, f1 is first taken from the free solution of both and clamped, which decides its
+side because W is a P-matrix, then f0 and f1 follow by clamping once each.
+
+A body that stood at the start of the sub-step and sticks has not moved at all: its position, and no
+other, is put back to where it was. Without that it keeps what the held force leaves: rounding, and
+nanometres where a spring or a filter changes the force within the sub-step.
 """
 
 from collections.abc import Iterator
@@ -23,7 +28,7 @@ def step_arguments(shape: Shape) -> list[str]:
 
 
 def step_results(shape: Shape) -> list[str]:
-    """Of `step`: states, the recorded gain, friction forces, the sum of the rotor forces."""
+    """Of `step`: states, the recorded gain, what friction takes, the sum of the rotor forces."""
     forces = [f"f{c}" for c in range(len(shape.contacts))] + ["g"] * (shape.rotor is not None)
     return [
         *(f"x{i}" for i in range(shape.states)),
@@ -55,32 +60,54 @@ def substep(shape: Shape, row: Rows) -> Iterator[str]:
 
 
 def _friction(shape: Shape, row: Rows) -> Iterator[str]:
-    free = [f"n{velocity}" for velocity, _ in shape.contacts]
+    free = [f"n{velocity}" for velocity, *_ in shape.contacts]
     if len(free) == 2:
         yield f"q1 = {free[0]} * {row.c('W10')} + {free[1]} * {row.c('W11')}"
         yield from clamped("f1", "q1", row.c("LEVEL1"))
-        yield f"q0 = ({free[0]} + {row.c(f'H1_{shape.contacts[0][0]}')} * f1) * {row.c('W0')}"
+        yield f"q0 = {free[0]} + {row.c(f'H1_{shape.contacts[0][0]}')} * f1"
     elif free:
-        yield f"q0 = {free[0]} * {row.c('W0')}"
+        yield f"q0 = {free[0]}"
     if free:
         yield from clamped("f0", "q0", row.c("LEVEL0"))
     if len(free) == 2:
-        yield f"q1 = ({free[1]} + {row.c(f'H0_{shape.contacts[1][0]}')} * f0) * {row.c('W1')}"
+        yield f"q1 = {free[1]} + {row.c(f'H0_{shape.contacts[1][0]}')} * f0"
         yield from clamped("f1", "q1", row.c("LEVEL1"))
     for i in range(shape.states):
         yield from _rubbed(shape, row, i)
+    for c in range(len(free)):
+        yield from _held(shape, c)
 
 
 def _rubbed(shape: Shape, row: Rows, i: int) -> Iterator[str]:
     """What friction does to state `i`."""
-    pushes = [
-        f"{row.c(f'H{c}_{i}')} * f{c}" for c, (_, column) in enumerate(shape.contacts) if column[i]
-    ]
-    if pushes:
-        target = _target(shape, i)
-        slid = " + ".join([target, *pushes])
-        stuck = [f"f{c} == q{c}" for c, (velocity, _) in enumerate(shape.contacts) if velocity == i]
-        yield f"{target} = ZERO if {stuck[0]} else {slid}" if stuck else f"{target} = {slid}"
+    contacts = enumerate(shape.contacts)
+    pushes = [(c, velocity == i) for c, (velocity, _, column) in contacts if column[i]]
+    target = _target(shape, i)
+    slowed = [c for c, own in pushes if own]
+    others = [f"{row.c(f'H{c}_{i}')} * f{c}" for c, own in pushes if not own]
+    if slowed == [
+        len(shape.contacts) - 1
+    ]:  # its q has all of the other's push: what is left of it is exact
+        yield f"{target} = q{slowed[0]} - f{slowed[0]}"
+    elif slowed:
+        yield f"{target} = ZERO if f0 == q0 else {' + '.join([target, *others])} - f0"
+    elif others:
+        yield f"{target} = {' + '.join([target, *others])}"
+
+
+def _held(shape: Shape, c: int) -> Iterator[str]:
+    """Where contact `c` stuck for the whole sub-step its body is where it was; the others are
+    where they are.
+    """
+    velocity, position, _ = shape.contacts[c]
+    stuck = f"(f{c} == q{c}) & (x{velocity} == ZERO)"
+    if shape.keeps[position]:
+        for i in shape.distances:
+            yield f"n{i} = n{i} + d{position} if {stuck} else n{i}"
+        yield f"d{position} = ZERO if {stuck} else d{position}"
+    else:
+        gone = f" - d{shape.origin}" if position in shape.distances else ""
+        yield f"n{position} = x{position}{gone} if {stuck} else n{position}"
 
 
 def _pulled(shape: Shape, row: Rows) -> Iterator[str]:
@@ -115,8 +142,10 @@ def _late_last(shape: Shape, i: int) -> list[int]:
     """States of this sum, those that wait for friction last: a shorter chain from sub-step to
     sub-step.
     """
-    rubbed = {velocity for velocity, _ in shape.contacts}
-    return sorted(shape.feeds[i], key=lambda state: state in rubbed)
+    rubbed = {velocity for velocity, *_ in shape.contacts}
+    return sorted(
+        shape.feeds[i], key=lambda state: (state in rubbed) + 2 * (state in shape.distances)
+    )
 
 
 def _target(shape: Shape, i: int) -> str:

@@ -1,6 +1,6 @@
 """One control period of one lane as straight-line code.
 
-    x  state   h  what the held command adds   b  with perturbation   t  perturbation   e  noise of the estimate
+    x  state   b  what the inputs add   t  perturbation   e  noise of the estimate
     u  held command   y  encoder sample   c  new command   w, v  recorded travel and velocity   p  recorded torque
 
 Rows and coefficients are upper case; `group` fills them. The law stands after the last sub-step:
@@ -27,11 +27,6 @@ def tick(shape: Shape, row: Rows) -> Iterator[str]:
     yield f"u = {row('U')}"
     if shape.own_torque:
         yield from (f"t{j} = {row(f'TT{j}')}" for j in range(shape.samples))
-    for i in states:
-        yield from total(
-            f"h{i}",
-            term(shape.command[i], f"G{i}", " * u", row) + term(shape.drift[i], f"D{i}", "", row),
-        )
     for j in range(shape.samples):
         yield from _sample(shape, row, j)
     if shape.renders and shape.sample_step == shape.steps:
@@ -45,9 +40,11 @@ def tick(shape: Shape, row: Rows) -> Iterator[str]:
 def _sample(shape: Shape, row: Rows, j: int) -> Iterator[str]:
     """One 4 kHz interval: its sub-steps, then what the record gets."""
     for i in range(shape.states):
-        held = [f"h{i}"] * (shape.command[i] or shape.drift[i])
-        noise = term(shape.noise is not None and shape.noise[i], f"E{i}", f" * e{j}", row)
-        yield from total(f"b{i}", held + term(shape.torque[i], f"T{i}", f" * t{j}", row) + noise)
+        same = term(shape.torque[i], f"T{i}", f" * t{j}", row) + term(
+            shape.drift[i], f"D{i}", "", row
+        )
+        same += term(shape.noise is not None and shape.noise[i], f"E{i}", f" * e{j}", row)
+        yield from total(f"b{i}", [*same, *term(shape.command[i], f"G{i}", " * u", row)])
     yield (
         "w = ZERO" if shape.gaining is not None else f"w = {weighted(shape.travel, 'TRAVEL', row)}"
     )
