@@ -29,7 +29,7 @@ def test_trial_prints_a_sentence_and_keeps_a_run(tmp_path, capsys):
     )
     assert code == 0
     assert out.startswith(
-        "SIMULATED engine, scene fig4: K 50 N/m, B 1 N s/m, M 0 kg, added damping 0 N s/m\n"
+        "SIMULATED engine, scene fig4: K 50 N/m, B 1 N s/m, M 0 kg, active damping 0 N s/m\n"
     )
     assert "in band [2, 500] Hz at 95 % confidence; stable as far as seen" in out
     assert {path.name for path in (tmp_path / "a").iterdir()} >= {

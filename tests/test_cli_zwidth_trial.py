@@ -134,7 +134,7 @@ def test_damping_is_electrical_and_viscous_is_virtual(virtual, electrical, tmp_p
             [*words, virtual, "3", electrical, "1.74", "--out", str(tmp_path / words[0])], capsys
         )
         assert code == 0
-        assert "K 0 N/m, B 3 N s/m, M 0 kg, added damping 1.74 N s/m\n" in out
+        assert "K 0 N/m, B 3 N s/m, M 0 kg, active damping 1.74 N s/m\n" in out
 
 
 @pytest.mark.parametrize("verb", ["trial", "import", "limits", "map", "search", "walls", "report"])
@@ -363,7 +363,7 @@ def test_live_trial_names_the_daemons_device_before_it_moves(daemon, tmp_path, c
     assert out.startswith(f"SIMULATED {who}: K 50 N/m, B 0.5 N s/m, M 0 kg")
     assert (
         "enables the device 'simulated display' of daemon 'default' (simulated) in K 50 N/m, B 0.5"
-        " N s/m, M 0 kg, added damping 0 N s/m, and shakes it; Ctrl-C ends it, force off" in err
+        " N s/m, M 0 kg, active damping 0 N s/m, and shakes it; Ctrl-C ends it, force off" in err
     )
     assert "with K = 0" not in err
     told = json.loads((tmp_path / "run.json").read_text())

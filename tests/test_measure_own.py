@@ -128,7 +128,7 @@ def test_old_recording_says_that_it_is_too_short(tmp_path, capsys):
     file = shutil.copy(OLD / "recording.h5", tmp_path / "old.h5")
     assert main(["zwidth", "import", str(file)]) == 65
     told = capsys.readouterr().err
-    assert "as recorded in K 100 N/m, B 1 N s/m, M 0 kg, added damping 1.74 N s/m" in told
+    assert "as recorded in K 100 N/m, B 1 N s/m, M 0 kg, active damping 1.74 N s/m" in told
     assert "old.h5 of simulated display, 1.242 to 3 s: 1.76 s are too short for a verdict" in told
 
 
@@ -236,7 +236,7 @@ def test_environment_is_printed_before_the_trial_and_not_into_json(source, tmp_p
     assert main(words) == 0
     told = capsys.readouterr()
     assert (
-        f"flies K 50 N/m, B 0 N s/m, M 0 kg, added damping 0 N s/m by the {source}, device weir2008"
+        f"simulates K 50 N/m, B 0 N s/m, M 0 kg, active damping 0 N s/m by the {source}, device weir2008"
         " of scene fig4" in told.err
     )
     assert json.loads(told.out)["environment"] == {

@@ -10,6 +10,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -30,16 +31,47 @@ Verb = Callable[..., None]
 def verb(app: typer.Typer, name: str, **settings: Any) -> Callable[[Verb], Verb]:
     """Makes a function the verb `name` of `app`; its docstring is the help.
 
-    Every paragraph becomes one line, which a terminal of any width may wrap.
+    Every paragraph becomes one line, which a terminal of any width may wrap. A parameter that is a
+    dataclass of options stands for its fields.
     """
 
     def register(function: Verb) -> Verb:
         paragraphs = inspect.cleandoc(function.__doc__ or "").split("\n\n")
         text = "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
-        app.command(name, help=text, **settings)(function)
+        app.command(name, help=text, **settings)(_with_single_options(function))
         return function
 
     return register
+
+
+def _with_single_options(function: Verb) -> Verb:
+    """`function` with each dataclass among its parameters replaced by the fields of it.
+
+    Typer makes an option of every parameter that it finds in a signature, so one is written here.
+    """
+    parameters = inspect.signature(function).parameters
+    groups = {name: one.annotation for name, one in parameters.items() if _is_group(one)}
+    if not groups:
+        return function
+
+    def called(**given: Any) -> None:
+        for name, group in groups.items():
+            own = {field.name: given.pop(field.name) for field in fields(group)}
+            given[name] = group(**own)
+        function(**given)
+
+    single: list[inspect.Parameter] = []
+    for name, one in parameters.items():
+        of_group = inspect.signature(groups[name]).parameters.values() if name in groups else ()
+        single += of_group or [one]
+    single = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in single]
+    called.__annotations__ = {one.name: one.annotation for one in single}
+    setattr(called, "__signature__", inspect.Signature(single))  # noqa: B010
+    return called
+
+
+def _is_group(parameter: inspect.Parameter) -> bool:
+    return is_dataclass(parameter.annotation)
 
 
 BOLD = "1"  # SGR codes

@@ -17,6 +17,7 @@ from hapticd.errors import HapticdError
 
 if TYPE_CHECKING:
     from hapticd.measure.outcomes import Conditions, Outcome
+    from hapticd.measure.sources import Trial
     from hapticd.measure.store import TrialStore
     from hapticd.plant.scene import Scene
 
@@ -39,7 +40,10 @@ Confidence = Annotated[
 ]
 Damping = Annotated[
     str,
-    typer.Option("--damping", metavar="LEVEL[,LEVEL...]", help="Electrical damping levels, N s/m."),
+    typer.Option("--damping", metavar="LEVEL[,LEVEL...]", help="Levels of active damping, N s/m."),
+]
+OneDamping = Annotated[
+    float | None, typer.Option("--damping", metavar="NS/M", help="Active damping.", min=0)
 ]
 Plot = Annotated[
     bool, typer.Option("--plot/--no-plot", help="Draw PNG and SVG into the run folder.")
@@ -173,6 +177,13 @@ def ranged(name: str, given: Range, least: int = 2) -> Range:
             f"{told}: LOW below HIGH, and N values from {least} to 1000, are needed"
         )
     return given
+
+
+def environment_words(trial: "Trial") -> str:
+    """K, B, M and active damping of `trial` with their units."""
+    k, b, m = trial.environment
+    active = f"active damping {trial.damping_ns_per_m:g} N s/m"
+    return f"K {k:g} N/m, B {b:g} N s/m, M {m:g} kg, {active}"
 
 
 def follow(new: "list[Outcome]", **more: Any) -> None:

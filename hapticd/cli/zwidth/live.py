@@ -1,0 +1,102 @@
+"""The device of a running daemon under a trial: which one it is, and what is said before it moves.
+
+Nothing moves that was not announced: the device by its name, whether it is real, and the environment
+in which it is enabled. What would break it: a way out of the process that leaves the device enabled.
+"""
+
+import signal
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from hapticd.cli import change, terminal
+from hapticd.cli.zwidth import common
+
+if TYPE_CHECKING:
+    from hapticd.client import Client
+    from hapticd.measure.sources import Trial
+    from hapticd.plant.scene import Scene
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A daemon, and what is known of its device."""
+
+    client: "Client"
+    instance: str  # name of the daemon
+    device: str  # name in its device file
+    simulated: bool  # its board is simulated
+    model: "Scene | None"  # the scene of the simulated device of that name, if there is one
+
+    @property
+    def origin(self) -> str:
+        """Of its records."""
+        return f"daemon {self.instance!r}, device {self.device!r}"
+
+
+def open_rig(instance: str, stack: ExitStack) -> Rig:
+    """Connect for as long as `stack` is open; DaemonDown where nobody answers.
+
+    What ends this process meanwhile ends the trial with force off.
+    """
+    from hapticd.measure.scenes import scene_of_device
+    from hapticd.params import EnvironmentParams, from_plain
+
+    stack.enter_context(_signals_end_with_force_off())
+    client = stack.enter_context(change.connect(instance))
+    servo = client.hello()["servo"]
+    name = servo["device"]["name"]
+    model = scene_of_device(name)
+    if model is not None:
+        own = from_plain(EnvironmentParams, servo["environment"])
+        filtered = replace(
+            model.environment,
+            velocity_filter=own.velocity_filter,
+            acceleration_filter=own.acceleration_filter,
+        )
+        model = replace(model, environment=filtered)
+    return Rig(client, instance, name, servo["simulated"], model)
+
+
+def announce(rig: Rig, trial: "Trial", scene: "Scene | None") -> None:
+    """Say on stderr what is about to happen, before it does. `scene` is the one that was named."""
+    from hapticd.measure.watch import CENTRING_N_PER_M
+
+    kind = "simulated" if rig.simulated else "real, it moves"
+    terminal.talk(
+        f"enables the device {rig.device!r} of daemon {rig.instance!r} ({kind}) in"
+        f" {common.environment_words(trial)}, and shakes it; Ctrl-C ends it, force off"
+    )
+    if trial.environment[0] == 0.0:
+        terminal.talk(
+            f"with K = 0 nothing holds the device in its travel; -K {CENTRING_N_PER_M:g} would"
+        )
+    if rig.model is None:
+        terminal.talk(f"no model of a device {rig.device!r} is known, so nothing is predicted")
+    if scene is not None and (rig.model is None or scene.device != rig.model.device):
+        terminal.talk(
+            f"scene {scene.name!r} is of the device {scene.device!r}, the daemon has"
+            f" {rig.device!r}: what the scene says is rendered on that"
+        )
+
+
+@contextmanager
+def _signals_end_with_force_off() -> Iterator[None]:
+    """Whoever ends this process, or closes its terminal, gets what Ctrl-C gets: force off.
+
+    The exit code is 128 + the signal's number. A signal that somebody else handles is left to them.
+    """
+
+    def leave(number: int, frame: object) -> None:
+        raise SystemExit(128 + number)
+
+    ending = (signal.SIGTERM, signal.SIGHUP)
+    unhandled = [number for number in ending if signal.getsignal(number) == signal.SIG_DFL]
+    for number in unhandled:
+        signal.signal(number, leave)
+    try:
+        yield
+    finally:
+        for number in unhandled:
+            signal.signal(number, signal.SIG_DFL)
