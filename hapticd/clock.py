@@ -1,9 +1,10 @@
-"""Time is passed in.
+"""Clocks. Everything that waits, or stamps a time, is given one.
 
-Everything that waits or stamps takes a Clock. `MonotonicClock` is the machine's CLOCK_MONOTONIC;
+`MonotonicClock` is the machine's CLOCK_MONOTONIC;
 `VirtualClock` only moves when someone moves it, so that the whole stack runs in lock-step, faster
-than real time and without sleeping. Clock readings are integer nanoseconds since an arbitrary
-origin.
+than real time and without sleeping. Readings are integer nanoseconds since an arbitrary origin.
+
+What would break it: code that calls `time` by itself (a lock-step run would no longer repeat).
 """
 
 import time
@@ -13,7 +14,7 @@ from hapticd.units import NS_PER_S
 
 
 class Clock(ABC):
-    """What the daemon may ask of time."""
+    """The time that a process goes by."""
 
     @abstractmethod
     def now_ns(self) -> int:
@@ -27,9 +28,8 @@ class Clock(ABC):
 class MonotonicClock(Clock):
     """The machine's clock."""
 
-    now_ns = staticmethod(
-        time.monotonic_ns
-    )  # without a call of Python: the tick reads it four times
+    # the C function itself, without a Python frame around it: the tick reads it four times
+    now_ns = staticmethod(time.monotonic_ns)
 
     def sleep_until_ns(self, deadline_ns: int) -> None:
         wait_ns = deadline_ns - time.monotonic_ns()

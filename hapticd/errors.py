@@ -1,7 +1,6 @@
-"""The one error tree. Messages say what, the value with its unit, the limit, and what to do about
-it.
+"""The one error tree. A message says what is wrong, the value with its unit, the limit, the remedy.
 
-HapticdError               (exit 1; `exit_code` of a class is what a process ends with when nobody caught it)
+HapticdError               (exit 1)
 ├── ConfigError            a file or argument is wrong: fix it where the message points (exit 78)
 ├── WireError              bytes that break the protocol
 │   ├── FrameError         one frame: length, CRC, range
@@ -13,9 +12,11 @@ HapticdError               (exit 1; `exit_code` of a class is what a process end
 │   └── LinkAccess         no permission, or claimed by someone else
 ├── MailboxError           a shared file is missing, foreign, of another layout or out of range
 ├── RealtimeError          a real-time right was refused in strict mode (exit 6)
-├── AnalysisError          a record cannot be analysed, or a question has no answer: the message says what would (exit 65)
-├── CommandError           the daemon refused a command: `code` says why (exit 4; 5 when stopped or faulted)
+├── AnalysisError          a record cannot be analysed, or a question has no answer (exit 65)
+├── CommandError           the daemon refused a command: `code` says why (exit 4, stopped 5)
 └── DaemonDown             nobody answers (exit 3)
+
+`exit_code` is what a process ends with when nobody caught the error.
 """
 
 
@@ -26,9 +27,7 @@ class HapticdError(Exception):
 
 
 class ConfigError(HapticdError):
-    """A configuration file, device file or argument is wrong; the message names file, line and
-    field.
-    """
+    """A file or an argument is wrong; the message names file, line and field."""
 
     exit_code = 78  # EX_CONFIG of sysexits.h: a restart will not help
 
@@ -78,15 +77,16 @@ class RealtimeError(HapticdError):
 
 
 class AnalysisError(HapticdError):
-    """A record is too short, not finite or of unlike conditions, or a method does not apply;
-    says what to do instead.
+    """A record is too short, not finite or of unlike conditions, or a method does not apply.
+
+    The message says what to do instead.
     """
 
     exit_code = 65  # EX_DATAERR of sysexits.h
 
 
 class CommandError(HapticdError):
-    """The daemon refused a command."""
+    """The daemon refused a command: `code` says why, `detail` is what the reply brought along."""
 
     def __init__(self, code: str, message: str, detail: object = None) -> None:
         super().__init__(message)
@@ -95,11 +95,8 @@ class CommandError(HapticdError):
         self.exit_code = 5 if code == "stopped" else 4
 
     def __reduce__(self) -> tuple[type["CommandError"], tuple[str, str, object]]:
-        return type(self), (
-            self.code,
-            str(self),
-            self.detail,
-        )  # an exception of several arguments does not pickle by itself
+        # an exception of several arguments does not pickle by itself
+        return type(self), (self.code, str(self), self.detail)
 
 
 class DaemonDown(HapticdError):
