@@ -176,9 +176,8 @@ def _defines(shape: Shape) -> Iterable[str]:
     yield f"PUSHED={_mask(*map(int, shape.torque))}"
     yield f"RUBBED={_mask(*map(int, shape.contacts[0][2]))}"
     yield f"APART={_mask(*(int(i in shape.distances) for i in states))}"
-    yield (
-        f"SEEN={_mask(*(int(any(term.state == i for term in shape.sample)) for i in range(shape.states)))}"
-    )
+    seen = (int(any(term.state == i for term in shape.sample)) for i in range(shape.states))
+    yield f"SEEN={_mask(*seen)}"
 
 
 def _mask(*values: int) -> str:

@@ -27,7 +27,8 @@ WORLD = f"""
     frictionloss="{scene.COULOMB_N}" solreffriction="{2 * STEP_S} 1"/>
   <geom type="sphere" size="0.01" mass="{scene.ROTOR_KG}" contype="0" conaffinity="0"/>
   <body name="slider">
-    <joint name="gap" type="slide" axis="1 0 0" stiffness="{scene.STIFFNESS_N_PER_M}" damping="{scene.DAMPING_NS_PER_M}"/>
+    <joint name="gap" type="slide" axis="1 0 0" stiffness="{scene.STIFFNESS_N_PER_M}"
+     damping="{scene.DAMPING_NS_PER_M}"/>
     <geom type="sphere" size="0.01" mass="{scene.SLIDER_KG}" contype="0" conaffinity="0"/>
   </body></body></worldbody></mujoco>
 """

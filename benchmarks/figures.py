@@ -2,9 +2,11 @@
 
 A target is text that people read and `judge` parses:
 
-    '<= 1.25x', '>= 30x'   the ratio to the yardstick of the same run: what says something on any machine
+    '<= 1.25x', '>= 30x'   the ratio to the yardstick of the same run: what says something on any
+                           machine
     '<= 25'                the value itself: counts and bytes, which no neighbour changes
-    'p >= 0.01'            the probability of so many more events than the yardstick has, if both had the same rate
+    'p >= 0.01'            the probability of so many more events than the yardstick has, if both
+                           had the same rate
     ''                     nothing: the figure is told as information
 
 The ratio is value / reference; for a speed-up, where both are times, the caller gives it the other

@@ -1,8 +1,10 @@
 """A bare forwarder of telemetry, and its subscriber: what packing and sending the same maps costs,
 and nothing else.
 
-python -m benchmarks.forward_worker forward INSTANCE ENDPOINT   reads the instance's ring, sends on ENDPOINT until it is ended
-python -m benchmarks.forward_worker listen ENDPOINT SECONDS     says `{}` at the first block, then how many records it got
+python -m benchmarks.forward_worker forward INSTANCE ENDPOINT   reads the instance's ring, sends on
+                                                                ENDPOINT until it is ended
+python -m benchmarks.forward_worker listen ENDPOINT SECONDS     says `{}` at the first block, then
+                                                                how many records it got
 """
 
 import json

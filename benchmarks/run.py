@@ -1,10 +1,13 @@
 """Measure what must be reached, print it, and write build/bench.json.
 
     python benchmarks/run.py                         everything
-    python benchmarks/run.py --only wake,tick        those parts; their figures replace those of an earlier run
+    python benchmarks/run.py --only wake,tick        those parts; their figures replace those of an
+                                                     earlier run
     python benchmarks/run.py --only new              a group of parts, see GROUPS
-    python benchmarks/run.py --repeat 5 --only new   so often, and for each figure its values, the worst, and 1.3 times that
-    python benchmarks/run.py --page                  the table of targets, as docs/benchmarks.md has it
+    python benchmarks/run.py --repeat 5 --only new   so often, and for each figure its values, the
+                                                     worst, and 1.3 times that
+    python benchmarks/run.py --page                  the table of targets, as docs/benchmarks.md has
+                                                     it
 
 A part is a module of this folder with TARGETS (names and targets of its figures) and `measure()`,
 which yields figures as they become known. What cannot be measured is a figure that is not ok and

@@ -1,7 +1,8 @@
 """One question about the batch engine, answered in a fresh process as a JSON number on standard
 output.
 
-python -m benchmarks.trials_worker first   seconds from importing the engine's kernel machinery to the first result
+python -m benchmarks.trials_worker first   seconds from importing the engine's kernel machinery to
+                                           the first result
 python -m benchmarks.trials_worker memory  MB at most while 1,000 trials of 90 s are reduced to sums
 """
 

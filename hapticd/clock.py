@@ -1,10 +1,9 @@
-"""Clocks. Everything that waits, or stamps a time, is given one.
+"""Time is passed in.
 
-`MonotonicClock` is the machine's CLOCK_MONOTONIC;
+Everything that waits or stamps takes a Clock. `MonotonicClock` is the machine's CLOCK_MONOTONIC;
 `VirtualClock` only moves when someone moves it, so that the whole stack runs in lock-step, faster
-than real time and without sleeping. Readings are integer nanoseconds since an arbitrary origin.
-
-What would break it: code that calls `time` by itself (a lock-step run would no longer repeat).
+than real time and without sleeping. Clock readings are integer nanoseconds since an arbitrary
+origin.
 """
 
 import time
@@ -14,7 +13,7 @@ from hapticd.units import NS_PER_S
 
 
 class Clock(ABC):
-    """The time that a process goes by."""
+    """What the daemon may ask of time."""
 
     @abstractmethod
     def now_ns(self) -> int:
@@ -28,8 +27,9 @@ class Clock(ABC):
 class MonotonicClock(Clock):
     """The machine's clock."""
 
-    # the C function itself, without a Python frame around it: the tick reads it four times
-    now_ns = staticmethod(time.monotonic_ns)
+    now_ns = staticmethod(
+        time.monotonic_ns
+    )  # without a call of Python: the tick reads it four times
 
     def sleep_until_ns(self, deadline_ns: int) -> None:
         wait_ns = deadline_ns - time.monotonic_ns()

@@ -1,6 +1,8 @@
-"""The one error tree. A message says what is wrong, the value with its unit, the limit, the remedy.
+"""The one error tree. Messages say what, the value with its unit, the limit, and what to do about
+it.
 
-HapticdError               (exit 1)
+HapticdError               (exit 1; `exit_code` of a class is what a process ends with when nobody
+                           caught it)
 ├── ConfigError            a file or argument is wrong: fix it where the message points (exit 78)
 ├── WireError              bytes that break the protocol
 │   ├── FrameError         one frame: length, CRC, range
@@ -12,11 +14,11 @@ HapticdError               (exit 1)
 │   └── LinkAccess         no permission, or claimed by someone else
 ├── MailboxError           a shared file is missing, foreign, of another layout or out of range
 ├── RealtimeError          a real-time right was refused in strict mode (exit 6)
-├── AnalysisError          a record cannot be analysed, or a question has no answer (exit 65)
-├── CommandError           the daemon refused a command: `code` says why (exit 4, stopped 5)
+├── AnalysisError          a record cannot be analysed, or a question has no answer: the message
+                           says what would (exit 65)
+├── CommandError           the daemon refused a command: `code` says why (exit 4; 5 when stopped or
+                           faulted)
 └── DaemonDown             nobody answers (exit 3)
-
-`exit_code` is what a process ends with when nobody caught the error.
 """
 
 
@@ -27,7 +29,9 @@ class HapticdError(Exception):
 
 
 class ConfigError(HapticdError):
-    """A file or an argument is wrong; the message names file, line and field."""
+    """A configuration file, device file or argument is wrong; the message names file, line and
+    field.
+    """
 
     exit_code = 78  # EX_CONFIG of sysexits.h: a restart will not help
 
@@ -77,16 +81,15 @@ class RealtimeError(HapticdError):
 
 
 class AnalysisError(HapticdError):
-    """A record is too short, not finite or of unlike conditions, or a method does not apply.
-
-    The message says what to do instead.
+    """A record is too short, not finite or of unlike conditions, or a method does not apply;
+    says what to do instead.
     """
 
     exit_code = 65  # EX_DATAERR of sysexits.h
 
 
 class CommandError(HapticdError):
-    """The daemon refused a command: `code` says why, `detail` is what the reply brought along."""
+    """The daemon refused a command."""
 
     def __init__(self, code: str, message: str, detail: object = None) -> None:
         super().__init__(message)
@@ -95,8 +98,11 @@ class CommandError(HapticdError):
         self.exit_code = 5 if code == "stopped" else 4
 
     def __reduce__(self) -> tuple[type["CommandError"], tuple[str, str, object]]:
-        # an exception of several arguments does not pickle by itself
-        return type(self), (self.code, str(self), self.detail)
+        return type(self), (
+            self.code,
+            str(self),
+            self.detail,
+        )  # an exception of several arguments does not pickle by itself
 
 
 class DaemonDown(HapticdError):

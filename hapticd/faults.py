@@ -1,54 +1,106 @@
-"""Every reason for which the servo leaves `enabled` by itself: cause, action and remedy.
+"""Every reason for which the servo leaves `enabled` by itself: one table of code, cause, action,
+remedy.
 
-The number stands in every tick record and state message; the name is what people and scripts read.
-`stop` is not a failure: it is anyone's latched stop, and shares the table so that one field says
-why the force is off. docs/faults is generated from the table.
-
-What would break it: a number that is used again for another fault (old recordings would lie).
+The number travels in every tick record and state message; the name is what people and scripts read.
+Numbers are never reused. `stop` is not a failure: it is the operator's (or anyone's) latched stop
+and shares the table so that one field says why the force is off.
 """
 
 from typing import NamedTuple
 
 
 class Fault(NamedTuple):
-    """One row of the table."""
+    """One row: `number` on the wire, `code` for people, then sentences."""
 
-    number: int  # in records and messages
-    code: str  # for people and scripts
+    number: int
+    code: str
     cause: str
-    action: str  # what the servo does
-    remedy: str  # what the operator does
+    action: str
+    remedy: str
 
 
 _TO_SAFE = "force to 0 in 20 ms, damping held at least at the safe level for 2 s, then released"
 
-# fmt: off
 FAULTS: tuple[Fault, ...] = (
     Fault(0, "none", "nothing is wrong", "none", "none"),
-    Fault(1, "stop", "someone asked for a stop", _TO_SAFE,
-          "make sure it is safe, then `hapticd reset`"),
-    Fault(2, "gateway_lost", "the gateway's heartbeat is missing", _TO_SAFE,
-          "restart the gateway, then reset"),
-    Fault(3, "usb_lost", "the board was unplugged or its link failed", _TO_SAFE,
-          "plug it in, reset, home or zero again"),
-    Fault(4, "frames_lost", "too many frames in a row were missing or bad", _TO_SAFE,
-          "check cable and hub, then reset"),
-    Fault(5, "lost_slots", "the host missed too many ticks in a second", _TO_SAFE,
-          "quiet the machine (see `status`), reset"),
-    Fault(6, "not_finite", "the law produced NaN or infinity", _TO_SAFE,
-          "check the parameters that were set, then reset"),
-    Fault(7, "board_watchdog", "the board received nothing in time and stopped", _TO_SAFE,
-          "look for host pauses, then reset"),
-    Fault(8, "board_fault", "the board reports an amplifier or encoder fault", _TO_SAFE,
-          "remove its cause, then reset"),
-    Fault(9, "sensor_range", "an encoder step that no hand can make", _TO_SAFE,
-          "check encoder and cable, reset, home or zero"),
-    Fault(10, "over_temperature", "the winding is hotter than the device allows", _TO_SAFE,
-          "let it cool, then reset"),
-    Fault(11, "home_failed", "no stop or index was found within force and time", _TO_SAFE,
-          "check the mechanism, reset, home"),
+    Fault(
+        1,
+        "stop",
+        "someone asked for a stop",
+        _TO_SAFE,
+        "make sure it is safe, then `hapticd reset`",
+    ),
+    Fault(
+        2,
+        "gateway_lost",
+        "the gateway's heartbeat stayed away",
+        _TO_SAFE,
+        "restart the gateway, then reset",
+    ),
+    Fault(
+        3,
+        "usb_lost",
+        "the board was unplugged or its link failed",
+        _TO_SAFE,
+        "plug it in, reset, home or zero again",
+    ),
+    Fault(
+        4,
+        "frames_lost",
+        "too many frames in a row were missing or bad",
+        _TO_SAFE,
+        "check cable and hub, then reset",
+    ),
+    Fault(
+        5,
+        "lost_slots",
+        "the host missed too many ticks in a second",
+        _TO_SAFE,
+        "quiet the machine (see `status`), reset",
+    ),
+    Fault(
+        6,
+        "not_finite",
+        "the law produced NaN or infinity",
+        _TO_SAFE,
+        "check the parameters that were set, then reset",
+    ),
+    Fault(
+        7,
+        "board_watchdog",
+        "the board heard nothing in time and stopped",
+        _TO_SAFE,
+        "look for host pauses, then reset",
+    ),
+    Fault(
+        8,
+        "board_fault",
+        "the board reports an amplifier or encoder fault",
+        _TO_SAFE,
+        "remove its cause, then reset",
+    ),
+    Fault(
+        9,
+        "sensor_range",
+        "an encoder step that no hand can make",
+        _TO_SAFE,
+        "check encoder and cable, reset, home or zero",
+    ),
+    Fault(
+        10,
+        "over_temperature",
+        "the winding is hotter than the device allows",
+        _TO_SAFE,
+        "let it cool, then reset",
+    ),
+    Fault(
+        11,
+        "home_failed",
+        "no stop or index was found within force and time",
+        _TO_SAFE,
+        "check the mechanism, reset, home",
+    ),
 )
-# fmt: on
 
 BY_CODE = {fault.code: fault for fault in FAULTS}
 BY_NUMBER = {fault.number: fault for fault in FAULTS}

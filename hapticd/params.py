@@ -1,11 +1,8 @@
-"""The parameters of every process, as frozen values in SI units, and their JSON form.
+"""What settings builds and everyone below reads: frozen values in SI units.
 
-`settings` validates TOML with pydantic and builds these; servo.json, board.json and gateway.json
-are their plain form, so that a process needs neither TOML nor pydantic. `from_plain` rebuilds a
-tree and refuses unknown or missing keys. A default is written here and nowhere else.
-
-What would break it: a field whose type `from_plain` does not know (it knows numbers, text, truth
-values, tuples of one type, None, and dataclasses of these).
+`settings` validates TOML with pydantic and hands these down; `servo.json` and `board.json` are
+their plain JSON form, so that the servo process needs neither TOML nor pydantic. `from_plain`
+rebuilds a tree and refuses unknown or missing keys.
 """
 
 import dataclasses
@@ -19,62 +16,67 @@ from hapticd.units import round_half_up
 
 T = TypeVar("T")
 
-ADDED_DAMPING_NS_PER_M = 1.74  # of `damping on`: Weir, Colgate and Peshkin 2008, section 5
+ADDED_DAMPING_NS_PER_M = 1.74  # what `damping on` means: Weir, Colgate and Peshkin 2008, section 5
 
 
 @dataclass(frozen=True, slots=True)
 class FilterParams:
-    """A second-order low-pass."""
+    """Second-order low-pass: corner, damping ratio (0.7071 = Butterworth) and the way it is
+    made discrete.
+    """
 
-    frequency_hz: float  # corner
-    damping_ratio: float = 0.7071067811865476  # 0.7071 is Butterworth
-    mapping: str = "prewarped"  # prewarped | bilinear | matched: how it is made discrete
+    frequency_hz: float
+    damping_ratio: float = 0.7071067811865476
+    mapping: str = "prewarped"  # "prewarped" | "bilinear" | "matched"
 
 
 @dataclass(frozen=True, slots=True)
 class WallParams:
-    """A unilateral wall: it pushes towards its free side only."""
+    """Unilateral wall: pushes back towards the free side only. `side` +1: solid for x >
+    position; -1: x < position; 0: none.
+    """
 
-    stiffness_n_per_m: float = 0.0  # of the wall
-    damping_ns_per_m: float = 0.0  # acts inside the wall alone
-    position_m: float = 0.0  # of its surface
-    side: int = 0  # +1: solid for x > position; -1: for x < position; 0: no wall
+    stiffness_n_per_m: float = 0.0
+    damping_ns_per_m: float = 0.0
+    position_m: float = 0.0
+    side: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class WorkspaceParams:
     """Soft ends: springs that start at the ends of the usable travel."""
 
-    lower_m: float = -1.0  # where the lower spring begins
-    upper_m: float = 1.0  # where the upper spring begins
-    stiffness_n_per_m: float = 0.0  # of both; 0: no springs
+    lower_m: float = -1.0
+    upper_m: float = 1.0
+    stiffness_n_per_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class EnvironmentParams:
-    """The virtual environment: K on raw position, B and M on filtered derivatives.
-
-    Source: Weir, Colgate and Peshkin 2008, section 2.
+    """The virtual environment of the paper (Weir 2008, section 2): K on raw position, B and M
+    on filtered derivatives.
     """
 
-    stiffness_n_per_m: float = 0.0  # K
-    damping_ns_per_m: float = 0.0  # B
-    mass_kg: float = 0.0  # M
-    velocity_filter: FilterParams = FilterParams(100.0)  # before B, 100 Hz in the paper
-    acceleration_filter: FilterParams = FilterParams(72.0)  # before M, 72 Hz in the paper
+    stiffness_n_per_m: float = 0.0
+    damping_ns_per_m: float = 0.0
+    mass_kg: float = 0.0
+    velocity_filter: FilterParams = FilterParams(100.0)
+    acceleration_filter: FilterParams = FilterParams(72.0)
     wall: WallParams = WallParams()
     workspace: WorkspaceParams = WorkspaceParams()
 
 
 @dataclass(frozen=True, slots=True)
 class ScaleParams:
-    """value = sign * (count - offset_count) * per_count."""
+    """value = sign * (count - offset_count) * per_count; `date` and `source` say where it comes
+    from.
+    """
 
-    per_count: float  # SI unit of the quantity per count
-    sign: int = 1  # +1 or -1
-    offset_count: float = 0.0  # count that means zero
-    date: str = ""  # when it was measured
-    source: str = ""  # calibration record, data sheet, paper, or "assumed"
+    per_count: float
+    sign: int = 1
+    offset_count: float = 0.0
+    date: str = ""
+    source: str = ""
 
     def to_value(self, count: float) -> float:
         """SI value of `count`."""
@@ -82,42 +84,45 @@ class ScaleParams:
 
     def to_count(self, value: float, low: int, high: int) -> int:
         """Nearest count for a finite SI `value`, held inside `low`..`high`."""
-        count = round_half_up(self.sign * value / self.per_count + self.offset_count)
-        return max(low, min(high, count))
+        return max(
+            low, min(high, round_half_up(self.sign * value / self.per_count + self.offset_count))
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class HomeParams:
-    """How the origin of position is found: against a stop at bounded force, or at the index."""
+    """How the position origin is found: `none`, against a `stop` at bounded force, or at the
+    encoder `index`.
+    """
 
-    method: str = "none"  # none | stop | index
-    required: bool = False  # refuse to enable before it was done
-    direction: int = -1  # +1 or -1 along x
-    speed_m_per_s: float = 0.01  # while looking for it
-    force_n: float = 0.5  # largest force while looking for it
+    method: str = "none"
+    required: bool = False
+    direction: int = -1
+    speed_m_per_s: float = 0.01
+    force_n: float = 0.5
     position_m: float = 0.0  # where the stop or index lies
-    timeout_s: float = 10.0  # then the fault home_failed
+    timeout_s: float = 10.0
 
 
 @dataclass(frozen=True, slots=True)
 class DeviceParams:
-    """A device file: what one count means on this device, and its limits."""
+    """A device file: what one count means on this very device, and what it may be asked for."""
 
     name: str
     serial: str
     position: ScaleParams  # m
     force: ScaleParams  # N
-    damping: ScaleParams  # N s/m of active damping
+    damping: ScaleParams  # N s/m of added electrical damping
     probe_torque: ScaleParams  # N at the endpoint
     probe_velocity: ScaleParams  # m/s
     current: ScaleParams  # A
     voltage: ScaleParams  # V
     emf_velocity: ScaleParams  # m/s
     temperature: ScaleParams  # degC
-    force_limit_n: float  # largest magnitude
-    damping_limit_ns_per_m: float  # highest active damping
-    probe_limit_n: float  # largest magnitude of a perturbation
-    temperature_limit_c: float  # of the winding, then the fault over_temperature
+    force_limit_n: float
+    damping_limit_ns_per_m: float
+    probe_limit_n: float
+    temperature_limit_c: float
     speed_limit_m_per_s: float  # faster is not a motion but a sensor fault
     home: HomeParams = HomeParams()
 
@@ -126,30 +131,30 @@ class DeviceParams:
 class SafetyParams:
     """Times and levels of the safety table."""
 
-    force_limit_n: float = 8.0  # largest magnitude of the force that is sent
-    enable_ramp_s: float = 0.5  # of the gain from 0 to 1
-    stop_ramp_s: float = 0.02  # of the force to 0
-    damping_hold_s: float = 2.0  # of the safe damping after a stop or fault
-    damping_release_s: float = 0.5  # from there to 0
-    safe_damping_ns_per_m: float = 0.0  # least active damping after a stop or fault
-    damping_slew_ns_per_m_s: float = 20.0  # fastest change of active damping
-    gateway_timeout_s: float = 1.0  # heartbeat older than this: gateway_lost
+    force_limit_n: float = 8.0
+    enable_ramp_s: float = 0.5
+    stop_ramp_s: float = 0.02
+    damping_hold_s: float = 2.0
+    damping_release_s: float = 0.5
+    safe_damping_ns_per_m: float = 0.0
+    damping_slew_ns_per_m_s: float = 20.0
+    gateway_timeout_s: float = 1.0
     on_gateway_loss: str = "fault"  # "fault" | "hold"
     lost_slots_limit: int = 10  # within one second
-    missing_frames_limit: int = 8  # one after the other
-    default_ramp_s: float = 0.05  # of a `set` that names none
+    missing_frames_limit: int = 8
+    default_ramp_s: float = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class RealtimeParams:
     """What the servo process asks of the operating system."""
 
-    rate_hz: float = 1000.0  # of the servo
+    rate_hz: float = 1000.0
     # "strict": refuse to start without the rights | "best_effort": report what was granted | "off"
     mode: str = "best_effort"
-    priority: int = 79  # SCHED_FIFO
+    priority: int = 79
     core: int | None = None  # None: the last one of those allowed
-    spin_us: float = 100.0  # busy waiting before each deadline
+    spin_us: float = 100.0
     lock_memory: bool = True
     grace_s: float = 1.0  # start-up overruns are counted apart for this long
 
@@ -158,10 +163,10 @@ class RealtimeParams:
 class UsbParams:
     """Which board: None matches any."""
 
-    vendor_id: int = 0x1209  # pid.codes
+    vendor_id: int = 0x1209
     product_id: int = 0x0001
-    serial: str | None = None  # None: any
-    timeout_ms: int = 2  # of one transfer
+    serial: str | None = None
+    timeout_ms: int = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,129 +174,145 @@ class ServoParams:
     """Everything the servo process needs (servo.json)."""
 
     instance: str
-    simulated: bool  # a simulated board, which board.json describes
+    simulated: bool
     environment: EnvironmentParams
     device: DeviceParams
     safety: SafetyParams
     realtime: RealtimeParams
     usb: UsbParams
-    added_damping_ns_per_m: float = ADDED_DAMPING_NS_PER_M  # what `damping on` asks for
-    config_hash: str = ""  # SHA-256 of the configuration, hex
+    added_damping_ns_per_m: float = ADDED_DAMPING_NS_PER_M
+    config_hash: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class InjectionParams:
-    """One seeded fault of the simulated board."""
+    """One seeded fault of the simulated board: at `tick` (or with `probability` each tick),
+    `count` times.
+    """
 
-    kind: str  # a name of sim.injection
-    tick: int = -1  # -1: by probability
-    probability: float = 0.0  # at each tick
-    count: int = 1  # how many times in a row
-    value: float = 0.0  # what it means depends on the kind
+    kind: str
+    tick: int = -1
+    probability: float = 0.0
+    count: int = 1
+    value: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """Set-valued Coulomb friction on one body: a force f in [-level_n, level_n].
+    """Set-valued Coulomb friction on one body: force f on column `column`, f in [-level_n,
+    level_n].
 
-    Sliding: f = -level_n sign(v). Sticking: v = 0 exactly.
+    Sliding f = -level_n sign(v); sticking v = 0 exactly. `velocity` and `position` are the indices
+    of the body's states.
     """
 
-    body: str  # rotor | slider
-    velocity: int  # index of the state
-    position: int  # index of the state
-    level_n: float  # Fc
-    column: int  # of B, on which the friction force acts
+    body: str
+    velocity: int
+    position: int
+    level_n: float
+    column: int
 
 
 @dataclass(frozen=True, slots=True)
 class Ends:
-    """Inelastic ends of the workspace, which hold one body."""
+    """Inelastic ends of the workspace, of the body whose states are `position` and `velocity`."""
 
-    lower_m: float  # lowest position
-    upper_m: float  # highest position
-    position: int  # index of the state
-    velocity: int  # index of the state
+    lower_m: float
+    upper_m: float
+    position: int
+    velocity: int
 
 
 @dataclass(frozen=True, slots=True)
 class RotorForce:
-    """A force F(x, v) on the rotor that is not linear, on the input `rotor_force`."""
+    """A force F(x, v) on the rotor that is not linear, added on column `Inputs.rotor_force`.
 
-    law: str  # its name in `plant.composed` and `sim.engine.rotor_laws`
-    numbers: tuple[float, ...]  # parameters of the law, SI units
-    position: int  # index of the rotor's state
-    velocity: int  # index of the rotor's state
+    `law` names it in both backends (`plant.composed`, `sim.engine.rotor_laws`); `numbers` are its
+    parameters in SI units.
+    """
+
+    law: str
+    numbers: tuple[float, ...]
+    position: int
+    velocity: int
 
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """White noise of two channels. A value of density S held for h has the variance S / (2 h)."""
+    """White noise: `velocity_m_per_s` rms added to each 4 kHz value of the recorded velocity;
+    `estimate_psd` one-sided density [(m/s)^2/Hz] of the velocity estimate (a value held for h
+    seconds has the variance estimate_psd / (2 h)).
+    """
 
-    velocity_m_per_s: float = 0.0  # rms, added to each 4 kHz value of the recorded velocity
-    estimate_psd: float = 0.0  # one-sided density of the velocity estimate, (m/s)^2/Hz
+    velocity_m_per_s: float = 0.0
+    estimate_psd: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class OutputParams:
-    """y = (c0 + b c1) x + (d0 + b d1) u, over n states and m inputs; b is the damping level."""
+    """y = (c0 + b c1) x + (d0 + b d1) u of the simulated device, over its states and inputs; b
+    is the damping level.
+    """
 
-    c0: tuple[float, ...]  # (n,), in the unit of y over that of the state
-    c1: tuple[float, ...]  # (n,), per N s/m of damping level
-    d0: tuple[float, ...]  # (m,)
-    d1: tuple[float, ...]  # (m,), per N s/m
+    c0: tuple[float, ...]
+    c1: tuple[float, ...]
+    d0: tuple[float, ...]
+    d1: tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class HeatingParams:
-    """The winding's own state, its temperature T.
-
-    dT/dt = (R(T) (F/K)^2 R_th - (T - ambient)) / tau,  dR = R(T) - compensated_ohm
+    """The winding's own state: dT/dt = (R(T) (F/K)^2 R_th - (T - ambient)) / tau, dR = R(T) -
+    compensated_ohm.
     """
 
     resistance_ohm: float  # at reference_c
-    reference_c: float  # temperature of resistance_ohm
-    compensated_ohm: float  # resistance that the damping circuit believes in
-    thermal_resistance_k_per_w: float  # winding to surroundings
-    time_constant_s: float  # of the winding against its surroundings
-    ambient_c: float  # of the surroundings
-    start_c: float  # of the winding
+    reference_c: float
+    compensated_ohm: float
+    thermal_resistance_k_per_w: float
+    time_constant_s: float
+    ambient_c: float
+    start_c: float
 
 
 @dataclass(frozen=True, slots=True)
 class PlantParams:
-    """The composed device of a simulated board: its exact maps, and what is not linear.
+    """The composed device of a simulated board: its exact maps over one sub-step, and what is not
+    linear.
 
-    A map covers one sub-step. It is the n rows of [Phi Gamma], n + m numbers each, one after the
-    other, for n states and m inputs. Between the nodes of the table it is interpolated.
+    n states, m inputs. `maps` holds for every residual resistance, and in it for every damping
+    level, the n rows of [Phi Gamma] (n + m numbers each) one after the other; between the nodes it
+    is interpolated.
     """
 
-    states: tuple[str, ...]  # n names
-    # m names: command, torque, then estimate, rotor_force and one per contact, if there are any
+    states: tuple[str, ...]
+    # command, torque, then estimate, rotor_force and one per contact, as far as there are any
     columns: tuple[str, ...]
     floating: bool  # nothing holds the device in place: only differences of positions matter
     levels_ns_per_m: tuple[float, ...]  # rising, from 0
     residuals_ohm: tuple[float, ...]  # rising; one, if the winding's temperature does not change
-    maps: tuple[tuple[float, ...], ...]  # one for each residual and, in it, each level
-    encoder: OutputParams  # m
+    maps: tuple[tuple[float, ...], ...]
+    encoder: OutputParams
     travel: OutputParams  # its differences over the 4 kHz interval are the recorded velocity
     impulse: OutputParams | None  # its differences are added to the recorded torque
-    motor_force: OutputParams  # N
-    estimate: OutputParams  # m/s
+    motor_force: OutputParams
+    estimate: OutputParams
     contacts: tuple[Contact, ...] = ()
     ends: Ends | None = None
     rotor_forces: tuple[RotorForce, ...] = ()
     noise: Noise | None = None
-    estimate_offset_m_per_s: float = 0.0  # constant on the column `estimate`
+    estimate_offset_m_per_s: float = 0.0
     heating: HeatingParams | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class BoardParams:
-    """Everything the simulated board needs (board.json): firmware scales and plant numbers."""
+    """Everything the simulated board needs (board.json): nominal scales of its firmware and the
+    plant's numbers.
+    """
 
     serial: str
-    rate_hz: float  # of the servo
+    rate_hz: float
     position_m_per_count: float
     force_n_per_count: float
     damping_ns_per_m_per_count: float
@@ -299,28 +320,31 @@ class BoardParams:
     probe_velocity_m_per_s_per_count: float
     current_a_per_count: float
     voltage_v_per_count: float
-    force_limit_n: float  # of the firmware
+    force_limit_n: float
     mass_kg: float  # device and probe
-    viscous_ns_per_m: float  # of the rigid mass
-    lower_stop_m: float  # of the rigid mass
-    upper_stop_m: float  # of the rigid mass
-    torque_constant_n_per_a: float  # K_m / lever radius
+    viscous_ns_per_m: float
+    lower_stop_m: float
+    upper_stop_m: float
+    torque_constant_n_per_a: float
     winding_ohm: float
-    ambient_c: float  # of the winding at the start
-    sample_phase: float = 0.875  # of a period: when the encoder is latched after an OUT
-    watchdog_ms: float = 250.0  # without an OUT for so long the board stops
-    seed: int = 1  # of its noise and its injected faults
+    ambient_c: float
+    sample_phase: float = 0.875
+    watchdog_ms: float = 250.0
+    seed: int = 1
     injections: tuple[InjectionParams, ...] = field(default_factory=tuple)
     emf_velocity_m_per_s_per_count: float = 2.0 / 32767
     temperature_c_per_count: float = 0.01
-    # whole periods of transport delay between the receipt of a torque and its effect
-    lag_periods: int = 0
+    lag_periods: int = (
+        0  # whole periods of transport delay between the receipt of a torque and its effect
+    )
     plant: PlantParams | None = None  # the composed device; without it one rigid mass
 
 
 @dataclass(frozen=True, slots=True)
 class GatewayParams:
-    """What the gateway process needs for itself."""
+    """What the gateway process needs (gateway.json): where telemetry is offered and how many
+    ticks share a message.
+    """
 
     telemetry_port: int = 9872  # PlotJuggler's default; an ephemeral one when taken
     batch: int = 20  # ticks in one `servo` message
@@ -332,21 +356,22 @@ class GatewayParams:
 
 @dataclass(frozen=True, slots=True)
 class GatewaySetup:
-    """gateway.json: the gateway's own parameters, and the servo's for its limits and scales."""
+    """gateway.json: the gateway's own parameters, and the servo's for the limits and scales it
+    checks against.
+    """
 
     servo: ServoParams
     gateway: GatewayParams = GatewayParams()
 
 
 def to_plain(value: Any) -> Any:
-    """A tree of dataclasses as dicts and lists, which json writes."""
+    """Dataclass tree -> dicts and lists that json writes."""
     return dataclasses.asdict(value)
 
 
 def from_plain(kind: type[T], plain: Any, where: str = "") -> T:
-    """Dicts and lists as a tree of dataclasses of type `kind`.
-
-    ConfigError with the path of the wrong key; `where` begins that path.
+    """Dicts and lists -> dataclass tree of type `kind`. Raises ConfigError with the path of a
+    wrong key.
     """
     known = {item.name: item for item in dataclasses.fields(kind)}  # type: ignore[arg-type]
     if not isinstance(plain, dict):

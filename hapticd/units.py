@@ -1,10 +1,4 @@
-"""Constants, the rounding rule of the wire, and the units that names carry.
-
-SI everywhere above the wire. A field says its unit by the suffix of its name; `unit_of` reads it,
-for messages, schemas and tables.
-
-What would break it: a suffix listed after a shorter one that ends alike ("_m" before "_n_per_m").
-"""
+"""Constants and small conversions. SI everywhere above the wire; names carry the unit."""
 
 NS_PER_S = 1_000_000_000
 US_PER_S = 1_000_000
@@ -13,15 +7,16 @@ NS_PER_MS = 1_000_000
 
 # relative resistance change of copper per kelvin (the paper prints "percent"; 0.393 %/K is meant)
 COPPER_PER_K = 0.00393
-PROBE_RATE_HZ = 4000  # the board's own sample clock, for perturbation and probe
+PROBE_RATE_HZ = 4000  # the board's own sample clock for perturbation and probe
 
 
 def round_half_up(value: float) -> int:
-    """Count nearest to `value`, halves upwards: floor(x + 0.5), as the wire rounds."""
+    """Count nearest to `value`, halves upwards: floor(x + 0.5), the one rounding rule of the
+    wire.
+    """
     return int((value + 0.5) // 1.0)
 
 
-# suffix -> unit; longest first: the first suffix that fits is the unit
 UNITS = {
     "_m_per_s2": "m/s^2",
     "_nm_per_a": "N m/A",
@@ -51,9 +46,9 @@ UNITS = {
     "_a": "A",
     "_v": "V",
     "_c": "degC",
-}
+}  # longest first: the first suffix that fits is the unit
 
 
 def unit_of(name: str) -> str:
-    """The unit in the suffix of a field's name; empty for a pure number or a word."""
+    """Unit that the suffix of a field's name says; empty for a pure number or a word."""
     return next((unit for suffix, unit in UNITS.items() if f"_{name}".endswith(suffix)), "")

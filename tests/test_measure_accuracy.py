@@ -238,9 +238,8 @@ def test_errors_fall_with_the_order_of_the_method() -> None:
     assert euler[3] / euler[4] == pytest.approx(2.0, rel=0.02)
     assert rk4[0] / rk4[1] == pytest.approx(16.0, rel=0.1)
     assert found.error["exact"].max() < 1e-11
-    step = (
-        1e-3 * VISCOUS_NS_PER_M / MASS_KG
-    )  # one step a millisecond; the error of the velocity is largest after one time constant
+    # one step a millisecond; the error of the velocity is largest after one time constant
+    step = 1e-3 * VISCOUS_NS_PER_M / MASS_KG
     times = np.arange(1, 21)
     expected = np.abs((1.0 - step) ** times - np.exp(-step * times)).max() / exp(-step)
     assert euler[0] == pytest.approx(expected, rel=1e-6)

@@ -236,8 +236,8 @@ def test_environment_is_printed_before_the_trial_and_not_into_json(source, tmp_p
     assert main(words) == 0
     told = capsys.readouterr()
     assert (
-        f"simulates K 50 N/m, B 0 N s/m, M 0 kg, active damping 0 N s/m by the {source}, device weir2008"
-        " of scene fig4" in told.err
+        f"simulates K 50 N/m, B 0 N s/m, M 0 kg, active damping 0 N s/m by the {source},"
+        " device weir2008 of scene fig4" in told.err
     )
     assert json.loads(told.out)["environment"] == {
         "stiffness_n_per_m": 50.0,

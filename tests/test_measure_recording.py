@@ -636,7 +636,8 @@ def test_octave_opens_it(file: Path, tmp_path: Path) -> None:
     octave = program("octave-cli")
     script = f"""
         r = load('{file}');
-        printf('%d %.17g %s %s\\n', numel(r.servo.force_n), max(abs(r.servo.position_m)), class(r.servo.tick), class(r.event));
+        printf('%d %.17g ', numel(r.servo.force_n), max(abs(r.servo.position_m)));
+        printf('%s %s\\n', class(r.servo.tick), class(r.event));
         printf('%d\\n', numel(r.probe.torque_n));
     """
     environment = {**os.environ, "HOME": str(tmp_path)}

@@ -186,7 +186,7 @@ def test_keys_tell_trials_apart():
     "more", [{}, {"everywhere": True}, {"refine": 1}], ids=["near", "everywhere", "refined"]
 )
 def test_map_of_its_kept_trials_is_the_map_that_was_flown(tmp_path, more):
-    """Also those far from the boundary, which were flown with one sub-step, and those of a finer grid."""
+    """Also those far from the boundary, simulated with one sub-step, and those of a finer grid."""
     axes = (np.linspace(0.0, 3000.0, 3), np.linspace(0.0, 3.0, 3), np.array([-0.004, 0.0]))
     plan, path = (
         plan_map(MapParams(conditions(), axes, (0.0, 1.74), **more)),

@@ -107,9 +107,8 @@ def flown(model, level, monkeypatch):
 def test_engine_and_whole_stack_agree_over_ten_seconds(extra, level, monkeypatch):
     model = device(*STAR, *extra, *WIRE)
     records, counts, seen = flown(model, level, monkeypatch)
-    first_us = (
-        int(records["board_us"][-1] - LATCH_US) % 1000
-    )  # ticks begin there: the board's clock starts with the hello
+    # ticks begin there: the board's clock starts with the hello
+    first_us = int(records["board_us"][-1] - LATCH_US) % 1000
     counts = counts[first_us // 250 :]
     ticks = len(counts) // 4
     torque = counts[: 4 * ticks] * board_params().probe_torque_n_per_count

@@ -2,7 +2,8 @@
 whoever reads the page sees none.
 
     <!-- table limits -->...<!-- /table -->            the table of a part, with its notes
-    <!--= K_max_off weir2008 .0f -->105<!--/-->        a number as Python formats it: quantity, device, format
+    <!--= K_max_off weir2008 .0f -->105<!--/-->        a number as Python formats it: quantity,
+                                                       device, format
     <!--= K_max_off:sd weir2008 .1f x10 -->...<!--/--> another field of the row, and a factor
 
 What would break it: a mark for a row that is not there; it is refused.

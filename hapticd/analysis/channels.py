@@ -1,12 +1,12 @@
 """Faults of the measuring channels that look like physics, found in the spectra of a trial.
 
-skew        the velocity is sampled d seconds after the force: Z is turned by e^(-jwd). |Z| stays as it is, so where |Z| grows
-            with f the device is a mass with some damping, of phase 90 degrees - b/(w m), and what
-            falls off with f besides is skew. 125 us turn the phase by 22 degrees at 500 Hz and make
-            (d < 0) every passive display look active.
-high-pass   an AC-coupled velocity amplifier of corner f_h: Z is multiplied by 1 + f_h/(jf). Over a spring K this adds
-            -K f_h / (2 pi f^2) to Re Z, unlike a delayed force, which adds a constant. 0.1 Hz look
-            like 4 ms at 2 Hz.
+skew        the velocity is sampled d seconds after the force: Z is turned by e^(-jwd). |Z| stays as
+            it is, so where |Z| grows with f the device is a mass with some damping, of phase 90
+            degrees - b/(w m), and what falls off with f besides is skew. 125 us turn the phase by
+            22 degrees at 500 Hz and make (d < 0) every passive display look active.
+high-pass   an AC-coupled velocity amplifier of corner f_h: Z is multiplied by 1 + f_h/(jf). Over a
+            spring K this adds -K f_h / (2 pi f^2) to Re Z, unlike a delayed force, which adds a
+            constant. 0.1 Hz look like 4 ms at 2 Hz.
 units       a velocity in mm/s is a thousand times too fast, and the display it moves a thousand
             times too light: lighter than a tenth of a gram between 100 and 500 Hz, or light and
             faster than any display. That says nothing of its stability.

@@ -6,7 +6,8 @@ A hand adds Z_h(jw_k), anything with Re Z_h >= 0, to the device's 1/P_vt at each
 So does, harmonic by harmonic, what the law sees: with the terms of `lifted` the pulse transfer of
 device and hand together is
 
-    G_h(wT) = e + sum h_k q_k / (1/P_vt + Z_h),    |G_h - g| <= R,   g = e + sum h q / (2 r),   R = sum |h q| / (2 r)
+    G_h(wT) = e + sum h_k q_k / (1/P_vt + Z_h),    |G_h - g| <= R,
+    g = e + sum h q / (2 r),   R = sum |h q| / (2 r)
 
 and the loop closes as 1 + C G_h. A hand can be let in slowly, s Z_h with s from 0 to 1: all of
 these are passive. If -1/C is outside the circle at every wT, no eigenvalue ever meets |z| = 1 on

@@ -1,10 +1,12 @@
 """What may be wrong with a trial, detected from its record, and named.
 
 saturation      a channel stays at its end value: given limits, or a flat top that no noise has
-escape          the velocity of some second is several times that of the calm ones, under a force that did not grow as much:
-                the loop ran away
-drift           offset or trend of the velocity, or a level that changes between the halves of the record
-dropout         seconds without a perturbation, or with a velocity that stands still: silence is no knowledge
+escape          the velocity of some second is several times that of the calm ones, under a force
+                that did not grow as much: the loop ran away
+drift           offset or trend of the velocity, or a level that changes between the halves of the
+                record
+dropout         seconds without a perturbation, or with a velocity that stands still: silence is no
+                knowledge
 
 Low coherence and lines are in `unexplained`, skew and high-pass of the channels in `channels`, what
 window and record did to a spring in `leakage`. A finding with `voids` leaves nothing to decide, one

@@ -1,6 +1,7 @@
 """Hands: passive one-ports at the probe, as networks of masses, dampers and springs.
 
-    M x'' + D x' + K x = f,   node 0 is the probe,   Z_h = S(s) / s with S the stiffness seen at node 0, the others free
+    M x'' + D x' + K x = f,   node 0 is the probe,
+    Z_h = S(s) / s with S the stiffness seen at node 0, the others free
 
 M, D and K have no negative eigenvalue (masses are on the nodes; a damper or spring adds a square of
 one difference). For every s with Re s > 0 that alone makes Re Z_h(s) >= 0, so all of them are

@@ -4,7 +4,8 @@
     "h_force"   Z = Phi_y / conj(Phi_yu): force as the input
 
     g2    = |Phi_yu|^2 / (Phi_u Phi_y)            coherence, of both
-    Phi_v = Phi_out - |Phi_yu|^2 / Phi_in         noise spectrum, not below 0: of the force with "spa", of the velocity otherwise
+    Phi_v = Phi_out - |Phi_yu|^2 / Phi_in         noise spectrum, not below 0: of the force with
+                                                  "spa", of the velocity otherwise
     Var Z = (C/N) |Z|^2 (1 - g2) / g2             of the complex value, half of it in each part
     Var Phi_v = (C/N) Phi_v^2                     twice that at 0 and half the sample rate
 

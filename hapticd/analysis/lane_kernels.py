@@ -4,8 +4,9 @@ numba and `simd` only.
 A section of real samples x, padded to 4,096, is a complex series z[n] = x[2n] + i x[2n+1] of 2,048
 points, half of them zero:
 
-    columns    b = 0..63:  DFT of 32 points (16 of them zero) over n = 64 a + b, times exp(-2 pi i b k1 / 2048)  -> row k1
-    row        k1 = 0..32: DFT of 64 points over b                                                            -> Z[k1 + 32 k2]
+    columns    b = 0..63:  DFT of 32 points (16 of them zero) over n = 64 a + b,
+               times exp(-2 pi i b k1 / 2048)  -> row k1
+    row        k1 = 0..32: DFT of 64 points over b  -> Z[k1 + 32 k2]
     take       Z[k] and Z[2048-k] -> X[k] and X[2048-k] of the real series -> sums over sections
 
 Rows k1 and 32 - k1 are transformed together and summed at once, so spectra never leave the

@@ -6,7 +6,9 @@ once (`lane_kernels`), and six numbers a frequency are summed. The force is the 
 transforms are made once. With U of the velocity, Y of the force, s = (-1)^k for a delay by a
 section:
 
-    velocity   sum conj(U_i) (U_i + s U_i+1)     forward   sum conj(U_i) (Y_i + s Y_i+1)     backward   sum U_i conj(Y_i + s Y_i-1)
+    velocity   sum conj(U_i) (U_i + s U_i+1)
+    forward    sum conj(U_i) (Y_i + s Y_i+1)
+    backward   sum U_i conj(Y_i + s Y_i-1)
 
 Trends are taken out of the covariances afterwards (`trend`). float32 costs 1e-7 of the largest
 value of a spectrum.

@@ -4,10 +4,10 @@ damped spring.
 There the spring lets through v ~ f / K, so the velocity's spectrum is steep, and small beside that
 of the resonance. Two things fill it up, and Z = Phi_yu / Phi_u shrinks as they do:
 
-    window      covariances at lag t are multiplied by W(t): the spectrum is smoothed, and |Z| of a spring shrinks by
-                s^2 / (f^2 + s^2), 5 % at 3 Hz for M = 2048
-    record      those of a record of N samples are multiplied by 1 - |t|/N as well: a sharp resonance leaks down to the band
-                edge, whatever the window
+    window      covariances at lag t are multiplied by W(t): the spectrum is smoothed, and |Z| of a
+                spring shrinks by s^2 / (f^2 + s^2), 5 % at 3 Hz for M = 2048
+    record      those of a record of N samples are multiplied by 1 - |t|/N as well: a sharp
+                resonance leaks down to the band edge, whatever the window
 
 What they did once is seen by doing it once more (twicing, Tukey 1977), which is a product with the
 covariances. The phase is pulled towards 0 as well, and can hide a little activity. A longer window
@@ -56,7 +56,9 @@ def shrinkage(trial: Spectra, estimator: Estimator = "spa") -> Complexes:
 def leakage_findings(
     trial: Spectra, band_hz: tuple[float, float], estimator: Estimator = "spa"
 ) -> tuple[Finding, ...]:
-    """|Z| that is read low inside `band_hz` by more than a twentieth, and more than chance does, named with its range.
+    """|Z| that is read low inside `band_hz` by more than a twentieth, and more than chance does.
+
+    The finding names the range of frequencies.
 
     Where there is little coherence, that is what is named (`unexplained`).
     """

@@ -4,12 +4,14 @@ circuit, encoder not on the motor.
 At each wT the impedance at the probe between the harmonics w_k = w + 2 pi k / T is a diagonal and
 one product
 
-    Z = diag(1 / P_vt) + C / (1 + C (G - E)) h q,   h_k = P_vF H0 / P_vt,  q_l = P_xt / P_vt,  E = sum h_k P_xt(w_k)
+    Z = diag(1 / P_vt) + C / (1 + C (G - E)) h q,
+    h_k = P_vF H0 / P_vt,  q_l = P_xt / P_vt,  E = sum h_k P_xt(w_k)
 
 (Sherman and Morrison on the admittance of `loop`, all harmonics kept; for a rigid device E = G).
 With r_k = Re 1/P_vt the Hermitian part of Z - x is positive exactly where
 
-    1 + ( Re(c p) - sqrt(|c|^2 a b - Im(c p)^2) ) / 2 >= 0,   a = sum |h|^2/(r - x), b = sum |q|^2/(r - x), p = sum q h/(r - x)
+    1 + ( Re(c p) - sqrt(|c|^2 a b - Im(c p)^2) ) / 2 >= 0,
+    a = sum |h|^2/(r - x), b = sum |q|^2/(r - x), p = sum q h/(r - x)
 
 and the largest such x < min r is the damping that the device has to spare: what safety decides on.
 It has no friction in it and holds for every input, a multisine that drives f and 1/T - f together

@@ -1,10 +1,14 @@
 """One number for a device: ours from the envelope, and those that others use, so that they can be
 read side by side.
 
-    width_db            mean of 20 log10(upper/lower) of the envelope over a band of ln f: the Z-width in decibels
-    stiffness_damping_area     area of the passive region in the K-B plane at one virtual mass (Colgate and Brown 1994)
-    stiffness_at, stiffness_rate    largest passive K at a damping B, and how it changes with B there
-    zero_mass_bandwidth_hz     up to where a device that renders no mass moves freely: -3 dB of |1/Z| above its largest value
+    width_db            mean of 20 log10(upper/lower) of the envelope over a band of ln f: the
+                        Z-width in decibels
+    stiffness_damping_area     area of the passive region in the K-B plane at one virtual mass
+                               (Colgate and Brown 1994)
+    stiffness_at, stiffness_rate    largest passive K at a damping B, and how it changes with B
+                                    there
+    zero_mass_bandwidth_hz     up to where a device that renders no mass moves freely: -3 dB of
+                               |1/Z| above its largest value
 
 What would break it: a band that the envelope does not cover, or a K-B map without the value of M
 (both refused).

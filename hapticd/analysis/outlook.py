@@ -4,7 +4,8 @@ hands say.
     radius       of the exact tick, friction left out: at 1 and above the display moves by itself
     theorem      damping to spare at every image, for every input, friction left out (`lifted`)
     prediction   least Re Z at a stated perturbation, Coulomb friction linearised there (`predict`)
-    hand         without friction, a passive hand in which the loop grows (`coupled`), tried by its tick
+    hand         without friction, a passive hand in which the loop grows (`coupled`), tried by its
+                 tick
 
 The theorem is about all inputs and large motions, the prediction about what a trial of that
 amplitude shows: between them they differ where friction carries a display, or images do not show in

@@ -4,9 +4,12 @@ Over a whole period of a settled motion the discrete Fourier transform sees ever
 With R realisations of the force (the same amplitudes, other random phases) and F_m, V_m their means
 over the periods:
 
-    Y    = <V_m F_m*> / <|F_m|^2>                  means over the realisations: the best linear approximation of 1/Z
-    s^2  = sum |V_m / F_m - Y|^2 / (R - 1)         scatter of one realisation: noise, and nonlinear distortion
-    s^2 / R                                        variance of Y; exactly Student's t with 2 (R - 1) degrees of freedom
+    Y    = <V_m F_m*> / <|F_m|^2>                  means over the realisations: the best linear
+                                                   approximation of 1/Z
+    s^2  = sum |V_m / F_m - Y|^2 / (R - 1)         scatter of one realisation: noise, and nonlinear
+                                                   distortion
+    s^2 / R                                        variance of Y; exactly Student's t with 2 (R - 1)
+                                                   degrees of freedom
 
 (Pintelon and Schoukens, System Identification, 2nd ed. 2012, sections 3.4 and 4.3.) What the device
 distorts repeats with the period: averaging periods removes noise and leaves it, and the scatter

@@ -1,7 +1,8 @@
 """The Gaussian process behind `surrogate`: its covariance, and the length and amplitude that trials
 make likeliest.
 
-    y_f = trend c_f + g_f + e,   g ~ GP(amplitude^2 exp(-d^2 / 2 length^2)) alike at all frequencies, e the trial's own noise
+    y_f = trend c_f + g_f + e,   g ~ GP(amplitude^2 exp(-d^2 / 2 length^2)),
+    g alike at all frequencies, e the trial's own noise
 
 The trend's coefficients are integrated out (restricted likelihood: Patterson and Thompson 1971), so
 four trials that a plane fits exactly do not make everything certain. Without noise the amplitude

@@ -8,11 +8,13 @@ smooth non-affine part about 45 leave 2 % of the volume wrong, where a grid of y
 180,000.
 
 What is known beforehand helps, and each of it may be left out:
-    prior        Re Z as a model predicts it; only what was measured otherwise is learnt (`surrogate`)
-    headroom     orders environments by how near they are to escape; how much of it a trial needs is learnt (`escape`)
-    independent  how many independent values the estimate has at each frequency; then the set is that of environments whose
-                 trial rather passes than fails, and without it the one whose expected Re Z is
-                 nowhere negative
+    prior        Re Z as a model predicts it; only what was measured otherwise is learnt
+                 (`surrogate`)
+    headroom     orders environments by how near they are to escape; how much of it a trial needs is
+                 learnt (`escape`)
+    independent  how many independent values the estimate has at each frequency; then the set is
+                 that of environments whose trial rather passes than fails, and without it the one
+                 whose expected Re Z is nowhere negative
 
 Stability is a question of its own (K < 0, slow poles, friction overcome): unstable trials teach no
 spectrum. Without a headroom, what is nearer to an unstable trial than to every stable one stays

@@ -6,7 +6,8 @@ many arrays loses that game. Here a lane of a vector is a trial, so the text of 
 does 16 trials at once, whatever LLVM thinks of its loops.
 
     load(a, row)      16 values of the flat array `a` from `row` * 64 bytes on    store(a, row, v)
-    + - *             lane by lane, with vectors or a number                      fma(x, y, z) = x y + z
+    + - *             lane by lane, with vectors or a number                      fma(x, y, z) = x y
+                      + z
 
 Arrays must begin on a 64 byte border (`arrays.aligned`). What would break it: llvmlite without
 typed pointers in its IR builder.

@@ -4,10 +4,12 @@ in `impedance`.
 Velocity u is the input, force y the output, as in the paper (Weir, Colgate and Peshkin 2008,
 section 2.2):
 
-    R_yu(t)   = 1/N sum_k y(k + t) u(k),  |t| <= M          biased covariances of the detrended record
+    R_yu(t)   = 1/N sum_k y(k + t) u(k),  |t| <= M          biased covariances of the detrended
+                                                            record
     W(t)      = (1 + cos(pi t / M)) / 2                     Hann lag window, W(0) = 1, W(+-M) = 0
     Phi_yu(w) = sum_t W(t) R_yu(t) e^(-iwt)                 no sampling interval, no 1/(2 pi)
-    C         = sum W^2 = 3 M / 4                           C/N: relative variance of a spectrum inside the band
+    C         = sum W^2 = 3 M / 4                           C/N: relative variance of a spectrum
+                                                            inside the band
 
 (Ljung, System Identification, 2nd ed. 1999, section 6.4. Older MATLAB help calls this window
 Hamming.) Because W(+-M) = 0, the M + 1 frequencies k/(2 M) of the sample rate, the lines, hold the

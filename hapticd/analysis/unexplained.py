@@ -1,10 +1,13 @@
 """What the perturbation does not explain of a motion: low coherence, and lines. Named with what
 follows for |Z|.
 
-low_coherence   the perturbation explains less than half of the motion over part of the band, or at its lower edge
-oscillation     a narrow line carries much of the velocity and the perturbation does not explain it: a limit cycle
+low_coherence   the perturbation explains less than half of the motion over part of the band, or at
+                its lower edge
+oscillation     a narrow line carries much of the velocity and the perturbation does not explain it:
+                a limit cycle
 line            the same with little of it: a limit cycle or hum
-unresolved      much of it in a line that is narrower than the window, which the perturbation may explain
+unresolved      much of it in a line that is narrower than the window, which the perturbation may
+                explain
 
 Noise in the velocity makes "spa" read |Z| low by the coherence. The lower edge counts because it is
 read with the band: the window's 1.95 Hz is anybody's 2 Hz. Thresholds are those at which a 90 s

@@ -415,9 +415,8 @@ def irq_priority(machine: Machine, asked: Requirements) -> CheckResult:
 
 def _irq_threads(machine: Machine) -> Iterator[tuple[int, str, int]]:
     for path in machine.find("proc/[0-9]*/stat"):
-        text = (
-            machine.text(str(path.relative_to(machine.root))) or ""
-        )  # a process may end while we look
+        # a process may end while we look
+        text = machine.text(str(path.relative_to(machine.root))) or ""
         comm = text[text.find("(") + 1 : text.rfind(")")]
         if comm.startswith("irq/") and CONTROLLER in comm:
             after = text[text.rfind(")") + 2 :].split()

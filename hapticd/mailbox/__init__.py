@@ -2,9 +2,12 @@
 
 The servo creates and owns every file in the runtime folder; the gateway and others map them.
 
-    mailbox         header, heartbeats and counters, command ring (gateway -> servo), answer ring (servo -> gateway)
-    telemetry.ring  one record per tick, SPSC; kept as last.ring for the flight recorder when a servo starts anew
-    stop            one page; any non-zero value of its first word latches STOP (and is taken back to 0); its group may write it
+    mailbox         header, heartbeats and counters, command ring (gateway -> servo), answer ring
+                    (servo -> gateway)
+    telemetry.ring  one record per tick, SPSC; kept as last.ring for the flight recorder when a
+                    servo starts anew
+    stop            one page; any non-zero value of its first word latches STOP (and is taken back
+                    to 0); its group may write it
     perturbation    waveform in probe counts, written by the gateway while no perturbation runs
     servo.report    JSON: what the operating system granted, what the board said
 

@@ -5,7 +5,8 @@ tier          predict, simulate, lock-step
 sub-steps     1..32 in a 4 kHz sample: matter to friction, ends and cogging alone
 precision     f64, f32
 trial length  5..90 s        window   256..8192 samples: only where noise moves the scene
-effect        each left out, at 1 sub-step: the difference is what counts, and its kernel compiles soonest
+effect        each left out, at 1 sub-step: the difference is what counts, and its kernel compiles
+              soonest
 
 A gauge reads two errors of a setting. `step` is what the setting does to the answer for the same
 perturbation: the sub-step's, the precision's, a left-out effect's. `total` is the error of one

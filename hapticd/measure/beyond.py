@@ -15,12 +15,13 @@ that owns a point of an edge is flown with every seed; where one fails in any, i
 the next owner is flown, until all owners have passed. Owners are chosen by prediction, not by their
 own noise, so their mean over seeds is not biased.
 
-Free motion. K = 0, so nothing resonates and no grid matters: |Z| is damping, mass, and what negative virtual damping takes away.
-The law's lag t turns B < 0 into a mass, -|B| e^(-jwt) = -|B| + jw |B| t, some 14 g with the 1.74 N s/m of the paper, so B < 0
-alone restores the damping and not the motion; M < 0 beside it does. Two limits are not the same. At the perturbation of the
-trials dry friction carries a part of B < 0; it fades as the motion grows, until the device runs away. `safest` therefore asks for
-the lifted theorem of Colgate and Schenkel as well, without friction, for every input. The best safe (B, M) has the least mean
-|Z| in dB over 2-20 Hz.
+Free motion. K = 0, so nothing resonates and no grid matters: |Z| is damping, mass, and what
+negative virtual damping takes away. The law's lag t turns B < 0 into a mass, -|B| e^(-jwt) = -|B| +
+jw |B| t, some 14 g with the 1.74 N s/m of the paper, so B < 0 alone restores the damping and not
+the motion; M < 0 beside it does. Two limits are not the same. At the perturbation of the trials dry
+friction carries a part of B < 0; it fades as the motion grows, until the device runs away. `safest`
+therefore asks for the lifted theorem of Colgate and Schenkel as well, without friction, for every
+input. The best safe (B, M) has the least mean |Z| in dB over 2-20 Hz.
 
 Shaped damping. "Future work could address a frequency dependent active damping, since added
 mechanical dissipation is rarely needed at low frequency". A high-pass takes the dissipation out of
@@ -80,10 +81,9 @@ from hapticd.plant.effects import ShapedDamping
 SEEDS = 3
 FREE = np.array([ORIGIN])  # motion: nothing is rendered
 SHOWN_HZ = (2.0, 200.0)
-LOW_HZ = (
-    2.0,
-    20.0,
-)  # above it the mass of 8 g outweighs the undamped device's damping: |Z| is w m whatever is rendered
+# Above 20 Hz the mass of 8 g outweighs the undamped device's damping: there |Z| is w m, whatever
+# is rendered.
+LOW_HZ = (2.0, 20.0)
 NEGATIVE_STEPS = 8
 STEP = float(AXES[1][1] - AXES[1][0])
 GRID = grid((AXES[0], np.concatenate((-STEP * np.arange(NEGATIVE_STEPS, 0, -1), AXES[1])), AXES[2]))
@@ -241,7 +241,9 @@ class Bounds:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """|Z| of one environment without K over `shown_hz()`: `predicted` (F,), `runs` (seeds, F) of trials that pass, maybe none.
+    """|Z| of one environment without K over `shown_hz()`.
+
+    `predicted` has the shape (F,), `runs` (seeds, F) those of the trials that pass, maybe none.
 
     `spare`: damping that the lifted theorem leaves [N s/m], without friction.
     """

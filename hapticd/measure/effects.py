@@ -11,9 +11,11 @@ noise) and simulated (the engine, with the same perturbation for every set of ef
 differences are those of the effects):
 
     limits   of K, B and M, each from 0 on (`measure.limits`); change: the largest relative one
-    phase    of Z under the scene's environment; change: the largest difference in the band over 90 degrees
-    peak     highest |Z| between 40 and 200 Hz near the most negative passive mass, which owns the peak of Weir 2008, Fig. 8,
-             and its frequency; change: the larger relative one of the two
+    phase    of Z under the scene's environment; change: the largest difference in the band over 90
+             degrees
+    peak     highest |Z| between 40 and 200 Hz near the most negative passive mass, which owns the
+             peak of Weir 2008, Fig. 8, and its frequency; change: the larger relative one of the
+             two
 
 A scene that noise does not move gets the paper's perturbation. Walls are left out: they have no
 impedance of their own.

@@ -1,7 +1,8 @@
 """What this package wrote itself, as the record of one trial: a recording, its exports, a run
 folder's record.
 
-    NAME.h5, NAME.part.h5      a recording by `hapticd record`: the probe's samples, the ticks beside them
+    NAME.h5, NAME.part.h5      a recording by `hapticd record`: the probe's samples, the ticks
+                               beside them
     NAME.mat                   its export for MATLAB: the same as structures
     NAME.probe.csv             its export as text; the last line, a remark, says what the ticks said
     record.h5, record.npz      of a trial, with what `run.json` says beside it or in the file

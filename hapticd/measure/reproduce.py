@@ -4,8 +4,10 @@ simulated devices.
 Weir, Colgate and Peshkin, Measuring and increasing Z-width with active electrical damping, 2008.
 
     predict      limits, sets and envelopes by the first harmonic, in seconds; all that `quick` does
-    limits       by trials of 90 s of noise, with every seed; from each lower band edge too (`measure.limits`)
-    grid         the paper's 6,384 environments, undamped and damped, and the envelope of those that pass (`measure.campaign`)
+    limits       by trials of 90 s of noise, with every seed; from each lower band edge too
+                 (`measure.limits`)
+    grid         the paper's 6,384 environments, undamped and damped, and the envelope of those that
+                 pass (`measure.campaign`)
     singles      the trials of Figs. 4 and 7 (`measure.trial`)
     walls        impacts for Fig. 2
 

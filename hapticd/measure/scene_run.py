@@ -17,8 +17,10 @@ temperatures.
 Explicit Euler and Runge-Kutta 4 stand beside the exact map, on the linear device of the scene:
 
     exact   x(t + h) = e^(A h) x(t)                     any h
-    euler   R(z) = 1 + z                                |R(h lambda)| <= 1 for every eigenvalue lambda of A
-    rk4     R(z) = 1 + z + z^2/2 + z^3/6 + z^4/24       the same; about h < 2.79 / |lambda| for a real one
+    euler   R(z) = 1 + z                                |R(h lambda)| <= 1 for every eigenvalue
+                                                        lambda of A
+    rk4     R(z) = 1 + z + z^2/2 + z^3/6 + z^4/24       the same; about h < 2.79 / |lambda| for a
+                                                        real one
 
 Electronics of microseconds decide the step, whether or not they matter: 5 kHz of amplifier
 bandwidth ask RK4 for a step below 88 us although the answer is spoken in milliseconds. A device

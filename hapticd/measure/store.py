@@ -3,9 +3,10 @@
 Results stay in a folder for each run, and in an append-only file of trials by which campaigns go on
 after an interruption:
 
-    run folder     run.json (verdict, conditions, provenance); of a trial record.h5, or record.npz where h5py is not installed,
-                   and impedance.csv; figures
-    trial store    one JSON object a line, keyed by the SHA-256 of everything that the trial's outcome depends on
+    run folder     run.json (verdict, conditions, provenance); of a trial record.h5, or record.npz
+                   where h5py is not installed, and impedance.csv; figures
+    trial store    one JSON object a line, keyed by the SHA-256 of everything that the trial's
+                   outcome depends on
 
 A line is written at once and flushed, so that Ctrl-C or a dead machine costs at most the trials in
 flight; a torn last line is not read. A run folder holds one run: whoever writes another there

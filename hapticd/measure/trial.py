@@ -26,7 +26,8 @@ What would break it: a loop so lightly damped that it rings for more than a peri
 On disk it is a run folder with record, summary and Z(f):
 
 run.json         verdict and everything that it depends on
-impedance.csv    a line for each frequency that the estimate has, with the units in the head line; empty where not known
+impedance.csv    a line for each frequency that the estimate has, with the units in the head line;
+                 empty where not known
 """
 
 from collections.abc import Mapping

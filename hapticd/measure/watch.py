@@ -2,14 +2,16 @@
 
 The sentinel watches a trial while it runs and ends it for
 
-    escape        the velocity of a second is four times that of the calm ones (the rule of `analysis.diagnostics`) and the
-                  force did not grow with it; or faster than the device's own limit, where that is
-                  known; or the commanded force reached its limit in a motion that the perturbation
-                  does not explain, as a loop that ran away before the record began. Fast alone is
-                  no escape: a linear device moves as fast as it is pushed
-    saturation    a channel stands at its end in more than a hundredth of a second's samples, or the commanded force reached
-                  its limit: what is rendered then is not what was asked. The second after it is
-                  still looked at, because a loop that runs away reaches the limit first
+    escape        the velocity of a second is four times that of the calm ones (the rule of
+                  `analysis.diagnostics`) and the force did not grow with it; or faster than the
+                  device's own limit, where that is known; or the commanded force reached its limit
+                  in a motion that the perturbation does not explain, as a loop that ran away before
+                  the record began. Fast alone is no escape: a linear device moves as fast as it is
+                  pushed
+    saturation    a channel stands at its end in more than a hundredth of a second's samples, or the
+                  commanded force reached its limit: what is rendered then is not what was asked.
+                  The second after it is still looked at, because a loop that runs away reaches the
+                  limit first
     travel        the device stands at an end of its travel: what is measured there is the stop
     heat          the winding is hotter than asked
     decided       asked to stop when the verdict stands (`until_decided`), it does
@@ -27,7 +29,8 @@ whose gaps are closed up jumps at every one of them, and a jump is noise at all 
 per cent lost by sixes took more than half of |Z| at 2 Hz over a spring of 500 N/m. So what is
 missing keeps its place in time:
 
-    up to 10 ms       a straight line in both channels: 1 % lost by sixes changes |Z| by 3 % where it is worst
+    up to 10 ms       a straight line in both channels: 1 % lost by sixes changes |Z| by 3 % where
+                      it is worst
     longer            silence in both: a line would be a push that never was
 
 A lost slot is another matter: the servo left out a tick, the command before stood longer, and what

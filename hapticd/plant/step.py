@@ -87,8 +87,8 @@ def bind(response):
         try:
             decay, velocity_per_n, position_per_velocity, position_per_n = rows[n_substeps]
         except KeyError:
-            duration_s = n_substeps / {substep_rate_hz!r}
-            row = response({mass_kg!r}, {viscous_ns_per_m!r} + level, duration_s)
+            viscous = {viscous_ns_per_m!r} + level
+            row = response({mass_kg!r}, viscous, n_substeps / {substep_rate_hz!r})
             decay, velocity_per_n, position_per_velocity, position_per_n = rows[n_substeps] = row
         position, velocity = state
         force_n += torque_n

@@ -2,7 +2,8 @@
 
     v = LP_velocity[(x_n - x_{n-1}) / T]            second-order low-pass, 100 Hz
     a = LP_acceleration[(x_n - 2 x_{n-1} + x_{n-2}) / T^2]   second-order low-pass, 72 Hz
-    F = clamp(bias - K x - B v - M a + field)       K on raw position (Weir, Colgate and Peshkin 2008, section 2)
+    F = clamp(bias - K x - B v - M a + field)       K on raw position (Weir, Colgate and Peshkin
+                                                    2008, section 2)
 
 The servo runs `render` in CPython; the batch engine compiles the very same function with numba.
 Therefore: tuples of floats in and out, no attribute access, no defaults, coefficients designed

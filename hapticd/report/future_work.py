@@ -4,7 +4,8 @@ words and its figure.
 lower_bound_*   mean |Z| of the envelope's lower edge over ln f in 2-20 Hz, dB re 1 N s/m
 zwidth_*        mean distance of its edges there, dB
 free_motion_*   mean |Z| without K there, dB re 1 N s/m
-*_safe          passive without counting on friction, so at any amplitude; the others at the perturbation of the trials
+*_safe          passive without counting on friction, so at any amplitude; the others at the
+                perturbation of the trials
 
 The paper has nothing to compare these rows with.
 """

@@ -137,8 +137,10 @@ def _how(result: ReproduceResult | BeyondResult, more: str = "") -> str:
 
 
 def single_figure(result: ReproduceResult, places: tuple[int, ...], title: str) -> Figure:
-    """|Z| and phase of single trials of the first seed, dotted what is predicted, which stands alone
-    where nothing was flown; of two, the phase that the second gains over the first.
+    """|Z| and phase of single trials of the first seed, dotted what is predicted.
+
+    The prediction stands alone where there was no trial; of two places, the phase that the second
+    gains over the first.
     """
     figure, (size, phase) = axes(
         2, 1, WIDTH_IN, 5.8, f"{title}\n{_how(result)}", sharex=True, height_ratios=[3.0, 2.4]

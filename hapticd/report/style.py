@@ -1,9 +1,11 @@
 """How every figure looks and is kept: sizes, axes, and what colours, lines and marks mean; this is
 the one table of it.
 
-    blue, solid          with added damping, the usual level where it is one of several; others in brown, wine, olive
+    blue, solid          with added damping, the usual level where it is one of several; others in
+                         brown, wine, olive
     red, dashed          without added damping; nothing else is dashed
-    dotted               predicted, black or in the colour of what it predicts; a hollow mark is predicted too
+    dotted               predicted, black or in the colour of what it predicts; a hollow mark is
+                         predicted too
     grey area            not judged
     bracket at the foot  the frequencies that a number was averaged over
     orange, green, sky, forest, purple   K, B > 0, M > 0, B < 0, M < 0

@@ -52,12 +52,10 @@ class Plan(NamedTuple):
     wave: Wave
     anchor: tuple[int, int]  # homing: tick and count since which the encoder has not moved
     gain: Ramp
-    fade: (
-        Ramp  # N; what is left of the force of a latched state where there is no sample to believe
-    )
-    values: dict[
-        int, Ramp
-    ]  # by layout.Value: K, B, M and the wall; its side too, on whose square the wall's force depends
+    # N; what is left of the force of a latched state where there is no sample to believe
+    fade: Ramp
+    # by layout.Value: K, B, M and the wall; its side too, on whose square the wall's force depends
+    values: dict[int, Ramp]
     filters: tuple[FilterParams, FilterParams]
     added_asked: float
     added_on: bool

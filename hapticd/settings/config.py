@@ -101,7 +101,7 @@ class Realtime(TomlTable):
 
     rate_hz: float = Field(_realtime.rate_hz, ge=50, le=20_000)
     mode: Literal["strict", "best_effort", "off"] = "best_effort"
-    """strict: refuse to start without the rights; best_effort: report what was granted."""
+    """strict: refuse to start without the rights; best_effort: take what is granted, report it."""
     priority: int = Field(_realtime.priority, ge=1, le=99)
     core: int | None = Field(None, ge=0)
     """Left out: the last core that this process may use."""
@@ -151,7 +151,10 @@ class Simulation(TomlTable):
     """The simulated board's firmware; ignored with a real one."""
 
     sample_phase: float | None = Field(None, ge=0, lt=1)
-    """When the encoder is latched, in periods after a command; left out: by the device's delay."""
+    """When the encoder is latched, in periods after the board received a command.
+
+    Left out: what the device's delay asks for.
+    """
     effects: tuple[str, ...] | None = Field(None, strict=False)
     """Effects of the device that are built; left out: those that its file names."""
     watchdog_ms: float = Field(250.0, ge=1, le=10_000)
@@ -163,7 +166,7 @@ class Config(TomlTable):
     """hapticd.toml"""
 
     device: str = Field("simulated", min_length=1)
-    """Name of a device file (devices/NAME.toml beside this file, else shipped), or a path to one."""
+    """Name of a device file (devices/NAME.toml beside this file, else a shipped one), or a path."""
     added_damping_ns_per_m: float = Field(_added_damping_ns_per_m, ge=0)
     """Active damping that `hapticd damping on` asks for."""
     environment: Environment = Environment()

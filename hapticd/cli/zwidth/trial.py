@@ -1,9 +1,10 @@
 """`zwidth trial` and `zwidth import`: one trial, simulated, on a daemon's device, or from a file.
 
-The options are three dataclasses: what is tried and how it is judged, how a file is read, and where
-results go. From them come the parameters of one trial (`hapticd.measure.trial`), which is run,
-kept, drawn and told. Before anything is simulated or moves, it is said what will happen; beside the
-verdict it is said what would decide an undecided trial, and how single sines compare with the noise.
+The options are three dataclasses: what is tried and how it is judged, how a file is read, and
+where results go. From them come the parameters of one trial (`hapticd.measure.trial`), which is
+run, kept, drawn and told. Before anything is simulated or moves, it is said what will happen;
+beside the verdict it is said what would decide an undecided trial, and how single sines compare
+with the noise.
 """
 
 from contextlib import ExitStack

@@ -1,16 +1,18 @@
 """Recordings: HDF5 files that survive, one 1-D dataset per channel, readable without this package.
 
-    servo.raw, probe, event, flight --recorder--> NAME.part.h5  (live: SWMR, uncompressed, flushed
-    every 100 ms)
-                                                     | pack, when the recording ends
-                                                     v
-                                                  NAME.h5       (HDF5 1.8 format, compressed, with checksums)
+    servo.raw, probe, event, flight --recorder--> NAME.part.h5
+                                (live: SWMR, uncompressed, flushed every 100 ms)
+                                | pack, when the recording ends
+                                v
+                                NAME.h5  (HDF5 1.8 format, compressed, with checksums)
 
-    /servo/<field>   one value per tick; vectors are split (energy_stiffness_j ...), raw frames are bytes (n, 64) and (n, 32)
-    /probe/<field>   4 kHz, counts; attributes per_count, sign, offset_count, unit say what they mean
+    /servo/<field>   one value per tick; vectors are split (energy_stiffness_j ...), raw frames are
+                     bytes (n, 64) and (n, 32)
+    /probe/<field>   4 kHz, counts; attributes per_count, sign, offset_count, unit explain them
     /event, /gap, /life   what happened; where records are missing; where another servo life begins
     /replay          checkpoints and obeyed requests: with /servo all that `hapticd replay` needs
-    attributes       schema, provenance, configuration, what real-time rights were granted, UTC of the monotonic clock, note
+    attributes       schema, provenance, configuration, what real-time rights were granted, UTC of
+                     the monotonic clock, note
 
 Rules. Numbers are int64, float64, float32, small unsigned integers or fixed-length text: what
 Octave 7 and MATLAB load. All datasets and attributes exist before the live file becomes SWMR.

@@ -1,13 +1,16 @@
 """From messages of the daemon to rows of the live file: columns that grow by blocks, single writer,
 multiple readers (SWMR).
 
-A stream of records becomes one column a field, in units as UDUNITS writes them; payloads go in, and `Writer.write` is called now
-and then: no socket, no clock. Fifty columns more than ten times a second would cost more than a recorder may take, so
+A stream of records becomes one column a field, in units as UDUNITS writes them; payloads go in, and
+`Writer.write` is called now and then: no socket, no clock. Fifty columns more than ten times a
+second would cost more than a recorder may take, so
 - HDF5's low-level calls are used, with number types and selections made once (a fifth of the time);
-- a column that stands still is not written: it stays shorter than the others until it moves or the file is closed.
-How many rows count is written last, in /flushed/rows, after everything else has been handed over: whatever lies beyond is not
-meant, and a column that ends before repeats its last value. A write that fails leaves the library with data it cannot put
-anywhere; then nothing more is written, and the file stays as it was at the last flush for `recover`.
+- a column that stands still is not written: it stays shorter than the others until it moves or the
+  file is closed.
+How many rows count is written last, in /flushed/rows, after everything else has been handed over:
+whatever lies beyond is not meant, and a column that ends before repeats its last value. A write
+that fails leaves the library with data it cannot put anywhere; then nothing more is written, and
+the file stays as it was at the last flush for `recover`.
 """
 
 from collections.abc import Iterable, Mapping, Sequence

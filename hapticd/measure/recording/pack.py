@@ -1,8 +1,9 @@
 """The final file: compressed, with checksums, in a format that HDF5 1.8 and so every Octave and
 MATLAB opens; and its exports.
 
-The source may be a live file that was closed, one whose recorder died, or a flight recording. A live
-file is removed when the final one is on the disk; a source that cannot be packed stays as it is.
+The source may be a live file that was closed, one whose recorder died, or a flight recording. A
+live file is removed when the final one is on the disk; a source that cannot be packed stays as it
+is.
 
 Exports are MATLAB 5 (.mat) and comma-separated values. What a finished file has beside the records,
 the probe's signals in SI and seconds, is in the export of an unfinished one too. A text file ends

@@ -57,11 +57,14 @@ def simulate(
     damping      electrical damping level [Ns/m], or steps (time s, level)
     environment  filters, wall and soft ends of the law; its K, B, M are not used
     filters      of velocity and acceleration in place of those; None for raw differences
-    excitation   of the probe, or forces [N] at 4 kHz that repeat: (samples,), with own_torque (n, samples)
+    excitation   of the probe, or forces [N] at 4 kHz that repeat: (samples,), with own_torque (n,
+                 samples)
     start        position [m] and velocity [m/s] of all bodies
-    substeps     per 4 kHz sample; only friction, ends and cogging need them, without those there is one
+    substeps     per 4 kHz sample; only friction, ends and cogging need them, without those there is
+                 one
     dtype        "f64" | "f32"
-    keep         "summary" | "spectra" as `analysis.spa` | "records" at 4 kHz | "ticks": also position and force of every tick
+    keep         "summary" | "spectra" as `analysis.spa` | "records" at 4 kHz |
+                 "ticks": also position and force of every tick
     own_torque   a record of its own for every trial instead of a shared one
     executor     any of concurrent.futures; None = threads here
     chunk        trials per task

@@ -2,10 +2,10 @@
 
 Two things are done before anything is generated:
 
-    z_i = x_i - x_rotor    for every other position, where nothing is fixed to ground: then no rate depends on x_rotor,
-                           its column of the exact map is a unit vector, and differences of
-                           positions keep their digits in single precision while the device wanders
-                           off
+    z_i = x_i - x_rotor    for every other position, where nothing is fixed to ground: then no rate
+                           depends on x_rotor, its column of the exact map is a unit vector, and
+                           differences of positions keep their digits in single precision while the
+                           device wanders off
     states that reach nothing that is asked for are left out (the velocity estimate of an undamped
     run)
 

@@ -1,6 +1,7 @@
 """A winding that warms up: the kernel's coefficients follow the temperature of every lane.
 
-    T' = (R(T) (F / K)^2 R_th - (T - T_ambient)) / tau        integrated exactly over each refresh, its heat held
+    T' = (R(T) (F / K)^2 R_th - (T - T_ambient)) / tau        integrated exactly over each refresh,
+                                                              its heat held
 
 The heat is the mean over the refresh of the motor force squared (summed by the kernel). Temperature
 moves with tau, tens of seconds, so coefficients are refreshed every 0.1 s. They are exact maps on a

@@ -1,7 +1,8 @@
 """One control period of one lane as straight-line code.
 
     x  state   b  what the inputs add   t  perturbation   e  noise of the estimate
-    u  held command   y  encoder sample   c  new command   w, v  recorded travel and velocity   p  recorded torque
+    u  held command   y  encoder sample   c  new command
+    w, v  recorded travel and velocity   p  recorded torque
 
 Rows and coefficients are upper case; `group` fills them. The law stands after the last sub-step:
 nothing in the tick waits for it.
@@ -86,9 +87,8 @@ def _record(shape: Shape, row: Rows, j: int) -> Iterator[str]:
         yield f"{row(f'O{shape.samples + 1 + j}')} = p{j}"
     if shape.heat is not None:
         terms, direct = shape.heat
-        yield (
-            f"m = {' + '.join([weighted(terms, 'MOTOR', row), *term(direct, 'MOTOR_U', ' * u', row)])}"
-        )
+        force = [weighted(terms, "MOTOR", row), *term(direct, "MOTOR_U", " * u", row)]
+        yield f"m = {' + '.join(force)}"
         yield f"{row('HEAT')} = {row('HEAT')} + m * m"
 
 
