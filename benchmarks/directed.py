@@ -18,7 +18,7 @@ from benchmarks.figures import Figure, compared, refused
 from hapticd.analysis.loop import derivatives, held
 from hapticd.analysis.search import Search, first_trials, next_trials, predicted_passive
 from hapticd.analysis.surrogate import Box, Observation
-from hapticd.measure.beyond import Compared, compared_with_grid
+from hapticd.measure.beyond import SearchCheck, compared_with_grid
 from hapticd.measure.outcomes import Conditions
 from hapticd.measure.reproduce_rows import LEVELS
 from hapticd.measure.scenes import noise
@@ -83,7 +83,7 @@ def _weir() -> Iterator[Figure]:
     )
 
 
-def _told(level: Compared) -> str:
+def _told(level: SearchCheck) -> str:
     shares = [
         f"{count} trials {level.share(wrong):.1f} %" for count, wrong in level.searched.items()
     ]

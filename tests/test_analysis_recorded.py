@@ -9,7 +9,7 @@ from analysis_devices import display
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.predict import DEFAULT_BAND_HZ, frequencies, predict, predicted_impedance
 from hapticd.measure.limits import predicted_limit
-from hapticd.measure.reproduce import EDGES_HZ, POINTS, TOP_HZ, subject
+from hapticd.measure.reproduce import EDGES_HZ, POINTS, TOP_HZ, conditions
 from hapticd.measure.reproduce_rows import LEVELS, MAIN
 from hapticd.plant.effects import VelocityHighpass
 
@@ -19,7 +19,7 @@ LEVEL = pytest.mark.parametrize("level", LEVELS)
 
 
 def both(name, points, level, band_hz=DEFAULT_BAND_HZ):
-    device = subject(name)
+    device = conditions(name).display
     return [
         predict(device.model, points, level, device.filters, WHITE, band_hz, recorded=seen)
         for seen in (False, True)
@@ -32,7 +32,7 @@ def test_recorded_verdict_is_that_of_the_recorded_impedance(level):
     the whole grid.
     """
     true, recorded = both(RIVAL, POINTS, level)
-    device = subject(RIVAL)
+    device = conditions(RIVAL).display
     passive = true.passive.copy()
     f = frequencies(DEFAULT_BAND_HZ, WHITE)
     z = device.impedances(POINTS[passive], level, f)
@@ -82,7 +82,7 @@ def test_rival_limits_move_with_the_lower_band_edge():
     times f_h / f^2 it is gone.
     """
     limits = {
-        edge: predicted_limit(subject(RIVAL), LEVELS[1], 0, band_hz=(edge, TOP_HZ))
+        edge: predicted_limit(conditions(RIVAL).display, LEVELS[1], 0, band_hz=(edge, TOP_HZ))
         for edge in EDGES_HZ
     }
     assert limits[1.0] == pytest.approx(249.0, rel=0.15)
@@ -112,7 +112,7 @@ def test_without_a_high_pass_nothing_is_turned(level):
 @LEVEL
 def test_impedances_of_many_are_those_of_each(level):
     """Friction of each, as if it had been in the device from the start."""
-    device = subject(RIVAL)
+    device = conditions(RIVAL).display
     f = np.geomspace(2.0, 500.0, 60)
     points = POINTS[device.passive(POINTS, level)][::40]
     each = [

@@ -9,7 +9,7 @@ import pytest
 
 from hapticd.analysis.boundary import grid
 from hapticd.measure import beyond
-from hapticd.measure.beyond import Compared, compared_with_grid
+from hapticd.measure.beyond import SearchCheck, compared_with_grid
 from hapticd.measure.campaign import MapParams, plan_map
 from hapticd.measure.outcomes import Conditions
 from hapticd.measure.scenes import noise
@@ -63,7 +63,7 @@ def test_search_has_noise_of_its_own(conditions, found):
     ("wrong", "enough"), [({20: 5, 40: 3}, 20), ({20: 9, 40: 5}, 40), ({20: 9, 40: 6}, None)]
 )
 def test_enough_is_the_first_budget_not_above_the_floor(found, wrong, enough):
-    assert Compared(0.0, 100, 50, 8, 5, wrong, found.found).enough == enough
+    assert SearchCheck(0.0, 100, 50, 8, 5, wrong, found.found).enough == enough
 
 
 def test_share_is_of_the_passive_points(found):

@@ -26,7 +26,6 @@ from hapticd.measure.reproduce import (
     by_prediction,
     conditions,
     run_reproduce,
-    subject,
 )  # fmt: skip
 from hapticd.measure.reproduce_rows import (
     FIG_7,
@@ -177,7 +176,7 @@ def test_band_edge_tells_the_explanations_apart(table: dict[str, dict[str, Row]]
 
 def test_grid_is_the_papers_thirteen_days() -> None:
     assert POINTS.shape == (6384, 3)
-    found = by_prediction(subject(MAIN), LEVELS[1])
+    found = by_prediction(conditions(MAIN).display, LEVELS[1])
     assert found is not None
     assert found.environments[:, 2].min() == pytest.approx(-0.022)
     assert found.envelope.upper.value.min() > 0.0
@@ -242,10 +241,10 @@ def test_what_was_flown_reaches_the_table(monkeypatch: pytest.MonkeyPatch) -> No
     result = run_reproduce(plan, lambda *step: told.append(step), StandIn(made_up))
     table = by_quantity(rows(result))
     found = {name: by_device[MAIN] for name, by_device in table.items() if MAIN in by_device}
-    expected = predicted_limit(subject(MAIN), LEVELS[1], 0)
+    expected = predicted_limit(conditions(MAIN).display, LEVELS[1], 0)
     assert found["K_max_on"].ours == pytest.approx((1.0 + 2 * SCATTER) * expected, rel=2 * FINE)
     assert found["K_max_on"].sd == pytest.approx(SCATTER * expected, rel=0.1)
-    expected = predicted_limit(subject(MAIN), LEVELS[0], 1)
+    expected = predicted_limit(conditions(MAIN).display, LEVELS[0], 1)
     unlucky = (
         1.0 + SCATTER + 1.0 + 3 * SCATTER
     ) / 3.0  # a seed with which nothing passes counts as 0

@@ -7,7 +7,7 @@ independent ones (band over bandwidth) is smaller, but with it a lossless device
 promised false alarms, because the extreme of a smooth curve lies between them.
 """
 
-from math import atan, cos, isclose, sin, sqrt, tan
+from math import atan, cos, isclose, pi, sin, sqrt, tan
 from statistics import NormalDist
 
 from hapticd.errors import AnalysisError
@@ -26,8 +26,7 @@ def student_quantile(probability: float, degrees_of_freedom: float) -> float:
     """Quantile of Student's t: Cornish-Fisher expansion in 1/nu (Abramowitz and Stegun 26.7.5),
     1e-4 of t from nu = 18 on.
 
-    Below, where nu must be 2, 4, 6 .. as for a mean of complex values, it is exact. AnalysisError
-    for any other nu below.
+    Below, where nu must be 1, 2, 3 .., it is exact. AnalysisError for any other nu below.
     """
     if degrees_of_freedom < MANY:
         return _few(probability, degrees_of_freedom)
@@ -43,13 +42,11 @@ def student_quantile(probability: float, degrees_of_freedom: float) -> float:
 
 
 def _few(probability: float, degrees_of_freedom: float) -> float:
-    """By halving: P(t) = (1 + sin a (1 + cos^2 a / 2 + 3 cos^4 a / 8 + ..)) / 2, tan a = t /
-    sqrt(nu), nu even (26.7.4 there).
-    """
+    """By halving, as P(t) is known in closed form; tan of the angle is t / sqrt(nu)."""
     nu = round(degrees_of_freedom)
-    if nu < 2 or nu % 2 or not isclose(nu, degrees_of_freedom):
+    if nu < 1 or not isclose(nu, degrees_of_freedom):
         raise AnalysisError(
-            f"{degrees_of_freedom:g} degrees of freedom: below {MANY:g} an even number is needed;"
+            f"{degrees_of_freedom:g} degrees of freedom: below {MANY:g} a whole number is needed;"
             " average more"
         )
     low = atan(-1e9)
@@ -61,8 +58,12 @@ def _few(probability: float, degrees_of_freedom: float) -> float:
 
 
 def _student(angle: float, nu: int) -> float:
-    term = total = 1.0
+    """P(t) by a finite sum: 26.7.3 of Abramowitz and Stegun for odd nu, 26.7.4 for even nu."""
+    odd = nu % 2
+    term = cos(angle) if odd else 1.0
+    total = term if nu > 1 else 0.0
     for place in range(1, nu // 2):
-        term *= (2 * place - 1) / (2 * place) * cos(angle) ** 2
+        term *= (2 * place - 1 + odd) / (2 * place + odd) * cos(angle) ** 2
         total += term
-    return 0.5 * (1.0 + sin(angle) * total)
+    inside = 2.0 / pi * (angle + sin(angle) * total) if odd else sin(angle) * total
+    return 0.5 * (1.0 + inside)

@@ -144,11 +144,6 @@ class Bench:
         given = self.conditions.shaken(amplitude, seed - self.conditions.excitation.seed)
         return flown(Lot(given, level, points_of(points)), self.store)
 
-    def sized(self, points: Floats, level: float, seed: int) -> Floats:
-        """|Z| (n, F) of those trials that pass."""
-        runs = [sizes(outcome) for outcome in self.flown(points, level, seed) if outcome.passes]
-        return np.array(runs).reshape(-1, shown_hz().size)
-
     def limit(self, level: float, axis: int, reach: float | None = None) -> float:
         """Predicted axis limit, the others 0: N/m, Ns/m, kg."""
         return predicted_limit(self.display, level, axis, reach=reach)
@@ -208,15 +203,14 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class Bounds:
-    """Edges of one case over `frequency_hz` (F,), their owners places in `points` (N, 3); sd is
-    that of ln |Z| between seeds.
+    """Edges of one case over `shown_hz()` (F,), their owners places in `points` (N, 3); sd is that
+    of ln |Z| between seeds.
 
     `lower_runs`, `upper_runs` (seeds, F): of each seed, the prediction alone (1, F) without trials.
     `predicted_lower` (F,): of all that are predicted to be passive. `struck` failed a trial.
     """
 
     case: Case
-    frequency_hz: Floats
     lower: Edge
     upper: Edge
     points: Floats
@@ -226,17 +220,17 @@ class Bounds:
     flown: int
     struck: int
 
-    def lower_db(self, band_hz: tuple[float, float] = LOW_HZ) -> Floats:
+    def lower_db(self) -> Floats:
         """Mean of the lower edge over ln f [dB re 1 N s/m] (seeds,)."""
-        return mean_db(self.frequency_hz, self.lower_runs, band_hz)
+        return mean_db(shown_hz(), self.lower_runs, LOW_HZ)
 
-    def predicted_db(self, band_hz: tuple[float, float] = LOW_HZ) -> float:
+    def predicted_db(self) -> float:
         """The lower edge by prediction alone [dB re 1 N s/m]."""
-        return float(mean_db(self.frequency_hz, self.predicted_lower[None], band_hz)[0])
+        return float(mean_db(shown_hz(), self.predicted_lower[None], LOW_HZ)[0])
 
-    def width_db(self, band_hz: tuple[float, float] = LOW_HZ) -> Floats:
+    def width_db(self) -> Floats:
         """Mean Z-width over ln f [dB] (seeds,)."""
-        return mean_db(self.frequency_hz, self.upper_runs / self.lower_runs, band_hz)
+        return mean_db(shown_hz(), self.upper_runs / self.lower_runs, LOW_HZ)
 
 
 @dataclass(frozen=True, eq=False)
@@ -341,7 +335,7 @@ class Levels:
 
 
 @dataclass(frozen=True, eq=False)
-class Compared:
+class SearchCheck:
     """Of one level of added damping: `points` of the grid, `passive` of them; wrong are `predicted`
     by prediction alone, `other_noise` by the second grid, `searched` by n trials. `found` is the
     search with all of its trials.
@@ -398,7 +392,7 @@ class BeyondResult:
     free: Free
     shaped: Shaped
     levels: Levels
-    searches: tuple[Compared, ...]
+    searches: tuple[SearchCheck, ...]
 
 
 def plan_beyond(quick: bool = False, seeds: int = SEEDS) -> BeyondPlan:
@@ -452,28 +446,56 @@ def bounds_of(
     """By trials of the owners, all of which pass with every seed; without seeds by prediction."""
     kept = candidates(bench, case, points)
     size = bench.sizes(kept, case.level)
-    alive = np.ones(len(kept), np.bool_)
-    tried = np.zeros(len(kept), np.bool_)
-    flown = 0
-    if not seeds:
-        return _bounds(case, kept, size[None], _owners(size, alive), size, (0, 0))
-    every = np.full((len(seeds), *size.shape), np.nan)
-    for _ in range(ROUNDS):
-        new = np.setdiff1d(np.concatenate(_owners(size, alive)), np.flatnonzero(tried))
-        if not new.size:
-            break
-        tried[new] = True
-        flown += _flown(bench, case.level, kept, new, seeds, alive, every)
-    return _bounds(
-        case, kept, every, _owners(size, alive & tried), size, (flown, int((~alive).sum()))
+    runs = size[None]
+    passed = np.full(len(kept), True)
+    counts = (0, 0)
+    if seeds:
+        runs, passed, counts = _struck(bench, case.level, kept, size, seeds)
+    owners = _owners(size, passed)
+    lower, upper = (np.take_along_axis(runs, which[None, None], 1)[:, 0] for which in owners)
+    return Bounds(
+        case,
+        _edge(lower, owners[0]),
+        _edge(upper, owners[1]),
+        kept,
+        lower,
+        upper,
+        size.min(axis=0),
+        *counts,
     )
+
+
+def _struck(
+    bench: Bench, level: float, points: Floats, size: Floats, seeds: tuple[int, ...]
+) -> tuple[Floats, Flags, tuple[int, int]]:
+    """Of environments (N, 3) with predicted `size` (N, F), until all owners have passed with every
+    seed: |Z| (seeds, N, F) by trials, nan without one; those (N,) that passed; how many trials were
+    flown, and how many environments failed.
+    """
+    every = np.full((len(seeds), *size.shape), np.nan)
+    alive = np.full(len(points), True)
+    tried = np.full(len(points), False)
+    flown = 0
+    for _ in range(ROUNDS):
+        left = np.setdiff1d(np.concatenate(_owners(size, alive)), np.flatnonzero(tried))
+        if not left.size:
+            break
+        tried[left] = True
+        for row, seed in zip(every, seeds, strict=True):
+            outcomes = bench.flown(points[left], level, seed) if left.size else []
+            flown += len(outcomes)
+            alive[left] = [outcome.passes for outcome in outcomes]
+            for place, outcome in zip(left, outcomes, strict=True):
+                row[place] = sizes(outcome) if outcome.passes else np.nan
+            left = left[alive[left]]
+    return every, alive & tried, (flown, int((~alive).sum()))
 
 
 def hardy(bench: Bench, bounds: Bounds, seed: int, amplitude: float = 2.0) -> float:
     """Share of the environments that own the lower edge in LOW_HZ which pass with `amplitude`
     times the force as well.
     """
-    low = (bounds.frequency_hz >= LOW_HZ[0]) & (bounds.frequency_hz <= LOW_HZ[1])
+    low = (shown_hz() >= LOW_HZ[0]) & (shown_hz() <= LOW_HZ[1])
     points = bounds.points[np.unique(bounds.lower.owner[low])]
     return float(
         np.mean(
@@ -489,55 +511,6 @@ def _owners(
     return np.where(among[:, None], size, np.inf).argmin(axis=0), np.where(
         among[:, None], size, -np.inf
     ).argmax(axis=0)
-
-
-def _flown(
-    bench: Bench,
-    level: float,
-    points: Floats,
-    left: Integers,
-    seeds: tuple[int, ...],
-    alive: Flags,
-    every: Floats,
-) -> int:
-    """Fly `left`, places of environments, until each failed or passed with every seed, and count
-    the trials; |Z| goes into `every` (seeds, N, F), whoever fails is no longer `alive` (N,).
-    """
-    count = 0
-    for row, seed in zip(every, seeds, strict=True):
-        outcomes = bench.flown(points[left], level, seed) if left.size else []
-        count += len(outcomes)
-        for place, outcome in zip(left, outcomes, strict=True):
-            alive[place] = outcome.passes
-            if outcome.passes:
-                row[place] = sizes(outcome)
-        left = left[alive[left]]
-    return count
-
-
-def _bounds(
-    case: Case,
-    points: Floats,
-    every: Floats,
-    owners: tuple[Integers, Integers],
-    size: Floats,
-    counts: tuple[int, int],
-) -> Bounds:
-    """`every` (seeds, N, F) of trials, `size` (N, F) by prediction, `counts` of trials and of
-    what they struck out.
-    """
-    lower, upper = (np.take_along_axis(every, which[None, None], 1)[:, 0] for which in owners)
-    return Bounds(
-        case,
-        shown_hz(),
-        _edge(lower, owners[0]),
-        _edge(upper, owners[1]),
-        points,
-        lower,
-        upper,
-        size.min(axis=0),
-        *counts,
-    )
 
 
 def _edge(runs: Floats, owner: Integers) -> Edge:
@@ -581,8 +554,9 @@ def _motion(
     bench: Bench, name: str, level: float, damping: float, mass_kg: float, seeds: tuple[int, ...]
 ) -> Motion:
     point = np.array([[0.0, damping, mass_kg]])
-    runs = np.concatenate(
-        [np.empty((0, shown_hz().size)), *(bench.sized(point, level, seed) for seed in seeds)]
+    outcomes = [outcome for seed in seeds for outcome in bench.flown(point, level, seed)]
+    runs = np.array([sizes(outcome) for outcome in outcomes if outcome.passes]).reshape(
+        -1, shown_hz().size
     )
     spare = float(lifted_margin(lift(bench.display.model, level, bench.display.filters), point)[0])
     return Motion(name, level, damping, mass_kg, bench.sizes(point, level)[0], runs, spare)
@@ -603,11 +577,10 @@ def shaped_damping(bench: Bench, level: float, seeds: tuple[int, ...]) -> Shaped
     plain = corner(bench, level)
     highpass = tuple(corner(bench.shaped(highpass_hz=hertz), level, hertz) for hertz in HIGHPASS_HZ)
     lowpass = tuple(corner(bench.shaped(lowpass_hz=hertz), level, hertz) for hertz in LOWPASS_HZ)
-    best = min(
-        (each for each in highpass if _keeps(each, plain)),
-        key=lambda each: each.free_db,
-        default=plain,
-    )
+    kept = [
+        each for each in highpass if min(np.divide(each.limits, plain.limits)[1:]) >= 1.0 - KEPT
+    ]
+    best = min(kept, key=lambda each: each.free_db, default=plain)
     own = bench.shaped(highpass_hz=best.hertz) if best.hertz else bench
     stiffest = [float(predicted_set(each.display, level)[:, 0].max()) for each in (bench, own)]
     return Shaped(
@@ -630,10 +603,6 @@ def corner(bench: Bench, level: float, hertz: float = 0.0) -> Corner:
     """
     limits = (bench.limit(level, 0), bench.limit(level, 1), bench.limit(level, 2))
     return Corner(hertz, limits, float(mean_db(shown_hz(), bench.sizes(FREE, level), LOW_HZ)[0]))
-
-
-def _keeps(corner: Corner, plain: Corner) -> bool:
-    return all(corner.limits[axis] / plain.limits[axis] >= 1.0 - KEPT for axis in (1, 2))
 
 
 def damping_levels(bench: Bench, seeds: tuple[int, ...]) -> Levels:
@@ -672,7 +641,7 @@ def compared_with_grid(
     damping_ns_per_m: float,
     budgets: tuple[int, ...] = BUDGETS,
     tell: Progress = silent,
-) -> Compared:
+) -> SearchCheck:
     """Fly the grid twice, search once with `budgets[-1]` trials; the search after fewer trials
     is a part of that one.
     """
@@ -693,7 +662,7 @@ def compared_with_grid(
         )
         searched[count] = int((predicted_passive(known, prediction.points) != truth).sum())
     predicted, floor = (int((other != truth).sum()) for other in (prediction.passive, again))
-    return Compared(
+    return SearchCheck(
         damping_ns_per_m, truth.size, int(truth.sum()), predicted, floor, searched, found
     )
 

@@ -240,11 +240,6 @@ def conditions(device: str) -> Conditions:
     return Conditions(scene, SECONDS, replace(noise(scene), seed=1))
 
 
-def subject(device: str) -> Display:
-    """One of SCENES, prepared."""
-    return conditions(device).display
-
-
 def run_reproduce(
     plan: ReproducePlan, tell: Progress = silent, executor: Executor | None = None
 ) -> ReproduceResult:
@@ -257,7 +252,7 @@ def run_reproduce(
     steps = Steps(tell, 2 * len(plan.devices))
     for name in plan.devices:
         steps.next(f"predicting, {name}")
-        predicted[name] = tuple(by_prediction(subject(name), level) for level in LEVELS)
+        predicted[name] = tuple(by_prediction(conditions(name).display, level) for level in LEVELS)
         limits.append(_asked(name, seeds))
         for level in LEVELS:
             sets += [
@@ -341,7 +336,7 @@ def set_place(device: str, level: float, axis: int) -> Point:
     """Where the set reading of a parameter is searched from: of the places beside the extreme of
     the predicted set the one that reaches farthest, itself 0; K = B = M = 0 if none is passive.
     """
-    own = subject(device)
+    own = conditions(device).display
     kept = predicted_set(own, level)
     reach = np.abs(kept[:, axis]) * (np.sign(kept[:, axis]) == np.sign(REACH[axis]))
     beside = kept[reach == reach.max(initial=0.0)]
@@ -364,7 +359,9 @@ def _single(
     name: str, point: Point, level: float, seeds: tuple[int, ...], pool: Executor
 ) -> Single:
     trials = tuple(pool.map(partial(single_trial, name, point, level), seeds))
-    return Single(point, level, trials, bool(subject(name).passive(np.array([point]), level)[0]))
+    return Single(
+        point, level, trials, bool(conditions(name).display.passive(np.array([point]), level)[0])
+    )
 
 
 def single_trial(device: str, point: Point, level: float, seed: int) -> TrialResult | None:

@@ -10,13 +10,14 @@ free_motion_*   mean |Z| without K there, dB re 1 N s/m
 The paper has nothing to compare these rows with.
 """
 
+from dataclasses import replace
 from functools import partial
 from math import nan
 
 import numpy as np
 
 from hapticd.analysis.arrays import Floats
-from hapticd.measure.beyond import FLOWN, BeyondResult, Bounds, mean_sd, shown_hz
+from hapticd.measure.beyond import FLOWN, BeyondResult, Bounds, SearchCheck, mean_sd, shown_hz
 from hapticd.measure.reproduce_rows import ADDED_NS_PER_M, MAIN, MODES, NAMES, UNITS, Row
 from hapticd.report.paper_figures import edge_figure, free_figure, levels_figure, shape_figure
 from hapticd.report.paper_page import Drawing, Section
@@ -59,30 +60,6 @@ def restored(result: BeyondResult, kind: str = "") -> Floats:
 
 
 def _lower_edge(result: BeyondResult) -> Section:
-    low = {name: found.lower_db().mean() for name, found in result.envelopes.items()}
-    wide = {name: found.width_db().mean() for name, found in result.envelopes.items()}
-    at_noise, safe = (restored(result, kind).mean() for kind in ("", "_safe"))
-    twice = ""
-    if result.hardy:
-        share = 100.0 * max(result.hardy[name] for name in ("off", "on", "on_negative_B"))
-        twice = (
-            f": shaken twice as hard, {share:.0f} % at most of the owners of any of these edges"
-            " pass"
-        )
-    words = (
-        f"Added damping raises the lower edge of the Z-width in 2-20 Hz from {low['off']:.1f} to"
-        f" {low['on']:.1f} dB (re 1 N s/m, mean over ln f). With B < 0 it comes to"
-        f" {low['on_negative_B']:.1f} dB, {at_noise:.0f} % of the way back, and the upper edge"
-        f" stays. The Z-width there is {wide['off']:.1f} dB without damping, {wide['on']:.1f} dB"
-        f" with it, and {wide['on_negative_B']:.1f} dB with B < 0 beside it. The undamped device"
-        f" with B < 0 reaches {low['off_negative_B']:.1f} dB.\n\nThese edges count on dry friction,"
-        f" as limits at one perturbation do{twice}. Without counting on friction the lower edge is"
-        f" at {low['off_safe']:.1f} dB undamped, {low['on_safe']:.1f} dB damped,"
-        f" {low['on_negative_B_safe']:.1f} dB with B < 0 ({safe:.0f} % of the way back). All are"
-        " edges of one grid, that of Figs. 3 and 8 with rows of B < 0. A finer grid goes lower,"
-        " because K and M cancel more exactly, and other seeds let other environments pass: a"
-        " decibel or two, more than the scatter in the table (ADR 0034)."
-    )
     rows = []
     for name, bounds in result.envelopes.items():
         told = _edge_note(result, name, bounds)
@@ -102,7 +79,39 @@ def _lower_edge(result: BeyondResult) -> Section:
     ]
     caption = f"Envelopes with the owners of their lower edges; {BANDS}."
     drawing = Drawing("beyond_lower_edge", caption, partial(edge_figure, result))
-    return Section("Beyond the paper: negative virtual damping", words, tuple(rows), (drawing,))
+    return Section(
+        "Beyond the paper: negative virtual damping",
+        _lower_edge_words(result),
+        tuple(rows),
+        (drawing,),
+    )
+
+
+def _lower_edge_words(result: BeyondResult) -> str:
+    low = {name: found.lower_db().mean() for name, found in result.envelopes.items()}
+    wide = {name: found.width_db().mean() for name, found in result.envelopes.items()}
+    at_noise, safe = (restored(result, kind).mean() for kind in ("", "_safe"))
+    twice = ""
+    if result.hardy:
+        share = 100.0 * max(result.hardy[name] for name in ("off", "on", "on_negative_B"))
+        twice = (
+            f": shaken twice as hard, {share:.0f} % at most of the owners of any of these edges"
+            " pass"
+        )
+    return (
+        f"Added damping raises the lower edge of the Z-width in 2-20 Hz from {low['off']:.1f} to"
+        f" {low['on']:.1f} dB (re 1 N s/m, mean over ln f). With B < 0 it comes to"
+        f" {low['on_negative_B']:.1f} dB, {at_noise:.0f} % of the way back, and the upper edge"
+        f" stays. The Z-width there is {wide['off']:.1f} dB without damping, {wide['on']:.1f} dB"
+        f" with it, and {wide['on_negative_B']:.1f} dB with B < 0 beside it. The undamped device"
+        f" with B < 0 reaches {low['off_negative_B']:.1f} dB.\n\nThese edges count on dry friction,"
+        f" as limits at one perturbation do{twice}. Without counting on friction the lower edge is"
+        f" at {low['off_safe']:.1f} dB undamped, {low['on_safe']:.1f} dB damped,"
+        f" {low['on_negative_B_safe']:.1f} dB with B < 0 ({safe:.0f} % of the way back). All are"
+        " edges of one grid, that of Figs. 3 and 8 with rows of B < 0. A finer grid goes lower,"
+        " because K and M cancel more exactly, and other seeds let other environments pass: a"
+        " decibel or two, more than the scatter in the table (ADR 0034)."
+    )
 
 
 def _edge_note(result: BeyondResult, name: str, bounds: Bounds) -> str:
@@ -249,49 +258,7 @@ def _levels(result: BeyondResult) -> Section:
 
 
 def _search(result: BeyondResult) -> Section:
-    words = []
-    rows = []
-    for found, mode in zip(result.searches, MODES.values(), strict=False):
-        wrong = {count: found.share(points) for count, points in found.searched.items()}
-        alone = found.share(found.predicted)
-        again = found.share(found.other_noise)
-        words.append(
-            f"At {found.damping_ns_per_m:g} N s/m the search holds wrongly, of the passive points,"
-            f" {', '.join(f'{share:.1f} % after {count}' for count, share in wrong.items())}"
-            f" trials; prediction alone {alone:.1f} %, the grid flown again with other noise"
-            f" {again:.1f} %."
-        )
-        grid = f"of {found.passive} passive points among {found.points}"
-        enough = (
-            f"first of {', '.join(map(str, wrong))} trials with no more wrong than the grid flown"
-            " again"
-        )
-        told = (
-            ("grid_trials", found.points, "trials", "the whole grid flown, one seed of noise"),
-            (
-                "search_trials",
-                found.enough or nan,
-                "trials",
-                enough if found.enough else f"more than {max(wrong)} trials are needed",
-            ),
-            *(
-                (
-                    f"search_wrong_{count}",
-                    share,
-                    "%",
-                    f"yes or no that {count} trials hold otherwise, {grid}",
-                )
-                for count, share in wrong.items()
-            ),
-            ("prediction_wrong", alone, "%", f"the same without a trial, {grid}"),
-            ("grid_again_wrong", again, "%", f"the grid flown with other noise, {grid}"),
-        )
-        rows += [
-            Row(
-                f"{name}_{mode}", nan, float(value), unit, "independent", MAIN, note=note, part=PART
-            )
-            for name, value, unit, note in told
-        ]
+    words = [_search_words(found) for found in result.searches]
     saved = [
         f"{found.points} trials by {found.enough}" for found in result.searches if found.enough
     ]
@@ -299,8 +266,64 @@ def _search(result: BeyondResult) -> Section:
         words.append(
             f"To know as much as one flight of the grid, it replaces {' and '.join(saved)}."
         )
+    told = [
+        (mode, row)
+        for found, mode in zip(result.searches, MODES.values(), strict=False)
+        for row in _search_rows(found)
+    ]
+    rows = tuple(replace(row, quantity=f"{row.quantity}_{mode}") for mode, row in told)
     caption = "Slices of the set with the trials next to each, and all trials in their order."
     drawing = Drawing(
         "beyond_search", caption, partial(search_figure, [found.found for found in result.searches])
     )
-    return Section("Beyond the paper: directed search", " ".join(words), tuple(rows), (drawing,))
+    return Section("Beyond the paper: directed search", " ".join(words), rows, (drawing,))
+
+
+def _search_words(found: SearchCheck) -> str:
+    wrong = ", ".join(
+        f"{found.share(points):.1f} % after {count}" for count, points in found.searched.items()
+    )
+    return (
+        f"At {found.damping_ns_per_m:g} N s/m the search holds wrongly, of the passive points,"
+        f" {wrong} trials; prediction alone {found.share(found.predicted):.1f} %, the grid flown"
+        f" again with other noise {found.share(found.other_noise):.1f} %."
+    )
+
+
+def _search_rows(found: SearchCheck) -> tuple[Row, ...]:
+    grid = f"of {found.passive} passive points among {found.points}"
+    enough = f"more than {max(found.searched)} trials are needed"
+    if found.enough:
+        enough = (
+            f"first of {', '.join(map(str, found.searched))} trials with no more wrong than the"
+            " grid flown again"
+        )
+    told = (
+        ("grid_trials", found.points, "trials", "the whole grid flown, one seed of noise"),
+        ("search_trials", found.enough or nan, "trials", enough),
+        *(
+            (
+                f"search_wrong_{count}",
+                found.share(wrong),
+                "%",
+                f"yes or no that {count} trials hold otherwise, {grid}",
+            )
+            for count, wrong in found.searched.items()
+        ),
+        (
+            "prediction_wrong",
+            found.share(found.predicted),
+            "%",
+            f"the same without a trial, {grid}",
+        ),
+        (
+            "grid_again_wrong",
+            found.share(found.other_noise),
+            "%",
+            f"the grid flown with other noise, {grid}",
+        ),
+    )
+    return tuple(
+        Row(name, nan, float(value), unit, "independent", MAIN, note=note, part=PART)
+        for name, value, unit, note in told
+    )

@@ -436,13 +436,9 @@ def edge_figure(result: BeyondResult) -> Figure:
         _ends(size)
         averaged(size, LOW_HZ)
         for axis, found, (_, _, label) in zip(strips, bounds, CASES, strict=True):
-            which = weightiest(found.frequency_hz, found.points[found.lower.owner])
+            which = weightiest(shown_hz(), found.points[found.lower.owner])
             strip(
-                axis,
-                found.frequency_hz,
-                [which],
-                f"{label}: {found.lower_db().mean():+.1f} dB",
-                columns=2,
+                axis, shown_hz(), [which], f"{label}: {found.lower_db().mean():+.1f} dB", columns=2
             )
         for axis in (size, *strips):
             axis.set_xlabel("frequency (Hz)" if axis is strips[-1] else "")

@@ -28,7 +28,7 @@ from hapticd.measure.reproduce import (
     Limit,
     ReproduceResult,
     Single,
-    subject,
+    conditions,
 )
 from hapticd.measure.reproduce_rows import (
     ADDED_NS_PER_M,
@@ -241,7 +241,7 @@ def _ratios(own: Mapping[tuple[int, float], Row], reading: str = "") -> Iterator
 
 def _added(name: str) -> Row:
     """Re Z that the circuit adds to the device alone, without friction."""
-    device = subject(name)
+    device = conditions(name).display
     z = [
         predicted_impedance(device.model, (0.0, 0.0, 0.0), [READ_HZ], level, device.filters)[0].real
         for level in LEVELS
@@ -357,7 +357,7 @@ def predicted(single: Single, name: str, frequency_hz: Floats) -> Complexes:
     """Z (F,) [N s/m] of its environment at `frequency_hz` (F,), at the perturbation of the
     trials of the device `name`.
     """
-    device = subject(name)
+    device = conditions(name).display
     return predicted_impedance(
         device.model, single.point, frequency_hz, single.level, device.filters, device.perturbation
     )

@@ -22,14 +22,14 @@ What would break it: a figure that chooses colours of its own, or one that is dr
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from math import pi, sqrt, tan
+from math import sqrt
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hapticd.analysis.arrays import Floats
-from hapticd.analysis.confidence import MANY, student_quantile
+from hapticd.analysis.confidence import student_quantile
 from hapticd.errors import ConfigError
 from hapticd.params import ADDED_DAMPING_NS_PER_M
 
@@ -243,14 +243,7 @@ def of_mean(count: int) -> float:
     """Half an interval of 95 % of a mean of `count` values, over their standard deviation:
     Student's t; 0 for a single one.
     """
-    if count < 2:
-        return 0.0
-    freedom = count - 1
-    if freedom == 1:
-        return tan(pi * (PROBABILITY - 0.5)) / sqrt(count)
-    return student_quantile(
-        PROBABILITY, freedom - freedom % 2 if freedom < MANY else freedom
-    ) / sqrt(count)
+    return student_quantile(PROBABILITY, count - 1) / sqrt(count) if count > 1 else 0.0
 
 
 def tint(colour: str, share: float = 0.14) -> str:

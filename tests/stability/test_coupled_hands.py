@@ -24,7 +24,7 @@ from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.loop import PAPER_FILTERS, pulse_transfer, responses, with_viscous
 from hapticd.analysis.predict import predict
 from hapticd.errors import AnalysisError
-from hapticd.measure.reproduce import POINTS, SCENES, subject
+from hapticd.measure.reproduce import POINTS, SCENES, conditions
 from hapticd.measure.reproduce_rows import ADDED_NS_PER_M, LEVELS, MAIN
 
 HANDS = random_hands(1000)
@@ -40,7 +40,7 @@ DEVICES = [
 
 def called(name, level):
     """(model, filters, lifted, points): what safety decides, without friction."""
-    device = subject(name)
+    device = conditions(name).display
     lifted = lift(device.model, level, device.filters)
     points = POINTS[lifted_passive(lifted, POINTS)]
     stable = spectral_radius(device.model, points, level, device.filters) < 1.0
@@ -71,7 +71,7 @@ def test_random_hands_are_of_many_kinds():
 @LEVEL
 def test_held_device_has_both_impedances(level):
     """1/Y of the composed model, states and all, is the device's 1/Y and Z_h."""
-    model = subject(MAIN).model
+    model = conditions(MAIN).display.model
     f = np.geomspace(0.1, 3000.0, 40)
     alone = 1.0 / responses(model, f, level).velocity[0, 1]
     for hand in HANDS[:100]:
@@ -88,7 +88,7 @@ def test_no_hand_leaves_its_circle(name, level):
     """1,000 hands at 503 angles; some come to the rim, so the circle is no larger than it must
     be.
     """
-    device = subject(name)
+    device = conditions(name).display
     turn = np.exp(1j * ANGLES)
     found = reach(lift(device.model, level, device.filters))
     most = 0.0
@@ -137,7 +137,7 @@ def test_whatever_a_hand_shakes_was_not_called():
     """Ten times the set: many pairs are unstable only because of the hand, and none of them was
     said to withstand it.
     """
-    device = subject(MAIN)
+    device = conditions(MAIN).display
     random = np.random.default_rng(8)
     points = random.uniform((0.0, -1.0, -0.03), (3000.0, 12.0, 0.05), (60, 3))
     points = points[spectral_radius(device.model, points, ADDED_NS_PER_M, device.filters) < 1.0]
@@ -180,7 +180,11 @@ def test_five_percent_outside_a_hand_shakes_it(name, level):
     point beyond the boundary, and the same hand does not 5 % inside.
     """
     own = {"rigid": (rigid(), PAPER_FILTERS), "rigid late": (rigid(delay=0.5), PAPER_FILTERS)}
-    model, filters = own[name] if name in own else (subject(name).model, subject(name).filters)
+    model, filters = (
+        own[name]
+        if name in own
+        else (conditions(name).display.model, conditions(name).display.filters)
+    )
     lifted = lift(model, level, filters)
     random = np.random.default_rng(5)
     for _ in range(12):
@@ -213,7 +217,7 @@ def test_few_predictions_are_open_to_hands_and_with_little_margin(name, level, s
     They are real: a hand is at hand that shakes them, but for a few that lack 1 % or less, and
     would take more images than it is tuned for.
     """
-    device = subject(name)
+    device = conditions(name).display
     found = predict(device.model, POINTS, level, device.filters, Perturbation())
     lifted = lift(device.model, level, device.filters)
     passive = np.flatnonzero(found.passive)
