@@ -350,7 +350,9 @@ def _space(axis: Any, found: Found) -> None:
         yticks=(0, 3, 6, 9),
         zticks=(0, 500, 1000),
     )
-    axis.set(xlabel="M (g)", ylabel="B (N s/m)", zlabel="K (N/m)")
+    axis.set_xlabel("M (g)", labelpad=-4)
+    axis.set_ylabel("B (N s/m)", labelpad=-4)
+    axis.set_zlabel("K (N/m)", labelpad=4)
     axis.tick_params(labelsize=SMALL_PT, pad=-2)
     axis.tick_params(axis="z", pad=1)
     axis.view_init(elev=20, azim=-60)
