@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from hapticd.assembly import resolve
-from hapticd.assembly.supervisor import Progress, Restarts, Supervisor, mailbox_served
+from hapticd.assembly.supervisor import ProcessEvent, Restarts, Supervisor, mailbox_served
 from hapticd.clock import VirtualClock
 from hapticd.errors import ConfigError, HapticdError, MailboxError
 from hapticd.mailbox import files
@@ -50,7 +50,7 @@ class Stage:
 
     def __init__(self, folder: Path) -> None:
         self.clock = VirtualClock(NS_PER_S)
-        self.events: list[tuple[float, Progress]] = []
+        self.events: list[tuple[float, ProcessEvent]] = []
         self.processes: dict[str, list[ScriptedProcess]] = {"servo_main": [], "gateway_main": []}
         self.on_start: Callable[[str, ScriptedProcess], None] = lambda name, process: None
         self.gateway_serves = True
@@ -86,7 +86,7 @@ class Stage:
     def kinds(self) -> list[str]:
         return [f"{event.kind} {event.process}".strip() for _, event in self.events]
 
-    def _tell(self, event: Progress) -> None:
+    def _tell(self, event: ProcessEvent) -> None:
         self.events.append((self.seconds, event))
 
     def _start(self, command: Sequence[str], ready: int) -> ScriptedProcess:

@@ -177,7 +177,7 @@ def mailbox_served(folder: Path, pid: int) -> bool:
     return memoryview(page).cast("Q")[layout.EPOCH_WORD] != 0 and header[2] == pid
 
 
-class Progress(NamedTuple):
+class ProcessEvent(NamedTuple):
     """What a callback is told."""
 
     kind: str  # starting | waiting | ready | restart | ending | killed | ended
@@ -194,7 +194,7 @@ class Supervisor:
         settings: Settings,
         instance: str,
         clock: Clock,
-        tell: Callable[[Progress], None],
+        tell: Callable[[ProcessEvent], None],
         start: Spawn = spawn,
         served: Callable[[Path, int], bool] = mailbox_served,
     ) -> None:
@@ -235,7 +235,7 @@ class Supervisor:
             self._end(self.gateway)
             files.remove(self.folder, files.SERVO_JSON, files.BOARD_JSON, files.GATEWAY_JSON)
             files.release(self.folder, SUPERVISOR_LOCK, claim)
-        self.tell(Progress("ended", "", "ended: force 0, disabled, both processes gone"))
+        self.tell(ProcessEvent("ended", "", "ended: force 0, disabled, both processes gone"))
 
     def _look(self, now_ns: int) -> None:
         """One poll: who died, who is due to start, who serves."""
@@ -251,19 +251,19 @@ class Supervisor:
 
     def _start_if_due(self, child: Child, now_ns: int) -> None:
         if child.start_at_ns is not None and now_ns >= child.start_at_ns:
-            self.tell(Progress("starting", child.name, f"starting the {child.name}"))
+            self.tell(ProcessEvent("starting", child.name, f"starting the {child.name}"))
             child.start()
             self._impatient_ns = now_ns + PATIENCE_NS
 
     def _tell_readiness(self, now_ns: int) -> None:
         ready = self.servo.ready and self.gateway.ready
         if ready and not self.ready:
-            self.tell(Progress("ready", "", "servo and gateway are ready"))
+            self.tell(ProcessEvent("ready", "", "servo and gateway are ready"))
         elif not ready and self._impatient_ns is not None and now_ns >= self._impatient_ns:
             missing = "the servo (is the board plugged in and switched on?)"
             if self.servo.ready:
                 missing = "the gateway"
-            self.tell(Progress("waiting", "", f"still waiting for {missing}"))
+            self.tell(ProcessEvent("waiting", "", f"still waiting for {missing}"))
             self._impatient_ns = None
         self.ready = ready
 
@@ -286,19 +286,19 @@ class Supervisor:
             )
         wait_s = (child.start_at_ns - now_ns) / NS_PER_S
         again = f"restart {child.restarts.used} of {RESTARTS_MAX} in {wait_s} s, disabled"
-        self.tell(Progress("restart", child.name, f"the {child.name} died ({how}); {again}"))
+        self.tell(ProcessEvent("restart", child.name, f"the {child.name} died ({how}); {again}"))
 
     def _end(self, child: Child) -> None:
         """End a child in order; kill it if it does not end in time or `stop` was asked twice."""
         process = child.process
         if process is not None and child.alive():
-            self.tell(Progress("ending", child.name, f"ending the {child.name}"))
+            self.tell(ProcessEvent("ending", child.name, f"ending the {child.name}"))
             process.terminate()
             self._await_end(child, self.clock.now_ns() + PATIENCE_NS)
             if child.alive():
                 process.kill()
                 text = f"killed the {child.name}: it did not end in time"
-                self.tell(Progress("killed", child.name, text))
+                self.tell(ProcessEvent("killed", child.name, text))
             while child.alive():
                 self.clock.sleep_until_ns(self.clock.now_ns() + POLL_NS)
         child.forget()

@@ -18,7 +18,7 @@ from hapticd.errors import CommandError, ConfigError, DaemonDown, HapticdError
 from hapticd.units import PROBE_RATE_HZ
 
 if TYPE_CHECKING:
-    from hapticd.assembly.supervisor import Progress
+    from hapticd.assembly.supervisor import ProcessEvent
     from hapticd.settings.load import Settings
 
 
@@ -45,7 +45,7 @@ def run(
     )
     settings = load(config, overrides)
 
-    def tell(event: "Progress") -> None:
+    def tell(event: "ProcessEvent") -> None:
         try:
             if as_json:
                 terminal.data_json(

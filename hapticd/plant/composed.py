@@ -61,7 +61,7 @@ SIGNALS = {"command": "force_n", "torque": "push", "estimate": "error", "frictio
 _serial = itertools.count(1)  # of generated sources, so that tracebacks find their own
 
 
-class Term(NamedTuple):
+class Product(NamedTuple):
     """One product of a row: a coefficient of the map times a variable of the generated text."""
 
     variable: str
@@ -182,20 +182,20 @@ class RowTerms:
         first = sum(map(len, self.by_letter[letter][:i]))
         return f"{letter}{first + [term.column for term in self.by_letter[letter][i]].index(j)}"
 
-    def _needed(self, i: int, samples: list[Row]) -> list[Term]:
+    def _needed(self, i: int, samples: list[Row]) -> list[Product]:
         return [term for term in self._candidates(i) if any(row[term.column] for row in samples)]
 
-    def _candidates(self, own: int) -> Iterable[Term]:
+    def _candidates(self, own: int) -> Iterable[Product]:
         for j in range(self.n):
             if j not in self.positions:
-                yield Term(f"x{j}", j, 1.0)
+                yield Product(f"x{j}", j, 1.0)
         if len(self.positions) == 2:
             first, second = self.positions
             other, sign = (second, -1.0) if own == first else (first, 1.0)
-            yield Term("stretch", other, sign)  # stretch = first - second
+            yield Product("stretch", other, sign)  # stretch = first - second
         for column, name in enumerate(self.params.columns):
             if name in SIGNALS:
-                yield Term(SIGNALS[name], self.n + column, 1.0)
+                yield Product(SIGNALS[name], self.n + column, 1.0)
 
 
 def viewer(terms: RowTerms, name: str) -> View:
