@@ -105,7 +105,7 @@ class LockStep:
         actor: int = 1,
     ) -> int:
         """Post a command as the gateway would; its sequence number. MailboxError if full."""
-        seq = self.gateway.post(kind, actor, at_tick, pack_values(values or {}))
+        seq = self.gateway.post(kind, actor, at_tick, layout.values_of(values or {}))
         if seq is None:
             raise MailboxError(
                 f"all {layout.RING_SLOTS} command slots are taken; run some ticks first"
@@ -128,15 +128,6 @@ class LockStep:
         """Put perturbation samples (probe counts) where the servo reads them."""
         for index, count in enumerate(counts):
             self.mailbox.waveform[index] = count
-
-
-def pack_values(values: dict[Value, float]) -> tuple[float, ...]:
-    """The doubles of a command, with the mask that says which of them are given."""
-    packed = [0.0] * layout.COMMAND_VALUES
-    for place, value in values.items():
-        packed[place] = value
-    packed[Value.MASK] = float(sum(1 << place for place in values))
-    return tuple(packed)
 
 
 def scene_params(

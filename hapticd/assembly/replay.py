@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapticd.mailbox.client_side import Noted
-from hapticd.mailbox.layout import COMMAND_VALUES, PLAN_FIELDS, Command, Flag, Value
+from hapticd.mailbox.layout import PLAN_FIELDS, Command, Flag, Value, values_of
 from hapticd.params import ServoParams
 from hapticd.servo.checkpoint import unflatten
 from hapticd.servo.plan import meant
@@ -162,11 +162,8 @@ def _by_tick(requests: Sequence[Noted]) -> dict[int, tuple[Request, ...]]:
 
 def _settings(instead: dict[Value, float]) -> Request:
     """A set of `instead` without a ramp, for whose answer nobody waits."""
-    values = [0.0] * COMMAND_VALUES
-    for place, value in {**instead, Value.RAMP_S: 0.0}.items():
-        values[place] = float(value)
-    values[Value.MASK] = float(sum(1 << place for place in {*instead, Value.RAMP_S}))
-    return 0, int(Command.SET), 0, 0, tuple(values)
+    values = values_of({**instead, Value.RAMP_S: 0.0})
+    return 0, int(Command.SET), 0, 0, values
 
 
 def _without(request: Request, held: set[Value]) -> Request:

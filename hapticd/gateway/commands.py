@@ -23,7 +23,7 @@ from hapticd.gateway.limits import PLACES, CommandLimits, flat
 from hapticd.gateway.schemas import Change, Damping, Perturb, Request, Set, parse
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.client_side import Answer
-from hapticd.mailbox.layout import COMMAND_VALUES, Command, Result, State, Value
+from hapticd.mailbox.layout import Command, Result, State, Value, values_of
 
 Posting = tuple[Command, int, tuple[float, ...]]  # kind, apply_tick (0: now), values
 LATCHED = frozenset({State.STOPPED, State.FAULT})
@@ -37,15 +37,6 @@ ALLOWED: dict[
     "perturb": (State.ENABLED,),
 }
 ACCEPTED = frozenset({Result.APPLIED, Result.SCHEDULED, Result.SUPERSEDED})
-
-
-def values_of(meant: dict[Value, float]) -> tuple[float, ...]:
-    """The doubles of a command that means exactly the places in `meant`."""
-    values = [0.0] * COMMAND_VALUES
-    for place, value in meant.items():
-        values[place] = float(value)
-    values[Value.MASK] = float(sum(1 << place for place in meant))
-    return tuple(values)
 
 
 def posting(request: Request, samples: int) -> Posting:

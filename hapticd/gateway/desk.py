@@ -42,14 +42,13 @@ from hapticd.gateway.commands import (
     posting,
     receipt,
     refusal,
-    values_of,
 )
 from hapticd.gateway.journal import Actors, Journal
 from hapticd.gateway.limits import CommandLimits
 from hapticd.gateway.schemas import Hello, Perturb, Request, invalid, json_schema
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.client_side import Answer, press_stop
-from hapticd.mailbox.layout import PERTURBATION_SAMPLES, Command, Result
+from hapticd.mailbox.layout import PERTURBATION_SAMPLES, Command, Result, values_of
 from hapticd.units import NS_PER_S, PROBE_RATE_HZ
 
 

@@ -7,6 +7,7 @@ acquisition client needs no copy of it.
 
 import hashlib
 import struct
+from collections.abc import Mapping
 from enum import IntEnum
 
 MAGIC = b"HAPTICD\0"
@@ -138,12 +139,21 @@ class Value(IntEnum):
     WALL_DAMPING = 10
     WALL_POSITION = 11
     WALL_SIDE = 12
-    ADDED_DAMPING = 13  # N s/m, electrical, level
+    ADDED_DAMPING = 13  # N s/m, level of the active damping
     ADDED_DAMPING_ON = 14  # 0 or 1
     SAMPLES = 15  # PERTURB_START: length of the waveform
     LOOP = 16  # PERTURB_START: 0 or 1
     LEASE_CONTROL = 17
     LEASE_DAMPING = 18
+
+
+def values_of(given: Mapping[Value, float]) -> tuple[float, ...]:
+    """The doubles of a command that gives exactly these values."""
+    values = [0.0] * COMMAND_VALUES
+    for place, value in given.items():
+        values[place] = float(value)
+    values[Value.MASK] = float(sum(1 << place for place in given))
+    return tuple(values)
 
 
 # lowest, highest and unit of what may be asked; the device and the rate may allow less
