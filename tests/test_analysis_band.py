@@ -173,6 +173,24 @@ def test_an_edge_that_lost_its_power_to_a_drift_is_left_out():
     assert 10 < left_out < 40
 
 
+def test_a_band_that_lost_its_edge_is_not_called_passive():
+    """Power at 0 Hz takes the edge, which is no line; the device is passive where it is seen.
+    What was seen to be active stays so.
+    """
+    trial = exact_trial(mass_damper(), 0.99)
+    drift = dataclasses.replace(
+        trial, velocity=np.where(trial.frequency_hz == 0.0, 1e6, 1.0) * trial.velocity
+    )
+    found = judge(drift, band_hz=(3.4, 500.0), channels=False)
+    assert found.first_judged_hz == trial.frequency_hz[4]
+    assert found.margin_ns_per_m.lower > 0.0
+    assert found.answer == "undecided"
+    assert "record longer" in str(found)
+    assert judge(drift, band_hz=(found.first_judged_hz, 500.0), channels=False).answer == "passive"
+    active = dataclasses.replace(drift, cross=-drift.cross)
+    assert judge(active, band_hz=(3.4, 500.0), channels=False).answer == "not_passive"
+
+
 def test_an_edge_is_not_known_better_than_the_lines_beside_it():
     for seed in range(10):
         trial = drifting(seed)

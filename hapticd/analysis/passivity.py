@@ -33,7 +33,7 @@ from hapticd.analysis.impedance import Estimator, impedance, relative_sd, spread
 from hapticd.analysis.resolved import Resolved, unresolved
 from hapticd.analysis.spectra import Spectra, lines_beside
 from hapticd.analysis.unexplained import coherence_findings
-from hapticd.analysis.verdict import Amplitude, Answer, Margin, Stability, Verdict
+from hapticd.analysis.verdict import Amplitude, Answer, Margin, Stability, Verdict, hertz
 from hapticd.errors import AnalysisError
 
 DEFAULT_BAND_HZ = (2.0, 500.0)
@@ -42,6 +42,8 @@ LEAST_FREEDOM = (
 )
 DRIVEN = 0.8  # of the velocity's power, from which a motion is the perturbation's
 SWELLS = "the velocity swells and fades 4 times and more, as the perturbation drives a resonance"
+LOST_EDGE = "lost_edge"
+NEAR_HZ = 1e-5  # an edge that is so near to a line is that line
 LEAST_EXACT = 4.0  # of plain averages: two of them
 
 
@@ -81,6 +83,7 @@ def judge(
         trial, band_hz, estimator
     )
     findings += channel_findings(trial) if channels else ()
+    findings += _lost_edges(trial, inside, band_hz)
     stability = _stability(findings, record is not None, spectral_radius)
     return Verdict(
         answer=_answer(newton, stability, findings),
@@ -130,6 +133,24 @@ def _reread(trial: Spectra, findings: tuple[Finding, ...]) -> tuple[Finding, ...
         return (*findings, said)
     swells = Finding("swells", SWELLS)
     return (*(swells if one.code == "escape" else one for one in findings), said)
+
+
+def _lost_edges(
+    trial: Spectra, inside: Spectra, band_hz: tuple[float, float]
+) -> tuple[Finding, ...]:
+    """An edge of the band that a window could have shown and that has no power of its own: what
+    was not looked at is not called passive.
+    """
+    ends = inside.frequency_hz[[0, -1]]
+    lost = [edge for edge, at in zip(band_hz, ends, strict=True) if abs(at - edge) > NEAR_HZ]
+    if not (trial.whole and lost):
+        return ()
+    message = (
+        f"the edge at {hertz(lost[0])} Hz is lost under a drift, so nothing from there to "
+        f"{hertz(float(ends[0 if lost[0] == band_hz[0] else 1]))} Hz is called passive; "
+        "record longer, or hold the display with a small stiffness"
+    )
+    return (Finding(LOST_EDGE, message),)
 
 
 def _turns_less(inside: Spectra) -> bool:
@@ -214,7 +235,8 @@ def _answer(margin: Margin, stability: Stability, findings: tuple[Finding, ...])
         return "undecided"
     if margin.upper < 0.0:
         return "not_passive"
-    return "passive" if margin.lower > 0.0 else "undecided"
+    whole_band = all(finding.code != LOST_EDGE for finding in findings)
+    return "passive" if whole_band and margin.lower > 0.0 else "undecided"
 
 
 def _stability(

@@ -11,8 +11,9 @@ outside, both filters always running (so that B and M may be switched on without
 called only in the rare case. The rate is folded into the filter coefficients: they act on
 differences. Positive force pushes to positive x.
 
-What would break it: fastmath or contraction in a compiler (bits differ from CPython), a clamp
-written so that NaN passes (`not (-limit <= f <= limit)` catches it), coefficients for another rate.
+What would break it: fastmath or contraction in a compiler (bits differ from CPython), a limit that
+is asked whether the force lies outside it (the code asks whether it does not lie inside, which is
+also true of NaN, and `clamp` then makes that 0), coefficients for another rate.
 """
 
 from hapticd.params import FilterParams
