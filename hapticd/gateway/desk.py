@@ -50,6 +50,7 @@ from hapticd.gateway.view import ServoView
 from hapticd.mailbox.client_side import Answer, press_stop
 from hapticd.mailbox.layout import PERTURBATION_SAMPLES, Command, Result, values_of
 from hapticd.units import NS_PER_S, PROBE_RATE_HZ
+from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
 
 
 class RequestMessage(NamedTuple):
@@ -177,9 +178,6 @@ def _is_due(pending: Pending, tick: int, now_ns: int) -> bool:
     return answered or now_ns >= pending.deadline_ns
 
 
-INT16 = -32768, 32767
-
-
 class Waveform:
     """How much of a waveform is loaded. A new servo life begins with none."""
 
@@ -226,7 +224,7 @@ class Waveform:
         self._check(force_n, request.offset)
         to_count = view.params.device.probe_torque.to_count
         for place, value in enumerate(force_n.tolist(), request.offset):
-            view.mailbox.waveform[place] = to_count(value, *INT16)
+            view.mailbox.waveform[place] = to_count(value, I16_LOWEST, I16_HIGHEST)
         self._life = view.life
         self._samples = total
         self._actor = actor

@@ -34,6 +34,7 @@ from hapticd.measure.bench import signals
 from hapticd.params import BoardParams, ServoParams, to_plain
 from hapticd.servo.plan import meant
 from hapticd.units import PROBE_RATE_HZ
+from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
 
 READY_TICKS = 5
 MOST_S = PERTURBATION_SAMPLES / PROBE_RATE_HZ
@@ -99,7 +100,9 @@ class LockStepBench(Client):
         """Force [N] at 4 kHz, (n,)."""
         scale = self._servo.device.probe_torque
         force = np.asarray(samples_n, np.float64)[:PERTURBATION_SAMPLES]
-        self.stack.load_waveform([scale.to_count(value, -32768, 32767) for value in force.tolist()])
+        self.stack.load_waveform(
+            [scale.to_count(value, I16_LOWEST, I16_HIGHEST) for value in force.tolist()]
+        )
         self._samples = force.size
         return self._samples
 

@@ -35,6 +35,7 @@ from hapticd.servo.state import (
     Settled,
 )
 from hapticd.units import round_half_up
+from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
 from hapticd.wire.frames import OutFlag, Status
 
 Attend = Callable[
@@ -49,7 +50,9 @@ def make_attend(params: ServoParams) -> Attend:
     rate_hz = params.realtime.rate_hz
     force = params.device.force
     limit_n = min(params.safety.force_limit_n, params.device.force_limit_n)
-    hot_count = params.device.temperature.to_count(params.device.temperature_limit_c, -32768, 32767)
+    hot_count = params.device.temperature.to_count(
+        params.device.temperature_limit_c, I16_LOWEST, I16_HIGHEST
+    )
     m_per_count = params.device.position.per_count * params.device.position.sign
     first_origin = round_half_up(params.device.position.offset_count)
 
@@ -183,7 +186,7 @@ def make_attend(params: ServoParams) -> Attend:
             flags |= int(Flag.RAMPING)
         if not usable and plan.state not in (State.ENABLED, State.HOMING):
             left = plan.fade.value(tick)
-            held = (force.to_count(left, -32768, 32767), left)
+            held = (force.to_count(left, I16_LOWEST, I16_HIGHEST), left)
         per_period = params.device.damping.to_value(ready.damping_count) * rate_hz
         settled = Settled(
             ready.wake_tick,

@@ -10,6 +10,7 @@ from hapticd.render.limits import approach
 from hapticd.servo.plan import NEVER, Plan
 from hapticd.servo.safety import LATCHED, State, held_damping
 from hapticd.units import round_half_up
+from hapticd.wire.codec import U16_HIGHEST
 
 
 class Hot(NamedTuple):
@@ -44,7 +45,7 @@ def advance_added(plan: Plan, tick: int, params: ServoParams) -> Plan:
 def damping_count(level: float, params: ServoParams) -> int:
     """DAC count for `level` [N s/m], inside the DAC and the device's limit."""
     return params.device.damping.to_count(
-        min(level, params.device.damping_limit_ns_per_m), 0, 65535
+        min(level, params.device.damping_limit_ns_per_m), 0, U16_HIGHEST
     )
 
 

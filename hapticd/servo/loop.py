@@ -33,7 +33,7 @@ from hapticd.servo.state import GATEWAY_ALIVE, LINK_UP, SETTLED, Answer, Request
 from hapticd.servo.step import initial_state, make_step
 from hapticd.servo.wait import Wait, first_deadline
 from hapticd.units import NS_PER_S
-from hapticd.wire.codec import NO_SAMPLES
+from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST, NO_SAMPLES, U16_HIGHEST
 from hapticd.wire.frames import OutFlag
 
 _COUNTER = {name: layout.COUNTER_WORD + index for index, name in enumerate(layout.COUNTERS)}
@@ -295,8 +295,8 @@ class ServoLoop:
             if self.linked:
                 self.device.send(
                     _FIFO_CLEAR,
-                    force.to_count(0.0, -32768, 32767),
-                    damping.to_count(0.0, 0, 65535),
+                    force.to_count(0.0, I16_LOWEST, I16_HIGHEST),
+                    damping.to_count(0.0, 0, U16_HIGHEST),
                     0,
                 )
         except LinkError:

@@ -35,10 +35,7 @@ class Settled:
 
 Held = tuple[int, float]  # what was sent last: torque count, force [N]
 ServoState = tuple[Settled, LawState, Ledger, Held]
-SETTLED: Final = 0  # places in a ServoState
-LAW: Final = 1
-LEDGER: Final = 2
-HELD: Final = 3
+SETTLED: Final = 0  # place in a ServoState
 # encoder, status, temperature count, arrival (link.device), host flags, index offset
 Sample = tuple[int, int, int, int, int, int]
 # torque count, position, velocity, acceleration, force parts K B M field, force as sent, record

@@ -28,6 +28,7 @@ from hapticd.servo.plan import coefficients_of, initial_plan
 from hapticd.servo.safety import FAULT_EVENT
 from hapticd.servo.state import ATTENTION, LINK_UP, SETTLED, Output, Sample, ServoState, Settled
 from hapticd.units import round_half_up
+from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
 from hapticd.wire.session import ENCODER_BITS
 
 Step = Callable[[ServoState, tuple[Any, ...], Sample, int], tuple[ServoState, Output]]
@@ -46,7 +47,7 @@ def initial_state(params: ServoParams, tick: int = 0) -> ServoState:
     plan = initial_plan(params)._replace(origin=round_half_up(params.device.position.offset_count))
     coefficients = coefficients_of(plan, params.realtime.rate_hz)
     now = hot(plan, tick, params, params.environment.workspace, 0.0)
-    held = (params.device.force.to_count(0.0, -32768, 32767), 0.0)
+    held = (params.device.force.to_count(0.0, I16_LOWEST, I16_HIGHEST), 0.0)
     settled = Settled(
         now.wake_tick, now.environment, coefficients, 0, now.damping_count, now.blob,
         plan.origin, 0.0, LINK_UP, plan.wave, plan,
@@ -66,12 +67,19 @@ def make_step(params: ServoParams, delay: float = 0.125) -> Step:
     n_per_count = force.sign * force.per_count
     rounding = zero_count + 0.5
     limit_n = min(params.safety.force_limit_n, params.device.force_limit_n)
-    ends = sorted((force.to_count(limit_n, -32768, 32767), force.to_count(-limit_n, -32768, 32767)))
+    ends = sorted(
+        (
+            force.to_count(limit_n, I16_LOWEST, I16_HIGHEST),
+            force.to_count(-limit_n, I16_LOWEST, I16_HIGHEST),
+        )
+    )
     low, high = ends
     turn_m = m_per_count * (1 << ENCODER_BITS)
     jump_m = params.device.speed_limit_m_per_s / params.realtime.rate_hz
     back_m = -jump_m
-    hot_limit = params.device.temperature.to_count(params.device.temperature_limit_c, -32768, 32767)
+    hot_limit = params.device.temperature.to_count(
+        params.device.temperature_limit_c, I16_LOWEST, I16_HIGHEST
+    )
 
     def missing(
         state: ServoState, flags: int, answers: tuple[Any, ...]

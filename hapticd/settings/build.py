@@ -34,14 +34,9 @@ from hapticd.plant.effects import (
     sample_timing,
 )
 from hapticd.settings.config import Environment
-from hapticd.settings.device import (
-    SIGNED_FULL_COUNT,
-    UNSIGNED_FULL_COUNT,
-    DeviceFile,
-    Travel,
-    effects_of,
-)
+from hapticd.settings.device import DeviceFile, Travel, effects_of
 from hapticd.settings.load import Settings
+from hapticd.wire.codec import I16_HIGHEST, U16_HIGHEST
 
 DEFAULT_PHASE = 0.875  # of a period, as in BoardParams: force acts T / 8 after the sample
 
@@ -167,18 +162,16 @@ def device_params(device: DeviceFile) -> DeviceParams:
         name=device.name,
         serial=device.serial,
         position=device.position.params(device.position.m_per_count),
-        force=device.force.params(device.force.full_scale_n / SIGNED_FULL_COUNT),
-        damping=device.damping.params(device.damping.full_scale_ns_per_m / UNSIGNED_FULL_COUNT),
-        probe_torque=device.probe_torque.params(
-            device.probe_torque.full_scale_n / SIGNED_FULL_COUNT
-        ),
+        force=device.force.params(device.force.full_scale_n / I16_HIGHEST),
+        damping=device.damping.params(device.damping.full_scale_ns_per_m / U16_HIGHEST),
+        probe_torque=device.probe_torque.params(device.probe_torque.full_scale_n / I16_HIGHEST),
         probe_velocity=device.probe_velocity.params(
-            device.probe_velocity.full_scale_m_per_s / SIGNED_FULL_COUNT
+            device.probe_velocity.full_scale_m_per_s / I16_HIGHEST
         ),
-        current=device.current.params(device.current.full_scale_a / SIGNED_FULL_COUNT),
-        voltage=device.voltage.params(device.voltage.full_scale_v / SIGNED_FULL_COUNT),
+        current=device.current.params(device.current.full_scale_a / I16_HIGHEST),
+        voltage=device.voltage.params(device.voltage.full_scale_v / I16_HIGHEST),
         emf_velocity=device.emf_velocity.params(
-            device.emf_velocity.full_scale_m_per_s / SIGNED_FULL_COUNT
+            device.emf_velocity.full_scale_m_per_s / I16_HIGHEST
         ),
         temperature=device.temperature.params(device.temperature.c_per_count),
         force_limit_n=limits.force_n,

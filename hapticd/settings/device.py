@@ -31,8 +31,6 @@ from hapticd.params import HomeParams, ScaleParams
 from hapticd.plant.effects import ALWAYS, BY_KEY, PROVENANCE, Effect
 from hapticd.settings.tables import TomlTable
 
-SIGNED_FULL_COUNT = 32767  # of torque, probe, current, voltage and velocity converters
-UNSIGNED_FULL_COUNT = 65535  # of the damping scale factor
 SERIAL_BYTES = 16  # of the hello reply
 FROM_SCALES = ("encoder", "force_dac", "damping_dac", "probe_adc", "saturation")
 Tag = Literal["paper", "inferred", "calibrated"]

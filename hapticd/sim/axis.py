@@ -25,6 +25,7 @@ from hapticd.plant.composed import State
 from hapticd.plant.step import SUBSTEPS_PER_TICK, make_plant
 from hapticd.sim.probe import Probe
 from hapticd.units import PROBE_RATE_HZ
+from hapticd.wire.codec import I16_HIGHEST
 from hapticd.wire.frames import OutFlag, Status
 
 DAMPING_HOLD_S = 2.0
@@ -79,7 +80,7 @@ class Axis:
         self.plant = make_plant(params)
         self._lag = params.lag_periods * SUBSTEPS_PER_TICK
         self._coming: deque[tuple[int, float]] = deque()  # (sub-step, force) still on their way
-        self._torque_max = min(32767, int(params.force_limit_n / params.force_n_per_count))
+        self._torque_max = min(I16_HIGHEST, int(params.force_limit_n / params.force_n_per_count))
         self._watchdog = ceil(params.watchdog_ms * substep_rate_hz / 1000.0)
         self._hold = round(DAMPING_HOLD_S * substep_rate_hz)
         self._release = round(DAMPING_RELEASE_S * substep_rate_hz)

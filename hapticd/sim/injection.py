@@ -178,7 +178,7 @@ def _jumped(injector: Injector, packet: bytes, value: float, t_ns: int) -> bytes
 
 
 def _saturated(injector: Injector, packet: bytes, value: float, t_ns: int) -> bytes:
-    count = round(value) or 32767
+    count = round(value) or codec.I16_HIGHEST
     frame = codec.decode_in(packet)
     return codec.encode_in(
         frame._replace(current=count, voltage=count, emf_velocity=count, temperature=count)

@@ -19,14 +19,13 @@ from random import Random
 from hapticd.params import BoardParams
 from hapticd.plant.step import SUBSTEPS_PER_TICK
 from hapticd.units import PROBE_RATE_HZ
+from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
 from hapticd.wire.frames import FIFO_DEPTH, Status
 
 PAIRS_MAX = 64
 UNDERRUN = Status.FIFO_UNDERRUN.value
 OVERFLOW = Status.FIFO_OVERFLOW.value
 PAIRS_LOST = Status.PROBE_OVERFLOW.value
-I16_LOWEST = -32768
-I16_HIGHEST = 32767
 
 
 def i16_count(value: float) -> int:

@@ -21,6 +21,11 @@ from hapticd.errors import FrameError
 from hapticd.wire import frames
 from hapticd.wire.frames import Hello, InFrame, OutFrame
 
+# ends of a count: torque, perturbation, current, velocities and temperature are signed, the damping
+# scale factor is not
+I16_LOWEST = -32768
+I16_HIGHEST = 32767
+U16_HIGHEST = 65535
 NO_SAMPLES = (0,) * frames.PROBE_MAX
 _NO_PAIRS = (0,) * (2 * frames.PROBE_MAX)
 _SERIAL_BYTES = 16
