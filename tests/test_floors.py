@@ -75,6 +75,15 @@ def test_flying_servo_is_small_and_single(runtime: Path) -> None:
     ]
 
 
+def test_servo_of_a_real_board_loads_no_simulator() -> None:
+    """Importing the process is what a servo of a real board does; a simulated one imports more."""
+    modules = modules_after(
+        "import json, sys, hapticd.assembly.servo_main; print(json.dumps(sorted(sys.modules)))"
+    )
+    assert packages(modules) & NEVER_IN_SERVO == set()
+    assert not [name for name in modules if name.startswith(("hapticd.sim", "hapticd.plant"))]
+
+
 def test_gateway_brings_no_compiler_and_no_board() -> None:
     modules = modules_after(
         "import json, sys, hapticd.assembly.gateway_main; print(json.dumps(sorted(sys.modules)))"

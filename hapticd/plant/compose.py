@@ -59,27 +59,35 @@ def drive(plan: Blueprint) -> None:
         _short(plan)
         return
     _refuse_algebraic(plan)
-    lagging = plan.amplifier_rad_s
-    filtered = plan.circuit_rad_s
-    motor = plan.state("motor_force", "N", Amplifier.key) if lagging else None
-    estimate = plan.state("velocity_estimate", "m/s", DampingCircuit.key) if filtered else None
-    if estimate is None:
-        estimate = rotor.velocity + (Form() if motor is None else _left_by_resistance(plan, motor))
+    # states in this order: the motor force first, then the estimate
+    motor = plan.state("motor_force", "N", Amplifier.key) if plan.amplifier_rad_s else None
+    estimate = _estimate(plan, motor)
     asked = plan.command - _multiplied(plan, shaped(plan, estimate))
-    if lagging and motor is not None:
-        plan.rates["motor_force"] = lagging * (asked - motor)
+    if motor is None or not plan.amplifier_rad_s:
+        motor = asked  # an amplifier without lag
     else:
-        motor = asked
-    if filtered:
-        source = rotor.velocity + _left_by_resistance(plan, motor)
-        if plan.inductance_error_h:
-            source += (plan.inductance_error_h / plan.torque_constant_n_per_a**2) * plan.rates[
-                "motor_force"
-            ]
-        plan.rates["velocity_estimate"] = filtered * (source - estimate)
+        plan.rates["motor_force"] = plan.amplifier_rad_s * (asked - motor)
+    if plan.circuit_rad_s:
+        plan.rates["velocity_estimate"] = plan.circuit_rad_s * (_seen(plan, motor) - estimate)
     plan.motor = motor
     plan.estimate = estimate
     rotor.force += motor
+
+
+def _estimate(plan: Blueprint, motor: Form | None) -> Form:
+    """v_hat: a state of its own, or without a bandwidth what the winding shows at once."""
+    if plan.circuit_rad_s:
+        return plan.state("velocity_estimate", "m/s", DampingCircuit.key)
+    return plan.rotor.velocity + (Form() if motor is None else _left_by_resistance(plan, motor))
+
+
+def _seen(plan: Blueprint, motor: Form) -> Form:
+    """Velocity by the back-EMF, with what the circuit leaves of R i and L di/dt."""
+    seen = plan.rotor.velocity + _left_by_resistance(plan, motor)
+    if not plan.inductance_error_h:
+        return seen
+    per_rate = plan.inductance_error_h / plan.torque_constant_n_per_a**2
+    return seen + per_rate * plan.rates["motor_force"]
 
 
 def _left_by_resistance(plan: Blueprint, motor: Form) -> Form:

@@ -114,14 +114,16 @@ class Effect:
         )
 
 
+# --- what moves, and what is attached to it -------------------------------------------------------
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Masses(Effect):
     """The masses themselves. They are always built."""
 
     key: ClassVar[str] = "masses"
     why: ClassVar[str] = "what is moved"
-    # motor, lever and all that turns with it, reflected to the endpoint
-    rotor_kg: float = number(gt=0, le=100)
+    rotor_kg: float = number(gt=0, le=100)  # what moves with the motor, reflected to the endpoint
     slider_kg: float = number(0.0, ge=0, le=100)  # what slides with the encoder
 
     def build(self, plan: Blueprint) -> None:
@@ -177,8 +179,8 @@ class Viscous(Effect):
 
     key: ClassVar[str] = "viscous"
     why: ClassVar[str] = "physical damping: the budget that sampling and delay spend"
-    rotor_ns_per_m: float = number(ge=0, le=1e5)  # bearing and back iron of the motor
-    slider_ns_per_m: float = number(0.0, ge=0, le=1e5)  # guide of the slider
+    rotor_ns_per_m: float = number(ge=0, le=1e5)  # between rotor and ground
+    slider_ns_per_m: float = number(0.0, ge=0, le=1e5)  # between slider and ground
 
     def build(self, plan: Blueprint) -> None:
         """Add -b v to the force on each body."""
@@ -266,6 +268,9 @@ class WorkspaceEnds(Effect):
         plan.ends_m = (self.lower_m, self.upper_m)
 
 
+# --- dry friction ---------------------------------------------------------------------------------
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Coulomb(Effect):
     """Dry friction at either body."""
@@ -282,6 +287,9 @@ class Coulomb(Effect):
         """Add the level to each body; a body with some of it becomes a contact."""
         plan.rotor.coulomb_n += self.rotor_n
         plan.endpoint.coulomb_n += self.slider_n
+
+
+# --- from the force command to the motor force, and the damping circuit ---------------------------
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -447,6 +455,9 @@ def sample_timing(delay_periods: float) -> SampleTiming:
     return SampleTiming(1.0 - (delay_periods - whole), whole)
 
 
+# --- damping that depends on frequency ------------------------------------------------------------
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShapedDamping(Effect):
     """Active damping above `highpass_hz` and below `lowpass_hz`, first order each."""
@@ -481,6 +492,9 @@ def shaped(plan: Blueprint, estimate: Form) -> Form:
         plan.rates["smooth_estimate"] = below * (estimate - smooth)
         estimate = smooth
     return estimate
+
+
+# --- the motor winding ----------------------------------------------------------------------------
 
 
 def copper_ohm(resistance_ohm: float, reference_c: float, temperature_c: float) -> float:
@@ -580,6 +594,9 @@ class InductanceError(Effect):
         plan.inductance_error_h = self.error_h
 
 
+# --- what is measured -----------------------------------------------------------------------------
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Encoder(Effect):
     """The encoder that the servo reads."""
@@ -676,6 +693,9 @@ class SensorNoise(Effect):
     def build(self, plan: Blueprint) -> None:
         """State the rms."""
         plan.velocity_noise_m_per_s = self.velocity_m_per_s
+
+
+# --- the catalogue --------------------------------------------------------------------------------
 
 
 # every class of effect above, in the order of its definition, which is the order of composition

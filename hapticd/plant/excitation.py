@@ -6,6 +6,8 @@ whole record. Stream i of a seed is Philox with the key (seed, i): the same numb
 them, in whatever order, so results cannot depend on chunks or threads.
 
 rms = sqrt(S x band) plus the taper: 2.5e-5 N^2/Hz to 1.7 kHz is 0.21 N.
+
+What would break it: drawing a stream in pieces (a record is made whole, then cut).
 """
 
 from enum import IntEnum

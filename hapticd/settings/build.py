@@ -146,7 +146,7 @@ def _timing(effects: tuple[Effect, ...]) -> SampleTiming:
 
 
 def gateway_params(settings: Settings) -> GatewayParams:
-    """gateway.json. A relative key folder is meant beside the configuration file."""
+    """gateway.json. A relative key folder lies beside the configuration file."""
     plain = settings.config.gateway.model_dump()
     if plain["curve_keys"] is not None:
         plain["curve_keys"] = str(
