@@ -99,7 +99,7 @@ def test_limits_table_names_its_conditions(tmp_path, capsys):
         "B",
         "--damping",
         "0",
-        "--levels",
+        "--amplitudes",
         "2",
         "--out",
         str(tmp_path),
@@ -235,7 +235,7 @@ def test_interrupted_map_has_told_what_it_kept(tmp_path, capsys, monkeypatch):
     def left(new):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(common, "follow", left)
+    monkeypatch.setattr(common, "print_outcomes", left)
     code, _, err = run(small_map(tmp_path, "--json"), capsys)
     assert code == 130
     assert (
@@ -259,6 +259,13 @@ def test_dead_workers_leave_what_is_kept(tmp_path, capsys, monkeypatch):
     assert json.loads(out)["error"]["message"] == "a worker process died"
     assert f"27 trials are kept in {tmp_path}; the same command" in err
     assert "hapticd: a worker process died" in err
+
+
+def test_levels_are_still_taken_for_amplitudes_of_limits(capsys):
+    """The option was called --levels, a word that means active damping everywhere else."""
+    code, _, err = run(["limits", "--levels", "0"], capsys)
+    assert code == 2
+    assert "Invalid value for '--amplitudes'" in " ".join(err.split())
 
 
 def test_limits_tell_outcomes_with_their_limit(tmp_path, capsys):

@@ -67,7 +67,7 @@ def test_interrupted_limits_go_on(
     from hapticd.cli.zwidth import common
 
     with monkeypatch.context() as patch:
-        patch.setattr(common, "follow", interrupted)
+        patch.setattr(common, "print_outcomes", interrupted)
         code, _, err = run([*LIMITS, "--json", "--out", str(tmp_path)], capsys)
     assert code == 130
     kept = len((tmp_path / "trials.jsonl").read_text().splitlines())

@@ -90,7 +90,7 @@ def test_what_is_left_out_is_zero_without_a_scene(capsys):
     found = told(["-K", "30"], capsys)
     assert found["environment"] == [30.0, 0.0, 0.0]
     assert found["damping_ns_per_m"] == 0.0
-    assert "K 30 N/m, B 0 N s/m, M 0 g, electrical damping 0 N s/m" in said(["-K", "30"], capsys)
+    assert "K 30 N/m, B 0 N s/m, M 0 g, active damping 0 N s/m" in said(["-K", "30"], capsys)
 
 
 def test_prediction_is_that_of_a_map(capsys):

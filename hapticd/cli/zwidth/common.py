@@ -1,10 +1,12 @@
-"""What the verbs of `zwidth` share: options, a progress bar, the scene that is meant,
-outcomes as lines, conditions.
+"""What the verbs of `zwidth` share: options, the scene that is named, conditions, what is printed.
+
+An early end of a verb, by Ctrl-C or by dead workers, is answered in one line that says what is kept
+and how to go on.
 """
 
 from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from math import inf
 from pathlib import Path
@@ -70,9 +72,30 @@ JsonOutcomes = Annotated[
     ),
 ]
 Admittance = Annotated[bool, typer.Option("--admittance", help="Draw the admittance as well.")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrialsOptions:
+    """How many trials are made alike: where they run, how long and in which noise, and the band."""
+
+    where: Where = "thread"
+    seconds: Seconds = 90.0
+    seed: Seed = 1
+    band: Band = (2.0, 500.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResultsOptions:
+    """Where results are kept, whether they are drawn, and how they are told."""
+
+    out: Out = None
+    plot: Plot = True
+    as_json: JsonOutcomes = False
+
+
 Range = tuple[float, float, int]
 RUNS = Path("zwidth-runs")
-TOLD = (
+OUTCOME_FIELDS = (
     "environment",
     "damping_ns_per_m",
     "answer",
@@ -88,8 +111,9 @@ TOLD = (
 
 @contextmanager
 def keeping(store: "TrialStore", folder: Path) -> Iterator[None]:
-    """Where something ends a campaign early, Ctrl-C (exit 130) or dead workers, say
-    what is kept and how to go on.
+    """Says what is kept and how to go on where something ends a run early.
+
+    That is Ctrl-C (exit 130), or workers that died.
     """
     try:
         yield
@@ -125,8 +149,9 @@ def _goes_on(store: "TrialStore", folder: Path) -> str:
 
 
 def scene_of(name: str) -> "Scene":
-    """The scene, or a simulated device's name with all of its effects. ConfigError
-    names what there is.
+    """The scene of that name, or the simulated device of that name with all of its effects.
+
+    ConfigError names what there is.
     """
     from hapticd.errors import ConfigError
     from hapticd.measure.scenes import device_scene
@@ -148,7 +173,7 @@ def conditions(
     band_hz: tuple[float, float] = (2.0, 500.0),
     confidence: float = 0.95,
 ) -> "Conditions":
-    """Of a campaign: trials with the scene's noise of that seed."""
+    """Conditions of many trials: the scene's noise with that seed."""
     from hapticd.measure.outcomes import Conditions
     from hapticd.measure.scenes import noise
 
@@ -156,7 +181,7 @@ def conditions(
 
 
 def levels(text: str) -> tuple[float, ...]:
-    """Damping levels of an option."""
+    """The levels of active damping [N s/m] in the text of --damping. BadParameter for others."""
     try:
         found = tuple(float(part) for part in text.split(","))
     except ValueError:
@@ -169,7 +194,7 @@ def levels(text: str) -> tuple[float, ...]:
 
 
 def ranged(name: str, given: Range, least: int = 2) -> Range:
-    """LOW HIGH N of an option, LOW below HIGH, N from `least` to 1000."""
+    """`given` where LOW is below HIGH and N from `least` to 1000; else BadParameter."""
     low, high, count = given
     if not (-inf < low < high < inf and least <= count <= 1000):
         told = f"{name} {low:g} {high:g} {count}"
@@ -186,16 +211,26 @@ def environment_words(trial: "Trial") -> str:
     return f"K {k:g} N/m, B {b:g} N s/m, M {m:g} kg, {active}"
 
 
-def follow(new: "list[Outcome]", **more: Any) -> None:
-    """A line of JSON for each outcome: type "outcome", K, B and M, verdict, margin [N
-    s/m] with its interval, and `more`.
-    """
+def print_outcomes(new: "list[Outcome]", **more: Any) -> None:
+    """A line of JSON for each outcome: what was tried, its verdict and margin, and `more`."""
     from hapticd.measure.store import plain
 
     for outcome in new:
-        terminal.data_json(
-            {"type": "outcome", **more, **plain({name: getattr(outcome, name) for name in TOLD})}
-        )
+        shown = plain({name: getattr(outcome, name) for name in OUTCOME_FIELDS})
+        terminal.data_json({"type": "outcome", **more, **shown})
+
+
+def print_result(found: dict[str, Any], folder: Path, figures: Iterable[Path]) -> None:
+    """The last line of --json: what was found, where it is kept, and its figures."""
+    files = [str(path) for path in figures]
+    terminal.data_json({"ok": True, **found, "folder": str(folder), "figures": files})
+
+
+def write_summary(folder: Path, about: dict[str, Any], **more: Any) -> None:
+    """Write run.json: what the run is `about`, and where its numbers come from (`more` of it)."""
+    from hapticd.measure.store import write_run
+
+    write_run(folder, {**about, "provenance": provenance_now(**more)})
 
 
 def folder(out: Path | None, what: str) -> Path:
@@ -203,15 +238,15 @@ def folder(out: Path | None, what: str) -> Path:
     return out or RUNS / f"{datetime.now(UTC):%Y%m%dT%H%M%S}-{what}"
 
 
-def kept(folder: Path, files: Iterable[Path]) -> None:
-    """Say where results are, and name the figures."""
+def print_kept(folder: Path, files: Iterable[Path]) -> None:
+    """Prints where results are, and the names of the figures."""
     terminal.data(f"kept in {folder}")
     for file in files:
         terminal.data(str(file))
 
 
-def told(**more: Any) -> dict[str, Any]:
-    """Provenance with the time."""
+def provenance_now(**more: Any) -> dict[str, Any]:
+    """Where the numbers of a run come from: versions, machine, the time, and `more`."""
     from hapticd.measure.recording.provenance import provenance
 
     return provenance(date=datetime.now(UTC).isoformat(timespec="seconds"), **more)

@@ -50,17 +50,18 @@ def command(
     with common.drawing(folder):
         paths = style.save(comparison_figure(found), folder, "compare") if plot else ()
     if as_json:
-        terminal.data_json({"ok": True, **_plain(found), "figures": [str(path) for path in paths]})
+        figures = [str(path) for path in paths]
+        terminal.data_json({"ok": True, **_comparison_json(found), "figures": figures})
         return
     for display in found.displays:
         terminal.data(f"{display.name}: {Judged(*display.conditions.judged_hz).words}")
     for table in comparison_tables(found):
         terminal.data(text(table))
     if paths:
-        common.kept(folder, paths)
+        common.print_kept(folder, paths)
 
 
-def _plain(found: "Comparison") -> dict[str, Any]:
+def _comparison_json(found: "Comparison") -> dict[str, Any]:
     from hapticd.measure.store import plain
 
     displays = [

@@ -1,5 +1,6 @@
 """A grid of K, B and M: which environments are passive, and the envelope over them."""
 
+from math import nan
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,50 +13,59 @@ from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
     from hapticd.analysis.arrays import Floats
-    from hapticd.measure.campaign import LevelMap, MapResult
+    from hapticd.measure.campaign import LevelMap, MapParams, MapResult
     from hapticd.measure.outcomes import Conditions, Outcome
 
-REDRAW_S = 5.0
+Stiffness = Annotated[
+    common.Range, typer.Option("--stiffness", metavar="LOW HIGH N", help="Grid of K, N/m.")
+]
+Viscous = Annotated[
+    common.Range, typer.Option("--viscous", metavar="LOW HIGH N", help="Grid of B, N s/m.")
+]
+Mass = Annotated[common.Range, typer.Option("--mass", metavar="LOW HIGH N", help="Grid of M, kg.")]
+Near = Annotated[
+    float,
+    typer.Option(
+        "--near", help="Share about the predicted boundary that is tried.", min=0.0, max=0.9
+    ),
+]
+Everywhere = Annotated[bool, typer.Option("--everywhere", help="Try every point, the paper's way.")]
+Refine = Annotated[
+    int,
+    typer.Option(
+        "--refine", metavar="N", help="Then halve the grid at the boundary.", min=0, max=1
+    ),
+]
+REDRAW_S = 5.0  # between two drawings of the envelope while trials arrive
+COLUMNS = (
+    "active N s/m",
+    "points",
+    "tried",
+    "unlike predicted",
+    "passive",
+    "K max N/m",
+    "B max N s/m",
+    "M min g",
+    "width at 10-50 Hz dB",
+)
+NOTE = (
+    "unlike predicted: trials that came out otherwise; K max, B max, M min: extremes over the set,"
+    " not alone on their axis"
+)
 
 
 def command(
     scene: common.SceneName = "fig4",
     damping: common.Damping = "0,1.74",
-    stiffness: Annotated[
-        common.Range, typer.Option("--stiffness", metavar="LOW HIGH N", help="Grid of K, N/m.")
-    ] = (
-        0.0,
-        1400.0,
-        15,
-    ),
-    viscous: Annotated[
-        common.Range, typer.Option("--viscous", metavar="LOW HIGH N", help="Grid of B, N s/m.")
-    ] = (0.0, 9.0, 10),
-    mass: Annotated[
-        common.Range, typer.Option("--mass", metavar="LOW HIGH N", help="Grid of M, kg.")
-    ] = (-0.030, 0.024, 10),
-    near: Annotated[
-        float,
-        typer.Option(
-            "--near", help="Share about the predicted boundary that is tried.", min=0.0, max=0.9
-        ),
-    ] = 0.15,
-    everywhere: Annotated[
-        bool, typer.Option("--everywhere", help="Try every point, the paper's way.")
-    ] = False,
-    refine: Annotated[
-        int,
-        typer.Option(
-            "--refine", metavar="N", help="Then halve the grid at the boundary.", min=0, max=1
-        ),
-    ] = 0,
-    where: common.Where = "thread",
-    seconds: common.Seconds = 90.0,
-    seed: common.Seed = 1,
-    band: common.Band = (2.0, 500.0),
-    out: common.Out = None,
-    plot: common.Plot = True,
-    as_json: common.JsonOutcomes = False,
+    stiffness: Stiffness = (0.0, 1400.0, 15),
+    viscous: Viscous = (0.0, 9.0, 10),
+    mass: Mass = (-0.030, 0.024, 10),
+    near: Near = 0.15,
+    everywhere: Everywhere = False,
+    refine: Refine = 0,
+    *,
+    trials: common.TrialsOptions,
+    results: common.ResultsOptions,
 ) -> None:
     """Map the passive set of a simulated display. Predicted first; trials where the prediction
     leaves doubt.
@@ -64,74 +74,73 @@ def command(
     new outcome is a line, and the last line is the result; trials that --out had kept already are
     in its trials.jsonl.
     """
-    import numpy as np
-
     from hapticd.measure.campaign import MapParams, plan_map, run_map
     from hapticd.measure.executors import executor
-    from hapticd.measure.store import TrialStore, plain, write_run
+    from hapticd.measure.store import TrialStore, plain
 
-    conditions = common.conditions(common.scene_of(scene), seconds, seed, band)
-    axes: tuple[Floats, Floats, Floats] = (
+    conditions = common.conditions(common.scene_of(scene), trials.seconds, trials.seed, trials.band)
+    axes = _axes(stiffness, viscous, mass)
+    folder = common.folder(results.out, "map")
+    store = TrialStore(folder / "trials.jsonl")
+    redraw = _Redrawn(conditions, folder)
+
+    def follow(new: "list[Outcome]") -> None:
+        if results.as_json:
+            common.print_outcomes(new)
+        if results.plot:
+            redraw(new)
+
+    params = MapParams(conditions, axes, common.levels(damping), near, everywhere, refine)
+    with common.keeping(store, folder), executor(trials.where) as pool:
+        plan = plan_map(params)
+        points = len(plan.levels) * axes[0].size * axes[1].size * axes[2].size
+        terminal.talk(f"{points} points predicted, {plan.trials} to be tried")
+        with progress() as tell:
+            result = run_map(plan, store, tell, pool, follow)
+    levels = [_level(level) for level in result.levels]
+    asked = {"near": near, "everywhere": everywhere, "refine": refine}
+    _write(folder, scene, params, trials, asked, levels)
+    with common.drawing(folder):
+        paths = draw_map(result, folder) if results.plot else []
+    if results.as_json:
+        common.print_result({"made": result.made, "levels": plain(levels)}, folder, paths)
+        return
+    _print(result, levels)
+    terminal.data(f"{result.made} trials made, kept in {folder}")
+    for path in paths:
+        terminal.data(str(path))
+
+
+def _axes(
+    stiffness: common.Range, viscous: common.Range, mass: common.Range
+) -> "tuple[Floats, Floats, Floats]":
+    import numpy as np
+
+    return (
         np.linspace(*common.ranged("--stiffness", stiffness)),
         np.linspace(*common.ranged("--viscous", viscous)),
         np.linspace(*common.ranged("--mass", mass)),
     )
-    folder = common.folder(out, "map")
-    store = TrialStore(folder / "trials.jsonl")
-    redraw = _Redrawn(conditions, folder)
 
-    def hear(new: "list[Outcome]") -> None:
-        if as_json:
-            common.follow(new)
-        if plot:
-            redraw(new)
 
-    with common.keeping(store, folder), executor(where) as pool:
-        plan = plan_map(
-            MapParams(conditions, axes, common.levels(damping), near, everywhere, refine)
-        )
-        points = len(plan.levels) * axes[0].size * axes[1].size * axes[2].size
-        terminal.talk(f"{points} points predicted, {plan.trials} to be tried")
-        with progress() as tell:
-            result = run_map(plan, store, tell, pool, hear)
-    told = [_told(level) for level in result.levels]
-    asked = {
-        "seconds": seconds,
-        "seed": seed,
-        "band_hz": band,
-        "near": near,
-        "everywhere": everywhere,
-        "refine": refine,
+def _write(
+    folder: Path,
+    scene: str,
+    params: "MapParams",
+    trials: common.TrialsOptions,
+    asked: dict[str, Any],
+    levels: list[dict[str, Any]],
+) -> None:
+    """run.json, from which `zwidth report` draws the map again."""
+    alike = {"seconds": trials.seconds, "seed": trials.seed, "band_hz": trials.band}
+    about = {
+        "kind": "map",
+        "scene": scene,
+        "axes": params.axes,
+        "parameters": {**alike, **asked},
+        "levels": levels,
     }
-    write_run(
-        folder,
-        {
-            "kind": "map",
-            "scene": scene,
-            "axes": axes,
-            "parameters": asked,
-            "levels": told,
-            "provenance": common.told(seed=seed),
-        },
-    )
-    with common.drawing(folder):
-        paths = draw_map(result, folder) if plot else []
-    if as_json:
-        names = [str(path) for path in paths]
-        terminal.data_json(
-            {
-                "ok": True,
-                "made": result.made,
-                "levels": plain(told),
-                "folder": str(folder),
-                "figures": names,
-            }
-        )
-        return
-    _print(result, told)
-    terminal.data(f"{result.made} trials made, kept in {folder}")
-    for path in paths:
-        terminal.data(str(path))
+    common.write_summary(folder, about, seed=trials.seed)
 
 
 class _Redrawn:
@@ -152,14 +161,12 @@ class _Redrawn:
                 self._passed.setdefault(outcome.damping_ns_per_m, []).append(outcome)
         if self._passed and monotonic() - self._drawn_s > REDRAW_S:
             self._drawn_s = monotonic()
-            style.save(
-                envelope_figure(self._conditions, list(self._passed.items())),
-                self._folder,
-                "envelope_so_far",
-            )
+            figure = envelope_figure(self._conditions, list(self._passed.items()))
+            style.save(figure, self._folder, "envelope_so_far")
 
 
-def _told(level: "LevelMap") -> dict[str, Any]:
+def _level(level: "LevelMap") -> dict[str, Any]:
+    """What was found at one level of active damping, for run.json, JSON and the table."""
     from hapticd.analysis.boundary import open_ends, set_limits, volume
     from hapticd.analysis.metrics import widths_db
     from hapticd.measure.outcomes import judged
@@ -179,51 +186,28 @@ def _told(level: "LevelMap") -> dict[str, Any]:
     return found
 
 
-def _print(result: "MapResult", told: list[dict[str, Any]]) -> None:
+def _print(result: "MapResult", levels: list[dict[str, Any]]) -> None:
     from hapticd.report.table import table, text
 
-    rows = []
-    for level in told:
-        limits = level["set_limits"]
-        extremes = (
-            (limits.stiffness[1], limits.damping[1], 1e3 * limits.mass[0])
-            if limits
-            else (float("nan"),) * 3
-        )
-        width = level["widths_db"][1].width_db if level["widths_db"] else float("nan")
-        counts = (level[name] for name in ("points", "tried", "unlike_prediction", "passive"))
-        rows.append((level["added_damping_ns_per_m"], *counts, *extremes, width))
-    columns = (
-        "added N s/m",
-        "points",
-        "tried",
-        "unlike predicted",
-        "passive",
-        "K max N/m",
-        "B max N s/m",
-        "M min g",
-        "width at 10-50 Hz dB",
-    )
-    terminal.data(
-        text(
-            table(
-                columns,
-                rows,
-                f"SIMULATED {result.plan.params.conditions.scene.device}: the set on the grid",
-            )
-        )
-    )
+    title = f"SIMULATED {result.plan.params.conditions.scene.device}: the set on the grid"
+    terminal.data(text(table(COLUMNS, [_row(level) for level in levels], title)))
     terminal.data(result.judged.words)
-    terminal.data(
-        "unlike predicted: trials that came out otherwise; K max, B max, M min: extremes over the"
-        " set, not alone on their axis"
-    )
-    for level in told:
+    terminal.data(NOTE)
+    for level in levels:
         if level["open_ends"]:
-            terminal.talk(
-                f"at {level['added_damping_ns_per_m']:g} N s/m the set goes beyond the grid:"
-                f" {', '.join(level['open_ends'])}"
-            )
+            ends = ", ".join(level["open_ends"])
+            damping = f"{level['added_damping_ns_per_m']:g} N s/m"
+            terminal.talk(f"at {damping} the set goes beyond the grid: {ends}")
+
+
+def _row(level: dict[str, Any]) -> tuple[float, ...]:
+    limits = level["set_limits"]
+    extremes = (nan, nan, nan)
+    if limits:
+        extremes = (limits.stiffness[1], limits.damping[1], 1e3 * limits.mass[0])
+    width_db = level["widths_db"][1].width_db if level["widths_db"] else nan
+    counts = (level[name] for name in ("points", "tried", "unlike_prediction", "passive"))
+    return (level["added_damping_ns_per_m"], *counts, *extremes, width_db)
 
 
 def draw_map(result: "MapResult", folder: Path) -> list[Path]:
@@ -235,12 +219,9 @@ def draw_map(result: "MapResult", folder: Path) -> list[Path]:
     paths = [*style.save(set_figure(result), folder, "set")]
     drawn = [(level.damping_ns_per_m, level.outcomes) for level in result.levels if level.envelope]
     if drawn:
-        paths += style.save(
-            envelope_figure(result.plan.params.conditions, drawn), folder, "envelope"
-        )
-        paths += style.save(
-            envelope_figure(result.plan.params.conditions, drawn, inverse=True),
-            folder,
-            "envelope_admittance",
-        )
+        conditions = result.plan.params.conditions
+        impedance = envelope_figure(conditions, drawn)
+        admittance = envelope_figure(conditions, drawn, inverse=True)
+        paths += style.save(impedance, folder, "envelope")
+        paths += style.save(admittance, folder, "envelope_admittance")
     return paths

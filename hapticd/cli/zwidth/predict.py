@@ -29,9 +29,7 @@ def command(
     mass: Annotated[
         float | None, typer.Option("-M", "--mass", metavar="KG", help="Virtual mass.")
     ] = None,
-    damping: Annotated[
-        float | None, typer.Option("--damping", metavar="NS/M", help="Electrical damping.", min=0)
-    ] = None,
+    damping: common.OneDamping = None,
     band: common.Band = (2.0, 500.0),
     as_json: terminal.Json = False,
 ) -> None:
@@ -63,38 +61,23 @@ def command(
             raise typer.BadParameter(f"{option} {value:g}: a finite number of {unit} is needed")
     found = outlook(shown.model, (k, b, m), level, shown.filters, shown.perturbation, band)
     if as_json:
-        terminal.data_json(
-            {
-                "ok": True,
-                "simulated": True,
-                "device": shown.scene.device,
-                **_told(found, (k, b, m), level),
-            }
-        )
+        about = {"ok": True, "simulated": True, "device": shown.scene.device}
+        terminal.data_json({**about, **_outlook_json(found, (k, b, m), level)})
         return
-    terminal.data(
-        f"SIMULATED {shown.scene.device}: K {k:g} N/m, B {b:g} N s/m, M {1e3 * m:g} g, electrical"
-        f" damping {level:g} N s/m"
-    )
+    environment = f"K {k:g} N/m, B {b:g} N s/m, M {1e3 * m:g} g"
+    terminal.data(f"SIMULATED {shown.scene.device}: {environment}, active damping {level:g} N s/m")
     for name, words in _lines(found, shown.perturbation):
         terminal.data(f"{name:11} {words}")
 
 
 def _lines(found: "Outlook", shaken: "Perturbation") -> list[tuple[str, str]]:
+    motion = _motion(found.radius, found.period_s)
+    prediction = f"{_least(found.true)}, {_friction(found.true)}"
     return [
         ("verdict", _verdict(found)),
-        (
-            "stability",
-            (
-                f"spectral radius {found.radius:.6f} without friction:"
-                f" {_motion(found.radius, found.period_s)}"
-            ),
-        ),
+        ("stability", f"spectral radius {found.radius:.6f} without friction: {motion}"),
         ("theorem", _theorem(found)),
-        (
-            "prediction",
-            f"{_least(found.true)}, {_friction(found.true)}\n{'':11} {_amplitude(shaken)}",
-        ),
+        ("prediction", f"{prediction}\n{'':11} {_amplitude(shaken)}"),
         ("a trial", f"would record {_least(found.recorded)}"),
         ("hand", _hand(found)),
     ]
@@ -175,7 +158,9 @@ def _named(hand: "Hand") -> str:
     return f"{main} with {hand.mass_kg.size - 1} small tuned masses"
 
 
-def _told(found: "Outlook", point: tuple[float, float, float], level: float) -> dict[str, Any]:
+def _outlook_json(
+    found: "Outlook", point: tuple[float, float, float], level: float
+) -> dict[str, Any]:
     from hapticd.measure.store import plain
 
     shaken = found.true.perturbation

@@ -23,7 +23,9 @@ from hapticd.cli.zwidth.trial import draw_trial
 if TYPE_CHECKING:
     from hapticd.analysis.verdict import Judged
     from hapticd.measure.campaign import MapParams, MapResult
-    from hapticd.measure.store import Progress, TrialStore
+    from hapticd.measure.limits import LimitsResult
+    from hapticd.measure.store import Progress, Recorded
+    from hapticd.measure.trial import TrialParams
     from hapticd.plant.scene import Scene
 
 
@@ -33,8 +35,29 @@ What = Annotated[
         metavar="DEVICE|RUN", help="A simulated device or scene, or the folder of a trial or a map."
     ),
 ]
-GRID = (12, 10)
+Quick = Annotated[
+    bool,
+    typer.Option(
+        "--quick", help="Prediction alone: seconds instead of minutes, without scatter and Fig. 2."
+    ),
+]
+Seeds = Annotated[
+    int,
+    typer.Option(
+        "--seeds", metavar="N", min=2, max=64, help="Noise realisations behind each limit."
+    ),
+]
+GRID = (12, 10)  # values of K and of B in the map of a device
 GRID_MARGIN = (2.0, 1.15)  # of the grid over the largest axis limits: K, B
+LINE_S = 10.0  # between two lines of progress where stderr is no terminal
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What a report wrote, and from where to where its trials were judged."""
+
+    files: list[Path]
+    judged: "Judged"
 
 
 def report(
@@ -56,30 +79,18 @@ def report(
     else:
         drawn = _of_device(what, damping, seconds, seed, out)
     if as_json:
-        terminal.data_json(
-            {
-                "ok": True,
-                "files": [str(path) for path in drawn.files],
-                "judged": plain(drawn.judged),
-            }
-        )
+        files = [str(path) for path in drawn.files]
+        terminal.data_json({"ok": True, "files": files, "judged": plain(drawn.judged)})
         return
     terminal.data(drawn.judged.words)
     for path in drawn.files:
         terminal.data(str(path))
 
 
-@dataclass(frozen=True)
-class Drawn:
-    """What a report wrote, and from where to where its trials were judged."""
-
-    files: list[Path]
-    judged: "Judged"
-
-
 def _named(what: str) -> "Scene":
-    """The scene of that name. ConfigError, which says what a folder without a run is
-    and what may be done with it.
+    """The scene of that name.
+
+    ConfigError says what a folder without a run is and what may be done with it.
     """
     from hapticd.errors import ConfigError
 
@@ -101,8 +112,8 @@ def _instead(folder: Path) -> str:
         )
     if (folder / "trials.jsonl").is_file():
         return (
-            "a campaign that was not finished, of which the trials are kept; the command that"
-            f" began it, with --out {folder}, goes on there and draws it"
+            "a campaign that was not finished, of which the trials are kept; the command that began"
+            f" it, with --out {folder}, goes on there and draws it"
         )
     return (
         "no run folder: it has no run.json; name a simulated device, a scene, or the folder of a"
@@ -119,25 +130,29 @@ def _of_run(folder: Path, out: Path) -> Drawn:
     if kept["kind"] == "trial":
         return _trial_again(folder, kept, out)
     if kept["kind"] != "map":
-        told = (
-            f"a run of kind {kept['kind']!r} is drawn by the command that made it, with --out"
-            f" {folder}; here a trial or a map is"
+        kind = f"a run of kind {kept['kind']!r}"
+        raise ConfigError(
+            f"{folder}: {kind} is drawn by the command that made it, with --out {folder}; here a"
+            " trial or a map is"
         )
-        raise ConfigError(f"{folder}: {told}")
-    found = kept_map(plan_map(_asked(kept)), TrialStore(folder / "trials.jsonl"))
+    found = kept_map(plan_map(_map_params(kept)), TrialStore(folder / "trials.jsonl"))
     return Drawn(draw_map(found, out), found.judged)
 
 
 def _trial_again(folder: Path, kept: dict[str, Any], out: Path) -> Drawn:
-    from hapticd.analysis.spa import DEFAULT_LAG
-    from hapticd.measure.recorded import read_file
-    from hapticd.measure.sources import Trial
-    from hapticd.measure.store import record_path
-    from hapticd.measure.trial import Layout, TrialParams, judged, plan_trial
-    from hapticd.measure.watch import COUNTS
-    from hapticd.plant.scene import Excitation
+    from hapticd.measure.trial import judged, plan_trial
 
-    recorded = replace(
+    result = judged(plan_trial(_trial_params(kept)), _record(folder, kept))
+    return Drawn(draw_trial(result, out), result.verdict.judged)
+
+
+def _record(folder: Path, kept: dict[str, Any]) -> "Recorded":
+    """The record of a trial's folder, with what run.json knows of it."""
+    from hapticd.measure.recorded import read_file
+    from hapticd.measure.store import record_path
+    from hapticd.measure.watch import COUNTS
+
+    return replace(
         read_file(record_path(folder)),
         origin=kept["origin"],
         simulated=kept["simulated"],
@@ -146,19 +161,24 @@ def _trial_again(folder: Path, kept: dict[str, Any], out: Path) -> Drawn:
         command_limit_n=kept.get("command_limit_n"),
         more={name: kept[name] for name in COUNTS if name in kept},
     )
+
+
+def _trial_params(kept: dict[str, Any]) -> "TrialParams":
+    """The parameters of a trial from its run.json; what older versions did not write is default."""
+    from hapticd.analysis.spa import DEFAULT_LAG
+    from hapticd.measure.sources import Trial
+    from hapticd.measure.trial import Layout, TrialParams
+    from hapticd.plant.scene import Excitation
+
     k, b, m = kept["environment"].values()
-    low, high = kept["verdict"]["band_hz"]
-    trial = Trial(
-        (k, b, m),
-        kept["added_damping_ns_per_m"],
-        kept["seconds"],
-        Excitation(**kept["perturbation"]),
-    )
+    low_hz, high_hz = kept["verdict"]["band_hz"]
+    excitation = Excitation(**kept["perturbation"])
+    trial = Trial((k, b, m), kept["added_damping_ns_per_m"], kept["seconds"], excitation)
     layout = kept.get("multisine")
-    params = TrialParams(
+    return TrialParams(
         trial,
         _same_scene(kept),
-        (low, high),
+        (low_hz, high_hz),
         kept["verdict"]["confidence"],
         kept["estimator"],
         kept["probe_mass_taken_out_kg"],
@@ -167,8 +187,6 @@ def _trial_again(folder: Path, kept: dict[str, Any], out: Path) -> Drawn:
         skew_s=kept.get("skew_taken_out_s", 0.0),
         high_pass_hz=kept.get("high_pass_taken_out_hz", 0.0),
     )
-    result = judged(plan_trial(params), recorded)
-    return Drawn(draw_trial(result, out), result.verdict.judged)
 
 
 def _same_scene(kept: dict[str, Any]) -> "Scene | None":
@@ -183,7 +201,7 @@ def _same_scene(kept: dict[str, Any]) -> "Scene | None":
     return found if found and fingerprint(found) == kept["scene_hash"] else None
 
 
-def _asked(kept: dict[str, Any]) -> "MapParams":
+def _map_params(kept: dict[str, Any]) -> "MapParams":
     import numpy as np
 
     from hapticd.measure.campaign import MapParams
@@ -205,66 +223,75 @@ def _asked(kept: dict[str, Any]) -> "MapParams":
 
 
 def _of_device(what: str, damping: str, seconds: float, seed: int, out: Path | None) -> Drawn:
+    from hapticd.measure.campaign import plan_map, run_map
     from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
-    from hapticd.measure.portable import SUFFIX, conditions_of, device_hash, numbers_of, portable
-    from hapticd.measure.store import TrialStore, write_run
+    from hapticd.measure.portable import SUFFIX, device_hash
+    from hapticd.measure.store import TrialStore
     from hapticd.report import style
     from hapticd.report.passive_set import limits_figure
 
     scene = _named(what)
-    levels = common.levels(damping)
     name = Path(scene.device).stem
-    file_hash = device_hash(what if what.endswith(".toml") else scene.device)
     conditions = common.conditions(scene, seconds, seed)
     folder = common.folder(out, f"report-{name}")
     store = TrialStore(folder / "trials.jsonl")
+    params = LimitsParams(conditions, common.levels(damping))
     with common.keeping(store, folder), progress() as tell:
-        limits = run_limits(plan_limits(LimitsParams(conditions, levels)), store, tell)
-        found = _mapped(conditions, levels, limits, store, tell)
-    told = conditions_of(conditions, found.judged)
-    provenance = common.told(seed=seed)
-    drawn = [(level.damping_ns_per_m, level.envelope) for level in found.levels]
-    numbers = [numbers_of(level, conditions.display) for level in found.levels]
-    content = {
-        **portable(name, file_hash, drawn, limits.limits, told, numbers),
-        "provenance": provenance,
-    }
-    summary = {"kind": "report", "device": name, **told, "provenance": provenance}
-    write_run(folder, summary, texts={f"{name}{SUFFIX}": json.dumps(content) + "\n"})
-    paths = [
-        *_own_trial(scene, seconds, folder),
-        *style.save(limits_figure(limits), folder, "limits"),
-    ]
+        limits = run_limits(plan_limits(params), store, tell)
+        found = run_map(plan_map(_map_about(limits)), store, tell)
+    file_hash = device_hash(what if what.endswith(".toml") else scene.device)
+    _write(folder, name, file_hash, limits, found)
+    paths = _own_trial(scene, seconds, folder)
+    paths += style.save(limits_figure(limits), folder, "limits")
     paths += draw_map(found, folder)
     return Drawn([*paths, folder / f"{name}{SUFFIX}"], found.judged)
 
 
-def _mapped(
-    conditions: Any, levels: tuple[float, ...], limits: Any, store: "TrialStore", tell: Any
-) -> "MapResult":
+def _write(
+    folder: Path, name: str, file_hash: str, limits: "LimitsResult", found: "MapResult"
+) -> None:
+    """run.json and NAME.zwidth, the summary that `zwidth compare` reads."""
+    from hapticd.measure.portable import SUFFIX, conditions_of, numbers_of, portable
+    from hapticd.measure.store import write_run
+
+    conditions = limits.plan.params.conditions
+    about = conditions_of(conditions, found.judged)
+    provenance = common.provenance_now(seed=conditions.excitation.seed)
+    drawn = [(level.damping_ns_per_m, level.envelope) for level in found.levels]
+    numbers = [numbers_of(level, conditions.display) for level in found.levels]
+    content = portable(name, file_hash, drawn, limits.limits, about, numbers)
+    text = json.dumps({**content, "provenance": provenance}) + "\n"
+    summary = {"kind": "report", "device": name, **about, "provenance": provenance}
+    write_run(folder, summary, texts={f"{name}{SUFFIX}": text})
+
+
+def _map_about(limits: "LimitsResult") -> "MapParams":
+    """A map that holds the limits along the axes. AnalysisError: there is no set to map."""
     import numpy as np
 
     from hapticd.errors import AnalysisError
-    from hapticd.measure.campaign import MapParams, plan_map, run_map
+    from hapticd.measure.campaign import MapParams
 
-    most = [
-        max((abs(limit.value) for limit in limits.limits if limit.scan.axis == axis), default=0.0)
-        for axis in range(3)
-    ]
-    if not all(np.isfinite(most)) or min(most) == 0.0:
+    largest = [0.0, 0.0, 0.0]
+    for limit in limits.limits:
+        axis = limit.scan.axis
+        largest[axis] = max(largest[axis], abs(limit.value))
+    if not all(np.isfinite(largest)) or min(largest) == 0.0:
         raise AnalysisError(
             "the display is not passive at K = B = M = 0, so there is no set to map; see `hapticd"
             " zwidth trial`"
         )
     axes = (
-        np.linspace(0.0, GRID_MARGIN[0] * most[0], GRID[0]),
-        np.linspace(0.0, GRID_MARGIN[1] * most[1], GRID[1]),
-        np.asarray(most[2] * 0.25 * np.arange(-5, 7)),  # M = 0 is one of them
+        np.linspace(0.0, GRID_MARGIN[0] * largest[0], GRID[0]),
+        np.linspace(0.0, GRID_MARGIN[1] * largest[1], GRID[1]),
+        np.asarray(largest[2] * 0.25 * np.arange(-5, 7)),  # M = 0 is one of them
     )
-    return run_map(plan_map(MapParams(conditions, axes, levels)), store, tell)
+    params = limits.plan.params
+    return MapParams(params.conditions, axes, params.levels)
 
 
-def _own_trial(scene: Any, seconds: float, folder: Path) -> list[Path]:
+def _own_trial(scene: "Scene", seconds: float, folder: Path) -> list[Path]:
+    """A trial of the environment that the scene itself describes."""
     from hapticd.measure.scenes import level, noise, point
     from hapticd.measure.sources import Trial, engine_source
     from hapticd.measure.trial import TrialParams, plan_trial, run_trial
@@ -272,21 +299,6 @@ def _own_trial(scene: Any, seconds: float, folder: Path) -> list[Path]:
     trial = Trial(point(scene), level(scene), seconds, noise(scene))
     result = run_trial(plan_trial(TrialParams(trial, scene)), engine_source(scene))
     return draw_trial(result, folder)
-
-
-LINE_S = 10.0
-Quick = Annotated[
-    bool,
-    typer.Option(
-        "--quick", help="Prediction alone: seconds instead of minutes, without scatter and Fig. 2."
-    ),
-]
-Seeds = Annotated[
-    int,
-    typer.Option(
-        "--seeds", metavar="N", min=2, max=64, help="Noise realisations behind each limit."
-    ),
-]
 
 
 def reproduce(
@@ -311,16 +323,18 @@ def reproduce(
     with common.interruptible(), watched() as tell:
         found = [*sections(run_reproduce(plan, tell)), *future_sections(run_beyond(further, tell))]
         table = table_json(row for section in found for row in section.rows)
-        told: dict[str, Any] = {
+        content: dict[str, Any] = {
             "quick": quick,
             "seeds": len(plan.seeds),
             "table": table,
-            "provenance": common.told(),
+            "provenance": common.provenance_now(),
         }
         if out is not None or not as_json:
-            files = keep(found, common.folder(out, "reproduce"), told, tell)
+            files = keep(found, common.folder(out, "reproduce"), content, tell)
     if as_json:
-        terminal.data_json(told | ({"files": [str(file) for file in files]} if files else {}))
+        if files:
+            content["files"] = [str(file) for file in files]
+        terminal.data_json(content)
         return
     terminal.data(terminal_text(found))
     terminal.data("\n".join(["", "kept", *(f"  {file}" for file in files)]))
@@ -328,8 +342,9 @@ def reproduce(
 
 @contextmanager
 def watched() -> "Iterator[Progress]":
-    """The bar; where stderr is no terminal, a line every ten seconds, so that no log is
-    silent for minutes.
+    """The bar; where stderr is no terminal, a line every ten seconds.
+
+    So no log is silent for minutes.
     """
     last_s = -inf
 

@@ -325,7 +325,7 @@ def _show(result: "TrialResult", sines: "Referee | None", results: ResultOptions
     from hapticd.measure.trial import summary, write
 
     folder = common.folder(results.out, "trial")
-    write(folder, result, common.told(), sines)
+    write(folder, result, common.provenance_now(), sines)
     with common.drawing(folder):
         wanted = results.plot or results.admittance
         paths = draw_trial(result, folder, sines, results.admittance) if wanted else []
@@ -336,7 +336,7 @@ def _show(result: "TrialResult", sines: "Referee | None", results: ResultOptions
         return
     for line in _lines(result, sines):
         terminal.data(line)
-    common.kept(folder, paths)
+    common.print_kept(folder, paths)
 
 
 def _lines(result: "TrialResult", sines: "Referee | None") -> list[str]:
