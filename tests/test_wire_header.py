@@ -95,6 +95,16 @@ def test_member_offset_equals_compiled(
     ]
 
 
+@pytest.mark.parametrize(
+    ("name", "offsets"),
+    [("hapticd_out", frames.OUT_OFFSETS), ("hapticd_in", frames.IN_OFFSETS)],
+)
+def test_named_offsets_equal_compiled(
+    name: str, offsets: dict[str, int], compiled: dict[str, Any]
+) -> None:
+    assert offsets == {member: compiled[f"{name}.{member}"][1] for member in offsets}
+
+
 @pytest.mark.parametrize("name", VALUES)
 def test_value_fields_follow_members(name: str) -> None:
     kept = [

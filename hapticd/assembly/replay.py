@@ -47,8 +47,8 @@ COMPUTED = [
 ]
 REPLAYED = np.dtype([*PLAN_FIELDS, *COMPUTED])
 LOOP_FLAGS = int(Flag.LATE | Flag.WRITE_FAILED)  # set by the loop, not by step
-_TORQUE_PLACE = 4  # byte of the torque count in an OUT frame
-_DAMPING_PLACE = 6  # byte of the damping count
+_TORQUE_PLACE = frames.OUT_OFFSETS["torque"]
+_DAMPING_PLACE = frames.OUT_OFFSETS["damping"]
 
 
 class Segment(NamedTuple):

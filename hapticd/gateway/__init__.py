@@ -4,11 +4,24 @@ It renders nothing and may be killed at any time.
 
     client --ROUTER--> desk --interlocks--> mailbox command ring --> servo
     client <--ROUTER-- desk <---receipt---- mailbox answer ring  <-- servo
-    subscribers <--XPUB-- topics <-- feed <-- telemetry ring     <-- servo
+    subscribers <--XPUB-- publisher <-- telemetry <-- ring       <-- servo
 
-`desk` and `feed` do no socket work and read no clock: messages, records and times go in, messages
-come out. `server` owns the sockets and the only loop, in one thread. What would break it: a second
-thread on the mailbox (its rings have one reader and one writer), waiting for the servo inside a
-request (answers are collected, never awaited), and a promise that the servo did not make (receipts
-and states are the servo's, limits are checked here only to explain them better).
+    server       sockets, endpoints file, the one loop
+    auth         who may connect from where; CURVE keys
+    desk         requests in, replies out; the perturbation waveform
+    commands     interlocks; requests as commands of the mailbox, answers as receipts
+    schemas      what may be asked, as models and as JSON schema
+    limits       how much of each parameter may be asked
+    codec        msgpack or JSON (the client uses it too)
+    view         the servo as seen: its mailbox, its newest record
+    telemetry    the ring of records as the messages of each topic
+    publisher    what is due to subscribers; the servo's state in words
+    journal      what happened, and who did it
+    flight       the flight recorder and its file
+
+`desk` and `telemetry` do no socket work and read no clock: messages, records and times go in,
+messages come out. `server` owns the sockets and the only loop, in one thread. What would break it:
+a second thread on the mailbox (its rings have one reader and one writer), waiting for the servo
+inside a request (answers are collected, never awaited), and a promise that the servo did not make
+(receipts and states are the servo's, limits are checked here only to explain them better).
 """

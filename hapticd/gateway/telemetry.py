@@ -283,14 +283,13 @@ def packed_block(
 
 PROBE_DESCR = [["index", "<u8"], ["time_ns", "<i8"], ["torque", "<i2"], ["velocity", "<i2"]]
 PROBE_DTYPE = np.dtype([(name, kind) for name, kind in PROBE_DESCR])
-RESTART = (
-    PROBE_RATE_HZ // 10
-)  # an index that falls back further is no late frame but a board that started anew
+# an index that falls back further is no late frame but a board that started anew
+RESTART = PROBE_RATE_HZ // 10
 
-_COUNT_PLACE = 5
+_COUNT_PLACE = frames.IN_OFFSETS["probe_count"]
 _INDEX = struct.Struct("<I")
-_INDEX_PLACE = frames.IN_HEAD.size - _INDEX.size
-_PAIRS_PLACE = frames.IN_HEAD.size
+_INDEX_PLACE = frames.IN_OFFSETS["probe_index"]
+_PAIRS_PLACE = frames.IN_OFFSETS["pair"]
 _PAIR_BYTES = frames.IN_PAIRS.size // frames.PROBE_MAX
 _STALE = Flag.MISSING_IN | Flag.BAD_IN  # the record repeats an older frame
 

@@ -36,6 +36,9 @@ IN_SEALED = struct.Struct(
 IN_PAIRS = struct.Struct("<12h")
 HELLO = struct.Struct("<8sHBBHH16s8f16s")
 CRC = struct.Struct("<H")
+# bytes at which fields begin, for those who read one without unpacking the frame
+OUT_OFFSETS = {"torque": 4, "damping": 6}
+IN_OFFSETS = {"probe_count": 5, "probe_index": 28, "pair": 32}
 assert (OUT.size, IN.size, HELLO.size) == (OUT_BYTES, IN_BYTES, HELLO_BYTES)
 assert IN_SEALED.size == IN_BYTES
 assert IN_HEAD.size + IN_PAIRS.size + 6 + CRC.size == IN_BYTES

@@ -149,7 +149,7 @@ class FileOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ResultOptions:
+class TrialResultOptions:
     """Where results go, and what is drawn."""
 
     out: common.Out = None
@@ -163,7 +163,7 @@ def trial(
     file: FileOptions,
     *,
     instance: terminal.Instance = terminal.INSTANCE,
-    results: ResultOptions,
+    results: TrialResultOptions,
 ) -> None:
     """One trial of one environment: the probe shakes, impedance by spectral analysis, passive or
     not.
@@ -320,7 +320,7 @@ def _simulated(asked: TrialOptions, scene: "Scene", stack: ExitStack) -> "Source
     return bench_source(bench, f"lock-step, scene {scene.name}")
 
 
-def _show(result: "TrialResult", sines: "Referee | None", results: ResultOptions) -> None:
+def _show(result: "TrialResult", sines: "Referee | None", results: TrialResultOptions) -> None:
     from hapticd.measure.store import plain
     from hapticd.measure.trial import summary, write
 
@@ -482,4 +482,4 @@ def import_record(
         damping=rendered.damping,
         band=band,
     )
-    trial(asked, file, results=ResultOptions(out=out, plot=plot, as_json=as_json))
+    trial(asked, file, results=TrialResultOptions(out=out, plot=plot, as_json=as_json))
