@@ -13,10 +13,10 @@ import numpy as np
 
 from benchmarks import engine_scene as scene
 from benchmarks.worker import BenchError
+from hapticd.engine.kernels import kernel
+from hapticd.engine.source import LAW_STATE
 from hapticd.params import FilterParams
 from hapticd.render.environment import at_rest, design_coefficients, render
-from hapticd.sim.engine.kernels import kernel
-from hapticd.sim.engine.tick import LAW_STATE
 
 STEP_S = 0.00025
 SAMPLES = 4

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hapticd.engine.job import Group, Job, prepared, shared_torque
 from hapticd.params import EnvironmentParams
 from hapticd.plant.compose import compose_device
 from hapticd.plant.effects import (
@@ -22,8 +23,6 @@ from hapticd.plant.effects import (
 )
 from hapticd.plant.model import Model
 from hapticd.plant.scene import DampingStep, Excitation
-from hapticd.sim.engine.group import Group
-from hapticd.sim.engine.job import Job, prepared, shared_torque
 
 ROTOR_KG = 0.005
 SLIDER_KG = 0.003

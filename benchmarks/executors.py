@@ -16,13 +16,13 @@ import numpy as np
 from benchmarks import targets
 from benchmarks.figures import Figure, compared
 from benchmarks.worker import BenchError
+from hapticd.engine.batch import workers
 from hapticd.measure.campaign import MapParams, MapPlan, plan_map, run_map
 from hapticd.measure.executors import executor
 from hapticd.measure.outcomes import TOGETHER, Conditions
 from hapticd.measure.scenes import noise
 from hapticd.measure.store import TrialStore
 from hapticd.settings.scene import load_scene
-from hapticd.sim.engine.cores import workers
 
 TARGETS = targets.of("executors")
 SCENE = "fig7"

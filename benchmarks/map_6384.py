@@ -16,6 +16,7 @@ from benchmarks.engine_c import Yard
 from benchmarks.engine_scene import Lanes
 from benchmarks.figures import Figure, compared
 from benchmarks.spa_c import SpectraYard
+from hapticd.engine.batch import workers
 from hapticd.measure.campaign import MapParams, plan_map, run_map
 from hapticd.measure.outcomes import Conditions
 from hapticd.measure.reproduce import AXES
@@ -23,7 +24,6 @@ from hapticd.measure.scenes import noise
 from hapticd.measure.store import TrialStore
 from hapticd.plant.compose import compose
 from hapticd.settings.scene import load_scene
-from hapticd.sim.engine.cores import workers
 from hapticd.units import PROBE_RATE_HZ
 
 TARGETS = targets.of("map_6384")

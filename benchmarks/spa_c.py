@@ -14,7 +14,7 @@ from benchmarks.engine_c import compiled
 from benchmarks.worker import BenchError
 from hapticd.analysis.spa import DEFAULT_LAG as LAG
 from hapticd.analysis.spa import spa
-from hapticd.sim.engine.cores import workers
+from hapticd.engine.batch import workers
 
 SOURCE = Path(__file__).with_name("spa_reference.c")
 OPTIONS = [

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from hapticd.sim.engine import chunk, simulate
-from hapticd.sim.engine.group import Group
+from hapticd.engine import batch, simulate
+from hapticd.engine.job import Group
 
 
 def final(monkeypatch, *arguments, **options):
@@ -17,6 +17,6 @@ def final(monkeypatch, *arguments, **options):
             super().__init__(*parts)
             made.append(self)
 
-    monkeypatch.setattr(chunk, "Group", Watched)
+    monkeypatch.setattr(batch, "Group", Watched)
     result = simulate(*arguments, **options)
     return {name: np.array(row[: made[0].count]) for name, row in made[0].rows.items()}, result

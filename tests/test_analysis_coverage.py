@@ -15,8 +15,8 @@ from hapticd.analysis.passivity import judge
 from hapticd.analysis.predict import predicted_impedance
 from hapticd.analysis.spa import spa
 from hapticd.analysis.unexplained import coherence_findings
+from hapticd.engine import simulate
 from hapticd.plant.scene import Excitation
-from hapticd.sim.engine import simulate
 
 pytestmark = pytest.mark.slow
 

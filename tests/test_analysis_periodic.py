@@ -18,11 +18,11 @@ from hapticd.analysis.passivity import judge
 from hapticd.analysis.periodic import periodic, periodic_findings
 from hapticd.analysis.predict import predicted_impedance
 from hapticd.analysis.spa import spa
+from hapticd.engine import simulate
 from hapticd.errors import AnalysisError
 from hapticd.plant.effects import AntiAlias, Encoder
 from hapticd.plant.excitation import generator, multisine, torque_record
 from hapticd.plant.scene import Excitation
-from hapticd.sim.engine import simulate
 
 RATE_HZ = 4000.0
 PERIOD = 4096

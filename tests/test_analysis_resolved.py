@@ -18,6 +18,7 @@ from hapticd.analysis.predict import predicted_impedance
 from hapticd.analysis.resolved import resolved
 from hapticd.analysis.spa import spa
 from hapticd.analysis.verdict import Verdict
+from hapticd.engine import simulate
 from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
 from hapticd.measure.outcomes import Conditions, Outcome, fly
 from hapticd.measure.sources import Trial
@@ -26,7 +27,6 @@ from hapticd.measure.trial import TrialParams, judged, plan_trial
 from hapticd.plant.compose import compose
 from hapticd.plant.effects import Coulomb, Encoder, Masses, ProbeMass, Saturation, Viscous
 from hapticd.plant.scene import Excitation, Scene
-from hapticd.sim.engine import simulate
 
 T = 1e-3
 LIMIT = Saturation(limit_n=8.0)

@@ -92,7 +92,9 @@ def test_gateway_brings_no_compiler_and_no_board() -> None:
     assert not [
         name
         for name in modules
-        if name.startswith(("hapticd.servo", "hapticd.sim", "hapticd.settings", "hapticd.link"))
+        if name.startswith(
+            ("hapticd.servo", "hapticd.sim", "hapticd.engine", "hapticd.settings", "hapticd.link")
+        )
     ]
 
 

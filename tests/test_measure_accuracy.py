@@ -9,6 +9,7 @@ import pytest
 from measured_scenes import DRY, MASS_KG, VISCOUS_NS_PER_M, scene, stopwatch
 
 from hapticd.analysis.predict import predicted_impedance
+from hapticd.engine import simulate
 from hapticd.errors import AnalysisError
 from hapticd.measure.accuracy import (
     GROUP,
@@ -29,7 +30,6 @@ from hapticd.measure.scenes import frequencies, spectra_on, without
 from hapticd.plant.compose import compose
 from hapticd.plant.scene import Excitation
 from hapticd.settings.scene import load_scene
-from hapticd.sim.engine import simulate
 
 # --- the knee -------------------------------------------------------------------------------------
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from measured_scenes import MASS_KG, MOTOR, PARTS, VISCOUS_NS_PER_M, scene, stopwatch
 
+from hapticd.engine import BatchResult, simulate
 from hapticd.errors import AnalysisError, ConfigError
 from hapticd.measure import outcomes
 from hapticd.measure.effects import (
@@ -36,7 +37,6 @@ from hapticd.plant.effects import (
 )
 from hapticd.plant.scene import DampingStep, Excitation
 from hapticd.settings.scene import load_scene
-from hapticd.sim.engine import BatchResult, simulate
 
 AMPLIFIED = (*PARTS, Saturation(limit_n=8.0))
 CIRCUIT = (*PARTS, Amplifier(bandwidth_hz=5000.0), DampingCircuit(bandwidth_hz=1000.0))

@@ -19,6 +19,7 @@ from measured_scenes import MOTOR, scene
 from stand_in import StandIn
 
 from hapticd import errors
+from hapticd.engine.batch import at_most, workers
 from hapticd.errors import AnalysisError, CommandError, ConfigError, HapticdError
 from hapticd.measure import executors, outcomes
 from hapticd.measure.campaign import MapParams, plan_map, run_map
@@ -29,7 +30,6 @@ from hapticd.measure.scenes import noise
 from hapticd.measure.store import TrialStore, plain
 from hapticd.plant.effects import Masses, ProbeMass, Viscous
 from hapticd.settings.scene import load_scene
-from hapticd.sim.engine.cores import at_most, workers
 
 SCENE = load_scene("fig7")  # friction and all: what the last bit depends on
 SHORT = Conditions(SCENE, 20.0, noise(SCENE))
@@ -237,7 +237,7 @@ def test_tasks_of_a_pool_keep_to_one_core() -> None:
 
 
 def test_engine_begins_no_threads_in_a_task_of_a_pool(monkeypatch: pytest.MonkeyPatch) -> None:
-    from hapticd.sim.engine import batch
+    from hapticd.engine import batch
 
     asked: list[int] = []
 

@@ -69,7 +69,7 @@ def test_page_touches_the_catalogue_once_and_each_backend_once() -> None:
     assert list(CODE) == [
         "hapticd/plant/effects.py",
         "hapticd/plant/composed.py",
-        "hapticd/sim/engine/rotor_laws.py",
+        "hapticd/engine/source.py",
     ]
 
 

@@ -27,8 +27,8 @@ FOUND_BY_BASE = {"Effect"}
 ALLOWED = {
     "wire.codec.decode_out": "the board's half of the codec: golden frames, and boards in Python",
     "wire.frames.CRC_POLYNOMIAL": "every constant of the C header has its twin",
-    "sim.engine.law.law_f32": "named in the text of a kernel, with its type",
-    "sim.engine.law.law_f64": "named in the text of a kernel, with its type",
+    "engine.compiled.law_f32": "named in the text of a kernel, with its type",
+    "engine.compiled.law_f64": "named in the text of a kernel, with its type",
 }
 
 

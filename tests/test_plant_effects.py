@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from plant_devices import FULL, alpha, device
 from straight import Straight
 
+from hapticd.engine import simulate
+from hapticd.engine.shape import reduced
 from hapticd.errors import ConfigError
 from hapticd.plant.compose import compose
 from hapticd.plant.effects import (
@@ -24,8 +26,6 @@ from hapticd.plant.effects import (
 )
 from hapticd.plant.stability import explain
 from hapticd.settings.scene import load_scene
-from hapticd.sim.engine import simulate
-from hapticd.sim.engine.coordinates import reduced
 
 LEVEL = 1.74
 HERTZ = [0.05, 1.0, 10.0, 33.0, 100.0, 1500.0]

@@ -46,6 +46,8 @@ from hapticd.analysis.predict import predict, predicted_impedance
 from hapticd.analysis.spa import DEFAULT_LAG, spa
 from hapticd.analysis.spectra import Spectra
 from hapticd.assembly.lockstep import LockStep, scene_params
+from hapticd.engine import BatchResult, simulate
+from hapticd.engine.shape import LANES
 from hapticd.errors import AnalysisError, HapticdError
 from hapticd.measure.lockstep import Flown, fly
 from hapticd.measure.scenes import (
@@ -64,8 +66,6 @@ from hapticd.measure.scenes import (
 from hapticd.measure.store import Progress, Steps, silent
 from hapticd.plant.excitation import Stream, torque_record
 from hapticd.plant.scene import Scene
-from hapticd.sim.engine import BatchResult, simulate
-from hapticd.sim.engine.shape import LANES
 from hapticd.units import NS_PER_S, PROBE_RATE_HZ
 
 REFERENCE = "the reference"

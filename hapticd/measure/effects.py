@@ -31,6 +31,7 @@ import numpy as np
 
 from hapticd.analysis.arrays import Complexes, Floats
 from hapticd.analysis.predict import predicted_impedance
+from hapticd.engine import simulate
 from hapticd.errors import AnalysisError, ConfigError
 from hapticd.measure.accuracy import GROUP, Stopwatch, engine_cost
 from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
@@ -49,7 +50,6 @@ from hapticd.measure.scenes import (
 )  # fmt: skip
 from hapticd.measure.store import Progress, Steps, TrialStore, silent
 from hapticd.plant.scene import Scene
-from hapticd.sim.engine import simulate
 
 PREDICTED = "predicted"
 SIMULATED = "simulated"

@@ -34,8 +34,8 @@ from socket import create_connection
 from typing import Any, ParamSpec, TypeVar
 from urllib.parse import urlsplit
 
+from hapticd.engine.batch import at_most, workers
 from hapticd.errors import ConfigError, HapticdError
-from hapticd.sim.engine.cores import at_most, workers
 
 PATIENCE_S = 5.0  # for a scheduler to answer and for a first worker to be there
 GREETING_MOST = 1 << 20  # bytes

@@ -38,13 +38,13 @@ from hapticd.analysis.resolved import resolved
 from hapticd.analysis.spa import DEFAULT_LAG
 from hapticd.analysis.spectra import Spectra, grid_frequencies
 from hapticd.analysis.verdict import NOTHING_JUDGED, Judged, Verdict
+from hapticd.engine import BatchResult, simulate
+from hapticd.engine.shape import LANES
 from hapticd.errors import AnalysisError
 from hapticd.measure.executors import pool_of
 from hapticd.measure.scenes import SATURATED, Display, display, free_of_walls, frequencies
 from hapticd.measure.store import TrialStore, fingerprint
 from hapticd.plant.scene import Excitation, Scene
-from hapticd.sim.engine import BatchResult, simulate
-from hapticd.sim.engine.shape import LANES
 from hapticd.units import PROBE_RATE_HZ
 
 TOGETHER = LANES["f32"]  # trials that the engine does at once

@@ -40,6 +40,7 @@ from numpy.linalg import matrix_power
 from hapticd.analysis.arrays import Complexes, Floats
 from hapticd.analysis.closed import spectral_radius
 from hapticd.analysis.spa import DEFAULT_LAG
+from hapticd.engine import BatchResult, simulate
 from hapticd.errors import ConfigError
 from hapticd.measure.scenes import SUBSTEPS, filters, level, point
 from hapticd.measure.sources import Trial as Asked
@@ -53,7 +54,6 @@ from hapticd.plant.effects import WindingTemperature
 from hapticd.plant.model import Array, Model
 from hapticd.plant.scene import Scene
 from hapticd.plant.stability import damping_ceiling, edge, modes, stability
-from hapticd.sim.engine import BatchResult, simulate
 from hapticd.units import PROBE_RATE_HZ
 
 TEMPERATURES = 12

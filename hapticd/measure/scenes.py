@@ -27,6 +27,7 @@ from hapticd.analysis.predict import (
 )
 from hapticd.analysis.spa import DEFAULT_LAG, spa
 from hapticd.analysis.spectra import Spectra
+from hapticd.engine import BatchResult
 from hapticd.errors import AnalysisError, ConfigError
 from hapticd.params import EnvironmentParams, FilterParams, WallParams
 from hapticd.plant.compose import compose
@@ -37,7 +38,6 @@ from hapticd.settings.build import DEFAULT_PHASE, converter_effects, device_effe
 from hapticd.settings.device import DeviceFile, RigidTable
 from hapticd.settings.load import find_device, validated
 from hapticd.settings.toml import read, shipped
-from hapticd.sim.engine import BatchResult
 from hapticd.units import PROBE_RATE_HZ
 
 TRIAL_S = 90.0

@@ -18,13 +18,13 @@ from math import inf, nan
 import numpy as np
 
 from hapticd.analysis.arrays import Floats
+from hapticd.engine import BatchResult, simulate
 from hapticd.errors import AnalysisError
 from hapticd.measure import scenes
 from hapticd.measure.store import Progress, Recorded, Rendered, silent
 from hapticd.measure.watch import Sentinel, Watch
 from hapticd.plant.compose import compose
 from hapticd.plant.scene import Excitation, Scene
-from hapticd.sim.engine import BatchResult, simulate
 
 LEAST_KEPT_S = 8.0
 NOISE = Excitation("noise")

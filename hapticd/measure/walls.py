@@ -20,12 +20,12 @@ from math import inf
 import numpy as np
 
 from hapticd.analysis.arrays import Values
+from hapticd.engine import simulate
 from hapticd.errors import AnalysisError
 from hapticd.measure.store import Progress, Steps, silent
 from hapticd.plant.compose import compose
 from hapticd.plant.model import Model
 from hapticd.plant.scene import Scene
-from hapticd.sim.engine import simulate
 
 FINER = 6  # steps between the last stable and the first unstable wall
 

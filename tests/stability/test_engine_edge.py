@@ -11,8 +11,8 @@ from devices import STAR, device, rigid
 
 from hapticd.analysis.closed import spectral_radius
 from hapticd.analysis.loop import PAPER_FILTERS
+from hapticd.engine import simulate
 from hapticd.plant.scene import Excitation
-from hapticd.sim.engine import simulate
 
 RAW = (None, None)
 STILL = Excitation("none")

@@ -6,9 +6,9 @@ from devices import COUNTS, MOTOR, RIGID, STAR, device, rigid
 from dry_friction import stop_time_s, turning_points_m
 from engine_state import final
 
+from hapticd.engine import simulate
 from hapticd.plant.effects import Coulomb, Encoder, Load, Masses, Saturation, Viscous
 from hapticd.plant.scene import Excitation
-from hapticd.sim.engine import simulate
 
 RAW = (None, None)
 STILL = Excitation("none")

@@ -9,9 +9,9 @@ import pytest
 from devices import RIGID, STAR, device, rigid
 from engine_state import final
 
+from hapticd.engine import simulate
 from hapticd.plant.effects import Viscous
 from hapticd.plant.scene import Excitation
-from hapticd.sim.engine import simulate
 
 DAY_S = 86_400.0
 PERIOD_S = 1.024

@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hapticd.analysis.requirement import required_damping
+from hapticd.engine import simulate
 from hapticd.params import FilterParams
 from hapticd.plant.effects import Coulomb
 from hapticd.plant.scene import Excitation
-from hapticd.sim.engine import simulate
 
 RAW = (None, None)
 RATE_HZ = 4000

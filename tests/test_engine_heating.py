@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from devices import MOTOR, WARMING, device
 
+from hapticd.engine import simulate
 from hapticd.plant.effects import (
     Amplifier,
     DampingCircuit,
@@ -15,7 +16,6 @@ from hapticd.plant.effects import (
     copper_ohm,
 )
 from hapticd.plant.scene import Excitation
-from hapticd.sim.engine import simulate
 from hapticd.units import COPPER_PER_K
 
 PER_N_PER_A = 1.65

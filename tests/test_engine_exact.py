@@ -20,11 +20,11 @@ from devices import (
 )
 from straight import Straight
 
+from hapticd.engine import simulate
 from hapticd.params import EnvironmentParams, FilterParams, WallParams, WorkspaceParams
 from hapticd.plant.effects import AntiAlias, Coulomb, ForceDac, Multiplier, VelocityHighpass
 from hapticd.plant.excitation import Stream, held_noise
 from hapticd.plant.model import Noise
-from hapticd.sim.engine import simulate
 
 TRIALS = [[100.0, 1.0, 0.010], [50.0, 2.0, 0.0], [0.0, 0.0, 0.0], [600.0, 0.5, -0.002]]
 TORQUE = 0.3 * np.random.default_rng(3).standard_normal(400)

@@ -13,14 +13,13 @@ from devices import COGS, COUNTS, DRY, ENDS, HAND, LIMIT, STAR, TWO_MASSES, WARM
 from numba import njit
 
 from hapticd.analysis.arrays import aligned
+from hapticd.engine import kernels, simulate
+from hapticd.engine.kernels import cache_folder, kernel
+from hapticd.engine.shape import reduced, shape_of
+from hapticd.engine.source import SCALARS, kernel_source
 from hapticd.errors import ConfigError
 from hapticd.params import EnvironmentParams, WallParams
 from hapticd.plant.effects import AntiAlias, Coulomb, ForceDac
-from hapticd.sim.engine import kernels, simulate
-from hapticd.sim.engine.coordinates import reduced
-from hapticd.sim.engine.kernels import cache_folder, kernel
-from hapticd.sim.engine.shaping import shape_of
-from hapticd.sim.engine.source import SCALARS, kernel_source
 
 HERE = Path(__file__).parent
 ALL = device(*TWO_MASSES, DRY, COUNTS, LIMIT)
@@ -165,8 +164,8 @@ def replace_coupling(stiffness):
 def test_kernel_is_found_again_by_another_process(tmp_path):
     """The second process loads what the first compiled: numba counts a hit and no miss."""
     code = (
-        "from devices import *; from hapticd.sim.engine import kernels, simulate; from"
-        " test_sim_engine_kernels import shape, ALL\nsimulate(ALL, [[1, 0, 0]], 0.01); run ="
+        "from devices import *; from hapticd.engine import kernels, simulate; from"
+        " test_engine_kernels import shape, ALL\nsimulate(ALL, [[1, 0, 0]], 0.01); run ="
         " kernels.kernel(shape(ALL)).run\nprint(sum(run.stats.cache_hits.values()),"
         " sum(run.stats.cache_misses.values()))"
     )
@@ -202,7 +201,7 @@ def test_without_numba_the_remedy_is_named(monkeypatch):
 
 
 def test_engine_is_imported_without_numba():
-    code = "import sys, hapticd.sim.engine; sys.exit('numba' in sys.modules)"
+    code = "import sys, hapticd.engine; sys.exit('numba' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

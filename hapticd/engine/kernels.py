@@ -16,10 +16,10 @@ from pathlib import Path
 from types import ModuleType
 
 from hapticd import __version__
+from hapticd.engine.shape import Shape
+from hapticd.engine.source import kernel_source
 from hapticd.errors import ConfigError
 from hapticd.render import environment, fields, limits
-from hapticd.sim.engine.shape import Shape
-from hapticd.sim.engine.source import kernel_source
 
 
 @cache
@@ -66,7 +66,7 @@ def _need_numba() -> None:
 def _called() -> bytes:
     """What a kernel is compiled from beside its text."""
     paths = [Path(str(module.__file__)) for module in (environment, fields, limits)]
-    paths += [Path(__file__).with_name(name) for name in ("law.py", "stack.py")]
+    paths += [Path(__file__).with_name("compiled.py")]
     return b"".join(path.read_bytes() for path in paths)
 
 

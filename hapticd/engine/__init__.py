@@ -14,7 +14,6 @@ What would break it: fastmath with reassociation or without NaN (`source`), an a
 begin on a cache line (half the speed), a law compiled without fastmath=False said aloud (`law`).
 """
 
-from hapticd.sim.engine.batch import simulate
-from hapticd.sim.engine.result import BatchResult
+from hapticd.engine.batch import BatchResult, simulate
 
 __all__ = ["BatchResult", "simulate"]

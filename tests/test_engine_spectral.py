@@ -9,10 +9,10 @@ import pytest
 from devices import COUNTS, DRY, LIMIT, STAR, device, rigid
 
 from hapticd.analysis.spa import spa
+from hapticd.engine import simulate
 from hapticd.plant.model import Noise
 from hapticd.plant.scene import Excitation
 from hapticd.settings.scene import load_scene
-from hapticd.sim.engine import simulate
 
 WEIR = device(*STAR, DRY, COUNTS, LIMIT)
 RNG = np.random.default_rng(1)

@@ -15,6 +15,7 @@ from models import COUNT_N, board_params, servo_params
 
 from hapticd.assembly import lockstep
 from hapticd.assembly.lockstep import LockStep
+from hapticd.engine import simulate
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.plant.effects import DampingDac, ForceDac, Saturation
@@ -22,7 +23,6 @@ from hapticd.plant.tables import board_fields
 from hapticd.servo.safety import State
 from hapticd.sim.backend import SimulatedBackend
 from hapticd.sim.board import BoardModel
-from hapticd.sim.engine import simulate
 from hapticd.wire import codec
 
 DTYPE = np.dtype([tuple(field) for field in layout.TELEMETRY])

@@ -8,14 +8,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hapticd.engine.shape import Shape, sample_point
+from hapticd.engine.source import ENDS, FILTERS, ROTOR_LAWS, WALL
 from hapticd.params import EnvironmentParams, FilterParams
 from hapticd.plant.discrete import discretise
 from hapticd.plant.model import Array, Map, Model
 from hapticd.render.filters import Biquad, design, scaled
-from hapticd.sim.engine.rotor_laws import ROTOR_LAWS
-from hapticd.sim.engine.shape import Shape
-from hapticd.sim.engine.shaping import sample_point
-from hapticd.sim.engine.tick import ENDS, FILTERS, WALL
 from hapticd.units import PROBE_RATE_HZ
 
 Filters = tuple[

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from devices import COUNTS, DRY, LIMIT, RIGID, STAR, device, rigid
 
+from hapticd.engine import batch, simulate
+from hapticd.engine.source import VELOCITY_MAX_M_PER_S
 from hapticd.errors import ConfigError
 from hapticd.plant.effects import DampingDac, Masses, ProbeAdc
 from hapticd.plant.model import Noise
 from hapticd.plant.scene import DampingStep, Excitation, Scene
-from hapticd.sim.engine import batch, simulate
-from hapticd.sim.engine.source import VELOCITY_MAX_M_PER_S
 
 WEIR = device(*STAR, DRY, COUNTS, LIMIT)
 RNG = np.random.default_rng(1)

@@ -1,0 +1,397 @@
+"""What a batch of trials gives back: records, spectra or only sums, never a NaN.
+
+How many cores a batch may use: those of the process, or fewer where whoever runs it shares
+them out.
+
+`simulate`: a batch of trials of one scene, on threads of this process or on any executor.
+
+One task of a batch: some trials from start to end, group by group. Runs on any thread or in
+any process.
+"""
+
+import os
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.analysis.arrays import Complexes, Floats, Values
+from hapticd.analysis.spa import DEFAULT_LAG as LAG
+from hapticd.analysis.spectra import Spectra, grid_frequencies
+from hapticd.engine.job import (
+    Group,
+    Heating,
+    Inputs,
+    Job,
+    Prepared,
+    level_at,
+    played,
+    prepared,
+    shared_torque,
+)
+from hapticd.engine.numbers import Filters
+from hapticd.engine.records import Records, Sums, force_spectrum, spectral
+from hapticd.errors import ConfigError
+from hapticd.params import EnvironmentParams
+from hapticd.plant.compose import compose
+from hapticd.plant.model import Array, Model
+from hapticd.plant.scene import DampingStep, Excitation, Scene
+from hapticd.units import PROBE_RATE_HZ
+
+
+@dataclass(frozen=True, eq=False)
+class BatchResult:
+    """n trials of `ticks` servo ticks at 4 kHz. The caller owns the arrays.
+
+    A trial whose speed passed 1,000 m/s (rms over a tick), or was no number, has diverged: its sums
+    and records end before that tick, `samples` says where, and what follows in its row of a record
+    is 0.
+    """
+
+    params: Values  # (n, 3): stiffness N/m, damping Ns/m, mass kg
+    sigma_v_m_per_s: Values  # (n,) rms of the recorded velocity
+    max_force_n: Values  # (n,) largest command
+    work_j: Values  # (n,) work of the perturbation on the device
+    # (n,) lowest value of that work at the end of a tick: below 0 the device has given energy away
+    min_energy_j: Values
+    samples: npt.NDArray[np.int64]  # (n,) that count
+    rate_hz: float  # of the records
+    seconds: float
+    winding_c: Values | None = None  # (n,) temperature at the end, where the winding heats up
+    force_spectrum: Floats | None = (
+        None  # (F,) or (n, F) [N^2], with keep="spectra", at k 4000/4096 Hz; as `analysis.spa`
+    )
+    velocity_spectrum: Floats | None = None  # (n, F) [(m/s)^2]
+    cross_spectrum: Complexes | None = None  # (n, F) [N m/s]
+    section_rms_m_per_s: Values | None = None  # (n, sections) of 2,048 samples
+    torque_n: Values | None = (
+        None  # (samples,) if all trials share it, else (n, samples): interval means
+    )
+    velocity_m_per_s: Values | None = None  # (n, samples), interval means
+    position_m: Values | None = None  # (n, ticks) as the law saw it
+    force_n: Values | None = None  # (n, ticks) as it was commanded
+
+    @property
+    def diverged(self) -> npt.NDArray[np.bool_]:
+        """(n,)"""
+        return self.samples < round(self.seconds * self.rate_hz)
+
+    @property
+    def diverged_at_s(self) -> Values:
+        """(n,) time of divergence [s], infinite for a trial that ran to its end."""
+        return np.where(self.diverged, self.samples / self.rate_hz, np.inf)
+
+    def record(self, trial: int) -> tuple[Values, Values]:
+        """(torque, velocity) of one trial up to its end. ValueError if records were not kept."""
+        if self.torque_n is None or self.velocity_m_per_s is None:
+            raise ValueError("only sums were kept; simulate with keep='records'")
+        end = int(self.samples[trial])
+        torque = self.torque_n if self.torque_n.ndim == 1 else self.torque_n[trial]
+        return torque[:end], self.velocity_m_per_s[trial, :end]
+
+    def traces(self, trial: int) -> tuple[Floats, Floats]:
+        """(position, command) float64 of one trial at each tick up to its end. ValueError if
+        they were not kept.
+        """
+        if self.position_m is None or self.force_n is None:
+            raise ValueError("no ticks were kept; simulate with keep='ticks'")
+        end = int(self.samples[trial]) * self.force_n.shape[1] // round(self.seconds * self.rate_hz)
+        return np.asarray(self.position_m[trial, :end], np.float64), np.asarray(
+            self.force_n[trial, :end], np.float64
+        )
+
+    def spectra(self, trial: int) -> Spectra:
+        """Of one trial, as `spa` gives them of its record. ValueError if they were not kept, or
+        it diverged.
+        """
+        if (
+            self.force_spectrum is None
+            or self.velocity_spectrum is None
+            or self.cross_spectrum is None
+        ):
+            raise ValueError("spectra were not kept; simulate with keep='spectra'")
+        if self.diverged[trial]:
+            raise ValueError(
+                f"trial {trial} diverged after {self.diverged_at_s[trial]:.3g} s: it has no spectra"
+            )
+        force = np.asarray(
+            self.force_spectrum if self.force_spectrum.ndim == 1 else self.force_spectrum[trial]
+        )
+        samples = int(self.samples[trial])
+        f = grid_frequencies(self.rate_hz, LAG)
+        return Spectra(
+            f,
+            self.velocity_spectrum[trial],
+            force,
+            self.cross_spectrum[trial],
+            self.rate_hz,
+            samples,
+            LAG,
+        )
+
+
+SHARED = ("rate_hz", "seconds")
+
+
+def joined(parts: list[BatchResult]) -> BatchResult:
+    """One result from the parts of a batch, in order."""
+
+    def together(name: str) -> Any:
+        values = [getattr(part, name) for part in parts]
+        if name in SHARED or values[0] is None or len(values) == 1:
+            return values[0]
+        return np.concatenate(values)
+
+    return BatchResult(**{item.name: together(item.name) for item in fields(BatchResult)})
+
+
+_granted: ContextVar[int | None] = ContextVar("granted", default=None)
+
+
+def workers() -> int:
+    """Cores that a batch which is begun here may use."""
+    free = len(os.sched_getaffinity(0))
+    return min(free, _granted.get() or free)
+
+
+@contextmanager
+def at_most(cores: int) -> Iterator[None]:
+    """Batches begun inside, on this thread, use no more cores than these."""
+    before = _granted.set(cores)
+    try:
+        yield
+    finally:
+        _granted.reset(before)
+
+
+DEFAULT_SECONDS = 90.0  # a trial of the paper
+TICKS_MAX = 1e12
+SEEDS = 1 << 63
+REMOTE_GROUPS = (
+    4  # groups of lanes in a task of a foreign executor, whose tasks cost more to hand over
+)
+
+
+def simulate(
+    scene: Scene | Model,
+    params: npt.ArrayLike,
+    seconds: float | None = None,
+    seed: int | None = None,
+    *,
+    damping: float | Sequence[tuple[float, float]] | None = None,
+    environment: EnvironmentParams | None = None,
+    filters: Filters | None = None,
+    excitation: Excitation | npt.ArrayLike | None = None,
+    start: tuple[float, float] | None = None,
+    substeps: int = 1,
+    dtype: str = "f64",
+    keep: str = "summary",
+    own_torque: bool = False,
+    executor: Executor | None = None,
+    chunk: int | None = None,
+) -> BatchResult:
+    """Simulate n trials of `scene`, a scene or a composed model, that differ in what is rendered.
+
+    params       (n, 3) stiffness [N/m], damping [Ns/m], mass [kg]
+    seconds      length of a trial
+    seed         of everything random
+    damping      electrical damping level [Ns/m], or steps (time s, level)
+    environment  filters, wall and soft ends of the law; its K, B, M are not used
+    filters      of velocity and acceleration in place of those; None for raw differences
+    excitation   of the probe, or forces [N] at 4 kHz that repeat: (samples,), with own_torque (n,
+                 samples)
+    start        position [m] and velocity [m/s] of all bodies
+    substeps     per 4 kHz sample; only friction, ends and cogging need them, without those there is
+                 one
+    dtype        "f64" | "f32"
+    keep         "summary" | "spectra" as `analysis.spa` | "records" at 4 kHz |
+                 "ticks": also position and force of every tick
+    own_torque   a record of its own for every trial instead of a shared one
+    executor     any of concurrent.futures; None = threads here
+    chunk        trials per task
+
+    What is None is the scene's; for a model: 90 s, seed 1, no damping, the paper's filters, noise
+    of 2.5e-5 N^2/Hz up to 1.7 kHz, at rest at 0. The same call gives the same bytes for any
+    executor and chunk. ConfigError for arguments out of range, a rate that does not divide 4 kHz,
+    or without numba.
+    """
+    trials = _checked(params)
+    job = _job(
+        scene,
+        seconds,
+        seed,
+        damping,
+        environment,
+        filters,
+        excitation,
+        start,
+        substeps=substeps,
+        dtype=dtype,
+        keep=keep,
+        own_torque=own_torque,
+        renders=bool(trials.any())
+        or keep == "ticks"
+        or _solid(environment or getattr(scene, "environment", None)),
+    )
+    if chunk is not None and chunk < 1:
+        raise ConfigError(f"{chunk} trials in a task: must be 1 or more, or None")
+    made = prepared(job)  # compiles once, before there are threads that would wait for it
+    size = chunk or made.shape.lanes * (1 if executor is None else REMOTE_GROUPS)
+    firsts = range(0, len(trials), size)
+    parts = [trials[first : first + size] for first in firsts]
+    if executor is not None:
+        found = list(executor.map(partial(run_chunk, job), parts, firsts))
+    else:
+        with ThreadPoolExecutor(max_workers=min(len(parts), workers())) as threads:
+            found = list(threads.map(partial(run_chunk, job), parts, firsts))
+    result = joined(found)
+    if keep == "spectra" and result.force_spectrum is None:
+        return replace(result, force_spectrum=force_spectrum(job, made))
+    if keep in ("summary", "spectra") or result.torque_n is not None:
+        return result
+    return replace(result, torque_n=played(shared_torque(job), job.samples, made.scalar))
+
+
+def _job(
+    scene: Scene | Model,
+    seconds: float | None,
+    seed: int | None,
+    damping: float | Sequence[tuple[float, float]] | None,
+    environment: EnvironmentParams | None,
+    filters: Filters | None,
+    excitation: Excitation | npt.ArrayLike | None,
+    start: tuple[float, float] | None,
+    **rest: Any,
+) -> Job:
+    given = scene if isinstance(scene, Scene) else None
+    model = compose(scene) if isinstance(scene, Scene) else scene
+    length_s = seconds if seconds is not None else given.seconds if given else DEFAULT_SECONDS
+    if not 0.5 <= length_s * model.rate_hz <= TICKS_MAX:
+        raise ConfigError(
+            f"a trial of {length_s:g} s: must be one tick of {1.0 / model.rate_hz:g} s or more,"
+            f" {TICKS_MAX:g} at most"
+        )
+    if rest["keep"] == "spectra" and length_s * PROBE_RATE_HZ < LAG + 1:
+        raise ConfigError(
+            f"spectra of {length_s:g} s: more than the window of {LAG} samples,"
+            f" {LAG / PROBE_RATE_HZ:g} s, are needed"
+        )
+    number = seed if seed is not None else given.excitation.seed if given else 1
+    if not 0 <= number < SEEDS:
+        raise ConfigError(f"seed {number}: must lie in 0..{SEEDS - 1}")
+    source = (
+        excitation if excitation is not None else given.excitation if given else Excitation("noise")
+    )
+    position_m, velocity_m_per_s = start or (
+        (given.start_position_m, given.start_velocity_m_per_s) if given else (0.0, 0.0)
+    )
+    rendered = environment or (given.environment if given else EnvironmentParams())
+    return Job(
+        model=model,
+        environment=rendered,
+        filters=filters or (rendered.velocity_filter, rendered.acceleration_filter),
+        damping=_steps(damping) if damping is not None else given.damping if given else _steps(0.0),
+        excitation=(
+            source if isinstance(source, Excitation) else np.asarray(source, dtype=np.float64)
+        ),
+        ticks=round(length_s * model.rate_hz),
+        seed=number,
+        start_position_m=position_m,
+        start_velocity_m_per_s=velocity_m_per_s,
+        **rest,
+    )
+
+
+def _solid(environment: EnvironmentParams | None) -> bool:
+    """Whether there is something to touch beside K, B and M."""
+    return environment is not None and bool(
+        environment.wall.side or environment.workspace.stiffness_n_per_m
+    )
+
+
+def _steps(damping: float | Sequence[tuple[float, float]]) -> tuple[DampingStep, ...]:
+    steps = [(0.0, damping)] if isinstance(damping, int | float) else [(0.0, 0.0), *damping]
+    if not np.isfinite(steps).all():
+        raise ConfigError(f"damping steps {steps}: finite times [s] and levels [N s/m] are needed")
+    return tuple(
+        DampingStep(at_s, level) for at_s, level in sorted(steps, key=lambda step: step[0])
+    )
+
+
+def _checked(params: npt.ArrayLike) -> Array:
+    trials = np.ascontiguousarray(params, dtype=np.float64)
+    if trials.ndim != 2 or trials.shape[1] != 3 or not len(trials):
+        raise ConfigError(
+            f"params of shape {trials.shape}: must be (n, 3), stiffness N/m, damping Ns/m and mass"
+            " kg of n >= 1 trials"
+        )
+    if not np.isfinite(trials).all():
+        raise ConfigError("params contain a value that is not finite")
+    return trials
+
+
+def run_chunk(job: Job, params: Array, first: int) -> BatchResult:
+    """Trials `first`... of the batch with these K, B, M, (n, 3)."""
+    made = prepared(job)
+    starts = range(0, len(params), made.shape.lanes)
+    return joined(
+        [
+            _run_group(job, made, params[start : start + made.shape.lanes], first + start)
+            for start in starts
+        ]
+    )
+
+
+def _run_group(job: Job, made: Prepared, params: Array, first: int) -> BatchResult:
+    group = Group(job, made, params)
+    inputs = Inputs(job, made, group.count, first)
+    records = (spectral if job.keep == "spectra" else Records)(job, made, group.count, first)
+    heating = None if made.model.winding is None else Heating(group, made.model.winding)
+    level = None
+    for start, end in inputs.legs():
+        if (wanted := level_at(job, start)) != level:
+            level = wanted
+            (heating or group).damp(level)
+        group.play(
+            inputs.torque(start, end),
+            inputs.noise(start, end),
+            records.room(start),
+            end - start,
+            records.kept,
+        )
+        records.store(start, end, group.rows["ALIVE"])
+        if heating is not None:
+            heating.warm((end - start) / job.model.rate_hz, (end - start) * made.shape.samples)
+        if not group.rows["ALIVE"][: group.count].any():
+            break
+    return _result(job, params, group, heating, records, inputs)
+
+
+def _result(
+    job: Job,
+    params: Array,
+    group: Group,
+    heating: Heating | None,
+    records: Records | Sums,
+    inputs: Inputs,
+) -> BatchResult:
+    n = group.count
+    samples = group.samples[:n].astype(np.int64)
+    return BatchResult(
+        params=params,
+        sigma_v_m_per_s=np.sqrt(group.v2[:n] / np.maximum(samples, 1)),
+        max_force_n=group.rows["FORCE"][:n].astype(np.float64),
+        work_j=group.work[:n] / PROBE_RATE_HZ,
+        min_energy_j=group.lowest[:n] / PROBE_RATE_HZ,
+        samples=samples,
+        rate_hz=float(PROBE_RATE_HZ),
+        seconds=job.ticks / job.model.rate_hz,
+        winding_c=None if heating is None else heating.temperature_c[:n],
+        **records.finished(samples, inputs),
+    )
