@@ -238,25 +238,21 @@ def _device_rules(device: DeviceFile) -> Iterator[Mistake]:
         ("probe_n", limits.probe_n, device.probe_torque.full_scale_n),
     ):
         if limit > full:
-            yield Mistake(
-                ("limits", name),
-                limit,
-                f"must be at most {full} {unit_of(name)}, the full scale of its converter",
-            )
-    if device.travel.lower_m >= device.travel.upper_m:
-        yield Mistake(
-            ("travel", "upper_m"),
-            device.travel.upper_m,
-            f"must be more than lower_m = {device.travel.lower_m} m",
-        )
+            reason = f"must be at most {full} {unit_of(name)}, the full scale of its converter"
+            yield Mistake(("limits", name), limit, reason)
+    yield from _order_rule(("travel",), "lower_m", "upper_m", device.travel)
     if device.simulated and plant is None and device.model is None:
         yield Mistake(("plant",), None, "is missing; a simulated board needs to know what it moves")
-    if plant and plant.lower_stop_m >= plant.upper_stop_m:
-        yield Mistake(
-            ("plant", "upper_stop_m"),
-            plant.upper_stop_m,
-            f"must be more than lower_stop_m = {plant.lower_stop_m} m",
-        )
+    yield from _order_rule(("plant",), "lower_stop_m", "upper_stop_m", plant)
+
+
+def _order_rule(
+    path: tuple[str, ...], low: str, high: str, table: TomlTable | None
+) -> Iterator[Mistake]:
+    """The field `high` of a table, if there is one, must be more than the field `low`."""
+    if table is not None and getattr(table, low) >= getattr(table, high):
+        reason = f"must be more than {low} = {getattr(table, low)} m"
+        yield Mistake((*path, high), getattr(table, high), reason)
 
 
 def model_rules(device: DeviceFile) -> Iterator[Mistake]:
@@ -274,46 +270,31 @@ def model_rules(device: DeviceFile) -> Iterator[Mistake]:
                 hint = did_you_mean(name, list(type(table).model_fields))
                 yield Mistake(("model", key, "sources"), name, f"is no number of this table{hint}")
     if model.table("coupling") is not None and model.table("masses").slider_kg == 0.0:
-        yield Mistake(
-            ("model", "masses", "slider_kg"),
-            0.0,
-            "must be more than 0.0 kg: [model.coupling] needs something to couple",
-        )
-    ends = model.table("ends")
-    if ends is not None and ends.lower_m >= ends.upper_m:
-        yield Mistake(
-            ("model", "ends", "upper_m"),
-            ends.upper_m,
-            f"must be more than lower_m = {ends.lower_m} m",
-        )
+        reason = "must be more than 0.0 kg: [model.coupling] needs something to couple"
+        yield Mistake(("model", "masses", "slider_kg"), 0.0, reason)
+    yield from _order_rule(("model", "ends"), "lower_m", "upper_m", model.table("ends"))
 
 
 def chosen_rules(
     device: DeviceFile, path: tuple[str, ...], names: Sequence[str]
 ) -> Iterator[Mistake]:
     """What is wrong with the list `names` of effects to build, which stands at `path`."""
-    if device.model is None:
-        yield Mistake(
-            path, None, f"device {device.name!r} has no [model] that effects could be taken from"
-        )
+    model = device.model
+    if model is None:
+        reason = f"device {device.name!r} has no [model] that effects could be taken from"
+        yield Mistake(path, None, reason)
         return
     for place, name in enumerate(names):
         if name not in BY_KEY:
-            yield Mistake(
-                path,
-                name,
-                f"is no effect{did_you_mean(name, list(BY_KEY))}; known: {', '.join(BY_KEY)}",
-            )
+            known = list(BY_KEY)
+            reason = f"is no effect{did_you_mean(name, known)}; known: {', '.join(known)}"
+            yield Mistake(path, name, reason)
         elif name in ALWAYS:
             yield Mistake(path, name, "is always built; leave it out")
         elif name in names[:place]:
             yield Mistake(path, name, "is named twice")
-        elif name not in FROM_SCALES and device.model.table(name) is None:
-            yield Mistake(
-                path,
-                name,
-                f"device {device.name!r} has no table [model.{name}]; add it or leave the"
-                " effect out",
-            )
+        elif name not in FROM_SCALES and model.table(name) is None:
+            missing = f"device {device.name!r} has no table [model.{name}]"
+            yield Mistake(path, name, f"{missing}; add it or leave the effect out")
         elif name in NEEDS and NEEDS[name] not in names:
             yield Mistake(path, name, f"needs the effect {NEEDS[name]!r}; add it")
