@@ -13,9 +13,9 @@ import numpy as np
 
 from benchmarks import targets
 from benchmarks.figures import Figure, compared
-from hapticd.analysis.boundary import grid
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.loop import port_states
+from hapticd.analysis.passive_set import grid
 from hapticd.analysis.predict import coulomb, frequencies, predict
 from hapticd.plant.compose import compose
 from hapticd.plant.model import Model

@@ -8,12 +8,11 @@ import pytest
 from analysis_devices import display, rigid
 from spectral_trials import exact_trial, mass_damper
 
-from hapticd.analysis.boundary import axis_limit, grid, open_ends, passive_set, set_limits, volume
-from hapticd.analysis.compare import Conditions, check_alike, differences, normalised
-from hapticd.analysis.envelope import Trial, accepted, admittance, envelope, of_trial, widened
-from hapticd.analysis.impedance import impedance
-from hapticd.analysis.linearise import Perturbation
-from hapticd.analysis.metrics import (
+from hapticd.analysis.compare import (
+    Conditions,
+    check_alike,
+    differences,
+    normalised,
     stiffness_at,
     stiffness_damping_area,
     stiffness_rate,
@@ -21,8 +20,19 @@ from hapticd.analysis.metrics import (
     widths_db,
     zero_mass_bandwidth_hz,
 )
-from hapticd.analysis.passivity import judge
+from hapticd.analysis.envelope import Trial, accepted, admittance, envelope, of_trial, widened
+from hapticd.analysis.impedance import impedance
+from hapticd.analysis.linearise import Perturbation
+from hapticd.analysis.passive_set import (
+    axis_limit,
+    grid,
+    open_ends,
+    passive_set,
+    set_limits,
+    volume,
+)
 from hapticd.analysis.predict import predict, predicted_impedance
+from hapticd.analysis.verdict import judge
 from hapticd.errors import AnalysisError
 
 

@@ -12,12 +12,11 @@ from scipy.stats import t as student
 from spectral_trials import mass_damper
 
 from hapticd.analysis.channels import channel_findings
-from hapticd.analysis.confidence import student_quantile
 from hapticd.analysis.impedance import impedance, relative_sd
-from hapticd.analysis.passivity import judge
 from hapticd.analysis.periodic import periodic, periodic_findings
 from hapticd.analysis.predict import predicted_impedance
-from hapticd.analysis.spa import spa
+from hapticd.analysis.spectra import spa
+from hapticd.analysis.verdict import judge, student_quantile
 from hapticd.engine import simulate
 from hapticd.errors import AnalysisError
 from hapticd.plant.effects import AntiAlias, Encoder

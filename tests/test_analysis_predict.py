@@ -11,8 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from law import environment_tuple
 
-from hapticd.analysis.boundary import axis_limit
-from hapticd.analysis.closed import spectral_radius
 from hapticd.analysis.impedance import impedance
 from hapticd.analysis.linearise import (
     GAIN,
@@ -23,9 +21,17 @@ from hapticd.analysis.linearise import (
     hung,
     port_admittance,
 )
-from hapticd.analysis.loop import close_loop, derivatives, held, pulse_transfer, with_viscous
+from hapticd.analysis.loop import (
+    close_loop,
+    derivatives,
+    held,
+    pulse_transfer,
+    spectral_radius,
+    with_viscous,
+)
+from hapticd.analysis.passive_set import axis_limit
 from hapticd.analysis.predict import predict, predicted_impedance
-from hapticd.analysis.spa import spa
+from hapticd.analysis.spectra import spa
 from hapticd.errors import AnalysisError
 from hapticd.params import EnvironmentParams, FilterParams
 from hapticd.plant.discrete import discretise

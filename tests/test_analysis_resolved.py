@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 from measured_scenes import MOTOR, scene
 
-from hapticd.analysis.passivity import DEFAULT_BAND_HZ as BAND
-from hapticd.analysis.passivity import judge
 from hapticd.analysis.predict import predicted_impedance
 from hapticd.analysis.resolved import resolved
-from hapticd.analysis.spa import spa
-from hapticd.analysis.verdict import Verdict
+from hapticd.analysis.spectra import spa
+from hapticd.analysis.verdict import DEFAULT_BAND_HZ as BAND
+from hapticd.analysis.verdict import Verdict, judge
 from hapticd.engine import simulate
 from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
 from hapticd.measure.outcomes import Conditions, Outcome, fly

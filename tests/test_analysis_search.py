@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from hapticd.analysis.escape import least_headroom
-from hapticd.analysis.rays import boundary
+from hapticd.analysis.passive_set import boundary
 from hapticd.analysis.search import (
     Search,
     doubtful_share,
     first_trials,
+    least_headroom,
     next_trials,
     predicted_passive,
 )

@@ -153,7 +153,7 @@ def test_impedance_is_written_for_other_programs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from hapticd.analysis.impedance import impedance
-    from hapticd.analysis.spa import spa
+    from hapticd.analysis.spectra import spa
     from hapticd.measure.recorded import read_file
 
     assert run(["trial", "--seconds", "8", "--out", str(tmp_path)], capsys)[0] == 0

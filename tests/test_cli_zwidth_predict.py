@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from analysis_devices import rigid
 
-from hapticd.analysis.closed import spectral_radius
-from hapticd.analysis.hands import Hand, held_by
+from hapticd.analysis.coupled import Hand, held_by
 from hapticd.analysis.linearise import Perturbation
-from hapticd.analysis.loop import PAPER_FILTERS
+from hapticd.analysis.loop import PAPER_FILTERS, spectral_radius
 from hapticd.analysis.outlook import outlook
-from hapticd.analysis.requirement import required_damping
+from hapticd.analysis.theorem import required_damping
 from hapticd.cli.app import main
 from hapticd.measure.scenes import display
 from hapticd.settings.scene import load_scene

@@ -13,10 +13,9 @@ import pytest
 from spectral_trials import exact_trial, mass_damper, record
 from typer.main import get_command
 
-from hapticd.analysis.diagnostics import Finding
+from hapticd.analysis.findings import Finding
 from hapticd.analysis.impedance import impedance
-from hapticd.analysis.passivity import judge
-from hapticd.analysis.verdict import two_digits
+from hapticd.analysis.verdict import judge, two_digits
 from hapticd.cli import change
 from hapticd.cli.app import app, main
 from hapticd.cli.zwidth.trial import compared, needed

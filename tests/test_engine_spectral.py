@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from devices import COUNTS, DRY, LIMIT, STAR, device, rigid
 
-from hapticd.analysis.spa import spa
+from hapticd.analysis.spectra import spa
 from hapticd.engine import simulate
 from hapticd.plant.model import Noise
 from hapticd.plant.scene import Excitation

@@ -10,9 +10,8 @@ import pytest
 from measured_scenes import DRY, scene
 from reproduced import beyond_by_prediction
 
-from hapticd.analysis.lifted import lift, lifted_margin
 from hapticd.analysis.predict import predict
-from hapticd.analysis.requirement import paper_equation_2
+from hapticd.analysis.theorem import lift, lifted_margin, paper_equation_2
 from hapticd.errors import AnalysisError
 from hapticd.measure import beyond, outcomes
 from hapticd.measure.beyond import (

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hapticd.analysis.boundary import grid
+from hapticd.analysis.passive_set import grid
 from hapticd.measure import beyond
 from hapticd.measure.beyond import SearchCheck, compared_with_grid
 from hapticd.measure.campaign import MapParams, plan_map

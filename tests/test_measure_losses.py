@@ -10,7 +10,7 @@ import pytest
 from measured_scenes import RIGID
 
 from hapticd.analysis.impedance import impedance
-from hapticd.analysis.spa import spa
+from hapticd.analysis.spectra import spa
 from hapticd.assembly.lockstep import scene_params
 from hapticd.client.blocks import BlockDecoder
 from hapticd.errors import AnalysisError

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from stand_in import StandIn
 
-from hapticd.analysis.boundary import grid, passive_set, set_limits
+from hapticd.analysis.passive_set import grid, passive_set, set_limits
 from hapticd.analysis.search import first_trials, predicted_passive
 from hapticd.analysis.surrogate import Box
 from hapticd.errors import AnalysisError, ConfigError

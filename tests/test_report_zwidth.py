@@ -5,7 +5,7 @@ admittance.
 import numpy as np
 import pytest
 
-from hapticd.analysis.boundary import PassiveSet
+from hapticd.analysis.passive_set import PassiveSet
 from hapticd.measure.campaign import LevelMap, MapResult
 from hapticd.measure.outcomes import Conditions, Outcome, fly, kept_frequencies
 from hapticd.measure.scenes import noise

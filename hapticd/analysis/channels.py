@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hapticd.analysis.arrays import Complexes, Floats, Integers
-from hapticd.analysis.diagnostics import Finding
+from hapticd.analysis.findings import Finding
 from hapticd.analysis.impedance import impedance, relative_sd
 from hapticd.analysis.spectra import Spectra
 

@@ -3,9 +3,34 @@ only if numba is there.
 
 They release the interpreter lock, so trials may run on threads. Sums are reassociated for vector
 registers: results agree with numpy's to rounding, not to the bit.
+
+`local_fits` in numba: normal equations from moments that neighbouring frequencies share.
+
+Every column of a fit is a power of r times one of the sequences V, 1 and, with k = 0 .. K,
+G_k = bin F(bin + k servo), so all its products are moments
+
+    m_p(a, b) = sum r^p conj(a) b
+
+with p = 0 .. 4 between V and 1, 0 .. 2 between one of them and a G, 0 between two G. Windows
+overlap six times. Between two neighbouring ends of windows all bins belong to the same ones: the
+moments of such a block are summed once, about its own middle, and moved to the place of each
+window by the binomial theorem; |r| <= 1 keeps their digits.
+
+The equations are solved by Cholesky's factor R of the columns with the force behind them. With q0
+as the last column its variance per unit of noise is 1 / R[q,q]^2, and the last pivot is the force
+that is not explained: y^2 less what is, known to 1e-15 of y^2. Where that is too little, as without
+friction and noise, what is left is summed bin by bin.
 """
 
+from functools import lru_cache
+from itertools import combinations_with_replacement, product
+from math import comb
+
 import numba
+import numpy as np
+
+from hapticd.analysis.arrays import Integers
+from hapticd.analysis.kernels import ORDER, RIDGE, TERMS, TINY, Fit, Transforms
 
 _SUMS = {"contract", "reassoc", "nsz"}
 
@@ -57,3 +82,241 @@ def accumulate(velocity, force, sums):  # type: ignore[no-untyped-def]
         sums[1, k] += yy
         sums[2, k] += uy
         sums[3, k] += yu
+
+
+_V, _ONE, _FORCE = 0, 1, 2  # sequences; those of the images follow
+_ONES = 2  # the pair of 1 with itself
+_POWERS = 2 * ORDER + 1
+_BINOMIAL = np.array([[comb(p, i) for i in range(_POWERS)] for p in range(_POWERS)], np.float64)
+_CANCELLED = 1e-9  # of the force, below which what is left of it is summed
+
+
+def local_fits(whole: Transforms, places: Integers, fit: Fit) -> None:
+    """See `kernels.local_fits`."""
+    first = np.maximum(places - whole.half, 1)
+    last = np.minimum(places + whole.half + 1, whole.velocity.size)
+    borders = np.union1d(first, last)
+    begin = np.searchsorted(borders, first)
+    end = np.searchsorted(borders, last)
+    pairs, high = _pairs(_FORCE + 1 + whole.shifts.size)
+    _fits(
+        whole.force, whole.velocity, whole.samples, whole.half, whole.shifts,
+        pairs, high, _columns(whole.shifts.size), places, borders, begin, end,
+        fit.z, fit.variance, fit.power, fit.ends,
+    )  # fmt: skip
+
+
+@lru_cache
+def _pairs(sequences: int) -> tuple[Integers, Integers]:
+    """Those (n, 2) of sequences that are multiplied, V and 1 with each other first, then one of
+    them with a G, then two of G; and how many of them need the power p, (5,).
+    """
+    plain = [(_V, _V), (_V, _ONE), (_ONE, _ONE)]
+    mixed = list(product((_V, _ONE), range(_FORCE, sequences)))
+    forces = list(combinations_with_replacement(range(_FORCE, sequences), 2))
+    some = len(plain) + len(mixed)
+    return np.array(plain + mixed + forces), np.array([some + len(forces), some, some, 3, 3])
+
+
+@lru_cache
+def _columns(images: int) -> Integers:
+    """Sequence and power of each (n, 2): images, the rest of Q, J, then q0 and the force."""
+    shifted = [(_FORCE + 1 + k, 0) for k in range(images)]
+    slopes = [(_V, power) for power in range(1, TERMS)]
+    ends = [(_ONE, power) for power in range(TERMS)]
+    return np.array([*shifted, *slopes, *ends, (_V, 0), (_FORCE, 0)])
+
+
+@numba.njit(nogil=True, cache=True)
+def _fits(  # type: ignore[no-untyped-def]
+    force, velocity, samples, half, shifts,
+    pairs, high, columns, places, borders, begin, end,
+    z, variance, power, ends,
+):  # fmt: skip
+    """The same; bins `borders[begin]` .. `borders[end]` - 1 are those about a place."""
+    rows = np.empty((_FORCE + 1 + shifts.size, 2, 2 * half + 1))
+    work = np.empty((3, 2 * half + 1))
+    blocks = np.zeros((borders.size, _POWERS, len(pairs)), np.complex128)
+    moments = np.empty((_POWERS, len(pairs)), np.complex128)
+    known = 0
+    for i in range(places.size):
+        for block in range(max(known, begin[i]), end[i]):
+            _gather(force, velocity, samples, shifts, borders[block], borders[block + 1], rows)
+            _sum(rows, borders[block + 1] - borders[block], half, pairs, high, work, blocks[block])
+        known = end[i]
+        moments[:] = 0.0
+        for block in range(begin[i], end[i]):
+            middle = 0.5 * (borders[block] + borders[block + 1] - 1)
+            _move(blocks[block], (middle - places[i]) / half, high, moments)
+        first = borders[begin[i]]
+        last = borders[end[i]]
+        root, size = _normal(moments, pairs, columns)
+        found, left = _solved(root)
+        found *= size[-1] / size[:-1]
+        if left < _CANCELLED:
+            _gather(force, velocity, samples, shifts, first, last, rows)
+            left = (
+                _left(rows, columns, found, places[i] - first, last - first, half) / size[-1] ** 2
+            )
+        freedom = max(last - first - len(found), 1)
+        scale = size[-1] / (size[-2] * root[-2, -2].real * places[i])
+        z[i] = found[-1] / places[i]
+        variance[i] = scale**2 * left / freedom
+        power[i] = moments[0, 0].real / (last - first)
+        ends[i] = _power(found[-1 - TERMS : -1], moments) / size[-1] ** 2
+
+
+@numba.njit(cache=True)
+def _gather(force, velocity, samples, shifts, first, last, rows):  # type: ignore[no-untyped-def]
+    """Real and imaginary parts of the sequences at bins `first` .. `last` - 1 to `rows`."""
+    for i in range(last - first):
+        place = first + i
+        rows[_V, 0, i] = velocity[place].real
+        rows[_V, 1, i] = velocity[place].imag
+        rows[_ONE, 0, i] = 1.0
+        rows[_ONE, 1, i] = 0.0
+        rows[_FORCE, 0, i] = place * force[place].real
+        rows[_FORCE, 1, i] = place * force[place].imag
+    for k in range(shifts.size):
+        for i in range(last - first):
+            there = (first + i + shifts[k]) % samples
+            mirrored = samples - there
+            value = force[there] if there < mirrored else force[mirrored].conjugate()
+            rows[_FORCE + 1 + k, 0, i] = (first + i) * value.real
+            rows[_FORCE + 1 + k, 1, i] = (first + i) * value.imag
+
+
+@numba.njit(fastmath=_SUMS, cache=True)
+def _sum(rows, count, half, pairs, high, work, moments):  # type: ignore[no-untyped-def]
+    """`moments` (5, n) of a block of `count` bins about its middle, in units of `half`."""
+    away = work[0]
+    for i in range(count):
+        away[i] = (i - 0.5 * (count - 1)) / half
+    for pair in range(len(pairs)):
+        a, b = pairs[pair, 0], pairs[pair, 1]
+        if pair < high[1]:
+            _multiply(rows[a], rows[b], work, count)
+            for p in range(5 if pair < high[3] else 3):
+                moments[p, pair] = _total(work, count)
+        else:
+            moments[0, pair] = _product(rows[a], rows[b], count)
+
+
+@numba.njit(fastmath=_SUMS, cache=True)
+def _product(a, b, count):  # type: ignore[no-untyped-def]
+    """Sum of conj(a) b."""
+    real = 0.0
+    imag = 0.0
+    for i in range(count):
+        real += a[0, i] * b[0, i] + a[1, i] * b[1, i]
+        imag += a[0, i] * b[1, i] - a[1, i] * b[0, i]
+    return complex(real, imag)
+
+
+@numba.njit(fastmath=_SUMS, cache=True)
+def _multiply(a, b, work, count):  # type: ignore[no-untyped-def]
+    """conj(a) b to `work`."""
+    for i in range(count):
+        work[1, i] = a[0, i] * b[0, i] + a[1, i] * b[1, i]
+        work[2, i] = a[0, i] * b[1, i] - a[1, i] * b[0, i]
+
+
+@numba.njit(fastmath=_SUMS, cache=True)
+def _total(work, count):  # type: ignore[no-untyped-def]
+    """Sum of what is there, which is then multiplied by r."""
+    real = 0.0
+    imag = 0.0
+    for i in range(count):
+        real += work[1, i]
+        imag += work[2, i]
+        work[1, i] *= work[0, i]
+        work[2, i] *= work[0, i]
+    return complex(real, imag)
+
+
+@numba.njit(fastmath=_SUMS, cache=True)
+def _move(block, distance, high, moments):  # type: ignore[no-untyped-def]
+    """Add moments of a block to those about a place that is `distance` below its middle."""
+    for p in range(_POWERS):
+        factor = 1.0
+        for i in range(p, -1, -1):
+            weight = _BINOMIAL[p, i] * factor
+            for pair in range(high[p]):
+                moments[p, pair] += weight * block[i, pair]
+            factor *= distance
+
+
+@numba.njit(fastmath=_SUMS, cache=True)
+def _normal(moments, pairs, columns):  # type: ignore[no-untyped-def]
+    """Upper half of the products of all columns of size 1, with a ridge, and their sizes."""
+    n = len(columns)
+    sequences = columns[:, 0].max() + 1
+    index = np.empty((sequences, sequences), np.int64)
+    for pair in range(len(pairs)):
+        index[pairs[pair, 0], pairs[pair, 1]] = pair
+    products = np.zeros((n, n), np.complex128)
+    size = np.empty(n)
+    for d in range(n):
+        for c in range(d + 1):
+            a, b, p = columns[c, 0], columns[d, 0], columns[c, 1] + columns[d, 1]
+            value = moments[p, index[a, b]] if a <= b else moments[p, index[b, a]].conjugate()
+            products[c, d] = value
+        size[d] = max(np.sqrt(max(products[d, d].real, 0.0)), TINY)
+    for d in range(n):
+        for c in range(d + 1):
+            products[c, d] /= size[c] * size[d]
+        products[d, d] += RIDGE if d < n - 1 else 0.0
+    return products, size
+
+
+@numba.njit(fastmath=_SUMS, cache=True)
+def _solved(products):  # type: ignore[no-untyped-def]
+    """Coefficients of all columns in the last one, all of size 1, and what they leave of it.
+
+    Cholesky's factor R takes the place of the upper half of `products`, R^H R.
+    """
+    n = len(products) - 1
+    for j in range(n + 1):
+        for i in range(j):
+            value = products[i, j]
+            for k in range(i):
+                value -= products[k, i].conjugate() * products[k, j]
+            products[i, j] = value / products[i, i].real
+        pivot = products[j, j].real
+        for k in range(j):
+            pivot -= products[k, j].real ** 2 + products[k, j].imag ** 2
+        products[j, j] = np.sqrt(max(pivot, RIDGE if j < n else 0.0))
+    found = np.empty(n, np.complex128)
+    for c in range(n - 1, -1, -1):
+        value = products[c, n]
+        for d in range(c + 1, n):
+            value -= products[c, d] * found[d]
+        found[c] = value / products[c, c].real
+    ridge = RIDGE * (found.real**2 + found.imag**2).sum()
+    return found, products[n, n].real ** 2 - ridge
+
+
+@numba.njit(fastmath=_SUMS, cache=True)
+def _left(rows, columns, found, place, count, half):  # type: ignore[no-untyped-def]
+    """Of the force, summed over its bins; `place` is that of r = 0."""
+    total = 0.0
+    for i in range(count):
+        away = (i - place) / half
+        value = complex(rows[_FORCE, 0, i], rows[_FORCE, 1, i])
+        for c in range(len(found)):
+            sequence = columns[c, 0]
+            column = complex(rows[sequence, 0, i], rows[sequence, 1, i])
+            value -= found[c] * column * away ** columns[c, 1]
+        total += value.real**2 + value.imag**2
+    return total
+
+
+@numba.njit(fastmath=_SUMS, cache=True)
+def _power(polynomial, moments):  # type: ignore[no-untyped-def]
+    """Sum of the squares of J."""
+    total = 0.0
+    for a in range(TERMS):
+        for b in range(TERMS):
+            both = polynomial[a].conjugate() * polynomial[b]
+            total += both.real * moments[a + b, _ONES].real
+    return total

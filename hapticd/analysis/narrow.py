@@ -1,7 +1,7 @@
 """What stands between the lines of a grid: narrow dips of Re Z, sought at the poles of the loop.
 
 With G the pulse transfer of the command, C the law, E the part of G that passes through the probe
-at w, and h, q what a command does to the probe and the probe to the encoder (see `lifted`),
+at w, and h, q what a command does to the probe and the probe to the encoder (see `theorem`),
 
     Z = 1/P_vt + C h q / (1 + C (G - E))
 

@@ -2,7 +2,7 @@
 hands say.
 
     radius       of the exact tick, friction left out: at 1 and above the display moves by itself
-    theorem      damping to spare at every image, for every input, friction left out (`lifted`)
+    theorem      damping to spare at every image, for every input, friction left out (`theorem`)
     prediction   least Re Z at a stated perturbation, Coulomb friction linearised there (`predict`)
     hand         without friction, a passive hand in which the loop grows (`coupled`), tried by its
                  tick
@@ -21,13 +21,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.closed import spectral_radius
-from hapticd.analysis.coupled import coupled_radius, shaking_hand, withstands
-from hapticd.analysis.hands import Hand
-from hapticd.analysis.lifted import lift, lifted_margin, lifted_passive
+from hapticd.analysis.coupled import Hand, coupled_radius, shaking_hand, withstands
 from hapticd.analysis.linearise import Perturbation
-from hapticd.analysis.loop import Filters
+from hapticd.analysis.loop import Filters, spectral_radius
 from hapticd.analysis.predict import Prediction, environments, predict
+from hapticd.analysis.theorem import lift, lifted_margin, lifted_passive
 from hapticd.plant.model import Model
 
 _GROWS = 1.0 + 1e-9  # radius; 1 within rounding is a mode of the hand without loss

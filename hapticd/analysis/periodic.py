@@ -28,7 +28,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.analysis.arrays import Complexes, Flags, Floats, Integers
-from hapticd.analysis.diagnostics import Finding
+from hapticd.analysis.findings import Finding
 from hapticd.analysis.spectra import Spectra, grid_frequencies
 from hapticd.errors import AnalysisError
 

@@ -1,7 +1,7 @@
 """Predicting whether an environment is passive on a device: thousands of them in the time of one
 trial's millisecond.
 
-Passive means both: the sampled loop is stable (`closed`), and the first harmonic of its impedance
+Passive means both: the sampled loop is stable (`loop`), and the first harmonic of its impedance
 (`loop`) has Re Z >= 0 all over the band, with Coulomb friction linearised at a stated perturbation
 (`linearise`), from which it must not run away. Re Z alone is not enough: of random environments
 with Re Z > 0 in 2-500 Hz one in twelve has a spectral radius above 1; K < 0 is refused for that
@@ -9,7 +9,7 @@ reason unless asked for.
 
 Stability is looked at where Re Z leaves a choice, with the point's linearised friction, between
 steps of 5 %. The prediction is that of white noise (first harmonic, alike a measurement); what
-safety decides on is the lifted requirement without friction, `requirement`. A hand can shake what
+safety decides on is the lifted requirement without friction, `theorem`. A hand can shake what
 is predicted passive only outside the band, by images, or in motions so large that friction counts
 for less (`coupled`, docs/adr/0035). Against 90 s of simulated trials: phase to 0.6-1.9 degrees rms,
 limits of K and B to 5-14 %.
@@ -25,7 +25,6 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.analysis.arrays import Complexes, Flags, Floats, Integers
-from hapticd.analysis.closed import spectral_radius
 from hapticd.analysis.linearise import (
     Linearised,
     Perturbation,
@@ -41,6 +40,7 @@ from hapticd.analysis.loop import (
     Loop,
     close_loop,
     port_states,
+    spectral_radius,
     with_viscous,
 )
 from hapticd.analysis.narrow import Bottom, bottom, mode_lines
@@ -81,7 +81,7 @@ class Prediction:
 
     @property
     def decided_margin(self) -> Floats:
-        """`margin_ns_per_m` for `boundary.passive_set`: nan where Re Z >= 0 did not suffice."""
+        """`margin_ns_per_m` for `passive_set.passive_set`: nan where Re Z >= 0 did not suffice."""
         return np.where(self.passive | (self.margin_ns_per_m < 0.0), self.margin_ns_per_m, np.nan)
 
 

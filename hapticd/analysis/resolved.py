@@ -31,13 +31,11 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.analysis.arrays import Complexes, Flags, Floats
+from hapticd.analysis.covariances import same_length
+from hapticd.analysis.findings import LINE_WIDTH, leakage_findings, line_of
 from hapticd.analysis.impedance import Estimator
-from hapticd.analysis.kernels import kernels
-from hapticd.analysis.leakage import leakage_findings
-from hapticd.analysis.local_fits import TERMS, TINY, Fit, Transforms
-from hapticd.analysis.sections import same_length
+from hapticd.analysis.kernels import TERMS, TINY, Fit, Transforms, kernels
 from hapticd.analysis.spectra import Spectra
-from hapticd.analysis.unexplained import LINE_WIDTH, line_of
 
 WIDTH = 3.0  # times 1/(M T): a parabola through the middle then has the variance of the window
 ABOUT = 3 * LINE_WIDTH  # lines on each side of one that is not explained

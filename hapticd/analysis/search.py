@@ -1,17 +1,34 @@
-"""The directed search that the paper left to future work: few trials, each where it tells most
+"""Where trials escape, learnt from which of them did: one number, the least headroom of a stable
+trial.
+
+A loop that only friction keeps stable escapes in a burst of its own motion. Whether it does within
+90 s is not in Re Z, and it is abrupt: of trials on one side of the boundary all escape, on the
+other none. Some headroom, a number for every environment that falls towards the boundary, is known
+beforehand (`prior`); how much of it a trial needs is not. Trials tell:
+
+    P(stable) = 1 / (1 + exp(-(headroom - least) / width)),   least ~ N(0, SPREAD^2)
+
+`least` is the mean of its posterior at the likeliest width. A trial on the boundary halves what is
+open, as in a bisection; where chance decides, many trials there settle where one half of them
+escape.
+
+What would break it: a headroom that orders environments wrongly; then one number cannot tell them
+apart.
+
+The directed search that the paper left to future work: few trials, each where it tells most
 about the boundary.
 
 A `surrogate` of Re Z(w; K, B, M) says where the boundary probably is. Rays from the middle of the
-set meet it in points (`rays`); the next trial is the one farthest from all trials so far. So every
-trial also confirms the boundary that was foreseen. On an affine device 4 trials suffice; with a
-smooth non-affine part about 45 leave 2 % of the volume wrong, where a grid of yes and no needs
+set meet it in points (`passive_set`); the next trial is the one farthest from all trials so far. So
+every trial also confirms the boundary that was foreseen. On an affine device 4 trials suffice; with
+a smooth non-affine part about 45 leave 2 % of the volume wrong, where a grid of yes and no needs
 180,000.
 
 What is known beforehand helps, and each of it may be left out:
     prior        Re Z as a model predicts it; only what was measured otherwise is learnt
                  (`surrogate`)
     headroom     orders environments by how near they are to escape; how much of it a trial needs is
-                 learnt (`escape`)
+                 learnt (`search`)
     independent  how many independent values the estimate has at each frequency; then the set is
                  that of environments whose trial rather passes than fails, and without it the one
                  whose expected Re Z is nowhere negative
@@ -31,8 +48,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.analysis.arrays import Flags, Floats
-from hapticd.analysis.escape import least_headroom
-from hapticd.analysis.rays import boundary, distance, samples
+from hapticd.analysis.passive_set import boundary, distance, samples
 from hapticd.analysis.surrogate import (
     Box,
     Observation,
@@ -44,6 +60,31 @@ from hapticd.analysis.surrogate import (
     margin_sd,
 )
 from hapticd.errors import AnalysisError
+
+SPREAD = 0.3  # of the least headroom before any trial: the prediction may be off by so much
+WIDTHS = (0.01, 0.02, 0.04, 0.08)
+# of the width: its median, and the standard deviation of its logarithm
+_USUAL_WIDTH = 0.02
+_WIDTH_SPREAD = 1.0
+_LEAST = np.linspace(-1.0, 1.0, 401)
+
+
+def least_headroom(headroom: Floats, stable: Flags) -> float:
+    """From the headroom (n,) of trials and whether each was stable (n,); 0 without trials."""
+    return max(_posterior(headroom, stable, width) for width in WIDTHS)[1]
+
+
+def _posterior(headroom: Floats, stable: Flags, width: float) -> tuple[float, float]:
+    """(log of evidence for `width`, mean of the least headroom)."""
+    beyond = (headroom[:, None] - _LEAST) / width
+    seen = -np.logaddexp(0.0, np.where(stable[:, None], -beyond, beyond)).sum(axis=0)
+    logs = seen - 0.5 * (_LEAST / SPREAD) ** 2
+    share = np.exp(logs - logs.max())
+    unusual = 0.5 * (np.log(width / _USUAL_WIDTH) / _WIDTH_SPREAD) ** 2
+    return float(logs.max() + np.log(share.sum()) - unusual), float(
+        (share * _LEAST).sum() / share.sum()
+    )
+
 
 Headroom = Callable[[Floats], Floats]  # environments (N, 3) -> (N,), larger is safer
 

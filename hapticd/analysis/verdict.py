@@ -1,13 +1,110 @@
-"""What a judgement on a trial says: the answer and, always with it, band, confidence, margins,
+"""Quantiles for statements about many frequencies at once. Standard library alone.
+
+`sidak`: n statements that each hold with probability p^(1/n) hold together with at least p when
+their errors are independent or, as between neighbouring values of a windowed spectrum, positively
+correlated (Sidak 1967; Slepian 1962). It is taken over all values that are looked at: the number of
+independent ones (band over bandwidth) is smaller, but with it a lossless device raises twice the
+promised false alarms, because the extreme of a smooth curve lies between them.
+
+What a judgement on a trial says: the answer and, always with it, band, confidence, margins,
 stability and amplitude.
+
+The verdict on a trial: passive in a band, not passive in it, or undecided; never without its
+conditions.
+
+Z is positive real where Re Z >= 0, and the sign of Re Z is that of the cross-power Re Phi_Fv,
+whichever estimator is used. Re Z is known to h = t |Z| sqrt((1 - g2) / (g2 (nu - 2))) at each
+frequency, the phase to arcsin(h / |Z|), with Student's t at a level raised so that all intervals of
+the band hold together (`sidak`). The margin, the least Re Z or the least 90 degrees -
+|phase|, then lies between the least lower and the least upper limit:
+
+    passive       the least lower limit is above 0         not passive    an upper limit is below 0
+
+A device that is not stable is not passive, whatever its Re Z: with a virtual K < 0 or a closed loop
+of spectral radius above 1 the real part may be positive throughout. Findings that turn the phase
+(skew, high-pass) or bend the channels (saturation) leave nothing to decide. The paper's plain rule,
+all phases within +-90 degrees, is answered beside it; with 5 mm/s of sensor noise it calls a
+passive device with a margin of 1 degree non-passive in every trial.
+
+The band is judged from edge to edge: an edge that is no line of the window is interpolated
+(`Spectra.band`). Multisines, and frequencies of one's own choice, are judged where they are, so a
+verdict names its first and its last frequency.
+
+What would break it: a band below 1/(M T), where the window smooths, or a record of too few windows;
+both are refused.
 """
 
 from dataclasses import dataclass, field
-from math import isnan, nan
+from math import atan, cos, isclose, isnan, nan, pi, sin, sqrt, tan
+from statistics import NormalDist
 from typing import Literal
 
-from hapticd.analysis.diagnostics import Finding
-from hapticd.analysis.energy import Energy
+import numpy as np
+
+from hapticd.analysis.arrays import Floats
+from hapticd.analysis.channels import channel_findings
+from hapticd.analysis.findings import Energy, Finding, Record, coherence_findings
+from hapticd.analysis.impedance import Estimator, impedance, relative_sd, spread_of
+from hapticd.analysis.resolved import Resolved, unresolved
+from hapticd.analysis.spectra import Spectra, lines_beside
+from hapticd.errors import AnalysisError
+
+MANY = 18.0  # degrees of freedom from which the expansion holds
+
+
+def sidak(confidence: float, statements: int) -> float:
+    """Confidence that each of `statements` needs so that all hold together with `confidence`."""
+    if not 0.0 < confidence < 1.0:
+        raise AnalysisError(f"confidence {confidence}: must lie between 0 and 1; 0.95 is usual")
+    return float(confidence ** (1.0 / max(1, statements)))
+
+
+def student_quantile(probability: float, degrees_of_freedom: float) -> float:
+    """Quantile of Student's t: Cornish-Fisher expansion in 1/nu (Abramowitz and Stegun 26.7.5),
+    1e-4 of t from nu = 18 on.
+
+    Below, where nu must be 1, 2, 3 .., it is exact. AnalysisError for any other nu below.
+    """
+    if degrees_of_freedom < MANY:
+        return _few(probability, degrees_of_freedom)
+    z = NormalDist().inv_cdf(probability)
+    nu = degrees_of_freedom
+    terms = (
+        (z**3 + z) / 4.0,
+        (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / 96.0,
+        (3.0 * z**7 + 19.0 * z**5 + 17.0 * z**3 - 15.0 * z) / 384.0,
+        (79.0 * z**9 + 776.0 * z**7 + 1482.0 * z**5 - 1920.0 * z**3 - 945.0 * z) / 92160.0,
+    )
+    return z + sum(term / nu ** (power + 1) for power, term in enumerate(terms))
+
+
+def _few(probability: float, degrees_of_freedom: float) -> float:
+    """By halving, as P(t) is known in closed form; tan of the angle is t / sqrt(nu)."""
+    nu = round(degrees_of_freedom)
+    if nu < 1 or not isclose(nu, degrees_of_freedom):
+        raise AnalysisError(
+            f"{degrees_of_freedom:g} degrees of freedom: below {MANY:g} a whole number is needed;"
+            " average more"
+        )
+    low = atan(-1e9)
+    high = atan(1e9)
+    for _ in range(100):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if _student(middle, nu) < probability else (low, middle)
+    return sqrt(nu) * tan(0.5 * (low + high))
+
+
+def _student(angle: float, nu: int) -> float:
+    """P(t) by a finite sum: 26.7.3 of Abramowitz and Stegun for odd nu, 26.7.4 for even nu."""
+    odd = nu % 2
+    term = cos(angle) if odd else 1.0
+    total = term if nu > 1 else 0.0
+    for place in range(1, nu // 2):
+        term *= (2 * place - 1 + odd) / (2 * place + odd) * cos(angle) ** 2
+        total += term
+    inside = 2.0 / pi * (angle + sin(angle) * total) if odd else sin(angle) * total
+    return 0.5 * (1.0 + inside)
+
 
 Answer = Literal["passive", "not_passive", "undecided"]
 Stability = Literal["stable", "unstable", "unknown"]
@@ -163,3 +260,235 @@ class Verdict:
             "unstable": "unstable",
             "unknown": "stability unknown",
         }[self.stability]
+
+
+DEFAULT_BAND_HZ = (2.0, 500.0)
+LEAST_FREEDOM = (
+    20.0  # degrees of freedom of a window's values, below which the intervals mean nothing
+)
+DRIVEN = 0.8  # of the velocity's power, from which a motion is the perturbation's
+SWELLS = "the velocity swells and fades 4 times and more, as the perturbation drives a resonance"
+LOST_EDGE = "lost_edge"
+NEAR_HZ = 1e-5  # an edge that is so near to a line is that line
+LEAST_EXACT = 4.0  # of plain averages: two of them
+
+
+def judge(
+    trial: Spectra,
+    record: Record | None = None,
+    band_hz: tuple[float, float] = DEFAULT_BAND_HZ,
+    confidence: float = 0.95,
+    estimator: Estimator = "spa",
+    spectral_radius: float | None = None,
+    behind_mass_kg: float = 0.0,
+    channels: bool = True,
+    below_window: bool = False,
+) -> Verdict:
+    """Verdict on `trial`. `record` (of `findings.examine`) brings energy, escape and saturation;
+    `spectral_radius` is that of the predicted closed loop. `behind_mass_kg` > 0 judges the device
+    behind the probe's mass: Re Z is the same there. `channels`: also look for skew and high-pass,
+    which takes longer than the rest; simulated records have neither.
+
+    `below_window`: of a band that begins below 1/(M T), which is else refused, read what the window
+    makes of it.
+
+    AnalysisError for a band below 1/(M T), above half the sample rate or without frequencies, and
+    for records of fewer than 20 degrees of freedom.
+    """
+    inside = _judged(trial, band_hz, below_window)
+    f = inside.frequency_hz
+    at_port = impedance(inside, estimator)
+    z = at_port.without_mass(behind_mass_kg) if behind_mass_kg else at_port
+    ohm = z.impedance_ns_per_m
+    half = spread_of(
+        np.abs(at_port.impedance_ns_per_m), half_width(trial, inside, sidak(confidence, f.size))
+    )
+    angle = 90.0 - np.abs(np.degrees(np.angle(ohm)))
+    newton = _least(ohm.real, half, f)
+    findings = _reread(trial, record.findings if record else ()) + coherence_findings(
+        trial, band_hz, estimator
+    )
+    findings += channel_findings(trial) if channels else ()
+    findings += _lost_edges(trial, inside, band_hz)
+    stability = _stability(findings, record is not None, spectral_radius)
+    return Verdict(
+        answer=_answer(newton, stability, findings),
+        band_hz=band_hz,
+        confidence=confidence,
+        first_judged_hz=float(f[0]),
+        last_judged_hz=float(f[-1]),
+        n_frequencies=f.size,
+        margin_ns_per_m=newton,
+        margin_deg=_least(angle, _angle_deg(half, np.abs(ohm)), f),
+        within_90_deg=_turns_less(inside),
+        stability=stability,
+        amplitude=Amplitude(float(2.0 * inside.force.mean() / trial.rate_hz), _velocity_sd(trial)),
+        port=z.port,
+        seconds=trial.n_samples / trial.rate_hz,
+        seconds_needed=_seconds_needed(ohm.real, half, trial),
+        resolution_hz=trial.bandwidth_hz,
+        spectral_radius=spectral_radius,
+        energy=record.energy if record else None,
+        findings=findings,
+    )
+
+
+def needs_record(
+    trial: Spectra, verdict: Verdict, estimator: Estimator = "spa", linear: bool = False
+) -> bool:
+    """Whether `verdict` on the window's spectra `trial` stands only when its record was looked at
+    (`resolved`). `linear`: so is the device.
+
+    It stands where all is passive at the window's resolution, and where the perturbation explains
+    nothing of a line.
+    """
+    if verdict.answer == "passive" or any(one.code == "oscillation" for one in verdict.findings):
+        return False
+    return bool(unresolved(trial, verdict.band_hz, estimator, linear).any())
+
+
+def _reread(trial: Spectra, findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
+    """What the samples said, in the light of `resolved`: a motion that the perturbation explains
+    did not run away by itself, however it swells and fades. Re Z at the resonance says whether it
+    is stable.
+    """
+    if not isinstance(trial, Resolved):
+        return findings
+    said = Finding("resolved", trial.said)
+    if trial.explained <= DRIVEN:
+        return (*findings, said)
+    swells = Finding("swells", SWELLS)
+    return (*(swells if one.code == "escape" else one for one in findings), said)
+
+
+def _lost_edges(
+    trial: Spectra, inside: Spectra, band_hz: tuple[float, float]
+) -> tuple[Finding, ...]:
+    """An edge of the band that a window could have shown and that has no power of its own: what
+    was not looked at is not called passive.
+    """
+    ends = inside.frequency_hz[[0, -1]]
+    lost = [edge for edge, at in zip(band_hz, ends, strict=True) if abs(at - edge) > NEAR_HZ]
+    if not (trial.whole and lost):
+        return ()
+    message = (
+        f"the edge at {hertz(lost[0])} Hz is lost under a drift, so nothing from there to "
+        f"{hertz(float(ends[0 if lost[0] == band_hz[0] else 1]))} Hz is called passive; "
+        "record longer, or hold the display with a small stiffness"
+    )
+    return (Finding(LOST_EDGE, message),)
+
+
+def _turns_less(inside: Spectra) -> bool:
+    """The paper's plain rule: the sign of Re Z is that of the cross-power."""
+    return bool((inside.cross.real > 0.0).all())
+
+
+def _judged(trial: Spectra, band_hz: tuple[float, float], below_window: bool) -> Spectra:
+    """What a verdict on `band_hz` looks at. AnalysisError as `judge`."""
+    low, high = band_hz
+    if low < trial.lowest_hz and not below_window:
+        raise AnalysisError(
+            f"band from {low:g} Hz: the {trial.span} says nothing below {trial.lowest_hz:.3g} Hz;"
+            " begin there, or take a longer one"
+        )
+    least = LEAST_EXACT if trial.exact else LEAST_FREEDOM
+    if trial.degrees_of_freedom < least:
+        needed = least / trial.degrees_of_freedom * trial.n_samples / trial.rate_hz
+        raise AnalysisError(
+            f"record of {trial.n_samples / trial.rate_hz:.3g} s: too short for a verdict with a"
+            f" {trial.span}; record {needed:.3g} s or more"
+        )
+    half_rate_hz = 0.5 * trial.rate_hz
+    if not low <= min(high, half_rate_hz):
+        raise AnalysisError(
+            f"no frequency of the estimate lies in {low:g}..{high:g} Hz; widen the band"
+        )
+    if high > half_rate_hz * (1.0 + 1e-12):
+        raise AnalysisError(
+            f"band to {high:g} Hz: samples at {trial.rate_hz:g} Hz say nothing above"
+            f" {half_rate_hz:g} Hz; end there"
+        )
+    inside = trial.band(band_hz)
+    if not inside.frequency_hz.size:
+        raise AnalysisError(
+            f"no frequency of the estimate lies in {low:g}..{high:g} Hz; widen the band"
+        )
+    return inside
+
+
+def half_width(trial: Spectra, inside: Spectra, level: float) -> Floats:
+    """Half of the interval of Re Z over |Z| (F,) of a band `inside` a trial, each side at `level`:
+    the sine of that of the phase; inf without coherence."""
+    freedom = trial.degrees_of_freedom - 2.0
+    return student_quantile(level, freedom) * relative_sd(_coherence(trial, inside), freedom)
+
+
+def _coherence(trial: Spectra, inside: Spectra) -> Floats:
+    """g2 (F,) of a band, at an edge between lines no more than at the lines beside it: there side
+    lobes of a drift may take power from the motion, and the perturbation then seems to explain more
+    of it."""
+    found = inside.coherence
+    if trial.whole:
+        for place in {0, found.size - 1}:
+            below, above = lines_beside(inside.frequency_hz[place], trial.rate_hz, trial.lag)
+            if below < above:
+                found[place] = min(found[place], *trial.part(slice(below, above + 1)).coherence)
+    return found
+
+
+def _angle_deg(half: Floats, size: Floats) -> Floats:
+    """Phase interval that belongs to +-`half` of the real part."""
+    share = np.divide(half, size, out=np.ones_like(half), where=half < size)
+    return np.degrees(np.arcsin(share))
+
+
+def _least(values: Floats, half: Floats, frequency_hz: Floats) -> Margin:
+    """Margin of `values` known to +-`half`; a value that is not known (nan) may be anything."""
+    known = np.isfinite(values)
+    lower = np.where(known, values - half, -np.inf)
+    upper = np.where(known, values + half, np.inf)
+    worst = int(np.argmin(np.where(known, values, np.inf)))
+    return Margin(
+        float(values[worst]), float(lower.min()), float(upper.min()), float(frequency_hz[worst])
+    )
+
+
+def _answer(margin: Margin, stability: Stability, findings: tuple[Finding, ...]) -> Answer:
+    if stability == "unstable":
+        return "not_passive"
+    if any(finding.voids for finding in findings):
+        return "undecided"
+    if margin.upper < 0.0:
+        return "not_passive"
+    whole_band = all(finding.code != LOST_EDGE for finding in findings)
+    return "passive" if whole_band and margin.lower > 0.0 else "undecided"
+
+
+def _stability(
+    findings: tuple[Finding, ...], recorded: bool, spectral_radius: float | None
+) -> Stability:
+    if any(finding.unstable for finding in findings) or (
+        spectral_radius is not None and not spectral_radius < 1.0
+    ):
+        return "unstable"
+    return "stable" if recorded or spectral_radius is not None else "unknown"
+
+
+def _velocity_sd(trial: Spectra) -> float:
+    """From the spectrum: its mean over a whole turn is the variance; on other frequencies a
+    trapezoid over what there is.
+    """
+    power = float(np.trapezoid(trial.velocity, trial.frequency_hz)) * 2.0 / trial.rate_hz
+    return float(np.sqrt(power))
+
+
+def _seconds_needed(values: Floats, half: Floats, trial: Spectra) -> float:
+    """A record longer by (half / value)^2 brings the limit of a value to 0; all must be there,
+    or one below.
+    """
+    seconds = trial.n_samples / trial.rate_hz
+    with np.errstate(divide="ignore", invalid="ignore"):
+        factor = np.where(np.isfinite(values), (half / values) ** 2, np.inf)
+    below = values < 0.0
+    return float(seconds * (factor[below].min() if below.any() else factor.max()))

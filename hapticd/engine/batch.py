@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.analysis.arrays import Complexes, Floats, Values
-from hapticd.analysis.spa import DEFAULT_LAG as LAG
+from hapticd.analysis.spectra import DEFAULT_LAG as LAG
 from hapticd.analysis.spectra import Spectra, grid_frequencies
 from hapticd.engine.job import (
     Group,
@@ -65,7 +65,7 @@ class BatchResult:
     seconds: float
     winding_c: Values | None = None  # (n,) temperature at the end, where the winding heats up
     force_spectrum: Floats | None = (
-        None  # (F,) or (n, F) [N^2], with keep="spectra", at k 4000/4096 Hz; as `analysis.spa`
+        None  # (F,) or (n, F) [N^2], with keep="spectra", at k 4000/4096 Hz; as `analysis.spectra`
     )
     velocity_spectrum: Floats | None = None  # (n, F) [(m/s)^2]
     cross_spectrum: Complexes | None = None  # (n, F) [N m/s]
@@ -210,7 +210,7 @@ def simulate(
     substeps     per 4 kHz sample; only friction, ends and cogging need them, without those there is
                  one
     dtype        "f64" | "f32"
-    keep         "summary" | "spectra" as `analysis.spa` | "records" at 4 kHz |
+    keep         "summary" | "spectra" as `analysis.spectra` | "records" at 4 kHz |
                  "ticks": also position and force of every tick
     own_torque   a record of its own for every trial instead of a shared one
     executor     any of concurrent.futures; None = threads here

@@ -40,7 +40,7 @@ from typing import Any
 import numpy as np
 
 from hapticd.analysis.arrays import Flags, Values, aligned
-from hapticd.analysis.spa import DEFAULT_LAG as LAG
+from hapticd.analysis.spectra import DEFAULT_LAG as LAG
 from hapticd.engine.kernels import kernel
 from hapticd.engine.numbers import Filters, law_numbers, plant_numbers
 from hapticd.engine.shape import Shape, reduced, shape_of

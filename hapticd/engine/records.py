@@ -4,10 +4,10 @@ keep = "spectra": a group's spectra instead of its records, summed section by se
 simulated.
 
 A section of 2,048 samples of all lanes is 0.5 MB: it is transformed while it is still in the cache
-(`analysis.lanes`), so nothing of a trial is stored but six sums a frequency. That needs one torque
-record for all trials and a velocity that is recorded as it is; where trials have their own torque,
-or the probe adds noise or counts, the group's records are kept until its end and analysed one by
-one, which gives the same spectra more slowly.
+(`analysis.batch_spectra`), so nothing of a trial is stored but six sums a frequency. That needs one
+torque record for all trials and a velocity that is recorded as it is; where trials have their own
+torque, or the probe adds noise or counts, the group's records are kept until its end and analysed
+one by one, which gives the same spectra more slowly.
 """
 
 from functools import lru_cache
@@ -17,9 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.analysis.arrays import CACHE_LINE, Complexes, Floats, Values, aligned
-from hapticd.analysis.lanes import LaneSections, SharedForce, shared_force
-from hapticd.analysis.spa import DEFAULT_LAG as LAG
-from hapticd.analysis.spa import spa
+from hapticd.analysis.batch_spectra import BatchSections, SharedForce, shared_force
+from hapticd.analysis.spectra import DEFAULT_LAG as LAG
+from hapticd.analysis.spectra import spa
 from hapticd.engine.job import (
     BLOCK_TICKS,
     CACHED,
@@ -137,7 +137,7 @@ class Sums:
         sample = np.arange(LAG)
         row = sample // shape.samples * shape.width + sample % shape.samples
         self._place = row * (shape.lanes * made.scalar().itemsize // CACHE_LINE)
-        self._sections = LaneSections(_force(job, made), shape.lanes, made.scalar)
+        self._sections = BatchSections(_force(job, made), shape.lanes, made.scalar)
 
     def room(self, start: int) -> Values:
         """Where the kernel writes a leg from tick `start` on."""

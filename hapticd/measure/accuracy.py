@@ -43,8 +43,7 @@ import numpy as np
 
 from hapticd.analysis.arrays import Complexes, Floats
 from hapticd.analysis.predict import predict, predicted_impedance
-from hapticd.analysis.spa import DEFAULT_LAG, spa
-from hapticd.analysis.spectra import Spectra
+from hapticd.analysis.spectra import DEFAULT_LAG, Spectra, spa
 from hapticd.assembly.lockstep import LockStep, scene_params
 from hapticd.engine import BatchResult, simulate
 from hapticd.engine.shape import LANES

@@ -44,7 +44,7 @@ whose yes or no the search, or the prediction alone, holds otherwise; shares are
 points.
 
 What would break it: Eq. 2 of the paper as a judge of B < 0, where it relaxes
-(`analysis.requirement` refuses it); a level at which the damping circuit itself oscillates
+(`analysis.theorem` refuses it); a level at which the damping circuit itself oscillates
 (`plant.stability`), or one that no board can command.
 """
 
@@ -53,12 +53,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hapticd.analysis.arrays import Flags, Floats, Integers
-from hapticd.analysis.boundary import grid, open_ends, passive_set, volume
+from hapticd.analysis.compare import mean_over_ln_f
 from hapticd.analysis.envelope import Edge
-from hapticd.analysis.lifted import lift, lifted_margin, lifted_passive
-from hapticd.analysis.metrics import mean_over_ln_f
-from hapticd.analysis.requirement import paper_equation_2
+from hapticd.analysis.passive_set import grid, open_ends, passive_set, volume
 from hapticd.analysis.search import predicted_passive
+from hapticd.analysis.theorem import lift, lifted_margin, lifted_passive, paper_equation_2
 from hapticd.errors import AnalysisError
 from hapticd.measure.campaign import Axes, MapParams, plan_map, run_map
 from hapticd.measure.directed import SearchParams, SearchResult, observed, plan_search, run_search

@@ -2,7 +2,7 @@
 boundary of the passive set.
 
 `analysis.search` learns from the trials and chooses; here its oracle is a simulated trial with its
-intervals as weights. What is known beforehand is the device's model (`analysis.foresight`): the
+intervals as weights. What is known beforehand is the device's model (`analysis.prior`): the
 trials teach how Re Z differs from the prediction, and how near to its friction's end the loop may
 come in a trial before it escapes. Trials are made a few at a time, each with noise of its own
 (seed, seed + 1, ..), as in a laboratory: with one noise for all, what is chance would be learnt as
@@ -26,9 +26,8 @@ from functools import partial
 import numpy as np
 
 from hapticd.analysis.arrays import Flags, Floats
-from hapticd.analysis.boundary import PassiveSet, grid, passive_set
-from hapticd.analysis.foresight import Foresight
-from hapticd.analysis.rays import halved
+from hapticd.analysis.passive_set import PassiveSet, grid, halved, passive_set
+from hapticd.analysis.prior import ModelPrior
 from hapticd.analysis.search import (
     Search,
     doubtful_share,
@@ -36,7 +35,7 @@ from hapticd.analysis.search import (
     next_trials,
     predicted_passive,
 )
-from hapticd.analysis.spa import DEFAULT_LAG
+from hapticd.analysis.spectra import DEFAULT_LAG
 from hapticd.analysis.surrogate import Box, Observation, margin
 from hapticd.analysis.verdict import Judged
 from hapticd.errors import AnalysisError
@@ -130,7 +129,7 @@ def plan_search(params: SearchParams) -> SearchPlan:
     box = params.box or _box(params)
     f = learnt_at(params.conditions)
     device = params.conditions.display
-    known = Foresight(
+    known = ModelPrior(
         device.model, box, f, params.damping_ns_per_m, device.filters, device.perturbation
     )
     begin = Search(box, known.resistance, known.headroom, np.gradient(f) / INDEPENDENT_HZ)

@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 
 from hapticd.analysis.arrays import Floats
-from hapticd.analysis.boundary import AXES, axis_limit
+from hapticd.analysis.passive_set import AXES, axis_limit
 from hapticd.analysis.verdict import NOTHING_JUDGED, Judged
 from hapticd.measure.outcomes import (
     Conditions,

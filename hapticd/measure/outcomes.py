@@ -28,16 +28,20 @@ import numpy as np
 
 from hapticd import __version__
 from hapticd.analysis.arrays import Complexes, Floats, Values
-from hapticd.analysis.diagnostics import Record, escape_findings
-from hapticd.analysis.energy import Energy
 from hapticd.analysis.envelope import Envelope, merged, of_one
+from hapticd.analysis.findings import Energy, Record, escape_findings
 from hapticd.analysis.impedance import impedance
-from hapticd.analysis.passivity import DEFAULT_BAND_HZ, judge, needs_record
 from hapticd.analysis.predict import coulomb
 from hapticd.analysis.resolved import resolved
-from hapticd.analysis.spa import DEFAULT_LAG
-from hapticd.analysis.spectra import Spectra, grid_frequencies
-from hapticd.analysis.verdict import NOTHING_JUDGED, Judged, Verdict
+from hapticd.analysis.spectra import DEFAULT_LAG, Spectra, grid_frequencies
+from hapticd.analysis.verdict import (
+    DEFAULT_BAND_HZ,
+    NOTHING_JUDGED,
+    Judged,
+    Verdict,
+    judge,
+    needs_record,
+)
 from hapticd.engine import BatchResult, simulate
 from hapticd.engine.shape import LANES
 from hapticd.errors import AnalysisError

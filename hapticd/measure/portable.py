@@ -26,10 +26,16 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.boundary import AXES
-from hapticd.analysis.compare import Conditions, check_alike, normalised
+from hapticd.analysis.compare import (
+    Conditions,
+    check_alike,
+    normalised,
+    stiffness_damping_area,
+    stiffness_rate,
+    zero_mass_bandwidth_hz,
+)
 from hapticd.analysis.envelope import Edge, Envelope
-from hapticd.analysis.metrics import stiffness_damping_area, stiffness_rate, zero_mass_bandwidth_hz
+from hapticd.analysis.passive_set import AXES
 from hapticd.analysis.verdict import Judged
 from hapticd.errors import AnalysisError, ConfigError
 from hapticd.measure import outcomes

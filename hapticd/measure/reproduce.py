@@ -32,11 +32,11 @@ from math import isnan, nan
 import numpy as np
 
 from hapticd.analysis.arrays import Flags, Floats
-from hapticd.analysis.boundary import grid
 from hapticd.analysis.envelope import Envelope, accepted, of_predicted
 from hapticd.analysis.impedance import Impedance, impedance
+from hapticd.analysis.passive_set import grid
 from hapticd.analysis.predict import DEFAULT_BAND_HZ, frequencies
-from hapticd.analysis.spa import DEFAULT_LAG
+from hapticd.analysis.spectra import DEFAULT_LAG
 from hapticd.errors import AnalysisError
 from hapticd.measure.campaign import Axes, LevelMap, MapParams, MapPlan, plan_map, run_map
 from hapticd.measure.executors import pool_of

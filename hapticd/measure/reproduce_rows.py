@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from math import isfinite, nan
 from typing import Literal
 
-from hapticd.analysis.requirement import required_damping
+from hapticd.analysis.theorem import required_damping
 from hapticd.plant.effects import crowbar_nms_per_rad, lever_of_crowbar_m
 from hapticd.units import COPPER_PER_K
 

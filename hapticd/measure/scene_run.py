@@ -7,7 +7,7 @@ length, since a trial tells its temperature at its end. Params -> plan -> Plan -
 
 The largest damping of the device, and the largest with the scene's environment around it, are edges
 of stability found by bisection on eigenvalues: of the open device in continuous time
-(`plant.stability`), and of the exact map of one servo tick (`analysis.closed`), Coulomb friction
+(`plant.stability`), and of the exact map of one servo tick (`analysis.loop`), Coulomb friction
 left out. Above the first the analog circuit oscillates whatever the servo does. The second is a
 range: too little damping can be unstable as well. What limits the device is its resistance
 compensation (Weir, Colgate and Peshkin 2008, section 5): a winding colder than it believes leaves a
@@ -38,8 +38,8 @@ import numpy.typing as npt
 from numpy.linalg import matrix_power
 
 from hapticd.analysis.arrays import Complexes, Floats
-from hapticd.analysis.closed import spectral_radius
-from hapticd.analysis.spa import DEFAULT_LAG
+from hapticd.analysis.loop import spectral_radius
+from hapticd.analysis.spectra import DEFAULT_LAG
 from hapticd.engine import BatchResult, simulate
 from hapticd.errors import ConfigError
 from hapticd.measure.scenes import SUBSTEPS, filters, level, point

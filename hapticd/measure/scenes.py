@@ -2,7 +2,7 @@
 effect, its impedance; and the device in it, composed once, with all that is predicted of it
 (`Display`).
 
-Z is measured as the paper does it (noise at the probe, `analysis.spa`) and taken on frequencies
+Z is measured as the paper does it (noise at the probe, `analysis.spectra`) and taken on frequencies
 that are evenly spaced in ln f. They lie on the grid of the paper's window, so that a longer window
 has them on its grid too.
 
@@ -25,8 +25,7 @@ from hapticd.analysis.predict import (
     predict,
     recorded_impedances,
 )
-from hapticd.analysis.spa import DEFAULT_LAG, spa
-from hapticd.analysis.spectra import Spectra
+from hapticd.analysis.spectra import DEFAULT_LAG, Spectra, spa
 from hapticd.engine import BatchResult
 from hapticd.errors import AnalysisError, ConfigError
 from hapticd.params import EnvironmentParams, FilterParams, WallParams

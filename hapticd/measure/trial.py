@@ -40,11 +40,9 @@ import numpy as np
 
 from hapticd.analysis.arrays import Complexes
 from hapticd.analysis.channels import unit_findings
-from hapticd.analysis.closed import spectral_radius
-from hapticd.analysis.diagnostics import Finding, Record, examine
+from hapticd.analysis.findings import Finding, Record, examine, leakage_findings
 from hapticd.analysis.impedance import Estimator, Impedance, impedance
-from hapticd.analysis.leakage import leakage_findings
-from hapticd.analysis.passivity import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge, needs_record
+from hapticd.analysis.loop import spectral_radius
 from hapticd.analysis.periodic import (
     CHANGING,
     PeriodicSpectra,
@@ -54,9 +52,8 @@ from hapticd.analysis.periodic import (
 )
 from hapticd.analysis.predict import coulomb, predicted_impedance
 from hapticd.analysis.resolved import resolved
-from hapticd.analysis.spa import DEFAULT_LAG, spa
-from hapticd.analysis.spectra import Spectra, corrected
-from hapticd.analysis.verdict import Verdict
+from hapticd.analysis.spectra import DEFAULT_LAG, Spectra, corrected, spa
+from hapticd.analysis.verdict import DEFAULT_BAND_HZ, LEAST_FREEDOM, Verdict, judge, needs_record
 from hapticd.errors import AnalysisError
 from hapticd.measure.referee import Referee
 from hapticd.measure.scenes import Display, display

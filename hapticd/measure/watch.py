@@ -3,7 +3,7 @@
 The sentinel watches a trial while it runs and ends it for
 
     escape        the velocity of a second is four times that of the calm ones (the rule of
-                  `analysis.diagnostics`) and the force did not grow with it; or faster than the
+                  `analysis.findings`) and the force did not grow with it; or faster than the
                   device's own limit, where that is known; or the commanded force reached its limit
                   in a motion that the perturbation does not explain, as a loop that ran away before
                   the record began. Fast alone is no escape: a linear device moves as fast as it is
@@ -51,12 +51,10 @@ from typing import Any
 import numpy as np
 
 from hapticd.analysis.arrays import Flags, Floats, Integers
-from hapticd.analysis.diagnostics import ESCAPE_RATIO, Finding
+from hapticd.analysis.findings import ESCAPE_RATIO, Finding
 from hapticd.analysis.impedance import Estimator
-from hapticd.analysis.passivity import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge
-from hapticd.analysis.spa import DEFAULT_LAG, SpectralStream
-from hapticd.analysis.spectra import Spectra
-from hapticd.analysis.verdict import needed
+from hapticd.analysis.spectra import DEFAULT_LAG, Spectra, SpectralStream
+from hapticd.analysis.verdict import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge, needed
 from hapticd.measure.store import Recorded
 
 BRIDGED = 40  # samples at most: 10 ms

@@ -4,9 +4,9 @@ moves, where a larger display is no better one.
 
 import numpy as np
 
-from hapticd.analysis.boundary import AXES
+from hapticd.analysis.compare import widths_db
 from hapticd.analysis.envelope import Envelope
-from hapticd.analysis.metrics import widths_db
+from hapticd.analysis.passive_set import AXES
 from hapticd.analysis.verdict import Judged
 from hapticd.errors import AnalysisError
 from hapticd.measure.portable import Compared, Comparison, Level, Reach

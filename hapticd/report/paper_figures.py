@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from hapticd.analysis.arrays import Floats
-from hapticd.analysis.boundary import open_ends, passive_set
 from hapticd.analysis.envelope import Edge
+from hapticd.analysis.passive_set import open_ends, passive_set
 from hapticd.measure.beyond import (
     LOW_HZ,
     BeyondResult,

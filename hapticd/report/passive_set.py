@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from hapticd.analysis.arrays import Flags, Floats, Integers
-from hapticd.analysis.boundary import PassiveSet
+from hapticd.analysis.passive_set import PassiveSet
 from hapticd.analysis.verdict import Judged
 from hapticd.measure.campaign import LevelMap, MapResult
 from hapticd.measure.directed import SearchResult, Step, slice_at

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.passivity import DEFAULT_BAND_HZ
+from hapticd.analysis.verdict import DEFAULT_BAND_HZ
 from hapticd.measure.accuracy import GROUP, AccuracyResult, Cost, Row
 from hapticd.measure.effects import EffectsResult, Left
 from hapticd.measure.scene_run import Ceiling, Integrators, SceneResult, Trial

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hapticd.analysis.arrays import Floats
-from hapticd.analysis.confidence import student_quantile
+from hapticd.analysis.verdict import student_quantile
 from hapticd.errors import ConfigError
 from hapticd.params import ADDED_DAMPING_NS_PER_M
 

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from hapticd.analysis.arrays import Complexes, Floats
-from hapticd.analysis.confidence import student_quantile
 from hapticd.analysis.impedance import Impedance, relative_sd
 from hapticd.analysis.periodic import PeriodicSpectra
+from hapticd.analysis.verdict import student_quantile
 from hapticd.measure.referee import Referee
 from hapticd.measure.reflight import Reflight
 from hapticd.measure.trial import TrialResult

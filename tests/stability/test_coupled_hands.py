@@ -16,13 +16,17 @@ import pytest
 from analysis_devices import rigid
 from passive_hands import random_hands
 
-from hapticd.analysis.closed import spectral_radius
-from hapticd.analysis.coupled import coupled_radius, reach, shaking_hand, withstands
-from hapticd.analysis.hands import Hand, held_by
-from hapticd.analysis.lifted import ANGLES, lift, lifted_passive
+from hapticd.analysis.coupled import Hand, coupled_radius, held_by, reach, shaking_hand, withstands
 from hapticd.analysis.linearise import Perturbation
-from hapticd.analysis.loop import PAPER_FILTERS, pulse_transfer, responses, with_viscous
+from hapticd.analysis.loop import (
+    PAPER_FILTERS,
+    pulse_transfer,
+    responses,
+    spectral_radius,
+    with_viscous,
+)
 from hapticd.analysis.predict import predict
+from hapticd.analysis.theorem import ANGLES, lift, lifted_passive
 from hapticd.errors import AnalysisError
 from hapticd.measure.reproduce import POINTS, SCENES, conditions
 from hapticd.measure.reproduce_rows import ADDED_NS_PER_M, LEVELS, MAIN

@@ -1,7 +1,7 @@
 """The edge of stability: growth of simulated trials against the spectral radius of one tick, on
 both sides.
 
-Boundaries of Gil, Hulin and others for an isolated device come from the z-plane (`analysis.closed`,
+Boundaries of Gil, Hulin and others for an isolated device come from the z-plane (`analysis.loop`,
 no step of the engine in it): 1 % inside a trial must decay, 1 % outside it must grow.
 """
 
@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from devices import STAR, device, rigid
 
-from hapticd.analysis.closed import spectral_radius
-from hapticd.analysis.loop import PAPER_FILTERS
+from hapticd.analysis.loop import PAPER_FILTERS, spectral_radius
 from hapticd.engine import simulate
 from hapticd.plant.scene import Excitation
 

@@ -11,7 +11,7 @@ from devices import COUNTS, DRY, LIMIT, STAR, device, rigid
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hapticd.analysis.requirement import required_damping
+from hapticd.analysis.theorem import required_damping
 from hapticd.engine import simulate
 from hapticd.params import FilterParams
 from hapticd.plant.effects import Coulomb

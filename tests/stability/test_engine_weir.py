@@ -7,7 +7,7 @@ percent and degrees.
 
 import numpy as np
 
-from hapticd.analysis.spa import spa
+from hapticd.analysis.spectra import spa
 from hapticd.engine import simulate
 from hapticd.settings.scene import load_scene
 

@@ -68,7 +68,7 @@ def command(
     Ctrl-C is safe: the same command with the same --out goes on where it ended. With --json each
     new outcome is a line, with its limit, amplitude and seed, and the last line is the result.
     """
-    from hapticd.analysis.boundary import AXES
+    from hapticd.analysis.passive_set import AXES
     from hapticd.measure.executors import executor
     from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
     from hapticd.measure.store import TrialStore

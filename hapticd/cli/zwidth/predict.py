@@ -9,7 +9,7 @@ from hapticd.cli import terminal
 from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
-    from hapticd.analysis.hands import Hand
+    from hapticd.analysis.coupled import Hand
     from hapticd.analysis.linearise import Perturbation
     from hapticd.analysis.outlook import Outlook
     from hapticd.analysis.predict import Prediction

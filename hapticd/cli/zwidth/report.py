@@ -165,7 +165,7 @@ def _record(folder: Path, kept: dict[str, Any]) -> "Recorded":
 
 def _trial_params(kept: dict[str, Any]) -> "TrialParams":
     """The parameters of a trial from its run.json; what older versions did not write is default."""
-    from hapticd.analysis.spa import DEFAULT_LAG
+    from hapticd.analysis.spectra import DEFAULT_LAG
     from hapticd.measure.sources import Trial
     from hapticd.measure.trial import Layout, TrialParams
     from hapticd.plant.scene import Excitation

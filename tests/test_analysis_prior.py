@@ -5,11 +5,10 @@ against escape.
 import numpy as np
 import pytest
 
-from hapticd.analysis.closed import spectral_radius
-from hapticd.analysis.foresight import Foresight
 from hapticd.analysis.linearise import Perturbation
-from hapticd.analysis.loop import with_viscous
+from hapticd.analysis.loop import spectral_radius, with_viscous
 from hapticd.analysis.predict import predict, predicted_impedance
+from hapticd.analysis.prior import ModelPrior
 from hapticd.analysis.surrogate import Box
 from hapticd.measure.scenes import filters
 from hapticd.plant.compose import compose
@@ -23,7 +22,7 @@ THEORY = load_scene("theory")
 
 
 def foresight(scene, damping):
-    return Foresight(compose(scene), BOX, F, damping, filters(scene), Perturbation())
+    return ModelPrior(compose(scene), BOX, F, damping, filters(scene), Perturbation())
 
 
 @pytest.mark.parametrize("damping", [0.0, 1.74])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hapticd.analysis import kernels as kernel_module
-from hapticd.analysis.local_fits import TERMS, Fit, Transforms, local_fits
+from hapticd.analysis.kernels import TERMS, Fit, Transforms, local_fits
 
 SAMPLES = 4096
 HALF = 20

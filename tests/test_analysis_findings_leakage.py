@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from spectral_trials import LAG, RATE_HZ, mass_damper
 
+from hapticd.analysis.covariances import Covariances
+from hapticd.analysis.findings import leakage_findings, shrinkage
 from hapticd.analysis.impedance import impedance
-from hapticd.analysis.leakage import leakage_findings, shrinkage
-from hapticd.analysis.sections import Covariances
-from hapticd.analysis.spa import spa
-from hapticd.analysis.spectra import Spectra, spectra
+from hapticd.analysis.spectra import Spectra, spa, spectra
 
 BAND = (2.0, 500.0)
 N = 360_000

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from hapticd.analysis.arrays import aligned
-from hapticd.analysis.lanes import LAG, LaneSections, shared_force
-from hapticd.analysis.spa import spa
+from hapticd.analysis.batch_spectra import LAG, BatchSections, shared_force
+from hapticd.analysis.spectra import spa
 
 COUNTS = {np.float32: 32, np.float64: 16}  # two vectors of each
 WIDTH = 3  # vectors between samples hold something else
@@ -24,7 +24,7 @@ def trials(n_samples, count, drift=0.01, seed=1):
 def analysed(force, velocity, scalar):
     """Feed sections as the engine leaves them: rows of all trials, every WIDTH-th row a sample."""
     count = len(velocity)
-    sums = LaneSections(shared_force(force, scalar), count, scalar)
+    sums = BatchSections(shared_force(force, scalar), count, scalar)
     block = aligned(LAG * WIDTH * count, scalar)
     rows = block.reshape(-1, count)
     place = np.arange(LAG) * WIDTH * (count * np.dtype(scalar).itemsize // 64)

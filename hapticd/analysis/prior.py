@@ -12,7 +12,7 @@ escapes in bursts of b / b_c times the usual motion:
 
 0 where bursts of three times the usual escape, as `linearise` assumes; above, larger ones are
 needed; a loop that is stable without friction has b_c <= 0, and is not followed below -0.4 of the
-friction at rest. Which headroom 90 s of trial need is not known from theory (`escape` learns it).
+friction at rest. Which headroom 90 s of trial need is not known from theory (`search` learns it).
 
 Re Z and b are computed for each point; b_c, smooth in K, B and M, is interpolated on a grid of the
 box. Where several bodies rub, their friction is scaled together. What would break it: a device that
@@ -25,8 +25,6 @@ from itertools import product
 import numpy as np
 
 from hapticd.analysis.arrays import Floats
-from hapticd.analysis.boundary import grid
-from hapticd.analysis.closed import spectral_radius
 from hapticd.analysis.linearise import (
     BURSTS,
     Linearised,
@@ -34,7 +32,8 @@ from hapticd.analysis.linearise import (
     linearise,
     recorded_impedance,
 )
-from hapticd.analysis.loop import Filters, close_loop
+from hapticd.analysis.loop import Filters, close_loop, spectral_radius
+from hapticd.analysis.passive_set import grid
 from hapticd.analysis.predict import NOMINAL_NS_PER_M, chunks, coulomb, frequencies, rubbed
 from hapticd.analysis.surrogate import Box
 from hapticd.plant.model import Model
@@ -46,7 +45,7 @@ SHARES = (  # of the friction at rest, at which stability is looked at
 _LEAST_NS_PER_M = 1e-6
 
 
-class Foresight:
+class ModelPrior:
     """`resistance` and `headroom` of `model` at a damping level under environments in `box`."""
 
     def __init__(

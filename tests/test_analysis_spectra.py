@@ -11,12 +11,11 @@ from hypothesis import strategies as st
 from octave.run import GOLDEN, record, spa_by_octave
 from programs import octave_with_signal
 
+from hapticd.analysis import covariances, spectra
 from hapticd.analysis import kernels as kernel_module
-from hapticd.analysis import sections, spa, trend
 from hapticd.analysis.impedance import impedance
-from hapticd.analysis.spa import SpectralStream
-from hapticd.analysis.spa import spa as estimate
-from hapticd.analysis.spectra import corrected
+from hapticd.analysis.spectra import SpectralStream, corrected
+from hapticd.analysis.spectra import spa as estimate
 from hapticd.errors import AnalysisError
 
 RATE_HZ = 4000.0
@@ -81,7 +80,7 @@ def test_plain_kernels_equal_the_compiled_ones(monkeypatch):
     force, velocity = record(50_000, 3)
     assert kernel_module.kernels().compiled, "numba is part of the test environment"
     compiled = estimate(force, velocity, RATE_HZ, 128)
-    for module in (sections, spa, trend):
+    for module in (covariances, spectra):
         monkeypatch.setattr(module, "kernels", lambda: kernel_module.PLAIN)
     plain = estimate(force, velocity, RATE_HZ, 128)
     for name in ("velocity", "force", "cross"):
@@ -283,7 +282,7 @@ def test_empty_stream_has_nothing_to_say():
     with pytest.raises(AnalysisError, match="record of 0 samples"):
         SpectralStream().spectra()
     with pytest.raises(AnalysisError, match="no samples: nothing to correlate"):
-        sections.Sections(8).covariances()
+        covariances.Sections(8).covariances()
 
 
 def test_unknown_estimator_is_refused():

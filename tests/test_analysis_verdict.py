@@ -8,11 +8,9 @@ import pytest
 from scipy import stats
 from spectral_trials import exact_trial, mass_damper, record, with_phase_margin
 
-from hapticd.analysis.confidence import sidak, student_quantile
-from hapticd.analysis.diagnostics import Finding, examine
-from hapticd.analysis.energy import energy
-from hapticd.analysis.passivity import judge
-from hapticd.analysis.spa import spa
+from hapticd.analysis.findings import Finding, energy, examine
+from hapticd.analysis.spectra import spa
+from hapticd.analysis.verdict import judge, sidak, student_quantile
 from hapticd.errors import AnalysisError
 
 NU = 2 * 360_000 / 1536 - 2

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from spectral_trials import exact_trial, mass_damper, record, with_phase_margin
 
-from hapticd.analysis.passivity import half_width, judge
+from hapticd.analysis.covariances import Covariances
 from hapticd.analysis.periodic import periodic
-from hapticd.analysis.sections import Covariances
-from hapticd.analysis.spa import SpectralStream, spa
-from hapticd.analysis.spectra import corrected, spectra
+from hapticd.analysis.spectra import SpectralStream, corrected, spa, spectra
+from hapticd.analysis.verdict import half_width, judge
 from hapticd.errors import AnalysisError
 
 CHANNELS = ("velocity", "force", "cross")

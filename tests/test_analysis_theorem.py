@@ -8,9 +8,14 @@ import numpy as np
 import pytest
 from analysis_devices import display, rigid
 
-from hapticd.analysis.lifted import lift, lifted_margin, lifted_passive
 from hapticd.analysis.loop import PAPER_FILTERS, derivatives, held, pulse_transfer, responses
-from hapticd.analysis.requirement import paper_equation_2, required_damping
+from hapticd.analysis.theorem import (
+    lift,
+    lifted_margin,
+    lifted_passive,
+    paper_equation_2,
+    required_damping,
+)
 from hapticd.errors import AnalysisError
 
 PLAIN = (None, None)

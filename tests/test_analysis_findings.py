@@ -8,11 +8,9 @@ import pytest
 from spectral_trials import exact_trial, mass_damper, record
 
 from hapticd.analysis.channels import channel_findings, high_pass, skew
-from hapticd.analysis.diagnostics import examine
-from hapticd.analysis.passivity import judge
-from hapticd.analysis.spa import spa
-from hapticd.analysis.spectra import corrected
-from hapticd.analysis.unexplained import coherence_findings
+from hapticd.analysis.findings import coherence_findings, examine
+from hapticd.analysis.spectra import corrected, spa
+from hapticd.analysis.verdict import judge
 from hapticd.errors import AnalysisError
 
 RATE_HZ = 4000.0

@@ -9,12 +9,11 @@ import pytest
 from analysis_devices import rigid
 from spectral_trials import mass_damper, record, with_phase_margin
 
-from hapticd.analysis.diagnostics import examine
+from hapticd.analysis.findings import coherence_findings, examine
 from hapticd.analysis.impedance import impedance
-from hapticd.analysis.passivity import judge
 from hapticd.analysis.predict import predicted_impedance
-from hapticd.analysis.spa import spa
-from hapticd.analysis.unexplained import coherence_findings
+from hapticd.analysis.spectra import spa
+from hapticd.analysis.verdict import judge
 from hapticd.engine import simulate
 from hapticd.plant.scene import Excitation
 

@@ -1,16 +1,16 @@
 """Spectra of many trials that share one force record, while they are simulated: no velocity record
 is ever kept.
 
-As `sections`, with the trials side by side: every 2,048 samples each trial's section is transformed
-once (`lane_kernels`), and six numbers a frequency are summed. The force is the same for all, so its
-transforms are made once. With U of the velocity, Y of the force, s = (-1)^k for a delay by a
-section:
+As `covariances`, with the trials side by side: every 2,048 samples each trial's section is
+transformed once (`batch_fft`), and six numbers a frequency are summed. The force is the same for
+all, so its transforms are made once. With U of the velocity, Y of the force, s = (-1)^k for a delay
+by a section:
 
     velocity   sum conj(U_i) (U_i + s U_i+1)
     forward    sum conj(U_i) (Y_i + s Y_i+1)
     backward   sum U_i conj(Y_i + s Y_i-1)
 
-Trends are taken out of the covariances afterwards (`trend`). float32 costs 1e-7 of the largest
+Trends are taken out of the sums afterwards (`line_products`). float32 costs 1e-7 of the largest
 value of a spectrum.
 
 What would break it: a force record that differs between trials, or a window other than 2,048
@@ -24,10 +24,9 @@ from typing import Any
 import numpy as np
 
 from hapticd.analysis.arrays import CACHE_LINE, Complexes, Floats, Integers, Values, aligned
-from hapticd.analysis.sections import Sections
-from hapticd.analysis.spa import DEFAULT_LAG as LAG
+from hapticd.analysis.covariances import NO_SAMPLES, Moments, Sections, line_products
+from hapticd.analysis.spectra import DEFAULT_LAG as LAG
 from hapticd.analysis.spectra import on_the_grid
-from hapticd.analysis.trend import NO_SAMPLES, Moments, line_products
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,11 +72,11 @@ def shared_force(force_n: Floats, scalar: type[np.floating[Any]]) -> SharedForce
     )
 
 
-class LaneSections:
+class BatchSections:
     """Sums over `count` trials, a multiple of what a vector holds (16 float32, 8 float64)."""
 
     def __init__(self, force: SharedForce, count: int, scalar: type[np.floating[Any]]) -> None:
-        from hapticd.analysis import lane_kernels as compiled
+        from hapticd.analysis import batch_fft as compiled
 
         self._force = force
         self._scalar = scalar
@@ -201,7 +200,7 @@ def _cut(signal: Floats, count: int) -> Floats:
 
 @cache
 def _bins() -> Integers:
-    from hapticd.analysis.lane_kernels import pair_order
+    from hapticd.analysis.batch_fft import pair_order
 
     return np.asarray(pair_order()[1])
 

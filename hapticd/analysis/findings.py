@@ -1,0 +1,436 @@
+"""The definition itself: energy that has flowed into the device at the port, never less than minus
+what it held at the start.
+
+E(t) = integral of F v. With interval means of both channels sum(F_k v_k) T is the exact work of a
+force held over each interval; no trend is removed, because the energy of a trial is that of its
+true force and velocity. Starting at rest a passive device keeps E >= 0. A trial whose noise drives
+mostly frequencies where the device dissipates stays far above 0 although it is active at others:
+the spectral verdict is the sharper one, this is the unconditional one.
+
+What may be wrong with a trial, detected from its record, and named.
+
+saturation      a channel stays at its end value: given limits, or a flat top that no noise has
+escape          the velocity of some second is several times that of the calm ones, under a force
+                that did not grow as much: the loop ran away
+drift           offset or trend of the velocity, or a level that changes between the halves of the
+                record
+dropout         seconds without a perturbation, or with a velocity that stands still: silence is no
+                knowledge
+
+Skew and high-pass of the channels are in `channels`. A finding with `voids` leaves nothing to
+decide, one with `unstable` says that the loop is not stable. Thresholds are those at which a 90 s
+trial of noise alone never raised them (tests).
+
+What the perturbation does not explain of a motion: low coherence, and lines. Named with what
+follows for |Z|.
+
+low_coherence   the perturbation explains less than half of the motion over part of the band, or at
+                its lower edge
+oscillation     a narrow line carries much of the velocity and the perturbation does not explain it:
+                a limit cycle
+line            the same with little of it: a limit cycle or hum
+unresolved      much of it in a line that is narrower than the window, which the perturbation may
+                explain
+
+Noise in the velocity makes "spa" read |Z| low by the coherence. The lower edge counts because it is
+read with the band: the window's 1.95 Hz is anybody's 2 Hz. Thresholds are those at which a 90 s
+trial of noise alone never raised them (tests).
+
+A window makes a resonance that is narrower than itself incoherent: a coherence of 0.2 is no proof
+of a limit cycle. What goes on by itself has none but that of chance, 2/nu. In between the record
+decides (`resolved`), and without one nothing is decided.
+
+What would break it: a limit cycle that the perturbation drives in part, where there is no record.
+
+How far "spa" reads |Z| low where the velocity has little power: below the resonance of a lightly
+damped spring.
+
+There the spring lets through v ~ f / K, so the velocity's spectrum is steep, and small beside that
+of the resonance. Two things fill it up, and Z = Phi_yu / Phi_u shrinks as they do:
+
+    window      covariances at lag t are multiplied by W(t): the spectrum is smoothed, and |Z| of a
+                spring shrinks by s^2 / (f^2 + s^2), 5 % at 3 Hz for M = 2048
+    record      those of a record of N samples are multiplied by 1 - |t|/N as well: a sharp
+                resonance leaks down to the band edge, whatever the window
+
+What they did once is seen by doing it once more (twicing, Tukey 1977), which is a product with the
+covariances. The phase is pulled towards 0 as well, and can hide a little activity. A longer window
+cures the first, a longer record the second, whole periods (`periodic`) both; "h_force" leaves Phi_u
+out, which is what is filled up.
+
+What would break it: spectra that are not on the window's own grid, which do not hold the
+covariances (nothing is said).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hapticd.analysis.arrays import Complexes, Flags, Floats, Integers
+from hapticd.analysis.covariances import detrended, same_length
+from hapticd.analysis.impedance import Estimator, impedance
+from hapticd.analysis.spectra import Spectra
+from hapticd.errors import AnalysisError
+
+
+@dataclass(frozen=True, slots=True)
+class Energy:
+    """Energy integral of a record [J]: its minimum with the time of it [s], and its value at
+    the end.
+    """
+
+    minimum_j: float
+    minimum_s: float
+    end_j: float
+
+
+def energy(force_n: Floats, velocity_m_per_s: Floats, rate_hz: float) -> Energy:
+    """Energy integral of force and velocity (N,), N >= 1, sampled at `rate_hz`."""
+    flowed = np.cumsum(force_n * velocity_m_per_s) / rate_hz
+    lowest = int(np.argmin(flowed))
+    if flowed[lowest] >= 0.0:
+        return Energy(0.0, 0.0, float(flowed[-1]))
+    return Energy(float(flowed[lowest]), (lowest + 1) / rate_hz, float(flowed[-1]))
+
+
+# of all samples at the end value; how far below it others are counted
+FLAT_SHARE = 1e-4
+FLAT_BELOW = 0.02
+ESCAPE_RATIO = 4.0  # of a second's rms to the lower quartile of all
+SILENT = 0.1  # of the upper quartile of a second's rms: there the force is none
+DRIFT_SHARE = 0.5  # of the standard deviation
+LEVEL_RATIO = 1.25  # of the force's rms between the halves; the velocity may change twice as much
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """`code` for programs, `message` with value and remedy for people."""
+
+    code: str
+    message: str
+    voids: bool = False
+    unstable: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """What the samples say before any spectrum: duration, energy, standard deviation of the
+    detrended velocity, findings.
+    """
+
+    seconds: float
+    energy: Energy
+    velocity_sd_m_per_s: float
+    findings: tuple[Finding, ...]
+
+
+def examine(
+    force_n: Floats,
+    velocity_m_per_s: Floats,
+    rate_hz: float,
+    force_limit_n: float | None = None,
+    velocity_limit_m_per_s: float | None = None,
+) -> Record:
+    """Look at the samples of a trial, both (N,) float64 at `rate_hz`. The limits are those of the
+    channels.
+
+    AnalysisError for unequal lengths or less than two seconds.
+    """
+    same_length(force_n, velocity_m_per_s)
+    if force_n.size < 2 * rate_hz:
+        raise AnalysisError(
+            f"record of {force_n.size / rate_hz:.3g} s: at least 2 s are needed to tell noise from"
+            " drift"
+        )
+    force = detrended(force_n)
+    velocity = detrended(velocity_m_per_s)
+    findings = (
+        *_saturation("torque", force_n, force_limit_n, "N", "lower the perturbation"),
+        *_saturation(
+            "velocity",
+            velocity_m_per_s,
+            velocity_limit_m_per_s,
+            "m/s",
+            "lower the perturbation or the gain",
+        ),
+        *_by_seconds(force, velocity, velocity_m_per_s, rate_hz),
+        *_drift(velocity_m_per_s, velocity),
+        *_level("perturbation", force, LEVEL_RATIO),
+        *_level("velocity", velocity, 2.0 * LEVEL_RATIO),
+    )
+    flowed = energy(force_n, velocity_m_per_s, rate_hz)
+    return Record(force.size / rate_hz, flowed, float(velocity.std()), findings)
+
+
+def _saturation(
+    name: str, signal: Floats, limit: float | None, unit: str, remedy: str
+) -> tuple[Finding, ...]:
+    size = np.abs(signal)
+    top = float(size.max()) if limit is None else limit
+    at = np.flatnonzero(size >= top * (1.0 - 1e-9))
+    if top <= 0.0 or not at.size or (limit is None and not _is_flat(size, top, at)):
+        return ()
+    share = 100.0 * at.size / size.size
+    return (
+        Finding(
+            "saturation",
+            f"{name} saturated at {top:.4g} {unit} in {share:.2g} % of the samples; {remedy}",
+            voids=True,
+        ),
+    )
+
+
+def _is_flat(size: Floats, top: float, at: Integers) -> bool:
+    """Whether the largest value is met oftener than by chance: more than just below it, and not
+    once a period.
+    """
+    below = int(((size > (1.0 - FLAT_BELOW) * top) & (size < top * (1.0 - 1e-9))).sum())
+    crowded = at.size >= FLAT_SHARE * size.size and at.size > 2 * below
+    return bool(crowded and np.unique(np.diff(at)).size > 2)
+
+
+def _by_seconds(
+    force: Floats, velocity: Floats, raw_velocity: Floats, rate_hz: float
+) -> tuple[Finding, ...]:
+    """Dropouts, and an escape among the seconds that have none."""
+    pushed, moved = (_seconds(signal, rate_hz).std(axis=1) for signal in (force, velocity))
+    silent = pushed < SILENT * np.quantile(pushed, 0.75)
+    still = ~silent & (np.ptp(_seconds(raw_velocity, rate_hz), axis=1) == 0.0)
+    rms = np.sqrt(np.mean(_seconds(velocity, rate_hz) ** 2, axis=1))
+    live = moved[~(silent | still)]
+    rms[silent | still] = np.quantile(live, 0.25) if live.size else 0.0
+    escaped = escape_findings(rms, 1.0, pushed)
+    return (
+        *_dropout("no perturbation", silent),
+        *_dropout("velocity stood still", still),
+        *escaped,
+    )
+
+
+def _seconds(signal: Floats, rate_hz: float) -> Floats:
+    """Rows of a second each; the last one ends with the record."""
+    window = int(rate_hz)
+    rows = signal[: signal.size // window * window].reshape(-1, window)
+    return np.concatenate((rows, signal[None, -window:])) if signal.size % window else rows
+
+
+def _dropout(what: str, where: Flags) -> tuple[Finding, ...]:
+    if not where.any():
+        return ()
+    message = (
+        f"{what} in {100.0 * where.mean():.2g} % of the record, from {where.argmax()} s on; cut"
+        " that out, or repeat the trial"
+    )
+    return (Finding("dropout", message, voids=True),)
+
+
+def escape_findings(
+    rms: Floats, window_s: float, pushed: Floats | None = None
+) -> tuple[Finding, ...]:
+    """Escape by the rms velocity of windows of about a second (n,), and that of the force (n,)
+    where it may change: a force that is stronger than usual moves a stable device as much faster.
+    """
+    calm = float(np.quantile(rms, 0.25))
+    usual = 0.0 if pushed is None else float(np.quantile(pushed, 0.25))
+    stronger = np.maximum(1.0, pushed / usual) if pushed is not None and usual > 0.0 else 1.0
+    loud = np.flatnonzero(rms > ESCAPE_RATIO * calm * stronger)
+    if not loud.size:
+        return ()
+    at_s = loud[0] * window_s
+    message = (
+        f"escape at {at_s:.3g} s: the velocity grew from {calm:.3g} to {rms.max():.3g} m/s rms; the"
+        " loop is not stable there"
+    )
+    return (Finding("escape", message, unstable=True),)
+
+
+def _drift(raw: Floats, without: Floats) -> tuple[Finding, ...]:
+    spread = float(without.std())
+    offset = float(raw.mean())
+    trend = float((raw - without)[-1] - (raw - without)[0])
+    if max(abs(offset), abs(trend)) <= DRIFT_SHARE * spread:
+        return ()
+    message = (
+        f"velocity drift: offset {offset:.3g} m/s, trend {trend:.3g} m/s over the record, noise"
+        f" {spread:.3g} m/s; zero the sensor"
+    )
+    return (Finding("drift", message),)
+
+
+def _level(name: str, signal: Floats, most: float) -> tuple[Finding, ...]:
+    middle = signal.size // 2
+    first, second = (float(half.std()) for half in (signal[:middle], signal[middle:]))
+    if max(first, second) <= most * min(first, second):
+        return ()
+    message = (
+        f"{name} drift: {first:.3g} rms in the first half, {second:.3g} in the second; the trial"
+        " mixes two conditions, repeat it"
+    )
+    return (Finding("drift", message),)
+
+
+LOW_COHERENCE = 0.5
+LINE_WIDTH = 6  # neighbouring values that make a line
+LINE_SHARE = 0.3  # of the velocity's power, unexplained, in a line
+SMALL_LINE = 0.02  # the same, from which it is mentioned
+LINE_HEIGHT = 5.0  # of a line over what is beside it
+CHANCE = 3.0  # times the coherence that chance gives on average: below, a line has none
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A narrow line at `place` of the frequencies, in which `share` of the velocity's power is not
+    explained; median `coherence` about it.
+    """
+
+    place: int
+    frequency_hz: float
+    share: float
+    coherence: float
+
+
+def coherence_findings(
+    trial: Spectra, band_hz: tuple[float, float], estimator: Estimator = "spa"
+) -> tuple[Finding, ...]:
+    """Low coherence (named by share and range), and a line that the perturbation does not explain.
+
+    Looked at are `band_hz` and what is read together with its lower edge: a resolution below it,
+    where the window still says something.
+    """
+    low_hz = min(band_hz[0], max(trial.lowest_hz, band_hz[0] - trial.bandwidth_hz))
+    inside = (trial.frequency_hz >= low_hz) & (trial.frequency_hz <= band_hz[1])
+    return (
+        *_incoherent(trial.frequency_hz[inside], trial.coherence[inside], estimator),
+        *_line(trial),
+    )
+
+
+def _incoherent(
+    frequency_hz: Floats, coherence: Floats, estimator: Estimator
+) -> tuple[Finding, ...]:
+    low = coherence < LOW_COHERENCE
+    if not low.any():
+        return ()
+    message = (
+        f"low coherence: below {LOW_COHERENCE:g} at {100 * low.mean():.2g} % of the frequencies,"
+        f" from {frequency_hz[low][0]:.3g} to {frequency_hz[low][-1]:.3g} Hz; perturb more strongly"
+        " there or record longer"
+    )
+    return (
+        Finding(
+            "low_coherence",
+            message + (_shrunk(frequency_hz, coherence) if estimator == "spa" else ""),
+        ),
+    )
+
+
+def _shrunk(frequency_hz: Floats, coherence: Floats) -> str:
+    """What "spa" makes of noise in the velocity."""
+    worst = int(np.argmin(coherence))
+    return (
+        f"; |Z| by spa reads low there by the coherence, at {frequency_hz[worst]:.3g} Hz to"
+        f" {coherence[worst]:.2g} of its value, while the phase and the sign of Re Z stay; h_force"
+        " does not shrink it"
+    )
+
+
+def line_of(trial: Spectra) -> Line | None:
+    """The strongest line that is not explained, if it carries enough to be mentioned."""
+    if trial.frequency_hz.size <= 4 * LINE_WIDTH:
+        return None
+    unexplained = trial.velocity * (1.0 - trial.coherence)
+    total = float(trial.velocity.sum())
+    close = np.convolve(unexplained, np.ones(LINE_WIDTH), "same")
+    peak = 2 * LINE_WIDTH + int(np.argmax(close[2 * LINE_WIDTH : -2 * LINE_WIDTH]))
+    sides = (
+        close[peak - 2 * LINE_WIDTH : peak - LINE_WIDTH],
+        close[peak + LINE_WIDTH : peak + 2 * LINE_WIDTH],
+    )
+    beside = max(float(np.median(side)) for side in sides)
+    if close[peak] <= SMALL_LINE * total or close[peak] < LINE_HEIGHT * beside:
+        return None
+    about = trial.coherence[peak - LINE_WIDTH // 2 : peak + LINE_WIDTH // 2]
+    share = float(close[peak]) / total
+    return Line(peak, float(trial.frequency_hz[peak]), share, float(np.median(about)))
+
+
+def _line(trial: Spectra) -> tuple[Finding, ...]:
+    line = line_of(trial)
+    if line is None:
+        return ()
+    where = f"at {line.frequency_hz:.3g} Hz: {100 * line.share:.2g} % of the velocity's power"
+    known = trial.resolved or line.coherence < CHANCE * trial.variance_factor
+    if line.share <= LINE_SHARE:
+        message = (
+            f"line {where}, which the perturbation does not explain; hum of a sensor, or a small"
+            " limit cycle"
+        )
+        return (Finding("line", message),) if known else ()
+    if not known:
+        message = (
+            f"line {where}, narrower than the {trial.span}: a resonance or a limit cycle; "
+            "its record, or a longer window, tells them apart"
+        )
+        return (Finding("unresolved", message, voids=True),)
+    message = (
+        f"oscillation {where} is a line that the perturbation does not explain; the loop has a"
+        " limit cycle"
+    )
+    return (Finding("oscillation", message, unstable=True),)
+
+
+LOW_SHARE = 0.05  # of |Z|, from which it is named
+CERTAINTY = 3.0  # standard deviations of |Z|
+
+
+def shrinkage(trial: Spectra, estimator: Estimator = "spa") -> Complexes:
+    """What window and ends of the record did to Z, as the factor (F,) by which doing it again
+    changes it; 1 if it is unknown.
+    """
+    if trial.frequency_hz.size != trial.lag + 1 or trial.exact:
+        return np.ones(trial.frequency_hz.size, np.complex128)
+    rows = np.stack((trial.velocity + 0j, trial.force + 0j, trial.cross))
+    lags = np.abs(np.fft.fftfreq(2 * trial.lag, 0.5 / trial.lag))
+    again = 0.5 * (1.0 + np.cos(np.pi * lags / trial.lag)) * (1.0 - lags / trial.n_samples)
+    velocity, force, cross = np.fft.rfft(np.fft.irfft(rows, axis=1) * again, axis=1)
+    twice = Spectra(
+        trial.frequency_hz,
+        np.maximum(velocity.real, 0.0),
+        np.maximum(force.real, 0.0),
+        cross,
+        trial.rate_hz,
+        trial.n_samples,
+        trial.lag,
+    )
+    z, changed = (impedance(one, estimator).impedance_ns_per_m for one in (trial, twice))
+    return np.asarray(np.divide(changed, z, out=np.ones_like(z), where=np.isfinite(z) & (z != 0.0)))
+
+
+def leakage_findings(
+    trial: Spectra, band_hz: tuple[float, float], estimator: Estimator = "spa"
+) -> tuple[Finding, ...]:
+    """|Z| that is read low inside `band_hz` by more than a twentieth, and more than chance does.
+
+    The finding names the range of frequencies.
+
+    Where there is little coherence, that is what is named (`coherence_findings`).
+    """
+    inside = (trial.frequency_hz >= band_hz[0]) & (trial.frequency_hz <= band_hz[1])
+    factor = shrinkage(trial, estimator)[inside]
+    low = 1.0 - np.abs(factor)
+    spread = impedance(trial, estimator).relative_sd[inside]
+    named = (
+        (low > LOW_SHARE) & (low > CERTAINTY * spread) & (trial.coherence[inside] > LOW_COHERENCE)
+    )
+    if not named.any():
+        return ()
+    f = trial.frequency_hz[inside]
+    worst = int(np.argmax(np.where(named, low, 0.0)))
+    message = (
+        f"leakage: |Z| reads about {100 * low[worst]:.2g} % low at {f[worst]:.3g} Hz and the phase"
+        f" is pulled {abs(np.degrees(np.angle(factor[worst]))):.2g} deg towards 0, from"
+        f" {f[named][0]:.3g} to {f[named][-1]:.3g} Hz more than {100 * LOW_SHARE:g} %: a window of"
+        f" {trial.lag} samples does not resolve so lightly damped a motion; take a longer window"
+        " (--lag), h_force, a multisine, or begin the band higher"
+    )
+    return (Finding("leakage", message),)
