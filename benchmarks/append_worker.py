@@ -14,8 +14,8 @@ import numpy as np
 
 from hapticd.gateway.telemetry import PROBE_DTYPE as PROBE
 from hapticd.mailbox.layout import RECORD
-from hapticd.measure.recorder import LOOK_S
-from hapticd.measure.recording.live import CHUNK_ROWS
+from hapticd.recording.live import CHUNK_ROWS
+from hapticd.recording.recorder import LOOK_S
 
 SETTLED = 10  # appends before it counts
 

@@ -18,11 +18,11 @@ from benchmarks.figures import Figure, compared, refused
 from hapticd.analysis.loop import derivatives, held
 from hapticd.analysis.search import Search, first_trials, next_trials, predicted_passive
 from hapticd.analysis.surrogate import Box, Observation
-from hapticd.measure.beyond import SearchCheck, compared_with_grid
-from hapticd.measure.outcomes import Conditions
-from hapticd.measure.reproduce_rows import LEVELS
-from hapticd.measure.scenes import noise
 from hapticd.settings.scene import load_scene
+from hapticd.weir2008.future_work import SearchCheck, compared_with_grid
+from hapticd.weir2008.paper import LEVELS
+from hapticd.zwidth.outcomes import Conditions
+from hapticd.zwidth.scenes import noise
 
 TARGETS = targets.of("directed")
 BEND = {"search_nonaffine": 1.0, "search_affine": 0.0}

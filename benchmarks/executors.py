@@ -17,12 +17,12 @@ from benchmarks import targets
 from benchmarks.figures import Figure, compared
 from benchmarks.worker import BenchError
 from hapticd.engine.batch import workers
-from hapticd.measure.campaign import MapParams, MapPlan, plan_map, run_map
-from hapticd.measure.executors import executor
-from hapticd.measure.outcomes import TOGETHER, Conditions
-from hapticd.measure.scenes import noise
-from hapticd.measure.store import TrialStore
 from hapticd.settings.scene import load_scene
+from hapticd.zwidth.executors import executor
+from hapticd.zwidth.map import MapParams, MapPlan, plan_map, run_map
+from hapticd.zwidth.outcomes import TOGETHER, Conditions
+from hapticd.zwidth.scenes import noise
+from hapticd.zwidth.store import TrialStore
 
 TARGETS = targets.of("executors")
 SCENE = "fig7"

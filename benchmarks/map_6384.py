@@ -17,14 +17,14 @@ from benchmarks.engine_scene import Lanes
 from benchmarks.figures import Figure, compared
 from benchmarks.spa_c import SpectraYard
 from hapticd.engine.batch import workers
-from hapticd.measure.campaign import MapParams, plan_map, run_map
-from hapticd.measure.outcomes import Conditions
-from hapticd.measure.reproduce import AXES
-from hapticd.measure.scenes import noise
-from hapticd.measure.store import TrialStore
 from hapticd.plant.compose import compose
 from hapticd.settings.scene import load_scene
 from hapticd.units import PROBE_RATE_HZ
+from hapticd.weir2008.run import AXES
+from hapticd.zwidth.map import MapParams, plan_map, run_map
+from hapticd.zwidth.outcomes import Conditions
+from hapticd.zwidth.scenes import noise
+from hapticd.zwidth.store import TrialStore
 
 TARGETS = targets.of("map_6384")
 SCENE = "fig7"

@@ -20,10 +20,10 @@ from benchmarks.worker import ROOT, BenchError, environment, started, told
 from hapticd.client import Client
 from hapticd.gateway.telemetry import PROBE_DTYPE as PROBE
 from hapticd.mailbox.layout import RECORD
-from hapticd.measure.recorder import RecordingParams
-from hapticd.measure.recording.file import open_recording
-from hapticd.measure.recording.pack import pack
-from hapticd.measure.reflight import refly
+from hapticd.recording.file import open_recording
+from hapticd.recording.pack import pack
+from hapticd.recording.recorder import RecordingParams
+from hapticd.recording.replay import refly
 from hapticd.units import PROBE_RATE_HZ
 
 TARGETS = targets.of("record")

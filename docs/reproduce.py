@@ -13,7 +13,7 @@ from pathlib import Path
 
 from pages.reproduction import filled
 
-from hapticd.report.paper_table import from_json
+from hapticd.weir2008.table import from_json
 
 DOCS = Path(__file__).parent
 PAGE = DOCS / "reproduction.md"

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from hapticd.measure.outcomes import Conditions, fly
 from hapticd.report.envelope import envelope_figure
 from hapticd.report.style import save
 from hapticd.settings.scene import load_scene
+from hapticd.zwidth.outcomes import Conditions, fly
 
 
 def main(folder: Path, trials: int = 200, seconds: float = 90.0) -> int:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from typing import Any
 
-from hapticd.measure.outcomes import Conditions, Outcome, fly
+from hapticd.zwidth.outcomes import Conditions, Outcome, fly
 
 
 class StandIn(Executor):

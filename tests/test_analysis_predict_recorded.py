@@ -8,10 +8,10 @@ from analysis_devices import display
 
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.predict import DEFAULT_BAND_HZ, frequencies, predict, predicted_impedance
-from hapticd.measure.limits import predicted_limit
-from hapticd.measure.reproduce import EDGES_HZ, POINTS, TOP_HZ, conditions
-from hapticd.measure.reproduce_rows import LEVELS, MAIN
 from hapticd.plant.effects import VelocityHighpass
+from hapticd.weir2008.paper import LEVELS, MAIN
+from hapticd.weir2008.run import EDGES_HZ, POINTS, TOP_HZ, conditions
+from hapticd.zwidth.limits import predicted_limit
 
 WHITE = Perturbation()
 RIVAL = "weir2008_probe_hp"

@@ -10,9 +10,9 @@ from hapticd.analysis.loop import spectral_radius, with_viscous
 from hapticd.analysis.predict import predict, predicted_impedance
 from hapticd.analysis.prior import ModelPrior
 from hapticd.analysis.surrogate import Box
-from hapticd.measure.scenes import filters
 from hapticd.plant.compose import compose
 from hapticd.settings.scene import load_scene
+from hapticd.zwidth.scenes import filters
 
 F = np.array([2.9296875, 8.7890625, 40.0390625, 90.8203125, 250.0, 499.0234375])
 BOX = Box((0.0, 0.0, -0.02), (1500.0, 9.0, 0.03))

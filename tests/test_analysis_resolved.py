@@ -18,14 +18,14 @@ from hapticd.analysis.spectra import spa
 from hapticd.analysis.verdict import DEFAULT_BAND_HZ as BAND
 from hapticd.analysis.verdict import Verdict, judge
 from hapticd.engine import simulate
-from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
-from hapticd.measure.outcomes import Conditions, Outcome, fly
-from hapticd.measure.sources import Trial
-from hapticd.measure.store import Recorded, TrialStore
-from hapticd.measure.trial import TrialParams, judged, plan_trial
 from hapticd.plant.compose import compose
 from hapticd.plant.effects import Coulomb, Encoder, Masses, ProbeMass, Saturation, Viscous
 from hapticd.plant.scene import Excitation, Scene
+from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
+from hapticd.zwidth.outcomes import Conditions, Outcome, fly
+from hapticd.zwidth.sources import Trial
+from hapticd.zwidth.store import Recorded, TrialStore
+from hapticd.zwidth.trial import TrialParams, judged, plan_trial
 
 T = 1e-3
 LIMIT = Saturation(limit_n=8.0)

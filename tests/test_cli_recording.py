@@ -21,8 +21,8 @@ from hapticd.cli import daemon, recording
 from hapticd.cli.app import main
 from hapticd.clock import VirtualClock
 from hapticd.gateway.flight import flights_folder
-from hapticd.measure import recorder
 from hapticd.params import InjectionParams
+from hapticd.recording import recorder
 from hapticd.units import NS_PER_S
 
 

@@ -152,12 +152,12 @@ def test_map_goes_on_and_is_drawn_again(tmp_path, capsys):
 
 
 def test_interrupted_map_says_how_to_go_on(tmp_path, capsys, monkeypatch):
-    from hapticd.measure import campaign
+    from hapticd.zwidth import map
 
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(campaign, "run_map", interrupted)
+    monkeypatch.setattr(map, "run_map", interrupted)
     code, _, err = run(["map", "--out", str(tmp_path / "m"), *SHORT], capsys)
     assert code == 130
     assert f"the same command with --out {tmp_path / 'm'} goes on there" in err
@@ -246,14 +246,14 @@ def test_interrupted_map_has_told_what_it_kept(tmp_path, capsys, monkeypatch):
 
 def test_dead_workers_leave_what_is_kept(tmp_path, capsys, monkeypatch):
     from hapticd.errors import HapticdError
-    from hapticd.measure import campaign
+    from hapticd.zwidth import map
 
     assert run(small_map(tmp_path), capsys)[0] == 0
 
     def died(*_):
         raise HapticdError("a worker process died")
 
-    monkeypatch.setattr(campaign, "run_map", died)
+    monkeypatch.setattr(map, "run_map", died)
     code, out, err = run(small_map(tmp_path, "--json"), capsys)
     assert code == 1
     assert json.loads(out)["error"]["message"] == "a worker process died"
@@ -296,8 +296,8 @@ def test_limits_tell_outcomes_with_their_limit(tmp_path, capsys):
 
 
 def test_search_tells_outcomes_and_runs_where_it_is_told(tmp_path, capsys, monkeypatch):
-    from hapticd.measure import directed
-    from hapticd.measure.outcomes import fly
+    from hapticd.zwidth import search
+    from hapticd.zwidth.outcomes import fly
 
     pools = []
 
@@ -306,7 +306,7 @@ def test_search_tells_outcomes_and_runs_where_it_is_told(tmp_path, capsys, monke
         hear(fly(plan.params.conditions, plan.params.damping_ns_per_m, np.zeros((2, 3))))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(directed, "run_search", searched)
+    monkeypatch.setattr(search, "run_search", searched)
     words = ["search", *SHORT, "--damping", "1.74", "--json", "--out", str(tmp_path), "--executor"]
     for where in ("thread", "process"):
         code, out, err = run([*words, where], capsys)
@@ -434,10 +434,10 @@ def test_mistakes_are_answered_in_words(words, code, said, tmp_path, capsys):
 
 def test_envelope_is_drawn_while_trials_arrive(tmp_path, monkeypatch):
     from hapticd.cli.zwidth import map as verb
-    from hapticd.measure.outcomes import Conditions, fly
-    from hapticd.measure.scenes import noise
-    from hapticd.measure.store import write_run
     from hapticd.settings.scene import load_scene
+    from hapticd.zwidth.outcomes import Conditions, fly
+    from hapticd.zwidth.scenes import noise
+    from hapticd.zwidth.store import write_run
 
     scene = load_scene("theory")
     conditions = Conditions(scene, 20.0, noise(scene))

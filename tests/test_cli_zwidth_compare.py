@@ -9,7 +9,7 @@ import pytest
 
 from hapticd.cli.app import main
 from hapticd.errors import AnalysisError, ConfigError
-from hapticd.measure.portable import compare
+from hapticd.zwidth.portable import compare
 
 pytest.importorskip("matplotlib")
 

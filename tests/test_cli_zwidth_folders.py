@@ -15,8 +15,8 @@ from measured_scenes import RIGID
 
 from hapticd.cli.app import main
 from hapticd.cli.zwidth.common import scene_of
-from hapticd.measure.portable import device_hash
 from hapticd.settings.toml import shipped
+from hapticd.zwidth.portable import device_hash
 
 pytest.importorskip("matplotlib")
 
@@ -93,7 +93,7 @@ def test_interrupted_limits_go_on(
 def test_interrupted_run_says_that_nothing_is_kept(
     verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from hapticd.measure import trial, walls
+    from hapticd.zwidth import trial, walls
 
     monkeypatch.setattr(trial, "run_trial", interrupted)
     monkeypatch.setattr(walls, "run_walls", interrupted)
@@ -154,7 +154,7 @@ def test_impedance_is_written_for_other_programs(
 ) -> None:
     from hapticd.analysis.impedance import impedance
     from hapticd.analysis.spectra import spa
-    from hapticd.measure.recorded import read_file
+    from hapticd.zwidth.recorded import read_file
 
     assert run(["trial", "--seconds", "8", "--out", str(tmp_path)], capsys)[0] == 0
     with (tmp_path / "impedance.csv").open(newline="") as file:
@@ -251,9 +251,9 @@ def test_run_that_is_drawn_by_its_own_command_says_so(
 def test_interrupted_report_goes_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from hapticd.measure import campaign
+    from hapticd.zwidth import map
 
-    monkeypatch.setattr(campaign, "run_map", interrupted)
+    monkeypatch.setattr(map, "run_map", interrupted)
     code, _, err = run(
         ["report", "weir2008", *SHORT, "--damping", "1.74", "--out", str(tmp_path)], capsys
     )

@@ -12,8 +12,8 @@ from hapticd.analysis.loop import PAPER_FILTERS, spectral_radius
 from hapticd.analysis.outlook import outlook
 from hapticd.analysis.theorem import required_damping
 from hapticd.cli.app import main
-from hapticd.measure.scenes import display
 from hapticd.settings.scene import load_scene
+from hapticd.zwidth.scenes import display
 
 BAND = (2.0, 500.0)
 REFUSED = ["-K", "-34", "-B", "-0.86", "-M", "0.0048", "--damping", "1.74"]

@@ -19,14 +19,14 @@ from hapticd.analysis.verdict import judge, two_digits
 from hapticd.cli import change
 from hapticd.cli.app import app, main
 from hapticd.cli.zwidth.trial import compared, needed
-from hapticd.measure.lockstep import LockStepBench
-from hapticd.measure.referee import Referee
-from hapticd.measure.scenes import device_scene, scene_of_device
-from hapticd.measure.sources import Trial
-from hapticd.measure.trial import Layout, TrialParams
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
+from hapticd.zwidth.lockstep import LockStepBench
+from hapticd.zwidth.scenes import device_scene, scene_of_device
+from hapticd.zwidth.sources import Trial
+from hapticd.zwidth.stepped_sine import Referee
+from hapticd.zwidth.trial import Layout, TrialParams
 
 pytest.importorskip("matplotlib")
 

@@ -17,8 +17,8 @@ from hapticd.gateway import flight
 from hapticd.gateway.flight import FILES_KEPT, Flight, flights_folder
 from hapticd.mailbox.client_side import Noted
 from hapticd.mailbox.layout import Command
-from hapticd.measure.recording.file import open_recording
 from hapticd.params import InjectionParams
+from hapticd.recording.file import open_recording
 
 
 @pytest.fixture

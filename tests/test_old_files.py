@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from hapticd.cli.app import main
-from hapticd.measure import outcomes
+from hapticd.zwidth import outcomes
 
 pytest.importorskip("matplotlib")
 

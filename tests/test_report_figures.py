@@ -13,14 +13,6 @@ import pytest
 from measured_scenes import scene
 
 from hapticd.errors import ConfigError
-from hapticd.measure.accuracy import AccuracyResult, Row, plan_accuracy
-from hapticd.measure.effects import EffectsParams, EffectsResult, Left, plan_effects
-from hapticd.measure.scene_run import (
-    SceneResult,
-    compare_integrators,
-    plan_scene,
-    run_scene,
-)
 from hapticd.plant.scene import Excitation
 from hapticd.report import style
 from hapticd.report.study import (
@@ -36,6 +28,9 @@ from hapticd.report.study import (
     scene_table,
 )
 from hapticd.report.table import text
+from hapticd.study.accuracy import AccuracyResult, Row, plan_accuracy
+from hapticd.study.effects import EffectsParams, EffectsResult, Left, plan_effects
+from hapticd.study.scene import SceneResult, compare_integrators, plan_scene, run_scene
 
 PNG = b"\x89PNG\r\n\x1a\n"
 

@@ -7,7 +7,6 @@ from math import e
 import numpy as np
 import pytest
 
-from hapticd.measure.walls import WallLine, WallParams, WallResult, plan_walls
 from hapticd.report.passive_set import area, draw_guess, walls_figure
 from hapticd.report.style import (
     FINE,
@@ -22,6 +21,7 @@ from hapticd.report.style import (
     styled,
 )
 from hapticd.settings.scene import load_scene
+from hapticd.zwidth.walls import WallLine, WallParams, WallResult, plan_walls
 
 pytest.importorskip("matplotlib")
 

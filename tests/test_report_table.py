@@ -6,8 +6,8 @@ from math import inf, nan
 import numpy as np
 import pytest
 
-from hapticd.measure.store import plain
 from hapticd.report.table import duration, percent, shown, table, text
+from hapticd.zwidth.store import plain
 
 
 def test_numbers_stand_right_and_words_left() -> None:

@@ -6,18 +6,19 @@ import numpy as np
 import pytest
 
 from hapticd.analysis.passive_set import PassiveSet
-from hapticd.measure.campaign import LevelMap, MapResult
-from hapticd.measure.outcomes import Conditions, Outcome, fly, kept_frequencies
-from hapticd.measure.scenes import noise
-from hapticd.measure.sources import Trial, engine_source
-from hapticd.measure.store import Recorded
-from hapticd.measure.trial import Layout, TrialParams, judged, multisine_like, plan_trial, run_trial
 from hapticd.plant.scene import Excitation
 from hapticd.report.envelope import envelope_figure
 from hapticd.report.passive_set import slice_masses, slices
 from hapticd.report.style import OFF, ON, PARTS, PREDICTED, of_levels, of_mean, tint
 from hapticd.report.trial import trial_figure
 from hapticd.settings.scene import load_scene
+from hapticd.zwidth.map import LevelMap, MapResult
+from hapticd.zwidth.outcomes import Conditions, Outcome, fly, kept_frequencies
+from hapticd.zwidth.scenes import noise
+from hapticd.zwidth.simulated import engine_source
+from hapticd.zwidth.sources import Trial
+from hapticd.zwidth.store import Recorded
+from hapticd.zwidth.trial import Layout, TrialParams, judged, multisine_like, plan_trial, run_trial
 
 pytest.importorskip("matplotlib")
 

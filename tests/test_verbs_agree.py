@@ -5,15 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hapticd.measure import directed, reproduce
-from hapticd.measure.campaign import MapParams, plan_map, run_map
-from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
-from hapticd.measure.outcomes import Conditions, fly
-from hapticd.measure.scenes import noise
-from hapticd.measure.sources import Trial, engine_source
-from hapticd.measure.store import TrialStore
-from hapticd.measure.trial import TrialParams, plan_trial, run_trial
 from hapticd.settings.scene import load_scene
+from hapticd.weir2008 import run
+from hapticd.zwidth import search
+from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
+from hapticd.zwidth.map import MapParams, plan_map, run_map
+from hapticd.zwidth.outcomes import Conditions, fly
+from hapticd.zwidth.scenes import noise
+from hapticd.zwidth.simulated import engine_source
+from hapticd.zwidth.sources import Trial
+from hapticd.zwidth.store import TrialStore
+from hapticd.zwidth.trial import TrialParams, plan_trial, run_trial
 
 SCENE = "fig7"
 LEVEL = 1.74
@@ -62,8 +64,8 @@ def by_map(point, asked):
 @pytest.fixture(scope="module")
 def searched():
     """The first trials of `zwidth search`, which chooses its points: each with noise of its own."""
-    params = directed.SearchParams(given("f64"), LEVEL, budget=4)
-    found = directed.run_search(directed.plan_search(params), TrialStore(None))
+    params = search.SearchParams(given("f64"), LEVEL, budget=4)
+    found = search.run_search(search.plan_search(params), TrialStore(None))
     return [step.outcome for step in found.steps]
 
 
@@ -90,10 +92,10 @@ def short_trials(monkeypatch):
     """`reproduce` makes trials of SECONDS; its conditions are kept, so what others asked is
     forgotten.
     """
-    monkeypatch.setattr(reproduce, "SECONDS", SECONDS)
-    reproduce.conditions.cache_clear()
+    monkeypatch.setattr(run, "SECONDS", SECONDS)
+    run.conditions.cache_clear()
     yield
-    reproduce.conditions.cache_clear()
+    run.conditions.cache_clear()
 
 
 @pytest.mark.usefixtures("short_trials")
@@ -107,7 +109,7 @@ def test_every_verb_gives_the_margin_of_the_trial(searched):
     asked = given("f64").shaken(more_seed=1)
     margins, places = told_of(by_trial(point, seed))
     assert places == (2.0, 2.0, 500.0)
-    shown = reproduce.single_trial(reproduce.MAIN, point, LEVEL, seed)
+    shown = run.single_trial(run.MAIN, point, LEVEL, seed)
     found = [
         told(outcome),
         told(by_limits(point, asked)),

@@ -13,8 +13,8 @@ import re
 from collections.abc import Iterable
 
 from hapticd.errors import ConfigError
-from hapticd.measure.reproduce_rows import Row, by_quantity
-from hapticd.report.paper_page import parts, table_part
+from hapticd.weir2008.page import parts, table_part
+from hapticd.weir2008.paper import Row, by_quantity
 
 TABLE = re.compile(r"(<!-- table (\w+) -->\n).*?(<!-- /table -->)", re.DOTALL)
 NUMBER = re.compile(

@@ -15,8 +15,8 @@ from hapticd.errors import ConfigError, HapticdError
 
 if TYPE_CHECKING:
     from hapticd.mailbox.layout import Value
-    from hapticd.measure.recorder import Progress
-    from hapticd.measure.reflight import Reflight
+    from hapticd.recording.recorder import Progress
+    from hapticd.recording.replay import Reflight
 
 
 NewFile = Annotated[
@@ -42,7 +42,7 @@ def record(
     Ctrl-C ends it in order. A recorder that was killed loses at most 100 ms: `hapticd rec recover`.
     """
     from hapticd.assembly.process import on_stop
-    from hapticd.measure.recorder import RecordingParams, record
+    from hapticd.recording.recorder import RecordingParams, record
 
     asked: list[bool] = []
     on_stop(lambda: asked.append(True))
@@ -97,7 +97,7 @@ ATTRIBUTES_SHOWN = (
 @terminal.verb(rec_app, "recover")
 def recover(file: Source, out: Target = None, as_json: terminal.Json = False) -> None:
     """Make a finished file of one whose recorder died, or of a flight recording."""
-    from hapticd.measure.recording.pack import pack
+    from hapticd.recording.pack import pack
 
     summary = pack(file, out or _beside(file, ".h5"), recovered=True)
     if as_json:
@@ -109,8 +109,8 @@ def recover(file: Source, out: Target = None, as_json: terminal.Json = False) ->
 @terminal.verb(rec_app, "info")
 def info(file: Source, as_json: terminal.Json = False) -> None:
     """What is in a recording and where it comes from."""
-    from hapticd.measure.recording.file import open_recording
-    from hapticd.measure.recording.pack import summary
+    from hapticd.recording.file import open_recording
+    from hapticd.recording.pack import summary
 
     with open_recording(file) as recording:
         found = summary(recording)
@@ -136,8 +136,8 @@ def _plain(value: Any) -> Any:
 @terminal.verb(rec_app, "export")
 def export(kind: Kind, file: Source, out: Target = None, as_json: terminal.Json = False) -> None:
     """Convert: `hapticd rec export mat FILE`."""
-    from hapticd.measure.recording.file import open_recording
-    from hapticd.measure.recording.pack import to_csv, to_mat
+    from hapticd.recording.file import open_recording
+    from hapticd.recording.pack import to_csv, to_mat
 
     target = out or _beside(file, f".{kind}")
     with open_recording(file) as recording:
@@ -189,8 +189,8 @@ def replay(
     The motion stays the recorded one: it shows what the law would have asked for. Exit 1 if a plain
     replay differs by a bit.
     """
-    from hapticd.measure.recording.file import open_recording
-    from hapticd.measure.reflight import refly
+    from hapticd.recording.file import open_recording
+    from hapticd.recording.replay import refly
 
     corners = ("filters.velocity_hz", "filters.acceleration_hz") if filter_hz is not None else ()
     words = [*(held or []), *(f"{name}={filter_hz:g}" for name in corners)]

@@ -11,7 +11,7 @@ from hapticd.cli import terminal
 from hapticd.cli.terminal import progress
 
 if TYPE_CHECKING:
-    from hapticd.measure.scene_run import SceneResult, Trial
+    from hapticd.study.scene import SceneResult, Trial
 
 
 sim_app = typer.Typer(
@@ -34,10 +34,10 @@ def sim_run(
     """Simulate a scene with and without its active damping: traces, and impedance and
     verdict where noise moves it.
     """
-    from hapticd.measure.scene_run import plan_scene, run_scene
     from hapticd.report.study import scene_figure, scene_table
     from hapticd.report.table import text
     from hapticd.settings.scene import load_scene
+    from hapticd.study.scene import plan_scene, run_scene
 
     terminal.need_figures(plot)
     plan = plan_scene(load_scene(scene), seconds)
@@ -70,8 +70,8 @@ def _result_json(result: "SceneResult") -> dict[str, Any]:
 
 
 def _trial_json(trial: "Trial") -> dict[str, Any]:
-    from hapticd.measure.store import plain
     from hapticd.report.study import impedance_rows
+    from hapticd.zwidth.store import plain
 
     verdict = trial.judged and trial.judged.verdict
     rows = impedance_rows(trial)
@@ -92,14 +92,14 @@ def sim_explain(scene: terminal.SceneName, as_json: terminal.Json = False) -> No
     """
     import time
 
-    from hapticd.measure.accuracy import cost
-    from hapticd.measure.scenes import SUBSTEPS
-    from hapticd.measure.store import plain
     from hapticd.plant.compose import compose
     from hapticd.plant.stability import explain
     from hapticd.report import study as words
     from hapticd.report.table import text
     from hapticd.settings.scene import load_scene
+    from hapticd.study.accuracy import cost
+    from hapticd.zwidth.scenes import SUBSTEPS
+    from hapticd.zwidth.store import plain
 
     loaded = load_scene(scene)
     found = explain(compose(loaded), sorted({step.level_ns_per_m for step in loaded.damping}))
@@ -161,11 +161,11 @@ def sim_effects(
     """
     import time
 
-    from hapticd.measure.effects import EffectsParams, plan_effects, run_effects
-    from hapticd.measure.store import plain
     from hapticd.report.study import effects_figure, effects_table, effects_words
     from hapticd.report.table import text
     from hapticd.settings.scene import load_scene
+    from hapticd.study.effects import EffectsParams, plan_effects, run_effects
+    from hapticd.zwidth.store import plain
 
     terminal.need_figures(plot)
     loaded = load_scene(scene)
@@ -208,11 +208,11 @@ def sim_ceiling(scene: terminal.SceneName, as_json: terminal.Json = False) -> No
     """Say the largest stable active damping: of the device alone, with the scene's
     environment, and hot or cold.
     """
-    from hapticd.measure.scene_run import ceiling
-    from hapticd.measure.store import plain
     from hapticd.report.study import ceiling_table, ceiling_words
     from hapticd.report.table import text
     from hapticd.settings.scene import load_scene
+    from hapticd.study.scene import ceiling
+    from hapticd.zwidth.store import plain
 
     loaded = load_scene(scene)
     found = ceiling(loaded)
@@ -244,9 +244,6 @@ def accuracy(
     """
     import time
 
-    from hapticd.measure.accuracy import plan_accuracy, run_accuracy
-    from hapticd.measure.scene_run import compare_integrators
-    from hapticd.measure.store import plain
     from hapticd.report.study import (
         accuracy_figure,
         accuracy_table,
@@ -255,6 +252,9 @@ def accuracy(
     )
     from hapticd.report.table import text
     from hapticd.settings.scene import load_scene
+    from hapticd.study.accuracy import plan_accuracy, run_accuracy
+    from hapticd.study.scene import compare_integrators
+    from hapticd.zwidth.store import plain
 
     terminal.need_figures(plot)
     loaded = load_scene(scene)

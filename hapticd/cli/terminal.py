@@ -22,7 +22,7 @@ from hapticd.mailbox.files import DEFAULT_INSTANCE
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from hapticd.measure.store import Progress
+    from hapticd.zwidth.store import Progress
 
 
 Verb = Callable[..., None]

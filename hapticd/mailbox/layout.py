@@ -32,6 +32,7 @@ JOURNAL_HEAD_WORD = 120  # requests obeyed (servo)
 CHECKPOINT_ASKED_WORD = 122  # checkpoints asked for (gateway)
 CHECKPOINT_HEAD_WORD = 124  # checkpoints written (servo)
 COUNTER_WORD = 128  # COUNTERS, u64 each
+LOST_SLOTS = 1 << 32  # where the count of lost slots begins anew
 PAGE = 4096
 
 COUNTERS = (

@@ -9,7 +9,6 @@ from hapticd.analysis.envelope import Envelope
 from hapticd.analysis.passive_set import AXES
 from hapticd.analysis.verdict import Judged
 from hapticd.errors import AnalysisError
-from hapticd.measure.portable import Compared, Comparison, Level, Reach
 from hapticd.report.envelope import edges
 from hapticd.report.style import (
     BELOW,
@@ -28,6 +27,7 @@ from hapticd.report.style import (
     words_of,
 )  # fmt: skip
 from hapticd.report.table import Cell, Table, table
+from hapticd.zwidth.portable import Compared, Comparison, Level, Reach
 
 UNITS = {"K": "N/m", "B": "N s/m", "M": "g"}
 SCALES = {"K": 1.0, "B": 1.0, "M": 1e3}

@@ -18,7 +18,6 @@ import numpy as np
 from hapticd.analysis.arrays import Floats
 from hapticd.analysis.envelope import Edge, Envelope, admittance, of_predicted
 from hapticd.analysis.predict import frequencies
-from hapticd.measure.outcomes import Conditions, Outcome, envelope_of, judged, kept_frequencies
 from hapticd.report.style import (
     BELOW,
     NORMAL,
@@ -41,6 +40,7 @@ from hapticd.report.style import (
     words_of,
 )  # fmt: skip
 from hapticd.report.trial import ADMITTANCE, IMPEDANCE, View, dress, interval
+from hapticd.zwidth.outcomes import Conditions, Outcome, envelope_of, judged, kept_frequencies
 
 Levels = Sequence[tuple[float, Sequence[Outcome]]]
 

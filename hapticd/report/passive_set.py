@@ -15,11 +15,6 @@ import numpy as np
 from hapticd.analysis.arrays import Flags, Floats, Integers
 from hapticd.analysis.passive_set import PassiveSet
 from hapticd.analysis.verdict import Judged
-from hapticd.measure.campaign import LevelMap, MapResult
-from hapticd.measure.directed import SearchResult, Step, slice_at
-from hapticd.measure.limits import AxisLimit, LimitsResult
-from hapticd.measure.outcomes import Conditions
-from hapticd.measure.walls import WallResult
 from hapticd.report.style import (
     ANSWERS,
     BELOW,
@@ -43,6 +38,11 @@ from hapticd.report.style import (
     tint,
     words_of,
 )  # fmt: skip
+from hapticd.zwidth.limits import AxisLimit, LimitsResult
+from hapticd.zwidth.map import LevelMap, MapResult
+from hapticd.zwidth.outcomes import Conditions
+from hapticd.zwidth.search import SearchResult, Step, slice_at
+from hapticd.zwidth.walls import WallResult
 
 PANELS = 6
 COLUMNS = 3

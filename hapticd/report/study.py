@@ -13,10 +13,6 @@ from typing import Any
 import numpy as np
 
 from hapticd.analysis.verdict import DEFAULT_BAND_HZ
-from hapticd.measure.accuracy import GROUP, AccuracyResult, Cost, Row
-from hapticd.measure.effects import EffectsResult, Left
-from hapticd.measure.scene_run import Ceiling, Integrators, SceneResult, Trial
-from hapticd.measure.scenes import SUBSTEPS, candidates, frequencies, point
 from hapticd.plant.scene import Scene
 from hapticd.plant.stability import AtLevel, Explanation
 from hapticd.report.style import (
@@ -48,7 +44,11 @@ from hapticd.report.style import (
 )  # fmt: skip
 from hapticd.report.table import Cell, Table, duration, percent, shown, table
 from hapticd.report.trial import Curve, Trace, draw, draw_traces, dress
+from hapticd.study.accuracy import GROUP, AccuracyResult, Cost, Row
+from hapticd.study.effects import EffectsResult, Left
+from hapticd.study.scene import Ceiling, Integrators, SceneResult, Trial
 from hapticd.units import PROBE_RATE_HZ
+from hapticd.zwidth.scenes import SUBSTEPS, candidates, frequencies, point
 
 LOOKS = (OFF, ON)
 SHOWN_S = 0.5  # of a noisy trace

@@ -20,9 +20,7 @@ from hapticd.analysis.arrays import Complexes, Floats
 from hapticd.analysis.impedance import Impedance, relative_sd
 from hapticd.analysis.periodic import PeriodicSpectra
 from hapticd.analysis.verdict import student_quantile
-from hapticd.measure.referee import Referee
-from hapticd.measure.reflight import Reflight
-from hapticd.measure.trial import TrialResult
+from hapticd.recording.replay import Reflight
 from hapticd.report.style import (
     BELOW,
     BLACK,
@@ -45,6 +43,8 @@ from hapticd.report.style import (
     plain_axis,
     styled,
 )  # fmt: skip
+from hapticd.zwidth.stepped_sine import Referee
+from hapticd.zwidth.trial import TrialResult
 
 Trace = tuple[Floats, Floats, Look]  # time [s], values, how they look
 

@@ -28,8 +28,8 @@ from hapticd.analysis.loop import (
 from hapticd.analysis.predict import predict
 from hapticd.analysis.theorem import ANGLES, lift, lifted_passive
 from hapticd.errors import AnalysisError
-from hapticd.measure.reproduce import POINTS, SCENES, conditions
-from hapticd.measure.reproduce_rows import ADDED_NS_PER_M, LEVELS, MAIN
+from hapticd.weir2008.paper import ADDED_NS_PER_M, LEVELS, MAIN
+from hapticd.weir2008.run import POINTS, SCENES, conditions
 
 HANDS = random_hands(1000)
 ROUNDING = 1e-9  # of an eigenvalue of a mode without loss

@@ -18,10 +18,10 @@ from hapticd.cli import terminal
 from hapticd.errors import HapticdError
 
 if TYPE_CHECKING:
-    from hapticd.measure.outcomes import Conditions, Outcome
-    from hapticd.measure.sources import Trial
-    from hapticd.measure.store import TrialStore
     from hapticd.plant.scene import Scene
+    from hapticd.zwidth.outcomes import Conditions, Outcome
+    from hapticd.zwidth.sources import Trial
+    from hapticd.zwidth.store import TrialStore
 
 SceneName = Annotated[
     str,
@@ -154,8 +154,8 @@ def scene_of(name: str) -> "Scene":
     ConfigError names what there is.
     """
     from hapticd.errors import ConfigError
-    from hapticd.measure.scenes import device_scene
     from hapticd.settings.scene import load_scene
+    from hapticd.zwidth.scenes import device_scene
 
     try:
         return load_scene(name)
@@ -174,8 +174,8 @@ def conditions(
     confidence: float = 0.95,
 ) -> "Conditions":
     """Conditions of many trials: the scene's noise with that seed."""
-    from hapticd.measure.outcomes import Conditions
-    from hapticd.measure.scenes import noise
+    from hapticd.zwidth.outcomes import Conditions
+    from hapticd.zwidth.scenes import noise
 
     return Conditions(scene, seconds, replace(noise(scene), seed=seed), band_hz, confidence)
 
@@ -213,7 +213,7 @@ def environment_words(trial: "Trial") -> str:
 
 def print_outcomes(new: "list[Outcome]", **more: Any) -> None:
     """A line of JSON for each outcome: what was tried, its verdict and margin, and `more`."""
-    from hapticd.measure.store import plain
+    from hapticd.zwidth.store import plain
 
     for outcome in new:
         shown = plain({name: getattr(outcome, name) for name in OUTCOME_FIELDS})
@@ -228,7 +228,7 @@ def print_result(found: dict[str, Any], folder: Path, figures: Iterable[Path]) -
 
 def write_summary(folder: Path, about: dict[str, Any], **more: Any) -> None:
     """Write run.json: what the run is `about`, and where its numbers come from (`more` of it)."""
-    from hapticd.measure.store import write_run
+    from hapticd.zwidth.store import write_run
 
     write_run(folder, {**about, "provenance": provenance_now(**more)})
 
@@ -247,6 +247,6 @@ def print_kept(folder: Path, files: Iterable[Path]) -> None:
 
 def provenance_now(**more: Any) -> dict[str, Any]:
     """Where the numbers of a run come from: versions, machine, the time, and `more`."""
-    from hapticd.measure.recording.provenance import provenance
+    from hapticd.recording.provenance import provenance
 
     return provenance(date=datetime.now(UTC).isoformat(timespec="seconds"), **more)

@@ -9,7 +9,7 @@ from hapticd.cli import terminal
 from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
-    from hapticd.measure.portable import Comparison
+    from hapticd.zwidth.portable import Comparison
 
 Files = Annotated[
     list[Path],
@@ -40,10 +40,10 @@ def command(
     same, and says so.
     """
     from hapticd.analysis.verdict import Judged
-    from hapticd.measure.portable import compare
     from hapticd.report import style
     from hapticd.report.comparison import comparison_figure, comparison_tables
     from hapticd.report.table import text
+    from hapticd.zwidth.portable import compare
 
     found = compare(files, [name for name in allow.split(",") if name])
     folder = common.folder(out, "compare")
@@ -62,7 +62,7 @@ def command(
 
 
 def _comparison_json(found: "Comparison") -> dict[str, Any]:
-    from hapticd.measure.store import plain
+    from hapticd.zwidth.store import plain
 
     displays = [
         {

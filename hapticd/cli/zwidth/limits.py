@@ -9,9 +9,9 @@ from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
-    from hapticd.measure.limits import AxisLimit, LimitsResult, Scan
-    from hapticd.measure.outcomes import Conditions, Outcome
     from hapticd.report.table import Table
+    from hapticd.zwidth.limits import AxisLimit, LimitsResult, Scan
+    from hapticd.zwidth.outcomes import Conditions, Outcome
 
 Amplitudes = Annotated[
     int,
@@ -69,11 +69,11 @@ def command(
     new outcome is a line, with its limit, amplitude and seed, and the last line is the result.
     """
     from hapticd.analysis.passive_set import AXES
-    from hapticd.measure.executors import executor
-    from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
-    from hapticd.measure.store import TrialStore
     from hapticd.report import style
     from hapticd.report.passive_set import limits_figure
+    from hapticd.zwidth.executors import executor
+    from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
+    from hapticd.zwidth.store import TrialStore
 
     if not axis or set(axis) - set(AXES):
         raise typer.BadParameter(f"--axis {axis!r}: letters out of KBM")
@@ -106,7 +106,7 @@ def command(
 
 
 def _rows_json(result: "LimitsResult") -> list[dict[str, object]]:
-    from hapticd.measure.store import plain
+    from hapticd.zwidth.store import plain
 
     return [{"name": limit.name, **plain(limit)} for limit in result.limits]
 

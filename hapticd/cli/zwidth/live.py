@@ -16,8 +16,8 @@ from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
     from hapticd.client import Client
-    from hapticd.measure.sources import Trial
     from hapticd.plant.scene import Scene
+    from hapticd.zwidth.sources import Trial
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,8 @@ def open_rig(instance: str, stack: ExitStack) -> Rig:
 
     What ends this process meanwhile ends the trial with force off.
     """
-    from hapticd.measure.scenes import scene_of_device
     from hapticd.params import EnvironmentParams, from_plain
+    from hapticd.zwidth.scenes import scene_of_device
 
     stack.enter_context(_signals_end_with_force_off())
     client = stack.enter_context(change.connect(instance))
@@ -62,7 +62,7 @@ def open_rig(instance: str, stack: ExitStack) -> Rig:
 
 def announce(rig: Rig, trial: "Trial", scene: "Scene | None") -> None:
     """Say on stderr what is about to happen, before it does. `scene` is the one that was named."""
-    from hapticd.measure.watch import CENTRING_N_PER_M
+    from hapticd.zwidth.watch import CENTRING_N_PER_M
 
     kind = "simulated" if rig.simulated else "real, it moves"
     terminal.talk(

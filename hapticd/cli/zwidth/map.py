@@ -13,8 +13,8 @@ from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
     from hapticd.analysis.arrays import Floats
-    from hapticd.measure.campaign import LevelMap, MapParams, MapResult
-    from hapticd.measure.outcomes import Conditions, Outcome
+    from hapticd.zwidth.map import LevelMap, MapParams, MapResult
+    from hapticd.zwidth.outcomes import Conditions, Outcome
 
 Stiffness = Annotated[
     common.Range, typer.Option("--stiffness", metavar="LOW HIGH N", help="Grid of K, N/m.")
@@ -74,9 +74,9 @@ def command(
     new outcome is a line, and the last line is the result; trials that --out had kept already are
     in its trials.jsonl.
     """
-    from hapticd.measure.campaign import MapParams, plan_map, run_map
-    from hapticd.measure.executors import executor
-    from hapticd.measure.store import TrialStore, plain
+    from hapticd.zwidth.executors import executor
+    from hapticd.zwidth.map import MapParams, plan_map, run_map
+    from hapticd.zwidth.store import TrialStore, plain
 
     conditions = common.conditions(common.scene_of(scene), trials.seconds, trials.seed, trials.band)
     axes = _axes(stiffness, viscous, mass)
@@ -169,7 +169,7 @@ def _level(level: "LevelMap") -> dict[str, Any]:
     """What was found at one level of active damping, for run.json, JSON and the table."""
     from hapticd.analysis.compare import widths_db
     from hapticd.analysis.passive_set import open_ends, set_limits, volume
-    from hapticd.measure.outcomes import judged
+    from hapticd.zwidth.outcomes import judged
 
     found: dict[str, Any] = {
         "judged": judged(level.outcomes),

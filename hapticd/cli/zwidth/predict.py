@@ -44,8 +44,8 @@ def command(
     from math import isfinite
 
     from hapticd.analysis.outlook import outlook
-    from hapticd.measure import scenes
-    from hapticd.measure.sources import given
+    from hapticd.zwidth import scenes
+    from hapticd.zwidth.sources import given
 
     shown = scenes.display(common.scene_of(scene or DEVICE_OF))
     asked = given((stiffness, viscous, mass), damping, shown.scene if scene else None, bool(scene))
@@ -161,7 +161,7 @@ def _named(hand: "Hand") -> str:
 def _outlook_json(
     found: "Outlook", point: tuple[float, float, float], level: float
 ) -> dict[str, Any]:
-    from hapticd.measure.store import plain
+    from hapticd.zwidth.store import plain
 
     shaken = found.true.perturbation
     numbers: dict[str, Any] = {

@@ -22,11 +22,11 @@ from hapticd.cli.zwidth.trial import draw_trial
 
 if TYPE_CHECKING:
     from hapticd.analysis.verdict import Judged
-    from hapticd.measure.campaign import MapParams, MapResult
-    from hapticd.measure.limits import LimitsResult
-    from hapticd.measure.store import Progress, Recorded
-    from hapticd.measure.trial import TrialParams
     from hapticd.plant.scene import Scene
+    from hapticd.zwidth.limits import LimitsResult
+    from hapticd.zwidth.map import MapParams, MapResult
+    from hapticd.zwidth.store import Progress, Recorded
+    from hapticd.zwidth.trial import TrialParams
 
 
 What = Annotated[
@@ -71,7 +71,7 @@ def report(
     """Every figure of a simulated device, with NAME.zwidth, its portable summary; or those of a run
     folder, drawn again there, or in --out.
     """
-    from hapticd.measure.store import plain
+    from hapticd.zwidth.store import plain
 
     folder = Path(what)
     if (folder / "run.json").is_file():
@@ -103,7 +103,7 @@ def _named(what: str) -> "Scene":
 
 
 def _instead(folder: Path) -> str:
-    from hapticd.report.paper_page import TABLE_JSON
+    from hapticd.weir2008.page import TABLE_JSON
 
     if (folder / TABLE_JSON).is_file():
         return (
@@ -123,8 +123,8 @@ def _instead(folder: Path) -> str:
 
 def _of_run(folder: Path, out: Path) -> Drawn:
     from hapticd.errors import ConfigError
-    from hapticd.measure.campaign import kept_map, plan_map
-    from hapticd.measure.store import TrialStore, read_summary
+    from hapticd.zwidth.map import kept_map, plan_map
+    from hapticd.zwidth.store import TrialStore, read_summary
 
     kept = read_summary(folder)
     if kept["kind"] == "trial":
@@ -140,7 +140,7 @@ def _of_run(folder: Path, out: Path) -> Drawn:
 
 
 def _trial_again(folder: Path, kept: dict[str, Any], out: Path) -> Drawn:
-    from hapticd.measure.trial import judged, plan_trial
+    from hapticd.zwidth.trial import judged, plan_trial
 
     result = judged(plan_trial(_trial_params(kept)), _record(folder, kept))
     return Drawn(draw_trial(result, out), result.verdict.judged)
@@ -148,9 +148,9 @@ def _trial_again(folder: Path, kept: dict[str, Any], out: Path) -> Drawn:
 
 def _record(folder: Path, kept: dict[str, Any]) -> "Recorded":
     """The record of a trial's folder, with what run.json knows of it."""
-    from hapticd.measure.recorded import read_file
-    from hapticd.measure.store import record_path
-    from hapticd.measure.watch import COUNTS
+    from hapticd.zwidth.recorded import read_file
+    from hapticd.zwidth.store import record_path
+    from hapticd.zwidth.watch import COUNTS
 
     return replace(
         read_file(record_path(folder)),
@@ -166,9 +166,9 @@ def _record(folder: Path, kept: dict[str, Any]) -> "Recorded":
 def _trial_params(kept: dict[str, Any]) -> "TrialParams":
     """The parameters of a trial from its run.json; what older versions did not write is default."""
     from hapticd.analysis.spectra import DEFAULT_LAG
-    from hapticd.measure.sources import Trial
-    from hapticd.measure.trial import Layout, TrialParams
     from hapticd.plant.scene import Excitation
+    from hapticd.zwidth.sources import Trial
+    from hapticd.zwidth.trial import Layout, TrialParams
 
     k, b, m = kept["environment"].values()
     low_hz, high_hz = kept["verdict"]["band_hz"]
@@ -192,7 +192,7 @@ def _trial_params(kept: dict[str, Any]) -> "TrialParams":
 def _same_scene(kept: dict[str, Any]) -> "Scene | None":
     """The scene of the run, for its prediction, where it is still what it was."""
     from hapticd.errors import ConfigError
-    from hapticd.measure.store import fingerprint
+    from hapticd.zwidth.store import fingerprint
 
     try:
         found = common.scene_of(kept["scene"]) if kept["scene"] else None
@@ -204,7 +204,7 @@ def _same_scene(kept: dict[str, Any]) -> "Scene | None":
 def _map_params(kept: dict[str, Any]) -> "MapParams":
     import numpy as np
 
-    from hapticd.measure.campaign import MapParams
+    from hapticd.zwidth.map import MapParams
 
     scene = common.scene_of(kept["scene"])
     asked = kept["parameters"]
@@ -223,12 +223,12 @@ def _map_params(kept: dict[str, Any]) -> "MapParams":
 
 
 def _of_device(what: str, damping: str, seconds: float, seed: int, out: Path | None) -> Drawn:
-    from hapticd.measure.campaign import plan_map, run_map
-    from hapticd.measure.limits import LimitsParams, plan_limits, run_limits
-    from hapticd.measure.portable import SUFFIX, device_hash
-    from hapticd.measure.store import TrialStore
     from hapticd.report import style
     from hapticd.report.passive_set import limits_figure
+    from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
+    from hapticd.zwidth.map import plan_map, run_map
+    from hapticd.zwidth.portable import SUFFIX, device_hash
+    from hapticd.zwidth.store import TrialStore
 
     scene = _named(what)
     name = Path(scene.device).stem
@@ -251,8 +251,8 @@ def _write(
     folder: Path, name: str, file_hash: str, limits: "LimitsResult", found: "MapResult"
 ) -> None:
     """run.json and NAME.zwidth, the summary that `zwidth compare` reads."""
-    from hapticd.measure.portable import SUFFIX, conditions_of, numbers_of, portable
-    from hapticd.measure.store import write_run
+    from hapticd.zwidth.portable import SUFFIX, conditions_of, numbers_of, portable
+    from hapticd.zwidth.store import write_run
 
     conditions = limits.plan.params.conditions
     about = conditions_of(conditions, found.judged)
@@ -270,7 +270,7 @@ def _map_about(limits: "LimitsResult") -> "MapParams":
     import numpy as np
 
     from hapticd.errors import AnalysisError
-    from hapticd.measure.campaign import MapParams
+    from hapticd.zwidth.map import MapParams
 
     largest = [0.0, 0.0, 0.0]
     for limit in limits.limits:
@@ -292,9 +292,10 @@ def _map_about(limits: "LimitsResult") -> "MapParams":
 
 def _own_trial(scene: "Scene", seconds: float, folder: Path) -> list[Path]:
     """A trial of the environment that the scene itself describes."""
-    from hapticd.measure.scenes import level, noise, point
-    from hapticd.measure.sources import Trial, engine_source
-    from hapticd.measure.trial import TrialParams, plan_trial, run_trial
+    from hapticd.zwidth.scenes import level, noise, point
+    from hapticd.zwidth.simulated import engine_source
+    from hapticd.zwidth.sources import Trial
+    from hapticd.zwidth.trial import TrialParams, plan_trial, run_trial
 
     trial = Trial(point(scene), level(scene), seconds, noise(scene))
     result = run_trial(plan_trial(TrialParams(trial, scene)), engine_source(scene))
@@ -310,12 +311,12 @@ def reproduce(
     Writes REPORT.md, the table (JSON, CSV, Markdown) and the figures (PNG, SVG); with --json only
     if --out names a folder. Ctrl-C is safe: the folder holds the files of one run, or none.
     """
-    from hapticd.measure.beyond import plan_beyond, run_beyond
-    from hapticd.measure.reproduce import plan_reproduce, run_reproduce
-    from hapticd.report.future_work import future_sections
-    from hapticd.report.paper_page import keep, sections
-    from hapticd.report.paper_page import terminal as terminal_text
-    from hapticd.report.paper_table import as_json as table_json
+    from hapticd.weir2008.future_page import future_sections
+    from hapticd.weir2008.future_work import plan_beyond, run_beyond
+    from hapticd.weir2008.page import keep, sections
+    from hapticd.weir2008.page import terminal as terminal_text
+    from hapticd.weir2008.run import plan_reproduce, run_reproduce
+    from hapticd.weir2008.table import as_json as table_json
 
     plan = plan_reproduce(quick, seeds)
     files = []

@@ -9,7 +9,7 @@ from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
-    from hapticd.measure.directed import SearchResult
+    from hapticd.zwidth.search import SearchResult
 
 Budget = Annotated[
     int, typer.Option("--budget", metavar="N", min=5, help="Trials at most, at each damping level.")
@@ -55,11 +55,11 @@ def command(
     Ctrl-C is safe: the same command with the same --out goes on where it ended. With --json each
     new outcome is a line, and the last line is the result.
     """
-    from hapticd.measure.directed import SearchParams, plan_search, run_search
-    from hapticd.measure.executors import executor
-    from hapticd.measure.store import TrialStore, plain
     from hapticd.report import style
     from hapticd.report.passive_set import search_figure
+    from hapticd.zwidth.executors import executor
+    from hapticd.zwidth.search import SearchParams, plan_search, run_search
+    from hapticd.zwidth.store import TrialStore, plain
 
     conditions = common.conditions(common.scene_of(scene), trials.seconds, trials.seed, trials.band)
     folder = common.folder(results.out, "search")

@@ -1,7 +1,7 @@
 """`zwidth trial` and `zwidth import`: one trial, simulated, on a daemon's device, or from a file.
 
 The options are three dataclasses: what is tried and how it is judged, how a file is read, and
-where results go. From them come the parameters of one trial (`hapticd.measure.trial`), which is
+where results go. From them come the parameters of one trial (`hapticd.zwidth.trial`), which is
 run, kept, drawn and told. Before anything is simulated or moves, it is said what will happen;
 beside the verdict it is said what would decide an undecided trial, and how single sines compare
 with the noise.
@@ -21,11 +21,11 @@ from hapticd.cli.zwidth.live import announce, open_rig
 
 if TYPE_CHECKING:
     from hapticd.analysis.impedance import Estimator
-    from hapticd.measure.referee import Referee
-    from hapticd.measure.sources import Source, Trial
-    from hapticd.measure.store import Progress, Recorded
-    from hapticd.measure.trial import Layout, TrialParams, TrialPlan, TrialResult
     from hapticd.plant.scene import Excitation, Scene
+    from hapticd.zwidth.sources import Source, Trial
+    from hapticd.zwidth.stepped_sine import Referee
+    from hapticd.zwidth.store import Progress, Recorded
+    from hapticd.zwidth.trial import Layout, TrialParams, TrialPlan, TrialResult
 
 LIVE = ("engine", "lockstep", "live")  # sources that can be perturbed; all others are files
 SOURCES = (
@@ -177,10 +177,10 @@ def trial(
     K that holds it in its travel (-K 20). A FILE is .csv, .npz, .mat or .h5; one of multisines
     holds whole realisations, each with its settling period.
     """
-    from hapticd.measure.recorded import read_file
-    from hapticd.measure.referee import may_follow, stepped_sine
-    from hapticd.measure.sources import file_source
-    from hapticd.measure.trial import plan_trial
+    from hapticd.zwidth.recorded import read_file
+    from hapticd.zwidth.sources import file_source
+    from hapticd.zwidth.stepped_sine import may_follow, stepped_sine
+    from hapticd.zwidth.trial import plan_trial
 
     _check(asked)
     scene = recorded = None
@@ -229,9 +229,9 @@ def _scene_name(asked: TrialOptions) -> str:
 def _params(
     asked: TrialOptions, file: FileOptions, scene: "Scene | None", recorded: "Recorded | None"
 ) -> "TrialParams":
-    from hapticd.measure.sources import Trial, given
-    from hapticd.measure.trial import Layout, TrialParams
-    from hapticd.measure.watch import Watch
+    from hapticd.zwidth.sources import Trial, given
+    from hapticd.zwidth.trial import Layout, TrialParams
+    from hapticd.zwidth.watch import Watch
 
     layout = None
     if asked.excitation == "multisine":
@@ -263,9 +263,9 @@ def _excitation(
     asked: TrialOptions, scene: "Scene | None", layout: "Layout | None"
 ) -> "Excitation":
     """The scene's noise with the seed and density that are asked for, or multisines like it."""
-    from hapticd.measure import scenes
-    from hapticd.measure.sources import Trial
-    from hapticd.measure.trial import multisine_like
+    from hapticd.zwidth import scenes
+    from hapticd.zwidth.sources import Trial
+    from hapticd.zwidth.trial import multisine_like
 
     noise = scenes.noise(scene) if scene else Trial().excitation
     noise = replace(noise, seed=asked.seed)
@@ -284,7 +284,7 @@ def _judged(
     plan: "TrialPlan", source: "Source", recorded: "Recorded | None", tell: "Progress"
 ) -> "TrialResult":
     """Run the plan; a file of multisines is there already, realisation after realisation."""
-    from hapticd.measure.trial import judged, run_trial
+    from hapticd.zwidth.trial import judged, run_trial
 
     if recorded is None:
         return run_trial(plan, source, tell)
@@ -298,8 +298,8 @@ def _live(
 
     Whether its loop is stable is seen, not predicted.
     """
-    from hapticd.measure.bench import bench_source
-    from hapticd.measure.trial import plan_trial
+    from hapticd.zwidth.live import bench_source
+    from hapticd.zwidth.trial import plan_trial
 
     found = open_rig(instance, stack)
     announce(found, plan.params.trial, scene)
@@ -310,9 +310,9 @@ def _live(
 def _simulated(asked: TrialOptions, scene: "Scene", stack: ExitStack) -> "Source":
     """The batch engine, or the whole stack on virtual time for as long as `stack` is open."""
     from hapticd.assembly.lockstep import scene_params
-    from hapticd.measure.bench import bench_source
-    from hapticd.measure.lockstep import LockStepBench
-    from hapticd.measure.sources import engine_source
+    from hapticd.zwidth.live import bench_source
+    from hapticd.zwidth.lockstep import LockStepBench
+    from hapticd.zwidth.simulated import engine_source
 
     if asked.source == "engine":
         return engine_source(scene)
@@ -321,8 +321,8 @@ def _simulated(asked: TrialOptions, scene: "Scene", stack: ExitStack) -> "Source
 
 
 def _show(result: "TrialResult", sines: "Referee | None", results: TrialResultOptions) -> None:
-    from hapticd.measure.store import plain
-    from hapticd.measure.trial import summary, write
+    from hapticd.zwidth.store import plain
+    from hapticd.zwidth.trial import summary, write
 
     folder = common.folder(results.out, "trial")
     write(folder, result, common.provenance_now(), sines)

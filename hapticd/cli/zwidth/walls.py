@@ -9,8 +9,8 @@ from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
-    from hapticd.measure.walls import WallResult
     from hapticd.report.table import Table
+    from hapticd.zwidth.walls import WallResult
 
 Stiffness = Annotated[
     common.Range,
@@ -40,11 +40,11 @@ def command(
     """How stiff a virtual wall may be at each damping before an impact sets it oscillating: the K-B
     plot of one device.
     """
-    from hapticd.measure.store import plain
-    from hapticd.measure.walls import WallParams, plan_walls, run_walls
     from hapticd.report import style
     from hapticd.report.passive_set import walls_figure
     from hapticd.report.table import text
+    from hapticd.zwidth.store import plain
+    from hapticd.zwidth.walls import WallParams, plan_walls, run_walls
 
     stiffnesses, dampings = _grid(stiffness, viscous)
     params = WallParams(

@@ -1,0 +1,323 @@
+"""Opening what was recorded: finished files, live or crashed ones, flight recordings. All become a
+Recording: columns on demand, records as they were, and the legs that can be flown again.
+"""
+
+import json
+from collections.abc import Mapping
+from itertools import pairwise
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import msgpack
+import numpy as np
+from numpy.typing import NDArray
+
+from hapticd.assembly.replay import Segment
+from hapticd.errors import ConfigError, HapticdError
+from hapticd.gateway import flight
+from hapticd.gateway.telemetry import ENERGIES
+from hapticd.gateway.view import RECORD_DTYPE, Records
+from hapticd.mailbox.client_side import Noted
+from hapticd.mailbox.layout import COMMAND_VALUES, LAYOUT_HASH
+from hapticd.params import ScaleParams, ServoParams, from_plain
+from hapticd.recording.live import (
+    FLUSHED,
+    GROUPS,
+    LEFT_OUT,
+    REQUEST,
+    ROWS,
+    Columns,
+    as_channel,
+    columns,
+    replay_rows,
+    table,
+    texts,
+    udunits,
+)
+from hapticd.recording.provenance import SCHEMA, needed
+from hapticd.units import NS_PER_S, PROBE_RATE_HZ
+
+TEXT = "checkpoint_text"
+CLOCKS = {
+    "servo": ("time_ns", NS_PER_S),
+    "probe": ("index", PROBE_RATE_HZ),
+}  # what counts time, and how fast
+COMPUTED = {
+    "servo": ("t_s",),
+    "probe": ("torque_n", "velocity_m_per_s", "t_s"),
+}  # a finished file has them, too
+
+
+class Recording:
+    """`attributes` say where it comes from; `column(group, name)` reads one channel. Use it as
+    a context manager.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        attributes: Mapping[str, Any],
+        groups: Mapping[str, Mapping[str, Any]],
+        file: Any = None,
+    ) -> None:
+        self.path = path
+        self.attributes = attributes
+        self._file = file
+        self._groups = {name: group for name, group in groups.items() if name != FLUSHED}
+        self.rows = {
+            name: min(map(len, group.values()), default=0) for name, group in self._groups.items()
+        }
+        if FLUSHED in groups:  # a live file: see `live`
+            counts = groups[FLUSHED][ROWS]
+            newest = counts[-1].tolist() if len(counts) else [0] * counts.shape[1]
+            self.rows = dict(zip(counts.attrs["groups"], newest, strict=True))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._file is not None:
+            self._file.close()
+
+    def names(self, group: str) -> list[str]:
+        """The channels of `group`, in the order of the records, then those that are computed
+        from them (`COMPUTED`).
+        """
+        there = self._groups.get(group, {})
+        known = [channel.name for channel in GROUPS.get(group, []) if channel.name in there]
+        return list(
+            dict.fromkeys(
+                [*known, *there, *(COMPUTED.get(group, ()) if self.rows.get(group) else ())]
+            )
+        )
+
+    def column(self, group: str, name: str, begin: int = 0, end: int | None = None) -> NDArray[Any]:
+        """Rows begin..end of a channel: (n,), raw frames (n, bytes)."""
+        if name not in self._groups[group] and name in COMPUTED.get(group, ()):
+            return self._computed(group, name, begin, end)
+        after = self.rows[group] if end is None else min(end, self.rows[group])
+        stored = self._groups[group][name]
+        found = np.asarray(stored[begin:after])
+        standing = max(0, after - max(begin, len(stored)))
+        return (
+            np.concatenate([found, np.repeat(np.asarray(stored[-1:]), standing, axis=0)])
+            if standing
+            else found
+        )
+
+    def _computed(self, group: str, name: str, begin: int, end: int | None) -> NDArray[Any]:
+        """What everybody computes first: seconds from the first record, and the probe's signals
+        in SI.
+        """
+        if name == "t_s":
+            count, rate_hz = CLOCKS[group]
+            return np.asarray(
+                (self.column(group, count, begin, end) - self.column(group, count, 0, 1)) / rate_hz
+            )
+        counts = name.partition("_")[0]
+        scale: ScaleParams = getattr(self.params.device, f"probe_{counts}")
+        return np.asarray(
+            scale.sign
+            * (self.column(group, counts, begin, end) - scale.offset_count)
+            * scale.per_count
+        )
+
+    def unit(self, group: str, name: str) -> str:
+        """Unit of a channel; empty when it has none."""
+        return next(
+            (channel.unit for channel in GROUPS.get(group, []) if channel.name == name),
+            udunits(name),
+        )
+
+    @property
+    def params(self) -> ServoParams:
+        """The servo's parameters."""
+        return from_plain(ServoParams, json.loads(self.attributes["configuration"]), str(self.path))
+
+    @property
+    def missing(self) -> dict[str, int]:
+        """Records that are missing, by stream."""
+        streams = self.column("gap", "stream")
+        counts = self.column("gap", "missing")
+        return {name: int(counts[streams == name.encode()].sum()) for name in ("servo", "probe")}
+
+    def records(self, begin: int, end: int) -> Records:
+        """Rows as the records they were. ConfigError: another version recorded them."""
+        if self.attributes["layout"] != LAYOUT_HASH.hex():
+            version = self.attributes.get("server_version", "another version")
+            raise ConfigError(
+                f"{self.path} was recorded by hapticd {version} with other records; replay it with"
+                " that one"
+            )
+        found = np.empty(end - begin, RECORD_DTYPE)
+        for name in RECORD_DTYPE.names or ():
+            if name == "energy_j":
+                for place, part in enumerate(ENERGIES):
+                    found[name][:, place] = self.column("servo", part, begin, end)
+            elif RECORD_DTYPE[name].kind == "V":
+                found[name] = (
+                    np.ascontiguousarray(self.column("servo", name, begin, end))
+                    .view(RECORD_DTYPE[name])
+                    .ravel()
+                )
+            else:
+                found[name] = self.column("servo", "tick" if name == LEFT_OUT else name, begin, end)
+        return found
+
+    def legs(self) -> list[Segment]:
+        """What can be flown again: for each stretch without a gap, from its first checkpoint on."""
+        found = (self._leg(*stretch) for stretch in self._stretches())
+        return [leg for leg in found if leg is not None]
+
+    def _stretches(self) -> list[tuple[int, int, int]]:
+        """(first row, row after the last, epoch) of consecutive ticks of one servo life."""
+        tick = self.column("servo", "tick")
+        lives = self.column("life", "row")
+        cuts = {0, len(tick), *lives.tolist(), *(np.flatnonzero(np.diff(tick) != 1) + 1).tolist()}
+        edges = sorted(cuts)
+        epochs = self.column("life", "epoch")[np.searchsorted(lives, edges[:-1], side="right") - 1]
+        return [
+            (first, after, int(epoch))
+            for first, after, epoch in zip(edges[:-1], edges[1:], epochs, strict=True)
+        ]
+
+    def _leg(self, first: int, after: int, epoch: int) -> Segment | None:
+        begin_tick = int(self.column("servo", "tick", first, first + 1)[0])
+        end_tick = begin_tick + after - first
+        breaks = [
+            tick
+            for one, tick in self._pairs("break")
+            if one == epoch and begin_tick <= tick < end_tick
+        ]
+        for (one, tick), state in zip(self._pairs("checkpoint"), self._states(), strict=False):
+            if one == epoch and begin_tick <= tick < end_tick:
+                end = min([end_tick, *(lost for lost in breaks if lost >= tick)])
+                row = first + tick - begin_tick
+                if end > tick:
+                    return Segment(
+                        tick,
+                        state,
+                        self.records(row, row + end - tick),
+                        self._requests(epoch, tick, end),
+                    )
+        return None
+
+    def _pairs(self, group: str) -> list[tuple[int, int]]:
+        return list(
+            zip(
+                self.column(group, "epoch").tolist(),
+                self.column(group, "tick").tolist(),
+                strict=True,
+            )
+        )
+
+    def _states(self) -> list[Any]:
+        text = self.column(TEXT, "bytes").tobytes()
+        ends = np.cumsum([0, *self.column("checkpoint", "length").tolist()]).tolist()
+        whole = [
+            (begin, end) for begin, end in pairwise(ends) if end <= len(text)
+        ]  # others are cut off with the rest
+        return [msgpack.unpackb(text[begin:end], strict_map_key=False) for begin, end in whole]
+
+    def _requests(self, epoch: int, begin: int, end: int) -> list[Noted]:
+        numbers = np.stack(
+            [self.column("request", name) for name in ("epoch", *REQUEST)], axis=1
+        ).tolist()
+        values = np.stack(
+            [self.column("request", f"value_{place:02}") for place in range(COMMAND_VALUES)], axis=1
+        ).tolist()
+        return [
+            Noted(
+                tick=row[0],
+                seq=row[1],
+                kind=row[2],
+                actor=row[3],
+                apply_tick=row[4],
+                values=tuple(twenty),
+            )
+            for (one, *row), twenty in zip(numbers, values, strict=True)
+            if one == epoch and begin <= row[0] < end
+        ]
+
+
+def open_recording(path: Path) -> Recording:
+    """The recording in `path`, of whatever kind. ConfigError: it is none, or cannot be read."""
+    return _flight(path) if path.suffix == flight.SUFFIX else _hdf5(path)
+
+
+def is_recording(path: Path) -> bool:
+    """Whether an HDF5 file is a recording of this package, finished or not."""
+    try:
+        with _opened(needed("h5py", "record"), path) as file:
+            return bool(file.attrs.get("schema") == SCHEMA)
+    except (OSError, HapticdError):
+        return False
+
+
+def _hdf5(path: Path) -> Recording:
+    h5py = needed("h5py", "record")
+    if not path.is_file():
+        raise ConfigError(f"{path}: no such file; check the path")
+    try:
+        file = _opened(h5py, path)
+    except OSError as error:
+        raise ConfigError(f"{path}: {error}; it is no HDF5 file, or damaged") from error
+    if file.attrs.get("schema") != SCHEMA:
+        found = file.attrs.get("schema", "without a schema")
+        file.close()
+        raise ConfigError(f"{path} is no hapticd recording ({found}); expected {SCHEMA}")
+    names = sorted(
+        file, key=lambda name: name != FLUSHED
+    )  # of a file that grows meanwhile the count comes before what it counts
+    return Recording(path, dict(file.attrs), {name: dict(file[name]) for name in names}, file)
+
+
+def _opened(h5py: Any, path: Path) -> Any:
+    try:
+        return h5py.File(path, "r")
+    except OSError:  # live, or its recorder died: only a reader who knows that opens it
+        return h5py.File(path, "r", swmr=True)
+
+
+def _flight(path: Path) -> Recording:
+    header, records = flight.read_flight(path)
+    attributes = {
+        "schema": SCHEMA,
+        "started_utc": header["written_utc"],
+        "simulated": int(header["simulated"]),
+        "rate_hz": header["rate_hz"],
+        "note": f"flight recording: {header['reason']}",
+        "layout": header["layout"],
+        "configuration": json.dumps(header["servo"]),
+        "server_version": header["version"],
+        "realtime": json.dumps(header["report"].get("realtime", {})),
+    }
+    rows: dict[str, list[dict[str, Any]]] = {
+        "gap": [{"stream": "servo", "row": row, "missing": lost} for row, lost in header["gaps"]],
+        "life": [
+            {
+                "row": 0,
+                "epoch": header["epoch"],
+                "mono_unix_offset_ns": header["mono_unix_offset_ns"],
+            }
+        ],
+        "event": [],
+        **replay_rows(header["epoch"], header["requests"], header["breaks"], header["checkpoints"]),
+    }
+    ticks = columns(records)
+    groups: dict[str, Columns] = {
+        "servo": {
+            channel.name: as_channel(channel, ticks[channel.name]) for channel in GROUPS["servo"]
+        },
+        "probe": {},
+        TEXT: {"bytes": texts(rows["checkpoint"])},
+    }
+    return Recording(
+        path, attributes, groups | {name: table(name, found) for name, found in rows.items()}
+    )

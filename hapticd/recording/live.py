@@ -1,0 +1,382 @@
+"""From messages of the daemon to rows of the live file: columns that grow by blocks, single writer,
+multiple readers (SWMR).
+
+A stream of records becomes one column a field, in units as UDUNITS writes them; payloads go in, and
+`Writer.write` is called now and then: no socket, no clock. Fifty columns more than ten times a
+second would cost more than a recorder may take, so
+- HDF5's low-level calls are used, with number types and selections made once (a fifth of the time);
+- a column that stands still is not written: it stays shorter than the others until it moves or the
+  file is closed.
+How many rows count is written last, in /flushed/rows, after everything else has been handed over:
+whatever lies beyond is not meant, and a column that ends before repeats its last value. A write
+that fails leaves the library with data it cannot put anywhere; then nothing more is written, and
+the file stays as it was at the last flush for `recover`.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgpack
+import numpy as np
+from numpy.typing import NDArray
+
+from hapticd.client.blocks import Block, BlockDecoder
+from hapticd.errors import HapticdError
+from hapticd.gateway.telemetry import ENERGIES
+from hapticd.gateway.telemetry import PROBE_DESCR as PROBE
+from hapticd.gateway.telemetry import TICK_DESCR as TICKS
+from hapticd.mailbox.layout import COMMAND_VALUES
+from hapticd.recording.provenance import needed
+from hapticd.units import NS_PER_S, unit_of
+
+Columns = dict[str, NDArray[Any]]
+LEFT_OUT = "tail"  # repeats the tick, for readers of the ring
+_SIGNED = {"<u8": "<i8"}  # 64-bit unsigned integers are no joy in MATLAB
+CHUNK_ROWS = {"servo": 1024, "probe": 4096, "checkpoint_text": 4096}  # a chunk is written whole
+FEW_ROWS = 64  # in a chunk of all others
+FLUSHED = "flushed"
+ROWS = "rows"
+SUFFIX = ".part.h5"
+TOPICS = ("servo.raw", "probe", "event", "flight")
+STREAMS = {"servo.raw": "servo", "probe": "probe"}
+TEXT_BYTES = 128
+
+
+class Channel(NamedTuple):
+    """A dataset: its name, number type, bytes per row (0: one number per row) and unit."""
+
+    name: str
+    kind: str
+    width: int
+    unit: str
+
+
+def channels(descr: Sequence[Sequence[Any]]) -> list[Channel]:
+    """The channels of records with numpy `descr`."""
+    found = []
+    for name, kind, *shape in (field for field in descr if field[0] != LEFT_OUT):
+        if shape:
+            found += [Channel(part, kind, 0, udunits(part)) for part in _parts(name, shape[0][0])]
+        elif kind.startswith("V"):
+            found.append(Channel(name, "u1", int(kind[1:]), ""))
+        else:
+            found.append(Channel(name, _SIGNED.get(kind, kind), 0, udunits(name)))
+    return found
+
+
+def columns(records: NDArray[np.void]) -> Columns:
+    """The columns of a block of records, in the order of `channels`: views, of the bytes that
+    the channels' types mean.
+    """
+    found: Columns = {}
+    for name in (name for name in records.dtype.names or () if name != LEFT_OUT):
+        column = records[name]
+        if column.ndim == 2:
+            found |= {
+                part: column[:, place] for place, part in enumerate(_parts(name, column.shape[1]))
+            }
+        else:
+            found[name] = column
+    return found
+
+
+def as_channel(channel: Channel, values: NDArray[Any]) -> NDArray[Any]:
+    """`values` of a column as numbers of its channel: (n,), bytes (n, width)."""
+    row = (channel.width,) if channel.width else ()
+    return np.frombuffer(values.tobytes(), channel.kind).reshape(-1, *row)
+
+
+def _parts(name: str, count: int) -> tuple[str, ...]:
+    return ENERGIES if name == "energy_j" else tuple(f"{name}_{place}" for place in range(count))
+
+
+def udunits(name: str) -> str:
+    """Unit of a field as UDUNITS writes it: N s/m -> N s m-1."""
+    over, _, under = unit_of(name).partition("/")
+    powers = [
+        f"{base}-{power or 1}" for base, _, power in (part.partition("^") for part in under.split())
+    ]
+    return " ".join([over, *powers]).strip()
+
+
+class Column:
+    """One dataset that grows."""
+
+    def __init__(self, group: Any, channel: Channel, chunk_rows: int) -> None:
+        self._row = (channel.width,) if channel.width else ()
+        self._dtype = np.dtype(channel.kind)
+        self._bytes = self._dtype.itemsize * max(1, channel.width)
+        self.dataset = group.create_dataset(
+            channel.name,
+            (0, *self._row),
+            self._dtype,
+            maxshape=(None, *self._row),
+            chunks=(chunk_rows, *self._row),
+        )
+        self.dataset.attrs["units"] = channel.unit
+        self._identifier, self._kind = self.dataset.id, self.dataset.id.get_type()
+        self._last = b""
+        self._standing = 0
+        self._rows = 0
+
+    def append(self, values: NDArray[Any]) -> None:
+        """Add `values`, of the bytes of the dataset's number type; nothing is written while all
+        are what the last one was.
+        """
+        data = values.tobytes()
+        if data == self._last * len(values):
+            self._standing += len(values)
+        else:
+            self._write(self._last * self._standing + data)
+
+    def catch_up(self) -> None:
+        """Write the rows that stood still."""
+        if self._standing:
+            self._write(self._last * self._standing)
+
+    def _write(self, data: bytes) -> None:
+        values = np.frombuffer(data, self._dtype).reshape(-1, *self._row)
+        begin = self._rows
+        self._rows = self._rows + len(values)
+        self._identifier.set_extent((self._rows, *self._row))
+        self._identifier.write(*_selections(begin, values.shape), values, self._kind)
+        self._last = data[-self._bytes :]
+        self._standing = 0
+
+
+@lru_cache(maxsize=4)
+def _selections(begin: int, shape: tuple[int, ...]) -> tuple[Any, Any]:
+    """Where a block of `shape` lies in memory, and where it goes in its dataset, which was just
+    extended to hold it, from row `begin` on; the same for most columns of a group.
+    """
+    spaces = needed("h5py", "record").h5s
+    there = spaces.create_simple((begin + shape[0], *shape[1:]), (spaces.UNLIMITED, *shape[1:]))
+    there.select_hyperslab((begin, *(0,) * (len(shape) - 1)), shape)
+    return spaces.create_simple(shape), there
+
+
+class LiveFile:
+    """`path` with one group per entry of `groups`; no other dataset or attribute can be added
+    later. HapticdError: it exists.
+    """
+
+    def __init__(
+        self, path: Path, attributes: Mapping[str, Any], groups: Mapping[str, Iterable[Channel]]
+    ) -> None:
+        h5py = needed("h5py", "record")
+        try:
+            self._file = h5py.File(path, "x", libver=("v110", "v110"))
+        except OSError as error:
+            raise HapticdError(
+                f"{path}: {error}; choose another name, or `hapticd rec recover` it first"
+            ) from error
+        for name, value in attributes.items():
+            self._file.attrs[name] = value
+        counts = [Channel(ROWS, "<i8", len(groups), "")]
+        self._groups = {
+            name: self._columns(name, channels)
+            for name, channels in {**groups, FLUSHED: counts}.items()
+        }
+        self._groups[FLUSHED][ROWS].dataset.attrs["groups"] = list(groups)
+        self._rows = dict.fromkeys(groups, 0)
+        self._file.swmr_mode = True
+        self.descriptor: int = self._file.id.get_vfd_handle()
+
+    def _columns(self, name: str, channels: Iterable[Channel]) -> dict[str, Column]:
+        group = self._file.create_group(name)
+        chunk_rows = CHUNK_ROWS.get(name, FEW_ROWS)
+        return {channel.name: Column(group, channel, chunk_rows) for channel in channels}
+
+    def append(self, group: str, columns: Mapping[str, NDArray[Any]]) -> None:
+        """Add rows to all columns of `group`."""
+        for name, values in columns.items():
+            self._groups[group][name].append(values)
+        self._rows[group] += len(values)
+
+    def flush(self) -> None:
+        """Hand everything to the operating system: from here on it survives the end of this
+        process.
+        """
+        self._file.flush()
+        counts = self._groups[FLUSHED][ROWS]
+        counts.append(np.array([list(self._rows.values())], "<i8"))
+        counts.dataset.id.flush()
+
+    def close(self) -> None:
+        """Bring all columns to the same length and close an intact file."""
+        for name in self._rows:
+            for column in self._groups[name].values():
+                column.catch_up()
+        self._file.flush()
+        self._file.close()
+
+
+def _integers(*names: str) -> list[Channel]:
+    return [Channel(name, "<i8", 0, "") for name in names]
+
+
+REQUEST = ("tick", "seq", "kind", "actor", "apply_tick")
+GROUPS: dict[str, list[Channel]] = {
+    "servo": channels(TICKS),
+    "probe": channels(PROBE),
+    "event": [
+        Channel("timestamp", "<f8", 0, "s"),
+        Channel("tick", "<i8", 0, ""),
+        Channel("kind", "S16", 0, ""),
+        Channel("fault", "S32", 0, ""),
+        Channel("text", f"S{TEXT_BYTES}", 0, ""),
+    ],
+    "gap": [Channel("stream", "S16", 0, ""), *_integers("row", "missing")],
+    "life": _integers("row", "epoch", "mono_unix_offset_ns"),
+    "checkpoint": [*_integers("epoch", "tick", "length")],
+    "checkpoint_text": [Channel("bytes", "u1", 0, "")],
+    "request": [
+        *_integers("epoch", *REQUEST),
+        *(Channel(f"value_{place:02}", "<f8", 0, "") for place in range(COMMAND_VALUES)),
+    ],
+    "break": _integers("epoch", "tick"),
+}
+
+
+class Writer:
+    """Collects what comes and writes it in blocks; records that are `seconds` after the first,
+    or later, are left out.
+    """
+
+    def __init__(
+        self, path: Path, attributes: dict[str, Any], seconds: float | None = None
+    ) -> None:
+        self._seconds = seconds
+        self.file = LiveFile(path, attributes, GROUPS)
+        self._decoders = {topic: BlockDecoder() for topic in STREAMS}
+        self._blocks: dict[str, list[Block]] = {topic: [] for topic in STREAMS}
+        self._rows = dict.fromkeys(STREAMS, 0)
+        self._small: dict[str, list[dict[str, Any]]] = {
+            name: [] for name in GROUPS if name not in STREAMS.values()
+        }
+        self._epoch: int | None = None
+        self.missing = dict.fromkeys(STREAMS, 0)
+        self.first_ns = self.last_ns = 0  # time of the first and the newest record taken
+        self.beyond = False  # a record came that lies behind the end
+
+    @property
+    def records(self) -> int:
+        """Ticks taken so far."""
+        return self._rows["servo.raw"]
+
+    @property
+    def seconds(self) -> float:
+        """Recorded time."""
+        return (self.last_ns - self.first_ns) / NS_PER_S
+
+    def take(self, topic: str, payload: bytes) -> None:
+        """Take one message."""
+        if topic in STREAMS:
+            self._stream(topic, self._decoders[topic].decode(payload))
+            return
+        content = msgpack.unpackb(payload, use_list=False)
+        if topic == "event":
+            found = {"event": [event_row(content)]}
+        else:
+            lost, checkpoint = (
+                [] if content[one] is None else [content[one]] for one in ("break", "checkpoint")
+            )
+            found = replay_rows(content["epoch"], content["requests"], lost, checkpoint)
+        for name, rows in found.items():
+            self._small[name] += rows
+
+    def _stream(self, topic: str, block: Block) -> None:
+        if self._seconds is not None and self.first_ns:
+            inside = block.records["time_ns"] < self.first_ns + round(self._seconds * NS_PER_S)
+            self.beyond |= topic == "servo.raw" and not inside.all()
+            block = Block(block.records[inside], block.gap, block.restarted, block.header)
+        if not len(block.records):
+            return
+        row = self._rows[topic]
+        name = STREAMS[topic]
+        if block.gap:
+            self.missing[topic] += block.gap
+            self._small["gap"].append({"stream": name, "row": row, "missing": block.gap})
+        if topic == "servo.raw" and block.header["epoch"] != self._epoch:
+            self._epoch = block.header["epoch"]
+            offset_ns = block.header["mono_unix_offset_ns"]
+            self._small["life"].append(
+                {"row": row, "epoch": self._epoch, "mono_unix_offset_ns": offset_ns}
+            )
+        if topic == "servo.raw":
+            self.first_ns = self.first_ns or int(block.records["time_ns"][0])
+            self.last_ns = int(block.records["time_ns"][-1])
+        self._rows[topic] += len(block.records)
+        self._blocks[topic].append(block)
+
+    def write(self) -> None:
+        """Put everything taken into the file and flush it. OSError or RuntimeError: it cannot
+        be written (any more).
+        """
+        for topic, name in STREAMS.items():
+            if blocks := self._blocks[topic]:
+                self._blocks[topic] = []
+                data = b"".join(block.records.tobytes() for block in blocks)
+                self.file.append(name, columns(np.frombuffer(data, blocks[0].records.dtype)))
+        for name, rows in self._small.items():
+            if rows:
+                self._small[name] = []
+                self.file.append(name, table(name, rows))
+                if name == "checkpoint":
+                    self.file.append("checkpoint_text", {"bytes": texts(rows)})
+        self.file.flush()
+
+
+def table(group: str, rows: list[dict[str, Any]]) -> Columns:
+    """The columns of a small group from its rows."""
+    return {
+        channel.name: np.array([row[channel.name] for row in rows], channel.kind)
+        for channel in GROUPS[group]
+    }
+
+
+def texts(checkpoints: list[dict[str, Any]]) -> NDArray[np.uint8]:
+    """The bytes of `checkpoint_text` of rows of `checkpoint`."""
+    return np.frombuffer(b"".join(row["text"] for row in checkpoints), "u1")
+
+
+def replay_rows(
+    epoch: int,
+    requests: Iterable[Any],
+    breaks: Iterable[int],
+    checkpoints: Iterable[tuple[int, Any]],
+) -> dict[str, list[dict[str, Any]]]:
+    """Rows of `request`, `break` and `checkpoint` (with its `text`) of what a flight was told
+    in one servo life.
+    """
+    packed = [(tick, msgpack.packb(state)) for tick, state in checkpoints]
+    return {
+        "request": [
+            {
+                "epoch": epoch,
+                **dict(zip(REQUEST, numbers, strict=True)),
+                **{f"value_{n:02}": one for n, one in enumerate(values)},
+            }
+            for *numbers, values in requests
+        ],
+        "break": [{"epoch": epoch, "tick": tick} for tick in breaks],
+        "checkpoint": [
+            {"epoch": epoch, "tick": tick, "text": text, "length": len(text)}
+            for tick, text in packed
+        ],
+    }
+
+
+def event_row(event: dict[str, Any]) -> dict[str, Any]:
+    """An event of the daemon in fixed columns; what has no column stands in the text."""
+    columns_of_its_own = {"timestamp", "tick", "kind", "fault", "cause", "action", "remedy"}
+    words = [f"{name}={value}" for name, value in event.items() if name not in columns_of_its_own]
+    return {
+        "timestamp": event["timestamp"],
+        "tick": event.get("tick", -1),
+        "kind": event["kind"],
+        "fault": event.get("fault", ""),
+        "text": ", ".join(words).encode()[:TEXT_BYTES],
+    }

@@ -1,0 +1,182 @@
+"""The final file: compressed, with checksums, in a format that HDF5 1.8 and so every Octave and
+MATLAB opens; and its exports.
+
+The source may be a live file that was closed, one whose recorder died, or a flight recording. A
+live file is removed when the final one is on the disk; a source that cannot be packed stays as it
+is.
+
+Exports are MATLAB 5 (.mat) and comma-separated values. What a finished file has beside the records,
+the probe's signals in SI and seconds, is in the export of an unfinished one too. A text file ends
+with a line that begins with # and says where it comes from, SIMULATED or not, and which part is one
+trial.
+"""
+
+import csv
+import json
+import os
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hapticd.errors import AnalysisError, HapticdError
+from hapticd.recording.file import Recording, open_recording
+from hapticd.recording.live import SUFFIX
+from hapticd.recording.provenance import needed
+from hapticd.recording.stretch import remark, stretch
+from hapticd.units import NS_PER_S
+
+CHUNK_ROWS = 4096
+AT_ONCE = 1 << 18
+GZIP = 4
+FINAL = ".h5"
+LINES_AT_ONCE = 10_000  # of a text file
+GROUPS = ("servo", "probe", "event", "gap", "life")  # of a MATLAB file
+FRAMES = ("in_frame", "out_frame")  # not in a text file
+
+
+def pack(source: Path, final: Path, recovered: bool = False) -> dict[str, Any]:
+    """Write `final` from `source`, whole or not at all; {file, records, seconds, missing,
+    bytes}. HapticdError: it cannot be, and `source` stays as it is.
+    """
+    h5py = needed("h5py", "record")
+    if final.exists():
+        raise HapticdError(f"{final} exists; move it away or choose another name")
+    fresh = final.with_name(f".{final.name}.{os.getpid()}")
+    with open_recording(source) as recording:
+        try:
+            told = summary(recording)
+            with h5py.File(fresh, "w", libver=("earliest", "v108")) as file:
+                _write(file, recording, told, recovered)
+            with fresh.open("rb") as written:
+                os.fsync(written.fileno())
+            fresh.replace(final)
+        except (OSError, RuntimeError, LookupError, ValueError) as error:
+            raise HapticdError(
+                f"{final}: {error}; free some space, then `hapticd rec recover {source}`"
+            ) from error
+        finally:
+            fresh.unlink(missing_ok=True)
+    if source.name.endswith(SUFFIX):
+        source.unlink()
+    return {"file": str(final), **told, "bytes": final.stat().st_size}
+
+
+def summary(recording: Recording) -> dict[str, Any]:
+    """Records, probe samples, seconds, missing records, servo lives."""
+    rows = recording.rows["servo"]
+    ends = (
+        [int(recording.column("servo", "time_ns", row, row + 1)[0]) for row in (0, rows - 1)]
+        if rows
+        else [0, 0]
+    )
+    return {
+        "records": rows,
+        "probe_samples": recording.rows["probe"],
+        "seconds": (ends[1] - ends[0]) / NS_PER_S,
+        "missing": recording.missing,
+        "lives": recording.rows["life"],
+        "simulated": bool(recording.attributes["simulated"]),
+    }
+
+
+def _write(file: Any, recording: Recording, told: dict[str, Any], recovered: bool) -> None:
+    for name, value in recording.attributes.items():
+        file.attrs[name] = value
+    file.attrs["recovered"] = int(recovered)
+    file.attrs["packed_utc"] = datetime.now(UTC).isoformat()
+    file.attrs["summary"] = json.dumps(told)
+    for group, rows in recording.rows.items():
+        target = file.create_group(group)
+        for name in recording.names(group):
+            _copy(target, name, recording, group, rows)
+
+
+def _copy(target: Any, name: str, recording: Recording, group: str, rows: int) -> None:
+    first = recording.column(group, name, 0, 1)
+    dataset = _dataset(
+        target, name, (rows, *first.shape[1:]), first.dtype, recording.unit(group, name)
+    )
+    for begin in range(0, rows, AT_ONCE):
+        end = min(begin + AT_ONCE, rows)
+        dataset[begin:end] = recording.column(group, name, begin, end)
+
+
+def _dataset(target: Any, name: str, shape: tuple[int, ...], kind: Any, unit: str) -> Any:
+    if shape[0]:
+        chunks = (min(CHUNK_ROWS, shape[0]), *shape[1:])
+        dataset = target.create_dataset(
+            name,
+            shape,
+            kind,
+            chunks=chunks,
+            compression="gzip",
+            compression_opts=GZIP,
+            shuffle=True,
+            fletcher32=True,
+        )
+    else:
+        dataset = target.create_dataset(name, shape, kind)
+    dataset.attrs["units"] = unit
+    return dataset
+
+
+def to_mat(recording: Recording, path: Path) -> Path:
+    """One structure per group, and `info` with the attributes. HapticdError: it cannot be
+    written.
+    """
+    io = needed("scipy.io", "record")
+    content: dict[str, Any] = {
+        group: {name: recording.column(group, name) for name in names}
+        for group in GROUPS
+        if (names := recording.names(group))
+    }
+    content["info"] = {
+        name: value
+        for name, value in recording.attributes.items()
+        if not isinstance(value, np.ndarray)
+    }
+    try:
+        io.savemat(path, content, do_compression=True, long_field_names=True, oned_as="column")
+    except OSError as error:
+        raise HapticdError(f"{path}: {error}") from error
+    return path
+
+
+def to_csv(recording: Recording, path: Path) -> list[Path]:
+    """The records in `path`, one line a tick, units in the names; probe samples beside it in
+    NAME.probe.csv.
+    """
+
+    written = [_table(recording, "servo", path, remark(recording.attributes, None))]
+    if recording.rows["probe"]:
+        trial = None
+        with suppress(AnalysisError):
+            trial = stretch(recording.column, recording.attributes, recording.path.name)
+        written.append(
+            _table(
+                recording,
+                "probe",
+                path.with_suffix(".probe.csv"),
+                remark(recording.attributes, trial),
+            )
+        )
+    return written
+
+
+def _table(recording: Recording, group: str, path: Path, remark: str) -> Path:
+    names = [name for name in recording.names(group) if name not in FRAMES]
+    try:
+        with path.open("x", newline="") as file:
+            lines = csv.writer(file)
+            lines.writerow(names)
+            for begin in range(0, recording.rows[group], LINES_AT_ONCE):
+                end = begin + LINES_AT_ONCE
+                columns = [recording.column(group, name, begin, end).tolist() for name in names]
+                lines.writerows(zip(*columns, strict=True))
+            file.write(remark)
+    except OSError as error:
+        raise HapticdError(f"{path}: {error.strerror}; choose another name") from error
+    return path

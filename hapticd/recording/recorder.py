@@ -1,0 +1,193 @@
+"""Recording a running daemon: an ordinary client that writes every tick, every probe sample and
+every event into one file.
+
+What has come is written and flushed every 100 ms, so a recorder that is killed loses no more of
+what it was sent; once a second a thread has the operating system put it on the disk, so a power
+failure loses about a second. A slow disk delays the flush: what comes meanwhile waits in ZeroMQ's
+queue (10,000 messages, minutes) and a full one shows as a gap with its size. Before the disk is
+full the recording ends in order; after a write error it ends at once and what was flushed stays for
+`hapticd rec recover`.
+"""
+
+import os
+import shutil
+from collections.abc import Callable, Generator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hapticd.client.blocks import BlockDecoder
+from hapticd.client.client import Client
+from hapticd.clock import Clock, MonotonicClock
+from hapticd.errors import ConfigError, DaemonDown, HapticdError
+from hapticd.recording import live, pack
+from hapticd.recording.live import TOPICS, Writer
+from hapticd.recording.provenance import of_recording
+from hapticd.units import NS_PER_S
+
+LOOK_S = 0.1  # between two looks for what has come, each written and flushed at once
+SYNC_NS = NS_PER_S  # between two looks at the disk
+RESERVE_BYTES = 64 << 20  # the disk is taken for full when so little is left
+SILENCE_NS = 10 * NS_PER_S  # a daemon that says nothing for so long has ended
+
+Message = tuple[str, bytes]
+
+
+@dataclass(frozen=True)
+class RecordingParams:
+    """`file`: the final file (.h5); `seconds` of recorded time, None: until stopped; `note`:
+    the operator's words.
+    """
+
+    file: Path
+    seconds: float | None = None
+    note: str = ""
+
+    @property
+    def part(self) -> Path:
+        """The live file."""
+        return self.file.with_name(self.file.name.removesuffix(pack.FINAL) + live.SUFFIX)
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a recording is."""
+
+    records: int
+    seconds: float
+    missing: int
+    file_bytes: int
+
+
+def record(
+    source: Client,
+    params: RecordingParams,
+    should_stop: Callable[[], bool],
+    tell: Callable[[Progress], None] = lambda progress: None,
+    clock: Clock | None = None,
+    free_bytes: Callable[[Path], int] = lambda folder: shutil.disk_usage(folder).free,
+) -> dict[str, Any]:
+    """Record until `seconds` are recorded, `should_stop()`, the disk is nearly full or the daemon
+    has ended; then pack.
+
+    Why it `ended`, and what `pack.pack` says of the final file.
+
+    ConfigError: the file exists. HapticdError: it cannot be written; what was flushed is in the
+    live file. DaemonDown: nothing came.
+    """
+    check_free(params)
+    recorder = Recorder(source, params, clock or MonotonicClock(), free_bytes)
+    ended = recorder.run(should_stop, tell)
+    return {"ended": ended, **pack.pack(params.part, params.file)}
+
+
+def check_free(params: RecordingParams) -> None:
+    """ConfigError when a file is in the way or the folder is missing."""
+    if params.file.suffix != pack.FINAL:
+        raise ConfigError(f"{params.file}: a recording is called NAME{pack.FINAL}")
+    for path, remedy in (
+        (params.file, "choose another name"),
+        (params.part, f"`hapticd rec recover {params.part}` first"),
+    ):
+        if path.exists():
+            raise ConfigError(f"{path} exists; {remedy}")
+    if not params.file.parent.is_dir():
+        raise ConfigError(f"{params.file.parent}: no such folder; make it first")
+
+
+class Recorder:
+    """The loop of one recording."""
+
+    def __init__(
+        self,
+        source: Client,
+        params: RecordingParams,
+        clock: Clock,
+        free_bytes: Callable[[Path], int],
+    ) -> None:
+        self._source = source
+        self._params = params
+        self._clock = clock
+        self._free_bytes = free_bytes
+        self._writer: Writer | None = None
+
+    def run(self, should_stop: Callable[[], bool], tell: Callable[[Progress], None]) -> str:
+        """Record into the live file; why it ended."""
+        told = self._source.hello(), self._source.status()
+        try:
+            with (
+                closing(self._source.messages(TOPICS, LOOK_S)) as messages,
+                ThreadPoolExecutor(1) as disk,
+            ):
+                ended = self._loop(messages, told, disk, should_stop, tell)
+            if self._writer is None:
+                raise DaemonDown("record: the daemon published nothing; see `hapticd status`")
+            self._writer.file.close()
+        except (OSError, RuntimeError) as error:
+            part = self._params.part
+            remedy = (
+                "what was flushed before is safe: free some space, then `hapticd rec recover"
+                f" {part}`"
+            )
+            raise HapticdError(f"{part}: {error}; {remedy}") from error
+        return ended
+
+    def _loop(
+        self,
+        messages: Generator[Message | None, None, None],
+        told: tuple[dict[str, Any], dict[str, Any]],
+        disk: ThreadPoolExecutor,
+        should_stop: Callable[[], bool],
+        tell: Callable[[Progress], None],
+    ) -> str:
+        heard_ns = synced_ns = self._clock.now_ns()
+        ended = ""
+        while not ended:
+            message = next(messages)
+            now_ns = self._clock.now_ns()
+            if message is not None:
+                heard_ns = now_ns
+                self._take(*message, told)
+                continue
+            if writer := self._writer:
+                writer.write()
+                if now_ns - synced_ns >= SYNC_NS:
+                    synced_ns = now_ns
+                    disk.submit(
+                        os.fdatasync, writer.file.descriptor
+                    )  # if that fails, the next write says so
+                    ended = (
+                        "disk nearly full"
+                        if self._free_bytes(self._params.part.parent) < RESERVE_BYTES
+                        else ""
+                    )
+                    tell(
+                        Progress(
+                            writer.records,
+                            writer.seconds,
+                            writer.missing["servo.raw"],
+                            self._params.part.stat().st_size,
+                        )
+                    )
+            ended = ended or self._over(now_ns - heard_ns, should_stop)
+        return ended
+
+    def _take(
+        self, topic: str, payload: bytes, told: tuple[dict[str, Any], dict[str, Any]]
+    ) -> None:
+        if self._writer is None:
+            if topic != "servo.raw":
+                return
+            header = BlockDecoder().decode(payload).header
+            attributes = of_recording(*told, header, self._params.note)
+            self._writer = Writer(self._params.part, attributes, self._params.seconds)
+        self._writer.take(topic, payload)
+
+    def _over(self, silent_ns: int, should_stop: Callable[[], bool]) -> str:
+        if should_stop():
+            return "stopped"
+        if silent_ns >= SILENCE_NS:
+            return "daemon ended"
+        return "complete" if self._writer and self._writer.beyond else ""

@@ -1,0 +1,161 @@
+"""The part of a recording that is one trial, and the remark that carries it in a text file.
+
+A recording is longer than a trial: its longest stretch is taken in which the servo was enabled, the
+probe shook the device (if it ever did) and nothing was changed. What was rendered in it, the
+largest command, and which slots were lost are those of the ticks. The second in which the device
+settles after the perturbation began is left out, as in a live trial.
+
+An exported table of text has no attributes, so its last line, the remark, says where it comes from
+and, beside the probe's samples, which part is the trial.
+
+What would break it: a recording whose board began anew in the middle; then another servo life
+begins, which ends the stretch.
+"""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hapticd.analysis.arrays import Flags
+from hapticd.errors import AnalysisError, ConfigError
+from hapticd.mailbox.layout import LOST_SLOTS, State
+from hapticd.recording.provenance import SCHEMA
+from hapticd.units import NS_PER_S
+
+SETTLE_S = 1.0
+
+
+REMARK = f"# {SCHEMA} "
+
+
+TAIL_BYTES = 8192  # in which the remark of a text file stands
+
+
+OF_A_SERVO = {"tick", "revision", "force_n"}  # columns of a table of ticks
+
+
+COUNTED = {"index", "torque", "velocity", "time_ns"}  # of a table of the probe
+
+
+RENDERED = ("stiffness_n_per_m", "damping_ns_per_m", "mass_kg", "added_damping_asked_ns_per_m")
+
+
+KEPT = ("device_name", "device_serial", "started_utc", "uuid", "config_hash", "note")
+
+
+Column = Callable[[str, str], Any]  # of a group and a name: its values, one a row
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Part of a recording that is one trial: rows `first` to before `after` of its probe; K, B, M
+    and the electrical damping that were rendered [N/m, N s/m, kg, N s/m]; the largest command and
+    its limit [N]; slots, and how many were lost.
+    """
+
+    first: int
+    after: int
+    environment: tuple[float, float, float]
+    added_damping_ns_per_m: float
+    max_command_n: float
+    command_limit_n: float
+    lost_slots: int
+    slots: int
+    begin_s: float  # from the first row of the probe
+    end_s: float
+
+
+def remark(attributes: Mapping[str, Any], trial: Stretch | None) -> str:
+    """The last line of a text file: where it comes from, and of the probe's which part is one
+    trial.
+    """
+    told: dict[str, Any] = {name: attributes[name] for name in KEPT if name in attributes}
+    told["simulated"] = int(attributes["simulated"])
+    if trial is not None:
+        told["trial"] = asdict(trial)
+    return f"{REMARK}{json.dumps(told, default=np.generic.item)}\n"
+
+
+def read_remark(path: Path) -> dict[str, Any] | None:
+    """What the last line of a text file says of it; None if it is not ours. OSError."""
+    with path.open("rb") as file:
+        size = file.seek(0, 2)
+        file.seek(max(0, size - TAIL_BYTES))
+        last = file.read().decode(errors="replace").strip().splitlines()[-1:]
+    if not last or not last[0].startswith(REMARK):
+        return None
+    try:
+        return dict(json.loads(last[0].removeprefix(REMARK)))
+    except (ValueError, TypeError) as error:
+        raise ConfigError(
+            f"{path}: its last line was changed ({error}); export it again"
+        ) from error
+
+
+def stretch(column: Column, attributes: Mapping[str, Any], name: str) -> Stretch:
+    """The longest part of a recording in which nothing was changed. AnalysisError without ticks
+    or probe samples.
+    """
+    probe_ns, tick_ns = (
+        np.asarray(column(group, "time_ns"), np.int64) for group in ("probe", "servo")
+    )
+    if not probe_ns.size or not tick_ns.size:
+        raise AnalysisError(
+            f"{name}: no samples of the probe in it; record while a board with probe inputs is"
+            " connected"
+        )
+    begin, end = _longest(column)
+    settle_ns = (
+        round(SETTLE_S * NS_PER_S)
+        if begin and tick_ns[end] - tick_ns[begin] > 2 * SETTLE_S * NS_PER_S
+        else 0
+    )
+    first, after = np.searchsorted(probe_ns, [tick_ns[begin] + settle_ns, tick_ns[end] + 1])
+    stiffness, damping, mass, added = (float(column("servo", one)[end]) for one in RENDERED)
+    if column("servo", "state")[end] != State.ENABLED:
+        stiffness = damping = mass = 0.0
+    lost = (
+        int(column("servo", "lost_slots")[end] - column("servo", "lost_slots")[begin]) % LOST_SLOTS
+    )
+    force = np.abs(np.asarray(column("servo", "force_n"), np.float64)[begin : end + 1])
+    servo = json.loads(str(attributes["configuration"]))
+    return Stretch(
+        int(first),
+        int(after),
+        (stiffness, damping, mass),
+        added,
+        float(force.max()),
+        min(servo["safety"]["force_limit_n"], servo["device"]["force_limit_n"]),
+        lost,
+        int(column("servo", "tick")[end] - column("servo", "tick")[begin]) + 1 + lost,
+        float(probe_ns[first : first + 1].sum() - probe_ns[0]) / NS_PER_S,
+        float(probe_ns[after - 1] - probe_ns[0]) / NS_PER_S,
+    )
+
+
+def _longest(column: Column) -> tuple[int, int]:
+    """First and last tick of the longest run that is fit for a trial."""
+    fit = _fit(column)
+    keys = np.stack(
+        [np.asarray(column("servo", name), np.float64) for name in ("revision", *RENDERED)]
+    )
+    changed = np.flatnonzero((np.diff(keys, axis=1) != 0.0).any(axis=0) | (np.diff(fit) != 0)) + 1
+    lives = np.asarray(column("life", "row"), np.int64)
+    edges = np.unique(np.concatenate(([0, fit.size], changed, lives)))
+    lengths = np.where(fit[edges[:-1]], np.diff(edges), 0)
+    longest = int(np.argmax(lengths))
+    return int(edges[longest]), int(edges[longest + 1]) - 1
+
+
+def _fit(column: Column) -> Flags:
+    """Ticks (n,) that were enabled and perturbed, or only enabled; all where none was."""
+    enabled = (np.asarray(column("servo", "state")) == State.ENABLED) & (
+        np.asarray(column("servo", "gain")) >= 1.0
+    )
+    shaken = enabled & (np.asarray(column("servo", "perturbing")) != 0)
+    found = next((fit for fit in (shaken, enabled) if fit.any()), np.ones_like(enabled))
+    return np.asarray(found)

@@ -1,0 +1,506 @@
+"""What accuracy costs in time, measured then and there: error against a reference over seconds, for
+every way to simulate.
+
+tier          predict, simulate, lock-step
+sub-steps     1..32 in a 4 kHz sample: matter to friction, ends and cogging alone
+precision     f64, f32
+trial length  5..90 s        window   256..8192 samples: only where noise moves the scene
+effect        each left out, at 1 sub-step: the difference is what counts, and its kernel compiles
+              soonest
+
+A gauge reads two errors of a setting. `step` is what the setting does to the answer for the same
+perturbation: the sub-step's, the precision's, a left-out effect's. `total` is the error of one
+trial that is made with it, chance or resolution included; of two settings with the same total the
+cheaper one is the better. The knee of a sweep is its cheapest setting whose total error is within
+10 % of the best one's: what costs more buys little. A knee at the far end says that the sweep has
+none.
+
+Noise (`NoiseGauge`): phase of the impedance, rms over the band. The reference of a linear scene is
+its exact first harmonic (`analysis.loop`). Of any other it is simulated: a group of trials of the
+scene's length, each with a perturbation of its own, in double precision with 32 sub-steps per
+sample, their spectra added up under a window four times as long as the paper's. It is known to a
+third of the deviation of one trial, no better.
+
+A push (`TraceGauge`): position, rms over the trial, in micrometres. The reference is the same trial
+in double precision with 32 sub-steps per sample. What can be seen of a position is a count, so the
+total error holds the encoder's rounding (quantum / sqrt(12)) as well.
+
+The command line passes the processor time of this process (`time.process_time_ns`) to time with:
+seconds of one core, whatever else the machine does. What is timed here runs on one thread. The
+engine computes a group of trials with every instruction, so its cost is that of a full group, for
+each trial.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import partial
+from math import floor, inf, isnan, nan
+from pathlib import Path
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from hapticd.analysis.arrays import Complexes, Floats
+from hapticd.analysis.predict import predict, predicted_impedance
+from hapticd.analysis.spectra import DEFAULT_LAG, Spectra, spa
+from hapticd.assembly.lockstep import LockStep, scene_params
+from hapticd.engine import BatchResult, simulate
+from hapticd.engine.shape import LANES
+from hapticd.errors import AnalysisError, HapticdError
+from hapticd.plant.excitation import Stream, torque_record
+from hapticd.plant.scene import Scene
+from hapticd.units import NS_PER_S, PROBE_RATE_HZ
+from hapticd.zwidth.lockstep import Flown, fly
+from hapticd.zwidth.scenes import (
+    SUBSTEPS,
+    candidates,
+    display,
+    frequencies,
+    is_linear,
+    level,
+    point,
+    without,
+)
+from hapticd.zwidth.simulated import pooled, spectra_of, spectra_on
+from hapticd.zwidth.store import Progress, Steps, silent
+
+REFERENCE = "the reference"
+ROUNDS = 3  # of timing
+LOCKSTEP_S = 20.0
+SWEPT = (1, 2, 4, 8, 16, 32)
+QUICK_SUBSTEPS = (1, 4, 8)
+LENGTHS_S = (5.0, 10.0, 20.0, 45.0, 90.0)
+QUICK_LENGTHS_S = (5.0, 10.0)
+WINDOWS = (256, 512, 1024, 2048, 4096, 8192)
+QUICK_WINDOWS = (512, 2048)
+QUICK_S = 10.0
+QUICK_LOCKSTEP_S = 5.0
+T = TypeVar("T")
+Stopwatch = Callable[[], int]
+COST_ENGINE_S = 4.0
+REPEATS = 9  # the quickest counts: other programs only make it slower
+ALONE_REPEATS = 3
+COST_LOCKSTEP_S = 0.5
+SETTLING_TICKS = 100  # of a lock-step stack, before it is timed
+GROUP = LANES["f64"]
+REFERENCE_LAG = 4 * DEFAULT_LAG
+BATCH = 1000
+ANALYSED = 8  # records whose analysis is timed
+UM_PER_M = 1e6
+QUANTUM_M = 0.5e-6  # where the scene has no encoder: that of Weir 2008, section 2
+KNEE = 1.1
+
+
+def timed(now_ns: Stopwatch, call: Callable[[], T], times: int = 1) -> tuple[T, float]:
+    """(what `call` returns, seconds) of the quickest of `times` calls, which nothing disturbed."""
+
+    def once() -> tuple[T, float]:
+        begin_ns = now_ns()
+        return call(), (now_ns() - begin_ns) / NS_PER_S
+
+    return min((once() for _ in range(times)), key=lambda run: run[1])
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """Seconds of one core per simulated second: `engine_s` of one trial in a full group of
+    `lanes`, `lockstep_s` of the stack.
+    """
+
+    engine_s: float
+    lanes: int
+    lockstep_s: float
+
+
+def engine_cost(scene: Scene, now_ns: Stopwatch) -> float:
+    """Seconds per simulated second of one trial in a full group. The kernel is compiled before.
+    ConfigError as `simulate`.
+    """
+    group = [point(scene)] * GROUP
+    simulate(scene, group, 1.0 / scene.rate_hz)
+    _, spent = timed(now_ns, lambda: simulate(scene, group, COST_ENGINE_S), REPEATS)
+    return spent / (COST_ENGINE_S * GROUP)
+
+
+def cost(scene: Scene, source: str | Path, now_ns: Stopwatch) -> Cost:
+    """Of the engine, and of the whole stack with the device on the simulated board and nothing
+    enabled; `source` is the scene's name or file.
+    """
+    servo, board = scene_params(source)
+    ticks = round(COST_LOCKSTEP_S * servo.realtime.rate_hz)
+    with LockStep(servo, board, keep=False) as stack:
+        stack.run(SETTLING_TICKS)
+        _, spent = timed(now_ns, lambda: stack.run(ticks), ALONE_REPEATS)
+    return Cost(engine_cost(scene, now_ns), GROUP, spent / COST_LOCKSTEP_S)
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """How a scene is simulated and looked at; the defaults are those of the procedures.
+    `without`: effects that are left out.
+    """
+
+    seconds: float
+    substeps: int = SUBSTEPS
+    dtype: str = "f64"
+    lag: int = DEFAULT_LAG
+    without: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One setting: seconds for one trial (inf: not timed, nan: it cannot be), its errors in the
+    gauge's unit (nan: does not apply), whether it is the default, and whether the knee.
+    """
+
+    sweep: str = ""
+    label: str = ""
+    seconds: float = inf
+    step: float = nan
+    total: float = inf
+    default: bool = False
+    knee: bool = False
+    note: str = ""
+
+
+class Gauge(ABC, Generic[T]):
+    """A scene beside its reference, which is made with the gauge, simulated as `exact` says.
+
+    T is the answer whose step error is read; `reference` says what errors are measured against,
+    and how well that is known.
+    """
+
+    unit: str
+    quantity: str
+    reference: str
+    torque_n: Floats | None = None  # (GROUP, samples), for every setting; None: the scene's own
+
+    def __init__(self, scene: Scene, source: str | Path, exact: Setting, now_ns: Stopwatch) -> None:
+        self.scene = scene
+        self.source = source
+        self.exact = exact
+        self.now_ns = now_ns
+        self.own = display(scene)
+        self._whole: dict[Setting, T] = {}
+
+    @abstractmethod
+    def read(self, setting: Setting) -> Row:
+        """Errors of a trial. With `without`: against the whole scene as it was read with that
+        setting, else the reference.
+        """
+
+    def cost(self, setting: Setting, trials: int = GROUP, repeats: int = 1) -> float:
+        """Seconds for one of `trials` together and for its answer; in a full group the setting
+        has been read before.
+        """
+        found, simulated_s = timed(self.now_ns, lambda: self._flown(setting, trials), repeats)
+        return simulated_s / trials + self._analysis_s(found, setting.lag)
+
+    def lockstep(self, seconds: float) -> Row:
+        """One trial with the whole product; the time is that of its flight. ConfigError or
+        AnalysisError where the scene cannot be flown: the stack begins at rest.
+        """
+        if self.scene.start_velocity_m_per_s or self.scene.start_position_m:
+            raise AnalysisError("the scene begins in motion, lock-step at rest")
+        samples = round(seconds * PROBE_RATE_HZ)
+        source = self.scene.excitation
+        if self.torque_n is None:
+            torque = np.resize(torque_record(source, samples, source.seed), samples)
+        else:
+            torque = self.torque_n[0, :samples]
+        steps = [(step.at_s, step.level_ns_per_m) for step in self.scene.damping]
+        flown, spent = timed(self.now_ns, lambda: fly(str(self.source), torque, steps))
+        return replace(self._flight(flown), seconds=spent)
+
+    @abstractmethod
+    def _flight(self, flown: Flown) -> Row:
+        """Of a trial in lock-step."""
+
+    def _analysis_s(self, found: BatchResult, lag: int) -> float:
+        """Of one trial."""
+        return 0.0
+
+    def _like(self, setting: Setting, answer: T, reference: T) -> T:
+        """What `answer` is compared with."""
+        if setting.without:
+            return self._whole[replace(setting, without=())]
+        self._whole[setting] = answer
+        return reference
+
+    def _flown(self, setting: Setting, trials: int) -> BatchResult:
+        noise = self.torque_n is not None
+        return simulate(
+            without(self.scene, *setting.without), [point(self.scene)] * trials, setting.seconds,
+            excitation=None if self.torque_n is None else self.torque_n[:trials], own_torque=noise,
+            substeps=setting.substeps, dtype=setting.dtype, keep="records" if noise else "ticks",
+        )  # fmt: skip
+
+
+class NoiseGauge(Gauge[Complexes]):
+    """Errors in degrees, of a group of trials."""
+
+    unit = "deg"
+    quantity = "phase of Z, rms over the band"
+
+    def __init__(self, scene: Scene, source: str | Path, exact: Setting, now_ns: Stopwatch) -> None:
+        super().__init__(scene, source, exact, now_ns)
+        samples = round(exact.seconds * PROBE_RATE_HZ)
+        noise = scene.excitation
+        streams = range(Stream.TORQUE, Stream.TORQUE + GROUP)
+        self.torque_n = np.stack(
+            [torque_record(noise, samples, noise.seed, stream) for stream in streams]
+        )
+        self._f = frequencies()
+        flown = self._flown(exact, GROUP)
+        self._step_free = pooled(self._spectra(flown, DEFAULT_LAG))
+        if is_linear(scene):
+            self._true = predicted_impedance(
+                self.own.model, point(scene), self._f, level(scene), self.own.filters
+            )
+            self.reference = "exact first harmonic of the linear scene"
+            return
+        trials = self._spectra(flown, REFERENCE_LAG)
+        half = len(trials) // 2
+        self._true = pooled(trials)
+        known_deg = 0.5 * phase_rms(pooled(trials[half:]) / pooled(trials[:half]))
+        self.reference = (
+            f"{GROUP} trials of {exact.seconds:g} s, {exact.substeps} sub-steps, f64, "
+            f"window {REFERENCE_LAG}; known to {known_deg:.2g} deg"
+        )
+
+    def read(self, setting: Setting) -> Row:
+        """A group of trials, their spectra together and one by one."""
+        trials = self._spectra(self._flown(setting, GROUP), setting.lag)
+        together = pooled(trials)
+        step = phase_rms(together / self._like(setting, together, self._step_free))
+        comparable = (setting.seconds, setting.lag) == (self.exact.seconds, DEFAULT_LAG)
+        return Row(step=step if comparable else nan, total=self._total(trials))
+
+    def predicted(self) -> Iterable[Row]:
+        """Errors of the predicted Z with its seconds, and those of one of 1,000 environments that
+        are asked for a verdict.
+        """
+        own = self.own
+        kbm = point(self.scene)
+        damping = level(self.scene)
+        asked = damping, own.filters, own.perturbation
+        z, alone_s = timed(
+            self.now_ns, lambda: predicted_impedance(own.model, kbm, self._f, *asked), ALONE_REPEATS
+        )
+        many = np.tile(kbm, (BATCH, 1))
+        _, together_s = timed(self.now_ns, lambda: predict(own.model, many, *asked), ALONE_REPEATS)
+        error = phase_rms(z / self._true)
+        yield Row("tier", "predict, alone", alone_s, error, error)
+        yield Row("tier", "predict, 1,000 at once", together_s / BATCH, error, error)
+
+    def _flight(self, flown: Flown) -> Row:
+        return Row(total=self._total([spectra_on(flown.torque_n, flown.velocity_m_per_s, self._f)]))
+
+    def _analysis_s(self, found: BatchResult, lag: int) -> float:
+        """On the window's own grid."""
+        records = [found.record(int(trial)) for trial in np.flatnonzero(~found.diverged)[:ANALYSED]]
+        _, spent = timed(self.now_ns, lambda: [spa(*record, lag=lag) for record in records])
+        return spent / max(1, len(records))
+
+    def _spectra(self, found: BatchResult, lag: int) -> list[Spectra]:
+        return spectra_of(found, self._f, self.own.force_limit_n, lag)
+
+    def _total(self, trials: list[Spectra]) -> float:
+        """Of one trial: rms over trials and frequencies."""
+        errors = [phase_rms(trial.cross / trial.velocity / self._true) for trial in trials]
+        return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def phase_rms(ratio: Complexes) -> float:
+    """rms phase [deg] of the ratio of two impedances (F,)."""
+    return float(np.degrees(np.sqrt(np.mean(np.angle(ratio) ** 2))))
+
+
+class TraceGauge(Gauge[Floats]):
+    """Errors in micrometres, of one trial: all are the same."""
+
+    unit = "um"
+    quantity = "position, rms over the trial"
+
+    def __init__(self, scene: Scene, source: str | Path, exact: Setting, now_ns: Stopwatch) -> None:
+        super().__init__(scene, source, exact, now_ns)
+        quantum_m = self.own.model.encoder_quantum_m or QUANTUM_M
+        self._floor = UM_PER_M * quantum_m / np.sqrt(12.0)
+        self._true, _ = self._flown(exact, 1).traces(0)
+        known = f"position known to a count ({self._floor:.2g} um rms)"
+        self.reference = f"the same trial, {exact.substeps} sub-steps, f64; {known}"
+
+    def read(self, setting: Setting) -> Row:
+        """The positions of one trial."""
+        position, _ = self._flown(setting, 1).traces(0)
+        return self._row(position - self._like(setting, position, self._true))
+
+    def _flight(self, flown: Flown) -> Row:
+        """The push through the wire, compared with the engine under the forces that the probe then
+        reported. The engine's ticks, counted from the force, may begin a part of a period before
+        those of the servo: `lead` samples.
+        """
+        rate_hz = self.scene.rate_hz
+        part = self.own.model.delay_periods % 1.0
+        lead = floor((1.0 - part) * PROBE_RATE_HZ / rate_hz) if part else 0
+        ticks = 1 if lead else 0
+        later = [
+            (step.at_s + (ticks / rate_hz if step.at_s else 0.0), step.level_ns_per_m)
+            for step in self.scene.damping
+        ]
+        samples = flown.torque_n.size
+        like = simulate(
+            self.scene, [point(self.scene)], samples / PROBE_RATE_HZ, damping=later,
+            excitation=np.concatenate((np.zeros(lead), flown.torque_n))[:samples],
+            substeps=self.exact.substeps, keep="ticks",
+        )  # fmt: skip
+        position, _ = like.traces(0)
+        return self._row(flown.position_m[: len(position) - ticks] - position[ticks:])
+
+    def _row(self, difference_m: Floats) -> Row:
+        step = UM_PER_M * float(np.sqrt(np.mean(difference_m**2)))
+        return Row(step=step, total=float(np.hypot(step, self._floor)))
+
+
+def with_knees(rows: list[Row]) -> Iterable[Row]:
+    """`rows` with the knee of every sweep marked; effects have none."""
+    chosen = {
+        sweep: knee([row for row in rows if row.sweep == sweep])
+        for sweep in {row.sweep for row in rows} - {"effect"}
+    }
+    for row in rows:
+        yield replace(row, knee=row is chosen.get(row.sweep))
+
+
+def knee(rows: Iterable[Row]) -> Row | None:
+    """The cheapest of `rows` whose total error is within 10 % of the least; None if none was
+    measured.
+    """
+    known = [row for row in rows if not isnan(row.seconds) and row.total < inf]  # nan is not less
+    if not known:
+        return None
+    best = min(row.total for row in known)
+    return min((row for row in known if row.total <= KNEE * best), key=lambda row: row.seconds)
+
+
+@dataclass(frozen=True, slots=True)
+class AccuracyPlan:
+    """What will be measured: (sweep, label, setting) in turn, and a trial in lock-step of
+    `source`, the scene's name or file.
+    """
+
+    scene: Scene
+    source: str | Path
+    noise: bool  # moves the scene
+    lockstep_s: float
+    exact: Setting
+    wanted: tuple[tuple[str, str, Setting], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class AccuracyResult:
+    """All rows, `unit` and `quantity` of the errors, and what they are measured against."""
+
+    plan: AccuracyPlan
+    unit: str
+    quantity: str
+    reference: str
+    rows: tuple[Row, ...]
+
+    def sweep(self, name: str) -> tuple[Row, ...]:
+        """Rows of one sweep."""
+        return tuple(row for row in self.rows if row.sweep == name)
+
+    @property
+    def default(self) -> Row:
+        """The defaults, in a full group."""
+        return next(row for row in self.sweep("sub-steps") if row.default)
+
+
+def plan_accuracy(scene: Scene, source: str | Path, quick: bool = False) -> AccuracyPlan:
+    """The sweeps that the scene calls for; `quick`: a coarse look in seconds. An effect is compared
+    with the whole scene at 1 sub-step, which therefore comes before.
+    """
+    noise = scene.excitation.kind == "noise"
+    base = Setting(min(scene.seconds, QUICK_S) if quick else scene.seconds)
+    substeps = QUICK_SUBSTEPS if quick else SWEPT
+    shorter = [one for one in (QUICK_LENGTHS_S if quick else LENGTHS_S) if one < base.seconds]
+    lengths_s = (*shorter, base.seconds) if noise else ()
+    windows = (QUICK_WINDOWS if quick else WINDOWS) if noise else ()
+    kinds = [(dtype, count) for dtype in ("f64", "f32") for count in (1, SUBSTEPS)]
+    wanted = (
+        *(("sub-steps", str(count), replace(base, substeps=count)) for count in substeps),
+        *(
+            ("precision", f"{dtype}, {count}", replace(base, dtype=dtype, substeps=count))
+            for dtype, count in kinds
+        ),
+        *(("trial length", f"{length:g} s", replace(base, seconds=length)) for length in lengths_s),
+        *(("window", str(lag), replace(base, lag=lag)) for lag in windows),
+        *(("effect", key, replace(base, substeps=1, without=(key,))) for key in candidates(scene)),
+    )
+    lockstep_s = min(base.seconds, QUICK_LOCKSTEP_S if quick else LOCKSTEP_S)
+    return AccuracyPlan(
+        scene, source, noise, lockstep_s, replace(base, substeps=substeps[-1]), wanted
+    )
+
+
+def run_accuracy(plan: AccuracyPlan, now_ns: Stopwatch, tell: Progress = silent) -> AccuracyResult:
+    """Measure. ConfigError as `compose` and `simulate`."""
+    steps = Steps(tell, len(plan.wanted) + ROUNDS + 4)
+    steps.next("reference")
+    kind: type[NoiseGauge | TraceGauge] = NoiseGauge if plan.noise else TraceGauge
+    gauge = kind(plan.scene, plan.source, plan.exact, now_ns)
+    swept = _swept(plan, gauge, steps)
+    rows = [*_tiers(plan, gauge, steps, next(row for row in swept if row.default)), *swept]
+    steps.end()
+    return AccuracyResult(
+        plan, gauge.unit, gauge.quantity, gauge.reference, tuple(with_knees(rows))
+    )
+
+
+def _swept(plan: AccuracyPlan, gauge: NoiseGauge | TraceGauge, steps: Steps) -> list[Row]:
+    """Errors first; then all are timed in turn, round by round, so that what disturbs the
+    machine meets them alike.
+    """
+    rows: dict[Setting, Row] = {}
+    for sweep, label, setting in plan.wanted:
+        steps.next(f"{sweep}: {label}")
+        rows[setting] = rows.get(setting) or _row(partial(gauge.read, setting))
+    default = Setting(plan.exact.seconds)
+    rows[default] = replace(rows[default], default=True)
+    rows[plan.exact] = replace(rows[plan.exact], step=nan, total=nan, note=REFERENCE)
+    for _ in range(ROUNDS):
+        steps.next("timing")
+        for setting, row in rows.items():
+            if not isnan(row.seconds):
+                rows[setting] = replace(row, seconds=min(row.seconds, gauge.cost(setting)))
+    return [replace(rows[each], sweep=sweep, label=label) for sweep, label, each in plan.wanted]
+
+
+def _row(read: Callable[[], Row]) -> Row:
+    """What is read, or why it cannot be."""
+    try:
+        return read()
+    except HapticdError as error:
+        return Row(seconds=nan, step=inf, note=str(error))
+
+
+def _tiers(
+    plan: AccuracyPlan, gauge: NoiseGauge | TraceGauge, steps: Steps, default: Row
+) -> Iterable[Row]:
+    if isinstance(gauge, NoiseGauge):
+        steps.next("predict")
+        yield from gauge.predicted()
+    steps.next("simulate")
+    seconds = plan.exact.seconds
+    words = f"simulate {seconds:g} s"
+    alone_s = gauge.cost(Setting(seconds), 1, ALONE_REPEATS)
+    yield replace(default, sweep="tier", label=f"{words}, alone", seconds=alone_s, default=False)
+    yield replace(default, sweep="tier", label=f"{words}, {GROUP} at once")
+    steps.next("lock-step")
+    yield replace(
+        _row(partial(gauge.lockstep, plan.lockstep_s)),
+        sweep="tier",
+        label=f"lock-step {plan.lockstep_s:g} s",
+    )

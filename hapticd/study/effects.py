@@ -1,0 +1,338 @@
+"""Which effects does a question need? Leave them out one at a time, see what the answer does, keep
+the cheapest set that does.
+
+Linear effects are judged by prediction, which has no noise, others by simulation. All that alone
+change the answer by less than the tolerance are then left out together, the least important first,
+as long as prediction agrees; what is left is simulated against the whole scene, and the most
+important one comes back until that agrees as well.
+
+A set of effects is judged by one quantity, predicted (first harmonic, friction linearised: no
+noise) and simulated (the engine, with the same perturbation for every set of effects, so that
+differences are those of the effects):
+
+    limits   of K, B and M, each from 0 on (`zwidth.limits`); change: the largest relative one
+    phase    of Z under the scene's environment; change: the largest difference in the band over 90
+             degrees
+    peak     highest |Z| between 40 and 200 Hz near the most negative passive mass, which owns the
+             peak of Weir 2008, Fig. 8, and its frequency; change: the larger relative one of the
+             two
+
+A scene that noise does not move gets the paper's perturbation. Walls are left out: they have no
+impedance of their own.
+"""
+
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cache
+from math import inf, nan
+
+import numpy as np
+
+from hapticd.analysis.arrays import Complexes, Floats
+from hapticd.analysis.predict import predicted_impedance
+from hapticd.engine import simulate
+from hapticd.errors import AnalysisError, ConfigError
+from hapticd.plant.scene import Scene
+from hapticd.study.accuracy import GROUP, Stopwatch, engine_cost
+from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
+from hapticd.zwidth.outcomes import Conditions
+from hapticd.zwidth.scenes import (
+    candidates,
+    display,
+    free_of_walls,
+    frequencies,
+    level,
+    noise,
+    point,
+    without,
+)
+from hapticd.zwidth.simulated import pooled, spectra_of
+from hapticd.zwidth.store import Progress, Steps, TrialStore, silent
+
+PREDICTED = "predicted"
+SIMULATED = "simulated"
+PEAK_HZ = (40.0, 200.0)
+NAMES = {"K N/m": 1.0, "B N s/m": 1.0, "M g": 1e3}
+FINE = 1e-3  # of a limit: a change of 1 % is to be told from none
+INSIDE = 0.9  # of the predicted mass limit, for the peak: near it a long trial may run away
+
+
+@dataclass(frozen=True, slots=True)
+class EffectsParams:
+    """`scene` with all its effects, and which of QUESTIONS is asked. `tolerance`: 0.02 is 2 %.
+    `seconds`: of simulated trials.
+    """
+
+    scene: Scene
+    question: str = "limits"
+    tolerance: float = 0.02
+    seconds: float = 90.0
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """`values`: its numbers for the scene asked about with some of its effects, PREDICTED or
+    SIMULATED. `change` of others against those of the whole scene, 0.02 is 2 %, inf where only one
+    of the two exists. `told`: the others by name with unit.
+    """
+
+    values: Callable[[EffectsParams, Scene, str], Floats]
+    change: Callable[[Floats, Floats], float]
+    told: Callable[[Floats, Floats], dict[str, float]]
+
+
+def impedance(
+    params: EffectsParams,
+    scene: Scene,
+    kbm: tuple[float, float, float],
+    frequency_hz: Floats,
+    method: str,
+) -> Complexes:
+    """Z (F,) under one environment: predicted, or of a group of trials together."""
+    own = display(scene, noise(params.scene))
+    if method == PREDICTED:
+        return predicted_impedance(
+            own.model, kbm, frequency_hz, level(scene), own.filters, own.perturbation
+        )
+    found = simulate(
+        scene,
+        [kbm] * GROUP,
+        params.seconds,
+        damping=level(scene),
+        environment=free_of_walls(scene),
+        excitation=own.excitation,
+        start=(0.0, 0.0),
+        keep="records",
+        own_torque=True,
+    )
+    return pooled(spectra_of(found, frequency_hz, own.force_limit_n))
+
+
+def limits(params: EffectsParams, scene: Scene, method: str) -> Floats:
+    """K [N/m], B [N s/m], M [kg] < 0; nan where K = B = M = 0 itself is not passive."""
+    given = Conditions(scene, params.seconds, noise(params.scene))
+    plan = plan_limits(LimitsParams(given, (level(scene),), tolerance=FINE))
+    if method == PREDICTED:
+        return np.array([scan.predicted for scan in plan.scans])
+    return np.array([limit.value for limit in run_limits(plan, TrialStore(None)).limits])
+
+
+def limits_change(full: Floats, other: Floats) -> float:
+    """The largest relative one."""
+    return max(relative(one, two) for one, two in zip(full, other, strict=True))
+
+
+def limits_told(full: Floats, other: Floats) -> dict[str, float]:
+    """K, B and M."""
+    return {
+        name: float(factor * value)
+        for (name, factor), value in zip(NAMES.items(), other, strict=True)
+    }
+
+
+def phase(params: EffectsParams, scene: Scene, method: str) -> Floats:
+    """Phase [deg] (F,) of Z under the scene's environment."""
+    return np.degrees(
+        np.angle(impedance(params, scene, point(params.scene), frequencies(), method))
+    )
+
+
+def phase_change(full: Floats, other: Floats) -> float:
+    """The largest difference over 90 degrees."""
+    return float(np.abs(_turned(other - full)).max() / 90.0)
+
+
+def phase_told(full: Floats, other: Floats) -> dict[str, float]:
+    """The largest difference, and where."""
+    turned = _turned(other - full)
+    worst = int(np.argmax(np.abs(turned)))
+    return {"phase deg": float(turned[worst]), "at Hz": float(frequencies()[worst])}
+
+
+def peak(params: EffectsParams, scene: Scene, method: str, mass_kg: float | None = None) -> Floats:
+    """Height [N s/m] and frequency [Hz] of the highest maximum, and whether it lies inside the band
+    (1) or at its end (0).
+
+    `mass_kg` < 0 is what is rendered; by default near the limit of the whole scene.
+    """
+    f = frequencies(PEAK_HZ, count=1000)
+    rendered = peak_mass_kg(params) if mass_kg is None else mass_kg
+    size = np.abs(impedance(params, scene, (0.0, 0.0, rendered), f, method))
+    rising = np.diff(size) > 0.0
+    inner = np.flatnonzero(rising[:-1] & ~rising[1:]) + 1
+    highest = int(inner[np.argmax(size[inner])]) if inner.size else int(np.argmax(size))
+    return np.array([size[highest], f[highest], float(inner.size > 0)])
+
+
+def peak_change(full: Floats, other: Floats) -> float:
+    """The larger relative one of height and frequency; inf if the peak came or went."""
+    return inf if full[2] != other[2] else float(np.abs(other[:2] / full[:2] - 1.0).max())
+
+
+def peak_told(full: Floats, other: Floats) -> dict[str, float]:
+    """Height and place; no place where there is no maximum."""
+    return {"peak N s/m": float(other[0]), "at Hz": float(other[1]) if other[2] else nan}
+
+
+@cache
+def peak_mass_kg(params: EffectsParams) -> float:
+    """What is rendered for the peak. AnalysisError if no mass owns one."""
+    mass_kg = float(limits(params, params.scene, PREDICTED)[2])
+    if not mass_kg < 0.0:
+        raise AnalysisError(
+            f"scene {params.scene.name!r}: not passive even without an environment, so no mass owns"
+            " a peak; ask for limits or phase"
+        )
+    return INSIDE * mass_kg
+
+
+QUESTIONS = {
+    "limits": Question(limits, limits_change, limits_told),
+    "phase": Question(phase, phase_change, phase_told),
+    "peak": Question(peak, peak_change, peak_told),
+}
+
+
+def _turned(degrees: Floats) -> Floats:
+    """Into -180..180."""
+    return np.asarray((degrees + 180.0) % 360.0 - 180.0)
+
+
+def relative(full: float, other: float) -> float:
+    """Change of `other` against `full`: inf where only one of them exists (nan), 0 where
+    neither does.
+    """
+    if np.isnan(full) or np.isnan(other):
+        return 0.0 if np.isnan(full) and np.isnan(other) else inf
+    if full == 0.0:
+        raise AnalysisError(
+            "a limit of 0 has no relative change; widen the band or strengthen the device"
+        )
+    return abs(other / full - 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class EffectsPlan:
+    """Which effects are left out, each with its method."""
+
+    params: EffectsParams
+    methods: dict[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Left:
+    """The scene without `effect` ("" for the whole scene): its numbers by name and unit, their
+    change, and the engine's cost.
+
+    `method` is "predicted" or "simulated"; `note` says why it cannot be left out, if it cannot.
+    `cost_s` per simulated second.
+    """
+
+    effect: str
+    method: str
+    numbers: dict[str, float]
+    change: float
+    cost_s: float
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class EffectsResult:
+    """`rows` from important to not; `kept` is the proposal, `proposal` its row (simulated);
+    `whole` those of the scene.
+    """
+
+    plan: EffectsPlan
+    whole: tuple[Left, Left]  # predicted, simulated
+    rows: tuple[Left, ...]
+    kept: tuple[str, ...]
+    proposal: Left
+
+
+def plan_effects(params: EffectsParams) -> EffectsPlan:
+    """What will be left out how. ConfigError for an unknown question; AnalysisError if the
+    scene does not answer it.
+    """
+    if params.question not in QUESTIONS:
+        raise ConfigError(f"question {params.question!r}: use one of {', '.join(QUESTIONS)}")
+    if not params.tolerance > 0.0:
+        raise ConfigError(f"tolerance {params.tolerance:g}: must be above 0; 0.02 is 2 %")
+    if params.question == "peak":
+        peak_mass_kg(params)
+    nonlinear = {effect.key for effect in params.scene.effects if effect.nonlinearity}
+    methods = {
+        key: SIMULATED if key in nonlinear else PREDICTED for key in candidates(params.scene)
+    }
+    return EffectsPlan(params, methods)
+
+
+def run_effects(plan: EffectsPlan, now_ns: Stopwatch, tell: Progress = silent) -> EffectsResult:
+    """Measure. ConfigError as `compose` and `simulate`."""
+    study = _Study(plan, Steps(tell, len(plan.methods) + 4), now_ns)
+    whole = (study.left((), PREDICTED), study.left((), SIMULATED))
+    rows = [study.left((key,), method) for key, method in plan.methods.items()]
+    rows.sort(key=lambda row: row.change, reverse=True)
+    kept, proposal = study.proposal(rows)
+    study.steps.end()
+    return EffectsResult(plan, whole, tuple(rows), kept, proposal)
+
+
+class _Study:
+    """One run: it remembers what every set of effects gave, and what was timed."""
+
+    def __init__(self, plan: EffectsPlan, steps: Steps, now_ns: Stopwatch) -> None:
+        self.steps = steps
+        self._plan = plan
+        params = plan.params
+        self._question = QUESTIONS[params.question]
+        self._values = cache(
+            lambda keys, method: self._question.values(params, without(params.scene, *keys), method)
+        )
+        self._cost = cache(lambda keys: engine_cost(without(params.scene, *keys), now_ns))
+
+    def left(self, keys: tuple[str, ...], method: str) -> Left:
+        """The scene without `keys`; the whole scene if there are none."""
+        words = ", ".join(keys)
+        self.steps.next(f"without {words}" if keys else f"all effects, {method}")
+        full = self._values((), method)
+        try:
+            change = self._change(keys, method)
+        except (ConfigError, AnalysisError) as error:
+            return Left(words, method, {}, inf, nan, str(error))
+        return Left(
+            words,
+            method,
+            self._question.told(full, self._values(keys, method)),
+            change,
+            self._cost(keys),
+        )
+
+    def proposal(self, rows: list[Left]) -> tuple[tuple[str, ...], Left]:
+        """The set that is kept and what it gives; everything where the question has no answer."""
+        tolerance = self._plan.params.tolerance
+        droppable = [row.effect for row in rows if row.change <= tolerance]
+        answered = np.isfinite(self._values((), PREDICTED)).any()
+        dropped = self._agreed(reversed(droppable)) if answered else ()
+        found = self.left(dropped, SIMULATED)
+        while dropped and not found.change <= tolerance:
+            dropped = dropped[:-1]
+            found = self.left(dropped, SIMULATED)
+        kept = tuple(key for key in self._plan.methods if key not in dropped)
+        return kept, replace(found, effect=", ".join(kept))
+
+    def _agreed(self, keys: Iterable[str]) -> tuple[str, ...]:
+        """Those of `keys`, the least important first, that prediction lets go together."""
+        dropped: tuple[str, ...] = ()
+        for key in keys:
+            with suppress(ConfigError, AnalysisError):
+                if self._change((*dropped, key), PREDICTED) <= self._plan.params.tolerance:
+                    dropped = (*dropped, key)
+        return dropped
+
+    def _change(self, keys: tuple[str, ...], method: str) -> float:
+        return (
+            self._question.change(self._values((), method), self._values(keys, method))
+            if keys
+            else 0.0
+        )

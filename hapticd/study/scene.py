@@ -1,0 +1,340 @@
+"""What can be asked of a scene by itself: what it does with its electrical damping and without, how
+much damping it bears, and where explicit methods blow up on its device.
+
+Both trials of a run get the same perturbation. A scene without damping steps of its own is compared
+with the level that `damping on` means. A winding that warms up is looked at by trials of growing
+length, since a trial tells its temperature at its end. Params -> plan -> Plan -> run -> Result.
+
+The largest damping of the device, and the largest with the scene's environment around it, are edges
+of stability found by bisection on eigenvalues: of the open device in continuous time
+(`plant.stability`), and of the exact map of one servo tick (`analysis.loop`), Coulomb friction
+left out. Above the first the analog circuit oscillates whatever the servo does. The second is a
+range: too little damping can be unstable as well. What limits the device is its resistance
+compensation (Weir, Colgate and Peshkin 2008, section 5): a winding colder than it believes leaves a
+ceiling of K^2 / dR, a hot one may leave none. So the same is asked for a range of winding
+temperatures.
+
+Explicit Euler and Runge-Kutta 4 stand beside the exact map, on the linear device of the scene:
+
+    exact   x(t + h) = e^(A h) x(t)                     any h
+    euler   R(z) = 1 + z                                |R(h lambda)| <= 1 for every eigenvalue
+                                                        lambda of A
+    rk4     R(z) = 1 + z + z^2/2 + z^3/6 + z^4/24       the same; about h < 2.79 / |lambda| for a
+                                                        real one
+
+Electronics of microseconds decide the step, whether or not they matter: 5 kHz of amplifier
+bandwidth ask RK4 for a step below 88 us although the answer is spoken in milliseconds. A device
+that is let go with all bodies at one speed, over 20 ms; the error is that of the state, each
+coordinate over its largest value on the way.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import inf, nan, tau
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from numpy.linalg import matrix_power
+
+from hapticd.analysis.arrays import Complexes, Floats
+from hapticd.analysis.loop import spectral_radius
+from hapticd.analysis.spectra import DEFAULT_LAG
+from hapticd.engine import BatchResult, simulate
+from hapticd.errors import ConfigError
+from hapticd.params import ADDED_DAMPING_NS_PER_M
+from hapticd.plant.compose import compose, compose_device
+from hapticd.plant.discrete import expm
+from hapticd.plant.effects import WindingTemperature
+from hapticd.plant.model import Array, Model
+from hapticd.plant.scene import Scene
+from hapticd.plant.stability import damping_ceiling, edge, modes, stability
+from hapticd.units import PROBE_RATE_HZ
+from hapticd.zwidth.scenes import SUBSTEPS, filters, level, point
+from hapticd.zwidth.simulated import simulated
+from hapticd.zwidth.sources import Trial as Asked
+from hapticd.zwidth.store import Progress, Steps, silent
+from hapticd.zwidth.trial import SHORTEST_WINDOWS, TrialParams, TrialResult, judged, plan_trial
+
+TEMPERATURES = 12
+LEAST_S = SHORTEST_WINDOWS * DEFAULT_LAG / PROBE_RATE_HZ  # for a verdict
+HIGHEST_NS_PER_M = 1e6  # no ceiling below it is none
+SCAN = 400
+WARMER_K = (-40.0, -20.0, -10.0, -5.0, 0.0, 10.0, 40.0)
+STEPS_PER_MS = tuple(2**k for k in range(12))
+SPAN_MS = 20  # at the end of each of them the error is taken
+SPEED_M_PER_S = 0.1
+BLOWN_UP = 1.0  # error beyond which nothing is left of the answer
+ORDERS = {"exact": 0, "rk4": 4, "euler": 1}  # of the series; the exact map is none
+LONGEST_S = 1.0
+DRIFT = 1e-6  # of the fastest pole
+
+DampingSteps = tuple[tuple[float, float], ...]  # time s, level N s/m
+ON: DampingSteps = ((0.0, ADDED_DAMPING_NS_PER_M),)
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """One trial to be made: damping steps (time s, level Ns/m); `own`: as the scene file says."""
+
+    name: str
+    damping: DampingSteps
+    own: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ScenePlan:
+    """What will be simulated."""
+
+    scene: Scene
+    seconds: float
+    legs: tuple[Leg, ...]
+    impedance: bool  # noise moves it, long enough for a verdict
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One trial, with its ticks. `judged` is None without noise, or if it ended too early;
+    `winding_c` is (times s, degC), None where the winding's temperature is given.
+    """
+
+    leg: Leg
+    found: BatchResult
+    judged: TrialResult | None = None
+    winding_c: tuple[Floats, Floats] | None = None
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Rms velocity and largest command, the work of the probe, when it diverged; by name
+        with unit.
+        """
+        found = self.found
+        return {
+            "velocity_sd_m_per_s": float(found.sigma_v_m_per_s[0]),
+            "max_force_n": float(found.max_force_n[0]),
+            "work_j": float(found.work_j[0]),
+            "diverged_at_s": float(found.diverged_at_s[0]),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class SceneResult:
+    """The scene's own trial is among `trials`; the undamped one comes first."""
+
+    plan: ScenePlan
+    trials: tuple[Trial, ...]
+
+
+def plan_scene(scene: Scene, seconds: float | None = None) -> ScenePlan:
+    """Two legs: without damping and with it. `seconds` None: the scene's own."""
+    own = tuple((step.at_s, step.level_ns_per_m) for step in scene.damping)
+    damped = level(scene) > 0.0
+    legs = (
+        Leg("no added damping", ((0.0, 0.0),), own=not damped),
+        Leg(_name(own), own, own=True) if damped else Leg(_name(ON), ON, own=False),
+    )
+    seconds = scene.seconds if seconds is None else seconds
+    return ScenePlan(scene, seconds, legs, scene.excitation.kind == "noise" and seconds > LEAST_S)
+
+
+def run_scene(plan: ScenePlan, tell: Progress = silent) -> SceneResult:
+    """Simulate. ConfigError as `compose` and `simulate`."""
+    winding = compose(plan.scene).winding
+    steps = Steps(tell, len(plan.legs) * (1 + (TEMPERATURES if winding else 0)))
+    trials = tuple(
+        _trial(plan, leg, winding.start_c if winding else None, steps) for leg in plan.legs
+    )
+    steps.end()
+    return SceneResult(plan, trials)
+
+
+def _name(steps: Sequence[tuple[float, float]]) -> str:
+    highest = max(height for _, height in steps)
+    switched = ", switched" if len({height for _, height in steps}) > 1 else ""
+    return f"added damping {highest:.3g} N s/m{switched}"
+
+
+def _trial(plan: ScenePlan, leg: Leg, start_c: float | None, steps: Steps) -> Trial:
+    steps.next(f"simulating, {leg.name}")
+    found = _simulated(plan, leg, plan.seconds, "ticks")
+    heated = None if start_c is None else _temperatures(plan, start_c, leg, steps)
+    return Trial(leg, found, _judged(plan, leg, found) if plan.impedance else None, heated)
+
+
+def _simulated(plan: ScenePlan, leg: Leg, seconds: float, keep: str) -> BatchResult:
+    return simulate(
+        plan.scene, [point(plan.scene)], seconds, damping=leg.damping, substeps=SUBSTEPS, keep=keep
+    )
+
+
+def _judged(plan: ScenePlan, leg: Leg, found: BatchResult) -> TrialResult | None:
+    recorded = simulated(plan.scene, found)
+    scene = plan.scene
+    if recorded.seconds < LEAST_S:
+        return None
+    asked = Asked(
+        point(scene), max(height for _, height in leg.damping), plan.seconds, scene.excitation
+    )
+    return judged(plan_trial(TrialParams(asked, scene)), recorded)
+
+
+def _temperatures(plan: ScenePlan, start_c: float, leg: Leg, steps: Steps) -> tuple[Floats, Floats]:
+    times = np.linspace(0.0, plan.seconds, TEMPERATURES + 1)
+    found = [start_c]
+    for seconds in times[1:]:
+        steps.next(f"warming up, {leg.name}")
+        winding_c = _simulated(plan, leg, float(seconds), "summary").winding_c
+        found.append(nan if winding_c is None else float(winding_c[0]))
+    return times, np.asarray(found)
+
+
+@dataclass(frozen=True, slots=True)
+class Ceiling:
+    """All damping levels in N s/m.
+
+    `device`: the highest at which the device alone is stable, inf without one; `oscillation_hz`
+    where it then oscillates (nan if it grows without). `lowest`, `highest`: between them the loop
+    with the scene's environment is stable; nan if never. `scene` is the scene's own level,
+    `loop_gain` g dR / K^2 at that level. `warmer`: (winding minus what the compensation believes
+    [K], ceiling of the device), empty if the scene has no winding.
+    """
+
+    device: float
+    oscillation_hz: float
+    lowest: float
+    highest: float
+    scene: float
+    loop_gain: float
+    warmer: tuple[tuple[float, float], ...]
+
+
+def ceiling(scene: Scene) -> Ceiling:
+    """Of a scene, whether or not its own level is stable. ConfigError as `compose_device`, or for
+    a shorted motor.
+    """
+    model = compose_device(scene.name, scene.effects, scene.rate_hz)
+    if not (model.a1.any() or model.b1.any()):
+        raise ConfigError(
+            f"scene {scene.name!r}: the motor is shorted and obeys no damping command; leave out"
+            " 'crowbar'"
+        )
+    top = damping_ceiling(model, HIGHEST_NS_PER_M)
+    asked = level(scene)
+    growing = max(modes(model, top), key=lambda mode: mode.real)
+    windings = [effect for effect in scene.effects if isinstance(effect, WindingTemperature)]
+    lowest, highest = _loop(scene, model, top)
+    return Ceiling(
+        device=_finite(top),
+        oscillation_hz=nan if top >= HIGHEST_NS_PER_M else float(abs(growing.imag) / tau),
+        lowest=lowest,
+        highest=_finite(highest),
+        scene=asked,
+        loop_gain=stability(model, asked).loop_gain,
+        warmer=tuple((more, _warmer(scene, own, more)) for own in windings for more in WARMER_K),
+    )
+
+
+def _finite(level_ns_per_m: float) -> float:
+    return float(level_ns_per_m) if level_ns_per_m < HIGHEST_NS_PER_M else inf
+
+
+def _warmer(scene: Scene, own: WindingTemperature, kelvin: float) -> float:
+    """The ceiling with the winding `kelvin` above what is compensated."""
+    other = replace(own, temperature_c=own.compensated_c + kelvin)
+    effects = tuple(other if effect is own else effect for effect in scene.effects)
+    model = compose_device(scene.name, effects, scene.rate_hz)
+    return _finite(damping_ceiling(model, HIGHEST_NS_PER_M))
+
+
+def _loop(scene: Scene, model: Model, top: float) -> tuple[float, float]:
+    """(lowest, highest) damping with which the sampled loop is stable; nan if it never is."""
+
+    def stable(level_ns_per_m: float) -> bool:
+        return bool(
+            spectral_radius(model, np.array([point(scene)]), level_ns_per_m, filters(scene))[0]
+            < 1.0
+        )
+
+    levels = [0.0, *np.geomspace(1e-3, top, SCAN).tolist()]
+    good = [stable(each) for each in levels]
+    if not any(good):
+        return nan, nan
+    first = good.index(True)
+    last = [*good, False].index(False, first) - 1
+    # themselves at the ends of the scan
+    below = levels[max(first - 1, 0)]
+    above = levels[min(last + 1, SCAN)]
+    return edge(stable, levels[first], below), edge(stable, levels[last], above)
+
+
+@dataclass(frozen=True, eq=False)
+class Integrators:
+    """`error[method]` (S,) over `steps_per_ms` (S,); inf where it blew up. `longest_s[method]`: its
+    largest stable step.
+    """
+
+    steps_per_ms: Floats
+    error: dict[str, Floats]
+    longest_s: dict[str, float]
+    fastest_s: float  # time constant of the device
+
+
+def compare_integrators(scene: Scene) -> Integrators:
+    """Of the scene's device at its highest damping. ConfigError as `compose`."""
+    model = compose(scene)
+    a = model.a(level(scene))
+    start = np.array(
+        [SPEED_M_PER_S if state.name.endswith("_velocity") else 0.0 for state in model.states]
+    )
+    true = _marks(expm(a * 1e-3), start)
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = {
+            method: np.array(
+                [
+                    _error(matrix_power(_step(method, a * (1e-3 / count)), count), start, true)
+                    for count in STEPS_PER_MS
+                ]
+            )
+            for method in ORDERS
+        }
+    poles = np.asarray(np.linalg.eigvals(a), np.complex128)
+    longest = {method: _longest(method, poles) for method in ORDERS}
+    fastest = float(np.abs(poles).max())
+    fastest_s = 1.0 / fastest if fastest else inf
+    return Integrators(np.array(STEPS_PER_MS, np.float64), error, longest, fastest_s)
+
+
+def _error(millisecond: Array, start: Floats, true: Floats) -> float:
+    """The largest of any coordinate, over its largest value on the way."""
+    size = np.abs(true).max(axis=0)
+    error = float(
+        (np.abs(_marks(millisecond, start) - true) / np.where(size == 0.0, 1.0, size)).max()
+    )
+    return error if error < BLOWN_UP else inf
+
+
+def _step(method: str, ah: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """The matrix that one step of a method multiplies the state with; `ah` is A h."""
+    if method == "exact":
+        return expm(ah)
+    matrix = term = np.eye(len(ah))
+    for k in range(1, ORDERS[method] + 1):
+        term = term @ ah / k
+        matrix = matrix + term
+    return matrix
+
+
+def _marks(millisecond: Array, start: Floats) -> Floats:
+    """(SPAN_MS, n): the state at the end of each millisecond; `millisecond` is the matrix of
+    one.
+    """
+    return np.array([matrix_power(millisecond, count) @ start for count in range(1, SPAN_MS + 1)])
+
+
+def _longest(method: str, poles: Complexes) -> float:
+    """The largest step at which no mode grows; inf for one that only drifts."""
+    if method == "exact" or not poles.any():
+        return inf
+    moving = np.abs(poles) > DRIFT * np.abs(poles).max()  # drift neither grows nor decays
+    own = np.diag(poles[moving])
+    return edge(lambda h: bool(np.abs(_step(method, own * h)).max() <= 1.0), 0.0, LONGEST_S)

@@ -1,0 +1,670 @@
+"""Beyond the paper: what Weir, Colgate and Peshkin (2008, section 6) left for future work, on the
+calibrated device.
+
+Prediction carries the load; 90 s trials confirm what is shown, each with every seed. `quick`
+predicts alone.
+
+Envelopes. "Future work will address adding negative virtual damping to counteract the additional
+physical damping in the system and shift the lower impedance boundary back toward the original
+undamped boundary". Virtual damping passes through filter, delay and hold, so B < 0 cancels at low
+frequency only, while the circuit's damping goes on to act at high frequency, where it is needed.
+The grid is that of the paper's search, with rows of B < 0 added in the same steps. The lower edge
+is where something cancels, M < 0 the mass or K a mass against a spring, so it lies at the edge of
+passivity and sinks as a grid gets finer: envelopes are compared on one grid only. An environment
+that owns a point of an edge is flown with every seed; where one fails in any, it is struck out and
+the next owner is flown, until all owners have passed. Owners are chosen by prediction, not by their
+own noise, so their mean over seeds is not biased.
+
+Free motion. K = 0, so nothing resonates and no grid matters: |Z| is damping, mass, and what
+negative virtual damping takes away. The law's lag t turns B < 0 into a mass, -|B| e^(-jwt) = -|B| +
+jw |B| t, some 14 g with the 1.74 N s/m of the paper, so B < 0 alone restores the damping and not
+the motion; M < 0 beside it does. Two limits are not the same. At the perturbation of the trials dry
+friction carries a part of B < 0; it fades as the motion grows, until the device runs away. `safest`
+therefore asks for the lifted theorem of Colgate and Schenkel as well, without friction, for every
+input. The best safe (B, M) has the least mean |Z| in dB over 2-20 Hz.
+
+Shaped damping. "Future work could address a frequency dependent active damping, since added
+mechanical dissipation is rarely needed at low frequency". A high-pass takes the dissipation out of
+slow motion, leaves a mass b / w_l there, and damps where filtered B and M need it. K is another
+matter: a sampled spring alone needs b > K t at every frequency, down to 0, t being half a period
+and the lag of the loop (Colgate and Schenkel 1997 for T / 2), so a corner costs stiffness on any
+device; virtual B beside it gives slow motion its dissipation back. A low-pass does the opposite.
+The best high-pass is the one with the lightest free motion among those that keep the limits of B
+and M within `KEPT`.
+
+Levels. The paper measured with 1.74 N s/m and without; how do the limits grow between and beyond?
+For each level: the three axis limits, the volume of the passive set, and free motion, by
+prediction; a few levels are flown. The set is looked at on a grid that grows with the limits, B >=
+0, so that its volume does not depend on where the grid ends.
+
+Searches. The directed search against the grid that it replaces: a grid of 2,002 environments is
+flown twice, all of it, with unlike noise. The first is the truth; how the second differs from it is
+what one grid can know of the boundary, the floor. The search has noise of its own. A point is wrong
+whose yes or no the search, or the prediction alone, holds otherwise; shares are of the passive
+points.
+
+What would break it: Eq. 2 of the paper as a judge of B < 0, where it relaxes
+(`analysis.theorem` refuses it); a level at which the damping circuit itself oscillates
+(`plant.stability`), or one that no board can command.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hapticd.analysis.arrays import Flags, Floats, Integers
+from hapticd.analysis.compare import mean_over_ln_f
+from hapticd.analysis.envelope import Edge
+from hapticd.analysis.passive_set import grid, open_ends, passive_set, volume
+from hapticd.analysis.search import predicted_passive
+from hapticd.analysis.theorem import lift, lifted_margin, lifted_passive, paper_equation_2
+from hapticd.errors import AnalysisError
+from hapticd.plant.effects import ShapedDamping
+from hapticd.weir2008.paper import ADDED_NS_PER_M, LEVELS, MAIN
+from hapticd.weir2008.run import AXES, FINE, Limit, conditions, limits_of, predicted_set
+from hapticd.zwidth.limits import ORIGIN, REACH, LimitsParams, plan_limits, predicted_limit
+from hapticd.zwidth.map import Axes, MapParams, plan_map, run_map
+from hapticd.zwidth.outcomes import (
+    Conditions,
+    Lot,
+    Outcome,
+    Point,
+    flown,
+    kept_frequencies,
+    points_of,
+)
+from hapticd.zwidth.scenes import Display
+from hapticd.zwidth.search import SearchParams, SearchResult, observed, plan_search, run_search
+from hapticd.zwidth.store import Progress, Steps, TrialStore, silent
+
+SEEDS = 3
+FREE = np.array([ORIGIN])  # motion: nothing is rendered
+SHOWN_HZ = (2.0, 200.0)
+# Above 20 Hz the mass of 8 g outweighs the undamped device's damping: there |Z| is w m, whatever
+# is rendered.
+LOW_HZ = (2.0, 20.0)
+NEGATIVE_STEPS = 8
+STEP = float(AXES[1][1] - AXES[1][0])
+GRID = grid((AXES[0], np.concatenate((-STEP * np.arange(NEGATIVE_STEPS, 0, -1), AXES[1])), AXES[2]))
+ROUNDS = 40
+FURTHEST = -12.0  # N s/m, of a predicted search of B
+DAMPINGS = 41  # values of B that are looked at
+MASSES = 25  # and of M
+HIGHPASS_HZ = (0.5, 1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 14.0, 20.0, 30.0, 50.0, 100.0)
+LOWPASS_HZ = (10.0, 20.0, 50.0, 100.0, 200.0, 500.0)
+KEPT = 0.05
+HIGHEST = 10.0  # N s/m: full scale of the damping scale factor on the simulated board
+DAMPING_LEVELS = (0.0, 0.25, 0.5, 0.87, 1.25, 1.74, 2.25, 2.75, 3.48, 4.5, 6.0, 8.0, HIGHEST)
+FLOWN = (0.87, 1.74, 3.48, 8.0)  # half, once and twice the paper's, and far beyond
+ROOM = (5.0, 1.3, 1.3)  # of the grid, in axis limits of K, B and M; K grows with B and M beside it
+HEAVIEST = 2.6  # M > 0, in limits of M < 0 and the device's own mass beside it
+STEPS = (13, 12, 16)
+SEARCH_SEED = 101
+GRID_SEEDS = (1, 2)
+BUDGETS = (20, 40)  # trials
+SEARCHED: dict[float, Axes] = {
+    LEVELS[0]: (
+        np.linspace(0.0, 450.0, 14),
+        np.linspace(0.0, 4.0, 11),
+        np.linspace(-0.010, 0.016, 13),
+    ),
+    LEVELS[1]: (
+        np.linspace(0.0, 1400.0, 14),
+        np.linspace(0.0, 10.0, 11),
+        np.linspace(-0.028, 0.040, 13),
+    ),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """A display whose environment and damping level are varied: predicted in microseconds, or
+    flown, each trial once.
+    """
+
+    conditions: Conditions
+    store: TrialStore = field(default_factory=lambda: TrialStore(None), repr=False)
+
+    @property
+    def display(self) -> Display:
+        """The device, prepared."""
+        return self.conditions.display
+
+    def sizes(self, points: Floats, level: float) -> Floats:
+        """Predicted |Z| (N, F) at `shown_hz()` of environments (N, 3)."""
+        return np.abs(self.display.impedances(points, level, shown_hz()))
+
+    def flown(
+        self, points: Floats, level: float, seed: int, amplitude: float = 1.0
+    ) -> list[Outcome]:
+        """A trial of each environment (N, 3) with the noise of `seed`, its force multiplied by
+        `amplitude`.
+        """
+        given = self.conditions.shaken(amplitude, seed - self.conditions.excitation.seed)
+        return flown(Lot(given, level, points_of(points)), self.store)
+
+    def limit(self, level: float, axis: int, reach: float | None = None) -> float:
+        """Predicted axis limit, the others 0: N/m, Ns/m, kg."""
+        return predicted_limit(self.display, level, axis, reach=reach)
+
+    def limits(
+        self,
+        levels: tuple[float, ...],
+        seeds: tuple[int, ...],
+        axes: tuple[int, ...] = (0, 1, 2),
+        reach: Point = REACH,
+    ) -> tuple[Limit, ...]:
+        """Axis limits, by trials with so many seeds; predicted without."""
+        plan = plan_limits(
+            LimitsParams(
+                self.conditions,
+                levels,
+                axes=axes,
+                seeds=max(1, len(seeds)),
+                reach=reach,
+                tolerance=FINE,
+            )
+        )
+        return limits_of([plan], self.store if seeds else None)
+
+    def shaped(self, highpass_hz: float = 0.0, lowpass_hz: float = 0.0) -> "Bench":
+        """The same device with shaped damping."""
+        effect = ShapedDamping(highpass_hz=highpass_hz, lowpass_hz=lowpass_hz)
+        scene = self.conditions.scene
+        return Bench(
+            replace(self.conditions, scene=replace(scene, effects=(*scene.effects, effect))),
+            self.store,
+        )
+
+
+def shown_hz() -> Floats:
+    """Frequencies (F,) of every impedance here, those of outcomes inside SHOWN_HZ."""
+    f = kept_frequencies()
+    return f[(f >= SHOWN_HZ[0]) & (f <= SHOWN_HZ[1])]
+
+
+def sizes(outcome: Outcome) -> Floats:
+    """|Z| (F,) of a trial at `shown_hz()`."""
+    return np.asarray(np.hypot(*outcome.z.T)[np.isin(outcome.frequency_hz, shown_hz())])
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One envelope: `negative` allows B < 0, `dry` counts on dry friction at the perturbation
+    of the trials.
+    """
+
+    name: str
+    level: float
+    negative: bool = False
+    dry: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Bounds:
+    """Edges of one case over `shown_hz()` (F,), their owners places in `points` (N, 3); sd is that
+    of ln |Z| between seeds.
+
+    `lower_runs`, `upper_runs` (seeds, F): of each seed, the prediction alone (1, F) without trials.
+    `predicted_lower` (F,): of all that are predicted to be passive. `struck` failed a trial.
+    """
+
+    case: Case
+    lower: Edge
+    upper: Edge
+    points: Floats
+    lower_runs: Floats
+    upper_runs: Floats
+    predicted_lower: Floats
+    flown: int
+    struck: int
+
+    def lower_db(self) -> Floats:
+        """Mean of the lower edge over ln f [dB re 1 N s/m] (seeds,)."""
+        return mean_db(shown_hz(), self.lower_runs, LOW_HZ)
+
+    def predicted_db(self) -> float:
+        """The lower edge by prediction alone [dB re 1 N s/m]."""
+        return float(mean_db(shown_hz(), self.predicted_lower[None], LOW_HZ)[0])
+
+    def width_db(self) -> Floats:
+        """Mean Z-width over ln f [dB] (seeds,)."""
+        return mean_db(shown_hz(), self.upper_runs / self.lower_runs, LOW_HZ)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """|Z| of one environment without K over `shown_hz()`.
+
+    `predicted` has the shape (F,), `runs` (seeds, F) those of the trials that pass, maybe none.
+
+    `spare`: damping that the lifted theorem leaves [N s/m], without friction.
+    """
+
+    name: str
+    level: float
+    damping: float
+    mass_kg: float
+    predicted: Floats
+    runs: Floats
+    spare: float
+
+    @property
+    def size(self) -> Edge:
+        """Mean over trials, with the sd of ln |Z| between seeds; the prediction without."""
+        nobody = np.zeros(self.predicted.size, np.int64)
+        return _edge(self.runs if len(self.runs) else self.predicted[None], nobody)
+
+    def low_db(self) -> Floats:
+        """Mean over ln f in 2-20 Hz [dB re 1 N s/m], (seeds,), of the prediction (1,) without
+        trials.
+        """
+        return mean_db(shown_hz(), self.runs if len(self.runs) else self.predicted[None], LOW_HZ)
+
+    def predicted_db(self) -> float:
+        """The same by prediction alone."""
+        return float(mean_db(shown_hz(), self.predicted[None], LOW_HZ)[0])
+
+
+@dataclass(frozen=True, eq=False)
+class Free:
+    """`motions`: off, on, on_negative_B, on_negative_BM. `limits`: of B downwards, without and with
+    damping.
+
+    `refusal`: what Eq. 2 answers about B alone.
+    """
+
+    motions: tuple[Motion, ...]
+    limits: tuple[Limit, ...]
+    refusal: str
+
+
+@dataclass(frozen=True, slots=True)
+class Corner:
+    """One corner of the damping [Hz], 0 for none: predicted axis limits K, B, M [N/m, N s/m, kg]
+    and mean |Z| of free motion in 2-20 Hz [dB]."""
+
+    hertz: float
+    limits: tuple[float, float, float]
+    free_db: float
+
+
+@dataclass(frozen=True, eq=False)
+class Shaped:
+    """`plain` without a corner, `undamped` without damping; `bounds`, `confirmed` and `free` motion
+    are those of the `best` high-pass.
+
+    `stiffest`: largest K [N/m] over the whole set, B and M beside it, predicted, of `plain` and of
+    `best`.
+    """
+
+    level: float
+    undamped: Corner
+    plain: Corner
+    highpass: tuple[Corner, ...]
+    lowpass: tuple[Corner, ...]
+    best: Corner
+    bounds: Bounds
+    confirmed: tuple[Limit, ...]
+    free: Motion
+    stiffest: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Levels:
+    """`level` (L,), predicted `limits` (L, 3), `volume` (L,) [N/m N s/m kg], `free_db` (L,);
+    `confirmed` by trials.
+
+    `open_ends` names where a grid did not reach beyond its set.
+    """
+
+    level: Floats
+    limits: Floats
+    volume: Floats
+    free_db: Floats
+    confirmed: tuple[Limit, ...]
+    open_ends: tuple[str, ...]
+
+    def gain(self, low: float, high: float) -> Floats:
+        """Mean growth of the limits (3,) per N s/m between two levels."""
+        at = [int(np.argmin(np.abs(self.level - each))) for each in (low, high)]
+        return np.asarray(
+            (self.limits[at[1]] - self.limits[at[0]]) / (self.level[at[1]] - self.level[at[0]])
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class SearchCheck:
+    """Of one level of added damping: `points` of the grid, `passive` of them; wrong are `predicted`
+    by prediction alone, `other_noise` by the second grid, `searched` by n trials. `found` is the
+    search with all of its trials.
+    """
+
+    damping_ns_per_m: float
+    points: int
+    passive: int
+    predicted: int
+    other_noise: int
+    searched: dict[int, int]
+    found: SearchResult
+
+    @property
+    def enough(self) -> int | None:
+        """The first number of trials that leaves no more wrong than the floor; None if none did."""
+        return next(
+            (count for count, wrong in self.searched.items() if wrong <= self.other_noise), None
+        )
+
+    def share(self, wrong: int) -> float:
+        """Of the passive points [%]."""
+        return 100.0 * wrong / self.passive
+
+
+CASES = (
+    Case("off", 0.0),
+    Case("on", ADDED_NS_PER_M),
+    Case("on_negative_B", ADDED_NS_PER_M, negative=True),
+    Case("off_negative_B", 0.0, negative=True),
+    Case("off_safe", 0.0, dry=False),
+    Case("on_safe", ADDED_NS_PER_M, dry=False),
+    Case("on_negative_B_safe", ADDED_NS_PER_M, negative=True, dry=False),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class BeyondPlan:
+    """The device, and the noise that everything shown passes with; none: prediction alone."""
+
+    bench: Bench
+    seeds: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class BeyondResult:
+    """`envelopes` by the name of their case; `hardy`: share of the low owners of an envelope
+    that pass at twice the force.
+    """
+
+    plan: BeyondPlan
+    envelopes: dict[str, Bounds]
+    hardy: dict[str, float]
+    free: Free
+    shaped: Shaped
+    levels: Levels
+    searches: tuple[SearchCheck, ...]
+
+
+def plan_beyond(quick: bool = False, seeds: int = SEEDS) -> BeyondPlan:
+    """Seeds 1, 2, ..., none if quick. ConfigError as `load_scene`."""
+    return BeyondPlan(Bench(conditions(MAIN)), () if quick else tuple(range(1, seeds + 1)))
+
+
+def run_beyond(plan: BeyondPlan, tell: Progress = silent) -> BeyondResult:
+    """Do it. ConfigError as `simulate`."""
+    bench = plan.bench
+    seeds = plan.seeds
+    steps = Steps(tell, len(CASES) + 3 + (len(LEVELS) if seeds else 0))
+    envelopes = {}
+    for case in CASES:
+        steps.next(f"envelope, {case.name}")
+        envelopes[case.name] = bounds_of(bench, case, seeds)
+    survived = {name: hardy(bench, bounds, seeds[0]) for name, bounds in envelopes.items() if seeds}
+    steps.next("free motion")
+    free = free_motion(bench, ADDED_NS_PER_M, seeds)
+    steps.next("shaped damping")
+    shaped = shaped_damping(bench, ADDED_NS_PER_M, seeds)
+    steps.next("levels of damping")
+    levels = damping_levels(bench, seeds)
+    searches = []
+    for level in LEVELS if seeds else ():
+        steps.next(f"directed search, {level:g} N s/m")
+        searches.append(compared_with_grid(bench.conditions, level))
+    steps.end()
+    return BeyondResult(plan, envelopes, survived, free, shaped, levels, tuple(searches))
+
+
+def mean_sd(runs: Floats) -> tuple[float, float]:
+    """Mean and standard deviation over seeds, the latter nan with less than two."""
+    return float(np.mean(runs)), float(np.std(runs, ddof=1)) if len(runs) > 1 else float("nan")
+
+
+def mean_db(frequency_hz: Floats, values: Floats, band_hz: tuple[float, float]) -> Floats:
+    """Mean over ln f [dB] (N,) of `values` (N, F) at the frequencies inside the band."""
+    return mean_over_ln_f(frequency_hz, 20.0 * np.log10(values), band_hz)
+
+
+def candidates(bench: Bench, case: Case, points: Floats = GRID) -> Floats:
+    """Environments (N, 3) of the grid that are predicted to be passive in this case."""
+    kept = points if case.negative else points[points[:, 1] >= 0.0]
+    return np.asarray(kept[bench.display.passive(kept, case.level, dry=case.dry)])
+
+
+def bounds_of(
+    bench: Bench, case: Case, seeds: tuple[int, ...] = (), points: Floats = GRID
+) -> Bounds:
+    """By trials of the owners, all of which pass with every seed; without seeds by prediction."""
+    kept = candidates(bench, case, points)
+    size = bench.sizes(kept, case.level)
+    runs = size[None]
+    passed = np.full(len(kept), True)
+    counts = (0, 0)
+    if seeds:
+        runs, passed, counts = _struck(bench, case.level, kept, size, seeds)
+    owners = _owners(size, passed)
+    lower, upper = (np.take_along_axis(runs, which[None, None], 1)[:, 0] for which in owners)
+    return Bounds(
+        case,
+        _edge(lower, owners[0]),
+        _edge(upper, owners[1]),
+        kept,
+        lower,
+        upper,
+        size.min(axis=0),
+        *counts,
+    )
+
+
+def _struck(
+    bench: Bench, level: float, points: Floats, size: Floats, seeds: tuple[int, ...]
+) -> tuple[Floats, Flags, tuple[int, int]]:
+    """Of environments (N, 3) with predicted `size` (N, F), until all owners have passed with every
+    seed: |Z| (seeds, N, F) by trials, nan without one; those (N,) that passed; how many trials were
+    flown, and how many environments failed.
+    """
+    every = np.full((len(seeds), *size.shape), np.nan)
+    alive = np.full(len(points), True)
+    tried = np.full(len(points), False)
+    flown = 0
+    for _ in range(ROUNDS):
+        left = np.setdiff1d(np.concatenate(_owners(size, alive)), np.flatnonzero(tried))
+        if not left.size:
+            break
+        tried[left] = True
+        for row, seed in zip(every, seeds, strict=True):
+            outcomes = bench.flown(points[left], level, seed) if left.size else []
+            flown += len(outcomes)
+            alive[left] = [outcome.passes for outcome in outcomes]
+            for place, outcome in zip(left, outcomes, strict=True):
+                row[place] = sizes(outcome) if outcome.passes else np.nan
+            left = left[alive[left]]
+    return every, alive & tried, (flown, int((~alive).sum()))
+
+
+def hardy(bench: Bench, bounds: Bounds, seed: int, amplitude: float = 2.0) -> float:
+    """Share of the environments that own the lower edge in LOW_HZ which pass with `amplitude`
+    times the force as well.
+    """
+    low = (shown_hz() >= LOW_HZ[0]) & (shown_hz() <= LOW_HZ[1])
+    points = bounds.points[np.unique(bounds.lower.owner[low])]
+    return float(
+        np.mean(
+            [outcome.passes for outcome in bench.flown(points, bounds.case.level, seed, amplitude)]
+        )
+    )
+
+
+def _owners(
+    size: Floats, among: "np.ndarray[tuple[int], np.dtype[np.bool_]]"
+) -> tuple[Integers, Integers]:
+    """Who has the least and the largest predicted |Z| (F,)."""
+    return np.where(among[:, None], size, np.inf).argmin(axis=0), np.where(
+        among[:, None], size, -np.inf
+    ).argmax(axis=0)
+
+
+def _edge(runs: Floats, owner: Integers) -> Edge:
+    spread = np.log(runs).std(axis=0, ddof=1) if len(runs) > 1 else np.zeros(runs.shape[1])
+    return Edge(np.exp(np.log(runs).mean(axis=0)), spread, owner)
+
+
+def free_motion(bench: Bench, level: float, seeds: tuple[int, ...]) -> Free:
+    """Undamped against damped by `level` [N s/m]."""
+    end = bench.limit(level, 1, FURTHEST)
+    damping, _ = safest(bench, level, end, 0.0)
+    both = safest(bench, level, end, -bench.display.model.mass_kg * 2.0)
+    asked = (
+        ("off", 0.0, 0.0, 0.0),
+        ("on", level, 0.0, 0.0),
+        ("on_negative_B", level, damping, 0.0),
+        ("on_negative_BM", level, *both),
+    )
+    motions = tuple(_motion(bench, *each, seeds) for each in asked)
+    downwards = bench.limits((0.0, level), seeds, (1,), (REACH[0], FURTHEST, REACH[2]))
+    return Free(motions, downwards, _refusal(damping, bench.display.model.viscous_ns_per_m + level))
+
+
+def safest(bench: Bench, level: float, end: float, lightest_kg: float) -> tuple[float, float]:
+    """(B, M) of the lightest motion that is safe, B from `end` and M from `lightest_kg` up to 0."""
+    masses = np.linspace(lightest_kg, 0.0, MASSES) if lightest_kg else np.zeros(1)
+    points = grid((np.zeros(1), np.linspace(end, 0.0, DAMPINGS), masses))
+    own = bench.display
+    points = points[own.passive(points, level, dry=False)]
+    points = points[lifted_passive(lift(own.model, level, own.filters), points)]
+    if not len(points):
+        raise AnalysisError(
+            f"{own.scene.name!r} at {level:g} N s/m: not passive without friction even where"
+            " nothing is rendered"
+        )
+    best = points[mean_db(shown_hz(), bench.sizes(points, level), LOW_HZ).argmin()]
+    return float(best[1]), float(best[2])
+
+
+def _motion(
+    bench: Bench, name: str, level: float, damping: float, mass_kg: float, seeds: tuple[int, ...]
+) -> Motion:
+    point = np.array([[0.0, damping, mass_kg]])
+    outcomes = [outcome for seed in seeds for outcome in bench.flown(point, level, seed)]
+    runs = np.array([sizes(outcome) for outcome in outcomes if outcome.passes]).reshape(
+        -1, shown_hz().size
+    )
+    spare = float(lifted_margin(lift(bench.display.model, level, bench.display.filters), point)[0])
+    return Motion(name, level, damping, mass_kg, bench.sizes(point, level)[0], runs, spare)
+
+
+def _refusal(damping: float, physical: float) -> str:
+    """What the paper's Eq. 2 answers when it is asked about B < 0."""
+    try:
+        paper_equation_2(0.0, damping, physical)
+    except AnalysisError as refused:
+        return str(refused)
+    return ""
+
+
+def shaped_damping(bench: Bench, level: float, seeds: tuple[int, ...]) -> Shaped:
+    """All corners at a damping level [N s/m] by prediction, the best one by trials."""
+    undamped = corner(bench, 0.0)
+    plain = corner(bench, level)
+    highpass = tuple(corner(bench.shaped(highpass_hz=hertz), level, hertz) for hertz in HIGHPASS_HZ)
+    lowpass = tuple(corner(bench.shaped(lowpass_hz=hertz), level, hertz) for hertz in LOWPASS_HZ)
+    kept = [
+        each for each in highpass if min(np.divide(each.limits, plain.limits)[1:]) >= 1.0 - KEPT
+    ]
+    best = min(kept, key=lambda each: each.free_db, default=plain)
+    own = bench.shaped(highpass_hz=best.hertz) if best.hertz else bench
+    stiffest = [float(predicted_set(each.display, level)[:, 0].max()) for each in (bench, own)]
+    return Shaped(
+        level,
+        undamped,
+        plain,
+        highpass,
+        lowpass,
+        best,
+        bounds_of(own, Case("on_shaped", level), seeds),
+        own.limits((level,), seeds),
+        _motion(own, "shaped", level, 0.0, 0.0, seeds),
+        (stiffest[0], stiffest[1]),
+    )
+
+
+def corner(bench: Bench, level: float, hertz: float = 0.0) -> Corner:
+    """What is predicted of a display at a damping level [N s/m]; `hertz`: the corner that it
+    has.
+    """
+    limits = (bench.limit(level, 0), bench.limit(level, 1), bench.limit(level, 2))
+    return Corner(hertz, limits, float(mean_db(shown_hz(), bench.sizes(FREE, level), LOW_HZ)[0]))
+
+
+def damping_levels(bench: Bench, seeds: tuple[int, ...]) -> Levels:
+    """All levels by prediction, FLOWN by trials."""
+    each = [corner(bench, level) for level in DAMPING_LEVELS]
+    limits = np.array([one.limits for one in each])
+    free = np.array([one.free_db for one in each])
+    sets = [_set(bench, *one) for one in zip(DAMPING_LEVELS, limits, strict=True)]
+    ends = [
+        f"{end} at {level:g} N s/m"
+        for level, (_, cut) in zip(DAMPING_LEVELS, sets, strict=True)
+        for end in cut
+    ]
+    return Levels(
+        np.array(DAMPING_LEVELS), limits, np.array([size for size, _ in sets]), free,
+        bench.limits(FLOWN, seeds) if seeds else (), tuple(dict.fromkeys(ends)),
+    )  # fmt: skip
+
+
+def _set(bench: Bench, level: float, limits: Floats) -> tuple[float, tuple[str, ...]]:
+    """Volume, and upper or lower ends at which the grid was too small; K and B begin at 0 by
+    definition.
+    """
+    k, b, m = limits * np.asarray(ROOM)
+    axes = (
+        np.linspace(0.0, k, STEPS[0]),
+        np.linspace(0.0, b, STEPS[1]),
+        np.linspace(m, -HEAVIEST * m + bench.display.model.mass_kg, STEPS[2]),
+    )
+    found = passive_set(axes, bench.display.predicted(grid(axes), level).decided_margin)
+    return volume(found), tuple(end for end in open_ends(found) if end not in ("K min", "B min"))
+
+
+def compared_with_grid(
+    conditions: Conditions,
+    damping_ns_per_m: float,
+    budgets: tuple[int, ...] = BUDGETS,
+    tell: Progress = silent,
+) -> SearchCheck:
+    """Fly the grid twice, search once with `budgets[-1]` trials; the search after fewer trials
+    is a part of that one.
+    """
+    params = MapParams(conditions, SEARCHED[damping_ns_per_m], (damping_ns_per_m,), everywhere=True)
+    prediction = plan_map(params).levels[0].prediction
+    noises = (*GRID_SEEDS, SEARCH_SEED)
+    *grids, own = (
+        conditions.shaken(more_seed=seed - conditions.excitation.seed) for seed in noises
+    )
+    truth, again = (_passive(replace(params, conditions=given), tell) for given in grids)
+    search = plan_search(SearchParams(own, damping_ns_per_m, budgets[-1], doubt=0.0))
+    found = run_search(search, TrialStore(None), tell)
+    searched = {}
+    for count in budgets:  # what is tried does not depend on how many trials are to follow
+        outcomes = [step.outcome for step in found.steps[:count]]
+        known = search.begin.with_trials(
+            [one.environment for one in outcomes], [observed(own, one) for one in outcomes]
+        )
+        searched[count] = int((predicted_passive(known, prediction.points) != truth).sum())
+    predicted, floor = (int((other != truth).sum()) for other in (prediction.passive, again))
+    return SearchCheck(
+        damping_ns_per_m, truth.size, int(truth.sum()), predicted, floor, searched, found
+    )
+
+
+def _passive(params: MapParams, tell: Progress) -> Flags:
+    return run_map(plan_map(params), TrialStore(None), tell).levels[0].found.passive.ravel()

@@ -1,0 +1,295 @@
+"""The report of a reproduction: sections of words, a table, reasons and figures, as text for a
+terminal and as a Markdown page.
+
+`sections` makes those of the paper itself: what was asked, the table, and Figs. 2, 3, 4, 7-11 with
+two of our own; `future_work` adds what it left for future work. The page, the table and the figures
+are all made from that one list.
+
+A run leaves REPORT.md, the table as table.json, table.csv and table.md, and each figure as PNG and
+SVG. Everything is made in a folder of its own inside the one that was asked for and moved there at
+the end, where it takes the place of the run before: whoever presses Ctrl-C finds the files of one
+run there, and so does whoever asks for a run that makes less. What the run before made, its report
+names; files that it does not name are somebody else's and stay.
+"""
+
+import csv
+import json
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from hapticd.errors import ConfigError
+from hapticd.report import style
+from hapticd.report.passive_set import walls_figure
+from hapticd.report.style import Figure
+from hapticd.report.table import Table, text
+from hapticd.weir2008.figures import (  # fmt: skip
+    WORDS,
+    edges_figure,
+    envelope_figure,
+    limits_figure,
+    passive_figure,
+    single_figure,
+)
+from hapticd.weir2008.paper import Row
+from hapticd.weir2008.run import ReproduceResult
+from hapticd.weir2008.table import as_json, markdown, notes, paper_table, readings_table, rows
+from hapticd.zwidth.store import Progress, Steps, silent
+
+WORDED = {
+    "limits": (
+        "Limits on their axes",
+        (
+            "The other two parameters are 0 while one is searched. After ± one standard deviation"
+            " between seeds, in round brackets\nthe difference from the paper, in square brackets"
+            " the note below the table. *Calibrated*: fitted, or so by\nconstruction;"
+            " *independent*: not used in any fit; *arithmetic*: follows from printed numbers alone."
+        ),
+    ),
+    "readings": (
+        "Axis and set readings",
+        (
+            '"The maximum passive virtual stiffness" can be the limit on its axis, or the largest'
+            " over the whole passive set. Both,\nside by side; the notes are those of the set"
+            " readings."
+        ),
+    ),
+    "figures": (
+        "Figures",
+        (
+            "The paper's curves exist only as pictures, so its words are compared. Added damping is"
+            " a solid line, none a dashed one;\ndotted lines are predicted; grey is not judged. A"
+            " tinted band holds the true value with 95 % probability, as far as the\nnoise of the"
+            " trial goes (in an envelope of the owning trial alone). An envelope's lower edge is"
+            " the smallest of many\nnoisy values: it lies below its prediction partly because it is"
+            " a minimum. `share` is that of the seeds which pass."
+        ),
+    ),
+    "band_edge": (
+        "Two explanations, one experiment",
+        (
+            "A lag in the path of the force costs K at every frequency, a high-pass in the velocity"
+            " channel only at the lowest:\nmoving the lower edge of the judged band tells them"
+            " apart, on an archived record too."
+        ),
+    ),
+    "arithmetic": ("Arithmetic", "No simulation: the paper's own numbers and equations."),
+}
+SHAPE = "The paper does not say how its walls were hit: only the shape can be compared."
+OWNERS = (
+    "The strip names the parameter of the owner that weighs most at each frequency: of K/w, B and"
+    " |M| w the largest; nobody where noise alone would make the envelope as wide. The lower edge"
+    " over many noisy trials lies below its prediction partly because it is a minimum."
+)
+TITLE = "The paper, reproduced"
+TABLE_JSON = "table.json"
+REPORT = "REPORT.md"
+
+
+@dataclass(frozen=True, slots=True)
+class Drawing:
+    """A figure to be drawn, within `styled`: `name` of its files, what it shows."""
+
+    name: str
+    caption: str
+    draw: Callable[[], Figure]
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """`rows` of the table, shown as `content` if that is given; `words` and captions are
+    Markdown.
+    """
+
+    title: str
+    words: str
+    rows: tuple[Row, ...] = ()
+    drawings: tuple[Drawing, ...] = ()
+    content: Table | None = None
+
+    @property
+    def table(self) -> Table:
+        """As shown."""
+        return self.content or paper_table(self.rows)
+
+
+# --- the paper ------------------------------------------------------------------------------------
+
+
+def sections(result: ReproduceResult) -> tuple[Section, ...]:
+    """In the order of the page."""
+    drawings = {
+        "limits": (
+            Drawing(
+                "limits",
+                "**Limits** on their axes beside the paper's.",
+                partial(limits_figure, result),
+            ),
+        ),
+        "figures": _drawings(result),
+        "band_edge": (
+            Drawing(
+                "band_edge",
+                "**K limits** over the lower edge of the judged band.",
+                partial(edges_figure, result),
+            ),
+        ),
+    }
+    return tuple(
+        replace(section, drawings=drawings.get(part, ()))
+        for part, section in parts(rows(result)).items()
+    )
+
+
+def parts(found: Iterable[Row]) -> dict[str, Section]:
+    """The sections by the part of their rows, without figures; a part that is none of the paper's
+    has its table alone.
+    """
+    by_part: dict[str, tuple[Row, ...]] = {}
+    for row in found:
+        by_part[row.part] = (*by_part.get(row.part, ()), row)
+    made = {part: Section(*WORDED.get(part, (part, "")), kept) for part, kept in by_part.items()}
+    if "readings" in made:
+        made["readings"] = replace(
+            made["readings"], content=readings_table(by_part["limits"], by_part["readings"])
+        )
+    return made
+
+
+def _drawings(result: ReproduceResult) -> tuple[Drawing, ...]:
+    """Of the paper's figures; Fig. 2 only where walls were hit."""
+    off, on = WORDS
+    drawn: list[tuple[int, str, Callable[[str], Figure], str]] = [
+        (3, f"Z-width {off}", partial(envelope_figure, result, (0,)), OWNERS),
+        (
+            4,
+            "one trial, K = 100 N/m, B = 1 N s/m, M = 10 g",
+            partial(single_figure, result, (0,)),
+            "",
+        ),
+        (7, "K = 50 N/m, B = 2 N s/m, M = 0", partial(single_figure, result, (1, 2)), ""),
+        (8, f"Z-width {on}", partial(envelope_figure, result, (1,)), OWNERS),
+        (9, f"passive environments {off}", partial(passive_figure, result.found[0]), ""),
+        (10, f"passive environments {on}", partial(passive_figure, result.found[1]), ""),
+        (
+            11,
+            "Z-width without and with added damping",
+            partial(envelope_figure, result, (0, 1)),
+            OWNERS,
+        ),
+    ]
+    if result.walls is not None:
+        drawn.insert(
+            0, (2, "walls that come to rest, M = 0", partial(walls_figure, result.walls), SHAPE)
+        )
+    return tuple(
+        Drawing(
+            f"fig{number:02d}",
+            f"**Fig. {number}.** {words[0].upper()}{words[1:]}. {more}".strip(),
+            partial(draw, f"Fig. {number}: {words}"),
+        )
+        for number, words, draw, more in drawn
+    )
+
+
+# --- text -----------------------------------------------------------------------------------------
+
+
+def page(title: str, head: str, sections: Iterable[Section]) -> str:
+    """Markdown; figures are expected beside it."""
+    parts = [f"# {title}", head]
+    for section in sections:
+        parts += [f"## {section.title}", section.words, table_part(section) if section.rows else ""]
+        parts += [
+            f"![{drawing.name}]({drawing.name}.png)\n\n{drawing.caption}"
+            for drawing in section.drawings
+        ]
+    return "\n\n".join(part.strip() for part in parts if part) + "\n"
+
+
+def table_part(section: Section) -> str:
+    """Its table and the reasons below, as Markdown."""
+    told = "\n".join(f"- {note}" for note in notes(section.rows))
+    return f"{markdown(section.table)}\n{told}".strip()
+
+
+def terminal(sections: Sequence[Section]) -> str:
+    """The same for a terminal, without figures."""
+    return "\n\n".join(
+        "\n".join([section.title, "", text(section.table), *notes(section.rows)])
+        for section in sections
+        if section.rows
+    )
+
+
+# --- files ----------------------------------------------------------------------------------------
+
+
+def keep(
+    sections: Sequence[Section], folder: Path, told: Mapping[str, Any], tell: Progress = silent
+) -> list[Path]:
+    """Write it all into `folder`, which is made; `told` (quick, seeds, table, provenance) goes into
+    table.json. ConfigError.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(prefix=".unfinished-", dir=folder) as name:
+            unfinished = Path(name)
+            _draw(sections, unfinished, tell)
+            _write(sections, unfinished, told)
+            made = sorted(unfinished.iterdir())
+            for name in _of_the_run_before(folder) - {file.name for file in made}:
+                (folder / name).unlink(missing_ok=True)
+            return [file.replace(folder / file.name) for file in made]
+    except OSError as error:
+        raise ConfigError(
+            f"{folder}: {error.strerror}; name a folder that you may write to with --out"
+        ) from error
+
+
+def _of_the_run_before(folder: Path) -> set[str]:
+    """Names of its figures."""
+    if not (folder / REPORT).is_file():
+        return set()
+    named = re.findall(r"\]\((\w+)\.png\)", (folder / REPORT).read_text(errors="replace"))
+    return {f"{name}.{kind}" for name in named for kind in ("png", "svg")}
+
+
+def _draw(sections: Sequence[Section], folder: Path, tell: Progress) -> None:
+    drawings = [drawing for section in sections for drawing in section.drawings]
+    steps = Steps(tell, len(drawings))
+    for drawing in drawings:
+        steps.next(f"drawing {drawing.name}")
+        with style.styled():
+            style.save(drawing.draw(), folder, drawing.name)
+    steps.end()
+
+
+def _write(sections: Sequence[Section], folder: Path, told: Mapping[str, Any]) -> None:
+    rows = [row for section in sections for row in section.rows]
+    content = as_json(rows)
+    (folder / TABLE_JSON).write_text(json.dumps(told, indent=1) + "\n")
+    (folder / "table.md").write_text(table_part(Section(TITLE, "", tuple(rows))) + "\n")
+    (folder / REPORT).write_text(page(TITLE, _head(told), sections))
+    with (folder / "table.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(content[0]))
+        writer.writeheader()
+        writer.writerows(content)
+
+
+def _head(told: Mapping[str, Any]) -> str:
+    how = f"90 s trials, {told['seeds']} seeds behind each limit on its axis"
+    if told["quick"]:
+        how = "by prediction alone, without trials"
+    made = told["provenance"]
+    versions = ", ".join(f"{name} {version}" for name, version in made["libraries"].items())
+    return (
+        "D. W. Weir, J. E. Colgate and M. A. Peshkin, *Measuring and increasing Z-width with"
+        f" active electrical damping*, Haptics Symposium 2008, on SIMULATED devices: {how}. Made"
+        f" {made['date']} by hapticd {made['hapticd']} ({versions}). What was tried and what does"
+        " not match is told in docs/reproduction.md."
+    )

@@ -1,0 +1,429 @@
+"""Reproduce the paper: its six limits, its arithmetic and the data of Figs. 2, 3, 4, 7-11, on three
+simulated devices.
+
+Weir, Colgate and Peshkin, Measuring and increasing Z-width with active electrical damping, 2008.
+
+    predict      limits, sets and envelopes by the first harmonic, in seconds; all that `quick` does
+    limits       by trials of 90 s of noise, with every seed; from each lower band edge too
+                 (`zwidth.limits`)
+    grid         the paper's 6,384 environments, undamped and damped, and the envelope of those that
+                 pass (`zwidth.map`)
+    singles      the trials of Figs. 4 and 7 (`zwidth.trial`)
+    walls        impacts for Fig. 2
+
+Two readings of a limit. Axis: the other two are 0, as the paper's numbers are understood here. Set:
+the largest over all passive K, B, M; its place is predicted, then only the parameter itself is
+searched by trials, from 0 at the predicted best of the others.
+
+Prediction says which trials of the grid cannot pass: those where even 85 % of the environment would
+not. The others are flown. Between a laboratory's 13 days and seconds stands only that. Without
+trials the prediction alone fills set and envelope.
+
+What would break it: comparing a limit of one perturbation with that of another; a set that is not
+star-shaped about K = B = M = 0, where a passive piece far from the rest would be missed.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from math import isnan, nan
+
+import numpy as np
+
+from hapticd.analysis.arrays import Flags, Floats
+from hapticd.analysis.envelope import Envelope, accepted, of_predicted
+from hapticd.analysis.impedance import Impedance, impedance
+from hapticd.analysis.passive_set import grid
+from hapticd.analysis.predict import DEFAULT_BAND_HZ, frequencies
+from hapticd.analysis.spectra import DEFAULT_LAG
+from hapticd.errors import AnalysisError
+from hapticd.settings.scene import load_scene
+from hapticd.units import PROBE_RATE_HZ
+from hapticd.weir2008.paper import ADDED_NS_PER_M, FIG_4, FIG_7, HIGH_PASS, LEVELS, LITERAL, MAIN
+from hapticd.zwidth.executors import pool_of
+from hapticd.zwidth.limits import (
+    ORIGIN,
+    REACH,
+    LimitsParams,
+    LimitsPlan,
+    plan_limits,
+    predicted_limit,
+    run_plans,
+)
+from hapticd.zwidth.map import Axes, LevelMap, MapParams, MapPlan, plan_map, run_map
+from hapticd.zwidth.outcomes import Conditions, Point, points_of
+from hapticd.zwidth.scenes import Display, noise
+from hapticd.zwidth.simulated import engine_source
+from hapticd.zwidth.sources import Trial
+from hapticd.zwidth.store import Progress, Steps, TrialStore, silent
+from hapticd.zwidth.trial import TrialParams, TrialResult, plan_trial, run_trial
+from hapticd.zwidth.walls import WallParams, WallResult, plan_walls, run_walls
+
+SCENES = {MAIN: "fig7", HIGH_PASS: "rival", LITERAL: "literal"}
+SECONDS = 90.0  # section 2.2
+SEEDS = 8
+SET_SEEDS = EDGE_SEEDS = 4
+FINE = 2e-3  # of a limit; two rounds of a search reach it
+WINDOW_HZ = PROBE_RATE_HZ / DEFAULT_LAG  # 1/(M Ts): below it the window says nothing
+EDGES_HZ = (1.0, 2.0, 3.0, 5.0, 10.0)
+LOW_HZ, TOP_HZ = DEFAULT_BAND_HZ
+SET_GRID = (np.arange(31) * 50.0, np.arange(19) * 0.5, np.arange(-10, 11) * 0.0025)
+SHOWN = (
+    (FIG_4, 0.0),
+    (FIG_7, 0.0),
+    (FIG_7, ADDED_NS_PER_M),
+)  # environment and damping of the single trials
+SHOWN_HZ = (1.9, 1000.0)
+AXES: Axes = (
+    np.array([0.0, 25.0, 50.0, 75.0, 100.0, 150.0, 200.0, 300.0, 400.0, 600.0, 800.0, 1000.0]),
+    np.asarray(np.arange(19) * 0.5, np.float64),
+    np.asarray(np.arange(-12, 16) * 0.002, np.float64),
+)
+POINTS = grid(AXES)
+NEAR = 0.85
+PEAK_HZ = (40.0, 200.0)
+PROMINENT = 1.01  # above the valleys on both sides
+CALMED = 3  # of the frequencies that are kept of a trial, about 10 % of one
+WALL_DAMPINGS = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0)  # Ns/m
+WALL_STIFFNESSES = tuple(np.geomspace(20.0, 3000.0, 22).tolist())  # N/m
+
+
+@dataclass(frozen=True, slots=True)
+class ReproducePlan:
+    """`seeds`: noise realisations behind each limit; none: prediction alone, no trials."""
+
+    seeds: tuple[int, ...]
+    devices: tuple[str, ...] = tuple(SCENES)
+
+
+@dataclass(frozen=True, eq=False)
+class Limit:
+    """Limit of one parameter: `values` (seeds,) by trials, empty without; 0, and nan in
+    `predicted`, where nothing is passive.
+    """
+
+    device: str
+    level: float
+    axis: int
+    base: Point
+    predicted: float
+    values: Floats
+    low_hz: float = LOW_HZ  # of the judged band
+
+    @property
+    def mean(self) -> float:
+        """Over seeds; the prediction without trials; 0 where nothing is passive."""
+        return float(np.nan_to_num(self.values.mean() if self.values.size else self.predicted))
+
+    @property
+    def sd(self) -> float:
+        """Over seeds; nan with less than two."""
+        return float(self.values.std(ddof=1)) if self.values.size > 1 else nan
+
+
+@dataclass(frozen=True, eq=False)
+class Single:
+    """Trials of one environment by seed, None of one that ran away (no seeds if quick), and the
+    prediction's verdict.
+    """
+
+    point: Point
+    level: float
+    trials: tuple[TrialResult | None, ...]
+    predicted: bool
+
+    @property
+    def passed(self) -> int:
+        """How many were passive by the paper's rule."""
+        return sum(
+            trial is not None and accepted(trial.verdict, "within_90_deg") for trial in self.trials
+        )
+
+    @property
+    def shown(self) -> Impedance | None:
+        """Of the first seed that did not run away, on the frequencies of the figures."""
+        found = next((trial.spectra for trial in self.trials if trial is not None), None)
+        if found is None:
+            return None
+        return impedance(
+            found.part((found.frequency_hz >= SHOWN_HZ[0]) & (found.frequency_hz <= SHOWN_HZ[1]))
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Peak:
+    """A maximum of an envelope: its |Z| [N s/m], by how much it stands above the higher of its
+    valleys, its owner (K, B, M).
+    """
+
+    frequency_hz: float
+    size_ns_per_m: float
+    rise: float
+    owner: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Of one damping level: `passive` (nK, nB, nM) of the grid, `flown` trials; the envelope,
+    its owners' environments by name.
+    """
+
+    passive: Flags
+    undecided: int
+    flown: int
+    envelope: Envelope
+    environments: Floats
+
+    @property
+    def seeds(self) -> int:
+        """Behind each environment: one, or none if it was predicted."""
+        return min(self.flown, 1)
+
+    def peak(self) -> Peak | None:
+        """The upper edge's most prominent maximum in PEAK_HZ, if any."""
+        f = self.envelope.frequency_hz
+        edge = self.envelope.upper
+        size = _calmed(edge.value) if self.flown else edge.value
+        inside = np.flatnonzero((f >= PEAK_HZ[0]) & (f <= PEAK_HZ[1]))
+        part = size[inside]
+        before = np.minimum.accumulate(part)
+        after = np.minimum.accumulate(part[::-1])[::-1]
+        rise = part / np.maximum(before, after)
+        highest = int(np.argmax(rise))
+        if rise[highest] < PROMINENT:
+            return None
+        at = int(inside[highest])
+        return Peak(
+            float(f[at]),
+            float(size[at]),
+            float(rise[highest]) - 1.0,
+            self.environments[edge.owner[at]],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ReproduceResult:
+    """`limits` on the axes, `sets` over the whole set, `edges` of K on its axis from each of
+    EDGES_HZ; `singles` as in SHOWN.
+
+    `found` is the grid of the first device by trials, `predicted` that of each device; `walls` is
+    None if quick.
+    """
+
+    plan: ReproducePlan
+    limits: tuple[Limit, ...]
+    sets: tuple[Limit, ...]
+    edges: tuple[Limit, ...]
+    singles: dict[str, tuple[Single, ...]]
+    found: tuple[Found, ...]
+    predicted: dict[str, tuple[Found | None, ...]]
+    walls: WallResult | None
+
+
+def plan_reproduce(quick: bool = False, seeds: int = SEEDS) -> ReproducePlan:
+    """Seeds 1, 2, ..., none if quick."""
+    return ReproducePlan(() if quick else tuple(range(1, seeds + 1)))
+
+
+@cache
+def conditions(device: str) -> Conditions:
+    """Of the paper's trials on one of SCENES, by the name of its device; the first seed is 1."""
+    scene = load_scene(SCENES[device])
+    return Conditions(scene, SECONDS, replace(noise(scene), seed=1))
+
+
+def run_reproduce(
+    plan: ReproducePlan, tell: Progress = silent, executor: Executor | None = None
+) -> ReproduceResult:
+    """Do it, trials on `executor` or on threads here. ConfigError as `simulate`."""
+    seeds = len(plan.seeds)
+    predicted: dict[str, tuple[Found | None, ...]] = {}
+    limits: list[LimitsPlan] = []
+    sets: list[LimitsPlan] = []
+    edges: list[LimitsPlan] = []
+    steps = Steps(tell, 2 * len(plan.devices))
+    for name in plan.devices:
+        steps.next(f"predicting, {name}")
+        predicted[name] = tuple(by_prediction(conditions(name).display, level) for level in LEVELS)
+        limits.append(_asked(name, seeds))
+        for level in LEVELS:
+            sets += [
+                _asked(name, min(seeds, SET_SEEDS), (level,), (axis,), set_place(name, level, axis))
+                for axis in range(3)
+            ]
+            edges += [
+                _asked(name, min(seeds, EDGE_SEEDS), (level,), (0,), low_hz=low_hz)
+                for low_hz in EDGES_HZ
+            ]
+    store = TrialStore(None) if seeds else None
+    singles: dict[str, tuple[Single, ...]] = {}
+    with pool_of(executor) as pool:
+        for name in plan.devices:
+            steps.next(f"Figs. 4 and 7, {name}")
+            singles[name] = tuple(
+                _single(name, point, level, plan.seeds, pool) for point, level in SHOWN
+            )
+        read = [limits_of(asked, store, tell, pool) for asked in (limits, sets, edges)]
+        found = (
+            _grid(tell, pool)
+            if seeds
+            else tuple(each for each in predicted[MAIN] if each is not None)
+        )
+    hit = WallParams(load_scene("wall"), WALL_STIFFNESSES, WALL_DAMPINGS, LEVELS)
+    walls = run_walls(plan_walls(hit), tell) if seeds else None
+    return ReproduceResult(plan, read[0], read[1], read[2], singles, found, predicted, walls)
+
+
+def _asked(
+    name: str,
+    seeds: int,
+    levels: tuple[float, ...] = LEVELS,
+    axes: tuple[int, ...] = (0, 1, 2),
+    base: Point = ORIGIN,
+    low_hz: float = LOW_HZ,
+) -> LimitsPlan:
+    given = replace(conditions(name), band_hz=(low_hz, TOP_HZ), below_window=low_hz < WINDOW_HZ)
+    return plan_limits(
+        LimitsParams(given, levels, axes=axes, seeds=max(1, seeds), base=base, tolerance=FINE)
+    )
+
+
+def limits_of(
+    plans: Sequence[LimitsPlan],
+    store: TrialStore | None,
+    tell: Progress = silent,
+    pool: Executor | None = None,
+) -> tuple[Limit, ...]:
+    """Every limit of the plans, in their order: by trials into `store`, or predicted where there is
+    none. Where nothing is predicted to be passive none is flown.
+    """
+    asked = [(plan.params, scan) for plan in plans for scan in plan.scans]
+    values = {}
+    if store is not None:
+        passive = [
+            replace(plan, scans=tuple(scan for scan in plan.scans if not isnan(scan.predicted)))
+            for plan in plans
+        ]
+        found = run_plans(passive, store, tell, pool)
+        values = {
+            (one.plan.params, limit.scan): np.nan_to_num(limit.values)
+            for one in found
+            for limit in one.limits
+        }
+    return tuple(
+        Limit(
+            params.conditions.scene.device,
+            scan.damping_ns_per_m,
+            scan.axis,
+            params.base,
+            scan.predicted,
+            values.get((params, scan), np.empty(0)),
+            params.conditions.band_hz[0],
+        )
+        for params, scan in asked
+    )
+
+
+def set_place(device: str, level: float, axis: int) -> Point:
+    """Where the set reading of a parameter is searched from: of the places beside the extreme of
+    the predicted set the one that reaches farthest, itself 0; K = B = M = 0 if none is passive.
+    """
+    own = conditions(device).display
+    kept = predicted_set(own, level)
+    reach = np.abs(kept[:, axis]) * (np.sign(kept[:, axis]) == np.sign(REACH[axis]))
+    beside = kept[reach == reach.max(initial=0.0)]
+    beside[:, axis] = 0.0
+    return max(
+        points_of(beside),
+        key=lambda place: abs(predicted_limit(own, level, axis, place)),
+        default=ORIGIN,
+    )
+
+
+@cache
+def predicted_set(device: Display, level: float) -> Floats:
+    """Environments (N, 3) of SET_GRID that are predicted passive at a damping level [N s/m]."""
+    points = grid(SET_GRID)
+    return np.asarray(points[device.passive(points, level)])
+
+
+def _single(
+    name: str, point: Point, level: float, seeds: tuple[int, ...], pool: Executor
+) -> Single:
+    trials = tuple(pool.map(partial(single_trial, name, point, level), seeds))
+    return Single(
+        point, level, trials, bool(conditions(name).display.passive(np.array([point]), level)[0])
+    )
+
+
+def single_trial(device: str, point: Point, level: float, seed: int) -> TrialResult | None:
+    """A trial of Figs. 4 and 7, its record forgotten; None of one that ran away before anything
+    could be said.
+    """
+    given = conditions(device)
+    trial = Trial(point, level, given.seconds, replace(given.excitation, seed=seed))
+    try:
+        found = run_trial(plan_trial(TrialParams(trial, given.scene)), engine_source(given.scene))
+    except AnalysisError:
+        return None
+    return replace(
+        found, recorded=replace(found.recorded, force_n=np.empty(0), velocity_m_per_s=np.empty(0))
+    )
+
+
+def _grid(tell: Progress, pool: Executor) -> tuple[Found, ...]:
+    """By trials, each level."""
+    plan = hopeful(plan_map(MapParams(conditions(MAIN), AXES, LEVELS)))
+    return tuple(_of_map(level) for level in run_map(plan, TrialStore(None), tell, pool).levels)
+
+
+def hopeful(plan: MapPlan) -> MapPlan:
+    """To be flown: what may pass by prediction, itself or when scaled down."""
+    device = plan.params.conditions.display
+    levels = [
+        replace(
+            level,
+            near=level.prediction.passive | device.passive(NEAR * POINTS, level.damping_ns_per_m),
+        )
+        for level in plan.levels
+    ]
+    return replace(plan, levels=tuple(levels))
+
+
+def _of_map(level: LevelMap) -> Found:
+    """Set and envelope of the trials that passed, in the order of the grid. AnalysisError if
+    none did.
+    """
+    passed = [outcome for outcome in level.outcomes if outcome.passes]
+    if level.envelope is None:
+        raise AnalysisError(
+            f"no trial of the grid passed at {level.damping_ns_per_m:g} N s/m: there is no envelope"
+        )
+    undecided = sum(outcome.answer != "passive" for outcome in passed)
+    environments = np.array([outcome.environment for outcome in passed])
+    tried = level.tried.reshape(level.found.margin.shape)
+    return Found(
+        level.found.passive & tried, undecided, len(level.outcomes), level.envelope, environments
+    )
+
+
+def by_prediction(device: Display, level: float) -> Found | None:
+    """The same without trials: `undecided` and `flown` are 0, the envelope has no uncertainty. None
+    for an empty set."""
+    passive = device.passive(POINTS, level)
+    kept = POINTS[passive]
+    if not len(kept):
+        return None
+    f = frequencies(SHOWN_HZ, device.perturbation)
+    f = f[(f >= SHOWN_HZ[0]) & (f <= SHOWN_HZ[1])]
+    shape = [axis.size for axis in AXES]
+    return Found(
+        passive.reshape(shape), 0, 0, of_predicted(f, device.impedances(kept, level, f)), kept
+    )
+
+
+def _calmed(values: Floats) -> Floats:
+    """Running median over what the window cannot resolve, against the noise of the estimate."""
+    padded = np.pad(values, CALMED // 2, mode="edge")
+    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, CALMED), axis=1))

@@ -1,0 +1,254 @@
+"""A trial on the device of a daemon: enable, set, perturb, record at 4 kHz, force off.
+
+The daemon may be the real one or the same stack on virtual time (`lockstep`), the client is the
+same. The trial begins disabled, and ends disabled whatever happens; nobody's session is taken over.
+Heard meanwhile are the probe's samples, the servo's ticks beside them, and why it ends. The ticks
+tell what no sample does: every command, the winding, where the device stands, slots that were left
+out, and the revision of what is in force, so that whoever changes anything ends the trial. What is
+lost is in `watch`.
+
+What would break it: a board without probe inputs (refused), a host so busy that slots are lost
+(named, then undecided), or ticks and samples that come much apart; both are cut by the same servo.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from math import nan
+from typing import Any
+
+import numpy as np
+
+from hapticd.analysis.arrays import Flags, Floats
+from hapticd.client.blocks import Block, BlockDecoder
+from hapticd.client.client import Client
+from hapticd.errors import AnalysisError, DaemonDown
+from hapticd.mailbox.layout import LOST_SLOTS, Flag, State
+from hapticd.plant.excitation import torque_record
+from hapticd.units import PROBE_RATE_HZ
+from hapticd.zwidth.sources import Source, Trial
+from hapticd.zwidth.store import Progress, Recorded, silent
+from hapticd.zwidth.watch import Filler, Sentinel
+
+WAVEFORM_S = 120.0  # a longer trial repeats it
+SPARE_S = 10.0  # of waveform beyond the trial: settling, and what is heard late
+SETTLE_S = 1.0  # of perturbed motion before the record begins
+PROBE = "probe"
+TICKS = "servo.raw"
+LOOK_S = 0.05
+SILENT_LOOKS = 40  # without a message: 2 s
+CHANGED = (
+    "changed: someone changed what was rendered or the perturbation; be alone at the device, and"
+    " repeat the trial"
+)
+
+
+def bench_source(bench: Client, origin: str = "daemon") -> Source:
+    """Trials on the device of a daemon; AnalysisError unless it is `disabled`."""
+
+    def record(trial: Trial, tell: Progress = silent) -> Recorded:
+        state = bench.status()["state"]
+        if state != "disabled":
+            raise AnalysisError(
+                f"the servo is {state}, a trial begins from disabled; end the session with `hapticd"
+                " disable`"
+            )
+        stiffness, damping, mass = trial.environment
+        waveform = _waveform(trial)
+        try:
+            bench.set(K=stiffness, B=damping, M=mass, damping=trial.damping_ns_per_m)
+            bench.damping("on" if trial.damping_ns_per_m else "off")
+            bench.perturb_load(waveform)
+            bench.enable()
+            bench.wait_for("enabled")
+            bench.perturb_start(
+                loop=waveform.size < PROBE_RATE_HZ * (trial.seconds + SPARE_S)
+            )  # if we are killed, it ends
+            return Hearing(bench, trial).recorded(origin, tell)
+        finally:
+            _leave(bench)
+
+    return record
+
+
+def _waveform(trial: Trial) -> Floats:
+    if trial.waveform_n is not None:
+        return trial.waveform_n
+    return torque_record(
+        trial.excitation,
+        round(PROBE_RATE_HZ * min(WAVEFORM_S, trial.seconds + SPARE_S)),
+        trial.excitation.seed,
+    )
+
+
+def _leave(bench: Client) -> None:
+    """Force off whatever happened; a stop or a fault has done so already."""
+    try:
+        bench.perturb_stop()
+    finally:
+        if bench.status()["state"] == "enabled":
+            bench.disable()
+
+
+class Hearing:
+    """One trial while it is heard: the probe's samples so far, and what the ticks beside them
+    say.
+    """
+
+    def __init__(self, daemon: Client, trial: Trial) -> None:
+        servo = daemon.hello()["servo"]
+        ends = servo["environment"]["workspace"]
+        self._limit_n = min(servo["safety"]["force_limit_n"], servo["device"]["force_limit_n"])
+        self._daemon = daemon
+        self._seconds = trial.seconds
+        watch = replace(
+            trial.watch, command_limit_n=self._limit_n, travel_m=(ends["lower_m"], ends["upper_m"]),
+            speed_limit_m_per_s=servo["device"]["speed_limit_m_per_s"],
+        )  # fmt: skip
+        self._sentinel = Sentinel(watch, PROBE_RATE_HZ)
+        self._filler, self._parts = (
+            Filler(),
+            list[tuple[Floats, Flags]](),
+        )  # (2, n) force and velocity, and which came
+        self._taken = 0  # samples
+        self._command_n = 0.0  # largest so far
+        self._positions_m: tuple[float, float] = (
+            nan,
+            nan,
+        )  # least and most since the sentinel looked
+        self._began: Any = None  # the first tick that was perturbed
+        self._newest: Any = None  # tick
+
+    @property
+    def _ended(self) -> bool:
+        """Whether the servo is no longer enabled, or renders something else than when the
+        perturbation began.
+        """
+        return self._newest is not None and (
+            self._newest["state"] != State.ENABLED or self._changed
+        )
+
+    @property
+    def _changed(self) -> bool:
+        return self._began is not None and bool(self._newest["revision"] != self._began["revision"])
+
+    @property
+    def _winding_c(self) -> float:
+        return nan if self._newest is None else float(self._newest["winding_c"])
+
+    def recorded(self, origin: str, tell: Progress) -> Recorded:
+        """Listen to the end, or to where the sentinel or the servo ends it. DaemonDown if the
+        daemon falls silent.
+        """
+        settle = round(SETTLE_S * PROBE_RATE_HZ)
+        ended = ""
+        wanted = settle + round(self._seconds * PROBE_RATE_HZ)
+        for block in self._heard():
+            self._take(block)
+            tell(
+                self._sentinel.outlook,
+                round(self._taken / PROBE_RATE_HZ),
+                round(wanted / PROBE_RATE_HZ),
+            )
+            if self._taken > settle:
+                force, velocity = self._parts[-1][0]
+                ended = self._sentinel.see(
+                    force, velocity, self._winding_c, self._command_n, self._positions_m
+                )
+            self._positions_m = (nan, nan)  # what was before it settled is no matter
+            if ended or self._taken >= wanted:
+                break
+        if not self._parts:
+            raise AnalysisError(
+                "the probe stream is empty: this board has no probe inputs; record with another"
+                " system and import it"
+            )
+        status = self._daemon.status()
+        force, velocity = np.concatenate([part for part, _ in self._parts], axis=1)[
+            :, settle:wanted
+        ]
+        return Recorded(
+            force, velocity, PROBE_RATE_HZ, origin, bool(status.get("simulated", True)),
+            ended or _gone(status) or (CHANGED if self._changed else ""),
+            self._command_n, self._limit_n, self._more(settle, wanted, status),
+        )  # fmt: skip
+
+    def _more(self, settle: int, wanted: int, status: Mapping[str, Any]) -> dict[str, Any]:
+        came = np.concatenate([known for _, known in self._parts])[settle:wanted]
+        lost = slots = 0
+        if self._began is not None:
+            lost = (int(self._newest["lost_slots"]) - int(self._began["lost_slots"])) % LOST_SLOTS
+            slots = int(self._newest["tick"]) - int(self._began["tick"]) + 1 + lost
+        return {
+            "lost_samples": int((~came).sum()),
+            "samples": came.size,
+            "lost_slots": lost,
+            "slots": slots,
+            "winding_c": self._winding_c,
+            "config_hash": status.get("config_hash", ""),
+        }
+
+    def _heard(self) -> Iterator[Block]:
+        """Blocks of the probe, the ticks before each taken in; none after the servo is no
+        longer enabled or was changed.
+        """
+        decoders = {PROBE: BlockDecoder(), TICKS: BlockDecoder()}
+        quiet = 0
+        for message in self._daemon.messages((PROBE, TICKS), LOOK_S):
+            if message is None:
+                quiet += 1
+                if quiet > SILENT_LOOKS or self._ended:
+                    break
+                continue
+            quiet = 0
+            block = decoders[message[0]].decode(message[1])
+            if message[0] == TICKS:
+                self._hear(block.records)
+            elif len(block.records):
+                yield block
+        if not self._ended and not _gone(self._daemon.status()):
+            raise DaemonDown(
+                f"nothing from the probe for {SILENT_LOOKS * LOOK_S:g} s; see `hapticd status`"
+            )
+
+    def _hear(self, ticks: Any) -> None:
+        if not len(ticks):
+            return
+        clamped = bool((ticks["flags"] & Flag.CLAMPED).any())
+        self._command_n = max(
+            self._command_n, self._limit_n if clamped else float(np.abs(ticks["force_n"]).max())
+        )
+        at_m = ticks["position_m"]
+        self._positions_m = (
+            float(np.fmin(self._positions_m[0], at_m.min())),
+            float(np.fmax(self._positions_m[1], at_m.max())),
+        )
+        playing = ticks[ticks["perturbing"] != 0]
+        if self._began is None and len(playing):
+            self._began = playing[0]
+        self._newest = ticks[-1]
+
+    def _take(self, block: Block) -> None:
+        self._parts.append(self._filler.filled(block.records["index"], signals(block)))
+        self._taken += self._parts[-1][1].size
+
+
+def _gone(status: Mapping[str, Any]) -> str:
+    """Why the servo is no longer enabled; "" if it is."""
+    state = status["state"]
+    cause = status.get("cause")
+    if state == "enabled":
+        return ""
+    return f"{state}: {cause}" if cause and state != "disabled" else f"{state}: somebody ended it"
+
+
+def signals(probe: Block) -> Floats:
+    """Force [N] and velocity [m/s] (2, n) of a block of the probe's samples."""
+    scales = {name: probe.header["scale"][name] for name in ("torque", "velocity")}
+    return np.stack(
+        [
+            one["sign"]
+            * (probe.records[name].astype(np.float64) - one["offset_count"])
+            * one["per_count"]
+            for name, one in scales.items()
+        ]
+    )

@@ -1,0 +1,188 @@
+"""The whole product on virtual time, faster than real time: servo, wire, pyusb and simulated board.
+
+`LockStepBench` is a `hapticd.client.Client` whose calls go straight to the servo. Telemetry goes
+the whole way: frames of the board, the gateway's decoder, its messages, the client's decoder. What
+is left out are sockets and processes.
+
+`fly` is one trial of a scene. The stack comes up as after `hapticd run`: enabled at rest and the
+gain ramped to 1. Then, at one tick, the perturbation starts and the scene's damping steps begin to
+count. The records begin at that tick: positions and forces as the servo knew them, torque and
+velocity as the probe frames brought them. Converters of the wire quantise, whether the scene asks
+for it or not.
+"""
+
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.analysis.arrays import Floats
+from hapticd.assembly.lockstep import LockStep, scene_params
+from hapticd.client.blocks import BlockDecoder
+from hapticd.client.client import Client, Receipt
+from hapticd.errors import AnalysisError, CommandError, LinkError
+from hapticd.faults import BY_NUMBER
+from hapticd.gateway.commands import ACCEPTED, posting, receipt
+from hapticd.gateway.schemas import ADAPTER
+from hapticd.gateway.telemetry import Origin, ProbeDecoder, RingBlock, raw_message
+from hapticd.gateway.view import Records, as_records
+from hapticd.mailbox.layout import PERTURBATION_SAMPLES, RECORD, Command, Flag, Result, State, Value
+from hapticd.params import BoardParams, ServoParams, to_plain
+from hapticd.servo.plan import meant
+from hapticd.units import PROBE_RATE_HZ
+from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
+from hapticd.zwidth.live import signals
+
+READY_TICKS = 5
+MOST_S = PERTURBATION_SAMPLES / PROBE_RATE_HZ
+BLOCK_TICKS = 500
+
+
+class LockStepBench(Client):
+    """`servo` and `board` on one virtual clock, ready and disabled; `newest` is the record of the
+    newest tick. Use it as a context manager.
+    """
+
+    def __init__(self, servo: ServoParams, board: BoardParams) -> None:
+        self.stack = LockStep(servo, board, keep=False)
+        super().__init__(name="lock-step", folder=self.stack.mailbox.folder)
+        self._servo = servo
+        self._samples = 0
+        self._seen = 0
+        self.run(READY_TICKS)
+
+    def close(self) -> None:
+        """End the stack."""
+        super().close()
+        self.stack.close()
+
+    def call(self, cmd: str, **fields: Any) -> dict[str, Any]:
+        """A command, obeyed by the servo before this returns, or what is known of the servo.
+        CommandError if it refuses.
+        """
+        if cmd in ("hello", "get", "status"):
+            told = self._told()
+            return {"state": told["state"], "result": told}
+        given = {name: value for name, value in fields.items() if value is not None}
+        kind, _, values = posting(ADAPTER.validate_python({"cmd": cmd, **given}), self._samples)
+        answer = self.stack.do(kind, {Value(place): values[place] for place in meant(values)})
+        if answer.result not in ACCEPTED:
+            raise CommandError(
+                answer.result.name.lower(), f"the servo refused {cmd}: {answer.result.name.lower()}"
+            )
+        self.run(1)
+        return {"state": self._told()["state"], "receipt": receipt(answer)}
+
+    def _told(self) -> dict[str, Any]:
+        """What the servo was set up with, its state, the cause of a fault, its temperature."""
+        fault = BY_NUMBER.get(int(self.newest["fault"]))
+        return {
+            "servo": to_plain(self._servo),
+            "state": State(int(self.newest["state"])).name.lower(),
+            "cause": fault.cause if fault else "",
+            "winding_c": float(self.newest["winding_c"]),
+            "simulated": self._servo.simulated,
+            "config_hash": self._servo.config_hash,
+        }
+
+    def enable(self) -> Receipt:
+        """Force on, with a gain ramp, to its end."""
+        found = super().enable()
+        self.run(
+            round(self._servo.safety.enable_ramp_s * self._servo.realtime.rate_hz) + READY_TICKS
+        )
+        return found
+
+    def perturb_load(self, samples_n: npt.ArrayLike) -> int:
+        """Force [N] at 4 kHz, (n,)."""
+        scale = self._servo.device.probe_torque
+        force = np.asarray(samples_n, np.float64)[:PERTURBATION_SAMPLES]
+        self.stack.load_waveform(
+            [scale.to_count(value, I16_LOWEST, I16_HIGHEST) for value in force.tolist()]
+        )
+        self._samples = force.size
+        return self._samples
+
+    def messages(
+        self, topics: Sequence[str], look_s: float = 0.05
+    ) -> Generator[tuple[str, bytes] | None, None, None]:
+        """Payloads of "servo.raw" and "probe", as far as asked, while time goes on; for ever."""
+        probe = ProbeDecoder(self._servo.device)
+        origin = Origin(0, 0, self._servo.simulated)
+        while True:
+            data = self.run(BLOCK_TICKS)
+            block = RingBlock(1, self._seen, 0, data, as_records(data))
+            self._seen += len(block.records)
+            if "servo.raw" in topics:
+                yield "servo.raw", raw_message(block, origin)
+            if "probe" in topics:
+                yield from (("probe", payload) for payload in probe.messages(block, origin))
+            yield None
+
+    def run(self, ticks: int) -> bytes:
+        """As `LockStep.run`, and keeps the newest record."""
+        data = self.stack.run(ticks)
+        self.newest = as_records(data[-RECORD.size :])[-1]
+        return data
+
+
+@dataclass(frozen=True, eq=False)
+class Flown:
+    """`position_m`, `force_n` (ticks,); `torque_n`, `velocity_m_per_s` (samples,) interval
+    means at 4 kHz.
+    """
+
+    position_m: Floats
+    force_n: Floats
+    torque_n: Floats
+    velocity_m_per_s: Floats
+
+
+def fly(source: str | Path, torque_n: npt.ArrayLike, steps: Sequence[tuple[float, float]]) -> Flown:
+    """Fly the scene `source` under `torque_n` (samples,) [N] at 4 kHz with damping steps (time s,
+    level Ns/m).
+
+    AnalysisError for a record of more than 131 s; LinkError if the stack did not fly it without a
+    flaw.
+    """
+    force = np.asarray(torque_n, np.float64)
+    if force.size > PERTURBATION_SAMPLES:
+        raise AnalysisError(
+            f"{force.size / PROBE_RATE_HZ:g} s in lock-step: the waveform holds {MOST_S:g} s; ask"
+            " for less"
+        )
+    servo, board = scene_params(source)
+    rate_hz = servo.realtime.rate_hz
+    with LockStepBench(servo, board) as bench:
+        bench.perturb_load(force)
+        bench.enable()
+        begin = int(bench.newest["tick"]) + 1
+        bench.stack.command(
+            Command.PERTURB_START, {Value.SAMPLES: float(force.size), Value.LOOP: 0.0}
+        )
+        for at_s, level in steps:
+            values = {Value.ADDED_DAMPING: level, Value.ADDED_DAMPING_ON: 1.0}
+            bench.stack.command(Command.DAMPING, values, begin + round(at_s * rate_hz))
+        found = as_records(bench.run(round(force.size / PROBE_RATE_HZ * rate_hz)))
+        refused = [
+            answer.result.name
+            for answer in bench.stack.gateway.answers()
+            if answer.result > Result.SUPERSEDED
+        ]
+    return _records(servo, found, refused)
+
+
+def _records(servo: ServoParams, found: Records, refused: list[str]) -> Flown:
+    spoiled = int(((found["flags"] & (Flag.MISSING_IN | Flag.BAD_IN | Flag.LATE)) != 0).sum())
+    if refused or spoiled or found["fault"].any():
+        raise LinkError(
+            f"lock-step: {spoiled} spoiled ticks, commands refused: {refused or 'none'}; fly it"
+            " with `hapticd run`"
+        )
+    block = RingBlock(1, 0, 0, found.tobytes(), found)
+    (probe,) = ProbeDecoder(servo.device).messages(block, Origin(0, 0, servo.simulated))
+    torque, velocity = signals(BlockDecoder().decode(probe))
+    return Flown(found["position_m"].copy(), found["force_n"].copy(), torque, velocity)

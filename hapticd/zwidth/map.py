@@ -1,0 +1,329 @@
+"""A map of the passive set: a grid of K, B and M, at any damping levels, as the paper's 13 days of
+trials, but thriftier.
+
+Everything is predicted first, in about a second. Trials are made where the prediction may be wrong:
+where it changes when the environment is scaled by 1 -+ `near` (15 %), and at grid points whose
+neighbour is predicted otherwise. The rest keeps its prediction, marked so; `everywhere` makes every
+trial, there with one sub-step, which is enough to tell what is far from the boundary. `refine` then
+halves the grid: a trial is made in the middle of two neighbours along an axis whose answers are
+unlike; every other new point gets the mean of its neighbours' margins, so where both pass it passes
+too. That is the same linear margin between corners that counts volumes (`analysis.passive_set`).
+
+Outcomes go to an append-only store, keyed by all that they depend on; a map that was interrupted,
+or is asked again with a wider grid, makes only the trials that are missing. Tasks run on any
+executor of concurrent.futures; results do not depend on it.
+
+What would break it: a device whose prediction is off by more than `near` (the limits say by how
+much it is); then `everywhere`. And a hole in the set that is smaller than a cell; no finer grid
+finds it where coarse neighbours agree.
+"""
+
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
+from dataclasses import dataclass, replace
+from math import prod
+from typing import Any
+
+import numpy as np
+
+from hapticd.analysis.arrays import Flags, Floats
+from hapticd.analysis.envelope import Envelope
+from hapticd.analysis.passive_set import PassiveSet, ascending, grid, passive_set
+from hapticd.analysis.predict import Prediction
+from hapticd.analysis.verdict import Judged
+from hapticd.errors import AnalysisError
+from hapticd.zwidth.outcomes import (
+    Conditions,
+    Hear,
+    Lot,
+    Outcome,
+    Point,
+    Procedure,
+    envelope_of,
+    judged,
+    judged_on_lines,
+    points_of,
+    restored,
+    run_all,
+)
+from hapticd.zwidth.store import Progress, TrialStore, silent
+
+Axes = tuple[Floats, Floats, Floats]
+NEAR = 0.15
+MOST = 10_000_000  # environments of a grid: half an hour of prediction, and a GB
+
+
+@dataclass(frozen=True, eq=False)
+class MapParams:
+    """`axes`: ascending K [N/m], B [Ns/m], M [kg]; `levels` of damping [Ns/m]."""
+
+    conditions: Conditions
+    axes: Axes
+    levels: tuple[float, ...] = (0.0, 1.74)
+    near: float = NEAR
+    everywhere: bool = False
+    refine: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class LevelPlan:
+    """One damping level: the whole grid's prediction, and which points (N,) are near its
+    boundary.
+    """
+
+    damping_ns_per_m: float
+    prediction: Prediction
+    near: Flags
+
+
+@dataclass(frozen=True, eq=False)
+class MapPlan:
+    """What will be tried."""
+
+    params: MapParams
+    levels: tuple[LevelPlan, ...]
+
+    @property
+    def trials(self) -> int:
+        """Without refinement, and if the store had none."""
+        return sum(
+            level.near.size if self.params.everywhere else int(level.near.sum())
+            for level in self.levels
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class LevelMap:
+    """The set at one level, on the halved grid if it was refined; `tried` (N,) tells its points
+    with a trial from others.
+
+    `envelope` is None if no trial passed.
+    """
+
+    damping_ns_per_m: float
+    found: PassiveSet
+    tried: Flags
+    outcomes: tuple[Outcome, ...]
+    envelope: Envelope | None
+    disagreements: int  # trials that came out unlike their prediction
+
+
+@dataclass(frozen=True, eq=False)
+class MapResult:
+    """One map a level. `made` trials were new, the rest came from the store."""
+
+    plan: MapPlan
+    levels: tuple[LevelMap, ...]
+    made: int
+
+    @property
+    def judged(self) -> Judged:
+        """From where to where every trial was judged."""
+        return judged(outcome for level in self.levels for outcome in level.outcomes)
+
+
+def plan_map(params: MapParams) -> MapPlan:
+    """Predict the grid and choose. AnalysisError for axes that do not ascend or are too many
+    points; ConfigError as `compose`.
+    """
+    ascending(params.axes)
+    if (count := prod(axis.size for axis in params.axes)) > MOST:
+        raise AnalysisError(
+            f"a grid of {count} environments: {MOST} at most; refine it about the boundary instead"
+        )
+    points = grid(params.axes)
+    plans = []
+    for level in params.levels:
+        here = _predicted(params, level, points)
+        scaled = [
+            _predicted(params, level, factor * points).passive
+            for factor in (1.0 - params.near, 1.0 + params.near)
+        ]
+        near = (
+            (scaled[0] != here.passive)
+            | (scaled[1] != here.passive)
+            | _at_border(params.axes, here.passive)
+        )
+        plans.append(LevelPlan(level, here, near))
+    return MapPlan(params, tuple(plans))
+
+
+def run_map(
+    plan: MapPlan,
+    store: TrialStore,
+    tell: Progress = silent,
+    executor: Executor | None = None,
+    hear: Hear = lambda new: None,
+) -> MapResult:
+    """Make the trials that the store has not; `hear` gets the outcomes of each task.
+
+    KeyboardInterrupt passes through after the tasks in flight were given up; what was finished is
+    in the store.
+    """
+    total = plan.trials
+    before = len(store.known)
+
+    def told(place: int, lot: Lot, new: list[Outcome]) -> None:
+        tell("trials", min(len(store.known) - before, total), total)
+        hear(new)
+
+    tell("trials", 0, total)
+    levels = run_all([_mapped(plan.params, level) for level in plan.levels], store, executor, told)
+    return MapResult(plan, tuple(levels), len(store.known) - before)
+
+
+class Nobody(Executor):
+    """Makes no trial."""
+
+    def submit(self, task: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """No outcome."""
+        found: Future[list[Outcome]] = Future()
+        found.set_result([])
+        return found
+
+
+def kept_map(plan: MapPlan, store: TrialStore) -> MapResult:
+    """The map of a run that has ended, of its kept trials alone: nothing is flown.
+
+    Where the store has trials by other keys only, those of another version, they are told by level
+    and environment.
+    """
+    conditions = plan.params.conditions
+    own = TrialStore(None)
+    every = TrialStore(None)
+    lines = [restored(line) for line in store.known.values() if "environment" in line]
+    for level in plan.levels:
+        mine = {
+            one.environment: one for one in lines if one.damping_ns_per_m == level.damping_ns_per_m
+        }
+        lots = [
+            Lot(given, level.damping_ns_per_m, tuple(mine))
+            for given in (replace(conditions, substeps=1), conditions)
+        ]
+        for point, one in mine.items():
+            asked = lots[-1].keys[point]
+            every.known[asked] = vars(judged_on_lines(one, conditions.band_hz))
+            for key in (lot.keys[point] for lot in lots if lot.keys[point] in store.known):
+                own.known[asked] = store.known[key]
+    levels = tuple(replace(level, near=np.ones_like(level.near)) for level in plan.levels)
+    return run_map(replace(plan, levels=levels), own if own.known else every, executor=Nobody())
+
+
+def _predicted(params: MapParams, level: float, points: Floats) -> Prediction:
+    return params.conditions.display.predicted(points, level, params.conditions.band_hz)
+
+
+def _mapped(params: MapParams, level: LevelPlan) -> Procedure[LevelMap]:
+    lots = _lots(params, level)
+    found = passive_set(params.axes, level.prediction.decided_margin)
+    have = yield lots
+    found = _learnt(found, have)
+    for _ in range(params.refine):
+        points = dict.fromkeys((*lots[0].points, *between(found)))
+        lots[0] = replace(lots[0], points=tuple(points))
+        found = halved(found)
+        have = yield lots
+        found = _learnt(found, have)
+    return _level_map(params, level, found, have)
+
+
+def _lots(params: MapParams, level: LevelPlan) -> list[Lot]:
+    """Near the boundary with the conditions that are asked for, elsewhere with one sub-step."""
+    conditions = params.conditions
+    points = level.prediction.points
+    lots = [Lot(conditions, level.damping_ns_per_m, points_of(points[level.near]))]
+    if params.everywhere:
+        lots.append(
+            Lot(
+                replace(conditions, substeps=1),
+                level.damping_ns_per_m,
+                points_of(points[~level.near]),
+            )
+        )
+    return lots
+
+
+def _at_border(axes: Axes, passive: Flags) -> Flags:
+    """(N,) points with a neighbour along an axis that is predicted otherwise."""
+    cube = passive.reshape([axis.size for axis in axes])
+    found = np.zeros_like(cube)
+    for low, high in map(_neighbours, range(3)):
+        unlike = cube[low] != cube[high]
+        found[low] |= unlike
+        found[high] |= unlike
+    return found.ravel()
+
+
+def _neighbours(place: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
+    """Where all points of a grid stand but the last along an axis, and all but the first."""
+    low = [slice(None)] * 3
+    high = [slice(None)] * 3
+    low[place], high[place] = slice(None, -1), slice(1, None)
+    return tuple(low), tuple(high)
+
+
+def _learnt(found: PassiveSet, outcomes: list[Outcome]) -> PassiveSet:
+    """With the margins of trials: negative where one does not pass, nan where it escapes."""
+    margin = found.margin.copy()
+    for outcome in outcomes:
+        value = abs(outcome.margin_ns_per_m)
+        margin[place_of(found, outcome.environment)] = (
+            value if outcome.passes else -value if np.isfinite(value) else np.nan
+        )
+    return replace(found, margin=margin)
+
+
+def _level_map(
+    params: MapParams, level: LevelPlan, found: PassiveSet, outcomes: list[Outcome]
+) -> LevelMap:
+    tried = np.zeros(found.margin.shape, bool)
+    for outcome in outcomes:
+        tried[place_of(found, outcome.environment)] = True
+    passing = [outcome for outcome in outcomes if outcome.passes]
+    envelope = envelope_of(passing) if passing else None
+    unlike = _unlike(params, level, outcomes)
+    return LevelMap(level.damping_ns_per_m, found, tried.ravel(), tuple(outcomes), envelope, unlike)
+
+
+def _unlike(params: MapParams, level: LevelPlan, outcomes: list[Outcome]) -> int:
+    """Trials that came out unlike their prediction; those between the points of the plan are
+    predicted here.
+    """
+    expected = dict(zip(points_of(level.prediction.points), level.prediction.passive, strict=True))
+    new = [outcome.environment for outcome in outcomes if outcome.environment not in expected]
+    if new:
+        guess = _predicted(params, level.damping_ns_per_m, np.array(new))
+        expected |= dict(zip(new, guess.passive, strict=True))
+    return sum(bool(expected[outcome.environment]) != outcome.passes for outcome in outcomes)
+
+
+def between(found: PassiveSet) -> list[Point]:
+    """Midpoints (K, B, M) [N/m, N s/m, kg] of neighbours along an axis of unlike answers."""
+    cube = np.stack(np.meshgrid(*found.axes, indexing="ij"), axis=-1)
+    middles: list[Point] = []
+    for low, high in map(_neighbours, range(3)):
+        unlike = found.passive[low] != found.passive[high]
+        middles += points_of(0.5 * (cube[low] + cube[high])[unlike])
+    return middles
+
+
+def halved(found: PassiveSet) -> PassiveSet:
+    """On the finer grid: means between neighbours; nan, which is not passive, beside a nan."""
+    margin = found.margin
+    for place in range(3):
+        margin = np.apply_along_axis(_with_means, place, margin)
+    k, b, m = (_with_means(axis) for axis in found.axes)
+    return PassiveSet((k, b, m), margin)
+
+
+def place_of(found: PassiveSet, point: Point) -> tuple[int, ...]:
+    """Indices of a point of the grid."""
+    return tuple(
+        int(np.searchsorted(axis, value)) for axis, value in zip(found.axes, point, strict=True)
+    )
+
+
+def _with_means(values: Floats) -> Floats:
+    finer = np.repeat(values, 2)[:-1]
+    finer[1::2] = 0.5 * (values[1:] + values[:-1])
+    return np.asarray(finer)

@@ -1,0 +1,440 @@
+"""Many trials at once by the batch engine, each reduced to what a campaign keeps: verdict, margins,
+Z at some 120 frequencies.
+
+Trials are simulated and transformed together (`keep="spectra"`); no record is ever made. What
+`examine` reads off a record is taken from sums: energy from the work of each tick, an escape from
+the rms velocity of every second.
+
+A task travels as parameters and comes back as 5 kB a trial, so it may run in a thread or in another
+process; the same task gives the same outcome wherever it runs. `passes` is the paper's rule: all
+phases within +-90 degrees, the loop calm, the command not at its end. `answer` is the verdict with
+its intervals. A trial that diverged has no spectra.
+
+Whoever needs trials is a procedure: a generator that asks for lots, trials under one set of
+conditions, gets their outcomes, asks for more, and returns what it found. `run_all` runs any number
+of procedures side by side. A trial's key is all that it depends on, so what a store has is never
+flown again, whoever asked for it; each task is stored as soon as it is finished, and what has not
+begun is given up when the caller stops. Results do not depend on who else is under way.
+"""
+
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache, reduce
+from math import inf, isnan, nan
+from typing import Any, TypeVar
+
+import numpy as np
+
+from hapticd import __version__
+from hapticd.analysis.arrays import Complexes, Floats, Values
+from hapticd.analysis.envelope import Envelope, merged, of_one
+from hapticd.analysis.findings import Energy, Record, escape_findings
+from hapticd.analysis.impedance import impedance
+from hapticd.analysis.predict import coulomb
+from hapticd.analysis.resolved import resolved
+from hapticd.analysis.spectra import DEFAULT_LAG, Spectra, grid_frequencies
+from hapticd.analysis.verdict import (
+    DEFAULT_BAND_HZ,
+    NOTHING_JUDGED,
+    Judged,
+    Verdict,
+    judge,
+    needs_record,
+)
+from hapticd.engine import BatchResult, simulate
+from hapticd.engine.shape import LANES
+from hapticd.errors import AnalysisError
+from hapticd.plant.scene import Excitation, Scene
+from hapticd.units import PROBE_RATE_HZ
+from hapticd.zwidth.executors import pool_of
+from hapticd.zwidth.scenes import SATURATED, Display, display, free_of_walls, frequencies
+from hapticd.zwidth.store import TrialStore, fingerprint
+
+TOGETHER = LANES["f32"]  # trials that the engine does at once
+GROUPS = 4  # of so many in a task: what is flown again of a few fills one
+TASKS = 8  # of a lot, before they grow
+FREQUENCIES = 120
+KEPT_BAND_HZ = (2.0, 1000.0)
+NEAR_HZ = 1e-5  # an edge that is so near to a line is that line
+NOISE = Excitation("noise")
+FORMAT = 2  # of an outcome; part of its key. 1 was judged, and kept Z, on the window's lines alone
+
+Point = tuple[float, float, float]  # K [N/m], B [N s/m], M [kg]
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """What all trials of a campaign share but K, B, M and the damping level."""
+
+    scene: Scene
+    seconds: float = 90.0
+    excitation: Excitation = NOISE
+    band_hz: tuple[float, float] = DEFAULT_BAND_HZ
+    confidence: float = 0.95
+    substeps: int = 4
+    dtype: str = "f32"
+    below_window: bool = False  # the band may begin below 1/(M T): read what the window makes of it
+
+    @property
+    def display(self) -> Display:
+        """The device, prepared, with what is predicted of it under these conditions."""
+        return display(self.scene, self.excitation)
+
+    def shaken(self, amplitude: float = 1.0, more_seed: int = 0) -> "Conditions":
+        """With the force multiplied by `amplitude`, and other noise."""
+        source = self.excitation
+        changed = replace(
+            source, psd_n2_per_hz=source.psd_n2_per_hz * amplitude**2, seed=source.seed + more_seed
+        )
+        return replace(self, excitation=changed)
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """One trial; `z` (F, 2) real and imaginary part [N s/m] and `relative_sd` (F,) at
+    `frequency_hz`, empty if diverged; nan and inf at an edge that was not judged.
+
+    `first_judged_hz`, `last_judged_hz`: nan if diverged.
+    """
+
+    environment: Point
+    damping_ns_per_m: float
+    answer: str
+    passes: bool
+    margin_ns_per_m: float
+    margin_lower: float
+    margin_upper: float
+    margin_deg: float
+    worst_hz: float
+    velocity_sd: float
+    max_force_n: float
+    z: Floats
+    relative_sd: Floats
+    first_judged_hz: float = nan
+    last_judged_hz: float = nan
+    band_hz: tuple[float, float] | None = None  # that was asked for; None in a store of format 1
+
+    @property
+    def frequency_hz(self) -> Floats:
+        """Of `z` (F,)."""
+        return kept_frequencies(self.band_hz)
+
+
+Hear = Callable[[list[Outcome]], None]
+Procedure = Generator[Sequence["Lot"], list[Outcome], T]
+Told = Callable[[int, "Lot", list[Outcome]], None]
+
+
+@lru_cache
+def kept_frequencies(band_hz: tuple[float, float] | None = None) -> Floats:
+    """Frequencies (F,) at which Z of a trial is kept: lines of the window evenly in ln f, and the
+    edges of the judged band."""
+    return np.union1d(frequencies(KEPT_BAND_HZ, FREQUENCIES), band_hz or ())
+
+
+def fly(conditions: Conditions, damping_ns_per_m: float, points: Floats) -> list[Outcome]:
+    """Simulate and judge trials under `points` (n, 3); once more those whose verdict needs records.
+
+    ConfigError as `simulate`, AnalysisError as `judge`.
+    """
+    found = _flown(conditions, damping_ns_per_m, points, "spectra")
+    whole = np.flatnonzero(~found.diverged).tolist()
+    looks = {trial: _look(conditions, found, trial, found.spectra(trial)) for trial in whole}
+    linear = not coulomb(conditions.display.model).any()
+    unsure = [trial for trial, look in looks.items() if needs_record(*look, linear=linear)]
+    for first in range(0, len(unsure), TOGETHER):
+        some = unsure[first : first + TOGETHER]
+        again = np.asarray(found.params[some], np.float64)
+        records = _flown(conditions, damping_ns_per_m, again, "records")
+        shared = _shared_transform(records)
+        for place, trial in enumerate(some):
+            finer = _finer(conditions, records.record(place), looks[trial][0], linear, shared)
+            looks[trial] = _look(conditions, found, trial, finer)
+    return [
+        _outcome(conditions, damping_ns_per_m, found, trial, looks.get(trial))
+        for trial in range(len(points))
+    ]
+
+
+def _flown(
+    conditions: Conditions, damping_ns_per_m: float, points: Floats, keep: str
+) -> BatchResult:
+    return simulate(
+        conditions.scene,
+        points,
+        conditions.seconds,
+        conditions.excitation.seed,
+        damping=damping_ns_per_m,
+        environment=free_of_walls(conditions.scene),
+        excitation=conditions.excitation,
+        start=(0.0, 0.0),
+        substeps=conditions.substeps,
+        dtype=conditions.dtype,
+        keep=keep,
+    )
+
+
+def _shared_transform(records: BatchResult) -> Complexes | None:
+    """Of the force (N/2 + 1,), if all trials have the same."""
+    force = records.torque_n
+    return None if force is None or force.ndim > 1 else np.fft.rfft(np.asarray(force, np.float64))
+
+
+def _finer(
+    conditions: Conditions,
+    record: tuple[Values, Values],
+    spectra: Spectra,
+    linear: bool,
+    shared: Complexes | None,
+) -> Spectra:
+    """`spectra` in the light of their record."""
+    rate_hz = conditions.scene.rate_hz
+    return resolved(*record, spectra, conditions.band_hz, "spa", rate_hz, linear, shared)
+
+
+def _look(
+    conditions: Conditions, found: BatchResult, trial: int, spectra: Spectra
+) -> tuple[Spectra, Verdict]:
+    recorded = _recorded(found, trial, spectra)
+    return spectra, judge(
+        spectra,
+        recorded,
+        conditions.band_hz,
+        conditions.confidence,
+        channels=False,
+        below_window=conditions.below_window,
+    )
+
+
+def _outcome(
+    conditions: Conditions,
+    damping: float,
+    found: BatchResult,
+    trial: int,
+    look: tuple[Spectra, Verdict] | None,
+) -> Outcome:
+    k, b, m = (float(value) for value in found.params[trial])
+    most = float(found.max_force_n[trial])
+    sd = float(found.sigma_v_m_per_s[trial])
+    if look is None:
+        nothing = np.empty(0)
+        unknown = (nan,) * 5
+        return Outcome(
+            (k, b, m),
+            damping,
+            "not_passive",
+            False,
+            *unknown,
+            sd,
+            most,
+            nothing,
+            nothing,
+            band_hz=conditions.band_hz,
+        )
+    spectra, verdict = look
+    limit_n = conditions.display.force_limit_n
+    doubtful = most >= SATURATED * limit_n or k < 0.0  # a K < 0 is active below every band
+    z = _kept_impedance(spectra, conditions.band_hz)
+    return Outcome(
+        environment=(k, b, m),
+        damping_ns_per_m=damping,
+        answer="undecided" if doubtful and verdict.answer == "passive" else verdict.answer,
+        passes=verdict.within_90_deg and verdict.stability != "unstable" and not doubtful,
+        margin_ns_per_m=verdict.margin_ns_per_m.value,
+        margin_lower=verdict.margin_ns_per_m.lower,
+        margin_upper=verdict.margin_ns_per_m.upper,
+        margin_deg=verdict.margin_deg.value,
+        worst_hz=verdict.margin_ns_per_m.frequency_hz,
+        velocity_sd=sd,
+        max_force_n=most,
+        z=z[:, :2],
+        relative_sd=z[:, 2],
+        first_judged_hz=verdict.first_judged_hz,
+        last_judged_hz=verdict.last_judged_hz,
+        band_hz=conditions.band_hz,
+    )
+
+
+def _kept_impedance(spectra: Spectra, band_hz: tuple[float, float]) -> Floats:
+    """(F, 3) real and imaginary part of Z and its relative deviation at `kept_frequencies`; nan and
+    inf at an edge that is left out."""
+    f = kept_frequencies(band_hz)
+    found = np.tile((nan, nan, inf), (f.size, 1))
+    at = np.minimum(np.searchsorted(spectra.frequency_hz, f), spectra.frequency_hz.size - 1)
+    known = spectra.frequency_hz[at] == f
+    found[known] = _rows(spectra.part(at[known]))
+    ends = spectra.band(band_hz).part(np.array([0, -1]))
+    for edge, hz, row in zip(band_hz, ends.frequency_hz, _rows(ends), strict=True):
+        if abs(hz - edge) < NEAR_HZ:
+            found[f == edge] = row
+    return found
+
+
+def _rows(spectra: Spectra) -> Floats:
+    z = impedance(spectra)
+    return np.column_stack((z.impedance_ns_per_m.real, z.impedance_ns_per_m.imag, z.relative_sd))
+
+
+def _recorded(found: BatchResult, trial: int, spectra: Spectra) -> Record:
+    assert found.section_rms_m_per_s is not None
+    rms = found.section_rms_m_per_s[trial]
+    pairs = np.sqrt(np.mean(rms[: rms.size // 2 * 2].reshape(-1, 2) ** 2, axis=1))
+    flowed = Energy(float(found.min_energy_j[trial]), nan, float(found.work_j[trial]))
+    findings = escape_findings(pairs, 2 * DEFAULT_LAG / found.rate_hz)
+    return Record(
+        spectra.n_samples / spectra.rate_hz, flowed, float(found.sigma_v_m_per_s[trial]), findings
+    )
+
+
+def restored(line: Mapping[str, Any]) -> Outcome:
+    """An outcome from a store; what was not finite is nan."""
+    values: dict[str, Any] = {name: nan if value is None else value for name, value in line.items()}
+    values["environment"] = tuple(values["environment"])
+    values["z"] = np.asarray(values["z"], np.float64).reshape(-1, 2)
+    values["relative_sd"] = np.array(
+        [inf if value is None else value for value in values["relative_sd"]], np.float64
+    )
+    values["band_hz"] = tuple(line["band_hz"]) if line.get("band_hz") else None
+    return Outcome(**values)
+
+
+def judged_on_lines(outcome: Outcome, band_hz: tuple[float, float]) -> Outcome:
+    """One of a store of format 1 with what it was judged on: the window's lines in the band."""
+    if outcome.band_hz is not None or not outcome.z.size:
+        return outcome
+    f = grid_frequencies(PROBE_RATE_HZ, DEFAULT_LAG)
+    inside = f[(f >= band_hz[0]) & (f <= band_hz[1])]
+    return replace(outcome, first_judged_hz=float(inside[0]), last_judged_hz=float(inside[-1]))
+
+
+def judged(outcomes: Iterable[Outcome]) -> Judged:
+    """From where to where every one of them was judged that did not run away."""
+    ends = [
+        (one.first_judged_hz, one.last_judged_hz)
+        for one in outcomes
+        if not isnan(one.first_judged_hz)
+    ]
+    if not ends:
+        return NOTHING_JUDGED
+    return Judged(max(first for first, _ in ends), min(last for _, last in ends))
+
+
+def envelope_of(outcomes: list[Outcome]) -> Envelope:
+    """The envelope over the trials that pass, each point with the trial that owns it.
+    AnalysisError if none does.
+    """
+    each = [_envelope(outcome) for outcome in outcomes if outcome.passes]
+    if not each:
+        raise AnalysisError(
+            "no trial passed: there is no envelope; begin with K = B = M = 0 and a longer trial"
+        )
+    return reduce(merged, each)
+
+
+def _envelope(outcome: Outcome) -> Envelope:
+    k, b, m = outcome.environment
+    name = f"K {k:.4g} N/m, B {b:.3g} N s/m, M {1e3 * m:.3g} g"
+    return of_one(
+        name,
+        outcome.frequency_hz,
+        outcome.z[:, 0] + 1j * outcome.z[:, 1],
+        outcome.relative_sd,
+        "probe",
+        "spa",
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Lot:
+    """Trials under one set of conditions."""
+
+    conditions: Conditions
+    damping_ns_per_m: float
+    points: tuple[Point, ...]
+
+    @cached_property
+    def keys(self) -> dict[Point, str]:
+        """Of each point in a store."""
+        shared = FORMAT, __version__, fingerprint(self.conditions), self.damping_ns_per_m
+        return {point: fingerprint((*shared, point))[:32] for point in self.points}
+
+    def known(self, store: TrialStore) -> list[Outcome]:
+        """What the store has of it."""
+        return [restored(store.known[key]) for key in self.keys.values() if key in store.known]
+
+    def tasks(self, store: TrialStore) -> list[Floats]:
+        """Points (n, 3) that the store has not, as many together as the engine does at once, or
+        several times as many where tasks are plenty.
+        """
+        missing = [point for point, key in self.keys.items() if key not in store.known]
+        size = TOGETHER * min(max(1, len(missing) // (TASKS * TOGETHER)), GROUPS)
+        return [np.array(missing[first : first + size]) for first in range(0, len(missing), size)]
+
+
+def points_of(rows: Floats) -> tuple[Point, ...]:
+    """Environments (N, 3) as they are keyed."""
+    return tuple((float(k), float(b), float(m)) for k, b, m in rows)
+
+
+def run_all(
+    procedures: Sequence[Procedure[T]], store: TrialStore, executor: Executor | None,
+    told: Told = lambda place, lot, new: None,
+) -> list[T]:  # fmt: skip
+    """What the procedures return, their trials made on `executor` or on threads here; `told` gets
+    the place of a procedure, a lot of it, and the new outcomes of each task.
+
+    Each procedure has one request under way; the cores are kept busy by the others. If `told`
+    raises, the rest is given up.
+    """
+    asked: dict[int, Sequence[Lot]] = {}
+    results: dict[int, T] = {}
+    waiting: dict[Future[list[Outcome]], tuple[int, Lot]] = {}
+
+    def goes_on(place: int) -> None:
+        """Until it ends, or has asked for what the store has not."""
+        while not any(owner == place for owner, _ in waiting.values()):
+            found: Any = (
+                [outcome for lot in asked[place] for outcome in lot.known(store)]
+                if place in asked
+                else None
+            )
+            try:
+                asked[place] = procedures[place].send(found)
+            except StopIteration as end:
+                results[place] = end.value
+                return
+            for lot in asked[place]:
+                for task in lot.tasks(store):
+                    waiting[pool.submit(fly, lot.conditions, lot.damping_ns_per_m, task)] = (
+                        place,
+                        lot,
+                    )
+
+    with pool_of(executor) as pool:
+        try:
+            for place in range(len(procedures)):
+                goes_on(place)
+            while waiting:
+                for future in wait(waiting, return_when=FIRST_COMPLETED).done:
+                    outcomes = future.result()
+                    place, lot = waiting.pop(future)
+                    store.add(
+                        (lot.keys[outcome.environment], vars(outcome)) for outcome in outcomes
+                    )
+                    told(place, lot, outcomes)
+                    goes_on(place)
+        finally:
+            for future in waiting:
+                future.cancel()
+    return [results[place] for place in range(len(procedures))]
+
+
+def flown(lot: Lot, store: TrialStore) -> list[Outcome]:
+    """Outcomes of one lot, its trials made on threads here as far as the store has not them."""
+
+    def asking() -> Procedure[list[Outcome]]:
+        return (yield [lot])
+
+    return run_all([asking()], store, None)[0]

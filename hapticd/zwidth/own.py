@@ -1,0 +1,66 @@
+"""What this package wrote itself, as the record of one trial: a recording, its exports, a run
+folder's record.
+
+    NAME.h5, NAME.part.h5      a recording by `hapticd record`: the probe's samples, the ticks
+                               beside them
+    NAME.mat                   its export for MATLAB: the same as structures
+    NAME.probe.csv             its export as text; the last line, a remark, says what the ticks said
+    record.h5, record.npz      of a trial, with what `run.json` says beside it or in the file
+
+A recording is cut to its longest stretch that is one trial (`recording.stretch`); which of its
+samples are missing is told by their numbers.
+
+What would break it: a column of another unit; all of them are written by this package.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hapticd.errors import AnalysisError
+from hapticd.recording.stretch import KEPT, Column, Stretch, stretch
+from hapticd.units import PROBE_RATE_HZ
+from hapticd.zwidth.store import Recorded, Rendered, plain
+from hapticd.zwidth.watch import in_even_time
+
+
+def of_recording(column: Column, attributes: Mapping[str, Any], name: str) -> Recorded:
+    """The trial in a recording called `name`. AnalysisError for one without probe samples."""
+    return _cut(column, attributes, stretch(column, attributes, name), name)
+
+
+def of_remark(column: Column, remark: Mapping[str, Any], name: str) -> Recorded:
+    """The trial in a text file `name` that ends with `remark`. AnalysisError for the table of
+    the servo.
+    """
+    if "trial" not in remark:
+        raise AnalysisError(
+            f"{name}: a table of the servo's ticks; the probe's samples are in"
+            f" {Path(name).stem}.probe.csv"
+        )
+    told = {**remark["trial"], "environment": tuple(remark["trial"]["environment"])}
+    return _cut(column, remark, Stretch(**told), name)
+
+
+def _cut(column: Column, attributes: Mapping[str, Any], trial: Stretch, name: str) -> Recorded:
+    part = slice(trial.first, trial.after)
+    force, velocity = (
+        np.asarray(column("probe", one), np.float64)[part]
+        for one in ("torque_n", "velocity_m_per_s")
+    )
+    more = {one: plain(attributes[one]) for one in KEPT if attributes.get(one) not in (None, "")}
+    recorded = Recorded(
+        force,
+        velocity,
+        float(PROBE_RATE_HZ),
+        f"recording {name} of {attributes.get('device_name', 'a device')!s}, {trial.begin_s:.4g} to"
+        f" {trial.end_s:.4g} s",
+        bool(int(attributes["simulated"])),
+        max_command_n=trial.max_command_n,
+        command_limit_n=trial.command_limit_n,
+        more={**more, "lost_slots": trial.lost_slots, "slots": trial.slots},
+        rendered=Rendered(trial.environment, trial.added_damping_ns_per_m),
+    )
+    return in_even_time(recorded, np.asarray(column("probe", "index"), np.int64)[part])

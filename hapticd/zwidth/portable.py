@@ -1,0 +1,300 @@
+"""NAME.zwidth: one display's Z-width in a small JSON file that can be passed on and laid beside
+others.
+
+It holds the envelopes with their owners and uncertainty, the axis limits, the conditions under
+which they were found, and the hash of the device file that they belong to: a file that was edited
+since is another device.
+
+`compare` reads several of them, checks that they are comparable, and divides by the mass that
+moves. Numbers of two displays are comparable where they were asked for in one way: band, judged
+frequencies, perturbation, length of a trial, confidence, port and estimator. What is unlike is
+refused by name unless it was allowed, and an allowed difference is told with the result. The
+perturbation counts as alike if its force is the same, or the same per mass (`analysis.compare`).
+
+Files that were written before the judged frequencies were kept have neither them nor the mass: the
+first and last frequency of their envelope stand for the one, the device file with their hash, where
+it is shipped, for the other.
+"""
+
+import hashlib
+import json
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
+from math import nan
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hapticd.analysis.compare import (
+    Conditions,
+    check_alike,
+    normalised,
+    stiffness_damping_area,
+    stiffness_rate,
+    zero_mass_bandwidth_hz,
+)
+from hapticd.analysis.envelope import Edge, Envelope
+from hapticd.analysis.passive_set import AXES
+from hapticd.analysis.verdict import Judged
+from hapticd.errors import AnalysisError, ConfigError
+from hapticd.plant.compose import compose
+from hapticd.settings.load import find_device
+from hapticd.settings.toml import read, shipped
+from hapticd.zwidth import outcomes
+from hapticd.zwidth.map import LevelMap
+from hapticd.zwidth.scenes import Display, device_scene, filters
+from hapticd.zwidth.store import plain
+
+SUFFIX = ".zwidth"
+VERSION = 1
+EDGES = ("upper", "lower", "phase_upper", "phase_lower")
+NUMBERS = ("stiffness_damping_area", "stiffness_rate_per_s", "zero_mass_bandwidth_hz")
+
+
+def device_hash(name: str) -> str:
+    """SHA-256 (hex) of the shipped device file `name`, or of the device file that `name` is, or
+    that a scene's file of that name names. ConfigError if there is none.
+    """
+    path = Path(name)
+    if path.suffix != ".toml":
+        path = find_device(name, shipped("config") / "hapticd.toml", "device")
+    elif named := read(path).data.get("device"):
+        path = find_device(named, path, f"{path}: device")
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def portable(
+    device: str,
+    file_hash: str,
+    envelopes: Iterable[tuple[float, Envelope | None]],
+    limits: Iterable[Any],
+    conditions: Any,
+    numbers: Iterable[Any] = (),
+) -> dict[str, Any]:
+    """The content of such a file, as JSON: `envelopes` by added damping [Ns/m], in SI units."""
+    drawn = [
+        {"added_damping_ns_per_m": level, "envelope": found}
+        for level, found in envelopes
+        if found is not None
+    ]
+    return {
+        "zwidth": VERSION,
+        "device": device,
+        "device_file_sha256": file_hash,
+        "conditions": plain(conditions),
+        "limits": plain(list(limits)),
+        "envelopes": plain(drawn),
+        "numbers": plain(list(numbers)),
+    }
+
+
+def numbers_of(level: LevelMap, display: Display) -> dict[str, float]:
+    """What others say of a display in one number, of its map at one level; how far it is free
+    as predicted.
+    """
+    f = outcomes.kept_frequencies()
+    free = display.impedances(np.zeros((1, 3)), level.damping_ns_per_m, f)[0]
+    return {
+        "added_damping_ns_per_m": level.damping_ns_per_m,
+        "stiffness_damping_area": stiffness_damping_area(level.found),
+        "stiffness_rate_per_s": stiffness_rate(level.found, 0.0),
+        "zero_mass_bandwidth_hz": zero_mass_bandwidth_hz(f, free),
+    }
+
+
+def conditions_of(conditions: outcomes.Conditions, judged: Judged) -> dict[str, Any]:
+    """Under which all of it was found, as `analysis.compare` asks for it, and as older programs
+    read it.
+    """
+    model = conditions.display.model
+    corners = (one.frequency_hz for one in filters(conditions.scene))
+    return {
+        "seconds": conditions.seconds,
+        "band_hz": conditions.band_hz,
+        "judged": judged,
+        "perturbation": conditions.excitation,
+        "simulated": True,
+        "confidence": conditions.confidence,
+        "mass_kg": model.mass_kg,
+        "probe_mass_kg": model.probe_mass_kg,
+        "rate_hz": model.rate_hz,
+        "filters": ", ".join(f"{corner:g} Hz" for corner in corners),
+        "port": "probe",
+        "estimator": "spa",
+        "grip": "free",
+    }
+
+
+def read_portable(path: Path) -> dict[str, Any]:
+    """The content of `path`. ConfigError if it is no such file."""
+    try:
+        content = dict(json.loads(path.read_text()))
+    except (OSError, ValueError, TypeError) as error:
+        raise ConfigError(f"{path}: no Z-width summary ({error})") from error
+    if content.get("zwidth") != VERSION:
+        raise ConfigError(
+            f"{path}: version {content.get('zwidth')!r} of a Z-width summary; this program reads"
+            f" {VERSION}"
+        )
+    return content
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """How far one of K, B, M goes alone [N/m, N s/m, kg], the interval of that, and the same
+    per kg of moving mass.
+    """
+
+    name: str
+    value: float
+    lower: float
+    upper: float
+    per_mass: float
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """At one added damping [N s/m]: the envelope [N s/m], the same per mass [1/s], limits, and
+    other people's numbers.
+    """
+
+    damping_ns_per_m: float
+    envelope: Envelope
+    per_mass: Envelope | None
+    limits: tuple[Reach, ...]
+    numbers: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """One display. `name`: the device, with its file where several have one name."""
+
+    name: str
+    conditions: Conditions
+    levels: tuple[Level, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Two displays or more; `unlike`: what differs and was allowed, or is alike per force and
+    not per mass.
+    """
+
+    displays: tuple[Compared, ...]
+    unlike: tuple[str, ...]
+
+
+def compare(paths: Iterable[Path], allow: Collection[str] = ()) -> Comparison:
+    """The displays in `paths`. ConfigError for a file that is no summary; AnalysisError for fewer
+    than two, for conditions that are unlike and not in `allow`, and for names in `allow` that are
+    no conditions.
+    """
+    files = [(path, *_display(path)) for path in paths]
+    if len(files) < 2:
+        raise AnalysisError(
+            "one display is no comparison; name two files that `hapticd zwidth report` wrote, or"
+            " more"
+        )
+    names = Conditions.__dataclass_fields__
+    if wrong := set(allow) - set(names):
+        raise AnalysisError(
+            f"--allow {','.join(sorted(wrong))}: no such condition; known: {', '.join(names)}"
+        )
+    unlike = check_alike([known for _, known, _ in files], allow)
+    devices = [known.device for _, known, _ in files]
+    displays = (
+        Compared(known.device if devices.count(known.device) == 1 else str(path), known, levels)
+        for path, known, levels in files
+    )
+    return Comparison(tuple(displays), unlike)
+
+
+def _display(path: Path) -> tuple[Conditions, tuple[Level, ...]]:
+    content = read_portable(path)
+    try:
+        known = _conditions(content)
+        return known, tuple(_level(content, one, known.mass_kg) for one in content["envelopes"])
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        raise ConfigError(
+            f"{path}: not a whole Z-width summary ({error!r}); write it again with `hapticd zwidth"
+            " report`"
+        ) from error
+
+
+def _conditions(content: Mapping[str, Any]) -> Conditions:
+    told = content["conditions"]
+    first = content["envelopes"][0]["envelope"]
+    low, high = told["band_hz"]
+    inside = [f for f in first["frequency_hz"] if low <= f <= high]
+    judged = told.get("judged") or {"first_hz": inside[0], "last_hz": inside[-1]}
+    known = told if "mass_kg" in told else {**told, **_masses(content)}
+    own = {name: value for name, value in known.items() if name in Conditions.__dataclass_fields__}
+    own |= {
+        "device": content["device"],
+        "port": first["port"],
+        "estimator": first["estimator"],
+        "band_hz": (low, high),
+        "judged_hz": (judged["first_hz"], judged["last_hz"]),
+        "perturbation_psd_n2_per_hz": told["perturbation"]["psd_n2_per_hz"],
+    }
+    return Conditions(**own)
+
+
+def _masses(content: Mapping[str, Any]) -> dict[str, float]:
+    """Of the shipped device that the file belongs to; nan if it is another one."""
+    device = content["device"]
+    scene = device_scene(device)
+    if scene is None or device_hash(device) != content["device_file_sha256"]:
+        return {"mass_kg": nan}
+    model = compose(scene)
+    return {"mass_kg": model.mass_kg, "probe_mass_kg": model.probe_mass_kg}
+
+
+def _level(content: Mapping[str, Any], drawn: Mapping[str, Any], mass_kg: float) -> Level:
+    damping = drawn["added_damping_ns_per_m"]
+    found = _envelope(drawn["envelope"])
+    numbers: Mapping[str, Any] = next(
+        (one for one in content.get("numbers", ()) if one["added_damping_ns_per_m"] == damping), {}
+    )
+    known = np.array([numbers.get(name) for name in NUMBERS], np.float64)  # null is nan
+    return Level(
+        damping,
+        found,
+        normalised(found, mass_kg) if mass_kg > 0.0 else None,
+        tuple(_reaches(content["limits"], damping, mass_kg)),
+        dict(zip(NUMBERS, known.tolist(), strict=True)),
+    )
+
+
+def _envelope(kept: Mapping[str, Any]) -> Envelope:
+    edges = {
+        name: Edge(
+            np.array(kept[name]["value"], np.float64),
+            np.array(kept[name]["sd"], np.float64),
+            np.array(kept[name]["owner"]),
+        )
+        for name in EDGES
+    }
+    return Envelope(
+        frequency_hz=np.asarray(kept["frequency_hz"], np.float64),
+        trials=tuple(kept["trials"]),
+        port=kept["port"],
+        estimator=kept["estimator"],
+        kind=kept["kind"],
+        **edges,
+    )
+
+
+def _reaches(
+    limits: Iterable[Mapping[str, Any]], damping: float, mass_kg: float
+) -> Iterable[Reach]:
+    for limit in limits:
+        scan = limit["scan"]
+        if scan["damping_ns_per_m"] == damping and scan["amplitude"] == 1.0:
+            value, lower, upper = np.array(
+                [limit[name] for name in ("value", "lower", "upper")], np.float64
+            ).tolist()
+            yield Reach(
+                AXES[scan["axis"]], value, lower, upper, value / mass_kg if mass_kg > 0.0 else nan
+            )

@@ -1,0 +1,432 @@
+"""A trial as it was recorded, by whatever recorded it: a board, the batch engine, or another
+program's file.
+
+Files: .csv with a head line of names, then a row a line, apart by comma, semicolon or tab: what the
+head line has most of; with semicolon or tab a comma is a decimal one, empty lines and lines that
+begin with # hold no sample. .npz and .mat with named arrays; .h5 with named datasets. Force in N
+and velocity in m/s at the port, sampled together; the rate from `rate_hz`, from a column of seconds
+(`times`), or as told where the file does not say. Told otherwise than the file, the record is
+refused: every limit is proportional to the rate or its square. Rows that a column of seconds shows
+to be missing are filled in and counted, as those that a live trial loses are (`watch`).
+"""
+
+import csv
+import json
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+
+from hapticd.analysis.arrays import Floats
+from hapticd.errors import AnalysisError, ConfigError
+from hapticd.recording.file import is_recording, open_recording
+from hapticd.recording.provenance import needed
+from hapticd.recording.stretch import COUNTED, OF_A_SERVO, Column, read_remark
+from hapticd.zwidth.own import of_recording, of_remark
+from hapticd.zwidth.store import (
+    RECORD_H5,
+    RECORD_NPZ,
+    SUMMARY,
+    Recorded,
+    Rendered,
+    origin_of,
+    read_summary,
+    record_path,
+)
+from hapticd.zwidth.times import SLOWEST_HZ, Sampling, sampling
+from hapticd.zwidth.watch import COUNTS, in_even_time
+
+MARKS = (",", ";", "\t")  # between columns
+FORCES = ("force_n", "torque_n", "force", "torque", "f", "y")
+VELOCITIES = ("velocity_m_per_s", "velocity", "v", "u")
+TIMES = {
+    "time_s": 1.0,
+    "t_s": 1.0,
+    "time": 1.0,
+    "t": 1.0,
+    "time_ms": 1e-3,
+    "time_us": 1e-6,
+    "time_ns": 1e-9,
+}  # in seconds
+RATES = ("rate_hz", "fs")
+SAME_RATE = 1e-6
+ALIKE = 0.01  # rates of a file's rate and its times
+# N, m/s: beyond them it is no measurement
+LARGEST = 1e12
+SMALLEST = 1e-20
+BROKEN = (
+    OSError,
+    ValueError,
+    EOFError,
+    MemoryError,
+    csv.Error,
+    BadZipFile,
+    zlib.error,
+)  # what readers say of a broken file
+
+
+def read_file(
+    path: Path, force: str = "", velocity: str = "", rate_hz: float | None = None
+) -> Recorded:
+    """The record in `path`, or in the run folder `path`; `force`, `velocity`: names of its columns
+    where they are not the usual ones. What this package wrote itself (`own`) needs neither.
+
+    `rate_hz`: where the file does not say, else the same. ConfigError for a file that is not there,
+    of an unknown kind, or with something else than numbers; AnalysisError for one without force,
+    velocity or rate, with gaps, or with another rate.
+    """
+    if path.is_dir():
+        path = record_path(path)
+    if path.suffix not in READERS:
+        raise ConfigError(
+            f"{path}: records are read from {', '.join(READERS)}; convert it to .csv with a head"
+            " line of names"
+        )
+    if not path.exists():
+        raise ConfigError(f"{path}: No such file; check the path")
+    recording = READERS[path.suffix] is _read_hdf5 and is_recording(path)
+    columns = {} if recording else _columns(path)
+    with _whole_file(path):
+        ours = (
+            _recording(path)
+            if recording
+            else None
+            if force or velocity
+            else _exported(path, columns)
+        )
+    if ours is None:
+        recorded = _foreign(path, columns, (force, velocity), rate_hz)
+        with _whole_file(path):
+            return _of_trial(path, columns, recorded)
+    if rate_hz is not None and abs(rate_hz - ours.rate_hz) > SAME_RATE * ours.rate_hz:
+        raise AnalysisError(
+            f"{path}: a recording at {ours.rate_hz:g} Hz, --rate-hz {rate_hz:.9g} Hz: leave"
+            " that out"
+        )
+    return ours
+
+
+@contextmanager
+def _whole_file(path: Path) -> Iterator[None]:
+    """ConfigError where something of what this package writes is missing or was changed."""
+    try:
+        yield
+    except (*BROKEN, LookupError, TypeError, AttributeError) as error:
+        raise ConfigError(
+            f"{path}: hapticd wrote it, but it is no longer whole ({error!r}); take it from where"
+            " it was written"
+        ) from error
+
+
+def _recording(path: Path) -> Recorded:
+    with open_recording(path) as recording:
+        return of_recording(recording.column, recording.attributes, path.name)
+
+
+def _exported(path: Path, columns: dict[str, Any]) -> Recorded | None:
+    """The trial in an export of a recording; None of another file."""
+    if path.suffix == ".mat":
+        found = _structures(columns)
+        return of_recording(*found, path.name) if found else None
+    if set(columns) >= COUNTED and "torque_n" not in columns:
+        raise AnalysisError(
+            f"{path}: counts of a recording that was not finished; finish it with `hapticd rec"
+            " recover`, then export"
+        )
+    remark = read_remark(path) if path.suffix == ".csv" else None
+    if remark is not None or set(columns) >= OF_A_SERVO:
+        return of_remark(lambda _, name: columns[name], remark or {}, path.name)
+    return None
+
+
+def _of_trial(path: Path, columns: dict[str, Any], recorded: Recorded) -> Recorded:
+    """`recorded` with what the run folder of a trial, or the record itself, says of it."""
+    told: Mapping[str, Any] = {}
+    if "trial" in columns:
+        text = np.asarray(columns["trial"]).item()
+        told = json.loads(text)
+    elif path.name in (RECORD_H5, RECORD_NPZ) and (path.parent / SUMMARY).is_file():
+        told = origin_of(read_summary(path.parent))
+    if "environment" not in told or "simulated" not in told:
+        return recorded
+    stiffness, damping, mass = told["environment"].values()
+    return replace(
+        recorded,
+        origin=f"{path.name} of a trial: {told['origin']}",
+        simulated=told["simulated"],
+        ended=told.get("ended", ""),
+        max_command_n=told.get("max_command_n"),
+        command_limit_n=told.get("command_limit_n"),
+        rendered=Rendered((stiffness, damping, mass), told["added_damping_ns_per_m"]),
+        more={name: told[name] for name in COUNTS if name in told},
+    )
+
+
+def _foreign(
+    path: Path, columns: dict[str, Any], told: tuple[str, str], rate_hz: float | None
+) -> Recorded:
+    """The record of any other program."""
+    numbers = {
+        name.lower(): np.asarray(values) for name, values in columns.items() if np.size(values)
+    }
+    known = {
+        name: values.astype(np.float64)
+        for name, values in numbers.items()
+        if values.dtype.kind in "fiu"
+    }
+    y, u = (
+        _channel(path, known, name, usual)
+        for name, usual in zip(told, (FORCES, VELOCITIES), strict=True)
+    )
+    if y.size != u.size:
+        raise AnalysisError(
+            f"{path}: {y.size} samples of force and {u.size} of velocity; both were expected,"
+            " sampled together"
+        )
+    found = _sampling(path, known, rate_hz, y.size)
+    recorded = Recorded(y, u, found.rate_hz, path.name, simulated=False)
+    return recorded if found.place is None else in_even_time(recorded, found.place)
+
+
+def _channel(path: Path, known: dict[str, Floats], told: str, usual: tuple[str, ...]) -> Floats:
+    name = next((name for name in ((told.lower(),) if told else usual) if name in known), None)
+    if name is None:
+        missing = told or f"any of {', '.join(usual)}"
+        raise AnalysisError(
+            f"{path}: no column {missing}; it has {', '.join(known) or 'none'}; name it with"
+            " --force-column or --velocity-column"
+        )
+    values = _column(path, name, known[name])
+    if not (good := np.isfinite(values)).all():
+        first = int(np.argmin(good))
+        place = (
+            f"line {_rows(path)[2][first][0]}" if path.suffix == ".csv" else f"sample {first + 1}"
+        )
+        raise AnalysisError(
+            f"{path}: {place}, column {name}: {values[first]:g}; a gap cannot be analysed, cut the"
+            " record there"
+        )
+    most = float(np.abs(values).max())
+    if most > LARGEST or 0.0 < most < SMALLEST:
+        raise AnalysisError(
+            f"{path}: column {name} has values up to {most:.3g}; N and m/s were expected"
+        )
+    return values
+
+
+def _sampling(path: Path, known: dict[str, Floats], told_hz: float | None, count: int) -> Sampling:
+    """Rate, as told or as the file says, and the places of the rows where its times show that
+    some are missing.
+    """
+    named = [(name, _single(path, name, known[name])) for name in RATES if name in known]
+    times = next((name for name in TIMES if name in known and known[name].size > 1), "")
+    by_times, why = _by_times(path, times, known[times], count) if times else (None, "")
+    if told_hz is None and not named and by_times is not None:
+        return by_times
+    if told_hz is None and not named:
+        missing = (
+            f"{path}: the sample rate is not in the file ({', '.join((*RATES, *TIMES))}); say it"
+            " with --rate-hz"
+        )
+        raise AnalysisError(why or missing)
+    if told_hz is not None:
+        _usable(path, told_hz)
+        _agrees(path, told_hz, named, SAME_RATE)
+        if by_times is not None:
+            _agrees(
+                path,
+                told_hz,
+                [(times, by_times.rate_hz)],
+                max(SAME_RATE, _rounding(known[times].ravel())),
+            )
+    rate_hz = told_hz if told_hz is not None else named[0][1]
+    _usable(path, rate_hz)
+    if by_times is None:
+        return Sampling(rate_hz)
+    if abs(by_times.rate_hz - rate_hz) > ALIKE * rate_hz:
+        raise AnalysisError(
+            f"{path}: a rate of {rate_hz:.9g} Hz, but its times say {by_times.rate_hz:.9g} Hz:"
+            " correct the file"
+        )
+    return Sampling(rate_hz, by_times.place)
+
+
+def _agrees(path: Path, told_hz: float, said: list[tuple[str, float]], allowed: float) -> None:
+    for name, own_hz in said:
+        if 0.0 < own_hz < np.inf and abs(told_hz - own_hz) > allowed * own_hz:
+            raise AnalysisError(
+                f"{path}: column {name} says {own_hz:.9g} Hz, --rate-hz {told_hz:.9g} Hz: leave"
+                " that out, or correct the file"
+            )
+
+
+def _single(path: Path, name: str, values: Floats) -> float:
+    """The one value of a column."""
+    if np.isfinite(values).all() and np.ptp(values) > SAME_RATE * np.abs(values).max():
+        raise AnalysisError(
+            f"{path}: column {name} has values from {values.min():g} to {values.max():g} Hz; one"
+            " rate was expected"
+        )
+    return float(values.flat[0])
+
+
+def _usable(path: Path, rate_hz: float) -> None:
+    if not 0.0 < rate_hz < np.inf:
+        raise AnalysisError(
+            f"{path}: a sample rate of {rate_hz:g} Hz; say the right one with --rate-hz"
+        )
+    if rate_hz < SLOWEST_HZ:
+        likely = (
+            f"the period of {1.0 / rate_hz:.6g} Hz in seconds"
+            if rate_hz < 0.01
+            else f"{1e3 * rate_hz:g} Hz, in kHz"
+        )
+        raise AnalysisError(
+            f"{path}: a sample rate of {rate_hz:g} Hz; it looks like {likely}: say the rate in Hz"
+            " with --rate-hz"
+        )
+
+
+def _by_times(path: Path, name: str, values: Floats, count: int) -> tuple[Sampling | None, str]:
+    """What a column of times says, or why it says nothing."""
+    if values.size != count:
+        return (
+            None,
+            f"{path}: column {name} has {values.size} values, the force {count}: correct the file",
+        )
+    try:
+        return sampling(TIMES[name] * _column(path, name, values)), ""
+    except AnalysisError as error:
+        return None, f"{path}: column {name}: {error}"
+
+
+def _rounding(time_s: Floats) -> float:
+    """Relative error of the rate, as the ends of a column of times (n,) are known to one step
+    at best.
+    """
+    return float(np.median(np.diff(time_s)[np.diff(time_s) > 0.0]) / (time_s[-1] - time_s[0]))
+
+
+def _column(path: Path, name: str, values: Floats) -> Floats:
+    if values.size != max(values.shape, default=1):
+        raise AnalysisError(
+            f"{path}: {name} has the shape {values.shape}; one column of numbers was expected"
+        )
+    return values.ravel()
+
+
+# --- kinds of files -------------------------------------------------------------------------------
+
+
+def _columns(path: Path) -> dict[str, Any]:
+    """Named columns of a file, or arrays of other shapes. ConfigError for a broken one."""
+    try:
+        return READERS[path.suffix](path)
+    except BROKEN as error:
+        raise ConfigError(f"{path}: {error}; a record with named columns was expected") from error
+
+
+def _read_csv(path: Path) -> dict[str, Floats]:
+    """Columns (N,) by name. ValueError that names the line and the column where a number was
+    expected, OSError, csv.Error.
+    """
+    names, mark, rows = _rows(path)
+    if not rows:
+        raise ValueError("no samples under a head line")
+    try:
+        values = np.loadtxt((row for _, row in rows), delimiter=mark, comments=None, ndmin=2)
+        return dict(zip(names, values.T, strict=True))
+    except ValueError:
+        raise ValueError(_wrong(names, mark, rows)) from None
+
+
+def _rows(path: Path) -> tuple[list[str], str, list[tuple[int, str]]]:
+    """Names, what parts the columns, and the lines of samples, each with its number in the file."""
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        head = next(file, "")
+        rows = [
+            (number, row)
+            for number, row in enumerate(file, 2)
+            if row.strip() and not row.startswith("#")
+        ]
+    mark = max(MARKS, key=head.count)
+    names = [name.strip() for name in next(csv.reader([head], delimiter=mark), [])]
+    return (
+        names,
+        mark,
+        rows if mark == "," else [(number, row.replace(",", ".")) for number, row in rows],
+    )
+
+
+def _wrong(names: list[str], mark: str, rows: list[tuple[int, str]]) -> str:
+    """The first line that is no row of numbers."""
+    for number, row in rows:
+        cells = row.strip("\r\n").split(mark)
+        if len(cells) != len(names):
+            many = (
+                "; a decimal comma needs ; or tabs between columns"
+                if mark == "," and len(cells) == 2 * len(names)
+                else ""
+            )
+            return f"line {number}: {len(cells)} values under {len(names)} names{many}"
+        for name, cell in zip(names, cells, strict=True):
+            try:
+                float(cell)
+            except ValueError:
+                return f"line {number}, column {name}: {cell.strip()!r} is no number"
+    return "there is something else than numbers in it"
+
+
+def _read_npz(path: Path) -> dict[str, Any]:
+    """Of numpy."""
+    found = np.load(path, allow_pickle=False)
+    if isinstance(found, np.ndarray):
+        raise ValueError("a bare array")
+    with found:
+        return dict(found)
+
+
+def _read_mat(path: Path) -> dict[str, Any]:
+    """Of MATLAB, old or new."""
+    io = needed("scipy.io", "reference")
+    try:
+        return {
+            name: values for name, values in io.loadmat(path).items() if not name.startswith("__")
+        }
+    except NotImplementedError:  # MATLAB 7.3 and later writes HDF5
+        return _read_hdf5(path)
+    except (io.matlab.MatReadError, TypeError) as error:  # TypeError: of bytes that are no variable
+        raise ValueError(str(error)) from error
+
+
+def _read_hdf5(path: Path) -> dict[str, Any]:
+    """The datasets at its root."""
+    h5py = needed("h5py", "record")
+    with h5py.File(path) as file:
+        return {
+            name: values[()] for name, values in file.items() if isinstance(values, h5py.Dataset)
+        }
+
+
+READERS: dict[str, Callable[[Path], dict[str, Any]]] = {
+    ".csv": _read_csv, ".npz": _read_npz, ".mat": _read_mat, ".h5": _read_hdf5, ".hdf5": _read_hdf5,
+}  # fmt: skip
+
+
+def _structures(content: dict[str, Any]) -> tuple[Column, dict[str, Any]] | None:
+    """Columns and attributes of a MATLAB file that this package exported; None of another one."""
+    groups = {
+        name: values
+        for name, values in content.items()
+        if getattr(values, "dtype", np.dtype(int)).names
+    }
+    if not {"info", "probe", "servo"} <= set(groups):
+        return None
+    told = {name: groups["info"][name][0, 0] for name in groups["info"].dtype.names}
+    attributes = {name: values.ravel()[0] if values.size else "" for name, values in told.items()}
+    return (lambda group, name: groups[group][name][0, 0].ravel()), attributes

@@ -1,0 +1,235 @@
+"""What procedures ask of a scene: its environment as a point, its damping level, itself without an
+effect, its impedance; and the device in it, composed once, with all that is predicted of it
+(`Display`).
+
+Z is measured as the paper does it (noise at the probe, `analysis.spectra`) and taken on frequencies
+that are evenly spaced in ln f. They lie on the grid of the paper's window, so that a longer window
+has them on its grid too.
+
+What would break it: comparing what is predicted at one perturbation with trials at another.
+"""
+
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from math import inf
+
+import numpy as np
+
+from hapticd.analysis.arrays import Complexes, Flags, Floats
+from hapticd.analysis.linearise import Perturbation
+from hapticd.analysis.loop import Filters
+from hapticd.analysis.predict import (
+    DEFAULT_BAND_HZ,
+    Prediction,
+    predict,
+    recorded_impedances,
+)
+from hapticd.analysis.spectra import DEFAULT_LAG
+from hapticd.errors import ConfigError
+from hapticd.params import EnvironmentParams, FilterParams, WallParams
+from hapticd.plant.compose import compose
+from hapticd.plant.effects import ALWAYS, Delay, Effect, Masses, Motor, Viscous, WorkspaceEnds
+from hapticd.plant.model import Model
+from hapticd.plant.scene import Excitation, Scene
+from hapticd.settings.build import DEFAULT_PHASE, converter_effects, device_effects
+from hapticd.settings.device import DeviceFile, RigidTable
+from hapticd.settings.load import find_device, validated
+from hapticd.settings.toml import read, shipped
+from hapticd.units import PROBE_RATE_HZ
+
+TRIAL_S = 90.0
+FREQUENCIES = 60
+SUBSTEPS = 4  # per 4 kHz sample: their error is below the chance of a 90 s trial (docs/accuracy.md)
+SATURATED = 1.0 - 1e-6  # of the force limit: float32 rounds it
+
+
+def point(scene: Scene) -> tuple[float, float, float]:
+    """K [N/m], B [Ns/m], M [kg] that the scene renders."""
+    rendered = scene.environment
+    return rendered.stiffness_n_per_m, rendered.damping_ns_per_m, rendered.mass_kg
+
+
+def level(scene: Scene) -> float:
+    """The highest electrical damping [Ns/m] of the scene."""
+    return max(step.level_ns_per_m for step in scene.damping)
+
+
+def filters(scene: Scene) -> tuple[FilterParams, FilterParams]:
+    """Of velocity and acceleration."""
+    return scene.environment.velocity_filter, scene.environment.acceleration_filter
+
+
+def free_of_walls(scene: Scene) -> EnvironmentParams:
+    """The environment without its wall, which has no impedance of its own."""
+    return replace(scene.environment, wall=WallParams())
+
+
+def noise(scene: Scene) -> Excitation:
+    """The scene's own noise, or the paper's where the scene has none."""
+    return (
+        scene.excitation
+        if scene.excitation.kind == "noise"
+        else Excitation("noise", seed=scene.excitation.seed)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Display:
+    """A scene's device with its environment's filters, under the perturbation of its trials; as
+    `display` makes it.
+
+    Passive is what the paper's rule calls so at that perturbation. Much of a device's damping may
+    be dry friction, which fades as the motion grows; `dry=False` therefore asks for passivity
+    without counting on it, at any amplitude.
+    """
+
+    scene: Scene
+    excitation: Excitation
+    model: Model = field(repr=False)
+
+    @property
+    def filters(self) -> Filters:
+        """Of velocity and acceleration."""
+        return filters(self.scene)
+
+    @property
+    def perturbation(self) -> Perturbation:
+        """Of its trials."""
+        return Perturbation(self.excitation.psd_n2_per_hz, self.excitation.band_hz)
+
+    @property
+    def force_limit_n(self) -> float:
+        """At which its command saturates; inf without one."""
+        return self.model.force_limit_n or inf
+
+    def predicted(
+        self,
+        points: Floats,
+        level: float,
+        band_hz: tuple[float, float] = DEFAULT_BAND_HZ,
+        dry: bool = True,
+    ) -> Prediction:
+        """Of environments (N, 3) at a damping level [N s/m]; `dry`: with the friction as it is at
+        the perturbation, and as the trials record it.
+        """
+        return predict(
+            self.model,
+            points,
+            level,
+            self.filters,
+            self.perturbation if dry else None,
+            band_hz,
+            recorded=dry,
+        )
+
+    def passive(
+        self,
+        points: Floats,
+        level: float,
+        band_hz: tuple[float, float] = DEFAULT_BAND_HZ,
+        dry: bool = True,
+    ) -> Flags:
+        """(N,) at the perturbation; without `dry` also at any larger one."""
+        found = self.predicted(points, level, band_hz).passive
+        return (
+            found
+            if dry or not found.any()
+            else found & self.predicted(points, level, band_hz, dry=False).passive
+        )
+
+    def impedances(self, points: Floats, level: float, frequency_hz: Floats) -> Complexes:
+        """Z (N, F) [N s/m] of environments (N, 3) at `frequency_hz` (F,) as trials record it."""
+        return recorded_impedances(
+            self.model, points, frequency_hz, level, self.filters, self.perturbation
+        )
+
+
+@lru_cache(maxsize=64)
+def display(scene: Scene, excitation: Excitation | None = None) -> Display:
+    """The scene's device, composed once, under `excitation`, by default its own noise.
+    ConfigError as `compose`.
+    """
+    return Display(scene, excitation or noise(scene), _composed(scene))
+
+
+_composed = lru_cache(maxsize=64)(compose)
+
+
+def candidates(scene: Scene) -> tuple[str, ...]:
+    """Effects that can be left out."""
+    return tuple(effect.key for effect in scene.effects if effect.key not in ALWAYS)
+
+
+def without(scene: Scene, *keys: str) -> Scene:
+    """The scene without these effects."""
+    return replace(
+        scene, effects=tuple(effect for effect in scene.effects if effect.key not in keys)
+    )
+
+
+def is_linear(scene: Scene) -> bool:
+    """Whether nothing in it is not linear, so that its impedance is known exactly."""
+    return (
+        not any(effect.nonlinearity for effect in scene.effects)
+        and scene.environment.wall.side == 0
+    )
+
+
+def frequencies(band_hz: tuple[float, float] = DEFAULT_BAND_HZ, count: int = FREQUENCIES) -> Floats:
+    """About `count` frequencies (F,) [Hz] inside the band, evenly in ln f, on the grid of the
+    paper's window.
+    """
+    spacing = 0.5 * PROBE_RATE_HZ / DEFAULT_LAG
+    first = np.ceil(band_hz[0] / spacing)
+    last = np.floor(band_hz[1] / spacing)
+    return np.asarray(np.unique(np.round(np.geomspace(first, last, count))) * spacing)
+
+
+def device_scene(name: str) -> Scene | None:
+    """The scene of the device file `name`; None if there is no such file, or none that can be
+    simulated.
+    """
+    try:
+        document = read(find_device(name, shipped("config") / "hapticd.toml", "device"))
+    except ConfigError:
+        return None
+    device = validated(DeviceFile, document.data, document.where)
+    effects = _rigid(device, device.plant) if device.plant else device_effects(device)
+    if not effects:
+        return None
+    return Scene(
+        document.path.stem,
+        device.name,
+        document.path.stem,
+        effects,
+        excitation=Excitation("noise"),
+        seconds=TRIAL_S,
+    )
+
+
+def scene_of_device(title: str) -> Scene | None:
+    """The scene of the shipped device file that gives its device this name; None if there is
+    none, or none to simulate.
+    """
+    for path in sorted((shipped("config") / "devices").glob("*.toml")):
+        if read(path).data.get("name") == title:
+            return device_scene(path.stem)
+    return None
+
+
+def _rigid(device: DeviceFile, plant: RigidTable) -> tuple[Effect, ...]:
+    """The one mass that the simulated board moves without a model of effects, latched when it
+    does by default.
+    """
+    return (
+        Masses(rotor_kg=plant.mass_kg),
+        Motor(
+            torque_constant_nm_per_a=plant.torque_constant_n_per_a,
+            lever_m=1.0,
+            resistance_ohm=plant.winding_ohm,
+        ),
+        Viscous(rotor_ns_per_m=plant.viscous_ns_per_m),
+        WorkspaceEnds(lower_m=plant.lower_stop_m, upper_m=plant.upper_stop_m),
+        Delay(periods=1.0 - DEFAULT_PHASE),
+        *converter_effects(device).values(),
+    )

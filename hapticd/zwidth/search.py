@@ -1,0 +1,304 @@
+"""The directed search with trials of the engine: few trials, each where it tells most about the
+boundary of the passive set.
+
+`analysis.search` learns from the trials and chooses; here its oracle is a simulated trial with its
+intervals as weights. What is known beforehand is the device's model (`analysis.prior`): the
+trials teach how Re Z differs from the prediction, and how near to its friction's end the loop may
+come in a trial before it escapes. Trials are made a few at a time, each with noise of its own
+(seed, seed + 1, ..), as in a laboratory: with one noise for all, what is chance would be learnt as
+if it were the device. The same search therefore makes the same trials, and goes on where it was
+interrupted.
+
+The set that is found is the paper's: environments whose trial rather passes than fails. A trial
+that escapes, or whose command saturates, teaches no spectrum, only that the loop is not stable
+there.
+
+Each trial is also a check: what was expected of it before it was learnt is kept beside what it gave
+(`Step`). A `Slice` through what was found is the largest passive K over B at one M, beside what was
+predicted before the first trial.
+"""
+
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from hapticd.analysis.arrays import Flags, Floats
+from hapticd.analysis.passive_set import PassiveSet, grid, halved, passive_set
+from hapticd.analysis.prior import ModelPrior
+from hapticd.analysis.search import (
+    Search,
+    doubtful_share,
+    first_trials,
+    next_trials,
+    predicted_passive,
+)
+from hapticd.analysis.spectra import DEFAULT_LAG
+from hapticd.analysis.surrogate import Box, Observation, margin
+from hapticd.analysis.verdict import Judged
+from hapticd.errors import AnalysisError
+from hapticd.units import PROBE_RATE_HZ
+from hapticd.zwidth.limits import predicted_limit
+from hapticd.zwidth.outcomes import (
+    Conditions,
+    Hear,
+    Lot,
+    Outcome,
+    Procedure,
+    judged,
+    kept_frequencies,
+    points_of,
+    run_all,
+)
+from hapticd.zwidth.scenes import SATURATED
+from hapticd.zwidth.store import Progress, TrialStore, silent
+
+ROOM = (3.2, 1.3, 1.3)  # the box beyond the predicted axis limits of K, B, -M
+HEAVIER = 1.6  # its positive end of M over the negative one
+SET_GRID = (24, 20, 24)
+INDEPENDENT_HZ = PROBE_RATE_HZ / (
+    0.75 * DEFAULT_LAG
+)  # values of an estimate that are so far apart are independent
+POOR = (
+    0.2  # relative standard deviation, the median over the band, of a spectrum that teaches nothing
+)
+UNKNOWN = 10.0  # relative standard deviation of what teaches nothing
+DIGITS = 6  # of an environment: what is asked is what is stored
+SLICE = (30, 80)  # of K and B
+_HALVINGS = 7
+
+
+@dataclass(frozen=True, slots=True)
+class SearchParams:
+    """`budget` trials at most, `together` at a time; ends below `doubt`. `box` None: from the
+    predicted axis limits.
+    """
+
+    conditions: Conditions
+    damping_ns_per_m: float
+    budget: int = 40
+    together: int = 4
+    doubt: float = 0.02
+    box: Box | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SearchPlan:
+    """The box, and the search before its first trial, with what is known beforehand."""
+
+    params: SearchParams
+    box: Box
+    begin: Search
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One trial with the margin [N s/m] that was expected of it; `teaches` no spectrum where
+    the loop was not stable.
+    """
+
+    outcome: Outcome
+    expected_ns_per_m: float
+    teaches: bool
+
+
+@dataclass(frozen=True, eq=False)
+class SearchResult:
+    """`found`: the set as the search holds it, on a grid of the box; `doubt`: share of the
+    volume that noise leaves open.
+    """
+
+    plan: SearchPlan
+    search: Search
+    steps: tuple[Step, ...]
+    found: PassiveSet
+    doubt: float
+
+    @property
+    def judged(self) -> Judged:
+        """From where to where every trial was judged."""
+        return judged(step.outcome for step in self.steps)
+
+
+def plan_search(params: SearchParams) -> SearchPlan:
+    """Box and foresight from the prediction. AnalysisError where nothing is predicted to be
+    passive.
+    """
+    box = params.box or _box(params)
+    f = learnt_at(params.conditions)
+    device = params.conditions.display
+    known = ModelPrior(
+        device.model, box, f, params.damping_ns_per_m, device.filters, device.perturbation
+    )
+    begin = Search(box, known.resistance, known.headroom, np.gradient(f) / INDEPENDENT_HZ)
+    return SearchPlan(params, box, begin)
+
+
+def run_search(
+    plan: SearchPlan,
+    store: TrialStore,
+    tell: Progress = silent,
+    executor: Executor | None = None,
+    hear: Hear = lambda new: None,
+) -> SearchResult:
+    """Search, trials on `executor` or on threads here; `hear` gets the outcomes of each round.
+
+    AnalysisError if one of the first four trials, near K = B = M = 0, is not stable.
+    """
+    return run_all([_searched(plan, store, tell, hear)], store, executor)[0]
+
+
+def _searched(
+    plan: SearchPlan, store: TrialStore, tell: Progress, hear: Hear
+) -> Procedure[SearchResult]:
+    """`hear` gets those of a round that the store has not, in the order of the search."""
+    params = plan.params
+    search = plan.begin
+    steps = list[Step]()
+    wanted = rounded(first_trials(plan.box, np.zeros(3)))
+    while True:
+        tell("trials", len(steps), params.budget)
+        expected = _expected(search, wanted)
+        lots = _lots(params, wanted, len(steps))
+        new = {point for lot in lots for point, key in lot.keys.items() if key not in store.known}
+        outcomes = yield lots
+        if new:
+            hear([outcome for outcome in outcomes if outcome.environment in new])
+        seen = [observed(params.conditions, outcome) for outcome in outcomes]
+        for outcome, guess, one in zip(outcomes, expected, seen, strict=True):
+            steps.append(Step(outcome, float(guess), one is not None))
+        search = search.with_trials(wanted, seen)
+        if search.surrogate is None:
+            raise AnalysisError(
+                "a trial next to K = B = M = 0 was not stable: this display is not passive by"
+                " itself"
+            )
+        count = min(params.together, params.budget - len(steps))
+        if count <= 0 or doubtful_share(search) < params.doubt:
+            break
+        wanted = rounded(next_trials(search, count))
+    tell("trials", len(steps), params.budget)
+    return SearchResult(plan, search, tuple(steps), _set(search), doubtful_share(search))
+
+
+def _lots(params: SearchParams, wanted: Floats, done: int) -> list[Lot]:
+    """A trial each of `wanted` (n, 3) after `done` trials, with noise of its own."""
+    points = enumerate(points_of(wanted), done)
+    return [
+        Lot(params.conditions.shaken(more_seed=place), params.damping_ns_per_m, (point,))
+        for place, point in points
+    ]
+
+
+def rounded(wanted: Floats) -> Floats:
+    """Environments (n, 3) as they can be written down."""
+    return np.array([[float(f"{value:.{DIGITS}g}") for value in point] for point in wanted])
+
+
+def _box(params: SearchParams) -> Box:
+    given = params.conditions
+    limits = [
+        predicted_limit(given.display, params.damping_ns_per_m, axis, band_hz=given.band_hz)
+        for axis in range(3)
+    ]
+    k, b, m = (room * limit for room, limit in zip(ROOM, limits, strict=True))
+    if not np.isfinite((k, b, m)).all() or not (k > 0.0 and b > 0.0 and m < 0.0):
+        raise AnalysisError(
+            "nothing is predicted to be passive from K = B = M = 0 on, so there is no boundary to"
+            " search"
+        )
+    return Box((0.0, 0.0, m), (k, b, -HEAVIER * m))
+
+
+def _expected(search: Search, wanted: Floats) -> Floats:
+    if search.surrogate is not None:
+        return margin(search.surrogate, wanted)
+    assert search.prior is not None
+    return np.asarray(search.prior(wanted).min(axis=1))
+
+
+def _set(search: Search) -> PassiveSet:
+    """Expected margins; where the search holds a point for not passive, their size with a minus."""
+    assert search.surrogate is not None
+    box = search.box
+    k, b, m = (
+        np.linspace(box.low[place], box.high[place], count) for place, count in enumerate(SET_GRID)
+    )
+    points = grid((k, b, m))
+    size = np.abs(margin(search.surrogate, points))
+    return passive_set(
+        (k, b, m), np.where(predicted_passive(search, points), size, -np.maximum(size, 1e-12))
+    )
+
+
+def learnt_at(conditions: Conditions) -> Floats:
+    """Frequencies (F,) of what a trial teaches."""
+    f = kept_frequencies(conditions.band_hz)
+    return f[(f >= conditions.band_hz[0]) & (f <= conditions.band_hz[1])]
+
+
+def observed(conditions: Conditions, outcome: Outcome) -> Observation | None:
+    """What a trial teaches; None where the loop was not stable, or moved by something else than
+    the perturbation.
+    """
+    limit_n = conditions.display.force_limit_n
+    escaped = outcome.max_force_n >= SATURATED * limit_n or (
+        not outcome.passes and outcome.margin_ns_per_m > 0.0
+    )
+    if not outcome.z.size or escaped:
+        return None
+    inside = np.isin(outcome.frequency_hz, learnt_at(conditions))
+    relative = outcome.relative_sd[inside]
+    if not np.median(relative) < POOR:
+        return None
+    size = np.hypot(*outcome.z[inside].T)
+    sd = np.where(np.isfinite(size), size, np.nanmax(size)) * np.minimum(relative, UNKNOWN)
+    return Observation(np.asarray(outcome.environment), np.nan_to_num(outcome.z[inside, 0]), sd)
+
+
+@dataclass(frozen=True, eq=False)
+class Slice:
+    """Largest K (nB,) at each `damping` (nB,) of a plane of one M, as the search holds it and
+    as `predicted` before any trial.
+    """
+
+    mass_kg: float
+    damping: Floats
+    held: Floats
+    predicted: Floats
+
+
+def slice_at(result: SearchResult, mass_kg: float) -> Slice:
+    """The plane of one M through the box: what the search holds, and what was predicted before
+    any trial.
+    """
+    params = result.plan.params
+    box = result.plan.box
+    given = params.conditions
+    level = params.damping_ns_per_m
+    damping = np.linspace(box.low[1], box.high[1], SLICE[1])
+
+    held = partial(predicted_passive, result.search)
+    guessed = partial(given.display.passive, level=level, band_hz=given.band_hz)
+    edges = (_highest(holds, box, damping, mass_kg) for holds in (held, guessed))
+    return Slice(mass_kg, damping, *edges)
+
+
+def _highest(holds: Callable[[Floats], Flags], box: Box, damping: Floats, mass_kg: float) -> Floats:
+    """Largest K (nB,) that holds at each damping, nan where none does: on a grid, then halved
+    to 1 % of its step.
+    """
+    k = np.linspace(box.low[0], box.high[0], SLICE[0])
+    held = holds(np.array([(stiffness, b, mass_kg) for stiffness in k for b in damping])).reshape(
+        k.size, damping.size
+    )
+    top = k.size - 1 - np.argmax(held[::-1], axis=0)
+    edge, _ = halved(
+        lambda half: holds(np.column_stack((half, damping, np.full_like(half, mass_kg)))),
+        k[top],
+        k[np.minimum(top + 1, k.size - 1)],
+        _HALVINGS,
+    )
+    return np.where(held.any(axis=0), edge, np.nan)

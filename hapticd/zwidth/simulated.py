@@ -1,0 +1,100 @@
+"""Trials by the batch engine: the record of one, and the impedance of several.
+
+What would break it: a scene with walls or soft ends; they are left out, because the impedance of an
+environment is measured away from them.
+"""
+
+from dataclasses import replace
+from math import inf, nan
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.analysis.arrays import Complexes, Floats
+from hapticd.analysis.spectra import DEFAULT_LAG, Spectra, spa
+from hapticd.engine import BatchResult, simulate
+from hapticd.errors import AnalysisError
+from hapticd.plant.compose import compose
+from hapticd.plant.scene import Scene
+from hapticd.units import PROBE_RATE_HZ
+from hapticd.zwidth import scenes
+from hapticd.zwidth.scenes import SATURATED
+from hapticd.zwidth.sources import Source, Trial, watched
+from hapticd.zwidth.store import Progress, Recorded, silent
+
+
+def engine_source(scene: Scene, substeps: int = 4) -> Source:
+    """Trials of `scene`'s device by the batch engine."""
+
+    def record(trial: Trial, tell: Progress = silent) -> Recorded:
+        tell("simulating", 0, 1)
+        found = simulate(
+            scene,
+            [trial.environment],
+            trial.seconds,
+            trial.excitation.seed,
+            damping=trial.damping_ns_per_m,
+            environment=scenes.free_of_walls(scene),
+            start=(0.0, 0.0),
+            substeps=substeps,
+            keep="ticks",
+            excitation=trial.excitation if trial.waveform_n is None else trial.waveform_n,
+        )
+        tell("simulated", 1, 1)
+        whole = simulated(scene, found)
+        watch = replace(
+            trial.watch,
+            command_limit_n=inf if whole.command_limit_n is None else whole.command_limit_n,
+        )
+        winding_c = nan if found.winding_c is None else float(found.winding_c[0])
+        _, commands = found.traces(0)
+        return watched(whole, watch, winding_c, np.abs(commands))
+
+    return record
+
+
+def simulated(scene: Scene, found: BatchResult) -> Recorded:
+    """The first trial of a batch that kept its records."""
+    force, velocity = (np.asarray(channel, np.float64) for channel in found.record(0))
+    return Recorded(
+        force, velocity, found.rate_hz, f"engine, scene {scene.name}", True,
+        f"escape: diverged after {found.diverged_at_s[0]:.3g} s" if found.diverged[0] else "",
+        float(found.max_force_n[0]), compose(scene).force_limit_n,
+    )  # fmt: skip
+
+
+def spectra_on(
+    torque_n: npt.ArrayLike,
+    velocity_m_per_s: npt.ArrayLike,
+    frequency_hz: Floats,
+    lag: int = DEFAULT_LAG,
+) -> Spectra:
+    """Spectra of a record at `frequency_hz` (F,), by the whole grid of its window where that
+    has them.
+    """
+    if lag % DEFAULT_LAG:
+        return spa(torque_n, velocity_m_per_s, lag=lag, frequency_hz=frequency_hz)
+    at = np.rint(frequency_hz * (2 * lag / PROBE_RATE_HZ)).astype(int)
+    return spa(torque_n, velocity_m_per_s, lag=lag).part(at)
+
+
+def spectra_of(
+    found: BatchResult,
+    frequency_hz: Floats,
+    force_limit_n: float,
+    lag: int = DEFAULT_LAG,
+) -> list[Spectra]:
+    """Of every trial at `frequency_hz` (F,) that ran to its end without reaching the force limit:
+    the others ran away, and have no impedance.
+    """
+    calm = ~found.diverged & (found.max_force_n < SATURATED * force_limit_n)
+    return [spectra_on(*found.record(int(one)), frequency_hz, lag) for one in np.flatnonzero(calm)]
+
+
+def pooled(trials: list[Spectra]) -> Complexes:
+    """Z (F,) of several trials together: sums of their spectra. AnalysisError without trials."""
+    if not trials:
+        raise AnalysisError("not stable: no trial ran to its end, so there is no impedance")
+    return np.asarray(
+        sum(trial.cross for trial in trials) / sum(trial.velocity for trial in trials)
+    )

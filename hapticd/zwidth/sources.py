@@ -1,0 +1,131 @@
+"""Where a trial's record comes from: the batch engine, a file, or a daemon (`bench`). All give a
+`Recorded`.
+
+A record that is there already is shown to the sentinel second by second, as a daemon would show it,
+and cut where it would have ended the trial.
+
+What a trial renders, of what was typed, the scene and the record, is one rule for all of them. Of
+K, B and M what is not given is that of the scene that was named, else 0: nobody who asks for K =
+500 N/m alone asks for the B and M of a scene that was not named. With none of the three given the
+environment is that of the record, else of the scene as it is, else 0. The electrical damping is a
+property of the device's drive: it is the record's, else the scene's, unless it is given.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from math import nan
+
+import numpy as np
+
+from hapticd.analysis.arrays import Floats
+from hapticd.errors import AnalysisError
+from hapticd.plant.scene import Excitation, Scene
+from hapticd.zwidth import scenes
+from hapticd.zwidth.store import Progress, Recorded, Rendered
+from hapticd.zwidth.watch import Sentinel, Watch
+
+LEAST_KEPT_S = 8.0
+NOISE = Excitation("noise")
+NAMES = (("K", "N/m"), ("B", "N s/m"), ("M", "kg"))
+Typed = tuple[float | None, float | None, float | None]  # K [N/m], B [N s/m], M [kg]
+SAME = 1e-6  # relative
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """What a source is asked for: K [N/m], B [Ns/m], M [kg], electrical damping [Ns/m], length,
+    perturbation with its seed.
+    """
+
+    environment: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    damping_ns_per_m: float = 0.0
+    seconds: float = 90.0
+    excitation: Excitation = NOISE
+    watch: Watch = field(default_factory=Watch)
+    waveform_n: Floats | None = field(
+        default=None, compare=False
+    )  # at 4 kHz, repeated; in place of the excitation
+
+
+Source = Callable[[Trial, Progress], Recorded]
+
+
+def file_source(recorded: Recorded) -> Source:
+    """The record of a file, whatever is asked; environment and damping are then what the user
+    says they were.
+    """
+    return lambda trial, tell: watched(recorded, trial.watch)
+
+
+def watched(
+    whole: Recorded, watch: Watch, winding_c: float = nan, command_n: Floats | None = None
+) -> Recorded:
+    """`whole` up to where the sentinel would have ended it. `command_n` (ticks,): sizes of the
+    commands beside it.
+    """
+    sentinel = Sentinel(watch, whole.rate_hz)
+    second = round(whole.rate_hz)
+    total = whole.force_n.size
+    for start in range(0, total, second):
+        part = slice(start, start + second)
+        ticks = (
+            np.zeros(1)
+            if command_n is None
+            else command_n[start * len(command_n) // total : part.stop * len(command_n) // total]
+        )
+        if sentinel.see(
+            whole.force_n[part],
+            whole.velocity_m_per_s[part],
+            winding_c,
+            float(ticks.max(initial=0.0)),
+        ):
+            break
+    if not sentinel.reason:
+        return whole
+    kept = max(
+        round(LEAST_KEPT_S * whole.rate_hz), round(sentinel.seconds * whole.rate_hz)
+    )  # what is there may as well be judged
+    return replace(
+        whole,
+        force_n=whole.force_n[:kept],
+        velocity_m_per_s=whole.velocity_m_per_s[:kept],
+        ended=sentinel.reason,
+    )
+
+
+def given(
+    typed: Typed,
+    damping_ns_per_m: float | None,
+    scene: Scene | None,
+    named: bool,
+    recorded: Recorded | None = None,
+) -> Rendered:
+    """What is rendered; `named`: the user named `scene`. AnalysisError where a record was made in
+    something else than what was typed.
+    """
+    told = recorded.rendered if recorded else None
+    if told is not None:
+        _agrees(recorded.origin if recorded else "", typed, damping_ns_per_m, told)
+        return told
+    known = Rendered(scenes.point(scene), scenes.level(scene)) if scene else Rendered()
+    others = known.environment if named or typed == (None, None, None) else (0.0, 0.0, 0.0)
+    stiffness, damping, mass = (
+        other if own is None else own for own, other in zip(typed, others, strict=True)
+    )
+    level = known.damping_ns_per_m if damping_ns_per_m is None else damping_ns_per_m
+    return Rendered((stiffness, damping, mass), level)
+
+
+def _agrees(origin: str, typed: Typed, damping_ns_per_m: float | None, told: Rendered) -> None:
+    every = zip(
+        (*NAMES, ("added damping", "N s/m")),
+        (*typed, damping_ns_per_m),
+        (*told.environment, told.damping_ns_per_m),
+        strict=True,
+    )
+    for (name, unit), said, known in every:
+        if said is not None and abs(said - known) > SAME * abs(known):
+            raise AnalysisError(
+                f"{origin}: recorded in {name} = {known:g} {unit}, not {said:g} {unit}: leave"
+                " that out"
+            )

@@ -1,0 +1,495 @@
+"""One trial of one environment: recorded under noise or multisines, judged, and kept with all that
+its numbers depend on.
+
+Params -> plan_trial -> Plan -> run_trial -> Result. The plan says beforehand what is expected:
+whether the predicted loop is stable, and its impedance, where the device is known by a model. A
+trial of an environment that is predicted to be unstable is flown all the same (the sentinel ends
+it); the verdict then says not passive, with the spectral radius.
+
+A trial by multisines flies several realisations of a force that repeats, each settled for one
+period and measured for some. It has the period of the window's grid (4096 samples), every harmonic
+with one amplitude, and random phases, other ones for every realisation; its density is that of the
+noise it stands for, so friction acts alike. It ends where the judged band ends: the loop is
+sampled, and what shakes it above half of its rate is folded back into the band (1e-3 of Z at 1
+kHz).
+
+For a device without friction 2 s of it know Z better than 90 s of noise. Friction distorts, the
+same way in every period: only more realisations average that, and only they show how much it is
+(`analysis.periodic`).
+
+The record holds the realisations one after the other, each with the period in which it settles, as
+it was flown from rest. One whose force did not repeat, because a stalled host let the board run out
+of samples, is flown again.
+
+What would break it: a loop so lightly damped that it rings for more than a period.
+
+On disk it is a run folder with record, summary and Z(f):
+
+run.json         verdict and everything that it depends on
+impedance.csv    a line for each frequency that the estimate has, with the units in the head line;
+                 empty where not known
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from math import inf, isfinite, isnan, sqrt
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hapticd.analysis.arrays import Complexes
+from hapticd.analysis.channels import unit_findings
+from hapticd.analysis.findings import Finding, Record, examine, leakage_findings
+from hapticd.analysis.impedance import Estimator, Impedance, impedance
+from hapticd.analysis.loop import spectral_radius
+from hapticd.analysis.periodic import (
+    CHANGING,
+    PeriodicSpectra,
+    changing,
+    periodic,
+    periodic_findings,
+)
+from hapticd.analysis.predict import coulomb, predicted_impedance
+from hapticd.analysis.resolved import resolved
+from hapticd.analysis.spectra import DEFAULT_LAG, Spectra, corrected, spa
+from hapticd.analysis.verdict import DEFAULT_BAND_HZ, LEAST_FREEDOM, Verdict, judge, needs_record
+from hapticd.errors import AnalysisError
+from hapticd.plant.scene import Excitation, Scene
+from hapticd.units import PROBE_RATE_HZ
+from hapticd.zwidth.scenes import Display, display
+from hapticd.zwidth.sources import Source, Trial
+from hapticd.zwidth.stepped_sine import Referee
+from hapticd.zwidth.store import (
+    IMPEDANCE,
+    Progress,
+    Recorded,
+    Steps,
+    fingerprint,
+    nearer,
+    silent,
+    write_run,
+)
+from hapticd.zwidth.watch import AT_LIMIT, loss_findings, summed
+
+PERIOD = 2 * DEFAULT_LAG  # samples
+SPARE_S = 0.01  # periods need not be whole ticks
+TRIES = 8  # of a realisation
+SHORTEST_WINDOWS = LEAST_FREEDOM / 2 * 0.75
+NOISE_COVERS = (
+    "the random error of a record of this length; not what the window smooths, which is named where"
+    " it shows"
+)
+KIND = "trial"
+COLUMNS = ("frequency_hz", "real_ns_per_m", "imaginary_ns_per_m", "sd_ns_per_m", "coherence")
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """`realisations` of the force, each of `periods` that are measured, after one that is not."""
+
+    realisations: int = 8
+    periods: int = 2
+
+    @property
+    def samples(self) -> int:
+        """Of one realisation."""
+        return (self.periods + 1) * PERIOD
+
+    @property
+    def seconds(self) -> float:
+        """Of all realisations."""
+        return self.realisations * self.samples / PROBE_RATE_HZ
+
+
+def multisine_like(noise: Excitation, highest_hz: float) -> Excitation:
+    """The multisine of the density and seed of `noise`, up to `highest_hz`."""
+    band_hz = min(noise.band_hz, highest_hz)
+    force_n = sqrt(noise.psd_n2_per_hz * band_hz)
+    return replace(
+        noise, kind="multisine", band_hz=band_hz, force_n=force_n, period_s=PERIOD / PROBE_RATE_HZ
+    )
+
+
+def realised(trial: Trial, layout: Layout, source: Source, tell: Progress = silent) -> Recorded:
+    """Every realisation by `source`, until one ends early. AnalysisError if not even the first was
+    whole, or if one never repeated; else as the source.
+    """
+    steps = Steps(tell, layout.realisations)
+    whole = []
+    again = 0
+    asked = replace(
+        trial,
+        seconds=layout.samples / PROBE_RATE_HZ + SPARE_S,
+        watch=replace(trial.watch, random=False),
+    )
+    for number in range(layout.realisations):
+        steps.next(f"realisation {number + 1} of {layout.realisations}")
+        excitation = replace(trial.excitation, seed=trial.excitation.seed + number)
+        found, tries = _flown(replace(asked, excitation=excitation), layout, source)
+        again += tries - 1
+        if found.force_n.size >= layout.samples:
+            whole.append(found)
+        if found.ended:
+            break
+    steps.end()
+    if not whole:
+        raise AnalysisError(
+            f"ended after {found.seconds:.3g} s ({found.ended}): too short for a"
+            f" verdict{nearer(found.ended)}"
+        )
+    return _joined(whole, layout, found.ended, again)
+
+
+def _flown(asked: Trial, layout: Layout, source: Source) -> tuple[Recorded, int]:
+    """One realisation, and how often it took."""
+    for tries in range(1, TRIES + 1):
+        found = source(asked, silent)
+        if (
+            found.ended
+            or changing(found.force_n[: layout.samples].reshape(1, -1, PERIOD)) <= CHANGING
+        ):
+            return found, tries
+    raise AnalysisError(
+        f"the force did not repeat in {TRIES} tries of a realisation: the host stalls for"
+        " milliseconds or samples are lost; see `hapticd doctor`, take fewer --periods, or noise"
+    )
+
+
+def laid_out(recorded: Recorded, layout: Layout) -> PeriodicSpectra:
+    """Spectra of as many whole realisations as there are in a record of that layout.
+    AnalysisError if there is none.
+    """
+    count = recorded.force_n.size // layout.samples
+    if not count:
+        raise AnalysisError(
+            f"record of {recorded.seconds:.3g} s: a realisation of 1 + {layout.periods} periods of"
+            f" {PERIOD} samples takes {layout.samples / recorded.rate_hz:.3g} s; record it whole,"
+            " or say its --periods"
+        )
+    force, velocity = (
+        channel[: count * layout.samples].reshape(count, layout.periods + 1, PERIOD)[:, 1:]
+        for channel in (recorded.force_n, recorded.velocity_m_per_s)
+    )
+    return periodic(force, velocity, recorded.rate_hz)
+
+
+def _joined(parts: list[Recorded], layout: Layout, ended: str, again: int) -> Recorded:
+    force, velocity = (
+        np.concatenate([channel[: layout.samples] for channel in channels])
+        for channels in zip(*((part.force_n, part.velocity_m_per_s) for part in parts), strict=True)
+    )
+    commands = [part.max_command_n for part in parts if part.max_command_n is not None]
+    more = {**parts[-1].more, "flown_again": again, **summed([part.more for part in parts])}
+    return replace(
+        parts[-1],
+        force_n=force,
+        velocity_m_per_s=velocity,
+        ended=ended,
+        max_command_n=max(commands, default=None),
+        more=more,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class TrialParams:
+    """What is asked, and how it is judged. `scene` names the device where a model of it is known,
+    else None.
+
+    `behind_mass_kg`: judge the device behind that mass of the probe. `channels`: look for skew and
+    high-pass as well. `multisine`: the excitation of `trial` is a multisine, flown in that layout,
+    in place of noise and a window of `lag` samples. `skew_s`, `high_pass_hz`: known faults of the
+    velocity channel that are taken out (`spectra.corrected`).
+    """
+
+    trial: Trial
+    scene: Scene | None = None
+    band_hz: tuple[float, float] = DEFAULT_BAND_HZ
+    confidence: float = 0.95
+    estimator: Estimator = "spa"
+    behind_mass_kg: float = 0.0
+    channels: bool = True
+    lag: int = DEFAULT_LAG
+    multisine: Layout | None = None
+    skew_s: float = 0.0
+    high_pass_hz: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class TrialPlan:
+    """`spectral_radius` of the predicted closed loop, None without a model, or with Coulomb
+    friction, which no radius knows.
+    """
+
+    params: TrialParams
+    display: Display | None
+    spectral_radius: float | None
+
+    @property
+    def linear(self) -> bool:
+        """Whether the device is known to have no friction."""
+        return self.spectral_radius is not None
+
+
+@dataclass(frozen=True, eq=False)
+class TrialResult:
+    """The record, Z (at the port that the verdict names), what was predicted there, the verdict;
+    `spectra` are those of the port of the probe. `covers`: what the intervals cover, in words.
+    """
+
+    plan: TrialPlan
+    recorded: Recorded
+    measured: Impedance
+    predicted: Complexes | None
+    verdict: Verdict
+    spectra: Spectra
+    covers: str
+
+
+def plan_trial(params: TrialParams) -> TrialPlan:
+    """What to expect. AnalysisError for a trial too short for a verdict; ConfigError as
+    `compose`.
+    """
+    _possible(params)
+    trial = params.trial
+    scene = params.scene
+    watch = replace(
+        trial.watch,
+        band_hz=params.band_hz,
+        confidence=params.confidence,
+        estimator=params.estimator,
+    )
+    asked = replace(params, trial=replace(trial, watch=watch))
+    shown = display(scene, trial.excitation) if scene else None
+    if shown is None or coulomb(shown.model).any():
+        return TrialPlan(asked, shown, None)
+    radius = spectral_radius(
+        shown.model, np.array([trial.environment]), trial.damping_ns_per_m, shown.filters
+    )
+    return TrialPlan(asked, shown, float(radius[0]))
+
+
+def _possible(params: TrialParams) -> None:
+    trial = params.trial
+    layout = params.multisine
+    numbers = (
+        *zip(
+            ("stiffness", "damping", "mass"), trial.environment, ("N/m", "N s/m", "kg"), strict=True
+        ),
+        ("added damping", trial.damping_ns_per_m, "N s/m"),
+        ("mass behind the port", params.behind_mass_kg, "kg"),
+        ("skew", params.skew_s, "s"),
+        ("high-pass corner", params.high_pass_hz, "Hz"),
+    )
+    for name, value, unit in numbers:
+        if not isfinite(value):
+            raise AnalysisError(f"{name} of {value:g} {unit}: a finite number is needed")
+    psd = trial.excitation.psd_n2_per_hz
+    hottest = trial.watch.winding_limit_c
+    if not 0.0 < psd < inf:
+        raise AnalysisError(
+            f"perturbation of {psd:g} N^2/Hz: must be above 0; the paper's was about 2.5e-5"
+        )
+    if isnan(hottest):
+        raise AnalysisError(f"winding limit of {hottest:g} degC: a number is needed; inf for none")
+    if layout and (
+        min(layout.realisations, layout.periods) < 1 or max(layout.realisations, layout.periods) < 2
+    ):
+        raise AnalysisError(
+            f"{layout.realisations} realisations of {layout.periods} periods have no scatter to"
+            " learn from; ask for two or more realisations"
+        )
+    least_s = SHORTEST_WINDOWS * params.lag / PROBE_RATE_HZ
+    if not (layout or trial.seconds >= least_s):
+        raise AnalysisError(
+            f"a trial of {trial.seconds:g} s: a verdict takes {least_s:.3g} s or more; the paper"
+            " took 90 s"
+        )
+
+
+def run_trial(plan: TrialPlan, source: Source, tell: Progress = silent) -> TrialResult:
+    """Record and judge. AnalysisError if the record became too short for a verdict; else as the
+    source.
+    """
+    layout = plan.params.multisine
+    trial = plan.params.trial
+    return judged(plan, realised(trial, layout, source, tell) if layout else source(trial, tell))
+
+
+def judged(plan: TrialPlan, recorded: Recorded) -> TrialResult:
+    """The verdict on a record. AnalysisError for one too short for it."""
+    params = plan.params
+    raw = laid_out(recorded, params.multisine) if params.multisine else _windowed(params, recorded)
+    spectra = _corrected(params, raw)
+    record = examine(recorded.force_n, recorded.velocity_m_per_s, recorded.rate_hz)
+    spectral = (
+        periodic_findings(spectra, params.band_hz)
+        if isinstance(spectra, PeriodicSpectra)
+        else leakage_findings(spectra, params.band_hz, params.estimator)
+    )
+    found = (*record.findings, *_findings(recorded, params.trial), *spectral)
+    if not recorded.simulated:
+        found += unit_findings(spectra, float(np.std(recorded.force_n)), record.velocity_sd_m_per_s)
+    record = replace(record, findings=found)
+    verdict = _verdict(plan, recorded, spectra, record)
+    if needs_record(raw, verdict, params.estimator, plan.linear):
+        force = recorded.force_n
+        velocity = recorded.velocity_m_per_s
+        servo_rate_hz = params.scene.rate_hz if params.scene else None
+        finer = resolved(
+            force, velocity, raw, params.band_hz, params.estimator, servo_rate_hz, plan.linear
+        )
+        verdict = _verdict(plan, recorded, _corrected(params, finer), record)
+    z = impedance(spectra, params.estimator)
+    z = z.without_mass(params.behind_mass_kg) if params.behind_mass_kg else z
+    covers = spectra.covers if isinstance(spectra, PeriodicSpectra) else NOISE_COVERS
+    return TrialResult(plan, recorded, z, _predicted(plan, z), verdict, spectra, covers)
+
+
+def _verdict(plan: TrialPlan, recorded: Recorded, spectra: Spectra, record: Record) -> Verdict:
+    params = plan.params
+    return judge(
+        spectra,
+        record,
+        params.band_hz,
+        params.confidence,
+        params.estimator,
+        plan.spectral_radius,
+        params.behind_mass_kg,
+        params.channels and not recorded.simulated,
+    )
+
+
+def _windowed(params: TrialParams, recorded: Recorded) -> Spectra:
+    least_s = SHORTEST_WINDOWS * params.lag / recorded.rate_hz
+    if recorded.ended and recorded.seconds < least_s:
+        raise AnalysisError(
+            f"ended after {recorded.seconds:.3g} s ({recorded.ended}): too short for a"
+            f" verdict{nearer(recorded.ended)}"
+        )
+    if recorded.seconds < least_s:
+        raise AnalysisError(
+            f"{recorded.origin}: {recorded.seconds:.3g} s are too short for a verdict with a window"
+            f" of {params.lag} samples; record {least_s:.3g} s or more"
+        )
+    return spa(recorded.force_n, recorded.velocity_m_per_s, recorded.rate_hz, params.lag)
+
+
+def _corrected(params: TrialParams, raw: Spectra) -> Spectra:
+    return (
+        corrected(raw, params.skew_s, params.high_pass_hz)
+        if params.skew_s or params.high_pass_hz
+        else raw
+    )
+
+
+def _findings(recorded: Recorded, trial: Trial) -> tuple[Finding, ...]:
+    """What the samples cannot say: the command at its end, an escape that the sentinel saw, what
+    was lost, and that K < 0 pushes the device away for ever: at a low enough frequency it is
+    active, however long the record.
+    """
+    found = []
+    most = recorded.max_command_n
+    limit = recorded.command_limit_n
+    if most is not None and limit is not None and most >= limit * (1.0 - AT_LIMIT):
+        message = f"command saturated at {limit:.3g} N; lower the perturbation or the stiffness"
+        found.append(Finding("saturation", message, voids=True))
+    if recorded.ended.startswith("escape"):
+        found.append(Finding("escape", recorded.ended, unstable=True))
+    elif recorded.ended and not recorded.ended.startswith("decided"):
+        found.append(
+            Finding("ended", recorded.ended, voids=recorded.ended.startswith(("changed", "travel")))
+        )
+    if (stiffness := trial.environment[0]) < 0.0:
+        message = f"K = {stiffness:g} N/m: below every band a negative stiffness is active"
+        found.append(Finding("negative_stiffness", message, voids=True))
+    return (*found, *loss_findings(recorded.more))
+
+
+def _predicted(plan: TrialPlan, z: Impedance) -> Complexes | None:
+    shown = plan.display
+    trial = plan.params.trial
+    at = z.frequency_hz > 0.0
+    if shown is None:
+        return None
+    found = np.full(at.size, np.nan + 0j)
+    asked = trial.damping_ns_per_m, shown.filters, shown.perturbation
+    found[at] = predicted_impedance(shown.model, trial.environment, z.frequency_hz[at], *asked)
+    return np.asarray(found - 2j * np.pi * z.frequency_hz * plan.params.behind_mass_kg)
+
+
+def summary(result: TrialResult, referee: Referee | None = None) -> dict[str, Any]:
+    """Verdict and everything that it depends on; SI units."""
+    params = result.plan.params
+    recorded = result.recorded
+    stiffness, damping, mass = params.trial.environment
+    return {
+        "kind": KIND,
+        "simulated": recorded.simulated,
+        "origin": recorded.origin,
+        "verdict": result.verdict,
+        "sentence": str(result.verdict),
+        "ended": recorded.ended,
+        "environment": {
+            "stiffness_n_per_m": stiffness,
+            "damping_ns_per_m": damping,
+            "mass_kg": mass,
+        },
+        "added_damping_ns_per_m": params.trial.damping_ns_per_m,
+        "perturbation": params.trial.excitation,
+        "estimator": result.measured.estimator,
+        "interval_covers": result.covers,
+        "lag": params.lag,
+        "multisine": _multisine(result),
+        "max_command_n": recorded.max_command_n,
+        "command_limit_n": recorded.command_limit_n,
+        "port": result.measured.port,
+        "probe_mass_taken_out_kg": params.behind_mass_kg,
+        "skew_taken_out_s": params.skew_s,
+        "high_pass_taken_out_hz": params.high_pass_hz,
+        "rate_hz": recorded.rate_hz,
+        "seconds": recorded.seconds,
+        "seed": params.trial.excitation.seed,
+        "scene": params.scene.name if params.scene else None,
+        "scene_hash": fingerprint(params.scene) if params.scene else None,
+        **recorded.more,
+        **({} if referee is None else {"stepped_sine": referee}),
+    }
+
+
+def _multisine(result: TrialResult) -> dict[str, Any] | None:
+    """Layout of the record, and the scatter of the two kinds over the band."""
+    if result.plan.params.multisine is None or not isinstance(result.spectra, PeriodicSpectra):
+        return None
+    periods, realisations = result.spectra.scatter(result.verdict.band_hz)
+    return {
+        "realisations": result.spectra.realisations,
+        "periods": result.spectra.periods,
+        "period_samples": PERIOD,
+        "scatter_between_periods": periods,
+        "scatter_between_realisations": realisations,
+    }
+
+
+def write(
+    folder: Path, result: TrialResult, provenance: Mapping[str, Any], referee: Referee | None = None
+) -> Path:
+    """The run folder. ConfigError if it cannot be written to."""
+    texts = {IMPEDANCE: impedance_csv(result.measured)}
+    return write_run(
+        folder, {**summary(result, referee), "provenance": provenance}, result.recorded, texts
+    )
+
+
+def impedance_csv(measured: Impedance) -> str:
+    """Z(f) as text: frequency, real and imaginary part, standard deviation of the complex
+    value, coherence.
+    """
+    z = measured.impedance_ns_per_m
+    columns = np.column_stack(
+        (measured.frequency_hz, z.real, z.imag, measured.sd_ns_per_m, measured.coherence)
+    )
+    rows = (
+        ",".join(f"{value:.9g}" if np.isfinite(value) else "" for value in row) for row in columns
+    )
+    return "\n".join((",".join(COLUMNS), *rows, ""))

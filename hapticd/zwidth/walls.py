@@ -1,0 +1,197 @@
+"""Virtual walls: how stiff a wall may be at each virtual damping before an impact sets it
+oscillating (Weir 2008, Fig. 2).
+
+The device meets the wall as the scene says (its start velocity, a push against it). A wall is
+stable if after `settle_s` nothing moves to and fro faster than `still_m_per_s`, and the trial has
+not diverged. To and fro: into a soft and strongly damped wall the push creeps for B/K seconds, 0.3
+s and more, and that is no oscillation. This is neither passivity nor coupled stability: it is one
+impact of one device without a hand, and says what the plot of many papers says. K is raised step by
+step; the boundary is the last stable wall below the first that is not, and found again between the
+two.
+
+Params -> plan_walls -> Plan -> run_walls -> Result.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from math import inf
+
+import numpy as np
+
+from hapticd.analysis.arrays import Values
+from hapticd.engine import simulate
+from hapticd.errors import AnalysisError
+from hapticd.plant.compose import compose
+from hapticd.plant.model import Model
+from hapticd.plant.scene import Scene
+from hapticd.zwidth.store import Progress, Steps, silent
+
+FINER = 6  # steps between the last stable and the first unstable wall
+
+
+@dataclass(frozen=True, slots=True)
+class WallParams:
+    """`scene` has a wall, and something that meets it. Stiffnesses [N/m] ascend; dampings
+    [Ns/m] of the wall; `levels` [Ns/m].
+    """
+
+    scene: Scene
+    stiffnesses: tuple[float, ...]
+    dampings: tuple[float, ...]
+    levels: tuple[float, ...] = (0.0, 1.74)
+    settle_s: float = 1.5
+    still_m_per_s: float = 2e-3
+
+
+@dataclass(frozen=True, eq=False)
+class WallPlan:
+    """The composed device and its impacts, a line of stiffnesses for each damping and level."""
+
+    params: WallParams
+    model: Model
+    lines: tuple[tuple[float, float], ...]  # level, damping
+
+
+@dataclass(frozen=True, slots=True)
+class Impact:
+    """One impact: `late_m_per_s` is the largest speed reached both ways after `settle_s`,
+    `deepest_m` how far the wall gave way.
+    """
+
+    damping_ns_per_m: float
+    wall_stiffness_n_per_m: float
+    wall_damping_ns_per_m: float
+    stable: bool
+    late_m_per_s: float
+    deepest_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class WallLine:
+    """At one level and wall damping: the stiffest stable wall (0: none), `open` if the stiffest
+    that was tried is stable.
+    """
+
+    damping_ns_per_m: float
+    wall_damping_ns_per_m: float
+    highest_n_per_m: float
+    open: bool
+    impacts: tuple[Impact, ...]
+
+    @property
+    def first_unstable_n_per_m(self) -> float:
+        """The softest wall that oscillated: the boundary lies between it and `highest_n_per_m`;
+        inf if none did.
+        """
+        return min(
+            (impact.wall_stiffness_n_per_m for impact in self.impacts if not impact.stable),
+            default=inf,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class WallResult:
+    """A line for each level and damping, in the order of the plan."""
+
+    plan: WallPlan
+    lines: tuple[WallLine, ...]
+
+    def at(self, level: float) -> tuple[WallLine, ...]:
+        """The boundary at one electrical damping, by wall damping."""
+        return tuple(line for line in self.lines if line.damping_ns_per_m == level)
+
+
+def plan_walls(params: WallParams) -> WallPlan:
+    """AnalysisError for a scene without a wall, or shorter than the time to settle; ConfigError
+    as `compose`.
+    """
+    scene = params.scene
+    if scene.environment.wall.side == 0:
+        raise AnalysisError(
+            f"scene {scene.name}: it has no wall to hit; give it [environment.wall] with a side, as"
+            " scene 'wall'"
+        )
+    if not params.still_m_per_s > 0.0:
+        raise AnalysisError(
+            f"a wall at rest at {params.still_m_per_s:g} m/s: must be above 0; 0.002 is usual"
+        )
+    if not 0.0 <= params.settle_s < scene.seconds:
+        raise AnalysisError(
+            f"scene {scene.name} lasts {scene.seconds:g} s; to settle {params.settle_s:g} s are"
+            " allowed: lengthen it, or allow less"
+        )
+    if (
+        not params.stiffnesses
+        or any(np.diff(params.stiffnesses) <= 0.0)
+        or params.stiffnesses[0] <= 0.0
+    ):
+        raise AnalysisError("wall stiffnesses: an ascending list above 0 N/m is needed")
+    return WallPlan(params, compose(scene), tuple(product(params.levels, params.dampings)))
+
+
+def run_walls(plan: WallPlan, tell: Progress = silent) -> WallResult:
+    """Hit them all; milliseconds an impact."""
+    steps = Steps(tell, len(plan.lines))
+    lines = []
+    for level, damping in plan.lines:
+        steps.next(f"walls, added damping {level:g} N s/m")
+        lines.append(_line(plan, level, damping))
+    steps.end()
+    return WallResult(plan, tuple(lines))
+
+
+def _line(plan: WallPlan, level: float, damping: float) -> WallLine:
+    impacts = list(_upwards(plan, level, damping, plan.params.stiffnesses))
+    stable = [impact.wall_stiffness_n_per_m for impact in impacts if impact.stable]
+    if stable and len(stable) < len(impacts):
+        between = np.geomspace(stable[-1], impacts[-1].wall_stiffness_n_per_m, FINER + 1)[1:-1]
+        impacts += _upwards(plan, level, damping, between.tolist())
+    highest = max(
+        (impact.wall_stiffness_n_per_m for impact in impacts if impact.stable), default=0.0
+    )
+    return WallLine(
+        level, damping, highest, all(impact.stable for impact in impacts), tuple(impacts)
+    )
+
+
+def _upwards(
+    plan: WallPlan, level: float, damping: float, stiffnesses: Sequence[float]
+) -> Iterator[Impact]:
+    """Stiffer and stiffer walls, up to and with the first that is not stable."""
+    for stiffness in stiffnesses:
+        impact = hit(plan, level, stiffness, damping)
+        yield impact
+        if not impact.stable:
+            return
+
+
+def hit(plan: WallPlan, level: float, stiffness: float, damping: float) -> Impact:
+    """One impact at electrical damping `level` [Ns/m] on a wall of `stiffness` [N/m] and
+    `damping` [Ns/m].
+    """
+    scene = plan.params.scene
+    params = plan.params
+    wall = replace(scene.environment.wall, stiffness_n_per_m=stiffness, damping_ns_per_m=damping)
+    found = simulate(
+        plan.model,
+        [[0.0, 0.0, 0.0]],
+        scene.seconds,
+        damping=level,
+        environment=replace(scene.environment, wall=wall),
+        excitation=scene.excitation,
+        start=(scene.start_position_m, scene.start_velocity_m_per_s),
+        keep="ticks",
+    )
+    (_, velocity), (position_m, _) = found.record(0), found.traces(0)
+    late = to_and_fro(velocity[int(params.settle_s * found.rate_hz) :])
+    deepest = float((wall.side * (position_m - wall.position_m)).max(initial=0.0))
+    stable = not found.diverged[0] and late < params.still_m_per_s
+    return Impact(level, stiffness, damping, bool(stable), late, deepest)
+
+
+def to_and_fro(velocity_m_per_s: Values) -> float:
+    """The largest speed that is reached both ways [m/s]; 0 for a motion in one direction."""
+    return max(
+        0.0, float(min(velocity_m_per_s.max(initial=0.0), -velocity_m_per_s.min(initial=0.0)))
+    )

@@ -1,0 +1,309 @@
+"""Watching a trial: the sentinel that ends it before its time, and what was lost on its way.
+
+The sentinel watches a trial while it runs and ends it for
+
+    escape        the velocity of a second is four times that of the calm ones (the rule of
+                  `analysis.findings`) and the force did not grow with it; or faster than the
+                  device's own limit, where that is known; or the commanded force reached its limit
+                  in a motion that the perturbation does not explain, as a loop that ran away before
+                  the record began. Fast alone is no escape: a linear device moves as fast as it is
+                  pushed
+    saturation    a channel stands at its end in more than a hundredth of a second's samples, or the
+                  commanded force reached its limit: what is rendered then is not what was asked.
+                  The second after it is still looked at, because a loop that runs away reaches the
+                  limit first
+    travel        the device stands at an end of its travel: what is measured there is the stop
+    heat          the winding is hotter than asked
+    decided       asked to stop when the verdict stands (`until_decided`), it does
+
+and says at any time how many seconds would buy the confidence that was asked for. It looks at whole
+seconds, so a record that it ends holds the second that was wrong: the verdict on that record says
+the same again.
+
+What would break it: a perturbation that is not stationary, such as a stepped sine; do not let it
+watch one. Under a force that repeats it gives no verdict on the way (`random` is False), for its
+spectra are those of noise.
+
+Samples of the probe and slots of the servo that were lost are filled, counted and named. A record
+whose gaps are closed up jumps at every one of them, and a jump is noise at all frequencies: half a
+per cent lost by sixes took more than half of |Z| at 2 Hz over a spring of 500 N/m. So what is
+missing keeps its place in time:
+
+    up to 10 ms       a straight line in both channels: 1 % lost by sixes changes |Z| by 3 % where
+                      it is worst
+    longer            silence in both: a line would be a push that never was
+
+A lost slot is another matter: the servo left out a tick, the command before stood longer, and what
+was rendered was not what was asked. No analysis puts that right. A record that lost more than a
+hundredth of either decides nothing.
+
+A file whose column of times shows that rows are missing (`times`) is treated alike.
+
+What would break the filling: gaps that come with the motion (a board that loses what is fast); they
+come with the host's load.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from math import inf, nan
+from typing import Any
+
+import numpy as np
+
+from hapticd.analysis.arrays import Flags, Floats, Integers
+from hapticd.analysis.findings import ESCAPE_RATIO, Finding
+from hapticd.analysis.impedance import Estimator
+from hapticd.analysis.spectra import DEFAULT_LAG, Spectra, SpectralStream
+from hapticd.analysis.verdict import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge, needed
+from hapticd.zwidth.store import Recorded
+
+BRIDGED = 40  # samples at most: 10 ms
+MOST_LOST = 0.01  # share of samples or slots above which nothing is decided
+COUNTS = ("lost_samples", "samples", "lost_slots", "slots")  # as the run's summary names them
+REMEDY_OF_FILES = "rows are missing by the times in the file, record again without gaps"
+BETTER = "h_force reads |Z| better than spa"
+REMEDY = "close other programs on this computer, see `hapticd doctor`"
+CALM_SECONDS = 4  # before which nothing is known of calm
+SATURATED_SHARE = 0.01
+AT_LIMIT = 1e-9  # of a limit, below which it counts as reached
+# unexplained over explained power, times limit over perturbation: stable displays have 2 at most,
+# escapes 40
+OWN = 4.0
+LOOK_S = 5.0  # between verdicts
+CENTRING_N_PER_M = (
+    20.0  # a stiffness that holds a free display against the paper's noise within a few millimetres
+)
+
+
+class Filler:
+    """Puts blocks of numbered samples into even time; one for each stream."""
+
+    def __init__(self) -> None:
+        self._last: tuple[int, Floats] | None = None  # number and values of the last sample
+
+    def filled(self, index: Integers, values: Floats) -> tuple[Floats, Flags]:
+        """`values` (channels, n) of the samples numbered `index` (n,), with those that are missing
+        between them and since the block before; beside them which came (m,). Numbers that fall back
+        begin anew.
+        """
+        whole = index.astype(np.int64)
+        known = values
+        if self._last is not None and self._last[0] < whole[0]:
+            whole = np.concatenate(([self._last[0]], whole))
+            known = np.column_stack((self._last[1], known))
+        skip = whole.size - index.size
+        self._last = int(index[-1]), values[:, -1]
+        place = whole - whole[0]
+        at = np.arange(place[-1] + 1)
+        came = np.isin(at, place)
+        silent = np.repeat(np.diff(place) > BRIDGED + 1, np.diff(place))
+        full = np.stack([np.interp(at, place, channel) for channel in known])
+        full[:, 1:][:, silent & ~came[1:]] = 0.0
+        return full[:, skip:], came[skip:]
+
+
+def in_even_time(recorded: Recorded, place: Integers) -> Recorded:
+    """`recorded`, its samples those at `place` (n,), with what is missing between them filled
+    in and counted.
+    """
+    (force, velocity), came = Filler().filled(
+        place, np.stack((recorded.force_n, recorded.velocity_m_per_s))
+    )
+    lost = {"lost_samples": int((~came).sum()), "samples": came.size}
+    return replace(
+        recorded, force_n=force, velocity_m_per_s=velocity, more={**recorded.more, **lost}
+    )
+
+
+def loss_findings(counts: Mapping[str, Any]) -> tuple[Finding, ...]:
+    """Lost samples and slots by `counts` (`COUNTS`, those that are known), each with value,
+    share and remedy.
+    """
+    remedy = REMEDY if "slots" in counts else REMEDY_OF_FILES
+    known = (
+        (
+            "samples",
+            "samples of the probe",
+            "they were filled in, and lower the coherence",
+            f"{remedy}; {BETTER}",
+        ),
+        ("slots", "slots of the servo", "the command before them stood longer than asked", REMEDY),
+    )
+    return tuple(
+        _lost(f"lost_{name}", what, counts[f"lost_{name}"], counts[name], so, remedy)
+        for name, what, so, remedy in known
+        if counts.get(f"lost_{name}")
+    )
+
+
+def _lost(code: str, what: str, lost: int, total: int, so: str, remedy: str) -> Finding:
+    share = lost / total
+    void = f"; above {100 * MOST_LOST:g} % nothing is decided" if share > MOST_LOST else ""
+    words = f"{what} lost: {lost} of {total}, {100.0 * share:.2g} %; {so}{void}: {remedy}"
+    return Finding(code, words, voids=share > MOST_LOST)
+
+
+def summed(parts: list[Mapping[str, Any]]) -> dict[str, int]:
+    """Counts of several records together; none where the records have none."""
+    return {
+        name: sum(part[name] for part in parts)
+        for name in COUNTS
+        if all(name in part for part in parts)
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """What a trial is watched for. Limits are those of the channels; inf where there are none."""
+
+    band_hz: tuple[float, float] = DEFAULT_BAND_HZ
+    confidence: float = 0.95
+    estimator: Estimator = "spa"
+    force_limit_n: float = inf
+    velocity_limit_m_per_s: float = inf
+    winding_limit_c: float = inf
+    command_limit_n: float = inf  # of the force that the servo commands
+    travel_m: tuple[float, float] = (-inf, inf)  # usable positions
+    speed_limit_m_per_s: float = inf  # of the device: faster is no motion of it
+    until_decided: bool = False
+    random: bool = True  # the perturbation is noise
+
+
+class Sentinel:
+    """Fed with a record as it arrives; `reason` says why the trial should end, "" as long as it
+    should not.
+    """
+
+    def __init__(self, watch: Watch, rate_hz: float) -> None:
+        self.reason = ""
+        self.seconds_needed = (
+            nan  # of a record like this one, for a decision; nan before there is a verdict
+        )
+        self.max_command_n = 0.0  # largest so far
+        self._watch = watch
+        self._rate_hz = rate_hz
+        self._at_limit = False  # the command was, by the end of the second before
+        self._stream = SpectralStream(rate_hz)
+        self._rms: list[tuple[float, float]] = []  # of force and velocity, a second each
+        self._rest = np.empty((2, 0))  # force and velocity of less than a second
+        self._next_look_s = LEAST_FREEDOM * 0.375 * DEFAULT_LAG / rate_hz + 1.0
+
+    @property
+    def seconds(self) -> float:
+        """Whole seconds seen."""
+        return self._stream.n_samples / self._rate_hz
+
+    @property
+    def outlook(self) -> str:
+        """How the recording stands, in words."""
+        if np.isnan(self.seconds_needed):
+            return "recording"
+        if self.seconds_needed <= self.seconds:
+            return "recording; the verdict stands"
+        return f"recording; {needed(self.seconds_needed, self.seconds)}"
+
+    def see(
+        self,
+        force_n: Floats,
+        velocity_m_per_s: Floats,
+        winding_c: float = nan,
+        command_n: float = 0.0,
+        between_m: tuple[float, float] = (nan, nan),
+    ) -> str:
+        """Look at the next samples, both (n,); the reason to end, or "". Beside them were
+        `command_n`, the largest command, and positions `between_m`.
+        """
+        self.max_command_n = max(self.max_command_n, command_n)
+        self._rest = np.column_stack((self._rest, np.stack((force_n, velocity_m_per_s))))
+        second = round(self._rate_hz)
+        while self._rest.shape[1] >= second and not self.reason:
+            force, velocity = self._rest[:, :second]
+            self._rest = self._rest[:, second:]
+            self._look_at(force, velocity)
+        if not self.reason:
+            self.reason = self._at_end(*between_m)
+        if winding_c > self._watch.winding_limit_c:
+            self.reason = (
+                f"heat: the winding is at {winding_c:.3g} degC, limit"
+                f" {self._watch.winding_limit_c:g}; let it cool"
+            )
+        return self.reason
+
+    def _at_end(self, least_m: float, most_m: float) -> str:
+        lower_m, upper_m = self._watch.travel_m
+        if not (least_m < lower_m or most_m > upper_m):
+            return ""
+        at_m = least_m if least_m < lower_m else most_m
+        return (
+            f"travel: the device stands at {1e3 * at_m:.3g} mm, its travel ends at"
+            f" {1e3 * lower_m:.3g} and {1e3 * upper_m:.3g} mm; centre it, and render a small"
+            f" stiffness that holds it there (-K {CENTRING_N_PER_M:g})"
+        )
+
+    def _look_at(self, force: Floats, velocity: Floats) -> None:
+        self._stream.add(force, velocity)
+        pushed = float(np.std(force))
+        rms = float(np.std(velocity))
+        for name, signal, limit in (
+            ("torque", force, self._watch.force_limit_n),
+            ("velocity", velocity, self._watch.velocity_limit_m_per_s),
+        ):
+            share = float(np.mean(np.abs(signal) >= limit))
+            if share > SATURATED_SHARE:
+                self.reason = (
+                    f"saturation: {name} at its end of {limit:.4g} in {100 * share:.2g} % of a"
+                    " second's samples"
+                )
+        if self._at_limit:
+            self.reason = self._at_its_limit(pushed)
+        self._at_limit = self.max_command_n >= self._watch.command_limit_n * (1.0 - AT_LIMIT)
+        if rms > min(self._watch.speed_limit_m_per_s, ESCAPE_RATIO * self._calm(pushed)):
+            self.reason = (
+                f"escape: velocity of {rms:.3g} m/s rms after {self.seconds:.0f} s; the loop is not"
+                " stable there"
+            )
+        self._rms.append((pushed, rms))
+        if not self.reason and self._watch.random and self.seconds >= self._next_look_s:
+            self._next_look_s += LOOK_S
+            self._decide()
+
+    def _at_its_limit(self, pushed: float) -> str:
+        """A command that reached its limit: of a loop that moves by itself, or of one that was
+        pushed too hard.
+        """
+        limit_n = self._watch.command_limit_n
+        if self._watch.random and _own(self._stream.spectra()) * limit_n > OWN * pushed:
+            return (
+                f"escape: the command reached its limit of {limit_n:.3g} N in a motion of its own;"
+                " the loop is not stable there"
+            )
+        return f"saturation: the command reached its limit of {limit_n:.3g} N"
+
+    def _calm(self, pushed: float) -> float:
+        """Velocity of the calm seconds, as it would be under as much force as `pushed`, if that
+        is more.
+        """
+        if len(self._rms) < CALM_SECONDS:
+            return inf
+        usual, calm = (float(value) for value in np.quantile(self._rms, 0.25, axis=0))
+        return calm * max(1.0, pushed / usual) if usual > 0.0 else inf
+
+    def _decide(self) -> None:
+        watch = self._watch
+        found = judge(
+            self._stream.spectra(),
+            None,
+            watch.band_hz,
+            watch.confidence,
+            watch.estimator,
+            channels=False,
+        )
+        self.seconds_needed = found.seconds_needed
+        if watch.until_decided and found.answer != "undecided":
+            self.reason = f"decided after {self.seconds:.0f} s"
+
+
+def _own(trial: Spectra) -> float:
+    """Power of the velocity that the perturbation does not explain, over what it does."""
+    explained = float((trial.velocity * trial.coherence).sum())
+    return float(trial.velocity.sum()) / explained - 1.0 if explained > 0.0 else inf

@@ -1,0 +1,152 @@
+"""A live trial that somebody meddles with: named, never judged as what it was not, and always
+left disabled.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hapticd.assembly.lockstep import scene_params
+from hapticd.errors import CommandError
+from hapticd.mailbox.layout import Command, Value
+from hapticd.settings.scene import load_scene
+from hapticd.zwidth.live import bench_source
+from hapticd.zwidth.lockstep import LockStepBench
+from hapticd.zwidth.simulated import engine_source
+from hapticd.zwidth.sources import Trial
+from hapticd.zwidth.stepped_sine import may_follow, stepped_sine
+from hapticd.zwidth.store import Recorded
+from hapticd.zwidth.trial import TrialParams, plan_trial, run_trial
+
+SECONDS = 6.0
+RIGID = """
+title = "a rigid display"
+device = "ideal"
+effects = ["probe", "viscous"]
+[environment]
+stiffness_n_per_m = 100.0
+[excitation]
+kind = "noise"
+"""
+
+
+@pytest.fixture
+def rigid(tmp_path):
+    path = tmp_path / "rigid.toml"
+    path.write_text(RIGID)
+    return path
+
+
+class Meddled(LockStepBench):
+    """Someone else acts once, after the `count`-th look of half a second."""
+
+    act = None
+    count = 11
+
+    def messages(self, topics, look_s=0.05):
+        looks = 0
+        for message in super().messages(topics, look_s):
+            looks += message is None
+            if looks == self.count and message is None:
+                self.act()
+            yield message
+
+
+def flown(rigid, act):
+    plan = plan_trial(TrialParams(Trial((100.0, 1.0, 0.0), seconds=SECONDS)))
+    with Meddled(*scene_params(rigid)) as bench:
+        bench.act = lambda: act(bench)
+        found = run_trial(plan, bench_source(bench))
+        assert bench.status()["state"] == "disabled"
+        assert not bench.newest["perturbing"]
+    return found
+
+
+@pytest.mark.parametrize(
+    "act",
+    [
+        lambda bench: bench.set(K=400.0, B=1.0, M=0.0, damping=0.0),
+        lambda bench: bench.stack.do(
+            Command.DAMPING, {Value.ADDED_DAMPING: 1.74, Value.ADDED_DAMPING_ON: 1.0}
+        ),
+        lambda bench: bench.perturb_stop(),
+    ],
+    ids=["environment", "damping", "perturbation"],
+)
+def test_trial_that_someone_changes_is_undecided(rigid, act):
+    found = flown(rigid, act)
+    assert found.verdict.answer == "undecided"
+    assert found.verdict.stability == "stable"
+    assert found.recorded.seconds < SECONDS
+    assert "someone changed what was rendered or the perturbation" in str(found.verdict)
+
+
+class Looped(LockStepBench):
+    """Remembers whether the waveform was to be repeated."""
+
+    looped = None
+
+    def perturb_start(self, loop=False):
+        self.looped = loop
+        super().perturb_start(loop)
+
+
+@pytest.mark.parametrize(
+    ("waveform_n", "looped"), [(None, False), (0.1 * np.sin(np.arange(4096)), True)]
+)
+def test_waveform_that_is_long_enough_ends_by_itself(rigid, waveform_n, looped):
+    """A client that is killed leaves nothing that shakes for ever."""
+    with Looped(*scene_params(rigid)) as bench:
+        bench_source(bench)(
+            Trial((100.0, 1.0, 0.0), seconds=2.0, waveform_n=waveform_n),
+            lambda what, done, total: None,
+        )
+        assert bench.looped is looped
+
+
+def test_trial_that_someone_ends_says_so(rigid):
+    found = flown(rigid, lambda bench: bench.disable())
+    assert found.recorded.ended == "disabled: somebody ended it"
+
+
+def test_servo_is_disabled_though_the_perturbation_refuses_to_stop(rigid):
+    class Stubborn(LockStepBench):
+        def perturb_stop(self):
+            raise CommandError("refused", "not now")
+
+    with Stubborn(*scene_params(rigid)) as bench:
+        with pytest.raises(CommandError, match="not now"):
+            bench_source(bench)(Trial(seconds=1.0), lambda *_: None)
+        assert bench.status()["state"] == "disabled"
+
+
+def test_stepped_sine_does_not_enable_what_someone_disabled(rigid):
+    """Whoever switches a device off wants it off, not eleven more sines."""
+    flown_hz = []
+
+    def record(trial, tell):
+        flown_hz.append(len(flown_hz))
+        ended = "disabled: somebody ended it" if len(flown_hz) == 2 else ""
+        found = engine_source(load_scene(rigid))(trial, tell)
+        return replace(found, ended=ended)
+
+    found = stepped_sine(Trial((100.0, 1.0, 0.0)), record, frequency_hz=(8.0, 21.0, 55.0, 144.0))
+    assert len(flown_hz) == 2
+    assert np.isfinite(found.impedance_ns_per_m[0])
+    assert np.isnan(found.impedance_ns_per_m[1:]).all()
+
+
+@pytest.mark.parametrize(
+    ("ended", "again"),
+    [
+        ("", True),
+        ("escape: x", True),
+        ("decided: x", True),
+        ("heat: x", False),
+        ("stopped: x", False),
+        ("changed: x", False),
+    ],
+)
+def test_what_ended_a_trial_says_whether_another_may_follow(ended, again):
+    assert may_follow(Recorded(np.zeros(1), np.zeros(1), 4000.0, "made", True, ended)) == again

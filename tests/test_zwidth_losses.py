@@ -1,0 +1,263 @@
+"""What is lost on the way of a live trial is filled in, counted and named; and where the device
+stands is watched.
+"""
+
+from dataclasses import replace
+
+import msgpack
+import numpy as np
+import pytest
+from measured_scenes import RIGID
+
+from hapticd.analysis.impedance import impedance
+from hapticd.analysis.spectra import spa
+from hapticd.assembly.lockstep import scene_params
+from hapticd.client.blocks import BlockDecoder
+from hapticd.errors import AnalysisError
+from hapticd.plant.scene import Excitation
+from hapticd.settings.build import board_params, servo_params
+from hapticd.settings.load import load
+from hapticd.settings.toml import shipped
+from hapticd.zwidth.live import bench_source
+from hapticd.zwidth.lockstep import LockStepBench
+from hapticd.zwidth.sources import Trial
+from hapticd.zwidth.store import Recorded, nearer
+from hapticd.zwidth.trial import (
+    Layout,
+    TrialParams,
+    judged,
+    multisine_like,
+    plan_trial,
+    realised,
+    run_trial,
+    summary,
+)
+from hapticd.zwidth.watch import Filler, Sentinel, Watch, loss_findings, summed
+
+SECONDS = 20.0
+TRIAL = Trial((100.0, 1.0, 0.0), seconds=SECONDS)
+
+
+@pytest.fixture
+def rigid(tmp_path):
+    path = tmp_path / "rigid.toml"
+    path.write_text(RIGID)
+    return path
+
+
+def unpacked(payload):
+    """Header with everything, and the records to change."""
+    return msgpack.unpackb(payload, use_list=False), BlockDecoder().decode(payload).records.copy()
+
+
+class Lossy(LockStepBench):
+    """A busy host: `share` of the probe's samples never come, by sixes, and of the servo's
+    slots.
+    """
+
+    share = 0.0
+    slots = 0.0
+    seed = 3
+
+    def messages(self, topics, look_s=0.05):
+        random = np.random.default_rng(self.seed)
+        gone = 0
+        for message in super().messages(topics, look_s):
+            if message is None:
+                yield None
+                continue
+            topic, payload = message
+            content, records = unpacked(payload)
+            if topic == "probe":
+                sixes = records["index"] // 6
+                keep = np.ones(len(records), bool)
+                for six in np.unique(sixes)[1:-1]:
+                    keep[sixes == six] = random.random() >= self.share
+                records = records[keep]
+            else:
+                lost = gone + np.cumsum(random.random(len(records)) < self.slots)
+                gone, records["lost_slots"] = int(lost[-1]), lost
+            yield topic, msgpack.packb({**content, "n": len(records), "d": records.tobytes()})
+
+
+def flown(rigid, share=0.0, slots=0.0, trial=TRIAL):
+    with Lossy(*scene_params(rigid)) as bench:
+        bench.share = share
+        bench.slots = slots
+        return run_trial(plan_trial(TrialParams(trial)), bench_source(bench))
+
+
+def test_lost_samples_keep_their_place_in_time(rigid):
+    """Closed up, half a per cent of gaps took more than half of |Z| at 2 Hz over a spring of
+    500 N/m.
+    """
+    light = replace(TRIAL, environment=(500.0, 0.0, 0.0))
+    whole = flown(rigid, trial=light)
+    lossy = flown(rigid, share=0.005, trial=light)
+    size, read = (np.abs(one.measured.impedance_ns_per_m[2:6]) for one in (whole, lossy))
+    assert np.abs(read / size - 1.0).max() < 0.1
+    assert lossy.recorded.force_n.size == whole.recorded.force_n.size
+    assert np.mean(lossy.recorded.force_n == whole.recorded.force_n) > 0.99
+
+
+def test_lost_samples_are_counted_and_named(rigid):
+    found = flown(rigid, share=0.005)
+    lost = found.recorded.more["lost_samples"]
+    assert lost == pytest.approx(400, rel=0.3)
+    (finding,) = (one for one in found.verdict.findings if one.code == "lost_samples")
+    assert finding.message.startswith(f"samples of the probe lost: {lost} of 80000, 0.")
+    assert (
+        "close other programs on this computer, see `hapticd doctor`; h_force reads |Z| better"
+        " than spa" in finding.message
+    )
+    assert not finding.voids
+    assert summary(found)["lost_samples"] == lost
+
+
+def test_many_lost_samples_leave_nothing_decided(rigid):
+    found = flown(rigid, share=0.03)
+    assert found.verdict.answer == "undecided"
+    assert "above 1 % nothing is decided: close other programs" in str(found.verdict)
+
+
+@pytest.mark.parametrize(("share", "answer"), [(0.003, "passive"), (0.025, "undecided")])
+def test_lost_slots_are_counted_and_named(rigid, share, answer):
+    found = flown(rigid, slots=share)
+    told = summary(found)
+    assert told["lost_slots"] == pytest.approx(share * 21_000, rel=0.3)
+    assert found.verdict.answer == answer
+    assert f"slots of the servo lost: {told['lost_slots']} of {told['slots']}, {share * 100:.0g}"[
+        :-1
+    ] in str(found.verdict)
+    assert "the command before them stood longer than asked" in str(found.verdict)
+
+
+def test_whole_trial_has_lost_nothing(rigid):
+    found = flown(rigid)
+    assert (found.recorded.more["lost_samples"], found.recorded.more["lost_slots"]) == (0, 0)
+    assert "lost" not in str(found.verdict)
+
+
+def test_losses_of_realisations_add_up(rigid):
+    with Lossy(*scene_params(rigid)) as bench:
+        bench.slots = 0.01
+        excitation = multisine_like(Excitation("noise"), 500.0)
+        found = realised(replace(TRIAL, excitation=excitation), Layout(2, 1), bench_source(bench))
+    assert found.more["samples"] == pytest.approx(2 * 8232, abs=10)
+    assert found.more["slots"] > 2 * 3000
+    assert summed([{"lost_slots": 2, "slots": 10}, {"lost_slots": 3}]) == {"lost_slots": 5}
+    assert loss_findings({}) == ()
+
+
+def test_short_gap_is_bridged_and_a_long_one_is_silent():
+    filler = Filler()
+    ramp = np.arange(1.0, 300.0)
+    first, came = filler.filled(np.array([7, 8, 9]), np.stack((ramp[7:10], -ramp[7:10])))
+    assert came.all()
+    assert np.array_equal(first[0], ramp[7:10])
+    index = np.array([12, 13, 15, 56])  # gaps of 2, 1 and 40
+    second, came = filler.filled(index, np.stack((ramp[index], -ramp[index])))
+    assert second.shape == (2, 47)
+    assert np.allclose(second[0], ramp[10:57])
+    assert np.allclose(second[1], -ramp[10:57])
+    assert came.sum() == 4
+    third, came = filler.filled(
+        np.array([98, 99]), np.stack((ramp[98:100], ramp[98:100]))
+    )  # a gap of 41
+    assert not third[:, :41].any()
+    assert np.array_equal(third[0, 41:], ramp[98:100])
+    assert came.sum() == 2
+    again, came = filler.filled(np.array([0, 1]), np.zeros((2, 2)))  # the board began anew
+    assert again.shape == (2, 2)
+    assert came.all()
+
+
+def test_bridge_spoils_the_impedance_less_than_closing_up():
+    """A mass of 8 g on 500 N/m in numbers: what is named of a trial that lost a hundredth by
+    sixes.
+    """
+    from spectral_trials import mass_damper, record
+
+    force, velocity = record(mass_damper(0.008, 1.0, 500.0), 1, 120_000)
+    came = np.repeat(np.random.default_rng(2).random(20_000) >= 0.01, 6)
+    came[0] = True
+    filled, _ = Filler().filled(np.flatnonzero(came), np.stack((force, velocity))[:, came])
+    size, bridged, closed = (
+        np.abs(impedance(spa(*signals)).impedance_ns_per_m[2])
+        for signals in ((force, velocity), filled, (force[came], velocity[came]))
+    )
+    assert bridged / size == pytest.approx(1.0, abs=0.1)
+    assert closed / size < 0.7
+
+
+def test_free_device_that_drifts_to_its_stop_ends_its_trial():
+    """K = 0 on the simulated display: 4 s of noise push it 22 mm, and what is measured then is
+    the stop.
+    """
+    settings = load(shipped("config") / "hapticd.toml")
+    with LockStepBench(servo_params(settings, "x"), board_params(settings)) as bench:
+        found = bench_source(bench)(Trial(seconds=60.0), lambda *_: None)
+        assert bench.status()["state"] == "disabled"
+    assert found.ended.startswith("travel: the device stands at ")
+    assert found.ended.endswith(
+        " mm, its travel ends at -20 and 20 mm; centre it, and render a small stiffness that holds"
+        " it there (-K 20)"
+    )
+    assert found.seconds < 20.0
+
+
+def test_device_that_comes_back_from_its_stop_may_be_tried(rigid):
+    """The stiffness that centres it has the second in which the trial settles."""
+
+    class Far(LockStepBench):
+        def messages(self, topics, look_s=0.05):
+            ticks = 0
+            for message in super().messages(topics, look_s):
+                if message is not None and message[0] == "servo.raw":
+                    content, records = unpacked(message[1])
+                    records["position_m"][ticks + np.arange(len(records)) < 900] = 0.0219
+                    ticks += len(records)
+                    message = "servo.raw", msgpack.packb({**content, "d": records.tobytes()})
+                yield message
+
+    with Far(*scene_params(rigid)) as bench:
+        assert bench_source(bench)(replace(TRIAL, seconds=2.0), lambda *_: None).ended == ""
+
+
+def test_device_at_its_stop_leaves_nothing_decided():
+    force = np.random.default_rng(1).normal(0.0, 0.2, 40_000)
+    recorded = Recorded(
+        force, force / 3.0, 4000.0, "made", True, "travel: the device stands at 22 mm"
+    )
+    verdict = judged(plan_trial(TrialParams(Trial())), recorded).verdict
+    assert verdict.answer == "undecided"
+    assert "travel: the device stands at 22 mm" in str(verdict)
+    short = replace(recorded, force_n=force[:8000], velocity_m_per_s=force[:8000])
+    with pytest.raises(
+        AnalysisError,
+        match=r"ended after 2 s \(travel: the device stands at 22 mm\): too short for a verdict$",
+    ):
+        judged(plan_trial(TrialParams(Trial())), short)
+    assert nearer("escape: x") == "; go nearer to 0"
+
+
+@pytest.mark.parametrize(
+    ("between_mm", "ended"), [((-19.9, 20.0), ""), ((-20.1, 3.0), "-20.1"), ((0.0, 21.0), "21")]
+)
+def test_sentinel_knows_the_ends_of_travel(between_mm, ended):
+    sentinel = Sentinel(Watch(travel_m=(-0.02, 0.02)), 4000.0)
+    reason = sentinel.see(
+        np.ones(10), np.ones(10), between_m=(1e-3 * between_mm[0], 1e-3 * between_mm[1])
+    )
+    assert reason.startswith(f"travel: the device stands at {ended} mm") if ended else reason == ""
+
+
+def test_outlook_of_a_recording_is_no_0():
+    sentinel = Sentinel(Watch(), 4000.0)
+    assert sentinel.outlook == "recording"
+    force = np.random.default_rng(1).normal(0.0, 0.2, 40_000)
+    sentinel.see(force, force / 3.0)
+    assert sentinel.seconds_needed < 0.5
+    assert sentinel.outlook == "recording; the verdict stands"
+    sentinel.seconds_needed = 23.4
+    assert sentinel.outlook == "recording; a record like it of some 23 s would decide"
