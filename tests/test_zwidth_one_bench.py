@@ -32,8 +32,8 @@ ONLY = {  # what may be called from where: {called: {module: functions}}
     "fly": {"zwidth.outcomes": {"goes_on"}},
 }
 HOME = {
-    "judge": "analysis.passivity",
-    "axis_limit": "analysis.boundary",
+    "judge": "analysis.verdict",
+    "axis_limit": "analysis.passive_set",
     "bracket": "zwidth.limits",
     "bracketing": "zwidth.limits",
     "run_all": "zwidth.outcomes",
@@ -113,12 +113,12 @@ def test_one_implementation(name: str) -> None:
 
 PLANTED = {
     "judge": (
-        "from hapticd.analysis.passivity import judge as rule\n\ndef passes(trial):\n    return"
+        "from hapticd.analysis.verdict import judge as rule\n\ndef passes(trial):\n    return"
         " rule(trial).within_90_deg\n"
     ),
     "axis_limit": (
-        "from hapticd.analysis import boundary\n\ndef searched(flown):\n    return"
-        " boundary.axis_limit(flown, 0, 2e4)\n"
+        "from hapticd.analysis import passive_set\n\ndef searched(flown):\n    return"
+        " passive_set.axis_limit(flown, 0, 2e4)\n"
     ),
     "fly": (
         "def mine(pool, given):\n    from hapticd.zwidth.outcomes import fly\n\n    return"
