@@ -9,7 +9,7 @@ from analysis_devices import display, rigid
 from spectral_trials import exact_trial, mass_damper
 
 from hapticd.analysis.compare import (
-    Conditions,
+    EnvelopeConditions,
     check_alike,
     differences,
     normalised,
@@ -20,7 +20,14 @@ from hapticd.analysis.compare import (
     widths_db,
     zero_mass_bandwidth_hz,
 )
-from hapticd.analysis.envelope import Trial, accepted, admittance, envelope, of_trial, widened
+from hapticd.analysis.envelope import (
+    EnvelopeTrial,
+    accepted,
+    admittance,
+    envelope,
+    of_trial,
+    widened,
+)
 from hapticd.analysis.impedance import impedance
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.passive_set import (
@@ -38,7 +45,7 @@ from hapticd.errors import AnalysisError
 
 def trial(name, z, coherence=0.99, estimator="h_force"):
     spectra = exact_trial(z, coherence)
-    return Trial(
+    return EnvelopeTrial(
         name, (0.0, 0.0, 0.0), impedance(spectra, estimator), judge(spectra, channels=False)
     )
 
@@ -320,13 +327,13 @@ def measured(scale):
             noise=z.real,
             noise_sd=z.real,
         )
-        edges.append(Trial(str(point), point, exact, SOFT.verdict))
+        edges.append(EnvelopeTrial(str(point), point, exact, SOFT.verdict))
     axes = tuple(
         scale * axis
         for axis in (np.linspace(0, 300, 13), np.linspace(-1, 5, 13), np.linspace(-0.01, 0.01, 9))
     )
     found = passive_set(axes, predict(model, grid(axes), perturbation=push).decided_margin)
-    conditions = Conditions(
+    conditions = EnvelopeConditions(
         f"{scale:g} displays",
         scale * 0.008,
         probe_mass_kg=scale * 0.003,
@@ -370,7 +377,7 @@ def test_normalised_admittance_is_that_of_the_normalised_impedance():
         normalised(found, 0.0)
 
 
-ONE = Conditions("A", 0.008, probe_mass_kg=0.003, perturbation_psd_n2_per_hz=2.5e-5)
+ONE = EnvelopeConditions("A", 0.008, probe_mass_kg=0.003, perturbation_psd_n2_per_hz=2.5e-5)
 
 
 def test_unlike_conditions_are_refused_and_named():
@@ -392,6 +399,6 @@ def test_conditions_that_scale_with_mass_are_compared_per_mass():
         "probe_mass_kg",
         "perturbation_psd_n2_per_hz",
     )
-    doubled = Conditions("B", 0.016, probe_mass_kg=0.006, perturbation_psd_n2_per_hz=1e-4)
+    doubled = EnvelopeConditions("B", 0.016, probe_mass_kg=0.006, perturbation_psd_n2_per_hz=1e-4)
     assert differences(ONE, doubled) == ()
     assert rigid(scale=2.0).mass_kg == pytest.approx(0.016)

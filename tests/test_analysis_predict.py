@@ -14,8 +14,8 @@ from law import environment_tuple
 from hapticd.analysis.impedance import impedance
 from hapticd.analysis.linearise import (
     GAIN,
-    Alone,
-    Moving,
+    LonePort,
+    MovingPort,
     Perturbation,
     density_weights,
     hung,
@@ -450,8 +450,8 @@ def test_deviation_of_a_narrow_resonance_is_that_of_its_closed_form():
     f = np.arange(1.0, 200.0, 2.0)
     for stiffness in np.linspace(60.0, 70.0, 11):
         y = 1.0 / (0.3 + 2j * np.pi * f * 0.008 + stiffness / (2j * np.pi * f))[None]
-        alone = Alone(np.abs(y) ** 2, y.real, y.imag, 0.3)
+        alone = LonePort(np.abs(y) ** 2, y.real, y.imag, 0.3)
         weight = density_weights(f, Perturbation(2.5e-5, 1e9))
         for damper in (0.3, 0.1, 0.01):
-            found = Moving(f, alone, weight).sd(np.array([damper]))[0]
+            found = MovingPort(f, alone, weight).sd(np.array([damper]))[0]
             assert found == pytest.approx(np.sqrt(2.5e-5 / (4.0 * 0.008 * damper)), rel=0.05)

@@ -165,7 +165,7 @@ CLOSE = 0.02  # relative difference of numbers that counts as none
 
 
 @dataclass(frozen=True, slots=True)
-class Conditions:
+class EnvelopeConditions:
     """Under which an envelope was found. `mass_kg` is all that moves at the port; it and
     `device` may differ freely.
     """
@@ -193,18 +193,20 @@ PER_MASS = {
 }  # compared divided by that power of the mass
 
 
-def differences(one: Conditions, other: Conditions) -> tuple[str, ...]:
+def differences(one: EnvelopeConditions, other: EnvelopeConditions) -> tuple[str, ...]:
     """Names of the conditions that are not alike, those proportional to the mass compared per
     mass.
     """
     return tuple(
         item.name
-        for item in fields(Conditions)
+        for item in fields(EnvelopeConditions)
         if item.name not in FREE and not _alike(item.name, one, other)
     )
 
 
-def check_alike(conditions: Sequence[Conditions], allow: Collection[str] = ()) -> tuple[str, ...]:
+def check_alike(
+    conditions: Sequence[EnvelopeConditions], allow: Collection[str] = ()
+) -> tuple[str, ...]:
     """What is unlike the first of them. AnalysisError unless `allow` names all of it.
 
     Alike is also what is so in itself and only unlike per mass: displays of other masses at the
@@ -240,7 +242,7 @@ def normalised(found: Envelope, mass_kg: float) -> Envelope:
     return replace(found, upper=upper, lower=lower)
 
 
-def _alike(name: str, one: Conditions, other: Conditions) -> bool:
+def _alike(name: str, one: EnvelopeConditions, other: EnvelopeConditions) -> bool:
     a = getattr(one, name)
     b = getattr(other, name)
     if not isinstance(a, float):

@@ -203,7 +203,7 @@ _LAST = 0.98 * np.pi  # nearer to half the servo's rate a frequency and its imag
 
 
 @dataclass(frozen=True, eq=False)
-class Reach:
+class ReachCircle:
     """The circle, `centre` (A,) and `radius` (A,), that holds the pulse transfer in every
     passive hand, at `theorem.ANGLES`.
     """
@@ -212,14 +212,14 @@ class Reach:
     radius: Floats
 
 
-def reach(lifted: Lift, friction_ns_per_m: float = 0.0) -> Reach:
+def reach(lifted: Lift, friction_ns_per_m: float = 0.0) -> ReachCircle:
     """Of a device, with that damper on its rotor. Without any damping of its own there is no
     end to it.
     """
     resistance = lifted.resistance + friction_ns_per_m
     if resistance.min() <= 0.0:
-        return Reach(lifted.inner, np.full(lifted.inner.size, _ENDLESS))
-    return Reach(
+        return ReachCircle(lifted.inner, np.full(lifted.inner.size, _ENDLESS))
+    return ReachCircle(
         lifted.inner + 0.5 * (lifted.both / resistance).sum(axis=1),
         0.5 * (np.sqrt(lifted.out * lifted.back) / resistance).sum(axis=1),
     )

@@ -29,7 +29,7 @@ Accept = Literal["judged", "within_90_deg"]
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class EnvelopeTrial:
     """One measured environment: `name`, (K, B, M), its impedance and the verdict on it."""
 
     name: str
@@ -77,7 +77,7 @@ class Envelope:
         return [self.trials[index] for index in edge.owner]
 
 
-def envelope(trials: Iterable[Trial], accept: Accept = "judged") -> Envelope:
+def envelope(trials: Iterable[EnvelopeTrial], accept: Accept = "judged") -> Envelope:
     """Envelope of those of `trials` that are passive: by their verdict, or by the paper's +-90
     degree rule.
 
@@ -103,7 +103,7 @@ def accepted(verdict: Verdict, accept: Accept = "judged") -> bool:
     return verdict.within_90_deg and verdict.stability != "unstable"
 
 
-def of_trial(trial: Trial) -> Envelope:
+def of_trial(trial: EnvelopeTrial) -> Envelope:
     """The envelope of one trial: upper and lower edges are the same line."""
     z = trial.impedance
     return of_one(
@@ -140,7 +140,7 @@ def of_predicted(frequency_hz: Floats, z: Complexes) -> Envelope:
     )  # fmt: skip
 
 
-def widened(found: Envelope, trial: Trial) -> Envelope:
+def widened(found: Envelope, trial: EnvelopeTrial) -> Envelope:
     """`found` with `trial`, which is taken to be passive. AnalysisError if it is unlike the
     ones before.
     """

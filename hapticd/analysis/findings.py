@@ -278,7 +278,7 @@ CHANCE = 3.0  # times the coherence that chance gives on average: below, a line 
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class UnexplainedLine:
     """A narrow line at `place` of the frequencies, in which `share` of the velocity's power is not
     explained; median `coherence` about it.
     """
@@ -334,7 +334,7 @@ def _shrunk(frequency_hz: Floats, coherence: Floats) -> str:
     )
 
 
-def line_of(trial: Spectra) -> Line | None:
+def line_of(trial: Spectra) -> UnexplainedLine | None:
     """The strongest line that is not explained, if it carries enough to be mentioned."""
     if trial.frequency_hz.size <= 4 * LINE_WIDTH:
         return None
@@ -351,7 +351,7 @@ def line_of(trial: Spectra) -> Line | None:
         return None
     about = trial.coherence[peak - LINE_WIDTH // 2 : peak + LINE_WIDTH // 2]
     share = float(close[peak]) / total
-    return Line(peak, float(trial.frequency_hz[peak]), share, float(np.median(about)))
+    return UnexplainedLine(peak, float(trial.frequency_hz[peak]), share, float(np.median(about)))
 
 
 def _line(trial: Spectra) -> tuple[Finding, ...]:

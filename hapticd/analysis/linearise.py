@@ -92,7 +92,7 @@ def linearise(
     sd = np.sqrt(power) if perturbation is not None else np.full(len(points), np.nan)
     calm = np.ones(len(points), np.bool_)
     for port in rubbing:
-        moving = Moving(loop.frequency_hz, _alone(y, level, start, port), weight)
+        moving = MovingPort(loop.frequency_hz, _alone(y, level, start, port), weight)
         for burst in BURSTS:
             calm &= (level[port] / burst) * moving.sd(level[port] / burst) < GAIN * coulomb_n[port]
     return Linearised(1.0 / seen, level, sd, calm)
@@ -141,7 +141,7 @@ def hung(y: Complexes, dampers: Floats, skip: int = -1) -> Complexes:
 
 
 @dataclass(frozen=True, eq=False)
-class Alone:
+class LonePort:
     """A port to which a damper is added: |Y_i0|^2 and Y_ii in parts, (N, F), with `start` N s/m
     on it already.
     """
@@ -158,7 +158,7 @@ class Alone:
         return np.asarray(np.sqrt(power))
 
 
-class Moving:
+class MovingPort:
     """The same port moving more, with less friction: its resonance may be narrower than the grid.
 
     A sum over lines would then see the peak or step over it, and sets would end in teeth. Between
@@ -167,7 +167,7 @@ class Moving:
     0.4 %.
     """
 
-    def __init__(self, frequency_hz: Floats, alone: Alone, weight: Floats) -> None:
+    def __init__(self, frequency_hz: Floats, alone: LonePort, weight: Floats) -> None:
         own = alone.real + 1j * alone.imag
         size = alone.real**2 + alone.imag**2
         self._z = 1.0 / own
@@ -195,7 +195,7 @@ def _straight(q: Floats) -> Floats:
     return 0.5 * np.pi + q * (-1.0 + q * (_BEND + q * (2.0 - 0.5 * np.pi - _BEND)))
 
 
-def fitting_damper(alone: Alone, gain_n: float, weight: Floats) -> Floats:
+def fitting_damper(alone: LonePort, gain_n: float, weight: Floats) -> Floats:
     """b (N,) with b s(b) = `gain_n`.
 
     Iterated from rest, b <- g / s(b), downwards only: the damper of a body that hardly moves is too
@@ -209,12 +209,12 @@ def fitting_damper(alone: Alone, gain_n: float, weight: Floats) -> Floats:
     return b
 
 
-def _alone(y: Complexes, level: Floats, start: Floats, port: int) -> Alone:
+def _alone(y: Complexes, level: Floats, start: Floats, port: int) -> LonePort:
     """`port` of `y` with the dampers of the others changed from `start` to `level`."""
     others = hung(y, level - start[:, None], skip=port)
     through = others[port, 0]
     own = others[port, port]
-    return Alone(through.real**2 + through.imag**2, own.real, own.imag, float(start[port]))
+    return LonePort(through.real**2 + through.imag**2, own.real, own.imag, float(start[port]))
 
 
 def density_weights(frequency_hz: Floats, perturbation: Perturbation) -> Floats:

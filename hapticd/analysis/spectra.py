@@ -61,7 +61,7 @@ LEFT = 0.5  # of the lesser power of two lines: a smooth spectrum has that much 
 
 
 @dataclass(frozen=True, slots=True)
-class Channel:
+class ChannelFaults:
     """Known faults of the recorded channels, as the arguments of `corrected`."""
 
     skew_s: float = 0.0
@@ -92,7 +92,7 @@ class Spectra:
     n_samples: int
     lag: int
     port: str = "probe"
-    taken_out: tuple[Channel, ...] = ()
+    taken_out: tuple[ChannelFaults, ...] = ()
 
     @property
     def variance_factor(self) -> float:
@@ -240,10 +240,10 @@ def corrected(trial: Spectra, skew_s: float = 0.0, high_pass_hz: float = 0.0) ->
     stays as it is. That force is held and velocity averaged is no fault: a model is compared as it
     would be recorded (`loop`).
     """
-    return _corrected(trial, Channel(skew_s, high_pass_hz))
+    return _corrected(trial, ChannelFaults(skew_s, high_pass_hz))
 
 
-def _corrected(trial: Spectra, channel: Channel) -> Spectra:
+def _corrected(trial: Spectra, channel: ChannelFaults) -> Spectra:
     response = channel.response(trial.frequency_hz)
     return replace(
         trial,

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from hapticd.analysis.compare import (
-    Conditions,
+    EnvelopeConditions,
     check_alike,
     normalised,
     stiffness_damping_area,
@@ -171,7 +171,7 @@ class Compared:
     """One display. `name`: the device, with its file where several have one name."""
 
     name: str
-    conditions: Conditions
+    conditions: EnvelopeConditions
     levels: tuple[Level, ...]
 
 
@@ -196,7 +196,7 @@ def compare(paths: Iterable[Path], allow: Collection[str] = ()) -> Comparison:
             "one display is no comparison; name two files that `hapticd zwidth report` wrote, or"
             " more"
         )
-    names = Conditions.__dataclass_fields__
+    names = EnvelopeConditions.__dataclass_fields__
     if wrong := set(allow) - set(names):
         raise AnalysisError(
             f"--allow {','.join(sorted(wrong))}: no such condition; known: {', '.join(names)}"
@@ -210,7 +210,7 @@ def compare(paths: Iterable[Path], allow: Collection[str] = ()) -> Comparison:
     return Comparison(tuple(displays), unlike)
 
 
-def _display(path: Path) -> tuple[Conditions, tuple[Level, ...]]:
+def _display(path: Path) -> tuple[EnvelopeConditions, tuple[Level, ...]]:
     content = read_portable(path)
     try:
         known = _conditions(content)
@@ -222,14 +222,18 @@ def _display(path: Path) -> tuple[Conditions, tuple[Level, ...]]:
         ) from error
 
 
-def _conditions(content: Mapping[str, Any]) -> Conditions:
+def _conditions(content: Mapping[str, Any]) -> EnvelopeConditions:
     told = content["conditions"]
     first = content["envelopes"][0]["envelope"]
     low, high = told["band_hz"]
     inside = [f for f in first["frequency_hz"] if low <= f <= high]
     judged = told.get("judged") or {"first_hz": inside[0], "last_hz": inside[-1]}
     known = told if "mass_kg" in told else {**told, **_masses(content)}
-    own = {name: value for name, value in known.items() if name in Conditions.__dataclass_fields__}
+    own = {
+        name: value
+        for name, value in known.items()
+        if name in EnvelopeConditions.__dataclass_fields__
+    }
     own |= {
         "device": content["device"],
         "port": first["port"],
@@ -238,7 +242,7 @@ def _conditions(content: Mapping[str, Any]) -> Conditions:
         "judged_hz": (judged["first_hz"], judged["last_hz"]),
         "perturbation_psd_n2_per_hz": told["perturbation"]["psd_n2_per_hz"],
     }
-    return Conditions(**own)
+    return EnvelopeConditions(**own)
 
 
 def _masses(content: Mapping[str, Any]) -> dict[str, float]:
