@@ -128,7 +128,7 @@ QUESTIONS = (
 )
 
 
-class Question(StrEnum):
+class EffectsQuestion(StrEnum):
     """What is asked of the scene."""
 
     LIMITS = "limits"
@@ -140,9 +140,9 @@ class Question(StrEnum):
 def sim_effects(
     scene: terminal.SceneName,
     question: Annotated[
-        Question,
+        EffectsQuestion,
         typer.Option("--for", help=QUESTIONS),
-    ] = Question.LIMITS,
+    ] = EffectsQuestion.LIMITS,
     tolerance: Annotated[
         str,
         typer.Option(

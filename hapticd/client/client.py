@@ -3,10 +3,10 @@
 Three layers, each above the other. `Conversation` holds the requests and replies without any I/O:
 both are bytes, time is passed in, a time-out is a value. Each request has a number that comes back
 in its reply, so a reply that arrives after its time-out is recognised and dropped, and never taken
-for the answer to a later request. `Line` holds the sockets: a DEALER for the conversation, a SUB
-per subscription. Requests are given only to a gateway that is connected (IMMEDIATE), so one that
-starts later finds no old commands in its queue; nothing lingers when the line is closed. `Client`
-gives every command a method.
+for the answer to a later request. `GatewayLine` holds the sockets: a DEALER for the conversation, a
+SUB per subscription. Requests are given only to a gateway that is connected (IMMEDIATE), so one
+that starts later finds no old commands in its queue; nothing lingers when the line is closed.
+`Client` gives every command a method.
 
 Every call ends within its time-out, with a reply, a CommandError (the daemon refused: `code` and
 `detail` say why) or DaemonDown (nobody answers, or the gateway has no servo).
@@ -161,7 +161,7 @@ def receipt_of(reply: dict[str, Any]) -> Receipt:
     return Receipt(**reply["receipt"], state=reply["state"])
 
 
-class Line:
+class GatewayLine:
     """Sockets to the gateway of a runtime folder; made when they are first needed."""
 
     def __init__(self, folder: Path, name: str) -> None:
@@ -281,7 +281,7 @@ class Client:
         self._folder = folder or daemon_folder(instance)
         self._timeout_s = timeout_s
         self._name = name
-        self._line = Line(self._folder, name)
+        self._line = GatewayLine(self._folder, name)
 
     def __enter__(self) -> Self:
         return self

@@ -53,7 +53,7 @@ LINE_S = 10.0  # between two lines of progress where stderr is no terminal
 
 
 @dataclass(frozen=True)
-class Drawn:
+class DrawnReport:
     """What a report wrote, and from where to where its trials were judged."""
 
     files: list[Path]
@@ -121,7 +121,7 @@ def _instead(folder: Path) -> str:
     )
 
 
-def _of_run(folder: Path, out: Path) -> Drawn:
+def _of_run(folder: Path, out: Path) -> DrawnReport:
     from hapticd.errors import ConfigError
     from hapticd.zwidth.map import kept_map, plan_map
     from hapticd.zwidth.store import TrialStore, read_summary
@@ -136,14 +136,14 @@ def _of_run(folder: Path, out: Path) -> Drawn:
             " trial or a map is"
         )
     found = kept_map(plan_map(_map_params(kept)), TrialStore(folder / "trials.jsonl"))
-    return Drawn(draw_map(found, out), found.judged)
+    return DrawnReport(draw_map(found, out), found.judged)
 
 
-def _trial_again(folder: Path, kept: dict[str, Any], out: Path) -> Drawn:
+def _trial_again(folder: Path, kept: dict[str, Any], out: Path) -> DrawnReport:
     from hapticd.zwidth.trial import judged, plan_trial
 
     result = judged(plan_trial(_trial_params(kept)), _record(folder, kept))
-    return Drawn(draw_trial(result, out), result.verdict.judged)
+    return DrawnReport(draw_trial(result, out), result.verdict.judged)
 
 
 def _record(folder: Path, kept: dict[str, Any]) -> "Recorded":
@@ -222,7 +222,7 @@ def _map_params(kept: dict[str, Any]) -> "MapParams":
     )
 
 
-def _of_device(what: str, damping: str, seconds: float, seed: int, out: Path | None) -> Drawn:
+def _of_device(what: str, damping: str, seconds: float, seed: int, out: Path | None) -> DrawnReport:
     from hapticd.report import style
     from hapticd.report.passive_set import limits_figure
     from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
@@ -244,7 +244,7 @@ def _of_device(what: str, damping: str, seconds: float, seed: int, out: Path | N
     paths = _own_trial(scene, seconds, folder)
     paths += style.save(limits_figure(limits), folder, "limits")
     paths += draw_map(found, folder)
-    return Drawn([*paths, folder / f"{name}{SUFFIX}"], found.judged)
+    return DrawnReport([*paths, folder / f"{name}{SUFFIX}"], found.judged)
 
 
 def _write(
