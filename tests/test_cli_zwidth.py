@@ -381,9 +381,9 @@ def test_walls_prints_the_boundary(tmp_path, capsys):
 
 
 def test_report_of_a_device_has_every_figure(tmp_path, capsys, monkeypatch):
-    from hapticd.cli.zwidth import report
+    from hapticd.zwidth import map as maps
 
-    monkeypatch.setattr(report, "GRID", (3, 3, 3))
+    monkeypatch.setattr(maps, "GRID", (3, 3))
     (tmp_path / "walls.png").touch()  # of the run before
     code, out, _ = run(
         ["report", "weir2008", *SHORT, "--damping", "1.74", "--out", str(tmp_path)], capsys

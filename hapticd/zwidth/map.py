@@ -32,6 +32,7 @@ from hapticd.analysis.passive_set import PassiveSet, ascending, grid, passive_se
 from hapticd.analysis.predict import Prediction
 from hapticd.analysis.verdict import Judged
 from hapticd.errors import AnalysisError
+from hapticd.zwidth.limits import LimitsResult
 from hapticd.zwidth.outcomes import (
     Conditions,
     Hear,
@@ -50,6 +51,8 @@ from hapticd.zwidth.store import Progress, TrialStore, silent
 
 Axes = tuple[Floats, Floats, Floats]
 NEAR = 0.15
+GRID = (12, 10)  # values of K and of B about the limits of a device
+GRID_MARGIN = (2.0, 1.15)  # of that grid over the largest axis limits: K, B
 MOST = 10_000_000  # environments of a grid: half an hour of prediction, and a GB
 
 
@@ -120,6 +123,28 @@ class MapResult:
     def judged(self) -> Judged:
         """From where to where every trial was judged."""
         return judged(outcome for level in self.levels for outcome in level.outcomes)
+
+
+def params_about(limits: LimitsResult) -> MapParams:
+    """A map that holds the `limits` along the axes, at their levels and conditions.
+
+    AnalysisError: K = B = M = 0 is not passive, so there is no set to map.
+    """
+    largest = [0.0, 0.0, 0.0]
+    for limit in limits.limits:
+        axis = limit.scan.axis
+        largest[axis] = max(largest[axis], abs(limit.value))
+    if not all(np.isfinite(largest)) or min(largest) == 0.0:
+        raise AnalysisError(
+            "the display is not passive at K = B = M = 0, so there is no set to map; see `hapticd"
+            " zwidth trial`"
+        )
+    axes = (
+        np.linspace(0.0, GRID_MARGIN[0] * largest[0], GRID[0]),
+        np.linspace(0.0, GRID_MARGIN[1] * largest[1], GRID[1]),
+        np.asarray(largest[2] * 0.25 * np.arange(-5, 7)),  # M = 0 is one of them
+    )
+    return MapParams(limits.plan.params.conditions, axes, limits.plan.params.levels)
 
 
 def plan_map(params: MapParams) -> MapPlan:

@@ -57,6 +57,7 @@ from hapticd.analysis.verdict import DEFAULT_BAND_HZ, LEAST_FREEDOM, Verdict, ju
 from hapticd.errors import AnalysisError
 from hapticd.plant.scene import Excitation, Scene
 from hapticd.units import PROBE_RATE_HZ
+from hapticd.zwidth.recorded import read_file
 from hapticd.zwidth.scenes import Display, display
 from hapticd.zwidth.sources import Source, Trial
 from hapticd.zwidth.stepped_sine import Referee
@@ -67,10 +68,11 @@ from hapticd.zwidth.store import (
     Steps,
     fingerprint,
     nearer,
+    record_path,
     silent,
     write_run,
 )
-from hapticd.zwidth.watch import AT_LIMIT, loss_findings, summed
+from hapticd.zwidth.watch import AT_LIMIT, COUNTS, loss_findings, summed
 
 PERIOD = 2 * DEFAULT_LAG  # samples
 SPARE_S = 0.01  # periods need not be whole ticks
@@ -478,6 +480,48 @@ def write(
     texts = {IMPEDANCE: impedance_csv(result.measured)}
     return write_run(
         folder, {**summary(result, referee), "provenance": provenance}, result.recorded, texts
+    )
+
+
+def kept_trial(folder: Path, kept: Mapping[str, Any], scene: Scene | None) -> TrialResult:
+    """The trial in a run folder, judged again.
+
+    `kept` is its run.json; `scene`, for a prediction, is None where it is not known any more. What
+    older versions did not write is as it was then.
+    """
+    recorded = replace(
+        read_file(record_path(folder)),
+        origin=kept["origin"],
+        simulated=kept["simulated"],
+        ended=kept["ended"],
+        max_command_n=kept.get("max_command_n"),
+        command_limit_n=kept.get("command_limit_n"),
+        more={name: kept[name] for name in COUNTS if name in kept},
+    )
+    return judged(plan_trial(_kept_params(kept, scene)), recorded)
+
+
+def _kept_params(kept: Mapping[str, Any], scene: Scene | None) -> TrialParams:
+    stiffness, damping, mass = kept["environment"].values()
+    low_hz, high_hz = kept["verdict"]["band_hz"]
+    trial = Trial(
+        (stiffness, damping, mass),
+        kept["added_damping_ns_per_m"],
+        kept["seconds"],
+        Excitation(**kept["perturbation"]),
+    )
+    layout = kept.get("multisine")
+    return TrialParams(
+        trial,
+        scene,
+        (low_hz, high_hz),
+        kept["verdict"]["confidence"],
+        kept["estimator"],
+        kept["probe_mass_taken_out_kg"],
+        lag=kept.get("lag", DEFAULT_LAG),
+        multisine=Layout(layout["realisations"], layout["periods"]) if layout else None,
+        skew_s=kept.get("skew_taken_out_s", 0.0),
+        high_pass_hz=kept.get("high_pass_taken_out_hz", 0.0),
     )
 
 

@@ -6,7 +6,7 @@ import json
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import inf
 from pathlib import Path
 from time import monotonic
@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from hapticd.plant.scene import Scene
     from hapticd.zwidth.limits import LimitsResult
     from hapticd.zwidth.map import MapParams, MapResult
-    from hapticd.zwidth.store import Progress, Recorded
-    from hapticd.zwidth.trial import TrialParams
+    from hapticd.zwidth.store import Progress
 
 
 What = Annotated[
@@ -47,8 +46,6 @@ Seeds = Annotated[
         "--seeds", metavar="N", min=2, max=64, help="Noise realisations behind each limit."
     ),
 ]
-GRID = (12, 10)  # values of K and of B in the map of a device
-GRID_MARGIN = (2.0, 1.15)  # of the grid over the largest axis limits: K, B
 LINE_S = 10.0  # between two lines of progress where stderr is no terminal
 
 
@@ -125,10 +122,12 @@ def _of_run(folder: Path, out: Path) -> DrawnReport:
     from hapticd.errors import ConfigError
     from hapticd.zwidth.map import kept_map, plan_map
     from hapticd.zwidth.store import TrialStore, read_summary
+    from hapticd.zwidth.trial import kept_trial
 
     kept = read_summary(folder)
     if kept["kind"] == "trial":
-        return _trial_again(folder, kept, out)
+        result = kept_trial(folder, kept, _same_scene(kept))
+        return DrawnReport(draw_trial(result, out), result.verdict.judged)
     if kept["kind"] != "map":
         kind = f"a run of kind {kept['kind']!r}"
         raise ConfigError(
@@ -137,56 +136,6 @@ def _of_run(folder: Path, out: Path) -> DrawnReport:
         )
     found = kept_map(plan_map(_map_params(kept)), TrialStore(folder / "trials.jsonl"))
     return DrawnReport(draw_map(found, out), found.judged)
-
-
-def _trial_again(folder: Path, kept: dict[str, Any], out: Path) -> DrawnReport:
-    from hapticd.zwidth.trial import judged, plan_trial
-
-    result = judged(plan_trial(_trial_params(kept)), _record(folder, kept))
-    return DrawnReport(draw_trial(result, out), result.verdict.judged)
-
-
-def _record(folder: Path, kept: dict[str, Any]) -> "Recorded":
-    """The record of a trial's folder, with what run.json knows of it."""
-    from hapticd.zwidth.recorded import read_file
-    from hapticd.zwidth.store import record_path
-    from hapticd.zwidth.watch import COUNTS
-
-    return replace(
-        read_file(record_path(folder)),
-        origin=kept["origin"],
-        simulated=kept["simulated"],
-        ended=kept["ended"],
-        max_command_n=kept.get("max_command_n"),
-        command_limit_n=kept.get("command_limit_n"),
-        more={name: kept[name] for name in COUNTS if name in kept},
-    )
-
-
-def _trial_params(kept: dict[str, Any]) -> "TrialParams":
-    """The parameters of a trial from its run.json; what older versions did not write is default."""
-    from hapticd.analysis.spectra import DEFAULT_LAG
-    from hapticd.plant.scene import Excitation
-    from hapticd.zwidth.sources import Trial
-    from hapticd.zwidth.trial import Layout, TrialParams
-
-    k, b, m = kept["environment"].values()
-    low_hz, high_hz = kept["verdict"]["band_hz"]
-    excitation = Excitation(**kept["perturbation"])
-    trial = Trial((k, b, m), kept["added_damping_ns_per_m"], kept["seconds"], excitation)
-    layout = kept.get("multisine")
-    return TrialParams(
-        trial,
-        _same_scene(kept),
-        (low_hz, high_hz),
-        kept["verdict"]["confidence"],
-        kept["estimator"],
-        kept["probe_mass_taken_out_kg"],
-        lag=kept.get("lag", DEFAULT_LAG),
-        multisine=Layout(layout["realisations"], layout["periods"]) if layout else None,
-        skew_s=kept.get("skew_taken_out_s", 0.0),
-        high_pass_hz=kept.get("high_pass_taken_out_hz", 0.0),
-    )
 
 
 def _same_scene(kept: dict[str, Any]) -> "Scene | None":
@@ -226,7 +175,7 @@ def _of_device(what: str, damping: str, seconds: float, seed: int, out: Path | N
     from hapticd.report import style
     from hapticd.report.passive_set import limits_figure
     from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
-    from hapticd.zwidth.map import plan_map, run_map
+    from hapticd.zwidth.map import params_about, plan_map, run_map
     from hapticd.zwidth.portable import SUFFIX, device_hash
     from hapticd.zwidth.store import TrialStore
 
@@ -238,7 +187,7 @@ def _of_device(what: str, damping: str, seconds: float, seed: int, out: Path | N
     params = LimitsParams(conditions, common.levels(damping))
     with common.keeping(store, folder), progress() as tell:
         limits = run_limits(plan_limits(params), store, tell)
-        found = run_map(plan_map(_map_about(limits)), store, tell)
+        found = run_map(plan_map(params_about(limits)), store, tell)
     file_hash = device_hash(what if what.endswith(".toml") else scene.device)
     _write(folder, name, file_hash, limits, found)
     paths = _own_trial(scene, seconds, folder)
@@ -263,31 +212,6 @@ def _write(
     text = json.dumps({**content, "provenance": provenance}) + "\n"
     summary = {"kind": "report", "device": name, **about, "provenance": provenance}
     write_run(folder, summary, texts={f"{name}{SUFFIX}": text})
-
-
-def _map_about(limits: "LimitsResult") -> "MapParams":
-    """A map that holds the limits along the axes. AnalysisError: there is no set to map."""
-    import numpy as np
-
-    from hapticd.errors import AnalysisError
-    from hapticd.zwidth.map import MapParams
-
-    largest = [0.0, 0.0, 0.0]
-    for limit in limits.limits:
-        axis = limit.scan.axis
-        largest[axis] = max(largest[axis], abs(limit.value))
-    if not all(np.isfinite(largest)) or min(largest) == 0.0:
-        raise AnalysisError(
-            "the display is not passive at K = B = M = 0, so there is no set to map; see `hapticd"
-            " zwidth trial`"
-        )
-    axes = (
-        np.linspace(0.0, GRID_MARGIN[0] * largest[0], GRID[0]),
-        np.linspace(0.0, GRID_MARGIN[1] * largest[1], GRID[1]),
-        np.asarray(largest[2] * 0.25 * np.arange(-5, 7)),  # M = 0 is one of them
-    )
-    params = limits.plan.params
-    return MapParams(params.conditions, axes, params.levels)
 
 
 def _own_trial(scene: "Scene", seconds: float, folder: Path) -> list[Path]:
