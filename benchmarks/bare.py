@@ -13,7 +13,7 @@ from hapticd.clock import Clock, VirtualClock
 from hapticd.link.usb import UsbLink
 from hapticd.params import BoardParams, UsbParams
 from hapticd.sim.backend import SimulatedBackend
-from hapticd.sim.control import control_replies
+from hapticd.sim.board import control_replies
 from hapticd.wire import codec, frames
 from hapticd.wire.frames import InFrame
 

@@ -14,7 +14,7 @@ from statistics import median
 
 from hapticd.link.base import Link
 from hapticd.params import BoardParams
-from hapticd.sim.control import hello
+from hapticd.sim.board import hello
 from hapticd.units import US_PER_S
 from hapticd.wire import codec, frames
 from hapticd.wire.frames import InFrame, Request

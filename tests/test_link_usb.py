@@ -16,10 +16,9 @@ from hapticd.errors import ConfigError, LinkAccess, LinkLost, LinkStalled, LinkT
 from hapticd.link.base import backoff_s
 from hapticd.link.usb import FAILURES, UsbLink, link_error, system_backend
 from hapticd.params import InjectionParams, UsbParams
-from hapticd.sim.backend import SimulatedBackend
+from hapticd.sim.backend import SimulatedBackend, usb_error
 from hapticd.sim.board import BoardModel
 from hapticd.sim.injection import with_injections
-from hapticd.sim.libusb import usb_error
 from hapticd.wire import codec
 from hapticd.wire.frames import Request, Status
 

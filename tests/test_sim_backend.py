@@ -9,9 +9,8 @@ import usb.util
 from boards import ENABLE, LATCH_NS, TICK_NS, board_params, out_packet
 
 from hapticd.clock import MonotonicClock, VirtualClock
-from hapticd.sim.backend import ENDLESS_MS, SPIN_NS, SimulatedBackend
+from hapticd.sim.backend import ENDLESS_MS, LIBUSB_ERRORS, SPIN_NS, SimulatedBackend, usb_error
 from hapticd.sim.board import BoardModel
-from hapticd.sim.libusb import LIBUSB_ERRORS, usb_error
 from hapticd.wire import codec
 
 OUT = 0x01

@@ -1,12 +1,13 @@
-"""The twin's side of the USB seam: a pyusb backend, so that the true `usb.core` runs above a
-simulated board.
+"""The simulated board's side of the USB interface: a pyusb backend, so that the true `usb.core`
+runs above a simulated board.
 
 It answers as libusb 1.0 on Linux does (same exceptions, numbers and words): a plugged device is
 configured by the kernel, a claimed interface refuses others and any change of configuration, a
 halted endpoint stays so until clear_halt, a handle of an unplugged device is dead for ever, a
 device that is plugged again has a new address, and for one more enumeration after an unplug the
 dead device is still listed. A read waits until the IN is latched, in wall time and in virtual time
-alike, and always comes to an end.
+alike, and always comes to an end. At enumeration it shows one configuration, one vendor interface,
+one OUT and one IN endpoint.
 
 What would break it: a second thread (there is no lock in the tick's way).
 """
@@ -15,15 +16,139 @@ import errno
 from array import array
 from collections.abc import Iterator
 from types import SimpleNamespace
-from typing import NoReturn, Protocol
+from typing import Literal, NoReturn, Protocol
 
 import usb.backend
+from usb.core import USBError, USBTimeoutError
 
 from hapticd.clock import Clock, MonotonicClock
-from hapticd.sim import descriptors
+from hapticd.sim.board import MANUFACTURER, PRODUCT, SERIAL
 from hapticd.sim.injection import TransferFault
-from hapticd.sim.libusb import usb_error
 from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US
+from hapticd.wire.frames import PACKET_BYTES, USB_PRODUCT_ID, USB_VENDOR_ID
+
+LIBUSB_ERRORS = {  # errno: (libusb code, libusb_strerror)
+    errno.EIO: (-1, "Input/Output Error"),
+    errno.EINVAL: (-2, "Invalid parameter"),
+    errno.EACCES: (-3, "Access denied (insufficient permissions)"),
+    errno.ENODEV: (-4, "No such device (it may have been disconnected)"),
+    errno.ENOENT: (-5, "Entity not found"),
+    errno.EBUSY: (-6, "Resource busy"),
+    errno.ETIMEDOUT: (-7, "Operation timed out"),
+    errno.EOVERFLOW: (-8, "Overflow"),
+    errno.EPIPE: (-9, "Pipe error"),
+    errno.EINTR: (-10, "System call interrupted (perhaps due to signal)"),
+    errno.ENOMEM: (-11, "Insufficient memory"),
+    errno.ENOSYS: (-12, "Operation not supported or unimplemented on this platform"),
+}
+
+
+def usb_error(number: int) -> Exception:
+    """The exception that pyusb's libusb1 backend raises for `number`; ENOSYS is no USBError
+    there.
+    """
+    code, text = LIBUSB_ERRORS[number]
+    if number == errno.ENOSYS:
+        return NotImplementedError(text)
+    error: Exception = (USBTimeoutError if number == errno.ETIMEDOUT else USBError)(
+        text, code, number
+    )
+    return error
+
+
+Transfer = Literal["bulk", "interrupt"]
+
+OUT_ADDRESS = 0x01
+IN_ADDRESS = 0x81
+FULL_SPEED = 2
+VENDOR_CLASS = 0xFF
+_ATTRIBUTES: dict[Transfer, tuple[int, int]] = {
+    "bulk": (2, 0),
+    "interrupt": (3, 1),
+}  # bmAttributes, bInterval
+
+
+def device_descriptor(address: int) -> SimpleNamespace:
+    """The 18 standard fields and where the device is plugged in."""
+    return SimpleNamespace(
+        bLength=18,
+        bDescriptorType=1,
+        bcdUSB=0x0200,
+        bDeviceClass=VENDOR_CLASS,
+        bDeviceSubClass=0,
+        bDeviceProtocol=0,
+        bMaxPacketSize0=64,
+        idVendor=USB_VENDOR_ID,
+        idProduct=USB_PRODUCT_ID,
+        bcdDevice=0x0100,
+        iManufacturer=MANUFACTURER,
+        iProduct=PRODUCT,
+        iSerialNumber=SERIAL,
+        bNumConfigurations=1,
+        address=address,
+        bus=1,
+        port_number=1,
+        port_numbers=(1,),
+        speed=FULL_SPEED,
+    )
+
+
+def configuration_descriptor(index: int) -> SimpleNamespace:
+    """IndexError past the only one: pyusb's iteration relies on it."""
+    _only("configuration", index)
+    return SimpleNamespace(
+        bLength=9,
+        bDescriptorType=2,
+        wTotalLength=32,
+        bNumInterfaces=1,
+        bConfigurationValue=1,
+        iConfiguration=0,
+        bmAttributes=0x80,
+        bMaxPower=250,
+        extra_descriptors=[],
+    )
+
+
+def interface_descriptor(index: int, alternate: int) -> SimpleNamespace:
+    """IndexError past the only one."""
+    _only("interface", index)
+    _only("alternate setting", alternate)
+    return SimpleNamespace(
+        bLength=9,
+        bDescriptorType=4,
+        bInterfaceNumber=0,
+        bAlternateSetting=0,
+        bNumEndpoints=2,
+        bInterfaceClass=VENDOR_CLASS,
+        bInterfaceSubClass=0,
+        bInterfaceProtocol=0,
+        iInterface=0,
+        extra_descriptors=[],
+    )
+
+
+def endpoint_descriptor(index: int, transfer: Transfer) -> SimpleNamespace:
+    """OUT is 0, IN is 1; IndexError past them."""
+    if index > 1:
+        raise IndexError(f"Invalid endpoint index {index}")
+    attributes, interval = _ATTRIBUTES[transfer]
+    return SimpleNamespace(
+        bLength=7,
+        bDescriptorType=5,
+        bEndpointAddress=(OUT_ADDRESS, IN_ADDRESS)[index],
+        bmAttributes=attributes,
+        wMaxPacketSize=PACKET_BYTES,
+        bInterval=interval,
+        bRefresh=0,
+        bSynchAddress=0,
+        extra_descriptors=[],
+    )
+
+
+def _only(what: str, index: int) -> None:
+    if index > 0:
+        raise IndexError(f"Invalid {what} index {index}")
+
 
 SPIN_NS = 60 * NS_PER_US  # a sleep of the machine is coarser than this
 ENDLESS_MS = 60_000  # libusb's time-out 0 means for ever; the twin gives up
@@ -62,7 +187,7 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
     badly set up machine.
     """
 
-    def __init__(self, port: Port, clock: Clock, transfer: descriptors.Transfer = "bulk") -> None:
+    def __init__(self, port: Port, clock: Clock, transfer: Transfer = "bulk") -> None:
         self._port = port
         self._clock = clock
         self._transfer = transfer
@@ -107,20 +232,20 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         return None
 
     def get_device_descriptor(self, device: PluggedDevice) -> SimpleNamespace:
-        return descriptors.device_descriptor(device.address)
+        return device_descriptor(device.address)
 
     def get_configuration_descriptor(self, device: PluggedDevice, index: int) -> SimpleNamespace:
-        return descriptors.configuration_descriptor(index)
+        return configuration_descriptor(index)
 
     def get_interface_descriptor(
         self, device: PluggedDevice, index: int, alternate: int, _: int
     ) -> SimpleNamespace:
-        return descriptors.interface_descriptor(index, alternate)
+        return interface_descriptor(index, alternate)
 
     def get_endpoint_descriptor(
         self, device: PluggedDevice, index: int, _i: int, _a: int, _c: int
     ) -> SimpleNamespace:
-        return descriptors.endpoint_descriptor(index, self._transfer)
+        return endpoint_descriptor(index, self._transfer)
 
     # --- life of a handle -------------------------------------------------------------------------
     def open_device(self, device: PluggedDevice) -> Handle:

@@ -17,9 +17,8 @@ from hapticd.plant.effects import (
 )
 from hapticd.plant.model import Model
 from hapticd.plant.tables import board_fields
-from hapticd.sim.axis import Axis
+from hapticd.sim.axis import Axis, Probe
 from hapticd.sim.board import BoardModel
-from hapticd.sim.probe import Probe
 from hapticd.wire.frames import Status
 
 LINEAR = ("probe", "coupling", "viscous", "smoothing", "amplifier", "damping_circuit")
