@@ -11,7 +11,7 @@ import pytest
 import wire_header as header
 
 from hapticd.wire import frames
-from hapticd.wire.header import protocol_hash
+from hapticd.wire.frames import protocol_hash
 
 ENUMS = {
     "REQUEST": frames.Request,

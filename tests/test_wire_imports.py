@@ -29,7 +29,6 @@ def test_wire_loads_standard_library_only() -> None:
         "hapticd.wire.frames",
         "hapticd.wire.codec",
         "hapticd.wire.session",
-        "hapticd.wire.header",
     } <= modules
     ours = {name for name in modules if name.partition(".")[0] == "hapticd"}
     assert {name.partition(".")[0] for name in modules - ours} <= sys.stdlib_module_names

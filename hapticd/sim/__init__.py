@@ -1,8 +1,8 @@
 """The simulated board, behind the same pyusb interface as a real one.
 
-    board      BoardModel: the firmware, bytes in and bytes out on integer nanoseconds; `hello` and
-               `control_replies`, what it says of itself
-    axis       one axis of it: outputs, plant, fail-safe, perturbation FIFO and 4 kHz probe
-    backend    SimulatedBackend: the board as a pyusb backend, with the errors of libusb 1.0
-    injection  with_injections: seeded faults between the two
+board      BoardModel: the firmware, bytes in and bytes out on integer nanoseconds; `hello` and
+           `control_replies`, what it says of itself
+axis       one axis of it: outputs, plant, fail-safe, perturbation FIFO and 4 kHz probe
+backend    SimulatedBackend: the board as a pyusb backend, with the errors of libusb 1.0
+injection  with_injections: seeded faults between the two
 """

@@ -1,10 +1,18 @@
-"""The frames of firmware_iface/hapticd_wire.h as Python sees them.
+"""The frames of firmware_iface/hapticd_wire.h as Python sees them, and the fingerprint of that
+header.
 
-The C header is the truth; tests/test_wire_header.py compiles it and compares every size, offset and
-constant with this file. PROTOCOL_HASH is what the board must report: a board built against another
-header is refused.
+The C header is the authoritative definition; tests/test_wire_header.py compiles it and compares
+every size, offset and constant with this file. PROTOCOL_HASH is what the board must report: a board
+built against another header is refused. What counts for the fingerprint are declarations: comments,
+white space and the line that carries the result do not, so the header can be explained better or
+formatted anew without forcing anyone to flash a board.
+
+What would break it: a field added here and not in the header, or a changed header with the old
+PROTOCOL_HASH (the tests compute it anew).
 """
 
+import hashlib
+import re
 import struct
 from enum import IntEnum, IntFlag
 from typing import NamedTuple
@@ -136,3 +144,23 @@ class Hello(NamedTuple):
     voltage_full_scale_v: float
     position_m_per_count: float
     force_limit_n: float
+
+
+_COMMENT = re.compile(r"/\*.*?\*/|//[^\n]*", re.DOTALL)
+_HASH_LINE = re.compile(r"^[ \t]*#[ \t]*define[ \t]+HAPTICD_PROTOCOL_HASH\b[^\n]*$", re.MULTILINE)
+_WHITE_SPACE = re.compile(r"[ \t\n\r\v\f]+")
+HASH_BYTES = 8
+
+
+def declarations(text: str) -> str:
+    """The header `text` without comments, the HAPTICD_PROTOCOL_HASH line and white space, in
+    that order.
+    """
+    return _WHITE_SPACE.sub("", _HASH_LINE.sub("", _COMMENT.sub("", text)))
+
+
+def protocol_hash(text: str) -> bytes:
+    """First 8 bytes of SHA-256 over the declarations of the header `text`; what
+    `frames.PROTOCOL_HASH` must be.
+    """
+    return hashlib.sha256(declarations(text).encode("ascii")).digest()[:HASH_BYTES]
