@@ -16,7 +16,7 @@ from benchmarks.worker import BenchError
 from hapticd.engine.kernels import kernel
 from hapticd.engine.source import LAW_STATE
 from hapticd.params import FilterParams
-from hapticd.render.environment import at_rest, design_coefficients, render
+from hapticd.render.law import at_rest, design_coefficients, render
 
 STEP_S = 0.00025
 SAMPLES = 4

@@ -1,7 +1,7 @@
 """The tick law as tests call it."""
 
 from hapticd.params import EnvironmentParams
-from hapticd.render.environment import Environment
+from hapticd.render.law import Environment
 
 
 def environment_tuple(params: EnvironmentParams, limit_n: float) -> Environment:

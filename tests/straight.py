@@ -12,7 +12,7 @@ from law import environment_tuple
 
 from hapticd.params import EnvironmentParams
 from hapticd.plant.friction import stick_one, stick_two
-from hapticd.render.environment import at_rest, design_coefficients, render
+from hapticd.render.law import at_rest, design_coefficients, render
 
 FS = 4000
 EXACT = np.longdouble

@@ -44,7 +44,7 @@ from hapticd.plant.effects import (
     WindingTemperature,
 )
 from hapticd.plant.step import held_force_response
-from hapticd.render.environment import at_rest, design_coefficients, render
+from hapticd.render.law import at_rest, design_coefficients, render
 
 F = np.array([0.5, 2.0, 10.0, 47.0, 120.0, 333.0, 499.0, 700.0, 1500.0])
 T = 1e-3

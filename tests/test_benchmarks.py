@@ -38,7 +38,7 @@ from hapticd.errors import DaemonDown
 from hapticd.mailbox import layout
 from hapticd.params import EnvironmentParams
 from hapticd.plant.compose import compose
-from hapticd.render.environment import at_rest, design_coefficients, render
+from hapticd.render.law import at_rest, design_coefficients, render
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.scene import load_scene
 from hapticd.wire import codec, frames

@@ -12,8 +12,8 @@ from numba import njit
 from scipy import signal
 
 from hapticd.params import EnvironmentParams, FilterParams, WallParams, WorkspaceParams
-from hapticd.render import environment, fields, limits
-from hapticd.render.environment import at_rest, design_coefficients, render
+from hapticd.render import law
+from hapticd.render.law import at_rest, design_coefficients, render
 
 RATE_HZ = 1000.0
 BUTTERWORTH = design_coefficients(FilterParams(100.0), FilterParams(72.0), RATE_HZ)
@@ -76,12 +76,12 @@ def jitted_law():
     helpers = {
         name: njit(value)
         for name, value in (
-            ("wall_force", fields.wall_force),
-            ("end_force", fields.end_force),
-            ("clamp", limits.clamp),
+            ("wall_force", law.wall_force),
+            ("end_force", law.end_force),
+            ("clamp", law.clamp),
         )
     }
-    twin = types.FunctionType(render.__code__, {**environment.__dict__, **helpers})
+    twin = types.FunctionType(render.__code__, {**law.__dict__, **helpers})
     return njit(twin)
 
 
@@ -150,18 +150,18 @@ def test_force_is_finite_whatever_the_position(bad):
     "force", [8.0, -8.0, 8.000001, -8.000001, 1e300, -1e300, math.inf, -math.inf]
 )
 def test_clamp_holds_at_its_boundary(force):
-    assert limits.clamp(force, 8.0) == math.copysign(8.0, force)
-    assert limits.clamp(math.nan, 8.0) == 0.0
-    assert limits.clamp(7.999999, 8.0) == 7.999999
+    assert law.clamp(force, 8.0) == math.copysign(8.0, force)
+    assert law.clamp(math.nan, 8.0) == 0.0
+    assert law.clamp(7.999999, 8.0) == 7.999999
 
 
 def test_wall_pushes_only_outwards_and_only_inside():
     wall = (1000.0, 20.0, 0.001, 1.0)
-    assert fields.wall_force(0.0009, 1.0, *wall) == 0.0
-    assert fields.wall_force(0.0015, 0.0, *wall) == pytest.approx(-0.5)
-    assert fields.wall_force(0.0015, 0.01, *wall) == pytest.approx(-0.7)
-    assert fields.wall_force(0.0015, -1.0, *wall) == 0.0  # leaving fast: it never pulls
-    assert fields.wall_force(-0.0015, 0.0, 1000.0, 20.0, -0.001, -1.0) == pytest.approx(0.5)
+    assert law.wall_force(0.0009, 1.0, *wall) == 0.0
+    assert law.wall_force(0.0015, 0.0, *wall) == pytest.approx(-0.5)
+    assert law.wall_force(0.0015, 0.01, *wall) == pytest.approx(-0.7)
+    assert law.wall_force(0.0015, -1.0, *wall) == 0.0  # leaving fast: it never pulls
+    assert law.wall_force(-0.0015, 0.0, 1000.0, 20.0, -0.001, -1.0) == pytest.approx(0.5)
 
 
 def test_workspace_ends_are_soft_and_symmetric():

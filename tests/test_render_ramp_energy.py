@@ -5,8 +5,7 @@ import math
 import pytest
 
 from hapticd.render.energy import EMPTY, book
-from hapticd.render.limits import approach
-from hapticd.render.ramp import Ramp, constant
+from hapticd.render.ramp import Ramp, approach, constant
 
 
 def test_ramp_arrives_exactly_on_its_end_tick():

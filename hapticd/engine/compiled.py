@@ -1,4 +1,4 @@
-"""The one law, compiled for the kernels: `render.environment.render` itself, in double and in
+"""The one law, compiled for the kernels: `render.law.render` itself, in double and in
 single precision.
 
 The code object is the servo's; only its literal numbers become numbers of the kernel's precision,
@@ -28,15 +28,15 @@ from numba import njit, types
 from numba.extending import intrinsic
 
 from hapticd.analysis.arrays import CACHE_LINE
-from hapticd.render import environment, fields, limits
+from hapticd.render import law
 
-HELPERS = (fields.wall_force, fields.end_force, limits.clamp)
+HELPERS = (law.wall_force, law.end_force, law.clamp)
 
 
 def compiled_law(scalar: type[np.floating[Any]]) -> Any:
     """`render` jitted in the precision of `scalar`, with its helpers."""
     helpers = {helper.__name__: _compiled(helper, scalar, {}) for helper in HELPERS}
-    return _compiled(environment.render, scalar, helpers)
+    return _compiled(law.render, scalar, helpers)
 
 
 def _compiled(function: Any, scalar: type[np.floating[Any]], names: dict[str, Any]) -> Any:

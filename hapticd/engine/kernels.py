@@ -19,7 +19,7 @@ from hapticd import __version__
 from hapticd.engine.shape import Shape
 from hapticd.engine.source import kernel_source
 from hapticd.errors import ConfigError
-from hapticd.render import environment, fields, limits
+from hapticd.render import law
 
 
 @cache
@@ -65,8 +65,7 @@ def _need_numba() -> None:
 @cache
 def _called() -> bytes:
     """What a kernel is compiled from beside its text."""
-    paths = [Path(str(module.__file__)) for module in (environment, fields, limits)]
-    paths += [Path(__file__).with_name("compiled.py")]
+    paths = (Path(law.__file__), Path(__file__).with_name("compiled.py"))
     return b"".join(path.read_bytes() for path in paths)
 
 

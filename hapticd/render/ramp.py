@@ -34,3 +34,12 @@ class Ramp(NamedTuple):
 def constant(value: float) -> Ramp:
     """A ramp that has arrived."""
     return Ramp(value, value, 0, 0)
+
+
+def approach(value: float, target: float, step: float) -> float:
+    """`value` moved towards `target` by at most `step` >= 0."""
+    if target > value + step:
+        return value + step
+    if target < value - step:
+        return value - step
+    return target

@@ -14,8 +14,8 @@ from hapticd.link.device import SEED
 from hapticd.mailbox.layout import Command, Flag
 from hapticd.params import ServoParams
 from hapticd.render.energy import ZERO_FORCES, book
-from hapticd.render.environment import Coefficients, LawState, at_rest, render, split
 from hapticd.render.filters import carry_over
+from hapticd.render.law import Coefficients, LawState, at_rest, render, split
 from hapticd.render.ramp import Ramp
 from hapticd.servo import homing
 from hapticd.servo.commands import Now, apply_settings, obey

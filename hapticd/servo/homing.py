@@ -9,7 +9,7 @@ both bounded whatever is in the way.
 """
 
 from hapticd.params import ServoParams
-from hapticd.render.environment import Environment
+from hapticd.render.law import Environment
 from hapticd.servo.commands import Now, enter
 from hapticd.servo.plan import Plan
 from hapticd.servo.safety import State

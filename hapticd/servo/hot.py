@@ -5,8 +5,8 @@ from typing import NamedTuple
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Value
 from hapticd.params import ServoParams, WorkspaceParams
-from hapticd.render.environment import Environment
-from hapticd.render.limits import approach
+from hapticd.render.law import Environment
+from hapticd.render.ramp import approach
 from hapticd.servo.plan import NEVER, Plan
 from hapticd.servo.safety import LATCHED, State, held_damping
 from hapticd.units import round_half_up

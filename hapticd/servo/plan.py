@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from hapticd.mailbox.layout import Value, value_limits
 from hapticd.params import FilterParams, ServoParams
-from hapticd.render.environment import Coefficients, design_coefficients
+from hapticd.render.law import Coefficients, design_coefficients
 from hapticd.render.ramp import Ramp, constant
 from hapticd.servo.safety import State
 from hapticd.units import round_half_up

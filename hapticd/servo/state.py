@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from hapticd.render.energy import Ledger
-from hapticd.render.environment import Coefficients, Environment, LawState
+from hapticd.render.law import Coefficients, Environment, LawState
 from hapticd.servo.plan import Plan, Wave
 from hapticd.wire.frames import Status
 

@@ -21,7 +21,7 @@ from hapticd.faults import BY_CODE
 from hapticd.mailbox.layout import Flag
 from hapticd.params import ServoParams
 from hapticd.render.energy import EMPTY, book
-from hapticd.render.environment import at_rest, render
+from hapticd.render.law import at_rest, render
 from hapticd.servo.attend import make_attend
 from hapticd.servo.hot import hot
 from hapticd.servo.plan import coefficients_of, initial_plan

@@ -5,10 +5,11 @@
     F = clamp(bias - K x - B v - M a + field)       K on raw position (Weir, Colgate and Peshkin
                                                     2008, section 2)
 
-The servo runs `render` in CPython; the batch engine compiles the very same function with numba.
-Therefore: tuples of floats in and out, no attribute access, no defaults, coefficients designed
-outside, both filters always running (so that B and M may be switched on without a jump), helpers
-called only in the rare case. The rate is folded into the filter coefficients: they act on
+The field is a unilateral wall and the springs at the ends of the workspace. The servo runs `render`
+in CPython; the batch engine compiles the very same functions with numba. Therefore: floats and
+tuples of floats in and out, no attribute access, no defaults, no keyword arguments, coefficients
+designed outside, both filters always running (so that B and M may be switched on without a jump),
+helpers called only in the rare case. The rate is folded into the filter coefficients: they act on
 differences. Positive force pushes to positive x.
 
 What would break it: fastmath or contraction in a compiler (bits differ from CPython), a limit that
@@ -17,9 +18,7 @@ also true of NaN, and `clamp` then makes that 0), coefficients for another rate.
 """
 
 from hapticd.params import FilterParams
-from hapticd.render.fields import end_force, wall_force
 from hapticd.render.filters import Biquad, design, scaled
-from hapticd.render.limits import clamp
 
 LawState = tuple[float, float, float, float, float, float]
 Environment = tuple[
@@ -105,3 +104,37 @@ def at_rest(x: float) -> LawState:
 def split(coefficients: Coefficients) -> tuple[Biquad, Biquad]:
     """Velocity and acceleration filter of `coefficients`."""
     return coefficients[:5], coefficients[5:]
+
+
+def wall_force(
+    x: float, v: float, stiffness: float, damping: float, position: float, side: float
+) -> float:
+    """Force [N] of a wall that is solid where (x - position) * side > 0: spring and damper,
+    never pulling (Colgate 1994).
+    """
+    depth = (x - position) * side
+    if depth > 0.0:
+        push = stiffness * depth + damping * v * side
+        if push > 0.0:
+            return -push * side
+    return 0.0
+
+
+def end_force(x: float, lower: float, upper: float, stiffness: float) -> float:
+    """Force [N] of the springs that begin at the ends of the workspace; 0 between them."""
+    if x > upper:
+        return -stiffness * (x - upper)
+    if x < lower:
+        return -stiffness * (x - lower)
+    return 0.0
+
+
+def clamp(force: float, limit: float) -> float:
+    """`force` [N] held inside +-limit; NaN becomes 0."""
+    if force > limit:
+        return limit
+    if force < -limit:
+        return -limit
+    if force != force:
+        return 0.0
+    return force
