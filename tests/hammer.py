@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 from hapticd.mailbox import layout
-from hapticd.mailbox.fence import word_access
+from hapticd.mailbox.files import word_access
 from hapticd.mailbox.servo_side import ServoMailbox
 
 STOP_AT = 1 << 40

@@ -12,7 +12,7 @@ import pytest
 from hapticd.errors import MailboxError
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.client_side import GatewayMailbox, press_stop
-from hapticd.mailbox.fence import word_access
+from hapticd.mailbox.files import word_access
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.mailbox.servo_side import ServoMailbox
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from hapticd.errors import MailboxError
 from hapticd.mailbox import files, layout
-from hapticd.mailbox.fence import word_access
+from hapticd.mailbox.files import word_access
 
 SAFE_DISTANCE = 64  # records that a reader keeps clear of the writer
 

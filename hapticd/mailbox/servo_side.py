@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from hapticd.mailbox import files, layout
-from hapticd.mailbox.fence import word_access
+from hapticd.mailbox.files import word_access
 
 _ZEROS = (0.0,) * layout.COMMAND_VALUES
 _COUNTER = {name: layout.COUNTER_WORD + index for index, name in enumerate(layout.COUNTERS)}

@@ -22,7 +22,7 @@ from hapticd.errors import HapticdError, LinkError, LinkLost, MailboxError
 from hapticd.link.base import backoff_s
 from hapticd.link.device import NO_HEAD, Device, Head
 from hapticd.mailbox import layout
-from hapticd.mailbox.fence import plain_store
+from hapticd.mailbox.files import plain_store
 from hapticd.mailbox.layout import Flag
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.params import ScaleParams, ServoParams
