@@ -29,7 +29,6 @@ U16_HIGHEST = 65535
 NO_SAMPLES = (0,) * frames.PROBE_MAX
 _NO_PAIRS = (0,) * (2 * frames.PROBE_MAX)
 _SERIAL_BYTES = 16
-_HASH_BYTES = 8
 
 
 def crc16(data: bytes | bytearray | memoryview) -> int:
@@ -189,10 +188,10 @@ def decode_hello(data: bytes | bytearray | memoryview) -> Hello:
 
 
 def _check_hello_values(hello: Hello) -> None:
-    if len(hello.protocol_hash) != _HASH_BYTES:
+    if len(hello.protocol_hash) != len(frames.PROTOCOL_HASH):
         raise FrameError(
             f"protocol hash of the hello reply has {len(hello.protocol_hash)} bytes, expected"
-            f" {_HASH_BYTES}"
+            f" {len(frames.PROTOCOL_HASH)}"
         )
     if len(hello.serial) > _SERIAL_BYTES or not (
         hello.serial.isascii() and hello.serial.isprintable()

@@ -149,7 +149,6 @@ class Hello(NamedTuple):
 _COMMENT = re.compile(r"/\*.*?\*/|//[^\n]*", re.DOTALL)
 _HASH_LINE = re.compile(r"^[ \t]*#[ \t]*define[ \t]+HAPTICD_PROTOCOL_HASH\b[^\n]*$", re.MULTILINE)
 _WHITE_SPACE = re.compile(r"[ \t\n\r\v\f]+")
-HASH_BYTES = 8
 
 
 def declarations(text: str) -> str:
@@ -163,4 +162,4 @@ def protocol_hash(text: str) -> bytes:
     """First 8 bytes of SHA-256 over the declarations of the header `text`; what
     `frames.PROTOCOL_HASH` must be.
     """
-    return hashlib.sha256(declarations(text).encode("ascii")).digest()[:HASH_BYTES]
+    return hashlib.sha256(declarations(text).encode("ascii")).digest()[: len(PROTOCOL_HASH)]
