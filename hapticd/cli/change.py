@@ -1,5 +1,4 @@
-"""What the verbs that change something share: numbers and NAME=VALUE words, a connection, and the
-receipt.
+"""What verbs that change something share: numbers, NAME=VALUE words, a connection, the receipt.
 
 A word that is no number or names no parameter is a usage error (exit 2) before anybody is asked.
 """

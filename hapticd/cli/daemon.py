@@ -1,5 +1,4 @@
-"""The verbs of a daemon: start it, ask it, change what it renders, stop it, have it write what it
-recorded.
+"""The verbs of a daemon: start it, ask it, change what it renders, stop it, dump its recording.
 
 `hapticd stop` is taken by hapticd.__main__ and client.fast_stop without loading this; the verb here
 serves its help and mistakes.

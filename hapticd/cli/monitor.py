@@ -1,5 +1,4 @@
-"""Watch one daemon live: state, position, force, damping and latency as strip charts; single keys
-stop it or end the view.
+"""Watch one daemon live, as strip charts; single keys stop it or end the view.
 
 Keys come from the terminal without waiting and without Enter, and none come when stdin is no
 terminal. What would break it: waiting for data without a time-out, for then a silent daemon would
@@ -97,8 +96,9 @@ def monitor(
 
 
 def watch(instance: str, seconds: float | None, show: Show) -> None:
-    """Show what comes, ten times a second, also when nothing comes; obey keys.
-    `seconds` None: until q.
+    """Show what comes ten times a second, also when nothing comes, and obey keys.
+
+    `seconds` None: until q is pressed.
     """
     from hapticd.cli.screen import NO_DATA_S, History
     from hapticd.clock import MonotonicClock

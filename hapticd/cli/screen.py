@@ -1,5 +1,6 @@
-"""What `hapticd monitor` shows: from the records of the last seconds to one screen. No socket, no
-clock, no terminal.
+"""What `hapticd monitor` shows: from the records of the last seconds to one screen.
+
+No socket, no clock, no terminal.
 
 Two rules. The lamp shows the servo's state, never anybody's wish. When data stay away, lamp and
 charts give way to NO DATA: an old value never looks like a fresh one.
@@ -27,8 +28,9 @@ _BLANK = 0x2800
 
 
 def envelope(values: ArrayLike, length: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest of `values`, shape (n,), in each of `columns` equal parts of `length`
-    samples, newest right.
+    """Lowest and highest of `values` in `columns` equal parts of `length` samples, newest right.
+
+    `values` has shape (n,).
 
     Shape (columns,) each; NaN where there is no sample yet.
     """
@@ -46,8 +48,9 @@ def envelope(values: ArrayLike, length: int, columns: int) -> tuple[np.ndarray, 
 def strip(
     values: ArrayLike, length: int, width: int, height: int, low: float, high: float
 ) -> list[str]:
-    """`height` lines of `width` characters: the last `length` of `values`, shape (n,),
-    between `low` and `high`.
+    """`height` lines of `width` characters: the last `length` of `values`, from `low` to `high`.
+
+    `values` has shape (n,).
     """
     lows, highs = envelope(values, length, 2 * width)
     rows = 4 * height

@@ -1,6 +1,4 @@
-"""Simulate scenes: run them, explain them, ask which effects they need, how much
-damping they bear, what accuracy costs.
-"""
+"""Simulate scenes: run them, explain them, their effects, their damping, their accuracy."""
 
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any

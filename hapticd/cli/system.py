@@ -1,5 +1,4 @@
-"""The machine and its configuration: check, show and resolve it; is the machine fit; what a service
-needs.
+"""The machine and its configuration: `config`, `doctor`, `install-system`.
 
 All three print and none applies anything: `doctor` names the exact fix of what it finds,
 `install-system` writes files below a root.

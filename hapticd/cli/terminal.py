@@ -177,8 +177,9 @@ HERE = Path()
 
 
 def need_figures(wanted: bool) -> None:
-    """Fail before the work rather than after it: ConfigError if figures are wanted and
-    matplotlib is missing.
+    """Fail before the work rather than after it.
+
+    ConfigError if figures are wanted and matplotlib is missing.
     """
     if wanted:
         from hapticd.report import style

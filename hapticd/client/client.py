@@ -492,8 +492,9 @@ class Client:
     def messages(
         self, topics: Sequence[str], look_s: float = 0.05
     ) -> Generator[tuple[str, bytes] | None, None, None]:
-        """Raw (topic, payload) of several topics, None after all that came within `look_s`;
-        endless.
+        """Raw (topic, payload) of several topics, endlessly; None after each look.
+
+        A look every `look_s` takes all that came meanwhile.
         """
         yield from self._line.listen_all(topics, look_s)
 

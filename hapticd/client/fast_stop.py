@@ -1,5 +1,6 @@
-"""The short way to a stop: `hapticd stop` runs this before anything large is loaded, within 90 ms
-in all.
+"""The short way to a stop: `hapticd stop` runs this before anything large is loaded.
+
+It takes less than 90 ms, the interpreter included.
 
 It asks the gateway, whose reply names the state that the servo is in then; without a reply within
 40 ms, or without a gateway, it presses the stop page, which the servo reads in every tick. Standard

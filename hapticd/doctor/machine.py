@@ -63,8 +63,9 @@ class Machine:
         return _plain(self.limits[name][1])
 
     def kernel_option(self, name: str) -> str:
-        """Value of CONFIG_<name> in the running kernel: y, m, a number, n when it is not set, empty
-        when nothing tells.
+        """Value of CONFIG_<name> in the running kernel: y, m, a number; n when it is not set.
+
+        Empty when no file tells.
         """
         config = self._kernel_config()
         for line in config.splitlines():
@@ -79,8 +80,9 @@ class Machine:
             return self.text(f"boot/config-{self.text('proc/sys/kernel/osrelease')}") or ""
 
     def boot_option(self, name: str) -> str | None:
-        """Value of `name` on the kernel command line: empty if it stands there without one, None if
-        it does not.
+        """Value of `name` on the kernel command line; None if it does not stand there.
+
+        Empty if it stands there without a value.
         """
         words = (self.text("proc/cmdline") or "").split()
         found = [word.partition("=")[2] for word in words if word.partition("=")[0] == name]

@@ -29,8 +29,9 @@ PATIENCE_S = 30.0
 
 
 def latencies_us(wait: Wait, now_ns: int, count: int) -> Counter[int]:
-    """How often each latency [us, rounded down] occurred in `count` wakes from `now_ns` on; a late
-    wake drops whole periods.
+    """How often each latency [us, rounded down] occurred in `count` wakes from `now_ns` on.
+
+    A late wake drops whole periods.
     """
     found: Counter[int] = Counter()
     deadline_ns = first_deadline(now_ns, PERIOD_NS)

@@ -54,8 +54,9 @@ def decode(payload: bytes) -> dict[str, Any]:
 
 
 def encode(encoding: Encoding, content: Any) -> bytes:
-    """`content` (maps with text keys, lists, numbers, text, None) as bytes; numbers that are not
-    finite become null.
+    """`content` as bytes; numbers that are not finite become null.
+
+    It may hold maps with text keys, lists, numbers, text and None.
     """
     content = finite(content)
     if encoding is Encoding.JSON:
@@ -64,8 +65,9 @@ def encode(encoding: Encoding, content: Any) -> bytes:
 
 
 def request_id(value: Any) -> RequestId:
-    """`value` if it may be echoed: an int in [0, 2^53), printable ASCII of at most 64 characters,
-    or None. Else ValueError.
+    """`value` if it may be echoed, else ValueError.
+
+    That is an int in [0, 2^53), printable ASCII of at most 64 characters, or None.
     """
     if value is None or (type(value) is int and 0 <= value < ID_LIMIT):
         return value

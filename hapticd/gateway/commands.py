@@ -62,8 +62,9 @@ def posting(request: Request, samples: int) -> Posting:
 
 
 def _switched(asked: str | float | None) -> dict[Value, float]:
-    """Active damping `on` | `off` | level: a level switches it on, 0 switches it off and keeps the
-    level for the next `on`.
+    """Active damping `on` | `off` | level.
+
+    A level switches it on; 0 switches it off and keeps the level for the next `on`.
     """
     if asked is None:
         return {}
@@ -73,8 +74,9 @@ def _switched(asked: str | float | None) -> dict[Value, float]:
 
 
 def parameters(effective: tuple[float, ...]) -> dict[str, Any]:
-    """The parameters of an answer in the shape of a `set`, ramps at their ends, active damping as
-    quantised on the wire.
+    """The parameters of an answer in the shape of a `set`, ramps at their ends.
+
+    Active damping is as quantised on the wire.
     """
     found: dict[str, Any] = {}
     for name, place in PLACES.items():

@@ -54,9 +54,7 @@ from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
 
 
 class RequestMessage(NamedTuple):
-    """A request with its envelope: where the reply goes, how it is written, and what was asked or
-    what is wrong.
-    """
+    """A request with its envelope, and what is wrong with it if something is."""
 
     envelope: tuple[bytes, ...]
     encoding: Encoding
@@ -76,8 +74,9 @@ class RequestMessage(NamedTuple):
 
 
 def unpacked(frames: Sequence[bytes]) -> RequestMessage:
-    """The request in `frames`: client identity, an empty delimiter if a REQ socket sent it,
-    payload. Never raises.
+    """The request in `frames`: client identity, delimiter, payload. Never raises.
+
+    The delimiter is empty, and is there only if a REQ socket sent the request.
     """
     identity, *rest = frames
     delimiter = tuple(rest[:-1])
@@ -149,15 +148,17 @@ class Outstanding:
         return None
 
     def due(self, tick: int, now_ns: int) -> list[Pending]:
-        """Remove and return what is to be replied to: refused, scheduled, in force at `tick`, or
-        out of time.
+        """Remove and return what is to be replied to.
+
+        That is what was refused or scheduled, is in force at `tick`, or is out of time.
         """
         ready = [key for key, pending in self._pending.items() if _is_due(pending, tick, now_ns)]
         return [self._pending.pop(key) for key in ready]
 
     def abandon(self, life: int) -> list[Pending]:
-        """Remove and return all that another servo life than `life` was asked; its scheduled ones
-        are forgotten.
+        """Remove and return all that another servo life than `life` was asked.
+
+        Scheduled commands of other lives are forgotten.
         """
         lost = [pending for pending in self._pending.values() if pending.life != life]
         if lost or any(known != life for known, _ in self._scheduled):
@@ -428,8 +429,9 @@ class Desk:
         return True
 
     def _ask_back(self) -> None:
-        """Learn the parameters after a restart of the gateway: a set for a tick long past is
-        refused, and tells them.
+        """Learn the parameters after a restart of the gateway.
+
+        A set for a tick long past is refused, and the refusal carries them.
         """
         if self._view.unsure and self._asked_life != self._view.life and self._view.mailbox:
             asked = self._view.mailbox.post(Command.SET, GATEWAY_ACTOR, PAST_TICK, values_of({}))
@@ -466,9 +468,7 @@ class Desk:
         return self._accepted(message, {"rev": answer.revision, "receipt": receipt(answer)})
 
     def _taken_back(self, message: RequestMessage) -> bool:
-        """Whether a force that comes late, when nobody expects it any more, will end in the tick in
-        which it begins.
-        """
+        """Whether a force that comes when nobody expects it ends in the tick in which it begins."""
         kind = TAKEN_BACK.get(message.cmd)
         mailbox = self._view.mailbox
         return (

@@ -1,5 +1,6 @@
-"""How much of each parameter may be asked on this device at this rate: the mailbox's table under
-the names that clients use.
+"""How much of each parameter may be asked on this device at this rate.
+
+It is the mailbox's table under the names that clients use.
 """
 
 from collections.abc import Iterator
@@ -52,8 +53,9 @@ def flat(table: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
 
 
 class CommandLimits:
-    """The limits by dotted field name; `value` of the damping command is the same quantity as
-    `damping` of set.
+    """The limits by dotted field name.
+
+    `value` of the damping command is the same quantity as `damping` of set.
     """
 
     def __init__(self, params: ServoParams) -> None:
@@ -71,9 +73,7 @@ class CommandLimits:
         )
 
     def broken_by(self, given: dict[str, Any]) -> list[dict[str, str]]:
-        """One {loc, msg} for each number in `given` (nested as in the request) that is beyond its
-        limit.
-        """
+        """One {loc, msg} for each number in `given`, nested as the request, beyond its limit."""
         numbers = (
             (name, value)
             for name, value in flat(given)

@@ -92,9 +92,7 @@ def news(view: ServoView) -> tuple[Any, ...]:
 
 
 class Transitions:
-    """Follows states and faults from block to block and notes every change with its tick, however
-    short it was.
-    """
+    """Follows states and faults from block to block and notes every change with its tick."""
 
     def __init__(self, view: ServoView, actors: Actors, journal: Journal) -> None:
         self._view = view
@@ -177,8 +175,9 @@ class Publisher:
         self._state_ns = -STATE_PERIOD_NS
 
     def subscribe(self, message: bytes, unix_ns: int) -> list[Message]:
-        """Note a subscription or its end; whoever newly asks for `state` gets it at once, for
-        `flight` a checkpoint soon.
+        """Note a subscription or its end.
+
+        Whoever newly asks for `state` gets it at once, for `flight` a checkpoint soon.
         """
         topics = self._subscriptions.take(message)
         if "flight" in topics:

@@ -1,5 +1,4 @@
-"""What a client may ask, as strict models: one per command, told apart by `cmd`; and what is wrong,
-in words.
+"""What a client may ask, as strict models, one per command; and what is wrong, in words.
 
 Strict means: no text for numbers, no booleans for numbers, no null for "not given", no unknown
 keys, nothing infinite. The ranges are not here but in `limits`, since they depend on the device.
@@ -301,9 +300,7 @@ def parse(plain: dict[str, Any], limits: CommandLimits) -> Request:
 
 
 def invalid(detail: list[dict[str, str]]) -> CommandError:
-    """The error for a request that breaks the schema or a limit; `detail` is a list of
-    {loc, msg}.
-    """
+    """The error for a request that breaks the schema or a limit; detail is [{loc, msg}]."""
     detail = detail[:MOST_DETAILS]
     return CommandError("invalid", "; ".join(item["msg"] for item in detail), detail)
 
@@ -347,9 +344,7 @@ def _fields(command: str, names: list[str]) -> tuple[str, ...]:
 
 
 def json_schema(limits: CommandLimits) -> dict[str, Any]:
-    """The protocol as JSON schema, with unit, minimum and maximum of every limited field on this
-    device.
-    """
+    """The protocol as JSON schema, with unit, minimum and maximum on this device."""
     schema: dict[str, Any] = ADAPTER.json_schema()
     for title, model in schema["$defs"].items():
         part = {"Filters": "filters.", "Wall": "wall."}.get(title, "")

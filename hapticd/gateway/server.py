@@ -151,9 +151,7 @@ def bind_file(socket: "zmq.Socket[bytes]", path: Path) -> str:
 
 
 def port_for(params: GatewayParams, instance: str) -> int:
-    """The port to try first; 0 (any free one) for other instances, which must not take the default
-    one's.
-    """
+    """The port to try first; 0 (any free one) for other instances than the default one."""
     usual = params.telemetry_port == GatewayParams().telemetry_port
     return 0 if usual and instance != DEFAULT_INSTANCE else params.telemetry_port
 

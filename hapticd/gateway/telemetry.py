@@ -49,9 +49,7 @@ from hapticd.wire.session import PROBE_INDEX_BITS, unwrap
 
 
 class Topic(NamedTuple):
-    """One row: what is in a payload, how often it comes, and how many ticks share one
-    sample of it.
-    """
+    """One row: content, rate, and how many ticks share one sample of a topic."""
 
     name: str
     content: str
@@ -112,8 +110,9 @@ def wanted_by(prefix: bytes) -> frozenset[str]:
 
 
 class Subscriptions:
-    """The set of live subscriptions, as XPUB reports them: each first one and, with XPUB_VERBOSE,
-    each repeated one.
+    """The set of live subscriptions, as XPUB reports them.
+
+    It reports each first one and, with XPUB_VERBOSE, each repeated one.
     """
 
     def __init__(self) -> None:
@@ -164,9 +163,7 @@ class Feed:
         self.lost = 0
 
     def take(self, now_ns: int) -> list[RingBlock]:
-        """The blocks that are due; each is a whole number of batches unless the ring
-        stood still.
-        """
+        """The blocks that are due; whole numbers of batches unless the ring stood still."""
         view = self._view
         if view.mailbox is None:
             return []
@@ -187,9 +184,7 @@ class Feed:
         return [block for block in blocks if len(block.records) or block.lost]
 
     def _begin(self, now_ns: int) -> None:
-        """A young ring is read from its first record; one that has long been running
-        from now on.
-        """
+        """A young ring is read from its first record, one that has long been running from now."""
         head = self._view.head
         self._life = self._view.life
         self._taken_ns = now_ns
@@ -274,8 +269,10 @@ def packed_block(
     data: bytes,
     **more: Any,
 ) -> bytes:
-    """Header and records: `seq` numbers the first one, `next` the one after the last; `lost` are
-    missing since the last block.
+    """Header and records as one msgpack map.
+
+    `seq` numbers the first record, `next` the one after the last; `lost` are missing since the last
+    block.
     """
     place = {"seq": seq, "next": after, "n": count, "lost": lost, "descr": descr}
     return bytes(msgpack.packb(origin.header | place | more | {"d": data}))
@@ -295,8 +292,9 @@ _STALE = Flag.MISSING_IN | Flag.BAD_IN  # the record repeats an older frame
 
 
 def scales(device: DeviceParams) -> dict[str, dict[str, Any]]:
-    """What the counts of the two signals mean: value = sign * (count - offset_count) * per_count,
-    in `unit`.
+    """What the counts of the two signals mean, in `unit`.
+
+    value = sign * (count - offset_count) * per_count
     """
 
     def plain(scale: ScaleParams, unit: str) -> dict[str, Any]:
@@ -335,9 +333,7 @@ class ProbeDecoder:
         self._pairs: list[bytes] = []
 
     def messages(self, block: RingBlock, origin: Origin) -> list[bytes]:
-        """Payloads of topic `probe` for the pairs in `block`: one for each run of the board, none
-        if there is no pair.
-        """
+        """Payloads of topic `probe` for the pairs in `block`: one for each run of the board."""
         found = []
         records = block.records
         for flags, time_ns, frame in zip(
@@ -426,8 +422,9 @@ class StageHistograms:
         self._max_ns = np.zeros(len(STAGES), np.int64)
 
     def add(self, records: Records, start_ns: int) -> None:
-        """Count the ticks in `records` that came after the grace that began with the servo's life
-        at `start_ns`.
+        """Count the ticks in `records` that came after the grace.
+
+        The grace begins with the servo's life at `start_ns`.
         """
         settled = records[records["time_ns"] - start_ns >= self._grace_ns]
         if not settled.size:
@@ -443,8 +440,9 @@ class StageHistograms:
         np.maximum(self._max_ns, times_ns.max(axis=1), out=self._max_ns)
 
     def summary(self) -> dict[str, dict[str, float]]:
-        """{stage: {count, p50_us, p99_us, p999_us, max_us}}; a percentile is the upper edge of its
-        bin, at most the maximum.
+        """{stage: {count, p50_us, p99_us, p999_us, max_us}}.
+
+        A percentile is the upper edge of its bin, at most the maximum.
         """
         return {stage: self._one(row) for row, stage in enumerate(STAGES)}
 

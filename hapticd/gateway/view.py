@@ -1,5 +1,4 @@
-"""The servo as the gateway sees it: its mailbox while there is one, the newest record, and what it
-last promised.
+"""The servo as the gateway sees it: its mailbox, its newest record, what it last promised.
 
 A servo may die and another start; each life has its own mailbox. The view notices (the heartbeat
 stays away, or the file in the folder is another one), lets go and tries again ten times a second.
@@ -40,8 +39,9 @@ def rows(data: bytes) -> list[dict[str, Any]]:
 
 
 def last_torn(records: Records) -> int:
-    """Number of leading records up to the last one whose end is not of the same tick as its
-    beginning; 0 if all are whole.
+    """Number of leading records up to the last torn one; 0 if all are whole.
+
+    The end of a torn record is not of the same tick as its beginning.
     """
     torn = np.flatnonzero(records["tick"] != records["tail"])
     return int(torn[-1]) + 1 if torn.size else 0
@@ -154,16 +154,12 @@ class ServoView:
 
     @property
     def targets(self) -> tuple[float, ...]:
-        """The parameters by layout.Value, ramps at their ends: as last answered, else as
-        configured.
-        """
+        """The parameters by layout.Value, ramps at their ends: as last answered, or configured."""
         return self._effective or configured(self.params)
 
     @property
     def unsure(self) -> bool:
-        """Whether this gateway came when parameters had already been changed, and has not been told
-        to what.
-        """
+        """Whether parameters were changed before this gateway came, it does not know to what."""
         return self._came_late and self._effective is None and self.alive
 
     @property

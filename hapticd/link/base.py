@@ -33,8 +33,9 @@ class Link(ABC):
 
     @abstractmethod
     def request(self, request: Request, length: int = 0) -> bytes:
-        """Vendor control request: IN when `length` > 0 (that many bytes at most), else OUT without
-        data.
+        """Vendor control request: its reply of at most `length` bytes.
+
+        With `length` 0 it is an OUT request without data.
         """
 
 

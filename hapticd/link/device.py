@@ -75,8 +75,9 @@ class Device:
 def _exchange(
     device: Device,
 ) -> tuple[Callable[[], None], Callable[[], Received], Callable[..., bool], Callable[[], Head]]:
-    """Closures over the device's buffers: the state of the exchange lives in cells, at the cost of
-    a local.
+    """Closures over the device's buffers.
+
+    The state of the exchange lives in their cells, which are as quick to reach as locals.
     """
     read = device.link.read
     write = device.link.write

@@ -57,8 +57,9 @@ OTHERWISE = Failure(LinkLost, _AGAIN)
 
 
 def link_error(action: str, error: Exception) -> LinkError:
-    """The LinkError for `error`, which pyusb raised while trying to `action`; raise it
-    from that.
+    """The LinkError for `error`, which pyusb raised while trying to `action`.
+
+    Raise it from that.
     """
     number = getattr(error, "errno", None)
     kind, remedy = FAILURES.get(number, OTHERWISE)
@@ -100,9 +101,7 @@ def system_backend() -> Any:
 
 
 class UsbLink(Link):
-    """The board that `params` describe at the bus of `backend` (a pyusb backend; None: the system's
-    libusb).
-    """
+    """The board that `params` describe at the bus of `backend`; None: the system's libusb."""
 
     def __init__(self, params: UsbParams, backend: Any = None) -> None:
         if params.timeout_ms < 1:

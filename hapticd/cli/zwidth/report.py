@@ -1,6 +1,4 @@
-"""Every figure of a device, or of a run that was kept; and the paper again, its table
-and its figures, on three devices.
-"""
+"""Every figure of a device or of a kept run; and the paper again, on three devices."""
 
 import json
 import sys
