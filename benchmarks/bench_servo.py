@@ -17,9 +17,8 @@ from hapticd.mailbox.client_side import GatewayMailbox
 from hapticd.mailbox.layout import Command
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.params import BoardParams, ServoParams, from_plain
-from hapticd.servo.loop import ServoLoop
-from hapticd.servo.state import SETTLED
-from hapticd.servo.wait import spinning_wait
+from hapticd.servo.loop import ServoLoop, spinning_wait
+from hapticd.servo.plan import SETTLED
 from hapticd.units import NS_PER_S, NS_PER_US
 
 FOR_EVER_S = 1e6  # nobody beats here

@@ -20,7 +20,7 @@ from hapticd.clock import MonotonicClock
 from hapticd.link.usb import UsbLink
 from hapticd.mailbox import layout
 from hapticd.params import BoardParams, ServoParams
-from hapticd.servo.wait import first_deadline
+from hapticd.servo.loop import first_deadline
 from hapticd.wire import codec, frames
 from hapticd.wire.frames import OutFrame
 

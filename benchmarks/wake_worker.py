@@ -5,7 +5,7 @@ from typing import Any
 
 from benchmarks.worker import serve
 from hapticd.params import RealtimeParams
-from hapticd.servo.wait import first_deadline, spinning_wait
+from hapticd.servo.loop import first_deadline, spinning_wait
 from hapticd.units import NS_PER_US
 
 

@@ -7,8 +7,8 @@ from typing import Any
 from hapticd.link.device import SEED
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Result, Value
+from hapticd.servo.plan import GATEWAY_ALIVE, LINK_UP, SETTLED
 from hapticd.servo.safety import State
-from hapticd.servo.state import GATEWAY_ALIVE, LINK_UP, SETTLED
 from hapticd.servo.step import initial_state, make_step
 
 HEALTHY = LINK_UP | GATEWAY_ALIVE

@@ -14,8 +14,7 @@ from recorded import RecordedFlight
 from hapticd.assembly import replay
 from hapticd.mailbox.layout import Command, State, Value
 from hapticd.params import HomeParams, InjectionParams
-from hapticd.servo.checkpoint import flatten, unflatten
-from hapticd.servo.state import SETTLED, ServoState
+from hapticd.servo.plan import SETTLED, ServoState, flatten, unflatten
 
 ROUGH = tuple(
     InjectionParams(kind, tick=tick, count=count)

@@ -17,7 +17,7 @@ from hapticd.doctor import checks, machine, wake
 from hapticd.doctor.checks import CHECKS, CheckResult, Requirements, examine, requirements
 from hapticd.doctor.machine import CAP_IPC_LOCK, CAP_SYS_NICE, UNLIMITED, Machine, cores_in
 from hapticd.params import RealtimeParams, UsbParams
-from hapticd.servo.wait import virtual_wait
+from hapticd.servo.loop import virtual_wait
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
 from hapticd.units import NS_PER_S, NS_PER_US

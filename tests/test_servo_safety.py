@@ -10,8 +10,8 @@ from hapticd.faults import BY_CODE, FAULTS
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.params import HomeParams, SafetyParams
 from hapticd.servo import safety
+from hapticd.servo.plan import GATEWAY_ALIVE, LINK_UP, SETTLED
 from hapticd.servo.safety import FAULT_EVENT, State
-from hapticd.servo.state import GATEWAY_ALIVE, LINK_UP, SETTLED
 from hapticd.wire.frames import OutFlag, Status
 
 STIFF = {Value.STIFFNESS: 100.0}

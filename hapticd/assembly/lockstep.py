@@ -23,8 +23,7 @@ from hapticd.mailbox.client_side import Answer, GatewayMailbox
 from hapticd.mailbox.layout import Command, Value
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.params import BoardParams, RealtimeParams, SafetyParams, ServoParams, UsbParams
-from hapticd.servo.loop import ServoLoop
-from hapticd.servo.wait import virtual_wait
+from hapticd.servo.loop import ServoLoop, virtual_wait
 
 ANSWER_TICKS = 10  # within which a command is answered; a reset that asks the board takes a few
 CHUNK = 256  # ticks between gateway heartbeats; far below the ring and the heartbeat time-out

@@ -20,9 +20,7 @@ from numpy.typing import NDArray
 from hapticd.mailbox.client_side import Noted
 from hapticd.mailbox.layout import PLAN_FIELDS, Command, Flag, Value, values_of
 from hapticd.params import ServoParams
-from hapticd.servo.checkpoint import unflatten
-from hapticd.servo.plan import meant
-from hapticd.servo.state import SETTLED, Request, ServoState
+from hapticd.servo.plan import SETTLED, Request, ServoState, masked_places, unflatten
 from hapticd.servo.step import make_step
 from hapticd.wire import frames
 
@@ -55,7 +53,7 @@ class Segment(NamedTuple):
     """What a replay starts from and is fed with."""
 
     tick: int  # of the first record
-    state: Any  # before that tick, flat, as servo.checkpoint writes it
+    state: Any  # before that tick, flat, as servo.plan.flatten writes it
     records: Records  # (n,), without a gap
     requests: Sequence[Noted]  # that were obeyed in their time
 
@@ -175,7 +173,7 @@ def _without(request: Request, held: set[Value]) -> Request:
 
 
 def _unmasked(values: tuple[float, ...], held: set[Value]) -> tuple[float, ...]:
-    mask = sum(1 << place for place in meant(values) if place not in held)
+    mask = sum(1 << place for place in masked_places(values) if place not in held)
     return (float(mask), *values[1:])
 
 

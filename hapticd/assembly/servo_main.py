@@ -31,8 +31,7 @@ from hapticd.mailbox import files, layout
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.params import BoardParams, ServoParams, from_plain
 from hapticd.servo import host
-from hapticd.servo.loop import ServoLoop
-from hapticd.servo.wait import spinning_wait
+from hapticd.servo.loop import ServoLoop, spinning_wait
 from hapticd.units import NS_PER_S, NS_PER_US, US_PER_S
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from typing import Any
 from hapticd.doctor.checks import CheckResult, Requirements, fail, ok, warn
 from hapticd.params import RealtimeParams
 from hapticd.servo import host
-from hapticd.servo.wait import Wait, first_deadline, spinning_wait
+from hapticd.servo.loop import Wait, first_deadline, spinning_wait
 from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US, US_PER_S
 
 PERIOD_NS = NS_PER_MS

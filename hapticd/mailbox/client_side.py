@@ -68,7 +68,7 @@ class Noted(NamedTuple):
 
 
 class Checkpoint(NamedTuple):
-    """The servo's state before `tick`, as nested plain tuples (servo.checkpoint)."""
+    """The servo's state before `tick`, as nested plain tuples (servo.plan.flatten)."""
 
     tick: int
     state: tuple[Any, ...]

@@ -10,18 +10,19 @@ from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.params import ServoParams
 from hapticd.render.ramp import Ramp, constant
 from hapticd.servo import safety
-from hapticd.servo.hot import damping_count
 from hapticd.servo.plan import (
     NO_WAVE,
+    Answer,
     Plan,
+    Request,
     Scheduled,
     coefficients_of,
-    meant,
+    damping_count,
+    masked_places,
     out_of_range,
     with_values,
 )
 from hapticd.servo.safety import LATCHED, State
-from hapticd.servo.state import Answer, Request
 from hapticd.units import round_half_up
 
 MOST_SCHEDULED = 16
@@ -138,7 +139,7 @@ def _target(
     target = safety.transition(plan.state, kind)
     if isinstance(target, Result) or target is plan.state:
         if kind == Command.PERTURB_START and (
-            out_of_range(values, params) or not WAVEFORM.issubset(meant(values))
+            out_of_range(values, params) or not WAVEFORM.issubset(masked_places(values))
         ):
             return Result.REFUSED_RANGE
         return target
@@ -180,11 +181,11 @@ def _settings(
 
 
 def _schedule(plan: Plan, new: Scheduled, params: ServoParams) -> tuple[Plan, list[Answer]]:
-    places = set(meant(new.values))
+    places = set(masked_places(new.values))
     gone = [
         old
         for old in plan.scheduled
-        if old.tick == new.tick and places.issuperset(meant(old.values))
+        if old.tick == new.tick and places.issuperset(masked_places(old.values))
     ]
     kept = tuple(old for old in plan.scheduled if old not in gone)
     if len(kept) >= MOST_SCHEDULED:

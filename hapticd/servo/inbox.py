@@ -1,12 +1,23 @@
-"""What a tick has to obey, from wherever it comes: the command ring, the stop word, and the loop's
-own findings.
+"""What a tick has to obey, from wherever it comes (the command ring, the stop word, the loop's
+own findings), and the waveform that it streams into the board's perturbation FIFO.
 
 At most two commands are taken a tick. A reset while the board reports a fault first asks the board
 to forget it and waits for the frame that tells whether it did. The stop word is taken back to 0 as
 it is obeyed, whatever the state; the latch is the plan's, so no reset can clear a press that it has
 not outlived. Lost slots become a fault when too many fall into one second; pauses of a host with a
 simulated board harm no one and only count.
+
+The board plays one sample per 250 us of its own clock, which is not the host's. The host therefore
+looks at the level in each IN frame and sends one sample more or fewer than the nominal number (at 1
+kHz 3, 4 or 5), to hold the FIFO near 8 of 16: neither end runs dry or over while the clocks differ
+by less than 25 %. A waveform that is played once ends when the FIFO has run dry after its last
+sample; the under-run that the board then reports is the end, not a loss.
+
+What would break it: a stop word that is taken back after it was obeyed (a press in between is
+lost), a level that is not of the newest frame.
 """
+
+import math
 
 from hapticd.errors import LinkError
 from hapticd.faults import BY_CODE
@@ -14,11 +25,66 @@ from hapticd.link.device import Device, Head
 from hapticd.mailbox.layout import Command
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.params import ServoParams
-from hapticd.servo.perturb import Streamer
-from hapticd.servo.plan import Plan
+from hapticd.servo.plan import CLEARABLE, Plan, Request
 from hapticd.servo.safety import FAULT_EVENT, PERTURB_DONE_EVENT, State
-from hapticd.servo.state import CLEARABLE, Request
-from hapticd.units import NS_PER_S
+from hapticd.units import NS_PER_S, PROBE_RATE_HZ
+from hapticd.wire.codec import NO_SAMPLES
+from hapticd.wire.frames import FIFO_TARGET, PROBE_MAX, OutFlag
+
+Burst = tuple[int, int, tuple[int, ...]]  # OUT flags, samples that count, always PROBE_MAX values
+_FIFO_CLEAR = int(OutFlag.FIFO_CLEAR)
+
+
+class Streamer:
+    """Plays counts of `waveform` (memoryview of i16) as the plan's `wave` says: (command number
+    or 0, samples, loop).
+    """
+
+    def __init__(self, waveform: "memoryview[int]", rate_hz: float) -> None:
+        nominal = PROBE_RATE_HZ / rate_hz
+        self._waveform = waveform
+        self._least, self._most = (
+            max(0, math.floor(nominal) - 1),
+            min(PROBE_MAX, math.ceil(nominal) + 1),
+        )
+        self._position = self._samples = 0
+        self._loop = False
+        self.playing = 0  # number of the command that started it, 0: silent
+
+    def follow(self, wave: tuple[int, int, bool], flags: int, level: int) -> Burst:
+        """What to send to a FIFO at `level`; `flags` gain FIFO_CLEAR on the tick a waveform
+        begins or ends.
+        """
+        number, samples, loop = wave
+        begins = number != self.playing
+        if begins:
+            self.playing, self._position, self._samples, self._loop = (
+                number,
+                0,
+                min(samples, len(self._waveform)),
+                loop,
+            )
+            flags |= _FIFO_CLEAR
+        if not number:
+            return flags, 0, NO_SAMPLES
+        wanted = PROBE_MAX if begins else min(self._most, max(self._least, FIFO_TARGET - level))
+        return (flags, *self._next(wanted))
+
+    def ended(self, level: int) -> bool:
+        """Whether a waveform that plays once has been played to its end."""
+        return (
+            self.playing != 0 and not self._loop and self._position >= self._samples and level == 0
+        )
+
+    def _next(self, wanted: int) -> tuple[int, tuple[int, ...]]:
+        if self._loop and self._position >= self._samples:
+            self._position = 0
+        taken = self._waveform[
+            self._position : min(self._position + wanted, self._samples)
+        ].tolist()
+        self._position += len(taken)
+        return len(taken), (*taken, *NO_SAMPLES[len(taken) :])
+
 
 ACTOR_STOP_WORD = 2
 MOST_COMMANDS = 2

@@ -1,20 +1,40 @@
-"""What the servo intends: everything that changes by commands, ramps and transitions, and not by
-the sample.
+"""What the servo intends (Plan), what one tick needs of it (Settled), and both as plain tuples
+(checkpoint).
 
-A Plan is immutable; `with_values` gives the next one for a change of settings, `commands.obey` for
-any command. Ramps carry their own start tick, so a parameter that is set twice goes on from where
-it is.
+A Plan is everything that changes by commands, ramps and transitions, and not by the sample. It is
+immutable; `with_values` gives the next one for a change of settings, `commands.obey` for any
+command. Ramps carry their own start tick, so a parameter that is set twice goes on from where it
+is. `flat_plan` makes of it the flat values that one tick needs, and until when they hold.
+
+A tick passes on a ServoState. What changes with every sample in it is a plain tuple, which CPython
+takes apart and builds at the speed of C; what only `transition` changes is one frozen object with
+named slots (Settled) that a calm tick passes on untouched.
+
+A checkpoint (`flatten`, `unflatten`) is the whole state as nested plain tuples: what a replay
+starts from. Every number stays the number it is, so a replay from a checkpoint gives the same bits
+as the run that left it. Plain tuples are cheap to marshal (some 10 us, only when the gateway asks,
+after the record was published) and survive JSON. The order of the places is that of the first
+checkpoints ever written, which stay readable.
+
+What would break it: a field of Plan or ServoState that is added there and not in `flatten` (the
+tests replay and compare), a mutable value in a Plan.
 """
 
 import math
-from typing import NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
 
+from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Value, value_limits
-from hapticd.params import FilterParams, ServoParams
-from hapticd.render.law import Coefficients, design_coefficients
-from hapticd.render.ramp import Ramp, constant
-from hapticd.servo.safety import State
+from hapticd.params import FilterParams, ServoParams, WorkspaceParams
+from hapticd.render.energy import Ledger
+from hapticd.render.law import Coefficients, Environment, LawState, design_coefficients
+from hapticd.render.ramp import Ramp, approach, constant
+from hapticd.servo.safety import LATCHED, State, held_damping
 from hapticd.units import round_half_up
+from hapticd.wire.codec import U16_HIGHEST
+from hapticd.wire.frames import Status
 
 NEVER = 1 << 62
 Wave = tuple[int, int, bool]  # perturbation: number of its command (0: none), samples, loop
@@ -109,7 +129,7 @@ def initial_plan(params: ServoParams) -> Plan:
     )
 
 
-def meant(values: tuple[float, ...]) -> list[int]:
+def masked_places(values: tuple[float, ...]) -> list[int]:
     """Places of a command's values that its mask names."""
     mask = int(values[Value.MASK])
     return [place for place in range(1, len(values)) if mask >> place & 1]
@@ -127,7 +147,7 @@ def out_of_range(values: tuple[float, ...], params: ServoParams) -> bool:
     }
     return not all(
         place in limits and limits[place][0] <= values[place] <= limits[place][1]
-        for place in meant(values)
+        for place in masked_places(values)
     )
 
 
@@ -137,7 +157,7 @@ def with_values(
     """`plan` on its way to the meant `values` from `tick` on, and the tick at which it arrives.
     ConfigError: filter refused.
     """
-    places = meant(values)
+    places = masked_places(values)
     rate_hz = params.realtime.rate_hz
     ramp_s = values[Value.RAMP_S] if Value.RAMP_S in places else params.safety.default_ramp_s
     ticks = round_half_up(ramp_s * rate_hz)
@@ -181,3 +201,188 @@ def _filters(
 def coefficients_of(plan: Plan, rate_hz: float) -> Coefficients:
     """Filter coefficients of `plan`. ConfigError for an impossible corner."""
     return design_coefficients(*plan.filters, rate_hz)
+
+
+@dataclass(frozen=True, slots=True)
+class Settled:
+    """What a tick needs of the plan, in the form it needs it; holds until `attend` is called
+    again.
+    """
+
+    wake_tick: int  # look at the plan again at this tick
+    environment: Environment
+    coefficients: Coefficients
+    out_flags: int  # of the OUT frame
+    damping_count: int
+    blob: bytes  # layout.PLAN
+    origin: int  # encoder count at x = 0
+    added: float  # added electrical damping / period [N/m]
+    host: int  # host flags it was made under
+    wave: Wave  # the plan's
+    plan: Plan
+
+
+Held = tuple[int, float]  # what was sent last: torque count, force [N]
+ServoState = tuple[Settled, LawState, Ledger, Held]
+SETTLED: Final = 0  # place in a ServoState
+# encoder, status, temperature count, arrival (link.device), host flags, index offset
+Sample = tuple[int, int, int, int, int, int]
+# torque count, position, velocity, acceleration, force parts K B M field, force as sent, record
+# flags, answers
+Output = tuple[int, float, float, float, float, float, float, float, float, int, tuple[Any, ...]]
+# seq, kind, actor, apply tick, values
+Request = tuple[int, int, int, int, tuple[float, ...]]
+# seq, result, fault, revision, (first tick, ramp-end tick), effective values
+Answer = tuple[int, int, int, int, tuple[int, int], tuple[float, ...]]
+
+# host flags
+LINK_UP = 1
+GATEWAY_ALIVE = 2
+
+BOARD_FAULT = int(Status.AMPLIFIER_FAULT | Status.ENCODER_FAULT)
+CLEARABLE = BOARD_FAULT | int(Status.OVER_TEMPERATURE)  # what CLEAR_FAULT may end
+ATTENTION = int(Status.WATCHDOG | Status.OVER_TEMPERATURE) | BOARD_FAULT
+
+
+class FlatPlan(NamedTuple):
+    """What a tick needs of a plan."""
+
+    wake_tick: int  # look at the plan again at this tick
+    environment: Environment
+    damping_count: int
+    blob: bytes  # layout.PLAN
+
+
+def added_target(plan: Plan, tick: int, params: ServoParams) -> float:
+    """Level of added damping [N s/m] the table wants at `tick`, before the slew limit."""
+    if plan.state in LATCHED:
+        return held_damping(
+            plan.added_entry, (tick - plan.since_tick) / params.realtime.rate_hz, params.safety
+        )
+    return plan.added_asked if plan.added_on else 0.0
+
+
+def advance_added(plan: Plan, tick: int, params: ServoParams) -> Plan:
+    """`plan` with its added damping one tick further: slew-limited, but released from a latched
+    state on time.
+    """
+    target = added_target(plan, tick, params)
+    releasing = plan.state in LATCHED and target < plan.added
+    step = params.safety.damping_slew_ns_per_m_s / params.realtime.rate_hz
+    added = target if releasing else approach(plan.added, target, step)
+    return plan if added == plan.added else plan._replace(added=added)
+
+
+def damping_count(level: float, params: ServoParams) -> int:
+    """DAC count for `level` [N s/m], inside the DAC and the device's limit."""
+    return params.device.damping.to_count(
+        min(level, params.device.damping_limit_ns_per_m), 0, U16_HIGHEST
+    )
+
+
+def flat_plan(
+    plan: Plan, tick: int, params: ServoParams, workspace: WorkspaceParams, limit_n: float
+) -> FlatPlan:
+    """The flat form of `plan` at `tick`. Ends of the workspace, walls and K-B-M all carry the
+    gain.
+    """
+    gain = plan.gain.value(tick)
+    at = {place: ramp.value(tick) for place, ramp in plan.values.items()}
+    environment = (
+        gain * at[Value.STIFFNESS],
+        gain * at[Value.DAMPING],
+        gain * at[Value.MASS],
+        _bias(plan, tick),
+        limit_n,
+        gain * at[Value.WALL_STIFFNESS],
+        gain * at[Value.WALL_DAMPING],
+        at[Value.WALL_POSITION],
+        at[Value.WALL_SIDE],
+        workspace.lower_m,
+        workspace.upper_m,
+        gain * workspace.stiffness_n_per_m,
+    )
+    count = damping_count(plan.added, params)
+    added = params.device.damping.to_value(count)
+    blob = layout.PLAN.pack(
+        plan.revision & 0xFFFFFFFF,
+        plan.state,
+        plan.fault,
+        plan.wave[0] != 0,
+        plan.homed,
+        plan.actor,
+        *plan.leases,
+        gain,
+        at[Value.STIFFNESS],
+        at[Value.DAMPING],
+        at[Value.MASS],
+        added_target(plan, tick, params),
+        added,
+    )
+    return FlatPlan(wake_tick(plan, tick, params), environment, count, blob)
+
+
+def _bias(plan: Plan, tick: int) -> float:
+    """Force [N] that is not the law's: the push of a homing that was stopped, on its way out."""
+    return plan.fade.value(tick) if plan.state in LATCHED and plan.gain.start == 0.0 else 0.0
+
+
+def wake_tick(plan: Plan, tick: int, params: ServoParams) -> int:
+    """First tick after `tick` at which the plan differs from now."""
+    ramps = (plan.gain, plan.fade, *plan.values.values())
+    if (
+        plan.state is State.HOMING
+        or any(ramp.running(tick) for ramp in ramps)
+        or plan.added != added_target(plan, tick, params)
+    ):
+        return tick + 1
+    events = [one.tick for one in plan.scheduled]
+    if plan.state in LATCHED:
+        held = plan.since_tick + round_half_up(
+            params.safety.damping_hold_s * params.realtime.rate_hz
+        )
+        if plan.added > 0.0:
+            events.append(max(held, tick + 1))
+    return min(events, default=NEVER)
+
+
+def flatten(state: ServoState) -> tuple[Any, ...]:
+    """`state` as tuples, numbers and text."""
+    settled, law, ledger, held = state
+    plan = settled.plan
+    s = settled
+    plain = plan._asdict() | {
+        "state": int(plan.state),
+        "gain": tuple(plan.gain),
+        "fade": tuple(plan.fade),
+        "values": tuple((place, tuple(ramp)) for place, ramp in plan.values.items()),
+        "filters": tuple(
+            (one.frequency_hz, one.damping_ratio, one.mapping) for one in plan.filters
+        ),
+        "scheduled": tuple(tuple(one) for one in plan.scheduled),
+    }
+    before = s.wake_tick, s.environment, s.coefficients, s.out_flags, s.damping_count, s.blob.hex()
+    return (*before, law, ledger, s.origin, s.added, held, s.host, tuple(plain.values()))
+
+
+def unflatten(plain: Sequence[Any]) -> ServoState:
+    """The state in `plain`, whose tuples may have become lists on the way."""
+    wake, environment, coefficients, flags, damping, blob, *others, plan = map(_tuples, plain)
+    fields = dict(zip(Plan._fields, plan, strict=True))
+    first, second = (FilterParams(*one) for one in fields["filters"])
+    renewed = fields | {
+        "state": State(fields["state"]),
+        "gain": Ramp(*fields["gain"]),
+        "fade": Ramp(*fields["fade"]),
+        "values": {place: Ramp(*ramp) for place, ramp in fields["values"]},
+        "filters": (first, second),
+        "scheduled": tuple(Scheduled(*one) for one in fields["scheduled"]),
+    }
+    law, ledger, origin, added, held, host = others
+    before = wake, environment, coefficients, flags, damping, bytes.fromhex(blob)
+    whole = Plan(**renewed)
+    return Settled(*before, origin, added, host, whole.wave, whole), law, ledger, held
+
+
+def _tuples(item: Any) -> Any:
+    return tuple(map(_tuples, item)) if isinstance(item, list | tuple) else item

@@ -22,11 +22,20 @@ from hapticd.mailbox.layout import Flag
 from hapticd.params import ServoParams
 from hapticd.render.energy import EMPTY, book
 from hapticd.render.law import at_rest, render
-from hapticd.servo.attend import make_attend
-from hapticd.servo.hot import hot
-from hapticd.servo.plan import coefficients_of, initial_plan
+from hapticd.servo.plan import (
+    ATTENTION,
+    LINK_UP,
+    SETTLED,
+    Output,
+    Sample,
+    ServoState,
+    Settled,
+    coefficients_of,
+    flat_plan,
+    initial_plan,
+)
 from hapticd.servo.safety import FAULT_EVENT
-from hapticd.servo.state import ATTENTION, LINK_UP, SETTLED, Output, Sample, ServoState, Settled
+from hapticd.servo.transition import make_attend
 from hapticd.units import round_half_up
 from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
 from hapticd.wire.session import ENCODER_BITS
@@ -46,7 +55,7 @@ def initial_state(params: ServoParams, tick: int = 0) -> ServoState:
     """
     plan = initial_plan(params)._replace(origin=round_half_up(params.device.position.offset_count))
     coefficients = coefficients_of(plan, params.realtime.rate_hz)
-    now = hot(plan, tick, params, params.environment.workspace, 0.0)
+    now = flat_plan(plan, tick, params, params.environment.workspace, 0.0)
     held = (params.device.force.to_count(0.0, I16_LOWEST, I16_HIGHEST), 0.0)
     settled = Settled(
         now.wake_tick, now.environment, coefficients, 0, now.damping_count, now.blob,

@@ -31,7 +31,7 @@ from hapticd.gateway.telemetry import Origin, ProbeDecoder, RingBlock, raw_messa
 from hapticd.gateway.view import Records, as_records
 from hapticd.mailbox.layout import PERTURBATION_SAMPLES, RECORD, Command, Flag, Result, State, Value
 from hapticd.params import BoardParams, ServoParams, to_plain
-from hapticd.servo.plan import meant
+from hapticd.servo.plan import masked_places
 from hapticd.units import PROBE_RATE_HZ
 from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
 from hapticd.zwidth.live import signals
@@ -68,7 +68,9 @@ class LockStepBench(Client):
             return {"state": told["state"], "result": told}
         given = {name: value for name, value in fields.items() if value is not None}
         kind, _, values = posting(ADAPTER.validate_python({"cmd": cmd, **given}), self._samples)
-        answer = self.stack.do(kind, {Value(place): values[place] for place in meant(values)})
+        answer = self.stack.do(
+            kind, {Value(place): values[place] for place in masked_places(values)}
+        )
         if answer.result not in ACCEPTED:
             raise CommandError(
                 answer.result.name.lower(), f"the servo refused {cmd}: {answer.result.name.lower()}"

@@ -4,6 +4,16 @@ state for the short way.
 Order within a tick: what arrived -> what is wrong -> commands -> scheduled changes -> homing ->
 damping and ramps. So a stop that arrives with an enable wins, and a fault that appears in this tick
 is seen by a reset in the same tick.
+
+Homing pushes gently towards a stop or the encoder's index, and takes it for the origin when it is
+there. The push is the law itself with other numbers: a damper of 1 N s/m against the homing speed
+(what any device renders passively with nothing else on), clamped at the homing force. While the
+encoder stays within two counts the push grows to the full force in 0.2 s, so that friction is
+overcome and falls back with the first motion; what has not moved 0.2 s later is the stop. Speed and
+force are both bounded whatever is in the way.
+
+What would break it: another order within a tick, or a change of the plan that leaves `Settled` as
+it was (the short way looks at nothing else).
 """
 
 from collections.abc import Callable
@@ -15,28 +25,78 @@ from hapticd.mailbox.layout import Command, Flag
 from hapticd.params import ServoParams
 from hapticd.render.energy import ZERO_FORCES, book
 from hapticd.render.filters import carry_over
-from hapticd.render.law import Coefficients, LawState, at_rest, render, split
+from hapticd.render.law import Coefficients, Environment, LawState, at_rest, render, split
 from hapticd.render.ramp import Ramp
-from hapticd.servo import homing
-from hapticd.servo.commands import Now, apply_settings, obey
-from hapticd.servo.hot import advance_added, hot
-from hapticd.servo.plan import Plan, coefficients_of
-from hapticd.servo.safety import FAULT_EVENT, LATCHED, State
-from hapticd.servo.state import (
+from hapticd.servo.commands import Now, apply_settings, enter, obey
+from hapticd.servo.plan import (
     ATTENTION,
     BOARD_FAULT,
     GATEWAY_ALIVE,
     LINK_UP,
     SETTLED,
     Answer,
+    Plan,
     Request,
     Sample,
     ServoState,
     Settled,
+    advance_added,
+    coefficients_of,
+    flat_plan,
 )
+from hapticd.servo.safety import FAULT_EVENT, LATCHED, State
 from hapticd.units import round_half_up
 from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
 from hapticd.wire.frames import OutFlag, Status
+
+STILL_COUNTS = 2
+PUSH_S = 0.2
+STILL_S = 0.4
+DAMPING_NS_PER_M = 1.0
+
+
+def homing_environment(plan: Plan, tick: int, params: ServoParams) -> Environment:
+    """The law's numbers while homing: a damper and a push that grows while nothing moves,
+    clamped at the homing force.
+    """
+    home = params.device.home
+    limit_n = min(home.force_n, params.safety.force_limit_n, params.device.force_limit_n)
+    still = (tick - plan.anchor[0]) / (PUSH_S * params.realtime.rate_hz)
+    push = home.direction * min(
+        home.force_n, DAMPING_NS_PER_M * home.speed_m_per_s + still * home.force_n
+    )
+    return 0.0, DAMPING_NS_PER_M, 0.0, push, limit_n, 0.0, 0.0, 0.0, 0.0, -1e3, 1e3, 0.0
+
+
+def advance_homing(plan: Plan, sample: Sample, now: Now, params: ServoParams) -> Plan:
+    """`plan` after one tick of homing: still searching, or disabled with the origin found."""
+    encoder, status, _, _, _, index_offset = sample
+    home = params.device.home
+    if home.method == "index" and status & Status.INDEX:
+        return _homed(plan, encoder - index_offset, now, params)
+    anchor_tick, anchor = plan.anchor
+    if abs(encoder - anchor) > STILL_COUNTS:
+        return plan._replace(anchor=(now.tick, encoder))
+    if home.method == "stop" and now.tick - anchor_tick >= STILL_S * params.realtime.rate_hz:
+        return _homed(plan, encoder, now, params)
+    return plan
+
+
+def homing_overdue(plan: Plan, tick: int, params: ServoParams) -> bool:
+    """Whether homing has searched longer than the device allows."""
+    return (
+        plan.state is State.HOMING
+        and tick - plan.since_tick > params.device.home.timeout_s * params.realtime.rate_hz
+    )
+
+
+def _homed(plan: Plan, count: int, now: Now, params: ServoParams) -> Plan:
+    position = params.device.position
+    origin = count - round_half_up(
+        position.sign * params.device.home.position_m / position.per_count
+    )
+    return enter(plan, State.DISABLED, now, params, plan.actor)._replace(origin=origin, homed=True)
+
 
 Attend = Callable[
     [ServoState, tuple[Any, ...], Sample, int], tuple[ServoState, bool, tuple[Any, ...], int]
@@ -92,7 +152,7 @@ def make_attend(params: ServoParams) -> Attend:
         plan: Plan, commands: tuple[Request, ...], sample: Sample, now: Now
     ) -> tuple[Plan, tuple[Answer, ...]]:
         found = newly_lost(plan, sample) or (
-            BY_CODE["home_failed"].number if homing.overdue(plan, now.tick, params) else 0
+            BY_CODE["home_failed"].number if homing_overdue(plan, now.tick, params) else 0
         )
         events: tuple[Request, ...] = ((0, FAULT_EVENT, 0, 0, (float(found),)),) if found else ()
         answers: list[Answer] = []
@@ -160,7 +220,7 @@ def make_attend(params: ServoParams) -> Attend:
         now = Now(tick, encoder, held[1], bool(host & GATEWAY_ALIVE), cause_under_force(sample))
         plan, answers = commanded(plan, commands, sample, now)
         if plan.state is State.HOMING and usable:
-            plan = homing.advance(plan, sample, now, params)
+            plan = advance_homing(plan, sample, now, params)
         resetting = before.state in LATCHED and plan.state is State.DISABLED
         seeding = usable and (
             arrival > params.safety.missing_frames_limit or plan.origin != origin or resetting
@@ -179,9 +239,9 @@ def make_attend(params: ServoParams) -> Attend:
             renewed = coefficients_of(plan, rate_hz)
             law = carried(law, coefficients, renewed)
             coefficients = renewed
-        ready = hot(plan, tick, params, params.environment.workspace, limit_n)
+        ready = flat_plan(plan, tick, params, params.environment.workspace, limit_n)
         if plan.state is State.HOMING:
-            ready = ready._replace(environment=homing.environment(plan, tick, params))
+            ready = ready._replace(environment=homing_environment(plan, tick, params))
         if ready.wake_tick == tick + 1:
             flags |= int(Flag.RAMPING)
         if not usable and plan.state not in (State.ENABLED, State.HOMING):
