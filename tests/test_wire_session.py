@@ -6,15 +6,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hapticd.errors import FrameError, ProtocolMismatch, WireError
+from hapticd.errors import FrameError, ProtocolMismatch
 from hapticd.wire import codec, frames, session
 from hapticd.wire.frames import Capability, Hello
 from hapticd.wire.session import (
     Arrival,
-    Event,
     SequenceCounter,
-    State,
-    advance,
     check_hello,
     classify,
     greet,
@@ -40,47 +37,6 @@ HELLO = Hello(
     8.0,
 )
 OTHER = bytes.fromhex("0123456789abcdef")
-
-# rows: states; columns: events; - is impossible
-TABLE = """
-            FOUND   HELLO_OK  HELLO_BAD  FIRST_FRAME  LINK_LOST
-ABSENT      FOUND   -         -          -            -
-FOUND       -       GREETED   REFUSED    -            LOST
-GREETED     -       -         -          RUNNING      LOST
-RUNNING     -       -         -          -            LOST
-LOST        FOUND   -         -          -            LOST
-REFUSED     -       -         -          -            LOST
-"""
-EVENTS, *ROWS = [line.split() for line in TABLE.strip().splitlines()]
-CELLS = [
-    (row[0], event, after) for row in ROWS for event, after in zip(EVENTS, row[1:], strict=True)
-]
-
-
-def test_table_has_every_state_and_event() -> None:
-    assert {row[0] for row in ROWS} == set(State.__members__)
-    assert set(EVENTS) == set(Event.__members__)
-
-
-@pytest.mark.parametrize(("before", "event", "after"), CELLS)
-def test_every_cell_of_the_handshake(before: str, event: str, after: str) -> None:
-    if after != "-":
-        assert advance(State[before], Event[event]) is State[after]
-        return
-    with pytest.raises(
-        WireError,
-        match=rf"^{event} cannot happen in state {before}, only .*[A-Z]; restart the link",
-    ):
-        advance(State[before], Event[event])
-
-
-def test_only_greeted_boards_may_run() -> None:
-    before_running = {
-        state for (state, _), after in session.TRANSITIONS.items() if after is State.RUNNING
-    }
-    before_greeted = {key for key, after in session.TRANSITIONS.items() if after is State.GREETED}
-    assert before_running == {State.GREETED}
-    assert before_greeted == {(State.FOUND, Event.HELLO_OK)}
 
 
 # --- hello ----------------------------------------------------------------------------------------

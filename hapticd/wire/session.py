@@ -1,10 +1,8 @@
 """What both ends must agree on beyond single frames: who they are, which frame comes next, and
 numbers that wrap.
 
-Handshake. ABSENT, FOUND, GREETED, RUNNING: nothing is sent to a board that has not said hello with
-the hash of our own header (it is REFUSED), and a LOST one starts again at FOUND. TRANSITIONS is the
-whole truth; a pair that is not in it is a bug of the caller and raises. Read and write may both
-report one loss, so LINK_LOST in LOST is no error.
+Handshake. `greet` takes a board's first reply. Nothing else is sent to a board before it has said
+hello with the hash of our own header; a board that was lost says it again.
 
 Sequence. Frames count modulo 2**16. USB keeps order, so only what lay in a buffer comes late: the
 BACKWARD last numbers mean REORDERED, every other distance forward GAP. With half the circle each
@@ -23,7 +21,7 @@ first reading anew).
 from enum import Enum, auto
 from math import isfinite
 
-from hapticd.errors import ProtocolMismatch, WireError
+from hapticd.errors import ProtocolMismatch
 from hapticd.wire import codec, frames
 from hapticd.wire.frames import Capability, Hello
 
@@ -33,52 +31,6 @@ PROBE_INDEX_BITS = 32
 ENCODER_BITS = 32
 BACKWARD = 64
 _SEQ_MASK = (1 << SEQ_BITS) - 1
-
-
-class State(Enum):
-    """How far host and board have come."""
-
-    ABSENT = auto()  # never seen
-    FOUND = auto()  # on the bus, not yet asked
-    GREETED = auto()  # speaks our protocol; OUT frames may be sent
-    RUNNING = auto()  # has sent a valid IN frame
-    LOST = auto()  # was there
-    REFUSED = auto()  # speaks another protocol; nothing is sent until it is unplugged
-
-
-class Event(Enum):
-    """What the link reports."""
-
-    FOUND = auto()
-    HELLO_OK = auto()
-    HELLO_BAD = auto()
-    FIRST_FRAME = auto()
-    LINK_LOST = auto()
-
-
-TRANSITIONS: dict[tuple[State, Event], State] = {
-    (State.ABSENT, Event.FOUND): State.FOUND,
-    (State.FOUND, Event.HELLO_OK): State.GREETED,
-    (State.FOUND, Event.HELLO_BAD): State.REFUSED,
-    (State.FOUND, Event.LINK_LOST): State.LOST,
-    (State.GREETED, Event.FIRST_FRAME): State.RUNNING,
-    (State.GREETED, Event.LINK_LOST): State.LOST,
-    (State.RUNNING, Event.LINK_LOST): State.LOST,
-    (State.REFUSED, Event.LINK_LOST): State.LOST,
-    (State.LOST, Event.FOUND): State.FOUND,
-    (State.LOST, Event.LINK_LOST): State.LOST,
-}
-
-
-def advance(state: State, event: Event) -> State:
-    """The state after `event`. WireError for a pair that cannot happen."""
-    try:
-        return TRANSITIONS[state, event]
-    except KeyError:
-        known = ", ".join(after.name for before, after in TRANSITIONS if before is state)
-        raise WireError(
-            f"{event.name} cannot happen in state {state.name}, only {known}; restart the link"
-        ) from None
 
 
 def greet(reply: bytes) -> Hello:
