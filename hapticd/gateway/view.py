@@ -159,7 +159,7 @@ class ServoView:
 
     @property
     def unsure(self) -> bool:
-        """Whether parameters were changed before this gateway came, it does not know to what."""
+        """Whether parameters were changed before this gateway came; it does not know to what."""
         return self._came_late and self._effective is None and self.alive
 
     @property
