@@ -9,7 +9,34 @@ from hapticd.cli import terminal
 from hapticd.cli.terminal import progress
 
 if TYPE_CHECKING:
+    from hapticd.plant.scene import Scene
     from hapticd.study.scene import SceneResult, Trial
+
+QUESTIONS = (
+    "limits: passive K, B, M; phase: of Z in the band; peak: of |Z| near 100 Hz, as in Fig. 8."
+)
+Tolerance = Annotated[
+    str,
+    typer.Option("--tolerance", metavar="SHARE", help="Change that does not matter: 2% or 0.02."),
+]
+TrialSeconds = Annotated[
+    float, typer.Option("--seconds", metavar="S", min=5.0, help="Length of simulated trials.")
+]
+SceneSeconds = Annotated[
+    float | None,
+    typer.Option("--seconds", metavar="S", min=0.001, help="Length in place of the scene's."),
+]
+Quick = Annotated[
+    bool, typer.Option("--quick", help="A coarse look: shorter trials, fewer settings.")
+]
+
+
+class EffectsQuestion(StrEnum):
+    """What is asked of the scene."""
+
+    LIMITS = "limits"
+    PHASE = "phase"
+    PEAK = "peak"
 
 
 sim_app = typer.Typer(
@@ -22,10 +49,7 @@ sim_app = typer.Typer(
 def sim_run(
     scene: terminal.SceneName,
     plot: terminal.Plot = False,
-    seconds: Annotated[
-        float | None,
-        typer.Option("--seconds", metavar="S", min=0.001, help="Length in place of the scene's."),
-    ] = None,
+    seconds: SceneSeconds = None,
     out: terminal.Out = terminal.HERE,
     as_json: terminal.Json = False,
 ) -> None:
@@ -41,9 +65,9 @@ def sim_run(
     plan = plan_scene(load_scene(scene), seconds)
     with progress(as_json) as tell:
         result = run_scene(plan, tell)
-    paths = (
-        terminal.save_figure(scene_figure(result), out, plan.scene.name, as_json) if plot else []
-    )
+    paths = []
+    if plot:
+        paths = terminal.save_figure(scene_figure(result), out, plan.scene.name, as_json)
     if as_json:
         terminal.data_json({**_result_json(result), "figures": paths})
         return
@@ -55,32 +79,32 @@ def sim_run(
 
 
 def _result_json(result: "SceneResult") -> dict[str, Any]:
-    scene = result.plan.scene
     trials = [_trial_json(trial) for trial in result.trials]
-    head = {
+    return {**_about(result.plan.scene), "seconds": result.plan.seconds, "trials": trials}
+
+
+def _about(scene: "Scene") -> dict[str, Any]:
+    return {
         "ok": True,
         "simulated": True,
         "scene": scene.name,
         "title": scene.title,
         "device": scene.device,
     }
-    return {**head, "seconds": result.plan.seconds, "trials": trials}
 
 
 def _trial_json(trial: "Trial") -> dict[str, Any]:
     from hapticd.report.study import impedance_rows
     from hapticd.zwidth.store import plain
 
-    verdict = trial.judged and trial.judged.verdict
-    rows = impedance_rows(trial)
-    told = {
+    found = {
         "leg": trial.leg,
         **trial.numbers,
-        "verdict": verdict,
+        "verdict": trial.judged and trial.judged.verdict,
         "winding_c": trial.winding_c,
-        "impedance": rows,
+        "impedance": impedance_rows(trial),
     }
-    return {name: plain(value) for name, value in told.items()}
+    return {name: plain(value) for name, value in found.items()}
 
 
 @terminal.verb(sim_app, "explain")
@@ -103,14 +127,8 @@ def sim_explain(scene: terminal.SceneName, as_json: terminal.Json = False) -> No
     found = explain(compose(loaded), sorted({step.level_ns_per_m for step in loaded.damping}))
     spent = cost(loaded, scene, time.process_time_ns)
     if as_json:
-        head = {
-            "ok": True,
-            "simulated": True,
-            "scene": loaded.name,
-            "title": loaded.title,
-            "device": loaded.device,
-        }
-        terminal.data_json({**head, **plain(found), "cost": plain(spent), "substeps": SUBSTEPS})
+        costs = {"cost": plain(spent), "substeps": SUBSTEPS}
+        terminal.data_json({**_about(loaded), **plain(found), **costs})
         return
     size = f"{len(found.states)} states, {len(found.nonlinearities)} nonlinearities"
     terminal.data(f"{loaded.title}: SIMULATED {loaded.device}, {size}")
@@ -121,35 +139,14 @@ def sim_explain(scene: terminal.SceneName, as_json: terminal.Json = False) -> No
         terminal.data(line)
 
 
-QUESTIONS = (
-    "limits: passive K, B, M; phase: of Z in the band; peak: of |Z| near 100 Hz, as in Fig. 8."
-)
-
-
-class EffectsQuestion(StrEnum):
-    """What is asked of the scene."""
-
-    LIMITS = "limits"
-    PHASE = "phase"
-    PEAK = "peak"
-
-
 @terminal.verb(sim_app, "effects")
 def sim_effects(
     scene: terminal.SceneName,
     question: Annotated[
-        EffectsQuestion,
-        typer.Option("--for", help=QUESTIONS),
+        EffectsQuestion, typer.Option("--for", help=QUESTIONS)
     ] = EffectsQuestion.LIMITS,
-    tolerance: Annotated[
-        str,
-        typer.Option(
-            "--tolerance", metavar="SHARE", help="Change that does not matter: 2% or 0.02."
-        ),
-    ] = "2%",
-    seconds: Annotated[
-        float, typer.Option("--seconds", metavar="S", min=5.0, help="Length of simulated trials.")
-    ] = 90.0,
+    tolerance: Tolerance = "2%",
+    seconds: TrialSeconds = 90.0,
     plot: terminal.Plot = True,
     out: terminal.Out = terminal.HERE,
     as_json: terminal.Json = False,
@@ -170,22 +167,15 @@ def sim_effects(
     plan = plan_effects(EffectsParams(loaded, question.value, share(tolerance), seconds))
     with progress(as_json) as tell:
         result = run_effects(plan, time.process_time_ns, tell)
-    paths = (
-        terminal.save_figure(
-            effects_figure(result), out, f"{loaded.name}-effects-{question.value}", as_json
-        )
-        if plot
-        else []
-    )
+    paths = []
+    if plot:
+        name = f"{loaded.name}-effects-{question.value}"
+        paths = terminal.save_figure(effects_figure(result), out, name, as_json)
     if as_json:
-        head = {
-            "ok": True,
-            "simulated": True,
-            "scene": loaded.name,
-            "question": question.value,
-            "tolerance": plan.params.tolerance,
-        }
-        terminal.data_json({**head, **plain(result, skip=("plan",)), "figures": paths})
+        about = {"ok": True, "simulated": True, "scene": loaded.name}
+        asked = {"question": question.value, "tolerance": plan.params.tolerance}
+        found = plain(result, skip=("plan",))
+        terminal.data_json({**about, **asked, **found, "figures": paths})
         return
     terminal.data(f"{loaded.title}: SIMULATED {loaded.device}\n\n{text(effects_table(result))}\n")
     terminal.data(effects_words(result))
@@ -215,9 +205,8 @@ def sim_ceiling(scene: terminal.SceneName, as_json: terminal.Json = False) -> No
     loaded = load_scene(scene)
     found = ceiling(loaded)
     if as_json:
-        terminal.data_json(
-            {"ok": True, "simulated": True, "scene": loaded.name, "unit": "N s/m", **plain(found)}
-        )
+        about = {"ok": True, "simulated": True, "scene": loaded.name, "unit": "N s/m"}
+        terminal.data_json({**about, **plain(found)})
         return
     terminal.data(f"{loaded.title}: SIMULATED {loaded.device}\n")
     for line in ceiling_words(found):
@@ -228,9 +217,7 @@ def sim_ceiling(scene: terminal.SceneName, as_json: terminal.Json = False) -> No
 
 def accuracy(
     scene: terminal.SceneName,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="A coarse look: shorter trials, fewer settings.")
-    ] = False,
+    quick: Quick = False,
     plot: terminal.Plot = True,
     out: terminal.Out = terminal.HERE,
     as_json: terminal.Json = False,
@@ -261,28 +248,16 @@ def accuracy(
         result = run_accuracy(plan_accuracy(loaded, scene, quick), time.process_time_ns, tell)
     paths = []
     if plot:
-        paths += terminal.save_figure(
-            accuracy_figure(result), out, f"{loaded.name}-accuracy", as_json
-        )
-        paths += terminal.save_figure(
-            integrators_figure(explicit, loaded.title), out, f"{loaded.name}-integrators", as_json
-        )
-    if as_json:
-        head = {
-            "ok": True,
-            "simulated": True,
-            "scene": loaded.name,
-            "title": loaded.title,
-            "quick": quick,
+        figures = {
+            "accuracy": accuracy_figure(result),
+            "integrators": integrators_figure(explicit, loaded.title),
         }
-        terminal.data_json(
-            {
-                **head,
-                **plain(result, skip=("plan",)),
-                "integrators": plain(explicit),
-                "figures": paths,
-            }
-        )
+        for name, figure in figures.items():
+            paths += terminal.save_figure(figure, out, f"{loaded.name}-{name}", as_json)
+    if as_json:
+        about = {"ok": True, "simulated": True, "scene": loaded.name, "title": loaded.title}
+        found = {**plain(result, skip=("plan",)), "integrators": plain(explicit)}
+        terminal.data_json({**about, "quick": quick, **found, "figures": paths})
         return
     terminal.data(f"{loaded.title}: SIMULATED {loaded.device}\n\n{text(accuracy_table(result))}\n")
     for line in accuracy_words(result):
