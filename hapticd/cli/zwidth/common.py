@@ -44,6 +44,15 @@ Damping = Annotated[
     str,
     typer.Option("--damping", metavar="LEVEL[,LEVEL...]", help="Levels of active damping, N s/m."),
 ]
+VirtualStiffness = Annotated[
+    float | None, typer.Option("-K", "--stiffness", metavar="N/M", help="Virtual stiffness.")
+]
+VirtualDamping = Annotated[
+    float | None, typer.Option("-B", "--viscous", metavar="NS/M", help="Virtual damping.")
+]
+VirtualMass = Annotated[
+    float | None, typer.Option("-M", "--mass", metavar="KG", help="Virtual mass.")
+]
 OneDamping = Annotated[
     float | None, typer.Option("--damping", metavar="NS/M", help="Active damping.", min=0)
 ]

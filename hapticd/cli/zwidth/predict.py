@@ -1,6 +1,6 @@
 """One environment without a trial: what theory says, in a second."""
 
-from math import log, sqrt
+from math import isfinite, log, sqrt
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -16,19 +16,14 @@ if TYPE_CHECKING:
 
 DEVICE_OF = "fig4"  # where no scene is named
 LEFT_OUT = "What is not given; without it the device of fig4, and 0."
+UNITS = {"-K": "N/m", "-B": "N s/m", "-M": "kg", "--damping": "N s/m"}
 
 
 def command(
     scene: Annotated[str, typer.Option("--scene", metavar="NAME|FILE", help=LEFT_OUT)] = "",
-    stiffness: Annotated[
-        float | None, typer.Option("-K", "--stiffness", metavar="N/M", help="Virtual stiffness.")
-    ] = None,
-    viscous: Annotated[
-        float | None, typer.Option("-B", "--viscous", metavar="NS/M", help="Virtual damping.")
-    ] = None,
-    mass: Annotated[
-        float | None, typer.Option("-M", "--mass", metavar="KG", help="Virtual mass.")
-    ] = None,
+    stiffness: common.VirtualStiffness = None,
+    viscous: common.VirtualDamping = None,
+    mass: common.VirtualMass = None,
     damping: common.OneDamping = None,
     band: common.Band = (2.0, 500.0),
     as_json: terminal.Json = False,
@@ -41,8 +36,6 @@ def command(
     fades as the motion grows. Where the theorem finds damping missing, the passive hand that shakes
     the display is built and tried. K < 0 is always refused.
     """
-    from math import isfinite
-
     from hapticd.analysis.outlook import outlook
     from hapticd.zwidth import scenes
     from hapticd.zwidth.sources import given
@@ -51,14 +44,7 @@ def command(
     asked = given((stiffness, viscous, mass), damping, shown.scene if scene else None, bool(scene))
     k, b, m = asked.environment
     level = asked.damping_ns_per_m
-    for option, value, unit in (
-        ("-K", k, "N/m"),
-        ("-B", b, "N s/m"),
-        ("-M", m, "kg"),
-        ("--damping", level, "N s/m"),
-    ):
-        if not isfinite(value):
-            raise typer.BadParameter(f"{option} {value:g}: a finite number of {unit} is needed")
+    _require_finite({"-K": k, "-B": b, "-M": m, "--damping": level})
     found = outlook(shown.model, (k, b, m), level, shown.filters, shown.perturbation, band)
     if as_json:
         about = {"ok": True, "simulated": True, "device": shown.scene.device}
@@ -68,6 +54,13 @@ def command(
     terminal.data(f"SIMULATED {shown.scene.device}: {environment}, active damping {level:g} N s/m")
     for name, words in _lines(found, shown.perturbation):
         terminal.data(f"{name:11} {words}")
+
+
+def _require_finite(values: dict[str, float]) -> None:
+    for option, value in values.items():
+        if not isfinite(value):
+            needed = f"a finite number of {UNITS[option]} is needed"
+            raise typer.BadParameter(f"{option} {value:g}: {needed}")
 
 
 def _lines(found: "Outlook", shaken: "Perturbation") -> list[tuple[str, str]]:

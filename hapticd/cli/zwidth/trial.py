@@ -53,15 +53,9 @@ class TrialOptions:
         "engine"
     )
     scene: SceneOfTrial = ""
-    stiffness: Annotated[
-        float | None, typer.Option("-K", "--stiffness", metavar="N/M", help="Virtual stiffness.")
-    ] = None
-    viscous: Annotated[
-        float | None, typer.Option("-B", "--viscous", metavar="NS/M", help="Virtual damping.")
-    ] = None
-    mass: Annotated[
-        float | None, typer.Option("-M", "--mass", metavar="KG", help="Virtual mass.")
-    ] = None
+    stiffness: common.VirtualStiffness = None
+    viscous: common.VirtualDamping = None
+    mass: common.VirtualMass = None
     damping: common.OneDamping = None
     excitation: Annotated[
         str, typer.Option("--excitation", metavar="noise|multisine", help="Of the probe.")
