@@ -1,11 +1,12 @@
-"""Write the reference pages below docs/generated: `python docs/generate.py`, before each build
-of the site.
+"""Write the reference pages below docs/generated, and the drawing of the layers:
+`python docs/generate.py`, before each build of the site.
 """
 
 from pathlib import Path
 
 from pages.commands import commands_page
 from pages.faults import fault_page, faults_page
+from pages.layers import DRAWING, drawing
 from pages.messages import messages_page
 from pages.settings import settings_page
 
@@ -41,3 +42,4 @@ def write_pages(folder: Path) -> None:
 
 if __name__ == "__main__":
     write_pages(GENERATED)
+    DRAWING.write_text(drawing())

@@ -4,10 +4,12 @@ the site builds.
 
 import ast
 import importlib.util
+import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 import typer.main
@@ -26,6 +28,13 @@ ROOT = Path(__file__).parents[1]
 CODES = [fault.code for fault in FAULTS if fault.number]
 
 
+@pytest.fixture
+def layers(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The module that draws the layers."""
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    return importlib.import_module("pages.layers")
+
+
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the documentation's sources with its generated pages."""
@@ -34,7 +43,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copytree(
             ROOT / folder, root / folder, ignore=shutil.ignore_patterns("generated", "__pycache__")
         )
-    shutil.copy(ROOT / "CHANGELOG.md", root)
+    for file in ("CHANGELOG.md", "pyproject.toml"):
+        shutil.copy(ROOT / file, root)
     subprocess.run([sys.executable, "-B", "docs/generate.py"], cwd=root, check=True)
     return root / "docs"
 
@@ -170,3 +180,38 @@ def test_site_builds_without_a_warning(site: Path, tmp_path: Path) -> None:
     done = subprocess.run(command, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
     assert (tmp_path / "generated/faults/usb_lost.html").is_file()
+
+
+def test_overview_names_only_files_that_are_there() -> None:
+    """Whole paths in its tables, and paths below `hapticd/` in the ways through the files."""
+    page = (ROOT / "docs" / "OVERVIEW.md").read_text()
+    whole = re.findall(r"`(hapticd/[\w/]+(?:\.py|/))`", page)
+    ways = re.findall(r"(?<![\w/`.])([a-z][a-z0-9_]*/[a-z0-9_/]+\.py)\b", page)
+    assert len(whole) > 30
+    assert len(ways) > 30
+    missing = [name for name in whole if not (ROOT / name).exists()]
+    missing += [
+        name for name in ways if not any((top / name).exists() for top in (ROOT, ROOT / "hapticd"))
+    ]
+    assert not missing
+
+
+def test_every_package_stands_in_the_overview(layers: ModuleType) -> None:
+    page = (ROOT / "docs" / "OVERVIEW.md").read_text()
+    assert not [name for name in layers.imports() if f"`{name}`" not in page]
+
+
+def test_drawing_of_the_layers_is_that_of_the_imports(layers: ModuleType) -> None:
+    """When this fails: `python docs/generate.py` draws it anew."""
+    assert layers.DRAWING.read_text() == layers.drawing()
+
+
+def test_drawing_leaves_out_what_a_longer_way_implies(
+    layers: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = {"cli": {"client", "errors"}, "client": {"errors"}, "errors": set()}
+    monkeypatch.setattr(layers, "imports", lambda: {k: frozenset(v) for k, v in found.items()})
+    layers.below.cache_clear()
+    assert layers.nearest("cli") == ["client"]
+    assert "imports client<" in layers.drawing()
+    layers.below.cache_clear()
