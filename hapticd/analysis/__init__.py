@@ -1,7 +1,26 @@
-"""Arrays in, results out: spectra, passivity verdicts, prediction, envelopes, boundaries and the
-directed search.
+"""Arrays in, results out: what is computed from records of force and velocity, and from models.
 
-Pure functions and frozen results; numpy alone. Where numba is installed (extra [fast]) the spectral
-sums are compiled. Impedance is force applied to the device over its velocity, N s/m, at the probe
-unless it says otherwise.
+A record goes through `spectra` to `impedance` and `verdict`; a model through `loop` to `predict`
+and `theorem`. All are pure functions with frozen results, in numpy alone; where numba is installed
+(extra [fast]) inner loops are compiled. Impedance is the force applied to the device over its
+velocity, N s/m, at the probe unless something else is said. For scripts:
+
+    spectra      `spa`, `SpectralStream`, `corrected`: Blackman-Tukey spectra of a record
+    periodic     `periodic`: spectra of whole periods of a multisine
+    impedance    `impedance`: Z with its uncertainty
+    findings     `examine`: what is wrong with a record
+    resolved     `resolved`: Z where the motion is narrower than the window
+    verdict      `judge`: passive in a band, not passive, or undecided, with intervals
+    predict      `predict`, `predicted_impedance`: passive or not without a trial
+    theorem      `required_damping`, `lift`, `lifted_margin`: Colgate and Schenkel
+    coupled      `withstands`, `shaking_hand`: what a passive hand can do
+    outlook      `outlook`: all of these about one environment
+    passive_set  `passive_set`, `set_limits`, `volume`, `axis_limit`: the set of K, B and M
+    envelope     `envelope`: the Z-width envelope and its owners
+    compare      `widths_db`, `check_alike`, `normalised`: displays side by side
+    search       `Search`, `next_trials`: the directed search; `prior`: what a model knows before it
+
+The rest serves these: `covariances`, `kernels`, `compiled`, `batch_spectra` and `batch_fft`
+(loops over records), `channels` (faults of the measuring channels), `loop`, `linearise` and
+`narrow` (the model's loop), `surrogate` (the process behind the search), `arrays` (types).
 """

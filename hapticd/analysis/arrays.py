@@ -1,21 +1,33 @@
-"""Names of the array types of `analysis`, and arrays that begin where vector registers like it."""
+"""Types of the arrays of `analysis`, and arrays that begin where vector registers want them.
+
+All numbers are in SI and double precision; only sums over many trials at once may be float32
+(`Values`). A vector load that crosses the border of two cache lines costs twice as much, and the
+vectors of `batch_fft` may only be loaded from such a border: `aligned` makes arrays for them.
+"""
 
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
-Flags = npt.NDArray[np.bool_]
-Integers = npt.NDArray[np.int64]
-Values = npt.NDArray[np.floating[Any]]
+Floats = npt.NDArray[np.float64]  # SI values
+Complexes = npt.NDArray[np.complex128]  # responses, transforms, impedances
+Flags = npt.NDArray[np.bool_]  # a yes or no for each
+Integers = npt.NDArray[np.int64]  # places in another array
+Values = npt.NDArray[np.floating[Any]]  # float32 or float64, as the batch has them
 
 CACHE_LINE = 64  # bytes; vector loads across its border cost double
 
 
+def alternating(count: int) -> Floats:
+    """Return 1, -1, 1 .. (count,): a delay by a section of M samples, on the bins of 2 M points."""
+    signs = np.ones(count)
+    signs[1::2] = -1.0
+    return signs
+
+
 def aligned(size: int, scalar: type[np.floating[Any]]) -> Values:
-    """Zeros (size,) that begin on a cache line."""
+    """Return zeros (size,) of type `scalar` that begin on a cache line."""
     item = np.dtype(scalar).itemsize
     memory = np.zeros(size + CACHE_LINE // item, scalar)
     start = -memory.ctypes.data % CACHE_LINE // item

@@ -1,22 +1,18 @@
-"""Vectors of 64 bytes in numba: 16 float32 or 8 float64 that stay in one register, or in a few
-where registers are smaller.
+"""The FFT of sections of 2,048 samples for 16 trials at once, and the sums over it for
+`batch_spectra`. It needs numba and llvmlite and is imported by `batch_spectra` alone.
 
-numba leaves it to LLVM whether a loop becomes vector instructions; a transform with its strides and
-many arrays loses that game. Here a lane of a vector is a trial, so the text of a scalar algorithm
-does 16 trials at once, whatever LLVM thinks of its loops.
+Vectors. numba leaves it to LLVM whether a loop becomes vector instructions; a transform with its
+strides and many arrays loses that game. Here a vector of 64 bytes, 16 float32 or 8 float64, stays
+in one register, or in a few where registers are smaller. Each of its lanes is a trial, so the text
+of a scalar algorithm does 16 trials at once, whatever LLVM thinks of its loops:
 
-    load(a, row)      16 values of the flat array `a` from `row` * 64 bytes on    store(a, row, v)
-    + - *             lane by lane, with vectors or a number                      fma(x, y, z) = x y
-                      + z
+    load(a, row)        the vector of the flat array `a` that begins at byte 64 row
+    store(a, row, v)    store the vector v there
+    + - *               lane by lane, with vectors or a number
+    fma(x, y, z)        x y + z
 
-Arrays must begin on a 64 byte border (`arrays.aligned`). What would break it: llvmlite without
-typed pointers in its IR builder.
-
-Transforms of sections of 2,048 samples, 16 trials at once, and what `batch_spectra` sums over them.
-numba and `llvmlite` only.
-
-A section of real samples x, padded to 4,096, is a complex series z[n] = x[2n] + i x[2n+1] of 2,048
-points, half of them zero:
+Transforms. A section of real samples x, padded to 4,096, is a complex series z[n] = x[2n] + i
+x[2n+1] of 2,048 points, half of them zero:
 
     columns    b = 0..63:  DFT of 32 points (16 of them zero) over n = 64 a + b,
                times exp(-2 pi i b k1 / 2048)  -> row k1
@@ -25,6 +21,9 @@ points, half of them zero:
 
 Rows k1 and 32 - k1 are transformed together and summed at once, so spectra never leave the
 first-level cache. What one trial gets does not depend on its neighbours in the vector.
+
+What would break it: arrays that do not begin on a border of 64 bytes (`arrays.aligned` makes those
+that do), or llvmlite without typed pointers in its IR builder.
 """
 
 import operator
@@ -40,19 +39,29 @@ from numba.np import arrayobj as arrays
 
 from hapticd.analysis.arrays import CACHE_LINE
 
-arrayobj: Any = arrays
+arrayobj: Any = arrays  # neither module is typed
 utils: Any = cgutils
 FLAGS = ("contract", "nsz")
 LLVM = {types.float32: ir.FloatType(), types.float64: ir.DoubleType()}
 
+PITCH = 65  # of a row: not a power of two, whose lines would fall on the same places of the cache
+# vectors of an intermediate section, of a row
+WORK = 2 * 32 * PITCH
+PART = 2 * 64
+# vectors of a pair of bins: for each bin velocity, forward, backward (complex), and the spectrum
+# before
+KEPT = 16
+PAIRS = 1025  # of bins k and 2048 - k
+ROOT_HALF = float(np.sqrt(0.5))
+
 
 def intrinsic(code: Callable[..., Any]) -> Any:
-    """numba's, as what its user sees: without the first argument."""
+    """numba's decorator of the same name, typed as its user sees it: without the first argument."""
     return extending.intrinsic(code)
 
 
 class Vector(types.Type):
-    """numba's type of a vector of `element`."""
+    """numba's type of a vector of `element`, as many as fit into 64 bytes."""
 
     def __init__(self, element: Any) -> None:
         self.element = element
@@ -61,7 +70,7 @@ class Vector(types.Type):
 
     @property
     def llvm(self) -> Any:
-        """Its LLVM type."""
+        """The LLVM type of such a vector."""
         return ir.VectorType(LLVM[self.element], self.count)
 
 
@@ -73,7 +82,7 @@ class _Model(models.PrimitiveModel):
 
 @intrinsic
 def load(typing: Any, array: Any, row: Any) -> Any:
-    """See the module."""
+    """Load the vector at `row` of the flat array `array` (see the module)."""
     kind = Vector(array.dtype)
 
     def code(context: Any, builder: Any, signature: Any, given: Any) -> Any:
@@ -86,7 +95,7 @@ def load(typing: Any, array: Any, row: Any) -> Any:
 
 @intrinsic
 def store(typing: Any, array: Any, row: Any, value: Any) -> Any:
-    """See the module."""
+    """Store `value` at `row` of the flat array `array` (see the module)."""
 
     def code(context: Any, builder: Any, signature: Any, given: Any) -> Any:
         builder.store(
@@ -99,7 +108,7 @@ def store(typing: Any, array: Any, row: Any, value: Any) -> Any:
 
 @intrinsic
 def fma(typing: Any, x: Any, y: Any, z: Any) -> Any:
-    """See the module; at least one of them is a vector."""
+    """Compute x y + z; at least one of the three is a vector, numbers are spread over its lanes."""
     kind = next(given for given in (x, y, z) if isinstance(given, Vector))
 
     def code(context: Any, builder: Any, signature: Any, given: Any) -> Any:
@@ -117,14 +126,14 @@ def fma(typing: Any, x: Any, y: Any, z: Any) -> Any:
 
 
 def _pointer(context: Any, builder: Any, signature: Any, given: Any, kind: Vector) -> Any:
-    """To 64 bytes of an array."""
+    """Return the pointer to the 64 bytes at a row of an array."""
     data = arrayobj.make_array(signature.args[0])(context, builder, given[0]).data
     row = context.cast(builder, given[1], signature.args[1], types.intp)
     return builder.gep(builder.bitcast(data, kind.llvm.as_pointer()), [row])
 
 
 def _spread(context: Any, builder: Any, value: Any, kind: Any, wanted: Vector) -> Any:
-    """`value` itself, or a number in all lanes."""
+    """Return `value` itself if it is a vector, else a vector with that number in all lanes."""
     if isinstance(kind, Vector):
         return value
     number = context.cast(builder, value, kind, wanted.element)
@@ -158,19 +167,10 @@ for _python, _llvm in ((operator.add, "fadd"), (operator.sub, "fsub"), (operator
     _operator(_python, _llvm)
 
 
-PITCH = 65  # of a row: not a power of two, whose lines would fall on the same places of the cache
-# vectors of an intermediate section, of a row
-WORK = 2 * 32 * PITCH
-PART = 2 * 64
-# vectors of a pair of bins: for each bin velocity, forward, backward (complex), and the spectrum
-# before
-KEPT = 16
-PAIRS = 1025
-ROOT_HALF = float(np.sqrt(0.5))
-
-
 def twiddles() -> tuple[Any, ...]:
-    """exp(-2 pi i j k / n) as (j, k, 2) for n = 32, 64 and 2,048."""
+    """Return exp(-2 pi i j k / n) as arrays (j, k, 2) of real and imaginary part, for n = 32, 64
+    and 2,048.
+    """
 
     def turns(points: int, rows: int, columns: int) -> Any:
         turn = np.exp(-2j * np.pi * np.outer(np.arange(rows), np.arange(columns)) / points)
@@ -180,8 +180,8 @@ def twiddles() -> tuple[Any, ...]:
 
 
 def pair_order() -> tuple[Any, Any]:
-    """(first, count) of the pairs of each k1 = 0..16, and the lower bin k (PAIRS,) of each
-    pair; the upper one is 2048 - k.
+    """Return (first, count) of the pairs of each k1 = 0..16, and the lower bin k (PAIRS,) of
+    each pair; the upper one is 2048 - k.
     """
     counts = [33, *[64] * 15, 32]
     first = np.concatenate(([0], np.cumsum(counts)[:-1]))
@@ -191,7 +191,7 @@ def pair_order() -> tuple[Any, Any]:
 
 @njit(forceinline=True)
 def _dft8(a0, b0, a1, b1, a2, b2, a3, b3, a4, b4, a5, b5, a6, b6, a7, b7):  # type: ignore[no-untyped-def]
-    """8 points, real a and imaginary b, in natural order."""
+    """Transform 8 points, real part a and imaginary part b, in natural order."""
     p0 = a0 + a4
     q0 = b0 + b4
     p4 = a0 - a4
@@ -250,7 +250,7 @@ def _kept(target, row, x, y):  # type: ignore[no-untyped-def]
 
 @njit(forceinline=True)
 def _eight(source, row, step):  # type: ignore[no-untyped-def]
-    """DFT of 8 complex values, `step` rows apart."""
+    """Transform 8 complex values that are `step` rows apart."""
     i = 2 * row
     d = 2 * step
     return _dft8(
@@ -275,8 +275,8 @@ def _eight(source, row, step):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def columns(samples, place, offset, work, part, by32, by2048):  # type: ignore[no-untyped-def]
-    """First half of a section's transform; sample t of the section is vector place[t] + offset
-    of `samples`.
+    """Do the first half of a section's transform; sample t of the section is vector place[t] +
+    offset of `samples`.
     """
     for b in range(64):
         for a in range(8):
@@ -303,7 +303,7 @@ def columns(samples, place, offset, work, part, by32, by2048):  # type: ignore[n
 
 @njit(nogil=True)
 def row(work, k1, part, out, by64):  # type: ignore[no-untyped-def]
-    """Second half for one k1: Z[k1 + 32 k2] into rows k2 of `out`."""
+    """Do the second half for one k1: Z[k1 + 32 k2] into rows k2 of `out`."""
     for b in range(8):
         x0, y0, x1, y1, x2, y2, x3, y3, x4, y4, x5, y5, x6, y6, x7, y7 = _eight(
             work, k1 * PITCH + b, 8
@@ -349,8 +349,8 @@ def _bin(sums, at, before, xr, xi, sign, gr, gi, hr, hi):  # type: ignore[no-unt
 
 @njit(nogil=True)
 def take(lower, upper, k1, first, count, sums, force, turn):  # type: ignore[no-untyped-def]
-    """Sum the pairs of one k1 and its partner. `force` (PAIRS, 8): for each bin Y of this
-    section with the one after, before.
+    """Sum the pairs of one k1 and its partner. `force` (PAIRS, 8) holds for each bin Y of this
+    section with the one after it, and with the one before it.
     """
     one = force[0, 0] * 0 + 1
     sign = one if k1 % 2 == 0 else -one
@@ -378,7 +378,7 @@ def take(lower, upper, k1, first, count, sums, force, turn):  # type: ignore[no-
 def add_section(  # type: ignore[no-untyped-def]
     samples, place, sums, force, work, part, lower, upper, by32, by64, by2048, turn, order
 ):
-    """A section of the trials of every vector into their `sums` (vectors, PAIRS * KEPT * 16)."""
+    """Add a section of the trials of every vector to their `sums` (vectors, PAIRS * KEPT * 16)."""
     for vector in range(len(sums)):
         columns(samples, place, vector, work, part, by32, by2048)
         for k1 in range(17):
@@ -400,7 +400,9 @@ def add_section(  # type: ignore[no-untyped-def]
 
 @njit(nogil=True, cache=True)
 def moments(samples, place, vectors, found):  # type: ignore[no-untyped-def]
-    """Sum of x, of t x and of x^2 over a section of every vector into `found` (3 vectors, 16)."""
+    """Write the sums of x, t x and x^2 over a section of every vector into `found` (3 vectors,
+    16).
+    """
     for vector in range(vectors):
         x = load(samples, place[0] + vector)
         total = x

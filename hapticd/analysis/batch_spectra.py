@@ -23,7 +23,15 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.arrays import CACHE_LINE, Complexes, Floats, Integers, Values, aligned
+from hapticd.analysis.arrays import (
+    CACHE_LINE,
+    Complexes,
+    Floats,
+    Integers,
+    Values,
+    aligned,
+    alternating,
+)
 from hapticd.analysis.covariances import NO_SAMPLES, Moments, Sections, line_products
 from hapticd.analysis.spectra import DEFAULT_LAG as LAG
 from hapticd.analysis.spectra import on_the_grid
@@ -31,17 +39,15 @@ from hapticd.analysis.spectra import on_the_grid
 
 @dataclass(frozen=True, eq=False)
 class SharedForce:
-    """A force record (N,) as `LaneSections` needs it: `table` (sections, pairs of bins, 8),
-    covariance (M + 1,), moments.
-    """
+    """A force record (N,), prepared once for all trials that share it."""
 
-    table: Values
-    covariance: Floats
-    moments: Moments
+    table: Values  # (sections, pairs of bins, 8): transforms with the section after and before, N
+    covariance: Floats  # (M + 1,) biased, of the record as it is, N^2
+    moments: Moments  # of the record, to take its line out
 
     @property
     def spectrum(self) -> Floats:
-        """Of the detrended record on the window's frequencies (M + 1,) [N^2]."""
+        """Spectrum of the detrended record on the window's frequencies (M + 1,) [N^2]."""
         own = self.covariance - line_products(self.moments, self.moments, LAG)
         return np.maximum(on_the_grid(own, own).real, 0.0)
 
@@ -52,7 +58,7 @@ def shared_force(force_n: Floats, scalar: type[np.floating[Any]]) -> SharedForce
     padded = np.zeros((count + 2, 2 * LAG))  # a section of nothing before and after
     np.copyto(padded[1:-1, :LAG], _cut(force_n, count))
     found = np.fft.rfft(padded, axis=1)
-    sign = _sign()
+    sign = alternating(LAG + 1)
     ahead = found[1:-1] + sign * found[2:]
     behind = found[1:-1] + sign * found[:-2]
     lower = _bins()
@@ -73,7 +79,9 @@ def shared_force(force_n: Floats, scalar: type[np.floating[Any]]) -> SharedForce
 
 
 class BatchSections:
-    """Sums over `count` trials, a multiple of what a vector holds (16 float32, 8 float64)."""
+    """Spectral sums over `count` trials, a multiple of what a vector holds (16 float32, 8
+    float64).
+    """
 
     def __init__(self, force: SharedForce, count: int, scalar: type[np.floating[Any]]) -> None:
         from hapticd.analysis import batch_fft as compiled
@@ -100,8 +108,9 @@ class BatchSections:
         self._ends: list[Floats] = []  # first section, and the last two, (count, M)
 
     def add(self, samples: Values, place: Integers) -> None:
-        """The next section of all trials. `samples` is flat and begins on 64 bytes; sample t of
-        them is `count` values from place[t] vectors on. After the end of the record it is 0.
+        """Add the next section of all trials. `samples` is flat and begins on a border of 64
+        bytes; sample t of the section is the `count` values from vector place[t] on. After the
+        end of the record samples are 0.
         """
         self._compiled.add_section(
             samples,
@@ -126,8 +135,8 @@ class BatchSections:
         return self._moments[:, 2]
 
     def spectra(self) -> tuple[Floats, Complexes]:
-        """Of velocity and cross, as `spa` gives them: (count, M + 1) [(m/s)^2] and [N m/s],
-        when all sections are in.
+        """Velocity and cross spectra as `spa` gives them, (count, M + 1) each, in (m/s)^2 and N
+        m/s; to be called when all sections are in.
         """
         count = self._vectors * self._lanes
         u = self._velocity()
@@ -148,7 +157,9 @@ class BatchSections:
         return np.maximum(on_the_grid(velocity, velocity).real, 0.0), on_the_grid(forward, backward)
 
     def _summed(self, vector: int) -> tuple[Complexes, Complexes, Complexes]:
-        """The three sums of the module (lanes, M + 1); kernels leave twice every spectrum."""
+        """The three sums of the module's text, (lanes, M + 1); the compiled loops leave twice
+        every spectrum.
+        """
         rows = (
             self._sums[vector]
             .reshape(self._compiled.PAIRS, self._compiled.KEPT, self._lanes)
@@ -205,13 +216,7 @@ def _bins() -> Integers:
     return np.asarray(pair_order()[1])
 
 
-def _sign() -> Floats:
-    sign = np.ones(LAG + 1)
-    sign[1::2] = -1.0
-    return sign
-
-
 def _turn() -> Floats:
-    """exp(-2 pi i k / 4096) of the lower bin of each pair (pairs, 2)."""
+    """Return exp(-2 pi i k / 4096) of the lower bin of each pair, (pairs, 2)."""
     turn = np.exp(-1j * np.pi * _bins() / LAG)
     return np.stack((turn.real, turn.imag), axis=-1)

@@ -57,16 +57,16 @@ _NEIGHBOURS = 8.0 / 3.0  # values per independent one: bandwidth over spacing
 class Fitted:
     """A fitted number with its standard deviation; nan where there was nothing to fit."""
 
-    value: float
-    sd: float
+    value: float  # in the unit of what was fitted
+    sd: float  # standard deviation, same unit
 
 
 NOT_FITTED = Fitted(float("nan"), float("inf"))
 
 
 def skew(trial: Spectra) -> Fitted:
-    """Seconds by which the velocity is sampled later than the force: + turns the phase down, -
-    turns it up.
+    """Fit the seconds by which the velocity is sampled later than the force: a positive skew
+    turns the phase down, a negative one up.
     """
     z, f, known = _part(trial, SKEW_BAND[0] * trial.rate_hz, SKEW_BAND[1] * trial.rate_hz)
     stretches = [part for part in _stretches(f) if part.size >= 5 and _is_mass(z[part], f[part])]
@@ -86,8 +86,8 @@ def skew(trial: Spectra) -> Fitted:
 
 
 def high_pass(trial: Spectra) -> Fitted:
-    """Corner [Hz] of a first-order high-pass in the velocity channel, from a trial with a
-    spring.
+    """Fit the corner [Hz] of a first-order high-pass in the velocity channel, from a trial with
+    a spring.
     """
     z, f, known = _part(
         trial, max(HIGH_PASS_BAND_HZ[0], 1.5 * trial.lowest_hz), HIGH_PASS_BAND_HZ[1]
@@ -104,15 +104,15 @@ def high_pass(trial: Spectra) -> Fitted:
 
 
 def channel_findings(trial: Spectra) -> tuple[Finding, ...]:
-    """Skew and high-pass, named where they are certain and matter."""
+    """Name skew and high-pass where they are certain and large enough to matter."""
     return (*_skew_finding(skew(trial)), *_high_pass_finding(high_pass(trial)))
 
 
 def unit_findings(
     trial: Spectra, force_rms_n: float, velocity_rms_m_per_s: float
 ) -> tuple[Finding, ...]:
-    """A force or velocity beyond any display, by the rms values [N, m/s] of a record and its
-    spectra: what unit it may be in.
+    """Name a force or velocity beyond any display, given the rms values [N, m/s] of a record and
+    its spectra, and the unit that it may be in.
     """
     found = []
     mass_kg = moving_mass_kg(trial)
@@ -131,7 +131,7 @@ def unit_findings(
 
 
 def moving_mass_kg(trial: Spectra) -> float:
-    """Median of |Z| / (2 pi f) where the display is mostly a mass; nan where too little is
+    """Median of |Z| / (2 pi f) [kg] where the display is mostly a mass; nan where too little is
     known of it.
     """
     z, f, _ = _part(trial, *MASS_BAND_HZ)
@@ -164,7 +164,7 @@ def _high_pass_finding(found: Fitted) -> tuple[Finding, ...]:
 
 
 def _part(trial: Spectra, low_hz: float, high_hz: float) -> tuple[Complexes, Floats, Floats]:
-    """Impedance, frequency and weight 1/sd of Re Z between two frequencies where there is
+    """Impedance, frequency and weight 1/sd of Re Z between two frequencies, where there is
     coherence.
     """
     use = (
@@ -178,8 +178,8 @@ def _part(trial: Spectra, low_hz: float, high_hz: float) -> tuple[Complexes, Flo
 
 
 def _robust(columns: Floats, values: Floats, weight: Floats) -> tuple[float, float]:
-    """First coefficient of `values` ~ `columns`, known with `weight` = 1/sd, and its standard
-    deviation.
+    """Fit `values` by `columns`, known with `weight` = 1/sd: the first coefficient and its
+    standard deviation.
     """
     scaled = columns * weight[:, None]
     target = values * weight

@@ -1,29 +1,25 @@
-"""One number for a device: ours from the envelope, and those that others use, so that they can be
-read side by side.
+"""Displays side by side: one number for a device, and conditions under which two may be compared.
 
-    width_db            mean of 20 log10(upper/lower) of the envelope over a band of ln f: the
-                        Z-width in decibels
-    stiffness_damping_area     area of the passive region in the K-B plane at one virtual mass
-                               (Colgate and Brown 1994)
-    stiffness_at, stiffness_rate    largest passive K at a damping B, and how it changes with B
-                                    there
-    zero_mass_bandwidth_hz     up to where a device that renders no mass moves freely: -3 dB of
-                               |1/Z| above its largest value
+Numbers: ours from the envelope, and those that others use:
+
+    width_db                        mean of 20 log10(upper/lower) of the envelope over a band of
+                                    ln f: the Z-width in decibels
+    stiffness_damping_area          area of the passive region in the K-B plane at one virtual mass
+                                    (Colgate and Brown 1994)
+    stiffness_at, stiffness_rate    largest passive K at a virtual damping B, and its slope there
+    zero_mass_bandwidth_hz          up to where a device that renders no mass moves freely: -3 dB
+                                    of |1/Z| above its largest value
+
+Conditions. Two displays bolted together have twice the K, B and M, and are not a better display:
+"Has performance really improved, or is this simply a larger device?" (Weir, Colgate and Peshkin
+2008, section 2). Divided by the mass that moves, impedances [1/s], stiffness [1/s^2] and damping
+[1/s] of the pair and of the single one are the same (`normalised`); the envelope in decibels was
+the same from the start, since maximum and minimum double together. Friction and perturbation scale
+with the mass too, so the density that belongs to it is per mass squared. Envelopes measured under
+unlike conditions are not laid over each other unless the difference is named (`check_alike`).
 
 What would break it: a band that the envelope does not cover, or a K-B map without the value of M
 (both refused).
-
-Fair comparison of displays: two of them bolted together have twice the K, B and M, and are not a
-better display.
-
-"Has performance really improved, or is this simply a larger device?" (Weir, Colgate and Peshkin
-2008, section 2). Divided by the mass that moves, impedances [1/s], stiffness [1/s^2] and damping
-[1/s] of the pair and of the single one are the same; the envelope in decibels was the same from the
-start, since maximum and minimum double together. Friction and perturbation scale with the mass too,
-so the density that belongs to it is per mass squared.
-
-Envelopes measured under unlike conditions are not laid over each other unless the difference is
-named.
 """
 
 from collections.abc import Collection, Sequence
@@ -37,6 +33,10 @@ from hapticd.analysis.passive_set import PassiveSet
 from hapticd.errors import AnalysisError
 
 BANDS_HZ = ((2.0, 10.0), (10.0, 50.0), (50.0, 200.0), (200.0, 500.0))
+CLOSE = 0.02  # relative difference of numbers that counts as none
+FREE = ("device", "mass_kg")  # conditions that may differ
+# conditions that are compared divided by that power of the mass
+PER_MASS = {"probe_mass_kg": 1, "perturbation_psd_n2_per_hz": 2}
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,15 +49,16 @@ class BandWidth:
 
 
 def width_db(found: Envelope, low_hz: float, high_hz: float) -> float:
-    """Mean width [dB] over ln f between two frequencies. AnalysisError unless the envelope has
-    two values there.
+    """Mean width [dB] of an envelope over ln f between two frequencies. AnalysisError unless the
+    envelope has two values there.
     """
     return float(mean_over_ln_f(found.frequency_hz, found.width_db(), (low_hz, high_hz)))
 
 
 def mean_over_ln_f(frequency_hz: Floats, values: Floats, band_hz: tuple[float, float]) -> Floats:
-    """Mean (...,) of `values` (..., F) over ln f inside the band. AnalysisError unless two of the
-    frequencies (F,) [Hz] are there."""
+    """Mean (...,) of `values` (..., F) over ln f inside the band. AnalysisError unless two of
+    the frequencies (F,) [Hz] lie there.
+    """
     low_hz, high_hz = band_hz
     inside = (frequency_hz >= low_hz) & (frequency_hz <= high_hz)
     if inside.sum() < 2:
@@ -72,13 +73,13 @@ def mean_over_ln_f(frequency_hz: Floats, values: Floats, band_hz: tuple[float, f
 def widths_db(
     found: Envelope, bands_hz: tuple[tuple[float, float], ...] = BANDS_HZ
 ) -> tuple[BandWidth, ...]:
-    """`width_db` of several bands."""
+    """`width_db` of several bands, by default of `BANDS_HZ`."""
     return tuple(BandWidth(low, high, width_db(found, low, high)) for low, high in bands_hz)
 
 
 def stiffness_damping_area(found: PassiveSet, mass_kg: float = 0.0) -> float:
-    """Area [N/m N s/m] of the passive K-B region with K >= 0, B >= 0 at that virtual mass, as
-    in a stiffness-damping plot.
+    """Area [N/m N s/m] of the passive region of the K-B plane with K >= 0 and B >= 0 at that
+    virtual mass, as a stiffness-damping plot shows it.
     """
     stiffness, damping, _ = found.axes
     kept = np.flatnonzero(damping >= 0.0)
@@ -91,8 +92,8 @@ def stiffness_damping_area(found: PassiveSet, mass_kg: float = 0.0) -> float:
 
 
 def stiffness_at(found: PassiveSet, damping_ns_per_m: float, mass_kg: float = 0.0) -> float:
-    """Largest passive K [N/m] at a damping, between grid lines linearly; nan where none is
-    passive.
+    """Largest passive K [N/m] at a virtual damping, linear between grid lines; nan where none is
+    passive. AnalysisError for a damping outside the grid.
     """
     stiffness, damping, _ = found.axes
     if not damping[0] <= damping_ns_per_m <= damping[-1]:
@@ -109,8 +110,8 @@ def stiffness_at(found: PassiveSet, damping_ns_per_m: float, mass_kg: float = 0.
 
 
 def stiffness_rate(found: PassiveSet, damping_ns_per_m: float, mass_kg: float = 0.0) -> float:
-    """dK/dB [1/s] of the boundary at that damping, over one step of the grid (one-sided at its
-    ends).
+    """Slope dK/dB [1/s] of the boundary at that virtual damping, over one step of the grid
+    (one-sided at its ends).
     """
     damping = found.axes[1]
     step = float(np.min(np.diff(damping)))
@@ -120,10 +121,10 @@ def stiffness_rate(found: PassiveSet, damping_ns_per_m: float, mass_kg: float = 
 
 
 def zero_mass_bandwidth_hz(frequency_hz: Floats, impedance_ns_per_m: Complexes) -> float:
-    """Where |Z| (F,), rendered with M = 0, has grown by sqrt(2) over its least value; inf if it
-    never does.
+    """Frequency [Hz] where |Z| (F,), rendered with M = 0, has grown by sqrt(2) over its least
+    value; inf if it never does.
 
-    Of a mass m with damping b alone: b / (2 pi m).
+    For a mass m with damping b alone it is b / (2 pi m).
     """
     size = np.abs(impedance_ns_per_m)
     least = int(np.argmin(size))
@@ -161,41 +162,31 @@ def _highest(stiffness: Floats, margin: Floats) -> float:
     return float(stiffness[last] + share * (stiffness[last + 1] - stiffness[last]))
 
 
-CLOSE = 0.02  # relative difference of numbers that counts as none
-
-
 @dataclass(frozen=True, slots=True)
 class EnvelopeConditions:
-    """Under which an envelope was found. `mass_kg` is all that moves at the port; it and
-    `device` may differ freely.
+    """Conditions under which an envelope was found. `device` and `mass_kg` may differ between
+    displays that are compared; all else must be alike.
     """
 
-    device: str
-    mass_kg: float
-    port: str = "probe"
-    probe_mass_kg: float = 0.0
-    rate_hz: float = 1000.0
-    filters: str = "100 Hz, 72 Hz"
-    band_hz: tuple[float, float] = (2.0, 500.0)
-    estimator: str = "spa"
-    grip: str = "free"
-    perturbation_psd_n2_per_hz: float = 0.0
+    device: str  # name of the display
+    mass_kg: float  # all that moves at the port
+    port: str = "probe"  # where force and velocity were measured
+    probe_mass_kg: float = 0.0  # of what was added to measure; 0 for none
+    rate_hz: float = 1000.0  # of the servo
+    filters: str = "100 Hz, 72 Hz"  # of velocity and acceleration, in words
+    band_hz: tuple[float, float] = (2.0, 500.0)  # judged band
+    estimator: str = "spa"  # of Z: "spa" or "h_force"
+    grip: str = "free"  # what held the display, in words
+    perturbation_psd_n2_per_hz: float = 0.0  # one-sided density of the perturbing force
     judged_hz: tuple[float, float] = (2.0, 500.0)  # first and last frequency that was
-    confidence: float = 0.95
+    confidence: float = 0.95  # of the verdicts
     seconds: float = 90.0  # of a trial
-    simulated: bool = True
-
-
-FREE = ("device", "mass_kg")
-PER_MASS = {
-    "probe_mass_kg": 1,
-    "perturbation_psd_n2_per_hz": 2,
-}  # compared divided by that power of the mass
+    simulated: bool = True  # whether trials were simulated
 
 
 def differences(one: EnvelopeConditions, other: EnvelopeConditions) -> tuple[str, ...]:
-    """Names of the conditions that are not alike, those proportional to the mass compared per
-    mass.
+    """Names of the conditions that are not alike; those that are proportional to the mass are
+    compared per mass.
     """
     return tuple(
         item.name
@@ -207,10 +198,11 @@ def differences(one: EnvelopeConditions, other: EnvelopeConditions) -> tuple[str
 def check_alike(
     conditions: Sequence[EnvelopeConditions], allow: Collection[str] = ()
 ) -> tuple[str, ...]:
-    """What is unlike the first of them. AnalysisError unless `allow` names all of it.
+    """Names of the conditions in which the others differ from the first. AnalysisError unless
+    `allow` names all of them.
 
-    Alike is also what is so in itself and only unlike per mass: displays of other masses at the
-    same probe, shaken alike.
+    Conditions that differ but agree per mass count as alike: displays of other masses at the same
+    probe, perturbed alike.
     """
     first = conditions[0]
     unlike = list[str]()

@@ -1,13 +1,12 @@
-"""The loops of `kernels` in numba: one pass each, without temporaries. Imported only by `kernels`,
-only if numba is there.
+"""The loops of `kernels` in numba. Imported by `kernels` alone, only if numba is installed.
 
-They release the interpreter lock, so trials may run on threads. Sums are reassociated for vector
-registers: results agree with numpy's to rounding, not to the bit.
+Spectral sums are one pass each, without temporaries. All loops release the interpreter lock, so
+trials may run on threads. Sums are reassociated for vector registers: results agree with numpy's
+to rounding, not to the bit.
 
-`local_fits` in numba: normal equations from moments that neighbouring frequencies share.
-
-Every column of a fit is a power of r times one of the sequences V, 1 and, with k = 0 .. K,
-G_k = bin F(bin + k servo), so all its products are moments
+`local_fits` solves normal equations from moments that neighbouring frequencies share. Every column
+of a fit is a power of r times one of the sequences V, 1 and, with k = 0 .. K, G_k = bin F(bin + k
+servo), so all its products are moments
 
     m_p(a, b) = sum r^p conj(a) b
 
@@ -32,7 +31,16 @@ import numpy as np
 from hapticd.analysis.arrays import Integers
 from hapticd.analysis.kernels import ORDER, RIDGE, TERMS, TINY, Fit, Transforms
 
+# what LLVM may do to a sum; NaN and infinity keep their meaning
 _SUMS = {"contract", "reassoc", "nsz"}
+# sequences of a fit; those of the images follow
+_V = 0
+_ONE = 1
+_FORCE = 2
+_ONES = 2  # the pair of 1 with itself
+_POWERS = 2 * ORDER + 1
+_BINOMIAL = np.array([[comb(p, i) for i in range(_POWERS)] for p in range(_POWERS)], np.float64)
+_CANCELLED = 1e-9  # of the force, below which what is left of it is summed
 
 
 @numba.njit(fastmath=_SUMS, nogil=True, cache=True)
@@ -84,13 +92,6 @@ def accumulate(velocity, force, sums):  # type: ignore[no-untyped-def]
         sums[3, k] += yu
 
 
-_V, _ONE, _FORCE = 0, 1, 2  # sequences; those of the images follow
-_ONES = 2  # the pair of 1 with itself
-_POWERS = 2 * ORDER + 1
-_BINOMIAL = np.array([[comb(p, i) for i in range(_POWERS)] for p in range(_POWERS)], np.float64)
-_CANCELLED = 1e-9  # of the force, below which what is left of it is summed
-
-
 def local_fits(whole: Transforms, places: Integers, fit: Fit) -> None:
     """See `kernels.local_fits`."""
     first = np.maximum(places - whole.half, 1)
@@ -108,8 +109,8 @@ def local_fits(whole: Transforms, places: Integers, fit: Fit) -> None:
 
 @lru_cache
 def _pairs(sequences: int) -> tuple[Integers, Integers]:
-    """Those (n, 2) of sequences that are multiplied, V and 1 with each other first, then one of
-    them with a G, then two of G; and how many of them need the power p, (5,).
+    """Pairs (n, 2) of sequences that are multiplied: V and 1 with each other first, then one of
+    them with a G, then two G; and how many of the pairs need the power p, (5,).
     """
     plain = [(_V, _V), (_V, _ONE), (_ONE, _ONE)]
     mixed = list(product((_V, _ONE), range(_FORCE, sequences)))
@@ -120,7 +121,9 @@ def _pairs(sequences: int) -> tuple[Integers, Integers]:
 
 @lru_cache
 def _columns(images: int) -> Integers:
-    """Sequence and power of each (n, 2): images, the rest of Q, J, then q0 and the force."""
+    """Sequence and power of each column, (n, 2): images, the rest of Q, J, then q0 and the
+    force.
+    """
     shifted = [(_FORCE + 1 + k, 0) for k in range(images)]
     slopes = [(_V, power) for power in range(1, TERMS)]
     ends = [(_ONE, power) for power in range(TERMS)]
@@ -133,7 +136,7 @@ def _fits(  # type: ignore[no-untyped-def]
     pairs, high, columns, places, borders, begin, end,
     z, variance, power, ends,
 ):  # fmt: skip
-    """The same; bins `borders[begin]` .. `borders[end]` - 1 are those about a place."""
+    """Fit about all places; bins `borders[begin]` .. `borders[end]` - 1 are those about a place."""
     rows = np.empty((_FORCE + 1 + shifts.size, 2, 2 * half + 1))
     work = np.empty((3, 2 * half + 1))
     blocks = np.zeros((borders.size, _POWERS, len(pairs)), np.complex128)
@@ -168,7 +171,7 @@ def _fits(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _gather(force, velocity, samples, shifts, first, last, rows):  # type: ignore[no-untyped-def]
-    """Real and imaginary parts of the sequences at bins `first` .. `last` - 1 to `rows`."""
+    """Write real and imaginary parts of the sequences at bins `first` .. `last` - 1 to `rows`."""
     for i in range(last - first):
         place = first + i
         rows[_V, 0, i] = velocity[place].real
@@ -188,12 +191,13 @@ def _gather(force, velocity, samples, shifts, first, last, rows):  # type: ignor
 
 @numba.njit(fastmath=_SUMS, cache=True)
 def _sum(rows, count, half, pairs, high, work, moments):  # type: ignore[no-untyped-def]
-    """`moments` (5, n) of a block of `count` bins about its middle, in units of `half`."""
+    """Sum the `moments` (5, n) of a block of `count` bins about its middle, in units of `half`."""
     away = work[0]
     for i in range(count):
         away[i] = (i - 0.5 * (count - 1)) / half
     for pair in range(len(pairs)):
-        a, b = pairs[pair, 0], pairs[pair, 1]
+        a = pairs[pair, 0]
+        b = pairs[pair, 1]
         if pair < high[1]:
             _multiply(rows[a], rows[b], work, count)
             for p in range(5 if pair < high[3] else 3):
@@ -204,7 +208,7 @@ def _sum(rows, count, half, pairs, high, work, moments):  # type: ignore[no-unty
 
 @numba.njit(fastmath=_SUMS, cache=True)
 def _product(a, b, count):  # type: ignore[no-untyped-def]
-    """Sum of conj(a) b."""
+    """Return the sum of conj(a) b."""
     real = 0.0
     imag = 0.0
     for i in range(count):
@@ -215,7 +219,7 @@ def _product(a, b, count):  # type: ignore[no-untyped-def]
 
 @numba.njit(fastmath=_SUMS, cache=True)
 def _multiply(a, b, work, count):  # type: ignore[no-untyped-def]
-    """conj(a) b to `work`."""
+    """Write conj(a) b to `work`."""
     for i in range(count):
         work[1, i] = a[0, i] * b[0, i] + a[1, i] * b[1, i]
         work[2, i] = a[0, i] * b[1, i] - a[1, i] * b[0, i]
@@ -223,7 +227,7 @@ def _multiply(a, b, work, count):  # type: ignore[no-untyped-def]
 
 @numba.njit(fastmath=_SUMS, cache=True)
 def _total(work, count):  # type: ignore[no-untyped-def]
-    """Sum of what is there, which is then multiplied by r."""
+    """Return the sum of `work`, which is then multiplied by r for the next power."""
     real = 0.0
     imag = 0.0
     for i in range(count):
@@ -236,7 +240,7 @@ def _total(work, count):  # type: ignore[no-untyped-def]
 
 @numba.njit(fastmath=_SUMS, cache=True)
 def _move(block, distance, high, moments):  # type: ignore[no-untyped-def]
-    """Add moments of a block to those about a place that is `distance` below its middle."""
+    """Add the moments of a block to those about a place that is `distance` below its middle."""
     for p in range(_POWERS):
         factor = 1.0
         for i in range(p, -1, -1):
@@ -248,7 +252,9 @@ def _move(block, distance, high, moments):  # type: ignore[no-untyped-def]
 
 @numba.njit(fastmath=_SUMS, cache=True)
 def _normal(moments, pairs, columns):  # type: ignore[no-untyped-def]
-    """Upper half of the products of all columns of size 1, with a ridge, and their sizes."""
+    """Upper half of the products of all columns, scaled to size 1, with a ridge, and their
+    sizes.
+    """
     n = len(columns)
     sequences = columns[:, 0].max() + 1
     index = np.empty((sequences, sequences), np.int64)
@@ -298,7 +304,7 @@ def _solved(products):  # type: ignore[no-untyped-def]
 
 @numba.njit(fastmath=_SUMS, cache=True)
 def _left(rows, columns, found, place, count, half):  # type: ignore[no-untyped-def]
-    """Of the force, summed over its bins; `place` is that of r = 0."""
+    """What is left of the force, summed over its bins; `place` is the bin of r = 0."""
     total = 0.0
     for i in range(count):
         away = (i - place) / half

@@ -1,4 +1,7 @@
-"""Hands: passive one-ports at the probe, as networks of masses, dampers and springs.
+"""What a hand can do to a display: which environments no passive hand makes oscillate, and the hand
+that does.
+
+Hands (`Hand`) are passive one-ports at the probe, networks of masses, dampers and springs:
 
     M x'' + D x' + K x = f,   node 0 is the probe,
     Z_h = S(s) / s with S the stiffness seen at node 0, the others free
@@ -7,20 +10,13 @@ M, D and K have no negative eigenvalue (masses are on the nodes; a damper or spr
 one difference). For every s with Re s > 0 that alone makes Re Z_h(s) >= 0, so all of them are
 positive real: passive by construction (Brune 1931), from a fingertip to a tree of resonators
 without any loss. A node may be without a mass where a damper holds it, as in a Maxwell arm.
+`held_by` puts the hand on the rotor of a composed device, exactly, so that the eigenvalues of its
+sampled loop can be computed.
 
-`held_by` grips the rotor of a composed device: exact, so that its sampled loop can be asked for its
-eigenvalues.
-
-What would break it: a node that only dampers hold. It stays where it is pushed to, an eigenvalue 1
-that is no oscillation.
-
-What a hand can do to a display: which environments no passive hand brings to oscillate, and the
-hand that does.
-
-A hand adds Z_h(jw_k), anything with Re Z_h >= 0, to the device's 1/P_vt at each harmonic w_k = w +
-2 pi k / T. The inverse of their sum lies in a circle over the diameter 0..1/r_k, r_k = Re 1/P_vt.
-So does, harmonic by harmonic, what the law sees: with the terms of `theorem` the pulse transfer of
-device and hand together is
+What they can do (`withstands`). A hand adds Z_h(jw_k), anything with Re Z_h >= 0, to the device's
+1/P_vt at each harmonic w_k = w + 2 pi k / T. The inverse of their sum lies in a circle over the
+diameter 0..1/r_k, r_k = Re 1/P_vt. So does, harmonic by harmonic, what the law sees: with the terms
+of `theorem` the pulse transfer of device and hand together is
 
     G_h(wT) = e + sum h_k q_k / (1/P_vt + Z_h),    |G_h - g| <= R,
     g = e + sum h q / (2 r),   R = sum |h q| / (2 r)
@@ -29,14 +25,17 @@ and the loop closes as 1 + C G_h. A hand can be let in slowly, s Z_h with s from
 these are passive. If -1/C is outside the circle at every wT, no eigenvalue ever meets |z| = 1 on
 the way; what was stable alone is stable in every hand (zero exclusion). Inside it, masses and
 springs that reach the rim exist (`shaking_hand`): for hands that do not change with time this is
-necessary as well as sufficient. The lifted requirement has sqrt(sum |h|^2/r sum |q|^2/r) in place
-of sum |hq|/r, the same for a rigid device and up to 4-15 % more for the calibrated ones, because it
-also holds for hands that mix harmonics, a grip that changes. What it passes, this does.
+necessary as well as sufficient. The theorem has sqrt(sum |h|^2/r sum |q|^2/r) in place of sum
+|hq|/r, the same for a rigid device and up to 4-15 % more for the calibrated ones, because it also
+holds for hands that mix harmonics, such as a grip that changes. What passes the theorem passes
+this.
 
 Friction, as a damper on the rotor, adds to r and to nothing else; it counts only for motions as
-small as those at which it was linearised. What would break it: an environment that is unstable with
-no hand at all, see `loop`; a hand that holds the device elsewhere than at the probe, where
-another impedance is met.
+small as those at which it was linearised.
+
+What would break it: an environment that is unstable with no hand at all (`loop.spectral_radius`); a
+hand that holds the device elsewhere than at the probe, where another impedance is met; or a node
+that only dampers hold, which stays where it is pushed to, an eigenvalue 1 that is no oscillation.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -53,25 +52,28 @@ from hapticd.errors import AnalysisError
 from hapticd.plant.blueprint import StateVariable
 from hapticd.plant.model import Model, Output, Outputs
 
-GROUND = -1
-_ROUNDING = 1e-9
+GROUND = -1  # number of the node that is the wall
+_ROUNDING = 1e-9  # of the largest entry: an eigenvalue less negative than that is 0
+_IMAGES = np.array([0.0, -1.0, 1.0, -2.0, 2.0, -3.0, 3.0, -4.0, 4.0])  # for which a hand is tuned
+_DETUNED = (1e-3, 1e-4, 1e-5)  # resonances beside the frequencies that they serve
+_ENDLESS = 1e200  # times 0 is 0
+_LAST = 0.98 * np.pi  # nearer to half the servo's rate a frequency and its image are one
 
 
 @dataclass(frozen=True, eq=False)
 class Hand:
-    """`mass_kg` (n,), `damping_ns_per_m` (n, n), `stiffness_n_per_m` (n, n), float64; node 0 is the
-    probe.
+    """A passive hand: masses, dampers and springs between nodes; node 0 is the probe.
 
-    AnalysisError unless they are symmetric without negative eigenvalue, and every other node has a
-    mass or a damper.
+    AnalysisError unless the matrices are symmetric without a negative eigenvalue, and every node
+    but the probe has a mass or a damper.
     """
 
-    mass_kg: Floats
-    damping_ns_per_m: Floats
-    stiffness_n_per_m: Floats
+    mass_kg: Floats  # (n,) of each node
+    damping_ns_per_m: Floats  # (n, n)
+    stiffness_n_per_m: Floats  # (n, n)
 
     def __post_init__(self) -> None:
-        """Passive, or refused."""
+        """Refuse what is not passive."""
         for name, matrix in (
             ("mass", np.diag(self.mass_kg)),
             ("damping", self.damping_ns_per_m),
@@ -92,11 +94,13 @@ class Hand:
 
     @property
     def loose(self) -> Flags:
-        """(n,) nodes without a mass, other than the probe."""
+        """Nodes (n,) without a mass, other than the probe."""
         return np.asarray((self.mass_kg == 0.0) & (np.arange(self.mass_kg.size) > 0))
 
     def impedance(self, s: Complexes) -> Complexes:
-        """Z_h(s) (F,) [N s/m] at complex frequencies s (F,) [rad/s] that are not its poles."""
+        """Impedance Z_h(s) (F,) [N s/m] at complex frequencies s (F,) [rad/s] that are not its
+        poles.
+        """
         x = s[:, None, None]
         all_nodes = (
             x * x * np.diag(self.mass_kg) + x * self.damping_ns_per_m + self.stiffness_n_per_m
@@ -112,18 +116,18 @@ class Network:
         self._masses, self._joints = [mass_kg], list[tuple[int, int, float, float]]()
 
     def node(self, mass_kg: float = 0.0) -> int:
-        """Another node."""
+        """Add a node of that mass and return its number."""
         self._masses.append(mass_kg)
         return len(self._masses) - 1
 
     def join(
         self, one: int, other: int, stiffness_n_per_m: float = 0.0, damping_ns_per_m: float = 0.0
     ) -> None:
-        """A spring and a damper side by side between two nodes."""
+        """Put a spring and a damper side by side between two nodes."""
         self._joints.append((one, other, stiffness_n_per_m, damping_ns_per_m))
 
     def hand(self) -> Hand:
-        """What was built. AnalysisError as `Hand`."""
+        """Return the hand that was built. AnalysisError as `Hand`."""
         size = len(self._masses)
         stiffness, damping = np.zeros((2, size, size))
         for one, other, spring, damper in self._joints:
@@ -137,7 +141,9 @@ class Network:
 
 
 def held_by(model: Model, hand: Hand) -> Model:
-    """`model` with `hand` on its rotor, where the probe is. Its winding stays as warm as it is."""
+    """Return `model` with `hand` on its rotor, where the probe is. The temperature of its
+    winding stays as it is.
+    """
     rotor = int(np.argmax(model.outputs.velocity.c0))
     place = int(np.argmax(model.outputs.position.c0))
     n = len(model.states)
@@ -147,7 +153,8 @@ def held_by(model: Model, hand: Hand) -> Model:
     unit = np.eye(size)
     position = np.vstack((unit[place], unit[n : n + inner.size]))
     velocity = np.zeros((hand.mass_kg.size, size))
-    velocity[0], velocity[heavy] = unit[rotor], unit[n + inner.size :]
+    velocity[0] = unit[rotor]
+    velocity[heavy] = unit[n + inner.size :]
     loose = hand.loose
     push = hand.damping_ns_per_m @ velocity + hand.stiffness_n_per_m @ position
     velocity[loose] = -np.linalg.solve(hand.damping_ns_per_m[np.ix_(loose, loose)], push[loose])
@@ -171,7 +178,7 @@ def held_by(model: Model, hand: Hand) -> Model:
 
 
 def _wider(matrix: Floats, rows: int, columns: int, rotor: int, share: float) -> Floats:
-    """`matrix` of the device among zeros, its rotor heavier."""
+    """Return `matrix` of the device among zeros for the hand, its rotor heavier."""
     found = np.zeros((rows, columns))
     found[: len(matrix), : matrix.shape[1]] = matrix
     found[rotor] *= share
@@ -196,25 +203,17 @@ def _names(nodes: Integers, what: str, unit: str) -> list[StateVariable]:
     return [StateVariable(f"hand_{node}_{what}", unit, "hand") for node in nodes]
 
 
-_IMAGES = np.array([0.0, -1.0, 1.0, -2.0, 2.0, -3.0, 3.0, -4.0, 4.0])  # for which a hand is tuned
-_DETUNED = (1e-3, 1e-4, 1e-5)  # resonances beside the frequencies that they serve
-_ENDLESS = 1e200  # times 0 is 0
-_LAST = 0.98 * np.pi  # nearer to half the servo's rate a frequency and its image are one
-
-
 @dataclass(frozen=True, eq=False)
 class ReachCircle:
-    """The circle, `centre` (A,) and `radius` (A,), that holds the pulse transfer in every
-    passive hand, at `theorem.ANGLES`.
-    """
+    """The circle that holds the pulse transfer in every passive hand, at `theorem.ANGLES`."""
 
-    centre: Complexes
-    radius: Floats
+    centre: Complexes  # (A,) m/N
+    radius: Floats  # (A,) m/N
 
 
 def reach(lifted: Lift, friction_ns_per_m: float = 0.0) -> ReachCircle:
-    """Of a device, with that damper on its rotor. Without any damping of its own there is no
-    end to it.
+    """The circle of a device with that damper on its rotor. Without any damping of its own the
+    circle is boundless.
     """
     resistance = lifted.resistance + friction_ns_per_m
     if resistance.min() <= 0.0:
@@ -228,10 +227,10 @@ def reach(lifted: Lift, friction_ns_per_m: float = 0.0) -> ReachCircle:
 def withstands(
     lifted: Lift, points: npt.ArrayLike, friction_ns_per_m: npt.ArrayLike = 0.0
 ) -> Flags:
-    """Whether no passive hand brings environments (N, 3) to oscillate that are stable without a
-    hand: (N,).
+    """Whether no passive hand makes environments (N, 3) oscillate that are stable without a hand:
+    (N,).
 
-    `friction_ns_per_m` (N,) or one for all: of the rotor.
+    `friction_ns_per_m`: linearised friction of the rotor, (N,) or one value for all.
     """
     kbm = environments(points)
     levels = np.broadcast_to(np.asarray(friction_ns_per_m, np.float64), len(kbm))
@@ -247,12 +246,13 @@ def shaking_hand(
     filters: Filters = PAPER_FILTERS,
     friction_ns_per_m: float = 0.0,
 ) -> tuple[Hand, float] | None:
-    """A hand in which (K, B, M) oscillates, and about where [Hz]: where it grows fastest; None if
-    no hand can do it.
+    """A hand in which (K, B, M) oscillates, and about where [Hz], namely where the motion grows
+    fastest; None if no hand can do it.
 
-    Without loss: a mass, or a spring to the wall, that reaches the rim of the circle there, and a
-    small tuned mass for each of eight images. Above a quarter of the servo's rate, where more of
-    them weigh, it may miss by some percent of damping; above 0.98 of half the rate none is sought.
+    The hand has no loss: a mass, or a spring to the wall, that reaches the rim of the circle there,
+    and a small tuned mass for each of eight images. Above a quarter of the servo's rate, where more
+    images weigh, it may miss by some percent of damping; above 0.98 of half the rate none is
+    sought.
     """
     lifted = lift(model, damping_ns_per_m, filters)
     kbm = environments(np.atleast_2d(np.asarray(point, np.float64)))[0]
@@ -302,10 +302,11 @@ def coupled_radius(
     damping_ns_per_m: float = 0.0,
     filters: Filters = PAPER_FILTERS,
 ) -> Floats:
-    """Spectral radius (hands, N) of the sampled loop under `points` (N, 3) in each hand: exact,
+    """Spectral radius (hands, N) of the sampled loop under `points` (N, 3) in each hand; exact,
     some 40 us for each pair.
 
-    1 within 1e-9 is a mode of the hand without loss, or in which display and hand drift together.
+    A radius of 1 within 1e-9 is a mode of the hand without loss, or one in which display and hand
+    drift together.
     """
     return np.array(
         [
@@ -316,8 +317,8 @@ def coupled_radius(
 
 
 def _outside(lifted: Lift, point: Floats, friction_ns_per_m: float) -> Floats:
-    """How far -1/C is outside the circle, in radii (A,); inf where there is no law. Goes to 0
-    with the frequency squared.
+    """How far -1/C is outside the circle, in radii (A,); inf where there is no law. It falls to
+    0 with the square of the frequency.
     """
     found = reach(lifted, friction_ns_per_m)
     law = point @ lifted.law

@@ -1,26 +1,21 @@
-"""Linear trends, removed from a record or from its covariances.
+"""Covariances of a long record from short transforms, with or without its linear trend.
 
-The paper (Weir, Colgate and Peshkin 2008, section 2.2) detrends the whole record before `spa`. With
-t = k - (N - 1)/2 the least-squares line is mean + slope t, slope = sum(t x) / (N (N^2 - 1) / 12):
-two passes, no equations to solve.
+Sections (Rader 1970, "An improved algorithm for high speed autocorrelation"). The record is cut
+into sections of M samples, each padded with zeros to 2 M and transformed once. Lags 0..M of section
+i with the record that follows it need sections i and i + 1 only, and a shift of section i + 1 by M
+samples is a factor (-1)^k on bin k. Summing conj(U_i) (Y_i + (-1)^k Y_{i+1}) over all sections and
+one inverse transform at the end give the exact biased covariances: memory O(M), any length, fed in
+pieces of any size. That is about 43 Mflop for 360,000 samples, against 1.5 Gflop directly.
 
-A stream cannot go back to its beginning. It sums raw products and takes the lines out of the
-covariances afterwards: the products of a signal with a line need only the totals sum(x) and sum(k
-x) and the first and last M samples. What would break that: an offset some 10^6 times the motion,
-which leaves nothing of sixteen digits.
+Trends. The paper (Weir, Colgate and Peshkin 2008, section 2.2) detrends the whole record before
+`spa`. With t = k - (N - 1)/2 the least-squares line is mean + slope t, slope = sum(t x) / (N (N^2 -
+1) / 12): two passes, no equations to solve. A stream cannot go back to its beginning. It sums raw
+products and takes the lines out of the covariances afterwards (`line_products`): the products of a
+signal with a line need only the totals sum(x) and sum(k x) and the first and last M samples.
 
-Covariances of a long record from short transforms (Rader 1970, "An improved algorithm for high
-speed autocorrelation").
-
-The record is cut into sections of M samples, each padded with zeros to 2 M and transformed once.
-Lags 0..M of section i with the record that follows it need section i and i + 1 only, and shifting
-section i + 1 by M samples is a factor (-1)^k on bin k. Summing conj(U_i) (Y_i + (-1)^k Y_{i+1})
-over all sections and one inverse transform at the end give the exact biased covariances: memory
-O(M), any length, fed in pieces of any size. About 43 Mflop for 360,000 samples, against 1.5 Gflop
-direct.
-
-What would break it: a lag that changes while sums are kept, or blocks of unequal length in the two
-channels (refused).
+What would break it: a lag that changes while sums are kept, blocks of unequal length in the two
+channels (refused), or in a stream an offset some 10^6 times the motion, which leaves nothing of
+sixteen digits.
 """
 
 from dataclasses import dataclass
@@ -30,6 +25,8 @@ import numpy as np
 from hapticd.analysis.arrays import Floats
 from hapticd.analysis.kernels import kernels
 from hapticd.errors import AnalysisError
+
+TOGETHER = 32_768  # samples transformed together: their spectra stay in the second-level cache
 
 
 def detrended(signal: Floats) -> Floats:
@@ -43,21 +40,20 @@ def detrended(signal: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Moments:
-    """What is kept of a signal to take its line out later: length, sum(x), sum(k x), first and last
-    samples.
+    """What is kept of a signal to take its line out later.
 
-    Of one signal, or of many of one length: then `total` and `moment` (n,), `head` and `tail` (n,
-    samples).
+    Of one signal, or of many of one length: then `total` and `moment` are (n,), `head` and `tail`
+    (n, samples).
     """
 
-    length: int
-    total: Floats
-    moment: Floats
-    head: Floats
-    tail: Floats
+    length: int  # samples N
+    total: Floats  # sum of x_k, unit of the signal
+    moment: Floats  # sum of k x_k
+    head: Floats  # first samples
+    tail: Floats  # last samples
 
     def extended(self, block: Floats, keep: int) -> "Moments":
-        """With `block` appended; `keep` samples are remembered at each end."""
+        """Return the moments with `block` appended; `keep` samples are remembered at each end."""
         k = np.arange(self.length, self.length + block.size, dtype=np.float64)
         missing = max(0, keep - self.head.size)
         return Moments(
@@ -100,8 +96,8 @@ NO_SAMPLES = Moments(0, np.zeros(()), np.zeros(()), np.empty(0), np.empty(0))
 
 
 def line_products(late: Moments, early: Moments, lag: int) -> Floats:
-    """(1/N) sum of what their lines add to late_{k+t} early_k, for t = 0..lag: subtract it from
-    the raw covariance.
+    """What the lines of both signals add to (1/N) sum late_{k+t} early_k, for t = 0..lag, (lag +
+    1,) or (n, lag + 1): subtract it from the raw covariance.
     """
     n = early.length
     t = np.arange(lag + 1.0)
@@ -129,27 +125,20 @@ def _running(values: Floats) -> Floats:
     return found
 
 
-TOGETHER = 32_768  # samples transformed together: their spectra stay in the second-level cache
-
-
 @dataclass(frozen=True)
 class Covariances:
-    """Biased covariances (1/N) for lags t = 0..M, each (M + 1,) float64.
+    """Biased covariances (1/N) for lags t = 0..M, each (M + 1,) float64."""
 
-    `velocity` R_u [(m/s)^2], `force` R_y [N^2], `forward` R_yu(t) = 1/N sum y(k+t) u(k) and
-    `backward` R_yu(-t) [N m/s].
-    """
-
-    velocity: Floats
-    force: Floats
-    forward: Floats
-    backward: Floats
+    velocity: Floats  # R_u, (m/s)^2
+    force: Floats  # R_y, N^2
+    forward: Floats  # R_yu(t) = 1/N sum y(k + t) u(k), N m/s
+    backward: Floats  # R_yu(-t), N m/s
     n_samples: int
 
 
 class Sections:
-    """Sums over a record that arrives in blocks. `covariances()` may be asked at any time and
-    changes nothing.
+    """Spectral sums over a record that arrives in blocks. `covariances()` may be called at any
+    time and changes nothing.
     """
 
     def __init__(self, lag: int) -> None:
@@ -176,8 +165,8 @@ class Sections:
         self._waiting = np.concatenate((self._waiting, (velocity[stop:], force[stop:])), axis=1)
 
     def covariances(self) -> Covariances:
-        """Of all samples so far, as they are: no trend is taken out. Without samples an
-        AnalysisError.
+        """Covariances of all samples so far as they are, without taking a trend out.
+        AnalysisError without samples.
         """
         if not self.n_samples:
             raise AnalysisError("no samples: nothing to correlate; feed a record first")
@@ -190,7 +179,7 @@ class Sections:
         return Covariances(lags[0], lags[1], lags[2], lags[3], self.n_samples)
 
     def _fill_up(self, force: Floats, velocity: Floats) -> int:
-        """Complete the section that waits; how many samples of the block that took."""
+        """Complete the section that waits, and return how many samples of the block that took."""
         held = self._waiting.shape[1]
         missing = self.lag - held if held else 0
         if force.size < missing:
@@ -202,7 +191,7 @@ class Sections:
         return missing
 
     def _take(self, rows: list[Floats]) -> None:
-        """Sections (n, M) of velocity and force into the sums, n up to `_together`."""
+        """Add sections (n, M) of velocity and force to the sums, n up to `_together`."""
         count = len(rows[0])
         padded = self._padded[:count]
         for channel, sections in enumerate(rows):
@@ -215,7 +204,7 @@ class Sections:
 
 
 def same_length(force: Floats, velocity: Floats) -> None:
-    """AnalysisError unless both are (n,)."""
+    """Raise AnalysisError unless both are (n,)."""
     if force.ndim != 1 or force.shape != velocity.shape:
         raise AnalysisError(
             f"force {force.shape} and velocity {velocity.shape}: two records of one length are"

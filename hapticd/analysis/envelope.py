@@ -30,46 +30,42 @@ Accept = Literal["judged", "within_90_deg"]
 
 @dataclass(frozen=True, slots=True)
 class EnvelopeTrial:
-    """One measured environment: `name`, (K, B, M), its impedance and the verdict on it."""
+    """One measured environment with its verdict, which may widen an envelope."""
 
-    name: str
-    environment: tuple[float, float, float]
+    name: str  # that an owner of the envelope is called by
+    environment: tuple[float, float, float]  # K N/m, B N s/m, M kg
     impedance: Impedance
     verdict: Verdict
 
 
 @dataclass(frozen=True, eq=False)
 class Edge:
-    """One line of the envelope: `value` (F,), standard deviation `sd` (F,) of the owner's
-    estimate, `owner` (F,) into `trials`.
-    """
+    """One edge of the envelope."""
 
-    value: Floats
-    sd: Floats
-    owner: Integers
+    value: Floats  # (F,) in the unit of the envelope's kind, or degrees
+    sd: Floats  # (F,) standard deviation of the owner's estimate: of the logarithm, or degrees
+    owner: Integers  # (F,) places in the envelope's `trials`
 
 
 @dataclass(frozen=True, eq=False)
 class Envelope:
-    """Upper and lower edges over `frequency_hz` (F,): |Z| or |Y| with sd of its logarithm, phase
-    [deg] with sd in degrees.
+    """Upper and lower edges of |Z| or |Y| over `frequency_hz` (F,), and of their phase.
 
-    `trials` are the names that owners point to, in the order of adding. `kind` is "impedance" [N
-    s/m] or "admittance" [m/(N s)].
+    `trials` are the names that owners point to, in the order of adding.
     """
 
     frequency_hz: Floats
-    upper: Edge
-    lower: Edge
-    phase_upper: Edge
-    phase_lower: Edge
+    upper: Edge  # N s/m or m/(N s)
+    lower: Edge  # N s/m or m/(N s)
+    phase_upper: Edge  # deg
+    phase_lower: Edge  # deg
     trials: tuple[str, ...]
-    port: str
+    port: str  # where force and velocity were measured
     estimator: str
-    kind: str = "impedance"
+    kind: str = "impedance"  # "impedance" or "admittance"
 
     def width_db(self) -> Floats:
-        """20 log10 of upper over lower (F,)."""
+        """Return 20 log10 of upper over lower edge (F,)."""
         return np.asarray(20.0 * np.log10(self.upper.value / self.lower.value))
 
     def owner(self, edge: Edge) -> list[str]:
@@ -78,10 +74,10 @@ class Envelope:
 
 
 def envelope(trials: Iterable[EnvelopeTrial], accept: Accept = "judged") -> Envelope:
-    """Envelope of those of `trials` that are passive: by their verdict, or by the paper's +-90
-    degree rule.
+    """Envelope of those of `trials` that are passive: by their verdict, or by the paper's rule of
+    +-90 degrees.
 
-    AnalysisError if none is, or if they are on unlike frequencies, ports or estimators.
+    AnalysisError if none is passive, or if their frequencies, ports or estimators differ.
     """
     found: Envelope | None = None
     for trial in trials:
@@ -95,7 +91,7 @@ def envelope(trials: Iterable[EnvelopeTrial], accept: Accept = "judged") -> Enve
 
 
 def accepted(verdict: Verdict, accept: Accept = "judged") -> bool:
-    """Whether a trial may widen an envelope. The plain rule does not accept an unstable one
+    """Whether a trial may widen an envelope. The paper's rule does not accept an unstable one
     either.
     """
     if accept == "judged":
@@ -114,8 +110,8 @@ def of_trial(trial: EnvelopeTrial) -> Envelope:
 def of_one(
     name: str, frequency_hz: Floats, z: Complexes, relative_sd: Floats, port: str, estimator: str
 ) -> Envelope:
-    """The same from Z (F,) [N s/m] at `frequency_hz` (F,) and the standard deviation (F,) of
-    ln|Z|, and of its phase in radians.
+    """Envelope of one Z (F,) [N s/m] at `frequency_hz` (F,), with the standard deviation (F,) of
+    ln|Z|, which is that of the phase in radians as well.
     """
     owner = np.zeros(frequency_hz.size, np.int64)
     size = Edge(np.abs(z), relative_sd, owner)
@@ -124,7 +120,7 @@ def of_one(
 
 
 def of_predicted(frequency_hz: Floats, z: Complexes) -> Envelope:
-    """The envelope of predicted Z (N, F) [N s/m], without uncertainty; owners are places (N,)."""
+    """Envelope of predicted Z (N, F) [N s/m], without uncertainty; owners are places (N,)."""
     size = np.abs(z)
     angle = np.degrees(np.angle(z))
     none = np.zeros(frequency_hz.size)
@@ -141,14 +137,16 @@ def of_predicted(frequency_hz: Floats, z: Complexes) -> Envelope:
 
 
 def widened(found: Envelope, trial: EnvelopeTrial) -> Envelope:
-    """`found` with `trial`, which is taken to be passive. AnalysisError if it is unlike the
-    ones before.
+    """Return `found` widened by `trial`, which is taken to be passive. AnalysisError if
+    frequencies, port or estimator differ.
     """
     return merged(found, of_trial(trial))
 
 
 def merged(found: Envelope, new: Envelope) -> Envelope:
-    """The envelope of the trials of both. AnalysisError if they are unlike each other."""
+    """The envelope of the trials of both. AnalysisError if frequencies, ports or estimators
+    differ.
+    """
     if found.kind != "impedance":
         raise AnalysisError(
             "an admittance envelope cannot be widened; widen the impedance envelope and take its"

@@ -1,65 +1,60 @@
-"""The definition itself: energy that has flowed into the device at the port, never less than minus
-what it held at the start.
+"""What is wrong with a record, or remarkable in it: found in its samples and spectra, and named.
 
-E(t) = integral of F v. With interval means of both channels sum(F_k v_k) T is the exact work of a
-force held over each interval; no trend is removed, because the energy of a trial is that of its
-true force and velocity. Starting at rest a passive device keeps E >= 0. A trial whose noise drives
-mostly frequencies where the device dissipates stays far above 0 although it is active at others:
-the spectral verdict is the sharper one, this is the unconditional one.
+In the samples (`examine`):
 
-What may be wrong with a trial, detected from its record, and named.
+    saturation      a channel stays at its end value: given limits, or a flat top that no noise has
+    escape          the velocity of some second is several times that of the calm ones, under a
+                    force that did not grow as much: the loop ran away
+    drift           offset or trend of the velocity, or a level that changes between the halves of
+                    the record
+    dropout         seconds without a perturbation, or with a velocity that stands still: silence
+                    is no knowledge
 
-saturation      a channel stays at its end value: given limits, or a flat top that no noise has
-escape          the velocity of some second is several times that of the calm ones, under a force
-                that did not grow as much: the loop ran away
-drift           offset or trend of the velocity, or a level that changes between the halves of the
-                record
-dropout         seconds without a perturbation, or with a velocity that stands still: silence is no
-                knowledge
+In what the perturbation does not explain (`coherence_findings`):
 
-Skew and high-pass of the channels are in `channels`. A finding with `voids` leaves nothing to
-decide, one with `unstable` says that the loop is not stable. Thresholds are those at which a 90 s
-trial of noise alone never raised them (tests).
+    low_coherence   the perturbation explains less than half of the motion over part of the band, or
+                    at its lower edge
+    oscillation     a narrow line carries much of the velocity and the perturbation does not explain
+                    it: a limit cycle
+    line            the same with little of it: a limit cycle or hum
+    unresolved      much of it in a line that is narrower than the window, which the perturbation
+                    may explain
 
-What the perturbation does not explain of a motion: low coherence, and lines. Named with what
-follows for |Z|.
+The lower edge counts because it is estimated together with the band: the window's 1.95 Hz is
+anybody's 2 Hz. Noise in the velocity makes "spa" read |Z| low by the coherence. A window makes a
+resonance that is narrower than itself incoherent: a coherence of 0.2 is no proof of a limit cycle.
+What goes on by itself has none but that of chance, 2/nu. In between the record decides
+(`resolved`), and without one nothing is decided.
 
-low_coherence   the perturbation explains less than half of the motion over part of the band, or at
-                its lower edge
-oscillation     a narrow line carries much of the velocity and the perturbation does not explain it:
-                a limit cycle
-line            the same with little of it: a limit cycle or hum
-unresolved      much of it in a line that is narrower than the window, which the perturbation may
-                explain
+In what the window and the ends of the record do (`leakage_findings`): "spa" reads |Z| low where the
+velocity has little power, below the resonance of a lightly damped spring. There the spring lets
+through v ~ f / K, so the velocity's spectrum is steep, and small beside that of the resonance. Two
+things fill it up, and Z = Phi_yu / Phi_u shrinks as they do:
 
-Noise in the velocity makes "spa" read |Z| low by the coherence. The lower edge counts because it is
-read with the band: the window's 1.95 Hz is anybody's 2 Hz. Thresholds are those at which a 90 s
-trial of noise alone never raised them (tests).
-
-A window makes a resonance that is narrower than itself incoherent: a coherence of 0.2 is no proof
-of a limit cycle. What goes on by itself has none but that of chance, 2/nu. In between the record
-decides (`resolved`), and without one nothing is decided.
-
-What would break it: a limit cycle that the perturbation drives in part, where there is no record.
-
-How far "spa" reads |Z| low where the velocity has little power: below the resonance of a lightly
-damped spring.
-
-There the spring lets through v ~ f / K, so the velocity's spectrum is steep, and small beside that
-of the resonance. Two things fill it up, and Z = Phi_yu / Phi_u shrinks as they do:
-
-    window      covariances at lag t are multiplied by W(t): the spectrum is smoothed, and |Z| of a
-                spring shrinks by s^2 / (f^2 + s^2), 5 % at 3 Hz for M = 2048
-    record      those of a record of N samples are multiplied by 1 - |t|/N as well: a sharp
-                resonance leaks down to the band edge, whatever the window
+    window          covariances at lag t are multiplied by W(t): the spectrum is smoothed, and |Z|
+                    of a spring shrinks by s^2 / (f^2 + s^2), 5 % at 3 Hz for M = 2048
+    record          those of a record of N samples are multiplied by 1 - |t|/N as well: a sharp
+                    resonance leaks down to the band edge, whatever the window
 
 What they did once is seen by doing it once more (twicing, Tukey 1977), which is a product with the
 covariances. The phase is pulled towards 0 as well, and can hide a little activity. A longer window
 cures the first, a longer record the second, whole periods (`periodic`) both; "h_force" leaves Phi_u
 out, which is what is filled up.
 
-What would break it: spectra that are not on the window's own grid, which do not hold the
-covariances (nothing is said).
+The energy (`energy`) is the definition of passivity itself: E(t), the integral of F v, is never
+less than minus what the device held at the start. With interval means of both channels sum(F_k v_k)
+T is the exact work of a force held over each interval; no trend is removed, because the energy of a
+trial is that of its true force and velocity. Starting at rest a passive device keeps E >= 0. A
+trial whose noise drives mostly frequencies where the device dissipates stays far above 0 although
+the device is active at others: the spectral verdict is the sharper statement, this the
+unconditional one.
+
+Skew, high-pass and units of the channels are in `channels`. Thresholds are those at which a 90 s
+trial of noise alone never raised them (tests).
+
+What would break it: a limit cycle that the perturbation drives in part, where there is no record;
+or spectra that are not on the window's own grid, which do not hold the covariances (then nothing is
+said of leakage).
 """
 
 from dataclasses import dataclass
@@ -72,16 +67,29 @@ from hapticd.analysis.impedance import Estimator, impedance
 from hapticd.analysis.spectra import Spectra
 from hapticd.errors import AnalysisError
 
+FLAT_SHARE = 1e-4  # of all samples, at the end value
+FLAT_BELOW = 0.02  # of the end value: so far below it others are counted
+ESCAPE_RATIO = 4.0  # of a second's rms to the lower quartile of all
+SILENT = 0.1  # of the upper quartile of a second's rms: there the force is none
+DRIFT_SHARE = 0.5  # of the standard deviation
+LEVEL_RATIO = 1.25  # of the force's rms between the halves; the velocity may change twice as much
+LOW_COHERENCE = 0.5  # less than half of the motion is explained
+LINE_WIDTH = 6  # neighbouring values that make a line
+LINE_SHARE = 0.3  # of the velocity's power, unexplained, in a line
+SMALL_LINE = 0.02  # the same, from which it is mentioned
+LINE_HEIGHT = 5.0  # of a line over what is beside it
+CHANCE = 3.0  # times the coherence that chance gives on average: below, a line has none
+LOW_SHARE = 0.05  # of |Z|, from which it is named
+CERTAINTY = 3.0  # standard deviations of |Z|
+
 
 @dataclass(frozen=True, slots=True)
 class Energy:
-    """Energy integral of a record [J]: its minimum with the time of it [s], and its value at
-    the end.
-    """
+    """Energy that flowed into the device during a record."""
 
-    minimum_j: float
-    minimum_s: float
-    end_j: float
+    minimum_j: float  # least value of the integral, 0 at the start included
+    minimum_s: float  # when that was
+    end_j: float  # at the end of the record
 
 
 def energy(force_n: Floats, velocity_m_per_s: Floats, rate_hz: float) -> Energy:
@@ -93,34 +101,23 @@ def energy(force_n: Floats, velocity_m_per_s: Floats, rate_hz: float) -> Energy:
     return Energy(float(flowed[lowest]), (lowest + 1) / rate_hz, float(flowed[-1]))
 
 
-# of all samples at the end value; how far below it others are counted
-FLAT_SHARE = 1e-4
-FLAT_BELOW = 0.02
-ESCAPE_RATIO = 4.0  # of a second's rms to the lower quartile of all
-SILENT = 0.1  # of the upper quartile of a second's rms: there the force is none
-DRIFT_SHARE = 0.5  # of the standard deviation
-LEVEL_RATIO = 1.25  # of the force's rms between the halves; the velocity may change twice as much
-
-
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """`code` for programs, `message` with value and remedy for people."""
+    """Something that is wrong with a record, or remarkable in it."""
 
-    code: str
-    message: str
-    voids: bool = False
-    unstable: bool = False
+    code: str  # for programs
+    message: str  # for people, with value and remedy
+    voids: bool = False  # leaves nothing to decide
+    unstable: bool = False  # says that the loop is not stable
 
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """What the samples say before any spectrum: duration, energy, standard deviation of the
-    detrended velocity, findings.
-    """
+    """What the samples say before any spectrum is computed."""
 
-    seconds: float
+    seconds: float  # length of the record
     energy: Energy
-    velocity_sd_m_per_s: float
+    velocity_sd_m_per_s: float  # of the detrended velocity
     findings: tuple[Finding, ...]
 
 
@@ -131,8 +128,8 @@ def examine(
     force_limit_n: float | None = None,
     velocity_limit_m_per_s: float | None = None,
 ) -> Record:
-    """Look at the samples of a trial, both (N,) float64 at `rate_hz`. The limits are those of the
-    channels.
+    """Look at the samples of a trial, force and velocity (N,) float64 at `rate_hz`. The limits are
+    those of the measuring channels, if they are known.
 
     AnalysisError for unequal lengths or less than two seconds.
     """
@@ -181,8 +178,8 @@ def _saturation(
 
 
 def _is_flat(size: Floats, top: float, at: Integers) -> bool:
-    """Whether the largest value is met oftener than by chance: more than just below it, and not
-    once a period.
+    """Whether the largest value occurs more often than by chance: more than values just below
+    it, and not once a period.
     """
     below = int(((size > (1.0 - FLAT_BELOW) * top) & (size < top * (1.0 - 1e-9))).sum())
     crowded = at.size >= FLAT_SHARE * size.size and at.size > 2 * below
@@ -192,7 +189,7 @@ def _is_flat(size: Floats, top: float, at: Integers) -> bool:
 def _by_seconds(
     force: Floats, velocity: Floats, raw_velocity: Floats, rate_hz: float
 ) -> tuple[Finding, ...]:
-    """Dropouts, and an escape among the seconds that have none."""
+    """Find dropouts, and an escape among the seconds that have none."""
     pushed, moved = (_seconds(signal, rate_hz).std(axis=1) for signal in (force, velocity))
     silent = pushed < SILENT * np.quantile(pushed, 0.75)
     still = ~silent & (np.ptp(_seconds(raw_velocity, rate_hz), axis=1) == 0.0)
@@ -208,7 +205,7 @@ def _by_seconds(
 
 
 def _seconds(signal: Floats, rate_hz: float) -> Floats:
-    """Rows of a second each; the last one ends with the record."""
+    """Cut a signal into rows of a second each; the last row ends with the record."""
     window = int(rate_hz)
     rows = signal[: signal.size // window * window].reshape(-1, window)
     return np.concatenate((rows, signal[None, -window:])) if signal.size % window else rows
@@ -227,8 +224,8 @@ def _dropout(what: str, where: Flags) -> tuple[Finding, ...]:
 def escape_findings(
     rms: Floats, window_s: float, pushed: Floats | None = None
 ) -> tuple[Finding, ...]:
-    """Escape by the rms velocity of windows of about a second (n,), and that of the force (n,)
-    where it may change: a force that is stronger than usual moves a stable device as much faster.
+    """Find an escape in the rms velocity of windows of about a second (n,), and in that of the
+    force (n,) where it may change: a stronger force moves a stable device as much faster.
     """
     calm = float(np.quantile(rms, 0.25))
     usual = 0.0 if pushed is None else float(np.quantile(pushed, 0.25))
@@ -269,33 +266,23 @@ def _level(name: str, signal: Floats, most: float) -> tuple[Finding, ...]:
     return (Finding("drift", message),)
 
 
-LOW_COHERENCE = 0.5
-LINE_WIDTH = 6  # neighbouring values that make a line
-LINE_SHARE = 0.3  # of the velocity's power, unexplained, in a line
-SMALL_LINE = 0.02  # the same, from which it is mentioned
-LINE_HEIGHT = 5.0  # of a line over what is beside it
-CHANCE = 3.0  # times the coherence that chance gives on average: below, a line has none
-
-
 @dataclass(frozen=True, slots=True)
 class UnexplainedLine:
-    """A narrow line at `place` of the frequencies, in which `share` of the velocity's power is not
-    explained; median `coherence` about it.
-    """
+    """A narrow line of the velocity that the perturbation does not explain."""
 
-    place: int
+    place: int  # index into the frequencies
     frequency_hz: float
-    share: float
-    coherence: float
+    share: float  # of the velocity's power, unexplained, in it
+    coherence: float  # median about it
 
 
 def coherence_findings(
     trial: Spectra, band_hz: tuple[float, float], estimator: Estimator = "spa"
 ) -> tuple[Finding, ...]:
-    """Low coherence (named by share and range), and a line that the perturbation does not explain.
+    """Name low coherence, by share and range, and a line that the perturbation does not explain.
 
-    Looked at are `band_hz` and what is read together with its lower edge: a resolution below it,
-    where the window still says something.
+    `band_hz` is looked at, and what is estimated together with its lower edge: a resolution below
+    it, where the window still says something.
     """
     low_hz = min(band_hz[0], max(trial.lowest_hz, band_hz[0] - trial.bandwidth_hz))
     inside = (trial.frequency_hz >= low_hz) & (trial.frequency_hz <= band_hz[1])
@@ -325,7 +312,7 @@ def _incoherent(
 
 
 def _shrunk(frequency_hz: Floats, coherence: Floats) -> str:
-    """What "spa" makes of noise in the velocity."""
+    """Say what "spa" makes of noise in the velocity."""
     worst = int(np.argmin(coherence))
     return (
         f"; |Z| by spa reads low there by the coherence, at {frequency_hz[worst]:.3g} Hz to"
@@ -335,7 +322,7 @@ def _shrunk(frequency_hz: Floats, coherence: Floats) -> str:
 
 
 def line_of(trial: Spectra) -> UnexplainedLine | None:
-    """The strongest line that is not explained, if it carries enough to be mentioned."""
+    """The strongest line that is not explained, if it carries enough power to be mentioned."""
     if trial.frequency_hz.size <= 4 * LINE_WIDTH:
         return None
     unexplained = trial.velocity * (1.0 - trial.coherence)
@@ -379,13 +366,9 @@ def _line(trial: Spectra) -> tuple[Finding, ...]:
     return (Finding("oscillation", message, unstable=True),)
 
 
-LOW_SHARE = 0.05  # of |Z|, from which it is named
-CERTAINTY = 3.0  # standard deviations of |Z|
-
-
 def shrinkage(trial: Spectra, estimator: Estimator = "spa") -> Complexes:
-    """What window and ends of the record did to Z, as the factor (F,) by which doing it again
-    changes it; 1 if it is unknown.
+    """What window and ends of the record did to Z: the complex factor (F,) by which applying
+    them once more changes it; 1 where it is unknown.
     """
     if trial.frequency_hz.size != trial.lag + 1 or trial.exact:
         return np.ones(trial.frequency_hz.size, np.complex128)
@@ -409,9 +392,8 @@ def shrinkage(trial: Spectra, estimator: Estimator = "spa") -> Complexes:
 def leakage_findings(
     trial: Spectra, band_hz: tuple[float, float], estimator: Estimator = "spa"
 ) -> tuple[Finding, ...]:
-    """|Z| that is read low inside `band_hz` by more than a twentieth, and more than chance does.
-
-    The finding names the range of frequencies.
+    """Name |Z| that is read low inside `band_hz` by more than a twentieth and more than chance
+    does, with the range of frequencies.
 
     Where there is little coherence, that is what is named (`coherence_findings`).
     """

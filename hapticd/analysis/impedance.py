@@ -28,22 +28,18 @@ Estimator = Literal["spa", "h_force"]
 
 @dataclass(frozen=True, eq=False)
 class Impedance:
-    """Z(f) of one trial: `impedance_ns_per_m` (F,) complex128, its standard deviation (of the
-    complex value) and coherence.
-
-    `noise` (F,) is the spectrum of the output that the input does not explain, `noise_sd` its
-    standard deviation.
-    """
+    """Estimated impedance Z(f) of one trial with its uncertainty."""
 
     frequency_hz: Floats
-    impedance_ns_per_m: Complexes
-    sd_ns_per_m: Floats
-    coherence: Floats
+    impedance_ns_per_m: Complexes  # (F,) complex128
+    sd_ns_per_m: Floats  # (F,) standard deviation of the complex value
+    coherence: Floats  # (F,) g2, 0 to 1
+    # (F,) spectrum of the output that the input does not explain: N^2 with "spa", else (m/s)^2
     noise: Floats
-    noise_sd: Floats
+    noise_sd: Floats  # (F,) standard deviation of `noise`
     estimator: Estimator
-    port: str
-    degrees_of_freedom: float
+    port: str  # where force and velocity were measured
+    degrees_of_freedom: float  # nu of each spectral value
 
     @property
     def phase_deg(self) -> Floats:
@@ -56,15 +52,15 @@ class Impedance:
         return relative_sd(self.coherence, self.degrees_of_freedom)
 
     def without_mass(self, mass_kg: float, port: str = "device") -> "Impedance":
-        """The impedance behind a rigid mass at the port: Z - j 2 pi f m. The real part, and
-        with it the verdict, stays.
+        """The impedance behind a rigid mass at the port, Z - j 2 pi f m. The real part, and with
+        it the verdict, stays as it is.
         """
         behind = self.impedance_ns_per_m - 2j * np.pi * self.frequency_hz * mass_kg
         return replace(self, impedance_ns_per_m=behind, port=port)
 
 
 def relative_sd(coherence: Floats, degrees_of_freedom: float) -> Floats:
-    """sqrt((1 - g2) / (g2 nu)) (F,): standard deviation of phase [rad] and of ln|Z|."""
+    """Return sqrt((1 - g2) / (g2 nu)) (F,): standard deviation of the phase [rad] and of ln|Z|."""
     unexplained = np.divide(
         1.0 - coherence, coherence, out=np.full_like(coherence, np.inf), where=coherence > 0.0
     )
@@ -72,15 +68,17 @@ def relative_sd(coherence: Floats, degrees_of_freedom: float) -> Floats:
 
 
 def spread_of(size: Floats, relative: Floats) -> Floats:
-    """`size` times its relative spread (F,); inf where nothing is known, whatever the size."""
+    """Return `size` times its relative spread (F,); inf where nothing is known, whatever the
+    size.
+    """
     return np.asarray(
         np.multiply(size, relative, out=np.full_like(size, np.inf), where=np.isfinite(relative))
     )
 
 
 def impedance(trial: Spectra, estimator: Estimator = "spa") -> Impedance:
-    """Z with its uncertainty by "spa" (velocity as input, the paper's) or "h_force" (force as
-    input).
+    """Estimate Z with its uncertainty by "spa" (velocity as the input, the paper's choice) or
+    "h_force" (force as the input). AnalysisError for another estimator.
     """
     coherence = trial.coherence
     if estimator == "spa":

@@ -1,24 +1,24 @@
-"""Q and J of `resolved` about each of F frequencies: least squares in numpy, as they are defined.
+"""The inner loops over records in numpy, and the choice between them and the compiled ones.
 
-About the bin p of a record, with r = (bin - p) / half from -1 to 1 and x = bin / p,
+`kernels()` gives the loops of `compiled` where numba is installed and those below otherwise. Both
+sets take the same arguments and give the same numbers to rounding; these are what the compiled ones
+are checked against. Nothing else in `analysis` needs a compiler.
+
+    fitted_line, take_line_out    the linear trend of a signal (`covariances`)
+    accumulate                    spectral sums of neighbouring sections (`covariances`)
+    local_fits                    Q and J of `resolved` about each of F frequencies
+
+About the bin p of a record, with r = (bin - p) / half from -1 to 1 and x = bin / p, `local_fits`
+solves
 
     x F = (q0 + q1 r + q2 r^2) V + (j0 + j1 r + j2 r^2) + sum_k g_k x F(bin + k servo)
 
-is solved over the bins p - half .. p + half, as far as there are such: Z is q0. `compiled` does the
-same where numba is there, from sums that neighbouring frequencies share; this is what it is checked
-against.
-
-By einsum, not BLAS: its threads wait for each other where every core has a trial of its own, and
-its last bits depend on the number of cores.
+by least squares over the bins p - half .. p + half, as far as there are such: Z is q0. It does so
+by einsum, not by BLAS, whose threads wait for each other where every core has a trial of its own,
+and whose last bits depend on the number of cores.
 
 What would break it: columns that are the same to rounding, as where all of a motion is in one bin;
 `RIDGE` then leaves numbers, of which the variance says that nothing is known.
-
-The inner loops of spectral sums and of local polynomials, compiled where numba is installed, in
-numpy otherwise.
-
-Both sets take the same arguments and give the same numbers to rounding. Nothing else in `analysis`
-needs a compiler.
 """
 
 from collections.abc import Callable
@@ -28,53 +28,48 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.arrays import Complexes, Floats, Integers
+from hapticd.analysis.arrays import Complexes, Floats, Integers, alternating
 
 ORDER = 2  # of both polynomials
 TERMS = ORDER + 1
 TOGETHER = 16  # frequencies at once: 1 MB
 TINY = float(np.finfo(np.float64).tiny) ** 0.5
 RIDGE = 1e-14  # of a column's power: a channel without power leaves numbers
+_BLOCK = 16_384  # samples at once: their places 0, 1, 2 .. stay in the cache
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """About F frequencies: `z` [N s/m] with its `variance`, the mean `power` of V, and `ends`, the
-    power of J over that of the force.
-    """
+    """Results of local fits about F frequencies."""
 
-    z: Complexes
-    variance: Floats
-    power: Floats
-    ends: Floats
+    z: Complexes  # (F,) N s/m
+    variance: Floats  # (F,) of z, (N s/m)^2
+    power: Floats  # (F,) mean of |V|^2
+    ends: Floats  # (F,) power of J over that of the force
 
     @staticmethod
     def empty(size: int) -> "Fit":
-        """Room for so many."""
+        """Room for the results about `size` frequencies."""
         return Fit(np.empty(size, np.complex128), np.empty(size), np.empty(size), np.empty(size))
 
     def part(self, which: slice) -> "Fit":
-        """Views of some of them."""
+        """Views of the results about some of the frequencies."""
         return Fit(self.z[which], self.variance[which], self.power[which], self.ends[which])
 
 
 @dataclass(frozen=True, eq=False)
 class Transforms:
-    """Of a record of `samples`: `force` and `velocity`, both (samples/2 + 1,).
+    """Transforms of a whole record, and what a fit takes of them."""
 
-    A fit takes `half` bins on each side; `shifts` (K,) are those from a frequency to its images,
-    in bins.
-    """
-
-    force: Complexes
-    velocity: Complexes
-    samples: int
-    half: int
-    shifts: Integers
+    force: Complexes  # (samples/2 + 1,) N
+    velocity: Complexes  # (samples/2 + 1,) m/s
+    samples: int  # of the record
+    half: int  # bins on each side of a fit
+    shifts: Integers  # (K,) bins from a frequency to its images
 
 
 def local_fits(whole: Transforms, places: Integers, fit: Fit) -> None:
-    """Fill `fit` about the bins `places` (F,), ascending from 1."""
+    """Fill `fit` about the bins `places` (F,), which ascend from 1."""
     for first in range(0, places.size, TOGETHER):
         some = slice(first, first + TOGETHER)
         _fit(whole, places[some], fit.part(some))
@@ -101,7 +96,7 @@ def _fit(whole: Transforms, places: Integers, fit: Fit) -> None:
 
 
 def _images(whole: Transforms, at: Integers) -> Complexes:
-    """The force at the images of bins `at` (F, n), (F, K, n)."""
+    """The force at the images of bins `at` (F, n): (F, K, n)."""
     there = (at[:, None] + whole.shifts[:, None]) % whole.samples
     mirrored = there > whole.samples // 2
     found = whole.force[np.where(mirrored, whole.samples - there, there)]
@@ -109,7 +104,9 @@ def _images(whole: Transforms, at: Integers) -> Complexes:
 
 
 def _least_squares(columns: Complexes, y: Complexes, count: Integers, fit: Fit) -> None:
-    """Of `y` (F, n) by `columns` (F, c, n), Q's first, then J's; `count` (F,) bins."""
+    """Fit `y` (F, n) by `columns` (F, c, n), those of Q first, then those of J; `count` (F,)
+    bins are there.
+    """
     conjugate = columns.conj()
     normal = np.einsum("fcn,fdn->fcd", conjugate, columns)
     size = np.maximum(np.sqrt(np.einsum("fcc->fc", normal).real), TINY)
@@ -127,16 +124,13 @@ def _least_squares(columns: Complexes, y: Complexes, count: Integers, fit: Fit) 
 
 
 def _power(values: Complexes) -> Floats:
-    """Sum of the squares of (F, n)."""
+    """Sum of the squares of each row of (F, n)."""
     return np.asarray((values.real**2 + values.imag**2).sum(axis=1))
-
-
-_BLOCK = 16_384
 
 
 @dataclass(frozen=True)
 class Kernels:
-    """What `fitted_line`, `take_line_out` and `accumulate` below and `local_fits` do."""
+    """One set of the loops, in numpy or compiled."""
 
     fitted_line: Callable[[Floats], tuple[float, float]]
     take_line_out: Callable[[Floats, float, float, Floats], Any]
@@ -147,7 +141,7 @@ class Kernels:
 
 @cache
 def kernels() -> Kernels:
-    """The compiled kernels, or the numpy ones where there is no numba."""
+    """The compiled loops, or those in numpy where numba is not installed."""
     try:
         from hapticd.analysis import compiled
     except ImportError:
@@ -193,8 +187,7 @@ def accumulate(velocity: Complexes, force: Complexes, sums: Complexes) -> None:
     velocity, force, force after velocity, velocity after force. A delay by M samples is a factor
     (-1)^k on bin k.
     """
-    sign = np.ones(velocity.shape[1])
-    sign[1::2] = -1.0
+    sign = alternating(velocity.shape[1])
     u = velocity[:-1].conj()
     y = force[:-1].conj()
     later_u = velocity[:-1] + sign * velocity[1:]

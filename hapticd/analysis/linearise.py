@@ -39,7 +39,7 @@ _ROUNDS = 8  # between two bodies
 
 @dataclass(frozen=True, slots=True)
 class Perturbation:
-    """White force of one-sided density `psd_n2_per_hz` up to `band_hz`; the default is that of
+    """White force of one-sided density `psd_n2_per_hz` up to `band_hz`; by default the one at
     the calibrated device.
     """
 
@@ -49,27 +49,23 @@ class Perturbation:
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """`impedance` (N, F) complex128 at the port, `friction` (ports, N) the dampers [N s/m],
-    `velocity_sd` (N,) of the port [m/s].
+    """Impedance with friction linearised in N environments."""
 
-    `calm` (N,): a burst of motion dies out.
-    """
-
-    impedance: Complexes
-    friction: Floats
-    velocity_sd: Floats
-    calm: Flags
+    impedance: Complexes  # (N, F) complex128 at the port, N s/m
+    friction: Floats  # (ports, N) dampers that stand for friction, N s/m
+    velocity_sd: Floats  # (N,) of the port, m/s; nan without perturbation
+    calm: Flags  # (N,) whether a burst of motion dies out
 
 
 def linearise(
     loop: Loop, points: Floats, coulomb_n: Floats, start: Floats, perturbation: Perturbation | None
 ) -> Linearised:
-    """Z of `loop` under the environments `points` (N, 3) with friction `coulomb_n` (ports,) at that
-    perturbation.
+    """Impedance of `loop` under the environments `points` (N, 3) with friction `coulomb_n` (ports,)
+    at that perturbation.
 
     `start` (ports,): dampers that the loop's model already has on its bodies; they are taken off
-    where friction is less. Without a perturbation the friction is left out, and the velocity's
-    deviation is unknown (nan).
+    where friction is less. Without a perturbation friction is left out, and the standard deviation
+    of the velocity is unknown (nan).
     """
     y = port_admittance(loop, points)
     weight = (
@@ -99,8 +95,9 @@ def linearise(
 
 
 def recorded_impedance(loop: Loop, points: Floats, impedance: Complexes) -> Complexes:
-    """`impedance` (N, F) of `linearise` as the board's record shows it: exact as in `loop` where no
-    damper was changed."""
+    """`impedance` (N, F) of `linearise` as the board's record shows it: exact as in `loop` where
+    no damper was changed.
+    """
     kbm = np.column_stack((np.ones(len(points)), points))
     return np.asarray(impedance * product(kbm, loop.admittance[0, 0]) / product(kbm, loop.recorded))
 
@@ -108,8 +105,9 @@ def recorded_impedance(loop: Loop, points: Floats, impedance: Complexes) -> Comp
 def impedance_each(
     loop: Loop, line: Integers, points: Floats, dampers: Floats, recorded: bool
 ) -> Complexes:
-    """Z (N,) of environments `points` (N, 3), each at its own `line` (N,) of `loop`, with `dampers`
-    (ports, N) hung on its ports; `recorded` as in `recorded_impedance`."""
+    """Z (N,) of environments `points` (N, 3), each at its own `line` (N,) of `loop`, with
+    `dampers` (ports, N) hung on its ports; `recorded` as in `recorded_impedance`.
+    """
     kbm = np.column_stack((np.ones(len(points)), points)).T
     common = (kbm * loop.common[:, line]).sum(axis=0)
     y = (kbm * loop.admittance[..., line]).sum(axis=2)
@@ -118,7 +116,7 @@ def impedance_each(
 
 
 def port_admittance(loop: Loop, points: Floats) -> Complexes:
-    """Y_ab (ports, ports, N, F) of the closed loop, without anything hung on the ports."""
+    """Admittance Y_ab (ports, ports, N, F) of the closed loop, with nothing hung on the ports."""
     kbm = np.column_stack((np.ones(len(points)), points))
     common = 1.0 / product(kbm, loop.common)
     return np.stack(
@@ -127,12 +125,14 @@ def port_admittance(loop: Loop, points: Floats) -> Complexes:
 
 
 def product(weights: Floats, basis: Complexes) -> Complexes:
-    """Real (N, 4) times complex (4, F), as two real products."""
+    """Multiply real (N, 4) by complex (4, F), as two real products."""
     return np.asarray(weights @ basis.real + 1j * (weights @ basis.imag))
 
 
 def hung(y: Complexes, dampers: Floats, skip: int = -1) -> Complexes:
-    """`y` (ports, ports, N, F) with `dampers` (ports, N) on its ports, all but port `skip`."""
+    """Return `y` (ports, ports, N, F) with `dampers` (ports, N) on its ports, all but port
+    `skip`.
+    """
     for port, level in enumerate(dampers):
         if port != skip and level.any():
             b = level[:, None]
@@ -142,17 +142,15 @@ def hung(y: Complexes, dampers: Floats, skip: int = -1) -> Complexes:
 
 @dataclass(frozen=True, eq=False)
 class LonePort:
-    """A port to which a damper is added: |Y_i0|^2 and Y_ii in parts, (N, F), with `start` N s/m
-    on it already.
-    """
+    """A port i to which a damper is added while the others stay as they are."""
 
-    drive: Floats
-    real: Floats
-    imag: Floats
-    start: float
+    drive: Floats  # (N, F) |Y_i0|^2, from the probe's force
+    real: Floats  # (N, F) of Y_ii, m/(N s)
+    imag: Floats  # (N, F) of Y_ii, m/(N s)
+    start: float  # damper that is on it already, N s/m
 
     def sd(self, damper: Floats, weight: Floats) -> Floats:
-        """Standard deviation (N,) of the port's velocity with a damper (N,) on it."""
+        """Standard deviation (N,) [m/s] of the port's velocity with a damper (N,) [N s/m] on it."""
         extra = (damper - self.start)[:, None]
         power = (self.drive / ((1.0 + extra * self.real) ** 2 + (extra * self.imag) ** 2)) @ weight
         return np.asarray(np.sqrt(power))
@@ -161,10 +159,10 @@ class LonePort:
 class MovingPort:
     """The same port moving more, with less friction: its resonance may be narrower than the grid.
 
-    A sum over lines would then see the peak or step over it, and sets would end in teeth. Between
-    two lines Z + b runs straight from a to a', and the integral of 1/|Z + b|^2 is theta / (|a| |a'|
-    sin theta) of the distance, theta the angle between them: p(q) / q with q = cos(theta / 2), p to
-    0.4 %.
+    A sum over lines would then see the peak or step over it, and the edge of a set would be jagged.
+    Between two lines Z + b runs straight from a to a', and the integral of 1/|Z + b|^2 is theta /
+    (|a| |a'| sin theta) of the distance, theta the angle between them: p(q) / q with q = cos(theta
+    / 2), p to 0.4 %.
     """
 
     def __init__(self, frequency_hz: Floats, alone: LonePort, weight: Floats) -> None:
@@ -180,7 +178,7 @@ class MovingPort:
         )
 
     def sd(self, damper: Floats) -> Floats:
-        """Standard deviation (N,) of the port's velocity with a damper (N,) on it."""
+        """Standard deviation (N,) [m/s] of the port's velocity with a damper (N,) [N s/m] on it."""
         real = self._z.real + (damper - self._start)[:, None]
         imag = self._z.imag
         size = np.sqrt(real**2 + imag**2)
@@ -191,17 +189,19 @@ class MovingPort:
 
 
 def _straight(q: Floats) -> Floats:
-    """arccos(q) / sqrt(1 - q^2) for q in 0..1, to 0.4 %: values and slopes at both ends."""
+    """Return arccos(q) / sqrt(1 - q^2) for q in 0..1 to 0.4 %, by values and slopes at both
+    ends.
+    """
     return 0.5 * np.pi + q * (-1.0 + q * (_BEND + q * (2.0 - 0.5 * np.pi - _BEND)))
 
 
 def fitting_damper(alone: LonePort, gain_n: float, weight: Floats) -> Floats:
-    """b (N,) with b s(b) = `gain_n`.
+    """Find b (N,) with b s(b) = `gain_n`.
 
-    Iterated from rest, b <- g / s(b), downwards only: the damper of a body that hardly moves is too
-    strong, lets go, and stays at the strongest one that fits. That is the calm solution, where a
-    loop that is active without friction has several. If there is none, b falls past the value at
-    which the loop begins to oscillate, and Re Z < 0 there says so.
+    The iteration b <- g / s(b) starts at rest and goes downwards only: the damper of a body that
+    hardly moves is too strong, gives way, and stays at the strongest one that fits. That is the
+    calm solution, where a loop that is active without friction has several. If there is none, b
+    falls past the value at which the loop begins to oscillate, and Re Z < 0 there says so.
     """
     b = np.full(len(alone.drive), _MOST)
     for _ in range(_ROUNDS_OF_ONE):
@@ -218,6 +218,6 @@ def _alone(y: Complexes, level: Floats, start: Floats, port: int) -> LonePort:
 
 
 def density_weights(frequency_hz: Floats, perturbation: Perturbation) -> Floats:
-    """Weights (F,) of an integral of S |Y|^2 over the perturbation's band: trapezoids."""
+    """Weights (F,) of an integral of S |Y|^2 over the perturbation's band, by trapezoids."""
     inside = frequency_hz <= perturbation.band_hz
     return np.asarray(np.where(inside, perturbation.psd_n2_per_hz * np.gradient(frequency_hz), 0.0))

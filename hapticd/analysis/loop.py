@@ -1,38 +1,33 @@
-"""The sampled loop as seen from the probe: its first harmonic, exactly, and its closed-loop matrix.
+"""The sampled loop as seen from the probe: its first harmonic, exactly, and whether it is stable.
 
-The port is where torque and velocity of the rotor are. With the device's responses P(jw) from
-torque t and command F to the velocity v and to the encoder x, the hold H0 = (1 - e^(-jwT))/(jwT)
-e^(-jwdT), the pulse transfer G(z) of hold, delay and P_xF (exact, the fraction of a tick included)
-and the law C = K + B H_v(z) + M H_a(z) at z = e^(jwT):
+First harmonic (`close_loop`). The port is where torque and velocity of the rotor are. With the
+device's responses P(jw) from torque t and command F to the velocity v and to the encoder x, the
+hold H0 = (1 - e^(-jwT))/(jwT) e^(-jwdT), the pulse transfer G(z) of hold, delay and P_xF (exact,
+the fraction of a tick included) and the law C = K + B H_v(z) + M H_a(z) at z = e^(jwT):
 
     Y = P_vt - P_vF H0 C P_xt / (1 + G C) = (P_vt + (G P_vt - P_vF H0 P_xt) C) / (1 + G C)
 
 Numerator and denominator are affine in (K, B, M), so a map of thousands of environments is two
 matrix products. White noise sees this first harmonic: images of the torque at f + k/T are
-uncorrelated with it, and the mass leaves less than 1e-4 of them.
-
-Bodies with friction get a port of their own, so that a damper can be hung on them afterwards
-(`friction`).
+uncorrelated with it, and the mass leaves less than 1e-4 of them. Bodies with friction get a port of
+their own, so that a damper can be added to them afterwards (`linearise`).
 
 The board's record is another port. Its torque is held, and its velocity averaged, over intervals h
 = 1/4 kHz, so P_vt becomes the exact transfer at e^(j2 pi f h) from held torque to mean velocity,
-images of the hold included. They are no detail: a mass reads (2m/h) tan(pi f h), which 1/sinc(f
-h)^2 alone misses by 0.17 % at 500 Hz and 3.2 % at 1 kHz, many times the error of a quiet trial. The
-way through the law (P_vF H0 P_xt) keeps its first harmonic, times sinc(f h)^2: it falls off with
-the fourth power of the frequency, and its images are below 5e-5 of Z up to 500 Hz.
+images of the hold included. They matter: a mass reads (2m/h) tan(pi f h), which 1/sinc(f h)^2 alone
+misses by 0.17 % at 500 Hz and 3.2 % at 1 kHz, many times the error of a quiet trial. The way
+through the law (P_vF H0 P_xt) keeps its first harmonic, times sinc(f h)^2: it falls off with the
+fourth power of the frequency, and its images are below 5e-5 of Z up to 500 Hz.
 
-What would break it: a quantiser or a limit that binds, or a device that is not stable by itself.
-
-Is the sampled loop stable? The exact map of one tick, device, delay and filters together, and
-its spectral radius.
-
+Stability (`spectral_radius`). The exact map of one tick holds device, delay and filters together.
 Its state is the device's, the commands on their way, the two last positions and the filters'. It is
-affine in (K, B, M): the law is one row that is added through one column. With K = 0 nothing holds
-the device in place; translation of everything together is an eigenvector with eigenvalue 1 and is
-left out, once. Below 1 everything else dies out.
+affine in (K, B, M): the law is one row that is added through one column. Below a radius of 1
+everything dies out. With K = 0 nothing holds the device in place; translation of everything
+together is an eigenvector with eigenvalue 1 and is left out, once.
 
-What would break it: judging by the growth of a 90 s record; at K = 2,000 N/m a radius of 1.00002
-takes half a minute to show.
+What would break it: a quantiser or a limit that binds, or for the harmonic a device that is not
+stable by itself. Growth over a 90 s record is no substitute for the radius: at K = 2,000 N/m one of
+1.00002 takes half a minute to show.
 """
 
 from dataclasses import dataclass, replace
@@ -46,9 +41,8 @@ from hapticd.plant.model import Model
 from hapticd.render.filters import Biquad, design
 from hapticd.units import PROBE_RATE_HZ
 
-Filters = tuple[
-    FilterParams | None, FilterParams | None
-]  # of velocity and acceleration; None: none
+# of velocity and acceleration; None leaves one out
+Filters = tuple[FilterParams | None, FilterParams | None]
 
 PAPER_FILTERS: Filters = (FilterParams(100.0), FilterParams(72.0))  # Weir 2008, section 2
 NO_FILTER: Biquad = (1.0, 0.0, 0.0, 0.0, 0.0)
@@ -56,21 +50,21 @@ NO_FILTER: Biquad = (1.0, 0.0, 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """A model at a damping level with its filters, at `frequency_hz` (F,).
+    """A model at a level of active damping with its filters, closed by any environment, at F
+    frequencies.
 
-    Y_ab of port b to port a is `admittance[a, b]` . (1, K, B, M) over `common` . (1, K, B, M); port
-    0 is the probe's. admittance (p, p, 4, F), common (4, F) complex128. `recorded` (4, F) is the
-    same for 1/Z of the board's recorded channels.
+    The admittance Y_ab from port b to port a is `admittance[a, b]` . (1, K, B, M) over `common` .
+    (1, K, B, M); port 0 is the probe's.
     """
 
     frequency_hz: Floats
-    admittance: Complexes
-    common: Complexes
-    recorded: Complexes
+    admittance: Complexes  # (p, p, 4, F) numerators, m/(N s)
+    common: Complexes  # (4, F) denominator
+    recorded: Complexes  # (4, F) numerator of 1/Z of the board's recorded channels
 
 
 def with_viscous(model: Model, ns_per_m: tuple[float, ...]) -> Model:
-    """`model` with a damper on the body of each of its contacts."""
+    """Return `model` with a damper on the body of each of its contacts."""
     a0 = model.a0.copy()
     for contact, level in zip(model.contacts, ns_per_m, strict=True):
         a0[:, contact.velocity] -= level * model.b0[:, contact.column]
@@ -83,8 +77,8 @@ def close_loop(
     damping_ns_per_m: float = 0.0,
     filters: Filters = PAPER_FILTERS,
 ) -> Loop:
-    """The loop around `model` at that damping level, with velocity and acceleration filter, at
-    `frequency_hz` (F,) > 0.
+    """Close the loop around `model` at that level of active damping, with filters of velocity
+    and acceleration, at `frequency_hz` (F,) > 0.
     """
     f = np.asarray(frequency_hz, np.float64)
     turn = np.exp(2j * np.pi * f / model.rate_hz)
@@ -111,13 +105,11 @@ def close_loop(
 
 @dataclass(frozen=True, eq=False)
 class Responses:
-    """Open-loop responses at F frequencies to the command and to forces at the ports: `velocity`
-    (ports, 1 + ports, F) of the ports, `encoder` (1 + ports, F); `recorded_velocity` (F,) of the
-    velocity channel at an instant to the command alone."""
+    """Open-loop responses at F frequencies to the command and to forces at the ports."""
 
-    velocity: Complexes
-    encoder: Complexes
-    recorded_velocity: Complexes
+    velocity: Complexes  # (ports, 1 + ports, F) of the ports, to command and forces
+    encoder: Complexes  # (1 + ports, F) of the encoder, to command and forces
+    recorded_velocity: Complexes  # (F,) of the velocity channel at an instant, to the command alone
 
 
 def port_states(model: Model) -> list[int]:
@@ -127,7 +119,7 @@ def port_states(model: Model) -> list[int]:
 
 
 def responses(model: Model, frequency_hz: Floats, damping_ns_per_m: float = 0.0) -> Responses:
-    """Continuous responses of the device alone."""
+    """Continuous-time responses of the device alone."""
     ports = port_states(model)
     outputs = model.outputs
     level = damping_ns_per_m
@@ -154,7 +146,7 @@ def recorded_channels(
     model: Model, frequency_hz: Floats, damping_ns_per_m: float = 0.0
 ) -> Complexes:
     """Recorded torque and recorded mean velocity (2, F) of the device alone, per torque that is
-    held over each 4 kHz interval: exact.
+    held over each interval of 4 kHz; exact.
     """
     step = discretise(model, 1.0 / PROBE_RATE_HZ, damping_ns_per_m)
     outputs = model.outputs
@@ -190,7 +182,7 @@ def derivatives(
 
 
 def biquad_of(one: FilterParams | None, rate_hz: float) -> Biquad:
-    """Coefficients of a filter of the law."""
+    """Coefficients of a filter of the law; those of no filter for None."""
     return (
         NO_FILTER
         if one is None
@@ -206,19 +198,19 @@ def _at(turn: Complexes, biquad: Biquad) -> Complexes:
 
 @dataclass(frozen=True, eq=False)
 class Sampled:
-    """The device from tick to tick: x' = a x + new u_(k-steps) + old u_(k-steps-1), encoder row
-    y = row x.
+    """The device from tick to tick: x' = a x + new u_(k-steps) + old u_(k-steps-1), encoder y =
+    row x.
     """
 
-    a: Floats
-    new: Floats
-    old: Floats
-    steps: int
-    row: Floats
+    a: Floats  # (n, n) states of the model, SI
+    new: Floats  # (n,) column of the command that arrives in this tick
+    old: Floats  # (n,) column of the command before it, which acts until then
+    steps: int  # whole ticks of delay
+    row: Floats  # (n,) of the encoder
 
 
 def sampled(model: Model, damping_ns_per_m: float = 0.0) -> Sampled:
-    """Exact map over one tick; a command that arrives inside the tick is split there."""
+    """The exact map over one tick; a command that arrives inside the tick is split there."""
     whole = discretise(model, 1.0 / model.rate_hz, damping_ns_per_m)
     steps, fraction = delay_steps(model.delay_periods, 1)
     old, new = late_command(model, whole, fraction)
@@ -226,7 +218,7 @@ def sampled(model: Model, damping_ns_per_m: float = 0.0) -> Sampled:
 
 
 def pulse_transfer(model: Model, turn: Complexes, damping_ns_per_m: float = 0.0) -> Complexes:
-    """G(z) from command to encoder at z = `turn` (F,)."""
+    """Pulse transfer G(z) from command to encoder at z = `turn` (F,)."""
     device = sampled(model, damping_ns_per_m)
     late = np.stack((device.new, device.old), axis=1)
     x = np.linalg.solve(
@@ -260,8 +252,8 @@ def _drifts(model: Model, damping_ns_per_m: float) -> bool:
 
 
 def _tick(device: Sampled, rate_hz: float, filters: Filters) -> tuple[Floats, Floats, Floats]:
-    """(matrix without law, column through which the command enters, rows (3, n) of position,
-    velocity and acceleration).
+    """The matrix without the law, the column through which the command enters, and rows (3, n)
+    of position, velocity and acceleration.
     """
     n = len(device.a)
     waiting = device.steps + 1
@@ -281,14 +273,15 @@ def _tick(device: Sampled, rate_hz: float, filters: Filters) -> tuple[Floats, Fl
     position = np.concatenate((device.row, np.zeros(size - n)))
     slope = (position - unit[at]) * rate_hz
     bend = (position - 2.0 * unit[at] + unit[at + 1]) * rate_hz**2
-    base[at], base[at + 1] = position, unit[at]
+    base[at] = position
+    base[at + 1] = unit[at]
     velocity = _filter(base, unit, at + 2, slope, biquad_of(filters[0], rate_hz))
     acceleration = _filter(base, unit, at + 4, bend, biquad_of(filters[1], rate_hz))
     return base, column, np.stack((position, velocity, acceleration))
 
 
 def _filter(base: Floats, unit: Floats, at: int, source: Floats, biquad: Biquad) -> Floats:
-    """Write a filter's two states into `base`; the row of its output."""
+    """Write a filter's two states into `base` and return the row of its output."""
     b0, b1, b2, a1, a2 = biquad
     out = b0 * source + unit[at]
     base[at] = b1 * source - a1 * out + unit[at + 1]

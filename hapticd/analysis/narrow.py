@@ -41,18 +41,16 @@ _WORTH_NS_PER_M = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class Bottom:
-    """Least Re Z [N s/m], least 90 - |phase| [deg] and the frequency [Hz] of the former, all
-    (N,).
-    """
+    """Lowest points of Z of N environments."""
 
-    margin: Floats
-    angle: Floats
-    hz: Floats
+    margin: Floats  # (N,) least Re Z, N s/m
+    angle: Floats  # (N,) least 90 - |phase|, deg
+    hz: Floats  # (N,) where Re Z is least
 
 
 def mode_lines(model: Model, damping_ns_per_m: float, grid_hz: Floats) -> Floats:
-    """Frequencies (L,) around the modes of `model` that are narrower than a step of `grid_hz`
-    (F,).
+    """Frequencies (L,) [Hz] around the modes of `model` that are narrower than a step of
+    `grid_hz` (F,).
     """
     poles = _poles(model, damping_ns_per_m, float(grid_hz[-1]))
     centre = np.abs(poles.imag) / (2.0 * np.pi)
@@ -66,7 +64,9 @@ def mode_lines(model: Model, damping_ns_per_m: float, grid_hz: Floats) -> Floats
 
 
 def _poles(model: Model, damping_ns_per_m: float, top_hz: float) -> Complexes:
-    """Of the device with its probe held, and of the free one with its aliases up to `top_hz`."""
+    """Poles [rad/s] of the device with its probe held, and of the free one with its aliases up
+    to `top_hz`.
+    """
     a = model.a(damping_ns_per_m)
     rotor = port_states(model)[0]
     free, still = (
@@ -78,7 +78,7 @@ def _poles(model: Model, damping_ns_per_m: float, top_hz: float) -> Complexes:
 
 
 def bottom(frequency_hz: Floats, z: Complexes, at: At) -> Bottom:
-    """Of Z (N, F) at `frequency_hz` (F,) and between; `at` computes Z anywhere."""
+    """Lowest points of Z (N, F) at `frequency_hz` (F,) and between; `at` computes Z anywhere."""
     worst = np.argmin(z.real, axis=1)
     margin = z.real[np.arange(len(z)), worst]
     found = Bottom(margin, 90.0 - np.degrees(np.abs(np.angle(z)).max(axis=1)), frequency_hz[worst])
@@ -105,8 +105,8 @@ def _follow(found: Bottom, f: Floats, z: Complexes, at: At) -> None:
 
 
 def _worth(margin: Floats) -> Floats:
-    """By how much (N,) a dip must be lower to be followed; by nothing where it would change the
-    sign.
+    """By how much (N,) [N s/m] a dip must be lower to be followed; by nothing where it would
+    change the sign.
     """
     least = np.maximum(_WORTH_NS_PER_M, _WORTH * np.abs(margin))
     return np.where(margin > 0.0, np.minimum(least, margin), least)

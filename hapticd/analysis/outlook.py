@@ -33,45 +33,40 @@ _GROWS = 1.0 + 1e-9  # radius; 1 within rounding is a mode of the hand without l
 
 @dataclass(frozen=True, eq=False)
 class Shaker:
-    """A passive hand in which the display oscillates at about `hz`; `radius` of a tick with it."""
+    """A passive hand in which the display oscillates."""
 
     hand: Hand
-    hz: float
-    radius: float
+    hz: float  # about where
+    radius: float  # spectral radius of a tick with the hand
 
 
 @dataclass(frozen=True, eq=False)
 class Outlook:
-    """Of one environment. Margins in N s/m, `period_s` of a tick.
+    """What is known of one environment before any trial."""
 
-    `theorem_passive` needs stability as well; `withstands`: no passive hand brings it to oscillate.
-    `shaker` is None where it withstands, is unstable by itself, or no hand could be built. `true`
-    and `recorded` are predictions of Z and of what the probe's channels show of it, K < 0 let
-    through.
-    """
-
-    period_s: float
-    radius: float
-    theorem_margin: float
-    theorem_passive: bool
-    withstands: bool
+    period_s: float  # of a tick
+    radius: float  # spectral radius of a tick, friction left out
+    theorem_margin: float  # damping to spare, N s/m
+    theorem_passive: bool  # with stability, which the theorem presumes
+    withstands: bool  # whether no passive hand makes it oscillate
+    # None where it withstands, is unstable by itself, or no hand could be built
     shaker: Shaker | None
-    true: Prediction
-    recorded: Prediction
+    true: Prediction  # of Z itself, K < 0 let through
+    recorded: Prediction  # of what the probe's channels show of Z, K < 0 let through
 
     @property
     def stable(self) -> bool:
-        """Without friction, in the air."""
+        """Whether the sampled loop is stable without friction and without a hand."""
         return self.radius < 1.0
 
     @property
     def refused(self) -> bool:
-        """K < 0."""
+        """Whether it is refused whatever the numbers are: K < 0."""
         return bool(self.true.points[0, 0] < 0.0)
 
     @property
     def passive(self) -> bool:
-        """At the perturbation."""
+        """Whether it is predicted passive at the stated perturbation."""
         return bool(self.true.passive[0]) and not self.refused
 
 
@@ -83,7 +78,9 @@ def outlook(
     perturbation: Perturbation,
     band_hz: tuple[float, float],
 ) -> Outlook:
-    """Of `point` (K [N/m], B [N s/m], M [kg]) on `model`. AnalysisError unless these are finite."""
+    """Judge `point` (K [N/m], B [N s/m], M [kg]) on `model` before any trial. AnalysisError
+    unless these are finite.
+    """
     kbm = environments(np.atleast_2d(np.asarray(point, np.float64)))
     lifted = lift(model, damping_ns_per_m, filters)
     radius = float(spectral_radius(model, kbm, damping_ns_per_m, filters)[0])

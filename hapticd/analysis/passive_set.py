@@ -1,19 +1,19 @@
-"""The passive set in the space of K, B and M, and numbers that are drawn from it.
+"""The passive set in the space of K, B and M: its limits, its volume and its boundary.
 
 A headline such as "K up to 600 N/m" can mean two things, and they differ by a factor: the axis
-limit, the others being 0 while one is scanned from 0 to its first failure; or the maximum over the
-whole set. Both are always given, side by side.
+limit, the others being 0 while one is scanned from 0 to its first failure (`axis_limit`); or the
+maximum over the whole set (`set_limits`). Both are always given, side by side.
 
 The volume is that of the grid's cells, a cell counting by the share of it where the margin, linear
-between corners, is not negative. What would break it: a grid that does not reach beyond the set;
-then limits are those of the grid, and `open_ends` says so.
+between corners, is not negative.
 
-Where rays from inside a set in the unit box leave it: the set's boundary by yes and no alone,
-for `search`.
+Where only yes and no are known, rays from inside the set find its boundary in the unit box
+(`boundary`, for the directed search). Their directions lie evenly on the sphere (Fibonacci spiral:
+Swinbank and Purser 2006); each ray is halved between its start, which is inside, and the end of the
+box.
 
-Directions lie evenly on the sphere (Fibonacci spiral: Swinbank and Purser 2006); each ray is halved
-between its start, which is inside, and the box's end. What would break it: a set that a ray leaves
-twice; only one of its exits is found.
+What would break it: a grid that does not reach beyond the set, for then limits are those of the
+grid, and `open_ends` says so; or a set that a ray leaves twice, of which one exit is found.
 """
 
 from collections.abc import Callable
@@ -27,31 +27,31 @@ from hapticd.errors import AnalysisError
 
 AXES = ("K", "B", "M")
 _SPLIT = 4  # parts of a cell's edge when its share is counted
+N_RAYS = 400  # of `boundary`
+N_SAMPLES = 3000  # random points that find the middle and the volume
+_HALVINGS = 12  # of a ray: to 1/4096 of it
+_EDGE = 0.999  # of the way to the end of the box
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Largest and smallest passive values: (K_min, K_max), (B_min, B_max), (M_min, M_max) [N/m,
-    N s/m, kg].
-    """
+    """Smallest and largest passive values along each axis."""
 
-    stiffness: tuple[float, float]
-    damping: tuple[float, float]
-    mass: tuple[float, float]
+    stiffness: tuple[float, float]  # (least, most), N/m
+    damping: tuple[float, float]  # (least, most), N s/m
+    mass: tuple[float, float]  # (least, most), kg
 
 
 @dataclass(frozen=True, eq=False)
 class PassiveSet:
-    """Margins [N s/m] on a grid: `axes` three ascending lists, `margin` (nK, nB, nM); negative
-    or nan is not passive.
-    """
+    """Margins on a grid of environments; a negative one, or nan, is not passive."""
 
-    axes: tuple[Floats, Floats, Floats]
-    margin: Floats
+    axes: tuple[Floats, Floats, Floats]  # ascending K N/m, B N s/m, M kg
+    margin: Floats  # (nK, nB, nM) least Re Z, N s/m
 
     @property
     def passive(self) -> Flags:
-        """(nK, nB, nM)"""
+        """Which points of the grid are passive, (nK, nB, nM)."""
         return np.asarray(self.margin >= 0.0)
 
 
@@ -73,7 +73,7 @@ def passive_set(
 
 
 def ascending(axes: tuple[Floats, ...]) -> None:
-    """AnalysisError unless each of `axes` has two values or more, that ascend."""
+    """Raise AnalysisError unless each of `axes` has two values or more that ascend."""
     if any(axis.ndim != 1 or axis.size < 2 or not np.all(np.diff(axis) > 0.0) for axis in axes):
         raise AnalysisError("a grid needs at least two ascending values on each of its three axes")
 
@@ -97,8 +97,8 @@ def set_limits(found: PassiveSet) -> Limits:
 
 
 def open_ends(found: PassiveSet) -> tuple[str, ...]:
-    """Ends of the grid that are passive, as "K max": beyond them nothing was looked at. K = 0
-    is no such end: K < 0 is active.
+    """Ends of the grid that are passive, such as "K max": nothing was looked at beyond them. K =
+    0 is no such end, for K < 0 is active.
     """
     ends = []
     for place, (name, axis) in enumerate(zip(AXES, found.axes, strict=True)):
@@ -126,8 +126,8 @@ def axis_limit(
     """First failure from `base` on along `axis` (0 K, 1 B, 2 M) towards base + `reach`, refined to
     reach / steps^3.
 
-    `decide` takes environments (N, 3) and returns (N,) whether passive; nan if `base` itself fails,
-    base + reach if none does.
+    `decide` takes environments (N, 3) and returns (N,) whether each is passive. The limit is nan if
+    `base` itself fails, and base + reach if none does.
     """
     low = 0.0
     high = 1.0
@@ -148,8 +148,8 @@ def axis_limit(
 def _shares(margin: Floats) -> Floats:
     """Share (nK-1, nB-1, nM-1) of each cell where the trilinear margin is not negative.
 
-    A corner that is nan, not passive without a number, counts as the median of all magnitudes,
-    negative.
+    A corner that is nan, not passive without a number, counts as minus the median of all
+    magnitudes.
     """
     known = np.abs(margin[np.isfinite(margin)])
     corners = np.nan_to_num(margin, nan=-float(np.median(known)) if known.size else -1.0)
@@ -166,15 +166,9 @@ def _between(values: Floats, axis: int, share: float) -> Floats:
     return np.asarray(first + share * (second - first))
 
 
-N_RAYS = 400
-N_SAMPLES = 3000  # random points that find the middle and the volume
-_HALVINGS = 12
-_EDGE = 0.999  # of the way to the end of the box
-
-
 def boundary(holds: Callable[[Floats], Flags], middle: Floats) -> tuple[Floats, Flags]:
     """Where rays from `middle` (3,) leave the set `holds`: (N_RAYS, 3) in the unit box, and
-    which reach the box's end inside.
+    which of them reach the end of the box inside the set.
     """
     rays = directions()
     with np.errstate(divide="ignore"):
@@ -192,8 +186,8 @@ def boundary(holds: Callable[[Floats], Flags], middle: Floats) -> tuple[Floats, 
 def halved(
     holds: Callable[[Floats], Flags], low: Floats, high: Floats, times: int
 ) -> tuple[Floats, Floats]:
-    """Intervals (n,) about the edge of what holds at `low` and not at `high`, halved so many
-    `times`; `holds` takes a value in each of them.
+    """Halve intervals (n,) about the edge between `low`, where `holds` is true, and `high`,
+    where it is not, so many `times`; `holds` takes a value in each interval.
     """
     for _ in range(times):
         half = 0.5 * (low + high)
@@ -204,7 +198,7 @@ def halved(
 
 
 def directions() -> Floats:
-    """Unit vectors (N_RAYS, 3)."""
+    """Unit vectors (N_RAYS, 3), spread evenly."""
     at = np.arange(N_RAYS) + 0.5
     down = np.arccos(1.0 - 2.0 * at / N_RAYS)
     around = np.pi * (1.0 + np.sqrt(5.0)) * at
@@ -219,5 +213,5 @@ def samples() -> Floats:
 
 
 def distance(one: Floats, other: Floats) -> Floats:
-    """From each of `one` (N, 3) to the nearest of `other` (n, 3)."""
+    """Distance from each of `one` (N, 3) to the nearest of `other` (n, 3)."""
     return np.asarray(np.sqrt(((one[:, None] - other) ** 2).sum(axis=2)).min(axis=1))

@@ -42,20 +42,19 @@ UNKNOWN: Floats = np.empty(0)
 
 @dataclass(frozen=True, eq=False)
 class PeriodicSpectra(Spectra):
-    """Means over realisations, on the harmonics k rate / period, k = 0..period/2; no power where
-    nothing was excited.
-
-    `between_periods`, `between_realisations` (F,): standard deviation of V/F of one of them over
-    its mean; nan where one is all.
+    """Mean spectra over realisations on the harmonics k rate / period, k = 0..period/2; no power
+    where nothing was excited.
     """
 
-    realisations: int = 1
-    periods: int = 1
+    realisations: int = 1  # of the force: other phases, same amplitudes
+    periods: int = 1  # of each realisation
+    # (F,) standard deviation of V/F over its mean; nan for one period
     between_periods: Floats = field(default_factory=lambda: UNKNOWN)
+    # (F,) the same between realisations; nan for one
     between_realisations: Floats = field(default_factory=lambda: UNKNOWN)
 
     def part(self, which: Flags | Integers | slice) -> "PeriodicSpectra":
-        """Those at some of the harmonics, `which` (F,)."""
+        """Spectra at some of the harmonics, `which` (F,)."""
         found = super().part(which)
         assert isinstance(found, PeriodicSpectra)
         between = (self.between_periods[which], self.between_realisations[which])
@@ -63,7 +62,7 @@ class PeriodicSpectra(Spectra):
 
     @property
     def variance_factor(self) -> float:
-        """Relative variance of a mean: one over what was averaged."""
+        """Relative variance of a mean: one over the number of what was averaged."""
         return 1.0 / (self.realisations if self.realisations > 1 else self.periods)
 
     @property
@@ -78,12 +77,12 @@ class PeriodicSpectra(Spectra):
 
     @property
     def smoothing_hz2(self) -> float:
-        """Nothing is smoothed."""
+        """Zero: nothing is smoothed."""
         return 0.0
 
     @property
     def exact(self) -> bool:
-        """Plain averages."""
+        """Always true: these are plain averages."""
         return True
 
     @property
@@ -117,7 +116,7 @@ class PeriodicSpectra(Spectra):
 def periodic(
     force_n: npt.ArrayLike, velocity_m_per_s: npt.ArrayLike, rate_hz: float
 ) -> PeriodicSpectra:
-    """Spectra of settled periods, force and velocity (realisations, periods, samples) float64.
+    """Mean spectra of settled periods, force and velocity (realisations, periods, samples) float64.
 
     AnalysisError for other shapes, odd periods, values that are not finite, or a force that does
     not repeat.
@@ -161,8 +160,8 @@ def periodic(
 
 
 def periodic_findings(trial: PeriodicSpectra, band_hz: tuple[float, float]) -> tuple[Finding, ...]:
-    """One realisation decides nothing; distortion above a hundredth is named, with what helps
-    against it.
+    """Say that one realisation decides nothing, and name distortion above a hundredth with what
+    helps against it.
     """
     if trial.realisations == 1:
         message = (
@@ -209,7 +208,7 @@ def _scatter(values: Complexes, axis: int) -> Floats:
 
 
 def changing(force_n: Floats) -> float:
-    """What does not repeat in a force (realisations, periods, samples), over what does, both
+    """What does not repeat in a force (realisations, periods, samples), over what does, both as
     rms; inf for no force at all.
     """
     return _changing(_harmonics(force_n))

@@ -56,28 +56,21 @@ NOMINAL_NS_PER_M = 1.5  # first guess of a body's friction
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """For each of N environments (K, B, M): passive or not, and why.
+    """For each of N environments (K, B, M) whether it is passive, and why."""
 
-    `margin_ns_per_m`, `margin_deg`: least Re Z and 90 - |phase| over `band_hz`, the former at
-    `worst_hz`. `friction_ns_per_m`: linearised Coulomb friction of all bodies, `velocity_sd` at the
-    port (nan without perturbation). `spectral_radius` is nan where Re Z < 0 had decided. `calm`:
-    bursts of motion die out. `refused`: K < 0. All (N,) but `points` (N, 3). `recorded`: margins,
-    and so `passive`, are those of the recorded channels.
-    """
-
-    points: Floats
-    passive: Flags
-    margin_ns_per_m: Floats
-    margin_deg: Floats
-    worst_hz: Floats
-    friction_ns_per_m: Floats
-    velocity_sd: Floats
-    spectral_radius: Floats
-    calm: Flags
-    refused: Flags
+    points: Floats  # (N, 3) K N/m, B N s/m, M kg
+    passive: Flags  # (N,)
+    margin_ns_per_m: Floats  # (N,) least Re Z over the band
+    margin_deg: Floats  # (N,) least 90 - |phase| over the band
+    worst_hz: Floats  # (N,) where Re Z is least
+    friction_ns_per_m: Floats  # (N,) linearised Coulomb friction of all bodies
+    velocity_sd: Floats  # (N,) at the port, m/s; nan without perturbation
+    spectral_radius: Floats  # (N,) of a tick; nan where Re Z < 0 had decided
+    calm: Flags  # (N,) whether bursts of motion die out
+    refused: Flags  # (N,) K < 0
     band_hz: tuple[float, float]
-    perturbation: Perturbation | None
-    recorded: bool = False
+    perturbation: Perturbation | None  # None: friction left out
+    recorded: bool = False  # margins, and so `passive`, are those of the recorded channels
 
     @property
     def decided_margin(self) -> Floats:
@@ -95,12 +88,12 @@ def predict(
     allow_negative_stiffness: bool = False,
     recorded: bool = False,
 ) -> Prediction:
-    """Passivity of `model` at that damping level under the environments `points` (N, 3): K [N/m], B
-    [N s/m], M [kg].
+    """Predict whether `model` at that level of active damping is passive under the environments
+    `points` (N, 3): K [N/m], B [N s/m], M [kg].
 
-    `filters`: velocity and acceleration. `perturbation` None leaves Coulomb friction out.
-    `recorded`: Re Z as a measurement would see it, as in `predicted_impedance`; not for decisions
-    on safety. AnalysisError for a wrong shape.
+    `filters` are those of velocity and acceleration. Without a `perturbation` Coulomb friction is
+    left out. `recorded` takes Re Z as a measurement would see it, as in `predicted_impedance`; it
+    is not for decisions on safety. AnalysisError for a wrong shape.
     """
     kbm = environments(points)
     start, loop = _nominal(model, band_hz, damping_ns_per_m, filters, perturbation)
@@ -159,10 +152,11 @@ def predicted_impedance(
     perturbation: Perturbation | None = None,
     recorded: bool = True,
 ) -> Complexes:
-    """Z (F,) complex128 under one environment (K, B, M) at `frequency_hz` (F,) > 0, at the probe.
+    """Z (F,) complex128 [N s/m] at the probe under one environment (K, B, M) at `frequency_hz` (F,)
+    > 0.
 
-    `recorded`: as the board's probe shows it, its force held and its velocity averaged over 250 us
-    (`loop`), through the velocity channel's filters; False for the true one.
+    `recorded`: as the board's probe shows it, with its force held and its velocity averaged over
+    250 us (`loop`), through the filters of the velocity channel; False for the true one.
     """
     f = np.asarray(frequency_hz, np.float64)
     kbm = environments(np.atleast_2d(np.asarray(point, np.float64)))
@@ -181,11 +175,12 @@ def recorded_impedances(
     filters: Filters,
     perturbation: Perturbation,
 ) -> Complexes:
-    """Z (N, F) of environments `points` (N, 3) at `frequency_hz` (F,) as the board's probe shows
-    them.
+    """Z (N, F) [N s/m] of environments `points` (N, 3) at `frequency_hz` (F,) as the board's probe
+    shows them.
 
-    Each is its `predicted_impedance` within 0.02 % up to 500 Hz, 0.1 % at 1 kHz: friction hangs on
-    the ports of a loop that has the device's own, as it is without an environment.
+    Each is its `predicted_impedance` within 0.02 % up to 500 Hz and 0.1 % at 1 kHz: friction is
+    added to the ports of a loop that has the device's own friction, as it is without an
+    environment.
     """
     start, loop = _nominal(model, DEFAULT_BAND_HZ, damping_ns_per_m, filters, perturbation)
     own = close_loop(rubbed(model, start), frequency_hz, damping_ns_per_m, filters)
@@ -198,7 +193,7 @@ def recorded_impedances(
 
 
 def environments(points: npt.ArrayLike) -> Floats:
-    """`points` as (N, 3) float64. AnalysisError unless they are finite triples."""
+    """Return `points` as (N, 3) float64. AnalysisError unless they are finite triples."""
     kbm = np.asarray(points, np.float64)
     if kbm.ndim != 2 or kbm.shape[1] != 3 or not np.isfinite(kbm).all():
         raise AnalysisError(
@@ -211,8 +206,8 @@ def environments(points: npt.ArrayLike) -> Floats:
 def frequencies(
     band_hz: tuple[float, float] = DEFAULT_BAND_HZ, perturbation: Perturbation | None = None
 ) -> Floats:
-    """Where Z is computed: dense where K, B and M act, up to the end of the perturbation, both
-    ends of the band included.
+    """Frequencies [Hz] at which Z is computed: dense where K, B and M act, up to the end of the
+    perturbation, both ends of the band included.
     """
     if not 0.0 < band_hz[0] <= band_hz[1] < np.inf:
         raise AnalysisError(
@@ -238,7 +233,7 @@ def coulomb(model: Model) -> Floats:
 
 
 def rubbed(model: Model, level: Floats) -> Model:
-    """`model` with the dampers `level` (ports,) on its bodies with friction."""
+    """Return `model` with the dampers `level` (ports,) on its bodies with friction."""
     by_state = dict(zip(port_states(model), level, strict=True))
     return with_viscous(
         model, tuple(float(by_state[contact.velocity]) for contact in model.contacts)
@@ -252,8 +247,9 @@ def _nominal(
     filters: Filters,
     perturbation: Perturbation | None,
 ) -> tuple[Floats, Loop]:
-    """Friction of the device without environment, and the loop that has it, with lines around its
-    modes inside the band: what is changed afterwards stays small."""
+    """Friction of the device without environment, and the loop that has it, with lines around
+    its modes inside the band: what is changed afterwards stays small.
+    """
     f = frequencies(band_hz, perturbation)
     force = coulomb(model)
     start = np.where(force > 0.0, NOMINAL_NS_PER_M if perturbation else 0.0, 0.0)
@@ -266,16 +262,16 @@ def _nominal(
 
 
 def chunks(kbm: Floats) -> list[Floats]:
-    """Environments (N, 3) in parts whose spectra stay in the cache."""
+    """Cut environments (N, 3) into parts whose spectra stay in the cache."""
     return [kbm[first : first + _TOGETHER] for first in range(0, max(1, len(kbm)), _TOGETHER)]
 
 
 def _radius(
     model: Model, kbm: Floats, friction: Floats, damping_ns_per_m: float, filters: Filters
 ) -> Floats:
-    """Spectral radius (N,) with `friction` (ports, N): exact at nodes of friction that few maps
-    serve, linear between them, going from one to the next along the port that is furthest on its
-    way first (Freudenthal's triangulation).
+    """Spectral radius (N,) with `friction` (ports, N): exact at a few values of the friction,
+    for which one map each is made, and linear between them. From one to the next the port that
+    is furthest on its way goes first (Freudenthal's triangulation).
     """
     rubbing = friction.any(axis=1)
     steps = np.log(np.maximum(friction[rubbing], _LEAST_FRICTION)) / np.log(_FRICTION_STEP)
@@ -296,7 +292,9 @@ def _radius(
 def _radius_at(
     model: Model, kbm: Floats, level: Floats, damping_ns_per_m: float, filters: Filters
 ) -> Floats:
-    """Spectral radius (N,) with friction `level` (ports, N), by one map for each that occurs."""
+    """Spectral radius (N,) with friction `level` (ports, N), by one map for each level that
+    occurs.
+    """
     nodes, which = np.unique(level, axis=1, return_inverse=True)
     radius = np.empty(len(kbm))
     for place, node in enumerate(nodes.T):

@@ -46,7 +46,9 @@ _LEAST_NS_PER_M = 1e-6
 
 
 class ModelPrior:
-    """`resistance` and `headroom` of `model` at a damping level under environments in `box`."""
+    """`resistance` and `headroom` of `model` at a level of active damping, for environments in
+    `box`.
+    """
 
     def __init__(
         self,
@@ -68,19 +70,19 @@ class ModelPrior:
         self._last: tuple[Floats, Floats, Floats] | None = None
 
     def resistance(self, environments: Floats) -> Floats:
-        """Re Z (N, F) of `environments` (N, 3) [N s/m]."""
+        """Predicted Re Z (N, F) [N s/m] of `environments` (N, 3)."""
         return self._known(environments)[1]
 
     def headroom(self, environments: Floats) -> Floats:
-        """(N,) in -1..1."""
+        """Headroom (N,) of `environments` (N, 3) against escape, in -1..1."""
         share = self._needed(environments) / np.maximum(
             self._known(environments)[2], _LEAST_NS_PER_M
         )
         return np.clip(1.0 / BURSTS[-1] - share, -1.0, 1.0)
 
     def _known(self, environments: Floats) -> tuple[Floats, Floats, Floats]:
-        """(environments, Re Z, friction); the last ones are kept, because both are asked of the
-        same points in turn.
+        """Environments, Re Z and friction; the last ones are kept, because the search asks for
+        both at the same points in turn.
         """
         if self._last is None or not np.array_equal(self._last[0], environments):
             parts = self._linearised(environments)
@@ -104,8 +106,8 @@ class ModelPrior:
 def _needed(
     model: Model, box: Box, rest: Floats, damping_ns_per_m: float, filters: Filters
 ) -> Floats:
-    """Least friction (N,) [N s/m] at which the loop is stable, on the table's grid: between two
-    looks by the line of the radius.
+    """Least friction (N,) [N s/m] at which the loop is stable on the table's grid; between two
+    values of friction the radius is taken for a straight line.
     """
     places = grid(_axes(box))
     usual = float(rest.sum()) or 1.0

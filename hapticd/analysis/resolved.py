@@ -45,23 +45,22 @@ ABOUT = 3 * LINE_WIDTH  # lines on each side of one that is not explained
 class Resolved(Spectra):
     """Spectra of a window in which lines, and the ends of a band, were replaced.
 
-    Their ratio is Z by local polynomials, their coherence gives its interval. Elsewhere they are
-    the window's. `from_hz`, `to_hz`: first and last that was replaced. `explained`: share of the
-    velocity's power there that the perturbation explains.
+    Their ratio is Z by local polynomials, and their coherence gives its interval. Elsewhere they
+    are the window's.
     """
 
-    from_hz: float = 0.0
-    to_hz: float = 0.0
-    explained: float = 0.0
+    from_hz: float = 0.0  # first frequency that was replaced
+    to_hz: float = 0.0  # last frequency that was replaced
+    explained: float = 0.0  # share of the velocity's power there that the perturbation explains
 
     @property
     def whole(self) -> bool:
-        """What was replaced is no sum of covariances inside the window."""
+        """Always false: what was replaced is no sum of covariances inside the window."""
         return False
 
     @property
     def resolved(self) -> bool:
-        """Yes."""
+        """Always true."""
         return True
 
     @property
@@ -126,7 +125,9 @@ def resolved(
 
 
 def _replaced(trial: Spectra, frequency_hz: Floats, fit: Fit) -> Resolved:
-    """`trial` with what was fitted at `frequency_hz` (F,) in the place of its own lines there."""
+    """Return `trial` with what was fitted at `frequency_hz` (F,) in the place of its own lines
+    there.
+    """
     size = np.maximum(np.abs(fit.z) ** 2, TINY)
     share = 0.5 * trial.degrees_of_freedom * fit.variance / size
     explained = np.maximum(1.0 - fit.ends, 0.0) / (1.0 + share)

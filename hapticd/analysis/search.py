@@ -1,34 +1,18 @@
-"""Where trials escape, learnt from which of them did: one number, the least headroom of a stable
-trial.
-
-A loop that only friction keeps stable escapes in a burst of its own motion. Whether it does within
-90 s is not in Re Z, and it is abrupt: of trials on one side of the boundary all escape, on the
-other none. Some headroom, a number for every environment that falls towards the boundary, is known
-beforehand (`prior`); how much of it a trial needs is not. Trials tell:
-
-    P(stable) = 1 / (1 + exp(-(headroom - least) / width)),   least ~ N(0, SPREAD^2)
-
-`least` is the mean of its posterior at the likeliest width. A trial on the boundary halves what is
-open, as in a bisection; where chance decides, many trials there settle where one half of them
-escape.
-
-What would break it: a headroom that orders environments wrongly; then one number cannot tell them
-apart.
-
-The directed search that the paper left to future work: few trials, each where it tells most
+"""The directed search that the paper left to future work: few trials, each where it tells most
 about the boundary.
 
 A `surrogate` of Re Z(w; K, B, M) says where the boundary probably is. Rays from the middle of the
 set meet it in points (`passive_set`); the next trial is the one farthest from all trials so far. So
-every trial also confirms the boundary that was foreseen. On an affine device 4 trials suffice; with
+every trial also confirms the boundary that was expected. On an affine device 4 trials suffice; with
 a smooth non-affine part about 45 leave 2 % of the volume wrong, where a grid of yes and no needs
 180,000.
 
 What is known beforehand helps, and each of it may be left out:
+
     prior        Re Z as a model predicts it; only what was measured otherwise is learnt
                  (`surrogate`)
     headroom     orders environments by how near they are to escape; how much of it a trial needs is
-                 learnt (`search`)
+                 learnt (`least_headroom`)
     independent  how many independent values the estimate has at each frequency; then the set is
                  that of environments whose trial rather passes than fails, and without it the one
                  whose expected Re Z is nowhere negative
@@ -37,8 +21,19 @@ Stability is a question of its own (K < 0, slow poles, friction overcome): unsta
 spectrum. Without a headroom, what is nearer to an unstable trial than to every stable one stays
 out.
 
-What would break it: a first trial that is not passive, or a set that rays from its middle meet
-twice.
+Escape. A loop that only friction keeps stable escapes in a burst of its own motion. Whether it does
+within 90 s is not in Re Z, and it is abrupt: of trials on one side of the boundary all escape, on
+the other none. Some headroom, a number for every environment that falls towards the boundary, is
+known beforehand (`prior`); how much of it a trial needs is not. Trials tell:
+
+    P(stable) = 1 / (1 + exp(-(headroom - least) / width)),   least ~ N(0, SPREAD^2)
+
+`least` is the mean of its posterior at the likeliest width. A trial on the boundary halves what is
+open, as in a bisection; where chance decides, many trials there settle where one half of them
+escape.
+
+What would break it: a first trial that is not passive, a set that rays from its middle meet twice,
+or a headroom that orders environments wrongly, for then one number cannot tell them apart.
 """
 
 from collections.abc import Callable, Sequence
@@ -61,21 +56,30 @@ from hapticd.analysis.surrogate import (
 )
 from hapticd.errors import AnalysisError
 
+Headroom = Callable[[Floats], Floats]  # environments (N, 3) -> (N,), larger is safer
+
 SPREAD = 0.3  # of the least headroom before any trial: the prediction may be off by so much
-WIDTHS = (0.01, 0.02, 0.04, 0.08)
-# of the width: its median, and the standard deviation of its logarithm
-_USUAL_WIDTH = 0.02
-_WIDTH_SPREAD = 1.0
-_LEAST = np.linspace(-1.0, 1.0, 401)
+WIDTHS = (0.01, 0.02, 0.04, 0.08)  # of the step from escape to none, in headroom
+_USUAL_WIDTH = 0.02  # median of the width
+_WIDTH_SPREAD = 1.0  # standard deviation of its logarithm
+_LEAST = np.linspace(-1.0, 1.0, 401)  # headroom that a trial may need
+FEWEST = 4  # stable trials before the search can direct
+FIRST_STEPS = (0.15, 0.12, 0.10)  # of the box, of K, B and M
+_END_INTEREST = 0.3  # of a point at the end of the box, where the set goes on
+# of a point where escape ends the set: half of such trials teach yes or no alone, and no spectrum
+_ESCAPE_INTEREST = 0.5
+_NARROW = 0.01  # of headroom, about its least
 
 
 def least_headroom(headroom: Floats, stable: Flags) -> float:
-    """From the headroom (n,) of trials and whether each was stable (n,); 0 without trials."""
+    """Least headroom of a stable trial, from the headroom (n,) of trials and whether each was
+    stable (n,); 0 without trials.
+    """
     return max(_posterior(headroom, stable, width) for width in WIDTHS)[1]
 
 
 def _posterior(headroom: Floats, stable: Flags, width: float) -> tuple[float, float]:
-    """(log of evidence for `width`, mean of the least headroom)."""
+    """Logarithm of the evidence for `width`, and mean of the least headroom."""
     beyond = (headroom[:, None] - _LEAST) / width
     seen = -np.logaddexp(0.0, np.where(stable[:, None], -beyond, beyond)).sum(axis=0)
     logs = seen - 0.5 * (_LEAST / SPREAD) ** 2
@@ -86,36 +90,25 @@ def _posterior(headroom: Floats, stable: Flags, width: float) -> tuple[float, fl
     )
 
 
-Headroom = Callable[[Floats], Floats]  # environments (N, 3) -> (N,), larger is safer
-
-FEWEST = 4
-FIRST_STEPS = (0.15, 0.12, 0.10)  # of the box, of K, B and M
-_END_INTEREST = 0.3  # of a point at the end of the box, where the set goes on
-# of a point where escape ends the set: half of such trials teach yes or no alone, and no spectrum
-_ESCAPE_INTEREST = 0.5
-_NARROW = 0.01  # of headroom, about its least
-
-
 @dataclass(frozen=True, eq=False)
 class Search:
-    """State of a search: the box, what is known beforehand, stable trials, environments that were
-    not stable, and what was learnt: the fit (None before four trials) and the least headroom of a
-    stable trial.
-    """
+    """State of a search."""
 
-    box: Box
-    prior: Prior | None = None
-    headroom: Headroom | None = None
-    independent: Floats | None = None
-    trials: tuple[Observation, ...] = ()
-    unstable: tuple[Floats, ...] = ()
-    surrogate: Surrogate | None = None
-    least: float = 0.0
+    box: Box  # where to search
+    prior: Prior | None = None  # predicted Re Z, if there is a model
+    headroom: Headroom | None = None  # against escape, if there is a model
+    independent: Floats | None = None  # (F,) independent values of the estimate at each frequency
+    trials: tuple[Observation, ...] = ()  # stable ones
+    unstable: tuple[Floats, ...] = ()  # environments (3,) of trials that were not stable
+    surrogate: Surrogate | None = None  # the fit; None before four stable trials
+    least: float = 0.0  # headroom that a stable trial needs, as learnt
 
     def with_trials(
         self, environments: npt.ArrayLike, seen: Sequence[Observation | None]
     ) -> "Search":
-        """The search after trials of `environments` (n, 3); None where the loop was not stable."""
+        """The search after trials of `environments` (n, 3); an observation is None where the
+        loop was not stable.
+        """
         places = np.atleast_2d(np.asarray(environments, np.float64))
         trials = (*self.trials, *(one for one in seen if one is not None))
         unstable = (
@@ -141,8 +134,9 @@ class Search:
 
 
 def first_trials(box: Box, inside: npt.ArrayLike) -> Floats:
-    """(4, 3): `inside`, an environment that is passive for sure, and a step from it along each
-    axis, towards the farther end.
+    """Four environments (4, 3) to begin with: `inside`, which is passive for sure, and a step
+    from it along each axis, towards the farther end. AnalysisError if `inside` lies outside the
+    box.
     """
     centre = box.to_unit(inside)[0]
     if np.any(centre < 0.0) or np.any(centre > 1.0):
@@ -156,7 +150,7 @@ def first_trials(box: Box, inside: npt.ArrayLike) -> Floats:
 
 def next_trials(search: Search, count: int = 1) -> Floats:
     """Environments (count, 3) to try next, in order: points of the boundary, each the farthest
-    from all trials and those before.
+    from all trials and from those before it.
     """
     found = _fitted(search)
     box = search.box
@@ -174,7 +168,7 @@ def next_trials(search: Search, count: int = 1) -> Floats:
 
 
 def predicted_passive(search: Search, environments: npt.ArrayLike) -> Flags:
-    """(N,) whether the search holds each of `environments` (N, 3) for passive and stable."""
+    """Whether the search takes each of `environments` (N, 3) for passive and stable, (N,)."""
     places = np.atleast_2d(np.asarray(environments, np.float64))
     found = _fitted(search)
     if search.independent is None:
@@ -190,8 +184,8 @@ def predicted_passive(search: Search, environments: npt.ArrayLike) -> Flags:
 
 
 def doubtful_share(search: Search) -> float:
-    """Volume whose margin is within one standard deviation of 0, over the volume held for
-    passive: when to stop.
+    """Volume whose margin is within one standard deviation of 0, over the volume that is taken
+    for passive: says when to stop.
     """
     found = _fitted(search)
     inside = search.box.to_environment(samples())
@@ -218,8 +212,8 @@ def _boundary(search: Search) -> tuple[Floats, Flags]:
 
 
 def _middle(search: Search) -> Floats:
-    """Mean of the set, or the trial with the largest margin where that is not inside. (3,) in
-    the unit box.
+    """Mean of the set, or the trial with the largest margin where the mean is not inside; (3,)
+    in the unit box.
     """
     found = _fitted(search)
     places = samples()

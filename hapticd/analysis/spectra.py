@@ -1,8 +1,7 @@
-"""Blackman-Tukey spectra: the definition of MATLAB's `spa`. The impedance that follows from them is
-in `impedance`.
+"""`spa`: Blackman-Tukey spectra with a Hann lag window, of a record at once or while it arrives.
 
-Velocity u is the input, force y the output, as in the paper (Weir, Colgate and Peshkin 2008,
-section 2.2):
+The definition is that of MATLAB's `spa`; the impedance that follows is in `impedance`. Velocity u
+is the input, force y the output, as in the paper (Weir, Colgate and Peshkin 2008, section 2.2):
 
     R_yu(t)   = 1/N sum_k y(k + t) u(k),  |t| <= M          biased covariances of the detrended
                                                             record
@@ -12,27 +11,25 @@ section 2.2):
                                                             inside the band
 
 (Ljung, System Identification, 2nd ed. 1999, section 6.4. Older MATLAB help calls this window
-Hamming.) Because W(+-M) = 0, the M + 1 frequencies k/(2 M) of the sample rate, the lines, hold the
-whole estimate; what lies between them is their trigonometric interpolation:
+Hamming.) The covariances are made in `covariances`. 90 s at 4 kHz with the paper's M = 2048 give
+2.6 Hz bandwidth and 469 degrees of freedom; at coherence 0.9 that is 0.9 degrees and 1.5 %.
+
+Because W(+-M) = 0, the M + 1 frequencies k/(2 M) of the sample rate, the lines, hold the whole
+estimate; what lies between them is their trigonometric interpolation:
 
     Phi(w) = sum_k Phi_k D(w - w_k),   D(x) = sin(M x) / (2 M tan(x/2)),   k over a circle of 2 M
 
 So a band is looked at from end to end (`Spectra.band`) although 2 Hz is no line of the paper's
 window.
 
-What would break it: a record shorter than a few windows, a spring below 1/(M T) (the window smooths
-the steep spectrum and pulls the phase to 0), channels not sampled together (a skew d turns the
-phase by 360 f d degrees; `corrected` undoes it). A drift: the window's side lobes, up to -0.03 of
-what is at 0 Hz, have their zeros on the lines but not between them.
-
-`spa`: from a record of force and velocity to its spectra, at once or while it arrives.
-
-The arithmetic is in `covariances`. 90 s at 4 kHz with M = 2048 give 2.6
-Hz bandwidth and 469 degrees of freedom; at coherence 0.9 that is 0.9 degrees and 1.5 %.
-
-What would break it: velocity sampled at the instant at which a held force changes. Record what the
-board's probe records, the means of force and velocity over the same interval; or correct the skew
-(`spectra.corrected`).
+What would break it:
+- a record shorter than a few windows, or a spring below 1/(M T): the window smooths the steep
+  spectrum and pulls the phase to 0;
+- channels that are not sampled together: a skew d turns the phase by 360 f d degrees. A velocity
+  sampled at the instant at which a held force changes is such a skew: record what the board's probe
+  records, means of force and velocity over the same interval, or undo it (`corrected`);
+- a drift: the window's side lobes, up to -0.03 of what is at 0 Hz, have their zeros on the lines
+  but not between them.
 """
 
 from dataclasses import dataclass, replace
@@ -60,15 +57,20 @@ NEAR = 1e-6  # of the spacing of the lines: what is closer to a line is that lin
 LEFT = 0.5  # of the lesser power of two lines: a smooth spectrum has that much left between them
 
 
+DEFAULT_LAG = 2048  # Weir, Colgate and Peshkin 2008, section 2.2: "a window length of 2048 points"
+
+
 @dataclass(frozen=True, slots=True)
 class ChannelFaults:
-    """Known faults of the recorded channels, as the arguments of `corrected`."""
+    """Known faults of the recorded channels that were taken out, as the arguments of
+    `corrected`.
+    """
 
     skew_s: float = 0.0
     high_pass_hz: float = 0.0
 
     def response(self, frequency_hz: Floats) -> Complexes:
-        """Of the velocity channel (F,); 1 at 0 Hz."""
+        """Response of the velocity channel (F,); 1 at 0 Hz."""
         f = frequency_hz
         one = np.ones(f.size, np.complex128)
         passed = np.divide(1j * f, self.high_pass_hz + 1j * f, out=one, where=f > 0.0)
@@ -77,41 +79,36 @@ class ChannelFaults:
 
 @dataclass(frozen=True, eq=False)
 class Spectra:
-    """Spectra of one trial at `frequency_hz` (F,): `velocity` [(m/s)^2], `force` [N^2] float64,
-    `cross` Phi_yu [N m/s] complex128.
-
-    A one-sided density per hertz is 2 Phi / rate_hz. `port` names where velocity was measured,
-    `taken_out` what was corrected.
-    """
+    """Spectra of one trial at F frequencies. A one-sided density per hertz is 2 Phi / rate_hz."""
 
     frequency_hz: Floats
-    velocity: Floats
-    force: Floats
-    cross: Complexes
+    velocity: Floats  # (F,) Phi_u, (m/s)^2
+    force: Floats  # (F,) Phi_y, N^2
+    cross: Complexes  # (F,) Phi_yu, N m/s
     rate_hz: float
-    n_samples: int
-    lag: int
-    port: str = "probe"
-    taken_out: tuple[ChannelFaults, ...] = ()
+    n_samples: int  # N of the record
+    lag: int  # M of the window, samples
+    port: str = "probe"  # where the velocity was measured
+    taken_out: tuple[ChannelFaults, ...] = ()  # faults that were corrected, in order
 
     @property
     def variance_factor(self) -> float:
-        """C / N: relative variance of a spectrum inside the band."""
+        """Relative variance C / N of a spectrum inside the band."""
         return 0.75 * self.lag / self.n_samples
 
     @property
     def degrees_of_freedom(self) -> float:
-        """nu = 2 N / C of each spectral value."""
+        """Degrees of freedom nu = 2 N / C of each spectral value."""
         return 2.0 / self.variance_factor
 
     @property
     def bandwidth_hz(self) -> float:
-        """Equivalent noise bandwidth rate / C: values closer than this are not independent."""
+        """Equivalent noise bandwidth, rate / C: values closer than this are not independent."""
         return self.rate_hz / (0.75 * self.lag)
 
     @property
     def lowest_hz(self) -> float:
-        """1/(M T): below it nothing can be said."""
+        """Lowest frequency of which the window says something, 1/(M T)."""
         return self.rate_hz / self.lag
 
     @property
@@ -124,7 +121,7 @@ class Spectra:
         return np.array_equal(self.frequency_hz, _lines(self.rate_hz, self.lag))
 
     def part(self, which: Flags | Integers | slice) -> "Spectra":
-        """Those at some of the frequencies, `which` (F,)."""
+        """Spectra at some of the frequencies, `which` (F,)."""
         f = self.frequency_hz[which]
         cross = self.cross[which]
         return replace(
@@ -136,12 +133,12 @@ class Spectra:
         )
 
     def band(self, band_hz: tuple[float, float]) -> "Spectra":
-        """Those from `band_hz[0]` to `band_hz[1]`, both ends among them: what is no line is
-        interpolated exactly.
+        """Spectra from `band_hz[0]` to `band_hz[1]`, both ends among them: an end that is no line
+        is interpolated exactly.
 
         An end that has lost its power to the side lobes of a drift is left out, for it would say
-        nothing of the device. Of spectra that are not `whole`, whatever frequencies there are.
-        AnalysisError for an end outside 0..rate/2.
+        nothing of the device. Spectra that are not `whole` give whatever frequencies they have
+        inside. AnalysisError for an end outside 0..rate/2.
         """
         if not self.whole:
             return self.part((self.frequency_hz >= band_hz[0]) & (self.frequency_hz <= band_hz[1]))
@@ -153,7 +150,7 @@ class Spectra:
         return _joined([*self._edge(band_hz[0]), lines, *after])
 
     def _edge(self, frequency_hz: float) -> "list[Spectra]":
-        """The one at an end of a band, if it is no line and has its power."""
+        """The spectra at an end of a band, if it is no line and has its power."""
         below, above = lines_beside(frequency_hz, self.rate_hz, self.lag)
         if below == above:
             return []
@@ -163,7 +160,9 @@ class Spectra:
         return [] if any(own < LEFT * lines.min() for own, lines in channels) else [found]
 
     def _between(self, frequency_hz: float) -> "Spectra":
-        """The one at a frequency that is no line: interpolated as recorded, corrected as these."""
+        """The spectra at a frequency that is no line: interpolated as recorded, then corrected
+        as these are.
+        """
         even, odd = _weights(self.lag, frequency_hz * 2.0 * self.lag / self.rate_hz)
         raw = _distorted(self)
         found = replace(
@@ -179,21 +178,21 @@ class Spectra:
 
     @property
     def smoothing_hz2(self) -> float:
-        """s^2, second moment of the window in frequency: what is curved is changed by half of
-        its second derivative times that.
+        """Second moment s^2 of the window in frequency [Hz^2]: a curved spectrum is changed by
+        half of its second derivative times that.
         """
         return 0.125 * (self.rate_hz / self.lag) ** 2
 
     @property
     def exact(self) -> bool:
-        """Whether these are plain averages, whose intervals hold for few of them as well; a
-        window's need many.
+        """Whether these are plain averages, whose intervals hold for few of them as well; those
+        of a window need many.
         """
         return False
 
     @property
     def resolved(self) -> bool:
-        """Whether motion that is narrower than the window was told apart where it mattered
+        """Whether motion that is narrower than the window was resolved where it mattered
         (`resolved`).
         """
         return self.exact
@@ -205,7 +204,7 @@ class Spectra:
 
     @property
     def coherence(self) -> Floats:
-        """g2 (F,), between 0 and 1; 0 where a channel has no power."""
+        """Coherence g2 (F,), between 0 and 1; 0 where a channel has no power."""
         power = self.velocity * self.force
         square = self.cross.real**2 + self.cross.imag**2
         return np.clip(
@@ -233,7 +232,8 @@ def spectra(
 
 
 def corrected(trial: Spectra, skew_s: float = 0.0, high_pass_hz: float = 0.0) -> Spectra:
-    """`trial` as it had been with channels sampled together and a velocity channel down to 0 Hz.
+    """Return `trial` as if its channels had been sampled together and the velocity channel reached
+    down to 0 Hz.
 
     `skew_s`: the velocity is that of `skew_s` later than the force of the same sample.
     `high_pass_hz`: corner of a first-order high-pass in the velocity channel; the value at 0 Hz
@@ -254,7 +254,9 @@ def _corrected(trial: Spectra, channel: ChannelFaults) -> Spectra:
 
 
 def _distorted(trial: Spectra) -> Spectra:
-    """As they were recorded: only those are a sum of covariances inside the window."""
+    """Return the spectra as they were recorded: only those are a sum of covariances inside the
+    window.
+    """
     for channel in trial.taken_out:
         response = channel.response(trial.frequency_hz)
         velocity = trial.velocity * np.abs(response) ** 2
@@ -277,10 +279,11 @@ def _joined(parts: list[Spectra]) -> Spectra:
 
 @lru_cache(maxsize=64)
 def _weights(lag: int, place: float) -> tuple[Floats, Floats]:
-    """Of the lines' real and of their imaginary parts (M + 1,) in the value at `place`, in lines.
+    """Weights of the lines' real and of their imaginary parts (M + 1,) in the value at `place`,
+    which is in lines and is no line itself.
 
     Lines of negative frequency have the conjugate values, so each weight is D of a line and of its
-    mirror image. `place` is no line itself.
+    mirror image.
     """
     own = _kernel(lag, place)
     mirrored = _kernel(lag, -place)
@@ -289,8 +292,8 @@ def _weights(lag: int, place: float) -> tuple[Floats, Floats]:
 
 
 def _kernel(lag: int, place: float) -> Floats:
-    """D (M + 1,) of the module at `place` - k, k = 0..M; the sine by the part of a line, which
-    keeps its digits.
+    """D (M + 1,) of the module's text at `place` - k, k = 0..M. The sine is taken of the
+    distance to the nearest line, which keeps its digits.
     """
     k = np.arange(lag + 1)
     line = round(place)
@@ -301,7 +304,7 @@ def _kernel(lag: int, place: float) -> Floats:
 
 
 def grid_frequencies(rate_hz: float, lag: int) -> Floats:
-    """k rate/(2 M), k = 0..M: the frequencies that hold the whole estimate (M + 1,)."""
+    """Return k rate/(2 M), k = 0..M: the frequencies that hold the whole estimate (M + 1,)."""
     return np.asarray(np.arange(lag + 1) * (0.5 * rate_hz / lag), np.float64)
 
 
@@ -309,8 +312,9 @@ _lines = lru_cache(maxsize=8)(grid_frequencies)
 
 
 def lines_beside(frequency_hz: float, rate_hz: float, lag: int) -> tuple[int, int]:
-    """Numbers of the lines at or below and at or above a frequency; the same twice where that is a
-    line."""
+    """Numbers of the lines at or below and at or above a frequency; the same twice where that is
+    a line.
+    """
     place = frequency_hz * (2.0 * lag / rate_hz)
     return floor(place + NEAR), ceil(place - NEAR)
 
@@ -350,9 +354,6 @@ def _inside(frequency_hz: Floats, rate_hz: float) -> Floats:
     return frequency_hz
 
 
-DEFAULT_LAG = 2048  # Weir, Colgate and Peshkin 2008, section 2.2: "a window length of 2048 points"
-
-
 def spa(
     force_n: npt.ArrayLike,
     velocity_m_per_s: npt.ArrayLike,
@@ -365,8 +366,8 @@ def spa(
     velocity), lag)` computes them.
 
     `frequency_hz` (F,): any frequencies up to rate/2, by default k rate/(2 lag), k = 0..lag.
-    `detrend` takes a straight line out of both channels first. AnalysisError for unequal, short (N
-    <= lag) or not finite records.
+    `detrend` takes a straight line out of both channels first. AnalysisError for records that are
+    unequal, short (N <= lag) or not finite.
     """
     force, velocity = (
         np.ascontiguousarray(signal, np.float64) for signal in (force_n, velocity_m_per_s)
@@ -386,8 +387,8 @@ def spa(
 
 
 class SpectralStream:
-    """The same for a record that arrives in blocks: memory O(lag), spectra of all so far at any
-    time.
+    """`spa` for a record that arrives in blocks: memory O(lag), spectra of all samples so far at
+    any time.
     """
 
     def __init__(
@@ -444,7 +445,7 @@ class SpectralStream:
 
 
 def _add_detrended(sums: Sections, force: Floats, velocity: Floats) -> None:
-    """Block by block, so that no copy of the record is made."""
+    """Add the record without its trend block by block, so that no copy of it is made."""
     size, (fitted_line, take_line_out) = (
         max(1, TOGETHER // sums.lag) * sums.lag,
         (kernels().fitted_line, kernels().take_line_out),

@@ -1,41 +1,33 @@
-"""The Gaussian process behind `surrogate`: its covariance, and the length and amplitude that trials
-make likeliest.
-
-    y_f = trend c_f + g_f + e,   g ~ GP(amplitude^2 exp(-d^2 / 2 length^2)),
-    g alike at all frequencies, e the trial's own noise
-
-The trend's coefficients are integrated out (restricted likelihood: Patterson and Thompson 1971), so
-four trials that a plane fits exactly do not make everything certain. Without noise the amplitude
-has a closed form at each length; with noise both are tried on a coarse grid, which is as fine as
-some dozens of trials can tell.
-
-What would break it: fewer than `FEW` trials, where likelihood has nothing to say; then the length
-is a usual one.
-
-Learning Re Z(w; K, B, M) from few trials: what is known beforehand at every frequency, plus what
-is left over.
+"""Learning Re Z(w; K, B, M) from few trials: a Gaussian process over what is known beforehand.
 
 For a rigid collocated device Re Z is affine in (K, B, M) at each w, so the passive set is convex
 and four trials know it. Real devices bend this: the rest is a Gaussian process of the environment
-(radial basis functions, one length for all frequencies), so at each frequency  Re Z = c0 + c (K, B,
-M) + g + e,  g ~ GP(amplitude^2 exp(-d^2 / 2 length^2)), e the trial's own noise as weight. c, g and
-their uncertainty follow in closed form (generalised least squares, universal kriging: Matheron
-1969); length and amplitude are those of greatest likelihood on a coarse grid. Learning the spectrum
-and not the yes or no, nor its minimum (which noise biases), is what saves trials: 40 times fewer
-than a surrogate of the margin.
+(radial basis functions, one length for all frequencies), so at each frequency
+
+    Re Z = c0 + c (K, B, M) + g + e,   g ~ GP(amplitude^2 exp(-d^2 / 2 length^2))
+
+with g alike at all frequencies and e the trial's own noise as weight. c, g and their uncertainty
+follow in closed form (generalised least squares, universal kriging: Matheron 1969). Learning the
+spectrum and not the yes or no, nor its minimum (which noise biases), is what saves trials: 40 times
+fewer than a surrogate of the margin.
+
+Length and amplitude are those of greatest restricted likelihood on a coarse grid, which is as fine
+as some dozens of trials can tell. The coefficients c are integrated out (Patterson and Thompson
+1971), so four trials that a plane fits exactly do not make everything certain. Without noise the
+amplitude has a closed form at each length; with noise the likelihood of a dozen frequencies
+decides, each with the noise of its own trials.
 
 Where the device is known by a model, its prediction is the mean instead: `prior` gives Re Z of any
-environments, and only measured - predicted is learnt, one constant c0 a frequency and g. Trials
-with noise decide on length and amplitude by the likelihood of a dozen frequencies, each with the
-noise of its own trials.
+environments, and only measured - predicted is learnt, one constant c0 a frequency and g.
 
 A trial says yes if its estimate of Re Z is not negative at any frequency. With noise that asks more
 than the expected Re Z >= 0: the chance of a yes is the product of Phi(Re Z / sd) over as many
 frequencies as are independent (`log_chance`).
 
 Environments are scaled to a unit box. What would break it: trials that were not stable (their
-spectra are of a limit cycle; do not feed them), a device whose Re Z jumps, or a prior that does:
-what is learnt must be smooth.
+spectra are of a limit cycle; leave them out), a device whose Re Z jumps, or a prior that does: what
+is learnt must be smooth. With fewer than `FEW` trials likelihood has nothing to say; then the
+length is a usual one.
 """
 
 from collections.abc import Callable, Sequence
@@ -47,25 +39,24 @@ import numpy.typing as npt
 from hapticd.analysis.arrays import Floats
 from hapticd.errors import AnalysisError
 
+Prior = Callable[[Floats], Floats]  # environments (N, 3) -> Re Z (N, F)
+
 LENGTHS = (0.15, 0.2, 0.3, 0.45, 0.7, 1.2)  # of the unit box
-SHARES = (
-    0.03,
-    0.1,
-    0.2,
-    0.35,
-    0.6,
-    1.0,
-)  # of the scatter of what is left over that may be the process and not noise
+# of the scatter of what is left over, that may be the process and not noise
+SHARES = (0.03, 0.1, 0.2, 0.35, 0.6, 1.0)
 SOME = 12  # frequencies whose likelihood decides where trials are noisy
 FEW = 8  # trials below which likelihood has nothing to say
 FIRST_LENGTH = 0.45
 _NUGGET = 1e-6  # of amplitude^2: keeps the matrices regular
-_LEAST_AMPLITUDE = 1e-12  # N s/m of amplitude
-_ROUNDS = 4
+_LEAST_AMPLITUDE = 1e-12  # N s/m
+_LEAST_SD = 1e-12  # N s/m
+_ROUNDS = 4  # of the amplitude at one length; one would do without noise
+_TOGETHER = 4096  # environments at once
+_LOGISTIC = 1.702  # Phi(x) = 1 / (1 + exp(-1.702 x)) to 0.01 (Haley 1952)
 
 
 def kernel(one: Floats, other: Floats, length: float) -> Floats:
-    """exp(-d^2 / 2 length^2) (N, n) between `one` (N, 3) and `other` (n, 3)."""
+    """Return exp(-d^2 / 2 length^2) (N, n) between `one` (N, 3) and `other` (n, 3)."""
     square = ((one[:, None] - other) ** 2).sum(axis=2)
     return np.asarray(np.exp(-0.5 * square / length**2))
 
@@ -83,7 +74,9 @@ def precision(
 
 
 def likeliest(unit: Floats, trend: Floats, values: Floats, noise: Floats) -> tuple[float, float]:
-    """(length, amplitude) of greatest restricted likelihood; `values` (F, n), `noise` (G, n)."""
+    """Length and amplitude of the greatest restricted likelihood; `values` (F, n), `noise` (G,
+    n).
+    """
     rest = values.T - trend @ np.linalg.lstsq(trend, values.T, rcond=None)[0]
     scale = (
         float(np.sqrt(np.mean(rest**2) * len(unit) / max(1, len(unit) - trend.shape[1])))
@@ -103,8 +96,8 @@ def likeliest(unit: Floats, trend: Floats, values: Floats, noise: Floats) -> tup
 def _matched(
     unit: Floats, trend: Floats, values: Floats, noise: Floats, length: float, amplitude: float
 ) -> tuple[float, float, float]:
-    """(misfit, length, amplitude) with the amplitude at which the whitened residual has
-    variance 1: exact without noise.
+    """Misfit, length and the amplitude at which the whitened residual has variance 1: exact
+    without noise.
     """
     for _ in range(_ROUNDS):
         misfit, variance = _misfit(unit, trend, values, noise, length, amplitude)
@@ -124,65 +117,54 @@ def _misfit(
     return 0.5 * (square - float(logs)), square / (len(unit) - trend.shape[1])
 
 
-Prior = Callable[[Floats], Floats]  # environments (N, 3) -> Re Z (N, F)
-
-_LEAST_SD = 1e-12  # N s/m of a deviation
-_TOGETHER = 4096
-_LOGISTIC = 1.702  # Phi(x) = 1 / (1 + exp(-1.702 x)) to 0.01 (Haley 1952)
-
-
 @dataclass(frozen=True, slots=True)
 class Box:
-    """Where to look: lowest and highest (K, B, M) [N/m, N s/m, kg]."""
+    """Where to search."""
 
-    low: tuple[float, float, float]
-    high: tuple[float, float, float]
+    low: tuple[float, float, float]  # least K N/m, B N s/m, M kg
+    high: tuple[float, float, float]  # most K N/m, B N s/m, M kg
 
     def to_unit(self, environments: npt.ArrayLike) -> Floats:
-        """(N, 3) environments -> (N, 3) in 0..1."""
+        """Map environments (N, 3) to the unit box."""
         low = np.asarray(self.low)
         return np.asarray((np.atleast_2d(environments) - low) / (np.asarray(self.high) - low))
 
     def to_environment(self, unit: npt.ArrayLike) -> Floats:
-        """(N, 3) in 0..1 -> (N, 3) environments."""
+        """Map points (N, 3) of the unit box to environments."""
         low = np.asarray(self.low)
         return np.asarray(low + np.atleast_2d(unit) * (np.asarray(self.high) - low))
 
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """One stable trial: environment (3,), Re Z at F frequencies [N s/m] and its standard
-    deviation (F,), 0 if exact.
-    """
+    """What one stable trial taught."""
 
-    environment: Floats
-    resistance: Floats
-    sd: Floats
+    environment: Floats  # (3,) K N/m, B N s/m, M kg
+    resistance: Floats  # (F,) Re Z, N s/m
+    sd: Floats  # (F,) its standard deviation, N s/m; 0 if exact
 
 
 @dataclass(frozen=True, eq=False)
 class Surrogate:
-    """The fit: n trials at `unit` (n, 3), `slopes` (F, t) of (1, K, B, M), of 1 alone with a
-    `prior`, `weights` (F, n) of the rest; G = 1 or F: `inverse` (G, n, n) of the covariance,
-    `spread` (G, t, t) that of the slopes. `length` and `amplitude` of the process; `sd` (F,) the
-    median over trials of their own.
+    """The fitted process over n trials and F frequencies; G = 1 where all frequencies are alike,
+    else F.
     """
 
     box: Box
-    unit: Floats
-    slopes: Floats
-    weights: Floats
-    inverse: Floats
-    spread: Floats
-    length: float
-    amplitude: float
-    sd: Floats
-    prior: Prior | None = None
+    unit: Floats  # (n, 3) trials in the unit box
+    slopes: Floats  # (F, t) of 1, K, B and M, or of 1 alone with a prior, N s/m
+    weights: Floats  # (F, n) of the trials in what the slopes leave
+    inverse: Floats  # (G, n, n) of the covariance, (N s/m)^-2
+    spread: Floats  # (G, t, t) covariance of the slopes
+    length: float  # of the process, in the unit box
+    amplitude: float  # of the process, N s/m
+    sd: Floats  # (F,) median over the trials of their own, N s/m
+    prior: Prior | None = None  # predicted Re Z that is learnt upon
 
 
 def fit(box: Box, trials: Sequence[Observation], prior: Prior | None = None) -> Surrogate:
-    """Surrogate of `trials`, at least four that span the box. AnalysisError for fewer or for
-    unlike spectra.
+    """Fit the surrogate to `trials`, at least four that span the box. AnalysisError for fewer,
+    or for spectra on other frequencies.
     """
     if len(trials) < 4 or len({trial.resistance.size for trial in trials}) != 1:
         raise AnalysisError(
@@ -233,8 +215,8 @@ def margin(found: Surrogate, environments: npt.ArrayLike) -> Floats:
 
 
 def log_chance(found: Surrogate, environments: npt.ArrayLike, independent: Floats) -> Floats:
-    """ln (N,) of the chance that a trial's estimate has Re Z >= 0 throughout, `independent`
-    (F,) values at each frequency.
+    """Logarithm (N,) of the chance that a trial's estimate has Re Z >= 0 throughout, with
+    `independent` (F,) values at each frequency.
     """
     if not found.sd.any():
         return np.where(margin(found, environments) >= 0.0, 0.0, -np.inf)
@@ -273,6 +255,6 @@ def _parts(environments: npt.ArrayLike) -> list[Floats]:
 
 
 def _trend(unit: Floats, prior: Prior | None) -> Floats:
-    """(N, 4) of 1, K, B, M, or (N, 1) of 1 where a prior knows the slopes."""
+    """Columns (N, 4) of 1, K, B, M, or (N, 1) of 1 where a prior knows the slopes."""
     one = np.ones((len(unit), 1))
     return one if prior is not None else np.column_stack((one, unit))

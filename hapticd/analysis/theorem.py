@@ -1,10 +1,10 @@
 """How much physical damping an environment needs: the theorem of Colgate and Schenkel (1997),
 lifted to every delay and device.
 
-A sampled law answers the motion at w also at all w + 2 pi k / T. Seen so, the impedance of a rigid
-device is a diagonal b + j w_k m plus one product: the held force h_k = c e^(-j w_k d T) / (j w_k),
-c = H (1 - e^(-jwT)) / T, times the position 1 / (j w_l) that was sampled. Positive realness of that
-sum needs
+A rigid device (`required_damping`). A sampled law answers the motion at w also at all w + 2 pi k /
+T. Seen so, the impedance is a diagonal b + j w_k m plus one product: the held force h_k = c e^(-j
+w_k d T) / (j w_k), c = H (1 - e^(-jwT)) / T, times the position 1 / (j w_l) that was sampled.
+Positive realness of that sum needs
 
     b >= ( sqrt(|c|^2 S0^2 - Im(c S)^2) + Re(c S) ) / 2,   S0 = sum 1/w_k^2 = (T / (2 sin(wT/2)))^2
 
@@ -14,17 +14,12 @@ with S0 and this is Colgate and Schenkel's
 
     b > T / 2  1 / (1 - cos wT)  Re{ (1 - e^(-jwT)) H }
 
-For a composed device (flexible, smoothed, encoder not on the motor) the same sum has other entries,
-see `theorem`.
-
 White noise sees k = 0 alone, which asks for less (`baseband`): 0.405 times as much at Nyquist, 5 %
-less for a filtered B. What would break it: an unstable loop. Both presume stability, see `loop`.
+less for a filtered B.
 
-Colgate and Schenkel's requirement for a composed device: flexible, smoothed, damped by a
-circuit, encoder not on the motor.
-
-At each wT the impedance at the probe between the harmonics w_k = w + 2 pi k / T is a diagonal and
-one product
+A composed device (`lift`): flexible, smoothed, damped by a circuit, encoder not on the motor. At
+each wT the impedance at the probe between the harmonics w_k = w + 2 pi k / T is a diagonal and one
+product
 
     Z = diag(1 / P_vt) + C / (1 + C (G - E)) h q,
     h_k = P_vF H0 / P_vt,  q_l = P_xt / P_vt,  E = sum h_k P_xt(w_k)
@@ -40,8 +35,8 @@ It has no friction in it and holds for every input, a multisine that drives f an
 included. Harmonics beyond `_IMAGES` fall off as 1/w_k^2 at least; their sum in closed form, scaled
 to the last one, stands for them.
 
-What would break it: an unstable loop (see `loop`), or r_k < 0 by the device itself, which then
-has nothing to spare.
+What would break it: an unstable loop, for both presume stability (`loop.spectral_radius`); or r_k <
+0 by the device itself, which then has nothing to spare.
 """
 
 from dataclasses import dataclass
@@ -63,6 +58,10 @@ from hapticd.errors import AnalysisError
 from hapticd.plant.model import Model
 
 _ANGLES = np.concatenate((np.geomspace(1e-3, 0.05, 40)[:-1], np.linspace(0.05, np.pi, 984)))  # wT
+ANGLES = np.concatenate((np.geomspace(2e-3, 0.05, 24)[:-1], np.linspace(0.05, np.pi, 480)))  # wT
+_IMAGES = 24  # harmonics on each side
+_HALVINGS = 40  # of the interval in which the spare damping lies
+_CLOSEST = 1e-9  # N s/m to the limit that the device's own damping sets
 
 
 def required_damping(
@@ -75,8 +74,9 @@ def required_damping(
     """Damping [N s/m] that a rigid device needs under `points` (N, 3), K, B, M in SI, and the
     frequency [Hz] that asks for it.
 
-    `filters` of velocity and acceleration, None for none. `baseband`: as white noise measures it,
-    instead of for all inputs. Both (N,) float64; 0 where none is needed.
+    `filters` are those of velocity and acceleration, None for none. `baseband` asks for what white
+    noise measures, instead of for all inputs. Both results are (N,) float64; 0 where none is
+    needed.
     """
     kbm = environments(points)
     half = 0.5 * _ANGLES
@@ -101,8 +101,8 @@ def paper_equation_2(
     physical_ns_per_m: float,
     rate_hz: float = 1000.0,
 ) -> bool:
-    """Eq. 2 of Weir, Colgate and Peshkin (2008) as printed: b > K T / 2 + B. Unfiltered velocity,
-    no delay, no virtual mass.
+    """Whether Eq. 2 of Weir, Colgate and Peshkin (2008) as printed holds: b > K T / 2 + B, for
+    unfiltered velocity, no delay and no virtual mass.
 
     AnalysisError for B < 0: there the theorem behind it reads b > K T / 2 + |B|, while Eq. 2 would
     ask for less; and for K < 0, which no damping makes passive.
@@ -122,30 +122,21 @@ def paper_equation_2(
     return physical_ns_per_m > stiffness_n_per_m / (2.0 * rate_hz) + damping_ns_per_m
 
 
-ANGLES = np.concatenate((np.geomspace(2e-3, 0.05, 24)[:-1], np.linspace(0.05, np.pi, 480)))  # wT
-_IMAGES = 24  # harmonics on each side
-_HALVINGS = 40
-_CLOSEST = 1e-9  # N s/m to the limit that the device's own damping sets
-
-
 @dataclass(frozen=True, eq=False)
 class Lift:
-    """A device seen at all harmonics, A angles and H harmonics: `law` (3, A) of K, B, M; `inner`
-    (A,) G - E; `resistance` (A, H) r_k; `out`, `back`, `both` (A, H) the weights |h|^2, |q|^2 and q
-    h of the sums.
-    """
+    """A device seen at A angles and H harmonics."""
 
-    law: Complexes
-    inner: Complexes
-    resistance: Floats
-    out: Floats
-    back: Floats
-    both: Complexes
+    law: Complexes  # (3, A) response of the law to K, B, M
+    inner: Complexes  # (A,) G - E, m/N
+    resistance: Floats  # (A, H) r_k, N s/m
+    out: Floats  # (A, H) weights |h|^2
+    back: Floats  # (A, H) weights |q|^2
+    both: Complexes  # (A, H) weights q h
 
 
 def lift(model: Model, damping_ns_per_m: float = 0.0, filters: Filters = PAPER_FILTERS) -> Lift:
-    """`model` at that damping level, without Coulomb friction, with velocity and acceleration
-    filter.
+    """Lift `model` at that level of active damping, without Coulomb friction, with filters of
+    velocity and acceleration.
     """
     images = np.arange(-_IMAGES, _IMAGES + 1)
     rate_hz = model.rate_hz
@@ -174,17 +165,17 @@ def lift(model: Model, damping_ns_per_m: float = 0.0, filters: Filters = PAPER_F
 
 
 def lifted_margin(lifted: Lift, points: npt.ArrayLike) -> Floats:
-    """Damping [N s/m] (N,) that the device has to spare at the probe under `points` (N, 3);
-    negative: that it is short of.
+    """Damping (N,) [N s/m] that the device has to spare at the probe under `points` (N, 3);
+    negative where it falls short.
 
-    For a rigid device: its damping minus `required_damping`.
+    For a rigid device it is its damping minus `required_damping`.
     """
     return np.array([_spare(lifted, gain) for gain in _gains(lifted, points)])
 
 
 def lifted_passive(lifted: Lift, points: npt.ArrayLike) -> Flags:
-    """Whether there is damping to spare (N,), for maps: one look instead of forty per environment.
-    The loop must be stable.
+    """Whether there is damping to spare (N,), for maps: one evaluation instead of forty per
+    environment. The loop must be stable.
 
     Never with K < 0, which is active below all angles that are looked at.
     """
@@ -243,6 +234,6 @@ def _beyond(angles: Floats, delay_periods: float) -> tuple[Floats, Complexes]:
 
 
 def _last(weights: npt.NDArray[np.inexact], f: Floats, rate_hz: float) -> "npt.NDArray[np.inexact]":
-    """weights (w_k T)^2 at the outermost harmonics, mean of both ends (A,)."""
+    """Weights times (w_k T)^2 at the outermost harmonics, mean of both ends (A,)."""
     angles = 2.0 * np.pi * f / rate_hz
     return 0.5 * (weights[:, 0] * angles[:, 0] ** 2 + weights[:, -1] * angles[:, -1] ** 2)

@@ -1,24 +1,19 @@
-"""Quantiles for statements about many frequencies at once. Standard library alone.
-
-`sidak`: n statements that each hold with probability p^(1/n) hold together with at least p when
-their errors are independent or, as between neighbouring values of a windowed spectrum, positively
-correlated (Sidak 1967; Slepian 1962). It is taken over all values that are looked at: the number of
-independent ones (band over bandwidth) is smaller, but with it a lossless device raises twice the
-promised false alarms, because the extreme of a smooth curve lies between them.
-
-What a judgement on a trial says: the answer and, always with it, band, confidence, margins,
-stability and amplitude.
-
-The verdict on a trial: passive in a band, not passive in it, or undecided; never without its
+"""The verdict on a trial: passive in a band, not passive in it, or undecided; never without its
 conditions.
 
 Z is positive real where Re Z >= 0, and the sign of Re Z is that of the cross-power Re Phi_Fv,
 whichever estimator is used. Re Z is known to h = t |Z| sqrt((1 - g2) / (g2 (nu - 2))) at each
 frequency, the phase to arcsin(h / |Z|), with Student's t at a level raised so that all intervals of
-the band hold together (`sidak`). The margin, the least Re Z or the least 90 degrees -
-|phase|, then lies between the least lower and the least upper limit:
+the band hold together. The margin, the least Re Z or the least 90 degrees - |phase|, then lies
+between the least lower and the least upper limit:
 
     passive       the least lower limit is above 0         not passive    an upper limit is below 0
+
+The level (`sidak`): n statements that each hold with probability p^(1/n) hold together with at
+least p when their errors are independent or, as between neighbouring values of a windowed spectrum,
+positively correlated (Sidak 1967; Slepian 1962). It is taken over all values that are looked at:
+the number of independent ones (band over bandwidth) is smaller, but with it a lossless device
+raises twice the promised false alarms, because the extreme of a smooth curve lies between them.
 
 A device that is not stable is not passive, whatever its Re Z: with a virtual K < 0 or a closed loop
 of spectral radius above 1 the real part may be positive throughout. Findings that turn the phase
@@ -49,11 +44,32 @@ from hapticd.analysis.resolved import Resolved, unresolved
 from hapticd.analysis.spectra import Spectra, lines_beside
 from hapticd.errors import AnalysisError
 
-MANY = 18.0  # degrees of freedom from which the expansion holds
+Answer = Literal["passive", "not_passive", "undecided"]
+Stability = Literal["stable", "unstable", "unknown"]
+
+DEFAULT_BAND_HZ = (2.0, 500.0)
+MANY = 18.0  # degrees of freedom from which the expansion of Student's t holds
+# degrees of freedom of a window's values, below which the intervals mean nothing
+LEAST_FREEDOM = 20.0
+LEAST_EXACT = 4.0  # the same of plain averages: two of them
+DRIVEN = 0.8  # of the velocity's power, from which a motion is the perturbation's
+NEAR_HZ = 1e-5  # an edge that is so near to a line is that line
+# times the length of a record; beyond it the margin is not told from 0, and no length can be
+# predicted
+FORESEEABLE = 10.0
+_WORDS = {
+    "passive": "passive in band",
+    "not_passive": "not passive in band",
+    "undecided": "undecided in band",
+}
+SWELLS = "the velocity swells and fades 4 times and more, as the perturbation drives a resonance"
+LOST_EDGE = "lost_edge"
 
 
 def sidak(confidence: float, statements: int) -> float:
-    """Confidence that each of `statements` needs so that all hold together with `confidence`."""
+    """Confidence that each of `statements` needs so that all hold together with `confidence`.
+    AnalysisError for a confidence outside 0..1.
+    """
     if not 0.0 < confidence < 1.0:
         raise AnalysisError(f"confidence {confidence}: must lie between 0 and 1; 0.95 is usual")
     return float(confidence ** (1.0 / max(1, statements)))
@@ -79,7 +95,9 @@ def student_quantile(probability: float, degrees_of_freedom: float) -> float:
 
 
 def _few(probability: float, degrees_of_freedom: float) -> float:
-    """By halving, as P(t) is known in closed form; tan of the angle is t / sqrt(nu)."""
+    """Find the quantile by halving, as P(t) is known in closed form; tan of the angle is t /
+    sqrt(nu).
+    """
     nu = round(degrees_of_freedom)
     if nu < 1 or not isclose(nu, degrees_of_freedom):
         raise AnalysisError(
@@ -95,7 +113,9 @@ def _few(probability: float, degrees_of_freedom: float) -> float:
 
 
 def _student(angle: float, nu: int) -> float:
-    """P(t) by a finite sum: 26.7.3 of Abramowitz and Stegun for odd nu, 26.7.4 for even nu."""
+    """Return P(t) by a finite sum: 26.7.3 of Abramowitz and Stegun for odd nu, 26.7.4 for even
+    nu.
+    """
     odd = nu % 2
     term = cos(angle) if odd else 1.0
     total = term if nu > 1 else 0.0
@@ -106,22 +126,8 @@ def _student(angle: float, nu: int) -> float:
     return 0.5 * (1.0 + inside)
 
 
-Answer = Literal["passive", "not_passive", "undecided"]
-Stability = Literal["stable", "unstable", "unknown"]
-
-# times the length of a record; beyond it the margin is not told from 0, and no length can be
-# foretold
-FORESEEABLE = 10.0
-
-_WORDS = {
-    "passive": "passive in band",
-    "not_passive": "not passive in band",
-    "undecided": "undecided in band",
-}
-
-
 def needed(seconds_needed: float, seconds: float) -> str:
-    """What record would decide where one of `seconds` did not, in words."""
+    """Say what length of record would decide where one of `seconds` did not."""
     if not seconds_needed <= FORESEEABLE * seconds:
         return (
             f"a record more than {FORESEEABLE:g} times as long would be needed: the margin is not"
@@ -131,25 +137,23 @@ def needed(seconds_needed: float, seconds: float) -> str:
 
 
 def hertz(value: float) -> str:
-    """A frequency as a verdict names it: three digits, whole numbers from 100 Hz on."""
+    """Write a frequency as a verdict names it: three digits, whole numbers from 100 Hz on."""
     return f"{value:.{2 if value < 10.0 else 1 if value < 100.0 else 0}f}"
 
 
 def two_digits(value: float) -> str:
-    """As much as is known of a length or a number that is foretold; never 0."""
+    """Write as much as is known of a length or a number that is predicted; never 0."""
     return f"{max(1.0, float(f'{value:.2g}')):g}"
 
 
 @dataclass(frozen=True, slots=True)
 class Margin:
-    """Least value over the band, at `frequency_hz`, and limits between which the true least
-    value lies.
-    """
+    """Least value over the band, and limits between which the true least value lies."""
 
-    value: float
-    lower: float
-    upper: float
-    frequency_hz: float
+    value: float  # N s/m or deg
+    lower: float  # same unit
+    upper: float  # same unit
+    frequency_hz: float  # where `value` is
 
     def __str__(self) -> str:
         return (
@@ -160,7 +164,7 @@ class Margin:
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """From where to where something was judged [Hz]; nan where nothing was."""
+    """From where to where something was judged; nan where nothing was."""
 
     first_hz: float
     last_hz: float
@@ -187,42 +191,34 @@ class Amplitude:
     velocity.
     """
 
-    force_psd_n2_per_hz: float
+    force_psd_n2_per_hz: float  # one-sided, mean over the band
     velocity_sd_m_per_s: float
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Answer and conditions. `within_90_deg` is the paper's plain rule, `port` the place where Z
-    was looked at.
+    """The answer, and always with it its conditions.
 
-    What was judged are `n_frequencies`, from `first_judged_hz` to `last_judged_hz`: the edges of
-    `band_hz`, unless the spectra are of lines alone (a multisine) or of chosen frequencies; then
-    the first and the last of those inside.
-
-    "stable" without a `spectral_radius` (of the predicted loop) says that no escape was seen in
-    this record. `seconds` is the length of the record, `seconds_needed` that of one like it that
-    would decide; inf at margin 0. What is narrower than `resolution_hz` was averaged with what is
-    beside it.
+    "stable" without a `spectral_radius` says that no escape was seen in this record.
     """
 
     answer: Answer
     band_hz: tuple[float, float]
-    confidence: float
-    first_judged_hz: float
-    last_judged_hz: float
-    n_frequencies: int
-    margin_ns_per_m: Margin
-    margin_deg: Margin
-    within_90_deg: bool
+    confidence: float  # that the answer is right, all frequencies together
+    first_judged_hz: float  # the edge of `band_hz`, or the first line of a multisine inside it
+    last_judged_hz: float  # the edge of `band_hz`, or the last line of a multisine inside it
+    n_frequencies: int  # that were judged
+    margin_ns_per_m: Margin  # of Re Z
+    margin_deg: Margin  # of 90 - |phase|
+    within_90_deg: bool  # the paper's plain rule
     stability: Stability
     amplitude: Amplitude
-    port: str
-    seconds: float
-    seconds_needed: float
-    resolution_hz: float
-    spectral_radius: float | None = None
-    energy: Energy | None = None
+    port: str  # where Z was looked at
+    seconds: float  # length of the record
+    seconds_needed: float  # length of one like it that would decide; inf at margin 0
+    resolution_hz: float  # what is narrower was averaged with what is beside it
+    spectral_radius: float | None = None  # of the predicted loop, if it was predicted
+    energy: Energy | None = None  # None without the samples
     findings: tuple[Finding, ...] = field(default_factory=tuple)
 
     def __str__(self) -> str:
@@ -249,7 +245,7 @@ class Verdict:
 
     @property
     def judged(self) -> Judged:
-        """From where to where."""
+        """From where to where the verdict looked."""
         return Judged(self.first_judged_hz, self.last_judged_hz)
 
     def _stability(self) -> str:
@@ -260,17 +256,6 @@ class Verdict:
             "unstable": "unstable",
             "unknown": "stability unknown",
         }[self.stability]
-
-
-DEFAULT_BAND_HZ = (2.0, 500.0)
-LEAST_FREEDOM = (
-    20.0  # degrees of freedom of a window's values, below which the intervals mean nothing
-)
-DRIVEN = 0.8  # of the velocity's power, from which a motion is the perturbation's
-SWELLS = "the velocity swells and fades 4 times and more, as the perturbation drives a resonance"
-LOST_EDGE = "lost_edge"
-NEAR_HZ = 1e-5  # an edge that is so near to a line is that line
-LEAST_EXACT = 4.0  # of plain averages: two of them
 
 
 def judge(
@@ -284,13 +269,13 @@ def judge(
     channels: bool = True,
     below_window: bool = False,
 ) -> Verdict:
-    """Verdict on `trial`. `record` (of `findings.examine`) brings energy, escape and saturation;
-    `spectral_radius` is that of the predicted closed loop. `behind_mass_kg` > 0 judges the device
-    behind the probe's mass: Re Z is the same there. `channels`: also look for skew and high-pass,
-    which takes longer than the rest; simulated records have neither.
+    """Judge `trial` in `band_hz`.
 
-    `below_window`: of a band that begins below 1/(M T), which is else refused, read what the window
-    makes of it.
+    `record` (of `findings.examine`) brings energy, escape and saturation; `spectral_radius` is that
+    of the predicted closed loop. `behind_mass_kg` > 0 judges the device behind the probe's mass: Re
+    Z is the same there. `channels` also looks for skew and high-pass, which takes longer than the
+    rest; simulated records have neither. `below_window` judges a band that begins below 1/(M T),
+    which is otherwise refused, by what the window makes of it.
 
     AnalysisError for a band below 1/(M T), above half the sample rate or without frequencies, and
     for records of fewer than 20 degrees of freedom.
@@ -299,12 +284,13 @@ def judge(
     f = inside.frequency_hz
     at_port = impedance(inside, estimator)
     z = at_port.without_mass(behind_mass_kg) if behind_mass_kg else at_port
-    ohm = z.impedance_ns_per_m
+    impedance_ns_per_m = z.impedance_ns_per_m
+    resistance_ns_per_m = impedance_ns_per_m.real
     half = spread_of(
         np.abs(at_port.impedance_ns_per_m), half_width(trial, inside, sidak(confidence, f.size))
     )
-    angle = 90.0 - np.abs(np.degrees(np.angle(ohm)))
-    newton = _least(ohm.real, half, f)
+    spare_deg = 90.0 - np.abs(np.degrees(np.angle(impedance_ns_per_m)))
+    margin_ns_per_m = _least(resistance_ns_per_m, half, f)
     findings = _reread(trial, record.findings if record else ()) + coherence_findings(
         trial, band_hz, estimator
     )
@@ -312,20 +298,20 @@ def judge(
     findings += _lost_edges(trial, inside, band_hz)
     stability = _stability(findings, record is not None, spectral_radius)
     return Verdict(
-        answer=_answer(newton, stability, findings),
+        answer=_answer(margin_ns_per_m, stability, findings),
         band_hz=band_hz,
         confidence=confidence,
         first_judged_hz=float(f[0]),
         last_judged_hz=float(f[-1]),
         n_frequencies=f.size,
-        margin_ns_per_m=newton,
-        margin_deg=_least(angle, _angle_deg(half, np.abs(ohm)), f),
+        margin_ns_per_m=margin_ns_per_m,
+        margin_deg=_least(spare_deg, _angle_deg(half, np.abs(impedance_ns_per_m)), f),
         within_90_deg=_turns_less(inside),
         stability=stability,
         amplitude=Amplitude(float(2.0 * inside.force.mean() / trial.rate_hz), _velocity_sd(trial)),
         port=z.port,
         seconds=trial.n_samples / trial.rate_hz,
-        seconds_needed=_seconds_needed(ohm.real, half, trial),
+        seconds_needed=_seconds_needed(resistance_ns_per_m, half, trial),
         resolution_hz=trial.bandwidth_hz,
         spectral_radius=spectral_radius,
         energy=record.energy if record else None,
@@ -349,8 +335,8 @@ def needs_record(
 
 def _reread(trial: Spectra, findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
     """What the samples said, in the light of `resolved`: a motion that the perturbation explains
-    did not run away by itself, however it swells and fades. Re Z at the resonance says whether it
-    is stable.
+    did not run away by itself, however it swells and fades. Re Z at the resonance says whether
+    it is stable.
     """
     if not isinstance(trial, Resolved):
         return findings
@@ -364,8 +350,8 @@ def _reread(trial: Spectra, findings: tuple[Finding, ...]) -> tuple[Finding, ...
 def _lost_edges(
     trial: Spectra, inside: Spectra, band_hz: tuple[float, float]
 ) -> tuple[Finding, ...]:
-    """An edge of the band that a window could have shown and that has no power of its own: what
-    was not looked at is not called passive.
+    """Name an edge of the band that a window could have shown and that has no power of its own:
+    what was not looked at is not called passive.
     """
     ends = inside.frequency_hz[[0, -1]]
     lost = [edge for edge, at in zip(band_hz, ends, strict=True) if abs(at - edge) > NEAR_HZ]
@@ -380,12 +366,14 @@ def _lost_edges(
 
 
 def _turns_less(inside: Spectra) -> bool:
-    """The paper's plain rule: the sign of Re Z is that of the cross-power."""
+    """Whether all phases are within +-90 degrees, the paper's plain rule: the sign of Re Z is
+    that of the cross-power.
+    """
     return bool((inside.cross.real > 0.0).all())
 
 
 def _judged(trial: Spectra, band_hz: tuple[float, float], below_window: bool) -> Spectra:
-    """What a verdict on `band_hz` looks at. AnalysisError as `judge`."""
+    """The spectra that a verdict on `band_hz` looks at. AnalysisError as `judge`."""
     low, high = band_hz
     if low < trial.lowest_hz and not below_window:
         raise AnalysisError(
@@ -418,16 +406,18 @@ def _judged(trial: Spectra, band_hz: tuple[float, float], below_window: bool) ->
 
 
 def half_width(trial: Spectra, inside: Spectra, level: float) -> Floats:
-    """Half of the interval of Re Z over |Z| (F,) of a band `inside` a trial, each side at `level`:
-    the sine of that of the phase; inf without coherence."""
+    """Half of the interval of Re Z over |Z| (F,) of a band `inside` a trial, each side at
+    `level`, which is the sine of that of the phase; inf without coherence.
+    """
     freedom = trial.degrees_of_freedom - 2.0
     return student_quantile(level, freedom) * relative_sd(_coherence(trial, inside), freedom)
 
 
 def _coherence(trial: Spectra, inside: Spectra) -> Floats:
-    """g2 (F,) of a band, at an edge between lines no more than at the lines beside it: there side
-    lobes of a drift may take power from the motion, and the perturbation then seems to explain more
-    of it."""
+    """Coherence g2 (F,) of a band, at an edge between lines no more than at the lines beside it:
+    there side lobes of a drift may take power from the motion, and the perturbation then seems
+    to explain more of it.
+    """
     found = inside.coherence
     if trial.whole:
         for place in {0, found.size - 1}:
@@ -476,16 +466,16 @@ def _stability(
 
 
 def _velocity_sd(trial: Spectra) -> float:
-    """From the spectrum: its mean over a whole turn is the variance; on other frequencies a
-    trapezoid over what there is.
+    """Standard deviation [m/s] from the spectrum: its mean over all lines is the variance; on
+    other frequencies a trapezoid over those there are.
     """
     power = float(np.trapezoid(trial.velocity, trial.frequency_hz)) * 2.0 / trial.rate_hz
     return float(np.sqrt(power))
 
 
 def _seconds_needed(values: Floats, half: Floats, trial: Spectra) -> float:
-    """A record longer by (half / value)^2 brings the limit of a value to 0; all must be there,
-    or one below.
+    """Length of a record that would decide: one longer by (half / value)^2 brings the limit of a
+    value to 0; all values must be above, or one below.
     """
     seconds = trial.n_samples / trial.rate_hz
     with np.errstate(divide="ignore", invalid="ignore"):
