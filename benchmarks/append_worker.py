@@ -15,7 +15,7 @@ import numpy as np
 from hapticd.gateway.telemetry import PROBE_DTYPE as PROBE
 from hapticd.mailbox.layout import RECORD
 from hapticd.recording.live import CHUNK_ROWS
-from hapticd.recording.recorder import LOOK_S
+from hapticd.recording.recorder import FLUSH_PERIOD_S
 
 SETTLED = 10  # appends before it counts
 
@@ -29,22 +29,22 @@ def main() -> None:
         rows = [
             (
                 _dataset(file, "servo", RECORD.size),
-                np.random.default_rng(1).bytes(round(ticks_hz * LOOK_S) * RECORD.size),
+                np.random.default_rng(1).bytes(round(ticks_hz * FLUSH_PERIOD_S) * RECORD.size),
             ),
             (
                 _dataset(file, "probe", PROBE.itemsize),
-                np.random.default_rng(2).bytes(round(samples_hz * LOOK_S) * PROBE.itemsize),
+                np.random.default_rng(2).bytes(round(samples_hz * FLUSH_PERIOD_S) * PROBE.itemsize),
             ),
         ]
         file.swmr_mode = True
         blocks = [
             (data, np.frombuffer(raw, np.uint8).reshape(-1, data.shape[1])) for data, raw in rows
         ]
-        for turn in range(SETTLED + round(seconds / LOOK_S)):
+        for turn in range(SETTLED + round(seconds / FLUSH_PERIOD_S)):
             if turn == SETTLED:
                 print("{}", flush=True)
                 begin_s = time.process_time()
-            time.sleep(LOOK_S)
+            time.sleep(FLUSH_PERIOD_S)
             for data, block in blocks:
                 data.resize(len(data) + len(block), axis=0)
                 data[-len(block) :] = block

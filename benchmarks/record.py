@@ -23,7 +23,7 @@ from hapticd.mailbox.layout import RECORD
 from hapticd.recording.file import open_recording
 from hapticd.recording.pack import pack
 from hapticd.recording.recorder import RecordingParams
-from hapticd.recording.replay import refly
+from hapticd.recording.replay import replay_recording
 from hapticd.units import PROBE_RATE_HZ
 
 TARGETS = targets.of("record")
@@ -36,7 +36,7 @@ WAVE_N = [0.3 * sin(2 * pi * 5 * index / 4000) for index in range(4000)]
 
 def measure() -> Iterator[Figure]:
     """CPU of a recorder of an enabled, moving servo; bytes of its live file over those that
-    came; CPU of the re-flight.
+    came; CPU of the replay.
     """
     with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder:
         params = RecordingParams(Path(folder) / "bench.h5")
@@ -117,14 +117,14 @@ def _replay(file: Path) -> Figure:
     for _ in range(FLIGHTS):
         begin = time.process_time()
         with open_recording(file) as recording:
-            flight = refly(recording)
+            result = replay_recording(recording)
         times.append(time.process_time() - begin)
-    if flight.different is not None:
-        raise BenchError(f"the flight was not bit-exact: {flight.different}")
+    if result.first_difference is not None:
+        raise BenchError(f"the replay was not bit-exact: {result.first_difference}")
     return compared(
         "replay_speed",
         TARGETS["replay_speed"],
-        float(flight.time_s[-1]),
+        float(result.time_s[-1]),
         "s",
         median(times),
         "recorded time over CPU time",

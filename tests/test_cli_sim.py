@@ -53,8 +53,8 @@ def test_run_compares_with_and_without_damping(
     code, out, err = spoken(capsys, "sim", "run", mine)
     assert (code, err) == (0, "")
     assert out.startswith("mine: 8 s, SIMULATED ideal\n")
-    assert "no added damping (the scene)" in out
-    assert "added damping 1.74 N s/m: passive in band [2, 500] Hz at 95 % confidence" in out
+    assert "no active damping (the scene)" in out
+    assert "active damping 1.74 N s/m: passive in band [2, 500] Hz at 95 % confidence" in out
 
 
 def test_run_draws_where_it_is_told(
@@ -87,7 +87,7 @@ def test_run_as_json_has_trials_and_impedance(
         [],
     )
     first, second = found["trials"]
-    assert first["leg"] == {"name": "no added damping", "damping": [[0.0, 0.0]], "own": True}
+    assert first["leg"] == {"name": "no active damping", "damping": [[0.0, 0.0]], "own": True}
     assert second["verdict"]["answer"] in ("passive", "undecided")
     assert {"frequency_hz", "impedance_ns_per_m", "phase_deg", "predicted_phase_deg"} <= first[
         "impedance"

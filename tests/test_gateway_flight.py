@@ -62,7 +62,7 @@ def test_dump_can_be_flown_again(folder: Path) -> None:
         flown.publisher.flight.dump("asked")
         (path,) = written(flown, folder)
     with open_recording(path) as recording:
-        (leg,) = recording.legs()
+        (leg,) = recording.segments()
         assert len(leg.records) > 600
         assert replay.difference(leg.records, replay.replay(recording.params, leg)) is None
 

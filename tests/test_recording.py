@@ -31,7 +31,7 @@ from hapticd.recording import live, pack, provenance, recorder
 from hapticd.recording.file import open_recording
 from hapticd.recording.live import GROUPS, Writer, as_channel, channels, columns, event_row, udunits
 from hapticd.recording.recorder import RecordingParams, record
-from hapticd.recording.replay import refly
+from hapticd.recording.replay import replay_recording
 from hapticd.units import NS_PER_S
 
 DEADLINE_S = 60
@@ -201,26 +201,26 @@ def test_event_text_is_cut_to_its_column() -> None:
     assert (len(row["text"]), row["tick"], row["fault"]) == (128, -1, "")
 
 
-def test_recording_can_be_flown_again(file: Path) -> None:
+def test_recording_is_replayed_bit_by_bit(file: Path) -> None:
     with open_recording(file) as recording:
-        flight = refly(recording)
-        other = refly(recording, {Value.DAMPING: 5.0})
-    assert flight.plain()["bit_exact"] is True
-    assert len(flight.legs) == 1
-    assert len(flight.flown) > 2500
-    plain = other.plain()
+        same = replay_recording(recording)
+        other = replay_recording(recording, {Value.DAMPING: 5.0})
+    assert same.to_json()["bit_exact"] is True
+    assert len(same.segments) == 1
+    assert len(same.replayed) > 2500
+    plain = other.to_json()
     assert plain["bit_exact"] is False
     assert plain["force_rms_n"]["flown"] > plain["force_rms_n"]["recorded"]
     assert other.time_s[0] == 0.0
 
 
-def test_short_recording_has_nothing_to_fly(flown: RecordedFlight, tmp_path: Path) -> None:
+def test_short_recording_has_nothing_to_replay(flown: RecordedFlight, tmp_path: Path) -> None:
     recorded_into(tmp_path / "short.h5", flown, seconds=0.1)
     with (
         open_recording(tmp_path / "short.h5") as recording,
         pytest.raises(ConfigError, match="holds no checkpoint"),
     ):
-        refly(recording)
+        replay_recording(recording)
 
 
 # --- when it ends, and what it tells --------------------------------------------------------------
@@ -321,10 +321,10 @@ def test_another_servo_life_is_no_gap(flown: RecordedFlight, tmp_path: Path) -> 
     )
     assert (result["lives"], result["missing"]["servo"]) == (2, 0)
     with open_recording(tmp_path / "lives.h5") as recording:
-        assert len(recording.legs()) == 2
+        assert len(recording.segments()) == 2
         assert all(
-            replay.difference(leg.records, replay.replay(recording.params, leg)) is None
-            for leg in recording.legs()
+            replay.difference(one.records, replay.replay(recording.params, one)) is None
+            for one in recording.segments()
         )
 
 
@@ -532,7 +532,7 @@ def test_foreign_files_are_refused(tmp_path: Path) -> None:
         open_recording(tmp_path / "c.h5")
 
 
-def test_records_of_another_version_are_not_flown(file: Path, tmp_path: Path) -> None:
+def test_records_of_another_version_are_not_replayed(file: Path, tmp_path: Path) -> None:
     other = shutil.copy(file, tmp_path / "old.h5")
     with h5py.File(other, "a") as content:
         content.attrs["layout"] = "0123456789abcdef"
@@ -540,7 +540,7 @@ def test_records_of_another_version_are_not_flown(file: Path, tmp_path: Path) ->
         open_recording(other) as recording,
         pytest.raises(ConfigError, match=r"was recorded by hapticd 0\.1\.0 with other"),
     ):
-        recording.legs()
+        recording.segments()
 
 
 def test_packing_never_replaces_a_file(file: Path, tmp_path: Path) -> None:

@@ -28,8 +28,8 @@ from hapticd.report.study import (
     scene_table,
 )
 from hapticd.report.table import text
-from hapticd.study.accuracy import AccuracyResult, Row, plan_accuracy
-from hapticd.study.effects import EffectsParams, EffectsResult, Left, plan_effects
+from hapticd.study.accuracy import AccuracyResult, AccuracyRow, plan_accuracy
+from hapticd.study.effects import EffectsParams, EffectsResult, LeftOut, plan_effects
 from hapticd.study.scene import SceneResult, compare_integrators, plan_scene, run_scene
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -102,15 +102,15 @@ def test_axes_of_a_noisy_scene_have_units(noisy: SceneResult) -> None:
 def test_legend_tells_both_trials_and_the_prediction(noisy: SceneResult) -> None:
     figure = scene_figure(noisy)
     assert {item.get_text() for item in figure.legends[0].get_texts()} == {
-        "no added damping",
-        "added damping 1.74 N s/m",
+        "no active damping",
+        "active damping 1.74 N s/m",
         "predicted",
     }
 
 
 def test_measured_line_is_what_was_measured(noisy: SceneResult) -> None:
     size = scene_figure(noisy).axes[1]
-    drawn = next(line for line in size.lines if line.get_label() == "no added damping")
+    drawn = next(line for line in size.lines if line.get_label() == "no active damping")
     assert noisy.trials[0].judged is not None
     z = noisy.trials[0].judged.measured
     shown = (z.frequency_hz >= 1.9) & (z.frequency_hz <= 1000.0)
@@ -137,7 +137,7 @@ def test_scene_says_that_it_is_simulated_and_what_it_renders(noisy: SceneResult)
 def test_scene_table_marks_its_own_trial_and_its_verdict(noisy: SceneResult) -> None:
     lines = text(scene_table(noisy)).splitlines()
     assert lines[0].split("  ")[0] == "trial"
-    assert "no added damping (the scene)" in lines[2]
+    assert "no active damping (the scene)" in lines[2]
     assert "passive" in lines[2]
     assert "ran to its end" in lines[3]
 
@@ -171,16 +171,16 @@ def test_impedance_rows_are_those_of_the_trial(noisy: SceneResult) -> None:
 def judged() -> EffectsResult:
     plan = plan_effects(EffectsParams(scene(), "limits"))
     whole = (
-        Left("", "predicted", {"K N/m": 100.0}, 0.0, 2e-5),
-        Left("", "simulated", {"K N/m": 95.0}, 0.0, 2e-5),
+        LeftOut("", "predicted", {"K N/m": 100.0}, 0.0, 2e-5),
+        LeftOut("", "simulated", {"K N/m": 95.0}, 0.0, 2e-5),
     )
     rows = (
-        Left("smoothing", "predicted", {"K N/m": 500.0}, 4.0, 2e-5),
-        Left("lag", "predicted", {}, inf, nan, "needs a lag"),
-        Left("coulomb", "simulated", {"K N/m": 60.0}, 0.4, 2e-5),
-        Left("encoder", "simulated", {"K N/m": 95.0}, 1e-9, 1e-5),
+        LeftOut("smoothing", "predicted", {"K N/m": 500.0}, 4.0, 2e-5),
+        LeftOut("lag", "predicted", {}, inf, nan, "needs a lag"),
+        LeftOut("coulomb", "simulated", {"K N/m": 60.0}, 0.4, 2e-5),
+        LeftOut("encoder", "simulated", {"K N/m": 95.0}, 1e-9, 1e-5),
     )
-    proposal = Left("", "simulated", {"K N/m": 95.5}, 0.005, 1e-5)
+    proposal = LeftOut("", "simulated", {"K N/m": 95.5}, 0.005, 1e-5)
     return EffectsResult(plan, whole, rows, ("viscous",), proposal)
 
 
@@ -229,18 +229,18 @@ def test_scene_without_limits_is_told(judged: EffectsResult) -> None:
 def swept() -> AccuracyResult:
     plan = plan_accuracy(scene(seconds=90.0), "small")
     rows = (
-        Row("tier", "predict, alone", 0.007, 0.5, 0.5),
-        Row("tier", "simulate", 0.01, 0.09, 0.4, default=True, knee=True),
-        Row("tier", "lock-step", nan, inf, inf, note="begins in motion"),
-        Row("sub-steps", "1", 0.008, 0.5, 0.6),
-        Row("sub-steps", "4", 0.01, 0.09, 0.4, default=True, knee=True),
-        Row("sub-steps", "32", 0.02, nan, nan, note="the reference"),
-        Row("precision", "f32, 4", 0.009, 0.09, 0.4, knee=True),
-        Row("trial length", "5 s", 0.002, nan, 1.6),
-        Row("trial length", "90 s", 0.01, 0.09, 0.4, default=True, knee=True),
-        Row("window", "2048", 0.01, 0.09, 0.4, default=True, knee=True),
-        Row("effect", "coulomb", 0.009, 9.0, 9.0),
-        Row("effect", "viscous", nan, inf, inf, note="not stable"),
+        AccuracyRow("tier", "predict, alone", 0.007, 0.5, 0.5),
+        AccuracyRow("tier", "simulate", 0.01, 0.09, 0.4, default=True, knee=True),
+        AccuracyRow("tier", "lock-step", nan, inf, inf, note="begins in motion"),
+        AccuracyRow("sub-steps", "1", 0.008, 0.5, 0.6),
+        AccuracyRow("sub-steps", "4", 0.01, 0.09, 0.4, default=True, knee=True),
+        AccuracyRow("sub-steps", "32", 0.02, nan, nan, note="the reference"),
+        AccuracyRow("precision", "f32, 4", 0.009, 0.09, 0.4, knee=True),
+        AccuracyRow("trial length", "5 s", 0.002, nan, 1.6),
+        AccuracyRow("trial length", "90 s", 0.01, 0.09, 0.4, default=True, knee=True),
+        AccuracyRow("window", "2048", 0.01, 0.09, 0.4, default=True, knee=True),
+        AccuracyRow("effect", "coulomb", 0.009, 9.0, 9.0),
+        AccuracyRow("effect", "viscous", nan, inf, inf, note="not stable"),
     )
     return AccuracyResult(plan, "deg", "phase of Z", "a long run", rows)
 

@@ -17,15 +17,15 @@ from hapticd.settings.scene import load_scene
 from hapticd.study.accuracy import (
     GROUP,
     REFERENCE,
-    NoiseGauge,
-    Row,
+    AccuracyRow,
+    PhaseComparison,
+    PositionComparison,
     Setting,
-    TraceGauge,
-    knee,
+    cheapest_near_best,
+    mark_knees,
     phase_rms,
     plan_accuracy,
     run_accuracy,
-    with_knees,
 )
 from hapticd.study.scene import compare_integrators
 from hapticd.zwidth.lockstep import MOST_S, fly
@@ -35,25 +35,25 @@ from hapticd.zwidth.simulated import spectra_on
 # --- the knee -------------------------------------------------------------------------------------
 
 
-def row(seconds: float, total: float, sweep: str = "s") -> Row:
-    return Row(sweep, "", seconds, nan, total)
+def row(seconds: float, total: float, sweep: str = "s") -> AccuracyRow:
+    return AccuracyRow(sweep, "", seconds, nan, total)
 
 
 def test_knee_is_cheapest_within_ten_percent_of_best() -> None:
     rows = [row(1.0, 2.0), row(2.0, 1.09), row(4.0, 1.0), row(8.0, 1.05)]
-    assert knee(rows) is rows[1]
-    assert knee([row(1.0, 1.11), row(2.0, 1.0)]).seconds == 2.0  # type: ignore[union-attr]
+    assert cheapest_near_best(rows) is rows[1]
+    assert cheapest_near_best([row(1.0, 1.11), row(2.0, 1.0)]).seconds == 2.0  # type: ignore[union-attr]
 
 
 def test_knee_ignores_what_was_not_measured() -> None:
     rows = [row(nan, 0.1), row(1.0, inf), row(0.5, nan), row(2.0, 1.0)]
-    assert knee(rows) is rows[3]
-    assert knee(rows[:3]) is None
+    assert cheapest_near_best(rows) is rows[3]
+    assert cheapest_near_best(rows[:3]) is None
 
 
 def test_every_sweep_has_one_knee_and_effects_none() -> None:
     marked = list(
-        with_knees(
+        mark_knees(
             [row(1.0, 1.0, "a"), row(2.0, 1.0, "a"), row(1.0, 5.0, "b"), row(1.0, 1.0, "effect")]
         )
     )
@@ -150,13 +150,13 @@ def test_progress_counts_to_its_end(linear) -> None:
 
 def test_friction_error_is_of_first_order_in_the_step() -> None:
     small = scene(DRY, seconds=8.0, kbm=(50.0, 0.5, 0.0))
-    gauge = NoiseGauge(small, "", Setting(8.0, 16), stopwatch())
-    assert "16 sub-steps" in gauge.reference
-    one, two, four = (gauge.read(Setting(8.0, count)) for count in (1, 2, 4))
+    comparison = PhaseComparison(small, "", Setting(8.0, 16), stopwatch())
+    assert "16 sub-steps" in comparison.reference
+    one, two, four = (comparison.measure(Setting(8.0, count)) for count in (1, 2, 4))
     assert 1.6 < one.step / two.step < 3.5
     assert 1.6 < two.step / four.step < 4.5
     assert four.total >= four.step
-    assert gauge.cost(Setting(8.0, 1)) == pytest.approx(1e-3 / GROUP + 1e-3 / 8)
+    assert comparison.cost(Setting(8.0, 1)) == pytest.approx(1e-3 / GROUP + 1e-3 / 8)
 
 
 # --- pushed scenes --------------------------------------------------------------------------------
@@ -166,9 +166,9 @@ def test_trace_error_is_position_with_the_encoders_rounding() -> None:
     pushed = scene(
         DRY, seconds=0.4, kbm=(100.0, 1.0, 0.0), excitation=Excitation("push", force_n=0.5)
     )
-    gauge = TraceGauge(pushed, "", Setting(0.4, 16), stopwatch())
-    exact = gauge.read(Setting(0.4, 16))
-    coarse = gauge.read(Setting(0.4, 1))
+    comparison = PositionComparison(pushed, "", Setting(0.4, 16), stopwatch())
+    exact = comparison.measure(Setting(0.4, 16))
+    coarse = comparison.measure(Setting(0.4, 1))
     assert (exact.step, exact.total) == (0.0, pytest.approx(0.5 / np.sqrt(12.0)))
     assert coarse.step > 0.0
     assert coarse.total == pytest.approx(np.hypot(coarse.step, exact.total))
@@ -177,16 +177,16 @@ def test_trace_error_is_position_with_the_encoders_rounding() -> None:
 @pytest.mark.slow
 def test_lockstep_flies_a_push_as_the_engine_does() -> None:
     toggle = load_scene("toggle")
-    gauge = TraceGauge(toggle, "toggle", Setting(3.0, 4), stopwatch())
-    found = gauge.lockstep(3.0)
+    comparison = PositionComparison(toggle, "toggle", Setting(3.0, 4), stopwatch())
+    found = comparison.lockstep(3.0)
     assert found.step < 1.0  # um; two counts, after damping has been switched
     assert found.seconds == pytest.approx(1e-3)
 
 
 def test_lockstep_refuses_a_scene_that_begins_in_motion() -> None:
-    gauge = TraceGauge(load_scene("wall"), "wall", Setting(1.0), stopwatch())
+    comparison = PositionComparison(load_scene("wall"), "wall", Setting(1.0), stopwatch())
     with pytest.raises(AnalysisError, match="the scene begins in motion, lock-step at rest"):
-        gauge.lockstep(1.0)
+        comparison.lockstep(1.0)
 
 
 # --- trials with the whole product ----------------------------------------------------------------

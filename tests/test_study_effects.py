@@ -83,7 +83,7 @@ def test_change_is_the_largest_of_the_limits() -> None:
     assert asked.change(full, np.array([103.0, 1.9, -0.01])) == pytest.approx(0.05)
     assert asked.change(full, np.array([np.nan, 2.0, -0.01])) == inf
     assert asked.change(full * np.nan, full * np.nan) == 0.0
-    assert asked.told(full, full) == {"K N/m": 100.0, "B N s/m": 2.0, "M g": -10.0}
+    assert asked.named(full, full) == {"K N/m": 100.0, "B N s/m": 2.0, "M g": -10.0}
 
 
 def test_limit_of_nothing_has_no_relative_change() -> None:
@@ -105,7 +105,7 @@ def test_peak_that_goes_away_is_a_change_without_measure() -> None:
     gone = np.array([7.5, 85.0, 0.0])
     assert asked.change(there, gone) == inf
     assert asked.change(there, np.array([7.8, 85.0, 1.0])) == pytest.approx(0.04)
-    assert isnan(asked.told(there, gone)["at Hz"])
+    assert isnan(asked.named(there, gone)["at Hz"])
 
 
 def test_peak_of_figure_8_lies_near_100_hz() -> None:
@@ -260,17 +260,17 @@ def test_shorted_motor_has_no_ceiling() -> None:
 
 def test_undamped_scene_is_compared_with_damping_on() -> None:
     plan = plan_scene(scene(seconds=10.0))
-    assert [leg.damping for leg in plan.legs] == [((0.0, 0.0),), ((0.0, 1.74),)]
-    assert [leg.own for leg in plan.legs] == [True, False]
+    assert [case.damping for case in plan.cases] == [((0.0, 0.0),), ((0.0, 1.74),)]
+    assert [case.own for case in plan.cases] == [True, False]
     assert plan.impedance
 
 
 def test_switched_scene_keeps_its_steps() -> None:
     steps = (DampingStep(0.0, 0.0), DampingStep(2.0, 3.0), DampingStep(4.0, 0.0))
     plan = plan_scene(replace(scene(seconds=10.0), damping=steps), seconds=1.0)
-    assert plan.legs[1].damping == ((0.0, 0.0), (2.0, 3.0), (4.0, 0.0))
-    assert plan.legs[1].name == "added damping 3 N s/m, switched"
-    assert (plan.legs[1].own, plan.seconds, plan.impedance) == (True, 1.0, False)
+    assert plan.cases[1].damping == ((0.0, 0.0), (2.0, 3.0), (4.0, 0.0))
+    assert plan.cases[1].name == "active damping 3 N s/m, switched"
+    assert (plan.cases[1].own, plan.seconds, plan.impedance) == (True, 1.0, False)
 
 
 def test_free_mass_shows_its_impedance_with_and_without_damping() -> None:

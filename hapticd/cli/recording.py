@@ -15,8 +15,8 @@ from hapticd.errors import ConfigError, HapticdError
 
 if TYPE_CHECKING:
     from hapticd.mailbox.layout import Value
-    from hapticd.recording.recorder import Progress
-    from hapticd.recording.replay import Reflight
+    from hapticd.recording.recorder import RecordingProgress
+    from hapticd.recording.replay import ReplayResult
 
 
 NewFile = Annotated[
@@ -49,7 +49,7 @@ def record(
     params = RecordingParams(file, seconds, note)
     with connect(instance) as client, terminal.progress(as_json) as tell:
 
-        def draw(progress: "Progress") -> None:
+        def draw(progress: "RecordingProgress") -> None:
             tell(_progress_words(progress), round(progress.seconds), round(seconds or 0))
 
         result = record(client, params, lambda: bool(asked), draw)
@@ -68,7 +68,7 @@ def finished_line(ended: str, summary: dict[str, Any]) -> str:
     return f"{summary['file']}: {ended}, {simulated}{taken}, {size_mb:.3g} MB"
 
 
-def _progress_words(progress: "Progress") -> str:
+def _progress_words(progress: "RecordingProgress") -> str:
     missing = f", {progress.missing} MISSING" if progress.missing else ""
     size_mb = progress.file_bytes / 1e6
     return f"{progress.seconds:.1f} s, {progress.records} records{missing}, {size_mb:.1f} MB"
@@ -190,31 +190,31 @@ def replay(
     replay differs by a bit.
     """
     from hapticd.recording.file import open_recording
-    from hapticd.recording.replay import refly
+    from hapticd.recording.replay import replay_recording
 
     corners = ("filters.velocity_hz", "filters.acceleration_hz") if filter_hz is not None else ()
     words = [*(held or []), *(f"{name}={filter_hz:g}" for name in corners)]
     with open_recording(file) as recording:
         begin = time.process_time()
-        flight = refly(recording, _instead(words))
+        result = replay_recording(recording, _instead(words))
         seconds = time.process_time() - begin
         rate_hz = recording.params.realtime.rate_hz
         simulated = bool(recording.attributes["simulated"])
     found = {
-        **flight.plain(),
-        "times_real_time": len(flight.flown) / rate_hz / seconds,
+        **result.to_json(),
+        "times_real_time": len(result.replayed) / rate_hz / seconds,
         "held": words,
     }
     if words or plot:
         drawn = plot or file.with_name(f"{file.name.partition('.')[0]}-replay")
         found["figures"] = _drawn(
-            flight, drawn, f"{file.name}{', SIMULATED' if simulated else ''}", ", ".join(words)
+            result, drawn, f"{file.name}{', SIMULATED' if simulated else ''}", ", ".join(words)
         )
     if as_json:
         terminal.data_json({"ok": True, **found})
     else:
         _show_replay(found)
-    if not words and flight.different is not None:
+    if not words and result.first_difference is not None:
         why = "another version recorded it, or the file is damaged"
         raise HapticdError(f"{file}: the replay differs from the recording; {why}")
 
@@ -229,11 +229,11 @@ def _instead(words: list[str]) -> "dict[Value, float]":
     return found
 
 
-def _drawn(flight: "Reflight", path: Path, title: str, changed: str) -> list[str]:
+def _drawn(result: "ReplayResult", path: Path, title: str, changed: str) -> list[str]:
     from hapticd.report.style import save
-    from hapticd.report.trial import reflight_figure
+    from hapticd.report.trial import replay_figure
 
-    figure = reflight_figure(flight, title, changed or "replayed")
+    figure = replay_figure(result, title, changed or "replayed")
     return [
         str(one)
         for one in save(figure, path.parent, path.name.removesuffix(".png").removesuffix(".svg"))

@@ -10,7 +10,7 @@ from hapticd.cli.terminal import progress
 
 if TYPE_CHECKING:
     from hapticd.plant.scene import Scene
-    from hapticd.study.scene import SceneResult, Trial
+    from hapticd.study.scene import SceneResult, SceneTrial
 
 QUESTIONS = (
     "limits: passive K, B, M; phase: of Z in the band; peak: of |Z| near 100 Hz, as in Fig. 8."
@@ -75,7 +75,7 @@ def sim_run(
     terminal.data(text(scene_table(result)))
     for trial in result.trials:
         if trial.judged is not None:
-            terminal.data(f"\n{trial.leg.name}: {trial.judged.verdict}")
+            terminal.data(f"\n{trial.case.name}: {trial.judged.verdict}")
 
 
 def _result_json(result: "SceneResult") -> dict[str, Any]:
@@ -93,12 +93,12 @@ def _about(scene: "Scene") -> dict[str, Any]:
     }
 
 
-def _trial_json(trial: "Trial") -> dict[str, Any]:
+def _trial_json(trial: "SceneTrial") -> dict[str, Any]:
     from hapticd.report.study import impedance_rows
     from hapticd.zwidth.store import plain
 
     found = {
-        "leg": trial.leg,
+        "leg": trial.case,
         **trial.numbers,
         "verdict": trial.judged and trial.judged.verdict,
         "winding_c": trial.winding_c,

@@ -1,5 +1,15 @@
-"""Opening what was recorded: finished files, live or crashed ones, flight recordings. All become a
-Recording: columns on demand, records as they were, and the legs that can be flown again.
+"""Opening what was recorded: finished files, live or crashed ones, flight recordings.
+
+All become a `Recording`: columns read on demand, records as the servo wrote them, and the segments
+that can be replayed. A finished file is read as it is. Of a live or crashed one only as many rows
+count as /flushed/rows says; a column that ends before that repeats its last value (see `live`). A
+flight recording is turned into the same columns in memory.
+
+A segment is a stretch of consecutive ticks of one servo life, from its first checkpoint up to the
+next gap, or to a tick whose requests were lost (`break`).
+
+What would break it: reading /flushed/rows after the columns that it counts, for a file that grows
+meanwhile; or records of another layout read as today's (`records` refuses them).
 """
 
 import json
@@ -39,19 +49,15 @@ from hapticd.recording.provenance import SCHEMA, needed
 from hapticd.units import NS_PER_S, PROBE_RATE_HZ
 
 TEXT = "checkpoint_text"
-CLOCKS = {
-    "servo": ("time_ns", NS_PER_S),
-    "probe": ("index", PROBE_RATE_HZ),
-}  # what counts time, and how fast
-COMPUTED = {
-    "servo": ("t_s",),
-    "probe": ("torque_n", "velocity_m_per_s", "t_s"),
-}  # a finished file has them, too
+# the column that counts time, and its counts per second
+CLOCKS = {"servo": ("time_ns", NS_PER_S), "probe": ("index", PROBE_RATE_HZ)}
+# computed from recorded channels; a finished file has them as datasets, too
+COMPUTED = {"servo": ("t_s",), "probe": ("torque_n", "velocity_m_per_s", "t_s")}
 
 
 class Recording:
-    """`attributes` say where it comes from; `column(group, name)` reads one channel. Use it as
-    a context manager.
+    """An opened recording: `attributes` say where it comes from, `column(group, name)` reads one
+    channel, `rows` counts the rows of each group. Use it as a context manager.
     """
 
     def __init__(
@@ -112,9 +118,7 @@ class Recording:
         )
 
     def _computed(self, group: str, name: str, begin: int, end: int | None) -> NDArray[Any]:
-        """What everybody computes first: seconds from the first record, and the probe's signals
-        in SI.
-        """
+        """Seconds from the first record, or a signal of the probe in N or m/s."""
         if name == "t_s":
             count, rate_hz = CLOCKS[group]
             return np.asarray(
@@ -170,10 +174,10 @@ class Recording:
                 found[name] = self.column("servo", "tick" if name == LEFT_OUT else name, begin, end)
         return found
 
-    def legs(self) -> list[Segment]:
-        """What can be flown again: for each stretch without a gap, from its first checkpoint on."""
-        found = (self._leg(*stretch) for stretch in self._stretches())
-        return [leg for leg in found if leg is not None]
+    def segments(self) -> list[Segment]:
+        """What can be replayed: of each stretch without a gap, from its first checkpoint on."""
+        found = (self._segment(*stretch) for stretch in self._stretches())
+        return [segment for segment in found if segment is not None]
 
     def _stretches(self) -> list[tuple[int, int, int]]:
         """(first row, row after the last, epoch) of consecutive ticks of one servo life."""
@@ -187,43 +191,32 @@ class Recording:
             for first, after, epoch in zip(edges[:-1], edges[1:], epochs, strict=True)
         ]
 
-    def _leg(self, first: int, after: int, epoch: int) -> Segment | None:
+    def _segment(self, first: int, after: int, epoch: int) -> Segment | None:
         begin_tick = int(self.column("servo", "tick", first, first + 1)[0])
         end_tick = begin_tick + after - first
-        breaks = [
-            tick
-            for one, tick in self._pairs("break")
-            if one == epoch and begin_tick <= tick < end_tick
-        ]
-        for (one, tick), state in zip(self._pairs("checkpoint"), self._states(), strict=False):
-            if one == epoch and begin_tick <= tick < end_tick:
-                end = min([end_tick, *(lost for lost in breaks if lost >= tick)])
+        breaks = [lost for life, lost in self._epoch_and_tick("break") if life == epoch]
+        # a crashed file may hold fewer whole states than checkpoints: not strict
+        checkpoints = zip(self._epoch_and_tick("checkpoint"), self._states(), strict=False)
+        for (life, tick), state in checkpoints:
+            end = min([end_tick, *(lost for lost in breaks if lost >= tick)])
+            if life == epoch and begin_tick <= tick < end:
                 row = first + tick - begin_tick
-                if end > tick:
-                    return Segment(
-                        tick,
-                        state,
-                        self.records(row, row + end - tick),
-                        self._requests(epoch, tick, end),
-                    )
+                records = self.records(row, row + end - tick)
+                return Segment(tick, state, records, self._requests(epoch, tick, end))
         return None
 
-    def _pairs(self, group: str) -> list[tuple[int, int]]:
-        return list(
-            zip(
-                self.column(group, "epoch").tolist(),
-                self.column(group, "tick").tolist(),
-                strict=True,
-            )
-        )
+    def _epoch_and_tick(self, group: str) -> list[list[int]]:
+        columns = [self.column(group, name) for name in ("epoch", "tick")]
+        return list(np.stack(columns, axis=1).tolist())
 
     def _states(self) -> list[Any]:
         text = self.column(TEXT, "bytes").tobytes()
         ends = np.cumsum([0, *self.column("checkpoint", "length").tolist()]).tolist()
-        whole = [
-            (begin, end) for begin, end in pairwise(ends) if end <= len(text)
-        ]  # others are cut off with the rest
-        return [msgpack.unpackb(text[begin:end], strict_map_key=False) for begin, end in whole]
+        return [
+            msgpack.unpackb(text[begin:end], strict_map_key=False)
+            for begin, end in pairwise(ends)
+            if end <= len(text)  # in a crashed file the last may be cut off
+        ]
 
     def _requests(self, epoch: int, begin: int, end: int) -> list[Noted]:
         numbers = np.stack(
@@ -252,7 +245,7 @@ def open_recording(path: Path) -> Recording:
 
 
 def is_recording(path: Path) -> bool:
-    """Whether an HDF5 file is a recording of this package, finished or not."""
+    """Whether a file is an HDF5 recording of this package, finished or not."""
     try:
         with _opened(needed("h5py", "record"), path) as file:
             return bool(file.attrs.get("schema") == SCHEMA)
@@ -271,10 +264,9 @@ def _hdf5(path: Path) -> Recording:
     if file.attrs.get("schema") != SCHEMA:
         found = file.attrs.get("schema", "without a schema")
         file.close()
-        raise ConfigError(f"{path} is no hapticd recording ({found}); expected {SCHEMA}")
-    names = sorted(
-        file, key=lambda name: name != FLUSHED
-    )  # of a file that grows meanwhile the count comes before what it counts
+        raise ConfigError(f"{path} is no hapticd recording ({found}); its schema must be {SCHEMA}")
+    # of a file that grows meanwhile the count is read before what it counts
+    names = sorted(file, key=lambda name: name != FLUSHED)
     return Recording(path, dict(file.attrs), {name: dict(file[name]) for name in names}, file)
 
 

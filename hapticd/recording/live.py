@@ -1,16 +1,19 @@
 """From messages of the daemon to rows of the live file: columns that grow by blocks, single writer,
 multiple readers (SWMR).
 
-A stream of records becomes one column a field, in units as UDUNITS writes them; payloads go in, and
-`Writer.write` is called now and then: no socket, no clock. Fifty columns more than ten times a
-second would cost more than a recorder may take, so
+A stream of records becomes one column a field, in units as UDUNITS writes them. `Writer.take` gets
+payloads and `Writer.write` is called ten times a second; there is no socket and no clock here.
+Written plainly, fifty columns would take more processor time than a recorder may have, so
 - HDF5's low-level calls are used, with number types and selections made once (a fifth of the time);
 - a column that stands still is not written: it stays shorter than the others until it moves or the
   file is closed.
-How many rows count is written last, in /flushed/rows, after everything else has been handed over:
-whatever lies beyond is not meant, and a column that ends before repeats its last value. A write
-that fails leaves the library with data it cannot put anywhere; then nothing more is written, and
-the file stays as it was at the last flush for `recover`.
+How many rows count is written last, in /flushed/rows, after everything else was handed over: rows
+beyond do not count, and a column that ends before repeats its last value. A write that fails leaves
+the library with data that it cannot put anywhere; then nothing more is written, and the file stays
+as it was at the last flush, for `hapticd rec recover`.
+
+What would break it: a flush of /flushed/rows before the columns, a dataset or an attribute made
+after SWMR began, a second writer.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -33,24 +36,24 @@ from hapticd.units import NS_PER_S, unit_of
 
 Columns = dict[str, NDArray[Any]]
 LEFT_OUT = "tail"  # repeats the tick, for readers of the ring
-_SIGNED = {"<u8": "<i8"}  # 64-bit unsigned integers are no joy in MATLAB
+_SIGNED = {"<u8": "<i8"}  # MATLAB computes poorly with 64-bit unsigned integers
 CHUNK_ROWS = {"servo": 1024, "probe": 4096, "checkpoint_text": 4096}  # a chunk is written whole
 FEW_ROWS = 64  # in a chunk of all others
-FLUSHED = "flushed"
+FLUSHED = "flushed"  # the group of the one dataset ROWS: rows that count, of every other group
 ROWS = "rows"
 SUFFIX = ".part.h5"
 TOPICS = ("servo.raw", "probe", "event", "flight")
-STREAMS = {"servo.raw": "servo", "probe": "probe"}
-TEXT_BYTES = 128
+STREAMS = {"servo.raw": "servo", "probe": "probe"}  # topic: group
+TEXT_BYTES = 128  # of an event
 
 
 class Channel(NamedTuple):
-    """A dataset: its name, number type, bytes per row (0: one number per row) and unit."""
+    """One dataset."""
 
     name: str
-    kind: str
-    width: int
-    unit: str
+    kind: str  # numpy's number type
+    width: int  # bytes per row; 0: one number per row
+    unit: str  # as UDUNITS writes it
 
 
 def channels(descr: Sequence[Sequence[Any]]) -> list[Channel]:
@@ -116,14 +119,15 @@ class Column:
             chunks=(chunk_rows, *self._row),
         )
         self.dataset.attrs["units"] = channel.unit
-        self._identifier, self._kind = self.dataset.id, self.dataset.id.get_type()
+        self._identifier = self.dataset.id
+        self._kind = self.dataset.id.get_type()
         self._last = b""
         self._standing = 0
         self._rows = 0
 
     def append(self, values: NDArray[Any]) -> None:
-        """Add `values`, of the bytes of the dataset's number type; nothing is written while all
-        are what the last one was.
+        """Add `values`, whose bytes are those of the dataset's number type; nothing is written
+        while all of them equal the last one.
         """
         data = values.tobytes()
         if data == self._last * len(values):
@@ -139,7 +143,7 @@ class Column:
     def _write(self, data: bytes) -> None:
         values = np.frombuffer(data, self._dtype).reshape(-1, *self._row)
         begin = self._rows
-        self._rows = self._rows + len(values)
+        self._rows += len(values)
         self._identifier.set_extent((self._rows, *self._row))
         self._identifier.write(*_selections(begin, values.shape), values, self._kind)
         self._last = data[-self._bytes :]
@@ -158,8 +162,8 @@ def _selections(begin: int, shape: tuple[int, ...]) -> tuple[Any, Any]:
 
 
 class LiveFile:
-    """`path` with one group per entry of `groups`; no other dataset or attribute can be added
-    later. HapticdError: it exists.
+    """The file at `path`, with one group per entry of `groups`; no dataset or attribute can be
+    added later, for SWMR forbids it. HapticdError: it exists.
     """
 
     def __init__(
@@ -241,8 +245,8 @@ GROUPS: dict[str, list[Channel]] = {
 
 
 class Writer:
-    """Collects what comes and writes it in blocks; records that are `seconds` after the first,
-    or later, are left out.
+    """Collects messages and writes them in blocks; records `seconds` after the first one, or later,
+    are left out.
     """
 
     def __init__(
@@ -258,8 +262,9 @@ class Writer:
         }
         self._epoch: int | None = None
         self.missing = dict.fromkeys(STREAMS, 0)
-        self.first_ns = self.last_ns = 0  # time of the first and the newest record taken
-        self.beyond = False  # a record came that lies behind the end
+        self.first_ns = 0  # time of the first record that was taken
+        self.last_ns = 0  # and of the newest
+        self.beyond = False  # a record came that lies after the end
 
     @property
     def records(self) -> int:
@@ -348,8 +353,8 @@ def replay_rows(
     breaks: Iterable[int],
     checkpoints: Iterable[tuple[int, Any]],
 ) -> dict[str, list[dict[str, Any]]]:
-    """Rows of `request`, `break` and `checkpoint` (with its `text`) of what a flight was told
-    in one servo life.
+    """Rows of `request`, `break` and `checkpoint` (with its `text`): the requests that the servo
+    obeyed in one life, the ticks at which some were lost, and its states (tick, state).
     """
     packed = [(tick, msgpack.packb(state)) for tick, state in checkpoints]
     return {
@@ -370,7 +375,7 @@ def replay_rows(
 
 
 def event_row(event: dict[str, Any]) -> dict[str, Any]:
-    """An event of the daemon in fixed columns; what has no column stands in the text."""
+    """An event of the daemon in fixed columns; fields without a column go into its text."""
     columns_of_its_own = {"timestamp", "tick", "kind", "fault", "cause", "action", "remedy"}
     words = [f"{name}={value}" for name, value in event.items() if name not in columns_of_its_own]
     return {

@@ -1,14 +1,17 @@
 """The final file: compressed, with checksums, in a format that HDF5 1.8 and so every Octave and
 MATLAB opens; and its exports.
 
-The source may be a live file that was closed, one whose recorder died, or a flight recording. A
-live file is removed when the final one is on the disk; a source that cannot be packed stays as it
-is.
+The source may be a live file that was closed, one whose recorder died, or a flight recording. The
+final file is written under a name of its own, put on the disk and only then renamed, so it is whole
+or absent; then a live file is removed. A source that cannot be packed stays as it is.
 
 Exports are MATLAB 5 (.mat) and comma-separated values. What a finished file has beside the records,
 the probe's signals in SI and seconds, is in the export of an unfinished one too. A text file ends
 with a line that begins with # and says where it comes from, SIMULATED or not, and which part is one
 trial.
+
+What would break it: a filter that HDF5 1.8 does not have, or the removal of the live file before
+the final one is on the disk.
 """
 
 import csv
@@ -29,8 +32,8 @@ from hapticd.recording.stretch import remark, stretch
 from hapticd.units import NS_PER_S
 
 CHUNK_ROWS = 4096
-AT_ONCE = 1 << 18
-GZIP = 4
+ROWS_AT_ONCE = 1 << 18  # copied from the source
+GZIP = 4  # level of compression
 FINAL = ".h5"
 LINES_AT_ONCE = 10_000  # of a text file
 GROUPS = ("servo", "probe", "event", "gap", "life")  # of a MATLAB file
@@ -38,8 +41,8 @@ FRAMES = ("in_frame", "out_frame")  # not in a text file
 
 
 def pack(source: Path, final: Path, recovered: bool = False) -> dict[str, Any]:
-    """Write `final` from `source`, whole or not at all; {file, records, seconds, missing,
-    bytes}. HapticdError: it cannot be, and `source` stays as it is.
+    """Write `final` from `source`, whole or not at all; returns {file, records, seconds, missing,
+    bytes} and the rest of `summary`. HapticdError: it cannot be written, and `source` stays.
     """
     h5py = needed("h5py", "record")
     if final.exists():
@@ -47,9 +50,9 @@ def pack(source: Path, final: Path, recovered: bool = False) -> dict[str, Any]:
     fresh = final.with_name(f".{final.name}.{os.getpid()}")
     with open_recording(source) as recording:
         try:
-            told = summary(recording)
+            found = summary(recording)
             with h5py.File(fresh, "w", libver=("earliest", "v108")) as file:
-                _write(file, recording, told, recovered)
+                _write(file, recording, found, recovered)
             with fresh.open("rb") as written:
                 os.fsync(written.fileno())
             fresh.replace(final)
@@ -61,7 +64,7 @@ def pack(source: Path, final: Path, recovered: bool = False) -> dict[str, Any]:
             fresh.unlink(missing_ok=True)
     if source.name.endswith(SUFFIX):
         source.unlink()
-    return {"file": str(final), **told, "bytes": final.stat().st_size}
+    return {"file": str(final), **found, "bytes": final.stat().st_size}
 
 
 def summary(recording: Recording) -> dict[str, Any]:
@@ -82,12 +85,12 @@ def summary(recording: Recording) -> dict[str, Any]:
     }
 
 
-def _write(file: Any, recording: Recording, told: dict[str, Any], recovered: bool) -> None:
+def _write(file: Any, recording: Recording, found: dict[str, Any], recovered: bool) -> None:
     for name, value in recording.attributes.items():
         file.attrs[name] = value
     file.attrs["recovered"] = int(recovered)
     file.attrs["packed_utc"] = datetime.now(UTC).isoformat()
-    file.attrs["summary"] = json.dumps(told)
+    file.attrs["summary"] = json.dumps(found)
     for group, rows in recording.rows.items():
         target = file.create_group(group)
         for name in recording.names(group):
@@ -99,26 +102,22 @@ def _copy(target: Any, name: str, recording: Recording, group: str, rows: int) -
     dataset = _dataset(
         target, name, (rows, *first.shape[1:]), first.dtype, recording.unit(group, name)
     )
-    for begin in range(0, rows, AT_ONCE):
-        end = min(begin + AT_ONCE, rows)
+    for begin in range(0, rows, ROWS_AT_ONCE):
+        end = min(begin + ROWS_AT_ONCE, rows)
         dataset[begin:end] = recording.column(group, name, begin, end)
 
 
 def _dataset(target: Any, name: str, shape: tuple[int, ...], kind: Any, unit: str) -> Any:
-    if shape[0]:
-        chunks = (min(CHUNK_ROWS, shape[0]), *shape[1:])
-        dataset = target.create_dataset(
-            name,
-            shape,
-            kind,
-            chunks=chunks,
-            compression="gzip",
-            compression_opts=GZIP,
-            shuffle=True,
-            fletcher32=True,
-        )
-    else:
-        dataset = target.create_dataset(name, shape, kind)
+    storage: dict[str, Any] = {}
+    if shape[0]:  # HDF5 makes no chunks of nothing
+        storage = {
+            "chunks": (min(CHUNK_ROWS, shape[0]), *shape[1:]),
+            "compression": "gzip",
+            "compression_opts": GZIP,
+            "shuffle": True,
+            "fletcher32": True,
+        }
+    dataset = target.create_dataset(name, shape, kind, **storage)
     dataset.attrs["units"] = unit
     return dataset
 
@@ -149,20 +148,13 @@ def to_csv(recording: Recording, path: Path) -> list[Path]:
     """The records in `path`, one line a tick, units in the names; probe samples beside it in
     NAME.probe.csv.
     """
-
     written = [_table(recording, "servo", path, remark(recording.attributes, None))]
     if recording.rows["probe"]:
         trial = None
         with suppress(AnalysisError):
             trial = stretch(recording.column, recording.attributes, recording.path.name)
-        written.append(
-            _table(
-                recording,
-                "probe",
-                path.with_suffix(".probe.csv"),
-                remark(recording.attributes, trial),
-            )
-        )
+        beside = path.with_suffix(".probe.csv")
+        written.append(_table(recording, "probe", beside, remark(recording.attributes, trial)))
     return written
 
 

@@ -1,7 +1,12 @@
 """Where numbers come from: software and its versions; of a recording also device, configuration,
 machine, rights, clocks.
 
-Libraries that an extra brings are loaded here when they are used.
+Whatever a run or a recording leaves on the disk carries this, so that its numbers can be traced to
+the code, the libraries and the machine that made them. Libraries that an extra brings are imported
+when they are first used (`needed`), for the package must import without them.
+
+What would break it: an attribute that is read from this machine while the daemon runs on another
+one. What belongs to the daemon is therefore taken from its own messages.
 """
 
 import hashlib
@@ -22,23 +27,25 @@ from hapticd.errors import ConfigError
 from hapticd.units import NS_PER_S
 
 SCHEMA = "hapticd-recording/1"
-OF_A_RUN = ("numpy", "numba", "scipy", "h5py")
-OF_A_RECORDING = ("numpy", "h5py", "pyzmq", "msgpack")
+SIMULATED_NOTICE = "SIMULATED: the device behind this recording was computed"
+RUN_LIBRARIES = ("numpy", "numba", "scipy", "h5py")
+RECORDING_LIBRARIES = ("numpy", "h5py", "pyzmq", "msgpack")
+DESCRIBE = ("describe", "--always", "--dirty", "--abbrev=40", "--exclude=*")
 GIT_TIMEOUT_S = 5.0
 
 
 def provenance(**more: Any) -> dict[str, Any]:
-    """Of a run: versions that its numbers come from, with whatever else is told."""
+    """Of a run: the versions that its numbers come from, and whatever else is given."""
     return {
         "hapticd": hapticd.__version__,
         "python": platform.python_version(),
-        "libraries": versions(OF_A_RUN),
+        "libraries": versions(RUN_LIBRARIES),
         **more,
     }
 
 
 def versions(libraries: tuple[str, ...]) -> dict[str, str]:
-    """Of those that are installed."""
+    """Versions by name, of those `libraries` that are installed."""
     found = {}
     for name in libraries:
         with suppress(importlib.metadata.PackageNotFoundError):
@@ -65,11 +72,7 @@ def of_recording(
         "mono_ns": now_ns - header["mono_unix_offset_ns"],
         "utc_ns": now_ns,
         "simulated": int(header["simulated"]),
-        "notice": (
-            "SIMULATED: the device behind this recording was computed"
-            if header["simulated"]
-            else ""
-        ),
+        "notice": SIMULATED_NOTICE if header["simulated"] else "",
         "instance": hello["instance"],
         "rate_hz": hello["rate_hz"],
         "layout": header["layout"],
@@ -92,7 +95,7 @@ def of_recording(
         "hapticd_commit": commit(),
         "server_version": hello["version"],
         "python": platform.python_version(),
-        "libraries": json.dumps(versions(OF_A_RECORDING)),
+        "libraries": json.dumps(versions(RECORDING_LIBRARIES)),
         "kernel": f"{platform.system()} {platform.release()} {platform.version()}",
         "cpu": processor(),
         "note": note,
@@ -103,16 +106,7 @@ def commit(folder: Path = Path(hapticd.__file__).parent) -> str:
     """Commit of the checkout that runs, with -dirty when it was edited; empty for an installed
     package or without git.
     """
-    command = [
-        "git",
-        "-C",
-        str(folder),
-        "describe",
-        "--always",
-        "--dirty",
-        "--abbrev=40",
-        "--exclude=*",
-    ]
+    command = ["git", "-C", str(folder), *DESCRIBE]
     try:
         return subprocess.run(
             command, capture_output=True, text=True, timeout=GIT_TIMEOUT_S, check=True
@@ -134,7 +128,7 @@ def processor() -> str:
 
 
 def needed(module: str, extra: str) -> Any:
-    """The module. ConfigError that names the extra when it is not installed."""
+    """Import `module`, which the extra `extra` installs. ConfigError: it is not installed."""
     try:
         return import_module(module)
     except ImportError as error:

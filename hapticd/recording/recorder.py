@@ -1,12 +1,15 @@
 """Recording a running daemon: an ordinary client that writes every tick, every probe sample and
 every event into one file.
 
-What has come is written and flushed every 100 ms, so a recorder that is killed loses no more of
-what it was sent; once a second a thread has the operating system put it on the disk, so a power
-failure loses about a second. A slow disk delays the flush: what comes meanwhile waits in ZeroMQ's
-queue (10,000 messages, minutes) and a full one shows as a gap with its size. Before the disk is
-full the recording ends in order; after a write error it ends at once and what was flushed stays for
-`hapticd rec recover`.
+What was received is written and flushed every 100 ms, so a recorder that is killed loses no more
+than that; once a second a thread has the operating system put it on the disk, so a power failure
+loses about a second. A slow disk delays the flush: what comes meanwhile waits in ZeroMQ's queue
+(10,000 messages, minutes), and a queue that overflows shows as a gap with its size. Before the disk
+is full the recording ends in order; after a write error it ends at once, and what was flushed stays
+for `hapticd rec recover`.
+
+What would break it: `fdatasync` in the loop itself, which a slow disk delays for seconds; or a
+write after one that failed (see `live`).
 """
 
 import os
@@ -27,23 +30,22 @@ from hapticd.recording.live import TOPICS, Writer
 from hapticd.recording.provenance import of_recording
 from hapticd.units import NS_PER_S
 
-LOOK_S = 0.1  # between two looks for what has come, each written and flushed at once
-SYNC_NS = NS_PER_S  # between two looks at the disk
+FLUSH_PERIOD_S = 0.1  # what was received is written and flushed so often
+SYNC_PERIOD_NS = NS_PER_S  # the disk is synchronised and its room checked so often
 RESERVE_BYTES = 64 << 20  # the disk is taken for full when so little is left
-SILENCE_NS = 10 * NS_PER_S  # a daemon that says nothing for so long has ended
+SILENCE_NS = 10 * NS_PER_S  # a daemon that publishes nothing for so long has ended
 
-Message = tuple[str, bytes]
+Message = tuple[str, bytes]  # topic and payload
+Answers = tuple[dict[str, Any], dict[str, Any]]  # the daemon's hello and status
 
 
 @dataclass(frozen=True)
 class RecordingParams:
-    """`file`: the final file (.h5); `seconds` of recorded time, None: until stopped; `note`:
-    the operator's words.
-    """
+    """What to record, and into which file."""
 
-    file: Path
-    seconds: float | None = None
-    note: str = ""
+    file: Path  # the final one (.h5)
+    seconds: float | None = None  # of recorded time; None: until stopped
+    note: str = ""  # the operator's words
 
     @property
     def part(self) -> Path:
@@ -52,12 +54,12 @@ class RecordingParams:
 
 
 @dataclass(frozen=True)
-class Progress:
+class RecordingProgress:
     """How far a recording is."""
 
-    records: int
-    seconds: float
-    missing: int
+    records: int  # ticks
+    seconds: float  # of recorded time
+    missing: int  # ticks
     file_bytes: int
 
 
@@ -65,17 +67,15 @@ def record(
     source: Client,
     params: RecordingParams,
     should_stop: Callable[[], bool],
-    tell: Callable[[Progress], None] = lambda progress: None,
+    tell: Callable[[RecordingProgress], None] = lambda progress: None,
     clock: Clock | None = None,
     free_bytes: Callable[[Path], int] = lambda folder: shutil.disk_usage(folder).free,
 ) -> dict[str, Any]:
     """Record until `seconds` are recorded, `should_stop()`, the disk is nearly full or the daemon
-    has ended; then pack.
-
-    Why it `ended`, and what `pack.pack` says of the final file.
+    has ended; then pack. Returns why it `ended`, and what `pack.pack` returns.
 
     ConfigError: the file exists. HapticdError: it cannot be written; what was flushed is in the
-    live file. DaemonDown: nothing came.
+    live file. DaemonDown: nothing was received.
     """
     check_free(params)
     recorder = Recorder(source, params, clock or MonotonicClock(), free_bytes)
@@ -113,15 +113,17 @@ class Recorder:
         self._free_bytes = free_bytes
         self._writer: Writer | None = None
 
-    def run(self, should_stop: Callable[[], bool], tell: Callable[[Progress], None]) -> str:
+    def run(
+        self, should_stop: Callable[[], bool], tell: Callable[[RecordingProgress], None]
+    ) -> str:
         """Record into the live file; why it ended."""
-        told = self._source.hello(), self._source.status()
+        answers = (self._source.hello(), self._source.status())
         try:
             with (
-                closing(self._source.messages(TOPICS, LOOK_S)) as messages,
+                closing(self._source.messages(TOPICS, FLUSH_PERIOD_S)) as messages,
                 ThreadPoolExecutor(1) as disk,
             ):
-                ended = self._loop(messages, told, disk, should_stop, tell)
+                ended = self._loop(messages, answers, disk, should_stop, tell)
             if self._writer is None:
                 raise DaemonDown("record: the daemon published nothing; see `hapticd status`")
             self._writer.file.close()
@@ -137,51 +139,43 @@ class Recorder:
     def _loop(
         self,
         messages: Generator[Message | None, None, None],
-        told: tuple[dict[str, Any], dict[str, Any]],
+        answers: Answers,
         disk: ThreadPoolExecutor,
         should_stop: Callable[[], bool],
-        tell: Callable[[Progress], None],
+        tell: Callable[[RecordingProgress], None],
     ) -> str:
-        heard_ns = synced_ns = self._clock.now_ns()
+        received_ns = self._clock.now_ns()
+        synced_ns = received_ns
         ended = ""
         while not ended:
             message = next(messages)
             now_ns = self._clock.now_ns()
             if message is not None:
-                heard_ns = now_ns
-                self._take(*message, told)
+                received_ns = now_ns
+                self._take(*message, answers)
                 continue
             if writer := self._writer:
                 writer.write()
-                if now_ns - synced_ns >= SYNC_NS:
+                if now_ns - synced_ns >= SYNC_PERIOD_NS:
                     synced_ns = now_ns
-                    disk.submit(
-                        os.fdatasync, writer.file.descriptor
-                    )  # if that fails, the next write says so
-                    ended = (
-                        "disk nearly full"
-                        if self._free_bytes(self._params.part.parent) < RESERVE_BYTES
-                        else ""
-                    )
-                    tell(
-                        Progress(
-                            writer.records,
-                            writer.seconds,
-                            writer.missing["servo.raw"],
-                            self._params.part.stat().st_size,
-                        )
-                    )
-            ended = ended or self._over(now_ns - heard_ns, should_stop)
+                    # if this fails, the next write raises the error
+                    disk.submit(os.fdatasync, writer.file.descriptor)
+                    tell(self._progress(writer))
+                    free_bytes = self._free_bytes(self._params.part.parent)
+                    ended = "disk nearly full" if free_bytes < RESERVE_BYTES else ""
+            ended = ended or self._over(now_ns - received_ns, should_stop)
         return ended
 
-    def _take(
-        self, topic: str, payload: bytes, told: tuple[dict[str, Any], dict[str, Any]]
-    ) -> None:
+    def _progress(self, writer: Writer) -> RecordingProgress:
+        size = self._params.part.stat().st_size
+        return RecordingProgress(writer.records, writer.seconds, writer.missing["servo.raw"], size)
+
+    def _take(self, topic: str, payload: bytes, answers: Answers) -> None:
         if self._writer is None:
             if topic != "servo.raw":
                 return
             header = BlockDecoder().decode(payload).header
-            attributes = of_recording(*told, header, self._params.note)
+            attributes = of_recording(*answers, header, self._params.note)
             self._writer = Writer(self._params.part, attributes, self._params.seconds)
         self._writer.take(topic, payload)
 

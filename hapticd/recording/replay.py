@@ -1,7 +1,17 @@
-"""Flying a recording again: all its legs, one after the other, and what came out."""
+"""Replay of a whole recording, one segment after the other, and what came out.
+
+A segment is a stretch of consecutive ticks of one servo life, from its first checkpoint on; within
+one, `assembly.replay` runs the servo's own step on the recorded samples. The motion stays the
+recorded one: with settings held at other values a replay shows what the tick law would have
+commanded, not how the display would have moved.
+
+What would break it: a tick whose result depends on anything but the checkpoint, the samples and
+the requests that are in the file. `first_difference` then names that tick.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -11,64 +21,63 @@ from hapticd.assembly.replay import Difference, Records, difference, replay
 from hapticd.errors import ConfigError
 from hapticd.mailbox.layout import Value
 from hapticd.recording.file import Recording
+from hapticd.units import NS_PER_S
 
 
 @dataclass(frozen=True, eq=False)
-class Reflight:
-    """`recorded` and `flown` row by row (n,); `legs` (first row, row after the last);
-    `different`: None if bit-exact.
-    """
+class ReplayResult:
+    """A recording beside its replay, row by row."""
 
-    recorded: Records
-    flown: NDArray[np.void]
-    legs: Sequence[tuple[int, int]]
-    different: Difference | None
+    recorded: Records  # (n,)
+    replayed: NDArray[np.void]  # (n,), the same fields
+    segments: Sequence[tuple[int, int]]  # (first row, row after the last) of each
+    first_difference: Difference | None  # None: bit-exact
 
     @property
     def time_s(self) -> NDArray[np.float64]:
-        """Seconds from the first record that was flown (n,)."""
+        """Seconds from the first record that was replayed (n,)."""
         time_ns = self.recorded["time_ns"]
-        return np.asarray((time_ns - time_ns[0]) * 1e-9)
+        return np.asarray((time_ns - time_ns[0]) / NS_PER_S)
 
-    def plain(self) -> dict[str, Any]:
-        """What came out, in numbers."""
+    def to_json(self) -> dict[str, Any]:
+        """Counts, the first difference, and rms and peak of both forces [N]."""
         recorded = self.recorded["force_n"]
-        flown = self.flown["force_n"]
+        replayed = self.replayed["force_n"]
+        first = self.first_difference
         return {
-            "ticks": len(self.flown),
-            "legs": len(self.legs),
-            "bit_exact": self.different is None,
-            "first_difference": None if self.different is None else self.different._asdict(),
+            "ticks": len(self.replayed),
+            "legs": len(self.segments),
+            "bit_exact": first is None,
+            "first_difference": None if first is None else first._asdict(),
             "force_rms_n": {
                 "recorded": _rms(recorded),
-                "flown": _rms(flown),
-                "difference": _rms(flown - recorded),
+                "flown": _rms(replayed),
+                "difference": _rms(replayed - recorded),
             },
             "force_peak_n": {
                 "recorded": float(np.abs(recorded).max()),
-                "flown": float(np.abs(flown).max()),
+                "flown": float(np.abs(replayed).max()),
             },
         }
 
 
-def refly(recording: Recording, instead: dict[Value, float] | None = None) -> Reflight:
-    """Fly all legs of `recording`; `instead`: settings held at other values. ConfigError:
-    nothing in it can be flown.
+def replay_recording(
+    recording: Recording, instead: dict[Value, float] | None = None
+) -> ReplayResult:
+    """Replay all segments of `recording`; `instead`: settings held at other values. ConfigError:
+    it holds no segment.
     """
-    legs = recording.legs()
-    if not legs:
+    segments = recording.segments()
+    if not segments:
         raise ConfigError(
-            f"{recording.path} holds no checkpoint of the servo, from which to fly; record a second"
-            " or longer"
+            f"{recording.path} holds no checkpoint of the servo, from which a replay begins; record"
+            " a second or longer"
         )
+    recorded = np.concatenate([segment.records for segment in segments])
     params = recording.params
-    flown = [replay(params, leg, instead) for leg in legs]
-    ends = np.cumsum([len(leg.records) for leg in legs]).tolist()
-    recorded = np.concatenate([leg.records for leg in legs])
-    again = np.concatenate(flown)
-    return Reflight(
-        recorded, again, list(zip([0, *ends[:-1]], ends, strict=True)), difference(recorded, again)
-    )
+    replayed = np.concatenate([replay(params, segment, instead) for segment in segments])
+    edges = np.cumsum([0, *(len(segment.records) for segment in segments)]).tolist()
+    return ReplayResult(recorded, replayed, list(pairwise(edges)), difference(recorded, replayed))
 
 
 def _rms(values: NDArray[Any]) -> float:

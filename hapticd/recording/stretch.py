@@ -26,45 +26,35 @@ from hapticd.mailbox.layout import LOST_SLOTS, State
 from hapticd.recording.provenance import SCHEMA
 from hapticd.units import NS_PER_S
 
-SETTLE_S = 1.0
-
-
+SETTLE_S = 1.0  # left out after the perturbation began
 REMARK = f"# {SCHEMA} "
-
-
 TAIL_BYTES = 8192  # in which the remark of a text file stands
+SERVO_COLUMNS = {"tick", "revision", "force_n"}  # a table that has these is one of ticks
+PROBE_COLUMNS = {"index", "torque", "velocity", "time_ns"}  # one of probe samples
+RENDERED_COLUMNS = (
+    "stiffness_n_per_m",
+    "damping_ns_per_m",
+    "mass_kg",
+    "added_damping_asked_ns_per_m",
+)
+REMARK_ATTRIBUTES = ("device_name", "device_serial", "started_utc", "uuid", "config_hash", "note")
 
 
-OF_A_SERVO = {"tick", "revision", "force_n"}  # columns of a table of ticks
-
-
-COUNTED = {"index", "torque", "velocity", "time_ns"}  # of a table of the probe
-
-
-RENDERED = ("stiffness_n_per_m", "damping_ns_per_m", "mass_kg", "added_damping_asked_ns_per_m")
-
-
-KEPT = ("device_name", "device_serial", "started_utc", "uuid", "config_hash", "note")
-
-
-Column = Callable[[str, str], Any]  # of a group and a name: its values, one a row
+ReadColumn = Callable[[str, str], Any]  # of a group and a name: its values, one a row
 
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """Part of a recording that is one trial: rows `first` to before `after` of its probe; K, B, M
-    and the electrical damping that were rendered [N/m, N s/m, kg, N s/m]; the largest command and
-    its limit [N]; slots, and how many were lost.
-    """
+    """The part of a recording that is one trial. An exported file carries these fields by name."""
 
-    first: int
-    after: int
-    environment: tuple[float, float, float]
-    added_damping_ns_per_m: float
-    max_command_n: float
+    first: int  # row of the probe
+    after: int  # row after the last
+    environment: tuple[float, float, float]  # K [N/m], B [N s/m], M [kg] that were rendered
+    added_damping_ns_per_m: float  # active damping
+    max_command_n: float  # largest |force|
     command_limit_n: float
     lost_slots: int
-    slots: int
+    slots: int  # of 1 ms, the lost ones included
     begin_s: float  # from the first row of the probe
     end_s: float
 
@@ -73,15 +63,19 @@ def remark(attributes: Mapping[str, Any], trial: Stretch | None) -> str:
     """The last line of a text file: where it comes from, and of the probe's which part is one
     trial.
     """
-    told: dict[str, Any] = {name: attributes[name] for name in KEPT if name in attributes}
-    told["simulated"] = int(attributes["simulated"])
+    content: dict[str, Any] = {
+        name: attributes[name] for name in REMARK_ATTRIBUTES if name in attributes
+    }
+    content["simulated"] = int(attributes["simulated"])
     if trial is not None:
-        told["trial"] = asdict(trial)
-    return f"{REMARK}{json.dumps(told, default=np.generic.item)}\n"
+        content["trial"] = asdict(trial)
+    return f"{REMARK}{json.dumps(content, default=np.generic.item)}\n"
 
 
 def read_remark(path: Path) -> dict[str, Any] | None:
-    """What the last line of a text file says of it; None if it is not ours. OSError."""
+    """What the last line of a text file says of it; None if this package did not write it.
+    ConfigError: the line was changed. OSError: the file cannot be read.
+    """
     with path.open("rb") as file:
         size = file.seek(0, 2)
         file.seek(max(0, size - TAIL_BYTES))
@@ -96,26 +90,23 @@ def read_remark(path: Path) -> dict[str, Any] | None:
         ) from error
 
 
-def stretch(column: Column, attributes: Mapping[str, Any], name: str) -> Stretch:
+def stretch(column: ReadColumn, attributes: Mapping[str, Any], name: str) -> Stretch:
     """The longest part of a recording in which nothing was changed. AnalysisError without ticks
     or probe samples.
     """
-    probe_ns, tick_ns = (
-        np.asarray(column(group, "time_ns"), np.int64) for group in ("probe", "servo")
-    )
+    probe_ns = np.asarray(column("probe", "time_ns"), np.int64)
+    tick_ns = np.asarray(column("servo", "time_ns"), np.int64)
     if not probe_ns.size or not tick_ns.size:
         raise AnalysisError(
             f"{name}: no samples of the probe in it; record while a board with probe inputs is"
             " connected"
         )
     begin, end = _longest(column)
-    settle_ns = (
-        round(SETTLE_S * NS_PER_S)
-        if begin and tick_ns[end] - tick_ns[begin] > 2 * SETTLE_S * NS_PER_S
-        else 0
-    )
+    settle_ns = round(SETTLE_S * NS_PER_S)
+    if not begin or tick_ns[end] - tick_ns[begin] <= 2 * settle_ns:
+        settle_ns = 0
     first, after = np.searchsorted(probe_ns, [tick_ns[begin] + settle_ns, tick_ns[end] + 1])
-    stiffness, damping, mass, added = (float(column("servo", one)[end]) for one in RENDERED)
+    stiffness, damping, mass, added = (float(column("servo", one)[end]) for one in RENDERED_COLUMNS)
     if column("servo", "state")[end] != State.ENABLED:
         stiffness = damping = mass = 0.0
     lost = (
@@ -137,11 +128,11 @@ def stretch(column: Column, attributes: Mapping[str, Any], name: str) -> Stretch
     )
 
 
-def _longest(column: Column) -> tuple[int, int]:
+def _longest(column: ReadColumn) -> tuple[int, int]:
     """First and last tick of the longest run that is fit for a trial."""
     fit = _fit(column)
     keys = np.stack(
-        [np.asarray(column("servo", name), np.float64) for name in ("revision", *RENDERED)]
+        [np.asarray(column("servo", name), np.float64) for name in ("revision", *RENDERED_COLUMNS)]
     )
     changed = np.flatnonzero((np.diff(keys, axis=1) != 0.0).any(axis=0) | (np.diff(fit) != 0)) + 1
     lives = np.asarray(column("life", "row"), np.int64)
@@ -151,7 +142,7 @@ def _longest(column: Column) -> tuple[int, int]:
     return int(edges[longest]), int(edges[longest + 1]) - 1
 
 
-def _fit(column: Column) -> Flags:
+def _fit(column: ReadColumn) -> Flags:
     """Ticks (n,) that were enabled and perturbed, or only enabled; all where none was."""
     enabled = (np.asarray(column("servo", "state")) == State.ENABLED) & (
         np.asarray(column("servo", "gain")) >= 1.0

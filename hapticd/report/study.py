@@ -44,9 +44,9 @@ from hapticd.report.style import (
 )  # fmt: skip
 from hapticd.report.table import Cell, Table, duration, percent, shown, table
 from hapticd.report.trial import Curve, Trace, draw, draw_traces, dress
-from hapticd.study.accuracy import GROUP, AccuracyResult, Cost, Row
-from hapticd.study.effects import EffectsResult, Left
-from hapticd.study.scene import Ceiling, Integrators, SceneResult, Trial
+from hapticd.study.accuracy import GROUP, AccuracyResult, AccuracyRow, Cost
+from hapticd.study.effects import EffectsResult, LeftOut
+from hapticd.study.scene import Ceiling, Integrators, SceneResult, SceneTrial
 from hapticd.units import PROBE_RATE_HZ
 from hapticd.zwidth.scenes import SUBSTEPS, candidates, frequencies, point
 
@@ -124,7 +124,7 @@ def _with_impedance(result: SceneResult) -> Figure:
     return figure
 
 
-def _draw_impedance(size: Axes, phase: Axes, trial: Trial, look: Look) -> None:
+def _draw_impedance(size: Axes, phase: Axes, trial: SceneTrial, look: Look) -> None:
     if trial.judged is None or trial.judged.predicted is None:
         return
     z = trial.judged.measured
@@ -134,7 +134,9 @@ def _draw_impedance(size: Axes, phase: Axes, trial: Trial, look: Look) -> None:
         phase,
         Curve(z.frequency_hz[seen], trial.judged.predicted[seen], PREDICTED, "predicted"),
     )
-    draw(size, phase, Curve(z.frequency_hz[seen], z.impedance_ns_per_m[seen], look, trial.leg.name))
+    draw(
+        size, phase, Curve(z.frequency_hz[seen], z.impedance_ns_per_m[seen], look, trial.case.name)
+    )
 
 
 def _traces_alone(result: SceneResult) -> Figure:
@@ -160,8 +162,8 @@ def _traces_alone(result: SceneResult) -> Figure:
     return figure
 
 
-def _steps(trial: Trial, seconds: float, look: Look) -> Trace:
-    at_s, levels = zip(*trial.leg.damping, (seconds, trial.leg.damping[-1][1]), strict=True)
+def _steps(trial: SceneTrial, seconds: float, look: Look) -> Trace:
+    at_s, levels = zip(*trial.case.damping, (seconds, trial.case.damping[-1][1]), strict=True)
     return np.array(at_s), np.array(levels), {**look, "drawstyle": "steps-post"}
 
 
@@ -185,7 +187,7 @@ def _traces(result: SceneResult, span_s: tuple[float, float]) -> list[tuple[str,
         time_s = np.arange(force_n.size) / result.plan.scene.rate_hz
         inside = (time_s >= span_s[0]) & (time_s <= span_s[1])
         for (_, lines), values in zip(panels, (1e3 * position_m, force_n), strict=True):
-            lines.append((time_s[inside], values[inside], {**look, "label": trial.leg.name}))
+            lines.append((time_s[inside], values[inside], {**look, "label": trial.case.name}))
     return panels
 
 
@@ -198,13 +200,13 @@ def scene_table(result: SceneResult) -> Table:
     return table(list(rows[0]), [list(row.values()) for row in rows])
 
 
-def _ran(trial: Trial, impedance: bool, heated: bool) -> dict[str, Cell]:
+def _ran(trial: SceneTrial, impedance: bool, heated: bool) -> dict[str, Cell]:
     """By column."""
     numbers = trial.numbers
     found = trial.judged.verdict if trial.judged else None
     at_s = numbers["diverged_at_s"]
     row: dict[str, Cell] = {
-        "trial": f"{trial.leg.name}{' (the scene)' if trial.leg.own else ''}",
+        "trial": f"{trial.case.name}{' (the scene)' if trial.case.own else ''}",
         "velocity mm/s rms": 1e3 * numbers["velocity_sd_m_per_s"],
         "largest force N": numbers["max_force_n"],
         "work of the probe mJ": 1e3 * numbers["work_j"],
@@ -219,7 +221,7 @@ def _ran(trial: Trial, impedance: bool, heated: bool) -> dict[str, Cell]:
     return row
 
 
-def impedance_rows(trial: Trial) -> list[dict[str, float]]:
+def impedance_rows(trial: SceneTrial) -> list[dict[str, float]]:
     """|Z| and phase, measured and predicted, on a few frequencies of the band; empty without
     noise.
     """
@@ -471,7 +473,7 @@ def _bars(axis: Axes, names: list[str], values: list[float], told: list[str], **
     axis.grid(visible=False, axis="y")
 
 
-def _changed(row: Left) -> str:
+def _changed(row: LeftOut) -> str:
     if row.note:
         return "cannot be left out"
     return "the answer is gone" if row.change == inf else percent(row.change)
@@ -589,7 +591,7 @@ def _draw_sweep(result: AccuracyResult, sweep: str, axis: Axes) -> None:
         axis.legend(loc="best")
 
 
-def _draw_step_errors(result: AccuracyResult, rows: list[Row], axis: Axes) -> None:
+def _draw_step_errors(result: AccuracyResult, rows: list[AccuracyRow], axis: Axes) -> None:
     """Of the sub-step alone, and single precision beside it."""
     stepped = [row for row in rows if row.step > NOTHING * max(row.total for row in rows)]
     single = [

@@ -20,7 +20,7 @@ from hapticd.analysis.arrays import Complexes, Floats
 from hapticd.analysis.impedance import Impedance, relative_sd
 from hapticd.analysis.periodic import PeriodicSpectra
 from hapticd.analysis.verdict import student_quantile
-from hapticd.recording.replay import Reflight
+from hapticd.recording.replay import ReplayResult
 from hapticd.report.style import (
     BELOW,
     BLACK,
@@ -247,20 +247,20 @@ def _escape(result: TrialResult, title: str, look: Look) -> Figure:
 
 
 @styled()
-def reflight_figure(flight: Reflight, title: str, changed: str = "flown again") -> Figure:
+def replay_figure(result: ReplayResult, title: str, changed: str = "replayed") -> Figure:
     """A motion, the force that was, the force that would have been, and their difference over time;
     `changed`: what was held otherwise. ConfigError without matplotlib.
     """
     figure, places = axes(3, 1, 10.0, 8.0, title, sharex=True)
     was = {"color": BLACK, "label": "recorded"}
     would = {"color": GREEN, "linewidth": 0.9, "label": changed}
-    time_s = flight.time_s
-    recorded = flight.recorded["force_n"]
-    flown = flight.flown["force_n"]
+    time_s = result.time_s
+    recorded = result.recorded["force_n"]
+    replayed = result.replayed["force_n"]
     panels: list[tuple[str, list[Trace]]] = [
-        ("position as recorded (mm)", [(time_s, 1e3 * flight.recorded["position_m"], was)]),
-        ("force (N)", [(time_s, recorded, was), (time_s, flown, would)]),
-        ("difference (N)", [(time_s, flown - recorded, would)]),
+        ("position as recorded (mm)", [(time_s, 1e3 * result.recorded["position_m"], was)]),
+        ("force (N)", [(time_s, recorded, was), (time_s, replayed, would)]),
+        ("difference (N)", [(time_s, replayed - recorded, would)]),
     ]
     draw_traces(places, panels)
     places[1].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)

@@ -1,6 +1,15 @@
-"""What accuracy costs, which effects a question needs, and single runs of a scene.
+"""Studies of one scene: what accuracy costs, which effects a question needs, and single runs.
 
-accuracy    error against seconds, for every way of running a scene
-effects     which effects of a device change the answer to a question
-scene       run a scene, explain its model, compare ways of integrating it
+A study asks about the simulation itself, not about a display: how many sub-steps, which precision,
+what length of a trial and which effects an answer needs. Every study is a procedure of a frozen
+plan: `plan_...` checks what is asked, `run_...` simulates and returns numbers; figures and tables
+of them are in `hapticd.report.study`.
+
+For scripts:
+
+    accuracy    plan_accuracy, run_accuracy: error against seconds for every way to run a scene;
+                cost: seconds per simulated second
+    effects     EffectsParams, plan_effects, run_effects: which effects change the answer
+    scene       plan_scene, run_scene: a scene with active damping and without; ceiling: the largest
+                active damping that is stable; compare_integrators: explicit methods on its device
 """

@@ -8,27 +8,31 @@ trial length  5..90 s        window   256..8192 samples: only where noise moves 
 effect        each left out, at 1 sub-step: the difference is what counts, and its kernel compiles
               soonest
 
-A gauge reads two errors of a setting. `step` is what the setting does to the answer for the same
-perturbation: the sub-step's, the precision's, a left-out effect's. `total` is the error of one
-trial that is made with it, chance or resolution included; of two settings with the same total the
-cheaper one is the better. The knee of a sweep is its cheapest setting whose total error is within
-10 % of the best one's: what costs more buys little. A knee at the far end says that the sweep has
-none.
+A comparison with the reference gives two errors of a setting. `step` is what the setting does to
+the answer for the same perturbation: the sub-step's, the precision's, a left-out effect's. `total`
+is the error of one trial that is made with it, chance or resolution included; of two settings with
+the same total the cheaper one is the better. The knee of a sweep is its cheapest setting whose
+total error is within 10 % of the best one's: what costs more buys little. A knee at the far end
+says that the sweep has none.
 
-Noise (`NoiseGauge`): phase of the impedance, rms over the band. The reference of a linear scene is
-its exact first harmonic (`analysis.loop`). Of any other it is simulated: a group of trials of the
-scene's length, each with a perturbation of its own, in double precision with 32 sub-steps per
-sample, their spectra added up under a window four times as long as the paper's. It is known to a
-third of the deviation of one trial, no better.
+Noise (`PhaseComparison`): phase of the impedance, rms over the band. The reference of a linear
+scene is its exact first harmonic (`analysis.loop`). Of any other it is simulated: a group of trials
+of the scene's length, each with a perturbation of its own, in double precision with 32 sub-steps
+per sample, their spectra added up under a window four times as long as the paper's. It is known to
+a third of the deviation of one trial, no better.
 
-A push (`TraceGauge`): position, rms over the trial, in micrometres. The reference is the same trial
-in double precision with 32 sub-steps per sample. What can be seen of a position is a count, so the
-total error holds the encoder's rounding (quantum / sqrt(12)) as well.
+A push (`PositionComparison`): position, rms over the trial, in micrometres. The reference is the
+same trial in double precision with 32 sub-steps per sample. What can be seen of a position is a
+count, so the total error holds the encoder's rounding (quantum / sqrt(12)) as well.
 
 The command line passes the processor time of this process (`time.process_time_ns`) to time with:
 seconds of one core, whatever else the machine does. What is timed here runs on one thread. The
 engine computes a group of trials with every instruction, so its cost is that of a full group, for
 each trial.
+
+What would break it: a kernel that is compiled while it is timed (every setting is therefore
+computed once before), or another program that keeps the core's caches busy (the quickest of a few
+rounds counts).
 """
 
 from abc import ABC, abstractmethod
@@ -67,33 +71,33 @@ from hapticd.zwidth.store import Progress, Steps, silent
 
 REFERENCE = "the reference"
 ROUNDS = 3  # of timing
-LOCKSTEP_S = 20.0
-SWEPT = (1, 2, 4, 8, 16, 32)
-QUICK_SUBSTEPS = (1, 4, 8)
+LOCKSTEP_S = 20.0  # length of the trial in lock-step
+SWEPT = (1, 2, 4, 8, 16, 32)  # sub-steps in a sample
+QUICK_SUBSTEPS = (1, 4, 8)  # QUICK_...: of a coarse look
 LENGTHS_S = (5.0, 10.0, 20.0, 45.0, 90.0)
 QUICK_LENGTHS_S = (5.0, 10.0)
 WINDOWS = (256, 512, 1024, 2048, 4096, 8192)
 QUICK_WINDOWS = (512, 2048)
-QUICK_S = 10.0
+QUICK_S = 10.0  # at most, of a trial
 QUICK_LOCKSTEP_S = 5.0
 T = TypeVar("T")
-Stopwatch = Callable[[], int]
-COST_ENGINE_S = 4.0
+Stopwatch = Callable[[], int]  # processor time so far [ns]
+COST_ENGINE_S = 4.0  # simulated, to time the engine
 REPEATS = 9  # the quickest counts: other programs only make it slower
 ALONE_REPEATS = 3
-COST_LOCKSTEP_S = 0.5
+COST_LOCKSTEP_S = 0.5  # simulated, to time the stack in lock-step
 SETTLING_TICKS = 100  # of a lock-step stack, before it is timed
-GROUP = LANES["f64"]
-REFERENCE_LAG = 4 * DEFAULT_LAG
-BATCH = 1000
+GROUP = LANES["f64"]  # trials that the engine computes with the same instructions
+REFERENCE_LAG = 4 * DEFAULT_LAG  # samples
+BATCH = 1000  # environments that are predicted together
 ANALYSED = 8  # records whose analysis is timed
 UM_PER_M = 1e6
 QUANTUM_M = 0.5e-6  # where the scene has no encoder: that of Weir 2008, section 2
-KNEE = 1.1
+NEAR_BEST = 1.1  # a total error of so many times the best one is as good
 
 
 def timed(now_ns: Stopwatch, call: Callable[[], T], times: int = 1) -> tuple[T, float]:
-    """(what `call` returns, seconds) of the quickest of `times` calls, which nothing disturbed."""
+    """(what `call` returns, seconds) of the quickest of `times` calls: the least disturbed."""
 
     def once() -> tuple[T, float]:
         begin_ns = now_ns()
@@ -104,13 +108,11 @@ def timed(now_ns: Stopwatch, call: Callable[[], T], times: int = 1) -> tuple[T, 
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """Seconds of one core per simulated second: `engine_s` of one trial in a full group of
-    `lanes`, `lockstep_s` of the stack.
-    """
+    """Seconds of one core per simulated second."""
 
-    engine_s: float
-    lanes: int
-    lockstep_s: float
+    engine_s: float  # of one trial in a full group
+    lanes: int  # trials of a full group
+    lockstep_s: float  # of the whole stack
 
 
 def engine_cost(scene: Scene, now_ns: Stopwatch) -> float:
@@ -124,8 +126,8 @@ def engine_cost(scene: Scene, now_ns: Stopwatch) -> float:
 
 
 def cost(scene: Scene, source: str | Path, now_ns: Stopwatch) -> Cost:
-    """Of the engine, and of the whole stack with the device on the simulated board and nothing
-    enabled; `source` is the scene's name or file.
+    """The cost of the engine, and of the whole stack with the device on the simulated board and
+    nothing enabled; `source` is the scene's name or file.
     """
     servo, board = scene_params(source)
     ticks = round(COST_LOCKSTEP_S * servo.realtime.rate_hz)
@@ -137,37 +139,33 @@ def cost(scene: Scene, source: str | Path, now_ns: Stopwatch) -> Cost:
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """How a scene is simulated and looked at; the defaults are those of the procedures.
-    `without`: effects that are left out.
-    """
+    """How a scene is simulated and judged; the defaults are those of the bench."""
 
     seconds: float
-    substeps: int = SUBSTEPS
+    substeps: int = SUBSTEPS  # in a 4 kHz sample
     dtype: str = "f64"
-    lag: int = DEFAULT_LAG
-    without: tuple[str, ...] = ()
+    lag: int = DEFAULT_LAG  # samples
+    without: tuple[str, ...] = ()  # effects that are left out
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
-    """One setting: seconds for one trial (inf: not timed, nan: it cannot be), its errors in the
-    gauge's unit (nan: does not apply), whether it is the default, and whether the knee.
-    """
+class AccuracyRow:
+    """One setting: its cost and its errors, in the unit of the comparison."""
 
     sweep: str = ""
     label: str = ""
-    seconds: float = inf
-    step: float = nan
+    seconds: float = inf  # of one core for one trial; inf: not timed, nan: it cannot be run
+    step: float = nan  # nan: does not apply
     total: float = inf
     default: bool = False
     knee: bool = False
     note: str = ""
 
 
-class Gauge(ABC, Generic[T]):
-    """A scene beside its reference, which is made with the gauge, simulated as `exact` says.
+class ReferenceComparison(ABC, Generic[T]):
+    """A scene beside its reference, which is made with the comparison, simulated as `exact` says.
 
-    T is the answer whose step error is read; `reference` says what errors are measured against,
+    T is the answer whose step error is measured; `reference` says what errors are measured against,
     and how well that is known.
     """
 
@@ -185,21 +183,21 @@ class Gauge(ABC, Generic[T]):
         self._whole: dict[Setting, T] = {}
 
     @abstractmethod
-    def read(self, setting: Setting) -> Row:
-        """Errors of a trial. With `without`: against the whole scene as it was read with that
-        setting, else the reference.
+    def measure(self, setting: Setting) -> AccuracyRow:
+        """Errors of a trial. With `without`: against the whole scene as it was measured with that
+        setting, else against the reference.
         """
 
     def cost(self, setting: Setting, trials: int = GROUP, repeats: int = 1) -> float:
         """Seconds for one of `trials` together and for its answer; in a full group the setting
-        has been read before.
+        was measured before, so its kernel is compiled.
         """
-        found, simulated_s = timed(self.now_ns, lambda: self._flown(setting, trials), repeats)
+        found, simulated_s = timed(self.now_ns, lambda: self._simulated(setting, trials), repeats)
         return simulated_s / trials + self._analysis_s(found, setting.lag)
 
-    def lockstep(self, seconds: float) -> Row:
-        """One trial with the whole product; the time is that of its flight. ConfigError or
-        AnalysisError where the scene cannot be flown: the stack begins at rest.
+    def lockstep(self, seconds: float) -> AccuracyRow:
+        """One trial with the whole stack; the time is that of its ticks. ConfigError or
+        AnalysisError where the scene cannot be run so: the stack begins at rest.
         """
         if self.scene.start_velocity_m_per_s or self.scene.start_position_m:
             raise AnalysisError("the scene begins in motion, lock-step at rest")
@@ -210,25 +208,25 @@ class Gauge(ABC, Generic[T]):
         else:
             torque = self.torque_n[0, :samples]
         steps = [(step.at_s, step.level_ns_per_m) for step in self.scene.damping]
-        flown, spent = timed(self.now_ns, lambda: fly(str(self.source), torque, steps))
-        return replace(self._flight(flown), seconds=spent)
+        trial, spent = timed(self.now_ns, lambda: fly(str(self.source), torque, steps))
+        return replace(self._lockstep_errors(trial), seconds=spent)
 
     @abstractmethod
-    def _flight(self, flown: Flown) -> Row:
-        """Of a trial in lock-step."""
+    def _lockstep_errors(self, trial: Flown) -> AccuracyRow:
+        """Errors of a trial in lock-step."""
 
     def _analysis_s(self, found: BatchResult, lag: int) -> float:
-        """Of one trial."""
+        """Seconds for the analysis of one trial."""
         return 0.0
 
-    def _like(self, setting: Setting, answer: T, reference: T) -> T:
+    def _basis(self, setting: Setting, answer: T, reference: T) -> T:
         """What `answer` is compared with."""
         if setting.without:
             return self._whole[replace(setting, without=())]
         self._whole[setting] = answer
         return reference
 
-    def _flown(self, setting: Setting, trials: int) -> BatchResult:
+    def _simulated(self, setting: Setting, trials: int) -> BatchResult:
         noise = self.torque_n is not None
         return simulate(
             without(self.scene, *setting.without), [point(self.scene)] * trials, setting.seconds,
@@ -237,7 +235,7 @@ class Gauge(ABC, Generic[T]):
         )  # fmt: skip
 
 
-class NoiseGauge(Gauge[Complexes]):
+class PhaseComparison(ReferenceComparison[Complexes]):
     """Errors in degrees, of a group of trials."""
 
     unit = "deg"
@@ -252,15 +250,15 @@ class NoiseGauge(Gauge[Complexes]):
             [torque_record(noise, samples, noise.seed, stream) for stream in streams]
         )
         self._f = frequencies()
-        flown = self._flown(exact, GROUP)
-        self._step_free = pooled(self._spectra(flown, DEFAULT_LAG))
+        found = self._simulated(exact, GROUP)
+        self._step_free = pooled(self._spectra(found, DEFAULT_LAG))
         if is_linear(scene):
             self._true = predicted_impedance(
                 self.own.model, point(scene), self._f, level(scene), self.own.filters
             )
             self.reference = "exact first harmonic of the linear scene"
             return
-        trials = self._spectra(flown, REFERENCE_LAG)
+        trials = self._spectra(found, REFERENCE_LAG)
         half = len(trials) // 2
         self._true = pooled(trials)
         known_deg = 0.5 * phase_rms(pooled(trials[half:]) / pooled(trials[:half]))
@@ -269,36 +267,37 @@ class NoiseGauge(Gauge[Complexes]):
             f"window {REFERENCE_LAG}; known to {known_deg:.2g} deg"
         )
 
-    def read(self, setting: Setting) -> Row:
-        """A group of trials, their spectra together and one by one."""
-        trials = self._spectra(self._flown(setting, GROUP), setting.lag)
+    def measure(self, setting: Setting) -> AccuracyRow:
+        """Simulate a group of trials: their spectra together give `step`, one by one `total`."""
+        trials = self._spectra(self._simulated(setting, GROUP), setting.lag)
         together = pooled(trials)
-        step = phase_rms(together / self._like(setting, together, self._step_free))
+        step = phase_rms(together / self._basis(setting, together, self._step_free))
         comparable = (setting.seconds, setting.lag) == (self.exact.seconds, DEFAULT_LAG)
-        return Row(step=step if comparable else nan, total=self._total(trials))
+        return AccuracyRow(step=step if comparable else nan, total=self._total(trials))
 
-    def predicted(self) -> Iterable[Row]:
-        """Errors of the predicted Z with its seconds, and those of one of 1,000 environments that
-        are asked for a verdict.
+    def predicted(self) -> Iterable[AccuracyRow]:
+        """Errors and seconds of the predicted Z, and seconds of one of 1,000 environments that are
+        judged together.
         """
         own = self.own
         kbm = point(self.scene)
         damping = level(self.scene)
-        asked = damping, own.filters, own.perturbation
+        asked = (damping, own.filters, own.perturbation)
         z, alone_s = timed(
             self.now_ns, lambda: predicted_impedance(own.model, kbm, self._f, *asked), ALONE_REPEATS
         )
         many = np.tile(kbm, (BATCH, 1))
         _, together_s = timed(self.now_ns, lambda: predict(own.model, many, *asked), ALONE_REPEATS)
         error = phase_rms(z / self._true)
-        yield Row("tier", "predict, alone", alone_s, error, error)
-        yield Row("tier", "predict, 1,000 at once", together_s / BATCH, error, error)
+        yield AccuracyRow("tier", "predict, alone", alone_s, error, error)
+        yield AccuracyRow("tier", "predict, 1,000 at once", together_s / BATCH, error, error)
 
-    def _flight(self, flown: Flown) -> Row:
-        return Row(total=self._total([spectra_on(flown.torque_n, flown.velocity_m_per_s, self._f)]))
+    def _lockstep_errors(self, trial: Flown) -> AccuracyRow:
+        spectra = spectra_on(trial.torque_n, trial.velocity_m_per_s, self._f)
+        return AccuracyRow(total=self._total([spectra]))
 
     def _analysis_s(self, found: BatchResult, lag: int) -> float:
-        """On the window's own grid."""
+        """On the window's own grid of frequencies."""
         records = [found.record(int(trial)) for trial in np.flatnonzero(~found.diverged)[:ANALYSED]]
         _, spent = timed(self.now_ns, lambda: [spa(*record, lag=lag) for record in records])
         return spent / max(1, len(records))
@@ -307,7 +306,7 @@ class NoiseGauge(Gauge[Complexes]):
         return spectra_of(found, self._f, self.own.force_limit_n, lag)
 
     def _total(self, trials: list[Spectra]) -> float:
-        """Of one trial: rms over trials and frequencies."""
+        """Error of one trial: rms over trials and frequencies."""
         errors = [phase_rms(trial.cross / trial.velocity / self._true) for trial in trials]
         return float(np.sqrt(np.mean(np.square(errors))))
 
@@ -317,7 +316,7 @@ def phase_rms(ratio: Complexes) -> float:
     return float(np.degrees(np.sqrt(np.mean(np.angle(ratio) ** 2))))
 
 
-class TraceGauge(Gauge[Floats]):
+class PositionComparison(ReferenceComparison[Floats]):
     """Errors in micrometres, of one trial: all are the same."""
 
     unit = "um"
@@ -327,16 +326,16 @@ class TraceGauge(Gauge[Floats]):
         super().__init__(scene, source, exact, now_ns)
         quantum_m = self.own.model.encoder_quantum_m or QUANTUM_M
         self._floor = UM_PER_M * quantum_m / np.sqrt(12.0)
-        self._true, _ = self._flown(exact, 1).traces(0)
+        self._true, _ = self._simulated(exact, 1).traces(0)
         known = f"position known to a count ({self._floor:.2g} um rms)"
         self.reference = f"the same trial, {exact.substeps} sub-steps, f64; {known}"
 
-    def read(self, setting: Setting) -> Row:
-        """The positions of one trial."""
-        position, _ = self._flown(setting, 1).traces(0)
-        return self._row(position - self._like(setting, position, self._true))
+    def measure(self, setting: Setting) -> AccuracyRow:
+        """Simulate one trial, and compare its positions."""
+        position, _ = self._simulated(setting, 1).traces(0)
+        return self._row(position - self._basis(setting, position, self._true))
 
-    def _flight(self, flown: Flown) -> Row:
+    def _lockstep_errors(self, trial: Flown) -> AccuracyRow:
         """The push through the wire, compared with the engine under the forces that the probe then
         reported. The engine's ticks, counted from the force, may begin a part of a period before
         those of the servo: `lead` samples.
@@ -349,31 +348,34 @@ class TraceGauge(Gauge[Floats]):
             (step.at_s + (ticks / rate_hz if step.at_s else 0.0), step.level_ns_per_m)
             for step in self.scene.damping
         ]
-        samples = flown.torque_n.size
+        samples = trial.torque_n.size
         like = simulate(
             self.scene, [point(self.scene)], samples / PROBE_RATE_HZ, damping=later,
-            excitation=np.concatenate((np.zeros(lead), flown.torque_n))[:samples],
+            excitation=np.concatenate((np.zeros(lead), trial.torque_n))[:samples],
             substeps=self.exact.substeps, keep="ticks",
         )  # fmt: skip
         position, _ = like.traces(0)
-        return self._row(flown.position_m[: len(position) - ticks] - position[ticks:])
+        return self._row(trial.position_m[: len(position) - ticks] - position[ticks:])
 
-    def _row(self, difference_m: Floats) -> Row:
+    def _row(self, difference_m: Floats) -> AccuracyRow:
         step = UM_PER_M * float(np.sqrt(np.mean(difference_m**2)))
-        return Row(step=step, total=float(np.hypot(step, self._floor)))
+        return AccuracyRow(step=step, total=float(np.hypot(step, self._floor)))
 
 
-def with_knees(rows: list[Row]) -> Iterable[Row]:
+Comparison = PhaseComparison | PositionComparison
+
+
+def mark_knees(rows: list[AccuracyRow]) -> Iterable[AccuracyRow]:
     """`rows` with the knee of every sweep marked; effects have none."""
     chosen = {
-        sweep: knee([row for row in rows if row.sweep == sweep])
+        sweep: cheapest_near_best([row for row in rows if row.sweep == sweep])
         for sweep in {row.sweep for row in rows} - {"effect"}
     }
     for row in rows:
         yield replace(row, knee=row is chosen.get(row.sweep))
 
 
-def knee(rows: Iterable[Row]) -> Row | None:
+def cheapest_near_best(rows: Iterable[AccuracyRow]) -> AccuracyRow | None:
     """The cheapest of `rows` whose total error is within 10 % of the least; None if none was
     measured.
     """
@@ -381,40 +383,38 @@ def knee(rows: Iterable[Row]) -> Row | None:
     if not known:
         return None
     best = min(row.total for row in known)
-    return min((row for row in known if row.total <= KNEE * best), key=lambda row: row.seconds)
+    return min((row for row in known if row.total <= NEAR_BEST * best), key=lambda row: row.seconds)
 
 
 @dataclass(frozen=True, slots=True)
 class AccuracyPlan:
-    """What will be measured: (sweep, label, setting) in turn, and a trial in lock-step of
-    `source`, the scene's name or file.
-    """
+    """What will be measured."""
 
     scene: Scene
-    source: str | Path
+    source: str | Path  # the scene's name or file, for the trial in lock-step
     noise: bool  # moves the scene
     lockstep_s: float
-    exact: Setting
-    wanted: tuple[tuple[str, str, Setting], ...]
+    exact: Setting  # of the reference
+    wanted: tuple[tuple[str, str, Setting], ...]  # (sweep, label, setting) in turn
 
 
 @dataclass(frozen=True, slots=True)
 class AccuracyResult:
-    """All rows, `unit` and `quantity` of the errors, and what they are measured against."""
+    """All rows, and what their errors are."""
 
     plan: AccuracyPlan
-    unit: str
+    unit: str  # of the errors
     quantity: str
-    reference: str
-    rows: tuple[Row, ...]
+    reference: str  # what errors are measured against
+    rows: tuple[AccuracyRow, ...]
 
-    def sweep(self, name: str) -> tuple[Row, ...]:
+    def sweep(self, name: str) -> tuple[AccuracyRow, ...]:
         """Rows of one sweep."""
         return tuple(row for row in self.rows if row.sweep == name)
 
     @property
-    def default(self) -> Row:
-        """The defaults, in a full group."""
+    def default(self) -> AccuracyRow:
+        """The row of the defaults, in a full group."""
         return next(row for row in self.sweep("sub-steps") if row.default)
 
 
@@ -449,24 +449,24 @@ def run_accuracy(plan: AccuracyPlan, now_ns: Stopwatch, tell: Progress = silent)
     """Measure. ConfigError as `compose` and `simulate`."""
     steps = Steps(tell, len(plan.wanted) + ROUNDS + 4)
     steps.next("reference")
-    kind: type[NoiseGauge | TraceGauge] = NoiseGauge if plan.noise else TraceGauge
-    gauge = kind(plan.scene, plan.source, plan.exact, now_ns)
-    swept = _swept(plan, gauge, steps)
-    rows = [*_tiers(plan, gauge, steps, next(row for row in swept if row.default)), *swept]
+    kind: type[Comparison] = PhaseComparison if plan.noise else PositionComparison
+    comparison = kind(plan.scene, plan.source, plan.exact, now_ns)
+    swept = _swept(plan, comparison, steps)
+    rows = [*_tiers(plan, comparison, steps, next(row for row in swept if row.default)), *swept]
     steps.end()
     return AccuracyResult(
-        plan, gauge.unit, gauge.quantity, gauge.reference, tuple(with_knees(rows))
+        plan, comparison.unit, comparison.quantity, comparison.reference, tuple(mark_knees(rows))
     )
 
 
-def _swept(plan: AccuracyPlan, gauge: NoiseGauge | TraceGauge, steps: Steps) -> list[Row]:
+def _swept(plan: AccuracyPlan, comparison: Comparison, steps: Steps) -> list[AccuracyRow]:
     """Errors first; then all are timed in turn, round by round, so that what disturbs the
     machine meets them alike.
     """
-    rows: dict[Setting, Row] = {}
+    rows: dict[Setting, AccuracyRow] = {}
     for sweep, label, setting in plan.wanted:
         steps.next(f"{sweep}: {label}")
-        rows[setting] = rows.get(setting) or _row(partial(gauge.read, setting))
+        rows[setting] = rows.get(setting) or _row(partial(comparison.measure, setting))
     default = Setting(plan.exact.seconds)
     rows[default] = replace(rows[default], default=True)
     rows[plan.exact] = replace(rows[plan.exact], step=nan, total=nan, note=REFERENCE)
@@ -474,33 +474,36 @@ def _swept(plan: AccuracyPlan, gauge: NoiseGauge | TraceGauge, steps: Steps) -> 
         steps.next("timing")
         for setting, row in rows.items():
             if not isnan(row.seconds):
-                rows[setting] = replace(row, seconds=min(row.seconds, gauge.cost(setting)))
+                rows[setting] = replace(row, seconds=min(row.seconds, comparison.cost(setting)))
     return [replace(rows[each], sweep=sweep, label=label) for sweep, label, each in plan.wanted]
 
 
-def _row(read: Callable[[], Row]) -> Row:
-    """What is read, or why it cannot be."""
+def _row(read: Callable[[], AccuracyRow]) -> AccuracyRow:
+    """What is measured, or why it cannot be."""
     try:
         return read()
     except HapticdError as error:
-        return Row(seconds=nan, step=inf, note=str(error))
+        return AccuracyRow(seconds=nan, step=inf, note=str(error))
 
 
 def _tiers(
-    plan: AccuracyPlan, gauge: NoiseGauge | TraceGauge, steps: Steps, default: Row
-) -> Iterable[Row]:
-    if isinstance(gauge, NoiseGauge):
+    plan: AccuracyPlan,
+    comparison: Comparison,
+    steps: Steps,
+    default: AccuracyRow,
+) -> Iterable[AccuracyRow]:
+    if isinstance(comparison, PhaseComparison):
         steps.next("predict")
-        yield from gauge.predicted()
+        yield from comparison.predicted()
     steps.next("simulate")
     seconds = plan.exact.seconds
     words = f"simulate {seconds:g} s"
-    alone_s = gauge.cost(Setting(seconds), 1, ALONE_REPEATS)
+    alone_s = comparison.cost(Setting(seconds), 1, ALONE_REPEATS)
     yield replace(default, sweep="tier", label=f"{words}, alone", seconds=alone_s, default=False)
     yield replace(default, sweep="tier", label=f"{words}, {GROUP} at once")
     steps.next("lock-step")
     yield replace(
-        _row(partial(gauge.lockstep, plan.lockstep_s)),
+        _row(partial(comparison.lockstep, plan.lockstep_s)),
         sweep="tier",
         label=f"lock-step {plan.lockstep_s:g} s",
     )

@@ -1,10 +1,10 @@
-"""Which effects does a question need? Leave them out one at a time, see what the answer does, keep
-the cheapest set that does.
+"""Which effects does a question need? Leave them out one at a time, compare the answers, and
+propose the cheapest set that gives the answer of the whole scene.
 
 Linear effects are judged by prediction, which has no noise, others by simulation. All that alone
 change the answer by less than the tolerance are then left out together, the least important first,
-as long as prediction agrees; what is left is simulated against the whole scene, and the most
-important one comes back until that agrees as well.
+as long as prediction agrees; the rest is simulated against the whole scene, and the most important
+one comes back until that agrees as well.
 
 A set of effects is judged by one quantity, predicted (first harmonic, friction linearised: no
 noise) and simulated (the engine, with the same perturbation for every set of effects, so that
@@ -19,6 +19,9 @@ differences are those of the effects):
 
 A scene that noise does not move gets the paper's perturbation. Walls are left out: they have no
 impedance of their own.
+
+What would break it: answers that were simulated with different perturbations, whose difference is
+chance; or effects that hide each other, which is why the proposal is simulated as a whole.
 """
 
 from collections.abc import Callable, Iterable
@@ -54,32 +57,30 @@ PREDICTED = "predicted"
 SIMULATED = "simulated"
 PEAK_HZ = (40.0, 200.0)
 NAMES = {"K N/m": 1.0, "B N s/m": 1.0, "M g": 1e3}
-FINE = 1e-3  # of a limit: a change of 1 % is to be told from none
+FINE = 1e-3  # relative error of a limit: a change of 1 % must be seen
 INSIDE = 0.9  # of the predicted mass limit, for the peak: near it a long trial may run away
 
 
 @dataclass(frozen=True, slots=True)
 class EffectsParams:
-    """`scene` with all its effects, and which of QUESTIONS is asked. `tolerance`: 0.02 is 2 %.
-    `seconds`: of simulated trials.
-    """
+    """The scene with all its effects, and the question."""
 
     scene: Scene
-    question: str = "limits"
-    tolerance: float = 0.02
-    seconds: float = 90.0
+    question: str = "limits"  # one of QUESTIONS
+    tolerance: float = 0.02  # a relative change below it does not matter
+    seconds: float = 90.0  # length of a simulated trial
 
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """`values`: its numbers for the scene asked about with some of its effects, PREDICTED or
-    SIMULATED. `change` of others against those of the whole scene, 0.02 is 2 %, inf where only one
-    of the two exists. `told`: the others by name with unit.
+    """How one question is answered. `values`: the numbers for a scene with some of its effects,
+    PREDICTED or SIMULATED. `change` of such numbers against those of the whole scene: 0.02 is 2 %,
+    inf where only one of the two exists. `named`: the numbers by name with unit.
     """
 
     values: Callable[[EffectsParams, Scene, str], Floats]
     change: Callable[[Floats, Floats], float]
-    told: Callable[[Floats, Floats], dict[str, float]]
+    named: Callable[[Floats, Floats], dict[str, float]]
 
 
 def impedance(
@@ -89,7 +90,7 @@ def impedance(
     frequency_hz: Floats,
     method: str,
 ) -> Complexes:
-    """Z (F,) under one environment: predicted, or of a group of trials together."""
+    """Z (F,) [N s/m] under one environment: predicted, or of a group of trials together."""
     own = display(scene, noise(params.scene))
     if method == PREDICTED:
         return predicted_impedance(
@@ -110,7 +111,7 @@ def impedance(
 
 
 def limits(params: EffectsParams, scene: Scene, method: str) -> Floats:
-    """K [N/m], B [N s/m], M [kg] < 0; nan where K = B = M = 0 itself is not passive."""
+    """The limits of K [N/m], B [N s/m] and M [kg] < 0; nan where K = B = M = 0 is not passive."""
     given = Conditions(scene, params.seconds, noise(params.scene))
     plan = plan_limits(LimitsParams(given, (level(scene),), tolerance=FINE))
     if method == PREDICTED:
@@ -119,12 +120,12 @@ def limits(params: EffectsParams, scene: Scene, method: str) -> Floats:
 
 
 def limits_change(full: Floats, other: Floats) -> float:
-    """The largest relative one."""
+    """The largest relative change of a limit."""
     return max(relative(one, two) for one, two in zip(full, other, strict=True))
 
 
-def limits_told(full: Floats, other: Floats) -> dict[str, float]:
-    """K, B and M."""
+def named_limits(full: Floats, other: Floats) -> dict[str, float]:
+    """The limits of K, B and M."""
     return {
         name: float(factor * value)
         for (name, factor), value in zip(NAMES.items(), other, strict=True)
@@ -139,12 +140,12 @@ def phase(params: EffectsParams, scene: Scene, method: str) -> Floats:
 
 
 def phase_change(full: Floats, other: Floats) -> float:
-    """The largest difference over 90 degrees."""
+    """The largest difference of phase, over 90 degrees."""
     return float(np.abs(_turned(other - full)).max() / 90.0)
 
 
-def phase_told(full: Floats, other: Floats) -> dict[str, float]:
-    """The largest difference, and where."""
+def named_phase(full: Floats, other: Floats) -> dict[str, float]:
+    """The largest difference of phase, and its frequency."""
     turned = _turned(other - full)
     worst = int(np.argmax(np.abs(turned)))
     return {"phase deg": float(turned[worst]), "at Hz": float(frequencies()[worst])}
@@ -166,18 +167,18 @@ def peak(params: EffectsParams, scene: Scene, method: str, mass_kg: float | None
 
 
 def peak_change(full: Floats, other: Floats) -> float:
-    """The larger relative one of height and frequency; inf if the peak came or went."""
+    """The larger relative change of height and frequency; inf if the peak came or went."""
     return inf if full[2] != other[2] else float(np.abs(other[:2] / full[:2] - 1.0).max())
 
 
-def peak_told(full: Floats, other: Floats) -> dict[str, float]:
-    """Height and place; no place where there is no maximum."""
+def named_peak(full: Floats, other: Floats) -> dict[str, float]:
+    """Height and frequency; no frequency where there is no maximum."""
     return {"peak N s/m": float(other[0]), "at Hz": float(other[1]) if other[2] else nan}
 
 
 @cache
 def peak_mass_kg(params: EffectsParams) -> float:
-    """What is rendered for the peak. AnalysisError if no mass owns one."""
+    """The mass that is rendered for the peak. AnalysisError if no mass owns one."""
     mass_kg = float(limits(params, params.scene, PREDICTED)[2])
     if not mass_kg < 0.0:
         raise AnalysisError(
@@ -188,14 +189,14 @@ def peak_mass_kg(params: EffectsParams) -> float:
 
 
 QUESTIONS = {
-    "limits": Question(limits, limits_change, limits_told),
-    "phase": Question(phase, phase_change, phase_told),
-    "peak": Question(peak, peak_change, peak_told),
+    "limits": Question(limits, limits_change, named_limits),
+    "phase": Question(phase, phase_change, named_phase),
+    "peak": Question(peak, peak_change, named_peak),
 }
 
 
 def _turned(degrees: Floats) -> Floats:
-    """Into -180..180."""
+    """The same angles in -180..180 degrees."""
     return np.asarray((degrees + 180.0) % 360.0 - 180.0)
 
 
@@ -214,45 +215,38 @@ def relative(full: float, other: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class EffectsPlan:
-    """Which effects are left out, each with its method."""
+    """Which effects are left out, and how each is judged."""
 
     params: EffectsParams
-    methods: dict[str, str]
+    methods: dict[str, str]  # of an effect's key: PREDICTED or SIMULATED
 
 
 @dataclass(frozen=True, slots=True)
-class Left:
-    """The scene without `effect` ("" for the whole scene): its numbers by name and unit, their
-    change, and the engine's cost.
+class LeftOut:
+    """The scene without one effect, or without several."""
 
-    `method` is "predicted" or "simulated"; `note` says why it cannot be left out, if it cannot.
-    `cost_s` per simulated second.
-    """
-
-    effect: str
-    method: str
-    numbers: dict[str, float]
-    change: float
-    cost_s: float
-    note: str = ""
+    effect: str  # "" for the whole scene
+    method: str  # PREDICTED or SIMULATED
+    numbers: dict[str, float]  # by name with unit
+    change: float  # relative, against the whole scene
+    cost_s: float  # of the engine, per simulated second
+    note: str = ""  # why it cannot be left out
 
 
 @dataclass(frozen=True, slots=True)
 class EffectsResult:
-    """`rows` from important to not; `kept` is the proposal, `proposal` its row (simulated);
-    `whole` those of the scene.
-    """
+    """What leaving effects out does to the answer, and the proposal."""
 
     plan: EffectsPlan
-    whole: tuple[Left, Left]  # predicted, simulated
-    rows: tuple[Left, ...]
-    kept: tuple[str, ...]
-    proposal: Left
+    whole: tuple[LeftOut, LeftOut]  # the whole scene, predicted and simulated
+    rows: tuple[LeftOut, ...]  # the most important effect first
+    kept: tuple[str, ...]  # effects of the proposal
+    proposal: LeftOut  # the scene with those alone, simulated
 
 
 def plan_effects(params: EffectsParams) -> EffectsPlan:
-    """What will be left out how. ConfigError for an unknown question; AnalysisError if the
-    scene does not answer it.
+    """What will be left out, and how that is judged. ConfigError for an unknown question;
+    AnalysisError if the scene does not answer it.
     """
     if params.question not in QUESTIONS:
         raise ConfigError(f"question {params.question!r}: use one of {', '.join(QUESTIONS)}")
@@ -270,8 +264,8 @@ def plan_effects(params: EffectsParams) -> EffectsPlan:
 def run_effects(plan: EffectsPlan, now_ns: Stopwatch, tell: Progress = silent) -> EffectsResult:
     """Measure. ConfigError as `compose` and `simulate`."""
     study = _Study(plan, Steps(tell, len(plan.methods) + 4), now_ns)
-    whole = (study.left((), PREDICTED), study.left((), SIMULATED))
-    rows = [study.left((key,), method) for key, method in plan.methods.items()]
+    whole = (study.leave_out((), PREDICTED), study.leave_out((), SIMULATED))
+    rows = [study.leave_out((key,), method) for key, method in plan.methods.items()]
     rows.sort(key=lambda row: row.change, reverse=True)
     kept, proposal = study.proposal(rows)
     study.steps.end()
@@ -279,7 +273,7 @@ def run_effects(plan: EffectsPlan, now_ns: Stopwatch, tell: Progress = silent) -
 
 
 class _Study:
-    """One run: it remembers what every set of effects gave, and what was timed."""
+    """One run, which remembers the answer and the cost of every set of effects."""
 
     def __init__(self, plan: EffectsPlan, steps: Steps, now_ns: Stopwatch) -> None:
         self.steps = steps
@@ -291,7 +285,7 @@ class _Study:
         )
         self._cost = cache(lambda keys: engine_cost(without(params.scene, *keys), now_ns))
 
-    def left(self, keys: tuple[str, ...], method: str) -> Left:
+    def leave_out(self, keys: tuple[str, ...], method: str) -> LeftOut:
         """The scene without `keys`; the whole scene if there are none."""
         words = ", ".join(keys)
         self.steps.next(f"without {words}" if keys else f"all effects, {method}")
@@ -299,30 +293,30 @@ class _Study:
         try:
             change = self._change(keys, method)
         except (ConfigError, AnalysisError) as error:
-            return Left(words, method, {}, inf, nan, str(error))
-        return Left(
+            return LeftOut(words, method, {}, inf, nan, str(error))
+        return LeftOut(
             words,
             method,
-            self._question.told(full, self._values(keys, method)),
+            self._question.named(full, self._values(keys, method)),
             change,
             self._cost(keys),
         )
 
-    def proposal(self, rows: list[Left]) -> tuple[tuple[str, ...], Left]:
-        """The set that is kept and what it gives; everything where the question has no answer."""
+    def proposal(self, rows: list[LeftOut]) -> tuple[tuple[str, ...], LeftOut]:
+        """The effects that are kept, and their row; all of them where there is no answer."""
         tolerance = self._plan.params.tolerance
         droppable = [row.effect for row in rows if row.change <= tolerance]
         answered = np.isfinite(self._values((), PREDICTED)).any()
         dropped = self._agreed(reversed(droppable)) if answered else ()
-        found = self.left(dropped, SIMULATED)
+        found = self.leave_out(dropped, SIMULATED)
         while dropped and not found.change <= tolerance:
             dropped = dropped[:-1]
-            found = self.left(dropped, SIMULATED)
+            found = self.leave_out(dropped, SIMULATED)
         kept = tuple(key for key in self._plan.methods if key not in dropped)
         return kept, replace(found, effect=", ".join(kept))
 
     def _agreed(self, keys: Iterable[str]) -> tuple[str, ...]:
-        """Those of `keys`, the least important first, that prediction lets go together."""
+        """Those of `keys`, the least important first, that prediction leaves out together."""
         dropped: tuple[str, ...] = ()
         for key in keys:
             with suppress(ConfigError, AnalysisError):

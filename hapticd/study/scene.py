@@ -1,18 +1,17 @@
-"""What can be asked of a scene by itself: what it does with its electrical damping and without, how
-much damping it bears, and where explicit methods blow up on its device.
+"""A scene by itself: run it with active damping and without, find the largest active damping that
+is stable, and compare explicit integrators on its device.
 
 Both trials of a run get the same perturbation. A scene without damping steps of its own is compared
-with the level that `damping on` means. A winding that warms up is looked at by trials of growing
-length, since a trial tells its temperature at its end. Params -> plan -> Plan -> run -> Result.
+with the level that `damping on` means. The temperature of a winding that warms up is found by
+trials of growing length, since a trial gives it at its end.
 
-The largest damping of the device, and the largest with the scene's environment around it, are edges
-of stability found by bisection on eigenvalues: of the open device in continuous time
-(`plant.stability`), and of the exact map of one servo tick (`analysis.loop`), Coulomb friction
-left out. Above the first the analog circuit oscillates whatever the servo does. The second is a
-range: too little damping can be unstable as well. What limits the device is its resistance
-compensation (Weir, Colgate and Peshkin 2008, section 5): a winding colder than it believes leaves a
-ceiling of K^2 / dR, a hot one may leave none. So the same is asked for a range of winding
-temperatures.
+The largest active damping of the device, and the largest with the scene's environment around it,
+are edges of stability found by bisection on eigenvalues: of the open device in continuous time
+(`plant.stability`), and of the exact map of one servo tick (`analysis.loop`), Coulomb friction left
+out. Above the first the analog circuit oscillates whatever the servo does. The second is a range:
+too little damping can be unstable as well. What limits the device is its resistance compensation
+(Weir, Colgate and Peshkin 2008, section 5): a winding colder than it assumes leaves a ceiling of
+K^2 / dR, a hot one may leave none. So the same is computed for a range of winding temperatures.
 
 Explicit Euler and Runge-Kutta 4 stand beside the exact map, on the linear device of the scene:
 
@@ -26,6 +25,9 @@ Electronics of microseconds decide the step, whether or not they matter: 5 kHz o
 bandwidth ask RK4 for a step below 88 us although the answer is spoken in milliseconds. A device
 that is let go with all bodies at one speed, over 20 ms; the error is that of the state, each
 coordinate over its largest value on the way.
+
+What would break it: a range of stable levels with a gap in it, narrower than the scan that begins
+the bisection (`SCAN` levels).
 """
 
 from collections.abc import Sequence
@@ -52,34 +54,34 @@ from hapticd.plant.stability import damping_ceiling, edge, modes, stability
 from hapticd.units import PROBE_RATE_HZ
 from hapticd.zwidth.scenes import SUBSTEPS, filters, level, point
 from hapticd.zwidth.simulated import simulated
-from hapticd.zwidth.sources import Trial as Asked
+from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.store import Progress, Steps, silent
 from hapticd.zwidth.trial import SHORTEST_WINDOWS, TrialParams, TrialResult, judged, plan_trial
 
-TEMPERATURES = 12
+TEMPERATURES = 12  # of a winding that warms up, at equal distances of time
 LEAST_S = SHORTEST_WINDOWS * DEFAULT_LAG / PROBE_RATE_HZ  # for a verdict
-HIGHEST_NS_PER_M = 1e6  # no ceiling below it is none
-SCAN = 400
+HIGHEST_NS_PER_M = 1e6  # a device that is stable up to here has no ceiling
+SCAN = 400  # levels at which the loop is tried before bisection
 WARMER_K = (-40.0, -20.0, -10.0, -5.0, 0.0, 10.0, 40.0)
 STEPS_PER_MS = tuple(2**k for k in range(12))
-SPAN_MS = 20  # at the end of each of them the error is taken
+SPAN_MS = 20  # at the end of each millisecond the error is taken
 SPEED_M_PER_S = 0.1
 BLOWN_UP = 1.0  # error beyond which nothing is left of the answer
-ORDERS = {"exact": 0, "rk4": 4, "euler": 1}  # of the series; the exact map is none
-LONGEST_S = 1.0
-DRIFT = 1e-6  # of the fastest pole
+ORDERS = {"exact": 0, "rk4": 4, "euler": 1}  # of the power series; the exact map is no series
+LONGEST_S = 1.0  # steps up to here are tried
+DRIFT = 1e-6  # of the fastest pole: a slower one only drifts
 
 DampingSteps = tuple[tuple[float, float], ...]  # time s, level N s/m
 ON: DampingSteps = ((0.0, ADDED_DAMPING_NS_PER_M),)
 
 
 @dataclass(frozen=True, slots=True)
-class Leg:
-    """One trial to be made: damping steps (time s, level Ns/m); `own`: as the scene file says."""
+class DampingCase:
+    """The active damping of one trial of the scene."""
 
     name: str
     damping: DampingSteps
-    own: bool
+    own: bool  # as the scene file says
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,26 +90,22 @@ class ScenePlan:
 
     scene: Scene
     seconds: float
-    legs: tuple[Leg, ...]
+    cases: tuple[DampingCase, ...]
     impedance: bool  # noise moves it, long enough for a verdict
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
-    """One trial, with its ticks. `judged` is None without noise, or if it ended too early;
-    `winding_c` is (times s, degC), None where the winding's temperature is given.
-    """
+class SceneTrial:
+    """One trial of the scene."""
 
-    leg: Leg
-    found: BatchResult
-    judged: TrialResult | None = None
-    winding_c: tuple[Floats, Floats] | None = None
+    case: DampingCase
+    found: BatchResult  # with its ticks
+    judged: TrialResult | None = None  # None without noise, or if it ended too early
+    winding_c: tuple[Floats, Floats] | None = None  # (times [s], degC); None: a given temperature
 
     @property
     def numbers(self) -> dict[str, float]:
-        """Rms velocity and largest command, the work of the probe, when it diverged; by name
-        with unit.
-        """
+        """Rms velocity, largest command, the probe's work and the time of divergence, by name."""
         found = self.found
         return {
             "velocity_sd_m_per_s": float(found.sigma_v_m_per_s[0]),
@@ -119,30 +117,30 @@ class Trial:
 
 @dataclass(frozen=True, eq=False)
 class SceneResult:
-    """The scene's own trial is among `trials`; the undamped one comes first."""
+    """What was simulated."""
 
     plan: ScenePlan
-    trials: tuple[Trial, ...]
+    trials: tuple[SceneTrial, ...]  # the undamped one first; the scene's own is among them
 
 
 def plan_scene(scene: Scene, seconds: float | None = None) -> ScenePlan:
-    """Two legs: without damping and with it. `seconds` None: the scene's own."""
+    """Two cases: without active damping and with it. `seconds` None: the scene's own."""
     own = tuple((step.at_s, step.level_ns_per_m) for step in scene.damping)
     damped = level(scene) > 0.0
-    legs = (
-        Leg("no added damping", ((0.0, 0.0),), own=not damped),
-        Leg(_name(own), own, own=True) if damped else Leg(_name(ON), ON, own=False),
+    cases = (
+        DampingCase("no active damping", ((0.0, 0.0),), own=not damped),
+        DampingCase(_name(own), own, own=True) if damped else DampingCase(_name(ON), ON, own=False),
     )
     seconds = scene.seconds if seconds is None else seconds
-    return ScenePlan(scene, seconds, legs, scene.excitation.kind == "noise" and seconds > LEAST_S)
+    return ScenePlan(scene, seconds, cases, scene.excitation.kind == "noise" and seconds > LEAST_S)
 
 
 def run_scene(plan: ScenePlan, tell: Progress = silent) -> SceneResult:
     """Simulate. ConfigError as `compose` and `simulate`."""
     winding = compose(plan.scene).winding
-    steps = Steps(tell, len(plan.legs) * (1 + (TEMPERATURES if winding else 0)))
+    steps = Steps(tell, len(plan.cases) * (1 + (TEMPERATURES if winding else 0)))
     trials = tuple(
-        _trial(plan, leg, winding.start_c if winding else None, steps) for leg in plan.legs
+        _trial(plan, case, winding.start_c if winding else None, steps) for case in plan.cases
     )
     steps.end()
     return SceneResult(plan, trials)
@@ -151,66 +149,64 @@ def run_scene(plan: ScenePlan, tell: Progress = silent) -> SceneResult:
 def _name(steps: Sequence[tuple[float, float]]) -> str:
     highest = max(height for _, height in steps)
     switched = ", switched" if len({height for _, height in steps}) > 1 else ""
-    return f"added damping {highest:.3g} N s/m{switched}"
+    return f"active damping {highest:.3g} N s/m{switched}"
 
 
-def _trial(plan: ScenePlan, leg: Leg, start_c: float | None, steps: Steps) -> Trial:
-    steps.next(f"simulating, {leg.name}")
-    found = _simulated(plan, leg, plan.seconds, "ticks")
-    heated = None if start_c is None else _temperatures(plan, start_c, leg, steps)
-    return Trial(leg, found, _judged(plan, leg, found) if plan.impedance else None, heated)
+def _trial(plan: ScenePlan, case: DampingCase, start_c: float | None, steps: Steps) -> SceneTrial:
+    steps.next(f"simulating, {case.name}")
+    found = _simulated(plan, case, plan.seconds, "ticks")
+    heated = None if start_c is None else _temperatures(plan, start_c, case, steps)
+    return SceneTrial(case, found, _judged(plan, case, found) if plan.impedance else None, heated)
 
 
-def _simulated(plan: ScenePlan, leg: Leg, seconds: float, keep: str) -> BatchResult:
+def _simulated(plan: ScenePlan, case: DampingCase, seconds: float, keep: str) -> BatchResult:
     return simulate(
-        plan.scene, [point(plan.scene)], seconds, damping=leg.damping, substeps=SUBSTEPS, keep=keep
+        plan.scene, [point(plan.scene)], seconds, damping=case.damping, substeps=SUBSTEPS, keep=keep
     )
 
 
-def _judged(plan: ScenePlan, leg: Leg, found: BatchResult) -> TrialResult | None:
+def _judged(plan: ScenePlan, case: DampingCase, found: BatchResult) -> TrialResult | None:
     recorded = simulated(plan.scene, found)
     scene = plan.scene
     if recorded.seconds < LEAST_S:
         return None
-    asked = Asked(
-        point(scene), max(height for _, height in leg.damping), plan.seconds, scene.excitation
+    trial = Trial(
+        point(scene), max(height for _, height in case.damping), plan.seconds, scene.excitation
     )
-    return judged(plan_trial(TrialParams(asked, scene)), recorded)
+    return judged(plan_trial(TrialParams(trial, scene)), recorded)
 
 
-def _temperatures(plan: ScenePlan, start_c: float, leg: Leg, steps: Steps) -> tuple[Floats, Floats]:
+def _temperatures(
+    plan: ScenePlan, start_c: float, case: DampingCase, steps: Steps
+) -> tuple[Floats, Floats]:
     times = np.linspace(0.0, plan.seconds, TEMPERATURES + 1)
     found = [start_c]
     for seconds in times[1:]:
-        steps.next(f"warming up, {leg.name}")
-        winding_c = _simulated(plan, leg, float(seconds), "summary").winding_c
+        steps.next(f"warming up, {case.name}")
+        winding_c = _simulated(plan, case, float(seconds), "summary").winding_c
         found.append(nan if winding_c is None else float(winding_c[0]))
     return times, np.asarray(found)
 
 
 @dataclass(frozen=True, slots=True)
 class Ceiling:
-    """All damping levels in N s/m.
-
-    `device`: the highest at which the device alone is stable, inf without one; `oscillation_hz`
-    where it then oscillates (nan if it grows without). `lowest`, `highest`: between them the loop
-    with the scene's environment is stable; nan if never. `scene` is the scene's own level,
-    `loop_gain` g dR / K^2 at that level. `warmer`: (winding minus what the compensation believes
-    [K], ceiling of the device), empty if the scene has no winding.
+    """The largest active damping that is stable. The device alone is stable up to `device`; with
+    the scene's environment the loop is stable from `lowest` to `highest`.
     """
 
-    device: float
-    oscillation_hz: float
-    lowest: float
-    highest: float
-    scene: float
-    loop_gain: float
+    device: float  # N s/m; inf: always stable
+    oscillation_hz: float  # of the device just above; nan if it grows without oscillation
+    lowest: float  # N s/m; nan: never stable
+    highest: float  # N s/m
+    scene: float  # N s/m, the scene's own level
+    loop_gain: float  # g dR / K^2 at that level
+    # (winding minus what the compensation assumes [K], `device` then); empty without a winding
     warmer: tuple[tuple[float, float], ...]
 
 
 def ceiling(scene: Scene) -> Ceiling:
-    """Of a scene, whether or not its own level is stable. ConfigError as `compose_device`, or for
-    a shorted motor.
+    """The ceiling of a scene, whether or not its own level is stable. ConfigError as
+    `compose_device`, or for a shorted motor.
     """
     model = compose_device(scene.name, scene.effects, scene.rate_hz)
     if not (model.a1.any() or model.b1.any()):
@@ -247,7 +243,7 @@ def _warmer(scene: Scene, own: WindingTemperature, kelvin: float) -> float:
 
 
 def _loop(scene: Scene, model: Model, top: float) -> tuple[float, float]:
-    """(lowest, highest) damping with which the sampled loop is stable; nan if it never is."""
+    """(lowest, highest) level at which the sampled loop is stable; nan if it never is."""
 
     def stable(level_ns_per_m: float) -> bool:
         return bool(
@@ -261,7 +257,7 @@ def _loop(scene: Scene, model: Model, top: float) -> tuple[float, float]:
         return nan, nan
     first = good.index(True)
     last = [*good, False].index(False, first) - 1
-    # themselves at the ends of the scan
+    # at either end of the scan the edge is that end itself
     below = levels[max(first - 1, 0)]
     above = levels[min(last + 1, SCAN)]
     return edge(stable, levels[first], below), edge(stable, levels[last], above)
@@ -269,18 +265,18 @@ def _loop(scene: Scene, model: Model, top: float) -> tuple[float, float]:
 
 @dataclass(frozen=True, eq=False)
 class Integrators:
-    """`error[method]` (S,) over `steps_per_ms` (S,); inf where it blew up. `longest_s[method]`: its
-    largest stable step.
-    """
+    """Explicit methods and the exact map, by name."""
 
-    steps_per_ms: Floats
-    error: dict[str, Floats]
-    longest_s: dict[str, float]
-    fastest_s: float  # time constant of the device
+    steps_per_ms: Floats  # (S,)
+    error: dict[str, Floats]  # of a method (S,), relative; inf where it blew up
+    longest_s: dict[str, float]  # its largest stable step
+    fastest_s: float  # shortest time constant of the device
 
 
 def compare_integrators(scene: Scene) -> Integrators:
-    """Of the scene's device at its highest damping. ConfigError as `compose`."""
+    """Compare them on the scene's device at its highest active damping. ConfigError as
+    `compose`.
+    """
     model = compose(scene)
     a = model.a(level(scene))
     start = np.array(
@@ -305,7 +301,7 @@ def compare_integrators(scene: Scene) -> Integrators:
 
 
 def _error(millisecond: Array, start: Floats, true: Floats) -> float:
-    """The largest of any coordinate, over its largest value on the way."""
+    """The largest error of any coordinate, over its largest value on the way."""
     size = np.abs(true).max(axis=0)
     error = float(
         (np.abs(_marks(millisecond, start) - true) / np.where(size == 0.0, 1.0, size)).max()
@@ -332,7 +328,7 @@ def _marks(millisecond: Array, start: Floats) -> Floats:
 
 
 def _longest(method: str, poles: Complexes) -> float:
-    """The largest step at which no mode grows; inf for one that only drifts."""
+    """The largest step at which no mode grows; inf for a device that only drifts."""
     if method == "exact" or not poles.any():
         return inf
     moving = np.abs(poles) > DRIFT * np.abs(poles).max()  # drift neither grows nor decays

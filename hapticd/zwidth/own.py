@@ -20,18 +20,18 @@ from typing import Any
 import numpy as np
 
 from hapticd.errors import AnalysisError
-from hapticd.recording.stretch import KEPT, Column, Stretch, stretch
+from hapticd.recording.stretch import REMARK_ATTRIBUTES, ReadColumn, Stretch, stretch
 from hapticd.units import PROBE_RATE_HZ
 from hapticd.zwidth.store import Recorded, Rendered, plain
 from hapticd.zwidth.watch import in_even_time
 
 
-def of_recording(column: Column, attributes: Mapping[str, Any], name: str) -> Recorded:
+def of_recording(column: ReadColumn, attributes: Mapping[str, Any], name: str) -> Recorded:
     """The trial in a recording called `name`. AnalysisError for one without probe samples."""
     return _cut(column, attributes, stretch(column, attributes, name), name)
 
 
-def of_remark(column: Column, remark: Mapping[str, Any], name: str) -> Recorded:
+def of_remark(column: ReadColumn, remark: Mapping[str, Any], name: str) -> Recorded:
     """The trial in a text file `name` that ends with `remark`. AnalysisError for the table of
     the servo.
     """
@@ -44,13 +44,17 @@ def of_remark(column: Column, remark: Mapping[str, Any], name: str) -> Recorded:
     return _cut(column, remark, Stretch(**told), name)
 
 
-def _cut(column: Column, attributes: Mapping[str, Any], trial: Stretch, name: str) -> Recorded:
+def _cut(column: ReadColumn, attributes: Mapping[str, Any], trial: Stretch, name: str) -> Recorded:
     part = slice(trial.first, trial.after)
     force, velocity = (
         np.asarray(column("probe", one), np.float64)[part]
         for one in ("torque_n", "velocity_m_per_s")
     )
-    more = {one: plain(attributes[one]) for one in KEPT if attributes.get(one) not in (None, "")}
+    more = {
+        one: plain(attributes[one])
+        for one in REMARK_ATTRIBUTES
+        if attributes.get(one) not in (None, "")
+    }
     recorded = Recorded(
         force,
         velocity,

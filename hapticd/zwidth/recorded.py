@@ -26,7 +26,7 @@ from hapticd.analysis.arrays import Floats
 from hapticd.errors import AnalysisError, ConfigError
 from hapticd.recording.file import is_recording, open_recording
 from hapticd.recording.provenance import needed
-from hapticd.recording.stretch import COUNTED, OF_A_SERVO, Column, read_remark
+from hapticd.recording.stretch import PROBE_COLUMNS, SERVO_COLUMNS, ReadColumn, read_remark
 from hapticd.zwidth.own import of_recording, of_remark
 from hapticd.zwidth.store import (
     RECORD_H5,
@@ -133,13 +133,13 @@ def _exported(path: Path, columns: dict[str, Any]) -> Recorded | None:
     if path.suffix == ".mat":
         found = _structures(columns)
         return of_recording(*found, path.name) if found else None
-    if set(columns) >= COUNTED and "torque_n" not in columns:
+    if set(columns) >= PROBE_COLUMNS and "torque_n" not in columns:
         raise AnalysisError(
             f"{path}: counts of a recording that was not finished; finish it with `hapticd rec"
             " recover`, then export"
         )
     remark = read_remark(path) if path.suffix == ".csv" else None
-    if remark is not None or set(columns) >= OF_A_SERVO:
+    if remark is not None or set(columns) >= SERVO_COLUMNS:
         return of_remark(lambda _, name: columns[name], remark or {}, path.name)
     return None
 
@@ -418,7 +418,7 @@ READERS: dict[str, Callable[[Path], dict[str, Any]]] = {
 }  # fmt: skip
 
 
-def _structures(content: dict[str, Any]) -> tuple[Column, dict[str, Any]] | None:
+def _structures(content: dict[str, Any]) -> tuple[ReadColumn, dict[str, Any]] | None:
     """Columns and attributes of a MATLAB file that this package exported; None of another one."""
     groups = {
         name: values
