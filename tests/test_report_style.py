@@ -7,21 +7,23 @@ from math import e
 import numpy as np
 import pytest
 
-from hapticd.report.passive_set import area, draw_guess, walls_figure
 from hapticd.report.style import (
     FINE,
     NOT_JUDGED,
+    OFF,
     ON,
+    PARTS,
     axes,
     banded,
     handles_of,
     hertz_axis,
     not_judged,
+    of_levels,
+    of_mean,
     plain_axis,
     styled,
+    tint,
 )
-from hapticd.settings.scene import load_scene
-from hapticd.zwidth.walls import WallLine, WallParams, WallResult, plan_walls
 
 pytest.importorskip("matplotlib")
 
@@ -112,39 +114,23 @@ def test_legend_names_each_label_once(axis):
     assert [handle.get_label() for handle in handles_of(axis)] == ["a", "b"]
 
 
-def test_guess_is_the_mark_of_its_trials_hollow(axis):
-    draw_guess(axis, X, X, {"color": ON["color"], "marker": "s"})
-    assert axis.lines[0].get_markerfacecolor() == "none"
-    assert (axis.lines[0].get_marker(), axis.lines[0].get_markeredgecolor()) == ("s", ON["color"])
+def test_added_damping_is_blue_and_none_is_dashed():
+    for levels, expected in (((0.0, 1.74), (OFF, ON)), ((1.74, 0.0), (ON, OFF)), ((3.5,), (ON,))):
+        assert of_levels(levels) == list(expected)
+    assert of_levels((0.0, 0.87, 1.74, 3.5))[2] == ON
+    colours = [look["color"] for look in of_levels((0.0, 0.87, 1.74, 3.5))]
+    assert len(set(colours)) == 4
+    assert not set(colours) & {colour for _, colour in PARTS}
 
 
-def test_smaller_set_lies_on_top(axis):
-    for rank, top in enumerate((1.0, 5.0)):
-        area(axis, X, np.full(3, top), ON, rank)
-    small, large = (painted.get_zorder() for painted in axis.collections)
-    assert small > large
+def test_interval_of_few_seeds_is_by_students_t():
+    """t of 97.5 %: 12.7062 with one degree of freedom, 4.30265 with two, 2.36462 with seven."""
+    assert of_mean(1) == 0.0
+    assert of_mean(2) * np.sqrt(2.0) == pytest.approx(12.7062, rel=1e-4)
+    assert of_mean(3) * np.sqrt(3.0) == pytest.approx(4.30265, rel=1e-4)
+    assert of_mean(8) * np.sqrt(8.0) == pytest.approx(2.36462, rel=1e-4)
 
 
-# --- walls ----------------------------------------------------------------------------------------
-
-
-def walls(highest):
-    """One level: the stiffest stable wall at each of three dampings."""
-    plan = plan_walls(WallParams(load_scene("wall"), (20.0, 40.0), (0.0, 1.0, 2.0), (1.74,)))
-    lines = (
-        WallLine(1.74, damping, stiffness, False, ())
-        for damping, stiffness in zip((0.0, 1.0, 2.0), highest, strict=True)
-    )
-    return walls_figure(WallResult(plan, tuple(lines)))
-
-
-def test_walls_fill_their_figure_whether_or_not_all_rest():
-    """A line without points that is not clipped lies in the corner of a figure, and axes would
-    make room for it.
-    """
-    figures = [walls(highest) for highest in ((900.0, 950.0, 800.0), (900.0, 950.0, 0.0))]
-    for figure in figures:
-        figure.draw_without_rendering()
-    every, some = (figure.axes[0].get_position() for figure in figures)
-    assert every.bounds == pytest.approx(some.bounds, abs=0.02)
-    assert every.height > 0.55
+def test_tint_is_opaque_and_light():
+    assert tint("#000000", 0.5) == "#808080"
+    assert tint("#0072B2", 0.0) == "#ffffff"

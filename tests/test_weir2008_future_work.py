@@ -3,24 +3,19 @@ every row and point must keep.
 """
 
 from dataclasses import replace
-from math import isfinite, log
+from math import log
 
 import numpy as np
 import pytest
 from measured_scenes import DRY, scene
-from reproduced import beyond_by_prediction
+from reproduced import future_work_by_prediction
 
 from hapticd.analysis.predict import predict
 from hapticd.analysis.theorem import lift, lifted_margin, paper_equation_2
 from hapticd.errors import AnalysisError
 from hapticd.plant.effects import Masses, Motor, Viscous
 from hapticd.plant.step import held_force_response
-from hapticd.report import style
-from hapticd.report.envelope import weightiest
-from hapticd.report.style import PARTS
 from hapticd.weir2008 import future_work
-from hapticd.weir2008.future_page import PART, restored
-from hapticd.weir2008.future_page import future_sections as sections
 from hapticd.weir2008.future_work import (
     GRID,
     LOW_HZ,
@@ -33,8 +28,8 @@ from hapticd.weir2008.future_work import (
     hardy,
     mean_db,
     mean_sd,
-    plan_beyond,
-    run_beyond,
+    plan_future_work,
+    run_future_work,
     safest,
     shown_hz,
     sizes,
@@ -93,7 +88,7 @@ def rigid():
 @pytest.fixture(scope="module")
 def quick():
     """All of it by prediction, with fewer corners."""
-    return beyond_by_prediction()
+    return future_work_by_prediction()
 
 
 def test_mean_over_ln_f_of_a_slope_is_that_in_the_middle():
@@ -290,18 +285,6 @@ def test_every_predicted_owner_is_passive_and_stable(quick):
             assert judged.spectral_radius.max() < 1.0
 
 
-def test_negative_damping_takes_back_what_added_damping_raised(quick):
-    low = {name: found.lower_db()[0] for name, found in quick.envelopes.items()}
-    for kind in ("", "_safe"):
-        assert low[f"off{kind}"] + 5.0 < low[f"on{kind}"]
-        assert low[f"on_negative_B{kind}"] < low[f"on{kind}"] - 5.0
-        upper = [quick.envelopes[f"{name}{kind}"].upper.value for name in ("on", "on_negative_B")]
-        assert (upper[1] >= upper[0]).all()
-    assert restored(quick, "_safe")[0] == pytest.approx(
-        100 * (low["on_safe"] - low["on_negative_B_safe"]) / (low["on_safe"] - low["off_safe"])
-    )
-
-
 def test_safe_free_motion_has_damping_to_spare(quick):
     names = [motion.name for motion in quick.free.motions]
     assert names == ["off", "on", "on_negative_B", "on_negative_BM"]
@@ -337,70 +320,20 @@ def test_set_of_a_linear_device_grows_with_the_cube_of_its_damping(monkeypatch):
     assert found.limits[1] / found.limits[0] == pytest.approx([2.0, 2.0, 2.0], rel=0.02)
 
 
-def test_rows_have_units_part_and_no_paper(quick):
-    found = [row for section in sections(quick) for row in section.rows]
-    names = [row.quantity for row in found]
-    assert len(names) == len(set(names))
-    assert {row.part for row in found} == {PART}
-    assert not any(isfinite(row.paper) for row in found)
-    refused = next(row for row in found if row.quantity == "eq2_on_negative_B")
-    assert "use required_damping" in refused.note
-    numbers = [row for row in found if row is not refused]
-    assert all(isfinite(row.ours) for row in numbers)
-    assert {row.unit for row in numbers} == {
-        "dB", "%", "Ns/m", "Hz", "N/m", "kg", "1", "N/m per Ns/m", "Ns/m per Ns/m", "kg per Ns/m",
-    }  # fmt: skip
-
-
-def test_rows_do_not_take_names_of_the_six_limits(quick):
-    six = {f"{name}_{mode}" for name in ("K_max", "B_max", "M_min") for mode in ("off", "on")}
-    assert not six & {row.quantity for section in sections(quick) for row in section.rows}
-
-
 def test_scatter_needs_two_seeds():
     assert mean_sd(np.array([1.0, 3.0])) == (2.0, pytest.approx(np.sqrt(2.0)))
     assert np.isnan(mean_sd(np.array([1.0]))[1])
 
 
 def test_plan_counts_seeds_and_tells_its_steps(monkeypatch):
-    assert plan_beyond(seeds=4).seeds == (1, 2, 3, 4)
-    plan = plan_beyond(quick=True)
+    assert plan_future_work(seeds=4).seeds == (1, 2, 3, 4)
+    plan = plan_future_work(quick=True)
     told = []
     for name in ("bounds_of", "free_motion", "shaped_damping", "damping_levels"):
         monkeypatch.setattr(future_work, name, lambda *given: None)
-    run_beyond(plan, lambda what, done, total: told.append((what, done, total)))
+    run_future_work(plan, lambda what, done, total: told.append((what, done, total)))
     assert told[0] == ("envelope, off", 0, 10)
     assert told[-1] == ("done", 10, 10)
-
-
-def test_weightiest_part_has_a_sign():
-    f = np.array([5.0, 5.0, 5.0, 5.0, 50.0, 50.0])
-    owners = np.array(
-        [[0, 0, 0], [100, 0.1, 0], [0, 2, 0], [0, -2, 0.001], [0, 0.1, 0.01], [0, 0.1, -0.01]],
-        float,
-    )
-    assert weightiest(f, owners).tolist() == [-1, 0, 1, 3, 2, 4]
-    assert [name for name, _ in PARTS] == ["K", "B > 0", "M > 0", "B < 0", "M < 0"]
-
-
-def test_page_tells_each_part_once_with_its_figure(quick):
-    found = sections(quick)
-    names = [drawing.name for section in found for drawing in section.drawings]
-    assert names == ["beyond_lower_edge", "beyond_free_motion", "beyond_shaped", "beyond_levels"]
-    low = quick.envelopes["on_negative_B"].lower_db()[0]
-    assert f"With B < 0 it comes to {low:.1f} dB" in found[0].words
-    assert "shaken twice as hard" not in found[0].words  # nothing was flown
-
-
-def test_figures_carry_units_and_say_that_they_are_simulated(quick):
-    for drawing in (drawing for section in sections(quick) for drawing in section.drawings):
-        with style.styled():
-            figure = drawing.draw()
-        labels = [axis.get_ylabel() for axis in figure.axes if axis.get_ylabel()]
-        assert labels
-        assert all("(" in label for label in labels)
-        titles = [figure.get_suptitle(), *(axis.get_title(loc="left") for axis in figure.axes)]
-        assert any("SIMULATED weir2008, predicted" in title for title in titles)
 
 
 def test_prediction_alone_has_no_uncertainty(rigid):

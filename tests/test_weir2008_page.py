@@ -12,20 +12,16 @@ from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
-import numpy as np
 import pytest
 import reproduced
 
-from hapticd.analysis.envelope import Edge
 from hapticd.cli.app import main
 from hapticd.cli.zwidth import report as verb
 from hapticd.errors import ConfigError
-from hapticd.report.envelope import NOBODY, Drawn, weighty
-from hapticd.weir2008.figures import drawn
 from hapticd.weir2008.page import Drawing, Section, keep, page, parts, sections, terminal
-from hapticd.weir2008.paper import Row
+from hapticd.weir2008.rows import PaperRow, rows
 from hapticd.weir2008.run import SCENES, ReproduceResult
-from hapticd.weir2008.table import as_json, from_json, markdown, notes, paper_table, rows
+from hapticd.weir2008.table import from_json
 
 DOCS = Path(__file__).parents[1] / "docs"
 FIGURES = {"fig03", "fig04", "fig07", "fig08", "fig09", "fig10", "fig11", "limits", "band_edge"} | {
@@ -46,12 +42,12 @@ def flown(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(run, "run_reproduce", lambda plan, tell: reproduced.by_prediction())
     monkeypatch.setattr(
-        future_work, "run_beyond", lambda plan, tell: reproduced.beyond_by_prediction()
+        future_work, "run_future_work", lambda plan, tell: reproduced.future_work_by_prediction()
     )
 
 
 @pytest.fixture(scope="module")
-def found(quick: ReproduceResult) -> tuple[Row, ...]:
+def found(quick: ReproduceResult) -> tuple[PaperRow, ...]:
     return rows(quick)
 
 
@@ -66,72 +62,6 @@ def pages() -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
-
-
-# --- the table ------------------------------------------------------------------------------------
-
-
-def test_text_and_markdown_have_a_column_per_device(found: tuple[Row, ...]) -> None:
-    content = paper_table(found)
-    assert content.columns == ("quantity", "unit", "paper", *SCENES, "seeds", "kind")
-    assert markdown(content).count("\n") == len(content.rows) + 2
-
-
-def test_cell_says_value_scatter_difference_and_note() -> None:
-    row = Row(
-        "K_max_off",
-        100.0,
-        105.46,
-        "N/m",
-        "calibrated",
-        "weir2008",
-        sd=5.511,
-        seeds=8,
-        note="a reason",
-    )
-    assert paper_table([row]).rows == (
-        ("K_max_off", "N/m", "100", "105 ± 5.5 (+5.5 %) [1]", "8", "calibrated"),
-    )
-    assert notes([row]) == ["[1] K_max_off of weir2008: a reason"]
-
-
-def test_every_number_in_brackets_is_a_note(found: tuple[Row, ...]) -> None:
-    pointed = {
-        int(number)
-        for row in paper_table(found).rows
-        for cell in row
-        for number in re.findall(r"\[(\d+)\]", str(cell))
-    }
-    told = [int(re.match(r"\[(\d+)\]", note)[1]) for note in notes(found)]  # type: ignore[index]
-    assert told == list(range(1, len(told) + 1))
-    assert pointed == set(told)
-
-
-def test_axis_and_set_stand_side_by_side(found: tuple[Row, ...]) -> None:
-    content = parts(found)["readings"].table
-    assert content.columns[3:5] == ("weir2008, axis", "weir2008, set")
-    by_name = {row.quantity: row.ours for row in found if row.device == "weir2008"}
-    for line in content.rows:
-        name = str(line[0])
-        over = (
-            name.replace("_ratio", "_ratio_set")
-            if "ratio" in name
-            else re.sub("_(off|on)$", r"_set_\1", name)
-        )
-        for cell, quantity in zip(line[3:5], (name, over), strict=True):
-            assert float(str(cell).split()[0].replace(",", "")) == pytest.approx(
-                by_name[quantity], rel=6e-3
-            )
-
-
-def test_rows_come_back_from_json(found: tuple[Row, ...]) -> None:
-    told = as_json(found)
-    assert {"quantity", "paper", "ours", "unit", "kind", "device", "sd"} <= set(told[0])
-    assert as_json(from_json(json.loads(json.dumps(told, allow_nan=False)))) == told
-    literal = next(
-        row for row in told if row["quantity"] == "K_ratio" and row["device"] == "weir2008_literal"
-    )
-    assert literal["ours"] is None
 
 
 @pytest.mark.usefixtures("flown")
@@ -179,7 +109,7 @@ def test_verb_writes_report_table_and_figures(
     assert "by prediction alone" in report
 
 
-def test_page_is_made_of_sections(found: tuple[Row, ...]) -> None:
+def test_page_is_made_of_sections(found: tuple[PaperRow, ...]) -> None:
     more = Section(
         "Beyond the paper",
         "What it left to the future.",
@@ -295,34 +225,10 @@ def test_log_is_told_every_ten_seconds(
 # --- figures --------------------------------------------------------------------------------------
 
 
-def test_nobody_owns_what_noise_alone_would_do(quick: ReproduceResult) -> None:
-    """Largest and smallest of N equal trials lie about 2 sqrt(2 ln N) standard deviations apart."""
-    seen = quick.found[1]
-    count = len(seen.environments)
-    factor = np.exp(np.sqrt(2.0 * np.log(count)) * 0.01)
-
-    def spread(by: float) -> Drawn:
-        upper = seen.envelope.upper
-        lower = seen.envelope.lower
-        middle = np.sqrt(upper.value * lower.value)
-        sd = np.full(upper.value.size, 0.01)
-        envelope = replace(
-            seen.envelope,
-            upper=Edge(middle * by, sd, upper.owner),
-            lower=Edge(middle / by, sd, lower.owner),
-        )
-        return replace(drawn(quick, 1), envelope=envelope)
-
-    noisy = spread(0.99 * factor)
-    real = spread(1.01 * factor)
-    assert (weighty(noisy, noisy.envelope.upper) == NOBODY).all()
-    assert (weighty(real, real.envelope.upper) != NOBODY).mean() > 0.9
-
-
 # --- the documentation ----------------------------------------------------------------------------
 
 
-def committed() -> tuple[Row, ...]:
+def committed() -> tuple[PaperRow, ...]:
     return from_json(json.loads((DOCS / "figures/reproduction/table.json").read_text())["table"])
 
 
@@ -341,7 +247,7 @@ def test_documentation_has_every_figure(quick: ReproduceResult) -> None:
 
 
 def test_stale_number_and_table_are_mended(pages: ModuleType) -> None:
-    row = Row(
+    row = PaperRow(
         "K_max_off", 100.0, 105.46, "N/m", "calibrated", "weir2008", sd=5.5, seeds=8, part="limits"
     )
     numbers = (
@@ -359,7 +265,7 @@ def test_stale_number_and_table_are_mended(pages: ModuleType) -> None:
 
 
 def test_mark_without_its_row_is_refused(pages: ModuleType) -> None:
-    row = Row("K_max_off", 100.0, 105.46, "N/m", "calibrated", "weir2008", part="limits")
+    row = PaperRow("K_max_off", 100.0, 105.46, "N/m", "calibrated", "weir2008", part="limits")
     with pytest.raises(ConfigError, match=r"the table has no K_max of weir2008; correct the mark"):
         pages.filled("<!--= K_max weir2008 .0f -->99<!--/-->", [row])
     with pytest.raises(

@@ -14,7 +14,7 @@ from collections.abc import Iterable
 
 from hapticd.errors import ConfigError
 from hapticd.weir2008.page import parts, table_part
-from hapticd.weir2008.paper import Row, by_quantity
+from hapticd.weir2008.rows import PaperRow, by_quantity
 
 TABLE = re.compile(r"(<!-- table (\w+) -->\n).*?(<!-- /table -->)", re.DOTALL)
 NUMBER = re.compile(
@@ -22,7 +22,7 @@ NUMBER = re.compile(
 )
 
 
-def filled(page: str, rows: Iterable[Row]) -> str:
+def filled(page: str, rows: Iterable[PaperRow]) -> str:
     """The page with tables and numbers of `rows`. ConfigError for a mark without its row."""
     found = tuple(rows)
     sections = parts(found)

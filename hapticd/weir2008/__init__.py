@@ -1,13 +1,17 @@
 """Weir, Colgate and Peshkin (2008), "Measuring and Increasing Z-Width with Active Electrical
 Damping", measured again with the bench.
 
-paper          what the paper says: its devices, conditions and printed values
-run            what is measured, in terms of `zwidth`: trials, limits, map, walls
-table          each quantity beside the paper's, with the reason where they differ
-figures        the paper's figures from our results
-page           REPORT.md
-future_work    section 6 of the paper: negative B, shaped damping, levels, directed search
-future_page    its rows, words and figures
+paper           what the paper prints, and the devices that stand for the paper's
+run             what is measured, in terms of `zwidth`: trials, limits, map, walls
+rows            each quantity beside the paper's, with the reason where they differ
+table           the rows as text, Markdown and JSON
+figures         the paper's Figs. 3, 4 and 7-11, and two of our own
+page            REPORT.md and the files beside it
+future_work     section 6 of the paper: negative B, shaped damping, levels, directed search
+future_figures  its figures
+future_page     its rows and its sections of REPORT.md
 
+A script calls `run.plan_reproduce`, `run.run_reproduce` and `rows.rows`, or, for section 6,
+`future_work.plan_future_work` and `future_work.run_future_work`; `page.keep` writes the folder.
 Only the command line imports this package: it uses the bench as any script may.
 """

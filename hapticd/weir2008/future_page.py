@@ -18,10 +18,18 @@ import numpy as np
 
 from hapticd.analysis.arrays import Floats
 from hapticd.report.passive_set import search_figure
-from hapticd.weir2008.figures import edge_figure, free_figure, levels_figure, shape_figure
-from hapticd.weir2008.future_work import FLOWN, BeyondResult, Bounds, SearchCheck, mean_sd, shown_hz
+from hapticd.weir2008.future_figures import edge_figure, free_figure, levels_figure, shape_figure
+from hapticd.weir2008.future_work import (
+    FLOWN,
+    Bounds,
+    FutureWorkResult,
+    SearchCheck,
+    mean_sd,
+    shown_hz,
+)
 from hapticd.weir2008.page import Drawing, Section
-from hapticd.weir2008.paper import ADDED_NS_PER_M, MAIN, MODES, NAMES, UNITS, Row
+from hapticd.weir2008.paper import ADDED_NS_PER_M, MAIN, MODES, NAMES, UNITS
+from hapticd.weir2008.rows import PaperRow
 
 PART = "beyond"
 PREDICTED = np.empty(0)  # values by trials: none
@@ -29,27 +37,29 @@ BANDS = "bands are 95 % intervals of the mean over seeds (Student's t)"
 LITTLE = 0.5  # of the growth before: it saturates
 
 
-def future_sections(result: BeyondResult) -> tuple[Section, ...]:
+def future_sections(result: FutureWorkResult) -> tuple[Section, ...]:
     """Lower edge, free motion, shaped damping, levels; directed search where it was made."""
     parts = (_lower_edge, _free_motion, _shaped, _levels, *([_search] if result.searches else []))
     return tuple(part(result) for part in parts)
 
 
 def _row(
-    result: BeyondResult,
+    result: FutureWorkResult,
     quantity: str,
     runs: Floats,
     unit: str,
     predicted: float = nan,
     note: str = "",
-) -> Row:
+) -> PaperRow:
     """By trials of each seed, or as predicted where there are none."""
     ours, sd = mean_sd(runs) if len(runs) else (predicted, nan)
     seeds = len(result.plan.seeds) if len(runs) else 0
-    return Row(quantity, nan, ours, unit, "independent", MAIN, sd, seeds, predicted, note, PART)
+    return PaperRow(
+        quantity, nan, ours, unit, "independent", MAIN, sd, seeds, predicted, note, PART
+    )
 
 
-def restored(result: BeyondResult, kind: str = "") -> Floats:
+def restored(result: FutureWorkResult, kind: str = "") -> Floats:
     """How much of what added damping raised the lower edge by is taken back [%] (seeds,);
     `kind` "" or "_safe".
     """
@@ -59,7 +69,7 @@ def restored(result: BeyondResult, kind: str = "") -> Floats:
     return np.asarray(100.0 * (on - negative) / (on - off))
 
 
-def _lower_edge(result: BeyondResult) -> Section:
+def _lower_edge(result: FutureWorkResult) -> Section:
     rows = []
     for name, bounds in result.envelopes.items():
         told = _edge_note(result, name, bounds)
@@ -87,7 +97,7 @@ def _lower_edge(result: BeyondResult) -> Section:
     )
 
 
-def _lower_edge_words(result: BeyondResult) -> str:
+def _lower_edge_words(result: FutureWorkResult) -> str:
     low = {name: found.lower_db().mean() for name, found in result.envelopes.items()}
     wide = {name: found.width_db().mean() for name, found in result.envelopes.items()}
     at_noise, safe = (restored(result, kind).mean() for kind in ("", "_safe"))
@@ -114,7 +124,7 @@ def _lower_edge_words(result: BeyondResult) -> str:
     )
 
 
-def _edge_note(result: BeyondResult, name: str, bounds: Bounds) -> str:
+def _edge_note(result: FutureWorkResult, name: str, bounds: Bounds) -> str:
     if not bounds.flown:
         return "predicted on the grid of Figs. 3 and 8; a finer grid goes lower"
     share = 100.0 * result.hardy[name]
@@ -124,7 +134,7 @@ def _edge_note(result: BeyondResult, name: str, bounds: Bounds) -> str:
     )
 
 
-def _free_motion(result: BeyondResult) -> Section:
+def _free_motion(result: FutureWorkResult) -> Section:
     free = result.free
     count = len(result.plan.seeds)
     off, on, alone, both = free.motions
@@ -163,14 +173,14 @@ def _free_motion(result: BeyondResult) -> Section:
     ]
     refused = f"refused: {free.refusal}"
     rows.append(
-        Row("eq2_on_negative_B", nan, nan, "-", "arithmetic", MAIN, note=refused, part=PART)
+        PaperRow("eq2_on_negative_B", nan, nan, "-", "arithmetic", MAIN, note=refused, part=PART)
     )
     caption = f"What is felt where no stiffness is rendered; {BANDS}."
     drawing = Drawing("beyond_free_motion", caption, partial(free_figure, result))
     return Section("Beyond the paper: free motion", words, tuple(rows), (drawing,))
 
 
-def _shaped(result: BeyondResult) -> Section:
+def _shaped(result: FutureWorkResult) -> Section:
     shaped, (plain_k, best_k) = result.shaped, result.shaped.stiffest
     bounds = shaped.bounds
     best = shaped.best
@@ -218,7 +228,7 @@ def _shaped(result: BeyondResult) -> Section:
     return Section(title, words, tuple(_row(result, *row) for row in told), (drawing,))
 
 
-def _levels(result: BeyondResult) -> Section:
+def _levels(result: FutureWorkResult) -> Section:
     levels, (low, _, high, highest) = result.levels, FLOWN
     growth = levels.gain(low, high)
     later = levels.gain(high, highest)
@@ -257,7 +267,7 @@ def _levels(result: BeyondResult) -> Section:
     return Section("Beyond the paper: levels of added damping", words, tuple(rows), (drawing,))
 
 
-def _search(result: BeyondResult) -> Section:
+def _search(result: FutureWorkResult) -> Section:
     words = [_search_words(found) for found in result.searches]
     saved = [
         f"{found.points} trials by {found.enough}" for found in result.searches if found.enough
@@ -290,7 +300,7 @@ def _search_words(found: SearchCheck) -> str:
     )
 
 
-def _search_rows(found: SearchCheck) -> tuple[Row, ...]:
+def _search_rows(found: SearchCheck) -> tuple[PaperRow, ...]:
     grid = f"of {found.passive} passive points among {found.points}"
     enough = f"more than {max(found.searched)} trials are needed"
     if found.enough:
@@ -324,6 +334,6 @@ def _search_rows(found: SearchCheck) -> tuple[Row, ...]:
         ),
     )
     return tuple(
-        Row(name, nan, float(value), unit, "independent", MAIN, note=note, part=PART)
+        PaperRow(name, nan, float(value), unit, "independent", MAIN, note=note, part=PART)
         for name, value, unit, note in told
     )

@@ -372,7 +372,7 @@ CASES = (
 
 
 @dataclass(frozen=True, eq=False)
-class BeyondPlan:
+class FutureWorkPlan:
     """The device, and the noise that everything shown passes with; none: prediction alone."""
 
     bench: Bench
@@ -380,12 +380,12 @@ class BeyondPlan:
 
 
 @dataclass(frozen=True, eq=False)
-class BeyondResult:
+class FutureWorkResult:
     """`envelopes` by the name of their case; `hardy`: share of the low owners of an envelope
     that pass at twice the force.
     """
 
-    plan: BeyondPlan
+    plan: FutureWorkPlan
     envelopes: dict[str, Bounds]
     hardy: dict[str, float]
     free: Free
@@ -394,12 +394,12 @@ class BeyondResult:
     searches: tuple[SearchCheck, ...]
 
 
-def plan_beyond(quick: bool = False, seeds: int = SEEDS) -> BeyondPlan:
+def plan_future_work(quick: bool = False, seeds: int = SEEDS) -> FutureWorkPlan:
     """Seeds 1, 2, ..., none if quick. ConfigError as `load_scene`."""
-    return BeyondPlan(Bench(conditions(MAIN)), () if quick else tuple(range(1, seeds + 1)))
+    return FutureWorkPlan(Bench(conditions(MAIN)), () if quick else tuple(range(1, seeds + 1)))
 
 
-def run_beyond(plan: BeyondPlan, tell: Progress = silent) -> BeyondResult:
+def run_future_work(plan: FutureWorkPlan, tell: Progress = silent) -> FutureWorkResult:
     """Do it. ConfigError as `simulate`."""
     bench = plan.bench
     seeds = plan.seeds
@@ -420,7 +420,7 @@ def run_beyond(plan: BeyondPlan, tell: Progress = silent) -> BeyondResult:
         steps.next(f"directed search, {level:g} N s/m")
         searches.append(compared_with_grid(bench.conditions, level))
     steps.end()
-    return BeyondResult(plan, envelopes, survived, free, shaped, levels, tuple(searches))
+    return FutureWorkResult(plan, envelopes, survived, free, shaped, levels, tuple(searches))
 
 
 def mean_sd(runs: Floats) -> tuple[float, float]:

@@ -28,16 +28,16 @@ from hapticd.report.passive_set import walls_figure
 from hapticd.report.style import Figure
 from hapticd.report.table import Table, text
 from hapticd.weir2008.figures import (  # fmt: skip
-    WORDS,
+    LABELS,
     edges_figure,
     envelope_figure,
     limits_figure,
     passive_figure,
     single_figure,
 )
-from hapticd.weir2008.paper import Row
+from hapticd.weir2008.rows import PaperRow, rows
 from hapticd.weir2008.run import ReproduceResult
-from hapticd.weir2008.table import as_json, markdown, notes, paper_table, readings_table, rows
+from hapticd.weir2008.table import as_json, markdown, notes, paper_table, readings_table
 from hapticd.zwidth.store import Progress, Steps, silent
 
 WORDED = {
@@ -107,7 +107,7 @@ class Section:
 
     title: str
     words: str
-    rows: tuple[Row, ...] = ()
+    rows: tuple[PaperRow, ...] = ()
     drawings: tuple[Drawing, ...] = ()
     content: Table | None = None
 
@@ -145,11 +145,11 @@ def sections(result: ReproduceResult) -> tuple[Section, ...]:
     )
 
 
-def parts(found: Iterable[Row]) -> dict[str, Section]:
+def parts(found: Iterable[PaperRow]) -> dict[str, Section]:
     """The sections by the part of their rows, without figures; a part that is none of the paper's
     has its table alone.
     """
-    by_part: dict[str, tuple[Row, ...]] = {}
+    by_part: dict[str, tuple[PaperRow, ...]] = {}
     for row in found:
         by_part[row.part] = (*by_part.get(row.part, ()), row)
     made = {part: Section(*WORDED.get(part, (part, "")), kept) for part, kept in by_part.items()}
@@ -162,7 +162,7 @@ def parts(found: Iterable[Row]) -> dict[str, Section]:
 
 def _drawings(result: ReproduceResult) -> tuple[Drawing, ...]:
     """Of the paper's figures; Fig. 2 only where walls were hit."""
-    off, on = WORDS
+    off, on = LABELS
     drawn: list[tuple[int, str, Callable[[str], Figure], str]] = [
         (3, f"Z-width {off}", partial(envelope_figure, result, (0,)), OWNERS),
         (

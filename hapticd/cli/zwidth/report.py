@@ -234,7 +234,7 @@ def reproduce(
     if --out names a folder. Ctrl-C is safe: the folder holds the files of one run, or none.
     """
     from hapticd.weir2008.future_page import future_sections
-    from hapticd.weir2008.future_work import plan_beyond, run_beyond
+    from hapticd.weir2008.future_work import plan_future_work, run_future_work
     from hapticd.weir2008.page import keep, sections
     from hapticd.weir2008.page import terminal as terminal_text
     from hapticd.weir2008.run import plan_reproduce, run_reproduce
@@ -242,9 +242,12 @@ def reproduce(
 
     plan = plan_reproduce(quick, seeds)
     files = []
-    further = plan_beyond(quick)
+    further = plan_future_work(quick)
     with common.interruptible(), watched() as tell:
-        found = [*sections(run_reproduce(plan, tell)), *future_sections(run_beyond(further, tell))]
+        found = [
+            *sections(run_reproduce(plan, tell)),
+            *future_sections(run_future_work(further, tell)),
+        ]
         table = table_json(row for section in found for row in section.rows)
         content: dict[str, Any] = {
             "quick": quick,

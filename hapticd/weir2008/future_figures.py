@@ -1,0 +1,364 @@
+"""Figures of what the paper left for future work.
+
+    beyond_lower_edge    edge_figure: negative virtual damping and the lower edge of the Z-width
+    beyond_free_motion   free_figure: |Z| where no stiffness is rendered
+    beyond_shaped        shape_figure: limits, free motion and envelope over a corner frequency
+    beyond_levels        levels_figure: limits, passive set and free motion over active damping
+    beyond_search        passive_set.search_figure of `report`: directed search
+
+Bands and bars are 95 % intervals of the mean over seeds, by Student's t. The bracket at the foot
+spans the frequencies of the means in dB. A strip below an envelope says which part of the lower
+edge's owner weighs most at that frequency. All figures are drawn within `styled`.
+
+What would break it: a result without seeds; it has no intervals, and the title then says that all
+is predicted.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+from hapticd.analysis.arrays import Floats
+from hapticd.analysis.envelope import Edge
+from hapticd.report.envelope import keys, strip, weightiest
+from hapticd.report.style import (
+    BELOW,
+    BLACK,
+    BLUE,
+    FOREST,
+    INTERVAL,
+    OFF,
+    OLIVE,
+    ON,
+    PARTS,
+    PREDICTED,
+    PURPLE,
+    SMALL_PT,
+    WIDTH_IN,
+    Axes,
+    Figure,
+    Look,
+    averaged,
+    axes,
+    banded,
+    handles_of,
+    hertz_axis,
+    mark,
+    of_mean,
+    plain_axis,
+    simulated,
+)
+from hapticd.weir2008.future_work import (
+    LOW_HZ,
+    Bounds,
+    Corner,
+    FutureWorkResult,
+    Motion,
+    Shaped,
+    mean_sd,
+    shown_hz,
+)
+from hapticd.weir2008.paper import (
+    ADDED_NS_PER_M,
+    LEVELS,
+    MAIN,
+)
+from hapticd.weir2008.run import (
+    SECONDS,
+)
+
+NEGATIVE: Look = {"color": FOREST, "linestyle": "-", "linewidth": 1.6}
+WITH_MASS: Look = {"color": PURPLE, "linestyle": "-", "linewidth": 2.2}  # B < 0 and M < 0
+ALONE: Look = {"color": BLACK, "linestyle": "-"}
+CASES = (
+    ("off", OFF, "no active damping"),
+    ("on", ON, f"{ADDED_NS_PER_M:g} N s/m active, B ≥ 0"),
+    ("on_negative_B", NEGATIVE, f"{ADDED_NS_PER_M:g} N s/m active, any B"),
+)
+COLOURS = dict(PARTS)
+LIMITS: tuple[tuple[str, str, float, Look], ...] = (
+    ("largest K", "N/m", 1.0, {"color": COLOURS["K"], "marker": "o"}),
+    ("largest B", "N s/m", 1.0, {"color": COLOURS["B > 0"], "marker": "s"}),
+    ("smallest M", "g", 1e3, {"color": COLOURS["M < 0"], "marker": "^"}),
+)
+DISC: Look = {"color": BLACK, "marker": "o"}
+BY_TRIALS = f"by trials, {INTERVAL}"
+BAND = f"{LOW_HZ[0]:g}-{LOW_HZ[1]:g} Hz"
+CORNERS_HZ = (0.4, 600.0)
+
+
+def _how(result: FutureWorkResult, more: str = "") -> str:
+    """The line below a title: the device, how the numbers were found, how many seeds stand behind
+    each of them.
+    """
+    seeds = result.plan.seeds
+    count = f", {len(seeds)} seeds" if seeds else ""
+    return f"{simulated(MAIN, SECONDS if seeds else 0.0, more)}{count}"
+
+
+def _ends(axis: Axes) -> None:
+    """Axes of |Z| over the frequencies of all trials here."""
+    f = shown_hz()
+    hertz_axis(axis, float(f[0]), float(f[-1]))
+    plain_axis(axis.yaxis)
+
+
+def _by_trials(
+    axis: Axes,
+    x: Any,
+    runs: Sequence[Floats],
+    scale: float = 1.0,
+    look: Look = DISC,
+    label: str | None = BY_TRIALS,
+) -> None:
+    """The mean of each of `runs` (seeds,), times `scale`, with its interval at `x`; nothing
+    without trials.
+    """
+    known = [mean_sd(each) for each in runs if len(each)]
+    bars = [
+        abs(scale) * of_mean(len(each)) * sd for each, (_, sd) in zip(runs, known, strict=False)
+    ]
+    if known:
+        marked = {"markerfacecolor": look["color"], "zorder": 3, **look, "linestyle": ""}
+        axis.errorbar(x, [scale * mean for mean, _ in known], bars, label=label, **marked)
+
+
+# --- future work, over frequency ------------------------------------------------------------------
+
+
+def edge_figure(result: FutureWorkResult) -> Figure:
+    """Envelopes undamped, damped and with B < 0: by the paper's rule, and without counting on
+    friction.
+    """
+    title = f"Negative virtual damping and the lower edge of the Z-width\n{_how(result)}"
+    figure, grid = axes(
+        4, 2, WIDTH_IN, 5.9, title, sharex=True, sharey="row", height_ratios=[3.4, 0.3, 0.3, 0.3]
+    )
+    kinds = (
+        ("", "passive at the perturbation of the trials"),
+        ("_safe", "passive without counting on dry friction"),
+    )
+    for column, (kind, words) in enumerate(kinds):
+        bounds = [result.envelopes[f"{name}{kind}"] for name, _, _ in CASES]
+        size, *strips = grid[column::2]
+        _lines(size, bounds, [(look, label) for _, look, label in CASES], len(result.plan.seeds))
+        size.set(title=words, ylim=(None, 300.0))
+        _ends(size)
+        averaged(size, LOW_HZ)
+        for axis, found, (_, _, label) in zip(strips, bounds, CASES, strict=True):
+            which = weightiest(shown_hz(), found.points[found.lower.owner])
+            strip(
+                axis, shown_hz(), [which], f"{label}: {found.lower_db().mean():+.1f} dB", columns=2
+            )
+        for axis in (size, *strips):
+            axis.set_xlabel("frequency (Hz)" if axis is strips[-1] else "")
+    grid[0].set_ylabel("|Z| at the probe (N s/m)")
+    predicted = [mark("lower edge, predicted", **PREDICTED)] if result.plan.seeds else []
+    grid[1].legend(
+        handles=[*(mark(label, **look) for _, look, label in CASES), *predicted], loc="upper center"
+    )
+    foot = (
+        f"strips: owner of the lower edge, weightiest part; its mean over {BAND} (bracket), dB re 1"
+        " N s/m"
+    )
+    figure.legend(handles=keys(), ncols=6, title=foot, **BELOW)
+    return figure
+
+
+def _lines(
+    axis: Axes, bounds: Sequence[Bounds], looks: Sequence[tuple[Look, str]], seeds: int
+) -> None:
+    """Both edges, the lower one heavier."""
+    for found, (look, words) in zip(bounds, looks, strict=True):
+        _line(
+            axis,
+            found.lower,
+            found.predicted_lower if found.flown else None,
+            seeds,
+            {**look, "linewidth": 1.8},
+            words,
+        )
+        _line(axis, found.upper, None, seeds, {**look, "linewidth": 0.8})
+
+
+def _line(
+    axis: Axes,
+    size: Edge,
+    predicted: Floats | None,
+    seeds: int,
+    look: Look,
+    words: str | None = None,
+) -> None:
+    """|Z| over `shown_hz()` with the interval of its mean over seeds; dotted what was predicted
+    of it.
+    """
+    axis.set_yscale("log")
+    banded(axis, shown_hz(), size.value, of_mean(seeds) * size.sd, look, words)
+    if predicted is not None:
+        axis.plot(shown_hz(), predicted, **{**PREDICTED, "color": look["color"]})
+
+
+def free_figure(result: FutureWorkResult) -> Figure:
+    """|Z| of the device that renders no stiffness, for each way of making it lighter."""
+    title = f"Free motion: passive for any input, friction not counted\n{_how(result)}"
+    figure, (axis,) = axes(1, 1, WIDTH_IN, 4.4, title)
+    for motion, look in zip(result.free.motions, (OFF, ON, NEGATIVE, WITH_MASS), strict=True):
+        words = f"{_rendered(motion)}: {motion.low_db().mean():.1f} dB"
+        _line(
+            axis,
+            motion.size,
+            motion.predicted if len(motion.runs) else None,
+            len(motion.runs),
+            look,
+            words,
+        )
+    bracket = mark(
+        f"{BAND}: mean, dB re 1 N s/m", color=BLACK, marker="|", markersize=7, linewidth=1.0
+    )
+    _ends(axis)
+    averaged(axis, LOW_HZ)
+    axis.set_ylabel("|Z| at the probe, K = 0 (N s/m)")
+    figure.legend(
+        handles=[*handles_of(axis), mark("predicted", **PREDICTED), bracket], ncols=2, **BELOW
+    )
+    return figure
+
+
+def _rendered(motion: Motion) -> str:
+    added = f"{motion.level:g} N s/m added" if motion.level else "no added damping"
+    damping = f", B = {motion.damping:.2f} N s/m" if motion.damping else ""
+    return added + damping + (f", M = {1e3 * motion.mass_kg:.1f} g" if motion.mass_kg else "")
+
+
+# --- future work, over a corner and over a level --------------------------------------------------
+
+
+def shape_figure(result: FutureWorkResult) -> Figure:
+    """What a corner in the damping circuit does to the limits, to free motion, and to the
+    envelope.
+    """
+    shaped = result.shaped
+    title = (
+        f"Frequency-shaped added damping, {shaped.level:g} N"
+        f" s/m\n{_how(result, 'lines predicted, marks ')}"
+    )
+    figure, (above, below, free, size) = axes(2, 2, WIDTH_IN, 5.6, title)
+    _shares(above, shaped, shaped.highpass, "damping above the corner only")
+    _shares(below, shaped, shaped.lowpass, "damping below the corner only")
+    for each in shaped.confirmed:
+        scale = 100.0 / shaped.plain.limits[each.axis]
+        _by_trials(above, shaped.best.hertz, [each.values], scale, LIMITS[each.axis][-1], None)
+    above.set_ylabel("limit (% of unshaped)")
+    _free(free, shaped)
+    looks = ((OFF, "none"), (ON, "unshaped"), (ALONE, f"above {shaped.best.hertz:g} Hz"))
+    _lines(
+        size,
+        [result.envelopes["off"], result.envelopes["on"], shaped.bounds],
+        looks,
+        len(result.plan.seeds),
+    )
+    size.set(ylabel="envelope, B ≥ 0 (N s/m)", ylim=(0.003, None))
+    _ends(size)
+    size.legend(loc="lower left", title="added damping")
+    undamped = mark("without damping", color=BLACK, linestyle=OFF["linestyle"])
+    figure.legend(handles=[*handles_of(above), undamped], ncols=4, **BELOW)
+    return figure
+
+
+def _shares(axis: Axes, shaped: Shaped, corners: tuple[Corner, ...], words: str) -> None:
+    """Limits in percent of those without a corner; dashed those without damping."""
+    at = [corner.hertz for corner in corners]
+    for place, (name, _, _, look) in enumerate(LIMITS):
+        scale = 100.0 / shaped.plain.limits[place]
+        axis.plot(at, [scale * corner.limits[place] for corner in corners], label=name, **look)
+        axis.axhline(
+            scale * shaped.undamped.limits[place], color=look["color"], linestyle=OFF["linestyle"]
+        )
+    axis.axhline(100.0, color=BLACK, linewidth=0.8)
+    hertz_axis(axis, at[0] / 1.15, at[-1] * 1.15)
+    axis.set(ylim=(0.0, 118.0), xlabel="corner (Hz)", title=words)
+
+
+def _free(axis: Axes, shaped: Shaped) -> None:
+    for corners, sign, words in (
+        (shaped.highpass, "o", "damping above it"),
+        (shaped.lowpass, "x", "damping below it"),
+    ):
+        free_db = [each.free_db for each in corners]
+        axis.plot(
+            [each.hertz for each in corners],
+            free_db,
+            marker=sign,
+            color=BLUE,
+            linewidth=0.9,
+            label=words,
+        )
+    for level, words, look in (
+        (shaped.plain.free_db, "unshaped", ON),
+        (shaped.undamped.free_db, "without damping", OFF),
+    ):
+        axis.axhline(level, linewidth=0.9, **look)
+        axis.text(0.45, level + 0.3, words, fontsize=SMALL_PT, color=look["color"])
+    if len(shaped.free.runs):
+        _by_trials(axis, shaped.best.hertz, [shaped.free.low_db()])
+    hertz_axis(axis, *CORNERS_HZ)
+    axis.set(
+        xlabel="corner (Hz)",
+        ylabel="free motion (dB re 1 N s/m)",
+        ylim=(-2.0, None),
+        xticks=[0.5, 2, 10, 50, 200],
+    )
+    axis.legend(loc="lower left")
+
+
+def levels_figure(result: FutureWorkResult) -> Figure:
+    """Limits, volume and free motion over the level of added damping."""
+    levels = result.levels
+    how = _how(result, "lines predicted, marks ")
+    figure, grid = axes(
+        2,
+        2,
+        WIDTH_IN,
+        5.4,
+        f"Levels of added damping; the two upright lines are those of the paper\n{how}",
+    )
+    for axis, (panel, (name, unit, scale, look)) in enumerate(zip(grid, LIMITS, strict=False)):
+        panel.plot(
+            levels.level,
+            scale * levels.limits[:, axis],
+            color=look["color"],
+            marker=".",
+            label="predicted",
+        )
+        flown = [limit for limit in levels.confirmed if limit.axis == axis]
+        _by_trials(panel, [each.level for each in flown], [each.values for each in flown], scale)
+        panel.set_ylabel(f"{name} ({unit})")
+    _volume(grid[3], result)
+    for panel in grid:
+        for level in LEVELS:
+            panel.axvline(level, color="#bbbbbb", linewidth=1.0, zorder=0.4)
+        panel.set_xlabel("added damping (N s/m)")
+    grid[0].legend(loc="upper left")
+    return figure
+
+
+def _volume(axis: Axes, result: FutureWorkResult) -> None:
+    levels = result.levels
+    beside = axis.twinx()
+    growth = levels.volume / levels.volume[0]
+    lines = axis.plot(
+        levels.level, growth, color=BLACK, marker=".", label="volume of the set, predicted"
+    )
+    axis.set(yscale="log", ylim=(0.1, None), ylabel="passive set (undamped = 1)")
+    plain_axis(axis.yaxis)
+    lines += beside.plot(
+        levels.level,
+        levels.free_db,
+        color=OLIVE,
+        marker="x",
+        label=f"free motion, mean |Z| in {BAND}",
+    )
+    beside.set(ylim=(-6.0, None))
+    beside.set_ylabel("free motion (dB re 1 N s/m)", color=OLIVE)
+    beside.grid(visible=False)
+    beside.spines["right"].set_visible(True)
+    axis.legend(handles=lines, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)

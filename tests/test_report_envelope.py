@@ -1,0 +1,81 @@
+"""Figures of envelopes: edges as impedance and as admittance, predictions, owners."""
+
+import numpy as np
+import pytest
+
+from hapticd.report.envelope import envelope_figure, weightiest
+from hapticd.report.style import OFF, PARTS, PREDICTED
+from hapticd.settings.scene import load_scene
+from hapticd.zwidth.outcomes import Conditions, Outcome, fly, kept_frequencies
+from hapticd.zwidth.scenes import noise
+
+pytest.importorskip("matplotlib")
+
+
+def test_weightiest_part_has_a_sign():
+    f = np.array([5.0, 5.0, 5.0, 5.0, 50.0, 50.0])
+    owners = np.array(
+        [[0, 0, 0], [100, 0.1, 0], [0, 2, 0], [0, -2, 0.001], [0, 0.1, 0.01], [0, 0.1, -0.01]],
+        float,
+    )
+    assert weightiest(f, owners).tolist() == [-1, 0, 1, 3, 2, 4]
+    assert [name for name, _ in PARTS] == ["K", "B > 0", "M > 0", "B < 0", "M < 0"]
+
+
+def drawn(axis, label):
+    """(x, y) of the line of that label."""
+    line = next(one for one in axis.lines if one.get_label() == label)
+    return np.asarray(line.get_xdata()), np.asarray(line.get_ydata())
+
+
+def test_envelope_as_admittance_exchanges_its_edges():
+    scene = load_scene("theory")
+    found = [
+        (
+            0.0,
+            [
+                outcome((0.0, 0.0, 0.01)),
+                outcome((0.0, 1.0, 0.0), scale=3.0),
+                outcome((9.0, 9.0, 0.0), passes=False, scale=9.0),
+            ],
+        )
+    ]
+    z, y = (
+        envelope_figure(Conditions(scene, 90.0, noise(scene)), found, inverse=inverse)
+        for inverse in (False, True)
+    )
+    assert [axis.get_ylabel() for axis in y.axes] == [
+        "|Y| at the probe (m/(N s) = s/kg)",
+        "",
+        "phase of Y (degrees)",
+    ]
+    edges = [
+        [np.asarray(line.get_ydata()) for line in figure.axes[0].lines[:2]] for figure in (z, y)
+    ]
+    assert np.allclose(edges[0][0] * edges[1][1], 1.0)
+    assert np.allclose(edges[0][1] * edges[1][0], 1.0)
+    assert np.allclose(edges[0][0] / edges[0][1], 3.0)
+    assert "as admittance" in y.get_suptitle()
+    assert "as admittance" not in z.get_suptitle()
+
+
+def test_envelope_draws_what_is_predicted_of_the_same_trials():
+    """Affine device: the prediction of one trial is its impedance."""
+    scene = load_scene("theory")
+    figure = envelope_figure(
+        Conditions(scene, 90.0, noise(scene)),
+        [(0.0, fly(Conditions(scene, 20.0), 0.0, np.zeros((1, 3))))],
+    )
+    measured = figure.axes[0].lines[0]
+    predicted = figure.axes[0].lines[2]
+    inside = measured.get_xdata() < 300.0
+    expected = np.interp(measured.get_xdata(), predicted.get_xdata(), predicted.get_ydata())
+    assert np.allclose(measured.get_ydata()[inside], expected[inside], rtol=0.05)
+    assert (measured.get_color(), predicted.get_color()) == (OFF["color"], PREDICTED["color"])
+
+
+def outcome(environment, passes=True, answer="passive", scale=1.0):
+    """A trial with Z = scale (1 + j w m)."""
+    z = scale * (1.0 + 2j * np.pi * kept_frequencies() * 0.001)
+    numbers = np.column_stack((z.real, z.imag)), np.full(z.size, 0.001)
+    return Outcome(environment, 0.0, answer, passes, 0.5, 0.4, 0.6, 10.0, 20.0, 0.01, 1.0, *numbers)
