@@ -133,7 +133,7 @@ def check_same(ours: Lanes, theirs: CReference, dtype: str) -> None:
     ours()
     theirs()
     count = min(ours.lanes, theirs.lanes)
-    difference = np.abs(theirs.squared()[:count] / ours.group.v2[:count] - 1.0).max()
+    difference = np.abs(theirs.squared()[:count] / ours.group.squares[:count] - 1.0).max()
     if not difference < AGREEMENT[dtype]:
         raise BenchError(
             f"engine_reference.c moves otherwise than the engine, by {difference:.1e}; correct it"
@@ -161,7 +161,7 @@ def _defines(shape: Shape) -> Iterable[str]:
     """What is fixed when the C is compiled: which terms there are. BenchError for a scene that
     it has not.
     """
-    rubs = len(shape.contacts) == 1 and shape.contacts[0][0] == 1
+    rubs = len(shape.contacts) == 1 and shape.contacts[0].velocity == 1
     if not rubs or any(shape.drift) or shape.rotor_laws or shape.stops or shape.waits:
         raise BenchError(
             "engine_reference.c has friction on the first body and nothing else that is nonlinear"
@@ -174,7 +174,7 @@ def _defines(shape: Shape) -> Iterable[str]:
     yield f"FORCE_QUANTUM={int(shape.force_quantum)}"
     yield f"FEEDS={_mask(*(sum(1 << j for j in row) for row in shape.feeds))}"
     yield f"PUSHED={_mask(*map(int, shape.torque))}"
-    yield f"RUBBED={_mask(*map(int, shape.contacts[0][2]))}"
+    yield f"RUBBED={_mask(*map(int, shape.contacts[0].column))}"
     yield f"APART={_mask(*(int(i in shape.distances) for i in states))}"
     seen = (int(any(term.state == i for term in shape.sample)) for i in range(shape.states))
     yield f"SEEN={_mask(*seen)}"

@@ -1,9 +1,12 @@
 """The batch engine: thousands of trials of one scene, vectorised across trials, with the servo's
 own tick law.
 
-    model --coordinates--> fewer coefficients --shaping--> what is compiled in --source, tick-->
-    text --kernels--> machine code K, B, M --group--> rows of the state array --kernel, block by
-    block--> tallies, records --chunk, batch--> BatchResult
+    simulate(scene, params, ...)   n trials that differ in stiffness, damping and mass
+    BatchResult                    what it gives: sums, spectra or records of each trial
+
+    model --shape--> fewer coefficients, and what is compiled in --source--> text --kernels-->
+    machine code K, B, M --job--> rows of the state array --kernel, block by block--> tallies
+    --records--> spectra or records --batch--> BatchResult
 
 Every step is exact for held inputs (matrix exponential), so a linear scene has no step error at
 all; friction, ends and cogging are solved once per sub-step. The law is compiled from `render`, not
@@ -11,7 +14,8 @@ written again. Nothing is spent on an effect that the scene does not have. Resul
 how trials are spread over lanes, tasks, threads or machines of one kind.
 
 What would break it: fastmath with reassociation or without NaN (`source`), an array that does not
-begin on a cache line (half the speed), a law compiled without fastmath=False said aloud (`law`).
+begin on a cache line (half the speed), a law compiled without fastmath=False said aloud
+(`compiled`). numba is imported when a kernel is needed, not before.
 """
 
 from hapticd.engine.batch import BatchResult, simulate

@@ -1,12 +1,12 @@
-"""What a batch of trials gives back: records, spectra or only sums, never a NaN.
+"""A batch of trials of one scene: `simulate`, what it gives back, and how its tasks are run.
 
-How many cores a batch may use: those of the process, or fewer where whoever runs it shares
-them out.
+A batch is cut into tasks of some groups of lanes each, which run on threads of this process or on
+any executor; a task plays its groups one after the other from start to end (`run_chunk`). A batch
+uses the cores of its process, or fewer where `at_most` says so: a pool that runs many tasks at once
+gives each its share. A result holds sums, spectra or records, and never a NaN.
 
-`simulate`: a batch of trials of one scene, on threads of this process or on any executor.
-
-One task of a batch: some trials from start to end, group by group. Runs on any thread or in
-any process.
+What would break it: a seed or a record that depends on the task that a trial falls into (results
+would then depend on the number of cores).
 """
 
 import os
@@ -62,17 +62,15 @@ class BatchResult:
     min_energy_j: Values
     samples: npt.NDArray[np.int64]  # (n,) that count
     rate_hz: float  # of the records
-    seconds: float
+    seconds: float  # length of a trial that does not diverge
     winding_c: Values | None = None  # (n,) temperature at the end, where the winding heats up
-    force_spectrum: Floats | None = (
-        None  # (F,) or (n, F) [N^2], with keep="spectra", at k 4000/4096 Hz; as `analysis.spectra`
-    )
+    # (F,) or (n, F) [N^2], with keep="spectra", at k 4000/4096 Hz; as `analysis.spectra.spa`
+    force_spectrum: Floats | None = None
     velocity_spectrum: Floats | None = None  # (n, F) [(m/s)^2]
     cross_spectrum: Complexes | None = None  # (n, F) [N m/s]
     section_rms_m_per_s: Values | None = None  # (n, sections) of 2,048 samples
-    torque_n: Values | None = (
-        None  # (samples,) if all trials share it, else (n, samples): interval means
-    )
+    # (samples,) if all trials share it, else (n, samples): interval means
+    torque_n: Values | None = None
     velocity_m_per_s: Values | None = None  # (n, samples), interval means
     position_m: Values | None = None  # (n, ticks) as the law saw it
     force_n: Values | None = None  # (n, ticks) as it was commanded
@@ -124,9 +122,9 @@ class BatchResult:
             self.force_spectrum if self.force_spectrum.ndim == 1 else self.force_spectrum[trial]
         )
         samples = int(self.samples[trial])
-        f = grid_frequencies(self.rate_hz, LAG)
+        frequencies_hz = grid_frequencies(self.rate_hz, LAG)
         return Spectra(
-            f,
+            frequencies_hz,
             self.velocity_spectrum[trial],
             force,
             self.cross_spectrum[trial],
@@ -136,7 +134,7 @@ class BatchResult:
         )
 
 
-SHARED = ("rate_hz", "seconds")
+SHARED = ("rate_hz", "seconds")  # fields that are the same for all parts of a batch
 
 
 def joined(parts: list[BatchResult]) -> BatchResult:
@@ -151,6 +149,7 @@ def joined(parts: list[BatchResult]) -> BatchResult:
     return BatchResult(**{item.name: together(item.name) for item in fields(BatchResult)})
 
 
+# a context variable: each task of a pool has its own grant, whichever thread it runs on
 _granted: ContextVar[int | None] = ContextVar("granted", default=None)
 
 
@@ -170,12 +169,11 @@ def at_most(cores: int) -> Iterator[None]:
         _granted.reset(before)
 
 
-DEFAULT_SECONDS = 90.0  # a trial of the paper
 TICKS_MAX = 1e12
 SEEDS = 1 << 63
-REMOTE_GROUPS = (
-    4  # groups of lanes in a task of a foreign executor, whose tasks cost more to hand over
-)
+REMOTE_GROUPS = 4  # groups of lanes in a task of another executor, which costs more to hand over
+# what a scene says that a model does not: a trial of the paper (Weir, Colgate and Peshkin 2008)
+OF_A_MODEL = Scene("", "", "", (), excitation=Excitation("noise"), seconds=90.0)
 
 
 def simulate(
@@ -201,7 +199,7 @@ def simulate(
     params       (n, 3) stiffness [N/m], damping [Ns/m], mass [kg]
     seconds      length of a trial
     seed         of everything random
-    damping      electrical damping level [Ns/m], or steps (time s, level)
+    damping      active damping [Ns/m], or steps (time s, level)
     environment  filters, wall and soft ends of the law; its K, B, M are not used
     filters      of velocity and acceleration in place of those; None for raw differences
     excitation   of the probe, or forces [N] at 4 kHz that repeat: (samples,), with own_torque (n,
@@ -235,9 +233,7 @@ def simulate(
         dtype=dtype,
         keep=keep,
         own_torque=own_torque,
-        renders=bool(trials.any())
-        or keep == "ticks"
-        or _solid(environment or getattr(scene, "environment", None)),
+        some=bool(trials.any()),
     )
     if chunk is not None and chunk < 1:
         raise ConfigError(f"{chunk} trials in a task: must be 1 or more, or None")
@@ -267,52 +263,50 @@ def _job(
     filters: Filters | None,
     excitation: Excitation | npt.ArrayLike | None,
     start: tuple[float, float] | None,
+    *,
+    keep: str,
+    some: bool,
     **rest: Any,
 ) -> Job:
-    given = scene if isinstance(scene, Scene) else None
+    """What all trials share; `some` of them have K, B or M."""
+    given = scene if isinstance(scene, Scene) else OF_A_MODEL
     model = compose(scene) if isinstance(scene, Scene) else scene
-    length_s = seconds if seconds is not None else given.seconds if given else DEFAULT_SECONDS
+    length_s = given.seconds if seconds is None else seconds
     if not 0.5 <= length_s * model.rate_hz <= TICKS_MAX:
         raise ConfigError(
             f"a trial of {length_s:g} s: must be one tick of {1.0 / model.rate_hz:g} s or more,"
             f" {TICKS_MAX:g} at most"
         )
-    if rest["keep"] == "spectra" and length_s * PROBE_RATE_HZ < LAG + 1:
+    if keep == "spectra" and length_s * PROBE_RATE_HZ < LAG + 1:
         raise ConfigError(
             f"spectra of {length_s:g} s: more than the window of {LAG} samples,"
             f" {LAG / PROBE_RATE_HZ:g} s, are needed"
         )
-    number = seed if seed is not None else given.excitation.seed if given else 1
+    number = given.excitation.seed if seed is None else seed
     if not 0 <= number < SEEDS:
         raise ConfigError(f"seed {number}: must lie in 0..{SEEDS - 1}")
-    source = (
-        excitation if excitation is not None else given.excitation if given else Excitation("noise")
-    )
-    position_m, velocity_m_per_s = start or (
-        (given.start_position_m, given.start_velocity_m_per_s) if given else (0.0, 0.0)
-    )
-    rendered = environment or (given.environment if given else EnvironmentParams())
+    probe = given.excitation if excitation is None else excitation
+    rendered = environment or given.environment
+    position_m, velocity_m_per_s = start or (given.start_position_m, given.start_velocity_m_per_s)
     return Job(
         model=model,
         environment=rendered,
         filters=filters or (rendered.velocity_filter, rendered.acceleration_filter),
-        damping=_steps(damping) if damping is not None else given.damping if given else _steps(0.0),
-        excitation=(
-            source if isinstance(source, Excitation) else np.asarray(source, dtype=np.float64)
-        ),
+        damping=given.damping if damping is None else _steps(damping),
+        excitation=probe if isinstance(probe, Excitation) else np.asarray(probe, dtype=np.float64),
         ticks=round(length_s * model.rate_hz),
         seed=number,
+        keep=keep,
+        renders=some or keep == "ticks" or _solid(rendered),
         start_position_m=position_m,
         start_velocity_m_per_s=velocity_m_per_s,
         **rest,
     )
 
 
-def _solid(environment: EnvironmentParams | None) -> bool:
+def _solid(environment: EnvironmentParams) -> bool:
     """Whether there is something to touch beside K, B and M."""
-    return environment is not None and bool(
-        environment.wall.side or environment.workspace.stiffness_n_per_m
-    )
+    return bool(environment.wall.side or environment.workspace.stiffness_n_per_m)
 
 
 def _steps(damping: float | Sequence[tuple[float, float]]) -> tuple[DampingStep, ...]:
@@ -353,15 +347,15 @@ def _run_group(job: Job, made: Prepared, params: Array, first: int) -> BatchResu
     inputs = Inputs(job, made, group.count, first)
     records = (spectral if job.keep == "spectra" else Records)(job, made, group.count, first)
     heating = None if made.model.winding is None else Heating(group, made.model.winding)
-    level = None
+    level_ns_per_m = None
     for start, end in inputs.legs():
-        if (wanted := level_at(job, start)) != level:
-            level = wanted
-            (heating or group).damp(level)
+        if (wanted := level_at(job, start)) != level_ns_per_m:
+            level_ns_per_m = wanted
+            (heating or group).damp(level_ns_per_m)
         group.play(
             inputs.torque(start, end),
             inputs.noise(start, end),
-            records.room(start),
+            records.block(start),
             end - start,
             records.kept,
         )
@@ -385,7 +379,7 @@ def _result(
     samples = group.samples[:n].astype(np.int64)
     return BatchResult(
         params=params,
-        sigma_v_m_per_s=np.sqrt(group.v2[:n] / np.maximum(samples, 1)),
+        sigma_v_m_per_s=np.sqrt(group.squares[:n] / np.maximum(samples, 1)),
         max_force_n=group.rows["FORCE"][:n].astype(np.float64),
         work_j=group.work[:n] / PROBE_RATE_HZ,
         min_energy_j=group.lowest[:n] / PROBE_RATE_HZ,

@@ -1,22 +1,19 @@
-"""The one law, compiled for the kernels: `render.law.render` itself, in double and in
-single precision.
+"""What kernels call, in numba: the one law, and a stack frame that begins on a cache line.
 
-The code object is the servo's; only its literal numbers become numbers of the kernel's precision,
-so that a 0.0 does not drag single precision into double. Bit-identical to CPython on equal inputs,
-which needs `fastmath=False` said aloud: numba lets a callee without that word inherit the fastmath
-of the kernel that it is inlined into (measured: without it most forces differ in the last bit).
+The law is `render.law.render` itself, in double and in single precision. The code object is the
+servo's; only its literal numbers become numbers of the kernel's precision, so that a 0.0 does not
+drag single precision into double. Bit-identical to CPython on equal inputs, which needs
+`fastmath=False` said aloud: numba lets a callee without that word inherit the fastmath of the
+kernel that it is inlined into (measured: without it most forces differ in the last bit).
 
-Imports numba: only kernels import this module.
-
-A stack frame that begins on a cache line.
-
-A kernel has more coefficients than there are vector registers; the rest lives on the stack and is
+A kernel has more coefficients than there are vector registers; the rest lies on the stack and is
 read from there by every instruction that needs it. numba's functions keep the alignment of 16 bytes
 that they are called with, so three of four times such a read crosses a cache line and costs double
 (measured: 1.5 to 1.7 times the time of the whole kernel, by chance of the caller's depth). One
-variable that asks for 64 bytes makes LLVM align the frame.
+variable that asks for 64 bytes makes LLVM align the frame. Results do not depend on it.
 
-Imports numba and llvmlite: only kernels import this module. Results do not depend on it.
+Imports numba and llvmlite: only kernels import this module, so that the rest is light to import.
+What would break it: a helper of the law that is not in HELPERS (numba would not find it).
 """
 
 from types import FunctionType

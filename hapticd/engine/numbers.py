@@ -1,7 +1,8 @@
-"""The coefficients: a model at a damping level, an environment and trials become numbers where the
-text wants them.
+"""The coefficients of a kernel: a model at a level of active damping, an environment and trials
+become numbers by the names that the text uses (`source`).
 
-Every map is exact (`plant.discrete`). The kernel picks what it has by name.
+Every map is exact (`plant.discrete`). The kernel picks what it has by name. What would break it: a
+name here that the text does not use is ignored, one that it uses and that is missing here stays 0.
 """
 
 from collections.abc import Iterator
@@ -16,9 +17,8 @@ from hapticd.plant.model import Array, Map, Model
 from hapticd.render.filters import Biquad, design, scaled
 from hapticd.units import PROBE_RATE_HZ
 
-Filters = tuple[
-    FilterParams | None, FilterParams | None
-]  # of velocity and acceleration; None: none
+# of velocity and acceleration; None: none
+Filters = tuple[FilterParams | None, FilterParams | None]
 UNFILTERED: Biquad = (1.0, 0.0, 0.0, 0.0, 0.0)
 
 

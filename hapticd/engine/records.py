@@ -1,13 +1,12 @@
-"""What is kept of a group: its blocks of output become rows of records.
+"""What is kept of a group: its blocks of output become rows of records, or spectra at once.
 
-keep = "spectra": a group's spectra instead of its records, summed section by section while it is
-simulated.
+keep = "spectra": a section of 2,048 samples of all lanes is 0.5 MB; it is transformed while it is
+still in the cache (`analysis.batch_spectra`), so nothing of a trial is stored but six sums a
+frequency. That needs one torque record for all trials and a velocity that is recorded as it is;
+where trials have their own torque, or the probe adds noise or counts, the group's records are kept
+until its end and analysed one by one, which gives the same spectra more slowly.
 
-A section of 2,048 samples of all lanes is 0.5 MB: it is transformed while it is still in the cache
-(`analysis.batch_spectra`), so nothing of a trial is stored but six sums a frequency. That needs one
-torque record for all trials and a velocity that is recorded as it is; where trials have their own
-torque, or the probe adds noise or counts, the group's records are kept until its end and analysed
-one by one, which gives the same spectra more slowly.
+What would break it: a block that ends inside a section (legs end at sections, see `job`).
 """
 
 from functools import lru_cache
@@ -28,6 +27,7 @@ from hapticd.engine.job import (
     Prepared,
     drawn,
     played,
+    rounded,
     shared_torque,
 )
 from hapticd.engine.source import SCALARS
@@ -57,7 +57,7 @@ class Records:
             for name, (_, wide) in self._places.items()
         }
 
-    def room(self, start: int) -> Values:
+    def block(self, start: int) -> Values:
         """Where the kernel writes the leg from tick `start` on."""
         return self._out
 
@@ -102,7 +102,7 @@ class Records:
                 row += noise.velocity_m_per_s * generator(
                     self._job.seed, Stream.VELOCITY + trial
                 ).standard_normal(len(row))
-        return velocity if quantum is None else np.floor(velocity / quantum + 0.5) * quantum
+        return rounded(velocity, quantum)
 
 
 Samples = npt.NDArray[np.int64]
@@ -139,7 +139,7 @@ class Sums:
         self._place = row * (shape.lanes * made.scalar().itemsize // CACHE_LINE)
         self._sections = BatchSections(_force(job, made), shape.lanes, made.scalar)
 
-    def room(self, start: int) -> Values:
+    def block(self, start: int) -> Values:
         """Where the kernel writes a leg from tick `start` on."""
         return self._out[start % self._ticks * self._tick :]
 

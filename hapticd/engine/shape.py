@@ -2,38 +2,34 @@
 no number.
 
 Two scenes with the same shape share a kernel; their numbers are its arguments. An effect that is
-absent leaves no trace here, so it costs nothing. `shaping` reads it off a model.
-
-The model in the coordinates of the engine: fewer coefficients for the same motion, exactly.
-
-Two things are done before anything is generated:
+absent leaves no trace here, so it costs nothing. Before a shape is read off a model (`shape_of`),
+the model is brought to fewer coefficients for the same motion, exactly (`reduced`):
 
     z_i = x_i - x_rotor    for every other position, where nothing is fixed to ground: then no rate
                            depends on x_rotor, its column of the exact map is a unit vector, and
                            differences of positions keep their digits in single precision while the
                            device wanders off
+
     states that reach nothing that is asked for are left out (the velocity estimate of an undamped
     run)
 
 What remains is judged by structure (which coefficient can be non-zero for any step length), so that
 one kernel serves all devices of a kind. The structure of exp(A h) is the transitive closure of that
-of A.
-
-Ends of the workspace and springs to ground need the positions themselves; such a device keeps them.
-What would break it: a position whose state is not named so (`_position`).
-
-From a model and an environment to the shape of their kernel.
+of A. Ends of the workspace and springs to ground need the positions themselves; such a device keeps
+them.
 
 A tick is counted from the moment a command takes effect, because then the command is held for all
 of it; the encoder is read the rest of the delay before its end. With a delay of m + p periods (0 <=
 p < 1) the sample lies (1 - p) of the tick in, possibly inside a sub-step (`sample_inside`: then an
 exact output row leads to it), and the command waits m whole ticks. That is the order of lock-step
 and of the hardware, and it needs no split input.
+
+What would break it: a position whose state is not named so (`_is_position`).
 """
 
 from dataclasses import dataclass, fields, replace
 from math import floor
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -43,7 +39,7 @@ from hapticd.params import EnvironmentParams
 from hapticd.plant.model import Array, Contact, Ends, Model, Output, Outputs, RotorForce
 from hapticd.units import PROBE_RATE_HZ
 
-LANES = {"f32": 64, "f64": 32}
+LANES = {"f32": 64, "f64": 32}  # trials side by side in a kernel: four cache lines of each row
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,39 +50,61 @@ class Term:
     one: bool
 
 
+class ContactStates(NamedTuple):
+    """A contact with dry friction: its states, and which states its force reaches."""
+
+    velocity: int
+    position: int
+    column: tuple[bool, ...]
+
+
+class RotorStates(NamedTuple):
+    """The rotor's states, and which states a force on it reaches."""
+
+    position: int
+    velocity: int
+    column: tuple[bool, ...]
+
+
+class StopStates(NamedTuple):
+    """The states that the ends of the workspace hold."""
+
+    position: int
+    velocity: int
+
+
 @dataclass(frozen=True, slots=True)
 class Shape:
     """See the module. Tuples over states unless said otherwise."""
 
     dtype: str  # "f32" | "f64"
-    lanes: int
+    lanes: int  # trials side by side
     samples: int  # 4 kHz samples in a tick
     substeps: int  # in a sample
     keeps: tuple[bool, ...]  # this state's own coefficient is 1 and no other state depends on it
     feeds: tuple[tuple[int, ...], ...]  # states with a coefficient in this state's sum
-    command: tuple[bool, ...]
-    torque: tuple[bool, ...]
+    command: tuple[bool, ...]  # the held command moves this state
+    torque: tuple[bool, ...]  # the perturbation moves this state
     drift: tuple[bool, ...]  # a constant is added at every sub-step
-    contacts: tuple[tuple[int, int, tuple[bool, ...]], ...]  # velocity and position state, column
+    contacts: tuple[ContactStates, ...]
     origin: int  # position state of the rotor
-    distances: tuple[int, ...]  # position states that count from the rotor's, see `coordinates`
+    distances: tuple[int, ...]  # position states that count from the rotor's, see the module
     rotor_laws: tuple[str, ...]  # forces on the rotor that are not linear
-    rotor: tuple[int, int, tuple[bool, ...]] | None  # position, velocity, column of these
-    stops: tuple[int, int] | None  # position, velocity
+    rotor: RotorStates | None  # where there are such forces
+    stops: StopStates | None  # of the workspace
     sample_step: int  # sub-step at whose start, or in which, the encoder is read
-    sample_inside: bool
-    sample: tuple[Term, ...]
-    travel: tuple[Term, ...]
-    impulse: tuple[Term, ...] | None
+    sample_inside: bool  # the encoder is read inside that sub-step
+    sample: tuple[Term, ...]  # what the encoder reads
+    travel: tuple[Term, ...]  # the integral of the recorded velocity
+    impulse: tuple[Term, ...] | None  # the integral of the recorded torque, if it is filtered
     waits: int  # whole ticks that a command waits
-    encoder_quantum: bool = False
-    force_quantum: bool = False
-    limit: bool = False
-    wall: bool = False
+    encoder_quantum: bool = False  # the encoder counts
+    force_quantum: bool = False  # the command is rounded to counts
+    limit: bool = False  # of the command
+    wall: bool = False  # the law's wall
     ends: bool = False  # the law's soft ends
-    heat: tuple[tuple[Term, ...], bool] | None = (
-        None  # the motor force, and whether the command is in it
-    )
+    # where windings heat up: the motor force, and whether the command is in it
+    heat: tuple[tuple[Term, ...], bool] | None = None
     noise: tuple[bool, ...] | None = None  # the column of the velocity estimate's noise
     renders: bool = True  # the law is needed
     own_torque: bool = False  # a record for every trial
@@ -113,9 +131,8 @@ class Shape:
         record, without a difference.
         """
         first = self.travel[0]
-        return (
-            first.state if len(self.travel) == 1 and first.one and self.keeps[first.state] else None
-        )
+        alone = len(self.travel) == 1 and first.one and self.keeps[first.state]
+        return first.state if alone else None
 
     @property
     def steps(self) -> int:
@@ -130,6 +147,8 @@ class Shape:
         return self.samples * (1 if self.impulse is None else 2) + (2 if self.ticks else 1)
 
 
+# --- coordinates ----------------------------------------------------------------------------------
+
 Mask = npt.NDArray[np.bool_]
 
 REFERENCE = "rotor_position"
@@ -140,7 +159,7 @@ def reduced(model: Model, damped: bool) -> tuple[Model, Array]:
     """`model` in relative positions without the states that do not matter here, and the matrix from
     its states to these.
 
-    `damped`: a damping level other than 0 occurs. A winding that heats up asks for the motor force.
+    `damped`: active damping other than 0 occurs. A winding that heats up asks for the motor force.
     """
     forward, back, reference = _to_relative(model)
 
@@ -225,11 +244,13 @@ def _to_relative(model: Model) -> tuple[Array, Array, list[int]]:
         return forward, back, []
     reference = names.index(REFERENCE)
     others = places & (np.arange(len(names)) != reference)
-    forward[others, reference], back[others, reference] = -1.0, 1.0
+    forward[others, reference] = -1.0
+    back[others, reference] = 1.0
     return forward, back, [reference]
 
 
 def _free(model: Model, places: Mask) -> bool:
+    """Whether moving all bodies together changes no rate: nothing is fixed to ground."""
     return all(
         (abs(a @ places) <= CANCELLED * (abs(a) @ places)).all() for a in (model.a0, model.a1)
     )
@@ -242,11 +263,9 @@ def _chosen(model: Model, kept: list[int]) -> Model:
     place = {old: new for new, old in enumerate(kept)}
 
     def moved(part: Any) -> Any:
-        return (
-            None
-            if part is None
-            else replace(part, position=place[part.position], velocity=place[part.velocity])
-        )
+        if part is None:
+            return None
+        return replace(part, position=place[part.position], velocity=place[part.velocity])
 
     return replace(
         smaller,
@@ -270,6 +289,8 @@ def _rebuilt(model: Model, a: Any, b: Any, c: Any) -> Model:
     winding = None if model.winding is None else replace(model.winding, **arrays(model.winding))
     return replace(model, **arrays(model), outputs=Outputs(**seen), winding=winding)
 
+
+# --- from a model to a shape ----------------------------------------------------------------------
 
 SNAP = 1e-9  # of a sub-step: a sample this near to a border of sub-steps is on it
 SUBSTEPS_MAX = 64
@@ -311,12 +332,14 @@ def shape_of(
         command=_column(inputs, place.command),
         torque=_column(inputs, place.torque),
         drift=_column(inputs, place.estimate if model.estimate_offset_m_per_s else None),
-        contacts=tuple((c.velocity, c.position, _column(inputs, c.column)) for c in model.contacts),
+        contacts=tuple(
+            ContactStates(c.velocity, c.position, _column(inputs, c.column)) for c in model.contacts
+        ),
         origin=[state.name for state in model.states].index(REFERENCE),
         distances=distances(model, keeps),
         rotor_laws=(),
         rotor=None,
-        stops=None if model.ends is None else (model.ends.position, model.ends.velocity),
+        stops=None if model.ends is None else StopStates(model.ends.position, model.ends.velocity),
         sample_step=step,
         sample_inside=part > 0.0,
         sample=_terms(outputs.encoder.c0, states, keeps) if part else _terms(outputs.encoder.c0),
@@ -357,7 +380,7 @@ def _samples(rate_hz: float) -> int:
 def _with_rare_effects(shape: Shape, model: Model, inputs: Mask) -> Shape:
     place = model.inputs
     for force in model.rotor_forces:
-        rotor = (force.position, force.velocity, _column(inputs, place.rotor_force))
+        rotor = RotorStates(force.position, force.velocity, _column(inputs, place.rotor_force))
         shape = replace(shape, rotor_laws=(*shape.rotor_laws, force.law), rotor=rotor)
     noisy = _column(
         inputs, place.estimate if model.noise is not None and model.noise.estimate_psd else None

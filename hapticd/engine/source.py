@@ -1,47 +1,32 @@
-"""The module of a kernel as text: `run(S, P, F, N, out, ticks, keep)`, which plays the plant and
-tallies what it did.
+"""A kernel as the text of a Python module: `run(S, P, F, N, out, ticks, keep)`, which plays the
+plant of all lanes for some ticks and tallies what it did.
 
 What makes numba turn a loop over lanes into vector instructions, each worth a factor of 10 to 20
 (measured, ADR 0020):
 
     one flat state array; row offsets and the number of lanes are constants; no second index, no
-    argument in an index; what
-        goes in and out is copied beside the lane loop, because a second array in it needs a check
-        per pair of pointers, and LLVM gives up beyond eight
+    argument in an index; what goes in and out is copied beside the lane loop, because a second
+    array in it needs a check per pair of pointers, and LLVM gives up beyond eight
+
     one control period as straight-line code; minima and maxima as conditional expressions
+
     coefficients as scalars, which LLVM spreads over registers and, as there are too many, keeps on
-    a stack that has to
-        begin on a cache line (`stack`); as rows it would load each once a tick and then copy it to
-        that stack
+    a stack that has to begin on a cache line (`compiled`); as rows it would load each once a tick
+    and then copy it to that stack
 
 S: rows of `lanes` values, named in ROWS; P: coefficients, named in COEFFICIENTS; F: perturbation
 [N] at 4 kHz, shared or one lane each; N: noise of the velocity estimate [m/s] at 4 kHz (one value
 if there is none); out: what each tick leaves if keep = 1, `Shape.width` rows of lanes. `step` is a
 function because numba then types a sub-step once, not 16 times.
 
-How the text of a kernel names and adds things: rows of the state array, terms, sums, clamps.
-
-Forces on the rotor that are not linear, as the lanes of a kernel compute them.
-
-A law writes lines that leave a force [N] in the variable `force`, from the names of a position [m],
-a velocity [m/s] and of its numbers, `number(0)` and so on. `numbers` makes these of the parameters
-of the effect, before the kernel runs, so that no lane divides. The lines become vector
-instructions: no branch and no loop, only conditional expressions; constants are T(...), in the
-precision of the kernel.
-
-What would break it: a name that the text of a sub-step has already (`substep`); a law keeps to z,
-r and its force.
-
-One control period of one lane as straight-line code.
+One control period of one lane (`tick`). Rows and coefficients are upper case; `job` fills them. The
+law stands after the last sub-step: nothing in the tick waits for it.
 
     x  state   b  what the inputs add   t  perturbation   e  noise of the estimate
     u  held command   y  encoder sample   c  new command
     w, v  recorded travel and velocity   p  recorded torque
 
-Rows and coefficients are upper case; `group` fills them. The law stands after the last sub-step:
-nothing in the tick waits for it.
-
-One sub-step of one lane: the exact map, then what is not linear.
+One sub-step of one lane (`substep`): the exact map, then what is not linear.
 
     x  state   n  next state   d  what a state that keeps itself gains   b  what inputs add
     q  a body's velocity without its own friction   f  what friction takes from it [m/s]
@@ -49,11 +34,20 @@ One sub-step of one lane: the exact map, then what is not linear.
 Friction is solved once, as in `plant.friction`, but without branches and in velocities, f = W times
 the force: for one contact f = clamp(v, W Fc), and v - f is left, which is 0 exactly where it
 sticks; for two, f1 is first taken from the free solution of both and clamped, which decides its
-side because W is a P-matrix, then f0 and f1 follow by clamping once each.
+side because W is a P-matrix, then f0 and f1 follow by clamping once each. A body that stood at the
+start of the sub-step and sticks has not moved at all: its position, and no other, is put back to
+where it was. Without that it keeps what the held force leaves: rounding, and nanometres where a
+spring or a filter changes the force within the sub-step.
 
-A body that stood at the start of the sub-step and sticks has not moved at all: its position, and no
-other, is put back to where it was. Without that it keeps what the held force leaves: rounding, and
-nanometres where a spring or a filter changes the force within the sub-step.
+Forces on the rotor that are not linear (ROTOR_LAWS). A law writes lines that leave a force [N] in
+the variable `force`, from the names of a position [m], a velocity [m/s] and of its numbers,
+`number(0)` and so on. `numbers` makes these of the parameters of the effect, before the kernel
+runs, so that no lane divides. The lines become vector instructions: no branch and no loop, only
+conditional expressions; constants are T(...), in the precision of the kernel.
+
+What would break it: a name in a rotor law that the text of a sub-step has already (a law keeps to
+z, r and its force), a branch in the lane loop, fastmath that may reassociate (results would depend
+on the compiler) or that excludes NaN (a lane that diverges would not be found).
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -68,7 +62,7 @@ from hapticd.engine.shape import Shape, Term
 from hapticd.units import PROBE_RATE_HZ
 
 SCALARS: dict[str, type[np.floating[Any]]] = {"f32": np.float32, "f64": np.float64}
-FASTMATH = '{"contract", "nsz"}'
+FASTMATH = '{"contract", "nsz"}'  # fused multiply-add; no reassociation, NaN stays NaN
 VELOCITY_MAX_M_PER_S = 1e3  # rms over a tick; faster is not a motion: the trial has diverged
 
 MODULE = '''\
@@ -151,6 +145,7 @@ def kernel_source(shape: Shape) -> str:
 
 
 def _inputs(shape: Shape) -> Iterable[str]:
+    """What comes in for a tick, copied beside the lane loop."""
     count = shape.samples
     if shape.own_torque:
         yield f"tt = F[s * {count * shape.lanes}:(s + 1) * {count * shape.lanes}]"
@@ -166,7 +161,9 @@ def _lines(lines: Iterable[str], depth: int) -> str:
     return indent("\n".join(lines), " " * depth)
 
 
-LONG_SUM = 4
+# --- names, terms and sums ------------------------------------------------------------------------
+
+LONG_SUM = 4  # terms; a longer one is added in two chains
 
 
 class Rows:
@@ -178,7 +175,8 @@ class Rows:
     """
 
     def __init__(self, first: Iterable[str], per_lane: bool) -> None:
-        self.names, self.coefficients = list(first), list[str]()
+        self.names = list(first)
+        self.coefficients: list[str] = []
         self._per_lane = per_lane
 
     def __call__(self, name: str) -> str:
@@ -203,12 +201,10 @@ def term(present: bool, name: str, factor: str, row: Rows) -> list[str]:
 
 def weighted(terms: Iterable[Term], letter: str, row: Rows) -> str:
     """Sum of states, each with its coefficient of `letter`."""
-    return (
-        " + ".join(
-            f"x{t.state}" if t.one else f"{row.c(f'{letter}{t.state}')} * x{t.state}" for t in terms
-        )
-        or "ZERO"
-    )
+    parts = [
+        f"x{t.state}" if t.one else f"{row.c(f'{letter}{t.state}')} * x{t.state}" for t in terms
+    ]
+    return " + ".join(parts) or "ZERO"
 
 
 def total(name: str, terms: list[str]) -> Iterator[str]:
@@ -228,7 +224,9 @@ def clamped(name: str, value: str, limit: str) -> Iterator[str]:
     yield f"{name} = {name} if {name} > -{limit} else -{limit}"
 
 
-SINE_TERMS = 9
+# --- forces on the rotor --------------------------------------------------------------------------
+
+SINE_TERMS = 9  # of the series on a quarter of a turn: complete to double precision
 
 Number = Callable[[int], str]
 
@@ -256,7 +254,7 @@ def _sine(force: str, position: str, velocity: str, number: Number) -> Iterator[
 
 
 def _series(square: str) -> str:
-    """sin(r) / r by Horner's rule; complete to double precision on a quarter turn."""
+    """sin(r) / r by Horner's rule."""
     coefficients = []
     factorial = 1
     for k in range(SINE_TERMS):
@@ -271,6 +269,9 @@ def _series(square: str) -> str:
 ROTOR_LAWS = {"sine": Law(_turns, _sine)}
 
 
+# --- one control period ---------------------------------------------------------------------------
+
+# names of the rows that hold the law's state, and of its coefficients, in the order of render.law
 LAW_STATE = tuple(f"L{i}" for i in range(6))
 FILTERS = tuple(f"FILTER{i}" for i in range(10))
 WALL = ("WALL_K", "WALL_B", "WALL_X", "WALL_SIDE")
@@ -297,14 +298,16 @@ def tick(shape: Shape, row: Rows) -> Iterator[str]:
 def _sample(shape: Shape, row: Rows, j: int) -> Iterator[str]:
     """One 4 kHz interval: its sub-steps, then what the record gets."""
     for i in range(shape.states):
-        same = term(shape.torque[i], f"T{i}", f" * t{j}", row) + term(
-            shape.drift[i], f"D{i}", "", row
-        )
-        same += term(shape.noise is not None and shape.noise[i], f"E{i}", f" * e{j}", row)
-        yield from total(f"b{i}", [*same, *term(shape.command[i], f"G{i}", " * u", row)])
-    yield (
-        "w = ZERO" if shape.gaining is not None else f"w = {weighted(shape.travel, 'TRAVEL', row)}"
-    )
+        noisy = shape.noise is not None and shape.noise[i]
+        terms = [
+            *term(shape.torque[i], f"T{i}", f" * t{j}", row),
+            *term(shape.drift[i], f"D{i}", "", row),
+            *term(noisy, f"E{i}", f" * e{j}", row),
+            *term(shape.command[i], f"G{i}", " * u", row),
+        ]
+        yield from total(f"b{i}", terms)
+    before = "ZERO" if shape.gaining is not None else weighted(shape.travel, "TRAVEL", row)
+    yield f"w = {before}"
     if shape.impulse is not None:
         yield f"p = {weighted(shape.impulse, 'IMPULSE', row)}"
     for k in range(j * shape.substeps, (j + 1) * shape.substeps):
@@ -325,12 +328,15 @@ def _substep(shape: Shape, row: Rows, j: int, k: int) -> Iterator[str]:
 
 def _inside(shape: Shape, row: Rows, j: int) -> str:
     """What inputs held through this sub-step add to the encoder somewhere inside it: exact."""
-    terms = [f"{row.c('RU')} * u", f"{row.c('RT')} * t{j}"]
-    terms += term(any(shape.drift), "RD", "", row) + term(
-        shape.noise is not None, "RE", f" * e{j}", row
-    )
-    terms += term(shape.rotor is not None, "RZ", " * g", row)
-    return " + ".join(terms + [f"{row.c(f'RH{c}')} * f{c}" for c in range(len(shape.contacts))])
+    terms = [
+        f"{row.c('RU')} * u",
+        f"{row.c('RT')} * t{j}",
+        *term(any(shape.drift), "RD", "", row),
+        *term(shape.noise is not None, "RE", f" * e{j}", row),
+        *term(shape.rotor is not None, "RZ", " * g", row),
+        *(f"{row.c(f'RH{c}')} * f{c}" for c in range(len(shape.contacts))),
+    ]
+    return " + ".join(terms)
 
 
 def _record(shape: Shape, row: Rows, j: int) -> Iterator[str]:
@@ -379,16 +385,22 @@ def _tally(shape: Shape, row: Rows) -> Iterator[str]:
     yield f"s2 = {' + '.join(f'v{j} * v{j}' for j in samples)}"
     yield f"e = {' + '.join(f'v{j} * {torque}{j}' for j in samples)}"
     yield f"a = {row('ALIVE')} if s2 < TOO_FAST else ZERO"
-    yield "s2, e = s2 if a > ZERO else ZERO, e if a > ZERO else ZERO"
+    yield "s2 = s2 if a > ZERO else ZERO"
+    yield "e = e if a > ZERO else ZERO"
     yield "c = c if c > ZERO else -c" if shape.renders else "c = ZERO"
     yield "c = c if a > ZERO else ZERO"
-    yield f"work, low, most = {row('WORK')} + e, {row('LOWEST')}, {row('FORCE')}"
+    yield f"work = {row('WORK')} + e"
+    yield f"low = {row('LOWEST')}"
+    yield f"most = {row('FORCE')}"
     yield f"{row('ALIVE')} = a"
     yield f"{row('TICKS')} = {row('TICKS')} + a"
     yield f"{row('SPEED2')} = {row('SPEED2')} + s2"
     yield f"{row('WORK')} = work"
     yield f"{row('LOWEST')} = work if work < low else low"
     yield f"{row('FORCE')} = c if c > most else most"
+
+
+# --- one sub-step ---------------------------------------------------------------------------------
 
 
 def step_arguments(shape: Shape) -> list[str]:
@@ -435,13 +447,13 @@ def _friction(shape: Shape, row: Rows) -> Iterator[str]:
     if len(free) == 2:
         yield f"q1 = {free[0]} * {row.c('W10')} + {free[1]} * {row.c('W11')}"
         yield from clamped("f1", "q1", row.c("LEVEL1"))
-        yield f"q0 = {free[0]} + {row.c(f'H1_{shape.contacts[0][0]}')} * f1"
+        yield f"q0 = {free[0]} + {row.c(f'H1_{shape.contacts[0].velocity}')} * f1"
     elif free:
         yield f"q0 = {free[0]}"
     if free:
         yield from clamped("f0", "q0", row.c("LEVEL0"))
     if len(free) == 2:
-        yield f"q1 = {free[1]} + {row.c(f'H0_{shape.contacts[1][0]}')} * f0"
+        yield f"q1 = {free[1]} + {row.c(f'H0_{shape.contacts[1].velocity}')} * f0"
         yield from clamped("f1", "q1", row.c("LEVEL1"))
     for i in range(shape.states):
         yield from _rubbed(shape, row, i)
@@ -456,9 +468,8 @@ def _rubbed(shape: Shape, row: Rows, i: int) -> Iterator[str]:
     target = _target(shape, i)
     slowed = [c for c, own in pushes if own]
     others = [f"{row.c(f'H{c}_{i}')} * f{c}" for c, own in pushes if not own]
-    if slowed == [
-        len(shape.contacts) - 1
-    ]:  # its q has all of the other's push: what is left of it is exact
+    # the last contact's q has all of the other's push: what is left of it is exact
+    if slowed == [len(shape.contacts) - 1]:
         yield f"{target} = q{slowed[0]} - f{slowed[0]}"
     elif slowed:
         yield f"{target} = ZERO if f0 == q0 else {' + '.join([target, *others])} - f0"
@@ -467,8 +478,8 @@ def _rubbed(shape: Shape, row: Rows, i: int) -> Iterator[str]:
 
 
 def _held(shape: Shape, c: int) -> Iterator[str]:
-    """Where contact `c` stuck for the whole sub-step its body is where it was; the others are
-    where they are.
+    """Contact `c` that stuck for the whole sub-step: its body is where it was, the others are where
+    they are.
     """
     velocity, position, _ = shape.contacts[c]
     stuck = f"(f{c} == q{c}) & (x{velocity} == ZERO)"
@@ -482,7 +493,7 @@ def _held(shape: Shape, c: int) -> Iterator[str]:
 
 
 def _pulled(shape: Shape, row: Rows) -> Iterator[str]:
-    """The forces on the rotor at the middle of the sub-step, and what their sum does."""
+    """The forces on the rotor at the middle of the sub-step, and what their sum does to states."""
     assert shape.rotor is not None
     position, velocity, column = shape.rotor
     yield f"h = x{position} + x{velocity} * {row.c('REACH')}"
