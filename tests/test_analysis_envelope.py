@@ -28,6 +28,7 @@ from hapticd.analysis.envelope import (
     of_trial,
     widened,
 )
+from hapticd.analysis.findings import Finding
 from hapticd.analysis.impedance import impedance
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.passive_set import (
@@ -39,7 +40,7 @@ from hapticd.analysis.passive_set import (
     volume,
 )
 from hapticd.analysis.predict import predict, predicted_impedance
-from hapticd.analysis.verdict import judge
+from hapticd.analysis.verdict import LOST_EDGE, judge
 from hapticd.errors import AnalysisError
 
 
@@ -112,6 +113,13 @@ def test_plain_rule_accepts_what_is_undecided():
     assert accepted(thin.verdict, "within_90_deg")
     assert not accepted(thin.verdict, "judged")
     assert not accepted(dataclasses.replace(thin.verdict, stability="unstable"), "within_90_deg")
+
+
+def test_plain_rule_accepts_no_trial_that_lost_an_edge_of_its_band():
+    """What was not looked at did not pass."""
+    thin = trial("thin", mass_damper(0.008, 0.05), 0.9)
+    lost = Finding(LOST_EDGE, "the edge at 2.00 Hz is lost under a drift")
+    assert not accepted(dataclasses.replace(thin.verdict, findings=(lost,)), "within_90_deg")
 
 
 def test_values_that_are_not_known_own_nothing():

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from measured_scenes import MOTOR, scene
 
+from hapticd.analysis.arrays import Floats
 from hapticd.analysis.predict import predicted_impedance
 from hapticd.analysis.resolved import resolved
 from hapticd.analysis.spectra import spa
@@ -19,13 +20,22 @@ from hapticd.analysis.verdict import DEFAULT_BAND_HZ as BAND
 from hapticd.analysis.verdict import Verdict, judge
 from hapticd.engine import simulate
 from hapticd.plant.compose import compose
-from hapticd.plant.effects import Coulomb, Encoder, Masses, ProbeMass, Saturation, Viscous
+from hapticd.plant.effects import (
+    Coulomb,
+    Encoder,
+    Masses,
+    ProbeMass,
+    Saturation,
+    SensorNoise,
+    Viscous,
+)
 from hapticd.plant.scene import Excitation, Scene
 from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
 from hapticd.zwidth.outcomes import Conditions, Outcome, fly
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.store import Recorded, TrialStore
 from hapticd.zwidth.trial import TrialParams, judged, plan_trial
+from hapticd.zwidth.watch import Sentinel, Watch
 
 T = 1e-3
 LIMIT = Saturation(limit_n=8.0)
@@ -52,8 +62,10 @@ def least_resistance(device: Scene, stiffness: float) -> float:
     ).real.min()
 
 
-def verdict(device: Scene, stiffness: float, seed: int, source: Excitation = NOISE) -> Verdict:
-    """Of a trial whose record was kept."""
+def recorded_of(
+    device: Scene, stiffness: float, seed: int, source: Excitation = NOISE
+) -> tuple[Floats, Floats]:
+    """Force and velocity of a trial of 90 s at 4 kHz."""
     found = simulate(
         device,
         [[stiffness, 0.0, 0.0]],
@@ -64,8 +76,14 @@ def verdict(device: Scene, stiffness: float, seed: int, source: Excitation = NOI
         keep="records",
     )
     force, velocity = (np.asarray(channel, np.float64) for channel in found.record(0))
+    return force, velocity
+
+
+def verdict(device: Scene, stiffness: float, seed: int, source: Excitation = NOISE) -> Verdict:
+    """Of a trial whose record was kept."""
     plan = plan_trial(TrialParams(Trial((stiffness, 0.0, 0.0), seconds=90.0), device))
-    return judged(plan, Recorded(force, velocity, found.rate_hz, "engine", True)).verdict
+    channels = recorded_of(device, stiffness, seed, source)
+    return judged(plan, Recorded(*channels, 4000.0, "engine", True)).verdict
 
 
 def outcomes(device: Scene, stiffness, seed: int = 1, source: Excitation = NOISE) -> list[Outcome]:
@@ -230,3 +248,38 @@ def test_limit_cycles_stay_found_over_seeds(device, stiffness, source):
     found = [one for seed in range(1, 5) for one in outcomes(device, stiffness, seed, source)]
     assert np.mean([one.answer == "not_passive" for one in found]) >= 0.95
     assert not any(one.passes for one in found)
+
+
+def test_a_trial_is_not_ended_by_a_verdict_that_its_record_would_change():
+    """Of this passive display the window says "not passive" after 20 s."""
+    force, velocity = recorded_of(display(0.3), 450.0, 1)
+    sentinel = Sentinel(Watch(until_decided=True), 4000.0)
+    assert sentinel.see(force, velocity) == ""
+
+
+def test_a_result_shows_the_impedance_that_its_verdict_was_found_by():
+    device = display(1.0)
+    plan = plan_trial(TrialParams(Trial((1950.0, 0.0, 0.0), seconds=90.0), device))
+    found = judged(plan, Recorded(*recorded_of(device, 1950.0, 2), 4000.0, "engine", True))
+    assert any(finding.code == "resolved" for finding in found.verdict.findings)
+    margin = found.verdict.margin_ns_per_m
+    at = found.measured.frequency_hz == margin.frequency_hz
+    assert found.measured.impedance_ns_per_m.real[at] == pytest.approx(margin.value, rel=1e-12)
+
+
+def test_trials_that_need_their_record_get_the_record_of_their_spectra(monkeypatch):
+    """Noise of the probe is drawn by the number of a trial: the record that is looked at again must
+    be that of the same trial."""
+    device = display(1.0, SensorNoise(velocity_m_per_s=1e-4))
+    pairs = []
+
+    def kept(force, velocity, spectra, *rest):
+        pairs.append((spa(force, velocity), spectra))
+        return spectra
+
+    monkeypatch.setattr("hapticd.zwidth.outcomes.resolved", kept)
+    points = np.array([[0.0, 0.0, 0.0], [1950.0, 0.0, 0.0]])
+    fly(Conditions(device, 90.0, NOISE, dtype="f64"), 0.0, points)
+    assert 0 < len(pairs) < len(points)
+    for again, first in pairs:
+        assert np.abs(again.cross - first.cross).max() < 1e-9 * np.abs(first.cross).max()

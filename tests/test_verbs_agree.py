@@ -7,6 +7,7 @@ import pytest
 
 from hapticd.settings.scene import load_scene
 from hapticd.weir2008 import run
+from hapticd.weir2008.paper import HIGH_PASS
 from hapticd.zwidth import search
 from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
 from hapticd.zwidth.map import MapParams, plan_map, run_map
@@ -21,6 +22,7 @@ SCENE = "fig7"
 LEVEL = 1.74
 SEED = 3
 SECONDS = 20.0
+FIRST_LINE_HZ = 3.0 * 4000.0 / 4096.0  # of the window, inside a band from 2 Hz
 ALONE = 1.0  # a tolerance that ends a search of a limit after its first round
 
 
@@ -141,3 +143,22 @@ def test_fused_float32_gives_the_margin_to_its_digits(searched):
     assert told(fused)[1] == told_of(exact)[1]
     assert fused.margin_ns_per_m == pytest.approx(exact.margin_ns_per_m.value, abs=1e-5 * size)
     assert fused.answer == exact.answer
+
+
+@pytest.mark.usefixtures("short_trials")
+def test_limits_and_the_reproduction_find_the_same_limit_of_every_noise():
+    """Of the device whose least Re Z is at the lower edge: on the window's lines alone, from
+    2.93 Hz on, the limit would be another."""
+    own = run.conditions(HIGH_PASS)
+    scene = load_scene(run.SCENES[HIGH_PASS])
+    asked = Conditions(scene, SECONDS, replace(noise(scene), seed=own.excitation.seed))
+    searched = {"levels": (LEVEL,), "axes": (0,), "seeds": 2}
+    limit, elsewhere = (
+        run_limits(plan_limits(LimitsParams(one, **searched)), TrialStore(None)).limits[0]
+        for one in (asked, replace(asked, band_hz=(FIRST_LINE_HZ, 500.0)))
+    )
+    plan = plan_limits(LimitsParams(own, **searched, tolerance=run.FINE))
+    (reproduced,) = run.limits_of([plan], TrialStore(None))
+    tolerance = LimitsParams(asked).tolerance
+    assert limit.values == pytest.approx(reproduced.values.tolist(), rel=tolerance)
+    assert elsewhere.values[1] > (1.0 + 10.0 * tolerance) * limit.values[1]

@@ -91,12 +91,12 @@ def envelope(trials: Iterable[EnvelopeTrial], accept: Accept = "judged") -> Enve
 
 
 def accepted(verdict: Verdict, accept: Accept = "judged") -> bool:
-    """Whether a trial may widen an envelope. The paper's rule does not accept an unstable one
-    either.
+    """Whether a trial passes: as judged, or by the paper's rule. That rule accepts
+    neither one that is unstable nor one that lost an edge of its band.
     """
     if accept == "judged":
         return verdict.answer == "passive"
-    return verdict.within_90_deg and verdict.stability != "unstable"
+    return verdict.within_90_deg and verdict.whole_band and verdict.stability != "unstable"
 
 
 def of_trial(trial: EnvelopeTrial) -> Envelope:

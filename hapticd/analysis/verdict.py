@@ -248,6 +248,11 @@ class Verdict:
         """From where to where the verdict looked."""
         return Judged(self.first_judged_hz, self.last_judged_hz)
 
+    @property
+    def whole_band(self) -> bool:
+        """Whether no edge of `band_hz` was lost under a drift."""
+        return _whole_band(self.findings)
+
     def _stability(self) -> str:
         if self.spectral_radius is not None:
             return f"{self.stability}, spectral radius {self.spectral_radius:.6g}"
@@ -451,8 +456,11 @@ def _answer(margin: Margin, stability: Stability, findings: tuple[Finding, ...])
         return "undecided"
     if margin.upper < 0.0:
         return "not_passive"
-    whole_band = all(finding.code != LOST_EDGE for finding in findings)
-    return "passive" if whole_band and margin.lower > 0.0 else "undecided"
+    return "passive" if _whole_band(findings) and margin.lower > 0.0 else "undecided"
+
+
+def _whole_band(findings: tuple[Finding, ...]) -> bool:
+    return all(finding.code != LOST_EDGE for finding in findings)
 
 
 def _stability(

@@ -193,6 +193,7 @@ def simulate(
     own_torque: bool = False,
     executor: Executor | None = None,
     chunk: int | None = None,
+    numbers: Sequence[int] | None = None,
 ) -> BatchResult:
     """Simulate n trials of `scene`, a scene or a composed model, that differ in what is rendered.
 
@@ -213,6 +214,8 @@ def simulate(
     own_torque   a record of its own for every trial instead of a shared one
     executor     any of concurrent.futures; None = threads here
     chunk        trials per task
+    numbers      of the trials (n,), by which each draws what is random of its own: a trial that is
+                 simulated again under its number is the same trial; None: 0, 1, ..
 
     What is None is the scene's; for a model: 90 s, seed 1, no damping, the paper's filters, noise
     of 2.5e-5 N^2/Hz up to 1.7 kHz, at rest at 0. The same call gives the same bytes for any
@@ -241,11 +244,13 @@ def simulate(
     size = chunk or made.shape.lanes * (1 if executor is None else REMOTE_GROUPS)
     firsts = range(0, len(trials), size)
     parts = [trials[first : first + size] for first in firsts]
+    own = range(len(trials)) if numbers is None else numbers
+    numbered = [own[first : first + size] for first in firsts]
     if executor is not None:
-        found = list(executor.map(partial(run_chunk, job), parts, firsts))
+        found = list(executor.map(partial(run_chunk, job), parts, numbered))
     else:
         with ThreadPoolExecutor(max_workers=min(len(parts), workers())) as threads:
-            found = list(threads.map(partial(run_chunk, job), parts, firsts))
+            found = list(threads.map(partial(run_chunk, job), parts, numbered))
     result = joined(found)
     if keep == "spectra" and result.force_spectrum is None:
         return replace(result, force_spectrum=force_spectrum(job, made))
@@ -330,22 +335,23 @@ def _checked(params: npt.ArrayLike) -> Array:
     return trials
 
 
-def run_chunk(job: Job, params: Array, first: int) -> BatchResult:
-    """Trials `first`... of the batch with these K, B, M, (n, 3)."""
+def run_chunk(job: Job, params: Array, numbers: Sequence[int]) -> BatchResult:
+    """Trials of these K, B, M (n, 3), each with its number in the batch."""
     made = prepared(job)
-    starts = range(0, len(params), made.shape.lanes)
+    lanes = made.shape.lanes
+    starts = range(0, len(params), lanes)
     return joined(
         [
-            _run_group(job, made, params[start : start + made.shape.lanes], first + start)
+            _run_group(job, made, params[start : start + lanes], numbers[start : start + lanes])
             for start in starts
         ]
     )
 
 
-def _run_group(job: Job, made: Prepared, params: Array, first: int) -> BatchResult:
+def _run_group(job: Job, made: Prepared, params: Array, numbers: Sequence[int]) -> BatchResult:
     group = Group(job, made, params)
-    inputs = Inputs(job, made, group.count, first)
-    records = (spectral if job.keep == "spectra" else Records)(job, made, group.count, first)
+    inputs = Inputs(job, made, numbers)
+    records = (spectral if job.keep == "spectra" else Records)(job, made, numbers)
     heating = None if made.model.winding is None else Heating(group, made.model.winding)
     level_ns_per_m = None
     for start, end in inputs.legs():

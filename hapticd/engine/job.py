@@ -28,7 +28,7 @@ What would break it: a Job with a field that does not pickle, a time constant of
 not long against the refresh.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import pairwise
@@ -317,10 +317,10 @@ BLOCK_TICKS = 8192  # between two calls of a kernel, at most
 class Inputs:
     """Torque and noise in the kernel's layout. A record that is shorter than the trial repeats."""
 
-    def __init__(self, job: Job, made: Prepared, count: int, first: int) -> None:
+    def __init__(self, job: Job, made: Prepared, numbers: Sequence[int]) -> None:
         self._samples = made.shape.samples
         self._lanes = made.shape.lanes if job.own_torque else 1
-        self._torque = _own(job, made, count, first) if job.own_torque else _shared(job, made)
+        self._torque = _own(job, made, numbers) if job.own_torque else _shared(job, made)
         self._noise = estimate_noise(job).astype(made.scalar)
         self._borders = _borders(job, made, len(self._torque) // self._samples)
 
@@ -360,9 +360,9 @@ def _shared(job: Job, made: Prepared) -> Values:
     return _repeated(shared_torque(job).astype(made.scalar)[:, None], job, made)
 
 
-def _own(job: Job, made: Prepared, count: int, first: int) -> Values:
+def _own(job: Job, made: Prepared, numbers: Sequence[int]) -> Values:
     """(period, lanes)"""
-    rows = [own_torque(job, first + lane).astype(made.scalar) for lane in range(count)]
+    rows = [own_torque(job, number).astype(made.scalar) for number in numbers]
     record = np.zeros((len(rows[0]), made.shape.lanes), made.scalar)
     for lane, row in enumerate(rows):
         record[:, lane] = row

@@ -9,6 +9,7 @@ until its end and analysed one by one, which gives the same spectra more slowly.
 What would break it: a block that ends inside a section (legs end at sections, see `job`).
 """
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -36,13 +37,13 @@ from hapticd.plant.scene import Excitation
 
 
 class Records:
-    """The kept arrays of the trials `first`... of a batch."""
+    """The kept arrays of some trials of a batch, by their numbers in it."""
 
-    def __init__(self, job: Job, made: Prepared, count: int, first: int) -> None:
+    def __init__(self, job: Job, made: Prepared, numbers: Sequence[int]) -> None:
         shape = made.shape
         self._job = job
         self._made = made
-        self._first = first
+        self._numbers = numbers
         self.kept = job.keep != "summary"
         self._out = aligned(
             min(job.ticks, BLOCK_TICKS) * shape.width * shape.lanes if self.kept else 1, made.scalar
@@ -53,7 +54,7 @@ class Records:
         if shape.ticks:
             self._places |= {"force_n": (shape.samples, 1), "position_m": (shape.width - 1, 1)}
         self._arrays: dict[str, Values] = {
-            name: np.zeros((count, job.ticks * wide), made.scalar)
+            name: np.zeros((len(numbers), job.ticks * wide), made.scalar)
             for name, (_, wide) in self._places.items()
         }
 
@@ -98,9 +99,9 @@ class Records:
         noise = self._job.model.noise
         quantum = self._job.model.velocity_quantum_m_per_s
         if noise is not None and noise.velocity_m_per_s:
-            for trial, row in enumerate(velocity, self._first):
+            for number, row in zip(self._numbers, velocity, strict=True):
                 row += noise.velocity_m_per_s * generator(
-                    self._job.seed, Stream.VELOCITY + trial
+                    self._job.seed, Stream.VELOCITY + number
                 ).standard_normal(len(row))
         return rounded(velocity, quantum)
 
@@ -108,7 +109,7 @@ class Records:
 Samples = npt.NDArray[np.int64]
 
 
-def spectral(job: Job, made: Prepared, count: int, first: int) -> "Sums | SpectraOfRecords":
+def spectral(job: Job, made: Prepared, numbers: Sequence[int]) -> "Sums | SpectraOfRecords":
     """What keeps the spectra of a group."""
     noise = job.model.noise
     shape = made.shape
@@ -116,8 +117,8 @@ def spectral(job: Job, made: Prepared, count: int, first: int) -> "Sums | Spectr
         noise is not None and noise.velocity_m_per_s
     ) or job.model.velocity_quantum_m_per_s is not None
     if job.own_torque or measured or shape.impulse is not None or LAG % shape.samples:
-        return SpectraOfRecords(job, made, count, first)
-    return Sums(job, made, count)
+        return SpectraOfRecords(job, made, numbers)
+    return Sums(job, made, len(numbers))
 
 
 class Sums:

@@ -28,7 +28,7 @@ import numpy as np
 
 from hapticd import __version__
 from hapticd.analysis.arrays import Complexes, Floats, Values
-from hapticd.analysis.envelope import Envelope, merged, of_one
+from hapticd.analysis.envelope import Envelope, accepted, merged, of_one
 from hapticd.analysis.findings import Energy, Record, escape_findings
 from hapticd.analysis.impedance import impedance
 from hapticd.analysis.predict import coulomb
@@ -147,7 +147,7 @@ def fly(conditions: Conditions, damping_ns_per_m: float, points: Floats) -> list
     for first in range(0, len(unsure), TOGETHER):
         some = unsure[first : first + TOGETHER]
         again = np.asarray(found.params[some], np.float64)
-        records = _flown(conditions, damping_ns_per_m, again, "records")
+        records = _flown(conditions, damping_ns_per_m, again, "records", some)
         shared = _shared_transform(records)
         for place, trial in enumerate(some):
             finer = _finer(conditions, records.record(place), looks[trial][0], linear, shared)
@@ -159,7 +159,11 @@ def fly(conditions: Conditions, damping_ns_per_m: float, points: Floats) -> list
 
 
 def _flown(
-    conditions: Conditions, damping_ns_per_m: float, points: Floats, keep: str
+    conditions: Conditions,
+    damping_ns_per_m: float,
+    points: Floats,
+    keep: str,
+    numbers: Sequence[int] | None = None,
 ) -> BatchResult:
     return simulate(
         conditions.scene,
@@ -173,6 +177,7 @@ def _flown(
         substeps=conditions.substeps,
         dtype=conditions.dtype,
         keep=keep,
+        numbers=numbers,
     )
 
 
@@ -241,7 +246,7 @@ def _outcome(
         environment=(k, b, m),
         damping_ns_per_m=damping,
         answer="undecided" if doubtful and verdict.answer == "passive" else verdict.answer,
-        passes=verdict.within_90_deg and verdict.stability != "unstable" and not doubtful,
+        passes=accepted(verdict, "within_90_deg") and not doubtful,
         margin_ns_per_m=verdict.margin_ns_per_m.value,
         margin_lower=verdict.margin_ns_per_m.lower,
         margin_upper=verdict.margin_ns_per_m.upper,

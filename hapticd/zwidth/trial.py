@@ -236,7 +236,8 @@ class TrialPlan:
 @dataclass(frozen=True, eq=False)
 class TrialResult:
     """The record, Z (at the port that the verdict names), what was predicted there, the verdict;
-    `spectra` are those of the port of the probe. `covers`: what the intervals cover, in words.
+    `spectra` are those that the verdict was found by, at the port of the probe: the window's, or
+    those of the record (`resolved`). `covers`: what the intervals cover, in words.
     """
 
     plan: TrialPlan
@@ -255,20 +256,25 @@ def plan_trial(params: TrialParams) -> TrialPlan:
     _possible(params)
     trial = params.trial
     scene = params.scene
+    shown = display(scene, trial.excitation) if scene else None
+    radius = _radius(shown, trial) if shown else None
     watch = replace(
         trial.watch,
         band_hz=params.band_hz,
         confidence=params.confidence,
         estimator=params.estimator,
+        linear=radius is not None,
     )
-    asked = replace(params, trial=replace(trial, watch=watch))
-    shown = display(scene, trial.excitation) if scene else None
-    if shown is None or coulomb(shown.model).any():
-        return TrialPlan(asked, shown, None)
-    radius = spectral_radius(
-        shown.model, np.array([trial.environment]), trial.damping_ns_per_m, shown.filters
-    )
-    return TrialPlan(asked, shown, float(radius[0]))
+    return TrialPlan(replace(params, trial=replace(trial, watch=watch)), shown, radius)
+
+
+def _radius(shown: Display, trial: Trial) -> float | None:
+    """Spectral radius of the predicted closed loop, None of one with Coulomb friction."""
+    if coulomb(shown.model).any():
+        return None
+    points = np.array([trial.environment])
+    found = spectral_radius(shown.model, points, trial.damping_ns_per_m, shown.filters)
+    return float(found[0])
 
 
 def _possible(params: TrialParams) -> None:
@@ -341,7 +347,8 @@ def judged(plan: TrialPlan, recorded: Recorded) -> TrialResult:
         finer = resolved(
             force, velocity, raw, params.band_hz, params.estimator, servo_rate_hz, plan.linear
         )
-        verdict = _verdict(plan, recorded, _corrected(params, finer), record)
+        spectra = _corrected(params, finer)
+        verdict = _verdict(plan, recorded, spectra, record)
     z = impedance(spectra, params.estimator)
     z = z.without_mass(params.behind_mass_kg) if params.behind_mass_kg else z
     covers = spectra.covers if isinstance(spectra, PeriodicSpectra) else NOISE_COVERS

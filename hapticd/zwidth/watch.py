@@ -14,7 +14,8 @@ The sentinel watches a trial while it runs and ends it for
                   limit first
     travel        the device stands at an end of its travel: what is measured there is the stop
     heat          the winding is hotter than asked
-    decided       asked to stop when the verdict stands (`until_decided`), it does
+    decided       asked to stop when the verdict stands (`until_decided`), it does: one that only
+                  the whole record can confirm (`analysis.resolved`) does not stand yet
 
 and says at any time how many seconds would buy the confidence that was asked for. It looks at whole
 seconds, so a record that it ends holds the second that was wrong: the verdict on that record says
@@ -54,7 +55,7 @@ from hapticd.analysis.arrays import Flags, Floats, Integers
 from hapticd.analysis.findings import ESCAPE_RATIO, Finding
 from hapticd.analysis.impedance import Estimator
 from hapticd.analysis.spectra import DEFAULT_LAG, Spectra, SpectralStream
-from hapticd.analysis.verdict import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge, needed
+from hapticd.analysis.verdict import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge, needed, needs_record
 from hapticd.zwidth.store import Recorded
 
 BRIDGED = 40  # samples at most: 10 ms
@@ -167,6 +168,7 @@ class Watch:
     speed_limit_m_per_s: float = inf  # of the device: faster is no motion of it
     until_decided: bool = False
     random: bool = True  # the perturbation is noise
+    linear: bool = False  # the device is known to have no friction
 
 
 class Sentinel:
@@ -290,8 +292,9 @@ class Sentinel:
 
     def _decide(self) -> None:
         watch = self._watch
+        spectra = self._stream.spectra()
         found = judge(
-            self._stream.spectra(),
+            spectra,
             None,
             watch.band_hz,
             watch.confidence,
@@ -299,7 +302,10 @@ class Sentinel:
             channels=False,
         )
         self.seconds_needed = found.seconds_needed
-        if watch.until_decided and found.answer != "undecided":
+        final = found.answer != "undecided" and not needs_record(
+            spectra, found, watch.estimator, watch.linear
+        )
+        if watch.until_decided and final:
             self.reason = f"decided after {self.seconds:.0f} s"
 
 
