@@ -1,16 +1,14 @@
 """The safety table: which command leads where, and what torque and damping a state allows.
 
-    state      torque                    added damping                                leaves by
-    disabled   0                         0 unless asked                               enable, home,
-                                         stop, fault
-    enabled    law, limited              as asked                                     disable, stop,
-                                         fault
-    homing     homing law, its own limit as asked                                     done, disable,
-               stop, fault
-    stopped    ramp to 0 in 20 ms        max(current, safe) for 2 s, then to 0 in     reset, while
-                                         no cause persists
-    fault      ramp to 0 in 20 ms        0.5 s                                        reset, while
-                                         no cause persists
+    state      torque              active damping                         leaves by
+    disabled   0                   0 unless asked                         enable, home, stop, fault
+    enabled    law, limited        as asked                               disable, stop, fault
+    homing     homing law, its     as asked                               done, disable, stop,
+               own limit                                                  fault
+    stopped    to 0 in 20 ms       max(current, safe) for 2 s,            reset, while no cause
+                                   then to 0 in 0.5 s                     persists
+    fault      to 0 in 20 ms       as in stopped                          reset, while no cause
+                                                                          persists
 
 STOP comes from anyone at any time and is idempotent; `reset` leads to disabled, never further; a
 fault keeps its first cause. `set` and `damping` are taken in every state and act where the table
