@@ -1,4 +1,4 @@
-"""Flying `servo.step` by hand: a tick counter, commands with masks, and a sample that is
+"""Running `servo.step` by hand: a tick counter, commands with masks, and a sample that is
 healthy unless told otherwise.
 """
 

@@ -22,7 +22,7 @@ from hapticd.mailbox.layout import PLAN_FIELDS, Command, Flag, Value, values_of
 from hapticd.params import ServoParams
 from hapticd.servo.plan import SETTLED, Request, ServoState, masked_places, unflatten
 from hapticd.servo.step import make_step
-from hapticd.wire import frames
+from hapticd.wire import codec, frames
 
 Records = NDArray[np.void]
 
@@ -95,7 +95,14 @@ def replay(
     for tick, arrival, host, frame in zip(*columns, heads, strict=True):
         if arrival >= 0:
             head = unpack(frame[:size])
-        sample = head[6], head[4], head[10], arrival, host, head[13]
+        sample = (
+            head[codec.HEAD_ENCODER],
+            head[codec.HEAD_STATUS],
+            head[codec.HEAD_TEMPERATURE],
+            arrival,
+            host,
+            head[codec.HEAD_INDEX_OFFSET],
+        )
         state, (torque, *numbers, flags, _) = step(state, obeyed.get(tick, ()), sample, tick)
         settled, _, (energies, *_), _ = state
         blobs.append(settled.blob)

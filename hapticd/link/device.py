@@ -24,13 +24,21 @@ from hapticd.errors import LinkStalled, LinkTimeout
 from hapticd.link.base import Link
 from hapticd.units import US_PER_S
 from hapticd.wire import codec, frames, session
+from hapticd.wire.codec import (
+    HEAD_AXIS,
+    HEAD_BOARD_TIME,
+    HEAD_CRC,
+    HEAD_ECHO,
+    HEAD_PROBE_COUNT,
+    HEAD_SEQ,
+)
 from hapticd.wire.frames import Hello, Request
 
 SEED = 1 << 20
 STALE_READS = 2
-Head = tuple[int, ...]  # fields of frames.IN_SEALED
+Head = tuple[int, ...]  # fields of frames.IN_SEALED; places: codec.HEAD_SEQ and the others
 Received = tuple[int, int, Head]  # arrival, unwrapped board time [us], head
-NO_HEAD: Head = (0,) * 16
+NO_HEAD: Head = (0,) * codec.HEAD_FIELDS
 
 
 class Device:
@@ -137,12 +145,12 @@ def _exchange(
     def odd(found: Head) -> Received:
         """A frame that is not simply the next one: stale, after a gap, or the first."""
         nonlocal head, board_us, expected, missing, seeding
-        latched = (
-            found[5] if seeding else session.unwrap(board_us, found[5], session.BOARD_TIME_BITS)
-        )
+        latched = found[HEAD_BOARD_TIME]
+        if not seeding:
+            latched = session.unwrap(board_us, latched, session.BOARD_TIME_BITS)
         if missing > session.BACKWARD and latched < board_us:
             begin()
-            latched = found[5]
+            latched = found[HEAD_BOARD_TIME]
         for _ in range(STALE_READS):
             if seeding or latched > board_us:
                 break
@@ -151,19 +159,21 @@ def _exchange(
             if isinstance(again, str):
                 return absent(again)
             found = again
-            latched = session.unwrap(board_us, again[5], session.BOARD_TIME_BITS)
+            latched = session.unwrap(board_us, again[HEAD_BOARD_TIME], session.BOARD_TIME_BITS)
         else:
             if not seeding and latched <= board_us:
                 return absent("missing")
         if not seeding:
-            incoming.newest = head[0]
-            outgoing.newest = head[1]
-        counts["gap"] += incoming.observe(found[0])[1]
-        counts["unseen"] += outgoing.observe(found[1])[1]
+            incoming.newest = head[HEAD_SEQ]
+            outgoing.newest = head[HEAD_ECHO]
+        _, gap = incoming.observe(found[HEAD_SEQ])
+        _, unseen = outgoing.observe(found[HEAD_ECHO])
+        counts["gap"] += gap
+        counts["unseen"] += unseen
         lost = SEED if seeding else max(0, round((latched - board_us) / period_us) - 1)
         head = found
         board_us = latched
-        expected = (found[0] + 1) & 0xFFFF
+        expected = (found[HEAD_SEQ] + 1) & 0xFFFF
         missing = 0
         seeding = False
         return lost, board_us, head
@@ -175,13 +185,13 @@ def _exchange(
         except (LinkTimeout, LinkStalled):
             return absent("missing")
         found = unpack(in_buffer)
-        passed = found[5] - head[5]
+        passed = found[HEAD_BOARD_TIME] - head[HEAD_BOARD_TIME]
         if (
-            found[0] != expected
-            or found[1] != sent
-            or found[15] != check(in_body, initial)
-            or found[2]
-            or found[3] > most
+            found[HEAD_SEQ] != expected
+            or found[HEAD_ECHO] != sent
+            or found[HEAD_CRC] != check(in_body, initial)
+            or found[HEAD_AXIS]
+            or found[HEAD_PROBE_COUNT] > most
             or passed < shortest
             or passed > longest
             or size != whole

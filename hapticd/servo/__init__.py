@@ -1,3 +1,13 @@
 """The servo process: one thread, one loop, one tick after another. Standard library, pyusb and
-the floors below.
+the layers below.
+
+    host        prepare, relax: real-time rights, and what the operating system granted
+    loop        ServoLoop: the only `while`; spinning_wait, virtual_wait, first_deadline
+    step        initial_state, make_step: one tick as a function, the short way
+    transition  the long way of a tick: lost frames, faults, commands, ramps, homing
+    plan        Plan, Settled, ServoState: what is intended, and what a tick needs of it;
+                flatten, unflatten: a checkpoint
+    commands    one command on one plan
+    safety      TABLE: which command leads where, and what torque and damping a state allows
+    inbox       Inbox: what a tick has to obey; Streamer: a waveform into the board's FIFO
 """

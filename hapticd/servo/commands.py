@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from hapticd.errors import ConfigError
 from hapticd.faults import BY_CODE
-from hapticd.mailbox.layout import Command, Result, Value
+from hapticd.mailbox.layout import COMMAND_VALUES, Command, Result, Value
 from hapticd.params import ServoParams
 from hapticd.render.ramp import Ramp, constant
 from hapticd.servo import safety
@@ -44,18 +44,14 @@ def answer(
     plan: Plan, seq: int, result: Result, ticks: tuple[int, int], params: ServoParams
 ) -> Answer:
     """The receipt: result, revision, ticks and the values as they act, after quantisation."""
-    effective = [0.0] * 20
+    effective = [0.0] * COMMAND_VALUES
     for place, ramp in plan.values.items():
         effective[place] = ramp.end
     first, second = plan.filters
-    effective[Value.VELOCITY_FILTER_HZ], effective[Value.VELOCITY_FILTER_ZETA] = (
-        first.frequency_hz,
-        first.damping_ratio,
-    )
-    effective[Value.ACCELERATION_FILTER_HZ], effective[Value.ACCELERATION_FILTER_ZETA] = (
-        second.frequency_hz,
-        second.damping_ratio,
-    )
+    effective[Value.VELOCITY_FILTER_HZ] = first.frequency_hz
+    effective[Value.VELOCITY_FILTER_ZETA] = first.damping_ratio
+    effective[Value.ACCELERATION_FILTER_HZ] = second.frequency_hz
+    effective[Value.ACCELERATION_FILTER_ZETA] = second.damping_ratio
     effective[Value.ADDED_DAMPING] = params.device.damping.to_value(
         damping_count(plan.added_asked, params)
     )

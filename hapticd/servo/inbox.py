@@ -18,17 +18,18 @@ lost), a level that is not of the newest frame.
 """
 
 import math
+from typing import NamedTuple
 
 from hapticd.errors import LinkError
 from hapticd.faults import BY_CODE
 from hapticd.link.device import Device, Head
-from hapticd.mailbox.layout import Command
+from hapticd.mailbox.layout import COMMAND_VALUES, Command
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.params import ServoParams
-from hapticd.servo.plan import CLEARABLE, Plan, Request
+from hapticd.servo.plan import CLEARABLE, KIND, Plan, Request
 from hapticd.servo.safety import FAULT_EVENT, PERTURB_DONE_EVENT, State
 from hapticd.units import NS_PER_S, PROBE_RATE_HZ
-from hapticd.wire.codec import NO_SAMPLES
+from hapticd.wire.codec import HEAD_FIFO_LEVEL, HEAD_STATUS, NO_SAMPLES
 from hapticd.wire.frames import FIFO_TARGET, PROBE_MAX, OutFlag
 
 Burst = tuple[int, int, tuple[int, ...]]  # OUT flags, samples that count, always PROBE_MAX values
@@ -43,11 +44,10 @@ class Streamer:
     def __init__(self, waveform: "memoryview[int]", rate_hz: float) -> None:
         nominal = PROBE_RATE_HZ / rate_hz
         self._waveform = waveform
-        self._least, self._most = (
-            max(0, math.floor(nominal) - 1),
-            min(PROBE_MAX, math.ceil(nominal) + 1),
-        )
-        self._position = self._samples = 0
+        self._least = max(0, math.floor(nominal) - 1)
+        self._most = min(PROBE_MAX, math.ceil(nominal) + 1)
+        self._position = 0
+        self._samples = 0
         self._loop = False
         self.playing = 0  # number of the command that started it, 0: silent
 
@@ -58,12 +58,10 @@ class Streamer:
         number, samples, loop = wave
         begins = number != self.playing
         if begins:
-            self.playing, self._position, self._samples, self._loop = (
-                number,
-                0,
-                min(samples, len(self._waveform)),
-                loop,
-            )
+            self.playing = number
+            self._position = 0
+            self._samples = min(samples, len(self._waveform))
+            self._loop = loop
             flags |= _FIFO_CLEAR
         if not number:
             return flags, 0, NO_SAMPLES
@@ -89,7 +87,21 @@ class Streamer:
 ACTOR_STOP_WORD = 2
 MOST_COMMANDS = 2
 CLEAR_TICKS = 3  # until a frame shows what CLEAR_FAULT did
-_NO_VALUES = (0.0,) * 20
+_NO_VALUES = (0.0,) * COMMAND_VALUES
+
+
+class LostSlots(NamedTuple):
+    """What the host missed at once."""
+
+    at_ns: int
+    slots: int
+
+
+class DeferredReset(NamedTuple):
+    """A reset that waits for the board's answer."""
+
+    tick: int
+    request: Request
 
 
 class Inbox:
@@ -104,8 +116,8 @@ class Inbox:
         self._mailbox = mailbox
         self._device = device
         self._streamer = streamer
-        self._lost: list[tuple[int, int]] = []  # time, slots
-        self._deferred: list[tuple[int, Request]] = []  # tick, reset
+        self._lost: list[LostSlots] = []
+        self._deferred: list[DeferredReset] = []
         self.waiting = False  # something of our own is due or near: `requests` must be asked
         self._leaving = False
 
@@ -114,31 +126,32 @@ class Inbox:
         found: list[Request] = []
         while len(found) < MOST_COMMANDS and (request := self._mailbox.take()) is not None:
             found.append(request)
-        if head[4] & CLEARABLE and any(request[1] == Command.RESET for request in found):
+        resets = any(request[KIND] == Command.RESET for request in found)
+        if resets and head[HEAD_STATUS] & CLEARABLE:
             found = self._ask_board(found, tick)
         if self._mailbox.stop_words[0]:
-            self._mailbox.stop_words[0] = (
-                0  # before it is obeyed: a press from here on is another one
-            )
+            # before it is obeyed: a press from here on is another one
+            self._mailbox.stop_words[0] = 0
             found.append((0, Command.STOP, ACTOR_STOP_WORD, 0, _NO_VALUES))
-        found += self._due(tick, any(request[1] == Command.STOP for request in found))
+        found += self._due(tick, any(request[KIND] == Command.STOP for request in found))
         if self._too_many_lost(plan):
             found.append((0, FAULT_EVENT, 0, 0, (float(BY_CODE["lost_slots"].number),)))
         if self._leaving:
             found.append((0, Command.DISABLE, 0, 0, _NO_VALUES))
-        if self._streamer.ended(head[11]):
+        if self._streamer.ended(head[HEAD_FIFO_LEVEL]):
             found.append((0, PERTURB_DONE_EVENT, 0, 0, _NO_VALUES))
         self.waiting = bool(self._lost or self._deferred or self._leaving)
         return tuple(found)
 
     def leave(self) -> None:
         """The process ends: the next tick disables."""
-        self._leaving = self.waiting = True
+        self._leaving = True
+        self.waiting = True
 
     def lost_slots(self, now_ns: int, slots: int) -> None:
         """The host has missed `slots` ticks."""
         if not self._params.simulated:
-            self._lost.append((now_ns, slots))
+            self._lost.append(LostSlots(now_ns, slots))
             self.waiting = True
 
     def _ask_board(self, found: list[Request], tick: int) -> list[Request]:
@@ -147,22 +160,24 @@ class Inbox:
         except LinkError:
             return found  # the fault bit stays and the reset is refused
         self._deferred += [
-            (tick + CLEAR_TICKS, request) for request in found if request[1] == Command.RESET
+            DeferredReset(tick + CLEAR_TICKS, request)
+            for request in found
+            if request[KIND] == Command.RESET
         ]
-        return [request for request in found if request[1] != Command.RESET]
+        return [request for request in found if request[KIND] != Command.RESET]
 
     def _due(self, tick: int, stopping: bool) -> list[Request]:
         """Resets that have waited long enough; before a stop all of them, since none may undo a
         later stop.
         """
-        due = [item for item in self._deferred if stopping or item[0] <= tick]
+        due = [item for item in self._deferred if stopping or item.tick <= tick]
         self._deferred = [item for item in self._deferred if item not in due]
         return [request for _, request in due]
 
     def _too_many_lost(self, plan: Plan) -> bool:
-        newest = self._lost[-1][0] if self._lost else 0
-        self._lost = [item for item in self._lost if newest - item[0] < NS_PER_S]
-        lost = sum(slots for _, slots in self._lost)
+        newest_ns = self._lost[-1].at_ns if self._lost else 0
+        self._lost = [item for item in self._lost if newest_ns - item.at_ns < NS_PER_S]
+        lost = sum(item.slots for item in self._lost)
         if plan.state not in (State.ENABLED, State.HOMING):
             self._lost.clear()
         return lost > self._params.safety.lost_slots_limit

@@ -38,7 +38,15 @@ from hapticd.mailbox.layout import Flag
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.params import ScaleParams, ServoParams
 from hapticd.servo.inbox import Inbox, Streamer
-from hapticd.servo.plan import GATEWAY_ALIVE, LINK_UP, SETTLED, Answer, Request, flatten
+from hapticd.servo.plan import (
+    GATEWAY_ALIVE,
+    LINK_UP,
+    SETTLED,
+    WAVE_COMMAND,
+    Answer,
+    Request,
+    flatten,
+)
 from hapticd.servo.step import initial_state, make_step
 from hapticd.units import NS_PER_MS, NS_PER_S
 from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST, NO_SAMPLES, U16_HIGHEST
@@ -162,7 +170,8 @@ class ServoLoop:
         period_ns = self.period_ns
         head: Head = NO_HEAD
         alive_until_ns = 0
-        board_us = publish_ns = 0
+        board_us = 0
+        publish_ns = 0
         last = None if ticks is None else self.tick + ticks
 
         while True:
@@ -195,9 +204,8 @@ class ServoLoop:
             ):
                 commands = inbox.requests(tick, head, self.state[SETTLED].plan)
                 mailbox.note(tick, commands)
-            if (
-                start >= alive_until_ns
-            ):  # the beat last seen says nothing any more: look for the next one
+            # the beat last seen says nothing any more: look for the next one
+            if start >= alive_until_ns:
                 beat_ns = words[beat_word]
                 alive_until_ns = (
                     beat_ns + timeout_ns if -timeout_ns < start - beat_ns < timeout_ns else 0
@@ -215,7 +223,7 @@ class ServoLoop:
             out_flags = settled.out_flags
             count = 0
             samples = NO_SAMPLES
-            if settled.wave[0] or streamer.playing:
+            if settled.wave[WAVE_COMMAND] or streamer.playing:
                 out_flags, count, samples = streamer.follow(settled.wave, out_flags, level)
             stepped = clock()
             if self.linked:
@@ -308,9 +316,8 @@ class ServoLoop:
         def rehearse() -> None:
             _, _, _, _, status, _, encoder, _, _, _, heat, _, _, _, _, _ = device.rehearse()
             settled = self.state[SETTLED]
-            if (
-                self.tick < settled.wake_tick
-            ):  # not the long way: cold it takes longer than the spin
+            # not the long way: cold it takes longer than the spin
+            if self.tick < settled.wake_tick:
                 step(self.state, (), (encoder, status, heat, 0, settled.host, 0), self.tick)
             _ = (
                 stop_words[0],
@@ -360,7 +367,7 @@ class ServoLoop:
 
     def _tally(self) -> None:
         """Bring the device's counts to the counters that others read; leave the state for a
-        re-flight if it was asked for.
+        replay if it was asked for.
         """
         words = self.mailbox.words
         words[_COUNTER["ticks"]] = self.tick
@@ -386,7 +393,8 @@ class ServoLoop:
         self.linked = False
         self._absent = 1
         self.device.close()
-        self._attempt, self._retry_ns = 0, now_ns + int(backoff_s(0) * NS_PER_S)
+        self._attempt = 0
+        self._retry_ns = now_ns + int(backoff_s(0) * NS_PER_S)
         return -1
 
     def _search(self, now_ns: int) -> int:

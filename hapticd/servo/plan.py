@@ -39,6 +39,7 @@ from hapticd.wire.frames import Status
 NEVER = 1 << 62
 Wave = tuple[int, int, bool]  # perturbation: number of its command (0: none), samples, loop
 NO_WAVE: Wave = (0, 0, False)
+WAVE_COMMAND: Final = 0  # place in a Wave
 BUMPLESS = (
     Value.STIFFNESS,
     Value.DAMPING,
@@ -59,28 +60,28 @@ FILTERS = frozenset(
 
 
 class Plan(NamedTuple):
-    """Intentions. Ramps in SI units; levels of added damping in N s/m."""
+    """Intentions. Ramps in SI units; `added` are levels of active damping."""
 
     state: State
-    since_tick: int
-    fault: int
-    actor: int
-    revision: int
-    leases: tuple[int, int]
+    since_tick: int  # at which `state` was entered
+    fault: int  # number of its first cause, 0: none
+    actor: int  # whose command was the last to change something
+    revision: int  # counts changes
+    leases: tuple[int, int]  # actors that hold control and damping
     homed: bool
     origin: int  # encoder count at x = 0
-    wave: Wave
+    wave: Wave  # the perturbation that plays
     anchor: tuple[int, int]  # homing: tick and count since which the encoder has not moved
-    gain: Ramp
+    gain: Ramp  # 0 to 1, of all that is rendered
     # N; what is left of the force of a latched state where there is no sample to believe
     fade: Ramp
     # by layout.Value: K, B, M and the wall; its side too, on whose square the wall's force depends
     values: dict[int, Ramp]
-    filters: tuple[FilterParams, FilterParams]
-    added_asked: float
+    filters: tuple[FilterParams, FilterParams]  # of velocity and acceleration
+    added_asked: float  # active damping, N s/m
     added_on: bool
-    added: float  # slewed level
-    added_entry: float  # level when a latched state was entered
+    added: float  # slewed level, N s/m
+    added_entry: float  # level when a latched state was entered, N s/m
     scheduled: tuple["Scheduled", ...]
 
 
@@ -94,7 +95,7 @@ class Scheduled(NamedTuple):
 
 
 def initial_plan(params: ServoParams) -> Plan:
-    """Disabled, everything as configured, added damping off."""
+    """Disabled, everything as configured, active damping off."""
     environment = params.environment
     wall = environment.wall
     start = (
@@ -136,7 +137,10 @@ def masked_places(values: tuple[float, ...]) -> list[int]:
 
 
 def out_of_range(values: tuple[float, ...], params: ServoParams) -> bool:
-    """Whether any meant value is not finite or beyond its limit on this device at this rate."""
+    """Whether any value that the mask names is not finite or beyond its limit.
+
+    Limits are those of this device at this rate.
+    """
     if not math.isfinite(values[Value.MASK]) or not 0 <= values[Value.MASK] < 1 << len(values):
         return True
     limits: dict[int, tuple[float, float, str]] = {
@@ -154,8 +158,8 @@ def out_of_range(values: tuple[float, ...], params: ServoParams) -> bool:
 def with_values(
     plan: Plan, values: tuple[float, ...], tick: int, params: ServoParams
 ) -> tuple[Plan, int]:
-    """`plan` on its way to the meant `values` from `tick` on, and the tick at which it arrives.
-    ConfigError: filter refused.
+    """`plan` on its way to those of `values` that their mask names, from `tick` on, and the tick at
+    which it arrives. ConfigError: filter refused.
     """
     places = masked_places(values)
     rate_hz = params.realtime.rate_hz
@@ -205,18 +209,16 @@ def coefficients_of(plan: Plan, rate_hz: float) -> Coefficients:
 
 @dataclass(frozen=True, slots=True)
 class Settled:
-    """What a tick needs of the plan, in the form it needs it; holds until `attend` is called
-    again.
-    """
+    """What a tick needs of the plan, in the form it needs it; holds until the next transition."""
 
     wake_tick: int  # look at the plan again at this tick
-    environment: Environment
-    coefficients: Coefficients
+    environment: Environment  # the law's numbers, as `render` takes them
+    coefficients: Coefficients  # of its filters
     out_flags: int  # of the OUT frame
-    damping_count: int
+    damping_count: int  # of the OUT frame
     blob: bytes  # layout.PLAN
     origin: int  # encoder count at x = 0
-    added: float  # added electrical damping / period [N/m]
+    added: float  # active damping / period [N/m]
     host: int  # host flags it was made under
     wave: Wave  # the plan's
     plan: Plan
@@ -225,13 +227,14 @@ class Settled:
 Held = tuple[int, float]  # what was sent last: torque count, force [N]
 ServoState = tuple[Settled, LawState, Ledger, Held]
 SETTLED: Final = 0  # place in a ServoState
-# encoder, status, temperature count, arrival (link.device), host flags, index offset
+# encoder count, status, temperature count, arrival (link.device), host flags, index offset
 Sample = tuple[int, int, int, int, int, int]
 # torque count, position, velocity, acceleration, force parts K B M field, force as sent, record
 # flags, answers
 Output = tuple[int, float, float, float, float, float, float, float, float, int, tuple[Any, ...]]
 # seq, kind, actor, apply tick, values
 Request = tuple[int, int, int, int, tuple[float, ...]]
+KIND: Final = 1  # place in a Request
 # seq, result, fault, revision, (first tick, ramp-end tick), effective values
 Answer = tuple[int, int, int, int, tuple[int, int], tuple[float, ...]]
 
@@ -245,16 +248,16 @@ ATTENTION = int(Status.WATCHDOG | Status.OVER_TEMPERATURE) | BOARD_FAULT
 
 
 class FlatPlan(NamedTuple):
-    """What a tick needs of a plan."""
+    """What a tick needs of a plan, and how long it holds."""
 
     wake_tick: int  # look at the plan again at this tick
-    environment: Environment
+    environment: Environment  # the law's numbers
     damping_count: int
-    blob: bytes  # layout.PLAN
+    blob: bytes  # layout.PLAN, for the record
 
 
 def added_target(plan: Plan, tick: int, params: ServoParams) -> float:
-    """Level of added damping [N s/m] the table wants at `tick`, before the slew limit."""
+    """Level of active damping [N s/m] that the table wants at `tick`, before the slew limit."""
     if plan.state in LATCHED:
         return held_damping(
             plan.added_entry, (tick - plan.since_tick) / params.realtime.rate_hz, params.safety
@@ -263,7 +266,7 @@ def added_target(plan: Plan, tick: int, params: ServoParams) -> float:
 
 
 def advance_added(plan: Plan, tick: int, params: ServoParams) -> Plan:
-    """`plan` with its added damping one tick further: slew-limited, but released from a latched
+    """`plan` with its active damping one tick further: slew-limited, but released from a latched
     state on time.
     """
     target = added_target(plan, tick, params)
@@ -308,7 +311,7 @@ def flat_plan(
         plan.revision & 0xFFFFFFFF,
         plan.state,
         plan.fault,
-        plan.wave[0] != 0,
+        plan.wave[WAVE_COMMAND] != 0,
         plan.homed,
         plan.actor,
         *plan.leases,
@@ -328,7 +331,7 @@ def _bias(plan: Plan, tick: int) -> float:
 
 
 def wake_tick(plan: Plan, tick: int, params: ServoParams) -> int:
-    """First tick after `tick` at which the plan differs from now."""
+    """First tick after `tick` at which the plan gives other values than now."""
     ramps = (plan.gain, plan.fade, *plan.values.values())
     if (
         plan.state is State.HOMING

@@ -1,12 +1,12 @@
 """One tick as a function: (state, commands, sample, tick) -> (state, output). No clock, no mailbox,
 no I/O.
 
-The same call flies live, in lock-step and in a replay. Almost every tick takes the short way:
+The same call runs live, in lock-step and in a replay. Almost every tick takes the short way:
 position from the count, `render`, count from the force, ledger. A tick on which anything else
 happens (a command, a running ramp, a lost frame, a status bit, a missing heartbeat) first goes
 through `attend`, which makes a new state; the short way then follows as ever.
 
-State is a short tuple (see `state`) whose first place holds everything slow, so that a tick hands
+State is a short tuple (see `plan`) whose first place holds everything slow, so that a tick hands
 it on in one piece. The force limit is the last thing before the wire: the law clamps in newtons,
 this module clamps the count once more. What would break it: mutable values in the state, a time or
 a random number read here, a float that reaches the wire.
@@ -25,7 +25,6 @@ from hapticd.render.law import at_rest, render
 from hapticd.servo.plan import (
     ATTENTION,
     LINK_UP,
-    SETTLED,
     Output,
     Sample,
     ServoState,
@@ -94,20 +93,9 @@ def make_step(params: ServoParams, delay: float = 0.125) -> Step:
         state: ServoState, flags: int, answers: tuple[Any, ...]
     ) -> tuple[ServoState, Output]:
         """No sample to believe: what was sent is sent again (0 once the torque is off)."""
-        _, law, _, (torque, applied) = state
-        return state, (
-            torque,
-            law[0],
-            0.0,
-            0.0,
-            0.0,
-            0.0,
-            0.0,
-            0.0,
-            applied,
-            flags | _MISSING,
-            answers,
-        )
+        _, (x, *_), _, (torque, applied) = state
+        nothing = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # velocity, acceleration, parts of the force
+        return state, (torque, x, *nothing, applied, flags | _MISSING, answers)
 
     def faulted(
         state: ServoState,
@@ -117,8 +105,9 @@ def make_step(params: ServoParams, delay: float = 0.125) -> Step:
         flags: int,
         answers: tuple[Any, ...],
     ) -> tuple[ServoState, Output]:
+        encoder, status, temperature, _, host, index = sample
         event = (0, FAULT_EVENT, 0, 0, (float(fault),))
-        unusable = (*sample[:3], -1, *sample[4:])
+        unusable = (encoder, status, temperature, -1, host, index)
         state, _, more, more_flags = attend(state, (event,), unusable, tick)
         return missing(state, flags | more_flags, answers + more)
 
@@ -133,13 +122,16 @@ def make_step(params: ServoParams, delay: float = 0.125) -> Step:
         """The encoder's counter went round: its origin goes along, and the sample is judged
         again.
         """
-        settled = state[SETTLED]
+        settled, law, ledger, held = state
         origin = settled.origin + (turns << ENCODER_BITS)
         settled = replace(settled, origin=origin, plan=settled.plan._replace(origin=origin))
+        encoder, _, temperature, _, host, _ = sample
         state, output = step(
-            (settled, *state[1:]), (), (sample[0], 0, sample[2], 0, sample[4], 0), tick
+            (settled, law, ledger, held), (), (encoder, 0, temperature, 0, host, 0), tick
         )
-        return state, (*output[:9], output[9] | flags, answers + output[10])
+        torque, x, v, a, spring, damper, inertia, field, applied, more_flags, more = output
+        parts = (torque, x, v, a, spring, damper, inertia, field, applied)
+        return state, (*parts, flags | more_flags, answers + more)
 
     def step(
         state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int
@@ -165,9 +157,8 @@ def make_step(params: ServoParams, delay: float = 0.125) -> Step:
             x, law, settled.environment, settled.coefficients
         )
         moved_m = law[1]
-        if not (
-            moved_m <= jump_m and moved_m >= back_m
-        ):  # no chain: CPython compares two floats faster alone
+        # no chained comparison: CPython compares two floats faster alone
+        if not (moved_m <= jump_m and moved_m >= back_m):
             if turns := round(moved_m / turn_m):
                 return turned(state, sample, tick, turns, flags, answers)
             return faulted(state, sample, tick, _RANGE, flags, answers)

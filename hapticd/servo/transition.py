@@ -32,8 +32,10 @@ from hapticd.servo.plan import (
     ATTENTION,
     BOARD_FAULT,
     GATEWAY_ALIVE,
+    KIND,
     LINK_UP,
     SETTLED,
+    WAVE_COMMAND,
     Answer,
     Plan,
     Request,
@@ -61,7 +63,8 @@ def homing_environment(plan: Plan, tick: int, params: ServoParams) -> Environmen
     """
     home = params.device.home
     limit_n = min(home.force_n, params.safety.force_limit_n, params.device.force_limit_n)
-    still = (tick - plan.anchor[0]) / (PUSH_S * params.realtime.rate_hz)
+    anchor_tick, _ = plan.anchor
+    still = (tick - anchor_tick) / (PUSH_S * params.realtime.rate_hz)
     push = home.direction * min(
         home.force_n, DAMPING_NS_PER_M * home.speed_m_per_s + still * home.force_n
     )
@@ -156,8 +159,9 @@ def make_attend(params: ServoParams) -> Attend:
         )
         events: tuple[Request, ...] = ((0, FAULT_EVENT, 0, 0, (float(found),)),) if found else ()
         answers: list[Answer] = []
-        stops = tuple(one for one in commands if one[1] == Command.STOP)
-        for request in (*events, *(one for one in commands if one[1] != Command.STOP), *stops):
+        stops = tuple(one for one in commands if one[KIND] == Command.STOP)
+        others = tuple(one for one in commands if one[KIND] != Command.STOP)
+        for request in (*events, *others, *stops):
             plan, more = obey(plan, request, now, params)
             answers += more
         while plan.scheduled and plan.scheduled[0].tick <= now.tick:
@@ -213,11 +217,11 @@ def make_attend(params: ServoParams) -> Attend:
                 added,
             )
             flags = int(Flag.INTERPOLATED)
-        if (
-            arrival == SEED
-        ):  # another life of the board: its counter began anew, from wherever the device was
+        # another life of the board: its counter began anew, from wherever the device was
+        if arrival == SEED:
             plan = plan._replace(origin=first_origin, homed=False)
-        now = Now(tick, encoder, held[1], bool(host & GATEWAY_ALIVE), cause_under_force(sample))
+        _, held_n = held
+        now = Now(tick, encoder, held_n, bool(host & GATEWAY_ALIVE), cause_under_force(sample))
         plan, answers = commanded(plan, commands, sample, now)
         if plan.state is State.HOMING and usable:
             plan = advance_homing(plan, sample, now, params)
@@ -271,7 +275,8 @@ def out_flags(plan: Plan, tick: int) -> int:
     live = plan.state in (State.ENABLED, State.HOMING) or (
         plan.state in LATCHED and (plan.gain.running(tick) or plan.fade.running(tick))
     )
-    return (int(OutFlag.ENABLE) if live else 0) | (int(OutFlag.PERTURB) if plan.wave[0] else 0)
+    flags = int(OutFlag.ENABLE) if live else 0
+    return flags | int(OutFlag.PERTURB) if plan.wave[WAVE_COMMAND] else flags
 
 
 def bridge(
@@ -288,7 +293,8 @@ def bridge(
     """
     start = law[0]
     for index in range(1, lost + 1):
-        law = render(start + (x - start) * index / (lost + 1), law, environment, coefficients)[8]
+        between = start + (x - start) * index / (lost + 1)
+        *_, law = render(between, law, environment, coefficients)
         ledger = book(ledger, law[1], ledger[1], 0.0, added)
     return law, ledger
 
@@ -296,7 +302,8 @@ def bridge(
 def carried(law: LawState, old: Coefficients, new: Coefficients) -> LawState:
     """The law's state for new filters, such that neither output jumps."""
     x, d, vz1, vz2, az1, az2 = law
-    (old_v, old_a), (new_v, new_a) = split(old), split(new)
+    old_v, old_a = split(old)
+    new_v, new_a = split(new)
     return (
         x,
         d,

@@ -26,6 +26,19 @@ from hapticd.wire.frames import Hello, InFrame, OutFrame
 I16_LOWEST = -32768
 I16_HIGHEST = 32767
 U16_HIGHEST = 65535
+# places in a head: the fields of frames.IN_SEALED, as `in_parser` gives them
+HEAD_SEQ = 0
+HEAD_ECHO = 1
+HEAD_AXIS = 2
+HEAD_PROBE_COUNT = 3
+HEAD_STATUS = 4
+HEAD_BOARD_TIME = 5
+HEAD_ENCODER = 6
+HEAD_TEMPERATURE = 10
+HEAD_FIFO_LEVEL = 11
+HEAD_INDEX_OFFSET = 13
+HEAD_CRC = 15
+HEAD_FIELDS = 16
 NO_SAMPLES = (0,) * frames.PROBE_MAX
 _NO_PAIRS = (0,) * (2 * frames.PROBE_MAX)
 _SERIAL_BYTES = 16
@@ -247,13 +260,14 @@ def out_packer(buffer: "array[int]") -> Callable[..., None]:
 
 
 def in_parser(buffer: "array[int]") -> Callable[[], tuple[int, ...] | None]:
-    """`parse()` of the IN frame in `buffer` (array('B'), 64 bytes): the fields of IN_SEALED, or
-    None if it is refused.
+    """`parse()` of the IN frame in `buffer` (array('B'), 64 bytes): its head, or None if it is
+    refused.
 
     Refused is what `decode_in` refuses: CRC, count or axis; the caller has checked that 64 bytes
-    were read. Fields: seq, echo, axis, probe_count, status, board_time_us, encoder, current,
-    voltage, emf_velocity, temperature, fifo_level, reserved0, index_offset, probe_index, CRC. The
-    pairs stay in the frame; whoever wants them decodes it whole.
+    were read. A head is the fields of IN_SEALED (see HEAD_SEQ and the others): seq, echo, axis,
+    probe_count, status, board_time_us, encoder, current, voltage, emf_velocity, temperature,
+    fifo_level, reserved0, index_offset, probe_index, CRC. The pairs stay in the frame; whoever
+    wants them decodes it whole.
     """
     body = memoryview(buffer)[: frames.IN_BYTES - frames.CRC.size]
     unpack = frames.IN_SEALED.unpack_from
@@ -263,9 +277,13 @@ def in_parser(buffer: "array[int]") -> Callable[[], tuple[int, ...] | None]:
     most = frames.PROBE_MAX
 
     def parse() -> tuple[int, ...] | None:
-        fields = unpack(buffer)
-        if fields[15] != check(body, initial) or fields[2] >= axes or fields[3] > most:
+        head = unpack(buffer)
+        if (
+            head[HEAD_CRC] != check(body, initial)
+            or head[HEAD_AXIS] >= axes
+            or head[HEAD_PROBE_COUNT] > most
+        ):
             return None
-        return fields
+        return head
 
     return parse

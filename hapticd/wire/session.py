@@ -144,6 +144,7 @@ class SequenceCounter:
         over.
         """
         found = classify(self.newest, seq)
+        arrival, lost = found
         self.received += 1
         if found is _DUPLICATE:
             self.duplicates += 1
@@ -151,8 +152,8 @@ class SequenceCounter:
             self.reordered += 1
         else:
             self.newest = seq
-            self.lost += found[1]
-            self.gaps += found[0] is Arrival.GAP
+            self.lost += lost
+            self.gaps += arrival is Arrival.GAP
         return found
 
     def restart(self) -> None:
