@@ -4,7 +4,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from typing import Any
 
-from hapticd.zwidth.outcomes import Conditions, Outcome, fly
+from hapticd.zwidth.outcomes import Conditions, Outcome, run_trials
 
 
 class StandIn(Executor):
@@ -15,5 +15,5 @@ class StandIn(Executor):
 
     def submit(self, task: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
         done: Future[Any] = Future()
-        done.set_result(self._flying(*args) if task is fly else task(*args, **kwargs))
+        done.set_result(self._flying(*args) if task is run_trials else task(*args, **kwargs))
         return done

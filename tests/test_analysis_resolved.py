@@ -31,9 +31,9 @@ from hapticd.plant.effects import (
 )
 from hapticd.plant.scene import Excitation, Scene
 from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
-from hapticd.zwidth.outcomes import Conditions, Outcome, fly
+from hapticd.zwidth.outcomes import Conditions, Outcome, run_trials
 from hapticd.zwidth.sources import Trial
-from hapticd.zwidth.store import Recorded, TrialStore
+from hapticd.zwidth.store import TrialRecord, TrialStore
 from hapticd.zwidth.trial import TrialParams, judged, plan_trial
 from hapticd.zwidth.watch import Sentinel, Watch
 
@@ -83,14 +83,14 @@ def verdict(device: Scene, stiffness: float, seed: int, source: Excitation = NOI
     """Of a trial whose record was kept."""
     plan = plan_trial(TrialParams(Trial((stiffness, 0.0, 0.0), seconds=90.0), device))
     channels = recorded_of(device, stiffness, seed, source)
-    return judged(plan, Recorded(*channels, 4000.0, "engine", True)).verdict
+    return judged(plan, TrialRecord(*channels, 4000.0, "engine", True)).verdict
 
 
 def outcomes(device: Scene, stiffness, seed: int = 1, source: Excitation = NOISE) -> list[Outcome]:
     """Of trials of which no record was kept."""
     points = np.zeros((len(stiffness), 3))
     points[:, 0] = stiffness
-    return fly(Conditions(device, 90.0, replace(source, seed=seed)), 0.0, points)
+    return run_trials(Conditions(device, 90.0, replace(source, seed=seed)), 0.0, points)
 
 
 def limit_of(viscous: float, tmp_path: Path, seeds: int) -> float:
@@ -260,7 +260,7 @@ def test_a_trial_is_not_ended_by_a_verdict_that_its_record_would_change():
 def test_a_result_shows_the_impedance_that_its_verdict_was_found_by():
     device = display(1.0)
     plan = plan_trial(TrialParams(Trial((1950.0, 0.0, 0.0), seconds=90.0), device))
-    found = judged(plan, Recorded(*recorded_of(device, 1950.0, 2), 4000.0, "engine", True))
+    found = judged(plan, TrialRecord(*recorded_of(device, 1950.0, 2), 4000.0, "engine", True))
     assert any(finding.code == "resolved" for finding in found.verdict.findings)
     margin = found.verdict.margin_ns_per_m
     at = found.measured.frequency_hz == margin.frequency_hz
@@ -279,7 +279,7 @@ def test_trials_that_need_their_record_get_the_record_of_their_spectra(monkeypat
 
     monkeypatch.setattr("hapticd.zwidth.outcomes.resolved", kept)
     points = np.array([[0.0, 0.0, 0.0], [1950.0, 0.0, 0.0]])
-    fly(Conditions(device, 90.0, NOISE, dtype="f64"), 0.0, points)
+    run_trials(Conditions(device, 90.0, NOISE, dtype="f64"), 0.0, points)
     assert 0 < len(pairs) < len(points)
     for again, first in pairs:
         assert np.abs(again.cross - first.cross).max() < 1e-9 * np.abs(first.cross).max()

@@ -297,13 +297,13 @@ def test_limits_tell_outcomes_with_their_limit(tmp_path, capsys):
 
 def test_search_tells_outcomes_and_runs_where_it_is_told(tmp_path, capsys, monkeypatch):
     from hapticd.zwidth import search
-    from hapticd.zwidth.outcomes import fly
+    from hapticd.zwidth.outcomes import run_trials
 
     pools = []
 
     def searched(plan, store, tell, pool, hear):
         pools.append(pool)
-        hear(fly(plan.params.conditions, plan.params.damping_ns_per_m, np.zeros((2, 3))))
+        hear(run_trials(plan.params.conditions, plan.params.damping_ns_per_m, np.zeros((2, 3))))
         raise KeyboardInterrupt
 
     monkeypatch.setattr(search, "run_search", searched)
@@ -435,7 +435,7 @@ def test_mistakes_are_answered_in_words(words, code, said, tmp_path, capsys):
 def test_envelope_is_drawn_while_trials_arrive(tmp_path, monkeypatch):
     from hapticd.cli.zwidth import map as verb
     from hapticd.settings.scene import load_scene
-    from hapticd.zwidth.outcomes import Conditions, fly
+    from hapticd.zwidth.outcomes import Conditions, run_trials
     from hapticd.zwidth.scenes import noise
     from hapticd.zwidth.store import write_run
 
@@ -443,7 +443,7 @@ def test_envelope_is_drawn_while_trials_arrive(tmp_path, monkeypatch):
     conditions = Conditions(scene, 20.0, noise(scene))
     monkeypatch.setattr(verb, "REDRAW_S", -1.0)
     redrawn = verb._Redrawn(conditions, tmp_path)
-    failed, passed = fly(conditions, 0.0, np.array([[9000.0, 0.0, 0.0], [0.0, 0.0, 0.0]]))
+    failed, passed = run_trials(conditions, 0.0, np.array([[9000.0, 0.0, 0.0], [0.0, 0.0, 0.0]]))
     redrawn([failed])
     assert not list(tmp_path.iterdir())
     redrawn([passed])

@@ -25,8 +25,8 @@ from hapticd.settings.toml import shipped
 from hapticd.zwidth.lockstep import LockStepBench
 from hapticd.zwidth.scenes import device_scene, scene_of_device
 from hapticd.zwidth.sources import Trial
-from hapticd.zwidth.stepped_sine import Referee
-from hapticd.zwidth.trial import Layout, TrialParams
+from hapticd.zwidth.stepped_sine import ReferenceSines
+from hapticd.zwidth.trial import MultisineLayout, TrialParams
 
 pytest.importorskip("matplotlib")
 
@@ -222,15 +222,15 @@ def judged_as(layout, seconds_needed, *findings):
             (),
             "a record more than 10 times as long would be needed: the margin is not told from 0",
         ),
-        (Layout(8), 123.4, (), "some 11 realisations would decide"),
+        (MultisineLayout(8), 123.4, (), "some 11 realisations would decide"),
         (
-            Layout(8),
+            MultisineLayout(8),
             123.4,
             (Finding("distortion", "x"),),
             "some 11 realisations would decide; where friction distorts, noise",
         ),
         (
-            Layout(8),
+            MultisineLayout(8),
             9e4,
             (),
             "many more than 8 realisations would be needed; use noise (--excitation noise)",
@@ -256,7 +256,7 @@ def test_stepped_sine_is_compared_in_words():
     result = SimpleNamespace(verdict=judge(z, channels=False), measured=impedance(z))
     said = compared(
         result,
-        Referee(
+        ReferenceSines(
             np.array([3.0, 5.0]), np.array([1.0 + 1j, np.nan]), 0.2, np.array([0.0123, np.nan])
         ),
     )

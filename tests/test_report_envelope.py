@@ -6,7 +6,7 @@ import pytest
 from hapticd.report.envelope import envelope_figure, weightiest
 from hapticd.report.style import OFF, PARTS, PREDICTED
 from hapticd.settings.scene import load_scene
-from hapticd.zwidth.outcomes import Conditions, Outcome, fly, kept_frequencies
+from hapticd.zwidth.outcomes import Conditions, Outcome, kept_frequencies, run_trials
 from hapticd.zwidth.scenes import noise
 
 pytest.importorskip("matplotlib")
@@ -64,7 +64,7 @@ def test_envelope_draws_what_is_predicted_of_the_same_trials():
     scene = load_scene("theory")
     figure = envelope_figure(
         Conditions(scene, 90.0, noise(scene)),
-        [(0.0, fly(Conditions(scene, 20.0), 0.0, np.zeros((1, 3))))],
+        [(0.0, run_trials(Conditions(scene, 20.0), 0.0, np.zeros((1, 3))))],
     )
     measured = figure.axes[0].lines[0]
     predicted = figure.axes[0].lines[2]

@@ -12,7 +12,7 @@ from hapticd.report.style import (
 )
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.map import LevelMap, MapResult
-from hapticd.zwidth.walls import WallLine, WallParams, WallResult, plan_walls
+from hapticd.zwidth.walls import WallLine, WallMapParams, WallResult, plan_walls
 
 pytest.importorskip("matplotlib")
 
@@ -66,7 +66,7 @@ def test_smaller_set_lies_on_top(axis):
 
 def walls(highest):
     """One level: the stiffest stable wall at each of three dampings."""
-    plan = plan_walls(WallParams(load_scene("wall"), (20.0, 40.0), (0.0, 1.0, 2.0), (1.74,)))
+    plan = plan_walls(WallMapParams(load_scene("wall"), (20.0, 40.0), (0.0, 1.0, 2.0), (1.74,)))
     lines = (
         WallLine(1.74, damping, stiffness, False, ())
         for damping, stiffness in zip((0.0, 1.0, 2.0), highest, strict=True)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hapticd.report.table import duration, percent, shown, table, text
-from hapticd.zwidth.store import plain
+from hapticd.zwidth.store import to_json
 
 
 def test_numbers_stand_right_and_words_left() -> None:
@@ -72,7 +72,7 @@ class Inner:
 
 
 def test_plain_results_are_json_without_infinities() -> None:
-    found = plain(
+    found = to_json(
         {
             "a": Inner(np.array([1.0, inf, nan])),
             "b": (1, True, None, "x"),
@@ -89,4 +89,4 @@ def test_plain_results_are_json_without_infinities() -> None:
 
 
 def test_plain_results_leave_out_what_is_skipped() -> None:
-    assert plain(Inner(1.0, np.zeros(10**6)), skip=("big",)) == {"values": 1.0}
+    assert to_json(Inner(1.0, np.zeros(10**6)), skip=("big",)) == {"values": 1.0}

@@ -8,8 +8,15 @@ from hapticd.report.trial import trial_figure
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.simulated import engine_source
 from hapticd.zwidth.sources import Trial
-from hapticd.zwidth.store import Recorded
-from hapticd.zwidth.trial import Layout, TrialParams, judged, multisine_like, plan_trial, run_trial
+from hapticd.zwidth.store import TrialRecord
+from hapticd.zwidth.trial import (
+    MultisineLayout,
+    TrialParams,
+    judged,
+    multisine_like,
+    plan_trial,
+    run_trial,
+)
 
 pytest.importorskip("matplotlib")
 
@@ -35,7 +42,7 @@ def result():
     velocity = force / 3.0 + np.random.default_rng(2).normal(0.0, 0.02, force.size)
     return judged(
         plan_trial(TrialParams(Trial(seconds=20.0))),
-        Recorded(force, velocity, 4000.0, "made", False),
+        TrialRecord(force, velocity, 4000.0, "made", False),
     )
 
 
@@ -77,7 +84,7 @@ def test_multisine_is_drawn_where_it_was_excited_and_by_its_few_realisations():
     scene = load_scene("fig7")
     trial = Trial((50.0, 2.0, 0.0), excitation=multisine_like(Excitation("noise"), 500.0))
     found = run_trial(
-        plan_trial(TrialParams(trial, scene, estimator="h_force", multisine=Layout(3, 1))),
+        plan_trial(TrialParams(trial, scene, estimator="h_force", multisine=MultisineLayout(3, 1))),
         engine_source(scene),
     )
     figure = trial_figure(found)
@@ -94,7 +101,7 @@ def test_multisine_is_drawn_where_it_was_excited_and_by_its_few_realisations():
 
 def test_escaped_trial_shows_its_record_and_no_impedance():
     force = np.random.default_rng(1).normal(0.0, 0.2, 80_000)
-    record = Recorded(force, 0.1 * force, 4000.0, "made", False, ended="escape: it ran away")
+    record = TrialRecord(force, 0.1 * force, 4000.0, "made", False, ended="escape: it ran away")
     figure = trial_figure(judged(plan_trial(TrialParams(Trial(seconds=20.0))), record))
     assert [axis.get_ylabel() for axis in figure.axes] == [
         "force of the probe (N)",

@@ -35,7 +35,7 @@ from hapticd.study.effects import (
 )
 from hapticd.study.scene import ceiling, plan_scene, run_scene
 from hapticd.zwidth import outcomes
-from hapticd.zwidth.outcomes import Conditions, fly
+from hapticd.zwidth.outcomes import Conditions, run_trials
 from hapticd.zwidth.scenes import frequencies, is_linear, without
 
 AMPLIFIED = (*PARTS, Saturation(limit_n=8.0))
@@ -66,7 +66,7 @@ def test_saturated_or_diverged_trials_do_not_pass(monkeypatch: pytest.MonkeyPatc
     asked = Conditions(scene(AMPLIFIED), 8.0)
     points = np.array([(100.0, 0.0, 0.0)] * 3)
     limit_n = asked.display.force_limit_n
-    assert [outcome.passes for outcome in fly(asked, 0.0, points)] == [True] * 3
+    assert [outcome.passes for outcome in run_trials(asked, 0.0, points)] == [True] * 3
 
     def stand_in(*given: Any, **more: Any) -> BatchResult:
         found = simulate(*given, **more)
@@ -74,7 +74,7 @@ def test_saturated_or_diverged_trials_do_not_pass(monkeypatch: pytest.MonkeyPatc
         return replace(ended, max_force_n=np.array([0.5, 1.0, 0.5]) * limit_n)
 
     monkeypatch.setattr(outcomes, "simulate", stand_in)
-    assert [outcome.passes for outcome in fly(asked, 0.0, points)] == [True, False, False]
+    assert [outcome.passes for outcome in run_trials(asked, 0.0, points)] == [True, False, False]
 
 
 def test_change_is_the_largest_of_the_limits() -> None:

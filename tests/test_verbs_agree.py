@@ -11,7 +11,7 @@ from hapticd.weir2008.paper import HIGH_PASS
 from hapticd.zwidth import search
 from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
 from hapticd.zwidth.map import MapParams, plan_map, run_map
-from hapticd.zwidth.outcomes import Conditions, fly
+from hapticd.zwidth.outcomes import Conditions, run_trials
 from hapticd.zwidth.scenes import noise
 from hapticd.zwidth.simulated import engine_source
 from hapticd.zwidth.sources import Trial
@@ -137,7 +137,7 @@ def test_fused_float32_gives_the_margin_to_its_digits(searched):
     earlier, makes another motion, 2e-5 of |Z| away in most trials and 1e-3 in some.
     """
     point = searched[0].environment
-    (fused,) = fly(given("f32"), LEVEL, np.array([point]))
+    (fused,) = run_trials(given("f32"), LEVEL, np.array([point]))
     exact = by_trial(point, SEED)
     size = np.hypot(*fused.z[np.searchsorted(fused.frequency_hz, 2.0)])
     assert told(fused)[1] == told_of(exact)[1]

@@ -242,7 +242,7 @@ def test_owners_that_are_shown_pass_when_flown_alone():
 
 
 def test_limit_is_searched_downwards_with_every_seed(monkeypatch):
-    monkeypatch.setattr(outcomes, "fly", made_up)
+    monkeypatch.setattr(outcomes, "run_trials", made_up)
     (found,) = bench(PARTS_OF_RIGID).limits((LEVEL,), (1, 2), (1,), (REACH[0], -12.0, REACH[2]))
     assert (found.level, found.axis) == (LEVEL, 1)
     assert found.predicted == pytest.approx(-(VISCOUS + LEVEL), rel=2e-3)
@@ -259,7 +259,7 @@ def test_each_environment_is_flown_once(monkeypatch):
         asked.extend(map(tuple, points))
         return made_up(given, level, points)
 
-    monkeypatch.setattr(outcomes, "fly", flying)
+    monkeypatch.setattr(outcomes, "run_trials", flying)
     display.flown(SMALL[:3], LEVEL, 1)
     found = display.flown(SMALL[:5], LEVEL, 1)
     assert [outcome.environment for outcome in found] == [

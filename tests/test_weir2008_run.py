@@ -23,7 +23,7 @@ from hapticd.weir2008.run import (  # fmt: skip
 )
 from hapticd.zwidth.limits import LimitsParams, plan_limits, predicted_limit, run_limits
 from hapticd.zwidth.map import MapPlan
-from hapticd.zwidth.outcomes import Conditions, Outcome, fly, kept_frequencies
+from hapticd.zwidth.outcomes import Conditions, Outcome, kept_frequencies, run_trials
 from hapticd.zwidth.store import TrialStore
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -40,7 +40,7 @@ def test_grid_is_the_papers_thirteen_days() -> None:
 
 def test_a_passive_trial_passes_and_an_escape_fails() -> None:
     kbm = np.array([[50.0, 2.0, 0.0], [0.0, 30.0, 0.0]])
-    calm, wild = fly(replace(conditions(MAIN), seconds=20.0), LEVELS[1], kbm)
+    calm, wild = run_trials(replace(conditions(MAIN), seconds=20.0), LEVELS[1], kbm)
     assert (calm.passes, wild.passes) == (True, False)
     assert wild.answer != "passive"
 

@@ -27,9 +27,9 @@ from hapticd.zwidth import executors, outcomes
 from hapticd.zwidth.executors import executor, threads
 from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
 from hapticd.zwidth.map import MapParams, plan_map, run_map
-from hapticd.zwidth.outcomes import TOGETHER, Conditions, Lot, Outcome, fly
+from hapticd.zwidth.outcomes import TOGETHER, Conditions, Outcome, TrialBatch, run_trials
 from hapticd.zwidth.scenes import noise
-from hapticd.zwidth.store import TrialStore, plain
+from hapticd.zwidth.store import TrialStore, to_json
 
 SCENE = load_scene("fig7")  # friction and all: what the last bit depends on
 SHORT = Conditions(SCENE, 20.0, noise(SCENE))
@@ -48,7 +48,7 @@ def made(pool: Executor | None) -> dict[str, Any]:
     """Every number of every trial as the store has it: floats in full, nan as null."""
     store = TrialStore(None)
     assert run_map(PLAN, store, executor=pool).made == len(store.known) == PLAN.trials == 160
-    return dict(plain(store.known))
+    return dict(to_json(store.known))
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +63,7 @@ def scheduler() -> Iterator[str]:
 
 def same_error(pool: Executor) -> bool:
     """Whether a trial that is too short is refused there as it is here."""
-    task = (fly, Conditions(SCENE, 1.0), 0.0, np.zeros((1, 3)))
+    task = (run_trials, Conditions(SCENE, 1.0), 0.0, np.zeros((1, 3)))
     with pytest.raises(AnalysisError, match="too short for a verdict") as here:
         executors.alone(*task)
     there = pool.submit(*task).exception()
@@ -248,7 +248,7 @@ def test_engine_begins_no_threads_in_a_task_of_a_pool(monkeypatch: pytest.Monkey
 
     monkeypatch.setattr(batch, "ThreadPoolExecutor", Counted)
     points = np.zeros((200, 3))  # several groups of lanes
-    executors.alone(fly, SHORT, 0.0, points)
+    executors.alone(run_trials, SHORT, 0.0, points)
     assert asked == [1]
 
 
@@ -263,15 +263,15 @@ def test_outcomes_do_not_depend_on_the_size_of_a_task(monkeypatch: pytest.Monkey
     given = Conditions(scene(bare, seconds=20.0), 20.0)
     points = np.zeros((TOGETHER + 6, 3))
     points[:, 0] = np.linspace(300.0, 590.0, len(points))
-    together = fly(given, 0.0, points)
+    together = run_trials(given, 0.0, points)
     assert len(again) > TOGETHER
-    alone = [one for part in np.array_split(points, 5) for one in fly(given, 0.0, part)]
-    assert plain([vars(one) for one in together]) == plain([vars(one) for one in alone])
+    alone = [one for part in np.array_split(points, 5) for one in run_trials(given, 0.0, part)]
+    assert to_json([vars(one) for one in together]) == to_json([vars(one) for one in alone])
 
 
 @pytest.mark.parametrize(("points", "size"), [(40, 40), (600, 64), (1100, 128), (5000, 256)])
 def test_tasks_grow_with_their_lot(points: int, size: int) -> None:
-    lot = Lot(SHORT, 0.0, tuple((float(k), 0.0, 0.0) for k in range(points)))
+    lot = TrialBatch(SHORT, 0.0, tuple((float(k), 0.0, 0.0) for k in range(points)))
     tasks = lot.tasks(TrialStore(None))
     assert {len(task) for task in tasks[:-1]} <= {size}
     assert np.array_equal(np.concatenate(tasks), np.array(lot.points))
@@ -361,7 +361,7 @@ def test_given_up_limits_cancel_what_has_not_begun() -> None:
 def test_limits_do_not_depend_on_who_else_is_under_way(monkeypatch: pytest.MonkeyPatch) -> None:
     heard: list[tuple[str, int]] = []
     one_by_one = run_limits(LIMITS, TrialStore(None), executor=StandIn(stand_in))
-    monkeypatch.setattr(outcomes, "fly", stand_in)
+    monkeypatch.setattr(outcomes, "run_trials", stand_in)
     side_by_side = run_limits(
         LIMITS,
         TrialStore(None),
@@ -406,7 +406,7 @@ def test_tasks_on_dask_keep_to_one_core(scheduler: str) -> None:
 def test_lost_dask_workers_are_told(what: str, scheduler: str) -> None:
     distributed = pytest.importorskip("distributed")
     last = SimpleNamespace(address="tcp://w:1")
-    lost = distributed.KilledWorker("fly", last, 3) if what == "killed" else CancelledError()
+    lost = distributed.KilledWorker("run_trials", last, 3) if what == "killed" else CancelledError()
     why = "Attempted to run task .*" if what == "killed" else "tasks were given up"
     told = (
         rf"lost its scheduler or too many workers \({why}\); begun again, a map goes on from what"

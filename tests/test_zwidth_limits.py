@@ -9,7 +9,7 @@ from stand_in import StandIn
 
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.limits import LimitsParams, Scan, plan_limits, run_limits
-from hapticd.zwidth.outcomes import Conditions, Outcome, fly
+from hapticd.zwidth.outcomes import Conditions, Outcome, run_trials
 from hapticd.zwidth.scenes import noise
 from hapticd.zwidth.store import TrialStore
 
@@ -26,7 +26,7 @@ class Flown:
 
     def __call__(self, conditions: Conditions, level: float, points: Any) -> list[Outcome]:
         self.points += map(tuple, points.tolist())
-        return fly(conditions, level, points)
+        return run_trials(conditions, level, points)
 
 
 def environments(store: TrialStore) -> set[Key]:

@@ -11,12 +11,12 @@ from hapticd.assembly.lockstep import scene_params
 from hapticd.errors import CommandError
 from hapticd.mailbox.layout import Command, Value
 from hapticd.settings.scene import load_scene
-from hapticd.zwidth.live import bench_source
+from hapticd.zwidth.live import daemon_source
 from hapticd.zwidth.lockstep import LockStepBench
 from hapticd.zwidth.simulated import engine_source
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.stepped_sine import may_follow, stepped_sine
-from hapticd.zwidth.store import Recorded
+from hapticd.zwidth.store import TrialRecord
 from hapticd.zwidth.trial import TrialParams, plan_trial, run_trial
 
 SECONDS = 6.0
@@ -57,7 +57,7 @@ def flown(rigid, act):
     plan = plan_trial(TrialParams(Trial((100.0, 1.0, 0.0), seconds=SECONDS)))
     with Meddled(*scene_params(rigid)) as bench:
         bench.act = lambda: act(bench)
-        found = run_trial(plan, bench_source(bench))
+        found = run_trial(plan, daemon_source(bench))
         assert bench.status()["state"] == "disabled"
         assert not bench.newest["perturbing"]
     return found
@@ -98,7 +98,7 @@ class Looped(LockStepBench):
 def test_waveform_that_is_long_enough_ends_by_itself(rigid, waveform_n, looped):
     """A client that is killed leaves nothing that shakes for ever."""
     with Looped(*scene_params(rigid)) as bench:
-        bench_source(bench)(
+        daemon_source(bench)(
             Trial((100.0, 1.0, 0.0), seconds=2.0, waveform_n=waveform_n),
             lambda what, done, total: None,
         )
@@ -117,7 +117,7 @@ def test_servo_is_disabled_though_the_perturbation_refuses_to_stop(rigid):
 
     with Stubborn(*scene_params(rigid)) as bench:
         with pytest.raises(CommandError, match="not now"):
-            bench_source(bench)(Trial(seconds=1.0), lambda *_: None)
+            daemon_source(bench)(Trial(seconds=1.0), lambda *_: None)
         assert bench.status()["state"] == "disabled"
 
 
@@ -149,4 +149,4 @@ def test_stepped_sine_does_not_enable_what_someone_disabled(rigid):
     ],
 )
 def test_what_ended_a_trial_says_whether_another_may_follow(ended, again):
-    assert may_follow(Recorded(np.zeros(1), np.zeros(1), 4000.0, "made", True, ended)) == again
+    assert may_follow(TrialRecord(np.zeros(1), np.zeros(1), 4000.0, "made", True, ended)) == again

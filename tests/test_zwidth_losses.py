@@ -18,17 +18,17 @@ from hapticd.plant.scene import Excitation
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
-from hapticd.zwidth.live import bench_source
+from hapticd.zwidth.live import daemon_source
 from hapticd.zwidth.lockstep import LockStepBench
 from hapticd.zwidth.sources import Trial
-from hapticd.zwidth.store import Recorded, nearer
+from hapticd.zwidth.store import TrialRecord, end_remedy
 from hapticd.zwidth.trial import (
-    Layout,
+    MultisineLayout,
     TrialParams,
     judged,
     multisine_like,
     plan_trial,
-    realised,
+    record_multisines,
     run_trial,
     summary,
 )
@@ -84,7 +84,7 @@ def flown(rigid, share=0.0, slots=0.0, trial=TRIAL):
     with Lossy(*scene_params(rigid)) as bench:
         bench.share = share
         bench.slots = slots
-        return run_trial(plan_trial(TrialParams(trial)), bench_source(bench))
+        return run_trial(plan_trial(TrialParams(trial)), daemon_source(bench))
 
 
 def test_lost_samples_keep_their_place_in_time(rigid):
@@ -142,7 +142,9 @@ def test_losses_of_realisations_add_up(rigid):
     with Lossy(*scene_params(rigid)) as bench:
         bench.slots = 0.01
         excitation = multisine_like(Excitation("noise"), 500.0)
-        found = realised(replace(TRIAL, excitation=excitation), Layout(2, 1), bench_source(bench))
+        found = record_multisines(
+            replace(TRIAL, excitation=excitation), MultisineLayout(2, 1), daemon_source(bench)
+        )
     assert found.more["samples"] == pytest.approx(2 * 8232, abs=10)
     assert found.more["slots"] > 2 * 3000
     assert summed([{"lost_slots": 2, "slots": 10}, {"lost_slots": 3}]) == {"lost_slots": 5}
@@ -196,7 +198,7 @@ def test_free_device_that_drifts_to_its_stop_ends_its_trial():
     """
     settings = load(shipped("config") / "hapticd.toml")
     with LockStepBench(servo_params(settings, "x"), board_params(settings)) as bench:
-        found = bench_source(bench)(Trial(seconds=60.0), lambda *_: None)
+        found = daemon_source(bench)(Trial(seconds=60.0), lambda *_: None)
         assert bench.status()["state"] == "disabled"
     assert found.ended.startswith("travel: the device stands at ")
     assert found.ended.endswith(
@@ -221,12 +223,12 @@ def test_device_that_comes_back_from_its_stop_may_be_tried(rigid):
                 yield message
 
     with Far(*scene_params(rigid)) as bench:
-        assert bench_source(bench)(replace(TRIAL, seconds=2.0), lambda *_: None).ended == ""
+        assert daemon_source(bench)(replace(TRIAL, seconds=2.0), lambda *_: None).ended == ""
 
 
 def test_device_at_its_stop_leaves_nothing_decided():
     force = np.random.default_rng(1).normal(0.0, 0.2, 40_000)
-    recorded = Recorded(
+    recorded = TrialRecord(
         force, force / 3.0, 4000.0, "made", True, "travel: the device stands at 22 mm"
     )
     verdict = judged(plan_trial(TrialParams(Trial())), recorded).verdict
@@ -238,7 +240,7 @@ def test_device_at_its_stop_leaves_nothing_decided():
         match=r"ended after 2 s \(travel: the device stands at 22 mm\): too short for a verdict$",
     ):
         judged(plan_trial(TrialParams(Trial())), short)
-    assert nearer("escape: x") == "; go nearer to 0"
+    assert end_remedy("escape: x") == "; go nearer to 0"
 
 
 @pytest.mark.parametrize(

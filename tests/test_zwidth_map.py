@@ -19,18 +19,18 @@ from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
 from hapticd.zwidth.map import MapParams, kept_map, plan_map, run_map
 from hapticd.zwidth.outcomes import (
     Conditions,
-    Lot,
     Outcome,
+    TrialBatch,
     envelope_of,
-    fly,
     kept_frequencies,
     restored,
+    run_trials,
 )
 from hapticd.zwidth.portable import device_hash, portable, read_portable
 from hapticd.zwidth.scenes import noise
 from hapticd.zwidth.search import SearchParams, plan_search, rounded, run_search, slice_at
-from hapticd.zwidth.store import TrialStore, plain
-from hapticd.zwidth.walls import WallParams, hit, plan_walls, run_walls, to_and_fro
+from hapticd.zwidth.store import TrialStore, to_json
+from hapticd.zwidth.walls import WallMapParams, hit, plan_walls, run_walls, to_and_fro
 
 THEORY = load_scene(
     "theory"
@@ -142,20 +142,20 @@ def test_friction_makes_limits_fall_with_amplitude():
 
 
 def test_outcome_survives_the_store_unchanged():
-    (outcome,) = fly(conditions(), 0.0, np.array([[500.0, 0.5, 0.001]]))
+    (outcome,) = run_trials(conditions(), 0.0, np.array([[500.0, 0.5, 0.001]]))
     assert outcome.passes
-    again = restored(json.loads(json.dumps(plain(vars(outcome)))))
+    again = restored(json.loads(json.dumps(to_json(vars(outcome)))))
     assert again.environment == outcome.environment
     assert np.array_equal(again.z, outcome.z)
     assert again.margin_ns_per_m == outcome.margin_ns_per_m
     escaped = replace(outcome, margin_ns_per_m=float("nan"), relative_sd=np.array([np.inf]))
-    again = restored(json.loads(json.dumps(plain(vars(escaped)))))
+    again = restored(json.loads(json.dumps(to_json(vars(escaped)))))
     assert np.isnan(again.margin_ns_per_m)
     assert again.relative_sd[0] == np.inf
 
 
 def test_envelope_of_a_campaign_names_its_owners():
-    found = fly(
+    found = run_trials(
         conditions(), 0.0, np.array([[0.0, 0.0, 0.0], [1000.0, 0.0, 0.0], [9000.0, 0.0, 0.0]])
     )
     assert [outcome.passes for outcome in found] == [True, True, False]
@@ -175,9 +175,9 @@ def test_keys_tell_trials_apart():
     point = (1.0, 2.0, 3.0)
     longer = conditions(seconds=21.0)
     lots = [
-        Lot(conditions(), 0.0, (point, (1.0, 2.0, 3.5))),
-        Lot(conditions(), 1.0, (point,)),
-        Lot(longer, 0.0, (point,)),
+        TrialBatch(conditions(), 0.0, (point, (1.0, 2.0, 3.5))),
+        TrialBatch(conditions(), 1.0, (point,)),
+        TrialBatch(longer, 0.0, (point,)),
     ]
     assert len({key for lot in lots for key in lot.keys.values()}) == 4
 
@@ -339,9 +339,13 @@ def test_trials_of_a_search_have_noise_of_their_own():
         conditions(),
         excitation=replace(conditions().excitation, seed=conditions().excitation.seed + 2),
     )
-    (key,) = Lot(other, 0.0, (tuple(rounded(first_trials(box, np.zeros(3)))[2]),)).keys.values()
+    (key,) = TrialBatch(
+        other, 0.0, (tuple(rounded(first_trials(box, np.zeros(3)))[2]),)
+    ).keys.values()
     assert np.array_equal(restored(store.known[key]).z, third.z)
-    assert not np.array_equal(third.z, fly(conditions(), 0.0, np.array([third.environment]))[0].z)
+    assert not np.array_equal(
+        third.z, run_trials(conditions(), 0.0, np.array([third.environment]))[0].z
+    )
 
 
 @pytest.mark.slow
@@ -381,7 +385,7 @@ def test_wall_boundary_is_the_last_stable_impact():
     """
     scene = load_scene("wall")
     plan = plan_walls(
-        WallParams(scene, (50.0, 100.0, 200.0, 400.0, 800.0, 1600.0), (1.0,), (0.0, 1.74))
+        WallMapParams(scene, (50.0, 100.0, 200.0, 400.0, 800.0, 1600.0), (1.0,), (0.0, 1.74))
     )
     without, added = run_walls(plan).lines
     assert 3.0 * without.highest_n_per_m < added.highest_n_per_m < 1600.0
@@ -398,7 +402,7 @@ def test_creeping_into_a_soft_wall_is_no_oscillation():
     """The push creeps with (F/b) exp(-K t / b), one way; a wall that is too stiff swings both
     ways.
     """
-    plan = plan_walls(WallParams(load_scene("wall"), (30.0, 600.0), (8.0,), (1.74,)))
+    plan = plan_walls(WallMapParams(load_scene("wall"), (30.0, 600.0), (8.0,), (1.74,)))
     creeping = 0.5 / (8.0 + 1.74) * np.exp(-30.0 * 1.5 / (8.0 + 1.74))
     soft = hit(plan, 1.74, 30.0, 8.0)
     stiff = hit(plan, 1.74, 600.0, 8.0)
@@ -413,15 +417,15 @@ def test_creeping_into_a_soft_wall_is_no_oscillation():
 def test_wall_procedure_refuses_what_it_cannot_hit():
     scene = load_scene("wall")
     with pytest.raises(AnalysisError, match=r"fig4: it has no wall to hit"):
-        plan_walls(WallParams(load_scene("fig4"), (1.0,), (0.0,)))
+        plan_walls(WallMapParams(load_scene("fig4"), (1.0,), (0.0,)))
     with pytest.raises(AnalysisError, match=r"lasts 2 s; to settle 2\.5 s"):
-        plan_walls(WallParams(scene, (1.0,), (0.0,), settle_s=2.5))
+        plan_walls(WallMapParams(scene, (1.0,), (0.0,), settle_s=2.5))
     with pytest.raises(AnalysisError, match=r"an ascending list above 0"):
-        plan_walls(WallParams(scene, (2.0, 1.0), (0.0,)))
+        plan_walls(WallMapParams(scene, (2.0, 1.0), (0.0,)))
 
 
 def test_portable_summary_belongs_to_its_device_file(tmp_path):
-    outcomes = fly(conditions(), 0.0, np.array([[0.0, 0.0, 0.0]]))
+    outcomes = run_trials(conditions(), 0.0, np.array([[0.0, 0.0, 0.0]]))
     content = portable(
         "ideal",
         device_hash("ideal"),
@@ -448,7 +452,7 @@ def test_portable_summary_belongs_to_its_device_file(tmp_path):
 
 def test_trial_with_negative_stiffness_does_not_pass():
     """Friction holds it for the length of a trial; its Re Z is that of the one without."""
-    still, free = fly(
+    still, free = run_trials(
         Conditions(load_scene("fig4"), 30.0), 1.74, np.array([[-0.01, 1.0, 0.0], [0.0, 1.0, 0.0]])
     )
     assert free.passes

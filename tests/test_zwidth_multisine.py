@@ -12,14 +12,14 @@ from hapticd.assembly.lockstep import scene_params
 from hapticd.errors import AnalysisError
 from hapticd.plant.scene import Excitation
 from hapticd.settings.scene import load_scene
-from hapticd.zwidth.live import bench_source
+from hapticd.zwidth.live import daemon_source
 from hapticd.zwidth.lockstep import LockStepBench
 from hapticd.zwidth.recorded import read_file
 from hapticd.zwidth.simulated import engine_source
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.store import read_summary, record_path
 from hapticd.zwidth.trial import (
-    Layout,
+    MultisineLayout,
     TrialParams,
     judged,
     multisine_like,
@@ -45,7 +45,7 @@ def shaken(layout, point=(100.0, 1.0, 0.002), scene=None, **more):
 def test_multisine_trial_lands_on_its_prediction(rigid):
     """A linear display: 12 s decide, and Z is known to 1e-3 up to 200 Hz."""
     scene = load_scene(rigid)
-    found = run_trial(shaken(Layout(6, 1), scene=scene), engine_source(scene))
+    found = run_trial(shaken(MultisineLayout(6, 1), scene=scene), engine_source(scene))
     assert found.verdict.answer == "passive"
     assert found.recorded.seconds == pytest.approx(6 * 2 * 4096 / 4000)
     inside = (found.measured.frequency_hz >= 2.0) & (found.measured.frequency_hz <= 200.0)
@@ -62,10 +62,10 @@ def test_multisine_trial_lands_on_its_prediction(rigid):
 
 def test_multisine_trial_by_the_whole_stack_lands_within_its_interval_of_the_engine(rigid):
     scene = load_scene(rigid)
-    layout = Layout(6, 2)
+    layout = MultisineLayout(6, 2)
     by_engine = run_trial(shaken(layout, scene=scene), engine_source(scene))
     with LockStepBench(*scene_params(rigid)) as bench:
-        live = run_trial(shaken(layout, scene=scene), bench_source(bench))
+        live = run_trial(shaken(layout, scene=scene), daemon_source(bench))
         assert bench.status()["state"] == "disabled"
     assert live.verdict.answer == by_engine.verdict.answer == "passive"
     assert live.recorded.more["lost_samples"] == 0
@@ -81,14 +81,14 @@ def test_multisine_trial_by_the_whole_stack_lands_within_its_interval_of_the_eng
 
 def test_multisine_of_friction_says_that_only_realisations_help():
     scene = load_scene("fig7")
-    found = run_trial(shaken(Layout(8, 2), (50.0, 2.0, 0.0), scene), engine_source(scene))
+    found = run_trial(shaken(MultisineLayout(8, 2), (50.0, 2.0, 0.0), scene), engine_source(scene))
     assert "nonlinear distortion: realisations scatter by" in str(found.verdict)
     assert found.verdict.answer == "undecided"
 
 
 def test_single_realisation_decides_nothing(rigid):
     scene = load_scene(rigid)
-    found = run_trial(shaken(Layout(1, 4), scene=scene), engine_source(scene))
+    found = run_trial(shaken(MultisineLayout(1, 4), scene=scene), engine_source(scene))
     assert found.verdict.answer == "undecided"
     assert "one realisation: the interval covers noise alone" in str(found.verdict)
 
@@ -113,7 +113,7 @@ def stalling(source, stalls):
 
 def test_realisation_that_did_not_repeat_is_flown_again(rigid):
     engine = engine_source(load_scene(rigid))
-    plan = shaken(Layout(3, 1))
+    plan = shaken(MultisineLayout(3, 1))
     found, calm = (run_trial(plan, stalling(engine, stalls)) for stalls in (2, 0))
     assert found.recorded.more["flown_again"] == 2
     assert np.array_equal(found.recorded.force_n, calm.recorded.force_n)
@@ -131,9 +131,9 @@ def test_layouts_without_scatter_are_refused():
         AnalysisError,
         match="1 realisations of 1 periods have no scatter to learn from; ask for two or more",
     ):
-        shaken(Layout(1, 1))
+        shaken(MultisineLayout(1, 1))
     with pytest.raises(AnalysisError, match="8 realisations of 0 periods have no scatter"):
-        shaken(Layout(8, 0))
+        shaken(MultisineLayout(8, 0))
 
 
 def test_multisine_of_a_runaway_loop_is_no_verdict_but_an_answer(rigid):
@@ -141,12 +141,12 @@ def test_multisine_of_a_runaway_loop_is_no_verdict_but_an_answer(rigid):
     with pytest.raises(
         AnalysisError, match=r"ended after \S+ s \(escape: .*\): too short for a verdict"
     ):
-        run_trial(shaken(Layout(4, 1), (0.0, 100.0, 0.0), scene), engine_source(scene))
+        run_trial(shaken(MultisineLayout(4, 1), (0.0, 100.0, 0.0), scene), engine_source(scene))
 
 
 def test_multisine_run_folder_brings_the_trial_back(tmp_path, rigid):
     scene = load_scene(rigid)
-    layout = Layout(4, 1)
+    layout = MultisineLayout(4, 1)
     result = run_trial(shaken(layout, scene=scene), engine_source(scene))
     write(tmp_path, result, {})
     told = read_summary(tmp_path)
@@ -163,4 +163,4 @@ def test_multisine_run_folder_brings_the_trial_back(tmp_path, rigid):
         AnalysisError,
         match=r"record of 8\.19 s: a realisation of 1 \+ 9 periods of 4096 samples takes 10\.2 s",
     ):
-        judged(shaken(Layout(2, 9)), read_file(record_path(tmp_path)))
+        judged(shaken(MultisineLayout(2, 9)), read_file(record_path(tmp_path)))

@@ -22,22 +22,22 @@ ONLY = {  # what may be called from where: {called: {module: functions}}
     },
     "axis_limit": {"zwidth.limits": {"predicted_limit"}},
     "bracket": {"zwidth.limits": {"_rounds", "_together"}},
-    "bracketing": {"zwidth.limits": {"counted"}},
+    "search_limit": {"zwidth.limits": {"counted"}},
     "run_all": {
         "zwidth.limits": {"run_plans"},
         "zwidth.map": {"run_map"},
         "zwidth.search": {"run_search"},
-        "zwidth.outcomes": {"flown"},
+        "zwidth.outcomes": {"outcomes_of"},
     },
-    "fly": {"zwidth.outcomes": {"goes_on"}},
+    "run_trials": {"zwidth.outcomes": {"goes_on"}},
 }
 HOME = {
     "judge": "analysis.verdict",
     "axis_limit": "analysis.passive_set",
     "bracket": "zwidth.limits",
-    "bracketing": "zwidth.limits",
+    "search_limit": "zwidth.limits",
     "run_all": "zwidth.outcomes",
-    "fly": "zwidth.outcomes",
+    "run_trials": "zwidth.outcomes",
 }
 
 
@@ -120,9 +120,9 @@ PLANTED = {
         "from hapticd.analysis import passive_set\n\ndef searched(flown):\n    return"
         " passive_set.axis_limit(flown, 0, 2e4)\n"
     ),
-    "fly": (
-        "def mine(pool, given):\n    from hapticd.zwidth.outcomes import fly\n\n    return"
-        " pool.map(fly, given)\n"
+    "run_trials": (
+        "def mine(pool, given):\n    from hapticd.zwidth.outcomes import run_trials\n\n    return"
+        " pool.map(run_trials, given)\n"
     ),
 }
 
@@ -136,7 +136,7 @@ def test_a_second_implementation_is_seen(name: str, tmp_path: Path) -> None:
 
 
 def test_nobody_simulates_for_spectra_beside_the_bench() -> None:
-    """Spectra of batches are what trials are judged by: only `outcomes.fly` asks the engine for
+    """Trials are judged by spectra of batches: only `outcomes.run_trials` asks the engine for
     them.
     """
     asking = {

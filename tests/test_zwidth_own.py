@@ -24,7 +24,7 @@ from hapticd.settings.scene import load_scene
 from hapticd.units import NS_PER_S
 from hapticd.zwidth.recorded import read_file
 from hapticd.zwidth.sources import given
-from hapticd.zwidth.store import Rendered
+from hapticd.zwidth.store import RenderedEnvironment
 
 OLD = Path(__file__).parent / "data" / "as-of-0.1"
 SECONDS = 8
@@ -74,7 +74,7 @@ def test_recording_and_its_exports_are_the_same_trial(name, files, flight):
     assert np.array_equal(found.force_n, whole.force_n)
     assert np.array_equal(found.velocity_m_per_s, whole.velocity_m_per_s)
     assert (found.rate_hz, found.simulated) == (4000.0, True)
-    assert found.rendered == Rendered((50.0, 2.0, 0.0), 1.74)
+    assert found.rendered == RenderedEnvironment((50.0, 2.0, 0.0), 1.74)
     assert found.seconds == pytest.approx(SECONDS - 1.0, abs=0.05)
     assert found.more["device_name"] == flight.params.device.name
     assert found.more["lost_samples"] == found.more["lost_slots"] == 0
@@ -165,7 +165,7 @@ def test_record_of_a_trial_keeps_its_badge_far_from_its_folder(hdf5, tmp_path, m
     moved = shutil.copy(tmp_path / "run" / name, tmp_path / f"moved{Path(name).suffix}")
     found = read_file(Path(moved))
     assert found.simulated
-    assert found.rendered == Rendered((30.0, 1.0, 0.0), 0.0)
+    assert found.rendered == RenderedEnvironment((30.0, 1.0, 0.0), 0.0)
     assert found.max_command_n is not None
 
 
@@ -212,11 +212,21 @@ def test_file_that_is_not_there_is_named(kind, tmp_path):
 def test_what_is_not_given_is_that_of_the_scene_that_was_named_else_0():
     scene = load_scene("fig4")
     for named in (False, True):
-        assert given((None, None, None), None, scene, named) == Rendered((100.0, 1.0, 0.01), 0.0)
-    assert given((500.0, None, None), None, scene, False) == Rendered((500.0, 0.0, 0.0), 0.0)
-    assert given((500.0, None, None), None, scene, True) == Rendered((500.0, 1.0, 0.01), 0.0)
-    assert given((None, 0.0, None), 1.74, scene, False) == Rendered((0.0, 0.0, 0.0), 1.74)
-    assert given((500.0, None, None), None, None, False) == Rendered((500.0, 0.0, 0.0), 0.0)
+        assert given((None, None, None), None, scene, named) == RenderedEnvironment(
+            (100.0, 1.0, 0.01), 0.0
+        )
+    assert given((500.0, None, None), None, scene, False) == RenderedEnvironment(
+        (500.0, 0.0, 0.0), 0.0
+    )
+    assert given((500.0, None, None), None, scene, True) == RenderedEnvironment(
+        (500.0, 1.0, 0.01), 0.0
+    )
+    assert given((None, 0.0, None), 1.74, scene, False) == RenderedEnvironment(
+        (0.0, 0.0, 0.0), 1.74
+    )
+    assert given((500.0, None, None), None, None, False) == RenderedEnvironment(
+        (500.0, 0.0, 0.0), 0.0
+    )
 
 
 @pytest.mark.parametrize("source", ["engine", "lockstep"])

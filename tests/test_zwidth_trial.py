@@ -17,14 +17,21 @@ from hapticd.errors import AnalysisError, ConfigError, DaemonDown
 from hapticd.plant.compose import compose
 from hapticd.plant.scene import Excitation
 from hapticd.settings.scene import load_scene
-from hapticd.zwidth.live import bench_source
+from hapticd.zwidth.live import daemon_source
 from hapticd.zwidth.lockstep import LockStepBench
 from hapticd.zwidth.recorded import read_file
 from hapticd.zwidth.scenes import device_scene, filters
 from hapticd.zwidth.simulated import engine_source
 from hapticd.zwidth.sources import Trial, file_source
 from hapticd.zwidth.stepped_sine import stepped_sine
-from hapticd.zwidth.store import Recorded, TrialStore, fingerprint, plain, read_summary, record_path
+from hapticd.zwidth.store import (
+    TrialRecord,
+    TrialStore,
+    fingerprint,
+    read_summary,
+    record_path,
+    to_json,
+)
 from hapticd.zwidth.trial import TrialParams, judged, plan_trial, run_trial, write
 from hapticd.zwidth.watch import Sentinel, Watch
 
@@ -155,7 +162,7 @@ def test_lockstep_trial_lands_within_its_interval_of_the_engine(damping_ns_per_m
     plan = plan_trial(TrialParams(trial, scene))
     by_engine = run_trial(plan, engine_source(scene))
     with LockStepBench(*scene_params("fig7")) as bench:
-        live = run_trial(plan, bench_source(bench))
+        live = run_trial(plan, daemon_source(bench))
         assert bench.status()["state"] == "disabled"
     assert live.recorded.seconds == 25.0
     assert live.recorded.more["lost_samples"] == 0
@@ -184,14 +191,14 @@ def test_lockstep_trial_refuses_a_session_that_runs(rigid):
         with pytest.raises(
             AnalysisError, match="the servo is enabled, a trial begins from disabled"
         ):
-            bench_source(bench)(Trial(seconds=5.0), lambda *_: None)
+            daemon_source(bench)(Trial(seconds=5.0), lambda *_: None)
         assert bench.status()["state"] == "enabled"
 
 
 def test_lockstep_trial_of_a_runaway_loop_ends_early_and_disabled(rigid):
     """B T / m far beyond 2: the loop runs away, the trial ends at once, force off."""
     with LockStepBench(*scene_params(rigid)) as bench:
-        found = bench_source(bench)(Trial((0.0, 100.0, 0.0), seconds=20.0), lambda *_: None)
+        found = daemon_source(bench)(Trial((0.0, 100.0, 0.0), seconds=20.0), lambda *_: None)
         assert bench.status()["state"] != "enabled"
     assert found.ended.startswith(("escape", "saturation", "fault"))
     assert found.seconds < 5.0
@@ -212,7 +219,7 @@ def test_lockstep_trial_whose_command_saturates_is_ended_and_named(weak):
     rendered.
     """
     trial = Trial((100.0, 1.0, 0.002), seconds=60.0)
-    found = bench_source(weak)(trial, lambda *_: None)
+    found = daemon_source(weak)(trial, lambda *_: None)
     assert weak.status()["state"] == "disabled"
     assert found.ended == "saturation: the command reached its limit of 0.16 N"
     assert 5.0 < found.seconds < 60.0
@@ -242,7 +249,7 @@ def test_daemon_that_falls_silent_is_not_waited_for_for_ever(rigid):
         with pytest.raises(
             DaemonDown, match=r"nothing from the probe for 2 s; see `hapticd status`"
         ):
-            bench_source(bench)(Trial(seconds=5.0), lambda *_: None)
+            daemon_source(bench)(Trial(seconds=5.0), lambda *_: None)
         assert bench.status()["state"] == "disabled"
 
 
@@ -255,7 +262,7 @@ def test_board_without_probe_is_told_apart(rigid):
         with pytest.raises(
             AnalysisError, match="the probe stream is empty: this board has no probe inputs"
         ):
-            bench_source(bench)(Trial(seconds=5.0), lambda *_: None)
+            daemon_source(bench)(Trial(seconds=5.0), lambda *_: None)
 
 
 def test_trial_that_ends_in_a_fault_says_which(rigid):
@@ -265,7 +272,7 @@ def test_trial_that_ends_in_a_fault_says_which(rigid):
     with LockStepBench(*scene_params(rigid)) as bench:
         plan = plan_trial(TrialParams(Trial((0.0, -5.0, 0.0), seconds=5.0)))
         with pytest.raises(AnalysisError, match=r"ended after 0 s \(fault: .*\): too short"):
-            run_trial(plan, bench_source(bench))
+            run_trial(plan, daemon_source(bench))
 
 
 def test_sentinel_ends_an_escape_in_its_second():
@@ -287,7 +294,7 @@ def test_silence_before_the_perturbation_is_no_escape_after_it():
         np.concatenate((rest, signal))
         for rest, signal in zip(quiet, (force, velocity), strict=True)
     )
-    source = file_source(Recorded(force, velocity, RATE_HZ, "made", False))
+    source = file_source(TrialRecord(force, velocity, RATE_HZ, "made", False))
     found = run_trial(plan_trial(TrialParams(Trial(seconds=28.0))), source)
     assert found.recorded.ended == ""
     assert found.verdict.stability == "stable"
@@ -298,7 +305,7 @@ def test_silence_before_the_perturbation_is_no_escape_after_it():
 def test_negative_stiffness_is_never_called_passive(stiffness):
     """Re Z may be positive all over the band."""
     force, velocity = mass_record(20.0)
-    recorded = Recorded(force, velocity, RATE_HZ, "made", False)
+    recorded = TrialRecord(force, velocity, RATE_HZ, "made", False)
     assert judged(plan_trial(TrialParams(Trial())), recorded).verdict.answer == "passive"
     found = judged(plan_trial(TrialParams(Trial((stiffness, 0.0, 0.0)))), recorded).verdict
     assert found.answer == "undecided"
@@ -352,7 +359,7 @@ def test_sentinel_says_what_the_confidence_costs_and_ends_when_decided():
 def test_commands_at_their_limit_leave_nothing_decided():
     force, velocity = mass_record(20.0)
     plan = plan_trial(TrialParams(Trial(seconds=20.0)))
-    recorded = Recorded(
+    recorded = TrialRecord(
         force, velocity, RATE_HZ, "made", True, max_command_n=8.0, command_limit_n=8.0
     )
     found = judged(plan, recorded)
@@ -366,7 +373,7 @@ def test_short_trials_are_refused():
     force, velocity = mass_record(2.5)
     plan = plan_trial(TrialParams(Trial(seconds=20.0)))
     with pytest.raises(AnalysisError, match=r"ended after 2\.5 s \(escape: x\): too short"):
-        judged(plan, Recorded(force, velocity, RATE_HZ, "made", True, ended="escape: x"))
+        judged(plan, TrialRecord(force, velocity, RATE_HZ, "made", True, ended="escape: x"))
 
 
 def test_run_folder_brings_the_trial_back(tmp_path):
@@ -374,7 +381,7 @@ def test_run_folder_brings_the_trial_back(tmp_path):
     plan = plan_trial(
         TrialParams(Trial((1.0, 2.0, 0.003), seconds=20.0, excitation=Excitation("noise", seed=7)))
     )
-    result = judged(plan, Recorded(force, velocity, RATE_HZ, "made", False))
+    result = judged(plan, TrialRecord(force, velocity, RATE_HZ, "made", False))
     write(tmp_path / "run", result, {"date": "today"})
     told = read_summary(tmp_path / "run")
     assert told["verdict"]["answer"] == "passive"
@@ -410,7 +417,7 @@ def test_fingerprint_tells_every_change():
     trial = Trial((1.0, 2.0, 3.0))
     assert fingerprint(trial) == fingerprint(Trial((1.0, 2.0, 3.0)))
     assert fingerprint(trial) != fingerprint(replace(trial, damping_ns_per_m=1e-12))
-    assert plain({"z": np.array([1 + 2j])}) == {"z": [[1.0, 2.0]]}
+    assert to_json({"z": np.array([1 + 2j])}) == {"z": [[1.0, 2.0]]}
 
 
 def test_device_is_a_scene_with_all_its_effects():
@@ -430,7 +437,7 @@ def test_stepped_sine_agrees_with_the_exact_impedance_of_a_linear_display(rigid,
     f = (5.0, 21.0, 55.0, 144.0)
     if whole_stack:
         with LockStepBench(*scene_params(rigid)) as bench:
-            found = stepped_sine(trial, bench_source(bench), frequency_hz=f)
+            found = stepped_sine(trial, daemon_source(bench), frequency_hz=f)
     else:
         found = stepped_sine(trial, engine_source(scene), frequency_hz=f)
     exact = predicted_impedance(compose(scene), trial.environment, np.array(f), 0.0, filters(scene))
@@ -465,7 +472,7 @@ def test_spring_that_the_window_does_not_resolve_is_named(stiffness, named):
 def test_longer_window_is_taken_where_it_is_asked_for():
     force, velocity = mass_record(60.0)
     plan = plan_trial(TrialParams(Trial(seconds=60.0), lag=8192))
-    found = judged(plan, Recorded(force, velocity, RATE_HZ, "made", True))
+    found = judged(plan, TrialRecord(force, velocity, RATE_HZ, "made", True))
     assert found.measured.frequency_hz.size == 8193
     with pytest.raises(AnalysisError, match=r"a trial of 12 s: a verdict takes 15\.4 s or more"):
         plan_trial(TrialParams(Trial(seconds=12.0), lag=8192))
@@ -503,7 +510,7 @@ def test_escape_before_the_record_begins_is_found_at_the_limit_of_the_force(scen
 
 def test_loop_that_ran_away_at_once_ends_its_lockstep_trial_as_an_escape(rigid):
     with LockStepBench(*scene_params(rigid)) as bench:
-        found = bench_source(bench)(Trial((0.0, 100.0, 0.0), seconds=20.0), lambda *_: None)
+        found = daemon_source(bench)(Trial((0.0, 100.0, 0.0), seconds=20.0), lambda *_: None)
     assert found.ended.startswith("escape: the command reached its limit of 8 N")
     assert found.seconds < 5.0
 
@@ -523,7 +530,7 @@ def test_velocity_in_millimetres_is_suspected_and_called_neither_stable_nor_pass
     """
     force, velocity = mass_record(20.0, mass_kg)
     for scale, answer in ((1.0, "passive"), (1e3, "undecided")):
-        source = file_source(Recorded(force, scale * velocity, RATE_HZ, "a.csv", False))
+        source = file_source(TrialRecord(force, scale * velocity, RATE_HZ, "a.csv", False))
         found = run_trial(plan_trial(TrialParams(Trial(seconds=20.0))), source).verdict
         assert found.answer == answer
         assert found.stability == "stable"
@@ -533,6 +540,6 @@ def test_velocity_in_millimetres_is_suspected_and_called_neither_stable_nor_pass
 def test_force_in_millinewtons_is_suspected():
     force, velocity = mass_record(20.0)
     plan = plan_trial(TrialParams(Trial(seconds=20.0)))
-    found = judged(plan, Recorded(1e4 * force, velocity, RATE_HZ, "a.csv", False)).verdict
+    found = judged(plan, TrialRecord(1e4 * force, velocity, RATE_HZ, "a.csv", False)).verdict
     assert found.answer == "undecided"
     assert "is the force in mN? Give N" in str(found)

@@ -95,7 +95,7 @@ def _about(scene: "Scene") -> dict[str, Any]:
 
 def _trial_json(trial: "SceneTrial") -> dict[str, Any]:
     from hapticd.report.study import impedance_rows
-    from hapticd.zwidth.store import plain
+    from hapticd.zwidth.store import to_json
 
     found = {
         "leg": trial.case,
@@ -104,7 +104,7 @@ def _trial_json(trial: "SceneTrial") -> dict[str, Any]:
         "winding_c": trial.winding_c,
         "impedance": impedance_rows(trial),
     }
-    return {name: plain(value) for name, value in found.items()}
+    return {name: to_json(value) for name, value in found.items()}
 
 
 @terminal.verb(sim_app, "explain")
@@ -121,14 +121,14 @@ def sim_explain(scene: terminal.SceneName, as_json: terminal.Json = False) -> No
     from hapticd.settings.scene import load_scene
     from hapticd.study.accuracy import cost
     from hapticd.zwidth.scenes import SUBSTEPS
-    from hapticd.zwidth.store import plain
+    from hapticd.zwidth.store import to_json
 
     loaded = load_scene(scene)
     found = explain(compose(loaded), sorted({step.level_ns_per_m for step in loaded.damping}))
     spent = cost(loaded, scene, time.process_time_ns)
     if as_json:
-        costs = {"cost": plain(spent), "substeps": SUBSTEPS}
-        terminal.data_json({**_about(loaded), **plain(found), **costs})
+        costs = {"cost": to_json(spent), "substeps": SUBSTEPS}
+        terminal.data_json({**_about(loaded), **to_json(found), **costs})
         return
     size = f"{len(found.states)} states, {len(found.nonlinearities)} nonlinearities"
     terminal.data(f"{loaded.title}: SIMULATED {loaded.device}, {size}")
@@ -160,7 +160,7 @@ def sim_effects(
     from hapticd.report.table import text
     from hapticd.settings.scene import load_scene
     from hapticd.study.effects import EffectsParams, plan_effects, run_effects
-    from hapticd.zwidth.store import plain
+    from hapticd.zwidth.store import to_json
 
     terminal.need_figures(plot)
     loaded = load_scene(scene)
@@ -174,7 +174,7 @@ def sim_effects(
     if as_json:
         about = {"ok": True, "simulated": True, "scene": loaded.name}
         asked = {"question": question.value, "tolerance": plan.params.tolerance}
-        found = plain(result, skip=("plan",))
+        found = to_json(result, skip=("plan",))
         terminal.data_json({**about, **asked, **found, "figures": paths})
         return
     terminal.data(f"{loaded.title}: SIMULATED {loaded.device}\n\n{text(effects_table(result))}\n")
@@ -200,13 +200,13 @@ def sim_ceiling(scene: terminal.SceneName, as_json: terminal.Json = False) -> No
     from hapticd.report.table import text
     from hapticd.settings.scene import load_scene
     from hapticd.study.scene import ceiling
-    from hapticd.zwidth.store import plain
+    from hapticd.zwidth.store import to_json
 
     loaded = load_scene(scene)
     found = ceiling(loaded)
     if as_json:
         about = {"ok": True, "simulated": True, "scene": loaded.name, "unit": "N s/m"}
-        terminal.data_json({**about, **plain(found)})
+        terminal.data_json({**about, **to_json(found)})
         return
     terminal.data(f"{loaded.title}: SIMULATED {loaded.device}\n")
     for line in ceiling_words(found):
@@ -239,7 +239,7 @@ def accuracy(
     from hapticd.settings.scene import load_scene
     from hapticd.study.accuracy import plan_accuracy, run_accuracy
     from hapticd.study.scene import compare_integrators
-    from hapticd.zwidth.store import plain
+    from hapticd.zwidth.store import to_json
 
     terminal.need_figures(plot)
     loaded = load_scene(scene)
@@ -256,7 +256,7 @@ def accuracy(
             paths += terminal.save_figure(figure, out, f"{loaded.name}-{name}", as_json)
     if as_json:
         about = {"ok": True, "simulated": True, "scene": loaded.name, "title": loaded.title}
-        found = {**plain(result, skip=("plan",)), "integrators": plain(explicit)}
+        found = {**to_json(result, skip=("plan",)), "integrators": to_json(explicit)}
         terminal.data_json({**about, "quick": quick, **found, "figures": paths})
         return
     terminal.data(f"{loaded.title}: SIMULATED {loaded.device}\n\n{text(accuracy_table(result))}\n")

@@ -43,7 +43,7 @@ from hapticd.report.style import (
     plain_axis,
     styled,
 )  # fmt: skip
-from hapticd.zwidth.stepped_sine import Referee
+from hapticd.zwidth.stepped_sine import ReferenceSines
 from hapticd.zwidth.trial import TrialResult
 
 Trace = tuple[Floats, Floats, Look]  # time [s], values, how they look
@@ -125,7 +125,7 @@ def interval(look: Look, more: str = "") -> Any:
 
 @styled()
 def trial_figure(
-    result: TrialResult, referee: Referee | None = None, admittance: bool = False
+    result: TrialResult, referee: ReferenceSines | None = None, admittance: bool = False
 ) -> Figure:
     """Size, phase and coherence of Z (or Y) of one trial, with the stepped sine's as points.
     ConfigError without matplotlib.

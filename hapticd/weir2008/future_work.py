@@ -66,11 +66,11 @@ from hapticd.zwidth.limits import ORIGIN, REACH, LimitsParams, plan_limits, pred
 from hapticd.zwidth.map import Axes, MapParams, plan_map, run_map
 from hapticd.zwidth.outcomes import (
     Conditions,
-    Lot,
     Outcome,
     Point,
-    flown,
+    TrialBatch,
     kept_frequencies,
+    outcomes_of,
     points_of,
 )
 from hapticd.zwidth.scenes import Display
@@ -141,7 +141,7 @@ class Bench:
         `amplitude`.
         """
         given = self.conditions.shaken(amplitude, seed - self.conditions.excitation.seed)
-        return flown(Lot(given, level, points_of(points)), self.store)
+        return outcomes_of(TrialBatch(given, level, points_of(points)), self.store)
 
     def limit(self, level: float, axis: int, reach: float | None = None) -> float:
         """Predicted axis limit, the others 0: N/m, Ns/m, kg."""

@@ -58,7 +58,7 @@ from hapticd.zwidth.simulated import engine_source
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.store import Progress, Steps, TrialStore, silent
 from hapticd.zwidth.trial import TrialParams, TrialResult, plan_trial, run_trial
-from hapticd.zwidth.walls import WallParams, WallResult, plan_walls, run_walls
+from hapticd.zwidth.walls import WallMapParams, WallResult, plan_walls, run_walls
 
 SCENES = {MAIN: "fig7", HIGH_PASS: "rival", LITERAL: "literal"}
 SECONDS = 90.0  # section 2.2
@@ -270,7 +270,7 @@ def run_reproduce(
             if seeds
             else tuple(each for each in predicted[MAIN] if each is not None)
         )
-    hit = WallParams(load_scene("wall"), WALL_STIFFNESSES, WALL_DAMPINGS, LEVELS)
+    hit = WallMapParams(load_scene("wall"), WALL_STIFFNESSES, WALL_DAMPINGS, LEVELS)
     walls = run_walls(plan_walls(hit), tell) if seeds else None
     return ReproduceResult(plan, read[0], read[1], read[2], singles, found, predicted, walls)
 

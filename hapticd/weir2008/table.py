@@ -14,7 +14,7 @@ from typing import Any
 
 from hapticd.report.table import Table, shown, table
 from hapticd.weir2008.rows import PRINTED, PaperRow, by_quantity
-from hapticd.zwidth.store import plain
+from hapticd.zwidth.store import to_json
 
 MANY = 10.0  # from here on a difference is told as a ratio
 COLUMNS = ("quantity", "unit", "paper")
@@ -97,7 +97,7 @@ def notes(rows: Iterable[PaperRow]) -> list[str]:
 
 def as_json(rows: Iterable[PaperRow]) -> list[dict[str, Any]]:
     """Objects with null where there is no number."""
-    return [{name: plain(getattr(row, name)) for name in OF_A_ROW} for row in rows]
+    return [{name: to_json(getattr(row, name)) for name in OF_A_ROW} for row in rows]
 
 
 def from_json(content: Iterable[Mapping[str, Any]]) -> tuple[PaperRow, ...]:

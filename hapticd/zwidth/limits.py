@@ -35,10 +35,10 @@ from hapticd.analysis.passive_set import AXES, axis_limit
 from hapticd.analysis.verdict import NOTHING_JUDGED, Judged
 from hapticd.zwidth.outcomes import (
     Conditions,
-    Lot,
     Outcome,
     Point,
     Procedure,
+    TrialBatch,
     judged,
     points_of,
     run_all,
@@ -129,7 +129,7 @@ class LimitsResult:
     made: int
 
 
-Hear = Callable[[Scan, Conditions, list[Outcome]], None]
+OnRound = Callable[[Scan, Conditions, list[Outcome]], None]
 
 
 def predicted_limit(
@@ -163,7 +163,7 @@ def plan_limits(params: LimitsParams) -> LimitsPlan:
 
 def run_limits(
     plan: LimitsPlan, store: TrialStore, tell: Progress = silent, executor: Executor | None = None,
-    hear: Hear = lambda scan, conditions, new: None,
+    hear: OnRound = lambda scan, conditions, new: None,
 ) -> LimitsResult:  # fmt: skip
     """Find them all by the trials that the store has not, on `executor` or on threads here; `hear`
     gets those of each round.
@@ -179,7 +179,7 @@ def run_plans(
     store: TrialStore,
     tell: Progress = silent,
     executor: Executor | None = None,
-    hear: Hear = lambda scan, conditions, new: None,
+    hear: OnRound = lambda scan, conditions, new: None,
 ) -> tuple[LimitsResult, ...]:
     """Several plans side by side."""
     wanted = [
@@ -190,12 +190,12 @@ def run_plans(
 
     def counted(*given: Any) -> Procedure[list[Outcome]]:
         nonlocal ended
-        tried = yield from bracketing(*given)
+        tried = yield from search_limit(*given)
         ended += 1
         tell("axis limits", ended, len(wanted))
         return tried
 
-    def told(place: int, lot: Lot, new: list[Outcome]) -> None:
+    def told(place: int, lot: TrialBatch, new: list[Outcome]) -> None:
         nonlocal made
         made += len(new)
         hear(wanted[place][1], lot.conditions, new)
@@ -215,7 +215,7 @@ def run_plans(
     )
 
 
-def bracketing(
+def search_limit(
     params: LimitsParams, scan: Scan, conditions: Conditions
 ) -> Procedure[list[Outcome]]:
     """All trials of a scan under one noise, in order of the axis."""
@@ -224,7 +224,7 @@ def bracketing(
     for values in _rounds(params, scan, tried):
         points = np.tile(params.base, (len(values), 1))
         points[:, scan.axis] = begin + values
-        tried += yield [Lot(conditions, scan.damping_ns_per_m, points_of(points))]
+        tried += yield [TrialBatch(conditions, scan.damping_ns_per_m, points_of(points))]
         tried.sort(key=lambda outcome: abs(outcome.environment[scan.axis] - begin))
     return tried
 

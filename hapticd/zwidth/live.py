@@ -26,7 +26,7 @@ from hapticd.mailbox.layout import LOST_SLOTS, Flag, State
 from hapticd.plant.excitation import torque_record
 from hapticd.units import PROBE_RATE_HZ
 from hapticd.zwidth.sources import Source, Trial
-from hapticd.zwidth.store import Progress, Recorded, silent
+from hapticd.zwidth.store import Progress, TrialRecord, silent
 from hapticd.zwidth.watch import Filler, Sentinel
 
 WAVEFORM_S = 120.0  # a longer trial repeats it
@@ -42,10 +42,10 @@ CHANGED = (
 )
 
 
-def bench_source(bench: Client, origin: str = "daemon") -> Source:
+def daemon_source(bench: Client, origin: str = "daemon") -> Source:
     """Trials on the device of a daemon; AnalysisError unless it is `disabled`."""
 
-    def record(trial: Trial, tell: Progress = silent) -> Recorded:
+    def record(trial: Trial, tell: Progress = silent) -> TrialRecord:
         state = bench.status()["state"]
         if state != "disabled":
             raise AnalysisError(
@@ -63,7 +63,7 @@ def bench_source(bench: Client, origin: str = "daemon") -> Source:
             bench.perturb_start(
                 loop=waveform.size < PROBE_RATE_HZ * (trial.seconds + SPARE_S)
             )  # if we are killed, it ends
-            return Hearing(bench, trial).recorded(origin, tell)
+            return LiveRecording(bench, trial).recorded(origin, tell)
         finally:
             _leave(bench)
 
@@ -89,7 +89,7 @@ def _leave(bench: Client) -> None:
             bench.disable()
 
 
-class Hearing:
+class LiveRecording:
     """One trial while it is heard: the probe's samples so far, and what the ticks beside them
     say.
     """
@@ -135,7 +135,7 @@ class Hearing:
     def _winding_c(self) -> float:
         return nan if self._newest is None else float(self._newest["winding_c"])
 
-    def recorded(self, origin: str, tell: Progress) -> Recorded:
+    def recorded(self, origin: str, tell: Progress) -> TrialRecord:
         """Listen to the end, or to where the sentinel or the servo ends it. DaemonDown if the
         daemon falls silent.
         """
@@ -166,7 +166,7 @@ class Hearing:
         force, velocity = np.concatenate([part for part, _ in self._parts], axis=1)[
             :, settle:wanted
         ]
-        return Recorded(
+        return TrialRecord(
             force, velocity, PROBE_RATE_HZ, origin, bool(status.get("simulated", True)),
             ended or _gone(status) or (CHANGED if self._changed else ""),
             self._command_n, self._limit_n, self._more(settle, wanted, status),

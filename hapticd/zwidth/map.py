@@ -35,11 +35,11 @@ from hapticd.errors import AnalysisError
 from hapticd.zwidth.limits import LimitsResult
 from hapticd.zwidth.outcomes import (
     Conditions,
-    Hear,
-    Lot,
+    OnOutcomes,
     Outcome,
     Point,
     Procedure,
+    TrialBatch,
     envelope_of,
     judged,
     judged_on_lines,
@@ -178,7 +178,7 @@ def run_map(
     store: TrialStore,
     tell: Progress = silent,
     executor: Executor | None = None,
-    hear: Hear = lambda new: None,
+    hear: OnOutcomes = lambda new: None,
 ) -> MapResult:
     """Make the trials that the store has not; `hear` gets the outcomes of each task.
 
@@ -188,7 +188,7 @@ def run_map(
     total = plan.trials
     before = len(store.known)
 
-    def told(place: int, lot: Lot, new: list[Outcome]) -> None:
+    def told(place: int, lot: TrialBatch, new: list[Outcome]) -> None:
         tell("trials", min(len(store.known) - before, total), total)
         hear(new)
 
@@ -222,7 +222,7 @@ def kept_map(plan: MapPlan, store: TrialStore) -> MapResult:
             one.environment: one for one in lines if one.damping_ns_per_m == level.damping_ns_per_m
         }
         lots = [
-            Lot(given, level.damping_ns_per_m, tuple(mine))
+            TrialBatch(given, level.damping_ns_per_m, tuple(mine))
             for given in (replace(conditions, substeps=1), conditions)
         ]
         for point, one in mine.items():
@@ -252,14 +252,14 @@ def _mapped(params: MapParams, level: LevelPlan) -> Procedure[LevelMap]:
     return _level_map(params, level, found, have)
 
 
-def _lots(params: MapParams, level: LevelPlan) -> list[Lot]:
+def _lots(params: MapParams, level: LevelPlan) -> list[TrialBatch]:
     """Near the boundary with the conditions that are asked for, elsewhere with one sub-step."""
     conditions = params.conditions
     points = level.prediction.points
-    lots = [Lot(conditions, level.damping_ns_per_m, points_of(points[level.near]))]
+    lots = [TrialBatch(conditions, level.damping_ns_per_m, points_of(points[level.near]))]
     if params.everywhere:
         lots.append(
-            Lot(
+            TrialBatch(
                 replace(conditions, substeps=1),
                 level.damping_ns_per_m,
                 points_of(points[~level.near]),

@@ -122,9 +122,9 @@ class Outcome:
         return kept_frequencies(self.band_hz)
 
 
-Hear = Callable[[list[Outcome]], None]
-Procedure = Generator[Sequence["Lot"], list[Outcome], T]
-Told = Callable[[int, "Lot", list[Outcome]], None]
+OnOutcomes = Callable[[list[Outcome]], None]
+Procedure = Generator[Sequence["TrialBatch"], list[Outcome], T]
+OnBatch = Callable[[int, "TrialBatch", list[Outcome]], None]
 
 
 @lru_cache
@@ -134,7 +134,7 @@ def kept_frequencies(band_hz: tuple[float, float] | None = None) -> Floats:
     return np.union1d(frequencies(KEPT_BAND_HZ, FREQUENCIES), band_hz or ())
 
 
-def fly(conditions: Conditions, damping_ns_per_m: float, points: Floats) -> list[Outcome]:
+def run_trials(conditions: Conditions, damping_ns_per_m: float, points: Floats) -> list[Outcome]:
     """Simulate and judge trials under `points` (n, 3); once more those whose verdict needs records.
 
     ConfigError as `simulate`, AnalysisError as `judge`.
@@ -352,7 +352,7 @@ def _envelope(outcome: Outcome) -> Envelope:
 
 
 @dataclass(frozen=True, eq=False)
-class Lot:
+class TrialBatch:
     """Trials under one set of conditions."""
 
     conditions: Conditions
@@ -385,7 +385,7 @@ def points_of(rows: Floats) -> tuple[Point, ...]:
 
 def run_all(
     procedures: Sequence[Procedure[T]], store: TrialStore, executor: Executor | None,
-    told: Told = lambda place, lot, new: None,
+    told: OnBatch = lambda place, lot, new: None,
 ) -> list[T]:  # fmt: skip
     """What the procedures return, their trials made on `executor` or on threads here; `told` gets
     the place of a procedure, a lot of it, and the new outcomes of each task.
@@ -393,9 +393,9 @@ def run_all(
     Each procedure has one request under way; the cores are kept busy by the others. If `told`
     raises, the rest is given up.
     """
-    asked: dict[int, Sequence[Lot]] = {}
+    asked: dict[int, Sequence[TrialBatch]] = {}
     results: dict[int, T] = {}
-    waiting: dict[Future[list[Outcome]], tuple[int, Lot]] = {}
+    waiting: dict[Future[list[Outcome]], tuple[int, TrialBatch]] = {}
 
     def goes_on(place: int) -> None:
         """Until it ends, or has asked for what the store has not."""
@@ -412,7 +412,7 @@ def run_all(
                 return
             for lot in asked[place]:
                 for task in lot.tasks(store):
-                    waiting[pool.submit(fly, lot.conditions, lot.damping_ns_per_m, task)] = (
+                    waiting[pool.submit(run_trials, lot.conditions, lot.damping_ns_per_m, task)] = (
                         place,
                         lot,
                     )
@@ -436,7 +436,7 @@ def run_all(
     return [results[place] for place in range(len(procedures))]
 
 
-def flown(lot: Lot, store: TrialStore) -> list[Outcome]:
+def outcomes_of(lot: TrialBatch, store: TrialStore) -> list[Outcome]:
     """Outcomes of one lot, its trials made on threads here as far as the store has not them."""
 
     def asking() -> Procedure[list[Outcome]]:

@@ -22,16 +22,16 @@ import numpy as np
 from hapticd.errors import AnalysisError
 from hapticd.recording.stretch import REMARK_ATTRIBUTES, ReadColumn, Stretch, stretch
 from hapticd.units import PROBE_RATE_HZ
-from hapticd.zwidth.store import Recorded, Rendered, plain
+from hapticd.zwidth.store import RenderedEnvironment, TrialRecord, to_json
 from hapticd.zwidth.watch import in_even_time
 
 
-def of_recording(column: ReadColumn, attributes: Mapping[str, Any], name: str) -> Recorded:
+def of_recording(column: ReadColumn, attributes: Mapping[str, Any], name: str) -> TrialRecord:
     """The trial in a recording called `name`. AnalysisError for one without probe samples."""
     return _cut(column, attributes, stretch(column, attributes, name), name)
 
 
-def of_remark(column: ReadColumn, remark: Mapping[str, Any], name: str) -> Recorded:
+def of_remark(column: ReadColumn, remark: Mapping[str, Any], name: str) -> TrialRecord:
     """The trial in a text file `name` that ends with `remark`. AnalysisError for the table of
     the servo.
     """
@@ -44,18 +44,20 @@ def of_remark(column: ReadColumn, remark: Mapping[str, Any], name: str) -> Recor
     return _cut(column, remark, Stretch(**told), name)
 
 
-def _cut(column: ReadColumn, attributes: Mapping[str, Any], trial: Stretch, name: str) -> Recorded:
+def _cut(
+    column: ReadColumn, attributes: Mapping[str, Any], trial: Stretch, name: str
+) -> TrialRecord:
     part = slice(trial.first, trial.after)
     force, velocity = (
         np.asarray(column("probe", one), np.float64)[part]
         for one in ("torque_n", "velocity_m_per_s")
     )
     more = {
-        one: plain(attributes[one])
+        one: to_json(attributes[one])
         for one in REMARK_ATTRIBUTES
         if attributes.get(one) not in (None, "")
     }
-    recorded = Recorded(
+    recorded = TrialRecord(
         force,
         velocity,
         float(PROBE_RATE_HZ),
@@ -65,6 +67,6 @@ def _cut(column: ReadColumn, attributes: Mapping[str, Any], trial: Stretch, name
         max_command_n=trial.max_command_n,
         command_limit_n=trial.command_limit_n,
         more={**more, "lost_slots": trial.lost_slots, "slots": trial.slots},
-        rendered=Rendered(trial.environment, trial.added_damping_ns_per_m),
+        rendered=RenderedEnvironment(trial.environment, trial.added_damping_ns_per_m),
     )
     return in_even_time(recorded, np.asarray(column("probe", "index"), np.int64)[part])

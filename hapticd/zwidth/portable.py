@@ -44,7 +44,7 @@ from hapticd.settings.toml import read, shipped
 from hapticd.zwidth import outcomes
 from hapticd.zwidth.map import LevelMap
 from hapticd.zwidth.scenes import Display, device_scene, filters
-from hapticd.zwidth.store import plain
+from hapticd.zwidth.store import to_json
 
 SUFFIX = ".zwidth"
 VERSION = 1
@@ -82,10 +82,10 @@ def portable(
         "zwidth": VERSION,
         "device": device,
         "device_file_sha256": file_hash,
-        "conditions": plain(conditions),
-        "limits": plain(list(limits)),
-        "envelopes": plain(drawn),
-        "numbers": plain(list(numbers)),
+        "conditions": to_json(conditions),
+        "limits": to_json(list(limits)),
+        "envelopes": to_json(drawn),
+        "numbers": to_json(list(numbers)),
     }
 
 

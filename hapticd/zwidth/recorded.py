@@ -32,8 +32,8 @@ from hapticd.zwidth.store import (
     RECORD_H5,
     RECORD_NPZ,
     SUMMARY,
-    Recorded,
-    Rendered,
+    RenderedEnvironment,
+    TrialRecord,
     origin_of,
     read_summary,
     record_path,
@@ -72,7 +72,7 @@ BROKEN = (
 
 def read_file(
     path: Path, force: str = "", velocity: str = "", rate_hz: float | None = None
-) -> Recorded:
+) -> TrialRecord:
     """The record in `path`, or in the run folder `path`; `force`, `velocity`: names of its columns
     where they are not the usual ones. What this package wrote itself (`own`) needs neither.
 
@@ -123,12 +123,12 @@ def _whole_file(path: Path) -> Iterator[None]:
         ) from error
 
 
-def _recording(path: Path) -> Recorded:
+def _recording(path: Path) -> TrialRecord:
     with open_recording(path) as recording:
         return of_recording(recording.column, recording.attributes, path.name)
 
 
-def _exported(path: Path, columns: dict[str, Any]) -> Recorded | None:
+def _exported(path: Path, columns: dict[str, Any]) -> TrialRecord | None:
     """The trial in an export of a recording; None of another file."""
     if path.suffix == ".mat":
         found = _structures(columns)
@@ -144,7 +144,7 @@ def _exported(path: Path, columns: dict[str, Any]) -> Recorded | None:
     return None
 
 
-def _of_trial(path: Path, columns: dict[str, Any], recorded: Recorded) -> Recorded:
+def _of_trial(path: Path, columns: dict[str, Any], recorded: TrialRecord) -> TrialRecord:
     """`recorded` with what the run folder of a trial, or the record itself, says of it."""
     told: Mapping[str, Any] = {}
     if "trial" in columns:
@@ -162,14 +162,14 @@ def _of_trial(path: Path, columns: dict[str, Any], recorded: Recorded) -> Record
         ended=told.get("ended", ""),
         max_command_n=told.get("max_command_n"),
         command_limit_n=told.get("command_limit_n"),
-        rendered=Rendered((stiffness, damping, mass), told["added_damping_ns_per_m"]),
+        rendered=RenderedEnvironment((stiffness, damping, mass), told["added_damping_ns_per_m"]),
         more={name: told[name] for name in COUNTS if name in told},
     )
 
 
 def _foreign(
     path: Path, columns: dict[str, Any], told: tuple[str, str], rate_hz: float | None
-) -> Recorded:
+) -> TrialRecord:
     """The record of any other program."""
     numbers = {
         name.lower(): np.asarray(values) for name, values in columns.items() if np.size(values)
@@ -189,7 +189,7 @@ def _foreign(
             " sampled together"
         )
     found = _sampling(path, known, rate_hz, y.size)
-    recorded = Recorded(y, u, found.rate_hz, path.name, simulated=False)
+    recorded = TrialRecord(y, u, found.rate_hz, path.name, simulated=False)
     return recorded if found.place is None else in_even_time(recorded, found.place)
 
 

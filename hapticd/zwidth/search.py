@@ -43,10 +43,10 @@ from hapticd.units import PROBE_RATE_HZ
 from hapticd.zwidth.limits import predicted_limit
 from hapticd.zwidth.outcomes import (
     Conditions,
-    Hear,
-    Lot,
+    OnOutcomes,
     Outcome,
     Procedure,
+    TrialBatch,
     judged,
     kept_frequencies,
     points_of,
@@ -141,7 +141,7 @@ def run_search(
     store: TrialStore,
     tell: Progress = silent,
     executor: Executor | None = None,
-    hear: Hear = lambda new: None,
+    hear: OnOutcomes = lambda new: None,
 ) -> SearchResult:
     """Search, trials on `executor` or on threads here; `hear` gets the outcomes of each round.
 
@@ -151,7 +151,7 @@ def run_search(
 
 
 def _searched(
-    plan: SearchPlan, store: TrialStore, tell: Progress, hear: Hear
+    plan: SearchPlan, store: TrialStore, tell: Progress, hear: OnOutcomes
 ) -> Procedure[SearchResult]:
     """`hear` gets those of a round that the store has not, in the order of the search."""
     params = plan.params
@@ -183,11 +183,11 @@ def _searched(
     return SearchResult(plan, search, tuple(steps), _set(search), doubtful_share(search))
 
 
-def _lots(params: SearchParams, wanted: Floats, done: int) -> list[Lot]:
+def _lots(params: SearchParams, wanted: Floats, done: int) -> list[TrialBatch]:
     """A trial each of `wanted` (n, 3) after `done` trials, with noise of its own."""
     points = enumerate(points_of(wanted), done)
     return [
-        Lot(params.conditions.shaken(more_seed=place), params.damping_ns_per_m, (point,))
+        TrialBatch(params.conditions.shaken(more_seed=place), params.damping_ns_per_m, (point,))
         for place, point in points
     ]
 

@@ -20,13 +20,13 @@ from hapticd.units import PROBE_RATE_HZ
 from hapticd.zwidth import scenes
 from hapticd.zwidth.scenes import SATURATED
 from hapticd.zwidth.sources import Source, Trial, watched
-from hapticd.zwidth.store import Progress, Recorded, silent
+from hapticd.zwidth.store import Progress, TrialRecord, silent
 
 
 def engine_source(scene: Scene, substeps: int = 4) -> Source:
     """Trials of `scene`'s device by the batch engine."""
 
-    def record(trial: Trial, tell: Progress = silent) -> Recorded:
+    def record(trial: Trial, tell: Progress = silent) -> TrialRecord:
         tell("simulating", 0, 1)
         found = simulate(
             scene,
@@ -53,10 +53,10 @@ def engine_source(scene: Scene, substeps: int = 4) -> Source:
     return record
 
 
-def simulated(scene: Scene, found: BatchResult) -> Recorded:
+def simulated(scene: Scene, found: BatchResult) -> TrialRecord:
     """The first trial of a batch that kept its records."""
     force, velocity = (np.asarray(channel, np.float64) for channel in found.record(0))
-    return Recorded(
+    return TrialRecord(
         force, velocity, found.rate_hz, f"engine, scene {scene.name}", True,
         f"escape: diverged after {found.diverged_at_s[0]:.3g} s" if found.diverged[0] else "",
         float(found.max_force_n[0]), compose(scene).force_limit_n,

@@ -1,5 +1,5 @@
 """Where a trial's record comes from: the batch engine, a file, or a daemon (`bench`). All give a
-`Recorded`.
+`TrialRecord`.
 
 A record that is there already is shown to the sentinel second by second, as a daemon would show it,
 and cut where it would have ended the trial.
@@ -21,7 +21,7 @@ from hapticd.analysis.arrays import Floats
 from hapticd.errors import AnalysisError
 from hapticd.plant.scene import Excitation, Scene
 from hapticd.zwidth import scenes
-from hapticd.zwidth.store import Progress, Recorded, Rendered
+from hapticd.zwidth.store import Progress, RenderedEnvironment, TrialRecord
 from hapticd.zwidth.watch import Sentinel, Watch
 
 LEAST_KEPT_S = 8.0
@@ -47,10 +47,10 @@ class Trial:
     )  # at 4 kHz, repeated; in place of the excitation
 
 
-Source = Callable[[Trial, Progress], Recorded]
+Source = Callable[[Trial, Progress], TrialRecord]
 
 
-def file_source(recorded: Recorded) -> Source:
+def file_source(recorded: TrialRecord) -> Source:
     """The record of a file, whatever is asked; environment and damping are then what the user
     says they were.
     """
@@ -58,8 +58,8 @@ def file_source(recorded: Recorded) -> Source:
 
 
 def watched(
-    whole: Recorded, watch: Watch, winding_c: float = nan, command_n: Floats | None = None
-) -> Recorded:
+    whole: TrialRecord, watch: Watch, winding_c: float = nan, command_n: Floats | None = None
+) -> TrialRecord:
     """`whole` up to where the sentinel would have ended it. `command_n` (ticks,): sizes of the
     commands beside it.
     """
@@ -98,8 +98,8 @@ def given(
     damping_ns_per_m: float | None,
     scene: Scene | None,
     named: bool,
-    recorded: Recorded | None = None,
-) -> Rendered:
+    recorded: TrialRecord | None = None,
+) -> RenderedEnvironment:
     """What is rendered; `named`: the user named `scene`. AnalysisError where a record was made in
     something else than what was typed.
     """
@@ -107,16 +107,22 @@ def given(
     if told is not None:
         _agrees(recorded.origin if recorded else "", typed, damping_ns_per_m, told)
         return told
-    known = Rendered(scenes.point(scene), scenes.level(scene)) if scene else Rendered()
+    known = (
+        RenderedEnvironment(scenes.point(scene), scenes.level(scene))
+        if scene
+        else RenderedEnvironment()
+    )
     others = known.environment if named or typed == (None, None, None) else (0.0, 0.0, 0.0)
     stiffness, damping, mass = (
         other if own is None else own for own, other in zip(typed, others, strict=True)
     )
     level = known.damping_ns_per_m if damping_ns_per_m is None else damping_ns_per_m
-    return Rendered((stiffness, damping, mass), level)
+    return RenderedEnvironment((stiffness, damping, mass), level)
 
 
-def _agrees(origin: str, typed: Typed, damping_ns_per_m: float | None, told: Rendered) -> None:
+def _agrees(
+    origin: str, typed: Typed, damping_ns_per_m: float | None, told: RenderedEnvironment
+) -> None:
     every = zip(
         (*NAMES, ("added damping", "N s/m")),
         (*typed, damping_ns_per_m),

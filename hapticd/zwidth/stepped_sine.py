@@ -15,7 +15,7 @@ import numpy as np
 from hapticd.analysis.arrays import Complexes, Floats
 from hapticd.units import PROBE_RATE_HZ
 from hapticd.zwidth.sources import Source, Trial
-from hapticd.zwidth.store import Progress, Recorded, Steps, silent
+from hapticd.zwidth.store import Progress, Steps, TrialRecord, silent
 
 FREQUENCIES_HZ = (3.0, 5.0, 8.0, 13.0, 21.0, 34.0, 55.0, 89.0, 144.0, 233.0, 377.0, 480.0)
 DWELL_S = 4.0
@@ -24,7 +24,7 @@ FORCE_N = 0.2  # rms, as that of the paper's noise
 
 
 @dataclass(frozen=True, eq=False)
-class Referee:
+class ReferenceSines:
     """Z (F,) complex128 [N s/m] at `frequency_hz` (F,); nan where the trial ended early. `force_n`
     is the rms of each sine, `velocity_rms_m_per_s` (F,) that of the motion, all frequencies
     together.
@@ -42,7 +42,7 @@ def stepped_sine(
     tell: Progress = silent,
     frequency_hz: tuple[float, ...] = FREQUENCIES_HZ,
     force_n: float = FORCE_N,
-) -> Referee:
+) -> ReferenceSines:
     """Z of the environment of `trial` at whole frequencies, one short trial of `source` each."""
     steps = Steps(tell, len(frequency_hz))
     count = len(frequency_hz)
@@ -64,17 +64,17 @@ def stepped_sine(
         if not may_follow(recorded):
             break
     steps.end()
-    return Referee(np.asarray(frequency_hz, np.float64), z, force_n, speed)
+    return ReferenceSines(np.asarray(frequency_hz, np.float64), z, force_n, speed)
 
 
-def may_follow(recorded: Recorded) -> bool:
+def may_follow(recorded: TrialRecord) -> bool:
     """Whether another trial may follow: not after someone switched off or changed something,
     nor on a hot winding.
     """
     return recorded.ended.startswith(("escape", "saturation", "decided")) or not recorded.ended
 
 
-def _settled(recorded: Recorded) -> tuple[Floats, Floats]:
+def _settled(recorded: TrialRecord) -> tuple[Floats, Floats]:
     """Force and velocity of the whole seconds at the end, both (n,)."""
     count = round(int(recorded.seconds - TRANSIENT_S) * recorded.rate_hz)
     return recorded.force_n[-count:], recorded.velocity_m_per_s[-count:]

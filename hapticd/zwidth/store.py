@@ -91,7 +91,7 @@ class Steps:
         self._tell("done", self._total, self._total)
 
 
-def plain(value: Any, *, skip: tuple[str, ...] = ()) -> Any:
+def to_json(value: Any, *, skip: tuple[str, ...] = ()) -> Any:
     """`value` as dicts, lists, strings and finite numbers; its own fields named in `skip` are
     left out.
     """
@@ -108,7 +108,7 @@ def _listed(value: Any) -> Any:
 
 
 @dataclass(frozen=True, slots=True)
-class Rendered:
+class RenderedEnvironment:
     """K [N/m], B [N s/m], M [kg] that were rendered, and the electrical damping [N s/m] beside
     them.
     """
@@ -118,7 +118,7 @@ class Rendered:
 
 
 @dataclass(frozen=True, eq=False)
-class Recorded:
+class TrialRecord:
     """`force_n`, `velocity_m_per_s` (N,) float64 at `rate_hz`. `ended`: why before its time, "" if
     it was not.
 
@@ -136,7 +136,7 @@ class Recorded:
     max_command_n: float | None = None
     command_limit_n: float | None = None
     more: Mapping[str, Any] = field(default_factory=dict)
-    rendered: Rendered | None = None
+    rendered: RenderedEnvironment | None = None
 
     @property
     def seconds(self) -> float:
@@ -144,7 +144,7 @@ class Recorded:
         return self.force_n.size / self.rate_hz
 
 
-def nearer(ended: str) -> str:
+def end_remedy(ended: str) -> str:
     """Remedy after a trial that was too short because it ended so; "" where the reason brings
     its own.
     """
@@ -154,14 +154,14 @@ def nearer(ended: str) -> str:
 def fingerprint(value: Any) -> str:
     """SHA-256 (hex) over the canonical JSON of `value`: equal for equal values."""
     return hashlib.sha256(
-        json.dumps(plain(value), sort_keys=True, separators=(",", ":")).encode()
+        json.dumps(to_json(value), sort_keys=True, separators=(",", ":")).encode()
     ).hexdigest()
 
 
 def write_run(
     folder: Path,
     summary: Mapping[str, Any],
-    recorded: Recorded | None = None,
+    recorded: TrialRecord | None = None,
     texts: Mapping[str, str] | None = None,
 ) -> Path:
     """A run folder, made if need be, in place of the run that was there; `texts`: further files by
@@ -175,10 +175,10 @@ def write_run(
         for name in OF_A_RUN:
             (folder / name).unlink(missing_ok=True)
         if recorded is not None:
-            _write_record(folder, recorded, json.dumps(plain(origin_of(summary))))
+            _write_record(folder, recorded, json.dumps(to_json(origin_of(summary))))
         for name, content in (texts or {}).items():
             (folder / name).write_text(content)
-        (folder / SUMMARY).write_text(json.dumps(plain(summary), indent=1) + "\n")
+        (folder / SUMMARY).write_text(json.dumps(to_json(summary), indent=1) + "\n")
     except OSError as error:
         raise ConfigError(
             f"{folder}: {error.strerror}; name a folder that you may write to with --out"
@@ -214,7 +214,7 @@ def record_path(folder: Path) -> Path:
     raise ConfigError(f"{folder}: no record; {RECORD_H5} or {RECORD_NPZ} was expected")
 
 
-def _write_record(folder: Path, recorded: Recorded, told: str) -> None:
+def _write_record(folder: Path, recorded: TrialRecord, told: str) -> None:
     channels = {
         name: np.asarray(getattr(recorded, name), np.float32)
         for name in ("force_n", "velocity_m_per_s")
@@ -253,7 +253,7 @@ class TrialStore:
                 self._path.parent.mkdir(parents=True, exist_ok=True)
                 with self._path.open("a") as file:
                     for key, outcome in new.items():
-                        file.write(json.dumps({"key": key, **plain(outcome)}) + "\n")
+                        file.write(json.dumps({"key": key, **to_json(outcome)}) + "\n")
             except OSError as error:
                 raise ConfigError(
                     f"{self._path}: {error.strerror}; "

@@ -60,14 +60,14 @@ from hapticd.units import PROBE_RATE_HZ
 from hapticd.zwidth.recorded import read_file
 from hapticd.zwidth.scenes import Display, display
 from hapticd.zwidth.sources import Source, Trial
-from hapticd.zwidth.stepped_sine import Referee
+from hapticd.zwidth.stepped_sine import ReferenceSines
 from hapticd.zwidth.store import (
     IMPEDANCE,
     Progress,
-    Recorded,
     Steps,
+    TrialRecord,
+    end_remedy,
     fingerprint,
-    nearer,
     record_path,
     silent,
     write_run,
@@ -87,7 +87,7 @@ COLUMNS = ("frequency_hz", "real_ns_per_m", "imaginary_ns_per_m", "sd_ns_per_m",
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class MultisineLayout:
     """`realisations` of the force, each of `periods` that are measured, after one that is not."""
 
     realisations: int = 8
@@ -113,7 +113,9 @@ def multisine_like(noise: Excitation, highest_hz: float) -> Excitation:
     )
 
 
-def realised(trial: Trial, layout: Layout, source: Source, tell: Progress = silent) -> Recorded:
+def record_multisines(
+    trial: Trial, layout: MultisineLayout, source: Source, tell: Progress = silent
+) -> TrialRecord:
     """Every realisation by `source`, until one ends early. AnalysisError if not even the first was
     whole, or if one never repeated; else as the source.
     """
@@ -138,12 +140,12 @@ def realised(trial: Trial, layout: Layout, source: Source, tell: Progress = sile
     if not whole:
         raise AnalysisError(
             f"ended after {found.seconds:.3g} s ({found.ended}): too short for a"
-            f" verdict{nearer(found.ended)}"
+            f" verdict{end_remedy(found.ended)}"
         )
     return _joined(whole, layout, found.ended, again)
 
 
-def _flown(asked: Trial, layout: Layout, source: Source) -> tuple[Recorded, int]:
+def _flown(asked: Trial, layout: MultisineLayout, source: Source) -> tuple[TrialRecord, int]:
     """One realisation, and how often it took."""
     for tries in range(1, TRIES + 1):
         found = source(asked, silent)
@@ -158,7 +160,7 @@ def _flown(asked: Trial, layout: Layout, source: Source) -> tuple[Recorded, int]
     )
 
 
-def laid_out(recorded: Recorded, layout: Layout) -> PeriodicSpectra:
+def multisine_spectra(recorded: TrialRecord, layout: MultisineLayout) -> PeriodicSpectra:
     """Spectra of as many whole realisations as there are in a record of that layout.
     AnalysisError if there is none.
     """
@@ -176,7 +178,9 @@ def laid_out(recorded: Recorded, layout: Layout) -> PeriodicSpectra:
     return periodic(force, velocity, recorded.rate_hz)
 
 
-def _joined(parts: list[Recorded], layout: Layout, ended: str, again: int) -> Recorded:
+def _joined(
+    parts: list[TrialRecord], layout: MultisineLayout, ended: str, again: int
+) -> TrialRecord:
     force, velocity = (
         np.concatenate([channel[: layout.samples] for channel in channels])
         for channels in zip(*((part.force_n, part.velocity_m_per_s) for part in parts), strict=True)
@@ -212,7 +216,7 @@ class TrialParams:
     behind_mass_kg: float = 0.0
     channels: bool = True
     lag: int = DEFAULT_LAG
-    multisine: Layout | None = None
+    multisine: MultisineLayout | None = None
     skew_s: float = 0.0
     high_pass_hz: float = 0.0
 
@@ -241,7 +245,7 @@ class TrialResult:
     """
 
     plan: TrialPlan
-    recorded: Recorded
+    recorded: TrialRecord
     measured: Impedance
     predicted: Complexes | None
     verdict: Verdict
@@ -321,13 +325,19 @@ def run_trial(plan: TrialPlan, source: Source, tell: Progress = silent) -> Trial
     """
     layout = plan.params.multisine
     trial = plan.params.trial
-    return judged(plan, realised(trial, layout, source, tell) if layout else source(trial, tell))
+    return judged(
+        plan, record_multisines(trial, layout, source, tell) if layout else source(trial, tell)
+    )
 
 
-def judged(plan: TrialPlan, recorded: Recorded) -> TrialResult:
+def judged(plan: TrialPlan, recorded: TrialRecord) -> TrialResult:
     """The verdict on a record. AnalysisError for one too short for it."""
     params = plan.params
-    raw = laid_out(recorded, params.multisine) if params.multisine else _windowed(params, recorded)
+    raw = (
+        multisine_spectra(recorded, params.multisine)
+        if params.multisine
+        else _windowed(params, recorded)
+    )
     spectra = _corrected(params, raw)
     record = examine(recorded.force_n, recorded.velocity_m_per_s, recorded.rate_hz)
     spectral = (
@@ -355,7 +365,7 @@ def judged(plan: TrialPlan, recorded: Recorded) -> TrialResult:
     return TrialResult(plan, recorded, z, _predicted(plan, z), verdict, spectra, covers)
 
 
-def _verdict(plan: TrialPlan, recorded: Recorded, spectra: Spectra, record: Record) -> Verdict:
+def _verdict(plan: TrialPlan, recorded: TrialRecord, spectra: Spectra, record: Record) -> Verdict:
     params = plan.params
     return judge(
         spectra,
@@ -369,12 +379,12 @@ def _verdict(plan: TrialPlan, recorded: Recorded, spectra: Spectra, record: Reco
     )
 
 
-def _windowed(params: TrialParams, recorded: Recorded) -> Spectra:
+def _windowed(params: TrialParams, recorded: TrialRecord) -> Spectra:
     least_s = SHORTEST_WINDOWS * params.lag / recorded.rate_hz
     if recorded.ended and recorded.seconds < least_s:
         raise AnalysisError(
             f"ended after {recorded.seconds:.3g} s ({recorded.ended}): too short for a"
-            f" verdict{nearer(recorded.ended)}"
+            f" verdict{end_remedy(recorded.ended)}"
         )
     if recorded.seconds < least_s:
         raise AnalysisError(
@@ -392,7 +402,7 @@ def _corrected(params: TrialParams, raw: Spectra) -> Spectra:
     )
 
 
-def _findings(recorded: Recorded, trial: Trial) -> tuple[Finding, ...]:
+def _findings(recorded: TrialRecord, trial: Trial) -> tuple[Finding, ...]:
     """What the samples cannot say: the command at its end, an escape that the sentinel saw, what
     was lost, and that K < 0 pushes the device away for ever: at a low enough frequency it is
     active, however long the record.
@@ -427,7 +437,7 @@ def _predicted(plan: TrialPlan, z: Impedance) -> Complexes | None:
     return np.asarray(found - 2j * np.pi * z.frequency_hz * plan.params.behind_mass_kg)
 
 
-def summary(result: TrialResult, referee: Referee | None = None) -> dict[str, Any]:
+def summary(result: TrialResult, referee: ReferenceSines | None = None) -> dict[str, Any]:
     """Verdict and everything that it depends on; SI units."""
     params = result.plan.params
     recorded = result.recorded
@@ -481,7 +491,10 @@ def _multisine(result: TrialResult) -> dict[str, Any] | None:
 
 
 def write(
-    folder: Path, result: TrialResult, provenance: Mapping[str, Any], referee: Referee | None = None
+    folder: Path,
+    result: TrialResult,
+    provenance: Mapping[str, Any],
+    referee: ReferenceSines | None = None,
 ) -> Path:
     """The run folder. ConfigError if it cannot be written to."""
     texts = {IMPEDANCE: impedance_csv(result.measured)}
@@ -526,7 +539,7 @@ def _kept_params(kept: Mapping[str, Any], scene: Scene | None) -> TrialParams:
         kept["estimator"],
         kept["probe_mass_taken_out_kg"],
         lag=kept.get("lag", DEFAULT_LAG),
-        multisine=Layout(layout["realisations"], layout["periods"]) if layout else None,
+        multisine=MultisineLayout(layout["realisations"], layout["periods"]) if layout else None,
         skew_s=kept.get("skew_taken_out_s", 0.0),
         high_pass_hz=kept.get("high_pass_taken_out_hz", 0.0),
     )

@@ -31,7 +31,7 @@ FINER = 6  # steps between the last stable and the first unstable wall
 
 
 @dataclass(frozen=True, slots=True)
-class WallParams:
+class WallMapParams:
     """`scene` has a wall, and something that meets it. Stiffnesses [N/m] ascend; dampings
     [Ns/m] of the wall; `levels` [Ns/m].
     """
@@ -48,7 +48,7 @@ class WallParams:
 class WallPlan:
     """The composed device and its impacts, a line of stiffnesses for each damping and level."""
 
-    params: WallParams
+    params: WallMapParams
     model: Model
     lines: tuple[tuple[float, float], ...]  # level, damping
 
@@ -102,7 +102,7 @@ class WallResult:
         return tuple(line for line in self.lines if line.damping_ns_per_m == level)
 
 
-def plan_walls(params: WallParams) -> WallPlan:
+def plan_walls(params: WallMapParams) -> WallPlan:
     """AnalysisError for a scene without a wall, or shorter than the time to settle; ConfigError
     as `compose`.
     """

@@ -56,7 +56,7 @@ from hapticd.analysis.findings import ESCAPE_RATIO, Finding
 from hapticd.analysis.impedance import Estimator
 from hapticd.analysis.spectra import DEFAULT_LAG, Spectra, SpectralStream
 from hapticd.analysis.verdict import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge, needed, needs_record
-from hapticd.zwidth.store import Recorded
+from hapticd.zwidth.store import TrialRecord
 
 BRIDGED = 40  # samples at most: 10 ms
 MOST_LOST = 0.01  # share of samples or slots above which nothing is decided
@@ -103,7 +103,7 @@ class Filler:
         return full[:, skip:], came[skip:]
 
 
-def in_even_time(recorded: Recorded, place: Integers) -> Recorded:
+def in_even_time(recorded: TrialRecord, place: Integers) -> TrialRecord:
     """`recorded`, its samples those at `place` (n,), with what is missing between them filled
     in and counted.
     """

@@ -222,10 +222,10 @@ def environment_words(trial: "Trial") -> str:
 
 def print_outcomes(new: "list[Outcome]", **more: Any) -> None:
     """A line of JSON for each outcome: what was tried, its verdict and margin, and `more`."""
-    from hapticd.zwidth.store import plain
+    from hapticd.zwidth.store import to_json
 
     for outcome in new:
-        shown = plain({name: getattr(outcome, name) for name in OUTCOME_FIELDS})
+        shown = to_json({name: getattr(outcome, name) for name in OUTCOME_FIELDS})
         terminal.data_json({"type": "outcome", **more, **shown})
 
 

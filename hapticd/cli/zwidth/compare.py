@@ -62,17 +62,17 @@ def command(
 
 
 def _comparison_json(found: "Comparison") -> dict[str, Any]:
-    from hapticd.zwidth.store import plain
+    from hapticd.zwidth.store import to_json
 
     displays = [
         {
             "name": display.name,
-            "conditions": plain(display.conditions),
+            "conditions": to_json(display.conditions),
             "levels": [
                 {
                     "added_damping_ns_per_m": one.damping_ns_per_m,
-                    "limits": plain(one.limits),
-                    "numbers": plain(dict(one.numbers)),
+                    "limits": to_json(one.limits),
+                    "numbers": to_json(dict(one.numbers)),
                 }
                 for one in display.levels
             ],

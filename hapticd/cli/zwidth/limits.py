@@ -106,9 +106,9 @@ def command(
 
 
 def _rows_json(result: "LimitsResult") -> list[dict[str, object]]:
-    from hapticd.zwidth.store import plain
+    from hapticd.zwidth.store import to_json
 
-    return [{"name": limit.name, **plain(limit)} for limit in result.limits]
+    return [{"name": limit.name, **to_json(limit)} for limit in result.limits]
 
 
 def _print(result: "LimitsResult") -> None:

@@ -76,7 +76,7 @@ def command(
     """
     from hapticd.zwidth.executors import executor
     from hapticd.zwidth.map import MapParams, plan_map, run_map
-    from hapticd.zwidth.store import TrialStore, plain
+    from hapticd.zwidth.store import TrialStore, to_json
 
     conditions = common.conditions(common.scene_of(scene), trials.seconds, trials.seed, trials.band)
     axes = _axes(stiffness, viscous, mass)
@@ -103,7 +103,7 @@ def command(
     with common.drawing(folder):
         paths = draw_map(result, folder) if results.plot else []
     if results.as_json:
-        common.print_result({"made": result.made, "levels": plain(levels)}, folder, paths)
+        common.print_result({"made": result.made, "levels": to_json(levels)}, folder, paths)
         return
     _print(result, levels)
     terminal.data(f"{result.made} trials made, kept in {folder}")

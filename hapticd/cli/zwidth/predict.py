@@ -154,7 +154,7 @@ def _named(hand: "Hand") -> str:
 def _outlook_json(
     found: "Outlook", point: tuple[float, float, float], level: float
 ) -> dict[str, Any]:
-    from hapticd.zwidth.store import plain
+    from hapticd.zwidth.store import to_json
 
     shaken = found.true.perturbation
     numbers: dict[str, Any] = {
@@ -173,7 +173,7 @@ def _outlook_json(
         "withstands_every_hand": found.withstands,
         "hand": _built(found),
     }
-    return {name: plain(value) for name, value in numbers.items()}
+    return {name: to_json(value) for name, value in numbers.items()}
 
 
 def _judged(prediction: "Prediction") -> dict[str, Any]:

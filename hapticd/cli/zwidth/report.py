@@ -66,7 +66,7 @@ def report(
     """Every figure of a simulated device, with NAME.zwidth, its portable summary; or those of a run
     folder, drawn again there, or in --out.
     """
-    from hapticd.zwidth.store import plain
+    from hapticd.zwidth.store import to_json
 
     folder = Path(what)
     if (folder / "run.json").is_file():
@@ -75,7 +75,7 @@ def report(
         drawn = _of_device(what, damping, seconds, seed, out)
     if as_json:
         files = [str(path) for path in drawn.files]
-        terminal.data_json({"ok": True, "files": files, "judged": plain(drawn.judged)})
+        terminal.data_json({"ok": True, "files": files, "judged": to_json(drawn.judged)})
         return
     terminal.data(drawn.judged.words)
     for path in drawn.files:

@@ -59,7 +59,7 @@ def command(
     from hapticd.report.passive_set import search_figure
     from hapticd.zwidth.executors import executor
     from hapticd.zwidth.search import SearchParams, plan_search, run_search
-    from hapticd.zwidth.store import TrialStore, plain
+    from hapticd.zwidth.store import TrialStore, to_json
 
     conditions = common.conditions(common.scene_of(scene), trials.seconds, trials.seed, trials.band)
     folder = common.folder(results.out, "search")
@@ -76,7 +76,7 @@ def command(
     with common.drawing(folder):
         paths = style.save(search_figure(found), folder, "search") if results.plot else ()
     if results.as_json:
-        common.print_result({"levels": plain(levels)}, folder, paths)
+        common.print_result({"levels": to_json(levels)}, folder, paths)
         return
     _print(conditions.scene.device, found, levels)
     common.print_kept(folder, paths)

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from hapticd.analysis.impedance import Estimator
     from hapticd.plant.scene import Excitation, Scene
     from hapticd.zwidth.sources import Source, Trial
-    from hapticd.zwidth.stepped_sine import Referee
-    from hapticd.zwidth.store import Progress, Recorded
-    from hapticd.zwidth.trial import Layout, TrialParams, TrialPlan, TrialResult
+    from hapticd.zwidth.stepped_sine import ReferenceSines
+    from hapticd.zwidth.store import Progress, TrialRecord
+    from hapticd.zwidth.trial import MultisineLayout, TrialParams, TrialPlan, TrialResult
 
 LIVE = ("engine", "lockstep", "live")  # sources that can be perturbed; all others are files
 SOURCES = (
@@ -221,15 +221,15 @@ def _scene_name(asked: TrialOptions) -> str:
 
 
 def _params(
-    asked: TrialOptions, file: FileOptions, scene: "Scene | None", recorded: "Recorded | None"
+    asked: TrialOptions, file: FileOptions, scene: "Scene | None", recorded: "TrialRecord | None"
 ) -> "TrialParams":
     from hapticd.zwidth.sources import Trial, given
-    from hapticd.zwidth.trial import Layout, TrialParams
+    from hapticd.zwidth.trial import MultisineLayout, TrialParams
     from hapticd.zwidth.watch import Watch
 
     layout = None
     if asked.excitation == "multisine":
-        layout = Layout(asked.realisations, asked.periods)
+        layout = MultisineLayout(asked.realisations, asked.periods)
     typed = (asked.stiffness, asked.viscous, asked.mass)
     rendered = given(typed, asked.damping, scene, bool(asked.scene), recorded)
     trial = Trial(
@@ -254,7 +254,7 @@ def _params(
 
 
 def _excitation(
-    asked: TrialOptions, scene: "Scene | None", layout: "Layout | None"
+    asked: TrialOptions, scene: "Scene | None", layout: "MultisineLayout | None"
 ) -> "Excitation":
     """The scene's noise with the seed and density that are asked for, or multisines like it."""
     from hapticd.zwidth import scenes
@@ -268,14 +268,14 @@ def _excitation(
     return multisine_like(noise, asked.band[1]) if layout else noise
 
 
-def _estimator(asked: TrialOptions, layout: "Layout | None") -> "Estimator":
+def _estimator(asked: TrialOptions, layout: "MultisineLayout | None") -> "Estimator":
     """Multisines are judged from force to velocity unless the other way is asked for."""
     by_force = asked.estimator == "h_force" or (layout is not None and not asked.estimator)
     return "h_force" if by_force else "spa"
 
 
 def _judged(
-    plan: "TrialPlan", source: "Source", recorded: "Recorded | None", tell: "Progress"
+    plan: "TrialPlan", source: "Source", recorded: "TrialRecord | None", tell: "Progress"
 ) -> "TrialResult":
     """Run the plan; a file of multisines is there already, realisation after realisation."""
     from hapticd.zwidth.trial import judged, run_trial
@@ -292,30 +292,32 @@ def _live(
 
     Whether its loop is stable is seen, not predicted.
     """
-    from hapticd.zwidth.live import bench_source
+    from hapticd.zwidth.live import daemon_source
     from hapticd.zwidth.trial import plan_trial
 
     found = open_rig(instance, stack)
     announce(found, plan.params.trial, scene)
     known = plan_trial(replace(plan.params, scene=found.model))
-    return replace(known, spectral_radius=None), bench_source(found.client, found.origin)
+    return replace(known, spectral_radius=None), daemon_source(found.client, found.origin)
 
 
 def _simulated(asked: TrialOptions, scene: "Scene", stack: ExitStack) -> "Source":
     """The batch engine, or the whole stack on virtual time for as long as `stack` is open."""
     from hapticd.assembly.lockstep import scene_params
-    from hapticd.zwidth.live import bench_source
+    from hapticd.zwidth.live import daemon_source
     from hapticd.zwidth.lockstep import LockStepBench
     from hapticd.zwidth.simulated import engine_source
 
     if asked.source == "engine":
         return engine_source(scene)
     bench = stack.enter_context(LockStepBench(*scene_params(_scene_name(asked))))
-    return bench_source(bench, f"lock-step, scene {scene.name}")
+    return daemon_source(bench, f"lock-step, scene {scene.name}")
 
 
-def _show(result: "TrialResult", sines: "Referee | None", results: TrialResultOptions) -> None:
-    from hapticd.zwidth.store import plain
+def _show(
+    result: "TrialResult", sines: "ReferenceSines | None", results: TrialResultOptions
+) -> None:
+    from hapticd.zwidth.store import to_json
     from hapticd.zwidth.trial import summary, write
 
     folder = common.folder(results.out, "trial")
@@ -324,7 +326,7 @@ def _show(result: "TrialResult", sines: "Referee | None", results: TrialResultOp
         wanted = results.plot or results.admittance
         paths = draw_trial(result, folder, sines, results.admittance) if wanted else []
     if results.as_json:
-        found = plain(summary(result, sines))
+        found = to_json(summary(result, sines))
         files = [str(path) for path in paths]
         terminal.data_json({"ok": True, **found, "folder": str(folder), "figures": files})
         return
@@ -333,7 +335,7 @@ def _show(result: "TrialResult", sines: "Referee | None", results: TrialResultOp
     common.print_kept(folder, paths)
 
 
-def _lines(result: "TrialResult", sines: "Referee | None") -> list[str]:
+def _lines(result: "TrialResult", sines: "ReferenceSines | None") -> list[str]:
     """What is printed of a trial: what was tried, the verdict, what it rests on."""
     badge = "SIMULATED " if result.recorded.simulated else ""
     what = common.environment_words(result.plan.params.trial)
@@ -349,7 +351,7 @@ def _lines(result: "TrialResult", sines: "Referee | None") -> list[str]:
 
 
 def announced(
-    source: str, trial: "Trial", scene: "Scene | None", recorded: "Recorded | None"
+    source: str, trial: "Trial", scene: "Scene | None", recorded: "TrialRecord | None"
 ) -> str:
     """What is about to be simulated or read, environment and all."""
     what = common.environment_words(trial)
@@ -383,7 +385,7 @@ def needed(result: "TrialResult") -> str:
     return f"some {count} realisations would decide{remedy}"
 
 
-def compared(result: "TrialResult", sines: "Referee") -> str:
+def compared(result: "TrialResult", sines: "ReferenceSines") -> str:
     """Sines and noise side by side, a line for each frequency of `sines`."""
     import numpy as np
 
@@ -425,7 +427,10 @@ def _amplitudes(result: "TrialResult", sines_mm_per_s: list[float]) -> str:
 
 
 def draw_trial(
-    result: "TrialResult", folder: Path, sines: "Referee | None" = None, admittance: bool = True
+    result: "TrialResult",
+    folder: Path,
+    sines: "ReferenceSines | None" = None,
+    admittance: bool = True,
 ) -> list[Path]:
     """The figure of the trial in `folder`, and that of its admittance if asked; the files."""
     from hapticd.report import style

@@ -43,11 +43,11 @@ def command(
     from hapticd.report import style
     from hapticd.report.passive_set import walls_figure
     from hapticd.report.table import text
-    from hapticd.zwidth.store import plain
-    from hapticd.zwidth.walls import WallParams, plan_walls, run_walls
+    from hapticd.zwidth.store import to_json
+    from hapticd.zwidth.walls import WallMapParams, plan_walls, run_walls
 
     stiffnesses, dampings = _grid(stiffness, viscous)
-    params = WallParams(
+    params = WallMapParams(
         common.scene_of(scene), stiffnesses, dampings, common.levels(damping), settle_s, still
     )
     plan = plan_walls(params)
@@ -58,7 +58,7 @@ def command(
     with common.drawing(folder):
         paths = style.save(walls_figure(result), folder, "walls") if plot else ()
     if as_json:
-        common.print_result({"lines": plain(result.lines)}, folder, paths)
+        common.print_result({"lines": to_json(result.lines)}, folder, paths)
         return
     terminal.data(text(_table(result, dampings)))
     common.print_kept(folder, paths)
