@@ -14,7 +14,7 @@ from measured_scenes import MOTOR, scene
 
 from hapticd.analysis.arrays import Floats
 from hapticd.analysis.predict import predicted_impedance
-from hapticd.analysis.resolved import resolved
+from hapticd.analysis.resolved import resolved, unresolved
 from hapticd.analysis.spectra import spa
 from hapticd.analysis.verdict import DEFAULT_BAND_HZ as BAND
 from hapticd.analysis.verdict import Verdict, judge
@@ -188,9 +188,10 @@ def test_images_of_the_force_explain_what_the_sampled_law_answers():
         device, [[stiffness, 0.0, 0.0]], 90.0, 1, excitation=NOISE, start=(0.0, 0.0), keep="records"
     )
     whole = spa(*found.record(0))
+    needed = unresolved(whole, BAND, linear=True)
     blind, aware = (
         judge(
-            resolved(*found.record(0), whole, BAND, servo_rate_hz=rate_hz, linear=True),
+            resolved(*found.record(0), whole, needed, BAND, rate_hz),
             channels=False,
         ).margin_ns_per_m
         for rate_hz in (None, 1.0 / T)

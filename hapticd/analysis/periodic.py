@@ -122,6 +122,18 @@ def periodic(
     not repeat.
     """
     force, velocity = (np.asarray(signal, np.float64) for signal in (force_n, velocity_m_per_s))
+    _check_periods(force, velocity)
+    f, v = (_harmonics(signal) for signal in (force, velocity))
+    if (share := _changing(f)) > CHANGING:
+        raise AnalysisError(
+            f"the force does not repeat from period to period ({100 * share:.2g} % of it changes):"
+            " samples were lost, or it is no multisine of that period; record it again"
+        )
+    return _spectra(f, v, rate_hz, force.shape[2])
+
+
+def _check_periods(force: Floats, velocity: Floats) -> None:
+    """Raise AnalysisError unless both are whole even periods of finite values."""
     if force.ndim != 3 or force.shape != velocity.shape or not force.size or force.shape[2] % 2:
         raise AnalysisError(
             f"force {force.shape} and velocity {velocity.shape}: both must be (realisations,"
@@ -131,29 +143,30 @@ def periodic(
         raise AnalysisError(
             "the record holds values that are not finite; drop or repair them before the analysis"
         )
-    f, v = (_harmonics(signal) for signal in (force, velocity))
-    if (share := _changing(f)) > CHANGING:
-        raise AnalysisError(
-            f"the force does not repeat from period to period ({100 * share:.2g} % of it changes):"
-            " samples were lost, or it is no multisine of that period; record it again"
-        )
+
+
+def _spectra(f: Complexes, v: Complexes, rate_hz: float, samples: int) -> PeriodicSpectra:
+    """Means over the harmonics of the force `f` and of the velocity `v`, (realisations, periods,
+    samples/2 + 1) each.
+    """
+    realisations, periods, _ = f.shape
     power = _power(f).mean(axis=(0, 1))
     v[..., power < LEAST_POWER * power.max()] = 0.0
     between_periods = np.sqrt(np.mean(_scatter(v, axis=1), axis=0))
     between_realisations = np.sqrt(_scatter(v.mean(axis=1) * f.mean(axis=1).conj(), axis=0))
-    if len(f) > 1:
+    if realisations > 1:  # noise between periods is no longer of interest
         f = f.mean(axis=1)[:, None]
         v = v.mean(axis=1)[:, None]
     return PeriodicSpectra(
-        frequency_hz=grid_frequencies(rate_hz, force.shape[2] // 2),
-        velocity=_power(v).mean(axis=(0, 1)) / force.shape[2],
-        force=_power(f).mean(axis=(0, 1)) / force.shape[2],
-        cross=(f * v.conj()).mean(axis=(0, 1)) / force.shape[2],
+        frequency_hz=grid_frequencies(rate_hz, samples // 2),
+        velocity=_power(v).mean(axis=(0, 1)) / samples,
+        force=_power(f).mean(axis=(0, 1)) / samples,
+        cross=(f * v.conj()).mean(axis=(0, 1)) / samples,
         rate_hz=rate_hz,
-        n_samples=force.size,
-        lag=force.shape[2] // 2,
-        realisations=force.shape[0],
-        periods=force.shape[1],
+        n_samples=realisations * periods * samples,
+        lag=samples // 2,
+        realisations=realisations,
+        periods=periods,
         between_periods=between_periods,
         between_realisations=between_realisations,
     )

@@ -103,43 +103,37 @@ def predict(
     def judged(part: Floats) -> tuple[Bottom, Linearised]:
         found = linearise(loop, part, coulomb(model), start, perturbation)
         z = recorded_impedance(loop, part, found.impedance) if recorded else found.impedance
+        dampers = found.friction - start[:, None]  # beside those that the loop has already
 
         def at(which: Integers, hz: Floats) -> Complexes:
             lines, line = np.unique(hz, return_inverse=True)
             own = close_loop(rubbed(model, start), lines, damping_ns_per_m, filters)
-            return impedance_each(
-                own, line, part[which], (found.friction - start[:, None])[:, which], recorded
-            )
+            return impedance_each(own, line, part[which], dampers[:, which], recorded)
 
         return bottom(f[inside], z[:, inside], at), found
 
     least, found = zip(*(judged(part) for part in chunks(kbm)), strict=True)
-    margin, angle, worst = (
-        np.concatenate([getattr(one, name) for one in least]) for name in ("margin", "angle", "hz")
-    )
-    sd, calm = (
-        np.concatenate([getattr(one, name) for one in found]) for name in ("velocity_sd", "calm")
-    )
+    margin = np.concatenate([one.margin for one in least])
+    calm = np.concatenate([one.calm for one in found])
     friction = np.concatenate([one.friction for one in found], axis=1)
     refused = (kbm[:, 0] < 0.0) & (not allow_negative_stiffness)
     hopeful = (margin >= 0.0) & calm & ~refused
     radius = np.full(len(kbm), np.nan)
     radius[hopeful] = _radius(model, kbm[hopeful], friction[:, hopeful], damping_ns_per_m, filters)
-    passive = hopeful & (np.nan_to_num(radius, nan=2.0) < 1.0)
     return Prediction(
-        kbm,
-        passive,
-        margin,
-        angle,
-        worst,
-        friction.sum(axis=0),
-        sd,
-        radius,
-        calm,
-        refused,
-        band_hz,
-        perturbation,
-        recorded,
+        points=kbm,
+        passive=hopeful & (np.nan_to_num(radius, nan=2.0) < 1.0),
+        margin_ns_per_m=margin,
+        margin_deg=np.concatenate([one.angle for one in least]),
+        worst_hz=np.concatenate([one.hz for one in least]),
+        friction_ns_per_m=friction.sum(axis=0),
+        velocity_sd=np.concatenate([one.velocity_sd for one in found]),
+        spectral_radius=radius,
+        calm=calm,
+        refused=refused,
+        band_hz=band_hz,
+        perturbation=perturbation,
+        recorded=recorded,
     )
 
 

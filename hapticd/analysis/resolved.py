@@ -81,11 +81,11 @@ def unresolved(
     estimator: Estimator = "spa",
     linear: bool = False,
 ) -> Flags:
-    """Which lines (F,) of a window's spectra need their record; none where the window will do.
+    """Which lines (F,) of a window's spectra need their record; none where the window is enough.
 
-    All of a band that leaks or has a line that is not explained, and what is about that line. What
-    a `linear` device leaves unexplained is the doing of the window and of the record's ends, so
-    there the record is needed in any case.
+    These are all of a band that leaks or has a line that is not explained, and those about that
+    line. What a `linear` device leaves unexplained is due to the window and to the record's ends,
+    so there the record is needed in any case.
     """
     line = None if trial.resolved else line_of(trial)
     if trial.resolved or not (linear or line or leakage_findings(trial, band_hz, estimator)):
@@ -101,19 +101,17 @@ def resolved(
     force_n: npt.ArrayLike,
     velocity_m_per_s: npt.ArrayLike,
     trial: Spectra,
+    needed: Flags,
     band_hz: tuple[float, float],
-    estimator: Estimator = "spa",
     servo_rate_hz: float | None = None,
-    linear: bool = False,
     transform_n: Complexes | None = None,
 ) -> Spectra:
-    """`trial`, the spectra of that record (N,), or `Resolved` where its window will not do.
+    """Resolve the lines `needed` (F,) and the edges of the band in `trial`, the spectra of that
+    record (N,); `trial` itself where none is needed.
 
-    `servo_rate_hz`: of the law's samples, if known. `linear`: so is the device. `transform_n`
-    (N/2 + 1,): that of the force by `rfft`, where it is known from another trial. AnalysisError for
-    unequal lengths.
+    `servo_rate_hz` is the rate at which the law samples, if known; `transform_n` (N/2 + 1,) the
+    `rfft` of the force, where it is known from another trial. AnalysisError for unequal lengths.
     """
-    needed = unresolved(trial, band_hz, estimator, linear)
     if not needed.any():
         return trial
     force = np.asarray(force_n, np.float64)

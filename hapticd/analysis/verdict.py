@@ -36,7 +36,7 @@ from typing import Literal
 
 import numpy as np
 
-from hapticd.analysis.arrays import Floats
+from hapticd.analysis.arrays import Flags, Floats
 from hapticd.analysis.channels import channel_findings
 from hapticd.analysis.findings import Energy, Finding, Record, coherence_findings
 from hapticd.analysis.impedance import Estimator, impedance, relative_sd, spread_of
@@ -296,11 +296,12 @@ def judge(
     )
     spare_deg = 90.0 - np.abs(np.degrees(np.angle(impedance_ns_per_m)))
     margin_ns_per_m = _least(resistance_ns_per_m, half, f)
-    findings = _reread(trial, record.findings if record else ()) + coherence_findings(
-        trial, band_hz, estimator
+    findings = (
+        *_reread(trial, record.findings if record else ()),
+        *coherence_findings(trial, band_hz, estimator),
+        *(channel_findings(trial) if channels else ()),
+        *_lost_edges(trial, inside, band_hz),
     )
-    findings += channel_findings(trial) if channels else ()
-    findings += _lost_edges(trial, inside, band_hz)
     stability = _stability(findings, record is not None, spectral_radius)
     return Verdict(
         answer=_answer(margin_ns_per_m, stability, findings),
@@ -324,18 +325,18 @@ def judge(
     )
 
 
-def needs_record(
+def lines_to_resolve(
     trial: Spectra, verdict: Verdict, estimator: Estimator = "spa", linear: bool = False
-) -> bool:
-    """Whether `verdict` on the window's spectra `trial` stands only when its record was looked at
-    (`resolved`). `linear`: so is the device.
+) -> Flags:
+    """Which lines (F,) of the window's spectra `trial` must be resolved by their record before
+    `verdict` stands. `linear`: the device is so.
 
     It stands where all is passive at the window's resolution, and where the perturbation explains
-    nothing of a line.
+    nothing of a line: then there are none.
     """
     if verdict.answer == "passive" or any(one.code == "oscillation" for one in verdict.findings):
-        return False
-    return bool(unresolved(trial, verdict.band_hz, estimator, linear).any())
+        return np.zeros(trial.frequency_hz.size, np.bool_)
+    return unresolved(trial, verdict.band_hz, estimator, linear)
 
 
 def _reread(trial: Spectra, findings: tuple[Finding, ...]) -> tuple[Finding, ...]:

@@ -27,7 +27,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from hapticd import __version__
-from hapticd.analysis.arrays import Complexes, Floats, Values
+from hapticd.analysis.arrays import Complexes, Flags, Floats, Values
 from hapticd.analysis.envelope import Envelope, accepted, merged, of_one
 from hapticd.analysis.findings import Energy, Record, escape_findings
 from hapticd.analysis.impedance import impedance
@@ -40,7 +40,7 @@ from hapticd.analysis.verdict import (
     Judged,
     Verdict,
     judge,
-    needs_record,
+    lines_to_resolve,
 )
 from hapticd.engine import BatchResult, simulate
 from hapticd.engine.shape import LANES
@@ -143,14 +143,16 @@ def run_trials(conditions: Conditions, damping_ns_per_m: float, points: Floats) 
     whole = np.flatnonzero(~found.diverged).tolist()
     looks = {trial: _look(conditions, found, trial, found.spectra(trial)) for trial in whole}
     linear = not coulomb(conditions.display.model).any()
-    unsure = [trial for trial, look in looks.items() if needs_record(*look, linear=linear)]
+    needed = {trial: lines_to_resolve(*look, linear=linear) for trial, look in looks.items()}
+    unsure = [trial for trial, lines in needed.items() if lines.any()]
     for first in range(0, len(unsure), TOGETHER):
         some = unsure[first : first + TOGETHER]
         again = np.asarray(found.params[some], np.float64)
         records = _flown(conditions, damping_ns_per_m, again, "records", some)
         shared = _shared_transform(records)
         for place, trial in enumerate(some):
-            finer = _finer(conditions, records.record(place), looks[trial][0], linear, shared)
+            record = records.record(place)
+            finer = _finer(conditions, record, looks[trial][0], needed[trial], shared)
             looks[trial] = _look(conditions, found, trial, finer)
     return [
         _outcome(conditions, damping_ns_per_m, found, trial, looks.get(trial))
@@ -191,12 +193,12 @@ def _finer(
     conditions: Conditions,
     record: tuple[Values, Values],
     spectra: Spectra,
-    linear: bool,
+    needed: Flags,
     shared: Complexes | None,
 ) -> Spectra:
-    """`spectra` in the light of their record."""
+    """`spectra` with the lines `needed` (F,) resolved by their record."""
     rate_hz = conditions.scene.rate_hz
-    return resolved(*record, spectra, conditions.band_hz, "spa", rate_hz, linear, shared)
+    return resolved(*record, spectra, needed, conditions.band_hz, rate_hz, shared)
 
 
 def _look(

@@ -53,7 +53,13 @@ from hapticd.analysis.periodic import (
 from hapticd.analysis.predict import coulomb, predicted_impedance
 from hapticd.analysis.resolved import resolved
 from hapticd.analysis.spectra import DEFAULT_LAG, Spectra, corrected, spa
-from hapticd.analysis.verdict import DEFAULT_BAND_HZ, LEAST_FREEDOM, Verdict, judge, needs_record
+from hapticd.analysis.verdict import (
+    DEFAULT_BAND_HZ,
+    LEAST_FREEDOM,
+    Verdict,
+    judge,
+    lines_to_resolve,
+)
 from hapticd.errors import AnalysisError
 from hapticd.plant.scene import Excitation, Scene
 from hapticd.units import PROBE_RATE_HZ
@@ -350,13 +356,12 @@ def judged(plan: TrialPlan, recorded: TrialRecord) -> TrialResult:
         found += unit_findings(spectra, float(np.std(recorded.force_n)), record.velocity_sd_m_per_s)
     record = replace(record, findings=found)
     verdict = _verdict(plan, recorded, spectra, record)
-    if needs_record(raw, verdict, params.estimator, plan.linear):
+    needed = lines_to_resolve(raw, verdict, params.estimator, plan.linear)
+    if needed.any():
         force = recorded.force_n
         velocity = recorded.velocity_m_per_s
         servo_rate_hz = params.scene.rate_hz if params.scene else None
-        finer = resolved(
-            force, velocity, raw, params.band_hz, params.estimator, servo_rate_hz, plan.linear
-        )
+        finer = resolved(force, velocity, raw, needed, params.band_hz, servo_rate_hz)
         spectra = _corrected(params, finer)
         verdict = _verdict(plan, recorded, spectra, record)
     z = impedance(spectra, params.estimator)

@@ -55,7 +55,7 @@ from hapticd.analysis.arrays import Flags, Floats, Integers
 from hapticd.analysis.findings import ESCAPE_RATIO, Finding
 from hapticd.analysis.impedance import Estimator
 from hapticd.analysis.spectra import DEFAULT_LAG, Spectra, SpectralStream
-from hapticd.analysis.verdict import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge, needed, needs_record
+from hapticd.analysis.verdict import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge, lines_to_resolve, needed
 from hapticd.zwidth.store import TrialRecord
 
 BRIDGED = 40  # samples at most: 10 ms
@@ -302,9 +302,8 @@ class Sentinel:
             channels=False,
         )
         self.seconds_needed = found.seconds_needed
-        final = found.answer != "undecided" and not needs_record(
-            spectra, found, watch.estimator, watch.linear
-        )
+        doubtful = lines_to_resolve(spectra, found, watch.estimator, watch.linear).any()
+        final = found.answer != "undecided" and not doubtful
         if watch.until_decided and final:
             self.reason = f"decided after {self.seconds:.0f} s"
 
