@@ -1,7 +1,7 @@
 # Work with a checkout: make run | test | bench | deps | clean. A fresh machine needs make and Python 3.11 or newer.
 #
 #   make run                start the daemon on the simulated board (ARGS="--rate-hz 2000" and other options of `hapticd run`)
-#   make test               format, lint, types, floors, tests: what continuous integration runs
+#   make test               format, lint, types, layers, tests: what continuous integration runs
 #   make bench [ONLY=wake]  measure; results in build/bench.json
 #   make reproduce          the paper's figures and table in build/reproduction; with ARGS=--quick by prediction, in seconds, in
 #                           build/reproduction-quick

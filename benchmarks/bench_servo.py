@@ -59,7 +59,7 @@ class BenchServo:
         self._chunk = int(CHUNK_S * rate_hz)
 
     def run(self, ticks: int) -> bytes:
-        """Fly `ticks` ticks from now on; their records."""
+        """Run `ticks` ticks from now on; their records."""
         first = self.loop.tick
         self._before(ticks)
         self.loop.restart_clock()

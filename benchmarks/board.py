@@ -14,7 +14,7 @@ from benchmarks import targets
 from benchmarks.bare import empty_link
 from benchmarks.blocks import quantile
 from benchmarks.figures import Figure, compared
-from benchmarks.lockstep import flown
+from benchmarks.lockstep import lockstep_figure
 from hapticd.assembly.lockstep import scene_params
 from hapticd.assembly.servo_main import simulated_backend
 from hapticd.clock import VirtualClock
@@ -33,7 +33,7 @@ PIECES = 5  # of the plant in a tick: four ends of 250 us, and the latch between
 
 
 def measure() -> Iterator[Figure]:
-    """Least of blocks that take turns; then the flights."""
+    """Least of blocks that take turns; then the lock-step runs."""
     servo, board = scene_params(SCENE)
     clocks = VirtualClock(NS_PER_MS), VirtualClock(NS_PER_MS)
     link = UsbLink(servo.usb, simulated_backend(board, clocks[0]))
@@ -51,7 +51,7 @@ def measure() -> Iterator[Figure]:
         alone_us,
         f"scene {SCENE}, moving",
     )
-    yield flown("lockstep_weir_ratio", TARGETS["lockstep_weir_ratio"], servo, board)
+    yield lockstep_figure("lockstep_weir_ratio", TARGETS["lockstep_weir_ratio"], servo, board)
 
 
 class Pairs:

@@ -5,8 +5,8 @@ The oracles: 8 g, 2 N s/m, 1 kHz, force held, one tick late, Butterworth filters
 the bent one has a damping that the environment changes by up to 0.55 N s/m. A grid of yes and no
 needs 290,000 and 180,000 trials.
 
-weir2008, undamped and damped, trials of 90 s with noise: against a grid of 2,002 that is flown
-twice (`beyond_search`).
+weir2008, undamped and damped, trials of 90 s with noise: against a grid of 2,002 that is simulated
+twice (`hapticd.weir2008.future_work`).
 """
 
 from collections.abc import Iterator
@@ -56,9 +56,8 @@ def _weir() -> Iterator[Figure]:
     scene = load_scene(SCENE)
     conditions = Conditions(scene, 90.0, noise(scene))
     levels = [compared_with_grid(conditions, level, BUDGETS) for level in LEVELS]
-    note = (
-        f"wrong yes or no on {levels[0].points} grid points each, {'; '.join(map(_told, levels))}"
-    )
+    shares = "; ".join(map(_summary, levels))
+    note = f"wrong yes or no on {levels[0].points} grid points each, {shares}"
     passive = sum(level.passive for level in levels)
     share, before = (
         100 * sum(wrong) / passive
@@ -72,7 +71,7 @@ def _weir() -> Iterator[Figure]:
         yield refused(
             "search_weir_trials",
             TARGETS["search_weir_trials"],
-            f"above the floor after {BUDGETS[-1]} trials; {note}",
+            f"above the noise of the grid after {BUDGETS[-1]} trials; {note}",
         )
         return
     needed = float(max(enough))
@@ -83,12 +82,12 @@ def _weir() -> Iterator[Figure]:
     )
 
 
-def _told(level: SearchCheck) -> str:
+def _summary(level: SearchCheck) -> str:
     shares = [
         f"{count} trials {level.share(wrong):.1f} %" for count, wrong in level.searched.items()
     ]
     rest = (
-        f"prediction {level.share(level.predicted):.1f} %, floor"
+        f"prediction {level.share(level.predicted):.1f} %, noise of the grid"
         f" {level.share(level.other_noise):.1f} %"
     )
     return (

@@ -1,7 +1,7 @@
 """The whole stack on virtual time: CPU of 90 s of an enabled servo with a perturbation, every
 record read.
 
-The yardstick is the bare path of a tick (`bare`) as often. Flights of 10 s and as many bare ticks
+The yardstick is the bare path of a tick (`bare`) as often. Runs of 10 s and as many bare ticks
 take turns; least of each.
 """
 
@@ -21,8 +21,8 @@ from hapticd.params import BoardParams, ServoParams
 from hapticd.settings.build import board_params, servo_params
 
 TARGETS = targets.of("lockstep")
-TOLD_S = 90
-FLOWN_S = 10
+SCALED_S = 90
+RUN_S = 10
 ROUNDS = 9
 WAVE = [round(3000 * sin(2 * pi * 20 * index / 4000)) for index in range(4000)]
 
@@ -32,34 +32,36 @@ def measure() -> Iterator[Figure]:
     stand = settings()
     board = board_params(stand)
     assert board is not None
-    yield flown("lockstep_ratio", TARGETS["lockstep_ratio"], servo_params(stand, "bench"), board)
-
-
-def flown(name: str, target: str, servo: ServoParams, board: BoardParams) -> Figure:
-    """Seconds of CPU for 90 s, and of as many bare ticks."""
-    ticks = round(FLOWN_S * servo.realtime.rate_hz)
-    bare = BareLoop(servo.usb, board, yardstick(servo.environment, servo.realtime.rate_hz))
-    taken = [(flight_s(servo, board, ticks), bare.cpu_s(ticks)) for _ in range(ROUNDS)]
-    ours_s, bare_s = (TOLD_S / FLOWN_S * min(times) for times in zip(*taken, strict=True))
-    return compared(
-        name, target, ours_s, "s", bare_s, f"CPU of {TOLD_S} s at {servo.realtime.rate_hz:g} Hz"
+    yield lockstep_figure(
+        "lockstep_ratio", TARGETS["lockstep_ratio"], servo_params(stand, "bench"), board
     )
 
 
-def flight_s(servo: ServoParams, board: BoardParams, ticks: int) -> float:
-    """CPU time of one flight, its making and every record read included."""
+def lockstep_figure(name: str, target: str, servo: ServoParams, board: BoardParams) -> Figure:
+    """Seconds of CPU for 90 s, and of as many bare ticks."""
+    ticks = round(RUN_S * servo.realtime.rate_hz)
+    bare = BareLoop(servo.usb, board, yardstick(servo.environment, servo.realtime.rate_hz))
+    taken = [(run_cpu_s(servo, board, ticks), bare.cpu_s(ticks)) for _ in range(ROUNDS)]
+    ours_s, bare_s = (SCALED_S / RUN_S * min(times) for times in zip(*taken, strict=True))
+    return compared(
+        name, target, ours_s, "s", bare_s, f"CPU of {SCALED_S} s at {servo.realtime.rate_hz:g} Hz"
+    )
+
+
+def run_cpu_s(servo: ServoParams, board: BoardParams, ticks: int) -> float:
+    """CPU time of one run, its making and every record read included."""
     begin = time.process_time()
-    with LockStep(servo, board) as flight:
-        flight.run(10)
-        flight.load_waveform(WAVE)
+    with LockStep(servo, board) as stack:
+        stack.run(10)
+        stack.load_waveform(WAVE)
         answers = (
-            flight.do(Command.ENABLE),
-            flight.do(Command.PERTURB_START, {Value.SAMPLES: len(WAVE), Value.LOOP: 1}),
+            stack.do(Command.ENABLE),
+            stack.do(Command.PERTURB_START, {Value.SAMPLES: len(WAVE), Value.LOOP: 1}),
         )
-        flown = len(flight.run(ticks)) // RECORD.size
-    if flown != ticks or any(answer.result is not Result.APPLIED for answer in answers):
+        records = len(stack.run(ticks)) // RECORD.size
+    if records != ticks or any(answer.result is not Result.APPLIED for answer in answers):
         raise BenchError(
-            f"the flight ended with {flown} records of {ticks}, answers"
+            f"the run ended with {records} records of {ticks}, answers"
             f" {[answer.result for answer in answers]}"
         )
     return time.process_time() - begin

@@ -39,10 +39,10 @@ def measure() -> Iterator[Figure]:
     instance = f"bench-{os.getpid()}"
     with _servo(instance) as (process, gateway):
         gateway.post(Command.ENABLE, ACTOR, 0, NO_VALUES)
-        _fly(gateway, round(SETTLE_S * RATE_HZ))
+        _run_ticks(gateway, round(SETTLE_S * RATE_HZ))
         owned_kb = memory_kb(process.pid, OWNED)
         faults = minor_faults(process.pid)
-        flown = _fly(gateway, TICKS)
+        ticks = _run_ticks(gateway, TICKS)
         grown_kb = memory_kb(process.pid, OWNED) - owned_kb
         faulted = minor_faults(process.pid) - faults
         private_mb = memory_kb(process.pid, PRIVATE) / 1024
@@ -52,7 +52,7 @@ def measure() -> Iterator[Figure]:
             for name, text in gateway.report().get("realtime", {}).items()
             if text.startswith("refused")
         ]
-    over = f"over {flown} ticks"
+    over = f"over {ticks} ticks"
     yield compared(
         "servo_rss_mb", TARGETS["servo_rss_mb"], private_mb, "MB", note="; ".join(refused)
     )
@@ -74,7 +74,7 @@ def minor_faults(pid: int) -> int:
     return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[MINOR_FAULTS])
 
 
-def _fly(gateway: GatewayMailbox, ticks: int) -> int:
+def _run_ticks(gateway: GatewayMailbox, ticks: int) -> int:
     """Wait, with heartbeats, until `ticks` more ticks are done; how many were. BenchError when
     they do not come.
     """

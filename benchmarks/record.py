@@ -1,4 +1,4 @@
-"""What recording costs, in time and in bytes, and how fast a recording flies again.
+"""What recording costs, in time and in bytes, and how fast a recording is replayed.
 
 The recorder's CPU is compared with that of a process which appends the same bytes by h5py at the
 same time.
@@ -29,7 +29,7 @@ from hapticd.units import PROBE_RATE_HZ
 TARGETS = targets.of("record")
 SETTLED_S = 3.0
 MEASURED_S = 30.0
-FLIGHTS = 3
+REPLAYS = 3
 TICKS_HZ = 1000
 WAVE_N = [0.3 * sin(2 * pi * 5 * index / 4000) for index in range(4000)]
 
@@ -112,9 +112,9 @@ def _bytes(part: Path) -> Figure:
 
 
 def _replay(file: Path) -> Figure:
-    """Recorded seconds over the CPU seconds of reading and flying them again, bit-exactly."""
+    """Recorded seconds over the CPU seconds of reading and replaying them, bit-exactly."""
     times = []
-    for _ in range(FLIGHTS):
+    for _ in range(REPLAYS):
         begin = time.process_time()
         with open_recording(file) as recording:
             result = replay_recording(recording)

@@ -83,8 +83,8 @@ TABLE: dict[str, dict[str, Target]] = {
             "<= 4.5x",
             "a bare forwarder of the same maps from the same ring to five subscribers, at the same"
             " time",
-            "histograms, events and the flight recorder look at every record, and the servo is told"
-            " that someone lives",
+            "histograms, events and the flight recorder look at every record, and the servo gets a"
+            " heartbeat",
         ),
     },
     "lockstep": {
@@ -215,7 +215,7 @@ TABLE: dict[str, dict[str, Target]] = {
             "<= 0.8x", "the prediction's wrong share", "trials must tell more than the model does"
         ),
         "search_weir_trials": Target(
-            "<= 40", "", "until no more is wrong than in the grid flown again"
+            "<= 40", "", "until no more is wrong than in the grid simulated again"
         ),
         "search_weir_grid_trials": Target(">= 25x", "trials of the grid", "what the search is for"),
     },

@@ -2,7 +2,7 @@
 and nothing more.
 
 Unpack, difference, two biquads, K-B-M, limit, pack, one 128-byte record. No CRC, no sequence, no
-check of any kind, no command, no ramp, no state but the filters'. It flies the same frames at the
+check of any kind, no command, no ramp, no state but the filters'. It runs on the same frames at the
 same pace as the servo's tick.
 """
 

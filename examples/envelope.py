@@ -21,7 +21,7 @@ def main(folder: Path, trials: int = 200, seconds: float = 90.0) -> int:
     highest = (1200.0, 9.0, 0.030)
     environments = np.random.default_rng(1).uniform(lowest, highest, (trials, 3))
     conditions = Conditions(load_scene("fig4"), seconds)
-    outcomes = run_trials(conditions, 1.74, environments)  # with 1.74 N s/m of added damping
+    outcomes = run_trials(conditions, 1.74, environments)  # with 1.74 N s/m of active damping
     save(envelope_figure(conditions, [(1.74, outcomes)]), folder, "envelope")
     return sum(outcome.passes for outcome in outcomes)
 

@@ -182,6 +182,83 @@ def test_site_builds_without_a_warning(site: Path, tmp_path: Path) -> None:
     assert (tmp_path / "generated/faults/usb_lost.html").is_file()
 
 
+# --- names of modules -----------------------------------------------------------------------------
+
+MODULES = {
+    ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): file
+    for file in (ROOT / "hapticd").rglob("*.py")
+}
+PACKAGES = {name.split(".")[1] for name in MODULES if "." in name} | {"measure"}  # one that was
+FILE_ENDINGS = {"conf", "h5", "json", "limits", "rules", "schema", "service", "sysusers"} | {
+    "target", "tmpfiles", "toml",
+}  # fmt: skip
+STATUS_KEYS = {"servo.realtime", "servo.report"}  # of `hapticd status --json`
+
+
+def names_that_do_not_exist(text: str, settings: set[str]) -> list[str]:
+    """Dotted names behind `hapticd.`, those in backticks that begin with a package, and paths, of
+    which nothing is there; `settings`: dotted names that mean something else.
+    """
+    found = re.findall(r"(?<![\w/.-])hapticd\.([a-z]\w*(?:\.\w+)*)", text)
+    quoted = re.findall(rf"`((?:{'|'.join(PACKAGES)})(?:\.\w+)+)`", text)
+    found += [name for name in quoted if name not in settings]
+    for first, more in re.findall(r"`hapticd\.([\w.]+)\.\w+`((?:, `\.\w+`)+)", text):
+        found += [f"{first}{rest}" for rest in re.findall(r"\.\w+", more)]
+    paths = re.findall(r"(?<![\w/])hapticd/[\w/]+\.py", text)
+    return [name for name in found if not exists(name)] + [
+        path for path in paths if not (ROOT / path).exists()
+    ]
+
+
+def exists(name: str) -> bool:
+    """Whether `name` is a module, or is written in the module that its beginning names."""
+    parts = re.sub(r"\.(__\w+|NAME)$", "", f"hapticd.{name}").split(".")
+    if parts[-1] in FILE_ENDINGS or parts[1] in FILE_ENDINGS - {"limits"}:
+        return True
+    for count in range(len(parts), 1, -1):
+        file = MODULES.get(".".join(parts[:count]))
+        if file is not None:
+            # the docstring of a package names much that is one layer further down
+            code = file.read_text(encoding="utf-8").removeprefix('"""').partition('"""')[2]
+            return count == len(parts) or bool(re.search(rf"\b{parts[count]}\b", code))
+    return False
+
+
+def test_every_module_that_is_named_anywhere_exists() -> None:
+    """In pages, docstrings, comments and settings; CHANGELOG.md alone names what was."""
+    settings = {".".join(map(str, path)) for path, _ in leaves(load(None).plain())}
+    settings |= STATUS_KEYS | {topic.name for topic in TOPICS}
+    pages = [ROOT / "README.md", ROOT / "pyproject.toml", ROOT / "Makefile"]
+    for folder, pattern in (
+        ("docs", "**/*.md"), ("docs", "pages/*.py"), ("hapticd", "**/*.py"), ("tests", "*.py"),
+        ("benchmarks", "*.py"), ("examples", "*"), ("config", "**/*.toml"), ("systemd", "*"),
+    ):  # fmt: skip
+        pages += sorted(ROOT.joinpath(folder).glob(pattern))
+    missing = [
+        f"{page.relative_to(ROOT)}:{number}: {name}"
+        for page in pages
+        if page != Path(__file__) and page.is_file()
+        for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), 1)
+        for name in names_that_do_not_exist(line, settings)
+    ]
+    assert missing == []
+
+
+@pytest.mark.parametrize(
+    ("line", "missing"),
+    [
+        ("from `hapticd.analysis.spa`", ["analysis.spa"]),
+        ("| `hapticd.zwidth.trial`, `.limits`, `.campaign` | |", ["zwidth.campaign"]),
+        ("see `measure.trial` and `zwidth.trial`", ["measure.trial"]),
+        ("`plant.stability.damping_floor`", ["plant.stability.damping_floor"]),
+        ("in hapticd/sim/engine/job.py, not hapticd/engine/job.py", ["hapticd/sim/engine/job.py"]),
+        ("`servo.realtime` of 70-hapticd.rules and hapticd.toml", []),
+    ],
+)
+def test_name_of_a_module_that_is_gone_is_found(line: str, missing: list[str]) -> None:
+    assert names_that_do_not_exist(line, STATUS_KEYS) == missing
+
+
 def test_overview_names_only_files_that_are_there() -> None:
     """Whole paths in its tables, and paths below `hapticd/` in the ways through the files."""
     page = (ROOT / "docs" / "OVERVIEW.md").read_text()
