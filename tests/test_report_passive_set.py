@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hapticd.analysis.passive_set import PassiveSet
-from hapticd.report.passive_set import area, draw_guess, slice_masses, slices, walls_figure
+from hapticd.report.passive_set import area, draw_predicted, slice_masses, slices, walls_figure
 from hapticd.report.style import (
     ON,
     axes,
@@ -52,7 +52,7 @@ def axis():
 
 
 def test_guess_is_the_mark_of_its_trials_hollow(axis):
-    draw_guess(axis, X, X, {"color": ON["color"], "marker": "s"})
+    draw_predicted(axis, X, X, {"color": ON["color"], "marker": "s"})
     assert axis.lines[0].get_markerfacecolor() == "none"
     assert (axis.lines[0].get_marker(), axis.lines[0].get_markeredgecolor()) == ("s", ON["color"])
 

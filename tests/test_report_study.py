@@ -123,7 +123,7 @@ def test_pushed_scene_shows_position_force_and_damping() -> None:
     assert [label for _, label in labels(figure)] == [
         "position (mm)",
         "virtual force (N)",
-        "added damping (N s/m)",
+        "active damping (N s/m)",
     ]
     assert figure.axes[-1].get_xlabel() == "time (s)"
 

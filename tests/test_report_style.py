@@ -14,12 +14,12 @@ from hapticd.report.style import (
     ON,
     PARTS,
     axes,
-    banded,
-    handles_of,
+    draw_band,
     hertz_axis,
+    legend_handles,
+    level_styles,
+    mean_interval,
     not_judged,
-    of_levels,
-    of_mean,
     plain_axis,
     styled,
     tint,
@@ -97,13 +97,13 @@ def test_grey_covers_what_is_not_judged_and_keeps_the_range(axis):
 
 @pytest.mark.parametrize(("linear", "expected"), [(False, (1.0, e**2)), (True, (e - 1.0, e + 1.0))])
 def test_band_is_the_interval_of_the_logarithm_or_of_the_value(axis, linear, expected):
-    banded(axis, X, np.full(3, e), np.ones(3), ON, "a", linear)
+    draw_band(axis, X, np.full(3, e), np.ones(3), ON, "a", linear)
     corners = axis.collections[0].get_paths()[0].vertices[:, 1]
     assert (corners.min(), corners.max()) == pytest.approx(expected)
 
 
 def test_band_is_left_out_where_nothing_is_known(axis):
-    banded(axis, X, np.ones(3), np.full(3, np.nan), ON)
+    draw_band(axis, X, np.ones(3), np.full(3, np.nan), ON)
     assert not any(path.vertices.size for path in axis.collections[0].get_paths())
     assert list(axis.lines[0].get_ydata()) == [1.0, 1.0, 1.0]
 
@@ -111,24 +111,24 @@ def test_band_is_left_out_where_nothing_is_known(axis):
 def test_legend_names_each_label_once(axis):
     for label in ("a", "b", "a", None):
         axis.plot(X, X, label=label)
-    assert [handle.get_label() for handle in handles_of(axis)] == ["a", "b"]
+    assert [handle.get_label() for handle in legend_handles(axis)] == ["a", "b"]
 
 
 def test_added_damping_is_blue_and_none_is_dashed():
     for levels, expected in (((0.0, 1.74), (OFF, ON)), ((1.74, 0.0), (ON, OFF)), ((3.5,), (ON,))):
-        assert of_levels(levels) == list(expected)
-    assert of_levels((0.0, 0.87, 1.74, 3.5))[2] == ON
-    colours = [look["color"] for look in of_levels((0.0, 0.87, 1.74, 3.5))]
+        assert level_styles(levels) == list(expected)
+    assert level_styles((0.0, 0.87, 1.74, 3.5))[2] == ON
+    colours = [look["color"] for look in level_styles((0.0, 0.87, 1.74, 3.5))]
     assert len(set(colours)) == 4
     assert not set(colours) & {colour for _, colour in PARTS}
 
 
 def test_interval_of_few_seeds_is_by_students_t():
     """t of 97.5 %: 12.7062 with one degree of freedom, 4.30265 with two, 2.36462 with seven."""
-    assert of_mean(1) == 0.0
-    assert of_mean(2) * np.sqrt(2.0) == pytest.approx(12.7062, rel=1e-4)
-    assert of_mean(3) * np.sqrt(3.0) == pytest.approx(4.30265, rel=1e-4)
-    assert of_mean(8) * np.sqrt(8.0) == pytest.approx(2.36462, rel=1e-4)
+    assert mean_interval(1) == 0.0
+    assert mean_interval(2) * np.sqrt(2.0) == pytest.approx(12.7062, rel=1e-4)
+    assert mean_interval(3) * np.sqrt(3.0) == pytest.approx(4.30265, rel=1e-4)
+    assert mean_interval(8) * np.sqrt(8.0) == pytest.approx(2.36462, rel=1e-4)
 
 
 def test_tint_is_opaque_and_light():

@@ -54,7 +54,7 @@ def test_page_tells_each_part_once_with_its_figure(quick):
     assert names == ["beyond_lower_edge", "beyond_free_motion", "beyond_shaped", "beyond_levels"]
     low = quick.envelopes["on_negative_B"].lower_db()[0]
     assert f"With B < 0 it comes to {low:.1f} dB" in found[0].words
-    assert "shaken twice as hard" not in found[0].words  # nothing was flown
+    assert "with twice the force" not in found[0].words  # nothing was flown
 
 
 def test_figures_carry_units_and_say_that_they_are_simulated(quick):

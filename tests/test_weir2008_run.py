@@ -91,7 +91,7 @@ def test_what_was_flown_reaches_the_table(monkeypatch: pytest.MonkeyPatch) -> No
         only = (POINTS == FIG_7).all(axis=1)
         return replace(plan, levels=tuple(replace(level, near=only) for level in plan.levels))
 
-    monkeypatch.setattr(run, "hopeful", seventh)
+    monkeypatch.setattr(run, "worth_trying", seventh)
     told: list[tuple[str, int, int]] = []
     plan = ReproducePlan((1, 2, 3), (MAIN, LITERAL))
     result = run_reproduce(plan, lambda *step: told.append(step), StandIn(made_up))
@@ -113,7 +113,7 @@ def test_what_was_flown_reaches_the_table(monkeypatch: pytest.MonkeyPatch) -> No
     assert found["K_max_from_5_Hz_on"].ours == pytest.approx(70.0, rel=2 * FINE)
     assert found["fig4_passive"].seeds == 3
     assert (found["grid_passive_off"].ours, found["grid_growth"].ours) == (1, 1.0)
-    assert "1 trials flown" in found["grid_passive_on"].note
+    assert "1 trials, the rest" in found["grid_passive_on"].note
     assert 200.0 < found["fig2_wall_K_off"].ours < 250.0
     assert "known to 4 %" in found["fig2_wall_K_off"].note
     assert (table["K_max_off"][LITERAL].ours, table["K_max_off"][LITERAL].seeds) == (

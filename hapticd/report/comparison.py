@@ -19,12 +19,12 @@ from hapticd.report.style import (
     Axes,
     Figure,
     Look,
-    handles_of,
     hertz_axis,
+    legend_handles,
+    level_label,
     mosaic,
     plain_axis,
     styled,
-    words_of,
 )  # fmt: skip
 from hapticd.report.table import Cell, Table, table
 from hapticd.zwidth.portable import Compared, Comparison, Level, Reach
@@ -37,7 +37,7 @@ PANELS = (("size",) * 3 + ("mass",) * 3, ("K", "K", "B", "B", "M", "M"))
 @styled()
 def comparison_figure(found: Comparison) -> Figure:
     """Envelopes |Z| [N s/m] and |Z| per mass [1/s] of all displays on the same axes, below them how
-    far K, B and M go alone, with their intervals. A dashed line is without added damping.
+    far K, B and M go alone, with their intervals. A dashed line is without active damping.
     """
     names = " and ".join(one.name for one in found.displays)
     figure, places = mosaic(
@@ -49,7 +49,7 @@ def comparison_figure(found: Comparison) -> Figure:
                 "color": _device(rank)["color"],
                 "linestyle": "-" if level.damping_ns_per_m else OFF["linestyle"],
             }
-            words = f"{display.name} {words_of(level.damping_ns_per_m)}"
+            words = f"{display.name} {level_label(level.damping_ns_per_m)}"
             for name, shown in (("size", level.envelope), ("mass", level.per_mass)):
                 if shown is not None:
                     edges(
@@ -67,7 +67,7 @@ def comparison_figure(found: Comparison) -> Figure:
         plain_axis(places[name].yaxis, FINE)
     for name in AXES:
         _limits(places[name], found, name)
-    figure.legend(handles=handles_of(places["size"]), ncols=2, **BELOW)
+    figure.legend(handles=legend_handles(places["size"]), ncols=2, **BELOW)
     return figure
 
 
@@ -167,23 +167,23 @@ def _device(rank: int) -> Look:
 
 
 def _limits(axis: Axes, found: Comparison, name: str) -> None:
-    """A mark and its interval for each display and level, hollow without added damping."""
-    told = [
+    """A mark and its interval for each display and level, hollow without active damping."""
+    reached = [
         (rank, *one)
         for rank, display in enumerate(found.displays)
         for one in _reached(display, name)
     ]
-    for at, (rank, level, reach) in enumerate(told):
+    for at, (rank, level, reach) in enumerate(reached):
         look = _device(rank)
         ends = sorted(SCALES[name] * end for end in (reach.lower, reach.upper))
         axis.vlines(at, ends[0], ends[1], color=look["color"])
         filled = look["color"] if level.damping_ns_per_m else "white"
         axis.plot(at, SCALES[name] * reach.value, linestyle="", markerfacecolor=filled, **look)
-    axis.set_xticks(range(len(told)), [f"{level.damping_ns_per_m:g}" for _, level, _ in told])
+    axis.set_xticks(range(len(reached)), [f"{level.damping_ns_per_m:g}" for _, level, _ in reached])
     axis.set(
-        xlim=(-0.6, len(told) - 0.4),
+        xlim=(-0.6, len(reached) - 0.4),
         ylabel=f"{name} ({UNITS[name]})",
-        xlabel="added damping (N s/m)",
+        xlabel="active damping (N s/m)",
     )
 
 

@@ -29,15 +29,15 @@ from hapticd.report.style import (
     Figure,
     Look,
     axes,
-    banded,
-    handles_of,
+    draw_band,
     hertz_axis,
-    of_levels,
+    legend_handles,
+    level_label,
+    level_styles,
     patch,
     simulated,
     styled,
     tint,
-    words_of,
 )  # fmt: skip
 from hapticd.report.trial import ADMITTANCE, IMPEDANCE, View, dress, interval
 from hapticd.zwidth.outcomes import Conditions, Outcome, envelope_of, judged, kept_frequencies
@@ -70,10 +70,10 @@ def envelope_figure(conditions: Conditions, levels: Levels, inverse: bool = Fals
     for each level; dotted what is predicted of the same trials. AnalysisError for a level of
     which none passes.
 
-    `levels`: (added damping [N s/m], its trials). `inverse`: of the admittance, whose largest
+    `levels`: (active damping [N s/m], its trials). `inverse`: of the admittance, whose largest
     values are owned by the smallest |Z|.
     """
-    looks = of_levels([level for level, _ in levels])
+    looks = level_styles([level for level, _ in levels])
     shown = [
         _of_trials(conditions, *level, look, inverse)
         for level, look in zip(levels, looks, strict=True)
@@ -101,7 +101,7 @@ def _of_trials(
     inside = (f >= SHOWN_HZ[0]) & (f <= SHOWN_HZ[1])
     found = (envelope_of(passed), of_predicted(f[inside], z[:, inside]))
     measured, predicted = (admittance(one) if inverse else one for one in found)
-    return Drawn(measured, points, look, words_of(level), predicted)
+    return Drawn(measured, points, look, level_label(level), predicted)
 
 
 def envelopes_figure(
@@ -141,7 +141,7 @@ def envelopes_figure(
         if any(one.envelope.upper.sd.any() for one in shown)
         else []
     )
-    handles = [*handles_of(size), *known, grey]
+    handles = [*legend_handles(size), *known, grey]
     size.legend(handles=handles, loc="lower right" if view is IMPEDANCE else "lower center")
     negative = any((drawn.environments[:, 1] < 0.0).any() for drawn in shown)
     figure.legend(handles=keys(negative), ncols=6, **BELOW)
@@ -167,8 +167,8 @@ def edges(
         linewidth=0,
         zorder=0.4 - 0.01 * rank,
     )
-    banded(axis, frequency_hz, upper.value, NORMAL * upper.sd, look, words, linear)
-    banded(axis, frequency_hz, lower.value, NORMAL * lower.sd, look, None, linear)
+    draw_band(axis, frequency_hz, upper.value, NORMAL * upper.sd, look, words, linear)
+    draw_band(axis, frequency_hz, lower.value, NORMAL * lower.sd, look, None, linear)
 
 
 # --- owners ---------------------------------------------------------------------------------------

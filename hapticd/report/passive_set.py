@@ -29,14 +29,14 @@ from hapticd.report.style import (
     Figure,
     Look,
     axes,
-    handles_of,
+    legend_handles,
+    level_label,
+    level_styles,
     mark,
     mosaic,
-    of_levels,
     simulated,
     styled,
     tint,
-    words_of,
 )  # fmt: skip
 from hapticd.zwidth.limits import AxisLimit, LimitsResult
 from hapticd.zwidth.map import LevelMap, MapResult
@@ -63,8 +63,8 @@ ALONE: Look = {"color": BLACK, "linestyle": "-"}
 
 def how(conditions: Conditions, ranges: Iterable[Judged]) -> str:
     """The line below a title, with what was judged."""
-    told = sorted({str(one) for one in ranges})
-    return ", ".join((simulated(conditions.scene.device, conditions.seconds), *told))
+    judged = sorted({str(one) for one in ranges})
+    return ", ".join((simulated(conditions.scene.device, conditions.seconds), *judged))
 
 
 def area(
@@ -103,7 +103,7 @@ def set_figure(result: MapResult) -> Figure:
     figure, places = axes(
         rows, columns, 0.6 + 3.0 * columns, 2.7 * rows + 1.2, title, sharex=True, sharey=True
     )
-    looks = of_levels([level.damping_ns_per_m for level in result.levels])
+    looks = level_styles([level.damping_ns_per_m for level in result.levels])
     for panel, place in zip(shown, places, strict=True):
         for turn, (level, look) in enumerate(zip(result.levels, looks, strict=True)):
             _plane(place, level, int(panel), look, turn, len(looks))
@@ -111,7 +111,7 @@ def set_figure(result: MapResult) -> Figure:
         place.label_outer()
     handles = [
         *(
-            mark(words_of(level.damping_ns_per_m), **look)
+            mark(level_label(level.damping_ns_per_m), **look)
             for level, look in zip(result.levels, looks, strict=True)
         ),
         mark("trial passes", marker=ANSWERS["passes"], **MARKS),
@@ -187,13 +187,13 @@ def search_figure(results: Sequence[SearchResult]) -> Figure:
     panels = [[[row]] for row in (*rows, below)]
     figure, places = mosaic(panels, 11.0, 3.1 * len(panels) + 1.3, title)
     levels = [one.plan.params.damping_ns_per_m for one in results]
-    looks = of_levels(levels)
+    looks = level_styles(levels)
     for row, foreseen, result, look in zip(rows, below, results, looks, strict=True):
         _slices([places[name] for name in row], result, look)
         _foreseen(places[foreseen], result, look)
     handles = [
         *(
-            mark(f"edge found, {words_of(level)}", **look)
+            mark(f"edge found, {level_label(level)}", **look)
             for level, look in zip(levels, looks, strict=True)
         ),
         mark("edge predicted", **PREDICTED),
@@ -219,7 +219,7 @@ def _slices(places: list[Axes], result: SearchResult, look: Look) -> None:
     ]  # K = B = M = 0 is, or there had been no search
     tried = np.array([step.outcome.environment for step in result.steps])
     reach = NEAR * float(passive[-1] - passive[0])
-    level = f"{words_of(result.plan.params.damping_ns_per_m)}\n"
+    level = f"{level_label(result.plan.params.damping_ns_per_m)}\n"
     cuts = [
         slice_at(result, value)
         for value in slice_masses(tried[:, 2], np.quantile(passive, SHARES), reach)
@@ -331,7 +331,7 @@ def _foreseen(place: Axes, result: SearchResult, look: Look) -> None:
         xlim=(0.0, len(result.steps) + 1.0),
         ylim=(foot, max(0.8, 1.4 * high)),
         title=(
-            f"{words_of(result.plan.params.damping_ns_per_m)}: {len(escaped)} of"
+            f"{level_label(result.plan.params.damping_ns_per_m)}: {len(escaped)} of"
             f" {len(result.steps)} trials escape"
         ),
     )
@@ -342,13 +342,13 @@ def _foreseen(place: Axes, result: SearchResult, look: Look) -> None:
 
 @styled()
 def limits_figure(result: LimitsResult) -> Figure:
-    """Axis limits over added damping, or over the perturbation where several amplitudes were
+    """Axis limits over active damping, or over the perturbation where several amplitudes were
     scanned.
     """
     params = result.plan.params
     many = len(params.amplitudes) > 1
     groups, looks = (
-        (params.levels, of_levels(params.levels)) if many else ((params.amplitudes[0],), [ALONE])
+        (params.levels, level_styles(params.levels)) if many else ((params.amplitudes[0],), [ALONE])
     )
     title = (
         "Axis limits, the other two being"
@@ -360,7 +360,7 @@ def limits_figure(result: LimitsResult) -> Figure:
     for place, axis in zip(places, params.axes, strict=True):
         mine = [limit for limit in result.limits if limit.scan.axis == axis]
         for group, look in zip(groups, looks, strict=True):
-            name = f"by trials, {words_of(group)}" if many else "by trials"
+            name = f"by trials, {level_label(group)}" if many else "by trials"
             _limit_line(
                 place,
                 [one for one in mine if not many or one.scan.damping_ns_per_m == group],
@@ -369,7 +369,7 @@ def limits_figure(result: LimitsResult) -> Figure:
                 name,
             )
         place.set(
-            ylabel=AXIS_LABELS[mine[0].name][0], ylim=(0.0, None), xlabel="added damping (N s/m)"
+            ylabel=AXIS_LABELS[mine[0].name][0], ylim=(0.0, None), xlabel="active damping (N s/m)"
         )
         if many:
             _perturbation_axis(place, sorted({limit.perturbation_psd for limit in mine}))
@@ -377,7 +377,7 @@ def limits_figure(result: LimitsResult) -> Figure:
         mark("predicted", **PREDICTED, marker="o", **HOLLOW),
         mark("bar: from surely passive to surely not", marker="|", markersize=12, **MARKS),
     ]
-    figure.legend(handles=[*handles_of(places[0]), *more], ncols=2, **BELOW)
+    figure.legend(handles=[*legend_handles(places[0]), *more], ncols=2, **BELOW)
     return figure
 
 
@@ -396,10 +396,10 @@ def _limit_line(place: Axes, limits: list[AxisLimit], many: bool, look: Look, na
     bars = np.nan_to_num([np.maximum(value - lower, 0.0), np.maximum(upper - value, 0.0)])
     place.errorbar(x, value, bars, marker="o", label=name, **look)
     dotted = {**PREDICTED, "color": look["color"], "marker": "o", "markersize": 6}
-    draw_guess(place, x, np.array([factor * limit.scan.predicted for limit in limits]), dotted)
+    draw_predicted(place, x, np.array([factor * limit.scan.predicted for limit in limits]), dotted)
 
 
-def draw_guess(place: Axes, x: Any, value: Any, look: Look) -> None:
+def draw_predicted(place: Axes, x: Any, value: Any, look: Look) -> None:
     """What was predicted of limits: the same marks, hollow."""
     place.plot(x, value, **{**look, **HOLLOW, "markerfacecolor": "none"})
 
@@ -432,7 +432,9 @@ def walls_figure(result: WallResult, title: str = "Walls that come to rest") -> 
     figure, (place,) = axes(
         1, 1, WIDTH_IN, 4.2, f"{title}\nSIMULATED {scene.device}: {impact}; {rest}"
     )
-    for rank, (level, look) in enumerate(zip(params.levels, of_levels(params.levels), strict=True)):
+    for rank, (level, look) in enumerate(
+        zip(params.levels, level_styles(params.levels), strict=True)
+    ):
         _walls(place, result, level, {**look, "marker": LEVEL_MARKS[rank % len(LEVEL_MARKS)]}, rank)
     least = f"none rests: less than the least tried, {params.stiffnesses[0]:g} N/m"
     more = [
@@ -444,7 +446,7 @@ def walls_figure(result: WallResult, title: str = "Walls that come to rest") -> 
         ylabel="stiffness K of the wall (N/m)",
         ylim=(0.0, None),
     )
-    figure.legend(handles=[*handles_of(place), *more], ncols=2, **BELOW)
+    figure.legend(handles=[*legend_handles(place), *more], ncols=2, **BELOW)
     return figure
 
 
@@ -461,7 +463,7 @@ def _walls(place: Axes, result: WallResult, level: float, look: Look, rank: int)
     shown: Look = {
         "clip_on": False,
         "zorder": 3,
-        "label": f"stiffest wall that rests, {words_of(level)}",
+        "label": f"stiffest wall that rests, {level_label(level)}",
     }
     area(
         place,

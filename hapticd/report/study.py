@@ -2,7 +2,7 @@
 is simulated and why, which effects a question needs, what accuracy costs in time, and where
 explicit methods blow up.
 
-As in the paper's Fig. 7 added damping is a solid line and none a dashed one.
+As in the paper's Fig. 7 active damping is a solid line and none a dashed one.
 """
 
 from collections.abc import Iterable
@@ -34,8 +34,8 @@ from hapticd.report.style import (
     Figure,
     Look,
     axes,
-    handles_of,
     hertz_axis,
+    legend_handles,
     mark,
     mosaic,
     patch,
@@ -120,7 +120,7 @@ def _with_impedance(result: SceneResult) -> Figure:
     phase.set(ylim=(-105.0, 140.0), yticks=range(-90, 91, 30))
     words = f"passive: within ±90 degrees in {band_hz[0]:g}..{band_hz[1]:g} Hz"
     phase.text(0.98 * band_hz[1], 122.0, words, ha="right", va="center", fontsize=SMALL_PT)
-    figure.legend(handles=handles_of(size), ncols=3, **BELOW)
+    figure.legend(handles=legend_handles(size), ncols=3, **BELOW)
     return figure
 
 
@@ -145,7 +145,7 @@ def _traces_alone(result: SceneResult) -> Figure:
     pairs = list(zip(result.trials, LOOKS, strict=True))
     panels.append(
         (
-            "added damping (N s/m)",
+            "active damping (N s/m)",
             [_steps(trial, result.plan.seconds, look) for trial, look in pairs],
         )
     )
@@ -280,7 +280,7 @@ def explained(found: Explanation) -> tuple[Table, ...]:
         table(["", "state", "unit", "effect"], states, "STATES"),
         table(["effect", "adds", "time constant", "why it is there"], effects, "EFFECTS"),
         table(
-            ["added damping N s/m", "time constant", "frequency Hz", "damping ratio"],
+            ["active damping N s/m", "time constant", "frequency Hz", "damping ratio"],
             modes,
             "MODES OF THE OPEN DEVICE",
         ),
@@ -342,13 +342,13 @@ def ceiling_words(found: Ceiling) -> list[str]:
         f" {shown(found.oscillation_hz)} Hz"
     )
     if isinf(found.device):
-        device = "no limit, the device alone is stable at any added damping"
+        device = "no limit, the device alone is stable at any active damping"
     top = "any level" if found.highest == inf else f"{shown(found.highest)} N s/m"
     loop = f"stable from {shown(found.lowest)} to {top}, friction not counted"
     if isnan(found.lowest):
-        loop = "never stable at any added damping, friction not counted"
+        loop = "never stable at any active damping, friction not counted"
     return [
-        f"Largest stable added damping: {device}.",
+        f"Largest stable active damping: {device}.",
         f"With the scene's environment: {loop}.",
         (
             f"The scene asks for {shown(found.scene)} N s/m: loop gain g dR / K^2 ="
@@ -458,8 +458,10 @@ def effects_figure(result: EffectsResult) -> Figure:
     return figure
 
 
-def _bars(axis: Axes, names: list[str], values: list[float], told: list[str], **look: Any) -> None:
-    """One for each effect on a logarithmic axis, from below, with what it says beside it."""
+def _bars(
+    axis: Axes, names: list[str], values: list[float], labels: list[str], **look: Any
+) -> None:
+    """One for each effect on a logarithmic axis, from below, with its label beside it."""
     bars = axis.barh(
         range(len(names)),
         values,
@@ -469,7 +471,7 @@ def _bars(axis: Axes, names: list[str], values: list[float], told: list[str], **
         linewidth=0.0,
         **look,
     )
-    axis.bar_label(bars, told, padding=3, fontsize=SMALL_PT)
+    axis.bar_label(bars, labels, padding=3, fontsize=SMALL_PT)
     axis.grid(visible=False, axis="y")
 
 
@@ -543,7 +545,11 @@ def accuracy_figure(result: AccuracyResult) -> Figure:
     _draw_effects(result, places.pop("effect"))
     for name, axis in places.items():
         _draw_sweep(result, name, axis)
-    handles = [*handles_of(places["sub-steps"]), mark("defaults", **DEFAULT), mark("knee", **KNEE)]
+    handles = [
+        *legend_handles(places["sub-steps"]),
+        mark("defaults", **DEFAULT),
+        mark("knee", **KNEE),
+    ]
     figure.legend(handles=handles, ncols=6, **BELOW)
     return figure
 
@@ -621,12 +627,12 @@ def _draw_effects(result: AccuracyResult, axis: Axes) -> None:
     worst = max([*(row.step for row in rows if row.step < inf), own])
     least = 1e-4 * worst
     top = max(len(rows), FEWEST_BARS)
-    told = [
+    labels = [
         "cannot be left out" if row.step == inf else "none" if row.step < least else shown(row.step)
         for row in rows
     ]
     errors = [min(max(row.step, least), 3.0 * worst) for row in rows]
-    _bars(axis, [row.label for row in rows], errors, told, color=GREEN)
+    _bars(axis, [row.label for row in rows], errors, labels, color=GREEN)
     axis.axvline(own, color=BLACK, linewidth=0.8)
     axis.text(own, top - 0.4, "one trial's error", fontsize=SMALL_PT, ha="center", va="bottom")
     axis.set(

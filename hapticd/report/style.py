@@ -1,9 +1,9 @@
-"""How every figure looks and is kept: sizes, axes, and what colours, lines and marks mean; this is
-the one table of it.
+"""How every figure looks and is saved: sizes, axes, and the one table of what colours, lines and
+marks mean.
 
-    blue, solid          with added damping, the usual level where it is one of several; others in
+    blue, solid          with active damping, the usual level where it is one of several; others in
                          brown, wine, olive
-    red, dashed          without added damping; nothing else is dashed
+    red, dashed          without active damping; nothing else is dashed
     dotted               predicted, black or in the colour of what it predicts; a hollow mark is
                          predicted too
     grey area            not judged
@@ -11,10 +11,10 @@ the one table of it.
     orange, green, sky, forest, purple   K, B > 0, M > 0, B < 0, M < 0
     disc, cross, triangle                a trial passes, fails, escapes
 
-A tinted band about a line is its interval of 95 %. Colours are Okabe and Ito's (2008), told apart
-by everybody; whatever colour says, a line style or a marker says as well. Figures are drawn without
-a window and kept as PNG to look at and SVG to print; the same data give the same bytes, for SVG
-carries no date and no random names.
+A tinted band about a line is its interval of 95 %. Colours are Okabe and Ito's (2008), distinct to
+every eye; whatever a colour means, a line style or a marker means as well. Figures are drawn
+without a window and kept as PNG to look at and SVG to print; the same data give the same bytes, for
+SVG carries no date and no random names.
 
 What would break it: a figure that chooses colours of its own, or one that is drawn outside
 `styled`.
@@ -75,7 +75,7 @@ NOT_JUDGED = "#e9e9e9"
 LOWEST_HZ = 1e-3
 HIGHEST_HZ = 1e6
 
-WIDTH_IN = 6.69  # 17 cm, two columns: letters keep their size in print
+WIDTH_IN = 6.69  # 17 cm, two columns: type keeps its size in print
 SMALL_PT = 8.0  # nothing is smaller
 BELOW: Look = {"loc": "outside lower center", "frameon": False}  # a legend
 STYLE: Any = {
@@ -127,7 +127,7 @@ def styled() -> Iterator[None]:
 # --- figures and axes -----------------------------------------------------------------------------
 
 
-def sheet(
+def blank_figure(
     width_in: float, height_in: float, title: str = "", layout: Any = "constrained"
 ) -> Figure:
     """A figure without a window and without axes. Call it within `styled`."""
@@ -143,7 +143,7 @@ def axes(
     rows: int, columns: int, width_in: float, height_in: float, title: str = "", **more: Any
 ) -> tuple[Figure, list[Axes]]:
     """A figure and its axes row by row. Call it within `styled`."""
-    figure = sheet(width_in, height_in, title)
+    figure = blank_figure(width_in, height_in, title)
     return figure, list(figure.subplots(rows, columns, squeeze=False, **more).ravel())
 
 
@@ -153,7 +153,7 @@ def mosaic(
     """A figure whose axes have names; one that is named twice spans both places. Call it within
     `styled`.
     """
-    figure = sheet(width_in, height_in, title)
+    figure = blank_figure(width_in, height_in, title)
     return figure, figure.subplot_mosaic(panels, **more)
 
 
@@ -182,7 +182,7 @@ def simulated(device: str, seconds: float, more: str = "") -> str:
 
 
 def hertz_axis(axis: Axes, low_hz: float, high_hz: float) -> None:
-    """A logarithmic frequency axis with the numbers that people say."""
+    """A logarithmic frequency axis with ticks at 1, 2 and 5 of each decade."""
     axis.set(xscale="log", xlim=(low_hz, high_hz), xlabel="frequency (Hz)")
     plain_axis(axis.xaxis, FINE[:1])
 
@@ -219,8 +219,8 @@ def plain_axis(
 # --- lines, bands and marks -----------------------------------------------------------------------
 
 
-def of_levels(levels: Sequence[float]) -> list[Look]:
-    """One for each level of added damping [N s/m]: none; the usual one, or else the first that is
+def level_styles(levels: Sequence[float]) -> list[Look]:
+    """One for each level of active damping [N s/m]: none; the usual one, or else the first that is
     some; the others in order.
     """
     first = (
@@ -234,12 +234,12 @@ def of_levels(levels: Sequence[float]) -> list[Look]:
     ]
 
 
-def words_of(level: float) -> str:
-    """A level of added damping [N s/m] in a legend."""
-    return f"with {level:g} N s/m of added damping" if level else "without added damping"
+def level_label(level: float) -> str:
+    """A level of active damping [N s/m] in a legend."""
+    return f"with {level:g} N s/m of active damping" if level else "without active damping"
 
 
-def of_mean(count: int) -> float:
+def mean_interval(count: int) -> float:
     """Half an interval of 95 % of a mean of `count` values, over their standard deviation:
     Student's t; 0 for a single one.
     """
@@ -252,7 +252,7 @@ def tint(colour: str, share: float = 0.14) -> str:
     return "#" + "".join(f"{round(255 - share * (255 - part)):02x}" for part in parts)
 
 
-def banded(
+def draw_band(
     axis: Axes,
     x: Floats,
     value: Floats,
@@ -273,7 +273,7 @@ def banded(
     axis.plot(x, value, label=label, **look)
 
 
-def handles_of(axis: Axes) -> list[Any]:
+def legend_handles(axis: Axes) -> list[Any]:
     """Of a legend: what is drawn, each label once."""
     return [
         *{
@@ -308,7 +308,7 @@ def not_judged(axes: Iterable["Axes"], band_hz: tuple[float, float]) -> Any:
     return patch("not judged", NOT_JUDGED)
 
 
-def averaged(axis: Axes, band_hz: tuple[float, float], height: float = 0.03) -> None:
+def draw_bracket(axis: Axes, band_hz: tuple[float, float], height: float = 0.03) -> None:
     """A bracket at that share of the height of the axes under the frequencies that are averaged,
     where their range shows them.
     """

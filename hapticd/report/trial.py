@@ -1,5 +1,5 @@
 """Figures of trials: impedance or admittance with its interval, its coherence, and what was
-predicted; a motion flown again.
+predicted; a motion replayed.
 
 Every figure of an impedance has the same two axes, size above phase, and `draw` puts a line on
 both. Logarithm and phase of the admittance are those of the impedance with the other sign, and so
@@ -34,11 +34,11 @@ from hapticd.report.style import (
     Figure,
     Look,
     axes,
-    banded,
-    handles_of,
+    draw_band,
     hertz_axis,
+    legend_handles,
+    level_styles,
     not_judged,
-    of_levels,
     patch,
     plain_axis,
     styled,
@@ -52,7 +52,7 @@ FEWEST = 2.0  # degrees of freedom that an interval takes
 SHOWN_HZ = (1.0, 1000.0)
 # characters of a line
 TITLE_WIDTH = 95
-LETTERS = 100
+REASON_WIDTH = 100
 
 
 @dataclass(frozen=True)
@@ -88,9 +88,11 @@ def draw(size: Axes, phase: Axes, curve: Curve, view: View = IMPEDANCE) -> None:
         if curve.spread is None
         else np.where(curve.spread < 1.0, curve.spread, np.nan)
     )
-    banded(size, curve.frequency_hz, np.abs(curve.z) ** view.sign, spread, curve.look, curve.words)
+    draw_band(
+        size, curve.frequency_hz, np.abs(curve.z) ** view.sign, spread, curve.look, curve.words
+    )
     turned = view.sign * np.degrees(np.angle(curve.z))
-    banded(
+    draw_band(
         phase, curve.frequency_hz, turned, np.degrees(spread), curve.look, curve.words, linear=True
     )
 
@@ -133,7 +135,7 @@ def trial_figure(
     Of a trial that escaped force and velocity: a spectrum of them would be that of no impedance.
     """
     view = ADMITTANCE if admittance else IMPEDANCE
-    look = of_levels([result.plan.params.trial.damping_ns_per_m])[0]
+    look = level_styles([result.plan.params.trial.damping_ns_per_m])[0]
     if result.recorded.ended.startswith("escape"):
         return _escape(result, _title(result, view).rsplit("\n", 1)[0], look)
     figure, (size, phase, known) = axes(
@@ -173,7 +175,9 @@ def trial_figure(
     judged = result.verdict.judged
     grey = dress(size, phase, (judged.first_hz, judged.last_hz), view, more=(known,))
     figure.legend(
-        handles=[*handles_of(phase), interval(look, " at each frequency"), grey], ncols=3, **BELOW
+        handles=[*legend_handles(phase), interval(look, " at each frequency"), grey],
+        ncols=3,
+        **BELOW,
     )
     figure.align_ylabels([size, phase, known])
     return figure
@@ -196,7 +200,7 @@ def _title(result: TrialResult, view: View) -> str:
     low, high = verdict.band_hz
     who = f"{simulated}{result.recorded.origin}:"
     level = result.plan.params.trial.damping_ns_per_m
-    what = f"K = {k:g} N/m, B = {b:g} N s/m, M = {1e3 * m:g} g, added damping {level:g} N s/m"
+    what = f"K = {k:g} N/m, B = {b:g} N s/m, M = {1e3 * m:g} g, active damping {level:g} N s/m"
     judged = (
         f"{verdict.answer.replace('_', ' ')} in {low:g}..{high:g} Hz at"
         f" {100 * verdict.confidence:g} %, {verdict.judged}, {view.symbol} at the {verdict.port} by"
@@ -233,7 +237,7 @@ def _escape(result: TrialResult, title: str, look: Look) -> Figure:
     line = {"color": look["color"], "linewidth": 0.6, "rasterized": True}
     why = fill(
         f"ESCAPED, so there is no impedance to draw: {recorded.ended.removeprefix('escape: ')}",
-        LETTERS,
+        REASON_WIDTH,
     )
     figure, places = axes(2, 1, 7.2, 5.4, f"{title}\n{why}", sharex=True)
     time_s = np.arange(recorded.force_n.size) / recorded.rate_hz

@@ -22,7 +22,7 @@ import numpy as np
 
 from hapticd.analysis.passive_set import open_ends, passive_set
 from hapticd.report.envelope import SHOWN_HZ, Drawn, envelopes_figure
-from hapticd.report.passive_set import draw_guess
+from hapticd.report.passive_set import draw_predicted
 from hapticd.report.style import (
     BELOW,
     BLACK,
@@ -36,15 +36,15 @@ from hapticd.report.style import (
     Axes,
     Figure,
     Look,
-    averaged,
     axes,
-    handles_of,
+    blank_figure,
+    draw_bracket,
     hertz_axis,
-    of_levels,
+    legend_handles,
+    level_label,
+    level_styles,
     plain_axis,
-    sheet,
     simulated,
-    words_of,
 )
 from hapticd.report.trial import Curve, draw, dress, interval
 from hapticd.weir2008.paper import (
@@ -59,19 +59,19 @@ from hapticd.weir2008.paper import (
 from hapticd.weir2008.rows import MIDDLE_HZ, TOLERANCE, compared, predicted
 from hapticd.weir2008.run import (
     AXES,
-    CALMED,
     EDGE_SEEDS,
     EDGES_HZ,
     POINTS,
     SECONDS,
+    SMOOTHED,
     WINDOW_HZ,
     Found,
     Peak,
     ReproduceResult,
 )
 
-LOOKS = tuple(of_levels(LEVELS))
-LABELS = tuple(words_of(level) for level in LEVELS)
+LOOKS = tuple(level_styles(LEVELS))
+LABELS = tuple(level_label(level) for level in LEVELS)
 TRUSTED_HZ = (2.0, 500.0)  # outside it nothing is judged
 IMPEDANCE_RANGE = (0.08, 200.0)  # |Z| in N s/m, the same for all envelopes that are compared
 TICKS = (-100, -50, -20, -8, 0, 8, 20, 50, 100, 500)  # %
@@ -129,12 +129,12 @@ def single_figure(result: ReproduceResult, places: tuple[int, ...], title: str) 
     if len(shown) == 2:
         _advantage(phase, float(compared(shown[0], shown[1], MAIN).mean(axis=0)[1]))
     grey = dress(size, phase, TRUSTED_HZ, where=" at the probe")
-    size.legend(handles=[*handles_of(size), *known, grey], loc="upper left")
+    size.legend(handles=[*legend_handles(size), *known, grey], loc="upper left")
     return figure
 
 
 def _advantage(phase: Axes, degrees: float) -> None:
-    averaged(phase, MIDDLE_HZ, 0.14)
+    draw_bracket(phase, MIDDLE_HZ, 0.14)
     words = f"{degrees:.0f} degrees\nfarther\nfrom +90"
     phase.text(
         float(np.sqrt(MIDDLE_HZ[0] * MIDDLE_HZ[1])),
@@ -147,7 +147,7 @@ def _advantage(phase: Axes, degrees: float) -> None:
 
 
 def envelope_figure(result: ReproduceResult, places: tuple[int, ...], title: str) -> Figure:
-    """|Z| and phase envelopes of damping levels, with the owners' strips; of added damping alone
+    """|Z| and phase envelopes of damping levels, with the owners' strips; of active damping alone
     with the paper's peak.
     """
     shown = [drawn(result, place) for place in places]
@@ -166,14 +166,14 @@ def drawn(result: ReproduceResult, place: int) -> Drawn:
     """
     found = result.found[place]
     predicted = result.predicted[MAIN][place]
-    guess = predicted.envelope if predicted is not None and found.flown else None
+    guess = predicted.envelope if predicted is not None and found.trials else None
     return Drawn(
         found.envelope,
         found.environments,
         LOOKS[place],
         LABELS[place],
         guess,
-        CALMED if found.flown else 1,
+        SMOOTHED if found.trials else 1,
     )
 
 
@@ -215,9 +215,9 @@ def limits_figure(result: ReproduceResult) -> Figure:
         )
         x = np.array([names.index(name) for name in quantities]) + BESIDE * (place - 1)
         marked = {**DEVICES[place], "linestyle": "none"}
-        told = np.array([one.values.size > 0 or isnan(one.predicted) for one in limits])
-        axis.errorbar(x, np.where(told, ours - 100.0, np.nan), abs(sd), label=device, **marked)
-        draw_guess(axis, x + BESIDE_GUESS, guess - 100.0, marked)
+        known = np.array([one.values.size > 0 or isnan(one.predicted) for one in limits])
+        axis.errorbar(x, np.where(known, ours - 100.0, np.nan), abs(sd), label=device, **marked)
+        draw_predicted(axis, x + BESIDE_GUESS, guess - 100.0, marked)
     axis.plot([], [], "o", color=BLACK, label="predicted (hollow)", **HOLLOW)
     axis.set_yscale("symlog", linthresh=20.0)
     axis.set_yticks(TICKS, [f"{tick:+d}" if tick else "0" for tick in TICKS])
@@ -238,8 +238,8 @@ def _labelled(name: str) -> str:
 
 
 def edges_figure(result: ReproduceResult) -> Figure:
-    """K limits over the lower band edge, 0 where none is passive: what tells a lag in the force
-    path from a high-pass in the probe.
+    """K limits over the lower edge of the judged band, 0 where none is passive: they separate a lag
+    in the force path from a high-pass in the probe.
     """
     seeds = (
         f"; bars: one sd over {min(len(result.plan.seeds), EDGE_SEEDS)} seeds"
@@ -278,15 +278,15 @@ def edges_figure(result: ReproduceResult) -> Figure:
 
 
 def passive_figure(found: Found, title: str) -> Figure:
-    """The set in space, and the largest K over B and M; a colour for each K of the grid."""
+    """The passive set in three dimensions, and the largest K over B and M as a colour."""
     count = int(found.passive.sum())
     how = (
-        f"{found.undecided} not certain at 95 %, {found.flown} trials"
-        if found.flown
+        f"{found.undecided} not certain at 95 %, {found.trials} trials"
+        if found.trials
         else "predicted"
     )
     whole = f"{title}\nSIMULATED {MAIN}, {count} of {len(POINTS)} environments ({how})"
-    figure = sheet(WIDTH_IN, 4.1, whole, layout=None)
+    figure = blank_figure(WIDTH_IN, 4.1, whole, layout=None)
     _space(figure.add_axes((-0.02, 0.0, 0.49, 0.86), projection="3d"), found)
     painted = _flat(figure.add_axes((0.575, 0.13, 0.3, 0.6)), found)
     bar = figure.colorbar(painted, cax=figure.add_axes((0.89, 0.13, 0.018, 0.6)), label="K (N/m)")

@@ -37,13 +37,13 @@ from hapticd.report.style import (
     Axes,
     Figure,
     Look,
-    averaged,
     axes,
-    banded,
-    handles_of,
+    draw_band,
+    draw_bracket,
     hertz_axis,
+    legend_handles,
     mark,
-    of_mean,
+    mean_interval,
     plain_axis,
     simulated,
 )
@@ -115,7 +115,8 @@ def _by_trials(
     """
     known = [mean_sd(each) for each in runs if len(each)]
     bars = [
-        abs(scale) * of_mean(len(each)) * sd for each, (_, sd) in zip(runs, known, strict=False)
+        abs(scale) * mean_interval(len(each)) * sd
+        for each, (_, sd) in zip(runs, known, strict=False)
     ]
     if known:
         marked = {"markerfacecolor": look["color"], "zorder": 3, **look, "linestyle": ""}
@@ -126,8 +127,8 @@ def _by_trials(
 
 
 def edge_figure(result: FutureWorkResult) -> Figure:
-    """Envelopes undamped, damped and with B < 0: by the paper's rule, and without counting on
-    friction.
+    """Envelopes undamped, damped and with B < 0, by the paper's rule and without counting on
+    friction, with the owners of their lower edges.
     """
     title = f"Negative virtual damping and the lower edge of the Z-width\n{_how(result)}"
     figure, grid = axes(
@@ -143,7 +144,7 @@ def edge_figure(result: FutureWorkResult) -> Figure:
         _lines(size, bounds, [(look, label) for _, look, label in CASES], len(result.plan.seeds))
         size.set(title=words, ylim=(None, 300.0))
         _ends(size)
-        averaged(size, LOW_HZ)
+        draw_bracket(size, LOW_HZ)
         for axis, found, (_, _, label) in zip(strips, bounds, CASES, strict=True):
             which = weightiest(shown_hz(), found.points[found.lower.owner])
             strip(
@@ -172,7 +173,7 @@ def _lines(
         _line(
             axis,
             found.lower,
-            found.predicted_lower if found.flown else None,
+            found.predicted_lower if found.trials else None,
             seeds,
             {**look, "linewidth": 1.8},
             words,
@@ -192,13 +193,13 @@ def _line(
     of it.
     """
     axis.set_yscale("log")
-    banded(axis, shown_hz(), size.value, of_mean(seeds) * size.sd, look, words)
+    draw_band(axis, shown_hz(), size.value, mean_interval(seeds) * size.sd, look, words)
     if predicted is not None:
         axis.plot(shown_hz(), predicted, **{**PREDICTED, "color": look["color"]})
 
 
 def free_figure(result: FutureWorkResult) -> Figure:
-    """|Z| of the device that renders no stiffness, for each way of making it lighter."""
+    """|Z| over frequency where no stiffness is rendered, for each way of making that lighter."""
     title = f"Free motion: passive for any input, friction not counted\n{_how(result)}"
     figure, (axis,) = axes(1, 1, WIDTH_IN, 4.4, title)
     for motion, look in zip(result.free.motions, (OFF, ON, NEGATIVE, WITH_MASS), strict=True):
@@ -215,30 +216,28 @@ def free_figure(result: FutureWorkResult) -> Figure:
         f"{BAND}: mean, dB re 1 N s/m", color=BLACK, marker="|", markersize=7, linewidth=1.0
     )
     _ends(axis)
-    averaged(axis, LOW_HZ)
+    draw_bracket(axis, LOW_HZ)
     axis.set_ylabel("|Z| at the probe, K = 0 (N s/m)")
     figure.legend(
-        handles=[*handles_of(axis), mark("predicted", **PREDICTED), bracket], ncols=2, **BELOW
+        handles=[*legend_handles(axis), mark("predicted", **PREDICTED), bracket], ncols=2, **BELOW
     )
     return figure
 
 
 def _rendered(motion: Motion) -> str:
-    added = f"{motion.level:g} N s/m added" if motion.level else "no added damping"
+    active = f"{motion.level:g} N s/m active" if motion.level else "no active damping"
     damping = f", B = {motion.damping:.2f} N s/m" if motion.damping else ""
-    return added + damping + (f", M = {1e3 * motion.mass_kg:.1f} g" if motion.mass_kg else "")
+    return active + damping + (f", M = {1e3 * motion.mass_kg:.1f} g" if motion.mass_kg else "")
 
 
 # --- future work, over a corner and over a level --------------------------------------------------
 
 
 def shape_figure(result: FutureWorkResult) -> Figure:
-    """What a corner in the damping circuit does to the limits, to free motion, and to the
-    envelope.
-    """
+    """Limits, free motion and envelope over the corner frequency of the active damping."""
     shaped = result.shaped
     title = (
-        f"Frequency-shaped added damping, {shaped.level:g} N"
+        f"Frequency-shaped active damping, {shaped.level:g} N"
         f" s/m\n{_how(result, 'lines predicted, marks ')}"
     )
     figure, (above, below, free, size) = axes(2, 2, WIDTH_IN, 5.6, title)
@@ -246,10 +245,10 @@ def shape_figure(result: FutureWorkResult) -> Figure:
     _shares(below, shaped, shaped.lowpass, "damping below the corner only")
     for each in shaped.confirmed:
         scale = 100.0 / shaped.plain.limits[each.axis]
-        _by_trials(above, shaped.best.hertz, [each.values], scale, LIMITS[each.axis][-1], None)
+        _by_trials(above, shaped.best.corner_hz, [each.values], scale, LIMITS[each.axis][-1], None)
     above.set_ylabel("limit (% of unshaped)")
     _free(free, shaped)
-    looks = ((OFF, "none"), (ON, "unshaped"), (ALONE, f"above {shaped.best.hertz:g} Hz"))
+    looks = ((OFF, "none"), (ON, "unshaped"), (ALONE, f"above {shaped.best.corner_hz:g} Hz"))
     _lines(
         size,
         [result.envelopes["off"], result.envelopes["on"], shaped.bounds],
@@ -258,15 +257,15 @@ def shape_figure(result: FutureWorkResult) -> Figure:
     )
     size.set(ylabel="envelope, B ≥ 0 (N s/m)", ylim=(0.003, None))
     _ends(size)
-    size.legend(loc="lower left", title="added damping")
+    size.legend(loc="lower left", title="active damping")
     undamped = mark("without damping", color=BLACK, linestyle=OFF["linestyle"])
-    figure.legend(handles=[*handles_of(above), undamped], ncols=4, **BELOW)
+    figure.legend(handles=[*legend_handles(above), undamped], ncols=4, **BELOW)
     return figure
 
 
 def _shares(axis: Axes, shaped: Shaped, corners: tuple[Corner, ...], words: str) -> None:
     """Limits in percent of those without a corner; dashed those without damping."""
-    at = [corner.hertz for corner in corners]
+    at = [corner.corner_hz for corner in corners]
     for place, (name, _, _, look) in enumerate(LIMITS):
         scale = 100.0 / shaped.plain.limits[place]
         axis.plot(at, [scale * corner.limits[place] for corner in corners], label=name, **look)
@@ -285,7 +284,7 @@ def _free(axis: Axes, shaped: Shaped) -> None:
     ):
         free_db = [each.free_db for each in corners]
         axis.plot(
-            [each.hertz for each in corners],
+            [each.corner_hz for each in corners],
             free_db,
             marker=sign,
             color=BLUE,
@@ -299,7 +298,7 @@ def _free(axis: Axes, shaped: Shaped) -> None:
         axis.axhline(level, linewidth=0.9, **look)
         axis.text(0.45, level + 0.3, words, fontsize=SMALL_PT, color=look["color"])
     if len(shaped.free.runs):
-        _by_trials(axis, shaped.best.hertz, [shaped.free.low_db()])
+        _by_trials(axis, shaped.best.corner_hz, [shaped.free.low_db()])
     hertz_axis(axis, *CORNERS_HZ)
     axis.set(
         xlabel="corner (Hz)",
@@ -311,7 +310,7 @@ def _free(axis: Axes, shaped: Shaped) -> None:
 
 
 def levels_figure(result: FutureWorkResult) -> Figure:
-    """Limits, volume and free motion over the level of added damping."""
+    """Limits, volume of the passive set and free motion over active damping."""
     levels = result.levels
     how = _how(result, "lines predicted, marks ")
     figure, grid = axes(
@@ -319,7 +318,7 @@ def levels_figure(result: FutureWorkResult) -> Figure:
         2,
         WIDTH_IN,
         5.4,
-        f"Levels of added damping; the two upright lines are those of the paper\n{how}",
+        f"Levels of active damping; the two upright lines are those of the paper\n{how}",
     )
     for axis, (panel, (name, unit, scale, look)) in enumerate(zip(grid, LIMITS, strict=False)):
         panel.plot(
@@ -329,14 +328,14 @@ def levels_figure(result: FutureWorkResult) -> Figure:
             marker=".",
             label="predicted",
         )
-        flown = [limit for limit in levels.confirmed if limit.axis == axis]
-        _by_trials(panel, [each.level for each in flown], [each.values for each in flown], scale)
+        tried = [limit for limit in levels.confirmed if limit.axis == axis]
+        _by_trials(panel, [each.level for each in tried], [each.values for each in tried], scale)
         panel.set_ylabel(f"{name} ({unit})")
     _volume(grid[3], result)
     for panel in grid:
         for level in LEVELS:
             panel.axvline(level, color="#bbbbbb", linewidth=1.0, zorder=0.4)
-        panel.set_xlabel("added damping (N s/m)")
+        panel.set_xlabel("active damping (N s/m)")
     grid[0].legend(loc="upper left")
     return figure
 

@@ -1,4 +1,4 @@
-"""What the paper left for future work: a section of the page for each part, with its rows, its
+"""What the paper left for future work: a section of REPORT.md for each part, with its rows, its
 words and its figure.
 
 lower_bound_*   mean |Z| of the envelope's lower edge over ln f in 2-20 Hz, dB re 1 N s/m
@@ -20,7 +20,7 @@ from hapticd.analysis.arrays import Floats
 from hapticd.report.passive_set import search_figure
 from hapticd.weir2008.future_figures import edge_figure, free_figure, levels_figure, shape_figure
 from hapticd.weir2008.future_work import (
-    FLOWN,
+    TRIED_LEVELS,
     Bounds,
     FutureWorkResult,
     SearchCheck,
@@ -31,10 +31,10 @@ from hapticd.weir2008.page import Drawing, Section
 from hapticd.weir2008.paper import ADDED_NS_PER_M, MAIN, MODES, NAMES, UNITS
 from hapticd.weir2008.rows import PaperRow
 
-PART = "beyond"
-PREDICTED = np.empty(0)  # values by trials: none
+PART = "beyond"  # of these rows in table.json
+PREDICTED = np.empty(0)  # values by trials: there are none
 BANDS = "bands are 95 % intervals of the mean over seeds (Student's t)"
-LITTLE = 0.5  # of the growth before: it saturates
+LITTLE = 0.5  # of the growth before; below it a limit saturates
 
 
 def future_sections(result: FutureWorkResult) -> tuple[Section, ...]:
@@ -60,7 +60,7 @@ def _row(
 
 
 def restored(result: FutureWorkResult, kind: str = "") -> Floats:
-    """How much of what added damping raised the lower edge by is taken back [%] (seeds,);
+    """How much of what active damping raised the lower edge by is taken back [%] (seeds,);
     `kind` "" or "_safe".
     """
     off, on, negative = (
@@ -72,15 +72,12 @@ def restored(result: FutureWorkResult, kind: str = "") -> Floats:
 def _lower_edge(result: FutureWorkResult) -> Section:
     rows = []
     for name, bounds in result.envelopes.items():
-        told = _edge_note(result, name, bounds)
-        rows.append(
-            _row(
-                result, f"lower_bound_{name}", bounds.lower_db(), "dB", bounds.predicted_db(), told
-            )
-        )
+        note = _edge_note(result, name, bounds)
+        low_db = bounds.lower_db()
+        rows.append(_row(result, f"lower_bound_{name}", low_db, "dB", bounds.predicted_db(), note))
         rows.append(_row(result, f"zwidth_{name}", bounds.width_db(), "dB"))
     note = (
-        "of what added damping raised the lower edge by; sd of the owners alone, other seeds and"
+        "of what active damping raised the lower edge by; sd of the owners alone, other seeds and"
         " grids choose others (ADR 0034)"
     )
     rows += [
@@ -90,7 +87,7 @@ def _lower_edge(result: FutureWorkResult) -> Section:
     caption = f"Envelopes with the owners of their lower edges; {BANDS}."
     drawing = Drawing("beyond_lower_edge", caption, partial(edge_figure, result))
     return Section(
-        "Beyond the paper: negative virtual damping",
+        "Future work: negative virtual damping",
         _lower_edge_words(result),
         tuple(rows),
         (drawing,),
@@ -102,14 +99,14 @@ def _lower_edge_words(result: FutureWorkResult) -> str:
     wide = {name: found.width_db().mean() for name, found in result.envelopes.items()}
     at_noise, safe = (restored(result, kind).mean() for kind in ("", "_safe"))
     twice = ""
-    if result.hardy:
-        share = 100.0 * max(result.hardy[name] for name in ("off", "on", "on_negative_B"))
+    if result.passing_twice:
+        share = 100.0 * max(result.passing_twice[name] for name in ("off", "on", "on_negative_B"))
         twice = (
-            f": shaken twice as hard, {share:.0f} % at most of the owners of any of these edges"
+            f": with twice the force, {share:.0f} % at most of the owners of any of these edges"
             " pass"
         )
     return (
-        f"Added damping raises the lower edge of the Z-width in 2-20 Hz from {low['off']:.1f} to"
+        f"Active damping raises the lower edge of the Z-width in 2-20 Hz from {low['off']:.1f} to"
         f" {low['on']:.1f} dB (re 1 N s/m, mean over ln f). With B < 0 it comes to"
         f" {low['on_negative_B']:.1f} dB, {at_noise:.0f} % of the way back, and the upper edge"
         f" stays. The Z-width there is {wide['off']:.1f} dB without damping, {wide['on']:.1f} dB"
@@ -125,11 +122,11 @@ def _lower_edge_words(result: FutureWorkResult) -> str:
 
 
 def _edge_note(result: FutureWorkResult, name: str, bounds: Bounds) -> str:
-    if not bounds.flown:
+    if not bounds.trials:
         return "predicted on the grid of Figs. 3 and 8; a finer grid goes lower"
-    share = 100.0 * result.hardy[name]
+    share = 100.0 * result.passing_twice[name]
     return (
-        f"{bounds.flown} trials flown, {bounds.struck} environments struck out; at twice the force"
+        f"{bounds.trials} trials, {bounds.excluded} environments excluded; at twice the force"
         f" {share:.0f} % of its owners pass"
     )
 
@@ -146,14 +143,15 @@ def _free_motion(result: FutureWorkResult) -> Section:
         f" the loop turns it into mass; with M = {1e3 * both.mass_kg:.1f} g beside it"
         f" {both.low_db().mean():.1f} dB is left, lighter than the undamped device below"
         f" {heavier:.0f} Hz and heavier above. All four are passive for every input without"
-        f" friction, the last with {both.spare:.2g} N s/m to spare, which leaves nothing for an"
-        " error of the model. Eq. 2 of the paper must not be asked about B < 0; it refuses."
+        f" friction, the last with {both.reserve_ns_per_m:.2g} N s/m in reserve, which leaves"
+        " nothing for an error of the model. Eq. 2 of the paper does not hold for B < 0 and is"
+        " refused there."
     )
     rows = []
     for motion in free.motions:
         note = (
-            f"B {motion.damping:.3g} Ns/m, M {1e3 * motion.mass_kg:.3g} g; {motion.spare:.3g} Ns/m"
-            " to spare by the lifted theorem, without"
+            f"B {motion.damping:.3g} Ns/m, M {1e3 * motion.mass_kg:.3g} g;"
+            f" {motion.reserve_ns_per_m:.3g} Ns/m in reserve by the lifted theorem, without"
             f" friction{f'; {len(motion.runs)} of {count} seeds pass' if count else ''}"
         )
         rows.append(
@@ -166,7 +164,7 @@ def _free_motion(result: FutureWorkResult) -> Section:
                 note,
             )
         )
-    ends = "on its axis, at the perturbation: beyond it the device runs away"
+    ends = "on its axis, at the perturbation: below it the device runs away"
     rows += [
         _row(result, f"B_min_{MODES[end.level]}", end.values, "Ns/m", end.predicted, ends)
         for end in free.limits
@@ -175,9 +173,9 @@ def _free_motion(result: FutureWorkResult) -> Section:
     rows.append(
         PaperRow("eq2_on_negative_B", nan, nan, "-", "arithmetic", MAIN, note=refused, part=PART)
     )
-    caption = f"What is felt where no stiffness is rendered; {BANDS}."
+    caption = f"|Z| where no stiffness is rendered; {BANDS}."
     drawing = Drawing("beyond_free_motion", caption, partial(free_figure, result))
-    return Section("Beyond the paper: free motion", words, tuple(rows), (drawing,))
+    return Section("Future work: free motion", words, tuple(rows), (drawing,))
 
 
 def _shaped(result: FutureWorkResult) -> Section:
@@ -186,7 +184,7 @@ def _shaped(result: FutureWorkResult) -> Section:
     best = shaped.best
     plain = shaped.plain
     words = (
-        f"Damping above {best.hertz:g} Hz only keeps B and M within 5 % of what plain damping"
+        f"Damping above {best.corner_hz:g} Hz only keeps B and M within 5 % of what plain damping"
         f" allows and brings the lower edge in 2-20 Hz to {bounds.lower_db().mean():z.1f} dB, with"
         f" B >= 0: a Z-width of {bounds.width_db().mean():.1f} dB. K alone goes to"
         f" {100.0 * best.limits[0] / plain.limits[0]:.0f} % of what plain damping allows, K with"
@@ -214,8 +212,8 @@ def _shaped(result: FutureWorkResult) -> Section:
         )
         for each in shaped.confirmed
     ]
-    told = (
-        ("shaped_corner", PREDICTED, "Hz", best.hertz, light),
+    quantities = (
+        ("shaped_corner", PREDICTED, "Hz", best.corner_hz, light),
         *limits,
         ("shaped_K_max_set", PREDICTED, "N/m", best_k, beside),
         ("shaped_lower_bound", bounds.lower_db(), "dB", bounds.predicted_db(), ""),
@@ -224,17 +222,17 @@ def _shaped(result: FutureWorkResult) -> Section:
     )
     caption = "Limits, free motion and envelope over the corner."
     drawing = Drawing("beyond_shaped", caption, partial(shape_figure, result))
-    title = "Beyond the paper: damping that depends on frequency"
-    return Section(title, words, tuple(_row(result, *row) for row in told), (drawing,))
+    title = "Future work: damping that depends on frequency"
+    return Section(title, words, tuple(_row(result, *row) for row in quantities), (drawing,))
 
 
 def _levels(result: FutureWorkResult) -> Section:
-    levels, (low, _, high, highest) = result.levels, FLOWN
+    levels, (low, _, high, highest) = result.levels, TRIED_LEVELS
     growth = levels.gain(low, high)
     later = levels.gain(high, highest)
     left = 100.0 * later / growth
     words = (
-        f"Between {low:g} and {high:g} N s/m each N s/m of added damping buys {growth[0]:.0f} N/m"
+        f"Between {low:g} and {high:g} N s/m each N s/m of active damping buys {growth[0]:.0f} N/m"
         f" of K, {growth[1]:.2f} N s/m of B and {-1e3 * growth[2]:.1f} g of negative mass by"
         f" prediction; the table has the trials. From there to {highest:g} N s/m it buys"
         f" {left[0]:.0f} %, {left[1]:.0f} % and {left[2]:.0f} % of that. What is paid is free"
@@ -245,16 +243,14 @@ def _levels(result: FutureWorkResult) -> Section:
     for axis, name in enumerate(NAMES):
         runs = {each.level: each.values for each in levels.confirmed if each.axis == axis}
         gained = (runs[high] - runs[low]) / (high - low) if runs else PREDICTED
-        beyond = (runs[highest] - runs[high]) / (highest - high) if runs else PREDICTED
-        share = 100.0 * (mean_sd(beyond / gained)[0] if runs else later[axis] / growth[axis])
+        above = (runs[highest] - runs[high]) / (highest - high) if runs else PREDICTED
+        share = 100.0 * (mean_sd(above / gained)[0] if runs else later[axis] / growth[axis])
         unit = f"{UNITS[axis]} per Ns/m"
         ends = "it saturates" if share < 100.0 * LITTLE else "no saturation up to there"
-        note = f"between {low:g} and {high:g} Ns/m of added damping"
+        note = f"between {low:g} and {high:g} Ns/m of active damping"
         rows.append(_row(result, f"{name}_per_level", gained, unit, float(growth[axis]), note))
         note = f"between {high:g} and {highest:g} Ns/m; {share:.0f} % of the growth before: {ends}"
-        rows.append(
-            _row(result, f"{name}_per_level_beyond", beyond, unit, float(later[axis]), note)
-        )
+        rows.append(_row(result, f"{name}_per_level_beyond", above, unit, float(later[axis]), note))
     larger = levels.volume / levels.volume[0]
     note = f"predicted, B >= 0; {larger[-1]:.0f} times at {levels.level[-1]:g} Ns/m"
     own = float(larger[np.argmin(np.abs(levels.level - ADDED_NS_PER_M))])
@@ -264,7 +260,7 @@ def _levels(result: FutureWorkResult) -> Section:
         "Limits, set and free motion over the level.",
         partial(levels_figure, result),
     )
-    return Section("Beyond the paper: levels of added damping", words, tuple(rows), (drawing,))
+    return Section("Future work: levels of active damping", words, tuple(rows), (drawing,))
 
 
 def _search(result: FutureWorkResult) -> Section:
@@ -273,20 +269,18 @@ def _search(result: FutureWorkResult) -> Section:
         f"{found.points} trials by {found.enough}" for found in result.searches if found.enough
     ]
     if saved:
-        words.append(
-            f"To know as much as one flight of the grid, it replaces {' and '.join(saved)}."
-        )
-    told = [
+        words.append(f"To know as much as one run of the grid, it replaces {' and '.join(saved)}.")
+    by_mode = [
         (mode, row)
         for found, mode in zip(result.searches, MODES.values(), strict=False)
         for row in _search_rows(found)
     ]
-    rows = tuple(replace(row, quantity=f"{row.quantity}_{mode}") for mode, row in told)
+    rows = tuple(replace(row, quantity=f"{row.quantity}_{mode}") for mode, row in by_mode)
     caption = "Slices of the set with the trials next to each, and all trials in their order."
     drawing = Drawing(
         "beyond_search", caption, partial(search_figure, [found.found for found in result.searches])
     )
-    return Section("Beyond the paper: directed search", " ".join(words), rows, (drawing,))
+    return Section("Future work: directed search", " ".join(words), rows, (drawing,))
 
 
 def _search_words(found: SearchCheck) -> str:
@@ -294,9 +288,9 @@ def _search_words(found: SearchCheck) -> str:
         f"{found.share(points):.1f} % after {count}" for count, points in found.searched.items()
     )
     return (
-        f"At {found.damping_ns_per_m:g} N s/m the search holds wrongly, of the passive points,"
-        f" {wrong} trials; prediction alone {found.share(found.predicted):.1f} %, the grid flown"
-        f" again with other noise {found.share(found.other_noise):.1f} %."
+        f"At {found.damping_ns_per_m:g} N s/m the search answers wrongly, in shares of the"
+        f" passive points, {wrong} trials; prediction alone {found.share(found.predicted):.1f} %,"
+        f" the grid repeated with other noise {found.share(found.other_noise):.1f} %."
     )
 
 
@@ -306,17 +300,17 @@ def _search_rows(found: SearchCheck) -> tuple[PaperRow, ...]:
     if found.enough:
         enough = (
             f"first of {', '.join(map(str, found.searched))} trials with no more wrong than the"
-            " grid flown again"
+            " repeated grid"
         )
-    told = (
-        ("grid_trials", found.points, "trials", "the whole grid flown, one seed of noise"),
+    quantities = (
+        ("grid_trials", found.points, "trials", "the whole grid by trials, one seed of noise"),
         ("search_trials", found.enough or nan, "trials", enough),
         *(
             (
                 f"search_wrong_{count}",
                 found.share(wrong),
                 "%",
-                f"yes or no that {count} trials hold otherwise, {grid}",
+                f"points that {count} trials answer otherwise, {grid}",
             )
             for count, wrong in found.searched.items()
         ),
@@ -330,10 +324,10 @@ def _search_rows(found: SearchCheck) -> tuple[PaperRow, ...]:
             "grid_again_wrong",
             found.share(found.other_noise),
             "%",
-            f"the grid flown with other noise, {grid}",
+            f"the grid repeated with other noise, {grid}",
         ),
     )
     return tuple(
         PaperRow(name, nan, float(value), unit, "independent", MAIN, note=note, part=PART)
-        for name, value, unit, note in told
+        for name, value, unit, note in quantities
     )

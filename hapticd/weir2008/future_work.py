@@ -1,8 +1,7 @@
-"""Beyond the paper: what Weir, Colgate and Peshkin (2008, section 6) left for future work, on the
-calibrated device.
+"""What Weir, Colgate and Peshkin (2008, section 6) left for future work, on the calibrated device.
 
-Prediction carries the load; 90 s trials confirm what is shown, each with every seed. `quick`
-predicts alone.
+Everything is predicted first; trials of 90 s, with every seed, confirm what is shown. With `quick`
+nothing is confirmed.
 
 Envelopes. "Future work will address adding negative virtual damping to counteract the additional
 physical damping in the system and shift the lower impedance boundary back toward the original
@@ -11,17 +10,17 @@ frequency only, while the circuit's damping goes on to act at high frequency, wh
 The grid is that of the paper's search, with rows of B < 0 added in the same steps. The lower edge
 is where something cancels, M < 0 the mass or K a mass against a spring, so it lies at the edge of
 passivity and sinks as a grid gets finer: envelopes are compared on one grid only. An environment
-that owns a point of an edge is flown with every seed; where one fails in any, it is struck out and
-the next owner is flown, until all owners have passed. Owners are chosen by prediction, not by their
+that owns a point of an edge is tried with every seed; where it fails with any, it is excluded and
+the next owner is tried, until all owners have passed. Owners are chosen by prediction, not by their
 own noise, so their mean over seeds is not biased.
 
 Free motion. K = 0, so nothing resonates and no grid matters: |Z| is damping, mass, and what
 negative virtual damping takes away. The law's lag t turns B < 0 into a mass, -|B| e^(-jwt) = -|B| +
 jw |B| t, some 14 g with the 1.74 N s/m of the paper, so B < 0 alone restores the damping and not
 the motion; M < 0 beside it does. Two limits are not the same. At the perturbation of the trials dry
-friction carries a part of B < 0; it fades as the motion grows, until the device runs away. `safest`
-therefore asks for the lifted theorem of Colgate and Schenkel as well, without friction, for every
-input. The best safe (B, M) has the least mean |Z| in dB over 2-20 Hz.
+friction carries a part of B < 0; it fades as the motion grows, until the device runs away.
+`lightest_safe` therefore asks for the lifted theorem of Colgate and Schenkel as well, without
+friction, for every input. The best safe (B, M) has the least mean |Z| in dB over 2-20 Hz.
 
 Shaped damping. "Future work could address a frequency dependent active damping, since added
 mechanical dissipation is rarely needed at low frequency". A high-pass takes the dissipation out of
@@ -32,20 +31,20 @@ device; virtual B beside it gives slow motion its dissipation back. A low-pass d
 The best high-pass is the one with the lightest free motion among those that keep the limits of B
 and M within `KEPT`.
 
-Levels. The paper measured with 1.74 N s/m and without; how do the limits grow between and beyond?
-For each level: the three axis limits, the volume of the passive set, and free motion, by
-prediction; a few levels are flown. The set is looked at on a grid that grows with the limits, B >=
-0, so that its volume does not depend on where the grid ends.
+Levels. The paper measured with 1.74 N s/m and without; how do the limits grow between these levels
+and above them? For each level: the three axis limits, the volume of the passive set, and free
+motion, by prediction; a few levels are confirmed by trials. The set is looked at on a grid that
+grows with the limits, B >= 0, so that its volume does not depend on where the grid ends.
 
 Searches. The directed search against the grid that it replaces: a grid of 2,002 environments is
-flown twice, all of it, with unlike noise. The first is the truth; how the second differs from it is
-what one grid can know of the boundary, the floor. The search has noise of its own. A point is wrong
-whose yes or no the search, or the prediction alone, holds otherwise; shares are of the passive
-points.
+tried twice, all of it, with unlike noise. The first is the reference; how the second differs from
+it is what one grid can know of the boundary, the floor. The search has noise of its own. A point is
+wrong where the search, or the prediction alone, answers otherwise than the reference; shares are of
+the passive points.
 
-What would break it: Eq. 2 of the paper as a judge of B < 0, where it relaxes
-(`analysis.theorem` refuses it); a level at which the damping circuit itself oscillates
-(`plant.stability`), or one that no board can command.
+What would break it: Eq. 2 of the paper as a judge of B < 0, where it relaxes (`analysis.theorem`
+refuses it); a level at which the damping circuit itself oscillates (`plant.stability`), or one that
+no board can command.
 """
 
 from dataclasses import dataclass, field, replace
@@ -77,32 +76,32 @@ from hapticd.zwidth.scenes import Display
 from hapticd.zwidth.search import SearchParams, SearchResult, observed, plan_search, run_search
 from hapticd.zwidth.store import Progress, Steps, TrialStore, silent
 
-SEEDS = 3
+SEEDS = 3  # noise realisations behind everything that is shown
 FREE = np.array([ORIGIN])  # motion: nothing is rendered
-SHOWN_HZ = (2.0, 200.0)
+SHOWN_HZ = (2.0, 200.0)  # of every figure here
 # Above 20 Hz the mass of 8 g outweighs the undamped device's damping: there |Z| is w m, whatever
 # is rendered.
 LOW_HZ = (2.0, 20.0)
-NEGATIVE_STEPS = 8
+NEGATIVE_STEPS = 8  # rows of B < 0
 STEP = float(AXES[1][1] - AXES[1][0])
 GRID = grid((AXES[0], np.concatenate((-STEP * np.arange(NEGATIVE_STEPS, 0, -1), AXES[1])), AXES[2]))
-ROUNDS = 40
+ROUNDS = 40  # of trials of new owners, at most
 FURTHEST = -12.0  # N s/m, of a predicted search of B
 DAMPINGS = 41  # values of B that are looked at
 MASSES = 25  # and of M
 HIGHPASS_HZ = (0.5, 1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 14.0, 20.0, 30.0, 50.0, 100.0)
 LOWPASS_HZ = (10.0, 20.0, 50.0, 100.0, 200.0, 500.0)
-KEPT = 0.05
+KEPT = 0.05  # share of the limits of B and M that a corner may cost
 HIGHEST = 10.0  # N s/m: full scale of the damping scale factor on the simulated board
 DAMPING_LEVELS = (0.0, 0.25, 0.5, 0.87, 1.25, 1.74, 2.25, 2.75, 3.48, 4.5, 6.0, 8.0, HIGHEST)
-FLOWN = (0.87, 1.74, 3.48, 8.0)  # half, once and twice the paper's, and far beyond
+TRIED_LEVELS = (0.87, 1.74, 3.48, 8.0)  # N s/m: half, once and twice the paper's, and far above
 ROOM = (5.0, 1.3, 1.3)  # of the grid, in axis limits of K, B and M; K grows with B and M beside it
 HEAVIEST = 2.6  # M > 0, in limits of M < 0 and the device's own mass beside it
-STEPS = (13, 12, 16)
-SEARCH_SEED = 101
-GRID_SEEDS = (1, 2)
+STEPS = (13, 12, 16)  # points of that grid along K, B and M
+SEARCH_SEED = 101  # noise of the directed search
+GRID_SEEDS = (1, 2)  # noise of the reference grid, and of the second one
 BUDGETS = (20, 40)  # trials
-SEARCHED: dict[float, Axes] = {
+SEARCHED: dict[float, Axes] = {  # the grid of K, B, M at each active damping
     LEVELS[0]: (
         np.linspace(0.0, 450.0, 14),
         np.linspace(0.0, 4.0, 11),
@@ -118,8 +117,8 @@ SEARCHED: dict[float, Axes] = {
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """A display whose environment and damping level are varied: predicted in microseconds, or
-    flown, each trial once.
+    """A display whose environment and active damping are varied: predicted in microseconds, or
+    tried, each trial once.
     """
 
     conditions: Conditions
@@ -134,7 +133,7 @@ class Bench:
         """Predicted |Z| (N, F) at `shown_hz()` of environments (N, 3)."""
         return np.abs(self.display.impedances(points, level, shown_hz()))
 
-    def flown(
+    def trials(
         self, points: Floats, level: float, seed: int, amplitude: float = 1.0
     ) -> list[Outcome]:
         """A trial of each environment (N, 3) with the noise of `seed`, its force multiplied by
@@ -195,7 +194,7 @@ class Case:
     """
 
     name: str
-    level: float
+    level: float  # active damping, N s/m
     negative: bool = False
     dry: bool = True
 
@@ -206,7 +205,8 @@ class Bounds:
     of ln |Z| between seeds.
 
     `lower_runs`, `upper_runs` (seeds, F): of each seed, the prediction alone (1, F) without trials.
-    `predicted_lower` (F,): of all that are predicted to be passive. `struck` failed a trial.
+    `predicted_lower` (F,): of all that are predicted to be passive. `excluded` environments failed
+    a trial.
     """
 
     case: Case
@@ -216,8 +216,8 @@ class Bounds:
     lower_runs: Floats
     upper_runs: Floats
     predicted_lower: Floats
-    flown: int
-    struck: int
+    trials: int
+    excluded: int
 
     def lower_db(self) -> Floats:
         """Mean of the lower edge over ln f [dB re 1 N s/m] (seeds,)."""
@@ -234,26 +234,26 @@ class Bounds:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """|Z| of one environment without K over `shown_hz()`.
+    """|Z| [N s/m] of one environment without K over `shown_hz()`.
 
     `predicted` has the shape (F,), `runs` (seeds, F) those of the trials that pass, maybe none.
 
-    `spare`: damping that the lifted theorem leaves [N s/m], without friction.
+    `reserve_ns_per_m`: damping that the lifted theorem leaves, without friction.
     """
 
     name: str
-    level: float
-    damping: float
-    mass_kg: float
+    level: float  # active damping, N s/m
+    damping: float  # virtual damping B, N s/m
+    mass_kg: float  # virtual mass M
     predicted: Floats
     runs: Floats
-    spare: float
+    reserve_ns_per_m: float
 
     @property
     def size(self) -> Edge:
         """Mean over trials, with the sd of ln |Z| between seeds; the prediction without."""
-        nobody = np.zeros(self.predicted.size, np.int64)
-        return _edge(self.runs if len(self.runs) else self.predicted[None], nobody)
+        no_owner = np.zeros(self.predicted.size, np.int64)
+        return _edge(self.runs if len(self.runs) else self.predicted[None], no_owner)
 
     def low_db(self) -> Floats:
         """Mean over ln f in 2-20 Hz [dB re 1 N s/m], (seeds,), of the prediction (1,) without
@@ -284,7 +284,7 @@ class Corner:
     """One corner of the damping [Hz], 0 for none: predicted axis limits K, B, M [N/m, N s/m, kg]
     and mean |Z| of free motion in 2-20 Hz [dB]."""
 
-    hertz: float
+    corner_hz: float
     limits: tuple[float, float, float]
     free_db: float
 
@@ -298,7 +298,7 @@ class Shaped:
     `best`.
     """
 
-    level: float
+    level: float  # active damping, N s/m
     undamped: Corner
     plain: Corner
     highpass: tuple[Corner, ...]
@@ -335,8 +335,8 @@ class Levels:
 
 @dataclass(frozen=True, eq=False)
 class SearchCheck:
-    """Of one level of added damping: `points` of the grid, `passive` of them; wrong are `predicted`
-    by prediction alone, `other_noise` by the second grid, `searched` by n trials. `found` is the
+    """Of one active damping: `points` of the grid, `passive` of them; wrong are `predicted` by
+    prediction alone, `other_noise` by the second grid, `searched` by n trials. `found` is the
     search with all of its trials.
     """
 
@@ -381,13 +381,13 @@ class FutureWorkPlan:
 
 @dataclass(frozen=True, eq=False)
 class FutureWorkResult:
-    """`envelopes` by the name of their case; `hardy`: share of the low owners of an envelope
-    that pass at twice the force.
+    """`envelopes` by the name of their case; `passing_twice`: share of the low owners
+    of an envelope that pass at twice the force as well.
     """
 
     plan: FutureWorkPlan
     envelopes: dict[str, Bounds]
-    hardy: dict[str, float]
+    passing_twice: dict[str, float]
     free: Free
     shaped: Shaped
     levels: Levels
@@ -408,7 +408,9 @@ def run_future_work(plan: FutureWorkPlan, tell: Progress = silent) -> FutureWork
     for case in CASES:
         steps.next(f"envelope, {case.name}")
         envelopes[case.name] = bounds_of(bench, case, seeds)
-    survived = {name: hardy(bench, bounds, seeds[0]) for name, bounds in envelopes.items() if seeds}
+    passing = {
+        name: passing_twice(bench, bounds, seeds[0]) for name, bounds in envelopes.items() if seeds
+    }
     steps.next("free motion")
     free = free_motion(bench, ADDED_NS_PER_M, seeds)
     steps.next("shaped damping")
@@ -420,7 +422,7 @@ def run_future_work(plan: FutureWorkPlan, tell: Progress = silent) -> FutureWork
         steps.next(f"directed search, {level:g} N s/m")
         searches.append(compared_with_grid(bench.conditions, level))
     steps.end()
-    return FutureWorkResult(plan, envelopes, survived, free, shaped, levels, tuple(searches))
+    return FutureWorkResult(plan, envelopes, passing, free, shaped, levels, tuple(searches))
 
 
 def mean_sd(runs: Floats) -> tuple[float, float]:
@@ -449,7 +451,7 @@ def bounds_of(
     passed = np.full(len(kept), True)
     counts = (0, 0)
     if seeds:
-        runs, passed, counts = _struck(bench, case.level, kept, size, seeds)
+        runs, passed, counts = _excluding_failures(bench, case.level, kept, size, seeds)
     owners = _owners(size, passed)
     lower, upper = (np.take_along_axis(runs, which[None, None], 1)[:, 0] for which in owners)
     return Bounds(
@@ -464,33 +466,33 @@ def bounds_of(
     )
 
 
-def _struck(
+def _excluding_failures(
     bench: Bench, level: float, points: Floats, size: Floats, seeds: tuple[int, ...]
 ) -> tuple[Floats, Flags, tuple[int, int]]:
     """Of environments (N, 3) with predicted `size` (N, F), until all owners have passed with every
     seed: |Z| (seeds, N, F) by trials, nan without one; those (N,) that passed; how many trials were
-    flown, and how many environments failed.
+    made, and how many environments failed.
     """
     every = np.full((len(seeds), *size.shape), np.nan)
     alive = np.full(len(points), True)
     tried = np.full(len(points), False)
-    flown = 0
+    trials = 0
     for _ in range(ROUNDS):
         left = np.setdiff1d(np.concatenate(_owners(size, alive)), np.flatnonzero(tried))
         if not left.size:
             break
         tried[left] = True
         for row, seed in zip(every, seeds, strict=True):
-            outcomes = bench.flown(points[left], level, seed) if left.size else []
-            flown += len(outcomes)
+            outcomes = bench.trials(points[left], level, seed) if left.size else []
+            trials += len(outcomes)
             alive[left] = [outcome.passes for outcome in outcomes]
             for place, outcome in zip(left, outcomes, strict=True):
                 row[place] = sizes(outcome) if outcome.passes else np.nan
             left = left[alive[left]]
-    return every, alive & tried, (flown, int((~alive).sum()))
+    return every, alive & tried, (trials, int((~alive).sum()))
 
 
-def hardy(bench: Bench, bounds: Bounds, seed: int, amplitude: float = 2.0) -> float:
+def passing_twice(bench: Bench, bounds: Bounds, seed: int, amplitude: float = 2.0) -> float:
     """Share of the environments that own the lower edge in LOW_HZ which pass with `amplitude`
     times the force as well.
     """
@@ -498,7 +500,7 @@ def hardy(bench: Bench, bounds: Bounds, seed: int, amplitude: float = 2.0) -> fl
     points = bounds.points[np.unique(bounds.lower.owner[low])]
     return float(
         np.mean(
-            [outcome.passes for outcome in bench.flown(points, bounds.case.level, seed, amplitude)]
+            [outcome.passes for outcome in bench.trials(points, bounds.case.level, seed, amplitude)]
         )
     )
 
@@ -520,8 +522,8 @@ def _edge(runs: Floats, owner: Integers) -> Edge:
 def free_motion(bench: Bench, level: float, seeds: tuple[int, ...]) -> Free:
     """Undamped against damped by `level` [N s/m]."""
     end = bench.limit(level, 1, FURTHEST)
-    damping, _ = safest(bench, level, end, 0.0)
-    both = safest(bench, level, end, -bench.display.model.mass_kg * 2.0)
+    damping, _ = lightest_safe(bench, level, end, 0.0)
+    both = lightest_safe(bench, level, end, -bench.display.model.mass_kg * 2.0)
     asked = (
         ("off", 0.0, 0.0, 0.0),
         ("on", level, 0.0, 0.0),
@@ -533,7 +535,9 @@ def free_motion(bench: Bench, level: float, seeds: tuple[int, ...]) -> Free:
     return Free(motions, downwards, _refusal(damping, bench.display.model.viscous_ns_per_m + level))
 
 
-def safest(bench: Bench, level: float, end: float, lightest_kg: float) -> tuple[float, float]:
+def lightest_safe(
+    bench: Bench, level: float, end: float, lightest_kg: float
+) -> tuple[float, float]:
     """(B, M) of the lightest motion that is safe, B from `end` and M from `lightest_kg` up to 0."""
     masses = np.linspace(lightest_kg, 0.0, MASSES) if lightest_kg else np.zeros(1)
     points = grid((np.zeros(1), np.linspace(end, 0.0, DAMPINGS), masses))
@@ -553,12 +557,14 @@ def _motion(
     bench: Bench, name: str, level: float, damping: float, mass_kg: float, seeds: tuple[int, ...]
 ) -> Motion:
     point = np.array([[0.0, damping, mass_kg]])
-    outcomes = [outcome for seed in seeds for outcome in bench.flown(point, level, seed)]
+    outcomes = [outcome for seed in seeds for outcome in bench.trials(point, level, seed)]
     runs = np.array([sizes(outcome) for outcome in outcomes if outcome.passes]).reshape(
         -1, shown_hz().size
     )
-    spare = float(lifted_margin(lift(bench.display.model, level, bench.display.filters), point)[0])
-    return Motion(name, level, damping, mass_kg, bench.sizes(point, level)[0], runs, spare)
+    reserve = float(
+        lifted_margin(lift(bench.display.model, level, bench.display.filters), point)[0]
+    )
+    return Motion(name, level, damping, mass_kg, bench.sizes(point, level)[0], runs, reserve)
 
 
 def _refusal(damping: float, physical: float) -> str:
@@ -580,7 +586,7 @@ def shaped_damping(bench: Bench, level: float, seeds: tuple[int, ...]) -> Shaped
         each for each in highpass if min(np.divide(each.limits, plain.limits)[1:]) >= 1.0 - KEPT
     ]
     best = min(kept, key=lambda each: each.free_db, default=plain)
-    own = bench.shaped(highpass_hz=best.hertz) if best.hertz else bench
+    own = bench.shaped(highpass_hz=best.corner_hz) if best.corner_hz else bench
     stiffest = [float(predicted_set(each.display, level)[:, 0].max()) for each in (bench, own)]
     return Shaped(
         level,
@@ -596,16 +602,18 @@ def shaped_damping(bench: Bench, level: float, seeds: tuple[int, ...]) -> Shaped
     )
 
 
-def corner(bench: Bench, level: float, hertz: float = 0.0) -> Corner:
-    """What is predicted of a display at a damping level [N s/m]; `hertz`: the corner that it
-    has.
+def corner(bench: Bench, level: float, corner_hz: float = 0.0) -> Corner:
+    """What is predicted of a display at an active damping [N s/m]; `corner_hz` is that of its
+    damping, 0 for none.
     """
     limits = (bench.limit(level, 0), bench.limit(level, 1), bench.limit(level, 2))
-    return Corner(hertz, limits, float(mean_db(shown_hz(), bench.sizes(FREE, level), LOW_HZ)[0]))
+    return Corner(
+        corner_hz, limits, float(mean_db(shown_hz(), bench.sizes(FREE, level), LOW_HZ)[0])
+    )
 
 
 def damping_levels(bench: Bench, seeds: tuple[int, ...]) -> Levels:
-    """All levels by prediction, FLOWN by trials."""
+    """All levels by prediction, TRIED_LEVELS by trials."""
     each = [corner(bench, level) for level in DAMPING_LEVELS]
     limits = np.array([one.limits for one in each])
     free = np.array([one.free_db for one in each])
@@ -617,7 +625,7 @@ def damping_levels(bench: Bench, seeds: tuple[int, ...]) -> Levels:
     ]
     return Levels(
         np.array(DAMPING_LEVELS), limits, np.array([size for size, _ in sets]), free,
-        bench.limits(FLOWN, seeds) if seeds else (), tuple(dict.fromkeys(ends)),
+        bench.limits(TRIED_LEVELS, seeds) if seeds else (), tuple(dict.fromkeys(ends)),
     )  # fmt: skip
 
 
@@ -641,8 +649,8 @@ def compared_with_grid(
     budgets: tuple[int, ...] = BUDGETS,
     tell: Progress = silent,
 ) -> SearchCheck:
-    """Fly the grid twice, search once with `budgets[-1]` trials; the search after fewer trials
-    is a part of that one.
+    """Try the whole grid twice, search once with `budgets[-1]` trials; the search after fewer
+    trials is a part of that one.
     """
     params = MapParams(conditions, SEARCHED[damping_ns_per_m], (damping_ns_per_m,), everywhere=True)
     prediction = plan_map(params).levels[0].prediction
@@ -650,7 +658,7 @@ def compared_with_grid(
     *grids, own = (
         conditions.shaken(more_seed=seed - conditions.excitation.seed) for seed in noises
     )
-    truth, again = (_passive(replace(params, conditions=given), tell) for given in grids)
+    reference, again = (_passive(replace(params, conditions=given), tell) for given in grids)
     search = plan_search(SearchParams(own, damping_ns_per_m, budgets[-1], doubt=0.0))
     found = run_search(search, TrialStore(None), tell)
     searched = {}
@@ -659,10 +667,10 @@ def compared_with_grid(
         known = search.begin.with_trials(
             [one.environment for one in outcomes], [observed(own, one) for one in outcomes]
         )
-        searched[count] = int((predicted_passive(known, prediction.points) != truth).sum())
-    predicted, floor = (int((other != truth).sum()) for other in (prediction.passive, again))
+        searched[count] = int((predicted_passive(known, prediction.points) != reference).sum())
+    predicted, floor = (int((other != reference).sum()) for other in (prediction.passive, again))
     return SearchCheck(
-        damping_ns_per_m, truth.size, int(truth.sum()), predicted, floor, searched, found
+        damping_ns_per_m, reference.size, int(reference.sum()), predicted, floor, searched, found
     )
 
 

@@ -61,9 +61,9 @@ WORDED = {
     "figures": (
         "Figures",
         (
-            "The paper's curves exist only as pictures, so its words are compared. Added damping is"
-            " a solid line, none a dashed one;\ndotted lines are predicted; grey is not judged. A"
-            " tinted band holds the true value with 95 % probability, as far as the\nnoise of the"
+            "The paper's curves exist only as pictures, so its words are compared. Active damping"
+            " is a solid line, none a dashed one;\ndotted lines are predicted; grey is not judged."
+            " A tinted band holds the true value with 95 % probability, as far as the\nnoise of the"
             " trial goes (in an envelope of the owning trial alone). An envelope's lower edge is"
             " the smallest of many\nnoisy values: it lies below its prediction partly because it is"
             " a minimum. `share` is that of the seeds which pass."
@@ -177,7 +177,7 @@ def _drawings(result: ReproduceResult) -> tuple[Drawing, ...]:
         (10, f"passive environments {on}", partial(passive_figure, result.found[1]), ""),
         (
             11,
-            "Z-width without and with added damping",
+            "Z-width without and with active damping",
             partial(envelope_figure, result, (0, 1)),
             OWNERS,
         ),
@@ -213,8 +213,8 @@ def page(title: str, head: str, sections: Iterable[Section]) -> str:
 
 def table_part(section: Section) -> str:
     """Its table and the reasons below, as Markdown."""
-    told = "\n".join(f"- {note}" for note in notes(section.rows))
-    return f"{markdown(section.table)}\n{told}".strip()
+    reasons = "\n".join(f"- {note}" for note in notes(section.rows))
+    return f"{markdown(section.table)}\n{reasons}".strip()
 
 
 def terminal(sections: Sequence[Section]) -> str:
@@ -230,17 +230,17 @@ def terminal(sections: Sequence[Section]) -> str:
 
 
 def keep(
-    sections: Sequence[Section], folder: Path, told: Mapping[str, Any], tell: Progress = silent
+    sections: Sequence[Section], folder: Path, content: Mapping[str, Any], tell: Progress = silent
 ) -> list[Path]:
-    """Write it all into `folder`, which is made; `told` (quick, seeds, table, provenance) goes into
-    table.json. ConfigError.
+    """Write it all into `folder`, which is made; `content` (quick, seeds, table, provenance)
+    becomes table.json. ConfigError.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(prefix=".unfinished-", dir=folder) as name:
             unfinished = Path(name)
             _draw(sections, unfinished, tell)
-            _write(sections, unfinished, told)
+            _write(sections, unfinished, content)
             made = sorted(unfinished.iterdir())
             for name in _of_the_run_before(folder) - {file.name for file in made}:
                 (folder / name).unlink(missing_ok=True)
@@ -269,27 +269,27 @@ def _draw(sections: Sequence[Section], folder: Path, tell: Progress) -> None:
     steps.end()
 
 
-def _write(sections: Sequence[Section], folder: Path, told: Mapping[str, Any]) -> None:
+def _write(sections: Sequence[Section], folder: Path, content: Mapping[str, Any]) -> None:
     rows = [row for section in sections for row in section.rows]
-    content = as_json(rows)
-    (folder / TABLE_JSON).write_text(json.dumps(told, indent=1) + "\n")
+    cells = as_json(rows)
+    (folder / TABLE_JSON).write_text(json.dumps(content, indent=1) + "\n")
     (folder / "table.md").write_text(table_part(Section(TITLE, "", tuple(rows))) + "\n")
-    (folder / REPORT).write_text(page(TITLE, _head(told), sections))
+    (folder / REPORT).write_text(page(TITLE, _head(content), sections))
     with (folder / "table.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(content[0]))
+        writer = csv.DictWriter(file, list(cells[0]))
         writer.writeheader()
-        writer.writerows(content)
+        writer.writerows(cells)
 
 
-def _head(told: Mapping[str, Any]) -> str:
-    how = f"90 s trials, {told['seeds']} seeds behind each limit on its axis"
-    if told["quick"]:
+def _head(content: Mapping[str, Any]) -> str:
+    how = f"90 s trials, {content['seeds']} seeds behind each limit on its axis"
+    if content["quick"]:
         how = "by prediction alone, without trials"
-    made = told["provenance"]
+    made = content["provenance"]
     versions = ", ".join(f"{name} {version}" for name, version in made["libraries"].items())
     return (
         "D. W. Weir, J. E. Colgate and M. A. Peshkin, *Measuring and increasing Z-width with"
         f" active electrical damping*, Haptics Symposium 2008, on SIMULATED devices: {how}. Made"
         f" {made['date']} by hapticd {made['hapticd']} ({versions}). What was tried and what does"
-        " not match is told in docs/reproduction.md."
+        " not match stands in docs/reproduction.md."
     )

@@ -66,12 +66,12 @@ from hapticd.zwidth.walls import WallResult
 Kind = Literal["calibrated", "independent", "arithmetic"]
 PRINTED = "paper"  # the device of rows that need none
 TOLERANCE = 0.08  # relative difference from the paper that still matches
-READ_HZ = 5.0  # where the added damping of the device alone is read
-LOW_HZ = (2.0, 10.0)  # where the added damping is read
+READ_HZ = 5.0  # where the active damping of the device alone is read
+LOW_HZ = (2.0, 10.0)  # where it is read from trials
 MIDDLE_HZ = (50.0, 100.0)  # the phase advantage
 HIGH_HZ = (150.0, 500.0)  # where the magnitude may not change
 PEAK_HZ = 100.0
-MORE = 1.05  # than was added: worth a word
+MORE = 1.05  # times what was added: from here on the note names the reason
 PEAK = (
     "-M through the 72 Hz filter and the lag, which set where it turns into damping and mass; the"
     " paper says only 'near 100 Hz'"
@@ -140,26 +140,24 @@ RATIO_REASONS = {
     "B": "B wants more and M less from the same damping, in every fit",
     "M": "B wants more and M less from the same damping, in every fit",
 }
-BOUGHT = "damping and mass beside it buy stiffness, with and without added damping"
+BOUGHT = "damping and mass beside it buy stiffness, with and without active damping"
 
 
 @dataclass(frozen=True, slots=True)
 class PaperRow:
-    """`paper` is nan where the paper gives no number; `ours` where we find none; `sd` over
-    `seeds`, nan without trials.
-    """
+    """One quantity on one device beside the paper's; nan stands for a number that there is not."""
 
     quantity: str
-    paper: float
-    ours: float
+    paper: float  # as printed there, in `unit`
+    ours: float  # mean over `seeds`, in `unit`; predicted without trials
     unit: str
     kind: Kind
     device: str
-    sd: float = nan
+    sd: float = nan  # between seeds, in `unit`
     seeds: int = 0
-    predicted: float = nan
-    note: str = ""
-    part: str = ""  # of the page
+    predicted: float = nan  # the same without a trial, in `unit`
+    note: str = ""  # the reason of a difference
+    part: str = ""  # of the table
 
     @property
     def difference(self) -> float:
@@ -184,7 +182,7 @@ def arithmetic(
     gives none.
     """
     of_limits = ((PAPER[f"{name}_on"] / PAPER[f"{name}_off"], name[0]) for name in NAMES)
-    told = (
+    quantities = (
         *(
             (f"{name}_ratio_printed", RATIOS[name], ratio, "1", "of the limits as printed")
             for ratio, name in of_limits
@@ -237,7 +235,7 @@ def arithmetic(
     )
     return tuple(
         PaperRow(name, paper, ours, unit, "arithmetic", PRINTED, note=note)
-        for name, paper, ours, unit, note in told
+        for name, paper, ours, unit, note in quantities
     )
 
 
@@ -337,7 +335,7 @@ def _ratios(own: Mapping[tuple[int, float], PaperRow], reading: str = "") -> Ite
             f"{letter}_ratio{reading}", printed, ratio, "1", on.kind, on.device, spread, on.seeds
         )
         differs = (
-            "nothing is passive without added damping" if isnan(ratio) else RATIO_REASONS[letter]
+            "nothing is passive without active damping" if isnan(ratio) else RATIO_REASONS[letter]
         )
         yield row if row.matches and not isnan(ratio) else replace(row, note=differs)
 
@@ -408,10 +406,10 @@ def _walls(walls: WallResult) -> Iterator[PaperRow]:
 
 
 def _passive(quantity: str, printed: float, single: Single, name: str) -> PaperRow:
-    flown = len(single.trials)
-    share = single.passed / flown if flown else float(single.predicted)
-    note = UNDAMPED_LITERAL if name == LITERAL and not share else "" if flown else "by prediction"
-    return PaperRow(quantity, printed, share, "share", "independent", name, seeds=flown, note=note)
+    seeds = len(single.trials)
+    share = single.passed / seeds if seeds else float(single.predicted)
+    note = UNDAMPED_LITERAL if name == LITERAL and not share else "" if seeds else "by prediction"
+    return PaperRow(quantity, printed, share, "share", "independent", name, seeds=seeds, note=note)
 
 
 def _compared(undamped: Single, damped: Single, name: str) -> Iterator[PaperRow]:
@@ -420,7 +418,7 @@ def _compared(undamped: Single, damped: Single, name: str) -> Iterator[PaperRow]
     value = found.mean(axis=0)
     count = len(found) if undamped.trials else 0
     sd = found.std(axis=0, ddof=1) if len(found) > 1 else np.full(3, nan)
-    told = (
+    quantities = (
         (
             "fig7_added_damping",
             ADDED_NS_PER_M,
@@ -430,7 +428,7 @@ def _compared(undamped: Single, damped: Single, name: str) -> Iterator[PaperRow]
         ("fig7_phase_advantage", nan, "deg", PHASE),
         ("fig7_magnitude_change", nan, "%", "largest over 150-500 Hz"),
     )
-    for (quantity, printed, unit, note), ours, spread in zip(told, value, sd, strict=True):
+    for (quantity, printed, unit, note), ours, spread in zip(quantities, value, sd, strict=True):
         yield PaperRow(
             quantity,
             printed,
@@ -445,15 +443,17 @@ def _compared(undamped: Single, damped: Single, name: str) -> Iterator[PaperRow]
 
 
 def compared(undamped: Single, damped: Single, name: str) -> Floats:
-    """(seeds, 3): added damping [Ns/m], phase advantage [deg], largest change of magnitude [%], of
+    """(seeds, 3): active damping [Ns/m], phase advantage [deg], largest change of magnitude [%], of
     each seed that both trials survived; predicted if there is none."""
     pairs = zip(undamped.trials, damped.trials, strict=True)
     both = [(off.measured, on.measured) for off, on in pairs if off is not None and on is not None]
-    flown = [
+    measured = [
         _three(off.frequency_hz, off.impedance_ns_per_m, on.impedance_ns_per_m) for off, on in both
     ]
     f = np.geomspace(2.0, 1000.0, 200)
-    return np.array(flown or [_three(f, predicted(undamped, name, f), predicted(damped, name, f))])
+    return np.array(
+        measured or [_three(f, predicted(undamped, name, f), predicted(damped, name, f))]
+    )
 
 
 def predicted(single: Single, name: str, frequency_hz: Floats) -> Complexes:
@@ -495,8 +495,8 @@ def _peak(mode: str, found: Found | None, name: str) -> Iterator[PaperRow]:
         k, b, _ = peak.owner
         owner = f"K {k:g} N/m, B {b:g} Ns/m, M {1e3 * mass:g} g"
         note = (
-            f"{'' if found.flown else 'predicted: '}{20.0 * np.log10(peak.size_ns_per_m):.1f} dB re"
-            f" 1 Ns/m, owned by {owner}; "
+            f"{'' if found.trials else 'predicted: '}{20.0 * np.log10(peak.size_ns_per_m):.1f} dB"
+            f" re 1 Ns/m, owned by {owner}; "
         )
         note += PEAK if mass < 0.0 else "not the peak of the paper, which negative masses own"
     yield PaperRow(
@@ -527,9 +527,9 @@ def _grid(found: tuple[Found, ...]) -> Iterator[PaperRow]:
     counts = [int(each.passive.sum()) for each in found]
     for mode, each, count in zip(MODES.values(), found, counts, strict=True):
         how = "by prediction"
-        if each.flown:
+        if each.trials:
             doubt = f"{each.undecided} of those that pass are not certain at 95 %"
-            how = f"{each.flown} trials flown, the rest cannot pass by prediction; {doubt}"
+            how = f"{each.trials} trials, the rest cannot pass by prediction; {doubt}"
         yield PaperRow(
             f"grid_passive_{mode}",
             nan,
@@ -547,7 +547,7 @@ def _grid(found: tuple[Found, ...]) -> Iterator[PaperRow]:
         "1",
         "independent",
         MAIN,
-        note="passive with over without added damping",
+        note="passive with over without active damping",
     )
     for mode, each in zip(MODES.values(), found, strict=True):
         yield from _bounds(mode, each)

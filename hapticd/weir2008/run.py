@@ -16,7 +16,7 @@ the largest over all passive K, B, M; its place is predicted, then only the para
 searched by trials, from 0 at the predicted best of the others.
 
 Prediction says which trials of the grid cannot pass: those where even 85 % of the environment would
-not. The others are flown. Between a laboratory's 13 days and seconds stands only that. Without
+not. The others are tried: that alone makes seconds of a laboratory's 13 days. Without
 trials the prediction alone fills set and envelope.
 
 What would break it: comparing a limit of one perturbation with that of another; a set that is not
@@ -61,9 +61,9 @@ from hapticd.zwidth.trial import TrialParams, TrialResult, plan_trial, run_trial
 from hapticd.zwidth.walls import WallMapParams, WallResult, plan_walls, run_walls
 
 SCENES = {MAIN: "fig7", HIGH_PASS: "rival", LITERAL: "literal"}
-SECONDS = 90.0  # section 2.2
-SEEDS = 8
-SET_SEEDS = EDGE_SEEDS = 4
+SECONDS = 90.0  # of a trial, section 2.2
+SEEDS = 8  # noise realisations behind a limit on its axis
+SET_SEEDS = EDGE_SEEDS = 4  # of the set readings, and of each lower band edge
 FINE = 2e-3  # of a limit; two rounds of a search reach it
 WINDOW_HZ = PROBE_RATE_HZ / DEFAULT_LAG  # 1/(M Ts): below it the window says nothing
 EDGES_HZ = (1.0, 2.0, 3.0, 5.0, 10.0)
@@ -74,17 +74,17 @@ SHOWN = (
     (FIG_7, 0.0),
     (FIG_7, ADDED_NS_PER_M),
 )  # environment and damping of the single trials
-SHOWN_HZ = (1.9, 1000.0)
+SHOWN_HZ = (1.9, 1000.0)  # of every figure
 AXES: Axes = (
     np.array([0.0, 25.0, 50.0, 75.0, 100.0, 150.0, 200.0, 300.0, 400.0, 600.0, 800.0, 1000.0]),
     np.asarray(np.arange(19) * 0.5, np.float64),
     np.asarray(np.arange(-12, 16) * 0.002, np.float64),
 )
 POINTS = grid(AXES)
-NEAR = 0.85
-PEAK_HZ = (40.0, 200.0)
+NEAR = 0.85  # of an environment that is tried must be predicted passive
+PEAK_HZ = (40.0, 200.0)  # where the peak of Fig. 8 is looked for
 PROMINENT = 1.01  # above the valleys on both sides
-CALMED = 3  # of the frequencies that are kept of a trial, about 10 % of one
+SMOOTHED = 3  # neighbouring frequencies of a running median, about 10 % of one
 WALL_DAMPINGS = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0)  # Ns/m
 WALL_STIFFNESSES = tuple(np.geomspace(20.0, 3000.0, 22).tolist())  # N/m
 
@@ -104,9 +104,9 @@ class Limit:
     """
 
     device: str
-    level: float
-    axis: int
-    base: Point
+    level: float  # active damping, N s/m
+    axis: int  # place in NAMES, whose UNITS the limit has
+    base: Point  # K, B, M that the others stay at
     predicted: float
     values: Floats
     low_hz: float = LOW_HZ  # of the judged band
@@ -129,7 +129,7 @@ class Single:
     """
 
     point: Point
-    level: float
+    level: float  # active damping, N s/m
     trials: tuple[TrialResult | None, ...]
     predicted: bool
 
@@ -159,32 +159,32 @@ class Peak:
 
     frequency_hz: float
     size_ns_per_m: float
-    rise: float
+    rise: float  # relative
     owner: Floats
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Of one damping level: `passive` (nK, nB, nM) of the grid, `flown` trials; the envelope,
-    its owners' environments by name.
+    """Of one damping level: `passive` (nK, nB, nM) of the grid, `undecided` of the `trials`
+    that passed; the envelope [N s/m], and `environments` (N, 3) that its owners are places in.
     """
 
     passive: Flags
     undecided: int
-    flown: int
+    trials: int
     envelope: Envelope
     environments: Floats
 
     @property
     def seeds(self) -> int:
         """Behind each environment: one, or none if it was predicted."""
-        return min(self.flown, 1)
+        return min(self.trials, 1)
 
     def peak(self) -> Peak | None:
         """The upper edge's most prominent maximum in PEAK_HZ, if any."""
         f = self.envelope.frequency_hz
         edge = self.envelope.upper
-        size = _calmed(edge.value) if self.flown else edge.value
+        size = _running_median(edge.value) if self.trials else edge.value
         inside = np.flatnonzero((f >= PEAK_HZ[0]) & (f <= PEAK_HZ[1]))
         part = size[inside]
         before = np.minimum.accumulate(part)
@@ -236,7 +236,9 @@ def conditions(device: str) -> Conditions:
 def run_reproduce(
     plan: ReproducePlan, tell: Progress = silent, executor: Executor | None = None
 ) -> ReproduceResult:
-    """Do it, trials on `executor` or on threads here. ConfigError as `simulate`."""
+    """Predict all, then make the trials on `executor` or on threads here. ConfigError as
+    `simulate`.
+    """
     seeds = len(plan.seeds)
     predicted: dict[str, tuple[Found | None, ...]] = {}
     limits: list[LimitsPlan] = []
@@ -296,7 +298,7 @@ def limits_of(
     pool: Executor | None = None,
 ) -> tuple[Limit, ...]:
     """Every limit of the plans, in their order: by trials into `store`, or predicted where there is
-    none. Where nothing is predicted to be passive none is flown.
+    none. Where nothing is predicted to be passive there are no trials.
     """
     asked = [(plan.params, scan) for plan in plans for scan in plan.scans]
     values = {}
@@ -358,8 +360,8 @@ def _single(
 
 
 def single_trial(device: str, point: Point, level: float, seed: int) -> TrialResult | None:
-    """A trial of Figs. 4 and 7, its record forgotten; None of one that ran away before anything
-    could be said.
+    """A trial of Figs. 4 and 7, its record forgotten; None of one that ran away before
+    anything could be judged.
     """
     given = conditions(device)
     trial = Trial(point, level, given.seconds, replace(given.excitation, seed=seed))
@@ -374,12 +376,14 @@ def single_trial(device: str, point: Point, level: float, seed: int) -> TrialRes
 
 def _grid(tell: Progress, pool: Executor) -> tuple[Found, ...]:
     """By trials, each level."""
-    plan = hopeful(plan_map(MapParams(conditions(MAIN), AXES, LEVELS)))
+    plan = worth_trying(plan_map(MapParams(conditions(MAIN), AXES, LEVELS)))
     return tuple(_of_map(level) for level in run_map(plan, TrialStore(None), tell, pool).levels)
 
 
-def hopeful(plan: MapPlan) -> MapPlan:
-    """To be flown: what may pass by prediction, itself or when scaled down."""
+def worth_trying(plan: MapPlan) -> MapPlan:
+    """The plan without what cannot pass: neither the environment nor NEAR of it is predicted
+    passive.
+    """
     device = plan.params.conditions.display
     levels = [
         replace(
@@ -409,8 +413,8 @@ def _of_map(level: LevelMap) -> Found:
 
 
 def by_prediction(device: Display, level: float) -> Found | None:
-    """The same without trials: `undecided` and `flown` are 0, the envelope has no uncertainty. None
-    for an empty set."""
+    """The same without trials: `undecided` and `trials` are 0, the envelope has no uncertainty.
+    None for an empty set."""
     passive = device.passive(POINTS, level)
     kept = POINTS[passive]
     if not len(kept):
@@ -423,7 +427,7 @@ def by_prediction(device: Display, level: float) -> Found | None:
     )
 
 
-def _calmed(values: Floats) -> Floats:
+def _running_median(values: Floats) -> Floats:
     """Running median over what the window cannot resolve, against the noise of the estimate."""
-    padded = np.pad(values, CALMED // 2, mode="edge")
-    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, CALMED), axis=1))
+    padded = np.pad(values, SMOOTHED // 2, mode="edge")
+    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, SMOOTHED), axis=1))

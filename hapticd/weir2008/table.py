@@ -16,7 +16,7 @@ from hapticd.report.table import Table, shown, table
 from hapticd.weir2008.rows import PRINTED, PaperRow, by_quantity
 from hapticd.zwidth.store import to_json
 
-MANY = 10.0  # from here on a difference is told as a ratio
+MANY = 10.0  # from here on a relative difference is written as a ratio
 COLUMNS = ("quantity", "unit", "paper")
 OF_A_ROW = (
     "quantity",
@@ -82,17 +82,17 @@ def readings_table(axis: Iterable[PaperRow], whole: Iterable[PaperRow]) -> Table
 def notes(rows: Iterable[PaperRow]) -> list[str]:
     """What does not match or needs saying, once each, by the numbers in the table."""
     found = list(rows)
-    told = []
+    lines = []
     for note, number in _numbers(found).items():
         about = [row for row in found if row.note == note]
         quantities, devices = (
             ", ".join(dict.fromkeys(names))
             for names in zip(*((r.quantity, r.device) for r in about), strict=True)
         )
-        told.append(
+        lines.append(
             f"[{number}] {quantities}{'' if devices == PRINTED else f' of {devices}'}: {note}"
         )
-    return told
+    return lines
 
 
 def as_json(rows: Iterable[PaperRow]) -> list[dict[str, Any]]:
@@ -125,13 +125,13 @@ def _devices(rows: list[PaperRow]) -> list[str]:
 
 def _numbers(rows: Iterable[PaperRow]) -> dict[str, int]:
     """{note: its number} in order."""
-    told = dict.fromkeys(
+    known = dict.fromkeys(
         row.note
         for by_device in by_quantity(rows).values()
         for row in by_device.values()
         if row.note
     )
-    return {note: number for number, note in enumerate(told, 1)}
+    return {note: number for number, note in enumerate(known, 1)}
 
 
 def _kinds(by_device: Mapping[str, PaperRow]) -> str:
