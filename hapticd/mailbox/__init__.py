@@ -11,6 +11,11 @@ The servo creates and owns every file in the runtime folder; the gateway and oth
     perturbation    waveform in probe counts, written by the gateway while no perturbation runs
     servo.report    JSON: what the operating system granted, what the board said
 
+    layout       every offset, record and number of these files: State, Command, Value, Result, Flag
+    files        runtime_folder, daemon_folder; claims, maps, ordered words
+    servo_side   ServoMailbox
+    client_side  GatewayMailbox, press_stop
+
 Which mailbox for which need: every value, in order, once -> command and answer ring; every value,
 lossy but counted -> telemetry; the latest value -> a word. A writer never waits: a full ring
 answers busy, an unread record is overwritten.

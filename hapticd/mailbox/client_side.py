@@ -95,9 +95,8 @@ class GatewayMailbox:
             raise
 
     def _map_all(self) -> None:
-        self._inode = (
-            self._inode_now()
-        )  # before the map: a file replaced in between is then not current
+        # before the map: a file replaced in between is then not current
+        self._inode = self._inode_now()
         self._map = files.open_map(self.folder / files.MAILBOX, layout.MAILBOX_BYTES)
         self.words = memoryview(self._map).cast("Q")
         self.store, self.load = word_access(self.words)
@@ -161,7 +160,7 @@ class GatewayMailbox:
         return self.load(layout.SERVO_BEAT_WORD)
 
     def beat(self, now_ns: int) -> None:
-        """Tell the servo that the gateway lives."""
+        """Tell the servo that the gateway is alive."""
         self.store(layout.GATEWAY_BEAT_WORD, now_ns)
 
     def counters(self) -> dict[str, int]:
@@ -265,11 +264,9 @@ class GatewayMailbox:
         begin, tick, seq, kind, actor, apply_tick, *values, end = layout.JOURNAL.unpack_from(
             self._map, offset
         )
-        return (
-            Noted(tick, seq, kind, actor, apply_tick, tuple(values))
-            if begin == end == number
-            else None
-        )
+        if not begin == end == number:
+            return None
+        return Noted(tick, seq, kind, actor, apply_tick, tuple(values))
 
     def ask_checkpoint(self) -> None:
         """Ask the servo for a checkpoint; it writes one within 256 ticks."""
@@ -289,11 +286,9 @@ class GatewayMailbox:
         found, tick, length, crc = layout.CHECKPOINT.unpack_from(self._map, offset)
         begin = offset + layout.CHECKPOINT.size
         data = self._map[begin : begin + min(length, layout.CHECKPOINT_SLOT)]
-        return (
-            Checkpoint(tick, marshal.loads(data))
-            if found == number and zlib.crc32(data) == crc
-            else None
-        )
+        if found != number or zlib.crc32(data) != crc:
+            return None
+        return Checkpoint(tick, marshal.loads(data))
 
     def close(self) -> None:
         """Give up the claim; the maps go with the object."""

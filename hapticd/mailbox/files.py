@@ -132,9 +132,8 @@ def claim(folder: Path, lock: str) -> int:
         raise MailboxError(
             f"a {role} (pid {owner}) already runs in {folder}; stop it or use --instance NAME"
         ) from None
-    if (
-        os.fstat(descriptor).st_nlink == 0
-    ):  # released, and so removed, between our open and our lock
+    # released, and so removed, between our open and our lock
+    if os.fstat(descriptor).st_nlink == 0:
         os.close(descriptor)
         return claim(folder, lock)
     with refusals(folder / lock):
@@ -150,7 +149,7 @@ def release(folder: Path, lock: str, descriptor: int) -> None:
 
 
 def hold(path: Path) -> int:
-    """Show that the owner of the existing file `path` lives, until the returned descriptor is
+    """Show that the owner of the existing file `path` is alive, until the returned descriptor is
     closed or this process ends.
     """
     with refusals(path):
@@ -219,10 +218,9 @@ def create_map(path: Path, size: int, mode: int = 0o600) -> mmap.mmap:
             fresh = mmap.mmap(descriptor, size, mmap.MAP_SHARED | getattr(mmap, "MAP_POPULATE", 0))
         finally:
             os.close(descriptor)
+    # the first write to a page costs 8 us (dirty bit, nested tables): not within a tick
     for page in range(0, size, mmap.PAGESIZE):
-        fresh[page] = (
-            0  # the first write to a page costs 8 us (dirty bit, nested tables): not within a tick
-        )
+        fresh[page] = 0
     return fresh
 
 

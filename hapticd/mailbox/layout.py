@@ -13,12 +13,10 @@ from enum import IntEnum
 MAGIC = b"HAPTICD\0"
 
 # --- header page: written once by the servo before `epoch`, which is written last -----------------
-HEADER = struct.Struct(
-    "<8s8sQqd64sB"
-)  # magic, layout hash, pid, start_ns, rate_hz, config hash (hex), simulated
-EPOCH_WORD = (
-    32  # u64 index into the mailbox file: start time of this servo life, 0 while it is being built
-)
+# magic, layout hash, pid, start_ns, rate_hz, config hash (hex), simulated
+HEADER = struct.Struct("<8s8sQqd64sB")
+# u64 index into the mailbox file: start time of this servo life, 0 while it is being built
+EPOCH_WORD = 32
 
 # --- words: single u64, one writer each -----------------------------------------------------------
 SERVO_BEAT_WORD = 64  # monotonic ns, written every tick
@@ -52,41 +50,32 @@ COUNTERS = (
     "bad_commands",
     "dropped_answers",
 )
-STAGES = (
-    "wake",
-    "read",
-    "step",
-    "write",
-    "publish",
-)  # each has its `_ns` in the record; histograms are made from those
+# parts of a tick: each has its `_ns` in the record; histograms are made from those
+STAGES = ("wake", "read", "step", "write", "publish")
 
 # --- command ring: gateway -> servo ---------------------------------------------------------------
 RING_SLOTS = 64
-COMMAND = struct.Struct(
-    "<QIIQ20dII"
-)  # seq, kind, actor, apply_tick (0: now), values, crc32 of all before, pad
+# seq, kind, actor, apply_tick (0: now), values, crc32 of all before, pad
+COMMAND = struct.Struct("<QIIQ20dII")
 COMMAND_VALUES = 20
 COMMAND_OFFSET = 2 * PAGE
 COMMAND_CRC_OFFSET = COMMAND.size - 8
 
 # --- answer ring: servo -> gateway ----------------------------------------------------------------
-ANSWER = struct.Struct(
-    "<QIIQQQ20dII"
-)  # seq, result, fault number, revision, first_tick, ramp_end_tick, effective, crc32, pad
+# seq, result, fault number, revision, first_tick, ramp_end_tick, effective, crc32, pad
+ANSWER = struct.Struct("<QIIQQQ20dII")
 ANSWER_OFFSET = COMMAND_OFFSET + 4 * PAGE
 
 # --- journal: what the servo obeyed, at which tick; with the records and a checkpoint it is all
-# that a re-flight needs
+# that a replay needs
 JOURNAL_SLOTS = 256
-JOURNAL = struct.Struct(
-    "<QQQIIQ20dQ"
-)  # number, tick, seq, kind, actor, apply_tick, values, number again
+# number, tick, seq, kind, actor, apply_tick, values, number again
+JOURNAL = struct.Struct("<QQQIIQ20dQ")
 JOURNAL_OFFSET = ANSWER_OFFSET + 5 * PAGE
 
 # --- checkpoints: the servo's whole state before a tick, when it is asked for, two slots in turn --
-CHECKPOINT = struct.Struct(
-    "<QQII"
-)  # number, tick, length and crc32 of the marshalled state behind it
+# number, tick, length and crc32 of the marshalled state behind it
+CHECKPOINT = struct.Struct("<QQII")
 CHECKPOINT_SLOT = 2 * PAGE
 CHECKPOINT_OFFSET = JOURNAL_OFFSET + JOURNAL_SLOTS * JOURNAL.size
 MAILBOX_BYTES = CHECKPOINT_OFFSET + 2 * CHECKPOINT_SLOT
@@ -123,9 +112,7 @@ class Command(IntEnum):
 
 
 class Value(IntEnum):
-    """Places of the 20 doubles of a command; bit `1 << place` in MASK says that the place is
-    meant.
-    """
+    """Places of the 20 doubles of a command; bit `1 << place` in MASK says that a place counts."""
 
     MASK = 0
     RAMP_S = 1
@@ -175,8 +162,8 @@ VALUE_LIMITS: dict[Value, tuple[float, float, str]] = {
     Value.ADDED_DAMPING_ON: (0.0, 1.0, "switch"),
     Value.SAMPLES: (1.0, float(PERTURBATION_SAMPLES), "samples"),
     Value.LOOP: (0.0, 1.0, "switch"),
-    Value.LEASE_CONTROL: (0.0, 4294967295.0, "id"),
-    Value.LEASE_DAMPING: (0.0, 4294967295.0, "id"),
+    Value.LEASE_CONTROL: (0.0, float((1 << 32) - 1), "id"),  # a u4 of the record
+    Value.LEASE_DAMPING: (0.0, float((1 << 32) - 1), "id"),
 }
 FILTER_LIMIT = 0.45  # highest corner as a fraction of the rate
 
@@ -237,10 +224,8 @@ TELEMETRY = (
     # --- this tick
     ("flags", "<u4"),
     ("status", "<u4"),
-    (
-        "arrival",
-        "<i4",
-    ),  # of the sample: 0 on time, k after k lost ones, -k missing for the k-th time (link.device)
+    # of the sample: 0 on time, k after k lost ones, -k missing for the k-th time (link.device)
+    ("arrival", "<i4"),
     ("host", "<u4"),  # 1: the board is linked, 2: the gateway's heartbeat is there
     ("position_m", "<f8"),
     ("velocity_m_per_s", "<f8"),
@@ -284,9 +269,8 @@ def _codes(fields: tuple[tuple[object, ...], ...]) -> str:
 
 
 PLAN = struct.Struct("<" + _codes(PLAN_FIELDS))
-RECORD = struct.Struct(
-    f"Qqq{PLAN.size}s" + _codes(TELEMETRY[_PLAN_END:])
-)  # every field on its own multiple: no gaps
+# every field on its own multiple: no gaps
+RECORD = struct.Struct(f"Qqq{PLAN.size}s" + _codes(TELEMETRY[_PLAN_END:]))
 RING_RECORDS = 8192  # 8 s at 1 kHz
 TELEMETRY_HEAD_WORD = 0  # u64 index in telemetry.ring: records written
 TELEMETRY_EPOCH_WORD = 1

@@ -35,9 +35,8 @@ class ServoMailbox:
         self._map = files.create_map(folder / files.MAILBOX, layout.MAILBOX_BYTES)
         self._ring = files.create_map(folder / files.TELEMETRY, layout.TELEMETRY_BYTES)
         self._stop = files.create_map(folder / files.STOP, layout.STOP_BYTES, 0o660)
-        self._stop_claim = files.hold(
-            folder / files.STOP
-        )  # so that who presses it knows that someone is there
+        # so that who presses it knows that someone is there
+        self._stop_claim = files.hold(folder / files.STOP)
         self._wave = files.create_map(
             folder / files.PERTURBATION,
             layout.PERTURBATION_HEADER + 2 * layout.PERTURBATION_SAMPLES,
@@ -62,7 +61,10 @@ class ServoMailbox:
         self.ring_words[layout.TELEMETRY_EPOCH_WORD] = start_ns
         self._start_ns = start_ns
         self.taken = 0  # commands
-        self._answered = self._journaled = self._checkpointed = self._epoch = 0
+        self._answered = 0
+        self._journaled = 0
+        self._checkpointed = 0
+        self._epoch = 0
         self._counts = dict.fromkeys(layout.COUNTERS, 0)
         self.last_report: dict[str, Any] = {}
         self.renew()
@@ -73,7 +75,7 @@ class ServoMailbox:
         self.renew()
 
     def renew(self) -> None:
-        """Say again what is ours to say, in case that someone wrote over it."""
+        """Write again what is ours to write, in case that someone wrote over it."""
         if self._map[: layout.HEADER.size] != self._header:
             self._map[: layout.HEADER.size] = self._header
         self.store(layout.COMMAND_TAIL_WORD, self.taken)
@@ -83,9 +85,8 @@ class ServoMailbox:
     def report(self, content: dict[str, Any]) -> None:
         """Replace servo.report; called while the loop stands still (start, re-plug)."""
         self.last_report = content
-        files.write_whole(
-            self.folder / files.REPORT, json.dumps(content)
-        )  # no indent: its encoder leaves garbage in circles
+        # no indent: its encoder leaves garbage in circles, and the collector is off
+        files.write_whole(self.folder / files.REPORT, json.dumps(content))
 
     def take(self) -> tuple[Any, ...] | None:
         """Next command as (seq, kind, actor, apply_tick, values); None if there is none or it

@@ -72,9 +72,8 @@ def render(
     field = 0.0
     if wall_side != 0.0:
         field = wall_force(x, v, wall_k, wall_b, wall_x, wall_side)
-    if not (
-        x >= lower and x <= upper
-    ):  # no chain: CPython compares two floats faster alone; NaN does not pass
+    # no chained comparison: CPython compares two floats faster alone; NaN does not pass
+    if not (x >= lower and x <= upper):
         field += end_force(x, lower, upper, end_k)
     total = bias + spring + damper + inertia + field
     force = total

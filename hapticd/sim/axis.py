@@ -98,9 +98,11 @@ class Probe:
         self.index = 0  # intervals ended since power-up
         self.first_index = 0  # index of the oldest pair
         self.events = 0  # Status bits since they were last taken
-        self.playing = self.live = False
+        self.playing = False
+        self.live = False
         self.torque_n = 0.0
-        self._sample = self._counts = 0  # count being output; mean count of the running interval
+        self._sample = 0  # count being output
+        self._counts = 0  # mean count of the running interval
         self._start = 0
         self._start_m = position_m
         self._start_ns = 0.0
@@ -144,7 +146,8 @@ class Probe:
         pairs.append(
             i16_count(counts + self._noise * self._gauss(0.0, 1.0) if self._noise else counts)
         )
-        self.index = index = self.index + 1
+        index = self.index + 1
+        self.index = index
         if len(pairs) > 2 * PAIRS_MAX:
             del pairs[:2]
             self.first_index += 1
@@ -154,7 +157,8 @@ class Probe:
         self.end = floor((index + 1) * self._length + 0.5)
         sample = self._next_sample() if self.playing else 0
         if sample != self._sample or self._counts != sample:
-            self._sample = self._counts = sample
+            self._sample = sample
+            self._counts = sample
             self.torque_n = sample * self._n_per_count
 
     def _next_sample(self) -> int:
@@ -240,12 +244,17 @@ class Axis:
         self.zero_m = self.plant.encoder(self.state, 0.0, 0.0)
         self.state = self.plant.rest(self.zero_m)
         self.probe.power_up(self.plant.travel(self.state, 0.0, 0.0))
-        self.now = self.faults = self._present = 0
+        self.now = 0
+        self.faults = 0
+        self._present = 0
         self.diverged_at: int | None = None  # sub-step at which the plant ran away
         self.force_n = 0.0
-        self.live = self.clamped = self._tripped = False
+        self.live = False
+        self.clamped = False
+        self._tripped = False
         self._alarm_at = self._watchdog
-        self._held_count = self._release_from = 0
+        self._held_count = 0
+        self._release_from = 0
         self._damp(0)
 
     @property
@@ -264,7 +273,8 @@ class Axis:
         self._alarm_at = self.now + self._watchdog
         self._damp(damping)
         probe = self.probe
-        self.live = probe.live = bool(flags & ENABLE) and not self.faults
+        self.live = bool(flags & ENABLE) and not self.faults
+        probe.live = self.live
         if self.live:
             if not -self._torque_max <= torque <= self._torque_max:
                 torque = self._torque_max if torque > 0 else -self._torque_max
@@ -349,7 +359,8 @@ class Axis:
         self.probe.playing = False
         self.probe.fifo.clear()
         self._held_count = self._damping_count
-        self._alarm_at = self._release_from = self.now + self._hold
+        self._release_from = self.now + self._hold
+        self._alarm_at = self._release_from
 
     def _release_damping(self) -> None:
         left = self._release_from + self._release - self.now
@@ -363,5 +374,6 @@ class Axis:
     def _cut_torque(self) -> None:
         self.force_n = 0.0
         self._coming.clear()
-        self.live = self.probe.live = False
+        self.live = False
+        self.probe.live = False
         self.probe.silence(self.now)

@@ -62,10 +62,8 @@ OUT_ADDRESS = 0x01
 IN_ADDRESS = 0x81
 FULL_SPEED = 2
 VENDOR_CLASS = 0xFF
-_ATTRIBUTES: dict[Transfer, tuple[int, int]] = {
-    "bulk": (2, 0),
-    "interrupt": (3, 1),
-}  # bmAttributes, bInterval
+# bmAttributes, bInterval
+_ATTRIBUTES: dict[Transfer, tuple[int, int]] = {"bulk": (2, 0), "interrupt": (3, 1)}
 
 
 def device_descriptor(address: int) -> SimpleNamespace:
@@ -151,7 +149,7 @@ def _only(what: str, index: int) -> None:
 
 
 SPIN_NS = 60 * NS_PER_US  # a sleep of the machine is coarser than this
-ENDLESS_MS = 60_000  # libusb's time-out 0 means for ever; the twin gives up
+ENDLESS_MS = 60_000  # libusb's time-out 0 means for ever; the simulated board gives up
 
 
 class Port(Protocol):
@@ -195,7 +193,8 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         self._addresses = 0
         self._stale: PluggedDevice | None = None
         self._replug_ns: int | None = None
-        self.access_denied = self.kernel_driver = False
+        self.access_denied = False
+        self.kernel_driver = False
         self.device: PluggedDevice | None = None
         self.plug()
 

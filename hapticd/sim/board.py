@@ -36,12 +36,8 @@ ADVANCE_MAX_NS = 20 * NS_PER_MS
 RATES_HZ = (250.0, 32_000.0)
 LATCHES_MAX = 16
 SERIAL_MAX = 16  # of the hello reply
-POSITIVE = (
-    "_per_count",
-    "_per_a",
-    "force_limit_n",
-    "winding_ohm",
-)  # endings of the names of numbers that divide or limit
+# endings of the names of numbers that divide or limit
+POSITIVE = ("_per_count", "_per_a", "force_limit_n", "winding_ohm")
 
 UNKNOWN_FLAGS = 0xFF & ~(ENABLE | FIFO_CLEAR | PERTURB)
 BAD_FRAME = Status.BAD_FRAME.value
@@ -98,8 +94,10 @@ class BoardModel:
         self._temperature = i16_count(params.ambient_c / params.temperature_c_per_count)
         self._frame = bytearray(frames.IN_BYTES)
         self._body = memoryview(self._frame)[:IN_BODY]
-        self.on_slip = on_slip  # called with the ns that the plant did not live through
-        self.sim_slip_ns = self.in_replaced = self.out_refused = 0
+        self.on_slip = on_slip  # called with the ns that the plant missed
+        self.sim_slip_ns = 0
+        self.in_replaced = 0
+        self.out_refused = 0
         self.power_up()
 
     def power_up(self) -> None:
@@ -109,7 +107,11 @@ class BoardModel:
         self._axis.power_up()
         self._origin_ns: int | None = None
         self._next_seq: int | None = None
-        self._in_seq = self._echo = self._events = self._ready_events = self._pairs_end = 0
+        self._in_seq = 0
+        self._echo = 0
+        self._events = 0
+        self._ready_events = 0
+        self._pairs_end = 0
         self._latches: deque[int] = deque(maxlen=LATCHES_MAX)
         self._latch_at = NEVER
         self._ready_ns: int | None = None

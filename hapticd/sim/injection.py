@@ -121,9 +121,8 @@ def with_injections(board: BoardModel, params: BoardParams) -> BoardModel | Inje
 
 
 OutFault = Callable[[Injector, memoryview, float, int], memoryview | None]  # OUT packet, value, now
-InFault = Callable[
-    [Injector, bytes, float, int], bytes | None
-]  # IN packet, value, when it was latched
+# IN packet, value, when it was latched
+InFault = Callable[[Injector, bytes, float, int], bytes | None]
 
 
 def _flipped(data: bytes | memoryview, random: Random) -> bytes:
@@ -171,6 +170,18 @@ def _duplicated(injector: Injector, packet: bytes, value: float, t_ns: int) -> b
     return packet
 
 
+def _corrupted_in(injector: Injector, packet: bytes, value: float, t_ns: int) -> bytes:
+    return _flipped(packet, injector.random)
+
+
+def _lengthened(injector: Injector, packet: bytes, value: float, t_ns: int) -> bytes:
+    return packet + bytes(round(value) or 1)
+
+
+def _shortened(injector: Injector, packet: bytes, value: float, t_ns: int) -> bytes:
+    return packet[: round(value) or 31]
+
+
 def _jumped(injector: Injector, packet: bytes, value: float, t_ns: int) -> bytes:
     frame = codec.decode_in(packet)
     encoder = frame.encoder + (round(value) or 1_000_000)
@@ -192,9 +203,8 @@ OUT_FAULTS: dict[str, OutFault] = {
     "io_error": _disturbed,  # EIO once, as under electrical interference
     "unplug": _unplugged,  # EIO, then ENODEV; plugged in again after `value` s
     "late": _latched_late,  # the board latches the reply `value` s late
-    "amplifier_fault": _board_fault(
-        Status.AMPLIFIER_FAULT
-    ),  # the cause lasts `value` s, the fault until CLEAR_FAULT
+    # the cause lasts `value` s, the fault until CLEAR_FAULT
+    "amplifier_fault": _board_fault(Status.AMPLIFIER_FAULT),
     "encoder_fault": _board_fault(Status.ENCODER_FAULT),
     "over_temperature": _board_fault(Status.OVER_TEMPERATURE),
 }
@@ -203,21 +213,13 @@ IN_FAULTS: dict[str, InFault] = {
     "drop_in": lambda injector, packet, value, t_ns: None,  # lost; the board believes it was read
     "delay_in": _delayed,  # delivered `value` s after it was latched
     "duplicate_in": _duplicated,  # delivered twice
-    "corrupt_in": lambda injector, packet, value, t_ns: _flipped(
-        packet, injector.random
-    ),  # one random bit flipped
+    "corrupt_in": _corrupted_in,  # one random bit flipped
     "stall_in": _stalled,  # the IN endpoint halts until clear_halt
-    "babble": lambda injector, packet, value, t_ns: (
-        packet + bytes(round(value) or 1)
-    ),  # longer than a packet, by `value`
-    "short_in": lambda injector, packet, value, t_ns: packet[
-        : round(value) or 31
-    ],  # only the first `value` bytes
+    "babble": _lengthened,  # longer than a packet, by `value` bytes (1)
+    "short_in": _shortened,  # only the first `value` bytes (31)
     "encoder_jump": _jumped,  # the encoder is off by `value` counts (1,000,000)
     # current, voltage, velocity and temperature read `value` counts (32767)
     "sensor_extreme": _saturated,
 }
-SENSED = (
-    _jumped,
-    _saturated,
-)  # what the board reads wrongly comes before what happens to its packet on the way
+# what the board reads wrongly comes before what happens to its packet on the way
+SENSED = (_jumped, _saturated)

@@ -137,7 +137,11 @@ class SequenceCounter:
 
     def __init__(self) -> None:
         self.newest: int | None = None
-        self.received = self.lost = self.gaps = self.duplicates = self.reordered = 0
+        self.received = 0
+        self.lost = 0
+        self.gaps = 0
+        self.duplicates = 0
+        self.reordered = 0
 
     def observe(self, seq: int) -> tuple[Arrival, int]:
         """Classify and count `seq`. A frame that comes late stays counted as lost: its tick is
