@@ -34,7 +34,7 @@ def given(dtype):
 
 def by_trial(point, seed):
     """The verdict of `zwidth trial`."""
-    asked = given("f64").shaken(more_seed=seed - SEED)
+    asked = given("f64").perturbed(more_seed=seed - SEED)
     trial = Trial(point, LEVEL, SECONDS, asked.excitation)
     plan = plan_trial(TrialParams(trial, asked.scene))
     return run_trial(plan, engine_source(asked.scene)).verdict
@@ -48,7 +48,7 @@ def by_limits(point, asked):
         heard.update({outcome.environment: outcome for outcome in new})
 
     params = LimitsParams(asked, (LEVEL,), axes=(0,), base=point, tolerance=ALONE)
-    run_limits(plan_limits(params), TrialStore(None), hear=hear)
+    run_limits(plan_limits(params), TrialStore(None), on_outcomes=hear)
     return heard[point]
 
 
@@ -108,7 +108,7 @@ def test_every_verb_gives_the_margin_of_the_trial(searched):
     outcome = searched[1]
     seed = SEED + 1
     point = outcome.environment
-    asked = given("f64").shaken(more_seed=1)
+    asked = given("f64").perturbed(more_seed=1)
     margins, places = told_of(by_trial(point, seed))
     assert places == (2.0, 2.0, 500.0)
     shown = run.single_trial(run.MAIN, point, LEVEL, seed)

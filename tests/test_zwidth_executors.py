@@ -350,7 +350,7 @@ def test_given_up_limits_cancel_what_has_not_begun() -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_limits(LIMITS, TrialStore(None), executor=pool, hear=hear)
+        run_limits(LIMITS, TrialStore(None), executor=pool, on_outcomes=hear)
     assert heard == [LIMITS.scans[0]]
     assert (
         len(pool.futures) == 6
@@ -365,7 +365,7 @@ def test_limits_do_not_depend_on_who_else_is_under_way(monkeypatch: pytest.Monke
     side_by_side = run_limits(
         LIMITS,
         TrialStore(None),
-        hear=lambda scan, given, new: heard.append(("KBM"[scan.axis], len(new))),
+        on_outcomes=lambda scan, given, new: heard.append(("KBM"[scan.axis], len(new))),
     )
     assert repr(one_by_one.limits) == repr(side_by_side.limits)
     assert sum(count for _, count in heard) == sum(limit.trials for limit in side_by_side.limits)

@@ -45,7 +45,7 @@ def test_limits_go_on_where_they_were_interrupted(tmp_path: Any) -> None:
 
     path = tmp_path / "trials.jsonl"
     with pytest.raises(KeyboardInterrupt):
-        run_limits(PLAN, TrialStore(path), hear=interrupted)
+        run_limits(PLAN, TrialStore(path), on_outcomes=interrupted)
     had = environments(TrialStore(path))
     flown = Flown()
     resumed = run_limits(PLAN, TrialStore(path), executor=StandIn(flown))
@@ -65,7 +65,7 @@ def test_limits_that_are_kept_are_not_flown_again(tmp_path: Any) -> None:
         PLAN,
         TrialStore(tmp_path / "trials.jsonl"),
         lambda what, done, total: ended.append((done, total)),
-        hear=lambda *_: pytest.fail("what was kept is not told again"),
+        on_outcomes=lambda *_: pytest.fail("what was kept is not told again"),
         executor=StandIn(lambda *_: pytest.fail("a trial that the store has was made again")),
     )
     assert again.made == 0

@@ -232,7 +232,7 @@ def test_map_goes_on_where_it_was_interrupted(tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_map(plan, TrialStore(path), hear=interrupted)
+        run_map(plan, TrialStore(path), on_outcomes=interrupted)
     done = len(TrialStore(path).known)
     assert done == told[0] > 0
     with ThreadPoolExecutor(2) as threads:
@@ -330,7 +330,7 @@ def test_trials_of_a_search_have_noise_of_their_own():
     store = TrialStore(None)
     heard = []
     plan = plan_search(SearchParams(conditions(), 0.0, budget=6, box=box))
-    result = run_search(plan, store, hear=heard.extend)
+    result = run_search(plan, store, on_outcomes=heard.extend)
     assert [outcome.environment for outcome in heard] == [
         step.outcome.environment for step in result.steps
     ]

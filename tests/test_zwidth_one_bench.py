@@ -16,7 +16,7 @@ from hapticd.zwidth.store import fingerprint
 PACKAGE = Path(hapticd.__file__).parent
 ONLY = {  # what may be called from where: {called: {module: functions}}
     "judge": {
-        "zwidth.outcomes": {"_look"},  # trials of batches
+        "zwidth.outcomes": {"_with_verdict"},  # trials of batches
         "zwidth.trial": {"_verdict"},  # records
         "zwidth.watch": {"_decide"},  # whether a record that grows is decided already
     },
@@ -158,6 +158,6 @@ def test_reproduce_and_limits_ask_for_the_same_trials(device: str) -> None:
     """
     asked = common.conditions(common.scene_of(SCENES[device]), SECONDS, seed=1)
     assert fingerprint(asked) == fingerprint(conditions(device))
-    assert fingerprint(asked.shaken(more_seed=2)) == fingerprint(
+    assert fingerprint(asked.perturbed(more_seed=2)) == fingerprint(
         common.conditions(asked.scene, SECONDS, seed=3)
     )

@@ -185,7 +185,7 @@ def test_columns_are_apart_as_the_head_line_says(tmp_path, mark, point):
         ),
         ("1;2\n", "line 2: 1 values under 2 names"),
         ("1_0,2\n", "there is something else than numbers in it"),
-        ("", "no samples under a head line"),
+        ("", "no samples under a header line"),
     ],
 )
 def test_line_that_is_no_row_of_numbers_is_named(tmp_path, rows, said):

@@ -127,7 +127,7 @@ def interval(look: Look, more: str = "") -> Any:
 
 @styled()
 def trial_figure(
-    result: TrialResult, referee: ReferenceSines | None = None, admittance: bool = False
+    result: TrialResult, sines: ReferenceSines | None = None, admittance: bool = False
 ) -> Figure:
     """Size, phase and coherence of Z (or Y) of one trial, with the stepped sine's as points.
     ConfigError without matplotlib.
@@ -153,10 +153,10 @@ def trial_figure(
     )
     if result.predicted is not None:
         draw(size, phase, Curve(f, result.predicted[seen], PREDICTED, "predicted"), view)
-    if referee is not None:
+    if sines is not None:
         points = Curve(
-            referee.frequency_hz,
-            referee.impedance_ns_per_m,
+            sines.frequency_hz,
+            sines.impedance_ns_per_m,
             {**MARKS, "marker": "D"},
             "stepped sine",
         )

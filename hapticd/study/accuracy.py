@@ -55,7 +55,7 @@ from hapticd.errors import AnalysisError, HapticdError
 from hapticd.plant.excitation import Stream, torque_record
 from hapticd.plant.scene import Scene
 from hapticd.units import NS_PER_S, PROBE_RATE_HZ
-from hapticd.zwidth.lockstep import Flown, fly
+from hapticd.zwidth.lockstep import LockStepTrial, run_lockstep
 from hapticd.zwidth.scenes import (
     SUBSTEPS,
     candidates,
@@ -208,11 +208,11 @@ class ReferenceComparison(ABC, Generic[T]):
         else:
             torque = self.torque_n[0, :samples]
         steps = [(step.at_s, step.level_ns_per_m) for step in self.scene.damping]
-        trial, spent = timed(self.now_ns, lambda: fly(str(self.source), torque, steps))
+        trial, spent = timed(self.now_ns, lambda: run_lockstep(str(self.source), torque, steps))
         return replace(self._lockstep_errors(trial), seconds=spent)
 
     @abstractmethod
-    def _lockstep_errors(self, trial: Flown) -> AccuracyRow:
+    def _lockstep_errors(self, trial: LockStepTrial) -> AccuracyRow:
         """Errors of a trial in lock-step."""
 
     def _analysis_s(self, found: BatchResult, lag: int) -> float:
@@ -292,7 +292,7 @@ class PhaseComparison(ReferenceComparison[Complexes]):
         yield AccuracyRow("tier", "predict, alone", alone_s, error, error)
         yield AccuracyRow("tier", "predict, 1,000 at once", together_s / BATCH, error, error)
 
-    def _lockstep_errors(self, trial: Flown) -> AccuracyRow:
+    def _lockstep_errors(self, trial: LockStepTrial) -> AccuracyRow:
         spectra = spectra_on(trial.torque_n, trial.velocity_m_per_s, self._f)
         return AccuracyRow(total=self._total([spectra]))
 
@@ -335,7 +335,7 @@ class PositionComparison(ReferenceComparison[Floats]):
         position, _ = self._simulated(setting, 1).traces(0)
         return self._row(position - self._basis(setting, position, self._true))
 
-    def _lockstep_errors(self, trial: Flown) -> AccuracyRow:
+    def _lockstep_errors(self, trial: LockStepTrial) -> AccuracyRow:
         """The push through the wire, compared with the engine under the forces that the probe then
         reported. The engine's ticks, counted from the force, may begin a part of a period before
         those of the servo: `lead` samples.

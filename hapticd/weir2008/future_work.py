@@ -139,7 +139,7 @@ class Bench:
         """A trial of each environment (N, 3) with the noise of `seed`, its force multiplied by
         `amplitude`.
         """
-        given = self.conditions.shaken(amplitude, seed - self.conditions.excitation.seed)
+        given = self.conditions.perturbed(amplitude, seed - self.conditions.excitation.seed)
         return outcomes_of(TrialBatch(given, level, points_of(points)), self.store)
 
     def limit(self, level: float, axis: int, reach: float | None = None) -> float:
@@ -656,7 +656,7 @@ def compared_with_grid(
     prediction = plan_map(params).levels[0].prediction
     noises = (*GRID_SEEDS, SEARCH_SEED)
     *grids, own = (
-        conditions.shaken(more_seed=seed - conditions.excitation.seed) for seed in noises
+        conditions.perturbed(more_seed=seed - conditions.excitation.seed) for seed in noises
     )
     reference, again = (_passive(replace(params, conditions=given), tell) for given in grids)
     search = plan_search(SearchParams(own, damping_ns_per_m, budgets[-1], doubt=0.0))

@@ -1,5 +1,5 @@
-"""Where the trials of a campaign run: on threads of this process, in processes of this machine, on
-a Dask cluster.
+"""Where many trials run: on threads of this process, in processes of this machine, or on a Dask
+cluster.
 
     thread              the engine's own threads; its kernels release the interpreter lock
     process             a process for each core, started anew; for what holds the lock
@@ -190,7 +190,7 @@ def _look_at_workers(client: Any, address: str) -> None:
             )
 
 
-def _versions(told: dict[str, Any]) -> dict[str, str]:
-    packages = told["packages"]
+def _versions(found: dict[str, Any]) -> dict[str, str]:
+    packages = found["packages"]
     python = ".".join(packages["python"].split(".")[:2])
     return {"python": python, **{name: packages[name] or "missing" for name in SAME}}

@@ -15,8 +15,8 @@ Limits belong to a perturbation: with Coulomb friction they fall as it grows. `a
 several, each a factor of the scene's force. `seeds` repeats the whole scan with other noise; the
 scatter is given beside the mean. A lower band edge is one of the conditions.
 
-Outcomes go to the append-only store of all campaigns: limits that were interrupted, or are asked
-again with more seeds, levels or amplitudes, make only the trials that are missing.
+Outcomes go to an append-only store: limits that were interrupted, or are asked for again with more
+seeds, levels or amplitudes, run only the trials that are missing.
 
 What would break it: a set that is not in one piece along the line that is searched.
 """
@@ -49,8 +49,8 @@ from hapticd.zwidth.store import Progress, TrialStore, silent
 ORIGIN: Point = (0.0, 0.0, 0.0)
 REACH = (2e4, 60.0, -0.25)  # of a predicted search: N/m, Ns/m, kg
 FIRST = (0.6, 1.5)  # of the predicted distance: where the first round looks
-OUTWARDS = 2.5
-ROUNDS = 6
+OUTWARDS = 2.5  # factor by which a round in which all pass is extended
+ROUNDS = 6  # at most, after the first
 ROUND = 32  # values: the engine takes no longer for them together than for one
 UNPREDICTED = 0.02  # of the reach, where the prediction has no limit to look near
 
@@ -66,8 +66,8 @@ class LimitsParams:
     levels: tuple[float, ...] = (0.0, 1.74)
     amplitudes: tuple[float, ...] = (1.0,)
     axes: tuple[int, ...] = (0, 1, 2)
-    seeds: int = 1
-    base: Point = ORIGIN
+    seeds: int = 1  # repetitions with other noise
+    base: Point = ORIGIN  # N/m, N s/m, kg
     reach: tuple[float, float, float] = REACH
     tolerance: float = 0.01
 
@@ -76,15 +76,15 @@ class LimitsParams:
 class Scan:
     """One limit to be found; `predicted` nan where even the base is not passive."""
 
-    axis: int
-    damping_ns_per_m: float
-    amplitude: float
-    predicted: float
+    axis: int  # 0 K, 1 B, 2 M
+    damping_ns_per_m: float  # active damping
+    amplitude: float  # factor of the perturbation's force
+    predicted: float  # N/m, N s/m or kg
 
 
 @dataclass(frozen=True, slots=True)
 class LimitsPlan:
-    """All of them, each with its prediction."""
+    """All limits that are asked for, each with its prediction."""
 
     params: LimitsParams
     scans: tuple[Scan, ...]
@@ -107,8 +107,8 @@ class AxisLimit:
     sd: float
     worst_hz: float
     velocity_sd: float
-    perturbation_psd: float
-    trials: int
+    perturbation_psd: float  # N^2/Hz, one-sided
+    trials: int  # of all seeds
     values: tuple[float, ...]
     judged: Judged = NOTHING_JUDGED
 
@@ -153,9 +153,9 @@ def plan_limits(params: LimitsParams) -> LimitsPlan:
     """Predict every limit. ConfigError as `compose`."""
     scans = []
     for level, amplitude, axis in product(params.levels, params.amplitudes, params.axes):
-        shaken = params.conditions.shaken(amplitude)
+        perturbed = params.conditions.perturbed(amplitude)
         near = predicted_limit(
-            shaken.display, level, axis, params.base, shaken.band_hz, params.reach[axis]
+            perturbed.display, level, axis, params.base, perturbed.band_hz, params.reach[axis]
         )
         scans.append(Scan(axis, level, amplitude, near))
     return LimitsPlan(params, tuple(scans))
@@ -163,15 +163,15 @@ def plan_limits(params: LimitsParams) -> LimitsPlan:
 
 def run_limits(
     plan: LimitsPlan, store: TrialStore, tell: Progress = silent, executor: Executor | None = None,
-    hear: OnRound = lambda scan, conditions, new: None,
+    on_outcomes: OnRound = lambda scan, conditions, new: None,
 ) -> LimitsResult:  # fmt: skip
-    """Find them all by the trials that the store has not, on `executor` or on threads here; `hear`
-    gets those of each round.
+    """Find all limits; trials that the store lacks run on `executor` or on threads of this process.
+    `on_outcomes` receives the new outcomes of each round.
 
-    KeyboardInterrupt passes through after the rounds in flight were given up; what was finished is
+    KeyboardInterrupt passes through after the rounds under way were cancelled; what was finished is
     in the store.
     """
-    return run_plans([plan], store, tell, executor, hear)[0]
+    return run_plans([plan], store, tell, executor, on_outcomes)[0]
 
 
 def run_plans(
@@ -179,11 +179,11 @@ def run_plans(
     store: TrialStore,
     tell: Progress = silent,
     executor: Executor | None = None,
-    hear: OnRound = lambda scan, conditions, new: None,
+    on_outcomes: OnRound = lambda scan, conditions, new: None,
 ) -> tuple[LimitsResult, ...]:
     """Several plans side by side."""
     wanted = [
-        (plan.params, scan, plan.params.conditions.shaken(scan.amplitude, repeat))
+        (plan.params, scan, plan.params.conditions.perturbed(scan.amplitude, repeat))
         for plan in plans for scan in plan.scans for repeat in range(plan.params.seeds)
     ]  # fmt: skip
     ended = made = 0
@@ -195,13 +195,13 @@ def run_plans(
         tell("axis limits", ended, len(wanted))
         return tried
 
-    def told(place: int, lot: TrialBatch, new: list[Outcome]) -> None:
+    def on_batch(place: int, batch: TrialBatch, new: list[Outcome]) -> None:
         nonlocal made
         made += len(new)
-        hear(wanted[place][1], lot.conditions, new)
+        on_outcomes(wanted[place][1], batch.conditions, new)
 
     tell("axis limits", 0, len(wanted))
-    tried = iter(run_all([counted(*each) for each in wanted], store, executor, told))
+    tried = iter(run_all([counted(*each) for each in wanted], store, executor, on_batch))
     return tuple(
         LimitsResult(
             plan,
@@ -284,7 +284,7 @@ def _together(params: LimitsParams, scan: Scan, seeds: list[list[Outcome]]) -> A
         sd=float(values.std(ddof=1)) if len(values) > 1 else nan,
         worst_hz=failed.worst_hz if failed else nan,
         velocity_sd=passed[-1].velocity_sd if passed else nan,
-        perturbation_psd=params.conditions.shaken(scan.amplitude).excitation.psd_n2_per_hz,
+        perturbation_psd=params.conditions.perturbed(scan.amplitude).excitation.psd_n2_per_hz,
         trials=sum(map(len, seeds)),
         values=tuple(values.tolist()),
         judged=judged(one for tried in seeds for one in tried),

@@ -1,11 +1,11 @@
 """A trial on the device of a daemon: enable, set, perturb, record at 4 kHz, force off.
 
-The daemon may be the real one or the same stack on virtual time (`lockstep`), the client is the
-same. The trial begins disabled, and ends disabled whatever happens; nobody's session is taken over.
-Heard meanwhile are the probe's samples, the servo's ticks beside them, and why it ends. The ticks
-tell what no sample does: every command, the winding, where the device stands, slots that were left
-out, and the revision of what is in force, so that whoever changes anything ends the trial. What is
-lost is in `watch`.
+The daemon may be the real one or the same stack on virtual time (`lockstep`); the client is the
+same. The trial begins disabled and ends disabled whatever happens; it takes over nobody's session.
+Two streams are received meanwhile: the probe's samples, and the servo's ticks beside them. The
+ticks hold what no sample does: every command, the winding's temperature, the position, the slots
+that were left out, and the revision of the set-up, so that a change by anybody ends the trial. Lost
+samples are filled in and counted by `watch`.
 
 What would break it: a board without probe inputs (refused), a host so busy that slots are lost
 (named, then undecided), or ticks and samples that come much apart; both are cut by the same servo.
@@ -30,7 +30,7 @@ from hapticd.zwidth.store import Progress, TrialRecord, silent
 from hapticd.zwidth.watch import Filler, Sentinel
 
 WAVEFORM_S = 120.0  # a longer trial repeats it
-SPARE_S = 10.0  # of waveform beyond the trial: settling, and what is heard late
+SPARE_S = 10.0  # of waveform beyond the trial: settling, and samples that arrive late
 SETTLE_S = 1.0  # of perturbed motion before the record begins
 PROBE = "probe"
 TICKS = "servo.raw"
@@ -90,7 +90,7 @@ def _leave(bench: Client) -> None:
 
 
 class LiveRecording:
-    """One trial while it is heard: the probe's samples so far, and what the ticks beside them
+    """One trial while it is received: the probe's samples so far, and what the ticks beside them
     say.
     """
 
@@ -136,8 +136,8 @@ class LiveRecording:
         return nan if self._newest is None else float(self._newest["winding_c"])
 
     def recorded(self, origin: str, tell: Progress) -> TrialRecord:
-        """Listen to the end, or to where the sentinel or the servo ends it. DaemonDown if the
-        daemon falls silent.
+        """Receive to the end, or to where the sentinel or the servo ends it. DaemonDown if no
+        samples arrive for 2 s.
         """
         settle = round(SETTLE_S * PROBE_RATE_HZ)
         ended = ""

@@ -4,11 +4,11 @@
 the whole way: frames of the board, the gateway's decoder, its messages, the client's decoder. What
 is left out are sockets and processes.
 
-`fly` is one trial of a scene. The stack comes up as after `hapticd run`: enabled at rest and the
-gain ramped to 1. Then, at one tick, the perturbation starts and the scene's damping steps begin to
-count. The records begin at that tick: positions and forces as the servo knew them, torque and
-velocity as the probe frames brought them. Converters of the wire quantise, whether the scene asks
-for it or not.
+`run_lockstep` is one trial of a scene. The stack comes up as after `hapticd run`: enabled at rest
+and the gain ramped to 1. Then, at one tick, the perturbation starts and the scene's damping steps
+begin to count. The records begin at that tick: positions and forces as the servo knew them, torque
+and velocity as the probe frames brought them. Converters of the wire quantise, whether the scene
+asks for it or not.
 """
 
 from collections.abc import Generator, Sequence
@@ -64,8 +64,8 @@ class LockStepBench(Client):
         CommandError if it refuses.
         """
         if cmd in ("hello", "get", "status"):
-            told = self._told()
-            return {"state": told["state"], "result": told}
+            known = self._known()
+            return {"state": known["state"], "result": known}
         given = {name: value for name, value in fields.items() if value is not None}
         kind, _, values = posting(ADAPTER.validate_python({"cmd": cmd, **given}), self._samples)
         answer = self.stack.do(
@@ -76,9 +76,9 @@ class LockStepBench(Client):
                 answer.result.name.lower(), f"the servo refused {cmd}: {answer.result.name.lower()}"
             )
         self.run(1)
-        return {"state": self._told()["state"], "receipt": receipt(answer)}
+        return {"state": self._known()["state"], "receipt": receipt(answer)}
 
-    def _told(self) -> dict[str, Any]:
+    def _known(self) -> dict[str, Any]:
         """What the servo was set up with, its state, the cause of a fault, its temperature."""
         fault = BY_NUMBER.get(int(self.newest["fault"]))
         return {
@@ -132,7 +132,7 @@ class LockStepBench(Client):
 
 
 @dataclass(frozen=True, eq=False)
-class Flown:
+class LockStepTrial:
     """`position_m`, `force_n` (ticks,); `torque_n`, `velocity_m_per_s` (samples,) interval
     means at 4 kHz.
     """
@@ -143,11 +143,13 @@ class Flown:
     velocity_m_per_s: Floats
 
 
-def fly(source: str | Path, torque_n: npt.ArrayLike, steps: Sequence[tuple[float, float]]) -> Flown:
-    """Fly the scene `source` under `torque_n` (samples,) [N] at 4 kHz with damping steps (time s,
+def run_lockstep(
+    source: str | Path, torque_n: npt.ArrayLike, steps: Sequence[tuple[float, float]]
+) -> LockStepTrial:
+    """Run the scene `source` under `torque_n` (samples,) [N] at 4 kHz with damping steps (time s,
     level Ns/m).
 
-    AnalysisError for a record of more than 131 s; LinkError if the stack did not fly it without a
+    AnalysisError for a record of more than 131 s; LinkError if the stack did not run it without a
     flaw.
     """
     force = np.asarray(torque_n, np.float64)
@@ -177,14 +179,14 @@ def fly(source: str | Path, torque_n: npt.ArrayLike, steps: Sequence[tuple[float
     return _records(servo, found, refused)
 
 
-def _records(servo: ServoParams, found: Records, refused: list[str]) -> Flown:
+def _records(servo: ServoParams, found: Records, refused: list[str]) -> LockStepTrial:
     spoiled = int(((found["flags"] & (Flag.MISSING_IN | Flag.BAD_IN | Flag.LATE)) != 0).sum())
     if refused or spoiled or found["fault"].any():
         raise LinkError(
-            f"lock-step: {spoiled} spoiled ticks, commands refused: {refused or 'none'}; fly it"
+            f"lock-step: {spoiled} spoiled ticks, commands refused: {refused or 'none'}; run it"
             " with `hapticd run`"
         )
     block = RingBlock(1, 0, 0, found.tobytes(), found)
     (probe,) = ProbeDecoder(servo.device).messages(block, Origin(0, 0, servo.simulated))
     torque, velocity = signals(BlockDecoder().decode(probe))
-    return Flown(found["position_m"].copy(), found["force_n"].copy(), torque, velocity)
+    return LockStepTrial(found["position_m"].copy(), found["force_n"].copy(), torque, velocity)

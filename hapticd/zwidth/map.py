@@ -178,27 +178,29 @@ def run_map(
     store: TrialStore,
     tell: Progress = silent,
     executor: Executor | None = None,
-    hear: OnOutcomes = lambda new: None,
+    on_outcomes: OnOutcomes = lambda new: None,
 ) -> MapResult:
-    """Make the trials that the store has not; `hear` gets the outcomes of each task.
+    """Run the trials that the store lacks; `on_outcomes` receives the new outcomes of each task.
 
-    KeyboardInterrupt passes through after the tasks in flight were given up; what was finished is
+    KeyboardInterrupt passes through after the tasks under way were cancelled; what was finished is
     in the store.
     """
     total = plan.trials
     before = len(store.known)
 
-    def told(place: int, lot: TrialBatch, new: list[Outcome]) -> None:
+    def on_batch(place: int, batch: TrialBatch, new: list[Outcome]) -> None:
         tell("trials", min(len(store.known) - before, total), total)
-        hear(new)
+        on_outcomes(new)
 
     tell("trials", 0, total)
-    levels = run_all([_mapped(plan.params, level) for level in plan.levels], store, executor, told)
+    levels = run_all(
+        [_mapped(plan.params, level) for level in plan.levels], store, executor, on_batch
+    )
     return MapResult(plan, tuple(levels), len(store.known) - before)
 
 
-class Nobody(Executor):
-    """Makes no trial."""
+class NoTrials(Executor):
+    """An executor that runs no trial."""
 
     def submit(self, task: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """No outcome."""
@@ -208,10 +210,10 @@ class Nobody(Executor):
 
 
 def kept_map(plan: MapPlan, store: TrialStore) -> MapResult:
-    """The map of a run that has ended, of its kept trials alone: nothing is flown.
+    """The map of a run that has ended, of its kept trials alone: nothing is simulated.
 
-    Where the store has trials by other keys only, those of another version, they are told by level
-    and environment.
+    Where the store has trials by other keys only, those of another version, they are matched by
+    level and environment.
     """
     conditions = plan.params.conditions
     own = TrialStore(None)
@@ -221,17 +223,17 @@ def kept_map(plan: MapPlan, store: TrialStore) -> MapResult:
         mine = {
             one.environment: one for one in lines if one.damping_ns_per_m == level.damping_ns_per_m
         }
-        lots = [
+        batches = [
             TrialBatch(given, level.damping_ns_per_m, tuple(mine))
             for given in (replace(conditions, substeps=1), conditions)
         ]
         for point, one in mine.items():
-            asked = lots[-1].keys[point]
+            asked = batches[-1].keys[point]
             every.known[asked] = vars(judged_on_lines(one, conditions.band_hz))
-            for key in (lot.keys[point] for lot in lots if lot.keys[point] in store.known):
+            for key in (batch.keys[point] for batch in batches if batch.keys[point] in store.known):
                 own.known[asked] = store.known[key]
     levels = tuple(replace(level, near=np.ones_like(level.near)) for level in plan.levels)
-    return run_map(replace(plan, levels=levels), own if own.known else every, executor=Nobody())
+    return run_map(replace(plan, levels=levels), own if own.known else every, executor=NoTrials())
 
 
 def _predicted(params: MapParams, level: float, points: Floats) -> Prediction:
@@ -239,33 +241,33 @@ def _predicted(params: MapParams, level: float, points: Floats) -> Prediction:
 
 
 def _mapped(params: MapParams, level: LevelPlan) -> Procedure[LevelMap]:
-    lots = _lots(params, level)
+    batches = _batches(params, level)
     found = passive_set(params.axes, level.prediction.decided_margin)
-    have = yield lots
+    have = yield batches
     found = _learnt(found, have)
     for _ in range(params.refine):
-        points = dict.fromkeys((*lots[0].points, *between(found)))
-        lots[0] = replace(lots[0], points=tuple(points))
+        points = dict.fromkeys((*batches[0].points, *between(found)))
+        batches[0] = replace(batches[0], points=tuple(points))
         found = halved(found)
-        have = yield lots
+        have = yield batches
         found = _learnt(found, have)
     return _level_map(params, level, found, have)
 
 
-def _lots(params: MapParams, level: LevelPlan) -> list[TrialBatch]:
+def _batches(params: MapParams, level: LevelPlan) -> list[TrialBatch]:
     """Near the boundary with the conditions that are asked for, elsewhere with one sub-step."""
     conditions = params.conditions
     points = level.prediction.points
-    lots = [TrialBatch(conditions, level.damping_ns_per_m, points_of(points[level.near]))]
+    batches = [TrialBatch(conditions, level.damping_ns_per_m, points_of(points[level.near]))]
     if params.everywhere:
-        lots.append(
+        batches.append(
             TrialBatch(
                 replace(conditions, substeps=1),
                 level.damping_ns_per_m,
                 points_of(points[~level.near]),
             )
         )
-    return lots
+    return batches
 
 
 def _at_border(axes: Axes, passive: Flags) -> Flags:

@@ -1,5 +1,5 @@
-"""Many trials at once by the batch engine, each reduced to what a campaign keeps: verdict, margins,
-Z at some 120 frequencies.
+"""Many simulated trials at once, each reduced to what a study of many keeps: the verdict, its
+margins, and Z at some 120 frequencies.
 
 Trials are simulated and transformed together (`keep="spectra"`); no record is ever made. What
 `examine` reads off a record is taken from sums: energy from the work of each tick, an escape from
@@ -7,14 +7,17 @@ the rms velocity of every second.
 
 A task travels as parameters and comes back as 5 kB a trial, so it may run in a thread or in another
 process; the same task gives the same outcome wherever it runs. `passes` is the paper's rule: all
-phases within +-90 degrees, the loop calm, the command not at its end. `answer` is the verdict with
-its intervals. A trial that diverged has no spectra.
+phases of the whole band within +-90 degrees, the loop stable, the command below its limit. `answer`
+is the verdict with its intervals. A trial that diverged has no spectra.
 
-Whoever needs trials is a procedure: a generator that asks for lots, trials under one set of
-conditions, gets their outcomes, asks for more, and returns what it found. `run_all` runs any number
-of procedures side by side. A trial's key is all that it depends on, so what a store has is never
-flown again, whoever asked for it; each task is stored as soon as it is finished, and what has not
-begun is given up when the caller stops. Results do not depend on who else is under way.
+A procedure is a generator that yields batches (trials under one set of conditions), is sent their
+outcomes, yields more, and returns its result. `run_all` runs any number of procedures side by side.
+A trial's key is the hash of what it depends on, so a trial that the store has is never simulated
+again, whichever procedure asks for it. Each task is stored as soon as it is finished; tasks that
+have not begun are cancelled when the caller stops.
+
+What would break it: the noise of the probe, which is drawn by a trial's place in its task and not
+by its key. On a device with a noisy probe the same trial of another task differs by that noise.
 """
 
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
@@ -52,8 +55,8 @@ from hapticd.zwidth.scenes import SATURATED, Display, display, free_of_walls, fr
 from hapticd.zwidth.store import TrialStore, fingerprint
 
 TOGETHER = LANES["f32"]  # trials that the engine does at once
-GROUPS = 4  # of so many in a task: what is flown again of a few fills one
-TASKS = 8  # of a lot, before they grow
+GROUPS = 4  # of so many in a task: the trials of a few that need their records fill one
+TASKS = 8  # of a batch, before its tasks grow
 FREQUENCIES = 120
 KEPT_BAND_HZ = (2.0, 1000.0)
 NEAR_HZ = 1e-5  # an edge that is so near to a line is that line
@@ -66,15 +69,15 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """What all trials of a campaign share but K, B, M and the damping level."""
+    """What many trials have in common: all but K, B, M and the active damping."""
 
     scene: Scene
-    seconds: float = 90.0
+    seconds: float = 90.0  # of one trial; section 2.2 of the paper
     excitation: Excitation = NOISE
     band_hz: tuple[float, float] = DEFAULT_BAND_HZ
     confidence: float = 0.95
-    substeps: int = 4
-    dtype: str = "f32"
+    substeps: int = 4  # per 4 kHz sample
+    dtype: str = "f32"  # of the engine: f32 or f64
     below_window: bool = False  # the band may begin below 1/(M T): read what the window makes of it
 
     @property
@@ -82,7 +85,7 @@ class Conditions:
         """The device, prepared, with what is predicted of it under these conditions."""
         return display(self.scene, self.excitation)
 
-    def shaken(self, amplitude: float = 1.0, more_seed: int = 0) -> "Conditions":
+    def perturbed(self, amplitude: float = 1.0, more_seed: int = 0) -> "Conditions":
         """With the force multiplied by `amplitude`, and other noise."""
         source = self.excitation
         changed = replace(
@@ -100,16 +103,16 @@ class Outcome:
     """
 
     environment: Point
-    damping_ns_per_m: float
-    answer: str
-    passes: bool
-    margin_ns_per_m: float
-    margin_lower: float
-    margin_upper: float
-    margin_deg: float
-    worst_hz: float
-    velocity_sd: float
-    max_force_n: float
+    damping_ns_per_m: float  # active damping
+    answer: str  # passive, not_passive or undecided
+    passes: bool  # by the paper's rule
+    margin_ns_per_m: float  # least Re Z
+    margin_lower: float  # N s/m
+    margin_upper: float  # N s/m
+    margin_deg: float  # least 90 degrees - |phase|
+    worst_hz: float  # of the least Re Z
+    velocity_sd: float  # m/s
+    max_force_n: float  # largest command
     z: Floats
     relative_sd: Floats
     first_judged_hz: float = nan
@@ -135,32 +138,35 @@ def kept_frequencies(band_hz: tuple[float, float] | None = None) -> Floats:
 
 
 def run_trials(conditions: Conditions, damping_ns_per_m: float, points: Floats) -> list[Outcome]:
-    """Simulate and judge trials under `points` (n, 3); once more those whose verdict needs records.
+    """Simulate and judge trials of `points` (n, 3): K [N/m], B [N s/m], M [kg]. Those whose verdict
+    needs the record are simulated again, with the same noise, and judged on it.
 
     ConfigError as `simulate`, AnalysisError as `judge`.
     """
-    found = _flown(conditions, damping_ns_per_m, points, "spectra")
+    found = _simulated(conditions, damping_ns_per_m, points, "spectra")
     whole = np.flatnonzero(~found.diverged).tolist()
-    looks = {trial: _look(conditions, found, trial, found.spectra(trial)) for trial in whole}
+    pairs = {
+        trial: _with_verdict(conditions, found, trial, found.spectra(trial)) for trial in whole
+    }
     linear = not coulomb(conditions.display.model).any()
-    needed = {trial: lines_to_resolve(*look, linear=linear) for trial, look in looks.items()}
+    needed = {trial: lines_to_resolve(*pair, linear=linear) for trial, pair in pairs.items()}
     unsure = [trial for trial, lines in needed.items() if lines.any()]
     for first in range(0, len(unsure), TOGETHER):
         some = unsure[first : first + TOGETHER]
         again = np.asarray(found.params[some], np.float64)
-        records = _flown(conditions, damping_ns_per_m, again, "records", some)
+        records = _simulated(conditions, damping_ns_per_m, again, "records", some)
         shared = _shared_transform(records)
         for place, trial in enumerate(some):
             record = records.record(place)
-            finer = _finer(conditions, record, looks[trial][0], needed[trial], shared)
-            looks[trial] = _look(conditions, found, trial, finer)
+            finer = _finer(conditions, record, pairs[trial][0], needed[trial], shared)
+            pairs[trial] = _with_verdict(conditions, found, trial, finer)
     return [
-        _outcome(conditions, damping_ns_per_m, found, trial, looks.get(trial))
+        _outcome(conditions, damping_ns_per_m, found, trial, pairs.get(trial))
         for trial in range(len(points))
     ]
 
 
-def _flown(
+def _simulated(
     conditions: Conditions,
     damping_ns_per_m: float,
     points: Floats,
@@ -201,7 +207,7 @@ def _finer(
     return resolved(*record, spectra, needed, conditions.band_hz, rate_hz, shared)
 
 
-def _look(
+def _with_verdict(
     conditions: Conditions, found: BatchResult, trial: int, spectra: Spectra
 ) -> tuple[Spectra, Verdict]:
     recorded = _recorded(found, trial, spectra)
@@ -220,12 +226,12 @@ def _outcome(
     damping: float,
     found: BatchResult,
     trial: int,
-    look: tuple[Spectra, Verdict] | None,
+    pair: tuple[Spectra, Verdict] | None,
 ) -> Outcome:
     k, b, m = (float(value) for value in found.params[trial])
     most = float(found.max_force_n[trial])
     sd = float(found.sigma_v_m_per_s[trial])
-    if look is None:
+    if pair is None:
         nothing = np.empty(0)
         unknown = (nan,) * 5
         return Outcome(
@@ -240,7 +246,7 @@ def _outcome(
             nothing,
             band_hz=conditions.band_hz,
         )
-    spectra, verdict = look
+    spectra, verdict = pair
     limit_n = conditions.display.force_limit_n
     doubtful = most >= SATURATED * limit_n or k < 0.0  # a K < 0 is active below every band
     z = _kept_impedance(spectra, conditions.band_hz)
@@ -368,7 +374,7 @@ class TrialBatch:
         return {point: fingerprint((*shared, point))[:32] for point in self.points}
 
     def known(self, store: TrialStore) -> list[Outcome]:
-        """What the store has of it."""
+        """Its outcomes that are in the store."""
         return [restored(store.known[key]) for key in self.keys.values() if key in store.known]
 
     def tasks(self, store: TrialStore) -> list[Floats]:
@@ -387,23 +393,23 @@ def points_of(rows: Floats) -> tuple[Point, ...]:
 
 def run_all(
     procedures: Sequence[Procedure[T]], store: TrialStore, executor: Executor | None,
-    told: OnBatch = lambda place, lot, new: None,
+    on_batch: OnBatch = lambda place, batch, new: None,
 ) -> list[T]:  # fmt: skip
-    """What the procedures return, their trials made on `executor` or on threads here; `told` gets
-    the place of a procedure, a lot of it, and the new outcomes of each task.
+    """The results of the procedures, whose trials run on `executor` or on threads of this process.
+    `on_batch` receives the place of a procedure, its batch, and the new outcomes of each task.
 
-    Each procedure has one request under way; the cores are kept busy by the others. If `told`
-    raises, the rest is given up.
+    Each procedure waits for one request at a time; the others keep the cores busy. If `on_batch`
+    raises, the remaining tasks are cancelled.
     """
     asked: dict[int, Sequence[TrialBatch]] = {}
     results: dict[int, T] = {}
     waiting: dict[Future[list[Outcome]], tuple[int, TrialBatch]] = {}
 
     def goes_on(place: int) -> None:
-        """Until it ends, or has asked for what the store has not."""
+        """Run a procedure until it ends, or waits for trials that the store lacks."""
         while not any(owner == place for owner, _ in waiting.values()):
             found: Any = (
-                [outcome for lot in asked[place] for outcome in lot.known(store)]
+                [outcome for batch in asked[place] for outcome in batch.known(store)]
                 if place in asked
                 else None
             )
@@ -412,11 +418,13 @@ def run_all(
             except StopIteration as end:
                 results[place] = end.value
                 return
-            for lot in asked[place]:
-                for task in lot.tasks(store):
-                    waiting[pool.submit(run_trials, lot.conditions, lot.damping_ns_per_m, task)] = (
+            for batch in asked[place]:
+                for task in batch.tasks(store):
+                    waiting[
+                        pool.submit(run_trials, batch.conditions, batch.damping_ns_per_m, task)
+                    ] = (
                         place,
-                        lot,
+                        batch,
                     )
 
     with pool_of(executor) as pool:
@@ -426,11 +434,11 @@ def run_all(
             while waiting:
                 for future in wait(waiting, return_when=FIRST_COMPLETED).done:
                     outcomes = future.result()
-                    place, lot = waiting.pop(future)
+                    place, batch = waiting.pop(future)
                     store.add(
-                        (lot.keys[outcome.environment], vars(outcome)) for outcome in outcomes
+                        (batch.keys[outcome.environment], vars(outcome)) for outcome in outcomes
                     )
-                    told(place, lot, outcomes)
+                    on_batch(place, batch, outcomes)
                     goes_on(place)
         finally:
             for future in waiting:
@@ -438,10 +446,10 @@ def run_all(
     return [results[place] for place in range(len(procedures))]
 
 
-def outcomes_of(lot: TrialBatch, store: TrialStore) -> list[Outcome]:
-    """Outcomes of one lot, its trials made on threads here as far as the store has not them."""
+def outcomes_of(batch: TrialBatch, store: TrialStore) -> list[Outcome]:
+    """Outcomes of one batch; trials that the store lacks run on threads of this process."""
 
     def asking() -> Procedure[list[Outcome]]:
-        return (yield [lot])
+        return (yield [batch])
 
     return run_all([asking()], store, None)[0]

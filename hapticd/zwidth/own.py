@@ -8,7 +8,7 @@ folder's record.
     record.h5, record.npz      of a trial, with what `run.json` says beside it or in the file
 
 A recording is cut to its longest stretch that is one trial (`recording.stretch`); which of its
-samples are missing is told by their numbers.
+samples are missing follows from their numbers.
 
 What would break it: a column of another unit; all of them are written by this package.
 """
@@ -40,8 +40,8 @@ def of_remark(column: ReadColumn, remark: Mapping[str, Any], name: str) -> Trial
             f"{name}: a table of the servo's ticks; the probe's samples are in"
             f" {Path(name).stem}.probe.csv"
         )
-    told = {**remark["trial"], "environment": tuple(remark["trial"]["environment"])}
-    return _cut(column, remark, Stretch(**told), name)
+    stated = {**remark["trial"], "environment": tuple(remark["trial"]["environment"])}
+    return _cut(column, remark, Stretch(**stated), name)
 
 
 def _cut(

@@ -8,7 +8,7 @@ since is another device.
 `compare` reads several of them, checks that they are comparable, and divides by the mass that
 moves. Numbers of two displays are comparable where they were asked for in one way: band, judged
 frequencies, perturbation, length of a trial, confidence, port and estimator. What is unlike is
-refused by name unless it was allowed, and an allowed difference is told with the result. The
+refused by name unless it was allowed, and an allowed difference is named with the result. The
 perturbation counts as alike if its force is the same, or the same per mass (`analysis.compare`).
 
 Files that were written before the judged frequencies were kept have neither them nor the mass: the
@@ -223,12 +223,12 @@ def _display(path: Path) -> tuple[EnvelopeConditions, tuple[Level, ...]]:
 
 
 def _conditions(content: Mapping[str, Any]) -> EnvelopeConditions:
-    told = content["conditions"]
+    stated = content["conditions"]
     first = content["envelopes"][0]["envelope"]
-    low, high = told["band_hz"]
+    low, high = stated["band_hz"]
     inside = [f for f in first["frequency_hz"] if low <= f <= high]
-    judged = told.get("judged") or {"first_hz": inside[0], "last_hz": inside[-1]}
-    known = told if "mass_kg" in told else {**told, **_masses(content)}
+    judged = stated.get("judged") or {"first_hz": inside[0], "last_hz": inside[-1]}
+    known = stated if "mass_kg" in stated else {**stated, **_masses(content)}
     own = {
         name: value
         for name, value in known.items()
@@ -240,7 +240,7 @@ def _conditions(content: Mapping[str, Any]) -> EnvelopeConditions:
         "estimator": first["estimator"],
         "band_hz": (low, high),
         "judged_hz": (judged["first_hz"], judged["last_hz"]),
-        "perturbation_psd_n2_per_hz": told["perturbation"]["psd_n2_per_hz"],
+        "perturbation_psd_n2_per_hz": stated["perturbation"]["psd_n2_per_hz"],
     }
     return EnvelopeConditions(**own)
 

@@ -1,13 +1,14 @@
 """A trial as it was recorded, by whatever recorded it: a board, the batch engine, or another
 program's file.
 
-Files: .csv with a head line of names, then a row a line, apart by comma, semicolon or tab: what the
-head line has most of; with semicolon or tab a comma is a decimal one, empty lines and lines that
-begin with # hold no sample. .npz and .mat with named arrays; .h5 with named datasets. Force in N
-and velocity in m/s at the port, sampled together; the rate from `rate_hz`, from a column of seconds
-(`times`), or as told where the file does not say. Told otherwise than the file, the record is
-refused: every limit is proportional to the rate or its square. Rows that a column of seconds shows
-to be missing are filled in and counted, as those that a live trial loses are (`watch`).
+Files: .csv with a header line of names, then a row a line, separated by comma, semicolon or tab:
+that of which the header line has most. With semicolon or tab a comma is a decimal one; empty lines
+and lines that begin with # hold no sample. .npz and .mat with named arrays; .h5 with named
+datasets. Force in N and velocity in m/s at the port, sampled together; the rate from `rate_hz`,
+from a column of seconds (`times`), or as the user states it where the file does not say. If the two
+differ, the record is refused: every limit is proportional to the rate or its square. Rows that a
+column of seconds shows to be missing are filled in and counted, as those that a live trial loses
+are (`watch`).
 """
 
 import csv
@@ -84,7 +85,7 @@ def read_file(
         path = record_path(path)
     if path.suffix not in READERS:
         raise ConfigError(
-            f"{path}: records are read from {', '.join(READERS)}; convert it to .csv with a head"
+            f"{path}: records are read from {', '.join(READERS)}; convert it to .csv with a header"
             " line of names"
         )
     if not path.exists():
@@ -146,29 +147,29 @@ def _exported(path: Path, columns: dict[str, Any]) -> TrialRecord | None:
 
 def _of_trial(path: Path, columns: dict[str, Any], recorded: TrialRecord) -> TrialRecord:
     """`recorded` with what the run folder of a trial, or the record itself, says of it."""
-    told: Mapping[str, Any] = {}
+    stated: Mapping[str, Any] = {}
     if "trial" in columns:
         text = np.asarray(columns["trial"]).item()
-        told = json.loads(text)
+        stated = json.loads(text)
     elif path.name in (RECORD_H5, RECORD_NPZ) and (path.parent / SUMMARY).is_file():
-        told = origin_of(read_summary(path.parent))
-    if "environment" not in told or "simulated" not in told:
+        stated = origin_of(read_summary(path.parent))
+    if "environment" not in stated or "simulated" not in stated:
         return recorded
-    stiffness, damping, mass = told["environment"].values()
+    stiffness, damping, mass = stated["environment"].values()
     return replace(
         recorded,
-        origin=f"{path.name} of a trial: {told['origin']}",
-        simulated=told["simulated"],
-        ended=told.get("ended", ""),
-        max_command_n=told.get("max_command_n"),
-        command_limit_n=told.get("command_limit_n"),
-        rendered=RenderedEnvironment((stiffness, damping, mass), told["added_damping_ns_per_m"]),
-        more={name: told[name] for name in COUNTS if name in told},
+        origin=f"{path.name} of a trial: {stated['origin']}",
+        simulated=stated["simulated"],
+        ended=stated.get("ended", ""),
+        max_command_n=stated.get("max_command_n"),
+        command_limit_n=stated.get("command_limit_n"),
+        rendered=RenderedEnvironment((stiffness, damping, mass), stated["added_damping_ns_per_m"]),
+        more={name: stated[name] for name in COUNTS if name in stated},
     )
 
 
 def _foreign(
-    path: Path, columns: dict[str, Any], told: tuple[str, str], rate_hz: float | None
+    path: Path, columns: dict[str, Any], stated: tuple[str, str], rate_hz: float | None
 ) -> TrialRecord:
     """The record of any other program."""
     numbers = {
@@ -181,7 +182,7 @@ def _foreign(
     }
     y, u = (
         _channel(path, known, name, usual)
-        for name, usual in zip(told, (FORCES, VELOCITIES), strict=True)
+        for name, usual in zip(stated, (FORCES, VELOCITIES), strict=True)
     )
     if y.size != u.size:
         raise AnalysisError(
@@ -193,10 +194,10 @@ def _foreign(
     return recorded if found.place is None else in_even_time(recorded, found.place)
 
 
-def _channel(path: Path, known: dict[str, Floats], told: str, usual: tuple[str, ...]) -> Floats:
-    name = next((name for name in ((told.lower(),) if told else usual) if name in known), None)
+def _channel(path: Path, known: dict[str, Floats], stated: str, usual: tuple[str, ...]) -> Floats:
+    name = next((name for name in ((stated.lower(),) if stated else usual) if name in known), None)
     if name is None:
-        missing = told or f"any of {', '.join(usual)}"
+        missing = stated or f"any of {', '.join(usual)}"
         raise AnalysisError(
             f"{path}: no column {missing}; it has {', '.join(known) or 'none'}; name it with"
             " --force-column or --velocity-column"
@@ -219,32 +220,34 @@ def _channel(path: Path, known: dict[str, Floats], told: str, usual: tuple[str, 
     return values
 
 
-def _sampling(path: Path, known: dict[str, Floats], told_hz: float | None, count: int) -> Sampling:
-    """Rate, as told or as the file says, and the places of the rows where its times show that
+def _sampling(
+    path: Path, known: dict[str, Floats], stated_hz: float | None, count: int
+) -> Sampling:
+    """Rate, as stated or as the file says, and the places of the rows where its times show that
     some are missing.
     """
     named = [(name, _single(path, name, known[name])) for name in RATES if name in known]
     times = next((name for name in TIMES if name in known and known[name].size > 1), "")
     by_times, why = _by_times(path, times, known[times], count) if times else (None, "")
-    if told_hz is None and not named and by_times is not None:
+    if stated_hz is None and not named and by_times is not None:
         return by_times
-    if told_hz is None and not named:
+    if stated_hz is None and not named:
         missing = (
             f"{path}: the sample rate is not in the file ({', '.join((*RATES, *TIMES))}); say it"
             " with --rate-hz"
         )
         raise AnalysisError(why or missing)
-    if told_hz is not None:
-        _usable(path, told_hz)
-        _agrees(path, told_hz, named, SAME_RATE)
+    if stated_hz is not None:
+        _usable(path, stated_hz)
+        _agrees(path, stated_hz, named, SAME_RATE)
         if by_times is not None:
             _agrees(
                 path,
-                told_hz,
+                stated_hz,
                 [(times, by_times.rate_hz)],
                 max(SAME_RATE, _rounding(known[times].ravel())),
             )
-    rate_hz = told_hz if told_hz is not None else named[0][1]
+    rate_hz = stated_hz if stated_hz is not None else named[0][1]
     _usable(path, rate_hz)
     if by_times is None:
         return Sampling(rate_hz)
@@ -256,11 +259,11 @@ def _sampling(path: Path, known: dict[str, Floats], told_hz: float | None, count
     return Sampling(rate_hz, by_times.place)
 
 
-def _agrees(path: Path, told_hz: float, said: list[tuple[str, float]], allowed: float) -> None:
+def _agrees(path: Path, stated_hz: float, said: list[tuple[str, float]], allowed: float) -> None:
     for name, own_hz in said:
-        if 0.0 < own_hz < np.inf and abs(told_hz - own_hz) > allowed * own_hz:
+        if 0.0 < own_hz < np.inf and abs(stated_hz - own_hz) > allowed * own_hz:
             raise AnalysisError(
-                f"{path}: column {name} says {own_hz:.9g} Hz, --rate-hz {told_hz:.9g} Hz: leave"
+                f"{path}: column {name} says {own_hz:.9g} Hz, --rate-hz {stated_hz:.9g} Hz: leave"
                 " that out, or correct the file"
             )
 
@@ -337,7 +340,7 @@ def _read_csv(path: Path) -> dict[str, Floats]:
     """
     names, mark, rows = _rows(path)
     if not rows:
-        raise ValueError("no samples under a head line")
+        raise ValueError("no samples under a header line")
     try:
         values = np.loadtxt((row for _, row in rows), delimiter=mark, comments=None, ndmin=2)
         return dict(zip(names, values.T, strict=True))
@@ -427,6 +430,6 @@ def _structures(content: dict[str, Any]) -> tuple[ReadColumn, dict[str, Any]] | 
     }
     if not {"info", "probe", "servo"} <= set(groups):
         return None
-    told = {name: groups["info"][name][0, 0] for name in groups["info"].dtype.names}
-    attributes = {name: values.ravel()[0] if values.size else "" for name, values in told.items()}
+    stated = {name: groups["info"][name][0, 0] for name in groups["info"].dtype.names}
+    attributes = {name: values.ravel()[0] if values.size else "" for name, values in stated.items()}
     return (lambda group, name: groups[group][name][0, 0].ravel()), attributes

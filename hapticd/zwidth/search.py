@@ -1,13 +1,12 @@
-"""The directed search with trials of the engine: few trials, each where it tells most about the
-boundary of the passive set.
+"""The search for the boundary of the passive set with few simulated trials, each where it says most
+about that boundary.
 
-`analysis.search` learns from the trials and chooses; here its oracle is a simulated trial with its
-intervals as weights. What is known beforehand is the device's model (`analysis.prior`): the
-trials teach how Re Z differs from the prediction, and how near to its friction's end the loop may
-come in a trial before it escapes. Trials are made a few at a time, each with noise of its own
-(seed, seed + 1, ..), as in a laboratory: with one noise for all, what is chance would be learnt as
-if it were the device. The same search therefore makes the same trials, and goes on where it was
-interrupted.
+`analysis.search` learns from the trials and chooses the next; here its oracle is a simulated trial
+with its intervals as weights. The prior is the device's model (`analysis.prior`): the trials teach
+how Re Z differs from the prediction, and how near to its friction's end the loop may come in a
+trial before it escapes. Trials are made a few at a time, each with noise of its own (seed, seed +
+1, ..), as in a laboratory: with one noise for all, what is chance would be learnt as if it were the
+device. The same search therefore makes the same trials, and goes on where it was interrupted.
 
 The set that is found is the paper's: environments whose trial rather passes than fails. A trial
 that escapes, or whose command saturates, teaches no spectrum, only that the loop is not stable
@@ -123,7 +122,7 @@ class SearchResult:
 
 
 def plan_search(params: SearchParams) -> SearchPlan:
-    """Box and foresight from the prediction. AnalysisError where nothing is predicted to be
+    """The box and the prior from the prediction. AnalysisError where nothing is predicted to be
     passive.
     """
     box = params.box or _box(params)
@@ -141,19 +140,20 @@ def run_search(
     store: TrialStore,
     tell: Progress = silent,
     executor: Executor | None = None,
-    hear: OnOutcomes = lambda new: None,
+    on_outcomes: OnOutcomes = lambda new: None,
 ) -> SearchResult:
-    """Search, trials on `executor` or on threads here; `hear` gets the outcomes of each round.
+    """Search, with trials on `executor` or on threads of this process; `on_outcomes` receives the
+    outcomes of each round.
 
     AnalysisError if one of the first four trials, near K = B = M = 0, is not stable.
     """
-    return run_all([_searched(plan, store, tell, hear)], store, executor)[0]
+    return run_all([_searched(plan, store, tell, on_outcomes)], store, executor)[0]
 
 
 def _searched(
-    plan: SearchPlan, store: TrialStore, tell: Progress, hear: OnOutcomes
+    plan: SearchPlan, store: TrialStore, tell: Progress, on_outcomes: OnOutcomes
 ) -> Procedure[SearchResult]:
-    """`hear` gets those of a round that the store has not, in the order of the search."""
+    """`on_outcomes` receives those of a round that the store lacked, in the order of the search."""
     params = plan.params
     search = plan.begin
     steps = list[Step]()
@@ -161,11 +161,16 @@ def _searched(
     while True:
         tell("trials", len(steps), params.budget)
         expected = _expected(search, wanted)
-        lots = _lots(params, wanted, len(steps))
-        new = {point for lot in lots for point, key in lot.keys.items() if key not in store.known}
-        outcomes = yield lots
+        batches = _batches(params, wanted, len(steps))
+        new = {
+            point
+            for batch in batches
+            for point, key in batch.keys.items()
+            if key not in store.known
+        }
+        outcomes = yield batches
         if new:
-            hear([outcome for outcome in outcomes if outcome.environment in new])
+            on_outcomes([outcome for outcome in outcomes if outcome.environment in new])
         seen = [observed(params.conditions, outcome) for outcome in outcomes]
         for outcome, guess, one in zip(outcomes, expected, seen, strict=True):
             steps.append(Step(outcome, float(guess), one is not None))
@@ -183,11 +188,11 @@ def _searched(
     return SearchResult(plan, search, tuple(steps), _set(search), doubtful_share(search))
 
 
-def _lots(params: SearchParams, wanted: Floats, done: int) -> list[TrialBatch]:
+def _batches(params: SearchParams, wanted: Floats, done: int) -> list[TrialBatch]:
     """A trial each of `wanted` (n, 3) after `done` trials, with noise of its own."""
     points = enumerate(points_of(wanted), done)
     return [
-        TrialBatch(params.conditions.shaken(more_seed=place), params.damping_ns_per_m, (point,))
+        TrialBatch(params.conditions.perturbed(more_seed=place), params.damping_ns_per_m, (point,))
         for place, point in points
     ]
 

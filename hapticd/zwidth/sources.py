@@ -1,5 +1,5 @@
-"""Where a trial's record comes from: the batch engine, a file, or a daemon (`bench`). All give a
-`TrialRecord`.
+"""Where a trial's record comes from: the batch engine (`simulated`), a file, or a daemon (`live`).
+All give a `TrialRecord`.
 
 A record that is there already is shown to the sentinel second by second, as a daemon would show it,
 and cut where it would have ended the trial.
@@ -103,10 +103,10 @@ def given(
     """What is rendered; `named`: the user named `scene`. AnalysisError where a record was made in
     something else than what was typed.
     """
-    told = recorded.rendered if recorded else None
-    if told is not None:
-        _agrees(recorded.origin if recorded else "", typed, damping_ns_per_m, told)
-        return told
+    stated = recorded.rendered if recorded else None
+    if stated is not None:
+        _agrees(recorded.origin if recorded else "", typed, damping_ns_per_m, stated)
+        return stated
     known = (
         RenderedEnvironment(scenes.point(scene), scenes.level(scene))
         if scene
@@ -121,12 +121,12 @@ def given(
 
 
 def _agrees(
-    origin: str, typed: Typed, damping_ns_per_m: float | None, told: RenderedEnvironment
+    origin: str, typed: Typed, damping_ns_per_m: float | None, stated: RenderedEnvironment
 ) -> None:
     every = zip(
         (*NAMES, ("added damping", "N s/m")),
         (*typed, damping_ns_per_m),
-        (*told.environment, told.damping_ns_per_m),
+        (*stated.environment, stated.damping_ns_per_m),
         strict=True,
     )
     for (name, unit), said, known in every:

@@ -1,7 +1,7 @@
-"""What a procedure leaves behind, and how it tells on the way that it is getting on.
+"""What a procedure writes to disk, and how it reports its progress.
 
-Results stay in a folder for each run, and in an append-only file of trials by which campaigns go on
-after an interruption:
+Results are kept in a folder for each run, and in an append-only file of trials, by which an
+interrupted map or limit continues:
 
     run folder     run.json (verdict, conditions, provenance); of a trial record.h5, or record.npz
                    where h5py is not installed, and impedance.csv; figures
@@ -10,8 +10,8 @@ after an interruption:
 
 A line is written at once and flushed, so that Ctrl-C or a dead machine costs at most the trials in
 flight; a torn last line is not read. A run folder holds one run: whoever writes another there
-removes what the one before left, but for the store, which several campaigns share, and files of
-other names. JSON knows no nan and no infinity: both become null, and null is read as nan.
+removes what the one before left, but for the store, which several runs share, and files of other
+names. JSON knows no nan and no infinity: both become null, and null is read as nan.
 
 Results become objects that JSON can carry (`plain`): arrays become lists, complex numbers pairs,
 what is not finite null.
@@ -70,11 +70,11 @@ OF_A_RECORD = (
 
 
 def silent(what: str, done: int, total: int) -> None:
-    """Nobody listens."""
+    """Report nothing."""
 
 
 class Steps:
-    """Counts the steps of a procedure: it tells before each, and once at the end."""
+    """Counts the steps of a procedure; reports before each, and once at the end."""
 
     def __init__(self, tell: Progress, total: int) -> None:
         self._tell = tell
@@ -214,7 +214,7 @@ def record_path(folder: Path) -> Path:
     raise ConfigError(f"{folder}: no record; {RECORD_H5} or {RECORD_NPZ} was expected")
 
 
-def _write_record(folder: Path, recorded: TrialRecord, told: str) -> None:
+def _write_record(folder: Path, recorded: TrialRecord, origin_json: str) -> None:
     channels = {
         name: np.asarray(getattr(recorded, name), np.float32)
         for name in ("force_n", "velocity_m_per_s")
@@ -225,13 +225,13 @@ def _write_record(folder: Path, recorded: TrialRecord, told: str) -> None:
         np.savez(
             folder / RECORD_NPZ,
             rate_hz=recorded.rate_hz,
-            trial=told,
+            trial=origin_json,
             force_n=channels["force_n"],
             velocity_m_per_s=channels["velocity_m_per_s"],
         )
         return
     with h5py.File(folder / RECORD_H5, "w") as file:
-        file["rate_hz"], file["trial"] = recorded.rate_hz, told
+        file["rate_hz"], file["trial"] = recorded.rate_hz, origin_json
         for name, values in channels.items():
             file.create_dataset(
                 name, data=values, chunks=True, shuffle=True, compression="gzip", compression_opts=1

@@ -3,31 +3,31 @@ its numbers depend on.
 
 Params -> plan_trial -> Plan -> run_trial -> Result. The plan says beforehand what is expected:
 whether the predicted loop is stable, and its impedance, where the device is known by a model. A
-trial of an environment that is predicted to be unstable is flown all the same (the sentinel ends
-it); the verdict then says not passive, with the spectral radius.
+trial of an environment that is predicted to be unstable is run all the same (the sentinel ends it);
+the verdict then says not passive, with the spectral radius.
 
-A trial by multisines flies several realisations of a force that repeats, each settled for one
+A trial by multisines plays several realisations of a force that repeats, each settled for one
 period and measured for some. It has the period of the window's grid (4096 samples), every harmonic
 with one amplitude, and random phases, other ones for every realisation; its density is that of the
-noise it stands for, so friction acts alike. It ends where the judged band ends: the loop is
-sampled, and what shakes it above half of its rate is folded back into the band (1e-3 of Z at 1
+noise it stands for, so friction acts alike. Its spectrum ends where the judged band ends: the loop
+is sampled, and a perturbation above half of its rate is folded back into the band (1e-3 of Z at 1
 kHz).
 
 For a device without friction 2 s of it know Z better than 90 s of noise. Friction distorts, the
 same way in every period: only more realisations average that, and only they show how much it is
 (`analysis.periodic`).
 
-The record holds the realisations one after the other, each with the period in which it settles, as
-it was flown from rest. One whose force did not repeat, because a stalled host let the board run out
-of samples, is flown again.
+The record holds the realisations one after the other, each from rest and with the period in which
+it settles. A realisation whose force did not repeat, because a stalled host let the board run out
+of samples, is recorded again.
 
 What would break it: a loop so lightly damped that it rings for more than a period.
 
 On disk it is a run folder with record, summary and Z(f):
 
 run.json         verdict and everything that it depends on
-impedance.csv    a line for each frequency that the estimate has, with the units in the head line;
-                 empty where not known
+impedance.csv    a line for each frequency that the estimate has, with the units in the header
+                 line; empty where not known
 """
 
 from collections.abc import Mapping
@@ -136,7 +136,7 @@ def record_multisines(
     for number in range(layout.realisations):
         steps.next(f"realisation {number + 1} of {layout.realisations}")
         excitation = replace(trial.excitation, seed=trial.excitation.seed + number)
-        found, tries = _flown(replace(asked, excitation=excitation), layout, source)
+        found, tries = _one_realisation(replace(asked, excitation=excitation), layout, source)
         again += tries - 1
         if found.force_n.size >= layout.samples:
             whole.append(found)
@@ -151,7 +151,9 @@ def record_multisines(
     return _joined(whole, layout, found.ended, again)
 
 
-def _flown(asked: Trial, layout: MultisineLayout, source: Source) -> tuple[TrialRecord, int]:
+def _one_realisation(
+    asked: Trial, layout: MultisineLayout, source: Source
+) -> tuple[TrialRecord, int]:
     """One realisation, and how often it took."""
     for tries in range(1, TRIES + 1):
         found = source(asked, silent)
@@ -209,7 +211,7 @@ class TrialParams:
     else None.
 
     `behind_mass_kg`: judge the device behind that mass of the probe. `channels`: look for skew and
-    high-pass as well. `multisine`: the excitation of `trial` is a multisine, flown in that layout,
+    high-pass as well. `multisine`: the excitation of `trial` is a multisine of that layout,
     in place of noise and a window of `lag` samples. `skew_s`, `high_pass_hz`: known faults of the
     velocity channel that are taken out (`spectra.corrected`).
     """
@@ -442,7 +444,7 @@ def _predicted(plan: TrialPlan, z: Impedance) -> Complexes | None:
     return np.asarray(found - 2j * np.pi * z.frequency_hz * plan.params.behind_mass_kg)
 
 
-def summary(result: TrialResult, referee: ReferenceSines | None = None) -> dict[str, Any]:
+def summary(result: TrialResult, sines: ReferenceSines | None = None) -> dict[str, Any]:
     """Verdict and everything that it depends on; SI units."""
     params = result.plan.params
     recorded = result.recorded
@@ -477,7 +479,7 @@ def summary(result: TrialResult, referee: ReferenceSines | None = None) -> dict[
         "scene": params.scene.name if params.scene else None,
         "scene_hash": fingerprint(params.scene) if params.scene else None,
         **recorded.more,
-        **({} if referee is None else {"stepped_sine": referee}),
+        **({} if sines is None else {"stepped_sine": sines}),
     }
 
 
@@ -499,12 +501,12 @@ def write(
     folder: Path,
     result: TrialResult,
     provenance: Mapping[str, Any],
-    referee: ReferenceSines | None = None,
+    sines: ReferenceSines | None = None,
 ) -> Path:
     """The run folder. ConfigError if it cannot be written to."""
     texts = {IMPEDANCE: impedance_csv(result.measured)}
     return write_run(
-        folder, {**summary(result, referee), "provenance": provenance}, result.recorded, texts
+        folder, {**summary(result, sines), "provenance": provenance}, result.recorded, texts
     )
 
 
