@@ -6,9 +6,9 @@ Everything that a task needs and that is costly to make (reduced model, shape, k
 record) is made where it runs and kept there (`prepared`, `shared_torque`), so that a task travels
 as parameters and seeds only.
 
-Inputs drive a group leg by leg. A leg is a run of ticks with one damping level, inside one period
-of the torque record, no longer than a block (and, where a winding heats up, than its refresh; where
-spectra are kept, inside one section).
+Inputs drive a group leg by leg. A leg is a run of ticks with one level of active damping, inside
+one period of the torque record, no longer than a block (and, where a winding heats up, than its
+refresh; where spectra are kept, inside one section).
 
 Group: the kernel tallies in its own precision within a block; blocks add up in double. A lane that
 diverged is parked: its state is zeroed after the block, and its sums have stopped at that tick (see
@@ -96,7 +96,7 @@ class Prepared:
     _numbers: dict[float, dict[str, float]] = field(default_factory=dict)
 
     def numbers(self, level_ns_per_m: float) -> dict[str, float]:
-        """Coefficients at that damping level, made once."""
+        """Coefficients at that active damping, made once."""
         if level_ns_per_m not in self._numbers:
             self._numbers[level_ns_per_m] = plant_numbers(self.model, self.shape, level_ns_per_m)
         return self._numbers[level_ns_per_m]
@@ -198,7 +198,7 @@ class Group:
         self._start(job)
 
     def damp(self, level_ns_per_m: float) -> None:
-        """Coefficients for this damping level from now on."""
+        """Coefficients for this active damping from now on."""
         self.set(self.made.numbers(level_ns_per_m))
 
     def set(self, numbers: dict[str, Any]) -> None:
@@ -265,7 +265,7 @@ class Heating:
         self._nodes: dict[tuple[int, float], dict[str, float]] = {}
 
     def damp(self, level_ns_per_m: float) -> None:
-        """Coefficients for this level and the present temperatures."""
+        """Coefficients for this active damping and the present temperatures."""
         self._level_ns_per_m = level_ns_per_m
         lower = np.floor(self.temperature_c / GRID_K).astype(int)
         part = self.temperature_c / GRID_K - lower

@@ -23,7 +23,7 @@ UNFILTERED: Biquad = (1.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def plant_numbers(model: Model, shape: Shape, level_ns_per_m: float) -> dict[str, float]:
-    """Everything that depends on the plant, at this damping level."""
+    """Everything that depends on the plant, at this active damping."""
     duration_s = 1.0 / (PROBE_RATE_HZ * shape.substeps)
     whole = discretise(model, duration_s, level_ns_per_m)
     numbers = dict(_map_rows(model, whole))

@@ -15,9 +15,8 @@ estimate -b (x_{k+1} - x_k)^2 / T, a lower bound of what is dissipated.
 
 Forces = tuple[float, float, float, float, float]  # K, B, M, field, whole force as sent [N]
 Energies = tuple[float, float, float, float, float, float]  # the same five, then electrical [J]
-Ledger = tuple[
-    Energies, Forces, Forces, float
-]  # energies, forces of k-1 and k-2, last displacement [m]
+# energies, forces of k-1 and k-2, last displacement [m]
+Ledger = tuple[Energies, Forces, Forces, float]
 
 ZERO_FORCES: Forces = (0.0, 0.0, 0.0, 0.0, 0.0)
 EMPTY: Ledger = ((0.0,) * 6, ZERO_FORCES, ZERO_FORCES, 0.0)
@@ -26,8 +25,8 @@ EMPTY: Ledger = ((0.0,) * 6, ZERO_FORCES, ZERO_FORCES, 0.0)
 def book(ledger: Ledger, displacement: float, forces: Forces, delay: float, added: float) -> Ledger:
     """Ledger after a tick that saw `displacement` [m] since the last and sends `forces`.
 
-    `delay`: sample-to-force delay as a fraction of the period; `added`: added electrical damping /
-    period [N/m].
+    `delay`: sample-to-force delay as a fraction of the period; `added`: active damping / period
+    [N/m].
     """
     (e0, e1, e2, e3, e4, e5), newer, (f0, f1, f2, f3, f4), before = ledger
     way = before + delay * (displacement - before)

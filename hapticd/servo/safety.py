@@ -81,7 +81,7 @@ def enable_refusal(homed: bool, home_required: bool, gateway: bool, cause: int) 
 
 
 def held_damping(entry_level: float, elapsed_s: float, safety: SafetyParams) -> float:
-    """Added damping [N s/m] of a latched state `elapsed_s` after it was entered with
+    """Active damping [N s/m] of a latched state `elapsed_s` after it was entered with
     `entry_level`.
     """
     hold = max(entry_level, safety.safe_damping_ns_per_m)

@@ -1,7 +1,7 @@
 """One axis of the fake firmware: what it outputs, the plant that it moves, the fail-safe that
 needs no host, and the board's 4 kHz half.
 
-Time here is a count of sub-steps of T/16. Force and electrical damping are held between OUT frames,
+Time here is a count of sub-steps of T/16. Force and active damping are held between OUT frames,
 the perturbation between the ends of the 250 us intervals of `Probe`; `run_to` plays the plant piece
 by piece between those.
 
