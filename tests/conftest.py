@@ -4,10 +4,14 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
 from hapticd.mailbox import files
+
+if TYPE_CHECKING:
+    from recorded import RecordedFlight
 
 MAY_BE_SKIPPED = {"test_lane_loop_is_vector_code"}  # it reads the assembly of x86
 
@@ -66,3 +70,38 @@ def runtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     )  # whatever runs on this machine
     yield folder
     shutil.rmtree(folder)
+
+
+@pytest.fixture(scope="session")
+def recorded_run() -> "RecordedFlight":
+    """Three seconds with active damping switched live and one lost frame; the stack is gone, its
+    messages are there.
+    """
+    from models import board_params
+    from recorded import RecordedFlight
+
+    from hapticd.mailbox.layout import Command, Value
+    from hapticd.params import InjectionParams
+
+    board = board_params(injections=(InjectionParams("drop_in", tick=1500, count=2),))
+    with RecordedFlight(board=board) as run:
+        run.move()
+        run.fly(1000)
+        run.stack.do(Command.DAMPING, {Value.ADDED_DAMPING: 1.74, Value.ADDED_DAMPING_ON: 1.0})
+        run.fly(1000)
+        run.stack.do(Command.STOP)
+        run.fly(1000)
+        run.recorded = run.records  # type: ignore[attr-defined]
+    return run
+
+
+@pytest.fixture(scope="session")
+def recording_file(
+    recorded_run: "RecordedFlight", tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """A finished recording of `recorded_run`."""
+    from recorded import recorded_into
+
+    path = tmp_path_factory.mktemp("recording") / "run.h5"
+    assert recorded_into(path, recorded_run)["ended"] == "daemon ended"
+    return path

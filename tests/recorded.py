@@ -17,6 +17,7 @@ from hapticd.gateway.publisher import Publisher
 from hapticd.gateway.view import Records, ServoView, as_records
 from hapticd.mailbox.layout import Command, Value
 from hapticd.params import BoardParams, GatewayParams, GatewaySetup, ServoParams, to_plain
+from hapticd.recording.recorder import RecordingParams, record
 from hapticd.units import NS_PER_MS, NS_PER_S
 
 UNIX_NS = 1_800_000_000 * NS_PER_S
@@ -128,3 +129,20 @@ class Source:
 def room(folder: Path) -> int:
     """A disk with space."""
     return 10**12
+
+
+def recorded_into(
+    file: Path, flight: RecordedFlight, seconds: float | None = None, **more: Any
+) -> dict[str, Any]:
+    """A recording of everything that was published; it ends by silence unless `seconds` are
+    enough.
+    """
+    clock = VirtualClock(NS_PER_S)
+    return record(
+        Source(flight, clock),
+        RecordingParams(file, seconds, "a note"),
+        lambda: False,
+        clock=clock,
+        free_bytes=room,
+        **more,
+    )

@@ -1,15 +1,12 @@
-"""What accuracy costs: the knee, both gauges against closed forms, lock-step trials, explicit
-methods.
-"""
+"""What accuracy costs: the knee, both comparisons against closed forms, and trials in lock-step."""
 
-from math import exp, inf, nan
+from math import inf, nan
 
 import numpy as np
 import pytest
-from measured_scenes import DRY, MASS_KG, VISCOUS_NS_PER_M, scene, stopwatch
+from measured_scenes import DRY, scene, stopwatch
 
 from hapticd.analysis.predict import predicted_impedance
-from hapticd.engine import simulate
 from hapticd.errors import AnalysisError
 from hapticd.plant.compose import compose
 from hapticd.plant.scene import Excitation
@@ -27,10 +24,7 @@ from hapticd.study.accuracy import (
     plan_accuracy,
     run_accuracy,
 )
-from hapticd.study.scene import compare_integrators
-from hapticd.zwidth.lockstep import MOST_S, fly
 from hapticd.zwidth.scenes import frequencies, without
-from hapticd.zwidth.simulated import spectra_on
 
 # --- the knee -------------------------------------------------------------------------------------
 
@@ -187,76 +181,3 @@ def test_lockstep_refuses_a_scene_that_begins_in_motion() -> None:
     comparison = PositionComparison(load_scene("wall"), "wall", Setting(1.0), stopwatch())
     with pytest.raises(AnalysisError, match="the scene begins in motion, lock-step at rest"):
         comparison.lockstep(1.0)
-
-
-# --- trials with the whole product ----------------------------------------------------------------
-
-
-def test_flown_trial_plays_the_forces_it_was_given() -> None:
-    force = np.random.default_rng(1).normal(0.0, 0.2, 4000)
-    flown = fly("theory", force, [(0.0, 0.0)])
-    played = flown.torque_n[np.flatnonzero(flown.torque_n)[0] :]
-    assert np.abs(played - force[: len(played)]).max() <= 0.51 * 2.0 / 32767
-    assert (len(flown.position_m), len(flown.torque_n)) == (1000, 4000)
-
-
-def test_flown_trial_has_the_impedance_of_the_engine() -> None:
-    """Same forces, same counts: the two spectra differ by the rounding of the record alone."""
-    theory = load_scene("theory")
-    f = frequencies()
-    force = np.random.default_rng(2).normal(0.0, 0.2, 24_000)
-    flown = fly("theory", force, [(0.0, 0.0)])
-    like = simulate(theory, [(1000.0, 0.0, 0.0)], 6.0, excitation=flown.torque_n, keep="records")
-    one = spectra_on(flown.torque_n, flown.velocity_m_per_s, f)
-    other = spectra_on(*like.record(0), f)
-    assert phase_rms((one.cross / one.velocity) / (other.cross / other.velocity)) < 0.2
-
-
-def test_flown_trial_is_no_longer_than_the_waveform() -> None:
-    with pytest.raises(
-        AnalysisError, match=rf"in lock-step: the waveform holds {MOST_S:g} s; ask for less"
-    ):
-        fly("theory", np.zeros(round(4000 * MOST_S) + 1), [])
-
-
-# --- explicit methods -----------------------------------------------------------------------------
-
-
-def test_explicit_methods_are_stable_up_to_their_textbook_step() -> None:
-    """One real pole at b/m: Euler up to 2 m/b, Runge-Kutta 4 up to 2.7853 m/b."""
-    found = compare_integrators(scene())
-    pole = VISCOUS_NS_PER_M / MASS_KG
-    assert found.longest_s["euler"] == pytest.approx(2.0 / pole, rel=1e-9)
-    assert found.longest_s["rk4"] == pytest.approx(2.785293563405282 / pole, rel=1e-9)
-    assert found.longest_s["exact"] == inf
-    assert found.fastest_s == pytest.approx(1.0 / pole)
-
-
-def test_errors_fall_with_the_order_of_the_method() -> None:
-    found = compare_integrators(scene())
-    euler = found.error["euler"]
-    rk4 = found.error["rk4"]
-    assert euler[3] / euler[4] == pytest.approx(2.0, rel=0.02)
-    assert rk4[0] / rk4[1] == pytest.approx(16.0, rel=0.1)
-    assert found.error["exact"].max() < 1e-11
-    # one step a millisecond; the error of the velocity is largest after one time constant
-    step = 1e-3 * VISCOUS_NS_PER_M / MASS_KG
-    times = np.arange(1, 21)
-    expected = np.abs((1.0 - step) ** times - np.exp(-step * times)).max() / exp(-step)
-    assert euler[0] == pytest.approx(expected, rel=1e-6)
-
-
-def test_stiff_electronics_blow_explicit_methods_up() -> None:
-    found = compare_integrators(load_scene("fig7"))
-    steps = found.steps_per_ms
-    assert 8.5e-5 < found.longest_s["rk4"] < 9.5e-5
-    assert np.isinf(found.error["rk4"][steps <= 8]).all()
-    assert np.isfinite(found.error["rk4"][steps >= 16]).all()
-    assert found.error["exact"].max() < 1e-11
-
-
-def test_device_that_only_drifts_is_stable_with_any_method() -> None:
-    found = compare_integrators(without(scene(), "viscous"))
-    assert set(found.longest_s.values()) == {inf}
-    assert found.fastest_s == inf
-    assert found.error["euler"].max() < 1e-9

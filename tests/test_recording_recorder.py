@@ -1,0 +1,285 @@
+"""A recorder ends in order, says gaps, and loses little when it is killed or crowded."""
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import h5py
+import msgpack
+import pytest
+from recorded import RecordedFlight, Source, recorded_into, room
+
+from hapticd.assembly import replay
+from hapticd.clock import VirtualClock
+from hapticd.errors import ConfigError, DaemonDown, HapticdError
+from hapticd.recording import pack, recorder
+from hapticd.recording.file import open_recording
+from hapticd.recording.live import Writer
+from hapticd.recording.recorder import RecordingParams, record
+from hapticd.units import NS_PER_S
+
+DEADLINE_S = 60
+
+
+def test_seconds_are_recorded_time(recorded_run: RecordedFlight, tmp_path: Path) -> None:
+    result = recorded_into(tmp_path / "one.h5", recorded_run, seconds=1.0)
+    assert (result["ended"], result["records"]) == ("complete", 1000)
+    assert result["seconds"] == pytest.approx(0.999)
+    assert not (tmp_path / "one.part.h5").exists()
+
+
+def test_operator_ends_it_in_order(recorded_run: RecordedFlight, tmp_path: Path) -> None:
+    # type: tuple[VirtualClock, list[Progress]]
+    clock = VirtualClock(NS_PER_S)
+    told = []
+    params = RecordingParams(tmp_path / "run.h5")
+    result = record(
+        Source(recorded_run, clock), params, lambda: len(told) >= 3, told.append, clock, room
+    )
+    assert result["ended"] == "stopped"
+    assert told[-1].records > 0
+    assert told[-1].file_bytes > 100_000
+    assert result["records"] >= told[-1].records
+
+
+def test_nearly_full_disk_ends_it_in_order(recorded_run: RecordedFlight, tmp_path: Path) -> None:
+    clock = VirtualClock(NS_PER_S)
+    result = record(
+        Source(recorded_run, clock),
+        RecordingParams(tmp_path / "a.h5"),
+        lambda: False,
+        clock=clock,
+        free_bytes=lambda folder: 1000,
+    )
+    assert result["ended"] == "disk nearly full"
+    assert result["records"] > 0
+
+
+def test_silent_daemon_is_told(tmp_path: Path) -> None:
+    with RecordedFlight() as flight:
+        clock = VirtualClock(NS_PER_S)
+        with pytest.raises(DaemonDown, match="published nothing"):
+            record(
+                Source(flight, clock),
+                RecordingParams(tmp_path / "a.h5"),
+                lambda: False,
+                clock=clock,
+                free_bytes=room,
+            )
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "existing", "reason"),
+    [
+        ("a.h5", "a.h5", "a.h5 exists; choose another name"),
+        ("a.h5", "a.part.h5", "rec recover .*a.part.h5` first"),
+        ("a.mat", "", "a recording is called NAME.h5"),
+        ("no/a.h5", "", "no such folder"),
+    ],
+)
+def test_what_is_in_the_way_is_refused(
+    name: str, existing: str, reason: str, tmp_path: Path
+) -> None:
+    if existing:
+        (tmp_path / existing).touch()
+    with pytest.raises(ConfigError, match=reason):
+        recorder.check_free(RecordingParams(tmp_path / name))
+
+
+def test_gap_is_stored_and_said(recorded_run: RecordedFlight, tmp_path: Path) -> None:
+    ticks = [
+        place for place, (topic, _) in enumerate(recorded_run.messages) if topic == "servo.raw"
+    ]
+    clock = VirtualClock(NS_PER_S)
+    source = Source(recorded_run, clock)
+    lost = msgpack.unpackb(source.played.pop(ticks[40])[1])["n"]
+    result = record(
+        source, RecordingParams(tmp_path / "gap.h5"), lambda: False, clock=clock, free_bytes=room
+    )
+    assert result["missing"]["servo"] == lost
+    with open_recording(tmp_path / "gap.h5") as recording:
+        (row,) = recording.column("gap", "row")[
+            recording.column("gap", "stream") == b"servo"
+        ].tolist()
+        tick = recording.column("servo", "tick")
+        assert tick[row] - tick[row - 1] - 1 == lost
+        first, second = recording._stretches()
+        assert (first[1], second[0]) == (row, row)
+
+
+def test_another_servo_life_is_no_gap(recorded_run: RecordedFlight, tmp_path: Path) -> None:
+    clock = VirtualClock(NS_PER_S)
+    source = Source(recorded_run, clock)
+    for topic, payload in recorded_run.messages[:200]:
+        content = msgpack.unpackb(payload, strict_map_key=False)
+        if topic != "event":
+            source.played.append((topic, msgpack.packb(content | {"epoch": 99})))
+    result = record(
+        source, RecordingParams(tmp_path / "lives.h5"), lambda: False, clock=clock, free_bytes=room
+    )
+    assert (result["lives"], result["missing"]["servo"]) == (2, 0)
+    with open_recording(tmp_path / "lives.h5") as recording:
+        assert len(recording.segments()) == 2
+        assert all(
+            replay.difference(one.records, replay.replay(recording.params, one)) is None
+            for one in recording.segments()
+        )
+
+
+HALF_WAY = """
+import pickle, sys, time
+from pathlib import Path
+from hapticd.recording.live import Writer
+messages = pickle.load(open(sys.argv[1], "rb"))
+names = ("schema", "simulated", "configuration", "layout")
+writer = Writer(Path(sys.argv[2]), dict(zip(names, ("hapticd-recording/1", 1, *sys.argv[3:]))))
+for place, (topic, payload) in enumerate(messages):
+    writer.take(topic, payload)
+    if place % 20 == 19:
+        writer.write()
+        print(writer.records, flush=True)
+print("all", flush=True)
+time.sleep(600)
+"""
+
+
+def write_elsewhere(
+    recorded_run: RecordedFlight, folder: Path, **more: Any
+) -> "subprocess.Popen[str]":
+    """A process that writes all messages into run.part.h5, saying how many records it has
+    flushed.
+    """
+    import pickle
+
+    from hapticd.mailbox.layout import LAYOUT_HASH
+    from hapticd.params import to_plain
+
+    (folder / "messages").write_bytes(pickle.dumps(recorded_run.messages))
+    arguments = [
+        str(folder / "messages"),
+        str(folder / "run.part.h5"),
+        json.dumps(to_plain(recorded_run.params)),
+        LAYOUT_HASH.hex(),
+    ]
+    return subprocess.Popen(
+        [sys.executable, "-c", HALF_WAY, *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        **more,
+    )
+
+
+@pytest.fixture
+def writing(recorded_run: RecordedFlight, tmp_path: Path) -> Iterator["subprocess.Popen[str]"]:
+    process = write_elsewhere(recorded_run, tmp_path)
+    yield process
+    process.kill()
+    process.communicate(timeout=DEADLINE_S)
+
+
+@pytest.mark.process
+def test_killed_recorder_loses_nothing_that_was_flushed(
+    writing: "subprocess.Popen[str]", recorded_run: RecordedFlight, tmp_path: Path
+) -> None:
+    assert writing.stdout
+    flushed = [int(writing.stdout.readline()) for _ in range(10)][-1]
+    writing.send_signal(signal.SIGKILL)
+    writing.wait(DEADLINE_S)
+    part = tmp_path / "run.part.h5"
+    final = tmp_path / "run.h5"
+    with pytest.raises(OSError, match=r"."):
+        h5py.File(part, "r")
+    summary = pack.pack(part, final, recovered=True)
+    assert summary["records"] >= flushed
+    with open_recording(final) as recording:
+        assert recording.attributes["recovered"] == 1
+        records = recording.records(0, summary["records"])
+    assert records.tobytes() == recorded_run.recorded[: len(records)].tobytes()  # type: ignore[attr-defined]
+    assert not part.exists()
+
+
+@pytest.mark.process
+def test_live_file_can_be_read_meanwhile(writing: "subprocess.Popen[str]", tmp_path: Path) -> None:
+    assert writing.stdout
+    flushed = int(writing.stdout.readline())
+    with open_recording(tmp_path / "run.part.h5") as recording:
+        assert recording.rows["servo"] >= flushed
+
+
+@pytest.mark.process
+def test_full_disk_keeps_what_was_flushed(recorded_run: RecordedFlight, tmp_path: Path) -> None:
+    limit = 1 << 20
+    process = write_elsewhere(
+        recorded_run,
+        tmp_path,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+    )
+    out, err = process.communicate(timeout=DEADLINE_S)
+    assert process.returncode != 0
+    assert "File too large" in err or "OSError" in err or "RuntimeError" in err
+    summary = pack.pack(tmp_path / "run.part.h5", tmp_path / "run.h5", recovered=True)
+    assert summary["records"] >= int(out.split()[-1]) > 500
+    with open_recording(tmp_path / "run.h5") as recording:
+        records = recording.records(0, summary["records"])
+    assert records.tobytes() == recorded_run.recorded[: len(records)].tobytes()  # type: ignore[attr-defined]
+
+
+def test_write_error_ends_it_with_the_remedy(
+    recorded_run: RecordedFlight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def write(self: Writer) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Writer, "write", write)
+    with pytest.raises(
+        HapticdError,
+        match=(
+            r"No space left on device; what was flushed before is safe: .*rec recover"
+            r" .*run\.part\.h5"
+        ),
+    ):
+        recorded_into(tmp_path / "run.h5", recorded_run)
+
+
+def test_stalled_disk_delays_and_loses_nothing(
+    recorded_run: RecordedFlight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = VirtualClock(NS_PER_S)
+    write = Writer.write
+
+    def slow(self: Writer) -> None:
+        clock.time_ns += 3 * NS_PER_S
+        write(self)
+
+    monkeypatch.setattr(Writer, "write", slow)
+    result = record(
+        Source(recorded_run, clock),
+        RecordingParams(tmp_path / "slow.h5"),
+        lambda: False,
+        clock=clock,
+        free_bytes=room,
+    )
+    assert result["missing"]["servo"] == 0
+    assert result["records"] == 3000
+
+
+def test_disk_that_refuses_to_be_synchronised_loses_nothing(
+    recorded_run: RecordedFlight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def refuse(descriptor: int) -> None:
+        asked.append(descriptor)
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(os, "fdatasync", refuse)
+    assert recorded_into(tmp_path / "run.h5", recorded_run)["records"] == 3000
+    assert asked

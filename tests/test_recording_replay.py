@@ -1,0 +1,35 @@
+"""A recording is replayed bit by bit, or with settings held at other values."""
+
+from pathlib import Path
+
+import pytest
+from recorded import RecordedFlight, recorded_into
+
+from hapticd.errors import ConfigError
+from hapticd.mailbox.layout import Value
+from hapticd.recording.file import open_recording
+from hapticd.recording.replay import replay_recording
+
+
+def test_recording_is_replayed_bit_by_bit(recording_file: Path) -> None:
+    with open_recording(recording_file) as recording:
+        same = replay_recording(recording)
+        other = replay_recording(recording, {Value.DAMPING: 5.0})
+    assert same.to_json()["bit_exact"] is True
+    assert len(same.segments) == 1
+    assert len(same.replayed) > 2500
+    plain = other.to_json()
+    assert plain["bit_exact"] is False
+    assert plain["force_rms_n"]["flown"] > plain["force_rms_n"]["recorded"]
+    assert other.time_s[0] == 0.0
+
+
+def test_short_recording_has_nothing_to_replay(
+    recorded_run: RecordedFlight, tmp_path: Path
+) -> None:
+    recorded_into(tmp_path / "short.h5", recorded_run, seconds=0.1)
+    with (
+        open_recording(tmp_path / "short.h5") as recording,
+        pytest.raises(ConfigError, match="holds no checkpoint"),
+    ):
+        replay_recording(recording)
