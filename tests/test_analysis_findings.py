@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from spectral_trials import exact_trial, mass_damper, record
 
-from hapticd.analysis.channels import channel_findings, high_pass, skew
 from hapticd.analysis.findings import coherence_findings, examine
-from hapticd.analysis.spectra import corrected, spa
+from hapticd.analysis.spectra import spa
 from hapticd.analysis.verdict import judge
 from hapticd.errors import AnalysisError
 
@@ -160,80 +159,6 @@ def test_short_record_is_refused():
         match=re.escape("record of 1 s: at least 2 s are needed to tell noise from drift"),
     ):
         examine(np.ones(4000), np.ones(4000), RATE_HZ)
-
-
-def turned(impedance, skew_s=0.0, high_pass_hz=0.0):
-    """Impedance as channels with these faults show it."""
-    return lambda f: (
-        impedance(f) / (np.exp(2j * np.pi * f * skew_s) * (1j * f / (high_pass_hz + 1j * f)))
-    )
-
-
-@pytest.mark.parametrize("skew_us", [-125.0, -40.0, 40.0, 125.0])
-@pytest.mark.parametrize(("damping", "stiffness"), [(1.0, 0.0), (3.0, 500.0)])
-def test_skew_is_found_and_measured(skew_us, damping, stiffness):
-    shown = spa(*record(turned(mass_damper(0.008, damping, stiffness), skew_us * 1e-6), 4, N))
-    found = channel_findings(shown)
-    assert codes(found) == ["channel_skew"]
-    assert 1e6 * skew(shown).value == pytest.approx(skew_us, abs=4.0)
-    assert ("after" if skew_us > 0 else "before") + " the force" in found[0].message
-    assert judge(shown).answer == "undecided"
-
-
-def test_half_a_sample_makes_a_passive_device_look_active():
-    shown = spa(*record(turned(mass_damper(0.008, 4.0), -125e-6), 5, N))
-    assert judge(shown, channels=False).answer == "not_passive"
-    repaired = corrected(shown, skew_s=-125e-6)
-    assert judge(repaired).answer == "passive"
-
-
-def test_two_bodies_are_not_taken_for_skew():
-    """Probe and motor on a stiff transmission: |Z| goes through a maximum and a minimum."""
-
-    def coupled(f):
-        s = 2j * np.pi * f
-        slider = 0.0025 * s + 0.15
-        bridge = 2.0 + 4e4 / s
-        return 0.0055 * s + 0.85 + slider * bridge / (slider + bridge)
-
-    shown = exact_trial(coupled, 0.98)
-    assert abs(skew(shown).value) < 15e-6
-    assert channel_findings(shown) == ()
-
-
-def test_device_that_is_no_mass_says_nothing_about_skew():
-    shown = exact_trial(lambda f: 2.0 + 1e5 / (2j * np.pi * f), 0.98)
-    assert np.isnan(skew(shown).value)
-    assert channel_findings(shown) == ()
-
-
-@pytest.mark.parametrize("stiffness", [100.0, 500.0])
-def test_high_pass_is_found_over_a_spring(stiffness):
-    shown = exact_trial(turned(mass_damper(0.008, 1.0, stiffness), high_pass_hz=0.5), 0.995)
-    assert high_pass(shown).value == pytest.approx(0.5, rel=0.1)
-    found = channel_findings(shown)
-    assert codes(found) == ["high_pass_mismatch"]
-    assert re.match(
-        r"high-pass mismatch: the velocity channel looks AC-coupled at 0\.5\d* Hz", found[0].message
-    )
-    assert judge(shown).answer == "undecided"
-
-
-def test_delayed_force_is_not_taken_for_a_high_pass():
-    """A lag of 5 ms over a spring adds a constant to Re Z, a high-pass 1/f^2."""
-
-    def late(f):
-        return mass_damper(0.008, 1.0)(f) + 100.0 * np.exp(-2j * np.pi * f * 5e-3) / (
-            2j * np.pi * f
-        )
-
-    shown = exact_trial(late, 0.995)
-    assert abs(high_pass(shown).value) < 0.05
-    assert channel_findings(shown) == ()
-
-
-def test_without_a_spring_nothing_is_said_about_a_high_pass():
-    assert np.isnan(high_pass(exact_trial(turned(mass_damper(), high_pass_hz=0.5), 0.995)).value)
 
 
 def cut(force, velocity, changed):

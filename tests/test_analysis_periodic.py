@@ -171,7 +171,7 @@ def test_damped_device_is_passive_and_a_driven_one_is_not():
 # --- what is not linear ---------------------------------------------------------------------------
 
 
-def flown(model, point, count, periods):
+def simulated(model, point, count, periods):
     """(count, periods, PERIOD) of force and velocity of a simulated display, the first period
     left out.
     """
@@ -221,7 +221,7 @@ def test_two_seconds_of_multisine_know_a_loop_better_than_90_s_of_noise(effects,
     )
     assert (
         rms_error(
-            periodic(*flown(model, point, 1, 1), RATE_HZ), "h_force", model, point, (3.0, 499.0)
+            periodic(*simulated(model, point, 1, 1), RATE_HZ), "h_force", model, point, (3.0, 499.0)
         )
         < most
     )
@@ -231,7 +231,7 @@ def test_two_seconds_of_multisine_know_a_loop_better_than_90_s_of_noise(effects,
 @pytest.fixture(scope="module")
 def rubbing():
     """A display with Coulomb friction under 240 realisations of 2 periods."""
-    return flown(display(), (100.0, 1.0, 0.01), 240, 2)
+    return simulated(display(), (100.0, 1.0, 0.01), 240, 2)
 
 
 def test_interval_covers_coulomb_friction(rubbing):

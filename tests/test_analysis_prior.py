@@ -1,4 +1,4 @@
-"""What a model foretells the directed search: Re Z as the prediction has it, and headroom
+"""What a model predicts for the directed search: Re Z as the prediction has it, and headroom
 against escape.
 """
 

@@ -100,7 +100,7 @@ def test_intervals_cover_what_is_predicted_of_the_record(point, noise_m_per_s):
     """
     model = rigid(viscous=1.0)
     estimates = []
-    flown = simulate(
+    found = simulate(
         model,
         np.tile(point, (24, 1)),
         90.0,
@@ -109,7 +109,7 @@ def test_intervals_cover_what_is_predicted_of_the_record(point, noise_m_per_s):
         excitation=Excitation("noise"),
     )
     for trial in range(24):
-        force, velocity = (np.asarray(signal, np.float64) for signal in flown.record(trial))
+        force, velocity = (np.asarray(signal, np.float64) for signal in found.record(trial))
         noise = noise_m_per_s * np.random.default_rng(trial).standard_normal(velocity.size)
         estimates.append(impedance(spa(force, velocity + noise), "h_force"))
     f = estimates[0].frequency_hz

@@ -1,0 +1,114 @@
+"""Friction linearised: energy balance, scaling, dampers on ports, narrow resonances."""
+
+import numpy as np
+import pytest
+from analysis_devices import display, rigid
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hapticd.analysis.linearise import (
+    GAIN,
+    LonePort,
+    MovingPort,
+    Perturbation,
+    density_weights,
+    hung,
+    port_admittance,
+)
+from hapticd.analysis.loop import (
+    close_loop,
+    with_viscous,
+)
+from hapticd.analysis.predict import predict
+
+F = np.array([0.5, 2.0, 10.0, 47.0, 120.0, 333.0, 499.0, 700.0, 1500.0])
+WHITE = Perturbation(2.5e-5, 1700.0)
+
+
+@given(st.floats(0.005, 0.06), st.floats(0.1, 3.0), st.floats(0.002, 0.02))
+@settings(max_examples=20, deadline=None)
+def test_friction_of_a_free_mass_follows_its_energy_balance(coulomb, viscous, mass):
+    """White force on a mass: variance S / (4 m (b + bc)), so bc = g sqrt(4 m (b + bc) / S); the
+    band ends at 1700 Hz.
+    """
+    found = predict(rigid(mass, viscous, coulomb=coulomb), [[0, 0, 0]], perturbation=WHITE)
+    level = found.friction_ns_per_m[0]
+    sd = found.velocity_sd[0]
+    assert level * sd == pytest.approx(GAIN * coulomb, rel=1e-6)
+    corner = (viscous + level) / (2 * np.pi * mass)
+    assert sd == pytest.approx(
+        np.sqrt(2.5e-5 / (4 * mass * (viscous + level)) * 2 / np.pi * np.arctan(1700 / corner)),
+        rel=0.02,
+    )
+
+
+def test_only_friction_squared_over_density_counts():
+    point = [[60.0, 1.0, 0.002]]
+    one = predict(display(coulomb=0.02), point, perturbation=Perturbation(1e-5, 1700.0))
+    other = predict(display(coulomb=0.06), point, perturbation=Perturbation(9e-5, 1700.0))
+    assert one.friction_ns_per_m == pytest.approx(other.friction_ns_per_m)
+    assert one.margin_ns_per_m == pytest.approx(other.margin_ns_per_m)
+
+
+def test_friction_on_the_slider_is_felt_at_the_probe():
+    point = [[50.0, 2.0, 0.0]]
+    on_rotor = predict(display(), point, perturbation=WHITE)
+    on_slider = predict(display(coulomb=0.0, slider_coulomb=0.0293), point, perturbation=WHITE)
+    split = predict(
+        display(coulomb=0.0293 / 2, slider_coulomb=0.0293 / 2), point, perturbation=WHITE
+    )
+    for other in (on_slider, split):
+        assert other.margin_ns_per_m == pytest.approx(on_rotor.margin_ns_per_m, rel=0.1)
+        assert other.velocity_sd == pytest.approx(on_rotor.velocity_sd, rel=0.05)
+    assert split.friction_ns_per_m == pytest.approx(on_rotor.friction_ns_per_m, rel=0.06)
+
+
+def test_hung_dampers_equal_dampers_in_the_device():
+    """Without a law the admittance with dampers hung on its ports is exactly that of the device
+    that has them.
+    """
+    both = display(coulomb=0.01, slider_coulomb=0.01)
+    levels = (0.7, 1.3)
+    nothing = np.zeros((1, 3))
+    afterwards = hung(port_admittance(close_loop(both, F), nothing), np.array(levels)[:, None])
+    inside = port_admittance(close_loop(with_viscous(both, levels), F), nothing)
+    assert afterwards == pytest.approx(inside, rel=1e-9)
+
+
+def test_without_perturbation_there_is_no_friction():
+    found = predict(display(), [[50.0, 2.0, 0.0]])
+    assert found.friction_ns_per_m[0] == 0.0
+    assert np.isnan(found.velocity_sd[0])
+    assert found.perturbation is None
+    assert found.margin_ns_per_m == pytest.approx(
+        predict(display(coulomb=0.0), [[50.0, 2.0, 0.0]], perturbation=WHITE).margin_ns_per_m
+    )
+
+
+def test_edge_of_what_bursts_bear_has_no_teeth():
+    """Largest K over B at one M rises, then falls: bursts see a narrow resonance between the
+    lines too.
+    """
+    damping = np.linspace(0.0, 4.0, 41)
+    stiffness = np.linspace(0.0, 400.0, 401)
+    points = np.array([(k, b, -0.0024) for b in damping for k in stiffness])
+    passive = predict(display(), points, perturbation=WHITE).passive.reshape(41, 401)
+    edge = passive.sum(axis=1)
+    assert np.array_equal(passive, np.arange(401) < edge[:, None])
+    top = np.argmax(edge)
+    assert (np.diff(edge[: top + 1]) >= 0).all()
+    assert (np.diff(edge[top:]) <= 0).all()
+
+
+def test_deviation_of_a_narrow_resonance_is_that_of_its_closed_form():
+    """White force on mass, spring and damper: variance S / (4 m b), whatever the grid; a sum of
+    lines is 70 % off.
+    """
+    f = np.arange(1.0, 200.0, 2.0)
+    for stiffness in np.linspace(60.0, 70.0, 11):
+        y = 1.0 / (0.3 + 2j * np.pi * f * 0.008 + stiffness / (2j * np.pi * f))[None]
+        alone = LonePort(np.abs(y) ** 2, y.real, y.imag, 0.3)
+        weight = density_weights(f, Perturbation(2.5e-5, 1e9))
+        for damper in (0.3, 0.1, 0.01):
+            found = MovingPort(f, alone, weight).sd(np.array([damper]))[0]
+            assert found == pytest.approx(np.sqrt(2.5e-5 / (4.0 * 0.008 * damper)), rel=0.05)
