@@ -1,5 +1,8 @@
 """The figure and the tables of displays beside each other: as they are, and per kilogram of what
 moves, where a larger display is no better one.
+
+What would break it: displays that were measured under unlike conditions. What is unlike stands in
+the title of the figure and of the tables, by name.
 """
 
 import numpy as np

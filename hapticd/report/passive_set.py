@@ -4,6 +4,9 @@ the axes, and virtual walls.
 The set is shown as the largest K over B, a line with a tinted area below it, dotted where it is
 predicted. A slice of a search shows only the trials whose M is next to its own, for a boundary in K
 and B moves with M; all trials are in the panel below.
+
+What would break it: a set that is drawn over another without its rank; the first level, the smaller
+set, must be on top.
 """
 
 from collections.abc import Iterable, Sequence
@@ -44,12 +47,15 @@ from hapticd.zwidth.outcomes import Conditions
 from hapticd.zwidth.search import SearchResult, Step, slice_at
 from hapticd.zwidth.walls import WallResult
 
-PANELS = 6
+PANELS = 6  # of a map, at most
 COLUMNS = 3
 ASIDE = 0.12  # of a step of B: how far apart the marks of two levels stand at one point
 SHARES = (0.0, 0.2, 0.5, 0.8, 1.0)  # of the set's masses: between two of them it is sliced once
 NEAR = 0.02  # of the range of masses: trials so near to a slice are shown in it
-APART_IN = 0.17  # of two numbers
+APART_IN = 0.17  # least distance of two numbers
+# axes of a slice, about
+WIDE_IN = 2.4
+HIGH_IN = 2.3
 AXIS_LABELS = {
     "K": ("largest K (N/m)", 1.0),
     "B": ("largest B (N s/m)", 1.0),
@@ -57,7 +63,7 @@ AXIS_LABELS = {
 }
 PSD_UNIT = 1e-5  # N^2/Hz
 MOST_TICKS = 5
-NARROWEST_IN = 6.0
+NARROWEST_IN = 6.0  # figure of the limits
 ALONE: Look = {"color": BLACK, "linestyle": "-"}
 
 
@@ -253,14 +259,9 @@ def slice_masses(tried: Floats, borders: Floats, reach: float) -> list[float]:
 
 def _trials(place: Axes, steps: tuple[Step, ...], near: Flags, look: Look) -> None:
     """Those of this slice; with their numbers where no other number stands."""
-    # in, of the axes, about
-    width = 2.4
-    height = 2.3
-    (left, right), (foot, head), numbered = (
-        place.get_xlim(),
-        place.get_ylim(),
-        list[tuple[float, float]](),
-    )
+    left, right = place.get_xlim()
+    foot, head = place.get_ylim()
+    numbered: list[tuple[float, float]] = []
     for at in np.flatnonzero(near):
         k, b, _ = steps[at].outcome.environment
         place.plot(
@@ -272,7 +273,7 @@ def _trials(place: Axes, steps: tuple[Step, ...], near: Flags, look: Look) -> No
             clip_on=False,
             zorder=3,
         )
-        here = width * (b - left) / (right - left), height * (k - foot) / (head - foot)
+        here = WIDE_IN * (b - left) / (right - left), HIGH_IN * (k - foot) / (head - foot)
         if all(abs(here[0] - x) > APART_IN or abs(here[1] - y) > APART_IN for x, y in numbered):
             numbered.append(here)
             place.annotate(

@@ -71,7 +71,7 @@ INTERVAL = "95 % interval"
 PROBABILITY = 0.975  # each side of it
 NORMAL = 1.96  # standard deviations on each side of it
 NOT_JUDGED = "#e9e9e9"
-# beyond every frequency axis
+# outside every frequency axis
 LOWEST_HZ = 1e-3
 HIGHEST_HZ = 1e6
 
@@ -200,7 +200,9 @@ def plain_axis(
 
     low, high = axis.get_view_interval()
     if high < LEAST_RANGE * low:
-        low, high = (low * high / LEAST_RANGE) ** 0.5, (low * high * LEAST_RANGE) ** 0.5
+        middle = (low * high) ** 0.5
+        low = middle / LEAST_RANGE**0.5
+        high = middle * LEAST_RANGE**0.5
         axis.axes.set(**{f"{axis.axis_name}lim": (low, high)})
     for these in digits:
         ticks = [

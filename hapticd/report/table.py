@@ -1,4 +1,8 @@
-"""Tables as text: columns with units, numbers to three digits, aligned."""
+"""Tables as text: columns with units, numbers to three digits, aligned; and shares and durations in
+words.
+
+What would break it: a column of numbers and words; it is aligned as words.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -8,7 +12,7 @@ from textwrap import wrap
 DIGITS = 3
 WIDEST_LAST = 70  # characters of the last column
 GAP = "  "
-NONE = 1e-6  # a relative change that is rounding
+NONE = 1e-6  # a relative change that is only rounding
 
 Cell = str | float
 

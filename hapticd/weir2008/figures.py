@@ -229,12 +229,9 @@ def limits_figure(result: ReproduceResult) -> Figure:
 
 
 def _labelled(name: str) -> str:
-    printed = PAPER[name]
+    scale, unit = {"K": (1.0, "N/m"), "B": (1.0, "N s/m"), "M": (1e3, "g")}[name[0]]
     mode = "damped" if name.endswith("_on") else "undamped"
-    unit = {"K": f"{printed:g} N/m", "B": f"{printed:g} N s/m", "M": f"{1e3 * printed:g} g"}[
-        name[0]
-    ]
-    return f"{name[0]} {name[2:5]}\n{mode}\n{unit}"
+    return f"{name[0]} {name[2:5]}\n{mode}\n{scale * PAPER[name]:g} {unit}"
 
 
 def edges_figure(result: ReproduceResult) -> Figure:

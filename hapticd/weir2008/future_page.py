@@ -179,7 +179,8 @@ def _free_motion(result: FutureWorkResult) -> Section:
 
 
 def _shaped(result: FutureWorkResult) -> Section:
-    shaped, (plain_k, best_k) = result.shaped, result.shaped.stiffest
+    shaped = result.shaped
+    plain_k, best_k = shaped.stiffest
     bounds = shaped.bounds
     best = shaped.best
     plain = shaped.plain
@@ -227,7 +228,8 @@ def _shaped(result: FutureWorkResult) -> Section:
 
 
 def _levels(result: FutureWorkResult) -> Section:
-    levels, (low, _, high, highest) = result.levels, TRIED_LEVELS
+    levels = result.levels
+    low, _, high, highest = TRIED_LEVELS
     growth = levels.gain(low, high)
     later = levels.gain(high, highest)
     left = 100.0 * later / growth
@@ -296,12 +298,12 @@ def _search_words(found: SearchCheck) -> str:
 
 def _search_rows(found: SearchCheck) -> tuple[PaperRow, ...]:
     grid = f"of {found.passive} passive points among {found.points}"
-    enough = f"more than {max(found.searched)} trials are needed"
-    if found.enough:
-        enough = (
-            f"first of {', '.join(map(str, found.searched))} trials with no more wrong than the"
-            " repeated grid"
-        )
+    budgets = ", ".join(map(str, found.searched))
+    enough = (
+        f"first of {budgets} trials with no more wrong than the repeated grid"
+        if found.enough
+        else f"more than {max(found.searched)} trials are needed"
+    )
     quantities = (
         ("grid_trials", found.points, "trials", "the whole grid by trials, one seed of noise"),
         ("search_trials", found.enough or nan, "trials", enough),

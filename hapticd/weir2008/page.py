@@ -282,9 +282,11 @@ def _write(sections: Sequence[Section], folder: Path, content: Mapping[str, Any]
 
 
 def _head(content: Mapping[str, Any]) -> str:
-    how = f"90 s trials, {content['seeds']} seeds behind each limit on its axis"
-    if content["quick"]:
-        how = "by prediction alone, without trials"
+    how = (
+        "by prediction alone, without trials"
+        if content["quick"]
+        else f"90 s trials, {content['seeds']} seeds behind each limit on its axis"
+    )
     made = content["provenance"]
     versions = ", ".join(f"{name} {version}" for name, version in made["libraries"].items())
     return (

@@ -343,14 +343,14 @@ def _ratios(own: Mapping[tuple[int, float], PaperRow], reading: str = "") -> Ite
 def _added(name: str) -> PaperRow:
     """Re Z that the circuit adds to the device alone, without friction."""
     device = conditions(name).display
-    z = [
+    off, on = (
         predicted_impedance(device.model, (0.0, 0.0, 0.0), [READ_HZ], level, device.filters)[0].real
         for level in LEVELS
-    ]
+    )
     how = "the circuit is ideal" if name == LITERAL else "the circuit is trimmed to deliver it"
     note = f"at {READ_HZ:g} Hz, by prediction without friction; {how}"
     return PaperRow(
-        "added_damping", ADDED_NS_PER_M, float(z[1] - z[0]), "Ns/m", "calibrated", name, note=note
+        "added_damping", ADDED_NS_PER_M, float(on - off), "Ns/m", "calibrated", name, note=note
     )
 
 
@@ -526,10 +526,12 @@ def _peak(mode: str, found: Found | None, name: str) -> Iterator[PaperRow]:
 def _grid(found: tuple[Found, ...]) -> Iterator[PaperRow]:
     counts = [int(each.passive.sum()) for each in found]
     for mode, each, count in zip(MODES.values(), found, counts, strict=True):
-        how = "by prediction"
-        if each.trials:
-            doubt = f"{each.undecided} of those that pass are not certain at 95 %"
-            how = f"{each.trials} trials, the rest cannot pass by prediction; {doubt}"
+        how = (
+            f"{each.trials} trials, the rest cannot pass by prediction; {each.undecided} of those"
+            " that pass are not certain at 95 %"
+            if each.trials
+            else "by prediction"
+        )
         yield PaperRow(
             f"grid_passive_{mode}",
             nan,

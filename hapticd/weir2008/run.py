@@ -241,23 +241,11 @@ def run_reproduce(
     """
     seeds = len(plan.seeds)
     predicted: dict[str, tuple[Found | None, ...]] = {}
-    limits: list[LimitsPlan] = []
-    sets: list[LimitsPlan] = []
-    edges: list[LimitsPlan] = []
     steps = Steps(tell, 2 * len(plan.devices))
     for name in plan.devices:
         steps.next(f"predicting, {name}")
         predicted[name] = tuple(by_prediction(conditions(name).display, level) for level in LEVELS)
-        limits.append(_asked(name, seeds))
-        for level in LEVELS:
-            sets += [
-                _asked(name, min(seeds, SET_SEEDS), (level,), (axis,), set_place(name, level, axis))
-                for axis in range(3)
-            ]
-            edges += [
-                _asked(name, min(seeds, EDGE_SEEDS), (level,), (0,), low_hz=low_hz)
-                for low_hz in EDGES_HZ
-            ]
+    readings = _readings(plan.devices, seeds)
     store = TrialStore(None) if seeds else None
     singles: dict[str, tuple[Single, ...]] = {}
     with pool_of(executor) as pool:
@@ -266,7 +254,7 @@ def run_reproduce(
             singles[name] = tuple(
                 _single(name, point, level, plan.seeds, pool) for point, level in SHOWN
             )
-        read = [limits_of(asked, store, tell, pool) for asked in (limits, sets, edges)]
+        limits, sets, edges = (limits_of(asked, store, tell, pool) for asked in readings)
         found = (
             _grid(tell, pool)
             if seeds
@@ -274,7 +262,25 @@ def run_reproduce(
         )
     hit = WallMapParams(load_scene("wall"), WALL_STIFFNESSES, WALL_DAMPINGS, LEVELS)
     walls = run_walls(plan_walls(hit), tell) if seeds else None
-    return ReproduceResult(plan, read[0], read[1], read[2], singles, found, predicted, walls)
+    return ReproduceResult(plan, limits, sets, edges, singles, found, predicted, walls)
+
+
+def _readings(devices: tuple[str, ...], seeds: int) -> tuple[list[LimitsPlan], ...]:
+    """Limits on their axes, over the whole set, and of K from each lower band edge."""
+    each = [(name, level) for name in devices for level in LEVELS]
+    return (
+        [_asked(name, seeds) for name in devices],
+        [
+            _asked(name, min(seeds, SET_SEEDS), (level,), (axis,), set_place(name, level, axis))
+            for name, level in each
+            for axis in range(3)
+        ],
+        [
+            _asked(name, min(seeds, EDGE_SEEDS), (level,), (0,), low_hz=low_hz)
+            for name, level in each
+            for low_hz in EDGES_HZ
+        ],
+    )
 
 
 def _asked(
