@@ -130,6 +130,9 @@ def _columns(images: int) -> Integers:
     return np.array([*shifted, *slopes, *ends, (_V, 0), (_FORCE, 0)])
 
 
+# All that `_fits` calls is inlined into it: functions of their own would exist twice, compiled
+# alone and within `_fits`, and a process that compiles would run the one, a process that loads the
+# cache the other, with sums in another order.
 @numba.njit(nogil=True, cache=True)
 def _fits(  # type: ignore[no-untyped-def]
     force, velocity, samples, half, shifts,
@@ -169,7 +172,7 @@ def _fits(  # type: ignore[no-untyped-def]
         ends[i] = _power(found[-1 - TERMS : -1], moments) / size[-1] ** 2
 
 
-@numba.njit(cache=True)
+@numba.njit(forceinline=True)
 def _gather(force, velocity, samples, shifts, first, last, rows):  # type: ignore[no-untyped-def]
     """Write real and imaginary parts of the sequences at bins `first` .. `last` - 1 to `rows`."""
     for i in range(last - first):
@@ -189,7 +192,7 @@ def _gather(force, velocity, samples, shifts, first, last, rows):  # type: ignor
             rows[_FORCE + 1 + k, 1, i] = (first + i) * value.imag
 
 
-@numba.njit(fastmath=_SUMS, cache=True)
+@numba.njit(fastmath=_SUMS, forceinline=True)
 def _sum(rows, count, half, pairs, high, work, moments):  # type: ignore[no-untyped-def]
     """Sum the `moments` (5, n) of a block of `count` bins about its middle, in units of `half`."""
     away = work[0]
@@ -206,7 +209,7 @@ def _sum(rows, count, half, pairs, high, work, moments):  # type: ignore[no-unty
             moments[0, pair] = _product(rows[a], rows[b], count)
 
 
-@numba.njit(fastmath=_SUMS, cache=True)
+@numba.njit(fastmath=_SUMS, forceinline=True)
 def _product(a, b, count):  # type: ignore[no-untyped-def]
     """Return the sum of conj(a) b."""
     real = 0.0
@@ -217,7 +220,7 @@ def _product(a, b, count):  # type: ignore[no-untyped-def]
     return complex(real, imag)
 
 
-@numba.njit(fastmath=_SUMS, cache=True)
+@numba.njit(fastmath=_SUMS, forceinline=True)
 def _multiply(a, b, work, count):  # type: ignore[no-untyped-def]
     """Write conj(a) b to `work`."""
     for i in range(count):
@@ -225,7 +228,7 @@ def _multiply(a, b, work, count):  # type: ignore[no-untyped-def]
         work[2, i] = a[0, i] * b[1, i] - a[1, i] * b[0, i]
 
 
-@numba.njit(fastmath=_SUMS, cache=True)
+@numba.njit(fastmath=_SUMS, forceinline=True)
 def _total(work, count):  # type: ignore[no-untyped-def]
     """Return the sum of `work`, which is then multiplied by r for the next power."""
     real = 0.0
@@ -238,7 +241,7 @@ def _total(work, count):  # type: ignore[no-untyped-def]
     return complex(real, imag)
 
 
-@numba.njit(fastmath=_SUMS, cache=True)
+@numba.njit(fastmath=_SUMS, forceinline=True)
 def _move(block, distance, high, moments):  # type: ignore[no-untyped-def]
     """Add the moments of a block to those about a place that is `distance` below its middle."""
     for p in range(_POWERS):
@@ -250,7 +253,7 @@ def _move(block, distance, high, moments):  # type: ignore[no-untyped-def]
             factor *= distance
 
 
-@numba.njit(fastmath=_SUMS, cache=True)
+@numba.njit(fastmath=_SUMS, forceinline=True)
 def _normal(moments, pairs, columns):  # type: ignore[no-untyped-def]
     """Upper half of the products of all columns, scaled to size 1, with a ridge, and their
     sizes.
@@ -275,7 +278,7 @@ def _normal(moments, pairs, columns):  # type: ignore[no-untyped-def]
     return products, size
 
 
-@numba.njit(fastmath=_SUMS, cache=True)
+@numba.njit(fastmath=_SUMS, forceinline=True)
 def _solved(products):  # type: ignore[no-untyped-def]
     """Coefficients of all columns in the last one, all of size 1, and what they leave of it.
 
@@ -302,7 +305,7 @@ def _solved(products):  # type: ignore[no-untyped-def]
     return found, products[n, n].real ** 2 - ridge
 
 
-@numba.njit(fastmath=_SUMS, cache=True)
+@numba.njit(fastmath=_SUMS, forceinline=True)
 def _left(rows, columns, found, place, count, half):  # type: ignore[no-untyped-def]
     """What is left of the force, summed over its bins; `place` is the bin of r = 0."""
     total = 0.0
@@ -317,7 +320,7 @@ def _left(rows, columns, found, place, count, half):  # type: ignore[no-untyped-
     return total
 
 
-@numba.njit(fastmath=_SUMS, cache=True)
+@numba.njit(fastmath=_SUMS, forceinline=True)
 def _power(polynomial, moments):  # type: ignore[no-untyped-def]
     """Sum of the squares of J."""
     total = 0.0
