@@ -84,7 +84,7 @@ def _run_ticks(gateway: GatewayMailbox, ticks: int) -> int:
     while gateway.load_head(0) - begin < ticks:
         if time.monotonic() > deadline:
             raise BenchError(
-                f"the servo flew {gateway.load_head(0) - begin} of {ticks} ticks in"
+                f"the servo made {gateway.load_head(0) - begin} of {ticks} ticks in"
                 f" {patience_s:.0f} s"
             )
         gateway.beat(time.monotonic_ns())

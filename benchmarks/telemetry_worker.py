@@ -1,5 +1,5 @@
 """A subscriber of `servo.raw`. Arguments: instance, seconds of recorded time. Says when it
-hears something, then what it got.
+receives something, then what it got.
 """
 
 import json

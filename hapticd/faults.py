@@ -68,7 +68,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault(
         7,
         "board_watchdog",
-        "the board heard nothing in time and stopped",
+        "the board received nothing in time and stopped",
         _TO_SAFE,
         "look for host pauses, then reset",
     ),

@@ -112,7 +112,7 @@ class DeviceParams:
     serial: str
     position: ScaleParams  # m
     force: ScaleParams  # N
-    damping: ScaleParams  # N s/m of added electrical damping
+    damping: ScaleParams  # N s/m of active damping
     probe_torque: ScaleParams  # N at the endpoint
     probe_velocity: ScaleParams  # m/s
     current: ScaleParams  # A

@@ -468,7 +468,7 @@ WALLS = ["walls", "--no-plot", "--damping", "0"]
         ([*TRIAL, "--psd", "inf"], 65, "perturbation of inf N^2/Hz"),
         ([*TRIAL, "--behind-mass", "inf"], 65, "mass behind the port of inf kg"),
         ([*TRIAL, "--hottest", "nan"], 65, "winding limit of nan degC"),
-        ([*TRIAL, "--damping", "inf"], 65, "added damping of inf N s/m"),
+        ([*TRIAL, "--damping", "inf"], 65, "active damping of inf N s/m"),
         ([*TRIAL, "--viscous", "inf"], 65, "damping of inf N s/m"),
         ([*TRIAL, "-K", "nan"], 65, "stiffness of nan N/m"),
         ([*TRIAL, "--band", "2", "5000"], 65, "say nothing above 2000 Hz"),

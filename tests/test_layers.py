@@ -1,4 +1,4 @@
-"""What the processes really load. import-linter (in `make test`) holds the declared floors;
+"""What the processes really load. import-linter (in `make test`) holds the declared layers;
 this looks at what runs.
 """
 
@@ -62,7 +62,7 @@ def test_flying_servo_is_small_and_single(runtime: Path) -> None:
     """
     config = runtime / "hapticd.toml"
     config.write_text("[realtime]\nmode = 'off'\nspin_us = 0.0\n")
-    written = resolve.write(runtime / "hapticd" / "instance-floors", load(config), "floors")
+    written = resolve.write(runtime / "hapticd" / "instance-layers", load(config), "layers")
     found = modules_after(FLY_AND_TELL, str(written["servo.json"]), str(written["board.json"]))
     assert found["code"] == 0
     assert found["threads"] == 1

@@ -120,7 +120,7 @@ def test_negative_damping_ends_where_it_has_cancelled_all_there_is(rigid, level)
 
 
 def test_stiffness_limit_grows_by_two_over_the_period(rigid):
-    """Weir 2008, Eq. 2 at B = 0: K < 2 b / T, so a N s/m of added damping buys 2,000 N/m. White
+    """Weir 2008, Eq. 2 at B = 0: K < 2 b / T, so a N s/m of active damping buys 2,000 N/m. White
     noise sees the same.
     """
     assert (rigid.limit(LEVEL, 0) - rigid.limit(0.0, 0)) / LEVEL == pytest.approx(2000.0, rel=5e-3)

@@ -56,7 +56,7 @@ def test_six_limits_by_trials_within_eight_percent() -> None:
 
 foretold = cache(predicted_limit)
 SCATTER = 0.01  # of a limit from seed to seed
-OUT_OF_LUCK = 2  # the seed with which nothing on an axis passes without added damping
+OUT_OF_LUCK = 2  # the seed with which nothing on an axis passes without active damping
 
 
 def made_up(given: Conditions, level: float, points: np.ndarray) -> list[Outcome]:

@@ -380,7 +380,7 @@ def test_search_beside_an_active_display_says_so():
 
 
 def test_wall_boundary_is_the_last_stable_impact():
-    """A wall that is stable stays so for softer ones; added damping makes stiffer ones stable
+    """A wall that is stable stays so for softer ones; active damping makes stiffer ones stable
     (Weir 2008, Fig. 2).
     """
     scene = load_scene("wall")

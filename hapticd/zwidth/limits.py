@@ -57,7 +57,7 @@ UNPREDICTED = 0.02  # of the reach, where the prediction has no limit to look ne
 
 @dataclass(frozen=True, slots=True)
 class LimitsParams:
-    """`levels`: of electrical damping [Ns/m]; `amplitudes`: factors of the perturbation's force.
+    """`levels`: of active damping [Ns/m]; `amplitudes`: factors of the perturbation's force.
     `axes` are 0 K, 1 B, 2 M, each scanned from `base` towards `reach` [N/m, Ns/m, kg] beyond it;
     `tolerance`: of a limit, 0.01 is 1 %.
     """

@@ -72,7 +72,7 @@ def portable(
     conditions: Any,
     numbers: Iterable[Any] = (),
 ) -> dict[str, Any]:
-    """The content of such a file, as JSON: `envelopes` by added damping [Ns/m], in SI units."""
+    """The content of such a file, as JSON: `envelopes` by active damping [Ns/m], in SI units."""
     drawn = [
         {"added_damping_ns_per_m": level, "envelope": found}
         for level, found in envelopes
@@ -155,7 +155,7 @@ class Reach:
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """At one added damping [N s/m]: the envelope [N s/m], the same per mass [1/s], limits, and
+    """At one active damping [N s/m]: the envelope [N s/m], the same per mass [1/s], limits, and
     other people's numbers.
     """
 

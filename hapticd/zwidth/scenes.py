@@ -50,7 +50,7 @@ def point(scene: Scene) -> tuple[float, float, float]:
 
 
 def level(scene: Scene) -> float:
-    """The highest electrical damping [Ns/m] of the scene."""
+    """The highest active damping [Ns/m] of the scene."""
     return max(step.level_ns_per_m for step in scene.damping)
 
 

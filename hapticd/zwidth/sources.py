@@ -7,7 +7,7 @@ and cut where it would have ended the trial.
 What a trial renders, of what was typed, the scene and the record, is one rule for all of them. Of
 K, B and M what is not given is that of the scene that was named, else 0: nobody who asks for K =
 500 N/m alone asks for the B and M of a scene that was not named. With none of the three given the
-environment is that of the record, else of the scene as it is, else 0. The electrical damping is a
+environment is that of the record, else of the scene as it is, else 0. The active damping is a
 property of the device's drive: it is the record's, else the scene's, unless it is given.
 """
 
@@ -33,7 +33,7 @@ SAME = 1e-6  # relative
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """What a source is asked for: K [N/m], B [Ns/m], M [kg], electrical damping [Ns/m], length,
+    """What a source is asked for: K [N/m], B [Ns/m], M [kg], active damping [Ns/m], length,
     perturbation with its seed.
     """
 
@@ -124,7 +124,7 @@ def _agrees(
     origin: str, typed: Typed, damping_ns_per_m: float | None, stated: RenderedEnvironment
 ) -> None:
     every = zip(
-        (*NAMES, ("added damping", "N s/m")),
+        (*NAMES, ("active damping", "N s/m")),
         (*typed, damping_ns_per_m),
         (*stated.environment, stated.damping_ns_per_m),
         strict=True,

@@ -109,7 +109,7 @@ def _listed(value: Any) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class RenderedEnvironment:
-    """K [N/m], B [N s/m], M [kg] that were rendered, and the electrical damping [N s/m] beside
+    """K [N/m], B [N s/m], M [kg] that were rendered, and the active damping [N s/m] beside
     them.
     """
 

@@ -296,7 +296,7 @@ def _possible(params: TrialParams) -> None:
         *zip(
             ("stiffness", "damping", "mass"), trial.environment, ("N/m", "N s/m", "kg"), strict=True
         ),
-        ("added damping", trial.damping_ns_per_m, "N s/m"),
+        ("active damping", trial.damping_ns_per_m, "N s/m"),
         ("mass behind the port", params.behind_mass_kg, "kg"),
         ("skew", params.skew_s, "s"),
         ("high-pass corner", params.high_pass_hz, "Hz"),

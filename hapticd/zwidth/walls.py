@@ -98,7 +98,7 @@ class WallResult:
     lines: tuple[WallLine, ...]
 
     def at(self, level: float) -> tuple[WallLine, ...]:
-        """The boundary at one electrical damping, by wall damping."""
+        """The boundary at one active damping, by wall damping."""
         return tuple(line for line in self.lines if line.damping_ns_per_m == level)
 
 
@@ -135,7 +135,7 @@ def run_walls(plan: WallPlan, tell: Progress = silent) -> WallResult:
     steps = Steps(tell, len(plan.lines))
     lines = []
     for level, damping in plan.lines:
-        steps.next(f"walls, added damping {level:g} N s/m")
+        steps.next(f"walls, active damping {level:g} N s/m")
         lines.append(_line(plan, level, damping))
     steps.end()
     return WallResult(plan, tuple(lines))
@@ -167,7 +167,7 @@ def _upwards(
 
 
 def hit(plan: WallPlan, level: float, stiffness: float, damping: float) -> Impact:
-    """One impact at electrical damping `level` [Ns/m] on a wall of `stiffness` [N/m] and
+    """One impact at active damping `level` [Ns/m] on a wall of `stiffness` [N/m] and
     `damping` [Ns/m].
     """
     scene = plan.params.scene
