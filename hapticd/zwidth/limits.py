@@ -2,8 +2,8 @@
 being the end.
 
 The paper's headline numbers are those from K = B = M = 0; from where the other two stand at their
-best it is the maximum over the set. Whoever asks for a limit, asks here: a table of limits, the
-paper's, its band edges, a scene with an effect left out.
+best it is the maximum over the set. All limits are searched for here: those of a table, the
+paper's, those of its band edges, and those of a scene with an effect left out.
 
 The prediction says where to look: a first round of trials about it, further rounds outwards as long
 as none or all fail, then between the last that passed and the first that failed, until the limit is

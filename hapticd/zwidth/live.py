@@ -188,7 +188,7 @@ class LiveRecording:
         }
 
     def _heard(self) -> Iterator[Block]:
-        """Blocks of the probe, the ticks before each taken in; none after the servo is no
+        """Blocks of the probe, after the ticks before each were read; none after the servo is no
         longer enabled or was changed.
         """
         decoders = {PROBE: BlockDecoder(), TICKS: BlockDecoder()}

@@ -9,6 +9,8 @@ and the gain ramped to 1. Then, at one tick, the perturbation starts and the sce
 begin to count. The records begin at that tick: positions and forces as the servo knew them, torque
 and velocity as the probe frames brought them. Converters of the wire quantise, whether the scene
 asks for it or not.
+
+What would break it: a question about real time; a host that stalls is not seen here.
 """
 
 from collections.abc import Generator, Sequence

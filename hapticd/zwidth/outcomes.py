@@ -39,6 +39,7 @@ from hapticd.analysis.resolved import resolved
 from hapticd.analysis.spectra import DEFAULT_LAG, Spectra, grid_frequencies
 from hapticd.analysis.verdict import (
     DEFAULT_BAND_HZ,
+    NEAR_HZ,
     NOTHING_JUDGED,
     Judged,
     Verdict,
@@ -51,7 +52,7 @@ from hapticd.errors import AnalysisError
 from hapticd.plant.scene import Excitation, Scene
 from hapticd.units import PROBE_RATE_HZ
 from hapticd.zwidth.executors import pool_of
-from hapticd.zwidth.scenes import SATURATED, Display, display, free_of_walls, frequencies
+from hapticd.zwidth.scenes import NOISE, SATURATED, Display, display, free_of_walls, frequencies
 from hapticd.zwidth.store import TrialStore, fingerprint
 
 TOGETHER = LANES["f32"]  # trials that the engine does at once
@@ -59,8 +60,6 @@ GROUPS = 4  # of so many in a task: the trials of a few that need their records 
 TASKS = 8  # of a batch, before its tasks grow
 FREQUENCIES = 120
 KEPT_BAND_HZ = (2.0, 1000.0)
-NEAR_HZ = 1e-5  # an edge that is so near to a line is that line
-NOISE = Excitation("noise")
 FORMAT = 2  # of an outcome; part of its key. 1 was judged, and kept Z, on the window's lines alone
 
 Point = tuple[float, float, float]  # K [N/m], B [N s/m], M [kg]

@@ -14,6 +14,9 @@ perturbation counts as alike if its force is the same, or the same per mass (`an
 Files that were written before the judged frequencies were kept have neither them nor the mass: the
 first and last frequency of their envelope stand for the one, the device file with their hash, where
 it is shipped, for the other.
+
+What would break it: a device file that was edited without a new name, which the hash shows only to
+those who have the older file.
 """
 
 import hashlib

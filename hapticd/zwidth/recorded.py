@@ -9,6 +9,9 @@ from a column of seconds (`times`), or as the user states it where the file does
 differ, the record is refused: every limit is proportional to the rate or its square. Rows that a
 column of seconds shows to be missing are filled in and counted, as those that a live trial loses
 are (`watch`).
+
+What would break it: channels that were not sampled together, or in other units that are not far
+enough off to be suspected (`analysis.channels`).
 """
 
 import csv

@@ -9,12 +9,15 @@ trial before it escapes. Trials are made a few at a time, each with noise of its
 device. The same search therefore makes the same trials, and goes on where it was interrupted.
 
 The set that is found is the paper's: environments whose trial rather passes than fails. A trial
-that escapes, or whose command saturates, teaches no spectrum, only that the loop is not stable
+that escapes, or whose command saturates, yields no spectrum, only that the loop is not stable
 there.
 
 Each trial is also a check: what was expected of it before it was learnt is kept beside what it gave
 (`Step`). A `Slice` through what was found is the largest passive K over B at one M, beside what was
 predicted before the first trial.
+
+What would break it: a device whose Re Z differs from the prediction in a way that changes faster
+than the surrogate's correlation lengths (`analysis.surrogate`); no later trial then corrects it.
 """
 
 from collections.abc import Callable
@@ -54,16 +57,14 @@ from hapticd.zwidth.outcomes import (
 from hapticd.zwidth.scenes import SATURATED
 from hapticd.zwidth.store import Progress, TrialStore, silent
 
-ROOM = (3.2, 1.3, 1.3)  # the box beyond the predicted axis limits of K, B, -M
+ROOM = (3.2, 1.3, 1.3)  # factors: the box beyond the predicted axis limits of K, B, -M
 HEAVIER = 1.6  # its positive end of M over the negative one
 SET_GRID = (24, 20, 24)
 INDEPENDENT_HZ = PROBE_RATE_HZ / (
     0.75 * DEFAULT_LAG
 )  # values of an estimate that are so far apart are independent
-POOR = (
-    0.2  # relative standard deviation, the median over the band, of a spectrum that teaches nothing
-)
-UNKNOWN = 10.0  # relative standard deviation of what teaches nothing
+POOR = 0.2  # relative standard deviation, the median over the band, of a spectrum that is not used
+UNKNOWN = 10.0  # relative standard deviation of a value that is not used
 DIGITS = 6  # of an environment: what is asked is what is stored
 SLICE = (30, 80)  # of K and B
 _HALVINGS = 7

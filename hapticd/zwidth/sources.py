@@ -9,6 +9,9 @@ K, B and M what is not given is that of the scene that was named, else 0: nobody
 500 N/m alone asks for the B and M of a scene that was not named. With none of the three given the
 environment is that of the record, else of the scene as it is, else 0. The active damping is a
 property of the device's drive: it is the record's, else the scene's, unless it is given.
+
+What would break it: a file whose record was made in another environment than the user says; only
+this package's own files state theirs.
 """
 
 from collections.abc import Callable
@@ -25,7 +28,6 @@ from hapticd.zwidth.store import Progress, RenderedEnvironment, TrialRecord
 from hapticd.zwidth.watch import Sentinel, Watch
 
 LEAST_KEPT_S = 8.0
-NOISE = Excitation("noise")
 NAMES = (("K", "N/m"), ("B", "N s/m"), ("M", "kg"))
 Typed = tuple[float | None, float | None, float | None]  # K [N/m], B [N s/m], M [kg]
 SAME = 1e-6  # relative
@@ -40,7 +42,7 @@ class Trial:
     environment: tuple[float, float, float] = (0.0, 0.0, 0.0)
     damping_ns_per_m: float = 0.0
     seconds: float = 90.0
-    excitation: Excitation = NOISE
+    excitation: Excitation = scenes.NOISE
     watch: Watch = field(default_factory=Watch)
     waveform_n: Floats | None = field(
         default=None, compare=False

@@ -15,6 +15,9 @@ names. JSON knows no nan and no infinity: both become null, and null is read as 
 
 Results become objects that JSON can carry (`plain`): arrays become lists, complex numbers pairs,
 what is not finite null.
+
+What would break it: two processes that append to one store at the same time; their lines may then
+interleave, and such lines are not read.
 """
 
 import hashlib

@@ -10,6 +10,9 @@ step; the boundary is the last stable wall below the first that is not, and foun
 two.
 
 Params -> plan_walls -> Plan -> run_walls -> Result.
+
+What would break it: a device whose stable walls are not in one piece as K is raised; a piece beyond
+the first unstable wall is not looked for.
 """
 
 from collections.abc import Iterator, Sequence
