@@ -57,9 +57,18 @@ def initial_state(params: ServoParams, tick: int = 0) -> ServoState:
     now = flat_plan(plan, tick, params, params.environment.workspace, 0.0)
     held = (params.device.force.to_count(0.0, I16_LOWEST, I16_HIGHEST), 0.0)
     settled = Settled(
-        now.wake_tick, now.environment, coefficients, 0, now.damping_count, now.blob,
-        plan.origin, 0.0, LINK_UP, plan.wave, plan,
-    )  # fmt: skip
+        wake_tick=now.wake_tick,
+        environment=now.environment,
+        coefficients=coefficients,
+        out_flags=0,
+        damping_count=now.damping_count,
+        blob=now.blob,
+        origin=plan.origin,
+        added=0.0,
+        host=LINK_UP,
+        wave=plan.wave,
+        plan=plan,
+    )
     return settled, at_rest(0.0), EMPTY, held
 
 

@@ -251,19 +251,18 @@ def make_attend(params: ServoParams) -> Attend:
         if not usable and plan.state not in (State.ENABLED, State.HOMING):
             left = plan.fade.value(tick)
             held = (force.to_count(left, I16_LOWEST, I16_HIGHEST), left)
-        per_period = params.device.damping.to_value(ready.damping_count) * rate_hz
         settled = Settled(
-            ready.wake_tick,
-            ready.environment,
-            coefficients,
-            out_flags(plan, tick),
-            ready.damping_count,
-            ready.blob,
-            plan.origin,
-            per_period,
-            host,
-            plan.wave,
-            plan,
+            wake_tick=ready.wake_tick,
+            environment=ready.environment,
+            coefficients=coefficients,
+            out_flags=out_flags(plan, tick),
+            damping_count=ready.damping_count,
+            blob=ready.blob,
+            origin=plan.origin,
+            added=params.device.damping.to_value(ready.damping_count) * rate_hz,
+            host=host,
+            wave=plan.wave,
+            plan=plan,
         )
         return (settled, law, ledger, held), usable, answers, flags
 
