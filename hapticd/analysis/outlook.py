@@ -1,5 +1,4 @@
-"""One environment before any trial: what the theorem, the tick's eigenvalues, the prediction and
-hands say.
+"""All that is known of one environment before any trial: eigenvalues, theorem, prediction, hands.
 
     radius       of the exact tick, friction left out: at 1 and above the display moves by itself
     theorem      damping to spare at every image, for every input, friction left out (`theorem`)

@@ -1,5 +1,5 @@
-"""Predicting whether an environment is passive on a device: thousands of them in the time of one
-trial's millisecond.
+"""Prediction without a trial: whether an environment is passive on a device, for thousands of them
+at once.
 
 Passive means both: the sampled loop is stable (`loop`), and the first harmonic of its impedance
 (`loop`) has Re Z >= 0 all over the band, with Coulomb friction linearised at a stated perturbation
