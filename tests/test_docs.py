@@ -202,7 +202,7 @@ def names_that_do_not_exist(text: str, settings: set[str]) -> list[str]:
     found = re.findall(r"(?<![\w/.-])hapticd\.([a-z]\w*(?:\.\w+)*)", text)
     quoted = re.findall(rf"`((?:{'|'.join(PACKAGES)})(?:\.\w+)+)`", text)
     found += [name for name in quoted if name not in settings]
-    for first, more in re.findall(r"`hapticd\.([\w.]+)\.\w+`((?:, `\.\w+`)+)", text):
+    for first, more in re.findall(r"`(?:hapticd\.)?([\w.]+)\.\w+`((?:, `\.\w+`)+)", text):
         found += [f"{first}{rest}" for rest in re.findall(r"\.\w+", more)]
     paths = re.findall(r"(?<![\w/])hapticd/[\w/]+\.py", text)
     return [name for name in found if not exists(name)] + [
@@ -242,6 +242,13 @@ def test_every_module_that_is_named_anywhere_exists() -> None:
         for name in names_that_do_not_exist(line, settings)
     ]
     assert missing == []
+
+
+def test_every_module_that_moved_is_where_the_changelog_says() -> None:
+    table = (ROOT / "CHANGELOG.md").read_text().partition("### Moved")[2].partition("\n#")[0]
+    rows = [line.split(" | ") for line in table.splitlines() if line.startswith("| `")]
+    assert len(rows) > 80
+    assert [name for _, place in rows for name in names_that_do_not_exist(place, set())] == []
 
 
 @pytest.mark.parametrize(

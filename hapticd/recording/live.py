@@ -234,7 +234,7 @@ GROUPS: dict[str, list[Channel]] = {
     ],
     "gap": [Channel("stream", "S16", 0, ""), *_integers("row", "missing")],
     "life": _integers("row", "epoch", "mono_unix_offset_ns"),
-    "checkpoint": [*_integers("epoch", "tick", "length")],
+    "checkpoint": _integers("epoch", "tick", "length"),
     "checkpoint_text": [Channel("bytes", "u1", 0, "")],
     "request": [
         *_integers("epoch", *REQUEST),

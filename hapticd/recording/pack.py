@@ -33,7 +33,7 @@ from hapticd.units import NS_PER_S
 
 CHUNK_ROWS = 4096
 ROWS_AT_ONCE = 1 << 18  # copied from the source
-GZIP = 4  # level of compression
+STORAGE = {"compression": "gzip", "compression_opts": 4, "shuffle": True, "fletcher32": True}
 FINAL = ".h5"
 LINES_AT_ONCE = 10_000  # of a text file
 GROUPS = ("servo", "probe", "event", "gap", "life")  # of a MATLAB file
@@ -99,27 +99,14 @@ def _write(file: Any, recording: Recording, found: dict[str, Any], recovered: bo
 
 def _copy(target: Any, name: str, recording: Recording, group: str, rows: int) -> None:
     first = recording.column(group, name, 0, 1)
-    dataset = _dataset(
-        target, name, (rows, *first.shape[1:]), first.dtype, recording.unit(group, name)
-    )
+    shape = (rows, *first.shape[1:])
+    # HDF5 makes no chunks of nothing
+    storage = {**STORAGE, "chunks": (min(CHUNK_ROWS, rows), *shape[1:])} if rows else {}
+    dataset = target.create_dataset(name, shape, first.dtype, **storage)
+    dataset.attrs["units"] = recording.unit(group, name)
     for begin in range(0, rows, ROWS_AT_ONCE):
         end = min(begin + ROWS_AT_ONCE, rows)
         dataset[begin:end] = recording.column(group, name, begin, end)
-
-
-def _dataset(target: Any, name: str, shape: tuple[int, ...], kind: Any, unit: str) -> Any:
-    storage: dict[str, Any] = {}
-    if shape[0]:  # HDF5 makes no chunks of nothing
-        storage = {
-            "chunks": (min(CHUNK_ROWS, shape[0]), *shape[1:]),
-            "compression": "gzip",
-            "compression_opts": GZIP,
-            "shuffle": True,
-            "fletcher32": True,
-        }
-    dataset = target.create_dataset(name, shape, kind, **storage)
-    dataset.attrs["units"] = unit
-    return dataset
 
 
 def to_mat(recording: Recording, path: Path) -> Path:
