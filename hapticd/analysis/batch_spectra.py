@@ -172,7 +172,7 @@ class BatchSections:
                 found[:, bins] = scale * (rows[first] + 1j * rows[first + 1])
             return found
 
-        last = complete(12, 14, 0.5)
+        last = complete(12, 14, 0.5)  # spectrum of the last section, which nothing follows
         return (
             complete(0, 6, 0.25) + np.abs(last) ** 2,
             complete(2, 8, 0.5),
@@ -185,6 +185,7 @@ class BatchSections:
         total = self._moments[:, 0]
         moment = self._moments[:, 1]
         last = np.concatenate(self._ends[-2:], axis=1) if len(self._ends) > 1 else self._ends[0]
+        # samples of the two last sections before the end of the record; beyond it there are zeros
         rest = n - LAG * (len(self._moments) - 1) + last.shape[1] - LAG
         return Moments(
             n,

@@ -157,9 +157,11 @@ def held_by(model: Model, hand: Hand) -> Model:
     velocity[heavy] = unit[n + inner.size :]
     loose = hand.loose
     push = hand.damping_ns_per_m @ velocity + hand.stiffness_n_per_m @ position
+    # a node without a mass has no velocity of its own: forces on it balance
     velocity[loose] = -np.linalg.solve(hand.damping_ns_per_m[np.ix_(loose, loose)], push[loose])
     force = hand.damping_ns_per_m @ velocity + hand.stiffness_n_per_m @ position
     ease = float(model.b0[rotor, model.inputs.torque])  # 1/kg
+    # the hand's mass on the probe moves with the rotor, which is heavier by it
     share = 1.0 / (1.0 + ease * hand.mass_kg[0])
     a0 = _wider(model.a0, size, size, rotor, share)
     a0[rotor] -= share * ease * force[0]
@@ -257,6 +259,7 @@ def shaking_hand(
     lifted = lift(model, damping_ns_per_m, filters)
     kbm = environments(np.atleast_2d(np.asarray(point, np.float64)))[0]
     short = -_outside(lifted, kbm, friction_ns_per_m)
+    # a margin of so many radii lets the motion grow the faster, the higher the frequency
     at = int(np.argmax(short * ANGLES * (ANGLES < _LAST)))
     if short[at] <= 0.0:
         return None
@@ -269,6 +272,7 @@ def shaking_hand(
         * p.encoder[1]
         * own**2
     )
+    # on the rim each image's term lies on its own circle, at the angle of the target on the whole
     target = -1.0 / (kbm @ lifted.law[:, at]) - reach(lifted, friction_ns_per_m).centre[at]
     reactance = (
         -(own.real + friction_ns_per_m) * np.tan(0.5 * np.angle(target / product)) - own.imag
@@ -278,9 +282,10 @@ def shaking_hand(
 
 def _tuned(w: Floats, reactance: Floats) -> Hand:
     """The hand without loss whose Z_h(jw) is j `reactance` (n,) [N s/m] at `w` (n,) [rad/s]."""
-    heavy = reactance[0] > 0.0
+    heavy = reactance[0] > 0.0  # a mass on the probe, otherwise a spring to the wall
     plain = w if heavy else -1.0 / w
     above = reactance > plain * reactance[0] / plain[0]
+    # nearer resonances ask for smaller tuned masses; the first set without a negative one will do
     for detuned in _DETUNED:
         peak = w * np.where(above, 1.0 + detuned, 1.0 - detuned)
         share = w[:, None] * peak**2 / (peak**2 - w[:, None] ** 2)

@@ -79,6 +79,7 @@ def linearise(
         if perturbation is None
         else [port for port, force in enumerate(coulomb_n) if force > 0.0]
     )
+    # each body in turn is given the damper that fits while the others keep theirs
     for _ in range(_ROUNDS if len(rubbing) > 1 else 1):
         for port in rubbing:
             alone = _alone(y, level, start, port)
@@ -86,6 +87,7 @@ def linearise(
     seen = hung(y, level - start[:, None])[0, 0]
     power = (seen.real**2 + seen.imag**2) @ weight
     sd = np.sqrt(power) if perturbation is not None else np.full(len(points), np.nan)
+    # a burst dies out where friction so much weaker leaves less motion than would weaken it so
     calm = np.ones(len(points), np.bool_)
     for port in rubbing:
         moving = MovingPort(loop.frequency_hz, _alone(y, level, start, port), weight)
@@ -204,6 +206,7 @@ def fitting_damper(alone: LonePort, gain_n: float, weight: Floats) -> Floats:
     falls past the value at which the loop begins to oscillate, and Re Z < 0 there says so.
     """
     b = np.full(len(alone.drive), _MOST)
+    # never upwards: the upper bound is the damper of the last round
     for _ in range(_ROUNDS_OF_ONE):
         b = np.clip(gain_n / alone.sd(b, weight), _LEAST, b)
     return b

@@ -257,6 +257,7 @@ def _tick(device: Sampled, rate_hz: float, filters: Filters) -> tuple[Floats, Fl
     """
     n = len(device.a)
     waiting = device.steps + 1
+    # the device's n, commands on their way (newest first), two last positions, two filters of two
     size = n + waiting + 6
     unit = np.eye(size)
     base = np.zeros((size, size))
@@ -264,11 +265,11 @@ def _tick(device: Sampled, rate_hz: float, filters: Filters) -> tuple[Floats, Fl
     base[:n, :n] = device.a
     if device.steps:
         base[:n, n + device.steps - 1] += device.new
-    else:
+    else:  # less than a tick of delay: the command acts within its own tick
         column[:n] = device.new
     base[:n, n + device.steps] += device.old
     column[n] = 1.0
-    base[n + 1 : n + waiting, n : n + waiting - 1] = np.eye(waiting - 1)
+    base[n + 1 : n + waiting, n : n + waiting - 1] = np.eye(waiting - 1)  # they move up by one
     at = n + waiting
     position = np.concatenate((device.row, np.zeros(size - n)))
     slope = (position - unit[at]) * rate_hz
@@ -283,7 +284,7 @@ def _tick(device: Sampled, rate_hz: float, filters: Filters) -> tuple[Floats, Fl
 def _filter(base: Floats, unit: Floats, at: int, source: Floats, biquad: Biquad) -> Floats:
     """Write a filter's two states into `base` and return the row of its output."""
     b0, b1, b2, a1, a2 = biquad
-    out = b0 * source + unit[at]
+    out = b0 * source + unit[at]  # transposed direct form II, as `render.filters` runs it
     base[at] = b1 * source - a1 * out + unit[at + 1]
     base[at + 1] = b2 * source - a2 * out
     return np.asarray(out)

@@ -200,6 +200,7 @@ def halved(
 def directions() -> Floats:
     """Unit vectors (N_RAYS, 3), spread evenly."""
     at = np.arange(N_RAYS) + 0.5
+    # equal areas downwards, the golden angle around
     down = np.arccos(1.0 - 2.0 * at / N_RAYS)
     around = np.pi * (1.0 + np.sqrt(5.0)) * at
     return np.column_stack(

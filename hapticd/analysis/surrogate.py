@@ -111,6 +111,7 @@ def _misfit(
     """Negative restricted log-likelihood per frequency, and variance of the whitened residual."""
     inverse, spread = precision(unit, trend, noise, length, amplitude)
     y = values[:, :, None]
+    # the residual after the trend that fits it best under this covariance
     white = inverse @ (y - trend @ (spread @ (trend.T @ (inverse @ y))))
     square = max(0.0, float((y * white).sum()) / len(values))
     logs = np.linalg.slogdet(inverse)[1].mean() + np.linalg.slogdet(spread)[1].mean()
@@ -220,6 +221,7 @@ def log_chance(found: Surrogate, environments: npt.ArrayLike, independent: Float
     """
     if not found.sd.any():
         return np.where(margin(found, environments) >= 0.0, 0.0, -np.inf)
+    # Phi is replaced by the logistic, whose logarithm is known far out as well
     scale = -_LOGISTIC / np.maximum(found.sd, _LEAST_SD)
     return np.concatenate(
         [

@@ -148,7 +148,7 @@ def lift(model: Model, damping_ns_per_m: float = 0.0, filters: Filters = PAPER_F
     out = (p.velocity[0, 0] * held(f.ravel(), rate_hz, model.delay_periods)).reshape(shape) / own
     back = p.encoder[1].reshape(shape)
     inner = pulse_transfer(model, turn, damping_ns_per_m) - (out * back).sum(axis=1)
-    back = back / own
+    back = back / own  # only now q: E needs P_xt itself
     sizes = [np.abs(out) ** 2, np.abs(back) ** 2]
     rest, rest_late = _beyond(2.0 * np.pi * f / rate_hz, model.delay_periods)
     tails = [_last(size, f, rate_hz) * rest for size in sizes]
@@ -186,6 +186,7 @@ def lifted_passive(lifted: Lift, points: npt.ArrayLike) -> Flags:
 
 
 def _gains(lifted: Lift, points: npt.ArrayLike) -> Complexes:
+    # c of the module's text: the law with its loop through the device closed
     law = environments(points) @ lifted.law
     return np.asarray(law / (1.0 + law * lifted.inner))
 

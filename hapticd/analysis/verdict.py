@@ -106,7 +106,7 @@ def _few(probability: float, degrees_of_freedom: float) -> float:
         )
     low = atan(-1e9)
     high = atan(1e9)
-    for _ in range(100):
+    for _ in range(100):  # to the last bit
         middle = 0.5 * (low + high)
         low, high = (middle, high) if _student(middle, nu) < probability else (low, middle)
     return sqrt(nu) * tan(0.5 * (low + high))
