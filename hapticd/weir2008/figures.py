@@ -65,7 +65,7 @@ from hapticd.weir2008.run import (
     SECONDS,
     SMOOTHED,
     WINDOW_HZ,
-    Found,
+    GridResult,
     Peak,
     ReproduceResult,
 )
@@ -87,7 +87,7 @@ COLOURED: Look = {
 PREDICTED_HZ = np.geomspace(*SHOWN_HZ, 400)
 
 
-def _how(result: ReproduceResult) -> str:
+def _subtitle(result: ReproduceResult) -> str:
     """The line below a title: the device, and how the numbers were found."""
     return simulated(MAIN, SECONDS if result.plan.seeds else 0.0)
 
@@ -102,7 +102,7 @@ def single_figure(result: ReproduceResult, places: tuple[int, ...], title: str) 
     gains over the first.
     """
     figure, (size, phase) = axes(
-        2, 1, WIDTH_IN, 5.8, f"{title}\n{_how(result)}", sharex=True, height_ratios=[3.0, 2.4]
+        2, 1, WIDTH_IN, 5.8, f"{title}\n{_subtitle(result)}", sharex=True, height_ratios=[3.0, 2.4]
     )
     shown = [result.singles[MAIN][place] for place in places]
     hertz_axis(phase, *SHOWN_HZ)
@@ -151,7 +151,7 @@ def envelope_figure(result: ReproduceResult, places: tuple[int, ...], title: str
     with the paper's peak.
     """
     shown = [drawn(result, place) for place in places]
-    figure = envelopes_figure(shown, f"{title}\n{_how(result)}", SHOWN_HZ, TRUSTED_HZ)
+    figure = envelopes_figure(shown, f"{title}\n{_subtitle(result)}", SHOWN_HZ, TRUSTED_HZ)
     peak = result.found[1].peak() if places == (1,) else None
     if peak is not None:
         _peak(figure.axes[0], peak)
@@ -274,7 +274,7 @@ def edges_figure(result: ReproduceResult) -> Figure:
 # --- the set on the paper's grid ------------------------------------------------------------------
 
 
-def passive_figure(found: Found, title: str) -> Figure:
+def passive_figure(found: GridResult, title: str) -> Figure:
     """The passive set in three dimensions, and the largest K over B and M as a colour."""
     count = int(found.passive.sum())
     how = (
@@ -292,7 +292,7 @@ def passive_figure(found: Found, title: str) -> Figure:
     return figure
 
 
-def _space(axis: Any, found: Found) -> None:
+def _space(axis: Any, found: GridResult) -> None:
     rank, at_b, at_m = np.nonzero(found.passive)
     m_g = 1e3 * AXES[2][at_m]
     axis.scatter(
@@ -315,7 +315,7 @@ def _space(axis: Any, found: Found) -> None:
     axis.set_box_aspect((1.0, 1.0, 1.15), zoom=0.95)
 
 
-def _flat(axis: Axes, found: Found) -> Any:
+def _flat(axis: Axes, found: GridResult) -> Any:
     """The largest passive K, and where the single trials lie; the ends at which the grid is smaller
     than the set. K and B end at 0 by definition.
     """

@@ -53,7 +53,7 @@ from hapticd.weir2008.future_work import (
     Corner,
     FutureWorkResult,
     Motion,
-    Shaped,
+    ShapedResult,
     mean_sd,
     shown_hz,
 )
@@ -86,7 +86,7 @@ BAND = f"{LOW_HZ[0]:g}-{LOW_HZ[1]:g} Hz"
 CORNERS_HZ = (0.4, 600.0)
 
 
-def _how(result: FutureWorkResult, more: str = "") -> str:
+def _subtitle(result: FutureWorkResult, more: str = "") -> str:
     """The line below a title: the device, how the numbers were found, how many seeds stand behind
     each of them.
     """
@@ -130,7 +130,7 @@ def edge_figure(result: FutureWorkResult) -> Figure:
     """Envelopes undamped, damped and with B < 0, by the paper's rule and without counting on
     friction, with the owners of their lower edges.
     """
-    title = f"Negative virtual damping and the lower edge of the Z-width\n{_how(result)}"
+    title = f"Negative virtual damping and the lower edge of the Z-width\n{_subtitle(result)}"
     figure, grid = axes(
         4, 2, WIDTH_IN, 5.9, title, sharex=True, sharey="row", height_ratios=[3.4, 0.3, 0.3, 0.3]
     )
@@ -200,7 +200,7 @@ def _line(
 
 def free_figure(result: FutureWorkResult) -> Figure:
     """|Z| over frequency where no stiffness is rendered, for each way of making that lighter."""
-    title = f"Free motion: passive for any input, friction not counted\n{_how(result)}"
+    title = f"Free motion: passive for any input, friction not counted\n{_subtitle(result)}"
     figure, (axis,) = axes(1, 1, WIDTH_IN, 4.4, title)
     for motion, look in zip(result.free.motions, (OFF, ON, NEGATIVE, WITH_MASS), strict=True):
         words = f"{_rendered(motion)}: {motion.low_db().mean():.1f} dB"
@@ -238,7 +238,7 @@ def shape_figure(result: FutureWorkResult) -> Figure:
     shaped = result.shaped
     title = (
         f"Frequency-shaped active damping, {shaped.level:g} N"
-        f" s/m\n{_how(result, 'lines predicted, marks ')}"
+        f" s/m\n{_subtitle(result, 'lines predicted, marks ')}"
     )
     figure, (above, below, free, size) = axes(2, 2, WIDTH_IN, 5.6, title)
     _shares(above, shaped, shaped.highpass, "damping above the corner only")
@@ -263,7 +263,7 @@ def shape_figure(result: FutureWorkResult) -> Figure:
     return figure
 
 
-def _shares(axis: Axes, shaped: Shaped, corners: tuple[Corner, ...], words: str) -> None:
+def _shares(axis: Axes, shaped: ShapedResult, corners: tuple[Corner, ...], words: str) -> None:
     """Limits in percent of those without a corner; dashed those without damping."""
     at = [corner.corner_hz for corner in corners]
     for place, (name, _, _, look) in enumerate(LIMITS):
@@ -277,7 +277,7 @@ def _shares(axis: Axes, shaped: Shaped, corners: tuple[Corner, ...], words: str)
     axis.set(ylim=(0.0, 118.0), xlabel="corner (Hz)", title=words)
 
 
-def _free(axis: Axes, shaped: Shaped) -> None:
+def _free(axis: Axes, shaped: ShapedResult) -> None:
     for corners, sign, words in (
         (shaped.highpass, "o", "damping above it"),
         (shaped.lowpass, "x", "damping below it"),
@@ -312,7 +312,7 @@ def _free(axis: Axes, shaped: Shaped) -> None:
 def levels_figure(result: FutureWorkResult) -> Figure:
     """Limits, volume of the passive set and free motion over active damping."""
     levels = result.levels
-    how = _how(result, "lines predicted, marks ")
+    how = _subtitle(result, "lines predicted, marks ")
     figure, grid = axes(
         2,
         2,

@@ -267,7 +267,7 @@ class Motion:
 
 
 @dataclass(frozen=True, eq=False)
-class Free:
+class FreeMotion:
     """`motions`: off, on, on_negative_B, on_negative_BM. `limits`: of B downwards, without and with
     damping.
 
@@ -290,7 +290,7 @@ class Corner:
 
 
 @dataclass(frozen=True, eq=False)
-class Shaped:
+class ShapedResult:
     """`plain` without a corner, `undamped` without damping; `bounds`, `confirmed` and `free` motion
     are those of the `best` high-pass.
 
@@ -311,7 +311,7 @@ class Shaped:
 
 
 @dataclass(frozen=True, eq=False)
-class Levels:
+class DampingLevels:
     """`level` (L,), predicted `limits` (L, 3), `volume` (L,) [N/m N s/m kg], `free_db` (L,);
     `confirmed` by trials.
 
@@ -388,9 +388,9 @@ class FutureWorkResult:
     plan: FutureWorkPlan
     envelopes: dict[str, Bounds]
     passing_twice: dict[str, float]
-    free: Free
-    shaped: Shaped
-    levels: Levels
+    free: FreeMotion
+    shaped: ShapedResult
+    levels: DampingLevels
     searches: tuple[SearchCheck, ...]
 
 
@@ -519,7 +519,7 @@ def _edge(runs: Floats, owner: Integers) -> Edge:
     return Edge(np.exp(np.log(runs).mean(axis=0)), spread, owner)
 
 
-def free_motion(bench: Bench, level: float, seeds: tuple[int, ...]) -> Free:
+def free_motion(bench: Bench, level: float, seeds: tuple[int, ...]) -> FreeMotion:
     """Undamped against damped by `level` [N s/m]."""
     end = bench.limit(level, 1, FURTHEST)
     damping, _ = lightest_safe(bench, level, end, 0.0)
@@ -532,7 +532,9 @@ def free_motion(bench: Bench, level: float, seeds: tuple[int, ...]) -> Free:
     )
     motions = tuple(_motion(bench, *each, seeds) for each in asked)
     downwards = bench.limits((0.0, level), seeds, (1,), (REACH[0], FURTHEST, REACH[2]))
-    return Free(motions, downwards, _refusal(damping, bench.display.model.viscous_ns_per_m + level))
+    return FreeMotion(
+        motions, downwards, _refusal(damping, bench.display.model.viscous_ns_per_m + level)
+    )
 
 
 def lightest_safe(
@@ -576,7 +578,7 @@ def _refusal(damping: float, physical: float) -> str:
     return ""
 
 
-def shaped_damping(bench: Bench, level: float, seeds: tuple[int, ...]) -> Shaped:
+def shaped_damping(bench: Bench, level: float, seeds: tuple[int, ...]) -> ShapedResult:
     """All corners at a damping level [N s/m] by prediction, the best one by trials."""
     undamped = corner(bench, 0.0)
     plain = corner(bench, level)
@@ -588,7 +590,7 @@ def shaped_damping(bench: Bench, level: float, seeds: tuple[int, ...]) -> Shaped
     best = min(kept, key=lambda each: each.free_db, default=plain)
     own = bench.shaped(highpass_hz=best.corner_hz) if best.corner_hz else bench
     stiffest = [float(predicted_set(each.display, level)[:, 0].max()) for each in (bench, own)]
-    return Shaped(
+    return ShapedResult(
         level,
         undamped,
         plain,
@@ -612,7 +614,7 @@ def corner(bench: Bench, level: float, corner_hz: float = 0.0) -> Corner:
     )
 
 
-def damping_levels(bench: Bench, seeds: tuple[int, ...]) -> Levels:
+def damping_levels(bench: Bench, seeds: tuple[int, ...]) -> DampingLevels:
     """All levels by prediction, TRIED_LEVELS by trials."""
     each = [corner(bench, level) for level in DAMPING_LEVELS]
     limits = np.array([one.limits for one in each])
@@ -623,7 +625,7 @@ def damping_levels(bench: Bench, seeds: tuple[int, ...]) -> Levels:
         for level, (_, cut) in zip(DAMPING_LEVELS, sets, strict=True)
         for end in cut
     ]
-    return Levels(
+    return DampingLevels(
         np.array(DAMPING_LEVELS), limits, np.array([size for size, _ in sets]), free,
         bench.limits(TRIED_LEVELS, seeds) if seeds else (), tuple(dict.fromkeys(ends)),
     )  # fmt: skip

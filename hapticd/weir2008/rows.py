@@ -55,10 +55,10 @@ from hapticd.weir2008.paper import (
 from hapticd.weir2008.run import (
     SCENES,
     WINDOW_HZ,
-    Found,
+    GridResult,
     Limit,
     ReproduceResult,
-    Single,
+    SingleTrials,
     conditions,
 )
 from hapticd.zwidth.walls import WallResult
@@ -405,14 +405,14 @@ def _walls(walls: WallResult) -> Iterator[PaperRow]:
         )
 
 
-def _passive(quantity: str, printed: float, single: Single, name: str) -> PaperRow:
+def _passive(quantity: str, printed: float, single: SingleTrials, name: str) -> PaperRow:
     seeds = len(single.trials)
     share = single.passed / seeds if seeds else float(single.predicted)
     note = UNDAMPED_LITERAL if name == LITERAL and not share else "" if seeds else "by prediction"
     return PaperRow(quantity, printed, share, "share", "independent", name, seeds=seeds, note=note)
 
 
-def _compared(undamped: Single, damped: Single, name: str) -> Iterator[PaperRow]:
+def _compared(undamped: SingleTrials, damped: SingleTrials, name: str) -> Iterator[PaperRow]:
     """Fig. 7 with over without damping."""
     found = compared(undamped, damped, name)
     value = found.mean(axis=0)
@@ -442,21 +442,22 @@ def _compared(undamped: Single, damped: Single, name: str) -> Iterator[PaperRow]
         )
 
 
-def compared(undamped: Single, damped: Single, name: str) -> Floats:
+def compared(undamped: SingleTrials, damped: SingleTrials, name: str) -> Floats:
     """(seeds, 3): active damping [Ns/m], phase advantage [deg], largest change of magnitude [%], of
     each seed that both trials survived; predicted if there is none."""
     pairs = zip(undamped.trials, damped.trials, strict=True)
     both = [(off.measured, on.measured) for off, on in pairs if off is not None and on is not None]
     measured = [
-        _three(off.frequency_hz, off.impedance_ns_per_m, on.impedance_ns_per_m) for off, on in both
+        _differences(off.frequency_hz, off.impedance_ns_per_m, on.impedance_ns_per_m)
+        for off, on in both
     ]
     f = np.geomspace(2.0, 1000.0, 200)
     return np.array(
-        measured or [_three(f, predicted(undamped, name, f), predicted(damped, name, f))]
+        measured or [_differences(f, predicted(undamped, name, f), predicted(damped, name, f))]
     )
 
 
-def predicted(single: Single, name: str, frequency_hz: Floats) -> Complexes:
+def predicted(single: SingleTrials, name: str, frequency_hz: Floats) -> Complexes:
     """Z (F,) [N s/m] of its environment at `frequency_hz` (F,), at the perturbation of the
     trials of the device `name`.
     """
@@ -466,7 +467,7 @@ def predicted(single: Single, name: str, frequency_hz: Floats) -> Complexes:
     )
 
 
-def _three(frequency_hz: Floats, off: Complexes, on: Complexes) -> tuple[float, float, float]:
+def _differences(frequency_hz: Floats, off: Complexes, on: Complexes) -> tuple[float, float, float]:
     low, middle, high = (
         (frequency_hz >= band[0]) & (frequency_hz <= band[1])
         for band in (LOW_HZ, MIDDLE_HZ, HIGH_HZ)
@@ -476,7 +477,7 @@ def _three(frequency_hz: Floats, off: Complexes, on: Complexes) -> tuple[float, 
     return gained, turned, float(100.0 * np.abs(np.abs(on / off) - 1.0)[high].max())
 
 
-def _peak(mode: str, found: Found | None, name: str) -> Iterator[PaperRow]:
+def _peak(mode: str, found: GridResult | None, name: str) -> Iterator[PaperRow]:
     """Of the upper envelope: by trials for the first device, by prediction for the others."""
     peak = None if found is None else found.peak()
     at = mass = rise = nan
@@ -523,7 +524,7 @@ def _peak(mode: str, found: Found | None, name: str) -> Iterator[PaperRow]:
         )
 
 
-def _grid(found: tuple[Found, ...]) -> Iterator[PaperRow]:
+def _grid(found: tuple[GridResult, ...]) -> Iterator[PaperRow]:
     counts = [int(each.passive.sum()) for each in found]
     for mode, each, count in zip(MODES.values(), found, counts, strict=True):
         how = (
@@ -555,7 +556,7 @@ def _grid(found: tuple[Found, ...]) -> Iterator[PaperRow]:
         yield from _bounds(mode, each)
 
 
-def _bounds(mode: str, found: Found) -> Iterator[PaperRow]:
+def _bounds(mode: str, found: GridResult) -> Iterator[PaperRow]:
     """Of Fig. 11, at the frequency next to 2 Hz."""
     envelope = found.envelope
     count = found.seeds

@@ -123,7 +123,7 @@ class Limit:
 
 
 @dataclass(frozen=True, eq=False)
-class Single:
+class SingleTrials:
     """Trials of one environment by seed, None of one that ran away (no seeds if quick), and the
     prediction's verdict.
     """
@@ -164,7 +164,7 @@ class Peak:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class GridResult:
     """Of one damping level: `passive` (nK, nB, nM) of the grid, `undecided` of the `trials`
     that passed; the envelope [N s/m], and `environments` (N, 3) that its owners are places in.
     """
@@ -215,9 +215,9 @@ class ReproduceResult:
     limits: tuple[Limit, ...]
     sets: tuple[Limit, ...]
     edges: tuple[Limit, ...]
-    singles: dict[str, tuple[Single, ...]]
-    found: tuple[Found, ...]
-    predicted: dict[str, tuple[Found | None, ...]]
+    singles: dict[str, tuple[SingleTrials, ...]]
+    found: tuple[GridResult, ...]
+    predicted: dict[str, tuple[GridResult | None, ...]]
     walls: WallResult | None
 
 
@@ -240,14 +240,14 @@ def run_reproduce(
     `simulate`.
     """
     seeds = len(plan.seeds)
-    predicted: dict[str, tuple[Found | None, ...]] = {}
+    predicted: dict[str, tuple[GridResult | None, ...]] = {}
     steps = Steps(tell, 2 * len(plan.devices))
     for name in plan.devices:
         steps.next(f"predicting, {name}")
         predicted[name] = tuple(by_prediction(conditions(name).display, level) for level in LEVELS)
     readings = _readings(plan.devices, seeds)
     store = TrialStore(None) if seeds else None
-    singles: dict[str, tuple[Single, ...]] = {}
+    singles: dict[str, tuple[SingleTrials, ...]] = {}
     with pool_of(executor) as pool:
         for name in plan.devices:
             steps.next(f"Figs. 4 and 7, {name}")
@@ -260,8 +260,8 @@ def run_reproduce(
             if seeds
             else tuple(each for each in predicted[MAIN] if each is not None)
         )
-    hit = WallMapParams(load_scene("wall"), WALL_STIFFNESSES, WALL_DAMPINGS, LEVELS)
-    walls = run_walls(plan_walls(hit), tell) if seeds else None
+    wall_params = WallMapParams(load_scene("wall"), WALL_STIFFNESSES, WALL_DAMPINGS, LEVELS)
+    walls = run_walls(plan_walls(wall_params), tell) if seeds else None
     return ReproduceResult(plan, limits, sets, edges, singles, found, predicted, walls)
 
 
@@ -269,21 +269,23 @@ def _readings(devices: tuple[str, ...], seeds: int) -> tuple[list[LimitsPlan], .
     """Limits on their axes, over the whole set, and of K from each lower band edge."""
     each = [(name, level) for name in devices for level in LEVELS]
     return (
-        [_asked(name, seeds) for name in devices],
+        [_limits_plan(name, seeds) for name in devices],
         [
-            _asked(name, min(seeds, SET_SEEDS), (level,), (axis,), set_place(name, level, axis))
+            _limits_plan(
+                name, min(seeds, SET_SEEDS), (level,), (axis,), set_place(name, level, axis)
+            )
             for name, level in each
             for axis in range(3)
         ],
         [
-            _asked(name, min(seeds, EDGE_SEEDS), (level,), (0,), low_hz=low_hz)
+            _limits_plan(name, min(seeds, EDGE_SEEDS), (level,), (0,), low_hz=low_hz)
             for name, level in each
             for low_hz in EDGES_HZ
         ],
     )
 
 
-def _asked(
+def _limits_plan(
     name: str,
     seeds: int,
     levels: tuple[float, ...] = LEVELS,
@@ -358,9 +360,9 @@ def predicted_set(device: Display, level: float) -> Floats:
 
 def _single(
     name: str, point: Point, level: float, seeds: tuple[int, ...], pool: Executor
-) -> Single:
+) -> SingleTrials:
     trials = tuple(pool.map(partial(single_trial, name, point, level), seeds))
-    return Single(
+    return SingleTrials(
         point, level, trials, bool(conditions(name).display.passive(np.array([point]), level)[0])
     )
 
@@ -380,7 +382,7 @@ def single_trial(device: str, point: Point, level: float, seed: int) -> TrialRes
     )
 
 
-def _grid(tell: Progress, pool: Executor) -> tuple[Found, ...]:
+def _grid(tell: Progress, pool: Executor) -> tuple[GridResult, ...]:
     """By trials, each level."""
     plan = worth_trying(plan_map(MapParams(conditions(MAIN), AXES, LEVELS)))
     return tuple(_of_map(level) for level in run_map(plan, TrialStore(None), tell, pool).levels)
@@ -401,7 +403,7 @@ def worth_trying(plan: MapPlan) -> MapPlan:
     return replace(plan, levels=tuple(levels))
 
 
-def _of_map(level: LevelMap) -> Found:
+def _of_map(level: LevelMap) -> GridResult:
     """Set and envelope of the trials that passed, in the order of the grid. AnalysisError if
     none did.
     """
@@ -413,12 +415,12 @@ def _of_map(level: LevelMap) -> Found:
     undecided = sum(outcome.answer != "passive" for outcome in passed)
     environments = np.array([outcome.environment for outcome in passed])
     tried = level.tried.reshape(level.found.margin.shape)
-    return Found(
+    return GridResult(
         level.found.passive & tried, undecided, len(level.outcomes), level.envelope, environments
     )
 
 
-def by_prediction(device: Display, level: float) -> Found | None:
+def by_prediction(device: Display, level: float) -> GridResult | None:
     """The same without trials: `undecided` and `trials` are 0, the envelope has no uncertainty.
     None for an empty set."""
     passive = device.passive(POINTS, level)
@@ -428,7 +430,7 @@ def by_prediction(device: Display, level: float) -> Found | None:
     f = frequencies(SHOWN_HZ, device.perturbation)
     f = f[(f >= SHOWN_HZ[0]) & (f <= SHOWN_HZ[1])]
     shape = [axis.size for axis in AXES]
-    return Found(
+    return GridResult(
         passive.reshape(shape), 0, 0, of_predicted(f, device.impedances(kept, level, f)), kept
     )
 
