@@ -29,6 +29,7 @@ from typing import Literal
 import numpy as np
 
 from hapticd.analysis.arrays import Complexes, Floats
+from hapticd.analysis.impedance import Impedance
 from hapticd.analysis.predict import predicted_impedance
 from hapticd.analysis.theorem import required_damping
 from hapticd.plant.effects import Motor, crowbar_nms_per_rad, lever_of_crowbar_m
@@ -446,15 +447,23 @@ def compared(undamped: SingleTrials, damped: SingleTrials, name: str) -> Floats:
     """(seeds, 3): active damping [Ns/m], phase advantage [deg], largest change of magnitude [%], of
     each seed that both trials survived; predicted if there is none."""
     pairs = zip(undamped.trials, damped.trials, strict=True)
-    both = [(off.measured, on.measured) for off, on in pairs if off is not None and on is not None]
     measured = [
-        _differences(off.frequency_hz, off.impedance_ns_per_m, on.impedance_ns_per_m)
-        for off, on in both
+        _differences(*_on_common_lines(off.measured, on.measured))
+        for off, on in pairs
+        if off is not None and on is not None
     ]
     f = np.geomspace(2.0, 1000.0, 200)
     return np.array(
         measured or [_differences(f, predicted(undamped, name, f), predicted(damped, name, f))]
     )
+
+
+def _on_common_lines(off: Impedance, on: Impedance) -> tuple[Floats, Complexes, Complexes]:
+    """Both impedances at the frequencies that both trials have: one that was judged again between
+    two lines of its window, at a narrow resonance, has a line more.
+    """
+    f, at_off, at_on = np.intersect1d(off.frequency_hz, on.frequency_hz, return_indices=True)
+    return f, off.impedance_ns_per_m[at_off], on.impedance_ns_per_m[at_on]
 
 
 def predicted(single: SingleTrials, name: str, frequency_hz: Floats) -> Complexes:
