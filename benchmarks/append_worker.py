@@ -24,7 +24,8 @@ def main() -> None:
     """As the recorder's live file: chunks of as many rows, single writer and multiple readers."""
     import h5py
 
-    path, ticks_hz, samples_hz, seconds = sys.argv[1], *map(float, sys.argv[2:])
+    path = sys.argv[1]
+    ticks_hz, samples_hz, seconds = map(float, sys.argv[2:])
     with h5py.File(path, "x", libver=("v110", "v110")) as file:
         rows = [
             (
