@@ -154,40 +154,50 @@ def drifting(seed, lag=256):
     return spa(*record(with_phase_margin(0.0), seed, 45_000, noise_m_per_s=5e-3), 4000.0, lag)
 
 
-def test_an_edge_that_lost_its_power_to_a_drift_is_left_out():
-    """Side lobes of what is at 0 Hz are negative between lines. A verdict then begins at the next
-    line, and says so."""
-    left_out = 0
+def test_the_line_below_stands_for_an_edge_that_lost_its_power_to_a_drift():
+    """Side lobes of what is at 0 Hz are negative between lines. A verdict then begins at the line
+    below, so that the band has no gap, and says so."""
+    replaced = 0
     for seed in range(40):
         trial = drifting(seed)
         asked = trial.band((16.0, 500.0))
-        line = trial.frequency_hz[3]
-        left_out += asked.frequency_hz[0] == line
+        line = trial.frequency_hz[2]
+        replaced += asked.frequency_hz[0] == line
         assert asked.frequency_hz[0] in (16.0, line)
         assert asked.velocity[0] >= 0.5 * trial.velocity[2:4].min()
         assert (
             judge(trial, band_hz=(16.0, 500.0), channels=False).first_judged_hz
             == asked.frequency_hz[0]
         )
-    assert 10 < left_out < 40
+    assert 10 < replaced < 40
 
 
 def test_a_band_that_lost_its_edge_is_not_called_passive():
-    """Power at 0 Hz takes the edge, which is no line; the device is passive where it is seen.
-    What was seen to be active stays so.
+    """Power at 0 Hz takes the edge, which is no line. Where the window says nothing of the line
+    below either, nothing is said of the band; what was seen to be active stays so.
     """
     trial = exact_trial(mass_damper(), 0.99)
     drift = dataclasses.replace(
         trial, velocity=np.where(trial.frequency_hz == 0.0, 1e6, 1.0) * trial.velocity
     )
-    found = judge(drift, band_hz=(3.4, 500.0), channels=False)
-    assert found.first_judged_hz == trial.frequency_hz[4]
+    covered = judge(drift, band_hz=(3.4, 500.0), channels=False)
+    assert (covered.first_judged_hz, covered.answer) == (trial.frequency_hz[3], "passive")
+    asked = {"band_hz": (1.4, 500.0), "below_window": True, "channels": False}
+    found = judge(drift, **asked)
+    assert found.first_judged_hz == trial.frequency_hz[2]
     assert found.margin_ns_per_m.lower > 0.0
     assert found.answer == "undecided"
     assert "record longer" in str(found)
-    assert judge(drift, band_hz=(found.first_judged_hz, 500.0), channels=False).answer == "passive"
     active = dataclasses.replace(drift, cross=-drift.cross)
-    assert judge(active, band_hz=(3.4, 500.0), channels=False).answer == "not_passive"
+    assert judge(active, **asked).answer == "not_passive"
+
+
+def test_the_line_above_stands_for_an_upper_edge_that_lost_its_power():
+    trial = exact_trial(mass_damper(), 0.99)
+    inside = trial.frequency_hz < 499.5
+    steep = dataclasses.replace(trial, velocity=np.where(inside, 1e6, 1.0) * trial.velocity)
+    band = steep.band((2.0, 500.1)).frequency_hz
+    assert band[-1] == 500.1 or band[-1] == trial.frequency_hz[trial.frequency_hz > 500.1][0]
 
 
 def test_an_edge_is_not_known_better_than_the_lines_beside_it():

@@ -20,12 +20,12 @@ from hapticd.plant.scene import Excitation
 pytestmark = pytest.mark.slow
 
 
-def answers(z, noise_m_per_s, trials, band_hz=(16.0, 500.0)):
+def answers(z, noise_m_per_s, trials, band_hz=(16.0, 500.0), samples=45_000):
     """Shares of the three answers, and of trials that the plain +-90 degree rule calls passive."""
     found = []
     plain = 0
     for seed in range(trials):
-        force, velocity = record(z, seed, 45_000, noise_m_per_s=noise_m_per_s)
+        force, velocity = record(z, seed, samples, noise_m_per_s=noise_m_per_s)
         verdict = judge(spa(force, velocity, 4000.0, 256), band_hz=band_hz, channels=False)
         found.append(verdict.answer)
         plain += verdict.within_90_deg
@@ -54,7 +54,9 @@ def test_margin_of_one_degree_raises_no_alarm():
 
 def test_clear_cases_are_decided():
     assert answers(with_phase_margin(-5.0), 1e-3, 40)[0]["not_passive"] == 1.0
-    assert answers(with_phase_margin(10.0), 1e-3, 40)[0]["passive"] >= 0.95
+    # at the lowest line of the window the velocity drifts: half as long, a tenth stays undecided
+    shares, _ = answers(with_phase_margin(10.0), 1e-3, 40, samples=90_000)
+    assert shares["passive"] >= 0.95
 
 
 def test_active_device_is_never_called_passive():

@@ -77,14 +77,14 @@ def test_plain_results_are_json_without_infinities() -> None:
             "a": Inner(np.array([1.0, inf, nan])),
             "b": (1, True, None, "x"),
             "c": np.float64(2.0),
-            "d": 1 + 2j,
+            "d": np.array([1 + 2j]),
         }
     )
     assert found == {
         "a": {"values": [1.0, None, None], "big": None},
         "b": [1, True, None, "x"],
         "c": 2.0,
-        "d": [1.0, 2.0],
+        "d": [[1.0, 2.0]],
     }
 
 

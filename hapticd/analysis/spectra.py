@@ -136,9 +136,11 @@ class Spectra:
         """Spectra from `band_hz[0]` to `band_hz[1]`, both ends among them: an end that is no line
         is interpolated exactly.
 
-        An end that has lost its power to the side lobes of a drift is left out, for it would say
-        nothing of the device. Spectra that are not `whole` give whatever frequencies they have
-        inside. AnalysisError for an end outside 0..rate/2.
+        At an end that has lost its power to the side lobes of a drift, or of a steep spectrum, the
+        next line outside the band stands in its place, so that the band is looked at without a
+        gap; it is left out below `lowest_hz`, of which the window says nothing. Spectra that are
+        not `whole` give whatever frequencies they have inside. AnalysisError for an end outside
+        0..rate/2.
         """
         if not self.whole:
             return self.part((self.frequency_hz >= band_hz[0]) & (self.frequency_hz <= band_hz[1]))
@@ -146,18 +148,23 @@ class Spectra:
         _, first = lines_beside(band_hz[0], self.rate_hz, self.lag)
         last, _ = lines_beside(band_hz[1], self.rate_hz, self.lag)
         lines = self.part(slice(first, last + 1))
-        after = self._edge(band_hz[1]) if band_hz[1] > band_hz[0] else []
-        return _joined([*self._edge(band_hz[0]), lines, *after])
+        after = self._edge(band_hz[1], 1) if band_hz[1] > band_hz[0] else []
+        return _joined([*self._edge(band_hz[0], 0), lines, *after])
 
-    def _edge(self, frequency_hz: float) -> "list[Spectra]":
-        """The spectra at an end of a band, if it is no line and has its power."""
-        below, above = lines_beside(frequency_hz, self.rate_hz, self.lag)
-        if below == above:
+    def _edge(self, frequency_hz: float, outside: int) -> "list[Spectra]":
+        """The spectra at an end of a band that is no line; where that has no power of its own, the
+        line below it (`outside` = 0) or above it (1).
+        """
+        beside = lines_beside(frequency_hz, self.rate_hz, self.lag)
+        if beside[0] == beside[1]:
             return []
         found = self._between(frequency_hz)
-        beside = self.part(slice(below, above + 1))
-        channels = ((found.velocity, beside.velocity), (found.force, beside.force))
-        return [] if any(own < LEFT * lines.min() for own, lines in channels) else [found]
+        lines = self.part(np.array(beside))
+        channels = ((found.velocity, lines.velocity), (found.force, lines.force))
+        if all(own >= LEFT * both.min() for own, both in channels):
+            return [found]
+        instead = lines.part(slice(outside, outside + 1))
+        return [instead] if instead.frequency_hz[0] >= self.lowest_hz else []
 
     def _between(self, frequency_hz: float) -> "Spectra":
         """The spectra at a frequency that is no line: interpolated as recorded, then corrected

@@ -356,11 +356,13 @@ def _reread(trial: Spectra, findings: tuple[Finding, ...]) -> tuple[Finding, ...
 def _lost_edges(
     trial: Spectra, inside: Spectra, band_hz: tuple[float, float]
 ) -> tuple[Finding, ...]:
-    """Name an edge of the band that a window could have shown and that has no power of its own:
+    """Name an edge of the band that has no power of its own, nor a line beyond it in its place:
     what was not looked at is not called passive.
     """
-    ends = inside.frequency_hz[[0, -1]]
-    lost = [edge for edge, at in zip(band_hz, ends, strict=True) if abs(at - edge) > NEAR_HZ]
+    first_hz, last_hz = inside.frequency_hz[[0, -1]]
+    beyond = (first_hz - band_hz[0], band_hz[1] - last_hz)
+    ends = (first_hz, last_hz)
+    lost = [edge for edge, gap_hz in zip(band_hz, beyond, strict=True) if gap_hz > NEAR_HZ]
     if not (trial.whole and lost):
         return ()
     message = (

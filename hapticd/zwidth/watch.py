@@ -30,8 +30,9 @@ whose gaps are closed up jumps at every one of them, and a jump is noise at all 
 per cent lost by sixes took more than half of |Z| at 2 Hz over a spring of 500 N/m. So what is
 missing keeps its place in time:
 
-    up to 10 ms       a straight line in both channels: 1 % lost by sixes changes |Z| by 3 % where
-                      it is worst
+    up to 10 ms       a straight line in both channels: 1 % lost by sixes changes the window's |Z|
+                      by 3 % where it is worst; of a spring of 500 N/m that is judged again on its
+                      record, 0.5 % take a tenth at 2 Hz
     longer            silence in both: a line would be a push that never was
 
 A lost slot is another matter: the servo left out a tick, the command before stood longer, and what
