@@ -20,7 +20,7 @@ from hapticd.params import HomeParams, InjectionParams, RealtimeParams, UsbParam
 from hapticd.servo.loop import ServoLoop
 from hapticd.servo.safety import State
 from hapticd.wire import codec
-from hapticd.wire.frames import OutFlag, Status
+from hapticd.wire.frames import OutFlag, StatusBit
 
 DTYPE = np.dtype([tuple(field) for field in layout.TELEMETRY])
 FIG_4 = {Value.STIFFNESS: 100.0, Value.DAMPING: 1.0, Value.MASS: 0.010, Value.RAMP_S: 0.0}
@@ -282,7 +282,8 @@ def test_perturbation_arrives_whole_and_keeps_the_fifo_level():
     assert min(levels) >= 2
     assert max(levels) <= 12
     assert not any(
-        frame.status & (Status.FIFO_UNDERRUN | Status.FIFO_OVERFLOW) for frame in frames[20:900]
+        frame.status & (StatusBit.FIFO_UNDERRUN | StatusBit.FIFO_OVERFLOW)
+        for frame in frames[20:900]
     )
 
 

@@ -280,7 +280,7 @@ def test_empty_board_answers_every_write() -> None:
     board = board_params(stand)
     assert board is not None
     port = EmptyBoard(board)
-    assert codec.decode_in(port.poll_in(0) or b"").status == frames.Status.SIMULATED
+    assert codec.decode_in(port.poll_in(0) or b"").status == frames.StatusBit.SIMULATED
     assert (
         BareLoop(
             servo_params(stand, "bench").usb, board, yardstick(EnvironmentParams(), 1000.0)

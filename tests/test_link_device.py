@@ -9,7 +9,7 @@ from hapticd.errors import LinkLost, LinkStalled, LinkTimeout, ProtocolMismatch
 from hapticd.link.base import Link, backoff_s
 from hapticd.link.device import SEED, Device
 from hapticd.wire import codec, frames
-from hapticd.wire.frames import Hello, InFrame, OutFlag, OutFrame
+from hapticd.wire.frames import HelloFrame, InFrame, OutFlag, OutFrame
 from hapticd.wire.session import BACKWARD
 
 PERIOD_US = 1000
@@ -22,7 +22,7 @@ class Script(Link):
         self.replies = list(replies)
         self.sent = []
         self.opened = 0
-        self.hello = Hello(
+        self.hello = HelloFrame(
             frames.PROTOCOL_HASH,
             0x0100,
             1,

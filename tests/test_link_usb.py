@@ -20,7 +20,7 @@ from hapticd.sim.backend import SimulatedBackend, usb_error
 from hapticd.sim.board import BoardModel
 from hapticd.sim.injection import with_injections
 from hapticd.wire import codec
-from hapticd.wire.frames import Request, Status
+from hapticd.wire.frames import Request, StatusBit
 
 
 class Backend(SimulatedBackend):
@@ -130,11 +130,11 @@ def test_hello_is_read_through_the_link(bench):
 
 
 def test_clear_fault_is_sent_through_the_link(bench):
-    bench.board.trip(int(Status.ENCODER_FAULT))
-    bench.board.heal(int(Status.ENCODER_FAULT))
-    assert bench.pair().status & Status.ENCODER_FAULT
+    bench.board.trip(int(StatusBit.ENCODER_FAULT))
+    bench.board.heal(int(StatusBit.ENCODER_FAULT))
+    assert bench.pair().status & StatusBit.ENCODER_FAULT
     assert bench.link.request(Request.CLEAR_FAULT) == b""
-    assert not bench.pair().status & Status.ENCODER_FAULT
+    assert not bench.pair().status & StatusBit.ENCODER_FAULT
 
 
 def test_serial_number_selects_the_board():
@@ -268,7 +268,7 @@ def test_missing_out_is_a_time_out_of_the_in():
     bench.pair()
     with pytest.raises(LinkTimeout, match="errno 110"):
         bench.pair()
-    assert bench.pair().status & Status.SEQ_GAP
+    assert bench.pair().status & StatusBit.SEQ_GAP
 
 
 def test_late_in_is_waited_for_within_the_time_out():

@@ -12,7 +12,7 @@ from hapticd.params import HomeParams, SafetyParams
 from hapticd.servo import safety
 from hapticd.servo.plan import GATEWAY_ALIVE, LINK_UP, SETTLED
 from hapticd.servo.safety import FAULT_EVENT, State
-from hapticd.wire.frames import OutFlag, Status
+from hapticd.wire.frames import OutFlag, StatusBit
 
 STIFF = {Value.STIFFNESS: 100.0}
 DENTED = 20_000  # counts = 10 mm: -1 N at 100 N/m
@@ -220,11 +220,11 @@ def test_lost_gateway_means_nothing_while_disabled():
 @pytest.mark.parametrize(
     ("sample", "code"),
     [
-        ({"status": int(Status.AMPLIFIER_FAULT)}, "board_fault"),
-        ({"status": int(Status.ENCODER_FAULT)}, "board_fault"),
-        ({"status": int(Status.OVER_TEMPERATURE)}, "over_temperature"),
+        ({"status": int(StatusBit.AMPLIFIER_FAULT)}, "board_fault"),
+        ({"status": int(StatusBit.ENCODER_FAULT)}, "board_fault"),
+        ({"status": int(StatusBit.OVER_TEMPERATURE)}, "over_temperature"),
         ({"celsius": 120.5}, "over_temperature"),
-        ({"status": int(Status.WATCHDOG)}, "board_watchdog"),
+        ({"status": int(StatusBit.WATCHDOG)}, "board_watchdog"),
         ({"host": GATEWAY_ALIVE, "arrival": -1}, "usb_lost"),
         ({"arrival": -9}, "frames_lost"),
         ({"encoder": DENTED + 50_000}, "sensor_range"),
@@ -245,7 +245,7 @@ def test_every_loss_leads_to_a_latched_fault_with_its_cause(sample, code):
 @pytest.mark.parametrize(
     "sample",
     [
-        {"status": int(Status.AMPLIFIER_FAULT)},
+        {"status": int(StatusBit.AMPLIFIER_FAULT)},
         {"celsius": 121.0},
         {"host": GATEWAY_ALIVE, "arrival": -3},
     ],
@@ -261,7 +261,7 @@ def test_reset_is_refused_while_the_cause_persists(sample):
 def test_fault_keeps_its_first_cause():
     flight = enabled(servo_params())
     flight.event(FAULT_EVENT, BY_CODE["lost_slots"].number)
-    flight.fly(1, status=int(Status.AMPLIFIER_FAULT))
+    flight.fly(1, status=int(StatusBit.AMPLIFIER_FAULT))
     assert flight.blob["fault"] == BY_CODE["lost_slots"].number
 
 
@@ -309,7 +309,7 @@ def test_encoder_that_stays_off_needs_homing_again_and_can_be_reset():
     assert flight.do(Command.ENABLE) is Result.REFUSED_NOT_HOMED
 
 
-@pytest.mark.parametrize("sample", [{"arrival": -9}, {"status": int(Status.WATCHDOG)}])
+@pytest.mark.parametrize("sample", [{"arrival": -9}, {"status": int(StatusBit.WATCHDOG)}])
 def test_enable_and_reset_are_refused_for_what_would_fault_at_once(sample):
     flight = Flight(servo_params())
     flight.fly(1, **sample)

@@ -12,7 +12,7 @@ from hapticd.link.device import SEED
 from hapticd.mailbox.layout import Command, Flag, Result, Value
 from hapticd.params import HomeParams, ScaleParams
 from hapticd.servo.safety import State
-from hapticd.wire.frames import Status
+from hapticd.wire.frames import StatusBit
 
 STIFF = {Value.STIFFNESS: 100.0}
 
@@ -285,7 +285,7 @@ def test_homing_at_the_index_takes_the_mark():
     )
     flight = Flight(servo_params(device=device_params(home=home)))
     flight.do(Command.HOME)
-    flight.fly(1, encoder=700, status=int(Status.INDEX), index=20)
+    flight.fly(1, encoder=700, status=int(StatusBit.INDEX), index=20)
     assert flight.plan.state is State.DISABLED
     assert flight.fly(1, encoder=700)[1] == pytest.approx(0.003 + 20 * COUNT_M)
 

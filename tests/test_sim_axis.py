@@ -11,7 +11,7 @@ from hapticd.plant.step import held_force_response
 from hapticd.sim.axis import PAIRS_MAX, Axis, i16_count
 from hapticd.sim.board import BoardModel
 from hapticd.wire import codec
-from hapticd.wire.frames import FIFO_DEPTH, OutFlag, Status
+from hapticd.wire.frames import FIFO_DEPTH, OutFlag, StatusBit
 
 WATCHDOG_SUBSTEPS = 250 * 16
 HOLD_SUBSTEPS = 2000 * 16
@@ -28,10 +28,10 @@ def test_force_is_held_until_the_watchdog():
     axis = enabled_axis()
     axis.run_to(WATCHDOG_SUBSTEPS - 1)
     assert axis.force_n == 1000 * 8.0 / 32767
-    assert not axis.status & Status.WATCHDOG
+    assert not axis.status & StatusBit.WATCHDOG
     axis.run_to(WATCHDOG_SUBSTEPS)
     assert (axis.force_n, axis.live) == (0.0, False)
-    assert axis.status == Status.WATCHDOG
+    assert axis.status == StatusBit.WATCHDOG
 
 
 def test_watchdog_flushes_the_fifo():
@@ -78,14 +78,14 @@ def test_watchdog_stays_until_an_out_without_enable():
     axis.run_to(WATCHDOG_SUBSTEPS)
     axis.obey(ENABLE, 2000, 0, ())
     assert (axis.status, axis.force_n, axis.damping_n) == (
-        Status.WATCHDOG,
+        StatusBit.WATCHDOG,
         0.0,
         pytest.approx(10.0),
     )
     axis.obey(0, 2000, 0, ())
     assert (axis.status, axis.force_n, axis.damping_n) == (0, 0.0, 0.0)
     axis.obey(ENABLE, 2000, 0, ())
-    assert axis.status == Status.ENABLED
+    assert axis.status == StatusBit.ENABLED
     assert axis.force_n == 2000 * 8.0 / 32767
 
 
@@ -95,9 +95,9 @@ def test_watchdog_runs_again_after_recovery():
     axis.obey(0, 0, 0, ())
     axis.obey(ENABLE, 500, 0, ())
     axis.run_to(2 * WATCHDOG_SUBSTEPS - 1)
-    assert axis.status == Status.ENABLED
+    assert axis.status == StatusBit.ENABLED
     axis.run_to(2 * WATCHDOG_SUBSTEPS)
-    assert axis.status == Status.WATCHDOG
+    assert axis.status == StatusBit.WATCHDOG
 
 
 def test_bad_frames_do_not_feed_the_watchdog():
@@ -106,7 +106,10 @@ def test_bad_frames_do_not_feed_the_watchdog():
     for tick in range(1, 12):
         board.on_out(memoryview(b"nonsense"), tick * TICK_NS)
     frame = exchange(board, 12, flags=ENABLE)
-    assert frame.status == Status.SIMULATED | Status.WATCHDOG | Status.BAD_FRAME | Status.SEQ_GAP
+    assert (
+        frame.status
+        == StatusBit.SIMULATED | StatusBit.WATCHDOG | StatusBit.BAD_FRAME | StatusBit.SEQ_GAP
+    )
 
 
 def test_a_silent_host_trips_a_board_that_is_still_read():
@@ -114,7 +117,7 @@ def test_a_silent_host_trips_a_board_that_is_still_read():
     exchange(board, 0, flags=ENABLE, torque=1000)
     for tick in range(1, 252):
         board.poll_in(tick * TICK_NS)
-    assert exchange(board, 252, flags=ENABLE).status & Status.WATCHDOG
+    assert exchange(board, 252, flags=ENABLE).status & StatusBit.WATCHDOG
     assert board.sim_slip_ns == 0
 
 
@@ -129,9 +132,9 @@ def test_disable_silences_a_playing_perturbation():
 
 
 PLAY = ENABLE | PERTURB
-UNDERRUN = Status.FIFO_UNDERRUN
-OVERFLOW = Status.FIFO_OVERFLOW
-LOST = Status.PROBE_OVERFLOW
+UNDERRUN = StatusBit.FIFO_UNDERRUN
+OVERFLOW = StatusBit.FIFO_OVERFLOW
+LOST = StatusBit.PROBE_OVERFLOW
 
 
 def played(frames):

@@ -9,11 +9,11 @@ from hapticd.errors import ConfigError
 from hapticd.plant.step import held_force_response
 from hapticd.sim.board import BoardModel
 from hapticd.wire import codec
-from hapticd.wire.frames import OUT_BYTES, PROTOCOL_HASH, Capability, OutFlag, Request, Status
+from hapticd.wire.frames import OUT_BYTES, PROTOCOL_HASH, Capability, OutFlag, Request, StatusBit
 
 BOARD = board_params()
-SIMULATED = int(Status.SIMULATED)
-ENABLED = int(Status.ENABLED)
+SIMULATED = int(StatusBit.SIMULATED)
+ENABLED = int(StatusBit.ENABLED)
 COUNT_N = BOARD.force_n_per_count
 
 
@@ -96,9 +96,9 @@ def test_torque_is_clamped_at_the_boards_own_limit():
     free = BoardModel(BOARD)
     limit = int(2.0 / COUNT_N)
     clamped = exchange(board, 0, flags=ENABLE, torque=-32768)
-    assert clamped.status & Status.FORCE_CLAMPED
+    assert clamped.status & StatusBit.FORCE_CLAMPED
     assert clamped.encoder == exchange(free, 0, flags=ENABLE, torque=-limit).encoder
-    assert not exchange(board, 1, flags=ENABLE, torque=limit).status & Status.FORCE_CLAMPED
+    assert not exchange(board, 1, flags=ENABLE, torque=limit).status & StatusBit.FORCE_CLAMPED
 
 
 def test_no_enable_means_no_torque_but_damping():
@@ -106,7 +106,7 @@ def test_no_enable_means_no_torque_but_damping():
     exchange(board, 0, flags=ENABLE, torque=30000)
     first = exchange(board, 1, torque=30000, damping=65535)
     second = exchange(board, 2, torque=30000, damping=65535)
-    assert not first.status & Status.ENABLED
+    assert not first.status & StatusBit.ENABLED
     _, expected = coast(
         0.0, first.emf_velocity * BOARD.emf_velocity_m_per_s_per_count, 0.0, 10.0, 1e-3
     )
@@ -148,7 +148,7 @@ def test_bad_frame_changes_nothing(name):
     assert board.poll_in(2 * TICK_NS - 1) is None
     assert (board.out_refused, twin.out_refused) == (1, 0)
     after = [exchange(model, 2, flags=ENABLE, torque=500) for model in (board, twin)]
-    assert after[0].status == SIMULATED | ENABLED | Status.BAD_FRAME | Status.SEQ_GAP
+    assert after[0].status == SIMULATED | ENABLED | StatusBit.BAD_FRAME | StatusBit.SEQ_GAP
     assert after[0]._replace(status=0) == after[1]._replace(status=0)
     assert exchange(board, 3, flags=ENABLE, torque=500).status == SIMULATED | ENABLED
 
@@ -167,7 +167,7 @@ def test_sequence_gap_is_flagged_once(following, gap):
     board.poll_in(LATCH_NS)
     board.on_out(out_packet(following), TICK_NS)
     frame = codec.decode_in(board.poll_in(2 * TICK_NS))
-    assert bool(frame.status & Status.SEQ_GAP) is gap
+    assert bool(frame.status & StatusBit.SEQ_GAP) is gap
     assert frame.echo == following
 
 
@@ -175,7 +175,7 @@ def test_sequence_wraps_without_a_gap():
     board = BoardModel(BOARD)
     board.on_out(out_packet(0xFFFF), 0)
     board.on_out(out_packet(0), TICK_NS)
-    assert not codec.decode_in(board.poll_in(2 * TICK_NS)).status & Status.SEQ_GAP
+    assert not codec.decode_in(board.poll_in(2 * TICK_NS)).status & StatusBit.SEQ_GAP
 
 
 # --- one OUT, one IN ------------------------------------------------------------------------------
@@ -203,7 +203,7 @@ def test_unread_in_is_replaced_and_loses_nothing():
     frame = codec.decode_in(board.poll_in(3 * TICK_NS))
     assert board.in_replaced == 2
     assert (frame.seq, frame.echo) == (2, 10)
-    assert frame.status & Status.SEQ_GAP
+    assert frame.status & StatusBit.SEQ_GAP
     assert (frame.probe_index, len(frame.pairs)) == (0, 6)
     assert exchange(board, 11).probe_index == 6
 
@@ -235,7 +235,7 @@ def test_pause_is_skipped_and_counted():
     assert slips == [980_000_000]
     assert board.sim_slip_ns == 980_000_000
     assert frame.board_time_us == 875 + 20_000 + 875
-    assert not frame.status & Status.WATCHDOG
+    assert not frame.status & StatusBit.WATCHDOG
 
 
 def test_pause_of_20_ms_is_lived_through():
@@ -247,7 +247,7 @@ def test_pause_of_20_ms_is_lived_through():
 
 # --- faults of the hardware -----------------------------------------------------------------------
 @pytest.mark.parametrize(
-    "fault", [Status.AMPLIFIER_FAULT, Status.ENCODER_FAULT, Status.OVER_TEMPERATURE]
+    "fault", [StatusBit.AMPLIFIER_FAULT, StatusBit.ENCODER_FAULT, StatusBit.OVER_TEMPERATURE]
 )
 def test_board_fault_latches_until_cleared_without_cause(fault):
     board = BoardModel(BOARD)
@@ -265,7 +265,7 @@ def test_board_fault_latches_until_cleared_without_cause(fault):
 def test_board_fault_takes_the_torque_away():
     board = BoardModel(BOARD)
     before = exchange(board, 0, flags=ENABLE, torque=30000)
-    board.trip(int(Status.AMPLIFIER_FAULT))
+    board.trip(int(StatusBit.AMPLIFIER_FAULT))
     after = exchange(board, 1, flags=ENABLE, torque=30000)
     assert before.current > 0
     assert after.current == 0

@@ -19,7 +19,7 @@ from hapticd.plant.model import Model
 from hapticd.plant.tables import board_fields
 from hapticd.sim.axis import Axis, Probe
 from hapticd.sim.board import BoardModel
-from hapticd.wire.frames import Status
+from hapticd.wire.frames import StatusBit
 
 LINEAR = ("probe", "coupling", "viscous", "smoothing", "amplifier", "damping_circuit")
 
@@ -152,7 +152,7 @@ def test_a_runaway_is_a_fault_not_a_nan():
     axis.obey(ENABLE, 32767, 0, ())
     axis.run_to(16 * 200)
     assert axis.diverged_at is not None
-    assert axis.status == Status.AMPLIFIER_FAULT
+    assert axis.status == StatusBit.AMPLIFIER_FAULT
     assert axis.force_n == 0.0
     assert axis.state[1] == 0.0
     axis.clear_faults()

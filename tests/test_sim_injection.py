@@ -11,7 +11,7 @@ from hapticd.params import InjectionParams
 from hapticd.sim.board import BoardModel
 from hapticd.sim.injection import IN_FAULTS, OUT_FAULTS, Injector, TransferFault, with_injections
 from hapticd.wire import codec
-from hapticd.wire.frames import Status
+from hapticd.wire.frames import StatusBit
 
 STRUCK = 2  # the tick that the tests strike
 
@@ -54,7 +54,7 @@ def test_dropped_out_reaches_no_board():
     port = one("drop_out")
     healthy(port, 0, 1)
     assert tick_of(port, STRUCK) is None
-    assert codec.decode_in(tick_of(port, 3)).status & Status.SEQ_GAP
+    assert codec.decode_in(tick_of(port, 3)).status & StatusBit.SEQ_GAP
 
 
 def test_corrupt_out_is_refused_by_the_board():
@@ -62,7 +62,7 @@ def test_corrupt_out_is_refused_by_the_board():
     healthy(port, 0, 1)
     assert tick_of(port, STRUCK) is None
     assert port.board.out_refused == 1
-    assert codec.decode_in(tick_of(port, 3)).status & Status.BAD_FRAME
+    assert codec.decode_in(tick_of(port, 3)).status & StatusBit.BAD_FRAME
 
 
 @pytest.mark.parametrize(
@@ -90,13 +90,13 @@ def test_late_in_is_latched_late():
 
 @pytest.mark.parametrize("kind", ["amplifier_fault", "encoder_fault", "over_temperature"])
 def test_board_fault_has_a_cause_for_a_while(kind):
-    bit = Status[kind.upper()]
+    bit = StatusBit[kind.upper()]
     port = one(kind, value=0.002)
     healthy(port, 0, 1)
     for tick, cleared in ((STRUCK, False), (3, False), (4, True), (5, True)):
         frame = codec.decode_in(tick_of(port, tick))
         assert bool(frame.status & bit) is (tick < 5)
-        assert bool(frame.status & Status.ENABLED) is (tick == 5)
+        assert bool(frame.status & StatusBit.ENABLED) is (tick == 5)
         port.control(0x40, 0x02, 0, 0)
         assert bool(port.board._axis.faults) is not cleared
 

@@ -11,7 +11,7 @@ import wire_header as header
 from hapticd.params import BoardParams
 from hapticd.sim.board import BoardModel
 from hapticd.wire import codec, frames, session
-from hapticd.wire.frames import Request, Status
+from hapticd.wire.frames import Request, StatusBit
 
 VECTORS = [json.loads(line) for line in (header.FOLDER / "vectors.jsonl").read_text().splitlines()]
 OUT_VECTORS = [vector for vector in VECTORS if vector["kind"] == "out"]
@@ -50,7 +50,7 @@ def test_board_takes_or_refuses_vector(vector: dict[str, Any]) -> None:
     assert (reply is None) == ("error" in vector)
     if reply is not None:
         frame = codec.decode_in(reply)
-        assert (frame.echo, frame.status & Status.BAD_FRAME) == (vector["fields"]["seq"], 0)
+        assert (frame.echo, frame.status & StatusBit.BAD_FRAME) == (vector["fields"]["seq"], 0)
 
 
 def test_board_says_bad_frame_once() -> None:
@@ -64,9 +64,9 @@ def test_board_says_bad_frame_once() -> None:
         statuses.append(
             None
             if reply is None
-            else codec.decode_in(reply).status & (Status.BAD_FRAME | Status.SEQ_GAP)
+            else codec.decode_in(reply).status & (StatusBit.BAD_FRAME | StatusBit.SEQ_GAP)
         )
-    assert statuses == [0, None, Status.BAD_FRAME | Status.SEQ_GAP, 0]
+    assert statuses == [0, None, StatusBit.BAD_FRAME | StatusBit.SEQ_GAP, 0]
 
 
 def test_board_is_greeted() -> None:

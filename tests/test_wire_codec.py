@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from hapticd.errors import FrameError
 from hapticd.wire import codec, frames
-from hapticd.wire.frames import Hello, InFrame, OutFrame
+from hapticd.wire.frames import HelloFrame, InFrame, OutFrame
 
 repeatable = settings(deadline=None, derandomize=True, database=None, max_examples=300)
 
@@ -32,7 +32,7 @@ IN_FRAMES = st.builds(
 SERIALS = st.text(st.characters(min_codepoint=0x20, max_codepoint=0x7E), max_size=16)
 F32 = st.floats(width=32, allow_nan=False, allow_infinity=False)
 HELLOS = st.builds(
-    Hello, st.binary(min_size=8, max_size=8), U16, U8, U16, U16, SERIALS, *(F32,) * 8
+    HelloFrame, st.binary(min_size=8, max_size=8), U16, U8, U16, U16, SERIALS, *(F32,) * 8
 )
 
 OUT = OutFrame(1000, 0, 5, 4915, 11403, -7, (1638, 3277, -1638))
@@ -52,7 +52,7 @@ IN = InFrame(
     4003,
     ((819, 1302), (-1638, 1318)),
 )
-HELLO = Hello(
+HELLO = HelloFrame(
     frames.PROTOCOL_HASH, 0x0102, 1, 3, 20, "HD-0001", 8.0, 10.0, 2.0, 0.5, 4.0, 24.0, 2.0**-21, 8.0
 )
 
@@ -102,7 +102,7 @@ def test_in_frames_round_trip(frame: InFrame) -> None:
 
 @repeatable
 @given(HELLOS)
-def test_hello_replies_round_trip(hello: Hello) -> None:
+def test_hello_replies_round_trip(hello: HelloFrame) -> None:
     assert codec.decode_hello(codec.encode_hello(hello)) == hello
 
 
@@ -264,11 +264,11 @@ def test_no_float_reaches_a_count(value: float) -> None:
         codec.encode_in(IN._replace(encoder=value))
 
 
-@pytest.mark.parametrize("name", Hello._fields[6:])
+@pytest.mark.parametrize("name", HelloFrame._fields[6:])
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf")])
 def test_hello_scales_are_finite(name: str, value: float) -> None:
     data = bytearray(codec.encode_hello(HELLO))
-    struct.pack_into("<f", data, 32 + 4 * Hello._fields[6:].index(name), value)
+    struct.pack_into("<f", data, 32 + 4 * HelloFrame._fields[6:].index(name), value)
     with pytest.raises(
         FrameError, match=rf"^{name} of the hello reply is {value}, not a finite number; correct"
     ):

@@ -16,14 +16,14 @@ from hapticd.wire.frames import protocol_hash
 ENUMS = {
     "REQUEST": frames.Request,
     "FLAG": frames.OutFlag,
-    "STATUS": frames.Status,
+    "STATUS": frames.StatusBit,
     "CAPABILITY": frames.Capability,
 }
 LAYOUTS = {"hapticd_out": frames.OUT, "hapticd_in": frames.IN, "hapticd_hello": frames.HELLO}
 VALUES = {
     "hapticd_out": frames.OutFrame,
     "hapticd_in": frames.InFrame,
-    "hapticd_hello": frames.Hello,
+    "hapticd_hello": frames.HelloFrame,
 }
 CASES = [(name, member) for name, members in header.STRUCTS.items() for member in members]
 

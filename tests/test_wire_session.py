@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from hapticd.errors import FrameError, ProtocolMismatch
 from hapticd.wire import codec, frames, session
-from hapticd.wire.frames import Capability, Hello
+from hapticd.wire.frames import Capability, HelloFrame
 from hapticd.wire.session import (
     Arrival,
     SequenceCounter,
@@ -20,7 +20,7 @@ from hapticd.wire.session import (
 
 repeatable = settings(deadline=None, derandomize=True, database=None, max_examples=300)
 
-HELLO = Hello(
+HELLO = HelloFrame(
     frames.PROTOCOL_HASH,
     0x0102,
     1,

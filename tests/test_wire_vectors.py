@@ -21,7 +21,7 @@ ENCODE: dict[str, Any] = {
     "in": codec.encode_in,
     "hello": codec.encode_hello,
 }
-KINDS: dict[str, Any] = {"out": frames.OutFrame, "in": frames.InFrame, "hello": frames.Hello}
+KINDS: dict[str, Any] = {"out": frames.OutFrame, "in": frames.InFrame, "hello": frames.HelloFrame}
 
 
 def names(vectors: list[dict[str, Any]]) -> list[str]:

@@ -32,7 +32,7 @@ from hapticd.wire.codec import (
     HEAD_PROBE_COUNT,
     HEAD_SEQ,
 )
-from hapticd.wire.frames import Hello, Request
+from hapticd.wire.frames import HelloFrame, Request
 
 SEED = 1 << 20
 STALE_READS = 2
@@ -53,14 +53,14 @@ class Device:
         self.in_buffer = array("B", bytes(frames.PACKET_BYTES))
         self.out_buffer = array("B", bytes(frames.OUT_BYTES))
         self.counts = {"missing": 0, "bad": 0, "stale": 0, "gap": 0, "unseen": 0, "write_errors": 0}
-        self.hello: Hello | None = None
+        self.hello: HelloFrame | None = None
         self._begin: Callable[[], None]
         self.receive: Callable[[], Received]
         self.send: Callable[..., bool]
         self.rehearse: Callable[[], Head]
         self._begin, self.receive, self.send, self.rehearse = _exchange(self)
 
-    def connect(self) -> Hello:
+    def connect(self) -> HelloFrame:
         """Open, greet, check the protocol, and send one frame without torque.
 
         LinkError or ProtocolMismatch.

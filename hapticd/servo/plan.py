@@ -34,7 +34,7 @@ from hapticd.render.ramp import Ramp, approach, constant
 from hapticd.servo.safety import LATCHED, State, held_damping
 from hapticd.units import round_half_up
 from hapticd.wire.codec import U16_HIGHEST
-from hapticd.wire.frames import Status
+from hapticd.wire.frames import StatusBit
 
 NEVER = 1 << 62
 Wave = tuple[int, int, bool]  # perturbation: number of its command (0: none), samples, loop
@@ -242,9 +242,9 @@ Answer = tuple[int, int, int, int, tuple[int, int], tuple[float, ...]]
 LINK_UP = 1
 GATEWAY_ALIVE = 2
 
-BOARD_FAULT = int(Status.AMPLIFIER_FAULT | Status.ENCODER_FAULT)
-CLEARABLE = BOARD_FAULT | int(Status.OVER_TEMPERATURE)  # what CLEAR_FAULT may end
-ATTENTION = int(Status.WATCHDOG | Status.OVER_TEMPERATURE) | BOARD_FAULT
+BOARD_FAULT = int(StatusBit.AMPLIFIER_FAULT | StatusBit.ENCODER_FAULT)
+CLEARABLE = BOARD_FAULT | int(StatusBit.OVER_TEMPERATURE)  # what CLEAR_FAULT may end
+ATTENTION = int(StatusBit.WATCHDOG | StatusBit.OVER_TEMPERATURE) | BOARD_FAULT
 
 
 class FlatPlan(NamedTuple):

@@ -49,7 +49,7 @@ from hapticd.servo.plan import (
 from hapticd.servo.safety import FAULT_EVENT, LATCHED, State
 from hapticd.units import round_half_up
 from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
-from hapticd.wire.frames import OutFlag, Status
+from hapticd.wire.frames import OutFlag, StatusBit
 
 STILL_COUNTS = 2
 PUSH_S = 0.2
@@ -75,7 +75,7 @@ def advance_homing(plan: Plan, sample: Sample, now: Now, params: ServoParams) ->
     """`plan` after one tick of homing: still searching, or disabled with the origin found."""
     encoder, status, _, _, _, index_offset = sample
     home = params.device.home
-    if home.method == "index" and status & Status.INDEX:
+    if home.method == "index" and status & StatusBit.INDEX:
         return _homed(plan, encoder - index_offset, now, params)
     anchor_tick, anchor = plan.anchor
     if abs(encoder - anchor) > STILL_COUNTS:
@@ -125,7 +125,7 @@ def make_attend(params: ServoParams) -> Attend:
             return BY_CODE["usb_lost"].number
         if status & BOARD_FAULT:
             return BY_CODE["board_fault"].number
-        if status & Status.OVER_TEMPERATURE or temperature > hot_count:
+        if status & StatusBit.OVER_TEMPERATURE or temperature > hot_count:
             return BY_CODE["over_temperature"].number
         return 0
 
@@ -136,7 +136,7 @@ def make_attend(params: ServoParams) -> Attend:
         _, status, temperature, arrival, host, _ = sample
         if found := cause(status, temperature, host):
             return found
-        if status & Status.WATCHDOG:
+        if status & StatusBit.WATCHDOG:
             return BY_CODE["board_watchdog"].number
         return BY_CODE["frames_lost"].number if -arrival > params.safety.missing_frames_limit else 0
 

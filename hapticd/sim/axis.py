@@ -34,12 +34,12 @@ from hapticd.plant.composed import State
 from hapticd.plant.step import SUBSTEPS_PER_TICK, make_plant
 from hapticd.units import PROBE_RATE_HZ
 from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
-from hapticd.wire.frames import FIFO_DEPTH, OutFlag, Status
+from hapticd.wire.frames import FIFO_DEPTH, OutFlag, StatusBit
 
 PAIRS_MAX = 64
-UNDERRUN = Status.FIFO_UNDERRUN.value
-OVERFLOW = Status.FIFO_OVERFLOW.value
-PAIRS_LOST = Status.PROBE_OVERFLOW.value
+UNDERRUN = StatusBit.FIFO_UNDERRUN.value
+OVERFLOW = StatusBit.FIFO_OVERFLOW.value
+PAIRS_LOST = StatusBit.PROBE_OVERFLOW.value
 
 
 def i16_count(value: float) -> int:
@@ -183,10 +183,10 @@ ENABLE = OutFlag.ENABLE.value
 FIFO_CLEAR = OutFlag.FIFO_CLEAR.value
 PERTURB = OutFlag.PERTURB.value
 RUNAWAY_M_PER_S = 1e3
-AMPLIFIER_FAULT = Status.AMPLIFIER_FAULT.value
-ENABLED = Status.ENABLED.value
-WATCHDOG = Status.WATCHDOG.value
-CLAMPED = Status.FORCE_CLAMPED.value
+AMPLIFIER_FAULT = StatusBit.AMPLIFIER_FAULT.value
+ENABLED = StatusBit.ENABLED.value
+WATCHDOG = StatusBit.WATCHDOG.value
+CLAMPED = StatusBit.FORCE_CLAMPED.value
 
 
 class Axis:

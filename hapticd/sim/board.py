@@ -30,7 +30,7 @@ from hapticd.plant.step import SUBSTEPS_PER_TICK
 from hapticd.sim.axis import CLAMPED, ENABLE, FIFO_CLEAR, NEVER, PERTURB, Axis, i16_count
 from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US
 from hapticd.wire import codec, frames
-from hapticd.wire.frames import Capability, Hello, Request, Status
+from hapticd.wire.frames import Capability, HelloFrame, Request, StatusBit
 
 ADVANCE_MAX_NS = 20 * NS_PER_MS
 RATES_HZ = (250.0, 32_000.0)
@@ -40,9 +40,9 @@ SERIAL_MAX = 16  # of the hello reply
 POSITIVE = ("_per_count", "_per_a", "force_limit_n", "winding_ohm")
 
 UNKNOWN_FLAGS = 0xFF & ~(ENABLE | FIFO_CLEAR | PERTURB)
-BAD_FRAME = Status.BAD_FRAME.value
-SEQ_GAP = Status.SEQ_GAP.value
-SIMULATED = Status.SIMULATED.value
+BAD_FRAME = StatusBit.BAD_FRAME.value
+SEQ_GAP = StatusBit.SEQ_GAP.value
+SIMULATED = StatusBit.SIMULATED.value
 RESERVED = bytes(6)
 OUT_BODY = frames.OUT_BYTES - frames.CRC.size
 IN_BODY = frames.IN_BYTES - frames.CRC.size
@@ -320,9 +320,9 @@ CAPABILITIES = (
 Replies = dict[tuple[int, int, int], bytes]  # by bmRequestType, bRequest, wValue
 
 
-def hello(params: BoardParams) -> Hello:
+def hello(params: BoardParams) -> HelloFrame:
     """The board's own description: nominal full scales are value per count times full count."""
-    return Hello(
+    return HelloFrame(
         protocol_hash=frames.PROTOCOL_HASH,
         firmware_version=FIRMWARE_VERSION,
         axis_count=1,

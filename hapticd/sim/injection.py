@@ -17,7 +17,7 @@ from hapticd.params import BoardParams
 from hapticd.sim.board import BoardModel
 from hapticd.units import NS_PER_S
 from hapticd.wire import codec
-from hapticd.wire.frames import Status
+from hapticd.wire.frames import StatusBit
 
 
 class TransferFault(Exception):
@@ -152,7 +152,7 @@ def _latched_late(injector: Injector, packet: memoryview, value: float, t_ns: in
     return packet
 
 
-def _board_fault(status: Status) -> OutFault:
+def _board_fault(status: StatusBit) -> OutFault:
     def trip(injector: Injector, packet: memoryview, value: float, t_ns: int) -> memoryview:
         injector.board.trip(status.value)
         injector.healing.append((t_ns + round(value * NS_PER_S), status.value))
@@ -204,9 +204,9 @@ OUT_FAULTS: dict[str, OutFault] = {
     "unplug": _unplugged,  # EIO, then ENODEV; plugged in again after `value` s
     "late": _latched_late,  # the board latches the reply `value` s late
     # the cause lasts `value` s, the fault until CLEAR_FAULT
-    "amplifier_fault": _board_fault(Status.AMPLIFIER_FAULT),
-    "encoder_fault": _board_fault(Status.ENCODER_FAULT),
-    "over_temperature": _board_fault(Status.OVER_TEMPERATURE),
+    "amplifier_fault": _board_fault(StatusBit.AMPLIFIER_FAULT),
+    "encoder_fault": _board_fault(StatusBit.ENCODER_FAULT),
+    "over_temperature": _board_fault(StatusBit.OVER_TEMPERATURE),
 }
 
 IN_FAULTS: dict[str, InFault] = {

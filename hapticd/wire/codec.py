@@ -19,7 +19,7 @@ from typing import Any
 
 from hapticd.errors import FrameError
 from hapticd.wire import frames
-from hapticd.wire.frames import Hello, InFrame, OutFrame
+from hapticd.wire.frames import HelloFrame, InFrame, OutFrame
 
 # ends of a count: torque, perturbation, current, velocities and temperature are signed, the damping
 # scale factor is not
@@ -159,7 +159,7 @@ def decode_in(data: bytes | bytearray | memoryview) -> InFrame:
     )
 
 
-def encode_hello(hello: Hello) -> bytes:
+def encode_hello(hello: HelloFrame) -> bytes:
     """80 bytes of a hello reply. FrameError if a value does not fit its field."""
     h = hello
     _check_hello_values(h)
@@ -179,7 +179,7 @@ def encode_hello(hello: Hello) -> bytes:
         raise FrameError(f"a value does not fit its field of the hello reply: {error}") from error
 
 
-def decode_hello(data: bytes | bytearray | memoryview) -> Hello:
+def decode_hello(data: bytes | bytearray | memoryview) -> HelloFrame:
     """The hello reply in 80 bytes. FrameError names length, serial or a full scale that is not
     finite.
     """
@@ -187,7 +187,7 @@ def decode_hello(data: bytes | bytearray | memoryview) -> Hello:
     protocol, version, axes, _, capabilities, watchdog, serial, *scales, _ = frames.HELLO.unpack(
         data
     )
-    hello = Hello(
+    hello = HelloFrame(
         protocol,
         version,
         axes,
@@ -200,7 +200,7 @@ def decode_hello(data: bytes | bytearray | memoryview) -> Hello:
     return hello
 
 
-def _check_hello_values(hello: Hello) -> None:
+def _check_hello_values(hello: HelloFrame) -> None:
     if len(hello.protocol_hash) != len(frames.PROTOCOL_HASH):
         raise FrameError(
             f"protocol hash of the hello reply has {len(hello.protocol_hash)} bytes, expected"
@@ -213,7 +213,7 @@ def _check_hello_values(hello: Hello) -> None:
             f"serial {hello.serial!r} of the hello reply is not {_SERIAL_BYTES} or less printable"
             " ASCII characters"
         )
-    for name, value in zip(Hello._fields[6:], hello[6:], strict=True):
+    for name, value in zip(HelloFrame._fields[6:], hello[6:], strict=True):
         if not isfinite(value):
             raise FrameError(
                 f"{name} of the hello reply is {value}, not a finite number; correct the board's"

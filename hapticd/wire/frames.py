@@ -67,7 +67,7 @@ class OutFlag(IntFlag):
     PERTURB = 0x04
 
 
-class Status(IntFlag):
+class StatusBit(IntFlag):
     """Bits of `status` in an IN frame."""
 
     ENABLED = 0x0001
@@ -127,7 +127,7 @@ class InFrame(NamedTuple):
     pairs: tuple[tuple[int, int], ...] = ()  # (torque, velocity), at most PROBE_MAX
 
 
-class Hello(NamedTuple):
+class HelloFrame(NamedTuple):
     """What a board says about itself."""
 
     protocol_hash: bytes

@@ -23,7 +23,7 @@ from math import isfinite
 
 from hapticd.errors import ProtocolMismatch
 from hapticd.wire import codec, frames
-from hapticd.wire.frames import Capability, Hello
+from hapticd.wire.frames import Capability, HelloFrame
 
 SEQ_BITS = 16
 BOARD_TIME_BITS = 32
@@ -33,7 +33,7 @@ BACKWARD = 64
 _SEQ_MASK = (1 << SEQ_BITS) - 1
 
 
-def greet(reply: bytes) -> Hello:
+def greet(reply: bytes) -> HelloFrame:
     """The hello in the bytes of a board's reply, if we can work with it.
 
     The first 8 bytes are the protocol hash in every version, so a board of another version is named
@@ -46,7 +46,7 @@ def greet(reply: bytes) -> Hello:
     return hello
 
 
-def check_hello(hello: Hello, required: int = 0) -> None:
+def check_hello(hello: HelloFrame, required: int = 0) -> None:
     """Return if the host can work with this board and it has all `required` Capability bits,
     else ProtocolMismatch.
     """
