@@ -92,7 +92,8 @@ def test_stiffness_at_a_damping_and_its_rate():
     assert stiffness_rate(SET, 0.0) == pytest.approx(1000 / 3, rel=1e-6)
     assert np.isnan(stiffness_at(SET, 5.0))
     with pytest.raises(
-        AnalysisError, match=re.escape("damping 9 N s/m lies outside the grid -2..6")
+        AnalysisError,
+        match=re.escape("virtual damping B = 9 N s/m lies outside the grid -2..6"),
     ):
         stiffness_at(SET, 9.0)
     with pytest.raises(
@@ -184,7 +185,8 @@ def test_unlike_conditions_are_refused_and_named():
     assert differences(ONE, other) == ("rate_hz", "grip")
     message = (
         "A and B were measured under unlike conditions: rate_hz: 1000.0 and 2000.0; grip: 'free'"
-        " and 'hand'; measure them alike"
+        " and 'hand'; measure them under the same conditions, or compare them anyway with --allow"
+        " rate_hz,grip"
     )
     with pytest.raises(AnalysisError, match=re.escape(message)):
         check_alike([ONE, other])

@@ -108,7 +108,7 @@ def test_set_asks_for_everything_at_once(
     ]
     expected = (
         "enabled: applied at tick 1200, ramp ends at tick 1250, revision 7: K 100 N/m, B 1 N s/m, M"
-        " 0.01 kg, damping 1.74 N s/m"
+        " 0.01 kg, active damping 1.74 N s/m"
     )
     assert capsys.readouterr().out == expected + "\n"
 

@@ -205,8 +205,8 @@ def test_report_draws_a_run_where_it_is_told(
         (
             "trials.jsonl",
             (
-                "a campaign that was not finished, of which the trials are kept; the command that"
-                " began it, with --out {}"
+                "an unfinished run, whose trials are kept; repeat the command that began it with"
+                " --out {} to finish and draw it"
             ),
         ),
         (
@@ -243,8 +243,8 @@ def test_run_that_is_drawn_by_its_own_command_says_so(
     code, _, err = run(["report", str(tmp_path)], capsys)
     assert code == 78
     assert (
-        f"{tmp_path}: a run of kind '{kind}' is drawn by the command that made it, with --out"
-        f" {tmp_path}" in err
+        f"{tmp_path}: a run of kind '{kind}' can only be redrawn by the command that made it"
+        f" (--out {tmp_path}); this verb redraws trials and maps" in err
     )
 
 

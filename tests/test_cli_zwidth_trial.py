@@ -214,13 +214,19 @@ def judged_as(layout, seconds_needed, *findings):
             None,
             901.0,
             (),
-            "a record more than 10 times as long would be needed: the margin is not told from 0",
+            (
+                "a record more than 10 times as long would be needed: the margin cannot be"
+                " distinguished from 0"
+            ),
         ),
         (
             None,
             float("inf"),
             (),
-            "a record more than 10 times as long would be needed: the margin is not told from 0",
+            (
+                "a record more than 10 times as long would be needed: the margin cannot be"
+                " distinguished from 0"
+            ),
         ),
         (MultisineLayout(8), 123.4, (), "some 11 realisations would decide"),
         (
@@ -239,7 +245,7 @@ def judged_as(layout, seconds_needed, *findings):
             None,
             0.0,
             (Finding("lost_slots", "x", voids=True), Finding("line", "y")),
-            "no length of a record decides with lost_slots",
+            "no record, however long, can be judged with lost_slots in it",
         ),
     ],
 )
@@ -307,7 +313,7 @@ def test_known_skew_is_taken_out_of_a_record(verb, early, tmp_path, capsys):
     _, out, _ = run([verb, early, "--out", str(tmp_path / "a")], capsys)
     assert "undecided in band" in out
     assert "or take a skew that is known out with --skew -0.00012" in out
-    assert "no length of a record decides with channel_skew in it: mend that first" in out
+    assert "no record, however long, can be judged with channel_skew in it: fix that first" in out
     code, out, _ = run([verb, early, "--skew", "-125e-6", "--out", str(tmp_path / "b")], capsys)
     assert code == 0
     assert out.splitlines()[1].startswith("passive in band")
@@ -362,7 +368,8 @@ def test_live_trial_names_the_daemons_device_before_it_moves(daemon, tmp_path, c
     assert out.startswith(f"SIMULATED {who}: K 50 N/m, B 0.5 N s/m, M 0 kg")
     assert (
         "enables the device 'simulated display' of daemon 'default' (simulated) in K 50 N/m, B 0.5"
-        " N s/m, M 0 kg, active damping 0 N s/m, and shakes it; Ctrl-C ends it, force off" in err
+        " N s/m, M 0 kg, active damping 0 N s/m, and perturbs it; Ctrl-C ends the trial and"
+        " switches the force off" in err
     )
     assert "with K = 0" not in err
     told = json.loads((tmp_path / "run.json").read_text())
@@ -399,8 +406,8 @@ def test_live_trial_of_a_scene_of_another_device_says_so(daemon, tmp_path, capsy
     code, out, err = run(words, capsys)
     assert code == 0
     assert (
-        "scene 'fig4' is of the device 'weir2008', the daemon has 'simulated display': what the"
-        " scene says is rendered on" in err
+        "scene 'fig4' is of the device 'weir2008', not of the daemon's: the scene's environment is"
+        " rendered on 'simulated display'" in err
     )
     assert "device 'simulated display': K 100 N/m, B 1 N s/m, M 0 kg" in out
 

@@ -106,7 +106,7 @@ WRONG: list[tuple[dict[str, Any], str, str]] = [
     (
         {"cmd": "set", "wall": {"side": True}},
         "wall.side",
-        f"wall.side = True: a number is meant, not true or false; {LIST}",
+        f"wall.side = True: expected a number, not true or false; {LIST}",
     ),
     ({"cmd": "set"}, "set", "set: nothing to set; give one of K, B, M, filters, wall, damping"),
     (

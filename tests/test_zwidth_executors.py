@@ -125,7 +125,11 @@ def test_silent_scheduler_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    ("greeting", "reason"), [(b"", "timed out"), (b"SSH-2.0-", "who answers does not speak Dask")]
+    ("greeting", "reason"),
+    [
+        (b"", "timed out"),
+        (b"SSH-2.0-", "the program at that address is not a Dask scheduler"),
+    ],
 )
 def test_other_server_is_no_scheduler(
     greeting: bytes, reason: str, monkeypatch: pytest.MonkeyPatch

@@ -1,4 +1,4 @@
-"""Campaigns on the simulator: axis limits, maps, the directed search, virtual walls, portable
+"""Many trials on the simulator: axis limits, maps, the directed search, virtual walls, portable
 summaries.
 """
 

@@ -205,7 +205,7 @@ def test_remark_that_was_changed_is_refused(files, tmp_path):
 
 @pytest.mark.parametrize("kind", [".csv", ".npz", ".mat", ".h5"])
 def test_file_that_is_not_there_is_named(kind, tmp_path):
-    with pytest.raises(ConfigError, match=rf"absent\{kind}: No such file"):
+    with pytest.raises(ConfigError, match=rf"absent\{kind}: no such file"):
         read_file(tmp_path / f"absent{kind}")
 
 

@@ -98,7 +98,7 @@ def stiffness_at(found: PassiveSet, damping_ns_per_m: float, mass_kg: float = 0.
     stiffness, damping, _ = found.axes
     if not damping[0] <= damping_ns_per_m <= damping[-1]:
         raise AnalysisError(
-            f"damping {damping_ns_per_m:g} N s/m lies outside the grid"
+            f"virtual damping B = {damping_ns_per_m:g} N s/m lies outside the grid"
             f" {damping[0]:g}..{damping[-1]:g}"
         )
     plane = found.margin[:, :, _plane(found, mass_kg)]
@@ -216,7 +216,8 @@ def check_alike(
             )
             raise AnalysisError(
                 f"{first.device} and {other.device} were measured under unlike conditions: {said}; "
-                f"measure them alike, or say that it is meant: allow {', '.join(refused)}"
+                "measure them under the same conditions, or compare them anyway with"
+                f" --allow {','.join(refused)}"
             )
     return tuple(dict.fromkeys(unlike))
 

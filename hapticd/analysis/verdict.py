@@ -54,8 +54,8 @@ LEAST_FREEDOM = 20.0
 LEAST_EXACT = 4.0  # the same of plain averages: two of them
 DRIVEN = 0.8  # of the velocity's power, from which a motion is the perturbation's
 NEAR_HZ = 1e-5  # an edge that is so near to a line is that line
-# times the length of a record; beyond it the margin is not told from 0, and no length can be
-# predicted
+# times the length of a record; beyond it the margin cannot be distinguished from 0, and no length
+# can be predicted
 FORESEEABLE = 10.0
 _WORDS = {
     "passive": "passive in band",
@@ -130,8 +130,8 @@ def needed(seconds_needed: float, seconds: float) -> str:
     """Say what length of record would decide where one of `seconds` did not."""
     if not seconds_needed <= FORESEEABLE * seconds:
         return (
-            f"a record more than {FORESEEABLE:g} times as long would be needed: the margin is not"
-            " told from 0"
+            f"a record more than {FORESEEABLE:g} times as long would be needed: the margin cannot"
+            " be distinguished from 0"
         )
     return f"a record like it of some {two_digits(seconds_needed)} s would decide"
 

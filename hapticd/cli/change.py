@@ -79,9 +79,8 @@ def receipt_text(receipt: "Receipt") -> str:
     if receipt.ramp_end_tick > receipt.first_tick:
         when += f", ramp ends at tick {receipt.ramp_end_tick}"
     values = dict(parameters(receipt.effective))
-    shown = ", ".join(
-        f"{name} {values[name]}" for name in ("K", "B", "M", "damping") if name in values
-    )
+    names = {"K": "K", "B": "B", "M": "M", "damping": "active damping"}
+    shown = ", ".join(f"{names[name]} {values[name]}" for name in names if name in values)
     return f"{receipt.state}: {when}, revision {receipt.revision}: {shown}"
 
 

@@ -8,9 +8,11 @@ import typer
 from hapticd.cli import terminal
 
 app = typer.Typer(no_args_is_help=True, help=__doc__)
-Folder = Annotated[Path, typer.Argument(metavar="FOLDER", help="What gateway.curve_keys names.")]
+Folder = Annotated[
+    Path, typer.Argument(metavar="FOLDER", help="Folder named by gateway.curve_keys.")
+]
 Name = Annotated[
-    str, typer.Argument(metavar="NAME", help="Of the machine or person that may listen.")
+    str, typer.Argument(metavar="NAME", help="Name of the machine or person that may listen.")
 ]
 Out = Annotated[
     Path | None,

@@ -243,7 +243,7 @@ def _drawn(result: "ReplayResult", path: Path, title: str, changed: str) -> list
 def _show_replay(found: dict[str, Any]) -> None:
     verdict = "bit-exact" if found["bit_exact"] else "different"
     speed = f"{found['times_real_time']:.0f} x real time"
-    terminal.data(f"{found['ticks']} ticks in {found['legs']} legs, {speed}: {verdict}")
+    terminal.data(f"{found['ticks']} ticks in {found['legs']} segments, {speed}: {verdict}")
     if first := found["first_difference"]:
         difference = f"{first['field']} was {first['recorded']}, is {first['flown']}"
         terminal.data(f"from tick {first['tick']}: {difference}")

@@ -94,8 +94,12 @@ def _shown(value: Any) -> str:
 
 @terminal.verb(config_app, "schema")
 def config_schema(
-    device: Annotated[bool, typer.Option("--device", help="Of device files instead.")] = False,
-    scene: Annotated[bool, typer.Option("--scene", help="Of scene files instead.")] = False,
+    device: Annotated[
+        bool, typer.Option("--device", help="Print the schema of device files instead.")
+    ] = False,
+    scene: Annotated[
+        bool, typer.Option("--scene", help="Print the schema of scene files instead.")
+    ] = False,
 ) -> None:
     """The JSON schema of hapticd.toml, for editors and checkers."""
     from hapticd.settings.scene import schema_text

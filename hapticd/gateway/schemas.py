@@ -37,7 +37,7 @@ _ID_SCHEMA = {
 
 def _no_switch(value: Any) -> Any:
     if isinstance(value, bool):
-        raise ValueError("a number is meant, not true or false")
+        raise ValueError("expected a number, not true or false")
     return value
 
 

@@ -147,6 +147,6 @@ def _fit(column: ReadColumn) -> Flags:
     enabled = (np.asarray(column("servo", "state")) == State.ENABLED) & (
         np.asarray(column("servo", "gain")) >= 1.0
     )
-    shaken = enabled & (np.asarray(column("servo", "perturbing")) != 0)
-    found = next((fit for fit in (shaken, enabled) if fit.any()), np.ones_like(enabled))
+    perturbed = enabled & (np.asarray(column("servo", "perturbing")) != 0)
+    found = next((fit for fit in (perturbed, enabled) if fit.any()), np.ones_like(enabled))
     return np.asarray(found)

@@ -91,8 +91,8 @@ def envelope_figure(conditions: Conditions, levels: Levels, inverse: bool = Fals
 def _of_trials(
     conditions: Conditions, level: float, trials: Sequence[Outcome], look: Look, inverse: bool
 ) -> Drawn:
-    """Of those that pass, and what is predicted of the same environments where the figure shows
-    it.
+    """The envelope of the trials that pass, and what is predicted of the same environments where
+    the figure shows it.
     """
     passed = [trial for trial in trials if trial.passes]
     points = np.array([trial.environment for trial in passed]).reshape(-1, 3)
@@ -261,6 +261,6 @@ def _names(axis: Axes, borders: Floats, row: Floats, height: float, wide: float)
 
 
 def keys(negative: bool = True) -> list[Any]:
-    """Of a legend: the parts, without B < 0 where no trial has it, and nobody."""
+    """Handles of a legend: the parts, without B < 0 where no trial has it, and nobody."""
     parts = (*(part for part in PARTS if negative or part[0] != "B < 0"), ("nobody", NOTHING))
     return [patch(name, colour, linewidth=0.6) for name, colour in parts]

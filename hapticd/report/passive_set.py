@@ -452,8 +452,8 @@ def walls_figure(result: WallResult, title: str = "Walls that come to rest") -> 
 
 
 def _walls(place: Axes, result: WallResult, level: float, look: Look, rank: int) -> None:
-    """Of one level; where not even the softest wall rests the line is at 0 and its mark points
-    down.
+    """Draw the walls of one level; where not even the softest wall rests the line is at 0 and its
+    mark points down.
     """
     lines = result.at(level)
     damping, highest, first = (

@@ -206,7 +206,7 @@ def scene_table(result: SceneResult) -> Table:
 
 
 def _ran(trial: SceneTrial, impedance: bool, heated: bool) -> dict[str, Cell]:
-    """By column."""
+    """A row of the table, by column."""
     numbers = trial.numbers
     found = trial.judged.verdict if trial.judged else None
     at_s = numbers["diverged_at_s"]
@@ -605,7 +605,7 @@ def _draw_sweep(result: AccuracyResult, sweep: str, axis: Axes) -> None:
 
 
 def _draw_step_errors(result: AccuracyResult, rows: list[AccuracyRow], axis: Axes) -> None:
-    """Of the sub-step alone, and single precision beside it."""
+    """Draw the errors of the sub-step alone, and single precision beside it."""
     stepped = [row for row in rows if row.step > NOTHING * max(row.total for row in rows)]
     single = [
         row for row in result.sweep("precision") if row.label.startswith("f32") and row.total < inf

@@ -276,7 +276,7 @@ def draw_band(
 
 
 def legend_handles(axis: Axes) -> list[Any]:
-    """Of a legend: what is drawn, each label once."""
+    """Handles of a legend: what is drawn, each label once."""
     return [
         *{
             str(handle.get_label()): handle for handle in axis.get_legend_handles_labels()[0]

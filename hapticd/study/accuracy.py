@@ -297,7 +297,7 @@ class PhaseComparison(ReferenceComparison[Complexes]):
         return AccuracyRow(total=self._total([spectra]))
 
     def _analysis_s(self, found: BatchResult, lag: int) -> float:
-        """On the window's own grid of frequencies."""
+        """Seconds that one analysis takes, on the window's own grid of frequencies."""
         records = [found.record(int(trial)) for trial in np.flatnonzero(~found.diverged)[:ANALYSED]]
         _, spent = timed(self.now_ns, lambda: [spa(*record, lag=lag) for record in records])
         return spent / max(1, len(records))

@@ -51,7 +51,7 @@ def _row(
     predicted: float = nan,
     note: str = "",
 ) -> PaperRow:
-    """By trials of each seed, or as predicted where there are none."""
+    """A row by trials of each seed, or as predicted where there are none."""
     ours, sd = mean_sd(runs) if len(runs) else (predicted, nan)
     seeds = len(result.plan.seeds) if len(runs) else 0
     return PaperRow(

@@ -335,9 +335,9 @@ class DampingLevels:
 
 @dataclass(frozen=True, eq=False)
 class SearchCheck:
-    """Of one active damping: `points` of the grid, `passive` of them; wrong are `predicted` by
-    prediction alone, `other_noise` by the second grid, `searched` by n trials. `found` is the
-    search with all of its trials.
+    """The check at one active damping: `points` of the grid, `passive` of them; wrong are
+    `predicted` by prediction alone, `other_noise` by the second grid, `searched` by n trials.
+    `found` is the search with all of its trials.
     """
 
     damping_ns_per_m: float
@@ -356,7 +356,7 @@ class SearchCheck:
         )
 
     def share(self, wrong: int) -> float:
-        """Of the passive points [%]."""
+        """The share of `wrong` points in the passive ones [%]."""
         return 100.0 * wrong / self.passive
 
 
@@ -444,7 +444,9 @@ def candidates(bench: Bench, case: Case, points: Floats = GRID) -> Floats:
 def bounds_of(
     bench: Bench, case: Case, seeds: tuple[int, ...] = (), points: Floats = GRID
 ) -> Bounds:
-    """By trials of the owners, all of which pass with every seed; without seeds by prediction."""
+    """Bounds by trials of the owners, all of which pass with every seed; without seeds by
+    prediction.
+    """
     kept = candidates(bench, case, points)
     size = bench.sizes(kept, case.level)
     runs = size[None]
@@ -469,7 +471,7 @@ def bounds_of(
 def _excluding_failures(
     bench: Bench, level: float, points: Floats, size: Floats, seeds: tuple[int, ...]
 ) -> tuple[Floats, Flags, tuple[int, int]]:
-    """Of environments (N, 3) with predicted `size` (N, F), until all owners have passed with every
+    """Try environments (N, 3) with predicted `size` (N, F), until all owners have passed with every
     seed: |Z| (seeds, N, F) by trials, nan without one; those (N,) that passed; how many trials were
     made, and how many environments failed.
     """

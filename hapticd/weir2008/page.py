@@ -113,7 +113,7 @@ class Section:
 
     @property
     def table(self) -> Table:
-        """As shown."""
+        """The table as it is shown."""
         return self.content or paper_table(self.rows)
 
 
@@ -161,7 +161,7 @@ def parts(found: Iterable[PaperRow]) -> dict[str, Section]:
 
 
 def _drawings(result: ReproduceResult) -> tuple[Drawing, ...]:
-    """Of the paper's figures; Fig. 2 only where walls were hit."""
+    """Drawings of the paper's figures; Fig. 2 only where walls were hit."""
     off, on = LABELS
     drawn: list[tuple[int, str, Callable[[str], Figure], str]] = [
         (3, f"Z-width {off}", partial(envelope_figure, result, (0,)), OWNERS),

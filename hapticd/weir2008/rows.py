@@ -172,7 +172,7 @@ class PaperRow:
 
 
 def kind_of(device: str) -> Kind:
-    """Of the six limits and what follows from them."""
+    """The kind of the six limits of a device, and of what follows from them."""
     return "independent" if device == LITERAL else "calibrated"
 
 
@@ -312,7 +312,7 @@ def _sets(result: ReproduceResult, name: str) -> Iterator[PaperRow]:
 
 
 def _limit(limit: Limit, axis: PaperRow | None = None) -> PaperRow:
-    """On its axis; over the set, if `axis` is its row there."""
+    """The row of a limit on its axis; over the set, if `axis` is its row there."""
     mode = MODES[limit.level]
     device = limit.device
     unit = UNITS[limit.axis]
@@ -326,7 +326,7 @@ def _limit(limit: Limit, axis: PaperRow | None = None) -> PaperRow:
 
 
 def _ratios(own: Mapping[tuple[int, float], PaperRow], reading: str = "") -> Iterator[PaperRow]:
-    """On over off, with the scatter of both."""
+    """Ratios of on over off, with the scatter of both."""
     for axis, (letter, printed) in enumerate(RATIOS.items()):
         on = own[axis, ADDED_NS_PER_M]
         off = own[axis, 0.0]
@@ -487,7 +487,9 @@ def _differences(frequency_hz: Floats, off: Complexes, on: Complexes) -> tuple[f
 
 
 def _peak(mode: str, found: GridResult | None, name: str) -> Iterator[PaperRow]:
-    """Of the upper envelope: by trials for the first device, by prediction for the others."""
+    """Rows of the peak of the upper envelope: by trials for the first device, by prediction for the
+    others.
+    """
     peak = None if found is None else found.peak()
     at = mass = rise = nan
     count = 0 if found is None else found.seeds
@@ -566,7 +568,7 @@ def _grid(found: tuple[GridResult, ...]) -> Iterator[PaperRow]:
 
 
 def _bounds(mode: str, found: GridResult) -> Iterator[PaperRow]:
-    """Of Fig. 11, at the frequency next to 2 Hz."""
+    """Rows of the bounds of Fig. 11, at the frequency next to 2 Hz."""
     envelope = found.envelope
     count = found.seeds
     place = int(np.abs(envelope.frequency_hz - LOW_HZ[0]).argmin())
@@ -597,7 +599,7 @@ def _bounds(mode: str, found: GridResult) -> Iterator[PaperRow]:
 
 
 def of_limit(row: PaperRow) -> str:
-    """Of an axis limit; nothing where it matches, except where the device cannot."""
+    """The note of an axis limit; nothing where it matches, except where the device cannot."""
     if row.matches and row.device != LITERAL:
         return ""
     return REASONS.get((row.device, row.quantity), REASONS[row.device, ""])

@@ -113,12 +113,12 @@ class Limit:
 
     @property
     def mean(self) -> float:
-        """Over seeds; the prediction without trials; 0 where nothing is passive."""
+        """The mean over seeds; the prediction without trials; 0 where nothing is passive."""
         return float(np.nan_to_num(self.values.mean() if self.values.size else self.predicted))
 
     @property
     def sd(self) -> float:
-        """Over seeds; nan with less than two."""
+        """The standard deviation over seeds; nan with fewer than two."""
         return float(self.values.std(ddof=1)) if self.values.size > 1 else nan
 
 
@@ -142,7 +142,7 @@ class SingleTrials:
 
     @property
     def shown(self) -> Impedance | None:
-        """Of the first seed that did not run away, on the frequencies of the figures."""
+        """Impedance of the first seed that did not run away, on the frequencies of the figures."""
         found = next((trial.spectra for trial in self.trials if trial is not None), None)
         if found is None:
             return None
@@ -165,7 +165,7 @@ class Peak:
 
 @dataclass(frozen=True, eq=False)
 class GridResult:
-    """Of one damping level: `passive` (nK, nB, nM) of the grid, `undecided` of the `trials`
+    """The grid at one damping level: `passive` (nK, nB, nM) of it, `undecided` of the `trials`
     that passed; the envelope [N s/m], and `environments` (N, 3) that its owners are places in.
     """
 
@@ -228,7 +228,9 @@ def plan_reproduce(quick: bool = False, seeds: int = SEEDS) -> ReproducePlan:
 
 @cache
 def conditions(device: str) -> Conditions:
-    """Of the paper's trials on one of SCENES, by the name of its device; the first seed is 1."""
+    """Conditions of the paper's trials on one of SCENES, by the name of its device; the first seed
+    is 1.
+    """
     scene = load_scene(SCENES[device])
     return Conditions(scene, SECONDS, replace(noise(scene), seed=1))
 
@@ -383,7 +385,7 @@ def single_trial(device: str, point: Point, level: float, seed: int) -> TrialRes
 
 
 def _grid(tell: Progress, pool: Executor) -> tuple[GridResult, ...]:
-    """By trials, each level."""
+    """The grid of each level, by trials."""
     plan = worth_trying(plan_map(MapParams(conditions(MAIN), AXES, LEVELS)))
     return tuple(_of_map(level) for level in run_map(plan, TrialStore(None), tell, pool).levels)
 

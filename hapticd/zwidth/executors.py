@@ -79,7 +79,7 @@ class Alone(Executor):
         self._inner = inner
 
     def submit(self, task: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        """As any executor."""
+        """Submit `task` as to any executor; it is run by `alone`."""
         return self._inner.submit(partial(alone, task, *args, **kwargs))
 
 
@@ -156,7 +156,7 @@ def _greeted(address: str) -> None:
     with create_connection((str(place.hostname), place.port or 0), timeout=PATIENCE_S) as link:
         length = link.recv(8)  # of what follows, little-endian
     if len(length) < 8 or int.from_bytes(length, "little") > GREETING_MOST:
-        raise OSError("who answers does not speak Dask")
+        raise OSError("the program at that address is not a Dask scheduler")
 
 
 def _address(spec: str) -> str:

@@ -142,7 +142,7 @@ class LiveRecording:
         settle = round(SETTLE_S * PROBE_RATE_HZ)
         ended = ""
         wanted = settle + round(self._seconds * PROBE_RATE_HZ)
-        for block in self._heard():
+        for block in self._probe_blocks():
             self._take(block)
             tell(
                 self._sentinel.outlook,
@@ -187,7 +187,7 @@ class LiveRecording:
             "config_hash": status.get("config_hash", ""),
         }
 
-    def _heard(self) -> Iterator[Block]:
+    def _probe_blocks(self) -> Iterator[Block]:
         """Blocks of the probe, after the ticks before each were read; none after the servo is no
         longer enabled or was changed.
         """

@@ -127,7 +127,7 @@ class LockStepBench(Client):
             yield None
 
     def run(self, ticks: int) -> bytes:
-        """As `LockStep.run`, and keeps the newest record."""
+        """Run as `LockStep.run` does, and keep the newest record."""
         data = self.stack.run(ticks)
         self.newest = as_records(data[-RECORD.size :])[-1]
         return data
@@ -185,8 +185,8 @@ def _records(servo: ServoParams, found: Records, refused: list[str]) -> LockStep
     spoiled = int(((found["flags"] & (Flag.MISSING_IN | Flag.BAD_IN | Flag.LATE)) != 0).sum())
     if refused or spoiled or found["fault"].any():
         raise LinkError(
-            f"lock-step: {spoiled} spoiled ticks, commands refused: {refused or 'none'}; run it"
-            " with `hapticd run`"
+            f"lock-step: {spoiled} late or damaged ticks, commands refused: {refused or 'none'};"
+            " run it with `hapticd run`"
         )
     block = RingBlock(1, 0, 0, found.tobytes(), found)
     (probe,) = ProbeDecoder(servo.device).messages(block, Origin(0, 0, servo.simulated))

@@ -335,7 +335,7 @@ def between(found: PassiveSet) -> list[Point]:
 
 
 def halved(found: PassiveSet) -> PassiveSet:
-    """On the finer grid: means between neighbours; nan, which is not passive, beside a nan."""
+    """The set on the finer grid: means between neighbours; nan, so not passive, beside a nan."""
     margin = found.margin
     for place in range(3):
         margin = np.apply_along_axis(_with_means, place, margin)

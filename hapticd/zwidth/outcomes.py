@@ -120,7 +120,7 @@ class Outcome:
 
     @property
     def frequency_hz(self) -> Floats:
-        """Of `z` (F,)."""
+        """The frequencies (F,) of `z` [Hz]."""
         return kept_frequencies(self.band_hz)
 
 
@@ -189,7 +189,7 @@ def _simulated(
 
 
 def _shared_transform(records: BatchResult) -> Complexes | None:
-    """Of the force (N/2 + 1,), if all trials have the same."""
+    """The transform of the force (N/2 + 1,), if all trials have the same."""
     force = records.torque_n
     return None if force is None or force.ndim > 1 else np.fft.rfft(np.asarray(force, np.float64))
 
@@ -368,7 +368,7 @@ class TrialBatch:
 
     @cached_property
     def keys(self) -> dict[Point, str]:
-        """Of each point in a store."""
+        """The key of each point in a store."""
         shared = FORMAT, __version__, fingerprint(self.conditions), self.damping_ns_per_m
         return {point: fingerprint((*shared, point))[:32] for point in self.points}
 

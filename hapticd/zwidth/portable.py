@@ -158,8 +158,8 @@ class Reach:
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """At one active damping [N s/m]: the envelope [N s/m], the same per mass [1/s], limits, and
-    other people's numbers.
+    """What is known at one active damping [N s/m]: the envelope [N s/m], the same per mass [1/s],
+    limits, and other people's numbers.
     """
 
     damping_ns_per_m: float
@@ -249,7 +249,7 @@ def _conditions(content: Mapping[str, Any]) -> EnvelopeConditions:
 
 
 def _masses(content: Mapping[str, Any]) -> dict[str, float]:
-    """Of the shipped device that the file belongs to; nan if it is another one."""
+    """Masses of the shipped device that the file belongs to; nan if it is another one."""
     device = content["device"]
     scene = device_scene(device)
     if scene is None or device_hash(device) != content["device_file_sha256"]:

@@ -92,7 +92,7 @@ def read_file(
             " line of names"
         )
     if not path.exists():
-        raise ConfigError(f"{path}: No such file; check the path")
+        raise ConfigError(f"{path}: no such file; check the path")
     recording = READERS[path.suffix] is _read_hdf5 and is_recording(path)
     columns = {} if recording else _columns(path)
     with _whole_file(path):
@@ -284,7 +284,7 @@ def _single(path: Path, name: str, values: Floats) -> float:
 def _usable(path: Path, rate_hz: float) -> None:
     if not 0.0 < rate_hz < np.inf:
         raise AnalysisError(
-            f"{path}: a sample rate of {rate_hz:g} Hz; say the right one with --rate-hz"
+            f"{path}: a sample rate of {rate_hz:g} Hz; give the rate with --rate-hz"
         )
     if rate_hz < SLOWEST_HZ:
         likely = (
@@ -293,7 +293,7 @@ def _usable(path: Path, rate_hz: float) -> None:
             else f"{1e3 * rate_hz:g} Hz, in kHz"
         )
         raise AnalysisError(
-            f"{path}: a sample rate of {rate_hz:g} Hz; it looks like {likely}: say the rate in Hz"
+            f"{path}: a sample rate of {rate_hz:g} Hz; it looks like {likely}: give the rate in Hz"
             " with --rate-hz"
         )
 
@@ -389,7 +389,7 @@ def _wrong(names: list[str], mark: str, rows: list[tuple[int, str]]) -> str:
 
 
 def _read_npz(path: Path) -> dict[str, Any]:
-    """Of numpy."""
+    """The columns of an .npz file, by name."""
     found = np.load(path, allow_pickle=False)
     if isinstance(found, np.ndarray):
         raise ValueError("a bare array")
@@ -398,7 +398,7 @@ def _read_npz(path: Path) -> dict[str, Any]:
 
 
 def _read_mat(path: Path) -> dict[str, Any]:
-    """Of MATLAB, old or new."""
+    """The variables of a MATLAB file, old or new, by name."""
     io = needed("scipy.io", "reference")
     try:
         return {

@@ -56,7 +56,7 @@ def level(scene: Scene) -> float:
 
 
 def filters(scene: Scene) -> tuple[FilterParams, FilterParams]:
-    """Of velocity and acceleration."""
+    """The filters of velocity and acceleration."""
     return scene.environment.velocity_filter, scene.environment.acceleration_filter
 
 
@@ -90,17 +90,17 @@ class Display:
 
     @property
     def filters(self) -> Filters:
-        """Of velocity and acceleration."""
+        """The filters of velocity and acceleration."""
         return filters(self.scene)
 
     @property
     def perturbation(self) -> Perturbation:
-        """Of its trials."""
+        """The perturbation of its trials."""
         return Perturbation(self.excitation.psd_n2_per_hz, self.excitation.band_hz)
 
     @property
     def force_limit_n(self) -> float:
-        """At which its command saturates; inf without one."""
+        """The force at which its command saturates [N]; inf without a limit."""
         return self.model.force_limit_n or inf
 
     def predicted(
@@ -110,8 +110,8 @@ class Display:
         band_hz: tuple[float, float] = DEFAULT_BAND_HZ,
         dry: bool = True,
     ) -> Prediction:
-        """Of environments (N, 3) at a damping level [N s/m]; `dry`: with the friction as it is at
-        the perturbation, and as the trials record it.
+        """Predict environments (N, 3) at a damping level [N s/m]; `dry`: with the friction as it is
+        at the perturbation, and as the trials record it.
         """
         return predict(
             self.model,

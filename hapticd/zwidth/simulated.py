@@ -84,8 +84,8 @@ def spectra_of(
     force_limit_n: float,
     lag: int = DEFAULT_LAG,
 ) -> list[Spectra]:
-    """Of every trial at `frequency_hz` (F,) that ran to its end without reaching the force limit:
-    the others ran away, and have no impedance.
+    """Spectra at `frequency_hz` (F,) of every trial that ran to its end without reaching the force
+    limit: the others ran away, and have no impedance.
     """
     calm = ~found.diverged & (found.max_force_n < SATURATED * force_limit_n)
     return [spectra_on(*found.record(int(one)), frequency_hz, lag) for one in np.flatnonzero(calm)]

@@ -54,8 +54,8 @@ class Sampling:
 
 
 def sampling(time_s: Floats) -> Sampling:
-    """Of rows at `time_s` (n,) [s], n > 1. AnalysisError for times that do not run evenly, or
-    in another unit than seconds.
+    """Sampling of rows at `time_s` (n,) [s], n > 1. AnalysisError for times that do not run evenly,
+    or in another unit than seconds.
     """
     steps = np.diff(time_s)
     _forwards(time_s, steps)

@@ -101,12 +101,12 @@ class MultisineLayout:
 
     @property
     def samples(self) -> int:
-        """Of one realisation."""
+        """Samples of one realisation, with its settling period."""
         return (self.periods + 1) * PERIOD
 
     @property
     def seconds(self) -> float:
-        """Of all realisations."""
+        """Seconds of all realisations."""
         return self.realisations * self.samples / PROBE_RATE_HZ
 
 

@@ -72,8 +72,8 @@ class Impact:
 
 @dataclass(frozen=True, slots=True)
 class WallLine:
-    """At one level and wall damping: the stiffest stable wall (0: none), `open` if the stiffest
-    that was tried is stable.
+    """The result at one level and wall damping: the stiffest stable wall (0: none), `open` if the
+    stiffest that was tried is stable.
     """
 
     damping_ns_per_m: float

@@ -32,13 +32,13 @@ Out = Annotated[
     typer.Option("--out", metavar="DIR", help="Keep results there; else zwidth-runs/, by date."),
 ]
 Seconds = Annotated[float, typer.Option("--seconds", metavar="S", help="Length of a trial.")]
-Seed = Annotated[int, typer.Option("--seed", min=0, help="Of the perturbation.")]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of the perturbation.")]
 Band = Annotated[
     tuple[float, float],
-    typer.Option("--band", metavar="LOW HIGH", help="Hz in which a verdict is given."),
+    typer.Option("--band", metavar="LOW HIGH", help="Band that is judged, Hz."),
 ]
 Confidence = Annotated[
-    float, typer.Option("--confidence", min=0.5, max=0.9999, help="Of a verdict.")
+    float, typer.Option("--confidence", min=0.5, max=0.9999, help="Confidence of the verdict.")
 ]
 Damping = Annotated[
     str,
@@ -95,7 +95,7 @@ class TrialsOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class ResultsOptions:
-    """Where results are kept, whether they are drawn, and how they are told."""
+    """Where results are kept, whether they are drawn, and how they are printed."""
 
     out: Out = None
     plot: Plot = True
@@ -198,7 +198,7 @@ def levels(text: str) -> tuple[float, ...]:
             f"--damping {text!r}: numbers in N s/m, separated by commas, for example 0,1.74"
         ) from None
     if not all(0.0 <= level < inf for level in found):
-        raise typer.BadParameter(f"--damping {text!r}: levels are not negative, and finite")
+        raise typer.BadParameter(f"--damping {text!r}: levels must be finite and not negative")
     return found
 
 

@@ -76,7 +76,7 @@ def command(
     from hapticd.zwidth.store import TrialStore
 
     if not axis or set(axis) - set(AXES):
-        raise typer.BadParameter(f"--axis {axis!r}: letters out of KBM")
+        raise typer.BadParameter(f"--axis {axis!r}: use one or more of the letters K, B, M")
     conditions = common.conditions(
         common.scene_of(scene), trials.seconds, trials.seed, trials.band, confidence
     )

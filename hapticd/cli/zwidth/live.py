@@ -32,7 +32,7 @@ class Rig:
 
     @property
     def origin(self) -> str:
-        """Of its records."""
+        """Where its records come from."""
         return f"daemon {self.instance!r}, device {self.device!r}"
 
 
@@ -67,7 +67,8 @@ def announce(rig: Rig, trial: "Trial", scene: "Scene | None") -> None:
     kind = "simulated" if rig.simulated else "real, it moves"
     terminal.talk(
         f"enables the device {rig.device!r} of daemon {rig.instance!r} ({kind}) in"
-        f" {common.environment_words(trial)}, and shakes it; Ctrl-C ends it, force off"
+        f" {common.environment_words(trial)}, and perturbs it; Ctrl-C ends the trial and"
+        " switches the force off"
     )
     if trial.environment[0] == 0.0:
         terminal.talk(
@@ -77,8 +78,8 @@ def announce(rig: Rig, trial: "Trial", scene: "Scene | None") -> None:
         terminal.talk(f"no model of a device {rig.device!r} is known, so nothing is predicted")
     if scene is not None and (rig.model is None or scene.device != rig.model.device):
         terminal.talk(
-            f"scene {scene.name!r} is of the device {scene.device!r}, the daemon has"
-            f" {rig.device!r}: what the scene says is rendered on that"
+            f"scene {scene.name!r} is of the device {scene.device!r}, not of the daemon's: the"
+            f" scene's environment is rendered on {rig.device!r}"
         )
 
 

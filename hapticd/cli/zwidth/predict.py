@@ -28,8 +28,8 @@ def command(
     band: common.Band = (2.0, 500.0),
     as_json: terminal.Json = False,
 ) -> None:
-    """Is one environment passive? By theory alone, without a trial: for every input, as a trial
-    would show it, and in hands.
+    """Predict whether one environment is passive: for every input, in a trial, and held by a
+    passive hand.
 
     The theorem (Colgate and Schenkel, for all images of a composed device) leaves friction out and
     holds for every input. The prediction counts friction at the amplitude of the trials, which
@@ -63,14 +63,14 @@ def _require_finite(values: dict[str, float]) -> None:
             raise typer.BadParameter(f"{option} {value:g}: {needed}")
 
 
-def _lines(found: "Outlook", shaken: "Perturbation") -> list[tuple[str, str]]:
+def _lines(found: "Outlook", perturbation: "Perturbation") -> list[tuple[str, str]]:
     motion = _motion(found.radius, found.period_s)
     prediction = f"{_least(found.true)}, {_friction(found.true)}"
     return [
         ("verdict", _verdict(found)),
         ("stability", f"spectral radius {found.radius:.6f} without friction: {motion}"),
         ("theorem", _theorem(found)),
-        ("prediction", f"{prediction}\n{'':11} {_amplitude(shaken)}"),
+        ("prediction", f"{prediction}\n{'':11} {_amplitude(perturbation)}"),
         ("a trial", f"would record {_least(found.recorded)}"),
         ("hand", _hand(found)),
     ]
@@ -121,12 +121,11 @@ def _friction(prediction: "Prediction") -> str:
     return f"friction counting for {counts:.3g} N s/m" if counts else "no friction"
 
 
-def _amplitude(shaken: "Perturbation") -> str:
-    force = sqrt(shaken.psd_n2_per_hz * shaken.band_hz)
-    return (
-        f"for noise of {shaken.psd_n2_per_hz:.3g} N^2/Hz up to {shaken.band_hz:g} Hz, {force:.2g}"
-        " N rms"
-    )
+def _amplitude(perturbation: "Perturbation") -> str:
+    density = perturbation.psd_n2_per_hz
+    band_hz = perturbation.band_hz
+    force_n = sqrt(density * band_hz)
+    return f"for noise of {density:.3g} N^2/Hz up to {band_hz:g} Hz, {force_n:.2g} N rms"
 
 
 def _hand(found: "Outlook") -> str:
@@ -156,7 +155,7 @@ def _outlook_json(
 ) -> dict[str, Any]:
     from hapticd.zwidth.store import to_json
 
-    shaken = found.true.perturbation
+    perturbation = found.true.perturbation
     numbers: dict[str, Any] = {
         "environment": point,
         "damping_ns_per_m": level,
@@ -168,7 +167,8 @@ def _outlook_json(
         "prediction": _judged(found.true),
         "recorded": _judged(found.recorded),
         "perturbation": (
-            shaken and {"psd_n2_per_hz": shaken.psd_n2_per_hz, "band_hz": shaken.band_hz}
+            perturbation
+            and {"psd_n2_per_hz": perturbation.psd_n2_per_hz, "band_hz": perturbation.band_hz}
         ),
         "withstands_every_hand": found.withstands,
         "hand": _built(found),

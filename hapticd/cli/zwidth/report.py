@@ -107,8 +107,8 @@ def _instead(folder: Path) -> str:
         )
     if (folder / "trials.jsonl").is_file():
         return (
-            "a campaign that was not finished, of which the trials are kept; the command that began"
-            f" it, with --out {folder}, goes on there and draws it"
+            "an unfinished run, whose trials are kept; repeat the command that began it with"
+            f" --out {folder} to finish and draw it"
         )
     return (
         "no run folder: it has no run.json; name a simulated device, a scene, or the folder of a"
@@ -129,8 +129,8 @@ def _of_run(folder: Path, out: Path) -> DrawnReport:
     if kept["kind"] != "map":
         kind = f"a run of kind {kept['kind']!r}"
         raise ConfigError(
-            f"{folder}: {kind} is drawn by the command that made it, with --out {folder}; here a"
-            " trial or a map is"
+            f"{folder}: {kind} can only be redrawn by the command that made it (--out {folder});"
+            " this verb redraws trials and maps"
         )
     found = kept_map(plan_map(_map_params(kept)), TrialStore(folder / "trials.jsonl"))
     return DrawnReport(draw_map(found, out), found.judged)

@@ -2,7 +2,7 @@
 
 The options are three dataclasses: what is tried and how it is judged, how a file is read, and
 where results go. From them come the parameters of one trial (`hapticd.zwidth.trial`), which is
-run, kept, drawn and told. Before anything is simulated or moves, it is said what will happen;
+run, kept, drawn and printed. Before anything is simulated or moves, it is said what will happen;
 beside the verdict it is said what would decide an undecided trial, and how single sines compare
 with the noise.
 """
@@ -58,7 +58,8 @@ class TrialOptions:
     mass: common.VirtualMass = None
     damping: common.OneDamping = None
     excitation: Annotated[
-        str, typer.Option("--excitation", metavar="noise|multisine", help="Of the probe.")
+        str,
+        typer.Option("--excitation", metavar="noise|multisine", help="How the probe is driven."),
     ] = "noise"
     seconds: Annotated[
         float, typer.Option("--seconds", metavar="S", help="Length of a trial by noise.")
@@ -69,14 +70,20 @@ class TrialOptions:
     periods: Annotated[
         int,
         typer.Option(
-            "--periods", metavar="N", help="Of each that count, after one to settle.", min=1
+            "--periods",
+            metavar="N",
+            help="Measured periods per realisation, after one to settle.",
+            min=1,
         ),
     ] = 2
     seed: common.Seed = 1
     psd: Annotated[
         float | None,
         typer.Option(
-            "--psd", metavar="N2/HZ", help="Of the perturbation; else the scene's.", min=0
+            "--psd",
+            metavar="N2/HZ",
+            help="Noise density of the perturbation; default: the scene's.",
+            min=0,
         ),
     ] = None
     band: common.Band = (2.0, 500.0)
@@ -94,7 +101,7 @@ class TrialOptions:
     ] = 2048
     behind: Annotated[
         float,
-        typer.Option("--behind-mass", metavar="KG", help="Mass of the probe to take out.", min=0),
+        typer.Option("--behind-mass", metavar="KG", help="Probe mass to subtract from Z.", min=0),
     ] = 0.0
     sine: Annotated[
         bool,
@@ -115,13 +122,16 @@ class TrialOptions:
 class FileOptions:
     """How a file is read, and what is known of its channels."""
 
-    force: Annotated[str, typer.Option("--force-column", metavar="NAME", help="Of FILE.")] = ""
-    velocity: Annotated[str, typer.Option("--velocity-column", metavar="NAME", help="Of FILE.")] = (
-        ""
-    )
+    force: Annotated[
+        str, typer.Option("--force-column", metavar="NAME", help="Column of the force in FILE.")
+    ] = ""
+    velocity: Annotated[
+        str,
+        typer.Option("--velocity-column", metavar="NAME", help="Column of the velocity in FILE."),
+    ] = ""
     rate_hz: Annotated[
         float | None,
-        typer.Option("--rate-hz", metavar="HZ", help="Of FILE, where it does not say."),
+        typer.Option("--rate-hz", metavar="HZ", help="Sample rate of FILE, where it does not say."),
     ] = None
     skew: Annotated[
         float,
@@ -159,8 +169,8 @@ def trial(
     instance: terminal.Instance = terminal.INSTANCE,
     results: TrialResultOptions,
 ) -> None:
-    """One trial of one environment: the probe shakes, impedance by spectral analysis, passive or
-    not.
+    """Run one trial of one environment: perturb the device, estimate its impedance, and judge
+    whether it is passive.
 
     White noise and spectral analysis, the paper's way, or multisines (period 1.024 s): better for a
     device without friction, and with friction only as good as the number of realisations. Of K, B
@@ -372,7 +382,8 @@ def needed(result: "TrialResult") -> str:
     layout = result.plan.params.multisine
     voiding = sorted({finding.code for finding in verdict.findings if finding.voids})
     if voiding:
-        return f"no length of a record decides with {' and '.join(voiding)} in it: mend that first"
+        found = " and ".join(voiding)
+        return f"no record, however long, can be judged with {found} in it: fix that first"
     if layout is None:
         return outlook.needed(verdict.seconds_needed, verdict.seconds)
     more = verdict.seconds_needed / verdict.seconds

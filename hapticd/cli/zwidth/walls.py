@@ -14,7 +14,9 @@ if TYPE_CHECKING:
 
 Stiffness = Annotated[
     common.Range,
-    typer.Option("--stiffness", metavar="LOW HIGH N", help="Of the walls, N/m, evenly in ln K."),
+    typer.Option(
+        "--stiffness", metavar="LOW HIGH N", help="Stiffness of the walls, N/m, evenly in ln K."
+    ),
 ]
 Viscous = Annotated[
     common.Range,
