@@ -1,4 +1,4 @@
-/* hapticd_wire.h - the truth of the wire between the hapticd host and an analog board.
+/* hapticd_wire.h - the authoritative definition of the wire between the hapticd host and an analog board.
  *
  * One OUT and one IN frame per servo tick, each inside one 64-byte full-speed packet. Little-endian, no padding.
  * Both end in CRC-16/CCITT-FALSE (poly 0x1021, init 0xFFFF, no reflection, no xor) over all bytes before it.
