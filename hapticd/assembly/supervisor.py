@@ -174,7 +174,7 @@ def mailbox_served(folder: Path, pid: int) -> bool:
     except MailboxError:
         return False
     header = layout.HEADER.unpack_from(page, 0)
-    return memoryview(page).cast("Q")[layout.EPOCH_WORD] != 0 and header[2] == pid
+    return memoryview(page).cast("Q")[layout.EPOCH_WORD] != 0 and header[layout.HEADER_PID] == pid
 
 
 class ProcessEvent(NamedTuple):

@@ -88,5 +88,5 @@ def parameters(table: dict[str, Any]) -> Iterator[tuple[str, str]]:
     """(dotted name, value with unit) of parameters in the shape of a `set`."""
     for name, value in flat(table):
         place = PLACES.get(name.replace("damping_level", "damping"))
-        unit = VALUE_LIMITS[place][2] if place is not None else ""
+        unit = VALUE_LIMITS[place].unit if place is not None else ""
         yield name, f"{value:.6g}" if unit in ("", "1", "side") else f"{value:.6g} {unit}"

@@ -9,12 +9,14 @@ import hashlib
 import struct
 from collections.abc import Mapping
 from enum import IntEnum
+from typing import Final, NamedTuple
 
 MAGIC = b"HAPTICD\0"
 
 # --- header page: written once by the servo before `epoch`, which is written last -----------------
 # magic, layout hash, pid, start_ns, rate_hz, config hash (hex), simulated
 HEADER = struct.Struct("<8s8sQqd64sB")
+HEADER_PID: Final = 2  # place in a header
 # u64 index into the mailbox file: start time of this servo life, 0 while it is being built
 EPOCH_WORD = 32
 
@@ -144,43 +146,49 @@ def values_of(given: Mapping[Value, float]) -> tuple[float, ...]:
     return tuple(values)
 
 
-# lowest, highest and unit of what may be asked; the device and the rate may allow less
-VALUE_LIMITS: dict[Value, tuple[float, float, str]] = {
-    Value.RAMP_S: (0.0, 60.0, "s"),
-    Value.STIFFNESS: (-1e4, 1e5, "N/m"),
-    Value.DAMPING: (-1e2, 1e3, "N s/m"),
-    Value.MASS: (-1.0, 10.0, "kg"),
-    Value.VELOCITY_FILTER_HZ: (0.1, 1e5, "Hz"),
-    Value.VELOCITY_FILTER_ZETA: (0.05, 10.0, "1"),
-    Value.ACCELERATION_FILTER_HZ: (0.1, 1e5, "Hz"),
-    Value.ACCELERATION_FILTER_ZETA: (0.05, 10.0, "1"),
-    Value.WALL_STIFFNESS: (0.0, 1e5, "N/m"),
-    Value.WALL_DAMPING: (0.0, 1e3, "N s/m"),
-    Value.WALL_POSITION: (-10.0, 10.0, "m"),
-    Value.WALL_SIDE: (-1.0, 1.0, "side"),
-    Value.ADDED_DAMPING: (0.0, 1e3, "N s/m"),
-    Value.ADDED_DAMPING_ON: (0.0, 1.0, "switch"),
-    Value.SAMPLES: (1.0, float(PERTURBATION_SAMPLES), "samples"),
-    Value.LOOP: (0.0, 1.0, "switch"),
-    Value.LEASE_CONTROL: (0.0, float((1 << 32) - 1), "id"),  # a u4 of the record
-    Value.LEASE_DAMPING: (0.0, float((1 << 32) - 1), "id"),
+class ValueLimit(NamedTuple):
+    """What may be asked for a value, both ends included."""
+
+    low: float
+    high: float
+    unit: str
+
+
+# the device and the rate may allow less
+VALUE_LIMITS: dict[Value, ValueLimit] = {
+    Value.RAMP_S: ValueLimit(0.0, 60.0, "s"),
+    Value.STIFFNESS: ValueLimit(-1e4, 1e5, "N/m"),
+    Value.DAMPING: ValueLimit(-1e2, 1e3, "N s/m"),
+    Value.MASS: ValueLimit(-1.0, 10.0, "kg"),
+    Value.VELOCITY_FILTER_HZ: ValueLimit(0.1, 1e5, "Hz"),
+    Value.VELOCITY_FILTER_ZETA: ValueLimit(0.05, 10.0, "1"),
+    Value.ACCELERATION_FILTER_HZ: ValueLimit(0.1, 1e5, "Hz"),
+    Value.ACCELERATION_FILTER_ZETA: ValueLimit(0.05, 10.0, "1"),
+    Value.WALL_STIFFNESS: ValueLimit(0.0, 1e5, "N/m"),
+    Value.WALL_DAMPING: ValueLimit(0.0, 1e3, "N s/m"),
+    Value.WALL_POSITION: ValueLimit(-10.0, 10.0, "m"),
+    Value.WALL_SIDE: ValueLimit(-1.0, 1.0, "side"),
+    Value.ADDED_DAMPING: ValueLimit(0.0, 1e3, "N s/m"),
+    Value.ADDED_DAMPING_ON: ValueLimit(0.0, 1.0, "switch"),
+    Value.SAMPLES: ValueLimit(1.0, float(PERTURBATION_SAMPLES), "samples"),
+    Value.LOOP: ValueLimit(0.0, 1.0, "switch"),
+    Value.LEASE_CONTROL: ValueLimit(0.0, float((1 << 32) - 1), "id"),  # a u4 of the record
+    Value.LEASE_DAMPING: ValueLimit(0.0, float((1 << 32) - 1), "id"),
 }
 FILTER_LIMIT = 0.45  # highest corner as a fraction of the rate
 
 
 def value_limits(
     rate_hz: float, added_damping_limit_ns_per_m: float
-) -> dict[Value, tuple[float, float, str]]:
-    """VALUE_LIMITS (lowest, highest, unit) as narrowed by the servo rate [Hz] and by the
-    device's damping limit [N s/m].
-    """
+) -> dict[Value, ValueLimit]:
+    """VALUE_LIMITS as narrowed by the servo rate [Hz] and the device's damping limit [N s/m]."""
     narrower = {
         Value.ADDED_DAMPING: added_damping_limit_ns_per_m,
         Value.VELOCITY_FILTER_HZ: FILTER_LIMIT * rate_hz,
         Value.ACCELERATION_FILTER_HZ: FILTER_LIMIT * rate_hz,
     }
     return {
-        place: (low, min(high, narrower.get(place, high)), unit)
+        place: ValueLimit(low, min(high, narrower.get(place, high)), unit)
         for place, (low, high, unit) in VALUE_LIMITS.items()
     }
 

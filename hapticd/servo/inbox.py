@@ -26,8 +26,8 @@ from hapticd.link.device import Device, Head
 from hapticd.mailbox.layout import COMMAND_VALUES, Command
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.params import ServoParams
-from hapticd.servo.plan import CLEARABLE, KIND, Plan, Request
-from hapticd.servo.safety import FAULT_EVENT, PERTURB_DONE_EVENT, State
+from hapticd.servo.plan import CLEARABLE, KIND, Plan, Request, fault_request
+from hapticd.servo.safety import PERTURB_DONE_EVENT, State
 from hapticd.units import NS_PER_S, PROBE_RATE_HZ
 from hapticd.wire.codec import HEAD_FIFO_LEVEL, HEAD_STATUS, NO_SAMPLES
 from hapticd.wire.frames import FIFO_TARGET, PROBE_MAX, OutFlag
@@ -135,7 +135,7 @@ class Inbox:
             found.append((0, Command.STOP, ACTOR_STOP_WORD, 0, _NO_VALUES))
         found += self._due(tick, any(request[KIND] == Command.STOP for request in found))
         if self._too_many_lost(plan):
-            found.append((0, FAULT_EVENT, 0, 0, (float(BY_CODE["lost_slots"].number),)))
+            found.append(fault_request(BY_CODE["lost_slots"].number))
         if self._leaving:
             found.append((0, Command.DISABLE, 0, 0, _NO_VALUES))
         if self._streamer.ended(head[HEAD_FIFO_LEVEL]):

@@ -26,12 +26,12 @@ from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 from hapticd.mailbox import layout
-from hapticd.mailbox.layout import Value, value_limits
+from hapticd.mailbox.layout import Value, ValueLimit, value_limits
 from hapticd.params import FilterParams, ServoParams, WorkspaceParams
 from hapticd.render.energy import Ledger
 from hapticd.render.law import Coefficients, Environment, LawState, design_coefficients
 from hapticd.render.ramp import Ramp, approach, constant
-from hapticd.servo.safety import LATCHED, State, held_damping
+from hapticd.servo.safety import FAULT_EVENT, LATCHED, State, held_damping
 from hapticd.units import round_half_up
 from hapticd.wire.codec import U16_HIGHEST
 from hapticd.wire.frames import StatusBit
@@ -143,14 +143,14 @@ def out_of_range(values: tuple[float, ...], params: ServoParams) -> bool:
     """
     if not math.isfinite(values[Value.MASK]) or not 0 <= values[Value.MASK] < 1 << len(values):
         return True
-    limits: dict[int, tuple[float, float, str]] = {
+    limits: dict[int, ValueLimit] = {
         int(place): limit
         for place, limit in value_limits(
             params.realtime.rate_hz, params.device.damping_limit_ns_per_m
         ).items()
     }
     return not all(
-        place in limits and limits[place][0] <= values[place] <= limits[place][1]
+        place in limits and limits[place].low <= values[place] <= limits[place].high
         for place in masked_places(values)
     )
 
@@ -235,6 +235,13 @@ Output = tuple[int, float, float, float, float, float, float, float, float, int,
 # seq, kind, actor, apply tick, values
 Request = tuple[int, int, int, int, tuple[float, ...]]
 KIND: Final = 1  # place in a Request
+
+
+def fault_request(number: int) -> Request:
+    """The servo's request to itself to enter the fault `number` (`faults.BY_NUMBER`)."""
+    return 0, FAULT_EVENT, 0, 0, (float(number),)
+
+
 # seq, result, fault, revision, (first tick, ramp-end tick), effective values
 Answer = tuple[int, int, int, int, tuple[int, int], tuple[float, ...]]
 

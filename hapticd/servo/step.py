@@ -30,10 +30,10 @@ from hapticd.servo.plan import (
     ServoState,
     Settled,
     coefficients_of,
+    fault_request,
     flat_plan,
     initial_plan,
 )
-from hapticd.servo.safety import FAULT_EVENT
 from hapticd.servo.transition import make_attend
 from hapticd.units import round_half_up
 from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
@@ -115,9 +115,8 @@ def make_step(params: ServoParams, delay: float = 0.125) -> Step:
         answers: tuple[Any, ...],
     ) -> tuple[ServoState, Output]:
         encoder, status, temperature, _, host, index = sample
-        event = (0, FAULT_EVENT, 0, 0, (float(fault),))
         unusable = (encoder, status, temperature, -1, host, index)
-        state, _, more, more_flags = attend(state, (event,), unusable, tick)
+        state, _, more, more_flags = attend(state, (fault_request(fault),), unusable, tick)
         return missing(state, flags | more_flags, answers + more)
 
     def turned(

@@ -44,9 +44,10 @@ from hapticd.servo.plan import (
     Settled,
     advance_added,
     coefficients_of,
+    fault_request,
     flat_plan,
 )
-from hapticd.servo.safety import FAULT_EVENT, LATCHED, State
+from hapticd.servo.safety import LATCHED, State
 from hapticd.units import round_half_up
 from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
 from hapticd.wire.frames import OutFlag, StatusBit
@@ -157,7 +158,7 @@ def make_attend(params: ServoParams) -> Attend:
         found = newly_lost(plan, sample) or (
             BY_CODE["home_failed"].number if homing_overdue(plan, now.tick, params) else 0
         )
-        events: tuple[Request, ...] = ((0, FAULT_EVENT, 0, 0, (float(found),)),) if found else ()
+        events: tuple[Request, ...] = (fault_request(found),) if found else ()
         answers: list[Answer] = []
         stops = tuple(one for one in commands if one[KIND] == Command.STOP)
         others = tuple(one for one in commands if one[KIND] != Command.STOP)
