@@ -29,7 +29,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterable, Sequence
 from math import sin, sqrt, tau
 from random import Random
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from hapticd.errors import ConfigError
 from hapticd.params import (
@@ -49,6 +49,10 @@ Row = tuple[float, ...]
 Rows = tuple[Row, ...]  # [Phi Gamma] of a piece, a row for each state
 Blocks = dict[str, Rows]  # rows by the letter that names their coefficients in the source
 State = tuple[float, ...]  # what a step takes and gives; only the plant understands it
+# places in a State: of the rotor, which every plant has first, and of a winding that heats up
+POSITION: Final = 0
+VELOCITY: Final = 1
+WINDING: Final = -1
 Step = Callable[[State, float, float, float, int], State]  # as `plant.step.make_step` returns it
 View = Callable[[State, float, float], float]  # of (state, force_n, damping_ns_per_m)
 

@@ -34,7 +34,18 @@ from typing import NamedTuple
 
 from hapticd.errors import ConfigError
 from hapticd.params import BoardParams
-from hapticd.plant.composed import State, Step, View, compiled, composed_step, rest, viewer
+from hapticd.plant.composed import (
+    POSITION,
+    VELOCITY,
+    WINDING,
+    State,
+    Step,
+    View,
+    compiled,
+    composed_step,
+    rest,
+    viewer,
+)
 
 # plain, not named: the generated step unpacks it in every piece
 Response = tuple[float, float, float, float]
@@ -165,11 +176,11 @@ def make_plant(params: BoardParams) -> Plant:
         return Plant(
             rest=lambda position_m: rest_state(params, position_m),
             step=make_step(params),
-            encoder=lambda state, force_n, level: state[0],
-            travel=lambda state, force_n, level: state[0],
+            encoder=lambda state, force_n, level: state[POSITION],
+            travel=lambda state, force_n, level: state[POSITION],
             impulse=None,
-            motor_force=lambda state, force_n, level: force_n - level * state[1],
-            estimate=lambda state, force_n, level: state[1],
+            motor_force=lambda state, force_n, level: force_n - level * state[VELOCITY],
+            estimate=lambda state, force_n, level: state[VELOCITY],
             celsius=None,
         )
     plant = params.plant
@@ -179,7 +190,7 @@ def make_plant(params: BoardParams) -> Plant:
         rest=lambda position_m: rest(plant, position_m),
         step=step,
         impulse=None if plant.impulse is None else viewer(terms, "impulse"),
-        celsius=None if plant.heating is None else lambda state: state[-1],
+        celsius=None if plant.heating is None else lambda state: state[WINDING],
         **views,
     )
 

@@ -30,7 +30,7 @@ from math import ceil, floor
 from random import Random
 
 from hapticd.params import BoardParams
-from hapticd.plant.composed import State
+from hapticd.plant.composed import VELOCITY, State
 from hapticd.plant.step import SUBSTEPS_PER_TICK, make_plant
 from hapticd.units import PROBE_RATE_HZ
 from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
@@ -341,7 +341,7 @@ class Axis:
         if now < substep:
             state = step(state, self.force_n, probe.torque_n, self.damping_n, substep - now)
             now = substep
-        if not -RUNAWAY_M_PER_S < state[1] < RUNAWAY_M_PER_S:
+        if not -RUNAWAY_M_PER_S < state[VELOCITY] < RUNAWAY_M_PER_S:
             state = self._run_away(now)
         self.now = now
         self.state = state
