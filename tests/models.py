@@ -17,6 +17,7 @@ from hapticd.params import (
     ServoParams,
     UsbParams,
 )
+from hapticd.render.law import Environment
 
 COUNT_M = BOARD.position_m_per_count
 COUNT_N = BOARD.force_n_per_count
@@ -61,3 +62,12 @@ def servo_params(**changes: Any) -> ServoParams:
 
 def board_params(**changes: Any) -> BoardParams:
     return dataclasses.replace(BOARD, **changes)
+
+
+def environment_tuple(params: EnvironmentParams, limit_n: float) -> Environment:
+    """`params` as the law takes them, without bias."""
+    wall = params.wall
+    ends = params.workspace
+    kbm = (params.stiffness_n_per_m, params.damping_ns_per_m, params.mass_kg)
+    solid = (wall.stiffness_n_per_m, wall.damping_ns_per_m, wall.position_m, float(wall.side))
+    return (*kbm, 0.0, limit_n, *solid, ends.lower_m, ends.upper_m, ends.stiffness_n_per_m)

@@ -8,7 +8,7 @@ own order of sums, friction from `plant.friction`, one trial at a time.
 from math import floor, pi, sin
 
 import numpy as np
-from law import environment_tuple
+from models import environment_tuple
 
 from hapticd.params import EnvironmentParams
 from hapticd.plant.friction import stick_one, stick_two

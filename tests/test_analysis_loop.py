@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from analysis_devices import display, rigid
-from law import environment_tuple
+from models import environment_tuple
 
 from hapticd.analysis.loop import (
     derivatives,

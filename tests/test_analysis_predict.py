@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 from analysis_devices import display
-from law import environment_tuple
+from models import environment_tuple
 
 from hapticd.analysis.impedance import impedance
 from hapticd.analysis.linearise import (

@@ -16,7 +16,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from law import environment_tuple
+from models import environment_tuple
 
 from benchmarks import run, targets
 from benchmarks.bare import BareLoop, EmptyBoard

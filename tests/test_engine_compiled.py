@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from devices import COUNTS, DRY, LIMIT, RIGID, TWO_MASSES, device
-from law import environment_tuple
+from models import environment_tuple
 
 from hapticd.engine import simulate
 from hapticd.params import EnvironmentParams, FilterParams, WallParams, WorkspaceParams

@@ -7,7 +7,7 @@ import types
 
 import numpy as np
 import pytest
-from law import environment_tuple
+from models import environment_tuple
 from numba import njit
 from scipy import signal
 
