@@ -38,6 +38,7 @@ PROTOCOL_VERSION = 1
 INTRODUCTION_MS = 40  # how long a new socket may take to connect before its hello is given up
 MESSAGES_QUEUED = 10_000  # per subscription, before ZeroMQ drops the newest
 STOP_TIMEOUT_S = 0.04  # then the stop page is pressed: force off may not wait for a gateway
+# 32 kB as float32, half of what a message may hold
 CHUNK_SAMPLES = 8192  # of a waveform, in one message
 POLL_S = 0.02  # between two looks at the state
 STREAMED = ("servo.raw", "probe")  # topics whose messages are blocks of records
@@ -189,8 +190,10 @@ class GatewayLine:
         unsent: list[bytes] = [payload]
         deadline = time.monotonic() + timeout_s
         while (outcome := self._conversation.outcome(number, time.monotonic_ns())) is None:
+            # a negative wait would be one for ever
             wait_ms = max(0, round(1000 * (deadline - time.monotonic())))
             if unsent:
+                # with IMMEDIATE it can be written to only when it is connected
                 if socket.poll(wait_ms, zmq.POLLOUT):
                     socket.send(unsent.pop())
             elif socket.poll(wait_ms):
@@ -215,6 +218,7 @@ class GatewayLine:
 
     def _introduce(self, socket: "zmq.Socket[bytes]") -> None:
         number, payload = self._conversation.ask("hello", {"name": self._name}, 0, 0)
+        # nobody waits for this reply: `receive` drops it
         self._conversation.forget(number)
         if socket.poll(INTRODUCTION_MS, zmq.POLLOUT):
             socket.send(payload)
@@ -438,6 +442,7 @@ class Client:
             except DaemonDown:
                 if time.monotonic() >= deadline:
                     raise
+                # a daemon that is being started does not answer yet
                 found = "down"
             if found == state:
                 return

@@ -129,6 +129,7 @@ def kernel_source(shape: Shape) -> str:
         dtype=shape.dtype,
         scalar=SCALARS[shape.dtype].__name__,
         rate=PROBE_RATE_HZ,
+        # the kernel compares a sum of squares, and takes no root and no mean
         too_fast=shape.samples * VELOCITY_MAX_M_PER_S**2,
         offsets="\n".join(f"{name} = {place}" for name, place in [*offsets, *enumerated]),
         rows=rows.names,
@@ -245,6 +246,7 @@ def _turns(amplitude_n: float, pitch_m: float, phase_rad: float) -> tuple[float,
 def _sine(force: str, position: str, velocity: str, number: Number) -> Iterator[str]:
     """Sine of a turn by its series on a quarter of it."""
     yield f"z = {position} * {number(1)} + {number(2)}"
+    # in turns, -1/2 to 1/2; then folded onto the quarter on which the series is short
     yield "z = z - np.floor(z + HALF)"
     yield "r = z if z > ZERO else -z"
     yield "r = r if r < HALF - r else HALF - r"
@@ -359,6 +361,7 @@ def _command(shape: Shape, row: Rows) -> Iterator[str]:
     if shape.encoder_quantum:
         yield f"y = np.floor(y * {row.c('COUNTS')} + HALF) * {row.c('COUNT')}"
     limit = row.c("LIMIT") if shape.limit else "INF"
+    # literals for what a scene does not have: LLVM folds them away with their branches
     wall = [row.c(name) if shape.wall else "ZERO" for name in WALL]
     ends = [row.c(name) for name in ENDS] if shape.ends else ["-INF", "INF", "ZERO"]
     environment = ", ".join([row("K"), row("B"), row("M"), "ZERO", limit, *wall, *ends])
@@ -368,6 +371,7 @@ def _command(shape: Shape, row: Rows) -> Iterator[str]:
     yield from (f"{row(name)} = state[{i}]" for i, name in enumerate(LAW_STATE))
     if shape.force_quantum:
         yield f"c = np.floor(c * {row.c('FORCE_COUNTS')} + HALF) * {row.c('FORCE_COUNT')}"
+    # from the front: each place takes what the next one held before that is written over
     queue = ["U", *(f"WAIT{i}" for i in range(shape.waits))]
     yield from (f"{row(earlier)} = {row(later)}" for earlier, later in pairwise(queue))
     yield f"{row(queue[-1])} = c"
@@ -384,6 +388,7 @@ def _tally(shape: Shape, row: Rows) -> Iterator[str]:
     torque = "t" if shape.impulse is None else "p"
     yield f"s2 = {' + '.join(f'v{j} * v{j}' for j in samples)}"
     yield f"e = {' + '.join(f'v{j} * {torque}{j}' for j in samples)}"
+    # NaN is not less than anything, so a lane that is no number ends here too
     yield f"a = {row('ALIVE')} if s2 < TOO_FAST else ZERO"
     yield "s2 = s2 if a > ZERO else ZERO"
     yield "e = e if a > ZERO else ZERO"
@@ -482,6 +487,7 @@ def _held(shape: Shape, c: int) -> Iterator[str]:
     they are.
     """
     velocity, position, _ = shape.contacts[c]
+    # `&`, since `and` is a branch, which the lane loop must not have
     stuck = f"(f{c} == q{c}) & (x{velocity} == ZERO)"
     if shape.keeps[position]:
         for i in shape.distances:
@@ -512,6 +518,7 @@ def _numbers(place: int, row: Rows) -> Number:
 
 
 def _stops(position: int, velocity: int, row: Rows) -> Iterator[str]:
+    # the velocity first: whether it is cut depends on the position before that is put back
     for sign, stop in ((">", "STOP_UP"), ("<", "STOP_DOWN")):
         yield (
             f"n{velocity} = ZERO if (n{position} {sign} {row.c(stop)}) & (n{velocity} {sign} ZERO)"

@@ -144,6 +144,7 @@ class Outstanding:
         if answer.result is Result.SCHEDULED:
             self._scheduled[key] = pending
             if len(self._scheduled) > MOST_SCHEDULED:
+                # keys are (life, number): the smallest is the oldest
                 del self._scheduled[min(self._scheduled)]
         return None
 
@@ -173,6 +174,7 @@ class Outstanding:
 
 def _is_due(pending: Pending, tick: int, now_ns: int) -> bool:
     answer = pending.answer
+    # what was refused changes nothing, so it need not wait for a record
     answered = answer is not None and (
         answer.result is not Result.APPLIED or tick >= answer.first_tick
     )
@@ -233,6 +235,7 @@ class Waveform:
 
     def _check(self, force_n: NDArray[np.float64], offset: int) -> None:
         limit = self._limits.of["samples_n"]
+        # not `<` or `>`: NaN must be found too
         wrong = np.flatnonzero(~((force_n >= limit.low) & (force_n <= limit.high)))
         if wrong.size:
             first = int(wrong[0])
@@ -315,6 +318,7 @@ class Desk:
 
         `outdated`: stops alone count.
         """
+        # the sort is stable: all others keep the order in which they came
         requests = sorted(map(unpacked, messages), key=lambda one: one.cmd != "stop")
         self.counts["requests"] += len(requests)
         replies = [self._attend(one, now_ns, outdated) for one in requests]
@@ -411,6 +415,7 @@ class Desk:
     def _stop(self, message: RequestMessage, actor: int, now_ns: int) -> Reply | None:
         mailbox = self._view.mailbox
         behind = mailbox is None or not self._view.alive or mailbox.backlog >= TAKEN_PER_TICK
+        # before the ring is tried: the page acts even when the ring is full
         pressed = behind and self._pressed()
         try:
             self._post(message, actor, (Command.STOP, 0, values_of({})), now_ns)

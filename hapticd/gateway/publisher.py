@@ -105,6 +105,7 @@ class Transitions:
         """Note the changes in `block`, and the gap before it."""
         if self._life != block.life:
             self._life = block.life
+            # every servo life begins disabled and without a fault
             self._last = (0, 0)
         if block.lost:
             self._journal.note("gap", seq=block.seq, lost=block.lost)
@@ -114,6 +115,7 @@ class Transitions:
         before_faults = np.concatenate(([self._last[1]], faults[:-1]))
         for place in np.flatnonzero((states != before_states) | (faults != before_faults)).tolist():
             self._note(block.records[place], int(before_states[place]))
+        # a block may say only that records were lost
         if len(states):
             self._last = int(states[-1]), int(faults[-1])
 
@@ -172,6 +174,7 @@ class Publisher:
         self._life = 0
         self._alive = False
         self._news: tuple[Any, ...] = ()
+        # so that the first look is due at once
         self._state_ns = -STATE_PERIOD_NS
 
     def subscribe(self, message: bytes, unix_ns: int) -> list[Message]:
@@ -193,6 +196,7 @@ class Publisher:
         if noted and "flight" in wanted:
             found.append(("flight", bytes(msgpack.packb(noted))))  # every number as it is
         for block in self.feed.take(now_ns):
+            # whether or not anyone subscribes: statistics and events miss no record
             self.stages.add(block.records, self._origin.epoch)
             self._transitions.follow(block)
             self.flight.add(block, now_ns)
@@ -233,6 +237,7 @@ class Publisher:
         if "probe" in wanted:
             found += [("probe", payload) for payload in self._probe.messages(block, self._origin)]
         else:
+            # the pause while nobody listened is no gap
             self._probe.forget()
         return found
 

@@ -53,6 +53,7 @@ from hapticd.mailbox.layout import LAYOUT_HASH
 from hapticd.params import GatewayParams, GatewaySetup, to_plain
 from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US
 
+# Linux has 108 bytes for it, the last of which is 0
 LONGEST_PATH = 107  # of a socket file
 REQUESTS_QUEUED = 200
 REPLIES_QUEUED = 200
@@ -61,8 +62,11 @@ MAX_SUBSCRIPTION_BYTES = (
     1024  # libzmq keeps some 50 bytes for each; handshakes with keys need several 100
 )
 HEARTBEAT_MS = 2000
+# three heartbeats
 SILENCE_MS = 6000
+# until a peer that connects and never speaks ZeroMQ is dropped
 HANDSHAKE_MS = 3000
+# `bind` makes the socket file; this leaves it read and write for user and group
 SOCKET_UMASK = 0o117
 
 Context = zmq.Context[zmq.Socket[bytes]]
@@ -86,6 +90,7 @@ class Sockets:
             )
             spoken: dict[int, int] = {
                 zmq.SNDHWM: MESSAGES_QUEUED,
+                # every subscription is reported, not the first alone: late joiners get `state`
                 zmq.XPUB_VERBOSE: 1,
                 zmq.MAXMSGSIZE: MAX_SUBSCRIPTION_BYTES,
             }
@@ -99,6 +104,7 @@ class Sockets:
     def _socket(self, kind: int, options: dict[int, int]) -> "zmq.Socket[bytes]":
         socket = self.context.socket(kind)
         common = {
+            # closing never waits for a client that does not read
             zmq.LINGER: 0,
             zmq.MAXMSGSIZE: MAX_MESSAGE_BYTES,
             zmq.HEARTBEAT_IVL: HEARTBEAT_MS,
@@ -120,12 +126,14 @@ class Sockets:
             auth.encrypt(self.telemetry, params)
         tcp = bind_tcp(self.telemetry, params.tcp_host, port_for(params, instance))
         endpoints = {"command": command, "telemetry": [telemetry, tcp], "pid": os.getpid()}
+        # last: whoever finds this file may connect
         write_whole(self._folder / ENDPOINTS, json.dumps(endpoints))
         return endpoints
 
     def close(self) -> None:
         """Close both sockets and remove what says where they were."""
         if self._guard:
+            # its thread has a socket of this context, which could not end before it
             self._guard.stop()
         self.context.destroy(linger=0)
         remove(self._folder, ENDPOINTS, COMMAND_SOCKET, TELEMETRY_SOCKET)
@@ -161,6 +169,7 @@ def bind_tcp(socket: "zmq.Socket[bytes]", host: str, port: int) -> str:
 
     ConfigError if the address is not ours.
     """
+    # ZeroMQ wants brackets around an IPv6 address, and `*` for any free port
     address = f"tcp://[{host}]" if ":" in host else f"tcp://{host}"
     try:
         socket.bind(f"{address}:{port or '*'}")
@@ -224,6 +233,7 @@ class GatewayServer:
         now_ns = self._clock.now_ns()
         self._view.refresh(now_ns)
         if self._view.mailbox:
+            # before the requests: whatever they cost, the servo has its heartbeat
             self._view.mailbox.beat(now_ns)
         if now_ns - self._passed_ns > STANDSTILL_NS:
             self._settled_ns = now_ns + SETTLING_NS
@@ -238,6 +248,7 @@ class GatewayServer:
             self._sockets.command.send_multipart(reply, zmq.DONTWAIT)
         if self._sockets.telemetry in ready:
             self._note_subscriptions()
+        # 1 ms of slack: a pass just short of 10 ms must not put it off for another 10
         if now_ns - self._drained_ns >= (DRAIN_MS - 1) * NS_PER_MS:
             self._drained_ns = now_ns
             self._publish(self._publisher.messages(now_ns, self._unix_ns()))

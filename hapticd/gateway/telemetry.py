@@ -101,6 +101,7 @@ BY_NAME = {topic.name: topic for topic in TOPICS}
 
 def wanted_by(prefix: bytes) -> frozenset[str]:
     """Topics that a subscription to `prefix` wants."""
+    # a subscriber may send any bytes; what is not ASCII is then no topic
     text = prefix.decode("ascii", errors="replace")
     return (
         frozenset({text})
@@ -173,6 +174,7 @@ class Feed:
         while ready := self._ready(now_ns):
             data, tail, lost = view.mailbox.records(self._tail, ready)
             records = as_records(data)
+            # the servo may write over the oldest records while they are copied
             torn = last_torn(records)
             seq = tail - len(records) + torn
             blocks.append(
@@ -193,11 +195,13 @@ class Feed:
     def _ready(self, now_ns: int) -> int:
         self._tail = min(self._tail, self._view.head)  # a head that fell back had been written over
         waiting = min(self._view.head - self._tail, MOST_RECORDS)
+        # a batch longer than a block never fills: it leaves after LINGER_NS as it is
         whole = waiting - waiting % self._batch if self._batch <= MOST_RECORDS else 0
         return whole or (waiting if now_ns - self._taken_ns >= LINGER_NS else 0)
 
 
 BLOCK_VERSION = 1
+# sent in another form (`timestamp`, six energies), or for `servo.raw` alone
 _LEFT_OUT = frozenset({"time_ns", "in_frame", "out_frame", "tail", "energy_j"})
 COLUMNS: tuple[str, ...] = tuple(str(field[0]) for field in TELEMETRY if field[0] not in _LEFT_OUT)
 ENERGIES = tuple(
@@ -359,6 +363,7 @@ class ProbeDecoder:
     def _gather(self, frame: bytes, count: int, time_ns: int) -> None:
         first = self._first(frame)
         expected = first if self._next is None else self._next
+        # pairs that an earlier frame has brought already
         known = max(0, expected - first)
         if known < count:
             self._lost += max(0, first - expected)
@@ -373,6 +378,7 @@ class ProbeDecoder:
             return []
         first, count, time_ns = np.array(self._stretches, np.int64).T
         samples = np.empty(int(count.sum()), PROBE_DTYPE)
+        # within a stretch indices go up by 1, from its first
         samples["index"] = (
             np.repeat(first, count)
             + np.arange(len(samples))
@@ -430,6 +436,7 @@ class StageHistograms:
         if not settled.size:
             return
         times_ns = np.stack([settled[f"{stage}_ns"] for stage in STAGES])
+        # each stage has bins of its own, so that one bincount serves all
         bins = (
             np.searchsorted(EDGES_NS, times_ns, side="right")
             + np.arange(len(STAGES))[:, None] * BINS

@@ -34,7 +34,9 @@ from hapticd.wire.codec import (
 )
 from hapticd.wire.frames import HelloFrame, Request
 
+# far above any number of lost samples: the link is given up long before
 SEED = 1 << 20
+# each is a transfer of its own within the tick
 STALE_READS = 2
 Head = tuple[int, ...]  # fields of frames.IN_SEALED; places: codec.HEAD_SEQ and the others
 Received = tuple[int, int, Head]  # arrival, unwrapped board time [us], head
@@ -50,6 +52,7 @@ class Device:
     def __init__(self, link: Link, rate_hz: float) -> None:
         self.link = link
         self.period_us = US_PER_S / rate_hz
+        # pyusb hands an array('B') on to libusb without a copy
         self.in_buffer = array("B", bytes(frames.PACKET_BYTES))
         self.out_buffer = array("B", bytes(frames.OUT_BYTES))
         self.counts = {"missing": 0, "bad": 0, "stale": 0, "gap": 0, "unseen": 0, "write_errors": 0}
@@ -67,7 +70,10 @@ class Device:
         """
         self.link.open()
         self.hello = session.greet(self.link.request(Request.HELLO, frames.HELLO_BYTES))
+        # a board that was lost may count from 0 again
         self._begin()
+        # samples of an earlier session may wait in the board; a frame without ENABLE also
+        # ends a tripped watchdog
         self.send(frames.OutFlag.FIFO_CLEAR, 0, 0, 0)
         return self.hello
 
@@ -121,6 +127,7 @@ def _exchange(
 
     def begin() -> None:
         nonlocal expected, missing, seeding
+        # no sequence number is that: the first frame goes the long way, through `odd`
         expected = -1
         missing = 0
         seeding = True
@@ -164,6 +171,7 @@ def _exchange(
             if not seeding and latched <= board_us:
                 return absent("missing")
         if not seeding:
+            # the straight line of `receive` does not tell the counters: they catch up here
             incoming.newest = head[HEAD_SEQ]
             outgoing.newest = head[HEAD_ECHO]
         _, gap = incoming.observe(found[HEAD_SEQ])
@@ -184,7 +192,9 @@ def _exchange(
             size = read(in_buffer)
         except (LinkTimeout, LinkStalled):
             return absent("missing")
+        # before the size is checked: the buffer has 64 bytes whatever came
         found = unpack(in_buffer)
+        # negative where 32 bits of microseconds wrap, every 71 minutes: `odd` unwraps them
         passed = found[HEAD_BOARD_TIME] - head[HEAD_BOARD_TIME]
         if (
             found[HEAD_SEQ] != expected
@@ -214,6 +224,7 @@ def _exchange(
     ) -> bool:
         nonlocal sent, left
         sent = (sent + 1) & 0xFFFF
+        # the frame after the last samples goes this way too: it puts zeros in their place
         if count or left:
             pack(sent, flags, torque, damping, resistance, count, samples)
             left = count

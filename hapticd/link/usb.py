@@ -117,11 +117,13 @@ class UsbLink(Link):
 
     def _forget(self) -> None:
         self._device = None
+        # in place of a test in every transfer whether the link is open
         self._read = self._write = _not_open
         self._in = self._out = 0
         self._halted: set[int] = set()  # endpoints whose last transfer stalled
 
     def open(self) -> None:
+        # of a board that was lost a dead handle is left
         self.close()
         self._device = device = self._find()
         try:
@@ -135,6 +137,7 @@ class UsbLink(Link):
 
     def close(self) -> None:
         device = self._device
+        # before it is disposed of: whatever fails there, the link is closed
         self._forget()
         if device is not None:
             _dispose(device)
@@ -144,6 +147,7 @@ class UsbLink(Link):
             count = self._read(self._in, buffer, self._timeout_ms)
         except DEVICE_ERRORS as error:
             raise self._transfer_failure("read", self._in, error) from error
+        # only two stalls in a row mean that the board is lost
         if self._halted:
             self._halted.discard(self._in)
         return count
@@ -164,6 +168,7 @@ class UsbLink(Link):
                 reply = self._device.ctrl_transfer(
                     VENDOR_IN, request.value, 0, 0, length, CONTROL_TIMEOUT_MS
                 )
+                # pyusb gives an array
                 return bytes(reply)
             self._device.ctrl_transfer(VENDOR_OUT, request.value, 0, 0, None, CONTROL_TIMEOUT_MS)
         except DEVICE_ERRORS as error:
@@ -175,14 +180,17 @@ class UsbLink(Link):
         unreadable = None
         ids = {"idVendor": params.vendor_id, "idProduct": params.product_id}
         try:
+            # a list, since pyusb's generator raises only where it is walked
             found = list(usb.core.find(find_all=True, backend=self._backend, **ids))
         except DEVICE_ERRORS as error:
             raise link_error("look for boards", error) from error
         for device in found:
             try:
+                # to read the serial number is to open the device, which needs the rights
                 if params.serial is None or _serial(device) == params.serial:
                     return device
             except DEVICE_ERRORS as error:
+                # kept for the end: another board at the bus may be ours
                 unreadable = link_error("read the board's serial number", error)
             _dispose(device)
         serial = "" if params.serial is None else f" with serial {params.serial}"
@@ -197,6 +205,7 @@ class UsbLink(Link):
 
     def _take(self, device: Any) -> None:
         number, self._out, self._in = _frame_endpoints(_configuration(device))
+        # before the claim, which fails with EBUSY while a kernel driver holds the interface
         _detach_kernel_driver(device, number)
         usb.util.claim_interface(device, number)
         self._read = device.read
@@ -212,6 +221,7 @@ class UsbLink(Link):
             )
         self._halted.add(endpoint)
         try:
+            # a control request to the board, which also sets both data toggles to 0
             self._device.clear_halt(endpoint)
         except DEVICE_ERRORS as worse:
             return LinkLost(str(link_error(f"clear the halt of endpoint 0x{endpoint:02x}", worse)))
@@ -247,6 +257,7 @@ def _configuration(device: Any) -> Any:
 def _frame_endpoints(configuration: Any) -> tuple[int, int, int]:
     """Number of the vendor interface and the addresses of its OUT and IN endpoint."""
     for interface in configuration:
+        # alternate setting 0 is the one in force when nobody has chosen
         if interface.bInterfaceClass == VENDOR_CLASS and interface.bAlternateSetting == 0:
             found = [
                 e.bEndpointAddress
@@ -278,6 +289,7 @@ def _detach_kernel_driver(device: Any, number: int) -> None:
     except NotImplementedError:
         return  # not a notion of this platform
     except usb.core.USBError as error:
+        # ENOENT: the driver let go between the question and the request
         if error.errno != errno.ENOENT:
             raise
 

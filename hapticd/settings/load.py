@@ -94,6 +94,7 @@ def find_config(given: Path | None = None, environ: Mapping[str, str] = os.envir
             if not path.is_file():
                 raise ConfigError(f"{path}: no such file, named by {origin}; check the path")
             return path
+    # an empty variable counts as not set, as the XDG specification has it
     home = Path(environ.get("XDG_CONFIG_HOME") or Path.home() / ".config")
     places = (home / "hapticd" / FILE_NAME, SYSTEM_FILE)
     return next((path for path in places if path.is_file()), shipped("config") / FILE_NAME)
@@ -108,6 +109,7 @@ def load(given: Path | None = None, overrides: tuple[Override, ...] = ()) -> Set
         return typed.get(path) or config_document.where(path)
 
     config = validated(Config, _merge(config_document.data, overrides), in_config)
+    # only now: the configuration names the device, and the command line may name another
     device_document = read(find_device(config.device, config_document.path, in_config(("device",))))
     device = validated(DeviceFile, device_document.data, device_document.where)
     check(config, device, in_config, device_document.where)
@@ -134,6 +136,7 @@ def validated(model: type[T], data: dict[str, Any], where: Where) -> T:
 
 
 def _merge(data: dict[str, Any], overrides: tuple[Override, ...]) -> dict[str, Any]:
+    # the document goes on to tell what the file itself says, for `origins`
     merged = copy.deepcopy(data)
     for override in overrides:
         table = merged

@@ -97,6 +97,7 @@ def _shown(detail: ErrorDetails) -> str:
     if detail["type"] in ("missing", "extra_forbidden", "model_type", "tuple_type"):
         return ""
     value = detail["input"]
+    # not isinstance: a bool is an int, and has no unit
     unit = _unit(detail) if type(value) in (int, float) else ""
     return f" = {_show(value)}{unit}"
 
@@ -130,6 +131,7 @@ def _show(value: Any) -> str:
 
 def _known_keys(model: type[BaseModel], path: KeyPath) -> list[str]:
     for step in path:
+        # a number is a place in a list of tables: the table is the same
         if isinstance(step, str):
             model = _table_of(model.model_fields[step].annotation)
     return list(model.model_fields)

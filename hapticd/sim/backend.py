@@ -263,6 +263,7 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         if device.owner is not None:
             raise usb_error(errno.EBUSY)
         device.configuration = value
+        # a set configuration begins with every endpoint as new
         device.halted.clear()
 
     def claim_interface(self, handle: Handle, interface: int) -> None:
@@ -345,6 +346,7 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         memoryview(buffer)[: len(packet)] = packet
         return len(packet)
 
+    # pyusb calls one or the other by the type of the endpoint; the board knows no difference
     intr_write = bulk_write
     intr_read = bulk_read
 
@@ -356,6 +358,7 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         while True:
             due_ns = port.next_in_ns()
             wake_ns = deadline_ns if due_ns is None else min(due_ns, deadline_ns)
+            # wakes early and spins the rest; virtual time is exact and needs no spin
             clock.sleep_until_ns(wake_ns - self._spin_ns)
             while self._spin_ns and clock.now_ns() < wake_ns:
                 pass
@@ -373,6 +376,7 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
     def _fail(self, fault: TransferFault, device: PluggedDevice, endpoint: int) -> NoReturn:
         if fault.number == errno.EPIPE:
             device.halted.add(endpoint)
+        # the transfer under way fails with its own number; only the next one finds no device
         if fault.away_s is not None:
             self.unplug(fault.away_s)
         raise usb_error(fault.number) from None

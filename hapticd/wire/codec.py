@@ -51,6 +51,7 @@ def crc16(data: bytes | bytearray | memoryview) -> int:
 
 def _sealed(layout: struct.Struct, *values: Any) -> bytes:
     try:
+        # a CRC of 0 to begin with; its bytes are cut off again
         body = layout.pack(*values, 0)[: -frames.CRC.size]
     except struct.error as error:
         raise FrameError(
@@ -98,9 +99,10 @@ def _check_axis(kind: str, axis: int) -> None:
 
 def encode_out(frame: OutFrame) -> bytes:
     """32 bytes of an OUT frame. FrameError if a value does not fit its field."""
-    count = _counted("OUT", len(frame.perturbation))
-    samples = (*frame.perturbation, *NO_SAMPLES[count:])
-    return _sealed(frames.OUT, *frame[:6], count, 0, *samples, b"")
+    *head, perturbation = frame
+    count = _counted("OUT", len(perturbation))
+    samples = (*perturbation, *NO_SAMPLES[count:])
+    return _sealed(frames.OUT, *head, count, 0, *samples, b"")
 
 
 def decode_out(data: bytes | bytearray | memoryview) -> OutFrame:
@@ -115,9 +117,10 @@ def decode_out(data: bytes | bytearray | memoryview) -> OutFrame:
 
 def encode_in(frame: InFrame) -> bytes:
     """64 bytes of an IN frame. FrameError if a value does not fit its field."""
-    count = _counted("IN", len(frame.pairs))
-    flat = tuple(value for pair in frame.pairs for value in pair) + _NO_PAIRS[2 * count :]
-    head = (*frame[:3], count, *frame[3:11], 0, *frame[11:13])
+    seq, echo, axis, *latched, index_offset, probe_index, pairs = frame
+    count = _counted("IN", len(pairs))
+    flat = tuple(value for pair in pairs for value in pair) + _NO_PAIRS[2 * count :]
+    head = (seq, echo, axis, count, *latched, 0, index_offset, probe_index)
     return _sealed(frames.IN, *head, *flat, b"")
 
 
@@ -174,6 +177,7 @@ def encode_hello(hello: HelloFrame) -> bytes:
             h.watchdog_ms,
             serial,
         )
+        # an OverflowError is a float that is too large for 32 bits
         return frames.HELLO.pack(*head, *h[6:], b"")
     except (struct.error, OverflowError) as error:
         raise FrameError(f"a value does not fit its field of the hello reply: {error}") from error
@@ -193,6 +197,7 @@ def decode_hello(data: bytes | bytearray | memoryview) -> HelloFrame:
         axes,
         capabilities,
         watchdog,
+        # Latin-1 takes every byte; what is not ASCII is refused below, by name
         serial.partition(b"\0")[0].decode("latin-1"),
         *scales,
     )
@@ -238,6 +243,7 @@ def out_packer(buffer: "array[int]") -> Callable[..., None]:
     behind = frames.OUT_HEAD.size
     none = NO_SAMPLES
     left = 0
+    # clears samples and the reserved bytes behind them, once: `pack` leaves the latter alone
     frames.OUT.pack_into(buffer, 0, *(0,) * 8, *none, b"", 0)
 
     def pack(
@@ -252,6 +258,7 @@ def out_packer(buffer: "array[int]") -> Callable[..., None]:
         nonlocal left
         fill(buffer, 0, seq, 0, flags, torque, damping, resistance, count, 0)
         if count or left:
+            # also once after the last samples, to put zeros in their place
             fill_samples(buffer, behind, *samples)
             left = count
         seal(buffer, offset, check(body, initial))

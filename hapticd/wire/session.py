@@ -91,6 +91,7 @@ def unwrap(previous: int, wrapped: int, bits: int) -> int:
     Exactly half a period away counts as backward.
     """
     half = 1 << (bits - 1)
+    # `&` gives a remainder that is never negative; half a period on both sides makes it signed
     return previous + ((wrapped - previous + half) & (2 * half - 1)) - half
 
 
@@ -104,6 +105,7 @@ class Arrival(Enum):
     REORDERED = auto()
 
 
+# made once: a frame allocates nothing, and `observe` tells them by identity
 _NEXT = (Arrival.NEXT, 0)
 _DUPLICATE = (Arrival.DUPLICATE, 0)
 _REORDERED = (Arrival.REORDERED, 0)

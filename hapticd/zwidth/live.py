@@ -176,6 +176,7 @@ class LiveRecording:
         came = np.concatenate([known for _, known in self._parts])[settle:wanted]
         lost = slots = 0
         if self._began is not None:
+            # the counter wraps there
             lost = (int(self._newest["lost_slots"]) - int(self._began["lost_slots"])) % LOST_SLOTS
             slots = int(self._newest["tick"]) - int(self._began["tick"]) + 1 + lost
         return {
@@ -219,6 +220,7 @@ class LiveRecording:
         )
         at_m = ticks["position_m"]
         self._positions_m = (
+            # fmin and fmax pass over the NaN that stands for nothing yet
             float(np.fmin(self._positions_m[0], at_m.min())),
             float(np.fmax(self._positions_m[1], at_m.max())),
         )
