@@ -178,9 +178,7 @@ VALUE_LIMITS: dict[Value, ValueLimit] = {
 FILTER_LIMIT = 0.45  # highest corner as a fraction of the rate
 
 
-def value_limits(
-    rate_hz: float, added_damping_limit_ns_per_m: float
-) -> dict[Value, ValueLimit]:
+def value_limits(rate_hz: float, added_damping_limit_ns_per_m: float) -> dict[Value, ValueLimit]:
     """VALUE_LIMITS as narrowed by the servo rate [Hz] and the device's damping limit [N s/m]."""
     narrower = {
         Value.ADDED_DAMPING: added_damping_limit_ns_per_m,
