@@ -1,7 +1,7 @@
 """The paper's figures, drawn from our results.
 
     Fig. 2                passive_set.walls_figure of `report`: stiffest walls that come to rest
-    Figs. 3, 8 and 11     envelope_figure: envelopes undamped, damped, and both
+    Figs. 3, 8 and 11     envelope_figure: envelopes without and with active damping, and both
     Figs. 4 and 7         single_figure: |Z| and phase of single trials
     Figs. 9 and 10        passive_figure: the passive set on the paper's grid
     limits                limits_figure: the six limits beside the paper's (ours, not the paper's)
@@ -70,7 +70,7 @@ from hapticd.weir2008.run import (
     ReproduceResult,
 )
 
-LOOKS = tuple(level_styles(LEVELS))
+STYLES = tuple(level_styles(LEVELS))
 LABELS = tuple(level_label(level) for level in LEVELS)
 TRUSTED_HZ = (2.0, 500.0)  # outside it nothing is judged
 IMPEDANCE_RANGE = (0.08, 200.0)  # |Z| in N s/m, the same for all envelopes that are compared
@@ -108,7 +108,7 @@ def single_figure(result: ReproduceResult, places: tuple[int, ...], title: str) 
     hertz_axis(phase, *SHOWN_HZ)
     known = []
     for single in shown:
-        look = LOOKS[single.level > 0.0]
+        look = STYLES[single.level > 0.0]
         words = LABELS[single.level > 0.0]
         trial = single.shown
         guess = (look, f"{words}, predicted") if trial is None else (PREDICTED, "predicted")
@@ -170,7 +170,7 @@ def drawn(result: ReproduceResult, place: int) -> Drawn:
     return Drawn(
         found.envelope,
         found.environments,
-        LOOKS[place],
+        STYLES[place],
         LABELS[place],
         guess,
         SMOOTHED if found.trials else 1,
@@ -178,8 +178,9 @@ def drawn(result: ReproduceResult, place: int) -> Drawn:
 
 
 def _peak(axis: Axes, peak: Peak) -> None:
+    _, _, mass_kg = peak.owner
     axis.annotate(
-        f"{peak.frequency_hz:.0f} Hz: M = {1e3 * peak.owner[2]:g} g\n(paper: near 100 Hz)",
+        f"{peak.frequency_hz:.0f} Hz: M = {1e3 * mass_kg:g} g\n(paper: near 100 Hz)",
         (peak.frequency_hz, peak.size_ns_per_m),
         (peak.frequency_hz, 2.6 * peak.size_ns_per_m),
         ha="center",
@@ -230,8 +231,8 @@ def limits_figure(result: ReproduceResult) -> Figure:
 
 def _labelled(name: str) -> str:
     scale, unit = {"K": (1.0, "N/m"), "B": (1.0, "N s/m"), "M": (1e3, "g")}[name[0]]
-    mode = "damped" if name.endswith("_on") else "undamped"
-    return f"{name[0]} {name[2:5]}\n{mode}\n{scale * PAPER[name]:g} {unit}"
+    mode = "with" if name.endswith("_on") else "without"
+    return f"{name[0]} {name[2:5]}\n{mode}\nactive\ndamping\n{scale * PAPER[name]:g} {unit}"
 
 
 def edges_figure(result: ReproduceResult) -> Figure:

@@ -127,8 +127,8 @@ def _by_trials(
 
 
 def edge_figure(result: FutureWorkResult) -> Figure:
-    """Envelopes undamped, damped and with B < 0, by the paper's rule and without counting on
-    friction, with the owners of their lower edges.
+    """Envelopes without and with active damping and with B < 0, by the paper's rule and without
+    counting on friction, with the owners of their lower edges.
     """
     title = f"Negative virtual damping and the lower edge of the Z-width\n{_subtitle(result)}"
     figure, grid = axes(
@@ -166,10 +166,10 @@ def edge_figure(result: FutureWorkResult) -> Figure:
 
 
 def _lines(
-    axis: Axes, bounds: Sequence[Bounds], looks: Sequence[tuple[Look, str]], seeds: int
+    axis: Axes, bounds: Sequence[Bounds], styles: Sequence[tuple[Look, str]], seeds: int
 ) -> None:
     """Both edges, the lower one heavier."""
-    for found, (look, words) in zip(bounds, looks, strict=True):
+    for found, (look, words) in zip(bounds, styles, strict=True):
         _line(
             axis,
             found.lower,
@@ -248,23 +248,23 @@ def shape_figure(result: FutureWorkResult) -> Figure:
         _by_trials(above, shaped.best.corner_hz, [each.values], scale, LIMITS[each.axis][-1], None)
     above.set_ylabel("limit (% of unshaped)")
     _free(free, shaped)
-    looks = ((OFF, "none"), (ON, "unshaped"), (ALONE, f"above {shaped.best.corner_hz:g} Hz"))
+    styles = ((OFF, "none"), (ON, "unshaped"), (ALONE, f"above {shaped.best.corner_hz:g} Hz"))
     _lines(
         size,
         [result.envelopes["off"], result.envelopes["on"], shaped.bounds],
-        looks,
+        styles,
         len(result.plan.seeds),
     )
     size.set(ylabel="envelope, B ≥ 0 (N s/m)", ylim=(0.003, None))
     _ends(size)
     size.legend(loc="lower left", title="active damping")
-    undamped = mark("without damping", color=BLACK, linestyle=OFF["linestyle"])
+    undamped = mark("without active damping", color=BLACK, linestyle=OFF["linestyle"])
     figure.legend(handles=[*legend_handles(above), undamped], ncols=4, **BELOW)
     return figure
 
 
 def _shares(axis: Axes, shaped: ShapedResult, corners: tuple[Corner, ...], words: str) -> None:
-    """Limits in percent of those without a corner; dashed those without damping."""
+    """Limits in percent of those without a corner; dashed those without active damping."""
     at = [corner.corner_hz for corner in corners]
     for place, (name, _, _, look) in enumerate(LIMITS):
         scale = 100.0 / shaped.plain.limits[place]
@@ -293,7 +293,7 @@ def _free(axis: Axes, shaped: ShapedResult) -> None:
         )
     for level, words, look in (
         (shaped.plain.free_db, "unshaped", ON),
-        (shaped.undamped.free_db, "without damping", OFF),
+        (shaped.undamped.free_db, "without active damping", OFF),
     ):
         axis.axhline(level, linewidth=0.9, **look)
         axis.text(0.45, level + 0.3, words, fontsize=SMALL_PT, color=look["color"])
@@ -347,7 +347,7 @@ def _volume(axis: Axes, result: FutureWorkResult) -> None:
     lines = axis.plot(
         levels.level, growth, color=BLACK, marker=".", label="volume of the set, predicted"
     )
-    axis.set(yscale="log", ylim=(0.1, None), ylabel="passive set (undamped = 1)")
+    axis.set(yscale="log", ylim=(0.1, None), ylabel="passive set\n(without active damping = 1)")
     plain_axis(axis.yaxis)
     lines += beside.plot(
         levels.level,

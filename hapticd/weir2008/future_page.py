@@ -109,15 +109,16 @@ def _lower_edge_words(result: FutureWorkResult) -> str:
         f"Active damping raises the lower edge of the Z-width in 2-20 Hz from {low['off']:.1f} to"
         f" {low['on']:.1f} dB (re 1 N s/m, mean over ln f). With B < 0 it comes to"
         f" {low['on_negative_B']:.1f} dB, {at_noise:.0f} % of the way back, and the upper edge"
-        f" stays. The Z-width there is {wide['off']:.1f} dB without damping, {wide['on']:.1f} dB"
-        f" with it, and {wide['on_negative_B']:.1f} dB with B < 0 beside it. The undamped device"
-        f" with B < 0 reaches {low['off_negative_B']:.1f} dB.\n\nThese edges count on dry friction,"
-        f" as limits at one perturbation do{twice}. Without counting on friction the lower edge is"
-        f" at {low['off_safe']:.1f} dB undamped, {low['on_safe']:.1f} dB damped,"
-        f" {low['on_negative_B_safe']:.1f} dB with B < 0 ({safe:.0f} % of the way back). All are"
-        " edges of one grid, that of Figs. 3 and 8 with rows of B < 0. A finer grid goes lower,"
-        " because K and M cancel more exactly, and other seeds let other environments pass: a"
-        " decibel or two, more than the scatter in the table (ADR 0034)."
+        f" stays. The Z-width there is {wide['off']:.1f} dB without active damping,"
+        f" {wide['on']:.1f} dB with it, and {wide['on_negative_B']:.1f} dB with B < 0 beside it."
+        " Without active damping, B < 0 alone brings the lower edge to"
+        f" {low['off_negative_B']:.1f} dB.\n\nThese edges count on dry friction, as limits at one"
+        f" perturbation do{twice}. Without counting on friction the lower edge is at"
+        f" {low['off_safe']:.1f} dB without active damping, {low['on_safe']:.1f} dB with it,"
+        f" {low['on_negative_B_safe']:.1f} dB with B < 0 beside it ({safe:.0f} % of the way back)."
+        " All are edges of one grid, that of Figs. 3 and 8 with rows of B < 0. A finer grid goes"
+        " lower, because K and M cancel more exactly, and other seeds let other environments pass:"
+        " a decibel or two, more than the scatter in the table (ADR 0034)."
     )
 
 
@@ -138,14 +139,14 @@ def _free_motion(result: FutureWorkResult) -> Section:
     heavier = shown_hz()[np.argmax(both.size.value > off.size.value)]
     words = (
         "No grid matters where no stiffness is rendered. Mean |Z| in 2-20 Hz is"
-        f" {off.low_db().mean():.1f} dB undamped and {on.low_db().mean():.1f} dB damped. B ="
-        f" {alone.damping:.2f} N s/m alone gives {alone.low_db().mean():.1f} dB, because the lag of"
-        f" the loop turns it into mass; with M = {1e3 * both.mass_kg:.1f} g beside it"
-        f" {both.low_db().mean():.1f} dB is left, lighter than the undamped device below"
-        f" {heavier:.0f} Hz and heavier above. All four are passive for every input without"
-        f" friction, the last with {both.reserve_ns_per_m:.2g} N s/m in reserve, which leaves"
-        " nothing for an error of the model. Eq. 2 of the paper does not hold for B < 0 and is"
-        " refused there."
+        f" {off.low_db().mean():.1f} dB without active damping and {on.low_db().mean():.1f} dB"
+        f" with it. B = {alone.damping:.2f} N s/m alone gives {alone.low_db().mean():.1f} dB,"
+        " because the lag of the loop turns it into mass; with"
+        f" M = {1e3 * both.mass_kg:.1f} g beside it {both.low_db().mean():.1f} dB is left, lighter"
+        f" than the device without active damping below {heavier:.0f} Hz and heavier above. All"
+        " four are passive for every input without friction, the last with"
+        f" {both.reserve_ns_per_m:.2g} N s/m in reserve, which leaves nothing for an error of the"
+        " model. Eq. 2 of the paper does not hold for B < 0 and is refused there."
     )
     rows = []
     for motion in free.motions:

@@ -414,7 +414,7 @@ def _passive(quantity: str, printed: float, single: SingleTrials, name: str) -> 
 
 
 def _compared(undamped: SingleTrials, damped: SingleTrials, name: str) -> Iterator[PaperRow]:
-    """Fig. 7 with over without damping."""
+    """Fig. 7 with over without active damping."""
     found = compared(undamped, damped, name)
     value = found.mean(axis=0)
     count = len(found) if undamped.trials else 0
@@ -503,8 +503,8 @@ def _peak(mode: str, found: GridResult | None, name: str) -> Iterator[PaperRow]:
     if found is not None and peak is not None:
         at = peak.frequency_hz
         rise = 100.0 * peak.rise
-        mass = float(peak.owner[2])
-        k, b, _ = peak.owner
+        k, b, m = peak.owner
+        mass = float(m)
         owner = f"K {k:g} N/m, B {b:g} Ns/m, M {1e3 * mass:g} g"
         note = (
             f"{'' if found.trials else 'predicted: '}{20.0 * np.log10(peak.size_ns_per_m):.1f} dB"
