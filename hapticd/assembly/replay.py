@@ -64,7 +64,7 @@ class Difference(NamedTuple):
     tick: int
     field: str
     recorded: Any
-    flown: Any  # the value of the replay, under its name in JSON
+    replayed: Any
 
 
 def replay(

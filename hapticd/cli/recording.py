@@ -241,13 +241,15 @@ def _drawn(result: "ReplayResult", path: Path, title: str, changed: str) -> list
 
 
 def _show_replay(found: dict[str, Any]) -> None:
+    from hapticd.recording.replay import REPLAYED_KEY
+
     verdict = "bit-exact" if found["bit_exact"] else "different"
     speed = f"{found['times_real_time']:.0f} x real time"
     terminal.data(f"{found['ticks']} ticks in {found['legs']} segments, {speed}: {verdict}")
     if first := found["first_difference"]:
-        difference = f"{first['field']} was {first['recorded']}, is {first['flown']}"
+        difference = f"{first['field']} was {first['recorded']}, is {first[REPLAYED_KEY]}"
         terminal.data(f"from tick {first['tick']}: {difference}")
-    for name, word in (("recorded", "recorded"), ("flown", "replayed")):
+    for name, word in (("recorded", "recorded"), (REPLAYED_KEY, "replayed")):
         rms_n = found["force_rms_n"][name]
         peak_n = found["force_peak_n"][name]
         terminal.data(f"force {word:8}  rms {rms_n:.4g} N, peak {peak_n:.4g} N")

@@ -225,18 +225,12 @@ class Recording:
         values = np.stack(
             [self.column("request", f"value_{place:02}") for place in range(COMMAND_VALUES)], axis=1
         ).tolist()
-        return [
-            Noted(
-                tick=row[0],
-                seq=row[1],
-                kind=row[2],
-                actor=row[3],
-                apply_tick=row[4],
-                values=tuple(twenty),
-            )
+        found = (
+            Noted(**dict(zip(REQUEST, row, strict=True)), values=tuple(twenty))
             for (one, *row), twenty in zip(numbers, values, strict=True)
-            if one == epoch and begin <= row[0] < end
-        ]
+            if one == epoch
+        )
+        return [noted for noted in found if begin <= noted.tick < end]
 
 
 def open_recording(path: Path) -> Recording:

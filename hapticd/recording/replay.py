@@ -23,6 +23,8 @@ from hapticd.mailbox.layout import Value
 from hapticd.recording.file import Recording
 from hapticd.units import NS_PER_S
 
+REPLAYED_KEY = "flown"  # JSON name of version 0.1
+
 
 @dataclass(frozen=True, eq=False)
 class ReplayResult:
@@ -48,15 +50,15 @@ class ReplayResult:
             "ticks": len(self.replayed),
             "legs": len(self.segments),
             "bit_exact": first is None,
-            "first_difference": None if first is None else first._asdict(),
+            "first_difference": None if first is None else _named(first),
             "force_rms_n": {
                 "recorded": _rms(recorded),
-                "flown": _rms(replayed),
+                REPLAYED_KEY: _rms(replayed),
                 "difference": _rms(replayed - recorded),
             },
             "force_peak_n": {
                 "recorded": float(np.abs(recorded).max()),
-                "flown": float(np.abs(replayed).max()),
+                REPLAYED_KEY: float(np.abs(replayed).max()),
             },
         }
 
@@ -78,6 +80,16 @@ def replay_recording(
     replayed = np.concatenate([replay(params, segment, instead) for segment in segments])
     edges = np.cumsum([0, *(len(segment.records) for segment in segments)]).tolist()
     return ReplayResult(recorded, replayed, list(pairwise(edges)), difference(recorded, replayed))
+
+
+def _named(first: Difference) -> dict[str, Any]:
+    """The first difference by its names in JSON."""
+    return {
+        "tick": first.tick,
+        "field": first.field,
+        "recorded": first.recorded,
+        REPLAYED_KEY: first.replayed,
+    }
 
 
 def _rms(values: NDArray[Any]) -> float:
