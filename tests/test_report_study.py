@@ -255,7 +255,12 @@ def test_every_sweep_has_its_panel_with_units(swept: AccuracyResult) -> None:
         "window of the spectra, samples",
     ]
     assert {label for _, label in labels(figure)} == {"error (deg)", ""}
-    assert {"defaults", "knee", "cannot be left out", "9"} <= written(figure)
+    assert {
+        "defaults",
+        "the cheapest setting within 10 % of the best",
+        "cannot be left out",
+        "9",
+    } <= written(figure)
 
 
 def test_points_are_seconds_and_total_errors(swept: AccuracyResult) -> None:
@@ -269,10 +274,10 @@ def test_points_are_seconds_and_total_errors(swept: AccuracyResult) -> None:
     assert list(line.get_ydata()) == [0.6, 0.4]
 
 
-def test_accuracy_table_marks_default_knee_and_reference(swept: AccuracyResult) -> None:
+def test_accuracy_table_marks_default_cheapest_and_reference(swept: AccuracyResult) -> None:
     lines = text(accuracy_table(swept)).splitlines()
     assert lines[0].endswith("total error deg")
-    assert lines[6].endswith("default, knee")
+    assert lines[6].endswith("default, cheapest setting within 10 % of the best")
     assert lines[7].endswith("the reference")
     assert lines[4].endswith("begins in motion")
 
@@ -285,10 +290,12 @@ def test_words_say_what_the_defaults_buy(swept: AccuracyResult) -> None:
         " deg of it by the sub-step."
     )
     assert (
-        "trial length: the knee is 90 s (10 ms, 0.4 deg); the error still falls as 1/sqrt(length),"
-        " a longer trial would buy more." in words
+        "trial length: the cheapest setting within 10 % of the best is 90 s (10 ms, 0.4 deg); the"
+        " error still falls as 1/sqrt(length), a longer trial would buy more." in words
     )
-    assert "tier: the knee is simulate (10 ms, 0.4 deg)." in words
+    assert (
+        "tier: the cheapest setting within 10 % of the best is simulate (10 ms, 0.4 deg)." in words
+    )
 
 
 def test_scene_without_noise_has_three_panels(swept: AccuracyResult) -> None:

@@ -75,10 +75,10 @@ def envelope_figure(conditions: Conditions, levels: Levels, inverse: bool = Fals
     `levels`: (active damping [N s/m], its trials). `inverse`: of the admittance, whose largest
     values are owned by the smallest |Z|.
     """
-    looks = level_styles([level for level, _ in levels])
+    styles = level_styles([level for level, _ in levels])
     shown = [
         _of_trials(conditions, *level, look, inverse)
-        for level, look in zip(levels, looks, strict=True)
+        for level, look in zip(levels, styles, strict=True)
     ]
     f = shown[0].envelope.frequency_hz
     seen = judged(trial for _, trials in levels for trial in trials)

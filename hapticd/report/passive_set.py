@@ -109,16 +109,16 @@ def set_figure(result: MapResult) -> Figure:
     figure, places = axes(
         rows, columns, 0.6 + 3.0 * columns, 2.7 * rows + 1.2, title, sharex=True, sharey=True
     )
-    looks = level_styles([level.damping_ns_per_m for level in result.levels])
+    styles = level_styles([level.damping_ns_per_m for level in result.levels])
     for panel, place in zip(shown, places, strict=True):
-        for turn, (level, look) in enumerate(zip(result.levels, looks, strict=True)):
-            _plane(place, level, int(panel), look, turn, len(looks))
+        for turn, (level, look) in enumerate(zip(result.levels, styles, strict=True)):
+            _plane(place, level, int(panel), look, turn, len(styles))
         place.set(title=f"M = {1e3 * mass[panel]:.3g} g", xlabel="B (N s/m)", ylabel="K (N/m)")
         place.label_outer()
     handles = [
         *(
             mark(level_label(level.damping_ns_per_m), **look)
-            for level, look in zip(result.levels, looks, strict=True)
+            for level, look in zip(result.levels, styles, strict=True)
         ),
         mark("trial passes", marker=ANSWERS["passes"], **MARKS),
         mark("trial fails or escapes", marker=ANSWERS["fails"], **MARKS),
@@ -193,14 +193,14 @@ def search_figure(results: Sequence[SearchResult]) -> Figure:
     panels = [[[row]] for row in (*rows, below)]
     figure, places = mosaic(panels, 11.0, 3.1 * len(panels) + 1.3, title)
     levels = [one.plan.params.damping_ns_per_m for one in results]
-    looks = level_styles(levels)
-    for row, foreseen, result, look in zip(rows, below, results, looks, strict=True):
+    styles = level_styles(levels)
+    for row, foreseen, result, look in zip(rows, below, results, styles, strict=True):
         _slices([places[name] for name in row], result, look)
         _foreseen(places[foreseen], result, look)
     handles = [
         *(
             mark(f"edge found, {level_label(level)}", **look)
-            for level, look in zip(levels, looks, strict=True)
+            for level, look in zip(levels, styles, strict=True)
         ),
         mark("edge predicted", **PREDICTED),
         mark("trial passes", marker=ANSWERS["passes"], **MARKS),
@@ -348,7 +348,7 @@ def limits_figure(result: LimitsResult) -> Figure:
     """
     params = result.plan.params
     many = len(params.amplitudes) > 1
-    groups, looks = (
+    groups, styles = (
         (params.levels, level_styles(params.levels)) if many else ((params.amplitudes[0],), [ALONE])
     )
     title = (
@@ -360,7 +360,7 @@ def limits_figure(result: LimitsResult) -> Figure:
     )
     for place, axis in zip(places, params.axes, strict=True):
         mine = [limit for limit in result.limits if limit.scan.axis == axis]
-        for group, look in zip(groups, looks, strict=True):
+        for group, look in zip(groups, styles, strict=True):
             name = f"by trials, {level_label(group)}" if many else "by trials"
             _limit_line(
                 place,

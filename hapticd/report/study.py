@@ -54,7 +54,7 @@ from hapticd.study.scene import Ceiling, Integrators, SceneResult, SceneTrial
 from hapticd.units import PROBE_RATE_HZ
 from hapticd.zwidth.scenes import SUBSTEPS, candidates, frequencies, point
 
-LOOKS = (OFF, ON)
+STYLES = (OFF, ON)
 SHOWN_S = 0.5  # of a noisy trace
 SHOWN_HZ = (1.9, 1000.0)
 # ends of the axis of relative changes
@@ -86,6 +86,7 @@ DEFAULT: Look = {
     "color": BLACK,
     "linestyle": "",
 }
+CHEAPEST = "cheapest setting within 10 % of the best"  # what `knee` marks
 KNEE: Look = {"marker": "*", "markersize": 13, "color": ORANGE, "linestyle": "", "zorder": 3}
 METHODS = {
     "exact": ("exact map", BLUE, "o"),
@@ -116,7 +117,7 @@ def _with_impedance(result: SceneResult) -> Figure:
     band_hz = DEFAULT_BAND_HZ
     draw_traces((position, force), _traces(result, (begin_s, begin_s + SHOWN_S)))
     position.set_xlabel("time (s)")
-    for trial, look in zip(result.trials, LOOKS, strict=True):
+    for trial, look in zip(result.trials, STYLES, strict=True):
         _draw_impedance(size, phase, trial, look)
     for axis in (size, phase):
         hertz_axis(axis, *SHOWN_HZ)
@@ -146,7 +147,7 @@ def _draw_impedance(size: Axes, phase: Axes, trial: SceneTrial, look: Look) -> N
 def _traces_alone(result: SceneResult) -> Figure:
     """With the steps of damping, and the temperature of a winding that warms up."""
     panels = _traces(result, (0.0, result.plan.seconds))
-    pairs = list(zip(result.trials, LOOKS, strict=True))
+    pairs = list(zip(result.trials, STYLES, strict=True))
     panels.append(
         (
             "active damping (N s/m)",
@@ -187,7 +188,7 @@ def _title(result: SceneResult) -> str:
 def _traces(result: SceneResult, span_s: tuple[float, float]) -> list[tuple[str, list[Trace]]]:
     """Position and force of each trial in that span."""
     panels: list[tuple[str, list[Trace]]] = [("position (mm)", []), ("virtual force (N)", [])]
-    for trial, look in zip(result.trials, LOOKS, strict=True):
+    for trial, look in zip(result.trials, STYLES, strict=True):
         position_m, force_n = trial.found.traces(0)
         time_s = np.arange(force_n.size) / result.plan.scene.rate_hz
         inside = (time_s >= span_s[0]) & (time_s <= span_s[1])
@@ -496,7 +497,7 @@ def accuracy_table(result: AccuracyResult) -> Table:
     errors = f"setting's error {result.unit}", f"total error {result.unit}"
     rows: list[list[Cell]] = []
     for row in result.rows:
-        marks = filter(None, ("default" * row.default, "knee" * row.knee, row.note))
+        marks = filter(None, ("default" * row.default, CHEAPEST * row.knee, row.note))
         rows.append(
             [row.sweep, row.label, duration(row.seconds), row.step, row.total, ", ".join(marks)]
         )
@@ -504,7 +505,7 @@ def accuracy_table(result: AccuracyResult) -> Table:
 
 
 def accuracy_words(result: AccuracyResult) -> list[str]:
-    """What the defaults buy, and where each sweep has its knee."""
+    """What the defaults buy, and the cheapest setting of each sweep within 10 % of its best."""
     default = result.default
     window = ", window 2048" if result.plan.noise else ""
     defaults = f"{result.plan.exact.seconds:g} s, {SUBSTEPS} sub-steps, f64{window}"
@@ -518,18 +519,22 @@ def accuracy_words(result: AccuracyResult) -> list[str]:
             f" {shown(default.total)} {result.unit}, {shown(default.step)} {result.unit} of it by"
             " the sub-step."
         ),
-        *(_knee(result, sweep) for sweep in SWEEPS if sweep in {row.sweep for row in result.rows}),
+        *(
+            _cheapest(result, sweep)
+            for sweep in SWEEPS
+            if sweep in {row.sweep for row in result.rows}
+        ),
     ]
 
 
-def _knee(result: AccuracyResult, sweep: str) -> str:
+def _cheapest(result: AccuracyResult, sweep: str) -> str:
     rows = [row for row in result.sweep(sweep) if not isnan(row.seconds)]
     best = next((row for row in rows if row.knee), None)
     if best is None:
         return f"{sweep}: nothing could be measured."
     words = (
-        f"{sweep}: the knee is {best.label} ({duration(best.seconds)}, {shown(best.total)}"
-        f" {result.unit})"
+        f"{sweep}: the {CHEAPEST} is {best.label} ({duration(best.seconds)},"
+        f" {shown(best.total)} {result.unit})"
     )
     if sweep == "trial length" and best is rows[-1]:
         return f"{words}; the error still falls as 1/sqrt(length), a longer trial would buy more."
@@ -555,7 +560,7 @@ def accuracy_figure(result: AccuracyResult) -> Figure:
     handles = [
         *legend_handles(places["sub-steps"]),
         mark("defaults", **DEFAULT),
-        mark("knee", **KNEE),
+        mark(f"the {CHEAPEST}", **KNEE),
     ]
     figure.legend(handles=handles, ncols=6, **BELOW)
     return figure

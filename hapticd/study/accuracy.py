@@ -11,9 +11,9 @@ effect        each left out, at 1 sub-step: the difference is what counts, and i
 A comparison with the reference gives two errors of a setting. `step` is what the setting does to
 the answer for the same perturbation: the sub-step's, the precision's, a left-out effect's. `total`
 is the error of one trial that is made with it, chance or resolution included; of two settings with
-the same total the cheaper one is the better. The knee of a sweep is its cheapest setting whose
-total error is within 10 % of the best one's: what costs more buys little. A knee at the far end
-says that the sweep has none.
+the same total the cheaper one is the better. `knee` marks the cheapest setting of a sweep
+whose total error is within 10 % of the best one's: what costs more buys little, unless it is the
+last of the sweep.
 
 Noise (`PhaseComparison`): phase of the impedance, rms over the band. The reference of a linear
 scene is its exact first harmonic (`analysis.loop`). Of any other it is simulated: a group of trials
@@ -158,7 +158,7 @@ class AccuracyRow:
     step: float = nan  # nan: does not apply
     total: float = inf
     default: bool = False
-    knee: bool = False
+    knee: bool = False  # the cheapest setting within 10 % of the best
     note: str = ""
 
 
@@ -366,7 +366,9 @@ Comparison = PhaseComparison | PositionComparison
 
 
 def mark_knees(rows: list[AccuracyRow]) -> Iterable[AccuracyRow]:
-    """`rows` with the knee of every sweep marked; effects have none."""
+    """`rows` with the cheapest setting within 10 % of the best marked in every sweep but that of
+    effects.
+    """
     chosen = {
         sweep: cheapest_near_best([row for row in rows if row.sweep == sweep])
         for sweep in {row.sweep for row in rows} - {"effect"}
