@@ -1,4 +1,4 @@
-"""What settings builds and everyone below reads: frozen values in SI units.
+"""Frozen parameters in SI units, and their JSON form.
 
 `settings` validates TOML with pydantic and hands these down; `servo.json` and `board.json` are
 their plain JSON form, so that the servo process needs neither TOML nor pydantic. `from_plain`
@@ -37,7 +37,7 @@ class WallParams:
     """
 
     stiffness_n_per_m: float = 0.0
-    damping_ns_per_m: float = 0.0
+    damping_ns_per_m: float = 0.0  # virtual damping B of the wall
     position_m: float = 0.0
     side: int = 0
 
@@ -58,7 +58,7 @@ class EnvironmentParams:
     """
 
     stiffness_n_per_m: float = 0.0
-    damping_ns_per_m: float = 0.0
+    damping_ns_per_m: float = 0.0  # virtual damping B; active damping has a field of its own
     mass_kg: float = 0.0
     velocity_filter: FilterParams = FilterParams(100.0)
     acceleration_filter: FilterParams = FilterParams(72.0)

@@ -21,14 +21,14 @@ WEIR = load_scene("fig4")
 THEORY = load_scene("theory")
 
 
-def foresight(scene, damping):
+def prior_of(scene, damping):
     return ModelPrior(compose(scene), BOX, F, damping, filters(scene), Perturbation())
 
 
 @pytest.mark.parametrize("damping", [0.0, 1.74])
 def test_resistance_is_that_of_the_prediction(damping):
     near = BOX.to_environment(0.25 * np.random.default_rng(3).random((12, 3)) + [0.0, 0.0, 0.35])
-    found = foresight(WEIR, damping).resistance(near)
+    found = prior_of(WEIR, damping).resistance(near)
     for point, row in zip(near, found, strict=True):
         z = predicted_impedance(compose(WEIR), point, F, damping, filters(WEIR), Perturbation())
         assert np.allclose(row, z.real, atol=0.01 * np.abs(z).max())
@@ -41,7 +41,7 @@ def test_headroom_is_the_friction_that_the_loop_can_lose():
     model = compose(WEIR)
     chosen = filters(WEIR)
     friction = predict(compose(WEIR), POINTS, 1.74, perturbation=Perturbation())
-    found = foresight(WEIR, 1.74).headroom(POINTS)
+    found = prior_of(WEIR, 1.74).headroom(POINTS)
     share = 1.0 / 3.0 - found
     between = np.flatnonzero((share > 0.02) & (share < 0.9))
     assert len(between) > 8
@@ -63,7 +63,7 @@ def test_headroom_falls_on_the_way_across_the_boundary():
     not followed.
     """
     outwards = np.column_stack((np.zeros(12), np.linspace(6.0, 9.0, 12), np.zeros(12)))
-    assert (np.diff(foresight(WEIR, 1.74).headroom(outwards)) <= 0.0).all()
+    assert (np.diff(prior_of(WEIR, 1.74).headroom(outwards)) <= 0.0).all()
 
 
 def test_without_friction_headroom_says_stable_or_not():
@@ -72,7 +72,7 @@ def test_without_friction_headroom_says_stable_or_not():
     """
     model = compose(THEORY)
     points = POINTS[POINTS[:, 0] > 50.0]
-    found = foresight(THEORY, 0.0).headroom(points)
+    found = prior_of(THEORY, 0.0).headroom(points)
     radius = spectral_radius(model, points, 0.0, filters(THEORY))
     clear = np.abs(radius - 1.0) > 5e-3
     assert set(np.sign(found[clear])) == {-1.0, 1.0}
@@ -81,7 +81,7 @@ def test_without_friction_headroom_says_stable_or_not():
 
 
 def test_the_same_points_are_not_computed_twice(monkeypatch):
-    known = foresight(WEIR, 0.0)
+    known = prior_of(WEIR, 0.0)
     first = known.resistance(POINTS)
     monkeypatch.setattr(known, "_linearised", lambda _: pytest.fail("computed again"))
     known.headroom(POINTS.copy())

@@ -317,7 +317,7 @@ def test_search_tells_outcomes_and_runs_where_it_is_told(tmp_path, capsys, monke
     assert isinstance(pools[1], Executor)
 
 
-def test_campaigns_run_on_dask(tmp_path, capsys):
+def test_maps_run_on_dask(tmp_path, capsys):
     distributed = pytest.importorskip("distributed")
     assert run(small_map(tmp_path / "here"), capsys)[0] == 0
     with distributed.LocalCluster(

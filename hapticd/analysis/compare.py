@@ -92,8 +92,8 @@ def stiffness_damping_area(found: PassiveSet, mass_kg: float = 0.0) -> float:
 
 
 def stiffness_at(found: PassiveSet, damping_ns_per_m: float, mass_kg: float = 0.0) -> float:
-    """Largest passive K [N/m] at a virtual damping, linear between grid lines; nan where none is
-    passive. AnalysisError for a damping outside the grid.
+    """Largest passive K [N/m] at a virtual damping B of `damping_ns_per_m`, linear between grid
+    lines; nan where none is passive. AnalysisError for a damping outside the grid.
     """
     stiffness, damping, _ = found.axes
     if not damping[0] <= damping_ns_per_m <= damping[-1]:
@@ -110,8 +110,8 @@ def stiffness_at(found: PassiveSet, damping_ns_per_m: float, mass_kg: float = 0.
 
 
 def stiffness_rate(found: PassiveSet, damping_ns_per_m: float, mass_kg: float = 0.0) -> float:
-    """Slope dK/dB [1/s] of the boundary at that virtual damping, over one step of the grid
-    (one-sided at its ends).
+    """Slope dK/dB [1/s] of the boundary at a virtual damping B of `damping_ns_per_m`, over one
+    step of the grid (one-sided at its ends).
     """
     damping = found.axes[1]
     step = float(np.min(np.diff(damping)))

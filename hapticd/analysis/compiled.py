@@ -267,7 +267,9 @@ def _normal(moments, pairs, columns):  # type: ignore[no-untyped-def]
     size = np.empty(n)
     for d in range(n):
         for c in range(d + 1):
-            a, b, p = columns[c, 0], columns[d, 0], columns[c, 1] + columns[d, 1]
+            a = columns[c, 0]
+            b = columns[d, 0]
+            p = columns[c, 1] + columns[d, 1]
             value = moments[p, index[a, b]] if a <= b else moments[p, index[b, a]].conjugate()
             products[c, d] = value
         size[d] = max(np.sqrt(max(products[d, d].real, 0.0)), TINY)

@@ -113,7 +113,8 @@ class Network:
     """A hand under construction: nodes and what joins them; `GROUND` is the wall."""
 
     def __init__(self, mass_kg: float = 0.0) -> None:
-        self._masses, self._joints = [mass_kg], list[tuple[int, int, float, float]]()
+        self._masses = [mass_kg]
+        self._joints: list[tuple[int, int, float, float]] = []
 
     def node(self, mass_kg: float = 0.0) -> int:
         """Add a node of that mass and return its number."""

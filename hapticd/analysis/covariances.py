@@ -101,7 +101,8 @@ def line_products(late: Moments, early: Moments, lag: int) -> Floats:
     """
     n = early.length
     t = np.arange(lag + 1.0)
-    (late_start, late_slope), (early_start, early_slope) = late.line(), early.line()
+    late_start, late_slope = late.line()
+    early_start, early_slope = early.line()
     early_0, early_1 = early.sums_without_end(lag)
     late_0, late_1 = late.sums_without_start(lag)
     count = n - t

@@ -21,6 +21,7 @@ escapes otherwise, as by its quantiser.
 
 from collections.abc import Sequence
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,6 +46,14 @@ SHARES = (  # of the friction at rest, at which stability is looked at
 _LEAST_NS_PER_M = 1e-6
 
 
+class Known(NamedTuple):
+    """What the model says of N environments, at F frequencies."""
+
+    environments: Floats  # (N, 3)
+    resistance_ns_per_m: Floats  # (N, F), Re Z
+    friction_ns_per_m: Floats  # (N,), linearised, of all bodies together
+
+
 class ModelPrior:
     """`resistance` and `headroom` of `model` at a level of active damping, for environments in
     `box`.
@@ -67,32 +76,28 @@ class ModelPrior:
         self._loop = close_loop(rubbed(model, self._start), f, damping_ns_per_m, filters)
         rest = self._linearised(np.zeros((1, 3)))[0].friction[:, 0]
         self._needed = _Table(box, _needed(model, box, rest, damping_ns_per_m, filters))
-        self._last: tuple[Floats, Floats, Floats] | None = None
+        self._last: Known | None = None
 
     def resistance(self, environments: Floats) -> Floats:
         """Predicted Re Z (N, F) [N s/m] of `environments` (N, 3)."""
-        return self._known(environments)[1]
+        return self._known(environments).resistance_ns_per_m
 
     def headroom(self, environments: Floats) -> Floats:
         """Headroom (N,) of `environments` (N, 3) against escape, in -1..1."""
-        share = self._needed(environments) / np.maximum(
-            self._known(environments)[2], _LEAST_NS_PER_M
-        )
+        friction = self._known(environments).friction_ns_per_m
+        share = self._needed(environments) / np.maximum(friction, _LEAST_NS_PER_M)
         return np.clip(1.0 / BURSTS[-1] - share, -1.0, 1.0)
 
-    def _known(self, environments: Floats) -> tuple[Floats, Floats, Floats]:
-        """Environments, Re Z and friction; the last ones are kept, because the search asks for
-        both at the same points in turn.
+    def _known(self, environments: Floats) -> Known:
+        """The last answer is kept, because the search asks for Re Z and friction at the same
+        points in turn.
         """
-        if self._last is None or not np.array_equal(self._last[0], environments):
+        if self._last is None or not np.array_equal(self._last.environments, environments):
             parts = self._linearised(environments)
             true = np.concatenate([part.impedance for part in parts])
             z = recorded_impedance(self._loop, environments, true)[:, self._at].real
-            self._last = (
-                environments.copy(),
-                z,
-                np.concatenate([part.friction.sum(axis=0) for part in parts]),
-            )
+            friction = np.concatenate([part.friction.sum(axis=0) for part in parts])
+            self._last = Known(environments.copy(), z, friction)
         return self._last
 
     def _linearised(self, environments: Floats) -> list[Linearised]:
@@ -134,7 +139,8 @@ class _Table:
     """Values on a grid of a box, linear in between, constant beyond."""
 
     def __init__(self, box: Box, values: Floats) -> None:
-        self._box, self._values = box, values.reshape(SHAPE)
+        self._box = box
+        self._values = values.reshape(SHAPE)
 
     def __call__(self, environments: Floats) -> Floats:
         last = np.array(SHAPE) - 1

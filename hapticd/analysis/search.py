@@ -162,8 +162,8 @@ def next_trials(search: Search, count: int = 1) -> Floats:
     tried = np.vstack((found.unit, box.to_unit(search.unstable))) if search.unstable else found.unit
     chosen: list[Floats] = []
     for _ in range(count):
-        told = distance(unit, np.vstack((tried, *chosen))) * interest
-        chosen.append(unit[np.argmax(told)])
+        gain = distance(unit, np.vstack((tried, *chosen))) * interest
+        chosen.append(unit[np.argmax(gain)])
     return box.to_environment(np.stack(chosen))
 
 

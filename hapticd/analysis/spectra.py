@@ -453,10 +453,9 @@ class SpectralStream:
 
 def _add_detrended(sums: Sections, force: Floats, velocity: Floats) -> None:
     """Add the record without its trend block by block, so that no copy of it is made."""
-    size, (fitted_line, take_line_out) = (
-        max(1, TOGETHER // sums.lag) * sums.lag,
-        (kernels().fitted_line, kernels().take_line_out),
-    )
+    size = max(1, TOGETHER // sums.lag) * sums.lag
+    fitted_line = kernels().fitted_line
+    take_line_out = kernels().take_line_out
     lines = [(signal, *fitted_line(signal), np.empty(size)) for signal in (force, velocity)]
     for start in range(0, force.size, size):
         count = min(size, force.size - start)

@@ -97,8 +97,8 @@ def required_damping(
 
 def paper_equation_2(
     stiffness_n_per_m: float,
-    damping_ns_per_m: float,
-    physical_ns_per_m: float,
+    damping_ns_per_m: float,  # virtual damping B
+    physical_ns_per_m: float,  # b, what the device itself has
     rate_hz: float = 1000.0,
 ) -> bool:
     """Whether Eq. 2 of Weir, Colgate and Peshkin (2008) as printed holds: b > K T / 2 + B, for

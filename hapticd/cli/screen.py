@@ -149,6 +149,7 @@ def _lamp(newest: Any) -> Text:
     state = State(int(newest["state"]))
     fault = BY_NUMBER[int(newest["fault"])]
     text = Text("\n").append(f" {state.name} ", LAMPS.get(state, TRIPPED))
+    # in telemetry damping_ns_per_m is the virtual B, added_damping_ns_per_m the active damping
     text.append(f"  K {newest['stiffness_n_per_m']:g} N/m  B {newest['damping_ns_per_m']:g} N s/m")
     text.append(f"  M {newest['mass_kg']:g} kg")
     text.append(

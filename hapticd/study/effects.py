@@ -1,5 +1,5 @@
-"""Which effects does a question need? Leave them out one at a time, compare the answers, and
-propose the cheapest set that gives the answer of the whole scene.
+"""Which effects a question needs: leaves them out one at a time, compares the answers, and
+proposes the cheapest set that gives the answer of the whole scene.
 
 Linear effects are judged by prediction, which has no noise, others by simulation. All that alone
 change the answer by less than the tolerance are then left out together, the least important first,
@@ -29,6 +29,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from math import inf, nan
+from typing import NamedTuple
 
 import numpy as np
 
@@ -151,9 +152,16 @@ def named_phase(full: Floats, other: Floats) -> dict[str, float]:
     return {"phase deg": float(turned[worst]), "at Hz": float(frequencies()[worst])}
 
 
+class PeakFound(NamedTuple):
+    """The highest maximum of |Z|."""
+
+    height_ns_per_m: float
+    frequency_hz: float
+    inside: float  # 1: inside the band, 0: at its end
+
+
 def peak(params: EffectsParams, scene: Scene, method: str, mass_kg: float | None = None) -> Floats:
-    """Height [N s/m] and frequency [Hz] of the highest maximum, and whether it lies inside the band
-    (1) or at its end (0).
+    """The numbers of the `PeakFound` (3,).
 
     `mass_kg` < 0 is what is rendered; by default near the limit of the whole scene.
     """
@@ -163,17 +171,25 @@ def peak(params: EffectsParams, scene: Scene, method: str, mass_kg: float | None
     rising = np.diff(size) > 0.0
     inner = np.flatnonzero(rising[:-1] & ~rising[1:]) + 1
     highest = int(inner[np.argmax(size[inner])]) if inner.size else int(np.argmax(size))
-    return np.array([size[highest], f[highest], float(inner.size > 0)])
+    return np.array(PeakFound(size[highest], f[highest], float(inner.size > 0)))
 
 
 def peak_change(full: Floats, other: Floats) -> float:
     """The larger relative change of height and frequency; inf if the peak came or went."""
-    return inf if full[2] != other[2] else float(np.abs(other[:2] / full[:2] - 1.0).max())
+    whole = PeakFound(*full)
+    left = PeakFound(*other)
+    if whole.inside != left.inside:
+        return inf
+    height = left.height_ns_per_m / whole.height_ns_per_m
+    frequency = left.frequency_hz / whole.frequency_hz
+    return float(np.abs(np.array([height, frequency]) - 1.0).max())
 
 
 def named_peak(full: Floats, other: Floats) -> dict[str, float]:
     """Height and frequency; no frequency where there is no maximum."""
-    return {"peak N s/m": float(other[0]), "at Hz": float(other[1]) if other[2] else nan}
+    found = PeakFound(*other)
+    at_hz = float(found.frequency_hz) if found.inside else nan
+    return {"peak N s/m": float(found.height_ns_per_m), "at Hz": at_hz}
 
 
 @cache

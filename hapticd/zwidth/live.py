@@ -105,10 +105,9 @@ class LiveRecording:
             speed_limit_m_per_s=servo["device"]["speed_limit_m_per_s"],
         )  # fmt: skip
         self._sentinel = Sentinel(watch, PROBE_RATE_HZ)
-        self._filler, self._parts = (
-            Filler(),
-            list[tuple[Floats, Flags]](),
-        )  # (2, n) force and velocity, and which came
+        self._filler = Filler()
+        # (2, n) force and velocity, and which came
+        self._parts: list[tuple[Floats, Flags]] = []
         self._taken = 0  # samples
         self._command_n = 0.0  # largest so far
         self._positions_m: tuple[float, float] = (

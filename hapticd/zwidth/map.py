@@ -285,7 +285,8 @@ def _neighbours(place: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
     """Where all points of a grid stand but the last along an axis, and all but the first."""
     low = [slice(None)] * 3
     high = [slice(None)] * 3
-    low[place], high[place] = slice(None, -1), slice(1, None)
+    low[place] = slice(None, -1)
+    high[place] = slice(1, None)
     return tuple(low), tuple(high)
 
 

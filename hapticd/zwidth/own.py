@@ -1,5 +1,6 @@
-"""What this package wrote itself, as the record of one trial: a recording, its exports, a run
-folder's record.
+"""Reads records that hapticd itself wrote.
+
+Each becomes the record of one trial: a recording, its exports, a run folder's record.
 
     NAME.h5, NAME.part.h5      a recording by `hapticd record`: the probe's samples, the ticks
                                beside them

@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from zipfile import BadZipFile
 
 import numpy as np
@@ -208,9 +208,10 @@ def _channel(path: Path, known: dict[str, Floats], stated: str, usual: tuple[str
     values = _column(path, name, known[name])
     if not (good := np.isfinite(values)).all():
         first = int(np.argmin(good))
-        place = (
-            f"line {_rows(path)[2][first][0]}" if path.suffix == ".csv" else f"sample {first + 1}"
-        )
+        place = f"sample {first + 1}"
+        if path.suffix == ".csv":
+            line, _ = _rows(path).rows[first]
+            place = f"line {line}"
         raise AnalysisError(
             f"{path}: {place}, column {name}: {values[first]:g}; a gap cannot be analysed, cut the"
             " record there"
@@ -351,8 +352,15 @@ def _read_csv(path: Path) -> dict[str, Floats]:
         raise ValueError(_wrong(names, mark, rows)) from None
 
 
-def _rows(path: Path) -> tuple[list[str], str, list[tuple[int, str]]]:
-    """Names, what parts the columns, and the lines of samples, each with its number in the file."""
+class CsvRows(NamedTuple):
+    """A text file of columns."""
+
+    names: list[str]
+    mark: str  # what parts the columns
+    rows: list[tuple[int, str]]  # the lines of samples, each with its number in the file
+
+
+def _rows(path: Path) -> CsvRows:
     with path.open(newline="", encoding="utf-8-sig") as file:
         head = next(file, "")
         rows = [
@@ -362,7 +370,7 @@ def _rows(path: Path) -> tuple[list[str], str, list[tuple[int, str]]]:
         ]
     mark = max(MARKS, key=head.count)
     names = [name.strip() for name in next(csv.reader([head], delimiter=mark), [])]
-    return (
+    return CsvRows(
         names,
         mark,
         rows if mark == "," else [(number, row.replace(",", ".")) for number, row in rows],

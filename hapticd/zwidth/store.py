@@ -234,7 +234,8 @@ def _write_record(folder: Path, recorded: TrialRecord, origin_json: str) -> None
         )
         return
     with h5py.File(folder / RECORD_H5, "w") as file:
-        file["rate_hz"], file["trial"] = recorded.rate_hz, origin_json
+        file["rate_hz"] = recorded.rate_hz
+        file["trial"] = origin_json
         for name, values in channels.items():
             file.create_dataset(
                 name, data=values, chunks=True, shuffle=True, compression="gzip", compression_opts=1

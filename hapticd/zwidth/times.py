@@ -1,5 +1,4 @@
-"""What a column of sampling times says: the rate of the clock that sampled, and which samples are
-missing.
+"""Sampling rate and missing samples from a column of times.
 
 The rate is that of the step, not of the mean: rows that are missing make the mean step longer, and
 every limit moves with the rate or its square. With one row in a hundred missing a margin of +0.54 N

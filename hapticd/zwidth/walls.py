@@ -186,7 +186,8 @@ def hit(plan: WallPlan, level: float, stiffness: float, damping: float) -> Impac
         start=(scene.start_position_m, scene.start_velocity_m_per_s),
         keep="ticks",
     )
-    (_, velocity), (position_m, _) = found.record(0), found.traces(0)
+    _, velocity = found.record(0)
+    position_m, _ = found.traces(0)
     late = to_and_fro(velocity[int(params.settle_s * found.rate_hz) :])
     deepest = float((wall.side * (position_m - wall.position_m)).max(initial=0.0))
     stable = not found.diverged[0] and late < params.still_m_per_s
