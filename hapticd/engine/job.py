@@ -277,8 +277,9 @@ class Heating:
         """After `seconds` in which the kernel summed the motor force squared over `samples`."""
         winding = self._winding
         heat = self._group.rows["HEAT"]
-        ohm = np.array([self._ohm(float(celsius)) for celsius in self.temperature_c])
-        power_w = ohm * heat / (samples * self._group.made.model.torque_constant_n_per_a**2)
+        resistance_ohm = np.array([self._ohm(float(celsius)) for celsius in self.temperature_c])
+        constant_n_per_a = self._group.made.model.torque_constant_n_per_a
+        power_w = resistance_ohm * heat / (samples * constant_n_per_a**2)
         end_c = winding.ambient_c + winding.thermal_resistance_k_per_w * power_w
         self.temperature_c = end_c + (self.temperature_c - end_c) * exp(
             -seconds / winding.time_constant_s

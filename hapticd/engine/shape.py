@@ -1,5 +1,4 @@
-"""What is compiled in: everything about a scene that decides which instructions its kernel has, and
-no number.
+"""The shape of a kernel: all about a scene that decides its instructions.
 
 Two scenes with the same shape share a kernel; their numbers are its arguments. An effect that is
 absent leaves no trace here, so it costs nothing. Before a shape is read off a model (`shape_of`),

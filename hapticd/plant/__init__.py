@@ -4,7 +4,7 @@ A scene names effects; `compose` turns them into one linear state-space model wi
 linear beside it; the batch engine and the simulated board play that model. numpy is needed only
 while composing: the simulated board runs on the standard library alone.
 
-Meant for scripts and other packages:
+For scripts:
 
     effects      every effect of a device, one class each; KINDS, ALWAYS, BY_KEY
     scene        Scene, Excitation, DampingStep: what is simulated, in plain values

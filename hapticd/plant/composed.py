@@ -297,7 +297,8 @@ def _step(terms: RowTerms, substep_s: float, torque_constant_n_per_a: float) -> 
     heat = params.heating
     leaps = _leaps(terms)
     state = ", ".join([f"x{i}" for i in range(terms.n)] + (["celsius"] if heat else []))
-    drifted = f" or not -{TOLERANCE_OHM!r} < ohm - residual < {TOLERANCE_OHM!r}" if heat else ""
+    near = f"-{TOLERANCE_OHM!r} < residual_ohm - residual < {TOLERANCE_OHM!r}"
+    drifted = f" or not {near}" if heat else ""
     return [
         "    def step(state, force_n, torque_n, damping_ns_per_m, n_substeps):",
         "        nonlocal level, residual",
@@ -305,7 +306,7 @@ def _step(terms: RowTerms, substep_s: float, torque_constant_n_per_a: float) -> 
         *(_ohms(heat) if heat else []),
         f"        if damping_ns_per_m != level{drifted}:",
         "            level = damping_ns_per_m",
-        f"            residual = {'ohm' if heat else repr(params.residuals_ohm[0])}",
+        f"            residual = {'residual_ohm' if heat else repr(params.residuals_ohm[0])}",
         "            load()",
         *(
             _error(params.noise, params.estimate_offset_m_per_s, substep_s)
@@ -515,7 +516,7 @@ def _ohms(heat: HeatingParams) -> list[str]:
     reference = heat.reference_c
     return [
         f"        hot = {cold!r} * (1.0 + {COPPER_PER_K!r} * (celsius - {reference!r}))",
-        f"        ohm = hot - {heat.compensated_ohm!r}",
+        f"        residual_ohm = hot - {heat.compensated_ohm!r}",
     ]
 
 

@@ -1,5 +1,6 @@
-"""Is the open device, without virtual environment, stable at a damping level, and what does it
-consist of? Eigenvalues, with the reason in words, and the composed model as data.
+"""Stability of the open device at a damping level, with the reason in words.
+
+Without virtual environment; its eigenvalues decide.
 
 A device that nothing holds in place drifts: translation of all bodies together is an eigenvector
 with eigenvalue 0, and with no damping at all a double one. It is divided out first (A t = 0 makes A

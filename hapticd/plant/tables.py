@@ -40,7 +40,9 @@ def plant_params(
     levels = {float(level) for level in np.linspace(0.0, highest_ns_per_m, GRID)}
     levels |= {_dac(level, quantum) for level in exact_levels}
     residuals = _residuals(model)
-    variants = [model.at_residual(ohm) if model.winding else model for ohm in residuals]
+    variants = [
+        model.at_residual(residual_ohm) if model.winding else model for residual_ohm in residuals
+    ]
     maps = [
         discretise(variant, duration_s, level) for variant in variants for level in sorted(levels)
     ]
@@ -109,7 +111,7 @@ def _residuals(model: Model) -> tuple[float, ...]:
         copper_ohm(winding.resistance_ohm, winding.reference_c, end_c) - winding.compensated_ohm
         for end_c in ends_c
     )
-    return tuple(float(ohm) for ohm in np.linspace(low, high, RESIDUALS))
+    return tuple(float(residual_ohm) for residual_ohm in np.linspace(low, high, RESIDUALS))
 
 
 def _heating(model: Model) -> HeatingParams | None:
