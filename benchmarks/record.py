@@ -16,7 +16,7 @@ from statistics import median
 from benchmarks import daemon, targets
 from benchmarks.figures import Figure, compared
 from benchmarks.telemetry import cpu_s
-from benchmarks.worker import ROOT, BenchError, environment, started, told
+from benchmarks.worker import ROOT, BenchError, environment, next_json, started
 from hapticd.client import Client
 from hapticd.gateway.telemetry import PROBE_DTYPE as PROBE
 from hapticd.mailbox.layout import RECORD
@@ -75,7 +75,7 @@ def _recorded(params: RecordingParams) -> tuple[float, float]:
             appending = _appending(params.file.with_name("bare.h5"))
             begin = time.monotonic()
             begin_s = cpu_s(recorder.pid)
-            bare_s = told(appending, "append_worker")["cpu_s"]
+            bare_s = next_json(appending, "append_worker")["cpu_s"]
             took_s = time.monotonic() - begin
             if recorder.poll() is not None:
                 raise BenchError(f"the recorder ended early: {recorder.communicate()[1].decode()}")
@@ -90,7 +90,7 @@ def _appending(file: Path) -> "subprocess.Popen[bytes]":
     """An `append_worker` that has just begun to count."""
     rates = [str(TICKS_HZ), str(PROBE_RATE_HZ), str(MEASURED_S)]
     process = started("append_worker", [str(file), *rates])
-    told(process, "append_worker")
+    next_json(process, "append_worker")
     return process
 
 

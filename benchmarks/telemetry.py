@@ -14,7 +14,7 @@ from pathlib import Path
 
 from benchmarks import daemon, targets
 from benchmarks.figures import Figure, compared
-from benchmarks.worker import BenchError, started, told
+from benchmarks.worker import BenchError, next_json, started
 from hapticd.client import Client
 from hapticd.units import NS_PER_S
 
@@ -44,13 +44,13 @@ def measure() -> Iterator[Figure]:
             for _ in range(SUBSCRIBERS)
         ]
         for one in (*listeners, *bare):
-            told(one, SUBSCRIBER)
+            next_json(one, SUBSCRIBER)
         before = (cpu_s(gateway), cpu_s(forwarder.pid))
         begin = time.monotonic()
-        results = [told(listener, SUBSCRIBER) for listener in listeners]
+        results = [next_json(listener, SUBSCRIBER) for listener in listeners]
         took_s = time.monotonic() - begin
         after = (cpu_s(gateway), cpu_s(forwarder.pid))
-        forwarded = min(told(one, SUBSCRIBER)["records"] for one in bare)
+        forwarded = min(next_json(one, SUBSCRIBER)["records"] for one in bare)
     got = min(result["records"] for result in results)
     if forwarded < LEAST * got:
         raise BenchError(

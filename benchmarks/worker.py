@@ -43,7 +43,7 @@ def started(module: str, arguments: Sequence[str] = ()) -> "subprocess.Popen[byt
     return subprocess.Popen(command, env=environment(), cwd=ROOT, stdout=subprocess.PIPE)
 
 
-def told(process: "subprocess.Popen[bytes]", name: str) -> Any:
+def next_json(process: "subprocess.Popen[bytes]", name: str) -> Any:
     """What a process of `started` says next. BenchError, by `name`, when it has ended instead."""
     assert process.stdout is not None
     line = process.stdout.readline()

@@ -23,10 +23,10 @@ COLOURS = 128
 
 def refresh(run: Path) -> None:
     """From a run folder of `hapticd zwidth reproduce`."""
-    told = json.loads((run / "table.json").read_text())
-    if told["quick"]:
+    summary = json.loads((run / "table.json").read_text())
+    if summary["quick"]:
         raise SystemExit(f"{run}: predicted with --quick; the page tells of trials: run it without")
-    PAGE.write_text(filled(PAGE.read_text(), from_json(told["table"])))
+    PAGE.write_text(filled(PAGE.read_text(), from_json(summary["table"])))
     if run.resolve() != FIGURES.resolve():
         copy(run)
 

@@ -37,8 +37,8 @@ fill="#444444">{below}</text>"""
 
 def layers() -> list[list[str]]:
     """Packages of each layer, the highest first, as import-linter is told them."""
-    told = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
-    rows = next(one["layers"] for one in told["contracts"] if one["type"] == "layers")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
+    rows = next(one["layers"] for one in project["contracts"] if one["type"] == "layers")
     named = ([name.strip(" ()") for name in row.split("|")] for row in rows)
     present = [[name for name in row if name in imports()] for row in named]
     return [row for row in present if row]

@@ -264,25 +264,25 @@ class FlightRecorder:
 
     def _write(self, path: Path, header: dict[str, Any], blocks: list[bytes], reason: str) -> None:
         """In a thread: nothing here is shared but the queue of results."""
-        told = {"reason": reason, "path": str(path)}
+        event = {"reason": reason, "path": str(path)}
         try:
             write_flight(path, header, blocks)
             for old in sorted(path.parent.glob(f"*{SUFFIX}"))[:-FILES_KEPT]:
                 old.unlink(missing_ok=True)
         except OSError as error:
-            told["error"] = f"{error.strerror}; free some space or correct its rights"
-        self._written.append(told)
+            event["error"] = f"{error.strerror}; free some space or correct its rights"
+        self._written.append(event)
 
     def _tell(self) -> None:
         while self._written:
-            told = self._written.popleft()
-            if error := told.get("error"):
+            event = self._written.popleft()
+            if error := event.get("error"):
                 self._journal.note(
                     "warning",
-                    text=f"{told['path']}: the flight recording could not be written: {error}",
+                    text=f"{event['path']}: the flight recording could not be written: {error}",
                 )
             else:
-                self._journal.note("flight", **told)
+                self._journal.note("flight", **event)
 
     def close(self) -> None:
         """Finish what is being written."""

@@ -206,9 +206,9 @@ def ranged(name: str, given: Range, least: int = 2) -> Range:
     """`given` where LOW is below HIGH and N from `least` to 1000; else BadParameter."""
     low, high, count = given
     if not (-inf < low < high < inf and least <= count <= 1000):
-        told = f"{name} {low:g} {high:g} {count}"
         raise typer.BadParameter(
-            f"{told}: LOW below HIGH, and N values from {least} to 1000, are needed"
+            f"{name} {low:g} {high:g} {count}: LOW below HIGH, and N values from {least} to 1000,"
+            " are needed"
         )
     return given
 
