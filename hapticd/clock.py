@@ -1,4 +1,4 @@
-"""Time is passed in.
+"""Clocks, passed to whatever waits or stamps.
 
 Everything that waits or stamps takes a Clock. `MonotonicClock` is the machine's CLOCK_MONOTONIC;
 `VirtualClock` only moves when someone moves it, so that the whole stack runs in lock-step, faster

@@ -2,7 +2,7 @@
 
 Nothing here prints, and each module imports only what its own process needs.
 
-Meant for scripts and other packages:
+For scripts:
 
     lockstep      LockStep: the whole stack on virtual time; scene_params(scene)
     replay        replay(params, segment): `servo.step` over a recording, bit by bit

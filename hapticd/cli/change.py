@@ -1,4 +1,4 @@
-"""What verbs that change something share: numbers, NAME=VALUE words, a connection, the receipt.
+"""Parsing and receipts shared by verbs that change something.
 
 A word that is no number or names no parameter is a usage error (exit 2) before anybody is asked.
 """

@@ -1,4 +1,6 @@
-"""Is this machine fit for 1 kHz? Each check finds, judges, explains and names the exact fix.
+"""Checks whether this machine is fit for 1 kHz.
+
+Each check finds, judges, explains and names the exact fix.
 
     settings    -> checks.Requirements --.
     the machine -> machine.Machine ------+-> check(machine, requirements) -> checks.CheckResult

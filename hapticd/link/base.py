@@ -1,4 +1,4 @@
-"""What the servo needs of any way to a board.
+"""The interface of every link to a board.
 
 Real and simulated boards are twins below it: nobody above asks which.
 """

@@ -1,5 +1,7 @@
-"""The other end: the gateway posts commands and reads answers and telemetry; anyone of the
-group may set the stop word.
+"""The gateway's side of the mailbox.
+
+The gateway posts commands and reads answers and telemetry; anyone of the group may set the stop
+word.
 """
 
 import json

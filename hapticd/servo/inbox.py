@@ -1,5 +1,7 @@
-"""What a tick has to obey, from wherever it comes (the command ring, the stop word, the loop's
-own findings), and the waveform that it streams into the board's perturbation FIFO.
+"""The servo's inbox: requests and faults due at a tick, and the perturbation streamer.
+
+Requests come from the command ring and the stop word, faults from the loop's own findings too; the
+streamer sends a waveform into the board's perturbation FIFO.
 
 At most two commands are taken a tick. A reset while the board reports a fault first asks the board
 to forget it and waits for the frame that tells whether it did. The stop word is taken back to 0 as

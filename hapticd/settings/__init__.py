@@ -8,7 +8,7 @@
 A unit lives in the name of its field and nowhere else. A default is written once, in
 `hapticd.params`; what the board is, and what one count means on it, in its device file alone.
 
-Meant for scripts and other packages:
+For scripts:
 
     load     load(file, overrides) -> Settings: the validated configuration with its device
     scene    load_scene(name or file) -> Scene; scene_names(); schema(kind)
