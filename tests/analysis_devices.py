@@ -1,8 +1,13 @@
 """Composed devices for the analysis: the rigid one of theory, and one like the calibrated
-display.
+display; and the tick law played on such a device.
 """
 
+import numpy as np
+from models import environment_tuple
+
+from hapticd.params import EnvironmentParams, FilterParams
 from hapticd.plant.compose import compose_device
+from hapticd.plant.discrete import discretise
 from hapticd.plant.effects import (
     Amplifier,
     Coulomb,
@@ -16,6 +21,7 @@ from hapticd.plant.effects import (
     Viscous,
 )
 from hapticd.plant.model import Model
+from hapticd.render.law import at_rest, design_coefficients, render
 
 MOTOR = Motor(torque_constant_nm_per_a=0.0165, lever_m=0.01, resistance_ohm=1.6)
 
@@ -60,3 +66,28 @@ def display(
     if smoothing_hz:
         effects.append(Smoothing(corner_hz=smoothing_hz))
     return compose_device("display", effects)
+
+
+def law_on_device(model, point, torque):
+    """The true law of the servo around the exact map of the device; the mean velocity at 4 kHz.
+    The delay is T/4, T is 1 ms.
+    """
+    environment = environment_tuple(EnvironmentParams(*point), 1e9)
+    coefficients = design_coefficients(FilterParams(100.0), FilterParams(72.0), model.rate_hz)
+    step = discretise(model, 0.25e-3)
+    law = at_rest(0.0)
+    force = 0.0
+    before = 0.0
+    x = np.zeros(len(step.a))
+    travel = np.zeros(torque.size + 1)
+    command = step.b[:, model.inputs.command]
+    probe = step.b[:, model.inputs.torque]
+    encoder = model.outputs.encoder.row()
+    recorded = model.outputs.recorded_travel.row()
+    for k, push in enumerate(torque):
+        if k % 4 == 0:
+            before = force
+            force, *_, law = render(float(encoder @ x), law, environment, coefficients)
+        x = step.a @ x + command * (force if k % 4 else before) + probe * push
+        travel[k + 1] = recorded @ x
+    return np.diff(travel) * 4000.0

@@ -8,6 +8,21 @@ from hapticd.plant.effects import Coulomb, Effect, Masses, Motor, Viscous
 from hapticd.plant.scene import DampingStep, Excitation, Scene
 
 MOTOR = Motor(torque_constant_nm_per_a=0.0165, lever_m=0.01, resistance_ohm=1.6)
+# options of `zwidth map`: 27 points about the set of the calibrated display
+GRID_OF_27 = [
+    "--stiffness",
+    "0",
+    "900",
+    "3",
+    "--viscous",
+    "0",
+    "6",
+    "3",
+    "--mass",
+    "-0.01",
+    "0.01",
+    "3",
+]
 MASS_KG = 0.008
 VISCOUS_NS_PER_M = 1.0
 PARTS: tuple[Effect, ...] = (

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from analysis_devices import display, rigid
-from models import environment_tuple
+from analysis_devices import display, law_on_device, rigid
 
 from hapticd.analysis.loop import (
     derivatives,
@@ -12,15 +11,12 @@ from hapticd.analysis.loop import (
     spectral_radius,
 )
 from hapticd.analysis.predict import predicted_impedance
-from hapticd.params import EnvironmentParams, FilterParams
-from hapticd.plant.discrete import discretise
 from hapticd.plant.effects import (
     AntiAlias,
     Load,
     VelocityHighpass,
 )
 from hapticd.plant.step import held_force_response
-from hapticd.render.law import at_rest, design_coefficients, render
 
 F = np.array([0.5, 2.0, 10.0, 47.0, 120.0, 333.0, 499.0, 700.0, 1500.0])
 T = 1e-3
@@ -112,31 +108,6 @@ def test_held_device_does_not_drift():
     )
 
 
-def simulated(model, point, torque):
-    """The true law of the servo around the exact map of the device; the mean velocity at 4 kHz.
-    The delay is T/4.
-    """
-    environment = environment_tuple(EnvironmentParams(*point), 1e9)
-    coefficients = design_coefficients(FilterParams(100.0), FilterParams(72.0), model.rate_hz)
-    step = discretise(model, 0.25 * T)
-    law = at_rest(0.0)
-    force = 0.0
-    before = 0.0
-    x = np.zeros(len(step.a))
-    travel = np.zeros(torque.size + 1)
-    command = step.b[:, model.inputs.command]
-    probe = step.b[:, model.inputs.torque]
-    encoder = model.outputs.encoder.row()
-    recorded = model.outputs.recorded_travel.row()
-    for k, push in enumerate(torque):
-        if k % 4 == 0:
-            before = force
-            force, *_, law = render(float(encoder @ x), law, environment, coefficients)
-        x = step.a @ x + command * (force if k % 4 else before) + probe * push
-        travel[k + 1] = recorded @ x
-    return np.diff(travel) * 4000.0
-
-
 def test_recorded_mass_reads_as_the_tangent():
     """v' = v + h u / m, mean velocity v + h u / (2 m): Z = (2 m / h) (z - 1) / (z + 1), images
     and all.
@@ -158,7 +129,7 @@ def test_images_of_the_law_are_nothing_below_500_hz(make, point):
     torque = sines(f, 20_000)
     force, velocity = (
         np.fft.rfft(signal[-4000:])[f.astype(int)]
-        for signal in (torque, simulated(model, point, torque))
+        for signal in (torque, law_on_device(model, point, torque))
     )
     assert force / velocity == pytest.approx(predicted_impedance(model, point, f), rel=5e-5)
 

@@ -4,8 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from analysis_devices import display
-from models import environment_tuple
+from analysis_devices import display, law_on_device
 
 from hapticd.analysis.impedance import impedance
 from hapticd.analysis.linearise import (
@@ -18,14 +17,11 @@ from hapticd.analysis.passive_set import axis_limit
 from hapticd.analysis.predict import predict, predicted_impedance
 from hapticd.analysis.spectra import spa
 from hapticd.errors import AnalysisError
-from hapticd.params import EnvironmentParams, FilterParams
-from hapticd.plant.discrete import discretise
 from hapticd.plant.effects import (
     Multiplier,
     PassiveHand,
     WindingTemperature,
 )
-from hapticd.render.law import at_rest, design_coefficients, render
 
 F = np.array([0.5, 2.0, 10.0, 47.0, 120.0, 333.0, 499.0, 700.0, 1500.0])
 T = 1e-3
@@ -126,31 +122,6 @@ def test_six_limits_are_near_the_paper(damping, axis, reach, paper):
     assert axis_limit(calibrated(damping), axis, reach) == pytest.approx(paper, rel=0.17)
 
 
-def simulated(model, point, torque):
-    """The true law of the servo around the exact map of the device; the mean velocity at 4 kHz.
-    The delay is T/4.
-    """
-    environment = environment_tuple(EnvironmentParams(*point), 1e9)
-    coefficients = design_coefficients(FilterParams(100.0), FilterParams(72.0), model.rate_hz)
-    step = discretise(model, 0.25 * T)
-    law = at_rest(0.0)
-    force = 0.0
-    before = 0.0
-    x = np.zeros(len(step.a))
-    travel = np.zeros(torque.size + 1)
-    command = step.b[:, model.inputs.command]
-    probe = step.b[:, model.inputs.torque]
-    encoder = model.outputs.encoder.row()
-    recorded = model.outputs.recorded_travel.row()
-    for k, push in enumerate(torque):
-        if k % 4 == 0:
-            before = force
-            force, *_, law = render(float(encoder @ x), law, environment, coefficients)
-        x = step.a @ x + command * (force if k % 4 else before) + probe * push
-        travel[k + 1] = recorded @ x
-    return np.diff(travel) * 4000.0
-
-
 @pytest.mark.parametrize("point", [(100.0, 1.0, 0.01), (0.0, 2.0, -0.004)])
 def test_prediction_is_what_the_true_law_shows(point):
     """25 s of the servo's own law on the exact device, measured as a trial is, against the
@@ -158,7 +129,7 @@ def test_prediction_is_what_the_true_law_shows(point):
     """
     model = display(coulomb=0.0, viscous=1.5, delay=0.25)
     torque = 0.22 * np.random.default_rng(1).standard_normal(100_000)
-    found = impedance(spa(torque, simulated(model, point, torque)), "h_force")
+    found = impedance(spa(torque, law_on_device(model, point, torque)), "h_force")
     inside = (found.frequency_hz > 5.0) & (found.frequency_hz < 450.0)
     expected = predicted_impedance(model, point, found.frequency_hz[inside])
     error = np.log(found.impedance_ns_per_m[inside] / expected)

@@ -3,7 +3,6 @@
 import dataclasses
 import json
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import pytest
@@ -39,12 +38,7 @@ class ClientDouble:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.asked.append(("closed", None))
 
     def _ask(self, verb: str, what: Any = None) -> Receipt:

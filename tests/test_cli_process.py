@@ -11,7 +11,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import pytest
@@ -106,12 +105,7 @@ class Daemon:
     def cli(self, *words: str) -> int:
         return main([*words, "--instance", self.instance])
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Leave nothing running, whatever the test found."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGCONT)

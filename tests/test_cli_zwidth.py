@@ -8,6 +8,7 @@ from concurrent.futures import Executor
 
 import numpy as np
 import pytest
+from measured_scenes import GRID_OF_27
 
 from hapticd.cli.app import main
 
@@ -124,18 +125,7 @@ def test_map_goes_on_and_is_drawn_again(tmp_path, capsys):
         str(tmp_path),
         "--damping",
         "1.74",
-        "--stiffness",
-        "0",
-        "900",
-        "3",
-        "--viscous",
-        "0",
-        "6",
-        "3",
-        "--mass",
-        "-0.01",
-        "0.01",
-        "3",
+        *GRID_OF_27,
     ]
     code, out, err = run(words, capsys)
     assert code == 0
@@ -165,20 +155,6 @@ def test_interrupted_map_says_how_to_go_on(tmp_path, capsys, monkeypatch):
 
 def small_map(folder, *more):
     """A map of 27 points at one damping level."""
-    grid = [
-        "--stiffness",
-        "0",
-        "900",
-        "3",
-        "--viscous",
-        "0",
-        "6",
-        "3",
-        "--mass",
-        "-0.01",
-        "0.01",
-        "3",
-    ]
     return [
         "map",
         *SHORT,
@@ -186,7 +162,7 @@ def small_map(folder, *more):
         str(folder),
         "--damping",
         "1.74",
-        *grid,
+        *GRID_OF_27,
         "--everywhere",
         "--no-plot",
         *more,

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from measured_scenes import RIGID
+from measured_scenes import GRID_OF_27, RIGID
 
 from hapticd.cli.app import main
 from hapticd.cli.zwidth.common import scene_of
@@ -27,18 +27,7 @@ MAP = [
     *SHORT,
     "--damping",
     "1.74",
-    "--stiffness",
-    "0",
-    "900",
-    "3",
-    "--viscous",
-    "0",
-    "6",
-    "3",
-    "--mass",
-    "-0.01",
-    "0.01",
-    "3",
+    *GRID_OF_27,
     "--no-plot",
 ]
 

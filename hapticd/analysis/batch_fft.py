@@ -190,7 +190,9 @@ def pair_order() -> tuple[Any, Any]:
 
 
 @njit(forceinline=True)
-def _dft8(a0, b0, a1, b1, a2, b2, a3, b3, a4, b4, a5, b5, a6, b6, a7, b7):  # type: ignore[no-untyped-def]
+def _dft8(  # type: ignore[no-untyped-def]
+    a0, b0, a1, b1, a2, b2, a3, b3, a4, b4, a5, b5, a6, b6, a7, b7
+):
     """Transform 8 points, real part a and imaginary part b, in natural order."""
     p0 = a0 + a4
     q0 = b0 + b4

@@ -11,7 +11,6 @@ What would break it: code in the servo that reads a clock of its own instead of 
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
 
 from hapticd.assembly.servo_main import simulated_backend
 from hapticd.clock import VirtualClock
@@ -63,12 +62,7 @@ class LockStep:
     def __enter__(self) -> "LockStep":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
