@@ -126,6 +126,13 @@ class DeviceParams:
     speed_limit_m_per_s: float  # faster is not a motion but a sensor fault
     home: HomeParams = HomeParams()
 
+    def temperature_counts(self, low: int, high: int) -> tuple[int, int]:
+        """Lowest and highest count, inside `low`..`high`, of a temperature that is allowed: a
+        scale of sign -1 counts downwards as the winding gets hot.
+        """
+        limit = self.temperature.to_count(self.temperature_limit_c, low, high)
+        return (low, limit) if self.temperature.sign > 0 else (limit, high)
+
 
 @dataclass(frozen=True, slots=True)
 class SafetyParams:

@@ -8,7 +8,7 @@ from models import device_params, servo_params
 
 from hapticd.faults import BY_CODE, FAULTS
 from hapticd.mailbox.layout import Command, Result, Value
-from hapticd.params import HomeParams, SafetyParams
+from hapticd.params import HomeParams, SafetyParams, ScaleParams
 from hapticd.servo import safety
 from hapticd.servo.plan import GATEWAY_ALIVE, LINK_UP, SETTLED
 from hapticd.servo.safety import FAULT_EVENT, State
@@ -349,3 +349,18 @@ def test_fault_that_persists_leaves_later_schedules_alone():
     )
     flight.fly(10, celsius=121.0)
     assert len(flight.plan.scheduled) == 1
+
+
+@pytest.mark.parametrize("offset_count", [0.0, 1000.5])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_temperature_is_judged_in_degrees_whatever_the_sign_of_its_scale(sign, offset_count):
+    scale = ScaleParams(0.01, sign=sign, offset_count=offset_count)
+    device = device_params(temperature=scale, temperature_limit_c=120.0)
+    for celsius, state in ((-20.0, E), (22.0, E), (119.9, E), (120.1, F), (121.0, F)):
+        count = scale.to_count(celsius, -32768, 32767)
+        flight = Flight(servo_params(device=device))
+        flight.fly(1, celsius=scale.to_count(22.0, -32768, 32767) / 100)
+        flight.do(Command.ENABLE, celsius=scale.to_count(22.0, -32768, 32767) / 100)
+        for arrival in (0, 2):
+            flight.fly(1, celsius=count / 100, arrival=arrival)
+            assert flight.plan.state is state, (celsius, arrival)

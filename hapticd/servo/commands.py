@@ -22,7 +22,7 @@ from hapticd.servo.plan import (
     out_of_range,
     with_values,
 )
-from hapticd.servo.safety import LATCHED, State
+from hapticd.servo.safety import GRANTED, LATCHED, State
 from hapticd.units import round_half_up
 
 MOST_SCHEDULED = 16
@@ -60,6 +60,13 @@ def answer(
     return seq, int(result), plan.fault, plan.revision, ticks, tuple(effective)
 
 
+def force_acts(plan: Plan, tick: int) -> bool:
+    """Whether force acts by the authority of `plan`'s state. What was granted in this very tick,
+    after a disable or reset in it too, has not reached the board.
+    """
+    return plan.state in GRANTED and plan.since_tick < tick
+
+
 def enter(
     plan: Plan, state: State, now: Now, params: ServoParams, actor: int, fault: int = 0
 ) -> Plan:
@@ -72,11 +79,11 @@ def enter(
     fade = constant(0.0)
     if state is State.ENABLED:
         gain = Ramp(0.0, 1.0, now.tick, round_half_up(limits.enable_ramp_s * rate_hz))
-    if state in LATCHED:
+    if state in LATCHED and force_acts(plan, now.tick):
         ticks = round_half_up(limits.stop_ramp_s * rate_hz)
         gain = plan.gain.towards(0.0, now.tick, ticks)
         fade = Ramp(now.force_n, 0.0, now.tick, ticks)
-    if state in LATCHED and plan.state in LATCHED:
+    if state in LATCHED and plan.state in LATCHED:  # what fades already is not renewed
         gain = plan.gain
         fade = plan.fade
     entered = plan._replace(

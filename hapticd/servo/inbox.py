@@ -29,7 +29,7 @@ from hapticd.mailbox.layout import COMMAND_VALUES, Command
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.params import ServoParams
 from hapticd.servo.plan import CLEARABLE, KIND, Plan, Request, fault_request
-from hapticd.servo.safety import PERTURB_DONE_EVENT, State
+from hapticd.servo.safety import GRANTED, PERTURB_DONE_EVENT
 from hapticd.units import NS_PER_S, PROBE_RATE_HZ
 from hapticd.wire.codec import HEAD_FIFO_LEVEL, HEAD_STATUS, NO_SAMPLES
 from hapticd.wire.frames import FIFO_TARGET, PROBE_MAX, OutFlag
@@ -180,6 +180,6 @@ class Inbox:
         newest_ns = self._lost[-1].at_ns if self._lost else 0
         self._lost = [item for item in self._lost if newest_ns - item.at_ns < NS_PER_S]
         lost = sum(item.slots for item in self._lost)
-        if plan.state not in (State.ENABLED, State.HOMING):
+        if plan.state not in GRANTED:
             self._lost.clear()
         return lost > self._params.safety.lost_slots_limit

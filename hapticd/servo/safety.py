@@ -5,16 +5,17 @@
     enabled    law, limited        as asked                               disable, stop, fault
     homing     homing law, its     as asked                               done, disable, stop,
                own limit                                                  fault
-    stopped    to 0 in 20 ms       max(current, safe) for 2 s,            reset, while no cause
-                                   then to 0 in 0.5 s                     persists
-    fault      to 0 in 20 ms       as in stopped                          reset, while no cause
+    stopped    what acted, to 0    max(current, safe) for 2 s,            reset, while no cause
+               in 20 ms            then to 0 in 0.5 s                     persists
+    fault      as in stopped       as in stopped                          reset, while no cause
                                                                           persists
 
 STOP comes from anyone at any time and is idempotent; `reset` leads to disabled, never further; a
-fault keeps its first cause. `set` and `damping` are taken in every state and act where the table
-lets them; a perturbation plays while enabled and ends with it. Pure: no clock, no I/O. What would
-break it: a state added without its row (TABLE is checked to be complete when this module is
-imported).
+fault keeps its first cause. A latched state fades the force that acts by authority in that tick,
+after the other commands: none when disabled, and never twice. `set` and `damping` are taken in
+every state and act where the table lets them; a perturbation plays while enabled and ends with it.
+Pure: no clock, no I/O. What would break it: a state added without its row (TABLE is checked to be
+complete when this module is imported).
 """
 
 from hapticd.faults import BY_CODE
@@ -27,6 +28,7 @@ State = layout.State
 FAULT_EVENT = 100  # internal command: something is lost; its first value is the fault number
 PERTURB_DONE_EVENT = 101
 LATCHED = frozenset({State.STOPPED, State.FAULT})
+GRANTED = frozenset({State.ENABLED, State.HOMING})  # torque authority
 
 _STAY = None
 _NO = Result.REFUSED_STATE

@@ -94,9 +94,7 @@ def make_step(params: ServoParams, delay: float = 0.125) -> Step:
     turn_m = m_per_count * (1 << ENCODER_BITS)
     jump_m = params.device.speed_limit_m_per_s / params.realtime.rate_hz
     back_m = -jump_m
-    hot_limit = params.device.temperature.to_count(
-        params.device.temperature_limit_c, I16_LOWEST, I16_HIGHEST
-    )
+    least_heat, most_heat = params.device.temperature_counts(I16_LOWEST, I16_HIGHEST)
 
     def missing(
         state: ServoState, flags: int, answers: tuple[Any, ...]
@@ -154,7 +152,8 @@ def make_step(params: ServoParams, delay: float = 0.125) -> Step:
             or tick >= settled.wake_tick
             or host != settled.host
             or status & ATTENTION
-            or temperature > hot_limit
+            or temperature > most_heat
+            or temperature < least_heat
         ):
             state, usable, answers, flags = attend(state, commands, sample, tick)
             if not usable:

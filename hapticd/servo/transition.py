@@ -47,7 +47,7 @@ from hapticd.servo.plan import (
     fault_request,
     flat_plan,
 )
-from hapticd.servo.safety import LATCHED, State
+from hapticd.servo.safety import GRANTED, LATCHED, State
 from hapticd.units import round_half_up
 from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
 from hapticd.wire.frames import OutFlag, StatusBit
@@ -114,9 +114,7 @@ def make_attend(params: ServoParams) -> Attend:
     rate_hz = params.realtime.rate_hz
     force = params.device.force
     limit_n = min(params.safety.force_limit_n, params.device.force_limit_n)
-    hot_count = params.device.temperature.to_count(
-        params.device.temperature_limit_c, I16_LOWEST, I16_HIGHEST
-    )
+    low_count, high_count = params.device.temperature_counts(I16_LOWEST, I16_HIGHEST)
     m_per_count = params.device.position.per_count * params.device.position.sign
     first_origin = round_half_up(params.device.position.offset_count)
 
@@ -126,7 +124,8 @@ def make_attend(params: ServoParams) -> Attend:
             return BY_CODE["usb_lost"].number
         if status & BOARD_FAULT:
             return BY_CODE["board_fault"].number
-        if status & StatusBit.OVER_TEMPERATURE or temperature > hot_count:
+        allowed = low_count <= temperature <= high_count
+        if status & StatusBit.OVER_TEMPERATURE or not allowed:
             return BY_CODE["over_temperature"].number
         return 0
 
@@ -146,7 +145,7 @@ def make_attend(params: ServoParams) -> Attend:
         force wait for force.
         """
         _, status, temperature, _, host, _ = sample
-        if plan.state not in (State.ENABLED, State.HOMING):
+        if plan.state not in GRANTED:
             return cause(status, temperature, host)
         if not host & GATEWAY_ALIVE and params.safety.on_gateway_loss == "fault":
             return cause(status, temperature, host) or BY_CODE["gateway_lost"].number
@@ -180,7 +179,8 @@ def make_attend(params: ServoParams) -> Attend:
         _, status, temperature, arrival, host, _ = sample
         settled = state[SETTLED]
         unasked = not commands and tick < settled.wake_tick and host == settled.host
-        calm = unasked and not status & ATTENTION and temperature <= hot_count
+        cool = low_count <= temperature <= high_count
+        calm = unasked and not status & ATTENTION and cool
         return calm and 0 < arrival <= params.safety.missing_frames_limit
 
     def attend(
@@ -249,7 +249,7 @@ def make_attend(params: ServoParams) -> Attend:
             ready = ready._replace(environment=homing_environment(plan, tick, params))
         if ready.wake_tick == tick + 1:
             flags |= int(Flag.RAMPING)
-        if not usable and plan.state not in (State.ENABLED, State.HOMING):
+        if not usable and plan.state not in GRANTED:
             left = plan.fade.value(tick)
             held = (force.to_count(left, I16_LOWEST, I16_HIGHEST), left)
         settled = Settled(
@@ -272,7 +272,7 @@ def make_attend(params: ServoParams) -> Attend:
 
 def out_flags(plan: Plan, tick: int) -> int:
     """Flags of the OUT frame: torque authority only where the table grants torque."""
-    live = plan.state in (State.ENABLED, State.HOMING) or (
+    live = plan.state in GRANTED or (
         plan.state in LATCHED and (plan.gain.running(tick) or plan.fade.running(tick))
     )
     flags = int(OutFlag.ENABLE) if live else 0
