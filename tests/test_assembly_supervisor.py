@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from hapticd.assembly import resolve
@@ -160,14 +161,20 @@ def test_silent_gateway_is_told(stage: Stage) -> None:
     assert "ready" not in stage.kinds()
 
 
-@pytest.mark.parametrize(("name", "module"), [("servo", "servo_main"), ("gateway", "gateway_main")])
-def test_dead_process_comes_back(stage: Stage, name: str, module: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "module", "again"),
+    [
+        ("servo", "servo_main", "restart 1 of 3 in 0.5 s, disabled"),
+        ("gateway", "gateway_main", "restart 1 in 0.5 s, the servo stays"),
+    ],
+)
+def test_dead_process_comes_back(stage: Stage, name: str, module: str, again: str) -> None:
     stage.at(2.0, stage.die(module, -11))
     stage.at(10.0, stage.supervisor.stop)
     stage.supervisor.run()
     assert stage.kinds() == [*START, f"restart {name}", f"starting {name}", "ready", *END]
     text = next(event.text for _, event in stage.events if event.kind == "restart")
-    assert text == f"the {name} died (SIGSEGV); restart 1 of 3 in 0.5 s, disabled"
+    assert text == f"the {name} died (SIGSEGV); {again}"
     assert len(stage.processes[module]) == 2
 
 
@@ -181,6 +188,24 @@ def test_fourth_death_gives_up(stage: Stage) -> None:
         stage.supervisor.run()
     assert len(stage.processes["servo_main"]) == 4
     assert stage.processes["gateway_main"][-1].got == ["TERM"]
+
+
+@pytest.mark.parametrize("code", [-6, 78])
+def test_gateway_that_is_aborted_again_and_again_never_ends_the_servo(
+    stage: Stage, code: int
+) -> None:
+    """For ten minutes, 1 s after each start."""
+    stage.on_start = lambda name, process: (
+        name == "gateway_main" and stage.at(stage.seconds + 1.0, stage.die(name, code))
+    )
+    stage.at(600.0, stage.supervisor.stop)
+    stage.supervisor.run()
+    assert len(stage.processes["servo_main"]) == 1
+    assert stage.processes["servo_main"][0].got == ["TERM"]
+    started = [seconds for seconds, event in stage.events if event.kind == "starting"][1:]
+    pauses = np.diff(started) - 1.0
+    assert pauses[:5] == pytest.approx([0.5, 1, 2, 4, 8], abs=0.1)
+    assert pauses.max() == pytest.approx(8.0, abs=0.1)
 
 
 def test_restarts_are_counted_per_minute() -> None:

@@ -98,9 +98,19 @@ def test_user_and_folders_can_be_made(tmp_path: Path) -> None:
 def test_restarts_are_those_of_the_supervisor(root: Path, name: str) -> None:
     found = unit(root, name)
     assert found["Restart"] == ["on-failure"]
-    assert int(found["StartLimitBurst"][0]) - 1 == RESTARTS_MAX
-    assert int(found["StartLimitIntervalSec"][0]) * NS_PER_S == WINDOW_NS
     assert found["RestartPreventExitStatus"] == [str(ConfigError.exit_code)]
+    if name == "hapticd-servo.service":
+        assert int(found["StartLimitBurst"][0]) - 1 == RESTARTS_MAX
+        assert int(found["StartLimitIntervalSec"][0]) * NS_PER_S == WINDOW_NS
+
+
+def test_gateway_that_is_aborted_again_and_again_leaves_the_service_alone(root: Path) -> None:
+    found = unit(root, "hapticd-gateway.service")
+    assert found["StartLimitIntervalSec"] == ["0"]  # no limit of restarts
+    assert found["MemoryMax"] == ["512M"]  # what it can take from the servo's machine
+    servo = unit(root, "hapticd-servo.service")
+    named = [key for key, values in servo.items() if "gateway" in " ".join(values)]
+    assert named == []  # no dependency by which its end could reach the servo
 
 
 @pytest.mark.parametrize("name", SERVICES)

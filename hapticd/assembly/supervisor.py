@@ -8,10 +8,12 @@ A child is started by exec, never forked from a process that has threads or a bi
 process group of its own, so that Ctrl-C in a terminal reaches the supervisor alone and the end is
 in order; it dies with its parent.
 
-The gateway outlives a servo that dies and the other way round; each may come back 3 times within
-60 s, and a servo that comes back is disabled, whatever it was before. A process that never became
-ready is not tried again, nor one that says its configuration is wrong. The first signal ends in
-order, a second one kills. The supervisor prints nothing: progress goes to a callback.
+The gateway outlives a servo that dies and the other way round. A servo may come back 3 times within
+60 s, and is then disabled, whatever it was before; a process that never became ready is not tried
+again, nor a servo that says its configuration is wrong. A gateway that has served once comes back
+as often as it dies, ever more slowly: whatever ends it from outside must not take the servo away,
+which is safe without it (docs/adr/0082). The first signal ends in order, a second one kills. The
+supervisor prints nothing: progress goes to a callback.
 
 What would break it: a second supervisor in the folder (its claim is refused), or waiting without
 looking at signals: every wait here is a poll of POLL_NS.
@@ -38,9 +40,10 @@ SUPERVISOR_LOCK = "supervisor.lock"
 POLL_NS = 20 * NS_PER_MS
 # until a process that is not ready is reported, and until one that does not end is killed
 PATIENCE_NS = 5 * NS_PER_S
-RESTARTS_MAX = 3  # within WINDOW_NS, of each process
+RESTARTS_MAX = 3  # of the servo, within WINDOW_NS
 WINDOW_NS = 60 * NS_PER_S
 FIRST_PAUSE_NS = NS_PER_S // 2  # doubled with each restart within the window
+LONGEST_PAUSE_NS = 8 * NS_PER_S
 
 
 class Process(Protocol):
@@ -86,18 +89,19 @@ def _import_path() -> dict[str, str]:
 
 
 class Restarts:
-    """At most 3 restarts within 60 s, after 0.5, 1 and 2 s."""
+    """At most `most` restarts within 60 s (None: any number), after 0.5, 1, 2, 4 and then 8 s."""
 
-    def __init__(self) -> None:
+    def __init__(self, most: int | None = RESTARTS_MAX) -> None:
+        self.most = most
         self._times: deque[int] = deque()
 
     def next_ns(self, now_ns: int) -> int | None:
         """When the next start is allowed after a death at `now_ns`; None: no more."""
         while self._times and now_ns - self._times[0] > WINDOW_NS:
             self._times.popleft()
-        if len(self._times) >= RESTARTS_MAX:
+        if self.most is not None and len(self._times) >= self.most:
             return None
-        pause_ns = FIRST_PAUSE_NS << len(self._times)
+        pause_ns = min(FIRST_PAUSE_NS << len(self._times), LONGEST_PAUSE_NS)
         self._times.append(now_ns)
         return now_ns + pause_ns
 
@@ -110,12 +114,12 @@ class Restarts:
 class Child:
     """The servo or the gateway."""
 
-    def __init__(self, name: str, command: Sequence[str], start: Spawn) -> None:
+    def __init__(self, name: str, command: Sequence[str], start: Spawn, restarts: Restarts) -> None:
         self.name = name
         self.command = command
         self._spawn = start
         self.process: Process | None = None
-        self.restarts = Restarts()
+        self.restarts = restarts
         self.start_at_ns: int | None = 0  # when it is to be started; None: it runs
         self.ready = False  # since it was last started
         self.was_ready = False  # ever
@@ -206,8 +210,10 @@ class Supervisor:
         self._instance = instance
         names = [files.SERVO_JSON, files.BOARD_JSON][: 2 if settings.device.simulated else 1]
         paths = [str(folder / name) for name in names]
-        self.servo = Child("servo", ["hapticd.assembly.servo_main", *paths], start)
-        self.gateway = Child("gateway", ["hapticd.assembly.gateway_main", str(folder)], start)
+        self.servo = Child("servo", ["hapticd.assembly.servo_main", *paths], start, Restarts())
+        self.gateway = Child(
+            "gateway", ["hapticd.assembly.gateway_main", str(folder)], start, Restarts(None)
+        )
         self.ready = False
         self._asked = 0
         self._impatient_ns: int | None = None
@@ -271,7 +277,7 @@ class Supervisor:
         """Plan the restart of a child that died, or say why there is none."""
         child.ready = False
         how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
-        if code == ConfigError.exit_code:
+        if code == ConfigError.exit_code and not self._serves_again(child):
             raise ConfigError(
                 f"the {child.name} refused its configuration ({how}); see its message above"
             )
@@ -285,8 +291,14 @@ class Supervisor:
                 " last); giving up"
             )
         wait_s = (child.start_at_ns - now_ns) / NS_PER_S
-        again = f"restart {child.restarts.used} of {RESTARTS_MAX} in {wait_s} s, disabled"
+        count = f" of {child.restarts.most}" if child.restarts.most else ""
+        outlook = "disabled" if child is self.servo else "the servo stays"
+        again = f"restart {child.restarts.used}{count} in {wait_s} s, {outlook}"
         self.tell(ProcessEvent("restart", child.name, f"the {child.name} died ({how}); {again}"))
+
+    def _serves_again(self, child: Child) -> bool:
+        """Whether what it refuses is outside of its resolved files (keys, a port): these served."""
+        return child is self.gateway and child.was_ready
 
     def _end(self, child: Child) -> None:
         """End a child in order; kill it if it does not end in time or `stop` was asked twice."""
