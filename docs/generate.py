@@ -9,6 +9,7 @@ from pages.faults import fault_page, faults_page
 from pages.layers import DRAWING, drawing
 from pages.messages import messages_page
 from pages.settings import settings_page
+from pages.simulated_board import simulated_board_page
 
 from hapticd.faults import FAULTS
 
@@ -22,6 +23,7 @@ def pages() -> dict[str, str]:
         "device.md": settings_page("device", "Device file"),
         "commands.md": commands_page(),
         "messages.md": messages_page(),
+        "simulated-board.md": simulated_board_page(),
         "faults/index.md": faults_page(),
         **{f"faults/{fault.code}.md": fault_page(fault) for fault in FAULTS[1:]},
     }

@@ -345,6 +345,11 @@ class BoardParams:
         0  # whole periods of transport delay between the receipt of a torque and its effect
     )
     plant: PlantParams | None = None  # the composed device; without it one rigid mass
+    # --- what makes the board unkind; each default is a board that does what it should ------------
+    in_queue_depth: int = 0  # IN packets that its endpoint holds, 1..4; 0: the next replaces
+    board_time_us: int = 0  # at which board time begins whenever it is powered up
+    out_transport_us: float = 0.0  # from the host's write until the board has the OUT
+    in_transport_us: float = 0.0  # from the board's IN, or the host's read, until the host has it
 
 
 @dataclass(frozen=True, slots=True)

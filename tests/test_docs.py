@@ -19,9 +19,11 @@ from hapticd.faults import BY_CODE, BY_NUMBER, FAULTS
 from hapticd.gateway.schemas import MODELS
 from hapticd.gateway.telemetry import TOPICS
 from hapticd.mailbox.layout import TELEMETRY
+from hapticd.settings.config import Simulation
 from hapticd.settings.load import load
 from hapticd.settings.tables import leaves
 from hapticd.settings.toml import shipped
+from hapticd.sim.injection import IN_FAULTS, OUT_FAULTS
 from hapticd.units import unit_of
 
 ROOT = Path(__file__).parents[1]
@@ -299,3 +301,9 @@ def test_drawing_leaves_out_what_a_longer_way_implies(
     assert layers.nearest("cli") == ["client"]
     assert "imports client<" in layers.drawing()
     layers.below.cache_clear()
+
+
+def test_simulated_board_page_lists_every_trait_and_injection(site: Path) -> None:
+    text = page(site, "simulated-board.md")
+    names = [*Simulation.model_fields, *OUT_FAULTS, *IN_FAULTS]
+    assert [name for name in names if f"| `{name}` |" not in text] == ["injections"]

@@ -45,7 +45,7 @@ def test_no_injection_is_no_injector():
 def test_unknown_kind_is_refused_by_name():
     with pytest.raises(
         ConfigError,
-        match=r"injection kind 'gremlin' is unknown; use one of amplifier_fault, babble, ",
+        match=r"injection kind 'gremlin' is unknown; use one of amplifier_fault, amplifier_gain, ",
     ):
         injected(InjectionParams("gremlin"))
 
@@ -229,3 +229,124 @@ def test_sensor_fault_comes_before_damage_on_the_way(damage, first):
     packet = tick_of(port, STRUCK)
     with pytest.raises(FrameError):
         codec.decode_in(packet)
+
+
+def test_packets_that_piled_up_come_all_together_in_order():
+    port = one("burst_in", value=0.003)
+    healthy(port, 0, 1)
+    for tick in (STRUCK, 3, 4):
+        assert tick_of(port, tick) is None
+    due_ns = STRUCK * TICK_NS + LATCH_NS + 3_000_000
+    assert port.next_in_ns() == due_ns
+    port.on_out(out_packet(5), 5 * TICK_NS)
+    echoes = [codec.decode_in(port.poll_in(due_ns)).echo for _ in range(4)]
+    assert echoes == [STRUCK, 3, 4, 5]
+    healthy(port, 6)
+
+
+def test_nothing_of_zero_length_comes_behind_the_packet():
+    port = one("zero_length_in")
+    healthy(port, 0, 1)
+    assert codec.decode_in(tick_of(port, STRUCK)).echo == STRUCK
+    assert port.poll_in(3 * TICK_NS) == b""
+    healthy(port, 3)
+
+
+def test_encoder_burst_scatters_within_its_counts():
+    port = one("encoder_burst", value=9.0, count=50)
+    healthy(port, 0, 1)
+    counts = [codec.decode_in(tick_of(port, tick)).encoder for tick in range(STRUCK, 60)]
+    assert len(set(counts[:50])) > 10
+    assert max(map(abs, counts)) == 9
+    assert not any(counts[50:])
+
+
+def test_stuck_encoder_reads_its_first_count_though_the_device_moves():
+    port = one("encoder_stuck", count=5)
+    pushed = [codec.decode_in(tick_of(port, tick, torque=20_000)).encoder for tick in range(9)]
+    free = [codec.decode_in(tick_of(injected(), 0)).encoder]
+    assert free == [0]
+    assert pushed[STRUCK : STRUCK + 5] == [pushed[STRUCK]] * 5
+    assert sorted(set(pushed)) == [*pushed[: STRUCK + 1], *pushed[STRUCK + 5 :]]
+
+
+def forces_of(kind, value, torque, ticks=6):
+    port = one(kind, value=value, count=2)
+    forces = []
+    for tick in range(ticks):
+        port.on_out(out_packet(tick, flags=ENABLE, torque=torque), tick * TICK_NS)
+        forces.append(port.board._axis.force_n)
+        port.poll_in((tick + 1) * TICK_NS - 1)
+    return forces
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "force_n"),
+    [
+        ("amplifier_stuck", -3.0, -3.0),
+        ("amplifier_limited", 0.5, 0.5),
+        ("amplifier_gain", 1.5, 3.0),
+        ("amplifier_gain", -1.0, -2.0),
+    ],
+)
+def test_amplifier_makes_another_force_of_the_command(kind, value, force_n):
+    torque = round(2.0 * 32767 / 8.0)
+    right_n = torque * 8.0 / 32767
+    scale = right_n / 2.0 if kind == "amplifier_gain" else 1.0
+    expected = [right_n] * 2 + [pytest.approx(force_n * scale)] * 2 + [right_n] * 2
+    assert forces_of(kind, value, torque) == expected
+
+
+def test_stuck_amplifier_obeys_its_authority():
+    port = one("amplifier_stuck", value=3.0, count=5)
+    healthy(port, 0, 1)
+    port.on_out(out_packet(STRUCK), STRUCK * TICK_NS)
+    assert port.board._axis.force_n == 0.0
+
+
+@pytest.mark.parametrize("at_us", [0, 2**31 - 2500, 2**31 + 7, 2**32 - 2500])
+def test_restart_begins_another_board_time_and_keeps_the_motion(at_us):
+    """36 minutes of board time in nobody's time: the trait is the clock's first reading."""
+    begun = (InjectionParams("restart", tick=5, value=1.0),)
+    port = injected(*begun, board_time_us=at_us)
+    frames = [codec.decode_in(tick_of(port, tick, torque=20_000)) for tick in range(9)]
+    times = [frame.board_time_us for frame in frames]
+    assert times[:5] == [(at_us + tick * 1000 + 875) % 2**32 for tick in range(5)]
+    assert times[5:] == [1_000_875 + tick * 1000 for tick in range(4)]
+    calm = injected(InjectionParams("drop_in", tick=100))
+    counts = [codec.decode_in(tick_of(calm, tick, torque=20_000)).encoder for tick in range(9)]
+    here = [frame.encoder for frame in frames]
+    # it counts from where the device was, which went on
+    assert [count - here[5] for count in here[5:]] == pytest.approx(
+        [count - counts[5] for count in counts[5:]], abs=1
+    )
+    assert here[5] < counts[5] - 1000
+
+
+def test_power_up_begins_at_the_boards_own_time_again():
+    port = injected(InjectionParams("restart", tick=0, value=7.0), board_time_us=5_000)
+    tick_of(port, 0)
+    port.power_up()
+    assert codec.decode_in(tick_of(port, 1)).board_time_us == 5_875
+
+
+@pytest.mark.parametrize(("kind", "tripped"), [("hang", True), ("hang_unwatched", False)])
+def test_hung_board_holds_its_force_until_its_watchdog_acts(kind, tripped):
+    port = injected(InjectionParams(kind, tick=STRUCK, value=0.06), watchdog_ms=20.0)
+    torque = 4096
+    for tick in (0, 1):
+        tick_of(port, tick, torque=torque)
+    held = []
+    for tick in range(STRUCK, STRUCK + 60):
+        with pytest.raises(TransferFault) as caught:
+            tick_of(port, tick, torque=torque)
+        assert caught.value.number == errno.ETIMEDOUT
+        port.poll_in((tick + 1) * TICK_NS - 1)
+        held.append(port.board._axis.force_n)
+    force_n = torque * 8.0 / 32767
+    # the newest OUT that was obeyed came at tick 1
+    assert held[:18] == [force_n] * 18
+    assert held[-1] == (0.0 if tripped else force_n)
+    tick_of(port, STRUCK + 60)
+    frame = codec.decode_in(tick_of(port, STRUCK + 61))
+    assert bool(frame.status & StatusBit.WATCHDOG) is tripped

@@ -21,7 +21,12 @@ def described(root: Schema, field: Schema, required: bool) -> tuple[str, str, st
         if field.get("default") is None
         else f"`{_toml(field['default'])}`"
     )
-    return field.get("unit", ""), taken(field), default, field.get("description", "")
+    return (
+        field.get("unit", ""),
+        taken(field),
+        default,
+        " ".join(field.get("description", "").split()),
+    )
 
 
 def taken(field: Schema) -> str:

@@ -46,11 +46,9 @@ def simulated_backend(
     `on_slip(ns)` is called with the time that a paused host cost the simulation.
     """
     # imported here: a servo of a real board loads no simulator
-    from hapticd.sim.backend import SimulatedBackend
-    from hapticd.sim.board import BoardModel
-    from hapticd.sim.injection import with_injections
+    from hapticd.sim.transport import make_backend
 
-    return SimulatedBackend(with_injections(BoardModel(params, on_slip), params), clock)
+    return make_backend(params, clock, on_slip)
 
 
 def read_json(kind: Any, path: str) -> Any:

@@ -38,6 +38,8 @@ from hapticd.settings.device import DeviceFile, Travel, effects_of
 from hapticd.settings.load import Settings
 from hapticd.wire.codec import I16_HIGHEST, U16_HIGHEST
 
+# fields of [simulation] that make the board unkind, by the names of BoardParams
+TRAITS = ("in_queue_depth", "board_time_us", "out_transport_us", "in_transport_us")
 DEFAULT_PHASE = 0.875  # of a period, as in BoardParams: force acts T / 8 after the sample
 
 
@@ -78,6 +80,7 @@ def board_params(settings: Settings) -> BoardParams | None:
         watchdog_ms=simulation.watchdog_ms,
         seed=simulation.seed,
         injections=tuple(InjectionParams(**item.model_dump()) for item in simulation.injections),
+        **{trait: getattr(simulation, trait) for trait in TRAITS},
     )
 
 

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from hapticd.params import (
+    BoardParams,
     EnvironmentParams,
     FilterParams,
     GatewayParams,
@@ -28,6 +29,7 @@ _safety = SafetyParams()
 _realtime = RealtimeParams()
 _usb = UsbParams()
 _gateway = GatewayParams()
+_board: Any = BoardParams.__dataclass_fields__
 _added_damping_ns_per_m: Any = ServoParams.__dataclass_fields__["added_damping_ns_per_m"].default
 
 Stiffness = Annotated[float, Field(ge=-1e4, le=1e5)]
@@ -159,6 +161,14 @@ class Simulation(TomlTable):
     """Effects of the device that are built; left out: those that its file names."""
     watchdog_ms: float = Field(250.0, ge=1, le=10_000)
     seed: int = Field(1, ge=0)
+    in_queue_depth: int = Field(_board["in_queue_depth"].default, ge=0, le=4)
+    """IN packets that wait in the board until they are read; 0: the next one replaces it."""
+    board_time_us: int = Field(_board["board_time_us"].default, ge=0, lt=2**32)
+    """At which the board's time begins when it is powered up; it wraps at 2^32 us."""
+    out_transport_us: float = Field(_board["out_transport_us"].default, ge=0, le=10_000)
+    """How long a written packet is on its way to the board."""
+    in_transport_us: float = Field(_board["in_transport_us"].default, ge=0, le=10_000)
+    """How long a packet of the board is on its way to the host."""
     injections: tuple[Injection, ...] = Field((), strict=False)
 
 

@@ -5,4 +5,5 @@ board      BoardModel: the firmware, bytes in and bytes out on integer nanosecon
 axis       one axis of it: outputs, plant, fail-safe, perturbation FIFO and 4 kHz probe
 backend    SimulatedBackend: the board as a pyusb backend, with the errors of libusb 1.0
 injection  with_injections: seeded faults between the two
+transport  make_backend: all of it together, and a bus whose transfers take time
 """

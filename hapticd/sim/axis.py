@@ -25,7 +25,7 @@ interval grid that is not the plant's sub-step grid. Where 250 us are no whole n
 """
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import ceil, floor
 from random import Random
 
@@ -183,6 +183,7 @@ ENABLE = OutFlag.ENABLE.value
 FIFO_CLEAR = OutFlag.FIFO_CLEAR.value
 PERTURB = OutFlag.PERTURB.value
 RUNAWAY_M_PER_S = 1e3
+Amplifier = Callable[[float], float]  # commanded force [N] -> force [N]
 AMPLIFIER_FAULT = StatusBit.AMPLIFIER_FAULT.value
 ENABLED = StatusBit.ENABLED.value
 WATCHDOG = StatusBit.WATCHDOG.value
@@ -209,6 +210,7 @@ class Axis:
         "_torque_max",
         "_tripped",
         "_watchdog",
+        "amplifier",
         "clamped",
         "damping_n",
         "diverged_at",
@@ -234,6 +236,7 @@ class Axis:
         self._release = round(DAMPING_RELEASE_S * substep_rate_hz)
         self._release_step = max(1, round(substep_rate_hz / PROBE_RATE_HZ))
         self.probe = Probe(params)
+        self.amplifier: Amplifier | None = None
         self.state = self.plant.rest(0.0)
         self.power_up()
 
@@ -257,6 +260,16 @@ class Axis:
         self._release_from = 0
         self._damp(0)
 
+    def move_on(self, state: State) -> None:
+        """Supply was connected to a device that is not at rest but in `state`."""
+        self.state = state
+        self.probe.power_up(self.plant.travel(state, 0.0, 0.0))
+
+    def stop_watchdog(self) -> None:
+        """No fail-safe until the next OUT that is obeyed; one that is under way goes on."""
+        if not self._tripped:
+            self._alarm_at = NEVER
+
     @property
     def status(self) -> int:
         """Status bits that last; `clamped` and `probe.events` are taken and cleared by whoever
@@ -279,7 +292,8 @@ class Axis:
             if not -self._torque_max <= torque <= self._torque_max:
                 torque = self._torque_max if torque > 0 else -self._torque_max
                 self.clamped = True
-            self._command(torque * self._params.force_n_per_count)
+            force_n = torque * self._params.force_n_per_count
+            self._command(force_n if self.amplifier is None else self.amplifier(force_n))
         else:
             self._cut_torque()
         probe.playing = bool(flags & PERTURB)

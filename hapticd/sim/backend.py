@@ -326,7 +326,7 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         try:
             self._port.on_out(memoryview(data), self._clock.now_ns())
         except TransferFault as fault:
-            self._fail(fault, device, endpoint)
+            self._fail(fault, device, endpoint, timeout_ms)
         return len(data)
 
     def bulk_read(
@@ -340,7 +340,7 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
             if packet is None:
                 packet = self._wait(timeout_ms)
         except TransferFault as fault:
-            self._fail(fault, device, endpoint)
+            self._fail(fault, device, endpoint, timeout_ms)
         if len(packet) > len(buffer):
             raise usb_error(errno.EOVERFLOW)
         memoryview(buffer)[: len(packet)] = packet
@@ -358,24 +358,33 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         while True:
             due_ns = port.next_in_ns()
             wake_ns = deadline_ns if due_ns is None else min(due_ns, deadline_ns)
-            # wakes early and spins the rest; virtual time is exact and needs no spin
-            clock.sleep_until_ns(wake_ns - self._spin_ns)
-            while self._spin_ns and clock.now_ns() < wake_ns:
-                pass
+            self._wait_until(wake_ns)
             packet = port.poll_in(clock.now_ns())
             if packet is not None:
                 return packet
             if clock.now_ns() >= deadline_ns:
                 raise usb_error(errno.ETIMEDOUT)
 
+    def _wait_until(self, wake_ns: int) -> None:
+        """Wakes early and spins the rest; virtual time is exact and needs no spin."""
+        clock = self._clock
+        clock.sleep_until_ns(wake_ns - self._spin_ns)
+        while self._spin_ns and clock.now_ns() < wake_ns:
+            pass
+
     def _check(self, device: PluggedDevice, endpoint: int) -> None:
         _alive(device)
         if endpoint in device.halted:
             raise usb_error(errno.EPIPE)
 
-    def _fail(self, fault: TransferFault, device: PluggedDevice, endpoint: int) -> NoReturn:
+    def _fail(
+        self, fault: TransferFault, device: PluggedDevice, endpoint: int, timeout_ms: int
+    ) -> NoReturn:
         if fault.number == errno.EPIPE:
             device.halted.add(endpoint)
+        # nobody took the packet: the host tries until its time is over
+        if fault.number == errno.ETIMEDOUT:
+            self._wait_until(self._clock.now_ns() + (timeout_ms or ENDLESS_MS) * NS_PER_MS)
         # the transfer under way fails with its own number; only the next one finds no device
         if fault.away_s is not None:
             self.unplug(fault.away_s)

@@ -27,7 +27,16 @@ from math import ceil, floor, inf
 from hapticd.errors import ConfigError
 from hapticd.params import BoardParams
 from hapticd.plant.step import SUBSTEPS_PER_TICK
-from hapticd.sim.axis import CLAMPED, ENABLE, FIFO_CLEAR, NEVER, PERTURB, Axis, i16_count
+from hapticd.sim.axis import (
+    CLAMPED,
+    ENABLE,
+    FIFO_CLEAR,
+    NEVER,
+    PERTURB,
+    Amplifier,
+    Axis,
+    i16_count,
+)
 from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US
 from hapticd.wire import codec, frames
 from hapticd.wire.frames import Capability, HelloFrame, Request, StatusBit
@@ -77,6 +86,7 @@ class BoardModel:
         "_substep_ns",
         "_substeps_max",
         "_temperature",
+        "_time_us",
         "in_replaced",
         "on_slip",
         "out_refused",
@@ -115,6 +125,15 @@ class BoardModel:
         self._latches: deque[int] = deque(maxlen=LATCHES_MAX)
         self._latch_at = NEVER
         self._ready_ns: int | None = None
+        self._time_us = self._params.board_time_us
+
+    def restart(self, t_ns: int, board_time_us: int) -> None:
+        """The firmware starts anew at that board time, and the device moves on as it did."""
+        self._advance(t_ns)
+        state = self._axis.state
+        self.power_up()
+        self._axis.move_on(state)
+        self._time_us = board_time_us
 
     def on_out(self, data: memoryview, t_ns: int) -> None:
         """An OUT packet arrives at `t_ns`. What breaks the protocol is refused: nothing changes
@@ -182,6 +201,19 @@ class BoardModel:
     def heal(self, faults: int) -> None:
         """That cause is gone; the fault stays latched until CLEAR_FAULT."""
         self._axis.heal(faults)
+
+    @property
+    def amplifier(self) -> Amplifier | None:
+        """What becomes of a commanded force [N]; None: nothing."""
+        return self._axis.amplifier
+
+    @amplifier.setter
+    def amplifier(self, amplifier: Amplifier | None) -> None:
+        self._axis.amplifier = amplifier
+
+    def stop_watchdog(self) -> None:
+        """The watchdog does not work until the next OUT is obeyed."""
+        self._axis.stop_watchdog()
 
     def postpone_in(self, delay_ns: int) -> None:
         """The newest IN will be latched `delay_ns` later than it should."""
@@ -253,7 +285,7 @@ class BoardModel:
             0,
             count,
             events | axis.status | SIMULATED,
-            ceil(latched_at * self._substep_ns) // NS_PER_US & 0xFFFFFFFF,
+            ceil(latched_at * self._substep_ns) // NS_PER_US + self._time_us & 0xFFFFFFFF,
             (encoder + 0x80000000 & 0xFFFFFFFF) - 0x80000000,
             i16_count(current_a / params.current_a_per_count),
             i16_count(voltage_v / params.voltage_v_per_count),
@@ -358,3 +390,46 @@ def control_replies(params: BoardParams) -> Replies:
     )
     replies[VENDOR_IN, Request.HELLO.value, 0] = codec.encode_hello(hello(params))
     return replies
+
+
+class QueueingBoard(BoardModel):
+    """A board whose endpoint holds `in_queue_depth` IN packets; only what comes on top of them
+    waits in the firmware and is replaced by the next.
+    """
+
+    __slots__ = ("_depth", "_queue")
+
+    def __init__(self, params: BoardParams, on_slip: Callable[[int], None] | None = None) -> None:
+        self._depth = params.in_queue_depth
+        super().__init__(params, on_slip)
+
+    def power_up(self) -> None:
+        self._queue: deque[tuple[int, bytes]] = deque()  # (latched, packet), oldest first
+        super().power_up()
+
+    def on_out(self, data: memoryview, t_ns: int) -> None:
+        self._fill(t_ns)
+        super().on_out(data, t_ns)
+
+    def poll_in(self, t_ns: int) -> bytes | None:
+        self._fill(t_ns)
+        return self._queue.popleft()[1] if self._queue else super().poll_in(t_ns)
+
+    def next_in_ns(self) -> int | None:
+        return self._queue[0][0] if self._queue else super().next_in_ns()
+
+    def _fill(self, t_ns: int) -> None:
+        """Hand packets to the endpoint, each when it is latched, as long as there is room."""
+        while True:
+            if len(self._queue) == self._depth:
+                return self._advance(t_ns)
+            latched_ns = super().next_in_ns()
+            if latched_ns is None or latched_ns > t_ns:
+                return None
+            if (packet := super().poll_in(latched_ns)) is not None:
+                self._queue.append((latched_ns, packet))
+
+
+def make_board(params: BoardParams, on_slip: Callable[[int], None] | None = None) -> BoardModel:
+    """The board that `params` describe. ConfigError if they describe none."""
+    return (QueueingBoard if params.in_queue_depth else BoardModel)(params, on_slip)

@@ -2,20 +2,24 @@
 
 An Injector has the board's own methods and stands between it and the backend. Ticks count the OUT
 transfers that the host tries, from 0 (while unplugged there are none); a fault of an IN strikes the
-reply to that OUT. An InjectionParams strikes at its `tick`, or at any tick with its `probability`,
-and then for `count` ticks on end. The same seed and the same transfers give the same faults.
+reply to that OUT. An InjectionParams strikes at its `tick`, or at any tick with its `probability`
+(1: always), and then for `count` ticks on end. The same seed and the same transfers give the same
+faults. What is a property of a board, and no event, is a field of BoardParams instead.
 
-What would break it: a fault that must know what the board computes (it would belong to the board).
+What would break it: a fault that must know what the board computes (it would belong to the board),
+a packet that is handed out past those that wait before it.
 """
 
 import errno
+from collections import deque
 from collections.abc import Callable
 from random import Random
+from typing import NamedTuple
 
 from hapticd.errors import ConfigError
 from hapticd.params import BoardParams
 from hapticd.sim.board import BoardModel
-from hapticd.units import NS_PER_S
+from hapticd.units import NS_PER_S, US_PER_S
 from hapticd.wire import codec
 from hapticd.wire.frames import StatusBit
 
@@ -29,6 +33,13 @@ class TransferFault(Exception):
         super().__init__(number)
         self.number = number
         self.away_s = away_s
+
+
+class StuckEncoder(NamedTuple):
+    """The newest tick at which the encoder was stuck, and the count that it reads."""
+
+    tick: int
+    encoder: int
 
 
 class Injector:
@@ -47,17 +58,30 @@ class Injector:
         self._injections = params.injections
         self._until = [0] * len(params.injections)
         self._in_faults: list[tuple[InFault, float]] = []
-        self._held: tuple[int, bytes] | None = None
+        self._waiting: deque[tuple[int, bytes]] = deque()  # (due, IN packet), oldest first
+        self._piling_until_ns = 0
+        self._hung_until_ns = 0
+        self._stuck = StuckEncoder(-1, 0)
 
     def power_up(self) -> None:
-        self._held = None
+        self.forget()
         self._in_faults.clear()
         self.healing.clear()
         self.board.power_up()
 
+    def forget(self) -> None:
+        """What was on its way is lost."""
+        self._waiting.clear()
+        self._piling_until_ns = 0
+        self._hung_until_ns = 0
+
     def on_out(self, data: memoryview, t_ns: int) -> None:
         self._heal(t_ns)
+        if self._piling_until_ns:
+            self._pile_up(t_ns)
         packet = self._struck(data, t_ns)
+        if t_ns < self._hung_until_ns:
+            raise TransferFault(errno.ETIMEDOUT)
         if packet is None:
             return
         self.board.on_out(packet, t_ns)
@@ -66,12 +90,10 @@ class Injector:
             self.postpone_ns = 0
 
     def poll_in(self, t_ns: int) -> bytes | None:
-        if self._held is not None:
-            due_ns, packet = self._held
-            if t_ns < due_ns:
-                return None
-            self._held = None
-            return packet
+        if self._piling_until_ns:
+            self._pile_up(t_ns)
+        if self._waiting:
+            return self._waiting.popleft()[1] if self._waiting[0][0] <= t_ns else None
         latched_ns = self.board.next_in_ns()
         frame = self.board.poll_in(t_ns)
         if frame is not None and self._in_faults:
@@ -83,29 +105,53 @@ class Injector:
         return frame
 
     def next_in_ns(self) -> int | None:
-        return self._held[0] if self._held is not None else self.board.next_in_ns()
+        return self._waiting[0][0] if self._waiting else self.board.next_in_ns()
 
     def control(self, request_type: int, request: int, value: int, length: int) -> bytes | None:
         return self.board.control(request_type, request, value, length)
 
     def hold(self, due_ns: int, packet: bytes) -> None:
         """The next IN packet is this one, from `due_ns` on."""
-        self._held = due_ns, packet
+        self._waiting.append((due_ns, packet))
+
+    def pile(self, until_ns: int) -> None:
+        """Every IN packet until then waits, and all of them come together."""
+        self._piling_until_ns = until_ns
+
+    def hang(self, until_ns: int) -> None:
+        """The firmware answers nothing until then; what it puts out stays as it is."""
+        self._hung_until_ns = until_ns
+
+    def stuck_at(self, encoder: int) -> int:
+        """What an encoder reads that has stuck: its count at the first tick of the fault."""
+        ongoing = self._stuck.tick == self.tick - 1
+        self._stuck = StuckEncoder(self.tick, self._stuck.encoder if ongoing else encoder)
+        return self._stuck.encoder
+
+    def _pile_up(self, t_ns: int) -> None:
+        until_ns = self._piling_until_ns
+        latest_ns = min(t_ns, until_ns)
+        while (latched_ns := self.board.next_in_ns()) is not None and latched_ns <= latest_ns:
+            if (packet := self.board.poll_in(latched_ns)) is not None:
+                self._waiting.append((until_ns, packet))
+        if t_ns >= until_ns:
+            self._piling_until_ns = 0
 
     def _struck(self, data: memoryview, t_ns: int) -> memoryview | None:
         tick = self.tick
         packet: memoryview | None = data
         self.tick += 1
         self._in_faults.clear()
+        self.board.amplifier = None
         for number, item in enumerate(self._injections):
             if tick == item.tick or (item.probability and self.random.random() < item.probability):
                 self._until[number] = tick + item.count
             if tick >= self._until[number]:
                 continue
             if item.kind in IN_FAULTS:
-                self._in_faults.append((IN_FAULTS[item.kind], item.value))
+                self._in_faults.append((IN_FAULTS[item.kind].act, item.value))
             elif packet is not None:
-                packet = OUT_FAULTS[item.kind](self, packet, item.value, t_ns)
+                packet = OUT_FAULTS[item.kind].act(self, packet, item.value, t_ns)
         return packet
 
     def _heal(self, t_ns: int) -> None:
@@ -123,6 +169,22 @@ def with_injections(board: BoardModel, params: BoardParams) -> BoardModel | Inje
 OutFault = Callable[[Injector, memoryview, float, int], memoryview | None]  # OUT packet, value, now
 # IN packet, value, when it was latched
 InFault = Callable[[Injector, bytes, float, int], bytes | None]
+
+
+class OutKind(NamedTuple):
+    """A fault that strikes an OUT, or the board at that moment."""
+
+    act: OutFault
+    what: str  # happens
+    value: str = ""  # what the value means, and its unit
+
+
+class InKind(NamedTuple):
+    """A fault that strikes the IN that answers an OUT."""
+
+    act: InFault
+    what: str
+    value: str = ""
 
 
 def _flipped(data: bytes | memoryview, random: Random) -> bytes:
@@ -161,12 +223,48 @@ def _board_fault(status: StatusBit) -> OutFault:
     return trip
 
 
+def _restarted(injector: Injector, packet: memoryview, value: float, t_ns: int) -> memoryview:
+    injector.forget()
+    injector.board.restart(t_ns, round(value * US_PER_S))
+    return packet
+
+
+def _hung(injector: Injector, packet: memoryview, value: float, t_ns: int) -> None:
+    injector.hang(t_ns + round(value * NS_PER_S))
+
+
+def _hung_unwatched(injector: Injector, packet: memoryview, value: float, t_ns: int) -> None:
+    injector.hang(t_ns + round(value * NS_PER_S))
+    injector.board.stop_watchdog()
+
+
+def _amplifier(act: Callable[[float, float], float]) -> OutFault:
+    """`act(force_n, value)`: what the amplifier makes of a commanded force."""
+
+    def strike(injector: Injector, packet: memoryview, value: float, t_ns: int) -> memoryview:
+        injector.board.amplifier = lambda force_n: act(force_n, value)
+        return packet
+
+    return strike
+
+
 def _delayed(injector: Injector, packet: bytes, value: float, t_ns: int) -> None:
     injector.hold(t_ns + round(value * NS_PER_S), packet)
 
 
+def _piled(injector: Injector, packet: bytes, value: float, t_ns: int) -> None:
+    due_ns = t_ns + round(value * NS_PER_S)
+    injector.hold(due_ns, packet)
+    injector.pile(due_ns)
+
+
 def _duplicated(injector: Injector, packet: bytes, value: float, t_ns: int) -> bytes:
     injector.hold(t_ns, packet)
+    return packet
+
+
+def _with_nothing_behind(injector: Injector, packet: bytes, value: float, t_ns: int) -> bytes:
+    injector.hold(t_ns, b"")
     return packet
 
 
@@ -182,10 +280,20 @@ def _shortened(injector: Injector, packet: bytes, value: float, t_ns: int) -> by
     return packet[: round(value) or 31]
 
 
-def _jumped(injector: Injector, packet: bytes, value: float, t_ns: int) -> bytes:
-    frame = codec.decode_in(packet)
-    encoder = frame.encoder + (round(value) or 1_000_000)
-    return codec.encode_in(frame._replace(encoder=(encoder + 2**31) % 2**32 - 2**31))
+def _encoder(act: Callable[[Injector, int, float], int]) -> InFault:
+    """`act(injector, encoder, value)`: the count that is read in place of `encoder`."""
+
+    def strike(injector: Injector, packet: bytes, value: float, t_ns: int) -> bytes:
+        frame = codec.decode_in(packet)
+        encoder = act(injector, frame.encoder, value)
+        return codec.encode_in(frame._replace(encoder=(encoder + 2**31) % 2**32 - 2**31))
+
+    return strike
+
+
+def _scattered(injector: Injector, encoder: int, value: float) -> int:
+    most = round(value) or MANY_COUNTS
+    return encoder + injector.random.randint(-most, most)
 
 
 def _saturated(injector: Injector, packet: bytes, value: float, t_ns: int) -> bytes:
@@ -196,30 +304,87 @@ def _saturated(injector: Injector, packet: bytes, value: float, t_ns: int) -> by
     )
 
 
-OUT_FAULTS: dict[str, OutFault] = {
-    "drop_out": lambda injector, packet, value, t_ns: None,  # lost; the host believes it was sent
-    "corrupt_out": _corrupted_out,  # one random bit flipped: the board refuses it
-    "stall_out": _stalled,  # the OUT endpoint halts until clear_halt
-    "io_error": _disturbed,  # EIO once, as under electrical interference
-    "unplug": _unplugged,  # EIO, then ENODEV; plugged in again after `value` s
-    "late": _latched_late,  # the board latches the reply `value` s late
-    # the cause lasts `value` s, the fault until CLEAR_FAULT
-    "amplifier_fault": _board_fault(StatusBit.AMPLIFIER_FAULT),
-    "encoder_fault": _board_fault(StatusBit.ENCODER_FAULT),
-    "over_temperature": _board_fault(StatusBit.OVER_TEMPERATURE),
+MANY_COUNTS = 1_000_000
+CAUSE = "how long the cause lasts [s]; the fault stays until CLEAR_FAULT"
+HANGS = "the board hangs: outputs stay as they are, OUT is not accepted"
+OUT_FAULTS: dict[str, OutKind] = {
+    "drop_out": OutKind(
+        lambda injector, packet, value, t_ns: None, "OUT is lost; the host believes it was sent"
+    ),
+    "corrupt_out": OutKind(_corrupted_out, "one random bit of OUT flips: the board refuses it"),
+    "stall_out": OutKind(_stalled, "the OUT endpoint halts until clear_halt"),
+    "io_error": OutKind(_disturbed, "EIO once, as under electrical interference"),
+    "unplug": OutKind(_unplugged, "EIO, then ENODEV, then plugged in again", "time away [s]"),
+    "late": OutKind(_latched_late, "the board latches its reply late", "by how much [s]"),
+    "amplifier_fault": OutKind(
+        _board_fault(StatusBit.AMPLIFIER_FAULT), "the board reports an amplifier fault", CAUSE
+    ),
+    "encoder_fault": OutKind(
+        _board_fault(StatusBit.ENCODER_FAULT), "the board reports an encoder fault", CAUSE
+    ),
+    "over_temperature": OutKind(
+        _board_fault(StatusBit.OVER_TEMPERATURE), "the board reports a hot winding", CAUSE
+    ),
+    "amplifier_stuck": OutKind(
+        _amplifier(lambda force_n, value: value),
+        "the amplifier puts out one force, whatever is commanded, as long as it has authority",
+        "that force [N]",
+    ),
+    "amplifier_limited": OutKind(
+        _amplifier(lambda force_n, value: max(-value, min(value, force_n))),
+        "the amplifier gives less than is commanded",
+        "the most that it gives [N]",
+    ),
+    "amplifier_gain": OutKind(
+        _amplifier(lambda force_n, value: force_n * value),
+        "the amplifier has another gain, or the other polarity",
+        "force over commanded force",
+    ),
+    "restart": OutKind(
+        _restarted,
+        "the firmware starts anew without leaving the bus; the device moves on",
+        "board time at which it begins anew [s]",
+    ),
+    "hang": OutKind(_hung, f"{HANGS}; its watchdog works", "for how long [s]"),
+    "hang_unwatched": OutKind(
+        _hung_unwatched, f"{HANGS}; its watchdog does not work", "for how long [s]"
+    ),
 }
 
-IN_FAULTS: dict[str, InFault] = {
-    "drop_in": lambda injector, packet, value, t_ns: None,  # lost; the board believes it was read
-    "delay_in": _delayed,  # delivered `value` s after it was latched
-    "duplicate_in": _duplicated,  # delivered twice
-    "corrupt_in": _corrupted_in,  # one random bit flipped
-    "stall_in": _stalled,  # the IN endpoint halts until clear_halt
-    "babble": _lengthened,  # longer than a packet, by `value` bytes (1)
-    "short_in": _shortened,  # only the first `value` bytes (31)
-    "encoder_jump": _jumped,  # the encoder is off by `value` counts (1,000,000)
-    # current, voltage, velocity and temperature read `value` counts (32767)
-    "sensor_extreme": _saturated,
+IN_FAULTS: dict[str, InKind] = {
+    "drop_in": InKind(
+        lambda injector, packet, value, t_ns: None, "IN is lost; the board believes it was read"
+    ),
+    "delay_in": InKind(_delayed, "IN is delivered late", "after its latch [s]"),
+    "burst_in": InKind(
+        _piled,
+        "this IN and those after it pile up on the way, then come all together",
+        "for how long [s]",
+    ),
+    "duplicate_in": InKind(_duplicated, "IN is delivered twice"),
+    "zero_length_in": InKind(_with_nothing_behind, "a packet of zero length comes behind IN"),
+    "corrupt_in": InKind(_corrupted_in, "one random bit of IN flips"),
+    "stall_in": InKind(_stalled, "the IN endpoint halts until clear_halt"),
+    "babble": InKind(_lengthened, "IN is longer than a packet", "bytes too many (1)"),
+    "short_in": InKind(_shortened, "IN is cut short", "bytes that are left (31)"),
+    "encoder_jump": InKind(
+        _encoder(lambda injector, encoder, value: encoder + (round(value) or MANY_COUNTS)),
+        "the encoder is off",
+        "counts (1,000,000)",
+    ),
+    "encoder_burst": InKind(
+        _encoder(_scattered), "the encoder is off by random counts", "most counts (1,000,000)"
+    ),
+    "encoder_stuck": InKind(
+        _encoder(lambda injector, encoder, value: injector.stuck_at(encoder)),
+        "the encoder reads the count of the first of these ticks",
+    ),
+    "sensor_extreme": InKind(
+        _saturated, "current, voltage, velocity and temperature are extreme", "counts (32767)"
+    ),
 }
 # what the board reads wrongly comes before what happens to its packet on the way
-SENSED = (_jumped, _saturated)
+SENSED = tuple(
+    IN_FAULTS[kind].act
+    for kind in ("encoder_jump", "encoder_burst", "encoder_stuck", "sensor_extreme")
+)
