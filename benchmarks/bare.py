@@ -17,7 +17,7 @@ from hapticd.sim.board import control_replies
 from hapticd.wire import codec, frames
 from hapticd.wire.frames import InFrame
 
-QUIET = InFrame(0, 1, 0, int(frames.StatusBit.SIMULATED), 0, 0, 0, 0, 0, 2200, 0, 0, 0)
+QUIET = InFrame(0, 1, 0, int(frames.StatusBit.SIMULATED), 0, 0, 0, 0, 0, 2200, 0, 1, 0, 0)
 
 
 class EmptyBoard:

@@ -22,6 +22,7 @@ from hapticd.wire.frames import InFrame, Request
 AMPLITUDE_COUNTS = 2000
 WAVE_HZ = 3.0
 AMBIENT_COUNT = 2200
+AGE_US = 875  # of the torque, as a board at 1 kHz says it
 TRIALS = 1000
 
 
@@ -62,8 +63,13 @@ class NullLink(Link):
                 7,
                 AMBIENT_COUNT,
                 0,
+                1,
                 0,
                 0,
+                (),
+                AGE_US,
+                0,
+                number + 1 & 0xFF,
             )
         )
 

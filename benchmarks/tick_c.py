@@ -6,6 +6,7 @@ import ctypes
 import shutil
 import struct
 import subprocess
+import time
 from array import array
 from math import isclose
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Any
 
 from benchmarks.records import c_struct, place
 from benchmarks.worker import ROOT, BenchError
+from hapticd.link.device import SEQUENCES
 from hapticd.mailbox import layout
 from hapticd.params import ServoParams
 from hapticd.units import US_PER_S
@@ -20,14 +22,15 @@ from hapticd.wire.frames import IN_HEAD
 
 SOURCE = Path(__file__).with_name("tick_reference.c")
 OPTIONS = ("-O2", "-std=gnu11", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared")
-HELD = struct.Struct(f"=6d12d10d6d5d5dd2d3d4d3q4H{layout.PLAN.size}s")  # struct servo
+HELD = struct.Struct(
+    f"=6d12d10d6d5d5dd2d4d4d3q4H{2 * SEQUENCES}q{layout.PLAN.size}s"
+)  # struct servo
 # places in IN_HEAD
 SEQ = 0
 ECHO = 1
 BOARD_US = 5
 NUMBERS = slice(place("position_m"), place("energy_j") + 6)  # of a record
 OUT_FRAME = place("out_frame")
-DELAY = 0.125  # of servo.step
 
 
 def compile_library(folder: Path) -> str:
@@ -112,7 +115,8 @@ class CReference:
             force.sign / force.per_count,
             force.to_value(1.0),
             now.added,
-            DELAY,
+            self._params.realtime.rate_hz / US_PER_S,
+            device.damping.to_value(1.0),
             *(scale.to_value(1.0) for scale in sensors),
             tick,
             head[BOARD_US] - period_us,
@@ -121,6 +125,8 @@ class CReference:
             head[ECHO],
             now.out_flags,
             now.damping_count,
+            *[head[BOARD_US] - period_us] * SEQUENCES,
+            *[time.monotonic_ns()] * SEQUENCES,
             now.blob,
         )
 

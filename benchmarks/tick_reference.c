@@ -17,9 +17,10 @@ enum { SLOTS = 8192, FLAG_CLAMPED = 32 };
 struct servo {
     double law[6], environment[12], coefficients[10];
     double energy[6], newer[5], older[5], displacement;
-    double m_per_count, counts_per_n, n_per_count, added, delay, slope[4];
+    double m_per_count, counts_per_n, n_per_count, added, periods_per_us, damping_slope, slope[4];
     int64_t tick, board_us, period_us;
     uint16_t expected, sent, out_flags, damping;
+    int64_t sampled[256], sent_at[256]; /* by the low byte of the sequence number of an OUT */
     uint8_t plan[sizeof(((struct record *)0)->plan)];
 };
 
@@ -92,7 +93,7 @@ static uint32_t law(struct servo *s, double x, struct record *r)
 
 static void book(struct servo *s, const struct record *r)
 {
-    double d = s->law[1], way = s->displacement + s->delay * (d - s->displacement);
+    double delay = r->delay_us * s->periods_per_us, d = s->law[1], way = s->displacement + delay * (d - s->displacement);
     for (int i = 0; i < 5; i++)
         s->energy[i] += s->older[i] * way;
     s->energy[5] -= s->added * d * d;
@@ -104,7 +105,7 @@ static void book(struct servo *s, const struct record *r)
 /* `count` ticks over as many IN frames into `ring`; 0, or the number of the frame that was refused, counted from 1 */
 int reference_ticks(struct servo *s, const uint8_t *frames, uint8_t *ring, int count)
 {
-    int32_t publish = 0;
+    int32_t publish = 0, least = 1 << 30, most = 0, spread = 0;
     if (!table[1])
         make_table();
     for (int i = 0; i < count; i++) {
@@ -116,6 +117,10 @@ int reference_ticks(struct servo *s, const uint8_t *frames, uint8_t *ring, int c
         int64_t got = now_ns();
         if (words[0] || words[1] != words[2] || start < (int64_t)words[3])
             return i + 1;
+        r->delay_us = (int32_t)(s->board_us - in->torque_age_us - s->sampled[in->torque_seq]);
+        r->frame_age_us = (int32_t)((got - s->sent_at[in->torque_seq]) / 1000 - in->torque_age_us);
+        least = r->delay_us < least ? r->delay_us : least;
+        most = r->delay_us > most ? r->delay_us : most;
         uint32_t flags = law(s, in->encoder * s->m_per_count, r);
         int torque = (int)floor(r->force_n * s->counts_per_n + 0.5);
         torque = torque < -32768 ? -32768 : torque > 32767 ? 32767 : torque;
@@ -123,6 +128,8 @@ int reference_ticks(struct servo *s, const uint8_t *frames, uint8_t *ring, int c
         book(s, r);
         int64_t stepped = now_ns();
         wire.seq = ++s->sent, wire.flags = s->out_flags, wire.torque = torque, wire.damping = s->damping;
+        s->sampled[s->sent & 255] = s->board_us;
+        s->sent_at[s->sent & 255] = stepped;
         wire.crc = crc16(&wire, HAPTICD_OUT_BYTES - 2);
         int64_t sent = now_ns();
         r->tick = r->tail = s->tick, r->time_ns = start, r->board_us = s->board_us;
@@ -133,6 +140,11 @@ int reference_ticks(struct servo *s, const uint8_t *frames, uint8_t *ring, int c
         r->voltage_v = in->voltage * s->slope[2], r->emf_velocity_m_per_s = in->emf_velocity * s->slope[3];
         r->wake_ns = 0, r->read_ns = got - start, r->step_ns = stepped - got, r->write_ns = sent - stepped;
         r->publish_ns = publish, r->lost_slots = 0;
+        r->delay_spread_us = spread, r->damping_effect_ns_per_m = in->damping_effect * s->damping_slope;
+        if (!(s->tick & 255)) {
+            spread = most > least ? most - least : 0;
+            least = 1 << 30, most = 0;
+        }
         memcpy(r->in_frame, in, HAPTICD_IN_BYTES);
         memcpy(r->out_frame, &wire, HAPTICD_OUT_BYTES);
         __atomic_store_n(&words[4], ++s->tick, __ATOMIC_RELEASE);

@@ -19,7 +19,7 @@
 
 #include <stdint.h>
 
-#define HAPTICD_PROTOCOL_HASH 0x903a2f9a7efad50fULL
+#define HAPTICD_PROTOCOL_HASH 0x7def932b9cce8e69ULL
 
 #define HAPTICD_USB_VENDOR_ID 0x1209
 #define HAPTICD_USB_PRODUCT_ID 0x0001
@@ -38,6 +38,7 @@
 /* vendor control requests, recipient device */
 #define HAPTICD_REQUEST_HELLO 0x01       /* IN, HAPTICD_HELLO_BYTES */
 #define HAPTICD_REQUEST_CLEAR_FAULT 0x02 /* OUT, no data: clears the latched board faults if their cause is gone */
+#define HAPTICD_REQUEST_SAMPLE_PHASE 0x03 /* OUT, no data, wValue = us from the acceptance of an OUT to the latch of its IN */
 
 /* OUT flags */
 #define HAPTICD_FLAG_ENABLE 0x01      /* torque authority: without it the board outputs no torque */
@@ -45,7 +46,7 @@
 #define HAPTICD_FLAG_PERTURB 0x04     /* play the perturbation FIFO; an empty FIFO is then an under-run */
 
 /* IN status */
-#define HAPTICD_STATUS_ENABLED 0x0001        /* torque authority is granted and used */
+#define HAPTICD_STATUS_ENABLED 0x0001        /* torque authority is granted: the commanded torque acts at this very latch */
 #define HAPTICD_STATUS_WATCHDOG 0x0002       /* latched: no valid OUT in time, torque is 0; cleared by an OUT without ENABLE */
 #define HAPTICD_STATUS_BAD_FRAME 0x0004      /* an OUT was refused since the last IN: length, CRC, axis or probe count */
 #define HAPTICD_STATUS_SEQ_GAP 0x0008        /* OUT sequence jumped since the last IN */
@@ -57,6 +58,8 @@
 #define HAPTICD_STATUS_ENCODER_FAULT 0x0200    /* latched, as above */
 #define HAPTICD_STATUS_INDEX 0x0400          /* the index mark was passed since the last IN; index_offset is valid */
 #define HAPTICD_STATUS_PROBE_OVERFLOW 0x0800 /* pairs were lost because the host did not read */
+#define HAPTICD_STATUS_EMERGENCY_STOP 0x1000 /* the hard-wired stop is pressed: no torque, whatever the host asks */
+#define HAPTICD_STATUS_AMPLIFIER_READY 0x2000 /* the amplifier is powered and could make torque */
 #define HAPTICD_STATUS_SIMULATED 0x8000      /* no real device: always set together with the capability */
 
 /* capabilities in the hello reply */
@@ -65,6 +68,11 @@
 #define HAPTICD_CAPABILITY_INDEX 0x0004         /* the encoder has an index mark */
 #define HAPTICD_CAPABILITY_TEMPERATURE 0x0008   /* the winding temperature is measured, else the field is 0 */
 #define HAPTICD_CAPABILITY_RESISTANCE 0x0010    /* the resistance-compensation DAC is connected */
+#define HAPTICD_CAPABILITY_EMERGENCY_STOP 0x0020 /* a hard-wired stop is connected and reported in the status */
+#define HAPTICD_CAPABILITY_AMPLIFIER_READY 0x0040 /* AMPLIFIER_READY is reported; without it the bit is 0 */
+#define HAPTICD_CAPABILITY_SAMPLE_PHASE 0x0080  /* REQUEST_SAMPLE_PHASE is obeyed, else the phase is 0.875 of the period */
+#define HAPTICD_CAPABILITY_RESISTANCE_MEASURED 0x0100 /* reserved for a measured winding resistance: 0 */
+#define HAPTICD_CAPABILITY_RESISTANCE_TRACKED 0x0200 /* reserved for compensation that follows the winding by itself: 0 */
 #define HAPTICD_CAPABILITY_SIMULATED 0x8000     /* the device behind this board is computed */
 
 #pragma pack(push, 1)
@@ -96,11 +104,14 @@ struct hapticd_in {
     int16_t emf_velocity;      /* velocity estimate from the back-EMF */
     int16_t temperature;       /* winding temperature */
     uint8_t fifo_level;        /* perturbation samples queued */
-    uint8_t reserved0;         /* 0 */
+    uint8_t life;              /* counted on or drawn at every start of the firmware; constant within one */
     int16_t index_offset;      /* encoder - count at the index mark, valid with STATUS_INDEX */
     uint32_t probe_index;      /* index of the first pair below, counts 250 us intervals since power-up; wraps */
     int16_t pair[HAPTICD_PROBE_MAX][2]; /* mean perturbation torque, mean velocity over the interval */
-    uint8_t reserved[6];       /* 0 */
+    uint16_t torque_age_us;    /* time since the torque of OUT `torque_seq` took effect; 65535 stands for longer too */
+    uint16_t damping_effect;   /* damping scale factor in effect, in counts of the DAC */
+    uint8_t torque_seq;        /* low byte of the seq of the OUT whose torque is in effect */
+    uint8_t reserved;          /* 0 */
     uint16_t crc;              /* over all bytes before it */
 };
 

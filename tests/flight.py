@@ -64,11 +64,12 @@ class Flight:
         arrival: int = 0,
         host: int = HEALTHY,
         index: int = 0,
+        delay: float = 0.125,
     ) -> Any:
         if encoder is not None:
             self.encoder = encoder
         temperature = AMBIENT_COUNT if celsius is None else round(celsius * 100)
-        sample = (self.encoder, status, temperature, arrival, host, index)
+        sample = (self.encoder, status, temperature, arrival, host, index, delay)
         self.state, out = self.step(self.state, commands, sample, self.tick)
         self.tick += 1
         self.answers += out[10]

@@ -117,6 +117,48 @@ def test_free_decay_shows_the_damping_that_was_commanded():
     assert rate == pytest.approx((0.36 + 2.0) / 0.008, rel=0.01)
 
 
+@pytest.mark.parametrize(("phase", "lag"), [(0.875, 0), (0.5, 0), (0.125, 0), (0.875, 1), (0.5, 2)])
+def test_delay_from_sample_to_force_is_measured_every_tick(phase, lag):
+    """A period less the phase at which the board samples, and periods it holds torque back."""
+    board = board_params(sample_phase=phase, lag_periods=lag)
+    with LockStep(servo_params(), board) as stack:
+        enable(stack, FIG_4)
+        flown = records(stack.run(600))
+    assert set(flown["delay_us"]) == {1000 * lag + round(1000 * (1.0 - phase))}
+    assert set(flown["frame_age_us"]) == {1000 * lag + round(1000 * (1.0 - phase))}
+    assert set(flown["delay_spread_us"][-256:]) == {0}
+
+
+def test_delay_is_unknown_until_a_force_has_its_sample_and_while_frames_are_missing():
+    faults = (InjectionParams("drop_in", tick=50, count=3),)
+    with LockStep(servo_params(), board_params(injections=faults)) as stack:
+        flown = records(stack.run(200))
+    unknown = np.flatnonzero(flown["delay_us"] < 0).tolist()
+    assert unknown == [0, *np.flatnonzero(flown["arrival"] < 0).tolist()]
+    assert np.count_nonzero(flown["arrival"] < 0) == 3
+    assert (flown["frame_age_us"][unknown] == -1).all()
+
+
+def test_spread_of_the_delay_shows_a_frame_that_was_latched_late():
+    """Its force is sent as soon as it is read: 125 us earlier after the sample than others."""
+    late = (InjectionParams("late", tick=400, value=0.0003),)
+    with LockStep(servo_params(), board_params(injections=late)) as stack:
+        flown = records(stack.run(1100))
+    # before: the first frame had waited for the first tick
+    assert set(flown["delay_spread_us"][257:513]) == {2500}
+    assert set(flown["delay_spread_us"][513:769]) == {125}
+    assert set(flown["delay_spread_us"][769:]) == {0}
+
+
+def test_damping_in_effect_is_what_the_board_says():
+    with LockStep(servo_params(), board_params()) as stack:
+        stack.do(Command.DAMPING, {Value.ADDED_DAMPING: 1.74, Value.ADDED_DAMPING_ON: 1.0})
+        flown = records(stack.run(300))
+    assert flown["damping_effect_ns_per_m"][-1] == pytest.approx(1.74, abs=COUNT_NS_PER_M)
+    asked = flown["added_damping_ns_per_m"]
+    assert flown["damping_effect_ns_per_m"][1:] == pytest.approx(asked[:-1], abs=1e-6)
+
+
 @pytest.mark.parametrize(("kind", "count", "value"), FAULTS)
 def test_link_fault_is_survived_without_a_jump(kind, count, value):
     injections = (InjectionParams(kind, tick=1000, count=count, value=value),)

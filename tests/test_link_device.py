@@ -75,6 +75,7 @@ def frame(n, time_us=None, echo=None, **changes):
         0,
         2500,
         0,
+        1,
         0,
         4 * n,
     )
@@ -89,7 +90,7 @@ def connected(*replies):
 
 def tick(device):
     """Receive, then answer as the loop does."""
-    arrival, board_us, head = device.receive()
+    arrival, board_us, _, head = device.receive()
     device.send(int(OutFlag.ENABLE), 0, 0, 0)
     return arrival, board_us, head
 

@@ -59,9 +59,11 @@ def test_foreign_files_are_refused(tmp_path: Path) -> None:
 def test_records_of_another_version_are_not_replayed(recording_file: Path, tmp_path: Path) -> None:
     other = shutil.copy(recording_file, tmp_path / "old.h5")
     with h5py.File(other, "a") as content:
-        content.attrs["layout"] = "0123456789abcdef"
+        del content["servo/stiffness_force_n"]
     with (
         open_recording(other) as recording,
-        pytest.raises(ConfigError, match=r"was recorded by hapticd 0\.1\.0 with other"),
+        pytest.raises(
+            ConfigError, match=r"was recorded by hapticd 0\.1\.0 and lacks 'stiffness_force_n'"
+        ),
     ):
         recording.segments()

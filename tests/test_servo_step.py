@@ -311,7 +311,7 @@ def test_law_that_overflows_is_a_fault_and_never_a_force():
 def test_step_is_a_function_of_its_arguments():
     flight = enabled(servo_params(), {**STIFF, Value.DAMPING: 1.0, Value.MASS: 0.01}, 2000)
     state = flight.state
-    sample = (2040, 0, 2500, 0, 3, 0)
+    sample = (2040, 0, 2500, 0, 3, 0, 0.125)
     command = ((77, Command.SET, 1, 0, masked({Value.STIFFNESS: 400.0})),)
     assert flight.step(state, command, sample, 900) == flight.step(state, command, sample, 900)
     assert state == flight.state

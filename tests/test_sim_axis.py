@@ -108,7 +108,11 @@ def test_bad_frames_do_not_feed_the_watchdog():
     frame = exchange(board, 12, flags=ENABLE)
     assert (
         frame.status
-        == StatusBit.SIMULATED | StatusBit.WATCHDOG | StatusBit.BAD_FRAME | StatusBit.SEQ_GAP
+        == StatusBit.SIMULATED
+        | StatusBit.AMPLIFIER_READY
+        | StatusBit.WATCHDOG
+        | StatusBit.BAD_FRAME
+        | StatusBit.SEQ_GAP
     )
 
 

@@ -12,7 +12,7 @@ from hapticd.wire import codec
 from hapticd.wire.frames import OUT_BYTES, PROTOCOL_HASH, Capability, OutFlag, Request, StatusBit
 
 BOARD = board_params()
-SIMULATED = int(StatusBit.SIMULATED)
+ALWAYS = int(StatusBit.SIMULATED | StatusBit.AMPLIFIER_READY)
 ENABLED = int(StatusBit.ENABLED)
 COUNT_N = BOARD.force_n_per_count
 
@@ -61,7 +61,7 @@ def test_frame_says_who_when_and_simulated():
     assert [frame.seq for frame in frames] == list(range(70))
     assert [frame.echo for frame in frames] == list(range(70))
     assert [frame.board_time_us for frame in frames] == [1000 * tick + 875 for tick in range(70)]
-    assert {frame.status for frame in frames} == {SIMULATED | ENABLED}
+    assert {frame.status for frame in frames} == {ALWAYS | ENABLED}
     assert frames[0].temperature == 2200
 
 
@@ -148,9 +148,9 @@ def test_bad_frame_changes_nothing(name):
     assert board.poll_in(2 * TICK_NS - 1) is None
     assert (board.out_refused, twin.out_refused) == (1, 0)
     after = [exchange(model, 2, flags=ENABLE, torque=500) for model in (board, twin)]
-    assert after[0].status == SIMULATED | ENABLED | StatusBit.BAD_FRAME | StatusBit.SEQ_GAP
+    assert after[0].status == ALWAYS | ENABLED | StatusBit.BAD_FRAME | StatusBit.SEQ_GAP
     assert after[0]._replace(status=0) == after[1]._replace(status=0)
-    assert exchange(board, 3, flags=ENABLE, torque=500).status == SIMULATED | ENABLED
+    assert exchange(board, 3, flags=ENABLE, torque=500).status == ALWAYS | ENABLED
 
 
 def test_whole_good_frame_is_the_counterexample():
@@ -253,13 +253,13 @@ def test_board_fault_latches_until_cleared_without_cause(fault):
     board = BoardModel(BOARD)
     exchange(board, 0, flags=ENABLE, torque=1000)
     board.trip(int(fault))
-    assert exchange(board, 1, flags=ENABLE, torque=1000).status == SIMULATED | fault
+    assert exchange(board, 1, flags=ENABLE, torque=1000).status == ALWAYS | fault
     assert board.control(0x40, Request.CLEAR_FAULT, 0, 0) == b""
     assert exchange(board, 2, flags=ENABLE, torque=1000).status & fault
     board.heal(int(fault))
     assert exchange(board, 3, flags=ENABLE, torque=1000).status & fault
     board.control(0x40, Request.CLEAR_FAULT, 0, 0)
-    assert exchange(board, 4, flags=ENABLE, torque=1000).status == SIMULATED | ENABLED
+    assert exchange(board, 4, flags=ENABLE, torque=1000).status == ALWAYS | ENABLED
 
 
 def test_board_fault_takes_the_torque_away():
@@ -281,9 +281,36 @@ def test_power_up_starts_afresh():
     board.power_up()
     assert board.next_in_ns() is None
     fresh = exchange(board, 100)
-    assert fresh.status == SIMULATED
+    assert fresh.status == ALWAYS
     assert (fresh.seq, fresh.echo, fresh.board_time_us, fresh.encoder) == (0, 100, 875, 0)
     assert (fresh.fifo_level, fresh.probe_index, fresh.pairs) == (0, 0, ((0, 0),) * 3)
+
+
+def test_every_power_up_is_another_life():
+    board = BoardModel(BOARD)
+    lives = []
+    for _ in range(3):
+        lives.append(exchange(board, 0).life)
+        board.power_up()
+    assert lives == [1, 2, 3]
+
+
+def test_host_sets_the_phase_at_which_frames_are_latched():
+    board = BoardModel(BOARD)
+    phase = int(Request.SAMPLE_PHASE)
+    assert board.control(0x40, phase, 500, 0) == b""
+    assert exchange(board, 0).board_time_us == 500
+    assert board.control(0x40, phase, 1063, 0) is None
+    board.power_up()
+    assert exchange(board, 0).board_time_us == 875
+
+
+def test_torque_in_effect_is_that_of_its_out_frame_and_has_its_age():
+    board = BoardModel(board_params(lag_periods=2))
+    found = [exchange(board, tick, flags=ENABLE, torque=tick) for tick in range(5)]
+    assert [frame.torque_seq for frame in found] == [0, 0, 0, 1, 2]
+    assert [frame.torque_age_us for frame in found[2:]] == [875, 875, 875]
+    assert [frame.echo for frame in found] == [0, 1, 2, 3, 4]
 
 
 # --- endpoint 0 -----------------------------------------------------------------------------------
@@ -295,6 +322,9 @@ def test_hello_describes_the_board():
         == Capability.PROBE
         | Capability.INTERVAL_MEAN
         | Capability.TEMPERATURE
+        | Capability.EMERGENCY_STOP
+        | Capability.AMPLIFIER_READY
+        | Capability.SAMPLE_PHASE
         | Capability.SIMULATED
     )
     assert (hello.serial, hello.axis_count, hello.watchdog_ms) == ("SIM0001", 1, 250)
@@ -340,4 +370,4 @@ def test_impossible_boards_are_refused(changes, message):
 
 def test_fifo_clear_is_a_known_flag():
     board = BoardModel(BOARD)
-    assert exchange(board, 0, flags=int(OutFlag.FIFO_CLEAR)).status == SIMULATED
+    assert exchange(board, 0, flags=int(OutFlag.FIFO_CLEAR)).status == ALWAYS

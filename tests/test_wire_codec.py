@@ -27,7 +27,9 @@ SAMPLES = st.lists(I16, max_size=frames.PROBE_MAX).map(tuple)
 PAIRS = st.lists(st.tuples(I16, I16), max_size=frames.PROBE_MAX).map(tuple)
 OUT_FRAMES = st.builds(OutFrame, U16, AXIS, U8, I16, U16, I16, SAMPLES)
 IN_FRAMES = st.builds(
-    InFrame, U16, U16, AXIS, U16, U32, I32, I16, I16, I16, I16, U8, I16, U32, PAIRS
+    InFrame,
+    *(U16, U16, AXIS, U16, U32, I32, I16, I16, I16, I16, U8, U8, I16, U32, PAIRS),
+    *(U16, U16, U8),
 )
 SERIALS = st.text(st.characters(min_codepoint=0x20, max_codepoint=0x7E), max_size=16)
 F32 = st.floats(width=32, allow_nan=False, allow_infinity=False)
@@ -48,9 +50,13 @@ IN = InFrame(
     1311,
     3125,
     8,
+    7,
     0,
     4003,
     ((819, 1302), (-1638, 1318)),
+    875,
+    11403,
+    232,
 )
 HELLO = HelloFrame(
     frames.PROTOCOL_HASH, 0x0102, 1, 3, 20, "HD-0001", 8.0, 10.0, 2.0, 0.5, 4.0, 24.0, 2.0**-21, 8.0
@@ -208,7 +214,7 @@ def test_what_lies_beyond_the_count_is_ignored() -> None:
     out = bytearray(codec.encode_out(OUT))
     received = bytearray(codec.encode_in(IN))
     out[11], out[18:30] = 0xFF, b"\xff" * 12  # reserved0, samples 3 to 5, reserved
-    received[25], received[40:62] = 0xFF, b"\xff" * 22  # reserved0, pairs 2 to 5, reserved
+    received[40:56], received[61] = b"\xff" * 16, 0xFF  # pairs 2 to 5, reserved
     assert codec.decode_out(resealed(bytes(out))) == OUT
     assert codec.decode_in(resealed(bytes(received))) == IN
 
@@ -333,7 +339,7 @@ def test_in_parser_equals_decoder(received: list[InFrame]) -> None:
         sent = codec.encode_in(frame)
         buffer[:] = array("B", sent)
         crc = int.from_bytes(sent[-2:], "little")
-        assert parse() == (*frame[:3], len(frame.pairs), *frame[3:11], 0, *frame[11:13], crc)
+        assert parse() == (*frame[:3], len(frame.pairs), *frame[3:14], *frame[15:], crc)
 
 
 @repeatable

@@ -67,17 +67,19 @@ static const char *take_in(const uint8_t *data, size_t size)
     printf("{\"fields\": {\"seq\": %u, \"echo\": %u, \"axis\": %u, \"status\": %u, ", in.seq, in.echo, in.axis, in.status);
     printf("\"board_time_us\": %lu, \"encoder\": %ld, ", (unsigned long)in.board_time_us, (long)in.encoder);
     printf("\"current\": %d, \"voltage\": %d, \"emf_velocity\": %d, ", in.current, in.voltage, in.emf_velocity);
-    printf("\"temperature\": %d, \"fifo_level\": %u, \"index_offset\": %d, ", in.temperature, in.fifo_level, in.index_offset);
-    printf("\"probe_index\": %lu, \"pairs\": [", (unsigned long)in.probe_index);
+    printf("\"temperature\": %d, \"fifo_level\": %u, \"life\": %u, ", in.temperature, in.fifo_level, in.life);
+    printf("\"index_offset\": %d, \"probe_index\": %lu, \"pairs\": [", in.index_offset, (unsigned long)in.probe_index);
     for (int i = 0; i < in.probe_count; i++) {
         printf("%s[%d, %d]", i ? ", " : "", in.pair[i][0], in.pair[i][1]);
         out.pair[i][0] = in.pair[i][0], out.pair[i][1] = in.pair[i][1];
     }
-    printf("]");
+    printf("], \"torque_age_us\": %u, ", in.torque_age_us);
+    printf("\"damping_effect\": %u, \"torque_seq\": %u", in.damping_effect, in.torque_seq);
     out.seq = in.seq, out.echo = in.echo, out.axis = in.axis, out.probe_count = in.probe_count, out.status = in.status;
     out.board_time_us = in.board_time_us, out.encoder = in.encoder, out.current = in.current, out.voltage = in.voltage;
     out.emf_velocity = in.emf_velocity, out.temperature = in.temperature, out.fifo_level = in.fifo_level;
-    out.index_offset = in.index_offset, out.probe_index = in.probe_index;
+    out.life = in.life, out.index_offset = in.index_offset, out.probe_index = in.probe_index;
+    out.torque_age_us = in.torque_age_us, out.damping_effect = in.damping_effect, out.torque_seq = in.torque_seq;
     out.crc = crc16((const uint8_t *)&out, sizeof out - sizeof out.crc);
     print_hex(&out, sizeof out);
     return NULL;

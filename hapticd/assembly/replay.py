@@ -22,6 +22,7 @@ from hapticd.mailbox.layout import PLAN_FIELDS, Command, Flag, Value, values_of
 from hapticd.params import ServoParams
 from hapticd.servo.plan import SETTLED, Request, ServoState, masked_places, unflatten
 from hapticd.servo.step import make_step
+from hapticd.units import US_PER_S
 from hapticd.wire import codec, frames
 
 Records = NDArray[np.void]
@@ -44,6 +45,7 @@ COMPUTED = [
     ("energy_j", "<f8", (6,)),
 ]
 REPLAYED = np.dtype([*PLAN_FIELDS, *COMPUTED])
+UNTOLD_DELAY = 0.125  # periods
 LOOP_FLAGS = int(Flag.LATE | Flag.WRITE_FAILED)  # set by the loop, not by step
 _TORQUE_PLACE = frames.OUT_OFFSETS["torque"]
 _DAMPING_PLACE = frames.OUT_OFFSETS["damping"]
@@ -92,7 +94,8 @@ def replay(
     blobs = []
     rows = []
     columns = (records[name].tolist() for name in ("tick", "arrival", "host"))
-    for tick, arrival, host, frame in zip(*columns, heads, strict=True):
+    delays = _delays(records, params.realtime.rate_hz)
+    for tick, arrival, host, frame, delay in zip(*columns, heads, delays, strict=True):
         if arrival >= 0:
             head = unpack(frame[:size])
         sample = (
@@ -102,12 +105,25 @@ def replay(
             arrival,
             host,
             head[codec.HEAD_INDEX_OFFSET],
+            delay,
         )
         state, (torque, *numbers, flags, _) = step(state, obeyed.get(tick, ()), sample, tick)
         settled, _, (energies, *_), _ = state
         blobs.append(settled.blob)
         rows.append((flags, torque, settled.damping_count, *numbers, energies))
     return _assembled(blobs, rows)
+
+
+def _delays(records: Records, rate_hz: float) -> list[float]:
+    """Delay of the force in effect [periods] at each tick, as the loop gave it to step.
+
+    Records of boards that did not say it (protocol 903a2f9a7efad50f) were made with the delay
+    that the sample phase of 0.875 leaves.
+    """
+    if "delay_us" not in (records.dtype.names or ()):
+        return [UNTOLD_DELAY] * len(records)
+    periods_per_us = rate_hz / US_PER_S
+    return [delay_us * periods_per_us for delay_us in records["delay_us"].tolist()]
 
 
 def _assembled(blobs: list[bytes], rows: list[tuple[Any, ...]]) -> NDArray[np.void]:

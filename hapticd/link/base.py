@@ -32,8 +32,8 @@ class Link(ABC):
         """Send `buffer` (array('B')) as one OUT frame. LinkTimeout, LinkStalled, LinkLost."""
 
     @abstractmethod
-    def request(self, request: Request, length: int = 0) -> bytes:
-        """Vendor control request: its reply of at most `length` bytes.
+    def request(self, request: Request, length: int = 0, value: int = 0) -> bytes:
+        """Vendor control request with wValue `value`: its reply of at most `length` bytes.
 
         With `length` 0 it is an OUT request without data.
         """

@@ -8,11 +8,18 @@ its own time, and the gap shows in the one after it.
 
 A stale frame (a duplicate, or one that a time-out left behind) is read past, at most twice a tick.
 No buffer holds back session.BACKWARD ticks: a clock that still lies behind after so many is that of
-a board which started anew, and seeds. Almost every frame is simply the next one, intact; `receive`
-and `send` know that case in straight line and leave every other to the codec: a frame that is not
-exactly as expected is judged by `in_parser` as if nobody had looked. LinkLost is for the loop;
-everything less is counted and survived here. What would break it: two tasks calling it, buffers
-that are replaced.
+a board which started anew, and seeds.
+
+Each frame says which OUT's torque is in effect and for how long. `send` keeps, by the low byte of
+the sequence number, the board time of the sample that stood behind it, so every frame gives the
+delay from a sample to its force, on the board's clock alone; negative while it is not known. A
+frame of another life (the board's firmware started anew) seeds too: nothing of the former life
+holds.
+
+Almost every frame is simply the next one, intact; `receive` and `send` know that case in straight
+line and leave every other to the codec: a frame that is not exactly as expected is judged by
+`in_parser` as if nobody had looked. LinkLost is for the loop; everything less is counted and
+survived here. What would break it: two tasks calling it, buffers that are replaced.
 """
 
 from array import array
@@ -29,8 +36,11 @@ from hapticd.wire.codec import (
     HEAD_BOARD_TIME,
     HEAD_CRC,
     HEAD_ECHO,
+    HEAD_LIFE,
     HEAD_PROBE_COUNT,
     HEAD_SEQ,
+    HEAD_TORQUE_AGE,
+    HEAD_TORQUE_SEQ,
 )
 from hapticd.wire.frames import HelloFrame, Request
 
@@ -39,14 +49,21 @@ SEED = 1 << 20
 # each is a transfer of its own within the tick
 STALE_READS = 2
 Head = tuple[int, ...]  # fields of frames.IN_SEALED; places: codec.HEAD_SEQ and the others
-Received = tuple[int, int, Head]  # arrival, unwrapped board time [us], head
+# arrival, unwrapped board time [us], delay of the force in effect [us] or -1, head
+Received = tuple[int, int, int, Head]
+SEQUENCES = 256  # that the low byte of a sequence number tells apart
+# board time of a sample that never was: the delay comes out negative
+NO_SAMPLE_US = 1 << 62
+AGE_HIGHEST_US = codec.U16_HIGHEST  # of a torque; it stands for longer too
+UNKNOWN_US = -1
 NO_HEAD: Head = (0,) * codec.HEAD_FIELDS
 
 
 class Device:
     """The board as the servo sees it.
 
-    `counts` are frames: missing, bad, stale, gap (IN lost), unseen (OUT the board missed).
+    `counts` are frames: missing, bad, stale, gap (IN lost), unseen (OUT the board missed); and
+    lives of the board after the first.
     """
 
     def __init__(self, link: Link, rate_hz: float) -> None:
@@ -55,7 +72,8 @@ class Device:
         # pyusb hands an array('B') on to libusb without a copy
         self.in_buffer = array("B", bytes(frames.PACKET_BYTES))
         self.out_buffer = array("B", bytes(frames.OUT_BYTES))
-        self.counts = {"missing": 0, "bad": 0, "stale": 0, "gap": 0, "unseen": 0, "write_errors": 0}
+        kinds = ("missing", "bad", "stale", "gap", "unseen", "write_errors", "lives")
+        self.counts = dict.fromkeys(kinds, 0)
         self.hello: HelloFrame | None = None
         self._begin: Callable[[], None]
         self.receive: Callable[[], Received]
@@ -70,11 +88,11 @@ class Device:
         """
         self.link.open()
         self.hello = session.greet(self.link.request(Request.HELLO, frames.HELLO_BYTES))
-        # a board that was lost may count from 0 again
-        self._begin()
         # samples of an earlier session may wait in the board; a frame without ENABLE also
         # ends a tripped watchdog
         self.send(frames.OutFlag.FIFO_CLEAR, 0, 0, 0)
+        # a board that was lost may count from 0 again, and no sample stood behind that frame
+        self._begin()
         return self.hello
 
     def clear_fault(self) -> None:
@@ -118,6 +136,9 @@ def _exchange(
     outgoing = session.SequenceCounter()
     head = NO_HEAD
     board_us = 0
+    # by the low byte of the sequence number of an OUT: board time of the sample behind it
+    sampled = [NO_SAMPLE_US] * SEQUENCES
+    life = -1
     expected = -1
     sent = 0
     missing = 0
@@ -131,6 +152,7 @@ def _exchange(
         expected = -1
         missing = 0
         seeding = True
+        sampled[:] = [NO_SAMPLE_US] * SEQUENCES
         incoming.restart()
         outgoing.restart()
 
@@ -138,7 +160,7 @@ def _exchange(
         nonlocal missing
         missing += 1
         counts[kind] += 1
-        return -missing, board_us, head
+        return -missing, board_us, UNKNOWN_US, head
 
     def fetch() -> Head | str:
         """One frame, or how it failed."""
@@ -151,8 +173,12 @@ def _exchange(
 
     def odd(found: Head) -> Received:
         """A frame that is not simply the next one: stale, after a gap, or the first."""
-        nonlocal head, board_us, expected, missing, seeding
+        nonlocal head, board_us, expected, missing, seeding, life
         latched = found[HEAD_BOARD_TIME]
+        if found[HEAD_LIFE] != life:
+            counts["lives"] += life >= 0
+            life = found[HEAD_LIFE]
+            begin()
         if not seeding:
             latched = session.unwrap(board_us, latched, session.BOARD_TIME_BITS)
         if missing > session.BACKWARD and latched < board_us:
@@ -184,7 +210,14 @@ def _exchange(
         expected = (found[HEAD_SEQ] + 1) & 0xFFFF
         missing = 0
         seeding = False
-        return lost, board_us, head
+        return lost, board_us, delay_us(found), head
+
+    def delay_us(found: Head) -> int:
+        """From the sample to the force that was in effect when `found` was latched, just now."""
+        age_us = found[HEAD_TORQUE_AGE]
+        if age_us == AGE_HIGHEST_US:
+            return UNKNOWN_US
+        return max(UNKNOWN_US, board_us - age_us - sampled[found[HEAD_TORQUE_SEQ]])
 
     def receive() -> Received:
         nonlocal head, board_us, expected, missing
@@ -199,6 +232,7 @@ def _exchange(
         if (
             found[HEAD_SEQ] != expected
             or found[HEAD_ECHO] != sent
+            or found[HEAD_LIFE] != life
             or found[HEAD_CRC] != check(in_body, initial)
             or found[HEAD_AXIS]
             or found[HEAD_PROBE_COUNT] > most
@@ -212,7 +246,9 @@ def _exchange(
         missing = 0
         expected = (expected + 1) & 0xFFFF
         board_us = board_us + passed
-        return 0, board_us, found
+        # `delay_us` without the call; the loop takes every negative number for unknown
+        delay = board_us - found[HEAD_TORQUE_AGE] - sampled[found[HEAD_TORQUE_SEQ]]
+        return 0, board_us, delay, found
 
     def send(
         flags: int,
@@ -224,6 +260,7 @@ def _exchange(
     ) -> bool:
         nonlocal sent, left
         sent = (sent + 1) & 0xFFFF
+        sampled[sent & 0xFF] = board_us
         # the frame after the last samples goes this way too: it puts zeros in their place
         if count or left:
             pack(sent, flags, torque, damping, resistance, count, samples)

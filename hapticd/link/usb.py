@@ -160,17 +160,19 @@ class UsbLink(Link):
         if self._halted:
             self._halted.discard(self._out)
 
-    def request(self, request: Request, length: int = 0) -> bytes:
+    def request(self, request: Request, length: int = 0, value: int = 0) -> bytes:
         if self._device is None:
             _not_open()
         try:
             if length:
                 reply = self._device.ctrl_transfer(
-                    VENDOR_IN, request.value, 0, 0, length, CONTROL_TIMEOUT_MS
+                    VENDOR_IN, request.value, value, 0, length, CONTROL_TIMEOUT_MS
                 )
                 # pyusb gives an array
                 return bytes(reply)
-            self._device.ctrl_transfer(VENDOR_OUT, request.value, 0, 0, None, CONTROL_TIMEOUT_MS)
+            self._device.ctrl_transfer(
+                VENDOR_OUT, request.value, value, 0, None, CONTROL_TIMEOUT_MS
+            )
         except DEVICE_ERRORS as error:
             raise link_error(f"request {request.name}", error) from error
         return b""

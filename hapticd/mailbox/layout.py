@@ -51,6 +51,7 @@ COUNTERS = (
     "commands",
     "bad_commands",
     "dropped_answers",
+    "board_lives",
 )
 # parts of a tick: each has its `_ns` in the record; histograms are made from those
 STAGES = ("wake", "read", "step", "write", "publish")
@@ -252,6 +253,13 @@ TELEMETRY = (
     ("write_ns", "<i4"),
     ("publish_ns", "<i4"),
     ("lost_slots", "<u4"),
+    # from the sample to the force that was in effect when this tick's sample was latched, by the
+    # board's clock; -1: unknown
+    ("delay_us", "<i4"),
+    ("delay_spread_us", "<i4"),  # greatest minus least delay of the last whole 256 ticks
+    # of the IN frame when it was read, by both clocks; includes what the board holds torque back
+    ("frame_age_us", "<i4"),
+    ("damping_effect_ns_per_m", "<f4"),  # active damping in effect, as the board says
     ("in_frame", "V64"),
     ("out_frame", "V32"),
     ("tail", "<u8"),  # = tick; differs while the record is being overwritten

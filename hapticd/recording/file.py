@@ -9,11 +9,11 @@ A segment is a stretch of consecutive ticks of one servo life, from its first ch
 next gap, or to a tick whose requests were lost (`break`).
 
 What would break it: reading /flushed/rows after the columns that it counts, for a file that grows
-meanwhile; or records of another layout read as today's (`records` refuses them).
+meanwhile; or a field that changed its meaning under the same name.
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Self
@@ -28,7 +28,7 @@ from hapticd.gateway import flight
 from hapticd.gateway.telemetry import ENERGIES
 from hapticd.gateway.view import RECORD_DTYPE, Records
 from hapticd.mailbox.client_side import Noted
-from hapticd.mailbox.layout import COMMAND_VALUES, LAYOUT_HASH
+from hapticd.mailbox.layout import COMMAND_VALUES
 from hapticd.params import ScaleParams, ServoParams, from_plain
 from hapticd.recording.live import (
     FLUSHED,
@@ -48,6 +48,8 @@ from hapticd.recording.provenance import SCHEMA, needed
 from hapticd.units import NS_PER_S, PROBE_RATE_HZ
 
 TEXT = "checkpoint_text"
+# fields of a record since 0.2: an older recording lacks them, and `records` leaves them out
+ADDED = frozenset({"delay_us", "delay_spread_us", "frame_age_us", "damping_effect_ns_per_m"})
 # the column that counts time, and its counts per second
 CLOCKS = {"servo": ("time_ns", NS_PER_S), "probe": ("index", PROBE_RATE_HZ)}
 # computed from recorded channels; a finished file has them as datasets, too
@@ -146,15 +148,16 @@ class Recording:
         return {name: int(counts[streams == name.encode()].sum()) for name in ("servo", "probe")}
 
     def records(self, begin: int, end: int) -> Records:
-        """Rows as the records they were. ConfigError: another version recorded them."""
-        if self.attributes["layout"] != LAYOUT_HASH.hex():
-            version = self.attributes.get("server_version", "another version")
-            raise ConfigError(
-                f"{self.path} was recorded by hapticd {version} with other records; replay it with"
-                " that one"
-            )
-        found = np.empty(end - begin, RECORD_DTYPE)
-        for name in RECORD_DTYPE.names or ():
+        """Rows as the records they were, without the fields that came later (ADDED). ConfigError:
+        another version recorded them and a field is missing.
+        """
+        known = RECORD_DTYPE.names or ()
+        lacking = {name for name in known if name in ADDED and name not in self._groups["servo"]}
+        found = np.empty(
+            end - begin, [(name, RECORD_DTYPE[name]) for name in known if name not in lacking]
+        )
+        self._check_fields(found.dtype.names or ())
+        for name in found.dtype.names or ():
             if name == "energy_j":
                 for place, part in enumerate(ENERGIES):
                     found[name][:, place] = self.column("servo", part, begin, end)
@@ -167,6 +170,16 @@ class Recording:
             else:
                 found[name] = self.column("servo", "tick" if name == LEFT_OUT else name, begin, end)
         return found
+
+    def _check_fields(self, names: Sequence[str]) -> None:
+        there = {*self._groups["servo"], "energy_j", LEFT_OUT}
+        for name in names:
+            if name not in there:
+                version = self.attributes.get("server_version", "another version")
+                raise ConfigError(
+                    f"{self.path} was recorded by hapticd {version} and lacks {name!r}; replay it"
+                    " with that one"
+                )
 
     def segments(self) -> list[Segment]:
         """What can be replayed: of each stretch without a gap, from its first checkpoint on."""
@@ -293,7 +306,9 @@ def _flight(path: Path) -> Recording:
     ticks = columns(records)
     groups: dict[str, Columns] = {
         "servo": {
-            channel.name: as_channel(channel, ticks[channel.name]) for channel in GROUPS["servo"]
+            channel.name: as_channel(channel, ticks[channel.name])
+            for channel in GROUPS["servo"]
+            if channel.name in ticks
         },
         "probe": {},
         TEXT: {"bytes": texts(rows["checkpoint"])},

@@ -31,7 +31,7 @@ from collections.abc import Callable
 from hapticd.clock import Clock
 from hapticd.errors import HapticdError, LinkError, LinkLost, MailboxError
 from hapticd.link.base import backoff_s
-from hapticd.link.device import NO_HEAD, Device, Head
+from hapticd.link.device import NO_HEAD, SEQUENCES, UNKNOWN_US, Device, Head
 from hapticd.mailbox import layout
 from hapticd.mailbox.files import plain_store
 from hapticd.mailbox.layout import Flag
@@ -48,8 +48,16 @@ from hapticd.servo.plan import (
     flatten,
 )
 from hapticd.servo.step import initial_state, make_step
-from hapticd.units import NS_PER_MS, NS_PER_S
-from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST, NO_SAMPLES, U16_HIGHEST
+from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US, US_PER_S
+from hapticd.wire.codec import (
+    HEAD_ENCODER,
+    HEAD_STATUS,
+    HEAD_TEMPERATURE,
+    I16_HIGHEST,
+    I16_LOWEST,
+    NO_SAMPLES,
+    U16_HIGHEST,
+)
 from hapticd.wire.frames import OutFlag
 
 Wait = Callable[[int, Callable[[], object]], int]
@@ -101,9 +109,11 @@ _TALLY = {
     "stale_in": "stale",
     "sequence_gap": "gap",
     "write_errors": "write_errors",
+    "board_lives": "lives",
 }
 _FIFO_CLEAR = int(OutFlag.FIFO_CLEAR)
 _LONGEST_NS = (1 << 31) - 1  # that a stage of a record can hold: 2.1 s
+_NOTHING_US = 1 << 30  # above every delay: none was seen yet
 _HEALTHY = LINK_UP | GATEWAY_ALIVE
 _U32 = (1 << 32) - 1
 _BLANK = layout.RECORD.unpack(bytes(layout.RECORD.size))
@@ -131,6 +141,11 @@ class ServoLoop:
         self.linked = device.hello is not None
         self.stopping = False
         self._lost_slots = 0
+        self._delay_spread_us = 0
+        self._least_us = _NOTHING_US  # delays of the running 256 ticks
+        self._most_us = 0
+        # by the low byte of the sequence number, which stands first in an OUT frame
+        self._sent_at = [clock.now_ns()] * SEQUENCES
         self._absent = 0
         self._attempt = 0
         self._retry_ns = 0
@@ -164,10 +179,18 @@ class ServoLoop:
         wait = self.wait
         clock = self.clock.now_ns
         in_bytes = device.in_buffer.tobytes
-        out_bytes = device.out_buffer.tobytes
+        out_buffer = device.out_buffer
+        out_bytes = out_buffer.tobytes
         (temperature, t0), (current, c0), (voltage, v0), (emf, e0) = _sensor_lines(self.params)
         timeout_ns = int(self.params.safety.gateway_timeout_s * NS_PER_S)
         period_ns = self.period_ns
+        periods_per_us = self.params.realtime.rate_hz / US_PER_S
+        damping = self.params.device.damping
+        damping_slope = damping.to_value(1.0) - damping.to_value(0.0)
+        damping_start = damping.to_value(0.0)
+        sent_at = self._sent_at
+        least_us = self._least_us
+        most_us = self._most_us
         head: Head = NO_HEAD
         alive_until_ns = 0
         board_us = 0
@@ -177,22 +200,44 @@ class ServoLoop:
         while True:
             tick = self.tick
             if self.stopping or tick == last:
+                self._least_us = least_us
+                self._most_us = most_us
                 break
             deadline = self.deadline_ns
             next_deadline = deadline + period_ns
             slot = first_slot + tick % slots * size
             start = wait(deadline, rehearse)
+            delay_us = UNKNOWN_US
+            frame_age_us = UNKNOWN_US
             if self.linked:
                 try:
-                    arrival, board_us, head = receive()
+                    arrival, board_us, delay_us, head = receive()
                 except LinkLost:
                     arrival = self._unlink(start)
             else:
                 arrival = self._search(start)
             got = clock()
-            _, _, _, _, status, _, encoder, amperes, volts, speed, heat, level, _, index, _, _ = (
-                head
-            )
+            (
+                _,
+                _,
+                _,
+                _,
+                status,
+                _,
+                encoder,
+                amperes,
+                volts,
+                speed,
+                heat,
+                level,
+                _,
+                index,
+                _,
+                torque_age_us,
+                damping_effect,
+                torque_seq,
+                _,
+            ) = head
 
             commands: tuple[Request, ...] = ()
             # a plain load of the head is a hint, at worst a tick old; `take` loads it in order
@@ -214,7 +259,10 @@ class ServoLoop:
             if not self.linked:
                 host &= ~LINK_UP
             state, output = step(
-                self.state, commands, (encoder, status, heat, arrival, host, index), tick
+                self.state,
+                commands,
+                (encoder, status, heat, arrival, host, index, delay_us * periods_per_us),
+                tick,
             )
             self.state = state
             settled, _, (energies, _, _, _), _ = state
@@ -226,6 +274,14 @@ class ServoLoop:
             if settled.wave[WAVE_COMMAND] or streamer.playing:
                 out_flags, count, samples = streamer.follow(settled.wave, out_flags, level)
             stepped = clock()
+            if delay_us < 0:
+                delay_us = UNKNOWN_US
+            else:
+                frame_age_us = (got - sent_at[torque_seq]) // NS_PER_US - torque_age_us
+                if delay_us > most_us:
+                    most_us = delay_us
+                if delay_us < least_us:
+                    least_us = delay_us
             if self.linked:
                 try:
                     if not send(out_flags, torque, settled.damping_count, 0, count, samples):
@@ -233,6 +289,7 @@ class ServoLoop:
                 except LinkLost:
                     self._unlink(start)
             sent = clock()
+            sent_at[out_buffer[0]] = stepped
 
             wake_ns = start - deadline
             read_ns = got - start
@@ -243,6 +300,7 @@ class ServoLoop:
                     flags |= _LATE
                 stages = (wake_ns, read_ns, step_ns, write_ns)
                 wake_ns, read_ns, step_ns, write_ns = (min(stage, _LONGEST_NS) for stage in stages)
+                frame_age_us = min(frame_age_us, _NOTHING_US)
             pack(
                 ring,
                 slot,
@@ -278,6 +336,10 @@ class ServoLoop:
                 write_ns,
                 publish_ns,
                 self._lost_slots,
+                delay_us,
+                self._delay_spread_us,
+                frame_age_us,
+                damping_slope * damping_effect + damping_start,
                 in_bytes(),
                 out_bytes(),
                 tick,
@@ -291,6 +353,9 @@ class ServoLoop:
                 self._answer(answers)
             if not tick & 255:
                 self._tally()
+                self._delay_spread_us = max(0, most_us - least_us)
+                least_us = _NOTHING_US
+                most_us = 0
             self.tick = tick + 1
             self.deadline_ns = deadline = self.deadline_ns + period_ns
             end = clock()
@@ -314,11 +379,12 @@ class ServoLoop:
         slots = layout.RING_RECORDS
 
         def rehearse() -> None:
-            _, _, _, _, status, _, encoder, _, _, _, heat, _, _, _, _, _ = device.rehearse()
+            head = device.rehearse()
+            sample = (head[HEAD_ENCODER], head[HEAD_STATUS], head[HEAD_TEMPERATURE])
             settled = self.state[SETTLED]
             # not the long way: cold it takes longer than the spin
             if self.tick < settled.wake_tick:
-                step(self.state, (), (encoder, status, heat, 0, settled.host, 0), self.tick)
+                step(self.state, (), (*sample, 0, settled.host, 0, 0.0), self.tick)
             _ = (
                 stop_words[0],
                 words[layout.COMMAND_HEAD_WORD],

@@ -227,8 +227,9 @@ class Settled:
 Held = tuple[int, float]  # what was sent last: torque count, force [N]
 ServoState = tuple[Settled, LawState, Ledger, Held]
 SETTLED: Final = 0  # place in a ServoState
-# encoder count, status, temperature count, arrival (link.device), host flags, index offset
-Sample = tuple[int, int, int, int, int, int]
+# encoder count, status, temperature count, arrival (link.device), host flags, index offset, delay
+# from the sample to the force in effect [periods], negative while it is unknown
+Sample = tuple[int, int, int, int, int, int, float]
 # torque count, position, velocity, acceleration, force parts K B M field, force as sent, record
 # flags, answers
 Output = tuple[int, float, float, float, float, float, float, float, float, int, tuple[Any, ...]]
@@ -378,7 +379,8 @@ def flatten(state: ServoState) -> tuple[Any, ...]:
 def unflatten(plain: Sequence[Any]) -> ServoState:
     """The state in `plain`, whose tuples may have become lists on the way."""
     wake, environment, coefficients, flags, damping, blob, *others, plan = map(_tuples, plain)
-    fields = dict(zip(Plan._fields, plan, strict=True))
+    # a checkpoint of an earlier version ends sooner: what it lacks is as it is at a start
+    fields = dict(zip(Plan._fields, plan, strict=False))
     first, second = (FilterParams(*one) for one in fields["filters"])
     renewed = fields | {
         "state": State(fields["state"]),

@@ -72,10 +72,8 @@ def initial_state(params: ServoParams, tick: int = 0) -> ServoState:
     return settled, at_rest(0.0), EMPTY, held
 
 
-def make_step(params: ServoParams, delay: float = 0.125) -> Step:
-    """The step for one device. `delay`: sample-to-force delay as a fraction of the period (for
-    the energy ledger).
-    """
+def make_step(params: ServoParams) -> Step:
+    """The step for one device."""
     attend = make_attend(params)
     force = params.device.force
     m_per_count = params.device.position.per_count * params.device.position.sign
@@ -112,8 +110,8 @@ def make_step(params: ServoParams, delay: float = 0.125) -> Step:
         flags: int,
         answers: tuple[Any, ...],
     ) -> tuple[ServoState, Output]:
-        encoder, status, temperature, _, host, index = sample
-        unusable = (encoder, status, temperature, -1, host, index)
+        encoder, status, temperature, _, host, index, delay = sample
+        unusable = (encoder, status, temperature, -1, host, index, delay)
         state, _, more, more_flags = attend(state, (fault_request(fault),), unusable, tick)
         return missing(state, flags | more_flags, answers + more)
 
@@ -131,10 +129,9 @@ def make_step(params: ServoParams, delay: float = 0.125) -> Step:
         settled, law, ledger, held = state
         origin = settled.origin + (turns << ENCODER_BITS)
         settled = replace(settled, origin=origin, plan=settled.plan._replace(origin=origin))
-        encoder, _, temperature, _, host, _ = sample
-        state, output = step(
-            (settled, law, ledger, held), (), (encoder, 0, temperature, 0, host, 0), tick
-        )
+        encoder, _, temperature, _, host, _, delay = sample
+        again = (encoder, 0, temperature, 0, host, 0, delay)
+        state, output = step((settled, law, ledger, held), (), again, tick)
         torque, x, v, a, spring, damper, inertia, field, applied, more_flags, more = output
         parts = (torque, x, v, a, spring, damper, inertia, field, applied)
         return state, (*parts, flags | more_flags, answers + more)
@@ -142,7 +139,7 @@ def make_step(params: ServoParams, delay: float = 0.125) -> Step:
     def step(
         state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int
     ) -> tuple[ServoState, Output]:
-        encoder, status, temperature, arrival, host, _ = sample
+        encoder, status, temperature, arrival, host, _, delay = sample
         answers: tuple[Any, ...] = ()
         flags = 0
         settled, law, ledger, held = state
@@ -185,7 +182,11 @@ def make_step(params: ServoParams, delay: float = 0.125) -> Step:
             torque = low if torque < low else high
         applied = n_per_count * (torque - zero_count)
         ledger = book(
-            ledger, moved_m, (spring, damper, inertia, field, applied), delay, settled.added
+            ledger,
+            moved_m,
+            (spring, damper, inertia, field, applied),
+            delay if delay > 0.0 else 0.0,
+            settled.added,
         )
         state = (settled, law, ledger, (torque, applied))
         return state, (torque, x, v, a, spring, damper, inertia, field, applied, flags, answers)

@@ -74,7 +74,7 @@ def homing_environment(plan: Plan, tick: int, params: ServoParams) -> Environmen
 
 def advance_homing(plan: Plan, sample: Sample, now: Now, params: ServoParams) -> Plan:
     """`plan` after one tick of homing: still searching, or disabled with the origin found."""
-    encoder, status, _, _, _, index_offset = sample
+    encoder, status, _, _, _, index_offset, _ = sample
     home = params.device.home
     if home.method == "index" and status & StatusBit.INDEX:
         return _homed(plan, encoder - index_offset, now, params)
@@ -133,7 +133,7 @@ def make_attend(params: ServoParams) -> Attend:
         """As `cause`, with what is harmless as long as there is no force: it keeps from
         enabling and from a reset.
         """
-        _, status, temperature, arrival, host, _ = sample
+        _, status, temperature, arrival, host, _, _ = sample
         if found := cause(status, temperature, host):
             return found
         if status & StatusBit.WATCHDOG:
@@ -144,7 +144,7 @@ def make_attend(params: ServoParams) -> Attend:
         """Number of a fault that this sample brings, 0 for none; losses that matter only under
         force wait for force.
         """
-        _, status, temperature, _, host, _ = sample
+        _, status, temperature, _, host, _, _ = sample
         if plan.state not in GRANTED:
             return cause(status, temperature, host)
         if not host & GATEWAY_ALIVE and params.safety.on_gateway_loss == "fault":
@@ -176,7 +176,7 @@ def make_attend(params: ServoParams) -> Attend:
         """The usual reason to be here while a busy host drops slots; the plan stays as it is,
         so the long way would be late too.
         """
-        _, status, temperature, arrival, host, _ = sample
+        _, status, temperature, arrival, host, _, _ = sample
         settled = state[SETTLED]
         unasked = not commands and tick < settled.wake_tick and host == settled.host
         cool = low_count <= temperature <= high_count
@@ -186,7 +186,7 @@ def make_attend(params: ServoParams) -> Attend:
     def attend(
         state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int
     ) -> tuple[ServoState, bool, tuple[Any, ...], int]:
-        encoder, _, _, arrival, host, _ = sample
+        encoder, _, _, arrival, host, _, _ = sample
         settled, law, ledger, held = state
         environment = settled.environment
         coefficients = settled.coefficients

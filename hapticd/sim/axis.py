@@ -198,7 +198,6 @@ class Axis:
     __slots__ = (
         "_alarm_at",
         "_coming",
-        "_damping_count",
         "_held_count",
         "_hold",
         "_lag",
@@ -212,6 +211,7 @@ class Axis:
         "_watchdog",
         "amplifier",
         "clamped",
+        "damping_count",
         "damping_n",
         "diverged_at",
         "faults",
@@ -221,6 +221,8 @@ class Axis:
         "plant",
         "probe",
         "state",
+        "torque_seq",
+        "torque_since",
         "zero_m",
     )
 
@@ -229,7 +231,8 @@ class Axis:
         self._params = params
         self.plant = make_plant(params)
         self._lag = params.lag_periods * SUBSTEPS_PER_TICK
-        self._coming: deque[tuple[int, float]] = deque()  # (sub-step, force) still on their way
+        # torques still on their way: sub-step, force, sequence number of their OUT
+        self._coming: deque[tuple[int, float, int]] = deque()
         self._torque_max = min(I16_HIGHEST, int(params.force_limit_n / params.force_n_per_count))
         self._watchdog = ceil(params.watchdog_ms * substep_rate_hz / 1000.0)
         self._hold = round(DAMPING_HOLD_S * substep_rate_hz)
@@ -252,6 +255,8 @@ class Axis:
         self._present = 0
         self.diverged_at: int | None = None  # sub-step at which the plant ran away
         self.force_n = 0.0
+        self.torque_seq = 0  # of the OUT whose torque is in effect
+        self.torque_since = 0  # sub-step from which it is
         self.live = False
         self.clamped = False
         self._tripped = False
@@ -277,8 +282,10 @@ class Axis:
         """
         return self.faults | (ENABLED if self.live else 0) | (WATCHDOG if self._tripped else 0)
 
-    def obey(self, flags: int, torque: int, damping: int, samples: Sequence[int]) -> None:
-        """Take the commands of a valid OUT, in counts, from now on."""
+    def obey(
+        self, flags: int, torque: int, damping: int, samples: Sequence[int], seq: int = 0
+    ) -> None:
+        """Take the commands of the valid OUT `seq`, in counts, from now on."""
         if self._tripped:
             if flags & ENABLE:
                 return
@@ -293,9 +300,10 @@ class Axis:
                 torque = self._torque_max if torque > 0 else -self._torque_max
                 self.clamped = True
             force_n = torque * self._params.force_n_per_count
-            self._command(force_n if self.amplifier is None else self.amplifier(force_n))
+            self._command(force_n if self.amplifier is None else self.amplifier(force_n), seq)
         else:
             self._cut_torque()
+            self._takes_effect(seq)
         probe.playing = bool(flags & PERTURB)
         if flags & FIFO_CLEAR:
             probe.fifo.clear()
@@ -328,17 +336,23 @@ class Axis:
                 self._fail_safe()
         self._move(substep)
 
-    def _command(self, force_n: float) -> None:
+    def _command(self, force_n: float, seq: int) -> None:
         if self._lag:
-            self._coming.append((self.now + self._lag, force_n))
+            self._coming.append((self.now + self._lag, force_n, seq))
         else:
             self.force_n = force_n
+            self._takes_effect(seq)
+
+    def _takes_effect(self, seq: int) -> None:
+        self.torque_seq = seq
+        self.torque_since = self.now
 
     def _move(self, substep: int) -> None:
         while self._coming and self._coming[0][0] <= substep:
-            due, force_n = self._coming.popleft()
+            due, force_n, seq = self._coming.popleft()
             self._play(due)
             self.force_n = force_n
+            self._takes_effect(seq)
         self._play(substep)
 
     def _play(self, substep: int) -> None:
@@ -372,7 +386,7 @@ class Axis:
         self._cut_torque()
         self.probe.playing = False
         self.probe.fifo.clear()
-        self._held_count = self._damping_count
+        self._held_count = self.damping_count
         self._release_from = self.now + self._hold
         self._alarm_at = self._release_from
 
@@ -382,7 +396,7 @@ class Axis:
         self._alarm_at = self.now + self._release_step if left > 0 else NEVER
 
     def _damp(self, count: int) -> None:
-        self._damping_count = count
+        self.damping_count = count
         self.damping_n = count * self._params.damping_ns_per_m_per_count
 
     def _cut_torque(self) -> None:

@@ -51,13 +51,14 @@ POSITIVE = ("_per_count", "_per_a", "force_limit_n", "winding_ohm")
 UNKNOWN_FLAGS = 0xFF & ~(ENABLE | FIFO_CLEAR | PERTURB)
 BAD_FRAME = StatusBit.BAD_FRAME.value
 SEQ_GAP = StatusBit.SEQ_GAP.value
-SIMULATED = StatusBit.SIMULATED.value
+ALWAYS = (StatusBit.SIMULATED | StatusBit.AMPLIFIER_READY).value
 RESERVED = bytes(6)
 OUT_BODY = frames.OUT_BYTES - frames.CRC.size
 IN_BODY = frames.IN_BYTES - frames.CRC.size
-IN_LAYOUTS = tuple(  # by the number of pairs; zeros up to the CRC
+IN_LAYOUTS = tuple(  # by the number of pairs; zeros behind them, and up to the CRC
     struct.Struct(
-        f"{frames.IN_HEAD.format}{2 * pairs}h{IN_BODY - frames.IN_HEAD.size - 4 * pairs}x"
+        f"{frames.IN_HEAD.format}{2 * pairs}h{frames.IN_PAIRS.size - 4 * pairs}x"
+        f"{frames.IN_EFFECT.format[1:]}x"
     )
     for pairs in range(frames.PROBE_MAX + 1)
 )
@@ -75,6 +76,7 @@ class BoardModel:
         "_in_seq",
         "_latch_at",
         "_latches",
+        "_life",
         "_next_seq",
         "_origin_ns",
         "_pairs_end",
@@ -100,7 +102,6 @@ class BoardModel:
         self._replies = control_replies(params)
         self._substep_ns = NS_PER_S / (SUBSTEPS_PER_TICK * params.rate_hz)
         self._substeps_max = floor(ADVANCE_MAX_NS / self._substep_ns)
-        self._phase = round(params.sample_phase * SUBSTEPS_PER_TICK)
         self._temperature = i16_count(params.ambient_c / params.temperature_c_per_count)
         self._frame = bytearray(frames.IN_BYTES)
         self._body = memoryview(self._frame)[:IN_BODY]
@@ -108,6 +109,7 @@ class BoardModel:
         self.sim_slip_ns = 0
         self.in_replaced = 0
         self.out_refused = 0
+        self._life = 0
         self.power_up()
 
     def power_up(self) -> None:
@@ -115,6 +117,8 @@ class BoardModel:
         counts from here.
         """
         self._axis.power_up()
+        self._life = self._life + 1 & 0xFF
+        self._phase = round(self._params.sample_phase * SUBSTEPS_PER_TICK)
         self._origin_ns: int | None = None
         self._next_seq: int | None = None
         self._in_seq = 0
@@ -162,7 +166,7 @@ class BoardModel:
         self._next_seq = (seq + 1) & 0xFFFF
         self._latches.append(self._axis.now + self._phase)
         self._latch_at = self._latches[0]
-        return self._axis.obey(flags, torque, damping, samples[:count])
+        return self._axis.obey(flags, torque, damping, samples[:count], seq)
 
     def poll_in(self, t_ns: int) -> bytes | None:
         """The IN frame, once, if one was latched by `t_ns`; else None."""
@@ -189,8 +193,18 @@ class BoardModel:
         if (request_type, request) == (VENDOR_OUT, Request.CLEAR_FAULT.value):
             self._axis.clear_faults()
             return b""
+        if (request_type, request) == (VENDOR_OUT, Request.SAMPLE_PHASE.value):
+            return self._set_phase(value)
         reply = self._replies.get((request_type, request, value))
         return None if reply is None else reply[:length]
+
+    def _set_phase(self, phase_us: int) -> bytes | None:
+        """Latch each IN `phase_us` after its OUT from now on; refused beyond the period."""
+        substeps = floor(phase_us * NS_PER_US / self._substep_ns + 0.5)
+        if substeps > SUBSTEPS_PER_TICK:
+            return None
+        self._phase = substeps
+        return b""
 
     def trip(self, faults: int) -> None:
         """The cause of AMPLIFIER_FAULT, ENCODER_FAULT or OVER_TEMPERATURE (Status bits)
@@ -275,6 +289,7 @@ class BoardModel:
             self._temperature = i16_count(
                 plant.celsius(axis.state) / params.temperature_c_per_count
             )
+        since = latched_at - axis.torque_since
         pairs = probe.pairs[: 2 * frames.PROBE_MAX]
         count = len(pairs) // 2
         IN_LAYOUTS[count].pack_into(
@@ -284,7 +299,7 @@ class BoardModel:
             self._echo,
             0,
             count,
-            events | axis.status | SIMULATED,
+            events | axis.status | ALWAYS,
             ceil(latched_at * self._substep_ns) // NS_PER_US + self._time_us & 0xFFFFFFFF,
             (encoder + 0x80000000 & 0xFFFFFFFF) - 0x80000000,
             i16_count(current_a / params.current_a_per_count),
@@ -292,10 +307,13 @@ class BoardModel:
             i16_count(velocity_m_per_s / params.emf_velocity_m_per_s_per_count),
             self._temperature,
             len(probe.fifo),
-            0,
+            self._life,
             0,
             probe.first_index & 0xFFFFFFFF,
             *pairs,
+            min(round(since * self._substep_ns) // NS_PER_US, codec.U16_HIGHEST),
+            axis.damping_count,
+            axis.torque_seq & 0xFF,
         )
         frames.CRC.pack_into(self._frame, IN_BODY, crc_hqx(self._body, frames.CRC_INITIAL))
         self._in_seq = self._in_seq + 1 & 0xFFFF
@@ -346,7 +364,13 @@ PRODUCT = 2
 SERIAL = 3
 FIRMWARE_VERSION = 0x0100
 CAPABILITIES = (
-    Capability.PROBE | Capability.INTERVAL_MEAN | Capability.TEMPERATURE | Capability.SIMULATED
+    Capability.PROBE
+    | Capability.INTERVAL_MEAN
+    | Capability.TEMPERATURE
+    | Capability.EMERGENCY_STOP
+    | Capability.AMPLIFIER_READY
+    | Capability.SAMPLE_PHASE
+    | Capability.SIMULATED
 )
 
 Replies = dict[tuple[int, int, int], bytes]  # by bmRequestType, bRequest, wValue

@@ -36,9 +36,12 @@ HEAD_BOARD_TIME = 5
 HEAD_ENCODER = 6
 HEAD_TEMPERATURE = 10
 HEAD_FIFO_LEVEL = 11
+HEAD_LIFE = 12
 HEAD_INDEX_OFFSET = 13
-HEAD_CRC = 15
-HEAD_FIELDS = 16
+HEAD_TORQUE_AGE = 15
+HEAD_TORQUE_SEQ = 17
+HEAD_CRC = 18
+HEAD_FIELDS = 19
 NO_SAMPLES = (0,) * frames.PROBE_MAX
 _NO_PAIRS = (0,) * (2 * frames.PROBE_MAX)
 _SERIAL_BYTES = 16
@@ -117,11 +120,11 @@ def decode_out(data: bytes | bytearray | memoryview) -> OutFrame:
 
 def encode_in(frame: InFrame) -> bytes:
     """64 bytes of an IN frame. FrameError if a value does not fit its field."""
-    seq, echo, axis, *latched, index_offset, probe_index, pairs = frame
+    seq, echo, axis, *latched, pairs, age, damping, torque_seq = frame
     count = _counted("IN", len(pairs))
     flat = tuple(value for pair in pairs for value in pair) + _NO_PAIRS[2 * count :]
-    head = (seq, echo, axis, count, *latched, 0, index_offset, probe_index)
-    return _sealed(frames.IN, *head, *flat, b"")
+    head = (seq, echo, axis, count, *latched)
+    return _sealed(frames.IN, *head, *flat, age, damping, torque_seq, 0)
 
 
 def decode_in(data: bytes | bytearray | memoryview) -> InFrame:
@@ -140,10 +143,10 @@ def decode_in(data: bytes | bytearray | memoryview) -> InFrame:
         emf,
         temperature,
         level,
-        _,
+        life,
         *tail,
     ) = values
-    index_offset, probe_index, *flat, _, _ = tail
+    index_offset, probe_index, *flat, age, damping, torque_seq, _, _ = tail
     pairs = tuple(zip(flat[::2], flat[1::2], strict=True))[: _counted("IN", count)]
     _check_axis("IN", axis)
     electrical = (current, voltage, emf, temperature)
@@ -156,9 +159,13 @@ def decode_in(data: bytes | bytearray | memoryview) -> InFrame:
         encoder,
         *electrical,
         level,
+        life,
         index_offset,
         probe_index,
         pairs,
+        age,
+        damping,
+        torque_seq,
     )
 
 
@@ -273,8 +280,8 @@ def in_parser(buffer: "array[int]") -> Callable[[], tuple[int, ...] | None]:
     Refused is what `decode_in` refuses: CRC, count or axis; the caller has checked that 64 bytes
     were read. A head is the fields of IN_SEALED (see HEAD_SEQ and the others): seq, echo, axis,
     probe_count, status, board_time_us, encoder, current, voltage, emf_velocity, temperature,
-    fifo_level, reserved0, index_offset, probe_index, CRC. The pairs stay in the frame; whoever
-    wants them decodes it whole.
+    fifo_level, life, index_offset, probe_index, torque_age_us, damping_effect, torque_seq, CRC. The
+    pairs stay in the frame; whoever wants them decodes it whole.
     """
     body = memoryview(buffer)[: frames.IN_BYTES - frames.CRC.size]
     unpack = frames.IN_SEALED.unpack_from

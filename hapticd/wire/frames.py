@@ -17,7 +17,7 @@ import struct
 from enum import IntEnum, IntFlag
 from typing import NamedTuple
 
-PROTOCOL_HASH = bytes.fromhex("903a2f9a7efad50f")
+PROTOCOL_HASH = bytes.fromhex("7def932b9cce8e69")
 
 USB_VENDOR_ID = 0x1209
 USB_PRODUCT_ID = 0x0001
@@ -36,11 +36,9 @@ CRC_INITIAL = 0xFFFF
 OUT = struct.Struct("<HBBhHhBB6h6sH")
 OUT_HEAD = struct.Struct("<HBBhHhBB")  # the first 12 bytes of OUT: all before the samples
 OUT_SAMPLES = struct.Struct("<6h")
-IN = struct.Struct("<HHBBHIihhhhBBhI12h6sH")
-IN_HEAD = struct.Struct("<HHBBHIihhhhBBhI")  # the first 32 bytes of IN: all but pairs and CRC
-IN_SEALED = struct.Struct(
-    f"{IN_HEAD.format}30xH"
-)  # IN without what lies between its head and its CRC
+IN = struct.Struct("<HHBBHIihhhhBBhI12hHHBBH")
+IN_HEAD = struct.Struct("<HHBBHIihhhhBBhI")  # the first 32 bytes of IN: all before the pairs
+IN_SEALED = struct.Struct(f"{IN_HEAD.format}24xHHBxH")  # IN without its pairs
 IN_PAIRS = struct.Struct("<12h")
 HELLO = struct.Struct("<8sHBBHH16s8f16s")
 CRC = struct.Struct("<H")
@@ -49,7 +47,8 @@ OUT_OFFSETS = {"torque": 4, "damping": 6}
 IN_OFFSETS = {"probe_count": 5, "probe_index": 28, "pair": 32}
 assert (OUT.size, IN.size, HELLO.size) == (OUT_BYTES, IN_BYTES, HELLO_BYTES)
 assert IN_SEALED.size == IN_BYTES
-assert IN_HEAD.size + IN_PAIRS.size + 6 + CRC.size == IN_BYTES
+IN_EFFECT = struct.Struct("<HHB")  # between pairs and CRC: age, damping, sequence of what acts
+assert IN_HEAD.size + IN_PAIRS.size + IN_EFFECT.size + 1 + CRC.size == IN_BYTES
 
 
 class Request(IntEnum):
@@ -57,6 +56,7 @@ class Request(IntEnum):
 
     HELLO = 0x01
     CLEAR_FAULT = 0x02
+    SAMPLE_PHASE = 0x03
 
 
 class OutFlag(IntFlag):
@@ -82,6 +82,8 @@ class StatusBit(IntFlag):
     ENCODER_FAULT = 0x0200
     INDEX = 0x0400
     PROBE_OVERFLOW = 0x0800
+    EMERGENCY_STOP = 0x1000
+    AMPLIFIER_READY = 0x2000
     SIMULATED = 0x8000
 
 
@@ -93,6 +95,11 @@ class Capability(IntFlag):
     INDEX = 0x0004
     TEMPERATURE = 0x0008
     RESISTANCE = 0x0010
+    EMERGENCY_STOP = 0x0020
+    AMPLIFIER_READY = 0x0040
+    SAMPLE_PHASE = 0x0080
+    RESISTANCE_MEASURED = 0x0100
+    RESISTANCE_TRACKED = 0x0200
     SIMULATED = 0x8000
 
 
@@ -109,7 +116,7 @@ class OutFrame(NamedTuple):
 
 
 class InFrame(NamedTuple):
-    """Board to host. All numbers are counts but `board_time_us`."""
+    """Board to host. All numbers are counts but `board_time_us` and `torque_age_us`."""
 
     seq: int
     echo: int
@@ -122,9 +129,13 @@ class InFrame(NamedTuple):
     emf_velocity: int
     temperature: int
     fifo_level: int
+    life: int
     index_offset: int
     probe_index: int
     pairs: tuple[tuple[int, int], ...] = ()  # (torque, velocity), at most PROBE_MAX
+    torque_age_us: int = 0
+    damping_effect: int = 0
+    torque_seq: int = 0
 
 
 class HelloFrame(NamedTuple):
