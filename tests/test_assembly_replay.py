@@ -12,7 +12,7 @@ from models import board_params, device_params, servo_params
 from recorded import RecordedFlight
 
 from hapticd.assembly import replay
-from hapticd.mailbox.layout import Command, State, Value
+from hapticd.mailbox.layout import Command, Result, State, Value
 from hapticd.params import HomeParams, InjectionParams
 from hapticd.servo.plan import SETTLED, ServoState, flatten, unflatten
 
@@ -51,10 +51,7 @@ def eventful() -> tuple[RecordedFlight, replay.Segment]:
         stack = flight.stack
         stack.do(Command.DAMPING, {Value.ADDED_DAMPING: 1.74, Value.ADDED_DAMPING_ON: 1.0})
         flight.fly(400)
-        stack.do(
-            Command.SET,
-            {Value.VELOCITY_FILTER_HZ: 60.0, Value.WALL_STIFFNESS: 500.0, Value.WALL_SIDE: 1.0},
-        )
+        stack.do(Command.SET, {Value.WALL_STIFFNESS: 500.0, Value.WALL_SIDE: 1.0})
         stack.command(
             Command.SET, {Value.STIFFNESS: 80.0, Value.RAMP_S: 0.3}, at_tick=stack.loop.tick + 100
         )
@@ -62,6 +59,9 @@ def eventful() -> tuple[RecordedFlight, replay.Segment]:
         for kind in (Command.STOP, Command.RESET, Command.ENABLE):
             stack.do(kind)
             flight.fly(300)
+            if kind is Command.RESET:
+                other = stack.do(Command.SET, {Value.VELOCITY_FILTER_HZ: 60.0})
+                assert other.result is Result.APPLIED
         stack.do(Command.DISABLE)
         stack.do(Command.ZERO)
         flight.fly(100)
@@ -161,6 +161,16 @@ def test_held_settings_act_from_the_first_tick_to_the_last(
     assert other["damping_force_n"].any() == np.False_
     assert other["added_damping_asked_ns_per_m"].max() == pytest.approx(0.0)
     assert np.array_equal(other["position_m"], leg.records["position_m"])
+
+
+def test_other_filters_are_held_though_the_servo_would_have_refused_them(
+    flown: tuple[RecordedFlight, replay.Segment],
+) -> None:
+    flight, leg = flown
+    other = replay.replay(flight.params, leg, {Value.VELOCITY_FILTER_HZ: 5.0})
+    enabled = (leg.records["gain"] == 1.0) & (leg.records["arrival"] >= 0)
+    moved = other["velocity_m_per_s"][enabled].std()
+    assert moved < 0.5 * leg.records["velocity_m_per_s"][enabled].std()
 
 
 def test_other_settings_stay_as_they_were_asked(

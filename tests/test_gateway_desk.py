@@ -12,7 +12,7 @@ from gateway_rig import DeskRig, decoded, packed
 from gateway_stand_in import StandInServo
 
 from hapticd.mailbox import files, layout
-from hapticd.mailbox.layout import PERTURBATION_SAMPLES, Command, State, Value
+from hapticd.mailbox.layout import PERTURBATION_SAMPLES, Command, Result, State, Value
 
 
 @pytest.fixture
@@ -170,6 +170,17 @@ def test_late_at_tick_is_refused(rig: DeskRig) -> None:
     error = rig.ask(cmd="set", K=10, at_tick=1)["error"]
     assert error["code"] == "refused"
     assert error["message"] == "set: at_tick has passed, it is tick 2; choose a later one"
+
+
+def test_filters_that_are_felt_are_refused_in_words(rig: DeskRig, monkeypatch) -> None:
+    refused = Result.REFUSED_FILTER
+    monkeypatch.setattr(rig.servo, "_apply", lambda one: rig.servo._answer(one[0], refused))
+    error = rig.ask(cmd="set", filters={"velocity_hz": 30})["error"]
+    assert error["code"] == "refused"
+    assert error["message"] == (
+        "set: filters change only while the device is disabled, or while damping, mass and the"
+        " wall's damping are 0, none of them on its way; `hapticd disable`, then ask again"
+    )
 
 
 def test_stop_goes_first_in_a_flood(rig: DeskRig) -> None:

@@ -8,7 +8,7 @@ import pytest
 from scipy import signal
 
 from hapticd.errors import ConfigError
-from hapticd.render.filters import carry_over, design, scaled
+from hapticd.render.filters import design, scaled, steady
 
 
 @pytest.mark.parametrize(
@@ -84,11 +84,9 @@ def run(biquad, z, inputs):
     return outputs, z
 
 
-def test_carry_over_repeats_the_next_two_outputs():
-    old = scaled(design(100.0, 0.7071, "prewarped", 1000.0), 1000.0)
-    new = scaled(design(30.0, 1.2, "matched", 1000.0), 1000.0)
-    _, z = run(old, (0.0, 0.0), [1e-5 * math.sin(0.05 * n) for n in range(500)])
-    u = 4e-6
-    expected, _ = run(old, z, [u, u])
-    carried, _ = run(new, carry_over(old, new, z, u), [u, u])
-    assert carried == pytest.approx(expected, rel=1e-12)
+@pytest.mark.parametrize("mapping", ["prewarped", "bilinear", "matched"])
+@pytest.mark.parametrize("hz", [0.1, 30.0, 450.0])
+def test_steady_filter_stays_where_it_is(hz, mapping):
+    filter_ = scaled(design(hz, 1.2, mapping, 1000.0), 1000.0)
+    outputs, _ = run(filter_, steady(filter_, 0.3), [0.3 / 1000.0] * 200)
+    assert outputs == pytest.approx([0.3] * 200, rel=1e-6)

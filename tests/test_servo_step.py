@@ -15,6 +15,9 @@ from hapticd.servo.safety import State
 from hapticd.wire.frames import StatusBit
 
 STIFF = {Value.STIFFNESS: 100.0}
+HOME = HomeParams(
+    method="stop", direction=-1, speed_m_per_s=0.01, force_n=0.5, position_m=-0.02, timeout_s=2.0
+)
 
 
 def test_force_is_stiffness_times_position_in_counts():
@@ -128,17 +131,87 @@ def test_parameters_ramp_each_on_its_own_clock():
     assert (flight.blob["stiffness_n_per_m"], flight.blob["mass_kg"]) == (100.0, 0.01)
 
 
-def test_filter_change_is_bumpless():
-    flight = enabled(servo_params(), {Value.DAMPING: 5.0})
-    for n in range(300):
-        out = flight.fly(1, encoder=40 * n)
-    before = out[8]
-    assert (
-        flight.do(Command.SET, {Value.VELOCITY_FILTER_HZ: 30.0}, encoder=40 * 300) is Result.APPLIED
-    )
-    after = [flight.fly(1, encoder=40 * n)[8] for n in range(301, 400)]
-    assert before == pytest.approx(-5.0 * 0.02, abs=1e-3)
-    assert max(abs(force - before) for force in after) < 2 * COUNT_N
+OTHER_FILTERS = [
+    {Value.VELOCITY_FILTER_HZ: 0.1},
+    {Value.ACCELERATION_FILTER_HZ: 0.1},
+    {Value.VELOCITY_FILTER_ZETA: 2.0},
+    {Value.ACCELERATION_FILTER_ZETA: 2.0, Value.STIFFNESS: 50.0},
+]
+
+
+def swing(tick):
+    """Encoder count of a hand that swings the handle by 10 mm, twice a second."""
+    return round(20_000 * math.sin(2.0 * math.pi * 2.0 * tick / 1000.0))
+
+
+def swung(flight, ticks):
+    """Outputs of `ticks` ticks of that hand."""
+    return [flight.fly(1, encoder=swing(flight.tick)) for _ in range(ticks)]
+
+
+@pytest.mark.parametrize("change", OTHER_FILTERS)
+@pytest.mark.parametrize(
+    "felt", [{Value.DAMPING: 5.0}, {Value.MASS: 0.05}, {Value.WALL_DAMPING: 3.0}]
+)
+def test_filters_that_are_felt_are_not_changed(felt, change):
+    """Neither while B, M or the wall's damping act, nor while they come or go, nor on a stop's way
+    out, nor at a later tick, nor while homing.
+    """
+    (place,) = felt
+    calm = {place: 0.0}
+    flight = enabled(servo_params(device=device_params(home=HOME)), felt)
+    swung(flight, 300)
+    first = flight.plan.filters
+    assert flight.do(Command.SET, change) is Result.REFUSED_FILTER
+    flight.do(Command.SET, change, at_tick=flight.tick + 5)
+    swung(flight, 6)
+    assert flight.answers[-1][1] == Result.REFUSED_FILTER
+    flight.do(Command.SET, {**calm, Value.RAMP_S: 0.1})
+    swung(flight, 50)
+    assert flight.do(Command.SET, change) is Result.REFUSED_FILTER
+    flight.do(Command.SET, {**felt, Value.RAMP_S: 0.1})
+    flight.do(Command.STOP)
+    assert flight.do(Command.SET, change) is Result.REFUSED_FILTER
+    swung(flight, 50)
+    flight.do(Command.RESET)
+    assert flight.do(Command.HOME) is Result.APPLIED
+    flight.do(Command.SET, {**calm, Value.RAMP_S: 0.0})
+    assert flight.do(Command.SET, change) is Result.REFUSED_FILTER
+    assert flight.plan.filters == first
+    assert flight.plan.values[Value.STIFFNESS].end == 0.0
+
+
+@pytest.mark.parametrize("change", OTHER_FILTERS)
+def test_filters_that_nothing_is_felt_of_may_change(change):
+    flight = enabled(servo_params(), {Value.STIFFNESS: 50.0})
+    assert flight.do(Command.SET, change) is Result.APPLIED
+    assert flight.do(Command.SET, {Value.DAMPING: 1.0, Value.RAMP_S: 0.0}) is Result.APPLIED
+    same = {place: value for place, value in change.items() if place is not Value.STIFFNESS}
+    assert flight.do(Command.SET, same) is Result.APPLIED  # they are what they were
+    for leave in (Command.DISABLE, Command.STOP):
+        flight.do(leave)
+        flight.fly(30)
+        assert flight.do(Command.SET, {Value.VELOCITY_FILTER_HZ: 80.0}) is Result.APPLIED
+        flight.do(Command.SET, change)
+
+
+@pytest.mark.parametrize("hz", [0.1, 1.0, 400.0])
+def test_new_filters_do_not_carry_on_a_slope_of_the_old_ones(hz):
+    """A slow filter that went on with the old one's slope would show several times the speed of the
+    hand for seconds.
+    """
+    flight = Flight(servo_params())
+    fastest = 0.01 * 2.0 * math.pi * 2.0
+    for moment in range(5):
+        swung(flight, 100 + 37 * moment)
+        flight.do(Command.SET, {Value.VELOCITY_FILTER_HZ: 100.0}, encoder=swing(flight.tick))
+        swung(flight, 500)
+        before = swung(flight, 1)[0]
+        change = {Value.VELOCITY_FILTER_HZ: hz, Value.ACCELERATION_FILTER_HZ: hz}
+        assert flight.do(Command.SET, change, encoder=swing(flight.tick)) is Result.APPLIED
+        after = swung(flight, 4000)
+        assert max(abs(out[2]) for out in after) < 1.1 * fastest
+        assert after[0][2] == pytest.approx(before[2], abs=0.1 * fastest)
 
 
 def test_scheduled_set_acts_on_its_very_tick():
@@ -231,11 +304,6 @@ def test_zero_is_refused_while_enabled():
     flight = enabled(servo_params(), STIFF, 20_000)
     assert flight.do(Command.ZERO) is Result.REFUSED_STATE
     assert flight.fly()[1] == pytest.approx(0.01)
-
-
-HOME = HomeParams(
-    method="stop", direction=-1, speed_m_per_s=0.01, force_n=0.5, position_m=-0.02, timeout_s=2.0
-)
 
 
 def test_homing_pushes_with_bounded_force_and_finds_the_stop():

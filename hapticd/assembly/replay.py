@@ -20,8 +20,16 @@ from numpy.typing import NDArray
 from hapticd.mailbox.client_side import Noted
 from hapticd.mailbox.layout import PLAN_FIELDS, Command, Flag, Value, values_of
 from hapticd.params import ServoParams
-from hapticd.servo.plan import SETTLED, Request, ServoState, masked_places, unflatten
+from hapticd.servo.plan import (
+    Request,
+    ServoState,
+    coefficients_of,
+    masked_places,
+    unflatten,
+    with_values,
+)
 from hapticd.servo.step import make_step
+from hapticd.servo.transition import refiltered
 from hapticd.units import US_PER_S
 from hapticd.wire import codec, frames
 
@@ -80,12 +88,11 @@ def replay(
     state = unflatten(segment.state)
     obeyed = _by_tick(segment.requests)
     if instead:
-        state = _held(state, set(instead))
+        state = _held(state, instead, segment.tick, params)
         obeyed = {
             tick: tuple(_without(one, set(instead)) for one in requests)
             for tick, requests in obeyed.items()
         }
-        obeyed[segment.tick] = (_settings(instead), *obeyed.get(segment.tick, ()))
     unpack = frames.IN_HEAD.unpack
     size = frames.IN_HEAD.size
     records = segment.records
@@ -181,12 +188,6 @@ def _by_tick(requests: Sequence[Noted]) -> dict[int, tuple[Request, ...]]:
 # --- the counterfactual ---------------------------------------------------------------------------
 
 
-def _settings(instead: dict[Value, float]) -> Request:
-    """A set of `instead` without a ramp, for whose answer nobody waits."""
-    values = values_of({**instead, Value.RAMP_S: 0.0})
-    return 0, int(Command.SET), 0, 0, values
-
-
 def _without(request: Request, held: set[Value]) -> Request:
     """`request` without the settings that are held."""
     seq, kind, actor, apply_tick, values = request
@@ -200,8 +201,25 @@ def _unmasked(values: tuple[float, ...], held: set[Value]) -> tuple[float, ...]:
     return (float(mask), *values[1:])
 
 
-def _held(state: ServoState, held: set[Value]) -> ServoState:
-    settled = state[SETTLED]
-    plan = settled.plan
-    scheduled = tuple(one._replace(values=_unmasked(one.values, held)) for one in plan.scheduled)
-    return replace(settled, plan=plan._replace(scheduled=scheduled)), *state[1:]
+def _held(
+    state: ServoState, instead: dict[Value, float], tick: int, params: ServoParams
+) -> ServoState:
+    """`state` with the settings of `instead` in force since before `tick`. ConfigError: a filter
+    that cannot be.
+    """
+    settled, law, ledger, held = state
+    scheduled = tuple(
+        one._replace(values=_unmasked(one.values, set(instead))) for one in settled.plan.scheduled
+    )
+    plan, _ = with_values(
+        settled.plan._replace(scheduled=scheduled),
+        values_of({**instead, Value.RAMP_S: 0.0}),
+        tick - 1,
+        params,
+    )
+    coefficients = settled.coefficients
+    if plan.filters != settled.plan.filters:
+        coefficients = coefficients_of(plan, params.realtime.rate_hz)
+        law = refiltered(law, settled.coefficients, coefficients)
+    settled = replace(settled, plan=plan, coefficients=coefficients, wake_tick=tick)
+    return settled, law, ledger, held

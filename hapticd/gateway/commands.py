@@ -133,6 +133,13 @@ def refusal(answer: Answer, cmd: str, view: ServoView) -> CommandError:
             "refused",
             f"at_tick has passed, it is tick {view.tick}; choose a later one",
         ),
+        Result.REFUSED_FILTER: (
+            "refused",
+            (
+                "filters change only while the device is disabled, or while damping, mass and the"
+                " wall's damping are 0, none of them on its way; `hapticd disable`, then ask again"
+            ),
+        ),
         Result.CANCELLED: (
             "stopped",
             "a stop or fault came first; `hapticd reset`, then ask again",

@@ -206,6 +206,7 @@ class Result(IntEnum):
     REFUSED_FULL = 9  # 16 commands are scheduled already
     REFUSED_LATE = 10  # at_tick has passed
     CANCELLED = 11  # a stop or fault removed a scheduled command
+    REFUSED_FILTER = 14  # force comes through the filters
 
 
 # --- telemetry: one record per tick ---------------------------------------------------------------

@@ -6,8 +6,8 @@ velocity and 72 Hz for acceleration and neither damping ratio nor mapping, so bo
 filter is five numbers (b0, b1, b2, a1, a2) of y = b0 u + z1; z1' = b1 u - a1 y + z2; z2' = b2 u -
 a2 y (transposed direct form II), gain 1 at DC.
 
-What would break it: a corner at or above half the rate (refused), coefficients swapped under a
-running state without `carry_over` (a force step), a rate other than the tick's.
+What would break it: a corner at or above half the rate (refused), coefficients swapped while their
+output is felt (a force that jumps now or swells for seconds), a rate other than the tick's.
 """
 
 import math
@@ -63,12 +63,8 @@ def scaled(biquad: Biquad, gain: float) -> Biquad:
     return gain * b0, gain * b1, gain * b2, a1, a2
 
 
-def carry_over(old: Biquad, new: Biquad, z: tuple[float, float], u: float) -> tuple[float, float]:
-    """State for `new` that repeats the next two outputs `old` would give if the input stayed at
-    `u`: a bumpless change.
-    """
-    b0, b1, _, a1, _ = old
-    y0 = b0 * u + z[0]
-    y1 = b0 * u + (b1 * u - a1 * y0 + z[1])
-    n0, n1, _, c1, _ = new
-    return y0 - n0 * u, (y1 - n0 * u) - (n1 * u - c1 * y0)
+def steady(biquad: Biquad, y: float) -> tuple[float, float]:
+    """State of a filter whose output has been `y` for ever, at the input that keeps it there."""
+    b0, b1, b2, a1, a2 = biquad
+    u = y * (1.0 + a1 + a2) / (b0 + b1 + b2)
+    return y - b0 * u, b2 * u - a2 * y

@@ -11,6 +11,7 @@ from hapticd.params import ServoParams
 from hapticd.render.ramp import Ramp, constant
 from hapticd.servo import safety
 from hapticd.servo.plan import (
+    FILTERED,
     NO_WAVE,
     Answer,
     Plan,
@@ -209,5 +210,18 @@ def apply_settings(plan: Plan, one: Scheduled, params: ServoParams) -> tuple[Pla
         coefficients_of(after, params.realtime.rate_hz)
     except ConfigError:
         return plan, [answer(plan, one.seq, Result.REFUSED_RANGE, (one.tick, one.tick), params)]
+    if after.filters != plan.filters and not filters_idle(plan, one.tick):
+        return plan, [answer(plan, one.seq, Result.REFUSED_FILTER, (one.tick, one.tick), params)]
     after = after._replace(actor=one.actor)
     return after, [answer(after, one.seq, Result.APPLIED, (one.tick, end), params)]
+
+
+def filters_idle(plan: Plan, tick: int) -> bool:
+    """Whether no force comes through the filters at `tick`: none acts, or B, M and the wall's
+    damping are 0, none of them on its way. Homing brakes through the velocity filter.
+    """
+    if plan.state is State.HOMING:
+        return False
+    off = plan.gain.end == 0.0 and not plan.gain.running(tick)
+    filtered = [plan.values[place] for place in FILTERED]
+    return off or not any(ramp.end or ramp.running(tick) for ramp in filtered)

@@ -49,6 +49,7 @@ BUMPLESS = (
     Value.WALL_POSITION,
     Value.WALL_SIDE,
 )
+FILTERED = (Value.DAMPING, Value.MASS, Value.WALL_DAMPING)  # act on filtered derivatives
 FILTERS = frozenset(
     {
         Value.VELOCITY_FILTER_HZ,

@@ -24,7 +24,7 @@ from hapticd.link.device import SEED
 from hapticd.mailbox.layout import Command, Flag
 from hapticd.params import ServoParams
 from hapticd.render.energy import ZERO_FORCES, book
-from hapticd.render.filters import carry_over
+from hapticd.render.filters import steady
 from hapticd.render.law import Coefficients, Environment, LawState, at_rest, render, split
 from hapticd.render.ramp import Ramp
 from hapticd.servo.commands import Now, apply_settings, enter, obey
@@ -242,7 +242,7 @@ def make_attend(params: ServoParams) -> Attend:
         plan = advance_added(plan, tick, params)
         if plan.filters != before.filters:
             renewed = coefficients_of(plan, rate_hz)
-            law = carried(law, coefficients, renewed)
+            law = refiltered(law, coefficients, renewed)
             coefficients = renewed
         ready = flat_plan(plan, tick, params, params.environment.workspace, limit_n)
         if plan.state is State.HOMING:
@@ -299,14 +299,11 @@ def bridge(
     return law, ledger
 
 
-def carried(law: LawState, old: Coefficients, new: Coefficients) -> LawState:
-    """The law's state for new filters, such that neither output jumps."""
-    x, d, vz1, vz2, az1, az2 = law
-    old_v, old_a = split(old)
-    new_v, new_a = split(new)
-    return (
-        x,
-        d,
-        *carry_over(old_v, new_v, (vz1, vz2), d),
-        *carry_over(old_a, new_a, (az1, az2), 0.0),
-    )
+def refiltered(law: LawState, old: Coefficients, new: Coefficients) -> LawState:
+    """The law's state for new filters: steady at the velocity that the old ones would give next,
+    without acceleration. What the old ones had still to forget does not come along.
+    """
+    x, d, vz1, _, _, _ = law
+    (b0, *_), _ = split(old)
+    velocity, _ = split(new)
+    return (x, d, *steady(velocity, b0 * d + vz1), 0.0, 0.0)
