@@ -313,6 +313,33 @@ class PlantParams:
 
 
 @dataclass(frozen=True, slots=True)
+class HandParams:
+    """One touch of the simulated handle by a hand: it holds, pushes or strikes (`plant.touch`)."""
+
+    kind: str  # "hold" | "push" | "strike"
+    start_s: float = 0.0  # after the device's first movement in time, s
+    duration_s: float = 1e9
+    force_n: float = 0.0  # of a push; highest of a strike
+    stiffness_n_per_m: float = 0.0  # of a hold
+    damping_ns_per_m: float = 0.0  # of a hold
+    tremor_m: float = 0.0  # rms wander of the point at which it holds
+
+
+@dataclass(frozen=True, slots=True)
+class TouchParams:
+    """What touches the moving part of a simulated device beside its motor (`plant.touch`).
+
+    The default is nothing.
+    """
+
+    stop_stiffness_n_per_m: float = 0.0  # 0: the device's own inelastic stops
+    stop_damping_ns_per_m: float = 0.0
+    coulomb_n: float = 0.0  # added to the device's own friction at the rotor
+    static_n: float = 0.0  # that friction while the rotor stands; coulomb_n or more
+    hands: tuple[HandParams, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class BoardParams:
     """Everything the simulated board needs (board.json): nominal scales of its firmware and the
     plant's numbers.
@@ -350,6 +377,7 @@ class BoardParams:
     board_time_us: int = 0  # at which board time begins whenever it is powered up
     out_transport_us: float = 0.0  # from the host's write until the board has the OUT
     in_transport_us: float = 0.0  # from the board's IN, or the host's read, until the host has it
+    touch: TouchParams | None = None  # what touches its rotor beside the motor
 
 
 @dataclass(frozen=True, slots=True)

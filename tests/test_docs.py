@@ -19,7 +19,7 @@ from hapticd.faults import BY_CODE, BY_NUMBER, FAULTS
 from hapticd.gateway.schemas import MODELS
 from hapticd.gateway.telemetry import TOPICS
 from hapticd.mailbox.layout import TELEMETRY
-from hapticd.settings.config import Simulation
+from hapticd.settings.config import Hand, Simulation, Touch
 from hapticd.settings.load import load
 from hapticd.settings.tables import leaves
 from hapticd.settings.toml import shipped
@@ -305,5 +305,12 @@ def test_drawing_leaves_out_what_a_longer_way_implies(
 
 def test_simulated_board_page_lists_every_trait_and_injection(site: Path) -> None:
     text = page(site, "simulated-board.md")
-    names = [*Simulation.model_fields, *OUT_FAULTS, *IN_FAULTS]
-    assert [name for name in names if f"| `{name}` |" not in text] == ["injections"]
+    names = [
+        *Simulation.model_fields,
+        *Touch.model_fields,
+        *Hand.model_fields,
+        *OUT_FAULTS,
+        *IN_FAULTS,
+    ]
+    missing = [name for name in names if f"| `{name}` |" not in text]
+    assert missing == ["injections", "touch", "hands"]

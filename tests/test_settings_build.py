@@ -6,7 +6,15 @@ from pathlib import Path
 import pytest
 
 from hapticd.mailbox import layout
-from hapticd.params import BoardParams, GatewayParams, ServoParams, from_plain, to_plain
+from hapticd.params import (
+    BoardParams,
+    GatewayParams,
+    HandParams,
+    ServoParams,
+    TouchParams,
+    from_plain,
+    to_plain,
+)
 from hapticd.settings import build, scene
 from hapticd.settings.load import HIGHEST_CORNER, Settings, load
 from hapticd.settings.toml import shipped
@@ -103,6 +111,22 @@ def test_defaults_equal_those_of_params(settings: Settings) -> None:
     )
     assert plain == {name: to_plain(default)[name] for name in plain}
     assert build.gateway_params(settings) == GatewayParams()
+
+
+def test_touch_reaches_the_board(tmp_path: Path) -> None:
+    settings = configured(
+        tmp_path,
+        "[simulation.touch]\nstop_stiffness_n_per_m = 1e5\nstatic_n = 0.1\n"
+        '[[simulation.touch.hands]]\nkind = "hold"\nstiffness_n_per_m = 500.0\n',
+    )
+    board = build.board_params(settings)
+    assert board is not None
+    assert board.touch == TouchParams(
+        stop_stiffness_n_per_m=1e5,
+        static_n=0.1,
+        hands=(HandParams("hold", stiffness_n_per_m=500.0),),
+    )
+    assert from_plain(BoardParams, json.loads(json.dumps(to_plain(board)))) == board
 
 
 def test_injections_reach_the_board(tmp_path: Path) -> None:

@@ -1,5 +1,7 @@
 """What may be asked of the simulated board, so that it is as unkind as a real one can be."""
 
+from typing import Any
+
 from hapticd.settings.scene import schema
 from hapticd.sim.injection import IN_FAULTS, OUT_FAULTS
 from pages.markdown import table
@@ -13,6 +15,18 @@ random. The same seed and the same transfers give the same faults.
 
 ## Traits: keys of `[simulation]`
 """
+TOUCH = """## What touches the device: `[simulation.touch]`
+
+Its stops yield, its bearing sticks, a hand holds, pushes or strikes the handle. All of it acts on
+the rotor. Any stiffness is stable: the force of a contact is that for which its law holds at the end
+of a sixteenth of a tick.
+"""
+HANDS = """## Hands: `[[simulation.touch.hands]]`
+
+`hold` is a spring and a damper from where the handle is when it is grasped, `push` a constant
+force, `strike` half a sine. A hand counts its time from the first frame; a board that restarts does
+not begin it anew.
+"""
 INJECTIONS = """## Injections: `[[simulation.injections]]`
 
 An injection has a `kind`, a `tick` (or a `probability` at each tick; 1 is always), a `count` of
@@ -24,11 +38,9 @@ def simulated_board_page() -> str:
     """Every trait and every injection: its name, the meaning of its value, its unit."""
     root = schema("config")
     simulation = resolved(root, root["properties"]["simulation"])
-    traits = [
-        (f"`{name}`", *described(root, field, False))
-        for name, field in simulation["properties"].items()
-        if name != "injections"
-    ]
+    touch = resolved(root, simulation["properties"]["touch"]["anyOf"][0])
+    hand = resolved(root, touch["properties"]["hands"]["items"])
+    heads = ("key", "unit", "takes", "default", "meaning")
     strikes = [
         (f"`{kind}`", "OUT" if kind in OUT_FAULTS else "IN", fault.what, fault.value)
         for kind, fault in sorted((OUT_FAULTS | IN_FAULTS).items())
@@ -36,8 +48,23 @@ def simulated_board_page() -> str:
     return "\n".join(
         (
             INTRODUCTION,
-            table(("key", "unit", "takes", "default", "meaning"), traits),
+            table(heads, _rows(root, simulation, ("injections", "touch"))),
+            TOUCH,
+            table(heads, _rows(root, touch, ("hands",))),
+            HANDS,
+            table(heads, _rows(root, hand, ())),
             INJECTIONS,
             table(("kind", "strikes", "what happens", "value (default)"), strikes),
         )
     )
+
+
+def _rows(
+    root: dict[str, Any], entry: dict[str, Any], elsewhere: tuple[str, ...]
+) -> list[tuple[str, ...]]:
+    """A row for every key of the table `entry` that is not described `elsewhere`."""
+    return [
+        (f"`{name}`", *described(root, field, name in entry.get("required", ())))
+        for name, field in entry["properties"].items()
+        if name not in elsewhere
+    ]

@@ -558,6 +558,20 @@ def composed_step(
     return bind(coefficients, Random(board.seed).gauss, sin, stick_two), terms
 
 
+def rotor_response(params: PlantParams) -> Callable[[float], tuple[float, float]]:
+    """`response(damping_ns_per_m)`: by how much a force of 1 N on the rotor, held for one sub-step,
+    changes its position [m] and its velocity [m/s] by the end; at the first residual resistance.
+    """
+    lookup = Lookup(params)
+    column = len(params.states) + params.columns.index("torque")
+
+    def response(level: float) -> tuple[float, float]:
+        rows = lookup.between(level, params.residuals_ohm[0])
+        return rows[POSITION][column], rows[VELOCITY][column]
+
+    return response
+
+
 def rest(params: PlantParams, position_m: float) -> State:
     """Everything still, every body at `position_m`, the winding as warm as it starts."""
     state = tuple(position_m if name.endswith("_position") else 0.0 for name in params.states)

@@ -29,11 +29,12 @@ when there are stops: a stop is met at the end of a piece, inelastically.
 """
 
 from collections.abc import Callable
-from math import exp, expm1, factorial, isfinite
+from dataclasses import replace
+from math import exp, expm1, factorial, inf, isfinite
 from typing import NamedTuple
 
 from hapticd.errors import ConfigError
-from hapticd.params import BoardParams
+from hapticd.params import BoardParams, PlantParams, TouchParams
 from hapticd.plant.composed import (
     POSITION,
     VELOCITY,
@@ -44,8 +45,11 @@ from hapticd.plant.composed import (
     compiled,
     composed_step,
     rest,
+    rotor_response,
     viewer,
 )
+from hapticd.plant.touch import Response as TouchResponse
+from hapticd.plant.touch import touched_step
 
 # plain, not named: the generated step unpacks it in every piece
 Response = tuple[float, float, float, float]
@@ -172,6 +176,8 @@ def make_plant(params: BoardParams) -> Plant:
 
     ConfigError if the numbers describe none.
     """
+    if params.touch is not None:
+        return _touched(params, params.touch)
     if params.plant is None:
         return Plant(
             rest=lambda position_m: rest_state(params, position_m),
@@ -193,6 +199,54 @@ def make_plant(params: BoardParams) -> Plant:
         celsius=None if plant.heating is None else lambda state: state[WINDING],
         **views,
     )
+
+
+def _touched(params: BoardParams, touch: TouchParams) -> Plant:
+    """The plant with `touch` on its rotor, to which it hands its stops and its friction there."""
+    substep_s = 1.0 / (SUBSTEPS_PER_TICK * params.rate_hz)
+    bare = replace(params, touch=None)
+    stops_m = (-inf, inf)
+    if touch.stop_stiffness_n_per_m:
+        stops_m = _stops(params)
+        bare = replace(bare, lower_stop_m=-inf, upper_stop_m=inf, plant=_endless(bare.plant))
+    if bare.plant is not None:
+        level_n = sum(one.level_n for one in bare.plant.contacts if one.body == "rotor")
+        kept = tuple(one for one in bare.plant.contacts if one.body != "rotor")
+        bare = replace(bare, plant=replace(bare.plant, contacts=kept))
+        touch = replace(
+            touch, coulomb_n=touch.coulomb_n + level_n, static_n=touch.static_n + level_n
+        )
+    plant = make_plant(bare)
+    step = touched_step(
+        plant.step, _response(bare, substep_s), touch, stops_m, substep_s, params.seed
+    )
+    return plant._replace(step=step)
+
+
+def _stops(params: BoardParams) -> tuple[float, float]:
+    if params.plant is None:
+        return params.lower_stop_m, params.upper_stop_m
+    ends = params.plant.ends
+    return (-inf, inf) if ends is None else (ends.lower_m, ends.upper_m)
+
+
+def _endless(plant: PlantParams | None) -> PlantParams | None:
+    return None if plant is None else replace(plant, ends=None)
+
+
+def _response(params: BoardParams, substep_s: float) -> Callable[[float], TouchResponse]:
+    """How the rotor answers a force that is held for a sub-step, by the level of damping."""
+    if params.plant is not None:
+        answer = rotor_response(params.plant)
+        return lambda level: TouchResponse(*answer(level))
+
+    def rigid(level: float) -> TouchResponse:
+        _, velocity_per_n, _, position_per_n = held_force_response(
+            params.mass_kg, params.viscous_ns_per_m + level, substep_s
+        )
+        return TouchResponse(position_per_n, velocity_per_n)
+
+    return rigid
 
 
 def _check(params: BoardParams) -> None:

@@ -12,12 +12,14 @@ from hapticd.params import (
     EnvironmentParams,
     FilterParams,
     GatewayParams,
+    HandParams,
     HomeParams,
     InjectionParams,
     RealtimeParams,
     SafetyParams,
     ScaleParams,
     ServoParams,
+    TouchParams,
     UsbParams,
     WallParams,
     WorkspaceParams,
@@ -33,7 +35,7 @@ from hapticd.plant.effects import (
     Saturation,
     sample_timing,
 )
-from hapticd.settings.config import Environment
+from hapticd.settings.config import Environment, Touch
 from hapticd.settings.device import DeviceFile, Travel, effects_of
 from hapticd.settings.load import Settings
 from hapticd.wire.codec import I16_HIGHEST, U16_HIGHEST
@@ -81,7 +83,16 @@ def board_params(settings: Settings) -> BoardParams | None:
         seed=simulation.seed,
         injections=tuple(InjectionParams(**item.model_dump()) for item in simulation.injections),
         **{trait: getattr(simulation, trait) for trait in TRAITS},
+        touch=touch_params(simulation.touch),
     )
+
+
+def touch_params(touch: Touch | None) -> TouchParams | None:
+    """What touches a simulated device; None: nothing does."""
+    if touch is None:
+        return None
+    plain = touch.model_dump(exclude={"hands"})
+    return TouchParams(**plain, hands=tuple(HandParams(**one.model_dump()) for one in touch.hands))
 
 
 def device_effects(device: DeviceFile, names: tuple[str, ...] | None = None) -> tuple[Effect, ...]:

@@ -13,9 +13,11 @@ from hapticd.params import (
     EnvironmentParams,
     FilterParams,
     GatewayParams,
+    HandParams,
     RealtimeParams,
     SafetyParams,
     ServoParams,
+    TouchParams,
     UsbParams,
     WallParams,
     WorkspaceParams,
@@ -30,6 +32,8 @@ _realtime = RealtimeParams()
 _usb = UsbParams()
 _gateway = GatewayParams()
 _board: Any = BoardParams.__dataclass_fields__
+_hand = HandParams("hold")
+_touch = TouchParams()
 _added_damping_ns_per_m: Any = ServoParams.__dataclass_fields__["added_damping_ns_per_m"].default
 
 Stiffness = Annotated[float, Field(ge=-1e4, le=1e5)]
@@ -149,6 +153,36 @@ class Injection(TomlTable):
     value: float = 0.0
 
 
+class Hand(TomlTable):
+    """One touch of the simulated handle by a hand."""
+
+    kind: Literal["hold", "push", "strike"]
+    start_s: float = Field(_hand.start_s, ge=0)
+    """After the first frame."""
+    duration_s: float = Field(_hand.duration_s, gt=0)
+    force_n: float = _hand.force_n
+    """Of a push; highest of a strike."""
+    stiffness_n_per_m: float = Field(_hand.stiffness_n_per_m, ge=0)
+    """Of a hold."""
+    damping_ns_per_m: float = Field(_hand.damping_ns_per_m, ge=0)
+    """Of a hold."""
+    tremor_m: float = Field(_hand.tremor_m, ge=0)
+    """rms wander of the point at which it holds."""
+
+
+class Touch(TomlTable):
+    """What touches the moving part of the simulated device beside its motor; seeded by `seed`."""
+
+    stop_stiffness_n_per_m: float = Field(_touch.stop_stiffness_n_per_m, ge=0)
+    """0: inelastic stops."""
+    stop_damping_ns_per_m: float = Field(_touch.stop_damping_ns_per_m, ge=0)
+    coulomb_n: float = Field(_touch.coulomb_n, ge=0)
+    """Added to the device's own friction at the rotor."""
+    static_n: float = Field(_touch.static_n, ge=0)
+    """That friction while the rotor stands; at least coulomb_n."""
+    hands: tuple[Hand, ...] = Field((), strict=False)
+
+
 class Simulation(TomlTable):
     """The simulated board's firmware; ignored with a real one."""
 
@@ -170,6 +204,8 @@ class Simulation(TomlTable):
     in_transport_us: float = Field(_board["in_transport_us"].default, ge=0, le=10_000)
     """How long a packet of the board is on its way to the host."""
     injections: tuple[Injection, ...] = Field((), strict=False)
+    touch: Touch | None = None
+    """Stops that yield, a bearing that sticks, hands; left out: none of them."""
 
 
 class Config(TomlTable):
