@@ -125,6 +125,8 @@ class DeviceParams:
     temperature_limit_c: float
     speed_limit_m_per_s: float  # faster is not a motion but a sensor fault
     home: HomeParams = HomeParams()
+    # capabilities of the board without which the device may not be used: "probe", "temperature"
+    relies_on: tuple[str, ...] = ()
 
     def temperature_counts(self, low: int, high: int) -> tuple[int, int]:
         """Lowest and highest count, inside `low`..`high`, of a temperature that is allowed: a
@@ -378,6 +380,9 @@ class BoardParams:
     out_transport_us: float = 0.0  # from the host's write until the board has the OUT
     in_transport_us: float = 0.0  # from the board's IN, or the host's read, until the host has it
     touch: TouchParams | None = None  # what touches its rotor beside the motor
+    emergency_stop_bounce_ms: float = 0.0  # of its contact, at either edge
+    hello_serial: str = ""  # serial number in the hello reply; empty: `serial`
+    lacks: tuple[str, ...] = ()  # capabilities that it does not have: "probe", "temperature"
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,7 @@ from hapticd.params import (
 from hapticd.settings import build, scene
 from hapticd.settings.load import HIGHEST_CORNER, Settings, load
 from hapticd.settings.toml import shipped
+from hapticd.sim.board import hello
 
 
 @pytest.fixture
@@ -167,3 +168,36 @@ def test_ranges_equal_those_of_commands() -> None:
         assert (entry["minimum"], entry["maximum"]) == layout.VALUE_LIMITS[place][:2], name
         assert entry.get("unit", "1") == layout.VALUE_LIMITS[place][2]
     assert HIGHEST_CORNER == layout.FILTER_LIMIT
+
+
+def test_simulated_board_may_be_another_than_its_device_file_says(tmp_path):
+    """Each number reaches the board as a value per count, everything else as in the device file."""
+    text = "\n".join(
+        (
+            "[simulation.board]",
+            'serial = "OTHER"',
+            'lacks = ["probe"]',
+            "position_m_per_count = 3e-6",
+            "force_full_scale_n = 80.0",
+            "damping_full_scale_ns_per_m = 90.0",
+            "probe_torque_full_scale_n = 7.0",
+            "probe_velocity_full_scale_m_per_s = 6.0",
+            "current_full_scale_a = 5.0",
+            "voltage_full_scale_v = 4.0",
+            "force_limit_n = 70.0",
+        )
+    )
+    (tmp_path / "hapticd.toml").write_text(text)
+    usual = build.board_params(load(shipped("config") / "hapticd.toml"))
+    other = build.board_params(load(tmp_path / "hapticd.toml"))
+    said = hello(other)
+    assert said.serial == "OTHER"
+    assert other.serial == usual.serial
+    numbers = (said.position_m_per_count, said.force_limit_n, said.force_full_scale_n)
+    assert numbers == pytest.approx((3e-6, 70.0, 80.0))
+    assert said.damping_full_scale_ns_per_m == pytest.approx(90.0)
+    probe = (said.probe_torque_full_scale_n, said.probe_velocity_full_scale_m_s)
+    electric = (said.current_full_scale_a, said.voltage_full_scale_v)
+    assert (*probe, *electric) == pytest.approx((7.0, 6.0, 5.0, 4.0))
+    assert other.lacks == ("probe",)
+    assert usual.lacks == ()

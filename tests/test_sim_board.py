@@ -7,7 +7,7 @@ from boards import ENABLE, LATCH_NS, PERTURB, TICK_NS, board_params, exchange, o
 
 from hapticd.errors import ConfigError
 from hapticd.plant.step import held_force_response
-from hapticd.sim.board import BoardModel
+from hapticd.sim.board import BoardModel, hello
 from hapticd.wire import codec
 from hapticd.wire.frames import OUT_BYTES, PROTOCOL_HASH, Capability, OutFlag, Request, StatusBit
 
@@ -371,3 +371,15 @@ def test_impossible_boards_are_refused(changes, message):
 def test_fifo_clear_is_a_known_flag():
     board = BoardModel(BOARD)
     assert exchange(board, 0, flags=int(OutFlag.FIFO_CLEAR)).status == ALWAYS
+
+
+def test_board_may_lack_what_it_could_measure():
+    params = board_params(lacks=("temperature", "probe"), hello_serial="OTHER")
+    board = BoardModel(params)
+    said = hello(params)
+    assert said.serial == "OTHER"
+    assert not said.capabilities & (Capability.TEMPERATURE | Capability.PROBE)
+    received = [exchange(board, tick) for tick in range(40)]
+    assert {frame.temperature for frame in received} == {0}
+    assert not any(frame.pairs for frame in received)
+    assert not any(frame.status & StatusBit.PROBE_OVERFLOW for frame in received)

@@ -350,3 +350,53 @@ def test_hung_board_holds_its_force_until_its_watchdog_acts(kind, tripped):
     tick_of(port, STRUCK + 60)
     frame = codec.decode_in(tick_of(port, STRUCK + 61))
     assert bool(frame.status & StatusBit.WATCHDOG) is tripped
+
+
+def pressed(bounce_ms, seed=1):
+    """Status and force under 1 N, tick by tick, of an emergency stop pressed from tick 2 to 12."""
+    strike = InjectionParams("emergency_stop", tick=STRUCK, value=0.010)
+    port = injected(strike, emergency_stop_bounce_ms=bounce_ms, seed=seed)
+    rows = []
+    for tick in range(20):
+        port.on_out(out_packet(tick, flags=ENABLE, torque=4096), tick * TICK_NS)
+        frame = codec.decode_in(port.poll_in((tick + 1) * TICK_NS - 1))
+        rows.append((frame.status, port.board._axis.force_n))
+    return rows
+
+
+def test_emergency_stop_takes_the_torque_and_gives_it_back():
+    rows = pressed(bounce_ms=0.0)
+    force_n = 4096 * 8.0 / 32767
+    for tick, (status, acting_n) in enumerate(rows):
+        away = STRUCK <= tick < STRUCK + 10
+        assert bool(status & StatusBit.EMERGENCY_STOP) is away
+        assert bool(status & StatusBit.AMPLIFIER_READY) is not away
+        assert bool(status & StatusBit.ENABLED) is not away
+        assert acting_n == (0.0 if away else force_n)
+
+
+def test_contact_bounces_and_then_stays():
+    rows = pressed(bounce_ms=3.0)
+    seen = "".join(str(int(bool(status & StatusBit.EMERGENCY_STOP))) for status, _ in rows)
+    assert seen[:2] == "00"
+    assert seen[5:12] == "1" * 7
+    assert seen[15:] == "0" * 5
+    assert rows == pressed(bounce_ms=3.0)
+    assert any(
+        rows[2:5] + rows[12:15] != (other := pressed(3.0, seed))[2:5] + other[12:15]
+        for seed in range(2, 9)
+    )
+
+
+def test_emergency_stop_outlives_a_restart_and_a_re_plug():
+    strikes = (
+        InjectionParams("emergency_stop", tick=0, value=0.010),
+        InjectionParams("restart", tick=2),
+    )
+    port = injected(*strikes)
+    port.power_up()
+    for tick in (0, 1, 2, 3):
+        assert codec.decode_in(tick_of(port, tick)).status & StatusBit.EMERGENCY_STOP
+    port.power_up()
+    assert codec.decode_in(tick_of(port, 5)).status & StatusBit.EMERGENCY_STOP
+    assert not codec.decode_in(tick_of(port, 11)).status & StatusBit.EMERGENCY_STOP

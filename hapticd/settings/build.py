@@ -3,6 +3,7 @@
 The only place that turns full scales into values per count.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -35,13 +36,29 @@ from hapticd.plant.effects import (
     Saturation,
     sample_timing,
 )
-from hapticd.settings.config import Environment, Touch
+from hapticd.settings.config import Environment, SimulatedBoard, Touch
 from hapticd.settings.device import DeviceFile, Travel, effects_of
 from hapticd.settings.load import Settings
 from hapticd.wire.codec import I16_HIGHEST, U16_HIGHEST
 
 # fields of [simulation] that make the board unkind, by the names of BoardParams
-TRAITS = ("in_queue_depth", "board_time_us", "out_transport_us", "in_transport_us")
+TRAITS = (
+    "in_queue_depth",
+    "board_time_us",
+    "out_transport_us",
+    "in_transport_us",
+    "emergency_stop_bounce_ms",
+)
+# fields of BoardParams: where [simulation.board] says another value, at which full count
+FULL_SCALES = {
+    "position_m_per_count": ("position_m_per_count", 1),
+    "force_n_per_count": ("force_full_scale_n", I16_HIGHEST),
+    "damping_ns_per_m_per_count": ("damping_full_scale_ns_per_m", U16_HIGHEST),
+    "probe_torque_n_per_count": ("probe_torque_full_scale_n", I16_HIGHEST),
+    "probe_velocity_m_per_s_per_count": ("probe_velocity_full_scale_m_per_s", I16_HIGHEST),
+    "current_a_per_count": ("current_full_scale_a", I16_HIGHEST),
+    "voltage_v_per_count": ("voltage_full_scale_v", I16_HIGHEST),
+}
 DEFAULT_PHASE = 0.875  # of a period, as in BoardParams: force acts T / 8 after the sample
 
 
@@ -72,7 +89,7 @@ def board_params(settings: Settings) -> BoardParams | None:
         return None
     built = device_effects(device, simulation.effects)
     phase, lag_periods = _timing(built)
-    return board_of(
+    board = board_of(
         device,
         settings.config.realtime.rate_hz,
         built,
@@ -85,6 +102,21 @@ def board_params(settings: Settings) -> BoardParams | None:
         **{trait: getattr(simulation, trait) for trait in TRAITS},
         touch=touch_params(simulation.touch),
     )
+    return replace(board, **_another_board(simulation.board))
+
+
+def _another_board(asked: SimulatedBoard) -> dict[str, Any]:
+    """Fields of BoardParams in which the board is not the one of its device file."""
+    named = {
+        "hello_serial": asked.serial,
+        "lacks": asked.lacks,
+        "force_limit_n": asked.force_limit_n,
+    }
+    scales = {
+        field: None if (full := getattr(asked, name)) is None else full / count
+        for field, (name, count) in FULL_SCALES.items()
+    }
+    return {field: value for field, value in (named | scales).items() if value is not None}
 
 
 def touch_params(touch: Touch | None) -> TouchParams | None:
@@ -194,6 +226,7 @@ def device_params(device: DeviceFile) -> DeviceParams:
         temperature_limit_c=limits.temperature_c,
         speed_limit_m_per_s=limits.speed_m_per_s,
         home=HomeParams(**device.home.model_dump()),
+        relies_on=device.relies_on,
     )
 
 

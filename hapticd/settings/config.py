@@ -183,6 +183,27 @@ class Touch(TomlTable):
     hands: tuple[Hand, ...] = Field((), strict=False)
 
 
+class SimulatedBoard(TomlTable):
+    """In what the simulated board is another one than its device file says.
+
+    It says so in its hello and behaves accordingly; what is left out is as in the device file.
+    """
+
+    serial: str | None = Field(None, min_length=1, max_length=16, pattern=r"^[!-~]+$")
+    """In the hello alone: it is still found by the device file's serial number."""
+    lacks: tuple[Literal["probe", "temperature"], ...] = Field((), strict=False)
+    """Capabilities that it does not have."""
+    position_m_per_count: float | None = Field(None, gt=0)
+    force_full_scale_n: float | None = Field(None, gt=0)
+    damping_full_scale_ns_per_m: float | None = Field(None, gt=0)
+    probe_torque_full_scale_n: float | None = Field(None, gt=0)
+    probe_velocity_full_scale_m_per_s: float | None = Field(None, gt=0)
+    current_full_scale_a: float | None = Field(None, gt=0)
+    voltage_full_scale_v: float | None = Field(None, gt=0)
+    force_limit_n: float | None = Field(None, gt=0)
+    """Beyond which it clamps the torque itself."""
+
+
 class Simulation(TomlTable):
     """The simulated board's firmware; ignored with a real one."""
 
@@ -203,6 +224,11 @@ class Simulation(TomlTable):
     """How long a written packet is on its way to the board."""
     in_transport_us: float = Field(_board["in_transport_us"].default, ge=0, le=10_000)
     """How long a packet of the board is on its way to the host."""
+    emergency_stop_bounce_ms: float = Field(
+        _board["emergency_stop_bounce_ms"].default, ge=0, le=100
+    )
+    """For how long the contact of the emergency stop bounces when it is pressed or released."""
+    board: SimulatedBoard = SimulatedBoard()
     injections: tuple[Injection, ...] = Field((), strict=False)
     touch: Touch | None = None
     """Stops that yield, a bearing that sticks, hands; left out: none of them."""

@@ -33,6 +33,7 @@ from hapticd.settings.tables import TomlTable
 
 SERIAL_BYTES = 16  # of the hello reply
 FROM_SCALES = ("encoder", "force_dac", "damping_dac", "probe_adc", "saturation")
+RELIED_ON: Any = ("probe", "temperature")
 Tag = Literal["paper", "inferred", "calibrated"]
 _home = HomeParams()
 
@@ -224,6 +225,8 @@ class DeviceFile(TomlTable):
     limits: LimitsTable
     travel: Travel
     home: HomeTable = HomeTable()
+    relies_on: tuple[Literal["probe", "temperature"], ...] = Field(RELIED_ON, strict=False)
+    """Capabilities of the board without which the device may not be used."""
     plant: RigidTable | None = None
     """What a simulated board moves: one rigid mass."""
     model: DeviceModel | None = None

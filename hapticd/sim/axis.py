@@ -187,6 +187,8 @@ Amplifier = Callable[[float], float]  # commanded force [N] -> force [N]
 AMPLIFIER_FAULT = StatusBit.AMPLIFIER_FAULT.value
 ENABLED = StatusBit.ENABLED.value
 WATCHDOG = StatusBit.WATCHDOG.value
+EMERGENCY_STOP = StatusBit.EMERGENCY_STOP.value
+READY = StatusBit.AMPLIFIER_READY.value
 CLAMPED = StatusBit.FORCE_CLAMPED.value
 
 
@@ -216,6 +218,7 @@ class Axis:
         "diverged_at",
         "faults",
         "force_n",
+        "levels",
         "live",
         "now",
         "plant",
@@ -240,6 +243,7 @@ class Axis:
         self._release_step = max(1, round(substep_rate_hz / PROBE_RATE_HZ))
         self.probe = Probe(params)
         self.amplifier: Amplifier | None = None
+        self.levels = READY  # Status bits of the hard-wired emergency stop, which has no memory
         self.state = self.plant.rest(0.0)
         self.power_up()
 
@@ -293,7 +297,7 @@ class Axis:
         self._alarm_at = self.now + self._watchdog
         self._damp(damping)
         probe = self.probe
-        self.live = bool(flags & ENABLE) and not self.faults
+        self.live = bool(flags & ENABLE) and not self.faults and self.levels == READY
         probe.live = self.live
         if self.live:
             if not -self._torque_max <= torque <= self._torque_max:
@@ -309,6 +313,14 @@ class Axis:
             probe.fifo.clear()
         if samples:
             probe.queue(samples)
+
+    def press_stop(self, pressed: bool) -> None:
+        """The hard-wired emergency stop takes the torque at once, and lets the next OUT have it
+        again once it is released.
+        """
+        self.levels = EMERGENCY_STOP if pressed else READY
+        if pressed:
+            self._cut_torque()
 
     def trip(self, faults: int) -> None:
         """The cause of these faults (Status bits) is present: latched, the torque is gone at

@@ -51,7 +51,7 @@ POSITIVE = ("_per_count", "_per_a", "force_limit_n", "winding_ohm")
 UNKNOWN_FLAGS = 0xFF & ~(ENABLE | FIFO_CLEAR | PERTURB)
 BAD_FRAME = StatusBit.BAD_FRAME.value
 SEQ_GAP = StatusBit.SEQ_GAP.value
-ALWAYS = (StatusBit.SIMULATED | StatusBit.AMPLIFIER_READY).value
+SIMULATED = StatusBit.SIMULATED.value
 RESERVED = bytes(6)
 OUT_BODY = frames.OUT_BYTES - frames.CRC.size
 IN_BODY = frames.IN_BYTES - frames.CRC.size
@@ -70,6 +70,7 @@ class BoardModel:
     __slots__ = (
         "_axis",
         "_body",
+        "_celsius",
         "_echo",
         "_events",
         "_frame",
@@ -77,6 +78,7 @@ class BoardModel:
         "_latch_at",
         "_latches",
         "_life",
+        "_most_numbers",
         "_next_seq",
         "_origin_ns",
         "_pairs_end",
@@ -102,7 +104,12 @@ class BoardModel:
         self._replies = control_replies(params)
         self._substep_ns = NS_PER_S / (SUBSTEPS_PER_TICK * params.rate_hz)
         self._substeps_max = floor(ADVANCE_MAX_NS / self._substep_ns)
-        self._temperature = i16_count(params.ambient_c / params.temperature_c_per_count)
+        feels_heat = "temperature" not in params.lacks
+        self._celsius = self._axis.plant.celsius if feels_heat else None
+        self._temperature = (
+            i16_count(params.ambient_c / params.temperature_c_per_count) if feels_heat else 0
+        )
+        self._most_numbers = 0 if "probe" in params.lacks else 2 * frames.PROBE_MAX
         self._frame = bytearray(frames.IN_BYTES)
         self._body = memoryview(self._frame)[:IN_BODY]
         self.on_slip = on_slip  # called with the ns that the plant missed
@@ -216,6 +223,11 @@ class BoardModel:
         """That cause is gone; the fault stays latched until CLEAR_FAULT."""
         self._axis.heal(faults)
 
+    def press_stop(self, t_ns: int, pressed: bool) -> None:
+        """The hard-wired emergency stop opens or closes its contact at `t_ns`."""
+        self._advance(t_ns)
+        self._axis.press_stop(pressed)
+
     @property
     def amplifier(self) -> Amplifier | None:
         """What becomes of a commanded force [N]; None: nothing."""
@@ -285,12 +297,12 @@ class BoardModel:
             params.winding_ohm * current_a + params.torque_constant_n_per_a * velocity_m_per_s
         )
         encoder = floor((plant.encoder(*seen) - axis.zero_m) / params.position_m_per_count + 0.5)
-        if plant.celsius is not None:
+        if self._celsius is not None:
             self._temperature = i16_count(
-                plant.celsius(axis.state) / params.temperature_c_per_count
+                self._celsius(axis.state) / params.temperature_c_per_count
             )
         since = latched_at - axis.torque_since
-        pairs = probe.pairs[: 2 * frames.PROBE_MAX]
+        pairs = probe.pairs[: self._most_numbers]
         count = len(pairs) // 2
         IN_LAYOUTS[count].pack_into(
             self._frame,
@@ -299,7 +311,7 @@ class BoardModel:
             self._echo,
             0,
             count,
-            events | axis.status | ALWAYS,
+            events | axis.status | axis.levels | SIMULATED,
             ceil(latched_at * self._substep_ns) // NS_PER_US + self._time_us & 0xFFFFFFFF,
             (encoder + 0x80000000 & 0xFFFFFFFF) - 0x80000000,
             i16_count(current_a / params.current_a_per_count),
@@ -319,7 +331,7 @@ class BoardModel:
         self._in_seq = self._in_seq + 1 & 0xFFFF
         self._ready_ns = self._to_ns(latched_at)
         self._ready_events = events
-        self._pairs_end = probe.first_index + count
+        self._pairs_end = probe.first_index + count if self._most_numbers else probe.index
         self._latch_at = self._latches[0] if self._latches else NEVER
 
 
@@ -378,13 +390,16 @@ Replies = dict[tuple[int, int, int], bytes]  # by bmRequestType, bRequest, wValu
 
 def hello(params: BoardParams) -> HelloFrame:
     """The board's own description: nominal full scales are value per count times full count."""
+    capabilities = CAPABILITIES
+    for name in params.lacks:
+        capabilities &= ~Capability[name.upper()]
     return HelloFrame(
         protocol_hash=frames.PROTOCOL_HASH,
         firmware_version=FIRMWARE_VERSION,
         axis_count=1,
-        capabilities=CAPABILITIES.value,
+        capabilities=capabilities.value,
         watchdog_ms=round(params.watchdog_ms),
-        serial=params.serial,
+        serial=params.hello_serial or params.serial,
         force_full_scale_n=params.force_n_per_count * codec.I16_HIGHEST,
         damping_full_scale_ns_per_m=params.damping_ns_per_m_per_count * codec.U16_HIGHEST,
         probe_torque_full_scale_n=params.probe_torque_n_per_count * codec.I16_HIGHEST,

@@ -19,7 +19,7 @@ from typing import NamedTuple
 from hapticd.errors import ConfigError
 from hapticd.params import BoardParams
 from hapticd.sim.board import BoardModel
-from hapticd.units import NS_PER_S, US_PER_S
+from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US, US_PER_S
 from hapticd.wire import codec
 from hapticd.wire.frames import StatusBit
 
@@ -33,6 +33,16 @@ class TransferFault(Exception):
         super().__init__(number)
         self.number = number
         self.away_s = away_s
+
+
+BOUNCE_NS = (50 * NS_PER_US, 500 * NS_PER_US)  # between two edges of a contact that bounces
+
+
+class Contact(NamedTuple):
+    """An edge of the emergency stop's contact."""
+
+    at_ns: int
+    pressed: bool
 
 
 class StuckEncoder(NamedTuple):
@@ -62,6 +72,8 @@ class Injector:
         self._piling_until_ns = 0
         self._hung_until_ns = 0
         self._stuck = StuckEncoder(-1, 0)
+        self._bounce_ns = round(params.emergency_stop_bounce_ms * NS_PER_MS)
+        self._contacts: list[Contact] = []  # what the emergency stop is about to do, in order
 
     def power_up(self) -> None:
         self.forget()
@@ -80,6 +92,8 @@ class Injector:
         if self._piling_until_ns:
             self._pile_up(t_ns)
         packet = self._struck(data, t_ns)
+        if self._contacts:
+            self._switch(t_ns)
         if t_ns < self._hung_until_ns:
             raise TransferFault(errno.ETIMEDOUT)
         if packet is None:
@@ -92,6 +106,8 @@ class Injector:
     def poll_in(self, t_ns: int) -> bytes | None:
         if self._piling_until_ns:
             self._pile_up(t_ns)
+        if self._contacts:
+            self._switch(t_ns)
         if self._waiting:
             return self._waiting.popleft()[1] if self._waiting[0][0] <= t_ns else None
         latched_ns = self.board.next_in_ns()
@@ -121,6 +137,24 @@ class Injector:
     def hang(self, until_ns: int) -> None:
         """The firmware answers nothing until then; what it puts out stays as it is."""
         self._hung_until_ns = until_ns
+
+    def press(self, t_ns: int, until_ns: int) -> None:
+        """The emergency stop is pressed at `t_ns` and released at `until_ns`."""
+        edges = (*self._bouncing(t_ns, True), *self._bouncing(until_ns, False))
+        self._contacts = sorted((*self._contacts, *edges))
+
+    def _bouncing(self, t_ns: int, pressed: bool) -> list[Contact]:
+        """A contact that ends as `pressed`, after it was both in turn for a while."""
+        until_ns = t_ns + self._bounce_ns
+        edges: list[Contact] = []
+        while t_ns < until_ns:
+            edges.append(Contact(t_ns, pressed if not len(edges) % 2 else not pressed))
+            t_ns += self.random.randrange(*BOUNCE_NS)
+        return [*edges, Contact(until_ns, pressed)]
+
+    def _switch(self, t_ns: int) -> None:
+        while self._contacts and self._contacts[0].at_ns <= t_ns:
+            self.board.press_stop(*self._contacts.pop(0))
 
     def stuck_at(self, encoder: int) -> int:
         """What an encoder reads that has stuck: its count at the first tick of the fault."""
@@ -238,6 +272,11 @@ def _hung_unwatched(injector: Injector, packet: memoryview, value: float, t_ns: 
     injector.board.stop_watchdog()
 
 
+def _pressed(injector: Injector, packet: memoryview, value: float, t_ns: int) -> memoryview:
+    injector.press(t_ns, t_ns + round(value * NS_PER_S))
+    return packet
+
+
 def _amplifier(act: Callable[[float, float], float]) -> OutFault:
     """`act(force_n, value)`: what the amplifier makes of a commanded force."""
 
@@ -324,6 +363,9 @@ OUT_FAULTS: dict[str, OutKind] = {
     ),
     "over_temperature": OutKind(
         _board_fault(StatusBit.OVER_TEMPERATURE), "the board reports a hot winding", CAUSE
+    ),
+    "emergency_stop": OutKind(
+        _pressed, "the hard-wired emergency stop is pressed and released", "for how long [s]"
     ),
     "amplifier_stuck": OutKind(
         _amplifier(lambda force_n, value: value),
