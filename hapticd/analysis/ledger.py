@@ -1,0 +1,256 @@
+"""The energy ledger: the work that each cause does on the device, tick by tick.
+
+Positive is work done on the device, everywhere. The law's force L_k belongs to the sample x_k; it
+takes effect d_k periods later and is then held until the next one takes effect. Of the motion only
+the samples are known, between them it is straight. An ideal element would act at once and without
+steps. Its work from sample to sample, (L_{k-1} + L_k) / 2 (x_k - x_{k-1}), exact for a spring, is
+what `stiffness`, `damping`, `mass` and `fields` mean. With p = -K x the spring's force,
+
+    stiffness   (p_k x_k - p_{k-1} x_{k-1}) / 2          = - change of the energy K x^2 / 2 stored
+    ramp        (p_{k-1} x_k - p_k x_{k-1}) / 2          = energy that a change of K brings in; the
+                same for virtual mass, walls and ends, and for a wall that is moved
+    damping, mass, fields    as above, less what is `ramp`
+
+What the steps and their delay add follows by summation by parts. A step dL_k = L_k - L_{k-1} would
+have come gradually, between the samples k-1 and k; it comes when the device has gone on: half a
+sample, and then for the d_k periods until it takes effect.
+
+    hold_delay  - dL_k (x_k - x_{k-1}) / 2               for the hold, in the tick in which it is
+                                                         computed
+                - dL_k (x(t) - x_k)                      as long as it is on its way
+
+For a spring this is K (T/2 + d T) int v^2 dt to the first order (Colgate and Schenkel 1997), and
+more exact at every frequency. It is booked while it happens, so sums are right at every sample.
+After a gap of n periods the step has been waiting (n - 1) / 2 periods longer; that is
+
+    gap         - dL_k (x_k - x_{k-1}) (1 - 1/n) / 2
+
+The force that is sent differs from the law's by what was clamped and by rounding to counts; each
+difference is a force of its own that is held and comes late:
+
+    clamp         work of clamped - L        quantisation   work of sent - clamped
+    electrical    - b (x_k - x_{k-1})^2 / T of the active damping in effect, as the board reports
+                  it: a lower bound of what is dissipated (`electrical_commanded`: as sent; beside
+                  the sum)
+    lag           (smoothed devices) - (1/w) dF v: work of the motor less that of the held force,
+                  for a motor force F that follows with a first-order corner w
+
+The whole is computed from other numbers: the force in effect at each sample and since when, as the
+board reports both. `unexplained` is the whole less all causes, itself no cause: a frame that never
+arrived, a delay that was not what was believed, several forces between two samples.
+
+What would break it: rows that are not consecutive without `periods` saying so, a delay beyond
+LONGEST periods (it becomes `unexplained`), parts of a force that are left out of SAMPLE.
+"""
+
+from math import exp
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.analysis.arrays import Floats
+
+# one row per usable sample
+SAMPLE = np.dtype(
+    [
+        ("position_m", "f8"),
+        ("stiffness_n", "f8"),  # parts of the law's force
+        ("damping_n", "f8"),
+        ("mass_n", "f8"),
+        ("field_n", "f8"),  # walls, ends, and any push that is not of the law
+        ("clamped_n", "f8"),  # their sum inside the limit
+        ("sent_n", "f8"),
+        ("delay", "f8"),  # periods from its sample to its effect, of the force in effect now
+        ("periods", "f8"),  # since the sample before; 0: nothing is known of the motion before
+        ("in_effect_n", "f8"),  # as the board reports at this sample
+        ("since", "f8"),  # periods that this force had been in effect, at this sample
+        ("added_ns_per_m", "f8"),  # active damping in effect, as the board reports
+        ("added_asked_ns_per_m", "f8"),  # as sent
+        ("mass_kg", "f8"),  # virtual mass
+        ("wall_n_per_m", "f8"),
+        ("wall_m", "f8"),
+        ("wall_side", "f8"),
+        ("end_n_per_m", "f8"),
+    ]
+)
+CAUSES = (
+    "stiffness",
+    "damping",
+    "mass",
+    "fields",
+    "hold_delay",
+    "quantisation",
+    "clamp",
+    "ramp",
+    "gap",
+    "electrical",
+    "lag",
+)
+BOOKED = np.dtype(
+    [(name, "f8") for name in (*CAUSES, "unexplained", "whole", "electrical_commanded")]
+)
+LONGEST = 8  # periods on its way that a force is followed
+Table = npt.NDArray[np.void]
+
+
+def book(
+    samples: Table,
+    period_s: float,
+    ends_m: tuple[float, float] = (-np.inf, np.inf),
+    smoothing_hz: float = 0.0,
+    motor_n: float = 0.0,
+) -> tuple[Table, float]:
+    """Work [J] between each of `samples` (n,) of SAMPLE and the one before, as BOOKED (n,), and the
+    motor's force [N] at the last one. The first row is 0.
+
+    `ends_m`: where the springs at the ends of the workspace begin. `smoothing_hz`: corner of the
+    device's force, 0 for none; `motor_n`: its force at the first sample.
+    """
+    way = _difference(samples["position_m"])
+    way[samples["periods"] == 0.0] = 0.0
+    periods = np.maximum(samples["periods"], 1.0)
+    lead = _ways_before_effect(samples["delay"], periods, way)
+    found = np.zeros(len(samples), BOOKED)
+    _book_ideal(found, samples, way, periods, period_s, ends_m)
+    step = _difference(_law(samples))
+    found["gap"] = -0.5 * step * way * (1.0 - 1.0 / periods)
+    found["hold_delay"] = -0.5 * step * way / periods - _late(step, lead)
+    found["clamp"] = _held(samples["clamped_n"] - _law(samples), way, lead)
+    found["quantisation"] = _held(samples["sent_n"] - samples["clamped_n"], way, lead)
+    dissipated = -(way**2) / (periods * period_s)
+    for name, level in (("electrical", "added"), ("electrical_commanded", "added_asked")):
+        found[name] = _mean(samples[f"{level}_ns_per_m"]) * dissipated
+    done = _reported(samples, way, periods)
+    if smoothing_hz > 0.0:
+        w = 2.0 * np.pi * smoothing_hz
+        smoothed, mean = _smoothed(samples, periods * period_s, period_s, w, motor_n)
+        found["lag"] = -way / (periods * period_s) * _difference(smoothed) / w
+        done = mean * way
+        motor_n = float(smoothed[-1])
+    found["whole"] = done + found["electrical"]
+    found["unexplained"] = found["whole"] - sum(found[name] for name in CAUSES)
+    return found, motor_n
+
+
+def _book_ideal(
+    found: Table,
+    samples: Table,
+    way: Floats,
+    periods: Floats,
+    period_s: float,
+    ends_m: tuple[float, float],
+) -> None:
+    """The ideal elements, and what changes of their settings bring in."""
+    moving = samples["periods"] > 0.0
+    x = samples["position_m"]
+    spring = samples["stiffness_n"]
+    found["stiffness"] = 0.5 * _difference(spring * x) * moving
+    from_spring = 0.5 * (_before(spring) * x - spring * _before(x)) * moving
+    speed = way / (periods * period_s)
+    from_mass = 0.5 * _difference(samples["mass_kg"]) * speed**2
+    middle = 0.5 * (x + _before(x))
+    from_fields = (
+        _stored_in_fields(samples, middle, ends_m)
+        - _stored_in_fields(samples[_rows_before(len(samples), 1)], middle, ends_m)
+    ) * moving
+    found["ramp"] = from_spring + from_mass + from_fields
+    found["damping"] = _ideal(samples["damping_n"], way)
+    found["mass"] = _ideal(samples["mass_n"], way) - from_mass
+    found["fields"] = _ideal(samples["field_n"], way) - from_fields
+
+
+def _law(samples: Table) -> Floats:
+    """The law's force before its limit."""
+    parts = ("stiffness_n", "damping_n", "mass_n", "field_n")
+    return np.asarray(sum(samples[name] for name in parts))
+
+
+def _stored_in_fields(samples: Table, x: Floats, ends_m: tuple[float, float]) -> Floats:
+    """Energy [J] in the springs of wall and ends at `x` (n,) [m], with the settings of each row."""
+    depth = np.maximum((x - samples["wall_m"]) * samples["wall_side"], 0.0)
+    lower, upper = ends_m
+    beyond = np.maximum(x - upper, 0.0) + np.maximum(lower - x, 0.0)
+    stored = samples["wall_n_per_m"] * depth**2 + samples["end_n_per_m"] * beyond**2
+    return np.asarray(0.5 * stored)
+
+
+def _ways_before_effect(delay: Floats, periods: Floats, way: Floats) -> list[Floats]:
+    """Of each interval's way the part that was gone before the force of q + 1 samples ago took
+    effect, for q = 0, 1, ..., as far as any is on its way.
+    """
+    time = np.cumsum(periods)
+    found = []
+    for q in range(LONGEST):
+        # that force's delay is reported by the sample after it
+        left = _shifted(delay, q) - (_shifted(time, 1) - _shifted(time, 1 + q))
+        if q and not np.any(left > 0.0):
+            break
+        found.append(way * np.clip(left / periods, 0.0, 1.0))
+    return found
+
+
+def _late(step: Floats, lead: list[Floats]) -> Floats:
+    """Work that steps of a force would have done in each interval while they were on their way."""
+    return np.asarray(sum(_shifted(step, q + 1) * gone for q, gone in enumerate(lead)))
+
+
+def _held(force: Floats, way: Floats, lead: list[Floats]) -> Floats:
+    """Work in each interval of a force that belongs to the samples, is held and comes late."""
+    return np.asarray(_before(force) * way - _late(_difference(force), lead))
+
+
+def _reported(samples: Table, way: Floats, periods: Floats) -> Floats:
+    """Work in each interval of the force in effect, as the board reports it."""
+    after = np.clip(samples["since"] / periods, 0.0, 1.0)
+    now = samples["in_effect_n"]
+    return np.asarray(way * (now * after + _before(now) * (1.0 - after)))
+
+
+def _smoothed(
+    samples: Table, lasting_s: Floats, period_s: float, w: float, motor_n: float
+) -> tuple[Floats, Floats]:
+    """Force of the motor at each sample, and its mean since the one before: the force in effect
+    behind a first-order low-pass of corner `w` [rad/s].
+    """
+    after_s = np.minimum(samples["since"] * period_s, lasting_s)
+    force = samples["in_effect_n"].tolist()
+    at = [motor_n]
+    mean = [motor_n]
+    for k, (before, after) in enumerate(
+        zip((lasting_s - after_s).tolist(), after_s.tolist(), strict=True)
+    ):
+        if k == 0:
+            continue
+        area = 0.0
+        for held, seconds in ((force[k - 1], before), (force[k], after)):
+            left = (motor_n - held) * exp(-w * seconds)
+            area += held * seconds + (motor_n - held - left) / w
+            motor_n = held + left
+        at.append(motor_n)
+        mean.append(area / (before + after))
+    return np.array(at), np.array(mean)
+
+
+def _ideal(force: Floats, way: Floats) -> Floats:
+    return _mean(force) * way
+
+
+def _mean(values: Floats) -> Floats:
+    return np.asarray(0.5 * (values + _before(values)))
+
+
+def _difference(values: Floats) -> Floats:
+    return np.asarray(values - _before(values))
+
+
+def _before(values: Floats) -> Floats:
+    return _shifted(values, 1)
+
+
+def _shifted(values: Floats, rows: int) -> Floats:
+    """Row k - rows at row k; the first row stands for those before it."""
+    return np.asarray(values[_rows_before(len(values), rows)])
+
+
+def _rows_before(count: int, rows: int) -> npt.NDArray[np.intp]:
+    return np.maximum(np.arange(count) - rows, 0)
