@@ -127,6 +127,8 @@ class DeviceParams:
     home: HomeParams = HomeParams()
     # capabilities of the board without which the device may not be used: "probe", "temperature"
     relies_on: tuple[str, ...] = ()
+    # corner of a first-order low-pass on the commanded force, where a model knows it; 0: none
+    force_smoothing_hz: float = 0.0
 
     def temperature_counts(self, low: int, high: int) -> tuple[int, int]:
         """Lowest and highest count, inside `low`..`high`, of a temperature that is allowed: a

@@ -99,9 +99,9 @@ def book(
     ends_m: tuple[float, float] = (-np.inf, np.inf),
     smoothing_hz: float = 0.0,
     motor_n: float = 0.0,
-) -> tuple[Table, float]:
+) -> tuple[Table, Floats]:
     """Work [J] between each of `samples` (n,) of SAMPLE and the one before, as BOOKED (n,), and the
-    motor's force [N] at the last one. The first row is 0.
+    force [N] of a smoothed motor at each (n,). The first row is 0.
 
     `ends_m`: where the springs at the ends of the workspace begin. `smoothing_hz`: corner of the
     device's force, 0 for none; `motor_n`: its force at the first sample.
@@ -120,16 +120,16 @@ def book(
     dissipated = -(way**2) / (periods * period_s)
     for name, level in (("electrical", "added"), ("electrical_commanded", "added_asked")):
         found[name] = _mean(samples[f"{level}_ns_per_m"]) * dissipated
+    motor = np.zeros(len(samples))
     done = _reported(samples, way, periods)
     if smoothing_hz > 0.0:
         w = 2.0 * np.pi * smoothing_hz
-        smoothed, mean = _smoothed(samples, periods * period_s, period_s, w, motor_n)
-        found["lag"] = -way / (periods * period_s) * _difference(smoothed) / w
+        motor, mean = _smoothed(samples, periods * period_s, period_s, w, motor_n)
+        found["lag"] = -way / (periods * period_s) * _difference(motor) / w
         done = mean * way
-        motor_n = float(smoothed[-1])
     found["whole"] = done + found["electrical"]
     found["unexplained"] = found["whole"] - sum(found[name] for name in CAUSES)
-    return found, motor_n
+    return found, motor
 
 
 def _book_ideal(

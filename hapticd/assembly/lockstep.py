@@ -10,6 +10,7 @@ What would break it: code in the servo that reads a clock of its own instead of 
 
 import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from hapticd.assembly.servo_main import simulated_backend
@@ -135,7 +136,7 @@ def scene_params(
     # imported here: a lock-step run by itself needs neither numpy nor pydantic
     from hapticd.plant.compose import compose
     from hapticd.plant.effects import sample_timing
-    from hapticd.settings.build import board_of, device_params
+    from hapticd.settings.build import board_of, device_params, smoothing_hz
     from hapticd.settings.scene import build_scene, load_files
 
     files = load_files(name)
@@ -150,7 +151,7 @@ def scene_params(
         instance=instance,
         simulated=True,
         environment=scene.environment,
-        device=device_params(device),
+        device=replace(device_params(device), force_smoothing_hz=smoothing_hz(scene.effects)),
         safety=SafetyParams(force_limit_n=limit_n, damping_slew_ns_per_m_s=AT_ONCE_NS_PER_M_S),
         realtime=RealtimeParams(rate_hz=scene.rate_hz, mode="off"),
         usb=UsbParams(serial=device.serial),

@@ -11,11 +11,13 @@ from typing import Any
 
 import msgpack
 import numpy as np
+from numpy.typing import NDArray
 
 from hapticd.faults import BY_NUMBER, FAULTS, Fault
 from hapticd.gateway.codec import finite
 from hapticd.gateway.flight import FlightRecorder, flights_folder
 from hapticd.gateway.journal import Actors, Journal
+from hapticd.gateway.ledger import Ledger
 from hapticd.gateway.telemetry import (
     BY_NAME,
     Feed,
@@ -170,6 +172,7 @@ class Publisher:
         self._subscriptions = Subscriptions()
         self._transitions = Transitions(view, actors, journal)
         self._probe = ProbeDecoder(setup.servo.device)
+        self._ledger = Ledger(setup.servo)
         self._origin = Origin(0, 0, setup.servo.simulated)
         self._life = 0
         self._alive = False
@@ -200,7 +203,7 @@ class Publisher:
             self.stages.add(block.records, self._origin.epoch)
             self._transitions.follow(block)
             self.flight.add(block, now_ns)
-            found += self._ticks(block, wanted)
+            found += self._ticks(block, self._booked(block), wanted)
         self.flight.dump_if_due(now_ns)
         found += self._state_if_due(now_ns, unix_ns)
         found += [("event", _packed(event)) for event in self._journal.drain() if "event" in wanted]
@@ -216,6 +219,7 @@ class Publisher:
             self.stages.clear()
             self.flight.begin(self._origin)
             self._probe.forget()
+            self._ledger.begin()
         if view.alive != self._alive:
             self._alive = view.alive
             self._journal.note(
@@ -224,13 +228,22 @@ class Publisher:
                 text=view.trouble,
             )
 
-    def _ticks(self, block: RingBlock, wanted: frozenset[str]) -> list[Message]:
+    def _booked(self, block: RingBlock) -> NDArray[np.float64]:
+        if block.lost:
+            self._ledger.forget()
+        return self._ledger.take(block.records)
+
+    def _ticks(
+        self, block: RingBlock, energies: NDArray[np.float64], wanted: frozenset[str]
+    ) -> list[Message]:
         found: list[Message] = []
         if "servo" in wanted:
             decimation = BY_NAME["servo"].decimation
             found += [
                 ("servo", payload)
-                for payload in servo_messages(block, self._origin, self._batch, decimation)
+                for payload in servo_messages(
+                    block, energies, self._origin, self._batch, decimation
+                )
             ]
         if "servo.raw" in wanted:
             found.append(("servo.raw", raw_message(block, self._origin)))

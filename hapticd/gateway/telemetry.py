@@ -39,7 +39,9 @@ from typing import Any, NamedTuple
 
 import msgpack
 import numpy as np
+from numpy.typing import NDArray
 
+from hapticd.gateway.ledger import NAMES as LEDGER
 from hapticd.gateway.view import Records, ServoView, as_records, last_torn
 from hapticd.mailbox.layout import LAYOUT_HASH, RECORD, RING_RECORDS, STAGES, TELEMETRY, Flag
 from hapticd.params import DeviceParams, ScaleParams
@@ -201,12 +203,10 @@ class Feed:
 
 
 BLOCK_VERSION = 1
-# sent in another form (`timestamp`, six energies), or for `servo.raw` alone
+# sent in another form (`timestamp`, energies by cause), or for `servo.raw` alone
 _LEFT_OUT = frozenset({"time_ns", "in_frame", "out_frame", "tail", "energy_j"})
 COLUMNS: tuple[str, ...] = tuple(str(field[0]) for field in TELEMETRY if field[0] not in _LEFT_OUT)
-ENERGIES = tuple(
-    f"energy_{name}_j" for name in ("stiffness", "damping", "mass", "field", "force", "electrical")
-)
+ENERGIES = tuple(f"energy_{name}_j" for name in LEDGER)
 TICK_DESCR = [list(field) for field in TELEMETRY]
 
 
@@ -225,15 +225,19 @@ class Origin:
         }
 
 
-def servo_messages(block: RingBlock, origin: Origin, batch: int, decimation: int) -> list[bytes]:
-    """Payloads of topic `servo`: every `decimation`-th tick, at most `batch` of them in one."""
+def servo_messages(
+    block: RingBlock, energies: NDArray[np.float64], origin: Origin, batch: int, decimation: int
+) -> list[bytes]:
+    """Payloads of topic `servo`: every `decimation`-th tick, at most `batch` of them in one, with
+    the ledger's sums (n, causes) of the block.
+    """
     wanted = np.flatnonzero((block.seq + np.arange(len(block.records))) % decimation == 0)
     records = block.records[wanted]
     columns: list[Any] = [
         ((records["time_ns"] + origin.unix_offset_ns) / NS_PER_S).tolist(),
         (block.seq + wanted).tolist(),
         *(records[name].tolist() for name in COLUMNS),
-        *records["energy_j"].T.tolist(),
+        *energies[wanted].T.tolist(),
     ]
     names = ("timestamp", "seq", *COLUMNS, *ENERGIES)
     maps = [_finite(dict(zip(names, values, strict=True))) for values in zip(*columns, strict=True)]

@@ -25,12 +25,12 @@ from numpy.typing import NDArray
 from hapticd.assembly.replay import Segment
 from hapticd.errors import ConfigError, HapticdError
 from hapticd.gateway import flight
-from hapticd.gateway.telemetry import ENERGIES
 from hapticd.gateway.view import RECORD_DTYPE, Records
 from hapticd.mailbox.client_side import Noted
 from hapticd.mailbox.layout import COMMAND_VALUES
 from hapticd.params import ScaleParams, ServoParams, from_plain
 from hapticd.recording.live import (
+    ENERGIES,
     FLUSHED,
     GROUPS,
     LEFT_OUT,

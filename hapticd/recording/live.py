@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 
 from hapticd.client.blocks import Block, BlockDecoder
 from hapticd.errors import HapticdError
-from hapticd.gateway.telemetry import ENERGIES
 from hapticd.gateway.telemetry import PROBE_DESCR as PROBE
 from hapticd.gateway.telemetry import TICK_DESCR as TICKS
 from hapticd.mailbox.layout import COMMAND_VALUES
@@ -35,6 +34,10 @@ from hapticd.recording.provenance import needed
 from hapticd.units import NS_PER_S, unit_of
 
 Columns = dict[str, NDArray[Any]]
+# of the record's `energy_j`, in its order
+ENERGIES = tuple(
+    f"energy_{name}_j" for name in ("stiffness", "damping", "mass", "field", "force", "electrical")
+)
 LEFT_OUT = "tail"  # repeats the tick, for readers of the ring
 _SIGNED = {"<u8": "<i8"}  # MATLAB computes poorly with 64-bit unsigned integers
 CHUNK_ROWS = {"servo": 1024, "probe": 4096, "checkpoint_text": 4096}  # a chunk is written whole

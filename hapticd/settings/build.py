@@ -34,6 +34,7 @@ from hapticd.plant.effects import (
     ProbeAdc,
     SampleTiming,
     Saturation,
+    Smoothing,
     sample_timing,
 )
 from hapticd.settings.config import Environment, SimulatedBoard, Touch
@@ -72,7 +73,10 @@ def servo_params(settings: Settings, instance: str) -> ServoParams:
         instance=instance,
         simulated=device.simulated,
         environment=environment_params(settings.config.environment, settings.device.travel),
-        device=device_params(device),
+        device=replace(
+            device_params(device),
+            force_smoothing_hz=smoothing_hz(device_effects(device, config.simulation.effects)),
+        ),
         safety=SafetyParams(**safety),
         realtime=RealtimeParams(**config.realtime.model_dump()),
         usb=UsbParams(**config.usb.model_dump(), serial=device.serial),
@@ -189,6 +193,11 @@ def _timing(effects: tuple[Effect, ...]) -> SampleTiming:
     """The timing of a board with the device's transport delay, or the default without one."""
     delay = next((effect.periods for effect in effects if isinstance(effect, Delay)), 0.0)
     return sample_timing(delay) if delay else SampleTiming(DEFAULT_PHASE, 0)
+
+
+def smoothing_hz(effects: tuple[Effect, ...]) -> float:
+    """Corner [Hz] of the low-pass on the commanded force; 0 without one."""
+    return next((one.corner_hz for one in effects if isinstance(one, Smoothing)), 0.0)
 
 
 def gateway_params(settings: Settings) -> GatewayParams:
