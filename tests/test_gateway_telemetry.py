@@ -184,7 +184,7 @@ def test_servo_is_an_array_of_maps_of_numbers(rig: FeedRig) -> None:
         assert type(row["timestamp"]) is float
     assert np.diff([row["timestamp"] for row in rows]) == pytest.approx(1e-3, abs=1e-6)
     assert rows[3]["timestamp"] == pytest.approx(UNIX_NS / 1e9 + 2e-3, abs=1e-6)
-    assert (rows[0]["energy_damping_j"], rows[0]["force_n"]) == (0.01, 1.5)
+    assert (rows[0]["energy_whole_j"], rows[0]["force_n"]) == (0.0, 1.5)
 
 
 def test_number_that_is_not_finite_is_left_out(rig: FeedRig) -> None:

@@ -108,13 +108,14 @@ def book(
     """
     way = _difference(samples["position_m"])
     way[samples["periods"] == 0.0] = 0.0
-    periods = np.maximum(samples["periods"], 1.0)
+    periods = np.where(samples["periods"] > 0.0, samples["periods"], 1.0)
+    whole_periods = np.maximum(np.rint(periods), 1.0)  # jitter of a clock is no gap
     lead = _ways_before_effect(samples["delay"], periods, way)
     found = np.zeros(len(samples), BOOKED)
     _book_ideal(found, samples, way, periods, period_s, ends_m)
     step = _difference(_law(samples))
-    found["gap"] = -0.5 * step * way * (1.0 - 1.0 / periods)
-    found["hold_delay"] = -0.5 * step * way / periods - _late(step, lead)
+    found["gap"] = -0.5 * step * way * (1.0 - 1.0 / whole_periods)
+    found["hold_delay"] = -0.5 * step * way / whole_periods - _late(step, lead)
     found["clamp"] = _held(samples["clamped_n"] - _law(samples), way, lead)
     found["quantisation"] = _held(samples["sent_n"] - samples["clamped_n"], way, lead)
     dissipated = -(way**2) / (periods * period_s)

@@ -1,10 +1,14 @@
 """Tick records into the energy ledger: sums by cause, from the first record on.
 
 `analysis.ledger` says what each cause means; here its samples are read off the records. A record
-without a fresh sample adds nothing, the next one takes the whole way since the last. What was sent
-is the record's `force_n`, and a force is taken to be in effect for the measured delay; what of it
-the law, its limit and a push that is not of the law had asked for follows from the parts beside it.
-The filters of a tick forget nothing here: a NaN or a fault leaves all sums as they were.
+without a fresh sample adds nothing, the next one takes the whole way since the last: a NaN or a
+fault erases nothing. What was sent is the record's `force_n`; what of it the law, its limit, and a
+push that is not of the law had asked for follows from the parts beside it. What is in effect is
+read off the frames alone: by the sequence number that the board reports, and 0 where it grants no
+torque.
+
+Boards of the first protocol reported neither: their forces are taken to be in effect one after the
+other, each 0.125 periods after its sample, as it was then assumed.
 
 What would break it: records out of order, or a gap that is not told with `forget` (nothing is then
 known of the motion across it).
@@ -17,11 +21,18 @@ from hapticd.analysis.ledger import BOOKED, LONGEST, SAMPLE, Table, book
 from hapticd.gateway.view import RECORD_DTYPE, Records
 from hapticd.mailbox.layout import Flag
 from hapticd.params import ServoParams
+from hapticd.units import US_PER_S
+from hapticd.wire.frames import IN_EFFECT, IN_HEAD, IN_PAIRS, StatusBit
 
 NAMES = BOOKED.names or ()
 CONTEXT = 4 * LONGEST  # records that are looked at again: what is still on its way comes from them
+MANY = 500  # records
 LONGEST_GAP = 8  # periods without a sample across which motion is booked
-DELAY = 0.125  # periods, where no board has measured it
+UNTOLD_DELAY = 0.125  # periods, where no board reported it
+SEQUENCES = 256  # that the low byte of a sequence number tells apart
+_EFFECT_PLACE = IN_HEAD.size + IN_PAIRS.size
+_SEQ_PLACE = IN_EFFECT.size - 1
+_NONE = np.empty(0, RECORD_DTYPE)
 
 
 class Ledger:
@@ -35,15 +46,31 @@ class Ledger:
     def begin(self) -> None:
         """A new life: all sums are 0."""
         self._sums = np.zeros(len(NAMES))
-        self.forget()
+        self._pending: list[Records] = []
+        self._clear()
 
     def forget(self) -> None:
         """Records were lost: of the motion across the gap nothing is known."""
-        self._seen = np.empty(0, RECORD_DTYPE)
+        self.take(_NONE)
+        self._clear()
+
+    def _clear(self) -> None:
+        self._seen = _NONE
         self._motor_n = np.empty(0)
+
+    def defer(self, records: Records) -> None:
+        """The next `records`, whose sums nobody asks for now: many are booked at once."""
+        self._pending.append(records)
+        if sum(map(len, self._pending)) >= MANY:
+            self.take(_NONE)
 
     def take(self, records: Records) -> NDArray[np.float64]:
         """Sums [J] after each of the next `records` (n,), by NAMES (n, causes)."""
+        new = np.concatenate((*self._pending, records))
+        self._pending = []
+        return self._booked(new)[len(new) - len(records) :]
+
+    def _booked(self, records: Records) -> NDArray[np.float64]:
         seen = np.concatenate((self._seen, records))
         usable = (seen["flags"] & Flag.MISSING_IN) == 0
         rows = np.flatnonzero(usable)
@@ -80,27 +107,55 @@ def samples(records: Records, rows: NDArray[np.intp], servo: ServoParams) -> Tab
     found["position_m"] = usable["position_m"]
     for part in ("stiffness", "damping", "mass"):
         found[f"{part}_n"] = usable[f"{part}_force_n"]
-    found["periods"] = _periods(records, rows)
+    rate_hz = servo.realtime.rate_hz
+    found["periods"] = _periods(usable, rate_hz)
     _forces(found, usable, servo)
-    found["delay"] = DELAY
-    found["in_effect_n"] = records["force_n"][np.maximum(rows - 1, 0)]
-    found["since"] = 1.0 - DELAY
-    for name in ("added_ns_per_m", "added_asked_ns_per_m"):
-        found[name] = usable["added_damping_ns_per_m"]
+    if "delay_us" in (records.dtype.names or ()):
+        _reported(found, records, rows, rate_hz)
+    else:
+        found["delay"] = UNTOLD_DELAY
+        found["in_effect_n"] = records["force_n"][np.maximum(rows - 1, 0)]
+        found["since"] = 1.0 - UNTOLD_DELAY
+        found["added_ns_per_m"] = usable["added_damping_ns_per_m"]
+    found["added_asked_ns_per_m"] = usable["added_damping_ns_per_m"]
     found["mass_kg"] = usable["gain"] * usable["mass_kg"]
     found["end_n_per_m"] = usable["gain"] * servo.environment.workspace.stiffness_n_per_m
     return found
 
 
-def _periods(records: Records, rows: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Since the sample before, in periods; 0 where nothing is known of the motion."""
+def _periods(usable: Records, rate_hz: float) -> NDArray[np.float64]:
+    """Since the sample before, by the board's clock; 0 where nothing is known of the motion."""
+    passed = np.diff(usable["board_us"], prepend=usable["board_us"][:1]) * (rate_hz / US_PER_S)
+    seeded = (usable["flags"] & Flag.SEEDED) != 0
+    return np.where(seeded | (passed > 1.5 + LONGEST_GAP) | (passed < 0.0), 0.0, passed)
+
+
+def _reported(found: Table, records: Records, rows: NDArray[np.intp], rate_hz: float) -> None:
+    """What the board says to be in effect at each sample."""
     usable = records[rows]
-    ticks = np.diff(usable["tick"].astype(np.int64), prepend=0)
-    passed = np.maximum(ticks, 1 + usable["arrival"].astype(np.int64)).astype(float)
-    unknown = ((usable["flags"] & Flag.SEEDED) != 0) | (passed > 1 + LONGEST_GAP)
-    passed[unknown] = 0.0
-    passed[:1] = 0.0
-    return passed
+    effect = _bytes(usable["in_frame"])[:, _EFFECT_PLACE:][:, : IN_EFFECT.size]
+    age_us = effect[:, 0] + 256.0 * effect[:, 1]
+    found["since"] = age_us * (rate_hz / US_PER_S)
+    sent_seq = _bytes(records["out_frame"])[:, 0].astype(np.intp)
+    back = (sent_seq[rows] - effect[:, _SEQ_PLACE]) % SEQUENCES
+    told = sent_seq[np.maximum(rows - back, 0)] == effect[:, _SEQ_PLACE]
+    force = records["force_n"][np.maximum(rows - back, 0)]
+    granted = (usable["status"] & StatusBit.ENABLED) != 0
+    found["in_effect_n"] = np.where(granted, _last_known(force, told & (rows >= back)), 0.0)
+    delay = usable["delay_us"] * (rate_hz / US_PER_S)
+    found["delay"] = _last_known(delay, delay >= 0.0)
+    found["added_ns_per_m"] = usable["damping_effect_ns_per_m"]
+
+
+def _bytes(frames: NDArray[np.void]) -> NDArray[np.uint8]:
+    """Raw frames (n,) as bytes (n, size)."""
+    return np.ascontiguousarray(frames).view(np.uint8).reshape(len(frames), -1)
+
+
+def _last_known(values: NDArray[np.float64], known: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """`values` with each unknown one replaced by the last known before it; 0 before the first."""
+    places = np.maximum.accumulate(np.where(known, np.arange(len(values)), -1))
+    return np.where(places >= 0, values[np.maximum(places, 0)], 0.0)
 
 
 def _forces(found: Table, usable: Records, servo: ServoParams) -> None:

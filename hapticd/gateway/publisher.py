@@ -11,7 +11,6 @@ from typing import Any
 
 import msgpack
 import numpy as np
-from numpy.typing import NDArray
 
 from hapticd.faults import BY_NUMBER, FAULTS, Fault
 from hapticd.gateway.codec import finite
@@ -203,7 +202,9 @@ class Publisher:
             self.stages.add(block.records, self._origin.epoch)
             self._transitions.follow(block)
             self.flight.add(block, now_ns)
-            found += self._ticks(block, self._booked(block), wanted)
+            if block.lost:
+                self._ledger.forget()
+            found += self._ticks(block, wanted)
         self.flight.dump_if_due(now_ns)
         found += self._state_if_due(now_ns, unix_ns)
         found += [("event", _packed(event)) for event in self._journal.drain() if "event" in wanted]
@@ -228,23 +229,19 @@ class Publisher:
                 text=view.trouble,
             )
 
-    def _booked(self, block: RingBlock) -> NDArray[np.float64]:
-        if block.lost:
-            self._ledger.forget()
-        return self._ledger.take(block.records)
-
-    def _ticks(
-        self, block: RingBlock, energies: NDArray[np.float64], wanted: frozenset[str]
-    ) -> list[Message]:
+    def _ticks(self, block: RingBlock, wanted: frozenset[str]) -> list[Message]:
         found: list[Message] = []
         if "servo" in wanted:
             decimation = BY_NAME["servo"].decimation
+            energies = self._ledger.take(block.records)
             found += [
                 ("servo", payload)
                 for payload in servo_messages(
                     block, energies, self._origin, self._batch, decimation
                 )
             ]
+        else:
+            self._ledger.defer(block.records)
         if "servo.raw" in wanted:
             found.append(("servo.raw", raw_message(block, self._origin)))
         if "probe" in wanted:
