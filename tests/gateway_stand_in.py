@@ -126,7 +126,8 @@ class StandInServo:
         for _ in range(0 if self.deaf else 2):
             if command := self.mailbox.take():
                 self._command(command)
-        pressed, self.mailbox.stop_words[0] = self.mailbox.stop_words[0], 0
+        pressed = self.mailbox.stop_word.pressed
+        self.mailbox.stop_word.take_back()
         if pressed and self.state not in (State.STOPPED, State.FAULT):
             self.state = State.STOPPED
             self.fault = 1

@@ -16,6 +16,7 @@ from hapticd.errors import LinkLost, MailboxError
 from hapticd.faults import BY_CODE
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Flag, Result, Value
+from hapticd.mailbox.stop_word import press_stop
 from hapticd.params import HomeParams, InjectionParams, RealtimeParams, UsbParams
 from hapticd.servo.loop import ServoLoop
 from hapticd.servo.safety import State
@@ -276,7 +277,7 @@ def test_loop_that_is_entered_once_is_specialised():
 def test_stop_word_latches_without_a_gateway_and_reset_clears_it():
     with LockStep(servo_params(), board_params()) as stack:
         enable(stack, FIG_4)
-        stack.mailbox.stop_words[0] = 1
+        press_stop(stack.mailbox.folder)
         flown = records(stack.run(50))
         assert flown["state"][-1] == State.STOPPED
         assert flown["actor"][-1] == 2
@@ -396,11 +397,11 @@ def test_stop_page_survives_a_reset_in_the_same_tick():
     with LockStep(servo_params(), board_params()) as stack:
         enable(stack, FIG_4)
         stack.command(Command.RESET)  # refused while enabled
-        stack.mailbox.stop_words[0] = 1
+        press_stop(stack.mailbox.folder)
         assert records(stack.run(50))["state"][-1] == State.STOPPED
         stack.gateway.answers()
         stack.command(Command.RESET)
-        stack.mailbox.stop_words[0] = 1
+        press_stop(stack.mailbox.folder)
         assert records(stack.run(50))["state"][-1] == State.STOPPED
         stack.gateway.answers()
         assert stack.do(Command.RESET).result is Result.APPLIED
@@ -415,7 +416,7 @@ def test_stop_is_not_undone_by_a_reset_that_waits_for_the_board(page):
         stack.command(Command.RESET)
         stack.run(1)
         if page:
-            stack.mailbox.stop_words[0] = 1
+            press_stop(stack.mailbox.folder)
         else:
             stack.command(Command.STOP)
         flown = records(stack.run(50))

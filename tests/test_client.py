@@ -21,8 +21,8 @@ from hapticd.client.fast_stop import main, stop
 from hapticd.errors import CommandError, ConfigError, DaemonDown
 from hapticd.gateway.schemas import PROTOCOL_VERSION
 from hapticd.gateway.view import RECORD_DTYPE
-from hapticd.mailbox.client_side import press_stop
 from hapticd.mailbox.layout import Command, State
+from hapticd.mailbox.stop_word import press_stop
 from hapticd.units import NS_PER_S
 
 

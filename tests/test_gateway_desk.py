@@ -286,7 +286,7 @@ def test_silent_servo_is_down(rig: DeskRig) -> None:
 def test_silent_servo_still_gets_the_stop_page(rig: DeskRig) -> None:
     rig.pass_time(2000)
     assert rig.send(packed(cmd="stop"))[0]["error"]["code"] == "servo_down"
-    assert rig.servo.mailbox.stop_words[0] == 1
+    assert rig.servo.mailbox.stop_word.pressed
 
 
 def test_gateway_alone_answers_servo_down(tmp_path: Path, rig: DeskRig) -> None:

@@ -132,7 +132,7 @@ def test_what_came_during_a_standstill_is_dropped(rig: GatewayRig) -> None:
             " again"
         ),
     )
-    assert rig.ask(other, cmd="stop")["ok"] or rig.servo.mailbox.stop_words[0]
+    assert rig.ask(other, cmd="stop")["ok"] or rig.servo.mailbox.stop_word.pressed
     assert not [kind for kind, _ in rig.servo.taken if kind == Command.ENABLE]
     rig.servo.tick(SETTLING_NS // NS_PER_MS)
     assert rig.ask(client, cmd="reset")["ok"]

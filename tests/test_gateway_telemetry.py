@@ -30,6 +30,7 @@ from hapticd.gateway.telemetry import (
 from hapticd.gateway.view import RECORD_DTYPE
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import STAGES, Flag
+from hapticd.mailbox.stop_word import press_stop
 from hapticd.units import NS_PER_MS
 
 
@@ -369,7 +370,7 @@ def test_every_transition_is_an_event(rig: FeedRig) -> None:
 
 
 def test_stop_page_is_named_as_actor(rig: FeedRig) -> None:
-    rig.servo.mailbox.stop_words[0] = 1
+    press_stop(rig.servo.mailbox.folder)
     rig.servo.tick(20)
     rig.take("event")
     assert [event["name"] for event in rig.journal.recent if event["kind"] == "state"] == [

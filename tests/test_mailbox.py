@@ -11,7 +11,7 @@ import pytest
 
 from hapticd.errors import MailboxError
 from hapticd.mailbox import files, layout
-from hapticd.mailbox.client_side import GatewayMailbox, press_stop
+from hapticd.mailbox.client_side import GatewayMailbox
 from hapticd.mailbox.files import word_access
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.mailbox.servo_side import ServoMailbox
@@ -222,21 +222,6 @@ def test_truncated_file_is_refused_with_sizes(servo, tmp_path):
     os.truncate(tmp_path / files.MAILBOX, layout.MAILBOX_BYTES)
 
 
-def test_stop_word_reaches_the_servo_without_a_gateway(servo, tmp_path):
-    press_stop(tmp_path)
-    assert servo.stop_words[0] != 0
-
-
-def test_stop_page_may_be_written_by_the_group_and_nothing_else(servo, tmp_path):
-    modes = {
-        path.name: path.stat().st_mode & 0o777 for path in tmp_path.iterdir() if path.is_file()
-    }
-    assert modes[files.STOP] == 0o660
-    assert all(
-        mode == 0o600 for name, mode in modes.items() if name not in (files.STOP, files.REPORT)
-    )
-
-
 def test_clean_end_leaves_only_the_last_ring(tmp_path):
     mailbox = ServoMailbox(tmp_path, 1000.0, "", True, 5)
     mailbox.report({"a": 1})
@@ -330,18 +315,6 @@ def test_servo_says_again_who_it_is(servo, tmp_path):
     again = GatewayMailbox(tmp_path)
     assert (again.header.pid, again.epoch) == (os.getpid(), 5_000)
     again.close()
-
-
-def test_stop_page_of_a_dead_servo_says_so(tmp_path):
-    mailbox = ServoMailbox(tmp_path, 1000.0, "", True, 5)
-    press_stop(tmp_path)
-    os.close(mailbox._stop_claim)  # as the kernel does for a killed process
-    with pytest.raises(
-        MailboxError, match=r"stop: its servo has ended, and the board stopped with it"
-    ):
-        press_stop(tmp_path)
-    mailbox._stop_claim = os.open(os.devnull, os.O_RDONLY)
-    mailbox.close()
 
 
 @pytest.mark.parametrize(

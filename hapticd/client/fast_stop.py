@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from hapticd.errors import DaemonDown, HapticdError, MailboxError
-from hapticd.mailbox.client_side import press_stop
 from hapticd.mailbox.files import COMMAND_SOCKET, daemon_folder
+from hapticd.mailbox.stop_word import press_stop
 
 REPLY_TIMEOUT_MS = 40
 

@@ -47,8 +47,9 @@ from hapticd.gateway.journal import Actors, Journal
 from hapticd.gateway.limits import CommandLimits
 from hapticd.gateway.schemas import Hello, Perturb, Request, invalid, json_schema
 from hapticd.gateway.view import ServoView
-from hapticd.mailbox.client_side import Answer, press_stop
+from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import PERTURBATION_SAMPLES, Command, Result, values_of
+from hapticd.mailbox.stop_word import press_stop
 from hapticd.units import NS_PER_S, PROBE_RATE_HZ
 from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
 

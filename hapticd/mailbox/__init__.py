@@ -6,15 +6,16 @@ The servo creates and owns every file in the runtime folder; the gateway and oth
                     (servo -> gateway)
     telemetry.ring  one record per tick, SPSC; kept as last.ring for the flight recorder when a
                     servo starts anew
-    stop            one page; any non-zero value of its first word latches STOP (and is taken back
-                    to 0); its group may write it
+    stop            eight bytes; anything but zeros latches STOP (and is taken back to them); its
+                    group may write it, so it is read and never mapped
     perturbation    waveform in probe counts, written by the gateway while no perturbation runs
     servo.report    JSON: what the operating system granted, what the board said
 
     layout       every offset, record and number of these files: State, Command, Value, Result, Flag
     files        runtime_folder, daemon_folder; claims, maps, ordered words
     servo_side   ServoMailbox
-    client_side  GatewayMailbox, press_stop
+    client_side  GatewayMailbox
+    stop_word    StopWord, press_stop
 
 Which mailbox for which need: every value, in order, once -> command and answer ring; every value,
 lossy but counted -> telemetry; the latest value -> a word. A writer never waits: a full ring

@@ -1,7 +1,6 @@
 """The gateway's side of the mailbox.
 
-The gateway posts commands and reads answers and telemetry; anyone of the group may set the stop
-word.
+The gateway posts commands and reads answers and telemetry.
 """
 
 import json
@@ -40,20 +39,6 @@ class Answer(NamedTuple):
     first_tick: int
     ramp_end_tick: int
     effective: tuple[float, ...]
-
-
-def press_stop(folder: Path) -> None:
-    """Latch STOP in the servo of `folder` without the gateway. MailboxError if no servo is
-    there (any more).
-    """
-    path = folder / files.STOP
-    page = files.open_map(path, layout.STOP_BYTES)
-    memoryview(page).cast("Q")[0] = 1
-    if not files.is_held(path):
-        raise MailboxError(
-            f"{path}: its servo has ended, and the board stopped with it; start one with `hapticd"
-            " run`"
-        )
 
 
 class Noted(NamedTuple):

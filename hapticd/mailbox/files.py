@@ -148,26 +148,13 @@ def release(folder: Path, lock: str, descriptor: int) -> None:
     os.close(descriptor)
 
 
-def hold(path: Path) -> int:
-    """Show that the owner of the existing file `path` is alive, until the returned descriptor is
-    closed or this process ends.
-    """
-    with refusals(path):
-        descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    return descriptor
-
-
-def is_held(path: Path) -> bool:
-    """Whether somebody alive holds the existing file `path`."""
-    with refusals(path):
-        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+def is_locked(descriptor: int) -> bool:
+    """Whether somebody else, alive, holds the lock of the open file `descriptor`."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
-    finally:
-        os.close(descriptor)
+    fcntl.flock(descriptor, fcntl.LOCK_UN)
     return False
 
 
@@ -178,10 +165,16 @@ def write_whole(path: Path, text: str) -> Path:
     fresh = path.with_name(f"{path.name}.{os.getpid()}")
     with refusals(path):
         try:
-            fresh.write_text(text)
+            with open(fresh, "w", opener=_for_group_to_read) as file:
+                file.write(text)
             return fresh.replace(path)
         finally:
             fresh.unlink(missing_ok=True)
+
+
+def _for_group_to_read(path: str, flags: int) -> int:
+    """Opened so that the group may read what the umask lets it, and never write."""
+    return os.open(path, flags | os.O_CLOEXEC, 0o640)
 
 
 def remove(folder: Path, *names: str) -> None:
@@ -205,15 +198,14 @@ def keep_last(folder: Path) -> None:
         pass
 
 
-def create_map(path: Path, size: int, mode: int = 0o600) -> mmap.mmap:
+def create_map(path: Path, size: int) -> mmap.mmap:
     """A fresh zeroed file of `size` bytes, mapped shared and touched, in place of any stale
     one. MailboxError: no room.
     """
     with refusals(path):
         path.unlink(missing_ok=True)
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
         try:
-            os.fchmod(descriptor, mode)
             os.posix_fallocate(descriptor, 0, size)
             fresh = mmap.mmap(descriptor, size, mmap.MAP_SHARED | getattr(mmap, "MAP_POPULATE", 0))
         finally:

@@ -15,6 +15,7 @@ from typing import Any
 
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.files import word_access
+from hapticd.mailbox.stop_word import StopWord
 
 _ZEROS = (0.0,) * layout.COMMAND_VALUES
 _COUNTER = {name: layout.COUNTER_WORD + index for index, name in enumerate(layout.COUNTERS)}
@@ -34,15 +35,12 @@ class ServoMailbox:
         files.keep_last(folder)
         self._map = files.create_map(folder / files.MAILBOX, layout.MAILBOX_BYTES)
         self._ring = files.create_map(folder / files.TELEMETRY, layout.TELEMETRY_BYTES)
-        self._stop = files.create_map(folder / files.STOP, layout.STOP_BYTES, 0o660)
-        # so that who presses it knows that someone is there
-        self._stop_claim = files.hold(folder / files.STOP)
+        self.stop_word = StopWord(folder)
         self._wave = files.create_map(
             folder / files.PERTURBATION,
             layout.PERTURBATION_HEADER + 2 * layout.PERTURBATION_SAMPLES,
         )
         self.words = memoryview(self._map).cast("Q")
-        self.stop_words = memoryview(self._stop).cast("Q")
         self.waveform = memoryview(self._wave)[layout.PERTURBATION_HEADER :].cast("h")
         self.ring = memoryview(self._ring)
         self.ring_words = self.ring.cast("Q")
@@ -81,6 +79,7 @@ class ServoMailbox:
         self.store(layout.COMMAND_TAIL_WORD, self.taken)
         self.store(layout.ANSWER_HEAD_WORD, self._answered)
         self.store(layout.EPOCH_WORD, self._epoch)
+        self.stop_word.mend()
 
     def report(self, content: dict[str, Any]) -> None:
         """Replace servo.report; called while the loop stands still (start, re-plug)."""
@@ -190,5 +189,5 @@ class ServoMailbox:
         if clean:
             files.keep_last(self.folder)
             files.remove(self.folder, files.MAILBOX, files.STOP, files.PERTURBATION, files.REPORT)
-        os.close(self._stop_claim)
+        self.stop_word.close()
         files.release(self.folder, files.SERVO_LOCK, self._claim)

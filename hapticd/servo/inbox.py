@@ -131,9 +131,9 @@ class Inbox:
         resets = any(request[KIND] == Command.RESET for request in found)
         if resets and head[HEAD_STATUS] & CLEARABLE:
             found = self._ask_board(found, tick)
-        if self._mailbox.stop_words[0]:
+        if self._mailbox.stop_word.pressed:
             # before it is obeyed: a press from here on is another one
-            self._mailbox.stop_words[0] = 0
+            self._mailbox.stop_word.take_back()
             found.append((0, Command.STOP, ACTOR_STOP_WORD, 0, _NO_VALUES))
         found += self._due(tick, any(request[KIND] == Command.STOP for request in found))
         if self._too_many_lost(plan):

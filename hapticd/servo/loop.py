@@ -25,6 +25,7 @@ What would break it: a name of `run` that a closure shares (it becomes a cell, s
 something slow before the record is published, a rehearsal that has an effect.
 """
 
+import os
 import time
 from collections.abc import Callable
 
@@ -36,6 +37,7 @@ from hapticd.mailbox import layout
 from hapticd.mailbox.files import plain_store
 from hapticd.mailbox.layout import Flag
 from hapticd.mailbox.servo_side import ServoMailbox
+from hapticd.mailbox.stop_word import NOT_PRESSED, READ_BYTES
 from hapticd.params import ScaleParams, ServoParams
 from hapticd.servo.inbox import Inbox, Streamer
 from hapticd.servo.plan import (
@@ -159,7 +161,8 @@ class ServoLoop:
         inbox = self.inbox
         streamer = self.streamer
         words = mailbox.words
-        stop_words = mailbox.stop_words
+        pread = os.pread
+        stop_word = mailbox.stop_word.descriptor
         ring = mailbox.ring
         publish = mailbox.publish_head
         pack = layout.RECORD.pack_into
@@ -242,7 +245,8 @@ class ServoLoop:
             commands: tuple[Request, ...] = ()
             # a plain load of the head is a hint, at worst a tick old; `take` loads it in order
             if (
-                stop_words[0]
+                # read, not mapped: others may cut this file short (`mailbox.stop_word`)
+                pread(stop_word, READ_BYTES, 0) != NOT_PRESSED
                 or words[head_word] != mailbox.taken
                 or inbox.waiting
                 or streamer.playing
@@ -371,7 +375,7 @@ class ServoLoop:
         device = self.device
         step = self.step
         words = self.mailbox.words
-        stop_words = self.mailbox.stop_words
+        stop_word = self.mailbox.stop_word.descriptor
         pack = layout.RECORD.pack_into
         ring = self.mailbox.ring
         in_bytes = device.in_buffer.tobytes
@@ -386,7 +390,7 @@ class ServoLoop:
             if self.tick < settled.wake_tick:
                 step(self.state, (), (*sample, 0, settled.host, 0, 0.0), self.tick)
             _ = (
-                stop_words[0],
+                os.pread(stop_word, READ_BYTES, 0),
                 words[layout.COMMAND_HEAD_WORD],
                 words[layout.GATEWAY_BEAT_WORD],
                 in_bytes(),

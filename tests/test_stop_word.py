@@ -1,0 +1,253 @@
+"""Whoever may write the stop word may only stop: what he does to the file, the servo ends up
+stopped, its process lives, and the word works again.
+"""
+
+import os
+import shutil
+import stat
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gateway_rig import GatewayRig
+from models import board_params, servo_params
+
+from hapticd.assembly import resolve
+from hapticd.assembly.lockstep import LockStep
+from hapticd.errors import MailboxError
+from hapticd.mailbox import files, layout
+from hapticd.mailbox.layout import Command, Result, State, Value
+from hapticd.mailbox.servo_side import ServoMailbox
+from hapticd.mailbox.stop_word import (
+    MODE,
+    NOT_PRESSED,
+    StopWord,
+    press_stop,
+    servo_lives,
+    stop_taken,
+)
+from hapticd.settings.load import load
+from hapticd.settings.toml import shipped
+
+MENDED_TICKS = 256  # between two looks at what stands under the word's name
+FIG_4 = {Value.STIFFNESS: 100.0, Value.DAMPING: 1.0, Value.MASS: 0.010, Value.RAMP_S: 0.0}
+ENABLE_TICKS = 520
+DTYPE = np.dtype([tuple(field) for field in layout.TELEMETRY])
+
+
+@pytest.fixture
+def stack() -> Iterator[LockStep]:
+    """A servo that renders."""
+    with LockStep(servo_params(), board_params()) as found:
+        found.run(5)
+        assert found.do(Command.SET, FIG_4).result is Result.APPLIED
+        assert found.do(Command.ENABLE).result is Result.APPLIED
+        found.run(ENABLE_TICKS)
+        yield found
+
+
+def states(stack: LockStep, ticks: int) -> list[int]:
+    found: list[int] = np.frombuffer(stack.run(ticks), DTYPE)["state"].tolist()
+    return found
+
+
+def cut_short(path: Path) -> None:
+    os.truncate(path, 0)
+
+
+def cut_by_a_byte(path: Path) -> None:
+    os.truncate(path, 7)
+
+
+def extended(path: Path) -> None:
+    os.truncate(path, 1 << 40)
+
+
+def written_over(path: Path) -> None:
+    with path.open("r+b") as file:
+        file.write(b"\0\0\0\0\0\0\0 ")
+
+
+def removed(path: Path) -> None:
+    path.unlink()
+
+
+def replaced(path: Path) -> None:
+    path.unlink()
+    path.write_bytes(NOT_PRESSED)
+
+
+def made_a_pipe(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path)
+
+
+def made_a_link(path: Path) -> None:
+    elsewhere = path.with_name("elsewhere")
+    path.rename(elsewhere)
+    path.symlink_to(elsewhere)
+
+
+def made_a_folder(path: Path) -> None:
+    path.unlink()
+    (path / "x").mkdir(parents=True)
+
+
+def closed_to_the_group(path: Path) -> None:
+    path.chmod(0o600)
+
+
+Mischief = Callable[[Path], None]
+SEEN_AT_ONCE = [press_stop, cut_short, cut_by_a_byte, extended, written_over]
+SEEN_BY_NAME = [removed, replaced, made_a_pipe, made_a_link, closed_to_the_group]
+
+
+def at(path: Path, mischief: Mischief) -> None:
+    mischief(path.parent if mischief is press_stop else path)
+
+
+@pytest.mark.parametrize("mischief", SEEN_AT_ONCE)
+def test_whatever_is_written_into_the_word_stops_in_the_next_tick(
+    stack: LockStep, mischief: Mischief
+) -> None:
+    at(stack.mailbox.folder / files.STOP, mischief)
+    assert states(stack, 1) == [State.STOPPED]
+
+
+@pytest.mark.parametrize("mischief", SEEN_BY_NAME)
+def test_word_that_is_not_the_servos_own_any_more_stops_within_256_ticks(
+    stack: LockStep, mischief: Mischief
+) -> None:
+    at(stack.mailbox.folder / files.STOP, mischief)
+    assert states(stack, MENDED_TICKS + 1)[-1] == State.STOPPED
+
+
+@pytest.mark.parametrize("mischief", [*SEEN_AT_ONCE, *SEEN_BY_NAME])
+def test_servo_serves_again_after_mischief_and_the_word_stops_again(
+    stack: LockStep, mischief: Mischief
+) -> None:
+    folder = stack.mailbox.folder
+    at(folder / files.STOP, mischief)
+    stack.run(2 * MENDED_TICKS)
+    assert stack.do(Command.RESET).result is Result.APPLIED
+    assert stack.do(Command.ENABLE).result is Result.APPLIED
+    assert states(stack, 2 * MENDED_TICKS)[-1] == State.ENABLED
+    press_stop(folder)
+    assert states(stack, 1) == [State.STOPPED]
+    assert stop_taken(folder)
+    found = (folder / files.STOP).lstat()
+    assert (stat.S_ISREG(found.st_mode), stat.S_IMODE(found.st_mode)) == (True, MODE)
+    assert found.st_size == len(NOT_PRESSED)
+
+
+def test_word_that_cannot_be_mended_stays_a_stop(stack: LockStep) -> None:
+    made_a_folder(stack.mailbox.folder / files.STOP)
+    assert states(stack, MENDED_TICKS + 1)[-1] == State.STOPPED
+    assert stack.do(Command.RESET).result is Result.APPLIED
+    assert states(stack, MENDED_TICKS + 1)[-1] == State.STOPPED
+    shutil.rmtree(stack.mailbox.folder / files.STOP)
+
+
+def test_word_that_is_written_all_the_time_only_stops(stack: LockStep) -> None:
+    for _ in range(50):
+        press_stop(stack.mailbox.folder)
+        assert states(stack, 1) == [State.STOPPED]
+    assert not stack.mailbox.stop_word.pressed
+    assert stack.do(Command.RESET).result is Result.APPLIED
+
+
+def test_press_between_reset_and_enable_keeps_the_servo_stopped(stack: LockStep) -> None:
+    press_stop(stack.mailbox.folder)
+    stack.run(50)
+    stack.command(Command.RESET)
+    stack.command(Command.ENABLE)
+    press_stop(stack.mailbox.folder)
+    assert states(stack, 3)[-1] == State.STOPPED
+
+
+# --- who presses ----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def servo(tmp_path: Path) -> Iterator[ServoMailbox]:
+    mailbox = ServoMailbox(tmp_path, 1000.0, "", True, 5_000)
+    mailbox.publish()
+    yield mailbox
+    mailbox.close()
+
+
+def test_press_is_taken_back_by_whoever_obeys(servo: ServoMailbox, tmp_path: Path) -> None:
+    assert not servo.stop_word.pressed
+    press_stop(tmp_path)
+    assert servo.stop_word.pressed
+    assert not stop_taken(tmp_path)
+    servo.stop_word.take_back()
+    assert stop_taken(tmp_path)
+
+
+def test_word_of_a_dead_servo_says_so(tmp_path: Path) -> None:
+    (tmp_path / files.STOP).write_bytes(NOT_PRESSED)  # as a killed process leaves it
+    assert not servo_lives(tmp_path)
+    with pytest.raises(
+        MailboxError, match=r"stop: its servo has ended, and the board stopped with it"
+    ):
+        press_stop(tmp_path)
+
+
+def test_word_is_held_as_soon_as_it_has_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[bool] = []
+    replace = Path.replace
+
+    def watched(self: Path, target: Path) -> Path:
+        moved = replace(self, target)
+        seen.append(servo_lives(tmp_path))
+        return moved
+
+    monkeypatch.setattr(Path, "replace", watched)
+    word = StopWord(tmp_path)
+    assert seen == [True]
+    word.close()
+    assert not servo_lives(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("mischief", "said"),
+    [
+        (made_a_pipe, "is no file; remove it"),
+        (made_a_folder, "Is a directory"),
+        (made_a_link, "Too many levels of symbolic links"),
+        (removed, "No such file or directory; no servo runs there"),
+    ],
+)
+def test_what_is_no_word_is_refused_without_waiting(
+    tmp_path: Path, mischief: Mischief, said: str
+) -> None:
+    (tmp_path / files.STOP).write_bytes(NOT_PRESSED)
+    mischief(tmp_path / files.STOP)
+    with pytest.raises(MailboxError, match=said):
+        press_stop(tmp_path)
+    assert not servo_lives(tmp_path)
+    assert not stop_taken(tmp_path)
+
+
+# --- rights of every file -------------------------------------------------------------------------
+
+
+def test_group_may_write_the_stop_word_and_no_other_file(runtime: Path) -> None:
+    """Even with a umask that leaves the group every right; sockets are how it commands."""
+    folder = files.prepare_folder(files.runtime_folder())
+    before = os.umask(0)
+    try:
+        resolve.write(folder, load(shipped("config") / "hapticd.toml"), "default")
+        with GatewayRig(folder) as rig:
+            rig.servo.mailbox.report({"a": 1})
+            modes = {path.name: path.lstat().st_mode for path in folder.iterdir()}
+    finally:
+        os.umask(before)
+    plain = {name: stat.S_IMODE(mode) for name, mode in modes.items() if stat.S_ISREG(mode)}
+    assert plain.pop(files.STOP) == MODE
+    assert {files.MAILBOX, files.REPORT, files.ENDPOINTS, files.SERVO_JSON} <= set(plain)
+    assert not {name: oct(mode) for name, mode in plain.items() if mode & 0o027}
