@@ -65,9 +65,10 @@ def runtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
     monkeypatch.setenv("XDG_CONFIG_HOME", str(folder / "config"))
     monkeypatch.setenv("XDG_STATE_HOME", str(folder / "state"))
-    monkeypatch.setattr(
-        files, "SERVICE_FOLDER", folder / "no-service"
-    )  # whatever runs on this machine
+    # whatever runs on this machine
+    monkeypatch.setattr(files, "SERVICE_FOLDER", folder / "no-service")
+    monkeypatch.setattr(files, "SESSION_FOLDERS", folder / "no-sessions")
+    monkeypatch.setattr(files, "MEMORY_FOLDER", folder / "no-memory")
     yield folder
     shutil.rmtree(folder)
 

@@ -322,16 +322,16 @@ def test_colour_only_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("words", "instance"),
     [
-        ([], "default"),
-        (["--json"], "default"),
+        ([], None),
+        (["--json"], None),
         (["--instance", "a"], "a"),
         (["--json", "--instance=b"], "b"),
     ],
 )
 def test_stop_takes_the_short_way(
-    monkeypatch: pytest.MonkeyPatch, words: list[str], instance: str
+    monkeypatch: pytest.MonkeyPatch, words: list[str], instance: str | None
 ) -> None:
-    asked: list[tuple[str, bool]] = []
+    asked: list[tuple[str | None, bool]] = []
     monkeypatch.setattr(fast_stop, "main", lambda name, as_json: asked.append((name, as_json)) or 0)
     monkeypatch.setattr("sys.argv", ["hapticd", "stop", *words])
     assert entry.main() == 0

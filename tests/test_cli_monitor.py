@@ -211,7 +211,7 @@ def test_space_and_escape_stop_the_daemon(
     monkeypatch.setattr(fast_stop, "stop", stopped.append)
     play(monkeypatch, clock, [block(20 * i) for i in range(10)])
     monitor.watch("left", None, lambda *view: None)
-    assert [folder.name for folder in stopped] == ["instance-left"]
+    assert stopped == ["left"]
 
 
 def test_arrow_keys_do_not_stop(monkeypatch: pytest.MonkeyPatch, clock: VirtualClock) -> None:

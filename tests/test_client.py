@@ -15,9 +15,8 @@ import pytest
 import zmq
 from gateway_rig import GatewayRig, running
 
-from hapticd.client import Client, Receipt, fast_stop
+from hapticd.client import Client, Receipt
 from hapticd.client.client import Conversation, TimedOut, accepted, receipt_of
-from hapticd.client.fast_stop import main, stop
 from hapticd.errors import CommandError, ConfigError, DaemonDown
 from hapticd.gateway.schemas import PROTOCOL_VERSION
 from hapticd.gateway.view import RECORD_DTYPE
@@ -371,33 +370,6 @@ def test_servo_down_is_daemon_down(client: Client, rig: GatewayRig) -> None:
 
 
 # --- the short way to a stop ----------------------------------------------------------------------
-
-
-def test_fast_stop_asks_the_gateway(
-    rig: GatewayRig, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(fast_stop, "REPLY_TIMEOUT_MS", 10_000)
-    assert stop(rig.folder)["state"] == "stopped"
-    assert Command.STOP in [kind for kind, _ in rig.servo.taken]
-    assert main("default", False) == 0
-    assert capsys.readouterr().out == "stopped: force off; `hapticd reset` when it is safe\n"
-    assert main("default", True) == 0
-    assert '"state": "stopped"' in capsys.readouterr().out
-
-
-def test_fast_stop_presses_the_page(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with GatewayRig(folder) as rig:  # nobody steps the gateway
-        assert main("default", False) == 0
-        assert "stop page pressed" in capsys.readouterr().out
-        rig.servo.tick()
-        assert rig.servo.state is State.STOPPED
-
-
-def test_fast_stop_of_nothing_exits_3(runtime: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main("default", False) == 3
-    assert "no daemon runs there; start it with `hapticd run`" in capsys.readouterr().err
-    assert main("default", True) == 3
-    assert '"ok": false' in capsys.readouterr().out
 
 
 @pytest.mark.process

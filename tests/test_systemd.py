@@ -23,6 +23,8 @@ from hapticd.cli.app import main
 from hapticd.clock import VirtualClock
 from hapticd.errors import ConfigError
 from hapticd.mailbox import files, layout
+from hapticd.mailbox.daemons import daemon_folder
+from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.params import RealtimeParams, UsbParams
 from hapticd.settings.load import Override, load
 from hapticd.settings.toml import shipped
@@ -234,13 +236,14 @@ def test_client_finds_the_service_when_alone(
 ) -> None:
     service = runtime / "service"
     monkeypatch.setattr(files, "SERVICE_FOLDER", service)
-    assert files.daemon_folder() == files.runtime_folder()
+    assert daemon_folder() == files.runtime_folder()
     service.mkdir()
-    assert files.daemon_folder() == service
-    assert files.daemon_folder("rig-2") == files.runtime_folder("rig-2")
-    files.runtime_folder().mkdir(exist_ok=True)
-    (files.runtime_folder() / files.COMMAND_SOCKET).touch()
-    assert files.daemon_folder() == files.runtime_folder()
+    assert daemon_folder() == service
+    assert daemon_folder("rig-2") == files.runtime_folder("rig-2")
+    own = ServoMailbox(files.runtime_folder(), 1000.0, "", True, 5)
+    assert daemon_folder() == files.runtime_folder()
+    own.close()
+    assert daemon_folder() == service
 
 
 # --- what systemd hears ---------------------------------------------------------------------------

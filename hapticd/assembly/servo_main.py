@@ -131,6 +131,8 @@ class Servo:
         if hello is not None:
             board["protocol_hash"] = hello.protocol_hash.hex()
         return {
+            "instance": self.params.instance,
+            "device": f"{self.params.device.name}, {self.params.device.serial}",
             "board": board,
             "simulated": self.params.simulated,
             "period_us": US_PER_S / self.params.realtime.rate_hz,

@@ -251,9 +251,17 @@ def disable(
     change(instance, as_json, lambda client: client.disable())
 
 
-def stop(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False) -> None:
-    """Stop: force to 0 at once, latched until `hapticd reset`. Anyone may, at any time;
-    never refused.
+WhichOnes = Annotated[
+    str | None,
+    typer.Option(
+        "--instance", metavar="NAME", help="This one alone; else all of yours and the service."
+    ),
+]
+
+
+def stop(instance: WhichOnes = None, as_json: terminal.Json = False) -> None:
+    """Stop every daemon of yours and the service: force to 0 at once, latched until
+    `hapticd reset`. Anyone may, at any time; never refused.
     """
     from hapticd.client.fast_stop import main
 

@@ -139,10 +139,9 @@ def _blocks(client: "Client") -> "Generator[Block | None, None, None]":
 
 def _press_stop(instance: str) -> None:
     from hapticd.client.fast_stop import stop
-    from hapticd.mailbox.files import daemon_folder
 
     try:
-        stop(daemon_folder(instance))
+        stop(instance)
     except HapticdError as error:
         terminal.talk(f"hapticd: stop: {error}")
 

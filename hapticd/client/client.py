@@ -29,7 +29,8 @@ from numpy.typing import ArrayLike
 from hapticd.client.blocks import Block, BlockDecoder, Records
 from hapticd.errors import CommandError, ConfigError, DaemonDown, MailboxError
 from hapticd.gateway.codec import MAX_MESSAGE_BYTES
-from hapticd.mailbox.files import COMMAND_SOCKET, DEFAULT_INSTANCE, TELEMETRY_SOCKET, daemon_folder
+from hapticd.mailbox.daemons import daemon_folder
+from hapticd.mailbox.files import COMMAND_SOCKET, DEFAULT_INSTANCE, TELEMETRY_SOCKET
 from hapticd.mailbox.stop_word import press_stop
 from hapticd.units import NS_PER_S
 

@@ -19,7 +19,8 @@ from typing import NamedTuple
 
 from hapticd.doctor.machine import CAP_IPC_LOCK, CAP_SYS_NICE, Machine, cores_in
 from hapticd.mailbox import files, layout
-from hapticd.mailbox.files import DEFAULT_INSTANCE, daemon_folder
+from hapticd.mailbox.daemons import daemon_folder
+from hapticd.mailbox.files import DEFAULT_INSTANCE
 from hapticd.params import RealtimeParams, UsbParams
 from hapticd.settings.build import gateway_params, servo_params
 from hapticd.settings.load import Settings

@@ -12,7 +12,8 @@ The servo creates and owns every file in the runtime folder; the gateway and oth
     servo.report    JSON: what the operating system granted, what the board said
 
     layout       every offset, record and number of these files: State, Command, Value, Result, Flag
-    files        runtime_folder, daemon_folder; claims, maps, ordered words
+    files        runtime_folder; claims, maps, ordered words
+    daemons      daemon_folder; where daemons may run, which folders are believed, who is alive
     servo_side   ServoMailbox
     client_side  GatewayMailbox
     stop_word    StopWord, press_stop

@@ -41,8 +41,11 @@ ENDPOINTS = "endpoints.json"
 SERVO_LOCK = "servo.lock"
 GATEWAY_LOCK = "gateway.lock"
 DEFAULT_INSTANCE = "default"
+INSTANCE_PREFIX = "instance-"  # of the folder of any other one
 LONGEST_NAME = 64
 SERVICE_FOLDER = Path("/run/hapticd")  # RuntimeDirectory= of the systemd units
+SESSION_FOLDERS = Path("/run/user")  # where logind makes XDG_RUNTIME_DIR, by user number
+MEMORY_FOLDER = Path("/dev/shm")
 
 
 def runtime_folder(instance: str = DEFAULT_INSTANCE) -> Path:
@@ -63,19 +66,7 @@ def runtime_folder(instance: str = DEFAULT_INSTANCE) -> Path:
         base = Path(systemd.split(":")[0])
     else:
         base = Path(session) / "hapticd" if session else _memory_folder() / f"hapticd-{os.getuid()}"
-    return base if instance == DEFAULT_INSTANCE else base / f"instance-{instance}"
-
-
-def daemon_folder(instance: str = DEFAULT_INSTANCE) -> Path:
-    """Where a client finds the daemon `instance`: in this user's own folder, or else in the system
-    service's if that is there.
-
-    Only the default instance is a service. Not created, not checked.
-    """
-    own = runtime_folder(instance)
-    there = any(os.path.exists(own / name) for name in (COMMAND_SOCKET, MAILBOX))
-    service = instance == DEFAULT_INSTANCE and not there and os.path.isdir(SERVICE_FOLDER)
-    return SERVICE_FOLDER if service else own
+    return base if instance == DEFAULT_INSTANCE else base / f"{INSTANCE_PREFIX}{instance}"
 
 
 @contextmanager
@@ -90,7 +81,7 @@ def refusals(path: Path) -> Iterator[None]:
 
 
 def _memory_folder() -> Path:
-    memory = Path("/dev/shm")
+    memory = MEMORY_FOLDER
     return memory if os.access(memory, os.W_OK | os.X_OK) else Path(tempfile.gettempdir())
 
 
@@ -98,23 +89,37 @@ def prepare_folder(folder: Path) -> Path:
     """Make `folder` (0700) and check that it is ours. Raises MailboxError when someone else
     owns it, or it cannot be made.
     """
-    for step in (folder.parent, folder) if folder.name.startswith("instance-") else (folder,):
+    for step in (folder.parent, folder) if folder.name.startswith(INSTANCE_PREFIX) else (folder,):
         with refusals(step):
             step.mkdir(mode=0o700, parents=True, exist_ok=True)
-            found = step.lstat()
-        if stat.S_ISLNK(found.st_mode):
-            raise MailboxError(f"{step} is a link; remove it or set XDG_RUNTIME_DIR")
-        if found.st_uid != os.getuid():
-            raise MailboxError(
-                f"{step} belongs to user {found.st_uid}, not to {os.getuid()}; remove it or set"
-                " XDG_RUNTIME_DIR"
-            )
-        if found.st_mode & 0o022:
-            raise MailboxError(
-                f"{step} may be written by others (mode {stat.S_IMODE(found.st_mode):o}); chmod"
-                " 700 it"
-            )
+        check_own(step)
     return folder
+
+
+def check_own(folder: Path) -> None:
+    """Return if `folder` is a real folder of ours that nobody else may write, else MailboxError."""
+    with refusals(folder):
+        owner = folder.lstat().st_uid
+    check_closed(folder)
+    if owner != os.getuid():
+        raise MailboxError(
+            f"{folder} belongs to user {owner}, not to {os.getuid()}; remove it or set"
+            " XDG_RUNTIME_DIR"
+        )
+
+
+def check_closed(folder: Path) -> None:
+    """Return if `folder` is a real folder that only its owner may write, else MailboxError."""
+    with refusals(folder):
+        mode = folder.lstat().st_mode
+    if stat.S_ISLNK(mode):
+        raise MailboxError(f"{folder} is a link; remove it or set XDG_RUNTIME_DIR")
+    if not stat.S_ISDIR(mode):
+        raise MailboxError(f"{folder} is no folder; remove it or set XDG_RUNTIME_DIR")
+    if mode & 0o022:
+        raise MailboxError(
+            f"{folder} may be written by others (mode {stat.S_IMODE(mode):o}); chmod 700 it"
+        )
 
 
 def claim(folder: Path, lock: str) -> int:

@@ -1,0 +1,133 @@
+"""Which daemons there are: the folders in which one may run, which of them are believed, and
+whether someone alive is in them.
+
+A daemon has its folder where its environment said when it was started, which need not be the
+environment of who looks for it (a session, a ssh login, cron, systemd): all places are looked at.
+
+A folder is believed if it is a folder and no link, belongs to us, and nobody else may write it. The
+service's folder belongs to another user; it is believed because only root can put something where
+it stands. Names in shared memory and in the temporary folder can be taken by anyone, so that what
+stands there may be a stranger's trap: it is refused by name, and nothing in it is opened.
+
+Alive is who holds the stop word, or listens at the gateway's socket. Files alone mean nothing: a
+daemon that was killed leaves them all behind.
+
+What would break it: something slow at the top or a wait in here (`hapticd stop` begins so).
+"""
+
+import os
+import socket
+import stat
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+from hapticd.errors import MailboxError
+from hapticd.mailbox import files
+from hapticd.mailbox.files import DEFAULT_INSTANCE, INSTANCE_PREFIX
+from hapticd.mailbox.stop_word import servo_lives
+
+
+class Place(NamedTuple):
+    """A folder in which a daemon may run, and the name of that daemon."""
+
+    folder: Path
+    instance: str
+
+
+def daemon_folder(instance: str = DEFAULT_INSTANCE) -> Path:
+    """Where a client finds the daemon `instance`: in this user's own folder, or else in the system
+    service's if that is there.
+
+    Only the default instance is a service. MailboxError: a folder that is there and not believed.
+    """
+    own = files.runtime_folder(instance)
+    believe(own)
+    service = files.SERVICE_FOLDER
+    if instance != DEFAULT_INSTANCE or lives(own) or not os.path.lexists(service):
+        return own
+    believe(service)
+    return service
+
+
+def places(instance: str | None) -> list[Place]:
+    """Where daemons of this user and the service may run; `instance` None: all of them.
+
+    Not believed yet, and most of them do not exist.
+    """
+    found: list[Place] = []
+    for base in _bases():
+        if instance in (None, DEFAULT_INSTANCE):
+            found.append(Place(base, DEFAULT_INSTANCE))
+        names = _instances(base) if instance is None else [instance]
+        found += [
+            Place(base / f"{INSTANCE_PREFIX}{name}", name)
+            for name in names
+            if name != DEFAULT_INSTANCE
+        ]
+    return found
+
+
+def _bases() -> list[Path]:
+    uid = os.getuid()
+    own = files.runtime_folder()
+    session = files.SESSION_FOLDERS / str(uid) / "hapticd"
+    shared = [files.MEMORY_FOLDER / f"hapticd-{uid}", Path(tempfile.gettempdir(), f"hapticd-{uid}")]
+    return list(dict.fromkeys([own, session, *shared, files.SERVICE_FOLDER]))
+
+
+def _instances(base: Path) -> list[str]:
+    """Names of the instances below `base`, if that is ours to look into."""
+    try:
+        believe(base)
+        entries = sorted(os.listdir(base)) if os.path.isdir(base) else []
+    except (OSError, MailboxError):
+        return []
+    return [
+        name.removeprefix(INSTANCE_PREFIX) for name in entries if name.startswith(INSTANCE_PREFIX)
+    ]
+
+
+def believe(folder: Path) -> None:
+    """Return if `folder` is not there or may be believed, else MailboxError with its name."""
+    steps = (folder.parent, folder) if folder.name.startswith(INSTANCE_PREFIX) else (folder,)
+    for step in steps:
+        if not os.path.lexists(step):
+            return
+        if step == files.SERVICE_FOLDER:
+            _believe_service(step)
+        else:
+            files.check_own(step)
+
+
+def _believe_service(folder: Path) -> None:
+    above = folder.parent.stat()
+    if above.st_uid not in (0, os.getuid()) or above.st_mode & 0o022:
+        raise MailboxError(
+            f"{folder}: {folder.parent} belongs to user {above.st_uid}, mode"
+            f" {stat.S_IMODE(above.st_mode):o}: others may have put it there; remove it"
+        )
+    files.check_closed(folder)
+    if not os.access(folder, os.R_OK | os.X_OK, effective_ids=True):
+        raise MailboxError(
+            f"{folder}: you may not enter the service's folder; have yourself added to its group"
+            " (`usermod --append --groups hapticd NAME`) and log in again"
+        )
+
+
+def lives(folder: Path) -> bool:
+    """Whether a servo or a gateway is alive in `folder`."""
+    return servo_lives(folder) or gateway_lives(folder)
+
+
+def gateway_lives(folder: Path) -> bool:
+    """Whether somebody listens at the command socket of `folder`; a queue that is full is one."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.setblocking(False)
+        try:
+            probe.connect(os.fspath(folder / files.COMMAND_SOCKET))
+        except BlockingIOError:
+            return True
+        except OSError:
+            return False
+    return True
