@@ -11,6 +11,7 @@ from models import COUNT_N, board_params, device_params, servo_params
 from hapticd.assembly.lockstep import LockStep
 from hapticd.faults import BY_CODE
 from hapticd.mailbox.layout import Command, Value
+from hapticd.mailbox.stop_word import press_stop
 from hapticd.params import HomeParams, SafetyParams, ScaleParams
 from hapticd.servo import safety
 from hapticd.servo.plan import SETTLED
@@ -119,7 +120,7 @@ def test_commands_repeated_every_tick_never_renew_a_fading_force(kinds):
         for _ in range(FADE_TICKS + 30):
             for kind in kinds:
                 stack.command(kind)
-            stack.mailbox.stop_words[0] = 1
+            press_stop(stack.mailbox.folder)
             stack.run(1)
             stack.gateway.answers()
             forces.append(abs(axis.force_n))
