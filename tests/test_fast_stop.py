@@ -232,6 +232,8 @@ def test_service_that_may_not_be_entered_is_one_clear_sentence(
     service: Path, words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     service.parent.chmod(0o755)
+    assert command_line(words) == DaemonDown.exit_code  # loads what may not be readable below
+    capsys.readouterr()
     service.chmod(0)
     with without_rights():
         code = command_line(words)
