@@ -6,6 +6,7 @@ rebuilds a tree and refuses unknown or missing keys.
 """
 
 import dataclasses
+import math
 import types
 import typing
 from dataclasses import dataclass, field
@@ -129,6 +130,9 @@ class DeviceParams:
     relies_on: tuple[str, ...] = ()
     # corner of a first-order low-pass on the commanded force, where a model knows it; 0: none
     force_smoothing_hz: float = 0.0
+    # largest step of force [N] in one tick by an enable or a change of parameters; infinite for
+    # recordings of versions that had no bound
+    force_step_n: float = math.inf
 
     def temperature_counts(self, low: int, high: int) -> tuple[int, int]:
         """Lowest and highest count, inside `low`..`high`, of a temperature that is allowed: a

@@ -73,6 +73,7 @@ class Flight:
         self.state, out = self.step(self.state, commands, sample, self.tick)
         self.tick += 1
         self.answers += out[10]
+        self.out = out
         return out
 
     @property

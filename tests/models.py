@@ -42,6 +42,7 @@ def device_params(**changes: Any) -> DeviceParams:
         probe_limit_n=1.0,
         temperature_limit_c=120.0,
         speed_limit_m_per_s=20.0,
+        force_step_n=1.0,
     )
     return dataclasses.replace(base, **changes)
 

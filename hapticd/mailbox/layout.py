@@ -305,6 +305,7 @@ class Flag(IntEnum):
     WRITE_FAILED = 128
     RAMPING = 256
     QUIET_RAMP = 512  # force returns from 0 after a gap
+    EASED = 1024  # parameters wait for the force step that the device allows (servo.easing)
 
 
 LAYOUT_HASH = hashlib.sha256(

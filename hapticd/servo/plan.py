@@ -295,25 +295,9 @@ def damping_count(level: float, params: ServoParams) -> int:
 def flat_plan(
     plan: Plan, tick: int, params: ServoParams, workspace: WorkspaceParams, limit_n: float
 ) -> FlatPlan:
-    """The flat form of `plan` at `tick`. Ends of the workspace, walls and K-B-M all carry the
-    gain.
-    """
+    """The flat form of `plan` at `tick`."""
     gain = plan.gain.value(tick)
     at = {place: ramp.value(tick) for place, ramp in plan.values.items()}
-    environment = (
-        gain * at[Value.STIFFNESS],
-        gain * at[Value.DAMPING],
-        gain * at[Value.MASS],
-        _bias(plan, tick),
-        limit_n,
-        gain * at[Value.WALL_STIFFNESS],
-        gain * at[Value.WALL_DAMPING],
-        at[Value.WALL_POSITION],
-        at[Value.WALL_SIDE],
-        workspace.lower_m,
-        workspace.upper_m,
-        gain * workspace.stiffness_n_per_m,
-    )
     count = damping_count(plan.added, params)
     added = params.device.damping.to_value(count)
     blob = layout.PLAN.pack(
@@ -331,7 +315,35 @@ def flat_plan(
         added_target(plan, tick, params),
         added,
     )
+    environment = environment_of(plan, tick, workspace, limit_n)
     return FlatPlan(wake_tick(plan, tick, params), environment, count, blob)
+
+
+def environment_of(
+    plan: Plan, tick: int, workspace: WorkspaceParams, limit_n: float
+) -> Environment:
+    """The law's numbers at `tick`.
+
+    K-B-M, walls, ends of the workspace and the limit all carry the gain: it is one of the force, so
+    that a force at its limit comes and goes along the ramp too.
+    """
+    gain = plan.gain.value(tick)
+    at = plan.values
+    bias = _bias(plan, tick)
+    return (
+        gain * at[Value.STIFFNESS].value(tick),
+        gain * at[Value.DAMPING].value(tick),
+        gain * at[Value.MASS].value(tick),
+        bias,
+        limit_n if bias else gain * limit_n,
+        gain * at[Value.WALL_STIFFNESS].value(tick),
+        gain * at[Value.WALL_DAMPING].value(tick),
+        at[Value.WALL_POSITION].value(tick),
+        at[Value.WALL_SIDE].value(tick),
+        workspace.lower_m,
+        workspace.upper_m,
+        gain * workspace.stiffness_n_per_m,
+    )
 
 
 def _bias(plan: Plan, tick: int) -> float:

@@ -28,6 +28,7 @@ from hapticd.render.filters import steady
 from hapticd.render.law import Coefficients, Environment, LawState, at_rest, render, split
 from hapticd.render.ramp import Ramp
 from hapticd.servo.commands import Now, apply_settings, enter, obey
+from hapticd.servo.easing import eased
 from hapticd.servo.plan import (
     ATTENTION,
     BOARD_FAULT,
@@ -244,6 +245,11 @@ def make_attend(params: ServoParams) -> Attend:
             renewed = coefficients_of(plan, rate_hz)
             law = refiltered(law, coefficients, renewed)
             coefficients = renewed
+        if plan.state is State.ENABLED:
+            x = (encoder - plan.origin) * m_per_count if usable else law[0]
+            slower = eased(plan, settled, x, law, coefficients, tick, params)
+            flags |= 0 if slower is plan else int(Flag.EASED)
+            plan = slower
         ready = flat_plan(plan, tick, params, params.environment.workspace, limit_n)
         if plan.state is State.HOMING:
             ready = ready._replace(environment=homing_environment(plan, tick, params))

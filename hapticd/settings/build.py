@@ -233,6 +233,7 @@ def device_params(device: DeviceFile) -> DeviceParams:
         damping_limit_ns_per_m=limits.damping_ns_per_m,
         probe_limit_n=limits.probe_n,
         temperature_limit_c=limits.temperature_c,
+        force_step_n=limits.force_step_n,
         speed_limit_m_per_s=limits.speed_m_per_s,
         home=HomeParams(**device.home.model_dump()),
         relies_on=device.relies_on,

@@ -169,6 +169,9 @@ class LimitsTable(TomlTable):
     temperature_c: float = Field(gt=0, le=200)
     speed_m_per_s: float = Field(gt=0)
     """Faster is not a motion but a sensor fault."""
+    force_step_n: float = Field(1.0, gt=0)
+    """Largest step of force in one tick by an enable or a change of parameters; what would step
+    further takes several ticks. 1 N gives a free handle of 8 g 0.1 m/s."""
 
 
 class Travel(TomlTable):
