@@ -47,9 +47,9 @@ FAULTS: tuple[Fault, ...] = (
     Fault(
         4,
         "frames_lost",
-        "too many frames in a row were missing or bad",
+        "too many frames in a row were missing, bad or older than the last one sent",
         _TO_SAFE,
-        "check cable and hub, then reset",
+        "check cable and hub, and what else shares the bus, then reset",
     ),
     Fault(
         5,
@@ -99,6 +99,20 @@ FAULTS: tuple[Fault, ...] = (
         "no stop or index was found within force and time",
         _TO_SAFE,
         "check the mechanism, reset, home",
+    ),
+    Fault(
+        12,
+        "no_authority",
+        "the board does not grant torque: emergency stop, or the amplifier is not ready",
+        _TO_SAFE,
+        "release the emergency stop, look at the amplifier, then reset",
+    ),
+    Fault(
+        18,
+        "board_restarted",
+        "the board's firmware started anew: its position origin is lost",
+        _TO_SAFE,
+        "look at its supply, reset, home or zero again",
     ),
 )
 

@@ -157,6 +157,7 @@ class SafetyParams:
     on_gateway_loss: str = "fault"  # "fault" | "hold"
     lost_slots_limit: int = 10  # within one second
     missing_frames_limit: int = 8
+    no_authority_limit: int = 8  # ticks for which the board may withhold torque while enabled
     default_ramp_s: float = 0.05
 
 

@@ -10,8 +10,10 @@ from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.servo.plan import GATEWAY_ALIVE, LINK_UP, SETTLED
 from hapticd.servo.safety import State
 from hapticd.servo.step import initial_state, make_step
+from hapticd.wire.frames import OutFlag, StatusBit
 
 HEALTHY = LINK_UP | GATEWAY_ALIVE
+ENABLE = int(OutFlag.ENABLE)
 
 AMBIENT_COUNT = 2500
 
@@ -59,7 +61,7 @@ class Flight:
         self,
         commands: Any,
         encoder: Any = None,
-        status: int = 0,
+        status: int | None = None,
         celsius: Any = None,
         arrival: int = 0,
         host: int = HEALTHY,
@@ -68,6 +70,8 @@ class Flight:
     ) -> Any:
         if encoder is not None:
             self.encoder = encoder
+        if status is None:  # of a board that grants what is asked
+            status = self.state[SETTLED].out_flags & ENABLE and int(StatusBit.ENABLED)
         temperature = AMBIENT_COUNT if celsius is None else round(celsius * 100)
         sample = (self.encoder, status, temperature, arrival, host, index, delay)
         self.state, out = self.step(self.state, commands, sample, self.tick)

@@ -200,13 +200,34 @@ def test_frame_left_by_a_timeout_is_read_past():
     device = connected(frame(0), frame(1), LinkTimeout("t"), frame(2), frame(3))
     assert [tick(device)[0] for _ in range(3)] == [SEED, 0, -1]
     late = tick(device)
-    assert late[0] == 0
-    assert late[2][0] == 2
-    assert tick(device)[2][0] == 3
+    assert late[0] == 1
+    assert late[2][0] == 3
+    assert device.counts["behind"] == 1
+
+
+def test_frames_of_a_queue_are_read_past_down_to_the_newest():
+    """After a pause of the host, or of the way, three frames wait."""
+    queue = (LinkTimeout("t"), LinkTimeout("t"), LinkTimeout("t"))
+    device = connected(frame(0), *queue, *(frame(n) for n in range(1, 6)))
+    assert [tick(device)[0] for _ in range(6)] == [SEED, -1, -2, -3, 3, 0]
+    assert device.counts["behind"] == 3
+
+
+def test_a_link_that_stays_behind_has_no_sample_and_is_read_once_a_tick():
+    """Where nothing newer lies behind an old frame, only the first search for it waits in vain."""
+    device = connected(frame(0))
+    assert tick(device)[0] == SEED
+    device.link.replies = [
+        frame(1, echo=1),
+        LinkTimeout("t"),
+        *(frame(n, echo=n) for n in range(2, 20)),
+    ]
+    assert [tick(device)[0] for _ in range(10)] == [-n for n in range(1, 11)]
+    assert len(device.link.replies) == 9
 
 
 def test_only_stale_frames_are_a_missing_tick():
-    device = connected(frame(0), frame(1), frame(1), frame(1), frame(1), frame(2))
+    device = connected(frame(0), *(frame(1) for _ in range(6)), frame(2))
     assert [tick(device)[0] for _ in range(3)] == [SEED, 0, -1]
 
 
@@ -219,17 +240,19 @@ def test_stall_is_a_missing_tick_and_loss_is_for_the_loop():
 
 
 def test_one_odd_echo_does_not_count_a_history_of_gaps():
-    device = connected(*(frame(n) if n != 50 else frame(n, echo=n) for n in range(100)))
+    """The board missed an OUT; what it latched all the same answers the one before."""
+    odd = (frame(50, echo=50), LinkTimeout("t"))
+    device = connected(*map(frame, range(50)), *odd, *map(frame, range(51, 100)))
     for _ in range(100):
         tick(device)
-    assert device.counts["gap"] == 0
+    assert device.counts["gap"] <= 1
     assert device.counts["unseen"] <= 2
 
 
 def test_board_that_restarts_its_clock_after_a_reconnect_is_seeded():
     device = connected(frame(0), frame(1))
     tick(device), tick(device)
-    device.link.replies = [frame(0, 100), frame(1, 1100)]
+    device.link.replies = [frame(0, 100, echo=4), frame(1, 1100, echo=5)]
     device.connect()
     assert tick(device)[0] == SEED
     assert tick(device)[0] == 0
@@ -266,6 +289,32 @@ def test_board_whose_clock_fell_back_is_taken_for_a_new_one():
     assert arrivals[2:first] == [-n for n in range(1, first - 1)]
     assert first - 2 == BACKWARD + 1
     assert set(arrivals[first + 1 :]) == {0}
+
+
+def test_another_life_seeds_whatever_its_clock_says():
+    """35 and 71 minutes are where a clock of 32 bits looks like one that went on."""
+    for start_us in (2_000_000_000, 2**31, 2**32 - 500, 503_000):
+        device = connected(
+            frame(0), frame(1), frame(2, start_us, life=2), frame(3, start_us + 1000, life=2)
+        )
+        assert [tick(device)[0] for _ in range(4)] == [SEED, 0, SEED, 0]
+        assert device.counts["lives"] == 1
+
+
+def test_delay_is_known_from_the_first_force_that_has_a_sample():
+    device = connected(*(frame(n, torque_age_us=875, torque_seq=n + 1) for n in range(4)))
+    delays = []
+    for _ in range(4):
+        delays.append(device.receive()[2])
+        device.send(0, 0, 0, 0)
+    assert delays == [-1, 125, 125, 125]
+
+
+def test_age_that_does_not_fit_gives_no_delay():
+    device = connected(frame(0), frame(2, torque_age_us=65535, torque_seq=2, echo=2))
+    device.receive()
+    device.send(0, 0, 0, 0)
+    assert device.receive()[2] == -1
 
 
 def test_frame_that_repeats_for_ever_is_never_new():

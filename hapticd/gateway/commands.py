@@ -24,6 +24,7 @@ from hapticd.gateway.schemas import Change, Damping, Perturb, Request, Set, pars
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import Command, Result, State, Value, values_of
+from hapticd.wire.frames import StatusBit
 
 Posting = tuple[Command, int, tuple[float, ...]]  # kind, apply_tick (0: now), values
 LATCHED = frozenset({State.STOPPED, State.FAULT})
@@ -104,6 +105,16 @@ def receipt(answer: Answer) -> dict[str, Any]:
     }
 
 
+def withheld(status: int) -> str:
+    """Why a board with this `status` would not grant torque, and what to do."""
+    if status & StatusBit.EMERGENCY_STOP:
+        return "the emergency stop is pressed, so the board makes no force; release it, then enable"
+    return (
+        "the board's amplifier is not ready, so it makes no force; switch it on or look at its"
+        " supply, then enable"
+    )
+
+
 def refusal(answer: Answer, cmd: str, view: ServoView) -> CommandError:
     """Why the servo refused `cmd`, and what to do about it."""
     fault = BY_NUMBER.get(answer.fault, FAULTS[0])
@@ -113,6 +124,7 @@ def refusal(answer: Answer, cmd: str, view: ServoView) -> CommandError:
             "refused",
             f"what caused, or would cause, a fault is still there: {cause}",
         ),
+        Result.REFUSED_NO_AUTHORITY: ("refused", withheld(int(view.record.get("status", 0)))),
         Result.REFUSED_NOT_HOMED: ("refused", "the device has no origin yet; `hapticd home` first"),
         Result.REFUSED_NO_GATEWAY: (
             "refused",

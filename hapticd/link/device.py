@@ -6,9 +6,13 @@ is returned), SEED that the filters must start here. The judge is the board's ow
 the sequence number: after a host pause the sample that lay waiting is one period old and belongs to
 its own time, and the gap shows in the one after it.
 
-A stale frame (a duplicate, or one that a time-out left behind) is read past, at most twice a tick.
-No buffer holds back session.BACKWARD ticks: a clock that still lies behind after so many is that of
-a board which started anew, and seeds.
+A stale frame (a duplicate, or one that a time-out left behind) is read past, at most MOST_READS a
+tick, and so is an old one: the pipeline is one frame deep, so the frame of this tick answers the
+OUT sent last, and one that echoes an earlier OUT waited in a queue while a newer one lies behind
+it. That one is there already, so reading it costs no time. Where it is not (that OUT was lost too)
+the read was in vain; it is not repeated until the link has caught up. A tick that finds nothing
+but old frames is a tick without a sample. No buffer holds back session.BACKWARD ticks: a clock
+that still lies behind after so many is that of a board which started anew, and seeds.
 
 Each frame says which OUT's torque is in effect and for how long. `send` keeps, by the low byte of
 the sequence number, the board time of the sample that stood behind it, so every frame gives the
@@ -43,11 +47,12 @@ from hapticd.wire.codec import (
     HEAD_TORQUE_SEQ,
 )
 from hapticd.wire.frames import HelloFrame, Request
+from hapticd.wire.session import BOARD_TIME_BITS
 
 # far above any number of lost samples: the link is given up long before
 SEED = 1 << 20
-# each is a transfer of its own within the tick
-STALE_READS = 2
+# each is a transfer of its own within the tick; the deepest queue that is known holds four frames
+MOST_READS = 4
 Head = tuple[int, ...]  # fields of frames.IN_SEALED; places: codec.HEAD_SEQ and the others
 # arrival, unwrapped board time [us], delay of the force in effect [us] or -1, head
 Received = tuple[int, int, int, Head]
@@ -56,14 +61,15 @@ SEQUENCES = 256  # that the low byte of a sequence number tells apart
 NO_SAMPLE_US = 1 << 62
 AGE_HIGHEST_US = codec.U16_HIGHEST  # of a torque; it stands for longer too
 UNKNOWN_US = -1
+MOST_LAG = session.SEQ_MASK // 2  # an OUT further back than that was sent ahead of this one
 NO_HEAD: Head = (0,) * codec.HEAD_FIELDS
 
 
 class Device:
     """The board as the servo sees it.
 
-    `counts` are frames: missing, bad, stale, gap (IN lost), unseen (OUT the board missed); and
-    lives of the board after the first.
+    `counts` are frames: missing, bad, stale, behind (they answer an OUT before the last one), gap
+    (IN lost), unseen (OUT the board missed); and lives of the board after the first.
     """
 
     def __init__(self, link: Link, rate_hz: float) -> None:
@@ -72,7 +78,7 @@ class Device:
         # pyusb hands an array('B') on to libusb without a copy
         self.in_buffer = array("B", bytes(frames.PACKET_BYTES))
         self.out_buffer = array("B", bytes(frames.OUT_BYTES))
-        kinds = ("missing", "bad", "stale", "gap", "unseen", "write_errors", "lives")
+        kinds = ("missing", "bad", "stale", "behind", "gap", "unseen", "write_errors", "lives")
         self.counts = dict.fromkeys(kinds, 0)
         self.hello: HelloFrame | None = None
         self._begin: Callable[[], None]
@@ -143,6 +149,7 @@ def _exchange(
     sent = 0
     missing = 0
     seeding = True
+    in_vain = 0  # frames behind at which nothing newer was there
     scratch = bytearray(frames.OUT_BYTES)
     left = 0  # samples of the OUT frame before
 
@@ -171,32 +178,50 @@ def _exchange(
             return "missing"
         return parse() or "bad"
 
+    def newest(found: Head) -> Head | str:
+        """`found`, or the first frame behind it that is neither stale nor old; else what there is
+        instead.
+        """
+        nonlocal in_vain
+        for _ in range(MOST_READS):
+            lag = sent - found[HEAD_ECHO] & session.SEQ_MASK
+            if seeding or found[HEAD_LIFE] != life:
+                kind = ""
+            elif session.unwrap(board_us, found[HEAD_BOARD_TIME], BOARD_TIME_BITS) <= board_us:
+                kind = "stale"
+            else:
+                kind = "behind" if 0 < lag <= MOST_LAG else ""
+            if not kind:
+                in_vain = 0
+                return found
+            counts[kind] += 1
+            if kind == "behind" and lag == in_vain:
+                return "missing"
+            again = fetch()
+            if isinstance(again, str):
+                in_vain = lag
+                return again
+            found = again
+        return "missing"
+
     def odd(found: Head) -> Received:
-        """A frame that is not simply the next one: stale, after a gap, or the first."""
+        """A frame that is not simply the next one: stale, old, after a gap, or the first."""
         nonlocal head, board_us, expected, missing, seeding, life
+        if missing > session.BACKWARD and found[HEAD_LIFE] == life:
+            latched = session.unwrap(board_us, found[HEAD_BOARD_TIME], BOARD_TIME_BITS)
+            if not seeding and latched < board_us:
+                begin()
+        taken = newest(found)
+        if isinstance(taken, str):
+            return absent(taken)
+        found = taken
         latched = found[HEAD_BOARD_TIME]
         if found[HEAD_LIFE] != life:
             counts["lives"] += life >= 0
             life = found[HEAD_LIFE]
             begin()
         if not seeding:
-            latched = session.unwrap(board_us, latched, session.BOARD_TIME_BITS)
-        if missing > session.BACKWARD and latched < board_us:
-            begin()
-            latched = found[HEAD_BOARD_TIME]
-        for _ in range(STALE_READS):
-            if seeding or latched > board_us:
-                break
-            counts["stale"] += 1
-            again = fetch()
-            if isinstance(again, str):
-                return absent(again)
-            found = again
-            latched = session.unwrap(board_us, again[HEAD_BOARD_TIME], session.BOARD_TIME_BITS)
-        else:
-            if not seeding and latched <= board_us:
-                return absent("missing")
-        if not seeding:
+            latched = session.unwrap(board_us, latched, BOARD_TIME_BITS)
             # the straight line of `receive` does not tell the counters: they catch up here
             incoming.newest = head[HEAD_SEQ]
             outgoing.newest = head[HEAD_ECHO]
@@ -207,7 +232,7 @@ def _exchange(
         lost = SEED if seeding else max(0, round((latched - board_us) / period_us) - 1)
         head = found
         board_us = latched
-        expected = (found[HEAD_SEQ] + 1) & 0xFFFF
+        expected = (found[HEAD_SEQ] + 1) & session.SEQ_MASK
         missing = 0
         seeding = False
         return lost, board_us, delay_us(found), head

@@ -44,6 +44,7 @@ COUNTERS = (
     "missing_in",
     "bad_in",
     "stale_in",
+    "behind_in",
     "sequence_gap",
     "write_errors",
     "reconnects",
@@ -205,6 +206,7 @@ class Result(IntEnum):
     REFUSED_FULL = 9  # 16 commands are scheduled already
     REFUSED_LATE = 10  # at_tick has passed
     CANCELLED = 11  # a stop or fault removed a scheduled command
+    REFUSED_NO_AUTHORITY = 13  # the board would not grant torque: emergency stop or amplifier
     REFUSED_FILTER = 14  # force comes through the filters
 
 

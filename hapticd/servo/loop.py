@@ -41,6 +41,7 @@ from hapticd.mailbox.stop_word import NOT_PRESSED, READ_BYTES
 from hapticd.params import ScaleParams, ServoParams
 from hapticd.servo.inbox import Inbox, Streamer
 from hapticd.servo.plan import (
+    AMPLIFIER_TOLD,
     GATEWAY_ALIVE,
     LINK_UP,
     SETTLED,
@@ -60,7 +61,7 @@ from hapticd.wire.codec import (
     NO_SAMPLES,
     U16_HIGHEST,
 )
-from hapticd.wire.frames import OutFlag
+from hapticd.wire.frames import Capability, OutFlag
 
 Wait = Callable[[int, Callable[[], object]], int]
 REHEARSAL_NS = 30_000  # room that a rehearsal needs before the deadline
@@ -109,6 +110,7 @@ _TALLY = {
     "missing_in": "missing",
     "bad_in": "bad",
     "stale_in": "stale",
+    "behind_in": "behind",
     "sequence_gap": "gap",
     "write_errors": "write_errors",
     "board_lives": "lives",
@@ -197,6 +199,7 @@ class ServoLoop:
         head: Head = NO_HEAD
         alive_until_ns = 0
         board_us = 0
+        linked = self._healthy()
         publish_ns = 0
         last = None if ticks is None else self.tick + ticks
 
@@ -219,6 +222,7 @@ class ServoLoop:
                     arrival = self._unlink(start)
             else:
                 arrival = self._search(start)
+                linked = self._healthy()
             got = clock()
             (
                 _,
@@ -259,7 +263,7 @@ class ServoLoop:
                 alive_until_ns = (
                     beat_ns + timeout_ns if -timeout_ns < start - beat_ns < timeout_ns else 0
                 )
-            host = _HEALTHY if alive_until_ns else LINK_UP
+            host = linked if alive_until_ns else linked & ~GATEWAY_ALIVE
             if not self.linked:
                 host &= ~LINK_UP
             state, output = step(
@@ -367,6 +371,12 @@ class ServoLoop:
             if end > deadline:
                 publish_ns = min(publish_ns, _LONGEST_NS)
                 self._late(end)
+
+    def _healthy(self) -> int:
+        """Host flags of a tick on which board and gateway are there."""
+        hello = self.device.hello
+        told = hello is not None and hello.capabilities & Capability.AMPLIFIER_READY
+        return _HEALTHY | AMPLIFIER_TOLD if told else _HEALTHY
 
     def _rehearsal(self) -> Callable[[], None]:
         """The tick to no effect. No closure of `run`: what it shares with one costs a tick more

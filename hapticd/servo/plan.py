@@ -34,7 +34,7 @@ from hapticd.render.ramp import Ramp, approach, constant
 from hapticd.servo.safety import FAULT_EVENT, LATCHED, State, held_damping
 from hapticd.units import round_half_up
 from hapticd.wire.codec import U16_HIGHEST
-from hapticd.wire.frames import StatusBit
+from hapticd.wire.frames import OutFlag, StatusBit
 
 NEVER = 1 << 62
 Wave = tuple[int, int, bool]  # perturbation: number of its command (0: none), samples, loop
@@ -84,6 +84,8 @@ class Plan(NamedTuple):
     added: float  # slewed level, N s/m
     added_entry: float  # level when a latched state was entered, N s/m
     scheduled: tuple["Scheduled", ...]
+    # since version 0.2, with a default for checkpoints of earlier ones
+    unauthorised: int = 0  # ticks in a row for which the board withheld the torque that was asked
 
 
 class Scheduled(NamedTuple):
@@ -222,6 +224,8 @@ class Settled:
     added: float  # active damping / period [N/m]
     host: int  # host flags it was made under
     wave: Wave  # the plan's
+    watched: int  # status bits that the short way compares
+    calm: int  # and what they are while nothing is wrong
     plan: Plan
 
 
@@ -231,6 +235,7 @@ SETTLED: Final = 0  # place in a ServoState
 # encoder count, status, temperature count, arrival (link.device), host flags, index offset, delay
 # from the sample to the force in effect [periods], negative while it is unknown
 Sample = tuple[int, int, int, int, int, int, float]
+STATUS: Final = 1  # place in a Sample
 # torque count, position, velocity, acceleration, force parts K B M field, force as sent, record
 # flags, answers
 Output = tuple[int, float, float, float, float, float, float, float, float, int, tuple[Any, ...]]
@@ -250,10 +255,26 @@ Answer = tuple[int, int, int, int, tuple[int, int], tuple[float, ...]]
 # host flags
 LINK_UP = 1
 GATEWAY_ALIVE = 2
+AMPLIFIER_TOLD = 4  # the board says whether its amplifier is ready
 
 BOARD_FAULT = int(StatusBit.AMPLIFIER_FAULT | StatusBit.ENCODER_FAULT)
 CLEARABLE = BOARD_FAULT | int(StatusBit.OVER_TEMPERATURE)  # what CLEAR_FAULT may end
 ATTENTION = int(StatusBit.WATCHDOG | StatusBit.OVER_TEMPERATURE) | BOARD_FAULT
+AUTHORITY = int(StatusBit.ENABLED)
+
+
+class Watch(NamedTuple):
+    """What the status of a board is compared with."""
+
+    watched: int  # bits that count
+    calm: int  # their values while nothing is wrong
+
+
+def watch(flags: int) -> Watch:
+    """What to look at in the answer to an OUT frame with `flags`: authority where it was asked."""
+    if flags & OutFlag.ENABLE:
+        return Watch(ATTENTION | AUTHORITY, AUTHORITY)
+    return Watch(ATTENTION, 0)
 
 
 class FlatPlan(NamedTuple):
@@ -356,6 +377,7 @@ def wake_tick(plan: Plan, tick: int, params: ServoParams) -> int:
     ramps = (plan.gain, plan.fade, *plan.values.values())
     if (
         plan.state is State.HOMING
+        or plan.unauthorised
         or any(ramp.running(tick) for ramp in ramps)
         or plan.added != added_target(plan, tick, params)
     ):
@@ -406,7 +428,8 @@ def unflatten(plain: Sequence[Any]) -> ServoState:
     law, ledger, origin, added, held, host = others
     before = wake, environment, coefficients, flags, damping, bytes.fromhex(blob)
     whole = Plan(**renewed)
-    return Settled(*before, origin, added, host, whole.wave, whole), law, ledger, held
+    looks = watch(flags)
+    return Settled(*before, origin, added, host, whole.wave, *looks, whole), law, ledger, held
 
 
 def _tuples(item: Any) -> Any:

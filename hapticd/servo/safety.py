@@ -73,6 +73,8 @@ def transition(state: State, kind: int) -> State | Result:
 
 def enable_refusal(homed: bool, home_required: bool, gateway: bool, cause: int) -> Result | None:
     """Why enabling is refused although the state allows it; None if it is not."""
+    if cause == BY_CODE["no_authority"].number:
+        return Result.REFUSED_NO_AUTHORITY
     if cause:
         return Result.REFUSED_CAUSE
     if not gateway:

@@ -67,6 +67,8 @@ def initial_state(params: ServoParams, tick: int = 0) -> ServoState:
         added=0.0,
         host=LINK_UP,
         wave=plan.wave,
+        watched=ATTENTION,
+        calm=0,
         plan=plan,
     )
     return settled, at_rest(0.0), EMPTY, held
@@ -130,7 +132,7 @@ def make_step(params: ServoParams) -> Step:
         origin = settled.origin + (turns << ENCODER_BITS)
         settled = replace(settled, origin=origin, plan=settled.plan._replace(origin=origin))
         encoder, _, temperature, _, host, _, delay = sample
-        again = (encoder, 0, temperature, 0, host, 0, delay)
+        again = (encoder, settled.calm, temperature, 0, host, 0, delay)
         state, output = step((settled, law, ledger, held), (), again, tick)
         torque, x, v, a, spring, damper, inertia, field, applied, more_flags, more = output
         parts = (torque, x, v, a, spring, damper, inertia, field, applied)
@@ -148,7 +150,7 @@ def make_step(params: ServoParams) -> Step:
             or arrival
             or tick >= settled.wake_tick
             or host != settled.host
-            or status & ATTENTION
+            or status & settled.watched != settled.calm
             or temperature > most_heat
             or temperature < least_heat
         ):

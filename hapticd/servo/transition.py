@@ -26,16 +26,19 @@ from hapticd.params import ServoParams
 from hapticd.render.energy import ZERO_FORCES, book
 from hapticd.render.filters import steady
 from hapticd.render.law import Coefficients, Environment, LawState, at_rest, render, split
-from hapticd.render.ramp import Ramp
+from hapticd.render.ramp import Ramp, constant
 from hapticd.servo.commands import Now, apply_settings, enter, obey
 from hapticd.servo.easing import eased
 from hapticd.servo.plan import (
-    ATTENTION,
+    AMPLIFIER_TOLD,
+    AUTHORITY,
     BOARD_FAULT,
     GATEWAY_ALIVE,
     KIND,
     LINK_UP,
+    NO_WAVE,
     SETTLED,
+    STATUS,
     WAVE_COMMAND,
     Answer,
     Plan,
@@ -47,12 +50,14 @@ from hapticd.servo.plan import (
     coefficients_of,
     fault_request,
     flat_plan,
+    watch,
 )
 from hapticd.servo.safety import GRANTED, LATCHED, State
 from hapticd.units import round_half_up
 from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
 from hapticd.wire.frames import OutFlag, StatusBit
 
+NO_AUTHORITY = BY_CODE["no_authority"].number
 STILL_COUNTS = 2
 PUSH_S = 0.2
 STILL_S = 0.4
@@ -141,15 +146,44 @@ def make_attend(params: ServoParams) -> Attend:
             return BY_CODE["board_watchdog"].number
         return BY_CODE["frames_lost"].number if -arrival > params.safety.missing_frames_limit else 0
 
+    def cause_against_force(sample: Sample) -> int:
+        """As `cause_under_force`, with what may pass within a few ticks under force (contacts
+        bounce): it keeps from enabling and from a reset too.
+        """
+        _, status, _, _, host, _, _ = sample
+        if found := cause_under_force(sample):
+            return found
+        ready = status & StatusBit.AMPLIFIER_READY or not host & AMPLIFIER_TOLD
+        return 0 if ready and not status & StatusBit.EMERGENCY_STOP else NO_AUTHORITY
+
+    def authorised(plan: Plan, sample: Sample, tick: int) -> Plan:
+        """`plan` after what the board says of the torque that was asked of it: while it is
+        withheld nothing is rendered, and when it is granted again the gain begins at 0.
+        """
+        if plan.state not in GRANTED or tick <= plan.since_tick:
+            return plan._replace(unauthorised=0) if plan.unauthorised else plan
+        if not sample[STATUS] & AUTHORITY:
+            # a perturbation would come back at once with the authority
+            count = plan.unauthorised + 1
+            return plan._replace(unauthorised=count, gain=constant(0.0), wave=NO_WAVE)
+        return plan._replace(unauthorised=0, gain=gain_from(tick)) if plan.unauthorised else plan
+
+    def gain_from(tick: int) -> Ramp:
+        return Ramp(0.0, 1.0, tick, round_half_up(params.safety.enable_ramp_s * rate_hz))
+
     def newly_lost(plan: Plan, sample: Sample) -> int:
         """Number of a fault that this sample brings, 0 for none; losses that matter only under
         force wait for force.
         """
-        _, status, temperature, _, host, _, _ = sample
+        _, status, temperature, arrival, host, _, _ = sample
         if plan.state not in GRANTED:
             return cause(status, temperature, host)
         if not host & GATEWAY_ALIVE and params.safety.on_gateway_loss == "fault":
             return cause(status, temperature, host) or BY_CODE["gateway_lost"].number
+        if arrival == SEED:
+            return BY_CODE["board_restarted"].number
+        if plan.unauthorised > params.safety.no_authority_limit:
+            return cause_under_force(sample) or NO_AUTHORITY
         return cause_under_force(sample)
 
     def commanded(
@@ -181,7 +215,7 @@ def make_attend(params: ServoParams) -> Attend:
         settled = state[SETTLED]
         unasked = not commands and tick < settled.wake_tick and host == settled.host
         cool = low_count <= temperature <= high_count
-        calm = unasked and not status & ATTENTION and cool
+        calm = unasked and status & settled.watched == settled.calm and cool
         return calm and 0 < arrival <= params.safety.missing_frames_limit
 
     def attend(
@@ -223,7 +257,9 @@ def make_attend(params: ServoParams) -> Attend:
         if arrival == SEED:
             plan = plan._replace(origin=first_origin, homed=False)
         _, held_n = held
-        now = Now(tick, encoder, held_n, bool(host & GATEWAY_ALIVE), cause_under_force(sample))
+        now = Now(tick, encoder, held_n, bool(host & GATEWAY_ALIVE), cause_against_force(sample))
+        if usable:
+            plan = authorised(plan, sample, tick)
         plan, answers = commanded(plan, commands, sample, now)
         if plan.state is State.HOMING and usable:
             plan = advance_homing(plan, sample, now, params)
@@ -236,9 +272,7 @@ def make_attend(params: ServoParams) -> Attend:
             ledger = (ledger[0], ZERO_FORCES, ZERO_FORCES, 0.0)
             flags = int(Flag.SEEDED)
             if plan.state is State.ENABLED and before.state is State.ENABLED:
-                plan = plan._replace(
-                    gain=Ramp(0.0, 1.0, tick, round_half_up(params.safety.enable_ramp_s * rate_hz))
-                )
+                plan = plan._replace(gain=gain_from(tick))
                 flags |= int(Flag.QUIET_RAMP)
         plan = advance_added(plan, tick, params)
         if plan.filters != before.filters:
@@ -258,17 +292,21 @@ def make_attend(params: ServoParams) -> Attend:
         if not usable and plan.state not in GRANTED:
             left = plan.fade.value(tick)
             held = (force.to_count(left, I16_LOWEST, I16_HIGHEST), left)
+        asked = out_flags(plan, tick)
+        looks = watch(asked)
         settled = Settled(
             wake_tick=ready.wake_tick,
             environment=ready.environment,
             coefficients=coefficients,
-            out_flags=out_flags(plan, tick),
+            out_flags=asked,
             damping_count=ready.damping_count,
             blob=ready.blob,
             origin=plan.origin,
             added=params.device.damping.to_value(ready.damping_count) * rate_hz,
             host=host,
             wave=plan.wave,
+            watched=looks.watched,
+            calm=looks.calm,
             plan=plan,
         )
         return (settled, law, ledger, held), usable, answers, flags

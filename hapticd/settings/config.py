@@ -98,6 +98,7 @@ class Safety(TomlTable):
     lost_slots_limit: int = Field(_safety.lost_slots_limit, ge=1, le=10_000)
     """Ticks that may be missed within one second on hardware."""
     missing_frames_limit: int = Field(_safety.missing_frames_limit, ge=1, le=100)
+    no_authority_limit: int = Field(_safety.no_authority_limit, ge=1, le=100)
     default_ramp_s: Duration = _safety.default_ramp_s
     """Ramp of a `set` that names none."""
 

@@ -30,7 +30,7 @@ BOARD_TIME_BITS = 32
 PROBE_INDEX_BITS = 32
 ENCODER_BITS = 32
 BACKWARD = 64
-_SEQ_MASK = (1 << SEQ_BITS) - 1
+SEQ_MASK = (1 << SEQ_BITS) - 1
 
 
 def greet(reply: bytes) -> HelloFrame:
@@ -117,12 +117,12 @@ def classify(previous: int | None, seq: int) -> tuple[Arrival, int]:
     """
     if previous is None:
         return Arrival.FIRST, 0
-    step = (seq - previous) & _SEQ_MASK
+    step = (seq - previous) & SEQ_MASK
     if step == 1:
         return _NEXT
     if step == 0:
         return _DUPLICATE
-    if step > _SEQ_MASK - BACKWARD:
+    if step > SEQ_MASK - BACKWARD:
         return _REORDERED
     return Arrival.GAP, step - 1
 
