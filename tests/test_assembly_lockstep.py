@@ -361,12 +361,12 @@ def test_every_rate_flies_the_same_environment(rate_hz):
     assert np.abs(np.diff(flown["board_us"]) - 1e6 / rate_hz).max() <= 1.0
 
 
-def test_end_of_the_process_is_recorded_as_disabled():
+def test_end_of_the_process_is_recorded_as_a_stop_without_force():
     with LockStep(servo_params(), board_params()) as stack:
         enable(stack, FIG_4)
         stack.loop.finish()
         last = records(stack.gateway.records(stack.loop.tick - 1, 1)[0])[0]
-    assert last["state"] == State.DISABLED
+    assert (last["state"], last["actor"]) == (State.STOPPED, 0)
     assert last["force_n"] == 0.0
 
 

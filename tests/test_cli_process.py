@@ -13,10 +13,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
 import pytest
 
 from hapticd.cli.app import main
-from hapticd.mailbox import files
+from hapticd.mailbox import files, layout
+from hapticd.mailbox.layout import State
+from hapticd.wire import codec
 
 pytestmark = pytest.mark.process
 DEADLINE_S = 60.0
@@ -240,6 +243,17 @@ def test_run_ends_when_its_reader_leaves(runtime: Path) -> None:
     assert not list((runtime / "hapticd" / "instance-pipe").glob("*.json"))
 
 
+def last_record(ring: Path) -> Any:
+    """The newest record of a telemetry ring."""
+    content = ring.read_bytes()
+    head = int.from_bytes(
+        content[8 * layout.TELEMETRY_HEAD_WORD : 8 * layout.TELEMETRY_HEAD_WORD + 8], "little"
+    )
+    dtype = np.dtype([tuple(field) for field in layout.TELEMETRY])
+    records = np.frombuffer(content, dtype, layout.RING_RECORDS, layout.TELEMETRY_OFFSET)
+    return records[(head - 1) % layout.RING_RECORDS]
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
 @pytest.mark.parametrize("background", [False, True], ids=["foreground", "background"])
 def test_signals_end_cleanly(runtime: Path, number: int, background: bool) -> None:
@@ -256,6 +270,9 @@ def test_signals_end_cleanly(runtime: Path, number: int, background: bool) -> No
     assert daemon.told()[-3:] == ["ending", "ending", "ended"]
     assert all(map(gone, children.values()))
     assert [file.name for file in daemon.folder.iterdir()] == [files.LAST_TELEMETRY]
+    last = last_record(daemon.folder / files.LAST_TELEMETRY)
+    assert (last["state"], last["actor"], last["force_n"]) == (State.STOPPED, 0, 0.0)
+    assert codec.decode_out(bytes(last["out_frame"])).damping > 0  # left to the board's watchdog
 
 
 def test_second_run_is_refused(daemon: Daemon, capsys: pytest.CaptureFixture[str]) -> None:

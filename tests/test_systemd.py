@@ -18,7 +18,7 @@ import pytest
 from programs import program
 
 from hapticd.assembly import process, resolve, system_files, watchdog
-from hapticd.assembly.supervisor import RESTARTS_MAX, WINDOW_NS
+from hapticd.assembly.supervisor import PATIENCE_NS, RESTARTS_MAX, WINDOW_NS
 from hapticd.cli.app import main
 from hapticd.clock import VirtualClock
 from hapticd.errors import ConfigError
@@ -26,6 +26,7 @@ from hapticd.mailbox import files, layout
 from hapticd.mailbox.daemons import daemon_folder
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.params import RealtimeParams, UsbParams
+from hapticd.settings.config import Safety
 from hapticd.settings.load import Override, load
 from hapticd.settings.toml import shipped
 from hapticd.units import NS_PER_S
@@ -138,6 +139,16 @@ def test_servo_has_rights_for_its_priority(root: Path) -> None:
     assert found["LimitRTTIME"] == found["LimitMEMLOCK"] == ["infinity"]
     assert not {"RestrictRealtime", "PrivateDevices", "CPUSchedulingPolicy"} & set(found)
     assert found["NotifyAccess"] == ["all"]
+
+
+def test_servo_has_time_to_fade_its_force_before_it_is_killed(root: Path) -> None:
+    """Under the longest ramp that may be configured, with every tick drawn out by a silent board."""
+    found = unit(root, "hapticd-servo.service")
+    (limit,) = (one.le for one in Safety.model_fields["stop_ramp_s"].metadata if hasattr(one, "le"))
+    ticks_s = limit * (1 + UsbParams().timeout_ms)
+    assert ticks_s < float(found["TimeoutStopSec"][0]) <= PATIENCE_NS / NS_PER_S
+    assert found["TimeoutStopFailureMode"] == ["kill"]
+    assert found["KillMode"] == ["mixed"]
 
 
 def test_gateway_talks_to_this_machine_alone(root: Path) -> None:

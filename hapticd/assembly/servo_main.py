@@ -118,10 +118,10 @@ class Servo:
             self.loop.run()
         finally:
             notify("STOPPING=1")
-            host.relax()
             try:
-                self.loop.finish()
+                self.loop.finish()  # in time, as every tick: force may fade in it
             finally:
+                host.relax()
                 self.mailbox.close()
 
     def _about(self) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """Starts servo and gateway in order, keeps them running, and ends them in order.
 
     servo started -> its mailbox is published -> gateway started -> it serves -> ready
-    asked to end  -> servo ends (force to 0, disabled, files removed) -> gateway ends
+    asked to end  -> servo ends (force fades to 0, files removed) -> gateway ends
                   -> our files removed
 
 A child is started by exec, never forked from a process that has threads or a big heap. It gets a
@@ -241,7 +241,7 @@ class Supervisor:
             self._end(self.gateway)
             files.remove(self.folder, files.SERVO_JSON, files.BOARD_JSON, files.GATEWAY_JSON)
             files.release(self.folder, SUPERVISOR_LOCK, claim)
-        self.tell(ProcessEvent("ended", "", "ended: force 0, disabled, both processes gone"))
+        self.tell(ProcessEvent("ended", "", "ended: no force, both processes gone"))
 
     def _look(self, now_ns: int) -> None:
         """One poll: who died, who is due to start, who serves."""

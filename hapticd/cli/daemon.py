@@ -30,7 +30,7 @@ def run(
     ] = None,
     as_json: terminal.JsonLines = False,
 ) -> None:
-    """Start the daemon in the foreground. Ctrl-C ends it: force to 0, disabled. A second
+    """Start the daemon in the foreground. Ctrl-C ends it: force fades to 0. A second
     Ctrl-C kills it.
     """
     from hapticd.assembly.process import on_stop

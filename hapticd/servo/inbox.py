@@ -126,7 +126,8 @@ class Inbox:
     def requests(self, tick: int, head: Head, plan: Plan) -> tuple[Request, ...]:
         """What this tick has to obey."""
         found: list[Request] = []
-        while len(found) < MOST_COMMANDS and (request := self._mailbox.take()) is not None:
+        most = 0 if self._leaving else MOST_COMMANDS  # nobody enables what ends
+        while len(found) < most and (request := self._mailbox.take()) is not None:
             found.append(request)
         resets = any(request[KIND] == Command.RESET for request in found)
         if resets and head[HEAD_STATUS] & CLEARABLE:
@@ -138,15 +139,15 @@ class Inbox:
         found += self._due(tick, any(request[KIND] == Command.STOP for request in found))
         if self._too_many_lost(plan):
             found.append(fault_request(BY_CODE["lost_slots"].number))
-        if self._leaving:
-            found.append((0, Command.DISABLE, 0, 0, _NO_VALUES))
+        if self._leaving and plan.state in GRANTED:
+            found.append((0, Command.STOP, 0, 0, _NO_VALUES))
         if self._streamer.ended(head[HEAD_FIFO_LEVEL]):
             found.append((0, PERTURB_DONE_EVENT, 0, 0, _NO_VALUES))
         self.waiting = bool(self._lost or self._deferred or self._leaving)
         return tuple(found)
 
     def leave(self) -> None:
-        """The process ends: the next tick disables."""
+        """The process ends: what acts is stopped, and no command is taken any more."""
         self._leaving = True
         self.waiting = True
 

@@ -19,7 +19,7 @@ time: move the clock.
 A late tick drops whole slots and never catches up; late events and lost slots are counted apart,
 those of the first second (`grace`) on their own. With the board gone the ticks go on: records say
 so, the force is 0, and the board is looked for with back-off. The loop ends when `stopping` is set
-or `ticks` are done; `finish` disables.
+or `ticks` are done; `finish` fades what acts and lets the board go.
 
 What would break it: a name of `run` that a closure shares (it becomes a cell, slower at every use),
 something slow before the record is published, a rehearsal that has an effect.
@@ -51,7 +51,7 @@ from hapticd.servo.plan import (
     flatten,
 )
 from hapticd.servo.step import initial_state, make_step
-from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US, US_PER_S
+from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US, US_PER_S, round_half_up
 from hapticd.wire.codec import (
     HEAD_ENCODER,
     HEAD_STATUS,
@@ -59,7 +59,6 @@ from hapticd.wire.codec import (
     I16_HIGHEST,
     I16_LOWEST,
     NO_SAMPLES,
-    U16_HIGHEST,
 )
 from hapticd.wire.frames import Capability, OutFlag
 
@@ -116,6 +115,8 @@ _TALLY = {
     "board_lives": "lives",
 }
 _FIFO_CLEAR = int(OutFlag.FIFO_CLEAR)
+_ENABLE = int(OutFlag.ENABLE)
+ENDING_TICKS = 4  # beside its ramp: from the last command to a frame without authority
 _LONGEST_NS = (1 << 31) - 1  # that a stage of a record can hold: 2.1 s
 _NOTHING_US = 1 << 30  # above every delay: none was seen yet
 _HEALTHY = LINK_UP | GATEWAY_ALIVE
@@ -415,25 +416,29 @@ class ServoLoop:
         self.deadline_ns = first_deadline(self.clock.now_ns(), self.period_ns)
 
     def finish(self) -> None:
-        """One last recorded tick that disables, a frame without torque, damping and
-        perturbation; then release the board.
+        """End with no force: what acts fades as in a stop, tick by tick and recorded. The last
+        frame has no torque and leaves the damping as it is: the board's watchdog holds it and
+        releases it, as after a crash. Then release the board.
         """
         self.inbox.leave()
-        self.stopping = False
+        longest = round_half_up(self.params.safety.stop_ramp_s * self.params.realtime.rate_hz)
         try:
-            self.run(1)
+            for _ in range(longest + ENDING_TICKS):
+                self.stopping = False  # a second signal does not shorten it
+                self.run(1)
+                if not self.state[SETTLED].out_flags & _ENABLE:
+                    break
         finally:  # whatever it was that ended us
             self._let_go()
 
     def _let_go(self) -> None:
         force = self.params.device.force
-        damping = self.params.device.damping
         try:
             if self.linked:
                 self.device.send(
                     _FIFO_CLEAR,
                     force.to_count(0.0, I16_LOWEST, I16_HIGHEST),
-                    damping.to_count(0.0, 0, U16_HIGHEST),
+                    self.state[SETTLED].damping_count,
                     0,
                 )
         except LinkError:
