@@ -142,7 +142,7 @@ def test_servo_has_rights_for_its_priority(root: Path) -> None:
 
 
 def test_servo_has_time_to_fade_its_force_before_it_is_killed(root: Path) -> None:
-    """Under the longest ramp that may be configured, with every tick drawn out by a silent board."""
+    """Under the longest ramp that may be configured, every tick drawn out by a silent board."""
     found = unit(root, "hapticd-servo.service")
     (limit,) = (one.le for one in Safety.model_fields["stop_ramp_s"].metadata if hasattr(one, "le"))
     ticks_s = limit * (1 + UsbParams().timeout_ms)
