@@ -8,7 +8,7 @@ from typing import Any, Self
 import pytest
 
 import hapticd.__main__ as entry
-from hapticd.cli import change, daemon, terminal
+from hapticd.cli import change, daemon, system, terminal
 from hapticd.cli.app import main
 from hapticd.client import Receipt, fast_stop
 from hapticd.errors import CommandError, ConfigError, DaemonDown, HapticdError, RealtimeError
@@ -305,6 +305,42 @@ def test_status_explains_a_fault(client: ClientDouble, capsys: pytest.CaptureFix
         "usb_lost: the board was unplugged. force to 0. To leave: plug it in"
         in capsys.readouterr().out
     )
+
+
+RUNNING = {
+    "state": "enabled",
+    "simulated": True,
+    "rate_hz": 1000.0,
+    "revision": 3,
+    "fault": "none",
+    "instance": "x",
+}
+
+
+def test_status_says_the_measured_delay(
+    client: ClientDouble, capsys: pytest.CaptureFixture[str]
+) -> None:
+    measured = {"delay_us": 1125, "delay_spread_us": 40, "frame_age_us": 1130}
+    client.states = [RUNNING | measured, RUNNING | {"delay_us": -1}]
+    assert main(["status"]) == 0
+    expected = "sample to force 1125 us (1.12 periods), spread 40 us; frames 1130 us old when read"
+    assert expected in capsys.readouterr().out
+    assert main(["status"]) == 0
+    assert "sample to force unknown" in capsys.readouterr().out
+
+
+def test_doctor_warns_of_a_force_that_comes_a_period_late(
+    client: ClientDouble, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(system, "connect", lambda instance: client)
+    late = {"delay_us": 1125, "delay_spread_us": 0, "frame_age_us": 1130}
+    client.states = [RUNNING | late, RUNNING | late | {"delay_us": 125}]
+    levels = []
+    for _ in range(2):
+        main(["doctor", "--seconds", "0", "--json"])
+        told = json.loads(capsys.readouterr().out.splitlines()[-1])
+        levels.append({check["name"]: check["level"] for check in told["checks"]}["force delay"])
+    assert levels == ["warn", "ok"]
 
 
 def test_colour_only_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -315,3 +315,19 @@ def test_simulated_board_page_lists_every_trait_and_injection(site: Path) -> Non
     ]
     missing = [name for name in names if f"| `{name}` |" not in text]
     assert missing == ["injections", "touch", "hands"]
+
+
+SAFETY = (Path(__file__).parents[1] / "docs" / "safety.md").read_text()
+SHOWN = re.findall(r"`(test_\w+\.py)::(test_\w+)`", SAFETY)
+
+
+@pytest.mark.parametrize(("file", "test"), sorted(set(SHOWN)))
+def test_every_promise_is_shown_by_a_test_that_exists(file: str, test: str) -> None:
+    source = (Path(__file__).parent / file).read_text()
+    assert re.search(rf"^def {test}\(", source, re.MULTILINE)
+
+
+def test_every_promise_names_a_test() -> None:
+    rows = [line for line in SAFETY.splitlines() if line.startswith("| ") and "---" not in line][1:]
+    assert rows
+    assert all(re.search(r"`test_\w+\.py::test_\w+` \|$", row) for row in rows)

@@ -14,7 +14,7 @@ from hapticd.cli import terminal
 from hapticd.cli.change import change, changes, connect, number, parameters, receipt_text
 from hapticd.cli.terminal import SIMULATED_BANNER
 from hapticd.errors import CommandError, ConfigError, DaemonDown, HapticdError
-from hapticd.units import PROBE_RATE_HZ
+from hapticd.units import PROBE_RATE_HZ, US_PER_S
 
 if TYPE_CHECKING:
     from hapticd.assembly.supervisor import ProcessEvent
@@ -129,6 +129,7 @@ def _status_lines(found: dict[str, Any]) -> list[str]:
         f"  renders   {_rendered(found)}",
         f"  now       {_moving(found)}",
         f"  timing    {_timing(found)}",
+        f"  delay     {delay_words(found)}",
     ]
     return lines + [
         f"  {stage:9} {_percentiles(row)}" for stage, row in found.get("stages", {}).items()
@@ -144,6 +145,17 @@ def _timing(found: dict[str, Any]) -> str:
     counters = found.get("counters", {})
     late = f"{counters.get('late_events', 0)} late, {counters.get('lost_slots', 0)} slots lost"
     return f"{found['rate_hz']:g} Hz, {late}, {counters.get('missing_in', 0)} frames missing"
+
+
+def delay_words(found: dict[str, Any]) -> str:
+    """The measured delay from a sample to its force, as people read it."""
+    delay_us = found.get("delay_us", -1)
+    if delay_us < 0:
+        return "sample to force unknown: no frame has come"
+    periods = delay_us * found["rate_hz"] / US_PER_S
+    spread = f"spread {found['delay_spread_us']} us"
+    age = f"frames {found['frame_age_us']} us old when read"
+    return f"sample to force {delay_us} us ({periods:.3g} periods), {spread}; {age}"
 
 
 def _rendered(found: dict[str, Any]) -> str:

@@ -57,6 +57,9 @@ NEWEST = (
     "mass_kg",
     "added_damping_ns_per_m",
     "gain",
+    "delay_us",
+    "delay_spread_us",
+    "frame_age_us",
 )
 Show = Callable[["History", bool | None, float], None]  # history, simulated, seconds without data
 

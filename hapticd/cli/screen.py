@@ -80,6 +80,7 @@ CHARTS = (  # title, unit, field, factor, whether the chart begins at 0
     ("position", "mm", "position_m", 1e3, False),
     ("force", "N", "force_n", 1.0, False),
     ("active damping", "N s/m", "added_damping_ns_per_m", 1.0, True),
+    ("delay from sample to force", "us", "delay_us", 1.0, True),
     ("wake-up latency", "us", "wake_ns", 1e-3, True),
 )
 

@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hapticd.cli import terminal
-from hapticd.errors import RealtimeError
+from hapticd.cli.change import connect
+from hapticd.errors import HapticdError, RealtimeError
+from hapticd.units import US_PER_S
 
 if TYPE_CHECKING:
     from hapticd.doctor.checks import CheckResult, Requirements
@@ -160,7 +162,7 @@ def doctor(
     from hapticd.settings.load import load
 
     asked = requirements(load(config), instance)
-    findings = examine(this_machine(), asked)
+    findings = [*examine(this_machine(), asked), *_delay(instance)]
     measured: dict[str, Any] = {}
     if seconds > 0:
         if not as_json:
@@ -183,6 +185,25 @@ def doctor(
         terminal.talk(f"hapticd: {len(failed)} of {len(findings)} fail: {', '.join(failed)}")
     if failed and strict:
         raise typer.Exit(RealtimeError.exit_code)
+
+
+def _delay(instance: str) -> "list[CheckResult]":
+    """The delay from sample to force that a daemon measures, if one runs."""
+    from hapticd.cli.daemon import delay_words
+    from hapticd.doctor import checks
+
+    name = "force delay"
+    try:
+        with connect(instance) as client:
+            found = client.status()
+    except HapticdError:
+        return []
+    words = delay_words(found)
+    if found.get("delay_us", -1) <= US_PER_S / found["rate_hz"]:
+        return [checks.ok(name, words)]
+    why = "a force that comes more than a period late makes stiff walls and damping active"
+    fix = "look what else is on the board's bus, or at its sample phase"
+    return [checks.warn(name, words, why, fix)]
 
 
 def _wake(seconds: float, asked: "Requirements") -> "tuple[CheckResult, dict[str, Any]]":

@@ -44,6 +44,9 @@ RECORD_FIELDS_SHOWN = (
     "added_damping_ns_per_m",
     "position_m",
     "force_n",
+    "delay_us",
+    "delay_spread_us",
+    "frame_age_us",
     "winding_c",
     "actor",
 )
