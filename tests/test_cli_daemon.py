@@ -343,6 +343,22 @@ def test_doctor_warns_of_a_force_that_comes_a_period_late(
     assert levels == ["warn", "ok"]
 
 
+def test_status_says_what_is_known_of_the_board(
+    client: ClientDouble, capsys: pytest.CaptureFixture[str]
+) -> None:
+    transport = {"pair_us": 400.0, "sample_phase": 0.3125, "delay_us": 687.5, "rate_hz": 1000.0}
+    state = {"state": "disabled", "simulated": False, "rate_hz": 1e3, "revision": 3}
+    servo = {"differences": ["serial: the board says 'B'"], "transport": transport}
+    client.states = [{**state, "fault": "none", "instance": "x", "servo": servo}]
+    assert main(["status"]) == 0
+    shown = capsys.readouterr().out
+    assert "board     serial: the board says 'B'" in shown
+    assert (
+        "bus       a pair of transfers takes 400 us, IN latched 0.3125 periods after OUT, force 688"
+        " us after its sample, up to 1000 Hz"
+    ) in shown
+
+
 def test_colour_only_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     class Terminal:
         def isatty(self) -> bool:

@@ -490,6 +490,7 @@ ROWS: list[Row] = [
         "record elsewhere",
     ),
     (checks.runtime_folder, {}, {}, ASKED, "ok", "no daemon has run yet", ""),
+    (checks.transport, {}, {}, ASKED, "ok", "no daemon has measured it yet", ""),
     (checks.keys, {}, {}, ASKED, "ok", "none needed", ""),
 ]
 
@@ -537,6 +538,18 @@ def test_socket_open_to_others_fails(make: Callable[..., Machine], tmp_path: Pat
         finding = checks.runtime_folder(make(), asked(runtime=folder))
     assert (finding.level, finding.found) == ("fail", "open to others: command 0666")
     assert finding.fix == f"chmod o= {folder / 'command'}"
+
+
+@pytest.mark.parametrize(("rate_hz", "level"), [(1000.0, "ok"), (820.0, "fail")])
+def test_bus_is_judged_as_the_daemon_measured_it(
+    make: Callable[..., Machine], tmp_path: Path, rate_hz: float, level: str
+) -> None:
+    found = {"pair_us": 400.0, "sample_phase": 0.3125, "delay_us": 687.5, "rate_hz": rate_hz}
+    (tmp_path / "servo.report").write_text(json.dumps({"transport": found}))
+    finding = checks.transport(make(), asked(runtime=tmp_path))
+    assert finding.level == level
+    assert "takes 400 us; IN is latched 0.3125 periods" in finding.found
+    assert finding.fix == ("" if level == "ok" else "set realtime.rate_hz to at most 820")
 
 
 def test_key_readable_by_others_fails(make: Callable[..., Machine], tmp_path: Path) -> None:

@@ -11,7 +11,9 @@ import pytest
 from gateway_rig import DeskRig, decoded, packed
 from gateway_stand_in import StandInServo
 
+from hapticd.gateway.commands import refusal
 from hapticd.mailbox import files, layout
+from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import PERTURBATION_SAMPLES, Command, Result, State, Value
 
 
@@ -487,3 +489,27 @@ def test_waveform_does_not_outlive_its_servo(rig: DeskRig) -> None:
     assert rig.ask(cmd="perturb", action="start")["error"]["message"].startswith(
         "perturb start: no waveform is loaded"
     )
+
+
+@pytest.mark.parametrize(
+    ("result", "said"),
+    [
+        (
+            Result.REFUSED_DEVICE,
+            "enable: the board is not the one of its device file (serial: other; probe: none); plug"
+            " in the right one, or correct the device file",
+        ),
+        (
+            Result.REFUSED_RATE,
+            "enable: a pair of transfers takes 800 us on this bus, too long for 1000 Hz; set"
+            " realtime.rate_hz to at most 820 Hz, or give the board a bus of its own",
+        ),
+    ],
+)
+def test_board_that_is_barred_is_refused_in_words(rig: DeskRig, result: Result, said: str) -> None:
+    transport = {"pair_us": 800.0, "rate_hz": 820.0}
+    rig.servo.mailbox.report(
+        {"differences": ["serial: other", "probe: none"], "transport": transport}
+    )
+    error = refusal(Answer(1, result, 0, 0, 0, 0, ()), "enable", rig.view)
+    assert (error.code, str(error)) == ("refused", said)

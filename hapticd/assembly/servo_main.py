@@ -111,7 +111,11 @@ class Servo:
         self.loop.stopping = self.stopping
         start_feeder(folder)  # before the real-time rights, which it must not inherit
         try:
-            self.mailbox.report({"realtime": host.prepare(params.realtime), **self._about()})
+            found = self.loop.board.report()
+            for one in self.loop.board.differences:
+                os.write(2, f"hapticd servo: not the board of the device file: {one}\n".encode())
+            rights = host.prepare(params.realtime)
+            self.mailbox.report({"realtime": rights, **self._about(), **found})
             self.mailbox.publish()
             notify("READY=1", f"STATUS={rate_hz:g} Hz{', SIMULATED' if params.simulated else ''}")
             self.loop.restart_clock()

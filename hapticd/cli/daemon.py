@@ -131,9 +131,24 @@ def _status_lines(found: dict[str, Any]) -> list[str]:
         f"  timing    {_timing(found)}",
         f"  delay     {delay_words(found)}",
     ]
+    lines += _board_lines(found.get("servo", {}))
     return lines + [
         f"  {stage:9} {_percentiles(row)}" for stage, row in found.get("stages", {}).items()
     ]
+
+
+def _board_lines(report: dict[str, Any]) -> list[str]:
+    """What was found out about the board when it was connected."""
+    lines = [
+        f"  board     {terminal.coloured(one, terminal.RED)}"
+        for one in report.get("differences", ())
+    ]
+    if transport := report.get("transport"):
+        phase = f"IN latched {transport['sample_phase']:g} periods after OUT"
+        pair = f"a pair of transfers takes {transport['pair_us']:.0f} us"
+        held = f"force {transport['delay_us']:.0f} us after its sample, up to"
+        lines.append(f"  bus       {pair}, {phase}, {held} {transport['rate_hz']:g} Hz")
+    return lines
 
 
 def _moving(found: dict[str, Any]) -> str:

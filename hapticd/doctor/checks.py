@@ -10,6 +10,7 @@ What would break it: a check that raises for a file that is missing (containers 
 lack many of them: `Machine.text` returns None), or a fix that the reader cannot paste into a shell.
 """
 
+import json
 import re
 import stat
 from collections.abc import Callable, Iterator
@@ -654,6 +655,27 @@ def runtime_folder(machine: Machine, asked: Requirements) -> CheckResult:
     return ok(name, f"{asked.runtime}, mode {mode:04o}")
 
 
+def transport(machine: Machine, asked: Requirements) -> CheckResult:
+    """The bus leaves time for a tick, as the daemon that runs has measured it."""
+    name = "bus"
+    try:
+        found = json.loads((asked.runtime / files.REPORT).read_text()).get("transport")
+    except (OSError, ValueError, AttributeError):
+        return ok(name, "no daemon has measured it yet")
+    if not found:
+        return ok(name, "not measured")
+    measured = (
+        f"a pair of transfers takes {found['pair_us']:.0f} us; IN is latched"
+        f" {found['sample_phase']:g} periods after OUT, force acts {found['delay_us']:.0f} us after"
+        " its sample"
+    )
+    why = "each tick waits for two transfers; what does not fit is a lost slot"
+    if found["rate_hz"] < asked.realtime.rate_hz:
+        fix = f"set realtime.rate_hz to at most {found['rate_hz']:g}"
+        return fail(name, measured, why, fix)
+    return ok(name, measured)
+
+
 def _open_to_others(folder: Path) -> Iterator[tuple[Path, int]]:
     for name in (
         files.COMMAND_SOCKET,
@@ -695,7 +717,7 @@ CHECKS: tuple[Check, ...] = (  # in the order in which a person reads them
     *(governor, smt, cores, isolation, clock_source, mitigations),
     *(timers, tickless, preemption, irq_priority, irq_sharing, throttling, rt_group, swap),
     *(board, permission, autosuspend, udev_rule),
-    *(disk, runtime_folder, keys),
+    *(transport, disk, runtime_folder, keys),
 )
 
 

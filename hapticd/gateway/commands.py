@@ -15,6 +15,7 @@ altered; it raises CommandError to refuse. STOP passes none of them.
 """
 
 from collections.abc import Callable
+from math import nan
 from typing import Any, NamedTuple
 
 from hapticd.errors import CommandError
@@ -157,10 +158,29 @@ def refusal(answer: Answer, cmd: str, view: ServoView) -> CommandError:
             "a stop or fault came first; `hapticd reset`, then ask again",
         ),
     }
+    if answer.result in (Result.REFUSED_DEVICE, Result.REFUSED_RATE):
+        return CommandError("refused", f"{cmd}: {_barred(answer.result, view)}")
     if answer.result not in texts:
         return wrong_state(cmd, view)
     code, reason = texts[answer.result]
     return CommandError(code, f"{cmd}: {reason}")
+
+
+def _barred(result: Result, view: ServoView) -> str:
+    """Why the board may make no force, as the servo's report has it."""
+    report = view.mailbox.report() if view.mailbox else {}
+    if result is Result.REFUSED_DEVICE:
+        differences = "; ".join(report.get("differences", ()))
+        return (
+            f"the board is not the one of its device file ({differences}); plug in the right one,"
+            " or correct the device file"
+        )
+    transport = report.get("transport") or {}
+    return (
+        f"a pair of transfers takes {transport.get('pair_us', nan):.0f} us on this bus, too long"
+        f" for {view.params.realtime.rate_hz:g} Hz; set realtime.rate_hz to at most"
+        f" {transport.get('rate_hz', nan):g} Hz, or give the board a bus of its own"
+    )
 
 
 def wrong_state(cmd: str, view: ServoView) -> CommandError:

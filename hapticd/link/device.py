@@ -30,6 +30,7 @@ from array import array
 from binascii import crc_hqx
 from collections.abc import Callable, Sequence
 from math import ceil, floor
+from typing import NamedTuple
 
 from hapticd.errors import LinkStalled, LinkTimeout
 from hapticd.link.base import Link
@@ -65,6 +66,13 @@ MOST_LAG = session.SEQ_MASK // 2  # an OUT further back than that was sent ahead
 NO_HEAD: Head = (0,) * codec.HEAD_FIELDS
 
 
+class Phase(NamedTuple):
+    """What a board was asked for, and in which of its lives."""
+
+    life: int
+    phase_us: int
+
+
 class Device:
     """The board as the servo sees it.
 
@@ -81,6 +89,7 @@ class Device:
         kinds = ("missing", "bad", "stale", "behind", "gap", "unseen", "write_errors", "lives")
         self.counts = dict.fromkeys(kinds, 0)
         self.hello: HelloFrame | None = None
+        self._phase: Phase | None = None  # None: as the board has it
         self._begin: Callable[[], None]
         self.receive: Callable[[], Received]
         self.send: Callable[..., bool]
@@ -94,12 +103,27 @@ class Device:
         """
         self.link.open()
         self.hello = session.greet(self.link.request(Request.HELLO, frames.HELLO_BYTES))
+        self._phase = None
+        self.begin()
+        return self.hello
+
+    def begin(self) -> None:
+        """A frame without torque, from which on everything counts anew."""
         # samples of an earlier session may wait in the board; a frame without ENABLE also
         # ends a tripped watchdog
         self.send(frames.OutFlag.FIFO_CLEAR, 0, 0, 0)
         # a board that was lost may count from 0 again, and no sample stood behind that frame
         self._begin()
-        return self.hello
+
+    def set_phase(self, phase_us: float) -> None:
+        """Ask the board to latch each IN `phase_us` after its OUT; it has to be able to."""
+        self._phase = Phase(self.counts["lives"], round(phase_us))
+        self.link.request(Request.SAMPLE_PHASE, value=self._phase.phase_us)
+
+    def keep_phase(self) -> None:
+        """Ask again if the board has started anew and forgotten it."""
+        if self._phase is not None and self._phase.life != self.counts["lives"]:
+            self.set_phase(self._phase.phase_us)
 
     def clear_fault(self) -> None:
         """Ask the board to forget latched faults whose cause is gone."""

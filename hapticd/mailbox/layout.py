@@ -208,6 +208,8 @@ class Result(IntEnum):
     CANCELLED = 11  # a stop or fault removed a scheduled command
     REFUSED_NO_AUTHORITY = 13  # the board would not grant torque: emergency stop or amplifier
     REFUSED_FILTER = 14  # force comes through the filters
+    REFUSED_RATE = 16  # the bus is too slow for the rate
+    REFUSED_DEVICE = 17  # the board contradicts its device file
 
 
 # --- telemetry: one record per tick ---------------------------------------------------------------
@@ -235,7 +237,7 @@ TELEMETRY = (
     ("status", "<u4"),
     # of the sample: 0 on time, k after k lost ones, -k missing for the k-th time (link.device)
     ("arrival", "<i4"),
-    ("host", "<u4"),  # 1: the board is linked, 2: the gateway's heartbeat is there
+    ("host", "<u4"),  # servo.plan: LINK_UP and the others
     ("position_m", "<f8"),
     ("velocity_m_per_s", "<f8"),
     ("acceleration_m_per_s2", "<f8"),

@@ -19,6 +19,7 @@ import uuid
 from contextlib import suppress
 from datetime import UTC, datetime
 from importlib import import_module
+from math import nan
 from pathlib import Path
 from typing import Any
 
@@ -90,7 +91,8 @@ def of_recording(
         "configuration": json.dumps(servo),
         "realtime": json.dumps(report.get("realtime", {})),
         "board": json.dumps(report.get("board", {})),
-        "winding_c": float(status.get("winding_c", float("nan"))),
+        # null where the board does not measure it
+        "winding_c": nan if (heat := status.get("winding_c")) is None else float(heat),
         "hapticd_version": hapticd.__version__,
         "hapticd_commit": commit(),
         "server_version": hello["version"],

@@ -39,6 +39,7 @@ class Now(NamedTuple):
     force_n: float  # as last sent
     gateway: bool
     cause: int  # fault number of what would be wrong under force at this moment, 0: nothing
+    bar: Result | None = None  # why this board may make no force at all
 
 
 def answer(
@@ -151,7 +152,8 @@ def _target(
         return Result.REFUSED_STATE
     if target in (State.ENABLED, State.HOMING):
         required = params.device.home.required and target is State.ENABLED
-        return safety.enable_refusal(plan.homed, required, now.gateway, now.cause) or target
+        refusal = safety.enable_refusal(plan.homed, required, now.gateway, now.cause)
+        return now.bar or refusal or target
     if kind == Command.RESET and now.cause:
         return Result.REFUSED_CAUSE
     return target

@@ -28,6 +28,7 @@ something slow before the record is published, a rehearsal that has an effect.
 import os
 import time
 from collections.abc import Callable
+from math import nan
 
 from hapticd.clock import Clock
 from hapticd.errors import HapticdError, LinkError, LinkLost, MailboxError
@@ -38,12 +39,13 @@ from hapticd.mailbox.files import plain_store
 from hapticd.mailbox.layout import Flag
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.mailbox.stop_word import NOT_PRESSED, READ_BYTES
-from hapticd.params import ScaleParams, ServoParams
+from hapticd.params import ServoParams
+from hapticd.servo.board_check import check_board
 from hapticd.servo.inbox import Inbox, Streamer
 from hapticd.servo.plan import (
-    AMPLIFIER_TOLD,
     GATEWAY_ALIVE,
     LINK_UP,
+    NO_TEMPERATURE,
     SETTLED,
     WAVE_COMMAND,
     Answer,
@@ -60,7 +62,7 @@ from hapticd.wire.codec import (
     I16_LOWEST,
     NO_SAMPLES,
 )
-from hapticd.wire.frames import Capability, OutFlag
+from hapticd.wire.frames import OutFlag
 
 Wait = Callable[[int, Callable[[], object]], int]
 REHEARSAL_NS = 30_000  # room that a rehearsal needs before the deadline
@@ -144,6 +146,7 @@ class ServoLoop:
         self.inbox = Inbox(params, mailbox, device, self.streamer)
         self.tick = 0
         self.linked = device.hello is not None
+        self.board = check_board(device, params, clock)
         self.stopping = False
         self._lost_slots = 0
         self._delay_spread_us = 0
@@ -187,7 +190,7 @@ class ServoLoop:
         in_bytes = device.in_buffer.tobytes
         out_buffer = device.out_buffer
         out_bytes = out_buffer.tobytes
-        (temperature, t0), (current, c0), (voltage, v0), (emf, e0) = _sensor_lines(self.params)
+        (temperature, t0), (current, c0), (voltage, v0), (emf, e0) = self._sensor_lines()
         timeout_ns = int(self.params.safety.gateway_timeout_s * NS_PER_S)
         period_ns = self.period_ns
         periods_per_us = self.params.realtime.rate_hz / US_PER_S
@@ -200,7 +203,7 @@ class ServoLoop:
         head: Head = NO_HEAD
         alive_until_ns = 0
         board_us = 0
-        linked = self._healthy()
+        linked = _HEALTHY | self.board.host  # host flags while all is well
         publish_ns = 0
         last = None if ticks is None else self.tick + ticks
 
@@ -223,7 +226,8 @@ class ServoLoop:
                     arrival = self._unlink(start)
             else:
                 arrival = self._search(start)
-                linked = self._healthy()
+                linked = _HEALTHY | self.board.host
+                (temperature, t0), *_ = self._sensor_lines()
             got = clock()
             (
                 _,
@@ -373,12 +377,6 @@ class ServoLoop:
                 publish_ns = min(publish_ns, _LONGEST_NS)
                 self._late(end)
 
-    def _healthy(self) -> int:
-        """Host flags of a tick on which board and gateway are there."""
-        hello = self.device.hello
-        told = hello is not None and hello.capabilities & Capability.AMPLIFIER_READY
-        return _HEALTHY | AMPLIFIER_TOLD if told else _HEALTHY
-
     def _rehearsal(self) -> Callable[[], None]:
         """The tick to no effect. No closure of `run`: what it shares with one costs a tick more
         than a local.
@@ -458,6 +456,10 @@ class ServoLoop:
         words[_COUNTER["ticks"]] = self.tick
         for name, key in _TALLY.items():
             words[_COUNTER[name]] = self.device.counts[key]
+        try:
+            self.device.keep_phase()
+        except LinkError:
+            pass  # the transfers of the tick say so
         self.mailbox.renew()
         if self.mailbox.checkpoint_due:
             self.mailbox.checkpoint(self.tick + 1, flatten(self.state))
@@ -500,24 +502,21 @@ class ServoLoop:
         """
         self.linked = True
         self.mailbox.count("reconnects")
+        self.board = check_board(self.device, self.params, self.clock)
+        found = {"reconnected": serial, **self.board.report()}
         try:
-            self.mailbox.report(self.mailbox.last_report | {"reconnected": serial})
+            self.mailbox.report(self.mailbox.last_report | found)
         except MailboxError:
             pass  # no room for the report: the counter says it too
         self.restart_clock()
 
-
-def _sensor_lines(params: ServoParams) -> tuple[tuple[float, float], ...]:
-    """Slope and intercept of value = count * slope + intercept: temperature, current, voltage,
-    back-EMF velocity.
-    """
-    device = params.device
-    scales: tuple[ScaleParams, ...] = (
-        device.temperature,
-        device.current,
-        device.voltage,
-        device.emf_velocity,
-    )
-    return tuple(
-        (scale.to_value(1.0) - scale.to_value(0.0), scale.to_value(0.0)) for scale in scales
-    )
+    def _sensor_lines(self) -> tuple[tuple[float, float], ...]:
+        """Slope and intercept of value = count * slope + intercept: temperature, current, voltage,
+        back-EMF velocity. NaN where the board does not measure.
+        """
+        device = self.params.device
+        scales = (device.temperature, device.current, device.voltage, device.emf_velocity)
+        heat, *others = (
+            (scale.to_value(1.0) - scale.to_value(0.0), scale.to_value(0.0)) for scale in scales
+        )
+        return (0.0, nan) if self.board.host & NO_TEMPERATURE else heat, *others

@@ -256,6 +256,9 @@ Answer = tuple[int, int, int, int, tuple[int, int], tuple[float, ...]]
 LINK_UP = 1
 GATEWAY_ALIVE = 2
 AMPLIFIER_TOLD = 4  # the board says whether its amplifier is ready
+DEVICE_DIFFERS = 8  # the board contradicts its device file (link.agreement)
+RATE_NOT_HELD = 16  # the bus is too slow for the rate (link.transport)
+NO_TEMPERATURE = 32  # the board does not measure the winding: its count means nothing
 
 BOARD_FAULT = int(StatusBit.AMPLIFIER_FAULT | StatusBit.ENCODER_FAULT)
 CLEARABLE = BOARD_FAULT | int(StatusBit.OVER_TEMPERATURE)  # what CLEAR_FAULT may end

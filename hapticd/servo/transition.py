@@ -21,7 +21,7 @@ from typing import Any
 
 from hapticd.faults import BY_CODE
 from hapticd.link.device import SEED
-from hapticd.mailbox.layout import Command, Flag
+from hapticd.mailbox.layout import Command, Flag, Result
 from hapticd.params import ServoParams
 from hapticd.render.energy import ZERO_FORCES, book
 from hapticd.render.filters import steady
@@ -33,10 +33,13 @@ from hapticd.servo.plan import (
     AMPLIFIER_TOLD,
     AUTHORITY,
     BOARD_FAULT,
+    DEVICE_DIFFERS,
     GATEWAY_ALIVE,
     KIND,
     LINK_UP,
+    NO_TEMPERATURE,
     NO_WAVE,
+    RATE_NOT_HELD,
     SETTLED,
     STATUS,
     WAVE_COMMAND,
@@ -130,7 +133,7 @@ def make_attend(params: ServoParams) -> Attend:
             return BY_CODE["usb_lost"].number
         if status & BOARD_FAULT:
             return BY_CODE["board_fault"].number
-        allowed = low_count <= temperature <= high_count
+        allowed = low_count <= temperature <= high_count or host & NO_TEMPERATURE
         if status & StatusBit.OVER_TEMPERATURE or not allowed:
             return BY_CODE["over_temperature"].number
         return 0
@@ -257,7 +260,8 @@ def make_attend(params: ServoParams) -> Attend:
         if arrival == SEED:
             plan = plan._replace(origin=first_origin, homed=False)
         _, held_n = held
-        now = Now(tick, encoder, held_n, bool(host & GATEWAY_ALIVE), cause_against_force(sample))
+        gateway = bool(host & GATEWAY_ALIVE)
+        now = Now(tick, encoder, held_n, gateway, cause_against_force(sample), bar(host))
         if usable:
             plan = authorised(plan, sample, tick)
         plan, answers = commanded(plan, commands, sample, now)
@@ -312,6 +316,13 @@ def make_attend(params: ServoParams) -> Attend:
         return (settled, law, ledger, held), usable, answers, flags
 
     return attend
+
+
+def bar(host: int) -> Result | None:
+    """Why the board that `host` tells of may make no force; None if it may."""
+    if host & DEVICE_DIFFERS:
+        return Result.REFUSED_DEVICE
+    return Result.REFUSED_RATE if host & RATE_NOT_HELD else None
 
 
 def out_flags(plan: Plan, tick: int) -> int:

@@ -201,7 +201,7 @@ class BoardModel:
             self._axis.clear_faults()
             return b""
         if (request_type, request) == (VENDOR_OUT, Request.SAMPLE_PHASE.value):
-            return self._set_phase(value)
+            return None if "sample_phase" in self._params.lacks else self._set_phase(value)
         reply = self._replies.get((request_type, request, value))
         return None if reply is None else reply[:length]
 

@@ -1,0 +1,101 @@
+"""What the bus between host and board costs, and what is left of a period for it.
+
+One tick reads the IN that was latched, computes, and writes the OUT; the board latches the next IN
+a phase after it has accepted that. For the ticks to be on time
+
+    phase + IN transfer + step + OUT transfer  <=  period
+
+At a phase of 0.875 an eighth of a period is left, 125 us at 1 kHz: enough where a transfer is a
+call, too little for a bus. A pair of transfers takes 0.33 ms at the median through a Linux kernel
+and 1.45 times as much at the 99th percentile. So room is left for 1.45 times the measured median
+and 50 us of step, and the phase is the largest multiple of 1/16 of the period, up to 0.875, that
+leaves it. What the force loses by it is known: it acts (1 - phase) periods after its sample.
+
+Whether there is a bus at all is asked first, by a control transfer, which no board counts: what
+answers within 100 us is in the same process. Only then frames are exchanged, all of them without
+torque: an OUT, a pause of a period, so that its IN is there, and the read.
+
+What would break it: a board whose control transfers are quicker than its frames, a pause between
+measuring and use in which the bus got busier (the delay that each record shows would tell).
+"""
+
+from math import floor
+from statistics import median
+from typing import NamedTuple
+
+from hapticd.clock import Clock
+from hapticd.link.device import Device
+from hapticd.units import NS_PER_US, US_PER_S
+from hapticd.wire import frames
+from hapticd.wire.frames import Capability, Request
+
+USUAL_PHASE = 0.875  # of a period: what a board has of itself (firmware_iface/PROTOCOL.md)
+PHASES = 16  # in a period
+PAIRS = 32
+GREETINGS = 3
+NO_BUS_US = 100.0  # USB needs at least three frames of 125 us for a control transfer
+SLOWEST_OVER_MEDIAN = 1.45  # 99th percentile of pairs through a Linux kernel
+STEP_US = 50.0  # wake-up, law and record of one tick, with a margin of its own
+RATE_STEP_HZ = 10.0
+
+
+class Transport(NamedTuple):
+    """What was measured, and what follows from it."""
+
+    pair_us: float  # median of an OUT and an IN transfer; 0 without a bus
+    sample_phase: float  # of a period, from an OUT to the latch of its IN
+    delay_us: float  # from a sample to its force
+    rate_hz: float  # highest that is held, or the servo's own
+
+
+def settle_transport(device: Device, clock: Clock) -> Transport:
+    """Measure the bus of a greeted `device` and set the phase of its board.
+
+    A rate below the servo's own says that it is not held. LinkError as the link raises it.
+    """
+    period_us = device.period_us
+    rate_hz = US_PER_S / period_us
+    if _greeting_us(device, clock) < NO_BUS_US:
+        return Transport(0.0, USUAL_PHASE, (1.0 - USUAL_PHASE) * period_us, rate_hz)
+    pair_us = median(_pairs_us(device, clock))
+    needed_us = SLOWEST_OVER_MEDIAN * pair_us + STEP_US
+    assert device.hello is not None
+    if device.hello.capabilities & Capability.SAMPLE_PHASE:
+        phase = min(USUAL_PHASE, max(0, floor(PHASES * (1.0 - needed_us / period_us))) / PHASES)
+        device.set_phase(phase * period_us)
+        held_hz = US_PER_S / needed_us
+    else:
+        phase = USUAL_PHASE
+        held_hz = US_PER_S / needed_us * (1.0 - phase)
+    device.begin()
+    delay_us = (1.0 - phase) * period_us
+    if held_hz >= rate_hz:
+        return Transport(pair_us, phase, delay_us, rate_hz)
+    return Transport(pair_us, phase, delay_us, RATE_STEP_HZ * floor(held_hz / RATE_STEP_HZ))
+
+
+def _greeting_us(device: Device, clock: Clock) -> float:
+    """Shortest time of a control transfer."""
+    times = []
+    for _ in range(GREETINGS):
+        start_ns = clock.now_ns()
+        device.link.request(Request.HELLO, frames.HELLO_BYTES)
+        times.append(clock.now_ns() - start_ns)
+    return min(times) / NS_PER_US
+
+
+def _pairs_us(device: Device, clock: Clock) -> list[float]:
+    """Time of each of PAIRS pairs: an OUT without torque, and an IN that lies ready."""
+    period_ns = round(device.period_us * NS_PER_US)
+    pairs = []
+    clock.sleep_until_ns(clock.now_ns() + period_ns)
+    device.receive()  # the answer to the frame that `connect` sent
+    for _ in range(PAIRS):
+        start_ns = clock.now_ns()
+        device.send(0, 0, 0, 0)
+        sent_ns = clock.now_ns()
+        clock.sleep_until_ns(sent_ns + period_ns)
+        ready_ns = clock.now_ns()
+        device.receive()
+        pairs.append((sent_ns - start_ns + clock.now_ns() - ready_ns) / NS_PER_US)
+    return pairs

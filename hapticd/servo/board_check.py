@@ -1,0 +1,53 @@
+"""What is found out about a board before it may make force, once at every connection.
+
+Two things bar force for as long as this board is connected, and both are said by name: the hello
+contradicts the device file (`link.agreement`), and the bus is too slow for the rate of the servo
+(`link.transport`). They travel as host flags with every sample, so that a replay sees them too. The
+daemon runs all the same: what was found has to be read somewhere.
+
+What would break it: calling it between two ticks of a servo that renders (it exchanges frames).
+"""
+
+from typing import Any, NamedTuple
+
+from hapticd.clock import Clock
+from hapticd.errors import LinkError
+from hapticd.link.agreement import differences
+from hapticd.link.device import Device
+from hapticd.link.transport import Transport, settle_transport
+from hapticd.params import ServoParams
+from hapticd.servo.plan import AMPLIFIER_TOLD, DEVICE_DIFFERS, NO_TEMPERATURE, RATE_NOT_HELD
+from hapticd.wire.frames import Capability
+
+
+class BoardCheck(NamedTuple):
+    """What was found."""
+
+    differences: tuple[str, ...] = ()  # between hello and device file, in words
+    transport: Transport | None = None  # None: the link failed while it was measured
+    host: int = 0  # host flags that go with every sample
+
+    def report(self) -> dict[str, Any]:
+        """As servo.report says it."""
+        transport = None if self.transport is None else self.transport._asdict()
+        return {"differences": list(self.differences), "transport": transport}
+
+
+def check_board(device: Device, params: ServoParams, clock: Clock) -> BoardCheck:
+    """Look at the board that `device` has greeted; nothing is found where there is none."""
+    hello = device.hello
+    if hello is None:
+        return BoardCheck()
+    found = differences(hello, params.device)
+    try:
+        transport = settle_transport(device, clock)
+    except LinkError:
+        transport = None  # the tick that meets the lost link says so, and the next board is checked
+    host = DEVICE_DIFFERS if found else 0
+    if transport is not None and transport.rate_hz < params.realtime.rate_hz:
+        host |= RATE_NOT_HELD
+    if hello.capabilities & Capability.AMPLIFIER_READY:
+        host |= AMPLIFIER_TOLD
+    if not hello.capabilities & Capability.TEMPERATURE:
+        host |= NO_TEMPERATURE
+    return BoardCheck(found, transport, host)

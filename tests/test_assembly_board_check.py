@@ -1,0 +1,225 @@
+"""A board is looked at before it may make force: does it say what its device file says, and does
+its bus leave time for a tick?
+"""
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+from models import COUNT_M, COUNT_N, board_params, device_params, servo_params
+
+from hapticd.assembly.lockstep import LockStep
+from hapticd.mailbox import files, layout
+from hapticd.mailbox.layout import Command, Result, Value
+from hapticd.params import HomeParams, InjectionParams, RealtimeParams, ScaleParams
+from hapticd.servo.safety import State
+
+DTYPE = np.dtype([tuple(field) for field in layout.TELEMETRY])
+
+
+def records(block):
+    return np.frombuffer(block, DTYPE)
+
+
+def report(stack):
+    return json.loads((stack.mailbox.folder / files.REPORT).read_text())
+
+
+def flown(servo, board, ticks=5):
+    """What enabling says to this servo with this board, and the records of `ticks` ticks."""
+    with LockStep(servo, board) as stack:
+        stack.run(5)
+        answer = stack.do(Command.ENABLE)
+        return answer.result, stack.loop.board.report(), records(stack.run(ticks))
+
+
+# --- the hello against the device file ------------------------------------------------------------
+
+OTHER_BOARDS = {
+    "force full scale": {"force_n_per_count": 80.0 / 32767},
+    "damping full scale": {"damping_ns_per_m_per_count": 5.0 / 65535},
+    "probe torque full scale": {"probe_torque_n_per_count": 0.2 / 32767},
+    "probe velocity full scale": {"probe_velocity_m_per_s_per_count": 20.0 / 32767},
+    "current full scale": {"current_a_per_count": 1.0 / 32767},
+    "voltage full scale": {"voltage_v_per_count": 300.0 / 32767},
+    "position": {"position_m_per_count": 2.0 * COUNT_M},
+    "force limit": {"force_limit_n": 80.0},
+    "serial": {"hello_serial": "SIM0002"},
+    "capability temperature": {"lacks": ("temperature",)},
+    "capability probe": {"lacks": ("probe",)},
+}
+
+
+@pytest.mark.parametrize("name", OTHER_BOARDS)
+def test_hello_that_contradicts_the_device_file_bars_force_by_name(name):
+    device = device_params(relies_on=("probe", "temperature"))
+    servo = servo_params(device=device)
+    result, said, ticks = flown(servo, board_params(**OTHER_BOARDS[name]))
+    assert result is Result.REFUSED_DEVICE
+    assert set(ticks["state"]) == {State.DISABLED}
+    assert [line.partition(":")[0] for line in said["differences"]] == [name]
+
+
+def test_every_difference_is_named_at_once():
+    changes = {key: value for item in OTHER_BOARDS.values() for key, value in item.items()}
+    changes["lacks"] = ("probe", "temperature")
+    device = device_params(relies_on=("probe", "temperature"))
+    _, said, _ = flown(servo_params(device=device), board_params(**changes))
+    assert sorted(line.partition(":")[0] for line in said["differences"]) == sorted(OTHER_BOARDS)
+
+
+def test_both_numbers_are_said_with_their_unit():
+    board = board_params(force_n_per_count=80.0 / 32767)
+    _, said, _ = flown(servo_params(), board)
+    assert said["differences"] == [
+        "force full scale: the board says 80 N, the device file 8 N",
+    ]
+
+
+@pytest.mark.parametrize(("factor", "agrees"), [(1.09, True), (0.91, True), (1.11, False)])
+def test_a_calibration_may_correct_a_scale_by_a_tenth(factor, agrees):
+    force = ScaleParams(COUNT_N)
+    board = board_params(force_n_per_count=COUNT_N * factor)
+    result, _, _ = flown(servo_params(device=device_params(force=force)), board)
+    assert result is (Result.APPLIED if agrees else Result.REFUSED_DEVICE)
+
+
+def test_index_that_homing_needs_has_to_be_there():
+    device = device_params(home=HomeParams(method="index"))
+    with LockStep(servo_params(device=device), board_params()) as stack:
+        stack.run(5)
+        assert stack.do(Command.HOME).result is Result.REFUSED_DEVICE
+        assert "capability index" in stack.loop.board.report()["differences"][0]
+
+
+def test_another_board_at_the_plug_is_looked_at_again():
+    """The board that comes back is another one: it is barred, though the first was not."""
+    away = InjectionParams("unplug", tick=50, value=0.01)
+    with LockStep(servo_params(), board_params(injections=(away,))) as stack:
+        stack.run(30)
+        assert stack.do(Command.ENABLE).result is Result.APPLIED
+        board = stack.backend._port.board
+        replaced = {key: reply for key, reply in board._replies.items() if key[0] == 0xC0}
+        hello = next(key for key in replaced if key[1] == 1)
+        other = bytearray(replaced[hello])
+        other[16:17] = b"X"  # of its serial number
+        board._replies[hello] = bytes(other)
+        stack.run(600)
+        assert stack.do(Command.RESET).result is Result.APPLIED
+        assert stack.do(Command.ENABLE).result is Result.REFUSED_DEVICE
+        assert report(stack)["differences"][0].startswith("serial: the board says 'XIM0001'")
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_temperature_that_is_not_measured_is_unknown_not_zero(sign):
+    """Whatever 0 counts would mean: with this scale of sign -1 they mean 130 degC."""
+    scale = ScaleParams(0.01, sign, 13_000.0 if sign < 0 else 0.0)
+    device = device_params(temperature=scale, relies_on=("temperature",))
+    result, _, ticks = flown(servo_params(device=device), board_params(lacks=("temperature",)))
+    assert result is Result.REFUSED_DEVICE
+    assert all(math.isnan(value) for value in ticks["winding_c"])
+    assert set(ticks["state"]) == {State.DISABLED}
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_device_file_that_does_not_rely_on_temperature_does_without(sign):
+    scale = ScaleParams(0.01, sign, 13_000.0 if sign < 0 else 0.0)
+    servo = servo_params(device=device_params(temperature=scale))
+    result, _, ticks = flown(servo, board_params(lacks=("temperature",)), 600)
+    assert result is Result.APPLIED
+    assert set(ticks["state"]) == {State.ENABLED}
+    assert all(math.isnan(value) for value in ticks["winding_c"])
+
+
+# --- what the bus costs ---------------------------------------------------------------------------
+
+
+def far_board(pair_ms, **changes):
+    """A board whose pair of transfers takes `pair_ms`, two fifths of it on the way out."""
+    pair_us = 1000.0 * pair_ms
+    return board_params(out_transport_us=0.4 * pair_us, in_transport_us=0.6 * pair_us, **changes)
+
+
+HELD = {0.3: 0.5, 0.36: 0.375, 0.4: 0.3125}  # pair [ms]: phase
+
+
+@pytest.mark.parametrize("pair_ms", HELD)
+def test_phase_leaves_room_for_the_measured_pair(pair_ms):
+    with LockStep(servo_params(), far_board(pair_ms)) as stack:
+        stack.run(5)
+        assert stack.do(Command.ENABLE).result is Result.APPLIED
+        stack.do(Command.SET, {Value.STIFFNESS: 200.0, Value.DAMPING: 3.0})
+        ticks = records(stack.run(3000))
+        found = stack.loop.board.report()["transport"]
+    phase = HELD[pair_ms]
+    assert ticks["lost_slots"][-1] == 0
+    assert set(ticks["state"]) == {State.ENABLED}
+    assert not ticks["arrival"][1:].any()
+    assert found["pair_us"] == pytest.approx(1000 * pair_ms)
+    assert found["sample_phase"] == phase
+    assert found["delay_us"] == 1000 * (1 - phase)
+    # and that is the delay that the board's own clock shows
+    assert set(ticks["delay_us"][10:]) == {round(1000 * (1 - phase))}
+
+
+def test_without_a_bus_the_phase_stays_and_no_frame_is_sent():
+    with LockStep(servo_params(), board_params()) as stack:
+        ticks = records(stack.run(40))
+        found = stack.loop.board.report()["transport"]
+    assert found == {"pair_us": 0.0, "sample_phase": 0.875, "delay_us": 125.0, "rate_hz": 1000.0}
+    assert ticks["board_us"][0] == 875
+
+
+REFUSED = {0.8: 820.0, 1.3: 510.0}  # pair [ms]: rate that is held [Hz]
+
+
+@pytest.mark.parametrize("pair_ms", REFUSED)
+def test_bus_that_is_too_slow_bars_force_and_names_the_rate(pair_ms):
+    result, said, ticks = flown(servo_params(), far_board(pair_ms), 50)
+    assert result is Result.REFUSED_RATE
+    assert set(ticks["state"]) == {State.DISABLED}
+    assert said["transport"]["rate_hz"] == REFUSED[pair_ms]
+
+
+@pytest.mark.parametrize("pair_ms", REFUSED)
+def test_the_rate_that_is_named_is_held(pair_ms):
+    rate_hz = REFUSED[pair_ms]
+    servo = servo_params(realtime=RealtimeParams(mode="off", rate_hz=rate_hz))
+    result, _, ticks = flown(servo, far_board(pair_ms, rate_hz=rate_hz), 3000)
+    assert result is Result.APPLIED
+    assert ticks["lost_slots"][-1] == 0
+    assert set(ticks["state"]) == {State.ENABLED}
+
+
+def test_board_that_cannot_set_its_phase_keeps_seven_eighths():
+    """Then 0.3 ms is too much at 1 kHz, and a quarter of the rate is not."""
+    fixed = far_board(0.3, lacks=("sample_phase",))
+    result, said, _ = flown(servo_params(), fixed)
+    assert result is Result.REFUSED_RATE
+    assert said["transport"]["sample_phase"] == 0.875
+    slow = said["transport"]["rate_hz"]
+    servo = servo_params(realtime=RealtimeParams(mode="off", rate_hz=slow))
+    result, _, ticks = flown(servo, dataclasses.replace(fixed, rate_hz=slow), 500)
+    assert result is Result.APPLIED
+    assert ticks["lost_slots"][-1] == 0
+
+
+def test_board_that_starts_anew_is_given_its_phase_again():
+    begun = (InjectionParams("restart", tick=200),)
+    with LockStep(servo_params(), far_board(0.4, injections=begun)) as stack:
+        ticks = records(stack.run(2000))
+    assert ticks["lost_slots"][-1] == ticks["lost_slots"][700]
+    assert set(ticks["delay_us"][-500:]) == {688}
+
+
+def test_board_that_comes_back_is_measured_again():
+    away = (InjectionParams("unplug", tick=200, value=0.05),)
+    with LockStep(servo_params(), far_board(0.4, injections=away)) as stack:
+        stack.run(1000)
+        stack.do(Command.RESET)
+        assert stack.do(Command.ENABLE).result is Result.APPLIED
+        lost = records(stack.run(1))["lost_slots"][-1]
+        assert records(stack.run(1000))["lost_slots"][-1] == lost
+        assert report(stack)["transport"]["sample_phase"] == 0.3125
