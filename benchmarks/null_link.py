@@ -49,7 +49,8 @@ class NullLink(Link):
     def _frame(self, number: int) -> bytes:
         time_us = round((number + 1) * US_PER_S / self._params.rate_hz)
         encoder = round(AMPLITUDE_COUNTS * sin(2.0 * pi * WAVE_HZ * number / self._params.rate_hz))
-        status = int(frames.StatusBit.ENABLED | frames.StatusBit.SIMULATED)
+        bits = frames.StatusBit
+        status = int(bits.ENABLED | bits.AMPLIFIER_READY | bits.SIMULATED)
         return codec.encode_in(
             InFrame(
                 number & 0xFFFF,

@@ -118,7 +118,7 @@ int reference_ticks(struct servo *s, const uint8_t *frames, uint8_t *ring, int c
         if (words[0] || words[1] != words[2] || start < (int64_t)words[3])
             return i + 1;
         r->delay_us = (int32_t)(s->board_us - in->torque_age_us - s->sampled[in->torque_seq]);
-        r->frame_age_us = (int32_t)((got - s->sent_at[in->torque_seq]) / 1000 - in->torque_age_us);
+        r->frame_age_us = (int32_t)((got - s->sent_at[in->echo & 255]) / 1000 - in->torque_age_us);
         least = r->delay_us < least ? r->delay_us : least;
         most = r->delay_us > most ? r->delay_us : most;
         uint32_t flags = law(s, in->encoder * s->m_per_count, r);

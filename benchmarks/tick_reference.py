@@ -10,7 +10,7 @@ import struct
 
 from hapticd.params import EnvironmentParams, FilterParams
 from hapticd.render.filters import design
-from hapticd.wire.frames import IN_HEAD, OUT
+from hapticd.wire.frames import IN_SEALED, OUT
 
 RECORD = struct.Struct(
     "<QqIihH4h10dIQ"
@@ -57,8 +57,8 @@ class ReferenceTick:
         self.ring = bytearray(SLOTS * RECORD.size)
 
     def __call__(self, frame: bytes, now_ns: int) -> bytes:
-        _, _, _, _, status, board_us, encoder, current, voltage, emf, celsius, _, _, _, _ = (
-            IN_HEAD.unpack_from(frame)
+        _, _, _, _, status, board_us, encoder, current, voltage, emf, celsius, *_ = (
+            IN_SEALED.unpack_from(frame)
         )
         x = encoder * self.m_per_count
         v_raw = (x - self.x1) * self.rate_hz

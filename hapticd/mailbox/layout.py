@@ -261,7 +261,7 @@ TELEMETRY = (
     # board's clock; -1: unknown
     ("delay_us", "<i4"),
     ("delay_spread_us", "<i4"),  # greatest minus least delay of the last whole 256 ticks
-    # of the IN frame when it was read, by both clocks; includes what the board holds torque back
+    # of the IN frame when it was read, by both clocks; -1: unknown, or the board holds torque back
     ("frame_age_us", "<i4"),
     ("damping_effect_ns_per_m", "<f4"),  # active damping in effect, as the board says
     ("in_frame", "V64"),

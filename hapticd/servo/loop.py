@@ -33,7 +33,7 @@ from math import nan
 from hapticd.clock import Clock
 from hapticd.errors import HapticdError, LinkError, LinkLost, MailboxError
 from hapticd.link.base import backoff_s
-from hapticd.link.device import NO_HEAD, SEQUENCES, UNKNOWN_US, Device, Head
+from hapticd.link.device import NO_HEAD, UNKNOWN_US, Device, Head
 from hapticd.mailbox import layout
 from hapticd.mailbox.files import plain_store
 from hapticd.mailbox.layout import Flag
@@ -152,8 +152,7 @@ class ServoLoop:
         self._delay_spread_us = 0
         self._least_us = _NOTHING_US  # delays of the running 256 ticks
         self._most_us = 0
-        # by the low byte of the sequence number, which stands first in an OUT frame
-        self._sent_at = [clock.now_ns()] * SEQUENCES
+        self._stepped_ns = clock.now_ns()  # when the last OUT was ready
         self._absent = 0
         self._attempt = 0
         self._retry_ns = 0
@@ -188,8 +187,7 @@ class ServoLoop:
         wait = self.wait
         clock = self.clock.now_ns
         in_bytes = device.in_buffer.tobytes
-        out_buffer = device.out_buffer
-        out_bytes = out_buffer.tobytes
+        out_bytes = device.out_buffer.tobytes
         (temperature, t0), (current, c0), (voltage, v0), (emf, e0) = self._sensor_lines()
         timeout_ns = int(self.params.safety.gateway_timeout_s * NS_PER_S)
         period_ns = self.period_ns
@@ -197,7 +195,7 @@ class ServoLoop:
         damping = self.params.device.damping
         damping_slope = damping.to_value(1.0) - damping.to_value(0.0)
         damping_start = damping.to_value(0.0)
-        sent_at = self._sent_at
+        stepped = self._stepped_ns
         least_us = self._least_us
         most_us = self._most_us
         head: Head = NO_HEAD
@@ -212,10 +210,13 @@ class ServoLoop:
             if self.stopping or tick == last:
                 self._least_us = least_us
                 self._most_us = most_us
+                self._stepped_ns = stepped
                 break
             deadline = self.deadline_ns
             next_deadline = deadline + period_ns
             slot = first_slot + tick % slots * size
+            # read, not mapped: others may cut this file short (`mailbox.stop_word`)
+            pressed = pread(stop_word, READ_BYTES, 0) != NOT_PRESSED
             start = wait(deadline, rehearse)
             delay_us = UNKNOWN_US
             frame_age_us = UNKNOWN_US
@@ -231,7 +232,7 @@ class ServoLoop:
             got = clock()
             (
                 _,
-                _,
+                echo,
                 _,
                 _,
                 status,
@@ -253,13 +254,7 @@ class ServoLoop:
 
             commands: tuple[Request, ...] = ()
             # a plain load of the head is a hint, at worst a tick old; `take` loads it in order
-            if (
-                # read, not mapped: others may cut this file short (`mailbox.stop_word`)
-                pread(stop_word, READ_BYTES, 0) != NOT_PRESSED
-                or words[head_word] != mailbox.taken
-                or inbox.waiting
-                or streamer.playing
-            ):
+            if pressed or words[head_word] != mailbox.taken or inbox.waiting or streamer.playing:
                 commands = inbox.requests(tick, head, self.state[SETTLED].plan)
                 mailbox.note(tick, commands)
             # the beat last seen says nothing any more: look for the next one
@@ -286,15 +281,17 @@ class ServoLoop:
             samples = NO_SAMPLES
             if settled.wave[WAVE_COMMAND] or streamer.playing:
                 out_flags, count, samples = streamer.follow(settled.wave, out_flags, level)
-            stepped = clock()
             if delay_us < 0:
                 delay_us = UNKNOWN_US
             else:
-                frame_age_us = (got - sent_at[torque_seq]) // NS_PER_US - torque_age_us
+                # where the board holds torque back, the age of another OUT says nothing of this
+                if torque_seq == echo & 0xFF:
+                    frame_age_us = (got - stepped) // NS_PER_US - torque_age_us
                 if delay_us > most_us:
                     most_us = delay_us
                 if delay_us < least_us:
                     least_us = delay_us
+            stepped = clock()
             if self.linked:
                 try:
                     if not send(out_flags, torque, settled.damping_count, 0, count, samples):
@@ -302,7 +299,6 @@ class ServoLoop:
                 except LinkLost:
                     self._unlink(start)
             sent = clock()
-            sent_at[out_buffer[0]] = stepped
 
             wake_ns = start - deadline
             read_ns = got - start
