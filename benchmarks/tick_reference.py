@@ -57,9 +57,27 @@ class ReferenceTick:
         self.ring = bytearray(SLOTS * RECORD.size)
 
     def __call__(self, frame: bytes, now_ns: int) -> bytes:
-        _, _, _, _, status, board_us, encoder, current, voltage, emf, celsius, *_ = (
-            IN_SEALED.unpack_from(frame)
-        )
+        (
+            _,
+            _,
+            _,
+            _,
+            status,
+            board_us,
+            encoder,
+            current,
+            voltage,
+            emf,
+            celsius,
+            _,
+            _,
+            _,
+            _,
+            _,
+            _,
+            _,
+            _,
+        ) = IN_SEALED.unpack_from(frame)
         x = encoder * self.m_per_count
         v_raw = (x - self.x1) * self.rate_hz
         a_raw = (v_raw - self.v1) * self.rate_hz
