@@ -1,7 +1,8 @@
-# Work with a checkout: make run | test | bench | deps | clean. A fresh machine needs make and Python 3.11 or newer.
+# Work with a checkout: make run | test | mutate | bench | deps | clean. A fresh machine needs make and Python 3.11 or newer.
 #
 #   make run                start the daemon on the simulated board (ARGS="--rate-hz 2000" and other options of `hapticd run`)
 #   make test               format, lint, types, layers, tests: what continuous integration runs
+#   make mutate [ONLY=stop] put known defects back, one at a time, and see that a test fails for each; two minutes
 #   make bench [ONLY=wake]  measure; results in build/bench.json
 #   make reproduce          the paper's figures and table in build/reproduction; with ARGS=--quick by prediction, in seconds, in
 #                           build/reproduction-quick
@@ -17,7 +18,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := run
-.PHONY: run test bench reproduce reproduction-docs docs deps deps-run deps-test deps-bench pins clean
+.PHONY: run test mutate bench reproduce reproduction-docs docs deps deps-run deps-test deps-bench pins clean
 
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -37,6 +38,9 @@ test: deps-test $(VENV)/test.stamp
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python -m pytest $(ARGS)
+
+mutate: deps-test $(VENV)/test.stamp
+	$(BIN)/python tests/mutate.py $(ONLY)
 
 bench: deps-bench $(VENV)/test.stamp
 	ONLY="$(ONLY)" $(BIN)/python benchmarks/run.py

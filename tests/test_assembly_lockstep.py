@@ -437,6 +437,34 @@ def test_pause_beyond_what_a_record_holds_is_survived(pause_s):
     assert flown["lost_slots"][-1] == lost % 2**32
 
 
+def test_late_tick_drops_whole_slots_and_never_catches_up():
+    with LockStep(servo_params(), board_params()) as stack:
+        enable(stack, FIG_4)
+        before = records(stack.run(600))  # the first second is counted apart
+        stack.clock.time_ns += 7_400_000
+        flown = records(stack.run(20))
+    since_ns = flown["time_ns"].astype(np.int64) - int(before["time_ns"][-1])
+    late_ns, *later_ns = since_ns.tolist()
+    assert 7_400_000 <= late_ns < 8_400_000
+    first_ns = -(-late_ns // 1_000_000) * 1_000_000
+    assert later_ns == [first_ns + n * 1_000_000 for n in range(19)]
+    assert flown["lost_slots"][-1] - before["lost_slots"][-1] == first_ns // 1_000_000 - 2
+
+
+@pytest.mark.parametrize(("lost", "state"), [(10, State.ENABLED), (11, State.FAULT)])
+def test_too_many_lost_slots_are_a_fault(lost, state):
+    """More than ten within a second, on hardware; with a simulated board no one can be hurt."""
+    with LockStep(servo_params(simulated=False), board_params()) as stack:
+        enable(stack, FIG_4)
+        stack.run(600)  # the first second is not counted
+        for _ in range(lost):
+            stack.clock.time_ns += 2_300_000
+            flown = records(stack.run(30))
+        assert int(flown["lost_slots"][-1]) == lost
+    assert flown["state"][-1] == state
+    assert state is State.ENABLED or flown["fault"][-1] == BY_CODE["lost_slots"].number
+
+
 def test_replug_needs_homing_again():
     """The counter of a board that lost its supply starts anew wherever the device then is."""
     home = HomeParams(method="stop", required=True, direction=-1, speed_m_per_s=0.05, force_n=0.5)

@@ -172,8 +172,9 @@ def test_damping_acts_while_disabled_when_asked():
 
 def test_damping_is_slew_limited():
     flight = Flight(servo_params())
-    flight.do(Command.DAMPING, {Value.ADDED_DAMPING: 2.0, Value.ADDED_DAMPING_ON: 1.0})
     levels = [flight.blob["added_damping_ns_per_m"]]
+    flight.do(Command.DAMPING, {Value.ADDED_DAMPING: 2.0, Value.ADDED_DAMPING_ON: 1.0})
+    levels.append(flight.blob["added_damping_ns_per_m"])
     for _ in range(150):
         flight.fly()
         levels.append(flight.blob["added_damping_ns_per_m"])

@@ -11,6 +11,7 @@ from hapticd.faults import BY_CODE
 from hapticd.link.device import SEED
 from hapticd.mailbox.layout import Command, Flag, Result, Value
 from hapticd.params import HomeParams, ScaleParams
+from hapticd.render.law import render
 from hapticd.servo.safety import State
 from hapticd.wire.frames import StatusBit
 
@@ -35,6 +36,22 @@ def test_force_limit_is_the_last_thing_before_the_wire():
         assert abs(out[0]) <= 32767
         assert abs(out[8]) <= 8.0
     assert flight.fly(1, encoder=12_000)[9] & Flag.CLAMPED
+
+
+@pytest.mark.parametrize("offset_count", [0.0, 12.0, -12.0])
+@pytest.mark.parametrize("law_n", [100.0, -100.0])
+def test_count_is_held_inside_the_limit_whatever_the_law_gives(monkeypatch, law_n, offset_count):
+    """A law that clamps nothing, and a scale on which the whole limit does not fit 16 bits."""
+
+    def unclamped(x, law, environment, coefficients):
+        _, _, *rest = render(x, law, environment, coefficients)
+        return law_n, law_n, *rest
+
+    monkeypatch.setattr("hapticd.servo.step.render", unclamped)
+    force = ScaleParams(COUNT_N, offset_count=offset_count)
+    flight = Flight(servo_params(device=device_params(force=force, force_limit_n=4.0)))
+    torque, *_ = flight.fly()
+    assert torque == force.to_count(math.copysign(4.0, law_n), -32767, 32767)
 
 
 def test_configured_limit_below_the_device_limit_wins():
