@@ -42,7 +42,7 @@ class RecordedFlight:
         self.publisher = Publisher(self.view, Actors(), self.journal, self.setup, self.unix_ns)
         self.messages: list[tuple[str, bytes]] = []
         for topic in TOPICS:
-            self.publisher.subscribe(b"\1" + topic.encode(), self.unix_ns())
+            self.publisher.subscribe(b"a", b"\1" + topic.encode(), self.unix_ns())
 
     def unix_ns(self) -> int:
         return UNIX_NS + self.stack.clock.now_ns()

@@ -161,7 +161,7 @@ def test_new_subscriber_gets_a_checkpoint_soon() -> None:
     with RecordedFlight() as flown:
         flown.fly(400)
         before = flown.stack.gateway.checkpoints
-        flown.publisher.subscribe(b"\1flight", 0)
+        flown.publisher.subscribe(b"a", b"\1flight", 0)
         flown.fly(300)
         assert flown.stack.gateway.checkpoints == before + 1
 

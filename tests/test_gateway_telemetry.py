@@ -47,7 +47,7 @@ class FeedRig(DeskRig):
         return [payload for name, payload in messages if name == topic]
 
     def subscribe(self, topic: str) -> list[tuple[str, bytes]]:
-        return self.publisher.subscribe(b"\1" + topic.encode(), UNIX_NS)
+        return self.publisher.subscribe(b"a", b"\1" + topic.encode(), UNIX_NS)
 
 
 @pytest.fixture
@@ -286,7 +286,7 @@ def test_pause_without_listeners_is_no_probe_gap(rig: FeedRig) -> None:
     rig.subscribe("probe")
     rig.servo.tick(18)
     rig.take("probe")
-    rig.publisher.subscribe(b"\0probe", UNIX_NS)
+    rig.publisher.subscribe(b"a", b"\0probe", UNIX_NS)
     rig.servo.tick(40)
     rig.take("probe")
     rig.subscribe("probe")

@@ -6,8 +6,11 @@ It renders nothing and may be killed at any time.
     client <--ROUTER-- desk <---receipt---- mailbox answer ring  <-- servo
     subscribers <--XPUB-- publisher <-- telemetry <-- ring       <-- servo
 
-    server       sockets, endpoints file, the one loop
-    auth         who may connect from where; CURVE keys
+    server       the one loop
+    zmtp         the protocol of ZeroMQ, as one side of a connection
+    peers        connections, and what each may cost
+    addresses    where the gateway listens; the endpoints file
+    auth         who may connect from where; CURVE keys and the relay for those who have one
     desk         requests in, replies out; the perturbation waveform
     commands     interlocks; requests as commands of the mailbox, answers as receipts
     schemas      what may be asked, as models and as JSON schema
@@ -19,8 +22,8 @@ It renders nothing and may be killed at any time.
     journal      what happened, and who did it
     flight       the flight recorder and its file
 
-`desk` and `telemetry` do no socket work and read no clock: messages, records and times go in,
-messages come out. `server` owns the sockets and the only loop, in one thread. What would break it:
+`zmtp`, `desk` and `telemetry` do no socket work and read no clock: bytes, messages, records and
+times go in, messages come out. `server` owns the only loop, in one thread. What would break it:
 a second thread on the mailbox (its rings have one reader and one writer), waiting for the servo
 inside a request (answers are collected, never awaited), and a promise that the servo did not make
 (receipts and states are the servo's, limits are checked here only to explain them better).

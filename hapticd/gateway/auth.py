@@ -4,12 +4,18 @@ Commands are taken on a socket file in the runtime folder: the file system says 
 offered there and on the loopback; on any other address only with CURVE keys (the folder holds
 `server.key_secret` and, in `clients`, the public keys of those who may listen), or when the
 configuration says `allow_insecure`, and then with a warning.
+
+CURVE is libzmq's. It runs in the relay, an ordinary subscriber on the socket file that passes on
+what it receives, in a thread of its own; the gateway's loop never waits for it. Before a peer has
+proved its key nothing of it is taken in.
 """
 
 import ipaddress
 import os
 import re
 import shutil
+import socket
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,6 +31,9 @@ from hapticd.params import GatewayParams
 SERVER = "server"
 SERVER_KEY = "server.key_secret"
 CLIENTS = "clients"
+RELAYED_QUEUED = 100  # messages per subscriber: 2 s
+LONGEST_RELAYED = 1 << 22  # bytes of a part of a message
+LONGEST_SUBSCRIPTION = 1024
 
 
 def is_loopback(host: str) -> bool:
@@ -58,16 +67,84 @@ def warning(params: GatewayParams) -> str | None:
     )
 
 
-def authenticator(
-    context: "zmq.Context[zmq.Socket[bytes]]", params: GatewayParams
-) -> ThreadAuthenticator | None:
-    """A running check of client keys, to be stopped at the end; None where no keys are needed.
+def needs_keys(params: GatewayParams) -> bool:
+    """Whether TCP is for those with a key."""
+    return params.curve_keys is not None and not is_loopback(params.tcp_host)
 
-    ConfigError: folder incomplete.
+
+class Relay:
+    """Passes the telemetry of endpoint `inside` on to those with a key who connect to `listener`,
+    whose endpoint is `outside`.
+
+    ConfigError: the keys are incomplete, or the server's is readable by others.
     """
-    if params.curve_keys is None or is_loopback(params.tcp_host):
-        return None
-    clients = Path(params.curve_keys) / CLIENTS
+
+    def __init__(
+        self, inside: str, listener: socket.socket, outside: str, params: GatewayParams
+    ) -> None:
+        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self._guard: ThreadAuthenticator | None = None
+        self._thread: threading.Thread | None = None
+        try:
+            source = self._socket(zmq.XSUB, LONGEST_RELAYED)
+            offer = self._socket(zmq.XPUB, LONGEST_SUBSCRIPTION)
+            # every subscription is passed on, not the first alone: late joiners get `state`
+            offer.setsockopt(zmq.XPUB_VERBOSE, 1)
+            self._guard = _authenticator(self._context, params)
+            _encrypt(offer, params)
+            offer.setsockopt(zmq.USE_FD, listener.detach())
+            offer.bind(outside)
+            source.connect(inside)
+        except BaseException:
+            listener.close()
+            self.close()
+            raise
+        # a socket belongs to one thread at a time: from here on to this one
+        self._thread = threading.Thread(target=_pass_on, args=(source, offer))
+        self._thread.start()
+
+    def _socket(self, kind: int, longest: int) -> "zmq.Socket[bytes]":
+        relayed = self._context.socket(kind)
+        options = {
+            zmq.LINGER: 0,
+            zmq.MAXMSGSIZE: longest,
+            zmq.SNDHWM: RELAYED_QUEUED,
+            zmq.TCP_KEEPALIVE: 1,
+            # never held back, and no heartbeats: a peer that dies while its input is held back
+            # makes libzmq abort (its issue 4364)
+            zmq.RCVHWM: 0,
+        }
+        for option, value in options.items():
+            relayed.setsockopt(option, value)
+        return relayed
+
+    def close(self) -> None:
+        """End the relay."""
+        if self._guard:
+            # its thread has a socket of this context, which could not end before it
+            self._guard.stop()
+        if self._thread is None:
+            self._context.destroy(linger=0)
+        else:
+            self._context.term()
+            self._thread.join()
+
+
+def _pass_on(source: "zmq.Socket[bytes]", offer: "zmq.Socket[bytes]") -> None:
+    try:
+        zmq.proxy(source, offer)
+    except zmq.ContextTerminated:
+        pass
+    finally:
+        source.close()
+        offer.close()
+
+
+def _authenticator(
+    context: "zmq.Context[zmq.Socket[bytes]]", params: GatewayParams
+) -> ThreadAuthenticator:
+    """A running check of client keys, to be stopped at the end. ConfigError: folder incomplete."""
+    clients = Path(params.curve_keys or "") / CLIENTS
     if not clients.is_dir():
         raise ConfigError(
             f"gateway.curve_keys: {clients} is missing; make it and put the public keys of allowed"
@@ -79,7 +156,7 @@ def authenticator(
     return guard
 
 
-def encrypt(socket: "zmq.Socket[bytes]", params: GatewayParams) -> None:
+def _encrypt(socket: "zmq.Socket[bytes]", params: GatewayParams) -> None:
     """Make what `socket` binds from now on demand CURVE.
 
     ConfigError if the server's key is missing or readable by others.

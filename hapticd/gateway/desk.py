@@ -280,6 +280,10 @@ IN_FORCE = (
     "added_damping_asked_ns_per_m",
     "added_damping_ns_per_m",
 )
+MOST_QUEUED = 100  # requests that wait for their turn
+TOO_MANY = CommandError(
+    "busy", f"{MOST_QUEUED} requests wait for the gateway already; slow down and ask again"
+)
 SERVO_ENDED = CommandError(
     "servo_down", "the servo ended before it answered; when it starts anew it is disabled"
 )
@@ -305,6 +309,7 @@ class Desk:
         self.counts = {"requests": 0, "errors": 0, "timeouts": 0}
         self._waveform = Waveform(self.limits)
         self._outstanding = Outstanding()
+        self._queue: list[RequestMessage] = []
         self._asked_life = 0
 
     @property
@@ -312,18 +317,37 @@ class Desk:
         """Whether answers are due, so that looking often is worth it."""
         return len(self._outstanding) > 0
 
+    @property
+    def queued(self) -> bool:
+        """Whether requests wait for their turn."""
+        return len(self._queue) > 0
+
     def serve(
-        self, messages: Sequence[Sequence[bytes]], now_ns: int, outdated: bool = False
+        self,
+        messages: Sequence[Sequence[bytes]],
+        now_ns: int,
+        outdated: bool = False,
+        in_time: Callable[[], bool] = lambda: True,
     ) -> list[Reply]:
         """Take requests that came together, stops first; the replies that can be given at once.
 
-        `outdated`: stops alone count.
+        `outdated`: stops alone count. `in_time` is asked after each request whether there is time
+        for another one; those that there is none for wait for the next call.
         """
+        self.counts["requests"] += len(messages)
+        for message in messages:
+            self._queue.append(unpacked(message))
+            in_time()
         # the sort is stable: all others keep the order in which they came
-        requests = sorted(map(unpacked, messages), key=lambda one: one.cmd != "stop")
-        self.counts["requests"] += len(requests)
-        replies = [self._attend(one, now_ns, outdated) for one in requests]
-        return [reply for reply in replies if reply is not None]
+        self._queue.sort(key=lambda one: one.cmd != "stop")
+        replies = [self._refused(one, TOO_MANY) for one in self._queue[MOST_QUEUED:]]
+        del self._queue[MOST_QUEUED:]
+        while self._queue:
+            reply = self._attend(self._queue.pop(0), now_ns, outdated)
+            replies += [reply] if reply is not None else []
+            if not in_time():
+                break
+        return replies
 
     def collect(self, now_ns: int) -> list[Reply]:
         """Read the servo's answers; the replies that are due."""

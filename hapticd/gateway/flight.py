@@ -5,7 +5,8 @@ the requests that the servo noted, and a checkpoint of the servo's state every 1
 begins at a checkpoint it keeps 10 s more than is asked. A fault is written a second later, with its
 aftermath; what a servo left that fell silent under force, at once. Files are written by a thread of
 their own, from bytes that nobody changes: a slow disk delays the file and not the heartbeat. The
-newest FILES_KEPT files are kept.
+newest FILES_KEPT files are kept, and one is written at a time: who asks for another meanwhile is
+told so, a fault waits for its turn.
 
 A file holds records and all that replaying them needs, and is written whole or not at all:
 
@@ -59,7 +60,7 @@ def write_flight(path: Path, header: dict[str, Any], blocks: Iterable[bytes]) ->
     OSError: no room, no right.
     """
     path.parent.mkdir(mode=0o750, parents=True, exist_ok=True)
-    text = json.dumps(header).encode()
+    text = _header_text(header).encode()
     fresh = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         with fresh.open("wb") as file:
@@ -68,6 +69,18 @@ def write_flight(path: Path, header: dict[str, Any], blocks: Iterable[bytes]) ->
         fresh.replace(path)
     finally:
         fresh.unlink(missing_ok=True)
+
+
+def _header_text(header: dict[str, Any]) -> str:
+    """`header` as JSON, its lists one item at a time: while one is encoded no other thread runs."""
+    fields = (f"{json.dumps(name)}: {_value_text(value)}" for name, value in header.items())
+    return "{" + ", ".join(fields) + "}"
+
+
+def _value_text(value: Any) -> str:
+    if isinstance(value, list):
+        return "[" + ", ".join(map(json.dumps, value)) + "]"
+    return json.dumps(value)
 
 
 def read_flight(path: Path) -> Flight:
@@ -95,6 +108,7 @@ def read_flight(path: Path) -> Flight:
 CHECKPOINT_S = 10
 AFTERMATH_NS = NS_PER_S
 FILES_KEPT = 20
+REQUESTS_KEPT = 20_000  # some 18 MB; where older ones had to go no replay leads over
 UNDER_FORCE = (State.ENABLED, State.HOMING)
 
 
@@ -207,6 +221,10 @@ class FlightRecorder:
     def _forget_before(self, tick: int) -> None:
         while self._requests and self._requests[0].tick < tick:
             self._requests.popleft()
+        if len(self._requests) > REQUESTS_KEPT:
+            while len(self._requests) > REQUESTS_KEPT:
+                oldest = self._requests.popleft()
+            self._breaks.append(oldest.tick)
         while self._checkpoints and self._checkpoints[0].tick < tick:
             self._checkpoints.popleft()
         while self._breaks and self._breaks[0] < tick:
@@ -215,9 +233,21 @@ class FlightRecorder:
     def dump_if_due(self, now_ns: int) -> None:
         """Write the recording of a fault whose aftermath is in."""
         due_ns, reason = self._due
-        if due_ns and now_ns >= due_ns:
+        if due_ns and now_ns >= due_ns and not self._writing:
             self._due = 0, ""
             self.dump(reason)
+
+    @property
+    def _writing(self) -> bool:
+        return any(one.is_alive() for one in self._threads)
+
+    def dump_asked(self) -> dict[str, Any]:
+        """As `dump`, for a client. CommandError also while one is being written."""
+        if self._writing:
+            raise CommandError(
+                "busy", "dump: a recording is being written; its event `flight` tells when it is"
+            )
+        return self.dump("asked")
 
     def dump(self, reason: str) -> dict[str, Any]:
         """Begin to write what is kept; {path, records, reason}.

@@ -171,7 +171,8 @@ class Publisher:
         self.flight = FlightRecorder(
             view, journal, setup, flights_folder(setup.servo.instance), unix_ns
         )
-        self._subscriptions = Subscriptions()
+        self._audience: dict[bytes, Subscriptions] = {}
+        self._wanted: frozenset[str] = frozenset()
         self._transitions = Transitions(view, actors, journal)
         self._probe = ProbeDecoder(setup.servo.device)
         self._ledger = Ledger(setup.servo)
@@ -182,20 +183,33 @@ class Publisher:
         # so that the first look is due at once
         self._state_ns = -STATE_PERIOD_NS
 
-    def subscribe(self, message: bytes, unix_ns: int) -> list[Message]:
-        """Note a subscription or its end.
+    def subscribe(self, listener: bytes, message: bytes, unix_ns: int) -> list[Message]:
+        """Note a subscription of `listener` or its end; what it is to be sent at once.
 
         Whoever newly asks for `state` gets it at once, for `flight` a checkpoint soon.
         """
-        topics = self._subscriptions.take(message)
+        topics = self._audience.setdefault(listener, Subscriptions()).take(message)
+        self._count_audience()
         if "flight" in topics:
             self.flight.ask()
         return [self._state(unix_ns)] if "state" in topics else []
 
+    def leave(self, listener: bytes) -> None:
+        """`listener` has gone."""
+        self._audience.pop(listener, None)
+        self._count_audience()
+
+    def listeners(self, topic: str) -> list[bytes]:
+        """Who wants `topic`."""
+        return [name for name, asked in self._audience.items() if topic in asked.wanted]
+
+    def _count_audience(self) -> None:
+        self._wanted = frozenset().union(*(asked.wanted for asked in self._audience.values()))
+
     def messages(self, now_ns: int, unix_ns: int) -> list[Message]:
         """Everything that is due."""
         self._notice_servo()
-        wanted = self._subscriptions.wanted
+        wanted = self._wanted
         found: list[Message] = []
         noted = self.flight.follow(now_ns)
         if noted and "flight" in wanted:
@@ -260,7 +274,7 @@ class Publisher:
             return []
         self._news = latest
         self._state_ns = now_ns
-        return [self._state(unix_ns)] if "state" in self._subscriptions.wanted else []
+        return [self._state(unix_ns)] if "state" in self._wanted else []
 
     def _state(self, unix_ns: int) -> Message:
         return "state", _packed(state_map(self._view, self._actors, unix_ns))

@@ -1,15 +1,13 @@
 """Telemetry: the ring of tick records becomes the messages of each topic.
 
 Topics. A telemetry message is always two frames, [topic, payload], and every payload is one msgpack
-value: a map or an array of maps. ZeroMQ matches subscriptions by prefix, at the publisher and again
-at the subscriber, so whoever asks for `servo` is also sent `servo.raw` while somebody else has
-asked for that. No order of frames avoids it as long as the frame is the topic's plain name, and it
-has to be: PlotJuggler subscribes to what its user types. So
-- here, a subscription wants the topic of exactly that name; only a prefix that is no topic (`""`,
-  `s`, `servo.`) wants all topics it begins. `servo` alone never causes a `servo.raw` to be encoded;
-- at the subscriber, hapticd's client compares the first frame with the topic; a foreign one that
-  does not do so decodes a msgpack map of a few numbers and one binary, which PlotJuggler and
-  generic decoders skip.
+value: a map or an array of maps. ZeroMQ matches subscriptions by prefix, and the first frame has to
+be the topic's plain name, for PlotJuggler subscribes to what its user types. So that whoever asks
+for `servo` is not sent `servo.raw` too, a subscription here wants the topic of exactly that name;
+only a prefix that is no topic (`""`, `s`, `servo.`) wants all topics it begins. Through the relay
+of `auth`, which is libzmq's, `servo` brings `servo.raw` too while somebody else has asked for that:
+hapticd's client compares the first frame with the topic, and generic decoders skip a map of a few
+numbers and one binary.
 
 Blocks. The ring is read in blocks: every record once, in order, or counted as lost. `seq` is the
 number of a record in the ring of one servo life (0 is the first tick it recorded), so consecutive
@@ -113,17 +111,14 @@ def wanted_by(prefix: bytes) -> frozenset[str]:
 
 
 class Subscriptions:
-    """The set of live subscriptions, as XPUB reports them.
-
-    It reports each first one and, with XPUB_VERBOSE, each repeated one.
-    """
+    """The live subscriptions of one listener: at most one for each beginning of a topic's name."""
 
     def __init__(self) -> None:
         self._prefixes: set[bytes] = set()
         self.wanted: frozenset[str] = frozenset()
 
     def take(self, message: bytes) -> frozenset[str]:
-        """Note one message of the XPUB socket; topics that it newly asks for.
+        """Note one message of the listener; topics that it newly asks for.
 
         Prefixes of no topic are not kept.
         """
@@ -138,6 +133,7 @@ class Subscriptions:
 
 
 MOST_RECORDS = 512  # in one block
+MOST_BLOCKS = 2  # at once: after a standstill the rest comes with the next passes
 LINGER_NS = 100 * NS_PER_MS  # an unfinished batch does not wait longer for its last ticks
 
 
@@ -172,8 +168,8 @@ class Feed:
             return []
         if self._life != view.life:
             self._begin(now_ns)
-        blocks = []
-        while ready := self._ready(now_ns):
+        blocks: list[RingBlock] = []
+        while len(blocks) < MOST_BLOCKS and (ready := self._ready(now_ns)):
             data, tail, lost = view.mailbox.records(self._tail, ready)
             records = as_records(data)
             # the servo may write over the oldest records while they are copied

@@ -1,0 +1,146 @@
+"""Where the gateway listens: two socket files in the runtime folder and one TCP port.
+
+    ROUTER  ipc://<runtime folder>/command     requests and replies
+    XPUB    ipc://<runtime folder>/telemetry   topics, for this machine
+            tcp://127.0.0.1:9872               the same, where PlotJuggler looks for it
+
+The socket files are for user and group only; the folder decides further. Only the default instance
+claims port 9872; where it is taken, any free one serves. With keys the port is the relay's, which
+alone speaks CURVE.
+"""
+
+import errno
+import json
+import os
+import selectors
+import socket
+from collections.abc import Callable
+from pathlib import Path
+
+from hapticd.errors import ConfigError, MailboxError
+from hapticd.gateway import auth
+from hapticd.gateway.codec import MAX_MESSAGE_BYTES
+from hapticd.gateway.peers import Port
+from hapticd.mailbox.files import (
+    COMMAND_SOCKET,
+    DEFAULT_INSTANCE,
+    ENDPOINTS,
+    TELEMETRY_SOCKET,
+    remove,
+    write_whole,
+)
+from hapticd.params import GatewayParams, GatewaySetup
+
+# Linux has 108 bytes for it, the last of which is 0
+LONGEST_PATH = 107  # of a socket file
+REPLIES_QUEUED = 200
+MESSAGES_QUEUED = 100  # per subscriber: 2 s
+MAX_SUBSCRIPTION_BYTES = 1024
+# `bind` makes the socket file; this leaves it read and write for user and group
+SOCKET_UMASK = 0o117
+
+
+class Sockets:
+    """Both kinds of socket, bound, watched by `selector`.
+
+    `endpoints` is {command, telemetry: [..], pid}; `warning` is set when telemetry is in the clear;
+    `gone` is told of subscribers that have left.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        setup: GatewaySetup,
+        selector: selectors.BaseSelector,
+        gone: Callable[[bytes], None],
+    ) -> None:
+        self._folder = folder
+        params = setup.gateway
+        self.warning = auth.warning(params)
+        self.command = Port(b"ROUTER", MAX_MESSAGE_BYTES, REPLIES_QUEUED, selector)
+        self.telemetry = Port(b"XPUB", MAX_SUBSCRIPTION_BYTES, MESSAGES_QUEUED, selector, gone)
+        self._relay: auth.Relay | None = None
+        try:
+            self.endpoints = self._bound(params, setup.servo.instance)
+        except BaseException:
+            self.close()
+            raise
+
+    def _bound(self, params: GatewayParams, instance: str) -> dict[str, object]:
+        before = os.umask(SOCKET_UMASK)
+        try:
+            command = listen_at(self.command, self._folder / COMMAND_SOCKET)
+            telemetry = listen_at(self.telemetry, self._folder / TELEMETRY_SOCKET)
+        finally:
+            os.umask(before)
+        listener = bound_tcp(params.tcp_host, port_for(params, instance))
+        tcp = endpoint_of(listener)
+        if auth.needs_keys(params):
+            self._relay = auth.Relay(telemetry, listener, tcp, params)
+        else:
+            self.telemetry.listen(listener)
+        endpoints = {"command": command, "telemetry": [telemetry, tcp], "pid": os.getpid()}
+        # last: whoever finds this file may connect
+        write_whole(self._folder / ENDPOINTS, json.dumps(endpoints))
+        return endpoints
+
+    def close(self) -> None:
+        """Close all sockets and remove what says where they were."""
+        if self._relay:
+            self._relay.close()
+        self.command.close()
+        self.telemetry.close()
+        remove(self._folder, ENDPOINTS, COMMAND_SOCKET, TELEMETRY_SOCKET)
+
+
+def listen_at(port: Port, path: Path) -> str:
+    """Have `port` listen at a socket file; its endpoint.
+
+    ConfigError when the path is too long for one, MailboxError when it cannot be made.
+    """
+    if len(os.fsencode(path)) > LONGEST_PATH:
+        raise ConfigError(
+            f"{path}: {len(os.fsencode(path))} bytes, a socket file has at most {LONGEST_PATH}; use"
+            " a shorter folder"
+        )
+    listener = socket.socket(socket.AF_UNIX)
+    try:
+        path.unlink(missing_ok=True)
+        listener.bind(os.fspath(path))
+    except OSError as error:
+        listener.close()
+        raise MailboxError(
+            f"{path}: {error.strerror}; make room, correct its rights or remove what is in the way"
+        ) from error
+    port.listen(listener)
+    return f"ipc://{path}"
+
+
+def port_for(params: GatewayParams, instance: str) -> int:
+    """The port to try first; 0 (any free one) for other instances than the default one."""
+    usual = params.telemetry_port == GatewayParams().telemetry_port
+    return 0 if usual and instance != DEFAULT_INSTANCE else params.telemetry_port
+
+
+def bound_tcp(host: str, port: int) -> socket.socket:
+    """A socket that listens at `port` of `host`, or at any free one if that is taken.
+
+    ConfigError if the address is not ours.
+    """
+    try:
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        family, _, _, _, address = found[0]
+        return socket.create_server(address[:2], family=family)
+    except OSError as error:
+        if error.errno != errno.EADDRINUSE or port == 0:
+            raise ConfigError(
+                f"gateway.tcp_host = {host!r}: {error.strerror}; name an address of this machine"
+            ) from error
+        return bound_tcp(host, 0)
+
+
+def endpoint_of(listener: socket.socket) -> str:
+    """The endpoint of a TCP socket as ZeroMQ writes it."""
+    host, port, *_ = listener.getsockname()
+    # ZeroMQ wants brackets around an IPv6 address
+    return f"tcp://[{host}]:{port}" if ":" in host else f"tcp://{host}:{port}"

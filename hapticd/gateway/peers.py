@@ -1,0 +1,278 @@
+"""Connections: one kind of socket on its addresses, and the peers that have connected to it.
+
+Nothing here waits, and whatever a peer does is bounded:
+
+    peers        MOST_PEERS on a port; who comes then is closed
+    handshake    HANDSHAKE_NS, then the connection ends
+    input        one read of READ_BYTES, then none until that is taken apart; `receive` gives a
+                 counted number of pieces, from each peer in turn, so the kernel's buffers fill and
+                 a flood slows its sender alone
+    messages     as long and of as many parts as the session allows; beyond, the connection ends
+    output       `messages` and QUEUED_BYTES; what comes then is dropped, and its peer alone misses
+                 it
+
+That a peer has died the kernel says: at once on this machine; over TCP when its probes or data stay
+unanswered for SILENCE_S. A peer is known by a number that is never used twice.
+
+What would break it: a caller that does not call `receive` in every pass (peers that were read from
+are not looked at again before).
+"""
+
+import selectors
+import socket
+from collections import deque
+from collections.abc import Callable
+from itertools import count
+
+from hapticd.errors import WireError
+from hapticd.gateway.zmtp import Message, Session
+from hapticd.units import NS_PER_S
+
+MOST_PEERS = 128
+READ_BYTES = 64 * 1024
+QUEUED_BYTES = 1 << 20
+HANDSHAKE_NS = 3 * NS_PER_S
+SILENCE_S = 6
+PROBE_S = 2  # between two probes of a silent TCP peer
+ACCEPTED_AT_ONCE = 16
+READ = selectors.EVENT_READ
+WRITE = selectors.EVENT_WRITE
+
+Attend = Callable[[int], None]  # what a selector's key holds: called with the events
+
+
+class Peer:
+    """One connection: what came and is not taken apart yet, what waits to be sent."""
+
+    def __init__(
+        self, identity: bytes, connection: socket.socket, session: Session, deadline_ns: int
+    ) -> None:
+        self.identity = identity
+        self.connection = connection
+        self.session = session
+        self.deadline_ns = deadline_ns  # of its handshake
+        self.queue: deque[bytes] = deque()
+        self.queued = 0  # bytes
+        self.sent = 0  # bytes of the first one
+        self.full = False  # read from and not taken apart
+        self.watched = 0  # the events that the selector is asked for
+
+    def put(self, data: bytes) -> None:
+        """Queue `data`."""
+        self.queue.append(data)
+        self.queued += len(data)
+
+    def flush(self) -> None:
+        """Send what the kernel takes. OSError: the peer is gone."""
+        while self.queue:
+            first = self.queue[0]
+            try:
+                self.sent += self.connection.send(memoryview(first)[self.sent :])
+            except BlockingIOError:
+                return
+            if self.sent < len(first):
+                return
+            self.queued -= len(self.queue.popleft())
+            self.sent = 0
+
+
+class Port:
+    """The peers of one kind of socket (`zmtp.PARTNERS`), watched by `selector`.
+
+    `longest`: bytes of a message that is taken; `messages`: how many wait for a peer at most;
+    `gone` is told the identity of each peer that was there.
+    """
+
+    def __init__(
+        self,
+        kind: bytes,
+        longest: int,
+        messages: int,
+        selector: selectors.BaseSelector,
+        gone: Callable[[bytes], None] = lambda identity: None,
+    ) -> None:
+        self._kind = kind
+        self._longest = longest
+        self._messages = messages
+        self._selector = selector
+        self._gone = gone
+        self._listeners: list[socket.socket] = []
+        self._peers: dict[bytes, Peer] = {}
+        self._full: deque[Peer] = deque()  # in the order of their turns
+        self._strangers: dict[bytes, Peer] = {}  # in the order of their deadlines
+        self._numbers = count(1)
+        self._now_ns = 0
+
+    def listen(self, listener: socket.socket) -> None:
+        """Take connections at `listener`, which is bound."""
+        listener.setblocking(False)
+        listener.listen(MOST_PEERS)
+        self._listeners.append(listener)
+
+        def attend(events: int) -> None:
+            self._accept(listener)
+
+        self._selector.register(listener, READ, attend)
+
+    @property
+    def busy(self) -> bool:
+        """Whether something came that is not taken apart yet."""
+        return bool(self._full)
+
+    def tend(self, now_ns: int) -> None:
+        """Note the time; end what has not introduced itself in time."""
+        self._now_ns = now_ns
+        while self._strangers:
+            oldest = next(iter(self._strangers.values()))
+            if oldest.deadline_ns > now_ns:
+                break
+            self._drop(oldest)
+
+    def receive(self, most: int) -> list[tuple[bytes, Message]]:
+        """(identity, message) from up to `most` pieces of what has come, each peer in turn."""
+        found = []
+        for _ in range(most):
+            if not self._full:
+                break
+            peer = self._full.popleft()
+            message = self._taken(peer)
+            if message is None:
+                peer.full = False
+                self._watch(peer)
+                continue
+            self._full.append(peer)
+            if message:
+                found.append((peer.identity, message))
+        return found
+
+    def send(self, identity: bytes, data: bytes) -> bool:
+        """Queue the bytes of a message; whether its peer is there and has room for it."""
+        peer = self._peers.get(identity)
+        room = (
+            peer is not None
+            and peer.session.ready
+            and len(peer.queue) < self._messages
+            and peer.queued + len(data) <= QUEUED_BYTES
+        )
+        if peer is not None and room:
+            peer.put(data)
+            self._flush(peer)
+        return room
+
+    def close(self) -> None:
+        """End all connections and stop listening."""
+        for peer in list(self._peers.values()):
+            self._drop(peer)
+        for listener in self._listeners:
+            self._selector.unregister(listener)
+            listener.close()
+        self._listeners.clear()
+
+    def _accept(self, listener: socket.socket) -> None:
+        for _ in range(ACCEPTED_AT_ONCE):
+            try:
+                connection, _ = listener.accept()
+            except OSError:  # none is there, or it is gone already, or we have no descriptor left
+                return
+            if len(self._peers) < MOST_PEERS:
+                self._welcome(connection)
+            else:
+                connection.close()
+
+    def _welcome(self, connection: socket.socket) -> None:
+        connection.setblocking(False)
+        if connection.family != socket.AF_UNIX:
+            _notice_death(connection)
+        identity = next(self._numbers).to_bytes(8, "big")
+        session = Session(self._kind, self._longest)
+        peer = Peer(identity, connection, session, self._now_ns + HANDSHAKE_NS)
+        self._peers[identity] = peer
+        self._strangers[identity] = peer
+        self._answer(peer)
+
+    def _ready(self, peer: Peer, events: int) -> None:
+        if events & WRITE:
+            self._flush(peer)
+        if events & READ and peer.identity in self._peers:
+            self._read(peer)
+
+    def _read(self, peer: Peer) -> None:
+        try:
+            data = peer.connection.recv(READ_BYTES)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self._drop(peer)
+            return
+        peer.session.feed(data)
+        peer.full = True
+        self._full.append(peer)
+        self._watch(peer)
+
+    def _taken(self, peer: Peer) -> Message | None:
+        """What `peer` says next; None also when it had to be dropped."""
+        if peer.identity not in self._peers:
+            return None
+        try:
+            message = peer.session.take()
+        except WireError:
+            self._drop(peer)
+            return None
+        if peer.session.ready:
+            self._strangers.pop(peer.identity, None)
+        self._answer(peer)
+        return message
+
+    def _answer(self, peer: Peer) -> None:
+        """Send what the session has to say, unless its peer reads nothing."""
+        while peer.session.outgoing:
+            answer = peer.session.outgoing.pop(0)
+            if len(peer.queue) < self._messages:
+                peer.put(answer)
+        self._flush(peer)
+
+    def _flush(self, peer: Peer) -> None:
+        try:
+            peer.flush()
+        except OSError:
+            self._drop(peer)
+        self._watch(peer)
+
+    def _watch(self, peer: Peer) -> None:
+        """Ask the selector for what matters now: input if there is room, output if some waits."""
+        if peer.identity not in self._peers:
+            return
+        wanted = (0 if peer.full else READ) | (WRITE if peer.queue else 0)
+        if wanted == peer.watched:
+            return
+        if peer.watched:
+            self._selector.unregister(peer.connection)
+        if wanted:
+
+            def attend(events: int) -> None:
+                self._ready(peer, events)
+
+            self._selector.register(peer.connection, wanted, attend)
+        peer.watched = wanted
+
+    def _drop(self, peer: Peer) -> None:
+        if self._peers.pop(peer.identity, None) is None:
+            return
+        self._strangers.pop(peer.identity, None)
+        if peer.watched:
+            self._selector.unregister(peer.connection)
+        peer.connection.close()
+        self._gone(peer.identity)
+
+
+def _notice_death(connection: socket.socket) -> None:
+    """Have the kernel end a TCP connection whose other end is silent for SILENCE_S."""
+    tcp = socket.IPPROTO_TCP
+    connection.setsockopt(tcp, socket.TCP_NODELAY, 1)
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    connection.setsockopt(tcp, socket.TCP_KEEPIDLE, PROBE_S)
+    connection.setsockopt(tcp, socket.TCP_KEEPINTVL, PROBE_S)
+    connection.setsockopt(tcp, socket.TCP_KEEPCNT, SILENCE_S // PROBE_S)
+    connection.setsockopt(tcp, socket.TCP_USER_TIMEOUT, 1000 * SILENCE_S)
