@@ -5,6 +5,10 @@ any executor; a task plays its groups one after the other from start to end (`ru
 uses the cores of its process, or fewer where `at_most` says so: a pool that runs many tasks at once
 gives each its share. A result holds sums, spectra or records, and never a NaN.
 
+What is random of a trial alone is drawn by what the trial is: by its K, B and M, or by its place
+in the batch where each has a torque record of its own. So one that is simulated alone, again, or
+among others is the same trial.
+
 What would break it: a seed or a record that depends on the task that a trial falls into (results
 would then depend on the number of cores).
 """
@@ -16,6 +20,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, fields, replace
 from functools import partial
+from hashlib import blake2b
 from typing import Any
 
 import numpy as np
@@ -193,7 +198,6 @@ def simulate(
     own_torque: bool = False,
     executor: Executor | None = None,
     chunk: int | None = None,
-    numbers: Sequence[int] | None = None,
 ) -> BatchResult:
     """Simulate n trials of `scene`, a scene or a composed model, that differ in what is rendered.
 
@@ -211,15 +215,15 @@ def simulate(
     dtype        "f64" | "f32"
     keep         "summary" | "spectra" as `analysis.spectra` | "records" at 4 kHz |
                  "ticks": also position and force of every tick
-    own_torque   a record of its own for every trial instead of a shared one
+    own_torque   a record of its own for every trial instead of a shared one, and noise of the probe
+                 by its place among them; otherwise by its K, B and M
     executor     any of concurrent.futures; None = threads here
     chunk        trials per task
-    numbers      of the trials (n,), by which each draws what is random of its own: a trial that is
-                 simulated again under its number is the same trial; None: 0, 1, ..
 
     What is None is the scene's; for a model: 90 s, seed 1, no damping, the paper's filters, noise
     of 2.5e-5 N^2/Hz up to 1.7 kHz, at rest at 0. The same call gives the same bytes for any
-    executor and chunk. ConfigError for arguments out of range, a rate that does not divide 4 kHz,
+    executor and chunk, and a trial the same bytes whatever is simulated with it, unless each has a
+    torque of its own. ConfigError for arguments out of range, a rate that does not divide 4 kHz,
     or without numba.
     """
     trials = _checked(params)
@@ -244,7 +248,7 @@ def simulate(
     size = chunk or made.shape.lanes * (1 if executor is None else REMOTE_GROUPS)
     firsts = range(0, len(trials), size)
     parts = [trials[first : first + size] for first in firsts]
-    own = range(len(trials)) if numbers is None else numbers
+    own = range(len(trials)) if own_torque else [_number(trial) for trial in trials]
     numbered = [own[first : first + size] for first in firsts]
     if executor is not None:
         found = list(executor.map(partial(run_chunk, job), parts, numbered))
@@ -335,8 +339,14 @@ def _checked(params: npt.ArrayLike) -> Array:
     return trials
 
 
+def _number(trial: Array) -> int:
+    """Of 32 bits, by which a trial of this K, B, M (3,) draws what is random of it alone."""
+    same_zero = trial + 0.0  # -0 N/m is 0 N/m
+    return int.from_bytes(blake2b(same_zero.tobytes(), digest_size=4).digest(), "little")
+
+
 def run_chunk(job: Job, params: Array, numbers: Sequence[int]) -> BatchResult:
-    """Trials of these K, B, M (n, 3), each with its number in the batch."""
+    """Trials of these K, B, M (n, 3), each with the number by which it draws noise of its own."""
     made = prepared(job)
     lanes = made.shape.lanes
     starts = range(0, len(params), lanes)

@@ -37,7 +37,7 @@ from hapticd.plant.scene import Excitation
 
 
 class Records:
-    """The kept arrays of some trials of a batch, by their numbers in it."""
+    """The kept arrays of some trials of a batch, whose noise is that of their numbers."""
 
     def __init__(self, job: Job, made: Prepared, numbers: Sequence[int]) -> None:
         shape = made.shape

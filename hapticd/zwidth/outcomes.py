@@ -16,8 +16,8 @@ A trial's key is the hash of what it depends on, so a trial that the store has i
 again, whichever procedure asks for it. Each task is stored as soon as it is finished; tasks that
 have not begun are cancelled when the caller stops.
 
-What would break it: the noise of the probe, which is drawn by a trial's place in its task and not
-by its key. On a device with a noisy probe the same trial of another task differs by that noise.
+What would break it: anything random that is drawn by a trial's place in its task and not by what
+its key is made of; a map that is continued, or cut into other tasks, would be another map.
 """
 
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
@@ -153,7 +153,7 @@ def run_trials(conditions: Conditions, damping_ns_per_m: float, points: Floats) 
     for first in range(0, len(unsure), TOGETHER):
         some = unsure[first : first + TOGETHER]
         again = np.asarray(found.params[some], np.float64)
-        records = _simulated(conditions, damping_ns_per_m, again, "records", some)
+        records = _simulated(conditions, damping_ns_per_m, again, "records")
         shared = _shared_transform(records)
         for place, trial in enumerate(some):
             record = records.record(place)
@@ -170,7 +170,6 @@ def _simulated(
     damping_ns_per_m: float,
     points: Floats,
     keep: str,
-    numbers: Sequence[int] | None = None,
 ) -> BatchResult:
     return simulate(
         conditions.scene,
@@ -184,7 +183,6 @@ def _simulated(
         substeps=conditions.substeps,
         dtype=conditions.dtype,
         keep=keep,
-        numbers=numbers,
     )
 
 
