@@ -83,7 +83,7 @@ class BenchServo:
         self.loop.restart_clock()
         for _ in range(SETTLE_CHUNKS):
             self.loop.run(self._chunk)
-            if self.loop.state[SETTLED].wake_tick > self.loop.tick:
+            if self.loop.state[SETTLED].wake_tick > self.loop.slot:
                 return
         raise BenchError(
             "the servo's ramp does not end: the machine pauses it again and again; quiet the"

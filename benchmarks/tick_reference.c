@@ -132,7 +132,7 @@ int reference_ticks(struct servo *s, const uint8_t *frames, uint8_t *ring, int c
         s->sent_at[s->sent & 255] = stepped;
         wire.crc = crc16(&wire, HAPTICD_OUT_BYTES - 2);
         int64_t sent = now_ns();
-        r->tick = r->tail = s->tick, r->time_ns = start, r->board_us = s->board_us;
+        r->tick = r->tail = r->slot = s->tick, r->time_ns = start, r->board_us = s->board_us;
         memcpy(r->plan, s->plan, sizeof r->plan);
         r->flags = flags, r->status = in->status;
         memcpy(r->energy_j, s->energy, sizeof r->energy_j);

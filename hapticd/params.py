@@ -182,7 +182,7 @@ class UsbParams:
     vendor_id: int = 0x1209
     product_id: int = 0x0001
     serial: str | None = None
-    timeout_ms: int = 2
+    timeout_ms: int = 1  # of one transfer; what libusb can do least
 
 
 @dataclass(frozen=True, slots=True)

@@ -227,6 +227,7 @@ class StandInServo:
             0,
             0,
             3,
+            self.ticks,
             1e-3,
             0.25,
             2.0,

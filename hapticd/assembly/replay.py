@@ -24,6 +24,7 @@ from hapticd.servo.plan import (
     Request,
     ServoState,
     coefficients_of,
+    in_slots,
     masked_places,
     unflatten,
     with_values,
@@ -87,22 +88,23 @@ def replay(
     step = make_step(params)
     state = unflatten(segment.state)
     obeyed = _by_tick(segment.requests)
+    records = segment.records
+    slots = _slots(records)
     if instead:
-        state = _held(state, instead, segment.tick, params)
+        state = _held(state, instead, slots[0], params)
         obeyed = {
             tick: tuple(_without(one, set(instead)) for one in requests)
             for tick, requests in obeyed.items()
         }
     unpack = frames.IN_HEAD.unpack
     size = frames.IN_HEAD.size
-    records = segment.records
     heads = records["in_frame"].tolist()
     head = unpack(heads[0][:size])
     blobs = []
     rows = []
     columns = (records[name].tolist() for name in ("tick", "arrival", "host"))
     delays = _delays(records, params.realtime.rate_hz)
-    for tick, arrival, host, frame, delay in zip(*columns, heads, delays, strict=True):
+    for tick, arrival, host, frame, delay, slot in zip(*columns, heads, delays, slots, strict=True):
         if arrival >= 0:
             head = unpack(frame[:size])
         sample = (
@@ -114,7 +116,8 @@ def replay(
             head[codec.HEAD_INDEX_OFFSET],
             delay,
         )
-        state, (torque, *numbers, flags, _) = step(state, obeyed.get(tick, ()), sample, tick)
+        requests = in_slots(obeyed.get(tick, ()), slot - tick)
+        state, (torque, *numbers, flags, _) = step(state, requests, sample, slot)
         settled, _, (energies, *_), _ = state
         blobs.append(settled.blob)
         rows.append((flags, torque, settled.damping_count, *numbers, energies))
@@ -131,6 +134,13 @@ def _delays(records: Records, rate_hz: float) -> list[float]:
         return [UNTOLD_DELAY] * len(records)
     periods_per_us = rate_hz / US_PER_S
     return [delay_us * periods_per_us for delay_us in records["delay_us"].tolist()]
+
+
+def _slots(records: Records) -> list[int]:
+    """The time of each record, as the loop gave it to step: older versions gave it the tick."""
+    told = "slot" in (records.dtype.names or ())
+    found: list[int] = records["slot" if told else "tick"].tolist()
+    return found
 
 
 def _assembled(blobs: list[bytes], rows: list[tuple[Any, ...]]) -> NDArray[np.void]:

@@ -235,9 +235,11 @@ TELEMETRY = (
     # --- this tick
     ("flags", "<u4"),
     ("status", "<u4"),
-    # of the sample: 0 on time, k after k lost ones, -k missing for the k-th time (link.device)
+    # of the sample: 0 on time, k after k lost ones (link.device), -k none for k periods
     ("arrival", "<i4"),
     ("host", "<u4"),  # servo.plan: LINK_UP and the others
+    # the time that ramps, holds and budgets go by, in periods: tick + slots that were lost so far
+    ("slot", "<u8"),
     ("position_m", "<f8"),
     ("velocity_m_per_s", "<f8"),
     ("acceleration_m_per_s2", "<f8"),

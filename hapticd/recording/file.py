@@ -49,7 +49,9 @@ from hapticd.units import NS_PER_S, PROBE_RATE_HZ
 
 TEXT = "checkpoint_text"
 # fields of a record since 0.2: an older recording lacks them, and `records` leaves them out
-ADDED = frozenset({"delay_us", "delay_spread_us", "frame_age_us", "damping_effect_ns_per_m"})
+ADDED = frozenset(
+    {"delay_us", "delay_spread_us", "frame_age_us", "damping_effect_ns_per_m", "slot"}
+)
 # the column that counts time, and its counts per second
 CLOCKS = {"servo": ("time_ns", NS_PER_S), "probe": ("index", PROBE_RATE_HZ)}
 # computed from recorded channels; a finished file has them as datasets, too

@@ -17,9 +17,11 @@ hot; a rehearsal of the tick on dummy data at the start of the spin warms them. 
 time: move the clock.
 
 A late tick drops whole slots and never catches up; late events and lost slots are counted apart,
-those of the first second (`grace`) on their own. With the board gone the ticks go on: records say
-so, the force is 0, and the board is looked for with back-off. The loop ends when `stopping` is set
-or `ticks` are done; `finish` fades what acts and lets the board go.
+those of the first second (`grace`) on their own. Ticks are numbered one after the other; the time
+that `step` is given is the slot, which counts the lost ones too, so a ramp of 20 ms ends after 20
+ms whatever the ticks did. Clients ask and are answered in ticks. With the board gone the ticks go
+on: records say so, the force is 0, and the board is looked for with back-off. The loop ends when
+`stopping` is set or `ticks` are done; `finish` fades what acts and lets the board go.
 
 What would break it: a name of `run` that a closure shares (it becomes a cell, slower at every use),
 something slow before the record is published, a rehearsal that has an effect.
@@ -29,6 +31,7 @@ import os
 import time
 from collections.abc import Callable
 from math import nan
+from typing import NamedTuple
 
 from hapticd.clock import Clock
 from hapticd.errors import HapticdError, LinkError, LinkLost, MailboxError
@@ -51,6 +54,7 @@ from hapticd.servo.plan import (
     Answer,
     Request,
     flatten,
+    in_slots,
 )
 from hapticd.servo.step import initial_state, make_step
 from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US, US_PER_S, round_half_up
@@ -65,6 +69,7 @@ from hapticd.wire.codec import (
 from hapticd.wire.frames import OutFlag
 
 Wait = Callable[[int, Callable[[], object]], int]
+MISSED = -1  # arrival of a tick without a sample, before it is known for how long
 REHEARSAL_NS = 30_000  # room that a rehearsal needs before the deadline
 
 
@@ -128,6 +133,13 @@ _LATE = int(Flag.LATE)
 _WRITE_FAILED = int(Flag.WRITE_FAILED)
 
 
+class Overdue(NamedTuple):
+    """A tick without a sample."""
+
+    arrival: int  # minus the periods without one, this one included
+    pausing: bool  # the next tick does not read
+
+
 class ServoLoop:
     """One device, one mailbox, one loop; `run` may be called again and goes on where it stopped."""
 
@@ -149,11 +161,14 @@ class ServoLoop:
         self.board = check_board(device, params, clock)
         self.stopping = False
         self._lost_slots = 0
+        self.dropped = 0  # slots without a tick, those of the start and of a reconnect too
+        self._missed_tick = -1  # the newest tick without a sample
+        self._fresh_slot = 0  # of the newest tick with one, before that
+        self._pausing = False  # the next tick does not read
         self._delay_spread_us = 0
         self._least_us = _NOTHING_US  # delays of the running 256 ticks
         self._most_us = 0
         self._stepped_ns = clock.now_ns()  # when the last OUT was ready
-        self._absent = 0
         self._attempt = 0
         self._retry_ns = 0
         self._started_ns = clock.now_ns()
@@ -177,9 +192,9 @@ class ServoLoop:
         head_word = layout.COMMAND_HEAD_WORD
         ring_head = layout.TELEMETRY_HEAD_WORD
         servo_beat = layout.SERVO_BEAT_WORD
-        first_slot = layout.TELEMETRY_OFFSET
+        first_place = layout.TELEMETRY_OFFSET
         size = layout.RECORD.size
-        slots = layout.RING_RECORDS
+        places = layout.RING_RECORDS
         rehearse = self._rehearsal()
         receive = device.receive
         send = device.send
@@ -199,6 +214,7 @@ class ServoLoop:
         least_us = self._least_us
         most_us = self._most_us
         head: Head = NO_HEAD
+        pausing = self._pausing
         alive_until_ns = 0
         board_us = 0
         linked = _HEALTHY | self.board.host  # host flags while all is well
@@ -211,16 +227,20 @@ class ServoLoop:
                 self._least_us = least_us
                 self._most_us = most_us
                 self._stepped_ns = stepped
+                self._pausing = pausing
                 break
             deadline = self.deadline_ns
             next_deadline = deadline + period_ns
-            slot = first_slot + tick % slots * size
+            slot = tick + self.dropped
+            place = first_place + tick % places * size
             # read, not mapped: others may cut this file short (`mailbox.stop_word`)
             pressed = pread(stop_word, READ_BYTES, 0) != NOT_PRESSED
             start = wait(deadline, rehearse)
             delay_us = UNKNOWN_US
             frame_age_us = UNKNOWN_US
-            if self.linked:
+            if pausing:
+                arrival = MISSED
+            elif self.linked:
                 try:
                     arrival, board_us, delay_us, head = receive()
                 except LinkLost:
@@ -230,6 +250,8 @@ class ServoLoop:
                 linked = _HEALTHY | self.board.host
                 (temperature, t0), *_ = self._sensor_lines()
             got = clock()
+            if arrival < 0:
+                arrival, pausing = self._overdue(tick, slot, got - start)
             (
                 _,
                 echo,
@@ -257,6 +279,7 @@ class ServoLoop:
             if pressed or words[head_word] != mailbox.taken or inbox.waiting or streamer.playing:
                 commands = inbox.requests(tick, head, self.state[SETTLED].plan)
                 mailbox.note(tick, commands)
+                commands = in_slots(commands, self.dropped)
             # the beat last seen says nothing any more: look for the next one
             if start >= alive_until_ns:
                 beat_ns = words[beat_word]
@@ -270,7 +293,7 @@ class ServoLoop:
                 self.state,
                 commands,
                 (encoder, status, heat, arrival, host, index, delay_us * periods_per_us),
-                tick,
+                slot,
             )
             self.state = state
             settled, _, (energies, _, _, _), _ = state
@@ -312,7 +335,7 @@ class ServoLoop:
                 frame_age_us = min(frame_age_us, _NOTHING_US)
             pack(
                 ring,
-                slot,
+                place,
                 tick,
                 start,
                 board_us,
@@ -321,6 +344,7 @@ class ServoLoop:
                 status,
                 arrival,
                 host,
+                slot,
                 x,
                 v,
                 a,
@@ -392,8 +416,8 @@ class ServoLoop:
             sample = (head[HEAD_ENCODER], head[HEAD_STATUS], head[HEAD_TEMPERATURE])
             settled = self.state[SETTLED]
             # not the long way: cold it takes longer than the spin
-            if self.tick < settled.wake_tick:
-                step(self.state, (), (*sample, 0, settled.host, 0, 0.0), self.tick)
+            if self.slot < settled.wake_tick:
+                step(self.state, (), (*sample, 0, settled.host, 0, 0.0), self.slot)
             _ = (
                 os.pread(stop_word, READ_BYTES, 0),
                 words[layout.COMMAND_HEAD_WORD],
@@ -405,9 +429,17 @@ class ServoLoop:
 
         return rehearse
 
+    @property
+    def slot(self) -> int:
+        """The time of the next tick in periods, since the first one."""
+        return self.tick + self.dropped
+
     def restart_clock(self) -> None:
         """Begin anew with deadlines from now on, after something slow that was no tick."""
-        self.deadline_ns = first_deadline(self.clock.now_ns(), self.period_ns)
+        deadline_ns = first_deadline(self.clock.now_ns(), self.period_ns)
+        if self.tick:
+            self.dropped += max(0, (deadline_ns - self.deadline_ns) // self.period_ns)
+        self.deadline_ns = deadline_ns
 
     def finish(self) -> None:
         """End with no force: what acts fades as in a stop, tick by tick and recorded. The last
@@ -442,7 +474,8 @@ class ServoLoop:
     def _answer(self, answers: tuple[Answer, ...]) -> None:
         for seq, result, fault, revision, ticks, values in answers:
             if seq:  # 0: the loop itself asked
-                self.mailbox.answer(seq, result, fault, revision, ticks, values)
+                first, end = (slot - self.dropped for slot in ticks)
+                self.mailbox.answer(seq, result, fault, revision, (first, end), values)
 
     def _tally(self) -> None:
         """Bring the device's counts to the counters that others read; leave the state for a
@@ -464,6 +497,7 @@ class ServoLoop:
         """Drop the slots that have passed."""
         dropped = (now_ns - self.deadline_ns) // self.period_ns + 1
         self.deadline_ns += dropped * self.period_ns
+        self.dropped += dropped
         grace = now_ns - self._started_ns < self.params.realtime.grace_s * NS_PER_S
         self.mailbox.count("grace_late_events" if grace else "late_events")
         self.mailbox.count("grace_lost_slots" if grace else "lost_slots", dropped)
@@ -471,18 +505,30 @@ class ServoLoop:
             self._lost_slots = self._lost_slots + dropped & _U32
             self.inbox.lost_slots(now_ns, dropped)
 
+    def _overdue(self, tick: int, slot: int, read_ns: int) -> Overdue:
+        """How long there has been no sample, and whether the next tick does without a read.
+
+        A read that waits in vain costs its time-out (at least 1 ms, and libusb takes 1.6). The
+        first one is repeated at once, for a single lost frame is followed by the next; after that
+        every other tick sends and does not read, so that commands keep coming.
+        """
+        first = self._missed_tick != tick - 1
+        if first:
+            self._fresh_slot = slot - 1
+        self._missed_tick = tick
+        waited = 2 * read_ns > self.period_ns
+        return Overdue(self._fresh_slot - slot, self.linked and waited and not first)
+
     def _unlink(self, now_ns: int) -> int:
         """The board is gone: release it and look for it later. The arrival of this tick."""
         self.linked = False
-        self._absent = 1
         self.device.close()
         self._attempt = 0
         self._retry_ns = now_ns + int(backoff_s(0) * NS_PER_S)
-        return -1
+        return MISSED
 
     def _search(self, now_ns: int) -> int:
         """A tick without a board: look for it once its time has come. The arrival of this tick."""
-        self._absent += 1
         if now_ns >= self._retry_ns:
             try:
                 self._relink(self.device.connect().serial)
@@ -490,7 +536,7 @@ class ServoLoop:
                 self.device.close()
                 self._attempt += 1
                 self._retry_ns = now_ns + int(backoff_s(self._attempt) * NS_PER_S)
-        return -self._absent
+        return MISSED
 
     def _relink(self, serial: str) -> None:
         """The board answers again; its filters start anew with the next frame and the state

@@ -244,6 +244,14 @@ Request = tuple[int, int, int, int, tuple[float, ...]]
 KIND: Final = 1  # place in a Request
 
 
+def in_slots(requests: tuple[Request, ...], lost: int) -> tuple[Request, ...]:
+    """`requests` with their apply ticks as slots, when `lost` slots have no tick."""
+    return tuple(
+        (seq, kind, actor, apply_tick and apply_tick + lost, values)
+        for seq, kind, actor, apply_tick, values in requests
+    )
+
+
 def fault_request(number: int) -> Request:
     """The servo's request to itself to enter the fault `number` (`faults.BY_NUMBER`)."""
     return 0, FAULT_EVENT, 0, 0, (float(number),)
@@ -298,13 +306,13 @@ def added_target(plan: Plan, tick: int, params: ServoParams) -> float:
     return plan.added_asked if plan.added_on else 0.0
 
 
-def advance_added(plan: Plan, tick: int, params: ServoParams) -> Plan:
-    """`plan` with its active damping one tick further: slew-limited, but released from a latched
-    state on time.
+def advance_added(plan: Plan, tick: int, elapsed: int, params: ServoParams) -> Plan:
+    """`plan` with its active damping `elapsed` periods further: slew-limited, but released from a
+    latched state on time.
     """
     target = added_target(plan, tick, params)
     releasing = plan.state in LATCHED and target < plan.added
-    step = params.safety.damping_slew_ns_per_m_s / params.realtime.rate_hz
+    step = elapsed * params.safety.damping_slew_ns_per_m_s / params.realtime.rate_hz
     added = target if releasing else approach(plan.added, target, step)
     return plan if added == plan.added else plan._replace(added=added)
 

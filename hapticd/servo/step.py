@@ -6,6 +6,7 @@ position from the count, `render`, count from the force, ledger. A tick on which
 happens (a command, a running ramp, a lost frame, a status bit, a missing heartbeat) first goes
 through `attend`, which makes a new state; the short way then follows as ever.
 
+`tick` is time: periods since the start, those of lost slots included, so it rises but may skip.
 State is a short tuple (see `plan`) whose first place holds everything slow, so that a tick hands
 it on in one piece. The force limit is the last thing before the wire: the law clamps in newtons,
 this module clamps the count once more. What would break it: mutable values in the state, a time or

@@ -204,6 +204,7 @@ def make_attend(params: ServoParams) -> Attend:
             answers += more
         while plan.scheduled and plan.scheduled[0].tick <= now.tick:
             due = plan.scheduled[0]
+            due = due._replace(tick=now.tick)  # its own slot may have been lost
             plan, more = apply_settings(plan._replace(scheduled=plan.scheduled[1:]), due, params)
             answers += more
         return plan, tuple(answers)
@@ -278,7 +279,7 @@ def make_attend(params: ServoParams) -> Attend:
             if plan.state is State.ENABLED and before.state is State.ENABLED:
                 plan = plan._replace(gain=gain_from(tick))
                 flags |= int(Flag.QUIET_RAMP)
-        plan = advance_added(plan, tick, params)
+        plan = advance_added(plan, tick, max(1, tick - settled.wake_tick + 1), params)
         if plan.filters != before.filters:
             renewed = coefficients_of(plan, rate_hz)
             law = refiltered(law, coefficients, renewed)
