@@ -11,10 +11,14 @@ import pytest
 from models import COUNT_M, COUNT_N, board_params, device_params, servo_params
 
 from hapticd.assembly.lockstep import LockStep
+from hapticd.link.agreement import differences
+from hapticd.link.device import SEED
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.params import HomeParams, InjectionParams, RealtimeParams, ScaleParams
+from hapticd.servo.plan import DEVICE_DIFFERS
 from hapticd.servo.safety import State
+from hapticd.sim.board import hello
 
 DTYPE = np.dtype([tuple(field) for field in layout.TELEMETRY])
 
@@ -86,6 +90,13 @@ def test_a_calibration_may_correct_a_scale_by_a_tenth(factor, agrees):
     assert result is (Result.APPLIED if agrees else Result.REFUSED_DEVICE)
 
 
+@pytest.mark.parametrize("number", [math.nan, 0.0, -8.0, math.inf])
+def test_number_that_is_none_contradicts(number):
+    said = hello(board_params())._replace(force_full_scale_n=number)
+    (found,) = differences(said, device_params())
+    assert found.startswith("force full scale: the board says")
+
+
 def test_index_that_homing_needs_has_to_be_there():
     device = device_params(home=HomeParams(method="index"))
     with LockStep(servo_params(device=device), board_params()) as stack:
@@ -100,13 +111,14 @@ def test_another_board_at_the_plug_is_looked_at_again():
     with LockStep(servo_params(), board_params(injections=(away,))) as stack:
         stack.run(30)
         assert stack.do(Command.ENABLE).result is Result.APPLIED
-        board = stack.backend._port.board
-        replaced = {key: reply for key, reply in board._replies.items() if key[0] == 0xC0}
-        hello = next(key for key in replaced if key[1] == 1)
-        other = bytearray(replaced[hello])
+        replies = stack.backend._port.board._replies
+        greeting = (0xC0, 1, 0)
+        other = bytearray(replies[greeting])
         other[16:17] = b"X"  # of its serial number
-        board._replies[hello] = bytes(other)
-        stack.run(600)
+        replies[greeting] = bytes(other)
+        ticks = records(stack.run(250))
+        assert not ticks["host"][40] & DEVICE_DIFFERS
+        assert ticks["host"][200] & DEVICE_DIFFERS
         assert stack.do(Command.RESET).result is Result.APPLIED
         assert stack.do(Command.ENABLE).result is Result.REFUSED_DEVICE
         assert report(stack)["differences"][0].startswith("serial: the board says 'XIM0001'")
@@ -145,10 +157,12 @@ def far_board(pair_ms, **changes):
 HELD = {0.3: 0.5, 0.36: 0.375, 0.4: 0.3125}  # pair [ms]: phase
 
 
+@pytest.mark.parametrize("depth", [0, 2])
 @pytest.mark.parametrize("pair_ms", HELD)
-def test_phase_leaves_room_for_the_measured_pair(pair_ms):
-    with LockStep(servo_params(), far_board(pair_ms)) as stack:
-        stack.run(5)
+def test_phase_leaves_room_for_the_measured_pair(pair_ms, depth):
+    with LockStep(servo_params(), far_board(pair_ms, in_queue_depth=depth)) as stack:
+        first, _, *others = records(stack.run(5))["arrival"]
+        assert (first, *others) == (SEED, 0, 0, 0)
         assert stack.do(Command.ENABLE).result is Result.APPLIED
         stack.do(Command.SET, {Value.STIFFNESS: 200.0, Value.DAMPING: 3.0})
         ticks = records(stack.run(3000))

@@ -383,3 +383,18 @@ def test_board_may_lack_what_it_could_measure():
     assert {frame.temperature for frame in received} == {0}
     assert not any(frame.pairs for frame in received)
     assert not any(frame.status & StatusBit.PROBE_OVERFLOW for frame in received)
+
+
+def test_emergency_stop_acts_when_it_is_pressed_not_with_the_next_frame():
+    """A third of a period of force, then none: the device keeps the speed that it got until then,
+    less what its friction takes (below 2 % in 0.6 ms).
+    """
+    board = BoardModel(board_params())
+    board.on_out(out_packet(0, flags=ENABLE, torque=4096), 0)
+    board.press_stop(375_000, True)
+    assert board._axis.force_n == 0.0
+    frame = codec.decode_in(board.poll_in(LATCH_NS))
+    assert frame.status & StatusBit.EMERGENCY_STOP
+    assert not frame.status & StatusBit.ENABLED
+    speed = 4096 * 8.0 / 32767 * 375e-6 / 0.008
+    assert board._axis.state[1] == pytest.approx(speed, rel=0.05)

@@ -232,7 +232,10 @@ def test_sensor_fault_comes_before_damage_on_the_way(damage, first):
 
 
 def test_packets_that_piled_up_come_all_together_in_order():
-    port = one("burst_in", value=0.003)
+    strikes = (("burst_in", STRUCK, 0.003), ("drop_in", 7, 0.0))
+    port = injected(
+        *(InjectionParams(kind, tick=tick, value=value) for kind, tick, value in strikes)
+    )
     healthy(port, 0, 1)
     for tick in (STRUCK, 3, 4):
         assert tick_of(port, tick) is None
@@ -242,6 +245,7 @@ def test_packets_that_piled_up_come_all_together_in_order():
     echoes = [codec.decode_in(port.poll_in(due_ns)).echo for _ in range(4)]
     assert echoes == [STRUCK, 3, 4, 5]
     healthy(port, 6)
+    assert tick_of(port, 7) is None
 
 
 def test_nothing_of_zero_length_comes_behind_the_packet():
