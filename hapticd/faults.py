@@ -98,7 +98,7 @@ FAULTS: tuple[Fault, ...] = (
         "home_failed",
         "no stop or index was found within force and time",
         _TO_SAFE,
-        "check the mechanism, reset, home",
+        "let go of the handle, check the mechanism and the table [home], reset, home",
     ),
     Fault(
         12,
@@ -113,6 +113,34 @@ FAULTS: tuple[Fault, ...] = (
         "the board's firmware started anew: its position origin is lost",
         _TO_SAFE,
         "look at its supply, reset, home or zero again",
+    ),
+    Fault(
+        20,
+        "home_no_current",
+        "homing pushed, and the motor carried too little current",
+        _TO_SAFE,
+        "check motor, amplifier and `home.current_n_per_a`, then reset, home",
+    ),
+    Fault(
+        21,
+        "home_blocked",
+        "homing met something, and the handle did not move away from it again",
+        _TO_SAFE,
+        "let go of the handle, look for friction near `home.force_n`, reset, home",
+    ),
+    Fault(
+        22,
+        "home_not_confirmed",
+        "what homing found was not there the second time, or gives way",
+        _TO_SAFE,
+        "let go of the handle, check the mechanism, reset, home",
+    ),
+    Fault(
+        23,
+        "home_wrong_way",
+        "the handle went against the push of homing",
+        _TO_SAFE,
+        "let go of the handle, check the signs of force and position, reset, home",
     ),
 )
 

@@ -103,6 +103,9 @@ class HomeParams:
     force_n: float = 0.5
     position_m: float = 0.0  # where the stop or index lies
     timeout_s: float = 10.0
+    tolerance_m: float = 50e-6  # between two finds, and what a stop may yield under half the push
+    back_off_m: float = 2e-3  # travelled freely before the second find
+    current_n_per_a: float = 0.0  # endpoint force per motor current; 0: current is not checked
 
 
 @dataclass(frozen=True, slots=True)

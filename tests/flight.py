@@ -67,13 +67,14 @@ class Flight:
         host: int = HEALTHY,
         index: int = 0,
         delay: float = 0.125,
+        current: int = 0,
     ) -> Any:
         if encoder is not None:
             self.encoder = encoder
         if status is None:  # of a board that grants what is asked
             status = self.state[SETTLED].out_flags & ENABLE and int(StatusBit.ENABLED)
         temperature = AMBIENT_COUNT if celsius is None else round(celsius * 100)
-        sample = (self.encoder, status, temperature, arrival, host, index, delay)
+        sample = (self.encoder, status, temperature, arrival, host, index, delay, current)
         self.state, out = self.step(self.state, commands, sample, self.tick)
         self.tick += 1
         self.answers += out[10]

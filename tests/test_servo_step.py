@@ -13,7 +13,6 @@ from hapticd.mailbox.layout import Command, Flag, Result, Value
 from hapticd.params import HomeParams, ScaleParams
 from hapticd.render.law import render
 from hapticd.servo.safety import State
-from hapticd.wire.frames import StatusBit
 
 STIFF = {Value.STIFFNESS: 100.0}
 HOME = HomeParams(
@@ -323,58 +322,6 @@ def test_zero_is_refused_while_enabled():
     assert flight.fly()[1] == pytest.approx(0.01)
 
 
-def test_homing_pushes_with_bounded_force_and_finds_the_stop():
-    flight = Flight(servo_params(device=device_params(home=HOME)), 5000)
-    assert flight.do(Command.HOME) is Result.APPLIED
-    assert flight.plan.state is State.HOMING
-    worst = 0.0
-    for n in range(100):
-        worst = max(worst, abs(flight.fly(1, encoder=5000 - 20 * n)[8]))
-    for _ in range(405):
-        worst = max(worst, abs(flight.fly()[8]))
-    assert worst <= 0.5 + COUNT_N
-    assert flight.plan.state is State.DISABLED
-    assert flight.plan.homed
-    assert flight.fly()[1] == pytest.approx(-0.02, abs=COUNT_M)
-    assert flight.fly()[0] == 0
-
-
-def test_homing_that_finds_nothing_is_a_fault():
-    flight = Flight(servo_params(device=device_params(home=HOME)))
-    flight.do(Command.HOME)
-    for n in range(2005):
-        flight.fly(1, encoder=-20 * n)
-    assert flight.plan.state is State.FAULT
-    assert flight.plan.fault == BY_CODE["home_failed"].number
-    assert not flight.plan.homed
-
-
-def test_failed_homing_lets_go_in_twenty_ticks():
-    flight = Flight(servo_params(device=device_params(home=HOME)))
-    flight.do(Command.HOME)
-    forces = [flight.fly(1, encoder=-3 * ((n + 50) // 100))[8] for n in range(2030)]
-    failed = 2000
-    assert forces[failed - 5] < -0.1
-    assert max(abs(b - a) for a, b in pairwise(forces[failed - 5 :])) < 0.5 / 20 + 2 * COUNT_N
-    assert forces[-1] == 0.0
-
-
-def test_homing_at_the_index_takes_the_mark():
-    home = HomeParams(
-        method="index",
-        direction=1,
-        speed_m_per_s=0.01,
-        force_n=0.5,
-        position_m=0.003,
-        timeout_s=2.0,
-    )
-    flight = Flight(servo_params(device=device_params(home=home)))
-    flight.do(Command.HOME)
-    flight.fly(1, encoder=700, status=int(StatusBit.INDEX), index=20)
-    assert flight.plan.state is State.DISABLED
-    assert flight.fly(1, encoder=700)[1] == pytest.approx(0.003 + 20 * COUNT_M)
-
-
 def test_homing_is_refused_where_the_device_has_no_method():
     assert Flight(servo_params()).do(Command.HOME) is Result.REFUSED_STATE
 
@@ -396,7 +343,7 @@ def test_law_that_overflows_is_a_fault_and_never_a_force():
 def test_step_is_a_function_of_its_arguments():
     flight = enabled(servo_params(), {**STIFF, Value.DAMPING: 1.0, Value.MASS: 0.01}, 2000)
     state = flight.state
-    sample = (2040, 0, 2500, 0, 3, 0, 0.125)
+    sample = (2040, 0, 2500, 0, 3, 0, 0.125, 0)
     command = ((77, Command.SET, 1, 0, masked({Value.STIFFNESS: 400.0})),)
     assert flight.step(state, command, sample, 900) == flight.step(state, command, sample, 900)
     assert state == flight.state

@@ -375,6 +375,14 @@ def test_message_names_line_value_limit(tmp_path: Path, text: str, expected: str
 
 DEVICE_CASES = {
     (
+        "[home]",
+        "[home]\ntolerance_m = 1e-3",
+    ): "home.back_off_m = 0.002 m: must be at least 0.008 m, 8 times tolerance_m",
+    (
+        "[home]",
+        "[home]\nforce_n = 8.5",
+    ): "home.force_n = 8.5 N: must be at most 8.0 N, the limit of the device",
+    (
         "force_n = 8.0",
         "force_n = 9.0",
     ): "limits.force_n = 9.0 N: must be at most 8.0 N, the full scale of its converter",

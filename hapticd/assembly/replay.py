@@ -115,6 +115,7 @@ def replay(
             host,
             head[codec.HEAD_INDEX_OFFSET],
             delay,
+            head[codec.HEAD_CURRENT],
         )
         requests = in_slots(obeyed.get(tick, ()), slot - tick)
         state, (torque, *numbers, flags, _) = step(state, requests, sample, slot)

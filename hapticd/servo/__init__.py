@@ -5,6 +5,7 @@ the layers below.
     loop        ServoLoop: the only `while`; spinning_wait, virtual_wait, first_deadline
     step        initial_state, make_step: one tick as a function, the short way
     transition  the long way of a tick: lost frames, faults, commands, ramps, homing
+    homing      Search: finds the stop or the index, or says why not
     plan        Plan, Settled, ServoState: what is intended, and what a tick needs of it;
                 flatten, unflatten: a checkpoint
     commands    one command on one plan

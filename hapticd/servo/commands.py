@@ -10,6 +10,7 @@ from hapticd.mailbox.layout import COMMAND_VALUES, Command, Result, Value
 from hapticd.params import ServoParams
 from hapticd.render.ramp import Ramp, constant
 from hapticd.servo import safety
+from hapticd.servo.homing import begin
 from hapticd.servo.plan import (
     FILTERED,
     NO_WAVE,
@@ -98,7 +99,7 @@ def enter(
     if fault == BY_CODE["sensor_range"].number:
         entered = entered._replace(homed=False)
     if state is State.HOMING:
-        entered = entered._replace(anchor=(now.tick, now.encoder), homed=False)
+        entered = entered._replace(homing=begin(now.tick, now.encoder), homed=False)
     return entered._replace(revision=plan.revision + 1)
 
 

@@ -292,7 +292,7 @@ class ServoLoop:
             state, output = step(
                 self.state,
                 commands,
-                (encoder, status, heat, arrival, host, index, delay_us * periods_per_us),
+                (encoder, status, heat, arrival, host, index, delay_us * periods_per_us, amperes),
                 slot,
             )
             self.state = state
@@ -417,7 +417,7 @@ class ServoLoop:
             settled = self.state[SETTLED]
             # not the long way: cold it takes longer than the spin
             if self.slot < settled.wake_tick:
-                step(self.state, (), (*sample, 0, settled.host, 0, 0.0), self.slot)
+                step(self.state, (), (*sample, 0, settled.host, 0, 0.0, 0), self.slot)
             _ = (
                 os.pread(stop_word, READ_BYTES, 0),
                 words[layout.COMMAND_HEAD_WORD],

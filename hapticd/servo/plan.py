@@ -31,6 +31,7 @@ from hapticd.params import FilterParams, ServoParams, WorkspaceParams
 from hapticd.render.energy import Ledger
 from hapticd.render.law import Coefficients, Environment, LawState, design_coefficients
 from hapticd.render.ramp import Ramp, approach, constant
+from hapticd.servo.homing import Homing
 from hapticd.servo.safety import FAULT_EVENT, LATCHED, State, held_damping
 from hapticd.units import round_half_up
 from hapticd.wire.codec import U16_HIGHEST
@@ -72,7 +73,7 @@ class Plan(NamedTuple):
     homed: bool
     origin: int  # encoder count at x = 0
     wave: Wave  # the perturbation that plays
-    anchor: tuple[int, int]  # homing: tick and count since which the encoder has not moved
+    anchor: tuple[int, int]  # of homing in the first checkpoints; nothing looks at it
     gain: Ramp  # 0 to 1, of all that is rendered
     # N; what is left of the force of a latched state where there is no sample to believe
     fade: Ramp
@@ -86,6 +87,7 @@ class Plan(NamedTuple):
     scheduled: tuple["Scheduled", ...]
     # since version 0.2, with a default for checkpoints of earlier ones
     unauthorised: int = 0  # ticks in a row for which the board withheld the torque that was asked
+    homing: Homing = Homing()
 
 
 class Scheduled(NamedTuple):
@@ -233,8 +235,9 @@ Held = tuple[int, float]  # what was sent last: torque count, force [N]
 ServoState = tuple[Settled, LawState, Ledger, Held]
 SETTLED: Final = 0  # place in a ServoState
 # encoder count, status, temperature count, arrival (link.device), host flags, index offset, delay
-# from the sample to the force in effect [periods], negative while it is unknown
-Sample = tuple[int, int, int, int, int, int, float]
+# from the sample to the force in effect [periods], negative while it is unknown, motor current
+# [count]
+Sample = tuple[int, int, int, int, int, int, float, int]
 STATUS: Final = 1  # place in a Sample
 # torque count, position, velocity, acceleration, force parts K B M field, force as sent, record
 # flags, answers
@@ -417,6 +420,7 @@ def flatten(state: ServoState) -> tuple[Any, ...]:
             (one.frequency_hz, one.damping_ratio, one.mapping) for one in plan.filters
         ),
         "scheduled": tuple(tuple(one) for one in plan.scheduled),
+        "homing": tuple(plan.homing),
     }
     before = s.wake_tick, s.environment, s.coefficients, s.out_flags, s.damping_count, s.blob.hex()
     return (*before, law, ledger, s.origin, s.added, held, s.host, tuple(plain.values()))
@@ -435,6 +439,7 @@ def unflatten(plain: Sequence[Any]) -> ServoState:
         "values": {place: Ramp(*ramp) for place, ramp in fields["values"]},
         "filters": (first, second),
         "scheduled": tuple(Scheduled(*one) for one in fields["scheduled"]),
+        "homing": Homing(*fields.get("homing", ())),
     }
     law, ledger, origin, added, held, host = others
     before = wake, environment, coefficients, flags, damping, bytes.fromhex(blob)

@@ -113,8 +113,8 @@ def make_step(params: ServoParams) -> Step:
         flags: int,
         answers: tuple[Any, ...],
     ) -> tuple[ServoState, Output]:
-        encoder, status, temperature, _, host, index, delay = sample
-        unusable = (encoder, status, temperature, -1, host, index, delay)
+        encoder, status, temperature, _, host, index, delay, current = sample
+        unusable = (encoder, status, temperature, -1, host, index, delay, current)
         state, _, more, more_flags = attend(state, (fault_request(fault),), unusable, tick)
         return missing(state, flags | more_flags, answers + more)
 
@@ -132,8 +132,8 @@ def make_step(params: ServoParams) -> Step:
         settled, law, ledger, held = state
         origin = settled.origin + (turns << ENCODER_BITS)
         settled = replace(settled, origin=origin, plan=settled.plan._replace(origin=origin))
-        encoder, _, temperature, _, host, _, delay = sample
-        again = (encoder, settled.calm, temperature, 0, host, 0, delay)
+        encoder, _, temperature, _, host, _, delay, current = sample
+        again = (encoder, settled.calm, temperature, 0, host, 0, delay, current)
         state, output = step((settled, law, ledger, held), (), again, tick)
         torque, x, v, a, spring, damper, inertia, field, applied, more_flags, more = output
         parts = (torque, x, v, a, spring, damper, inertia, field, applied)
@@ -142,7 +142,7 @@ def make_step(params: ServoParams) -> Step:
     def step(
         state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int
     ) -> tuple[ServoState, Output]:
-        encoder, status, temperature, arrival, host, _, delay = sample
+        encoder, status, temperature, arrival, host, _, delay, _ = sample
         answers: tuple[Any, ...] = ()
         flags = 0
         settled, law, ledger, held = state

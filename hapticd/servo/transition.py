@@ -5,13 +5,6 @@ Order within a tick: what arrived -> what is wrong -> commands -> scheduled chan
 damping and ramps. So a stop that arrives with an enable wins, and a fault that appears in this tick
 is seen by a reset in the same tick.
 
-Homing pushes gently towards a stop or the encoder's index, and takes it for the origin when it is
-there. The push is the law itself with other numbers: a damper of 1 N s/m against the homing speed
-(what any device renders passively with nothing else on), clamped at the homing force. While the
-encoder stays within two counts the push grows to the full force in 0.2 s, so that friction is
-overcome and falls back with the first motion; what has not moved 0.2 s later is the stop. Speed and
-force are both bounded whatever is in the way.
-
 What would break it: another order within a tick, or a change of the plan that leaves `Settled` as
 it was (the short way looks at nothing else).
 """
@@ -29,6 +22,7 @@ from hapticd.render.law import Coefficients, Environment, LawState, at_rest, ren
 from hapticd.render.ramp import Ramp, constant
 from hapticd.servo.commands import Now, apply_settings, enter, obey
 from hapticd.servo.easing import eased
+from hapticd.servo.homing import Failed, Homing, Search, Seen, force_limit_n
 from hapticd.servo.plan import (
     AMPLIFIER_TOLD,
     AUTHORITY,
@@ -61,55 +55,6 @@ from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
 from hapticd.wire.frames import OutFlag, StatusBit
 
 NO_AUTHORITY = BY_CODE["no_authority"].number
-STILL_COUNTS = 2
-PUSH_S = 0.2
-STILL_S = 0.4
-DAMPING_NS_PER_M = 1.0
-
-
-def homing_environment(plan: Plan, tick: int, params: ServoParams) -> Environment:
-    """The law's numbers while homing: a damper and a push that grows while nothing moves,
-    clamped at the homing force.
-    """
-    home = params.device.home
-    limit_n = min(home.force_n, params.safety.force_limit_n, params.device.force_limit_n)
-    anchor_tick, _ = plan.anchor
-    still = (tick - anchor_tick) / (PUSH_S * params.realtime.rate_hz)
-    push = home.direction * min(
-        home.force_n, DAMPING_NS_PER_M * home.speed_m_per_s + still * home.force_n
-    )
-    return 0.0, DAMPING_NS_PER_M, 0.0, push, limit_n, 0.0, 0.0, 0.0, 0.0, -1e3, 1e3, 0.0
-
-
-def advance_homing(plan: Plan, sample: Sample, now: Now, params: ServoParams) -> Plan:
-    """`plan` after one tick of homing: still searching, or disabled with the origin found."""
-    encoder, status, _, _, _, index_offset, _ = sample
-    home = params.device.home
-    if home.method == "index" and status & StatusBit.INDEX:
-        return _homed(plan, encoder - index_offset, now, params)
-    anchor_tick, anchor = plan.anchor
-    if abs(encoder - anchor) > STILL_COUNTS:
-        return plan._replace(anchor=(now.tick, encoder))
-    if home.method == "stop" and now.tick - anchor_tick >= STILL_S * params.realtime.rate_hz:
-        return _homed(plan, encoder, now, params)
-    return plan
-
-
-def homing_overdue(plan: Plan, tick: int, params: ServoParams) -> bool:
-    """Whether homing has searched longer than the device allows."""
-    return (
-        plan.state is State.HOMING
-        and tick - plan.since_tick > params.device.home.timeout_s * params.realtime.rate_hz
-    )
-
-
-def _homed(plan: Plan, count: int, now: Now, params: ServoParams) -> Plan:
-    position = params.device.position
-    origin = count - round_half_up(
-        position.sign * params.device.home.position_m / position.per_count
-    )
-    return enter(plan, State.DISABLED, now, params, plan.actor)._replace(origin=origin, homed=True)
-
 
 Attend = Callable[
     [ServoState, tuple[Any, ...], Sample, int], tuple[ServoState, bool, tuple[Any, ...], int]
@@ -126,6 +71,11 @@ def make_attend(params: ServoParams) -> Attend:
     low_count, high_count = params.device.temperature_counts(I16_LOWEST, I16_HIGHEST)
     m_per_count = params.device.position.per_count * params.device.position.sign
     first_origin = round_half_up(params.device.position.offset_count)
+    home = params.device.home
+    position = params.device.position
+    home_counts = round_half_up(position.sign * home.position_m / position.per_count)
+    search = Search(params)
+    homing_limit_n = force_limit_n(params)
 
     def cause(status: int, temperature: int, host: int) -> int:
         """Number of what is wrong at this moment, 0 if nothing is."""
@@ -142,7 +92,7 @@ def make_attend(params: ServoParams) -> Attend:
         """As `cause`, with what is harmless as long as there is no force: it keeps from
         enabling and from a reset.
         """
-        _, status, temperature, arrival, host, _, _ = sample
+        _, status, temperature, arrival, host, _, _, _ = sample
         if found := cause(status, temperature, host):
             return found
         if status & StatusBit.WATCHDOG:
@@ -153,7 +103,7 @@ def make_attend(params: ServoParams) -> Attend:
         """As `cause_under_force`, with what may pass within a few ticks under force (contacts
         bounce): it keeps from enabling and from a reset too.
         """
-        _, status, _, _, host, _, _ = sample
+        _, status, _, _, host, _, _, _ = sample
         if found := cause_under_force(sample):
             return found
         ready = status & StatusBit.AMPLIFIER_READY or not host & AMPLIFIER_TOLD
@@ -169,7 +119,11 @@ def make_attend(params: ServoParams) -> Attend:
             # a perturbation would come back at once with the authority
             count = plan.unauthorised + 1
             return plan._replace(unauthorised=count, gain=constant(0.0), wave=NO_WAVE)
-        return plan._replace(unauthorised=0, gain=gain_from(tick)) if plan.unauthorised else plan
+        if not plan.unauthorised:
+            return plan
+        # the push of homing has no gain, and starts again by itself
+        gain = gain_from(tick) if plan.state is State.ENABLED else plan.gain
+        return plan._replace(unauthorised=0, gain=gain)
 
     def gain_from(tick: int) -> Ramp:
         return Ramp(0.0, 1.0, tick, round_half_up(params.safety.enable_ramp_s * rate_hz))
@@ -178,7 +132,7 @@ def make_attend(params: ServoParams) -> Attend:
         """Number of a fault that this sample brings, 0 for none; losses that matter only under
         force wait for force.
         """
-        _, status, temperature, arrival, host, _, _ = sample
+        _, status, temperature, arrival, host, _, _, _ = sample
         if plan.state not in GRANTED:
             return cause(status, temperature, host)
         if not host & GATEWAY_ALIVE and params.safety.on_gateway_loss == "fault":
@@ -189,11 +143,35 @@ def make_attend(params: ServoParams) -> Attend:
             return cause_under_force(sample) or NO_AUTHORITY
         return cause_under_force(sample)
 
+    def overdue(plan: Plan, tick: int) -> bool:
+        """Whether homing has searched longer than the device allows."""
+        return plan.state is State.HOMING and tick - plan.since_tick > home.timeout_s * rate_hz
+
+    def searched(plan: Plan, sample: Sample, now: Now) -> tuple[Plan, list[Answer]]:
+        """`plan` after one sample of homing: still searching, disabled with the origin found, or
+        at fault.
+        """
+        encoder, status, _, _, _, index_offset, _, current = sample
+        seen = Seen(
+            now.tick,
+            encoder,
+            bool(status & StatusBit.ENABLED),
+            encoder - index_offset if status & StatusBit.INDEX else None,
+            params.device.current.to_value(current),
+        )
+        found = search.advance(plan.homing, seen)
+        if isinstance(found, Failed):
+            return obey(plan, fault_request(found.fault), now, params)
+        if isinstance(found, Homing):
+            return plan._replace(homing=found), []
+        done = enter(plan, State.DISABLED, now, params, plan.actor)
+        return done._replace(origin=found.encoder - home_counts, homed=True), []
+
     def commanded(
         plan: Plan, commands: tuple[Request, ...], sample: Sample, now: Now
     ) -> tuple[Plan, tuple[Answer, ...]]:
         found = newly_lost(plan, sample) or (
-            BY_CODE["home_failed"].number if homing_overdue(plan, now.tick, params) else 0
+            BY_CODE["home_failed"].number if overdue(plan, now.tick) else 0
         )
         events: tuple[Request, ...] = (fault_request(found),) if found else ()
         answers: list[Answer] = []
@@ -215,7 +193,7 @@ def make_attend(params: ServoParams) -> Attend:
         """The usual reason to be here while a busy host drops slots; the plan stays as it is,
         so the long way would be late too.
         """
-        _, status, temperature, arrival, host, _, _ = sample
+        _, status, temperature, arrival, host, _, _, _ = sample
         settled = state[SETTLED]
         unasked = not commands and tick < settled.wake_tick and host == settled.host
         cool = low_count <= temperature <= high_count
@@ -225,7 +203,7 @@ def make_attend(params: ServoParams) -> Attend:
     def attend(
         state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int
     ) -> tuple[ServoState, bool, tuple[Any, ...], int]:
-        encoder, _, _, arrival, host, _, _ = sample
+        encoder, _, _, arrival, host, _, _, _ = sample
         settled, law, ledger, held = state
         environment = settled.environment
         coefficients = settled.coefficients
@@ -267,7 +245,8 @@ def make_attend(params: ServoParams) -> Attend:
             plan = authorised(plan, sample, tick)
         plan, answers = commanded(plan, commands, sample, now)
         if plan.state is State.HOMING and usable:
-            plan = advance_homing(plan, sample, now, params)
+            plan, more = searched(plan, sample, now)
+            answers += tuple(more)
         resetting = before.state in LATCHED and plan.state is State.DISABLED
         seeding = usable and (
             arrival > params.safety.missing_frames_limit or plan.origin != origin or resetting
@@ -291,7 +270,7 @@ def make_attend(params: ServoParams) -> Attend:
             plan = slower
         ready = flat_plan(plan, tick, params, params.environment.workspace, limit_n)
         if plan.state is State.HOMING:
-            ready = ready._replace(environment=homing_environment(plan, tick, params))
+            ready = ready._replace(environment=pushing(plan.homing.force_n, homing_limit_n))
         if ready.wake_tick == tick + 1:
             flags |= int(Flag.RAMPING)
         if not usable and plan.state not in GRANTED:
@@ -324,6 +303,11 @@ def bar(host: int) -> Result | None:
     if host & DEVICE_DIFFERS:
         return Result.REFUSED_DEVICE
     return Result.REFUSED_RATE if host & RATE_NOT_HELD else None
+
+
+def pushing(force_n: float, limit_n: float) -> Environment:
+    """The law's numbers for a force alone."""
+    return 0.0, 0.0, 0.0, force_n, limit_n, 0.0, 0.0, 0.0, 0.0, -1e3, 1e3, 0.0
 
 
 def out_flags(plan: Plan, tick: int) -> int:

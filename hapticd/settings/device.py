@@ -193,6 +193,12 @@ class HomeTable(TomlTable):
     position_m: float = _home.position_m
     """Where the stop or index lies."""
     timeout_s: float = Field(_home.timeout_s, gt=0, le=600)
+    tolerance_m: float = Field(_home.tolerance_m, gt=0, le=0.01)
+    """Between the two finds, and what a stop may yield under half the push."""
+    back_off_m: float = Field(_home.back_off_m, gt=0, le=0.1)
+    """Way between the two finds; at least eight times the tolerance."""
+    current_n_per_a: float = Field(_home.current_n_per_a, ge=0)
+    """Endpoint force per ampere of the motor; 0: its current is not looked at."""
 
 
 class RigidTable(TomlTable):

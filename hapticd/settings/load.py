@@ -29,6 +29,8 @@ from hapticd.units import unit_of
 
 FILE_NAME = "hapticd.toml"
 SYSTEM_FILE = Path("/etc/hapticd") / FILE_NAME
+# times the tolerance: a back-off that leaves room to weigh what acts there (servo.homing)
+SHORTEST_BACK_OFF = 8.0
 HIGHEST_CORNER = 0.45  # of the servo rate: the highest corner that a filter may have
 NEEDS = {"heating": "winding"}  # an effect that changes what another one adds
 T = TypeVar("T", bound=TomlTable)
@@ -247,6 +249,19 @@ def _device_rules(device: DeviceFile) -> Iterator[Mistake]:
     if device.simulated and plant is None and device.model is None:
         yield Mistake(("plant",), None, "is missing; a simulated board needs to know what it moves")
     yield from _order_rule(("plant",), "lower_stop_m", "upper_stop_m", plant)
+    yield from _home_rules(device)
+
+
+def _home_rules(device: DeviceFile) -> Iterator[Mistake]:
+    """Where the second find would not be apart from the first, or nothing could be pushed."""
+    home = device.home
+    shortest_m = SHORTEST_BACK_OFF * home.tolerance_m
+    if home.back_off_m < shortest_m:
+        reason = f"must be at least {shortest_m} m, {SHORTEST_BACK_OFF:g} times tolerance_m"
+        yield Mistake(("home", "back_off_m"), home.back_off_m, reason)
+    if home.force_n > device.limits.force_n:
+        reason = f"must be at most {device.limits.force_n} N, the limit of the device"
+        yield Mistake(("home", "force_n"), home.force_n, reason)
 
 
 def _order_rule(
