@@ -393,6 +393,9 @@ class BoardParams:
     emergency_stop_bounce_ms: float = 0.0  # of its contact, at either edge
     hello_serial: str = ""  # serial number in the hello reply; empty: `serial`
     lacks: tuple[str, ...] = ()  # capabilities that it does not have: "probe", "temperature"
+    rights_s: float = 0.0  # after a plug until udev has granted the rights to open it
+    hello_s: float = 0.0  # after a plug until it answers requests
+    boot_loader_s: float = 0.0  # after a plug in its boot loader, until it comes back as itself
 
 
 @dataclass(frozen=True, slots=True)

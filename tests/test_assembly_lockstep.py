@@ -220,6 +220,21 @@ def test_serious_fault_stops_safely_and_can_be_reset(kind, value, code):
     assert not after["flags"][-10:].any()
 
 
+def test_packets_of_zero_length_behind_every_frame_change_nothing():
+    flown = []
+    for count in (0, 1000):
+        injections = (InjectionParams("zero_length_in", tick=600, count=count),) if count else ()
+        with LockStep(servo_params(), board_params(injections=injections)) as stack:
+            enable(stack, FIG_4)
+            perturbed(stack)
+            flown.append(records(stack.run(1000)))
+            counted = stack.device.counts["empty"]
+    plain, odd = flown
+    assert counted > 900
+    for name in ("flags", "position_m", "force_n", "board_us", "state"):
+        assert np.array_equal(plain[name], odd[name]), name
+
+
 def test_replug_seeds_at_rest_and_comes_up_without_torque():
     injections = (InjectionParams("unplug", tick=1000, value=0.3),)
     with LockStep(servo_params(), board_params(injections=injections)) as stack:

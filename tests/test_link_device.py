@@ -152,7 +152,7 @@ def test_old_sample_is_returned_with_a_missing_one():
 
 
 @pytest.mark.parametrize(
-    "damaged", [codec.encode_in(frame(1))[:-1] + b"\0", codec.encode_in(frame(1))[:31], b""]
+    "damaged", [codec.encode_in(frame(1))[:-1] + b"\0", codec.encode_in(frame(1))[:31]]
 )
 def test_damaged_frame_is_missing_and_counted_as_bad(damaged):
     device = connected(frame(0), damaged)
@@ -322,3 +322,30 @@ def test_frame_that_repeats_for_ever_is_never_new():
     arrivals = [tick(device)[0] for _ in range(200)]
     assert arrivals[:2] == [SEED, 0]
     assert arrivals[2:] == [-n for n in range(1, 199)]
+
+
+def test_packets_of_zero_length_are_named_and_cost_no_tick():
+    device = connected(*(packet for n in range(5) for packet in (frame(n), b"")))
+    found = [tick(device) for _ in range(5)]
+    assert [arrival for arrival, _, _ in found] == [SEED, 0, 0, 0, 0]
+    assert [head[codec.HEAD_SEQ] for _, _, head in found] == [0, 1, 2, 3, 4]
+    assert {kind: count for kind, count in device.counts.items() if count} == {"empty": 4}
+
+
+def test_packet_of_zero_length_with_no_frame_behind_it_is_a_missing_frame():
+    device = connected(frame(0), b"", LinkTimeout("no frame within 2 ms"), frame(2))
+    assert [tick(device)[0] for _ in range(3)] == [SEED, -1, 1]
+    assert (device.counts["empty"], device.counts["missing"]) == (1, 1)
+
+
+def test_nothing_but_packets_of_zero_length_ends():
+    device = connected(frame(0), *[b""] * 40)
+    tick(device)
+    assert tick(device)[0] == -1
+    assert device.counts["bad"] == 1
+
+
+def test_frame_that_comes_cut_short_behind_a_packet_of_zero_length_is_bad():
+    device = connected(frame(0), b"", bytes(31), frame(2))
+    assert [tick(device)[0] for _ in range(3)] == [SEED, -1, 1]
+    assert (device.counts["empty"], device.counts["bad"]) == (1, 1)

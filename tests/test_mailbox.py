@@ -225,6 +225,7 @@ def test_truncated_file_is_refused_with_sizes(servo, tmp_path):
 def test_clean_end_leaves_only_the_last_ring(tmp_path):
     mailbox = ServoMailbox(tmp_path, 1000.0, "", True, 5)
     mailbox.report({"a": 1})
+    publish(mailbox, 0)
     mailbox.close()
     assert {path.name for path in tmp_path.iterdir()} == {files.LAST_TELEMETRY}
 

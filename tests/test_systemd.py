@@ -353,9 +353,14 @@ def test_feeder_without_a_ring_says_so(tmp_path: Path, capfd: pytest.CaptureFixt
 
 
 @contextmanager
-def servo_process(folder: Path, environment: dict[str, str]) -> Iterator[subprocess.Popen[bytes]]:
+def servo_process(
+    folder: Path, environment: dict[str, str], **board: float
+) -> Iterator[subprocess.Popen[bytes]]:
+    """A servo whose simulated board has the traits `board`."""
+    traits = (Override(("simulation", name), value, "test") for name, value in board.items())
     settings = load(
-        shipped("config") / "hapticd.toml", (Override(("realtime", "mode"), "off", "test"),)
+        shipped("config") / "hapticd.toml",
+        (Override(("realtime", "mode"), "off", "test"), *traits),
     )
     written = resolve.write(folder, settings, files.DEFAULT_INSTANCE)
     command = [
@@ -387,6 +392,30 @@ def test_servo_under_systemd_tells_its_life(service: Service) -> None:
         while heard[-1][1] == ["WATCHDOG=1"]:
             heard.append(service.hear())
         assert heard[-1] == (servo.pid, ["STOPPING=1"])
+
+
+@pytest.mark.process
+def test_servo_tells_systemd_what_it_waits_for_and_starts_when_the_board_is_ready(
+    service: Service,
+) -> None:
+    with servo_process(files.runtime_folder(), {}, rights_s=1.0, boot_loader_s=4.0) as servo:
+        said = [service.hear()[1]]
+        while "READY=1" not in said[-1]:
+            said.append(service.hear()[1])
+        waited = [lines[0] for lines in said if lines[0].startswith("STATUS=waiting for the board")]
+        assert "Access denied" in waited[0]
+        assert any("is it in its boot loader" in line for line in waited)
+        assert ["STATUS=the board answers"] in said
+        servo.send_signal(signal.SIGTERM)
+        assert servo.wait(DEADLINE_S) == 0
+
+
+def test_servo_hears_of_boards_that_are_plugged_in_later(root: Path) -> None:
+    """libusb learns of them by netlink, which enters no network namespace."""
+    found = unit(root, "hapticd-servo.service")
+    assert "PrivateNetwork" not in found
+    assert found["RestrictAddressFamilies"] == ["AF_UNIX AF_NETLINK"]
+    assert found["IPAddressDeny"] == ["any"]
 
 
 @pytest.mark.process

@@ -2,12 +2,14 @@
 
 `--parent PID` names the supervisor that it ends with.
 
-Order of a start: parameters -> board found, greeted, hash checked -> mailbox made -> real-time
-rights -> mailbox published, systemd told -> loop. A simulated board (SERVO_JSON says so, BOARD_JSON
-describes it) lives in this process and thread, behind the same pyusb. Exit code 0: asked to end;
-else the `exit_code` of the error, which is printed in one line on stderr: 78 the configuration or
-the board's protocol is wrong, 6 a right was refused in strict mode (a restart would not help), 1
-others.
+Order of a start: parameters -> mailbox made -> board found, greeted, hash checked -> real-time
+rights -> mailbox published, systemd told -> loop. A board that is not there, or there and not
+ready, is waited for; what for stands in servo.report, in systemd's status and in the log, once for
+each reason. A stop that is pressed meanwhile is obeyed by the first tick. A simulated board
+(SERVO_JSON says so, BOARD_JSON describes it) lives in this process and thread, behind the same
+pyusb. Exit code 0: asked to end; else the `exit_code` of the error, which is printed in one line on
+stderr: 78 the configuration or, for half a minute, the board's protocol is wrong, 6 a right was
+refused in strict mode (a restart would not help), 1 others.
 
 What would break it: an import at the top that loads numpy, pydantic or zmq, or a simulator for a
 real board; import-linter and a test look at that.
@@ -23,9 +25,9 @@ from typing import TYPE_CHECKING, Any
 from hapticd.assembly.process import die_with_parent, notify, on_stop
 from hapticd.assembly.watchdog import start_feeder
 from hapticd.clock import Clock, MonotonicClock
-from hapticd.errors import ConfigError, HapticdError, LinkLost
-from hapticd.link.base import backoff_s
+from hapticd.errors import ConfigError, HapticdError
 from hapticd.link.device import Device
+from hapticd.link.search import Search
 from hapticd.link.usb import UsbLink
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.servo_side import ServoMailbox
@@ -60,6 +62,15 @@ def read_json(kind: Any, path: str) -> Any:
     return from_plain(kind, plain, path)
 
 
+def said(text: str) -> None:
+    """`text` as systemd's status of the unit and as a line of the log."""
+    try:
+        notify(f"STATUS={text}")
+        os.write(2, f"hapticd servo: {text}\n".encode())
+    except OSError:
+        pass  # nobody reads: no reason to end a servo
+
+
 class Servo:
     """The parts of one servo process."""
 
@@ -81,43 +92,63 @@ class Servo:
         if self.loop is not None:
             self.loop.stopping = True
 
-    def connect(self) -> None:
-        """Look for the board with growing pauses; any error but its absence ends the start."""
-        attempt = 0
-        while not self.stopping:
-            try:
-                self.device.connect()
-                return
-            except LinkLost:
-                self.device.close()
-                self.clock.sleep_until_ns(self.clock.now_ns() + int(backoff_s(attempt) * NS_PER_S))
-                attempt += 1
-
     def run(self) -> None:
-        """Find the board, publish the mailbox, and run the loop until `stop`."""
-        notify("STATUS=looking for the board")
-        self.connect()
-        if self.stopping:
-            self.device.close()
-            return
+        """Make the mailbox, find the board, publish, and run the loop until `stop`."""
         params = self.params
-        rate_hz = self.params.realtime.rate_hz
-        folder = files.runtime_folder(params.instance)
+        notify("STATUS=looking for the board")
         self.mailbox = ServoMailbox(
-            folder, rate_hz, params.config_hash, params.simulated, self.clock.now_ns()
+            files.runtime_folder(params.instance),
+            params.realtime.rate_hz,
+            params.config_hash,
+            params.simulated,
+            self.clock.now_ns(),
         )
+        try:
+            if self.connect(self.mailbox):
+                self._serve(self.mailbox)
+        finally:
+            self.device.close()
+            self.mailbox.close()
+
+    def connect(self, mailbox: ServoMailbox) -> bool:
+        """Wait until the board answers, and say what for; False: asked to end meanwhile.
+
+        ProtocolMismatch: it has said nothing but a wrong hash for search.MISMATCH_NS.
+        """
+
+        def tell(reason: str) -> None:
+            mailbox.report({"waiting_for": reason, **self._about()})
+            said(f"waiting for the board: {reason}" if reason else "the board answers")
+
+        search = Search(self.device, tell)
+        while not self.stopping:
+            if search.look(self.clock.now_ns()) is not None:
+                return True
+            search.check_patience(self.clock.now_ns())
+            self.clock.sleep_until_ns(search.retry_ns)
+        return False
+
+    def _serve(self, mailbox: ServoMailbox) -> None:
+        """Run the loop until `stop`, and end it without force."""
+        params = self.params
+        rate_hz = params.realtime.rate_hz
+        served = f"{rate_hz:g} Hz{', SIMULATED' if params.simulated else ''}"
+
+        def tell(reason: str) -> None:
+            said(f"lost the board: {reason}" if reason else f"the board answers again, {served}")
+
         wait = spinning_wait(int(params.realtime.spin_us * NS_PER_US), int(NS_PER_S / rate_hz))
-        self.loop = ServoLoop(params, self.device, self.mailbox, self.clock, wait)
+        self.loop = ServoLoop(params, self.device, mailbox, self.clock, wait, tell)
         self.loop.stopping = self.stopping
-        start_feeder(folder)  # before the real-time rights, which it must not inherit
+        start_feeder(mailbox.folder)  # before the real-time rights, which it must not inherit
         try:
             found = self.loop.board.report()
             for one in self.loop.board.differences:
-                os.write(2, f"hapticd servo: not the board of the device file: {one}\n".encode())
+                said(f"not the board of the device file: {one}")
             rights = host.prepare(params.realtime)
-            self.mailbox.report({"realtime": rights, **self._about(), **found})
-            self.mailbox.publish()
-            notify("READY=1", f"STATUS={rate_hz:g} Hz{', SIMULATED' if params.simulated else ''}")
+            mailbox.report({"realtime": rights, **self._about(), **found})
+            mailbox.publish()
+            notify("READY=1", f"STATUS={served}")
             self.loop.restart_clock()
             self.loop.run()
         finally:
@@ -126,10 +157,9 @@ class Servo:
                 self.loop.finish()  # in time, as every tick: force may fade in it
             finally:
                 host.relax()
-                self.mailbox.close()
 
     def _about(self) -> dict[str, Any]:
-        """What the mailbox's report says of the board and the rate."""
+        """What the mailbox's report says of device, board and rate."""
         hello = self.device.hello
         board = {} if hello is None else hello._asdict()
         if hello is not None:

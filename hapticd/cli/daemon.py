@@ -99,11 +99,16 @@ def status(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Js
     """State, parameters in force, faults and timing. Exit 3 until servo and gateway are
     both ready.
     """
+    from hapticd.mailbox.client_side import living_report
+    from hapticd.mailbox.daemons import daemon_folder
+
     try:
         with connect(instance) as client:
             found = client.status()
     except DaemonDown as error:
-        found = dict.fromkeys(MUST_HAVE) | {"state": "down", "reason": str(error)}
+        # without a gateway, as before the board is found
+        servo = living_report(daemon_folder(instance))
+        found = dict.fromkeys(MUST_HAVE) | {"state": "down", "reason": str(error), "servo": servo}
     if as_json:
         terminal.data_json(found)
     else:
@@ -115,10 +120,10 @@ def status(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Js
 
 def _status_lines(found: dict[str, Any]) -> list[str]:
     state = terminal.coloured(found["state"], STATE_COLOURS.get(found["state"], terminal.RED))
+    waits = _waiting(found.get("servo", {}))
     if found["state"] in NOT_READY:
-        return [
-            f"{state}: {found.get('reason', 'the gateway runs, the servo does not answer (yet)')}"
-        ]
+        silent = found.get("reason", "the gateway runs, the servo does not answer (yet)")
+        return [f"{state}: {waits or silent}"]
     simulated = f"  {terminal.coloured('SIMULATED', terminal.YELLOW)}" if found["simulated"] else ""
     lines = [f"{state}{simulated}  instance {found['instance']}, revision {found['revision']}"]
     if found["fault"] != "none":
@@ -131,10 +136,17 @@ def _status_lines(found: dict[str, Any]) -> list[str]:
         f"  timing    {_timing(found)}",
         f"  delay     {delay_words(found)}",
     ]
+    lines += [f"  board     {terminal.coloured(waits, terminal.RED)}"] if waits else []
     lines += _board_lines(found.get("servo", {}))
     return lines + [
         f"  {stage:9} {_percentiles(row)}" for stage, row in found.get("stages", {}).items()
     ]
+
+
+def _waiting(report: dict[str, Any]) -> str:
+    """That the servo waits for its board, and what for; empty when the board answers."""
+    reason = report.get("waiting_for", "")
+    return f"the servo waits for the board: {reason}" if reason else ""
 
 
 def _board_lines(report: dict[str, Any]) -> list[str]:

@@ -19,8 +19,9 @@ from typing import Any, NamedTuple
 
 from hapticd.errors import DaemonDown, HapticdError, MailboxError
 from hapticd.mailbox import daemons
+from hapticd.mailbox.client_side import read_report
 from hapticd.mailbox.daemons import Place
-from hapticd.mailbox.files import COMMAND_SOCKET, REPORT
+from hapticd.mailbox.files import COMMAND_SOCKET
 from hapticd.mailbox.stop_word import press_stop, servo_lives, stop_taken
 from hapticd.units import NS_PER_MS
 
@@ -131,10 +132,7 @@ def _asked(context: Any, folder: Path) -> Any:
 
 
 def _stopped(place: Place, state: str | None) -> Stopped:
-    try:
-        report = json.loads((place.folder / REPORT).read_text())
-    except (OSError, ValueError):
-        report = {}
+    report = read_report(place.folder)
     word = "taken" if stop_taken(place.folder) else "pressed"
     device, simulated = report.get("device", ""), report.get("simulated")
     return Stopped(str(place.folder), place.instance, device, simulated, state or word)

@@ -35,6 +35,7 @@ from hapticd.gateway.schemas import PROTOCOL_VERSION
 from hapticd.gateway.telemetry import TOPICS
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox import files
+from hapticd.mailbox.client_side import living_report
 from hapticd.mailbox.layout import LAYOUT_HASH
 from hapticd.params import GatewaySetup, to_plain
 from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US
@@ -180,7 +181,7 @@ class GatewayServer:
             **state_map(self._view, self._desk.actors, self._unix_ns()),
             "stages": self._publisher.stages.summary(),
             "endpoints": self.endpoints,
-            "servo": mailbox.report() if mailbox else {},
+            "servo": mailbox.report() if mailbox else living_report(self._view.folder),
             "gateway": {
                 "pid": os.getpid(),
                 "cpu_s": time.process_time(),

@@ -10,9 +10,11 @@ A stale frame (a duplicate, or one that a time-out left behind) is read past, at
 tick, and so is an old one: the pipeline is one frame deep, so the frame of this tick answers the
 OUT sent last, and one that echoes an earlier OUT waited in a queue while a newer one lies behind
 it. That one is there already, so reading it costs no time. Where it is not (that OUT was lost too)
-the read was in vain; it is not repeated until the link has caught up. A tick that finds nothing
-but old frames is a tick without a sample. No buffer holds back session.BACKWARD ticks: a clock
-that still lies behind after so many is that of a board which started anew, and seeds.
+the read was in vain; it is not repeated until the link has caught up. A tick that finds nothing but
+old frames is a tick without a sample. A packet of zero length, which a USB stack may put behind a
+full one, is no frame: it is counted, and the frame behind it is read in the same tick. No buffer
+holds back session.BACKWARD ticks: a clock that still lies behind after so many is that of a board
+which started anew, and seeds.
 
 Each frame says which OUT's torque is in effect and for how long. `send` keeps, by the low byte of
 the sequence number, the board time of the sample that stood behind it, so every frame gives the
@@ -76,8 +78,9 @@ class Phase(NamedTuple):
 class Device:
     """The board as the servo sees it.
 
-    `counts` are frames: missing, bad, stale, behind (they answer an OUT before the last one), gap
-    (IN lost), unseen (OUT the board missed); and lives of the board after the first.
+    `counts` are frames: missing, bad, empty (packets of zero length), stale, behind (they answer an
+    OUT before the last one), gap (IN lost), unseen (OUT the board missed); and lives of the board
+    after the first.
     """
 
     def __init__(self, link: Link, rate_hz: float) -> None:
@@ -86,7 +89,17 @@ class Device:
         # pyusb hands an array('B') on to libusb without a copy
         self.in_buffer = array("B", bytes(frames.PACKET_BYTES))
         self.out_buffer = array("B", bytes(frames.OUT_BYTES))
-        kinds = ("missing", "bad", "stale", "behind", "gap", "unseen", "write_errors", "lives")
+        kinds = (
+            "missing",
+            "bad",
+            "empty",
+            "stale",
+            "behind",
+            "gap",
+            "unseen",
+            "write_errors",
+            "lives",
+        )
         self.counts = dict.fromkeys(kinds, 0)
         self.hello: HelloFrame | None = None
         self._phase: Phase | None = None  # None: as the board has it
@@ -194,13 +207,15 @@ def _exchange(
         return -missing, board_us, UNKNOWN_US, head
 
     def fetch() -> Head | str:
-        """One frame, or how it failed."""
+        """One frame, or how it failed; packets of zero length are no frames and read past."""
         try:
-            if read(in_buffer) != frames.IN_BYTES:
-                return "bad"
+            for _ in range(MOST_READS):
+                if size := read(in_buffer):
+                    break
+                counts["empty"] += 1
         except (LinkTimeout, LinkStalled):
             return "missing"
-        return parse() or "bad"
+        return (parse() if size == whole else None) or "bad"
 
     def newest(found: Head) -> Head | str:
         """`found`, or the first frame behind it that is neither stale nor old; else what there is
@@ -289,6 +304,10 @@ def _exchange(
             or passed > longest
             or size != whole
         ):
+            if not size:
+                counts["empty"] += 1
+                behind_it = fetch()
+                return absent(behind_it) if isinstance(behind_it, str) else odd(behind_it)
             intact = parse() if size == whole else None
             return absent("bad") if intact is None else odd(intact)
         head = found

@@ -18,6 +18,7 @@ fires late.
 
 import errno
 from array import array
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import usb.core
@@ -38,7 +39,7 @@ class Failure(NamedTuple):
 
 _AGAIN = "it is opened again when it comes back; check plug, cable and hub"
 _RIGHTS = (
-    "install 70-hapticd.rules in /etc/udev/rules.d, join group plugdev and plug the board in again"
+    "install 70-hapticd.rules in /etc/udev/rules.d, join group hapticd and plug the board in again"
 )
 _OWNER = "another program has claimed the board: stop it and try again"
 
@@ -54,15 +55,24 @@ FAILURES: dict[int | None, Failure] = {
     errno.EBUSY: Failure(LinkAccess, _OWNER),
 }
 OTHERWISE = Failure(LinkLost, _AGAIN)
+NO_OTHERS: Mapping[int, str] = {}
 
 
-def link_error(action: str, error: Exception) -> LinkError:
+# of requests to endpoint 0, which halts for one transfer only
+REQUEST_REMEDIES = {
+    errno.ETIMEDOUT: "the board is slow to answer, or hangs; it is asked again",
+    errno.EPIPE: "the board does not know the request: is it in its boot loader, or another board?",
+}
+
+
+def link_error(action: str, error: Exception, remedies: Mapping[int, str] = NO_OTHERS) -> LinkError:
     """The LinkError for `error`, which pyusb raised while trying to `action`.
 
-    Raise it from that.
+    `remedies` by errno take the place of those of FAILURES. Raise it from that.
     """
     number = getattr(error, "errno", None)
     kind, remedy = FAILURES.get(number, OTHERWISE)
+    remedy = remedies.get(number or 0, remedy)
     return kind(
         f"cannot {action}: {getattr(error, 'strerror', None) or error} (errno {number}); {remedy}"
     )
@@ -174,7 +184,7 @@ class UsbLink(Link):
                 VENDOR_OUT, request.value, value, 0, None, CONTROL_TIMEOUT_MS
             )
         except DEVICE_ERRORS as error:
-            raise link_error(f"request {request.name}", error) from error
+            raise link_error(f"request {request.name}", error, REQUEST_REMEDIES) from error
         return b""
 
     def _find(self) -> Any:

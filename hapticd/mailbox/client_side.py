@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from hapticd.errors import MailboxError
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.files import word_access
+from hapticd.mailbox.stop_word import servo_lives
 
 SAFE_DISTANCE = 64  # records that a reader keeps clear of the writer
 
@@ -59,6 +60,20 @@ class Checkpoint(NamedTuple):
 
     tick: int
     state: tuple[Any, ...]
+
+
+def read_report(folder: Path) -> dict[str, Any]:
+    """servo.report in `folder`; empty if it cannot be read."""
+    try:
+        content = json.loads((folder / files.REPORT).read_text())
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def living_report(folder: Path) -> dict[str, Any]:
+    """What a living servo of `folder` reports, also one that still waits for its board."""
+    return read_report(folder) if servo_lives(folder) else {}
 
 
 class GatewayMailbox:
@@ -161,11 +176,7 @@ class GatewayMailbox:
         """What the servo wrote at start: rights granted, board, device. Empty while it is being
         replaced.
         """
-        try:
-            content = json.loads((self.folder / files.REPORT).read_text())
-        except (OSError, ValueError):
-            return {}
-        return content if isinstance(content, dict) else {}
+        return read_report(self.folder)
 
     def post(self, kind: int, actor: int, apply_tick: int, values: tuple[float, ...]) -> int | None:
         """Post a command of 20 doubles (layout.Value); its sequence number, or None when the

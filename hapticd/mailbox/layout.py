@@ -53,6 +53,7 @@ COUNTERS = (
     "bad_commands",
     "dropped_answers",
     "board_lives",
+    "empty_in",
 )
 # parts of a tick: each has its `_ns` in the record; histograms are made from those
 STAGES = ("wake", "read", "step", "write", "publish")

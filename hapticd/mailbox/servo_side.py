@@ -32,7 +32,7 @@ class ServoMailbox:
     ) -> None:
         self.folder = files.prepare_folder(folder)
         self._claim = files.claim(folder, files.SERVO_LOCK)
-        files.keep_last(folder)
+        _keep_last(folder)
         self._map = files.create_map(folder / files.MAILBOX, layout.MAILBOX_BYTES)
         self._ring = files.create_map(folder / files.TELEMETRY, layout.TELEMETRY_BYTES)
         self.stop_word = StopWord(folder)
@@ -187,7 +187,22 @@ class ServoMailbox:
         """
         self.store(layout.EPOCH_WORD, 0)
         if clean:
-            files.keep_last(self.folder)
+            _keep_last(self.folder)
             files.remove(self.folder, files.MAILBOX, files.STOP, files.PERTURBATION, files.REPORT)
         self.stop_word.close()
         files.release(self.folder, files.SERVO_LOCK, self._claim)
+
+
+def _keep_last(folder: Path) -> None:
+    """The ring of a servo that has ended becomes the last one, if it holds any record: the ring of
+    one that only waited for its board replaces none.
+    """
+    try:
+        with open(folder / files.TELEMETRY, "rb") as ring:
+            head = ring.read(8 * (layout.TELEMETRY_HEAD_WORD + 1))[-8:]
+    except OSError:
+        return
+    if any(head):
+        files.keep_last(folder)
+    else:
+        files.remove(folder, files.TELEMETRY)

@@ -31,12 +31,12 @@ import os
 import time
 from collections.abc import Callable
 from math import nan
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hapticd.clock import Clock
-from hapticd.errors import HapticdError, LinkError, LinkLost, MailboxError
-from hapticd.link.base import backoff_s
+from hapticd.errors import LinkError, LinkLost, MailboxError
 from hapticd.link.device import NO_HEAD, UNKNOWN_US, Device, Head
+from hapticd.link.search import Search, Tell
 from hapticd.mailbox import layout
 from hapticd.mailbox.files import plain_store
 from hapticd.mailbox.layout import Flag
@@ -115,6 +115,7 @@ _COUNTER = {name: layout.COUNTER_WORD + index for index, name in enumerate(layou
 _TALLY = {
     "missing_in": "missing",
     "bad_in": "bad",
+    "empty_in": "empty",
     "stale_in": "stale",
     "behind_in": "behind",
     "sequence_gap": "gap",
@@ -144,7 +145,13 @@ class ServoLoop:
     """One device, one mailbox, one loop; `run` may be called again and goes on where it stopped."""
 
     def __init__(
-        self, params: ServoParams, device: Device, mailbox: ServoMailbox, clock: Clock, wait: Wait
+        self,
+        params: ServoParams,
+        device: Device,
+        mailbox: ServoMailbox,
+        clock: Clock,
+        wait: Wait,
+        tell: Tell = lambda _reason: None,
     ) -> None:
         self.params = params
         self.device = device
@@ -169,8 +176,8 @@ class ServoLoop:
         self._least_us = _NOTHING_US  # delays of the running 256 ticks
         self._most_us = 0
         self._stepped_ns = clock.now_ns()  # when the last OUT was ready
-        self._attempt = 0
-        self._retry_ns = 0
+        self._board_search = Search(device, self._told)
+        self._tell = tell
         self._started_ns = clock.now_ns()
         self.deadline_ns = first_deadline(self._started_ns, self.period_ns)
 
@@ -523,20 +530,26 @@ class ServoLoop:
         """The board is gone: release it and look for it later. The arrival of this tick."""
         self.linked = False
         self.device.close()
-        self._attempt = 0
-        self._retry_ns = now_ns + int(backoff_s(0) * NS_PER_S)
+        self._board_search.begin(now_ns)
         return MISSED
 
     def _search(self, now_ns: int) -> int:
         """A tick without a board: look for it once its time has come. The arrival of this tick."""
-        if now_ns >= self._retry_ns:
-            try:
-                self._relink(self.device.connect().serial)
-            except HapticdError:
-                self.device.close()
-                self._attempt += 1
-                self._retry_ns = now_ns + int(backoff_s(self._attempt) * NS_PER_S)
+        hello = self._board_search.look(now_ns)
+        if hello is not None:
+            self._relink(hello.serial)
         return MISSED
+
+    def _told(self, reason: str) -> None:
+        """Why the board is not back, "" once it is; said where others read it."""
+        self._report({"waiting_for": reason})
+        self._tell(reason)
+
+    def _report(self, news: dict[str, Any]) -> None:
+        try:
+            self.mailbox.report(self.mailbox.last_report | news)
+        except MailboxError:
+            pass  # no room for the report: the counters say that a board came back
 
     def _relink(self, serial: str) -> None:
         """The board answers again; its filters start anew with the next frame and the state
@@ -545,11 +558,7 @@ class ServoLoop:
         self.linked = True
         self.mailbox.count("reconnects")
         self.board = check_board(self.device, self.params, self.clock)
-        found = {"reconnected": serial, **self.board.report()}
-        try:
-            self.mailbox.report(self.mailbox.last_report | found)
-        except MailboxError:
-            pass  # no room for the report: the counter says it too
+        self._report({"reconnected": serial, **self.board.report()})
         self.restart_clock()
 
     def _sensor_lines(self) -> tuple[tuple[float, float], ...]:

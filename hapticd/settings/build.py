@@ -49,6 +49,9 @@ TRAITS = (
     "out_transport_us",
     "in_transport_us",
     "emergency_stop_bounce_ms",
+    "rights_s",
+    "hello_s",
+    "boot_loader_s",
 )
 # fields of BoardParams: where [simulation.board] says another value, at which full count
 FULL_SCALES = {

@@ -229,6 +229,12 @@ class Simulation(TomlTable):
         _board["emergency_stop_bounce_ms"].default, ge=0, le=100
     )
     """For how long the contact of the emergency stop bounces when it is pressed or released."""
+    rights_s: float = Field(_board["rights_s"].default, ge=0, le=3600)
+    """After it is plugged in until it may be opened, as while udev works."""
+    hello_s: float = Field(_board["hello_s"].default, ge=0, le=3600)
+    """After it is plugged in until it answers requests."""
+    boot_loader_s: float = Field(_board["boot_loader_s"].default, ge=0, le=3600)
+    """After it is plugged in during which it is its boot loader, which stalls requests."""
     board: SimulatedBoard = SimulatedBoard()
     injections: tuple[Injection, ...] = Field((), strict=False)
     touch: Touch | None = None

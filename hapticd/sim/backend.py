@@ -16,13 +16,13 @@ import errno
 from array import array
 from collections.abc import Iterator
 from types import SimpleNamespace
-from typing import Literal, NoReturn, Protocol
+from typing import Literal, NamedTuple, NoReturn, Protocol
 
 import usb.backend
 from usb.core import USBError, USBTimeoutError
 
 from hapticd.clock import Clock, MonotonicClock
-from hapticd.sim.board import MANUFACTURER, PRODUCT, SERIAL
+from hapticd.sim.board import MANUFACTURER, PRODUCT, SERIAL, VENDOR_OUT
 from hapticd.sim.injection import TransferFault
 from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US
 from hapticd.wire.frames import PACKET_BYTES, USB_PRODUCT_ID, USB_VENDOR_ID
@@ -165,8 +165,9 @@ class Port(Protocol):
 class PluggedDevice:
     """One stay of the board at the bus."""
 
-    def __init__(self, address: int) -> None:
+    def __init__(self, address: int, boot_loader: bool = False) -> None:
         self.address = address
+        self.boot_loader = boot_loader
         self.gone = False
         self.configuration = 1  # Linux configures at enumeration
         self.owner: Handle | None = None
@@ -180,12 +181,30 @@ class Handle:
         self.device = device
 
 
+class Unready(NamedTuple):
+    """How long after a plug the board is not ready, and what its boot loader says to HELLO."""
+
+    rights_s: float = 0.0  # until it may be opened, as while udev works
+    hello_s: float = 0.0  # until it answers requests
+    boot_loader_s: float = 0.0  # until the boot loader leaves the bus and the board comes
+    boot_hello: bytes | None = None  # None: it stalls
+
+
+READY = Unready()
+
+
 class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no types
     """pyusb backend over `port`. `access_denied` and `kernel_driver` may be set to simulate a
-    badly set up machine.
+    badly set up machine, `unready` for boards that are there before they are ready.
     """
 
-    def __init__(self, port: Port, clock: Clock, transfer: Transfer = "bulk") -> None:
+    def __init__(
+        self,
+        port: Port,
+        clock: Clock,
+        transfer: Transfer = "bulk",
+        unready: Unready = READY,
+    ) -> None:
         self._port = port
         self._clock = clock
         self._transfer = transfer
@@ -195,6 +214,8 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         self._replug_ns: int | None = None
         self.access_denied = False
         self.kernel_driver = False
+        self.unready = unready
+        self._plugged_ns = 0
         self.device: PluggedDevice | None = None
         self.plug()
 
@@ -207,7 +228,8 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
             self._addresses += 1
             self._replug_ns = None
             self._port.power_up()
-            self.device = PluggedDevice(self._addresses)
+            self.device = PluggedDevice(self._addresses, self.unready.boot_loader_s > 0.0)
+            self._plugged_ns = self._clock.now_ns()
 
     def unplug(self, away_s: float | None = None) -> None:
         """Pull the plug; it comes back by itself after `away_s`, if given."""
@@ -223,9 +245,23 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
     def enumerate_devices(self) -> Iterator[PluggedDevice]:
         if self._replug_ns is not None and self._clock.now_ns() >= self._replug_ns:
             self.plug()
+        if self.device is not None and self.device.boot_loader:
+            self._leave_boot_loader(self.device)
         stale = self._stale
         self._stale = None
         return iter([device for device in (stale, self.device) if device is not None])
+
+    def _leave_boot_loader(self, device: PluggedDevice) -> None:
+        """Once its time is over it leaves the bus, and the board comes with a new address."""
+        if self._since_plug(self.unready.boot_loader_s):
+            device.gone = True
+            self._stale = device
+            self._addresses += 1
+            self.device = PluggedDevice(self._addresses)
+
+    def _since_plug(self, time_s: float) -> bool:
+        """Whether `time_s` has passed since the board was plugged in."""
+        return self._clock.now_ns() - self._plugged_ns >= round(time_s * NS_PER_S)
 
     def get_parent(self, device: PluggedDevice) -> None:
         return None
@@ -248,7 +284,7 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
 
     # --- life of a handle -------------------------------------------------------------------------
     def open_device(self, device: PluggedDevice) -> Handle:
-        if self.access_denied:
+        if self.access_denied or not self._since_plug(self.unready.rights_s):
             raise usb_error(errno.EACCES)
         return Handle(_alive(device))
 
@@ -310,8 +346,15 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         data: "array[int]",
         timeout_ms: int,
     ) -> int:
-        _alive(handle.device)
-        reply = self._port.control(request_type, request, value, len(data))
+        device = _alive(handle.device)
+        vendor = request_type & VENDOR_OUT
+        if vendor and not self._since_plug(self.unready.hello_s):
+            self._wait_until(self._clock.now_ns() + (timeout_ms or ENDLESS_MS) * NS_PER_MS)
+            raise usb_error(errno.ETIMEDOUT)
+        if vendor and device.boot_loader:
+            reply = self.unready.boot_hello
+        else:
+            reply = self._port.control(request_type, request, value, len(data))
         if reply is None:
             raise usb_error(errno.EPIPE)
         memoryview(data)[: len(reply)] = reply

@@ -16,7 +16,7 @@ from collections.abc import Callable
 
 from hapticd.clock import Clock
 from hapticd.params import BoardParams
-from hapticd.sim.backend import Handle, Port, SimulatedBackend
+from hapticd.sim.backend import Handle, Port, SimulatedBackend, Unready
 from hapticd.sim.board import make_board
 from hapticd.sim.injection import with_injections
 from hapticd.units import NS_PER_US
@@ -25,8 +25,8 @@ from hapticd.units import NS_PER_US
 class DistantBackend(SimulatedBackend):
     """A SimulatedBackend whose transfers take time [ns], one for each direction."""
 
-    def __init__(self, port: Port, clock: Clock, out_ns: int, in_ns: int) -> None:
-        super().__init__(port, clock)
+    def __init__(self, port: Port, clock: Clock, out_ns: int, in_ns: int, unready: Unready) -> None:
+        super().__init__(port, clock, unready=unready)
         self._out_ns = out_ns
         self._in_ns = in_ns
 
@@ -71,7 +71,8 @@ def make_backend(
     `on_slip(ns)` is called with the time that a paused host cost the simulation.
     """
     port = with_injections(make_board(params, on_slip), params)
+    unready = Unready(params.rights_s, params.hello_s, params.boot_loader_s)
     if not params.out_transport_us and not params.in_transport_us:
-        return SimulatedBackend(port, clock)
+        return SimulatedBackend(port, clock, unready=unready)
     out_ns = round(params.out_transport_us * NS_PER_US)
-    return DistantBackend(port, clock, out_ns, round(params.in_transport_us * NS_PER_US))
+    return DistantBackend(port, clock, out_ns, round(params.in_transport_us * NS_PER_US), unready)
