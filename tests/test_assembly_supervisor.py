@@ -14,7 +14,7 @@ from hapticd.assembly import resolve
 from hapticd.assembly.supervisor import ProcessEvent, Restarts, Supervisor, mailbox_served
 from hapticd.clock import VirtualClock
 from hapticd.errors import ConfigError, HapticdError, MailboxError
-from hapticd.mailbox import files
+from hapticd.mailbox import files, layout
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.params import BoardParams, GatewaySetup, ServoParams, from_plain
 from hapticd.settings.load import load
@@ -292,6 +292,7 @@ def test_mailbox_counts_only_of_this_process(tmp_path: Path) -> None:
     mailbox.publish()
     assert mailbox_served(folder, os.getpid())
     assert not mailbox_served(folder, os.getpid() + 1)
+    mailbox.publish_head(layout.TELEMETRY_HEAD_WORD, 1)
     mailbox.close()
     assert not mailbox_served(folder, os.getpid())
     assert [file.name for file in folder.iterdir()] == [files.LAST_TELEMETRY]
