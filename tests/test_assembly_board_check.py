@@ -228,6 +228,18 @@ def test_board_that_starts_anew_is_given_its_phase_again():
     assert set(ticks["delay_us"][-500:]) == {688}
 
 
+def test_phase_is_asked_for_again_before_the_first_command_is_obeyed():
+    """Not only with the tally, every 256 ticks: slots would be lost under force until then."""
+    begun = (InjectionParams("restart", tick=1334),)  # 34 frames measured: tick 1300 of the loop
+    with LockStep(servo_params(), far_board(0.4, injections=begun)) as stack:
+        stack.run(1320)  # past the grace of the start, in which lost slots are counted apart
+        assert stack.do(Command.RESET).result is Result.APPLIED
+        assert stack.do(Command.ENABLE).result is Result.APPLIED
+        ticks = records(stack.run(150))
+        assert stack.loop.tick < 6 * 256
+    assert ticks["lost_slots"][-1] == ticks["lost_slots"][2]
+
+
 def test_board_that_comes_back_is_measured_again():
     away = (InjectionParams("unplug", tick=200, value=0.05),)
     with LockStep(servo_params(), far_board(0.4, injections=away)) as stack:

@@ -129,6 +129,8 @@ class Inbox:
         most = 0 if self._leaving else MOST_COMMANDS  # nobody enables what ends
         while len(found) < most and (request := self._mailbox.take()) is not None:
             found.append(request)
+        if found:
+            self._device.keep_phase()  # before force: the board may have started anew
         resets = any(request[KIND] == Command.RESET for request in found)
         if resets and head[HEAD_STATUS] & CLEARABLE:
             found = self._ask_board(found, tick)

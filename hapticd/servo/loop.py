@@ -492,10 +492,7 @@ class ServoLoop:
         words[_COUNTER["ticks"]] = self.tick
         for name, key in _TALLY.items():
             words[_COUNTER[name]] = self.device.counts[key]
-        try:
-            self.device.keep_phase()
-        except LinkError:
-            pass  # the transfers of the tick say so
+        self.device.keep_phase()
         self.mailbox.renew()
         if self.mailbox.checkpoint_due:
             self.mailbox.checkpoint(self.tick + 1, flatten(self.state))
