@@ -31,6 +31,7 @@ from hapticd.units import NS_PER_S
 from hapticd.wire.codec import encode_in
 from hapticd.wire.frames import InFrame
 
+CONFIG_HASH = "c" * 64
 NEXT_STATE = {
     Command.ENABLE: {State.DISABLED: State.ENABLED, State.ENABLED: State.ENABLED},
     Command.DISABLE: {
@@ -80,7 +81,7 @@ def setup(instance: str = "default", **gateway: Any) -> GatewaySetup:
         SafetyParams(),
         RealtimeParams(grace_s=0.0),
         UsbParams(),
-        config_hash="c" * 64,
+        config_hash=CONFIG_HASH,
     )
     return GatewaySetup(servo, GatewayParams(**({"telemetry_port": 0, "flight_s": 5.0} | gateway)))
 
@@ -90,11 +91,17 @@ class StandInServo:
     commands; `mute`: gives no answers.
     """
 
-    def __init__(self, folder: Path, clock: Clock, rate_hz: float = 1000.0) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        clock: Clock,
+        rate_hz: float = 1000.0,
+        config_hash: str = CONFIG_HASH,
+    ) -> None:
         self.clock = clock
         self.rate_hz = rate_hz
         start_ns = max(clock.now_ns(), 1)
-        self.mailbox = ServoMailbox(folder, rate_hz, "c" * 64, True, start_ns)
+        self.mailbox = ServoMailbox(folder, rate_hz, config_hash, True, start_ns)
         self.mailbox.report({"granted": "nothing"})
         self.mailbox.publish()
         self.ticks = 0

@@ -296,6 +296,7 @@ def test_stop_word_latches_without_a_gateway_and_reset_clears_it():
         flown = records(stack.run(50))
         assert flown["state"][-1] == State.STOPPED
         assert flown["actor"][-1] == 2
+        stack.run(1000)  # for which nobody else resets it
         assert stack.do(Command.RESET).result is Result.APPLIED
         assert records(stack.run(10))["state"][-1] == State.DISABLED
 
@@ -419,6 +420,7 @@ def test_stop_page_survives_a_reset_in_the_same_tick():
         press_stop(stack.mailbox.folder)
         assert records(stack.run(50))["state"][-1] == State.STOPPED
         stack.gateway.answers()
+        stack.run(1000)
         assert stack.do(Command.RESET).result is Result.APPLIED
 
 

@@ -12,9 +12,17 @@ from gateway_rig import DeskRig, decoded, packed
 from gateway_stand_in import StandInServo
 
 from hapticd.gateway.commands import refusal
+from hapticd.gateway.journal import Actors
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.client_side import Answer
-from hapticd.mailbox.layout import PERTURBATION_SAMPLES, Command, Result, State, Value
+from hapticd.mailbox.layout import (
+    COMMAND_VALUES,
+    PERTURBATION_SAMPLES,
+    Command,
+    Result,
+    State,
+    Value,
+)
 
 
 @pytest.fixture
@@ -511,5 +519,30 @@ def test_board_that_is_barred_is_refused_in_words(rig: DeskRig, result: Result, 
     rig.servo.mailbox.report(
         {"differences": ["serial: other", "probe: none"], "transport": transport}
     )
-    error = refusal(Answer(1, result, 0, 0, 0, 0, ()), "enable", rig.view)
+    error = refusal(Answer(1, result, 0, 0, 0, 0, ()), "enable", rig.view, Actors())
     assert (error.code, str(error)) == ("refused", said)
+
+
+@pytest.mark.parametrize(
+    ("owner", "whose"),
+    [
+        (16, "operator (actor 16)"),
+        (2, "stop page (actor 2)"),
+        (99, "a client that has gone (actor 99)"),
+        (0, "several"),
+    ],
+)
+def test_stop_of_somebody_else_is_refused_with_whose_it_is(
+    rig: DeskRig, owner: int, whose: str
+) -> None:
+    actors = Actors()
+    actors.call(b"a", "operator")
+    effective = [0.0] * COMMAND_VALUES
+    effective[Value.STOP_OWNER] = owner
+    answer = Answer(1, Result.REFUSED_OWNER, 1, 0, 2000, 2740, tuple(effective))
+    error = refusal(answer, "reset", rig.view, actors)
+    assert (error.code, str(error)) == (
+        "refused",
+        f"reset: stop was pressed by {whose} less than 1 s ago and is not for others to reset; look"
+        " whether it is safe, and ask again in 0.74 s",
+    )

@@ -346,7 +346,7 @@ def test_run_ends_when_told(tmp_path: Path) -> None:
     said: list[str] = []
     run(
         tmp_path,
-        setup(),
+        setup,
         VirtualClock(START_NS),
         lambda: len(said) == 1,
         lambda: said.append("ready"),

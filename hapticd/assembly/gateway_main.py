@@ -39,9 +39,11 @@ def main(arguments: list[str]) -> int:
         watchdog.feed()
         return bool(ending)
 
+    def read() -> GatewaySetup:
+        return _read(asked.folder / GATEWAY_JSON)
+
     try:
-        setup = _read(asked.folder / GATEWAY_JSON)
-        server.run(asked.folder, setup, clock, should_stop, lambda: _say_ready(asked.ready))
+        server.run(asked.folder, read, clock, should_stop, lambda: _say_ready(asked.ready))
     except HapticdError as error:
         sys.stderr.write(f"hapticd gateway: {error}\n")
         return error.exit_code

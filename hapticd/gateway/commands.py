@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 
 from hapticd.errors import CommandError
 from hapticd.faults import BY_NUMBER, FAULTS
+from hapticd.gateway.journal import Actors
 from hapticd.gateway.limits import PLACES, CommandLimits, flat
 from hapticd.gateway.schemas import Change, Damping, Perturb, Request, Set, parse
 from hapticd.gateway.view import ServoView
@@ -116,7 +117,19 @@ def withheld(status: int) -> str:
     )
 
 
-def refusal(answer: Answer, cmd: str, view: ServoView) -> CommandError:
+def held(answer: Answer, view: ServoView, actors: Actors) -> str:
+    """Whose stop bars a reset, and how long."""
+    number = int(answer.effective[Value.STOP_OWNER])
+    name = actors.name(number) or "a client that has gone"
+    whose = f"{name} (actor {number})" if number else "several"
+    left_s = (answer.ramp_end_tick - answer.first_tick) / view.params.realtime.rate_hz
+    return (
+        f"stop was pressed by {whose} less than 1 s ago and is not for others to reset; look"
+        f" whether it is safe, and ask again in {left_s:.2f} s"
+    )
+
+
+def refusal(answer: Answer, cmd: str, view: ServoView, actors: Actors) -> CommandError:
     """Why the servo refused `cmd`, and what to do about it."""
     fault = BY_NUMBER.get(answer.fault, FAULTS[0])
     cause = f"{fault.cause}; {fault.remedy}" if fault.number else "see `hapticd status`"
@@ -158,6 +171,8 @@ def refusal(answer: Answer, cmd: str, view: ServoView) -> CommandError:
             "a stop or fault came first; `hapticd reset`, then ask again",
         ),
     }
+    if answer.result is Result.REFUSED_OWNER:
+        return CommandError("refused", f"{cmd}: {held(answer, view, actors)}")
     if answer.result in (Result.REFUSED_DEVICE, Result.REFUSED_RATE):
         return CommandError("refused", f"{cmd}: {_barred(answer.result, view)}")
     if answer.result not in texts:

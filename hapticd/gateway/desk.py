@@ -201,9 +201,8 @@ class Waveform:
         CommandError (`invalid`, `refused`): nothing changed.
         """
         if view.mailbox is None:
-            raise CommandError(
-                "servo_down", "perturb load: no servo runs; start it with `hapticd run`"
-            )
+            why = view.trouble if view.foreign else "no servo runs; start it with `hapticd run`"
+            raise CommandError("servo_down", f"perturb load: {why}")
         loaded = self.samples(view)
         force_n = samples_n(request.samples_n)
         if request.offset not in (0, loaded):
@@ -416,6 +415,8 @@ class Desk:
         return {"samples": self._waveform.load(request, self._view, actor)}
 
     def _require_servo(self, cmd: str) -> None:
+        if self._view.foreign:
+            raise CommandError("servo_down", f"{cmd}: {self._view.trouble}")
         if not self._view.alive:
             raise CommandError(
                 "servo_down",
@@ -494,7 +495,7 @@ class Desk:
                 message, CommandError("timeout" if self._view.alive else "servo_down", reason)
             )
         if answer.result not in ACCEPTED:
-            return self._refused(message, refusal(answer, message.cmd, self._view))
+            return self._refused(message, refusal(answer, message.cmd, self._view, self.actors))
         return self._accepted(message, {"rev": answer.revision, "receipt": receipt(answer)})
 
     def _taken_back(self, message: RequestMessage) -> bool:

@@ -26,6 +26,7 @@ from typing import Any
 
 import hapticd
 from hapticd.clock import Clock
+from hapticd.errors import ConfigError
 from hapticd.gateway import zmtp
 from hapticd.gateway.addresses import Sockets
 from hapticd.gateway.desk import Desk
@@ -82,6 +83,11 @@ class GatewayServer:
         self._deadline_ns = 0
         if self._sockets.warning:
             self._journal.note("warning", text=self._sockets.warning)
+
+    @property
+    def foreign(self) -> str:
+        """Hash of the configuration of a servo that runs another one; empty if none does."""
+        return self._view.foreign
 
     def step(self, wait_ms: int = DRAIN_MS) -> None:
         """One pass of the loop; waits at most `wait_ms` for something to do."""
@@ -205,20 +211,35 @@ def _telemetry(topic: str, payload: bytes) -> bytes:
 
 def run(
     folder: Path,
-    setup: GatewaySetup,
+    read: Callable[[], GatewaySetup],
     clock: Clock,
     should_stop: Callable[[], bool],
-    on_ready: Callable[[], None] | None = None,
+    on_ready: Callable[[], None] = lambda: None,
 ) -> None:
-    """Serve until `should_stop()`, asked once a pass (every 10 ms at least).
+    """Serve until `should_stop()`, asked once a pass (every 10 ms at least), with the configuration
+    that `read()` gives: at the start, and again when the servo has started with another one.
 
     MailboxError, ConfigError: it can not begin.
     """
-    gateway = GatewayServer(folder, setup, clock)
-    try:
-        if on_ready:
+    setup: GatewaySetup | None = read()
+    while setup is not None:
+        gateway = GatewayServer(folder, setup, clock)
+        try:
             on_ready()
-        while not should_stop():
-            gateway.step()
-    finally:
-        gateway.close()
+            setup = None
+            while setup is None and not should_stop():
+                gateway.step()
+                setup = _renewed(gateway, read)
+        finally:
+            gateway.close()
+
+
+def _renewed(gateway: GatewayServer, read: Callable[[], GatewaySetup]) -> GatewaySetup | None:
+    """The configuration of a servo that runs another one than `gateway`, if it can be read."""
+    if not gateway.foreign:
+        return None
+    try:
+        setup = read()
+    except ConfigError:
+        return None  # it is being written
+    return setup if setup.servo.config_hash == gateway.foreign else None

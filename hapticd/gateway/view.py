@@ -2,6 +2,7 @@
 
 A servo may die and another start; each life has its own mailbox. The view notices (the heartbeat
 stays away, or the file in the folder is another one), lets go and tries again ten times a second.
+A servo with another configuration is not served: what a newton is in counts is part of it.
 `life` counts the mailboxes it has opened. Telemetry records are numpy structured arrays whose dtype
 is made from the one table in mailbox.layout.
 """
@@ -91,6 +92,7 @@ class ServoView:
         self.alive = False
         self._retry_ns = -RETRY_NS
         self.trouble = ""  # why the last try to open a mailbox failed
+        self.foreign = ""  # hash of the configuration of a servo that runs another one than ours
         self._forget()
 
     def _forget(self) -> None:
@@ -131,10 +133,22 @@ class ServoView:
 
     def _open(self, now_ns: int) -> None:
         try:
-            self.mailbox = GatewayMailbox(self.folder, claimed=True)
+            found = GatewayMailbox(self.folder, claimed=True)
         except MailboxError as error:
             self.trouble = str(error)
+            self.foreign = ""
             return
+        theirs = found.header.config_hash
+        ours = self.params.config_hash
+        self.foreign = theirs if theirs != ours else ""
+        if self.foreign:
+            found.close()
+            self.trouble = (
+                f"the servo runs configuration {theirs[:12]}, the gateway {ours[:12]}: scales and"
+                " limits differ; restart both together"
+            )
+            return
+        self.mailbox = found
         self.life += 1
         self._forget()
         self.unix_offset_ns = (

@@ -137,6 +137,7 @@ class Value(IntEnum):
     LOOP = 16  # PERTURB_START: 0 or 1
     LEASE_CONTROL = 17
     LEASE_DAMPING = 18
+    STOP_OWNER = 19  # answers: actor who pressed stop, 0: several, or the servo itself
 
 
 def values_of(given: Mapping[Value, float]) -> tuple[float, ...]:
@@ -207,6 +208,7 @@ class Result(IntEnum):
     REFUSED_FULL = 9  # 16 commands are scheduled already
     REFUSED_LATE = 10  # at_tick has passed
     CANCELLED = 11  # a stop or fault removed a scheduled command
+    REFUSED_OWNER = 12  # reset within 1 s of somebody else's stop
     REFUSED_NO_AUTHORITY = 13  # the board would not grant torque: emergency stop or amplifier
     REFUSED_FILTER = 14  # force comes through the filters
     REFUSED_RATE = 16  # the bus is too slow for the rate

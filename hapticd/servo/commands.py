@@ -29,6 +29,7 @@ from hapticd.units import round_half_up
 
 MOST_SCHEDULED = 16
 SETTINGS = frozenset({Command.SET, Command.DAMPING})
+STOP_HELD_S = 1.0  # after a press, for which it is not for others to reset
 WAVEFORM = frozenset({Value.SAMPLES, Value.LOOP})  # what a perturbation has to say
 
 
@@ -60,6 +61,7 @@ def answer(
     )
     effective[Value.ADDED_DAMPING_ON] = float(plan.added_on)
     effective[Value.LEASE_CONTROL], effective[Value.LEASE_DAMPING] = plan.leases
+    effective[Value.STOP_OWNER] = plan.stop_owner
     return seq, int(result), plan.fault, plan.revision, ticks, tuple(effective)
 
 
@@ -108,9 +110,10 @@ def obey(plan: Plan, request: Request, now: Now, params: ServoParams) -> tuple[P
     seq, kind, actor, _, values = request
     if kind in SETTINGS:
         return _settings(plan, request, now, params)
-    target = _target(plan, kind, values, now, params)
+    target = _target(plan, request, now, params)
     if isinstance(target, Result):
-        return plan, [answer(plan, seq, target, (now.tick, now.tick), params)]
+        until = held_until(plan, params) if target is Result.REFUSED_OWNER else now.tick
+        return plan, [answer(plan, seq, target, (now.tick, until), params)]
     after = plan
     end = now.tick
     cancelled: list[Answer] = []
@@ -134,14 +137,28 @@ def obey(plan: Plan, request: Request, now: Now, params: ServoParams) -> tuple[P
             answer(after, one.seq, Result.CANCELLED, (one.tick, one.tick), params)
             for one in plan.scheduled
         ]
-    after = _action(after, kind, seq, values, now)
+    after = _action(after, request, now, params)
     receipt = [answer(after, seq, Result.APPLIED, (now.tick, end), params)] if seq else []
     return after, cancelled + receipt
 
 
-def _target(
-    plan: Plan, kind: int, values: tuple[float, ...], now: Now, params: ServoParams
-) -> State | Result:
+def held_until(plan: Plan, params: ServoParams) -> int:
+    """The first tick at which anyone may reset what was stopped; 0 if nothing was."""
+    if plan.stop_tick < 0:
+        return 0
+    return plan.stop_tick + round_half_up(STOP_HELD_S * params.realtime.rate_hz)
+
+
+def _pressed(plan: Plan, actor: int, now: Now, params: ServoParams) -> Plan:
+    """`plan` after a press of stop by `actor`. Who presses while another's press holds may not
+    release that: then nobody may before the time.
+    """
+    others = now.tick < held_until(plan, params) and actor != plan.stop_owner
+    return plan._replace(stop_tick=now.tick, stop_owner=0 if others else actor)
+
+
+def _target(plan: Plan, request: Request, now: Now, params: ServoParams) -> State | Result:
+    _, kind, actor, _, values = request
     target = safety.transition(plan.state, kind)
     if isinstance(target, Result) or target is plan.state:
         if kind == Command.PERTURB_START and (
@@ -155,12 +172,19 @@ def _target(
         required = params.device.home.required and target is State.ENABLED
         refusal = safety.enable_refusal(plan.homed, required, now.gateway, now.cause)
         return now.bar or refusal or target
+    if kind == Command.RESET and now.tick < held_until(plan, params) and actor != plan.stop_owner:
+        return Result.REFUSED_OWNER
     if kind == Command.RESET and now.cause:
         return Result.REFUSED_CAUSE
     return target
 
 
-def _action(plan: Plan, kind: int, seq: int, values: tuple[float, ...], now: Now) -> Plan:
+def _action(plan: Plan, request: Request, now: Now, params: ServoParams) -> Plan:
+    seq, kind, actor, _, values = request
+    if kind == Command.STOP:
+        return _pressed(plan, actor, now, params)
+    if kind == Command.RESET:
+        return plan._replace(stop_tick=-1, stop_owner=0)
     if kind == Command.ZERO:
         return plan._replace(origin=now.encoder, homed=True, revision=plan.revision + 1)
     if kind == Command.PERTURB_START:

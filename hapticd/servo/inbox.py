@@ -31,7 +31,7 @@ from hapticd.params import ServoParams
 from hapticd.servo.plan import CLEARABLE, KIND, Plan, Request, fault_request
 from hapticd.servo.safety import GRANTED, PERTURB_DONE_EVENT
 from hapticd.units import NS_PER_S, PROBE_RATE_HZ
-from hapticd.wire.codec import HEAD_FIFO_LEVEL, HEAD_STATUS, NO_SAMPLES
+from hapticd.wire.codec import HEAD_FIFO_LEVEL, HEAD_STATUS, I16_HIGHEST, I16_LOWEST, NO_SAMPLES
 from hapticd.wire.frames import FIFO_TARGET, PROBE_MAX, OutFlag
 
 Burst = tuple[int, int, tuple[int, ...]]  # OUT flags, samples that count, always PROBE_MAX values
@@ -41,11 +41,20 @@ _FIFO_CLEAR = int(OutFlag.FIFO_CLEAR)
 class Streamer:
     """Plays counts of `waveform` (memoryview of i16) as the plan's `wave` says: (command number
     or 0, samples, loop).
+
+    No sample leaves the device's limit of probe force, whatever is in the segment by then.
     """
 
-    def __init__(self, waveform: "memoryview[int]", rate_hz: float) -> None:
-        nominal = PROBE_RATE_HZ / rate_hz
+    def __init__(self, waveform: "memoryview[int]", params: ServoParams) -> None:
+        nominal = PROBE_RATE_HZ / params.realtime.rate_hz
+        device = params.device
+        limits = [
+            device.probe_torque.to_count(limit_n, I16_LOWEST, I16_HIGHEST)
+            for limit_n in (-device.probe_limit_n, device.probe_limit_n)
+        ]
         self._waveform = waveform
+        self._lowest = min(limits)  # a scale may have either sign
+        self._highest = max(limits)
         self._least = max(0, math.floor(nominal) - 1)
         self._most = min(PROBE_MAX, math.ceil(nominal) + 1)
         self._position = 0
@@ -77,12 +86,14 @@ class Streamer:
         )
 
     def _next(self, wanted: int) -> tuple[int, tuple[int, ...]]:
-        if self._loop and self._position >= self._samples:
-            self._position = 0
-        taken = self._waveform[
-            self._position : min(self._position + wanted, self._samples)
-        ].tolist()
-        self._position += len(taken)
+        taken: list[int] = []
+        while len(taken) < wanted and self._position < self._samples:
+            end = min(self._position + wanted - len(taken), self._samples)
+            taken += self._waveform[self._position : end].tolist()
+            # a loop goes on within the frame: it may be shorter than that
+            self._position = 0 if self._loop and end == self._samples else end
+        if taken and (min(taken) < self._lowest or max(taken) > self._highest):
+            taken = [max(self._lowest, min(self._highest, count)) for count in taken]
         return len(taken), (*taken, *NO_SAMPLES[len(taken) :])
 
 
@@ -126,8 +137,12 @@ class Inbox:
     def requests(self, tick: int, head: Head, plan: Plan) -> tuple[Request, ...]:
         """What this tick has to obey."""
         found: list[Request] = []
+        # first: a waveform that starts in the tick in which another one ended is not that one
+        if self._streamer.ended(head[HEAD_FIFO_LEVEL]):
+            found.append((0, PERTURB_DONE_EVENT, 0, 0, _NO_VALUES))
+        done = len(found)
         most = 0 if self._leaving else MOST_COMMANDS  # nobody enables what ends
-        while len(found) < most and (request := self._mailbox.take()) is not None:
+        while len(found) - done < most and (request := self._mailbox.take()) is not None:
             found.append(request)
         if found:
             self._device.keep_phase()  # before force: the board may have started anew
@@ -143,8 +158,6 @@ class Inbox:
             found.append(fault_request(BY_CODE["lost_slots"].number))
         if self._leaving and plan.state in GRANTED:
             found.append((0, Command.STOP, 0, 0, _NO_VALUES))
-        if self._streamer.ended(head[HEAD_FIFO_LEVEL]):
-            found.append((0, PERTURB_DONE_EVENT, 0, 0, _NO_VALUES))
         self.waiting = bool(self._lost or self._deferred or self._leaving)
         return tuple(found)
 

@@ -161,7 +161,7 @@ class ServoLoop:
         self.period_ns = round(NS_PER_S / params.realtime.rate_hz)
         self.step = make_step(params)
         self.state = initial_state(params)
-        self.streamer = Streamer(mailbox.waveform, params.realtime.rate_hz)
+        self.streamer = Streamer(mailbox.waveform, params)
         self.inbox = Inbox(params, mailbox, device, self.streamer)
         self.tick = 0
         self.linked = device.hello is not None

@@ -88,6 +88,8 @@ class Plan(NamedTuple):
     # since version 0.2, with a default for checkpoints of earlier ones
     unauthorised: int = 0  # ticks in a row for which the board withheld the torque that was asked
     homing: Homing = Homing()
+    stop_tick: int = -1  # of the last press of a stop, -1: none since the last reset
+    stop_owner: int = 0  # actor who pressed it; 0: several pressed
 
 
 class Scheduled(NamedTuple):

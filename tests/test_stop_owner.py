@@ -1,0 +1,84 @@
+"""A stop is its presser's for 1 s: nobody else resets it meanwhile, nor by pressing it too."""
+
+from collections.abc import Iterator
+
+import pytest
+from models import board_params, servo_params
+
+from hapticd.assembly.lockstep import LockStep
+from hapticd.mailbox.layout import Command, Result, Value
+from hapticd.mailbox.stop_word import press_stop
+
+A, B, STOP_PAGE = 16, 17, 2
+
+
+@pytest.fixture
+def stack() -> Iterator[LockStep]:
+    with LockStep(servo_params(), board_params()) as stack:
+        stack.run(5)
+        yield stack
+
+
+def asked(stack: LockStep, kind: Command, actor: int) -> tuple[Result, int, int, int]:
+    """Result, tick, until which tick it is barred, and whose the stop is."""
+    seq = stack.command(kind, actor=actor)
+    stack.run(1)
+    (found,) = [one for one in stack.gateway.answers() if one.seq == seq]
+    owner = int(found.effective[Value.STOP_OWNER])
+    return found.result, found.first_tick, found.ramp_end_tick, owner
+
+
+def test_a_stop_is_not_reset_by_another_client_for_1_s(stack: LockStep) -> None:
+    _, pressed, _, _ = asked(stack, Command.STOP, A)
+    refused = asked(stack, Command.RESET, B)
+    assert refused == (Result.REFUSED_OWNER, pressed + 1, pressed + 1000, A)
+    stack.run(pressed + 999 - stack.loop.tick)
+    assert asked(stack, Command.RESET, B)[:2] == (Result.REFUSED_OWNER, pressed + 999)
+    assert asked(stack, Command.RESET, B)[:2] == (Result.APPLIED, pressed + 1000)
+
+
+def test_who_pressed_may_reset_at_once(stack: LockStep) -> None:
+    asked(stack, Command.STOP, A)
+    assert asked(stack, Command.RESET, A)[0] is Result.APPLIED
+    assert asked(stack, Command.RESET, B)[0] is Result.APPLIED  # nothing is stopped any more
+
+
+def test_pressing_too_takes_no_stop_over(stack: LockStep) -> None:
+    """Neither the first presser nor the second may undo what the other wanted."""
+    asked(stack, Command.STOP, A)
+    _, pressed, _, _ = asked(stack, Command.STOP, B)
+    for actor in (A, B):
+        result, _, until, owner = asked(stack, Command.RESET, actor)
+        assert (result, until, owner) == (Result.REFUSED_OWNER, pressed + 1000, 0)
+    stack.run(1000)
+    assert asked(stack, Command.RESET, B)[0] is Result.APPLIED
+
+
+def test_the_stop_page_is_an_actor_of_its_own(stack: LockStep) -> None:
+    press_stop(stack.gateway.folder)
+    stack.run(1)
+    result, _, _, owner = asked(stack, Command.RESET, A)
+    assert (result, owner) == (Result.REFUSED_OWNER, STOP_PAGE)
+    stack.run(1000)
+    assert asked(stack, Command.RESET, A)[0] is Result.APPLIED
+
+
+def test_a_stop_that_is_held_down_stays(stack: LockStep) -> None:
+    asked(stack, Command.STOP, A)
+    for _ in range(30):
+        stack.run(100)
+        asked(stack, Command.STOP, A)
+        assert asked(stack, Command.RESET, B)[0] is Result.REFUSED_OWNER
+
+
+def test_a_stop_in_a_fault_has_an_owner_too(stack: LockStep) -> None:
+    asked(stack, Command.ENABLE, A)
+    stack.run(100)
+    stack.gateway_alive = False
+    stack.run(1100)
+    stack.gateway_alive = True
+    stack.run(5)
+    assert stack.loop.state[0].plan.state.name == "FAULT"
+    asked(stack, Command.STOP, A)
+    assert asked(stack, Command.RESET, B)[0] is Result.REFUSED_OWNER
+    assert asked(stack, Command.RESET, A)[0] is Result.APPLIED
