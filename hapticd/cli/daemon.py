@@ -99,8 +99,7 @@ def status(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Js
     """State, parameters in force, faults and timing. Exit 3 until servo and gateway are
     both ready.
     """
-    from hapticd.mailbox.client_side import living_report
-    from hapticd.mailbox.daemons import daemon_folder
+    from hapticd.mailbox.daemons import daemon_folder, living_report
 
     try:
         with connect(instance) as client:

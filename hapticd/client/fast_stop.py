@@ -11,7 +11,6 @@ What a daemon that was killed has left behind counts for nothing, and a folder t
 last. What would break it: an import at the top that costs milliseconds, an open that waits.
 """
 
-import json
 import sys
 import time
 from pathlib import Path
@@ -19,7 +18,6 @@ from typing import Any, NamedTuple
 
 from hapticd.errors import DaemonDown, HapticdError, MailboxError
 from hapticd.mailbox import daemons
-from hapticd.mailbox.client_side import read_report
 from hapticd.mailbox.daemons import Place
 from hapticd.mailbox.files import COMMAND_SOCKET
 from hapticd.mailbox.stop_word import press_stop, servo_lives, stop_taken
@@ -54,6 +52,8 @@ def main(instance: str | None, as_json: bool) -> int:
     except HapticdError as error:
         sys.stderr.write(f"hapticd: {error}\n")
         if as_json:
+            import json
+
             failure = {"code": type(error).__name__, "message": str(error), "detail": None}
             sys.stdout.write(json.dumps({"ok": False, "error": failure}) + "\n")
         return error.exit_code
@@ -100,6 +100,8 @@ def _states(folders: list[Path]) -> dict[Path, str]:
     listening = [folder for folder in folders if daemons.gateway_lives(folder)]
     if not listening:
         return {}
+    import json
+
     import zmq
 
     states: dict[Path, str] = {}
@@ -132,13 +134,15 @@ def _asked(context: Any, folder: Path) -> Any:
 
 
 def _stopped(place: Place, state: str | None) -> Stopped:
-    report = read_report(place.folder)
+    report = daemons.read_report(place.folder)
     word = "taken" if stop_taken(place.folder) else "pressed"
     device, simulated = report.get("device", ""), report.get("simulated")
     return Stopped(str(place.folder), place.instance, device, simulated, state or word)
 
 
 def _json(found: Outcome) -> str:
+    import json
+
     states = {one.state for one in found.daemons}
     told = {
         "ok": not found.failed,

@@ -36,7 +36,7 @@ from hapticd.gateway.schemas import PROTOCOL_VERSION
 from hapticd.gateway.telemetry import TOPICS
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox import files
-from hapticd.mailbox.client_side import living_report
+from hapticd.mailbox.daemons import living_report
 from hapticd.mailbox.layout import LAYOUT_HASH
 from hapticd.params import GatewaySetup, to_plain
 from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US

@@ -3,7 +3,6 @@
 The gateway posts commands and reads answers and telemetry.
 """
 
-import json
 import marshal
 import os
 import zlib
@@ -12,8 +11,8 @@ from typing import Any, NamedTuple
 
 from hapticd.errors import MailboxError
 from hapticd.mailbox import files, layout
+from hapticd.mailbox.daemons import read_report
 from hapticd.mailbox.files import word_access
-from hapticd.mailbox.stop_word import servo_lives
 
 SAFE_DISTANCE = 64  # records that a reader keeps clear of the writer
 
@@ -60,20 +59,6 @@ class Checkpoint(NamedTuple):
 
     tick: int
     state: tuple[Any, ...]
-
-
-def read_report(folder: Path) -> dict[str, Any]:
-    """servo.report in `folder`; empty if it cannot be read."""
-    try:
-        content = json.loads((folder / files.REPORT).read_text())
-    except (OSError, ValueError):
-        return {}
-    return content if isinstance(content, dict) else {}
-
-
-def living_report(folder: Path) -> dict[str, Any]:
-    """What a living servo of `folder` reports, also one that still waits for its board."""
-    return read_report(folder) if servo_lives(folder) else {}
 
 
 class GatewayMailbox:

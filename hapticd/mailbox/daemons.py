@@ -12,15 +12,13 @@ stands there may be a stranger's trap: it is refused by name, and nothing in it 
 Alive is who holds the stop word, or listens at the gateway's socket. Files alone mean nothing: a
 daemon that was killed leaves them all behind.
 
-What would break it: something slow at the top or a wait in here (`hapticd stop` begins so).
+What would break it: a large import at the top or a wait in here (`hapticd stop` begins so).
 """
 
 import os
-import socket
 import stat
-import tempfile
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hapticd.errors import MailboxError
 from hapticd.mailbox import files
@@ -72,7 +70,7 @@ def _bases() -> list[Path]:
     uid = os.getuid()
     own = files.runtime_folder()
     session = files.SESSION_FOLDERS / str(uid) / "hapticd"
-    shared = [files.MEMORY_FOLDER / f"hapticd-{uid}", Path(tempfile.gettempdir(), f"hapticd-{uid}")]
+    shared = [files.MEMORY_FOLDER / f"hapticd-{uid}", files.temporary_folder() / f"hapticd-{uid}"]
     return list(dict.fromkeys([own, session, *shared, files.SERVICE_FOLDER]))
 
 
@@ -120,8 +118,26 @@ def lives(folder: Path) -> bool:
     return servo_lives(folder) or gateway_lives(folder)
 
 
+def read_report(folder: Path) -> dict[str, Any]:
+    """servo.report in `folder`; empty if it cannot be read."""
+    import json
+
+    try:
+        content = json.loads((folder / files.REPORT).read_text())
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def living_report(folder: Path) -> dict[str, Any]:
+    """What a living servo of `folder` reports, also one that still waits for its board."""
+    return read_report(folder) if servo_lives(folder) else {}
+
+
 def gateway_lives(folder: Path) -> bool:
     """Whether somebody listens at the command socket of `folder`; a queue that is full is one."""
+    import socket
+
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.setblocking(False)
         try:
