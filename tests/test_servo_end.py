@@ -80,6 +80,8 @@ class Watched:
 
 def ended(stack: LockStep) -> None:
     """End the servo as SIGTERM does; the board lives on."""
+    stack.loop.stopping = True
+    stack.run(1)  # ends at once
     stack.loop.finish()
     stack.loop.finish = lambda: None  # type: ignore[method-assign]
 
@@ -156,28 +158,37 @@ def test_end_during_a_stop_goes_on_with_its_ramp() -> None:
     assert_same_road(fade(in_the_middle), fade(stopped))
 
 
-@pytest.mark.parametrize("end", ["again", "reset and enable"])
-def test_nobody_can_keep_an_ending_servo_under_force(end: str) -> None:
+def test_second_signal_does_not_shorten_the_end() -> None:
+    def hurried(stack: LockStep) -> None:
+        run = stack.loop.run
+
+        def signalled(ticks: int | None = None) -> None:
+            run(ticks)
+            stack.loop.stopping = True
+
+        stack.loop.run = signalled  # type: ignore[method-assign]
+        ended(stack)
+
+    assert_same_road(fade(hurried), fade(stopped))
+
+
+def test_nobody_can_keep_an_ending_servo_under_force() -> None:
     with LockStep(servo_params(), board_params()) as stack:
         watched = Watched(stack)
         watched.press_into_the_spring()
         run = stack.loop.run
 
         def disturbed(ticks: int | None = None) -> None:
-            if end == "again":  # a second signal
-                stack.loop.stopping = True
-                run(ticks)
-                stack.loop.stopping = False
-            else:
-                stack.command(Command.RESET)
-                stack.command(Command.ENABLE)
+            stack.command(Command.RESET)
+            stack.command(Command.ENABLE)
             run(ticks)
 
         stack.loop.run = disturbed  # type: ignore[method-assign]
         ended(stack)
         last = codec.decode_out(bytes(stack.device.out_buffer))
-        stack.loop.run = run  # type: ignore[method-assign]
     assert (last.flags, last.torque) == (int(OutFlag.FIFO_CLEAR), 0)
+    assert watched.seen[-1].force_n == 0.0
+    assert_same_road(watched.seen, fade(ended)[1:])
 
 
 def test_end_with_a_slow_ramp_waits_for_it() -> None:

@@ -146,9 +146,13 @@ def _opened(path: Path, access: int) -> int:
     try:
         # a pipe of that name would wait for its other end
         descriptor = os.open(path, access | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
-    except OSError as error:
+    except FileNotFoundError as error:
         raise MailboxError(
             f"{path}: {error.strerror}; no servo runs there, start one with `hapticd run`"
+        ) from error
+    except OSError as error:
+        raise MailboxError(
+            f"{path}: {error.strerror}; its owner and the service's group may press it"
         ) from error
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
