@@ -172,13 +172,14 @@ def test_second_signal_does_not_shorten_the_end() -> None:
     assert_same_road(fade(hurried), fade(stopped))
 
 
-def test_nobody_can_keep_an_ending_servo_under_force() -> None:
+def test_nobody_commands_a_servo_that_ends() -> None:
     with LockStep(servo_params(), board_params()) as stack:
         watched = Watched(stack)
         watched.press_into_the_spring()
         run = stack.loop.run
 
         def disturbed(ticks: int | None = None) -> None:
+            stack.command(Command.SET, SPRING | {Value.STIFFNESS: 1000.0})
             stack.command(Command.RESET)
             stack.command(Command.ENABLE)
             run(ticks)
