@@ -14,7 +14,7 @@ from hapticd.link.base import Link
 from hapticd.link.device import Device
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.client_side import GatewayMailbox
-from hapticd.mailbox.layout import Command
+from hapticd.mailbox.layout import COMMAND_VALUES, Command
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.params import BoardParams, ServoParams, from_plain
 from hapticd.servo.loop import ServoLoop, spinning_wait
@@ -25,7 +25,7 @@ FOR_EVER_S = 1e6  # nobody beats here
 ACTOR = 1
 CHUNK_S = 0.05
 SETTLE_CHUNKS = 100
-NO_VALUES = (0.0,) * 20
+NO_VALUES = (0.0,) * COMMAND_VALUES
 
 
 def read_parameters(path: str) -> tuple[ServoParams, BoardParams]:

@@ -19,7 +19,7 @@ from hapticd.assembly.resolve import write
 from hapticd.assembly.supervisor import mailbox_served
 from hapticd.mailbox import files
 from hapticd.mailbox.client_side import GatewayMailbox
-from hapticd.mailbox.layout import Command
+from hapticd.mailbox.layout import COMMAND_VALUES, Command
 
 TARGETS = targets.of("process")
 RATE_HZ = 8000
@@ -28,7 +28,7 @@ START_S = 20.0
 SETTLE_S = 2.0
 BEAT_S = 0.1
 ACTOR = 1
-NO_VALUES = (0.0,) * 20
+NO_VALUES = (0.0,) * COMMAND_VALUES
 PRIVATE = ("Private_Clean", "Private_Dirty")  # pages that nobody else maps at this moment
 OWNED = ("Anonymous",)  # heap and stack: does not change when another Python process starts or ends
 MINOR_FAULTS = 7  # of /proc/PID/stat, counted behind the name

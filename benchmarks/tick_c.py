@@ -17,19 +17,18 @@ from benchmarks.worker import ROOT, BenchError
 from hapticd.link.device import SEQUENCES
 from hapticd.mailbox import layout
 from hapticd.params import ServoParams
+from hapticd.servo.monitors import bounds
 from hapticd.units import US_PER_S
 from hapticd.wire.frames import IN_HEAD
 
 SOURCE = Path(__file__).with_name("tick_reference.c")
 OPTIONS = ("-O2", "-std=gnu11", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared")
-HELD = struct.Struct(
-    f"=6d12d10d6d5d5dd2d4d4d3q4H{2 * SEQUENCES}q{layout.PLAN.size}s"
-)  # struct servo
+HELD = struct.Struct(f"=6d12d10d7d3d3d2d4d3q4H{2 * SEQUENCES}q{layout.PLAN.size}s")  # struct servo
 # places in IN_HEAD
 SEQ = 0
 ECHO = 1
 BOARD_US = 5
-NUMBERS = slice(place("position_m"), place("energy_j") + 6)  # of a record
+NUMBERS = slice(place("position_m"), place("excess_j") + 1)  # of a record
 OUT_FRAME = place("out_frame")
 
 
@@ -100,21 +99,23 @@ class CReference:
         head = IN_HEAD.unpack_from(first)
         period_us = round(US_PER_S / self._params.realtime.rate_hz)
         sensors = (device.temperature, device.current, device.voltage, device.emf_velocity)
-        now, law, ledger, _ = state
-        energies, newer, older, displacement = ledger
+        now, law, ledger, _, _ = state
+        bound = bounds(self._params)
+        damping_slope = device.damping.to_value(1.0) - device.damping.to_value(0.0)
+        damping_start = device.damping.to_value(0.0)
+        rate_hz = self._params.realtime.rate_hz
         force = device.force
         return HELD.pack(
             *law,
             *now.environment,
             *now.coefficients,
-            *energies,
-            *newer,
-            *older,
-            displacement,
+            *ledger,
             device.position.to_value(1.0),
             force.sign / force.per_count,
             force.to_value(1.0),
-            now.added,
+            bound.resistance + damping_start * rate_hz,
+            damping_slope * rate_hz,
+            bound.kept,
             self._params.realtime.rate_hz / US_PER_S,
             device.damping.to_value(1.0),
             *(scale.to_value(1.0) for scale in sensors),

@@ -16,8 +16,8 @@ enum { SLOTS = 8192, FLAG_CLAMPED = 32 };
 /* what the servo holds between ticks; filled by tick_worker.py in this order */
 struct servo {
     double law[6], environment[12], coefficients[10];
-    double energy[6], newer[5], older[5], displacement;
-    double m_per_count, counts_per_n, n_per_count, added, periods_per_us, damping_slope, slope[4];
+    double work, excess, newer, older, oldest, elastic, velocity;
+    double m_per_count, counts_per_n, n_per_count, resistance, resistance_per_count, kept, periods_per_us, damping_slope, slope[4];
     int64_t tick, board_us, period_us;
     uint16_t expected, sent, out_flags, damping;
     int64_t sampled[256], sent_at[256]; /* by the low byte of the sequence number of an OUT */
@@ -91,15 +91,18 @@ static uint32_t law(struct servo *s, double x, struct record *r)
     return r->force_n != total ? FLAG_CLAMPED : 0;
 }
 
-static void book(struct servo *s, const struct record *r)
+static void book(struct servo *s, struct record *r, int damping)
 {
-    double delay = r->delay_us * s->periods_per_us, d = s->law[1], way = s->displacement + delay * (d - s->displacement);
-    for (int i = 0; i < 5; i++)
-        s->energy[i] += s->older[i] * way;
-    s->energy[5] -= s->added * d * d;
-    memcpy(s->older, s->newer, sizeof s->newer);
-    memcpy(s->newer, &r->stiffness_force_n, sizeof s->newer); /* K, B, M, field and whole force follow each other */
-    s->displacement = d;
+    double delay = r->delay_us * s->periods_per_us, d = s->law[1], limit = s->environment[4], v = r->velocity_m_per_s;
+    double elastic = r->stiffness_force_n + r->field_force_n;
+    elastic = elastic > limit ? limit : elastic < -limit ? -limit : elastic;
+    double done = delay < 1.0 ? d * (s->newer + delay * (s->older - s->newer))
+                              : d * (s->older + (delay < 2.0 ? delay - 1.0 : 1.0) * (s->oldest - s->older));
+    double stored = 0.5 * s->environment[2] * (v * v - s->velocity * s->velocity) - 0.5 * d * (elastic + s->elastic);
+    s->excess = s->kept * s->excess + done + stored - (s->resistance + s->resistance_per_count * damping) * d * d;
+    s->excess = s->excess < 0.0 ? 0.0 : s->excess;
+    r->work_j = s->work += done, r->excess_j = s->excess;
+    s->oldest = s->older, s->older = s->newer, s->newer = r->force_n, s->elastic = elastic, s->velocity = v;
 }
 
 /* `count` ticks over as many IN frames into `ring`; 0, or the number of the frame that was refused, counted from 1 */
@@ -125,7 +128,7 @@ int reference_ticks(struct servo *s, const uint8_t *frames, uint8_t *ring, int c
         int torque = (int)floor(r->force_n * s->counts_per_n + 0.5);
         torque = torque < -32768 ? -32768 : torque > 32767 ? 32767 : torque;
         r->force_n = torque * s->n_per_count;
-        book(s, r);
+        book(s, r, in->damping_effect);
         int64_t stepped = now_ns();
         wire.seq = ++s->sent, wire.flags = s->out_flags, wire.torque = torque, wire.damping = s->damping;
         s->sampled[s->sent & 255] = s->board_us;
@@ -135,7 +138,6 @@ int reference_ticks(struct servo *s, const uint8_t *frames, uint8_t *ring, int c
         r->tick = r->tail = r->slot = s->tick, r->time_ns = start, r->board_us = s->board_us;
         memcpy(r->plan, s->plan, sizeof r->plan);
         r->flags = flags, r->status = in->status;
-        memcpy(r->energy_j, s->energy, sizeof r->energy_j);
         r->winding_c = in->temperature * s->slope[0], r->current_a = in->current * s->slope[1];
         r->voltage_v = in->voltage * s->slope[2], r->emf_velocity_m_per_s = in->emf_velocity * s->slope[3];
         r->wake_ns = 0, r->read_ns = got - start, r->step_ns = stepped - got, r->write_ns = sent - stepped;

@@ -108,6 +108,27 @@ FAULTS: tuple[Fault, ...] = (
         "release the emergency stop, look at the amplifier, then reset",
     ),
     Fault(
+        13,
+        "force_at_limit",
+        "the force went to and fro between its limits faster than any hand",
+        _TO_SAFE,
+        "lower K, B or M, or switch active damping on, then reset",
+    ),
+    Fault(
+        14,
+        "overspeed",
+        "the handle was faster for some milliseconds than the device file allows",
+        _TO_SAFE,
+        "lower K, B or M, or switch active damping on, then reset",
+    ),
+    Fault(
+        15,
+        "energy",
+        "the display gave away more energy than its damping and the user can account for",
+        _TO_SAFE,
+        "lower K, B or M, or switch active damping on, then reset",
+    ),
+    Fault(
         18,
         "board_restarted",
         "the board's firmware started anew: its position origin is lost",

@@ -17,6 +17,7 @@ from hapticd.units import round_half_up
 
 T = TypeVar("T")
 
+ENERGY_LIMIT_J = 0.02  # of an 8 g handle at 2.2 m/s; see ADR 0085
 ADDED_DAMPING_NS_PER_M = 1.74  # what `damping on` means: Weir, Colgate and Peshkin 2008, section 5
 
 
@@ -133,6 +134,10 @@ class DeviceParams:
     relies_on: tuple[str, ...] = ()
     # corner of a first-order low-pass on the commanded force, where a model knows it; 0: none
     force_smoothing_hz: float = 0.0
+    overspeed_m_per_s: float | None = None  # faster for some ms is a fault; None: not looked at
+    # N s/m that the device has for certain, from its file; None: unknown, no fault `energy`
+    physical_damping_ns_per_m: float | None = None
+    energy_limit_j: float = ENERGY_LIMIT_J  # that may be given away without cover: fault `energy`
     # largest step of force [N] in one tick by an enable or a change of parameters; infinite for
     # recordings of versions that had no bound
     force_step_n: float = math.inf
@@ -162,6 +167,8 @@ class SafetyParams:
     missing_frames_limit: int = 8
     no_authority_limit: int = 8  # ticks for which the board may withhold torque while enabled
     default_ramp_s: float = 0.05
+    # faults force_at_limit and energy, which a trial at the edge of stability does without
+    limit_cycle_faults: bool = True
 
 
 @dataclass(frozen=True, slots=True)

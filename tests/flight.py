@@ -19,8 +19,8 @@ AMBIENT_COUNT = 2500
 
 
 def masked(values: dict[Value, float]) -> tuple[float, ...]:
-    """The 20 doubles of a command."""
-    packed = [0.0] * 20
+    """The doubles of a command."""
+    packed = [0.0] * layout.COMMAND_VALUES
     packed[Value.MASK] = float(sum(1 << place for place in values))
     for place, value in values.items():
         packed[place] = value
@@ -68,13 +68,14 @@ class Flight:
         index: int = 0,
         delay: float = 0.125,
         current: int = 0,
+        damping: int = 0,
     ) -> Any:
         if encoder is not None:
             self.encoder = encoder
         if status is None:  # of a board that grants what is asked
             status = self.state[SETTLED].out_flags & ENABLE and int(StatusBit.ENABLED)
         temperature = AMBIENT_COUNT if celsius is None else round(celsius * 100)
-        sample = (self.encoder, status, temperature, arrival, host, index, delay, current)
+        sample = (self.encoder, status, temperature, arrival, host, index, delay, current, damping)
         self.state, out = self.step(self.state, commands, sample, self.tick)
         self.tick += 1
         self.answers += out[10]

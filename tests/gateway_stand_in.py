@@ -203,6 +203,10 @@ class StandInServo:
             v[4],
             v[13],
             v[13],
+            v[9],
+            v[11],
+            int(v[12]),
+            7,
         )
         pairs = tuple((self.probe_index + n & 0x7FFF, -n) for n in range(self.probe_pairs))
         self.frame = encode_in(
@@ -243,7 +247,8 @@ class StandInServo:
             0.3,
             0.4,
             self.force_n,
-            *(0.01 * n for n in range(6)),
+            0.01,
+            0.02,
             25.0,
             0.5,
             12.0,

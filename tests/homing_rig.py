@@ -81,7 +81,7 @@ class Rig:
         status = (GRANTED if live else 0) | self.marked(before)
         current = round(self.applied() / 1.65 / (10.0 / 32767))
         index = 0 if self.mark_m is None else self.encoder - floor(self.mark_m / COUNT_M + 0.5)
-        sample = (self.encoder, status, AMBIENT_COUNT, arrival, HEALTHY, index, 0.125, current)
+        sample = (self.encoder, status, AMBIENT_COUNT, arrival, HEALTHY, index, 0.125, current, 0)
         self.body = self.plant.step(self.body, self.applied(), 0.0, 0.0, SUBSTEPS_PER_TICK - LATCH)
         self.state, out = self.step(self.state, commands, sample, self.tick)
         self.force_n = out[8]

@@ -108,11 +108,15 @@ WRONG: list[tuple[dict[str, Any], str, str]] = [
         "wall.side",
         f"wall.side = True: expected a number, not true or false; {LIST}",
     ),
-    ({"cmd": "set"}, "set", "set: nothing to set; give one of K, B, M, filters, wall, damping"),
+    (
+        {"cmd": "set"},
+        "set",
+        "set: nothing to set; give one of K, B, M, filters, wall, damping, limit_cycle_faults",
+    ),
     (
         {"cmd": "set", "wall": {}, "ramp_s": 1},
         "set",
-        "set: nothing to set; give one of K, B, M, filters, wall, damping",
+        "set: nothing to set; give one of K, B, M, filters, wall, damping, limit_cycle_faults",
     ),
     (
         {"cmd": "set", "K": 1, "at_tick": 0},

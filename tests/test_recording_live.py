@@ -18,7 +18,7 @@ from hapticd.recording.live import GROUPS, as_channel, channels, columns, event_
     [
         ("acceleration_m_per_s2", "m s-2"),
         ("stiffness_n_per_m", "N m-1"),
-        ("energy_force_j", "J"),
+        ("excess_j", "J"),
         ("wake_ns", "ns"),
         ("winding_c", "degC"),
     ],
@@ -36,7 +36,7 @@ def test_channels_and_columns_agree(recorded_run: RecordedFlight) -> None:
         == [channel.name for channel in known]
         == [channel.name for channel in GROUPS["servo"]]
     )
-    assert "energy_stiffness_j" in found
+    assert "excess_j" in found
     for channel in known:
         values = as_channel(channel, found[channel.name])
         assert values.shape == (len(records), channel.width)[: 1 + bool(channel.width)]

@@ -243,7 +243,7 @@ def test_stop_after_a_flicker_of_authority_renders_nothing_but_the_fading_push()
     values[Value.STIFFNESS] = 500.0
     rig.fly()
     command = ((1, int(Command.SET), 9, 0, tuple(values)),)
-    rig.state, _ = rig.step(rig.state, command, (0, 0, 2500, 0, HEALTHY, 0, 0.1, 0), rig.tick)
+    rig.state, _ = rig.step(rig.state, command, (0, 0, 2500, 0, HEALTHY, 0, 0.1, 0, 0), rig.tick)
     rig.tick += 1
     rig.fly(Command.HOME)
     while rig.tick < 700:

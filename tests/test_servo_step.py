@@ -329,21 +329,21 @@ def test_homing_is_refused_where_the_device_has_no_method():
 def test_law_that_overflows_is_a_fault_and_never_a_force():
     flight = enabled(servo_params(), STIFF, 20_000)
     law = (0.01, 0.0, math.inf, math.inf, 0.0, 0.0)
-    settled, _, ledger, held = flight.state
-    flight.state = settled, law, ledger, held
+    settled, _, ledger, held, signs = flight.state
+    flight.state = settled, law, ledger, held, signs
     out = flight.fly()
     assert flight.plan.fault == BY_CODE["not_finite"].number
     assert out[9] & Flag.NOT_FINITE
     assert abs(out[8]) <= 1.0 + COUNT_N
     assert flight.fly(30)[0] == 0
-    _, law, _, _ = flight.state
+    _, law, _, _, _ = flight.state
     assert all(math.isfinite(value) for value in law)
 
 
 def test_step_is_a_function_of_its_arguments():
     flight = enabled(servo_params(), {**STIFF, Value.DAMPING: 1.0, Value.MASS: 0.01}, 2000)
     state = flight.state
-    sample = (2040, 0, 2500, 0, 3, 0, 0.125, 0)
+    sample = (2040, 0, 2500, 0, 3, 0, 0.125, 0, 0)
     command = ((77, Command.SET, 1, 0, masked({Value.STIFFNESS: 400.0})),)
     assert flight.step(state, command, sample, 900) == flight.step(state, command, sample, 900)
     assert state == flight.state

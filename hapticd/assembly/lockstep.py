@@ -152,7 +152,11 @@ def scene_params(
         simulated=True,
         environment=scene.environment,
         device=replace(device_params(device), force_smoothing_hz=smoothing_hz(scene.effects)),
-        safety=SafetyParams(force_limit_n=limit_n, damping_slew_ns_per_m_s=AT_ONCE_NS_PER_M_S),
+        safety=SafetyParams(
+            force_limit_n=limit_n,
+            damping_slew_ns_per_m_s=AT_ONCE_NS_PER_M_S,
+            limit_cycle_faults=False,
+        ),
         realtime=RealtimeParams(rate_hz=scene.rate_hz, mode="off"),
         usb=UsbParams(serial=device.serial),
         added_damping_ns_per_m=max(levels),

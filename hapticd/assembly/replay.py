@@ -51,12 +51,14 @@ COMPUTED = [
     ("mass_force_n", "<f8"),
     ("field_force_n", "<f8"),
     ("force_n", "<f8"),
-    ("energy_j", "<f8", (6,)),
+    ("work_j", "<f8"),
+    ("excess_j", "<f8"),
 ]
 REPLAYED = np.dtype([*PLAN_FIELDS, *COMPUTED])
 UNTOLD_DELAY = 0.125  # periods
 LOOP_FLAGS = int(Flag.LATE | Flag.WRITE_FAILED)  # set by the loop, not by step
 _TORQUE_PLACE = frames.OUT_OFFSETS["torque"]
+_EFFECT_PLACE = frames.IN_HEAD.size + frames.IN_PAIRS.size
 _DAMPING_PLACE = frames.OUT_OFFSETS["damping"]
 
 
@@ -85,6 +87,9 @@ def replay(
 
     Settings in `instead` are held at these values from the start.
     """
+    if instead:
+        # the motion does not answer to this law, so its energy means nothing
+        params = replace(params, safety=replace(params.safety, limit_cycle_faults=False))
     step = make_step(params)
     state = unflatten(segment.state)
     obeyed = _by_tick(segment.requests)
@@ -100,6 +105,7 @@ def replay(
     size = frames.IN_HEAD.size
     heads = records["in_frame"].tolist()
     head = unpack(heads[0][:size])
+    damping = 0
     blobs = []
     rows = []
     columns = (records[name].tolist() for name in ("tick", "arrival", "host"))
@@ -107,6 +113,8 @@ def replay(
     for tick, arrival, host, frame, delay, slot in zip(*columns, heads, delays, slots, strict=True):
         if arrival >= 0:
             head = unpack(frame[:size])
+            # of the first protocol: 0, which stood in its place
+            _, damping, _ = frames.IN_EFFECT.unpack_from(frame, _EFFECT_PLACE)
         sample = (
             head[codec.HEAD_ENCODER],
             head[codec.HEAD_STATUS],
@@ -116,12 +124,13 @@ def replay(
             head[codec.HEAD_INDEX_OFFSET],
             delay,
             head[codec.HEAD_CURRENT],
+            damping,
         )
         requests = in_slots(obeyed.get(tick, ()), slot - tick)
         state, (torque, *numbers, flags, _) = step(state, requests, sample, slot)
-        settled, _, (energies, *_), _ = state
+        settled, _, (work, excess, *_), _, _ = state
         blobs.append(settled.blob)
-        rows.append((flags, torque, settled.damping_count, *numbers, energies))
+        rows.append((flags, torque, settled.damping_count, *numbers, work, excess))
     return _assembled(blobs, rows)
 
 
@@ -155,8 +164,13 @@ def _assembled(blobs: list[bytes], rows: list[tuple[Any, ...]]) -> NDArray[np.vo
 
 
 def difference(records: Records, replayed: NDArray[np.void]) -> Difference | None:
-    """Where `replayed` differs from what was recorded, compared bit by bit; None if nowhere."""
+    """Where `replayed` differs from what was recorded, compared bit by bit; None if nowhere.
+    What an older version did not record is not compared.
+    """
+    there = {*(records.dtype.names or ()), "torque", "damping"}
     for name in (*PLAN_NAMES, *(str(field[0]) for field in COMPUTED)):
+        if name not in there:
+            continue
         recorded = recorded_column(records, name)
         again = replayed[name]
         places = np.flatnonzero(_bits(recorded) != _bits(again))
@@ -218,12 +232,12 @@ def _held(
     """`state` with the settings of `instead` in force since before `tick`. ConfigError: a filter
     that cannot be.
     """
-    settled, law, ledger, held = state
+    settled, law, ledger, held, signs = state
     scheduled = tuple(
         one._replace(values=_unmasked(one.values, set(instead))) for one in settled.plan.scheduled
     )
     plan, _ = with_values(
-        settled.plan._replace(scheduled=scheduled),
+        settled.plan._replace(scheduled=scheduled, limit_cycle_faults=False),
         values_of({**instead, Value.RAMP_S: 0.0}),
         tick - 1,
         params,
@@ -233,4 +247,4 @@ def _held(
         coefficients = coefficients_of(plan, params.realtime.rate_hz)
         law = refiltered(law, settled.coefficients, coefficients)
     settled = replace(settled, plan=plan, coefficients=coefficients, wake_tick=tick)
-    return settled, law, ledger, held
+    return settled, law, ledger, held, signs

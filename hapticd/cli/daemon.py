@@ -136,6 +136,8 @@ def _status_lines(found: dict[str, Any]) -> list[str]:
         f"  delay     {delay_words(found)}",
     ]
     lines += [f"  board     {terminal.coloured(waits, terminal.RED)}"] if waits else []
+    off = [f"{name} {on}" for name, on in found.get("limit_cycle_faults", {}).items() if on != "on"]
+    lines += [f"  fault     {one}" for one in off]
     lines += _board_lines(found.get("servo", {}))
     return lines + [
         f"  {stage:9} {_percentiles(row)}" for stage, row in found.get("stages", {}).items()

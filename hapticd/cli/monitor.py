@@ -60,6 +60,7 @@ NEWEST = (
     "delay_us",
     "delay_spread_us",
     "frame_age_us",
+    "watches",
 )
 Show = Callable[["History", bool | None, float], None]  # history, simulated, seconds without data
 

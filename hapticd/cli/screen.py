@@ -20,7 +20,7 @@ from rich.text import Text
 
 from hapticd.cli.terminal import SIMULATED_BANNER
 from hapticd.faults import BY_NUMBER
-from hapticd.mailbox.layout import State
+from hapticd.mailbox.layout import State, Watched
 from hapticd.units import NS_PER_S
 
 _BITS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
@@ -154,8 +154,10 @@ def _lamp(newest: Any) -> Text:
     text.append(f"  K {newest['stiffness_n_per_m']:g} N/m  B {newest['damping_ns_per_m']:g} N s/m")
     text.append(f"  M {newest['mass_kg']:g} kg")
     text.append(
-        f"  gain {newest['gain']:.2f}  revision {newest['revision']}  tick {newest['tick']}\n"
+        f"  gain {newest['gain']:.2f}  revision {newest['revision']}  tick {newest['tick']}"
     )
+    off = [bit.name.lower() for bit in Watched if not int(newest["watches"]) & bit]
+    text.append(f"  off: {', '.join(off)}\n" if off else "\n", "yellow")
     return (
         text.append(f" {fault.code}: {fault.cause}; {fault.remedy}\n", "bold red")
         if fault.number

@@ -336,13 +336,15 @@ class Client:
         ramp_s: float | None = None,
         at_tick: int | None = None,
         if_rev: int | None = None,
+        limit_cycle_faults: bool | None = None,
     ) -> Receipt:
         """Change what is rendered; what is not given stays.
 
         `K` virtual stiffness [N/m], `B` virtual damping [N s/m], `M` virtual mass [kg], `damping`
         active damping [N s/m]; `filters` and `wall` by the names of `hapticd set`. `ramp_s` is the
         length of the ramp [s], `at_tick` the servo tick from which it acts, and with `if_rev` it
-        acts only if the revision is still that one.
+        acts only if the revision is still that one. `limit_cycle_faults`: whether force_at_limit
+        and energy end a limit cycle; on again as soon as force is off.
         """
         return self._change(
             "set",
@@ -355,6 +357,7 @@ class Client:
             ramp_s=ramp_s,
             at_tick=at_tick,
             if_rev=if_rev,
+            limit_cycle_faults=limit_cycle_faults,
         )
 
     def damping(self, value: Literal["on", "off"] | float) -> Receipt:

@@ -46,6 +46,8 @@ def posting(request: Request, samples: int) -> Posting:
     """What to post for `request`; `samples` is the length of the waveform that is loaded."""
     if isinstance(request, Set):
         given = {PLACES[name]: value for name, value in flat(request.given) if name in PLACES}
+        if "limit_cycle_faults" in request.given:
+            given[Value.LIMIT_CYCLE_FAULTS] = float(request.limit_cycle_faults)
         return (
             Command.SET,
             request.at_tick or 0,
@@ -88,6 +90,7 @@ def parameters(effective: tuple[float, ...]) -> dict[str, Any]:
         table[leaf] = effective[place]
     del found["ramp_s"]
     found["wall"]["side"] = int(found["wall"]["side"])
+    found["limit_cycle_faults"] = effective[Value.LIMIT_CYCLE_FAULTS] != 0.0
     found["damping_level"] = found["damping"]
     found["damping"] *= effective[Value.ADDED_DAMPING_ON]
     return found

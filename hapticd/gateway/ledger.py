@@ -110,6 +110,10 @@ def samples(records: Records, rows: NDArray[np.intp], servo: ServoParams) -> Tab
     rate_hz = servo.realtime.rate_hz
     found["periods"] = _periods(usable, rate_hz)
     _forces(found, usable, servo)
+    if "wall_side" in (records.dtype.names or ()):
+        found["wall_n_per_m"] = usable["gain"] * usable["wall_stiffness_n_per_m"]
+        found["wall_m"] = usable["wall_position_m"]
+        found["wall_side"] = usable["wall_side"]
     if "delay_us" in (records.dtype.names or ()):
         _reported(found, records, rows, rate_hz)
     else:

@@ -29,6 +29,7 @@ from hapticd.gateway.telemetry import (
     servo_messages,
 )
 from hapticd.gateway.view import STATES, ServoView
+from hapticd.mailbox.layout import Watched
 from hapticd.params import GatewaySetup
 from hapticd.units import NS_PER_S
 
@@ -79,10 +80,30 @@ def state_map(view: ServoView, actors: Actors, unix_ns: int) -> dict[str, Any]:
         "epoch": header.start_ns if header else 0,
         "config_hash": header.config_hash if header else view.params.config_hash,
         **{name: record[name] for name in RECORD_FIELDS_SHOWN if view.alive and name in record},
+        "limit_cycle_faults": limit_cycle_faults(view),
         "actor_name": actors.name(int(record.get("actor", 0))),
         "actors": actors.names(),
         "counters": mailbox.counters() if mailbox else {},
     }
+
+
+def limit_cycle_faults(view: ServoView) -> dict[str, str]:
+    """Which faults that end a limit cycle are on; why one is off."""
+    device = view.params.device
+    unknown = {
+        Watched.OVERSPEED: device.overspeed_m_per_s is None,
+        Watched.ENERGY: device.physical_damping_ns_per_m is None,
+    }
+
+    def words(bit: Watched) -> str:
+        if int(view.record.get("watches", 0)) & bit:
+            return "on"
+        key = "physical_damping_ns_per_m" if bit is Watched.ENERGY else "overspeed_m_per_s"
+        if unknown.get(bit):
+            return f"off: the device file gives no {key}"
+        return "off: as asked, until force is off again or as configured"
+
+    return {bit.name.lower(): words(bit) for bit in Watched}
 
 
 def described(fault: Fault) -> dict[str, str]:

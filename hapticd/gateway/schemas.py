@@ -123,14 +123,19 @@ class Set(Change):
     filters: Filters = _absent("derivative filters")
     wall: Wall = _absent("unilateral wall")
     damping: float = _absent("active damping; 0 switches it off and keeps the level")
+    limit_cycle_faults: bool = _absent(
+        "whether force_at_limit and energy end a limit cycle; on again when force is off"
+    )
     ramp_s: float = _absent("length of the ramp; left out: as configured")
 
     @model_validator(mode="after")
     def _asks_for_something(self) -> "Set":
-        if not self.model_fields_set & {"K", "B", "M", "damping"} and not any(
+        if not self.model_fields_set & {"K", "B", "M", "damping", "limit_cycle_faults"} and not any(
             part.given for part in self.parts()
         ):
-            raise ValueError("nothing to set; give one of K, B, M, filters, wall, damping")
+            raise ValueError(
+                "nothing to set; give one of K, B, M, filters, wall, damping, limit_cycle_faults"
+            )
         return self
 
     def parts(self) -> list[MessagePart]:

@@ -199,8 +199,8 @@ class Feed:
 
 
 BLOCK_VERSION = 1
-# sent in another form (`timestamp`, energies by cause), or for `servo.raw` alone
-_LEFT_OUT = frozenset({"time_ns", "in_frame", "out_frame", "tail", "energy_j"})
+# sent in another form (`timestamp`), or for `servo.raw` alone
+_LEFT_OUT = frozenset({"time_ns", "in_frame", "out_frame", "tail"})
 COLUMNS: tuple[str, ...] = tuple(str(field[0]) for field in TELEMETRY if field[0] not in _LEFT_OUT)
 ENERGIES = tuple(f"energy_{name}_j" for name in LEDGER)
 TICK_DESCR = [list(field) for field in TELEMETRY]

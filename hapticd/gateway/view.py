@@ -74,6 +74,7 @@ def configured(params: ServoParams) -> tuple[float, ...]:
         Value.WALL_POSITION: wall.position_m,
         Value.WALL_SIDE: wall.side,
         Value.ADDED_DAMPING: params.added_damping_ns_per_m,
+        Value.LIMIT_CYCLE_FAULTS: params.safety.limit_cycle_faults,
     }
     return tuple(
         float(places[Value(place)]) if place in places else 0.0 for place in range(COMMAND_VALUES)

@@ -164,7 +164,7 @@ class GatewayMailbox:
         return read_report(self.folder)
 
     def post(self, kind: int, actor: int, apply_tick: int, values: tuple[float, ...]) -> int | None:
-        """Post a command of 20 doubles (layout.Value); its sequence number, or None when the
+        """Post a command of doubles (layout.Value); its sequence number, or None when the
         ring is full (`busy`).
         """
         head = self.words[layout.COMMAND_HEAD_WORD]

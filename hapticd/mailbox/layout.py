@@ -61,21 +61,21 @@ STAGES = ("wake", "read", "step", "write", "publish")
 # --- command ring: gateway -> servo ---------------------------------------------------------------
 RING_SLOTS = 64
 # seq, kind, actor, apply_tick (0: now), values, crc32 of all before, pad
-COMMAND = struct.Struct("<QIIQ20dII")
-COMMAND_VALUES = 20
+COMMAND_VALUES = 24
+COMMAND = struct.Struct(f"<QIIQ{COMMAND_VALUES}dII")
 COMMAND_OFFSET = 2 * PAGE
 COMMAND_CRC_OFFSET = COMMAND.size - 8
 
 # --- answer ring: servo -> gateway ----------------------------------------------------------------
 # seq, result, fault number, revision, first_tick, ramp_end_tick, effective, crc32, pad
-ANSWER = struct.Struct("<QIIQQQ20dII")
+ANSWER = struct.Struct(f"<QIIQQQ{COMMAND_VALUES}dII")
 ANSWER_OFFSET = COMMAND_OFFSET + 4 * PAGE
 
 # --- journal: what the servo obeyed, at which tick; with the records and a checkpoint it is all
 # that a replay needs
 JOURNAL_SLOTS = 256
 # number, tick, seq, kind, actor, apply_tick, values, number again
-JOURNAL = struct.Struct("<QQQIIQ20dQ")
+JOURNAL = struct.Struct(f"<QQQIIQ{COMMAND_VALUES}dQ")
 JOURNAL_OFFSET = ANSWER_OFFSET + 5 * PAGE
 
 # --- checkpoints: the servo's whole state before a tick, when it is asked for, two slots in turn --
@@ -116,7 +116,7 @@ class Command(IntEnum):
 
 
 class Value(IntEnum):
-    """Places of the 20 doubles of a command; bit `1 << place` in MASK says that a place counts."""
+    """Places of the doubles of a command; bit `1 << place` in MASK says that a place counts."""
 
     MASK = 0
     RAMP_S = 1
@@ -138,6 +138,7 @@ class Value(IntEnum):
     LEASE_CONTROL = 17
     LEASE_DAMPING = 18
     STOP_OWNER = 19  # answers: actor who pressed stop, 0: several, or the servo itself
+    LIMIT_CYCLE_FAULTS = 20  # 0 or 1: faults force_at_limit and energy
 
 
 def values_of(given: Mapping[Value, float]) -> tuple[float, ...]:
@@ -177,6 +178,7 @@ VALUE_LIMITS: dict[Value, ValueLimit] = {
     Value.LOOP: ValueLimit(0.0, 1.0, "switch"),
     Value.LEASE_CONTROL: ValueLimit(0.0, float((1 << 32) - 1), "id"),  # a u4 of the record
     Value.LEASE_DAMPING: ValueLimit(0.0, float((1 << 32) - 1), "id"),
+    Value.LIMIT_CYCLE_FAULTS: ValueLimit(0.0, 1.0, "switch"),
 }
 FILTER_LIMIT = 0.45  # highest corner as a fraction of the rate
 
@@ -235,6 +237,10 @@ TELEMETRY = (
     ("mass_kg", "<f8"),
     ("added_damping_asked_ns_per_m", "<f8"),
     ("added_damping_ns_per_m", "<f8"),
+    ("wall_stiffness_n_per_m", "<f8"),
+    ("wall_position_m", "<f8"),
+    ("wall_side", "<i4"),
+    ("watches", "<u4"),  # Watched
     # --- this tick
     ("flags", "<u4"),
     ("status", "<u4"),
@@ -251,7 +257,8 @@ TELEMETRY = (
     ("mass_force_n", "<f8"),
     ("field_force_n", "<f8"),
     ("force_n", "<f8"),
-    ("energy_j", "<f8", (6,)),  # see render.energy
+    ("work_j", "<f8"),  # done on the device, and what was given away uncovered: render.energy
+    ("excess_j", "<f8"),
     ("winding_c", "<f4"),
     ("current_a", "<f4"),
     ("voltage_v", "<f4"),
@@ -274,7 +281,7 @@ TELEMETRY = (
     ("tail", "<u8"),  # = tick; differs while the record is being overwritten
 )
 
-_PLAN_END = [name for name, *_ in TELEMETRY].index("added_damping_ns_per_m") + 1
+_PLAN_END = [name for name, *_ in TELEMETRY].index("watches") + 1
 PLAN_FIELDS = TELEMETRY[3:_PLAN_END]
 _CODES = {"<u8": "Q", "<i8": "q", "<u4": "I", "<i4": "i", "<f4": "f", "<f8": "d", "u1": "B"}
 
@@ -315,6 +322,14 @@ class Flag(IntEnum):
     RAMPING = 256
     QUIET_RAMP = 512  # force returns from 0 after a gap
     EASED = 1024  # parameters wait for the force step that the device allows (servo.easing)
+
+
+class Watched(IntEnum):
+    """Bits of `watches` in a record: faults that end a limit cycle (servo.monitors) and are on."""
+
+    FORCE_AT_LIMIT = 1
+    OVERSPEED = 2
+    ENERGY = 4
 
 
 LAYOUT_HASH = hashlib.sha256(

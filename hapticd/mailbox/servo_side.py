@@ -153,9 +153,9 @@ class ServoMailbox:
         for seq, kind, actor, apply_tick, values in requests:
             number = self._journaled
             offset = layout.JOURNAL_OFFSET + number % layout.JOURNAL_SLOTS * layout.JOURNAL.size
-            twenty = (*values, *_ZEROS[len(values) :])
+            padded = (*values, *_ZEROS[len(values) :])
             layout.JOURNAL.pack_into(
-                self._map, offset, number, tick, seq, kind, actor, apply_tick, *twenty, number
+                self._map, offset, number, tick, seq, kind, actor, apply_tick, *padded, number
             )
             self._journaled = number + 1
             self.store(layout.JOURNAL_HEAD_WORD, self._journaled)

@@ -27,10 +27,8 @@ from hapticd.errors import ConfigError, HapticdError
 from hapticd.gateway import flight
 from hapticd.gateway.view import RECORD_DTYPE, Records
 from hapticd.mailbox.client_side import Noted
-from hapticd.mailbox.layout import COMMAND_VALUES
 from hapticd.params import ScaleParams, ServoParams, from_plain
 from hapticd.recording.live import (
-    ENERGIES,
     FLUSHED,
     GROUPS,
     LEFT_OUT,
@@ -50,7 +48,19 @@ from hapticd.units import NS_PER_S, PROBE_RATE_HZ
 TEXT = "checkpoint_text"
 # fields of a record since 0.2: an older recording lacks them, and `records` leaves them out
 ADDED = frozenset(
-    {"delay_us", "delay_spread_us", "frame_age_us", "damping_effect_ns_per_m", "slot"}
+    {
+        "delay_us",
+        "delay_spread_us",
+        "frame_age_us",
+        "damping_effect_ns_per_m",
+        "slot",
+        "work_j",
+        "excess_j",
+        "wall_stiffness_n_per_m",
+        "wall_position_m",
+        "wall_side",
+        "watches",
+    }
 )
 # the column that counts time, and its counts per second
 CLOCKS = {"servo": ("time_ns", NS_PER_S), "probe": ("index", PROBE_RATE_HZ)}
@@ -140,7 +150,9 @@ class Recording:
     @property
     def params(self) -> ServoParams:
         """The servo's parameters."""
-        return from_plain(ServoParams, json.loads(self.attributes["configuration"]), str(self.path))
+        plain = json.loads(self.attributes["configuration"])
+        plain["safety"].setdefault("limit_cycle_faults", False)  # version 0.1 had none
+        return from_plain(ServoParams, plain, str(self.path))
 
     @property
     def missing(self) -> dict[str, int]:
@@ -160,10 +172,7 @@ class Recording:
         )
         self._check_fields(found.dtype.names or ())
         for name in found.dtype.names or ():
-            if name == "energy_j":
-                for place, part in enumerate(ENERGIES):
-                    found[name][:, place] = self.column("servo", part, begin, end)
-            elif RECORD_DTYPE[name].kind == "V":
+            if RECORD_DTYPE[name].kind == "V":
                 found[name] = (
                     np.ascontiguousarray(self.column("servo", name, begin, end))
                     .view(RECORD_DTYPE[name])
@@ -174,7 +183,7 @@ class Recording:
         return found
 
     def _check_fields(self, names: Sequence[str]) -> None:
-        there = {*self._groups["servo"], "energy_j", LEFT_OUT}
+        there = {*self._groups["servo"], LEFT_OUT}
         for name in names:
             if name not in there:
                 version = self.attributes.get("server_version", "another version")
@@ -232,11 +241,12 @@ class Recording:
             [self.column("request", name) for name in ("epoch", *REQUEST)], axis=1
         ).tolist()
         values = np.stack(
-            [self.column("request", f"value_{place:02}") for place in range(COMMAND_VALUES)], axis=1
+            [self.column("request", name) for name in self.names("request") if "value_" in name],
+            axis=1,
         ).tolist()
         found = (
-            Noted(**dict(zip(REQUEST, row, strict=True)), values=tuple(twenty))
-            for (one, *row), twenty in zip(numbers, values, strict=True)
+            Noted(**dict(zip(REQUEST, row, strict=True)), values=tuple(given))
+            for (one, *row), given in zip(numbers, values, strict=True)
             if one == epoch
         )
         return [noted for noted in found if begin <= noted.tick < end]

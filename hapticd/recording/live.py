@@ -34,10 +34,6 @@ from hapticd.recording.provenance import needed
 from hapticd.units import NS_PER_S, unit_of
 
 Columns = dict[str, NDArray[Any]]
-# of the record's `energy_j`, in its order
-ENERGIES = tuple(
-    f"energy_{name}_j" for name in ("stiffness", "damping", "mass", "field", "force", "electrical")
-)
 LEFT_OUT = "tail"  # repeats the tick, for readers of the ring
 _SIGNED = {"<u8": "<i8"}  # MATLAB computes poorly with 64-bit unsigned integers
 CHUNK_ROWS = {"servo": 1024, "probe": 4096, "checkpoint_text": 4096}  # a chunk is written whole
@@ -95,7 +91,7 @@ def as_channel(channel: Channel, values: NDArray[Any]) -> NDArray[Any]:
 
 
 def _parts(name: str, count: int) -> tuple[str, ...]:
-    return ENERGIES if name == "energy_j" else tuple(f"{name}_{place}" for place in range(count))
+    return tuple(f"{name}_{place}" for place in range(count))
 
 
 def udunits(name: str) -> str:

@@ -1,37 +1,72 @@
-"""A ledger of the work that each part of the held force does on the device.
+"""What the servo itself keeps of the energy: the work it did, and what it gave away without cover.
 
-The force f_k is computed from the sample x_k, arrives the delay d later (as a fraction of the
-period) and is held for one period, so it acts from d after x_k to d after x_{k+1}. Its exact work
-is f_k times the motion in that time; of the motion only the samples are known, so the two intervals
-it touches are split in proportion:
+Positive is work done on the device. The force f of the sample before last, or of one earlier, gave
+way to the newer one a delay of d periods after that one's sample; so the interval between two
+samples, in which the device moves by dx, saw both:
 
-    E += f_k ((1 - d)(x_{k+1} - x_k) + d (x_{k+2} - x_{k+1}))
+    dW = dx (f_1 + d (f_2 - f_1))       0 <= d < 1; one sample earlier for every whole period
 
-Exact for d = 0 and for motion at constant speed within a period. A formula with f_k v_k T and a
-backward difference has the wrong sign for the energy that the hold leaks. Positive = work done on
-the device: a spring that gives back more than it took shows here. The electrical entry is the
-estimate -b (x_{k+1} - x_k)^2 / T, a lower bound of what is dissipated.
+Motion between samples is taken as straight; sums by cause are made from the records instead
+(`analysis.ledger`). A display whose elements were ideal would give nothing away: its work would be
+what its springs, walls and virtual mass lose, or what its physical damping takes in the end. What
+goes beyond is
+
+    E <- max(0, k E + dW - (F_e + F_e')/2 dx + M (v^2 - v'^2) / 2 - c dx^2 / T)
+
+with F_e the force of springs and walls, as far as it was not clamped, so that -F_e dx is the energy
+that they store; energy that a ramp or a moving wall brings in cancels in it. c is damping that is
+there for certain: the device's own, at least, and the active one as the board reports it. The sum
+leaks with k, slowly against any oscillation, and begins anew at 0 when the device took more than it
+was given. Steady motion under a passive environment (Colgate and Schenkel 1997, with c as the
+physical damping) takes more than it gets at every frequency: only what comes and goes within a
+swing is left in E. A limit cycle grows out of any bound.
+
+What would break it: forces that stand beside the law and store energy (they count as work), a
+clamp that is not told.
 """
 
-Forces = tuple[float, float, float, float, float]  # K, B, M, field, whole force as sent [N]
-Energies = tuple[float, float, float, float, float, float]  # the same five, then electrical [J]
-# energies, forces of k-1 and k-2, last displacement [m]
-Ledger = tuple[Energies, Forces, Forces, float]
+from typing import Final
 
-ZERO_FORCES: Forces = (0.0, 0.0, 0.0, 0.0, 0.0)
-EMPTY: Ledger = ((0.0,) * 6, ZERO_FORCES, ZERO_FORCES, 0.0)
+# work [J], E [J], forces of the last three samples [N], F_e [N], v [m/s]
+Ledger = tuple[float, float, float, float, float, float, float]
+# places in a Ledger
+EXCESS: Final = 1
+FORCE: Final = 2  # of the last sample
+EMPTY: Ledger = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def book(ledger: Ledger, displacement: float, forces: Forces, delay: float, added: float) -> Ledger:
-    """Ledger after a tick that saw `displacement` [m] since the last and sends `forces`.
+def book(
+    ledger: Ledger,
+    displacement: float,
+    force: float,
+    delay: float,
+    elastic: float,
+    mass: float,
+    velocity: float,
+    resistance: float,
+    kept: float,
+) -> Ledger:
+    """Ledger after a sample `displacement` [m] from the last, for which `force` [N] is sent.
 
-    `delay`: sample-to-force delay as a fraction of the period; `added`: active damping / period
-    [N/m].
+    `delay`: periods from its sample to the force now in effect, >= 0; `elastic`: what springs and
+    walls have in `force` [N]; `mass`: virtual mass [kg]; `velocity`: as the law has it [m/s];
+    `resistance`: credited damping / period [N/m]; `kept`: what a tick leaves of E.
     """
-    (e0, e1, e2, e3, e4, e5), newer, (f0, f1, f2, f3, f4), before = ledger
-    way = before + delay * (displacement - before)
-    energies = (
-        e0 + f0 * way, e1 + f1 * way, e2 + f2 * way, e3 + f3 * way, e4 + f4 * way,
-        e5 - added * displacement * displacement,
-    )  # fmt: skip
-    return energies, forces, newer, displacement
+    work, excess, newer, older, oldest, elastic_before, velocity_before = ledger
+    if delay < 1.0:
+        done = displacement * (newer + delay * (older - newer))
+    else:
+        done = displacement * (older + min(delay - 1.0, 1.0) * (oldest - older))
+    stored = 0.5 * mass * (
+        velocity * velocity - velocity_before * velocity_before
+    ) - 0.5 * displacement * (elastic + elastic_before)
+    excess = kept * excess + done + stored - resistance * displacement * displacement
+    if excess < 0.0:
+        excess = 0.0
+    return work + done, excess, force, newer, older, elastic, velocity
+
+
+def at_rest(ledger: Ledger) -> Ledger:
+    """`ledger` where nothing is known of the motion before: its sums stay."""
+    work, excess, *_ = ledger
+    return work, excess, 0.0, 0.0, 0.0, 0.0, 0.0

@@ -17,6 +17,8 @@ is asked whether the force lies outside it (the code asks whether it does not li
 also true of NaN, and `clamp` then makes that 0), coefficients for another rate.
 """
 
+from typing import Final
+
 from hapticd.params import FilterParams
 from hapticd.render.filters import Biquad, design, scaled
 
@@ -24,6 +26,9 @@ LawState = tuple[float, float, float, float, float, float]
 Environment = tuple[
     float, float, float, float, float, float, float, float, float, float, float, float
 ]
+# places in an Environment
+MASS: Final = 2
+LIMIT: Final = 4
 Coefficients = tuple[float, float, float, float, float, float, float, float, float, float]
 Rendered = tuple[float, float, float, float, float, float, float, float, LawState]
 

@@ -60,6 +60,7 @@ def answer(
         damping_count(plan.added_asked, params)
     )
     effective[Value.ADDED_DAMPING_ON] = float(plan.added_on)
+    effective[Value.LIMIT_CYCLE_FAULTS] = float(plan.limit_cycle_faults)
     effective[Value.LEASE_CONTROL], effective[Value.LEASE_DAMPING] = plan.leases
     effective[Value.STOP_OWNER] = plan.stop_owner
     return seq, int(result), plan.fault, plan.revision, ticks, tuple(effective)
@@ -95,7 +96,8 @@ def enter(
         state=state, since_tick=now.tick, fault=fault, actor=actor, gain=gain, fade=fade
     )
     if state is not State.ENABLED:
-        entered = entered._replace(wave=NO_WAVE)
+        # a trial that switched the faults off does not leave them so
+        entered = entered._replace(wave=NO_WAVE, limit_cycle_faults=limits.limit_cycle_faults)
     if state in LATCHED:
         entered = entered._replace(added_entry=plan.added)
     if fault == BY_CODE["sensor_range"].number:

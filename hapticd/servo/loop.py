@@ -299,12 +299,21 @@ class ServoLoop:
             state, output = step(
                 self.state,
                 commands,
-                (encoder, status, heat, arrival, host, index, delay_us * periods_per_us, amperes),
+                (
+                    encoder,
+                    status,
+                    heat,
+                    arrival,
+                    host,
+                    index,
+                    delay_us * periods_per_us,
+                    amperes,
+                    damping_effect,
+                ),
                 slot,
             )
             self.state = state
-            settled, _, (energies, _, _, _), _ = state
-            e_spring, e_damper, e_inertia, e_field, e_force, e_electric = energies
+            settled, _, (work, excess, _, _, _, _, _), _, _ = state
             torque, x, v, a, spring, damper, inertia, field, force, flags, answers = output
             out_flags = settled.out_flags
             count = 0
@@ -360,12 +369,8 @@ class ServoLoop:
                 inertia,
                 field,
                 force,
-                e_spring,
-                e_damper,
-                e_inertia,
-                e_field,
-                e_force,
-                e_electric,
+                work,
+                excess,
                 temperature * heat + t0,
                 current * amperes + c0,
                 voltage * volts + v0,
@@ -424,7 +429,7 @@ class ServoLoop:
             settled = self.state[SETTLED]
             # not the long way: cold it takes longer than the spin
             if self.slot < settled.wake_tick:
-                step(self.state, (), (*sample, 0, settled.host, 0, 0.0, 0), self.slot)
+                step(self.state, (), (*sample, 0, settled.host, 0, 0.0, 0, 0), self.slot)
             _ = (
                 os.pread(stop_word, READ_BYTES, 0),
                 words[layout.COMMAND_HEAD_WORD],

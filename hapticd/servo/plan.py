@@ -28,10 +28,11 @@ from typing import Any, Final, NamedTuple
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Value, ValueLimit, value_limits
 from hapticd.params import FilterParams, ServoParams, WorkspaceParams
-from hapticd.render.energy import Ledger
+from hapticd.render.energy import EMPTY, Ledger
 from hapticd.render.law import Coefficients, Environment, LawState, design_coefficients
 from hapticd.render.ramp import Ramp, approach, constant
 from hapticd.servo.homing import Homing
+from hapticd.servo.monitors import CALM, Signs, watches
 from hapticd.servo.safety import FAULT_EVENT, LATCHED, State, held_damping
 from hapticd.units import round_half_up
 from hapticd.wire.codec import U16_HIGHEST
@@ -90,6 +91,7 @@ class Plan(NamedTuple):
     homing: Homing = Homing()
     stop_tick: int = -1  # of the last press of a stop, -1: none since the last reset
     stop_owner: int = 0  # actor who pressed it; 0: several pressed
+    limit_cycle_faults: bool = False  # off in what earlier versions recorded
 
 
 class Scheduled(NamedTuple):
@@ -134,6 +136,7 @@ def initial_plan(params: ServoParams) -> Plan:
         added=0.0,
         added_entry=0.0,
         scheduled=(),
+        limit_cycle_faults=params.safety.limit_cycle_faults,
     )
 
 
@@ -184,6 +187,8 @@ def with_values(
     )
     if Value.ADDED_DAMPING in places:
         changed = changed._replace(added_asked=values[Value.ADDED_DAMPING])
+    if Value.LIMIT_CYCLE_FAULTS in places:
+        changed = changed._replace(limit_cycle_faults=values[Value.LIMIT_CYCLE_FAULTS] != 0.0)
     if Value.ADDED_DAMPING_ON in places:
         changed = changed._replace(added_on=values[Value.ADDED_DAMPING_ON] != 0.0)
     leases = tuple(
@@ -225,7 +230,6 @@ class Settled:
     damping_count: int  # of the OUT frame
     blob: bytes  # layout.PLAN
     origin: int  # encoder count at x = 0
-    added: float  # active damping / period [N/m]
     host: int  # host flags it was made under
     wave: Wave  # the plan's
     watched: int  # status bits that the short way compares
@@ -234,12 +238,12 @@ class Settled:
 
 
 Held = tuple[int, float]  # what was sent last: torque count, force [N]
-ServoState = tuple[Settled, LawState, Ledger, Held]
+ServoState = tuple[Settled, LawState, Ledger, Held, Signs]
 SETTLED: Final = 0  # place in a ServoState
 # encoder count, status, temperature count, arrival (link.device), host flags, index offset, delay
-# from the sample to the force in effect [periods], negative while it is unknown, motor current
-# [count]
-Sample = tuple[int, int, int, int, int, int, float, int]
+# from the sample to the force in effect [periods], negative while it is unknown, counts of the
+# motor's current and of the active damping in effect
+Sample = tuple[int, int, int, int, int, int, float, int, int]
 STATUS: Final = 1  # place in a Sample
 # torque count, position, velocity, acceleration, force parts K B M field, force as sent, record
 # flags, answers
@@ -351,6 +355,10 @@ def flat_plan(
         at[Value.MASS],
         added_target(plan, tick, params),
         added,
+        at[Value.WALL_STIFFNESS],
+        at[Value.WALL_POSITION],
+        round(at[Value.WALL_SIDE]),
+        watches(params, plan.limit_cycle_faults),
     )
     environment = environment_of(plan, tick, workspace, limit_n)
     return FlatPlan(wake_tick(plan, tick, params), environment, count, blob)
@@ -410,7 +418,7 @@ def wake_tick(plan: Plan, tick: int, params: ServoParams) -> int:
 
 def flatten(state: ServoState) -> tuple[Any, ...]:
     """`state` as tuples, numbers and text."""
-    settled, law, ledger, held = state
+    settled, law, ledger, held, signs = state
     plan = settled.plan
     s = settled
     plain = plan._asdict() | {
@@ -425,7 +433,7 @@ def flatten(state: ServoState) -> tuple[Any, ...]:
         "homing": tuple(plan.homing),
     }
     before = s.wake_tick, s.environment, s.coefficients, s.out_flags, s.damping_count, s.blob.hex()
-    return (*before, law, ledger, s.origin, s.added, held, s.host, tuple(plain.values()))
+    return (*before, law, ledger, s.origin, tuple(signs), held, s.host, tuple(plain.values()))
 
 
 def unflatten(plain: Sequence[Any]) -> ServoState:
@@ -443,11 +451,17 @@ def unflatten(plain: Sequence[Any]) -> ServoState:
         "scheduled": tuple(Scheduled(*one) for one in fields["scheduled"]),
         "homing": Homing(*fields.get("homing", ())),
     }
-    law, ledger, origin, added, held, host = others
-    before = wake, environment, coefficients, flags, damping, bytes.fromhex(blob)
+    law, ledger, origin, signs, held, host = others
+    # earlier versions kept sums by cause in place of the ledger, and the active damping in that of
+    # the signs
+    known = isinstance(signs, tuple)
+    # what a later version added to the plan of a record stands at its end
+    plan_bytes = bytes.fromhex(blob).ljust(layout.PLAN.size, b"\0")
+    before = wake, environment, coefficients, flags, damping, plan_bytes
     whole = Plan(**renewed)
     looks = watch(flags)
-    return Settled(*before, origin, added, host, whole.wave, *looks, whole), law, ledger, held
+    settled = Settled(*before, origin, host, whole.wave, *looks, whole)
+    return settled, law, ledger if known else EMPTY, held, Signs(*signs) if known else CALM
 
 
 def _tuples(item: Any) -> Any:

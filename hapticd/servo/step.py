@@ -21,8 +21,9 @@ from typing import Any
 from hapticd.faults import BY_CODE
 from hapticd.mailbox.layout import Flag
 from hapticd.params import ServoParams
-from hapticd.render.energy import EMPTY, book
-from hapticd.render.law import at_rest, render
+from hapticd.render.energy import EMPTY, EXCESS, book
+from hapticd.render.law import MASS, at_rest, clamp, render
+from hapticd.servo.monitors import CALM, ENERGY, at_limit, bounds, too_fast
 from hapticd.servo.plan import (
     ATTENTION,
     LINK_UP,
@@ -65,19 +66,19 @@ def initial_state(params: ServoParams, tick: int = 0) -> ServoState:
         damping_count=now.damping_count,
         blob=now.blob,
         origin=plan.origin,
-        added=0.0,
         host=LINK_UP,
         wave=plan.wave,
         watched=ATTENTION,
         calm=0,
         plan=plan,
     )
-    return settled, at_rest(0.0), EMPTY, held
+    return settled, at_rest(0.0), EMPTY, held, CALM
 
 
 def make_step(params: ServoParams) -> Step:
     """The step for one device."""
     attend = make_attend(params)
+    rate_hz = params.realtime.rate_hz
     force = params.device.force
     m_per_count = params.device.position.per_count * params.device.position.sign
     counts_per_n = force.sign / force.per_count
@@ -93,15 +94,24 @@ def make_step(params: ServoParams) -> Step:
     )
     low, high = ends
     turn_m = m_per_count * (1 << ENCODER_BITS)
-    jump_m = params.device.speed_limit_m_per_s / params.realtime.rate_hz
-    back_m = -jump_m
+    jump_m = params.device.speed_limit_m_per_s / rate_hz
+    bound = bounds(params)
+    fast_m = min(bound.fast_m, jump_m)
+    slow_m = -fast_m
+    own_resistance = bound.resistance
+    resistance_per_count = (
+        params.device.damping.to_value(1.0) - params.device.damping.to_value(0.0)
+    ) * rate_hz
+    resistance_at_0 = own_resistance + params.device.damping.to_value(0.0) * rate_hz
+    kept = bound.kept
+    most_j = bound.energy_j
     least_heat, most_heat = params.device.temperature_counts(I16_LOWEST, I16_HIGHEST)
 
     def missing(
         state: ServoState, flags: int, answers: tuple[Any, ...]
     ) -> tuple[ServoState, Output]:
         """No sample to believe: what was sent is sent again (0 once the torque is off)."""
-        _, (x, *_), _, (torque, applied) = state
+        _, (x, *_), _, (torque, applied), _ = state
         nothing = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # velocity, acceleration, parts of the force
         return state, (torque, x, *nothing, applied, flags | _MISSING, answers)
 
@@ -113,8 +123,8 @@ def make_step(params: ServoParams) -> Step:
         flags: int,
         answers: tuple[Any, ...],
     ) -> tuple[ServoState, Output]:
-        encoder, status, temperature, _, host, index, delay, current = sample
-        unusable = (encoder, status, temperature, -1, host, index, delay, current)
+        encoder, status, temperature, _, host, index, delay, current, damping = sample
+        unusable = (encoder, status, temperature, -1, host, index, delay, current, damping)
         state, _, more, more_flags = attend(state, (fault_request(fault),), unusable, tick)
         return missing(state, flags | more_flags, answers + more)
 
@@ -129,12 +139,12 @@ def make_step(params: ServoParams) -> Step:
         """The encoder's counter went round: its origin goes along, and the sample is judged
         again.
         """
-        settled, law, ledger, held = state
+        settled, law, ledger, held, signs = state
         origin = settled.origin + (turns << ENCODER_BITS)
         settled = replace(settled, origin=origin, plan=settled.plan._replace(origin=origin))
-        encoder, _, temperature, _, host, _, delay, current = sample
-        again = (encoder, settled.calm, temperature, 0, host, 0, delay, current)
-        state, output = step((settled, law, ledger, held), (), again, tick)
+        encoder, _, temperature, _, host, _, delay, current, damping = sample
+        again = (encoder, settled.calm, temperature, 0, host, 0, delay, current, damping)
+        state, output = step((settled, law, ledger, held, signs), (), again, tick)
         torque, x, v, a, spring, damper, inertia, field, applied, more_flags, more = output
         parts = (torque, x, v, a, spring, damper, inertia, field, applied)
         return state, (*parts, flags | more_flags, answers + more)
@@ -142,10 +152,10 @@ def make_step(params: ServoParams) -> Step:
     def step(
         state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int
     ) -> tuple[ServoState, Output]:
-        encoder, status, temperature, arrival, host, _, delay, _ = sample
+        encoder, status, temperature, arrival, host, _, delay, _, damping = sample
         answers: tuple[Any, ...] = ()
         flags = 0
-        settled, law, ledger, held = state
+        settled, law, ledger, held, signs = state
         if (
             commands
             or arrival
@@ -158,28 +168,33 @@ def make_step(params: ServoParams) -> Step:
             state, usable, answers, flags = attend(state, commands, sample, tick)
             if not usable:
                 return missing(state, flags, answers)
-            settled, law, ledger, held = state
+            settled, law, ledger, held, signs = state
         x = m_per_count * (encoder - settled.origin)
         newtons, total, v, a, spring, damper, inertia, field, law = render(
             x, law, settled.environment, settled.coefficients
         )
         moved_m = law[1]
         # no chained comparison: CPython compares two floats faster alone
-        if not (moved_m <= jump_m and moved_m >= back_m):
+        if not (moved_m <= fast_m and moved_m >= slow_m):
             if turns := round(moved_m / turn_m):
                 return turned(state, sample, tick, turns, flags, answers)
-            return faulted(state, sample, tick, _RANGE, flags, answers)
+            if abs(moved_m) > jump_m:
+                return faulted(state, sample, tick, _RANGE, flags, answers)
+            signs = too_fast(signs, tick, bound.fast_ticks)
+        elastic = spring + field
         if newtons != total:
             flags |= _CLAMPED
             if not isfinite(total):
                 return faulted(
-                    (settled, at_rest(x), EMPTY, held),
+                    (settled, at_rest(x), ledger, held, signs),
                     sample,
                     tick,
                     _FINITE,
                     flags | _NOT_FINITE,
                     answers,
                 )
+            signs = at_limit(signs, newtons, tick, bound.window_ticks)
+            elastic = clamp(elastic, abs(newtons))
         torque = floor(newtons * counts_per_n + rounding)
         if torque < low or torque > high:
             torque = low if torque < low else high
@@ -187,11 +202,19 @@ def make_step(params: ServoParams) -> Step:
         ledger = book(
             ledger,
             moved_m,
-            (spring, damper, inertia, field, applied),
+            applied,
             delay if delay > 0.0 else 0.0,
-            settled.added,
+            elastic,
+            settled.environment[MASS],
+            v,
+            resistance_at_0 + resistance_per_count * damping,
+            kept,
         )
-        state = (settled, law, ledger, (torque, applied))
+        if ledger[EXCESS] > most_j:
+            signs = signs.raised(ENERGY)
+        if signs.alarm:
+            settled = replace(settled, wake_tick=tick + 1)
+        state = (settled, law, ledger, (torque, applied), signs)
         return state, (torque, x, v, a, spring, damper, inertia, field, applied, flags, answers)
 
     return step

@@ -16,13 +16,25 @@ from hapticd.faults import BY_CODE
 from hapticd.link.device import SEED
 from hapticd.mailbox.layout import Command, Flag, Result
 from hapticd.params import ServoParams
-from hapticd.render.energy import ZERO_FORCES, book
+from hapticd.render.energy import FORCE, Ledger, book
+from hapticd.render.energy import at_rest as unknown_before
 from hapticd.render.filters import steady
-from hapticd.render.law import Coefficients, Environment, LawState, at_rest, render, split
+from hapticd.render.law import (
+    LIMIT,
+    MASS,
+    Coefficients,
+    Environment,
+    LawState,
+    at_rest,
+    clamp,
+    render,
+    split,
+)
 from hapticd.render.ramp import Ramp, constant
 from hapticd.servo.commands import Now, apply_settings, enter, obey
 from hapticd.servo.easing import eased
 from hapticd.servo.homing import Failed, Homing, Search, Seen, force_limit_n
+from hapticd.servo.monitors import CALM, OVERSPEED, bounds
 from hapticd.servo.plan import (
     AMPLIFIER_TOLD,
     AUTHORITY,
@@ -67,6 +79,9 @@ def make_attend(params: ServoParams) -> Attend:
     """
     rate_hz = params.realtime.rate_hz
     force = params.device.force
+    own = bounds(params)
+    own_resistance = own.resistance
+    kept = own.kept
     limit_n = min(params.safety.force_limit_n, params.device.force_limit_n)
     low_count, high_count = params.device.temperature_counts(I16_LOWEST, I16_HIGHEST)
     m_per_count = params.device.position.per_count * params.device.position.sign
@@ -92,7 +107,7 @@ def make_attend(params: ServoParams) -> Attend:
         """As `cause`, with what is harmless as long as there is no force: it keeps from
         enabling and from a reset.
         """
-        _, status, temperature, arrival, host, _, _, _ = sample
+        _, status, temperature, arrival, host, _, _, _, _ = sample
         if found := cause(status, temperature, host):
             return found
         if status & StatusBit.WATCHDOG:
@@ -103,7 +118,7 @@ def make_attend(params: ServoParams) -> Attend:
         """As `cause_under_force`, with what may pass within a few ticks under force (contacts
         bounce): it keeps from enabling and from a reset too.
         """
-        _, status, _, _, host, _, _, _ = sample
+        _, status, _, _, host, _, _, _, _ = sample
         if found := cause_under_force(sample):
             return found
         ready = status & StatusBit.AMPLIFIER_READY or not host & AMPLIFIER_TOLD
@@ -132,7 +147,7 @@ def make_attend(params: ServoParams) -> Attend:
         """Number of a fault that this sample brings, 0 for none; losses that matter only under
         force wait for force.
         """
-        _, status, temperature, arrival, host, _, _, _ = sample
+        _, status, temperature, arrival, host, _, _, _, _ = sample
         if plan.state not in GRANTED:
             return cause(status, temperature, host)
         if not host & GATEWAY_ALIVE and params.safety.on_gateway_loss == "fault":
@@ -151,7 +166,7 @@ def make_attend(params: ServoParams) -> Attend:
         """`plan` after one sample of homing: still searching, disabled with the origin found, or
         at fault.
         """
-        encoder, status, _, _, _, index_offset, _, current = sample
+        encoder, status, _, _, _, index_offset, _, current, _ = sample
         seen = Seen(
             now.tick,
             encoder,
@@ -167,12 +182,17 @@ def make_attend(params: ServoParams) -> Attend:
         done = enter(plan, State.DISABLED, now, params, plan.actor)
         return done._replace(origin=found.encoder - home_counts, homed=True), []
 
+    def alarming(plan: Plan, alarm: int) -> int:
+        """The alarm of a monitor, if it is on and there is force that it could end."""
+        watched = plan.limit_cycle_faults or alarm == OVERSPEED
+        return alarm if watched and plan.state in GRANTED else 0
+
     def commanded(
-        plan: Plan, commands: tuple[Request, ...], sample: Sample, now: Now
+        plan: Plan, commands: tuple[Request, ...], sample: Sample, now: Now, alarm: int
     ) -> tuple[Plan, tuple[Answer, ...]]:
-        found = newly_lost(plan, sample) or (
-            BY_CODE["home_failed"].number if overdue(plan, now.tick) else 0
-        )
+        found = newly_lost(plan, sample) or alarming(plan, alarm)
+        if not found and overdue(plan, now.tick):
+            found = BY_CODE["home_failed"].number
         events: tuple[Request, ...] = (fault_request(found),) if found else ()
         answers: list[Answer] = []
         stops = tuple(one for one in commands if one[KIND] == Command.STOP)
@@ -193,7 +213,7 @@ def make_attend(params: ServoParams) -> Attend:
         """The usual reason to be here while a busy host drops slots; the plan stays as it is,
         so the long way would be late too.
         """
-        _, status, temperature, arrival, host, _, _, _ = sample
+        _, status, temperature, arrival, host, _, _, _, _ = sample
         settled = state[SETTLED]
         unasked = not commands and tick < settled.wake_tick and host == settled.host
         cool = low_count <= temperature <= high_count
@@ -203,13 +223,13 @@ def make_attend(params: ServoParams) -> Attend:
     def attend(
         state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int
     ) -> tuple[ServoState, bool, tuple[Any, ...], int]:
-        encoder, _, _, arrival, host, _, _, _ = sample
-        settled, law, ledger, held = state
+        encoder, _, _, arrival, host, _, _, _, effect = sample
+        settled, law, ledger, held, signs = state
         environment = settled.environment
         coefficients = settled.coefficients
         origin = settled.origin
         plan = settled.plan
-        added = settled.added
+        resistance = own_resistance + params.device.damping.to_value(effect) * rate_hz
         if nothing_but_lost_frames(state, commands, sample, tick):
             law, ledger = bridge(
                 law,
@@ -218,9 +238,10 @@ def make_attend(params: ServoParams) -> Attend:
                 arrival,
                 environment,
                 coefficients,
-                added,
+                resistance,
+                kept,
             )
-            return (settled, law, ledger, held), True, (), int(Flag.INTERPOLATED)
+            return (settled, law, ledger, held, signs), True, (), int(Flag.INTERPOLATED)
         before = plan
         usable = arrival >= 0 and bool(host & LINK_UP)
         flags = 0
@@ -232,7 +253,8 @@ def make_attend(params: ServoParams) -> Attend:
                 arrival,
                 environment,
                 coefficients,
-                added,
+                resistance,
+                kept,
             )
             flags = int(Flag.INTERPOLATED)
         # another life of the board: its counter began anew, from wherever the device was
@@ -243,7 +265,7 @@ def make_attend(params: ServoParams) -> Attend:
         now = Now(tick, encoder, held_n, gateway, cause_against_force(sample), bar(host))
         if usable:
             plan = authorised(plan, sample, tick)
-        plan, answers = commanded(plan, commands, sample, now)
+        plan, answers = commanded(plan, commands, sample, now, signs.alarm)
         if plan.state is State.HOMING and usable:
             plan, more = searched(plan, sample, now)
             answers += tuple(more)
@@ -253,7 +275,7 @@ def make_attend(params: ServoParams) -> Attend:
         )
         if seeding:
             law = at_rest((encoder - plan.origin) * m_per_count)
-            ledger = (ledger[0], ZERO_FORCES, ZERO_FORCES, 0.0)
+            ledger = unknown_before(ledger)
             flags = int(Flag.SEEDED)
             if plan.state is State.ENABLED and before.state is State.ENABLED:
                 plan = plan._replace(gain=gain_from(tick))
@@ -286,14 +308,13 @@ def make_attend(params: ServoParams) -> Attend:
             damping_count=ready.damping_count,
             blob=ready.blob,
             origin=plan.origin,
-            added=params.device.damping.to_value(ready.damping_count) * rate_hz,
             host=host,
             wave=plan.wave,
             watched=looks.watched,
             calm=looks.calm,
             plan=plan,
         )
-        return (settled, law, ledger, held), usable, answers, flags
+        return (settled, law, ledger, held, CALM if signs.alarm else signs), usable, answers, flags
 
     return attend
 
@@ -321,21 +342,24 @@ def out_flags(plan: Plan, tick: int) -> int:
 
 def bridge(
     law: LawState,
-    ledger: Any,
+    ledger: Ledger,
     x: float,
     lost: int,
-    environment: Any,
+    environment: Environment,
     coefficients: Coefficients,
-    added: float,
-) -> tuple[LawState, Any]:
+    resistance: float,
+    kept: float,
+) -> tuple[LawState, Ledger]:
     """Feed the filters `lost` positions on the straight line to `x`, while the last force was
     held.
     """
     start = law[0]
     for index in range(1, lost + 1):
         between = start + (x - start) * index / (lost + 1)
-        *_, law = render(between, law, environment, coefficients)
-        ledger = book(ledger, law[1], ledger[1], 0.0, added)
+        _, _, v, _, spring, _, _, field, law = render(between, law, environment, coefficients)
+        elastic = clamp(spring + field, environment[LIMIT])
+        mass = environment[MASS]
+        ledger = book(ledger, law[1], ledger[FORCE], 0.0, elastic, mass, v, resistance, kept)
     return law, ledger
 
 

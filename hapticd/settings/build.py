@@ -63,6 +63,7 @@ FULL_SCALES = {
     "current_a_per_count": ("current_full_scale_a", I16_HIGHEST),
     "voltage_v_per_count": ("voltage_full_scale_v", I16_HIGHEST),
 }
+OVERSPEED = 0.7  # of the speed that is a sensor fault: see servo.monitors
 DEFAULT_PHASE = 0.875  # of a period, as in BoardParams: force acts T / 8 after the sample
 
 
@@ -238,6 +239,9 @@ def device_params(device: DeviceFile) -> DeviceParams:
         temperature_limit_c=limits.temperature_c,
         force_step_n=limits.force_step_n,
         speed_limit_m_per_s=limits.speed_m_per_s,
+        overspeed_m_per_s=limits.overspeed_m_per_s or OVERSPEED * limits.speed_m_per_s,
+        physical_damping_ns_per_m=limits.physical_damping_ns_per_m,
+        energy_limit_j=limits.energy_j,
         home=HomeParams(**device.home.model_dump()),
         relies_on=device.relies_on,
     )

@@ -101,6 +101,8 @@ class Safety(TomlTable):
     no_authority_limit: int = Field(_safety.no_authority_limit, ge=1, le=100)
     default_ramp_s: Duration = _safety.default_ramp_s
     """Ramp of a `set` that names none."""
+    limit_cycle_faults: bool = _safety.limit_cycle_faults
+    """Faults force_at_limit and energy."""
 
 
 class Realtime(TomlTable):

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field, create_model
 
-from hapticd.params import HomeParams, ScaleParams
+from hapticd.params import ENERGY_LIMIT_J, HomeParams, ScaleParams
 from hapticd.plant.effects import ALWAYS, BY_KEY, PROVENANCE, Effect
 from hapticd.settings.tables import TomlTable
 
@@ -169,6 +169,13 @@ class LimitsTable(TomlTable):
     temperature_c: float = Field(gt=0, le=200)
     speed_m_per_s: float = Field(gt=0)
     """Faster is not a motion but a sensor fault."""
+    overspeed_m_per_s: float | None = Field(None, gt=0)
+    """Faster than this for 5 ms is a fault; left out: 0.7 of `speed_m_per_s`."""
+    physical_damping_ns_per_m: float | None = Field(None, ge=0)
+    """What the device damps for certain, without active damping: well below what was measured. Left
+    out, the fault `energy` is off."""
+    energy_j: float = Field(ENERGY_LIMIT_J, gt=0)
+    """Energy that the display may give away beyond what that damping takes: fault `energy`."""
     force_step_n: float = Field(1.0, gt=0)
     """Largest step of force in one tick by an enable or a change of parameters; what would step
     further takes several ticks. 1 N gives a free handle of 8 g 0.1 m/s."""

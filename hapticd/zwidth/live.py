@@ -22,7 +22,7 @@ from hapticd.analysis.arrays import Flags, Floats
 from hapticd.client.blocks import Block, BlockDecoder
 from hapticd.client.client import Client
 from hapticd.errors import AnalysisError, DaemonDown
-from hapticd.mailbox.layout import LOST_SLOTS, Flag, State
+from hapticd.mailbox.layout import LOST_SLOTS, Flag, State, Watched
 from hapticd.plant.excitation import torque_record
 from hapticd.units import PROBE_RATE_HZ
 from hapticd.zwidth.sources import Source, Trial
@@ -55,7 +55,13 @@ def daemon_source(bench: Client, origin: str = "daemon") -> Source:
         stiffness, damping, mass = trial.environment
         waveform = _waveform(trial)
         try:
-            bench.set(K=stiffness, B=damping, M=mass, damping=trial.damping_ns_per_m)
+            bench.set(
+                K=stiffness,
+                B=damping,
+                M=mass,
+                damping=trial.damping_ns_per_m,
+                limit_cycle_faults=False,  # the trial goes to the edge, and is watched
+            )
             bench.damping("on" if trial.damping_ns_per_m else "off")
             bench.perturb_load(waveform)
             bench.enable()
@@ -184,6 +190,9 @@ class LiveRecording:
             "lost_slots": lost,
             "slots": slots,
             "winding_c": self._winding_c,
+            "limit_cycle_faults": bool(self._newest["watches"] & Watched.FORCE_AT_LIMIT)
+            if self._newest is not None
+            else None,
             "config_hash": status.get("config_hash", ""),
         }
 
