@@ -16,7 +16,7 @@ from hapticd.mailbox.files import word_access
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.mailbox.servo_side import ServoMailbox
 
-NO_VALUES = (0.0,) * 20
+NO_VALUES = (0.0,) * layout.COMMAND_VALUES
 DTYPE = np.dtype([tuple(field) for field in layout.TELEMETRY])
 
 
@@ -95,15 +95,21 @@ def test_words_and_rings_do_not_overlap():
 
 
 def test_every_settable_value_has_a_limit_and_a_unit():
-    assert set(layout.VALUE_LIMITS) == set(Value) - {Value.MASK}
+    assert set(layout.VALUE_LIMITS) == set(Value) - {Value.MASK, Value.STOP_OWNER}
     assert all(low < high and unit for low, high, unit in layout.VALUE_LIMITS.values())
 
 
 def test_command_arrives_once_and_in_order(servo, gateway):
     assert gateway.post(Command.ENABLE, 3, 0, NO_VALUES) == 1
-    assert gateway.post(Command.SET, 4, 99, (*range(20),)) == 2
+    assert gateway.post(Command.SET, 4, 99, (*range(layout.COMMAND_VALUES),)) == 2
     assert servo.take() == (1, Command.ENABLE, 3, 0, NO_VALUES)
-    assert servo.take() == (2, Command.SET, 4, 99, tuple(float(n) for n in range(20)))
+    assert servo.take() == (
+        2,
+        Command.SET,
+        4,
+        99,
+        tuple(float(n) for n in range(layout.COMMAND_VALUES)),
+    )
     assert servo.take() is None
 
 
@@ -124,7 +130,7 @@ def test_damaged_command_is_dropped_and_counted(servo, gateway):
 
 
 def test_answer_returns_what_was_given(servo, gateway):
-    values = tuple(float(n) / 3 for n in range(20))
+    values = tuple(float(n) / 3 for n in range(layout.COMMAND_VALUES))
     assert servo.answer(7, Result.APPLIED, 0, 12, (100, 150), values)
     assert gateway.answers() == [(7, Result.APPLIED, 0, 12, 100, 150, values)]
     assert gateway.answers() == []

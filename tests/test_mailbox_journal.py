@@ -31,14 +31,14 @@ def request(seq: int, *values: float) -> tuple[int, int, int, int, tuple[float, 
 def test_requests_are_noted_with_their_tick(ends: tuple[ServoMailbox, GatewayMailbox]) -> None:
     servo, gateway = ends
     servo.note(7, (request(1, 5.0, 6.0), request(2)))
-    servo.note(9, (request(3, *range(20)),))
+    servo.note(9, (request(3, *range(layout.COMMAND_VALUES)),))
     found, tail, lost = gateway.journal(0)
     assert [(one.tick, one.seq, one.kind, one.actor) for one in found] == [
         (7, 1, 1, 16),
         (7, 2, 1, 16),
         (9, 3, 1, 16),
     ]
-    assert found[0].values == (5.0, 6.0, *(0.0,) * 18)
+    assert found[0].values == (5.0, 6.0, *(0.0,) * (layout.COMMAND_VALUES - 2))
     assert (tail, lost) == (3, 0)
     assert gateway.journal(tail) == ([], 3, 0)
 
@@ -63,7 +63,9 @@ def test_request_that_is_being_written_is_lost(ends: tuple[ServoMailbox, Gateway
 def test_events_of_the_servo_keep_their_number(ends: tuple[ServoMailbox, GatewayMailbox]) -> None:
     servo, gateway = ends
     servo.note(3, ((0, 100, 0, 0, (9.0,)),))
-    assert gateway.journal(0)[0] == [Noted(3, 0, 100, 0, 0, (9.0, *(0.0,) * 19))]
+    assert gateway.journal(0)[0] == [
+        Noted(3, 0, 100, 0, 0, (9.0, *(0.0,) * (layout.COMMAND_VALUES - 1)))
+    ]
 
 
 def test_checkpoint_is_written_when_asked_for(ends: tuple[ServoMailbox, GatewayMailbox]) -> None:
