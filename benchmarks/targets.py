@@ -95,6 +95,12 @@ TABLE: dict[str, dict[str, Target]] = {
             " every record",
         ),
     },
+    "attack": {
+        "attack_ticks": Target(">= 200000", "", "the share of a run; `--ticks` flies more"),
+        "attack_violations": Target("<= 0", "", "what must never happen at the motor"),
+        "attack_under_force": Target(">= 30", "", "an attack on a servo that stands shows little"),
+        "attack_rarest": Target(">= 20", "", "every fault and trait comes often enough"),
+    },
     "process": {
         "servo_rss_mb": Target(
             "<= 25", "", "an interpreter and pyusb, no numpy; the simulated board included"

@@ -1,0 +1,262 @@
+"""The judge of the attack: what the simulated motor may do, seen at the motor and nowhere else.
+
+    authority   force only while the board grants torque, and only in a stay in `enabled` or
+                `homing` that begins with an enable or home of ours that was answered `applied`
+    clamp       never beyond the smaller of both force limits
+    step        from one OUT to the next no further than limits.force_step_n beyond the law's own
+                step, whatever is commanded and whatever happens; a step to 0 takes force away
+    end         0 within 22 periods after the servo left those states; at once for `disabled`
+    silence     0 within the watchdog's time and a period after the last OUT that the board took
+
+The motor is watched in every piece that the plant plays, so between two OUTs too. The law's own
+step is bounded by what the handle did: K times the range of its position over the last OUTs, B
+times that of its speed, M times that of its acceleration, and the wall's likewise. That is the
+plant's own motion, not what the servo believed, and no filter passes on more than the range of what
+went into it lately. While an encoder lies or an amplifier does not do what it is told, steps are
+not judged, and the amplifier's own factor widens the clamp: no servo can know better.
+
+Of the servo's records only the state is used, to know since when it asks for no force; and that
+state is checked against the commands that were given.
+
+What would break it: a device whose force scale has an offset, a filter of less than 50 Hz.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hapticd.assembly.lockstep import LockStep
+from hapticd.mailbox import layout
+from hapticd.mailbox.layout import Command, Result, State, Value
+from hapticd.params import BoardParams, ServoParams
+from hapticd.plant.composed import POSITION
+from hapticd.plant.step import SUBSTEPS_PER_TICK
+from hapticd.servo.safety import GRANTED, LATCHED
+from hapticd.sim.axis import NEVER
+from hapticd.sim.injection import Injector
+
+DTYPE = np.dtype([tuple(field) for field in layout.TELEMETRY])
+END_PERIODS = 22  # from the tick that left `enabled` to no force
+CALM_OUTS = 4  # over which the law's own step is looked for
+STRUCK_OUTS = 24  # over which, after samples or commands were lost
+SLACK_N = 0.02  # quantised positions through the derivative filters
+MOST_TOLD = 20
+
+
+class Violation(NamedTuple):
+    """One thing that must not happen, where it happened."""
+
+    rule: str
+    tick: int
+    text: str
+
+
+class Out(NamedTuple):
+    """The motor around one OUT that the board took."""
+
+    t_ns: int
+    before_n: float  # force that the plant felt last
+    after_n: float
+    position_m: float
+    odd: bool  # the amplifier lies
+
+
+class Given(NamedTuple):
+    """An answer to a command of ours."""
+
+    kind: int
+    result: int
+    tick: int
+    values: tuple[float, ...]
+
+
+class Watch:
+    """Follows the motor of `stack`. `lies` are the OUT numbers at which an encoder lies."""
+
+    def __init__(self, stack: LockStep, servo: ServoParams, board: BoardParams) -> None:
+        port = stack.backend._port
+        self._board: Any = port.board if isinstance(port, Injector) else port
+        self._axis = self._board._axis
+        self._stack = stack
+        self._servo = servo
+        self.limit_n = min(servo.safety.force_limit_n, servo.device.force_limit_n)
+        self._widest = max(
+            [1.0, *(abs(i.value) for i in board.injections if i.kind == "amplifier_gain")]
+        )
+        self._stuck_n = max(
+            [0.0, *(abs(i.value) for i in board.injections if i.kind == "amplifier_stuck")]
+        )
+        self._silent = round(
+            (board.watchdog_ms * servo.realtime.rate_hz / 1000 + 1) * SUBSTEPS_PER_TICK
+        )
+        self.outs: list[Out] = []
+        self.given: list[Given] = []
+        self.found: list[Violation] = []
+        self._felt_n = 0.0
+        self._taken_at = 0
+        self._taken = self._board._next_seq
+        self._watch_plant()
+        self._watch_transfers(stack)
+
+    def _watch_plant(self) -> None:
+        axis = self._axis
+        step = axis.plant.step
+        half_n = 0.5 * abs(self._servo.device.force.per_count)  # limits are rounded to counts too
+        most_n = self.limit_n + 1.001 * half_n
+        odd_n = max(most_n * self._widest, self._stuck_n) * (1.0 + 1e-9)
+
+        def watched(state: Any, force_n: float, torque_n: float, level: float, n: int) -> Any:
+            self._felt_n = force_n
+            if force_n:
+                if not axis.live:
+                    self.tell("authority", f"{force_n:.3f} N without the board's ENABLED")
+                if not -most_n <= force_n <= most_n and (
+                    axis.amplifier is None or not -odd_n <= force_n <= odd_n
+                ):
+                    self._beyond(force_n, odd_n)
+                if axis.now - self._taken_at > self._silent and axis._alarm_at != NEVER:
+                    self.tell("silence", f"{force_n:.3f} N although no OUT came")
+            return step(state, force_n, torque_n, level, n)
+
+        axis.plant = axis.plant._replace(step=watched)
+
+    def _beyond(self, force_n: float, odd_n: float) -> None:
+        """Beyond the clamp, unless an OUT that may be in force was taken while it lied."""
+        odd = any(out.odd for out in self.outs[-3:])
+        if not (odd and -odd_n <= force_n <= odd_n):
+            self.tell("clamp", f"{force_n:.3f} N, limit {self.limit_n:g} N")
+
+    def _watch_transfers(self, stack: LockStep) -> None:
+        write = stack.backend.bulk_write
+        board = self._board
+        axis = self._axis
+
+        def watched(*transfer: Any) -> int:
+            count: int = write(*transfer)
+            if board._next_seq != self._taken:
+                self._taken = board._next_seq
+                self._taken_at = axis.now
+                odd = axis.amplifier is not None
+                self.outs.append(
+                    Out(stack.clock.now_ns(), self._felt_n, axis.force_n, axis.state[POSITION], odd)
+                )
+            return count
+
+        stack.backend.bulk_write = watched  # type: ignore[method-assign]
+
+    def tell(self, rule: str, text: str) -> None:
+        """Note a violation at this moment."""
+        known = any(one[:2] == (rule, self._stack.loop.tick) for one in self.found)
+        if len(self.found) < MOST_TOLD and not known:
+            self.found.append(Violation(rule, self._stack.loop.tick, text))
+
+    def under_force(self) -> int:
+        """OUTs after which the motor had force."""
+        return sum(1 for out in self.outs if out.after_n)
+
+    def judge(self, records: Any, lies: "np.ndarray[Any, Any]") -> list[Violation]:
+        """All violations of a flight. `records` are its ticks, `lies` whether an encoder or a
+        link fault struck at most STRUCK_OUTS before (places: encoder, link) each of them.
+        """
+        if len(self.outs) < STRUCK_OUTS:
+            return self.found
+        outs = Outs(*(np.array(column) for column in zip(*self.outs, strict=True)))
+        ticks = np.searchsorted(records["time_ns"], outs.t_ns, side="right") - 1
+        found = [*self._late_ends(outs, ticks, records), *self._unasked(records)]
+        found += self._steps(outs, ticks, lies)
+        return self.found + found[: MOST_TOLD - len(self.found)]
+
+    def _late_ends(self, outs: "Outs", ticks: Any, records: Any) -> list[Violation]:
+        state = records["state"]
+        granted = np.isin(state, list(GRANTED))
+        latched = np.isin(state, list(LATCHED))
+        since = np.maximum.accumulate(np.where(granted, np.arange(len(state)), -1))
+        left_ns = records["time_ns"][np.minimum(since + 1, len(state) - 1)]
+        period_ns = 1e9 / self._servo.realtime.rate_hz
+        fading = latched[ticks] & (outs.t_ns - left_ns[ticks] <= END_PERIODS * period_ns)
+        wrong = (outs.after_n != 0.0) & ~granted[ticks] & ~fading
+        return [
+            Violation(
+                "end",
+                int(ticks[one]),
+                f"{outs.after_n[one]:.3f} N in {State(state[ticks[one]]).name}",
+            )
+            for one in np.flatnonzero(wrong)
+        ]
+
+    def _unasked(self, records: Any) -> list[Violation]:
+        granted = np.isin(records["state"], list(GRANTED))
+        begins = np.flatnonzero(granted[1:] & ~granted[:-1]) + 1
+        asked = {
+            one.tick
+            for one in self.given
+            if one.kind in (Command.ENABLE, Command.HOME) and one.result == Result.APPLIED
+        }
+        wrong = [tick for tick in records["tick"][begins].tolist() if tick not in asked]
+        ended = [
+            one.tick
+            for one in self.given
+            if one.kind == Command.STOP and one.result == Result.APPLIED and one.tick < len(records)
+        ]
+        deaf = [tick for tick in ended if records["state"][tick] not in LATCHED]
+        return [
+            *(Violation("authority", tick, "nobody enabled") for tick in wrong),
+            *(Violation("end", tick, "a stop that was applied does not latch") for tick in deaf),
+        ]
+
+    def _steps(self, outs: "Outs", ticks: Any, lies: Any) -> list[Violation]:
+        period_s = 1.0 / self._servo.realtime.rate_hz
+        speed = np.diff(outs.position_m, prepend=outs.position_m[0]) / period_s
+        push = np.diff(speed, prepend=0.0) / period_s
+        k, b, m, wall_k, wall_b = self._highest(ticks)
+        encoder, link = lies[:, ticks]
+        moved = np.where(
+            link, _range(outs.position_m, STRUCK_OUTS), _range(outs.position_m, CALM_OUTS)
+        )
+        speeds = _range(speed, STRUCK_OUTS)
+        law_n = (k + wall_k) * moved + (b + wall_b) * speeds + m * _range(push, STRUCK_OUTS)
+        law_n += wall_b * _range(np.abs(speed), STRUCK_OUTS)
+        step_n = np.abs(outs.after_n - outs.before_n)
+        bound_n = self._servo.device.force_step_n + SLACK_N
+        told = encoder | outs.odd | np.roll(outs.odd, 1) | np.roll(outs.odd, 2)
+        wrong = (step_n > bound_n + law_n) & (outs.after_n != 0.0) & ~told
+        return [
+            Violation(
+                "step",
+                int(ticks[one]),
+                f"{outs.before_n[one]:.3f} -> {outs.after_n[one]:.3f} N, the law's own"
+                f" {law_n[one]:.3f} N",
+            )
+            for one in np.flatnonzero(wrong)
+        ]
+
+    def _highest(self, ticks: Any) -> Any:
+        """Highest |K|, |B|, |M| and wall numbers that were asked for up to each OUT."""
+        highest = np.zeros((len(PARAMETERS), ticks.max() + 2))
+        start = self._servo.environment
+        highest[:, 0] = (start.stiffness_n_per_m, start.damping_ns_per_m, start.mass_kg, 0.0, 0.0)
+        for one in self.given:
+            if one.result in (Result.APPLIED, Result.SCHEDULED) and one.tick < highest.shape[1]:
+                asked = np.abs([one.values[place] for place in PARAMETERS])
+                highest[:, one.tick] = np.maximum(highest[:, one.tick], asked)
+        return np.maximum.accumulate(highest, axis=1)[:, ticks]
+
+
+PARAMETERS = (Value.STIFFNESS, Value.DAMPING, Value.MASS, Value.WALL_STIFFNESS, Value.WALL_DAMPING)
+
+
+class Outs(NamedTuple):
+    """The columns of some Out."""
+
+    t_ns: Any
+    before_n: Any
+    after_n: Any
+    position_m: Any
+    odd: Any
+
+
+def _range(values: Any, outs: int) -> Any:
+    """Highest less lowest of `values` over each and the `outs` before it."""
+    padded = np.concatenate((np.full(outs, values[0]), values))
+    windows = np.lib.stride_tricks.sliding_window_view(padded, outs + 1)
+    return np.ptp(windows, axis=1)
