@@ -33,7 +33,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import numpy as np
 
 from benchmarks import targets
-from benchmarks.attack_watch import DTYPE, STRUCK_OUTS, Given, Violation, Watch
+from benchmarks.attack_watch import DTYPE, Given, Violation, Watch
 from benchmarks.figures import Figure, compared
 from benchmarks.stand import settings
 from hapticd.assembly.lockstep import LockStep
@@ -314,14 +314,12 @@ WEIGHTS = [
 
 
 def struck(board: BoardParams, ticks: int) -> Any:
-    """Whether an encoder lied (row 0), or samples or commands were lost (row 1), at most
-    STRUCK_OUTS ticks before each.
+    """Whether an encoder lied (row 0), or samples or commands were lost (row 1), not long before
+    each OUT; one that was piled up or delayed may be read some ticks later.
     """
     rows = np.zeros((2, ticks), bool)
     for one in board.injections:
-        rows[
-            0 if KINDS[one.kind].lies else 1, max(0, one.tick - 4) : one.tick + one.count + 120
-        ] = True
+        rows[0 if KINDS[one.kind].lies else 1, one.tick : one.tick + one.count + 60] = True
     return rows
 
 

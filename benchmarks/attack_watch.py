@@ -59,6 +59,7 @@ class Out(NamedTuple):
     after_n: float
     position_m: float
     odd: bool  # the amplifier lies
+    number: int  # of OUTs that were tried before, by which faults strike
 
 
 class Given(NamedTuple):
@@ -75,6 +76,7 @@ class Watch:
 
     def __init__(self, stack: LockStep, servo: ServoParams, board: BoardParams) -> None:
         port = stack.backend._port
+        self._port: Any = port
         self._board: Any = port.board if isinstance(port, Injector) else port
         self._axis = self._board._axis
         self._stack = stack
@@ -136,13 +138,17 @@ class Watch:
             if board._next_seq != self._taken:
                 self._taken = board._next_seq
                 self._taken_at = axis.now
-                odd = axis.amplifier is not None
-                self.outs.append(
-                    Out(stack.clock.now_ns(), self._felt_n, axis.force_n, axis.state[POSITION], odd)
-                )
+                self._note(stack.clock.now_ns())
             return count
 
         stack.backend.bulk_write = watched  # type: ignore[method-assign]
+
+    def _note(self, now_ns: int) -> None:
+        axis = self._axis
+        odd = axis.amplifier is not None
+        number = getattr(self._port, "tick", 0)
+        moved_m = axis.state[POSITION]
+        self.outs.append(Out(now_ns, self._felt_n, axis.force_n, moved_m, odd, number))
 
     def tell(self, rule: str, text: str) -> None:
         """Note a violation at this moment."""
@@ -155,8 +161,8 @@ class Watch:
         return sum(1 for out in self.outs if out.after_n)
 
     def judge(self, records: Any, lies: "np.ndarray[Any, Any]") -> list[Violation]:
-        """All violations of a flight. `records` are its ticks, `lies` whether an encoder or a
-        link fault struck at most STRUCK_OUTS before (places: encoder, link) each of them.
+        """All violations of a flight. `records` are its ticks, `lies` whether an encoder
+        lied (row 0) or something was lost (row 1) not long before each OUT.
         """
         if len(self.outs) < STRUCK_OUTS:
             return self.found
@@ -209,7 +215,7 @@ class Watch:
         speed = np.diff(outs.position_m, prepend=outs.position_m[0]) / period_s
         push = np.diff(speed, prepend=0.0) / period_s
         k, b, m, wall_k, wall_b = self._highest(ticks)
-        encoder, link = lies[:, ticks]
+        encoder, link = lies[:, np.minimum(outs.number, lies.shape[1] - 1)]
         moved = np.where(
             link, _range(outs.position_m, STRUCK_OUTS), _range(outs.position_m, CALM_OUTS)
         )
@@ -253,6 +259,7 @@ class Outs(NamedTuple):
     after_n: Any
     position_m: Any
     odd: Any
+    number: Any
 
 
 def _range(values: Any, outs: int) -> Any:
