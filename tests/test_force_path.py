@@ -72,6 +72,7 @@ def test_catching_up_costs_no_slot():
 
 
 # --- enabled means that the board grants torque ---------------------------------------------------
+OFF = ScaleParams(COUNT_M, offset_count=-round(0.010 / COUNT_M))
 HOLD = HandParams("hold", stiffness_n_per_m=2e4, damping_ns_per_m=50.0)
 
 
@@ -79,7 +80,7 @@ def held_off(press_s, bounce_ms=0.0):
     """K = 500 N/m, the handle held by a strong hand 10 mm off; the emergency stop is pressed at
     tick 1200.
     """
-    device = device_params(position=ScaleParams(COUNT_M, offset_count=-round(0.010 / COUNT_M)))
+    device = device_params(position=OFF)
     press = (InjectionParams("emergency_stop", tick=1200, value=press_s),)
     board = board_params(
         injections=press, touch=TouchParams(hands=(HOLD,)), emergency_stop_bounce_ms=bounce_ms
@@ -172,3 +173,36 @@ def test_a_restarted_board_is_another_life(board_time_s):
     assert flown["fault"][-1] == BY_CODE["board_restarted"].number
     assert not flown["homed"][-1]
     assert np.abs(flown["force_n"][struck + 30 :]).max() == 0.0
+
+
+@pytest.mark.parametrize("stopped", [False, True], ids=["enabled", "stopped"])
+def test_nothing_is_rendered_from_the_origin_of_another_life(stopped):
+    """Zeroed 10 mm off there is no force, whose fading cannot bring any either."""
+    restart = (InjectionParams("restart", tick=1200, value=0.0),)
+    device = device_params(position=OFF)
+    board = board_params(injections=restart, touch=TouchParams(hands=(HOLD,)))
+    with LockStep(servo_params(device=device), board) as stack:
+        stack.run(5)
+        assert stack.do(Command.ZERO).result is Result.APPLIED
+        enable(stack, SPRING)
+        stack.run(1196 - stack.loop.tick)
+        if stopped:
+            stack.command(Command.STOP)
+        flown = records(stack.run(60))
+    assert stack.device.counts["lives"] == 1
+    assert motor_force_n(flown) == pytest.approx(0.0, abs=1e-3)
+
+
+def test_a_gap_ends_the_fading_of_what_came_before_it():
+    """After frames were lost for longer than the filters can bridge, the law would begin at rest
+    and step to another force.
+    """
+    gap = (InjectionParams("drop_in", tick=1200, count=12),)
+    board = board_params(injections=gap, touch=TouchParams(hands=(HOLD,)))
+    with LockStep(servo_params(device=device_params(position=OFF)), board) as stack:
+        enable(stack, {**SPRING, Value.RAMP_S: 0.0})
+        flown = records(stack.run(1250 - stack.loop.tick))
+    back = np.flatnonzero(flown["arrival"] > 8)
+    assert back.size == 1
+    assert flown["fault"][-1] == BY_CODE["frames_lost"].number
+    assert flown["force_n"][back[0] :] == pytest.approx(0.0, abs=1e-3)

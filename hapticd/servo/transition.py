@@ -280,6 +280,8 @@ def make_attend(params: ServoParams) -> Attend:
             if plan.state is State.ENABLED and before.state is State.ENABLED:
                 plan = plan._replace(gain=gain_from(tick))
                 flags |= int(Flag.QUIET_RAMP)
+            if plan.state in LATCHED:  # what faded is not rendered from a position that is new
+                plan = plan._replace(gain=constant(0.0), fade=constant(0.0))
         plan = advance_added(plan, tick, max(1, tick - settled.wake_tick + 1), params)
         if plan.filters != before.filters:
             renewed = coefficients_of(plan, rate_hz)
