@@ -44,6 +44,7 @@ from hapticd.settings.scene import load_scene
 from hapticd.wire import codec, frames
 
 PROMISED = {
+    *(f"attack_{name}" for name in ("ticks", "violations", "under_force", "rarest")),
     *(f"wake_{name}" for name in ("p50", "p99", "stress_p99", "sleep_p50", "sleep_p99")),
     *(f"tick_{name}" for name in ("p50_ratio", "p99_ratio", "c_ratio")),
     *(f"late_{rate}khz" for rate in (1, 2, 4, 8)),
