@@ -4,7 +4,8 @@
                 `homing` that begins with an enable or home of ours that was answered `applied`
     clamp       never beyond the smaller of both force limits
     step        from one OUT to the next no further than limits.force_step_n beyond the law's own
-                step, whatever is commanded and whatever happens; a step to 0 takes force away
+                step, whatever is commanded and whatever happens; a step to 0 takes force away, and
+                so does one towards 0 once force has to end
     end         0 within 22 periods after the servo left those states; at once for `disabled`
     silence     0 within the watchdog's time and a period after the last OUT that the board took
 
@@ -169,7 +170,7 @@ class Watch:
         outs = Outs(*(np.array(column) for column in zip(*self.outs, strict=True)))
         ticks = np.searchsorted(records["time_ns"], outs.t_ns, side="right") - 1
         found = [*self._late_ends(outs, ticks, records), *self._unasked(records)]
-        found += self._steps(outs, ticks, lies)
+        found += self._steps(outs, ticks, lies, np.isin(records["state"][ticks], list(GRANTED)))
         return self.found + found[: MOST_TOLD - len(self.found)]
 
     def _late_ends(self, outs: "Outs", ticks: Any, records: Any) -> list[Violation]:
@@ -210,7 +211,7 @@ class Watch:
             *(Violation("end", tick, "a stop that was applied does not latch") for tick in deaf),
         ]
 
-    def _steps(self, outs: "Outs", ticks: Any, lies: Any) -> list[Violation]:
+    def _steps(self, outs: "Outs", ticks: Any, lies: Any, granted: Any) -> list[Violation]:
         period_s = 1.0 / self._servo.realtime.rate_hz
         speed = np.diff(outs.position_m, prepend=outs.position_m[0]) / period_s
         push = np.diff(speed, prepend=0.0) / period_s
@@ -225,7 +226,8 @@ class Watch:
         step_n = np.abs(outs.after_n - outs.before_n)
         bound_n = self._servo.device.force_step_n + SLACK_N
         told = encoder | outs.odd | np.roll(outs.odd, 1) | np.roll(outs.odd, 2)
-        wrong = (step_n > bound_n + law_n) & (outs.after_n != 0.0) & ~told
+        less = outs.after_n * (outs.before_n - outs.after_n) >= 0.0  # no other sign, nearer to 0
+        wrong = (step_n > bound_n + law_n) & ~(less & ~granted) & (outs.after_n != 0.0) & ~told
         return [
             Violation(
                 "step",
