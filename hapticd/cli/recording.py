@@ -4,6 +4,7 @@ A replay runs the servo's own step over the recorded frames, so it repeats a rec
 """
 
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -109,14 +110,18 @@ def recover(file: Source, out: Target = None, as_json: terminal.Json = False) ->
 @terminal.verb(rec_app, "info")
 def info(file: Source, as_json: terminal.Json = False) -> None:
     """What is in a recording and where it comes from."""
+    from hapticd.recording.energy import total_j
     from hapticd.recording.file import open_recording
     from hapticd.recording.pack import summary
 
     with open_recording(file) as recording:
         found = summary(recording)
         attributes = {name: _plain(value) for name, value in recording.attributes.items()}
+        energy: dict[str, float] = {}
+        with suppress(ConfigError):  # records of another version
+            energy = total_j(recording)
     if as_json:
-        terminal.data_json({"ok": True, **found, "attributes": attributes})
+        terminal.data_json({"ok": True, **found, "energy_j": energy, "attributes": attributes})
         return
     badge = terminal.coloured("SIMULATED  ", terminal.YELLOW) if found["simulated"] else ""
     probe = found["probe_samples"]
@@ -124,9 +129,23 @@ def info(file: Source, as_json: terminal.Json = False) -> None:
     size = f"{found['seconds']:.3f} s, {found['records']} records, {probe} probe samples"
     terminal.data(f"{badge}{size}, {found['lives']} servo life")
     terminal.data(f"missing: {missing['servo']} records, {missing['probe']} probe samples")
+    if energy:
+        terminal.data(f"work on the device: {_energy_words(energy)}")
     for name in ATTRIBUTES_SHOWN:
         if attributes.get(name) not in (None, ""):
             terminal.data(f"{name} = {attributes[name]}")
+
+
+def _energy_words(energy_j: dict[str, float]) -> str:
+    """What there is of it: `0.27 mJ (damping -0.15, hold_delay 0.42), unexplained 0 mJ`."""
+    beside = ("whole", "unexplained", "electrical_commanded")
+    causes = [
+        f"{name} {1e3 * value:.3g}"
+        for name, value in energy_j.items()
+        if value and name not in beside
+    ]
+    whole = f"{1e3 * energy_j['whole']:.3g} mJ ({', '.join(causes) or 'no motion under force'})"
+    return f"{whole}, unexplained {1e3 * energy_j['unexplained']:.3g} mJ"
 
 
 def _plain(value: Any) -> Any:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapticd.analysis.ledger import BOOKED, LONGEST, SAMPLE, Table, book
-from hapticd.gateway.view import RECORD_DTYPE, Records
+from hapticd.gateway.view import Records
 from hapticd.mailbox.layout import Flag
 from hapticd.params import ServoParams
 from hapticd.units import US_PER_S
@@ -32,7 +32,6 @@ UNTOLD_DELAY = 0.125  # periods, where no board reported it
 SEQUENCES = 256  # that the low byte of a sequence number tells apart
 _EFFECT_PLACE = IN_HEAD.size + IN_PAIRS.size
 _SEQ_PLACE = IN_EFFECT.size - 1
-_NONE = np.empty(0, RECORD_DTYPE)
 
 
 class Ledger:
@@ -51,27 +50,28 @@ class Ledger:
 
     def forget(self) -> None:
         """Records were lost: of the motion across the gap nothing is known."""
-        self.take(_NONE)
+        if self._pending:
+            self.take(self._pending.pop())
         self._clear()
 
     def _clear(self) -> None:
-        self._seen = _NONE
+        self._seen: Records | None = None
         self._motor_n = np.empty(0)
 
     def defer(self, records: Records) -> None:
         """The next `records`, whose sums nobody asks for now: many are booked at once."""
         self._pending.append(records)
         if sum(map(len, self._pending)) >= MANY:
-            self.take(_NONE)
+            self.take(self._pending.pop())
 
     def take(self, records: Records) -> NDArray[np.float64]:
         """Sums [J] after each of the next `records` (n,), by NAMES (n, causes)."""
-        new = np.concatenate((*self._pending, records))
+        new = np.concatenate((*self._pending, records)) if self._pending else records
         self._pending = []
         return self._booked(new)[len(new) - len(records) :]
 
     def _booked(self, records: Records) -> NDArray[np.float64]:
-        seen = np.concatenate((self._seen, records))
+        seen = records if self._seen is None else np.concatenate((self._seen, records))
         usable = (seen["flags"] & Flag.MISSING_IN) == 0
         rows = np.flatnonzero(usable)
         found = np.zeros((len(seen), len(NAMES)))
@@ -87,7 +87,7 @@ class Ledger:
                 float(motor[rows[0]]),
             )
             found[rows] = _plain(booked)
-        new = found[len(self._seen) :]
+        new = found[len(seen) - len(records) :]
         new[:1] += self._sums
         sums = np.cumsum(new, axis=0)
         self._sums = sums[-1] if len(sums) else self._sums

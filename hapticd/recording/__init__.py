@@ -10,8 +10,8 @@ where it comes from, can be replayed bit by bit, and is exported to MATLAB and C
                                 v
                                 NAME.h5  (HDF5 1.8 format, compressed, with checksums)
 
-    /servo/<field>   one value per tick; raw frames are
-                     bytes (n, 64) and (n, 32)
+    /servo/<field>   one value per tick; raw frames are bytes (n, 64) and (n, 32)
+    /energy/<cause>_j   the energy ledger, one sum per tick
     /probe/<field>   4 kHz, counts; attributes per_count, sign, offset_count, unit explain them
     /event, /gap, /life   what happened; where records are missing; where another servo life begins
     /replay          checkpoints and obeyed requests: with /servo all that `hapticd replay` needs

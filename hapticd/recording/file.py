@@ -194,10 +194,10 @@ class Recording:
 
     def segments(self) -> list[Segment]:
         """What can be replayed: of each stretch without a gap, from its first checkpoint on."""
-        found = (self._segment(*stretch) for stretch in self._stretches())
+        found = (self._segment(*stretch) for stretch in self.stretches())
         return [segment for segment in found if segment is not None]
 
-    def _stretches(self) -> list[tuple[int, int, int]]:
+    def stretches(self) -> list[tuple[int, int, int]]:
         """(first row, row after the last, epoch) of consecutive ticks of one servo life."""
         tick = self.column("servo", "tick")
         lives = self.column("life", "row")

@@ -24,7 +24,8 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.errors import AnalysisError, HapticdError
+from hapticd.errors import AnalysisError, ConfigError, HapticdError
+from hapticd.recording.energy import DATASETS, GROUP, energies
 from hapticd.recording.file import Recording, open_recording
 from hapticd.recording.live import SUFFIX
 from hapticd.recording.provenance import needed
@@ -36,7 +37,7 @@ ROWS_AT_ONCE = 1 << 18  # copied from the source
 STORAGE = {"compression": "gzip", "compression_opts": 4, "shuffle": True, "fletcher32": True}
 FINAL = ".h5"
 LINES_AT_ONCE = 10_000  # of a text file
-GROUPS = ("servo", "probe", "event", "gap", "life")  # of a MATLAB file
+GROUPS = ("servo", "probe", GROUP, "event", "gap", "life")  # of a MATLAB file
 FRAMES = ("in_frame", "out_frame")  # not in a text file
 
 
@@ -95,6 +96,19 @@ def _write(file: Any, recording: Recording, found: dict[str, Any], recovered: bo
         target = file.create_group(group)
         for name in recording.names(group):
             _copy(target, name, recording, group, rows)
+    if GROUP not in recording.rows:
+        with suppress(ConfigError):  # records of another version
+            _write_energy(file, recording)
+
+
+def _write_energy(file: Any, recording: Recording) -> None:
+    sums = np.concatenate(
+        [np.empty((0, len(DATASETS))), *(part for _, part in energies(recording))]
+    )
+    target = file.create_group(GROUP)
+    for name, column in zip(DATASETS, sums.T, strict=True):
+        storage = {**STORAGE, "chunks": (min(CHUNK_ROWS, len(column)),)} if len(column) else {}
+        target.create_dataset(name, data=column, **storage).attrs["units"] = "J"
 
 
 def _copy(target: Any, name: str, recording: Recording, group: str, rows: int) -> None:

@@ -1,0 +1,44 @@
+"""The energy ledger of a recording: for every tick the sums by cause since its first record.
+
+A finished file holds them in its group `energy`; of any other they are computed here, from the
+records, by the gateway's own ledger. Across a gap, and from one servo life to the next, no motion
+is booked. Recordings of boards that did not say which force was in effect are booked with the delay
+that was assumed then, so nothing in them is unexplained.
+
+What would break it: records that lack a field which the ledger reads (`Recording.records` says so).
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapticd.gateway.ledger import NAMES, Ledger
+from hapticd.recording.file import Recording
+
+GROUP = "energy"
+DATASETS = tuple(f"{name}_j" for name in NAMES)
+ROWS_AT_ONCE = 1 << 15
+
+
+def energies(recording: Recording) -> Iterator[tuple[int, NDArray[np.float64]]]:
+    """First row, and sums [J] after each row from it on, (n, causes) in the order of DATASETS.
+    ConfigError: another version recorded it, and a field is missing.
+    """
+    ledger = Ledger(recording.params)
+    for first, after, _ in recording.stretches():
+        ledger.forget()
+        for begin in range(first, after, ROWS_AT_ONCE):
+            yield begin, ledger.take(recording.records(begin, min(begin + ROWS_AT_ONCE, after)))
+
+
+def total_j(recording: Recording) -> dict[str, float]:
+    """Energy [J] by cause of the whole recording. ConfigError as `energies`."""
+    rows = recording.rows.get(GROUP, 0)
+    if rows:
+        kept = [recording.column(GROUP, name, rows - 1, rows)[0] for name in DATASETS]
+        return dict(zip(NAMES, map(float, kept), strict=True))
+    last = np.zeros(len(NAMES))
+    for _, sums in energies(recording):
+        last = sums[-1]
+    return dict(zip(NAMES, last.tolist(), strict=True))
