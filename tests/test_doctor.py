@@ -3,6 +3,7 @@
 import dataclasses
 import gzip
 import json
+import os
 import socket
 from collections import Counter
 from collections.abc import Callable
@@ -527,6 +528,19 @@ def test_runtime_folder_open_to_others_fails(make: Callable[..., Machine], tmp_p
     finding = checks.runtime_folder(make(), wanted)
     assert (finding.level, finding.found) == ("fail", f"{folder} has mode 0777")
     assert finding.fix.startswith(f"chmod 0750 {folder}")
+
+
+def test_runtime_folder_that_clients_do_not_believe_fails(
+    make: Callable[..., Machine], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "there").mkdir(mode=0o750)
+    (tmp_path / "link").symlink_to(tmp_path / "there")
+    finding = checks.runtime_folder(make(), asked(runtime=tmp_path / "link"))
+    assert (finding.level, finding.found) == ("fail", f"{tmp_path / 'link'} is a link")
+    owner = os.getuid()
+    monkeypatch.setattr(os, "getuid", lambda: owner + 1)
+    finding = checks.runtime_folder(make(), asked(runtime=tmp_path / "there"))
+    assert finding.found == f"{tmp_path / 'there'} belongs to user {owner}, not to {owner + 1}"
 
 
 def test_socket_open_to_others_fails(make: Callable[..., Machine], tmp_path: Path) -> None:

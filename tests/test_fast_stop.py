@@ -75,6 +75,12 @@ def test_private_daemon_does_not_shadow_the_service(service: Path) -> None:
     assert [(one.device, one.simulated) for one in found.daemons] == [("toy", True), ("rig", False)]
 
 
+def test_service_is_named_as_such(service: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with servo(service, "rig, 7", False):
+        assert main(None, False) == 0
+    assert capsys.readouterr().out.startswith("service (rig, 7, REAL BOARD): ")
+
+
 def test_stop_reaches_every_instance_and_with_a_name_that_one_alone(service: Path) -> None:
     names = ["default", "left", "right"]
     with ExitStack() as stack:

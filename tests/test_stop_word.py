@@ -2,6 +2,7 @@
 stopped, its process lives, and the word works again.
 """
 
+import errno
 import os
 import shutil
 import stat
@@ -149,6 +150,22 @@ def test_word_that_cannot_be_mended_stays_a_stop(stack: LockStep) -> None:
         assert stack.do(Command.RESET).result is Result.REFUSED_OWNER  # it is pressed all the time
     assert states(stack, MENDED_TICKS + 1)[-1] == State.STOPPED
     shutil.rmtree(stack.mailbox.folder / files.STOP)
+
+
+def test_word_that_cannot_be_taken_back_stays_a_stop(
+    stack: LockStep, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Cut short where there is no room for a page."""
+
+    def no_room(*_: object) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    press_stop(stack.mailbox.folder)
+    monkeypatch.setattr(os, "pwrite", no_room)
+    assert states(stack, MENDED_TICKS + 50)[-1] == State.STOPPED
+    monkeypatch.undo()
+    assert states(stack, 1) == [State.STOPPED]
+    assert not stack.mailbox.stop_word.pressed
 
 
 def test_word_that_is_written_all_the_time_only_stops(stack: LockStep) -> None:

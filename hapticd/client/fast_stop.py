@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hapticd.errors import DaemonDown, HapticdError, MailboxError
-from hapticd.mailbox import daemons
+from hapticd.mailbox import daemons, files
 from hapticd.mailbox.daemons import Place
 from hapticd.mailbox.files import COMMAND_SOCKET
 from hapticd.mailbox.stop_word import press_stop, servo_lives, stop_taken
@@ -156,7 +156,8 @@ def _json(found: Outcome) -> str:
 
 def _line(one: Stopped) -> str:
     real = {True: ", SIMULATED", False: ", REAL BOARD", None: ""}[one.simulated]
-    who = f"{one.instance} ({one.device or 'device unknown'}{real})"
+    name = "service" if one.folder == str(files.SERVICE_FOLDER) else one.instance
+    who = f"{name} ({one.device or 'device unknown'}{real})"
     if one.state in CONFIRMED:
         return f"{who}: {one.state}: force off; `hapticd reset` when it is safe\n"
     if one.state == "taken":

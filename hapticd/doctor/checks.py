@@ -19,8 +19,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hapticd.doctor.machine import CAP_IPC_LOCK, CAP_SYS_NICE, Machine, cores_in
+from hapticd.errors import MailboxError
 from hapticd.mailbox import files, layout
-from hapticd.mailbox.daemons import daemon_folder
+from hapticd.mailbox.daemons import believe, looked_for
 from hapticd.mailbox.files import DEFAULT_INSTANCE
 from hapticd.params import RealtimeParams, UsbParams
 from hapticd.settings.build import gateway_params, servo_params
@@ -57,7 +58,7 @@ def requirements(
         realtime=servo.realtime,
         usb=servo.usb,
         simulated=servo.simulated,
-        runtime=daemon_folder(instance),
+        runtime=looked_for(instance),
         recordings=recordings or Path.cwd(),
         keys=Path(keys) if keys else None,
     )
@@ -643,6 +644,11 @@ def runtime_folder(machine: Machine, asked: Requirements) -> CheckResult:
             why,
             f"chmod 0750 {asked.runtime}, or 0700 if you are alone",
         )
+    try:
+        believe(asked.runtime)
+    except MailboxError as error:
+        found, _, fix = str(error).partition("; ")
+        return fail(name, found, why, fix)
     open_files = list(_open_to_others(asked.runtime))
     if open_files:
         shown = ", ".join(f"{path.name} {mode:04o}" for path, mode in open_files)

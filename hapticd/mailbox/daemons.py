@@ -39,13 +39,21 @@ def daemon_folder(instance: str = DEFAULT_INSTANCE) -> Path:
 
     Only the default instance is a service. MailboxError: a folder that is there and not believed.
     """
+    folder = looked_for(instance)
+    believe(folder)
+    return folder
+
+
+def looked_for(instance: str = DEFAULT_INSTANCE) -> Path:
+    """The same, to be looked at from outside: it may not be believed."""
     own = files.runtime_folder(instance)
-    believe(own)
-    service = files.SERVICE_FOLDER
-    if instance != DEFAULT_INSTANCE or lives(own) or not os.path.lexists(service):
+    if instance != DEFAULT_INSTANCE or not os.path.lexists(files.SERVICE_FOLDER):
         return own
-    believe(service)
-    return service
+    try:
+        believe(own)
+    except MailboxError:
+        return own
+    return own if lives(own) else files.SERVICE_FOLDER
 
 
 def places(instance: str | None) -> list[Place]:
