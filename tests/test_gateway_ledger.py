@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from models import board_params, servo_params
 
-from hapticd.assembly.lockstep import LockStep
-from hapticd.gateway.ledger import NAMES, Ledger
+from hapticd.analysis.ledger import book
+from hapticd.assembly.lockstep import LockStep, scene_params
+from hapticd.gateway.ledger import NAMES, Ledger, samples
 from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Value
 from hapticd.params import InjectionParams
@@ -100,3 +101,25 @@ def test_nothing_is_in_effect_where_the_board_grants_no_torque():
     found = sums(params, records)
     off = records["tick"] > 1003
     assert np.ptp(found["whole"][off] - found["electrical"][off]) == 0.0
+
+
+def test_force_of_a_smoothed_motor_is_the_one_whose_current_flows():
+    """The device of the paper with 31.6 Hz in its force: the ledger's motor against the current
+    that the simulated board measures; `lag` is most of what the hold and the filter give away.
+    """
+    params, board = scene_params("fig4")
+    wave = 8000 * np.sin(2.0 * np.pi * 20.0 * np.arange(8000) / 4000.0)
+    with LockStep(params, board) as stack:
+        stack.run(5)
+        stack.do(Command.ENABLE)
+        stack.load_waveform(np.round(wave).astype(int).tolist())
+        stack.do(Command.PERTURB_START, {Value.SAMPLES: 8000.0, Value.LOOP: 1.0})
+        stack.run(1500)
+        records = as_records(b"".join(stack.blocks))
+    read = samples(records, np.arange(len(records)), params)
+    _, motor = book(read, 1e-3, smoothing_hz=params.device.force_smoothing_hz)
+    flowing = records["current_a"] * board.torque_constant_n_per_a
+    assert np.std(motor - flowing) < 0.01 * np.std(flowing)
+    assert np.std(read["in_effect_n"] - flowing) > 0.3 * np.std(flowing)
+    found = sums(params, records)
+    assert found["lag"][-1] > 10.0 * found["hold_delay"][-1] > 0.0
