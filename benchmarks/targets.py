@@ -101,6 +101,28 @@ TABLE: dict[str, dict[str, Target]] = {
         "attack_under_force": Target(">= 30", "", "an attack on a servo that stands shows little"),
         "attack_rarest": Target(">= 20", "", "every fault and trait comes often enough"),
     },
+    "fault_ticks": {
+        f"fault_ticks_{code}": Target(
+            "<= 1x",
+            f"docs/faults/{code}.md, and 22 ticks",
+            "20 ticks of ramp and two to the motor, from the physical cause, in virtual time",
+        )
+        for code in (
+            "stop",
+            "gateway_lost",
+            "usb_lost",
+            "frames_lost",
+            "lost_slots",
+            "board_watchdog",
+            "board_fault",
+            "sensor_range",
+            "over_temperature",
+            "no_authority",
+            "force_at_limit",
+            "overspeed",
+            "board_restarted",
+        )
+    },
     "process": {
         "servo_rss_mb": Target(
             "<= 25", "", "an interpreter and pyusb, no numpy; the simulated board included"

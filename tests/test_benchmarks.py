@@ -25,6 +25,7 @@ from benchmarks.blocks import median_quantile, quantile
 from benchmarks.engine_c import CReference as CScene
 from benchmarks.engine_c import check_same
 from benchmarks.engine_scene import Lanes, model
+from benchmarks.fault_ticks import CASES
 from benchmarks.figures import Figure, compared, judge, load, merge, refused, save
 from benchmarks.late import fisher_p
 from benchmarks.null_link import NullLink
@@ -44,6 +45,7 @@ from hapticd.settings.scene import load_scene
 from hapticd.wire import codec, frames
 
 PROMISED = {
+    *(f"fault_ticks_{code}" for code in CASES),
     *(f"attack_{name}" for name in ("ticks", "violations", "under_force", "rarest")),
     *(f"wake_{name}" for name in ("p50", "p99", "stress_p99", "sleep_p50", "sleep_p99")),
     *(f"tick_{name}" for name in ("p50_ratio", "p99_ratio", "c_ratio")),
