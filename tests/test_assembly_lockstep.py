@@ -214,6 +214,9 @@ def test_serious_fault_stops_safely_and_can_be_reset(kind, value, code):
         assert stack.do(Command.ENABLE).result is Result.REFUSED_STATE
         assert stack.do(Command.RESET).result is Result.APPLIED
         stack.run(50)
+        if code in ("usb_lost", "sensor_range") or kind == "encoder_fault":
+            assert stack.do(Command.ENABLE).result is Result.REFUSED_NOT_HOMED
+            assert stack.do(Command.ZERO).result is Result.APPLIED
         assert stack.do(Command.ENABLE).result is Result.APPLIED
         after = records(stack.run(600))
     assert after["state"][-1] == State.ENABLED
@@ -554,6 +557,7 @@ def test_servo_survives_what_is_written_over_the_mailbox(garbage):
                 stack.gateway.answers()
         assert stack.gateway.current
         assert stack.do(Command.RESET).result is Result.APPLIED
+        assert stack.do(Command.ZERO).result is Result.APPLIED  # the board was unplugged
         assert stack.do(Command.ENABLE).result is Result.APPLIED
 
 

@@ -503,6 +503,11 @@ def test_waveform_does_not_outlive_its_servo(rig: DeskRig) -> None:
     ("result", "said"),
     [
         (
+            Result.REFUSED_NOT_HOMED,
+            "enable: the device has no position origin: none was made yet, or it was lost with the"
+            " link, the board or the encoder; `hapticd home` or `hapticd zero` first",
+        ),
+        (
             Result.REFUSED_DEVICE,
             "enable: the board is not the one of its device file (serial: other; probe: none); plug"
             " in the right one, or correct the device file",

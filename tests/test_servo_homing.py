@@ -146,6 +146,27 @@ def test_held_handle_is_never_taken_for_the_stop(stiffness_n_per_m, friction_n):
     assert why(found) in ("home_failed", "home_blocked", "home_not_confirmed")
 
 
+@pytest.mark.parametrize(
+    ("mass_kg", "stiffness_n_per_m", "damping_ns_per_m", "coulomb_n", "static_n"),
+    [
+        (5.835811715e-3, 377.25678, 1.738204, 0.0379010, 0.1390681),
+        (7.533794e-3, 166.42729, 1.087613, 0.0434102, 0.3338141),
+    ],
+)
+def test_soft_hand_that_friction_hides_is_felt_by_the_work(
+    mass_kg, stiffness_n_per_m, damping_ns_per_m, coulomb_n, static_n
+):
+    """The handle stands in the hand, slips back to the very same place, and lets the back-off
+    pass: only the mean force beside friction tells.
+    """
+    hand = HandParams(
+        "hold", stiffness_n_per_m=stiffness_n_per_m, damping_ns_per_m=damping_ns_per_m
+    )
+    touch = TouchParams(1e5, 5.0, coulomb_n, static_n, (hand,))
+    found = Rig(HOME, touch, mass_kg=mass_kg, lower_stop_m=-0.02).home(-0.02)
+    assert (found.homed, why(found)) == (False, "home_not_confirmed")
+
+
 def test_hand_that_lets_go_between_the_two_finds_is_told():
     found = Rig(HOME, held(1e4, duration_s=1.1), lower_stop_m=STOP_M).home(STOP_M)
     assert not found.homed

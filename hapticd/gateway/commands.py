@@ -142,7 +142,13 @@ def refusal(answer: Answer, cmd: str, view: ServoView, actors: Actors) -> Comman
             f"what caused, or would cause, a fault is still there: {cause}",
         ),
         Result.REFUSED_NO_AUTHORITY: ("refused", withheld(int(view.record.get("status", 0)))),
-        Result.REFUSED_NOT_HOMED: ("refused", "the device has no origin yet; `hapticd home` first"),
+        Result.REFUSED_NOT_HOMED: (
+            "refused",
+            (
+                "the device has no position origin: none was made yet, or it was lost with the"
+                " link, the board or the encoder; `hapticd home` or `hapticd zero` first"
+            ),
+        ),
         Result.REFUSED_NO_GATEWAY: (
             "refused",
             "the servo misses the gateway's heartbeat; try again, then see `hapticd status`",

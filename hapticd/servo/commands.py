@@ -22,7 +22,9 @@ from hapticd.servo.plan import (
     damping_count,
     masked_places,
     out_of_range,
+    with_origin,
     with_values,
+    without_origin,
 )
 from hapticd.servo.safety import GRANTED, LATCHED, State
 from hapticd.units import round_half_up
@@ -100,10 +102,13 @@ def enter(
         entered = entered._replace(wave=NO_WAVE, limit_cycle_faults=limits.limit_cycle_faults)
     if state in LATCHED:
         entered = entered._replace(added_entry=plan.added)
+    if state is State.ENABLED:
+        entered = entered._replace(origin_used=True)
     if fault == BY_CODE["sensor_range"].number:
-        entered = entered._replace(homed=False)
-    if state is State.HOMING:
-        entered = entered._replace(homing=begin(now.tick, now.encoder), homed=False)
+        entered = without_origin(entered)
+    if state is State.HOMING:  # whoever asks for an origin does not trust the one there is
+        lost = without_origin(entered._replace(origin_used=True))
+        entered = lost._replace(homing=begin(now.tick, now.encoder))
     return entered._replace(revision=plan.revision + 1)
 
 
@@ -171,7 +176,7 @@ def _target(plan: Plan, request: Request, now: Now, params: ServoParams) -> Stat
     if target is State.HOMING and params.device.home.method == "none":
         return Result.REFUSED_STATE
     if target in (State.ENABLED, State.HOMING):
-        required = params.device.home.required and target is State.ENABLED
+        required = target is State.ENABLED and (params.device.home.required or plan.origin_lost)
         refusal = safety.enable_refusal(plan.homed, required, now.gateway, now.cause)
         return now.bar or refusal or target
     if kind == Command.RESET and now.tick < held_until(plan, params) and actor != plan.stop_owner:
@@ -188,7 +193,7 @@ def _action(plan: Plan, request: Request, now: Now, params: ServoParams) -> Plan
     if kind == Command.RESET:
         return plan._replace(stop_tick=-1, stop_owner=0)
     if kind == Command.ZERO:
-        return plan._replace(origin=now.encoder, homed=True, revision=plan.revision + 1)
+        return with_origin(plan, now.encoder)._replace(revision=plan.revision + 1)
     if kind == Command.PERTURB_START:
         return plan._replace(
             wave=(seq, int(values[Value.SAMPLES]), bool(values[Value.LOOP])),

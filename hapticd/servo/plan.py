@@ -92,6 +92,8 @@ class Plan(NamedTuple):
     stop_tick: int = -1  # of the last press of a stop, -1: none since the last reset
     stop_owner: int = 0  # actor who pressed it; 0: several pressed
     limit_cycle_faults: bool = False  # off in what earlier versions recorded
+    origin_used: bool = False  # it was made, or enabled at, in this life of the servo
+    origin_lost: bool = False  # one that was used; it must be made again
 
 
 class Scheduled(NamedTuple):
@@ -138,6 +140,16 @@ def initial_plan(params: ServoParams) -> Plan:
         scheduled=(),
         limit_cycle_faults=params.safety.limit_cycle_faults,
     )
+
+
+def with_origin(plan: Plan, encoder: int) -> Plan:
+    """`plan` with the origin made at this count."""
+    return plan._replace(origin=encoder, homed=True, origin_used=True, origin_lost=False)
+
+
+def without_origin(plan: Plan) -> Plan:
+    """`plan` with an origin that is no longer known; one that was used must be made again."""
+    return plan._replace(homed=False, origin_lost=plan.origin_lost or plan.origin_used)
 
 
 def masked_places(values: tuple[float, ...]) -> list[int]:

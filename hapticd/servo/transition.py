@@ -60,6 +60,8 @@ from hapticd.servo.plan import (
     fault_request,
     flat_plan,
     watch,
+    with_origin,
+    without_origin,
 )
 from hapticd.servo.safety import GRANTED, LATCHED, State
 from hapticd.units import round_half_up
@@ -180,7 +182,7 @@ def make_attend(params: ServoParams) -> Attend:
         if isinstance(found, Homing):
             return plan._replace(homing=found), []
         done = enter(plan, State.DISABLED, now, params, plan.actor)
-        return done._replace(origin=found.encoder - home_counts, homed=True), []
+        return with_origin(done, found.encoder - home_counts), []
 
     def alarming(plan: Plan, alarm: int) -> int:
         """The alarm of a monitor, if it is on and there is force that it could end."""
@@ -223,7 +225,7 @@ def make_attend(params: ServoParams) -> Attend:
     def attend(
         state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int
     ) -> tuple[ServoState, bool, tuple[Any, ...], int]:
-        encoder, _, _, arrival, host, _, _, _, effect = sample
+        encoder, status, _, arrival, host, _, _, _, effect = sample
         settled, law, ledger, held, signs = state
         environment = settled.environment
         coefficients = settled.coefficients
@@ -259,7 +261,9 @@ def make_attend(params: ServoParams) -> Attend:
             flags = int(Flag.INTERPOLATED)
         # another life of the board: its counter began anew, from wherever the device was
         if arrival == SEED:
-            plan = plan._replace(origin=first_origin, homed=False)
+            plan = without_origin(plan)._replace(origin=first_origin)
+        if usable and status & StatusBit.ENCODER_FAULT:  # counts may have been missed
+            plan = without_origin(plan)
         _, held_n = held
         gateway = bool(host & GATEWAY_ALIVE)
         now = Now(tick, encoder, held_n, gateway, cause_against_force(sample), bar(host))
