@@ -45,6 +45,7 @@ from hapticd.plant.model import (
     Winding,
     frozen,
 )
+from hapticd.plant.reach import computable, require_finite
 from hapticd.plant.scene import Scene
 from hapticd.plant.stability import stability
 
@@ -151,20 +152,26 @@ def refuse_unstable(model: Model, levels_ns_per_m: Iterable[float], remedy: str 
 
 
 def compose_device(name: str, effects: Iterable[Effect], rate_hz: float = 1000.0) -> Model:
-    """The model of a device with these effects, whatever its stability."""
+    """The model of a device with these effects, whatever its stability.
+
+    ConfigError if its numbers are out of reach.
+    """
     plan = Blueprint()
     chosen = in_order(effects)
     plan.command = plan.input("command")
     torque = plan.input("torque")
     for effect in chosen:
-        effect.build(plan)
-    plan.rotor.force += torque
-    drive(plan)
-    for effect in chosen:
-        plan.notes.append(
-            effect.note_of(tuple(state.name for state in plan.states if state.effect == effect.key))
-        )
-    return _model(name, plan, rate_hz)
+        with computable(name, f"the effect {effect.key!r}"):
+            effect.build(plan)
+    with computable(name, "the device"):
+        plan.rotor.force += torque
+        drive(plan)
+        for effect in chosen:
+            own = tuple(state.name for state in plan.states if state.effect == effect.key)
+            plan.notes.append(effect.note_of(own))
+        model = _model(name, plan, rate_hz)
+    require_finite(name, "the device", model.a0, model.a1, model.b0, model.b1)
+    return model
 
 
 class _Parts(NamedTuple):

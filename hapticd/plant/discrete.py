@@ -28,6 +28,7 @@ from math import ceil, floor, log2
 import numpy as np
 
 from hapticd.plant.model import Array, Map, Model, frozen
+from hapticd.plant.reach import computable, require_finite
 
 TERMS = 25
 LARGEST_NORM = 0.5
@@ -80,12 +81,18 @@ SNAP = 1e-9  # of a step: a delay this near to a whole step is one
 
 
 def discretise(model: Model, duration_s: float, damping_ns_per_m: float = 0.0) -> Map:
-    """The exact map of `model` over `duration_s` at that damping level, inputs held."""
+    """The exact map of `model` over `duration_s` at that damping level, inputs held.
+
+    ConfigError if its numbers are out of reach.
+    """
     n, m = model.b0.shape
     whole = np.zeros((n + m, n + m))
-    whole[:n, :n] = model.a(damping_ns_per_m)
-    whole[:n, n:] = model.b(damping_ns_per_m)
-    response = expm(whole * duration_s)
+    what = f"the map over {duration_s:g} s at {damping_ns_per_m:g} N s/m"
+    with computable(model.name, what):
+        whole[:n, :n] = model.a(damping_ns_per_m)
+        whole[:n, n:] = model.b(damping_ns_per_m)
+        response = expm(whole * duration_s)
+    require_finite(model.name, what, response)
     return Map(duration_s, damping_ns_per_m, frozen(response[:n, :n]), frozen(response[:n, n:]))
 
 

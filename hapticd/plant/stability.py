@@ -24,6 +24,7 @@ import numpy as np
 
 from hapticd.plant.blueprint import Note, StateVariable
 from hapticd.plant.model import Array, Model
+from hapticd.plant.reach import computable
 
 GROWTH_PER_S = 1e-6  # below this is rounding: e-fold in 11 days
 HALVINGS = 80  # of an interval, until its ends are neighbours
@@ -43,10 +44,11 @@ class Stability:
 
 
 def stability(model: Model, damping_ns_per_m: float = 0.0) -> Stability:
-    """Stability of the device alone at that damping level."""
+    """Stability of the device alone at that damping level. ConfigError: out of reach."""
     growth = float(modes(model, damping_ns_per_m).real.max())
     asked = model.level_gain * damping_ns_per_m + model.level_offset_ns_per_m
-    loop = asked * model.residual_ohm / model.torque_constant_n_per_a**2
+    with computable(model.name, "the gain of the damping circuit"):
+        loop = asked * model.residual_ohm / model.torque_constant_n_per_a**2
     stable = growth <= GROWTH_PER_S
     if not stable:
         return Stability(stable, growth, loop, _reason(loop, growth))
@@ -56,12 +58,13 @@ def stability(model: Model, damping_ns_per_m: float = 0.0) -> Stability:
 def modes(
     model: Model, damping_ns_per_m: float = 0.0
 ) -> "np.ndarray[tuple[int], np.dtype[np.complex128]]":
-    """Eigenvalues [1/s] of the device, its free translation left out."""
-    a = model.a(damping_ns_per_m)
-    shift = model.translation()
-    if not (a @ shift).any():
-        a = _quotient(a, shift)
-    return np.asarray(np.linalg.eigvals(a), dtype=np.complex128)
+    """Eigenvalues [1/s] of the device, its free translation left out. ConfigError: out of reach."""
+    with computable(model.name, f"the modes at {damping_ns_per_m:g} N s/m"):
+        a = model.a(damping_ns_per_m)
+        shift = model.translation()
+        if not (a @ shift).any():
+            a = _quotient(a, shift)
+        return np.asarray(np.linalg.eigvals(a), dtype=np.complex128)
 
 
 def damping_ceiling(model: Model, highest_ns_per_m: float = 1e6) -> float:

@@ -13,7 +13,8 @@ meanwhile; or a field that changed its meaning under the same name.
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Self
@@ -34,18 +35,25 @@ from hapticd.recording.live import (
     LEFT_OUT,
     REQUEST,
     ROWS,
+    STREAMS,
     Columns,
     as_channel,
+    as_text,
     columns,
+    is_written,
     replay_rows,
     table,
     texts,
     udunits,
 )
 from hapticd.recording.provenance import SCHEMA, needed
+from hapticd.recording.superblock import Unattended
 from hapticd.units import NS_PER_S, PROBE_RATE_HZ
 
 TEXT = "checkpoint_text"
+STANDING = 4096  # rows that a small group may have beyond its longest column
+# what h5py and numpy say where a file is damaged
+_UNREADABLE = (OSError, RuntimeError, LookupError, ValueError, TypeError, MemoryError)
 # fields of a record since 0.2: an older recording lacks them, and `records` leaves them out
 ADDED = frozenset(
     {
@@ -78,26 +86,36 @@ class Recording:
         path: Path,
         attributes: Mapping[str, Any],
         groups: Mapping[str, Mapping[str, Any]],
-        file: Any = None,
     ) -> None:
         self.path = path
         self.attributes = attributes
-        self._file = file
+        self.opened = ExitStack()  # what its end closes
         self._groups = {name: group for name, group in groups.items() if name != FLUSHED}
         self.rows = {
             name: min(map(len, group.values()), default=0) for name, group in self._groups.items()
         }
         if FLUSHED in groups:  # a live file: see `live`
-            counts = groups[FLUSHED][ROWS]
-            newest = counts[-1].tolist() if len(counts) else [0] * counts.shape[1]
-            self.rows = dict(zip(counts.attrs["groups"], newest, strict=True))
+            with _damage(path):
+                self.rows = self._flushed(groups[FLUSHED][ROWS])
+
+    def _flushed(self, counts: Any) -> dict[str, int]:
+        """Rows by group as a live file says. ValueError: a group cannot have as many."""
+        newest = counts[-1].tolist() if len(counts) else [0] * counts.shape[1]
+        names = map(as_text, counts.attrs["groups"].tolist())
+        rows = dict(zip(names, newest, strict=True))
+        for name, count in rows.items():
+            longest = max(map(len, self._groups[name].values()), default=0)
+            # in a stream one column always moves, in the others all may stand still for a while
+            most = longest if name in STREAMS.values() else longest + STANDING
+            if not 0 <= count <= most:
+                raise ValueError(f"{count} rows of {name} are said to be there, {longest} are")
+        return rows
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._file is not None:
-            self._file.close()
+        self.opened.close()
 
     def names(self, group: str) -> list[str]:
         """The channels of `group`, in the order of the records, then those that are computed
@@ -117,13 +135,12 @@ class Recording:
             return self._computed(group, name, begin, end)
         after = self.rows[group] if end is None else min(end, self.rows[group])
         stored = self._groups[group][name]
-        found = np.asarray(stored[begin:after])
-        standing = max(0, after - max(begin, len(stored)))
-        return (
-            np.concatenate([found, np.repeat(np.asarray(stored[-1:]), standing, axis=0)])
-            if standing
-            else found
-        )
+        with _damage(self.path):
+            found = np.asarray(stored[begin:after])
+            standing = max(0, after - max(begin, len(stored)))
+            if not standing:
+                return found
+            return np.concatenate([found, np.repeat(np.asarray(stored[-1:]), standing, axis=0)])
 
     def _computed(self, group: str, name: str, begin: int, end: int | None) -> NDArray[Any]:
         """Seconds from the first record, or a signal of the probe in N or m/s."""
@@ -270,24 +287,39 @@ def _hdf5(path: Path) -> Recording:
     h5py = needed("h5py", "record")
     if not path.is_file():
         raise ConfigError(f"{path}: no such file; check the path")
+    with ExitStack() as opened, _damage(path):
+        file = _opened(h5py, path, opened)
+        attributes = {name: as_text(value) for name, value in file.attrs.items()}
+        # of a file that grows meanwhile the count is read before what it counts
+        names = sorted(file, key=lambda name: name != FLUSHED)
+        groups = {name: dict(file[name]) for name in names}
+        if attributes.get("schema") != SCHEMA:
+            found = attributes.get("schema", "without a schema")
+            raise ConfigError(
+                f"{path} is no hapticd recording ({found}); its schema must be {SCHEMA}"
+            )
+        recording = Recording(path, attributes, groups)
+        recording.opened = opened.pop_all()
+    return recording
+
+
+def _opened(h5py: Any, path: Path, opened: ExitStack) -> Any:
     try:
-        file = _opened(h5py, path)
-    except OSError as error:
+        return opened.enter_context(h5py.File(path, "r"))
+    except OSError:
+        if is_written(path):  # only a reader who knows that opens it
+            return opened.enter_context(h5py.File(path, "r", swmr=True))
+    left = opened.enter_context(Unattended(path))
+    return opened.enter_context(h5py.File(left, "r"))
+
+
+@contextmanager
+def _damage(path: Path) -> Iterator[None]:
+    """Turn whatever HDF5 says of a file that it cannot read into a ConfigError that names it."""
+    try:
+        yield
+    except _UNREADABLE as error:
         raise ConfigError(f"{path}: {error}; it is no HDF5 file, or damaged") from error
-    if file.attrs.get("schema") != SCHEMA:
-        found = file.attrs.get("schema", "without a schema")
-        file.close()
-        raise ConfigError(f"{path} is no hapticd recording ({found}); its schema must be {SCHEMA}")
-    # of a file that grows meanwhile the count is read before what it counts
-    names = sorted(file, key=lambda name: name != FLUSHED)
-    return Recording(path, dict(file.attrs), {name: dict(file[name]) for name in names}, file)
-
-
-def _opened(h5py: Any, path: Path) -> Any:
-    try:
-        return h5py.File(path, "r")
-    except OSError:  # live, or its recorder died: only a reader who knows that opens it
-        return h5py.File(path, "r", swmr=True)
 
 
 def _flight(path: Path) -> Recording:

@@ -16,7 +16,9 @@ What would break it: a flush of /flushed/rows before the columns, a dataset or a
 after SWMR began, a second writer.
 """
 
+import fcntl
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -103,6 +105,21 @@ def udunits(name: str) -> str:
     return " ".join([over, *powers]).strip()
 
 
+def of_fixed_length(value: Any) -> Any:
+    """`value` of an attribute, text as UTF-8 of a fixed length: what may have any length lies in a
+    heap without a checksum, and HDF5 reads a damaged heap for ever.
+    """
+    if not isinstance(value, str):
+        return value
+    data = value.encode()
+    return np.array(data, f"S{max(1, len(data))}")
+
+
+def as_text(value: Any) -> Any:
+    """`value` of an attribute as it was before `of_fixed_length`."""
+    return value.decode(errors="replace") if isinstance(value, bytes) else value
+
+
 class Column:
     """One dataset that grows."""
 
@@ -117,7 +134,7 @@ class Column:
             maxshape=(None, *self._row),
             chunks=(chunk_rows, *self._row),
         )
-        self.dataset.attrs["units"] = channel.unit
+        self.dataset.attrs["units"] = of_fixed_length(channel.unit)
         self._identifier = self.dataset.id
         self._kind = self.dataset.id.get_type()
         self._last = b""
@@ -176,16 +193,19 @@ class LiveFile:
                 f"{path}: {error}; choose another name, or `hapticd rec recover` it first"
             ) from error
         for name, value in attributes.items():
-            self._file.attrs[name] = value
+            self._file.attrs[name] = of_fixed_length(value)
         counts = [Channel(ROWS, "<i8", len(groups), "")]
         self._groups = {
             name: self._columns(name, channels)
             for name, channels in {**groups, FLUSHED: counts}.items()
         }
-        self._groups[FLUSHED][ROWS].dataset.attrs["groups"] = list(groups)
+        self._groups[FLUSHED][ROWS].dataset.attrs["groups"] = np.array([*groups], "S")
         self._rows = dict.fromkeys(groups, 0)
         self._file.swmr_mode = True
         self.descriptor: int = self._file.id.get_vfd_handle()
+        # so that readers know of a living writer (`is_written`); HDF5 has locks of another kind
+        with suppress(OSError):
+            fcntl.lockf(self.descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
     def _columns(self, name: str, channels: Iterable[Channel]) -> dict[str, Column]:
         group = self._file.create_group(name)
@@ -214,6 +234,16 @@ class LiveFile:
                 column.catch_up()
         self._file.flush()
         self._file.close()
+
+
+def is_written(path: Path) -> bool:
+    """Whether another process writes the live file at `path`. OSError: it cannot be read."""
+    with path.open("rb") as file:
+        try:
+            fcntl.lockf(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False
 
 
 def _integers(*names: str) -> list[Channel]:

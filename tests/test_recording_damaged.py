@@ -1,0 +1,126 @@
+"""Damaged recordings: bounded time, one clear error, and the source stays as it is."""
+
+import json
+import random
+import shutil
+from contextlib import suppress
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from recorded import RecordedFlight
+
+from hapticd.errors import ConfigError, HapticdError
+from hapticd.params import to_plain
+from hapticd.recording import pack
+from hapticd.recording.file import open_recording
+from hapticd.recording.live import Writer
+from hapticd.recording.provenance import SCHEMA
+from hapticd.recording.superblock import CHECKED, SUPERBLOCK, lookup3, tended
+
+pytestmark = pytest.mark.timeout(60)
+
+
+@pytest.fixture(scope="module")
+def crashed(recorded_run: RecordedFlight, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A live file as a killed recorder leaves it."""
+    folder = tmp_path_factory.mktemp("crashed")
+    configuration = json.dumps(to_plain(recorded_run.params))
+    attributes = {"schema": SCHEMA, "simulated": 1, "configuration": configuration}
+    writer = Writer(folder / "written.part.h5", attributes)
+    for number, (topic, payload) in enumerate(recorded_run.messages):
+        writer.take(topic, payload)
+        if number % 20 == 19:
+            writer.write()
+    writer.write()
+    path = folder / "crashed.part.h5"
+    shutil.copy(folder / "written.part.h5", path)
+    writer.file.close()
+    return path
+
+
+def damaged(crashed: Path, folder: Path, old: bytes, new: bytes) -> Path:
+    data = crashed.read_bytes()
+    place = data.rfind(old)
+    assert place > 0
+    path = folder / "damaged.part.h5"
+    path.write_bytes(data[:place] + new + data[place + len(old) :])
+    return path
+
+
+def test_crashed_file_is_read_as_it_was_flushed(
+    crashed: Path, recorded_run: RecordedFlight
+) -> None:
+    flown = recorded_run.recorded  # type: ignore[attr-defined]
+    with open_recording(crashed) as recording:
+        rows = recording.rows["servo"]
+        assert len(flown) - 20 <= rows <= len(flown)  # a batch is published as a whole
+        assert np.array_equal(recording.column("servo", "force_n"), flown["force_n"][:rows])
+        assert recording.attributes["schema"] == SCHEMA
+
+
+@pytest.mark.parametrize("rows", [10**12, 10_000, -1, -(2**62)])
+def test_rows_that_no_column_has_are_damage(crashed: Path, tmp_path: Path, rows: int) -> None:
+    """It would be packed for an hour: a column that ends early repeats its last value."""
+    with open_recording(crashed) as recording:
+        there = recording.rows["servo"], recording.rows["probe"]
+    before, after = (np.array(count, "<i8").tobytes() for count in (there, (rows, there[1])))
+    path = damaged(crashed, tmp_path, before, after)
+    with pytest.raises(ConfigError, match=f"{rows} rows of servo are said to be there, {there[0]}"):
+        pack.pack(path, tmp_path / "out.h5")
+    assert [one.name for one in tmp_path.iterdir()] == ["damaged.part.h5"]
+
+
+def test_damage_behind_a_dead_writer_is_an_error_at_once(crashed: Path, tmp_path: Path) -> None:
+    """HDF5 waits for a living writer to mend a checksum, twice as long each time, 100 times."""
+    path = damaged(crashed, tmp_path, b"OHDR", b"OHDs")
+    with pytest.raises(HapticdError, match="or damaged"):
+        pack.pack(path, tmp_path / "out.h5")
+
+
+def test_text_in_a_live_file_is_where_checksums_are(crashed: Path, tmp_path: Path) -> None:
+    """HDF5 reads a damaged heap of texts for ever; so there is none."""
+    assert b"GCOL" not in crashed.read_bytes()
+    with open_recording(crashed) as recording:
+        path = tmp_path / "closed.part.h5"
+    shutil.copy(crashed.with_name("written.part.h5"), path)
+    with h5py.File(path) as content:
+        assert content.attrs["schema"] == SCHEMA.encode()
+        assert content["servo/force_n"].attrs["units"] == b"N"
+    assert recording.attributes["simulated"] == 1
+
+
+def test_bytes_at_random_are_packed_or_refused(crashed: Path, tmp_path: Path) -> None:
+    source = crashed.read_bytes()
+    path = tmp_path / "any.part.h5"
+    for seed in range(30):
+        chance = random.Random(seed)
+        data = bytearray(source)
+        for _ in range(chance.choice((1, 2, 5, 20))):
+            data[chance.randrange(chance.choice((40_000, len(data))))] ^= 1 << chance.randrange(8)
+        if chance.random() < 0.2:
+            del data[chance.randrange(len(data)) :]
+        path.write_bytes(data)
+        with suppress(HapticdError):
+            pack.pack(path, tmp_path / "any.h5")
+        assert path.exists() != (tmp_path / "any.h5").exists()  # one of them, whole
+        assert not path.exists() or path.read_bytes() == data
+        (tmp_path / "any.h5").unlink(missing_ok=True)
+
+
+def test_checksum_is_that_of_its_author() -> None:
+    """Bob Jenkins, lookup3.c, driver5: with initial value 0."""
+    assert lookup3(b"Four score and seven years ago") == 0x17770551
+
+
+def test_superblock_loses_the_mark_of_its_writer_alone(crashed: Path) -> None:
+    start = crashed.read_bytes()[: SUPERBLOCK.size]
+    marked = SUPERBLOCK.unpack(start)
+    assert lookup3(start[:CHECKED]) == marked[-1]  # what HDF5 wrote
+    clean = SUPERBLOCK.unpack(tended(start, 12_345))
+    assert (marked[4], clean[4]) == (5, 0)
+    assert clean[7] == 12_345
+    assert clean[:4] + clean[5:7] + clean[8:9] == marked[:4] + marked[5:7] + marked[8:9]
+    broken = bytes([*start[:20], start[20] ^ 1, *start[21:]])
+    assert tended(broken, 12_345) == broken  # damage is not made good
