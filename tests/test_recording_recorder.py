@@ -110,7 +110,7 @@ def test_gap_is_stored_and_said(recorded_run: RecordedFlight, tmp_path: Path) ->
         ].tolist()
         tick = recording.column("servo", "tick")
         assert tick[row] - tick[row - 1] - 1 == lost
-        first, second = recording._stretches()
+        first, second = recording.stretches()
         assert (first[1], second[0]) == (row, row)
 
 
