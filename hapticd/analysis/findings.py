@@ -20,6 +20,8 @@ In what the perturbation does not explain (`coherence_findings`):
     unresolved      much of it in a line that is narrower than the window, which the perturbation
                     may explain
 
+Lines below the first twelve frequencies of a window are found in the record (`low_lines`).
+
 The lower edge counts because it is estimated together with the band: the window's 1.95 Hz is
 anybody's 2 Hz. Noise in the velocity makes "spa" read |Z| low by the coherence. A window makes a
 resonance that is narrower than itself incoherent: a coherence of 0.2 is no proof of a limit cycle.
@@ -345,25 +347,38 @@ def _line(trial: Spectra) -> tuple[Finding, ...]:
     line = line_of(trial)
     if line is None:
         return ()
-    where = f"at {line.frequency_hz:.3g} Hz: {100 * line.share:.2g} % of the velocity's power"
-    known = trial.resolved or line.coherence < CHANCE * trial.variance_factor
+    if trial.resolved or line.coherence < CHANCE * trial.variance_factor:
+        return (line_finding(line.frequency_hz, line.share),)
     if line.share <= LINE_SHARE:
+        return ()
+    message = (
+        f"line {_where(line.frequency_hz, line.share)}, narrower than the {trial.span}: a resonance"
+        " or a limit cycle; its record, or a longer window, tells them apart"
+    )
+    return (Finding("unresolved", message, voids=True),)
+
+
+def line_finding(frequency_hz: float, share: float) -> Finding:
+    """A line with a `share` of the velocity's power, of which the perturbation explains nothing: an
+    oscillation if that is much.
+    """
+    where = _where(frequency_hz, share)
+    if share <= LINE_SHARE:
         message = (
             f"line {where}, which the perturbation does not explain; hum of a sensor, or a small"
             " limit cycle"
         )
-        return (Finding("line", message),) if known else ()
-    if not known:
-        message = (
-            f"line {where}, narrower than the {trial.span}: a resonance or a limit cycle; "
-            "its record, or a longer window, tells them apart"
-        )
-        return (Finding("unresolved", message, voids=True),)
+        return Finding("line", message)
     message = (
         f"oscillation {where} is a line that the perturbation does not explain; the loop has a"
         " limit cycle"
     )
-    return (Finding("oscillation", message, unstable=True),)
+    return Finding("oscillation", message, unstable=True)
+
+
+def _where(frequency_hz: float, share: float) -> str:
+    percent = float(f"{100.0 * share:.2g}")
+    return f"at {frequency_hz:.3g} Hz: {percent:g} % of the velocity's power"
 
 
 def shrinkage(trial: Spectra, estimator: Estimator = "spa") -> Complexes:

@@ -32,8 +32,9 @@ import numpy as np
 from hapticd import __version__
 from hapticd.analysis.arrays import Complexes, Flags, Floats, Values
 from hapticd.analysis.envelope import Envelope, accepted, merged, of_one
-from hapticd.analysis.findings import Energy, Record, escape_findings
+from hapticd.analysis.findings import Energy, Finding, Record, escape_findings
 from hapticd.analysis.impedance import impedance
+from hapticd.analysis.low_lines import hinted, low_line
 from hapticd.analysis.predict import coulomb
 from hapticd.analysis.resolved import resolved
 from hapticd.analysis.spectra import DEFAULT_LAG, Spectra, grid_frequencies
@@ -149,7 +150,7 @@ def run_trials(conditions: Conditions, damping_ns_per_m: float, points: Floats) 
     }
     linear = not coulomb(conditions.display.model).any()
     needed = {trial: lines_to_resolve(*pair, linear=linear) for trial, pair in pairs.items()}
-    unsure = [trial for trial, lines in needed.items() if lines.any()]
+    unsure = [trial for trial in whole if needed[trial].any() or hinted(pairs[trial][0])]
     for first in range(0, len(unsure), TOGETHER):
         some = unsure[first : first + TOGETHER]
         again = np.asarray(found.params[some], np.float64)
@@ -157,8 +158,11 @@ def run_trials(conditions: Conditions, damping_ns_per_m: float, points: Floats) 
         shared = _shared_transform(records)
         for place, trial in enumerate(some):
             record = records.record(place)
-            finer = _finer(conditions, record, pairs[trial][0], needed[trial], shared)
-            pairs[trial] = _with_verdict(conditions, found, trial, finer)
+            raw = pairs[trial][0]
+            low = low_line(*record, raw)
+            finer = _finer(conditions, record, raw, needed[trial], shared)
+            if low or finer is not raw:
+                pairs[trial] = _with_verdict(conditions, found, trial, finer, low)
     return [
         _outcome(conditions, damping_ns_per_m, found, trial, pairs.get(trial))
         for trial in range(len(points))
@@ -205,9 +209,14 @@ def _finer(
 
 
 def _with_verdict(
-    conditions: Conditions, found: BatchResult, trial: int, spectra: Spectra
+    conditions: Conditions,
+    found: BatchResult,
+    trial: int,
+    spectra: Spectra,
+    more: tuple[Finding, ...] = (),
 ) -> tuple[Spectra, Verdict]:
     recorded = _recorded(found, trial, spectra)
+    recorded = replace(recorded, findings=(*recorded.findings, *more))
     return spectra, judge(
         spectra,
         recorded,

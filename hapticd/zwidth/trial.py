@@ -43,6 +43,7 @@ from hapticd.analysis.channels import unit_findings
 from hapticd.analysis.findings import Finding, Record, examine, leakage_findings
 from hapticd.analysis.impedance import Estimator, Impedance, impedance
 from hapticd.analysis.loop import spectral_radius
+from hapticd.analysis.low_lines import low_line
 from hapticd.analysis.periodic import (
     CHANGING,
     PeriodicSpectra,
@@ -359,9 +360,11 @@ def judged(plan: TrialPlan, recorded: TrialRecord) -> TrialResult:
     record = replace(record, findings=found)
     verdict = _verdict(plan, recorded, spectra, record)
     needed = lines_to_resolve(raw, verdict, params.estimator, plan.linear)
-    if needed.any():
-        force = recorded.force_n
-        velocity = recorded.velocity_m_per_s
+    force = recorded.force_n
+    velocity = recorded.velocity_m_per_s
+    low = low_line(force, velocity, raw)
+    if needed.any() or low:
+        record = replace(record, findings=(*found, *low))
         servo_rate_hz = params.scene.rate_hz if params.scene else None
         finer = resolved(force, velocity, raw, needed, params.band_hz, servo_rate_hz)
         spectra = _corrected(params, finer)
