@@ -116,6 +116,7 @@ TABLE: dict[str, dict[str, Target]] = {
             "board_watchdog",
             "board_fault",
             "sensor_range",
+            "sensor_glitch",
             "over_temperature",
             "no_authority",
             "force_at_limit",

@@ -129,6 +129,13 @@ FAULTS: tuple[Fault, ...] = (
         "lower K, B or M, or switch active damping on, then reset",
     ),
     Fault(
+        17,
+        "sensor_glitch",
+        "the encoder reads positions between which no handle can move, one after the other",
+        _TO_SAFE,
+        "check encoder, cable and shield, reset, home or zero",
+    ),
+    Fault(
         18,
         "board_restarted",
         "the board's firmware started anew: its position origin is lost",

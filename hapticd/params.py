@@ -141,6 +141,9 @@ class DeviceParams:
     # largest step of force [N] in one tick by an enable or a change of parameters; infinite for
     # recordings of versions that had no bound
     force_step_n: float = math.inf
+    # faster change of speed is believed only when the next sample goes on from it (servo.glitch);
+    # infinite for recordings of versions that believed everything
+    acceleration_limit_m_per_s2: float = math.inf
 
     def temperature_counts(self, low: int, high: int) -> tuple[int, int]:
         """Lowest and highest count, inside `low`..`high`, of a temperature that is allowed: a
@@ -166,6 +169,7 @@ class SafetyParams:
     lost_slots_limit: int = 10  # within one second
     missing_frames_limit: int = 8
     no_authority_limit: int = 8  # ticks for which the board may withhold torque while enabled
+    glitches_limit: int = 2  # of the encoder within one second
     default_ramp_s: float = 0.05
     # faults force_at_limit and energy, which a trial at the edge of stability does without
     limit_cycle_faults: bool = True

@@ -322,6 +322,11 @@ class Flag(IntEnum):
     RAMPING = 256
     QUIET_RAMP = 512  # force returns from 0 after a gap
     EASED = 1024  # parameters wait for the force step that the device allows (servo.easing)
+    # servo.glitch: the sample is not believed yet, and the motion is taken to go straight on; the
+    # samples before were glitches, and the filters got positions between; they were true motion
+    DOUBTED = 2048
+    GLITCH = 4096
+    BELIEVED = 8192
 
 
 class Watched(IntEnum):

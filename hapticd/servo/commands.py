@@ -95,7 +95,13 @@ def enter(
         gain = plan.gain
         fade = plan.fade
     entered = plan._replace(
-        state=state, since_tick=now.tick, fault=fault, actor=actor, gain=gain, fade=fade
+        state=state,
+        since_tick=now.tick,
+        fault=fault,
+        actor=actor,
+        gain=gain,
+        fade=fade,
+        glitches=(),
     )
     if state is not State.ENABLED:
         # a trial that switched the faults off does not leave them so
@@ -104,7 +110,7 @@ def enter(
         entered = entered._replace(added_entry=plan.added)
     if state is State.ENABLED:
         entered = entered._replace(origin_used=True)
-    if fault == BY_CODE["sensor_range"].number:
+    if fault in (BY_CODE["sensor_range"].number, BY_CODE["sensor_glitch"].number):
         entered = without_origin(entered)
     if state is State.HOMING:  # whoever asks for an origin does not trust the one there is
         lost = without_origin(entered._replace(origin_used=True))

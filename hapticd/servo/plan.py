@@ -94,6 +94,8 @@ class Plan(NamedTuple):
     limit_cycle_faults: bool = False  # off in what earlier versions recorded
     origin_used: bool = False  # it was made, or enabled at, in this life of the servo
     origin_lost: bool = False  # one that was used; it must be made again
+    doubted: tuple[int, ...] = ()  # encoder counts that are not believed yet (servo.glitch)
+    glitches: tuple[int, ...] = ()  # slots of the newest glitches of this state
 
 
 class Scheduled(NamedTuple):
@@ -249,7 +251,8 @@ class Settled:
     plan: Plan
 
 
-Held = tuple[int, float]  # what was sent last: torque count, force [N]
+Former = tuple[LawState, Ledger]  # as they were before the last sample
+Held = tuple[int, float, Former]  # what was sent last: torque count, force [N]; and before it
 ServoState = tuple[Settled, LawState, Ledger, Held, Signs]
 SETTLED: Final = 0  # place in a ServoState
 # encoder count, status, temperature count, arrival (link.device), host flags, index offset, delay
@@ -414,6 +417,7 @@ def wake_tick(plan: Plan, tick: int, params: ServoParams) -> int:
     if (
         plan.state is State.HOMING
         or plan.unauthorised
+        or plan.doubted
         or any(ramp.running(tick) for ramp in ramps)
         or plan.added != added_target(plan, tick, params)
     ):
@@ -473,7 +477,10 @@ def unflatten(plain: Sequence[Any]) -> ServoState:
     whole = Plan(**renewed)
     looks = watch(flags)
     settled = Settled(*before, origin, host, whole.wave, *looks, whole)
-    return settled, law, ledger if known else EMPTY, held, Signs(*signs) if known else CALM
+    ledger = ledger if known else EMPTY
+    torque, applied, *former = held  # nothing was kept of what was before
+    held = torque, applied, former[0] if former else (law, ledger)
+    return settled, law, ledger, held, Signs(*signs) if known else CALM
 
 
 def _tuples(item: Any) -> Any:

@@ -23,10 +23,12 @@ from hapticd.mailbox.layout import Flag
 from hapticd.params import ServoParams
 from hapticd.render.energy import EMPTY, EXCESS, book
 from hapticd.render.law import MASS, at_rest, clamp, render
+from hapticd.servo.glitch import MOST_DOUBTED, believed_bend_m, stuck_out
 from hapticd.servo.monitors import CALM, ENERGY, at_limit, bounds, too_fast
 from hapticd.servo.plan import (
     ATTENTION,
     LINK_UP,
+    NEVER,
     Output,
     Sample,
     ServoState,
@@ -39,6 +41,7 @@ from hapticd.servo.plan import (
 from hapticd.servo.transition import make_attend
 from hapticd.units import round_half_up
 from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
+from hapticd.wire.frames import OutFlag
 from hapticd.wire.session import ENCODER_BITS
 
 Step = Callable[[ServoState, tuple[Any, ...], Sample, int], tuple[ServoState, Output]]
@@ -48,6 +51,11 @@ _NOT_FINITE = int(Flag.NOT_FINITE)
 _MISSING = int(Flag.MISSING_IN)
 _RANGE = BY_CODE["sensor_range"].number
 _FINITE = BY_CODE["not_finite"].number
+_GLITCH = BY_CODE["sensor_glitch"].number
+_DOUBTED = int(Flag.DOUBTED)
+_SKIPPED = int(Flag.SEEDED | Flag.INTERPOLATED)  # the last sample is not the one before this
+_JUDGED = int(Flag.GLITCH | Flag.BELIEVED)
+_ENABLE = int(OutFlag.ENABLE)
 
 
 def initial_state(params: ServoParams, tick: int = 0) -> ServoState:
@@ -57,7 +65,8 @@ def initial_state(params: ServoParams, tick: int = 0) -> ServoState:
     plan = initial_plan(params)._replace(origin=round_half_up(params.device.position.offset_count))
     coefficients = coefficients_of(plan, params.realtime.rate_hz)
     now = flat_plan(plan, tick, params, params.environment.workspace, 0.0)
-    held = (params.device.force.to_count(0.0, I16_LOWEST, I16_HIGHEST), 0.0)
+    count = params.device.force.to_count(0.0, I16_LOWEST, I16_HIGHEST)
+    held = (count, 0.0, (at_rest(0.0), EMPTY))
     settled = Settled(
         wake_tick=now.wake_tick,
         environment=now.environment,
@@ -73,6 +82,13 @@ def initial_state(params: ServoParams, tick: int = 0) -> ServoState:
         plan=plan,
     )
     return settled, at_rest(0.0), EMPTY, held, CALM
+
+
+def with_more(output: Output, flags: int, answers: tuple[Any, ...]) -> Output:
+    """`output` with what the tick had found before it began anew."""
+    torque, x, v, a, spring, damper, inertia, field, applied, later_flags, later = output
+    parts = (torque, x, v, a, spring, damper, inertia, field, applied)
+    return (*parts, flags | later_flags, answers + later)
 
 
 def make_step(params: ServoParams) -> Step:
@@ -105,13 +121,15 @@ def make_step(params: ServoParams) -> Step:
     resistance_at_0 = own_resistance + params.device.damping.to_value(0.0) * rate_hz
     kept = bound.kept
     most_j = bound.energy_j
+    most_bend_m = believed_bend_m(params)
+    least_bend_m = -most_bend_m
     least_heat, most_heat = params.device.temperature_counts(I16_LOWEST, I16_HIGHEST)
 
     def missing(
         state: ServoState, flags: int, answers: tuple[Any, ...]
     ) -> tuple[ServoState, Output]:
         """No sample to believe: what was sent is sent again (0 once the torque is off)."""
-        _, (x, *_), _, (torque, applied), _ = state
+        _, (x, *_), _, (torque, applied, _), _ = state
         nothing = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # velocity, acceleration, parts of the force
         return state, (torque, x, *nothing, applied, flags | _MISSING, answers)
 
@@ -145,9 +163,49 @@ def make_step(params: ServoParams) -> Step:
         encoder, _, temperature, _, host, _, delay, current, damping = sample
         again = (encoder, settled.calm, temperature, 0, host, 0, delay, current, damping)
         state, output = step((settled, law, ledger, held, signs), (), again, tick)
-        torque, x, v, a, spring, damper, inertia, field, applied, more_flags, more = output
-        parts = (torque, x, v, a, spring, damper, inertia, field, applied)
-        return state, (*parts, flags | more_flags, answers + more)
+        return state, with_more(output, flags, answers)
+
+    def surprised(
+        state: ServoState, sample: Sample, tick: int, flags: int, answers: tuple[Any, ...]
+    ) -> tuple[ServoState, Output]:
+        """A sample that bends the motion: it is not believed yet, or the one before it was the
+        glitch, too small to be doubted; then the tick begins anew from before that one.
+        """
+        settled, law, _, held, signs = state
+        _, _, (before, booked) = held
+        x = m_per_count * (sample[0] - settled.origin)
+        if flags & _SKIPPED or not stuck_out(before, law, x, most_bend_m):
+            return doubtful(state, sample, tick, flags, answers)
+        last = settled.origin + round(law[0] / m_per_count)
+        settled = replace(settled, plan=settled.plan._replace(doubted=(last,)), wake_tick=tick)
+        state, output = step((settled, before, booked, held, signs), (), sample, tick)
+        return state, with_more(output, flags, answers)
+
+    def doubtful(
+        state: ServoState, sample: Sample, tick: int, flags: int, answers: tuple[Any, ...]
+    ) -> tuple[ServoState, Output]:
+        """A sample that is not believed yet: the force is that of the straight continuation, the
+        law stays as it was (`servo.glitch`).
+        """
+        settled, law, ledger, held, signs = state
+        encoder, _, _, _, host, _, *others = sample
+        doubted = (*settled.plan.doubted, encoder)
+        if len(doubted) > MOST_DOUBTED:
+            return faulted(state, sample, tick, _GLITCH, flags, answers)
+        start, moved, *_ = law
+        ahead = law
+        for steps in range(1, len(doubted)):
+            *_, ahead = render(
+                start + steps * moved, ahead, settled.environment, settled.coefficients
+            )
+        count = settled.origin + round((start + len(doubted) * moved) / m_per_count)
+        straight: Any = (count, settled.calm, least_heat, 0, host, 0, *others)
+        undisturbed = (replace(settled, wake_tick=NEVER), ahead, ledger, held, signs)
+        (*_, (torque, applied, _), signs), output = step(undisturbed, (), straight, tick)
+        plan = settled.plan._replace(doubted=doubted)
+        settled = replace(settled, plan=plan, wake_tick=tick + 1)
+        state = (settled, law, ledger, (torque, applied, held[2]), signs)
+        return state, with_more(output, flags | _DOUBTED, answers)
 
     def step(
         state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int
@@ -168,12 +226,15 @@ def make_step(params: ServoParams) -> Step:
             state, usable, answers, flags = attend(state, commands, sample, tick)
             if not usable:
                 return missing(state, flags, answers)
+            if flags & _DOUBTED:
+                return doubtful(state, sample, tick, flags, answers)
             settled, law, ledger, held, signs = state
         x = m_per_count * (encoder - settled.origin)
-        newtons, total, v, a, spring, damper, inertia, field, law = render(
+        newtons, total, v, a, spring, damper, inertia, field, after = render(
             x, law, settled.environment, settled.coefficients
         )
-        moved_m = law[1]
+        moved_m = after[1]
+        bend_m = moved_m - law[1]
         # no chained comparison: CPython compares two floats faster alone
         if not (moved_m <= fast_m and moved_m >= slow_m):
             if turns := round(moved_m / turn_m):
@@ -181,6 +242,12 @@ def make_step(params: ServoParams) -> Step:
             if abs(moved_m) > jump_m:
                 return faulted(state, sample, tick, _RANGE, flags, answers)
             signs = too_fast(signs, tick, bound.fast_ticks)
+        if (
+            not (bend_m <= most_bend_m and bend_m >= least_bend_m)
+            and settled.out_flags & _ENABLE
+            and not flags & _JUDGED
+        ):
+            return surprised(state, sample, tick, flags, answers)
         elastic = spring + field
         if newtons != total:
             flags |= _CLAMPED
@@ -199,7 +266,7 @@ def make_step(params: ServoParams) -> Step:
         if torque < low or torque > high:
             torque = low if torque < low else high
         applied = n_per_count * (torque - zero_count)
-        ledger = book(
+        booked = book(
             ledger,
             moved_m,
             applied,
@@ -210,11 +277,11 @@ def make_step(params: ServoParams) -> Step:
             resistance_at_0 + resistance_per_count * damping,
             kept,
         )
-        if ledger[EXCESS] > most_j:
+        if booked[EXCESS] > most_j:
             signs = signs.raised(ENERGY)
         if signs.alarm:
             settled = replace(settled, wake_tick=tick + 1)
-        state = (settled, law, ledger, (torque, applied), signs)
+        state = (settled, after, booked, (torque, applied, (law, ledger)), signs)
         return state, (torque, x, v, a, spring, damper, inertia, field, applied, flags, answers)
 
     return step

@@ -9,7 +9,7 @@ What would break it: another order within a tick, or a change of the plan that l
 it was (the short way looks at nothing else).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from hapticd.faults import BY_CODE
@@ -33,6 +33,7 @@ from hapticd.render.law import (
 from hapticd.render.ramp import Ramp, constant
 from hapticd.servo.commands import Now, apply_settings, enter, obey
 from hapticd.servo.easing import eased
+from hapticd.servo.glitch import Verdict, believed_bend_m, verdict
 from hapticd.servo.homing import Failed, Homing, Search, Seen, force_limit_n
 from hapticd.servo.monitors import CALM, OVERSPEED, bounds
 from hapticd.servo.plan import (
@@ -69,6 +70,7 @@ from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
 from hapticd.wire.frames import OutFlag, StatusBit
 
 NO_AUTHORITY = BY_CODE["no_authority"].number
+SENSOR_GLITCH = BY_CODE["sensor_glitch"].number
 
 Attend = Callable[
     [ServoState, tuple[Any, ...], Sample, int], tuple[ServoState, bool, tuple[Any, ...], int]
@@ -87,6 +89,7 @@ def make_attend(params: ServoParams) -> Attend:
     limit_n = min(params.safety.force_limit_n, params.device.force_limit_n)
     low_count, high_count = params.device.temperature_counts(I16_LOWEST, I16_HIGHEST)
     m_per_count = params.device.position.per_count * params.device.position.sign
+    bend_m = believed_bend_m(params)
     first_origin = round_half_up(params.device.position.offset_count)
     home = params.device.home
     position = params.device.position
@@ -156,6 +159,8 @@ def make_attend(params: ServoParams) -> Attend:
             return cause(status, temperature, host) or BY_CODE["gateway_lost"].number
         if arrival == SEED:
             return BY_CODE["board_restarted"].number
+        if len(plan.glitches) > params.safety.glitches_limit:
+            return SENSOR_GLITCH
         if plan.unauthorised > params.safety.no_authority_limit:
             return cause_under_force(sample) or NO_AUTHORITY
         return cause_under_force(sample)
@@ -222,6 +227,27 @@ def make_attend(params: ServoParams) -> Attend:
         calm = unasked and status & settled.watched == settled.calm and cool
         return calm and 0 < arrival <= params.safety.missing_frames_limit
 
+    def undoubted(
+        plan: Plan, law: LawState, encoder: int, arrival: int, tick: int
+    ) -> tuple[Plan, tuple[float, ...], int]:
+        """`plan` after a sample that follows doubted ones, the positions [m] that the law gets of
+        those, and record flags.
+        """
+        *doubted, x = ((count - plan.origin) * m_per_count for count in (*plan.doubted, encoder))
+        believing = plan._replace(doubted=())
+        if arrival > params.safety.missing_frames_limit:
+            return believing, (), 0
+        if arrival:
+            return believing, line(law[0], x, arrival + len(doubted)), int(Flag.INTERPOLATED)
+        found = verdict(law, doubted, x, bend_m)
+        if found is Verdict.OPEN:
+            return plan, (), int(Flag.DOUBTED)
+        if found is Verdict.MOVED:
+            return believing, tuple(doubted), int(Flag.BELIEVED)
+        recent = tuple(one for one in plan.glitches if tick - one < rate_hz)
+        counted = believing._replace(glitches=(*recent, *len(doubted) * (tick,)))
+        return counted, line(law[0], x, len(doubted)), int(Flag.GLITCH)
+
     def attend(
         state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int
     ) -> tuple[ServoState, bool, tuple[Any, ...], int]:
@@ -236,8 +262,7 @@ def make_attend(params: ServoParams) -> Attend:
             law, ledger = bridge(
                 law,
                 ledger,
-                (encoder - origin) * m_per_count,
-                arrival,
+                line(law[0], (encoder - origin) * m_per_count, arrival),
                 environment,
                 coefficients,
                 resistance,
@@ -245,26 +270,26 @@ def make_attend(params: ServoParams) -> Attend:
             )
             return (settled, law, ledger, held, signs), True, (), int(Flag.INTERPOLATED)
         before = plan
-        usable = arrival >= 0 and bool(host & LINK_UP)
+        # an encoder that lies has no say in how its force goes
+        believed = plan.fault != SENSOR_GLITCH or not plan.fade.running(tick)
+        usable = arrival >= 0 and bool(host & LINK_UP) and believed
         flags = 0
-        if usable and 0 < arrival <= params.safety.missing_frames_limit:
-            law, ledger = bridge(
-                law,
-                ledger,
-                (encoder - origin) * m_per_count,
-                arrival,
-                environment,
-                coefficients,
-                resistance,
-                kept,
-            )
+        positions: tuple[float, ...] = ()
+        if usable and plan.doubted:
+            plan, positions, flags = undoubted(plan, law, encoder, arrival, tick)
+        elif usable and 0 < arrival <= params.safety.missing_frames_limit:
+            positions = line(law[0], (encoder - origin) * m_per_count, arrival)
             flags = int(Flag.INTERPOLATED)
+        if positions:
+            law, ledger = bridge(
+                law, ledger, positions, environment, coefficients, resistance, kept
+            )
         # another life of the board: its counter began anew, from wherever the device was
         if arrival == SEED:
             plan = without_origin(plan)._replace(origin=first_origin)
         if usable and status & StatusBit.ENCODER_FAULT:  # counts may have been missed
             plan = without_origin(plan)
-        _, held_n = held
+        _, held_n, former = held
         gateway = bool(host & GATEWAY_ALIVE)
         now = Now(tick, encoder, held_n, gateway, cause_against_force(sample), bar(host))
         if usable:
@@ -275,9 +300,13 @@ def make_attend(params: ServoParams) -> Attend:
             answers += tuple(more)
         resetting = before.state in LATCHED and plan.state is State.DISABLED
         seeding = usable and (
-            arrival > params.safety.missing_frames_limit or plan.origin != origin or resetting
+            arrival > params.safety.missing_frames_limit
+            or plan.origin != origin
+            or resetting
+            or (plan.doubted and not out_flags(plan, tick) & OutFlag.ENABLE)
         )
         if seeding:
+            plan = plan._replace(doubted=())
             law = at_rest((encoder - plan.origin) * m_per_count)
             ledger = unknown_before(ledger)
             flags = int(Flag.SEEDED)
@@ -303,7 +332,7 @@ def make_attend(params: ServoParams) -> Attend:
             flags |= int(Flag.RAMPING)
         if not usable and plan.state not in GRANTED:
             left = plan.fade.value(tick)
-            held = (force.to_count(left, I16_LOWEST, I16_HIGHEST), left)
+            held = (force.to_count(left, I16_LOWEST, I16_HIGHEST), left, former)
         asked = out_flags(plan, tick)
         looks = watch(asked)
         settled = Settled(
@@ -346,23 +375,25 @@ def out_flags(plan: Plan, tick: int) -> int:
     return flags | int(OutFlag.PERTURB) if plan.wave[WAVE_COMMAND] else flags
 
 
+def line(start: float, end: float, lost: int) -> tuple[float, ...]:
+    """`lost` positions [m] on the straight line between `start` and `end`."""
+    return tuple(start + (end - start) * index / (lost + 1) for index in range(1, lost + 1))
+
+
 def bridge(
     law: LawState,
     ledger: Ledger,
-    x: float,
-    lost: int,
+    positions: Sequence[float],
     environment: Environment,
     coefficients: Coefficients,
     resistance: float,
     kept: float,
 ) -> tuple[LawState, Ledger]:
-    """Feed the filters `lost` positions on the straight line to `x`, while the last force was
-    held.
+    """Feed the filters the `positions` [m] of samples without a tick of their own, while the last
+    force was held.
     """
-    start = law[0]
-    for index in range(1, lost + 1):
-        between = start + (x - start) * index / (lost + 1)
-        _, _, v, _, spring, _, _, field, law = render(between, law, environment, coefficients)
+    for position in positions:
+        _, _, v, _, spring, _, _, field, law = render(position, law, environment, coefficients)
         elastic = clamp(spring + field, environment[LIMIT])
         mass = environment[MASS]
         ledger = book(ledger, law[1], ledger[FORCE], 0.0, elastic, mass, v, resistance, kept)

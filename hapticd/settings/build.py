@@ -238,6 +238,7 @@ def device_params(device: DeviceFile) -> DeviceParams:
         probe_limit_n=limits.probe_n,
         temperature_limit_c=limits.temperature_c,
         force_step_n=limits.force_step_n,
+        acceleration_limit_m_per_s2=limits.acceleration_m_per_s2,
         speed_limit_m_per_s=limits.speed_m_per_s,
         overspeed_m_per_s=limits.overspeed_m_per_s or OVERSPEED * limits.speed_m_per_s,
         physical_damping_ns_per_m=limits.physical_damping_ns_per_m,

@@ -99,6 +99,8 @@ class Safety(TomlTable):
     """Ticks that may be missed within one second on hardware."""
     missing_frames_limit: int = Field(_safety.missing_frames_limit, ge=1, le=100)
     no_authority_limit: int = Field(_safety.no_authority_limit, ge=1, le=100)
+    glitches_limit: int = Field(_safety.glitches_limit, ge=0, le=1000)
+    """Bad encoder samples that may occur within one second."""
     default_ramp_s: Duration = _safety.default_ramp_s
     """Ramp of a `set` that names none."""
     limit_cycle_faults: bool = _safety.limit_cycle_faults

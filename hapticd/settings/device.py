@@ -179,6 +179,9 @@ class LimitsTable(TomlTable):
     force_step_n: float = Field(1.0, gt=0)
     """Largest step of force in one tick by an enable or a change of parameters; what would step
     further takes several ticks. 1 N gives a free handle of 8 g 0.1 m/s."""
+    acceleration_m_per_s2: float = Field(500.0, gt=0)
+    """What changes the speed faster is believed only when the next sample goes on from it: an
+    encoder glitch comes back."""
 
 
 class Travel(TomlTable):

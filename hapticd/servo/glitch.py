@@ -1,0 +1,93 @@
+"""Is a position that bends the motion a glitch of the encoder, or did the handle do that?
+
+A sample bends the motion by its second difference x_n - 2 x_{n-1} + x_{n-2}; more than
+limits.acceleration_m_per_s2 allows is not believed at once. The law is then given the straight
+continuation, its state stays what it was, and the next samples decide:
+
+    it returned    the newest lies where the straight line, or an acceleration that is believed,
+                   leads from before the doubt: a glitch. What was doubted counts as lost, and the
+                   filters get the positions between.
+    it moved       the newest goes on from what was doubted, bent little (a hand, a wall), or bent
+                   the same way (a tap that lasts): true motion. The filters get every sample.
+    still open     neither: it is doubted too.
+
+A glitch is there and gone, so its bends change sign: +g, -2g, +g. A tap bends one way for as long
+as it lasts, whatever its strength; the speed limit bounds what it does in all. A position that
+jumps and stays bends by +g, -g: no handle does that either, and the doubt is not resolved.
+
+What would break it: samples that are not one period apart (then all that is doubted is lost), or a
+handle that is so light or struck so hard that it turns round within a period.
+"""
+
+from collections.abc import Sequence
+from enum import Enum
+from typing import Final
+
+from hapticd.params import ServoParams
+from hapticd.render.law import LawState
+
+MOST_DOUBTED: Final = 2  # samples in a row; one more is a fault
+# times the bend that is believed at once; at 500 m/s^2 on 8 g
+ONE_WAY: Final = 2.0  # may what goes on bend after one doubted sample; beyond that one way: 8 N
+TAP: Final = 7.5  # after two, if all bend one way: 30 N
+LEAST_SHARE: Final = 0.25  # of the way back was the way there; half of it without other motion
+LEAST_COUNTS: Final = 8
+
+
+class Verdict(Enum):
+    """What the doubted samples were."""
+
+    RETURNED = 1
+    MOVED = 2
+    OPEN = 3
+
+
+def believed_bend_m(params: ServoParams) -> float:
+    """Second difference of position [m] that is believed at once: that of the device's limit, and
+    some counts of the encoder at high rates.
+    """
+    device = params.device
+    of_motion_m = device.acceleration_limit_m_per_s2 / params.realtime.rate_hz**2
+    return max(of_motion_m, LEAST_COUNTS * device.position.per_count)
+
+
+def verdict(law: LawState, doubted: Sequence[float], x: float, bend_m: float) -> Verdict:
+    """What the positions `doubted` [m] were, now that `x` [m] follows them.
+
+    `law` is from before them; `bend_m` [m] is the second difference that is believed at once.
+    """
+    start, moved, *_ = law
+    bends = []
+    last = start
+    step = moved
+    for position in (*doubted, x):
+        bends.append(position - last - step)
+        step = position - last
+        last = position
+    newest = abs(bends[-1])
+    away = abs(x - start - len(bends) * moved)
+    # a hand leads off the straight line by less than that
+    if away <= len(bends) * bend_m and away < newest:
+        return Verdict.RETURNED
+    most = TAP if len(doubted) == MOST_DOUBTED else ONE_WAY
+    if newest <= most * bend_m and one_way(bends, bend_m):
+        return Verdict.MOVED
+    return Verdict.OPEN
+
+
+def stuck_out(before: LawState, law: LawState, x: float, bend_m: float) -> bool:
+    """Whether the sample before `x` [m] was the glitch, too small to be doubted then: it bent the
+    motion one way, this one bends it twice as much the other way and lies where `before` led.
+
+    `law` has that sample, `before` has not.
+    """
+    bent = law[1] - before[1]
+    bends = x - law[0] - law[1]
+    back = bent * bends < 0.0 and abs(bent) >= LEAST_SHARE * abs(bends)
+    return back and verdict(before, (law[0],), x, bend_m) is Verdict.RETURNED
+
+
+def one_way(bends: Sequence[float], bend_m: float) -> bool:
+    """Whether all `bends` that are clearly beyond `bend_m` have one sign."""
+    signs = {bend > 0.0 for bend in bends if abs(bend) > ONE_WAY * bend_m}
+    return len(signs) < 2
