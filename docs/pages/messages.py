@@ -2,9 +2,14 @@
 
 from typing import Any
 
+from hapticd.gateway.addresses import MAX_SUBSCRIPTION_BYTES, MESSAGES_QUEUED, REPLIES_QUEUED
+from hapticd.gateway.codec import MAX_MESSAGE_BYTES
+from hapticd.gateway.desk import MOST_QUEUED
 from hapticd.gateway.limits import CommandLimits
+from hapticd.gateway.peers import MOST_PEERS, QUEUED_BYTES
 from hapticd.gateway.schemas import json_schema
 from hapticd.gateway.telemetry import TOPICS
+from hapticd.gateway.zmtp import MOST_PARTS
 from hapticd.mailbox.layout import TELEMETRY
 from hapticd.settings.build import servo_params
 from hapticd.settings.load import load
@@ -15,9 +20,13 @@ from pages.schemas import Schema, described
 INTRODUCTION = """# Messages
 
 Commands are one msgpack or JSON map each, sent to the ROUTER socket `command` in the runtime folder; the reply has the encoding
-of the request: `{ok: true, id, rev, state, result or receipt}`, or `{ok: false, id, error: {code, message, detail}}`. Telemetry is
+of the request: `{ok}`, or `{refused}`. Telemetry is
 two frames, `[topic, payload]`, on the XPUB socket `telemetry` and on TCP port 9872. Limits below are those of the simulated device
 at 1 kHz; `hapticd.client` speaks all of this.
+
+The gateway speaks ZMTP 3 itself (any ZeroMQ library since 4.0) and bounds every peer: a message has at most {message} bytes (a subscription {subscription}) in
+{parts} parts, and what breaks that ends its connection; {peers} connections a socket; {replies} replies or {messages} messages of telemetry wait for a reader, within {queued} MiB, and
+what comes then is dropped. Behind {requests} others a request is answered `busy`, and a stop goes before them all.
 
 ## Commands
 """
@@ -47,7 +56,19 @@ def messages_page() -> str:
     records = table(
         ("field", "type"), [(f"`{field[0]}`", f"`{_kind(field)}`") for field in TELEMETRY]
     )
-    return "\n".join([INTRODUCTION, *commands, *parts, "## Topics\n", topics, RECORDS, records])
+    bounds = INTRODUCTION.format(
+        ok="{ok: true, id, rev, state, result or receipt}",
+        refused="{ok: false, id, error: {code, message, detail}}",
+        message=MAX_MESSAGE_BYTES,
+        subscription=MAX_SUBSCRIPTION_BYTES,
+        parts=MOST_PARTS,
+        peers=MOST_PEERS,
+        replies=REPLIES_QUEUED,
+        messages=MESSAGES_QUEUED,
+        queued=QUEUED_BYTES >> 20,
+        requests=MOST_QUEUED,
+    )
+    return "\n".join([bounds, *commands, *parts, "## Topics\n", topics, RECORDS, records])
 
 
 def _fields(root: Schema, model: Schema) -> str:
