@@ -6,7 +6,8 @@
     step        from one OUT to the next no further than limits.force_step_n beyond the law's own
                 step, whatever is commanded and whatever happens; a step to 0 takes force away, and
                 so does one towards 0 once force has to end
-    end         0 within 22 periods after the servo left those states; at once for `disabled`
+    end         0 within 22 periods after the servo left those states, but for the first tick after
+                a host stood still; at once for `disabled`
     silence     0 within the watchdog's time and a period after the last OUT that the board took
 
 The motor is watched in every piece that the plant plays, so between two OUTs too. The law's own
@@ -56,6 +57,7 @@ class Out(NamedTuple):
     """The motor around one OUT that the board took."""
 
     t_ns: int
+    tick: int  # of the servo that sent it
     before_n: float  # force that the plant felt last
     after_n: float
     position_m: float
@@ -149,7 +151,8 @@ class Watch:
         odd = axis.amplifier is not None
         number = getattr(self._port, "tick", 0)
         moved_m = axis.state[POSITION]
-        self.outs.append(Out(now_ns, self._felt_n, axis.force_n, moved_m, odd, number))
+        tick = self._stack.loop.tick
+        self.outs.append(Out(now_ns, tick, self._felt_n, axis.force_n, moved_m, odd, number))
 
     def tell(self, rule: str, text: str) -> None:
         """Note a violation at this moment."""
@@ -168,7 +171,7 @@ class Watch:
         if len(self.outs) < STRUCK_OUTS:
             return self.found
         outs = Outs(*(np.array(column) for column in zip(*self.outs, strict=True)))
-        ticks = np.searchsorted(records["time_ns"], outs.t_ns, side="right") - 1
+        ticks = np.minimum(outs.tick, len(records) - 1)
         found = [*self._late_ends(outs, ticks, records), *self._unasked(records)]
         found += self._steps(outs, ticks, lies, np.isin(records["state"][ticks], list(GRANTED)))
         return self.found + found[: MOST_TOLD - len(self.found)]
@@ -180,7 +183,11 @@ class Watch:
         since = np.maximum.accumulate(np.where(granted, np.arange(len(state)), -1))
         left_ns = records["time_ns"][np.minimum(since + 1, len(state) - 1)]
         period_ns = 1e9 / self._servo.realtime.rate_hz
-        fading = latched[ticks] & (outs.t_ns - left_ns[ticks] <= END_PERIODS * period_ns)
+        woken = (
+            records["wake_ns"] > period_ns
+        )  # the host stood still: this tick is the first to end
+        in_time = outs.t_ns - left_ns[ticks] <= END_PERIODS * period_ns
+        fading = latched[ticks] & (in_time | woken[ticks])
         wrong = (outs.after_n != 0.0) & ~granted[ticks] & ~fading
         return [
             Violation(
@@ -257,6 +264,7 @@ class Outs(NamedTuple):
     """The columns of some Out."""
 
     t_ns: Any
+    tick: Any
     before_n: Any
     after_n: Any
     position_m: Any

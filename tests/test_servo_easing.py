@@ -6,8 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from flight import Flight, enabled
-from models import COUNT_N, board_params, device_params, servo_params
+from flight import Flight, enabled, masked
+from models import COUNT_M, COUNT_N, board_params, device_params, servo_params
 
 from hapticd.assembly.lockstep import LockStep
 from hapticd.mailbox.layout import Command, Flag, Result, Value
@@ -134,6 +134,37 @@ def test_in_motion_only_the_law_itself_steps_further(seed):
 def test_a_stiff_wall_that_is_hit_steps_as_it_must():
     flight = enabled(params_with(0.1), {**SOLID, Value.WALL_DAMPING: 0.0})
     assert flight.fly(1, encoder=2000)[8] == pytest.approx(-5.0, abs=COUNT_N)
+
+
+@pytest.mark.parametrize("late", [0, 5])
+def test_a_change_in_a_stop_waits_until_the_force_is_gone(late):
+    """In the tick of the stop, or while it fades: what acted goes on, and nothing else."""
+    flight = enabled(params_with(0.5), {Value.STIFFNESS: 20.0}, 1000)
+    change = (7, int(Command.SET), 9, 0, masked({Value.STIFFNESS: 1e5, Value.RAMP_S: 0.0}))
+    forces = [flight.out[8]]
+    for n in range(40):
+        stops = [(0, int(Command.STOP), 9, 0, masked({}))] if n == 0 else []
+        flight._one((*([change] if n == late else []), *stops))
+        forces.append(flight.out[8])
+    assert largest_step(forces) <= 0.5 + ROUNDING_N
+    assert min(forces) == forces[0] == pytest.approx(-20.0 * 1000 * COUNT_M, abs=COUNT_N)
+    assert forces[-1] == 0.0
+    assert flight.blob["stiffness_n_per_m"] == 1e5
+
+
+@pytest.mark.parametrize("ramp_s", [0.0, 0.01])
+def test_parameters_wait_while_the_force_is_held_for_want_of_a_sample(ramp_s):
+    """Else all that they did meanwhile would come at once with the next sample."""
+    flight = enabled(params_with(0.5), None, 20_000)
+    forces = [flight.out[8]]
+    flight.do(Command.SET, {Value.STIFFNESS: 600.0, Value.RAMP_S: ramp_s})
+    forces.append(flight.out[8])
+    for n in range(60):
+        lost = 2 <= n < 8
+        flight.fly(1, arrival=1 - n if lost else 6 if n == 8 else 0)
+        forces.append(flight.out[8])
+    assert largest_step(forces) <= 0.5 + ROUNDING_N
+    assert forces[-1] == pytest.approx(-6.0, abs=COUNT_N)
 
 
 def test_records_show_the_values_that_were_in_force():

@@ -6,7 +6,9 @@ Both are the law at the sample of this tick, so the step of a stiff wall that is
 is; bounded is what an enable or a change of parameters adds to it. Where that would be too much,
 all that is on its way, gain and values alike, goes a share of the way and on from there in the next
 tick: a ramp ends later than asked, and records show the values that were in force. Whatever takes
-force away as a whole (disable, stop, fault, the ramp from 0 after a gap) is not held back.
+force away as a whole (disable, stop, fault, the ramp from 0 after a gap) is not held back. While
+there is no sample the force is held, and while a stop or fault fades it what acted goes on: in both
+parameters wait where they are.
 
 The force is continuous in the share, but neither monotonous nor linear (clamp, walls, gain times
 value), so a share is found by halving: a step lies between half the bound and the bound, and any
@@ -16,11 +18,13 @@ What would break it: a force that is no continuous function of its parameters, o
 change without a ramp.
 """
 
+from math import isfinite
+
 from hapticd.params import ServoParams
 from hapticd.render.law import Coefficients, LawState, render
 from hapticd.render.ramp import Ramp
 from hapticd.servo.plan import Plan, Settled, environment_of
-from hapticd.servo.safety import State
+from hapticd.servo.safety import LATCHED, State
 
 HALVINGS = 40  # of the way of one tick: from the whole range of any value to nothing felt
 
@@ -28,7 +32,7 @@ HALVINGS = 40  # of the way of one tick: from the whole range of any value to no
 def eased(
     plan: Plan,
     settled: Settled,
-    x: float,
+    x: float | None,
     law: LawState,
     coefficients: Coefficients,
     tick: int,
@@ -37,20 +41,26 @@ def eased(
     """`plan` with its parameters as far on their way at `tick` as the device's force step allows.
 
     `settled` is of the tick before, `law` and `coefficients` are those that this tick's position
-    `x` [m] meets.
+    `x` [m] meets; None: there is no sample, and the force is held.
     """
     before = settled.plan
     last_tick = settled.wake_tick - 1  # while a ramp runs; else any tick gives the same values
+    if plan.state in LATCHED:
+        fading = plan.gain.value(tick) > 0.0 and isfinite(params.device.force_step_n)
+        return on_the_way(plan, before, last_tick, tick, 0.0) if fading else plan
     if plan.state is not State.ENABLED or plan.gain.value(tick) < before.gain.value(last_tick):
         return plan
+    if x is None:
+        return on_the_way(plan, before, last_tick, tick, 0.0)
+    here = x
     bound_n = params.device.force_step_n
     limit_n = min(params.safety.force_limit_n, params.device.force_limit_n)
     workspace = params.environment.workspace
-    was_n, *_ = render(x, law, settled.environment, coefficients)
+    was_n, *_ = render(here, law, settled.environment, coefficients)
 
     def too_far(candidate: Plan) -> bool:
         environment = environment_of(candidate, tick, workspace, limit_n)
-        force_n, *_ = render(x, law, environment, coefficients)
+        force_n, *_ = render(here, law, environment, coefficients)
         return abs(force_n - was_n) > bound_n
 
     share = 1.0
@@ -65,7 +75,7 @@ def eased(
 
 def on_the_way(plan: Plan, before: Plan, last_tick: int, tick: int, share: float) -> Plan:
     """`plan` with every parameter at `tick` only `share` of the way from where `before` had it at
-    `last_tick`, and on its way from there.
+    `last_tick`, and on its way from there; a gain that fades goes its own way.
     """
 
     def part(old: Ramp, new: Ramp) -> Ramp:
@@ -77,4 +87,7 @@ def on_the_way(plan: Plan, before: Plan, last_tick: int, tick: int, share: float
         return Ramp(start + share * (there - start), new.end, tick, left)
 
     values = {place: part(before.values[place], ramp) for place, ramp in plan.values.items()}
-    return plan._replace(gain=part(before.gain, plan.gain), values=values)
+    gain = plan.gain if plan.state in LATCHED else part(before.gain, plan.gain)
+    if gain == plan.gain and values == plan.values:
+        return plan
+    return plan._replace(gain=gain, values=values)

@@ -320,8 +320,8 @@ def make_attend(params: ServoParams) -> Attend:
             renewed = coefficients_of(plan, rate_hz)
             law = refiltered(law, coefficients, renewed)
             coefficients = renewed
-        if plan.state is State.ENABLED:
-            x = (encoder - plan.origin) * m_per_count if usable else law[0]
+        if plan.state is State.ENABLED or plan.state in LATCHED:
+            x = (encoder - plan.origin) * m_per_count if usable else None
             slower = eased(plan, settled, x, law, coefficients, tick, params)
             flags |= 0 if slower is plan else int(Flag.EASED)
             plan = slower
