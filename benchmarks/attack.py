@@ -258,7 +258,7 @@ class Operator:
                 self._post(kind)
         for _ in range(random.choice((0, 0, 0, 1, 1, 2, 5))):
             self._one()
-        if random.random() < 0.004:
+        if random.random() < 0.001:
             press_stop(self.stack.mailbox.folder)
         if random.random() < 0.004:
             self.stack.clock.time_ns += random.choice((1, 3, 12, 40)) * 1_000_000
@@ -308,8 +308,8 @@ WEIGHTS = [
     {
         Command.SET: 12,
         Command.ENABLE: 3,
-        Command.DISABLE: 0.6,
-        Command.STOP: 0.6,
+        Command.DISABLE: 0.4,
+        Command.STOP: 0.4,
         Command.HOME: 0.5,
     }.get(kind, 1)
     for kind in Command

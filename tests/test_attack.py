@@ -23,12 +23,12 @@ SPRING = {Value.STIFFNESS: 200.0, Value.DAMPING: 2.0, Value.RAMP_S: 0.0}
 BOARD = board_params(touch=TouchParams(hands=(HandParams("push", force_n=1.0),)), watchdog_ms=20.0)
 
 
-@pytest.mark.parametrize("seed", [3, 17])
-def test_flights_in_which_something_was_found_once_have_none_now(seed: int) -> None:
-    """A restart while a stop fades; frames that come back in a fade."""
+@pytest.mark.parametrize("seed", [3, 17, 57])
+def test_nothing_that_must_not_happen_happens_in_some_flights(seed: int) -> None:
+    """Those in which the first attacks found something."""
     found = fly(seed)
     assert not found.violations
-    assert found.forced > 0.3 * found.ticks
+    assert found.forced > 0.1 * found.ticks
 
 
 def test_every_fault_of_the_simulated_board_is_tried() -> None:
