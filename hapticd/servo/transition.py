@@ -270,9 +270,7 @@ def make_attend(params: ServoParams) -> Attend:
             )
             return (settled, law, ledger, held, signs), True, (), int(Flag.INTERPOLATED)
         before = plan
-        # an encoder that lies has no say in how its force goes
-        believed = plan.fault != SENSOR_GLITCH or not plan.fade.running(tick)
-        usable = arrival >= 0 and bool(host & LINK_UP) and believed
+        usable = arrival >= 0 and bool(host & LINK_UP) and encoder_counts(plan, tick)
         flags = 0
         positions: tuple[float, ...] = ()
         if usable and plan.doubted:
@@ -295,6 +293,7 @@ def make_attend(params: ServoParams) -> Attend:
         if usable:
             plan = authorised(plan, sample, tick)
         plan, answers = commanded(plan, commands, sample, now, signs.alarm)
+        usable = usable and encoder_counts(plan, tick)
         if plan.state is State.HOMING and usable:
             plan, more = searched(plan, sample, now)
             answers += tuple(more)
@@ -352,6 +351,11 @@ def make_attend(params: ServoParams) -> Attend:
         return (settled, law, ledger, held, CALM if signs.alarm else signs), usable, answers, flags
 
     return attend
+
+
+def encoder_counts(plan: Plan, tick: int) -> bool:
+    """Whether the encoder has a say: not in how the force goes that its own lies have ended."""
+    return plan.fault != SENSOR_GLITCH or not plan.fade.running(tick)
 
 
 def bar(host: int) -> Result | None:
