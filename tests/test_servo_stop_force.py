@@ -62,16 +62,17 @@ def requests(kinds):
     return tuple((0, int(kind), 9, 0, values) for kind in kinds)
 
 
-def acts_after(state, acting, kinds):
+def acts_after(state, lost, acting, kinds):
     """State after `kinds`, and whether the force that acted before may go on: only through states
-    that grant torque or fade it, one after the other.
+    that grant torque or fade it, one after the other. `lost`: there is no origin to enable at.
     """
     in_order = [kind for kind in kinds if kind != Command.STOP]
     in_order += [kind for kind in kinds if kind == Command.STOP]
     for kind in in_order:
         target = safety.transition(state, kind)
-        if isinstance(target, State):
+        if isinstance(target, State) and not (lost and kind == Command.ENABLE):
             state = target
+        lost = lost or state is State.HOMING
         acting = acting and state is not State.DISABLED
     return state, acting
 
@@ -85,7 +86,7 @@ def test_commands_of_one_tick_leave_a_latched_state_no_force_but_what_acted(begi
     kept = start.state, start.tick
     for kinds in GATHERED:
         start.state, start.tick = kept
-        state, acts = acts_after(start.plan.state, acting, kinds)
+        state, acts = acts_after(start.plan.state, start.plan.origin_lost, acting, kinds)
         out = start._one(requests(kinds))
         assert start.plan.state is state
         if state not in LATCHED:
