@@ -136,7 +136,8 @@ def _asked(context: Any, folder: Path) -> Any:
 def _stopped(place: Place, state: str | None) -> Stopped:
     report = daemons.read_report(place.folder)
     word = "taken" if stop_taken(place.folder) else "pressed"
-    device, simulated = report.get("device", ""), report.get("simulated")
+    device = report.get("device", "")
+    simulated = report.get("simulated")
     return Stopped(str(place.folder), place.instance, device, simulated, state or word)
 
 

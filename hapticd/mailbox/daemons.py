@@ -45,7 +45,7 @@ def daemon_folder(instance: str = DEFAULT_INSTANCE) -> Path:
 
 
 def looked_for(instance: str = DEFAULT_INSTANCE) -> Path:
-    """The same, to be looked at from outside: it may not be believed."""
+    """As `daemon_folder`, to be looked at from outside: this folder need not be believed."""
     own = files.runtime_folder(instance)
     if instance != DEFAULT_INSTANCE or not os.path.lexists(files.SERVICE_FOLDER):
         return own

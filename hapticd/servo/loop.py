@@ -421,7 +421,7 @@ class ServoLoop:
         ring = self.mailbox.ring
         in_bytes = device.in_buffer.tobytes
         size = layout.RECORD.size
-        slots = layout.RING_RECORDS
+        places = layout.RING_RECORDS
 
         def rehearse() -> None:
             head = device.rehearse()
@@ -437,7 +437,7 @@ class ServoLoop:
                 in_bytes(),
             )
             # the oldest record, which the tick replaces anyway
-            pack(ring, layout.TELEMETRY_OFFSET + self.tick % slots * size, *_BLANK)
+            pack(ring, layout.TELEMETRY_OFFSET + self.tick % places * size, *_BLANK)
 
         return rehearse
 
