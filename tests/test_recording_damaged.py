@@ -109,6 +109,25 @@ def test_bytes_at_random_are_packed_or_refused(crashed: Path, tmp_path: Path) ->
         (tmp_path / "any.h5").unlink(missing_ok=True)
 
 
+def test_flight_recording_with_any_header_is_read_or_refused(runtime: Path, tmp_path: Path) -> None:
+    with RecordedFlight() as flown:
+        flown.fly(200)
+        told = flown.publisher.flight.dump("asked")
+        flown.publisher.flight.close()
+    source = Path(told["path"]).read_bytes()
+    path = tmp_path / "any.flight"
+    length = int.from_bytes(source[17:25], "little")
+    for seed in range(150):
+        chance = random.Random(seed)
+        data = bytearray(source)
+        for _ in range(chance.choice((1, 1, 2, 5))):
+            place = chance.randrange(25 + length)
+            data[place : place + 1] = chance.choice((b"9", b"x", b"null", b"[]", b"1e999", b"-"))
+        path.write_bytes(data)
+        with suppress(ConfigError), open_recording(path) as recording:
+            recording.segments()
+
+
 def test_checksum_is_that_of_its_author() -> None:
     """Bob Jenkins, lookup3.c, driver5: with initial value 0."""
     assert lookup3(b"Four score and seven years ago") == 0x17770551

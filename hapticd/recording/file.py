@@ -314,16 +314,21 @@ def _opened(h5py: Any, path: Path, opened: ExitStack) -> Any:
 
 
 @contextmanager
-def _damage(path: Path) -> Iterator[None]:
-    """Turn whatever HDF5 says of a file that it cannot read into a ConfigError that names it."""
+def _damage(path: Path, kind: str = "HDF5 file") -> Iterator[None]:
+    """Turn whatever is said of a file that cannot be read into a ConfigError that names it."""
     try:
         yield
     except _UNREADABLE as error:
-        raise ConfigError(f"{path}: {error}; it is no HDF5 file, or damaged") from error
+        raise ConfigError(f"{path}: {error}; it is no {kind}, or damaged") from error
 
 
 def _flight(path: Path) -> Recording:
     header, records = flight.read_flight(path)
+    with _damage(path, "flight recording"):
+        return _of_flight(path, header, records)
+
+
+def _of_flight(path: Path, header: dict[str, Any], records: Records) -> Recording:
     attributes = {
         "schema": SCHEMA,
         "started_utc": header["written_utc"],
