@@ -203,7 +203,7 @@ def test_a_position_that_jumps_and_stays_is_a_fault(counts):
     def extra(tick):
         return counts if tick >= from_tick else 0
 
-    for _ in range(6):
+    for _ in range(30):
         forces += [out[8] for out in flown(flight, 1, extra)]
     assert flight.blob["fault"] == GLITCH_FAULT
     assert max(abs(b - a) for a, b in pairwise(forces)) < 0.5
