@@ -168,7 +168,7 @@ class SafetyParams:
     on_gateway_loss: str = "fault"  # "fault" | "hold"
     lost_slots_limit: int = 10  # within one second
     missing_frames_limit: int = 8
-    no_authority_limit: int = 8  # ticks for which the board may withhold torque while enabled
+    no_authority_limit: int = 8  # periods for which the board may withhold torque while enabled
     glitches_limit: int = 2  # of the encoder within one second
     default_ramp_s: float = 0.05
     # faults force_at_limit and energy, which a trial at the edge of stability does without

@@ -220,3 +220,19 @@ def test_a_flight_with_lost_slots_is_replayed_bit_by_bit():
     assert (records["slot"] - records["tick"]).max() > 500
     assert set(records["stiffness_n_per_m"].tolist()) > {50.0, 200.0}
     assert replay.difference(records, replay.replay(flight.params, segment)) is None
+
+
+@pytest.mark.parametrize("pause_ms", [0.0, 1.4, 2.4])
+def test_authority_may_be_missing_for_periods_not_ticks(pause_ms):
+    """From the emergency stop to the fault, by the clock: 8 periods, and the ticks around them."""
+    pressed_for = (InjectionParams("emergency_stop", tick=SILENT_AT, value=0.5),)
+    with LockStep(servo_params(), board_params(mass_kg=1.0, injections=pressed_for)) as stack:
+        pressed(stack)
+        slow_host(stack, pause_ms)
+        while stack.backend._port.tick < SILENT_AT:
+            stack.run(1)
+        until_s = elapsed_s(stack, lambda record: record["state"] == State.FAULT)
+        fault = as_records(stack.run(1))[-1]["fault"]
+    tick_s = 0.001 + 2 * pause_ms * 1e-3
+    assert fault == BY_CODE["no_authority"].number
+    assert until_s <= 0.009 + 2 * tick_s

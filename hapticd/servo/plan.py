@@ -87,7 +87,7 @@ class Plan(NamedTuple):
     added_entry: float  # level when a latched state was entered, N s/m
     scheduled: tuple["Scheduled", ...]
     # since version 0.2, with a default for checkpoints of earlier ones
-    unauthorised: int = 0  # ticks in a row for which the board withheld the torque that was asked
+    unauthorised: int = 0  # periods in a row for which the board withheld torque that was asked
     homing: Homing = Homing()
     stop_tick: int = -1  # of the last press of a stop, -1: none since the last reset
     stop_owner: int = 0  # actor who pressed it; 0: several pressed

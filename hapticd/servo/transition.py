@@ -129,7 +129,7 @@ def make_attend(params: ServoParams) -> Attend:
         ready = status & StatusBit.AMPLIFIER_READY or not host & AMPLIFIER_TOLD
         return 0 if ready and not status & StatusBit.EMERGENCY_STOP else NO_AUTHORITY
 
-    def authorised(plan: Plan, sample: Sample, tick: int) -> Plan:
+    def authorised(plan: Plan, sample: Sample, tick: int, elapsed: int) -> Plan:
         """`plan` after what the board says of the torque that was asked of it: while it is
         withheld nothing is rendered, and when it is granted again the gain begins at 0.
         """
@@ -137,7 +137,7 @@ def make_attend(params: ServoParams) -> Attend:
             return plan._replace(unauthorised=0) if plan.unauthorised else plan
         if not sample[STATUS] & AUTHORITY:
             # a perturbation would come back at once with the authority
-            count = plan.unauthorised + 1
+            count = plan.unauthorised + elapsed if plan.unauthorised else 1
             return plan._replace(unauthorised=count, gain=constant(0.0), wave=NO_WAVE)
         if not plan.unauthorised:
             return plan
@@ -270,6 +270,8 @@ def make_attend(params: ServoParams) -> Attend:
             )
             return (settled, law, ledger, held, signs), True, (), int(Flag.INTERPOLATED)
         before = plan
+        # periods since the last tick, while something makes every tick come here
+        elapsed = max(1, tick - settled.wake_tick + 1)
         usable = arrival >= 0 and bool(host & LINK_UP) and encoder_counts(plan, tick)
         flags = 0
         positions: tuple[float, ...] = ()
@@ -291,7 +293,7 @@ def make_attend(params: ServoParams) -> Attend:
         gateway = bool(host & GATEWAY_ALIVE)
         now = Now(tick, encoder, held_n, gateway, cause_against_force(sample), bar(host))
         if usable:
-            plan = authorised(plan, sample, tick)
+            plan = authorised(plan, sample, tick, elapsed)
         plan, answers = commanded(plan, commands, sample, now, signs.alarm)
         usable = usable and encoder_counts(plan, tick)
         if plan.state is State.HOMING and usable:
@@ -314,7 +316,7 @@ def make_attend(params: ServoParams) -> Attend:
                 flags |= int(Flag.QUIET_RAMP)
             if plan.state in LATCHED:  # what faded is not rendered from a position that is new
                 plan = plan._replace(gain=constant(0.0), fade=constant(0.0))
-        plan = advance_added(plan, tick, max(1, tick - settled.wake_tick + 1), params)
+        plan = advance_added(plan, tick, elapsed, params)
         if plan.filters != before.filters:
             renewed = coefficients_of(plan, rate_hz)
             law = refiltered(law, coefficients, renewed)
