@@ -26,6 +26,7 @@ import zmq.auth
 from zmq.auth.thread import ThreadAuthenticator
 
 from hapticd.errors import ConfigError
+from hapticd.gateway.peers import PROBE_S, SILENCE_S
 from hapticd.params import GatewayParams
 
 SERVER = "server"
@@ -110,6 +111,9 @@ class Relay:
             zmq.MAXMSGSIZE: longest,
             zmq.SNDHWM: RELAYED_QUEUED,
             zmq.TCP_KEEPALIVE: 1,
+            zmq.TCP_KEEPALIVE_IDLE: PROBE_S,
+            zmq.TCP_KEEPALIVE_INTVL: PROBE_S,
+            zmq.TCP_KEEPALIVE_CNT: SILENCE_S // PROBE_S,
             # never held back, and no heartbeats: a peer that dies while its input is held back
             # makes libzmq abort (its issue 4364)
             zmq.RCVHWM: 0,
