@@ -14,8 +14,8 @@ into a copy of its own, its tests run, and the verdict is
     does not apply   the code has moved on: make the patch anew, the claim stays
     does not run     the tests could not even be collected
 
-All but `killed` fail the run. A copy has no bytecode: two texts of one length within one second
-would share it.
+All but `killed` fail the run. Copies share bytecode that is checked by the hash of its source: by
+time and size, two texts of one length within one second would be the same.
 
     python tests/mutate.py                   all of them, two at a time
     python tests/mutate.py old_frame stop    those whose file name holds one of the words
@@ -31,15 +31,17 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterable, Sequence
+from compileall import compile_dir
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from py_compile import PycInvalidationMode
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "tests" / "mutations"
 LEFT_OUT = shutil.ignore_patterns(".*", "build", "dist", "__pycache__", "*.egg-info")
 WORKERS = 2
-TIMEOUT_S = 300.0
+TIMEOUT_S = 900.0
 PASSED = 0  # exit codes of pytest
 FAILED = 1
 
@@ -78,10 +80,16 @@ def read(path: Path) -> Mutation:
     return Mutation(path, fields["Claim"], tuple(fields["Killed by"].split()))
 
 
-def copied(folder: Path) -> Path:
-    """A copy of the tree in `folder`."""
+def prepared(folder: Path) -> Path:
+    """A copy of the tree in `folder`, with bytecode of the package."""
     copy = folder / "tree"
     shutil.copytree(ROOT, copy, ignore=LEFT_OUT, symlinks=True)
+    compile_dir(
+        copy / "hapticd",
+        quiet=2,
+        invalidation_mode=PycInvalidationMode.CHECKED_HASH,
+        workers=WORKERS,
+    )
     return copy
 
 
@@ -100,11 +108,11 @@ def pytest(tree: Path, tests: Iterable[str]) -> subprocess.CompletedProcess[str]
     )
 
 
-def tried(mutation: Mutation) -> Outcome:
+def tried(mutation: Mutation, original: Path) -> Outcome:
     """Patch a copy, run the tests that must fail."""
     begin = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="hapticd-mutate-") as folder:
-        tree = copied(Path(folder))
+        tree = Path(shutil.copytree(original, Path(folder) / "tree", symlinks=True))
         apply = ["git", "apply", "--whitespace=nowarn", str(mutation.path)]
         patched = subprocess.run(apply, cwd=tree, capture_output=True, text=True, check=False)
         if patched.returncode:
@@ -115,12 +123,18 @@ def tried(mutation: Mutation) -> Outcome:
     return Outcome(verdict, time.monotonic() - begin, text)
 
 
-def untouched_fails(mutations: Sequence[Mutation]) -> str:
+def untouched_fails(mutations: Sequence[Mutation], original: Path) -> str:
     """What pytest says if a named test does not pass on the tree as it is; empty if all do."""
-    tests = sorted({test for one in mutations for test in one.tests})
-    with tempfile.TemporaryDirectory(prefix="hapticd-mutate-") as folder:
-        ran = pytest(copied(Path(folder)), tests)
+    ran = pytest(original, sorted({test for one in mutations for test in one.tests}))
     return "" if ran.returncode == PASSED else ran.stdout[-3000:] + ran.stderr[-1000:]
+
+
+def told(mutation: Mutation, outcome: Outcome) -> bool:
+    """Print the verdict; whether the defect was noticed."""
+    verdict, seconds, text = outcome
+    why = f"  ({mutation.claim})\n{text}" if text else ""
+    print(f"{verdict:>14} {seconds:4.0f} s  {mutation.path.stem}{why}", flush=True)
+    return verdict == "killed"
 
 
 def main(words: Sequence[str]) -> int:
@@ -130,15 +144,12 @@ def main(words: Sequence[str]) -> int:
     mutations = [read(path) for path in chosen]
     if not mutations:
         raise SystemExit(f"no patch in {FOLDER} has one of {', '.join(words)} in its name")
-    with ThreadPoolExecutor(WORKERS) as pool:
-        untouched = pool.submit(untouched_fails, mutations)
-        pending = [(one, pool.submit(tried, one)) for one in mutations]
-        killed = 0
-        for mutation, future in pending:
-            outcome = future.result()
-            killed += outcome.verdict == "killed"
-            print(f"{outcome.verdict:>14} {outcome.seconds:4.0f} s  {mutation.path.stem}", end="")
-            print(f"  ({mutation.claim})\n{outcome.text}" if outcome.text else "", flush=True)
+    with tempfile.TemporaryDirectory(prefix="hapticd-mutate-") as folder:
+        original = prepared(Path(folder))
+        with ThreadPoolExecutor(WORKERS) as pool:
+            untouched = pool.submit(untouched_fails, mutations, original)
+            outcomes = pool.map(lambda one: tried(one, original), mutations)
+            killed = sum(told(*pair) for pair in zip(mutations, outcomes, strict=True))
         if text := untouched.result():
             print(f"without any patch a named test does not pass:\n{text}")
             return 1
