@@ -217,6 +217,7 @@ SCENARIOS = (
     Scenario("board_fault", struck("amplifier_fault", (0.3,)), next_strike),
     Scenario("sensor_range", struck("encoder_jump", (1e6, 3e5, -2e5)), next_strike),
     Scenario("sensor_glitch", struck("encoder_burst", (4000.0, 8000.0), 80), next_strike),
+    Scenario("sensor_glitch", struck("encoder_burst", (8000.0, 15_000.0), count=300), next_strike),
     Scenario("over_temperature", struck("sensor_extreme"), next_strike),
     Scenario("no_authority", struck("emergency_stop", (0.3,)), next_strike),
     Scenario("force_at_limit", free, unstable),

@@ -117,6 +117,7 @@ TABLE: dict[str, dict[str, Target]] = {
             "board_fault",
             "sensor_range",
             "sensor_glitch",
+            "sensor_glitch",
             "over_temperature",
             "no_authority",
             "force_at_limit",
