@@ -18,8 +18,8 @@ random. The same seed and the same transfers give the same faults.
 TOUCH = """## What touches the device: `[simulation.touch]`
 
 Its stops yield, its bearing sticks, a hand holds, pushes or strikes the handle. All of it acts on
-the rotor. Any stiffness is stable: the force of a contact is that for which its law holds at the end
-of a sixteenth of a tick.
+the rotor. Any stiffness is stable: the force of a contact is that for which its law holds at the
+end of a sixteenth of a tick.
 """
 HANDS = """## Hands: `[[simulation.touch.hands]]`
 
