@@ -14,16 +14,17 @@ from typing import Any
 
 from benchmarks.records import c_struct, place
 from benchmarks.worker import ROOT, BenchError
-from hapticd.link.device import SEQUENCES
 from hapticd.mailbox import layout
 from hapticd.params import ServoParams
 from hapticd.servo.monitors import bounds
 from hapticd.units import US_PER_S
+from hapticd.wire.codec import TORQUE_SEQUENCES
 from hapticd.wire.frames import IN_HEAD
 
 SOURCE = Path(__file__).with_name("tick_reference.c")
 OPTIONS = ("-O2", "-std=gnu11", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared")
-HELD = struct.Struct(f"=6d12d10d7d3d3d2d4d3q4H{2 * SEQUENCES}q{layout.PLAN.size}s")  # struct servo
+# struct servo
+HELD = struct.Struct(f"=6d12d10d7d3d3d2d4d3q4H{2 * TORQUE_SEQUENCES}q{layout.PLAN.size}s")
 # places in IN_HEAD
 SEQ = 0
 ECHO = 1
@@ -126,8 +127,8 @@ class CReference:
             head[ECHO],
             now.out_flags,
             now.damping_count,
-            *[head[BOARD_US] - period_us] * SEQUENCES,
-            *[time.monotonic_ns()] * SEQUENCES,
+            *[head[BOARD_US] - period_us] * TORQUE_SEQUENCES,
+            *[time.monotonic_ns()] * TORQUE_SEQUENCES,
             now.blob,
         )
 

@@ -18,7 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapticd.mailbox.client_side import Noted
-from hapticd.mailbox.layout import PLAN_FIELDS, Command, Flag, Value, values_of
+from hapticd.mailbox.layout import (
+    PLAN_FIELDS,
+    UNTOLD_DELAY,
+    Command,
+    Flag,
+    Value,
+    values_of,
+)
 from hapticd.params import ServoParams
 from hapticd.servo.plan import (
     Request,
@@ -55,11 +62,10 @@ COMPUTED = [
     ("excess_j", "<f8"),
 ]
 REPLAYED = np.dtype([*PLAN_FIELDS, *COMPUTED])
-UNTOLD_DELAY = 0.125  # periods
 LOOP_FLAGS = int(Flag.LATE | Flag.WRITE_FAILED)  # set by the loop, not by step
 _TORQUE_PLACE = frames.OUT_OFFSETS["torque"]
-_EFFECT_PLACE = frames.IN_HEAD.size + frames.IN_PAIRS.size
 _DAMPING_PLACE = frames.OUT_OFFSETS["damping"]
+_EFFECT_PLACE = frames.IN_OFFSETS["torque_age_us"]
 
 
 class Segment(NamedTuple):

@@ -19,18 +19,17 @@ from numpy.typing import NDArray
 
 from hapticd.analysis.ledger import BOOKED, LONGEST, SAMPLE, Table, book
 from hapticd.gateway.view import Records
-from hapticd.mailbox.layout import Flag
+from hapticd.mailbox.layout import UNTOLD_DELAY, Flag
 from hapticd.params import ServoParams
 from hapticd.units import US_PER_S
-from hapticd.wire.frames import IN_EFFECT, IN_HEAD, IN_PAIRS, StatusBit
+from hapticd.wire.codec import TORQUE_SEQUENCES
+from hapticd.wire.frames import IN_EFFECT, IN_OFFSETS, StatusBit
 
 NAMES = BOOKED.names or ()
 CONTEXT = 4 * LONGEST  # records that are looked at again: what is still on its way comes from them
 MANY = 500  # records
 LONGEST_GAP = 8  # periods without a sample across which motion is booked
-UNTOLD_DELAY = 0.125  # periods, where no board reported it
-SEQUENCES = 256  # that the low byte of a sequence number tells apart
-_EFFECT_PLACE = IN_HEAD.size + IN_PAIRS.size
+_EFFECT_PLACE = IN_OFFSETS["torque_age_us"]
 _SEQ_PLACE = IN_EFFECT.size - 1
 
 
@@ -141,7 +140,7 @@ def _reported(found: Table, records: Records, rows: NDArray[np.intp], rate_hz: f
     age_us = effect[:, 0] + 256.0 * effect[:, 1]
     found["since"] = age_us * (rate_hz / US_PER_S)
     sent_seq = _bytes(records["out_frame"])[:, 0].astype(np.intp)
-    back = (sent_seq[rows] - effect[:, _SEQ_PLACE]) % SEQUENCES
+    back = (sent_seq[rows] - effect[:, _SEQ_PLACE]) % TORQUE_SEQUENCES
     told = sent_seq[np.maximum(rows - back, 0)] == effect[:, _SEQ_PLACE]
     force = records["force_n"][np.maximum(rows - back, 0)]
     granted = (usable["status"] & StatusBit.ENABLED) != 0

@@ -60,7 +60,6 @@ MOST_READS = 4
 Head = tuple[int, ...]  # fields of frames.IN_SEALED; places: codec.HEAD_SEQ and the others
 # arrival, unwrapped board time [us], delay of the force in effect [us] or -1, head
 Received = tuple[int, int, int, Head]
-SEQUENCES = 256  # that the low byte of a sequence number tells apart
 # board time of a sample that never was: the delay comes out negative
 NO_SAMPLE_US = 1 << 62
 AGE_HIGHEST_US = codec.U16_HIGHEST  # of a torque; it stands for longer too
@@ -185,7 +184,7 @@ def _exchange(
     head = NO_HEAD
     board_us = 0
     # by the low byte of the sequence number of an OUT: board time of the sample behind it
-    sampled = [NO_SAMPLE_US] * SEQUENCES
+    sampled = [NO_SAMPLE_US] * codec.TORQUE_SEQUENCES
     life = -1
     expected = -1
     sent = 0
@@ -201,7 +200,7 @@ def _exchange(
         expected = -1
         missing = 0
         seeding = True
-        sampled[:] = [NO_SAMPLE_US] * SEQUENCES
+        sampled[:] = [NO_SAMPLE_US] * codec.TORQUE_SEQUENCES
         incoming.restart()
         outgoing.restart()
 

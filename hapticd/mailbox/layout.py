@@ -301,6 +301,8 @@ def _codes(fields: tuple[tuple[object, ...], ...]) -> str:
 PLAN = struct.Struct("<" + _codes(PLAN_FIELDS))
 # every field on its own multiple: no gaps
 RECORD = struct.Struct(f"Qqq{PLAN.size}s" + _codes(TELEMETRY[_PLAN_END:]))
+# periods from sample to force, taken for records without `delay_us` (first protocol)
+UNTOLD_DELAY = 0.125
 RING_RECORDS = 8192  # 8 s at 1 kHz
 TELEMETRY_HEAD_WORD = 0  # u64 index in telemetry.ring: records written
 TELEMETRY_EPOCH_WORD = 1

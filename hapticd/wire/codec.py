@@ -26,6 +26,7 @@ from hapticd.wire.frames import HelloFrame, InFrame, OutFrame
 I16_LOWEST = -32768
 I16_HIGHEST = 32767
 U16_HIGHEST = 65535
+TORQUE_SEQUENCES = 256  # that the low byte of a sequence number tells apart
 # places in a head: the fields of frames.IN_SEALED, as `in_parser` gives them
 HEAD_SEQ = 0
 HEAD_ECHO = 1

@@ -44,11 +44,12 @@ HELLO = struct.Struct("<8sHBBHH16s8f16s")
 CRC = struct.Struct("<H")
 # bytes at which fields begin, for those who read one without unpacking the frame
 OUT_OFFSETS = {"torque": 4, "damping": 6}
-IN_OFFSETS = {"probe_count": 5, "probe_index": 28, "pair": 32}
+IN_OFFSETS = {"probe_count": 5, "probe_index": 28, "pair": 32, "torque_age_us": 56}
 assert (OUT.size, IN.size, HELLO.size) == (OUT_BYTES, IN_BYTES, HELLO_BYTES)
 assert IN_SEALED.size == IN_BYTES
 IN_EFFECT = struct.Struct("<HHB")  # between pairs and CRC: age, damping, sequence of what acts
-assert IN_HEAD.size + IN_PAIRS.size + IN_EFFECT.size + 1 + CRC.size == IN_BYTES
+assert IN_OFFSETS["torque_age_us"] == IN_HEAD.size + IN_PAIRS.size
+assert IN_OFFSETS["torque_age_us"] + IN_EFFECT.size + 1 + CRC.size == IN_BYTES
 
 
 class Request(IntEnum):
