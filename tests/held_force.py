@@ -40,7 +40,8 @@ def exact_work(motion: Callable[[Floats], Floats], force_n: Floats, delay: float
     at = np.arange(len(force_n)) * T
     done = np.zeros(len(force_n))
     for place in range(-int(delay) - 1, len(force_n)):
-        begin, end = (place + delay) * T, (place + 1 + delay) * T
+        begin = (place + delay) * T
+        end = (place + 1 + delay) * T
         ways = motion(np.clip(end, 0.0, at)) - motion(np.clip(begin, 0.0, at))
         done += force_n[max(place, 0)] * ways
     return done

@@ -166,7 +166,8 @@ def test_electrical_work_is_what_the_board_reports_beside_what_was_sent():
 @pytest.mark.parametrize("delay", [0.125, 0.875, 1.5])
 def test_lag_is_the_work_of_a_motor_that_follows_late(delay):
     """Against a motor's force integrated in 64 steps a period along the exact motion."""
-    corner_hz, fine = 31.6, 64
+    corner_hz = 31.6
+    fine = 64
     motion = sine(5.0)
     position = motion(np.arange(1001) * T)
     force = -K * position

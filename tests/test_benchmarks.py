@@ -362,12 +362,10 @@ def test_one_disturbed_block_is_one_vote() -> None:
 def test_places_follow_the_table() -> None:
     dtype = np.dtype([tuple(row) for row in layout.TELEMETRY])
     marked = np.zeros(1, dtype)
-    marked["position_m"], marked["excess_j"], marked["publish_ns"], marked["tail"] = (
-        1.5,
-        2.5,
-        3,
-        4,
-    )
+    marked["position_m"] = 1.5
+    marked["excess_j"] = 2.5
+    marked["publish_ns"] = 3
+    marked["tail"] = 4
     record = layout.RECORD.unpack(marked.tobytes())
     assert record[place("position_m")] == 1.5
     assert record[place("excess_j")] == 2.5

@@ -159,7 +159,8 @@ def test_two_samples_that_are_too_fast_are_no_overspeed():
 
 def axis_limit(axis, sign, credited, delay):
     """How far the theorem lets one of K, B, M go on a rigid device with `credited` damping."""
-    low, high = 0.0, (1e5, 1e3, 10.0)[axis]
+    low = 0.0
+    high = (1e5, 1e3, 10.0)[axis]
     for _ in range(50):
         point = np.zeros(3)
         point[axis] = sign * 0.5 * (low + high)

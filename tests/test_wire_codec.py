@@ -214,7 +214,8 @@ def test_what_lies_beyond_the_count_is_ignored() -> None:
     out = bytearray(codec.encode_out(OUT))
     received = bytearray(codec.encode_in(IN))
     out[11], out[18:30] = 0xFF, b"\xff" * 12  # reserved0, samples 3 to 5, reserved
-    received[40:56], received[61] = b"\xff" * 16, 0xFF  # pairs 2 to 5, reserved
+    received[40:56] = b"\xff" * 16  # pairs 2 to 5
+    received[61] = 0xFF  # reserved
     assert codec.decode_out(resealed(bytes(out))) == OUT
     assert codec.decode_in(resealed(bytes(received))) == IN
 

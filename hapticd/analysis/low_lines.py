@@ -100,7 +100,8 @@ def low_line(
 def _fitted(force_n: Floats, velocity_m_per_s: Floats, trial: Spectra) -> LowFit:
     """From half the window's lowest frequency to a little above the first that it shows."""
     seconds = trial.n_samples / trial.rate_hz
-    low, high = 0.5 * trial.lowest_hz, (0.5 * FIRST_SHOWN + 1.0) * trial.lowest_hz
+    low = 0.5 * trial.lowest_hz
+    high = (0.5 * FIRST_SHOWN + 1.0) * trial.lowest_hz
     bins = np.arange(int(np.ceil(low * seconds)), int(high * seconds) + 1)
     f = bins / seconds
     force = np.fft.rfft(force_n)[bins]

@@ -226,10 +226,10 @@ def _check(params: TouchParams) -> None:
             f"touch: static_n {params.static_n} N must be at least coulomb_n"
             f" {params.coulomb_n} N, and both 0 or more"
         )
-    for name in ("stop_stiffness_n_per_m", "stop_damping_ns_per_m"):
+    for name, unit in (("stop_stiffness_n_per_m", "N/m"), ("stop_damping_ns_per_m", "N s/m")):
         value = getattr(params, name)
         if not (isfinite(value) and value >= 0.0):
-            raise ConfigError(f"touch: {name} {value} must be 0 or more")
+            raise ConfigError(f"touch: {name} {value} {unit} must be 0 {unit} or more, and finite")
     for hand in params.hands:
         _check_hand(hand)
 
@@ -239,6 +239,10 @@ def _check_hand(hand: HandParams) -> None:
         raise ConfigError(f"touch: a hand does not {hand.kind!r}; use {', '.join(HAND_KINDS)}")
     numbers = (hand.start_s, hand.force_n, hand.stiffness_n_per_m, hand.damping_ns_per_m)
     if not all(isfinite(one) for one in numbers) or not hand.duration_s > 0.0:
-        raise ConfigError(f"touch: the hand at {hand.start_s} s must have finite numbers")
+        raise ConfigError(
+            f"touch: the hand at {hand.start_s} s needs finite numbers, and more than 0 s"
+        )
     if min(hand.stiffness_n_per_m, hand.damping_ns_per_m, hand.tremor_m) < 0.0:
-        raise ConfigError(f"touch: the hand at {hand.start_s} s must be passive: numbers of 0 up")
+        raise ConfigError(
+            f"touch: the hand at {hand.start_s} s needs stiffness, damping, tremor of 0 or more"
+        )
