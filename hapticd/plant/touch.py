@@ -243,6 +243,4 @@ def _check_hand(hand: HandParams) -> None:
             f"touch: the hand at {hand.start_s} s needs finite numbers, and more than 0 s"
         )
     if min(hand.stiffness_n_per_m, hand.damping_ns_per_m, hand.tremor_m) < 0.0:
-        raise ConfigError(
-            f"touch: the hand at {hand.start_s} s needs stiffness, damping, tremor of 0 or more"
-        )
+        raise ConfigError(f"touch: the hand at {hand.start_s} s must be passive: no number below 0")
