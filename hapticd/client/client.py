@@ -37,7 +37,7 @@ from hapticd.units import NS_PER_S
 PROTOCOL_VERSION = 1
 INTRODUCTION_MS = 40  # how long a new socket may take to connect before its hello is given up
 MESSAGES_QUEUED = 10_000  # per subscription, before ZeroMQ drops the newest
-STOP_TIMEOUT_S = 0.04  # then the stop page is pressed: force off may not wait for a gateway
+STOP_TIMEOUT_S = 0.04  # then the stop word is pressed: force off may not wait for a gateway
 # 32 kB as float32, half of what a message may hold
 CHUNK_SAMPLES = 8192  # of a waveform, in one message
 POLL_S = 0.02  # between two looks at the state
@@ -52,7 +52,7 @@ class Receipt:
     """
 
     # "applied": in force from `first_tick` on; "scheduled": will be, and `effective` holds until
-    # then; "pressed": a stop by way of the stop page, which gives no receipt
+    # then; "pressed": a stop by way of the stop word, which gives no receipt
     result: str
     state: str = ""  # of the servo: disabled, enabled, homing, stopped, fault
     revision: int = 0  # number of accepted changes in this life of the servo
@@ -387,7 +387,7 @@ class Client:
     def stop(self) -> Receipt:
         """Latched stop.
 
-        Without a reply within 40 ms the stop page is pressed, which the servo reads.
+        Without a reply within 40 ms the stop word is pressed, which the servo reads.
 
         DaemonDown if there is no servo either.
         """

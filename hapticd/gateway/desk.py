@@ -4,7 +4,7 @@ A request is unpacked, judged by the interlocks and, if the servo is concerned, 
 command ring; its reply is written when the servo's answer is there and the newest record shows it
 in force, so `state` in a reply is never older than the command. Nobody waits: `serve` takes what
 came, `collect` gives what is due, also the replies to what the servo left unanswered for a second.
-STOP goes first among what came together, skips every interlock, and presses the stop page when
+STOP goes first among what came together, skips every interlock, and presses the stop word when
 others are ahead of it in the ring.
 
 Commands that were posted are kept by servo life and sequence number until they are answered and
@@ -452,7 +452,7 @@ class Desk:
         return None
 
     def _pressed(self) -> bool:
-        """Whether the stop page could be pressed and a living servo will look at it."""
+        """Whether the stop word could be pressed and a living servo will look at it."""
         try:
             press_stop(self._view.folder)
         except MailboxError:
