@@ -104,9 +104,16 @@ def test_commands_of_one_tick_leave_a_latched_state_no_force_but_what_acted(begi
             assert not any(granted), kinds
 
 
-@pytest.mark.parametrize("kinds", [*product(KINDS[:4], repeat=2)])
-def test_commands_repeated_every_tick_never_renew_a_fading_force(kinds):
-    """Force at the simulated motor, the stop pressed by its page in every tick as well."""
+PAIRS = [*product(KINDS[:4], repeat=2)]
+REPEATED = [(kinds, True) for kinds in PAIRS]
+REPEATED += [(kinds, False) for kinds in PAIRS if Command.STOP in kinds]
+
+
+@pytest.mark.parametrize(("kinds", "page"), REPEATED)
+def test_commands_repeated_every_tick_never_renew_a_fading_force(kinds, page):
+    """Force at the simulated motor; the stop is pressed by its page in every tick as well, or by
+    whoever gives the other commands, whose reset is then obeyed.
+    """
     with LockStep(servo_params(), board_params(mass_kg=1.0)) as stack:
         stack.run(5)
         stack.do(Command.SET, {**PRESSED, Value.RAMP_S: 0.0})
@@ -121,7 +128,8 @@ def test_commands_repeated_every_tick_never_renew_a_fading_force(kinds):
         for _ in range(FADE_TICKS + 30):
             for kind in kinds:
                 stack.command(kind)
-            press_stop(stack.mailbox.folder)
+            if page:
+                press_stop(stack.mailbox.folder)
             stack.run(1)
             stack.gateway.answers()
             forces.append(abs(axis.force_n))
