@@ -251,6 +251,8 @@ def parameters(scenario: Scenario, random: Random) -> tuple[ServoParams, BoardPa
     # and both are reached before a step of the encoder is one that no hand can make
     fastest = {"overspeed": OVERSPEED_M_PER_S}.get(scenario.code)
     device = replace(device, overspeed_m_per_s=fastest, speed_limit_m_per_s=FASTEST_M_PER_S)
+    if scenario.code in ("force_at_limit", "overspeed"):  # bend the motion as glitches do
+        device = replace(device, acceleration_limit_m_per_s2=inf)
     safety = replace(servo.safety, enable_ramp_s=ENABLE_S)
     held = TouchParams(hands=(HandParams("hold", stiffness_n_per_m=2e4, damping_ns_per_m=20.0),))
     board = replace(board, touch=held, watchdog_ms=WATCHDOG_MS, seed=random.randrange(1000))
