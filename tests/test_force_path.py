@@ -206,3 +206,20 @@ def test_a_gap_ends_the_fading_of_what_came_before_it():
     assert back.size == 1
     assert flown["fault"][-1] == BY_CODE["frames_lost"].number
     assert flown["force_n"][back[0] :] == pytest.approx(0.0, abs=1e-3)
+
+
+def test_a_reset_does_not_bring_back_what_the_board_has_taken():
+    """A fault of the board that heals and is cleared while the servo still fades the force."""
+    fault = (InjectionParams("amplifier_fault", tick=1200, value=0.002),)
+    board = board_params(injections=fault, touch=TouchParams(hands=(HOLD,)))
+    with LockStep(servo_params(device=device_params(position=OFF)), board) as stack:
+        enable(stack, SPRING)
+        stack.run(1204 - stack.loop.tick)
+        axis = stack.backend._port.board._axis
+        stack.command(Command.RESET)
+        forces = []
+        for _ in range(30):
+            stack.run(1)
+            forces.append(axis.force_n)
+    assert stack.loop.state[0].plan.state is State.DISABLED
+    assert set(forces) == {0.0}

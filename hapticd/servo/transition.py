@@ -133,6 +133,9 @@ def make_attend(params: ServoParams) -> Attend:
         """`plan` after what the board says of the torque that was asked of it: while it is
         withheld nothing is rendered, and when it is granted again the gain begins at 0.
         """
+        if plan.state in LATCHED and not sample[STATUS] & AUTHORITY:
+            # what the board has taken does not come back with what is left of a fade
+            return plan._replace(unauthorised=0, gain=constant(0.0), fade=constant(0.0))
         if plan.state not in GRANTED or tick <= plan.since_tick:
             return plan._replace(unauthorised=0) if plan.unauthorised else plan
         if not sample[STATUS] & AUTHORITY:
