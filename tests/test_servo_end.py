@@ -186,7 +186,9 @@ def test_nobody_commands_a_servo_that_ends() -> None:
             run(ticks)
 
         stack.loop.run = disturbed  # type: ignore[method-assign]
+        taken = stack.mailbox.taken
         ended(stack)
+        assert stack.mailbox.taken == taken
         last = codec.decode_out(bytes(stack.device.out_buffer))
     assert (last.flags, last.torque) == (int(OutFlag.FIFO_CLEAR), 0)
     assert watched.seen[-1].force_n == 0.0
