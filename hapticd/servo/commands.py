@@ -1,5 +1,13 @@
 """One command on one plan: the next plan and the answer. Every accepted change gets its own
-receipt.
+receipt, and a refused one changes nothing.
+
+`safety` says which state a command leads to; here is what else bars the way (a board, an origin, a
+cause that persists, another's stop), and what comes along with a state: the ramps of gain and
+force, the damping, what ends, and whether the origin is still believed. What a stop fades is what
+acts by authority in its tick, once: no order or repetition of commands makes force.
+
+What would break it: a state that is entered past `enter`, or an answer that is given before the
+plan is what it says.
 """
 
 from typing import NamedTuple
@@ -33,6 +41,8 @@ MOST_SCHEDULED = 16
 SETTINGS = frozenset({Command.SET, Command.DAMPING})
 STOP_HELD_S = 1.0  # after a press, for which it is not for others to reset
 WAVEFORM = frozenset({Value.SAMPLES, Value.LOOP})  # what a perturbation has to say
+# faults after which the encoder's count is not believed
+ENCODER_LIES = frozenset({BY_CODE["sensor_range"].number, BY_CODE["sensor_glitch"].number})
 
 
 class Now(NamedTuple):
@@ -81,6 +91,34 @@ def enter(
     """`plan` in `state`: gain, remaining force, damping and perturbation as the safety table
     says.
     """
+    gain, fade = _ramps_into(plan, state, now, params)
+    entered = plan._replace(
+        state=state,
+        since_tick=now.tick,
+        fault=fault,
+        actor=actor,
+        gain=gain,
+        fade=fade,
+        glitches=(),
+        revision=plan.revision + 1,
+    )
+    if state is not State.ENABLED:
+        # a trial that switched the faults off does not leave them so
+        default = params.safety.limit_cycle_faults
+        entered = entered._replace(wave=NO_WAVE, limit_cycle_faults=default)
+    if state in LATCHED:
+        entered = entered._replace(added_entry=plan.added)
+    return _origin_kept(entered, now)
+
+
+class Ramps(NamedTuple):
+    """How the force comes into a state, or goes."""
+
+    gain: Ramp  # of the law
+    fade: Ramp  # of the force that was sent last, N, for ticks without a sample
+
+
+def _ramps_into(plan: Plan, state: State, now: Now, params: ServoParams) -> Ramps:
     rate_hz = params.realtime.rate_hz
     limits = params.safety
     gain = constant(0.0)
@@ -94,28 +132,17 @@ def enter(
     if state in LATCHED and plan.state in LATCHED:  # what fades already is not renewed
         gain = plan.gain
         fade = plan.fade
-    entered = plan._replace(
-        state=state,
-        since_tick=now.tick,
-        fault=fault,
-        actor=actor,
-        gain=gain,
-        fade=fade,
-        glitches=(),
-    )
-    if state is not State.ENABLED:
-        # a trial that switched the faults off does not leave them so
-        entered = entered._replace(wave=NO_WAVE, limit_cycle_faults=limits.limit_cycle_faults)
-    if state in LATCHED:
-        entered = entered._replace(added_entry=plan.added)
-    if state is State.ENABLED:
-        entered = entered._replace(origin_used=True)
-    if fault in (BY_CODE["sensor_range"].number, BY_CODE["sensor_glitch"].number):
-        entered = without_origin(entered)
-    if state is State.HOMING:  # whoever asks for an origin does not trust the one there is
+    return Ramps(gain, fade)
+
+
+def _origin_kept(entered: Plan, now: Now) -> Plan:
+    """`entered`, a state just entered, with what that means for the position origin."""
+    if entered.state is State.ENABLED:
+        return entered._replace(origin_used=True)
+    if entered.state is State.HOMING:  # whoever asks for an origin does not trust the one there is
         lost = without_origin(entered._replace(origin_used=True))
-        entered = lost._replace(homing=begin(now.tick, now.encoder))
-    return entered._replace(revision=plan.revision + 1)
+        return lost._replace(homing=begin(now.tick, now.encoder))
+    return without_origin(entered) if entered.fault in ENCODER_LIES else entered
 
 
 def obey(plan: Plan, request: Request, now: Now, params: ServoParams) -> tuple[Plan, list[Answer]]:
