@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from hapticd.errors import FrameError, ProtocolMismatch
 from hapticd.wire import codec, frames, session
-from hapticd.wire.frames import Capability, HelloFrame
+from hapticd.wire.frames import HelloFrame
 from hapticd.wire.session import (
     Arrival,
     SequenceCounter,
@@ -79,16 +79,6 @@ def test_other_axis_count_is_refused(axes: int) -> None:
         match=rf"^board HD-0001 has {axes} axes, expected 1; flash firmware for one",
     ):
         check_hello(HELLO._replace(axis_count=axes))
-
-
-def test_missing_capabilities_are_named() -> None:
-    check_hello(HELLO, Capability.PROBE | Capability.INTERVAL_MEAN)
-    wanted = Capability.PROBE | Capability.INDEX | Capability.TEMPERATURE
-    with pytest.raises(
-        ProtocolMismatch,
-        match=r"^board HD-0001 lacks INDEX and TEMPERATURE; flash firmware that has it or",
-    ):
-        check_hello(HELLO, wanted)
 
 
 def test_board_without_watchdog_is_refused() -> None:

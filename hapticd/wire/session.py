@@ -23,7 +23,7 @@ from math import isfinite
 
 from hapticd.errors import ProtocolMismatch
 from hapticd.wire import codec, frames
-from hapticd.wire.frames import Capability, HelloFrame
+from hapticd.wire.frames import HelloFrame
 
 SEQ_BITS = 16
 BOARD_TIME_BITS = 32
@@ -46,21 +46,15 @@ def greet(reply: bytes) -> HelloFrame:
     return hello
 
 
-def check_hello(hello: HelloFrame, required: int = 0) -> None:
-    """Return if the host can work with this board and it has all `required` Capability bits,
-    else ProtocolMismatch.
+def check_hello(hello: HelloFrame) -> None:
+    """Return if the host can work with this board, else ProtocolMismatch. What its device file
+    relies on is not looked at here (`link.agreement`).
     """
     _check_hash(hello.protocol_hash)
     board = f"board {hello.serial or 'without serial'}"
     if hello.axis_count != frames.AXIS_COUNT:
         raise ProtocolMismatch(
             f"{board} has {hello.axis_count} axes, expected 1; flash firmware for one axis"
-        )
-    missing = required & ~hello.capabilities
-    if missing:
-        names = " and ".join(str(bit.name) for bit in Capability(missing))
-        raise ProtocolMismatch(
-            f"{board} lacks {names}; flash firmware that has it or change the configuration"
         )
     if hello.watchdog_ms <= 0:
         raise ProtocolMismatch(
