@@ -2,7 +2,7 @@
 #
 #   make run                start the daemon on the simulated board (ARGS="--rate-hz 2000" and other options of `hapticd run`)
 #   make test               format, lint, types, layers, tests: what continuous integration runs
-#   make mutate [ONLY=stop] put known defects back, one at a time, and see that a test fails for each; two minutes
+#   make mutate [ONLY=stop] put known defects back, one at a time, and see that a test fails for each; minutes
 #   make bench [ONLY=wake]  measure; results in build/bench.json
 #   make reproduce          the paper's figures and table in build/reproduction; with ARGS=--quick by prediction, in seconds, in
 #                           build/reproduction-quick
