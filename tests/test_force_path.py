@@ -58,6 +58,33 @@ def test_one_late_delivery_does_not_leave_the_link_behind(depth):
     assert after["position_m"].std() < 2.0 * before["position_m"].std()
 
 
+TWO_LATE = (
+    InjectionParams("delay_in", tick=848, value=0.002),
+    InjectionParams("delay_in", tick=849, value=0.0031),
+)
+TWICE_AND_LATE = (
+    InjectionParams("duplicate_in", tick=836),
+    InjectionParams("delay_in", tick=837, value=0.002),
+)
+
+
+@pytest.mark.parametrize("faults", [TWO_LATE, TWICE_AND_LATE], ids=["late", "twice"])
+@pytest.mark.parametrize("depth", [1, 4])
+@pytest.mark.parametrize("way_us", [75.0, 200.0])
+def test_a_link_behind_a_slow_bus_catches_up(faults, depth, way_us):
+    board = board_params(
+        in_queue_depth=depth,
+        injections=faults,
+        out_transport_us=way_us,
+        in_transport_us=way_us,
+    )
+    with LockStep(servo_params(), board) as stack:
+        enable(stack, {Value.STIFFNESS: 0.0})
+        flown = records(stack.run(1500))
+        assert set(flown["arrival"][-1000:]) == {0}
+        assert stack.do(Command.RESET).result in (Result.APPLIED, Result.REFUSED_STATE)
+
+
 def test_catching_up_costs_no_slot():
     late = (InjectionParams("burst_in", tick=1500, value=0.0031),)
     with LockStep(servo_params(), board_params(in_queue_depth=4, injections=late)) as stack:

@@ -213,17 +213,50 @@ def test_frames_of_a_queue_are_read_past_down_to_the_newest():
     assert device.counts["behind"] == 3
 
 
-def test_a_link_that_stays_behind_has_no_sample_and_is_read_once_a_tick():
-    """Where nothing newer lies behind an old frame, only the first search for it waits in vain."""
-    device = connected(frame(0))
-    assert tick(device)[0] == SEED
-    device.link.replies = [
-        frame(1, echo=1),
-        LinkTimeout("t"),
-        *(frame(n, echo=n) for n in range(2, 20)),
-    ]
-    assert [tick(device)[0] for _ in range(10)] == [-n for n in range(1, 11)]
-    assert len(device.link.replies) == 9
+class OneBehind(Script):
+    """After a lost tick each frame answers the OUT before the last one; the newer one is there
+    from tick `recovers` on.
+    """
+
+    def __init__(self, recovers):
+        super().__init__()
+        self.recovers = recovers
+        self.caught_up = False
+        self.reads = []  # of each tick
+
+    def read(self, buffer):
+        now = len(self.sent) - 1
+        if now == len(self.reads):
+            self.reads.append(0)
+        self.reads[now] += 1
+        first = self.reads[now] == 1
+        if now == 0 or self.caught_up:
+            self.replies = [frame(now)]
+        elif first and now > 1:
+            self.replies = [frame(now - 1)]
+        elif not first and now >= self.recovers:
+            self.caught_up = True
+            self.replies = [frame(now)]
+        return super().read(buffer)
+
+
+def one_behind(recovers):
+    device = Device(OneBehind(recovers), 1000.0)
+    device.connect()
+    return device
+
+
+def test_a_link_that_stays_behind_has_no_sample_and_is_searched_now_and_then():
+    device = one_behind(recovers=10**6)
+    assert [tick(device)[0] for _ in range(20)] == [SEED, *(-n for n in range(1, 20))]
+    searched = [number for number, reads in enumerate(device.link.reads) if reads > 1]
+    assert searched == [2, 7, 12, 17]
+
+
+def test_a_link_that_was_behind_catches_up_when_it_can():
+    device = one_behind(recovers=5)
+    arrivals = [tick(device)[0] for _ in range(12)]
+    assert arrivals == [SEED, -1, -2, -3, -4, -5, -6, 6, 0, 0, 0, 0]
 
 
 def test_only_stale_frames_are_a_missing_tick():

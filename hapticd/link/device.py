@@ -10,8 +10,9 @@ A stale frame (a duplicate, or one that a time-out left behind) is read past, at
 tick, and so is an old one: the pipeline is one frame deep, so the frame of this tick answers the
 OUT sent last, and one that echoes an earlier OUT waited in a queue while a newer one lies behind
 it. That one is there already, so reading it costs no time. Where it is not (that OUT was lost too)
-the read was in vain; it is not repeated until the link has caught up. A tick that finds nothing but
-old frames is a tick without a sample. A packet of zero length, which a USB stack may put behind a
+the read was in vain; it is not repeated for some ticks, and then it is, or a link that fell behind
+while it was disturbed would stay there. A tick that finds nothing but old frames is a tick without
+a sample. A packet of zero length, which a USB stack may put behind a
 full one, is no frame: it is counted, and the frame behind it is read in the same tick. No buffer
 holds back session.BACKWARD ticks: a clock that still lies behind after so many is that of a board
 which started anew, and seeds.
@@ -57,6 +58,8 @@ from hapticd.wire.session import BOARD_TIME_BITS
 SEED = 1 << 20
 # each is a transfer of its own within the tick; the deepest queue that is known holds four frames
 MOST_READS = 4
+# a search for a newer frame that found none took its time-out; so long it is not repeated
+REST_TICKS = 4
 Head = tuple[int, ...]  # fields of frames.IN_SEALED; places: codec.HEAD_SEQ and the others
 # arrival, unwrapped board time [us], delay of the force in effect [us] or -1, head
 Received = tuple[int, int, int, Head]
@@ -190,7 +193,7 @@ def _exchange(
     sent = 0
     missing = 0
     seeding = True
-    in_vain = 0  # frames behind at which nothing newer was there
+    resting = 0  # ticks until an old frame is a reason to read again
     scratch = bytearray(frames.OUT_BYTES)
     left = 0  # samples of the OUT frame before
 
@@ -225,7 +228,7 @@ def _exchange(
         """`found`, or the first frame behind it that is neither stale nor old; else what there is
         instead.
         """
-        nonlocal in_vain
+        nonlocal resting
         for _ in range(MOST_READS):
             lag = sent - found[HEAD_ECHO] & session.SEQ_MASK
             if seeding or found[HEAD_LIFE] != life:
@@ -235,14 +238,15 @@ def _exchange(
             else:
                 kind = "behind" if 0 < lag <= MOST_LAG else ""
             if not kind:
-                in_vain = 0
+                resting = 0
                 return found
             counts[kind] += 1
-            if kind == "behind" and lag == in_vain:
+            if kind == "behind" and resting:
+                resting -= 1
                 return "missing"
             again = fetch()
             if isinstance(again, str):
-                in_vain = lag
+                resting = REST_TICKS
                 return again
             found = again
         return "missing"

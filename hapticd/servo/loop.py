@@ -486,7 +486,8 @@ class ServoLoop:
     def _answer(self, answers: tuple[Answer, ...]) -> None:
         for seq, result, fault, revision, ticks, values in answers:
             if seq:  # 0: the loop itself asked
-                first, end = (slot - self.dropped for slot in ticks)
+                # what waited through a pause longer than the life before it has no tick of its own
+                first, end = (max(0, slot - self.dropped) for slot in ticks)
                 self.mailbox.answer(seq, result, fault, revision, (first, end), values)
 
     def _tally(self) -> None:
