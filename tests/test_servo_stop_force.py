@@ -16,7 +16,7 @@ from hapticd.params import HomeParams, SafetyParams, ScaleParams
 from hapticd.servo import safety
 from hapticd.servo.plan import SETTLED
 from hapticd.servo.safety import FAULT_EVENT, LATCHED, State
-from hapticd.wire.frames import OutFlag
+from hapticd.wire.frames import OutFlag, StatusBit
 
 PRESSED = {Value.STIFFNESS: 200.0}
 DENTED = 38_000  # counts = 19 mm: -3.8 N at 200 N/m
@@ -146,3 +146,17 @@ def test_stop_from_disabled_grants_no_torque_though_zero_force_lies_between_two_
         granted += bool(flight.state[SETTLED].out_flags & OutFlag.ENABLE)
         flight.fly()
     assert granted == 0
+
+
+@pytest.mark.parametrize("taken", [0, StatusBit.EMERGENCY_STOP, StatusBit.AMPLIFIER_FAULT])
+def test_a_stop_in_the_tick_in_which_the_board_takes_the_torque_fades_nothing(taken):
+    """A contact that bounces gives it back in the next tick."""
+    flight = enabled(params_of(), PRESSED, DENTED)
+    assert flight.out[8] == pytest.approx(-3.8, abs=COUNT_N)
+    flight.do(Command.STOP, status=int(taken))
+    assert flight.plan.state in LATCHED
+    assert not flight.state[SETTLED].out_flags & OutFlag.ENABLE
+    forces = [flight.out[8]]
+    for _ in range(FADE_TICKS):
+        forces.append(flight.fly(status=int(StatusBit.ENABLED))[8])
+    assert max(map(abs, forces)) < COUNT_N

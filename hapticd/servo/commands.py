@@ -50,7 +50,7 @@ class Now(NamedTuple):
 
     tick: int
     encoder: int
-    force_n: float  # as last sent
+    force_n: float  # as last sent, 0 where the board has taken it
     gateway: bool
     cause: int  # fault number of what would be wrong under force at this moment, 0: nothing
     bar: Result | None = None  # why this board may make no force at all

@@ -294,9 +294,10 @@ def make_attend(params: ServoParams) -> Attend:
             plan = without_origin(plan)
         _, held_n, former = held
         gateway = bool(host & GATEWAY_ALIVE)
-        now = Now(tick, encoder, held_n, gateway, cause_against_force(sample), bar(host))
         if usable:
             plan = authorised(plan, sample, tick, elapsed)
+        acting_n = 0.0 if plan.unauthorised else held_n
+        now = Now(tick, encoder, acting_n, gateway, cause_against_force(sample), bar(host))
         plan, answers = commanded(plan, commands, sample, now, signs.alarm)
         usable = usable and encoder_counts(plan, tick)
         if plan.state is State.HOMING and usable:
