@@ -134,7 +134,8 @@ class StandInServo:
             if command := self.mailbox.take():
                 self._command(command)
         pressed = self.mailbox.stop_word.pressed
-        self.mailbox.stop_word.take_back()
+        if pressed:
+            self.mailbox.stop_word.take_back()
         if pressed and self.state not in (State.STOPPED, State.FAULT):
             self.state = State.STOPPED
             self.fault = 1

@@ -28,13 +28,16 @@ from hapticd.mailbox.stop_word import (
     servo_lives,
     stop_taken,
 )
+from hapticd.servo.plan import SETTLED
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
+from hapticd.wire.frames import OutFlag
 
 MENDED_TICKS = 256  # between two looks at what stands under the word's name
 HELD_TICKS = 1000  # for which nobody resets a press of the word
 FIG_4 = {Value.STIFFNESS: 100.0, Value.DAMPING: 1.0, Value.MASS: 0.010, Value.RAMP_S: 0.0}
 ENABLE_TICKS = 520
+FADE_TICKS = 21  # of a stop ramp of 20 ms, after which the word is taken back
 DTYPE = np.dtype([tuple(field) for field in layout.TELEMETRY])
 
 
@@ -131,12 +134,13 @@ def test_servo_serves_again_after_mischief_and_the_word_stops_again(
 ) -> None:
     folder = stack.mailbox.folder
     at(folder / files.STOP, mischief)
-    stack.run(HELD_TICKS + MENDED_TICKS)
+    stack.run(HELD_TICKS + MENDED_TICKS + FADE_TICKS)  # held since the last tick of the press
     assert stack.do(Command.RESET).result is Result.APPLIED
     assert stack.do(Command.ENABLE).result is Result.APPLIED
     assert states(stack, 2 * MENDED_TICKS)[-1] == State.ENABLED
     press_stop(folder)
     assert states(stack, 1) == [State.STOPPED]
+    stack.run(FADE_TICKS)
     assert stop_taken(folder)
     found = (folder / files.STOP).lstat()
     assert (stat.S_ISREG(found.st_mode), stat.S_IMODE(found.st_mode)) == (True, MODE)
@@ -168,10 +172,83 @@ def test_word_that_cannot_be_taken_back_stays_a_stop(
     assert not stack.mailbox.stop_word.pressed
 
 
+class Touches:
+    """What this process writes, cuts, reserves, removes, renames or closes, seen as it happens."""
+
+    CALLS = ("pwrite", "write", "ftruncate", "truncate", "posix_fallocate", "fchmod", "open")
+    CALLS += ("rename", "replace", "unlink", "close")
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.seen: list[str] = []
+        for name in self.CALLS:
+            monkeypatch.setattr(os, name, self._noted(name, getattr(os, name)))
+
+    def _noted(self, name: str, call: Callable[..., object]) -> Callable[..., object]:
+        def noted(*arguments: object, **options: object) -> object:
+            self.seen.append(name)
+            return call(*arguments, **options)
+
+        return noted
+
+
+@pytest.mark.parametrize("mischief", [*SEEN_AT_ONCE, *SEEN_BY_NAME])
+def test_servo_touches_no_file_while_force_acts(
+    stack: LockStep, monkeypatch: pytest.MonkeyPatch, mischief: Mischief
+) -> None:
+    """Whoever writes 100 MB into the word holds its inode: a write of the servo would wait for it,
+    the last force in effect. Reading waits for nobody.
+    """
+    stack.run(-stack.loop.tick % MENDED_TICKS)
+    at(stack.mailbox.folder / files.STOP, mischief)
+    touches = Touches(monkeypatch)
+    while stack.loop.state[SETTLED].out_flags & OutFlag.ENABLE:
+        stack.loop.run(1)
+        stack.gateway.beat(stack.clock.now_ns())
+        assert touches.seen == []
+    stack.loop.run(3)
+    assert touches.seen != []
+    monkeypatch.undo()
+    assert not stack.mailbox.stop_word.pressed
+
+
+def test_press_stands_until_no_force_acts_and_then_the_word_is_another_file(
+    stack: LockStep,
+) -> None:
+    """What the presser has open is never written: he may hold its inode as long as he likes."""
+    path = stack.mailbox.folder / files.STOP
+    with path.open("r+b", buffering=0) as held:
+        held.write(b"press me")
+        for _ in range(FADE_TICKS):
+            assert stack.mailbox.stop_word.pressed
+            assert states(stack, 1) == [State.STOPPED]
+        assert stack.loop.state[SETTLED].out_flags & OutFlag.ENABLE == 0
+        stack.run(1)
+        assert stop_taken(stack.mailbox.folder)
+        assert os.pread(held.fileno(), 9, 0) == b"press me"
+        assert os.fstat(held.fileno()).st_nlink == 0
+
+
+def test_press_into_a_word_that_was_just_renamed_over_is_made_again(
+    servo: ServoMailbox, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else it would be lost in a file that nobody reads any more."""
+    write = os.pwrite
+
+    def late(*transfer: object) -> int:
+        monkeypatch.setattr(os, "pwrite", write)
+        servo.stop_word.take_back()
+        return write(*transfer)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(os, "pwrite", late)
+    press_stop(tmp_path)
+    assert servo.stop_word.pressed
+
+
 def test_word_that_is_written_all_the_time_only_stops(stack: LockStep) -> None:
     for _ in range(50):
         press_stop(stack.mailbox.folder)
         assert states(stack, 1) == [State.STOPPED]
+    stack.run(FADE_TICKS)
     assert not stack.mailbox.stop_word.pressed
     stack.run(HELD_TICKS)
     assert stack.do(Command.RESET).result is Result.APPLIED

@@ -3,15 +3,23 @@
 Zero bytes mean that nobody has pressed it. Everything else is a stop: another content, a file that
 is shorter or longer, one that was removed or replaced. The servo reads it in every tick with
 `pread`, from a descriptor that it opened itself: 0.4 us, and no page of a file that others may cut
-short is mapped (a load beyond its end kills with SIGBUS). Nothing here waits: a read of a regular
-file in memory does not block, whoever holds locks on it, and no name is opened in a tick.
+short is mapped (a load beyond its end kills with SIGBUS). A read of a regular file in memory does
+not wait, whoever writes it or holds locks on it, and no name is opened in a tick.
 
-The servo takes the word back to zero as it obeys. That is the acknowledgement: who has pressed and
-reads zero again knows that the servo has seen it. Every 256 ticks `mend` compares what stands under
-the name with what the servo made; if it differs, the file is made anew and counts as pressed.
+A write would wait: who writes 100 MB into the file or reserves them holds its inode all the while.
+So the servo never writes the word that others have, nor cuts it short. A press stands, and stops in
+every tick, until no force acts; then `take_back` makes the file anew under another name and renames
+it over, which needs nothing of the old one. That is the acknowledgement: who has pressed and reads
+zero again under the name knows that the servo has seen it and that the force is gone. The file that
+is left behind lives as long as someone has it open, and if it is large, whoever closes it last
+frees it; where that is the servo it may miss ticks (0.1 s for 1 GB), without force.
+
+Every 256 ticks `mend` compares what stands under the name with what the servo made. If it differs,
+what the loop reads becomes an empty file: a press, which is taken back like any other.
 
 The file is made under another name and locked before it gets its own, so that nobody finds a word
-whose owner does not hold it yet: the lock tells who presses that someone is there.
+whose owner does not hold it yet: the lock tells who presses that someone is there. Who has opened
+the word just before it was renamed over presses once more (`press_stop`).
 
 What would break it: a runtime folder on a file system where `pread` waits for a writer (XFS does,
 tmpfs and ext4 do not), or a group that may write the folder.
@@ -21,6 +29,7 @@ import fcntl
 import os
 import stat
 from pathlib import Path
+from typing import NamedTuple
 
 from hapticd.errors import MailboxError
 from hapticd.mailbox import files
@@ -36,33 +45,37 @@ class StopWord:
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / files.STOP
-        self.descriptor = self._made()
+        self._empty = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
+        self._word = self._made()
+        self.descriptor = os.dup(self._word)
 
     @property
     def pressed(self) -> bool:
         """Whether a stop is asked for; the loop asks the same question in place."""
         return os.pread(self.descriptor, READ_BYTES, 0) != NOT_PRESSED
 
-    def take_back(self) -> None:
-        """Zero again; a press from here on is another one."""
-        self._write(NOT_PRESSED)
-
-    def mend(self) -> None:
-        """Make the file anew, pressed, if what stands under its name is not as it was made."""
-        if self._as_made():
-            return
+    def take_back(self) -> bool:
+        """Zero again, in a new file; a press from here on is another one. Not while force acts:
+        the old file may be large, and it goes. False where none can be made.
+        """
         try:
             fresh = self._made()
         except MailboxError:
-            pass  # whatever is in the way stays a stop
-        else:
-            os.dup2(fresh, self.descriptor, inheritable=False)  # the lock goes along
-            os.close(fresh)
-        self._write(PRESSED)
+            return False  # no room, or something is in the way: it stays a stop
+        os.dup2(fresh, self.descriptor, inheritable=False)
+        os.close(self._word)
+        self._word = fresh
+        return True
+
+    def mend(self) -> None:
+        """Press the word if what stands under its name is not as it was made. Waits for nobody."""
+        if not self._as_made():
+            os.dup2(self._empty, self.descriptor, inheritable=False)
 
     def close(self) -> None:
         """Give up the lock: nobody takes this word back any more."""
-        os.close(self.descriptor)
+        for descriptor in (self.descriptor, self._word, self._empty):
+            os.close(descriptor)
 
     def _made(self) -> int:
         """Descriptor of a new file in place of whatever has the name; locked before it has it."""
@@ -82,19 +95,9 @@ class StopWord:
         return descriptor
 
     def _as_made(self) -> bool:
-        try:
-            there = os.lstat(self._path)
-        except OSError:
-            return False
-        ours = os.fstat(self.descriptor)
-        same = (there.st_dev, there.st_ino) == (ours.st_dev, ours.st_ino)
-        return same and ours.st_size == len(NOT_PRESSED) and stat.S_IMODE(ours.st_mode) == MODE
-
-    def _write(self, word: bytes) -> None:
-        try:
-            os.pwrite(self.descriptor, word, 0)
-        except OSError:
-            pass  # a file that was cut short, and no room for its page: it stays pressed
+        ours = os.fstat(self._word)
+        untouched = ours.st_size == len(NOT_PRESSED) and stat.S_IMODE(ours.st_mode) == MODE
+        return untouched and _is_there(self._path, self._word)
 
 
 def press_stop(folder: Path) -> None:
@@ -102,23 +105,44 @@ def press_stop(folder: Path) -> None:
     (any more), or what stands there is no stop word.
     """
     path = folder / files.STOP
-    descriptor = _opened(path, os.O_RDWR)
-    try:
-        os.pwrite(descriptor, PRESSED, 0)
-        held = files.is_locked(descriptor)
-    except OSError as error:
-        raise MailboxError(f"{path}: {error.strerror}; the stop was not written") from error
-    finally:
-        os.close(descriptor)
-    if not held:
+    while not (pressed := _pressed(path)).current:
+        pass  # the servo took another press back in between, which it does once a tick at most
+    if not pressed.held:
         raise MailboxError(
             f"{path}: its servo has ended, and the board stopped with it; start one with `hapticd"
             " run`"
         )
 
 
+class _Pressed(NamedTuple):
+    """What became of one press."""
+
+    current: bool  # what was written still has the name
+    held: bool  # by a living servo
+
+
+def _pressed(path: Path) -> _Pressed:
+    descriptor = _opened(path, os.O_RDWR)
+    try:
+        os.pwrite(descriptor, PRESSED, 0)
+        held = files.is_locked(descriptor)
+        return _Pressed(_is_there(path, descriptor), held)
+    except OSError as error:
+        raise MailboxError(f"{path}: {error.strerror}; the stop was not written") from error
+    finally:
+        os.close(descriptor)
+
+
+def _is_there(path: Path, descriptor: int) -> bool:
+    """Whether the open file `descriptor` has the name `path`."""
+    try:
+        return os.path.samestat(os.lstat(path), os.fstat(descriptor))
+    except OSError:
+        return False
+
+
 def stop_taken(folder: Path) -> bool:
-    """Whether the servo of `folder` has taken a press back, which it does as it obeys it."""
+    """Whether the servo of `folder` has taken a press back: obeyed it, and no force acts."""
     try:
         descriptor = _opened(folder / files.STOP, os.O_RDONLY)
     except MailboxError:
