@@ -228,6 +228,18 @@ def message(tmp_path: Path, text: str, device: str | None = None) -> str:
 
 CASES = (
     (
+        "[usb]\ntimeout_ms = 6",
+        "2: usb.timeout_ms = 6 ms: must be at most 5 ms: a silent board delays the end of force",
+    ),
+    (
+        "[[simulation.injections]]\nkind = 'late'\ntick = 10_000_000_000_000_000_000_000",
+        "3: simulation.injections[0].tick = 10000000000000000000000: must be at most 1000000000000",
+    ),
+    (
+        "[[simulation.injections]]\nkind = 'late'\nvalue = 1e300",
+        "3: simulation.injections[0].value = 1e+300: must be at most 1000000000.0",
+    ),
+    (
         "[environment]\nstiffness_n_per_m = '100'",
         "2: environment.stiffness_n_per_m = '100': must be a number in N/m, without quotes",
     ),

@@ -38,6 +38,8 @@ _added_damping_ns_per_m: Any = ServoParams.__dataclass_fields__["added_damping_n
 
 Stiffness = Annotated[float, Field(ge=-1e4, le=1e5)]
 VirtualDamping = Annotated[float, Field(ge=-1e2, le=1e3)]
+LONGEST_TIMEOUT_MS = 5  # of a transfer, for which docs/safety.md says when force is gone
+LAST_TICK = 10**12  # of an injection: 30 years at 1 kHz
 Duration = Annotated[float, Field(ge=0, le=60)]
 
 
@@ -128,7 +130,10 @@ class Usb(TomlTable):
 
     vendor_id: int = Field(_usb.vendor_id, ge=0, le=0xFFFF)
     product_id: int = Field(_usb.product_id, ge=0, le=0xFFFF)
-    timeout_ms: int = Field(_usb.timeout_ms, ge=1, le=1000)
+    timeout_ms: int = Field(
+        _usb.timeout_ms, ge=1, json_schema_extra={"maximum": LONGEST_TIMEOUT_MS}
+    )
+    """Of one transfer. A silent board may delay the end of force by one."""
 
 
 class GatewayTable(TomlTable):
@@ -151,11 +156,11 @@ class Injection(TomlTable):
     """One seeded fault of the simulated board."""
 
     kind: str = Field(min_length=1)
-    tick: int = Field(-1, ge=-1)
+    tick: int = Field(-1, ge=-1, le=LAST_TICK)
     """At this tick; -1: by probability."""
     probability: float = Field(0.0, ge=0, le=1)
-    count: int = Field(1, ge=1)
-    value: float = 0.0
+    count: int = Field(1, ge=1, le=LAST_TICK)
+    value: float = Field(0.0, ge=-1e9, le=1e9)
 
 
 class Hand(TomlTable):

@@ -21,7 +21,7 @@ from pydantic import ValidationError
 
 from hapticd.errors import ConfigError
 from hapticd.plant.effects import ALWAYS, BY_KEY
-from hapticd.settings.config import Config
+from hapticd.settings.config import LONGEST_TIMEOUT_MS, Config
 from hapticd.settings.device import FROM_SCALES, TABLES, DeviceFile
 from hapticd.settings.tables import TomlTable, Where, config_error, dotted, leaves
 from hapticd.settings.toml import KeyPath, did_you_mean, read, shipped
@@ -201,6 +201,9 @@ def _line(where: Where, mistake: Mistake) -> str:
 def _config_rules(config: Config, device: DeviceFile, in_device: Where) -> Iterator[Mistake]:
     """Where the configuration asks for more than the device, its travel or the rate allow."""
     yield from _limit_rules(config, device, in_device)
+    if config.usb.timeout_ms > LONGEST_TIMEOUT_MS:
+        reason = f"must be at most {LONGEST_TIMEOUT_MS} ms: a silent board delays the end of force"
+        yield Mistake(("usb", "timeout_ms"), config.usb.timeout_ms, f"{reason} by as much")
     highest_hz = HIGHEST_CORNER * config.realtime.rate_hz
     for name in ("velocity_filter", "acceleration_filter"):
         corner_hz = getattr(config.environment, name).frequency_hz
