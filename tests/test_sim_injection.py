@@ -88,6 +88,19 @@ def test_late_in_is_latched_late():
     healthy(port, 3)
 
 
+@pytest.mark.parametrize("late_s", [0.0012, 0.003, 0.008])
+def test_in_that_is_later_than_a_period_keeps_the_order(late_s):
+    """What follows waits behind it, and no torque is younger than the frame that tells of it."""
+    port = one("late", value=late_s, count=3)
+    frames = [tick_of(port, tick, torque=100 + tick % 2) for tick in range(40)]
+    found = [codec.decode_in(frame) for frame in frames if frame is not None]
+    times_us = [frame.board_time_us for frame in found]
+    assert times_us == sorted(times_us)
+    assert [frame.echo for frame in found] == sorted({frame.echo for frame in found})
+    assert all(frame.torque_age_us <= 1000 for frame in found)
+    assert found[-1].echo == 39
+
+
 @pytest.mark.parametrize("kind", ["amplifier_fault", "encoder_fault", "over_temperature"])
 def test_board_fault_has_a_cause_for_a_while(kind):
     bit = StatusBit[kind.upper()]

@@ -384,6 +384,9 @@ def load_waveform(
 
     import numpy as np
 
+    from hapticd.settings.inputs import WAVEFORM_BYTES, regular
+
+    regular(file, WAVEFORM_BYTES)
     try:
         with warnings.catch_warnings(action="ignore"):  # of an empty file; it is refused below
             samples_n = (

@@ -48,6 +48,7 @@ from hapticd.recording.live import (
 )
 from hapticd.recording.provenance import SCHEMA, needed
 from hapticd.recording.superblock import Unattended
+from hapticd.settings.inputs import SAMPLES_BYTES, regular
 from hapticd.units import NS_PER_S, PROBE_RATE_HZ
 
 TEXT = "checkpoint_text"
@@ -167,9 +168,11 @@ class Recording:
     @property
     def params(self) -> ServoParams:
         """The servo's parameters."""
-        plain = json.loads(self.attributes["configuration"])
-        plain["safety"].setdefault("limit_cycle_faults", False)  # version 0.1 had none
-        return from_plain(ServoParams, plain, str(self.path))
+        with _damage(self.path, "recording"):
+            plain = json.loads(self.attributes["configuration"])
+            # version 0.1 had none
+            plain["safety"] = {"limit_cycle_faults": False} | plain["safety"]
+            return from_plain(ServoParams, plain, str(self.path))
 
     @property
     def missing(self) -> dict[str, int]:
@@ -285,8 +288,7 @@ def is_recording(path: Path) -> bool:
 
 def _hdf5(path: Path) -> Recording:
     h5py = needed("h5py", "record")
-    if not path.is_file():
-        raise ConfigError(f"{path}: no such file; check the path")
+    regular(path)
     with ExitStack() as opened, _damage(path):
         file = _opened(h5py, path, opened)
         attributes = {name: as_text(value) for name, value in file.attrs.items()}
@@ -323,7 +325,7 @@ def _damage(path: Path, kind: str = "HDF5 file") -> Iterator[None]:
 
 
 def _flight(path: Path) -> Recording:
-    header, records = flight.read_flight(path)
+    header, records = flight.read_flight(regular(path, SAMPLES_BYTES))
     with _damage(path, "flight recording"):
         return _of_flight(path, header, records)
 

@@ -13,6 +13,7 @@ For scripts:
     load     load(file, overrides) -> Settings: the validated configuration with its device
     scene    load_scene(name or file) -> Scene; scene_names(); schema(kind)
     build    servo_params, board_params, gateway_params, device_params: what processes read
+    inputs   regular(path): what somebody named, if it can be read without waiting
     toml     shipped(folder): files that travel with the package; read(file); did_you_mean
 
 `config`, `device` and `tables` are the tables themselves.

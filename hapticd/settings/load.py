@@ -93,7 +93,7 @@ def find_config(given: Path | None = None, environ: Mapping[str, str] = os.envir
     ]
     for path, origin in named:
         if path is not None:
-            if not path.is_file():
+            if not path.exists():
                 raise ConfigError(f"{path}: no such file, named by {origin}; check the path")
             return path
     # an empty variable counts as not set, as the XDG specification has it

@@ -18,6 +18,7 @@ from typing import Any
 
 import hapticd
 from hapticd.errors import ConfigError
+from hapticd.settings.inputs import SETTINGS_BYTES, regular
 
 KeyPath = tuple[str | int, ...]  # names of tables and keys, places in lists
 
@@ -70,7 +71,7 @@ class Document:
 def read(path: Path) -> Document:
     """Parse `path`. ConfigError with file and line when it cannot be read or is not TOML."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = regular(path, SETTINGS_BYTES).read_text(encoding="utf-8")
         return Document(path, tomllib.loads(text), _lines(text))
     except OSError as error:
         raise ConfigError(
@@ -80,6 +81,8 @@ def read(path: Path) -> Document:
         raise ConfigError(
             f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8"
         ) from error
+    except RecursionError as error:
+        raise ConfigError(f"{path}: tables or lists are nested too deeply; flatten them") from error
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(_syntax_message(path, str(error))) from error
 

@@ -171,7 +171,9 @@ class BoardModel:
             self._events |= SEQ_GAP
         self._echo = seq
         self._next_seq = (seq + 1) & 0xFFFF
-        self._latches.append(self._axis.now + self._phase)
+        # in the order of their OUTs, also behind one that was postponed
+        behind = self._latches[-1] if self._latches else 0
+        self._latches.append(max(self._axis.now + self._phase, behind))
         self._latch_at = self._latches[0]
         return self._axis.obey(flags, torque, damping, samples[:count], seq)
 

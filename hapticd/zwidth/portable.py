@@ -42,6 +42,7 @@ from hapticd.analysis.passive_set import AXES
 from hapticd.analysis.verdict import Judged
 from hapticd.errors import AnalysisError, ConfigError
 from hapticd.plant.compose import compose
+from hapticd.settings.inputs import SAMPLES_BYTES, regular
 from hapticd.settings.load import find_device
 from hapticd.settings.toml import read, shipped
 from hapticd.zwidth import outcomes
@@ -132,7 +133,7 @@ def conditions_of(conditions: outcomes.Conditions, judged: Judged) -> dict[str, 
 def read_portable(path: Path) -> dict[str, Any]:
     """The content of `path`. ConfigError if it is no such file."""
     try:
-        content = dict(json.loads(path.read_text()))
+        content = dict(json.loads(regular(path, SAMPLES_BYTES).read_text()))
     except (OSError, ValueError, TypeError) as error:
         raise ConfigError(f"{path}: no Z-width summary ({error})") from error
     if content.get("zwidth") != VERSION:

@@ -31,6 +31,7 @@ from hapticd.errors import AnalysisError, ConfigError
 from hapticd.recording.file import is_recording, open_recording
 from hapticd.recording.provenance import needed
 from hapticd.recording.stretch import PROBE_COLUMNS, SERVO_COLUMNS, ReadColumn, read_remark
+from hapticd.settings.inputs import SAMPLES_BYTES, regular
 from hapticd.zwidth.own import of_recording, of_remark
 from hapticd.zwidth.store import (
     RECORD_H5,
@@ -91,9 +92,9 @@ def read_file(
             f"{path}: records are read from {', '.join(READERS)}; convert it to .csv with a header"
             " line of names"
         )
-    if not path.exists():
-        raise ConfigError(f"{path}: no such file; check the path")
-    recording = READERS[path.suffix] is _read_hdf5 and is_recording(path)
+    hdf5 = READERS[path.suffix] is _read_hdf5
+    regular(path, None if hdf5 else SAMPLES_BYTES)  # recordings are read column by column
+    recording = hdf5 and is_recording(path)
     columns = {} if recording else _columns(path)
     with _whole_file(path):
         ours = (

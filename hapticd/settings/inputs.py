@@ -1,0 +1,41 @@
+"""Files that somebody names to be read: regular ones, not too large.
+
+Opening a pipe waits for its other end, and a device such as /dev/zero has none. So a file is looked
+at before it is opened, here and nowhere else. Links are followed.
+
+What would break it: a file that becomes another one between the look and the opening; whoever names
+it would hang himself.
+"""
+
+import stat
+from pathlib import Path
+
+from hapticd.errors import ConfigError
+
+SETTINGS_BYTES = 4 << 20
+WAVEFORM_BYTES = 64 << 20
+SAMPLES_BYTES = 2 << 30  # of text or arrays that are read as a whole
+MIB = 1 << 20
+
+
+def regular(path: Path, most_bytes: int | None = None) -> Path:
+    """`path`, if it is a regular file of at most `most_bytes` (None: any size; of what is not read
+    as a whole). ConfigError says what it is else. Waits for nobody.
+    """
+    try:
+        found = path.stat()
+    except FileNotFoundError as error:
+        raise ConfigError(f"{path}: no such file; check the path") from error
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise ConfigError(f"{path}: {reason}; check the path and its permissions") from error
+    if not stat.S_ISREG(found.st_mode):
+        raise ConfigError(
+            f"{path} is no regular file (a folder, pipe or device); copy its content into one"
+        )
+    if most_bytes is not None and found.st_size > most_bytes:
+        raise ConfigError(
+            f"{path} has {found.st_size / MIB:.0f} MiB, at most {most_bytes // MIB} MiB are read;"
+            " name another file"
+        )
+    return path
