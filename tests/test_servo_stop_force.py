@@ -160,3 +160,14 @@ def test_a_stop_in_the_tick_in_which_the_board_takes_the_torque_fades_nothing(ta
     for _ in range(FADE_TICKS):
         forces.append(flight.fly(status=int(StatusBit.ENABLED))[8])
     assert max(map(abs, forces)) < COUNT_N
+
+
+def test_a_fade_that_the_board_interrupts_does_not_go_on():
+    flight = enabled(params_of(), PRESSED, DENTED)
+    flight.do(Command.STOP)
+    assert flight.fly(3)[8] < -3.0
+    flight.fly(status=int(StatusBit.EMERGENCY_STOP))
+    forces = [flight.out[8]]
+    for _ in range(FADE_TICKS):
+        forces.append(flight.fly(status=int(StatusBit.ENABLED))[8])
+    assert max(map(abs, forces)) < COUNT_N
