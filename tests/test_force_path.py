@@ -185,6 +185,63 @@ def test_a_perturbation_does_not_come_back_with_the_authority():
     assert not flown["perturbing"][pressed[0] :].any()
 
 
+# --- silence is no authority ----------------------------------------------------------------------
+SILENCES = [
+    (0.004, InjectionParams("drop_in", tick=1200, count=5)),
+    (0.006, InjectionParams("drop_in", tick=1200, count=7)),
+    (0.004, InjectionParams("burst_in", tick=1200, value=0.0055)),
+    (0.004, InjectionParams("corrupt_in", tick=1200, count=5)),
+]
+
+
+def forces_about(silence, press_s, stop_at=0, ticks=560):
+    """Force [N] at the motor in every tick from 1190 on, the emergency stop pressed at 1200 while
+    frames are lost, and the stack's records of them.
+    """
+    injections = (silence,)
+    if press_s:
+        injections += (InjectionParams("emergency_stop", tick=1200, value=press_s),)
+    board = board_params(injections=injections, touch=TouchParams(hands=(HOLD,)))
+    with LockStep(servo_params(device=device_params(position=OFF)), board) as stack:
+        enable(stack, SPRING)
+        stack.run(1190 - stack.loop.tick)
+        axis = stack.backend._port.board._axis
+        forces = []
+        flown = b""
+        for _ in range(ticks):
+            if stack.loop.tick == stop_at:
+                stack.command(Command.STOP)
+            flown += stack.run(1)
+            forces.append(axis.force_n)
+    return np.array(forces), records(flown)
+
+
+@pytest.mark.parametrize(("press_s", "silence"), SILENCES)
+def test_an_emergency_stop_that_no_frame_tells_of_brings_no_force_back_at_once(press_s, silence):
+    force_n, flown = forces_about(silence, press_s)
+    assert not (flown["status"][8:20] & StatusBit.EMERGENCY_STOP).any()
+    assert force_n[5] == pytest.approx(-4.88, abs=0.05)
+    gone = int(np.flatnonzero(force_n == 0.0)[0])
+    assert gone <= 10
+    assert np.abs(np.diff(force_n[gone:])).max() < 2.0 * 5.0 / 500
+    assert force_n[-1] == pytest.approx(-4.88, abs=0.05)
+
+
+@pytest.mark.parametrize(("press_s", "silence"), SILENCES)
+def test_an_emergency_stop_that_no_frame_tells_of_ends_what_fades(press_s, silence):
+    force_n, _ = forces_about(silence, press_s, stop_at=1198, ticks=50)
+    gone = int(np.flatnonzero(force_n == 0.0)[0])
+    assert gone <= 10
+    assert force_n[gone:] == pytest.approx(0.0, abs=1e-3)
+
+
+def test_a_single_lost_frame_leaves_the_force_as_it_is():
+    force_n, flown = forces_about(InjectionParams("drop_in", tick=1200, count=1), 0.0, ticks=50)
+    assert flown["arrival"].min() == -1
+    assert set(flown["gain"]) == {1.0}
+    assert force_n == pytest.approx(-4.88, abs=0.05)
+
+
 # --- a restarted board is another life ------------------------------------------------------------
 @pytest.mark.parametrize("board_time_s", [0.0, 36 * 60.0, 2**31 * 1e-6, 71 * 60.0, 2**32 * 1e-6])
 def test_a_restarted_board_is_another_life(board_time_s):

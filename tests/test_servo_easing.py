@@ -160,8 +160,8 @@ def test_parameters_wait_while_the_force_is_held_for_want_of_a_sample(ramp_s):
     flight.do(Command.SET, {Value.STIFFNESS: 600.0, Value.RAMP_S: ramp_s})
     forces.append(flight.out[8])
     for n in range(60):
-        lost = 2 <= n < 8
-        flight.fly(1, arrival=1 - n if lost else 6 if n == 8 else 0)
+        lost = 2 <= n < 4  # more in a row take the force away as a whole
+        flight.fly(1, arrival=1 - n if lost else 2 if n == 4 else 0)
         forces.append(flight.out[8])
     assert largest_step(forces) <= 0.5 + ROUNDING_N
     assert forces[-1] == pytest.approx(-6.0, abs=COUNT_N)

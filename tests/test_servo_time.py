@@ -84,7 +84,7 @@ def test_force_is_gone_in_time_though_no_frame_comes(timeout_ms, late):
     assert before > 2.0
     assert fault_s - lost_s <= 0.010 + 2 * wait_s
     assert gone_s - fault_s <= 0.0201 + wait_s
-    assert max(forces) <= before
+    assert max(forces, default=0.0) <= before
 
 
 @pytest.mark.parametrize("late", [False, True])

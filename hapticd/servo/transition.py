@@ -71,6 +71,7 @@ from hapticd.wire.frames import OutFlag, StatusBit
 
 NO_AUTHORITY = BY_CODE["no_authority"].number
 SENSOR_GLITCH = BY_CODE["sensor_glitch"].number
+UNHEARD = 3  # ticks in a row without a frame: torque is not taken to be granted (ADR 0071)
 
 Attend = Callable[
     [ServoState, tuple[Any, ...], Sample, int], tuple[ServoState, bool, tuple[Any, ...], int]
@@ -147,6 +148,16 @@ def make_attend(params: ServoParams) -> Attend:
         # the push of homing has no gain, and starts again by itself
         gain = gain_from(tick) if plan.state is State.ENABLED else plan.gain
         return plan._replace(unauthorised=0, gain=gain)
+
+    def unheard(plan: Plan) -> Plan:
+        """`plan` while no frame says whether the board still grants torque: an emergency stop may
+        be pressed and released unseen, and what is sent would act at its release.
+        """
+        if plan.state in LATCHED:
+            return plan._replace(gain=constant(0.0), fade=constant(0.0))
+        if plan.state is not State.ENABLED or plan.unauthorised:
+            return plan
+        return plan._replace(unauthorised=1, gain=constant(0.0), wave=NO_WAVE)
 
     def gain_from(tick: int) -> Ramp:
         return Ramp(0.0, 1.0, tick, round_half_up(params.safety.enable_ramp_s * rate_hz))
@@ -296,6 +307,9 @@ def make_attend(params: ServoParams) -> Attend:
         gateway = bool(host & GATEWAY_ALIVE)
         if usable:
             plan = authorised(plan, sample, tick, elapsed)
+        elif -arrival >= UNHEARD:
+            plan = unheard(plan)
+            ledger = unknown_before(ledger)  # what was booked is not what is sent now
         acting_n = 0.0 if plan.unauthorised else held_n
         now = Now(tick, encoder, acting_n, gateway, cause_against_force(sample), bar(host))
         plan, answers = commanded(plan, commands, sample, now, signs.alarm)
@@ -335,7 +349,7 @@ def make_attend(params: ServoParams) -> Attend:
             ready = ready._replace(environment=pushing(plan.homing.force_n, homing_limit_n))
         if ready.wake_tick == tick + 1:
             flags |= int(Flag.RAMPING)
-        if not usable and plan.state not in GRANTED:
+        if not usable and (plan.state not in GRANTED or plan.unauthorised):
             left = plan.fade.value(tick)
             held = (force.to_count(left, I16_LOWEST, I16_HIGHEST), left, former)
         asked = out_flags(plan, tick)
