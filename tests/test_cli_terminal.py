@@ -1,6 +1,7 @@
 """What verbs share: options in groups, help that any terminal wraps, the progress bar."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any
 
 import pytest
@@ -8,6 +9,7 @@ import typer
 from typer.main import get_command
 
 from hapticd.cli import terminal
+from hapticd.cli.app import main
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,3 +85,14 @@ def test_paragraph_of_help_is_one_line() -> None:
         "",
         "The second paragraph as well.",
     ]
+
+
+def test_config_check_names_an_injection_that_no_board_knows(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "hapticd.toml"
+    file.write_text('[[simulation.injections]]\nkind = "estop"\ntick = 5\n')
+    assert main(["config", "check", str(file)]) == 78
+    error = capsys.readouterr().err
+    assert f"{file}: injection kind 'estop' is unknown; use one of" in error
+    assert "emergency_stop" in error

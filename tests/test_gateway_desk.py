@@ -11,6 +11,7 @@ import pytest
 from gateway_rig import DeskRig, decoded, packed
 from gateway_stand_in import StandInServo
 
+from hapticd.faults import BY_CODE
 from hapticd.gateway.commands import refusal
 from hapticd.gateway.journal import Actors
 from hapticd.mailbox import files, layout
@@ -23,6 +24,7 @@ from hapticd.mailbox.layout import (
     State,
     Value,
 )
+from hapticd.wire.frames import StatusBit
 
 
 @pytest.fixture
@@ -526,6 +528,16 @@ def test_board_that_is_barred_is_refused_in_words(rig: DeskRig, result: Result, 
     )
     error = refusal(Answer(1, result, 0, 0, 0, 0, ()), "enable", rig.view, Actors())
     assert (error.code, str(error)) == ("refused", said)
+
+
+def test_reset_is_refused_by_the_emergency_stop_and_not_by_what_it_ended(rig: DeskRig) -> None:
+    answer = Answer(1, Result.REFUSED_CAUSE, BY_CODE["stop"].number, 0, 0, 0, ())
+    rig.view.record = {"status": int(StatusBit.EMERGENCY_STOP)}
+    error = refusal(answer, "reset", rig.view, Actors())
+    said = "the emergency stop is pressed, so the board makes no force; release it, then ask again"
+    assert str(error) == f"reset: {said}"
+    rig.view.record = {"status": 0}
+    assert "someone asked for a stop" in str(refusal(answer, "reset", rig.view, Actors()))
 
 
 @pytest.mark.parametrize(

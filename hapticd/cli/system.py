@@ -33,8 +33,11 @@ def check_config(
     from hapticd.gateway import auth
     from hapticd.settings.build import gateway_params
     from hapticd.settings.load import load
+    from hapticd.sim.injection import check_kind
 
     settings = load(file or config)
+    for injection in settings.config.simulation.injections:
+        check_kind(injection.kind, str(settings.config_file))
     if warning := auth.warning(gateway_params(settings)):
         terminal.talk(f"hapticd: {settings.origins['gateway.tcp_host']}: {warning}")
     found = {

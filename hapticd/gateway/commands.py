@@ -19,7 +19,7 @@ from math import nan
 from typing import Any, NamedTuple
 
 from hapticd.errors import CommandError
-from hapticd.faults import BY_NUMBER, FAULTS
+from hapticd.faults import BY_NUMBER, FAULTS, Fault
 from hapticd.gateway.journal import Actors
 from hapticd.gateway.limits import PLACES, CommandLimits, flat
 from hapticd.gateway.schemas import Change, Damping, Perturb, Request, Set, parse
@@ -110,14 +110,25 @@ def receipt(answer: Answer) -> dict[str, Any]:
     }
 
 
+PRESSED = "the emergency stop is pressed, so the board makes no force"
+
+
 def withheld(status: int) -> str:
     """Why a board with this `status` would not grant torque, and what to do."""
     if status & StatusBit.EMERGENCY_STOP:
-        return "the emergency stop is pressed, so the board makes no force; release it, then enable"
+        return f"{PRESSED}; release it, then enable"
     return (
         "the board's amplifier is not ready, so it makes no force; switch it on or look at its"
         " supply, then enable"
     )
+
+
+def persisting(fault: Fault, status: int) -> str:
+    """What bars a reset from `fault` on a board with this `status`."""
+    if status & StatusBit.EMERGENCY_STOP:
+        return f"{PRESSED}; release it, then ask again"
+    cause = f"{fault.cause}; {fault.remedy}" if fault.number else "see `hapticd status`"
+    return f"what caused, or would cause, a fault is still there: {cause}"
 
 
 def held(answer: Answer, view: ServoView, actors: Actors) -> str:
@@ -135,13 +146,10 @@ def held(answer: Answer, view: ServoView, actors: Actors) -> str:
 def refusal(answer: Answer, cmd: str, view: ServoView, actors: Actors) -> CommandError:
     """Why the servo refused `cmd`, and what to do about it."""
     fault = BY_NUMBER.get(answer.fault, FAULTS[0])
-    cause = f"{fault.cause}; {fault.remedy}" if fault.number else "see `hapticd status`"
+    status = int(view.record.get("status", 0))
     texts = {
-        Result.REFUSED_CAUSE: (
-            "refused",
-            f"what caused, or would cause, a fault is still there: {cause}",
-        ),
-        Result.REFUSED_NO_AUTHORITY: ("refused", withheld(int(view.record.get("status", 0)))),
+        Result.REFUSED_CAUSE: ("refused", persisting(fault, status)),
+        Result.REFUSED_NO_AUTHORITY: ("refused", withheld(status)),
         Result.REFUSED_NOT_HOMED: (
             "refused",
             (

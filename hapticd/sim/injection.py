@@ -57,9 +57,7 @@ class Injector:
 
     def __init__(self, board: BoardModel, params: BoardParams) -> None:
         for item in params.injections:
-            if item.kind not in OUT_FAULTS and item.kind not in IN_FAULTS:
-                known = ", ".join(sorted((*OUT_FAULTS, *IN_FAULTS)))
-                raise ConfigError(f"injection kind {item.kind!r} is unknown; use one of {known}")
+            check_kind(item.kind, "the simulated board")
         self.board = board
         self.random = Random(params.seed)
         self.tick = 0  # of the next OUT
@@ -193,6 +191,13 @@ class Injector:
             if t_ns >= when_ns:
                 self.board.heal(status)
         self.healing = [item for item in self.healing if t_ns < item[0]]
+
+
+def check_kind(kind: str, where: str) -> None:
+    """Return if the board knows injections of this `kind`, else ConfigError that says `where`."""
+    if kind not in OUT_FAULTS and kind not in IN_FAULTS:
+        known = ", ".join(sorted((*OUT_FAULTS, *IN_FAULTS)))
+        raise ConfigError(f"{where}: injection kind {kind!r} is unknown; use one of {known}")
 
 
 def with_injections(board: BoardModel, params: BoardParams) -> BoardModel | Injector:
