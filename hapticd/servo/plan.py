@@ -379,6 +379,29 @@ def flat_plan(
     return FlatPlan(wake_tick(plan, tick, params), environment, count, blob)
 
 
+def settle(
+    plan: Plan, flat: FlatPlan, coefficients: Coefficients, flags: int, host: int
+) -> Settled:
+    """What the ticks from now on need of `plan`, whose flat form is `flat`, with `flags` in their
+    OUT frames.
+    """
+    looks = watch(flags)
+    return Settled(
+        wake_tick=flat.wake_tick,
+        environment=flat.environment,
+        coefficients=coefficients,
+        out_flags=flags,
+        damping_count=flat.damping_count,
+        blob=flat.blob,
+        origin=plan.origin,
+        host=host,
+        wave=plan.wave,
+        watched=looks.watched,
+        calm=looks.calm,
+        plan=plan,
+    )
+
+
 def environment_of(
     plan: Plan, tick: int, workspace: WorkspaceParams, limit_n: float
 ) -> Environment:

@@ -26,17 +26,16 @@ from hapticd.render.law import MASS, at_rest, clamp, render
 from hapticd.servo.glitch import MOST_DOUBTED, believed_bend_m, stuck_out
 from hapticd.servo.monitors import CALM, ENERGY, at_limit, bounds, too_fast
 from hapticd.servo.plan import (
-    ATTENTION,
     LINK_UP,
     NEVER,
     Output,
     Sample,
     ServoState,
-    Settled,
     coefficients_of,
     fault_request,
     flat_plan,
     initial_plan,
+    settle,
 )
 from hapticd.servo.transition import make_attend
 from hapticd.units import round_half_up
@@ -67,20 +66,7 @@ def initial_state(params: ServoParams, tick: int = 0) -> ServoState:
     now = flat_plan(plan, tick, params, params.environment.workspace, 0.0)
     count = params.device.force.to_count(0.0, I16_LOWEST, I16_HIGHEST)
     held = (count, 0.0, (at_rest(0.0), EMPTY))
-    settled = Settled(
-        wake_tick=now.wake_tick,
-        environment=now.environment,
-        coefficients=coefficients,
-        out_flags=0,
-        damping_count=now.damping_count,
-        blob=now.blob,
-        origin=plan.origin,
-        host=LINK_UP,
-        wave=plan.wave,
-        watched=ATTENTION,
-        calm=0,
-        plan=plan,
-    )
+    settled = settle(plan, now, coefficients, 0, LINK_UP)
     return settled, at_rest(0.0), EMPTY, held, CALM
 
 

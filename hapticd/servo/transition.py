@@ -55,12 +55,11 @@ from hapticd.servo.plan import (
     Request,
     Sample,
     ServoState,
-    Settled,
     advance_added,
     coefficients_of,
     fault_request,
     flat_plan,
-    watch,
+    settle,
     with_origin,
     without_origin,
 )
@@ -136,7 +135,7 @@ def make_attend(params: ServoParams) -> Attend:
         """
         if plan.state in LATCHED and not sample[STATUS] & AUTHORITY:
             # what the board has taken does not come back with what is left of a fade
-            return plan._replace(unauthorised=0, gain=constant(0.0), fade=constant(0.0))
+            return powerless(plan)._replace(unauthorised=0)
         if plan.state not in GRANTED or tick <= plan.since_tick:
             return plan._replace(unauthorised=0) if plan.unauthorised else plan
         if not sample[STATUS] & AUTHORITY:
@@ -154,7 +153,7 @@ def make_attend(params: ServoParams) -> Attend:
         be pressed and released unseen, and what is sent would act at its release.
         """
         if plan.state in LATCHED:
-            return plan._replace(gain=constant(0.0), fade=constant(0.0))
+            return powerless(plan)
         if plan.state is not State.ENABLED or plan.unauthorised:
             return plan
         return plan._replace(unauthorised=1, gain=constant(0.0), wave=NO_WAVE)
@@ -262,78 +261,89 @@ def make_attend(params: ServoParams) -> Attend:
         counted = believing._replace(glitches=(*recent, *len(doubted) * (tick,)))
         return counted, line(law[0], x, len(doubted)), int(Flag.GLITCH)
 
-    def attend(
-        state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int
-    ) -> tuple[ServoState, bool, tuple[Any, ...], int]:
-        encoder, status, _, arrival, host, _, _, _, effect = sample
-        settled, law, ledger, held, signs = state
-        environment = settled.environment
-        coefficients = settled.coefficients
-        origin = settled.origin
-        plan = settled.plan
-        resistance = own_resistance + params.device.damping.to_value(effect) * rate_hz
-        if nothing_but_lost_frames(state, commands, sample, tick):
-            law, ledger = bridge(
-                law,
-                ledger,
-                line(law[0], (encoder - origin) * m_per_count, arrival),
-                environment,
-                coefficients,
-                resistance,
-                kept,
-            )
-            return (settled, law, ledger, held, signs), True, (), int(Flag.INTERPOLATED)
-        before = plan
-        # periods since the last tick, while something makes every tick come here
-        elapsed = max(1, tick - settled.wake_tick + 1)
-        usable = arrival >= 0 and bool(host & LINK_UP) and encoder_counts(plan, tick)
-        flags = 0
-        positions: tuple[float, ...] = ()
-        if usable and plan.doubted:
-            plan, positions, flags = undoubted(plan, law, encoder, arrival, tick)
-        elif usable and 0 < arrival <= params.safety.missing_frames_limit:
-            positions = line(law[0], (encoder - origin) * m_per_count, arrival)
-            flags = int(Flag.INTERPOLATED)
-        if positions:
-            law, ledger = bridge(
-                law, ledger, positions, environment, coefficients, resistance, kept
-            )
+    def filled(
+        plan: Plan, law: LawState, sample: Sample, tick: int
+    ) -> tuple[Plan, tuple[float, ...], int]:
+        """`plan` with a sample to be used, the positions [m] that the law gets of samples before it
+        that were doubted or lost, and record flags.
+        """
+        encoder, _, _, arrival, _, _, _, _, _ = sample
+        if plan.doubted:
+            return undoubted(plan, law, encoder, arrival, tick)
+        if not 0 < arrival <= params.safety.missing_frames_limit:
+            return plan, (), 0
+        positions = line(law[0], (encoder - plan.origin) * m_per_count, arrival)
+        return plan, positions, int(Flag.INTERPOLATED)
+
+    def located(plan: Plan, sample: Sample, usable: bool) -> Plan:
+        """`plan` with the origin that is left of it."""
+        _, status, _, arrival, _, _, _, _, _ = sample
         # another life of the board: its counter began anew, from wherever the device was
         if arrival == SEED:
             plan = without_origin(plan)._replace(origin=first_origin)
         if usable and status & StatusBit.ENCODER_FAULT:  # counts may have been missed
             plan = without_origin(plan)
+        return plan
+
+    def begins_anew(before: Plan, plan: Plan, arrival: int, tick: int) -> bool:
+        """Whether the law is to start at rest: nothing is known of the motion before."""
+        resetting = before.state in LATCHED and plan.state is State.DISABLED
+        unwatched = plan.doubted and not out_flags(plan, tick) & OutFlag.ENABLE
+        return (
+            arrival > params.safety.missing_frames_limit
+            or plan.origin != before.origin
+            or resetting
+            or bool(unwatched)
+        )
+
+    def begun_anew(before: Plan, plan: Plan, tick: int) -> tuple[Plan, int]:
+        """`plan` of a law that starts at rest, and record flags."""
+        plan = plan._replace(doubted=())
+        if plan.state is State.ENABLED and before.state is State.ENABLED:
+            return plan._replace(gain=gain_from(tick)), int(Flag.SEEDED | Flag.QUIET_RAMP)
+        if plan.state in LATCHED:  # what faded is not rendered from a position that is new
+            plan = powerless(plan)
+        return plan, int(Flag.SEEDED)
+
+    def attend(
+        state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int
+    ) -> tuple[ServoState, bool, tuple[Any, ...], int]:
+        encoder, _, _, arrival, host, _, _, _, effect = sample
+        settled, law, ledger, held, signs = state
+        coefficients = settled.coefficients
+        plan = settled.plan
+        before = plan
+        # periods since the last tick, while something makes every tick come here
+        elapsed = max(1, tick - settled.wake_tick + 1)
+        usable = arrival >= 0 and bool(host & LINK_UP) and encoder_counts(plan, tick)
+        flags = 0
+        if usable:
+            plan, positions, flags = filled(plan, law, sample, tick)
+            resistance = own_resistance + params.device.damping.to_value(effect) * rate_hz
+            law, ledger = bridge(
+                law, ledger, positions, settled.environment, coefficients, resistance, kept
+            )
+        if nothing_but_lost_frames(state, commands, sample, tick):
+            return (settled, law, ledger, held, signs), True, (), flags
+        plan = located(plan, sample, usable)
         _, held_n, former = held
-        gateway = bool(host & GATEWAY_ALIVE)
         if usable:
             plan = authorised(plan, sample, tick, elapsed)
         elif -arrival >= UNHEARD:
             plan = unheard(plan)
             ledger = unknown_before(ledger)  # what was booked is not what is sent now
         acting_n = 0.0 if plan.unauthorised else held_n
+        gateway = bool(host & GATEWAY_ALIVE)
         now = Now(tick, encoder, acting_n, gateway, cause_against_force(sample), bar(host))
         plan, answers = commanded(plan, commands, sample, now, signs.alarm)
         usable = usable and encoder_counts(plan, tick)
         if plan.state is State.HOMING and usable:
             plan, more = searched(plan, sample, now)
             answers += tuple(more)
-        resetting = before.state in LATCHED and plan.state is State.DISABLED
-        seeding = usable and (
-            arrival > params.safety.missing_frames_limit
-            or plan.origin != origin
-            or resetting
-            or (plan.doubted and not out_flags(plan, tick) & OutFlag.ENABLE)
-        )
-        if seeding:
-            plan = plan._replace(doubted=())
+        if usable and begins_anew(before, plan, arrival, tick):
             law = at_rest((encoder - plan.origin) * m_per_count)
             ledger = unknown_before(ledger)
-            flags = int(Flag.SEEDED)
-            if plan.state is State.ENABLED and before.state is State.ENABLED:
-                plan = plan._replace(gain=gain_from(tick))
-                flags |= int(Flag.QUIET_RAMP)
-            if plan.state in LATCHED:  # what faded is not rendered from a position that is new
-                plan = plan._replace(gain=constant(0.0), fade=constant(0.0))
+            plan, flags = begun_anew(before, plan, tick)
         plan = advance_added(plan, tick, elapsed, params)
         if plan.filters != before.filters:
             renewed = coefficients_of(plan, rate_hz)
@@ -352,25 +362,15 @@ def make_attend(params: ServoParams) -> Attend:
         if not usable and (plan.state not in GRANTED or plan.unauthorised):
             left = plan.fade.value(tick)
             held = (force.to_count(left, I16_LOWEST, I16_HIGHEST), left, former)
-        asked = out_flags(plan, tick)
-        looks = watch(asked)
-        settled = Settled(
-            wake_tick=ready.wake_tick,
-            environment=ready.environment,
-            coefficients=coefficients,
-            out_flags=asked,
-            damping_count=ready.damping_count,
-            blob=ready.blob,
-            origin=plan.origin,
-            host=host,
-            wave=plan.wave,
-            watched=looks.watched,
-            calm=looks.calm,
-            plan=plan,
-        )
+        settled = settle(plan, ready, coefficients, out_flags(plan, tick), host)
         return (settled, law, ledger, held, CALM if signs.alarm else signs), usable, answers, flags
 
     return attend
+
+
+def powerless(plan: Plan) -> Plan:
+    """`plan` without what is left of its force: nothing of a fade comes back."""
+    return plan._replace(gain=constant(0.0), fade=constant(0.0))
 
 
 def encoder_counts(plan: Plan, tick: int) -> bool:
