@@ -170,7 +170,16 @@ FAULTS: tuple[Fault, ...] = (
         _TO_SAFE,
         "let go of the handle, check the signs of force and position, reset, home",
     ),
+    Fault(
+        24,
+        "damping_not_delivered",
+        "the board delivers less active damping than the environment in force was allowed for",
+        _TO_SAFE,
+        "lower K and B, check resistance compensation and amplifier, then reset",
+    ),
 )
 
 BY_CODE = {fault.code: fault for fault in FAULTS}
 BY_NUMBER = {fault.number: fault for fault in FAULTS}
+# what the gateway may find and ask the servo to enter
+FROM_GATEWAY = frozenset({BY_CODE["damping_not_delivered"].number})

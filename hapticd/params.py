@@ -424,6 +424,16 @@ class GatewayParams:
 
 
 @dataclass(frozen=True, slots=True)
+class GuardParams:
+    """What the guard does with an environment that is not known to be passive, and how it knows."""
+
+    policy: str = "warn"  # "off" | "warn" | "clamp" | "refuse" | "follow"
+    basis: str = "theorem"  # "theorem" | "predicted" | "measured"
+    measured: str = ""  # .zwidth file of the basis "measured"
+    margin_ns_per_m: float = 0.0  # that has to be left
+
+
+@dataclass(frozen=True, slots=True)
 class GatewaySetup:
     """gateway.json: the gateway's own parameters, and the servo's for the limits and scales it
     checks against.
@@ -431,6 +441,7 @@ class GatewaySetup:
 
     servo: ServoParams
     gateway: GatewayParams = GatewayParams()
+    guard: GuardParams = GuardParams()
 
 
 def to_plain(value: Any) -> Any:

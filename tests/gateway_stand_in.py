@@ -175,6 +175,7 @@ class StandInServo:
             if int(values[0]) >> place & 1:
                 self.values[place] = values[place]
         self.revision += 1
+        self.values[Value.ENVIRONMENT_REVISION] += 1
         self._answer(seq, Result.APPLIED, end=self.ticks + 50)
 
     def _answer(
@@ -208,6 +209,8 @@ class StandInServo:
             v[11],
             int(v[12]),
             7,
+            int(v[Value.ENVIRONMENT_REVISION]),
+            0,
         )
         pairs = tuple((self.probe_index + n & 0x7FFF, -n) for n in range(self.probe_pairs))
         self.frame = encode_in(

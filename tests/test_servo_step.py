@@ -430,3 +430,64 @@ def test_new_life_of_the_board_forgets_origin_and_homing():
     out = flight.fly(1, arrival=SEED, encoder=100)
     assert out[1] == pytest.approx(60 * COUNT_M)
     assert flight.do(Command.ENABLE) is Result.REFUSED_NOT_HOMED
+
+
+def test_change_that_was_judged_for_another_environment_is_refused():
+    flight = enabled(servo_params(), {Value.STIFFNESS: 100.0})
+    judged = flight.plan.environment_revision
+    softer = {Value.STIFFNESS: 50.0, Value.ENVIRONMENT_REVISION: judged}
+    assert flight.do(Command.SET, softer) is Result.APPLIED
+    before = flight.plan.values
+    assert flight.do(Command.SET, softer) is Result.REFUSED_REVISION
+    assert flight.plan.values == before
+    assert flight.do(Command.DAMPING, {**softer, Value.ADDED_DAMPING_ON: 1.0}) is (
+        Result.REFUSED_REVISION
+    )
+    assert not flight.plan.added_on
+
+
+def test_only_what_is_rendered_and_damped_makes_a_verdict_old():
+    flight = Flight(servo_params())
+    flight.do(Command.SET, {Value.STIFFNESS: 100.0})
+    judged = flight.plan.environment_revision
+    flight.do(Command.SET, {Value.LIMIT_CYCLE_FAULTS: 0.0})
+    flight.do(Command.ZERO)
+    assert flight.plan.environment_revision == judged
+    for values in ({Value.ADDED_DAMPING_ON: 1.0}, {Value.VELOCITY_FILTER_HZ: 90.0}):
+        flight.do(Command.SET, values)
+        judged += 1
+        assert flight.plan.environment_revision == judged
+
+
+def test_enable_that_was_judged_for_another_environment_is_refused():
+    flight = Flight(servo_params())
+    flight.do(Command.SET, {Value.STIFFNESS: 100.0})
+    judged = {Value.ENVIRONMENT_REVISION: float(flight.plan.environment_revision)}
+    flight.do(Command.SET, {Value.STIFFNESS: 200.0})
+    assert flight.do(Command.ENABLE, judged) is Result.REFUSED_REVISION
+    assert flight.plan.state is State.DISABLED
+
+
+def test_scheduled_change_is_refused_at_its_tick_when_another_came_between():
+    flight = enabled(servo_params(), {Value.STIFFNESS: 100.0})
+    judged = float(flight.plan.environment_revision)
+    at = flight.tick + 50
+    later = {Value.STIFFNESS: 50.0, Value.ENVIRONMENT_REVISION: judged}
+    assert flight.do(Command.SET, later, at_tick=at) is Result.SCHEDULED
+    flight.do(Command.SET, {Value.DAMPING: 1.0})
+    flight.fly(60)
+    assert flight.answers[-1][1] == Result.REFUSED_REVISION
+    assert flight.plan.values[Value.STIFFNESS].end == 100.0
+
+
+def test_gateway_may_ask_for_its_own_fault_alone_and_only_under_force():
+    flight = Flight(servo_params())
+    lost = {Value.FAULT_NUMBER: float(BY_CODE["damping_not_delivered"].number)}
+    assert flight.do(Command.FAULT, lost) is Result.REFUSED_STATE
+    flight.do(Command.ENABLE)
+    overspeed = {Value.FAULT_NUMBER: float(BY_CODE["overspeed"].number)}
+    assert flight.do(Command.FAULT, overspeed) is Result.REFUSED_RANGE
+    assert flight.plan.state is State.ENABLED
+    assert flight.do(Command.FAULT, lost) is Result.APPLIED
+    assert flight.plan.state is State.FAULT
+    assert flight.blob["fault"] == BY_CODE["damping_not_delivered"].number

@@ -183,6 +183,10 @@ def refusal(answer: Answer, cmd: str, view: ServoView, actors: Actors) -> Comman
                 " wall's damping are 0, none of them on its way; `hapticd disable`, then ask again"
             ),
         ),
+        Result.REFUSED_REVISION: (
+            "refused",
+            "what is rendered or damped has changed since this was judged; ask again",
+        ),
         Result.CANCELLED: (
             "stopped",
             "a stop or fault came first; `hapticd reset`, then ask again",

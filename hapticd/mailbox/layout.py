@@ -113,6 +113,7 @@ class Command(IntEnum):
     HOME = 8
     PERTURB_START = 9
     PERTURB_STOP = 10
+    FAULT = 11  # one of `faults.FROM_GATEWAY`
 
 
 class Value(IntEnum):
@@ -139,6 +140,9 @@ class Value(IntEnum):
     LEASE_DAMPING = 18
     STOP_OWNER = 19  # answers: actor who pressed stop, 0: several, or the servo itself
     LIMIT_CYCLE_FAULTS = 20  # 0 or 1: faults force_at_limit and energy
+    # of what is rendered and damped: for which a change was judged; in answers, as it is now
+    ENVIRONMENT_REVISION = 21
+    FAULT_NUMBER = 22  # FAULT: which
 
 
 def values_of(given: Mapping[Value, float]) -> tuple[float, ...]:
@@ -179,6 +183,8 @@ VALUE_LIMITS: dict[Value, ValueLimit] = {
     Value.LEASE_CONTROL: ValueLimit(0.0, float((1 << 32) - 1), "id"),  # a u4 of the record
     Value.LEASE_DAMPING: ValueLimit(0.0, float((1 << 32) - 1), "id"),
     Value.LIMIT_CYCLE_FAULTS: ValueLimit(0.0, 1.0, "switch"),
+    Value.ENVIRONMENT_REVISION: ValueLimit(0.0, float((1 << 32) - 1), "revision"),
+    Value.FAULT_NUMBER: ValueLimit(0.0, 255.0, "fault"),
 }
 FILTER_LIMIT = 0.45  # highest corner as a fraction of the rate
 
@@ -215,6 +221,7 @@ class Result(IntEnum):
     REFUSED_FILTER = 14  # force comes through the filters
     REFUSED_RATE = 16  # the bus is too slow for the rate
     REFUSED_DEVICE = 17  # the board contradicts its device file
+    REFUSED_REVISION = 18  # it was judged for another environment than the one in force
 
 
 # --- telemetry: one record per tick ---------------------------------------------------------------
@@ -241,6 +248,8 @@ TELEMETRY = (
     ("wall_position_m", "<f8"),
     ("wall_side", "<i4"),
     ("watches", "<u4"),  # Watched
+    ("environment_revision", "<u4"),  # counts changes of what is rendered and damped
+    ("resistance_count", "<u4"),  # of the resistance compensation, as sent
     # --- this tick
     ("flags", "<u4"),
     ("status", "<u4"),
@@ -281,7 +290,7 @@ TELEMETRY = (
     ("tail", "<u8"),  # = tick; differs while the record is being overwritten
 )
 
-_PLAN_END = [name for name, *_ in TELEMETRY].index("watches") + 1
+_PLAN_END = [name for name, *_ in TELEMETRY].index("resistance_count") + 1
 PLAN_FIELDS = TELEMETRY[3:_PLAN_END]
 _CODES = {"<u8": "Q", "<i8": "q", "<u4": "I", "<i4": "i", "<f4": "f", "<f8": "d", "u1": "B"}
 
@@ -329,6 +338,8 @@ class Flag(IntEnum):
     DOUBTED = 2048
     GLITCH = 4096
     BELIEVED = 8192
+    PAUSED = 16384  # ramps wait, since they have brought in as much energy as a second may
+    CONTROLLED = 32768  # the energy controller holds more damping, or less K and B, than asked
 
 
 class Watched(IntEnum):

@@ -69,6 +69,8 @@ ADDED = frozenset(
         "wall_position_m",
         "wall_side",
         "watches",
+        "environment_revision",
+        "resistance_count",
     }
 )
 # the column that counts time, and its counts per second

@@ -13,7 +13,7 @@ plan is what it says.
 from typing import NamedTuple
 
 from hapticd.errors import ConfigError
-from hapticd.faults import BY_CODE
+from hapticd.faults import BY_CODE, FROM_GATEWAY
 from hapticd.mailbox.layout import COMMAND_VALUES, Command, Result, Value
 from hapticd.params import ServoParams
 from hapticd.render.ramp import Ramp, constant
@@ -75,6 +75,7 @@ def answer(
     effective[Value.LIMIT_CYCLE_FAULTS] = float(plan.limit_cycle_faults)
     effective[Value.LEASE_CONTROL], effective[Value.LEASE_DAMPING] = plan.leases
     effective[Value.STOP_OWNER] = plan.stop_owner
+    effective[Value.ENVIRONMENT_REVISION] = plan.environment_revision
     return seq, int(result), plan.fault, plan.revision, ticks, tuple(effective)
 
 
@@ -150,6 +151,12 @@ def obey(plan: Plan, request: Request, now: Now, params: ServoParams) -> tuple[P
     seq, kind, actor, _, values = request
     if kind in SETTINGS:
         return _settings(plan, request, now, params)
+    if kind == Command.FAULT:
+        number = values[Value.FAULT_NUMBER]
+        if number not in FROM_GATEWAY or plan.state not in GRANTED:
+            refusal = Result.REFUSED_STATE if number in FROM_GATEWAY else Result.REFUSED_RANGE
+            return plan, [answer(plan, seq, refusal, (now.tick, now.tick), params)]
+        return obey(plan, (seq, safety.FAULT_EVENT, actor, 0, (number,)), now, params)
     target = _target(plan, request, now, params)
     if isinstance(target, Result):
         until = held_until(plan, params) if target is Result.REFUSED_OWNER else now.tick
@@ -208,6 +215,8 @@ def _target(plan: Plan, request: Request, now: Now, params: ServoParams) -> Stat
         return target
     if target is State.HOMING and params.device.home.method == "none":
         return Result.REFUSED_STATE
+    if target is State.ENABLED and outdated(plan, values):
+        return Result.REFUSED_REVISION
     if target in (State.ENABLED, State.HOMING):
         required = target is State.ENABLED and (params.device.home.required or plan.origin_lost)
         refusal = safety.enable_refusal(plan.homed, required, now.gateway, now.cause)
@@ -270,8 +279,18 @@ def _schedule(plan: Plan, new: Scheduled, params: ServoParams) -> tuple[Plan, li
     return after, [*answers, answer(plan, new.seq, Result.SCHEDULED, (new.tick, new.tick), params)]
 
 
+def outdated(plan: Plan, values: tuple[float, ...]) -> bool:
+    """Whether what `values` ask for was judged for another environment than that of `plan`."""
+    return Value.ENVIRONMENT_REVISION in masked_places(values) and (
+        values[Value.ENVIRONMENT_REVISION] != plan.environment_revision
+    )
+
+
 def apply_settings(plan: Plan, one: Scheduled, params: ServoParams) -> tuple[Plan, list[Answer]]:
     """The settings of `one` come into force at its tick."""
+    if outdated(plan, one.values):
+        here = (one.tick, one.tick)
+        return plan, [answer(plan, one.seq, Result.REFUSED_REVISION, here, params)]
     try:
         after, end = with_values(plan, one.values, one.tick, params)
         coefficients_of(after, params.realtime.rate_hz)

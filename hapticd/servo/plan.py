@@ -51,6 +51,7 @@ BUMPLESS = (
     Value.WALL_POSITION,
     Value.WALL_SIDE,
 )
+ADDED = frozenset({Value.ADDED_DAMPING, Value.ADDED_DAMPING_ON})  # active damping
 FILTERED = (Value.DAMPING, Value.MASS, Value.WALL_DAMPING)  # act on filtered derivatives
 FILTERS = frozenset(
     {
@@ -60,6 +61,8 @@ FILTERS = frozenset(
         Value.ACCELERATION_FILTER_ZETA,
     }
 )
+
+JUDGED = FILTERS.union(BUMPLESS, ADDED)  # what a verdict on an environment depends on
 
 
 class Plan(NamedTuple):
@@ -96,6 +99,7 @@ class Plan(NamedTuple):
     origin_lost: bool = False  # one that was used; it must be made again
     doubted: tuple[int, ...] = ()  # encoder counts that are not believed yet (servo.glitch)
     glitches: tuple[int, ...] = ()  # slots of the newest glitches of this state
+    environment_revision: int = 0  # counts changes of what is rendered and damped
 
 
 class Scheduled(NamedTuple):
@@ -199,6 +203,8 @@ def with_values(
         filters=_filters(plan.filters, places, values),
         revision=plan.revision + 1,
     )
+    if not JUDGED.isdisjoint(places):
+        changed = changed._replace(environment_revision=plan.environment_revision + 1)
     if Value.ADDED_DAMPING in places:
         changed = changed._replace(added_asked=values[Value.ADDED_DAMPING])
     if Value.LIMIT_CYCLE_FAULTS in places:
@@ -374,6 +380,8 @@ def flat_plan(
         at[Value.WALL_POSITION],
         round(at[Value.WALL_SIDE]),
         watches(params, plan.limit_cycle_faults),
+        plan.environment_revision & 0xFFFFFFFF,
+        0,
     )
     environment = environment_of(plan, tick, workspace, limit_n)
     return FlatPlan(wake_tick(plan, tick, params), environment, count, blob)

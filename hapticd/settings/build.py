@@ -13,6 +13,7 @@ from hapticd.params import (
     EnvironmentParams,
     FilterParams,
     GatewayParams,
+    GuardParams,
     HandParams,
     HomeParams,
     InjectionParams,
@@ -208,10 +209,27 @@ def gateway_params(settings: Settings) -> GatewayParams:
     """gateway.json. A relative key folder lies beside the configuration file."""
     plain = settings.config.gateway.model_dump()
     if plain["curve_keys"] is not None:
-        plain["curve_keys"] = str(
-            (settings.config_file.parent / Path(plain["curve_keys"])).absolute()
-        )
+        plain["curve_keys"] = str(_beside(settings, plain["curve_keys"]))
     return GatewayParams(**plain)
+
+
+def guard_params(settings: Settings) -> GuardParams:
+    """The guard of gateway.json and guard.json, with the policy that this device has by default."""
+    asked = settings.config.guard
+    device = settings.device
+    cautious = not device.simulated and device.model is not None
+    measured = "" if asked.measured is None else str(_beside(settings, asked.measured))
+    return GuardParams(
+        policy=asked.policy or ("refuse" if cautious else "warn"),
+        basis=asked.basis,
+        measured=measured,
+        margin_ns_per_m=asked.margin_ns_per_m,
+    )
+
+
+def _beside(settings: Settings, name: str) -> Path:
+    """The file `name`, beside the configuration file if it is relative."""
+    return (settings.config_file.parent / Path(name)).absolute()
 
 
 def device_params(device: DeviceFile) -> DeviceParams:

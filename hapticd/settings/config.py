@@ -13,6 +13,7 @@ from hapticd.params import (
     EnvironmentParams,
     FilterParams,
     GatewayParams,
+    GuardParams,
     HandParams,
     RealtimeParams,
     SafetyParams,
@@ -31,6 +32,7 @@ _safety = SafetyParams()
 _realtime = RealtimeParams()
 _usb = UsbParams()
 _gateway = GatewayParams()
+_guard = GuardParams()
 _board: Any = BoardParams.__dataclass_fields__
 _hand = HandParams("hold")
 _touch = TouchParams()
@@ -152,6 +154,21 @@ class GatewayTable(TomlTable):
     """What the flight recorder keeps, at every tick."""
 
 
+class GuardTable(TomlTable):
+    """What is done with an environment that is not known to be passive."""
+
+    policy: Literal["off", "warn", "clamp", "refuse", "follow"] | None = None
+    """Left out: `refuse` on hardware whose device file has a [model], else `warn`."""
+    basis: Literal["theorem", "predicted", "measured"] = "theorem"
+    """theorem: for any input and hand; predicted: with friction, at the amplitude of a trial;
+    measured: what the file `measured` says.
+    """
+    measured: str | None = None
+    """A .zwidth file of this device; beside this file if relative."""
+    margin_ns_per_m: float = Field(_guard.margin_ns_per_m, ge=0, le=100)
+    """That has to be left for an environment to be allowed."""
+
+
 class Injection(TomlTable):
     """One seeded fault of the simulated board."""
 
@@ -262,4 +279,5 @@ class Config(TomlTable):
     realtime: Realtime = Realtime()
     usb: Usb = Usb()
     gateway: GatewayTable = GatewayTable()
+    guard: GuardTable = GuardTable()
     simulation: Simulation = Simulation()
