@@ -77,15 +77,7 @@ def test_shipped_file_names_every_key() -> None:
 
 @pytest.mark.parametrize(
     "name",
-    [
-        "simulated",
-        "example-board",
-        "ideal",
-        "weir2008",
-        "weir2008_probe_hp",
-        "weir2008_literal",
-        "warming",
-    ],
+    ["simulated", "example-board", "ideal", "weir2008", "weir2008_probe_hp", "weir2008_literal"],
 )
 def test_shipped_devices_are_valid(tmp_path: Path, name: str) -> None:
     assert load(write(tmp_path / "hapticd.toml", f'device = "{name}"')).device_file.stem == name

@@ -10,6 +10,9 @@ force away as a whole (disable, stop, fault, the ramp from 0 after a gap) is not
 there is no sample the force is held, and while a stop or fault fades it what acted goes on: in both
 parameters wait where they are.
 
+What such a step brings in is booked, and where the last second's bookings are used up the step is
+taken again with all that does not fall left where it is (`servo.ramp_energy`).
+
 The force is continuous in the share, but neither monotonous nor linear (clamp, walls, gain times
 value), so a share is found by halving: a step lies between half the bound and the bound, and any
 change arrives.
@@ -18,15 +21,45 @@ What would break it: a force that is no continuous function of its parameters, o
 change without a ramp.
 """
 
-from math import isfinite
+from math import inf, isfinite
+from typing import NamedTuple
 
+from hapticd.mailbox.layout import Flag
 from hapticd.params import ServoParams
-from hapticd.render.law import Coefficients, LawState, render
+from hapticd.render.law import Coefficients, Environment, LawState, render
 from hapticd.render.ramp import Ramp
+from hapticd.servo import ramp_energy
 from hapticd.servo.plan import Plan, Settled, environment_of
 from hapticd.servo.safety import LATCHED, State
 
 HALVINGS = 40  # of the way of one tick: from the whole range of any value to nothing felt
+
+
+class Eased(NamedTuple):
+    """A plan whose parameters went as far as they may in this tick."""
+
+    plan: Plan
+    flags: int  # of the record: EASED, PAUSED
+
+
+class Step(NamedTuple):
+    """A step of the parameters, and what is then rendered."""
+
+    plan: Plan
+    environment: Environment
+
+
+class Here(NamedTuple):
+    """What a step of the parameters is judged by in this tick."""
+
+    x: float  # m
+    v: float  # m/s, as the law has it
+    force_n: float  # with the parameters of the last tick
+    law: LawState
+    environment: Environment  # that was in force in the last tick
+    coefficients: Coefficients
+    tick: int
+    last_tick: int
 
 
 def eased(
@@ -37,8 +70,9 @@ def eased(
     coefficients: Coefficients,
     tick: int,
     params: ServoParams,
-) -> Plan:
-    """`plan` with its parameters as far on their way at `tick` as the device's force step allows.
+) -> Eased:
+    """`plan` with its parameters as far on their way at `tick` as the device's force step and
+    energy of ramps allow.
 
     `settled` is of the tick before, `law` and `coefficients` are those that this tick's position
     `x` [m] meets; None: there is no sample, and the force is held.
@@ -47,30 +81,61 @@ def eased(
     last_tick = settled.wake_tick - 1  # while a ramp runs; else any tick gives the same values
     if plan.state in LATCHED:
         fading = plan.gain.value(tick) > 0.0 and isfinite(params.device.force_step_n)
-        return on_the_way(plan, before, last_tick, tick, 0.0) if fading else plan
+        held = on_the_way(plan, before, last_tick, tick, 0.0) if fading else plan
+        return told(plan, held)
     if plan.state is not State.ENABLED or plan.gain.value(tick) < before.gain.value(last_tick):
-        return plan
+        return Eased(plan, 0)
     if x is None:
-        return on_the_way(plan, before, last_tick, tick, 0.0)
-    here = x
+        return told(plan, on_the_way(plan, before, last_tick, tick, 0.0))
+    was = settled.environment
+    force_n, _, v, *_ = render(x, law, was, coefficients)
+    here = Here(x, v, force_n, law, was, coefficients, tick, last_tick)
+    step = stepped(plan, before, here, params)
+    if params.device.ramp_energy_j == inf or step.environment == was:
+        return told(plan, step.plan)
+    return budgeted(plan, before, step, here, params)
+
+
+def told(plan: Plan, slower: Plan) -> Eased:
+    """`slower`, which is `plan` itself where nothing was held back."""
+    return Eased(slower, 0 if slower is plan else int(Flag.EASED))
+
+
+def stepped(plan: Plan, before: Plan, here: Here, params: ServoParams) -> Step:
+    """`plan` as far on its way as the force step allows."""
     bound_n = params.device.force_step_n
     limit_n = min(params.safety.force_limit_n, params.device.force_limit_n)
     workspace = params.environment.workspace
-    was_n, *_ = render(here, law, settled.environment, coefficients)
-
-    def too_far(candidate: Plan) -> bool:
-        environment = environment_of(candidate, tick, workspace, limit_n)
-        force_n, *_ = render(here, law, environment, coefficients)
-        return abs(force_n - was_n) > bound_n
-
     share = 1.0
     candidate = plan
     for _ in range(HALVINGS):
-        if not too_far(candidate):
-            return candidate
+        environment = environment_of(candidate, here.tick, workspace, limit_n)
+        force_n, *_ = render(here.x, here.law, environment, here.coefficients)
+        if not abs(force_n - here.force_n) > bound_n:
+            return Step(candidate, environment)
         share *= 0.5
-        candidate = on_the_way(plan, before, last_tick, tick, share)
-    return on_the_way(plan, before, last_tick, tick, 0.0)
+        candidate = on_the_way(plan, before, here.last_tick, here.tick, share)
+    return Step(on_the_way(plan, before, here.last_tick, here.tick, 0.0), here.environment)
+
+
+def budgeted(plan: Plan, before: Plan, step: Step, here: Here, params: ServoParams) -> Eased:
+    """`step`, a step of `plan`, or where it would bring in too much one of what falls alone; with
+    what it brings in booked.
+    """
+    rate_hz = params.realtime.rate_hz
+    budget_j = params.device.ramp_energy_j
+    was = ramp_energy.stored(here.environment, here.x, here.v)
+    now = ramp_energy.stored(step.environment, here.x, here.v)
+    energy_j = ramp_energy.added(was, now)
+    _, flags = told(plan, step.plan)
+    if ramp_energy.too_much(plan, energy_j, here.tick, rate_hz, budget_j):
+        waiting = ramp_energy.paused(plan, before, here.last_tick, here.tick, now.wall > was.wall)
+        step = stepped(waiting, before, here, params)
+        flags = told(waiting, step.plan).flags | int(Flag.PAUSED)
+        energy_j = ramp_energy.added(was, ramp_energy.stored(step.environment, here.x, here.v))
+    if not energy_j > 0.0:
+        return Eased(step.plan, flags)
+    return Eased(ramp_energy.booked(step.plan, energy_j, here.tick, rate_hz), flags)
 
 
 def on_the_way(plan: Plan, before: Plan, last_tick: int, tick: int, share: float) -> Plan:

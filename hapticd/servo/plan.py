@@ -100,6 +100,14 @@ class Plan(NamedTuple):
     doubted: tuple[int, ...] = ()  # encoder counts that are not believed yet (servo.glitch)
     glitches: tuple[int, ...] = ()  # slots of the newest glitches of this state
     environment_revision: int = 0  # counts changes of what is rendered and damped
+    bookings: tuple["Booking", ...] = ()  # of the last second (servo.ramp_energy)
+
+
+class Booking(NamedTuple):
+    """Energy that changes of parameters brought in, within one share of a second."""
+
+    share: int  # number of it, since tick 0
+    energy_j: float
 
 
 class Scheduled(NamedTuple):
@@ -478,6 +486,7 @@ def flatten(state: ServoState) -> tuple[Any, ...]:
         ),
         "scheduled": tuple(tuple(one) for one in plan.scheduled),
         "homing": tuple(plan.homing),
+        "bookings": tuple(tuple(one) for one in plan.bookings),
     }
     before = s.wake_tick, s.environment, s.coefficients, s.out_flags, s.damping_count, s.blob.hex()
     return (*before, law, ledger, s.origin, tuple(signs), held, s.host, tuple(plain.values()))
@@ -497,6 +506,7 @@ def unflatten(plain: Sequence[Any]) -> ServoState:
         "filters": (first, second),
         "scheduled": tuple(Scheduled(*one) for one in fields["scheduled"]),
         "homing": Homing(*fields.get("homing", ())),
+        "bookings": tuple(Booking(*one) for one in fields.get("bookings", ())),
     }
     law, ledger, origin, signs, held, host = others
     # earlier versions kept sums by cause in place of the ledger, and the active damping in that of

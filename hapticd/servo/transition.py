@@ -351,9 +351,8 @@ def make_attend(params: ServoParams) -> Attend:
             coefficients = renewed
         if plan.state is State.ENABLED or plan.state in LATCHED:
             x = (encoder - plan.origin) * m_per_count if usable else None
-            slower = eased(plan, settled, x, law, coefficients, tick, params)
-            flags |= 0 if slower is plan else int(Flag.EASED)
-            plan = slower
+            plan, held_back = eased(plan, settled, x, law, coefficients, tick, params)
+            flags |= held_back
         ready = flat_plan(plan, tick, params, params.environment.workspace, limit_n)
         if plan.state is State.HOMING:
             ready = ready._replace(environment=pushing(plan.homing.force_n, homing_limit_n))

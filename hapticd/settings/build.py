@@ -173,7 +173,6 @@ def board_of(
         emf_velocity_m_per_s_per_count=scales.emf_velocity.per_count,
         temperature_c_per_count=scales.temperature.per_count,
         force_limit_n=device.limits.force_n,
-        trim_full_scale_ohm=_trim_ohm(device),
         **(_rigid(device) if device.plant else _composed(device, rate_hz, effects, exact_levels)),
         **firmware,
     )
@@ -192,14 +191,7 @@ def _composed(
 
     model = compose_device(device.name, effects, rate_hz)
     refuse_unstable(model, (0.0, *exact_levels))
-    highest_ns_per_m = device.limits.damping_ns_per_m
-    return board_fields(model, exact_levels, highest_ns_per_m, abs(_trim_ohm(device)))
-
-
-def _trim_ohm(device: DeviceFile) -> float:
-    """Ohm that the resistance DAC adds at its full count, with its sign; 0 without one."""
-    table = device.resistance
-    return 0.0 if table is None else table.sign * table.full_scale_ohm
+    return board_fields(model, exact_levels, device.limits.damping_ns_per_m)
 
 
 def _timing(effects: tuple[Effect, ...]) -> SampleTiming:
@@ -264,6 +256,7 @@ def device_params(device: DeviceFile) -> DeviceParams:
         probe_limit_n=limits.probe_n,
         temperature_limit_c=limits.temperature_c,
         force_step_n=limits.force_step_n,
+        ramp_energy_j=limits.ramp_energy_j,
         acceleration_limit_m_per_s2=limits.acceleration_m_per_s2,
         speed_limit_m_per_s=limits.speed_m_per_s,
         overspeed_m_per_s=limits.overspeed_m_per_s or OVERSPEED * limits.speed_m_per_s,
@@ -271,7 +264,6 @@ def device_params(device: DeviceFile) -> DeviceParams:
         energy_limit_j=limits.energy_j,
         home=HomeParams(**device.home.model_dump()),
         relies_on=device.relies_on,
-        resistance=None if device.resistance is None else device.resistance.params(),
     )
 
 

@@ -1,0 +1,132 @@
+"""The energy that changes of parameters bring in, and the budget that makes ramps wait.
+
+A display that is passive at every instant may still be pumped: who stiffens a spring while it is
+bent and softens it while it is not gives energy to the hand, and a fixed rhythm finds that phase by
+itself (parametric resonance). 1 kg under a spring that goes from 40 to 380 N/m and back, each in 50
+ms and every 110 ms, grows by 2.08 in 220 ms; with 2 N s/m by 1.68. No ledger of work shows it, for
+what a ramp brings in is not lost.
+
+So what each tick's change of parameters adds to the energy stored where the handle is at that tick,
+element by element, is booked:
+
+    spring K, wall, ends        k d^2 / 2 at the deflection d; beyond the force limit F that the
+                                law clamps to, F d - F^2 / (2 k)
+    virtual mass M              M v^2 / 2 at the velocity of the law
+
+Each with the gain and at the wall's new place; so an enable, a stiffer wall and a wall that moves
+into the handle bring energy in like a stiffer spring. Only what is added counts: a softer spring
+takes energy out somewhere else than a stiffer one brings it in, and the difference is the pump.
+
+While the bookings of the last second and those of this tick come to more than
+`limits.ramp_energy_j` of the device file, ramps pause: every value stays where it is with what is
+left of its ramp before it, and goes on from there when the window frees. What falls is never held:
+stiffness and mass on their way down, damping on its way to 0, a wall that goes away, and all that
+takes force away as a whole. So in any
+second a hand is given no more than the budget, or what a single tick brings, which
+`limits.force_step_n` bounds. The window is kept in SHARES of a second, so it is 1.05 s at most.
+
+What would break it: a parameter that stores energy and is not named here, a state in which force
+acts and parameters move past `eased`.
+"""
+
+from typing import Final, NamedTuple
+
+from hapticd.mailbox.layout import Value
+from hapticd.render.law import Environment
+from hapticd.render.ramp import Ramp
+from hapticd.servo.plan import Booking, Plan
+
+SHARES: Final = 20  # of a second: 21 bookings at most, in a checkpoint too
+DAMPINGS = frozenset({Value.DAMPING, Value.WALL_DAMPING})  # store nothing
+GAIN: Final = -1  # no place of a command
+MOVES = frozenset({Value.WALL_POSITION, Value.WALL_SIDE})
+
+
+class Stored(NamedTuple):
+    """Energy [J] in the elements of an environment."""
+
+    spring: float
+    wall: float
+    ends: float
+    mass: float
+
+
+def spring_energy(stiffness: float, deflection: float, limit: float) -> float:
+    """Energy [J] of a spring [N/m] at `deflection` [m] whose force is clamped to `limit` [N];
+    negative for a negative one.
+    """
+    size = abs(stiffness)
+    bent = abs(deflection)
+    if size * bent <= limit:
+        return 0.5 * stiffness * deflection * deflection
+    clamped = limit * (bent - 0.5 * limit / size)
+    return clamped if stiffness > 0.0 else -clamped
+
+
+def stored(environment: Environment, x: float, v: float) -> Stored:
+    """What the elements of `environment` store at `x` [m] and `v` [m/s]."""
+    stiffness, _, mass, _, limit, wall_k, _, wall_x, side, lower, upper, end_k = environment
+    depth = max(0.0, (x - wall_x) * side)
+    beyond = max(0.0, x - upper, lower - x)
+    return Stored(
+        spring=spring_energy(stiffness, x, limit),
+        wall=spring_energy(wall_k, depth, limit),
+        ends=spring_energy(end_k, beyond, limit),
+        mass=0.5 * mass * v * v,
+    )
+
+
+def added(before: Stored, after: Stored) -> float:
+    """Energy [J] that the elements gained from one to the other, without what others lost."""
+    return sum([new - old for old, new in zip(before, after, strict=True) if new > old])
+
+
+def share_of(tick: int, rate_hz: float) -> int:
+    """Number of the share of a second in which `tick` lies."""
+    return int(tick * SHARES / rate_hz)
+
+
+def booked(plan: Plan, energy_j: float, tick: int, rate_hz: float) -> Plan:
+    """`plan` with `energy_j` > 0 booked at `tick`, and without what is older than a second."""
+    share = share_of(tick, rate_hz)
+    *others, newest = plan.bookings or (Booking(share, 0.0),)
+    if newest.share == share:
+        return plan._replace(bookings=(*others, Booking(share, newest.energy_j + energy_j)))
+    kept = [one for one in plan.bookings if one.share >= share - SHARES]
+    return plan._replace(bookings=(*kept, Booking(share, energy_j)))
+
+
+def too_much(plan: Plan, energy_j: float, tick: int, rate_hz: float, budget_j: float) -> bool:
+    """Whether `energy_j` more have to wait; never, if nothing was brought in within the second."""
+    if not energy_j > 0.0:
+        return False
+    oldest = share_of(tick, rate_hz) - SHARES
+    recent = [one.energy_j for one in plan.bookings if one.share >= oldest]
+    return bool(recent) and sum(recent) + energy_j > budget_j
+
+
+def falls(place: int, start: float, there: float, wall_gains: bool) -> bool:
+    """Whether a value that goes from `start` to `there` is one that no ramp of it holds back."""
+    if place in MOVES:
+        return not wall_gains
+    if place in DAMPINGS:
+        return start * there >= 0.0 and abs(there) < abs(start)
+    return there < start
+
+
+def paused(plan: Plan, before: Plan, last_tick: int, tick: int, wall_gains: bool) -> Plan:
+    """`plan` with all that does not fall where `before` had it at `last_tick`, and with what was
+    then left of its ramp. `wall_gains`: the wall would store more, so it does not move either.
+    """
+
+    def part(place: int, old: Ramp, new: Ramp) -> Ramp:
+        start = old.value(last_tick)
+        there = new.value(tick)
+        if there == start or falls(place, start, there, wall_gains):
+            return new
+        # a ramp that begins in this tick has nothing behind it yet
+        begun = max(min(last_tick, tick), new.start_tick)
+        return Ramp(start, new.end, tick, max(1, new.start_tick + new.ticks - begun))
+
+    values = {place: part(place, before.values[place], new) for place, new in plan.values.items()}
+    return plan._replace(gain=part(GAIN, before.gain, plan.gain), values=values)
