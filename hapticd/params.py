@@ -111,6 +111,29 @@ class HomeParams:
 
 
 @dataclass(frozen=True, slots=True)
+class ResistanceParams:
+    """How a board compensates the winding's resistance, and what is known of the winding
+    (render.winding). The circuit believes in base_ohm + trim.
+    """
+
+    trim: ScaleParams  # ohm beyond base_ohm that a count of the DAC adds
+    full_scale_ohm: float  # that 32767 counts add
+    base_ohm: float  # that the circuit compensates at count 0
+    winding_ohm: float  # of the winding at reference_c
+    reference_c: float
+    per_k: float  # relative change of its resistance
+    tolerance_ohm: float  # by which less than the winding has is compensated
+    slew_ohm_per_s: float  # of the trim
+    force_n_per_a: float  # endpoint force per ampere of the motor
+    heat_from: str  # what tells how the winding is heated: "current" | "force"
+    thermal_resistance_k_per_w: float  # winding to surroundings
+    time_constant_s: float  # of the winding against its surroundings
+    ambient_low_c: float  # the surroundings are never colder,
+    ambient_high_c: float  # and never hotter
+    model_error: float  # share by which thermal resistance and time constant may be wrong
+
+
+@dataclass(frozen=True, slots=True)
 class DeviceParams:
     """A device file: what one count means on this very device, and what it may be asked for."""
 
@@ -148,6 +171,7 @@ class DeviceParams:
     # that enables and changes of parameters may bring in within a second (servo.easing); infinite
     # for recordings of versions that had no budget
     ramp_energy_j: float = math.inf
+    resistance: ResistanceParams | None = None  # None: the board's compensation stays at count 0
 
     def temperature_counts(self, low: int, high: int) -> tuple[int, int]:
         """Lowest and highest count, inside `low`..`high`, of a temperature that is allowed: a
@@ -411,6 +435,8 @@ class BoardParams:
     rights_s: float = 0.0  # after a plug until udev has granted the rights to open it
     hello_s: float = 0.0  # after a plug until it answers requests
     boot_loader_s: float = 0.0  # after a plug in its boot loader, until it comes back as itself
+    # ohm that the resistance DAC adds at 32767 counts, with its sign; 0: it is not connected
+    trim_full_scale_ohm: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,7 @@ def round_half_up(value: float) -> int:
 
 
 UNITS = {
+    "_ohm_per_s": "ohm/s",
     "_m_per_s2": "m/s^2",
     "_nm_per_a": "N m/A",
     "_ns_per_m_s": "N s/m per s",
@@ -26,6 +27,7 @@ UNITS = {
     "_ns_per_m": "N s/m",
     "_n_per_m": "N/m",
     "_n_per_a": "N/A",
+    "_per_k": "1/K",
     "_m_per_s": "m/s",
     "_m_per_count": "m/count",
     "_c_per_count": "degC/count",

@@ -77,7 +77,15 @@ def test_shipped_file_names_every_key() -> None:
 
 @pytest.mark.parametrize(
     "name",
-    ["simulated", "example-board", "ideal", "weir2008", "weir2008_probe_hp", "weir2008_literal"],
+    [
+        "simulated",
+        "example-board",
+        "ideal",
+        "weir2008",
+        "weir2008_probe_hp",
+        "weir2008_literal",
+        "warming",
+    ],
 )
 def test_shipped_devices_are_valid(tmp_path: Path, name: str) -> None:
     assert load(write(tmp_path / "hapticd.toml", f'device = "{name}"')).device_file.stem == name

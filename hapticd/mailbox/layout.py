@@ -249,7 +249,7 @@ TELEMETRY = (
     ("wall_side", "<i4"),
     ("watches", "<u4"),  # Watched
     ("environment_revision", "<u4"),  # counts changes of what is rendered and damped
-    ("resistance_count", "<u4"),  # of the resistance compensation, as sent
+    ("resistance_count", "<i4"),  # of the resistance compensation, as sent
     # --- this tick
     ("flags", "<u4"),
     ("status", "<u4"),

@@ -252,11 +252,13 @@ def compiled(source: str, title: str) -> dict[str, Any]:
 
 
 def composed_source(terms: RowTerms, substep_s: float, torque_constant_n_per_a: float) -> str:
-    """Text of `bind(coefficients, gauss, sin, stick_two)`, which returns the step.
+    """Text of `bind(coefficients, gauss, sin, stick_two)`, which returns the step, and for a
+    winding that heats up `compensate(trim_ohm)`, else None.
 
     The step is that of `plant.step.make_step`. The cells of the closure are the coefficients; only
-    a change of the level (or a drift of the winding) loads them anew.
+    a change of the level (or a drift of the winding, or of its compensation) loads them anew.
     """
+    heat = terms.params.heating
     lines = [
         "def bind(coefficients, gauss, sin, stick_two):",
         (
@@ -265,8 +267,9 @@ def composed_source(terms: RowTerms, substep_s: float, torque_constant_n_per_a: 
         ),
         "    level = residual = None",
         *_load(terms),
+        *(_compensate(heat) if heat else []),
         *_step(terms, substep_s, torque_constant_n_per_a),
-        "    return step",
+        f"    return step, {'compensate' if heat else None}",
     ]
     return "\n".join(lines) + "\n"
 
@@ -510,13 +513,26 @@ def _error(noise: Noise | None, offset_m_per_s: float, substep_s: float) -> Iter
     return [f"        error = {offset_m_per_s!r}{random}"]
 
 
+def _compensate(heat: HeatingParams) -> list[str]:
+    """`compensate(trim_ohm)`: what the circuit believes in beyond that of count 0."""
+    nominal = repr(heat.compensated_ohm)
+    return [
+        f"    compensated_ohm = {nominal}",
+        "",
+        "    def compensate(trim_ohm):",
+        "        nonlocal compensated_ohm",
+        f"        compensated_ohm = {nominal} + trim_ohm",
+        "",
+    ]
+
+
 def _ohms(heat: HeatingParams) -> list[str]:
     """Resistance of the winding as it is, and what of it is not compensated."""
     cold = heat.resistance_ohm
     reference = heat.reference_c
     return [
         f"        hot = {cold!r} * (1.0 + {COPPER_PER_K!r} * (celsius - {reference!r}))",
-        f"        residual_ohm = hot - {heat.compensated_ohm!r}",
+        "        residual_ohm = hot - compensated_ohm",
     ]
 
 
@@ -536,10 +552,18 @@ def _warmed(
     ]
 
 
-def composed_step(
-    params: PlantParams, board: BoardParams, substep_s: float
-) -> tuple[Step, RowTerms]:
-    """The step of the composed device, as `plant.step.make_step` describes it, and its terms."""
+class Composed(NamedTuple):
+    """The step of a composed device, as `plant.step.make_step` describes it."""
+
+    step: Step
+    terms: RowTerms
+    # sets the ohm that a board adds to the nominal compensation; None: the winding keeps its
+    # temperature, so its maps hold for one residual resistance
+    compensate: Callable[[float], None] | None
+
+
+def composed_step(params: PlantParams, board: BoardParams, substep_s: float) -> Composed:
+    """The step of the composed device `params` of `board`, in sub-steps of `substep_s`."""
     _check(params)
     lookup = Lookup(params)
     nodes = [blocks(params, node) for node in lookup.nodes]
@@ -555,7 +579,8 @@ def composed_step(
     bind = compiled(composed_source(terms, substep_s, board.torque_constant_n_per_a), "plant step")[
         "bind"
     ]
-    return bind(coefficients, Random(board.seed).gauss, sin, stick_two), terms
+    step, compensate = bind(coefficients, Random(board.seed).gauss, sin, stick_two)
+    return Composed(step, terms, compensate)
 
 
 def rotor_response(params: PlantParams) -> Callable[[float], tuple[float, float]]:

@@ -169,6 +169,8 @@ class Plant(NamedTuple):
     motor_force: View  # N
     estimate: View  # m/s, back-EMF velocity
     celsius: Callable[[State], float] | None  # temperature of a winding that heats up
+    # sets the ohm that the circuit compensates beyond those of count 0; None: it cannot
+    compensate: Callable[[float], None] | None = None
 
 
 def make_plant(params: BoardParams) -> Plant:
@@ -190,13 +192,16 @@ def make_plant(params: BoardParams) -> Plant:
             celsius=None,
         )
     plant = params.plant
-    step, terms = composed_step(plant, params, 1.0 / (SUBSTEPS_PER_TICK * params.rate_hz))
+    step, terms, compensate = composed_step(
+        plant, params, 1.0 / (SUBSTEPS_PER_TICK * params.rate_hz)
+    )
     views = {name: viewer(terms, name) for name in ("encoder", "travel", "motor_force", "estimate")}
     return Plant(
         rest=lambda position_m: rest(plant, position_m),
         step=step,
         impulse=None if plant.impulse is None else viewer(terms, "impulse"),
         celsius=None if plant.heating is None else lambda state: state[WINDING],
+        compensate=compensate,
         **views,
     )
 

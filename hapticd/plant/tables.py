@@ -25,21 +25,27 @@ from hapticd.plant.step import SUBSTEPS_PER_TICK
 
 GRID = 21  # damping levels from 0 to the highest
 RESIDUALS = 9  # residual resistances, when the winding heats up
+TRIMMED_RESIDUALS = 33  # those, when it is compensated by the host as well
 HOTTEST_C = 180.0  # upper end of that axis
 FAR_M = 1e3  # where a device without ends would stop; JSON has no infinity
 
 
 def plant_params(
-    model: Model, duration_s: float, exact_levels: Iterable[float], highest_ns_per_m: float
+    model: Model,
+    duration_s: float,
+    exact_levels: Iterable[float],
+    highest_ns_per_m: float,
+    trim_ohm: float = 0.0,
 ) -> PlantParams:
-    """Tables of `model` for sub-steps of `duration_s`, up to `highest_ns_per_m`.
+    """Tables of `model` for sub-steps of `duration_s`, up to `highest_ns_per_m`, for a board that
+    compensates at most `trim_ohm` beyond the nominal.
 
     They are exact at `exact_levels` [Ns/m], which are rounded to counts as the DAC rounds them.
     """
     quantum = model.damping_quantum_ns_per_m
     levels = {float(level) for level in np.linspace(0.0, highest_ns_per_m, GRID)}
     levels |= {_dac(level, quantum) for level in exact_levels}
-    residuals = _residuals(model)
+    residuals = _residuals(model, trim_ohm)
     variants = [
         model.at_residual(residual_ohm) if model.winding else model for residual_ohm in residuals
     ]
@@ -69,9 +75,12 @@ def plant_params(
 
 
 def board_fields(
-    model: Model, exact_levels: Iterable[float], highest_ns_per_m: float
+    model: Model,
+    exact_levels: Iterable[float],
+    highest_ns_per_m: float,
+    trim_ohm: float = 0.0,
 ) -> dict[str, Any]:
-    """The fields of BoardParams that describe `model`.
+    """The fields of BoardParams that describe `model`; arguments as of `plant_params`.
 
     The tables, and the figures of a rigid mass that firmware and pages show.
     """
@@ -84,7 +93,7 @@ def board_fields(
         "torque_constant_n_per_a": model.torque_constant_n_per_a,
         "winding_ohm": model.resistance_ohm,
         "ambient_c": model.temperature_c,
-        "plant": plant_params(model, substep_s, [0.0, *exact_levels], highest_ns_per_m),
+        "plant": plant_params(model, substep_s, [0.0, *exact_levels], highest_ns_per_m, trim_ohm),
     }
 
 
@@ -102,7 +111,7 @@ def _columns(model: Model) -> tuple[str, ...]:
     return tuple(names[column] for column in range(model.inputs.width))
 
 
-def _residuals(model: Model) -> tuple[float, ...]:
+def _residuals(model: Model, trim_ohm: float) -> tuple[float, ...]:
     winding = model.winding
     if winding is None:
         return (model.residual_ohm,)
@@ -111,7 +120,8 @@ def _residuals(model: Model) -> tuple[float, ...]:
         copper_ohm(winding.resistance_ohm, winding.reference_c, end_c) - winding.compensated_ohm
         for end_c in ends_c
     )
-    return tuple(float(residual_ohm) for residual_ohm in np.linspace(low, high, RESIDUALS))
+    count = TRIMMED_RESIDUALS if trim_ohm else RESIDUALS
+    return tuple(float(residual_ohm) for residual_ohm in np.linspace(low - trim_ohm, high, count))
 
 
 def _heating(model: Model) -> HeatingParams | None:

@@ -4,4 +4,5 @@ law      render: one tick of the law, compiled by the batch engine too; design_c
 filters  second-order low-pass filters for velocity and acceleration
 ramp     Ramp: how a parameter goes from one value to the next; approach
 energy   book: a ledger of the work of each part of the force
+winding  how hot the winding can be, and how much of its resistance may be compensated
 """

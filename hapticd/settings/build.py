@@ -173,6 +173,7 @@ def board_of(
         emf_velocity_m_per_s_per_count=scales.emf_velocity.per_count,
         temperature_c_per_count=scales.temperature.per_count,
         force_limit_n=device.limits.force_n,
+        trim_full_scale_ohm=_trim_ohm(device),
         **(_rigid(device) if device.plant else _composed(device, rate_hz, effects, exact_levels)),
         **firmware,
     )
@@ -191,7 +192,14 @@ def _composed(
 
     model = compose_device(device.name, effects, rate_hz)
     refuse_unstable(model, (0.0, *exact_levels))
-    return board_fields(model, exact_levels, device.limits.damping_ns_per_m)
+    highest_ns_per_m = device.limits.damping_ns_per_m
+    return board_fields(model, exact_levels, highest_ns_per_m, abs(_trim_ohm(device)))
+
+
+def _trim_ohm(device: DeviceFile) -> float:
+    """Ohm that the resistance DAC adds at its full count, with its sign; 0 without one."""
+    table = device.resistance
+    return 0.0 if table is None else table.sign * table.full_scale_ohm
 
 
 def _timing(effects: tuple[Effect, ...]) -> SampleTiming:
@@ -264,6 +272,7 @@ def device_params(device: DeviceFile) -> DeviceParams:
         energy_limit_j=limits.energy_j,
         home=HomeParams(**device.home.model_dump()),
         relies_on=device.relies_on,
+        resistance=None if device.resistance is None else device.resistance.params(),
     )
 
 

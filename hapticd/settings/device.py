@@ -27,9 +27,17 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field, create_model
 
-from hapticd.params import ENERGY_LIMIT_J, RAMP_ENERGY_J, HomeParams, ScaleParams
+from hapticd.params import (
+    ENERGY_LIMIT_J,
+    RAMP_ENERGY_J,
+    HomeParams,
+    ResistanceParams,
+    ScaleParams,
+)
 from hapticd.plant.effects import ALWAYS, BY_KEY, PROVENANCE, Effect
 from hapticd.settings.tables import TomlTable
+from hapticd.units import COPPER_PER_K
+from hapticd.wire.codec import I16_HIGHEST
 
 SERIAL_BYTES = 16  # of the hello reply
 FROM_SCALES = ("encoder", "force_dac", "damping_dac", "probe_adc", "saturation")
@@ -160,6 +168,54 @@ class Temperature(Scale):
     c_per_count: float = Field(gt=0)
 
 
+class ResistanceTable(TomlTable):
+    """How the board compensates the winding's resistance, and what is known of the winding."""
+
+    sign: Literal[-1, 1] = 1
+    """-1 when a positive count makes the circuit believe in fewer ohm."""
+    full_scale_ohm: float = Field(gt=0, le=1e4)
+    """What 32767 counts add to `base_ohm`."""
+    base_ohm: float = Field(gt=0, le=1e4)
+    """What the circuit compensates at count 0: no more than the winding has when it is coldest."""
+    winding_ohm: float = Field(gt=0, le=1e4)
+    """The winding itself, at `reference_c`."""
+    reference_c: float = Field(20.0, ge=-40, le=150)
+    per_k: float = Field(COPPER_PER_K, gt=0, le=0.02)
+    """Relative change of its resistance; copper's by default."""
+    tolerance_ohm: float = Field(gt=0, le=1e4)
+    """By how much less than the winding has is compensated: what the other numbers may be wrong."""
+    slew_ohm_per_s: float = Field(gt=0, le=1e4)
+    """Of the trim."""
+    force_n_per_a: float = Field(ge=1e-3, le=1e4)
+    """Endpoint force per ampere of the motor."""
+    heat_from: Literal["current", "force"] = "current"
+    """What heats the winding: the motor current that the board reports, or the commanded force
+    where it reports none."""
+    thermal_resistance_k_per_w: float = Field(gt=0, le=1e4)
+    """Winding to surroundings."""
+    time_constant_s: float = Field(ge=1, le=1e5)
+    """Of the winding against its surroundings."""
+    ambient_low_c: float = Field(ge=-40, le=100)
+    """The surroundings are never colder."""
+    ambient_high_c: float = Field(ge=-40, le=100)
+    """Nor hotter."""
+    model_error: float = Field(ge=0, le=0.9)
+    """Share by which thermal resistance and time constant may be wrong."""
+    date: datetime.date | None = None
+    """When it was measured."""
+    source: str = Field(min_length=1)
+    """How it is known."""
+
+    def params(self) -> ResistanceParams:
+        """As the servo reads it."""
+        own = self.model_dump(exclude={"sign", "date", "source"})
+        date = self.date.isoformat() if self.date else ""
+        per_count = self.full_scale_ohm / I16_HIGHEST
+        return ResistanceParams(
+            trim=ScaleParams(per_count, self.sign, 0.0, date, self.source), **own
+        )
+
+
 class LimitsTable(TomlTable):
     """What the device may be asked for; the configuration may only be stricter."""
 
@@ -244,6 +300,8 @@ class DeviceFile(TomlTable):
     voltage: Voltage
     emf_velocity: Velocity
     temperature: Temperature
+    resistance: ResistanceTable | None = None
+    """How the winding's resistance is compensated; left out, it is not."""
     limits: LimitsTable
     travel: Travel
     home: HomeTable = HomeTable()

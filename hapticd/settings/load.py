@@ -21,8 +21,9 @@ from pydantic import ValidationError
 
 from hapticd.errors import ConfigError
 from hapticd.plant.effects import ALWAYS, BY_KEY
+from hapticd.render.winding import LEAST_LOOP_GAIN, least_residual_ohm, loop_gain, ohm
 from hapticd.settings.config import LONGEST_TIMEOUT_MS, Config
-from hapticd.settings.device import FROM_SCALES, TABLES, DeviceFile
+from hapticd.settings.device import FROM_SCALES, TABLES, DeviceFile, ResistanceTable
 from hapticd.settings.tables import TomlTable, Where, config_error, dotted, leaves
 from hapticd.settings.toml import KeyPath, did_you_mean, read, shipped
 from hapticd.units import unit_of
@@ -253,6 +254,7 @@ def _device_rules(device: DeviceFile) -> Iterator[Mistake]:
         yield Mistake(("plant",), None, "is missing; a simulated board needs to know what it moves")
     yield from _order_rule(("plant",), "lower_stop_m", "upper_stop_m", plant)
     yield from _home_rules(device)
+    yield from _resistance_rules(device)
 
 
 def _home_rules(device: DeviceFile) -> Iterator[Mistake]:
@@ -265,6 +267,46 @@ def _home_rules(device: DeviceFile) -> Iterator[Mistake]:
     if home.force_n > device.limits.force_n:
         reason = f"must be at most {device.limits.force_n} N, the limit of the device"
         yield Mistake(("home", "force_n"), home.force_n, reason)
+
+
+def _resistance_rules(device: DeviceFile) -> Iterator[Mistake]:
+    """Where a winding could be compensated further than it has ohm, or never by itself."""
+    table = device.resistance
+    if table is None:
+        return
+    if device.simulated and (device.model is None or "heating" not in device.model.effects):
+        reason = "needs a [model] with the effect 'heating'; add it or leave this table out"
+        yield Mistake(("resistance",), None, reason)
+    limit_c = device.limits.temperature_c
+    if not table.ambient_low_c < table.ambient_high_c < limit_c:
+        reason = f"must lie between ambient_low_c = {table.ambient_low_c} degC and"
+        reason += f" limits.temperature_c = {limit_c} degC"
+        yield Mistake(("resistance", "ambient_high_c"), table.ambient_high_c, reason)
+        return
+    yield from _compensation_rules(table, limit_c, device.limits.damping_ns_per_m)
+
+
+def _compensation_rules(
+    table: ResistanceTable, limit_c: float, damping_ns_per_m: float
+) -> Iterator[Mistake]:
+    params = table.params()
+    coldest_ohm = ohm(params, table.ambient_low_c)
+    most_ohm = coldest_ohm - table.tolerance_ohm
+    if table.base_ohm > most_ohm:
+        reason = f"must be at most {most_ohm:.4g} ohm, tolerance_ohm less than the winding has at"
+        reason += f" {table.ambient_low_c} degC: lower it, or ambient_low_c is too low"
+        yield Mistake(("resistance", "base_ohm"), table.base_ohm, reason)
+    least = (ohm(params, limit_c) - coldest_ohm) / table.time_constant_s
+    if table.slew_ohm_per_s < least:
+        reason = f"must be at least {least:.3g} ohm/s, as fast as the winding cools down"
+        yield Mistake(("resistance", "slew_ohm_per_s"), table.slew_ohm_per_s, reason)
+    found = loop_gain(params, least_residual_ohm(params, limit_c), damping_ns_per_m)
+    if not found >= LEAST_LOOP_GAIN:
+        reason = f"leaves a loop gain g dR / K^2 of {found:.3g} at {damping_ns_per_m} N s/m when"
+        reason += f" the sensor reads too high; the limit is {LEAST_LOOP_GAIN}, the circuit"
+        reason += " oscillates at -1: raise it, lower model_error or limits.damping_ns_per_m, or"
+        reason += " narrow the ambient"
+        yield Mistake(("resistance", "tolerance_ohm"), table.tolerance_ohm, reason)
 
 
 def _order_rule(

@@ -209,6 +209,7 @@ class Axis:
         "_release_from",
         "_release_step",
         "_torque_max",
+        "_trim_ohm_per_count",
         "_tripped",
         "_watchdog",
         "amplifier",
@@ -223,6 +224,7 @@ class Axis:
         "now",
         "plant",
         "probe",
+        "resistance_count",
         "state",
         "torque_seq",
         "torque_since",
@@ -241,6 +243,7 @@ class Axis:
         self._hold = round(DAMPING_HOLD_S * substep_rate_hz)
         self._release = round(DAMPING_RELEASE_S * substep_rate_hz)
         self._release_step = max(1, round(substep_rate_hz / PROBE_RATE_HZ))
+        self._trim_ohm_per_count = params.trim_full_scale_ohm / I16_HIGHEST
         self.probe = Probe(params)
         self.amplifier: Amplifier | None = None
         self.levels = READY  # Status bits of the hard-wired emergency stop, which has no memory
@@ -268,6 +271,7 @@ class Axis:
         self._held_count = 0
         self._release_from = 0
         self._damp(0)
+        self._compensate(0)
 
     def move_on(self, state: State) -> None:
         """Supply was connected to a device that is not at rest but in `state`."""
@@ -287,7 +291,13 @@ class Axis:
         return self.faults | (ENABLED if self.live else 0) | (WATCHDOG if self._tripped else 0)
 
     def obey(
-        self, flags: int, torque: int, damping: int, samples: Sequence[int], seq: int = 0
+        self,
+        flags: int,
+        torque: int,
+        damping: int,
+        samples: Sequence[int],
+        seq: int = 0,
+        resistance: int = 0,
     ) -> None:
         """Take the commands of the valid OUT `seq`, in counts, from now on."""
         if self._tripped:
@@ -296,6 +306,8 @@ class Axis:
             self._tripped = False
         self._alarm_at = self.now + self._watchdog
         self._damp(damping)
+        if resistance != self.resistance_count:
+            self._compensate(resistance)
         probe = self.probe
         self.live = bool(flags & ENABLE) and not self.faults and self.levels == READY
         probe.live = self.live
@@ -410,6 +422,14 @@ class Axis:
     def _damp(self, count: int) -> None:
         self.damping_count = count
         self.damping_n = count * self._params.damping_ns_per_m_per_count
+
+    def _compensate(self, count: int) -> None:
+        """The circuit believes in the resistance of this count from now on; with the DAC not
+        connected in that of count 0.
+        """
+        self.resistance_count = count
+        if self.plant.compensate is not None:
+            self.plant.compensate(count * self._trim_ohm_per_count)
 
     def _cut_torque(self) -> None:
         self.force_n = 0.0

@@ -21,7 +21,7 @@ import struct
 from binascii import crc_hqx
 from collections import deque
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from math import ceil, floor, inf
 
 from hapticd.errors import ConfigError
@@ -100,7 +100,8 @@ class BoardModel:
     def __init__(self, params: BoardParams, on_slip: Callable[[int], None] | None = None) -> None:
         _check(params)
         self._params = params
-        self._axis = Axis(params)
+        connected = params if compensates(params) else replace(params, trim_full_scale_ohm=0.0)
+        self._axis = Axis(connected)
         self._replies = control_replies(params)
         self._substep_ns = NS_PER_S / (SUBSTEPS_PER_TICK * params.rate_hz)
         self._substeps_max = floor(ADVANCE_MAX_NS / self._substep_ns)
@@ -155,7 +156,7 @@ class BoardModel:
         self._advance(t_ns)
         if len(data) != frames.OUT_BYTES:
             return self._refuse()
-        seq, axis, flags, torque, damping, _, count, reserved, *samples, tail, crc = (
+        seq, axis, flags, torque, damping, resistance, count, reserved, *samples, tail, crc = (
             frames.OUT.unpack(data)
         )
         if (
@@ -175,7 +176,7 @@ class BoardModel:
         behind = self._latches[-1] if self._latches else 0
         self._latches.append(max(self._axis.now + self._phase, behind))
         self._latch_at = self._latches[0]
-        return self._axis.obey(flags, torque, damping, samples[:count], seq)
+        return self._axis.obey(flags, torque, damping, samples[:count], seq, resistance)
 
     def poll_in(self, t_ns: int) -> bytes | None:
         """The IN frame, once, if one was latched by `t_ns`; else None."""
@@ -393,6 +394,8 @@ Replies = dict[tuple[int, int, int], bytes]  # by bmRequestType, bRequest, wValu
 def hello(params: BoardParams) -> HelloFrame:
     """The board's own description: nominal full scales are value per count times full count."""
     capabilities = CAPABILITIES
+    if compensates(params):
+        capabilities |= Capability.RESISTANCE
     for name in params.lacks:
         capabilities &= ~Capability[name.upper()]
     return HelloFrame(
@@ -411,6 +414,12 @@ def hello(params: BoardParams) -> HelloFrame:
         position_m_per_count=params.position_m_per_count,
         force_limit_n=params.force_limit_n,
     )
+
+
+def compensates(params: BoardParams) -> bool:
+    """Whether the resistance DAC is connected, to the circuit of a winding that heats up."""
+    winding = params.plant is not None and params.plant.heating is not None
+    return winding and params.trim_full_scale_ohm != 0.0 and "resistance" not in params.lacks
 
 
 def string_descriptor(text: str) -> bytes:

@@ -1,0 +1,129 @@
+"""How hot the winding can be and how hot it must be, and how much of its resistance a board may
+compensate. Standard library only.
+
+The damping circuit (Weir 2008, section 5) takes the back-EMF from the motor's voltage by
+subtracting R_hat i. Copper's resistance grows by 0.393 %/K, R_hat does not by itself:
+
+    R(T)  = R_ref (1 + a (T - T_ref))        R_hat = base + trim        dR = R(T) - R_hat
+    alpha = 1 / (1 + g dR / K^2)             K: endpoint force per ampere, g: active damping
+
+alpha scales damping AND force. A winding hotter than the circuit believes is safe but weak; one
+that is colder (dR < 0) makes both stronger, and the circuit oscillates at g dR / K^2 = -1. So the
+trim follows R(T) from below,
+
+    trim = R(T_c) - base - tolerance,   held in 0 .. full scale
+
+with T_c the sensor's temperature, but never more than the winding can have. Without a sensor T_c is
+what it must have at least. Both ends come from a winding that the motor's current heats,
+
+    dT/dt = (T_ambient + R_th R(T) i^2 - T) / tau
+
+with everything that is not known (ambient, R_th, tau) at its hot end for the one and at its cold
+end for the other; in between the exact solution for a current that is held. Where nothing is known
+of the current it is taken to be 0: both ends cool down, and too little is compensated. Whatever the
+sensor says, the loop gain against the coldest possible winding stays above -0.9 at the highest
+damping of the device.
+
+What would break it: a current that reads too high without a sensor, a winding below the coldest
+ambient of the device file, a second time constant (a housing that warms up) outside `model_error`.
+"""
+
+from math import expm1, inf, isfinite
+from typing import Final, NamedTuple
+
+from hapticd.params import ResistanceParams
+
+LEAST_LOOP_GAIN: Final = -0.9  # g dR / K^2; the circuit oscillates at -1
+COLD: Final = -1.0
+HOT: Final = 1.0
+
+
+class Winding(NamedTuple):
+    """What is known of the winding, and the trim in force."""
+
+    tick: int = 0  # of the last look
+    low_c: float = 0.0  # it is at least as hot
+    high_c: float = 0.0  # and at most
+    trim_ohm: float = 0.0
+
+
+def unheated(params: ResistanceParams, tick: int = 0) -> Winding:
+    """A winding of which nothing is known but the surroundings, not compensated beyond count 0.
+
+    One that is hotter already, because the host began anew, is compensated too little until it has
+    cooled down to what the model believes.
+    """
+    return Winding(tick, params.ambient_low_c, params.ambient_high_c)
+
+
+def ohm(params: ResistanceParams, celsius: float) -> float:
+    """R(T) [ohm]."""
+    return params.winding_ohm * (1.0 + params.per_k * (celsius - params.reference_c))
+
+
+def heated(
+    params: ResistanceParams, winding: Winding, ampere2: float, elapsed_s: float, limit_c: float
+) -> Winding:
+    """`winding` after `elapsed_s` with the square of its current at `ampere2` [A^2]. Neither end
+    goes beyond `limit_c`: hotter ends the force.
+    """
+    low_c = _warmed(params, winding.low_c, params.ambient_low_c, ampere2, elapsed_s, COLD)
+    high_c = _warmed(params, winding.high_c, params.ambient_high_c, ampere2, elapsed_s, HOT)
+    return winding._replace(low_c=min(low_c, limit_c), high_c=min(high_c, limit_c))
+
+
+def _warmed(
+    params: ResistanceParams,
+    celsius: float,
+    ambient_c: float,
+    ampere2: float,
+    elapsed_s: float,
+    end: float,
+) -> float:
+    error = end * params.model_error
+    power_w = ohm(params, celsius) * ampere2
+    rise_c = ambient_c + (1.0 + error) * params.thermal_resistance_k_per_w * power_w - celsius
+    # the hot end rises faster and falls slower than the winding can, the cold one the other way
+    slower = 1.0 - error if rise_c > 0.0 else 1.0 + error
+    return celsius - rise_c * expm1(-elapsed_s / (slower * params.time_constant_s))
+
+
+def target_ohm(
+    params: ResistanceParams, winding: Winding, sensor_c: float | None, damping_ns_per_m: float
+) -> float:
+    """The trim [ohm] that `winding` should have; `sensor_c` None or not finite: no sensor.
+    `damping_ns_per_m`: the highest that the device may be asked for.
+    """
+    celsius = winding.low_c
+    if sensor_c is not None and isfinite(sensor_c):
+        celsius = min(sensor_c, winding.high_c)
+    wanted = ohm(params, celsius) - params.base_ohm - params.tolerance_ohm
+    furthest = ohm(params, winding.low_c) - params.base_ohm
+    furthest += over_compensation_ohm(params, damping_ns_per_m)
+    return max(0.0, min(wanted, furthest, params.full_scale_ohm))
+
+
+def over_compensation_ohm(params: ResistanceParams, damping_ns_per_m: float) -> float:
+    """By how many ohm more than the winding has may be compensated at that damping."""
+    if damping_ns_per_m <= 0.0:
+        return inf
+    return -LEAST_LOOP_GAIN * params.force_n_per_a**2 / damping_ns_per_m
+
+
+def loop_gain(params: ResistanceParams, residual_ohm: float, damping_ns_per_m: float) -> float:
+    """g dR / K^2."""
+    return damping_ns_per_m * residual_ohm / params.force_n_per_a**2
+
+
+def least_residual_ohm(params: ResistanceParams, limit_c: float) -> float:
+    """The least dR [ohm] that a sensor can bring about by reading too high, once a current has
+    acted for long: T_c is the hot end of the model, at most `limit_c`, the winding at its cold one.
+
+    Both ends at the same current: T_low = ambient_low + share R(T_low) / R(limit), linear in T_low.
+    """
+    rise_c = max(0.0, limit_c - params.ambient_high_c)
+    share_c = rise_c * (1.0 - params.model_error) / (1.0 + params.model_error)
+    hot_ohm = ohm(params, limit_c)
+    slope = share_c * params.winding_ohm * params.per_k / hot_ohm
+    coldest_c = (params.ambient_low_c + share_c * ohm(params, 0.0) / hot_ohm) / (1.0 - slope)
+    return ohm(params, coldest_c) - hot_ohm + params.tolerance_ohm
