@@ -19,6 +19,8 @@ T = TypeVar("T")
 
 ENERGY_LIMIT_J = 0.02  # of an 8 g handle at 2.2 m/s; see ADR 0085
 RAMP_ENERGY_J = 0.03  # K = 600 N/m brought in 10 mm off; see ADR 0106
+SHORTEST_LEASE_S = 0.2  # twenty passes of the gateway
+LONGEST_LEASE_S = 60.0
 ADDED_DAMPING_NS_PER_M = 1.74  # what `damping on` means: Weir, Colgate and Peshkin 2008, section 5
 
 
@@ -464,6 +466,15 @@ class GuardParams:
 
 
 @dataclass(frozen=True, slots=True)
+class LeaseParams:
+    """Leases of clients that do not say otherwise."""
+
+    ttl_s: float = 5.0  # without a request, after which one ends
+    # what becomes of the environment when its holder dies or falls silent; damping is held
+    at_end: str = "zero"  # "hold" | "zero" | "disable"
+
+
+@dataclass(frozen=True, slots=True)
 class GatewaySetup:
     """gateway.json: the gateway's own parameters, and the servo's for the limits and scales it
     checks against.
@@ -472,6 +483,7 @@ class GatewaySetup:
     servo: ServoParams
     gateway: GatewayParams = GatewayParams()
     guard: GuardParams = GuardParams()
+    lease: LeaseParams = LeaseParams()
 
 
 def to_plain(value: Any) -> Any:

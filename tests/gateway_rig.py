@@ -18,6 +18,7 @@ from hapticd.gateway.desk import Desk
 from hapticd.gateway.journal import Journal
 from hapticd.gateway.server import GatewayServer
 from hapticd.gateway.view import ServoView
+from hapticd.params import LeaseParams
 from hapticd.units import NS_PER_MS, NS_PER_S
 
 START_NS = 1000 * NS_PER_S
@@ -43,11 +44,11 @@ class DeskRig:
         self.start_gateway()
         self.run(2)
 
-    def start_gateway(self) -> None:
+    def start_gateway(self, lease: LeaseParams | None = None) -> None:
         """A desk that knows nothing yet, in place of any other."""
         self.journal = Journal(lambda: UNIX_NS)
         self.view = ServoView(self.folder, self.setup.servo, lambda: UNIX_NS)
-        self.desk = Desk(self.view, self.journal, lambda cmd: {"asked": cmd})
+        self.desk = Desk(self.view, self.journal, lambda cmd: {"asked": cmd}, lease)
 
     def run(self, ticks: int = 1) -> list[list[bytes]]:
         """Let ticks pass; the replies that came due."""

@@ -156,6 +156,9 @@ class StandInServo:
                 self._answer(seq, Result.SCHEDULED, apply_tick)
             else:
                 self._apply(command)
+        elif kind == Command.CANCEL:
+            self._cancel(actor, int(values[0]))
+            self._answer(seq, Result.APPLIED)
         elif self.state not in NEXT_STATE[Command(kind)]:
             self._answer(seq, Result.REFUSED_STATE)
         else:
@@ -166,12 +169,21 @@ class StandInServo:
                 self.perturbing and kind != Command.PERTURB_STOP
             )
             self.played = values[Value.SAMPLES], values[Value.LOOP]
+            if self.state is not State.ENABLED:
+                self.values[Value.LIMIT_CYCLE_FAULTS] = 1.0
+                self.perturbing = False
             self.revision += 1
             self._answer(seq, Result.APPLIED)
 
+    def _cancel(self, actor: int, mask: int) -> None:
+        gone = [one for one in self.scheduled if one[2] != actor and int(one[4][0]) & mask]
+        self.scheduled = [one for one in self.scheduled if one not in gone]
+        for one in gone:
+            self._answer(one[0], Result.CANCELLED)
+
     def _apply(self, command: tuple[Any, ...]) -> None:
         seq, _, self.actor, _, values = command
-        for place in range(1, 20):
+        for place in range(1, Value.ENVIRONMENT_REVISION):
             if int(values[0]) >> place & 1:
                 self.values[place] = values[place]
         self.revision += 1
@@ -197,8 +209,8 @@ class StandInServo:
             self.perturbing,
             True,
             self.actor,
-            0,
-            0,
+            int(v[Value.LEASE_CONTROL]),
+            int(v[Value.LEASE_DAMPING]),
             1.0,
             v[2],
             v[3],
@@ -208,7 +220,7 @@ class StandInServo:
             v[9],
             v[11],
             int(v[12]),
-            7,
+            7 if v[Value.LIMIT_CYCLE_FAULTS] else 2,
             int(v[Value.ENVIRONMENT_REVISION]),
             0,
         )

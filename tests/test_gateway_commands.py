@@ -33,7 +33,7 @@ def rig(tmp_path: Path) -> DeskRig:
 
 
 def situation(rig: DeskRig, settled: bool = True, samples: int = 0) -> commands.Situation:
-    return commands.Situation(rig.desk.limits, rig.view, settled, samples)
+    return commands.Situation(rig.desk.limits, rig.view, settled, samples, rig.desk.leases)
 
 
 def test_order_is_schema_state_lease_passivity() -> None:

@@ -11,7 +11,13 @@ from typing import Any
 
 from hapticd.mailbox import files
 from hapticd.params import GatewaySetup, to_plain
-from hapticd.settings.build import board_params, gateway_params, guard_params, servo_params
+from hapticd.settings.build import (
+    board_params,
+    gateway_params,
+    guard_params,
+    lease_params,
+    servo_params,
+)
 from hapticd.settings.load import Settings
 
 
@@ -19,7 +25,9 @@ def resolve(settings: Settings, instance: str) -> dict[str, Any]:
     """Content of each file, by its name. A real board has no board.json."""
     board = board_params(settings)
     servo = servo_params(settings, instance)
-    setup = GatewaySetup(servo, gateway_params(settings), guard_params(settings))
+    setup = GatewaySetup(
+        servo, gateway_params(settings), guard_params(settings), lease_params(settings)
+    )
     plain = {files.SERVO_JSON: to_plain(servo), files.GATEWAY_JSON: to_plain(setup)}
     return plain if board is None else {**plain, files.BOARD_JSON: to_plain(board)}
 

@@ -44,7 +44,7 @@ class Sockets:
     """Both kinds of socket, bound, watched by `selector`.
 
     `endpoints` is {command, telemetry: [..], pid}; `warning` is set when telemetry is in the clear;
-    `gone` is told of subscribers that have left.
+    `left` is told of clients of the commands, `gone` of subscribers, whose connections have ended.
     """
 
     def __init__(
@@ -52,12 +52,13 @@ class Sockets:
         folder: Path,
         setup: GatewaySetup,
         selector: selectors.BaseSelector,
+        left: Callable[[bytes], None],
         gone: Callable[[bytes], None],
     ) -> None:
         self._folder = folder
         params = setup.gateway
         self.warning = auth.warning(params)
-        self.command = Port(b"ROUTER", MAX_MESSAGE_BYTES, REPLIES_QUEUED, selector)
+        self.command = Port(b"ROUTER", MAX_MESSAGE_BYTES, REPLIES_QUEUED, selector, left)
         self.telemetry = Port(b"XPUB", MAX_SUBSCRIPTION_BYTES, MESSAGES_QUEUED, selector, gone)
         self._relay: auth.Relay | None = None
         try:

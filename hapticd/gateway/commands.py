@@ -7,7 +7,7 @@ interlocks, each of which asks one question. The first one that objects answers.
     schema     is it a command, complete, within the limits of this device?
     state      would the servo refuse it anyway in its present state? (Only an early, better
                explained answer: the servo decides.)
-    lease      may this client change this now? (Everyone may.)
+    lease      may this client change this now, or does another hold it?
     passivity  is the display still passive with these parameters? (Not asked.)
 
 An interlock takes what is asked and the situation, and returns what is asked, possibly completed or
@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 from hapticd.errors import CommandError
 from hapticd.faults import BY_NUMBER, FAULTS, Fault
 from hapticd.gateway.journal import Actors
+from hapticd.gateway.leases import DAMPING, ENVIRONMENT, PERTURBATION, Leases
 from hapticd.gateway.limits import PLACES, CommandLimits, flat
 from hapticd.gateway.schemas import Change, Damping, Perturb, Request, Set, parse
 from hapticd.gateway.view import ServoView
@@ -39,6 +40,7 @@ ALLOWED: dict[
     "home": (State.DISABLED,),
     "perturb": (State.ENABLED,),
 }
+MOVING = ("enable", "home", "zero")
 ACCEPTED = frozenset({Result.APPLIED, Result.SCHEDULED, Result.SUPERSEDED})
 
 
@@ -255,6 +257,7 @@ class Situation(NamedTuple):
     view: ServoView
     settled: bool
     samples: int  # of the waveform that is loaded
+    leases: Leases
 
 
 Interlock = Callable[[AskedRequest, Situation], AskedRequest]
@@ -283,8 +286,28 @@ def state(asked: AskedRequest, situation: Situation) -> AskedRequest:
 
 
 def lease(asked: AskedRequest, situation: Situation) -> AskedRequest:
-    """Everyone may change everything."""
+    """Refuse what is another's to change, or was the client's until it lost its lease."""
+    for what in changed_parts(asked.request):
+        if found := situation.leases.may(asked.actor, what):
+            cmd = asked.request.cmd if asked.request else ""
+            raise CommandError(found.code, f"{cmd}: {found}", found.detail)
     return asked
+
+
+def changed_parts(request: Request | None) -> tuple[str, ...]:
+    """The parts of the display, by their leases, that `request` changes.
+
+    Disable, stop and reset are nobody's: they are taken from anyone.
+    """
+    if isinstance(request, Set):
+        rest = request.given.keys() & {"K", "B", "M", "filters", "wall", "limit_cycle_faults"}
+        parts = (ENVIRONMENT,) if rest else ()
+        return (*parts, DAMPING) if "damping" in request.given else parts
+    if isinstance(request, Damping):
+        return (DAMPING,)
+    if isinstance(request, Perturb):
+        return (PERTURBATION,)
+    return (ENVIRONMENT,) if request and request.cmd in MOVING else ()
 
 
 def passivity(asked: AskedRequest, situation: Situation) -> AskedRequest:

@@ -43,13 +43,15 @@ from hapticd.gateway.commands import (
     receipt,
     refusal,
 )
-from hapticd.gateway.journal import Actors, Journal
+from hapticd.gateway.journal import GATEWAY_ACTOR, Actors, Journal
+from hapticd.gateway.lease_desk import LeaseDesk
 from hapticd.gateway.limits import CommandLimits
-from hapticd.gateway.schemas import Hello, Perturb, Request, invalid, json_schema
+from hapticd.gateway.schemas import Hello, LeaseRequest, Perturb, Request, invalid, json_schema
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import PERTURBATION_SAMPLES, Command, Result, values_of
 from hapticd.mailbox.stop_word import press_stop
+from hapticd.params import LeaseParams
 from hapticd.units import NS_PER_S, PROBE_RATE_HZ
 from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
 
@@ -269,7 +271,6 @@ TAKEN_BACK = {
 }  # what brings force
 TAKEN_PER_TICK = 2  # by the servo; a stop behind more commands than that presses the page as well
 PAST_TICK = 1
-GATEWAY_ACTOR = 1
 IN_FORCE = (
     "tick",
     "gain",
@@ -297,7 +298,11 @@ class Desk:
     """
 
     def __init__(
-        self, view: ServoView, journal: Journal, inquire: Callable[[str], dict[str, Any]]
+        self,
+        view: ServoView,
+        journal: Journal,
+        inquire: Callable[[str], dict[str, Any]],
+        lease: LeaseParams | None = None,
     ) -> None:
         self._view = view
         self._journal = journal
@@ -305,6 +310,8 @@ class Desk:
         self.limits = CommandLimits(view.params)
         self.schema = json_schema(self.limits)
         self.actors = Actors()
+        self._leasing = LeaseDesk(view, self.actors, journal, lease or LeaseParams())
+        self.leases = self._leasing.leases
         self.counts = {"requests": 0, "errors": 0, "timeouts": 0}
         self._waveform = Waveform(self.limits)
         self._outstanding = Outstanding()
@@ -334,6 +341,7 @@ class Desk:
         for another one; those that there is none for wait for the next call.
         """
         self.counts["requests"] += len(messages)
+        self._leasing.tend(now_ns)
         for message in messages:
             self._queue.append(unpacked(message))
             in_time()
@@ -354,13 +362,22 @@ class Desk:
         self._ask_back()
         try:
             for answer in self._view.answers():
+                self._leasing.heard(answer)
                 if scheduled := self._outstanding.take(answer, self._view.life):
                     self._report(scheduled, answer)
         except MailboxError as error:
             self._journal.note("warning", text=str(error))
+        self._leasing.tend(now_ns)
         due = self._outstanding.due(self._view.tick, now_ns)
         return [self._refused(one.message, SERVO_ENDED) for one in lost] + [
             self._closed(one) for one in due
+        ]
+
+    def leave(self, client: bytes) -> None:
+        """The connection of `client` is gone, and with it its leases."""
+        self._leasing.leave(self.actors.leave(client))
+        self._queue = [
+            one for one in self._queue if one.client != client or one.cmd not in ("hello", "lease")
         ]
 
     def _attend(self, message: RequestMessage, now_ns: int, outdated: bool) -> Reply | None:
@@ -368,6 +385,7 @@ class Desk:
             if message.error:
                 raise message.error
             actor = self.actors.number(message.client)
+            self.leases.heard(actor)
             if message.cmd == "stop":
                 return self._stop(message, actor, now_ns)
             if outdated:
@@ -377,10 +395,12 @@ class Desk:
                 )
                 raise CommandError("timeout", f"{message.cmd}: {reason}")
             situation = Situation(
-                self.limits, self._view, not self.waiting, self._waveform.samples(self._view)
-            )
+                self.limits, self._view, not self.waiting, self._waveform.samples(self._view),
+                self.leases,
+            )  # fmt: skip
             request = admit(message.plain, actor, situation)
             result = self._answered_here(request, message)
+            self._leasing.tend(now_ns)  # what a lease changes goes before what is asked next
             if result is not None:
                 return self._accepted(message, {"result": result})
             self._post(message, actor, posting(request, situation.samples), now_ns)
@@ -397,6 +417,8 @@ class Desk:
             }
         if isinstance(request, Perturb) and request.action == "load":
             return self._load(request, self.actors.number(message.client))
+        if isinstance(request, LeaseRequest):
+            return self._leasing.answer(request, self.actors.number(message.client))
         if request.cmd == "status":
             return self._inquire("status") | {"requests": dict(self.counts)}
         if request.cmd == "dump":

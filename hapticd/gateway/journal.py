@@ -3,11 +3,11 @@
 Events are maps, one per event: kept for `status`, and queued for the topic `event`. Their kinds:
 `state` (from, to, fault with cause, action and remedy, actor), `answer` (what became of a scheduled
 change), `gap` (ticks that were overwritten before they were read), `servo_up`, `servo_down`,
-`flight` (path, reason), `warning`.
+`flight` (path, reason), `lease` (what, change, actor, name, by), `warning`.
 
 An actor is a small number per client, which travels in every tick record, and the name that the
-client gave itself. ZeroMQ does not report when a client leaves, so the table keeps the most recent
-ones; numbers are never used twice.
+client gave itself. It has both while its connection is there, the last that left are remembered,
+and numbers are never used twice.
 """
 
 from collections import OrderedDict, deque
@@ -41,35 +41,49 @@ class Journal:
         return events
 
 
-MOST = 64
-RESERVED = {1: "gateway", 2: "stop page"}  # 0 is the servo itself
+MOST = 64  # that have left
+GATEWAY_ACTOR = 1
+RESERVED = {GATEWAY_ACTOR: "gateway", 2: "stop page"}  # 0 is the servo itself
 FIRST = 16
 
 
 class Actors:
-    """Numbers from FIRST on by client identity."""
+    """Numbers from FIRST on by client identity; who has left is forgotten after MOST others."""
 
     def __init__(self) -> None:
-        self._known: OrderedDict[bytes, tuple[int, str]] = OrderedDict()
+        self._present: dict[bytes, tuple[int, str]] = {}
+        self._left: OrderedDict[bytes, tuple[int, str]] = OrderedDict()
         self._last = FIRST - 1
 
     def number(self, identity: bytes) -> int:
-        """The number of the client; a new one for a client not seen among the last ones."""
-        if identity not in self._known:
+        """The number of the client; a new one for a client that is not known."""
+        known = self._present.get(identity) or self._left.get(identity)
+        if known is None:
             self._last += 1
-            self._known[identity] = (self._last, "client")
-            if len(self._known) > MOST:
-                self._known.popitem(last=False)
-        self._known.move_to_end(identity)
-        return self._known[identity][0]
+            known = self._present[identity] = self._last, "client"
+        return known[0]
 
     def call(self, identity: bytes, name: str) -> None:
         """The client's name from now on."""
-        self._known[identity] = (self.number(identity), name)
+        self._present[identity] = self.number(identity), name
+
+    def leave(self, identity: bytes) -> int:
+        """The client's connection is gone; the number it had, 0 if it never asked for anything.
+
+        Requests of its that still wait have their number.
+        """
+        known = self._present.pop(identity, None)
+        if known is None:
+            return 0
+        self._left[identity] = known
+        if len(self._left) > MOST:
+            self._left.popitem(last=False)
+        return known[0]
 
     def names(self) -> dict[str, str]:
         """Name by number (as text, for JSON)."""
-        return {str(number): name for number, name in self._known.values()}
+        known = (*self._left.values(), *self._present.values())
+        return {str(number): name for number, name in known}
 
     def name(self, number: int) -> str:
         """Name of actor `number`; empty for the servo itself and for one long gone."""

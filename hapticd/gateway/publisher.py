@@ -16,6 +16,7 @@ from hapticd.faults import BY_NUMBER, FAULTS, Fault
 from hapticd.gateway.codec import finite
 from hapticd.gateway.flight import FlightRecorder, flights_folder
 from hapticd.gateway.journal import Actors, Journal
+from hapticd.gateway.leases import Leases
 from hapticd.gateway.ledger import Ledger
 from hapticd.gateway.telemetry import (
     BY_NAME,
@@ -61,7 +62,7 @@ NEWS = (
 )  # a change of one of these is published at once
 
 
-def state_map(view: ServoView, actors: Actors, unix_ns: int) -> dict[str, Any]:
+def state_map(view: ServoView, actors: Actors, leases: Leases, unix_ns: int) -> dict[str, Any]:
     """Everything a lamp, a title bar or a late joiner needs to know."""
     mailbox = view.mailbox
     record = view.record
@@ -83,6 +84,7 @@ def state_map(view: ServoView, actors: Actors, unix_ns: int) -> dict[str, Any]:
         "limit_cycle_faults": limit_cycle_faults(view),
         "actor_name": actors.name(int(record.get("actor", 0))),
         "actors": actors.names(),
+        "leases": leases.shown(),
         "counters": mailbox.counters() if mailbox else {},
     }
 
@@ -182,10 +184,12 @@ class Publisher:
         journal: Journal,
         setup: GatewaySetup,
         unix_ns: Callable[[], int] = time.time_ns,
+        leases: Leases | None = None,
     ) -> None:
         self._view = view
         self._actors = actors
         self._journal = journal
+        self._leases = leases or Leases()
         self._batch = setup.gateway.batch
         self.feed = Feed(view, setup.gateway.batch)
         self.stages = StageHistograms(setup.servo.realtime.grace_s)
@@ -290,7 +294,7 @@ class Publisher:
         return found
 
     def _state_if_due(self, now_ns: int, unix_ns: int) -> list[Message]:
-        latest = news(self._view)
+        latest = (*news(self._view), *self._leases.holders)
         if latest == self._news and now_ns - self._state_ns < STATE_PERIOD_NS:
             return []
         self._news = latest
@@ -298,7 +302,7 @@ class Publisher:
         return [self._state(unix_ns)] if "state" in self._wanted else []
 
     def _state(self, unix_ns: int) -> Message:
-        return "state", _packed(state_map(self._view, self._actors, unix_ns))
+        return "state", _packed(state_map(self._view, self._actors, self._leases, unix_ns))
 
 
 def _packed(content: dict[str, Any]) -> bytes:

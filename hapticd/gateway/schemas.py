@@ -25,6 +25,7 @@ from pydantic_core import ErrorDetails
 from hapticd.errors import CommandError
 from hapticd.gateway.codec import ID_LENGTH, ID_LIMIT, SHOWN, RequestId, request_id, shown
 from hapticd.gateway.limits import CommandLimits
+from hapticd.params import LONGEST_LEASE_S, SHORTEST_LEASE_S
 
 PROTOCOL_VERSION = 1
 _ID_SCHEMA = {
@@ -217,6 +218,34 @@ class Perturb(CommandMessage):
         return self
 
 
+Ttl = Annotated[float, Field(ge=SHORTEST_LEASE_S, le=LONGEST_LEASE_S)]
+
+
+class LeaseRequest(CommandMessage):
+    """Be the only one who may change a part of the display, for as long as this connection asks
+    for something at least every `ttl_s`.
+    """
+
+    cmd: Literal["lease"]
+    what: Literal["environment", "damping", "perturbation", "measuring"] = Field(
+        description="measuring: all three, with neither guard nor energy faults"
+    )
+    action: Literal["take", "renew", "release"] = "take"
+    ttl_s: Ttl = _absent("take: it ends when nothing is asked for so long; left out: as configured")
+    at_end: Literal["hold", "zero", "disable"] = _absent(
+        "take: what becomes of the environment when this client dies or falls silent; left out: as"
+        " configured"
+    )
+    take_over: bool = Field(False, description="take: also from another, whose lease ends")
+
+    @model_validator(mode="after")
+    def _fits_its_action(self) -> "LeaseRequest":
+        strange = self.model_fields_set & {"ttl_s", "at_end", "take_over"}
+        if strange and self.action != "take":
+            raise ValueError(f"{min(strange)} does not belong to action {self.action}")
+        return self
+
+
 class Status(CommandMessage):
     """Everything about servo and gateway."""
 
@@ -247,6 +276,7 @@ Request = (
     | Zero
     | Home
     | Perturb
+    | LeaseRequest
     | Status
     | Dump
     | Schema
@@ -266,6 +296,7 @@ MODELS: dict[str, type[CommandMessage]] = {
         Zero,
         Home,
         Perturb,
+        LeaseRequest,
         Status,
         Dump,
         Schema,

@@ -69,7 +69,7 @@ class GatewayServer:
         self._claim = files.claim(files.prepare_folder(folder), files.GATEWAY_LOCK)
         self._selector = selectors.DefaultSelector()
         try:
-            self._sockets = Sockets(folder, setup, self._selector, self._forget)
+            self._sockets = Sockets(folder, setup, self._selector, self._left, self._forget)
         except BaseException:
             self._selector.close()
             files.release(folder, files.GATEWAY_LOCK, self._claim)
@@ -77,8 +77,10 @@ class GatewayServer:
         self.endpoints = self._sockets.endpoints
         self._journal = Journal(unix_ns)
         self._view = ServoView(folder, setup.servo, unix_ns)
-        self._desk = Desk(self._view, self._journal, self._inquire)
-        self._publisher = Publisher(self._view, self._desk.actors, self._journal, setup, unix_ns)
+        self._desk = Desk(self._view, self._journal, self._inquire, setup.lease)
+        self._publisher = Publisher(
+            self._view, self._desk.actors, self._journal, setup, unix_ns, self._desk.leases
+        )
         self._passed_ns = self._settled_ns = self._drained_ns = clock.now_ns()
         self._deadline_ns = 0
         if self._sockets.warning:
@@ -157,6 +159,9 @@ class GatewayServer:
             for identity in self._publisher.listeners(topic):
                 self._sockets.telemetry.send(identity, data)
 
+    def _left(self, identity: bytes) -> None:
+        self._desk.leave(identity)
+
     def _forget(self, identity: bytes) -> None:
         self._publisher.leave(identity)
 
@@ -184,7 +189,7 @@ class GatewayServer:
     def _status(self) -> dict[str, Any]:
         mailbox = self._view.mailbox
         return {
-            **state_map(self._view, self._desk.actors, self._unix_ns()),
+            **state_map(self._view, self._desk.actors, self._desk.leases, self._unix_ns()),
             "stages": self._publisher.stages.summary(),
             "endpoints": self.endpoints,
             "servo": mailbox.report() if mailbox else living_report(self._view.folder),

@@ -114,6 +114,8 @@ class Command(IntEnum):
     PERTURB_START = 9
     PERTURB_STOP = 10
     FAULT = 11  # one of `faults.FROM_GATEWAY`
+    # what others than its actor have scheduled of the places in its mask; nothing else changes
+    CANCEL = 12
 
 
 class Value(IntEnum):

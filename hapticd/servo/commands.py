@@ -157,6 +157,8 @@ def obey(plan: Plan, request: Request, now: Now, params: ServoParams) -> tuple[P
             refusal = Result.REFUSED_STATE if number in FROM_GATEWAY else Result.REFUSED_RANGE
             return plan, [answer(plan, seq, refusal, (now.tick, now.tick), params)]
         return obey(plan, (seq, safety.FAULT_EVENT, actor, 0, (number,)), now, params)
+    if kind == Command.CANCEL:
+        return _cancel(plan, request, now, params)
     target = _target(plan, request, now, params)
     if isinstance(target, Result):
         until = held_until(plan, params) if target is Result.REFUSED_OWNER else now.tick
@@ -277,6 +279,27 @@ def _schedule(plan: Plan, new: Scheduled, params: ServoParams) -> tuple[Plan, li
         answer(plan, old.seq, Result.SUPERSEDED, (old.tick, old.tick), params) for old in gone
     ]
     return after, [*answers, answer(plan, new.seq, Result.SCHEDULED, (new.tick, new.tick), params)]
+
+
+def _cancel(
+    plan: Plan, request: Request, now: Now, params: ServoParams
+) -> tuple[Plan, list[Answer]]:
+    """What others than its actor have scheduled of these places is cancelled, each one whole."""
+    seq, _, actor, _, values = request
+    here = (now.tick, now.tick)
+    if not 0 <= values[Value.MASK] < 1 << len(values):  # not finite is out of range too
+        return plan, [answer(plan, seq, Result.REFUSED_RANGE, here, params)]
+    places = masked_places(values)
+    gone = [
+        one
+        for one in plan.scheduled
+        if one.actor != actor and not set(places).isdisjoint(masked_places(one.values))
+    ]
+    after = plan._replace(scheduled=tuple(one for one in plan.scheduled if one not in gone))
+    answers = [
+        answer(after, one.seq, Result.CANCELLED, (one.tick, one.tick), params) for one in gone
+    ]
+    return after, [*answers, answer(after, seq, Result.APPLIED, here, params)]
 
 
 def outdated(plan: Plan, values: tuple[float, ...]) -> bool:

@@ -17,6 +17,7 @@ from hapticd.params import (
     HandParams,
     HomeParams,
     InjectionParams,
+    LeaseParams,
     RealtimeParams,
     SafetyParams,
     ScaleParams,
@@ -233,6 +234,11 @@ def guard_params(settings: Settings) -> GuardParams:
         measured=measured,
         margin_ns_per_m=asked.margin_ns_per_m,
     )
+
+
+def lease_params(settings: Settings) -> LeaseParams:
+    """Leases of gateway.json."""
+    return LeaseParams(**settings.config.lease.model_dump())
 
 
 def _beside(settings: Settings, name: str) -> Path:

@@ -9,12 +9,15 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from hapticd.params import (
+    LONGEST_LEASE_S,
+    SHORTEST_LEASE_S,
     BoardParams,
     EnvironmentParams,
     FilterParams,
     GatewayParams,
     GuardParams,
     HandParams,
+    LeaseParams,
     RealtimeParams,
     SafetyParams,
     ServoParams,
@@ -33,6 +36,7 @@ _realtime = RealtimeParams()
 _usb = UsbParams()
 _gateway = GatewayParams()
 _guard = GuardParams()
+_lease = LeaseParams()
 _board: Any = BoardParams.__dataclass_fields__
 _hand = HandParams("hold")
 _touch = TouchParams()
@@ -169,6 +173,17 @@ class GuardTable(TomlTable):
     """That has to be left for an environment to be allowed."""
 
 
+class LeaseTable(TomlTable):
+    """What a client that takes a lease has, unless it asks for something else."""
+
+    ttl_s: float = Field(_lease.ttl_s, ge=SHORTEST_LEASE_S, le=LONGEST_LEASE_S)
+    """A lease ends when its holder asked nothing for so long."""
+    at_end: Literal["hold", "zero", "disable"] = "zero"
+    """When its holder dies or falls silent. zero: K, B and M go to 0 on a ramp; disable: force
+    off; hold: they stay. Active damping stays in any case.
+    """
+
+
 class Injection(TomlTable):
     """One seeded fault of the simulated board."""
 
@@ -282,4 +297,5 @@ class Config(TomlTable):
     usb: Usb = Usb()
     gateway: GatewayTable = GatewayTable()
     guard: GuardTable = GuardTable()
+    lease: LeaseTable = LeaseTable()
     simulation: Simulation = Simulation()

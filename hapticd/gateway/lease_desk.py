@@ -1,0 +1,247 @@
+"""What leases mean at the servo: the command `lease`, and what follows when one begins or ends.
+
+    begins       what others have scheduled of its parts is cancelled; the records name its holder
+    measuring    the faults force_at_limit and energy are off while it is held, and as configured
+                 when it ends, however that is
+    ends         the perturbation that it covered ends with it; the records say so
+    fails        its holder died or fell silent: what he had scheduled is cancelled too, and the
+                 environment goes as `at_end` says: it stays, goes to 0 on a ramp, or force goes
+                 off. Active damping stays in any case
+    taken over   what he had scheduled is cancelled; else whoever takes over finds the display as it
+                 was
+
+A ramp to 0 needs no verdict: the set in which a display is passive is convex in K, B and M, and 0
+is in it. What is to be done waits here while the servo takes no commands, in order and each once. A
+servo that starts anew is disabled and as configured: what waited for the old one is dropped, and
+the new one is told who holds what. Records that name holders of another gateway are those of one
+that died, with all its connections: their leases have failed, and go as configured.
+
+What would break it: `tend` not called in every pass, or an answer of the servo that is not shown to
+`heard`.
+"""
+
+from typing import Any
+
+from hapticd.gateway.journal import GATEWAY_ACTOR, Actors, Journal
+from hapticd.gateway.leases import (
+    DAMPING,
+    ENVIRONMENT,
+    GONE,
+    MEASURING,
+    PARTS,
+    PERTURBATION,
+    RELEASED,
+    SILENT,
+    Ended,
+    Lease,
+    Leases,
+)
+from hapticd.gateway.limits import PLACES
+from hapticd.gateway.schemas import LeaseRequest
+from hapticd.gateway.view import ServoView
+from hapticd.mailbox.client_side import Answer
+from hapticd.mailbox.layout import Command, Value, Watched, values_of
+from hapticd.params import LeaseParams
+from hapticd.units import NS_PER_S
+
+FORMER = "a client of the gateway before this one"
+UNANSWERED_NS = NS_PER_S  # after which the servo is told again
+DAMPING_PLACES = (Value.ADDED_DAMPING, Value.ADDED_DAMPING_ON)
+NOTHING = (
+    Value.STIFFNESS,
+    Value.DAMPING,
+    Value.MASS,
+    Value.WALL_STIFFNESS,
+    Value.WALL_DAMPING,
+)  # 0 of these is no environment
+SCHEDULABLE = {
+    ENVIRONMENT: {*PLACES.values(), Value.LIMIT_CYCLE_FAULTS} - {*DAMPING_PLACES, Value.RAMP_S},
+    DAMPING: {*DAMPING_PLACES},
+    PERTURBATION: set[Value](),
+}
+
+Todo = tuple[Command, int, tuple[float, ...]]  # kind, actor, values
+
+
+class LeaseDesk:
+    """The leases of a gateway, in front of the servo of `view`."""
+
+    def __init__(
+        self, view: ServoView, actors: Actors, journal: Journal, params: LeaseParams
+    ) -> None:
+        self.leases = Leases()
+        self._view = view
+        self._actors = actors
+        self._journal = journal
+        self._params = params
+        self._todo: dict[Todo, None] = {}  # in the order in which it is to be done
+        self._life = 0
+        self._known = False  # whether a record of this life was looked at
+        self._told: int | None = None  # number of the command that the servo has still to answer
+        self._told_ns = 0
+        self._shown_tick = 0  # from which the records show what it answered
+
+    def answer(self, request: LeaseRequest, actor: int) -> dict[str, Any]:
+        """Obey the command `lease` of `actor`: the result of the reply.
+
+        CommandError: another holds it, or `actor` does not; nothing changed.
+        """
+        what = request.what
+        if request.action == "take":
+            self._take(request, actor)
+        elif request.action == "renew":
+            self.leases.renew(what, actor)
+        else:
+            ended = self.leases.release(what, actor)
+            if ended.how == RELEASED:
+                self._end(ended)
+            return {"what": what, "released": ended.how == RELEASED, "text": ended.text}
+        return {"what": what, **self.leases.shown()[what]}
+
+    def tend(self, now_ns: int) -> None:
+        """End what is over, and do what is due at the servo."""
+        for ended in self.leases.advance(now_ns):
+            self._end(ended)
+        self._notice_life()
+        if self._view.alive and self._view.record:
+            self._notice_other_gateway()
+            self._post(now_ns)
+
+    def heard(self, answer: Answer) -> None:
+        """The servo answered something; perhaps us."""
+        if answer.seq == self._told:
+            self._told = None
+            self._shown_tick = answer.first_tick
+
+    def leave(self, actor: int) -> None:
+        """The connection of `actor` is gone."""
+        for ended in self.leases.leave(actor):
+            self._end(ended)
+
+    def _take(self, request: LeaseRequest, actor: int) -> None:
+        what = request.what
+        before = self.leases.shown().get(what, {}).get("actor")
+        given = request.model_fields_set
+        ended = self.leases.take(
+            what,
+            actor,
+            self._actors.name(actor),
+            request.ttl_s if "ttl_s" in given else self._params.ttl_s,
+            request.at_end if "at_end" in given else self._params.at_end,
+            request.take_over,
+        )
+        for one in ended:
+            self._end(one)
+        if before != actor:
+            self._begin(what, actor)
+
+    def _begin(self, what: str, actor: int) -> None:
+        self._cancel(what, actor)
+        self._tell(actor, {Value.LIMIT_CYCLE_FAULTS: 0.0} if what == MEASURING else {})
+        name = self._actors.name(actor)
+        text = f"{name} (actor {actor}) took the lease of {what}"
+        self._journal.note("lease", what=what, change="taken", actor=actor, name=name, text=text)
+
+    def _end(self, ended: Ended) -> None:
+        lease = ended.lease
+        if ended.how != RELEASED:
+            self._cancel(lease.what, GATEWAY_ACTOR)
+        if PERTURBATION in PARTS[lease.what]:
+            self._do(Command.PERTURB_STOP, {})
+        if ended.how in (SILENT, GONE):
+            self._go(lease.at_end)
+        configured = float(self._view.params.safety.limit_cycle_faults)
+        self._tell(
+            GATEWAY_ACTOR, {Value.LIMIT_CYCLE_FAULTS: configured} if lease.what == MEASURING else {}
+        )
+        self._note(ended)
+
+    def _go(self, at_end: str) -> None:
+        """What becomes of the environment; nothing is done to the damping."""
+        if at_end == "zero":
+            self._do(Command.SET, dict.fromkeys(NOTHING, 0.0))
+        elif at_end == "disable":
+            self._do(Command.DISABLE, {})
+
+    def _note(self, ended: Ended) -> None:
+        lease = ended.lease
+        self._journal.note(
+            "lease",
+            what=lease.what,
+            change=ended.how,
+            actor=lease.actor,
+            name=lease.name,
+            by=ended.by,
+            text=ended.text,
+        )
+
+    def _cancel(self, what: str, keeper: int) -> None:
+        places = {place for part in PARTS[what] for place in SCHEDULABLE[part]}
+        if places:
+            self._do(Command.CANCEL, dict.fromkeys(places, 0.0), keeper)
+
+    def _holders(self) -> dict[Value, float]:
+        """Who holds what, as the records say it; 0 is nobody."""
+
+        def actor(part: str) -> float:
+            lease = self.leases.holder(part)
+            return float(lease.actor if lease else 0)
+
+        return {Value.LEASE_CONTROL: actor(ENVIRONMENT), Value.LEASE_DAMPING: actor(DAMPING)}
+
+    def _tell(self, actor: int, more: dict[Value, float]) -> None:
+        self._do(Command.SET, self._holders() | more, actor)
+
+    def _do(self, kind: Command, values: dict[Value, float], actor: int = GATEWAY_ACTOR) -> None:
+        todo = kind, actor, values_of(values)
+        self._todo.pop(todo, None)
+        self._todo[todo] = None
+
+    def _notice_life(self) -> None:
+        if self._view.life != self._life:
+            self._life = self._view.life
+            self._todo.clear()
+            self._known = False
+            self._told = None
+            self._shown_tick = 0
+
+    def _notice_other_gateway(self) -> None:
+        """Leases in the first record of a life are those of a gateway that has died."""
+        if self._known:
+            return
+        self._known = True
+        record = self._view.record
+        if record["lease_control"] or record["lease_damping"]:
+            lease = Lease(MEASURING, 0, FORMER, 0, self._params.at_end, 0)  # perhaps of less
+            self._end(Ended(lease, GONE))
+
+    def _post(self, now_ns: int) -> None:
+        """Do what waits, as far as the servo takes it."""
+        waits = self._told is not None and now_ns - self._told_ns < UNANSWERED_NS
+        if not self._todo and not waits and self._view.tick >= self._shown_tick:
+            self._correct()
+        mailbox = self._view.mailbox
+        while mailbox is not None and self._todo:
+            kind, actor, values = todo = next(iter(self._todo))
+            seq = mailbox.post(kind, actor, 0, values)
+            if seq is None:
+                return
+            del self._todo[todo]
+            self._told = seq
+            self._told_ns = now_ns
+
+    def _correct(self) -> None:
+        """Tell the servo anew what its newest record does not say: it has started anew, or has the
+        faults on again since force went off.
+        """
+        record = self._view.record
+        holders = self._holders()
+        shown = {
+            Value.LEASE_CONTROL: float(record["lease_control"]),
+            Value.LEASE_DAMPING: float(record["lease_damping"]),
+        }
+        wrong = dict(holders) if shown != holders else {}
+        if self.leases.measuring and record["watches"] & Watched.FORCE_AT_LIMIT:
+            wrong[Value.LIMIT_CYCLE_FAULTS] = 0.0
+        if wrong:
+            self._do(Command.SET, wrong)

@@ -1,0 +1,236 @@
+"""Who may change what: leases, each held by one client for as long as it shows that it lives.
+
+There are four. `environment` is what is rendered and whether force is on, `damping` the active
+damping and its mode, `perturbation` the waveform over both; `measuring` is all three, and while it
+is held nothing judges what is asked for and no energy fault ends it. While nobody holds a part
+anyone may change it. A holder is a connection, not a name: two clients of one name are two.
+
+    taken        by anyone while no other holds any of it; else only with `take_over`
+    renewed      by whatever its holder asks, for `ttl` from then on
+    taken over   its former holder is refused from then on
+    silent       nothing was asked for `ttl`: it ends
+    gone         the connection ended, so the client has died or left: it ends at once
+    released     by its holder
+
+Who lost a lease is refused what it covered, even when nobody holds it now, until he takes or
+releases it himself: what he believes of the display is no longer so. Stop, disable and reset ask
+nobody.
+
+Pure: the time is passed in. Only time in which the gateway listened counts: a pass that comes late,
+or a clock that jumps, puts all ends off by as much, for nobody could be heard meanwhile.
+
+What would break it: an actor number that changes while its connection is there (`journal.Actors`
+keeps it), or a caller that changes something without asking `may`.
+"""
+
+from collections import OrderedDict
+from typing import Any, NamedTuple
+
+from hapticd.errors import CommandError
+from hapticd.units import NS_PER_S, round_half_up
+
+ENVIRONMENT = "environment"
+DAMPING = "damping"
+PERTURBATION = "perturbation"
+MEASURING = "measuring"
+PARTS = {
+    ENVIRONMENT: frozenset({ENVIRONMENT}),
+    DAMPING: frozenset({DAMPING}),
+    PERTURBATION: frozenset({PERTURBATION}),
+    MEASURING: frozenset({ENVIRONMENT, DAMPING, PERTURBATION}),
+}
+LATE_NS = NS_PER_S // 2  # between two passes: nobody was heard meanwhile
+MOST_LOST = 1024  # losses that are remembered
+
+RELEASED = "released"
+TAKEN_OVER = "taken over"
+SILENT = "silent"
+GONE = "gone"
+
+
+class Lease(NamedTuple):
+    """One lease: of what, whose, and until when unless it is renewed."""
+
+    what: str
+    actor: int
+    name: str  # that the client gave itself
+    ttl_ns: int
+    at_end: str  # "hold" | "zero" | "disable": what becomes of the environment if its holder fails
+    deadline_ns: int
+
+    @property
+    def holder(self) -> str:
+        """Whose it is, as people read it."""
+        return f"{self.name} (actor {self.actor})"
+
+
+class Ended(NamedTuple):
+    """A lease that is no more, and why."""
+
+    lease: Lease
+    how: str  # RELEASED | TAKEN_OVER | SILENT | GONE
+    by: str = ""  # who took it over
+
+    @property
+    def text(self) -> str:
+        """What happened to it, in words."""
+        ttl_s = self.lease.ttl_ns / NS_PER_S
+        words = {
+            RELEASED: "was released",
+            TAKEN_OVER: f"was taken over by {self.by}",
+            SILENT: f"ended: its holder was silent for {ttl_s:g} s",
+            GONE: "ended with the connection of its holder",
+        }
+        return f"the lease of {self.lease.what} by {self.lease.holder} {words[self.how]}"
+
+
+class Leases:
+    """All leases of one gateway. `advance` is called in every pass, before anything is asked."""
+
+    def __init__(self) -> None:
+        self._held: dict[str, Lease] = {}
+        self._lost: OrderedDict[tuple[int, str], Ended] = OrderedDict()  # by actor and part
+        self._now_ns = 0
+
+    @property
+    def measuring(self) -> bool:
+        """Whether somebody measures: then nothing is judged, and the energy faults are off."""
+        return MEASURING in self._held
+
+    @property
+    def holders(self) -> tuple[tuple[str, int], ...]:
+        """(what, actor) of all that is held."""
+        return tuple((what, lease.actor) for what, lease in self._held.items())
+
+    def holder(self, part: str) -> Lease | None:
+        """The lease that covers `part` of the display; None while anyone may change it."""
+        return next((lease for lease in self._held.values() if part in PARTS[lease.what]), None)
+
+    def may(self, actor: int, what: str) -> CommandError | None:
+        """Why `actor` may not change `what` now; None if he may."""
+        for part in sorted(PARTS[what]):
+            lease = self.holder(part)
+            if lease is not None and lease.actor == actor:
+                continue
+            if (actor, part) in self._lost:
+                return self._gone(self._lost[actor, part])
+            if lease is not None:
+                return self._refusal(lease)
+        return None
+
+    def take(
+        self, what: str, actor: int, name: str, ttl_s: float, at_end: str, take_over: bool = False
+    ) -> list[Ended]:
+        """Have `actor` hold `what`; the leases that ended for it.
+
+        Who holds it already renews it with what is given here. CommandError: another holds some of
+        it and `take_over` is not asked; nothing changed.
+        """
+        others = [
+            lease
+            for lease in self._held.values()
+            if lease.actor != actor and PARTS[lease.what] & PARTS[what]
+        ]
+        if others and not take_over:
+            raise self._refusal(others[0])
+        ended = [self._end(lease, TAKEN_OVER, f"{name} (actor {actor})") for lease in others]
+        ttl_ns = round_half_up(ttl_s * NS_PER_S)
+        self._held[what] = Lease(what, actor, name, ttl_ns, at_end, self._now_ns + ttl_ns)
+        self._acknowledge(actor, what)
+        return ended
+
+    def renew(self, what: str, actor: int) -> None:
+        """`actor` goes on to hold `what`. CommandError: he does not hold it, or no longer."""
+        lease = self._held.get(what)
+        if lease is None or lease.actor != actor:
+            raise self.may(actor, what) or CommandError(
+                "refused", f"nobody holds the lease of {what}; take it first"
+            )
+        self.heard(actor)
+
+    def release(self, what: str, actor: int) -> Ended:
+        """End the lease of `what`, or own up to its loss; how it ended, then or before.
+
+        CommandError: another holds it, or nobody does; nothing changed.
+        """
+        lease = self._held.get(what)
+        if lease is not None and lease.actor == actor:
+            return self._end(lease, RELEASED)
+        found = [self._lost[actor, part] for part in PARTS[what] if (actor, part) in self._lost]
+        if found:
+            self._acknowledge(actor, what)
+            return found[0]
+        raise self.may(actor, what) or CommandError(
+            "refused", f"nobody holds the lease of {what}: there is nothing to release"
+        )
+
+    def heard(self, actor: int) -> None:
+        """`actor` has asked for something, so it lives."""
+        for lease in list(self._held.values()):
+            if lease.actor == actor:
+                deadline_ns = self._now_ns + lease.ttl_ns
+                self._held[lease.what] = lease._replace(deadline_ns=deadline_ns)
+
+    def advance(self, now_ns: int) -> list[Ended]:
+        """It is `now_ns`; the leases whose holders were silent for too long."""
+        step_ns = now_ns - self._now_ns
+        self._now_ns = now_ns
+        if not 0 <= step_ns <= LATE_NS:
+            self._put_off(step_ns)
+        late = [lease for lease in self._held.values() if lease.deadline_ns <= now_ns]
+        return [self._end(lease, SILENT) for lease in late]
+
+    def leave(self, actor: int) -> list[Ended]:
+        """The connection of `actor` is gone; the leases that end with it."""
+        mine = [lease for lease in self._held.values() if lease.actor == actor]
+        return [self._end(lease, GONE) for lease in mine]
+
+    def shown(self) -> dict[str, dict[str, Any]]:
+        """What is held: {what: {name, actor, left_s, ttl_s, at_end}}, for people and messages."""
+        return {
+            what: {
+                "name": lease.name,
+                "actor": lease.actor,
+                "left_s": self._left_s(lease),
+                "ttl_s": lease.ttl_ns / NS_PER_S,
+                "at_end": lease.at_end,
+            }
+            for what, lease in self._held.items()
+        }
+
+    def _put_off(self, step_ns: int) -> None:
+        for lease in list(self._held.values()):
+            deadline_ns = lease.deadline_ns + step_ns
+            self._held[lease.what] = lease._replace(deadline_ns=deadline_ns)
+
+    def _end(self, lease: Lease, how: str, by: str = "") -> Ended:
+        del self._held[lease.what]
+        ended = Ended(lease, how, by)
+        if how != RELEASED:
+            for part in PARTS[lease.what]:
+                self._lost[lease.actor, part] = ended
+        while len(self._lost) > MOST_LOST:
+            self._lost.popitem(last=False)
+        return ended
+
+    def _acknowledge(self, actor: int, what: str) -> None:
+        for part in PARTS[what]:
+            self._lost.pop((actor, part), None)
+
+    def _left_s(self, lease: Lease) -> float:
+        return round((lease.deadline_ns - self._now_ns) / NS_PER_S, 3)
+
+    def _refusal(self, lease: Lease) -> CommandError:
+        return CommandError(
+            "leased",
+            f"{lease.holder} holds the lease of {lease.what}, for {self._left_s(lease):g} s more"
+            " unless it is renewed; wait until it ends, or take it over with `hapticd lease"
+            f" release {lease.what}`",
+        )
+
+    def _gone(self, ended: Ended) -> CommandError:
+        return CommandError(
+            "leased",
+            f"{ended.text}; look at what changed, then take it again, or release it to go on"
+            " without",
+        )
