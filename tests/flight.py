@@ -46,11 +46,17 @@ class Flight:
         return out
 
     def do(
-        self, kind: int, values: dict[Value, float] | None = None, at_tick: int = 0, **sample: Any
+        self,
+        kind: int,
+        values: dict[Value, float] | None = None,
+        at_tick: int = 0,
+        actor: int = 9,
+        **sample: Any,
     ) -> Result:
         """Command and tick; what became of it."""
         self._seq += 1
-        out = self._one(((self._seq, int(kind), 9, at_tick, masked(values or {})),), **sample)
+        request = self._seq, int(kind), actor, at_tick, masked(values or {})
+        out = self._one((request,), **sample)
         return Result(next(answer[1] for answer in out[10] if answer[0] == self._seq))
 
     def event(self, kind: int, number: int) -> Any:

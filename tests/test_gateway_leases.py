@@ -122,7 +122,7 @@ def test_refusal_names_holder_time_left_and_remedy(rig: DeskRig) -> None:
     idle(rig, 0.5)
     error = rig.ask(B, cmd="set", K=5)["error"]
     assert error["message"] == (
-        f"set: trial (actor {actor}) holds the lease of environment, for 2 s more unless it is"
+        f"set: trial (actor {actor}) holds the lease of environment, for 2.0 s more unless it is"
         " renewed; wait until it ends, or take it over with `hapticd lease release environment`"
     )
 

@@ -491,3 +491,26 @@ def test_gateway_may_ask_for_its_own_fault_alone_and_only_under_force():
     assert flight.do(Command.FAULT, lost) is Result.APPLIED
     assert flight.plan.state is State.FAULT
     assert flight.blob["fault"] == BY_CODE["damping_not_delivered"].number
+
+
+def test_cancel_takes_what_others_scheduled_of_its_places_and_moves_nothing():
+    flight = enabled(servo_params(), {Value.STIFFNESS: 100.0})
+    at = flight.tick + 50
+    flight.do(Command.SET, {Value.STIFFNESS: 300.0, Value.ADDED_DAMPING: 0.5}, at_tick=at, actor=16)
+    flight.do(Command.SET, {Value.MASS: 0.02}, at_tick=at + 1, actor=17)
+    flight.do(Command.DAMPING, {Value.ADDED_DAMPING: 1.0}, at_tick=at + 2, actor=16)
+    revision = flight.plan.revision
+    places = {Value.STIFFNESS: 0.0, Value.MASS: 0.0}
+    assert flight.do(Command.CANCEL, places, actor=17) is Result.APPLIED
+    assert flight.plan.revision == revision
+    assert Result.CANCELLED in [answer[1] for answer in flight.answers]
+    flight.fly(60)
+    ends = [flight.plan.values[place].end for place in (Value.STIFFNESS, Value.MASS)]
+    assert ends == [100.0, 0.02]
+    assert flight.plan.added_asked == 1.0
+
+
+@pytest.mark.parametrize("mask", [math.nan, math.inf, -1.0, 2.0**60])
+def test_cancel_of_no_places_is_refused(mask):
+    flight = Flight(servo_params())
+    assert flight.do(Command.CANCEL, {Value.MASK: mask}) is Result.REFUSED_RANGE

@@ -223,7 +223,7 @@ class Leases:
     def _refusal(self, lease: Lease) -> CommandError:
         return CommandError(
             "leased",
-            f"{lease.holder} holds the lease of {lease.what}, for {self._left_s(lease):g} s more"
+            f"{lease.holder} holds the lease of {lease.what}, for {self._left_s(lease):.1f} s more"
             " unless it is renewed; wait until it ends, or take it over with `hapticd lease"
             f" release {lease.what}`",
         )
