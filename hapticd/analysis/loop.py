@@ -229,20 +229,46 @@ def pulse_transfer(model: Model, turn: Complexes, damping_ns_per_m: float = 0.0)
     return np.asarray((new + old / turn) * turn ** (-device.steps))
 
 
+@dataclass(frozen=True, eq=False)
+class Tick:
+    """One tick of device, delay and filters, n states together: base - column law, law = (K, B, M)
+    rows.
+    """
+
+    base: Floats  # (n, n) without the law
+    column: Floats  # (n,) through which the command enters
+    rows: Floats  # (3, n) of position, velocity and acceleration
+    drifts: bool  # nothing in the device itself holds it in place
+
+
+def tick_of(
+    model: Model, damping_ns_per_m: float = 0.0, filters: Filters = PAPER_FILTERS
+) -> Tick:
+    """One tick of `model` at that level of active damping, to be closed by any environment."""
+    parts = _tick(sampled(model, damping_ns_per_m), model.rate_hz, filters)
+    return Tick(*parts, _drifts(model, damping_ns_per_m))
+
+
+def radii(tick: Tick, points: Floats) -> Floats:
+    """Largest |eigenvalue| (N,) of `tick` under the environments `points` (N, 3), some 20 us
+    each.
+    """
+    kbm = np.atleast_2d(np.asarray(points, np.float64))
+    matrices = tick.base - tick.column[:, None] * (kbm @ tick.rows)[:, None, :]
+    values = np.linalg.eigvals(matrices)
+    free = (kbm[:, 0] == 0.0) & tick.drifts
+    nearest = np.argmin(np.abs(values[free] - 1.0), axis=1)
+    values[np.flatnonzero(free), nearest] = 0.0
+    return np.asarray(np.abs(values).max(axis=1))
+
+
 def spectral_radius(
     model: Model, points: Floats, damping_ns_per_m: float = 0.0, filters: Filters = PAPER_FILTERS
 ) -> Floats:
     """Largest |eigenvalue| (N,) of one tick of `model` under the environments `points` (N, 3):
     K, B, M in SI.
     """
-    kbm = np.atleast_2d(np.asarray(points, np.float64))
-    base, column, rows = _tick(sampled(model, damping_ns_per_m), model.rate_hz, filters)
-    matrices = base - column[:, None] * (kbm @ rows)[:, None, :]
-    values = np.linalg.eigvals(matrices)
-    free = (kbm[:, 0] == 0.0) & _drifts(model, damping_ns_per_m)
-    nearest = np.argmin(np.abs(values[free] - 1.0), axis=1)
-    values[np.flatnonzero(free), nearest] = 0.0
-    return np.asarray(np.abs(values).max(axis=1))
+    return radii(tick_of(model, damping_ns_per_m, filters), points)
 
 
 def _drifts(model: Model, damping_ns_per_m: float) -> bool:

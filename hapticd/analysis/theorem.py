@@ -40,11 +40,12 @@ What would break it: an unstable loop, for both presume stability (`loop.spectra
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.arrays import Complexes, Flags, Floats
+from hapticd.analysis.arrays import Complexes, Flags, Floats, Integers
 from hapticd.analysis.loop import (
     PAPER_FILTERS,
     Filters,
@@ -134,34 +135,75 @@ class Lift:
     both: Complexes  # (A, H) weights q h
 
 
-def lift(model: Model, damping_ns_per_m: float = 0.0, filters: Filters = PAPER_FILTERS) -> Lift:
-    """Lift `model` at that level of active damping, without Coulomb friction, with filters of
-    velocity and acceleration.
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """A device without a law at A angles and H harmonics: what of a lift no delay and no filter
+    changes.
     """
+
+    frequency_hz: Floats  # (A, H)
+    impedance: Complexes  # (A, H) 1 / P_vt, N s/m
+    forward: Complexes  # (A, H) P_vF / P_vt, without hold and delay
+    back: Complexes  # (A, H) P_xt, m/N
+
+
+def opened(model: Model, damping_ns_per_m: float = 0.0) -> Opened:
+    """Look at `model` at that level of active damping: nine tenths of the work of a lift."""
     images = np.arange(-_IMAGES, _IMAGES + 1)
-    rate_hz = model.rate_hz
-    f = (ANGLES[:, None] / (2.0 * np.pi) + images) * rate_hz
-    turn = np.exp(1j * ANGLES)
-    shape = f.shape
+    f = (ANGLES[:, None] / (2.0 * np.pi) + images) * model.rate_hz
     p = responses(model, f.ravel(), damping_ns_per_m)
-    own = p.velocity[0, 1].reshape(shape)
-    out = (p.velocity[0, 0] * held(f.ravel(), rate_hz, model.delay_periods)).reshape(shape) / own
-    back = p.encoder[1].reshape(shape)
-    inner = pulse_transfer(model, turn, damping_ns_per_m) - (out * back).sum(axis=1)
-    back = back / own  # only now q: E needs P_xt itself
+    own = p.velocity[0, 1].reshape(f.shape)
+    return Opened(
+        f, 1.0 / own, p.velocity[0, 0].reshape(f.shape) / own, p.encoder[1].reshape(f.shape)
+    )
+
+
+def lift(
+    model: Model,
+    damping_ns_per_m: float = 0.0,
+    filters: Filters = PAPER_FILTERS,
+    seen: Opened | None = None,
+) -> Lift:
+    """Lift `model` at that level of active damping, without Coulomb friction, with filters of
+    velocity and acceleration. `seen` is what `opened` saw of it, at whatever delay.
+    """
+    rate_hz = model.rate_hz
+    device = opened(model, damping_ns_per_m) if seen is None else seen
+    f = device.frequency_hz
+    turn = np.exp(1j * ANGLES)
+    out = device.forward * held(f.ravel(), rate_hz, model.delay_periods).reshape(f.shape)
+    inner = pulse_transfer(model, turn, damping_ns_per_m) - (out * device.back).sum(axis=1)
+    back = device.back * device.impedance  # only now q: E needs P_xt itself
     sizes = [np.abs(out) ** 2, np.abs(back) ** 2]
     rest, rest_late = _beyond(2.0 * np.pi * f / rate_hz, model.delay_periods)
     tails = [_last(size, f, rate_hz) * rest for size in sizes]
     late = np.exp(2j * np.pi * f / rate_hz * model.delay_periods)
     tail_both = _last(out * back * late, f, rate_hz) * rest_late
+    resistance = device.impedance.real
     return Lift(
         np.stack((np.ones_like(turn), *derivatives(turn, rate_hz, filters))),
         inner,
-        np.column_stack(((1.0 / own).real, (1.0 / own[:, -1]).real)),
+        np.column_stack((resistance, resistance[:, -1])),
         np.column_stack((sizes[0], tails[0])),
         np.column_stack((sizes[1], tails[1])),
         np.column_stack((out * back, tail_both)),
     )
+
+
+class Spared(NamedTuple):
+    """What one environment leaves of the device's damping, and where it takes most."""
+
+    margin_ns_per_m: float  # that the device has to spare; negative where it falls short
+    worst_hz: float  # between 0 and half the servo's rate
+
+
+def lifted_worst(lifted: Lift, point: npt.ArrayLike, rate_hz: float) -> Spared:
+    """The margin of one environment (3,) as `lifted_margin`, and the frequency [Hz] that sets it.
+
+    At servo rate `rate_hz`.
+    """
+    margin, angle = _spare(lifted, _gains(lifted, np.atleast_2d(np.asarray(point, np.float64)))[0])
+    return Spared(margin, float(ANGLES[angle]) * rate_hz / (2.0 * np.pi))
 
 
 def lifted_margin(lifted: Lift, points: npt.ArrayLike) -> Floats:
@@ -170,7 +212,7 @@ def lifted_margin(lifted: Lift, points: npt.ArrayLike) -> Floats:
 
     For a rigid device it is its damping minus `required_damping`.
     """
-    return np.array([_spare(lifted, gain) for gain in _gains(lifted, points)])
+    return np.array([_spare(lifted, gain)[0] for gain in _gains(lifted, points)])
 
 
 def lifted_passive(lifted: Lift, points: npt.ArrayLike) -> Flags:
@@ -179,10 +221,51 @@ def lifted_passive(lifted: Lift, points: npt.ArrayLike) -> Flags:
 
     Never with K < 0, which is active below all angles that are looked at.
     """
-    if lifted.resistance.min() <= 0.0:
-        return np.zeros(len(environments(points)), np.bool_)
-    spare = np.array([_positive(lifted, gain, 0.0) for gain in _gains(lifted, points)], np.bool_)
-    return spare & (environments(points)[:, 0] >= 0.0)
+    kbm = environments(points)
+    return within(circles(lifted), kbm) & (kbm[:, 0] >= 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Circles:
+    """Circles at A angles that -1/C must not be in, for a damping to spare: |1 + C g| >= R |C|.
+
+    Both sides squared are a quadratic form in (1, K, B, M), of which `form` has the coefficients:
+    a yes or no costs ten products an angle, whatever the device.
+    """
+
+    form: Floats  # (10, A) of 1, K, B, M, K K, K B, K M, B B, B M, M M
+
+
+_PAIRS = np.triu_indices(3)
+
+
+def circles(lifted: Lift, spare_ns_per_m: float = 0.0) -> Circles:
+    """The circles for that damping to spare. With c = C / (1 + C (G - E)) the module's condition
+    is this one with g = G - E + p / 2 and R = sqrt(a b) / 2.
+
+    A device that has less than that by itself is never passive: its forms are negative.
+    """
+    resistance = lifted.resistance - spare_ns_per_m
+    if resistance.min() <= 0.0:
+        return Circles(np.full((10, 1), -1.0) * (np.arange(10) == 0)[:, None])
+    share = 1.0 / resistance
+    out, back, both = (
+        (weights * share).sum(axis=1) for weights in (lifted.out, lifted.back, lifted.both)
+    )
+    centre = lifted.inner + 0.5 * both
+    excess = np.abs(centre) ** 2 - 0.25 * out * back
+    law = lifted.law
+    one, other = _PAIRS
+    twice = np.where(one == other, 1.0, 2.0)[:, None]
+    squares = twice * (law[one] * law[other].conj()).real * excess
+    return Circles(np.vstack((np.ones(len(centre)), 2.0 * (law * centre).real, squares)))
+
+
+def within(allowed: Circles, kbm: Floats) -> Flags:
+    """Whether -1/C of the environments (N, 3) is outside all circles: passive, if stable."""
+    one, other = _PAIRS
+    terms = np.column_stack((np.ones(len(kbm)), kbm, kbm[:, one] * kbm[:, other]))
+    return np.asarray((terms @ allowed.form).min(axis=1) >= 0.0)
 
 
 def _gains(lifted: Lift, points: npt.ArrayLike) -> Complexes:
@@ -191,34 +274,40 @@ def _gains(lifted: Lift, points: npt.ArrayLike) -> Complexes:
     return np.asarray(law / (1.0 + law * lifted.inner))
 
 
-def _positive(lifted: Lift, gain: Complexes, spare: float) -> bool:
-    share = 1.0 / np.maximum(lifted.resistance - spare, _CLOSEST)
+def _positive(lifted: Lift, gain: Complexes, spare: float, angles: Integers) -> Flags:
+    share = 1.0 / np.maximum(lifted.resistance[angles] - spare, _CLOSEST)
     out, back, both = (
-        (weights * share).sum(axis=1) for weights in (lifted.out, lifted.back, lifted.both)
+        (weights[angles] * share).sum(axis=1)
+        for weights in (lifted.out, lifted.back, lifted.both)
     )
-    cp = gain * both
-    return bool(
-        np.all(
-            2.0 + cp.real - np.sqrt(np.maximum(np.abs(gain) ** 2 * out * back - cp.imag**2, 0.0))
-            >= 0.0
-        )
-    )
+    c = gain[angles]
+    cp = c * both
+    form = 2.0 + cp.real - np.sqrt(np.maximum(np.abs(c) ** 2 * out * back - cp.imag**2, 0.0))
+    return np.asarray(form >= 0.0)
 
 
-def _spare(lifted: Lift, gain: Complexes) -> float:
+def _spare(lifted: Lift, gain: Complexes) -> tuple[float, int]:
+    """The damping to spare, and the place of the angle that sets it. What is positive for more
+    spare is so for less: only angles that fell short are looked at again.
+    """
     high = float(lifted.resistance.min())
     low = (
         high
         - float(np.max(np.abs(gain) * np.sqrt(lifted.out.sum(axis=1) * lifted.back.sum(axis=1))))
         - 1e-9
     )
+    angles = np.arange(gain.size)
+    worst = int(np.argmin(lifted.resistance.min(axis=1)))
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        if _positive(lifted, gain, middle):
+        positive = _positive(lifted, gain, middle, angles)
+        if positive.all():
             low = middle
         else:
             high = middle
-    return low
+            angles = angles[~positive]
+            worst = int(angles[0])
+    return low, worst
 
 
 def _beyond(angles: Floats, delay_periods: float) -> tuple[Floats, Complexes]:
