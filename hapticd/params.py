@@ -475,6 +475,74 @@ class LeaseParams:
 
 
 @dataclass(frozen=True, slots=True)
+class ModelParams:
+    """What a judgement needs of a composed device (`plant.model.Model`), n states, m inputs."""
+
+    name: str
+    rate_hz: float
+    delay_periods: float  # from the encoder sample to its command, without the hold
+    states: tuple[str, ...]  # n names; those of positions end in _position
+    a0: tuple[tuple[float, ...], ...]  # n rows of n
+    a1: tuple[tuple[float, ...], ...]  # n rows of n, per N s/m of active damping
+    b0: tuple[tuple[float, ...], ...]  # n rows of m
+    b1: tuple[tuple[float, ...], ...]  # n rows of m, per N s/m of active damping
+    command: int  # column of the virtual force
+    torque: int  # column of the probe's force
+    encoder: OutputParams
+    position: OutputParams
+    velocity: OutputParams
+    recorded_velocity: OutputParams
+    recorded_travel: OutputParams
+    recorded_impulse: OutputParams | None
+    contacts: tuple[Contact, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredLevel:
+    """Axis limits that a bench found at one active damping: each of K, B, M alone, the others 0,
+    by the end of its interval that is nearer to 0; 0 where none was looked for.
+    """
+
+    damping_ns_per_m: float  # active damping
+    stiffness_n_per_m: float  # largest K
+    damping_low_ns_per_m: float  # least B
+    damping_high_ns_per_m: float  # largest B
+    mass_low_kg: float  # least M
+    mass_high_kg: float  # largest M
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredParams:
+    """What a .zwidth file says of this device, or why it may not be used."""
+
+    file: str
+    refused: str  # why not; empty: it may be used
+    corners_hz: tuple[float, ...] = ()  # of the filters of velocity and acceleration
+    psd_n2_per_hz: float = 0.0  # of the perturbation under which it was measured
+    levels: tuple[MeasuredLevel, ...] = ()  # rising
+
+
+@dataclass(frozen=True, slots=True)
+class GuardSetup:
+    """guard.json: everything that the guard's worker needs."""
+
+    guard: GuardParams
+    config_hash: str  # of the servo that it judges for
+    rate_hz: float
+    environment: EnvironmentParams  # its filters' way of being made discrete
+    added_damping_ns_per_m: float  # what `damping on` means
+    damping_limit_ns_per_m: float  # ceiling of the damping circuit, by the device file
+    damping_count_ns_per_m: float  # one count of its DAC
+    lowest: tuple[float, ...]  # of K, B, M that a client may ask for
+    highest: tuple[float, ...]
+    model: ModelParams | None = None  # None: nothing is known of the device
+    model_hash: str = ""
+    measured: MeasuredParams | None = None
+    psd_n2_per_hz: float = 2.5e-5  # perturbation of the basis `predicted`, one-sided
+    band_hz: float = 1700.0  # up to which it is flat
+
+
+@dataclass(frozen=True, slots=True)
 class GatewaySetup:
     """gateway.json: the gateway's own parameters, and the servo's for the limits and scales it
     checks against.

@@ -16,7 +16,7 @@ from hapticd.clock import VirtualClock
 from hapticd.errors import ConfigError, HapticdError, MailboxError
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.servo_side import ServoMailbox
-from hapticd.params import BoardParams, GatewaySetup, ServoParams, from_plain
+from hapticd.params import BoardParams, GatewaySetup, GuardSetup, ServoParams, from_plain
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
 from hapticd.units import NS_PER_S
@@ -304,6 +304,7 @@ def test_resolved_files_hold_the_parameters(folder: Path) -> None:
         files.SERVO_JSON: ServoParams,
         files.BOARD_JSON: BoardParams,
         files.GATEWAY_JSON: GatewaySetup,
+        files.GUARD_JSON: GuardSetup,
     }
     found = {
         name: from_plain(kind, json.loads((folder / name).read_text()))

@@ -261,7 +261,7 @@ def shaking_hand(
     kbm = environments(np.atleast_2d(np.asarray(point, np.float64)))[0]
     short = -_outside(lifted, kbm, friction_ns_per_m)
     # a margin of so many radii lets the motion grow the faster, the higher the frequency
-    at = int(np.argmax(short * ANGLES * (ANGLES < _LAST)))
+    at = int(np.argmax(np.where(ANGLES < _LAST, short * ANGLES, -np.inf)))
     if short[at] <= 0.0:
         return None
     w = (ANGLES[at] + 2.0 * np.pi * _IMAGES) * model.rate_hz

@@ -241,9 +241,7 @@ class Tick:
     drifts: bool  # nothing in the device itself holds it in place
 
 
-def tick_of(
-    model: Model, damping_ns_per_m: float = 0.0, filters: Filters = PAPER_FILTERS
-) -> Tick:
+def tick_of(model: Model, damping_ns_per_m: float = 0.0, filters: Filters = PAPER_FILTERS) -> Tick:
     """One tick of `model` at that level of active damping, to be closed by any environment."""
     parts = _tick(sampled(model, damping_ns_per_m), model.rate_hz, filters)
     return Tick(*parts, _drifts(model, damping_ns_per_m))

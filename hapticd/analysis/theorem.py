@@ -277,8 +277,7 @@ def _gains(lifted: Lift, points: npt.ArrayLike) -> Complexes:
 def _positive(lifted: Lift, gain: Complexes, spare: float, angles: Integers) -> Flags:
     share = 1.0 / np.maximum(lifted.resistance[angles] - spare, _CLOSEST)
     out, back, both = (
-        (weights[angles] * share).sum(axis=1)
-        for weights in (lifted.out, lifted.back, lifted.both)
+        (weights[angles] * share).sum(axis=1) for weights in (lifted.out, lifted.back, lifted.both)
     )
     c = gain[angles]
     cp = c * both

@@ -1,6 +1,6 @@
-"""Settings -> servo.json, board.json and gateway.json in the runtime folder.
+"""Settings -> servo.json, board.json, gateway.json and guard.json in the runtime folder.
 
-The two processes start from these files alone: they read no TOML and load no pydantic.
+The processes start from these files alone: they read no TOML and load no pydantic.
 
 What would break it: a parameter that `to_plain` and `from_plain` do not carry to the last bit.
 """
@@ -18,7 +18,10 @@ from hapticd.settings.build import (
     lease_params,
     servo_params,
 )
+from hapticd.settings.guard import guard_setup
 from hapticd.settings.load import Settings
+
+WRITTEN = (files.SERVO_JSON, files.BOARD_JSON, files.GATEWAY_JSON, files.GUARD_JSON)
 
 
 def resolve(settings: Settings, instance: str) -> dict[str, Any]:
@@ -28,7 +31,11 @@ def resolve(settings: Settings, instance: str) -> dict[str, Any]:
     setup = GatewaySetup(
         servo, gateway_params(settings), guard_params(settings), lease_params(settings)
     )
-    plain = {files.SERVO_JSON: to_plain(servo), files.GATEWAY_JSON: to_plain(setup)}
+    plain = {
+        files.SERVO_JSON: to_plain(servo),
+        files.GATEWAY_JSON: to_plain(setup),
+        files.GUARD_JSON: to_plain(guard_setup(settings, servo)),
+    }
     return plain if board is None else {**plain, files.BOARD_JSON: to_plain(board)}
 
 

@@ -239,7 +239,7 @@ class Supervisor:
         finally:
             self._end(self.servo)
             self._end(self.gateway)
-            files.remove(self.folder, files.SERVO_JSON, files.BOARD_JSON, files.GATEWAY_JSON)
+            files.remove(self.folder, *resolve.WRITTEN)
             files.release(self.folder, SUPERVISOR_LOCK, claim)
         self.tell(ProcessEvent("ended", "", "ended: no force, both processes gone"))
 

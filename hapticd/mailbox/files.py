@@ -33,6 +33,7 @@ REPORT = "servo.report"
 SERVO_JSON = "servo.json"
 BOARD_JSON = "board.json"
 GATEWAY_JSON = "gateway.json"
+GUARD_JSON = "guard.json"
 # the gateway's
 COMMAND_SOCKET = "command"
 TELEMETRY_SOCKET = "telemetry"

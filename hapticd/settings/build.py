@@ -33,10 +33,14 @@ from hapticd.plant.effects import (
     Effect,
     Encoder,
     ForceDac,
+    Masses,
+    Motor,
     ProbeAdc,
     SampleTiming,
     Saturation,
     Smoothing,
+    Viscous,
+    WorkspaceEnds,
     sample_timing,
 )
 from hapticd.settings.config import Environment, SimulatedBoard, Touch
@@ -146,6 +150,27 @@ def device_effects(device: DeviceFile, names: tuple[str, ...] | None = None) -> 
     if model is None:
         return ()
     return effects_of(model, model.effects if names is None else names, converter_effects(device))
+
+
+def rigid_effects(device: DeviceFile) -> tuple[Effect, ...]:
+    """The one mass that a simulated board moves without a model of effects, latched when it does
+    by default; nothing for a device with a model or with neither.
+    """
+    plant = device.plant
+    if plant is None:
+        return ()
+    return (
+        Masses(rotor_kg=plant.mass_kg),
+        Motor(
+            torque_constant_nm_per_a=plant.torque_constant_n_per_a,
+            lever_m=1.0,
+            resistance_ohm=plant.winding_ohm,
+        ),
+        Viscous(rotor_ns_per_m=plant.viscous_ns_per_m),
+        WorkspaceEnds(lower_m=plant.lower_stop_m, upper_m=plant.upper_stop_m),
+        Delay(periods=1.0 - DEFAULT_PHASE),
+        *converter_effects(device).values(),
+    )
 
 
 def board_of(

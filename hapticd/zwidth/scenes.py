@@ -28,11 +28,11 @@ from hapticd.analysis.spectra import DEFAULT_LAG
 from hapticd.errors import ConfigError
 from hapticd.params import EnvironmentParams, FilterParams, WallParams
 from hapticd.plant.compose import compose
-from hapticd.plant.effects import ALWAYS, Delay, Effect, Masses, Motor, Viscous, WorkspaceEnds
+from hapticd.plant.effects import ALWAYS
 from hapticd.plant.model import Model
 from hapticd.plant.scene import Excitation, Scene
-from hapticd.settings.build import DEFAULT_PHASE, converter_effects, device_effects
-from hapticd.settings.device import DeviceFile, RigidTable
+from hapticd.settings.build import device_effects, rigid_effects
+from hapticd.settings.device import DeviceFile
 from hapticd.settings.load import find_device, validated
 from hapticd.settings.toml import read, shipped
 from hapticd.units import PROBE_RATE_HZ
@@ -195,7 +195,7 @@ def device_scene(name: str) -> Scene | None:
     except ConfigError:
         return None
     device = validated(DeviceFile, document.data, document.where)
-    effects = _rigid(device, device.plant) if device.plant else device_effects(device)
+    effects = rigid_effects(device) or device_effects(device)
     if not effects:
         return None
     return Scene(
@@ -216,21 +216,3 @@ def scene_of_device(title: str) -> Scene | None:
         if read(path).data.get("name") == title:
             return device_scene(path.stem)
     return None
-
-
-def _rigid(device: DeviceFile, plant: RigidTable) -> tuple[Effect, ...]:
-    """The one mass that the simulated board moves without a model of effects, latched when it
-    does by default.
-    """
-    return (
-        Masses(rotor_kg=plant.mass_kg),
-        Motor(
-            torque_constant_nm_per_a=plant.torque_constant_n_per_a,
-            lever_m=1.0,
-            resistance_ohm=plant.winding_ohm,
-        ),
-        Viscous(rotor_ns_per_m=plant.viscous_ns_per_m),
-        WorkspaceEnds(lower_m=plant.lower_stop_m, upper_m=plant.upper_stop_m),
-        Delay(periods=1.0 - DEFAULT_PHASE),
-        *converter_effects(device).values(),
-    )

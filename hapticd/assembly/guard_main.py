@@ -1,0 +1,126 @@
+"""The guard's worker: `python -m hapticd.assembly.guard_main FOLDER --fd N [--parent PID]`.
+
+It judges displays on the model in FOLDER/guard.json (`analysis.transition.Judge`) for the gateway,
+which keeps the other end of the socket N. Messages both ways are msgpack maps, each behind its
+length (u32, little-endian, at most 64 kB). The first one tells whom it judges for; then every
+request gets one answer. What goes wrong with one request becomes {"n": .., "error": text}, and the
+worker goes on. While nobody asks, it prepares the levels of damping that it will be asked about.
+
+Exit code 0: the gateway is gone or asked it to end; 78: guard.json is wrong, and a restart would
+not help.
+
+What would break it: an import that brings numba, zmq or pydantic (a test looks), or a message that
+is longer than it says.
+"""
+
+import argparse
+import json
+import os
+import select
+import socket
+import struct
+import sys
+from pathlib import Path
+from typing import Any
+
+import msgpack
+
+from hapticd.analysis.transition import Judge
+from hapticd.assembly.process import die_with_parent, on_stop
+from hapticd.errors import ConfigError, HapticdError
+from hapticd.mailbox.files import GUARD_JSON
+from hapticd.params import GuardSetup, from_plain
+
+LENGTH = struct.Struct("<I")
+LONGEST = 64 << 10  # bytes of a message
+
+
+def main(arguments: list[str]) -> int:
+    """Serve until the other end closes; the exit code."""
+    parser = argparse.ArgumentParser(prog="guard_main", allow_abbrev=False)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--fd", type=int, required=True)
+    parser.add_argument("--parent", type=int)
+    asked = parser.parse_args(arguments)
+    on_stop(_end)
+    die_with_parent(asked.parent)
+    try:
+        judge = Judge(_read(asked.folder / GUARD_JSON))
+    except HapticdError as error:
+        sys.stderr.write(f"hapticd guard: {error}\n")
+        return error.exit_code
+    with socket.socket(fileno=asked.fd) as line:
+        serve(line, judge)
+    return 0
+
+
+def _end() -> None:
+    raise SystemExit(0)
+
+
+def _read(path: Path) -> GuardSetup:
+    try:
+        return from_plain(GuardSetup, json.loads(path.read_text()), str(path))
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: {error}; make it with `hapticd config resolve`") from error
+
+
+def serve(line: socket.socket, judge: Judge) -> None:
+    """Answer what comes over `line` until it ends."""
+    try:
+        _send(line, judge.hello(os.getpid()))
+        while True:
+            _warm_while_idle(line, judge)
+            request = _receive(line)
+            if request is None:
+                return
+            _send(line, answered(judge, request))
+    except ConnectionError:
+        return
+
+
+def answered(judge: Judge, request: bytes) -> dict[str, Any]:
+    """The answer to one message; an error is an answer too."""
+    number = None
+    try:
+        plain = msgpack.unpackb(request)
+        number = plain.get("n")
+        return judge.answer(plain)
+    except Exception as error:  # one request that fails must not end the guard
+        return {"n": number, "error": f"{type(error).__name__}: {error}"}
+
+
+def _warm_while_idle(line: socket.socket, judge: Judge) -> None:
+    try:
+        while not select.select([line], [], [], 0.0)[0] and judge.warm():
+            pass
+    except HapticdError:
+        return  # a level that cannot be computed is told when it is asked for
+
+
+def _receive(line: socket.socket) -> bytes | None:
+    """The next message; None at the end, or after one that is longer than is allowed."""
+    head = _exactly(line, LENGTH.size)
+    if head is None:
+        return None
+    (size,) = LENGTH.unpack(head)
+    return _exactly(line, size) if size <= LONGEST else None
+
+
+def _exactly(line: socket.socket, size: int) -> bytes | None:
+    found = b""
+    while len(found) < size:
+        part = line.recv(size - len(found))
+        if not part:
+            return None
+        found += part
+    return found
+
+
+def _send(line: socket.socket, message: dict[str, Any]) -> None:
+    content = msgpack.packb(message)
+    line.sendall(LENGTH.pack(len(content)) + content)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))

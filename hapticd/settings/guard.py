@@ -1,0 +1,170 @@
+"""Settings -> guard.json: the device as the guard judges it, composed once, in numbers.
+
+The model is the whole linear device of the device file, with the effects that a live board builds,
+or the one rigid mass of a simulated board without a model. A real device without a model has none,
+and then nothing is known of it. A .zwidth file counts for the device file, rate and filters that it
+was measured with, and for nothing else: what does not fit is kept as the reason why it is refused.
+
+What would break it: numbers of the model that JSON rounds (it does not: floats are written so that
+they are read back to the last bit).
+"""
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from hapticd.errors import ConfigError
+from hapticd.mailbox.layout import Value, value_limits
+from hapticd.params import (
+    GuardParams,
+    GuardSetup,
+    MeasuredLevel,
+    MeasuredParams,
+    ModelParams,
+    OutputParams,
+    ServoParams,
+)
+from hapticd.plant.effects import Effect
+from hapticd.settings.build import device_effects, guard_params, rigid_effects
+from hapticd.settings.inputs import SETTINGS_BYTES, regular
+from hapticd.settings.load import Settings
+
+KBM = (Value.STIFFNESS, Value.DAMPING, Value.MASS)
+AXES = ("K", "B", "M")  # as limits of a .zwidth file number them
+
+
+def guard_setup(settings: Settings, servo: ServoParams) -> GuardSetup:
+    """guard.json, for the guard of the servo with the parameters `servo`. ConfigError as
+    `compose`.
+    """
+    guard = guard_params(settings)
+    rate_hz = servo.realtime.rate_hz
+    model = _model(settings, rate_hz)
+    limits = value_limits(rate_hz, servo.device.damping_limit_ns_per_m)
+    return GuardSetup(
+        guard=guard,
+        config_hash=servo.config_hash,
+        rate_hz=rate_hz,
+        environment=servo.environment,
+        added_damping_ns_per_m=servo.added_damping_ns_per_m,
+        damping_limit_ns_per_m=servo.device.damping_limit_ns_per_m,
+        damping_count_ns_per_m=servo.device.damping.per_count,
+        lowest=tuple(limits[place].low for place in KBM),
+        highest=tuple(limits[place].high for place in KBM),
+        model=model,
+        model_hash="" if model is None else _hash(model),
+        measured=_measured(guard, settings, servo),
+    )
+
+
+def _hash(model: ModelParams) -> str:
+    """SHA-256 (hex) of the model's numbers."""
+    return hashlib.sha256(json.dumps(asdict(model), sort_keys=True).encode()).hexdigest()
+
+
+def _model(settings: Settings, rate_hz: float) -> ModelParams | None:
+    device = settings.device
+    effects = rigid_effects(device) or device_effects(device, settings.config.simulation.effects)
+    return model_params(device.name, effects, rate_hz) if effects else None
+
+
+def model_params(name: str, effects: Iterable[Effect], rate_hz: float) -> ModelParams:
+    """The device with these effects as numbers. ConfigError as `compose_device`."""
+    from hapticd.plant.compose import compose_device  # numpy: a servo never comes here
+
+    model = compose_device(name, effects, rate_hz)
+    outputs = model.outputs
+
+    def output(of: Any) -> OutputParams:
+        return OutputParams(*(tuple(row.tolist()) for row in (of.c0, of.c1, of.d0, of.d1)))
+
+    def rows(matrix: Any) -> tuple[tuple[float, ...], ...]:
+        return tuple(tuple(row) for row in matrix.tolist())
+
+    return ModelParams(
+        name=name,
+        rate_hz=rate_hz,
+        delay_periods=float(model.delay_periods),
+        states=tuple(state.name for state in model.states),
+        a0=rows(model.a0),
+        a1=rows(model.a1),
+        b0=rows(model.b0),
+        b1=rows(model.b1),
+        command=model.inputs.command,
+        torque=model.inputs.torque,
+        encoder=output(outputs.encoder),
+        position=output(outputs.position),
+        velocity=output(outputs.velocity),
+        recorded_velocity=output(outputs.recorded_velocity),
+        recorded_travel=output(outputs.recorded_travel),
+        recorded_impulse=(
+            None if outputs.recorded_impulse is None else output(outputs.recorded_impulse)
+        ),
+        contacts=model.contacts,
+    )
+
+
+def _measured(guard: GuardParams, settings: Settings, servo: ServoParams) -> MeasuredParams | None:
+    if not guard.measured:
+        return None
+    path = Path(guard.measured)
+    try:
+        content = json.loads(regular(path, SETTINGS_BYTES).read_text())
+        return measured_params(path.name, content, settings.device_file.read_bytes(), servo)
+    except (OSError, ValueError, KeyError, TypeError, ConfigError) as error:
+        return MeasuredParams(path.name, f"{path}: no Z-width summary that can be used ({error})")
+
+
+def measured_params(
+    file: str, content: Mapping[str, Any], device_file: bytes, servo: ServoParams
+) -> MeasuredParams:
+    """What the .zwidth `content` says for the device of `device_file` and the servo `servo`."""
+    stated = content["conditions"]
+    corners = tuple(float(word.split()[0]) for word in stated["filters"].split(","))
+    refused = _refused(content, stated, device_file, servo.realtime.rate_hz)
+    return MeasuredParams(
+        file, refused, corners, float(stated["perturbation"]["psd_n2_per_hz"]), _levels(content)
+    )
+
+
+def _refused(
+    content: Mapping[str, Any], stated: Mapping[str, Any], device_file: bytes, rate_hz: float
+) -> str:
+    if content["device_file_sha256"] != hashlib.sha256(device_file).hexdigest():
+        return (
+            f"it was measured on {content['device']!r} with another device file; measure this"
+            " device with `hapticd zwidth`"
+        )
+    if float(stated["rate_hz"]) != rate_hz:
+        return (
+            f"it was measured at {stated['rate_hz']:g} Hz, the servo runs at {rate_hz:g} Hz;"
+            " measure at this rate"
+        )
+    return ""
+
+
+def _levels(content: Mapping[str, Any]) -> tuple[MeasuredLevel, ...]:
+    """Axis limits by level; K has one end, B and M have two, as far as they were looked for."""
+    found: dict[float, dict[str, float]] = {}
+    for limit in content["limits"]:
+        scan = limit["scan"]
+        if scan.get("amplitude", 1.0) != 1.0:
+            continue
+        ends = [float(limit[end]) for end in ("lower", "upper", "value") if limit[end] is not None]
+        nearest = min(ends, key=abs)
+        ends_of = found.setdefault(float(scan["damping_ns_per_m"]), {})
+        ends_of[f"{AXES[scan['axis']]}{'-' if nearest < 0.0 else '+'}"] = nearest
+    return tuple(
+        MeasuredLevel(
+            level,
+            ends.get("K+", 0.0),
+            ends.get("B-", 0.0),
+            ends.get("B+", 0.0),
+            ends.get("M-", 0.0),
+            ends.get("M+", 0.0),
+        )
+        for level, ends in sorted(found.items())
+    )

@@ -1,0 +1,111 @@
+"""Devices of the guard's tests: a rigid mass with known damping, and shipped ones."""
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from hapticd.analysis.transition import Judge
+from hapticd.params import EnvironmentParams, GuardParams, GuardSetup, ModelParams
+from hapticd.plant.effects import (
+    DampingCircuit,
+    Delay,
+    Effect,
+    Masses,
+    Motor,
+    Viscous,
+    WindingTemperature,
+)
+from hapticd.settings.build import servo_params
+from hapticd.settings.guard import guard_setup, model_params
+from hapticd.settings.load import load
+
+MASS_KG = 0.08
+VISCOUS_NS_PER_M = 2.0
+FREE = {"K": 0.0, "B": 0.0, "M": 0.0, "damping": 0.0}
+
+
+def rigid(
+    viscous_ns_per_m: float = VISCOUS_NS_PER_M, delay_periods: float = 0.0, rate_hz: float = 1000.0
+) -> ModelParams:
+    """One rigid mass on a viscous slide, driven by an ideal motor."""
+    effects: tuple[Effect, ...] = (
+        Masses(rotor_kg=MASS_KG),
+        Motor(torque_constant_nm_per_a=1.0, lever_m=1.0, resistance_ohm=1.0),
+        Viscous(rotor_ns_per_m=viscous_ns_per_m),
+        Delay(periods=delay_periods),
+    )
+    return model_params("rigid", effects, rate_hz)
+
+
+def over_compensated(residual_c: float) -> ModelParams:
+    """A circuit that believes the winding hotter than it is by `residual_c`."""
+    effects: tuple[Effect, ...] = (
+        Masses(rotor_kg=0.005),
+        Motor(torque_constant_nm_per_a=0.0165, lever_m=0.01, resistance_ohm=1.6),
+        Viscous(rotor_ns_per_m=0.3),
+        DampingCircuit(bandwidth_hz=1000.0),
+        WindingTemperature(temperature_c=20.0, compensated_c=20.0 + residual_c),
+    )
+    return model_params("over-compensated", effects, 1000.0)
+
+
+def setup_of(model: ModelParams | None, ceiling: float = 10.0, **changes: Any) -> GuardSetup:
+    """A guard of that model; its other numbers are those of a shipped configuration."""
+    plain: dict[str, Any] = {
+        "guard": GuardParams(),
+        "config_hash": "hash of the servo",
+        "rate_hz": 1000.0,
+        "environment": EnvironmentParams(),
+        "added_damping_ns_per_m": 1.74,
+        "damping_limit_ns_per_m": ceiling,
+        "damping_count_ns_per_m": 10.0 / 65535,
+        "lowest": (-1e4, -1e2, -1e1),
+        "highest": (1e5, 1e3, 1e1),
+        "model": model,
+        "model_hash": "" if model is None else "hash of the model",
+    }
+    return GuardSetup(**(plain | changes))
+
+
+@lru_cache(maxsize=8)
+def rigid_judge(viscous_ns_per_m: float = VISCOUS_NS_PER_M, delay_periods: float = 0.0) -> Judge:
+    """A judge of a rigid device."""
+    return Judge(setup_of(rigid(viscous_ns_per_m, delay_periods)))
+
+
+@lru_cache(maxsize=2)
+def shipped_setup(device: str = "weir2008") -> GuardSetup:
+    """guard.json of a configuration with that shipped device."""
+    path = Path(__file__).parent / "data" / f"guard_{device}.toml"
+    settings = load(path)
+    return guard_setup(settings, servo_params(settings, "guard"))
+
+
+@lru_cache(maxsize=2)
+def shipped_judge(device: str = "weir2008") -> Judge:
+    """A judge of that shipped device."""
+    return Judge(shipped_setup(device))
+
+
+def change(judge: Judge, asked: dict[str, Any], **more: Any) -> dict[str, Any]:
+    """The answer to a change: from a free display under `refuse`, unless `more` says other."""
+    now = FREE | more.pop("now", {})
+    request = {
+        "ask": "change",
+        "n": 1,
+        "now": now,
+        "target": FREE | more.pop("target", now),
+        "state": "enabled",
+        "enable": False,
+        "change": asked,
+        "before": [],
+        "after": [],
+        "policy": "refuse",
+        "basis": "theorem",
+        "margin_ns_per_m": 0.0,
+        "mode": "off",
+        "level": 0.0,
+        "delay_periods": None,
+        "ramp_s": 0.05,
+    }
+    return judge.answer(request | more)

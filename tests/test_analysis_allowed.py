@@ -1,0 +1,162 @@
+"""What a device withstands, against closed forms and the rest of the analysis."""
+
+import numpy as np
+import pytest
+from guard_device import VISCOUS_NS_PER_M, change, rigid, rigid_judge, shipped_judge
+
+from hapticd.analysis.allowed import (
+    LEVELS,
+    Conditions,
+    Display,
+    Theorem,
+    cached_levels,
+    interval,
+    model_of,
+)
+from hapticd.analysis.loop import PAPER_FILTERS, spectral_radius
+from hapticd.analysis.theorem import (
+    circles,
+    lift,
+    lifted_margin,
+    lifted_worst,
+    required_damping,
+    within,
+)
+from hapticd.params import WallParams
+from hapticd.plant.compose import compose
+from hapticd.zwidth.scenes import device_scene
+
+T_S = 1e-3
+
+
+def display(k: float, b: float = 0.0, m: float = 0.0, added: float = 0.0) -> Display:
+    first, second = PAPER_FILTERS
+    assert first is not None
+    assert second is not None
+    return Display(k, b, m, WallParams(), (first, second), added)
+
+
+def conditions(spare: float = 0.0, delay: float = 0.0) -> Conditions:
+    return Conditions(0.0, PAPER_FILTERS, delay, spare)
+
+
+@pytest.mark.parametrize("viscous", [0.5, 2.0, 6.0])
+def test_largest_stiffness_of_a_rigid_device_is_twice_its_damping_over_the_period(
+    viscous: float,
+) -> None:
+    """Colgate and Schenkel: b > K T / 2 with B = 0, no delay."""
+    verdict = change(rigid_judge(viscous), {})["verdict"]
+    assert verdict["allowed"]["K"] == pytest.approx([0.0, 2.0 * viscous / T_S], rel=2e-3)
+
+
+def test_margin_of_a_rigid_device_is_its_damping_minus_what_is_required() -> None:
+    theorem = Theorem(model_of(rigid(delay_periods=0.375)))
+    draw = np.random.default_rng(1)
+    points = draw.uniform((0.0, -1.0, -0.02), (900.0, 3.0, 0.02), (30, 3))
+    required, hz = required_damping(points, delay_periods=0.375)
+    read = [theorem.reading(tuple(point), conditions(delay=0.375)) for point in points]
+    margins = np.array([one.margin_ns_per_m for one in read])
+    np.testing.assert_allclose(margins, VISCOUS_NS_PER_M - required, atol=2e-3)
+    worst = np.array([one.worst_hz for one in read])
+    # flat near 0 Hz: what a spring asks for hardly depends on the frequency
+    steep = hz > 5.0
+    np.testing.assert_allclose(worst[steep], hz[steep], rtol=0.03, atol=2.0)
+
+
+@pytest.mark.parametrize("level", [0.0, 1.74])
+@pytest.mark.parametrize("spare", [-0.3, 0.0, 0.2])
+def test_yes_or_no_agrees_with_the_margin(level: float, spare: float) -> None:
+    """The circles of many points at once against forty halvings for each."""
+    scene = device_scene("weir2008")
+    assert scene is not None
+    lifted = lift(compose(scene), level)
+    draw = np.random.default_rng(2)
+    high = (500.0, 4.0, 0.03) if level else (100.0, 1.0, 0.004)  # damping enlarges the set
+    points = draw.uniform((0.0, -0.5 * high[1], -0.5 * high[2]), high, (400, 3))
+    margins = lifted_margin(lifted, points)
+    flags = within(circles(lifted, spare), points)
+    assert 5 < flags.sum() < 395
+    np.testing.assert_array_equal(flags, margins >= spare)
+
+
+def test_worst_frequency_is_where_the_margin_ends() -> None:
+    """At that frequency alone the device has no more to spare than the margin."""
+    scene = device_scene("weir2008")
+    assert scene is not None
+    lifted = lift(compose(scene), 0.0)
+    found = lifted_worst(lifted, (100.0, 1.0, 0.0), 1000.0)
+    assert found.margin_ns_per_m == lifted_margin(lifted, [(100.0, 1.0, 0.0)])[0]
+    form = circles(lifted, found.margin_ns_per_m + 1e-6).form
+    k, b = 100.0, 1.0
+    values = np.array([1.0, k, b, 0.0, k * k, k * b, 0.0, b * b, 0.0, 0.0]) @ form
+    angle = 2.0 * np.pi * found.worst_hz * T_S
+    from hapticd.analysis.theorem import ANGLES
+
+    assert np.flatnonzero(values < 0.0).tolist() == [int(np.argmin(abs(ANGLES - angle)))]
+
+
+def test_negative_stiffness_is_refused() -> None:
+    """The example of a passive-looking point that is unstable: K = -34, B = -0.86, M = 0.0048."""
+    answer = change(shipped_judge(), {"K": -34.0, "B": -0.86, "M": 0.0048})
+    assert answer["action"] == "refuse"
+    assert "K < 0" in answer["verdict"]["text"]
+
+
+def test_a_stable_negative_stiffness_is_refused_too() -> None:
+    """On a device with a spring of its own the loop would be stable; K < 0 is active all the
+    same.
+    """
+    theorem = Theorem(model_of(rigid()))
+    assert not theorem.safe(np.array([[-1e-3, 0.0, 0.0]]), conditions())[0]
+
+
+def test_passive_but_unstable_is_not_safe() -> None:
+    """The theorem presumes stability: without it a circle test alone lets points pass."""
+    scene = device_scene("weir2008")
+    assert scene is not None
+    model = compose(scene)
+    theorem = Theorem(model)
+    draw = np.random.default_rng(3)
+    points = draw.uniform((0.0, -20.0, -0.3), (3000.0, 20.0, 0.3), (4000, 3))
+    at = conditions(delay=model.delay_periods)
+    flags = theorem.safe(points, at)
+    radius = spectral_radius(model, points)
+    assert (radius[flags] < 1.0).all()
+
+
+def test_allowed_ends_are_safe_and_a_step_beyond_is_not() -> None:
+    judge = shipped_judge()
+    now = {"K": 40.0, "B": 0.3, "M": 0.001}
+    verdict = change(judge, {}, now=now)["verdict"]
+    for name, span in (("K", 400.0), ("B", 3.0), ("M", 0.02)):
+        low, high = verdict["allowed"][name]
+        step = 2e-3 * span
+        assert low <= now[name] <= high
+        for end, out in ((low, low - step), (high, high + step)):
+            assert change(judge, now | {name: end})["verdict"]["safe"]
+            if name != "K" or out > 0.0:
+                assert not change(judge, now | {name: out})["verdict"]["safe"]
+
+
+def test_nearest_safe_interval_of_a_point_that_is_not() -> None:
+    verdict = change(rigid_judge(), {"K": 6000.0})["verdict"]
+    assert verdict["safe"] is False
+    assert verdict["allowed"]["K"] == pytest.approx([0.0, 2.0 * VISCOUS_NS_PER_M / T_S], rel=2e-3)
+    # no mass and no damper makes so stiff a spring passive
+    assert verdict["allowed"]["M"] is None
+
+
+def test_interval_is_the_connected_one() -> None:
+    def two_islands(values: np.ndarray) -> np.ndarray:
+        return ((values > -3.0) & (values < -1.0)) | ((values > 2.0) & (values < 5.0))
+
+    assert interval(two_islands, -10.0, 10.0, 3.0) == pytest.approx([2.0, 5.0], abs=5e-3)
+    assert interval(two_islands, -10.0, 10.0, -0.5) == pytest.approx([-3.0, -1.0], abs=5e-3)
+    assert interval(lambda values: values > 99.0, -10.0, 10.0, 0.0) is None
+
+
+def test_kept_levels_are_few_and_have_the_ends() -> None:
+    levels = cached_levels(10.0, 1.74)
+    assert len(levels) <= LEVELS
+    assert {0.0, 1.74, 10.0} <= set(levels)
+    assert cached_levels(0.0, 1.74) == (0.0,)

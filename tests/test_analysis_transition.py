@@ -1,0 +1,232 @@
+"""The way of a change: its order, what is judged of it, and what each policy makes of it."""
+
+from typing import Any
+
+import pytest
+from guard_device import FREE, change, rigid, rigid_judge, setup_of, shipped_judge
+
+from hapticd.analysis.transition import POINTS, Judge
+from hapticd.errors import AnalysisError
+
+LEVEL = 1.74
+DAMPED = {"damping": LEVEL}
+STIFF = {"K": 150.0, "B": 1.0, "damping": LEVEL}  # safe with damping, not without
+
+
+def stages_of(answer: dict[str, Any]) -> list[dict[str, Any]]:
+    return [stage["change"] for stage in answer["stages"]]
+
+
+def test_damping_rises_before_stiffness_grows() -> None:
+    answer = change(shipped_judge(), {"K": 150.0, "B": 1.0, "damping": LEVEL})
+    assert answer["action"] == "stage"
+    assert stages_of(answer) == [{"damping": LEVEL}, {"K": 150.0, "B": 1.0}]
+    least = answer["stages"][1]["damping_at_least"]
+    assert LEVEL - 2e-4 < least < LEVEL
+
+
+def test_stiffness_shrinks_before_damping_falls() -> None:
+    answer = change(shipped_judge(), {"K": 10.0, "B": 0.1, "damping": 0.0}, now=STIFF)
+    assert answer["action"] == "stage"
+    assert stages_of(answer) == [{"K": 10.0, "B": 0.1}, {"damping": 0.0}]
+    assert answer["stages"][1]["after_ramps"]
+
+
+@pytest.mark.parametrize("policy", ["refuse", "clamp", "follow"])
+def test_what_is_not_safe_is_refused_with_reason_and_remedy(policy: str) -> None:
+    answer = change(shipped_judge(), {"K": -10.0}, policy=policy)
+    assert answer["action"] == "refuse"
+    assert answer["stages"] == []
+    assert answer["verdict"]["safe"] is False
+    assert "ask for" in answer["verdict"]["text"]
+
+
+def test_warn_does_as_asked_and_tells() -> None:
+    answer = change(shipped_judge(), {"K": 500.0, "B": 2.0}, policy="warn")
+    assert answer["action"] == "apply"
+    assert stages_of(answer) == [{"K": 500.0, "B": 2.0}]
+    assert answer["verdict"]["safe"] is False
+    assert answer["verdict"]["text"].startswith("warning")
+    assert answer["verdict"]["worst_hz"] == pytest.approx(46.0, abs=3.0)
+
+
+def test_off_judges_nothing() -> None:
+    answer = change(shipped_judge(), {"K": 500.0, "B": 2.0}, policy="off")
+    assert answer["action"] == "apply"
+    assert answer["verdict"]["safe"] is None
+
+
+def test_clamp_goes_as_far_as_the_first_exit() -> None:
+    judge = shipped_judge()
+    answer = change(judge, {"K": 500.0}, policy="clamp")
+    assert answer["action"] == "apply"
+    given = answer["verdict"]["given"]["K"]
+    end = change(judge, {}, now={"K": 20.0})["verdict"]["allowed"]["K"][1]
+    assert given == pytest.approx(end, rel=0.01)
+    assert answer["verdict"]["clamped"]
+    assert change(judge, {"K": given})["verdict"]["safe"]
+    assert not change(judge, {"K": 1.02 * given})["verdict"]["safe"]
+
+
+def test_clamp_from_outside_is_refused() -> None:
+    answer = change(shipped_judge(), {"K": 900.0}, policy="clamp", now={"K": 600.0})
+    assert answer["action"] == "refuse"
+
+
+def test_filters_are_not_clamped() -> None:
+    filters = {"velocity_hz": 30.0, "acceleration_hz": 20.0}
+    answer = change(shipped_judge(), {"filters": filters}, policy="clamp", now={"B": 0.9})
+    assert answer["action"] == "refuse"
+    assert "filters" in answer["verdict"]["text"]
+
+
+def test_follow_shrinks_the_environment_before_damping_falls() -> None:
+    judge = shipped_judge()
+    answer = change(judge, {"damping": 0.0}, policy="follow", now=STIFF)
+    assert answer["action"] == "stage"
+    first, second = stages_of(answer)
+    assert second == {"damping": 0.0}
+    assert answer["stages"][1]["after_ramps"]
+    assert 0.0 < first["K"] < STIFF["K"]
+    assert first["B"] / first["K"] == pytest.approx(STIFF["B"] / STIFF["K"])
+    assert change(judge, {}, now=first)["verdict"]["safe"]
+
+
+def test_less_damping_is_refused_while_it_is_needed() -> None:
+    answer = change(shipped_judge(), {"damping": 0.0}, now=STIFF)
+    assert answer["action"] == "refuse"
+    assert answer["verdict"]["least_damping_ns_per_m"] == pytest.approx(10.0 / 14.0)
+
+
+def test_contact_with_the_wall_is_judged() -> None:
+    wall = {"stiffness_n_per_m": 800.0, "damping_ns_per_m": 0.0, "position_m": 0.01, "side": 1}
+    answer = change(shipped_judge(), {"wall": wall})
+    assert answer["action"] == "refuse"
+    verdict = answer["verdict"]
+    assert verdict["margin_ns_per_m"] > 0.0
+    assert verdict["contact"]["margin_ns_per_m"] < 0.0 or verdict["contact"]["radius"] >= 1.0
+    assert "wall" in verdict["text"]
+    assert change(shipped_judge(), {"wall": wall | {"side": 0}})["action"] == "apply"
+
+
+def test_delay_that_was_measured_replaces_the_models() -> None:
+    judge = rigid_judge()
+    short = change(judge, {"B": 1.5}, delay_periods=0.0)["verdict"]
+    late = change(judge, {"B": 1.5}, delay_periods=2.0)["verdict"]
+    assert late["margin_ns_per_m"] < short["margin_ns_per_m"] - 0.1
+    assert late["delay_periods"] == 2.0
+    unknown = change(judge, {"B": 1.5})["verdict"]
+    assert unknown["delay_periods"] == 0.0  # the model's own
+
+
+def test_a_way_through_an_unsafe_point_is_not_taken() -> None:
+    """Both ends are safe; with K growing before M has fallen the point between is not."""
+    judge = shipped_judge()
+    now = {"K": 5.0, "B": 0.9}
+    target = {"K": 5.0, "B": 0.0, "M": 0.0}
+    moving = change(judge, {"K": 60.0}, now=now, target=target)
+    assert moving["action"] == "stage"
+    assert moving["stages"][0]["after_ramps"]
+    still = change(judge, {"K": 60.0}, now=target)
+    assert still["action"] == "apply"
+
+
+def test_enable_judges_the_whole_gain_ramp() -> None:
+    answer = change(shipped_judge(), {}, enable=True, state="disabled", now={"K": 500.0, "B": 2.0})
+    assert answer["action"] == "refuse"
+    answer = change(shipped_judge(), {}, enable=True, state="disabled", now={"K": 20.0})
+    assert answer["action"] == "apply"
+    assert 1 < answer["verdict"]["path_points"] <= POINTS
+
+
+def test_enable_waits_for_damping_that_is_asked_but_not_reported() -> None:
+    now = STIFF | {"damping": 0.2}
+    answer = change(shipped_judge(), {}, enable=True, state="disabled", now=now, target=STIFF)
+    assert answer["action"] == "stage"
+    assert answer["stages"][0]["damping_at_least"] == pytest.approx(LEVEL, abs=2e-4)
+
+
+def test_scheduled_changes_before_and_after_are_judged() -> None:
+    judge = shipped_judge()
+    before = change(judge, {"B": 0.9}, before=[{"K": 60.0}])
+    after = change(judge, {"B": 0.9}, after=[{"K": 60.0}])
+    assert change(judge, {"B": 0.9})["action"] == "apply"
+    assert before["action"] == after["action"] == "refuse"
+
+
+def test_a_safer_point_may_be_gone_to_from_outside() -> None:
+    answer = change(shipped_judge(), {"K": 300.0}, now={"K": 500.0, "B": 2.0})
+    assert answer["action"] == "apply"
+    assert "safer" in answer["verdict"]["text"]
+    worse = change(shipped_judge(), {"K": 700.0}, now={"K": 500.0, "B": 2.0})
+    assert worse["action"] == "refuse"
+
+
+@pytest.mark.parametrize("policy", ["refuse", "clamp", "follow"])
+def test_a_device_without_a_model_is_unknown_and_refused(policy: str) -> None:
+    answer = change(Judge(setup_of(None)), {"K": 1.0}, policy=policy)
+    assert answer["action"] == "refuse"
+    assert answer["verdict"]["safe"] is None
+    assert answer["verdict"]["basis"] == "unknown"
+
+
+def test_warn_without_a_model_does_it_and_says_unknown() -> None:
+    asked = {"K": 100.0, "damping": 1.0}
+    answer = change(Judge(setup_of(None)), asked, policy="warn")
+    assert stages_of(answer) == [{"damping": 1.0}, {"K": 100.0}]
+    assert answer["verdict"]["safe"] is None
+    assert "unknown" in answer["verdict"]["text"]
+
+
+def test_auto_takes_the_least_level_that_will_do() -> None:
+    judge = shipped_judge()
+    answer = change(judge, {"K": 150.0, "B": 1.0}, mode="auto")
+    levels = list(judge.levels)
+    chosen = stages_of(answer)[0]["damping"]
+    below = levels[levels.index(chosen) - 1]
+    assert change(judge, {"K": 150.0, "B": 1.0}, now={"damping": chosen})["verdict"]["safe"]
+    assert not change(judge, {"K": 150.0, "B": 1.0}, now={"damping": below})["verdict"]["safe"]
+
+
+def test_auto_does_not_go_down_for_a_hair() -> None:
+    """At the end of what a level holds a little less stiffness keeps the level, much less does
+    not.
+    """
+    judge = shipped_judge()
+    levels = list(judge.levels)
+    low, level = levels[0], levels[1]
+    end = change(judge, {}, now={"damping": low})["verdict"]["allowed"]["K"][1]
+    now = {"K": 1.02 * end, "damping": level}
+    just_inside = change(judge, {"K": 0.98 * end}, now=now, mode="auto")
+    assert stages_of(just_inside) == [{"K": 0.98 * end}]
+    far_inside = change(judge, {"K": 0.3 * end}, now=now, mode="auto")
+    assert stages_of(far_inside) == [{"K": 0.3 * end}, {"damping": low}]
+
+
+def test_level_is_bounded_by_the_ceiling() -> None:
+    judge = Judge(setup_of(rigid(), ceiling=3.0))
+    answer = change(judge, {}, mode="level", level=50.0)
+    assert stages_of(answer) == [{"damping": 3.0}]
+
+
+def test_same_requests_have_the_same_answers() -> None:
+    asked = {"K": 150.0, "B": 1.0, "damping": LEVEL}
+    first = change(Judge(shipped_judge().setup), asked)
+    second = change(Judge(shipped_judge().setup), asked)
+    assert first == second
+
+
+def test_a_number_that_is_not_finite_is_an_error() -> None:
+    with pytest.raises(AnalysisError, match="finite"):
+        change(shipped_judge(), {"K": float("nan")})
+
+
+def test_hand_is_put_into_words() -> None:
+    display = FREE | {"K": 150.0, "B": 1.0}
+    asked = {"ask": "hand", "n": 3, "display": display, "delay_periods": None}
+    hand = shipped_judge().answer(asked)["hand"]
+    assert hand["radius"] > 1.0
+    assert hand["text"].startswith(("a mass of", "a spring of"))
+    assert f"{hand['hz']:.3g} Hz" in hand["text"]
+    safe = shipped_judge().answer(asked | {"display": FREE})
+    assert safe == {"n": 3, "hand": None}
