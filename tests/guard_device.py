@@ -5,7 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from hapticd.analysis.transition import Judge
-from hapticd.params import EnvironmentParams, GuardParams, GuardSetup, ModelParams
+from hapticd.assembly import resolve
+from hapticd.mailbox import files
+from hapticd.params import EnvironmentParams, GuardParams, GuardSetup, ModelParams, from_plain
 from hapticd.plant.effects import (
     DampingCircuit,
     Delay,
@@ -15,8 +17,7 @@ from hapticd.plant.effects import (
     Viscous,
     WindingTemperature,
 )
-from hapticd.settings.build import servo_params
-from hapticd.settings.guard import guard_setup, model_params
+from hapticd.settings.guard import model_params
 from hapticd.settings.load import load
 
 MASS_KG = 0.08
@@ -77,8 +78,8 @@ def rigid_judge(viscous_ns_per_m: float = VISCOUS_NS_PER_M, delay_periods: float
 def shipped_setup(device: str = "weir2008") -> GuardSetup:
     """guard.json of a configuration with that shipped device."""
     path = Path(__file__).parent / "data" / f"guard_{device}.toml"
-    settings = load(path)
-    return guard_setup(settings, servo_params(settings, "guard"))
+    plain = resolve.resolve(load(path), "guard")[files.GUARD_JSON]
+    return from_plain(GuardSetup, plain)
 
 
 @lru_cache(maxsize=2)

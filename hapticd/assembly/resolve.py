@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from hapticd.mailbox import files
+from hapticd.mailbox.layout import VALUE_LIMITS, Value
 from hapticd.params import GatewaySetup, to_plain
 from hapticd.settings.build import (
     board_params,
@@ -21,6 +22,7 @@ from hapticd.settings.build import (
 from hapticd.settings.guard import guard_setup
 from hapticd.settings.load import Settings
 
+KBM = (Value.STIFFNESS, Value.DAMPING, Value.MASS)
 WRITTEN = (files.SERVO_JSON, files.BOARD_JSON, files.GATEWAY_JSON, files.GUARD_JSON)
 
 
@@ -31,10 +33,11 @@ def resolve(settings: Settings, instance: str) -> dict[str, Any]:
     setup = GatewaySetup(
         servo, gateway_params(settings), guard_params(settings), lease_params(settings)
     )
+    lowest, highest, _units = zip(*(VALUE_LIMITS[place] for place in KBM), strict=True)
     plain = {
         files.SERVO_JSON: to_plain(servo),
         files.GATEWAY_JSON: to_plain(setup),
-        files.GUARD_JSON: to_plain(guard_setup(settings, servo)),
+        files.GUARD_JSON: to_plain(guard_setup(settings, servo, lowest, highest)),
     }
     return plain if board is None else {**plain, files.BOARD_JSON: to_plain(board)}
 

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 from hapticd.errors import ConfigError
-from hapticd.mailbox.layout import Value, value_limits
 from hapticd.params import (
     GuardParams,
     GuardSetup,
@@ -32,18 +31,21 @@ from hapticd.settings.build import device_effects, guard_params, rigid_effects
 from hapticd.settings.inputs import SETTINGS_BYTES, regular
 from hapticd.settings.load import Settings
 
-KBM = (Value.STIFFNESS, Value.DAMPING, Value.MASS)
 AXES = ("K", "B", "M")  # as limits of a .zwidth file number them
 
 
-def guard_setup(settings: Settings, servo: ServoParams) -> GuardSetup:
-    """guard.json, for the guard of the servo with the parameters `servo`. ConfigError as
-    `compose`.
+def guard_setup(
+    settings: Settings,
+    servo: ServoParams,
+    lowest: tuple[float, ...],
+    highest: tuple[float, ...],
+) -> GuardSetup:
+    """guard.json, for the guard of the servo with the parameters `servo`, where clients may ask
+    for K, B, M from `lowest` to `highest`. ConfigError as `compose`.
     """
     guard = guard_params(settings)
     rate_hz = servo.realtime.rate_hz
     model = _model(settings, rate_hz)
-    limits = value_limits(rate_hz, servo.device.damping_limit_ns_per_m)
     return GuardSetup(
         guard=guard,
         config_hash=servo.config_hash,
@@ -52,8 +54,8 @@ def guard_setup(settings: Settings, servo: ServoParams) -> GuardSetup:
         added_damping_ns_per_m=servo.added_damping_ns_per_m,
         damping_limit_ns_per_m=servo.device.damping_limit_ns_per_m,
         damping_count_ns_per_m=servo.device.damping.per_count,
-        lowest=tuple(limits[place].low for place in KBM),
-        highest=tuple(limits[place].high for place in KBM),
+        lowest=lowest,
+        highest=highest,
         model=model,
         model_hash="" if model is None else _hash(model),
         measured=_measured(guard, settings, servo),
