@@ -21,6 +21,8 @@ HapticdError               (exit 1; `exit_code` of a class is what a process end
 └── DaemonDown             nobody answers (exit 3)
 """
 
+from typing import Any
+
 
 class HapticdError(Exception):
     """Root of every error that hapticd raises on purpose."""
@@ -89,20 +91,20 @@ class AnalysisError(HapticdError):
 
 
 class CommandError(HapticdError):
-    """The daemon refused a command."""
+    """The daemon refused a command; `guard` is the guard's verdict on it, where there is one."""
 
-    def __init__(self, code: str, message: str, detail: object = None) -> None:
+    def __init__(
+        self, code: str, message: str, detail: object = None, guard: dict[str, Any] | None = None
+    ) -> None:
         super().__init__(message)
         self.code = code
         self.detail = detail
+        self.guard = guard
         self.exit_code = 5 if code == "stopped" else 4
 
-    def __reduce__(self) -> tuple[type["CommandError"], tuple[str, str, object]]:
-        return type(self), (
-            self.code,
-            str(self),
-            self.detail,
-        )  # an exception of several arguments does not pickle by itself
+    def __reduce__(self) -> tuple[type["CommandError"], tuple[Any, ...]]:
+        # an exception of several arguments does not pickle by itself
+        return type(self), (self.code, str(self), self.detail, self.guard)
 
 
 class DaemonDown(HapticdError):

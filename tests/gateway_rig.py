@@ -15,6 +15,7 @@ from gateway_stand_in import StandInServo, setup
 from hapticd.clock import VirtualClock
 from hapticd.gateway.codec import Encoding, encode
 from hapticd.gateway.desk import Desk
+from hapticd.gateway.guard import Guard, Line
 from hapticd.gateway.journal import Journal
 from hapticd.gateway.server import GatewayServer
 from hapticd.gateway.view import ServoView
@@ -36,8 +37,9 @@ class DeskRig:
     reply.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, worker: Line | None = None) -> None:
         self.folder = folder
+        self.worker = worker
         self.clock = VirtualClock(START_NS)
         self.servo = StandInServo(folder, self.clock)
         self.setup = setup()
@@ -48,7 +50,8 @@ class DeskRig:
         """A desk that knows nothing yet, in place of any other."""
         self.journal = Journal(lambda: UNIX_NS)
         self.view = ServoView(self.folder, self.setup.servo, lambda: UNIX_NS)
-        self.desk = Desk(self.view, self.journal, lambda cmd: {"asked": cmd}, lease)
+        self.guard = Guard(self.view, self.journal, self.setup.guard, self.worker)
+        self.desk = Desk(self.view, self.journal, lambda cmd: {"asked": cmd}, self.guard, lease)
 
     def run(self, ticks: int = 1) -> list[list[bytes]]:
         """Let ticks pass; the replies that came due."""

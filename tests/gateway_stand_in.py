@@ -32,6 +32,7 @@ from hapticd.wire.codec import encode_in
 from hapticd.wire.frames import InFrame
 
 CONFIG_HASH = "c" * 64
+JUDGED = range(Value.STIFFNESS, Value.ADDED_DAMPING_ON + 1)
 NEXT_STATE = {
     Command.ENABLE: {State.DISABLED: State.ENABLED, State.ENABLED: State.ENABLED},
     Command.DISABLE: {
@@ -117,6 +118,7 @@ class StandInServo:
         self.probe_pairs = 4
         self.flags = 0
         self.force_n = 1.5
+        self.effect: float | None = None  # active damping that the board reports; None: as asked
         self.frame = bytes(64)
 
     def tick(self, count: int = 1) -> None:
@@ -182,12 +184,19 @@ class StandInServo:
             self._answer(one[0], Result.CANCELLED)
 
     def _apply(self, command: tuple[Any, ...]) -> None:
-        seq, _, self.actor, _, values = command
+        seq, _, actor, _, values = command
+        named = int(values[0]) >> Value.ENVIRONMENT_REVISION & 1
+        now = self.values[Value.ENVIRONMENT_REVISION]
+        if named and values[Value.ENVIRONMENT_REVISION] != now:
+            self._answer(seq, Result.REFUSED_REVISION)
+            return
+        self.actor = actor
         for place in range(1, Value.ENVIRONMENT_REVISION):
             if int(values[0]) >> place & 1:
                 self.values[place] = values[place]
         self.revision += 1
-        self.values[Value.ENVIRONMENT_REVISION] += 1
+        if any(int(values[0]) >> place & 1 for place in JUDGED):
+            self.values[Value.ENVIRONMENT_REVISION] += 1
         self._answer(seq, Result.APPLIED, end=self.ticks + 50)
 
     def _answer(
@@ -278,7 +287,7 @@ class StandInServo:
             125,
             1,
             126,
-            v[13],
+            v[13] * v[14] if self.effect is None else self.effect,
             self.frame,
             bytes(32),
             self.ticks,

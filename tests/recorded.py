@@ -12,6 +12,7 @@ from models import board_params, servo_params
 
 from hapticd.assembly.lockstep import LockStep
 from hapticd.clock import VirtualClock
+from hapticd.gateway.guard import Guard
 from hapticd.gateway.journal import Actors, Journal
 from hapticd.gateway.publisher import Publisher
 from hapticd.gateway.view import Records, ServoView, as_records
@@ -39,7 +40,10 @@ class RecordedFlight:
         self.setup = GatewaySetup(self.params, GatewayParams(flight_s=flight_s))
         self.journal = Journal(self.unix_ns)
         self.view = ServoView(self.stack.mailbox.folder, self.params, self.unix_ns)
-        self.publisher = Publisher(self.view, Actors(), self.journal, self.setup, self.unix_ns)
+        guard = Guard(self.view, self.journal, self.setup.guard)
+        self.publisher = Publisher(
+            self.view, Actors(), self.journal, self.setup, guard, self.unix_ns
+        )
         self.messages: list[tuple[str, bytes]] = []
         for topic in TOPICS:
             self.publisher.subscribe(b"a", b"\1" + topic.encode(), self.unix_ns())

@@ -36,13 +36,9 @@ def situation(rig: DeskRig, settled: bool = True, samples: int = 0) -> commands.
     return commands.Situation(rig.desk.limits, rig.view, settled, samples, rig.desk.leases)
 
 
-def test_order_is_schema_state_lease_passivity() -> None:
-    assert [interlock.__name__ for interlock in commands.INTERLOCKS] == [
-        "schema",
-        "state",
-        "lease",
-        "passivity",
-    ]
+def test_order_is_schema_state_lease() -> None:
+    names = [interlock.__name__ for interlock in commands.INTERLOCKS]
+    assert names == ["schema", "state", "lease"]
 
 
 @pytest.mark.parametrize("kind", TABLED)
@@ -64,10 +60,9 @@ def test_actor_of_the_stop_page_is_the_servos() -> None:
     assert RESERVED[ACTOR_STOP_WORD] == "stop page"
 
 
-@pytest.mark.parametrize("interlock", [commands.lease, commands.passivity])
-def test_later_interlocks_pass_everything(rig: DeskRig, interlock: commands.Interlock) -> None:
+def test_lease_passes_everything(rig: DeskRig) -> None:
     asked = commands.AskedRequest({"cmd": "enable"}, 16)
-    assert interlock(asked, situation(rig)) is asked
+    assert commands.lease(asked, situation(rig)) is asked
 
 
 def test_first_objection_is_the_answer(rig: DeskRig) -> None:

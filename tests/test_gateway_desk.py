@@ -387,6 +387,7 @@ def test_schema_carries_units_and_limits(rig: DeskRig) -> None:
         "home",
         "perturb",
         "lease",
+        "guard",
         "status",
         "dump",
         "schema",

@@ -126,7 +126,7 @@ WRONG: list[tuple[dict[str, Any], str, str]] = [
     (
         {"cmd": "damping", "value": "ON"},
         "value",
-        "value = ON: Input should be 'on' or 'off'; send a number in 0..2 N s/m",
+        "value = ON: Input should be 'on', 'off' or 'auto'; send a number in 0..2 N s/m",
     ),
     ({"cmd": "damping"}, "value", f"value: missing; {LIST}"),
     (

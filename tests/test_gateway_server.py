@@ -76,6 +76,7 @@ def test_hello_tells_where_and_what(rig: GatewayRig) -> None:
         "probe",
         "state",
         "event",
+        "guard",
         "flight",
     ]
     assert (result["protocol"], len(result["schema_hash"])) == (1, 16)
@@ -239,7 +240,7 @@ def test_every_message_has_two_frames(rig: GatewayRig) -> None:
         frames = rig.receive(everything)
         assert len(frames) == 2
         topics.add(frames[0])
-    assert topics == {b"servo", b"servo.raw", b"probe", b"state", b"event"}
+    assert topics == {b"servo", b"servo.raw", b"probe", b"state", b"event", b"guard"}
 
 
 def test_slow_subscriber_loses_and_can_count(rig: GatewayRig) -> None:

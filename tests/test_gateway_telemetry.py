@@ -39,7 +39,9 @@ class FeedRig(DeskRig):
 
     def start_gateway(self) -> None:
         super().start_gateway()
-        self.publisher = Publisher(self.view, self.desk.actors, self.journal, self.setup)
+        self.publisher = Publisher(
+            self.view, self.desk.actors, self.journal, self.setup, self.guard
+        )
 
     def take(self, topic: str) -> list[bytes]:
         self.view.refresh(self.clock.now_ns())

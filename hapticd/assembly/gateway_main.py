@@ -1,9 +1,10 @@
 """The gateway process: `python -m hapticd.assembly.gateway_main FOLDER`.
 
 It serves the servo of runtime folder FOLDER with the parameters in its gateway.json until SIGTERM
-or SIGINT. `--parent PID` names the supervisor that it ends with; a byte written to the descriptor
-of `--ready FD` says that it serves. Exit code 0: asked to end; 1: a hapticd error, printed in one
-line on stderr; 78: the configuration is wrong and a restart would not help.
+or SIGINT, and starts the worker of its guard (`guard_main`), which ends with it. `--parent PID`
+names the supervisor that it ends with; a byte written to the descriptor of `--ready FD` says that
+it serves. Exit code 0: asked to end; 1: a hapticd error, printed in one line on stderr; 78: the
+configuration is wrong and a restart would not help.
 
 What would break it: an import that brings numba, scipy or pyusb (import-linter and a test look).
 """
@@ -11,6 +12,8 @@ What would break it: an import that brings numba, scipy or pyusb (import-linter 
 import argparse
 import json
 import os
+import socket
+import subprocess
 import sys
 from pathlib import Path
 
@@ -18,8 +21,10 @@ from hapticd.assembly.process import Feeder, die_with_parent, notify, on_stop
 from hapticd.clock import MonotonicClock
 from hapticd.errors import ConfigError, HapticdError
 from hapticd.gateway import server
-from hapticd.mailbox.files import GATEWAY_JSON
+from hapticd.mailbox.files import GATEWAY_JSON, GUARD_JSON
 from hapticd.params import GatewaySetup, from_plain
+
+GUARD_MODULE = f"{__package__}.guard_main"
 
 
 def main(arguments: list[str]) -> int:
@@ -42,12 +47,40 @@ def main(arguments: list[str]) -> int:
     def read() -> GatewaySetup:
         return _read(asked.folder / GATEWAY_JSON)
 
+    def judge(line: socket.socket) -> "subprocess.Popen[bytes]":
+        return guard_worker(asked.folder, line)
+
+    judged = (asked.folder / GUARD_JSON).exists()
     try:
-        server.run(asked.folder, read, clock, should_stop, lambda: _say_ready(asked.ready))
+        server.run(
+            asked.folder,
+            read,
+            clock,
+            should_stop,
+            lambda: _say_ready(asked.ready),
+            judge if judged else None,
+        )
     except HapticdError as error:
         sys.stderr.write(f"hapticd gateway: {error}\n")
         return error.exit_code
     return 0
+
+
+def guard_worker(folder: Path, line: socket.socket) -> "subprocess.Popen[bytes]":
+    """Start the worker that judges for the gateway of `folder`, with its end of the line.
+
+    It dies with the gateway, which it may not outlive by a verdict.
+    """
+    python = [sys.executable, *(["-I"] if sys.flags.isolated else ["-P"]), "-X", "utf8", "-m"]
+    family = ["--fd", str(line.fileno()), "--parent", str(os.getpid())]
+    return subprocess.Popen(
+        [*python, GUARD_MODULE, str(folder), *family],
+        stdin=subprocess.DEVNULL,
+        stdout=2,
+        pass_fds=(line.fileno(),),
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+        process_group=0,
+    )
 
 
 def _read(path: Path) -> GatewaySetup:

@@ -8,7 +8,9 @@ interlocks, each of which asks one question. The first one that objects answers.
     state      would the servo refuse it anyway in its present state? (Only an early, better
                explained answer: the servo decides.)
     lease      may this client change this now, or does another hold it?
-    passivity  is the display still passive with these parameters? (Not asked.)
+
+Whether the display would still be passive is asked of another process, and waited for: see
+`guarded`.
 
 An interlock takes what is asked and the situation, and returns what is asked, possibly completed or
 altered; it raises CommandError to refuse. STOP passes none of them.
@@ -23,7 +25,15 @@ from hapticd.faults import BY_NUMBER, FAULTS, Fault
 from hapticd.gateway.journal import Actors
 from hapticd.gateway.leases import DAMPING, ENVIRONMENT, PERTURBATION, Leases
 from hapticd.gateway.limits import PLACES, CommandLimits, flat
-from hapticd.gateway.schemas import Change, Damping, Perturb, Request, Set, parse
+from hapticd.gateway.schemas import (
+    Change,
+    Damping,
+    GuardRequest,
+    Perturb,
+    Request,
+    Set,
+    parse,
+)
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import Command, Result, State, Value, values_of
@@ -47,14 +57,7 @@ ACCEPTED = frozenset({Result.APPLIED, Result.SCHEDULED, Result.SUPERSEDED})
 def posting(request: Request, samples: int) -> Posting:
     """What to post for `request`; `samples` is the length of the waveform that is loaded."""
     if isinstance(request, Set):
-        given = {PLACES[name]: value for name, value in flat(request.given) if name in PLACES}
-        if "limit_cycle_faults" in request.given:
-            given[Value.LIMIT_CYCLE_FAULTS] = float(request.limit_cycle_faults)
-        return (
-            Command.SET,
-            request.at_tick or 0,
-            values_of(given | _switched(given.pop(Value.ADDED_DAMPING, None))),
-        )
+        return Command.SET, request.at_tick or 0, values_of(values_given(request.given))
     if isinstance(request, Damping):
         return Command.DAMPING, request.at_tick or 0, values_of(_switched(request.value))
     if isinstance(request, Perturb):
@@ -68,12 +71,21 @@ def posting(request: Request, samples: int) -> Posting:
     return Command[request.cmd.upper()], 0, values_of({})
 
 
-def _switched(asked: str | float | None) -> dict[Value, float]:
-    """Active damping `on` | `off` | level.
+def values_given(given: dict[str, Any]) -> dict[Value, float]:
+    """The doubles of a change whose fields, nested as in `set`, are `given`."""
+    values = {PLACES[name]: float(value) for name, value in flat(given) if name in PLACES}
+    if "limit_cycle_faults" in given:
+        values[Value.LIMIT_CYCLE_FAULTS] = float(given["limit_cycle_faults"])
+    return values | _switched(values.pop(Value.ADDED_DAMPING, None))
 
-    A level switches it on; 0 switches it off and keeps the level for the next `on`.
+
+def _switched(asked: str | float | None) -> dict[Value, float]:
+    """Active damping `on` | `off` | `auto` | level.
+
+    A level switches it on; 0 switches it off and keeps the level for the next `on`; `auto` by
+    itself leaves it as it is.
     """
-    if asked is None:
+    if asked in (None, "auto"):
         return {}
     if asked in ("on", "off", 0.0):
         return {Value.ADDED_DAMPING_ON: float(asked == "on")}
@@ -287,11 +299,18 @@ def state(asked: AskedRequest, situation: Situation) -> AskedRequest:
 
 def lease(asked: AskedRequest, situation: Situation) -> AskedRequest:
     """Refuse what is another's to change, or was the client's until it lost its lease."""
-    for what in changed_parts(asked.request):
-        if found := situation.leases.may(asked.actor, what):
-            cmd = asked.request.cmd if asked.request else ""
-            raise CommandError(found.code, f"{cmd}: {found}", found.detail)
+    if error := forbidden(asked, situation.leases):
+        raise error
     return asked
+
+
+def forbidden(asked: AskedRequest, leases: Leases) -> CommandError | None:
+    """Why its client may not change what is asked; None if it may."""
+    for what in changed_parts(asked.request):
+        if found := leases.may(asked.actor, what):
+            cmd = asked.request.cmd if asked.request else ""
+            return CommandError(found.code, f"{cmd}: {found}", found.detail)
+    return None
 
 
 def changed_parts(request: Request | None) -> tuple[str, ...]:
@@ -307,15 +326,14 @@ def changed_parts(request: Request | None) -> tuple[str, ...]:
         return (DAMPING,)
     if isinstance(request, Perturb):
         return (PERTURBATION,)
+    if isinstance(request, GuardRequest):
+        terms = request.given.keys() & {"policy", "basis", "margin_ns_per_m"}
+        parts = (ENVIRONMENT,) if terms else ()
+        return (*parts, DAMPING) if request.mode else parts
     return (ENVIRONMENT,) if request and request.cmd in MOVING else ()
 
 
-def passivity(asked: AskedRequest, situation: Situation) -> AskedRequest:
-    """Every set of parameters passes."""
-    return asked
-
-
-INTERLOCKS: tuple[Interlock, ...] = (schema, state, lease, passivity)
+INTERLOCKS: tuple[Interlock, ...] = (schema, state, lease)
 
 
 def admit(plain: dict[str, Any], actor: int, situation: Situation) -> Request:

@@ -7,11 +7,13 @@ came, `collect` gives what is due, also the replies to what the servo left unans
 STOP goes first among what came together, skips every interlock, and presses the stop word when
 others are ahead of it in the ring.
 
-Commands that were posted are kept by servo life and sequence number until they are answered and
-seen in force (`Outstanding`); scheduled ones wait for their second answer. A perturbation waveform
-comes in chunks that follow each other (a message holds 64 kB), is converted from newtons into
-counts of the board's probe converter and written to the shared segment only while nothing is played
-from it.
+What changes the environment goes past the guard first (`guarded`), which asks another process; all
+else is posted at once. Commands that were posted are kept by servo life and sequence number until
+they are answered and seen in force (`Outstanding`); scheduled ones wait for their second answer.
+
+A perturbation waveform comes in chunks that follow each other (a message holds 64 kB), is converted
+from newtons into counts of the board's probe converter and written to the shared segment only while
+nothing is played from it.
 
 What would break it: a request that is forgotten (each has a deadline), or a reply that repeats what
 a client sent (it holds nothing foreign but a bounded id and a few printable characters).
@@ -35,18 +37,31 @@ from hapticd.gateway.codec import (
 )
 from hapticd.gateway.commands import (
     ACCEPTED,
+    AskedRequest,
     Posting,
     Situation,
     admit,
+    forbidden,
     parameters,
     posting,
     receipt,
     refusal,
 )
+from hapticd.gateway.guard import Guard
+from hapticd.gateway.guarded import Case, Guarded, Told, concerns, damping_by
 from hapticd.gateway.journal import GATEWAY_ACTOR, Actors, Journal
 from hapticd.gateway.lease_desk import LeaseDesk
 from hapticd.gateway.limits import CommandLimits
-from hapticd.gateway.schemas import Hello, LeaseRequest, Perturb, Request, invalid, json_schema
+from hapticd.gateway.schemas import (
+    Change,
+    GuardRequest,
+    Hello,
+    LeaseRequest,
+    Perturb,
+    Request,
+    invalid,
+    json_schema,
+)
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import PERTURBATION_SAMPLES, Command, Result, values_of
@@ -114,6 +129,7 @@ class Pending(NamedTuple):
     actor: int
     life: int  # of the servo it was posted to
     deadline_ns: int
+    case: Case | None = None  # of one that went past the guard
     answer: Answer | None = None
 
 
@@ -269,6 +285,8 @@ TAKEN_BACK = {
     "home": Command.DISABLE,
     "perturb": Command.PERTURB_STOP,
 }  # what brings force
+# what must not be followed by an enable that was asked before it
+OVERTAKING = frozenset({"disable", "reset", "zero", "home"})
 TAKEN_PER_TICK = 2  # by the servo; a stop behind more commands than that presses the page as well
 PAST_TICK = 1
 IN_FORCE = (
@@ -291,6 +309,10 @@ SERVO_ENDED = CommandError(
 Reply = list[bytes]
 
 
+# stands for the request of what the guard does by itself
+UNASKED = RequestMessage((b"",), Encoding.MSGPACK, None, "damping", {}, None)
+
+
 class Desk:
     """The command side of the gateway.
 
@@ -302,11 +324,13 @@ class Desk:
         view: ServoView,
         journal: Journal,
         inquire: Callable[[str], dict[str, Any]],
+        guard: Guard,
         lease: LeaseParams | None = None,
     ) -> None:
         self._view = view
         self._journal = journal
         self._inquire = inquire
+        self._guard = guard
         self.limits = CommandLimits(view.params)
         self.schema = json_schema(self.limits)
         self.actors = Actors()
@@ -315,13 +339,15 @@ class Desk:
         self.counts = {"requests": 0, "errors": 0, "timeouts": 0}
         self._waveform = Waveform(self.limits)
         self._outstanding = Outstanding()
+        self._guarded = Guarded(guard, view, self.actors, self._post_case, self._may)
+        guard.measuring = lambda: self.leases.measuring
         self._queue: list[RequestMessage] = []
         self._asked_life = 0
 
     @property
     def waiting(self) -> bool:
         """Whether answers are due, so that looking often is worth it."""
-        return len(self._outstanding) > 0
+        return len(self._outstanding) > 0 or self._guarded.waiting
 
     @property
     def queued(self) -> bool:
@@ -359,19 +385,22 @@ class Desk:
     def collect(self, now_ns: int) -> list[Reply]:
         """Read the servo's answers; the replies that are due."""
         lost = self._outstanding.abandon(self._view.life if self._view.mailbox else 0)
+        replies = [self._ended(one, SERVO_ENDED) for one in lost]
         self._ask_back()
         try:
             for answer in self._view.answers():
                 self._leasing.heard(answer)
                 if scheduled := self._outstanding.take(answer, self._view.life):
-                    self._report(scheduled, answer)
+                    self._report(scheduled, answer, now_ns)
         except MailboxError as error:
             self._journal.note("warning", text=str(error))
         self._leasing.tend(now_ns)
         due = self._outstanding.due(self._view.tick, now_ns)
-        return [self._refused(one.message, SERVO_ENDED) for one in lost] + [
-            self._closed(one) for one in due
-        ]
+        replies += [self._closed(one, now_ns) for one in due]
+        self._guard.tend(now_ns)
+        told = self._guarded.advance(now_ns, not len(self._outstanding))
+        replies += [self._tell(one) for one in told]
+        return [one for one in replies if one is not None]
 
     def leave(self, client: bytes) -> None:
         """The connection of `client` is gone, and with it its leases."""
@@ -403,6 +432,13 @@ class Desk:
             self._leasing.tend(now_ns)  # what a lease changes goes before what is asked next
             if result is not None:
                 return self._accepted(message, {"result": result})
+            if isinstance(request, GuardRequest):
+                request = damping_by(request)
+            if concerns(request):
+                self._guarded.take(self._case(message, actor, request, now_ns), now_ns)
+                return None
+            if request.cmd in OVERTAKING:
+                self._guarded.take_back_enables(request.cmd)
             self._post(message, actor, posting(request, situation.samples), now_ns)
             return None
         except (CommandError, MailboxError) as error:
@@ -419,6 +455,9 @@ class Desk:
             return self._load(request, self.actors.number(message.client))
         if isinstance(request, LeaseRequest):
             return self._leasing.answer(request, self.actors.number(message.client))
+        if isinstance(request, GuardRequest):
+            self._guard.change(request)
+            return None if request.mode else self.guard_summary()
         if request.cmd == "status":
             return self._inquire("status") | {"requests": dict(self.counts)}
         if request.cmd == "dump":
@@ -445,7 +484,32 @@ class Desk:
                 f"{cmd}: no servo answers; start it with `hapticd run`, see `hapticd status`",
             )
 
-    def _post(self, message: RequestMessage, actor: int, what: Posting, now_ns: int) -> None:
+    def guard_summary(self) -> dict[str, Any]:
+        """Policy, worker and what is under way, for `status` and the command `guard`."""
+        return self._guard.summary() | self._guarded.summary()
+
+    def _case(self, message: RequestMessage, actor: int, request: Request, now_ns: int) -> Case:
+        self._require_servo(message.cmd)
+        at_tick = request.at_tick or 0 if isinstance(request, Change) else 0
+        return Case(
+            message.cmd, message.id, actor, request, message, self._view.life, now_ns, at_tick
+        )
+
+    def _may(self, case: Case) -> CommandError | None:
+        """Why the client of `case` may not change what it asks any more."""
+        return forbidden(AskedRequest({}, case.actor, case.request), self.leases)
+
+    def _post_case(self, case: Case, what: Posting, now_ns: int) -> None:
+        self._post(case.message or UNASKED, case.actor, what, now_ns, case)
+
+    def _post(
+        self,
+        message: RequestMessage,
+        actor: int,
+        what: Posting,
+        now_ns: int,
+        case: Case | None = None,
+    ) -> None:
         self._require_servo(message.cmd)
         kind, apply_tick, values = what
         seq = (
@@ -457,10 +521,11 @@ class Desk:
                 f"{message.cmd}: 64 commands wait for the servo already; slow down and ask again",
             )
         self._outstanding.add(
-            seq, Pending(message, actor, self._view.life, now_ns + ANSWER_TIMEOUT_NS)
+            seq, Pending(message, actor, self._view.life, now_ns + ANSWER_TIMEOUT_NS, case)
         )
 
     def _stop(self, message: RequestMessage, actor: int, now_ns: int) -> Reply | None:
+        self._guarded.take_back_enables("stop")
         mailbox = self._view.mailbox
         behind = mailbox is None or not self._view.alive or mailbox.backlog >= TAKEN_PER_TICK
         # before the ring is tried: the page acts even when the ring is full
@@ -490,19 +555,42 @@ class Desk:
             asked = self._view.mailbox.post(Command.SET, GATEWAY_ACTOR, PAST_TICK, values_of({}))
             self._asked_life = self._asked_life if asked is None else self._view.life
 
-    def _report(self, scheduled: Pending, answer: Answer) -> None:
-        message = scheduled.message
-        actor = scheduled.actor
+    def _report(self, scheduled: Pending, answer: Answer, now_ns: int) -> None:
+        """What became of a scheduled change, at its tick."""
+        told = scheduled.case and self._guarded.later(scheduled.case, answer, now_ns)
+        if told:
+            self._tell(told)
+
+    def _tell(self, told: Told) -> Reply | None:
+        """The reply to a request that went past the guard, or an event once it has its reply."""
+        case = told.case
+        verdict = {"guard": case.verdict} if case.verdict else {}
+        if case.replied:
+            error = told.error and {"result": "refused", "text": str(told.error)}
+            self._note_answer(case, (told.receipt or error or {}) | verdict)
+            return None
+        case.replied = True
+        if told.error is not None:
+            return self._refused(case.message, told.error)
+        found = told.receipt or {}
+        body = {"rev": found["revision"], "receipt": found, **verdict}
+        if case.cmd == "guard":
+            body["result"] = self.guard_summary()
+        return self._accepted(case.message, body)
+
+    def _note_answer(self, case: Case, content: dict[str, Any]) -> None:
+        name = self.actors.name(case.actor)
         self._journal.note(
-            "answer",
-            cmd=message.cmd,
-            id=message.id,
-            actor=actor,
-            name=self.actors.name(actor),
-            **receipt(answer),
+            "answer", cmd=case.cmd, id=case.id, actor=case.actor, name=name, **content
         )
 
-    def _closed(self, pending: Pending) -> Reply:
+    def _ended(self, pending: Pending, error: CommandError) -> Reply | None:
+        """`pending` has come to an end without an answer."""
+        if pending.case is not None:
+            return self._tell(Told(pending.case, error))
+        return self._refused(pending.message, error)
+
+    def _closed(self, pending: Pending, now_ns: int) -> Reply | None:
         message = pending.message
         answer = pending.answer
         if answer is None:
@@ -513,9 +601,11 @@ class Desk:
                 else "whether it acts is open, ask with `get` or `status`"
             )
             reason = f"{message.cmd}: no answer from the servo within 1 s; {outlook}"
-            return self._refused(
-                message, CommandError("timeout" if self._view.alive else "servo_down", reason)
-            )
+            code = "timeout" if self._view.alive else "servo_down"
+            return self._ended(pending, CommandError(code, reason))
+        if pending.case is not None:
+            told = self._guarded.answered(pending.case, answer, now_ns)
+            return self._tell(told) if told else None
         if answer.result not in ACCEPTED:
             return self._refused(message, refusal(answer, message.cmd, self._view, self.actors))
         return self._accepted(message, {"rev": answer.revision, "receipt": receipt(answer)})
@@ -540,6 +630,7 @@ class Desk:
         code, detail = (
             (error.code, error.detail) if isinstance(error, CommandError) else ("servo_down", None)
         )
-        return message.reply(
-            {"ok": False, "error": {"code": code, "message": str(error), "detail": detail or []}}
-        )
+        told = {"code": code, "message": str(error), "detail": detail or []}
+        if isinstance(error, CommandError) and error.guard:
+            told["guard"] = error.guard
+        return message.reply({"ok": False, "error": told})

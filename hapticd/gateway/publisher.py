@@ -15,6 +15,7 @@ import numpy as np
 from hapticd.faults import BY_NUMBER, FAULTS, Fault
 from hapticd.gateway.codec import finite
 from hapticd.gateway.flight import FlightRecorder, flights_folder
+from hapticd.gateway.guard import Guard
 from hapticd.gateway.journal import Actors, Journal
 from hapticd.gateway.leases import Leases
 from hapticd.gateway.ledger import Ledger
@@ -183,10 +184,12 @@ class Publisher:
         actors: Actors,
         journal: Journal,
         setup: GatewaySetup,
+        guard: Guard,
         unix_ns: Callable[[], int] = time.time_ns,
         leases: Leases | None = None,
     ) -> None:
         self._view = view
+        self._guard = guard
         self._actors = actors
         self._journal = journal
         self._leases = leases or Leases()
@@ -242,12 +245,15 @@ class Publisher:
         for block in self.feed.take(now_ns):
             # whether or not anyone subscribes: statistics and events miss no record
             self.stages.add(block.records, self._origin.epoch)
+            self._guard.count(block.records, block.life)
             self._transitions.follow(block)
             self.flight.add(block, now_ns)
             if block.lost:
                 self._ledger.forget()
             found += self._ticks(block, wanted)
         self.flight.dump_if_due(now_ns)
+        told = self._guard.messages(now_ns, unix_ns, "guard" in wanted)
+        found += [("guard", _packed(message)) for message in told]
         found += self._state_if_due(now_ns, unix_ns)
         found += [("event", _packed(event)) for event in self._journal.drain() if "event" in wanted]
         return found

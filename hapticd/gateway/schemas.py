@@ -149,10 +149,12 @@ class Set(Change):
 
 
 class Damping(Change):
-    """Switch the active damping, or set its level and switch it on."""
+    """Switch the active damping, set its level and switch it on, or have the guard choose it."""
 
     cmd: Literal["damping"]
-    value: Literal["on", "off"] | float = Field(description="on, off or a level; 0 is off")
+    value: Literal["on", "off", "auto"] | float = Field(
+        description="on, off, a level (0 is off), or auto: the least level that the guard finds"
+    )
 
 
 class Enable(CommandMessage):
@@ -246,6 +248,21 @@ class LeaseRequest(CommandMessage):
         return self
 
 
+class GuardRequest(CommandMessage):
+    """What is done with an environment that is not known to be passive; without fields: ask."""
+
+    cmd: Literal["guard"]
+    policy: Literal["off", "warn", "clamp", "refuse", "follow"] = _absent(
+        "off: judge nothing; warn: say so and do it; clamp: go as far as is safe; refuse;"
+        " follow: for less damping, first make the environment smaller"
+    )
+    basis: Literal["theorem", "predicted", "measured"] = _absent("what a verdict rests on")
+    margin_ns_per_m: float = _absent("damping that has to be left, N s/m", ge=0, le=1e3)
+    mode: Literal["off", "level", "auto"] = _absent(
+        "active damping off, at its level, or at the least level that keeps the margin"
+    )
+
+
 class Status(CommandMessage):
     """Everything about servo and gateway."""
 
@@ -277,6 +294,7 @@ Request = (
     | Home
     | Perturb
     | LeaseRequest
+    | GuardRequest
     | Status
     | Dump
     | Schema
@@ -297,6 +315,7 @@ MODELS: dict[str, type[CommandMessage]] = {
         Home,
         Perturb,
         LeaseRequest,
+        GuardRequest,
         Status,
         Dump,
         Schema,
@@ -306,7 +325,7 @@ MODELS: dict[str, type[CommandMessage]] = {
 
 MOST_DETAILS = 8
 _BRANCHES = frozenset(
-    {"list[float]", "bytes", "float", "literal['on','off']"}
+    {"list[float]", "bytes", "float", "literal['on','off','auto']"}
 )  # names of union members in an error's path
 _REMEDY = "the command `schema` lists what is allowed"
 

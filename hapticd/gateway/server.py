@@ -30,11 +30,13 @@ from hapticd.errors import ConfigError
 from hapticd.gateway import zmtp
 from hapticd.gateway.addresses import Sockets
 from hapticd.gateway.desk import Desk
+from hapticd.gateway.guard import Guard
 from hapticd.gateway.journal import Journal
 from hapticd.gateway.publisher import Publisher, state_map
 from hapticd.gateway.schemas import PROTOCOL_VERSION
 from hapticd.gateway.telemetry import TOPICS
 from hapticd.gateway.view import ServoView
+from hapticd.gateway.worker import Start, Worker
 from hapticd.mailbox import files
 from hapticd.mailbox.daemons import living_report
 from hapticd.mailbox.layout import LAYOUT_HASH
@@ -62,6 +64,7 @@ class GatewayServer:
         setup: GatewaySetup,
         clock: Clock,
         unix_ns: Callable[[], int] = time.time_ns,
+        start_worker: Start | None = None,
     ) -> None:
         self._setup = setup
         self._clock = clock
@@ -77,9 +80,17 @@ class GatewayServer:
         self.endpoints = self._sockets.endpoints
         self._journal = Journal(unix_ns)
         self._view = ServoView(folder, setup.servo, unix_ns)
-        self._desk = Desk(self._view, self._journal, self._inquire, setup.lease)
+        worker = start_worker and Worker(start_worker, self._selector, setup.servo.config_hash)
+        self._guard = Guard(self._view, self._journal, setup.guard, worker)
+        self._desk = Desk(self._view, self._journal, self._inquire, self._guard, setup.lease)
         self._publisher = Publisher(
-            self._view, self._desk.actors, self._journal, setup, unix_ns, self._desk.leases
+            self._view,
+            self._desk.actors,
+            self._journal,
+            setup,
+            self._guard,
+            unix_ns,
+            self._desk.leases,
         )
         self._passed_ns = self._settled_ns = self._drained_ns = clock.now_ns()
         self._deadline_ns = 0
@@ -198,12 +209,14 @@ class GatewayServer:
                 "cpu_s": time.process_time(),
                 "telemetry_lost": self._publisher.feed.lost,
             },
+            "guard": self._desk.guard_summary(),
             "events": list(self._journal.recent),
         }
 
     def close(self) -> None:
         """Close the sockets, give up the claim."""
         self._publisher.flight.close()
+        self._guard.close()
         self._sockets.close()
         self._selector.close()
         self._view.drop()
@@ -220,15 +233,17 @@ def run(
     clock: Clock,
     should_stop: Callable[[], bool],
     on_ready: Callable[[], None] = lambda: None,
+    start_worker: Start | None = None,
 ) -> None:
     """Serve until `should_stop()`, asked once a pass (every 10 ms at least), with the configuration
     that `read()` gives: at the start, and again when the servo has started with another one.
+    `start_worker` starts the guard's worker.
 
     MailboxError, ConfigError: it can not begin.
     """
     setup: GatewaySetup | None = read()
     while setup is not None:
-        gateway = GatewayServer(folder, setup, clock)
+        gateway = GatewayServer(folder, setup, clock, start_worker=start_worker)
         try:
             on_ready()
             setup = None

@@ -84,8 +84,14 @@ TOPICS: tuple[Topic, ...] = (
     ),
     Topic(
         "event",
-        "map with `kind`: state, answer, gap, servo_up, servo_down, flight, warning",
+        "map with `kind`: state, answer, guard, gap, servo_up, servo_down, flight, warning",
         "when it happens",
+        0,
+    ),
+    Topic(
+        "guard",
+        "map: policy, verdict with margin and allowed ranges, both without and with damping",
+        "twice a second",
         0,
     ),
     Topic(

@@ -1,0 +1,64 @@
+"""The delay that the loop had in the last minute, as the guard counts on it.
+
+Every record says how long after its sample the force was in effect that acted when it was taken
+(`delay_us`). Here they are counted by second, in steps of a sixteenth of a period; the guard takes
+the delay that 99 of 100 ticks did not exceed, rounded up to the next step. One delay is one number
+for a theorem that knows no varying one: that is said beside every verdict.
+
+What would break it: rounding down, or a minute without records that still counts the one before.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapticd.gateway.view import Records
+from hapticd.units import NS_PER_S, US_PER_S
+
+STEPS = 16  # of a period
+MOST_PERIODS = 16
+BINS = STEPS * MOST_PERIODS + 1  # the last one: at least so long
+KEPT_S = 60
+SHARE = 0.99
+
+
+class DelayHistogram:
+    """Delays of the last KEPT_S seconds, at a servo rate [Hz]."""
+
+    def __init__(self, rate_hz: float) -> None:
+        self._steps_per_us = STEPS * rate_hz / US_PER_S
+        self.clear()
+
+    def clear(self) -> None:
+        """Begin anew, for another servo life."""
+        self._counts = np.zeros((KEPT_S, BINS), np.int64)
+        self._seconds = np.full(KEPT_S, -KEPT_S, np.int64)
+        self._newest = -KEPT_S
+
+    def add(self, records: Records) -> None:
+        """Count the records whose delay is known."""
+        known = records[records["delay_us"] >= 0]
+        seconds = known["time_ns"] // NS_PER_S
+        for second in np.unique(seconds).tolist():
+            self._count(second, known["delay_us"][seconds == second])
+
+    def _count(self, second: int, delay_us: NDArray[np.int32]) -> None:
+        row = second % KEPT_S
+        if self._seconds[row] != second:
+            self._seconds[row] = second
+            self._counts[row] = 0
+        # what is a step to within rounding of floating point is not one more
+        steps = np.ceil(delay_us * self._steps_per_us - 1e-6).astype(np.int64)
+        self._counts[row] += np.bincount(np.minimum(steps, BINS - 1), minlength=BINS)
+        self._newest = max(self._newest, second)
+
+    @property
+    def periods(self) -> float | None:
+        """Delay that 99 % of the ticks did not exceed, in periods, a multiple of 1/16.
+
+        None before the first.
+        """
+        fresh = self._seconds > self._newest - KEPT_S
+        below = np.cumsum(self._counts[fresh].sum(axis=0))
+        if not below[-1]:
+            return None
+        return float(np.searchsorted(below, SHARE * below[-1]) / STEPS)

@@ -1,0 +1,392 @@
+"""What the gateway knows of passivity: the policy, and what the worker last said.
+
+The gateway asks a worker process (`worker`) whether an environment withstands every passive hand,
+and goes on meanwhile. Questions are numbered: a late answer belongs to no question any more and is
+dropped. There are three:
+
+    change   may this be done from here, and how (`guarded` asks it for each request)
+    look     how far is the environment in force from the edge; for the topic `guard` and `status`
+    hand     which hand would shake what was asked; asked last, told as an event
+
+A display is what a verdict is about: K, B, M, wall, filters and active damping. `target` is where
+the ramps in force end, `now` what acts in the newest record.
+
+Policy, basis, margin and mode are those of the configuration until a client changes them. While
+measuring is leased the policy is `off`.
+
+What would break it: taking silence for a yes (`unknown` is a verdict of its own, and `must` says
+which policies refuse it), or a display of one environment with the revision of another.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
+
+from hapticd.gateway.commands import parameters
+from hapticd.gateway.delay import DelayHistogram
+from hapticd.gateway.journal import Journal
+from hapticd.gateway.schemas import GuardRequest
+from hapticd.gateway.view import ServoView
+from hapticd.mailbox.layout import Flag, Value
+from hapticd.params import GuardParams
+from hapticd.units import NS_PER_MS, NS_PER_S
+
+MUST = frozenset({"clamp", "refuse", "follow"})  # policies under which what is unknown is refused
+VERDICT_NS = 500 * NS_PER_MS  # for an answer; a worker that takes longer hangs
+PATIENT_NS = 10 * NS_PER_S  # for answers that nobody waits for
+LOOK_NS = 500 * NS_PER_MS
+MOST_HANDS = 8  # that wait to be looked for
+IN_MOTION = Flag.RAMPING | Flag.EASED | Flag.PAUSED
+Display = dict[str, Any]
+
+
+class Line(Protocol):
+    """What is used of the line to the worker (`worker.Worker`)."""
+
+    hello: dict[str, Any]
+    trouble: str
+
+    @property
+    def state(self) -> str: ...
+    def tend(self, now_ns: int) -> None: ...
+    def ask(self, request: dict[str, Any]) -> None: ...
+    def answers(self) -> list[dict[str, Any]]: ...
+    def give_up(self, trouble: str) -> None: ...
+    def close(self) -> None: ...
+
+
+class Unsafe(NamedTuple):
+    """A request whose display is not passive, for which a hand is to be found."""
+
+    number: int  # of the question whose verdict said so
+    cmd: str
+    id: int | str | None
+    actor: int
+    display: Display
+
+
+def merged(display: Display, change: dict[str, Any]) -> Display:
+    """`display` with what `change` gives, tables by their keys."""
+    found = dict(display)
+    for name, value in change.items():
+        found[name] = display[name] | value if isinstance(value, dict) else value
+    return found
+
+
+def target_of(targets: tuple[float, ...]) -> Display:
+    """Where the ramps in force end, from the parameters of an answer."""
+    found = parameters(targets)
+    return {name: found[name] for name in ("K", "B", "M", "wall", "filters", "damping")}
+
+
+class WallDamping:
+    """The wall's damping as it acts, which no record holds: where its ramp began, until it ends."""
+
+    def __init__(self) -> None:
+        self._life = 0
+        self._begun = self._end = 0.0
+
+    def follow(self, life: int, target: float, moving: bool) -> float:
+        """The value furthest from `target` that may still act."""
+        if life != self._life or (target == self._end and not moving):
+            self._life = life
+            self._begun = self._end = target
+        if target != self._end:
+            self._begun = self._end
+            self._end = target
+        return self._begun
+
+
+class Guard:
+    """Policy, questions and answers. `worker` None: there is none, and nothing is known."""
+
+    def __init__(
+        self,
+        view: ServoView,
+        journal: Journal,
+        params: GuardParams,
+        worker: Line | None = None,
+    ) -> None:
+        self._view = view
+        self._journal = journal
+        self._worker = worker
+        self.measuring: Callable[[], bool] = lambda: (
+            False
+        )  # whether that is leased: set by the desk
+        self._policy = params.policy
+        self.basis = params.basis
+        self.margin_ns_per_m = params.margin_ns_per_m
+        self.chosen_mode = "off"
+        self.changes = 0  # of policy, basis or margin
+        self.delay = DelayHistogram(view.params.realtime.rate_hz)
+        self._delay_life = 0
+        self._wall_damping = WallDamping()
+        self._number = 0
+        self._answers: dict[int, dict[str, Any]] = {}
+        self._awaited: set[int] = set()  # questions of requests
+        self._hands: deque[Unsafe] = deque(maxlen=MOST_HANDS)
+        self._hand: tuple[int, int, Unsafe] | None = None  # number, when asked, for what
+        self._look: tuple[int, int, tuple[Any, ...]] | None = None  # number, when asked, of what
+        self._looked: dict[str, Any] = {}
+        self._looked_at: tuple[Any, ...] = ()
+        self._look_ns = -LOOK_NS
+        self._told_ns = -LOOK_NS
+
+    # --- policy -----------------------------------------------------------------------------------
+
+    @property
+    def policy(self) -> str:
+        """The policy that counts now."""
+        return "off" if self.measuring() else self._policy
+
+    @property
+    def mode(self) -> str:
+        """The mode of active damping that counts now; while measuring, nobody chooses a level."""
+        return "level" if self.measuring() and self.chosen_mode == "auto" else self.chosen_mode
+
+    @property
+    def must(self) -> bool:
+        """Whether what is not known to be safe is refused."""
+        return self.policy in MUST
+
+    @property
+    def worker(self) -> str:
+        """State of the worker: up, starting, down, or none."""
+        return self._worker.state if self._worker else "none"
+
+    @property
+    def trouble(self) -> str:
+        """Why there is no verdict."""
+        if self._worker is None:
+            return "there is no guard worker"
+        state = self._worker.state
+        return f"the guard's worker is {state}" + (
+            f": {self._worker.trouble}" if state == "down" else ""
+        )
+
+    def change(self, asked: GuardRequest) -> None:
+        """Policy, basis and margin as far as `asked` gives them."""
+        given = asked.given
+        self._policy = given.get("policy", self._policy)
+        self.basis = given.get("basis", self.basis)
+        self.margin_ns_per_m = given.get("margin_ns_per_m", self.margin_ns_per_m)
+        if given.keys() & {"policy", "basis", "margin_ns_per_m"}:
+            self.changes += 1
+            self._looked = {}
+            self._looked_at = ()
+
+    def summary(self) -> dict[str, Any]:
+        """What `status` and the command `guard` tell."""
+        hello = self._worker.hello if self._worker else {}
+        return {
+            **self._terms(),
+            "measuring": self.measuring(),
+            "worker": self.worker,
+            "trouble": "" if self.worker == "up" else self.trouble,
+            "pid": hello.get("pid"),
+            "model": hello.get("model"),
+            "model_hash": hello.get("model_hash"),
+            "verdict": self._looked.get("verdict"),
+        }
+
+    def _terms(self) -> dict[str, Any]:
+        return {
+            "policy": self.policy,
+            "basis": self.basis,
+            "margin_ns_per_m": self.margin_ns_per_m,
+            "mode": self.mode,
+            "delay_periods": self.delay.periods,
+        }
+
+    def unknown(self, why: str) -> dict[str, Any]:
+        """The verdict on what nobody judged, because of `why`."""
+        nothing = ("margin_ns_per_m", "worst_hz", "radius", "contact", "least_damping_ns_per_m")
+        return {
+            "safe": None,
+            "policy": self.policy,
+            "basis": "unknown",
+            **dict.fromkeys(nothing),
+            "delay_periods": self.delay.periods,
+            "allowed": {},
+            "clamped": False,
+            "not_covered": [],
+            "text": f"whether this withstands every passive hand is unknown: {why}",
+        }
+
+    # --- what is in force -------------------------------------------------------------------------
+
+    @property
+    def known(self) -> bool:
+        """Whether record and answers tell of the same environment."""
+        view = self._view
+        told = int(view.targets[Value.ENVIRONMENT_REVISION])
+        return view.alive and not view.unsure and told == self.revision
+
+    @property
+    def revision(self) -> int:
+        """Of the environment in the newest record; -1 before the first."""
+        return int(self._view.record.get("environment_revision", -1))
+
+    def target(self) -> Display:
+        """Where the ramps in force end."""
+        return target_of(self._view.targets)
+
+    def now(self) -> Display:
+        """What acts in the newest record."""
+        record = self._view.record
+        target = self.target()
+        moving = bool(int(record["flags"]) & IN_MOTION)
+        wall = {
+            "stiffness_n_per_m": record["wall_stiffness_n_per_m"],
+            "damping_ns_per_m": self._wall_damping.follow(
+                self._view.life, target["wall"]["damping_ns_per_m"], moving
+            ),
+            "position_m": record["wall_position_m"],
+            "side": record["wall_side"],
+        }
+        effect = record["damping_effect_ns_per_m"]
+        return target | {
+            "K": record["stiffness_n_per_m"],
+            "B": record["damping_ns_per_m"],
+            "M": record["mass_kg"],
+            "wall": wall,
+            "damping": max(effect, 0.0) if effect == effect else 0.0,  # NaN: the board did not say
+        }
+
+    @property
+    def level(self) -> float:
+        """Active damping that `damping on` would give, N s/m."""
+        return float(self._view.targets[Value.ADDED_DAMPING])
+
+    # --- questions --------------------------------------------------------------------------------
+
+    def tend(self, now_ns: int) -> None:
+        """Hear the worker, keep it alive, ask what nobody waits for."""
+        if self._worker is None:
+            return
+        self._worker.tend(now_ns)
+        for answer in self._worker.answers():
+            self._hear(answer)
+        self._expire(now_ns)
+        if self._worker.state != "up":
+            return
+        if self._hand is None and self._hands and not self._awaited:
+            self._ask_hand(now_ns)
+
+    def ask(self, question: dict[str, Any]) -> int:
+        """Ask for a verdict; the number under which `answer` will have it."""
+        self._awaited.add(number := self._send(question))
+        return number
+
+    def answer(self, number: int) -> dict[str, Any] | None:
+        """The answer to question `number`, once."""
+        return self._answers.pop(number, None)
+
+    def forget(self, number: int) -> None:
+        """Nobody waits for the answer to `number` any more."""
+        self._awaited.discard(number)
+        self._answers.pop(number, None)
+
+    def hangs(self) -> None:
+        """The worker left a request without a verdict for too long."""
+        if self._worker is not None:
+            self._worker.give_up(f"no verdict within {VERDICT_NS / NS_PER_S:g} s")
+
+    def want_hand(self, unsafe: Unsafe) -> None:
+        """Have the hand found that shakes this display."""
+        self._hands.append(unsafe)
+
+    def _send(self, question: dict[str, Any]) -> int:
+        self._number += 1
+        if self._worker is not None:
+            self._worker.ask({**question, "n": self._number})
+        return self._number
+
+    def _hear(self, answer: dict[str, Any]) -> None:
+        number = answer.get("n")
+        if number in self._awaited:
+            self._awaited.discard(number)
+            self._answers[number] = answer
+        elif self._look and number == self._look[0]:
+            self._looked = answer if isinstance(answer.get("verdict"), dict) else {}
+            self._looked_at = self._look[2]
+            self._look = None
+        elif self._hand and number == self._hand[0]:
+            self._tell_hand(self._hand[2], answer.get("hand"))
+            self._hand = None
+
+    def _expire(self, now_ns: int) -> None:
+        waits = [one[1] for one in (self._look, self._hand) if one is not None]
+        if self.worker == "down":
+            self._look = self._hand = None
+        elif waits and now_ns - min(waits) >= PATIENT_NS and self._worker:
+            self._worker.give_up(f"no answer within {PATIENT_NS / NS_PER_S:g} s")
+
+    def _ask_hand(self, now_ns: int) -> None:
+        unsafe = self._hands.popleft()
+        question = {"ask": "hand", "display": unsafe.display, "delay_periods": self.delay.periods}
+        self._hand = self._send(question), now_ns, unsafe
+
+    def _tell_hand(self, unsafe: Unsafe, hand: Any) -> None:
+        found = hand if isinstance(hand, dict) else {}
+        text = f"a hand that would shake it: {found['text']}" if found.get("text") else ""
+        self._journal.note(
+            "guard",
+            number=unsafe.number,
+            cmd=unsafe.cmd,
+            id=unsafe.id,
+            actor=unsafe.actor,
+            hand=found or None,
+            text=text or "no single mass or spring was found that would shake it",
+        )
+
+    # --- the topic --------------------------------------------------------------------------------
+
+    def messages(self, now_ns: int, unix_ns: int, wanted: bool) -> list[dict[str, Any]]:
+        """What the topic `guard` says now, if it is `wanted` and time; looks are asked for."""
+        self._look_if_due(now_ns, wanted)
+        if not wanted or now_ns - self._told_ns < LOOK_NS:
+            return []
+        self._told_ns = now_ns
+        looked = self._looked if self.worker == "up" else {}
+        verdict = looked.get("verdict") or self.unknown(self.trouble)
+        return [
+            {
+                "timestamp": unix_ns / NS_PER_S,
+                **self._terms(),
+                "worker": self.worker,
+                "verdict": verdict,
+                "without_damping": looked.get("without_damping"),
+                "with_damping": looked.get("with_damping"),
+            }
+        ]
+
+    def _look_if_due(self, now_ns: int, wanted: bool) -> None:
+        what = self._view.life, self.revision, self.delay.periods
+        news = wanted or what != self._looked_at
+        ready = self.worker == "up" and self._look is None and self.known
+        if not (ready and news) or now_ns - self._look_ns < LOOK_NS:
+            return
+        self._look_ns = now_ns
+        question = {
+            "ask": "look",
+            "now": self.now(),
+            "target": self.target(),
+            "delay_periods": self.delay.periods,
+            "margin_ns_per_m": self.margin_ns_per_m,
+            "basis": self.basis,
+            "level_on": self.level,
+        }
+        self._look = self._send(question), now_ns, what
+
+    def count(self, records: Any, life: int) -> None:
+        """Take the delays of telemetry `records` of servo `life`."""
+        if life != self._delay_life:
+            self._delay_life = life
+            self.delay.clear()
+        self.delay.add(records)
+
+    def close(self) -> None:
+        """End the worker."""
+        if self._worker is not None:
+            self._worker.close()

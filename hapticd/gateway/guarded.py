@@ -1,0 +1,605 @@
+"""Requests that change what is rendered or damped, on their way past the guard.
+
+    waiting -> asked -> posted, a stage at a time -> in force
+       |         |         +-> refused: judged for another environment -> waiting, twice at most
+       |         +-> refused, with the verdict
+       +-> too late, or what it waited for is gone
+
+They go one after the other. Each is judged when no command is on its way, so that the newest record
+and the last answer tell of the same environment, and is posted with the revision of that
+environment: the servo refuses it if it is another one by then (policies clamp, refuse, follow). All
+other requests pass by; a stop, a disable and whatever else changes the state first takes back each
+enable that waits, for an enable must not come after what was asked after it.
+
+A change of several stages is answered with its first one; what became of it is told by an event.
+A stage waits for what the board reports in effect (active damping) and for the ramps of the one
+before it, never for a timer. A newer request supersedes what is left; the end of the state in which
+it began cancels it.
+
+What would break it: a request that waits for ever (each has a deadline), or a verdict that is
+believed after policy or environment have changed.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from hapticd.errors import CommandError
+from hapticd.gateway.commands import Posting, parameters, posting, receipt, refusal, values_given
+from hapticd.gateway.guard import MUST, VERDICT_NS, Guard, Unsafe, merged
+from hapticd.gateway.journal import GATEWAY_ACTOR, Actors
+from hapticd.gateway.limits import PLACES, flat
+from hapticd.gateway.schemas import Damping, Enable, GuardRequest, Request, Set
+from hapticd.gateway.view import ServoView
+from hapticd.mailbox.client_side import Answer
+from hapticd.mailbox.layout import Command, Flag, Result, State, Value, values_of
+from hapticd.units import NS_PER_S
+
+JUDGED = ("K", "B", "M", "wall", "filters", "damping")  # fields of `set` that a verdict is about
+UNJUDGED = ("ramp_s", "limit_cycle_faults")  # and what comes along
+MODES = {"on": "level", "off": "off", "auto": "auto"}
+MOST_WAITING = 64
+WAITING_NS = NS_PER_S  # until it is judged; its sender gives up after 2 s
+TRIES = 2  # again, after another change came in between
+STAGE_NS = 2 * NS_PER_S  # beyond the time that the damping takes to rise
+CHOICE_NS = 5 * NS_PER_S  # between looks at the level of mode auto while nothing changes
+LEAST_CHOICE_NS = NS_PER_S
+LATCHED = frozenset({State.STOPPED, State.FAULT})
+
+
+class Stage(NamedTuple):
+    """A part of a change that may be in force by itself."""
+
+    change: dict[str, Any]  # fields as in `set`, absolute values
+    damping_at_least: float | None  # N s/m that the board reports before it is posted
+    after_ramps: bool  # those of the stage before have ended
+
+
+@dataclass(slots=True, eq=False)
+class Case:
+    """One request and what became of it so far."""
+
+    cmd: str
+    id: int | str | None
+    actor: int
+    request: Request
+    message: Any  # with its envelope, of the desk
+    life: int  # of the servo it is for
+    came_ns: int
+    at_tick: int = 0
+    replied: bool = False
+    tries: int = 0
+    # --- since it was asked
+    number: int = 0  # of the question, 0: not asked
+    asked_ns: int = 0
+    changes: int = 0  # of the policy by then
+    policy: str = "off"
+    revision: int | None = None  # of the environment it was judged for
+    answer: dict[str, Any] | None = None
+    ahead: int = 0  # scheduled changes that come into force first
+    verdict: dict[str, Any] = field(default_factory=dict)
+    stages: tuple[Stage, ...] = ()
+    place: int = 0  # of the next stage
+    state: State | None = None  # in which it began
+    ramp_end_tick: int = 0
+    since_ns: int = 0  # the last stage was posted, or something moved
+
+
+class Told(NamedTuple):
+    """What is to be said of a case: a refusal, or a receipt."""
+
+    case: Case
+    error: CommandError | None = None
+    receipt: dict[str, Any] | None = None
+
+
+class Booked(NamedTuple):
+    """A scheduled change."""
+
+    tick: int
+    seq: int
+    change: dict[str, Any]
+
+
+Post = Callable[[Case, Posting, int], None]  # with the time; CommandError: it could not be posted
+May = Callable[[Case], CommandError | None]  # why its client may not change that any more
+
+
+def change_of(request: Request, level: float) -> dict[str, Any]:
+    """What `request` changes of a display; active damping as a number, `on` being `level`."""
+    if isinstance(request, Damping):
+        if request.value == "auto":
+            return {}
+        named = {"on": level, "off": 0.0}
+        value = request.value
+        return {"damping": named[value] if isinstance(value, str) else float(value)}
+    if isinstance(request, Set):
+        given = request.given
+        return {name: given[name] for name in JUDGED if given.get(name, {}) != {}}
+    return {}
+
+
+def concerns(request: Request) -> bool:
+    """Whether a verdict is asked for it."""
+    if isinstance(request, Set):
+        return bool(change_of(request, 0.0))
+    return isinstance(request, (Damping, Enable))
+
+
+def mode_of(request: Request) -> str | None:
+    """The damping mode that `request` asks for; None: it stays."""
+    if isinstance(request, Damping):
+        value = request.value
+        return MODES[value] if isinstance(value, str) else ("level" if value else "off")
+    if isinstance(request, Set) and "damping" in request.model_fields_set:
+        return "level" if request.damping else "off"
+    return None
+
+
+def damping_by(asked: GuardRequest) -> Damping:
+    """The damping command that the mode in `asked` comes to."""
+    values: dict[str, Any] = {mode: value for value, mode in MODES.items()}
+    return Damping(cmd="damping", value=values[str(asked.mode)])
+
+
+def stages_of(answer: dict[str, Any]) -> tuple[Stage, ...]:
+    """The stages of an answer that says to do something. ValueError: they are not understood."""
+    found = tuple(map(_stage, answer.get("stages") or ()))
+    if not found:
+        raise ValueError("nothing to be done")
+    return found
+
+
+def _stage(plain: Any) -> Stage:
+    change = plain["change"] if isinstance(plain, dict) else None
+    if not isinstance(change, dict):
+        raise ValueError("a stage without a change")
+    for name, value in flat(change):
+        if name not in PLACES or isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise ValueError(f"a stage that changes {name[:20]!r}")
+    least = plain.get("damping_at_least")
+    if least is not None and not isinstance(least, (int, float)):
+        raise ValueError("a stage that waits for no number")
+    return Stage(change, least, bool(plain.get("after_ramps")))
+
+
+class Guarded:
+    """The queue of requests to be judged, and the change of several stages that is under way.
+
+    `post` puts a command of a case into the servo's ring; its answer comes back by `answered`.
+    `may` is asked in every pass: whose lease has ended does not go on.
+    """
+
+    def __init__(self, guard: Guard, view: ServoView, actors: Actors, post: Post, may: May) -> None:
+        self._guard = guard
+        self._view = view
+        self._actors = actors
+        self._post = post
+        self._may = may
+        self._queue: deque[Case] = deque()
+        self._asked: Case | None = None
+        self._staged: Case | None = None
+        self._scheduled: dict[int, Booked] = {}  # by sequence number, of the present servo life
+        self._life = 0
+        self._told: list[Told] = []
+        self._chosen_ns = -CHOICE_NS  # when the level of mode auto was last looked at
+        self._chosen_for: tuple[Any, ...] = ()
+        half_count = abs(view.params.device.damping.per_count) / 2
+        self._resolution_ns_per_m = half_count + 1e-6  # the wire rounds to the nearest count
+
+    @property
+    def waiting(self) -> bool:
+        """Whether a verdict is due, or a request that has not been judged."""
+        return self._asked is not None or bool(self._queue)
+
+    def summary(self) -> dict[str, Any]:
+        """What `status` tells."""
+        case = self._staged
+        under_way = case and {
+            "cmd": case.cmd,
+            "id": case.id,
+            "actor": case.actor,
+            "stage": case.place + 1,
+            "stages": len(case.stages),
+        }
+        return {"waiting": len(self._queue) + (self._asked is not None), "under_way": under_way}
+
+    # --- in ---------------------------------------------------------------------------------------
+
+    def take(self, case: Case, now_ns: int) -> None:
+        """A request has come. CommandError: it is refused at once, nothing happens."""
+        at_once = not self.waiting and not self._asks(case)
+        if at_once:
+            self._unjudged(case, now_ns)
+            return
+        if len(self._queue) >= MOST_WAITING:
+            reason = f"{MOST_WAITING} requests wait for the guard already; slow down and ask again"
+            raise CommandError("busy", f"{case.cmd}: {reason}")
+        self._queue.append(case)
+
+    def take_back_enables(self, why: str) -> None:
+        """No enable that waits shall come after `why`, which was asked later."""
+        waiting = [*self._queue] if self._asked is None else [self._asked, *self._queue]
+        for case in waiting:
+            if isinstance(case.request, Enable):
+                self._drop(case)
+                text = f"{case.cmd}: {why} was asked before it was judged; ask again"
+                self._told.append(Told(case, CommandError("refused", text)))
+
+    def _drop(self, case: Case) -> None:
+        if case is self._asked:
+            self._guard.forget(case.number)
+            self._asked = None
+        else:
+            self._queue.remove(case)
+
+    # --- onwards ----------------------------------------------------------------------------------
+
+    def advance(self, now_ns: int, idle: bool) -> list[Told]:
+        """Go on as far as can be; what is to be said. `idle`: no command is on its way."""
+        self._forget_other_lives()
+        self._forget_who_may_not()
+        self._expire(now_ns)
+        if self._asked is not None:
+            self._hear(self._asked, now_ns, idle)
+        elif self._queue and idle:
+            self._begin(now_ns)
+        elif self._staged is None and idle:
+            self._choose_level(now_ns)
+        if self._staged is not None:
+            self._go_on(self._staged, now_ns, idle and self._asked is None)
+        told = self._told
+        self._told = []
+        return told
+
+    def _forget_other_lives(self) -> None:
+        life = self._view.life if self._view.mailbox else 0
+        if life == self._life:
+            return
+        self._life = life
+        self._scheduled = {}
+        for case in filter(None, (*self._queue, self._asked, self._staged)):
+            if case.life != life:
+                self._give_back(case, CommandError("servo_down", f"{case.cmd}: {SERVO_GONE}"))
+
+    def _forget_who_may_not(self) -> None:
+        for case in (*self._queue, self._asked, self._staged):
+            if case is not None and case.message is not None and (error := self._may(case)):
+                self._give_back(case, error)
+
+    def _expire(self, now_ns: int) -> None:
+        for case in [one for one in self._queue if now_ns - one.came_ns >= WAITING_NS]:
+            why = "others were before it"
+            if isinstance(case.request, Enable) and self._staged is not None:
+                why = "a change in stages is under way"
+            text = f"{case.cmd}: it was not judged within 1 s, {why}; nothing happened, ask again"
+            self._give_back(case, CommandError("timeout", text))
+
+    def _give_back(self, case: Case, error: CommandError) -> None:
+        if case is self._staged:
+            self._staged = None
+        else:
+            self._drop(case)
+        self._told.append(Told(case, error))
+
+    def _asks(self, case: Case) -> bool:
+        """Whether a worker is there to be asked, and the policy wants it."""
+        wanted = self._guard.policy != "off" or self._mode(case) == "auto"
+        return wanted and self._guard.worker in ("up", "starting")
+
+    def _mode(self, case: Case) -> str:
+        return mode_of(case.request) or self._guard.mode
+
+    def _begin(self, now_ns: int) -> None:
+        case = self._queue[0]
+        if isinstance(case.request, Enable) and self._staged is not None:
+            return
+        if not self._asks(case):
+            self._try_unjudged(self._queue.popleft(), now_ns)
+        elif self._guard.worker == "starting":
+            if now_ns - case.came_ns >= VERDICT_NS:
+                self._try_unjudged(self._queue.popleft(), now_ns)
+        elif self._guard.known:
+            self._ask(self._queue.popleft(), now_ns)
+
+    def _choose_level(self, now_ns: int) -> None:
+        """Mode auto: judge again what is in force when the delay has changed, or now and then."""
+        guard = self._guard
+        about = self._life, guard.revision, guard.delay.periods
+        due = about != self._chosen_for or now_ns - self._chosen_ns >= CHOICE_NS
+        ready = guard.mode == "auto" and guard.worker == "up" and guard.known
+        if not (ready and due) or now_ns - self._chosen_ns < LEAST_CHOICE_NS:
+            return
+        self._chosen_for = about
+        self._chosen_ns = now_ns
+        request = Damping(cmd="damping", value="auto")
+        case = Case("damping", None, GATEWAY_ACTOR, request, None, self._life, now_ns)
+        case.replied = True
+        self._ask(case, now_ns)
+
+    def _ask(self, case: Case, now_ns: int) -> None:
+        guard = self._guard
+        booked = sorted(self._scheduled.values())
+        before = [one.change for one in booked if case.at_tick and one.tick <= case.at_tick]
+        case.answer = None
+        case.asked_ns = now_ns
+        case.changes = guard.changes
+        case.policy = guard.policy
+        case.ahead = len(before)
+        case.revision = guard.revision
+        case.number = guard.ask(
+            {
+                "ask": "change",
+                "now": guard.now(),
+                "target": guard.target(),
+                "state": self._view.state_name,
+                "enable": isinstance(case.request, Enable),
+                "change": change_of(case.request, guard.level),
+                "before": before,
+                "after": [one.change for one in booked[len(before) :]],
+                "policy": case.policy,
+                "basis": guard.basis,
+                "margin_ns_per_m": guard.margin_ns_per_m,
+                "mode": self._mode(case),
+                "level": guard.level,
+                "delay_periods": guard.delay.periods,
+                "ramp_s": self._ramp_s(case.request),
+            }
+        )
+        self._asked = case
+
+    def _ramp_s(self, request: Request) -> float:
+        default = self._view.params.safety.default_ramp_s
+        return float(request.given.get("ramp_s", default))
+
+    def _hear(self, case: Case, now_ns: int, idle: bool) -> None:
+        """Act on the verdict for `case` once it is there and nothing else is on its way."""
+        case.answer = case.answer or self._guard.answer(case.number)
+        if case.answer is not None:
+            if idle and self._guard.known:
+                self._asked = None
+                self._take_verdict(case, case.answer, now_ns)
+        elif self._guard.worker != "up" or now_ns - case.asked_ns >= VERDICT_NS:
+            self._asked = None
+            self._guard.forget(case.number)
+            if self._guard.worker == "up":
+                self._guard.hangs()
+            self._try_unjudged(case, now_ns)
+
+    def _take_verdict(self, case: Case, answer: dict[str, Any], now_ns: int) -> None:
+        """Go by `answer`, or ask again if it is about what is no more."""
+        guard = self._guard
+        if case.changes != guard.changes or case.policy != guard.policy:
+            self._queue.appendleft(case)
+        elif case.revision != guard.revision and case.tries < TRIES:
+            self._again(case, now_ns)
+        else:
+            self._judged(case, answer, now_ns)
+
+    def _judged(self, case: Case, answer: dict[str, Any], now_ns: int) -> None:
+        verdict = answer.get("verdict")
+        action = answer.get("action")
+        try:
+            if not isinstance(verdict, dict) or action not in ("apply", "stage", "refuse"):
+                raise ValueError(str(answer.get("error", "an answer that is none"))[:200])
+            case.stages = self._stages(case, answer) if action != "refuse" else ()
+        except ValueError as error:
+            self._try_unjudged(case, now_ns, f"the guard's worker answered: {error}")
+            return
+        case.verdict = {**verdict, "number": case.number}
+        if case.message is None and (action == "refuse" or not self._changes(case)):
+            return  # the level of mode auto stays
+        if verdict.get("safe") is False:
+            self._want_hand(case)
+        if action == "refuse":
+            text = f"{case.cmd}: {verdict.get('text', 'the guard gave no reason')}"
+            self._told.append(Told(case, CommandError("guard", text, guard=case.verdict)))
+        else:
+            self._start(case, now_ns)
+
+    def _changes(self, case: Case) -> bool:
+        """Whether the stages of `case` lead anywhere else than the ramps in force."""
+        before = self._guard.target()
+        after = before
+        for stage in case.stages:
+            after = merged(after, stage.change)
+        moved = abs(after["damping"] - before["damping"]) > self._resolution_ns_per_m
+        return moved or after | {"damping": 0} != before | {"damping": 0}
+
+    def _stages(self, case: Case, answer: dict[str, Any]) -> tuple[Stage, ...]:
+        found = stages_of(answer)
+        if isinstance(case.request, Enable) and found[-1].change:
+            return (*found, Stage({}, None, False))  # force comes on once all of it is in force
+        return found
+
+    def _want_hand(self, case: Case) -> None:
+        asked = change_of(case.request, self._guard.level)
+        display = merged(self._guard.target(), asked)
+        self._guard.want_hand(Unsafe(case.number, case.cmd, case.id, case.actor, display))
+
+    # --- stages -----------------------------------------------------------------------------------
+
+    def _start(self, case: Case, now_ns: int) -> None:
+        request = case.request
+        expected = request.given.get("if_rev")
+        if expected is not None and expected != self._view.revision:
+            text = f"{case.cmd}: the revision is {self._view.revision} by now, not {expected}"
+            error = CommandError("refused", f"{text}; look at what changed and ask again")
+            self._told.append(Told(case, error))
+            return
+        case.place = 0
+        case.state = self._view.state
+        case.since_ns = now_ns
+        if not case.at_tick and not isinstance(request, Enable):
+            self._supersede(case)
+        if self._met(case):
+            self._post_stage(case, now_ns)
+        else:
+            self._staged = case
+            self._told.append(Told(case, receipt=self._standing("staged")))
+
+    def _supersede(self, by: Case) -> None:
+        case = self._staged
+        self._staged = None
+        if case is not None and case is not by:
+            text = f"a newer {by.cmd} of actor {by.actor} came; what is in force stays"
+            self._told.append(Told(case, receipt=self._standing("superseded", text)))
+
+    def _met(self, case: Case) -> bool:
+        """Whether what the next stage waits for is there, as the newest record has it."""
+        stage = case.stages[case.place]
+        record = self._view.record
+        moving = int(record["flags"]) & (Flag.RAMPING | Flag.EASED | Flag.PAUSED)
+        if stage.after_ramps and (moving or self._view.tick < case.ramp_end_tick):
+            return False
+        least = stage.damping_at_least
+        effect = float(record["damping_effect_ns_per_m"])
+        return least is None or effect >= least - self._resolution_ns_per_m
+
+    def _go_on(self, case: Case, now_ns: int, free: bool) -> None:
+        """The next stage of `case`, if it is time and nothing else is on its way."""
+        state = self._view.state
+        ended = case.state is State.ENABLED and state is not State.ENABLED
+        if state is not None and state is not case.state and (ended or state in LATCHED):
+            self._cancel(case, f"the servo is {self._view.state_name}")
+        elif self._met(case):
+            if free:
+                self._staged = None
+                self._post_stage(case, now_ns)
+        elif int(self._view.record["flags"]) & Flag.PAUSED:
+            case.since_ns = now_ns
+        elif now_ns - case.since_ns >= self._patience_ns(case):
+            effect = float(self._view.record["damping_effect_ns_per_m"])
+            stage = case.stages[case.place]
+            least = stage.damping_at_least
+            lacks = f"the board reports {effect:.3g} of {least:.3g} N s/m" if least else "it moves"
+            self._cancel(case, f"the next stage waited too long: {lacks}")
+
+    def _patience_ns(self, case: Case) -> int:
+        safety = self._view.params.safety
+        level = self._view.params.device.damping_limit_ns_per_m
+        rising_s = level / safety.damping_slew_ns_per_m_s
+        return STAGE_NS + round((rising_s + self._ramp_s(case.request)) * NS_PER_S)
+
+    def _cancel(self, case: Case, why: str) -> None:
+        self._staged = None
+        text = f"{why}; what is in force stays"
+        self._told.append(Told(case, receipt=self._standing("cancelled", text)))
+
+    def _standing(self, result: str, text: str = "") -> dict[str, Any]:
+        """A receipt of what is in force, for what has no answer of the servo of its own."""
+        tick = self._view.tick
+        return {
+            "result": result,
+            "revision": self._view.revision,
+            "first_tick": tick,
+            "ramp_end_tick": tick,
+            "effective": parameters(self._view.targets),
+        } | ({"text": text} if text else {})
+
+    def _post_stage(self, case: Case, now_ns: int) -> None:
+        try:
+            self._post(case, self._posting(case), now_ns)
+        except CommandError as error:
+            self._told.append(Told(case, error))
+
+    def _posting(self, case: Case) -> Posting:
+        """The command of the stage that is due, bound to the environment it was judged for."""
+        stage = case.stages[case.place]
+        last = case.place == len(case.stages) - 1
+        values: dict[Value, float] = {}
+        if case.policy in MUST and case.revision is not None:
+            values[Value.ENVIRONMENT_REVISION] = case.revision + case.ahead + case.place
+        if isinstance(case.request, Enable) and last:
+            return Command.ENABLE, 0, values_of(values)
+        extras = {name: case.request.given[name] for name in self._extras(case)}
+        values |= values_given(extras | stage.change)
+        kind = Command.DAMPING if set(stage.change) == {"damping"} and not extras else Command.SET
+        return kind, case.at_tick if case.place == 0 else 0, values_of(values)
+
+    def _extras(self, case: Case) -> list[str]:
+        given = case.request.given
+        names = UNJUDGED if case.place == 0 else UNJUDGED[:1]
+        return [name for name in names if name in given] if isinstance(case.request, Set) else []
+
+    # --- without a verdict ------------------------------------------------------------------------
+
+    def _try_unjudged(self, case: Case, now_ns: int, why: str = "") -> None:
+        try:
+            self._unjudged(case, now_ns, why)
+        except CommandError as error:
+            self._told.append(Told(case, error))
+
+    def _unjudged(self, case: Case, now_ns: int, why: str = "") -> None:
+        """Post it as asked, or refuse it, as the policy says."""
+        guard = self._guard
+        off = guard.policy == "off"
+        case.policy = guard.policy
+        case.verdict = guard.unknown("policy off judges nothing" if off else why or guard.trouble)
+        remedy = "`hapticd guard warn` would do it all the same"
+        if guard.must:
+            text = (
+                f"{case.cmd}: {case.verdict['text']}; policy {guard.policy} refuses that, {remedy}"
+            )
+            raise CommandError("guard", text, guard=case.verdict)
+        if mode_of(case.request) == "auto":
+            text = "the guard chooses no level of damping while it judges nothing"
+            raise CommandError("guard", f"{case.cmd}: {text}: {guard.trouble}", guard=case.verdict)
+        case.revision = None
+        case.stages = ()
+        if not case.at_tick and not isinstance(case.request, Enable):
+            self._supersede(case)
+        self._post(case, posting(case.request, 0), now_ns)
+
+    # --- answers ----------------------------------------------------------------------------------
+
+    def answered(self, case: Case, answer: Answer, now_ns: int) -> Told | None:
+        """What the servo's `answer` to the last stage of `case` means; None: more is to come."""
+        if answer.result is Result.SCHEDULED:
+            change = change_of(case.request, self._guard.level)
+            self._scheduled[answer.seq] = Booked(case.at_tick, answer.seq, change)
+            return Told(case, receipt=receipt(answer))
+        if answer.result is Result.REFUSED_REVISION and case.tries < TRIES:
+            self._again(case, now_ns)
+            return None
+        if answer.result is not Result.APPLIED:
+            error = refusal(answer, case.cmd, self._view, self._actors)
+            error.guard = case.verdict
+            return Told(case, error)
+        return self._applied(case, answer, now_ns)
+
+    def _applied(self, case: Case, answer: Answer, now_ns: int) -> Told | None:
+        self._guard.chosen_mode = self._mode(case)
+        case.place += 1
+        case.ramp_end_tick = answer.ramp_end_tick
+        case.since_ns = now_ns
+        if case.place >= len(case.stages):
+            return Told(case, receipt=receipt(answer))
+        if self._staged is not None:
+            self._supersede(case)
+        self._staged = case
+        staged = receipt(answer) | {"result": "staged"}
+        return None if case.replied else Told(case, receipt=staged)
+
+    def _again(self, case: Case, now_ns: int) -> None:
+        """Another change came first: judge it anew, before those that came later."""
+        case.tries += 1
+        case.came_ns = now_ns
+        case.number = case.place = 0
+        if case.at_tick <= self._view.tick:
+            case.at_tick = 0
+        self._queue.appendleft(case)
+
+    def later(self, case: Case, answer: Answer, now_ns: int) -> Told | None:
+        """As `answered`, for the second answer to a scheduled change."""
+        self._scheduled.pop(answer.seq, None)
+        if answer.result is Result.APPLIED:
+            return self._applied(case, answer, now_ns)
+        if answer.result is Result.REFUSED_REVISION and case.tries < TRIES:
+            self._again(case, now_ns)
+            return None
+        return Told(case, receipt=receipt(answer))
+
+
+SERVO_GONE = "the servo ended before it was in force; when it starts anew it is disabled"

@@ -1,0 +1,70 @@
+"""A guard's worker for tests that says what a script makes it say, in the gateway's process."""
+
+from collections.abc import Callable
+from typing import Any
+
+Script = Callable[[dict[str, Any]], dict[str, Any] | None]  # request -> answer; None: none
+
+
+def verdict(safe: bool | None = True, text: str = "fine", **more: Any) -> dict[str, Any]:
+    """A verdict with what the tests look at."""
+    return {"safe": safe, "policy": "warn", "basis": "theorem", "text": text, **more}
+
+
+def stage(
+    change: dict[str, Any], at_least: float | None = None, after_ramps: bool = False
+) -> dict[str, Any]:
+    """A stage as the worker writes it."""
+    return {"change": change, "damping_at_least": at_least, "after_ramps": after_ramps}
+
+
+def applies(request: dict[str, Any]) -> dict[str, Any]:
+    """Whatever is asked is safe."""
+    stages = [stage(request.get("change", {}))]
+    return {"action": "apply", "stages": stages, "verdict": verdict()}
+
+
+def refuses(request: dict[str, Any]) -> dict[str, Any]:
+    """Nothing is safe."""
+    return {"action": "refuse", "stages": [], "verdict": verdict(False, "it would ring")}
+
+
+class StubWorker:
+    """Answers at the next look, unless it is `silent`; `asked` holds what it was asked."""
+
+    def __init__(self, script: Script = applies) -> None:
+        self.script = script
+        self.hello: dict[str, Any] = {"pid": 7, "model": True, "model_hash": "m"}
+        self.trouble = ""
+        self.state = "up"
+        self.silent = False
+        self.asked: list[dict[str, Any]] = []
+        self.given_up: list[str] = []
+        self.said: list[dict[str, Any]] = []
+
+    @property
+    def changes(self) -> list[dict[str, Any]]:
+        """Questions about changes."""
+        return [one for one in self.asked if one["ask"] == "change"]
+
+    def tend(self, now_ns: int) -> None:
+        """It needs no care."""
+
+    def ask(self, request: dict[str, Any]) -> None:
+        self.asked.append(request)
+        content = self.script(request)
+        if content is not None and not self.silent:
+            self.said.append({**content, "n": request["n"]})
+
+    def answers(self) -> list[dict[str, Any]]:
+        found = self.said
+        self.said = []
+        return found
+
+    def give_up(self, trouble: str) -> None:
+        self.given_up.append(trouble)
+        self.trouble = trouble
+        self.state = "down"
+
+    def close(self) -> None:
+        """Nothing to be ended."""

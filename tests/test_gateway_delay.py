@@ -1,0 +1,57 @@
+"""The delay that the guard counts on: 99 of 100 ticks of the last minute, rounded up."""
+
+import math
+
+import numpy as np
+import pytest
+
+from hapticd.gateway.delay import DelayHistogram
+from hapticd.gateway.view import RECORD_DTYPE
+from hapticd.units import NS_PER_S
+
+
+def records(delay_us: "np.ndarray | list[int]", second: float = 0.0) -> np.ndarray:
+    """Records of 1 kHz with these delays, from `second` on."""
+    found = np.zeros(len(delay_us), RECORD_DTYPE)
+    found["delay_us"] = delay_us
+    found["time_ns"] = (second * NS_PER_S + 1e6 * np.arange(len(delay_us))).astype(np.int64)
+    return found
+
+
+@pytest.mark.parametrize(("delay_us", "periods"), [(125, 2 / 16), (126, 3 / 16), (1, 1 / 16)])
+def test_delay_is_rounded_up_to_a_sixteenth_of_a_period(delay_us: int, periods: float) -> None:
+    histogram = DelayHistogram(1000.0)
+    histogram.add(records([delay_us] * 100))
+    assert histogram.periods == periods
+
+
+def test_one_tick_in_a_hundred_may_be_later() -> None:
+    histogram = DelayHistogram(1000.0)
+    histogram.add(records([125] * 990 + [900] * 10))
+    assert histogram.periods == 2 / 16
+    histogram.add(records([900], 1.0))
+    assert histogram.periods == math.ceil(0.9 * 16) / 16
+
+
+def test_percentile_is_that_of_the_sorted_delays() -> None:
+    delay_us = np.random.default_rng(4).integers(0, 3000, 5000)
+    histogram = DelayHistogram(1000.0)
+    for begin in range(0, 5000, 500):
+        histogram.add(records(delay_us[begin : begin + 500], begin / 1000))
+    sorted_us = np.sort(delay_us)[math.ceil(0.99 * 5000) - 1]
+    assert histogram.periods == math.ceil(sorted_us / 1000 * 16) / 16
+
+
+def test_last_minute_counts() -> None:
+    histogram = DelayHistogram(1000.0)
+    histogram.add(records([900] * 1000))
+    histogram.add(records([125] * 10, 59.0))
+    assert histogram.periods == math.ceil(0.9 * 16) / 16
+    histogram.add(records([125] * 10, 60.0))
+    assert histogram.periods == 2 / 16
+
+
+def test_unknown_delays_tell_nothing() -> None:
+    histogram = DelayHistogram(1000.0)
+    histogram.add(records([-1] * 100))
+    assert histogram.periods is None

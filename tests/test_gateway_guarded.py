@@ -1,0 +1,567 @@
+"""Requests past the guard on virtual time: judged, staged, refused, too late, taken back."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from gateway_rig import DeskRig, decoded, packed
+from gateway_stand_in import StandInServo
+from guard_stub import StubWorker, applies, refuses, stage, verdict
+
+from hapticd.mailbox.layout import Command, State, Value
+
+BOUND = 1 << Value.ENVIRONMENT_REVISION
+
+
+@pytest.fixture
+def worker() -> StubWorker:
+    return StubWorker()
+
+
+@pytest.fixture
+def rig(tmp_path: Path, worker: StubWorker) -> DeskRig:
+    return DeskRig(tmp_path, worker)
+
+
+def under(rig: DeskRig, policy: str) -> DeskRig:
+    """`rig` under `policy`."""
+    assert rig.ask(cmd="guard", policy=policy)["result"]["policy"] == policy
+    return rig
+
+
+def later(rig: DeskRig, ticks: int = 5) -> list[dict[str, Any]]:
+    """Replies of the next ticks."""
+    return [decoded(reply) for _ in range(ticks) for reply in rig.run()]
+
+
+def answers(rig: DeskRig) -> list[dict[str, Any]]:
+    """Events of kind answer since the last look."""
+    return [event for event in rig.journal.drain() if event["kind"] == "answer"]
+
+
+def two_stages(request: dict[str, Any]) -> dict[str, Any]:
+    """Damping first, then K."""
+    stages = [stage({"damping": 1.5}), stage({"K": 400.0}, at_least=1.5)]
+    return {"action": "stage", "stages": stages, "verdict": verdict()}
+
+
+# --- judged ---------------------------------------------------------------------------------------
+
+
+def test_without_a_worker_warn_goes_on_at_once_and_says_unknown(tmp_path: Path) -> None:
+    rig = DeskRig(tmp_path)
+    reply = rig.ask(cmd="set", K=100)
+    assert reply["ok"]
+    assert (reply["guard"]["safe"], reply["guard"]["basis"]) == (None, "unknown")
+    assert "there is no guard worker" in reply["guard"]["text"]
+
+
+@pytest.mark.parametrize("policy", ["clamp", "refuse", "follow"])
+def test_without_a_worker_nothing_unjudged_is_done_under(tmp_path: Path, policy: str) -> None:
+    rig = under(DeskRig(tmp_path), policy)
+    for asked in ({"cmd": "set", "K": 1}, {"cmd": "damping", "value": "off"}, {"cmd": "enable"}):
+        error = rig.ask(**asked)["error"]
+        assert error["code"] == "guard"
+        assert error["guard"]["safe"] is None
+        assert "`hapticd guard warn`" in error["message"]
+    assert rig.servo.taken == []
+    assert rig.ask(cmd="disable")["ok"]
+
+
+def test_question_holds_what_is_in_force_and_what_is_asked(
+    rig: DeskRig, worker: StubWorker
+) -> None:
+    rig.ask(cmd="set", K=50, B=2, damping=1.0)
+    rig.ask(cmd="set", K=80, wall={"side": 1}, ramp_s=0.3)
+    asked = worker.changes[-1]
+    assert (asked["target"]["K"], asked["target"]["B"], asked["target"]["damping"]) == (50, 2, 1)
+    assert asked["change"] == {"K": 80, "wall": {"side": 1}}
+    assert (asked["ramp_s"], asked["state"], asked["enable"]) == (0.3, "disabled", False)
+    assert (asked["policy"], asked["basis"], asked["mode"], asked["level"]) == (
+        "warn", "theorem", "level", 1.0,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("value", "change"),
+    [("on", {"damping": 1.0}), ("off", {"damping": 0.0}), (0.5, {"damping": 0.5})],
+)
+def test_damping_is_asked_for_as_a_number(
+    rig: DeskRig, worker: StubWorker, value: object, change: dict[str, float]
+) -> None:
+    rig.ask(cmd="set", damping=1.0)
+    rig.ask(cmd="damping", value=value)
+    assert worker.changes[-1]["change"] == change
+
+
+def test_what_changes_no_environment_is_not_asked(rig: DeskRig, worker: StubWorker) -> None:
+    rig.ask(cmd="set", limit_cycle_faults=False)
+    rig.ask(cmd="zero")
+    rig.ask(cmd="stop")
+    assert worker.asked == []
+
+
+def test_verdict_comes_with_the_receipt(rig: DeskRig) -> None:
+    reply = rig.ask(cmd="set", K=100)
+    assert reply["receipt"]["effective"]["K"] == 100
+    assert (reply["guard"]["safe"], reply["guard"]["text"]) == (True, "fine")
+
+
+def test_refusal_carries_the_verdict_and_nothing_moves(rig: DeskRig, worker: StubWorker) -> None:
+    worker.script = refuses
+    error = under(rig, "refuse").ask(cmd="damping", value="off")["error"]
+    assert (error["code"], error["message"]) == ("guard", "damping: it would ring")
+    assert error["guard"]["safe"] is False
+    assert rig.servo.taken == []
+
+
+def test_hand_follows_as_an_event(rig: DeskRig, worker: StubWorker) -> None:
+    found = {"text": "a mass of 120 g, at 34 Hz", "mass_kg": 0.12, "hz": 34.0, "radius": 1.01}
+    worker.script = lambda asked: {"hand": found} if asked["ask"] == "hand" else refuses(asked)
+    error = under(rig, "refuse").ask(cmd="set", id=9, K=100)["error"]
+    later(rig, 2)
+    (event,) = [one for one in rig.journal.drain() if one["kind"] == "guard"]
+    assert (event["id"], event["cmd"], event["number"]) == (9, "set", error["guard"]["number"])
+    assert event["text"] == "a hand that would shake it: a mass of 120 g, at 34 Hz"
+    assert worker.asked[-1]["display"]["K"] == 100
+
+
+@pytest.mark.parametrize("policy", ["off", "warn"])
+def test_change_is_not_bound_under(rig: DeskRig, policy: str) -> None:
+    under(rig, policy)
+    rig.servo.deaf = True
+    rig.send(packed(cmd="set", K=100))
+    rig.look()
+    rig.look()
+    command = rig.servo.mailbox.take()
+    assert command is not None
+    assert not int(command[-1][Value.MASK]) & BOUND
+
+
+@pytest.mark.parametrize("policy", ["clamp", "refuse", "follow"])
+@pytest.mark.parametrize("asked", [{"cmd": "set", "K": 100}, {"cmd": "enable"}])
+def test_change_is_bound_to_the_environment_it_was_judged_for_under(
+    rig: DeskRig, policy: str, asked: dict[str, Any]
+) -> None:
+    rig.ask(cmd="set", K=1)
+    under(rig, policy)
+    rig.servo.deaf = True
+    rig.send(packed(**asked))
+    rig.look()
+    rig.look()
+    command = rig.servo.mailbox.take()
+    assert command is not None
+    assert int(command[-1][Value.MASK]) & BOUND
+    assert command[-1][Value.ENVIRONMENT_REVISION] == 1
+
+
+def test_clamped_values_are_what_is_posted(rig: DeskRig, worker: StubWorker) -> None:
+    clamped = {"action": "apply", "stages": [stage({"K": 70.0})], "verdict": verdict(clamped=True)}
+    worker.script = lambda asked: clamped
+    assert rig.ask(cmd="set", K=100)["receipt"]["effective"]["K"] == 70
+
+
+def test_if_rev_is_compared_again_after_the_verdict(rig: DeskRig, worker: StubWorker) -> None:
+    worker.silent = True
+    rig.send(packed(cmd="set", K=5, if_rev=0))
+    rig.run()
+    rig.servo.revision = 3  # another's change, past this gateway
+    rig.run()
+    worker.said.append({**applies(worker.changes[-1]), "n": worker.changes[-1]["n"]})
+    (reply,) = later(rig)
+    assert reply["error"]["code"] == "refused"
+    assert "the revision is 3 by now, not 0" in reply["error"]["message"]
+    assert rig.servo.taken == []
+
+
+# --- the worker fails -----------------------------------------------------------------------------
+
+
+def test_no_verdict_within_half_a_second_refuses_and_ends_the_worker(
+    rig: DeskRig, worker: StubWorker
+) -> None:
+    under(rig, "refuse")
+    worker.silent = True
+    rig.send(packed(cmd="set", K=100))
+    assert later(rig, 500) == []
+    (reply,) = later(rig)
+    assert (reply["error"]["code"], reply["error"]["guard"]["basis"]) == ("guard", "unknown")
+    assert worker.given_up == ["no verdict within 0.5 s"]
+    assert rig.servo.taken == []
+
+
+def test_no_verdict_within_half_a_second_goes_on_under_warn(
+    rig: DeskRig, worker: StubWorker
+) -> None:
+    worker.silent = True
+    rig.send(packed(cmd="set", K=100))
+    assert later(rig, 500) == []
+    (reply,) = later(rig)
+    assert reply["receipt"]["effective"]["K"] == 100
+    assert reply["guard"]["safe"] is None
+
+
+def test_worker_that_dies_in_the_middle_of_a_request_refuses_it(
+    rig: DeskRig, worker: StubWorker
+) -> None:
+    under(rig, "refuse")
+    worker.silent = True
+    rig.send(packed(cmd="set", K=100))
+    later(rig, 2)
+    worker.state = "down"
+    (reply,) = later(rig)
+    assert reply["error"]["code"] == "guard"
+
+
+@pytest.mark.parametrize(
+    "garbage",
+    [
+        {},
+        {"error": "KeyError"},
+        {"action": "apply", "verdict": verdict()},
+        {"action": "apply", "stages": [{"change": {"K": "much"}}], "verdict": verdict()},
+        {"action": "apply", "stages": [{"change": {"force": 1.0}}], "verdict": verdict()},
+        {"action": "fire", "stages": [stage({"K": 1.0})], "verdict": verdict()},
+    ],
+)
+def test_garbage_is_no_verdict(rig: DeskRig, worker: StubWorker, garbage: dict[str, Any]) -> None:
+    under(rig, "refuse")
+    worker.script = lambda asked: garbage
+    error = rig.ask(cmd="set", K=100)["error"]
+    assert (error["code"], error["guard"]["safe"]) == ("guard", None)
+    assert rig.servo.taken == []
+
+
+def test_late_answer_belongs_to_no_question(rig: DeskRig, worker: StubWorker) -> None:
+    under(rig, "refuse")
+    worker.silent = True
+    rig.send(packed(cmd="set", K=100))
+    later(rig, 510)
+    old = worker.changes[0]
+    worker.state = "up"
+    rig.send(packed(cmd="set", K=3))
+    later(rig, 2)
+    worker.said.append({**applies(old), "n": old["n"]})
+    assert later(rig) == []
+    assert rig.servo.taken == []
+
+
+def test_change_of_policy_voids_a_verdict_on_its_way(rig: DeskRig, worker: StubWorker) -> None:
+    worker.silent = True
+    rig.send(packed(cmd="set", K=100))
+    later(rig, 2)
+    worker.script = refuses
+    worker.silent = False
+    under(rig, "refuse")
+    first = worker.changes[0]
+    worker.said.append({**applies(first), "n": first["n"]})
+    (reply,) = later(rig)
+    assert reply["error"]["code"] == "guard"
+    assert [one["policy"] for one in worker.changes] == ["warn", "refuse"]
+
+
+# --- others, meanwhile ----------------------------------------------------------------------------
+
+
+def test_stop_waits_for_no_verdict(rig: DeskRig, worker: StubWorker) -> None:
+    worker.silent = True
+    rig.send(*[packed(cmd="set", K=k) for k in range(60)])
+    (reply, *_) = [*rig.send(packed(cmd="stop"), client=b"b"), *later(rig, 1)]
+    assert reply["ok"]
+    assert rig.view.state is State.STOPPED
+
+
+@pytest.mark.parametrize("cmd", ["stop", "disable"])
+def test_enable_does_not_come_after_what_was_asked_after_it(
+    rig: DeskRig, worker: StubWorker, cmd: str
+) -> None:
+    worker.silent = True
+    rig.send(packed(cmd="enable", id=1))
+    later(rig, 2)
+    rig.send(packed(cmd=cmd, id=2))
+    replies = {reply["id"]: reply for reply in later(rig)}
+    assert replies[2]["ok"]
+    assert replies[1]["error"]["code"] == "refused"
+    assert f"{cmd} was asked before it was judged" in replies[1]["error"]["message"]
+    worker.said += [{**applies(one), "n": one["n"]} for one in worker.changes]
+    assert later(rig) == []
+    assert Command.ENABLE not in [kind for kind, _ in rig.servo.taken]
+
+
+def test_flood_of_changes_is_bounded(rig: DeskRig, worker: StubWorker) -> None:
+    worker.silent = True
+    replies = rig.send(*[packed(cmd="set", K=k) for k in range(80)])
+    assert {reply["error"]["code"] for reply in replies} == {"busy"}
+    assert "64 requests wait for the guard" in replies[0]["error"]["message"]
+
+
+def test_request_waits_for_its_turn_at_most_a_second(rig: DeskRig, worker: StubWorker) -> None:
+    """Also one that was there when the gateway stood still: an enable now would surprise a hand."""
+    rig.servo.mute = True
+    rig.send(packed(cmd="set", K=1))
+    later(rig, 2)
+    rig.send(packed(cmd="enable", id=5))
+    rig.servo.tick(3000)
+    replies = {reply["id"]: reply for reply in map(decoded, rig.look())}
+    assert replies[5]["error"]["code"] == "timeout"
+    assert Command.ENABLE not in [kind for kind, _ in rig.servo.taken]
+
+
+def test_change_of_another_in_between_is_judged_anew(rig: DeskRig, worker: StubWorker) -> None:
+    under(rig, "refuse")
+    raced = []
+
+    def race(asked: dict[str, Any]) -> dict[str, Any]:
+        if not raced:
+            raced.append(rig.servo.values[Value.ENVIRONMENT_REVISION])
+            rig.servo.deaf = True
+        return applies(asked)
+
+    worker.script = race
+    rig.send(packed(cmd="set", K=100))
+    rig.look()
+    rig.look()  # judged and posted, and not taken yet
+    rig.servo.values[Value.STIFFNESS] = 60.0
+    rig.servo.values[Value.ENVIRONMENT_REVISION] += 1
+    rig.servo.deaf = False
+    (reply,) = later(rig, 8)
+    assert reply["receipt"]["effective"]["K"] == 100
+    assert [one["target"]["K"] for one in worker.changes] == [0, 60]
+
+
+def test_change_that_is_raced_again_and_again_is_refused(rig: DeskRig, worker: StubWorker) -> None:
+    under(rig, "refuse")
+
+    def obey(command: tuple[Any, ...]) -> None:
+        rig.servo.values[Value.ENVIRONMENT_REVISION] += 1
+        StandInServo._apply(rig.servo, command)
+
+    rig.servo._apply = obey  # type: ignore[method-assign]
+    rig.send(packed(cmd="set", K=100))
+    (reply,) = later(rig, 20)
+    assert "has changed since this was judged" in reply["error"]["message"]
+    assert len(worker.changes) == 3
+
+
+def test_servo_restart_ends_what_waits(rig: DeskRig, worker: StubWorker, tmp_path: Path) -> None:
+    worker.silent = True
+    rig.send(packed(cmd="set", K=1, id=1), packed(cmd="enable", id=2))
+    later(rig, 2)
+    rig.servo.mailbox.close()
+    rig.servo = StandInServo(tmp_path, rig.clock)
+    rig.clock.time_ns += 200_000_000
+    replies = [decoded(reply) for reply in rig.run(2)]
+    assert {reply["error"]["code"] for reply in replies} == {"servo_down"}
+    assert {reply["id"] for reply in replies} == {1, 2}
+    worker.silent = False
+    assert rig.ask(cmd="set", K=2)["ok"]
+    assert rig.servo.taken == [(Command.SET, 16)]
+
+
+# --- scheduled ------------------------------------------------------------------------------------
+
+
+def test_scheduled_changes_are_judged_with_those_before_and_after(
+    rig: DeskRig, worker: StubWorker
+) -> None:
+    rig.ask(cmd="set", K=10, at_tick=300)
+    rig.ask(cmd="set", B=3, at_tick=100)
+    rig.ask(cmd="set", K=20, at_tick=200)
+    asked = worker.changes[-1]
+    assert (asked["before"], asked["change"], asked["after"]) == (
+        [{"B": 3}],
+        {"K": 20},
+        [{"K": 10}],
+    )
+    rig.ask(cmd="set", M=0.01)
+    assert worker.changes[-1]["before"] == []
+    assert worker.changes[-1]["after"] == [{"B": 3}, {"K": 20}, {"K": 10}]
+
+
+def test_scheduled_change_is_bound_to_what_those_before_leave(rig: DeskRig) -> None:
+    under(rig, "refuse")
+    rig.ask(cmd="set", B=3, at_tick=20)
+    rig.ask(cmd="set", K=20, at_tick=30)
+    later(rig, 40)
+    assert [event["result"] for event in answers(rig)] == ["applied", "applied"]
+    assert rig.servo.values[Value.STIFFNESS] == 20
+
+
+def test_scheduled_change_whose_environment_changed_is_judged_at_its_tick(
+    rig: DeskRig, worker: StubWorker
+) -> None:
+    under(rig, "refuse")
+    rig.ask(cmd="set", K=20, at_tick=30)
+    rig.ask(cmd="set", B=1)
+    later(rig, 60)
+    (event,) = answers(rig)
+    assert (event["result"], event["effective"]["K"]) == ("applied", 20)
+    assert len(worker.changes) == 3
+
+
+def test_tick_that_has_passed_when_the_verdict_comes_is_refused(
+    rig: DeskRig, worker: StubWorker
+) -> None:
+    worker.silent = True
+    rig.send(packed(cmd="set", K=5, at_tick=10))
+    later(rig, 20)
+    (asked,) = worker.changes
+    worker.said.append({**applies(asked), "n": asked["n"]})
+    (reply,) = later(rig)
+    assert "at_tick has passed" in reply["error"]["message"]
+
+
+# --- stages ---------------------------------------------------------------------------------------
+
+
+def test_stage_waits_for_the_damping_that_the_board_reports(
+    rig: DeskRig, worker: StubWorker
+) -> None:
+    worker.script = two_stages
+    rig.servo.effect = 0.0
+    reply = rig.ask(cmd="set", K=400, damping=1.5, id="s")
+    assert reply["receipt"]["result"] == "staged"
+    later(rig, 100)
+    assert rig.servo.values[Value.STIFFNESS] == 0
+    assert answers(rig) == []
+    rig.servo.effect = 1.5
+    later(rig, 3)
+    (event,) = answers(rig)
+    assert (event["id"], event["result"], event["effective"]["K"]) == ("s", "applied", 400)
+
+
+def test_stage_waits_for_the_ramps_of_the_one_before(rig: DeskRig, worker: StubWorker) -> None:
+    stages = [stage({"K": 10.0}), stage({"damping": 0.0}, after_ramps=True)]
+    worker.script = lambda asked: {"action": "stage", "stages": stages, "verdict": verdict()}
+    rig.ask(cmd="damping", value="off")
+    later(rig, 45)
+    assert answers(rig) == []
+    later(rig, 10)
+    assert answers(rig)[0]["result"] == "applied"
+
+
+def test_newer_request_supersedes_what_is_left(rig: DeskRig, worker: StubWorker) -> None:
+    worker.script = two_stages
+    rig.servo.effect = 0.0
+    rig.ask(cmd="set", K=400, damping=1.5, id="old")
+    worker.script = applies
+    rig.ask(cmd="set", M=0.01, id="new")
+    (event,) = answers(rig)
+    assert (event["id"], event["result"]) == ("old", "superseded")
+    assert worker.changes[-1]["target"]["damping"] == 1.5
+    rig.servo.effect = 1.5
+    later(rig, 5)
+    assert rig.servo.values[Value.STIFFNESS] == 0
+
+
+def test_newer_request_that_is_refused_supersedes_nothing(rig: DeskRig, worker: StubWorker) -> None:
+    under(rig, "refuse")
+    worker.script = two_stages
+    rig.servo.effect = 0.0
+    rig.ask(cmd="set", K=400, damping=1.5)
+    worker.script = refuses
+    assert not rig.ask(cmd="set", M=0.01)["ok"]
+    rig.servo.effect = 1.5
+    later(rig, 5)
+    assert answers(rig)[0]["result"] == "applied"
+
+
+@pytest.mark.parametrize("cmd", ["stop", "disable"])
+def test_end_of_force_cancels_what_is_left(rig: DeskRig, worker: StubWorker, cmd: str) -> None:
+    rig.ask(cmd="enable")
+    worker.script = two_stages
+    rig.servo.effect = 0.0
+    rig.ask(cmd="set", K=400, damping=1.5)
+    assert rig.ask(cmd=cmd)["ok"]
+    rig.servo.effect = 1.5
+    later(rig, 5)
+    (event,) = answers(rig)
+    assert event["result"] == "cancelled"
+    assert "what is in force stays" in event["text"]
+    assert rig.servo.values[Value.STIFFNESS] == 0
+
+
+def test_stages_are_bound_one_after_the_other(rig: DeskRig, worker: StubWorker) -> None:
+    under(rig, "refuse")
+    worker.script = two_stages
+    rig.ask(cmd="set", K=400, damping=1.5)
+    later(rig, 5)
+    assert answers(rig)[0]["result"] == "applied"
+    assert len(worker.changes) == 1
+
+
+def test_damping_that_never_comes_ends_the_change(rig: DeskRig, worker: StubWorker) -> None:
+    worker.script = two_stages
+    rig.servo.effect = 0.2
+    rig.ask(cmd="set", K=400, damping=1.5)
+    later(rig, 2500)
+    (event,) = answers(rig)
+    assert event["result"] == "cancelled"
+    assert "the board reports 0.2 of 1.5 N s/m" in event["text"]
+    assert rig.servo.values[Value.STIFFNESS] == 0
+
+
+def test_enable_waits_for_a_change_in_stages(rig: DeskRig, worker: StubWorker) -> None:
+    worker.script = two_stages
+    rig.servo.effect = 0.0
+    rig.ask(cmd="set", K=400, damping=1.5)
+    worker.script = applies
+    rig.send(packed(cmd="enable"))
+    later(rig, 10)
+    assert rig.view.state is State.DISABLED
+    rig.servo.effect = 1.5
+    later(rig, 5)
+    assert rig.view.state is State.ENABLED
+    assert rig.servo.values[Value.STIFFNESS] == 400
+
+
+# --- modes ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("asked", "mode"),
+    [
+        ({"cmd": "damping", "value": "on"}, "level"),
+        ({"cmd": "damping", "value": 1.0}, "level"),
+        ({"cmd": "damping", "value": "off"}, "off"),
+        ({"cmd": "damping", "value": "auto"}, "auto"),
+        ({"cmd": "set", "damping": 0.5}, "level"),
+        ({"cmd": "guard", "mode": "auto"}, "auto"),
+    ],
+)
+def test_mode_follows_what_was_asked(rig: DeskRig, asked: dict[str, Any], mode: str) -> None:
+    assert rig.ask(**asked)["ok"]
+    assert rig.ask(cmd="guard")["result"]["mode"] == mode
+
+
+def test_auto_without_a_worker_is_refused(tmp_path: Path) -> None:
+    rig = DeskRig(tmp_path)
+    error = rig.ask(cmd="damping", value="auto")["error"]
+    assert error["code"] == "guard"
+    assert rig.ask(cmd="guard")["result"]["mode"] == "off"
+
+
+def test_auto_chooses_anew_by_itself(rig: DeskRig, worker: StubWorker) -> None:
+    rig.ask(cmd="damping", value="auto")
+    level = {"action": "apply", "stages": [stage({"damping": 0.7})], "verdict": verdict()}
+    worker.script = lambda asked: level if asked["ask"] == "change" else None
+    later(rig, 2)
+    for _ in range(60):
+        rig.run(100)
+    assert worker.changes[-1]["mode"] == "auto"
+    assert rig.servo.values[Value.ADDED_DAMPING] == 0.7
+    taken = len(rig.servo.taken)
+    for _ in range(60):
+        rig.run(100)
+    assert len(rig.servo.taken) == taken  # nothing is posted while nothing changes
+
+
+# --- gateway restart ------------------------------------------------------------------------------
+
+
+def test_gateway_that_comes_later_judges_what_is_in_force(rig: DeskRig, worker: StubWorker) -> None:
+    rig.ask(cmd="set", K=70, damping=1.0)
+    rig.start_gateway()
+    later(rig, 3)
+    rig.ask(cmd="set", B=1)
+    assert (worker.changes[-1]["target"]["K"], worker.changes[-1]["target"]["damping"]) == (70, 1)
