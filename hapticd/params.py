@@ -174,6 +174,9 @@ class DeviceParams:
     # for recordings of versions that had no budget
     ramp_energy_j: float = math.inf
     resistance: ResistanceParams | None = None  # None: the board's compensation stays at count 0
+    motor_n_per_a: float = 0.0  # force at the endpoint per ampere, from the device file; 0: unknown
+    winding_ohm: float = 0.0  # at `winding_reference_c`, from the device file; 0: unknown
+    winding_reference_c: float = 20.0
 
     def temperature_counts(self, low: int, high: int) -> tuple[int, int]:
         """Lowest and highest count, inside `low`..`high`, of a temperature that is allowed: a

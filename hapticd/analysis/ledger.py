@@ -125,7 +125,7 @@ def book(
     done = _reported(samples, way, periods)
     if smoothing_hz > 0.0:
         w = 2.0 * np.pi * smoothing_hz
-        motor, mean = _smoothed(samples, periods * period_s, period_s, w, motor_n)
+        motor, mean = smoothed(samples, periods * period_s, period_s, w, motor_n)
         found["lag"] = -way / (periods * period_s) * _difference(motor) / w
         done = mean * way
     found["whole"] = done + found["electrical"]
@@ -207,11 +207,12 @@ def _reported(samples: Table, way: Floats, periods: Floats) -> Floats:
     return np.asarray(way * (now * after + _before(now) * (1.0 - after)))
 
 
-def _smoothed(
+def smoothed(
     samples: Table, lasting_s: Floats, period_s: float, w: float, motor_n: float
 ) -> tuple[Floats, Floats]:
-    """Force of the motor at each sample, and its mean since the one before: the force in effect
-    behind a first-order low-pass of corner `w` [rad/s].
+    """Force [N] of the motor at each of `samples` (n,), and its mean since the one before: the
+    force in effect behind a first-order low-pass of corner `w` [rad/s]. Each sample came
+    `lasting_s` (n,) after the one before; `motor_n` is the force at the first.
     """
     after_s = np.minimum(samples["since"] * period_s, lasting_s)
     force = samples["in_effect_n"].tolist()

@@ -134,6 +134,7 @@ def _status_lines(found: dict[str, Any]) -> list[str]:
         f"  now       {_moving(found)}",
         f"  timing    {_timing(found)}",
         f"  delay     {delay_words(found)}",
+        f"  damping   {delivered_words(found)}",
     ]
     lines += [f"  board     {terminal.coloured(waits, terminal.RED)}"] if waits else []
     off = [f"{name} {on}" for name, on in found.get("limit_cycle_faults", {}).items() if on != "on"]
@@ -184,6 +185,20 @@ def delay_words(found: dict[str, Any]) -> str:
     spread = f"spread {found['delay_spread_us']} us"
     age = f"frames {found['frame_age_us']} us old when read"
     return f"sample to force {delay_us} us ({periods:.3g} periods), {spread}; {age}"
+
+
+def delivered_words(found: dict[str, Any]) -> str:
+    """How much active damping the board delivers, as people read it."""
+    delivered = found.get("delivered_damping", {"basis": "unknown", "commanded": 0.0})
+    commanded = f"of {delivered['commanded']:.4g} N s/m commanded"
+    if delivered.get("estimate_ns_per_m") is None:
+        return f"delivered {commanded}: {delivered['basis']}"
+    between = f"{delivered['low']:.3g} to {delivered['high']:.3g}"
+    share = "" if delivered["ratio"] is None else f" ({100 * delivered['ratio']:.0f} %)"
+    return (
+        f"delivered {delivered['estimate_ns_per_m']:.3g} ({between}) {commanded}{share}, by"
+        f" {delivered['basis']}"
+    )
 
 
 def _rendered(found: dict[str, Any]) -> str:

@@ -18,6 +18,7 @@ It renders nothing and may be killed at any time.
     codec        msgpack or JSON (the client uses it too)
     view         the servo as seen: its mailbox, its newest record
     telemetry    the ring of records as the messages of each topic
+    delivered    how much active damping the board delivers
     publisher    what is due to subscribers; the servo's state in words
     journal      what happened, and who did it
     flight       the flight recorder and its file

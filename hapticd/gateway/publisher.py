@@ -12,8 +12,9 @@ from typing import Any
 import msgpack
 import numpy as np
 
-from hapticd.faults import BY_NUMBER, FAULTS, Fault
+from hapticd.faults import BY_CODE, BY_NUMBER, FAULTS, Fault
 from hapticd.gateway.codec import finite
+from hapticd.gateway.delivered import Delivered
 from hapticd.gateway.flight import FlightRecorder, flights_folder
 from hapticd.gateway.guard import Guard
 from hapticd.gateway.journal import Actors, Journal
@@ -31,7 +32,7 @@ from hapticd.gateway.telemetry import (
     servo_messages,
 )
 from hapticd.gateway.view import STATES, ServoView
-from hapticd.mailbox.layout import Watched
+from hapticd.mailbox.layout import Command, Value, Watched, values_of
 from hapticd.params import GatewaySetup
 from hapticd.units import NS_PER_S
 
@@ -168,6 +169,8 @@ def _name(number: int) -> str:
 
 
 STATE_PERIOD_NS = NS_PER_S
+GATEWAY = 1  # as an actor: journal.RESERVED
+NOT_DELIVERED = values_of({Value.FAULT_NUMBER: BY_CODE["damping_not_delivered"].number})
 
 Message = tuple[str, bytes]  # topic, payload
 
@@ -187,6 +190,7 @@ class Publisher:
         guard: Guard,
         unix_ns: Callable[[], int] = time.time_ns,
         leases: Leases | None = None,
+        relied_on: Callable[[], float | None] = lambda: None,
     ) -> None:
         self._view = view
         self._guard = guard
@@ -204,6 +208,7 @@ class Publisher:
         self._transitions = Transitions(view, actors, journal)
         self._probe = ProbeDecoder(setup.servo.device)
         self._ledger = Ledger(setup.servo)
+        self._delivered = Delivered(setup.servo, relied_on)
         self._origin = Origin(0, 0, setup.servo.simulated)
         self._life = 0
         self._alive = False
@@ -250,6 +255,8 @@ class Publisher:
             self.flight.add(block, now_ns)
             if block.lost:
                 self._ledger.forget()
+                self._delivered.forget()
+            self._follow_damping(block)
             found += self._ticks(block, wanted)
         self.flight.dump_if_due(now_ns)
         told = self._guard.messages(now_ns, unix_ns, "guard" in wanted)
@@ -269,6 +276,7 @@ class Publisher:
             self.flight.begin(self._origin)
             self._probe.forget()
             self._ledger.begin()
+            self._delivered.begin()
         if view.alive != self._alive:
             self._alive = view.alive
             self._journal.note(
@@ -276,6 +284,14 @@ class Publisher:
                 epoch=self._origin.epoch,
                 text=view.trouble,
             )
+
+    def _follow_damping(self, block: RingBlock) -> None:
+        """Too little of the active damping is delivered: warn, and end force where it is needed."""
+        for low in self._delivered.take(block.records):
+            if low.warn:
+                self._journal.note("warning", text=low.text)
+            if low.fault and self._view.mailbox:
+                self._view.mailbox.post(Command.FAULT, GATEWAY, 0, NOT_DELIVERED)
 
     def _ticks(self, block: RingBlock, wanted: frozenset[str]) -> list[Message]:
         found: list[Message] = []
@@ -308,7 +324,12 @@ class Publisher:
         return [self._state(unix_ns)] if "state" in self._wanted else []
 
     def _state(self, unix_ns: int) -> Message:
-        return "state", _packed(state_map(self._view, self._actors, self._leases, unix_ns))
+        return "state", _packed(self.state(unix_ns))
+
+    def state(self, unix_ns: int) -> dict[str, Any]:
+        """The topic `state`."""
+        found = state_map(self._view, self._actors, self._leases, unix_ns)
+        return found | {"delivered_damping": self._delivered.plain()}
 
 
 def _packed(content: dict[str, Any]) -> bytes:

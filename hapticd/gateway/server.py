@@ -32,7 +32,7 @@ from hapticd.gateway.addresses import Sockets
 from hapticd.gateway.desk import Desk
 from hapticd.gateway.guard import Guard
 from hapticd.gateway.journal import Journal
-from hapticd.gateway.publisher import Publisher, state_map
+from hapticd.gateway.publisher import Publisher
 from hapticd.gateway.schemas import PROTOCOL_VERSION
 from hapticd.gateway.telemetry import TOPICS
 from hapticd.gateway.view import ServoView
@@ -200,7 +200,7 @@ class GatewayServer:
     def _status(self) -> dict[str, Any]:
         mailbox = self._view.mailbox
         return {
-            **state_map(self._view, self._desk.actors, self._desk.leases, self._unix_ns()),
+            **self._publisher.state(self._unix_ns()),
             "stages": self._publisher.stages.summary(),
             "endpoints": self.endpoints,
             "servo": mailbox.report() if mailbox else living_report(self._view.folder),

@@ -304,7 +304,26 @@ def device_params(device: DeviceFile) -> DeviceParams:
         home=HomeParams(**device.home.model_dump()),
         relies_on=device.relies_on,
         resistance=None if device.resistance is None else device.resistance.params(),
+        **_motor(device),
     )
+
+
+def _motor(device: DeviceFile) -> dict[str, float]:
+    """What the device file knows of the motor: of a real one what its homing goes by."""
+    if device.plant:
+        return {
+            "motor_n_per_a": device.plant.torque_constant_n_per_a,
+            "winding_ohm": device.plant.winding_ohm,
+            "winding_reference_c": device.plant.ambient_c,
+        }
+    if device.model is None:
+        return {"motor_n_per_a": device.home.current_n_per_a}
+    motor = device.model.table("motor")
+    return {
+        "motor_n_per_a": motor.torque_constant_nm_per_a / motor.lever_m,
+        "winding_ohm": motor.resistance_ohm,
+        "winding_reference_c": motor.reference_c,
+    }
 
 
 def environment_params(asked: Environment, travel: Travel) -> EnvironmentParams:

@@ -215,6 +215,7 @@ class Axis:
         "amplifier",
         "clamped",
         "damping_count",
+        "damping_gain",
         "damping_n",
         "diverged_at",
         "faults",
@@ -246,6 +247,7 @@ class Axis:
         self._trim_ohm_per_count = params.trim_full_scale_ohm / I16_HIGHEST
         self.probe = Probe(params)
         self.amplifier: Amplifier | None = None
+        self.damping_gain = 1.0  # of the circuit: damping over what is commanded
         self.levels = READY  # Status bits of the hard-wired emergency stop, which has no memory
         self.state = self.plant.rest(0.0)
         self.power_up()
@@ -421,7 +423,7 @@ class Axis:
 
     def _damp(self, count: int) -> None:
         self.damping_count = count
-        self.damping_n = count * self._params.damping_ns_per_m_per_count
+        self.damping_n = self.damping_gain * count * self._params.damping_ns_per_m_per_count
 
     def _compensate(self, count: int) -> None:
         """The circuit believes in the resistance of this count from now on; with the DAC not

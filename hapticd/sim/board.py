@@ -240,6 +240,15 @@ class BoardModel:
     def amplifier(self, amplifier: Amplifier | None) -> None:
         self._axis.amplifier = amplifier
 
+    @property
+    def damping_gain(self) -> float:
+        """Of the damping circuit, from the next OUT on: damping over what is commanded."""
+        return self._axis.damping_gain
+
+    @damping_gain.setter
+    def damping_gain(self, gain: float) -> None:
+        self._axis.damping_gain = gain
+
     def stop_watchdog(self) -> None:
         """The watchdog does not work until the next OUT is obeyed."""
         self._axis.stop_watchdog()

@@ -175,6 +175,7 @@ class Injector:
         self.tick += 1
         self._in_faults.clear()
         self.board.amplifier = None
+        self.board.damping_gain = 1.0
         for number, item in enumerate(self._injections):
             if tick == item.tick or (item.probability and self.random.random() < item.probability):
                 self._until[number] = tick + item.count
@@ -292,6 +293,11 @@ def _amplifier(act: Callable[[float, float], float]) -> OutFault:
     return strike
 
 
+def _damped(injector: Injector, packet: memoryview, value: float, t_ns: int) -> memoryview:
+    injector.board.damping_gain = value
+    return packet
+
+
 def _delayed(injector: Injector, packet: bytes, value: float, t_ns: int) -> None:
     injector.hold(t_ns + round(value * NS_PER_S), packet)
 
@@ -386,6 +392,11 @@ OUT_FAULTS: dict[str, OutKind] = {
         _amplifier(lambda force_n, value: force_n * value),
         "the amplifier has another gain, or the other polarity",
         "force over commanded force",
+    ),
+    "damping_gain": OutKind(
+        _damped,
+        "the damping circuit damps less, or more, than is commanded",
+        "damping over commanded damping",
     ),
     "restart": OutKind(
         _restarted,

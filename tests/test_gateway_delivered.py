@@ -1,0 +1,333 @@
+"""What is delivered of the active damping, on the lock-step stack, against the closed form of the
+damping circuit (Weir, Colgate and Peshkin 2008, section 5).
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from models import board_params, device_params, servo_params
+
+from hapticd.assembly.lockstep import LockStep, scene_params
+from hapticd.gateway.delivered import Delivered, Estimate, Low
+from hapticd.gateway.view import Records, as_records
+from hapticd.mailbox.layout import Command, Value
+from hapticd.params import BoardParams, HandParams, InjectionParams, ServoParams, TouchParams
+
+LEVEL = 1.74
+GAIN = 1.0 + 0.05820105820105820  # of the multiplier of weir2008
+N_PER_A = 0.016492422502470644 / 0.01
+LEFT_OHM = 1.6 * 0.00393 * 13.67318908684  # of the winding, that is not compensated
+FREE = (0.0, 0.0, 0.0)
+DISPLAY = (100.0, 1.0, 0.01)
+HAND = HandParams("hold", stiffness_n_per_m=300.0, damping_ns_per_m=3.0, tremor_m=2e-3)
+
+
+def circuit(level: float, left_ohm: float = LEFT_OHM, gain: float = GAIN) -> float:
+    """Delivered damping: alpha g b with alpha = 1 / (1 + g b dR / K^2)."""
+    return gain * level / (1.0 + gain * level * left_ohm / N_PER_A**2)
+
+
+def shaken(stack: LockStep, seed: int, rms_n: float, ticks: int) -> None:
+    """By white noise at 4 kHz."""
+    samples = 4 * ticks
+    noise = np.random.default_rng(seed).standard_normal(samples) * rms_n / 2.0
+    counts = np.round(32767.0 * np.clip(noise, -1.0, 1.0)).astype(int)
+    stack.load_waveform(counts.tolist())
+    stack.do(Command.PERTURB_START, {Value.SAMPLES: float(samples), Value.LOOP: 0.0})
+
+
+def damped(stack: LockStep, level: float) -> None:
+    on = {Value.ADDED_DAMPING: level, Value.ADDED_DAMPING_ON: 1.0}
+    stack.do(Command.DAMPING, on if level else {Value.ADDED_DAMPING_ON: 0.0})
+
+
+def begun(stack: LockStep, environment: Sequence[float], level: float) -> None:
+    """Force on, at once."""
+    stack.run(5)
+    places = (Value.STIFFNESS, Value.DAMPING, Value.MASS)
+    values = dict(zip(places, environment, strict=True))
+    stack.do(Command.SET, {**values, Value.RAMP_S: 0.0})
+    stack.do(Command.ENABLE)
+    damped(stack, level)
+
+
+def parts(
+    touch: TouchParams | None = None,
+    injections: tuple[InjectionParams, ...] = (),
+    limit_n: float = 8.0,
+    **board: Any,
+) -> tuple[ServoParams, BoardParams]:
+    """Servo and board of the paper's device."""
+    servo, plain = scene_params("fig4")
+    servo = replace(servo, safety=replace(servo.safety, force_limit_n=limit_n))
+    return servo, replace(plain, touch=touch, injections=injections, **board)
+
+
+@cache
+def flown(
+    environment: Sequence[float] = DISPLAY,
+    level: float = LEVEL,
+    rms_n: float = 0.21,
+    seed: int = 1,
+    ticks: int = 3000,
+    shaken_ticks: int = 3000,
+    **board: Any,
+) -> tuple[ServoParams, Records]:
+    """Servo and records of a flight of the paper's device that is shaken by white noise."""
+    servo, with_board = parts(**board)
+    with LockStep(servo, replace(with_board, seed=seed)) as stack:
+        begun(stack, environment, level)
+        if rms_n:
+            shaken(stack, seed, rms_n, shaken_ticks)
+        stack.run(ticks)
+        return servo, as_records(b"".join(stack.blocks))
+
+
+def followed(
+    servo: ServoParams, records: Records, at_once: int = 20, relied_on: float | None = None
+) -> tuple[Estimate, list[Low]]:
+    delivered = Delivered(servo, lambda: relied_on)
+    blocks = np.split(records, range(at_once, len(records), at_once))
+    lows = [low for block in blocks for low in delivered.take(block)]
+    return delivered.estimate, lows
+
+
+def holds(found: Estimate, truth: float) -> bool:
+    assert found.low is not None, found.basis
+    assert found.high is not None
+    return found.low <= truth <= found.high
+
+
+@pytest.mark.parametrize("environment", [FREE, DISPLAY, (50.0, 2.0, 0.0), (0.0, 2.0, 0.0)])
+@pytest.mark.parametrize("level", [0.5, LEVEL, 5.0])
+def test_interval_holds_what_the_circuit_delivers(level, environment):
+    """The residual resistance weakens damping and force alike; the back-EMF alone shows neither."""
+    found, lows = followed(*flown(environment, level))
+    assert holds(found, circuit(level))
+    assert found.estimate_ns_per_m == pytest.approx(circuit(level), rel=0.05)
+    assert found.commanded == pytest.approx(level, abs=1e-3)
+    assert found.basis == "current, back-EMF and encoder"
+    assert not lows
+
+
+def test_without_damping_nothing_is_delivered():
+    found, lows = followed(*flown(DISPLAY, 0.0))
+    assert holds(found, 0.0)
+    assert found.high < 0.1
+    assert found.ratio is None
+    assert not lows
+
+
+@pytest.mark.parametrize("level", [0.5, LEVEL, 5.0])
+@pytest.mark.parametrize("environment", [FREE, (0.0, 2.0, 0.0), (200.0, 1.0, 0.005)])
+def test_interval_holds_under_a_moving_hand(level, environment):
+    found, lows = followed(*flown(environment, level, 0.0, touch=TouchParams(hands=(HAND,))))
+    assert holds(found, circuit(level))
+    assert not lows
+
+
+@pytest.mark.parametrize("limit_n", [0.5, 2.0])
+@pytest.mark.parametrize("environment", [(1500.0, 0.0, 0.0), (0.0, 12.0, 0.0), (0.0, 0.0, -0.03)])
+def test_interval_holds_in_a_limit_cycle(environment, limit_n):
+    """Everything has one frequency, and the force stands at its limit."""
+    servo, records = flown(environment, ticks=4000, shaken_ticks=1000, limit_n=limit_n)
+    assert np.abs(records["force_n"][-1000:]).max() > 0.99 * limit_n
+    found, lows = followed(servo, records)
+    assert holds(found, circuit(LEVEL))
+    assert not lows
+
+
+def test_at_rest_it_is_unknown():
+    found, lows = followed(*flown(DISPLAY, LEVEL, 0.0))
+    assert found.estimate_ns_per_m is None
+    assert found.basis == "unknown: the handle hardly moves"
+    assert not lows
+
+
+@cache
+def failed(kinds: tuple[tuple[str, float], ...]) -> tuple[ServoParams, Records]:
+    """A device whose damping circuit or amplifier fails at 3 s."""
+    injections = tuple(
+        InjectionParams(kind, tick=3000, count=100_000, value=value) for kind, value in kinds
+    )
+    return flown(ticks=11_000, shaken_ticks=11_000, injections=injections)
+
+
+@pytest.mark.parametrize("gain", [0.0, 0.3, 0.6])
+def test_circuit_that_delivers_less_is_found_and_told_once(gain):
+    found, lows = followed(*failed((("damping_gain", gain),)))
+    assert holds(found, circuit(gain * LEVEL))
+    assert found.high < 0.8 * LEVEL
+    assert [(low.warn, low.fault) for low in lows] == [(True, False)]
+    assert "delivered of 1.74 N s/m commanded" in lows[0].text
+
+
+def test_amplifier_that_stands_still_delivers_no_damping():
+    found, lows = followed(*failed((("amplifier_stuck", 0.2), ("damping_gain", 0.0))))
+    assert holds(found, 0.0)
+    assert len(lows) == 1
+
+
+@pytest.mark.parametrize("gain", [0.5, 1.5])
+def test_gain_of_the_force_is_not_taken_for_damping(gain):
+    found, lows = followed(*failed((("amplifier_gain", gain),)))
+    assert holds(found, circuit(LEVEL))
+    assert not lows
+
+
+@pytest.mark.parametrize(("relied_on", "faults"), [(0.5, 0), (1.2, 1), (None, 0)])
+def test_fault_is_asked_for_once_and_only_where_the_damping_is_relied_on(relied_on, faults):
+    """0.6 of 1.74 are about 1.1 N s/m."""
+    _, lows = followed(*failed((("damping_gain", 0.6),)), relied_on=relied_on)
+    assert sum(low.warn for low in lows) == 1
+    assert sum(low.fault for low in lows) == faults
+
+
+def test_low_damping_is_told_after_it_was_low_for_three_seconds():
+    servo, records = failed((("damping_gain", 0.3),))
+    delivered = Delivered(servo)
+    since = None
+    for start in range(0, len(records), 256):
+        lows = delivered.take(records[start : start + 256])
+        high = delivered.estimate.high
+        if since is None and high is not None and high < 0.8 * LEVEL:
+            since = start
+        if lows:
+            break
+    assert since is not None
+    assert start - since == 11 * 256
+
+
+def changed(records: Records, **columns: Any) -> Records:
+    """A copy with these columns."""
+    found = records.copy()
+    for name, values in columns.items():
+        found[name] = values
+    return found
+
+
+def test_without_current_the_voltage_over_a_known_resistance_serves():
+    servo, records = flown()
+    blind = changed(records, current_a=0.0)
+    found, _ = followed(servo, blind)
+    assert holds(found, circuit(LEVEL))
+    assert found.basis == "voltage, resistance and encoder, no current"
+    nothing = replace(servo, device=replace(servo.device, winding_ohm=0.0))
+    assert followed(nothing, blind)[0].basis.startswith("unknown: the board sends no current")
+
+
+def test_without_back_emf_the_encoder_serves_and_it_is_said():
+    servo, records = flown()
+    found, _ = followed(servo, changed(records, emf_velocity_m_per_s=0.0))
+    assert holds(found, circuit(LEVEL))
+    assert found.basis == "current and encoder, no back-EMF"
+
+
+def test_device_file_without_force_per_ampere_leaves_it_unknown():
+    servo, records = flown()
+    unknown = replace(servo, device=replace(servo.device, motor_n_per_a=0.0))
+    found, _ = followed(unknown, records)
+    assert found.estimate_ns_per_m is None
+    assert found.commanded == pytest.approx(LEVEL, abs=1e-3)
+
+
+@pytest.mark.parametrize("name", ["current_a", "voltage_v", "emf_velocity_m_per_s"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, "full"])
+def test_what_is_not_measured_is_left_out(name, value):
+    """Every seventh sample of the second half is NaN, infinite or at the converter's end."""
+    servo, records = flown()
+    scale = getattr(servo.device, name.rpartition("_m_per_s")[0] or name[:-2])
+    wrong = 32767 * scale.per_count if value == "full" else value
+    values = records[name].copy()
+    values[1500::31] = wrong
+    found, lows = followed(servo, changed(records, **{name: values}))
+    assert holds(found, circuit(LEVEL))
+    assert not lows
+
+
+def test_current_that_saturates_is_no_current():
+    servo, records = flown()
+    most = 0.02
+    narrow = replace(servo.device.current, per_count=most / 32767)
+    limited = np.clip(records["current_a"], -most, most)
+    saturated = replace(servo, device=replace(servo.device, current=narrow))
+    found, lows = followed(saturated, changed(records, current_a=limited))
+    assert found.low is None or holds(found, circuit(LEVEL))
+    assert not lows
+
+
+def test_lost_frames_and_gaps_in_the_records_are_left_out():
+    losses = tuple(InjectionParams(kind, probability=0.01) for kind in ("drop_in", "drop_out"))
+    servo, records = flown(ticks=6000, shaken_ticks=6000, injections=losses)
+    delivered = Delivered(servo)
+    for start in range(0, 6000, 20):
+        if start % 1000 == 500:
+            delivered.forget()
+            continue
+        assert not delivered.take(records[start : start + 20])
+    assert holds(delivered.estimate, circuit(LEVEL))
+    assert delivered.estimate.seconds < 4.0
+
+
+def test_what_was_seen_at_another_level_does_not_count():
+    """Damping is switched at 4 s, and slewed: unknown for 2 s, then what is delivered now."""
+    servo, board = parts()
+    slewed = replace(servo, safety=replace(servo.safety, damping_slew_ns_per_m_s=5.0))
+    with LockStep(slewed, board) as stack:
+        begun(stack, DISPLAY, 4.0)
+        shaken(stack, 1, 0.21, 9000)
+        stack.run(4000)
+        damped(stack, 0.5)
+        stack.run(5000)
+        records = as_records(b"".join(stack.blocks))
+    delivered = Delivered(slewed)
+    known = []
+    for start in range(0, len(records), 256):
+        assert not delivered.take(records[start : start + 256])
+        if delivered.estimate.low is not None:
+            known.append(start)
+            assert holds(delivered.estimate, circuit(4.0 if start < 4200 else 0.5))
+    assert not [start for start in known if 4200 < start < 6000]
+    assert holds(delivered.estimate, circuit(0.5))
+
+
+def test_estimate_does_not_depend_on_how_records_come():
+    servo, records = flown()
+    assert followed(servo, records, 1)[0] == followed(servo, records, 997)[0]
+
+
+def test_only_torque_that_is_granted_counts():
+    """Disabled, a board may switch its amplifier off and damp nothing."""
+    servo, records = flown()
+    off = changed(records, status=0, current_a=0.0)
+    found, lows = followed(servo, off)
+    assert found.estimate_ns_per_m is None
+    assert not lows
+
+
+def test_rigid_device_delivers_what_is_commanded():
+    """Without smoothing and without lag."""
+    motor = device_params(motor_n_per_a=board_params().torque_constant_n_per_a)
+    servo = servo_params(device=motor)
+    with LockStep(servo, board_params(emf_velocity_m_per_s_per_count=1.0 / 32767)) as stack:
+        begun(stack, DISPLAY, 1.0)
+        shaken(stack, 1, 0.21, 3000)
+        stack.run(3000)
+        found, lows = followed(servo, as_records(b"".join(stack.blocks)))
+    assert holds(found, 1.0)
+    assert not lows
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_healthy_device_is_never_warned_of(seed):
+    """Random levels, environments and shaking."""
+    random = np.random.default_rng(seed)
+    level = random.uniform(0.3, 5.0)
+    environment = (random.uniform(0, 200), random.uniform(0, 2), random.uniform(0, 0.01))
+    found, lows = followed(*flown(environment, level, random.uniform(0.03, 0.3), seed))
+    assert not lows
+    assert found.low is None or holds(found, circuit(level))
