@@ -331,3 +331,10 @@ def test_healthy_device_is_never_warned_of(seed):
     found, lows = followed(*flown(environment, level, random.uniform(0.03, 0.3), seed))
     assert not lows
     assert found.low is None or holds(found, circuit(level))
+
+
+def test_device_files_say_the_force_per_ampere():
+    """Of a real board what homing goes by, else what is simulated."""
+    servo, _ = parts()
+    assert servo.device.motor_n_per_a == pytest.approx(N_PER_A)
+    assert (servo.device.winding_ohm, servo.device.winding_reference_c) == (1.6, 20.0)

@@ -309,20 +309,25 @@ def device_params(device: DeviceFile) -> DeviceParams:
 
 
 def _motor(device: DeviceFile) -> dict[str, float]:
-    """What the device file knows of the motor: of a real one what its homing goes by."""
-    if device.plant:
-        return {
-            "motor_n_per_a": device.plant.torque_constant_n_per_a,
-            "winding_ohm": device.plant.winding_ohm,
-            "winding_reference_c": device.plant.ambient_c,
-        }
-    if device.model is None:
-        return {"motor_n_per_a": device.home.current_n_per_a}
-    motor = device.model.table("motor")
+    """What the device file knows of the motor: as its compensation has it, as it is simulated, or
+    else as homing takes it.
+    """
+    if known := device.resistance:
+        return _winding(known.force_n_per_a, known.winding_ohm, known.reference_c)
+    if plant := device.plant:
+        return _winding(plant.torque_constant_n_per_a, plant.winding_ohm, plant.ambient_c)
+    if model := device.model:
+        motor = model.table("motor")
+        force_n_per_a = motor.torque_constant_nm_per_a / motor.lever_m
+        return _winding(force_n_per_a, motor.resistance_ohm, motor.reference_c)
+    return {"motor_n_per_a": device.home.current_n_per_a}
+
+
+def _winding(force_n_per_a: float, resistance_ohm: float, reference_c: float) -> dict[str, float]:
     return {
-        "motor_n_per_a": motor.torque_constant_nm_per_a / motor.lever_m,
-        "winding_ohm": motor.resistance_ohm,
-        "winding_reference_c": motor.reference_c,
+        "motor_n_per_a": force_n_per_a,
+        "winding_ohm": resistance_ohm,
+        "winding_reference_c": reference_c,
     }
 
 
