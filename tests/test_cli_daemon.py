@@ -2,13 +2,15 @@
 
 import dataclasses
 import json
+import os
+import signal
 from pathlib import Path
 from typing import Any, Self
 
 import pytest
 
 import hapticd.__main__ as entry
-from hapticd.cli import change, daemon, system, terminal
+from hapticd.cli import change, daemon, lease, system, terminal
 from hapticd.cli.app import main
 from hapticd.client import Receipt, fast_stop
 from hapticd.errors import CommandError, ConfigError, DaemonDown, HapticdError, RealtimeError
@@ -524,3 +526,83 @@ def test_instance_names_are_checked(capsys: pytest.CaptureFixture[str]) -> None:
     assert (
         "instance name '../other': use 1 to 64 letters, digits, - and _" in capsys.readouterr().err
     )
+
+
+# --- leases ---------------------------------------------------------------------------------------
+
+HELD = {
+    "measuring": {
+        "name": "trial",
+        "actor": 17,
+        "left_s": 4.25,
+        "ttl_s": 5.0,
+        "at_end": "disable",
+    }
+}
+
+
+def test_leases_are_shown_with_holder_and_time(
+    client: ClientDouble, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lease, "connect", lambda instance: client)
+    client.states = [{"leases": HELD}]
+    assert main(["lease", "show"]) == 0
+    assert capsys.readouterr().out == (
+        "measuring: trial (actor 17), 4.2 of 5 s left, at its end disable; guard and energy faults"
+        " are off\n"
+    )
+    assert main(["lease", "show", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"ok": True, "leases": HELD}
+    client.states = [{"leases": {}}]
+    assert main(["lease", "show"]) == 0
+    assert capsys.readouterr().out.startswith("nobody holds a lease")
+
+
+class LeaseDouble:
+    """A lease that is granted; remembers what becomes of it."""
+
+    def __init__(self, done: list[str]) -> None:
+        self.done = done
+
+    def take(self) -> dict[str, Any]:
+        self.done.append("take")
+        return {"what": "measuring", **HELD["measuring"]}
+
+    def sleep(self, seconds: float) -> None:
+        self.done.append("sleep")
+        os.kill(os.getpid(), signal.SIGINT)
+
+    def release(self) -> str:
+        self.done.append("release")
+        return ""
+
+
+def test_release_takes_over_and_leaves_it_to_anyone(
+    client: ClientDouble, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[str] = []
+    asked: list[Any] = []
+    monkeypatch.setattr(lease, "connect", lambda instance: client)
+    client.states = [{"leases": HELD}]
+    client.lease = lambda *what, **how: asked.append((what, how)) or LeaseDouble(done)  # type: ignore[attr-defined,func-returns-value]
+    assert main(["lease", "release", "measuring"]) == 0
+    assert (asked, done) == ([(("measuring",), {"take_over": True})], ["take", "release"])
+    out = capsys.readouterr().out
+    assert "before: measuring: trial (actor 17)" in out
+    assert "measuring is anyone's to change" in out
+
+
+def test_take_holds_until_ctrl_c_and_releases(
+    client: ClientDouble, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[str] = []
+    monkeypatch.setattr(lease, "connect", lambda instance: client)
+    client.lease = lambda *what, **how: LeaseDouble(done)  # type: ignore[attr-defined]
+    before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+    try:
+        assert main(["lease", "take", "measuring"]) == 0
+    finally:
+        signal.signal(signal.SIGINT, before[0])
+        signal.signal(signal.SIGTERM, before[1])
+    assert done == ["take", "sleep", "release"]
+    assert "Ctrl-C releases it" in capsys.readouterr().out

@@ -81,6 +81,14 @@ def test_screen_shows_state_and_simulated_badge() -> None:
     assert "Space or Esc: STOP" in text
 
 
+def test_screen_names_who_holds_what() -> None:
+    history = History()
+    history.add(records(10))
+    assert "leased" not in drawn(history, True, 0.0)
+    history.add(records(10, lease_control=17))
+    assert "leased: environment by actor 17" in drawn(history, True, 0.0)
+
+
 def test_screen_of_a_real_board_says_so() -> None:
     history = History()
     history.add(records(10))

@@ -422,3 +422,62 @@ def test_errors_are_where_the_client_is() -> None:
 
     assert (client.CommandError, client.DaemonDown) == (errors.CommandError, errors.DaemonDown)
     assert "Client" in dir(client)
+
+
+# --- leases ---------------------------------------------------------------------------------------
+
+
+def test_lease_is_held_inside_its_context_alone(client: Client, folder: Path) -> None:
+    with Client(name="other", timeout_s=10.0) as other:
+        with client.lease("environment", ttl_s=20.0):
+            with pytest.raises(CommandError, match=r"test \(actor \d+\) holds the lease"):
+                other.set(K=5)
+            client.set(K=7)
+            assert client.status()["leases"]["environment"]["name"] == "test"
+        assert other.set(K=5).effective["K"] == 5.0
+        assert other.status()["leases"] == {}
+
+
+def test_lease_that_was_lost_is_told_at_its_next_use_and_at_its_end(client: Client) -> None:
+    def lose() -> None:
+        with client.lease("damping", ttl_s=20.0) as lease:
+            with Client(name="operator", timeout_s=10.0) as operator:
+                operator.lease("damping", take_over=True).take()
+            for use in (lambda: client.damping("on"), lease.renew, lambda: lease.sleep(9.0)):
+                with pytest.raises(CommandError, match="was taken over by operator"):
+                    use()
+
+    with pytest.raises(CommandError, match="what was done since then was not excluded"):
+        lose()
+    client.damping("on")
+
+
+def test_error_inside_a_lease_is_the_one_that_is_told(client: Client) -> None:
+    def fail() -> None:
+        with client.lease("damping", ttl_s=20.0):
+            client.lease("damping").release()
+            raise ValueError("my own")
+
+    with pytest.raises(ValueError, match="my own"):
+        fail()
+
+
+def test_long_waits_keep_a_lease(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Waits are those of virtual time: what counts is that it is renewed in each third of it."""
+    now_s = [0.0]
+    waits: list[float] = []
+
+    def wait(seconds: float) -> None:
+        waits.append(seconds)
+        now_s[0] += seconds
+
+    with client.lease("damping", ttl_s=20.0) as lease:
+        monkeypatch.setattr("hapticd.client.lease.time.sleep", wait)
+        monkeypatch.setattr("hapticd.client.lease.time.monotonic", lambda: now_s[0])
+        asked: list[str] = []
+        monkeypatch.setattr(lease, "_call", lambda cmd, **fields: asked.append(fields["action"]))
+        lease.sleep(60.0)
+        monkeypatch.undo()
+    assert sum(waits) == pytest.approx(60.0)
+    assert max(waits) <= 20.0 / 3
+    assert asked == ["renew"] * (len(waits) + 1)

@@ -13,6 +13,7 @@ import zmq
 from gateway_rig import GatewayRig, packed
 
 from hapticd.client.blocks import BlockDecoder
+from hapticd.units import NS_PER_S
 
 pytestmark = pytest.mark.process
 
@@ -110,3 +111,51 @@ def test_idle_connections_harm_nobody(rig: GatewayRig) -> None:
     other.send(packed(cmd="status"))
     assert msgpack.unpackb(rig.receive(other)[0])["ok"]
     assert len(idle) == 100
+
+
+HOLDER = """
+import signal, sys, zmq
+socket = zmq.Context().socket(zmq.DEALER)
+socket.connect(sys.argv[1])
+for request in sys.argv[2:]:
+    socket.send(bytes.fromhex(request))
+    socket.recv()
+print("held", flush=True)
+signal.pause()
+"""
+
+
+@pytest.mark.parametrize("kill", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "stopped"])
+def test_client_that_dies_or_hangs_loses_its_lease(rig: GatewayRig, kill: int) -> None:
+    """Killed: at once, long before its 1 s is over; stopped: after that."""
+    lease = packed(cmd="lease", what="measuring", ttl_s=1.0, at_end="disable")
+    requests = [lease, packed(cmd="set", K=77), packed(cmd="enable")]
+    child = start(HOLDER, str(rig.gateway.endpoints["command"]), *(one.hex() for one in requests))
+    other = rig.client()
+    try:
+        assert said(rig, child) == b"held\n"
+        refused = rig.ask(other, cmd="set", K=5)
+        assert refused["error"]["code"] == "leased"
+        begin_ns = rig.clock.now_ns()
+        child.send_signal(kill)
+        if kill == signal.SIGKILL:
+            child.wait()
+        while rig.ask(other, cmd="status")["result"]["leases"]:
+            assert rig.clock.now_ns() - begin_ns < 2 * NS_PER_S
+        lasted_ns = rig.clock.now_ns() - begin_ns
+        assert (lasted_ns > NS_PER_S // 2) == (kill == signal.SIGSTOP)
+        for _ in range(10):
+            rig.step()
+        status = rig.ask(other, cmd="status")["result"]
+        assert status["state"] == "disabled"
+        assert status["limit_cycle_faults"]["force_at_limit"] == "on"
+        assert [one["change"] for one in status["events"] if one["kind"] == "lease"] == [
+            "taken",
+            "gone" if kill == signal.SIGKILL else "silent",
+        ]
+        assert rig.ask(other, cmd="set", K=5)["ok"]
+    finally:
+        child.kill()
+        child.wait()
+        assert child.stdout
+        child.stdout.close()

@@ -354,3 +354,26 @@ def test_run_ends_when_told(tmp_path: Path) -> None:
     )
     assert said == ["ready"]
     assert not (tmp_path / "command").exists()
+
+
+# --- leases ---------------------------------------------------------------------------------------
+
+
+def test_lease_is_shown_at_once_in_state_and_event_and_ends_with_its_connection(
+    rig: GatewayRig,
+) -> None:
+    states = rig.subscriber("state")
+    rig.receive(states)
+    holder = rig.client()
+    rig.ask(holder, cmd="hello", name="trial")
+    actor = rig.ask(holder, cmd="lease", what="perturbation", ttl_s=30.0)["result"]["actor"]
+    begin_ns = rig.clock.now_ns()
+    while not (leases := msgpack.unpackb(rig.receive(states)[1])["leases"]):
+        pass
+    assert rig.clock.now_ns() - begin_ns < 500 * NS_PER_MS
+    assert (leases["perturbation"]["name"], leases["perturbation"]["actor"]) == ("trial", actor)
+    holder.close()
+    while msgpack.unpackb(rig.receive(states)[1])["leases"]:
+        assert rig.clock.now_ns() - begin_ns < 900 * NS_PER_MS
+    events = rig.ask(rig.client(), cmd="status")["result"]["events"]
+    assert [one["change"] for one in events if one["kind"] == "lease"] == ["taken", "gone"]

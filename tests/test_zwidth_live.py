@@ -150,3 +150,57 @@ def test_stepped_sine_does_not_enable_what_someone_disabled(rigid):
 )
 def test_what_ended_a_trial_says_whether_another_may_follow(ended, again):
     assert may_follow(TrialRecord(np.zeros(1), np.zeros(1), 4000.0, "made", True, ended)) == again
+
+
+class Watched(LockStepBench):
+    """Remembers what the records say of leases and watches while the perturbation plays."""
+
+    def messages(self, topics, look_s=0.05):
+        self.seen = []
+        for message in super().messages(topics, look_s):
+            if message is None:
+                names = ("lease_control", "lease_damping", "watches", "perturbing")
+                self.seen.append({name: int(self.newest[name]) for name in names})
+            yield message
+
+
+def test_trial_measures_under_a_lease_and_says_so(rigid):
+    """Guard and energy faults are off for as long, the record of the ticks names the holder, and
+    the configured faults are on again behind it.
+    """
+    servo, board = scene_params(rigid)
+    servo = replace(servo, safety=replace(servo.safety, limit_cycle_faults=True))
+    with Watched(servo, board) as bench:
+        on = int(bench.newest["watches"])
+        found = daemon_source(bench)(Trial(seconds=2.0), lambda *_: None)
+        during = [one for one in bench.seen if one["perturbing"]]
+        assert {(one["lease_control"], one["lease_damping"]) for one in during} == {(16, 16)}
+        assert {one["watches"] & 5 for one in during} == {0}
+        assert (bench.newest["lease_control"], bench.newest["watches"]) == (0, on)
+    assert found.ended == ""
+    assert found.more["guard_policy"] == "off"
+    assert found.more["limit_cycle_faults"] is False
+
+
+def test_trial_leaves_a_device_that_was_taken_over(rigid):
+    """Whoever took it over has it: no disable of the trial's ends his session."""
+
+    class Lost(LockStepBench):
+        lost = False
+
+        def call(self, cmd, **fields):
+            if self.lost and (cmd, fields.get("action")) == ("lease", "renew"):
+                raise CommandError("leased", "taken over")
+            return super().call(cmd, **fields)
+
+        def messages(self, topics, look_s=0.05):
+            for looks, message in enumerate(super().messages(topics, look_s)):
+                if looks == 12:
+                    self.lost = True
+                    super().perturb_stop()
+                yield message
+
+    with Lost(*scene_params(rigid)) as bench:
+        found = daemon_source(bench)(Trial(seconds=4.0), lambda *_: None)
+        assert found.ended.startswith("changed: someone changed")
+        assert bench.status()["state"] == "enabled"

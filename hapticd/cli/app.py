@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import typer
 
-from hapticd.cli import daemon, keys, monitor, recording, sim, system, terminal, zwidth
+from hapticd.cli import daemon, keys, lease, monitor, recording, sim, system, terminal, zwidth
 from hapticd.errors import HapticdError
 
 USAGE = 2
@@ -39,6 +39,7 @@ VERBS: dict[str, terminal.Verb] = {
 for name, verb in VERBS.items():
     terminal.verb(app, name)(verb)
 app.add_typer(daemon.perturb_app, name="perturb")
+app.add_typer(lease.lease_app, name="lease")
 app.add_typer(recording.rec_app, name="rec")
 app.add_typer(keys.app, name="keys")
 app.add_typer(system.config_app, name="config")

@@ -12,6 +12,7 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import change, changes, connect, number, parameters, receipt_text
+from hapticd.cli.lease import lease_lines
 from hapticd.cli.terminal import SIMULATED_BANNER
 from hapticd.errors import CommandError, ConfigError, DaemonDown, HapticdError
 from hapticd.units import PROBE_RATE_HZ, US_PER_S
@@ -139,6 +140,7 @@ def _status_lines(found: dict[str, Any]) -> list[str]:
     lines += [f"  board     {terminal.coloured(waits, terminal.RED)}"] if waits else []
     off = [f"{name} {on}" for name, on in found.get("limit_cycle_faults", {}).items() if on != "on"]
     lines += [f"  fault     {one}" for one in off]
+    lines += [f"  lease     {line}" for line in lease_lines(found.get("leases", {}))]
     lines += _board_lines(found.get("servo", {}))
     return lines + [
         f"  {stage:9} {_percentiles(row)}" for stage, row in found.get("stages", {}).items()

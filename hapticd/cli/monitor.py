@@ -61,6 +61,8 @@ NEWEST = (
     "delay_spread_us",
     "frame_age_us",
     "watches",
+    "lease_control",
+    "lease_damping",
 )
 Show = Callable[["History", bool | None, float], None]  # history, simulated, seconds without data
 

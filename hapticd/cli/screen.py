@@ -157,12 +157,20 @@ def _lamp(newest: Any) -> Text:
         f"  gain {newest['gain']:.2f}  revision {newest['revision']}  tick {newest['tick']}"
     )
     off = [bit.name.lower() for bit in Watched if not int(newest["watches"]) & bit]
-    text.append(f"  off: {', '.join(off)}\n" if off else "\n", "yellow")
+    text.append(f"  off: {', '.join(off)}" if off else "", "yellow")
+    text.append(f"{_leased(newest)}\n")
     return (
         text.append(f" {fault.code}: {fault.cause}; {fault.remedy}\n", "bold red")
         if fault.number
         else text.append("\n")
     )
+
+
+def _leased(newest: Any) -> str:
+    """Who holds environment and damping, by the numbers that `hapticd lease show` names."""
+    holders = {"environment": newest["lease_control"], "damping": newest["lease_damping"]}
+    found = [f"{part} by actor {int(actor)}" for part, actor in holders.items() if actor]
+    return f"  leased: {', '.join(found)}" if found else ""
 
 
 def _title(title: str, unit: str, values: np.ndarray) -> Text:

@@ -7,6 +7,7 @@
         device.enable()
 
     Client         one connection: a method for every command, and the telemetry
+    ClientLease    to be the only one who changes something: `with device.lease("environment"):`
     Receipt        what became of an accepted change
     Block          consecutive records of a telemetry topic, and what was lost before them
     CommandError   the daemon refused: its `code` and text say why and what to do
@@ -21,12 +22,14 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from hapticd.client.blocks import Block
     from hapticd.client.client import Client, Receipt
+    from hapticd.client.lease import ClientLease
     from hapticd.errors import CommandError, DaemonDown
 
-__all__ = ["Block", "Client", "CommandError", "DaemonDown", "Receipt"]
+__all__ = ["Block", "Client", "ClientLease", "CommandError", "DaemonDown", "Receipt"]
 _HOMES = {
     "Block": "hapticd.client.blocks",
     "Client": "hapticd.client.client",
+    "ClientLease": "hapticd.client.lease",
     "CommandError": "hapticd.errors",
     "DaemonDown": "hapticd.errors",
     "Receipt": "hapticd.client.client",

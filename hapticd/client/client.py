@@ -27,6 +27,7 @@ import zmq
 from numpy.typing import ArrayLike
 
 from hapticd.client.blocks import Block, BlockDecoder, Records
+from hapticd.client.lease import ClientLease
 from hapticd.errors import CommandError, ConfigError, DaemonDown, MailboxError
 from hapticd.gateway.codec import MAX_MESSAGE_BYTES
 from hapticd.mailbox.daemons import daemon_folder
@@ -399,6 +400,21 @@ class Client:
             except MailboxError as error:
                 raise DaemonDown(str(error)) from error
             return Receipt("pressed")
+
+    def lease(
+        self,
+        what: Literal["environment", "damping", "perturbation", "measuring"],
+        *,
+        ttl_s: float | None = None,
+        at_end: Literal["hold", "zero", "disable"] | None = None,
+        take_over: bool = False,
+    ) -> ClientLease:
+        """Be the only one who changes `what`, as a context: see ClientLease.
+
+        It ends when this client asks nothing for `ttl_s`, and at once when it dies; the environment
+        then goes as `at_end` says, damping stays. `take_over`: end another's.
+        """
+        return ClientLease(self.call, what, ttl_s=ttl_s, at_end=at_end, take_over=take_over or None)
 
     def perturb_load(self, samples_n: ArrayLike) -> int:
         """Load a waveform: force [N] at 4 kHz, shape (n,). The number of samples the daemon has."""

@@ -1,7 +1,11 @@
 """A trial on the device of a daemon: enable, set, perturb, record at 4 kHz, force off.
 
 The daemon may be the real one or the same stack on virtual time (`lockstep`); the client is the
-same. The trial begins disabled and ends disabled whatever happens; it takes over nobody's session.
+same. The trial begins disabled and ends disabled, and it takes over nobody's session: it holds the
+measuring lease meanwhile, so nobody else changes anything, and neither the guard nor the energy
+faults end what goes to the edge, and is watched. Both are as before when the lease ends: with the
+trial, with its process, or when that hangs. Whoever takes the lease over has the device from then
+on; the trial is undecided and leaves it alone.
 Two streams are received meanwhile: the probe's samples, and the servo's ticks beside them. The
 ticks hold what no sample does: every command, the winding's temperature, the position, the slots
 that were left out, and the revision of the set-up, so that a change by anybody ends the trial. Lost
@@ -12,6 +16,7 @@ What would break it: a board without probe inputs (refused), a host so busy that
 """
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from math import nan
 from typing import Any
@@ -21,7 +26,8 @@ import numpy as np
 from hapticd.analysis.arrays import Flags, Floats
 from hapticd.client.blocks import Block, BlockDecoder
 from hapticd.client.client import Client
-from hapticd.errors import AnalysisError, DaemonDown
+from hapticd.client.lease import ClientLease
+from hapticd.errors import AnalysisError, CommandError, DaemonDown
 from hapticd.mailbox.layout import LOST_SLOTS, Flag, State, Watched
 from hapticd.plant.excitation import torque_record
 from hapticd.units import PROBE_RATE_HZ
@@ -29,6 +35,8 @@ from hapticd.zwidth.sources import Source, Trial
 from hapticd.zwidth.store import Progress, TrialRecord, silent
 from hapticd.zwidth.watch import Filler, Sentinel
 
+LEASE_S = 5.0  # a trial that hangs for so long has ended
+RENEW_S = 1.0
 WAVEFORM_S = 120.0  # a longer trial repeats it
 SPARE_S = 10.0  # of waveform beyond the trial: settling, and samples that arrive late
 SETTLE_S = 1.0  # of perturbed motion before the record begins
@@ -54,14 +62,10 @@ def daemon_source(bench: Client, origin: str = "daemon") -> Source:
             )
         stiffness, damping, mass = trial.environment
         waveform = _waveform(trial)
+        lease = bench.lease("measuring", ttl_s=LEASE_S, at_end="disable")
+        lease.take()
         try:
-            bench.set(
-                K=stiffness,
-                B=damping,
-                M=mass,
-                damping=trial.damping_ns_per_m,
-                limit_cycle_faults=False,  # the trial goes to the edge, and is watched
-            )
+            bench.set(K=stiffness, B=damping, M=mass, damping=trial.damping_ns_per_m)
             bench.damping("on" if trial.damping_ns_per_m else "off")
             bench.perturb_load(waveform)
             bench.enable()
@@ -69,9 +73,9 @@ def daemon_source(bench: Client, origin: str = "daemon") -> Source:
             bench.perturb_start(
                 loop=waveform.size < PROBE_RATE_HZ * (trial.seconds + SPARE_S)
             )  # if we are killed, it ends
-            return LiveRecording(bench, trial).recorded(origin, tell)
+            return LiveRecording(bench, trial, lease).recorded(origin, tell)
         finally:
-            _leave(bench)
+            _leave(bench, lease)
 
     return record
 
@@ -86,13 +90,20 @@ def _waveform(trial: Trial) -> Floats:
     )
 
 
-def _leave(bench: Client) -> None:
-    """Force off whatever happened; a stop or a fault has done so already."""
+def _leave(bench: Client, lease: ClientLease) -> None:
+    """Force off whatever happened; a stop or a fault has done so already. Nothing is left to do if
+    the lease was lost: it disabled as it ended, or the device is another's.
+    """
+    try:
+        lease.renew()
+    except CommandError:
+        return
     try:
         bench.perturb_stop()
     finally:
         if bench.status()["state"] == "enabled":
             bench.disable()
+        lease.release()
 
 
 class LiveRecording:
@@ -100,7 +111,9 @@ class LiveRecording:
     say.
     """
 
-    def __init__(self, daemon: Client, trial: Trial) -> None:
+    def __init__(self, daemon: Client, trial: Trial, lease: ClientLease) -> None:
+        self._lease = lease
+        self._renewed = 0  # samples
         servo = daemon.hello()["servo"]
         ends = servo["environment"]["workspace"]
         self._limit_n = min(servo["safety"]["force_limit_n"], servo["device"]["force_limit_n"])
@@ -149,6 +162,7 @@ class LiveRecording:
         wanted = settle + round(self._seconds * PROBE_RATE_HZ)
         for block in self._probe_blocks():
             self._take(block)
+            self._renew()
             tell(
                 self._sentinel.outlook,
                 round(self._taken / PROBE_RATE_HZ),
@@ -177,6 +191,13 @@ class LiveRecording:
             self._command_n, self._limit_n, self._more(settle, wanted, status),
         )  # fmt: skip
 
+    def _renew(self) -> None:
+        """Keep the lease. That it is lost the ticks tell: the perturbation ends with it."""
+        if self._taken - self._renewed >= RENEW_S * PROBE_RATE_HZ:
+            self._renewed = self._taken
+            with suppress(CommandError):
+                self._lease.renew()
+
     def _more(self, settle: int, wanted: int, status: Mapping[str, Any]) -> dict[str, Any]:
         came = np.concatenate([known for _, known in self._parts])[settle:wanted]
         lost = slots = 0
@@ -193,6 +214,7 @@ class LiveRecording:
             "limit_cycle_faults": bool(self._newest["watches"] & Watched.FORCE_AT_LIMIT)
             if self._newest is not None
             else None,
+            "guard_policy": "off" if "measuring" in status["leases"] else None,
             "config_hash": status.get("config_hash", ""),
         }
 

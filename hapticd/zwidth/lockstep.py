@@ -28,7 +28,8 @@ from hapticd.client.client import Client, Receipt
 from hapticd.errors import AnalysisError, CommandError, LinkError
 from hapticd.faults import BY_NUMBER
 from hapticd.gateway.commands import ACCEPTED, posting, receipt
-from hapticd.gateway.schemas import ADAPTER
+from hapticd.gateway.leases import MEASURING
+from hapticd.gateway.schemas import ADAPTER, LeaseRequest
 from hapticd.gateway.telemetry import Origin, ProbeDecoder, RingBlock, raw_message
 from hapticd.gateway.view import Records, as_records
 from hapticd.mailbox.layout import PERTURBATION_SAMPLES, RECORD, Command, Flag, Result, State, Value
@@ -41,6 +42,7 @@ from hapticd.zwidth.live import signals
 READY_TICKS = 5
 MOST_S = PERTURBATION_SAMPLES / PROBE_RATE_HZ
 BLOCK_TICKS = 500
+ALONE = 16  # the actor that a gateway's first client is
 
 
 class LockStepBench(Client):
@@ -54,6 +56,7 @@ class LockStepBench(Client):
         self._servo = servo
         self._samples = 0
         self._seen = 0
+        self._leases: dict[str, Any] = {}
         self.run(READY_TICKS)
 
     def close(self) -> None:
@@ -69,7 +72,10 @@ class LockStepBench(Client):
             known = self._known()
             return {"state": known["state"], "result": known}
         given = {name: value for name, value in fields.items() if value is not None}
-        kind, _, values = posting(ADAPTER.validate_python({"cmd": cmd, **given}), self._samples)
+        request = ADAPTER.validate_python({"cmd": cmd, **given})
+        if isinstance(request, LeaseRequest):
+            return {"state": self._known()["state"], "result": self._leased(request)}
+        kind, _, values = posting(request, self._samples)
         answer = self.stack.do(
             kind, {Value(place): values[place] for place in masked_places(values)}
         )
@@ -79,6 +85,18 @@ class LockStepBench(Client):
             )
         self.run(1)
         return {"state": self._known()["state"], "receipt": receipt(answer)}
+
+    def _leased(self, request: LeaseRequest) -> dict[str, Any]:
+        """A lease of the only client there is: what the servo is told of it, and for how long."""
+        held = request.action != "release"
+        holder = float(ALONE if held else 0)
+        faults = not held and self._servo.safety.limit_cycle_faults
+        values = {Value.LEASE_CONTROL: holder, Value.LEASE_DAMPING: holder}
+        if request.what == MEASURING and request.action != "renew":
+            self.stack.do(Command.SET, values | {Value.LIMIT_CYCLE_FAULTS: float(faults)})
+            self._leases = {MEASURING: {"actor": ALONE}} if held else {}
+            self.run(1)
+        return {"released": not held, "actor": ALONE, "ttl_s": request.ttl_s}
 
     def _known(self) -> dict[str, Any]:
         """What the servo was set up with, its state, the cause of a fault, its temperature."""
@@ -90,6 +108,7 @@ class LockStepBench(Client):
             "winding_c": float(self.newest["winding_c"]),
             "simulated": self._servo.simulated,
             "config_hash": self._servo.config_hash,
+            "leases": self._leases,
         }
 
     def enable(self) -> Receipt:

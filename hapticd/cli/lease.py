@@ -1,0 +1,100 @@
+"""Who may change what: show leases, hold one, end another's."""
+
+from typing import Annotated, Any, Literal
+
+import typer
+
+from hapticd.cli import terminal
+from hapticd.cli.change import connect
+
+lease_app = typer.Typer(
+    no_args_is_help=True,
+    help="Who alone may change environment, damping or perturbation; measuring is all of them.",
+)
+Part = Literal["environment", "damping", "perturbation", "measuring"]
+What = Annotated[
+    Part, typer.Argument(metavar="WHAT", help="environment, damping, perturbation or measuring.")
+]
+Ttl = Annotated[
+    float | None, typer.Option("--ttl-s", metavar="S", help="It ends when we are silent so long.")
+]
+AtEnd = Annotated[
+    Literal["hold", "zero", "disable"] | None,
+    typer.Option(
+        "--at-end", metavar="WHAT", help="If we die: hold, zero (K, B, M to 0) or disable."
+    ),
+]
+TakeOver = Annotated[bool, typer.Option("--take-over", help="Also if another holds it.")]
+SLICE_S = 1.0
+
+
+@terminal.verb(lease_app, "show")
+def show(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False) -> None:
+    """Who holds what, and for how long."""
+    with connect(instance) as client:
+        leases = client.status()["leases"]
+    if as_json:
+        terminal.data_json({"ok": True, "leases": leases})
+        return
+    for line in lease_lines(leases) or ["nobody holds a lease: anyone may change everything"]:
+        terminal.data(line)
+
+
+@terminal.verb(lease_app, "take")
+def take(
+    what: What,
+    take_over: TakeOver = False,
+    ttl_s: Ttl = None,
+    at_end: AtEnd = None,
+    instance: terminal.Instance = terminal.INSTANCE,
+    as_json: terminal.Json = False,
+) -> None:
+    """Hold a lease until Ctrl-C, so that nobody else changes it; e.g. to keep scripts away."""
+    from hapticd.assembly.process import on_stop
+
+    ending: list[bool] = []
+    on_stop(lambda: ending.append(True))
+    with connect(instance) as client:
+        lease = client.lease(what, ttl_s=ttl_s, at_end=at_end, take_over=take_over)
+        held = lease.take()
+        if as_json:
+            terminal.data_json({"ok": True, **held})
+        else:
+            terminal.data(f"{_line(what, held)}; Ctrl-C releases it")
+        while not ending:
+            lease.sleep(min(SLICE_S, held["ttl_s"] / 2))
+        lease.release()
+
+
+@terminal.verb(lease_app, "release")
+def release(
+    what: What,
+    instance: terminal.Instance = terminal.INSTANCE,
+    as_json: terminal.Json = False,
+) -> None:
+    """End a lease, whoever holds it: it is taken over, and left to anyone. Nothing moves."""
+    with connect(instance) as client:
+        before = client.status()["leases"]
+        lease = client.lease(what, take_over=True)
+        lease.take()
+        lease.release()
+    if as_json:
+        terminal.data_json({"ok": True, "what": what, "before": before})
+        return
+    for line in lease_lines(before) or ["nobody held a lease"]:
+        terminal.data(f"before: {line}")
+    terminal.data(f"{what} is anyone's to change")
+
+
+def lease_lines(leases: dict[str, dict[str, Any]]) -> list[str]:
+    """One line for each lease, as people read it."""
+    return [_line(what, held) for what, held in leases.items()]
+
+
+def _line(what: str, held: dict[str, Any]) -> str:
+    off = "; guard and energy faults are off" if what == "measuring" else ""
+    whose = f"{held['name']} (actor {held['actor']})"
+    return (
+        f"{what}: {whose}, {held['left_s']:.1f} of {held['ttl_s']:g} s left, at its end"
+        f" {held['at_end']}{off}"
+    )
