@@ -125,6 +125,14 @@ TABLE: dict[str, dict[str, Target]] = {
             "board_restarted",
         )
     },
+    "thermal": {
+        "thermal_delivered_pct": Target(
+            "<= 2",
+            "the same flight without the compensation",
+            "the tolerance is in ohm, so alpha stays; looks every 0.1 s lag a winding that warms by"
+            " 10 K/s",
+        ),
+    },
     "process": {
         "servo_rss_mb": Target(
             "<= 25", "", "an interpreter and pyusb, no numpy; the simulated board included"

@@ -159,6 +159,8 @@ def _board_lines(report: dict[str, Any]) -> list[str]:
         f"  board     {terminal.coloured(one, terminal.RED)}"
         for one in report.get("differences", ())
     ]
+    if reason := report.get("uncompensated"):
+        lines.append(f"  winding   {reason}")
     if transport := report.get("transport"):
         phase = f"IN latched {transport['sample_phase']:g} periods after OUT"
         pair = f"a pair of transfers takes {transport['pair_us']:.0f} us"

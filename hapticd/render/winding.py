@@ -41,19 +41,21 @@ HOT: Final = 1.0
 class Winding(NamedTuple):
     """What is known of the winding, and the trim in force."""
 
-    tick: int = 0  # of the last look
+    tick: int = 0  # of the last look at it
+    due_tick: int = 0  # of the next one
     low_c: float = 0.0  # it is at least as hot
     high_c: float = 0.0  # and at most
     trim_ohm: float = 0.0
+    dac_count: int = 0  # for that
 
 
-def unheated(params: ResistanceParams, tick: int = 0) -> Winding:
+def unheated(params: ResistanceParams) -> Winding:
     """A winding of which nothing is known but the surroundings, not compensated beyond count 0.
 
     One that is hotter already, because the host began anew, is compensated too little until it has
     cooled down to what the model believes.
     """
-    return Winding(tick, params.ambient_low_c, params.ambient_high_c)
+    return Winding(low_c=params.ambient_low_c, high_c=params.ambient_high_c)
 
 
 def ohm(params: ResistanceParams, celsius: float) -> float:

@@ -16,7 +16,13 @@ from hapticd.link.agreement import differences
 from hapticd.link.device import Device
 from hapticd.link.transport import Transport, settle_transport
 from hapticd.params import ServoParams
-from hapticd.servo.plan import AMPLIFIER_TOLD, DEVICE_DIFFERS, NO_TEMPERATURE, RATE_NOT_HELD
+from hapticd.servo.plan import (
+    AMPLIFIER_TOLD,
+    COMPENSATES,
+    DEVICE_DIFFERS,
+    NO_TEMPERATURE,
+    RATE_NOT_HELD,
+)
 from hapticd.wire.frames import Capability
 
 
@@ -26,11 +32,18 @@ class BoardCheck(NamedTuple):
     differences: tuple[str, ...] = ()  # between hello and device file, in words
     transport: Transport | None = None  # None: the link failed while it was measured
     host: int = 0  # host flags that go with every sample
+    uncompensated: str = (
+        ""  # why the winding's resistance is not, where the device file asks for it
+    )
 
     def report(self) -> dict[str, Any]:
         """As servo.report says it."""
         transport = None if self.transport is None else self.transport._asdict()
-        return {"differences": list(self.differences), "transport": transport}
+        return {
+            "differences": list(self.differences),
+            "transport": transport,
+            "uncompensated": self.uncompensated,
+        }
 
 
 def check_board(device: Device, params: ServoParams, clock: Clock) -> BoardCheck:
@@ -50,4 +63,18 @@ def check_board(device: Device, params: ServoParams, clock: Clock) -> BoardCheck
         host |= AMPLIFIER_TOLD
     if not hello.capabilities & Capability.TEMPERATURE:
         host |= NO_TEMPERATURE
-    return BoardCheck(found, transport, host)
+    reason = uncompensated(hello.capabilities)
+    if not reason:
+        host |= COMPENSATES
+    return BoardCheck(found, transport, host, reason if params.device.resistance else "")
+
+
+def uncompensated(capabilities: int) -> str:
+    """Why a board with these capabilities gets resistance count 0; empty if it takes others."""
+    if capabilities & Capability.RESISTANCE_TRACKED:
+        return "the board follows the winding's resistance by itself"
+    if not capabilities & Capability.RESISTANCE:
+        return (
+            "the board has no resistance DAC: damping and force get weaker as the winding warms up"
+        )
+    return ""

@@ -333,7 +333,14 @@ class ServoLoop:
             stepped = clock()
             if self.linked:
                 try:
-                    if not send(out_flags, torque, settled.damping_count, 0, count, samples):
+                    if not send(
+                        out_flags,
+                        torque,
+                        settled.damping_count,
+                        settled.resistance_count,
+                        count,
+                        samples,
+                    ):
                         flags |= _WRITE_FAILED
                 except LinkLost:
                     self._unlink(start)
@@ -471,13 +478,14 @@ class ServoLoop:
 
     def _let_go(self) -> None:
         force = self.params.device.force
+        settled = self.state[SETTLED]
         try:
             if self.linked:
                 self.device.send(
                     _FIFO_CLEAR,
                     force.to_count(0.0, I16_LOWEST, I16_HIGHEST),
-                    self.state[SETTLED].damping_count,
-                    0,
+                    settled.damping_count,
+                    settled.resistance_count,
                 )
         except LinkError:
             pass  # it is gone; its watchdog does the same

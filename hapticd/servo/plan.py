@@ -31,6 +31,7 @@ from hapticd.params import FilterParams, ServoParams, WorkspaceParams
 from hapticd.render.energy import EMPTY, Ledger
 from hapticd.render.law import Coefficients, Environment, LawState, design_coefficients
 from hapticd.render.ramp import Ramp, approach, constant
+from hapticd.render.winding import Winding, unheated
 from hapticd.servo.homing import Homing
 from hapticd.servo.monitors import CALM, Signs, watches
 from hapticd.servo.safety import FAULT_EVENT, LATCHED, State, held_damping
@@ -101,6 +102,7 @@ class Plan(NamedTuple):
     glitches: tuple[int, ...] = ()  # slots of the newest glitches of this state
     environment_revision: int = 0  # counts changes of what is rendered and damped
     bookings: tuple["Booking", ...] = ()  # of the last second (servo.ramp_energy)
+    winding: Winding = Winding()  # and how much of its resistance is compensated
 
 
 class Booking(NamedTuple):
@@ -153,7 +155,14 @@ def initial_plan(params: ServoParams) -> Plan:
         added_entry=0.0,
         scheduled=(),
         limit_cycle_faults=params.safety.limit_cycle_faults,
+        winding=winding_at_start(params),
     )
+
+
+def winding_at_start(params: ServoParams) -> Winding:
+    """What is known of the winding before the first look at it."""
+    table = params.device.resistance
+    return Winding() if table is None else unheated(table)
 
 
 def with_origin(plan: Plan, encoder: int) -> Plan:
@@ -263,6 +272,7 @@ class Settled:
     watched: int  # status bits that the short way compares
     calm: int  # and what they are while nothing is wrong
     plan: Plan
+    resistance_count: int = 0  # of the OUT frame
 
 
 Former = tuple[LawState, Ledger]  # as they were before the last sample
@@ -305,6 +315,7 @@ AMPLIFIER_TOLD = 4  # the board says whether its amplifier is ready
 DEVICE_DIFFERS = 8  # the board contradicts its device file (link.agreement)
 RATE_NOT_HELD = 16  # the bus is too slow for the rate (link.transport)
 NO_TEMPERATURE = 32  # the board does not measure the winding: its count means nothing
+COMPENSATES = 64  # the board has a resistance DAC and does not move it by itself
 
 BOARD_FAULT = int(StatusBit.AMPLIFIER_FAULT | StatusBit.ENCODER_FAULT)
 CLEARABLE = BOARD_FAULT | int(StatusBit.OVER_TEMPERATURE)  # what CLEAR_FAULT may end
@@ -389,7 +400,7 @@ def flat_plan(
         round(at[Value.WALL_SIDE]),
         watches(params, plan.limit_cycle_faults),
         plan.environment_revision & 0xFFFFFFFF,
-        0,
+        plan.winding.dac_count,
     )
     environment = environment_of(plan, tick, workspace, limit_n)
     return FlatPlan(wake_tick(plan, tick, params), environment, count, blob)
@@ -415,6 +426,7 @@ def settle(
         watched=looks.watched,
         calm=looks.calm,
         plan=plan,
+        resistance_count=plan.winding.dac_count,
     )
 
 
@@ -462,6 +474,8 @@ def wake_tick(plan: Plan, tick: int, params: ServoParams) -> int:
     ):
         return tick + 1
     events = [one.tick for one in plan.scheduled]
+    if params.device.resistance is not None:
+        events.append(plan.winding.due_tick)
     if plan.state in LATCHED:
         held = plan.since_tick + round_half_up(
             params.safety.damping_hold_s * params.realtime.rate_hz
@@ -487,6 +501,7 @@ def flatten(state: ServoState) -> tuple[Any, ...]:
         "scheduled": tuple(tuple(one) for one in plan.scheduled),
         "homing": tuple(plan.homing),
         "bookings": tuple(tuple(one) for one in plan.bookings),
+        "winding": tuple(plan.winding),
     }
     before = s.wake_tick, s.environment, s.coefficients, s.out_flags, s.damping_count, s.blob.hex()
     return (*before, law, ledger, s.origin, tuple(signs), held, s.host, tuple(plain.values()))
@@ -507,6 +522,7 @@ def unflatten(plain: Sequence[Any]) -> ServoState:
         "scheduled": tuple(Scheduled(*one) for one in fields["scheduled"]),
         "homing": Homing(*fields.get("homing", ())),
         "bookings": tuple(Booking(*one) for one in fields.get("bookings", ())),
+        "winding": Winding(*fields.get("winding", ())),
     }
     law, ledger, origin, signs, held, host = others
     # earlier versions kept sums by cause in place of the ledger, and the active damping in that of
@@ -517,7 +533,7 @@ def unflatten(plain: Sequence[Any]) -> ServoState:
     before = wake, environment, coefficients, flags, damping, plan_bytes
     whole = Plan(**renewed)
     looks = watch(flags)
-    settled = Settled(*before, origin, host, whole.wave, *looks, whole)
+    settled = Settled(*before, origin, host, whole.wave, *looks, whole, whole.winding.dac_count)
     ledger = ledger if known else EMPTY
     torque, applied, *former = held  # nothing was kept of what was before
     held = torque, applied, former[0] if former else (law, ledger)

@@ -32,6 +32,7 @@ from hapticd.render.law import (
 )
 from hapticd.render.ramp import Ramp, constant
 from hapticd.servo.commands import Now, apply_settings, enter, obey
+from hapticd.servo.compensation import compensated
 from hapticd.servo.easing import eased
 from hapticd.servo.glitch import Verdict, believed_bend_m, verdict
 from hapticd.servo.homing import Failed, Homing, Search, Seen, force_limit_n
@@ -313,8 +314,10 @@ def make_attend(params: ServoParams) -> Attend:
         coefficients = settled.coefficients
         plan = settled.plan
         before = plan
-        # periods since the last tick, while something makes every tick come here
-        elapsed = max(1, tick - settled.wake_tick + 1)
+        # periods since the last tick, while something makes every tick come here; a look at the
+        # winding whose own slot was lost says nothing of that
+        looks = settled.wake_tick == plan.winding.due_tick
+        elapsed = 1 if looks else max(1, tick - settled.wake_tick + 1)
         usable = arrival >= 0 and bool(host & LINK_UP) and encoder_counts(plan, tick)
         flags = 0
         if usable:
@@ -345,6 +348,7 @@ def make_attend(params: ServoParams) -> Attend:
             ledger = unknown_before(ledger)
             plan, flags = begun_anew(before, plan, tick)
         plan = advance_added(plan, tick, elapsed, params)
+        plan = compensated(plan, sample, acting_n, tick, params)
         if plan.filters != before.filters:
             renewed = coefficients_of(plan, rate_hz)
             law = refiltered(law, coefficients, renewed)

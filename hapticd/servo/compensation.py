@@ -1,0 +1,91 @@
+"""When the servo looks at the winding's temperature, and what it then sends to the board's
+resistance DAC. The physics is `render.winding`.
+
+About every tenth of a second the long way of a tick looks at the sensor and at the square of the
+motor's current at that moment, moves the model on, and moves the trim towards its target, by no
+more than the device file's slew. The looks come at uneven intervals (half to three halves of that
+time, by a fixed rule of the tick), so a current that oscillates is met at every phase and its mean
+square is seen: the winding is a hundred looks slow.
+
+The trim is 0 where the board has no such DAC, follows its winding by itself, is away, or has just
+begun a new life; from there it rises along the slew. While frames are lost it stays where it is.
+States and faults of the servo make no difference: damping acts in all of them, and is as strong
+as the circuit's idea of the winding makes it.
+
+What would break it: a look that every tick pays for, a clock in place of the slots.
+"""
+
+from typing import Final
+
+from hapticd.link.device import SEED
+from hapticd.params import ResistanceParams, ServoParams
+from hapticd.render.ramp import approach
+from hapticd.render.winding import Winding, heated, target_ohm
+from hapticd.servo.plan import AUTHORITY, COMPENSATES, LINK_UP, NO_TEMPERATURE, Plan, Sample
+from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
+
+UNKNOWN_S: Final = 0.5  # a longer time without a look: nothing is known of the current in it
+
+
+def compensated(plan: Plan, sample: Sample, held_n: float, tick: int, params: ServoParams) -> Plan:
+    """`plan` with the compensation that `sample` asks for; `held_n` [N] is the force sent last."""
+    table = params.device.resistance
+    if table is None:
+        return plan
+    winding = plan.winding
+    if tick >= winding.due_tick:
+        winding = _looked(table, winding, sample, held_n, tick, params)
+    if not _able(sample) and winding.dac_count:
+        winding = winding._replace(trim_ohm=0.0, dac_count=0)
+    return plan if winding is plan.winding else plan._replace(winding=winding)
+
+
+def _able(sample: Sample) -> bool:
+    """Whether the board of `sample` takes a count, and may still have the last one."""
+    _, _, _, arrival, host, _, _, _, _ = sample
+    return host & (LINK_UP | COMPENSATES) == LINK_UP | COMPENSATES and arrival != SEED
+
+
+def _looked(
+    table: ResistanceParams,
+    winding: Winding,
+    sample: Sample,
+    held_n: float,
+    tick: int,
+    params: ServoParams,
+) -> Winding:
+    """`winding` after a look."""
+    _, _, temperature, arrival, host, _, _, _, _ = sample
+    device = params.device
+    elapsed_s = (tick - winding.tick) / params.realtime.rate_hz
+    heard = arrival >= 0 and bool(host & LINK_UP)
+    known = heard and elapsed_s <= UNKNOWN_S
+    ampere2 = _ampere2(table, sample, held_n, params) if known else 0.0
+    winding = heated(table, winding, ampere2, elapsed_s, device.temperature_limit_c)
+    trim_ohm = winding.trim_ohm
+    if heard:
+        sensor_c = None if host & NO_TEMPERATURE else device.temperature.to_value(temperature)
+        target = target_ohm(table, winding, sensor_c, device.damping_limit_ns_per_m)
+        trim_ohm = approach(trim_ohm, target, table.slew_ohm_per_s * min(elapsed_s, UNKNOWN_S))
+    return winding._replace(
+        tick=tick,
+        due_tick=tick + _interval(tick, params.realtime.rate_hz),
+        trim_ohm=trim_ohm,
+        dac_count=table.trim.to_count(trim_ohm, I16_LOWEST, I16_HIGHEST),
+    )
+
+
+def _ampere2(table: ResistanceParams, sample: Sample, held_n: float, params: ServoParams) -> float:
+    """Square of the motor's current [A^2], as the board reports it or as the force in effect
+    takes it; that does not count what active damping adds, so it errs on the cold side.
+    """
+    _, status, _, _, _, _, _, current, _ = sample
+    if table.heat_from == "current":
+        return params.device.current.to_value(current) ** 2
+    return (held_n / table.force_n_per_a) ** 2 if status & AUTHORITY else 0.0
+
+
+def _interval(tick: int, rate_hz: float) -> int:
+    """Periods until the next look: 0.05 to 0.15 s, spread evenly by the golden section."""
+    share = tick * 2_654_435_761 % (1 << 32) / (1 << 32)
+    return max(1, round((0.05 + 0.1 * share) * rate_hz))
