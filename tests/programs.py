@@ -4,10 +4,14 @@
 installs them; `.ci/run` takes no skipped test (conftest.py).
 """
 
+import atexit
 import os
 import shlex
 import shutil
 import subprocess
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
 
 import pytest
 
@@ -39,3 +43,14 @@ def octave_with_signal() -> str:
     if done.returncode:
         pytest.skip(f"octave-signal is missing; {REMEDY}")
     return octave
+
+
+def build_library(sources: Sequence[Path], flags: Sequence[str]) -> Path:
+    """Compile C `sources` into a shared library in a folder that ends with this process."""
+    folder = tempfile.mkdtemp(prefix="hapticd-c-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    library = Path(folder) / "library.so"
+    command = [*compiler(), *flags, "-shared", "-fPIC", *map(str, sources), "-o", str(library)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return library
