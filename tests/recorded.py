@@ -8,6 +8,7 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
+from guard_stub import StubWorker
 from models import board_params, servo_params
 
 from hapticd.assembly.lockstep import LockStep
@@ -17,7 +18,14 @@ from hapticd.gateway.journal import Actors, Journal
 from hapticd.gateway.publisher import Publisher
 from hapticd.gateway.view import Records, ServoView, as_records
 from hapticd.mailbox.layout import Command, Value
-from hapticd.params import BoardParams, GatewayParams, GatewaySetup, ServoParams, to_plain
+from hapticd.params import (
+    BoardParams,
+    GatewayParams,
+    GatewaySetup,
+    GuardParams,
+    ServoParams,
+    to_plain,
+)
 from hapticd.recording.recorder import RecordingParams, record
 from hapticd.units import NS_PER_MS, NS_PER_S
 
@@ -34,15 +42,19 @@ class RecordedFlight:
         params: ServoParams | None = None,
         board: BoardParams | None = None,
         flight_s: float = 5.0,
+        policy: str = "warn",
+        worker: StubWorker | None = None,
     ) -> None:
         self.params = params or servo_params()
         self.stack = LockStep(self.params, board or board_params())
-        self.setup = GatewaySetup(self.params, GatewayParams(flight_s=flight_s))
+        self.setup = GatewaySetup(
+            self.params, GatewayParams(flight_s=flight_s), guard=GuardParams(policy=policy)
+        )
         self.journal = Journal(self.unix_ns)
         self.view = ServoView(self.stack.mailbox.folder, self.params, self.unix_ns)
-        guard = Guard(self.view, self.journal, self.setup.guard)
+        self.guard = Guard(self.view, self.journal, self.setup.guard, worker)
         self.publisher = Publisher(
-            self.view, Actors(), self.journal, self.setup, guard, self.unix_ns
+            self.view, Actors(), self.journal, self.setup, self.guard, self.unix_ns
         )
         self.messages: list[tuple[str, bytes]] = []
         for topic in TOPICS:
@@ -74,6 +86,7 @@ class RecordedFlight:
         """One look of the gateway."""
         now_ns = self.stack.clock.now_ns()
         self.view.refresh(now_ns)
+        self.guard.tend(now_ns)
         self.messages += self.publisher.messages(now_ns, self.unix_ns())
 
     def move(self) -> None:

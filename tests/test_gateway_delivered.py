@@ -9,12 +9,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from guard_stub import StubWorker, verdict
 from models import board_params, device_params, servo_params
+from recorded import RecordedFlight
 
 from hapticd.assembly.lockstep import LockStep, scene_params
+from hapticd.faults import BY_CODE
 from hapticd.gateway.delivered import Delivered, Estimate, Low
 from hapticd.gateway.view import Records, as_records
-from hapticd.mailbox.layout import Command, Value
+from hapticd.mailbox.layout import Command, State, Value
 from hapticd.params import BoardParams, HandParams, InjectionParams, ServoParams, TouchParams
 
 LEVEL = 1.74
@@ -189,7 +192,7 @@ def test_fault_is_asked_for_once_and_only_where_the_damping_is_relied_on(relied_
 
 def test_low_damping_is_told_after_it_was_low_for_three_seconds():
     servo, records = failed((("damping_gain", 0.3),))
-    delivered = Delivered(servo)
+    delivered = Delivered(servo, lambda: None)
     since = None
     for start in range(0, len(records), 256):
         lows = delivered.take(records[start : start + 256])
@@ -263,7 +266,7 @@ def test_current_that_saturates_is_no_current():
 def test_lost_frames_and_gaps_in_the_records_are_left_out():
     losses = tuple(InjectionParams(kind, probability=0.01) for kind in ("drop_in", "drop_out"))
     servo, records = flown(ticks=6000, shaken_ticks=6000, injections=losses)
-    delivered = Delivered(servo)
+    delivered = Delivered(servo, lambda: None)
     for start in range(0, 6000, 20):
         if start % 1000 == 500:
             delivered.forget()
@@ -284,7 +287,7 @@ def test_what_was_seen_at_another_level_does_not_count():
         damped(stack, 0.5)
         stack.run(5000)
         records = as_records(b"".join(stack.blocks))
-    delivered = Delivered(slewed)
+    delivered = Delivered(slewed, lambda: None)
     known = []
     for start in range(0, len(records), 256):
         assert not delivered.take(records[start : start + 256])
@@ -338,3 +341,59 @@ def test_device_files_say_the_force_per_ampere():
     servo, _ = parts()
     assert servo.device.motor_n_per_a == pytest.approx(N_PER_A)
     assert (servo.device.winding_ohm, servo.device.winding_reference_c) == (1.6, 20.0)
+
+
+def counted_on(least: float | None) -> StubWorker:
+    """A worker by which the environment needs `least` N s/m."""
+    found = verdict(least_damping_ns_per_m=least)
+    return StubWorker(lambda asked: {"verdict": found} if asked["ask"] == "look" else None)
+
+
+def flown_with_gateway(policy: str, least: float | None, gain: float) -> RecordedFlight:
+    """8 s, the circuit fails at 3 s."""
+    injections = (InjectionParams("damping_gain", tick=3000, count=100_000, value=gain),)
+    flight = RecordedFlight(*parts(injections=injections), policy=policy, worker=counted_on(least))
+    with flight:
+        flight.stack.run(5)
+        flight.stack.command(Command.ENABLE)
+        on = {Value.ADDED_DAMPING: LEVEL, Value.ADDED_DAMPING_ON: 1.0}
+        flight.stack.command(Command.DAMPING, on)
+        flight.fly(20)
+        noise = np.random.default_rng(1).integers(-6000, 6001, 40_000)
+        flight.stack.load_waveform(noise.tolist())
+        flight.stack.command(Command.PERTURB_START, {Value.SAMPLES: 40_000.0, Value.LOOP: 0.0})
+        flight.fly(20)
+        assert flight.view.answers()
+        flight.fly(10_000)
+    return flight
+
+
+@pytest.mark.parametrize(
+    ("policy", "least", "ends"),
+    [
+        ("refuse", 1.5, True),
+        ("follow", 1.5, True),
+        ("clamp", 0.2, False),
+        ("refuse", None, False),
+        ("warn", 1.5, False),
+    ],
+)
+def test_servo_ends_force_where_the_guard_counts_on_the_damping(policy, least, ends):
+    """Half of the damping is lost: told in any case, a fault where the policy would have refused
+    the environment without it.
+    """
+    flight = flown_with_gateway(policy, least, 0.5)
+    warnings = [one for one in flight.journal.recent if one["kind"] == "warning"]
+    assert len(warnings) == 1
+    assert "N s/m commanded" in warnings[0]["text"]
+    state, fault = (int(flight.records[name][-1]) for name in ("state", "fault"))
+    lost = BY_CODE["damping_not_delivered"].number
+    assert (state, fault) == ((State.FAULT, lost) if ends else (State.ENABLED, 0))
+
+
+def test_healthy_damping_that_is_counted_on_ends_nothing():
+    flight = flown_with_gateway("refuse", 1.5, 1.0)
+    assert int(flight.records["state"][-1]) == State.ENABLED
+    found = flight.publisher.state(0)["delivered_damping"]
+    assert found["low"] <= circuit(LEVEL) <= found["high"]
+    assert found["ratio"] == pytest.approx(1.0, abs=0.05)

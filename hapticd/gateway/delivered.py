@@ -139,9 +139,7 @@ class Delivered:
     environment in force needs by the guard's verdict; None: nobody counts on it.
     """
 
-    def __init__(
-        self, servo: ServoParams, relied_on: Callable[[], float | None] = lambda: None
-    ) -> None:
+    def __init__(self, servo: ServoParams, relied_on: Callable[[], float | None]) -> None:
         self._servo = servo
         self._relied_on = relied_on
         self.begin()

@@ -258,6 +258,16 @@ class Guard:
         """Active damping that `damping on` would give, N s/m."""
         return float(self._view.targets[Value.ADDED_DAMPING])
 
+    def relied_on_ns_per_m(self) -> float | None:
+        """Active damping [N s/m] without which the environment in force would be unsafe, where the
+        policy would not have let it; None: nobody counts on any, or it is not known.
+        """
+        verdict = self._looked.get("verdict") or {}
+        if not self.must or self._looked_at[:2] != (self._view.life, self.revision):
+            return None
+        least = verdict.get("least_damping_ns_per_m")
+        return None if least is None else float(least)
+
     # --- questions --------------------------------------------------------------------------------
 
     def tend(self, now_ns: int) -> None:

@@ -190,7 +190,6 @@ class Publisher:
         guard: Guard,
         unix_ns: Callable[[], int] = time.time_ns,
         leases: Leases | None = None,
-        relied_on: Callable[[], float | None] = lambda: None,
     ) -> None:
         self._view = view
         self._guard = guard
@@ -208,7 +207,7 @@ class Publisher:
         self._transitions = Transitions(view, actors, journal)
         self._probe = ProbeDecoder(setup.servo.device)
         self._ledger = Ledger(setup.servo)
-        self._delivered = Delivered(setup.servo, relied_on)
+        self._delivered = Delivered(setup.servo, guard.relied_on_ns_per_m)
         self._origin = Origin(0, 0, setup.servo.simulated)
         self._life = 0
         self._alive = False
