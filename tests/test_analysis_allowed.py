@@ -10,7 +10,7 @@ from hapticd.analysis.allowed import (
     Display,
     Theorem,
     cached_levels,
-    interval,
+    intervals,
     model_of,
 )
 from hapticd.analysis.loop import PAPER_FILTERS, spectral_radius
@@ -146,13 +146,31 @@ def test_nearest_safe_interval_of_a_point_that_is_not() -> None:
     assert verdict["allowed"]["M"] is None
 
 
-def test_interval_is_the_connected_one() -> None:
-    def two_islands(values: np.ndarray) -> np.ndarray:
-        return ((values > -3.0) & (values < -1.0)) | ((values > 2.0) & (values < 5.0))
+def two_islands(values: np.ndarray) -> np.ndarray:
+    return ((values > -3.0) & (values < -1.0)) | ((values > 2.0) & (values < 5.0))
 
-    assert interval(two_islands, -10.0, 10.0, 3.0) == pytest.approx([2.0, 5.0], abs=5e-3)
-    assert interval(two_islands, -10.0, 10.0, -0.5) == pytest.approx([-3.0, -1.0], abs=5e-3)
-    assert interval(lambda values: values > 99.0, -10.0, 10.0, 0.0) is None
+
+def islands_of_both(asked: list[np.ndarray], sure: bool) -> list[np.ndarray]:
+    """Two axes alike; one hopes for an island that is not sure."""
+    first, second = (two_islands(values) for values in asked)
+    return [first, second & ~(sure & (asked[1] < 0.0))]
+
+
+def test_interval_is_the_connected_one() -> None:
+    ranges = [(-10.0, 10.0)] * 2
+    inside = intervals(islands_of_both, ranges, (3.0, 3.0))
+    assert inside[0] == inside[1] == pytest.approx([2.0, 5.0], abs=5e-3)
+    assert intervals(islands_of_both, ranges, (-0.5, 9.0))[0] == pytest.approx(
+        [-3.0, -1.0], abs=5e-3
+    )
+    nothing = intervals(lambda asked, sure: [one > 99.0 for one in asked], ranges, (0.0, 0.0))
+    assert nothing == [None, None]
+
+
+def test_interval_that_is_hoped_for_and_not_sure_gives_way_to_the_next() -> None:
+    found = intervals(islands_of_both, [(-10.0, 10.0)] * 2, (-2.0, -2.0))
+    assert found[0] == pytest.approx([-3.0, -1.0], abs=5e-3)
+    assert found[1] == pytest.approx([2.0, 5.0], abs=5e-3)
 
 
 def test_kept_levels_are_few_and_have_the_ends() -> None:

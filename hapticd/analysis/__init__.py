@@ -16,6 +16,8 @@ velocity, N s/m, at the probe unless something else is said. For scripts:
     theorem      `required_damping`, `lift`, `lifted_margin`: Colgate and Schenkel
     coupled      `withstands`, `shaking_hand`: what a passive hand can do
     outlook      `outlook`: all of these about one environment
+    allowed      `Judgement`: which displays a device withstands, and how far K, B and M may go
+    transition   `Judge`: what is done with a change, by a policy
     passive_set  `passive_set`, `set_limits`, `volume`, `axis_limit`: the set of K, B and M
     envelope     `envelope`: the Z-width envelope and its owners
     compare      `widths_db`, `check_alike`, `normalised`: displays side by side
@@ -23,6 +25,6 @@ velocity, N s/m, at the probe unless something else is said. For scripts:
 
 The rest serves these: `covariances`, `kernels`, `compiled`, `batch_spectra` and `batch_fft`
 (loops over records), `channels` (faults of the measuring channels), `low_lines` (limit cycles
-below the lines of a window), `loop`, `linearise` and `narrow` (the model's loop), `surrogate`
-(the process behind the search), `arrays` (types).
+below the lines of a window), `loop`, `linearise` and `narrow` (the model's loop), `displays`,
+`ways` and `words` (of a change), `surrogate` (the process behind the search), `arrays` (types).
 """

@@ -1,9 +1,7 @@
 """What a device withstands: whether displays are safe, by how much, and how far each of K, B and M
 may go.
 
-A display is what is rendered and damped at once: K, B, M with a wall, two filters, and a level of
-active damping. It is two environments (`points`), (K, B, M) in free space and (K + K_wall,
-B + B_wall, M) in the wall; both have to hold. Three answers to whether one does:
+Three answers to whether an environment of a display (`displays`) is safe:
 
     theorem     without friction, for every input and every hand: the sampled loop is stable
                 (`loop`), K >= 0, and the device has damping to spare (`theorem`)
@@ -25,7 +23,7 @@ contact with the wall in step with its motion: each side is judged for itself, a
 covered.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple, Protocol
@@ -33,9 +31,10 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from hapticd.analysis.arrays import Flags, Floats
+from hapticd.analysis.displays import AXES, Display, Point
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.loop import Filters, Tick, radii, tick_of
-from hapticd.analysis.predict import predict
+from hapticd.analysis.predict import Prediction, predict
 from hapticd.analysis.theorem import (
     Circles,
     Lift,
@@ -46,14 +45,7 @@ from hapticd.analysis.theorem import (
     opened,
     within,
 )
-from hapticd.params import (
-    FilterParams,
-    MeasuredLevel,
-    MeasuredParams,
-    ModelParams,
-    OutputParams,
-    WallParams,
-)
+from hapticd.params import MeasuredLevel, MeasuredParams, ModelParams, OutputParams
 from hapticd.plant.blueprint import StateVariable
 from hapticd.plant.model import InputColumns, Model, Output, Outputs, frozen
 
@@ -62,57 +54,6 @@ _KEPT = 4 * LEVELS  # of lifts, circles and ticks: levels, some delays, filters
 _GRID = 40  # distances at which an axis is looked at, on either side
 _FINER = 9  # values between the last that holds and the first that does not, three times
 _SLACK = 1e-9  # N s/m: a margin equal to what is asked for is enough
-
-Point = tuple[float, float, float]
-AXES = ("K", "B", "M")
-
-
-class Display(NamedTuple):
-    """What is rendered and damped at one time."""
-
-    stiffness_n_per_m: float
-    damping_ns_per_m: float  # virtual damping B
-    mass_kg: float
-    wall: WallParams
-    filters: tuple[FilterParams, FilterParams]  # of velocity and acceleration
-    added_ns_per_m: float  # level of active damping
-
-    @property
-    def free(self) -> Point:
-        """K, B, M outside the wall."""
-        return self.stiffness_n_per_m, self.damping_ns_per_m, self.mass_kg
-
-    @property
-    def contact(self) -> Point | None:
-        """K, B, M in the wall; None without one."""
-        if self.wall.side == 0:
-            return None
-        return (
-            self.stiffness_n_per_m + self.wall.stiffness_n_per_m,
-            self.damping_ns_per_m + self.wall.damping_ns_per_m,
-            self.mass_kg,
-        )
-
-    def points(self) -> list[Point]:
-        """All environments that it is."""
-        return [self.free] if self.contact is None else [self.free, self.contact]
-
-    def with_free(self, free: Point) -> "Display":
-        """The display with another K, B, M."""
-        stiffness, damping, mass = (float(value) for value in free)
-        return self._replace(stiffness_n_per_m=stiffness, damping_ns_per_m=damping, mass_kg=mass)
-
-    def scaled(self, share: float) -> "Display":
-        """The display with all its forces times `share`, as the gain of an enable has it."""
-        wall = replace(
-            self.wall,
-            stiffness_n_per_m=share * self.wall.stiffness_n_per_m,
-            damping_ns_per_m=share * self.wall.damping_ns_per_m,
-        )
-        stiffness, damping, mass = self.free
-        return self.with_free((share * stiffness, share * damping, share * mass))._replace(
-            wall=wall
-        )
 
 
 class Conditions(NamedTuple):
@@ -141,6 +82,12 @@ class Basis(Protocol):
         """Whether each of `points` (N, 3) is safe, with the margin asked for."""
         ...
 
+    def hopeful(self, points: Floats, at: Conditions) -> Flags:
+        """What `safe` says, or where that is much cheaper: whether those of a connected set are
+        safe as soon as one of them is.
+        """
+        ...
+
     def reading(self, point: Point, at: Conditions) -> Reading:
         """How safe one point is."""
         ...
@@ -156,6 +103,7 @@ class Theorem:
         self._opened: Callable[[float], Opened] = lru_cache(LEVELS + 4)(self._open)
         self._lifted: Callable[[float, Filters, float], Lift] = lru_cache(_KEPT)(self._lift)
         self._circles: Callable[[Conditions], Circles] = lru_cache(_KEPT)(self._draw)
+        self._read: Callable[[Point, Conditions], Reading] = lru_cache(_KEPT)(self._look)
         self._ticks: Callable[[float, Filters, float], Tick] = lru_cache(_KEPT)(self._tick)
 
     def prepare(self, at: Conditions) -> None:
@@ -165,14 +113,23 @@ class Theorem:
 
     def safe(self, points: Floats, at: Conditions) -> Flags:
         """As `Basis`."""
-        hopeful = (points[:, 0] >= 0.0) & within(self._circles(at), points)
+        hopeful = self.hopeful(points, at)
         if hopeful.any():
             tick = self._ticks(at.added_ns_per_m, at.filters, at.delay_periods)
             hopeful[hopeful] = radii(tick, points[hopeful]) < 1.0
         return hopeful
 
+    def hopeful(self, points: Floats, at: Conditions) -> Flags:
+        """Without stability: an eigenvalue that crosses |z| = 1 does so where -1/C = G, inside a
+        circle, so a connected set outside the circles is stable as a whole or not at all.
+        """
+        return np.asarray((points[:, 0] >= 0.0) & within(self._circles(at), points))
+
     def reading(self, point: Point, at: Conditions) -> Reading:
         """As `Basis`. The margin of an unstable loop is that of its impedance alone."""
+        return self._read(point, at)
+
+    def _look(self, point: Point, at: Conditions) -> Reading:
         lifted = self._lifted(at.added_ns_per_m, at.filters, at.delay_periods)
         tick = self._ticks(at.added_ns_per_m, at.filters, at.delay_periods)
         kbm = np.array([point])
@@ -208,34 +165,37 @@ class Predicted:
 
     def safe(self, points: Floats, at: Conditions) -> Flags:
         """As `Basis`."""
-        found = predict(
+        return self._enough(self._predict(points, at), at)
+
+    def hopeful(self, points: Floats, at: Conditions) -> Flags:
+        """Without stability, for which every friction takes a map of its own."""
+        return self._enough(self._predict(points, at, stability=False), at)
+
+    def reading(self, point: Point, at: Conditions) -> Reading:
+        """As `Basis`; the radius is that with the linearised friction, without it where Re Z
+        decided.
+        """
+        found = self._predict(np.array([point]), at)
+        radius = float(found.spectral_radius[0])
+        return Reading(
+            float(found.margin_ns_per_m[0]),
+            float(found.worst_hz[0]),
+            self._theorem.reading(point, at).radius if np.isnan(radius) else radius,
+        )
+
+    def _predict(self, points: Floats, at: Conditions, stability: bool = True) -> Prediction:
+        return predict(
             self._theorem.late(at.delay_periods),
             points,
             at.added_ns_per_m,
             at.filters,
             self._perturbation,
+            stability=stability,
         )
-        return found.passive & (found.margin_ns_per_m >= at.spare_ns_per_m - _SLACK)
 
-    def reading(self, point: Point, at: Conditions) -> Reading:
-        """As `Basis`; the radius is that with the linearised friction, without where it was not
-        needed.
-        """
-        found = predict(
-            self._theorem.late(at.delay_periods),
-            np.array([point]),
-            at.added_ns_per_m,
-            at.filters,
-            self._perturbation,
-            allow_negative_stiffness=True,
-        )
-        radius = float(found.spectral_radius[0])
-        bare = self._theorem.reading(point, at).radius
-        return Reading(
-            float(found.margin_ns_per_m[0]),
-            float(found.worst_hz[0]),
-            bare if np.isnan(radius) else radius,
-        )
+    @staticmethod
+    def _enough(found: Prediction, at: Conditions) -> Flags:
+        return found.passive & (found.margin_ns_per_m >= at.spare_ns_per_m - _SLACK)
 
 
 class Measured:
@@ -257,6 +217,10 @@ class Measured:
         shares = np.divide(points, ends, out=np.full(points.shape, np.inf), where=ends != 0.0)
         shares[points == 0.0] = 0.0
         return np.asarray(shares.sum(axis=1) <= 1.0)
+
+    def hopeful(self, points: Floats, at: Conditions) -> Flags:
+        """As `safe`."""
+        return self.safe(points, at)
 
     def reading(self, point: Point, at: Conditions) -> Reading:
         """As `Basis`: limits say nothing of how far inside a point is."""
@@ -335,6 +299,10 @@ class Judgement:
                 found[place] = found[place] and flag
         return found
 
+    def all_safe(self, path: Sequence[Display]) -> bool:
+        """Whether a way is safe; one without points is not known to be."""
+        return bool(path) and all(self.safe(path))
+
     def reading(self, display: Display) -> Reading:
         """How safe it is in free space."""
         return self.basis.reading(display.free, self.conditions(display))
@@ -344,65 +312,133 @@ class Judgement:
         point = display.contact
         return None if point is None else self.basis.reading(point, self.conditions(display))
 
+    def worse(self, display: Display) -> Reading:
+        """The reading of free space or contact, whichever has less margin."""
+        free = self.reading(display)
+        contact = self.in_contact(display)
+        if contact is None or contact.margin_ns_per_m is None or free.margin_ns_per_m is None:
+            return free
+        return contact if contact.margin_ns_per_m < free.margin_ns_per_m else free
+
+    def least_level(self, display: Display, levels: Sequence[float]) -> float | None:
+        """The least of `levels` (rising) at which it is safe; None for none."""
+        return next(
+            (level for level in levels if self.safe([display._replace(added_ns_per_m=level)])[0]),
+            None,
+        )
+
     def allowed(
         self, display: Display, lowest: Sequence[float], highest: Sequence[float]
     ) -> dict[str, list[float] | None]:
         """How far each of K, B, M may go with the others as they are, within `lowest`..`highest`:
         the interval round its value if that is safe, else the nearest that is, None for none.
+
+        Ends are safe themselves, and lie within a thousandth of a step of the grid.
         """
         at = self.conditions(display)
-        points = display.points()
-        found: dict[str, list[float] | None] = {}
-        for axis, name in enumerate(AXES):
+        points = [np.array(point) for point in display.points()]
 
-            def safe(values: Floats, axis: int = axis) -> Flags:
-                flags = np.ones(len(values), np.bool_)
-                for point in points:
-                    moved = np.tile(np.array(point), (len(values), 1))
-                    moved[:, axis] += values - display.free[axis]
-                    flags &= self.basis.safe(moved, at)
-                return flags
+        def safe(values: list[Floats], sure: bool) -> list[Flags]:
+            test = self.basis.safe if sure else self.basis.hopeful
+            flags = np.concatenate([np.ones(one.size, np.bool_) for one in values])
+            for point in points:
+                moved = [_moved(point, axis, one, display) for axis, one in enumerate(values)]
+                flags &= test(np.concatenate(moved), at)
+            return np.split(flags, np.cumsum([one.size for one in values])[:-1])
 
-            low = max(lowest[axis], 0.0) if name == "K" else lowest[axis]
-            found[name] = interval(safe, low, highest[axis], display.free[axis])
-        return found
-
-    def least_level(self, display: Display, levels: Sequence[float]) -> float | None:
-        """The least of `levels` at which it is safe; None for none."""
-        flags = self.safe([display._replace(added_ns_per_m=level) for level in levels])
-        return next((level for level, flag in zip(levels, flags, strict=True) if flag), None)
+        ranges = [(max(lowest[0], 0.0), highest[0]), *zip(lowest[1:], highest[1:], strict=True)]
+        found = intervals(safe, ranges, display.free)
+        return dict(zip(AXES, found, strict=True))
 
 
-def interval(
-    safe: Callable[[Floats], Flags], low: float, high: float, at: float
-) -> list[float] | None:
-    """The connected interval round `at` in which `safe` holds, or the nearest one, within
-    `low`..`high`; its ends hold themselves, and lie within a thousandth of a step of the grid.
+def _moved(point: Floats, axis: int, values: Floats, display: Display) -> Floats:
+    """The point (N, 3) with one of the display's K, B, M at other values (N,)."""
+    moved = np.tile(point, (len(values), 1))
+    moved[:, axis] += values - display.free[axis]
+    return moved
+
+
+Asked = Callable[[list[Floats], bool], list[Flags]]  # values of several axes; for sure, or not yet
+
+
+def intervals(
+    safe: Asked, ranges: Sequence[tuple[float, float]], at: Sequence[float]
+) -> list[list[float] | None]:
+    """For each axis the connected interval round its value `at` in which `safe` holds, or the
+    nearest one, inside its range. All axes are asked together.
+
+    `safe` may first hope, where that is cheaper; ends and middle of what is found are then made
+    sure of, and a run that fails there is left for the next.
     """
+    grids = [_grid(low, high, one) for (low, high), one in zip(ranges, at, strict=True)]
+    hopes = safe(grids, False)
+    found: list[list[float] | None] = [None] * len(grids)
+    open_axes = list(range(len(grids)))
+    while open_axes:
+        runs = {axis: _run(grids[axis], hopes[axis], at[axis]) for axis in open_axes}
+        open_axes = [axis for axis in open_axes if runs[axis] is not None]
+        if not open_axes:
+            break
+        ends = _refined(safe, grids, {axis: runs[axis] for axis in open_axes})
+        checks = [
+            np.array([*ends[axis], 0.5 * sum(ends[axis])]) if axis in ends else np.zeros(0)
+            for axis in range(len(grids))
+        ]
+        sure = safe(checks, True)
+        for axis in open_axes:
+            if sure[axis].all():
+                found[axis] = ends[axis]
+            else:
+                first, last = runs[axis] or (0, 0)
+                hopes[axis][first : last + 1] = False
+        open_axes = [axis for axis in open_axes if found[axis] is None]
+    return found
+
+
+def _grid(low: float, high: float, at: float) -> Floats:
     distances = (high - low) * np.concatenate(([0.0], np.geomspace(1e-6, 1.0, _GRID)))
-    values = np.unique(np.clip(np.concatenate((at - distances, at + distances, [0.0])), low, high))
-    flags = safe(values)
-    if not flags.any():
-        return None
+    values = np.concatenate((at - distances, at + distances, [0.0]))
+    return np.asarray(np.unique(np.clip(values, low, high)))
+
+
+def _run(values: Floats, flags: Flags, at: float) -> tuple[int, int] | None:
+    """First and last place of the run of true flags that is nearest to `at`."""
     held = np.flatnonzero(flags)
+    if not held.size:
+        return None
     nearest = int(held[np.argmin(np.abs(values[held] - at))])
-    first = nearest
-    while first > 0 and flags[first - 1]:
-        first -= 1
-    last = nearest
-    while last + 1 < len(values) and flags[last + 1]:
-        last += 1
-    start = _edge(safe, values[first], values[first - 1]) if first > 0 else values[first]
-    end = _edge(safe, values[last], values[last + 1]) if last + 1 < len(values) else values[last]
-    return [float(start), float(end)]
+    false = np.flatnonzero(~flags)
+    first = int(false[false < nearest].max(initial=-1)) + 1
+    last = int(false[false > nearest].min(initial=len(values))) - 1
+    return first, last
 
 
-def _edge(safe: Callable[[Floats], Flags], inside: float, outside: float) -> float:
-    """The last value that holds on the way from `inside`, which does, to `outside`."""
+def _refined(
+    safe: Asked, grids: list[Floats], runs: Mapping[int, tuple[int, int] | None]
+) -> dict[int, list[float]]:
+    """Both ends of each run, nearer to where it stops."""
+    inside = {}
+    outside = {}
+    for axis, run in runs.items():
+        if run is not None:
+            first, last = run
+            values = grids[axis]
+            inside[axis] = [values[first], values[last]]
+            outside[axis] = [values[max(first - 1, 0)], values[min(last + 1, len(values) - 1)]]
     for _ in range(3):
-        values = np.linspace(inside, outside, _FINER + 2)
-        flags = safe(values[1:-1])
-        count = _FINER if flags.all() else int(np.argmin(flags))
-        inside = values[count]
-        outside = values[count + 1]
-    return float(inside)
+        between = {
+            axis: np.linspace(inside[axis], outside[axis], _FINER + 2)[1:-1] for axis in inside
+        }
+        asked = [
+            between[axis].T.ravel() if axis in between else np.zeros(0)
+            for axis in range(len(grids))
+        ]
+        flags = safe(asked, False)
+        for axis in inside:
+            for end in (0, 1):
+                held = flags[axis][end * _FINER : (end + 1) * _FINER]
+                count = _FINER if held.all() else int(np.argmin(held))
+                steps = [inside[axis][end], *between[axis][:, end], outside[axis][end]]
+                inside[axis][end] = steps[count]
+                outside[axis][end] = steps[count + 1]
+    return {axis: [float(end) for end in ends] for axis, ends in inside.items()}

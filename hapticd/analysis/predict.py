@@ -87,13 +87,15 @@ def predict(
     band_hz: tuple[float, float] = DEFAULT_BAND_HZ,
     allow_negative_stiffness: bool = False,
     recorded: bool = False,
+    stability: bool = True,
 ) -> Prediction:
     """Predict whether `model` at that level of active damping is passive under the environments
     `points` (N, 3): K [N/m], B [N s/m], M [kg].
 
     `filters` are those of velocity and acceleration. Without a `perturbation` Coulomb friction is
     left out. `recorded` takes Re Z as a measurement would see it, as in `predicted_impedance`; it
-    is not for decisions on safety. AnalysisError for a wrong shape.
+    is not for decisions on safety. Without `stability` its `passive` leaves eigenvalues out, for a
+    first look at many points. AnalysisError for a wrong shape.
     """
     kbm = environments(points)
     start, loop = _nominal(model, band_hz, damping_ns_per_m, filters, perturbation)
@@ -119,10 +121,13 @@ def predict(
     refused = (kbm[:, 0] < 0.0) & (not allow_negative_stiffness)
     hopeful = (margin >= 0.0) & calm & ~refused
     radius = np.full(len(kbm), np.nan)
-    radius[hopeful] = _radius(model, kbm[hopeful], friction[:, hopeful], damping_ns_per_m, filters)
+    if stability:
+        radius[hopeful] = _radius(
+            model, kbm[hopeful], friction[:, hopeful], damping_ns_per_m, filters
+        )
     return Prediction(
         points=kbm,
-        passive=hopeful & (np.nan_to_num(radius, nan=2.0) < 1.0),
+        passive=hopeful & ((np.nan_to_num(radius, nan=2.0) < 1.0) | (not stability)),
         margin_ns_per_m=margin,
         margin_deg=np.concatenate([one.angle for one in least]),
         worst_hz=np.concatenate([one.hz for one in least]),

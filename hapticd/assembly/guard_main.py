@@ -21,15 +21,17 @@ import socket
 import struct
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgpack
 
-from hapticd.analysis.transition import Judge
 from hapticd.assembly.process import die_with_parent, on_stop
 from hapticd.errors import ConfigError, HapticdError
 from hapticd.mailbox.files import GUARD_JSON
 from hapticd.params import GuardSetup, from_plain
+
+if TYPE_CHECKING:
+    from hapticd.analysis.transition import Judge
 
 LENGTH = struct.Struct("<I")
 LONGEST = 64 << 10  # bytes of a message
@@ -44,6 +46,9 @@ def main(arguments: list[str]) -> int:
     asked = parser.parse_args(arguments)
     on_stop(_end)
     die_with_parent(asked.parent)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when numpy loads; threads only wait
+    from hapticd.analysis.transition import Judge
+
     try:
         judge = Judge(_read(asked.folder / GUARD_JSON))
     except HapticdError as error:
@@ -65,7 +70,7 @@ def _read(path: Path) -> GuardSetup:
         raise ConfigError(f"{path}: {error}; make it with `hapticd config resolve`") from error
 
 
-def serve(line: socket.socket, judge: Judge) -> None:
+def serve(line: socket.socket, judge: "Judge") -> None:
     """Answer what comes over `line` until it ends."""
     try:
         _send(line, judge.hello(os.getpid()))
@@ -79,7 +84,7 @@ def serve(line: socket.socket, judge: Judge) -> None:
         return
 
 
-def answered(judge: Judge, request: bytes) -> dict[str, Any]:
+def answered(judge: "Judge", request: bytes) -> dict[str, Any]:
     """The answer to one message; an error is an answer too."""
     number = None
     try:
@@ -90,7 +95,7 @@ def answered(judge: Judge, request: bytes) -> dict[str, Any]:
         return {"n": number, "error": f"{type(error).__name__}: {error}"}
 
 
-def _warm_while_idle(line: socket.socket, judge: Judge) -> None:
+def _warm_while_idle(line: socket.socket, judge: "Judge") -> None:
     try:
         while not select.select([line], [], [], 0.0)[0] and judge.warm():
             pass

@@ -1,0 +1,260 @@
+"""The ways of a change: its stages in the order in which they may come, and the points they pass.
+
+    what ramps        the line from what is in force now to what is asked; where an earlier change
+                      is still under way too, the patch that both span, with its corners
+    enable            the gain from 0 to 1, which scales every force
+    damping           the levels on the way, of those that are kept
+    scheduled         this change comes after those before it, and those after it come after it
+
+Damping rises before K and B grow; K and B shrink before damping falls. Each `Stage` waits for what
+the board reports as damping, or for the ramps of the stage before, never for a time. Other ways are
+tried next: with what is under way brought to its end first, with what shrinks first, with what
+grows first. A longer ramp goes through the same points, so none is asked for.
+
+What would break it: ramps of several earlier changes under way at once, which are taken as one; or
+a parameter that moves without being asked.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hapticd.analysis.displays import (
+    AXES,
+    Display,
+    between,
+    changed,
+    fields_of,
+    kept_level,
+)
+
+POINTS = 20  # of a whole way
+
+
+class Stage(NamedTuple):
+    """One command of a change, and what it waits for."""
+
+    change: dict[str, Any]  # fields as in `set`, absolute values
+    damping_at_least: float | None = None  # N s/m that the board has to report before
+    after_ramps: bool = False  # ramps before it must have ended
+
+    def plain(self) -> dict[str, Any]:
+        """As it is sent."""
+        return self._asdict()
+
+
+class Leg(NamedTuple):
+    """A part of a way: from what is in force, with what is still under way, to what is asked."""
+
+    start: Display  # in force
+    under_way: Display  # where what is on its way would end
+    end: Display
+    gain: bool = False  # the gain goes from 0 to 1 at its end
+
+
+class Plan(NamedTuple):
+    """Stages with the way that they take."""
+
+    stages: list[Stage]
+    legs: list[Leg]
+    end: Display
+
+
+class Request(NamedTuple):
+    """What is asked for, and where it starts from."""
+
+    now: Display  # in force, with the damping in effect
+    target: Display  # where what is under way ends
+    wanted: Display  # where this change leads
+    change: dict[str, Any]  # its fields
+    after: list[dict[str, Any]]  # scheduled later
+    enable: bool
+    moving: bool  # the environment is felt, or will be
+    levels: tuple[float, ...]  # of damping that are kept
+    count_ns_per_m: float  # of the damping DAC
+
+
+class Ways:
+    """The ways to what `request` asks for, in the order in which they are tried."""
+
+    def __init__(self, request: Request) -> None:
+        self.request = request
+
+    def plans(self) -> list[Plan]:
+        """Each with its stages; the first is how it is done where nobody asks for safety."""
+        wanted = self.request.wanted
+        if not self.request.moving:
+            whole = Stage(fields_of(self.request.change, wanted))
+            return [Plan([whole], [Leg(wanted, wanted, wanted)], wanted)]
+        if self.request.enable:
+            return [self._enabling(False), self._enabling(True)]
+        return [self.plan(stages) for stages in self._orders()]
+
+    def plan(self, stages: list[Stage]) -> Plan:
+        """The way that these stages take, from what is in force."""
+        now = self.request.now
+        target = self.request.target
+        legs = []
+        for stage in stages:
+            if stage.damping_at_least is not None:
+                now = now._replace(added_ns_per_m=target.added_ns_per_m)
+            if stage.after_ramps:
+                now = target._replace(added_ns_per_m=now.added_ns_per_m)
+            end = changed(target, stage.change)
+            legs.append(Leg(now, target, end))
+            target = end
+        return Plan(stages, legs, target)
+
+    def path(self, plan: Plan) -> list[Display]:
+        """At most POINTS points of the way of `plan`, and of what is scheduled after it; each
+        part has its end among them. None at all where they would be more.
+        """
+        legs = [*plan.legs, *self._later(plan.end)]
+        size = max(len(one.points()) for leg in legs for one in (leg.start, leg.end))
+        room = POINTS // size
+        more = room % len(legs)
+        counts = [room // len(legs) + (place < more) for place in range(len(legs))]
+        parts = [
+            sampled(leg, count, self.request.levels)
+            for leg, count in zip(legs, counts, strict=True)
+        ]
+        return [display for part in parts for display in part] if all(parts) else []
+
+    def _later(self, start: Display) -> list[Leg]:
+        legs = []
+        for change in self.request.after:
+            end = changed(start, change)
+            legs.append(Leg(start, start, end))
+            start = end
+        return legs
+
+    def _orders(self) -> list[list[Stage]]:
+        change = self.request.change
+        wanted = self.request.wanted
+        here = self.request.target.added_ns_per_m
+        damping = {"damping": wanted.added_ns_per_m} if "damping" in change else {}
+        rest = {name: value for name, value in change.items() if name != "damping"}
+        if not rest:
+            return [[Stage(damping)], [Stage(damping, after_ramps=True)]]
+        orders = self._environment_orders(fields_of(rest, wanted))
+        if wanted.added_ns_per_m > here:
+            level = self._reported(wanted.added_ns_per_m)
+            return [[Stage(damping), *_waiting(stages, level)] for stages in orders]
+        if wanted.added_ns_per_m < here:
+            return [[*stages, Stage(damping, after_ramps=True)] for stages in orders]
+        whole = [_with(stages, damping) for stages in orders]
+        if self.request.now.added_ns_per_m >= here:
+            return whole
+        return whole + [_waiting(stages, self._reported(here)) for stages in whole]
+
+    def _environment_orders(self, rest: dict[str, Any]) -> list[list[Stage]]:
+        """At once, after what is under way, and what shrinks and what grows one after the other."""
+        orders = [[Stage(rest)], [Stage(rest, after_ramps=True)]]
+        new = dict(zip(AXES, self.request.wanted.free, strict=True))
+        old = dict(zip(AXES, self.request.target.free, strict=True))
+        shrinking = {name for name in rest if name in new and abs(new[name]) < abs(old[name])}
+        one = {name: value for name, value in rest.items() if name in shrinking}
+        other = {name: value for name, value in rest.items() if name not in shrinking}
+        if not one or not other:
+            return orders
+        return [
+            *orders,
+            [Stage(one), Stage(other, after_ramps=True)],
+            [Stage(other), Stage(one, after_ramps=True)],
+        ]
+
+    def _reported(self, level: float) -> float:
+        """What the board reports at least when it has that level: a count less."""
+        return max(0.0, level - self.request.count_ns_per_m)
+
+    def _enabling(self, waits: bool) -> Plan:
+        end = self.request.wanted
+        in_effect = self.request.now.added_ns_per_m
+        start = end if waits else end._replace(added_ns_per_m=in_effect)
+        stages = [Stage(fields_of(self.request.change, end))]
+        if waits:
+            stages = _waiting(stages, self._reported(end.added_ns_per_m))
+        return Plan(stages, [Leg(start, start, end, gain=True)], end)
+
+
+def _waiting(stages: list[Stage], level: float) -> list[Stage]:
+    return [stages[0]._replace(damping_at_least=level), *stages[1:]]
+
+
+def _with(stages: list[Stage], fields: dict[str, Any]) -> list[Stage]:
+    return [stages[0]._replace(change=stages[0].change | fields), *stages[1:]]
+
+
+def groups(leg: Leg) -> int:
+    """How many things move by themselves: what is asked, what is under way, the damping."""
+    asked, under_way = _parts(leg)
+    return asked + under_way + (leg.start.added_ns_per_m != leg.end.added_ns_per_m)
+
+
+def _parts(leg: Leg) -> tuple[bool, bool]:
+    """Whether what was asked moves the environment, and whether something else is under way."""
+    asked = leg.end._replace(added_ns_per_m=leg.under_way.added_ns_per_m) != leg.under_way
+    left = any(
+        start != end and before == end
+        for start, before, end in zip(
+            _numbers(leg.start), _numbers(leg.under_way), _numbers(leg.end), strict=True
+        )
+    )
+    return asked or leg.gain, left
+
+
+def _numbers(display: Display) -> tuple[float, ...]:
+    wall = display.wall
+    return (*display.free, wall.stiffness_n_per_m, wall.damping_ns_per_m)
+
+
+def sampled(leg: Leg, count: int, levels: Sequence[float] = ()) -> list[Display]:
+    """At most `count` displays of a leg, its end the last: the line if one thing moves, a grid
+    with all corners if several do. None if that takes more than `count`.
+    """
+    if leg.gain:
+        return _gained(leg, count)
+    moving = groups(leg)
+    if moving <= 1:
+        return [between(leg.start, leg.end, (place + 1) / count, levels) for place in range(count)]
+    side = int(count ** (1.0 / moving) + 1e-9)
+    if side < 2:
+        return []
+    shares = np.linspace(0.0, 1.0, side).tolist()
+    still = [1.0]
+    asked, left = _parts(leg)
+    damped = leg.start.added_ns_per_m != leg.end.added_ns_per_m
+    grid = product(
+        shares if asked else still, shares if left else still, shares if damped else still
+    )
+    return [_patch(leg, *place, levels) for place in grid]
+
+
+def _gained(leg: Leg, count: int) -> list[Display]:
+    """The gain from 0 to 1. Damping that is still on its way does not count before it is there."""
+    if count < 3:
+        return []
+    here = leg.end._replace(added_ns_per_m=leg.start.added_ns_per_m)
+    rising = [here.scaled((place + 1) / (count - 1)) for place in range(count - 1)]
+    return [*rising, leg.end]
+
+
+def _patch(leg: Leg, asked: float, left: float, level: float, levels: Sequence[float]) -> Display:
+    """A leg's display with what was asked, what was under way and damping at shares of their
+    own.
+    """
+    fast = between(leg.start, leg.end, asked)
+    slow = between(leg.start, leg.end, left)
+    still = [
+        before == end
+        for before, end in zip(_numbers(leg.under_way), _numbers(leg.end), strict=True)
+    ]
+    numbers = [
+        s if own else f for own, s, f in zip(still, _numbers(slow), _numbers(fast), strict=True)
+    ]
+    wall = replace(leg.end.wall, stiffness_n_per_m=numbers[3], damping_ns_per_m=numbers[4])
+    added = kept_level(leg.start.added_ns_per_m, leg.end.added_ns_per_m, level, levels)
+    return Display(numbers[0], numbers[1], numbers[2], wall, leg.end.filters, added)
