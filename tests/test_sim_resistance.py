@@ -99,6 +99,20 @@ def test_count_reaches_the_circuit_by_the_wire_where_the_dac_is_connected(lacks)
     assert frame.current * 10.0 / 32767 * N_PER_A == pytest.approx(expected_n, rel=1e-3)
 
 
+@pytest.mark.parametrize("resistance", [0, 12_000])
+def test_voltage_is_that_of_the_winding_as_hot_as_it_is(resistance):
+    """V = R(T) i of a rotor that stands, whatever the circuit believes of R."""
+    board = BoardModel(stuck(80.0))
+    for tick in range(30):
+        frame = exchange(
+            board, tick, flags=ENABLE, torque=TORQUE, damping=COUNT, resistance=resistance
+        )
+    ampere = frame.current * 10.0 / 32767
+    assert frame.voltage * 30.0 / 32767 == pytest.approx(
+        1.6 * (1.0 + 0.00393 * 60.0) * ampere, rel=2e-3
+    )
+
+
 def test_refused_out_leaves_the_count():
     board = BoardModel(stuck(80.0))
     exchange(board, 0, flags=ENABLE, torque=TORQUE, damping=COUNT, resistance=12_000)

@@ -203,6 +203,7 @@ class Axis:
         "_held_count",
         "_hold",
         "_lag",
+        "_nominal_ohm",
         "_params",
         "_present",
         "_release",
@@ -213,6 +214,7 @@ class Axis:
         "_tripped",
         "_watchdog",
         "amplifier",
+        "believed_ohm",
         "clamped",
         "damping_count",
         "damping_gain",
@@ -244,6 +246,8 @@ class Axis:
         self._hold = round(DAMPING_HOLD_S * substep_rate_hz)
         self._release = round(DAMPING_RELEASE_S * substep_rate_hz)
         self._release_step = max(1, round(substep_rate_hz / PROBE_RATE_HZ))
+        heating = params.plant and params.plant.heating
+        self._nominal_ohm = heating.compensated_ohm if heating else params.winding_ohm
         self._trim_ohm_per_count = params.trim_full_scale_ohm / I16_HIGHEST
         self.probe = Probe(params)
         self.amplifier: Amplifier | None = None
@@ -429,9 +433,11 @@ class Axis:
         """The circuit believes in the resistance of this count from now on; with the DAC not
         connected in that of count 0.
         """
+        trim_ohm = count * self._trim_ohm_per_count
         self.resistance_count = count
+        self.believed_ohm = self._nominal_ohm + trim_ohm
         if self.plant.compensate is not None:
-            self.plant.compensate(count * self._trim_ohm_per_count)
+            self.plant.compensate(trim_ohm)
 
     def _cut_torque(self) -> None:
         self.force_n = 0.0

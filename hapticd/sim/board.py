@@ -305,8 +305,9 @@ class BoardModel:
         seen = (axis.state, axis.force_n, axis.damping_n)
         velocity_m_per_s = plant.estimate(*seen)
         current_a = plant.motor_force(*seen) / params.torque_constant_n_per_a
+        # the estimate is (V - R_hat i) / K, of which this is the other way round: true at any heat
         voltage_v = (
-            params.winding_ohm * current_a + params.torque_constant_n_per_a * velocity_m_per_s
+            axis.believed_ohm * current_a + params.torque_constant_n_per_a * velocity_m_per_s
         )
         encoder = floor((plant.encoder(*seen) - axis.zero_m) / params.position_m_per_count + 0.5)
         if self._celsius is not None:
