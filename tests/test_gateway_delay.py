@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from hapticd.gateway.delay import DelayHistogram
+from hapticd.gateway.delay import LEAST_RECORDS, SHORTER_S, DelayHistogram
 from hapticd.gateway.view import RECORD_DTYPE
 from hapticd.units import NS_PER_S
 
@@ -21,7 +21,7 @@ def records(delay_us: "np.ndarray | list[int]", second: float = 0.0) -> np.ndarr
 @pytest.mark.parametrize(("delay_us", "periods"), [(125, 2 / 16), (126, 3 / 16), (1, 1 / 16)])
 def test_delay_is_rounded_up_to_a_sixteenth_of_a_period(delay_us: int, periods: float) -> None:
     histogram = DelayHistogram(1000.0)
-    histogram.add(records([delay_us] * 100))
+    histogram.add(records([delay_us] * 1000))
     assert histogram.periods == periods
 
 
@@ -36,22 +36,33 @@ def test_one_tick_in_a_hundred_may_be_later() -> None:
 def test_percentile_is_that_of_the_sorted_delays() -> None:
     delay_us = np.random.default_rng(4).integers(0, 3000, 5000)
     histogram = DelayHistogram(1000.0)
-    for begin in range(0, 5000, 500):
-        histogram.add(records(delay_us[begin : begin + 500], begin / 1000))
+    histogram.add(records(delay_us))
     sorted_us = np.sort(delay_us)[math.ceil(0.99 * 5000) - 1]
     assert histogram.periods == math.ceil(sorted_us / 1000 * 16) / 16
 
 
-def test_last_minute_counts() -> None:
+def test_last_minute_counts_and_a_shorter_delay_later() -> None:
     histogram = DelayHistogram(1000.0)
     histogram.add(records([900] * 1000))
-    histogram.add(records([125] * 10, 59.0))
-    assert histogram.periods == math.ceil(0.9 * 16) / 16
-    histogram.add(records([125] * 10, 60.0))
+    long = math.ceil(0.9 * 16) / 16
+    for second in range(1, 60 + SHORTER_S):
+        histogram.add(records([125] * 1000, float(second)))
+        assert histogram.periods == long, second
+    histogram.add(records([125] * 1000, 60.0 + SHORTER_S))
     assert histogram.periods == 2 / 16
 
 
-def test_unknown_delays_tell_nothing() -> None:
+def test_longer_delay_counts_at_once() -> None:
     histogram = DelayHistogram(1000.0)
-    histogram.add(records([-1] * 100))
+    histogram.add(records([125] * 1000))
+    histogram.add(records([900] * 20, 1.0))
+    assert histogram.periods == math.ceil(0.9 * 16) / 16
+
+
+def test_few_or_unknown_delays_tell_nothing() -> None:
+    histogram = DelayHistogram(1000.0)
+    histogram.add(records([-1] * 1000))
+    histogram.add(records([125] * (LEAST_RECORDS - 1)))
     assert histogram.periods is None
+    histogram.add(records([125], 1.0))
+    assert histogram.periods == 2 / 16

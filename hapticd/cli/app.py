@@ -4,7 +4,18 @@ from collections.abc import Sequence
 
 import typer
 
-from hapticd.cli import daemon, keys, lease, monitor, recording, sim, system, terminal, zwidth
+from hapticd.cli import (
+    daemon,
+    guard,
+    keys,
+    lease,
+    monitor,
+    recording,
+    sim,
+    system,
+    terminal,
+    zwidth,
+)
 from hapticd.errors import HapticdError
 
 USAGE = 2
@@ -21,6 +32,7 @@ VERBS: dict[str, terminal.Verb] = {
     "set": daemon.set_parameters,
     "get": daemon.get_parameters,
     "damping": daemon.damping,
+    "guard": guard.guard,
     "enable": daemon.enable,
     "disable": daemon.disable,
     "stop": daemon.stop,

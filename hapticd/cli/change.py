@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from hapticd.cli import terminal
+from hapticd.errors import CommandError
 from hapticd.gateway.limits import PLACES, flat
 from hapticd.mailbox.layout import VALUE_LIMITS
 
@@ -62,13 +63,58 @@ def connect(instance: str, timeout_s: float = 2.0) -> "Client":
 
 
 def change(instance: str, as_json: bool, ask: "Callable[[Client], Receipt]") -> None:
-    """Connect to `instance`, `ask` it, and print the receipt."""
+    """Connect to `instance`, `ask` it, and print the receipt; warnings of the guard go to stderr.
+
+    CommandError: refused; by the guard with its verdict in words.
+    """
     with connect(instance) as client:
-        receipt = ask(client)
+        try:
+            receipt = ask(client)
+        except CommandError as error:
+            lines = _found_out(client, error.guard)
+            text = "\n".join((str(error), *lines))
+            raise CommandError(error.code, text, error.detail, error.guard) from None
+        if not as_json:
+            terminal.data(receipt_text(receipt))
+        lines = _found_out(client, receipt.guard)
     if as_json:
         terminal.data_json({"ok": True, **dataclasses.asdict(receipt)})
-    else:
-        terminal.data(receipt_text(receipt))
+    elif receipt.guard and receipt.guard["policy"] != "off" and not receipt.guard["safe"]:
+        for line in (receipt.guard["text"], *lines):
+            terminal.talk(f"hapticd: {line}")
+
+
+def _found_out(client: "Client", verdict: dict[str, Any] | None) -> list[str]:
+    """What is known of an unsafe request, with the hand that would shake it, as `verdict` has it
+    from then on.
+    """
+    if not verdict or verdict["safe"] is not False:
+        return []
+    event = client.hand(verdict)
+    verdict["hand"] = event["hand"] if event else None
+    return verdict_lines(verdict) + ([event["text"]] if event and event["hand"] else [])
+
+
+def verdict_lines(verdict: dict[str, Any]) -> list[str]:
+    """What a verdict allows, as people read it; nothing where nothing is known."""
+    lines = []
+    allowed = verdict.get("allowed") or {}
+    units = {"K": "N/m", "B": "N s/m", "M": "kg"}
+    ranges = [
+        f"{name} {ends[0]:.4g} to {ends[1]:.4g} {units[name]}"
+        for name, ends in allowed.items()
+        if ends and None not in ends
+    ]
+    if ranges:
+        lines.append(f"allowed, each with the others as asked: {', '.join(ranges)}")
+    elif allowed:
+        lines.append("no K, B or M alone would do, with the others as asked")
+    least = verdict.get("least_damping_ns_per_m")
+    if least is not None:
+        lines.append(f"least active damping that would do: {least:.4g} N s/m")
+    elif allowed and verdict["safe"] is False:
+        lines.append("no active damping of this device would do")
+    return lines
 
 
 def receipt_text(receipt: "Receipt") -> str:
@@ -81,7 +127,17 @@ def receipt_text(receipt: "Receipt") -> str:
     values = dict(parameters(receipt.effective))
     names = {"K": "K", "B": "B", "M": "M", "damping": "active damping"}
     shown = ", ".join(f"{names[name]} {values[name]}" for name in names if name in values)
-    return f"{receipt.state}: {when}, revision {receipt.revision}: {shown}"
+    return f"{receipt.state}: {when}, revision {receipt.revision}: {shown}{_margin(receipt.guard)}"
+
+
+def _margin(verdict: dict[str, Any] | None) -> str:
+    """What is to spare, of a display that is known to be safe."""
+    if not verdict or not verdict["safe"]:
+        return ""
+    how = "clamped to what is safe, " if verdict.get("clamped") else ""
+    margin = verdict.get("margin_ns_per_m")
+    spare = "" if margin is None else f"{margin:.3g} N s/m to spare, "
+    return f"; {how}{spare}by {verdict['basis']}"
 
 
 def parameters(table: dict[str, Any]) -> Iterator[tuple[str, str]]:

@@ -12,6 +12,7 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import change, changes, connect, number, parameters, receipt_text
+from hapticd.cli.guard import guard_line, margin_words
 from hapticd.cli.lease import lease_lines
 from hapticd.cli.terminal import SIMULATED_BANNER
 from hapticd.errors import CommandError, ConfigError, DaemonDown, HapticdError
@@ -19,6 +20,7 @@ from hapticd.units import PROBE_RATE_HZ, US_PER_S
 
 if TYPE_CHECKING:
     from hapticd.assembly.supervisor import ProcessEvent
+    from hapticd.params import GuardParams
     from hapticd.settings.load import Settings
 
 
@@ -64,7 +66,23 @@ def run(
     supervisor.run()
 
 
+POLICIES = {
+    "off": "nobody judges what you ask for",
+    "warn": "what is not passive is done, with a warning",
+    "clamp": "what is not passive is done as far as it is",
+    "refuse": "what is not passive is refused",
+    "follow": "what is not passive is refused, and the environment follows the damping",
+}
+
+
+def _guarded(guard: "GuardParams") -> str:
+    return f"guard {guard.policy} by {guard.basis}: {POLICIES[guard.policy]}."
+
+
 def _ready_text(settings: "Settings", instance: str) -> str:
+    from hapticd.settings.build import guard_params
+
+    guard = guard_params(settings)
     device = settings.device
     config = settings.config
     which = "" if instance == terminal.INSTANCE else f" --instance {instance}"
@@ -78,11 +96,13 @@ def _ready_text(settings: "Settings", instance: str) -> str:
     ramp = f"{config.safety.enable_ramp_s:g} s"
     return f"""
 {head}
-hapticd is ready, disabled, at {config.realtime.rate_hz:g} Hz. Try in another terminal:
+hapticd is ready, disabled, at {config.realtime.rate_hz:g} Hz; {_guarded(guard)}
+Try in another terminal:
 
   hapticd set K=100 B=1 M=0.010{which}     stiffness N/m, damping N s/m, mass kg
   hapticd enable{which}                    force on; the gain ramps up in {ramp}
-  hapticd damping on{which}                active damping, {level}; also off, or a level
+  hapticd damping on{which}                active damping, {level}; also off, auto, or a level
+  hapticd guard{which}                     what is passive, and what is done with what is not
   hapticd monitor{which}                   watch it
   hapticd stop{which}                      force off, latched; then: hapticd reset
   hapticd status{which}
@@ -140,6 +160,8 @@ def _status_lines(found: dict[str, Any]) -> list[str]:
     lines += [f"  board     {terminal.coloured(waits, terminal.RED)}"] if waits else []
     off = [f"{name} {on}" for name, on in found.get("limit_cycle_faults", {}).items() if on != "on"]
     lines += [f"  fault     {one}" for one in off]
+    if guard := found.get("guard"):
+        lines += [f"  guard     {guard_line(guard)}", f"            {margin_words(guard)}"]
     lines += [f"  lease     {line}" for line in lease_lines(found.get("leases", {}))]
     lines += _board_lines(found.get("servo", {}))
     return lines + [
@@ -280,7 +302,7 @@ def set_parameters(
 
 
 DampingValue = Annotated[
-    str, typer.Argument(metavar="on|off|LEVEL", help="LEVEL in N s/m; 0 is off.")
+    str, typer.Argument(metavar="on|off|auto|LEVEL", help="LEVEL in N s/m; 0 is off.")
 ]
 
 
@@ -289,12 +311,11 @@ def damping(
     instance: terminal.Instance = terminal.INSTANCE,
     as_json: terminal.Json = False,
 ) -> None:
-    """Switch the active damping on or off, or set its level (N s/m) and
-    switch it on; live, in every state.
+    """Switch the active damping on or off, set its level (N s/m) and switch it on, or have the
+    guard choose the least that will do; live, in every state.
     """
-    asked = (
-        value if value in ("on", "off") else number("damping", value, "on, off or a level in N s/m")
-    )
+    expected = "on, off, auto or a level in N s/m"
+    asked = value if value in ("on", "off", "auto") else number("damping", value, expected)
     change(instance, as_json, lambda client: client.damping(asked))  # type: ignore[arg-type]
 
 

@@ -116,7 +116,10 @@ def complain(error: HapticdError, as_json: bool) -> None:
     if as_json:
         code = error.code if isinstance(error, CommandError) else type(error).__name__
         detail = error.detail if isinstance(error, CommandError) else None
-        data_json({"ok": False, "error": {"code": code, "message": str(error), "detail": detail}})
+        told = {"code": code, "message": str(error), "detail": detail}
+        if isinstance(error, CommandError) and error.guard:
+            told["guard"] = error.guard
+        data_json({"ok": False, "error": told})
 
 
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]

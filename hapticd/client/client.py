@@ -53,13 +53,15 @@ class Receipt:
     """
 
     # "applied": in force from `first_tick` on; "scheduled": will be, and `effective` holds until
-    # then; "pressed": a stop by way of the stop word, which gives no receipt
+    # then; "staged": it has begun, and an event tells the end; "pressed": a stop by way of the
+    # stop word, which gives no receipt
     result: str
     state: str = ""  # of the servo: disabled, enabled, homing, stopped, fault
     revision: int = 0  # number of accepted changes in this life of the servo
     first_tick: int = 0  # from which the change acts
     ramp_end_tick: int = 0  # at which the last ramp ends
     effective: dict[str, Any] = field(default_factory=dict)  # parameters in the shape of a `set`
+    guard: dict[str, Any] | None = None  # the guard's verdict on it, where one was asked for
 
 
 class TimedOut(NamedTuple):
@@ -155,12 +157,13 @@ def accepted(reply: dict[str, Any]) -> dict[str, Any]:
     code = error.get("code", "unknown")
     if code == "servo_down":
         raise DaemonDown(error.get("message", "the servo does not run"))
-    raise CommandError(code, error.get("message", "no reason given"), error.get("detail"))
+    reason = error.get("message", "no reason given")
+    raise CommandError(code, reason, error.get("detail"), error.get("guard"))
 
 
 def receipt_of(reply: dict[str, Any]) -> Receipt:
     """The receipt in an accepted reply."""
-    return Receipt(**reply["receipt"], state=reply["state"])
+    return Receipt(**reply["receipt"], state=reply["state"], guard=reply.get("guard"))
 
 
 class GatewayLine:
@@ -361,9 +364,41 @@ class Client:
             limit_cycle_faults=limit_cycle_faults,
         )
 
-    def damping(self, value: Literal["on", "off"] | float) -> Receipt:
-        """Switch the active damping, or set its level [N s/m] and switch it on."""
+    def damping(self, value: Literal["on", "off", "auto"] | float) -> Receipt:
+        """Switch the active damping, set its level [N s/m] and switch it on, or have the guard
+        choose the least level that will do.
+        """
         return self._change("damping", value=value)
+
+    def guard(
+        self,
+        policy: Literal["off", "warn", "clamp", "refuse", "follow"] | None = None,
+        *,
+        basis: Literal["theorem", "predicted", "measured"] | None = None,
+        margin_ns_per_m: float | None = None,
+        mode: Literal["off", "level", "auto"] | None = None,
+    ) -> dict[str, Any]:
+        """Change what is done with environments that are not known to be passive, or only ask.
+
+        `margin_ns_per_m` is the damping that has to be left [N s/m], `mode` that of the active
+        damping. {policy, basis, margin_ns_per_m, mode, worker, delay_periods, verdict, ..}.
+        """
+        return self._result(
+            "guard", policy=policy, basis=basis, margin_ns_per_m=margin_ns_per_m, mode=mode
+        )
+
+    def hand(self, verdict: dict[str, Any], timeout_s: float = 1.0) -> dict[str, Any] | None:
+        """The hand that would shake what `verdict` is about: the event `guard` with `text`.
+
+        None if `timeout_s` passes first.
+        """
+        deadline = time.monotonic() + timeout_s
+        while time.monotonic() < deadline:
+            for event in reversed(self.status()["events"]):
+                if event["kind"] == "guard" and event["number"] == verdict.get("number"):
+                    return dict(event)
+            time.sleep(POLL_S)
+        return None
 
     def enable(self) -> Receipt:
         """Force on, with a gain ramp."""

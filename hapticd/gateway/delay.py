@@ -2,8 +2,10 @@
 
 Every record says how long after its sample the force was in effect that acted when it was taken
 (`delay_us`). Here they are counted by second, in steps of a sixteenth of a period; the guard takes
-the delay that 99 of 100 ticks did not exceed, rounded up to the next step. One delay is one number
-for a theorem that knows no varying one: that is said beside every verdict.
+the delay that 99 of 100 ticks did not exceed, rounded up to the next step. It counts as soon as it
+is longer, and as shorter only once it was so for 10 s: each new delay costs the worker half a
+second. One delay is one number for a theorem that knows no varying one: that is said beside every
+verdict.
 
 What would break it: rounding down, or a minute without records that still counts the one before.
 """
@@ -19,6 +21,8 @@ MOST_PERIODS = 16
 BINS = STEPS * MOST_PERIODS + 1  # the last one: at least so long
 KEPT_S = 60
 SHARE = 0.99
+LEAST_RECORDS = 500  # for the first percentile
+SHORTER_S = 10
 
 
 class DelayHistogram:
@@ -33,6 +37,8 @@ class DelayHistogram:
         self._counts = np.zeros((KEPT_S, BINS), np.int64)
         self._seconds = np.full(KEPT_S, -KEPT_S, np.int64)
         self._newest = -KEPT_S
+        self.periods: float | None = None  # a multiple of 1/16; None: not known yet
+        self._shorter_since: int | None = None  # s
 
     def add(self, records: Records) -> None:
         """Count the records whose delay is known."""
@@ -40,6 +46,8 @@ class DelayHistogram:
         seconds = known["time_ns"] // NS_PER_S
         for second in np.unique(seconds).tolist():
             self._count(second, known["delay_us"][seconds == second])
+        if known.size:
+            self._follow(self._percentile())
 
     def _count(self, second: int, delay_us: NDArray[np.int32]) -> None:
         row = second % KEPT_S
@@ -51,14 +59,23 @@ class DelayHistogram:
         self._counts[row] += np.bincount(np.minimum(steps, BINS - 1), minlength=BINS)
         self._newest = max(self._newest, second)
 
-    @property
-    def periods(self) -> float | None:
-        """Delay that 99 % of the ticks did not exceed, in periods, a multiple of 1/16.
-
-        None before the first.
-        """
+    def _percentile(self) -> float | None:
         fresh = self._seconds > self._newest - KEPT_S
         below = np.cumsum(self._counts[fresh].sum(axis=0))
-        if not below[-1]:
+        if below[-1] < LEAST_RECORDS:
             return None
         return float(np.searchsorted(below, SHARE * below[-1]) / STEPS)
+
+    def _follow(self, measured: float | None) -> None:
+        """Delay that 99 % of the ticks did not exceed, in periods; shorter ones later."""
+        if measured is None:
+            return
+        if self.periods is None or measured >= self.periods:
+            self.periods = measured
+            self._shorter_since = None
+            return
+        since = self._newest if self._shorter_since is None else self._shorter_since
+        self._shorter_since = since
+        if self._newest - since >= SHORTER_S:
+            self.periods = measured
+            self._shorter_since = None

@@ -32,8 +32,9 @@ from hapticd.params import GuardParams
 from hapticd.units import NS_PER_MS, NS_PER_S
 
 MUST = frozenset({"clamp", "refuse", "follow"})  # policies under which what is unknown is refused
-VERDICT_NS = 500 * NS_PER_MS  # for an answer; a worker that takes longer hangs
-PATIENT_NS = 10 * NS_PER_S  # for answers that nobody waits for
+VERDICT_NS = 500 * NS_PER_MS  # that a request waits for its verdict
+# after which a worker without an answer hangs; one that sees a delay for the first time takes 0.5 s
+HANG_NS = 5 * NS_PER_S
 LOOK_NS = 500 * NS_PER_MS
 MOST_HANDS = 8  # that wait to be looked for
 IN_MOTION = Flag.RAMPING | Flag.EASED | Flag.PAUSED
@@ -116,7 +117,7 @@ class Guard:
         self._policy = params.policy
         self.basis = params.basis
         self.margin_ns_per_m = params.margin_ns_per_m
-        self.chosen_mode = "off"
+        self.auto = False  # whether the guard chooses the level of active damping
         self.changes = 0  # of policy, basis or margin
         self.delay = DelayHistogram(view.params.realtime.rate_hz)
         self._delay_life = 0
@@ -124,9 +125,10 @@ class Guard:
         self._number = 0
         self._answers: dict[int, dict[str, Any]] = {}
         self._awaited: set[int] = set()  # questions of requests
+        self._unanswered: dict[int, int] = {}  # when each question was asked that has no answer
         self._hands: deque[Unsafe] = deque(maxlen=MOST_HANDS)
-        self._hand: tuple[int, int, Unsafe] | None = None  # number, when asked, for what
-        self._look: tuple[int, int, tuple[Any, ...]] | None = None  # number, when asked, of what
+        self._hand: tuple[int, Unsafe] | None = None  # number of the question, for what
+        self._look: tuple[int, tuple[Any, ...]] | None = None
         self._looked: dict[str, Any] = {}
         self._looked_at: tuple[Any, ...] = ()
         self._look_ns = -LOOK_NS
@@ -141,8 +143,10 @@ class Guard:
 
     @property
     def mode(self) -> str:
-        """The mode of active damping that counts now; while measuring, nobody chooses a level."""
-        return "level" if self.measuring() and self.chosen_mode == "auto" else self.chosen_mode
+        """The mode of active damping: off, level or auto; while measuring, nobody chooses."""
+        if self.auto and not self.measuring():
+            return "auto"
+        return "level" if self.target()["damping"] else "off"
 
     @property
     def must(self) -> bool:
@@ -283,9 +287,9 @@ class Guard:
         if self._hand is None and self._hands and not self._awaited:
             self._ask_hand(now_ns)
 
-    def ask(self, question: dict[str, Any]) -> int:
+    def ask(self, question: dict[str, Any], now_ns: int) -> int:
         """Ask for a verdict; the number under which `answer` will have it."""
-        self._awaited.add(number := self._send(question))
+        self._awaited.add(number := self._send(question, now_ns))
         return number
 
     def answer(self, number: int) -> dict[str, Any] | None:
@@ -297,45 +301,43 @@ class Guard:
         self._awaited.discard(number)
         self._answers.pop(number, None)
 
-    def hangs(self) -> None:
-        """The worker left a request without a verdict for too long."""
-        if self._worker is not None:
-            self._worker.give_up(f"no verdict within {VERDICT_NS / NS_PER_S:g} s")
-
     def want_hand(self, unsafe: Unsafe) -> None:
         """Have the hand found that shakes this display."""
         self._hands.append(unsafe)
 
-    def _send(self, question: dict[str, Any]) -> int:
+    def _send(self, question: dict[str, Any], now_ns: int) -> int:
         self._number += 1
+        self._unanswered[self._number] = now_ns
         if self._worker is not None:
             self._worker.ask({**question, "n": self._number})
         return self._number
 
     def _hear(self, answer: dict[str, Any]) -> None:
         number = answer.get("n")
+        if isinstance(number, int):
+            self._unanswered.pop(number, None)
         if number in self._awaited:
             self._awaited.discard(number)
             self._answers[number] = answer
         elif self._look and number == self._look[0]:
             self._looked = answer if isinstance(answer.get("verdict"), dict) else {}
-            self._looked_at = self._look[2]
+            self._looked_at = self._look[1]
             self._look = None
         elif self._hand and number == self._hand[0]:
-            self._tell_hand(self._hand[2], answer.get("hand"))
+            self._tell_hand(self._hand[1], answer.get("hand"))
             self._hand = None
 
     def _expire(self, now_ns: int) -> None:
-        waits = [one[1] for one in (self._look, self._hand) if one is not None]
+        if self._worker and now_ns - min(self._unanswered.values(), default=now_ns) >= HANG_NS:
+            self._worker.give_up(f"no answer within {HANG_NS / NS_PER_S:g} s")
         if self.worker == "down":
             self._look = self._hand = None
-        elif waits and now_ns - min(waits) >= PATIENT_NS and self._worker:
-            self._worker.give_up(f"no answer within {PATIENT_NS / NS_PER_S:g} s")
+            self._unanswered = {}
 
     def _ask_hand(self, now_ns: int) -> None:
         unsafe = self._hands.popleft()
         question = {"ask": "hand", "display": unsafe.display, "delay_periods": self.delay.periods}
-        self._hand = self._send(question), now_ns, unsafe
+        self._hand = self._send(question, now_ns), unsafe
 
     def _tell_hand(self, unsafe: Unsafe, hand: Any) -> None:
         found = hand if isinstance(hand, dict) else {}
@@ -387,7 +389,7 @@ class Guard:
             "basis": self.basis,
             "level_on": self.level,
         }
-        self._look = self._send(question), now_ns, what
+        self._look = self._send(question, now_ns), what
 
     def count(self, records: Any, life: int) -> None:
         """Take the delays of telemetry `records` of servo `life`."""

@@ -23,7 +23,7 @@ believed after policy or environment have changed.
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from hapticd.errors import CommandError
 from hapticd.gateway.commands import Posting, parameters, posting, receipt, refusal, values_given
@@ -38,7 +38,6 @@ from hapticd.units import NS_PER_S
 
 JUDGED = ("K", "B", "M", "wall", "filters", "damping")  # fields of `set` that a verdict is about
 UNJUDGED = ("ramp_s", "limit_cycle_faults")  # and what comes along
-MODES = {"on": "level", "off": "off", "auto": "auto"}
 MOST_WAITING = 64
 WAITING_NS = NS_PER_S  # until it is judged; its sender gives up after 2 s
 TRIES = 2  # again, after another change came in between
@@ -127,20 +126,17 @@ def concerns(request: Request) -> bool:
     return isinstance(request, (Damping, Enable))
 
 
-def mode_of(request: Request) -> str | None:
-    """The damping mode that `request` asks for; None: it stays."""
+def auto_of(request: Request) -> bool | None:
+    """Whether `request` leaves the level of damping to the guard; None: as before."""
     if isinstance(request, Damping):
-        value = request.value
-        return MODES[value] if isinstance(value, str) else ("level" if value else "off")
-    if isinstance(request, Set) and "damping" in request.model_fields_set:
-        return "level" if request.damping else "off"
-    return None
+        return request.value == "auto"
+    return False if isinstance(request, Set) and "damping" in request.given else None
 
 
 def damping_by(asked: GuardRequest) -> Damping:
     """The damping command that the mode in `asked` comes to."""
-    values: dict[str, Any] = {mode: value for value, mode in MODES.items()}
-    return Damping(cmd="damping", value=values[str(asked.mode)])
+    values: dict[str, Literal["on", "off", "auto"]] = {"level": "on", "off": "off", "auto": "auto"}
+    return Damping(cmd="damping", value=values[asked.mode])
 
 
 def stages_of(answer: dict[str, Any]) -> tuple[Stage, ...]:
@@ -285,11 +281,13 @@ class Guarded:
 
     def _asks(self, case: Case) -> bool:
         """Whether a worker is there to be asked, and the policy wants it."""
-        wanted = self._guard.policy != "off" or self._mode(case) == "auto"
+        wanted = self._guard.policy != "off" or self._auto(case)
         return wanted and self._guard.worker in ("up", "starting")
 
-    def _mode(self, case: Case) -> str:
-        return mode_of(case.request) or self._guard.mode
+    def _auto(self, case: Case) -> bool:
+        """Whether the level of damping is the guard's to choose once `case` is in force."""
+        asked = auto_of(case.request)
+        return self._guard.mode == "auto" if asked is None else asked
 
     def _begin(self, now_ns: int) -> None:
         case = self._queue[0]
@@ -341,11 +339,12 @@ class Guarded:
                 "policy": case.policy,
                 "basis": guard.basis,
                 "margin_ns_per_m": guard.margin_ns_per_m,
-                "mode": self._mode(case),
+                "mode": "auto" if self._auto(case) else "off",  # a level is in the change
                 "level": guard.level,
                 "delay_periods": guard.delay.periods,
                 "ramp_s": self._ramp_s(case.request),
-            }
+            },
+            now_ns,
         )
         self._asked = case
 
@@ -363,9 +362,9 @@ class Guarded:
         elif self._guard.worker != "up" or now_ns - case.asked_ns >= VERDICT_NS:
             self._asked = None
             self._guard.forget(case.number)
-            if self._guard.worker == "up":
-                self._guard.hangs()
-            self._try_unjudged(case, now_ns)
+            up = self._guard.worker == "up"
+            late = f"the guard's worker gave no verdict within {VERDICT_NS / NS_PER_S:g} s"
+            self._try_unjudged(case, now_ns, late if up else "")
 
     def _take_verdict(self, case: Case, answer: dict[str, Any], now_ns: int) -> None:
         """Go by `answer`, or ask again if it is about what is no more."""
@@ -543,7 +542,7 @@ class Guarded:
                 f"{case.cmd}: {case.verdict['text']}; policy {guard.policy} refuses that, {remedy}"
             )
             raise CommandError("guard", text, guard=case.verdict)
-        if mode_of(case.request) == "auto":
+        if auto_of(case.request):
             text = "the guard chooses no level of damping while it judges nothing"
             raise CommandError("guard", f"{case.cmd}: {text}: {guard.trouble}", guard=case.verdict)
         case.revision = None
@@ -570,7 +569,7 @@ class Guarded:
         return self._applied(case, answer, now_ns)
 
     def _applied(self, case: Case, answer: Answer, now_ns: int) -> Told | None:
-        self._guard.chosen_mode = self._mode(case)
+        self._guard.auto = self._auto(case)
         case.place += 1
         case.ramp_end_tick = answer.ramp_end_tick
         case.since_ns = now_ns

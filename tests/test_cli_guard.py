@@ -1,0 +1,213 @@
+"""What the command line says of the guard: refusals and warnings with what is allowed and the hand,
+and, with real processes, that a refused change moves nothing while a worker that dies comes back.
+"""
+
+import json
+import os
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from test_cli_daemon import ClientDouble
+from test_cli_process import Daemon, until
+
+from hapticd.cli import guard as guard_verb
+from hapticd.cli.app import main
+from hapticd.client import Client, Receipt
+from hapticd.errors import CommandError
+
+VERDICT = {
+    "safe": False,
+    "policy": "refuse",
+    "basis": "theorem",
+    "number": 4,
+    "margin_ns_per_m": -1.01,
+    "allowed": {"K": [0.0, 320.0], "B": [-0.5, 1.25], "M": None},
+    "least_damping_ns_per_m": 1.43,
+    "clamped": False,
+    "text": "1.01 N s/m short at 112 Hz; ask for less",
+}
+EVENT = {
+    "hand": {"text": "a mass of 120 g, at 34 Hz", "mass_kg": 0.12},
+    "text": "a hand that would shake it: a mass of 120 g, at 34 Hz",
+}
+SAYS = [
+    "allowed, each with the others as asked: K 0 to 320 N/m, B -0.5 to 1.25 N s/m",
+    "least active damping that would do: 1.43 N s/m",
+    EVENT["text"],
+]
+GUARD = {
+    "policy": "clamp",
+    "basis": "theorem",
+    "margin_ns_per_m": 0.1,
+    "mode": "auto",
+    "measuring": False,
+    "delay_periods": 0.1875,
+    "worker": "up",
+    "trouble": "",
+    "verdict": VERDICT,
+}
+
+
+class GuardDouble(ClientDouble):
+    """A daemon whose guard has an opinion."""
+
+    def hand(self, verdict: dict[str, Any]) -> dict[str, Any] | None:
+        return {**EVENT, "number": verdict["number"]}
+
+    def guard(self, *what: Any, **more: Any) -> dict[str, Any]:
+        self._ask("guard", (what, more))
+        return GUARD
+
+
+@pytest.fixture
+def double(monkeypatch: pytest.MonkeyPatch) -> GuardDouble:
+    double = GuardDouble()
+    for module in ("change", "guard"):
+        monkeypatch.setattr(f"hapticd.cli.{module}.connect", lambda instance: double)
+    return double
+
+
+def test_refusal_says_what_is_allowed_and_which_hand_would_shake(
+    double: GuardDouble, capsys: pytest.CaptureFixture[str]
+) -> None:
+    double.error = CommandError("guard", f"damping: {VERDICT['text']}", None, dict(VERDICT))
+    assert main(["damping", "off"]) == 4
+    told = capsys.readouterr().err.splitlines()
+    assert told == [f"hapticd: {line}" for line in (f"damping: {VERDICT['text']}", *SAYS)]
+
+
+def test_refusal_carries_verdict_and_hand_in_json(
+    double: GuardDouble, capsys: pytest.CaptureFixture[str]
+) -> None:
+    double.error = CommandError("guard", "no", None, dict(VERDICT))
+    assert main(["damping", "off", "--json"]) == 4
+    error = json.loads(capsys.readouterr().out)["error"]
+    assert error["guard"] == {**VERDICT, "hand": EVENT["hand"]}
+
+
+def test_warning_goes_to_stderr_beside_the_receipt(
+    double: GuardDouble, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    warned = Receipt("applied", "enabled", 7, 3, 3, {"K": 9.0}, {**VERDICT, "policy": "warn"})
+    monkeypatch.setattr(double, "_ask", lambda verb, what=None: warned)
+    assert main(["set", "K=9"]) == 0
+    found = capsys.readouterr()
+    assert found.out == "enabled: applied at tick 3, revision 7: K 9 N/m\n"
+    assert found.err.splitlines() == [f"hapticd: {line}" for line in (VERDICT["text"], *SAYS)]
+
+
+def test_receipt_says_what_is_to_spare(
+    double: GuardDouble, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    verdict = {**VERDICT, "safe": True, "clamped": True, "margin_ns_per_m": 0.25}
+    done = Receipt("applied", "enabled", 7, 3, 3, {"K": 9.0}, verdict)
+    monkeypatch.setattr(double, "_ask", lambda verb, what=None: done)
+    assert main(["set", "K=99"]) == 0
+    found = capsys.readouterr()
+    assert found.out.endswith("; clamped to what is safe, 0.25 N s/m to spare, by theorem\n")
+    assert found.err == ""
+
+
+def test_guard_changes_and_shows(double: GuardDouble, capsys: pytest.CaptureFixture[str]) -> None:
+    words = "guard clamp --basis theorem --margin 0.1 --mode auto"
+    assert main(words.split()) == 0
+    asked = {"basis": "theorem", "margin_ns_per_m": 0.1, "mode": "auto"}
+    assert double.asked[0] == ("guard", (("clamp",), asked))
+    first, *rest = capsys.readouterr().out.splitlines()
+    assert first == (
+        "clamp, by theorem, at least 0.1 N s/m to spare; damping auto; delay 0.1875 periods"
+    )
+    assert rest == [VERDICT["text"], *SAYS[:2]]
+
+
+def test_measuring_is_shown() -> None:
+    line = guard_verb.guard_line({**GUARD, "measuring": True, "worker": "down", "trouble": "gone"})
+    assert line.startswith("off: somebody measures")
+    assert line.endswith("; gone")
+
+
+# --- real processes -------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def daemon(runtime: Path) -> Iterator[Daemon]:
+    with Daemon(runtime) as daemon:
+        yield daemon
+
+
+def refused(client: Client) -> dict[str, Any]:
+    """The verdict with which less damping is refused."""
+    with pytest.raises(CommandError) as caught:
+        client.damping("off")
+    assert caught.value.code == "guard"
+    assert caught.value.guard is not None
+    return caught.value.guard
+
+
+def judged(client: Client) -> dict[str, Any]:
+    """As `refused`, once there is a verdict."""
+    return until(lambda: (found := refused(client))["safe"] is False and found, "a verdict")
+
+
+def insisting(ask: Callable[[], Receipt]) -> Receipt:
+    """What `ask` gives once there is a verdict: a worker that begins may take longer than 0.5 s."""
+
+    def once() -> Receipt | None:
+        try:
+            return ask()
+        except CommandError as error:
+            if error.guard is None or error.guard["safe"] is not None:
+                raise
+            return None
+
+    return until(once, "a verdict")
+
+
+@pytest.mark.process
+def test_refused_change_names_its_hand_and_a_killed_worker_comes_back(daemon: Daemon) -> None:
+    with Client(daemon.instance, folder=daemon.folder) as client:
+        until(lambda: client.guard()["worker"] == "up", "the worker")
+        assert client.guard("refuse")["policy"] == "refuse"
+        # enough damping for a delay of several periods, which a busy machine has
+        insisting(lambda: client.damping(10.0))
+        receipt = insisting(lambda: client.set(K=500, B=2))
+        assert receipt.guard is not None
+        assert receipt.guard["safe"] is True
+        insisting(client.enable)
+        verdict = judged(client)
+        assert verdict["basis"] == "theorem"
+        found = client.hand(verdict, 20.0)
+        assert found is not None
+        # with the delay of a busy machine it may shake by itself, without any hand
+        assert verdict["radius"] >= 1.0 or found["hand"]["radius"] > 1.0
+        worker = client.guard()["pid"]
+        os.kill(worker, signal.SIGKILL)
+        until(lambda: client.guard()["worker"] != "up", "the worker's end")
+        assert refused(client)["safe"] is None
+        assert client.get()["parameters"]["damping"] > 0.0
+        until(lambda: client.guard()["worker"] == "up", "the next worker")
+        last = client.guard()["pid"]
+        assert last != worker
+        judged(client)
+        assert client.stop().state == "stopped"
+    os.kill(daemon.children()["gateway"], signal.SIGKILL)
+    until(lambda: not Path(f"/proc/{last}").exists(), "the worker's end with its gateway")
+
+
+@pytest.mark.process
+def test_worker_that_hangs_holds_up_no_stop_and_is_replaced(daemon: Daemon) -> None:
+    with Client(daemon.instance, folder=daemon.folder) as client:
+        until(lambda: client.guard()["worker"] == "up", "the worker")
+        client.guard("refuse")
+        worker = client.guard()["pid"]
+        os.kill(worker, signal.SIGSTOP)
+        with pytest.raises(CommandError) as caught:
+            client.set(K=10)
+        assert caught.value.guard is not None
+        assert caught.value.guard["basis"] == "unknown"
+        assert client.stop().state == "stopped"
+        until(lambda: client.guard()["pid"] not in (None, worker), "the next worker")
+        assert not Path(f"/proc/{worker}").exists()
