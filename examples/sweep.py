@@ -1,12 +1,16 @@
 """A ten-line experiment: shake the device with a 5 Hz force and see how far it moves at several
-stiffnesses.
+stiffnesses. Nobody else changes anything meanwhile, and force goes off if it dies.
 """
 
 import numpy as np
 
 from hapticd.client import Client
 
-with Client(name="sweep") as device:
+with (
+    Client(name="sweep") as device,
+    device.lease("environment", at_end="disable"),
+    device.lease("perturbation"),
+):
     device.perturb_load(
         0.2 * np.sin(2 * np.pi * 5 * np.arange(4000) / 4000)
     )  # N, one second at 4 kHz

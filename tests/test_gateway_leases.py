@@ -458,6 +458,19 @@ def test_faults_that_are_on_again_after_a_stop_are_off_while_measuring(rig: Desk
     assert put(rig, Value.LIMIT_CYCLE_FAULTS) == 1.0
 
 
+@pytest.mark.parametrize("how", ["dies", "silent", "released", "taken over"])
+def test_nothing_is_judged_while_measuring_and_again_behind_it(rig: DeskRig, how: str) -> None:
+    assert rig.ask(B, cmd="guard", policy="refuse")["result"]["policy"] == "refuse"
+    assert rig.ask(A, cmd="set", K=100)["error"]["code"] == "guard"
+    rendering(rig, "measuring", "hold")
+    assert rig.guard.policy == "off"
+    assert rig.ask(B, cmd="guard", policy="warn")["error"]["code"] == "leased"
+    assert put(rig, Value.STIFFNESS) == 300.0
+    end(rig, "measuring", how)
+    assert rig.guard.policy == "refuse"
+    assert rig.ask(b"c", cmd="set", K=100).get("error", {}).get("code") == "guard"
+
+
 def test_records_name_the_holders(rig: DeskRig) -> None:
     def shown() -> tuple[int, int]:
         return rig.view.record["lease_control"], rig.view.record["lease_damping"]

@@ -83,7 +83,7 @@ def state_map(view: ServoView, actors: Actors, leases: Leases, unix_ns: int) -> 
         "epoch": header.start_ns if header else 0,
         "config_hash": header.config_hash if header else view.params.config_hash,
         **{name: record[name] for name in RECORD_FIELDS_SHOWN if view.alive and name in record},
-        "limit_cycle_faults": limit_cycle_faults(view),
+        "limit_cycle_faults": limit_cycle_faults(view, leases),
         "actor_name": actors.name(int(record.get("actor", 0))),
         "actors": actors.names(),
         "leases": leases.shown(),
@@ -91,7 +91,7 @@ def state_map(view: ServoView, actors: Actors, leases: Leases, unix_ns: int) -> 
     }
 
 
-def limit_cycle_faults(view: ServoView) -> dict[str, str]:
+def limit_cycle_faults(view: ServoView, leases: Leases) -> dict[str, str]:
     """Which faults that end a limit cycle are on; why one is off."""
     device = view.params.device
     unknown = {
@@ -105,6 +105,8 @@ def limit_cycle_faults(view: ServoView) -> dict[str, str]:
         key = "physical_damping_ns_per_m" if bit is Watched.ENERGY else "overspeed_m_per_s"
         if unknown.get(bit):
             return f"off: the device file gives no {key}"
+        if leases.measuring:
+            return "off: while measuring is leased"
         return "off: as asked, until force is off again or as configured"
 
     return {bit.name.lower(): words(bit) for bit in Watched}
