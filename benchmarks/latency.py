@@ -3,20 +3,15 @@ two processes.
 """
 
 import random
-import subprocess
-import sys
-import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
-
-import zmq
 
 from benchmarks import daemon, targets
 from benchmarks.blocks import median_quantile
+from benchmarks.echo import echo_ns, echoing
 from benchmarks.figures import Figure, compared
 from benchmarks.records import place
-from benchmarks.worker import ROOT, BenchError, environment
+from benchmarks.worker import BenchError
 from hapticd.client import Client
 from hapticd.mailbox import files, layout
 from hapticd.units import NS_PER_MS
@@ -38,7 +33,7 @@ MESSAGE = bytes(60)
 def measure() -> Iterator[Figure]:
     """Medians over blocks of p50 and p99; one `set` and one echo in turns."""
     draw = random.Random(1)
-    with daemon.running("latency") as instance, Client(instance) as client, _echo() as echo:
+    with daemon.running("latency") as instance, Client(instance) as client, echoing() as echo:
         client.enable()
         page = files.open_map(
             files.runtime_folder(instance) / files.TELEMETRY, layout.TELEMETRY_BYTES, writable=False
@@ -48,7 +43,7 @@ def measure() -> Iterator[Figure]:
             time.sleep(draw.uniform(*PAUSE_S))
             taken = _set_ns(client, memoryview(page), draw.choice(STIFFNESS_N_PER_M))
             time.sleep(draw.uniform(*PAUSE_S))
-            return taken / NS_PER_MS, _echo_ns(echo) / NS_PER_MS
+            return taken / NS_PER_MS, echo_ns(echo, MESSAGE) / NS_PER_MS
 
         for _ in range(WARM_UP):
             one()
@@ -87,31 +82,3 @@ def _set_ns(client: Client, ring: memoryview, stiffness: float) -> int:
         f"tick {tick} of the receipt is not in the ring after {TICK_S} s; the servo was paused or"
         " has ended"
     )
-
-
-def _echo_ns(socket: "zmq.Socket[bytes]") -> int:
-    begin_ns = time.monotonic_ns()
-    socket.send(MESSAGE)
-    socket.recv()
-    return time.monotonic_ns() - begin_ns
-
-
-@contextmanager
-def _echo() -> Iterator["zmq.Socket[bytes]"]:
-    """A DEALER whose messages come back."""
-    with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder:
-        endpoint = f"ipc://{folder}/echo"
-        process = subprocess.Popen(
-            [sys.executable, "-m", "benchmarks.echo_worker", endpoint], env=environment(), cwd=ROOT
-        )
-        context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-        socket = context.socket(zmq.DEALER)
-        socket.setsockopt(zmq.RCVTIMEO, 10_000)
-        socket.connect(endpoint)
-        try:
-            yield socket
-        finally:
-            socket.send(b"")
-            context.destroy(linger=100)
-            process.terminate()
-            process.wait()

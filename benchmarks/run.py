@@ -54,6 +54,7 @@ GROUPS = {  # parts whose figures belong together
         "tick",
         "late",
         "latency",
+        "guard",
         "telemetry",
         "lockstep",
         "process",

@@ -77,6 +77,22 @@ TABLE: dict[str, dict[str, Target]] = {
             "a period of waiting for the tick, and 1.2 ms until the gateway has seen it",
         ),
     },
+    "guard": {
+        "guard_path_ratio": Target(
+            "<= 6x",
+            "a bare ZeroMQ echo between two processes, as long as request and answer are",
+            "20 eigenvalue problems of 14 states, and 20 x 503 quadratic forms",
+        ),
+        "guard_margin_ratio": Target(
+            "<= 13x",
+            "the same",
+            "40 halvings of the damping to spare, at 503 angles of 50 harmonics; at fewer once some"
+            " fell short",
+        ),
+        "guard_verdict_ms": Target(
+            "", "the same", "information: a change asked of the worker, ranges and all"
+        ),
+    },
     "telemetry": {
         "telemetry_gaps": Target("<= 0", "", "no record may be missing"),
         "gateway_cpu_ratio": Target(
@@ -228,7 +244,7 @@ TABLE: dict[str, dict[str, Target]] = {
     },
     "predict_map": {
         "predict_map_ratio": Target(
-            "<= 12x",
+            "<= 6x",
             "numpy's einsum: admittances of all environments, and 40 sums over the band",
             "the friction's fit is arithmetic on whole arrays between the sums; bursts, radii and"
             " narrow modes come on top",

@@ -62,6 +62,7 @@ _ANGLES = np.concatenate((np.geomspace(1e-3, 0.05, 40)[:-1], np.linspace(0.05, n
 ANGLES = np.concatenate((np.geomspace(2e-3, 0.05, 24)[:-1], np.linspace(0.05, np.pi, 480)))  # wT
 _IMAGES = 24  # harmonics on each side
 _HALVINGS = 40  # of the interval in which the spare damping lies
+_FOURFOLD = 9  # steps from its top towards its end, each four times the one before
 _CLOSEST = 1e-9  # N s/m to the limit that the device's own damping sets
 
 
@@ -287,25 +288,29 @@ def _positive(lifted: Lift, gain: Complexes, spare: float, angles: Integers) -> 
 
 def _spare(lifted: Lift, gain: Complexes) -> tuple[float, int]:
     """The damping to spare, and the place of the angle that sets it. What is positive for more
-    spare is so for less: only angles that fell short are looked at again.
+    spare is so for less: only angles that fell short are looked at again, from the top downwards
+    in steps that grow fourfold, then by halving.
     """
     high = float(lifted.resistance.min())
-    low = (
-        high
-        - float(np.max(np.abs(gain) * np.sqrt(lifted.out.sum(axis=1) * lifted.back.sum(axis=1))))
-        - 1e-9
-    )
+    sizes = lifted.out.sum(axis=1) * lifted.back.sum(axis=1)
+    span = float(np.max(np.abs(gain) * np.sqrt(sizes))) + 1e-9
+    low = high - span
+    down = span * 4.0**-_FOURFOLD
     angles = np.arange(gain.size)
     worst = int(np.argmin(lifted.resistance.min(axis=1)))
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
+    falling = True
+    while high - low > span * 2.0**-_HALVINGS:
+        middle = high - down if falling else 0.5 * (low + high)
+        down *= 4.0
         positive = _positive(lifted, gain, middle, angles)
         if positive.all():
             low = middle
+            falling = False
         else:
             high = middle
             angles = angles[~positive]
             worst = int(angles[0])
+            falling = falling and high - down > low
     return low, worst
 
 

@@ -1,0 +1,43 @@
+"""The least that a request between two processes can cost: a ROUTER that sends back
+what it gets.
+"""
+
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import zmq
+
+from benchmarks.worker import ROOT, environment
+
+
+@contextmanager
+def echoing() -> Iterator["zmq.Socket[bytes]"]:
+    """A DEALER whose messages come back."""
+    with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder:
+        endpoint = f"ipc://{folder}/echo"
+        process = subprocess.Popen(
+            [sys.executable, "-m", "benchmarks.echo_worker", endpoint], env=environment(), cwd=ROOT
+        )
+        context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        socket = context.socket(zmq.DEALER)
+        socket.setsockopt(zmq.RCVTIMEO, 10_000)
+        socket.connect(endpoint)
+        try:
+            yield socket
+        finally:
+            socket.send(b"")
+            context.destroy(linger=100)
+            process.terminate()
+            process.wait()
+
+
+def echo_ns(socket: "zmq.Socket[bytes]", message: bytes) -> int:
+    """Time until `message` is back."""
+    begin_ns = time.monotonic_ns()
+    socket.send(message)
+    socket.recv()
+    return time.monotonic_ns() - begin_ns
