@@ -244,7 +244,7 @@ TABLE: dict[str, dict[str, Target]] = {
     },
     "predict_map": {
         "predict_map_ratio": Target(
-            "<= 6x",
+            "<= 12x",
             "numpy's einsum: admittances of all environments, and 40 sums over the band",
             "the friction's fit is arithmetic on whole arrays between the sums; bursts, radii and"
             " narrow modes come on top",
