@@ -557,3 +557,111 @@ def test_may_has_no_side_effect_and_speaks_of_the_holder() -> None:
     assert "panel (actor 16)" in str(found)
     leases.advance(10 * NS_PER_S + 400 * NS_PER_MS)
     assert leases.shown()["damping"]["left_s"] == 0.6
+
+
+# --- all together ---------------------------------------------------------------------------------
+
+
+def test_leases_stay_over_a_stop_and_a_reset(rig: DeskRig) -> None:
+    """A stop ends force, not a session: who held the environment has it behind the reset too."""
+    take(rig, A, "environment", ttl_s=30.0)
+    rig.ask(A, cmd="enable")
+    rig.ask(B, cmd="stop")
+    rig.ask(B, cmd="reset")
+    assert rig.ask(B, cmd="enable")["error"]["code"] == "leased"
+    assert rig.ask(A, cmd="enable")["ok"]
+
+
+def test_two_that_take_over_from_each_other_without_end_keep_no_stop_waiting(rig: DeskRig) -> None:
+    """What follows from a lease is done once, however often it was asked for meanwhile."""
+    rig.ask(A, cmd="enable")
+    rig.servo.deaf = True
+    for _ in range(300):
+        for client in (A, B):
+            rig.send(packed(cmd="lease", what="measuring", take_over=True), client=client)
+    rig.servo.deaf = False
+    rig.send(packed(cmd="stop"), client=A)
+    rig.run(2)
+    assert rig.servo.state is State.STOPPED
+    idle(rig, 0.5)
+    assert rig.view.record["lease_control"] == rig.desk.actors.number(B)
+    assert put(rig, Value.LIMIT_CYCLE_FAULTS) == 0.0
+    assert len(rig.servo.taken) < 100
+
+
+class Parts:
+    """Leases by hand: who has each part, by which lease, and until when."""
+
+    def __init__(self) -> None:
+        self.of: dict[str, tuple[int, str, int]] = {}  # actor, what, deadline in ns
+
+    def drop(self, actor: int, what: str) -> None:
+        self.of = {part: one for part, one in self.of.items() if one[:2] != (actor, what)}
+
+
+COVERED = {
+    "environment": ("environment",),
+    "damping": ("damping",),
+    "perturbation": ("perturbation",),
+    "measuring": ("environment", "damping", "perturbation"),
+}
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_no_part_ever_has_two_holders_and_every_end_is_told_once(seed: int) -> None:
+    """500 random requests of four actors, each of whom holds one lease at a time; against parts
+    that are kept by hand.
+    """
+    random = np.random.default_rng(seed)
+    leases = Leases()
+    parts = Parts()
+    now_ns = 10 * NS_PER_S
+    leases.advance(now_ns)
+    for _ in range(500):
+        actor = int(random.integers(16, 20))
+        what = str(random.choice(list(COVERED)))
+        ttl_s = float(random.choice([0.2, 1.0, 5.0]))
+        mine = {one[1] for one in parts.of.values() if one[0] == actor}
+        act = str(random.choice(["take", "over", "release", "heard", "leave", "wait"]))
+        others = {parts.of[part][:2] for part in COVERED[what] if part in parts.of} - {
+            (actor, one) for one in COVERED
+        }
+        if act == "wait":
+            now_ns += int(random.integers(1, 400)) * NS_PER_MS
+            late = {one[:2] for one in parts.of.values() if one[2] <= now_ns}
+            ended = leases.advance(now_ns)
+            assert {(one.lease.actor, one.lease.what) for one in ended} == late
+            assert {one.how for one in ended} <= {"silent"}
+            for one in late:
+                parts.drop(*one)
+        elif act in ("take", "over") and mine <= {what}:
+            if others and act == "take":
+                with pytest.raises(CommandError, match="holds the lease"):
+                    leases.take(what, actor, "x", ttl_s, "hold")
+                continue
+            ended = leases.take(what, actor, "x", ttl_s, "hold", act == "over")
+            assert {(one.lease.actor, one.lease.what) for one in ended} == others
+            for one in others:
+                parts.drop(*one)
+            for part in COVERED[what]:
+                parts.of[part] = actor, what, now_ns + round(ttl_s * NS_PER_S)
+        elif act == "release" and what in mine:
+            assert leases.release(what, actor).how == "released"
+            parts.drop(actor, what)
+        elif act == "leave":
+            assert {one.lease.what for one in leases.leave(actor)} == mine
+            for one_what in mine:
+                parts.drop(actor, one_what)
+        elif act == "heard":
+            ttls = {one: leases.shown()[one]["ttl_s"] for one in mine}
+            leases.heard(actor)
+            parts.of = {
+                part: (actor, one[1], now_ns + round(ttls[one[1]] * NS_PER_S))
+                if one[0] == actor
+                else one
+                for part, one in parts.of.items()
+            }
+        assert {p: (h.actor, h.what) for p in COVERED["measuring"] if (h := leases.holder(p))} == {
+            part: one[:2] for part, one in parts.of.items()
+        }
+        assert leases.measuring == any(one[1] == "measuring" for one in parts.of.values())
