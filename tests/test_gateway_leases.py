@@ -367,11 +367,22 @@ def test_holder_that_fails_leaves_what_its_lease_says_and_damping(
         rig.desk.leave(A)
     idle(rig, 1.2)
     places = (Value.STIFFNESS, Value.DAMPING, Value.MASS, Value.WALL_STIFFNESS)
-    left = [0.0] * 4 if at_end == "zero" else [300.0, 2.0, 0.01, 900.0]
+    zero = at_end == "zero" and what in ("environment", "measuring")
+    left = [0.0] * 4 if zero else [300.0, 2.0, 0.01, 900.0]
     assert [put(rig, place) for place in places] == left
     assert rig.servo.state == (State.DISABLED if at_end == "disable" else State.ENABLED)
     assert (put(rig, Value.ADDED_DAMPING), put(rig, Value.ADDED_DAMPING_ON)) == (1.5, 1.0)
     assert put(rig, Value.LIMIT_CYCLE_FAULTS) == 1.0
+
+
+@pytest.mark.parametrize("what", ["damping", "perturbation"])
+def test_holder_that_fails_leaves_what_another_holds(rig: DeskRig, what: str) -> None:
+    rendering(rig, "environment", "zero")
+    take(rig, B, what, at_end="zero")
+    rig.desk.leave(B)
+    rig.run(10)
+    assert put(rig, Value.STIFFNESS) == 300.0
+    assert rig.ask(A, cmd="set", K=5)["ok"]
 
 
 @pytest.mark.parametrize("at_end", ["hold", "zero", "disable"])
@@ -534,6 +545,21 @@ def test_leases_of_a_gateway_that_died_end_as_configured(tmp_path: Path, at_end:
     assert put(rig, Value.LIMIT_CYCLE_FAULTS) == 1.0
     assert put(rig, Value.ADDED_DAMPING_ON) == 1.0
     assert "of the gateway before" in str(rig.journal.recent)
+
+
+@pytest.mark.parametrize(("what", "zeroed"), [("environment", True), ("damping", False)])
+def test_gateway_before_is_known_by_what_its_clients_held(
+    rig: DeskRig, what: str, zeroed: bool
+) -> None:
+    rendering(rig, what, "hold")
+    rig.ask(A, cmd="perturb", action="load", samples_n=WAVE)
+    rig.ask(A, cmd="perturb", action="start", loop=True)
+    rig.view.drop()
+    rig.start_gateway(LeaseParams(at_end="zero"))
+    idle(rig, 0.3)
+    assert (put(rig, Value.STIFFNESS) == 0.0) == zeroed
+    assert rig.servo.perturbing  # of that lease nothing says that it was held
+    assert (rig.view.record["lease_control"], rig.view.record["lease_damping"]) == (0, 0)
 
 
 def test_restart_of_a_gateway_without_leases_moves_nothing(rig: DeskRig) -> None:

@@ -4,9 +4,9 @@
     measuring    the faults force_at_limit and energy are off while it is held, and as configured
                  when it ends, however that is
     ends         the perturbation that it covered ends with it; the records say so
-    fails        its holder died or fell silent: what he had scheduled is cancelled too, and the
-                 environment goes as `at_end` says: it stays, goes to 0 on a ramp, or force goes
-                 off. Active damping stays in any case
+    fails        its holder died or fell silent: what he had scheduled is cancelled too, and
+                 `at_end` says what becomes of the rest: it stays, force goes off, or the
+                 environment, if it was his, goes to 0 on a ramp. Active damping stays in any case
     taken over   what he had scheduled is cancelled; else whoever takes over finds the display as it
                  was
 
@@ -149,18 +149,18 @@ class LeaseDesk:
         if PERTURBATION in PARTS[lease.what]:
             self._do(Command.PERTURB_STOP, {})
         if ended.how in (SILENT, GONE):
-            self._go(lease.at_end)
+            self._go(lease)
         configured = float(self._view.params.safety.limit_cycle_faults)
         self._tell(
             GATEWAY_ACTOR, {Value.LIMIT_CYCLE_FAULTS: configured} if lease.what == MEASURING else {}
         )
         self._note(ended)
 
-    def _go(self, at_end: str) -> None:
-        """What becomes of the environment; nothing is done to the damping."""
-        if at_end == "zero":
+    def _go(self, lease: Lease) -> None:
+        """What becomes of force and environment; nothing is done to the damping."""
+        if lease.at_end == "zero" and ENVIRONMENT in PARTS[lease.what]:
             self._do(Command.SET, dict.fromkeys(NOTHING, 0.0))
-        elif at_end == "disable":
+        elif lease.at_end == "disable":
             self._do(Command.DISABLE, {})
 
     def _note(self, ended: Ended) -> None:
@@ -211,9 +211,13 @@ class LeaseDesk:
             return
         self._known = True
         record = self._view.record
-        if record["lease_control"] or record["lease_damping"]:
-            lease = Lease(MEASURING, 0, FORMER, 0, self._params.at_end, 0)  # perhaps of less
-            self._end(Ended(lease, GONE))
+        holders = {ENVIRONMENT: record["lease_control"], DAMPING: record["lease_damping"]}
+        if holders[ENVIRONMENT] == holders[DAMPING]:  # of both, so perhaps of all
+            holders = {MEASURING: holders[DAMPING]}
+        for what, actor in holders.items():
+            if actor:
+                lease = Lease(what, actor, FORMER, 0, self._params.at_end, 0)
+                self._end(Ended(lease, GONE))
 
     def _post(self, now_ns: int) -> None:
         """Do what waits, as far as the servo takes it."""

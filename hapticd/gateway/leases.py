@@ -55,7 +55,7 @@ class Lease(NamedTuple):
     actor: int
     name: str  # that the client gave itself
     ttl_ns: int
-    at_end: str  # "hold" | "zero" | "disable": what becomes of the environment if its holder fails
+    at_end: str  # "hold" | "zero" | "disable": what becomes of the display if its holder fails
     deadline_ns: int
 
     @property

@@ -235,8 +235,8 @@ class LeaseRequest(CommandMessage):
     action: Literal["take", "renew", "release"] = "take"
     ttl_s: Ttl = _absent("take: it ends when nothing is asked for so long; left out: as configured")
     at_end: Literal["hold", "zero", "disable"] = _absent(
-        "take: what becomes of the environment when this client dies or falls silent; left out: as"
-        " configured"
+        "take: when this client dies or falls silent, zero: the environment goes to 0 if it is"
+        " leased; disable: force off; left out: as configured"
     )
     take_over: bool = Field(False, description="take: also from another, whose lease ends")
 

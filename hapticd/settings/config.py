@@ -179,8 +179,8 @@ class LeaseTable(TomlTable):
     ttl_s: float = Field(_lease.ttl_s, ge=SHORTEST_LEASE_S, le=LONGEST_LEASE_S)
     """A lease ends when its holder asked nothing for so long."""
     at_end: Literal["hold", "zero", "disable"] = "zero"
-    """When its holder dies or falls silent. zero: K, B and M go to 0 on a ramp; disable: force
-    off; hold: they stay. Active damping stays in any case.
+    """When its holder dies or falls silent. zero: K, B and M, if they were leased, go to 0 on a
+    ramp; disable: force off; hold: all stays. Active damping stays in any case.
     """
 
 
