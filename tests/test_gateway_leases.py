@@ -380,7 +380,7 @@ def test_holder_that_fails_leaves_what_another_holds(rig: DeskRig, what: str) ->
     rendering(rig, "environment", "zero")
     take(rig, B, what, at_end="zero")
     rig.desk.leave(B)
-    rig.run(10)
+    idle(rig, 0.1)
     assert put(rig, Value.STIFFNESS) == 300.0
     assert rig.ask(A, cmd="set", K=5)["ok"]
 
