@@ -117,6 +117,17 @@ TABLE: dict[str, dict[str, Target]] = {
         "attack_under_force": Target(">= 30", "", "an attack on a servo that stands shows little"),
         "attack_rarest": Target(">= 20", "", "every fault and trait comes often enough"),
     },
+    "guard_attack": {
+        "guard_unsafe": Target(
+            "<= 0",
+            "",
+            "of all that comes into force under refuse, clamp and follow nothing may ring, in any"
+            " hand",
+        ),
+        "guard_false_refusals": Target(
+            "<= 5", "", "percent; a guard that refuses what is safe is switched off"
+        ),
+    },
     "fault_ticks": {
         f"fault_ticks_{code}": Target(
             "<= 1x",

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from analysis_devices import display
 from passive_hands import random_hands
+from scipy.linalg import expm
 from whole_tick import (
     Display,
     PlainHand,
     Point,
     eigenvalues,
+    exponential,
     gripping,
     held_mass,
     low_pass,
@@ -172,6 +174,14 @@ def test_smoothing_lets_a_slow_spring_be_active():
         )
         found = radius(display, [Point(100.0, 0.0, 0.0)], heavy)[0]
         assert bool(found < 1.0) is stable
+
+
+def test_exponential_is_scipys():
+    random = np.random.default_rng(2)
+    for size in 10.0 ** np.linspace(-9, -2, 8):
+        matrices = size * random.normal(size=(5, 6, 6)) * np.geomspace(1.0, 1e4, 6)
+        for found, one in zip(exponential(matrices), matrices, strict=True):
+            assert np.linalg.norm(found - expm(one)) <= 1e-9 * np.linalg.norm(expm(one))
 
 
 @pytest.mark.parametrize("mapping", ["prewarped", "bilinear", "matched"])

@@ -1,0 +1,202 @@
+"""The guard attacked: random requests under refuse, clamp and follow, judged by somebody else.
+
+    guard_unsafe          distinct environments in force that ring without a hand, in a few dozen
+                          hands, or in the hand that shakes the point 5 % further out
+    guard_false_refusals  of the requests whose 5 %-further point no hand was found to shake, the
+                          share that was refused, in percent
+
+    python benchmarks/guard_attack.py                     as `make bench`
+    python benchmarks/guard_attack.py --sequences 100 --first-seed 5000
+
+Two devices: the shipped simulated display, and the calibrated one of Weir et al. 2008 with its
+smoothing and lags, without friction. The delay that is told to the guard is the true one, or for
+every fourth sequence a larger one, as a p99 of a busy host is.
+
+What would break it: a device whose numbers here are not those of its file (a test compares).
+"""
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+from whole_tick import SETTLED, Display, Point
+
+from benchmarks import targets
+from benchmarks.figures import Figure, compared
+from benchmarks.guard_requests import Answering, Asked, fly
+from benchmarks.guard_verdict import FURTHER, Bench
+from hapticd.analysis.allowed import model_of
+from hapticd.analysis.transition import Judge
+from hapticd.assembly.resolve import resolve
+from hapticd.mailbox import files
+from hapticd.params import GuardSetup, ServoParams, from_plain
+from hapticd.settings.build import servo_params
+from hapticd.settings.load import Override, load
+from hapticd.settings.toml import shipped
+
+TARGETS = targets.of("guard_attack")
+SEQUENCES = 2000
+CHUNK = 40  # sequences that are judged together
+LARGER_PERIODS = 1.0  # what every third sequence tells the guard of the delay
+WEIR_EVERY = 5  # one sequence in so many is on the calibrated display
+WEIR_JUDGED = 10  # one point in so many is judged there: it costs ten times as much
+SHIPPED = Display(rotor_kg=0.008, rotor_ns_per_m=0.36, delay_periods=0.125)
+WEIR = Display(
+    rotor_kg=0.0055,
+    rotor_ns_per_m=0.2191,
+    delay_periods=0.125,
+    slider_kg=0.0025,
+    slider_ns_per_m=0.1461,
+    coupling_n_per_m=4.0e4,
+    coupling_ns_per_m=2.0,
+    smoothing_hz=31.6,
+    amplifier_hz=5000.0,
+    estimate_hz=1000.0,
+    level_gain=1.05820105820105820,
+    residual_m_per_s_n=1.6 * 0.00393 * (33.67318885086722 - 20.0) / 1.6492422502470644**2,
+)
+
+
+class Device(NamedTuple):
+    """A device under attack."""
+
+    params: ServoParams
+    judge: Judge
+    bench: Bench
+
+
+class Found(NamedTuple):
+    """What some sequences gave."""
+
+    points: int  # that were judged
+    unsafe: list[tuple[int, Point]]  # with the seed
+    safe_further: int  # requests whose 5 %-further point no hand shakes
+    refused: list[Asked]  # those of them that were refused
+    actions: Counter[str]
+
+
+@lru_cache(maxsize=2)
+def device(name: str = "simulated") -> Device:
+    """The shipped device of that name, and its guard."""
+    asked = Override(("device",), name, "benchmark")
+    stand = load(shipped("config") / "hapticd.toml", (asked,))
+    setup = from_plain(GuardSetup, resolve(stand, "guard")[files.GUARD_JSON])
+    assert setup.model is not None
+    known = WEIR if name == "weir2008" else SHIPPED
+    return Device(servo_params(stand, "guard"), Judge(setup), Bench(known, model_of(setup.model)))
+
+
+def shipped_judge() -> Judge:
+    """The judge of the shipped simulated display."""
+    return device().judge
+
+
+def attack(seeds: Sequence[int], judge: Answering | None = None) -> Found:
+    """The sequences of `seeds`, all on one device, flown under its guard, or `judge`, and judged
+    together.
+    """
+    weir = _on_weir(seeds[0])
+    where = device("weir2008" if weir else "simulated")
+    guard = judge or where.judge.answer
+    flown = [(seed, fly(seed, guard, where.params, _told(seed))) for seed in seeds]
+    thinned = WEIR_JUDGED if weir else 1
+    came = {point: seed for seed, one in flown for point in one.points[::thinned]}
+    ends = {point: seed for seed, one in flown for point in one.ends}
+    unsafe = where.bench.unsafe(list(came), list(ends))
+    seen = came | ends
+    # one that is refused for the larger delay is not refused falsely
+    true = [each for seed, each in flown if _told(seed) is None]
+    asked = [one for each in true for one in each.asked if not one.enable]
+    shaken = _shaken(where.bench, asked)
+    safe = [one for one, rings in zip(asked, shaken, strict=True) if not rings]
+    return Found(
+        len(seen),
+        sorted((seen[point], point) for point in set(unsafe)),
+        len(safe),
+        [one for one in safe if one.action == "refuse"],
+        Counter(f"{one.policy} {one.action}" for _, each in flown for one in each.asked),
+    )
+
+
+def _on_weir(seed: int) -> bool:
+    return seed % WEIR_EVERY == WEIR_EVERY - 1
+
+
+def _told(seed: int) -> float | None:
+    """Delay that the guard is told, periods; None: it goes by its model."""
+    return LARGER_PERIODS if seed % 4 == 1 else None
+
+
+def chunks(sequences: int, first: int) -> list[list[int]]:
+    """Seeds in groups on one device each."""
+    seeds = range(first, first + sequences)
+    kinds = ([seed for seed in seeds if _on_weir(seed) is weir] for weir in (False, True))
+    return [kind[place : place + CHUNK] for kind in kinds for place in range(0, len(kind), CHUNK)]
+
+
+def _shaken(bench: Bench, asked: list[Asked]) -> list[bool]:
+    """Whether what was asked for, 5 % further out, is shaken by a hand, free or in its wall."""
+    further = [
+        [point.scaled(FURTHER) for point in (one.point, one.contact) if point is not None]
+        for one in asked
+    ]
+    flat = [point for points in further for point in points]
+    quick = dict(zip(flat, bench.worst(flat) > SETTLED, strict=True)) if flat else {}
+    return [
+        any(quick[point] or (one.action == "refuse" and bench.shaken(point)) for point in points)
+        for one, points in zip(asked, further, strict=True)
+    ]
+
+
+def measure(sequences: int = SEQUENCES, first: int = 0) -> Iterator[Figure]:
+    """Both figures."""
+    with ProcessPoolExecutor(os.cpu_count()) as pool:
+        found = list(pool.map(attack, chunks(sequences, first)))
+    unsafe = [one for each in found for one in each.unsafe]
+    actions: Counter[str] = sum((one.actions for one in found), Counter())
+    counts = ", ".join(f"{count} {name}" for name, count in sorted(actions.items()))
+    where = "".join(f"; seed {seed}: {point}" for seed, point in unsafe[:5])
+    yield compared(
+        "guard_unsafe",
+        TARGETS["guard_unsafe"],
+        float(len(unsafe)),
+        "",
+        note=f"of {sum(one.points for one in found)} environments in force ({counts}){where}",
+    )
+    safe = sum(one.safe_further for one in found)
+    refused = [one for each in found for one in each.refused]
+    where = "; ".join(f"seed {one.seed}: {one.text}" for one in refused[:3])
+    yield compared(
+        "guard_false_refusals",
+        TARGETS["guard_false_refusals"],
+        100.0 * len(refused) / max(1, safe),
+        "%",
+        note=f"{len(refused)} of {safe} requests; {where}",
+    )
+
+
+def main() -> None:
+    """The attack alone."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--sequences", type=int, default=SEQUENCES)
+    parser.add_argument("--first-seed", type=int, default=0)
+    asked = parser.parse_args()
+    started_s = time.monotonic()
+    for figure in measure(asked.sequences, asked.first_seed):
+        print(json.dumps(figure.plain(), indent=1))
+    print(f"{time.monotonic() - started_s:.0f} s")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,119 @@
+"""The gateway's desk and the guard's judge in front of a servo in lock-step: no socket, no process.
+
+Requests go as clients send them, replies and events come as clients get them; the judge answers at
+the next look. Everything is on the stack's virtual clock.
+
+What would break it: a judge that takes longer than a tick (its time is not counted here).
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import msgpack
+
+from benchmarks.guard_requests import Answering
+from hapticd.assembly.lockstep import LockStep
+from hapticd.errors import HapticdError
+from hapticd.gateway.codec import Encoding, encode
+from hapticd.gateway.desk import Desk
+from hapticd.gateway.guard import Guard
+from hapticd.gateway.journal import Journal
+from hapticd.gateway.view import ServoView, as_records
+from hapticd.params import GuardParams
+
+UNIX_NS = 1_800_000_000_000_000_000
+CLIENT = b"client"
+PATIENCE = 3000  # ticks until a reply is there
+
+
+class InProcess:
+    """A line to a judge in this process."""
+
+    def __init__(self, judge: Answering) -> None:
+        self._judge = judge
+        self.hello: dict[str, Any] = {"pid": 0, "model": True, "model_hash": ""}
+        self.trouble = ""
+        self.state = "up"
+        self.asked: list[dict[str, Any]] = []
+        self.said: list[dict[str, Any]] = []
+        self._ready: list[dict[str, Any]] = []
+
+    def tend(self, now_ns: int) -> None:
+        """Nothing to be kept alive."""
+
+    def ask(self, request: dict[str, Any]) -> None:
+        """Answer at the next look, as the worker does."""
+        try:
+            answer = self._judge(request)
+        except HapticdError as error:
+            answer = {"n": request["n"], "error": f"{type(error).__name__}: {error}"}
+        self.asked.append(request)
+        self.said.append(answer)
+        self._ready.append(answer)
+
+    def answers(self) -> list[dict[str, Any]]:
+        """What it has said since the last call."""
+        found = self._ready
+        self._ready = []
+        return found
+
+    def give_up(self, trouble: str) -> None:
+        """It does not hang."""
+        raise AssertionError(trouble)
+
+    def close(self) -> None:
+        """Nothing to be ended."""
+
+
+class GuardedStack:
+    """A client at the desk of a guarded servo."""
+
+    def __init__(self, stack: LockStep, judge: Answering, policy: str) -> None:
+        self.stack = stack
+        self.line = InProcess(judge)
+        self.journal = Journal(lambda: UNIX_NS)
+        self.view = ServoView(stack.gateway.folder, stack.loop.params, lambda: UNIX_NS)
+        self.guard = Guard(self.view, self.journal, GuardParams(policy=policy), self.line)
+        self.desk = Desk(self.view, self.journal, lambda cmd: {}, self.guard)
+        self.events: list[dict[str, Any]] = []
+        self.replies: dict[Any, dict[str, Any]] = {}
+        self.watch: Callable[[], None] = lambda: None  # called after each tick
+        self._number = 0
+        self.run(3)
+
+    def run(self, ticks: int = 1) -> None:
+        """Ticks of the servo, and after each a pass of the gateway."""
+        for _ in range(ticks):
+            block = self.stack.run(1)
+            now_ns = self.stack.clock.now_ns()
+            self.view.refresh(now_ns)
+            self.guard.count(as_records(block), self.view.life)
+            self._take(self.desk.collect(now_ns))
+            self.events += self.journal.drain()
+            self.watch()
+
+    def send(self, **fields: Any) -> int:
+        """A request; its number."""
+        self._number += 1
+        request = encode(Encoding.MSGPACK, {"id": self._number, **fields})
+        self._take(self.desk.serve([[CLIENT, request]], self.stack.clock.now_ns()))
+        return self._number
+
+    def ask(self, **fields: Any) -> dict[str, Any]:
+        """A request and its reply, after as many ticks as it takes."""
+        number = self.send(**fields)
+        for _ in range(PATIENCE):
+            if number in self.replies:
+                return self.replies[number]
+            self.run()
+        raise AssertionError(f"no reply to {fields} within {PATIENCE} ticks")
+
+    def ended(self, number: int) -> dict[str, Any] | None:
+        """The event that tells the end of request `number`; None: none came yet."""
+        found = [one for one in self.events if one["kind"] == "answer" and one["id"] == number]
+        return found[-1] if found else None
+
+    def _take(self, replies: list[list[bytes]]) -> None:
+        for *_, payload in replies:
+            content = msgpack.unpackb(payload)
+            self.replies[content["id"]] = content

@@ -1,0 +1,427 @@
+"""Random requests to a guarded display, and every environment that comes into force by them.
+
+A sequence is its seed: a policy, a margin's worth of requests (any of K, B, M, wall, filters,
+damping on, off or at a level, modes, ramps, some of them at a tick to come, enable and disable) and
+the pauses between them. What the guard answers is done on the servo's own plan (`servo.commands`,
+`servo.plan`): the same ramps, the same slew of the damping, the same schedule, tick by tick but
+without board and law. Stages are posted as the gateway posts them, when the damping in effect is
+what they wait for and the ramps before them have ended; a newer request takes the place of those
+that are left.
+
+Kept are all environments while force is on, the gain included: free, and where a wall may be met
+with the wall's spring and damper added; on ramps every eighth tick, and what stands.
+
+What would break it: a gateway that posts otherwise than here; some tests go through the real one.
+"""
+
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from random import Random
+from typing import Any, NamedTuple
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+from whole_tick import Point
+
+from hapticd.errors import HapticdError
+from hapticd.gateway.commands import posting
+from hapticd.gateway.limits import CommandLimits
+from hapticd.gateway.schemas import parse
+from hapticd.mailbox.layout import COMMAND_VALUES, Command, Result, Value
+from hapticd.params import EnvironmentParams, ServoParams
+from hapticd.servo.commands import Now, apply_settings, obey
+from hapticd.servo.plan import (
+    NEVER,
+    Plan,
+    advance_added,
+    damping_count,
+    initial_plan,
+    wake_tick,
+)
+from hapticd.servo.safety import State
+
+Answering = Callable[[dict[str, Any]], dict[str, Any]]  # the guard: a request in, its answer out
+
+POLICIES = ("refuse", "clamp", "follow")
+REQUESTS = 10  # of a sequence
+EACH = 8  # ticks between two looks at a ramp
+LONGEST_WAIT = 1500  # ticks until everything has arrived
+VALUES = 2  # place in a posting
+WALL = {Value.WALL_STIFFNESS: "stiffness_n_per_m", Value.WALL_DAMPING: "damping_ns_per_m",
+        Value.WALL_POSITION: "position_m", Value.WALL_SIDE: "side"}  # fmt: skip
+
+
+class Asked(NamedTuple):
+    """One request that the guard judged."""
+
+    seed: int
+    policy: str
+    change: dict[str, Any]
+    point: Point  # that was asked for, free
+    contact: Point | None  # and in contact with its wall
+    filters: bool  # whether it asks for other filters
+    enable: bool
+    action: str
+    clamped: bool
+    text: str
+
+
+class Flown(NamedTuple):
+    """What one sequence gave."""
+
+    asked: list[Asked]
+    points: list[Point]  # distinct ones that were in force
+    ends: list[Point]  # those of them that stood
+
+
+def display_of(plan: Plan, tick: int | None, params: ServoParams) -> dict[str, Any]:
+    """The display in force at `tick`, or for None where everything on its way arrives."""
+
+    def value(place: Value) -> float:
+        ramp = plan.values[place]
+        return ramp.end if tick is None else ramp.value(tick)
+
+    first, second = plan.filters
+    asked = plan.added_asked if plan.added_on else 0.0
+    level = asked if tick is None else plan.added
+    wall = {name: value(place) for place, name in WALL.items()}
+    return {
+        "K": value(Value.STIFFNESS),
+        "B": value(Value.DAMPING),
+        "M": value(Value.MASS),
+        "wall": wall | {"side": round(wall["side"])},
+        "filters": {
+            "velocity_hz": first.frequency_hz,
+            "velocity_zeta": first.damping_ratio,
+            "acceleration_hz": second.frequency_hz,
+            "acceleration_zeta": second.damping_ratio,
+        },
+        "damping": params.device.damping.to_value(damping_count(level, params)),
+    }
+
+
+def merged(display: dict[str, Any], change: dict[str, Any]) -> dict[str, Any]:
+    """`display` after `change`, which names parts of it."""
+    tables = {name: display[name] | change.get(name, {}) for name in ("wall", "filters")}
+    plain = {name: change.get(name, display[name]) for name in ("K", "B", "M", "damping")}
+    return plain | tables
+
+
+def points_of(display: dict[str, Any], gain: float = 1.0) -> tuple[Point, Point | None]:
+    """The environment free, and in contact if there is a wall."""
+    filters = display["filters"]
+    free = Point(
+        gain * display["K"], gain * display["B"], gain * display["M"], display["damping"],
+        filters["velocity_hz"], filters["velocity_zeta"],
+        filters["acceleration_hz"], filters["acceleration_zeta"],
+    )  # fmt: skip
+    wall = display["wall"]
+    share = gain * wall["side"] ** 2
+    if not share or not (wall["stiffness_n_per_m"] or wall["damping_ns_per_m"]):
+        return free, None
+    return free, free._replace(
+        stiffness=free.stiffness + share * wall["stiffness_n_per_m"],
+        damping=free.damping + share * wall["damping_ns_per_m"],
+    )
+
+
+class Plans:
+    """The servo's plan on its way through time, and what was in force."""
+
+    def __init__(self, params: ServoParams) -> None:
+        self.params = params
+        self.limits = CommandLimits(params)
+        self.plan = initial_plan(params)
+        self.tick = 1
+        self.points: dict[Point, bool] = {}  # and whether it ever stood
+
+    @property
+    def resting(self) -> bool:
+        """Whether nothing is on its way."""
+        return wake_tick(self.plan, self.tick, self.params) == NEVER
+
+    @property
+    def ramping(self) -> bool:
+        """Whether a value is on its way, damping aside."""
+        return any(ramp.running(self.tick) for ramp in self.plan.values.values())
+
+    @property
+    def effect_ns_per_m(self) -> float:
+        """The damping that the board reports."""
+        return display_of(self.plan, self.tick, self.params)["damping"]
+
+    @property
+    def revision(self) -> int:
+        """Of the environment in force."""
+        return self.plan.environment_revision
+
+    def post(self, change: dict[str, Any], revision: int, at_tick: int = 0) -> Result:
+        """A `set` of `change`, judged for the environment `revision`, as the gateway posts it."""
+        request = parse({"cmd": "set", **change}, self.limits)
+        values = list(posting(request, 0)[VALUES])
+        values[Value.MASK] += 1 << Value.ENVIRONMENT_REVISION
+        values[Value.ENVIRONMENT_REVISION] = revision
+        return self._obey(Command.SET, at_tick, tuple(values))
+
+    def switch(self, kind: Command) -> Result:
+        """Enable or disable."""
+        return self._obey(kind, 0, (0.0,) * COMMAND_VALUES)
+
+    def _obey(self, kind: Command, tick: int, values: tuple[float, ...]) -> Result:
+        now = Now(self.tick, 0, 0.0, True, 0)
+        self.plan, answers = obey(self.plan, (1, kind, 1, tick, values), now, self.params)
+        return Result(answers[-1][1])
+
+    def run(self, ticks: int) -> None:
+        """`ticks` ticks; it jumps over those in which nothing happens."""
+        end = self.tick + ticks
+        while self.tick < end:
+            due = self.plan.scheduled[0].tick if self.plan.scheduled else end
+            if self.resting and min(due, end) > self.tick + 1:
+                self._look(True)
+                self.tick = min(due, end) - 1
+            self.step()
+
+    def step(self) -> None:
+        """One tick."""
+        self.tick += 1
+        while self.plan.scheduled and self.plan.scheduled[0].tick <= self.tick:
+            due = self.plan.scheduled[0]
+            waiting = self.plan._replace(scheduled=self.plan.scheduled[1:])
+            self.plan, _ = apply_settings(waiting, due, self.params)
+        self.plan = advance_added(self.plan, self.tick, 1, self.params)
+        if self.tick % EACH == 0 or self.resting:
+            self._look(self.resting)
+
+    def _look(self, stands: bool) -> None:
+        if self.plan.state is not State.ENABLED:
+            return
+        gain = self.plan.gain.value(self.tick)
+        display = display_of(self.plan, self.tick, self.params)
+        # the side of a wall has a ramp too
+        display["wall"]["side"] = self.plan.values[Value.WALL_SIDE].value(self.tick)
+        for point in points_of(display, gain):
+            if point is not None:
+                rounded = Point(*(float(f"{number:.6g}") for number in point))
+                self.points[rounded] = self.points.get(rounded, False) or stands
+
+
+class Guarded:
+    """A plan whose changes the guard lets through, as the gateway would."""
+
+    def __init__(
+        self,
+        judge: Answering,
+        params: ServoParams,
+        policy: str,
+        delay_periods: float | None,
+        seed: int,
+    ) -> None:
+        self.judge = judge
+        self.plans = Plans(params)
+        self.policy = policy
+        self.delay_periods = delay_periods
+        self.seed = seed
+        self.mode = {"mode": "off", "level": params.added_damping_ns_per_m}
+        self.expected = 0  # revision for which the next stage was judged
+        self.stages: list[dict[str, Any]] = []
+        self.scheduled: list[tuple[int, dict[str, Any]]] = []  # tick and change
+        self.asked: list[Asked] = []
+
+    def ask(self, change: dict[str, Any], at_tick: int = 0, enable: bool = False) -> str:
+        """Judge `change` and do what the guard says; the action."""
+        plans = self.plans
+        params = plans.params
+        ramp_s = change.get("ramp_s", params.safety.default_ramp_s)
+        self.scheduled = [one for one in self.scheduled if one[0] > plans.tick]
+        target = display_of(plans.plan, None, params)
+        earlier = [one for when, one in self.scheduled if at_tick and when <= at_tick]
+        later = [one for when, one in self.scheduled if when > at_tick]
+        plain = {name: one for name, one in change.items() if name != "ramp_s"}
+        answer = self._answer(
+            {
+                "ask": "change", "n": len(self.asked), "state": plans.plan.state.name.lower(),
+                "now": display_of(plans.plan, plans.tick, params), "target": target,
+                "enable": enable, "change": plain, "before": earlier, "after": later,
+                "policy": self.policy, "basis": "theorem", "margin_ns_per_m": 0.0,
+                **self.mode, "delay_periods": self.delay_periods, "ramp_s": ramp_s,
+            }
+        )  # fmt: skip
+        for one in earlier:
+            target = merged(target, one)
+        free, contact = points_of(merged(target, plain))
+        verdict = answer["verdict"]
+        self.asked.append(
+            Asked(
+                self.seed, self.policy, change, free, contact, "filters" in change, enable,
+                answer["action"], bool(verdict["clamped"]), verdict["text"],
+            )
+        )  # fmt: skip
+        if answer["action"] != "refuse":
+            given = {"ramp_s": change["ramp_s"]} if "ramp_s" in change else {}
+            self._do(answer["stages"], at_tick, enable, given)
+        return answer["action"]
+
+    def _answer(self, request: dict[str, Any]) -> dict[str, Any]:
+        """What the guard says; an error in its worker is a refusal."""
+        try:
+            return self.judge(request)
+        except HapticdError as error:
+            verdict = {"clamped": False, "text": f"error: {error}"}
+            return {"action": "refuse", "stages": [], "verdict": verdict}
+
+    def _do(
+        self, stages: list[dict[str, Any]], at_tick: int, enable: bool, ramp_s: dict[str, float]
+    ) -> None:
+        plans = self.plans
+        extras = [stage["change"] | ramp_s if stage["change"] else {} for stage in stages]
+        changed = [stage | {"change": more} for stage, more in zip(stages, extras, strict=True)]
+        if at_tick:
+            # what stands in the schedule before it counts the revision up
+            ahead = sum(when <= at_tick for when, _ in self.scheduled)
+            change = changed[0]["change"]
+            posted = plans.post(change, plans.revision + ahead, at_tick)
+            if posted is Result.SCHEDULED and len(stages) == 1:
+                self.scheduled = sorted([*self.scheduled, (at_tick, change)], key=_when)
+            return
+        self.stages = changed
+        self.expected = plans.revision
+        self._stage()
+        if enable:
+            self._finish()
+            plans.switch(Command.ENABLE)
+
+    def _stage(self) -> None:
+        plans = self.plans
+        while self.stages:
+            stage = self.stages[0]
+            least = stage.get("damping_at_least")
+            if least is not None and plans.effect_ns_per_m < least - 1e-3:
+                return
+            if stage.get("after_ramps") and plans.ramping:
+                return
+            self.stages.pop(0)
+            if not stage["change"]:
+                continue
+            if plans.post(stage["change"], self.expected) is not Result.APPLIED:
+                self.stages = []  # what comes later was judged with it in force
+            self.expected += 1
+
+    def run(self, ticks: int) -> None:
+        """`ticks` ticks, in which stages go on."""
+        for _ in range(ticks if self.stages else 0):
+            self.plans.step()
+            self._stage()
+            ticks -= 1
+            if not self.stages:
+                break
+        self.plans.run(ticks)
+
+    def _finish(self) -> None:
+        self.run(LONGEST_WAIT)
+
+
+def _when(one: tuple[int, dict[str, Any]]) -> int:
+    return one[0]
+
+
+def drawn(random: Random) -> dict[str, Any]:
+    """A change of any parameters."""
+    change: dict[str, Any] = {}
+    kinds = random.choices(
+        ("K", "B", "M", "damping", "wall", "filters"),
+        (6, 4, 3, 5, 1, 1),
+        k=random.choice((1, 1, 2, 3)),
+    )
+    for kind in kinds:
+        change |= {kind: _VALUES[kind](random)}
+    if random.random() < 0.4:
+        change["ramp_s"] = random.choice((0.0, 0.02, 0.2, 1.0))
+    return change
+
+
+def _wall(random: Random) -> dict[str, Any]:
+    wall = {
+        "stiffness_n_per_m": random.choice((0.0, 10.0 ** random.uniform(2.0, 3.5))),
+        "damping_ns_per_m": random.choice((0.0, random.uniform(0.0, 4.0))),
+        "side": random.choice((-1, 0, 1, 1)),
+    }
+    return dict(random.sample(sorted(wall.items()), random.randint(1, 3)))
+
+
+def _filters(random: Random) -> dict[str, float]:
+    both = {
+        "velocity_hz": random.uniform(20.0, 300.0),
+        "velocity_zeta": random.uniform(0.4, 1.5),
+        "acceleration_hz": random.uniform(20.0, 200.0),
+        "acceleration_zeta": random.uniform(0.4, 1.5),
+    }
+    return dict(random.sample(sorted(both.items()), random.randint(1, 4)))
+
+
+_VALUES: dict[str, Callable[[Random], Any]] = {
+    "K": lambda random: random.choice(
+        (0.0, *(10.0 ** random.uniform(1.0, 3.6) for _ in range(4)), -20.0)
+    ),
+    "B": lambda random: random.choice((0.0, random.uniform(-1.5, 6.0))),
+    "M": lambda random: random.choice((0.0, random.uniform(-0.015, 0.02))),
+    "damping": lambda random: random.choice((0.0, 0.0, 1.74, random.uniform(0.0, 4.0))),
+    "wall": _wall,
+    "filters": _filters,
+}  # fmt: skip
+
+
+def fly(
+    seed: int, judge: Answering, params: ServoParams, delay_periods: float | None = None
+) -> Flown:
+    """The sequence of `seed`."""
+    random = Random(f"guard {seed}")
+    policy = POLICIES[seed % len(POLICIES)]
+    if random.random() < 0.15:
+        params = replace(params, environment=_configured(params, random))
+    enable_ramp_s = random.choice((0.02, 0.1, 0.5))
+    params = replace(params, safety=replace(params.safety, enable_ramp_s=enable_ramp_s))
+    guarded = Guarded(judge, params, policy, delay_periods, seed)
+    if random.random() < 0.3:
+        guarded.ask(drawn(random))  # something is there before force is
+        guarded.run(random.randrange(LONGEST_WAIT))
+    guarded.ask({}, enable=True)
+    for _ in range(REQUESTS):
+        guarded.run(random.choice((0, random.randrange(60), random.randrange(600), 900, 900)))
+        _request(guarded, random)
+    guarded.run(LONGEST_WAIT)
+    points = guarded.plans.points
+    return Flown(guarded.asked, list(points), [point for point, stood in points.items() if stood])
+
+
+def _configured(params: ServoParams, random: Random) -> EnvironmentParams:
+    """What a configuration may render from the start on, inside the set or not."""
+    return replace(
+        params.environment,
+        stiffness_n_per_m=_VALUES["K"](random),
+        damping_ns_per_m=_VALUES["B"](random),
+        mass_kg=_VALUES["M"](random),
+    )
+
+
+def _request(guarded: Guarded, random: Random) -> None:
+    kind = random.random()
+    plans = guarded.plans
+    if kind < 0.06:
+        plans.switch(Command.DISABLE)
+        guarded.stages = []
+        guarded.run(random.randrange(100))
+        if random.random() < 0.5:
+            guarded.ask(drawn(random))
+            guarded.run(random.choice((0, random.randrange(300))))
+        guarded.ask({}, enable=True)
+    elif kind < 0.1:
+        guarded.mode = {
+            "mode": random.choice(("off", "off", "level", "auto")),
+            "level": 1.74,
+        }
+    else:
+        soon = plans.tick + random.randrange(5, 400) if random.random() < 0.15 else 0
+        guarded.ask(drawn(random), soon)

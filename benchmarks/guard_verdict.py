@@ -1,0 +1,150 @@
+"""Whether environments withstand passive hands, by the tests' own spectral radius (`whole_tick`).
+
+Hands are given, and found: twenty random networks (`passive_hands`), a ladder of masses, of springs
+to the wall and of masses that grip by a spring, none of which loses anything, and for an
+environment that is suspected the hand that `coupled.shaking_hand` proposes. A proposal is a
+candidate only: whether it shakes is what the radius says.
+
+What would break it: a hand that is not passive (their numbers are all positive), or an environment
+that only a hand of many resonators shakes and that nobody proposes; so "safe" means that none of
+some two hundred hands shakes it, and that the best of them was refined.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from passive_hands import random_hands
+from scipy.optimize import minimize
+from whole_tick import (
+    NOBODY,
+    SETTLED,
+    Display,
+    PlainHand,
+    Point,
+    gripping,
+    held_mass,
+    radius,
+)
+
+from hapticd.analysis.coupled import shaking_hand
+from hapticd.params import FilterParams
+from hapticd.plant.model import Model
+
+FURTHER = 1.05  # of K, B and M, from where nothing is rendered
+RANDOM_HANDS = 20
+MASSES_KG = np.geomspace(1e-4, 30.0, 33)
+SPRINGS_N_PER_M = np.geomspace(5.0, 5e5, 41)
+GRIPS_KG = (0.03, 0.3)
+BATCH = 4096  # environments at a time
+
+
+def simple_hands() -> list[PlainHand]:
+    """Hands without loss: a mass, a spring to the wall, a mass behind a spring."""
+    masses = [held_mass(float(one)) for one in MASSES_KG]
+    springs = [held_mass(0.0, float(one)) for one in SPRINGS_N_PER_M]
+    grips = [gripping(mass, float(one)) for mass in GRIPS_KG for one in SPRINGS_N_PER_M[::2]]
+    return masses + springs + grips
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A device as the tests know it, and the package's model of it, which proposes hands."""
+
+    display: Display
+    model: Model
+
+    @cached_property
+    def few(self) -> list[PlainHand]:
+        """Nobody, random ones, and every fifth of the simple ones: for what is only passed."""
+        return [NOBODY, *simple_hands()[::5], *self.hands[-RANDOM_HANDS:]]
+
+    @cached_property
+    def hands(self) -> list[PlainHand]:
+        """Nobody, the simple ones and random ones."""
+        drawn = [
+            PlainHand(one.mass_kg, one.damping_ns_per_m, one.stiffness_n_per_m)
+            for one in random_hands(RANDOM_HANDS)
+        ]
+        return [NOBODY, *simple_hands(), *drawn]
+
+    def worst(
+        self, points: Sequence[Point], hands: Iterable[PlainHand] | None = None
+    ) -> np.ndarray:
+        """Largest radius (P,) of `points` in any of `hands`."""
+        chosen = self.hands if hands is None else list(hands)
+        found = np.zeros(len(points))
+        for start in range(0, len(points), BATCH):
+            part = list(points[start : start + BATCH])
+            each = [radius(self.display, part, hand) for hand in chosen]
+            found[start : start + BATCH] = np.max(each, axis=0)
+        return found
+
+    def proposed(self, point: Point) -> PlainHand | None:
+        """A hand that may shake `point`."""
+        if not any(point[:3]):
+            return None
+        filters = (
+            FilterParams(point.velocity_hz, point.velocity_zeta),
+            FilterParams(point.acceleration_hz, point.acceleration_zeta),
+        )
+        found = shaking_hand(self.model, point[:3], point.level, filters)
+        return (
+            None
+            if found is None
+            else PlainHand(found[0].mass_kg, found[0].damping_ns_per_m, found[0].stiffness_n_per_m)
+        )
+
+    def shaken(self, point: Point) -> bool:
+        """Whether some hand shakes `point`, sought with care: the best simple one is refined."""
+        if point.stiffness < 0.0 or self.worst([point])[0] > SETTLED:
+            return True
+        proposed = self.proposed(point)
+        if proposed is not None and radius(self.display, [point], proposed)[0] > SETTLED:
+            return True
+        return any(self._refined(point, spring) > SETTLED for spring in (False, True))
+
+    def _refined(self, point: Point, spring: bool) -> float:
+        """The largest radius in a mass, or a spring to the wall, with a tuned mass beside it."""
+
+        def hand(numbers: np.ndarray) -> PlainHand:
+            main, tuned_kg, tuned_hz = np.exp(numbers)
+            k = tuned_kg * (2.0 * np.pi * tuned_hz) ** 2
+            link = np.array([[k, -k], [-k, k]])
+            own = np.array([[main if spring else 0.0, 0.0], [0.0, 0.0]])
+            mass = np.array([0.0 if spring else main, tuned_kg])
+            return PlainHand(mass, np.zeros((2, 2)), link + own)
+
+        def calm(numbers: np.ndarray) -> float:
+            bounded = np.clip(numbers, np.log([1e-5, 1e-6, 1.0]), np.log([1e6, 10.0, 2e3]))
+            return -float(radius(self.display, [point], hand(bounded))[0])
+
+        ladder = SPRINGS_N_PER_M if spring else MASSES_KG
+        simple = [held_mass(0.0, one) if spring else held_mass(one) for one in ladder]
+        best = ladder[int(np.argmax([radius(self.display, [point], one)[0] for one in simple]))]
+        starts = [np.log([best, 1e-4, hz]) for hz in (60.0, 300.0, 900.0)]
+        found = [
+            minimize(calm, one, method="Nelder-Mead", options={"maxiter": 80}) for one in starts
+        ]
+        return max(-float(one.fun) for one in found)
+
+    def unsafe(self, points: Sequence[Point], ends: Sequence[Point]) -> list[Point]:
+        """Those of `points` that ring in one of a few hands, and those of `ends` that ring in any,
+        or in the hand that shakes the point 5 % further out.
+        """
+        found = _ringing(points, self.worst(points, self.few))
+        found += _ringing(ends, self.worst(ends))
+        for point in ends:
+            hand = self.proposed(point.scaled(FURTHER))
+            if hand is not None and radius(self.display, [point], hand)[0] > SETTLED:
+                found.append(point)
+        return found
+
+
+def _ringing(points: Sequence[Point], worst: np.ndarray) -> list[Point]:
+    return [point for point, one in zip(points, worst, strict=True) if one > SETTLED]
+
+
+def _ringing(points: Sequence[Point], worst: np.ndarray) -> list[Point]:
+    return [point for point, one in zip(points, worst, strict=True) if one > SETTLED]
