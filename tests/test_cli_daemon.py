@@ -332,6 +332,24 @@ def test_status_says_the_measured_delay(
     assert "sample to force unknown" in capsys.readouterr().out
 
 
+def test_status_says_what_is_delivered_of_the_active_damping(
+    client: ClientDouble, capsys: pytest.CaptureFixture[str]
+) -> None:
+    known = {"estimate_ns_per_m": 0.87, "low": 0.8, "high": 0.94, "ratio": 0.5}
+    delivered = {**known, "commanded": 1.74, "basis": "current and encoder", "seconds": 4.0}
+    unknown = {**dict.fromkeys(known), "commanded": 1.74, "basis": "unknown: the handle rests"}
+    client.states = [
+        RUNNING | {"delivered_damping": delivered},
+        RUNNING | {"delivered_damping": unknown},
+    ]
+    assert main(["status"]) == 0
+    expected = "delivered 0.87 (0.8 to 0.94) of 1.74 N s/m commanded (50 %), by current and encoder"
+    assert expected in capsys.readouterr().out
+    assert main(["status"]) == 0
+    expected = "delivered of 1.74 N s/m commanded: unknown: the handle rests"
+    assert expected in capsys.readouterr().out
+
+
 def test_doctor_warns_of_a_force_that_comes_a_period_late(
     client: ClientDouble, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

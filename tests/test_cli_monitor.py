@@ -21,6 +21,9 @@ from hapticd.mailbox.layout import TELEMETRY, State
 from hapticd.units import NS_PER_MS, NS_PER_S
 
 
+DELIVERED = {"estimate_ns_per_m": 1.7, "low": 1.6, "high": 1.8, "commanded": 1.74}
+
+
 def records(count: int, first: int = 0, **fields: Any) -> Any:
     block = np.zeros(count, np.dtype([tuple(field) for field in TELEMETRY]))  # type: ignore[arg-type]
     block["tick"] = np.arange(first, first + count)
@@ -131,6 +134,9 @@ class StreamDouble:
     def hello(self) -> dict[str, Any]:
         return {}
 
+    def status(self) -> dict[str, Any]:
+        return {"delivered_damping": DELIVERED}
+
     def stream(self) -> Iterator[Any]:
         for block in self._script:
             self._clock.time_ns += 20 * NS_PER_MS if block else NS_PER_S // 2
@@ -175,6 +181,7 @@ def test_json_lines_follow_data_and_silence(
     assert {line["simulated"] for line in lines} == {True}
     assert [line["state"] for line in lines[:4]] == ["enabled"] * 4
     assert lines[0]["force_n"] == 0.5
+    assert lines[0]["delivered_damping"] == DELIVERED
     assert lines[4] == {"state": "no_data", "simulated": True, "silent_s": 0.5}
     assert "stopped" not in {line["state"] for line in lines[4:6]}
 
@@ -187,6 +194,22 @@ def test_plain_lines_when_stdout_is_no_terminal(
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "SIMULATED disabled x 1.0000 mm  force 0.0000 N  damping 0 N s/m"
     assert lines[1] == "SIMULATED NO DATA for 0.5 s"
+
+
+@pytest.mark.parametrize(
+    ("delivered", "words"),
+    [(DELIVERED, "delivered 1.7 (1.6 .. 1.8)"), ({"basis": "unknown"}, "delivered: unknown")],
+)
+def test_screen_shows_what_is_delivered_beside_what_is_commanded(
+    delivered: dict[str, Any], words: str
+) -> None:
+    history = History()
+    history.add(records(20))
+    history.delivered = delivered
+    (line,) = [
+        one for one in drawn(history, True, 0.0).splitlines() if one.startswith("active damping")
+    ]
+    assert words in line
 
 
 def test_new_servo_life_begins_a_new_history(

@@ -47,6 +47,7 @@ class Keys:
 
 
 REDRAW_NS = NS_PER_S // 10
+ASK_NS = NS_PER_S  # between looks at what no record holds
 RETRY_NS = NS_PER_S // 10
 NEWEST = (
     "tick",
@@ -107,6 +108,7 @@ def watch(instance: str, seconds: float | None, show: Show) -> None:
     begin_ns = clock.now_ns()
     newest_ns = begin_ns  # when the last record came
     shown_ns = 0
+    asked_ns = 0
     history = History()
     simulated = None
     with (
@@ -124,6 +126,9 @@ def watch(instance: str, seconds: float | None, show: Show) -> None:
                 simulated = bool(block.header["simulated"])
                 history = History() if block.restarted else history
                 history.add(block.records)
+                if now_ns - asked_ns >= ASK_NS:
+                    asked_ns = now_ns
+                    history.delivered = _delivered(client)
             if now_ns - shown_ns >= REDRAW_NS:
                 shown_ns = now_ns
                 show(history, simulated, (now_ns - newest_ns) / NS_PER_S)
@@ -141,6 +146,15 @@ def _blocks(client: "Client") -> "Generator[Block | None, None, None]":
             yield from client.stream()
         except DaemonDown:
             yield None
+
+
+def _delivered(client: "Client") -> dict[str, Any]:
+    """What is delivered of the active damping; nothing where nobody says it."""
+    try:
+        found: dict[str, Any] = client.status().get("delivered_damping", {})
+    except DaemonDown:
+        return {}
+    return found
 
 
 def _press_stop(instance: str) -> None:
@@ -169,6 +183,7 @@ def _newest(history: "History", simulated: bool | None, silent_s: float) -> dict
         "simulated": simulated,
         **{name: newest[name].item() for name in NEWEST},
         "wake_us": newest["wake_ns"] / 1e3,
+        "delivered_damping": history.delivered,
     }
 
 

@@ -90,6 +90,7 @@ class History:
 
     def __init__(self) -> None:
         self.length = 1  # records in SHOWN_S
+        self.delivered: dict[str, Any] = {}  # `delivered_damping` of the newest state
         self._blocks: deque[Any] = deque()
         self._count = 0
 
@@ -131,7 +132,8 @@ def screen(
             values = factor * history.column(field)
             low = min(0.0, float(values.min())) if from_zero else float(values.min())
             drawn = strip(values, history.length, width - 1, height, low, float(values.max()))
-            parts += [_title(title, unit, values), Text("\n".join(drawn), no_wrap=True)]
+            more = _delivered(history.delivered) if field == "added_damping_ns_per_m" else ""
+            parts += [_title(title, unit, values, more), Text("\n".join(drawn), no_wrap=True)]
     parts.append(Text("Space or Esc: STOP    q: quit", style="bold", no_wrap=True))
     return Group(*parts)
 
@@ -173,9 +175,18 @@ def _leased(newest: Any) -> str:
     return f"  leased: {', '.join(found)}" if found else ""
 
 
-def _title(title: str, unit: str, values: np.ndarray) -> Text:
+def _delivered(found: dict[str, Any]) -> str:
+    """What is delivered of the active damping, beside what is commanded."""
+    if found.get("estimate_ns_per_m") is None:
+        return "   delivered: unknown" if found else ""
+    return (
+        f"   delivered {found['estimate_ns_per_m']:.3g} ({found['low']:.3g} .. {found['high']:.3g})"
+    )
+
+
+def _title(title: str, unit: str, values: np.ndarray, more: str) -> Text:
     return Text(
-        f"{title}  {values[-1]:.6g} {unit}   ({values.min():.4g} .. {values.max():.4g})",
+        f"{title}  {values[-1]:.6g} {unit}   ({values.min():.4g} .. {values.max():.4g}){more}",
         style="cyan",
         no_wrap=True,
     )
