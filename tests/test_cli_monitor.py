@@ -20,7 +20,6 @@ from hapticd.faults import BY_CODE
 from hapticd.mailbox.layout import TELEMETRY, State
 from hapticd.units import NS_PER_MS, NS_PER_S
 
-
 DELIVERED = {"estimate_ns_per_m": 1.7, "low": 1.6, "high": 1.8, "commanded": 1.74}
 
 

@@ -286,6 +286,25 @@ def test_what_is_not_measured_is_left_out(name, value):
     assert not lows
 
 
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("seed", range(10))
+def test_no_record_ends_the_gateway(seed):
+    """Numbers of any size, NaN and infinite ones, in every field that is read."""
+    servo, records = flown()
+    random = np.random.default_rng(seed)
+    wild = records.copy()
+    names = ("position_m", "force_n", "current_a", "voltage_v", "emf_velocity_m_per_s")
+    for name in (*names, "winding_c", "board_us", "added_damping_ns_per_m"):
+        places = random.random(len(wild)) < random.choice([0.0, 0.003, 0.3])
+        odd = random.choice([0.0, 1.0, -1e30, 1e-30, np.nan, np.inf], len(wild))
+        values = wild[name].astype(float)
+        values[places] = odd[places]
+        wild[name] = np.nan_to_num(values) if name == "board_us" else values
+    found, lows = followed(servo, wild)
+    assert found.low is None or np.isfinite([found.low, found.high]).all()
+    assert not lows
+
+
 def test_current_that_saturates_is_no_current():
     servo, records = flown()
     most = 0.02

@@ -227,7 +227,7 @@ class Delivered:
         at = seen[rows[begin:]]
         path = self._path(found, period_s)
         places = np.arange(0, len(at) - WINDOW, WINDOW)[:, None] + np.arange(WINDOW + 1)
-        usable = path.settled & _measured(at, self._servo.device)
+        usable = path.settled & np.isfinite(path.force_n) & _measured(at, self._servo.device)
         even = np.abs(found["periods"] - 1.0) < UNEVEN
         whole = usable[places].all(axis=1) & even[places[:, 1:]].all(axis=1)
         motor_n = self._servo.device.motor_n_per_a * at["current_a"].astype(float)
@@ -244,6 +244,8 @@ class Delivered:
         settled = np.cumsum(lasting_s) > self._settling_s
         self._settling_s = max(self._settling_s - float(lasting_s[1:].sum()), 0.0)
         self._motor_n = float(path_n[-1])
+        if not np.isfinite(self._motor_n):
+            self._unsettle()
         return Path(path_n, 2.0 * np.pi * corner_hz * (held_n - path_n), settled)
 
     def _judged(self) -> list[Low]:
@@ -280,7 +282,7 @@ def _measured(records: Records, device: DeviceParams) -> Flags:
     """Where the board grants torque and measures finite values inside its converters."""
     granted = (records["status"] & StatusBit.ENABLED) != 0
     clamped = (records["status"] & StatusBit.FORCE_CLAMPED) != 0
-    inside = granted & ~clamped
+    inside = granted & ~clamped & np.isfinite(records["position_m"])
     for name, scale in (
         ("current_a", device.current),
         ("voltage_v", device.voltage),
@@ -346,7 +348,10 @@ def estimate(
     fine = _with_and_without([block.fine for block in blocks])
     coarse = _with_and_without([block.coarse for block in blocks])
     seconds = float(coarse[0, ONE, ONE]) * WINDOW / servo.realtime.rate_hz
-    slope = _slope(fine, coarse, servo, max(commanded, LEAST_NS_PER_M), winding_c)
+    try:
+        slope = _slope(fine, coarse, servo, max(commanded, LEAST_NS_PER_M), winding_c)
+    except np.linalg.LinAlgError:
+        slope = TOO_WIDE
     if isinstance(slope, str):
         return nothing._replace(basis=slope, seconds=seconds)
     if slope.attenuation > MOST_ATTENUATED:
