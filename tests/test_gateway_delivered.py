@@ -286,6 +286,16 @@ def test_what_is_not_measured_is_left_out(name, value):
     assert not lows
 
 
+@pytest.mark.parametrize("name", ["position_m", "force_n"])
+def test_position_or_force_that_is_no_number_is_left_out(name):
+    servo, records = flown(ticks=6000, shaken_ticks=6000)
+    values = records[name].copy()
+    values[4000:4100:31] = np.nan
+    found, lows = followed(servo, changed(records, **{name: values}))
+    assert holds(found, circuit(LEVEL))
+    assert not lows
+
+
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("seed", range(10))
 def test_no_record_ends_the_gateway(seed):
