@@ -135,7 +135,9 @@ class FirmwareBoard:
         self.on_slip = on_slip
         self.sim_slip_ns = 0
         self.out_refused = 0
+        self.in_replaced = 0
         self.amplifier: Amplifier | None = None
+        self.damping_gain = 1.0  # of the circuit: damping over what is commanded
         self.firmware = load_firmware(folder)
         self.out = Outputs()
         self._plant = make_plant(params)
@@ -152,7 +154,7 @@ class FirmwareBoard:
         self._config = config_of(params)
         callbacks = {name: kind(getattr(self, f"_{name}")) for name, kind in PORT.items()}
         self._port = Port(None, **callbacks)
-        self._state = self._plant.rest(0.0)
+        self.state = self._plant.rest(0.0)
         self._life = 0
         self._levels = READY
         self.power_up()
@@ -163,16 +165,16 @@ class FirmwareBoard:
         return self
 
     def power_up(self) -> None:
-        self._zero_m = self._plant.encoder(self._state, 0.0, 0.0)
+        self._zero_m = self._plant.encoder(self.state, 0.0, 0.0)
         self._boot(self._plant.rest(self._zero_m), self.params.board_time_us)
 
     def restart(self, t_ns: int, board_time_us: int) -> None:
         self._advance(t_ns)
-        self._zero_m = self._plant.encoder(self._state, 0.0, 0.0)
-        self._boot(self._state, board_time_us)
+        self._zero_m = self._plant.encoder(self.state, 0.0, 0.0)
+        self._boot(self.state, board_time_us)
 
     def _boot(self, state: Any, board_time_us: int) -> None:
-        self._state = state
+        self.state = state
         self._now = 0
         self._origin_ns: int | None = None
         self._causes = 0
@@ -236,7 +238,9 @@ class FirmwareBoard:
     @property
     def force_n(self) -> float:
         """What the motor is commanded at this moment."""
-        force_n = self.out.torque * self.params.force_n_per_count if self.out.authority else 0.0
+        if not self.out.authority:
+            return 0.0
+        force_n = self.out.torque * self.params.force_n_per_count
         return force_n if self.amplifier is None else self.amplifier(force_n)
 
     @property
@@ -247,7 +251,7 @@ class FirmwareBoard:
     @property
     def damping_n(self) -> float:
         """The active damping at this moment, N s/m."""
-        return self.out.damping * self.params.damping_ns_per_m_per_count
+        return self.damping_gain * self.out.damping * self.params.damping_ns_per_m_per_count
 
     # --- time -------------------------------------------------------------------------------------
     def _to_ns(self, substep: int) -> int:
@@ -288,8 +292,8 @@ class FirmwareBoard:
 
     def _play(self, substep: int) -> None:
         if substep > self._now:
-            self._state = self._plant.step(
-                self._state, self.force_n, self.torque_n, self.damping_n, substep - self._now
+            self.state = self._plant.step(
+                self.state, self.force_n, self.torque_n, self.damping_n, substep - self._now
             )
             self._now = substep
 
@@ -303,11 +307,12 @@ class FirmwareBoard:
     def _sense(self, _: Any, sensors: Any) -> None:
         params = self.params
         plant = self._plant
-        seen = (self._state, self.force_n, self.damping_n)
+        seen = (self.state, self.force_n, self.damping_n)
         velocity = plant.estimate(*seen)
         current_a = plant.motor_force(*seen) / params.torque_constant_n_per_a
-        voltage_v = params.winding_ohm * current_a + params.torque_constant_n_per_a * velocity
-        celsius = params.ambient_c if plant.celsius is None else plant.celsius(self._state)
+        # from which the circuit, with the resistance that it believes in, sees `velocity`
+        voltage_v = self._believed_ohm * current_a + params.torque_constant_n_per_a * velocity
+        celsius = params.ambient_c if plant.celsius is None else plant.celsius(self.state)
         read = sensors.contents
         read.encoder = floor(
             (plant.encoder(*seen) - self._zero_m) / params.position_m_per_count + 0.5
@@ -320,17 +325,17 @@ class FirmwareBoard:
     def _mark(self) -> None:
         """Where the running interval began."""
         self._start = self._now
-        self._start_m = self._plant.travel(self._state, 0.0, 0.0)
+        self._start_m = self._plant.travel(self.state, 0.0, 0.0)
         self._start_ns = self._impulse_ns()
 
     def _impulse_ns(self) -> float:
         impulse = self._plant.impulse
-        return impulse(self._state, 0.0, 0.0) if impulse else 0.0
+        return impulse(self.state, 0.0, 0.0) if impulse else 0.0
 
     def _measure_pair(self, _: Any, pair: Any) -> None:
         params = self.params
         per_s = SUBSTEPS_PER_TICK * params.rate_hz / (self._now - self._start)
-        travel_m = self._plant.travel(self._state, 0.0, 0.0) - self._start_m
+        travel_m = self._plant.travel(self.state, 0.0, 0.0) - self._start_m
         kept_n = (self._impulse_ns() - self._start_ns) * per_s
         pair[0] = i16_count(pair[0] + kept_n / params.probe_torque_n_per_count)
         velocity = travel_m * per_s / params.probe_velocity_m_per_s_per_count
@@ -349,11 +354,16 @@ class FirmwareBoard:
         self.out.damping = count
 
     def _set_resistance(self, _: Any, count: int) -> None:
+        params = self.params
+        heating = params.plant and params.plant.heating
+        connected_ohm = params.trim_full_scale_ohm if compensates(params) else 0.0
+        trim_ohm = count * (connected_ohm / codec.I16_HIGHEST)
         self.out.resistance = count
-        if self._plant.compensate is not None and compensates(self.params):
-            full_scale_ohm = self.params.trim_full_scale_ohm
-            self._plant.compensate(count * full_scale_ohm / codec.I16_HIGHEST)
+        self._believed_ohm = (heating.compensated_ohm if heating else params.winding_ohm) + trim_ohm
+        if self._plant.compensate is not None:
+            self._plant.compensate(trim_ohm)
 
     def _send(self, _: Any, frame: int) -> None:
+        self.in_replaced += self._ready_ns is not None
         self._frame = ctypes.string_at(frame, frames.IN_BYTES)
         self._ready_ns = self._to_ns(self._now)

@@ -100,9 +100,15 @@ def bench_params(data: Bytes) -> BoardParams:
 class Bench:
     """Two boards of the same parameters, and a host that does what `data` says to both."""
 
-    def __init__(self, data: bytes, other: Callable[[BoardParams], Any], tally: Tally) -> None:
+    def __init__(
+        self,
+        data: bytes,
+        other: Callable[[BoardParams], Any],
+        tally: Tally,
+        params: BoardParams | None = None,
+    ) -> None:
         self.data = Bytes(data)
-        self.params = bench_params(self.data)
+        self.params = params or bench_params(self.data)
         self.boards = (BoardModel(self.params), other(self.params))
         self.tally = tally
         substeps = 2 if self.params.rate_hz == 1000.0 else 1
@@ -209,7 +215,7 @@ class Bench:
         phase_us = value % 20 * self.grid_ns // 1000
         asked = (
             (VENDOR_OUT, Request.CLEAR_FAULT.value, 0, 0),
-            (VENDOR_OUT, Request.CLEAR_FAULT.value, 0, 0),
+            (VENDOR_OUT, Request.CLEAR_FAULT.value, value % 2, 0),
             (VENDOR_IN, Request.HELLO.value, 0, value % 100),
             (VENDOR_OUT, Request.SAMPLE_PHASE.value, phase_us, 0),
             (value & 0xFF, value >> 8, value % 3, 80),
@@ -221,7 +227,7 @@ class Bench:
         """Read both boards, unless the bytes say that this frame is left, and look at them."""
         read = self.data.take() < 230
         python, firmware = (self.look(place, read) for place in range(2))
-        assert python == firmware, f"step {kind} at {self.t_ns} ns, {self.params}"
+        assert python == firmware, f"step {kind} at {self.t_ns} ns, {self.params.rate_hz:g} Hz"
         if python.packet is not None:
             self.tally.packets += 1
             self.tally.statuses |= codec.decode_in(python.packet).status
@@ -245,10 +251,15 @@ class Bench:
         )
 
 
-def compare_boards(data: bytes, other: Callable[[BoardParams], Any], tally: Tally) -> None:
+def compare_boards(
+    data: bytes,
+    other: Callable[[BoardParams], Any],
+    tally: Tally,
+    params: BoardParams | None = None,
+) -> None:
     """Run a bench over `data`; AssertionError where the board of `other` differs from the
-    simulated one.
+    simulated one. Without `params` the board is as the bytes say, too.
     """
-    bench = Bench(data, other, tally)
+    bench = Bench(data, other, tally, params)
     bench.run()
     tally.refused += bench.boards[0].out_refused

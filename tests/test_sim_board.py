@@ -339,7 +339,8 @@ def test_strings_are_usb_string_descriptors():
 
 
 @pytest.mark.parametrize(
-    "setup", [(0xC0, 0x77, 0), (0x40, 0x77, 0), (0xC0, 0x01, 1), (0x80, 6, 0x0309)]
+    "setup",
+    [(0xC0, 0x77, 0), (0x40, 0x77, 0), (0xC0, 0x01, 1), (0x40, 0x02, 1), (0x80, 6, 0x0309)],
 )
 def test_unknown_control_request_stalls(setup):
     assert BoardModel(BOARD).control(*setup, 64) is None

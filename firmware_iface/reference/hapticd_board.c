@@ -276,51 +276,43 @@ static void schedule_latch(struct hapticd_board *board, uint32_t now_us)
 
 /* --- what is due ------------------------------------------------------------------------------ */
 
-enum due { INTERVAL, ALARM, LATCH };
-
-/* What is due first, and when; of several at one instant in the order of `enum due`. */
-static enum due first_due(const struct hapticd_board *board, uint32_t *due_us)
+/* Whether the alarm comes before the end of the running interval; together the interval is first. */
+static bool alarm_first(const struct hapticd_board *board)
 {
-    enum due first = INTERVAL;
-    *due_us = board->probe.start_us + HAPTICD_INTERVAL_US;
-    if (board->alarm_set && !reached(board->alarm_us, *due_us)) {
-        first = ALARM;
-        *due_us = board->alarm_us;
-    }
-    if (board->latches && !reached(board->latch_us[board->latch_oldest], *due_us)) {
-        first = LATCH;
-        *due_us = board->latch_us[board->latch_oldest];
-    }
-    return first;
+    return board->alarm_set &&
+           !reached(board->alarm_us, board->probe.start_us + HAPTICD_INTERVAL_US);
 }
 
+static uint32_t next_event_us(const struct hapticd_board *board)
+{
+    return alarm_first(board) ? board->alarm_us : board->probe.start_us + HAPTICD_INTERVAL_US;
+}
+
+/* INs are latched last: what they say is of now, so all that is due by now has happened before. */
 void hapticd_board_service(struct hapticd_board *board)
 {
-    uint32_t due_us;
     uint32_t now_us = clock_us(board);
     if (!board->fit)
         return;
-    for (;;) {
-        enum due first = first_due(board, &due_us);
-        if (!reached(now_us, due_us))
-            break;
-        if (first == INTERVAL)
+    while (reached(now_us, next_event_us(board))) {
+        if (!alarm_first(board))
             end_interval(board, now_us);
-        else if (first == LATCH)
-            latch(board);
         else if (board->tripped)
             release_step(board);
         else
             trip(board);
     }
+    while (board->latches && reached(now_us, board->latch_us[board->latch_oldest]))
+        latch(board);
     look_at_inputs(board, now_us);
 }
 
 uint32_t hapticd_board_wait_us(const struct hapticd_board *board)
 {
-    uint32_t due_us;
     uint32_t now_us = clock_us(board);
-    first_due(board, &due_us);
+    uint32_t due_us = next_event_us(board);
+    if (board->latches && !reached(board->latch_us[board->latch_oldest], due_us))
+        due_us = board->latch_us[board->latch_oldest];
     return reached(now_us, due_us) ? 0 : due_us - now_us;
 }
 

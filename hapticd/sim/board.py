@@ -200,7 +200,7 @@ class BoardModel:
 
     def control(self, request_type: int, request: int, value: int, length: int) -> bytes | None:
         """A control transfer: the bytes of an IN, b"" after an OUT, None for a stall."""
-        if (request_type, request) == (VENDOR_OUT, Request.CLEAR_FAULT.value):
+        if (request_type, request, value) == (VENDOR_OUT, Request.CLEAR_FAULT.value, 0):
             self._axis.clear_faults()
             return b""
         if (request_type, request) == (VENDOR_OUT, Request.SAMPLE_PHASE.value):

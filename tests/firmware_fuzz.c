@@ -1,0 +1,403 @@
+/* Drives the reference firmware at random and holds it to what a board promises, whatever the host,
+ * the hardware and the clock do: firmware_fuzz STEPS SEED. It knows nothing of how the firmware
+ * works: only what went in, what stands at the outputs, and what the frames say. Unlike the
+ * simulated board its hardware contradicts itself (a stop pressed while the amplifier is ready),
+ * comes late, passes index marks and is configured wrongly. Ends with status 1 at the first broken
+ * promise, and with the numbers of what it met. */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "hapticd_board.h"
+
+#define WATCHDOG_US 20000
+#define HOLD_US 2000000
+#define RELEASE_US 500000
+#define CAUSES                                                                                     \
+    (HAPTICD_STATUS_OVER_TEMPERATURE | HAPTICD_STATUS_AMPLIFIER_FAULT |                            \
+     HAPTICD_STATUS_ENCODER_FAULT)
+
+static struct {
+    uint64_t now_us; /* never wraps; the port's clock is its low half */
+    uint16_t inputs;
+    struct hapticd_sensors sensors;
+    bool authority; /* what stands at the outputs */
+    int16_t torque, perturbation, resistance;
+    uint16_t damping;
+    struct hapticd_in frame; /* the newest */
+    bool sent;
+} world;
+
+static struct { /* what was promised */
+    uint64_t born_us, fed_us;
+    bool asked, tripped;
+    uint16_t damping;
+    int16_t resistance;
+    uint16_t latched; /* faults */
+    uint16_t next_in, echo;
+    uint32_t next_pair;
+    int32_t mark;
+    unsigned owed; /* INs */
+} host;
+
+static struct hapticd_board board;
+static struct hapticd_config config;
+static uint64_t random_state;
+static unsigned long met_frames, met_refused, met_trips, met_boots, met_pairs;
+
+static uint32_t draw(uint32_t below) /* xorshift64 */
+{
+    random_state ^= random_state << 13;
+    random_state ^= random_state >> 7;
+    random_state ^= random_state << 17;
+    return (uint32_t)(random_state >> 32) % below;
+}
+
+static void promise(bool kept, const char *what)
+{
+    if (kept)
+        return;
+    fprintf(stderr, "broken at %llu us: %s\n", (unsigned long long)world.now_us, what);
+    exit(1);
+}
+
+static bool able(uint16_t capability)
+{
+    return config.hello.capabilities & capability;
+}
+
+/* --- the hardware ------------------------------------------------------------------------------- */
+
+static uint32_t clock_us(void *device) { (void)device; return (uint32_t)world.now_us; }
+static uint16_t inputs(void *device) { (void)device; return world.inputs; }
+static void measure_pair(void *device, int16_t pair[2]) { (void)device; pair[1] = 7; }
+static void set_perturbation(void *device, int16_t count) { (void)device; world.perturbation = count; }
+static void set_damping(void *device, uint16_t count) { (void)device; world.damping = count; }
+static void set_resistance(void *device, int16_t count) { (void)device; world.resistance = count; }
+
+static void sense(void *device, struct hapticd_sensors *sensors)
+{
+    (void)device;
+    *sensors = world.sensors;
+    if (sensors->index_passed)
+        host.mark = sensors->index_count;
+    world.sensors.index_passed = false;
+}
+
+static void set_torque(void *device, bool authority, int16_t count)
+{
+    (void)device;
+    world.authority = authority;
+    world.torque = count;
+}
+
+static void send(void *device, const struct hapticd_in *frame)
+{
+    (void)device;
+    promise(host.owed > 0, "one accepted OUT latches one IN");
+    host.owed--;
+    promise(frame->seq == host.next_in++, "seq counts every latched frame");
+    promise(frame->echo == host.echo, "echo is the last OUT that was accepted");
+    promise(!(frame->status & HAPTICD_STATUS_ENABLED) == !world.authority, "ENABLED is what acts");
+    promise(frame->damping_effect == world.damping, "damping_effect is what acts");
+    promise(frame->probe_count <= HAPTICD_PROBE_MAX, "at most 6 pairs");
+    promise(frame->fifo_level <= HAPTICD_FIFO_DEPTH, "at most 16 samples");
+    promise(frame->board_time_us == (uint32_t)(world.now_us - host.born_us), "time of the latch");
+    if (frame->probe_count < HAPTICD_PROBE_MAX && able(HAPTICD_CAPABILITY_PROBE))
+        promise(frame->probe_index + frame->probe_count ==
+                    (uint32_t)((world.now_us - host.born_us) / HAPTICD_INTERVAL_US),
+                "intervals are numbered by the clock");
+    promise(frame->index_offset == 0 || frame->status & HAPTICD_STATUS_INDEX, "INDEX or 0");
+    if (frame->status & HAPTICD_STATUS_INDEX)
+        promise((uint32_t)frame->encoder - (uint32_t)host.mark ==
+                    (uint32_t)(int32_t)frame->index_offset,
+                "index_offset counts from the mark");
+    world.frame = *frame;
+    world.sent = true;
+}
+
+static const struct hapticd_port port = {
+    NULL,       clock_us,         inputs,      sense,          measure_pair,
+    set_torque, set_perturbation, set_damping, set_resistance, send,
+};
+
+/* --- what is promised --------------------------------------------------------------------------- */
+
+static uint64_t since_fed(void)
+{
+    return world.now_us - host.fed_us;
+}
+
+/* The firmware has just looked at everything. */
+static void judge(void)
+{
+    bool needs_ready = able(HAPTICD_CAPABILITY_AMPLIFIER_READY);
+    host.latched |= world.inputs & CAUSES;
+    if (since_fed() >= WATCHDOG_US && !host.tripped) {
+        host.tripped = true;
+        met_trips++;
+    }
+    if (world.authority) {
+        promise(host.asked, "no torque without ENABLE");
+        promise(!host.tripped, "no torque after the watchdog");
+        promise(!(world.inputs & HAPTICD_STATUS_EMERGENCY_STOP), "no torque while stopped");
+        promise(!host.latched, "no torque with a latched fault");
+        promise(!needs_ready || world.inputs & HAPTICD_STATUS_AMPLIFIER_READY, "nor unready");
+    }
+    promise(abs(world.torque) <= config.torque_limit, "torque is clamped");
+    promise(world.authority || (!world.torque && !world.perturbation), "nothing without authority");
+    promise(world.resistance == host.resistance, "the trim is what was commanded last");
+    if (since_fed() < WATCHDOG_US + HOLD_US) {
+        promise(world.damping == host.damping, "damping is as commanded, then held for 2 s");
+    } else {
+        int64_t left = WATCHDOG_US + HOLD_US + RELEASE_US - (int64_t)since_fed();
+        int64_t step = host.damping / 2000 + 2; /* of 250 us, and two roundings */
+        int64_t line = left > 0 ? host.damping * left / RELEASE_US : 0;
+        promise(world.damping >= line, "damping is released no faster than in 0.5 s");
+        promise(world.damping <= line + step, "damping is released within 0.5 s");
+    }
+}
+
+static void serve(void)
+{
+    hapticd_board_service(&board);
+    if (!board.fit)
+        return;
+    promise(hapticd_board_wait_us(&board) <= HAPTICD_INTERVAL_US, "asked again in 250 us");
+    judge();
+}
+
+/* Let time go on; punctually, or with one service at its end, as late as `wait_us`. */
+static void pass(uint32_t wait_us, bool punctual)
+{
+    uint64_t until_us = world.now_us + wait_us;
+    while (punctual && board.fit && world.now_us + hapticd_board_wait_us(&board) < until_us) {
+        world.now_us += hapticd_board_wait_us(&board);
+        serve();
+    }
+    world.now_us = until_us;
+    serve();
+}
+
+/* --- what is done to it ------------------------------------------------------------------------- */
+
+static void boot(void)
+{
+    memset(&host, 0, sizeof host);
+    memset(&config, 0, sizeof config);
+    config.hello.watchdog_ms = WATCHDOG_US / 1000;
+    config.hello.force_full_scale_n = 8.0f;
+    config.hello.force_limit_n = 6.0f;
+    config.hello.capabilities = (uint16_t)(draw(4) ? 0x00FF : draw(0x10000));
+    config.torque_limit = 24575;
+    config.period_us = 1000;
+    config.phase_us = 875;
+    switch (draw(16)) {
+    case 0: config.hello.watchdog_ms = 0; break;
+    case 1: config.torque_limit = 24600; break;
+    case 2: config.torque_limit = 0; break;
+    case 3: config.hello.force_full_scale_n = 0.0f; break;
+    case 4: config.phase_us = 1001; break;
+    default: break;
+    }
+    bool right = config.hello.watchdog_ms && config.torque_limit == 24575 &&
+                 config.hello.force_full_scale_n > 0.0f && config.phase_us == 875;
+    host.fed_us = world.now_us;
+    host.born_us = world.now_us;
+    promise(hapticd_board_boot(&board, &config, &port, (uint8_t)draw(256)) == right, "self-test");
+    promise(!world.authority && !world.torque && !world.damping && !world.resistance, "nothing yet");
+    world.sent = false;
+    met_boots++;
+}
+
+static uint16_t crc16(const uint8_t *data, size_t size)
+{
+    uint16_t crc = HAPTICD_CRC_INITIAL;
+    while (size--) {
+        crc = (uint16_t)(crc ^ *data++ << 8);
+        for (int bit = 0; bit < 8; bit++)
+            crc = (uint16_t)(crc & 0x8000 ? crc << 1 ^ HAPTICD_CRC_POLYNOMIAL : crc << 1);
+    }
+    return crc;
+}
+
+static struct hapticd_out good(void)
+{
+    struct hapticd_out out = {0};
+    out.seq = (uint16_t)(host.echo + (draw(20) ? 1 : draw(100)));
+    out.flags = (uint8_t)(draw(4) ? HAPTICD_FLAG_ENABLE | HAPTICD_FLAG_PERTURB : draw(8));
+    out.torque = (int16_t)draw(65536);
+    out.damping = (uint16_t)draw(65536);
+    out.resistance = (int16_t)draw(65536);
+    out.probe_count = (uint8_t)draw(HAPTICD_PROBE_MAX + 1);
+    for (unsigned i = 0; i < out.probe_count; i++)
+        out.perturbation[i] = (int16_t)draw(65536);
+    return out;
+}
+
+/* Make of a frame one that a board refuses. */
+static void damage(uint8_t *data, size_t *size)
+{
+    static const uint8_t at[] = {2, 3, 10, 11, 24, 29};
+    uint32_t way = draw(4);
+    if (way == 0)
+        *size = draw(HAPTICD_OUT_BYTES);
+    if (way == 1)
+        *size = HAPTICD_OUT_BYTES + 1 + draw(32);
+    if (way == 2)
+        data[draw(HAPTICD_OUT_BYTES)] ^= (uint8_t)(1u << draw(8));
+    if (way == 3) {
+        uint8_t place = at[draw(sizeof at)];
+        data[place] = (uint8_t)(place == 3 ? 8u << draw(5) : 7 + draw(249));
+        uint16_t crc = crc16(data, HAPTICD_OUT_BYTES - sizeof crc);
+        memcpy(data + HAPTICD_OUT_BYTES - sizeof crc, &crc, sizeof crc);
+    }
+}
+
+static void obeyed(const struct hapticd_out *out)
+{
+    host.echo = out->seq;
+    host.owed += host.owed < HAPTICD_LATCHES;
+    if (host.tripped && out->flags & HAPTICD_FLAG_ENABLE)
+        return;
+    host.tripped = false;
+    host.fed_us = world.now_us;
+    host.asked = out->flags & HAPTICD_FLAG_ENABLE;
+    host.damping = out->damping;
+    if (able(HAPTICD_CAPABILITY_RESISTANCE))
+        host.resistance = out->resistance;
+}
+
+static void send_out(bool whole)
+{
+    uint8_t data[64] = {0};
+    size_t size = HAPTICD_OUT_BYTES;
+    struct hapticd_out out = good();
+    out.crc = crc16((const uint8_t *)&out, sizeof out - sizeof out.crc);
+    memcpy(data, &out, sizeof out);
+    if (!whole)
+        damage(data, &size);
+    serve();
+    /* exactly as long as the packet, for the sanitizer to see every byte beyond */
+    uint8_t *packet = malloc(size ? size : 1);
+    if (!packet)
+        exit(2);
+    memcpy(packet, data, size);
+    bool taken = hapticd_board_out(&board, packet, size);
+    free(packet);
+    promise(taken == (whole && board.fit), "whole frames are taken, others are not");
+    met_frames++;
+    met_refused += !taken;
+    if (taken)
+        obeyed(&out);
+    if (board.fit)
+        judge();
+}
+
+static void take(void)
+{
+    struct hapticd_in *frame = &world.frame;
+    hapticd_board_taken(&board);
+    if (!world.sent)
+        return;
+    world.sent = false;
+    promise(frame->crc == crc16((const uint8_t *)frame, sizeof *frame - sizeof frame->crc), "CRC");
+    if (!(frame->status & HAPTICD_STATUS_PROBE_OVERFLOW) && frame->probe_count)
+        promise(frame->probe_index == host.next_pair, "every pair comes once, in order");
+    host.next_pair = frame->probe_index + frame->probe_count;
+    met_pairs += frame->probe_count;
+}
+
+static void ask(void)
+{
+    uint8_t reply[HAPTICD_HELLO_BYTES];
+    uint8_t type = draw(2) ? 0xC0 : 0x40;
+    uint16_t index = draw(8) == 0;
+    uint16_t value = (uint16_t)(draw(2) ? 0 : draw(1200));
+    uint16_t length = (uint16_t)draw(200);
+    uint8_t request = (uint8_t)draw(5);
+    int size = hapticd_board_control(&board, type, request, value, index, length, reply);
+    promise(size >= HAPTICD_STALL && size <= (int)sizeof reply, "no more than a hello");
+    promise(board.fit || size == HAPTICD_STALL, "an unfit board answers nothing");
+    if (size == 0 && type == 0x40 && request == HAPTICD_REQUEST_CLEAR_FAULT)
+        host.latched = world.inputs & CAUSES;
+}
+
+/* Hardware that says anything; the firmware is told of it at once, or finds it out. */
+static void disturb(void)
+{
+    static const uint16_t bits[] = {
+        HAPTICD_STATUS_EMERGENCY_STOP,  HAPTICD_STATUS_AMPLIFIER_READY,
+        HAPTICD_STATUS_OVER_TEMPERATURE, HAPTICD_STATUS_AMPLIFIER_FAULT,
+        HAPTICD_STATUS_ENCODER_FAULT,
+    };
+    world.inputs = draw(3) ? HAPTICD_STATUS_AMPLIFIER_READY : world.inputs ^ bits[draw(5)];
+    uint32_t encoder = draw(0x10000) << 16 | draw(0x10000);
+    world.sensors.encoder = (int32_t)encoder;
+    world.sensors.index_passed = draw(2);
+    world.sensors.index_count = (int32_t)(encoder - draw(40000));
+    serve();
+}
+
+static void step(void)
+{
+    uint32_t kind = draw(1000);
+    if (kind < 600) {
+        pass(1000, true);
+        send_out(true);
+        if (draw(10))
+            take();
+    } else if (kind < 690) {
+        send_out(draw(3) == 0);
+    } else if (kind < 700) {
+        for (uint32_t burst = draw(40); burst; burst--)
+            send_out(true);
+    } else if (kind < 800) {
+        pass(draw(600), draw(2));
+    } else if (kind < 830) {
+        pass(draw(30000), draw(2));
+    } else if (kind < 832) {
+        pass(draw(3000000), true);
+    } else if (kind < 920) {
+        disturb();
+    } else if (kind < 990) {
+        ask();
+    } else if (kind < 998) {
+        take();
+    } else {
+        boot();
+    }
+}
+
+/* 72 minutes without an OUT that acts: the clock wraps, an age that is held does not begin anew. */
+static void grow_old(void)
+{
+    do
+        boot();
+    while (!board.fit);
+    pass(100000, true);
+    for (unsigned i = 0; i < 72 * 60 * 50; i++)
+        pass(20000, false);
+    struct hapticd_out out = {0};
+    out.flags = HAPTICD_FLAG_ENABLE;
+    out.crc = crc16((const uint8_t *)&out, sizeof out - sizeof out.crc);
+    promise(hapticd_board_out(&board, (const uint8_t *)&out, sizeof out), "taken, not obeyed");
+    obeyed(&out);
+    pass(1000, true);
+    promise(world.frame.torque_age_us == 65535, "an age is held at 65535");
+}
+
+int main(int count, char **words)
+{
+    unsigned long steps = count > 1 ? strtoul(words[1], NULL, 10) : 100000;
+    random_state = 0x9E3779B97F4A7C15u + (count > 2 ? strtoull(words[2], NULL, 10) : 1);
+    world.now_us = 0xFFFFFFFFu - 5000000u;
+    world.inputs = HAPTICD_STATUS_AMPLIFIER_READY;
+    boot();
+    while (steps--)
+        step();
+    grow_old();
+    printf("%lu frames, %lu refused, %lu trips, %lu starts, %lu pairs\n", met_frames, met_refused,
+           met_trips, met_boots, met_pairs);
+    return 0;
+}
