@@ -10,10 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from guard_device import shipped_setup
 from guard_stub import StubWorker, verdict
 from models import board_params, device_params, servo_params
 from recorded import RecordedFlight
 
+from hapticd.analysis.transition import Judge
 from hapticd.assembly.lockstep import LockStep, scene_params
 from hapticd.faults import BY_CODE
 from hapticd.gateway.delivered import Delivered, Estimate, Low
@@ -50,12 +52,16 @@ def damped(stack: LockStep, level: float) -> None:
     stack.do(Command.DAMPING, on if level else {Value.ADDED_DAMPING_ON: 0.0})
 
 
+def rendered(environment: Sequence[float]) -> dict[Value, float]:
+    """Values of a set that takes K, B, M at once."""
+    places = (Value.STIFFNESS, Value.DAMPING, Value.MASS)
+    return {**dict(zip(places, environment, strict=True)), Value.RAMP_S: 0.0}
+
+
 def begun(stack: LockStep, environment: Sequence[float], level: float) -> None:
     """Force on, at once."""
     stack.run(5)
-    places = (Value.STIFFNESS, Value.DAMPING, Value.MASS)
-    values = dict(zip(places, environment, strict=True))
-    stack.do(Command.SET, {**values, Value.RAMP_S: 0.0})
+    stack.do(Command.SET, rendered(environment))
     stack.do(Command.ENABLE)
     damped(stack, level)
 
@@ -423,13 +429,17 @@ def counted_on(least: float | None) -> StubWorker:
     return StubWorker(lambda asked: {"verdict": found} if asked["ask"] == "look" else None)
 
 
-def flown_with_gateway(policy: str, least: float | None, gain: float) -> RecordedFlight:
-    """8 s, the circuit fails at 3 s."""
+def flown_with_gateway(
+    policy: str, worker: StubWorker, gain: float, environment: Sequence[float] = DISPLAY
+) -> RecordedFlight:
+    """10 s, the circuit fails at 3 s."""
     injections = (InjectionParams("damping_gain", tick=3000, count=100_000, value=gain),)
-    flight = RecordedFlight(*parts(injections=injections), policy=policy, worker=counted_on(least))
+    flight = RecordedFlight(*parts(injections=injections), policy=policy, worker=worker)
     with flight:
         flight.stack.run(5)
+        flight.stack.command(Command.SET, rendered(environment))
         flight.stack.command(Command.ENABLE)
+        flight.fly(20)
         on = {Value.ADDED_DAMPING: LEVEL, Value.ADDED_DAMPING_ON: 1.0}
         flight.stack.command(Command.DAMPING, on)
         flight.fly(20)
@@ -456,7 +466,7 @@ def test_servo_ends_force_where_the_guard_counts_on_the_damping(policy, least, e
     """Half of the damping is lost: told in any case, a fault where the policy would have refused
     the environment without it.
     """
-    flight = flown_with_gateway(policy, least, 0.5)
+    flight = flown_with_gateway(policy, counted_on(least), 0.5)
     warnings = [one for one in flight.journal.recent if one["kind"] == "warning"]
     assert len(warnings) == 1
     assert "N s/m commanded" in warnings[0]["text"]
@@ -466,8 +476,20 @@ def test_servo_ends_force_where_the_guard_counts_on_the_damping(policy, least, e
 
 
 def test_healthy_damping_that_is_counted_on_ends_nothing():
-    flight = flown_with_gateway("refuse", 1.5, 1.0)
+    flight = flown_with_gateway("refuse", counted_on(1.5), 1.0)
     assert int(flight.records["state"][-1]) == State.ENABLED
     found = flight.publisher.state(0)["delivered_damping"]
     assert found["low"] <= circuit(LEVEL) <= found["high"]
     assert found["ratio"] == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize(("stiffness", "ends"), [(200.0, True), (20.0, False)])
+def test_judge_itself_says_what_is_needed(stiffness, ends):
+    """Of 1.74 N s/m 0.3 are left: too little for K = 200 N/m, enough for 20."""
+    judge = Judge(shipped_setup())
+    worker = StubWorker(lambda asked: judge.answer({**asked, "n": 0}))
+    flight = flown_with_gateway("refuse", worker, 0.3, (stiffness, 0.0, 0.0))
+    assert any(asked["ask"] == "look" for asked in worker.asked)
+    last = flight.records[-1]
+    assert int(last["state"]) == (State.FAULT if ends else State.ENABLED)
+    assert [one["kind"] for one in flight.journal.recent].count("warning") == 1
