@@ -206,6 +206,7 @@ class SafetyParams:
     default_ramp_s: float = 0.05
     # faults force_at_limit and energy, which a trial at the edge of stability does without
     limit_cycle_faults: bool = True
+    energy_controller: bool = False  # servo.energy_controller
 
 
 @dataclass(frozen=True, slots=True)

@@ -454,6 +454,15 @@ def test_simulated_board_needs_a_plant(tmp_path: Path) -> None:
     )
 
 
+def test_energy_controller_needs_a_damping_that_is_known(tmp_path: Path) -> None:
+    device = SIMULATED.replace("physical_damping_ns_per_m = 0.25", "", 1)
+    found = message(tmp_path, "[safety]\nenergy_controller = true", device)
+    assert found.startswith(
+        "hapticd.toml:2: safety.energy_controller = True: needs `limits.physical_"
+    )
+    assert found.endswith("without it no leak is known; measure it or switch the controller off")
+
+
 def test_all_mistakes_are_told_at_once(tmp_path: Path) -> None:
     found = message(tmp_path, "[realtime]\nrate_hz = 1\npriority = 0\n")
     assert [line.split(": ")[0] for line in found.splitlines()] == [

@@ -4,7 +4,8 @@ Events are maps, one per event: kept for `status`, and queued for the topic `eve
 `state` (from, to, fault with cause, action and remedy, actor), `answer` (what became of a change
 that was scheduled or goes in stages), `guard` (the hand that would shake what was asked), `gap`
 (ticks that were overwritten before they were read), `servo_up`, `servo_down`, `flight` (path,
-reason), `lease` (what, change, actor, name, by), `warning`.
+reason), `lease` (what, change, actor, name, by), `controlled` (tick, excess_j, text: the energy
+controller acted), `warning`.
 
 An actor is a small number per client, which travels in every tick record, and the name that the
 client gave itself. It has both while its connection is there, the last that left are remembered,

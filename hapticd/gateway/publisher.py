@@ -31,8 +31,8 @@ from hapticd.gateway.telemetry import (
     raw_message,
     servo_messages,
 )
-from hapticd.gateway.view import STATES, ServoView
-from hapticd.mailbox.layout import Command, Value, Watched, values_of
+from hapticd.gateway.view import STATES, Records, ServoView
+from hapticd.mailbox.layout import Command, Flag, Value, Watched, values_of
 from hapticd.params import GatewaySetup
 from hapticd.units import NS_PER_S
 
@@ -131,6 +131,7 @@ class Transitions:
         self._journal = journal
         self._life = 0
         self._last = (0, 0)
+        self._changes = 0  # of the environment, as last seen
 
     def follow(self, block: RingBlock) -> None:
         """Note the changes in `block`, and the gap before it."""
@@ -138,6 +139,7 @@ class Transitions:
             self._life = block.life
             # every servo life begins disabled and without a fault
             self._last = (0, 0)
+            self._changes = 0
         if block.lost:
             self._journal.note("gap", seq=block.seq, lost=block.lost)
         states = block.records["state"]
@@ -149,6 +151,24 @@ class Transitions:
         # a block may say only that records were lost
         if len(states):
             self._last = int(states[-1]), int(faults[-1])
+            self._control(block.records)
+
+    def _control(self, records: Records) -> None:
+        """Note what the energy controller changed: it is nobody's change, and its flag is set."""
+        changes = records["environment_revision"]
+        before = np.concatenate(([self._changes], changes[:-1]))
+        own = (changes != before) & (records["actor"] == 0)
+        for place in np.flatnonzero(own & (records["flags"] & Flag.CONTROLLED != 0)).tolist():
+            record = records[place]
+            self._journal.note(
+                "controlled",
+                unix_ns=int(record["time_ns"]) + self._view.unix_offset_ns,
+                tick=int(record["tick"]),
+                excess_j=float(record["excess_j"]),
+                text="energy leaked that nothing covers: the servo raised the active damping or"
+                " halved K, B, M and the wall's; ask for smaller values before you set them again",
+            )
+        self._changes = int(changes[-1])
 
     def _note(self, record: np.void, before: int) -> None:
         fault = BY_NUMBER.get(int(record["fault"]), FAULTS[0])

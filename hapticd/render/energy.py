@@ -69,4 +69,6 @@ def book(
 def at_rest(ledger: Ledger) -> Ledger:
     """`ledger` where nothing is known of the motion before: its sums stay."""
     work, excess, *_ = ledger
+    if excess != excess:  # what is not a number would stay so for ever
+        excess = 0.0
     return work, excess, 0.0, 0.0, 0.0, 0.0, 0.0

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 from hapticd.mailbox import layout
-from hapticd.mailbox.layout import Value, ValueLimit, value_limits
+from hapticd.mailbox.layout import Flag, Value, ValueLimit, value_limits
 from hapticd.params import FilterParams, ServoParams, WorkspaceParams
 from hapticd.render.energy import EMPTY, Ledger
 from hapticd.render.law import Coefficients, Environment, LawState, design_coefficients
@@ -40,6 +40,7 @@ from hapticd.wire.codec import U16_HIGHEST
 from hapticd.wire.frames import OutFlag, StatusBit
 
 NEVER = 1 << 62
+CONTROL_SLEW_NS_PER_M_S: Final = 2000.0  # of active damping that the energy controller raises
 Wave = tuple[int, int, bool]  # perturbation: number of its command (0: none), samples, loop
 NO_WAVE: Wave = (0, 0, False)
 WAVE_COMMAND: Final = 0  # place in a Wave
@@ -64,6 +65,14 @@ FILTERS = frozenset(
 )
 
 JUDGED = FILTERS.union(BUMPLESS, ADDED)  # what a verdict on an environment depends on
+
+
+class Control(NamedTuple):
+    """What the energy controller has done (servo.energy_controller)."""
+
+    places: tuple[int, ...] = ()  # layout.Value: what it changed and nobody has asked for since
+    tick: int = 0  # of its last step
+    excess_j: float = 0.0  # at that
 
 
 class Plan(NamedTuple):
@@ -103,6 +112,7 @@ class Plan(NamedTuple):
     environment_revision: int = 0  # counts changes of what is rendered and damped
     bookings: tuple["Booking", ...] = ()  # of the last second (servo.ramp_energy)
     winding: Winding = Winding()  # and how much of its resistance is compensated
+    control: Control = Control()
 
 
 class Booking(NamedTuple):
@@ -219,6 +229,7 @@ def with_values(
         values=plan.values | ramps,
         filters=_filters(plan.filters, places, values),
         revision=plan.revision + 1,
+        control=asked_again(plan.control, places),
     )
     if not JUDGED.isdisjoint(places):
         changed = changed._replace(environment_revision=plan.environment_revision + 1)
@@ -233,6 +244,14 @@ def with_values(
         for p, old in zip((Value.LEASE_CONTROL, Value.LEASE_DAMPING), plan.leases, strict=True)
     )
     return changed._replace(leases=(leases[0], leases[1])), tick + (ticks if ramps else 0)
+
+
+def asked_again(control: Control, places: list[int]) -> Control:
+    """`control` without what a change of `places` asks for anew."""
+    if not control.places:
+        return control
+    named = {*places, *(ADDED if not ADDED.isdisjoint(places) else ())}
+    return control._replace(places=tuple(one for one in control.places if one not in named))
 
 
 def _filters(
@@ -271,6 +290,7 @@ class Settled:
     wave: Wave  # the plan's
     watched: int  # status bits that the short way compares
     calm: int  # and what they are while nothing is wrong
+    flags: int  # of every record
     plan: Plan
     resistance_count: int = 0  # of the OUT frame
 
@@ -361,7 +381,10 @@ def advance_added(plan: Plan, tick: int, elapsed: int, params: ServoParams) -> P
     """
     target = added_target(plan, tick, params)
     releasing = plan.state in LATCHED and target < plan.added
-    step = elapsed * params.safety.damping_slew_ns_per_m_s / params.realtime.rate_hz
+    slew = params.safety.damping_slew_ns_per_m_s
+    if Value.ADDED_DAMPING in plan.control.places and target > plan.added:
+        slew = max(slew, CONTROL_SLEW_NS_PER_M_S)
+    step = elapsed * slew / params.realtime.rate_hz
     added = target if releasing else approach(plan.added, target, step)
     return plan if added == plan.added else plan._replace(added=added)
 
@@ -425,9 +448,15 @@ def settle(
         wave=plan.wave,
         watched=looks.watched,
         calm=looks.calm,
+        flags=standing_flags(plan),
         plan=plan,
         resistance_count=plan.winding.dac_count,
     )
+
+
+def standing_flags(plan: Plan) -> int:
+    """Flags of every record while `plan` holds."""
+    return int(Flag.CONTROLLED) if plan.control.places else 0
 
 
 def environment_of(
@@ -502,6 +531,7 @@ def flatten(state: ServoState) -> tuple[Any, ...]:
         "homing": tuple(plan.homing),
         "bookings": tuple(tuple(one) for one in plan.bookings),
         "winding": tuple(plan.winding),
+        "control": tuple(plan.control),
     }
     before = s.wake_tick, s.environment, s.coefficients, s.out_flags, s.damping_count, s.blob.hex()
     return (*before, law, ledger, s.origin, tuple(signs), held, s.host, tuple(plain.values()))
@@ -523,6 +553,7 @@ def unflatten(plain: Sequence[Any]) -> ServoState:
         "homing": Homing(*fields.get("homing", ())),
         "bookings": tuple(Booking(*one) for one in fields.get("bookings", ())),
         "winding": Winding(*fields.get("winding", ())),
+        "control": Control(*fields.get("control", ())),
     }
     law, ledger, origin, signs, held, host = others
     # earlier versions kept sums by cause in place of the ledger, and the active damping in that of
@@ -533,7 +564,9 @@ def unflatten(plain: Sequence[Any]) -> ServoState:
     before = wake, environment, coefficients, flags, damping, plan_bytes
     whole = Plan(**renewed)
     looks = watch(flags)
-    settled = Settled(*before, origin, host, whole.wave, *looks, whole, whole.winding.dac_count)
+    flags = standing_flags(whole)
+    dac_count = whole.winding.dac_count
+    settled = Settled(*before, origin, host, whole.wave, *looks, flags, whole, dac_count)
     ledger = ledger if known else EMPTY
     torque, applied, *former = held  # nothing was kept of what was before
     held = torque, applied, former[0] if former else (law, ledger)

@@ -15,14 +15,15 @@ a random number read here, a float that reaches the wire.
 
 from collections.abc import Callable
 from dataclasses import replace
-from math import floor, isfinite
+from math import floor, inf, isfinite
 from typing import Any
 
 from hapticd.faults import BY_CODE
 from hapticd.mailbox.layout import Flag
 from hapticd.params import ServoParams
-from hapticd.render.energy import EMPTY, EXCESS, book
+from hapticd.render.energy import EMPTY, EXCESS, FORCE, book
 from hapticd.render.law import MASS, at_rest, clamp, render
+from hapticd.servo.energy_controller import budget_j, lag
 from hapticd.servo.glitch import MOST_DOUBTED, believed_bend_m, stuck_out
 from hapticd.servo.monitors import CALM, ENERGY, at_limit, bounds, too_fast
 from hapticd.servo.plan import (
@@ -107,6 +108,10 @@ def make_step(params: ServoParams) -> Step:
     resistance_at_0 = own_resistance + params.device.damping.to_value(0.0) * rate_hz
     kept = bound.kept
     most_j = bound.energy_j
+    look_j = min(most_j, budget_j(params))
+    found = lag(params)
+    lags = found is not None
+    behind, newest, last = found or (0.0, 1.0, 0.0)
     most_bend_m = believed_bend_m(params)
     least_bend_m = -most_bend_m
     least_heat, most_heat = params.device.temperature_counts(I16_LOWEST, I16_HIGHEST)
@@ -198,8 +203,8 @@ def make_step(params: ServoParams) -> Step:
     ) -> tuple[ServoState, Output]:
         encoder, status, temperature, arrival, host, _, delay, _, damping = sample
         answers: tuple[Any, ...] = ()
-        flags = 0
         settled, law, ledger, held, signs = state
+        flags = settled.flags
         if (
             commands
             or arrival
@@ -252,10 +257,14 @@ def make_step(params: ServoParams) -> Step:
         if torque < low or torque > high:
             torque = low if torque < low else high
         applied = n_per_count * (torque - zero_count)
+        in_effect = applied
+        if lags:
+            _, last_n, _ = held
+            in_effect = behind * ledger[FORCE] + newest * applied + last * last_n
         booked = book(
             ledger,
             moved_m,
-            applied,
+            in_effect,
             delay if delay > 0.0 else 0.0,
             elastic,
             settled.environment[MASS],
@@ -263,8 +272,10 @@ def make_step(params: ServoParams) -> Step:
             resistance_at_0 + resistance_per_count * damping,
             kept,
         )
-        if booked[EXCESS] > most_j:
-            signs = signs.raised(ENERGY)
+        if not booked[EXCESS] <= look_j:  # also true of NaN
+            settled = replace(settled, wake_tick=tick + 1)
+            if most_j < inf and not booked[EXCESS] <= most_j:
+                signs = signs.raised(ENERGY)
         if signs.alarm:
             settled = replace(settled, wake_tick=tick + 1)
         state = (settled, after, booked, (torque, applied, (law, ledger)), signs)

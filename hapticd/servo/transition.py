@@ -16,7 +16,7 @@ from hapticd.faults import BY_CODE
 from hapticd.link.device import SEED
 from hapticd.mailbox.layout import Command, Flag, Result
 from hapticd.params import ServoParams
-from hapticd.render.energy import FORCE, Ledger, book
+from hapticd.render.energy import EXCESS, FORCE, Ledger, book
 from hapticd.render.energy import at_rest as unknown_before
 from hapticd.render.filters import steady
 from hapticd.render.law import (
@@ -34,6 +34,7 @@ from hapticd.render.ramp import Ramp, constant
 from hapticd.servo.commands import Now, apply_settings, enter, obey
 from hapticd.servo.compensation import compensated
 from hapticd.servo.easing import eased
+from hapticd.servo.energy_controller import controlled
 from hapticd.servo.glitch import Verdict, believed_bend_m, verdict
 from hapticd.servo.homing import Failed, Homing, Search, Seen, force_limit_n
 from hapticd.servo.monitors import CALM, OVERSPEED, bounds
@@ -327,7 +328,7 @@ def make_attend(params: ServoParams) -> Attend:
                 law, ledger, positions, settled.environment, coefficients, resistance, kept
             )
         if nothing_but_lost_frames(state, commands, sample, tick):
-            return (settled, law, ledger, held, signs), True, (), flags
+            return (settled, law, ledger, held, signs), True, (), flags | settled.flags
         plan = located(plan, sample, usable)
         _, held_n, former = held
         if usable:
@@ -347,6 +348,7 @@ def make_attend(params: ServoParams) -> Attend:
             law = at_rest((encoder - plan.origin) * m_per_count)
             ledger = unknown_before(ledger)
             plan, flags = begun_anew(before, plan, tick)
+        plan = controlled(plan, ledger[EXCESS], tick, params, own)
         plan = advance_added(plan, tick, elapsed, params)
         plan = compensated(plan, sample, acting_n, tick, params)
         if plan.filters != before.filters:
@@ -366,6 +368,7 @@ def make_attend(params: ServoParams) -> Attend:
             left = plan.fade.value(tick)
             held = (force.to_count(left, I16_LOWEST, I16_HIGHEST), left, former)
         settled = settle(plan, ready, coefficients, out_flags(plan, tick), host)
+        flags |= settled.flags
         return (settled, law, ledger, held, CALM if signs.alarm else signs), usable, answers, flags
 
     return attend

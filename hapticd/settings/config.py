@@ -113,6 +113,8 @@ class Safety(TomlTable):
     """Ramp of a `set` that names none."""
     limit_cycle_faults: bool = _safety.limit_cycle_faults
     """Faults force_at_limit and energy."""
+    energy_controller: bool = _safety.energy_controller
+    """More active damping, then less of K, B, M and walls, before the fault `energy`."""
 
 
 class Realtime(TomlTable):

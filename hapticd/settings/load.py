@@ -225,6 +225,13 @@ def _limit_rules(config: Config, device: DeviceFile, in_device: Where) -> Iterat
         source = in_device(("limits", "force_n"))
         reason = f"must be at most {force_n} N, the limit of the device ({source})"
         yield Mistake(("safety", "force_limit_n"), asked_n, reason)
+    if config.safety.energy_controller and device.limits.physical_damping_ns_per_m is None:
+        source = in_device(("limits",))
+        reason = (
+            f"needs `limits.physical_damping_ns_per_m` in the device file ({source}): without it no"
+            " leak is known; measure it or switch the controller off"
+        )
+        yield Mistake(("safety", "energy_controller"), True, reason)
     damping = device.limits.damping_ns_per_m
     levels: dict[tuple[str, ...], float] = {
         ("added_damping_ns_per_m",): config.added_damping_ns_per_m,

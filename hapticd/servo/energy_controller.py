@@ -1,0 +1,135 @@
+"""Ends a leak before the fault `energy` has to: more damping first, then less of what leaks.
+
+The ledger's excess E (`render.energy`) is energy that the display gave away and nothing covers. In
+motion under an environment that the credited damping makes passive it stays below a twentieth of
+`limits.energy_j`, the bound of the fault; a leak grows out of any bound, by a fifth in a tick where
+a wall at five times its limit drives a light handle. So beyond SHARE of that bound
+
+    1. the active damping rises to the device's ceiling, with a slew of its own. It acts in the
+       board's analog circuit, without sampling and delay, and what the board then reports of it is
+       credited in E;
+    2. for every further STEP of the bound that leaks after that (twice as much until the damping
+       had a chance), K, B and M and those of the wall are halved. The force steps by no more than
+       `limits.force_step_n` on the way, and the next halving waits until this one shows.
+
+What leaks counts from the last step on: E itself fades with a second, so the sum is told from what
+would be left of it by then. Credit is no store (E begins at 0 whenever the device took more than it
+was given), so minutes of good conduct do not delay a step by a tick.
+
+Both are changes that the servo gives itself: revision and environment revision count them, the
+actor is 0, and they stay until a change names the value again. No virtual damping is added: behind
+a lag or a delay it feeds the motion that it should brake, and where there is none the halving does
+as well. Behind a first-order lag of the force (`force_smoothing_hz`, where a model knows it) E is
+booked with the force as the lag leaves it, mean of each period:
+
+    f_n = e f_{n-1} + (1 - b) F_n + (b - e) F_{n-1},   e = exp(-w T), b = (1 - e) / (w T)
+
+It acts while the fault `energy` is on, so never in a measurement, and only on force that acts. If
+the leak goes on, the fault ends it.
+
+What would break it: an `energy_j` so large that what a hand feels of a tenth of it is too much, a
+credit above the device's true damping.
+"""
+
+from math import ceil, exp, inf, tau
+from typing import Final, NamedTuple
+
+from hapticd.mailbox.layout import Value
+from hapticd.params import ServoParams
+from hapticd.servo.monitors import Bounds
+from hapticd.servo.plan import Control, Plan
+from hapticd.servo.safety import State
+
+SHARE: Final = 0.06  # of the fault's bound: there it begins
+STEP: Final = 0.025  # of it: what may leak before the next halving
+SHOWS_TICKS: Final = 3  # from a step to what the board makes of it, at a delay of two periods
+HALVED: Final = (
+    Value.STIFFNESS,
+    Value.DAMPING,
+    Value.MASS,
+    Value.WALL_STIFFNESS,
+    Value.WALL_DAMPING,
+)
+
+
+class Lag(NamedTuple):
+    """Of a period's mean force behind a first-order low-pass: shares of what it is made of."""
+
+    before: float  # of the mean of the period before
+    newest: float  # of the force commanded for this period
+    last: float  # of that of the period before
+
+
+def is_on(params: ServoParams) -> bool:
+    """Whether the configuration asks for it and the ledger has a bound."""
+    return params.safety.energy_controller and (params.device.physical_damping_ns_per_m is not None)
+
+
+def budget_j(params: ServoParams) -> float:
+    """Excess [J] beyond which it looks; infinite where it is off."""
+    return SHARE * params.device.energy_limit_j if is_on(params) else inf
+
+
+def lag(params: ServoParams) -> Lag | None:
+    """How the force lags behind its command on this device, as far as it has to be known."""
+    corner_hz = params.device.force_smoothing_hz
+    if not is_on(params) or not corner_hz > 0.0:
+        return None
+    angle = tau * corner_hz / params.realtime.rate_hz
+    kept = exp(-angle)
+    mean = (1.0 - kept) / angle
+    return Lag(kept, 1.0 - mean, mean - kept)
+
+
+def controlled(plan: Plan, excess_j: float, tick: int, params: ServoParams, bound: Bounds) -> Plan:
+    """`plan` after what `excess_j` [J] says; itself where there is nothing to do."""
+    if not excess_j > budget_j(params) or not plan.limit_cycle_faults:
+        return plan
+    if plan.state is not State.ENABLED or plan.unauthorised:
+        return plan
+    ceiling = params.device.damping_limit_ns_per_m
+    now = Control(plan.control.places, tick, excess_j)
+    if ceiling > (plan.added_asked if plan.added_on else 0.0):
+        more = changed(plan, now, (Value.ADDED_DAMPING,))
+        return more._replace(added_asked=ceiling, added_on=True)
+    leaked = leaked_since(plan.control, now, bound) / params.device.energy_limit_j
+    untried = plan.control.places == (Value.ADDED_DAMPING,)
+    waiting = not untried and tick - plan.control.tick < shows_ticks(params)
+    if waiting or leaked <= (2.0 if untried else 1.0) * STEP:
+        return plan
+    return halved(plan, now, tick)
+
+
+def leaked_since(last: Control, now: Control, bound: Bounds) -> float:
+    """Energy [J] that leaked since the last step, beyond what is left of the excess of then."""
+    return now.excess_j - last.excess_j * bound.kept ** (now.tick - last.tick)
+
+
+def shows_ticks(params: ServoParams) -> int:
+    """Ticks until a halving shows in the force of this device."""
+    corner_hz = params.device.force_smoothing_hz
+    settling = params.realtime.rate_hz / (tau * corner_hz) if corner_hz > 0.0 else 0.0
+    return SHOWS_TICKS + ceil(settling)
+
+
+def halved(plan: Plan, now: Control, tick: int) -> Plan:
+    """`plan` with half of what leaks, at once as far as the force step allows."""
+    felt = [place for place in HALVED if plan.values[place].value(tick)]
+    ramps = {
+        place: plan.values[place].towards(0.5 * plan.values[place].value(tick), tick, 0)
+        for place in felt
+    }
+    if not felt:
+        return plan
+    return changed(plan, now, tuple(felt))._replace(values=plan.values | ramps)
+
+
+def changed(plan: Plan, now: Control, places: tuple[int, ...]) -> Plan:
+    """`plan` with a change of `places` by the servo itself."""
+    held = tuple(sorted({*now.places, *map(int, places)}))
+    return plan._replace(
+        control=now._replace(places=held),
+        actor=0,
+        revision=plan.revision + 1,
+        environment_revision=plan.environment_revision + 1,
+    )
