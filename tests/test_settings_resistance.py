@@ -7,6 +7,8 @@ import pytest
 
 from hapticd.errors import ConfigError
 from hapticd.render.winding import least_residual_ohm, loop_gain, ohm
+from hapticd.settings.build import servo_params
+from hapticd.settings.guard import guard_setup
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
 
@@ -91,6 +93,18 @@ def test_each_remedy_of_the_refusal_helps(tmp_path: Path, numbers):
     params = device.resistance.params()
     gain = loop_gain(params, least_residual_ohm(params, 120.0), device.limits.damping_ns_per_m)
     assert -0.9 <= gain < 0.0
+
+
+def test_guard_judges_the_device_as_the_compensation_keeps_it(tmp_path: Path):
+    """Not as cold and uncompensated as it starts: the winding 0.03 ohm above what is believed."""
+    read(tmp_path, WARMING)
+    settings = load(tmp_path / "hapticd.toml")
+    judged = guard_setup(settings, servo_params(settings, "x"), (0.0,) * 3, (1.0,) * 3).model
+    estimate = judged.states.index("velocity_estimate")
+    force = judged.states.index("motor_force")
+    # v_hat' = w_d (v + dR / K^2 F_a - v_hat)
+    per_n = judged.a0[estimate][force] / -judged.a0[estimate][estimate]
+    assert per_n * 1.65**2 == pytest.approx(0.03, rel=1e-9)
 
 
 def test_simulated_device_without_a_winding_that_warms_up_has_nothing_to_compensate(tmp_path: Path):

@@ -12,7 +12,7 @@ they are read back to the last bit).
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +26,11 @@ from hapticd.params import (
     OutputParams,
     ServoParams,
 )
-from hapticd.plant.effects import Effect
+from hapticd.plant.effects import Effect, Motor, WindingTemperature
 from hapticd.settings.build import device_effects, guard_params, rigid_effects
 from hapticd.settings.inputs import SETTINGS_BYTES, regular
 from hapticd.settings.load import Settings
+from hapticd.units import COPPER_PER_K
 
 AXES = ("K", "B", "M")  # as limits of a .zwidth file number them
 
@@ -70,7 +71,27 @@ def _hash(model: ModelParams) -> str:
 def _model(settings: Settings, rate_hz: float) -> ModelParams | None:
     device = settings.device
     effects = rigid_effects(device) or device_effects(device, settings.config.simulation.effects)
+    if device.resistance is not None:
+        effects = compensated(effects, device.resistance.tolerance_ohm)
     return model_params(device.name, effects, rate_hz) if effects else None
+
+
+def compensated(effects: tuple[Effect, ...], tolerance_ohm: float) -> tuple[Effect, ...]:
+    """`effects` with the winding as warm as leaves `tolerance_ohm` uncompensated, which is the
+    strongest that the servo lets damping and force become.
+
+    What is weaker by the same share of both is passive if this is, as far as the circuit is fast:
+    Re Z is linear in the share, and with neither of them it is the device's own damping.
+    """
+    cold = next((one.resistance_ohm for one in effects if isinstance(one, Motor)), None)
+
+    def warm(effect: Effect) -> Effect:
+        if not isinstance(effect, WindingTemperature) or cold is None:
+            return effect
+        kelvin = tolerance_ohm / (cold * COPPER_PER_K)
+        return replace(effect, temperature_c=effect.compensated_c + kelvin)
+
+    return tuple(warm(one) for one in effects)
 
 
 def model_params(name: str, effects: Iterable[Effect], rate_hz: float) -> ModelParams:
