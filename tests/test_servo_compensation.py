@@ -23,7 +23,13 @@ from hapticd.faults import BY_CODE
 from hapticd.link.device import SEED
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Value
-from hapticd.params import InjectionParams, ResistanceParams, ScaleParams
+from hapticd.params import (
+    HandParams,
+    InjectionParams,
+    ResistanceParams,
+    ScaleParams,
+    TouchParams,
+)
 from hapticd.servo.board_check import uncompensated
 from hapticd.servo.compensation import compensated
 from hapticd.servo.plan import (
@@ -141,6 +147,32 @@ def test_board_without_the_dac_gets_0_and_loses_what_theory_says():
         assert "has no resistance DAC" in stack.loop.board.report()["uncompensated"]
     assert set(ticks["resistance_count"]) == {0}
     assert {codec.decode_out(bytes(one)).resistance for one in ticks["out_frame"]} == {0}
+
+
+@pytest.mark.parametrize("reads_c", [80.0, -20.0])
+def test_sensor_that_breaks_in_flight_never_over_compensates_the_circuit(reads_c):
+    """4 N heat the winding; from 3 s on the sensor stands still, then the winding cools down. The
+    circuit's own ohm are looked at in the simulated board.
+    """
+    servo, board = device()
+    hand = HandParams("push", 0.5, 6.0, 4.0)
+    with LockStep(servo, replace(board, touch=TouchParams(hands=(hand,)))) as stack:
+        axis = stack.backend._port._axis
+        honest = stack.backend._port._celsius
+        stack.do(Command.SET, {Value.STIFFNESS: 600.0, Value.RAMP_S: 0.0})
+        stack.do(Command.DAMPING, {Value.ADDED_DAMPING: CEILING, Value.ADDED_DAMPING_ON: 1.0})
+        stack.do(Command.ENABLE)
+        gains = []
+        for step in range(200):
+            if step == 30:
+                stack.backend._port._celsius = lambda _state: reads_c
+            stack.run(100)
+            residual_ohm = copper(honest(axis.state)) - axis.believed_ohm
+            gains.append(CEILING * residual_ohm / 1.65**2)
+        assert stack.loop.state[SETTLED].plan.fault == 0
+    assert honest(axis.state) < 45.0
+    assert min(gains[:30]) > 0.0
+    assert min(gains) > (-0.3 if reads_c == 80.0 else 0.0)
 
 
 def test_count_that_is_recorded_is_the_one_on_the_wire_to_the_last_frame():
