@@ -3,6 +3,7 @@
 #   make run                start the daemon on the simulated board (ARGS="--rate-hz 2000" and other options of `hapticd run`)
 #   make test               format, lint, types, layers, tests: what continuous integration runs
 #   make mutate [ONLY=stop] put known defects back, one at a time, and see that a test fails for each; minutes
+#   make firmware [FIRMWARE=FOLDER] check the reference firmware, or sources of your own, against the simulated board; minutes
 #   make bench [ONLY=wake]  measure; results in build/bench.json
 #   make reproduce          the paper's figures and table in build/reproduction; with ARGS=--quick by prediction, in seconds, in
 #                           build/reproduction-quick
@@ -18,7 +19,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := run
-.PHONY: run test mutate bench reproduce reproduction-docs docs deps deps-run deps-test deps-bench pins clean
+.PHONY: run test mutate firmware bench reproduce reproduction-docs docs deps deps-run deps-test deps-bench pins clean
 
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -41,6 +42,9 @@ test: deps-test $(VENV)/test.stamp
 
 mutate: deps-test $(VENV)/test.stamp
 	$(BIN)/python tests/mutate.py $(ONLY)
+
+firmware: deps-test $(VENV)/test.stamp
+	$(BIN)/python tests/million_frames.py $(FIRMWARE)
 
 bench: deps-bench $(VENV)/test.stamp
 	ONLY="$(ONLY)" $(BIN)/python benchmarks/run.py

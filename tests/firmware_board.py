@@ -15,14 +15,12 @@ import ctypes
 from collections.abc import Callable
 from ctypes import CFUNCTYPE, POINTER, byref, c_bool, c_int16, c_uint8, c_uint16, c_uint32, c_void_p
 from dataclasses import dataclass
-from functools import cache
 from math import ceil, floor
 from pathlib import Path
 from random import Random
 from typing import Any
 
-import wire_header
-from programs import build_library
+from firmware_build import REFERENCE, load_firmware
 
 from hapticd.params import BoardParams
 from hapticd.plant.step import SUBSTEPS_PER_TICK, make_plant
@@ -31,12 +29,6 @@ from hapticd.sim.board import ADVANCE_MAX_NS, VENDOR_OUT, compensates, control_r
 from hapticd.units import NS_PER_S, NS_PER_US
 from hapticd.wire import codec, frames
 
-REFERENCE = wire_header.FOLDER / "reference"
-SOURCES = ("hapticd_board.c", "hapticd_probe.c")
-SHIM = Path(__file__).with_name("firmware_shim.c")
-WARNINGS = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Werror"]
-# the trap needs no library of the sanitizer in the process that loads it
-TRAP = ["-fsanitize=undefined", "-fsanitize-undefined-trap-on-error"]
 CLOCK_START_US = 2**32 - 1_000_000
 US_MASK = 0xFFFFFFFF
 STALL = -1
@@ -84,18 +76,6 @@ class Port(ctypes.Structure):
     """struct hapticd_port."""
 
     _fields_ = (("device", c_void_p), *PORT.items())
-
-
-@cache
-def load_firmware(folder: Path = REFERENCE) -> ctypes.CDLL:
-    """The firmware of `folder` as a library, every warning an error, undefined behaviour a trap."""
-    sources = [*(folder / name for name in SOURCES), SHIM]
-    includes = [f"-I{folder}", f"-I{wire_header.FOLDER}"]
-    library = ctypes.CDLL(str(build_library(sources, [*WARNINGS, *TRAP, "-O2", *includes])))
-    library.hapticd_board_wait_us.restype = c_uint32
-    for name in ("hapticd_board_boot", "hapticd_board_out", "hapticd_latch_due"):
-        getattr(library, name).restype = c_bool
-    return library
 
 
 def config_of(params: BoardParams) -> Config:

@@ -369,15 +369,17 @@ static void step(void)
     }
 }
 
-/* 72 minutes without an OUT that acts: the clock wraps, an age that is held does not begin anew. */
+/* The clock wraps once and a little more while nothing acts: an age that is held does not begin
+ * anew with it. */
 static void grow_old(void)
 {
     do
         boot();
     while (!board.fit);
     pass(100000, true);
-    for (unsigned i = 0; i < 72 * 60 * 50; i++)
-        pass(20000, false);
+    while (world.now_us < host.born_us + 0x100000000u - 30000)
+        pass(29000, false);
+    pass((uint32_t)(host.born_us + 0x100000000u + 30000 - world.now_us), false);
     struct hapticd_out out = {0};
     out.flags = HAPTICD_FLAG_ENABLE;
     out.crc = crc16((const uint8_t *)&out, sizeof out - sizeof out.crc);

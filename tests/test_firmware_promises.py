@@ -16,6 +16,7 @@ import test_servo_end
 import test_sim_axis
 import test_sim_board
 from firmware_board import FirmwareBoard
+from firmware_trial import fig7_trial
 from test_force_path import (
     test_a_restarted_board_is_another_life,
     test_an_emergency_stop_that_no_frame_tells_of_brings_no_force_back_at_once,
@@ -64,13 +65,7 @@ from test_sim_board import (
     test_whole_good_frame_is_the_counterexample,
 )
 
-from hapticd.assembly.lockstep import scene_params
-from hapticd.settings.scene import load_scene
 from hapticd.sim.board import BoardModel
-from hapticd.zwidth.live import daemon_source
-from hapticd.zwidth.lockstep import LockStepBench
-from hapticd.zwidth.sources import Trial
-from hapticd.zwidth.trial import TrialParams, TrialResult, plan_trial, run_trial
 
 SAFETY = (Path(__file__).parents[1] / "docs" / "safety.md").read_text()
 # rows of what the board promises, alone or with another
@@ -92,21 +87,12 @@ def test_every_promise_of_the_board_is_asked_of_the_firmware() -> None:
     assert [test for test in PROMISED if test not in globals()] == []
 
 
-def flown(board: type, seconds: float = SECONDS) -> TrialResult:
-    """A trial of the calibrated display of fig. 7, by the whole stack in lock-step."""
-    trial = Trial((50.0, 2.0, 0.0), 1.74, seconds=seconds)
-    plan = plan_trial(TrialParams(trial, load_scene("fig7")))
-    with LockStepBench(*scene_params("fig7")) as bench:
-        assert isinstance(bench.stack.backend._port, board)
-        return run_trial(plan, daemon_source(bench))
-
-
 def test_a_trial_with_the_firmware_is_the_trial_with_the_simulated_board(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    one = flown(FirmwareBoard)
+    one = fig7_trial(FirmwareBoard, SECONDS)
     monkeypatch.undo()
-    other = flown(BoardModel)
+    other = fig7_trial(BoardModel, SECONDS)
     assert one.verdict == other.verdict
     assert one.recorded.seconds == SECONDS
     assert np.array_equal(one.recorded.force_n, other.recorded.force_n)

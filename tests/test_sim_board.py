@@ -300,7 +300,7 @@ def test_host_sets_the_phase_at_which_frames_are_latched():
     phase = int(Request.SAMPLE_PHASE)
     assert board.control(0x40, phase, 500, 0) == b""
     assert exchange(board, 0).board_time_us == 500
-    assert board.control(0x40, phase, 1063, 0) is None
+    assert board.control(0x40, phase, 1001, 0) is None
     board.power_up()
     assert exchange(board, 0).board_time_us == 875
 

@@ -210,10 +210,10 @@ class BoardModel:
 
     def _set_phase(self, phase_us: int) -> bytes | None:
         """Latch each IN `phase_us` after its OUT from now on; refused beyond the period."""
-        substeps = floor(phase_us * NS_PER_US / self._substep_ns + 0.5)
+        substeps = phase_us * NS_PER_US / self._substep_ns
         if substeps > SUBSTEPS_PER_TICK:
             return None
-        self._phase = substeps
+        self._phase = floor(substeps + 0.5)
         return b""
 
     def trip(self, faults: int) -> None:

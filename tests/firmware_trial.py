@@ -1,0 +1,19 @@
+"""One trial by the whole stack in lock-step, on whatever board the simulation is given."""
+
+from hapticd.assembly.lockstep import scene_params
+from hapticd.settings.scene import load_scene
+from hapticd.zwidth.live import daemon_source
+from hapticd.zwidth.lockstep import LockStepBench
+from hapticd.zwidth.sources import Trial
+from hapticd.zwidth.trial import TrialParams, TrialResult, plan_trial, run_trial
+
+
+def fig7_trial(board: type, seconds: float) -> TrialResult:
+    """A trial of the calibrated display of fig. 7, damped; AssertionError if it runs on another
+    kind of board than `board`.
+    """
+    trial = Trial((50.0, 2.0, 0.0), 1.74, seconds=seconds)
+    plan = plan_trial(TrialParams(trial, load_scene("fig7")))
+    with LockStepBench(*scene_params("fig7")) as bench:
+        assert isinstance(bench.stack.backend._port, board)
+        return run_trial(plan, daemon_source(bench))
