@@ -332,6 +332,16 @@ def test_current_that_saturates_is_no_current():
     assert not lows
 
 
+def test_what_is_known_gets_old():
+    """At 3 s the current sensor stays at its end; 4 s later nothing is known any more."""
+    servo, records = flown(ticks=8000, shaken_ticks=8000)
+    current = records["current_a"].copy()
+    current[3000:] = 32767 * servo.device.current.per_count
+    stuck = changed(records, current_a=current)
+    assert holds(followed(servo, stuck[:3000])[0], circuit(LEVEL))
+    assert followed(servo, stuck)[0].estimate_ns_per_m is None
+
+
 def test_lost_frames_and_gaps_in_the_records_are_left_out():
     losses = tuple(InjectionParams(kind, probability=0.01) for kind in ("drop_in", "drop_out"))
     servo, records = flown(ticks=6000, shaken_ticks=6000, injections=losses)

@@ -23,12 +23,13 @@ device file knows R. `basis` says which it was.
 
 Means over 8 periods: the encoder's difference is the exact mean velocity, Simpson's rule gives the
 other means (error (2 pi f T)^4 / 180). Whatever the motion does not tell is bounded by what is
-known beforehand: a is 1 +- 0.5, q at most some 30 % of the damping, the circuit's lag tau 0.15 +-
-0.15 ms, each as one standard deviation. The last 4 s are kept in 16 blocks as sums of products; the
-interval is Student's (95 %) of the estimates without each block in turn (jackknife: Quenouille
-1956, Tukey 1958), widened by those bounds, by what the encoder's counts take from a slope, and by
-3 % for the calibration of current and force. An interval wider than +- 25 % of what is commanded is
-`unknown`: the handle rests, or moves so that force and velocity cannot be told apart.
+known beforehand: a is 1 +- 0.5, b q 0 +- 0.15, tau 0.15 +- 0.15 ms and the amplifier's lag 0.05 +-
+0.05 ms, each as one standard deviation; and 0.5 % of the variation of what is fitted is error of
+the equations, which no number of samples averages. The last 4 s are kept in 16 blocks as sums of
+products; the interval is Student's (95 %) of the estimates without each block in turn (jackknife:
+Quenouille 1956, Tukey 1958), widened by those bounds, by what the encoder's counts take from a
+slope, and by 3 % for the calibration of current and force. An interval wider than +- 25 % of what
+is commanded is `unknown`: the handle rests, or force and velocity cannot be told apart.
 
 What would break it: a damping circuit much slower than 0.3 ms, records that are not consecutive
 without `forget`, a scale of current or position that is wrong (it is wrong by as much).
@@ -123,6 +124,9 @@ class Block(NamedTuple):
     coarse: Floats  # of means
 
 
+NO_BLOCK = Block(np.zeros((COLUMNS, COLUMNS)), np.zeros((COLUMNS, COLUMNS)))
+
+
 class Path(NamedTuple):
     """The commanded force as it arrives at the circuit, at each sample (n,)."""
 
@@ -194,8 +198,8 @@ class Delivered:
         block = self._sums(seen, len(seen) - len(records)) if self._steady(records) else None
         if block is None:
             self._unsettle()
-        elif block.coarse[ONE, ONE]:
-            self._blocks.append(block)
+        # what tells nothing takes its place too: what is known gets old
+        self._blocks.append(block or NO_BLOCK)
         winding_c = float(records["winding_c"][-1])
         self.estimate = estimate(self._blocks, self._servo, commanded, winding_c)
         return self._judged()
@@ -343,10 +347,11 @@ def estimate(
 ) -> Estimate:
     """What `blocks` say is delivered, with `commanded` [N s/m] in force."""
     nothing = NOTHING._replace(commanded=commanded)
-    if len(blocks) < LEAST:
+    telling = [block for block in blocks if block.coarse[ONE, ONE]]
+    if len(telling) < LEAST:
         return nothing._replace(basis=TOO_LITTLE)
-    fine = _with_and_without([block.fine for block in blocks])
-    coarse = _with_and_without([block.coarse for block in blocks])
+    fine = _with_and_without([block.fine for block in telling])
+    coarse = _with_and_without([block.coarse for block in telling])
     seconds = float(coarse[0, ONE, ONE]) * WINDOW / servo.realtime.rate_hz
     try:
         slope = _slope(fine, coarse, servo, max(commanded, LEAST_NS_PER_M), winding_c)
