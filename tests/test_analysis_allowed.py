@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from guard_device import VISCOUS_NS_PER_M, change, rigid, rigid_judge, shipped_judge
+from guard_device import VISCOUS_NS_PER_M, change, rigid, rigid_judge, setup_of, shipped_judge
 
 from hapticd.analysis.allowed import (
     LEVELS,
@@ -22,6 +22,7 @@ from hapticd.analysis.theorem import (
     required_damping,
     within,
 )
+from hapticd.analysis.transition import Judge
 from hapticd.params import WallParams
 from hapticd.plant.compose import compose
 from hapticd.zwidth.scenes import device_scene
@@ -136,6 +137,18 @@ def test_allowed_ends_are_safe_and_a_step_beyond_is_not() -> None:
             assert change(judge, now | {name: end})["verdict"]["safe"]
             if name != "K" or out > 0.0:
                 assert not change(judge, now | {name: out})["verdict"]["safe"]
+
+
+def test_a_safe_display_has_an_interval_for_each() -> None:
+    """Also at rest and free, where the loop drifts and an end of B is an eigenvalue of 1 twice."""
+    for added in (0.0, 1.74, 10.0):
+        judge = Judge(setup_of(rigid(0.36, 0.125)))
+        allowed = change(judge, {}, now={"damping": added})["verdict"]["allowed"]
+        low, high = allowed["B"]
+        assert low == pytest.approx(-0.36 - added, rel=1e-2)
+        assert low < 0.0 < high
+        assert allowed["M"] is not None
+        assert allowed["K"][0] == 0.0
 
 
 def test_nearest_safe_interval_of_a_point_that_is_not() -> None:

@@ -197,3 +197,10 @@ def test_negative_stiffness_satisfies_neither_equation_2_nor_the_lifted_requirem
         paper_equation_2(-34.0, 0.0, 1.0)
     points = [[-34.0, -0.86, 0.0048], [0.0, 0.0, 0.0]]
     assert lifted_passive(lift(rigid()), points).tolist() == [False, True]
+
+
+@pytest.mark.parametrize("viscous", [0.3, 10.0, 1e5])
+def test_margin_without_a_law_is_the_damping_of_the_device(viscous: float) -> None:
+    """However little is between the ends of the search, it ends."""
+    lifted = lift(rigid(viscous=viscous))
+    assert lifted_margin(lifted, [(0.0, 0.0, 0.0)])[0] == pytest.approx(viscous)

@@ -146,6 +146,27 @@ def test_enable_waits_for_damping_that_is_asked_but_not_reported() -> None:
     assert answer["stages"][0]["damping_at_least"] == pytest.approx(LEVEL, abs=2e-4)
 
 
+def test_enable_in_mode_auto_asks_for_damping_first() -> None:
+    now = {"K": 150.0, "B": 1.0}
+    answer = change(shipped_judge(), {}, enable=True, state="disabled", now=now, mode="auto")
+    assert answer["action"] == "stage"
+    first, second = answer["stages"]
+    assert first["change"]["damping"] > 0.0
+    assert first["damping_at_least"] is None
+    assert second["change"] == {}
+    assert second["damping_at_least"] == pytest.approx(first["change"]["damping"], abs=2e-4)
+
+
+def test_a_gain_that_still_rises_spans_a_patch_with_the_change() -> None:
+    """B at a tenth of its gain does not carry a K that is there in full."""
+    judge = rigid_judge(0.5)
+    now = {"K": 500.0, "B": -0.3, "M": 0.05}
+    whole = change(judge, {"K": 600.0}, now=now)
+    part = change(judge, {"K": 600.0}, now=now, gain=0.1)
+    assert whole["verdict"]["path_points"] == POINTS
+    assert part["verdict"]["path_points"] == 16  # four by four
+
+
 def test_scheduled_changes_before_and_after_are_judged() -> None:
     judge = shipped_judge()
     before = change(judge, {"B": 0.9}, before=[{"K": 60.0}])

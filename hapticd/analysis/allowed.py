@@ -53,6 +53,8 @@ LEVELS = 16
 _KEPT = 4 * LEVELS  # of lifts, circles and ticks: levels, some delays, filters
 _GRID = 40  # distances at which an axis is looked at, on either side
 _FINER = 9  # values between the last that holds and the first that does not, three times
+_INSIDE = 1e-3  # of an interval: as far inside of its ends as may be needed to be sure
+NONE = np.zeros(0)
 _SLACK = 1e-9  # N s/m: a margin equal to what is asked for is enough
 
 
@@ -100,7 +102,7 @@ class Theorem:
 
     def __init__(self, model: Model) -> None:
         self.model = model
-        self._opened: Callable[[float], Opened] = lru_cache(LEVELS + 4)(self._open)
+        self._opened: Callable[[float], Opened] = lru_cache(LEVELS + 8)(self._open)
         self._lifted: Callable[[float, Filters, float], Lift] = lru_cache(_KEPT)(self._lift)
         self._circles: Callable[[Conditions], Circles] = lru_cache(_KEPT)(self._draw)
         self._read: Callable[[Point, Conditions], Reading] = lru_cache(_KEPT)(self._look)
@@ -380,19 +382,29 @@ def intervals(
         if not open_axes:
             break
         ends = _refined(safe, grids, {axis: runs[axis] for axis in open_axes})
-        checks = [
-            np.array([*ends[axis], 0.5 * sum(ends[axis])]) if axis in ends else np.zeros(0)
-            for axis in range(len(grids))
-        ]
+        checks = [_checks(*ends[axis]) if axis in ends else NONE for axis in range(len(grids))]
         sure = safe(checks, True)
         for axis in open_axes:
-            if sure[axis].all():
-                found[axis] = ends[axis]
-            else:
-                first, last = runs[axis] or (0, 0)
-                hopes[axis][first : last + 1] = False
+            found[axis] = _sure(checks[axis], sure[axis])
+            first, last = runs[axis] or (0, 0)
+            hopes[axis][first : last + 1] = False
         open_axes = [axis for axis in open_axes if found[axis] is None]
     return found
+
+
+def _checks(start: float, end: float) -> Floats:
+    """Where an interval is made sure of: at its middle, and at each end or a little inside, for at
+    the edge itself rounding decides.
+    """
+    return start + (end - start) * np.array([0.0, _INSIDE, 0.5, 1.0 - _INSIDE, 1.0])
+
+
+def _sure(values: Floats, flags: Flags) -> list[float] | None:
+    """What is sure of an interval that was looked at in five places; None if nothing is."""
+    first, near, middle, far, last = flags.tolist()
+    if not (middle and (first or near) and (far or last)):
+        return None
+    return [float(values[0] if first else values[1]), float(values[4] if last else values[3])]
 
 
 def _grid(low: float, high: float, at: float) -> Floats:
@@ -429,10 +441,7 @@ def _refined(
         between = {
             axis: np.linspace(inside[axis], outside[axis], _FINER + 2)[1:-1] for axis in inside
         }
-        asked = [
-            between[axis].T.ravel() if axis in between else np.zeros(0)
-            for axis in range(len(grids))
-        ]
+        asked = [between[axis].T.ravel() if axis in between else NONE for axis in range(len(grids))]
         flags = safe(asked, False)
         for axis in inside:
             for end in (0, 1):

@@ -299,7 +299,9 @@ def _spare(lifted: Lift, gain: Complexes) -> tuple[float, int]:
     angles = np.arange(gain.size)
     worst = int(np.argmin(lifted.resistance.min(axis=1)))
     falling = True
-    while high - low > span * 2.0**-_HALVINGS:
+    for _ in range(_FOURFOLD + _HALVINGS):
+        if high - low <= span * 2.0**-_HALVINGS:
+            break
         middle = high - down if falling else 0.5 * (low + high)
         down *= 4.0
         positive = _positive(lifted, gain, middle, angles)

@@ -126,7 +126,7 @@ class Judge:
         judgement, unknown = self._judgement(request)
         target = self.display(request["target"])
         if judgement is None:
-            nothing = {"margin_ns_per_m": None, "allowed": None}
+            nothing: dict[str, Any] = {"margin_ns_per_m": None, "allowed": {}}
             return {
                 "verdict": self.verdict(None, target, "", unknown, []),
                 "without_damping": nothing,
@@ -268,7 +268,7 @@ def _of_nothing() -> dict[str, Any]:
         **_NOTHING._asdict(),
         "contact": None,
         "delay_periods": None,
-        "allowed": None,
+        "allowed": {},
         "least_damping_ns_per_m": None,
     }
 
@@ -284,7 +284,8 @@ class _Asked:
     def __init__(self, judge: Judge, request: Mapping[str, Any]) -> None:
         self.judge = judge
         self.policy: str = request["policy"]
-        gain = float(request.get("gain", 1.0))  # while an enable is still coming up
+        # while an enable still comes up only a part of the display acts
+        gain = float(request.get("gain", 1.0)) if request["state"] == "enabled" else 1.0
         self.now = judge.display(request["now"]).scaled(gain)
         self.target = judge.display(request["target"])
         for one in request["before"]:

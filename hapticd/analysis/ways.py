@@ -171,13 +171,17 @@ class Ways:
         return max(0.0, level - self.request.count_ns_per_m)
 
     def _enabling(self, waits: bool) -> Plan:
+        """Force comes on at once, or once the damping that is asked for is in effect."""
         end = self.request.wanted
-        in_effect = self.request.now.added_ns_per_m
-        start = end if waits else end._replace(added_ns_per_m=in_effect)
-        stages = [Stage(fields_of(self.request.change, end))]
-        if waits:
-            stages = _waiting(stages, self._reported(end.added_ns_per_m))
-        return Plan(stages, [Leg(start, start, end, gain=True)], end)
+        change = fields_of(self.request.change, end)
+        if not waits:
+            start = end._replace(added_ns_per_m=self.request.now.added_ns_per_m)
+            return Plan([Stage(change)], [Leg(start, start, end, gain=True)], end)
+        level = self._reported(end.added_ns_per_m)
+        stages = [Stage(change)] if change else []
+        return Plan(
+            [*stages, Stage({}, damping_at_least=level)], [Leg(end, end, end, gain=True)], end
+        )
 
 
 def _waiting(stages: list[Stage], level: float) -> list[Stage]:

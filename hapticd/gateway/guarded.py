@@ -332,6 +332,7 @@ class Guarded:
                 "now": guard.now(),
                 "target": guard.target(),
                 "state": self._view.state_name,
+                "gain": float(self._view.record["gain"]),
                 "enable": isinstance(case.request, Enable),
                 "change": change_of(case.request, guard.level),
                 "before": before,
