@@ -21,7 +21,14 @@ from hapticd.faults import BY_CODE
 from hapticd.gateway.delivered import Delivered, Estimate, Low
 from hapticd.gateway.view import Records, as_records
 from hapticd.mailbox.layout import Command, State, Value
-from hapticd.params import BoardParams, HandParams, InjectionParams, ServoParams, TouchParams
+from hapticd.params import (
+    BoardParams,
+    HandParams,
+    InjectionParams,
+    RealtimeParams,
+    ServoParams,
+    TouchParams,
+)
 
 LEVEL = 1.74
 GAIN = 1.0 + 0.05820105820105820  # of the multiplier of weir2008
@@ -402,16 +409,19 @@ def test_only_torque_that_is_granted_counts(off):
         assert found.estimate_ns_per_m is None
 
 
-def test_rigid_device_delivers_what_is_commanded():
-    """Without smoothing and without lag."""
+@pytest.mark.parametrize("rate_hz", [500.0, 1000.0, 2000.0])
+def test_rigid_device_delivers_what_is_commanded_at_every_rate(rate_hz):
+    """Without smoothing and without lag; seconds are seconds."""
     motor = device_params(motor_n_per_a=board_params().torque_constant_n_per_a)
-    servo = servo_params(device=motor)
-    with LockStep(servo, board_params(emf_velocity_m_per_s_per_count=1.0 / 32767)) as stack:
+    servo = servo_params(device=motor, realtime=RealtimeParams(rate_hz=rate_hz, mode="off"))
+    board = board_params(rate_hz=rate_hz, emf_velocity_m_per_s_per_count=1.0 / 32767)
+    with LockStep(servo, board) as stack:
         begun(stack, DISPLAY, 1.0)
-        shaken(stack, 1, 0.21, 3000)
-        stack.run(3000)
+        shaken(stack, 1, 0.21, 6000)
+        stack.run(round(6 * rate_hz))
         found, lows = followed(servo, as_records(b"".join(stack.blocks)))
     assert holds(found, 1.0)
+    assert found.seconds == pytest.approx(4.0, rel=0.1)
     assert not lows
 
 

@@ -55,7 +55,7 @@ from hapticd.wire.frames import StatusBit
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-BLOCK = 256  # records
+BLOCK_S = 0.256
 KEPT = 16  # blocks
 LEAST = 8  # blocks from which an estimate is made
 WINDOW = 8  # periods over which means are taken
@@ -146,6 +146,7 @@ class Delivered:
     def __init__(self, servo: ServoParams, relied_on: Callable[[], float | None]) -> None:
         self._servo = servo
         self._relied_on = relied_on
+        self._length = round(BLOCK_S * servo.realtime.rate_hz)  # of a block, in records
         self.begin()
 
     def begin(self) -> None:
@@ -175,13 +176,13 @@ class Delivered:
         """The next `records`; what is to be said about them."""
         self._pending.append(records)
         self._count += len(records)
-        if self._count < BLOCK:
+        if self._count < self._length:
             return []
         new = np.concatenate(self._pending)
-        whole = len(new) - len(new) % BLOCK
+        whole = len(new) - len(new) % self._length
         self._pending = [new[whole:]]
         self._count = len(new) - whole
-        parts = np.split(new[:whole], range(BLOCK, whole, BLOCK))
+        parts = np.split(new[:whole], range(self._length, whole, self._length))
         return [low for part in parts for low in self._block(part)]
 
     def plain(self) -> dict[str, Any]:
