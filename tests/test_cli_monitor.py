@@ -23,6 +23,19 @@ from hapticd.units import NS_PER_MS, NS_PER_S
 DELIVERED = {"estimate_ns_per_m": 1.7, "low": 1.6, "high": 1.8, "commanded": 1.74}
 
 
+GUARD = {
+    "policy": "warn",
+    "basis": "theorem",
+    "margin_ns_per_m": 0.0,
+    "mode": "level",
+    "measuring": False,
+    "delay_periods": 0.125,
+    "worker": "up",
+    "trouble": "",
+    "verdict": {"safe": False, "text": "0.9 N s/m short at 112 Hz"},
+}
+
+
 def records(count: int, first: int = 0, **fields: Any) -> Any:
     block = np.zeros(count, np.dtype([tuple(field) for field in TELEMETRY]))  # type: ignore[arg-type]
     block["tick"] = np.arange(first, first + count)
@@ -134,7 +147,7 @@ class StreamDouble:
         return {}
 
     def status(self) -> dict[str, Any]:
-        return {"delivered_damping": DELIVERED}
+        return {"delivered_damping": DELIVERED, "guard": GUARD}
 
     def stream(self) -> Iterator[Any]:
         for block in self._script:
@@ -181,6 +194,7 @@ def test_json_lines_follow_data_and_silence(
     assert [line["state"] for line in lines[:4]] == ["enabled"] * 4
     assert lines[0]["force_n"] == 0.5
     assert lines[0]["delivered_damping"] == DELIVERED
+    assert lines[0]["guard"] == GUARD
     assert lines[4] == {"state": "no_data", "simulated": True, "silent_s": 0.5}
     assert "stopped" not in {line["state"] for line in lines[4:6]}
 
@@ -209,6 +223,15 @@ def test_screen_shows_what_is_delivered_beside_what_is_commanded(
         one for one in drawn(history, True, 0.0).splitlines() if one.startswith("active damping")
     ]
     assert words in line
+
+
+def test_screen_shows_policy_and_verdict() -> None:
+    history = History()
+    history.add(records(20))
+    assert "guard: unknown" in drawn(history, True, 0.0)
+    history.guard = GUARD
+    (line,) = [one for one in drawn(history, True, 0.0).splitlines() if one.startswith("guard")]
+    assert line.startswith("guard: warn, by theorem; damping level; delay 0.125 periods; 0.9 N s/m")
 
 
 def test_new_servo_life_begins_a_new_history(

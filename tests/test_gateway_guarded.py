@@ -566,6 +566,74 @@ def test_auto_chooses_anew_by_itself(rig: DeskRig, worker: StubWorker) -> None:
     assert len(rig.servo.taken) == taken  # nothing is posted while nothing changes
 
 
+# --- looks ----------------------------------------------------------------------------------------
+
+
+def looking(rig: DeskRig, wanted: bool = True) -> list[dict[str, Any]]:
+    """What the topic `guard` says within the next second."""
+    told = []
+    for _ in range(100):
+        rig.run(10)
+        told += rig.guard.messages(rig.clock.now_ns(), 0, wanted)
+    return told
+
+
+def looked(request: dict[str, Any], safe: bool = True) -> dict[str, Any]:
+    """An answer to a look."""
+    more = {"margin_ns_per_m": 0.2, "allowed": {"K": [0.0, 90.0]}}
+    seen = {"without_damping": more, "with_damping": {"level": request["level_on"], **more}}
+    return {"verdict": verdict(safe, "as it is"), **seen}
+
+
+def test_topic_tells_twice_a_second_with_and_without_damping(
+    rig: DeskRig, worker: StubWorker
+) -> None:
+    worker.script = lambda asked: looked(asked) if asked["ask"] == "look" else applies(asked)
+    rig.ask(cmd="set", K=30, damping=1.0)
+    told = looking(rig)
+    assert len(told) >= 2
+    second = told[-1]
+    assert second["verdict"]["text"] == "as it is"
+    assert second["with_damping"]["level"] == 1.0
+    assert second["without_damping"]["allowed"] == {"K": [0.0, 90.0]}
+    assert (second["policy"], second["mode"], second["worker"]) == ("warn", "level", "up")
+    assert worker.asked[-1]["target"]["K"] == 30
+
+
+def test_nobody_is_asked_again_and_again_while_nobody_listens(
+    rig: DeskRig, worker: StubWorker
+) -> None:
+    worker.script = lambda asked: looked(asked) if asked["ask"] == "look" else applies(asked)
+    assert looking(rig, wanted=False) == []
+    looking(rig, wanted=False)
+    assert len(worker.asked) == 1
+    rig.ask(cmd="set", K=30)
+    looking(rig, wanted=False)
+    assert [one["ask"] for one in worker.asked] == ["look", "change", "look"]
+    assert rig.ask(cmd="guard")["result"]["verdict"]["text"] == "as it is"
+
+
+def test_topic_says_unknown_without_a_worker(tmp_path: Path) -> None:
+    told = looking(DeskRig(tmp_path))
+    assert told[-1]["verdict"]["safe"] is None
+    assert told[-1]["worker"] == "none"
+
+
+def test_environment_that_is_passive_no_more_is_warned_about(
+    rig: DeskRig, worker: StubWorker
+) -> None:
+    """The delay has grown, and nobody asked for anything."""
+    safe = [True]
+    worker.script = lambda asked: looked(asked, safe[0])
+    looking(rig)
+    safe[0] = False
+    looking(rig)
+    looking(rig)
+    warnings = [event for event in rig.journal.drain() if event["kind"] == "warning"]
+    assert len(warnings) == 1
+    assert "not known to be passive any more: as it is" in warnings[0]["text"]
+
+
 # --- gateway restart ------------------------------------------------------------------------------
 
 

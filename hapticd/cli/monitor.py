@@ -128,7 +128,9 @@ def watch(instance: str, seconds: float | None, show: Show) -> None:
                 history.add(block.records)
                 if now_ns - asked_ns >= ASK_NS:
                     asked_ns = now_ns
-                    history.delivered = _delivered(client)
+                    status = _status(client)
+                    history.delivered = status.get("delivered_damping", {})
+                    history.guard = status.get("guard", {})
             if now_ns - shown_ns >= REDRAW_NS:
                 shown_ns = now_ns
                 show(history, simulated, (now_ns - newest_ns) / NS_PER_S)
@@ -148,13 +150,12 @@ def _blocks(client: "Client") -> "Generator[Block | None, None, None]":
             yield None
 
 
-def _delivered(client: "Client") -> dict[str, Any]:
-    """What is delivered of the active damping; nothing where nobody says it."""
+def _status(client: "Client") -> dict[str, Any]:
+    """What no record holds; nothing where nobody says it."""
     try:
-        found: dict[str, Any] = client.status().get("delivered_damping", {})
+        return client.status()
     except DaemonDown:
         return {}
-    return found
 
 
 def _press_stop(instance: str) -> None:
@@ -184,6 +185,7 @@ def _newest(history: "History", simulated: bool | None, silent_s: float) -> dict
         **{name: newest[name].item() for name in NEWEST},
         "wake_us": newest["wake_ns"] / 1e3,
         "delivered_damping": history.delivered,
+        "guard": history.guard,
     }
 
 

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from rich.console import Group, RenderableType
 from rich.text import Text
 
+from hapticd.cli.guard import guard_line, margin_words
 from hapticd.cli.terminal import SIMULATED_BANNER
 from hapticd.faults import BY_NUMBER
 from hapticd.mailbox.layout import State, Watched
@@ -74,7 +75,7 @@ LAMPS = {
     State.HOMING: "black on yellow",
 }
 TRIPPED = "bold white on red"
-HEAD_LINES = 12
+HEAD_LINES = 13
 MOST_HEIGHT = 8
 CHARTS = (  # title, unit, field, factor, whether the chart begins at 0
     ("position", "mm", "position_m", 1e3, False),
@@ -91,6 +92,7 @@ class History:
     def __init__(self) -> None:
         self.length = 1  # records in SHOWN_S
         self.delivered: dict[str, Any] = {}  # `delivered_damping` of the newest state
+        self.guard: dict[str, Any] = {}  # `guard` of the newest status
         self._blocks: deque[Any] = deque()
         self._count = 0
 
@@ -127,6 +129,7 @@ def screen(
     ]
     height = min(MOST_HEIGHT, max(1, (lines - HEAD_LINES) // len(CHARTS) - 1))
     if fresh:
+        parts.append(_guard(history.guard))
         parts.append(_states(history, width - 1))
         for title, unit, field, factor, from_zero in CHARTS:
             values = factor * history.column(field)
@@ -173,6 +176,17 @@ def _leased(newest: Any) -> str:
     holders = {"environment": newest["lease_control"], "damping": newest["lease_damping"]}
     found = [f"{part} by actor {int(actor)}" for part, actor in holders.items() if actor]
     return f"  leased: {', '.join(found)}" if found else ""
+
+
+def _guard(found: dict[str, Any]) -> Text:
+    """What the guard knows of the environment in force, in red where it is not passive."""
+    if not found:
+        return Text("guard: unknown", no_wrap=True)
+    verdict = found["verdict"] or {}
+    safe = verdict.get("safe")
+    colour = "yellow" if safe is None else "green" if safe else "bold red"
+    text = f"guard: {guard_line(found)}; {margin_words(found)}"
+    return Text(text, colour, no_wrap=True)
 
 
 def _delivered(found: dict[str, Any]) -> str:

@@ -176,8 +176,9 @@ class Guard:
         self.margin_ns_per_m = given.get("margin_ns_per_m", self.margin_ns_per_m)
         if given.keys() & {"policy", "basis", "margin_ns_per_m"}:
             self.changes += 1
-            self._looked = {}
             self._looked_at = ()
+        if given.keys() & {"basis", "margin_ns_per_m"}:
+            self._looked = {}
 
     def summary(self) -> dict[str, Any]:
         """What `status` and the command `guard` tell."""
@@ -320,12 +321,21 @@ class Guard:
             self._awaited.discard(number)
             self._answers[number] = answer
         elif self._look and number == self._look[0]:
-            self._looked = answer if isinstance(answer.get("verdict"), dict) else {}
-            self._looked_at = self._look[1]
+            self._take_look(answer, self._look[1])
             self._look = None
         elif self._hand and number == self._hand[0]:
             self._tell_hand(self._hand[1], answer.get("hand"))
             self._hand = None
+
+    def _take_look(self, answer: dict[str, Any], about: tuple[Any, ...]) -> None:
+        before = self._looked.get("verdict", {}).get("safe")
+        same = about[:2] == self._looked_at[:2]
+        self._looked = answer if isinstance(answer.get("verdict"), dict) else {}
+        self._looked_at = about
+        verdict = self._looked.get("verdict", {})
+        if same and before and verdict.get("safe") is False and self.policy != "off":
+            text = f"what is in force is not known to be passive any more: {verdict.get('text')}"
+            self._journal.note("warning", text=text)
 
     def _expire(self, now_ns: int) -> None:
         if self._worker and now_ns - min(self._unanswered.values(), default=now_ns) >= HANG_NS:
