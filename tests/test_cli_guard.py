@@ -134,7 +134,8 @@ def test_measuring_is_shown() -> None:
 
 @pytest.fixture
 def daemon(runtime: Path) -> Iterator[Daemon]:
-    with Daemon(runtime) as daemon:
+    """With the rights that it gets, for without them a busy machine has delays of many periods."""
+    with Daemon(runtime, settings="") as daemon:
         yield daemon
 
 

@@ -38,11 +38,13 @@ def until(condition: Callable[[], Any], what: str) -> Any:
 class Daemon:
     """`hapticd run` of an instance of its own, and what can be seen of it."""
 
-    def __init__(self, runtime: Path, ignore_interrupt: bool = False) -> None:
+    def __init__(
+        self, runtime: Path, ignore_interrupt: bool = False, settings: str = QUIET
+    ) -> None:
         self.instance = f"test-{os.getpid()}"
         self.folder = runtime / "hapticd" / f"instance-{self.instance}"
         config = runtime / "hapticd.toml"
-        config.write_text(QUIET)
+        config.write_text(settings)
         self.log = runtime / "log"
         self.seen: set[int] = set()
         command = [

@@ -188,16 +188,51 @@ def test_no_verdict_within_half_a_second_refuses(rig: DeskRig, worker: StubWorke
     assert rig.servo.taken == []
 
 
-def test_worker_that_answers_nothing_for_five_seconds_is_ended(
+def test_worker_that_answers_nothing_for_ten_seconds_is_ended(
     rig: DeskRig, worker: StubWorker
 ) -> None:
     """Not at once: one that sees a delay for the first time takes long, and keeps what it found."""
     worker.silent = True
     rig.send(packed(cmd="set", K=100))
-    later(rig, 5000)
+    later(rig, 10_000)
     assert worker.given_up == []
     later(rig, 5)
-    assert worker.given_up == ["no answer within 5 s"]
+    assert worker.given_up == ["no answer within 10 s"]
+    assert len(worker.asked) == 1
+
+
+def test_worker_that_still_computes_is_not_asked_more(rig: DeskRig, worker: StubWorker) -> None:
+    """What nobody waits for any more would only be computed before what somebody waits for."""
+    worker.silent = True
+    for number in range(3):
+        rig.send(packed(cmd="set", K=number))
+        later(rig, 510)
+    (first,) = worker.changes
+    rig.send(packed(cmd="set", K=7))
+    later(rig, 100)
+    worker.silent = False
+    worker.said.append({**applies(first), "n": first["n"]})
+    (reply,) = later(rig)
+    assert (reply["receipt"]["effective"]["K"], reply["guard"]["safe"]) == (7, True)
+
+
+def test_delay_counts_once_the_worker_has_looked_at_it(rig: DeskRig, worker: StubWorker) -> None:
+    worker.script = lambda asked: looked(asked) if asked["ask"] == "look" else applies(asked)
+    rig.guard.delay.periods = 0.25
+    looking(rig)
+    rig.guard.delay.periods = 0.5
+    rig.ask(cmd="set", K=1)
+    assert worker.changes[-1]["delay_periods"] == 0.25
+    looking(rig)
+    assert worker.asked[-1]["delay_periods"] == 0.5
+    rig.ask(cmd="set", K=2)
+    assert worker.changes[-1]["delay_periods"] == 0.5
+    worker.script = applies  # it answers no more looks
+    rig.guard.delay.periods = 0.75
+    rig.run(2)
+    rig.run(5100)
+    rig.ask(cmd="set", K=3)
+    assert worker.changes[-1]["delay_periods"] == 0.75
 
 
 def test_no_verdict_within_half_a_second_goes_on_under_warn(
@@ -364,6 +399,7 @@ def test_servo_restart_ends_what_waits(rig: DeskRig, worker: StubWorker, tmp_pat
     assert {reply["error"]["code"] for reply in replies} == {"servo_down"}
     assert {reply["id"] for reply in replies} == {1, 2}
     worker.silent = False
+    worker.said += [{**applies(one), "n": one["n"]} for one in worker.changes]
     assert rig.ask(cmd="set", K=2)["ok"]
     assert rig.servo.taken == [(Command.SET, 16)]
 

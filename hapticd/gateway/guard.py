@@ -33,8 +33,10 @@ from hapticd.units import NS_PER_MS, NS_PER_S
 
 MUST = frozenset({"clamp", "refuse", "follow"})  # policies under which what is unknown is refused
 VERDICT_NS = 500 * NS_PER_MS  # that a request waits for its verdict
-# after which a worker without an answer hangs; one that sees a delay for the first time takes 0.5 s
-HANG_NS = 5 * NS_PER_S
+# after which a worker without an answer hangs; one that sees a delay for the first time takes
+# 0.5 s, and several times that on a busy machine
+HANG_NS = 10 * NS_PER_S
+LAG_NS = 5 * NS_PER_S  # that a delay may be counted on which the worker has looked at
 LOOK_NS = 500 * NS_PER_MS
 MOST_HANDS = 8  # that wait to be looked for
 IN_MOTION = Flag.RAMPING | Flag.EASED | Flag.PAUSED
@@ -121,6 +123,8 @@ class Guard:
         self.changes = 0  # of policy, basis or margin
         self.delay = DelayHistogram(view.params.realtime.rate_hz)
         self._delay_life = 0
+        self._looked_delay: float | None = None
+        self._delay_ns: int | None = None  # since when the measured one is another
         self._wall_damping = WallDamping()
         self._number = 0
         self._answers: dict[int, dict[str, Any]] = {}
@@ -200,7 +204,7 @@ class Guard:
             "basis": self.basis,
             "margin_ns_per_m": self.margin_ns_per_m,
             "mode": self.mode,
-            "delay_periods": self.delay.periods,
+            "delay_periods": self.delay_periods,
         }
 
     def unknown(self, why: str) -> dict[str, Any]:
@@ -211,7 +215,7 @@ class Guard:
             "policy": self.policy,
             "basis": "unknown",
             **dict.fromkeys(nothing),
-            "delay_periods": self.delay.periods,
+            "delay_periods": self.delay_periods,
             "allowed": {},
             "clamped": False,
             "not_covered": [],
@@ -273,6 +277,27 @@ class Guard:
         least = verdict.get("least_damping_ns_per_m")
         return None if least is None else float(least)
 
+    @property
+    def delay_periods(self) -> float | None:
+        """The delay that requests are judged with: the measured one, once the worker has looked at
+        it, for it keeps what it computes for a delay.
+        """
+        return self.delay.periods if self._looked_delay is None else self._looked_delay
+
+    def _follow_delay(self, now_ns: int) -> None:
+        """Do not count on a delay that is no longer measured for long."""
+        if self._looked_delay in (None, self.delay.periods):
+            self._delay_ns = None
+        elif self._delay_ns is None:
+            self._delay_ns = now_ns
+        elif now_ns - self._delay_ns >= LAG_NS:
+            self._looked_delay = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether the worker has something to answer."""
+        return bool(self._unanswered)
+
     # --- questions --------------------------------------------------------------------------------
 
     def tend(self, now_ns: int) -> None:
@@ -283,6 +308,7 @@ class Guard:
         for answer in self._worker.answers():
             self._hear(answer)
         self._expire(now_ns)
+        self._follow_delay(now_ns)
         if self._worker.state != "up":
             return
         if self._hand is None and self._hands and not self._awaited:
@@ -332,6 +358,7 @@ class Guard:
         same = about[:2] == self._looked_at[:2]
         self._looked = answer if isinstance(answer.get("verdict"), dict) else {}
         self._looked_at = about
+        self._looked_delay = about[2]
         verdict = self._looked.get("verdict", {})
         if same and before and verdict.get("safe") is False and self.policy != "off":
             text = f"what is in force is not known to be passive any more: {verdict.get('text')}"
@@ -343,10 +370,11 @@ class Guard:
         if self.worker == "down":
             self._look = self._hand = None
             self._unanswered = {}
+            self._looked_delay = None
 
     def _ask_hand(self, now_ns: int) -> None:
         unsafe = self._hands.popleft()
-        question = {"ask": "hand", "display": unsafe.display, "delay_periods": self.delay.periods}
+        question = {"ask": "hand", "display": unsafe.display, "delay_periods": self.delay_periods}
         self._hand = self._send(question, now_ns), unsafe
 
     def _tell_hand(self, unsafe: Unsafe, hand: Any) -> None:
@@ -405,6 +433,7 @@ class Guard:
         """Take the delays of telemetry `records` of servo `life`."""
         if life != self._delay_life:
             self._delay_life = life
+            self._looked_delay = None
             self.delay.clear()
         self.delay.add(records)
 

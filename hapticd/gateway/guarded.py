@@ -71,7 +71,7 @@ class Case:
     tries: int = 0
     # --- since it was asked
     number: int = 0  # of the question, 0: not asked
-    asked_ns: int = 0
+    ready_ns: int = 0  # since when it could be asked, 0: not yet
     changes: int = 0  # of the policy by then
     policy: str = "off"
     revision: int | None = None  # of the environment it was judged for
@@ -293,18 +293,23 @@ class Guarded:
         case = self._queue[0]
         if isinstance(case.request, Enable) and self._staged is not None:
             return
+        case.ready_ns = case.ready_ns or now_ns
         if not self._asks(case):
             self._try_unjudged(self._queue.popleft(), now_ns)
-        elif self._guard.worker == "starting":
-            if now_ns - case.came_ns >= VERDICT_NS:
-                self._try_unjudged(self._queue.popleft(), now_ns)
-        elif self._guard.known:
+        elif self._guard.worker == "up" and self._guard.known and not self._guard.busy:
             self._ask(self._queue.popleft(), now_ns)
+        elif now_ns - case.ready_ns >= VERDICT_NS:
+            self._try_unjudged(self._queue.popleft(), now_ns, self._late())
+
+    def _late(self) -> str:
+        """Why there is no verdict from a worker that was asked, or could not be."""
+        late = f"the guard's worker gave no verdict within {VERDICT_NS / NS_PER_S:g} s"
+        return late if self._guard.worker == "up" else ""
 
     def _choose_level(self, now_ns: int) -> None:
         """Mode auto: judge again what is in force when the delay has changed, or now and then."""
         guard = self._guard
-        about = self._life, guard.revision, guard.delay.periods
+        about = self._life, guard.revision, guard.delay_periods
         due = about != self._chosen_for or now_ns - self._chosen_ns >= CHOICE_NS
         ready = guard.mode == "auto" and guard.worker == "up" and guard.known
         if not (ready and due) or now_ns - self._chosen_ns < LEAST_CHOICE_NS:
@@ -321,7 +326,7 @@ class Guarded:
         booked = sorted(self._scheduled.values())
         before = [one.change for one in booked if case.at_tick and one.tick <= case.at_tick]
         case.answer = None
-        case.asked_ns = now_ns
+        case.ready_ns = case.ready_ns or now_ns
         case.changes = guard.changes
         case.policy = guard.policy
         case.ahead = len(before)
@@ -342,7 +347,7 @@ class Guarded:
                 "margin_ns_per_m": guard.margin_ns_per_m,
                 "mode": "auto" if self._auto(case) else "off",  # a level is in the change
                 "level": guard.level,
-                "delay_periods": guard.delay.periods,
+                "delay_periods": guard.delay_periods,
                 "ramp_s": self._ramp_s(case.request),
             },
             now_ns,
@@ -360,17 +365,16 @@ class Guarded:
             if idle and self._guard.known:
                 self._asked = None
                 self._take_verdict(case, case.answer, now_ns)
-        elif self._guard.worker != "up" or now_ns - case.asked_ns >= VERDICT_NS:
+        elif self._guard.worker != "up" or now_ns - case.ready_ns >= VERDICT_NS:
             self._asked = None
             self._guard.forget(case.number)
-            up = self._guard.worker == "up"
-            late = f"the guard's worker gave no verdict within {VERDICT_NS / NS_PER_S:g} s"
-            self._try_unjudged(case, now_ns, late if up else "")
+            self._try_unjudged(case, now_ns, self._late())
 
     def _take_verdict(self, case: Case, answer: dict[str, Any], now_ns: int) -> None:
         """Go by `answer`, or ask again if it is about what is no more."""
         guard = self._guard
         if case.changes != guard.changes or case.policy != guard.policy:
+            case.ready_ns = 0
             self._queue.appendleft(case)
         elif case.revision != guard.revision and case.tries < TRIES:
             self._again(case, now_ns)
@@ -586,7 +590,7 @@ class Guarded:
         """Another change came first: judge it anew, before those that came later."""
         case.tries += 1
         case.came_ns = now_ns
-        case.number = case.place = 0
+        case.number = case.place = case.ready_ns = 0
         if case.at_tick <= self._view.tick:
             case.at_tick = 0
         self._queue.appendleft(case)
