@@ -17,8 +17,10 @@ from models import board_params, device_params, servo_params
 from recorded import RecordedFlight
 
 from hapticd.assembly import replay
+from hapticd.assembly.lockstep import LockStep
+from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Flag, Result, Value
-from hapticd.params import ENERGY_LIMIT_J, SafetyParams
+from hapticd.params import ENERGY_LIMIT_J, HandParams, SafetyParams, TouchParams
 from hapticd.render.energy import EXCESS, at_rest
 from hapticd.servo.energy_controller import SHARE, lag
 from hapticd.servo.plan import GATEWAY_ALIVE, SETTLED, Control, flatten, unflatten
@@ -77,6 +79,29 @@ def test_without_the_controller_it_diverges(lag_hz, delay, hand):
     free = against_a_wall(False, 0, lag_hz, delay, hand, ticks=2000)
     assert max(free.leaks) > 4.0 * BALANCE_J
     assert any(flags & Flag.CLAMPED for flags in free.flags)
+
+
+@pytest.mark.parametrize("on", [True, False])
+def test_whole_stack_leans_on_a_wall_at_five_times_its_limit(on):
+    """The simulated board, whose damping circuit reports what it does; 1 N on the handle."""
+    device = device_params(physical_damping_ns_per_m=CREDITED_NS_PER_M)
+    safety = SafetyParams(limit_cycle_faults=on, energy_controller=on)
+    touch = TouchParams(hands=(HandParams("push", 1.0, force_n=1.0),))
+    with LockStep(servo_params(device=device, safety=safety), board_params(touch=touch)) as stack:
+        stack.run(5)
+        asked = wall(5.0 * passive_limit(0.125, 0.0)) | {Value.RAMP_S: 0.0}
+        stack.do(Command.SET, asked)
+        stack.do(Command.ENABLE)
+        records = as_records(stack.run(2500))
+    assert records["state"][-1] == State.ENABLED
+    moves = np.ptp(records["position_m"][-300:])
+    if not on:
+        assert moves > 0.01
+        return
+    assert moves < 2e-6
+    assert np.abs(records["position_m"]).max() < 2e-3
+    assert records["excess_j"].max() < 2e-3
+    assert records["damping_effect_ns_per_m"][-1] == pytest.approx(CEILING)
 
 
 @pytest.mark.parametrize(("delay", "hand"), list(product((0.125, 0.5, 1.125), HANDS)))
