@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from hapticd.assembly.lockstep import scene_params
-from hapticd.errors import CommandError
+from hapticd.errors import AnalysisError, CommandError
 from hapticd.mailbox.layout import Command, Value
+from hapticd.params import HandParams, TouchParams
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.live import daemon_source
 from hapticd.zwidth.lockstep import LockStepBench
@@ -103,6 +104,19 @@ def test_waveform_that_is_long_enough_ends_by_itself(rigid, waveform_n, looped):
             lambda what, done, total: None,
         )
         assert bench.looped is looped
+
+
+def test_trial_whose_force_comes_too_slowly_is_no_trial(rigid):
+    """The handle lies 20 mm off when K = 800 N/m is enabled: 120 mJ, four seconds' budget."""
+    servo, board = scene_params(rigid)
+    board = replace(board, touch=TouchParams(hands=(HandParams("push", force_n=1.0),)))
+    plan = plan_trial(TrialParams(Trial((800.0, 1.0, 0.0), seconds=SECONDS)))
+    with LockStepBench(servo, board) as bench:
+        bench.run(2000)
+        assert bench.newest["position_m"] > 0.015
+        with pytest.raises(AnalysisError, match="slow start: the gain was still rising"):
+            run_trial(plan, daemon_source(bench))
+        assert bench.status()["state"] == "disabled"
 
 
 def test_trial_that_someone_ends_says_so(rigid):

@@ -49,6 +49,12 @@ CHANGED = (
     " repeat the trial"
 )
 
+SLOW = (
+    "slow start: the gain was still rising when the record began, for an enable so far from where"
+    " the spring rests brings in more than limits.ramp_energy_j in a second; move the handle there,"
+    " and repeat the trial"
+)
+
 
 def daemon_source(bench: Client, origin: str = "daemon") -> Source:
     """Trials on the device of a daemon; AnalysisError unless it is `disabled`."""
@@ -149,6 +155,14 @@ class LiveRecording:
     def _changed(self) -> bool:
         return self._began is not None and bool(self._newest["revision"] != self._began["revision"])
 
+    def _slow_start(self, settle: int) -> str:
+        """Why the record cannot begin with this block, which is the first one after `settle`
+        samples: ramps that wait for their energy last longer than that.
+        """
+        before = self._taken - self._parts[-1][1].size
+        rising = self._newest is not None and self._newest["gain"] < 1.0
+        return SLOW if before <= settle and rising else ""
+
     @property
     def _winding_c(self) -> float:
         return nan if self._newest is None else float(self._newest["winding_c"])
@@ -169,6 +183,8 @@ class LiveRecording:
                 round(wanted / PROBE_RATE_HZ),
             )
             if self._taken > settle:
+                ended = self._slow_start(settle)
+            if not ended and self._taken > settle:
                 force, velocity = self._parts[-1][0]
                 ended = self._sentinel.see(
                     force, velocity, self._winding_c, self._command_n, self._positions_m
