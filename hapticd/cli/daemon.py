@@ -99,9 +99,9 @@ def _ready_text(settings: "Settings", instance: str) -> str:
 hapticd is ready, disabled, at {config.realtime.rate_hz:g} Hz; {_guarded(guard)}
 Try in another terminal:
 
+  hapticd damping on{which}                active damping, {level}; also off, auto, or a level
   hapticd set K=100 B=1 M=0.010{which}     stiffness N/m, damping N s/m, mass kg
   hapticd enable{which}                    force on; the gain ramps up in {ramp}
-  hapticd damping on{which}                active damping, {level}; also off, auto, or a level
   hapticd guard{which}                     what is passive, and what is done with what is not
   hapticd monitor{which}                   watch it
   hapticd stop{which}                      force off, latched; then: hapticd reset
