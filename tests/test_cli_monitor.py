@@ -2,10 +2,10 @@
 
 import io
 import json
-from collections.abc import Iterator
-from types import SimpleNamespace
+from collections.abc import Iterator, Sequence
 from typing import Any, Self
 
+import msgpack
 import numpy as np
 import pytest
 from rich.console import Console
@@ -15,8 +15,8 @@ from hapticd.cli.app import main
 from hapticd.cli.screen import History, envelope, screen, strip
 from hapticd.client import fast_stop
 from hapticd.clock import VirtualClock
-from hapticd.errors import DaemonDown
 from hapticd.faults import BY_CODE
+from hapticd.gateway.telemetry import Origin, RingBlock, raw_message
 from hapticd.mailbox.layout import TELEMETRY, State
 from hapticd.units import NS_PER_MS, NS_PER_S
 
@@ -130,7 +130,7 @@ def test_silence_replaces_every_value() -> None:
 
 
 class StreamDouble:
-    """A daemon whose telemetry is a script: blocks 20 ms apart, None for half a second of
+    """A daemon whose telemetry is a script: payloads 20 ms apart, None for half a second of
     silence.
     """
 
@@ -146,16 +146,22 @@ class StreamDouble:
     def hello(self) -> dict[str, Any]:
         return {}
 
-    def status(self) -> dict[str, Any]:
-        return {"delivered_damping": DELIVERED, "guard": GUARD}
+    def call(self, cmd: str, **_fields: Any) -> dict[str, Any]:
+        raise AssertionError(f"{cmd}: a key waits while the daemon is asked")
 
-    def stream(self) -> Iterator[Any]:
-        for block in self._script:
-            self._clock.time_ns += 20 * NS_PER_MS if block else NS_PER_S // 2
-            if block is None:
-                raise DaemonDown("nothing came")
-            yield block
-        raise DaemonDown("over")
+    status = call
+
+    def messages(self, topics: Sequence[str], look_s: float) -> Iterator[Any]:
+        assert set(topics) == {"servo.raw", "state"}
+        yield "state", msgpack.packb({"delivered_damping": DELIVERED, "guard": GUARD})
+        for payload in self._script:
+            self._clock.time_ns += 20 * NS_PER_MS if payload else NS_PER_S // 2
+            if payload is not None:
+                yield "servo.raw", payload
+            yield None
+        while True:
+            self._clock.time_ns += NS_PER_S // 2
+            yield None
 
 
 @pytest.fixture
@@ -165,10 +171,10 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> VirtualClock:
     return clock
 
 
-def block(first: int, restarted: bool = False, **fields: Any) -> Any:
-    return SimpleNamespace(
-        records=records(20, first, **fields), restarted=restarted, header={"simulated": True}
-    )
+def block(first: int, life: int = 1, **fields: Any) -> bytes:
+    """20 records as the gateway sends them."""
+    found = records(20, first, **fields)
+    return raw_message(RingBlock(life, first, 0, found.tobytes(), found), Origin(life, 0, True))
 
 
 def play(monkeypatch: pytest.MonkeyPatch, clock: VirtualClock, script: list[Any]) -> None:
@@ -243,7 +249,7 @@ def test_new_servo_life_begins_a_new_history(
         clock,
         [
             *(block(20 * i) for i in range(10)),
-            *(block(20 * i, restarted=i == 0) for i in range(10)),
+            *(block(20 * i, life=2) for i in range(10)),
         ],
     )
     monitor.watch(

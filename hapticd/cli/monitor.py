@@ -10,7 +10,7 @@ import select
 import sys
 import termios
 import tty
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from contextlib import closing
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
@@ -18,12 +18,11 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
-from hapticd.errors import DaemonDown, HapticdError
+from hapticd.errors import HapticdError
 from hapticd.units import NS_PER_S
 
 if TYPE_CHECKING:
     from hapticd.cli.screen import History
-    from hapticd.client import Block, Client
 
 
 class Keys:
@@ -47,8 +46,9 @@ class Keys:
 
 
 REDRAW_NS = NS_PER_S // 10
-ASK_NS = NS_PER_S  # between looks at what no record holds
-RETRY_NS = NS_PER_S // 10
+LOOK_S = 0.02  # between looks at what has come, and at the keys
+TICKS = "servo.raw"
+STATE = "state"  # what no record holds; nothing is asked, so that no key waits for an answer
 NEWEST = (
     "tick",
     "position_m",
@@ -101,37 +101,35 @@ def watch(instance: str, seconds: float | None, show: Show) -> None:
 
     `seconds` None: until q is pressed.
     """
+    import msgpack
+
     from hapticd.cli.screen import NO_DATA_S, History
+    from hapticd.client.blocks import BlockDecoder
     from hapticd.clock import MonotonicClock
 
     clock = MonotonicClock()
     begin_ns = clock.now_ns()
     newest_ns = begin_ns  # when the last record came
     shown_ns = 0
-    asked_ns = 0
     history = History()
     simulated = None
+    decoder = BlockDecoder()
     with (
         connect(instance, timeout_s=NO_DATA_S) as client,
         Keys() as keys,
-        closing(_blocks(client)) as blocks,
+        closing(client.messages((TICKS, STATE), LOOK_S)) as messages,
     ):
         client.hello()  # nobody there at the start is an error; one who goes away later is NO DATA
-        for block in blocks:
+        for message in messages:
             now_ns = clock.now_ns()
-            if block is None:
-                clock.sleep_until_ns(now_ns + RETRY_NS)
-            elif len(block.records):
-                newest_ns = now_ns
+            if message is not None and message[0] == STATE:
+                history.told(msgpack.unpackb(message[1]))
+            elif message is not None:
+                block = decoder.decode(message[1])
+                newest_ns = now_ns if len(block.records) else newest_ns
                 simulated = bool(block.header["simulated"])
-                history = History() if block.restarted else history
-                history.add(block.records)
-                if now_ns - asked_ns >= ASK_NS:
-                    asked_ns = now_ns
-                    status = _status(client)
-                    history.delivered = status.get("delivered_damping", {})
-                    history.guard = status.get("guard", {})
-            if now_ns - shown_ns >= REDRAW_NS:
+                history = history.follow(block)
+            elif now_ns - shown_ns >= REDRAW_NS:  # what came together is shown once
                 shown_ns = now_ns
                 show(history, simulated, (now_ns - newest_ns) / NS_PER_S)
             pressed = keys.pressed()
@@ -139,23 +137,6 @@ def watch(instance: str, seconds: float | None, show: Show) -> None:
                 _press_stop(instance)
             if "q" in pressed or (seconds is not None and now_ns - begin_ns >= seconds * NS_PER_S):
                 return
-
-
-def _blocks(client: "Client") -> "Generator[Block | None, None, None]":
-    """Telemetry for ever; None whenever none came for the client's time-out."""
-    while True:
-        try:
-            yield from client.stream()
-        except DaemonDown:
-            yield None
-
-
-def _status(client: "Client") -> dict[str, Any]:
-    """What no record holds; nothing where nobody says it."""
-    try:
-        return client.status()
-    except DaemonDown:
-        return {}
 
 
 def _press_stop(instance: str) -> None:

@@ -11,7 +11,7 @@ package.
 """
 
 from collections import deque
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +23,9 @@ from hapticd.cli.terminal import SIMULATED_BANNER
 from hapticd.faults import BY_NUMBER
 from hapticd.mailbox.layout import State, Watched
 from hapticd.units import NS_PER_S
+
+if TYPE_CHECKING:
+    from hapticd.client import Block
 
 _BITS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
 _BLANK = 0x2800
@@ -92,9 +95,21 @@ class History:
     def __init__(self) -> None:
         self.length = 1  # records in SHOWN_S
         self.delivered: dict[str, Any] = {}  # `delivered_damping` of the newest state
-        self.guard: dict[str, Any] = {}  # `guard` of the newest status
+        self.guard: dict[str, Any] = {}  # `guard` of the newest state
         self._blocks: deque[Any] = deque()
         self._count = 0
+
+    def told(self, state: dict[str, Any]) -> None:
+        """Take what a message of topic `state` says and no record holds."""
+        self.delivered = state.get("delivered_damping", {})
+        self.guard = state.get("guard", {})
+
+    def follow(self, block: "Block") -> "History":
+        """This history with `block` behind it, or a new one if the servo began anew."""
+        after = History() if block.restarted else self
+        if len(block.records):
+            after.add(block.records)
+        return after
 
     def add(self, records: Any) -> None:
         """Append a block of records (layout.TELEMETRY), shape (n,)."""

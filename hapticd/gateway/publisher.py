@@ -350,7 +350,8 @@ class Publisher:
     def state(self, unix_ns: int) -> dict[str, Any]:
         """The topic `state`."""
         found = state_map(self._view, self._actors, self._leases, unix_ns)
-        return found | {"delivered_damping": self._delivered.plain()}
+        delivered = self._delivered.plain()
+        return found | {"delivered_damping": delivered, "guard": self._guard.summary()}
 
 
 def _packed(content: dict[str, Any]) -> bytes:
