@@ -135,7 +135,9 @@ def drawn(seed: int, random: Random) -> Flight:
         home=home,
     )
     safety = SafetyParams(
-        force_limit_n=random.choice((1.0, 3.0, 8.0)), enable_ramp_s=random.choice((0.02, 0.1, 0.5))
+        force_limit_n=random.choice((1.0, 3.0, 8.0)),
+        enable_ramp_s=random.choice((0.02, 0.1, 0.5)),
+        energy_controller=seed % 2 == 1,
     )
     servo = replace(servo, device=device, safety=safety, simulated=random.random() < 0.5)
     traits = [name for name, (share, _) in TRAITS.items() if random.random() < share]
