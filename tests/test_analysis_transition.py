@@ -5,6 +5,7 @@ from typing import Any
 import pytest
 from guard_device import FREE, change, rigid, rigid_judge, setup_of, shipped_judge
 
+from hapticd.analysis import transition
 from hapticd.analysis.transition import POINTS, Judge
 from hapticd.errors import AnalysisError
 
@@ -66,6 +67,23 @@ def test_clamp_goes_as_far_as_the_first_exit() -> None:
     assert answer["verdict"]["clamped"]
     assert change(judge, {"K": given})["verdict"]["safe"]
     assert not change(judge, {"K": 1.02 * given})["verdict"]["safe"]
+
+
+def test_what_a_clamp_leaves_is_judged_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A clamp that is too generous gives nothing."""
+    monkeypatch.setattr(transition, "_largest", lambda holds, shares: 0.9)
+    answer = change(shipped_judge(), {"K": 500.0}, policy="clamp")
+    assert answer["action"] == "refuse"
+    assert "not safe either" in answer["verdict"]["text"]
+
+
+def test_the_margin_asked_for_is_left() -> None:
+    """Of 2 N s/m a stiffness K takes K T / 2: with 0.5 to be left, K = 3,000 N/m is the end."""
+    judge = rigid_judge()
+    verdict = change(judge, {}, margin_ns_per_m=0.5)["verdict"]
+    assert verdict["allowed"]["K"][1] == pytest.approx(3000.0, rel=2e-3)
+    assert change(judge, {"K": 3100.0}, margin_ns_per_m=0.5)["action"] == "refuse"
+    assert change(judge, {"K": 3100.0})["action"] == "apply"
 
 
 def test_clamp_from_outside_is_refused() -> None:
