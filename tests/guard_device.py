@@ -1,5 +1,6 @@
 """Devices of the guard's tests: a rigid mass with known damping, and shipped ones."""
 
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -7,19 +8,28 @@ from typing import Any
 from hapticd.analysis.transition import Judge
 from hapticd.assembly import resolve
 from hapticd.mailbox import files
-from hapticd.params import EnvironmentParams, GuardParams, GuardSetup, ModelParams, from_plain
+from hapticd.params import (
+    EnvironmentParams,
+    GuardParams,
+    GuardSetup,
+    ModelParams,
+    OutputParams,
+    from_plain,
+)
 from hapticd.plant.effects import (
     DampingCircuit,
     Delay,
     Effect,
     Masses,
     Motor,
+    PassiveHand,
     Viscous,
     WindingTemperature,
 )
 from hapticd.settings.guard import model_params
 from hapticd.settings.load import load
 
+Rows = tuple[tuple[float, ...], ...]
 MASS_KG = 0.08
 VISCOUS_NS_PER_M = 2.0
 FREE = {"K": 0.0, "B": 0.0, "M": 0.0, "damping": 0.0}
@@ -36,6 +46,46 @@ def rigid(
         Delay(periods=delay_periods),
     )
     return model_params("rigid", effects, rate_hz)
+
+
+def sprung(stiffness_n_per_m: float = 100.0) -> ModelParams:
+    """A rigid device that a spring of its own holds in place."""
+    effects: tuple[Effect, ...] = (
+        Masses(rotor_kg=MASS_KG),
+        Motor(torque_constant_nm_per_a=1.0, lever_m=1.0, resistance_ohm=1.0),
+        Viscous(rotor_ns_per_m=VISCOUS_NS_PER_M),
+        PassiveHand(
+            mass_kg=0.01,
+            damping_ns_per_m=1.0,
+            stiffness_n_per_m=stiffness_n_per_m,
+            grip_stiffness_n_per_m=1e4,
+            grip_damping_ns_per_m=10.0,
+        ),
+    )
+    return model_params("sprung", effects, 1000.0)
+
+
+def with_hidden_growth(model: ModelParams, rate_per_s: float = 10.0) -> ModelParams:
+    """The same device with a state that grows by itself and that neither probe nor law sees."""
+
+    def wider(rows: Rows, corner: float | None) -> Rows:
+        n = len(rows[0])
+        last = (0.0,) * n if corner is None else (*(0.0,) * n, corner)
+        return (*(row if corner is None else (*row, 0.0) for row in rows), last)
+
+    def blind(output: OutputParams) -> OutputParams:
+        return replace(output, c0=(*output.c0, 0.0), c1=(*output.c1, 0.0))
+
+    seen = ("encoder", "position", "velocity", "recorded_velocity", "recorded_travel")
+    return replace(
+        model,
+        states=(*model.states, "hidden"),
+        a0=wider(model.a0, rate_per_s),
+        a1=wider(model.a1, 0.0),
+        b0=wider(model.b0, None),
+        b1=wider(model.b1, None),
+        **{name: blind(getattr(model, name)) for name in seen},
+    )
 
 
 def over_compensated(residual_c: float) -> ModelParams:

@@ -2,7 +2,16 @@
 
 import numpy as np
 import pytest
-from guard_device import VISCOUS_NS_PER_M, change, rigid, rigid_judge, setup_of, shipped_judge
+from guard_device import (
+    VISCOUS_NS_PER_M,
+    change,
+    rigid,
+    rigid_judge,
+    setup_of,
+    shipped_judge,
+    sprung,
+    with_hidden_growth,
+)
 
 from hapticd.analysis.allowed import (
     LEVELS,
@@ -104,25 +113,36 @@ def test_negative_stiffness_is_refused() -> None:
 
 
 def test_a_stable_negative_stiffness_is_refused_too() -> None:
-    """On a device with a spring of its own the loop would be stable; K < 0 is active all the
-    same.
+    """On a device with a spring of its own the loop is stable, and no angle that is looked at shows
+    what K < 0 does at 0 Hz.
     """
-    theorem = Theorem(model_of(rigid()))
-    assert not theorem.safe(np.array([[-1e-3, 0.0, 0.0]]), conditions())[0]
+    model = model_of(sprung())
+    theorem = Theorem(model)
+    points = np.array([[-10.0, 0.0, 0.0], [10.0, 0.0, 0.0]])
+    assert (spectral_radius(model, points) < 1.0).all()
+    assert within(circles(lift(model)), points).all()
+    assert theorem.safe(points, conditions()).tolist() == [False, True]
 
 
-def test_passive_but_unstable_is_not_safe() -> None:
-    """The theorem presumes stability: without it a circle test alone lets points pass."""
+def test_safe_points_are_stable() -> None:
     scene = device_scene("weir2008")
     assert scene is not None
     model = compose(scene)
-    theorem = Theorem(model)
     draw = np.random.default_rng(3)
     points = draw.uniform((0.0, -20.0, -0.3), (3000.0, 20.0, 0.3), (4000, 3))
-    at = conditions(delay=model.delay_periods)
-    flags = theorem.safe(points, at)
-    radius = spectral_radius(model, points)
-    assert (radius[flags] < 1.0).all()
+    flags = Theorem(model).safe(points, conditions(delay=model.delay_periods))
+    assert (spectral_radius(model, points[flags]) < 1.0).all()
+
+
+def test_passive_but_unstable_is_not_safe() -> None:
+    """The theorem presumes stability: what grows where the probe does not see it passes every
+    circle.
+    """
+    model = model_of(with_hidden_growth(rigid()))
+    points = np.array([[100.0, 0.5, 0.0]])
+    assert within(circles(lift(model)), points).all()
+    assert not Theorem(model).safe(points, conditions())[0]
+    assert Theorem(model_of(rigid())).safe(points, conditions())[0]
 
 
 def test_allowed_ends_are_safe_and_a_step_beyond_is_not() -> None:

@@ -89,6 +89,7 @@ def test_the_margin_asked_for_is_left() -> None:
 def test_clamp_from_outside_is_refused() -> None:
     answer = change(shipped_judge(), {"K": 900.0}, policy="clamp", now={"K": 600.0})
     assert answer["action"] == "refuse"
+    assert "outside the safe set already" in answer["verdict"]["text"]
 
 
 def test_filters_are_not_clamped() -> None:

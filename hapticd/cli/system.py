@@ -118,7 +118,7 @@ def resolve_config(
     instance: terminal.Instance = terminal.INSTANCE,
     as_json: terminal.Json = False,
 ) -> None:
-    """Write servo.json, board.json and gateway.json into the runtime folder, as
+    """Write servo.json, board.json, gateway.json and guard.json into the runtime folder, as
     `hapticd run` does.
     """
     from hapticd.assembly.resolve import write
