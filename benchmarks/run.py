@@ -55,6 +55,7 @@ GROUPS = {  # parts whose figures belong together
         "late",
         "latency",
         "guard",
+        "guard_cpu",
         "telemetry",
         "lockstep",
         "process",

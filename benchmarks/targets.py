@@ -93,6 +93,14 @@ TABLE: dict[str, dict[str, Target]] = {
             "", "the same", "information: a change asked of the worker, ranges and all"
         ),
     },
+    "guard_cpu": {
+        "guard_cpu_ratio": Target(
+            "<= 1.5x",
+            "the same gateway while nobody listens to `guard`, in turns",
+            "two questions, answers and messages a second; what they ask is computed by another"
+            " process",
+        ),
+    },
     "telemetry": {
         "telemetry_gaps": Target("<= 0", "", "no record may be missing"),
         "gateway_cpu_ratio": Target(

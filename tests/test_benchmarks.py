@@ -58,6 +58,7 @@ PROMISED = {
         "set_p99_ms",
         "telemetry_gaps",
         "gateway_cpu_ratio",
+        "guard_cpu_ratio",
     ),
     *(
         "lockstep_ratio",
