@@ -37,6 +37,8 @@ static struct { /* what was promised */
     uint16_t next_in, echo;
     uint32_t next_pair;
     int32_t mark;
+    bool passed;        /* the index mark, since the last IN */
+    bool bad, bad_said; /* an OUT was refused since the last IN; the newest IN says so */
     unsigned owed; /* INs */
 } host;
 
@@ -79,7 +81,8 @@ static void sense(void *device, struct hapticd_sensors *sensors)
 {
     (void)device;
     *sensors = world.sensors;
-    if (sensors->index_passed)
+    host.passed = sensors->index_passed && able(HAPTICD_CAPABILITY_INDEX);
+    if (host.passed)
         host.mark = sensors->index_count;
     world.sensors.index_passed = false;
 }
@@ -112,6 +115,13 @@ static void send(void *device, const struct hapticd_in *frame)
         promise((uint32_t)frame->encoder - (uint32_t)host.mark ==
                     (uint32_t)(int32_t)frame->index_offset,
                 "index_offset counts from the mark");
+    int32_t reach = (int32_t)((uint32_t)frame->encoder - (uint32_t)host.mark);
+    if (host.passed && abs(reach / 2) < INT16_MAX / 2)
+        promise(frame->status & HAPTICD_STATUS_INDEX, "a mark that was passed is said");
+    promise(!((frame->status ^ world.inputs) & HAPTICD_STATUS_EMERGENCY_STOP), "stop is a level");
+    host.bad_said = host.bad || (world.sent && host.bad_said);
+    promise(!(frame->status & HAPTICD_STATUS_BAD_FRAME) == !host.bad_said, "BAD_FRAME once");
+    host.bad = false;
     world.frame = *frame;
     world.sent = true;
 }
@@ -288,6 +298,7 @@ static void send_out(bool whole)
     promise(taken == (whole && board.fit), "whole frames are taken, others are not");
     met_frames++;
     met_refused += !taken;
+    host.bad |= !taken;
     if (taken)
         obeyed(&out);
     if (board.fit)
@@ -335,8 +346,9 @@ static void disturb(void)
     uint32_t encoder = draw(0x10000) << 16 | draw(0x10000);
     world.sensors.encoder = (int32_t)encoder;
     world.sensors.index_passed = draw(2);
-    world.sensors.index_count = (int32_t)(encoder - draw(40000));
-    serve();
+    world.sensors.index_count = (int32_t)(encoder + 40000 - draw(80000));
+    if (draw(2))
+        serve();
 }
 
 static void step(void)

@@ -135,6 +135,16 @@ def test_disable_silences_a_playing_perturbation():
     assert axis.probe.pairs[0::2] == [0, 50]
 
 
+def test_half_a_count_of_a_silenced_sample_is_rounded_up():
+    """45 for seven tenths of an interval are 31.5 counts, which 45 * 0.7 is not."""
+    axis = Axis(board_params(rate_hz=2500.0))
+    axis.obey(ENABLE | PERTURB, 0, 0, (45,))
+    axis.run_to(17)
+    axis.obey(PERTURB, 0, 0, ())
+    axis.run_to(20)
+    assert axis.probe.pairs[0::2] == [0, 32]
+
+
 PLAY = ENABLE | PERTURB
 UNDERRUN = StatusBit.FIFO_UNDERRUN
 OVERFLOW = StatusBit.FIFO_OVERFLOW

@@ -121,8 +121,9 @@ class Probe:
         output before.
         """
         if self._sample:
-            done = (substep - self._start) / (self.end - self._start)
-            self._counts = i16_count(self._sample * done)
+            # one division, so that a half is exactly a half
+            done = self._sample * (substep - self._start) / (self.end - self._start)
+            self._counts = i16_count(done)
             self._sample = 0
             self.torque_n = 0.0
 
