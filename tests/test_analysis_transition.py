@@ -128,6 +128,19 @@ def test_contact_with_the_wall_is_judged() -> None:
     assert change(shipped_judge(), {"wall": wall | {"side": 0}})["action"] == "apply"
 
 
+def test_a_wall_that_comes_meets_what_is_still_in_force() -> None:
+    """Its side is there at once: K = 740 N/m and a wall of 280 N/m are too much together on a
+    device that withstands 1,000 N/m, though K is on its way to 0.
+    """
+    judge = rigid_judge(0.5)
+    wall = {"stiffness_n_per_m": 280.0, "damping_ns_per_m": 0.0, "position_m": 0.01, "side": 0}
+    now = {"K": 740.0, "wall": wall}
+    assert change(judge, {"wall": {"side": 1}}, now=now | {"K": 700.0})["action"] == "apply"
+    answer = change(judge, {"K": 0.0, "wall": {"side": 1}}, now=now)
+    assert stages_of(answer) == [{"K": 0.0}, {"wall": {"side": 1}}]
+    assert answer["stages"][1]["after_ramps"]
+
+
 def test_delay_that_was_measured_replaces_the_models() -> None:
     judge = rigid_judge()
     short = change(judge, {"B": 1.5}, delay_periods=0.0)["verdict"]

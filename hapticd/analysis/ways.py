@@ -223,7 +223,10 @@ def sampled(leg: Leg, count: int, levels: Sequence[float] = ()) -> list[Display]
         return _gained(leg, count)
     moving = groups(leg)
     if moving <= 1:
-        return [between(leg.start, leg.end, (place + 1) / count, levels) for place in range(count)]
+        # filters and the side of a wall change at once, while everything else is where it was
+        first = 0.0 if _jumps(leg) and count > 1 else 1.0 / count
+        line = np.linspace(first, 1.0, count).tolist()
+        return [between(leg.start, leg.end, share, levels) for share in line]
     side = int(count ** (1.0 / moving) + 1e-9)
     if side < 2:
         return []
@@ -235,6 +238,12 @@ def sampled(leg: Leg, count: int, levels: Sequence[float] = ()) -> list[Display]
         shares if asked else still, shares if left else still, shares if damped else still
     )
     return [_patch(leg, *place, levels) for place in grid]
+
+
+def _jumps(leg: Leg) -> bool:
+    """Whether something of the display does not ramp."""
+    sides = leg.start.wall.side, leg.end.wall.side
+    return sides[0] != sides[1] or leg.start.filters != leg.end.filters
 
 
 def _gained(leg: Leg, count: int) -> list[Display]:
