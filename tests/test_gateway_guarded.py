@@ -3,12 +3,14 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from gateway_rig import DeskRig, decoded, packed
 from gateway_stand_in import StandInServo
 from guard_stub import StubWorker, applies, refuses, stage, verdict
 
-from hapticd.mailbox.layout import Command, State, Value
+from hapticd.gateway.guard import WallSide
+from hapticd.mailbox.layout import Command, Flag, State, Value
 
 BOUND = 1 << Value.ENVIRONMENT_REVISION
 
@@ -679,3 +681,19 @@ def test_gateway_that_comes_later_judges_what_is_in_force(rig: DeskRig, worker: 
     later(rig, 3)
     rig.ask(cmd="set", B=1)
     assert (worker.changes[-1]["target"]["K"], worker.changes[-1]["target"]["damping"]) == (70, 1)
+
+
+def test_side_of_a_wall_counts_until_its_ramp_has_ended() -> None:
+    """A record rounds the side; the second half of its ramp says 0 while the wall still acts."""
+
+    def records(*rows: tuple[int, int]) -> Any:
+        return np.array(list(rows), [("wall_side", "<i4"), ("flags", "<u4")])
+
+    moving = int(Flag.RAMPING)
+    side = WallSide()
+    side.follow(records((-1, 0), (-1, moving), (0, moving)))
+    assert side.value == -1
+    side.follow(records((0, moving)))
+    assert side.value == -1
+    side.follow(records((0, moving), (0, 0)))
+    assert side.value == 0

@@ -3,6 +3,7 @@ in ours. Then ways to get past it, one by one.
 """
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,11 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from whole_tick import Display, Point, radius
+from whole_tick import SETTLED, Display, Point, radius
 
 from benchmarks.guard_attack import SHIPPED, WEIR, Found, attack, chunks, device
+from benchmarks.guard_flight import plain_servo
+from benchmarks.guard_requests import Guarded
 from hapticd.analysis.loop import spectral_radius
 
 FEW = [0, 2, 3, 6, 7, 8, 10, 11]  # on the shipped display, its delay known
@@ -66,3 +69,102 @@ def test_every_sequence_is_flown_once_on_one_device() -> None:
     groups = chunks(100, 30)
     assert sorted(seed for group in groups for seed in group) == list(range(30, 130))
     assert all(len({seed % 5 == 4 for seed in group}) == 1 for group in groups)
+
+
+# --- ways past the guard, each found in it once ---------------------------------------------------
+
+
+class Client:
+    """Somebody who asks a guard of the shipped display, without a board."""
+
+    def __init__(self, policy: str, told: float | None = None) -> None:
+        self.guarded = Guarded(device().judge.answer, plain_servo(), policy, told, 0)
+
+    def ask(self, ticks: int = 300, **change: Any) -> None:
+        """Ask for `change`, and give it so many ticks."""
+        self.guarded.ask(change)
+        self.guarded.run(ticks)
+
+    def schedule(self, at_tick: int, **change: Any) -> None:
+        self.guarded.ask(change, at_tick)
+
+    def enable(self, ticks: int = 300) -> None:
+        self.guarded.ask({}, enable=True)
+        self.guarded.run(ticks)
+
+    @property
+    def ringing(self) -> list[Point]:
+        """What came into force and rings in some hand."""
+        self.guarded.run(2000)
+        points = list(self.guarded.plans.points)
+        worst = device().bench.worst(points) if points else []
+        return [point for point, one in zip(points, worst, strict=True) if one > SETTLED]
+
+
+def damping_still_rises_when_a_scheduled_spring_comes(client: Client) -> None:
+    """1.74 N s/m take 87 ms at 20 N s/m/s."""
+    client.enable()
+    soon = client.guarded.tick + 100
+    client.schedule(soon, damping=1.74)
+    client.schedule(soon + 5, K=1500.0, ramp_s=0.0)
+
+
+def scheduled_spring_is_still_there_when_damping_goes(client: Client) -> None:
+    client.ask(damping=1.74)
+    client.ask(K=1500.0)
+    client.enable()
+    soon = client.guarded.tick + 50
+    client.schedule(soon, K=100.0, ramp_s=1.0)
+    client.schedule(soon + 10, damping=0.0)
+
+
+def spring_is_still_there_when_force_comes_on(client: Client) -> None:
+    client.ask(damping=1.74)
+    client.ask(K=1500.0)
+    client.ask(200, K=100.0, damping=0.0, ramp_s=10.0)
+    client.enable()
+
+
+def wall_is_still_there_when_damping_goes(client: Client) -> None:
+    """Its side comes to 0 on a ramp, on whose square its force depends."""
+    client.ask(damping=1.74)
+    client.ask(wall={"side": 1, "stiffness_n_per_m": 1500.0, "damping_ns_per_m": 0.0})
+    client.enable()
+    client.ask(50, wall={"side": 0}, ramp_s=2.0)
+    client.ask(damping=0.0)
+
+
+def negative_mass_is_easier_with_the_longest_delay(client: Client) -> None:
+    """M = -8 g needs 2.32 N s/m at T / 8 and 2.05 at 1.5 T."""
+    client.guarded.delay_periods = 1.5
+    client.ask(damping=1.85)
+    client.ask(M=-0.008)
+    client.enable()
+
+
+def stages_left_over_from_a_refused_change(client: Client) -> None:
+    """Filters in use are refused by the servo; what was to come after them must not come."""
+    client.ask(damping=3.0)
+    client.ask(wall={"side": 1, "stiffness_n_per_m": 1700.0, "damping_ns_per_m": 3.3})
+    client.enable()
+    client.guarded.choose("auto")
+    client.ask(filters={"velocity_hz": 300.0})
+    client.ask(damping=0.0)
+
+
+WAYS = [
+    damping_still_rises_when_a_scheduled_spring_comes,
+    scheduled_spring_is_still_there_when_damping_goes,
+    spring_is_still_there_when_force_comes_on,
+    wall_is_still_there_when_damping_goes,
+    negative_mass_is_easier_with_the_longest_delay,
+    stages_left_over_from_a_refused_change,
+]
+
+
+@pytest.mark.parametrize("policy", ["refuse", "clamp", "follow"])
+@pytest.mark.parametrize("way", WAYS, ids=lambda one: one.__name__)
+def test_there_is_no_way_past_the_guard(way: Callable[[Client], None], policy: str) -> None:
+    client = Client(policy)
+    way(client)
+    assert not client.ringing

@@ -26,6 +26,7 @@ covered.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
+from itertools import product
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -56,6 +57,7 @@ _FINER = 9  # values between the last that holds and the first that does not, th
 _INSIDE = 1e-3  # of an interval: as far inside of its ends as may be needed to be sure
 NONE = np.zeros(0)
 _SLACK = 1e-9  # N s/m: a margin equal to what is asked for is enough
+_BETWEEN = 1e-4  # N s/m by which the worst frequency may lie between two that are looked at
 
 
 class Conditions(NamedTuple):
@@ -150,7 +152,7 @@ class Theorem:
 
     def _draw(self, at: Conditions) -> Circles:
         lifted = self._lifted(at.added_ns_per_m, at.filters, at.delay_periods)
-        return circles(lifted, at.spare_ns_per_m - _SLACK)
+        return circles(lifted, at.spare_ns_per_m + _BETWEEN)
 
     def _tick(self, level: float, filters: Filters, delay_periods: float) -> Tick:
         return tick_of(self.late(delay_periods), level, filters)
@@ -275,26 +277,39 @@ def cached_levels(ceiling_ns_per_m: float, added_ns_per_m: float) -> tuple[float
 
 
 class Judgement:
-    """Displays judged by one basis, at one delay, with one margin asked for."""
+    """Displays judged by one basis, with one margin asked for, at one delay or at two: more delay
+    makes a negative virtual mass easier, so the longest alone is not the worst.
+    """
 
-    def __init__(self, basis: Basis, delay_periods: float, spare_ns_per_m: float) -> None:
+    def __init__(
+        self,
+        basis: Basis,
+        delay_periods: float,
+        spare_ns_per_m: float,
+        least_delay_periods: float | None = None,
+    ) -> None:
         self.basis = basis
         self.delay_periods = delay_periods
         self.spare_ns_per_m = spare_ns_per_m
+        self.least_delay_periods = least_delay_periods
+        least = delay_periods if least_delay_periods is None else least_delay_periods
+        self._delays = list(dict.fromkeys((delay_periods, least)))
 
-    def conditions(self, display: Display) -> Conditions:
-        """Those of one display."""
-        return Conditions(
-            display.added_ns_per_m, display.filters, self.delay_periods, self.spare_ns_per_m
-        )
+    def conditions(self, display: Display) -> list[Conditions]:
+        """Those of one display, by delay."""
+        return [
+            Conditions(display.added_ns_per_m, display.filters, delay, self.spare_ns_per_m)
+            for delay in self._delays
+        ]
 
     def safe(self, displays: Sequence[Display]) -> list[bool]:
         """Whether each is safe, in free space and in contact."""
         found = [True] * len(displays)
         groups: dict[Conditions, list[tuple[int, Point]]] = {}
         for place, display in enumerate(displays):
-            rows = groups.setdefault(self.conditions(display), [])
-            rows.extend((place, point) for point in display.points())
+            for at in self.conditions(display):
+                rows = groups.setdefault(at, [])
+                rows.extend((place, point) for point in display.points())
         for at, rows in groups.items():
             flags = self.basis.safe(np.array([point for _, point in rows]), at)
             for (place, _), flag in zip(rows, flags.tolist(), strict=True):
@@ -307,12 +322,17 @@ class Judgement:
 
     def reading(self, display: Display) -> Reading:
         """How safe it is in free space."""
-        return self.basis.reading(display.free, self.conditions(display))
+        return self._read(display.free, display)
 
     def in_contact(self, display: Display) -> Reading | None:
         """How safe it is in its wall; None without one."""
         point = display.contact
-        return None if point is None else self.basis.reading(point, self.conditions(display))
+        return None if point is None else self._read(point, display)
+
+    def _read(self, point: Point, display: Display) -> Reading:
+        found = [self.basis.reading(point, at) for at in self.conditions(display)]
+        known = [one for one in found if one.margin_ns_per_m is not None]
+        return min(known, key=lambda one: one.margin_ns_per_m or 0.0) if known else found[0]
 
     def worse(self, display: Display) -> Reading:
         """The reading of free space or contact, whichever has less margin."""
@@ -337,13 +357,13 @@ class Judgement:
 
         Ends are safe themselves, and lie within a thousandth of a step of the grid.
         """
-        at = self.conditions(display)
         points = [np.array(point) for point in display.points()]
+        cases = list(product(points, self.conditions(display)))
 
         def safe(values: list[Floats], sure: bool) -> list[Flags]:
             test = self.basis.safe if sure else self.basis.hopeful
             flags = np.concatenate([np.ones(one.size, np.bool_) for one in values])
-            for point in points:
+            for point, at in cases:
                 moved = [_moved(point, axis, one, display) for axis, one in enumerate(values)]
                 flags &= test(np.concatenate(moved), at)
             return np.split(flags, np.cumsum([one.size for one in values])[:-1])

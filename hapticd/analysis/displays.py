@@ -10,6 +10,7 @@ What would break it: a field of `set` that is missing here; it would change with
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 from math import isfinite
 from typing import Any, NamedTuple
 
@@ -148,16 +149,24 @@ def environment_of(display: Display, other: Display) -> dict[str, Any]:
 
 def between(one: Display, other: Display, share: float, levels: Sequence[float] = ()) -> Display:
     """The display a share of the way from one to the other. Filters, and side and place of a
-    wall, are those of the other; a level strictly between is one of `levels`, if any is.
+    wall, are those of the other; a level strictly between is one of `levels`, if any is. A wall
+    that is taken away acts until its side has come to 0, with no more than the larger of both
+    strengths.
     """
 
     def part(start: float, end: float) -> float:
         return end if share >= 1.0 else start + share * (end - start)
 
+    def most(start: float, end: float) -> float:
+        return max(start, end)
+
+    going = share < 1.0 and one.wall.side != 0 and other.wall.side == 0
+    strength = most if going else part
     wall = replace(
         other.wall,
-        stiffness_n_per_m=part(one.wall.stiffness_n_per_m, other.wall.stiffness_n_per_m),
-        damping_ns_per_m=part(one.wall.damping_ns_per_m, other.wall.damping_ns_per_m),
+        stiffness_n_per_m=strength(one.wall.stiffness_n_per_m, other.wall.stiffness_n_per_m),
+        damping_ns_per_m=strength(one.wall.damping_ns_per_m, other.wall.damping_ns_per_m),
+        side=one.wall.side if going else other.wall.side,
     )
     level = kept_level(one.added_ns_per_m, other.added_ns_per_m, share, levels)
     stiffness, damping, mass = (part(*pair) for pair in zip(one.free, other.free, strict=True))
@@ -171,3 +180,26 @@ def kept_level(start: float, end: float, share: float, levels: Sequence[float]) 
     exact = start + share * (end - start)
     inside = [level for level in levels if min(start, exact) <= level <= max(start, exact)]
     return min(inside, key=lambda level: abs(level - exact), default=start)
+
+
+def mixed(displays: Sequence[Display]) -> list[Display]:
+    """Corners of all that may act while each parameter is anywhere between those of `displays`:
+    least and most of K, B, M and level, with the strongest wall if one of them has any.
+    """
+    places = [one.free for one in displays]
+    ranges = [sorted({min(axis), max(axis)}) for axis in zip(*places, strict=True)]
+    levels = [one.added_ns_per_m for one in displays]
+    sides = [one.wall.side for one in displays if one.wall.side != 0]
+    wall = replace(
+        displays[-1].wall,
+        stiffness_n_per_m=max(one.wall.stiffness_n_per_m for one in displays),
+        damping_ns_per_m=max(one.wall.damping_ns_per_m for one in displays),
+        side=sides[0] if sides else 0,
+    )
+    filters = dict.fromkeys(one.filters for one in displays)
+    return [
+        Display(stiffness, damping, mass, wall, pair, level)
+        for stiffness, damping, mass in product(*ranges)
+        for pair in filters
+        for level in sorted({min(levels), max(levels)})
+    ]

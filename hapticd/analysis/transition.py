@@ -200,7 +200,8 @@ class Judge:
         if delay != self._warm_delay:
             self._warm_delay = delay
             self._cold = list(self.levels)
-        return Judgement(found, delay, float(request["margin_ns_per_m"])), ""
+        spare = float(request["margin_ns_per_m"])
+        return Judgement(found, delay, spare, min(delay, self._delay(None))), ""
 
     def _basis(self, asked: str) -> Basis | str:
         if asked.startswith("measured"):
@@ -288,7 +289,9 @@ class _Asked:
         gain = float(request.get("gain", 1.0)) if request["state"] == "enabled" else 1.0
         self.now = judge.display(request["now"]).scaled(gain)
         self.target = judge.display(request["target"])
+        self.passed = [judge.display(request["now"])]
         for one in request["before"]:
+            self.passed.append(self.target)
             self.now = self.target
             self.target = changed(self.target, one)
         self.now = self.now._replace(added_ns_per_m=self._in_effect())
@@ -314,6 +317,7 @@ class _Asked:
                 target=self.target,
                 wanted=changed(self.target, change),
                 change=change,
+                passed=self.passed,
                 after=[dict(one) for one in self.request["after"]],
                 enable=enable,
                 moving=enable or self.request["state"] == "enabled",
@@ -410,6 +414,7 @@ class _Judged(_Asked):
                 f"more than {POINTS} points would have to be judged at once; wait for ramps under"
                 " way, or schedule less"
             )
+        path = [*path, *self.way.mixture(self.plans[0])]
         flags = self.judgement.safe(path)
         bad = next((one for one, flag in zip(path, flags, strict=True) if not flag), path[-1])
         return f"on the way, {sentence(self.judgement, bad, False)}"
@@ -434,7 +439,8 @@ class _Judged(_Asked):
         if needed >= present:
             return needed
         spare = self.judgement.spare_ns_per_m + HYSTERESIS_NS_PER_M
-        easy = Judgement(self.judgement.basis, self.judgement.delay_periods, spare)
+        mine = self.judgement
+        easy = Judgement(mine.basis, mine.delay_periods, spare, mine.least_delay_periods)
         lower = easy.least_level(display, [level for level in levels if level < present])
         return present if lower is None else lower
 
@@ -448,7 +454,9 @@ class _Judged(_Asked):
     # --- what is safe, or safer -------------------------------------------------------------------
 
     def _is_safe(self, plan: Plan) -> bool:
-        return self.judgement.all_safe(self.way.path(plan))
+        if not self.judgement.all_safe(self.way.path(plan)):
+            return False
+        return all(self.judgement.safe(self.way.mixture(plan)))
 
     def _is_safer(self, plan: Plan) -> bool:
         """Whether it leads from outside the set to a better point, no point worse than the one

@@ -11,6 +11,9 @@ the board reports as damping, or for the ramps of the stage before, never for a 
 tried next: with what is under way brought to its end first, with what shrinks first, with what
 grows first. A longer ramp goes through the same points, so none is asked for.
 
+Where it is not known what comes first, a scheduled change or the end of the ramps before it, all
+corners of what may then act have to be safe (`mixture`).
+
 What would break it: ramps of several earlier changes under way at once, which are taken as one; or
 a parameter that moves without being asked.
 """
@@ -29,6 +32,7 @@ from hapticd.analysis.displays import (
     changed,
     fields_of,
     kept_level,
+    mixed,
 )
 
 POINTS = 20  # of a whole way
@@ -70,6 +74,7 @@ class Request(NamedTuple):
     target: Display  # where what is under way ends
     wanted: Display  # where this change leads
     change: dict[str, Any]  # its fields
+    passed: list[Display]  # in force at first, and where each change scheduled before it starts
     after: list[dict[str, Any]]  # scheduled later
     enable: bool
     moving: bool  # the environment is felt, or will be
@@ -122,6 +127,24 @@ class Ways:
             for leg, count in zip(legs, counts, strict=True)
         ]
         return [display for part in parts for display in part] if all(parts) else []
+
+    def mixture(self, plan: Plan) -> list[Display]:
+        """Corners of what may act where the order in time is not known: with changes that are
+        scheduled, whose ramps and damping may still be under way when the next one comes, and
+        at an enable while something is on its way.
+        """
+        request = self.request
+        later = [leg.end for leg in self._later(plan.end)]
+        known = not later and len(request.passed) == 1
+        if known and not request.enable:
+            return []
+        displays = [*request.passed, request.target, plan.end, *later]
+        if plan.stages[-1].damping_at_least is not None:
+            # nothing is felt before the damping that is asked for is in effect
+            here = request.passed[0]._replace(added_ns_per_m=plan.end.added_ns_per_m)
+            displays[0] = here if request.enable else displays[0]
+        environments = {one._replace(added_ns_per_m=0.0) for one in displays}
+        return mixed(displays) if len(environments) > 1 else []
 
     def _later(self, start: Display) -> list[Leg]:
         legs = []
@@ -212,7 +235,7 @@ def _parts(leg: Leg) -> tuple[bool, bool]:
 
 def _numbers(display: Display) -> tuple[float, ...]:
     wall = display.wall
-    return (*display.free, wall.stiffness_n_per_m, wall.damping_ns_per_m)
+    return (*display.free, wall.stiffness_n_per_m, wall.damping_ns_per_m, wall.side)
 
 
 def sampled(leg: Leg, count: int, levels: Sequence[float] = ()) -> list[Display]:
@@ -268,6 +291,11 @@ def _patch(leg: Leg, asked: float, left: float, level: float, levels: Sequence[f
     numbers = [
         s if own else f for own, s, f in zip(still, _numbers(slow), _numbers(fast), strict=True)
     ]
-    wall = replace(leg.end.wall, stiffness_n_per_m=numbers[3], damping_ns_per_m=numbers[4])
+    wall = replace(
+        leg.end.wall,
+        stiffness_n_per_m=numbers[3],
+        damping_ns_per_m=numbers[4],
+        side=int(numbers[5]),
+    )
     added = kept_level(leg.start.added_ns_per_m, leg.end.added_ns_per_m, level, levels)
     return Display(numbers[0], numbers[1], numbers[2], wall, leg.end.filters, added)

@@ -22,6 +22,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
+import numpy as np
+
 from hapticd.gateway.commands import parameters
 from hapticd.gateway.delay import DelayHistogram
 from hapticd.gateway.journal import Journal
@@ -100,6 +102,22 @@ class WallDamping:
         return self._begun
 
 
+class WallSide:
+    """The side of a wall that may still act: it comes to 0 on a ramp, and a record rounds it."""
+
+    def __init__(self) -> None:
+        self.value = 0
+
+    def follow(self, records: Any) -> None:
+        """Look at `records`: a side counts until one of them says 0 and nothing moves."""
+        walled = np.flatnonzero(records["wall_side"])
+        if walled.size:
+            self.value = int(records["wall_side"][walled[-1]])
+        after = records[walled[-1] + 1 :] if walled.size else records
+        if after.size and not bool((after["flags"] & int(IN_MOTION)).all()):
+            self.value = 0
+
+
 class Guard:
     """Policy, questions and answers. `worker` None: there is none, and nothing is known."""
 
@@ -126,6 +144,7 @@ class Guard:
         self._looked_delay: float | None = None
         self._delay_ns: int | None = None  # since when the measured one is another
         self._wall_damping = WallDamping()
+        self._side = WallSide()
         self._number = 0
         self._answers: dict[int, dict[str, Any]] = {}
         self._awaited: set[int] = set()  # questions of requests
@@ -251,7 +270,7 @@ class Guard:
                 self._view.life, target["wall"]["damping_ns_per_m"], moving
             ),
             "position_m": record["wall_position_m"],
-            "side": record["wall_side"],
+            "side": record["wall_side"] or (self._side.value if moving else 0),
         }
         effect = record["damping_effect_ns_per_m"]
         return target | {
@@ -435,7 +454,9 @@ class Guard:
             self._delay_life = life
             self._looked_delay = None
             self.delay.clear()
+            self._side.value = 0
         self.delay.add(records)
+        self._side.follow(records)
 
     def close(self) -> None:
         """End the worker."""
