@@ -117,3 +117,36 @@ class GuardedStack:
         for *_, payload in replies:
             content = msgpack.unpackb(payload)
             self.replies[content["id"]] = content
+
+
+class DeskClient:
+    """Asked as a `guard_requests.Guarded` is, it asks the desk."""
+
+    def __init__(self, desk: GuardedStack) -> None:
+        self.desk = desk
+        self.asked: list[int] = []
+
+    @property
+    def tick(self) -> int:
+        """Of the servo."""
+        return self.desk.view.tick
+
+    def ask(self, change: dict[str, Any], at_tick: int = 0, enable: bool = False) -> None:
+        """Ask, and do not wait."""
+        timed = {"at_tick": at_tick} if at_tick else {}
+        if enable:
+            self.asked.append(self.desk.send(cmd="enable"))
+        elif change:
+            self.asked.append(self.desk.send(cmd="set", **change, **timed))
+
+    def disable(self) -> None:
+        """Force off."""
+        self.asked.append(self.desk.send(cmd="disable"))
+
+    def choose(self, mode: str) -> None:
+        """Another mode of the active damping."""
+        self.asked.append(self.desk.send(cmd="guard", mode=mode))
+
+    def run(self, ticks: int) -> None:
+        """Ticks of the servo."""
+        self.desk.run(ticks)

@@ -7,10 +7,12 @@ played, in pieces of at most T / 4, not from the servo's own ledger:
 
     W + dE <= integral c v^2 dt + 5 mJ + booked        W work of the virtual force on the device,
                                                        E = K x^2 / 2 + M v^2 / 2 of the display
-    m v^2 / 2 <= person + 5 mJ + booked                what a passive display leaves of the motion
+    (m + M) v^2 / 2 + (K + arm) x^2 / 2                what a passive display leaves of the motion,
+        <= person + 5 mJ + booked                      and so of |v| and |x|; M where it is < 0
 
-c is the physical damping and the level in effect, `booked` what rising K and M brought in,
-dK x^2 / 2 and dM v^2 / 2 of every upward step.
+m with what the hand adds to the rotor, arm its spring to the wall; c is the physical damping and
+the level in effect, `booked` what rising K and M brought in, dK x^2 / 2 and dM v^2 / 2 of every
+upward step.
 
 What would break it: a force that the display stores and E does not know (no wall is flown), or a
 piece so long that the trapezoid of v^2 is no longer the integral.
@@ -24,16 +26,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.guard_requests import Plans
 from benchmarks.stand import settings
 from hapticd.assembly.lockstep import LockStep
 from hapticd.mailbox import layout
-from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.params import BoardParams, ServoParams
 from hapticd.plant.compose import compose_device
 from hapticd.plant.effects import Delay, Effect, Load, Masses, Motor, PassiveHand, Viscous
 from hapticd.plant.tables import board_fields
-from hapticd.servo.plan import SETTLED, Plan
+from hapticd.servo.plan import SETTLED
 from hapticd.settings.build import board_params, servo_params
 
 DTYPE = np.dtype([tuple(field) for field in layout.TELEMETRY])
@@ -102,7 +102,7 @@ def moving(seed: int, until_s: float) -> Person:
     hits = striking(tuple(strikes), random.uniform(0.5, 4.0))
     swing_n = random.uniform(0.0, 1.0)
     swing_hz = random.uniform(0.3, 4.0)
-    grip_n_per_m = random.choice((0.0, random.uniform(50.0, 400.0)))
+    grip_n_per_m = random.uniform(50.0, 400.0)
     tremor_m = random.uniform(0.0, 1e-3)
     beats = [(random.uniform(6.0, 14.0), random.uniform(0.0, tau)) for _ in range(3)]
 
@@ -110,7 +110,7 @@ def moving(seed: int, until_s: float) -> Person:
         if now_s >= until_s:
             return 0.0
         place_m = tremor_m * sum(sin(tau * hz * now_s + at) for hz, at in beats)
-        held = grip_n_per_m * (place_m - position_m) - 0.5 * velocity_m_per_s * bool(grip_n_per_m)
+        held = grip_n_per_m * (place_m - position_m) - 0.5 * velocity_m_per_s
         pushed = swing_n * sin(tau * swing_hz * now_s)
         return held + pushed + hits.force(now_s, position_m, velocity_m_per_s)
 
@@ -120,13 +120,14 @@ def moving(seed: int, until_s: float) -> Person:
 class Balance:
     """Energies at the simulated motor of a stack, from now on."""
 
-    def __init__(self, stack: LockStep, person: Person) -> None:
+    def __init__(self, stack: LockStep, person: Person, arm_n_per_m: float = 0.0) -> None:
         axis: Any = stack.backend._port._axis  # type: ignore[attr-defined]
         board = axis._params
         self._stack = stack
         self._step = axis.plant.step
         self._person = person.force
         self._mass_kg = board.mass_kg
+        self._arm_n_per_m = arm_n_per_m
         self._physical = board.viscous_ns_per_m
         self._substep_s = 1.0 / (16 * board.rate_hz)
         self._substeps = 0
@@ -139,7 +140,7 @@ class Balance:
         self.furthest_m = 0.0
         self.fastest_m_per_s = 0.0
         self.worst_j = -np.inf  # of W + dE - taken - booked
-        self.worst_motion_j = -np.inf  # of m v^2 / 2 - person - booked
+        self.worst_motion_j = -np.inf  # of motion and springs - person - booked
         axis.plant = axis.plant._replace(step=self._watched)
 
     def _watched(self, state: Any, force_n: float, torque_n: float, level: float, n: int) -> Any:
@@ -172,46 +173,13 @@ class Balance:
         self.booked_j += 0.5 * max(0.0, mass - m_before) * v * v
         stored_j = 0.5 * stiffness * x * x + 0.5 * mass * v * v
         lost_j = self.work_j + stored_j - self.taken_j - self.booked_j
-        kinetic_j = 0.5 * (self._mass_kg + min(0.0, mass)) * v * v
+        springs = stiffness + self._arm_n_per_m
+        moving_j = 0.5 * (self._mass_kg + min(0.0, mass)) * v * v + 0.5 * springs * x * x
         self.worst_j = max(self.worst_j, lost_j)
-        self.worst_motion_j = max(self.worst_motion_j, kinetic_j - self.person_j - self.booked_j)
+        self.worst_motion_j = max(self.worst_motion_j, moving_j - self.person_j - self.booked_j)
         self.most_person_j = max(self.most_person_j, self.person_j)
         self.furthest_m = max(self.furthest_m, abs(x))
         self.fastest_m_per_s = max(self.fastest_m_per_s, abs(v))
-
-
-class LivePlans(Plans):
-    """The plan of a servo that runs in a stack."""
-
-    def __init__(self, stack: LockStep) -> None:
-        super().__init__(stack.loop.params)
-        self.stack = stack
-
-    def _update(self) -> None:
-        settled = self.stack.loop.state[SETTLED]
-        self.plan: Plan = settled.plan
-        self.tick = self.stack.loop.slot
-
-    def _obey(self, kind: Command, tick: int, values: tuple[float, ...]) -> Result:
-        given = {place: values[place] for place in Value if int(values[0]) >> place & 1}
-        seq = self.stack.command(kind, given, tick)
-        result = Result.APPLIED
-        for _ in range(10):
-            self.stack.run(1)
-            self._update()
-            for answer in self.stack.gateway.answers():
-                if answer.seq == seq:
-                    return Result(answer.result)
-        return result
-
-    def run(self, ticks: int) -> None:
-        """Run the stack."""
-        self.stack.run(ticks)
-        self._update()
-
-    def step(self) -> None:
-        """One tick of the stack."""
-        self.run(1)
 
 
 def records(stack: LockStep) -> np.ndarray:

@@ -15,7 +15,7 @@ What would break it: a gateway that posts otherwise than here; some tests go thr
 """
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from random import Random
@@ -45,6 +45,8 @@ from hapticd.servo.safety import State
 Answering = Callable[[dict[str, Any]], dict[str, Any]]  # the guard: a request in, its answer out
 
 POLICIES = ("refuse", "clamp", "follow")
+PLAIN = {"K": 6, "B": 4, "M": 3, "damping": 5}  # kinds of parameters, and how often each comes
+EVERYTHING = PLAIN | {"wall": 1, "filters": 1}
 REQUESTS = 10  # of a sequence
 EACH = 8  # ticks between two looks at a ramp
 LONGEST_WAIT = 1500  # ticks until everything has arrived
@@ -91,7 +93,7 @@ def display_of(plan: Plan, tick: int | None, params: ServoParams) -> dict[str, A
         "K": value(Value.STIFFNESS),
         "B": value(Value.DAMPING),
         "M": value(Value.MASS),
-        "wall": wall | {"side": round(wall["side"])},
+        "wall": wall | {"side": (wall["side"] > 0.0) - (wall["side"] < 0.0)},
         "filters": {
             "velocity_hz": first.frequency_hz,
             "velocity_zeta": first.damping_ratio,
@@ -309,6 +311,20 @@ class Guarded:
                 self.stages = []  # what comes later was judged with it in force
             self.expected += 1
 
+    @property
+    def tick(self) -> int:
+        """Of the servo."""
+        return self.plans.tick
+
+    def disable(self) -> None:
+        """Force off, which ends what is under way."""
+        self.plans.switch(Command.DISABLE)
+        self.stages = []
+
+    def choose(self, mode: str) -> None:
+        """Another mode of the active damping."""
+        self.mode["mode"] = mode
+
     def run(self, ticks: int) -> None:
         """`ticks` ticks, in which stages go on."""
         for _ in range(ticks if self.stages else 0):
@@ -327,15 +343,11 @@ def _when(one: tuple[int, dict[str, Any]]) -> int:
     return one[0]
 
 
-def drawn(random: Random) -> dict[str, Any]:
-    """A change of any parameters."""
+def drawn(random: Random, kinds: Mapping[str, int]) -> dict[str, Any]:
+    """A change of some parameters, of `kinds` with these weights."""
     change: dict[str, Any] = {}
-    kinds = random.choices(
-        ("K", "B", "M", "damping", "wall", "filters"),
-        (6, 4, 3, 5, 1, 1),
-        k=random.choice((1, 1, 2, 3)),
-    )
-    for kind in kinds:
+    count = random.choice((1, 1, 2, 3))
+    for kind in random.choices(list(kinds), list(kinds.values()), k=count):
         change |= {kind: _VALUES[kind](random)}
     if random.random() < 0.4:
         change["ramp_s"] = random.choice((0.0, 0.02, 0.2, 1.0))
@@ -385,12 +397,12 @@ def fly(
     params = replace(params, safety=replace(params.safety, enable_ramp_s=enable_ramp_s))
     guarded = Guarded(judge, params, policy, delay_periods, seed)
     if random.random() < 0.3:
-        guarded.ask(drawn(random))  # something is there before force is
+        guarded.ask(drawn(random, EVERYTHING))  # something is there before force is
         guarded.run(random.randrange(LONGEST_WAIT))
     guarded.ask({}, enable=True)
     for _ in range(REQUESTS):
         guarded.run(random.choice((0, random.randrange(60), random.randrange(600), 900, 900)))
-        _request(guarded, random)
+        request(guarded, random)
     guarded.run(LONGEST_WAIT)
     points = guarded.plans.points
     return Flown(guarded.asked, list(points), [point for point, stood in points.items() if stood])
@@ -406,22 +418,18 @@ def _configured(params: ServoParams, random: Random) -> EnvironmentParams:
     )
 
 
-def _request(guarded: Guarded, random: Random) -> None:
+def request(guarded: Any, random: Random, kinds: Mapping[str, int] = EVERYTHING) -> None:
+    """One request of a client to `guarded`, a `Guarded` or what can be asked like it."""
     kind = random.random()
-    plans = guarded.plans
     if kind < 0.06:
-        plans.switch(Command.DISABLE)
-        guarded.stages = []
+        guarded.disable()
         guarded.run(random.randrange(100))
         if random.random() < 0.5:
-            guarded.ask(drawn(random))
+            guarded.ask(drawn(random, kinds))
             guarded.run(random.choice((0, random.randrange(300))))
         guarded.ask({}, enable=True)
     elif kind < 0.1:
-        guarded.mode = {
-            "mode": random.choice(("off", "off", "level", "auto")),
-            "level": 1.74,
-        }
+        guarded.choose(random.choice(("off", "off", "level", "auto")))
     else:
-        soon = plans.tick + random.randrange(5, 400) if random.random() < 0.15 else 0
-        guarded.ask(drawn(random), soon)
+        soon = guarded.tick + random.randrange(5, 400) if random.random() < 0.15 else 0
+        guarded.ask(drawn(random, kinds), soon)

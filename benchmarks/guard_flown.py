@@ -1,0 +1,101 @@
+"""Random requests through the gateway's desk, in the air: a hand that would shake what lies 5 %
+further out, and a person who moves.
+
+The sequence of a seed is first done without a board (`guard_requests`); the last environment that
+stood in it gives the hand, a mass on the rotor or a spring to the wall. Then the same client asks
+the same at the real desk, in front of the servo and a board in that hand. A flight is in order if
+
+    nothing that the records show in force rings in a few dozen hands, or in this one
+    the balance at the motor and the bound of the motion hold (`guard_flight`)
+    no fault ends it
+
+What would break it: a wall, whose energy the balance does not know; the requests name none.
+"""
+
+from random import Random
+from typing import Any, NamedTuple
+
+import numpy as np
+from whole_tick import SETTLED, PlainHand, Point, held_mass
+
+from benchmarks.guard_desk import DeskClient, GuardedStack
+from benchmarks.guard_flight import (
+    SLACK_J,
+    Balance,
+    heavy,
+    moving,
+    plain_servo,
+    records,
+    rigid_board,
+)
+from benchmarks.guard_requests import PLAIN, POLICIES, Answering, fly, request
+from benchmarks.guard_verdict import FURTHER, Bench
+from hapticd.assembly.lockstep import LockStep
+from hapticd.mailbox.layout import State
+
+REQUESTS = 8
+QUIET_TICKS = 300  # after the last request, without the person
+COLUMNS = ("stiffness_n_per_m", "damping_ns_per_m", "mass_kg")
+
+
+class Flight(NamedTuple):
+    """What one flight gave."""
+
+    seed: int
+    points: int  # environments in force that were judged
+    wrong: list[str]
+
+
+def hand_of(seed: int, judge: Answering, bench: Bench) -> PlainHand:
+    """The hand of a seed: shakes 5 % beyond what its sequence ends in, if any hand does."""
+    ends = [point for point in fly(seed, judge, plain_servo()).ends if any(point[:3])]
+    found = bench.proposed(ends[-1].scaled(FURTHER)) if ends else None
+    if found is None:
+        return held_mass(0.0, 3000.0)
+    # small tuned masses that serve images are left out
+    return held_mass(float(found.mass_kg[0]), max(0.0, float(found.stiffness_n_per_m[0].sum())))
+
+
+def flown(seed: int, judge: Answering, bench: Bench) -> Flight:
+    """The flight of `seed`."""
+    random = Random(f"flight {seed}")
+    hand = hand_of(seed, judge, bench)
+    arm_n_per_m = float(hand.stiffness_n_per_m[0, 0])
+    board = rigid_board(heavy(float(hand.mass_kg[0]), arm_n_per_m))
+    with LockStep(plain_servo(), board) as stack:
+        balance = Balance(stack, moving(seed, 2.5), arm_n_per_m)
+        desk = GuardedStack(stack, judge, POLICIES[seed % len(POLICIES)])
+        client = DeskClient(desk)
+        client.ask({}, enable=True)
+        client.run(150)
+        for _ in range(REQUESTS):
+            request(client, random, PLAIN)
+            client.run(random.choice((random.randrange(40), random.randrange(500))))
+        client.run(QUIET_TICKS)
+        found = records(stack)
+    points = in_force(found)
+    wrong = _ringing(bench, points, hand) + _energies(balance)
+    faults = set(found["fault"].tolist()) - {0}
+    return Flight(seed, len(points), wrong + [f"fault {number}" for number in sorted(faults)])
+
+
+def in_force(found: np.ndarray) -> list[Point]:
+    """What records say was rendered and damped, each once; filters as they are by default."""
+    live = found[found["state"] == State.ENABLED]
+    scaled = [live["gain"] * live[name] for name in COLUMNS]
+    rows = np.stack((*scaled, live["damping_effect_ns_per_m"].astype(float)), axis=1)
+    distinct = np.unique(rows.round(6), axis=0).tolist()
+    return [Point(*row) for row in distinct]
+
+
+def _ringing(bench: Bench, points: list[Point], hand: PlainHand) -> list[str]:
+    if not points:
+        return ["never under force"]
+    worst = bench.worst(points, [*bench.few, hand])
+    place = int(np.argmax(worst))
+    return [f"{points[place]} rings, {worst[place]:.7f}"] if worst[place] > SETTLED else []
+
+
+def _energies(balance: Balance) -> list[str]:
+    found: dict[str, Any] = {"balance": balance.worst_j, "motion": balance.worst_motion_j}
+    return [f"{name} {1e3 * one:.1f} mJ" for name, one in found.items() if one > SLACK_J]
