@@ -158,12 +158,14 @@ def test_change_is_bound_to_the_environment_it_was_judged_for_under(
 
 
 def test_clamped_values_are_what_is_posted(rig: DeskRig, worker: StubWorker) -> None:
+    under(rig, "clamp")
     clamped = {"action": "apply", "stages": [stage({"K": 70.0})], "verdict": verdict(clamped=True)}
     worker.script = lambda asked: clamped
     assert rig.ask(cmd="set", K=100)["receipt"]["effective"]["K"] == 70
 
 
 def test_if_rev_is_compared_again_after_the_verdict(rig: DeskRig, worker: StubWorker) -> None:
+    under(rig, "refuse")
     worker.silent = True
     rig.send(packed(cmd="set", K=5, if_rev=0))
     rig.run()
@@ -174,6 +176,44 @@ def test_if_rev_is_compared_again_after_the_verdict(rig: DeskRig, worker: StubWo
     assert reply["error"]["code"] == "refused"
     assert "the revision is 3 by now, not 0" in reply["error"]["message"]
     assert rig.servo.taken == []
+
+
+def test_warned_change_is_in_force_before_its_verdict_and_told_with_it(
+    rig: DeskRig, worker: StubWorker
+) -> None:
+    """A verdict that changes nothing delays nothing but the reply."""
+    worker.silent = True
+    rig.send(packed(cmd="set", K=100))
+    assert later(rig, 50) == []
+    assert rig.servo.values[Value.STIFFNESS] == 100
+    (asked,) = worker.changes
+    assert asked["target"]["K"] == 0
+    worker.said.append({**refuses(asked), "n": asked["n"]})
+    (reply,) = later(rig)
+    assert (reply["receipt"]["first_tick"], reply["guard"]["safe"]) == (2, False)
+
+
+def test_change_that_is_passive_in_stages_alone_is_warned_about_when_done_at_once(
+    rig: DeskRig, worker: StubWorker
+) -> None:
+    worker.script = two_stages
+    reply = rig.ask(cmd="set", K=400, B=1)
+    assert reply["receipt"]["result"] == "applied"
+    assert (reply["ok"], reply["guard"]["safe"]) == (True, False)
+    assert "only in stages" in reply["guard"]["text"]
+
+
+def test_servo_that_ends_while_a_verdict_is_awaited_ends_the_request(
+    rig: DeskRig, worker: StubWorker, tmp_path: Path
+) -> None:
+    worker.silent = True
+    rig.send(packed(cmd="set", K=1, id=1))
+    later(rig, 5)
+    rig.servo.mailbox.close()
+    rig.servo = StandInServo(tmp_path, rig.clock)
+    rig.clock.time_ns += 200_000_000
+    (reply,) = [decoded(one) for one in rig.run(2)]
+    assert (reply["id"], reply["error"]["code"]) == (1, "servo_down")
 
 
 # --- the worker fails -----------------------------------------------------------------------------
@@ -194,6 +234,7 @@ def test_worker_that_answers_nothing_for_ten_seconds_is_ended(
     rig: DeskRig, worker: StubWorker
 ) -> None:
     """Not at once: one that sees a delay for the first time takes long, and keeps what it found."""
+    under(rig, "refuse")
     worker.silent = True
     rig.send(packed(cmd="set", K=100))
     later(rig, 10_000)
@@ -242,7 +283,7 @@ def test_no_verdict_within_half_a_second_goes_on_under_warn(
 ) -> None:
     worker.silent = True
     rig.send(packed(cmd="set", K=100))
-    assert later(rig, 500) == []
+    assert later(rig, 499) == []
     (reply,) = later(rig)
     assert reply["receipt"]["effective"]["K"] == 100
     assert reply["guard"]["safe"] is None
@@ -294,6 +335,7 @@ def test_late_answer_belongs_to_no_question(rig: DeskRig, worker: StubWorker) ->
 
 
 def test_change_of_policy_voids_a_verdict_on_its_way(rig: DeskRig, worker: StubWorker) -> None:
+    under(rig, "clamp")
     worker.silent = True
     rig.send(packed(cmd="set", K=100))
     later(rig, 2)
@@ -304,7 +346,7 @@ def test_change_of_policy_voids_a_verdict_on_its_way(rig: DeskRig, worker: StubW
     worker.said.append({**applies(first), "n": first["n"]})
     (reply,) = later(rig)
     assert reply["error"]["code"] == "guard"
-    assert [one["policy"] for one in worker.changes] == ["warn", "refuse"]
+    assert [one["policy"] for one in worker.changes] == ["clamp", "refuse"]
 
 
 # --- others, meanwhile ----------------------------------------------------------------------------
@@ -322,6 +364,7 @@ def test_stop_waits_for_no_verdict(rig: DeskRig, worker: StubWorker) -> None:
 def test_enable_does_not_come_after_what_was_asked_after_it(
     rig: DeskRig, worker: StubWorker, cmd: str
 ) -> None:
+    under(rig, "refuse")
     worker.silent = True
     rig.send(packed(cmd="enable", id=1))
     later(rig, 2)
@@ -479,6 +522,7 @@ def test_stage_waits_for_the_damping_that_the_board_reports(
 
 
 def test_stage_waits_for_the_ramps_of_the_one_before(rig: DeskRig, worker: StubWorker) -> None:
+    under(rig, "follow")
     stages = [stage({"K": 10.0}), stage({"damping": 0.0}, after_ramps=True)]
     worker.script = lambda asked: {"action": "stage", "stages": stages, "verdict": verdict()}
     rig.ask(cmd="damping", value="off")
@@ -647,8 +691,9 @@ def test_nobody_is_asked_again_and_again_while_nobody_listens(
     assert len(worker.asked) == 1
     rig.ask(cmd="set", K=30)
     looking(rig, wanted=False)
-    assert [one["ask"] for one in worker.asked] == ["look", "change", "look"]
-    assert rig.ask(cmd="guard")["result"]["verdict"]["text"] == "as it is"
+    # the verdict on the change tells as much as a look would
+    assert [one["ask"] for one in worker.asked] == ["look", "change"]
+    assert rig.ask(cmd="guard")["result"]["verdict"]["text"] == "fine"
 
 
 def test_topic_says_unknown_without_a_worker(tmp_path: Path) -> None:

@@ -435,7 +435,8 @@ class Desk:
             if isinstance(request, GuardRequest):
                 request = damping_by(request)
             if concerns(request):
-                self._guarded.take(self._case(message, actor, request, now_ns), now_ns)
+                case = self._case(message, actor, request, now_ns)
+                self._guarded.take(case, now_ns, not len(self._outstanding))
                 return None
             if request.cmd in OVERTAKING:
                 self._guarded.take_back_enables(request.cmd)

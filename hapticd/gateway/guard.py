@@ -372,6 +372,12 @@ class Guard:
             self._tell_hand(self._hand[1], answer.get("hand"))
             self._hand = None
 
+    def take_verdict(self, verdict: dict[str, Any]) -> None:
+        """The verdict on what has just come into force; it saves a look."""
+        if verdict.get("safe") and not verdict.get("clamped"):
+            self._looked = {"verdict": verdict}
+            self._looked_at = self._view.life, self.revision, self.delay.periods
+
     def _take_look(self, answer: dict[str, Any], about: tuple[Any, ...]) -> None:
         before = self._looked.get("verdict", {}).get("safe")
         same = about[:2] == self._looked_at[:2]

@@ -5,6 +5,9 @@
        |         +-> refused, with the verdict
        +-> too late, or what it waited for is gone
 
+Under `warn`, where a verdict is information, what needs no stages is posted at once and judged
+beside: its reply waits for both.
+
 They go one after the other. Each is judged when no command is on its way, so that the newest record
 and the last answer tell of the same environment, and is posted with the revision of that
 environment: the servo refuses it if it is another one by then (policies clamp, refuse, follow). All
@@ -83,6 +86,7 @@ class Case:
     state: State | None = None  # in which it began
     ramp_end_tick: int = 0
     since_ns: int = 0  # the last stage was posted, or something moved
+    held: Answer | None = None  # of the servo, while the verdict on what was posted is awaited
 
 
 class Told(NamedTuple):
@@ -175,6 +179,7 @@ class Guarded:
         self._may = may
         self._queue: deque[Case] = deque()
         self._asked: Case | None = None
+        self._beside: Case | None = None  # posted at once, judged meanwhile
         self._staged: Case | None = None
         self._scheduled: dict[int, Booked] = {}  # by sequence number, of the present servo life
         self._life = 0
@@ -187,7 +192,7 @@ class Guarded:
     @property
     def waiting(self) -> bool:
         """Whether a verdict is due, or a request that has not been judged."""
-        return self._asked is not None or bool(self._queue)
+        return bool(self._asked or self._beside or self._queue)
 
     def summary(self) -> dict[str, Any]:
         """What `status` tells."""
@@ -199,20 +204,71 @@ class Guarded:
             "stage": case.place + 1,
             "stages": len(case.stages),
         }
-        return {"waiting": len(self._queue) + (self._asked is not None), "under_way": under_way}
+        waiting = len(self._queue) + (self._asked is not None)
+        return {"waiting": waiting, "under_way": under_way}
 
     # --- in ---------------------------------------------------------------------------------------
 
-    def take(self, case: Case, now_ns: int) -> None:
-        """A request has come. CommandError: it is refused at once, nothing happens."""
-        at_once = not self.waiting and not self._asks(case)
-        if at_once:
+    def take(self, case: Case, now_ns: int, idle: bool) -> None:
+        """A request has come; `idle`: no command is on its way.
+
+        CommandError: it is refused at once, nothing happens.
+        """
+        if not self.waiting and not self._asks(case):
             self._unjudged(case, now_ns)
+            return
+        if idle and self._goes_at_once(case):
+            self._judge_beside(case, now_ns)
             return
         if len(self._queue) >= MOST_WAITING:
             reason = f"{MOST_WAITING} requests wait for the guard already; slow down and ask again"
             raise CommandError("busy", f"{case.cmd}: {reason}")
         self._queue.append(case)
+
+    def _goes_at_once(self, case: Case) -> bool:
+        """Whether it is done whatever the verdict says, and in one stage."""
+        guard = self._guard
+        change = change_of(case.request, guard.level)
+        whole = "damping" not in change or len(change) == 1
+        plain = whole and not case.at_tick and not self._auto(case)
+        ready = guard.worker == "up" and guard.known and not guard.busy
+        free = not self.waiting and self._staged is None
+        return guard.policy == "warn" and plain and ready and free
+
+    def _judge_beside(self, case: Case, now_ns: int) -> None:
+        self._ask(case, now_ns)
+        self._asked = None
+        try:
+            self._post(case, posting(case.request, 0), now_ns)
+        except CommandError:
+            self._guard.forget(case.number)
+            raise
+        self._beside = case
+
+    def _hear_beside(self, case: Case, now_ns: int) -> None:
+        """The reply to what is in force already, once its verdict is there or too late."""
+        guard = self._guard
+        answer = guard.answer(case.number)
+        late = guard.worker != "up" or now_ns - case.ready_ns >= VERDICT_NS
+        if answer is None and not late:
+            return
+        self._beside = None
+        guard.forget(case.number)
+        case.verdict = self._verdict_beside(case, answer)
+        if case.verdict["safe"] is False:
+            self._want_hand(case)
+        if case.held is not None and (told := self.answered(case, case.held, now_ns)):
+            self._told.append(told)
+
+    def _verdict_beside(self, case: Case, answer: dict[str, Any] | None) -> dict[str, Any]:
+        verdict = answer.get("verdict") if answer else None
+        if answer is None or not isinstance(verdict, dict):
+            why = f"the guard's worker answered: {answer.get('error')}" if answer else self._late()
+            return self._guard.unknown(why or self._guard.trouble)
+        if answer.get("action") == "stage" and verdict.get("safe"):
+            text = f"warning: the way there is not passive, only in stages; {verdict.get('text')}"
+            verdict = verdict | {"safe": False, "text": text}
+        return {"safe": None, "text": "", **verdict, "number": case.number}
 
     def take_back_enables(self, why: str) -> None:
         """No enable that waits shall come after `why`, which was asked later."""
@@ -237,6 +293,8 @@ class Guarded:
         self._forget_other_lives()
         self._forget_who_may_not()
         self._expire(now_ns)
+        if self._beside is not None:
+            self._hear_beside(self._beside, now_ns)
         if self._asked is not None:
             self._hear(self._asked, now_ns, idle)
         elif self._queue and idle:
@@ -255,6 +313,10 @@ class Guarded:
             return
         self._life = life
         self._scheduled = {}
+        if self._beside is not None and self._beside.held is not None:
+            text = f"{self._beside.cmd}: {SERVO_GONE}"
+            self._told.append(Told(self._beside, CommandError("servo_down", text)))
+        self._beside = None  # without an answer the desk has told its end
         for case in filter(None, (*self._queue, self._asked, self._staged)):
             if case.life != life:
                 self._give_back(case, CommandError("servo_down", f"{case.cmd}: {SERVO_GONE}"))
@@ -560,6 +622,9 @@ class Guarded:
 
     def answered(self, case: Case, answer: Answer, now_ns: int) -> Told | None:
         """What the servo's `answer` to the last stage of `case` means; None: more is to come."""
+        if case is self._beside and answer.result is Result.APPLIED:
+            case.held = answer
+            return None
         if answer.result is Result.SCHEDULED:
             change = change_of(case.request, self._guard.level)
             self._scheduled[answer.seq] = Booked(case.at_tick, answer.seq, change)
@@ -579,6 +644,8 @@ class Guarded:
         case.ramp_end_tick = answer.ramp_end_tick
         case.since_ns = now_ns
         if case.place >= len(case.stages):
+            if len(case.stages) <= 1 and not case.ahead:
+                self._guard.take_verdict(case.verdict)
             return Told(case, receipt=receipt(answer))
         if self._staged is not None:
             self._supersede(case)
