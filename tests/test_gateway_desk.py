@@ -337,6 +337,18 @@ def test_killed_servo_leaves_no_ghost(rig: DeskRig) -> None:
     assert rig.ask(cmd="set", K=7)["ok"]
 
 
+def test_what_the_servo_changes_by_itself_is_learnt(rig: DeskRig) -> None:
+    rig.ask(cmd="set", K=500.0)
+    rig.servo.values[Value.STIFFNESS] = 125.0  # as the energy controller cuts it
+    rig.servo.values[Value.ENVIRONMENT_REVISION] += 1
+    rig.run(3)
+    rig.run(3)
+    assert rig.ask(cmd="get")["result"]["parameters"]["K"] == 125.0
+    posted = len(rig.servo.taken)
+    rig.run(50)
+    assert len(rig.servo.taken) == posted  # asked once
+
+
 def test_restarted_gateway_learns_the_parameters(rig: DeskRig) -> None:
     rig.ask(cmd="set", K=123, wall={"position_m": 0.02})
     rig.start_gateway()

@@ -648,6 +648,28 @@ def test_auto_chooses_anew_by_itself(rig: DeskRig, worker: StubWorker) -> None:
     assert len(rig.servo.taken) == taken  # nothing is posted while nothing changes
 
 
+def test_auto_takes_nothing_back_from_the_energy_controller(
+    rig: DeskRig, worker: StubWorker
+) -> None:
+    level = {"action": "apply", "stages": [stage({"damping": 0.7})], "verdict": verdict()}
+    worker.script = lambda asked: level if asked["ask"] == "change" else None
+    rig.ask(cmd="damping", value="auto")
+    for _ in range(60):
+        rig.run(100)
+    rig.servo.flags = int(Flag.CONTROLLED)
+    rig.servo.values[Value.ADDED_DAMPING] = 10.0
+    rig.servo.values[Value.ENVIRONMENT_REVISION] += 1
+    asked = len(worker.changes)
+    for _ in range(60):
+        rig.run(100)
+    assert rig.servo.values[Value.ADDED_DAMPING] == 10.0
+    assert len(worker.changes) == asked
+    rig.servo.flags = 0  # a change has asked anew
+    for _ in range(60):
+        rig.run(100)
+    assert len(worker.changes) > asked
+
+
 # --- looks ----------------------------------------------------------------------------------------
 
 

@@ -64,7 +64,7 @@ from hapticd.gateway.schemas import (
 )
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.client_side import Answer
-from hapticd.mailbox.layout import PERTURBATION_SAMPLES, Command, Result, values_of
+from hapticd.mailbox.layout import PERTURBATION_SAMPLES, Command, Result, Value, values_of
 from hapticd.mailbox.stop_word import press_stop
 from hapticd.params import LeaseParams
 from hapticd.units import NS_PER_S, PROBE_RATE_HZ
@@ -342,7 +342,7 @@ class Desk:
         self._guarded = Guarded(guard, view, self.actors, self._post_case, self._may)
         guard.measuring = lambda: self.leases.measuring
         self._queue: list[RequestMessage] = []
-        self._asked_life = 0
+        self._asked_back = (0, 0)  # servo life and revision that it was asked about
 
     @property
     def waiting(self) -> bool:
@@ -548,13 +548,18 @@ class Desk:
         return True
 
     def _ask_back(self) -> None:
-        """Learn the parameters after a restart of the gateway.
+        """Learn the parameters after a restart of the gateway, or when the servo has changed them
+        by itself.
 
         A set for a tick long past is refused, and the refusal carries them.
         """
-        if self._view.unsure and self._asked_life != self._view.life and self._view.mailbox:
-            asked = self._view.mailbox.post(Command.SET, GATEWAY_ACTOR, PAST_TICK, values_of({}))
-            self._asked_life = self._asked_life if asked is None else self._view.life
+        view = self._view
+        revision = int(view.record.get("environment_revision", 0))
+        own = revision > view.targets[Value.ENVIRONMENT_REVISION] and not len(self._outstanding)
+        asked = self._asked_back == (view.life, revision)
+        if (view.unsure or (view.alive and own)) and not asked and view.mailbox:
+            seq = view.mailbox.post(Command.SET, GATEWAY_ACTOR, PAST_TICK, values_of({}))
+            self._asked_back = self._asked_back if seq is None else (view.life, revision)
 
     def _report(self, scheduled: Pending, answer: Answer, now_ns: int) -> None:
         """What became of a scheduled change, at its tick."""

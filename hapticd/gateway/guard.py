@@ -255,6 +255,11 @@ class Guard:
         """Of the environment in the newest record; -1 before the first."""
         return int(self._view.record.get("environment_revision", -1))
 
+    @property
+    def controlled(self) -> bool:
+        """Whether the servo's energy controller holds more damping, or less K and B, than asked."""
+        return bool(int(self._view.record.get("flags", 0)) & Flag.CONTROLLED)
+
     def target(self) -> Display:
         """Where the ramps in force end."""
         return target_of(self._view.targets)

@@ -369,11 +369,14 @@ class Guarded:
         return late if self._guard.worker == "up" else ""
 
     def _choose_level(self, now_ns: int) -> None:
-        """Mode auto: judge again what is in force when the delay has changed, or now and then."""
+        """Mode auto: judge again what is in force when the delay has changed, or now and then; not
+        where the energy controller has the say, until a change asks again.
+        """
         guard = self._guard
         about = self._life, guard.revision, guard.delay_periods
         due = about != self._chosen_for or now_ns - self._chosen_ns >= CHOICE_NS
         ready = guard.mode == "auto" and guard.worker == "up" and guard.known
+        ready = ready and not guard.controlled
         if not (ready and due) or now_ns - self._chosen_ns < LEAST_CHOICE_NS:
             return
         self._chosen_for = about
