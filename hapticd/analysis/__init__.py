@@ -12,6 +12,7 @@ velocity, N s/m, at the probe unless something else is said. For scripts:
     resolved     `resolved`: Z where the motion is narrower than the window
     verdict      `judge`: passive in a band, not passive, or undecided, with intervals
     predict      `predict`, `predicted_impedance`: passive or not without a trial
+    alignment    `align`: a record of another system beside the own one
     ledger       `book`: the work that each cause does on the device
     theorem      `required_damping`, `lift`, `lifted_margin`: Colgate and Schenkel
     coupled      `withstands`, `shaking_hand`: what a passive hand can do

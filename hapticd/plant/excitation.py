@@ -7,6 +7,11 @@ them, in whatever order, so results cannot depend on chunks or threads.
 
 rms = sqrt(S x band) plus the taper: 2.5e-5 N^2/Hz to 1.7 kHz is 0.21 N.
 
+A mark is a maximum-length sequence of 1023 signs, a sample each (Golomb, "Shift Register
+Sequences", 1967): by it a record of another system is found to belong to a trial, and where it
+begins (`analysis.alignment`). It is as strong as the rms of the perturbation in whose place it
+stands, so it is inside of every limit that the perturbation is inside of.
+
 What would break it: drawing a stream in pieces (a record is made whole, then cut).
 """
 
@@ -22,6 +27,9 @@ from hapticd.units import PROBE_RATE_HZ
 
 Floats = npt.NDArray[np.float64]
 NOISE_SAMPLES_MAX = 1 << 26  # of one record: half a gigabyte, 4.7 hours
+MARK_ORDER = 10  # stages of the shift register
+MARK_TAPS = (3, 10)  # x^10 + x^3 + 1 is primitive
+MARK_LEAD = 1000  # samples of perturbation before the mark
 TAPER = 1.12  # the cosine ends at this multiple of the band, or at 2 kHz
 
 
@@ -105,6 +113,29 @@ def multisine(excitation: Excitation, random: np.random.Generator) -> Floats:
     spectrum = np.zeros(samples // 2 + 1, dtype=complex)
     spectrum[1 : highest + 1] = np.exp(2j * pi * random.random(highest))
     return np.fft.irfft(spectrum, samples) * (excitation.force_n * samples / sqrt(2.0 * highest))
+
+
+def mark_signs() -> Floats:
+    """The mark, (1023,) of +1 and -1: one period of a maximum-length sequence."""
+    bits = [1] * MARK_ORDER
+    while len(bits) < (1 << MARK_ORDER) - 1:
+        bits.append(bits[-MARK_TAPS[0]] ^ bits[-MARK_TAPS[1]])
+    return 1.0 - 2.0 * np.array(bits, dtype=np.float64)
+
+
+def marked(force_n: Floats) -> Floats:
+    """`force_n` (n,) with a mark of its rms in place of samples `MARK_LEAD` and after. ConfigError
+    if it is too short.
+    """
+    signs = mark_signs()
+    end = MARK_LEAD + signs.size
+    if force_n.size < end:
+        raise ConfigError(
+            f"a perturbation of {force_n.size} samples has no room for a mark, {end} are needed;"
+            " make the trial longer"
+        )
+    level_n = float(np.std(force_n))
+    return np.concatenate((force_n[:MARK_LEAD], level_n * signs, force_n[end:]))
 
 
 def held_noise(samples: int, psd: float, seed: int, stream: int) -> Floats:

@@ -23,16 +23,17 @@ from typing import Any
 
 import numpy as np
 
+from hapticd.analysis.alignment import find_marks
 from hapticd.analysis.arrays import Flags, Floats
 from hapticd.client.blocks import Block, BlockDecoder
 from hapticd.client.client import Client
 from hapticd.client.lease import ClientLease
 from hapticd.errors import AnalysisError, CommandError, DaemonDown
 from hapticd.mailbox.layout import LOST_SLOTS, Flag, State, Watched
-from hapticd.plant.excitation import torque_record
+from hapticd.plant.excitation import marked, torque_record
 from hapticd.units import PROBE_RATE_HZ
 from hapticd.zwidth.sources import Source, Trial
-from hapticd.zwidth.store import Progress, TrialRecord, silent
+from hapticd.zwidth.store import MARK_SAMPLE, Progress, TrialRecord, silent
 from hapticd.zwidth.watch import Filler, Sentinel
 
 LEASE_S = 5.0  # a trial that hangs for so long has ended
@@ -89,11 +90,17 @@ def daemon_source(bench: Client, origin: str = "daemon") -> Source:
 def _waveform(trial: Trial) -> Floats:
     if trial.waveform_n is not None:
         return trial.waveform_n
-    return torque_record(
+    if trial.mark and trial.seconds > WAVEFORM_S - SPARE_S:
+        raise AnalysisError(
+            f"a marked trial of {trial.seconds:g} s: the perturbation repeats after"
+            f" {WAVEFORM_S:g} s, with its mark; take {WAVEFORM_S - SPARE_S:g} s or less"
+        )
+    force_n = torque_record(
         trial.excitation,
         round(PROBE_RATE_HZ * min(WAVEFORM_S, trial.seconds + SPARE_S)),
         trial.excitation.seed,
     )
+    return marked(force_n) if trial.mark else force_n
 
 
 def _leave(bench: Client, lease: ClientLease) -> None:
@@ -125,6 +132,7 @@ class LiveRecording:
         self._limit_n = min(servo["safety"]["force_limit_n"], servo["device"]["force_limit_n"])
         self._daemon = daemon
         self._seconds = trial.seconds
+        self._marked = trial.mark
         watch = replace(
             trial.watch, command_limit_n=self._limit_n, travel_m=(ends["lower_m"], ends["upper_m"]),
             speed_limit_m_per_s=servo["device"]["speed_limit_m_per_s"],
@@ -222,6 +230,7 @@ class LiveRecording:
             lost = (int(self._newest["lost_slots"]) - int(self._began["lost_slots"])) % LOST_SLOTS
             slots = int(self._newest["tick"]) - int(self._began["tick"]) + 1 + lost
         return {
+            **self._mark(settle),
             "lost_samples": int((~came).sum()),
             "samples": came.size,
             "lost_slots": lost,
@@ -233,6 +242,14 @@ class LiveRecording:
             "guard_policy": "off" if "measuring" in status["leases"] else None,
             "config_hash": status.get("config_hash", ""),
         }
+
+    def _mark(self, settle: int) -> dict[str, int]:
+        """Where the mark began, in samples of the record; {} without one."""
+        if not self._marked:
+            return {}
+        force = np.concatenate([values[0] for values, _ in self._parts])[:settle]
+        marks = find_marks(force)
+        return {MARK_SAMPLE: marks[0].row - settle} if marks else {}
 
     def _probe_blocks(self) -> Iterator[Block]:
         """Blocks of the probe, after the ticks before each were read; none after the servo is no

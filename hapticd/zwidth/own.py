@@ -9,7 +9,8 @@ Each becomes the record of one trial: a recording, its exports, a run folder's r
     record.h5, record.npz      of a trial, with what `run.json` says beside it or in the file
 
 A recording is cut to its longest stretch that is one trial (`recording.stretch`); which of its
-samples are missing follows from their numbers.
+samples are missing follows from their numbers. A mark of the perturbation lies before that stretch
+(`excitation.marked`); where it begins is said in samples of it, for `aligned`.
 
 What would break it: a column of another unit; all of them are written by this package.
 """
@@ -20,11 +21,15 @@ from typing import Any
 
 import numpy as np
 
+from hapticd.analysis.alignment import find_marks
+from hapticd.analysis.arrays import Integers
 from hapticd.errors import AnalysisError
 from hapticd.recording.stretch import REMARK_ATTRIBUTES, ReadColumn, Stretch, stretch
 from hapticd.units import PROBE_RATE_HZ
-from hapticd.zwidth.store import RenderedEnvironment, TrialRecord, to_json
+from hapticd.zwidth.store import MARK_SAMPLE, RenderedEnvironment, TrialRecord, to_json
 from hapticd.zwidth.watch import in_even_time
+
+BEFORE = 2 * PROBE_RATE_HZ  # samples before a trial in which its mark is looked for
 
 
 def of_recording(column: ReadColumn, attributes: Mapping[str, Any], name: str) -> TrialRecord:
@@ -58,6 +63,7 @@ def _cut(
         for one in REMARK_ATTRIBUTES
         if attributes.get(one) not in (None, "")
     }
+    index = np.asarray(column("probe", "index"), np.int64)
     recorded = TrialRecord(
         force,
         velocity,
@@ -67,7 +73,19 @@ def _cut(
         bool(int(attributes["simulated"])),
         max_command_n=trial.max_command_n,
         command_limit_n=trial.command_limit_n,
-        more={**more, "lost_slots": trial.lost_slots, "slots": trial.slots},
+        more={
+            **more,
+            "lost_slots": trial.lost_slots,
+            "slots": trial.slots,
+            **_mark(column, trial.first, index),
+        },
         rendered=RenderedEnvironment(trial.environment, trial.added_damping_ns_per_m),
     )
-    return in_even_time(recorded, np.asarray(column("probe", "index"), np.int64)[part])
+    return in_even_time(recorded, index[part])
+
+
+def _mark(column: ReadColumn, first: int, index: Integers) -> dict[str, int]:
+    """Where the last mark before row `first` begins, in samples from there on; {} without one."""
+    begin = max(0, first - BEFORE)
+    marks = find_marks(np.asarray(column("probe", "torque_n"), np.float64)[begin:first])
+    return {MARK_SAMPLE: int(index[begin + marks[-1].row] - index[first])} if marks else {}

@@ -26,7 +26,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from hapticd.analysis.arrays import Floats
+from hapticd.analysis.arrays import Floats, Integers
 from hapticd.errors import AnalysisError, ConfigError
 from hapticd.recording.file import is_recording, open_recording
 from hapticd.recording.provenance import needed
@@ -34,6 +34,7 @@ from hapticd.recording.stretch import PROBE_COLUMNS, SERVO_COLUMNS, ReadColumn, 
 from hapticd.settings.inputs import SAMPLES_BYTES, regular
 from hapticd.zwidth.own import of_recording, of_remark
 from hapticd.zwidth.store import (
+    MARK_SAMPLE,
     RECORD_H5,
     RECORD_NPZ,
     SUMMARY,
@@ -59,6 +60,9 @@ TIMES = {
     "time_ns": 1e-9,
 }  # in seconds
 RATES = ("rate_hz", "fs")
+COUNTERS = ("counter", "sample", "samples", "index")  # numbers of samples, from any number on
+COUNTER_BITS = 48  # of the longest counter, which then begins anew
+MOST_LOST_AT_ONCE = 1 << 24  # samples, an hour
 SAME_RATE = 1e-6
 ALIKE = 0.01  # rates of a file's rate and its times
 # N, m/s: beyond them it is no measurement
@@ -168,22 +172,73 @@ def _of_trial(path: Path, columns: dict[str, Any], recorded: TrialRecord) -> Tri
         max_command_n=stated.get("max_command_n"),
         command_limit_n=stated.get("command_limit_n"),
         rendered=RenderedEnvironment((stiffness, damping, mass), stated["added_damping_ns_per_m"]),
-        more={name: stated[name] for name in COUNTS if name in stated},
+        more={name: stated[name] for name in (*COUNTS, MARK_SAMPLE) if name in stated},
     )
 
 
-def _foreign(
-    path: Path, columns: dict[str, Any], stated: tuple[str, str], rate_hz: float | None
-) -> TrialRecord:
-    """The record of any other program."""
+class ForeignSamples(NamedTuple):
+    """What another system recorded: channels (n,) at 4 kHz of its own clock."""
+
+    force: Floats
+    velocity: Floats
+    place: Integers  # (n,) of each row on its clock, from 0, as its counter or its times say
+    first: int  # number of the first row by its counter; 0 without one
+    rate_hz: float  # as it says itself
+    columns: Mapping[str, Floats]  # every column of numbers, by its name in lower case
+
+
+def read_foreign(path: Path, force: str, velocity: str, rate_hz: float) -> ForeignSamples:
+    """What another system recorded in `path`; `rate_hz` is that of a file that does not say. Errors
+    as `read_file`.
+    """
+    regular(path, SAMPLES_BYTES)
+    if path.suffix not in READERS:
+        raise ConfigError(f"{path}: files are read from {', '.join(READERS)}; convert it to .csv")
+    known = _numbers(_columns(path))
+    y, u = _channels(path, known, (force, velocity))
+    counter = next((name for name in COUNTERS if name in known and known[name].size == y.size), "")
+    says = any(name in known for name in (*RATES, *TIMES))
+    found = _sampling(path, known, None if says else rate_hz, y.size)
+    place = np.arange(y.size) if found.place is None else found.place
+    first = 0
+    if counter:
+        place, first = _counted(path, counter, known[counter].ravel())
+    return ForeignSamples(y, u, place, first, found.rate_hz, known)
+
+
+def _counted(path: Path, name: str, counts: Floats) -> tuple[Integers, int]:
+    """Places (n,) from 0 by a counter of samples, and its first number."""
+    steps = np.mod(np.diff(counts.astype(np.int64)), 1 << COUNTER_BITS)
+    if steps.size and (steps.min() < 1 or float(np.median(steps)) != 1.0 or not _near(steps)):
+        raise AnalysisError(
+            f"{path}: column {name} counts by {steps.min()} to {steps.max()}, median"
+            f" {np.median(steps):g}; a number that grows by 1 with every sample was expected:"
+            " rename the column if it counts something else"
+        )
+    return np.concatenate(([0], np.cumsum(steps))), int(counts[0])
+
+
+def _near(steps: Integers) -> bool:
+    """Whether no step of a counter is beyond what a record can have lost."""
+    return bool(steps.max() <= MOST_LOST_AT_ONCE)
+
+
+def _numbers(columns: dict[str, Any]) -> dict[str, Floats]:
+    """Columns of numbers, by their names in lower case."""
     numbers = {
         name.lower(): np.asarray(values) for name, values in columns.items() if np.size(values)
     }
-    known = {
+    return {
         name: values.astype(np.float64)
         for name, values in numbers.items()
         if values.dtype.kind in "fiu"
     }
+
+
+def _channels(
+    path: Path, known: dict[str, Floats], stated: tuple[str, str]
+) -> tuple[Floats, Floats]:
+    """Force and velocity, sampled together."""
     y, u = (
         _channel(path, known, name, usual)
         for name, usual in zip(stated, (FORCES, VELOCITIES), strict=True)
@@ -193,6 +248,15 @@ def _foreign(
             f"{path}: {y.size} samples of force and {u.size} of velocity; both were expected,"
             " sampled together"
         )
+    return y, u
+
+
+def _foreign(
+    path: Path, columns: dict[str, Any], stated: tuple[str, str], rate_hz: float | None
+) -> TrialRecord:
+    """The record of any other program."""
+    known = _numbers(columns)
+    y, u = _channels(path, known, stated)
     found = _sampling(path, known, rate_hz, y.size)
     recorded = TrialRecord(y, u, found.rate_hz, path.name, simulated=False)
     return recorded if found.place is None else in_even_time(recorded, found.place)

@@ -47,6 +47,7 @@ class Trial:
     waveform_n: Floats | None = field(
         default=None, compare=False
     )  # at 4 kHz, repeated; in place of the excitation
+    mark: bool = False  # the perturbation begins with one (`excitation.marked`), before the record
 
 
 Source = Callable[[Trial, Progress], TrialRecord]

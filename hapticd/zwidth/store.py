@@ -57,6 +57,7 @@ OF_A_RUN = (
     *(f"{name}.{kind}" for name in FIGURES for kind in ("png", "svg")),
 )
 Progress = Callable[[str, int, int], None]  # of what is done, how many are done, and of how many
+MARK_SAMPLE = "mark_sample"  # of the record, at which the mark of the perturbation begins
 OF_A_RECORD = (
     "simulated",
     "origin",
@@ -69,6 +70,7 @@ OF_A_RECORD = (
     "samples",
     "lost_slots",
     "slots",
+    MARK_SAMPLE,
 )
 
 

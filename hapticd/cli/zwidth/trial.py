@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from hapticd.zwidth.trial import MultisineLayout, TrialParams, TrialPlan, TrialResult
 
 LIVE = ("engine", "lockstep", "live")  # sources that can be perturbed; all others are files
+MARKED = ("lockstep", "live")  # sources whose perturbation can begin with a mark
 SOURCES = (
     "engine: simulate; lockstep: the whole stack on virtual time; live: the daemon's device,"
     " ENABLED by this; else a FILE."
@@ -112,6 +113,13 @@ class TrialOptions:
     until_decided: Annotated[
         bool, typer.Option("--until-decided", help="End when the verdict stands.")
     ] = False
+    mark: Annotated[
+        bool,
+        typer.Option(
+            "--mark",
+            help="Begin with a mark by which `import --align` finds the trial; live, lockstep.",
+        ),
+    ] = False
     hottest: Annotated[
         float,
         typer.Option("--hottest", metavar="C", help="Winding temperature that ends the trial."),
@@ -182,16 +190,28 @@ def trial(
     holds whole realisations, each with its settling period.
     """
     from hapticd.zwidth.recorded import read_file
+
+    _check(asked)
+    recorded = None
+    if asked.source not in LIVE:
+        recorded = read_file(Path(asked.source), file.force, file.velocity, file.rate_hz)
+    _tried(asked, file, recorded, instance, results)
+
+
+def _tried(
+    asked: TrialOptions,
+    file: FileOptions,
+    recorded: "TrialRecord | None",
+    instance: str,
+    results: TrialResultOptions,
+) -> None:
+    """The trial, of a record where there is one."""
     from hapticd.zwidth.sources import file_source
     from hapticd.zwidth.stepped_sine import may_follow, stepped_sine
     from hapticd.zwidth.trial import plan_trial
 
-    _check(asked)
-    scene = recorded = None
-    if asked.source not in LIVE:
-        recorded = read_file(Path(asked.source), file.force, file.velocity, file.rate_hz)
-    elif name := _scene_name(asked):
-        scene = common.scene_of(name)
+    name = "" if recorded else _scene_name(asked)
+    scene = common.scene_of(name) if name else None
     plan = plan_trial(_params(asked, file, scene, recorded))
     with common.interruptible(), ExitStack() as stack:
         if asked.source == "live":
@@ -217,6 +237,10 @@ def _check(asked: TrialOptions) -> None:
         raise typer.BadParameter(
             "--stepped-sine: a record that exists cannot be perturbed again; use engine, lockstep"
             " or live"
+        )
+    if asked.mark and (asked.source not in MARKED or asked.excitation == "multisine"):
+        raise typer.BadParameter(
+            "--mark: only the noise of live and lockstep trials is marked; leave that out"
         )
     if asked.until_decided and asked.excitation == "multisine":
         raise typer.BadParameter(
@@ -248,6 +272,7 @@ def _params(
         seconds=asked.seconds,
         excitation=_excitation(asked, scene, layout),
         watch=Watch(until_decided=asked.until_decided, winding_limit_c=asked.hottest),
+        mark=asked.mark,
     )
     return TrialParams(
         trial,
@@ -351,6 +376,8 @@ def _lines(result: "TrialResult", sines: "ReferenceSines | None") -> list[str]:
     what = common.environment_words(result.plan.params.trial)
     lines = [f"{badge}{result.recorded.origin}: {what}"]
     lines += [str(result.verdict), f"the interval covers {result.covers}"]
+    if "alignment" in result.recorded.more:
+        lines.append(str(result.recorded.more["alignment"]))
     if result.recorded.ended:
         lines.append(f"ended early: {result.recorded.ended}")
     if result.verdict.answer == "undecided":
@@ -469,6 +496,14 @@ class ImportOptions:
         float | None, typer.Option("-M", "--mass", metavar="KG", help="What was rendered.")
     ] = None
     damping: common.OneDamping = None
+    align: Annotated[
+        Path | None,
+        typer.Option(
+            "--align",
+            metavar="OWN",
+            help="hapticd's own record of the same trial, marked: clock and gaps of FILE by it.",
+        ),
+    ] = None
 
 
 def import_record(
@@ -483,7 +518,14 @@ def import_record(
     """Bring in a record of any other system: a run folder with the record, its verdict and summary
     (run.json) and impedance.csv, as `trial` makes them. A recording, its exports and a run folder
     say themselves what was rendered.
+
+    With --align OWN, the run folder or recording that hapticd made of the same trial (`trial live
+    --mark`), FILE is put on hapticd's samples: where it begins, how its clock runs, what it lost.
+    What was rendered, and the lost slots, are then those of OWN.
     """
+    from hapticd.zwidth.aligned import read_aligned
+    from hapticd.zwidth.recorded import read_file
+
     asked = TrialOptions(
         source=str(rendered.source),
         stiffness=rendered.stiffness,
@@ -492,4 +534,11 @@ def import_record(
         damping=rendered.damping,
         band=band,
     )
-    trial(asked, file, results=TrialResultOptions(out=out, plot=plot, as_json=as_json))
+    names = file.force, file.velocity
+    recorded = (
+        read_aligned(rendered.source, rendered.align, *names, file.rate_hz)
+        if rendered.align
+        else read_file(rendered.source, *names, file.rate_hz)
+    )
+    results = TrialResultOptions(out=out, plot=plot, as_json=as_json)
+    _tried(asked, file, recorded, "", results)

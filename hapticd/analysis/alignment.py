@@ -1,0 +1,398 @@
+"""The record of another acquisition system beside the daemon's own: where it begins, how its clock
+runs, and what it lost.
+
+Both recorded the same force r(i), the other one with a clock of its own, as row
+
+    x(i) = c + (1 + e) i + k(i)
+
+of its file: c the offset, e the difference of the clocks, and k whole numbers, for a file loses
+whole samples. A gap of s samples lets k fall by s.
+
+mark        c is found by the mark that the perturbation begins with (`plant.excitation`), a
+            sequence of 1023 signs that correlates with nothing but itself: with noise as strong as
+            the force its coefficient is 0.7, anything else reaches 0.16 once in a million samples.
+            A negative coefficient is an inverted sign.
+pieces      From there on the perturbation is its own mark. Each quarter of a second of r is looked
+            for in the rows from where the last one was found up to where it should be by now, so a
+            gap of any size is crossed. The fraction of a sample is where the correlation between
+            the samples, sum Re R(w) F*(w) e^(-jwt), has its peak (Knapp and Carter 1976, "The
+            generalized correlation method for estimation of time delay", IEEE ASSP-24).
+clock       exp(2 pi j (x - i)) does not know of k: the e at which all pieces agree in phase is
+            found with all gaps still in. Then k are the whole numbers that remain, and c and e
+            a line through the rest, with bisquare weights.
+gaps        between two pieces of different k the sample is the one at which the squares of what
+            does not fit, with the k before it and the k after it, are least.
+
+What would break it: a perturbation that repeats within a few seconds; a clock that wanders by half
+a sample over the record (refused: the pieces then do not agree); a gap in the half of a quarter of
+a second with which the record begins or ends, which is why those are left out.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.analysis.arrays import Flags, Floats, Integers
+from hapticd.errors import AnalysisError
+from hapticd.plant.excitation import mark_signs
+
+PIECE = 1024  # samples that are looked for at once
+LEAST = 0.25  # coefficient of a piece or a mark that was found: eight standard deviations of chance
+FEWEST = 8  # pieces, for a clock
+FASTEST = 1e-3  # difference of two clocks, relative: more is another rate
+AGREED = 0.25  # samples off the line at most, of a piece that agrees with it
+MOSTLY = 0.5  # of the pieces have to be found
+STEADY = 0.8  # of those have to agree: a clock that wanders spreads them evenly
+FLAT = 1e-6  # of the mean variance: less is a stretch in which nothing was measured
+MARKS = 16  # looked at in one file
+ROUNDS = 12
+BISQUARE = 4.685  # (Beaton and Tukey 1974)
+TAPS = 16  # on either side, of the interpolation between samples
+CHUNK = 1 << 15  # samples interpolated at once
+NEWTON = 5  # rounds
+NO_MARK = "start the other system before the trial, and run the trial with --mark"
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """Where a mark was found, and how well it fits (1: entirely, negative: inverted)."""
+
+    row: int  # of its first sample
+    coefficient: float
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """Samples that the file lost, or has too many of."""
+
+    own_sample: int  # first sample of the own record after the last good row
+    lost: int  # samples; negative: rows that stand twice or belong nowhere
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """The line x = offset + (1 + ppm 1e-6) i through the pieces."""
+
+    offset_rows: float  # row of the own sample 0
+    ppm: float  # the file's clock is fast by so much
+    ppm_sd: float  # standard deviation of it
+    residual_samples: float  # rms of the pieces about the line
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Where each row of a file stands on the clock of the file, gaps counted, and that clock beside
+    the own one.
+    """
+
+    mark: Mark
+    clock: Clock
+    gaps: tuple[Gap, ...]
+    rows: Integers  # (n,) that belong to the record
+    place: Integers  # (n,) of each on the file's clock
+    first: int  # own sample from which on the record is aligned
+    after: int  # own sample after the last
+    found: Flags  # (own samples,) which of them lie in a piece that was found
+
+    def at(self, own_samples: Integers) -> Floats:
+        """Places (n,) of samples of the own record on the clock of the file."""
+        at = self.clock.offset_rows + (1.0 + 1e-6 * self.clock.ppm) * own_samples
+        return np.asarray(at, np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class _Pieces:
+    """What was found of each quarter of a second: nan where it was not."""
+
+    lag: Floats  # (n,) rows minus own samples, at the piece's middle
+
+    @property
+    def number(self) -> Integers:
+        """Those that were found."""
+        return np.flatnonzero(np.isfinite(self.lag))
+
+    @property
+    def middle(self) -> Floats:
+        """Own sample in the middle of each, (n,)."""
+        return np.asarray(PIECE * np.arange(self.lag.size) + 0.5 * (PIECE - 1), np.float64)
+
+
+def find_marks(force: npt.ArrayLike) -> tuple[Mark, ...]:
+    """Marks in a signal (n,) of any unit at 4 kHz, in their order; none if there is none."""
+    coefficient = _coefficients(mark_signs(), np.asarray(force, np.float64))
+    found: list[Mark] = []
+    while len(found) < MARKS and coefficient.size:
+        row = int(np.argmax(np.abs(coefficient)))
+        if abs(coefficient[row]) < LEAST:
+            break
+        found.append(Mark(row, float(coefficient[row])))
+        coefficient[max(0, row - PIECE) : row + PIECE] = 0.0
+    return tuple(sorted(found, key=lambda mark: mark.row))
+
+
+def align(own_n: npt.ArrayLike, mark_at: int, force: npt.ArrayLike) -> Track:
+    """Align `force` (rows,), of any unit and either sign, with the daemon's own force `own_n` (n,)
+    [N]; both at 4 kHz. The mark began at the own sample `mark_at`, before the record if negative.
+
+    AnalysisError for a file without the mark, of another trial, or of another rate; for a record of
+    fewer than 8 pieces.
+    """
+    own = np.asarray(own_n, np.float64)
+    other = np.asarray(force, np.float64)
+    other = other - other.mean() if other.size else other
+    if own.size < FEWEST * PIECE:
+        raise AnalysisError(
+            f"a record of {own.size} samples cannot be aligned, {FEWEST * PIECE} are needed; make"
+            " the trial longer"
+        )
+    mark = _mark_of(own, mark_at, other)
+    other = np.copysign(1.0, mark.coefficient) * other
+    pieces = _pieces(own, other, mark.row - mark_at)
+    clock, steps = _clock(pieces)
+    return _tracked(own, other, pieces, (mark, clock), steps)
+
+
+def interpolated(values: Floats, at: Floats) -> Floats:
+    """`values` (n,) between their samples, at the places `at` (m,): a sinc under a raised cosine
+    of 16 samples on either side.
+    """
+    taps = np.arange(1 - TAPS, TAPS + 1)
+    found = np.empty(at.size)
+    for first in range(0, at.size, CHUNK):
+        part = at[first : first + CHUNK]
+        whole = np.floor(part).astype(np.int64)
+        away = (part - whole)[:, None] - taps
+        weight = np.sinc(away) * (0.5 + 0.5 * np.cos(np.pi * away / TAPS))
+        weight /= weight.sum(axis=1, keepdims=True)
+        near = np.clip(whole[:, None] + taps, 0, values.size - 1)
+        found[first : first + CHUNK] = (weight * values[near]).sum(axis=1)
+    return found
+
+
+# --- where the record is --------------------------------------------------------------------------
+
+
+def _coefficients(pattern: Floats, signal: Floats) -> Floats:
+    """Correlation coefficient of `pattern` (p,) with `signal` (n,) from every row on, (n - p + 1,);
+    0 where the signal stands still.
+    """
+    size = pattern.size
+    count = signal.size - size + 1
+    if count < 1:
+        return np.empty(0)
+    shape = pattern - pattern.mean()
+    signal = signal - signal.mean()
+    points = 1 << (signal.size + size - 1).bit_length()
+    spectrum = np.fft.rfft(signal, points) * np.conj(np.fft.rfft(shape, points))
+    product = np.fft.irfft(spectrum, points)[:count]
+    sums = np.cumsum(np.concatenate(([0.0], signal)))
+    squares = np.cumsum(np.concatenate(([0.0], signal**2)))
+    power = squares[size:] - squares[:-size] - (sums[size:] - sums[:-size]) ** 2 / size
+    least = FLAT * max(float(power.mean()), np.finfo(float).tiny)
+    scale = np.sqrt(np.maximum(power, least) * float(shape @ shape))
+    return np.where(power > least, product / scale, 0.0)
+
+
+def _mark_of(own: Floats, mark_at: int, other: Floats) -> Mark:
+    """The mark after which the own record follows."""
+    marks = find_marks(other)
+    if not marks:
+        best = float(np.abs(_coefficients(mark_signs(), other)).max(initial=0.0))
+        raise AnalysisError(
+            f"no mark found: looked for {mark_signs().size} pseudo-random signs at 4 kHz in"
+            f" {other.size} samples of force, the best coefficient is {best:.2g}, {LEAST:g} is"
+            f" needed; {NO_MARK}, or name the force with --force-column"
+        )
+    scores = [_follows(own, other, mark, mark_at) for mark in marks]
+    best_of = int(np.argmax(scores))
+    if scores[best_of] < LEAST:
+        raise AnalysisError(
+            f"a mark at row {marks[best_of].row}, but what follows is not this trial: the best"
+            f" coefficient of its first {FEWEST} pieces is {scores[best_of]:.2g}, {LEAST:g} is"
+            " needed; name the daemon's record of the same trial with --align"
+        )
+    return marks[best_of]
+
+
+def _follows(own: Floats, other: Floats, mark: Mark, mark_at: int) -> float:
+    """How well the first pieces of the own record are found after `mark`."""
+    sign = np.copysign(1.0, mark.coefficient)
+    found = []
+    for first in range(0, FEWEST * PIECE, PIECE):
+        row = mark.row - mark_at + first
+        near = sign * other[max(0, row - PIECE) : max(0, row + 2 * PIECE)]
+        found.append(_coefficients(own[first : first + PIECE], near).max(initial=0.0))
+    return float(np.max(found))
+
+
+def _pieces(own: Floats, other: Floats, start: int) -> _Pieces:
+    """Each whole piece of the own record in `other`, looked for from the row of the last on;
+    `start`: the row of the own sample 0 by the mark.
+    """
+    lag = np.full(own.size // PIECE, np.nan)
+    expected = start  # rows minus own samples
+    lowest = max(0, start - PIECE)
+    for number in range(lag.size):
+        piece = own[number * PIECE : (number + 1) * PIECE]
+        row = _found(piece, other, lowest, expected + (number + 2) * PIECE)
+        if row is None:
+            continue
+        expected = row - number * PIECE
+        lowest = row
+        lag[number] = expected + _fraction(piece, other[row : row + PIECE])
+    return _Pieces(lag)
+
+
+def _found(piece: Floats, other: Floats, lowest: int, highest: int) -> int | None:
+    """Row from `lowest` to before `highest` at which `piece` begins; None: it does not."""
+    coefficient = _coefficients(piece, other[lowest : highest + PIECE])
+    if not coefficient.size:
+        return None
+    best = int(np.argmax(coefficient))
+    return lowest + best if coefficient[best] >= LEAST else None
+
+
+def _fraction(own: Floats, other: Floats) -> float:
+    """By how many samples `other` (n,) comes later than `own` (n,), within -1 to 1."""
+    window = np.hanning(own.size)
+    cross = np.fft.rfft(window * own) * np.conj(np.fft.rfft(window * other))
+    omega = 2.0 * np.pi * np.fft.rfftfreq(own.size)
+    late = 0.0
+    for _ in range(NEWTON):
+        turned = cross * np.exp(-1j * omega * late)
+        bent = float((omega**2 * turned.real).sum())
+        if bent <= 0.0:
+            break
+        late = float(np.clip(late + (omega * turned.imag).sum() / bent, -1.0, 1.0))
+    return late
+
+
+# --- how its clock runs ---------------------------------------------------------------------------
+
+
+def _clock(pieces: _Pieces) -> tuple[Clock, Integers]:
+    """The clock, and k (n,) of the pieces that were found, from 0."""
+    known = pieces.number
+    share = known.size / pieces.lag.size
+    if known.size < FEWEST or share < MOSTLY:
+        raise AnalysisError(
+            f"{known.size} of {pieces.lag.size} pieces of the record were found in the file,"
+            f" {100.0 * MOSTLY:g} % are needed: it ends too early, lost too much, or is too noisy;"
+            " record the trial again"
+        )
+    middle = pieces.middle[known]
+    lag = pieces.lag[known]
+    rate = _rate(pieces)
+    phase = float(np.angle(np.exp(2j * np.pi * (lag - rate * middle)).sum())) / (2.0 * np.pi)
+    steps = _settled(np.rint(lag - rate * middle - phase).astype(np.int64))
+    steps -= steps[0]
+    return _line(middle, lag - steps), steps
+
+
+def _rate(pieces: _Pieces) -> float:
+    """The difference of the clocks at which all pieces have one phase, whatever was lost between
+    them: first between neighbours, then over longer and longer stretches.
+    """
+    lag = pieces.lag
+    rate = float(np.nanmedian(np.diff(lag))) / PIECE
+    if not abs(rate) <= FASTEST:
+        raise AnalysisError(
+            f"the file's clock differs by {1e6 * rate:.4g} ppm, at most {1e6 * FASTEST:g} are"
+            " aligned: it was recorded at another rate than 4 kHz; record at 4 kHz"
+        )
+    phasor = np.where(np.isfinite(lag), np.exp(2j * np.pi * np.nan_to_num(lag)), 0.0)
+    number = np.arange(lag.size)
+    apart = 1
+    while apart < lag.size:
+        turned = phasor * np.exp(-2j * np.pi * rate * PIECE * number)
+        sum_of = complex(np.vdot(turned[:-apart], turned[apart:]))
+        rate += float(np.angle(sum_of)) / (2.0 * np.pi * PIECE * apart)
+        apart *= 2
+    return rate
+
+
+def _settled(steps: Integers) -> Integers:
+    """Whole numbers (n,) without those that stand alone: the median of three."""
+    if steps.size < 3:
+        return steps
+    three = np.sort(np.stack((steps[:-2], steps[1:-1], steps[2:])), axis=0)
+    return np.concatenate((steps[:1], three[1], steps[-1:]))
+
+
+def _line(middle: Floats, lag: Floats) -> Clock:
+    """The line through the pieces. AnalysisError where they do not agree."""
+    centre = float(middle.mean())
+    columns = np.stack((np.ones(middle.size), middle - centre), axis=1)
+    trust = np.ones(middle.size)
+    for _ in range(ROUNDS):
+        root = np.sqrt(trust)
+        fit = np.linalg.lstsq(columns * root[:, None], lag * root, rcond=None)[0]
+        off = lag - columns @ fit
+        scale = max(1e-6, 1.4826 * float(np.median(np.abs(off))))
+        trust = np.maximum(0.0, 1.0 - (off / (BISQUARE * scale)) ** 2) ** 2
+    if np.mean(np.abs(off) < AGREED) < STEADY:
+        raise AnalysisError(
+            f"the pieces of the file lie {float(np.std(off)):.2g} samples off one line, less than"
+            f" {AGREED:g} are needed in {100.0 * STEADY:g} % of them: its clock is"
+            " not steady; lock it to a quartz, or to the board's"
+        )
+    rms = float(np.sqrt((trust * off**2).sum() / trust.sum()))
+    spread = float(np.sqrt((trust * columns[:, 1] ** 2).sum()))
+    return Clock(float(fit[0] - fit[1] * centre), 1e6 * float(fit[1]), 1e6 * scale / spread, rms)
+
+
+# --- what it lost ---------------------------------------------------------------------------------
+
+
+def _tracked(
+    own: Floats, other: Floats, pieces: _Pieces, known: tuple[Mark, Clock], steps: Integers
+) -> Track:
+    mark, clock = known
+    number = pieces.number
+    keep = np.ones(other.size, dtype=bool)
+    shift = np.zeros(other.size, dtype=np.int64)
+    gaps = []
+    for before in np.flatnonzero(np.diff(steps)):
+        ends = int(number[before]), int(number[before + 1])
+        around = _around(ends, int(number[0]), int(number[-1]) + 1)
+        gap, row = _gap(own, other, clock, around, (int(steps[before]), int(steps[before + 1])))
+        gaps.append(gap)
+        shift[row:] += gap.lost
+        keep[row : row - min(0, gap.lost)] = False
+    rows = np.flatnonzero(keep)
+    found = np.repeat(np.isfinite(pieces.lag), PIECE)
+    first = int(number[0]) * PIECE + PIECE // 2
+    after = int(number[-1]) * PIECE + PIECE // 2
+    return Track(mark, clock, tuple(gaps), rows, (rows + shift[rows]), first, after, found)
+
+
+def _around(pieces: tuple[int, int], first: int, after: int) -> Integers:
+    """Own samples (n,) from one piece to another, and half a piece beyond on either side."""
+    begin = max(first * PIECE, pieces[0] * PIECE - PIECE // 2)
+    return np.arange(begin, min(after * PIECE, (pieces[1] + 1) * PIECE + PIECE // 2))
+
+
+def _gap(
+    own: Floats, other: Floats, clock: Clock, around: Integers, steps: tuple[int, int]
+) -> tuple[Gap, int]:
+    """The gap between two k in the own samples `around` (n,), and the first row after it."""
+    lost = steps[0] - steps[1]
+    rows = np.asarray(clock.offset_rows + (1.0 + 1e-6 * clock.ppm) * around, np.float64)
+    heard = [interpolated(other, rows + step) for step in steps]
+    gain = _gain(own[around], heard)
+    wrong_before, wrong_after = (
+        np.concatenate(([0.0], np.cumsum((gain * own[around] - one) ** 2))) for one in heard
+    )
+    # of those `around`, the first `n` by the k before and the last by the k after; between, `lost`
+    resumed = np.minimum(np.arange(around.size + 1) + max(0, lost), around.size)
+    wrong = wrong_before + wrong_after[-1] - wrong_after[resumed]
+    n = int(np.argmin(wrong[: around.size + 1 - max(0, lost)]))
+    row = int(np.rint(rows[0] + steps[0] + (1.0 + 1e-6 * clock.ppm) * (n - 1))) + 1
+    return Gap(int(around[0]) + n, lost), row
+
+
+def _gain(own: Floats, heard: list[Floats]) -> float:
+    """What the file shows of a newton, by the better of two guesses."""
+    power = float(own @ own)
+    return max(float(own @ one) for one in heard) / power if power > 0.0 else 1.0
