@@ -177,6 +177,13 @@ FAULTS: tuple[Fault, ...] = (
         _TO_SAFE,
         "lower K and B, check resistance compensation and amplifier, then reset",
     ),
+    Fault(
+        27,
+        "commissioning",
+        "the handle went against the force, too far or for too long while signs are not verified",
+        _TO_SAFE,
+        "let go of the handle, check the signs of force and position, reset, `hapticd rig motor`",
+    ),
 )
 
 BY_CODE = {fault.code: fault for fault in FAULTS}

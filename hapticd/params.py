@@ -9,7 +9,7 @@ import dataclasses
 import math
 import types
 import typing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 from hapticd.errors import ConfigError
@@ -19,6 +19,7 @@ T = TypeVar("T")
 
 ENERGY_LIMIT_J = 0.02  # of an 8 g handle at 2.2 m/s; see ADR 0085
 RAMP_ENERGY_J = 0.03  # K = 600 N/m brought in 10 mm off; see ADR 0106
+COMMISSIONING_SHARE = 0.1  # of the device's force, until its signs are verified; see ADR 0115
 SHORTEST_LEASE_S = 0.2  # twenty passes of the gateway
 LONGEST_LEASE_S = 60.0
 ADDED_DAMPING_NS_PER_M = 1.74  # what `damping on` means: Weir, Colgate and Peshkin 2008, section 5
@@ -177,6 +178,8 @@ class DeviceParams:
     motor_n_per_a: float = 0.0  # force at the endpoint per ampere, from the device file; 0: unknown
     winding_ohm: float = 0.0  # at `winding_reference_c`, from the device file; 0: unknown
     winding_reference_c: float = 20.0
+    # its signs are not verified: little force, a box for K, B and M (servo.commissioning)
+    commissioning: bool = False
 
     def temperature_counts(self, low: int, high: int) -> tuple[int, int]:
         """Lowest and highest count, inside `low`..`high`, of a temperature that is allowed: a
@@ -246,6 +249,22 @@ class ServoParams:
     usb: UsbParams
     added_damping_ns_per_m: float = ADDED_DAMPING_NS_PER_M
     config_hash: str = ""
+
+    @property
+    def force_limit_n(self) -> float:
+        """The most that may be commanded [N]: by configuration and device, and a tenth of the
+        device's until its signs are verified.
+        """
+        share = COMMISSIONING_SHARE if self.device.commissioning else 1.0
+        return min(self.safety.force_limit_n, share * self.device.force_limit_n)
+
+    @property
+    def soft_ends(self) -> WorkspaceParams:
+        """The soft ends of the workspace; without springs until the signs of the device are
+        verified, since nobody knows on which side they lie.
+        """
+        ends = self.environment.workspace
+        return replace(ends, stiffness_n_per_m=0.0) if self.device.commissioning else ends
 
 
 @dataclass(frozen=True, slots=True)

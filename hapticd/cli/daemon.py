@@ -80,7 +80,8 @@ def _guarded(guard: "GuardParams") -> str:
 
 
 def _ready_text(settings: "Settings", instance: str) -> str:
-    from hapticd.settings.build import guard_params
+    from hapticd.params import COMMISSIONING_SHARE
+    from hapticd.settings.build import commissioning, guard_params
 
     guard = guard_params(settings)
     device = settings.device
@@ -92,6 +93,9 @@ def _ready_text(settings: "Settings", instance: str) -> str:
     else:
         board = f"REAL BOARD {device.serial}: {device.name}, up to {device.limits.force_n} N."
         head = terminal.coloured(board, terminal.RED)
+    if commissioning(device):
+        force_n = COMMISSIONING_SHARE * device.limits.force_n
+        head += f"\n\nIts signs are not verified: at most {force_n:g} N until `hapticd rig motor`."
     level = f"{config.added_damping_ns_per_m:g} N s/m"
     ramp = f"{config.safety.enable_ramp_s:g} s"
     return f"""
@@ -158,6 +162,9 @@ def _status_lines(found: dict[str, Any]) -> list[str]:
         f"  damping   {delivered_words(found)}",
     ]
     lines += [f"  board     {terminal.coloured(waits, terminal.RED)}"] if waits else []
+    if limits := found.get("commissioning"):
+        text = f"at most {limits['force_limit_n']:g} N: {limits['remedy']}"
+        lines.append(f"  signs     {terminal.coloured(text, terminal.YELLOW)}")
     off = [f"{name} {on}" for name, on in found.get("limit_cycle_faults", {}).items() if on != "on"]
     lines += [f"  fault     {one}" for one in off]
     if guard := found.get("guard"):

@@ -21,7 +21,7 @@ from rich.text import Text
 from hapticd.cli.guard import guard_line, margin_words
 from hapticd.cli.terminal import SIMULATED_BANNER
 from hapticd.faults import BY_NUMBER
-from hapticd.mailbox.layout import State, Watched
+from hapticd.mailbox.layout import COMMISSIONING, State, Watched
 from hapticd.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -178,6 +178,8 @@ def _lamp(newest: Any) -> Text:
     )
     off = [bit.name.lower() for bit in Watched if not int(newest["watches"]) & bit]
     text.append(f"  off: {', '.join(off)}" if off else "", "yellow")
+    if int(newest["watches"]) & COMMISSIONING:
+        text.append("  commissioning: signs not verified", "yellow")
     text.append(f"{_leased(newest)}\n")
     return (
         text.append(f" {fault.code}: {fault.cause}; {fault.remedy}\n", "bold red")

@@ -197,6 +197,13 @@ def refusal(answer: Answer, cmd: str, view: ServoView, actors: Actors) -> Comman
                 " wall's damping are 0, none of them on its way; `hapticd disable`, then ask again"
             ),
         ),
+        Result.REFUSED_COMMISSIONING: (
+            "refused",
+            (
+                "the signs of force and position are not verified, and homing pushes by them; take"
+                " the origin by hand with `hapticd zero`, then `hapticd rig motor`"
+            ),
+        ),
         Result.REFUSED_REVISION: (
             "refused",
             "what is rendered or damped has changed since this was judged; ask again",

@@ -77,7 +77,7 @@ class Ledger:
         motor = np.zeros(len(seen))
         motor[: len(self._motor_n)] = self._motor_n
         if rows.size:
-            ends = self._servo.environment.workspace
+            ends = self._servo.soft_ends
             booked, motor[rows] = book(
                 samples(seen, rows, self._servo),
                 1.0 / self._servo.realtime.rate_hz,
@@ -122,7 +122,7 @@ def samples(records: Records, rows: NDArray[np.intp], servo: ServoParams) -> Tab
         found["added_ns_per_m"] = usable["added_damping_ns_per_m"]
     found["added_asked_ns_per_m"] = usable["added_damping_ns_per_m"]
     found["mass_kg"] = usable["gain"] * usable["mass_kg"]
-    found["end_n_per_m"] = usable["gain"] * servo.environment.workspace.stiffness_n_per_m
+    found["end_n_per_m"] = usable["gain"] * servo.soft_ends.stiffness_n_per_m
     return found
 
 

@@ -6,7 +6,7 @@ It is the mailbox's table under the names that clients use.
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from hapticd.mailbox.layout import Value, value_limits
+from hapticd.mailbox.layout import COMMISSIONING_LIMITS, Value, value_limits
 from hapticd.params import ServoParams
 
 PLACES: dict[str, Value] = {
@@ -29,6 +29,7 @@ SOURCES = {
     Value.VELOCITY_FILTER_HZ: "it is 0.45 of the servo rate",
     Value.ACCELERATION_FILTER_HZ: "it is 0.45 of the servo rate",
 }
+UNVERIFIED = "the signs of this device are not verified: `hapticd rig motor`"
 
 
 class CommandLimit(NamedTuple):
@@ -59,9 +60,14 @@ class CommandLimits:
     """
 
     def __init__(self, params: ServoParams) -> None:
-        table = value_limits(params.realtime.rate_hz, params.device.damping_limit_ns_per_m)
+        device = params.device
+        table = value_limits(
+            params.realtime.rate_hz, device.damping_limit_ns_per_m, device.commissioning
+        )
+        boxed = dict.fromkeys(COMMISSIONING_LIMITS if device.commissioning else (), UNVERIFIED)
+        sources = SOURCES | boxed
         self.of = {
-            name: CommandLimit(*table[place], SOURCES.get(place, "it is fixed in this version"))
+            name: CommandLimit(*table[place], sources.get(place, "it is fixed in this version"))
             for name, place in PLACES.items()
         }
         self.of["value"] = self.of["damping"]

@@ -84,6 +84,7 @@ def state_map(view: ServoView, actors: Actors, leases: Leases, unix_ns: int) -> 
         "config_hash": header.config_hash if header else view.params.config_hash,
         **{name: record[name] for name in RECORD_FIELDS_SHOWN if view.alive and name in record},
         "limit_cycle_faults": limit_cycle_faults(view, leases),
+        "commissioning": commissioning(view),
         "actor_name": actors.name(int(record.get("actor", 0))),
         "actors": actors.names(),
         "leases": leases.shown(),
@@ -110,6 +111,16 @@ def limit_cycle_faults(view: ServoView, leases: Leases) -> dict[str, str]:
         return "off: as asked, until force is off again or as configured"
 
     return {bit.name.lower(): words(bit) for bit in Watched}
+
+
+def commissioning(view: ServoView) -> dict[str, Any] | None:
+    """What is allowed until the signs of the device are verified; None once they are."""
+    if not view.params.device.commissioning:
+        return None
+    return {
+        "force_limit_n": view.params.force_limit_n,
+        "remedy": "the signs of force and position are not verified; `hapticd rig motor`",
+    }
 
 
 def described(fault: Fault) -> dict[str, str]:

@@ -188,11 +188,24 @@ VALUE_LIMITS: dict[Value, ValueLimit] = {
     Value.ENVIRONMENT_REVISION: ValueLimit(0.0, float((1 << 32) - 1), "revision"),
     Value.FAULT_NUMBER: ValueLimit(0.0, 255.0, "fault"),
 }
+# until the signs of a device are verified: with the wrong one every spring and damper drives
+COMMISSIONING_LIMITS: dict[Value, ValueLimit] = {
+    Value.STIFFNESS: ValueLimit(0.0, 100.0, "N/m"),
+    Value.DAMPING: ValueLimit(0.0, 2.0, "N s/m"),
+    Value.MASS: ValueLimit(0.0, 0.0, "kg"),
+    Value.WALL_STIFFNESS: ValueLimit(0.0, 100.0, "N/m"),
+    Value.WALL_DAMPING: ValueLimit(0.0, 2.0, "N s/m"),
+}
 FILTER_LIMIT = 0.45  # highest corner as a fraction of the rate
 
 
-def value_limits(rate_hz: float, added_damping_limit_ns_per_m: float) -> dict[Value, ValueLimit]:
-    """VALUE_LIMITS as narrowed by the servo rate [Hz] and the device's damping limit [N s/m]."""
+def value_limits(
+    rate_hz: float, added_damping_limit_ns_per_m: float, commissioning: bool = False
+) -> dict[Value, ValueLimit]:
+    """VALUE_LIMITS as narrowed by the servo rate [Hz], the device's damping limit [N s/m] and
+    signs that are not verified yet.
+    """
+    boxed = COMMISSIONING_LIMITS if commissioning else {}
     narrower = {
         Value.ADDED_DAMPING: added_damping_limit_ns_per_m,
         Value.VELOCITY_FILTER_HZ: FILTER_LIMIT * rate_hz,
@@ -200,7 +213,7 @@ def value_limits(rate_hz: float, added_damping_limit_ns_per_m: float) -> dict[Va
     }
     return {
         place: ValueLimit(low, min(high, narrower.get(place, high)), unit)
-        for place, (low, high, unit) in VALUE_LIMITS.items()
+        for place, (low, high, unit) in (VALUE_LIMITS | boxed).items()
     }
 
 
@@ -224,6 +237,7 @@ class Result(IntEnum):
     REFUSED_RATE = 16  # the bus is too slow for the rate
     REFUSED_DEVICE = 17  # the board contradicts its device file
     REFUSED_REVISION = 18  # it was judged for another environment than the one in force
+    REFUSED_COMMISSIONING = 19  # the signs of the device are not verified
 
 
 # --- telemetry: one record per tick ---------------------------------------------------------------
@@ -351,6 +365,8 @@ class Watched(IntEnum):
     OVERSPEED = 2
     ENERGY = 4
 
+
+COMMISSIONING = 8  # bit of `watches` beside those: the signs of the device are not verified
 
 LAYOUT_HASH = hashlib.sha256(
     repr(

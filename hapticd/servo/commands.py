@@ -18,6 +18,7 @@ from hapticd.mailbox.layout import COMMAND_VALUES, Command, Result, Value
 from hapticd.params import ServoParams
 from hapticd.render.ramp import Ramp, constant
 from hapticd.servo import safety
+from hapticd.servo.commissioning import Push
 from hapticd.servo.homing import begin
 from hapticd.servo.plan import (
     FILTERED,
@@ -101,6 +102,7 @@ def enter(
         gain=gain,
         fade=fade,
         glitches=(),
+        push=Push(),
         revision=plan.revision + 1,
     )
     if state is not State.ENABLED:
@@ -217,6 +219,8 @@ def _target(plan: Plan, request: Request, now: Now, params: ServoParams) -> Stat
         return target
     if target is State.HOMING and params.device.home.method == "none":
         return Result.REFUSED_STATE
+    if target is State.HOMING and params.device.commissioning:
+        return Result.REFUSED_COMMISSIONING
     if target is State.ENABLED and outdated(plan, values):
         return Result.REFUSED_REVISION
     if target in (State.ENABLED, State.HOMING):

@@ -104,8 +104,8 @@ def told(plan: Plan, slower: Plan) -> Eased:
 def stepped(plan: Plan, before: Plan, here: Here, params: ServoParams) -> Step:
     """`plan` as far on its way as the force step allows."""
     bound_n = params.device.force_step_n
-    limit_n = min(params.safety.force_limit_n, params.device.force_limit_n)
-    workspace = params.environment.workspace
+    limit_n = params.force_limit_n
+    workspace = params.soft_ends
     share = 1.0
     candidate = plan
     for _ in range(HALVINGS):

@@ -122,8 +122,7 @@ def begin(tick: int, count: int) -> Homing:
 
 def force_limit_n(params: ServoParams) -> float:
     """The most that homing pushes with [N]."""
-    device = params.device
-    return min(device.home.force_n, params.safety.force_limit_n, device.force_limit_n)
+    return min(params.device.home.force_n, params.force_limit_n)
 
 
 def _entered(homing: Homing, phase: Phase, tick: int, count: int, push_n: float) -> Homing:

@@ -26,15 +26,23 @@ from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 from hapticd.mailbox import layout
-from hapticd.mailbox.layout import Flag, Value, ValueLimit, value_limits
+from hapticd.mailbox.layout import (
+    COMMISSIONING,
+    COMMISSIONING_LIMITS,
+    Flag,
+    Value,
+    ValueLimit,
+    value_limits,
+)
 from hapticd.params import FilterParams, ServoParams, WorkspaceParams
 from hapticd.render.energy import EMPTY, Ledger
 from hapticd.render.law import Coefficients, Environment, LawState, design_coefficients
 from hapticd.render.ramp import Ramp, approach, constant
 from hapticd.render.winding import Winding, unheated
+from hapticd.servo.commissioning import Push
 from hapticd.servo.homing import Homing
 from hapticd.servo.monitors import CALM, Signs, watches
-from hapticd.servo.safety import FAULT_EVENT, LATCHED, State, held_damping
+from hapticd.servo.safety import FAULT_EVENT, GRANTED, LATCHED, State, held_damping
 from hapticd.units import round_half_up
 from hapticd.wire.codec import U16_HIGHEST
 from hapticd.wire.frames import OutFlag, StatusBit
@@ -113,6 +121,7 @@ class Plan(NamedTuple):
     bookings: tuple["Booking", ...] = ()  # of the last second (servo.ramp_energy)
     winding: Winding = Winding()  # and how much of its resistance is compensated
     control: Control = Control()
+    push: Push = Push()  # followed while signs are not verified
 
 
 class Booking(NamedTuple):
@@ -157,7 +166,10 @@ def initial_plan(params: ServoParams) -> Plan:
         anchor=(0, 0),
         gain=constant(0.0),
         fade=constant(0.0),
-        values={int(place): constant(value) for place, value in zip(BUMPLESS, start, strict=True)},
+        values={
+            int(place): constant(boxed(place, value, params))
+            for place, value in zip(BUMPLESS, start, strict=True)
+        },
         filters=(environment.velocity_filter, environment.acceleration_filter),
         added_asked=params.added_damping_ns_per_m,
         added_on=False,
@@ -167,6 +179,14 @@ def initial_plan(params: ServoParams) -> Plan:
         limit_cycle_faults=params.safety.limit_cycle_faults,
         winding=winding_at_start(params),
     )
+
+
+def boxed(place: Value, value: float, params: ServoParams) -> float:
+    """`value` as far as it may be rendered while the signs of the device are not verified."""
+    if not params.device.commissioning or place not in COMMISSIONING_LIMITS:
+        return value
+    limit = COMMISSIONING_LIMITS[place]
+    return max(limit.low, min(limit.high, value))
 
 
 def winding_at_start(params: ServoParams) -> Winding:
@@ -201,7 +221,9 @@ def out_of_range(values: tuple[float, ...], params: ServoParams) -> bool:
     limits: dict[int, ValueLimit] = {
         int(place): limit
         for place, limit in value_limits(
-            params.realtime.rate_hz, params.device.damping_limit_ns_per_m
+            params.realtime.rate_hz,
+            params.device.damping_limit_ns_per_m,
+            params.device.commissioning,
         ).items()
     }
     return not all(
@@ -421,7 +443,7 @@ def flat_plan(
         at[Value.WALL_STIFFNESS],
         at[Value.WALL_POSITION],
         round(at[Value.WALL_SIDE]),
-        watches(params, plan.limit_cycle_faults),
+        watches(params, plan.limit_cycle_faults) | COMMISSIONING * params.device.commissioning,
         plan.environment_revision & 0xFFFFFFFF,
         plan.winding.dac_count,
     )
@@ -498,6 +520,7 @@ def wake_tick(plan: Plan, tick: int, params: ServoParams) -> int:
         plan.state is State.HOMING
         or plan.unauthorised
         or plan.doubted
+        or (params.device.commissioning and plan.state in GRANTED)
         or any(ramp.running(tick) for ramp in ramps)
         or plan.added != added_target(plan, tick, params)
     ):
@@ -532,6 +555,7 @@ def flatten(state: ServoState) -> tuple[Any, ...]:
         "bookings": tuple(tuple(one) for one in plan.bookings),
         "winding": tuple(plan.winding),
         "control": tuple(plan.control),
+        "push": tuple(plan.push),
     }
     before = s.wake_tick, s.environment, s.coefficients, s.out_flags, s.damping_count, s.blob.hex()
     return (*before, law, ledger, s.origin, tuple(signs), held, s.host, tuple(plain.values()))
@@ -554,6 +578,7 @@ def unflatten(plain: Sequence[Any]) -> ServoState:
         "bookings": tuple(Booking(*one) for one in fields.get("bookings", ())),
         "winding": Winding(*fields.get("winding", ())),
         "control": Control(*fields.get("control", ())),
+        "push": Push(*fields.get("push", ())),
     }
     law, ledger, origin, signs, held, host = others
     # earlier versions kept sums by cause in place of the ledger, and the active damping in that of

@@ -64,7 +64,7 @@ def initial_state(params: ServoParams, tick: int = 0) -> ServoState:
     """
     plan = initial_plan(params)._replace(origin=round_half_up(params.device.position.offset_count))
     coefficients = coefficients_of(plan, params.realtime.rate_hz)
-    now = flat_plan(plan, tick, params, params.environment.workspace, 0.0)
+    now = flat_plan(plan, tick, params, params.soft_ends, 0.0)
     count = params.device.force.to_count(0.0, I16_LOWEST, I16_HIGHEST)
     held = (count, 0.0, (at_rest(0.0), EMPTY))
     settled = settle(plan, now, coefficients, 0, LINK_UP)
@@ -88,7 +88,7 @@ def make_step(params: ServoParams) -> Step:
     zero_count = force.offset_count
     n_per_count = force.sign * force.per_count
     rounding = zero_count + 0.5
-    limit_n = min(params.safety.force_limit_n, params.device.force_limit_n)
+    limit_n = params.force_limit_n
     ends = sorted(
         (
             force.to_count(limit_n, I16_LOWEST, I16_HIGHEST),

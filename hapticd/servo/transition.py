@@ -32,6 +32,8 @@ from hapticd.render.law import (
 )
 from hapticd.render.ramp import Ramp, constant
 from hapticd.servo.commands import Now, apply_settings, enter, obey
+from hapticd.servo.commissioning import due as push_ended
+from hapticd.servo.commissioning import followed
 from hapticd.servo.compensation import compensated
 from hapticd.servo.easing import eased
 from hapticd.servo.energy_controller import controlled
@@ -88,7 +90,7 @@ def make_attend(params: ServoParams) -> Attend:
     own = bounds(params)
     own_resistance = own.resistance
     kept = own.kept
-    limit_n = min(params.safety.force_limit_n, params.device.force_limit_n)
+    limit_n = params.force_limit_n
     low_count, high_count = params.device.temperature_counts(I16_LOWEST, I16_HIGHEST)
     m_per_count = params.device.position.per_count * params.device.position.sign
     bend_m = believed_bend_m(params)
@@ -209,10 +211,17 @@ def make_attend(params: ServoParams) -> Attend:
         watched = plan.limit_cycle_faults or alarm == OVERSPEED
         return alarm if watched and plan.state in GRANTED else 0
 
+    def watched(plan: Plan, x: float, force_n: float, tick: int) -> Plan:
+        """`plan` with its push followed, while the signs of the device are not verified."""
+        if not params.device.commissioning or plan.state not in GRANTED:
+            return plan
+        return plan._replace(push=followed(plan.push, x, force_n, tick, params))
+
     def commanded(
         plan: Plan, commands: tuple[Request, ...], sample: Sample, now: Now, alarm: int
     ) -> tuple[Plan, tuple[Answer, ...]]:
         found = newly_lost(plan, sample) or alarming(plan, alarm)
+        found = found or push_ended(plan.push, now.tick, params)
         if not found and overdue(plan, now.tick):
             found = BY_CODE["home_failed"].number
         events: tuple[Request, ...] = (fault_request(found),) if found else ()
@@ -337,6 +346,7 @@ def make_attend(params: ServoParams) -> Attend:
             plan = unheard(plan)
             ledger = unknown_before(ledger)  # what was booked is not what is sent now
         acting_n = 0.0 if plan.unauthorised else held_n
+        plan = watched(plan, law[0], acting_n, tick)
         gateway = bool(host & GATEWAY_ALIVE)
         now = Now(tick, encoder, acting_n, gateway, cause_against_force(sample), bar(host))
         plan, answers = commanded(plan, commands, sample, now, signs.alarm)
@@ -359,7 +369,7 @@ def make_attend(params: ServoParams) -> Attend:
             x = (encoder - plan.origin) * m_per_count if usable else None
             plan, held_back = eased(plan, settled, x, law, coefficients, tick, params)
             flags |= held_back
-        ready = flat_plan(plan, tick, params, params.environment.workspace, limit_n)
+        ready = flat_plan(plan, tick, params, params.soft_ends, limit_n)
         if plan.state is State.HOMING:
             ready = ready._replace(environment=pushing(plan.homing.force_n, homing_limit_n))
         if ready.wake_tick == tick + 1:

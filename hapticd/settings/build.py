@@ -305,7 +305,16 @@ def device_params(device: DeviceFile) -> DeviceParams:
         relies_on=device.relies_on,
         resistance=None if device.resistance is None else device.resistance.params(),
         **_motor(device),
+        commissioning=commissioning(device),
     )
+
+
+def commissioning(device: DeviceFile) -> bool:
+    """Whether the signs of `device` are still to be verified, with this very board."""
+    table = device.commissioning
+    if table is None:
+        return not device.simulated
+    return not table.signs_verified or table.serial != device.serial
 
 
 def _motor(device: DeviceFile) -> dict[str, float]:

@@ -250,6 +250,17 @@ class Travel(TomlTable):
     upper_m: float
 
 
+class CommissioningTable(TomlTable):
+    """Whether somebody has seen that force and position have the signs that this file says."""
+
+    signs_verified: bool = False
+    """False: a tenth of the force, a small box for K, B and M, and every push is watched."""
+    serial: str = ""
+    """Of the board at which it was seen; with another one it counts for nothing."""
+    date: datetime.date | None = None
+    """When it was seen."""
+
+
 class HomeTable(TomlTable):
     """How the origin of position is found."""
 
@@ -305,6 +316,8 @@ class DeviceFile(TomlTable):
     limits: LimitsTable
     travel: Travel
     home: HomeTable = HomeTable()
+    commissioning: CommissioningTable | None = None
+    """Left out: signs are verified for a simulated device, and are not for a real one."""
     relies_on: tuple[Literal["probe", "temperature"], ...] = Field(RELIED_ON, strict=False)
     """Capabilities of the board without which the device may not be used."""
     plant: RigidTable | None = None

@@ -1,0 +1,63 @@
+"""What is watched while the signs of a device are not verified: every push, from its first force.
+
+With a wrong sign of force or position each spring drives what it should hold, and nothing that the
+law computes tells it. So until somebody has seen which way a push goes (`hapticd rig motor`), the
+force is a tenth of the device's (`ServoParams.force_limit_n`), K, B and M have a box
+(`mailbox.layout.COMMISSIONING_LIMITS`), homing is refused, and a push ends with the fault
+`commissioning` when
+
+    the handle is TRAVEL_M from where force began,
+    force has acted for FORCE_S since the servo was enabled, or
+    the handle has done more work against the force than its largest so far does in AGAINST_M:
+    the motion goes the wrong way, or a hand works against it.
+
+The work against the force is counted from where it was least, so what was done with the force
+before does not pay for it. A hand that presses a spring or moves through a damper looks just like
+a wrong sign, and ends the force within a millimetre too: commissioning is for
+pushes. Positions are those that the law believed, at most a tick old.
+
+What would break it: a change of the origin under force (only `zero` does that, and it is refused).
+"""
+
+from typing import Final, NamedTuple
+
+from hapticd.faults import BY_CODE
+from hapticd.params import ServoParams
+
+TRAVEL_M: Final = 10e-3
+FORCE_S: Final = 20.0
+AGAINST_M: Final = 0.5e-3
+
+COMMISSIONING = BY_CODE["commissioning"].number
+
+
+class Push(NamedTuple):
+    """What is known of a push; none has begun as long as `start_tick` is negative."""
+
+    start_tick: int = -1  # of the first force since the servo was enabled
+    start_m: float = 0.0  # where the handle was then
+    last_m: float = 0.0  # where it was when last looked at
+    against_j: float = 0.0  # work of the handle against the force
+    most_n: float = 0.0  # largest force so far
+
+
+def followed(push: Push, x: float, force_n: float, tick: int, params: ServoParams) -> Push:
+    """`push` at `tick` with the handle at `x` [m], after `force_n` acted."""
+    if push.start_tick < 0:
+        pushes = abs(force_n) > params.device.force.per_count
+        return Push(tick, x, x, 0.0, abs(force_n)) if pushes else push
+    against_j = max(0.0, push.against_j - force_n * (x - push.last_m))
+    most_n = max(push.most_n, abs(force_n))
+    return push._replace(last_m=x, against_j=against_j, most_n=most_n)
+
+
+def due(push: Push, tick: int, params: ServoParams) -> int:
+    """Number of the fault that ends `push` at `tick`, 0: none."""
+    if push.start_tick < 0:
+        return 0
+    ended = (
+        abs(push.last_m - push.start_m) > TRAVEL_M
+        or tick - push.start_tick > FORCE_S * params.realtime.rate_hz
+        or push.against_j > AGAINST_M * push.most_n
+    )
+    return COMMISSIONING if ended else 0
