@@ -99,10 +99,10 @@ def enter(
         since_tick=now.tick,
         fault=fault,
         actor=actor,
+        push=Push(),
         gain=gain,
         fade=fade,
         glitches=(),
-        push=Push(),
         revision=plan.revision + 1,
     )
     if state is not State.ENABLED:

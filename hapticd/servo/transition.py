@@ -346,9 +346,9 @@ def make_attend(params: ServoParams) -> Attend:
             plan = unheard(plan)
             ledger = unknown_before(ledger)  # what was booked is not what is sent now
         acting_n = 0.0 if plan.unauthorised else held_n
-        plan = watched(plan, law[0], acting_n, tick)
         gateway = bool(host & GATEWAY_ALIVE)
         now = Now(tick, encoder, acting_n, gateway, cause_against_force(sample), bar(host))
+        plan = watched(plan, law[0], acting_n, tick)
         plan, answers = commanded(plan, commands, sample, now, signs.alarm)
         usable = usable and encoder_counts(plan, tick)
         if plan.state is State.HOMING and usable:
