@@ -104,6 +104,7 @@ class Theorem:
 
     def __init__(self, model: Model) -> None:
         self.model = model
+        self._late: Callable[[float], Model] = lru_cache(LEVELS)(self._delayed)
         self._opened: Callable[[float], Opened] = lru_cache(LEVELS + 8)(self._open)
         self._lifted: Callable[[float, Filters, float], Lift] = lru_cache(_KEPT)(self._lift)
         self._circles: Callable[[Conditions], Circles] = lru_cache(_KEPT)(self._draw)
@@ -141,7 +142,10 @@ class Theorem:
         return Reading(found.margin_ns_per_m, found.worst_hz, float(radii(tick, kbm)[0]))
 
     def late(self, delay_periods: float) -> Model:
-        """The device with that delay."""
+        """The device with that delay, the same object each time."""
+        return self._late(delay_periods)
+
+    def _delayed(self, delay_periods: float) -> Model:
         return replace(self.model, delay_periods=delay_periods)
 
     def _open(self, level: float) -> Opened:

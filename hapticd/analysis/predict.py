@@ -20,6 +20,7 @@ N/m read as 690; no loop is safer or less safe for that.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -49,6 +50,7 @@ from hapticd.plant.model import Model
 
 DEFAULT_BAND_HZ = (2.0, 500.0)
 _TOGETHER = 1024  # environments at once: their spectra stay in the cache
+_LOOPS = 16  # kept: device, level and filters of the last predictions
 _FRICTION_STEP = 1.05
 _LEAST_FRICTION = 1e-4  # N s/m
 NOMINAL_NS_PER_M = 1.5  # first guess of a body's friction
@@ -98,7 +100,7 @@ def predict(
     first look at many points. AnalysisError for a wrong shape.
     """
     kbm = environments(points)
-    start, loop = _nominal(model, band_hz, damping_ns_per_m, filters, perturbation)
+    start, loop = _nominal(model, (band_hz[0], band_hz[1]), damping_ns_per_m, filters, perturbation)
     f = loop.frequency_hz
     inside = (f >= band_hz[0]) & (f <= band_hz[1])
 
@@ -239,6 +241,7 @@ def rubbed(model: Model, level: Floats) -> Model:
     )
 
 
+@lru_cache(maxsize=_LOOPS)
 def _nominal(
     model: Model,
     band_hz: tuple[float, float],
@@ -247,7 +250,8 @@ def _nominal(
     perturbation: Perturbation | None,
 ) -> tuple[Floats, Loop]:
     """Friction of the device without environment, and the loop that has it, with lines around
-    its modes inside the band: what is changed afterwards stays small.
+    its modes inside the band: what is changed afterwards stays small. Kept for the next points of
+    the same device.
     """
     f = frequencies(band_hz, perturbation)
     force = coulomb(model)
