@@ -2,6 +2,9 @@
 
     guard_unsafe          distinct environments in force that ring without a hand, in a few dozen
                           hands, or in the hand that shakes the point 5 % further out
+    guard_flown           of 200 sequences through the desk, servo and board, in a hand that would
+                          shake what lies 5 % further out and with a person who moves, those in
+                          which something rings, energy comes out or a fault ends it
     guard_false_refusals  of the requests whose 5 %-further point no hand was found to shake, the
                           share that was refused, in percent
 
@@ -34,6 +37,7 @@ from whole_tick import SETTLED, Display, Point
 
 from benchmarks import targets
 from benchmarks.figures import Figure, compared
+from benchmarks.guard_flown import Flight, flown
 from benchmarks.guard_requests import Answering, Asked, fly
 from benchmarks.guard_verdict import FURTHER, Bench
 from hapticd.analysis.allowed import model_of
@@ -47,6 +51,7 @@ from hapticd.settings.toml import shipped
 
 TARGETS = targets.of("guard_attack")
 SEQUENCES = 2000
+FLIGHTS = 200
 CHUNK = 40  # sequences that are judged together
 LARGER_PERIODS = 1.0  # what every third sequence tells the guard of the delay
 WEIR_EVERY = 5  # one sequence in so many is on the calibrated display
@@ -129,6 +134,12 @@ def attack(seeds: Sequence[int], judge: Answering | None = None) -> Found:
     )
 
 
+def fly_one(seed: int) -> Flight:
+    """The flight of `seed` on the shipped display."""
+    where = device()
+    return flown(seed, where.judge.answer, where.bench)
+
+
 def _on_weir(seed: int) -> bool:
     return seed % WEIR_EVERY == WEIR_EVERY - 1
 
@@ -159,8 +170,8 @@ def _shaken(bench: Bench, asked: list[Asked]) -> list[bool]:
     ]
 
 
-def measure(sequences: int = SEQUENCES, first: int = 0) -> Iterator[Figure]:
-    """Both figures."""
+def measure(sequences: int = SEQUENCES, first: int = 0, flights: int = FLIGHTS) -> Iterator[Figure]:
+    """All figures."""
     with ProcessPoolExecutor(os.cpu_count()) as pool:
         found = list(pool.map(attack, chunks(sequences, first)))
     unsafe = [one for each in found for one in each.unsafe]
@@ -174,6 +185,7 @@ def measure(sequences: int = SEQUENCES, first: int = 0) -> Iterator[Figure]:
         "",
         note=f"of {sum(one.points for one in found)} environments in force ({counts}){where}",
     )
+    yield _flown(flights, first)
     safe = sum(one.safe_further for one in found)
     refused = [one for each in found for one in each.refused]
     where = "; ".join(f"seed {one.seed}: {one.text}" for one in refused[:3])
@@ -186,14 +198,30 @@ def measure(sequences: int = SEQUENCES, first: int = 0) -> Iterator[Figure]:
     )
 
 
+def _flown(flights: int, first: int) -> Figure:
+    with ProcessPoolExecutor(os.cpu_count()) as pool:
+        found = list(pool.map(fly_one, range(first, first + flights)))
+    wrong = [one for one in found if one.wrong]
+    where = "".join(f"; seed {one.seed}: {', '.join(one.wrong)}" for one in wrong[:5])
+    points = sum(one.points for one in found)
+    return compared(
+        "guard_flown",
+        TARGETS["guard_flown"],
+        float(len(wrong)),
+        "",
+        note=f"of {len(found)} flights with {points} environments in force{where}",
+    )
+
+
 def main() -> None:
     """The attack alone."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--sequences", type=int, default=SEQUENCES)
     parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--flights", type=int, default=FLIGHTS)
     asked = parser.parse_args()
     started_s = time.monotonic()
-    for figure in measure(asked.sequences, asked.first_seed):
+    for figure in measure(asked.sequences, asked.first_seed, asked.flights):
         print(json.dumps(figure.plain(), indent=1))
     print(f"{time.monotonic() - started_s:.0f} s")
 

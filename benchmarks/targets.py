@@ -132,6 +132,9 @@ TABLE: dict[str, dict[str, Target]] = {
             "of all that comes into force under refuse, clamp and follow nothing may ring, in any"
             " hand",
         ),
+        "guard_flown": Target(
+            "<= 0", "", "the same through desk, servo and board, held by such a hand and moved"
+        ),
         "guard_false_refusals": Target(
             "<= 5", "", "percent; a guard that refuses what is safe is switched off"
         ),

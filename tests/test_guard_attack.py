@@ -14,8 +14,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from whole_tick import SETTLED, Display, Point, radius
 
-from benchmarks.guard_attack import SHIPPED, WEIR, Found, attack, chunks, device
+from benchmarks.guard_attack import SHIPPED, WEIR, Found, attack, chunks, device, fly_one
 from benchmarks.guard_flight import plain_servo
+from benchmarks.guard_flown import flown
 from benchmarks.guard_requests import Guarded
 from hapticd.analysis.loop import spectral_radius
 
@@ -168,3 +169,16 @@ def test_there_is_no_way_past_the_guard(way: Callable[[Client], None], policy: s
     client = Client(policy)
     way(client)
     assert not client.ringing
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_flight_in_a_hand_that_shakes_what_lies_further_out_is_in_order(seed: int) -> None:
+    found = fly_one(seed)
+    assert found.points > 50
+    assert not found.wrong
+
+
+def test_flight_without_a_guard_is_not_in_order() -> None:
+    """The judge of flights is not blind itself."""
+    blind = flown(4, lambda request: answering("apply", request), device().bench)
+    assert blind.wrong
