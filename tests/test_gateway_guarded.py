@@ -378,6 +378,21 @@ def test_enable_does_not_come_after_what_was_asked_after_it(
     assert Command.ENABLE not in [kind for kind, _ in rig.servo.taken]
 
 
+def test_request_that_waits_ends_when_another_takes_the_lease(
+    rig: DeskRig, worker: StubWorker
+) -> None:
+    under(rig, "refuse")
+    worker.silent = True
+    rig.send(packed(cmd="set", K=5, id=1))
+    rig.run()
+    rig.send(packed(cmd="lease", what="environment", id=2), client=b"b")
+    replies = {reply["id"]: reply for reply in later(rig)}
+    assert replies[1]["error"]["code"] == "leased"
+    worker.said += [{**applies(one), "n": one["n"]} for one in worker.changes]
+    later(rig)
+    assert rig.servo.values[Value.STIFFNESS] == 0
+
+
 def test_flood_of_changes_is_bounded(rig: DeskRig, worker: StubWorker) -> None:
     worker.silent = True
     replies = rig.send(*[packed(cmd="set", K=k) for k in range(80)])
