@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from foreign import MARK_AT, own, played, recorded, without
 
-from hapticd.analysis.alignment import align, find_marks, interpolated
+from hapticd.analysis.alignment import align, find_marks, fitting, interpolated
 from hapticd.errors import AnalysisError
 from hapticd.plant.excitation import MARK_LEAD, mark_signs, marked
 
@@ -106,8 +106,43 @@ def test_stretch_in_which_the_file_stands_still_is_not_found(force):
     heard[20_000:30_000] = heard[20_000]
     found = align(own(force), MARK_AT, heard)
     assert found.gaps == ()
-    assert not found.found[14_500:22_000].any()
-    assert found.found[24_600:].all()
+    assert found.clock.ppm == pytest.approx(50.0, abs=0.1)
+    fits = in_own_time(force, found, heard)
+    assert not fits[13_200:22_800].any()
+    assert fits[:12_800].all()
+    assert fits[23_200:].all()
+
+
+def in_own_time(force, track, heard):
+    """Which of the own samples fit, from 0 on."""
+    part = np.arange(track.first, track.after)
+    at = interpolated(heard[track.rows], track.at(part))
+    fits = fitting(own(force)[part], at, np.ones(part.size, dtype=bool))
+    return np.concatenate((np.ones(track.first, dtype=bool), fits))
+
+
+def test_gaps_close_to_each_other_are_told_apart(force):
+    """Bursts: two within a quarter of a second, and one in each of three that follow."""
+    gaps = ((27_800, 3), (28_250, 4), (40_000, 6), (41_100, 250), (42_200, 6))
+    heard = without(noisy(recorded(force, OFFSET + 0.5, 50.0, ROWS), 6.0), gaps)
+    found = align(own(force), MARK_AT, heard)
+    assert [gap.lost for gap in found.gaps] == [lost for _, lost in gaps]
+    for gap, (row, _) in zip(found.gaps, gaps, strict=True):
+        assert gap.own_sample == pytest.approx(own_of(row, OFFSET + 0.5, 50.0), abs=20)
+
+
+def test_samples_that_do_not_fit_the_own_ones_do_not_count(force):
+    """Three samples off, in blocks of 128; of what is not known nothing is said."""
+    part = own(force)
+    heard = 0.3 * part + 1.0
+    heard[5120:6400] = heard[5123:6403]
+    known = np.ones(part.size, dtype=bool)
+    known[9000:9100] = False
+    heard[9000:9100] = -7.0
+    fits = fitting(part, heard, known)
+    assert not fits[5120:6400].any()
+    assert np.array_equal(fits[:5120], known[:5120])
+    assert np.array_equal(fits[6400:], known[6400:])
 
 
 @pytest.mark.parametrize(

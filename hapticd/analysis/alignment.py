@@ -20,8 +20,12 @@ pieces      From there on the perturbation is its own mark. Each quarter of a se
 clock       exp(2 pi j (x - i)) does not know of k: the e at which all pieces agree in phase is
             found with all gaps still in. Then k are the whole numbers that remain, and c and e
             a line through the rest, with bisquare weights.
-gaps        between two pieces of different k the sample is the one at which the squares of what
-            does not fit, with the k before it and the k after it, are least.
+gaps        between two pieces of different k, and for any k between that a stretch of 256 samples
+            shows, the samples are those at which the squares of what does not fit, with the k
+            before each and the k after it, are least together (dynamic programming).
+what fits   In the end every block of 128 samples is compared with r once more. What fits less than
+            half as well as usual is no measurement of it: gaps so close to each other that they
+            were taken for one, or rows in which the file stood still.
 
 What would break it: a perturbation that repeats within a few seconds; a clock that wanders by half
 a sample over the record (refused: the pieces then do not agree); a gap in the half of a quarter of
@@ -51,6 +55,13 @@ BISQUARE = 4.685  # (Beaton and Tukey 1974)
 TAPS = 16  # on either side, of the interpolation between samples
 CHUNK = 1 << 15  # samples interpolated at once
 NEWTON = 5  # rounds
+INNER = 256  # samples, of a stretch between two gaps that lie within a piece
+SHORTEST = 64  # samples of such a stretch
+LEAST_INNER = 0.4  # its coefficient; chance reaches 0.25
+BLOCK = 128  # samples that are compared once more
+LEAST_BLOCK = 0.25  # of a block has to be known to be compared
+USUAL = 0.5  # of the usual coefficient: a block that fits less is left out
+_TINY = float(np.finfo(np.float64).tiny)
 NO_MARK = "start the other system before the trial, and run the trial with --mark"
 
 
@@ -93,7 +104,6 @@ class Track:
     place: Integers  # (n,) of each on the file's clock
     first: int  # own sample from which on the record is aligned
     after: int  # own sample after the last
-    found: Flags  # (own samples,) which of them lie in a piece that was found
 
     def at(self, own_samples: Integers) -> Floats:
         """Places (n,) of samples of the own record on the clock of the file."""
@@ -170,6 +180,25 @@ def interpolated(values: Floats, at: Floats) -> Floats:
     return found
 
 
+def fitting(own_n: Floats, other: Floats, known: Flags) -> Flags:
+    """Which samples of `other` (n,), of those `known`, lie in a block that fits `own_n` (n,) [N] at
+    least half as well as the usual one.
+    """
+    count = -(-own_n.size // BLOCK)
+    padded = np.zeros((3, count * BLOCK))
+    padded[:, : own_n.size] = known * np.stack((own_n, other, np.ones(own_n.size)))
+    own, heard, used = padded.reshape(3, count, BLOCK)
+    number = np.maximum(used.sum(axis=1, keepdims=True), 1.0)
+    own = own - used * own.sum(axis=1, keepdims=True) / number
+    heard = heard - used * heard.sum(axis=1, keepdims=True) / number
+    power = (own**2).sum(axis=1) * (heard**2).sum(axis=1)
+    coefficient = np.abs((own * heard).sum(axis=1)) / np.sqrt(np.maximum(power, _TINY))
+    enough = number[:, 0] >= LEAST_BLOCK * BLOCK
+    usual = float(np.median(coefficient[enough])) if enough.any() else 0.0
+    fits = ~enough | (coefficient >= USUAL * usual)
+    return np.asarray(known & np.repeat(fits, BLOCK)[: own_n.size])
+
+
 # --- where the record is --------------------------------------------------------------------------
 
 
@@ -189,7 +218,7 @@ def _coefficients(pattern: Floats, signal: Floats) -> Floats:
     sums = np.cumsum(np.concatenate(([0.0], signal)))
     squares = np.cumsum(np.concatenate(([0.0], signal**2)))
     power = squares[size:] - squares[:-size] - (sums[size:] - sums[:-size]) ** 2 / size
-    least = FLAT * max(float(power.mean()), np.finfo(float).tiny)
+    least = FLAT * max(float(power.mean()), _TINY)
     scale = np.sqrt(np.maximum(power, least) * float(shape @ shape))
     return np.where(power > least, product / scale, 0.0)
 
@@ -295,11 +324,12 @@ def _rate(pieces: _Pieces) -> float:
     them: first between neighbours, then over longer and longer stretches.
     """
     lag = pieces.lag
-    rate = float(np.nanmedian(np.diff(lag))) / PIECE
+    rate = _most_often(lag)
     if not abs(rate) <= FASTEST:
         raise AnalysisError(
             f"the file's clock differs by {1e6 * rate:.4g} ppm, at most {1e6 * FASTEST:g} are"
-            " aligned: it was recorded at another rate than 4 kHz; record at 4 kHz"
+            " aligned: it was recorded at another rate than 4 kHz, or loses samples all the time;"
+            " record at 4 kHz without losses"
         )
     phasor = np.where(np.isfinite(lag), np.exp(2j * np.pi * np.nan_to_num(lag)), 0.0)
     number = np.arange(lag.size)
@@ -310,6 +340,19 @@ def _rate(pieces: _Pieces) -> float:
         rate += float(np.angle(sum_of)) / (2.0 * np.pi * PIECE * apart)
         apart *= 2
     return rate
+
+
+def _most_often(lag: Floats) -> float:
+    """The difference of the clocks between most neighbours: its fraction of a sample is known from
+    all of them, and the whole samples from those that lost as many as most did, usually none.
+    """
+    steps = np.diff(lag)
+    steps = steps[np.isfinite(steps)]
+    if not steps.size:
+        return 0.0
+    fraction = float(np.angle(np.exp(2j * np.pi * steps).sum())) / (2.0 * np.pi)
+    whole, often = np.unique(np.rint(steps - fraction), return_counts=True)
+    return float(whole[np.argmax(often)] + fraction) / PIECE
 
 
 def _settled(steps: Integers) -> Integers:
@@ -353,46 +396,113 @@ def _tracked(
     keep = np.ones(other.size, dtype=bool)
     shift = np.zeros(other.size, dtype=np.int64)
     gaps = []
-    for before in np.flatnonzero(np.diff(steps)):
-        ends = int(number[before]), int(number[before + 1])
-        around = _around(ends, int(number[0]), int(number[-1]) + 1)
-        gap, row = _gap(own, other, clock, around, (int(steps[before]), int(steps[before + 1])))
-        gaps.append(gap)
-        shift[row:] += gap.lost
-        keep[row : row - min(0, gap.lost)] = False
+    for group in _groups(number, steps):
+        around = _around(number, group)
+        levels = [int(steps[group[0]]), *(int(steps[before + 1]) for before in group)]
+        for gap, row in _gaps(own, other, clock, around, levels):
+            gaps.append(gap)
+            shift[row:] += gap.lost
+            keep[row : row - min(0, gap.lost)] = False
     rows = np.flatnonzero(keep)
-    found = np.repeat(np.isfinite(pieces.lag), PIECE)
     first = int(number[0]) * PIECE + PIECE // 2
     after = int(number[-1]) * PIECE + PIECE // 2
-    return Track(mark, clock, tuple(gaps), rows, (rows + shift[rows]), first, after, found)
+    return Track(mark, clock, tuple(gaps), rows, rows + shift[rows], first, after)
 
 
-def _around(pieces: tuple[int, int], first: int, after: int) -> Integers:
-    """Own samples (n,) from one piece to another, and half a piece beyond on either side."""
-    begin = max(first * PIECE, pieces[0] * PIECE - PIECE // 2)
-    return np.arange(begin, min(after * PIECE, (pieces[1] + 1) * PIECE + PIECE // 2))
+def _groups(number: Integers, steps: Integers) -> list[list[int]]:
+    """Where k changes, those together that are so close that one lies in the other's pieces."""
+    groups: list[list[int]] = []
+    for before in np.flatnonzero(np.diff(steps)).tolist():
+        if groups and number[before] - number[groups[-1][-1] + 1] <= 1:
+            groups[-1].append(before)
+        else:
+            groups.append([before])
+    return groups
 
 
-def _gap(
-    own: Floats, other: Floats, clock: Clock, around: Integers, steps: tuple[int, int]
-) -> tuple[Gap, int]:
-    """The gap between two k in the own samples `around` (n,), and the first row after it."""
-    lost = steps[0] - steps[1]
+def _around(number: Integers, group: list[int]) -> Integers:
+    """Own samples (n,) of the pieces in which k changes, and half a piece beyond on either side."""
+    begin = PIECE * int(number[group[0]]) - PIECE // 2
+    after = PIECE * int(number[group[-1] + 1] + 1) + PIECE // 2
+    first = PIECE * int(number[0])
+    return np.arange(max(first, begin), min(PIECE * int(number[-1] + 1), after))
+
+
+def _gaps(
+    own: Floats, other: Floats, clock: Clock, around: Integers, levels: list[int]
+) -> list[tuple[Gap, int]]:
+    """The gaps between several k (`levels`, in their order) in the own samples `around` (n,), each
+    with the first row after it.
+    """
     rows = np.asarray(clock.offset_rows + (1.0 + 1e-6 * clock.ppm) * around, np.float64)
-    heard = [interpolated(other, rows + step) for step in steps]
-    gain = _gain(own[around], heard)
-    wrong_before, wrong_after = (
-        np.concatenate(([0.0], np.cumsum((gain * own[around] - one) ** 2))) for one in heard
-    )
-    # of those `around`, the first `n` by the k before and the last by the k after; between, `lost`
-    resumed = np.minimum(np.arange(around.size + 1) + max(0, lost), around.size)
-    wrong = wrong_before + wrong_after[-1] - wrong_after[resumed]
-    n = int(np.argmin(wrong[: around.size + 1 - max(0, lost)]))
-    row = int(np.rint(rows[0] + steps[0] + (1.0 + 1e-6 * clock.ppm) * (n - 1))) + 1
-    return Gap(int(around[0]) + n, lost), row
+    part = own[around]
+    levels = _with_inner(part, other, rows, levels)
+    wrong = _wrong(part, np.stack([interpolated(other, rows + level) for level in levels]))
+    long = _long(wrong, levels)
+    levels = [level for level, keep in zip(levels, long, strict=True) if keep]
+    lost = -np.diff(levels)
+    found = []
+    for number, end in enumerate(_ends(wrong[long], np.maximum(lost, 0))):
+        row = round(float(rows[max(0, end - 1)]) + levels[number]) + 1
+        found.append((Gap(int(around[0]) + end, int(lost[number])), row))
+    return found
 
 
-def _gain(own: Floats, heard: list[Floats]) -> float:
-    """What the file shows of a newton, by the better of two guesses."""
-    power = float(own @ own)
-    return max(float(own @ one) for one in heard) / power if power > 0.0 else 1.0
+def _with_inner(part: Floats, other: Floats, rows: Floats, levels: list[int]) -> list[int]:
+    """`levels` with those between them that a stretch shorter than a piece has: two gaps close to
+    each other. `part` (n,): own samples, `rows` (n,): where they are for k = 0.
+    """
+    seen = set()
+    for first in range(0, part.size - INNER + 1, INNER // 2):
+        row = round(float(rows[first]))
+        lowest = max(0, row + min(levels))
+        found = _coefficients(
+            part[first : first + INNER], other[lowest : row + max(levels) + INNER]
+        )
+        if found.size and found.max() >= LEAST_INNER:
+            seen.add(lowest + int(np.argmax(found)) - row)
+    whole = levels[:1]
+    for level in levels[1:]:
+        low, high = sorted((whole[-1], level))
+        whole += sorted((k for k in seen if low < k < high), reverse=whole[-1] > level)
+        whole.append(level)
+    return whole
+
+
+def _wrong(part: Floats, heard: Floats) -> Floats:
+    """Squares (levels, n) of what of `part` (n,) does not fit what is heard (levels, n)."""
+    power = float(part @ part)
+    gain = float((heard @ part).max()) / power if power > 0.0 else 1.0
+    return np.asarray((gain * part - heard) ** 2)
+
+
+def _long(wrong: Floats, levels: list[int]) -> Flags:
+    """Which of several k, (levels,), hold for long enough to be one: chance brings in others. The
+    first and the last do.
+    """
+    lost = np.maximum(-np.diff(levels), 0)
+    ends = np.array(_ends(wrong, lost))
+    holds = np.ones(len(levels), dtype=bool)
+    holds[1:-1] = np.diff(ends) - lost[:-1] >= SHORTEST
+    return holds
+
+
+def _ends(wrong: Floats, skipped: Integers) -> list[int]:
+    """Where each of several k (but the last) ends, so that the squares that do not fit are least.
+
+    `wrong` (levels, n): squares by each k. `skipped` (levels - 1,): samples lost after each.
+    """
+    sums = np.cumsum(np.pad(wrong, ((0, 0), (1, 0))), axis=1)
+    count = sums.shape[1]
+    best = sums[0]
+    ways = []
+    for total, lost in zip(sums[1:], skipped.tolist(), strict=True):
+        entered = np.full(count, np.inf)
+        entered[lost:] = best[: count - lost] - total[lost:]
+        least = np.minimum.accumulate(entered)
+        ways.append(np.maximum.accumulate(np.where(entered <= least, np.arange(count), 0)) - lost)
+        best = total + least
+    ends = [count - 1]
+    for way in reversed(ways):
+        ends.append(int(way[ends[-1]]))
+    return ends[:0:-1]

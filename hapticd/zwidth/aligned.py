@@ -29,6 +29,7 @@ from hapticd.analysis.alignment import (
     Track,
     align,
     find_marks,
+    fitting,
     interpolated,
 )
 from hapticd.analysis.arrays import Flags, Floats
@@ -126,6 +127,7 @@ def _beside(
 ) -> TrialRecord:
     (force, velocity), known = _on_own_samples(track, *even)
     part = slice(track.first, track.after)
+    known = fitting(own.force_n[part], force, known)
     likeness = _likeness(
         path, np.stack((force, velocity))[:, known], _own_channels(own)[:, part][:, known]
     )
@@ -169,7 +171,7 @@ def _on_own_samples(track: Track, channels: Floats, came: Flags) -> tuple[Floats
     below = np.floor(at).astype(np.int64)
     inside = (below >= 0) & (below + 1 < measured.size)
     below = np.clip(below, 0, measured.size - 2)
-    known = inside & measured[below] & measured[below + 1] & track.found[track.first : track.after]
+    known = inside & measured[below] & measured[below + 1]
     return np.stack([interpolated(channel, at) for channel in even]), known
 
 
