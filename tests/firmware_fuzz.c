@@ -29,7 +29,7 @@ static struct {
 } world;
 
 static struct { /* what was promised */
-    uint64_t born_us, fed_us;
+    uint64_t born_us, fed_us, measured_us;
     bool asked, tripped;
     uint16_t damping;
     int16_t resistance;
@@ -72,7 +72,6 @@ static bool able(uint16_t capability)
 
 static uint32_t clock_us(void *device) { (void)device; return (uint32_t)world.now_us; }
 static uint16_t inputs(void *device) { (void)device; return world.inputs; }
-static void measure_pair(void *device, int16_t pair[2]) { (void)device; pair[1] = 7; }
 static void set_perturbation(void *device, int16_t count) { (void)device; world.perturbation = count; }
 static void set_damping(void *device, uint16_t count) { (void)device; world.damping = count; }
 static void set_resistance(void *device, int16_t count) { (void)device; world.resistance = count; }
@@ -85,6 +84,14 @@ static void sense(void *device, struct hapticd_sensors *sensors)
     if (host.passed)
         host.mark = sensors->index_count;
     world.sensors.index_passed = false;
+}
+
+static void measure_pair(void *device, int16_t pair[2])
+{
+    (void)device;
+    promise(world.now_us > host.measured_us, "no pair is a mean over no time");
+    host.measured_us = world.now_us;
+    pair[1] = (int16_t)((world.now_us - host.born_us) / HAPTICD_INTERVAL_US - 1);
 }
 
 static void set_torque(void *device, bool authority, int16_t count)
@@ -138,15 +145,21 @@ static uint64_t since_fed(void)
     return world.now_us - host.fed_us;
 }
 
-/* The firmware has just looked at everything. */
-static void judge(void)
+/* What holds from now on, whether the firmware has been called or is about to be. */
+static void notice(void)
 {
-    bool needs_ready = able(HAPTICD_CAPABILITY_AMPLIFIER_READY);
     host.latched |= world.inputs & CAUSES;
     if (since_fed() >= WATCHDOG_US && !host.tripped) {
         host.tripped = true;
         met_trips++;
     }
+}
+
+/* The firmware has just looked at everything. */
+static void judge(void)
+{
+    bool needs_ready = able(HAPTICD_CAPABILITY_AMPLIFIER_READY);
+    notice();
     if (world.authority) {
         promise(host.asked, "no torque without ENABLE");
         promise(!host.tripped, "no torque after the watchdog");
@@ -214,6 +227,7 @@ static void boot(void)
                  config.hello.force_full_scale_n > 0.0f && config.phase_us == 875;
     host.fed_us = world.now_us;
     host.born_us = world.now_us;
+    host.measured_us = world.now_us;
     promise(hapticd_board_boot(&board, &config, &port, (uint8_t)draw(256)) == right, "self-test");
     promise(!world.authority && !world.torque && !world.damping && !world.resistance, "nothing yet");
     world.sent = false;
@@ -287,7 +301,9 @@ static void send_out(bool whole)
     memcpy(data, &out, sizeof out);
     if (!whole)
         damage(data, &size);
-    serve();
+    if (draw(2))
+        serve();
+    notice();
     /* exactly as long as the packet, for the sanitizer to see every byte beyond */
     uint8_t *packet = malloc(size ? size : 1);
     if (!packet)
@@ -315,6 +331,8 @@ static void take(void)
     promise(frame->crc == crc16((const uint8_t *)frame, sizeof *frame - sizeof frame->crc), "CRC");
     if (!(frame->status & HAPTICD_STATUS_PROBE_OVERFLOW) && frame->probe_count)
         promise(frame->probe_index == host.next_pair, "every pair comes once, in order");
+    for (uint32_t i = 0; i < frame->probe_count; i++)
+        promise(frame->pair[i][1] == (int16_t)(frame->probe_index + i), "each pair of its interval");
     host.next_pair = frame->probe_index + frame->probe_count;
     met_pairs += frame->probe_count;
 }

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 import wire_header
-from boards import TICK_NS, board_params
+from boards import TICK_NS, board_params, out_packet
 from firmware_board import FirmwareBoard
 from firmware_build import COVERED, REFERENCE, SANITIZED, WARNINGS, fuzz, reached, sources
 from hostile import Tally, compare_boards
@@ -22,7 +22,7 @@ from hapticd.settings.build import board_params as simulated
 from hapticd.settings.load import load
 from hapticd.sim.board import compensates, hello
 from hapticd.wire import codec, session
-from hapticd.wire.frames import Request, StatusBit
+from hapticd.wire.frames import OutFlag, Request, StatusBit
 
 VECTORS = [
     json.loads(line) for line in (wire_header.FOLDER / "vectors.jsonl").read_text().splitlines()
@@ -84,6 +84,19 @@ def test_firmware_sets_the_trim_of_a_winding_as_the_simulated_board_does(tmp_pat
     assert params is not None
     assert compensates(params)
     compare_boards(random.Random(1).randbytes(4 * CASE_BYTES), FirmwareBoard, Tally(), params)
+
+
+@pytest.mark.parametrize(("sample", "mean"), [(45, 32), (-45, -31), (100, 70), (-32768, -22938)])
+def test_mean_of_a_silenced_sample_is_rounded_up_at_the_half(sample: int, mean: int) -> None:
+    """Output for seven tenths of the second interval: 31.5 counts of 45."""
+    board = FirmwareBoard(board_params(rate_hz=2500.0))
+    play = OutFlag.ENABLE | OutFlag.PERTURB
+    board.on_out(out_packet(0, flags=int(play), perturbation=(sample,)), 0)
+    board.poll_in(350_000)
+    board.on_out(out_packet(1), 425_000)
+    packet = board.poll_in(775_000)
+    assert packet is not None
+    assert codec.decode_in(packet).pairs[0][0] == mean
 
 
 # not made smaller: that takes minutes, and the same bytes come again
