@@ -284,6 +284,8 @@ class Guarded:
             # what stands in the schedule before it counts the revision up
             ahead = sum(when <= at_tick for when, _ in self.scheduled)
             change = changed[0]["change"]
+            if not change:  # mode auto takes no level by name
+                return
             posted = plans.post(change, plans.revision + ahead, at_tick)
             if posted is Result.SCHEDULED and len(stages) == 1:
                 self.scheduled = sorted([*self.scheduled, (at_tick, change)], key=_when)
