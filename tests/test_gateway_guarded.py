@@ -309,6 +309,13 @@ def test_worker_that_dies_in_the_middle_of_a_request_refuses_it(
         {"action": "apply", "verdict": verdict()},
         {"action": "apply", "stages": [{"change": {"K": "much"}}], "verdict": verdict()},
         {"action": "apply", "stages": [{"change": {"force": 1.0}}], "verdict": verdict()},
+        {"action": "apply", "stages": [{}], "verdict": verdict()},
+        {"action": "apply", "stages": [[]], "verdict": verdict()},
+        {"action": "apply", "stages": 7, "verdict": verdict()},
+        {"action": "apply", "stages": [{"change": {"K": {}}}], "verdict": verdict()},
+        {"action": "apply", "stages": [{"change": {"wall": 3}}], "verdict": verdict()},
+        {"action": "apply", "stages": [stage({"K": 1.0})], "verdict": "fine"},
+        {"action": ["apply"], "stages": [stage({"K": 1.0})], "verdict": verdict()},
         {"action": "fire", "stages": [stage({"K": 1.0})], "verdict": verdict()},
     ],
 )

@@ -100,8 +100,9 @@ def test_question_and_answer_go_through_in_any_pieces(line: Line) -> None:
         struct.pack("<I", MAX_MESSAGE_BYTES + 1),
         struct.pack("<I", 3) + b"\xc1\xc1\xc1",
         framed({"hello": {"config_hash": "d" * 64}}),
+        framed({"hello": {"config_hash": HASH, "model": b"bytes"}}),
     ],
-    ids=["no map", "no hello", "too long", "no msgpack", "another configuration"],
+    ids=["no map", "no hello", "too long", "no msgpack", "another configuration", "bytes"],
 )
 def test_worker_that_sends_garbage_is_ended(line: Line, data: bytes) -> None:
     line.says(data)

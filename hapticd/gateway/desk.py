@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapticd.errors import CommandError, MailboxError
+from hapticd.gateway.case import Case, concerns, damping_by
 from hapticd.gateway.codec import (
     Encoding,
     RequestId,
@@ -48,7 +49,7 @@ from hapticd.gateway.commands import (
     refusal,
 )
 from hapticd.gateway.guard import Guard
-from hapticd.gateway.guarded import Case, Guarded, Told, concerns, damping_by
+from hapticd.gateway.guarded import Guarded, Told
 from hapticd.gateway.journal import GATEWAY_ACTOR, Actors, Journal
 from hapticd.gateway.lease_desk import LeaseDesk
 from hapticd.gateway.limits import CommandLimits

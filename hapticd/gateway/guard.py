@@ -299,7 +299,7 @@ class Guard:
         if not self.must or self._looked_at[:2] != (self._view.life, self.revision):
             return None
         least = verdict.get("least_damping_ns_per_m")
-        return None if least is None else float(least)
+        return float(least) if isinstance(least, (int, float)) else None
 
     @property
     def delay_periods(self) -> float | None:
@@ -365,8 +365,9 @@ class Guard:
 
     def _hear(self, answer: dict[str, Any]) -> None:
         number = answer.get("n")
-        if isinstance(number, int):
-            self._unanswered.pop(number, None)
+        if not isinstance(number, int):
+            return
+        self._unanswered.pop(number, None)
         if number in self._awaited:
             self._awaited.discard(number)
             self._answers[number] = answer

@@ -25,21 +25,19 @@ believed after policy or environment have changed.
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 from hapticd.errors import CommandError
+from hapticd.gateway.case import Case, Stage, auto_of, change_of, stages_of
 from hapticd.gateway.commands import Posting, parameters, posting, receipt, refusal, values_given
 from hapticd.gateway.guard import MUST, VERDICT_NS, Guard, Unsafe, merged
 from hapticd.gateway.journal import GATEWAY_ACTOR, Actors
-from hapticd.gateway.limits import PLACES, flat
-from hapticd.gateway.schemas import Damping, Enable, GuardRequest, Request, Set
+from hapticd.gateway.schemas import Damping, Enable, Request, Set
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import Command, Flag, Result, State, Value, values_of
 from hapticd.units import NS_PER_S
 
-JUDGED = ("K", "B", "M", "wall", "filters", "damping")  # fields of `set` that a verdict is about
 UNJUDGED = ("ramp_s", "limit_cycle_faults")  # and what comes along
 MOST_WAITING = 64
 WAITING_NS = NS_PER_S  # until it is judged; its sender gives up after 2 s
@@ -48,45 +46,6 @@ STAGE_NS = 2 * NS_PER_S  # beyond the time that the damping takes to rise
 CHOICE_NS = 5 * NS_PER_S  # between looks at the level of mode auto while nothing changes
 LEAST_CHOICE_NS = NS_PER_S
 LATCHED = frozenset({State.STOPPED, State.FAULT})
-
-
-class Stage(NamedTuple):
-    """A part of a change that may be in force by itself."""
-
-    change: dict[str, Any]  # fields as in `set`, absolute values
-    damping_at_least: float | None  # N s/m that the board reports before it is posted
-    after_ramps: bool  # those of the stage before have ended
-
-
-@dataclass(slots=True, eq=False)
-class Case:
-    """One request and what became of it so far."""
-
-    cmd: str
-    id: int | str | None
-    actor: int
-    request: Request
-    message: Any  # with its envelope, of the desk
-    life: int  # of the servo it is for
-    came_ns: int
-    at_tick: int = 0
-    replied: bool = False
-    tries: int = 0
-    # --- since it was asked
-    number: int = 0  # of the question, 0: not asked
-    ready_ns: int = 0  # since when it could be asked, 0: not yet
-    changes: int = 0  # of the policy by then
-    policy: str = "off"
-    revision: int | None = None  # of the environment it was judged for
-    answer: dict[str, Any] | None = None
-    ahead: int = 0  # scheduled changes that come into force first
-    verdict: dict[str, Any] = field(default_factory=dict)
-    stages: tuple[Stage, ...] = ()
-    place: int = 0  # of the next stage
-    state: State | None = None  # in which it began
-    ramp_end_tick: int = 0
-    since_ns: int = 0  # the last stage was posted, or something moved
-    held: Answer | None = None  # of the servo, while the verdict on what was posted is awaited
 
 
 class Told(NamedTuple):
@@ -107,61 +66,6 @@ class Booked(NamedTuple):
 
 Post = Callable[[Case, Posting, int], None]  # with the time; CommandError: it could not be posted
 May = Callable[[Case], CommandError | None]  # why its client may not change that any more
-
-
-def change_of(request: Request, level: float) -> dict[str, Any]:
-    """What `request` changes of a display; active damping as a number, `on` being `level`."""
-    if isinstance(request, Damping):
-        if request.value == "auto":
-            return {}
-        named = {"on": level, "off": 0.0}
-        value = request.value
-        return {"damping": named[value] if isinstance(value, str) else float(value)}
-    if isinstance(request, Set):
-        given = request.given
-        return {name: given[name] for name in JUDGED if given.get(name, {}) != {}}
-    return {}
-
-
-def concerns(request: Request) -> bool:
-    """Whether a verdict is asked for it."""
-    if isinstance(request, Set):
-        return bool(change_of(request, 0.0))
-    return isinstance(request, (Damping, Enable))
-
-
-def auto_of(request: Request) -> bool | None:
-    """Whether `request` leaves the level of damping to the guard; None: as before."""
-    if isinstance(request, Damping):
-        return request.value == "auto"
-    return False if isinstance(request, Set) and "damping" in request.given else None
-
-
-def damping_by(asked: GuardRequest) -> Damping:
-    """The damping command that the mode in `asked` comes to."""
-    values: dict[str, Literal["on", "off", "auto"]] = {"level": "on", "off": "off", "auto": "auto"}
-    return Damping(cmd="damping", value=values[asked.mode])
-
-
-def stages_of(answer: dict[str, Any]) -> tuple[Stage, ...]:
-    """The stages of an answer that says to do something. ValueError: they are not understood."""
-    found = tuple(map(_stage, answer.get("stages") or ()))
-    if not found:
-        raise ValueError("nothing to be done")
-    return found
-
-
-def _stage(plain: Any) -> Stage:
-    change = plain["change"] if isinstance(plain, dict) else None
-    if not isinstance(change, dict):
-        raise ValueError("a stage without a change")
-    for name, value in flat(change):
-        if name not in PLACES or isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise ValueError(f"a stage that changes {name[:20]!r}")
-    least = plain.get("damping_at_least")
-    if least is not None and not isinstance(least, (int, float)):
-        raise ValueError("a stage that waits for no number")
-    return Stage(change, least, bool(plain.get("after_ramps")))
 
 
 class Guarded:

@@ -144,7 +144,10 @@ class Worker:
             end = _LENGTH.size + length
             if len(self._buffer) < end:
                 return
-            message = msgpack.unpackb(self._buffer[_LENGTH.size : end])
+            # no bytes and no extensions: JSON clients get what it says
+            message = msgpack.unpackb(
+                self._buffer[_LENGTH.size : end], max_bin_len=0, max_ext_len=0
+            )
             self._buffer = self._buffer[end:]
             if not isinstance(message, dict):
                 raise Garbage(f"{type(message).__name__} instead of a map")

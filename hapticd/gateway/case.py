@@ -1,0 +1,115 @@
+"""A request that changes what is rendered or damped, on its way past the guard, and its parts.
+
+A case is what `guarded` keeps of one request. Here are also the two translations: what a request
+changes of a display, as the guard's worker is asked, and the stages in which the worker says to do
+it. The worker is another process: its answer is looked at before it is believed.
+
+What would break it: a field of `set` that a verdict is about and that is not in JUDGED.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple
+
+from hapticd.gateway.limits import PLACES, flat
+from hapticd.gateway.schemas import Damping, Enable, GuardRequest, Request, Set
+from hapticd.mailbox.client_side import Answer
+from hapticd.mailbox.layout import State
+
+JUDGED = ("K", "B", "M", "wall", "filters", "damping")  # fields of `set` that a verdict is about
+TABLES = ("wall", "filters")
+
+
+class Stage(NamedTuple):
+    """A part of a change that may be in force by itself."""
+
+    change: dict[str, Any]  # fields as in `set`, absolute values
+    damping_at_least: float | None  # N s/m that the board reports before it is posted
+    after_ramps: bool  # those of the stage before have ended
+
+
+@dataclass(slots=True, eq=False)
+class Case:
+    """One request and what became of it so far."""
+
+    cmd: str
+    id: int | str | None
+    actor: int
+    request: Request
+    message: Any  # with its envelope, of the desk
+    life: int  # of the servo it is for
+    came_ns: int
+    at_tick: int = 0
+    replied: bool = False
+    tries: int = 0
+    # --- since it was asked
+    number: int = 0  # of the question, 0: not asked
+    ready_ns: int = 0  # since when it could be asked, 0: not yet
+    changes: int = 0  # of the policy by then
+    policy: str = "off"
+    revision: int | None = None  # of the environment it was judged for
+    answer: dict[str, Any] | None = None
+    ahead: int = 0  # scheduled changes that come into force first
+    verdict: dict[str, Any] = field(default_factory=dict)
+    stages: tuple[Stage, ...] = ()
+    place: int = 0  # of the next stage
+    state: State | None = None  # in which it began
+    ramp_end_tick: int = 0
+    since_ns: int = 0  # the last stage was posted, or something moved
+    held: Answer | None = None  # of the servo, while the verdict on what was posted is awaited
+
+
+def change_of(request: Request, level: float) -> dict[str, Any]:
+    """What `request` changes of a display; active damping as a number, `on` being `level`."""
+    if isinstance(request, Damping):
+        if request.value == "auto":
+            return {}
+        named = {"on": level, "off": 0.0}
+        value = request.value
+        return {"damping": named[value] if isinstance(value, str) else float(value)}
+    if isinstance(request, Set):
+        given = request.given
+        return {name: given[name] for name in JUDGED if given.get(name, {}) != {}}
+    return {}
+
+
+def concerns(request: Request) -> bool:
+    """Whether a verdict is asked for it."""
+    if isinstance(request, Set):
+        return bool(change_of(request, 0.0))
+    return isinstance(request, (Damping, Enable))
+
+
+def auto_of(request: Request) -> bool | None:
+    """Whether `request` leaves the level of damping to the guard; None: as before."""
+    if isinstance(request, Damping):
+        return request.value == "auto"
+    return False if isinstance(request, Set) and "damping" in request.given else None
+
+
+def damping_by(asked: GuardRequest) -> Damping:
+    """The damping command that the mode in `asked` comes to."""
+    values: dict[str, Literal["on", "off", "auto"]] = {"level": "on", "off": "off", "auto": "auto"}
+    return Damping(cmd="damping", value=values[asked.mode])
+
+
+def stages_of(answer: dict[str, Any]) -> tuple[Stage, ...]:
+    """The stages of an answer that says to do something. ValueError: they are not understood."""
+    stages = answer.get("stages")
+    if not isinstance(stages, list) or not stages:
+        raise ValueError("nothing to be done")
+    return tuple(map(_stage, stages))
+
+
+def _stage(plain: Any) -> Stage:
+    change = plain.get("change") if isinstance(plain, dict) else None
+    if not isinstance(change, dict):
+        raise ValueError("a stage without a change")
+    if any(isinstance(value, dict) != (name in TABLES) for name, value in change.items()):
+        raise ValueError("a stage whose fields are not nested as in `set`")
+    for name, value in flat(change):
+        if name not in PLACES or isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise ValueError(f"a stage that changes {name[:20]!r}")
+    least = plain.get("damping_at_least")
+    if least is not None and not isinstance(least, (int, float)):
+        raise ValueError("a stage that waits for no number")
+    return Stage(change, least, bool(plain.get("after_ramps")))
