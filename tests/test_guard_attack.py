@@ -143,6 +143,16 @@ def negative_mass_is_easier_with_the_longest_delay(client: Client) -> None:
     client.enable()
 
 
+def ramps_of_different_length_are_under_way_when_damping_goes(client: Client) -> None:
+    """K goes slowly and B comes quickly: on no line between both is K still there with all of B."""
+    client.ask(damping=1.74)
+    client.ask(K=1000.0)
+    client.enable()
+    client.ask(10, K=100.0, ramp_s=5.0)
+    client.ask(10, B=1.5, ramp_s=0.2)
+    client.ask(damping=0.9)
+
+
 def stages_left_over_from_a_refused_change(client: Client) -> None:
     """Filters in use are refused by the servo; what was to come after them must not come."""
     client.ask(damping=3.0)
@@ -159,6 +169,7 @@ WAYS = [
     spring_is_still_there_when_force_comes_on,
     wall_is_still_there_when_damping_goes,
     negative_mass_is_easier_with_the_longest_delay,
+    ramps_of_different_length_are_under_way_when_damping_goes,
     stages_left_over_from_a_refused_change,
 ]
 

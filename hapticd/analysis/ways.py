@@ -14,13 +14,12 @@ grows first. A longer ramp goes through the same points, so none is asked for.
 Where it is not known what comes first, a scheduled change or the end of the ramps before it, all
 corners of what may then act have to be safe (`mixture`).
 
-What would break it: ramps of several earlier changes under way at once, which are taken as one; or
-a parameter that moves without being asked.
+What would break it: a parameter that moves without being asked.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import product
+from itertools import product, takewhile
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -137,7 +136,7 @@ class Ways:
         later = [leg.end for leg in self._later(plan.end)]
         known = not later and len(request.passed) == 1
         if known and not request.enable:
-            return []
+            return self._overlapping(plan)
         displays = [*request.passed, request.target, plan.end, *later]
         if plan.stages[-1].damping_at_least is not None:
             # nothing is felt before the damping that is asked for is in effect
@@ -145,6 +144,19 @@ class Ways:
             displays[0] = here if request.enable else displays[0]
         environments = {one._replace(added_ns_per_m=0.0) for one in displays}
         return mixed(displays) if len(environments) > 1 else []
+
+    def _overlapping(self, plan: Plan) -> list[Display]:
+        """The same where two parameters or more are under way, each on a ramp of its own, until a
+        stage waits for their ends.
+        """
+        pairs = zip(_numbers(self.request.now), _numbers(self.request.target), strict=True)
+        if not self.request.moving or sum(start != end for start, end in pairs) < 2:
+            return []
+        together = takewhile(
+            lambda one: not one[0].after_ramps, zip(plan.stages, plan.legs, strict=True)
+        )
+        corners = [mixed([leg.start, leg.under_way, leg.end]) for _, leg in together]
+        return [display for part in corners for display in part]
 
     def _later(self, start: Display) -> list[Leg]:
         legs = []
