@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from foreign import MARK_AT, own, played, recorded, without
 
-from hapticd.analysis.alignment import align, find_marks, fitting, interpolated
+from hapticd.analysis.alignment import align, find_marks
+from hapticd.analysis.matching import fitting, interpolated
 from hapticd.errors import AnalysisError
 from hapticd.plant.excitation import MARK_LEAD, mark_signs, marked
 
@@ -91,6 +92,16 @@ def test_lost_blocks_longer_than_a_piece_are_crossed(force):
     assert found.clock.ppm == pytest.approx(50.0, abs=0.1)
 
 
+def test_many_single_samples_lost_do_not_turn_the_clock(force):
+    """One in two quarters of a second, each half a sample off the line where it lies in a piece."""
+    rows = range(9000, 52_000, 2111)
+    heard = noisy(recorded(force, OFFSET, 180.0, ROWS), 3.0)
+    found = align(own(force), MARK_AT, without(heard, tuple((row, 1) for row in rows)))
+    assert sum(gap.lost for gap in found.gaps) == len(rows)
+    assert {gap.lost for gap in found.gaps} == {1}
+    assert found.clock.ppm == pytest.approx(180.0, abs=4.0 * found.clock.ppm_sd)
+
+
 def test_rows_too_many_are_left_out(force):
     heard = recorded(force, OFFSET, 0.0, ROWS)
     twice = np.concatenate((heard[:25_000], heard[24_936:]))
@@ -116,7 +127,7 @@ def test_stretch_in_which_the_file_stands_still_is_not_found(force):
 def in_own_time(force, track, heard):
     """Which of the own samples fit, from 0 on."""
     part = np.arange(track.first, track.after)
-    at = interpolated(heard[track.rows], track.at(part))
+    at = interpolated(heard[track.rows], track.clock.at(part))
     fits = fitting(own(force)[part], at, np.ones(part.size, dtype=bool))
     return np.concatenate((np.ones(track.first, dtype=bool), fits))
 
@@ -162,6 +173,8 @@ def test_sign_of_the_mark_is_told(force):
     heard = recorded(force, OFFSET, 0.0, ROWS)
     assert find_marks(heard)[0].coefficient > 0.9
     assert find_marks(-heard)[0].coefficient < -0.9
+    assert find_marks(heard + 1e6)[0].row == find_marks(heard)[0].row
+    assert find_marks(heard + 1e6)[0].coefficient > 0.9
     assert [mark.row for mark in find_marks(heard)] == [OFFSET + MARK_AT]
 
 

@@ -25,7 +25,8 @@ velocity, N s/m, at the probe unless something else is said. For scripts:
     search       `Search`, `next_trials`: the directed search; `prior`: what a model knows before it
 
 The rest serves these: `covariances`, `kernels`, `compiled`, `batch_spectra` and `batch_fft`
-(loops over records), `channels` (faults of the measuring channels), `low_lines` (limit cycles
-below the lines of a window), `loop`, `linearise` and `narrow` (the model's loop), `displays`,
-`ways` and `words` (of a change), `surrogate` (the process behind the search), `arrays` (types).
+(loops over records), `matching` and `gaps` (one signal in another), `channels` (faults of the
+measuring channels), `low_lines` (limit cycles below the lines of a window), `loop`, `linearise`
+and `narrow` (the model's loop), `displays`, `ways` and `words` (of a change), `surrogate` (the
+process behind the search), `arrays` (types).
 """

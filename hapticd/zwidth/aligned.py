@@ -24,15 +24,14 @@ from hapticd.analysis.alignment import (
     FASTEST,
     LEAST,
     NO_MARK,
-    Gap,
     Mark,
     Track,
     align,
     find_marks,
-    fitting,
-    interpolated,
 )
 from hapticd.analysis.arrays import Flags, Floats
+from hapticd.analysis.gaps import Gap
+from hapticd.analysis.matching import fitting, interpolated
 from hapticd.errors import AnalysisError
 from hapticd.units import PROBE_RATE_HZ
 from hapticd.zwidth.recorded import ForeignSamples, read_file, read_foreign
@@ -167,7 +166,7 @@ def _on_own_samples(track: Track, channels: Floats, came: Flags) -> tuple[Floats
     measured = np.zeros(even.shape[1], dtype=bool)
     measured[track.place - track.place[0]] = came[track.rows]
     own_samples = np.arange(track.first, track.after)
-    at = track.at(own_samples) - track.place[0]
+    at = track.clock.at(own_samples) - track.place[0]
     below = np.floor(at).astype(np.int64)
     inside = (below >= 0) & (below + 1 < measured.size)
     below = np.clip(below, 0, measured.size - 2)

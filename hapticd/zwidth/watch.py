@@ -63,6 +63,7 @@ BRIDGED = 40  # samples at most: 10 ms
 MOST_LOST = 0.01  # share of samples or slots above which nothing is decided
 COUNTS = ("lost_samples", "samples", "lost_slots", "slots")  # as the run's summary names them
 REMEDY_OF_FILES = "rows are missing by the times in the file, record again without gaps"
+REMEDY_OF_ALIGNED = "rows are missing in the file, record again without gaps"
 BETTER = "h_force reads |Z| better than spa"
 REMEDY = "close other programs on this computer, see `hapticd doctor`"
 CALM_SECONDS = 4  # before which nothing is known of calm
@@ -122,6 +123,7 @@ def loss_findings(counts: Mapping[str, Any]) -> tuple[Finding, ...]:
     share and remedy.
     """
     remedy = REMEDY if "slots" in counts else REMEDY_OF_FILES
+    remedy = REMEDY_OF_ALIGNED if "alignment" in counts else remedy
     known = (
         (
             "samples",
