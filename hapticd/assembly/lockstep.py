@@ -106,9 +106,11 @@ class LockStep:
             )
         return seq
 
-    def do(self, kind: Command, values: dict[Value, float] | None = None) -> Answer:
+    def do(
+        self, kind: Command, values: dict[Value, float] | None = None, at_tick: int = 0
+    ) -> Answer:
         """Post a command and run ticks until it is answered. MailboxError if it is not."""
-        seq = self.command(kind, values)
+        seq = self.command(kind, values, at_tick)
         for _ in range(ANSWER_TICKS):
             self.run(1)
             for answer in self.gateway.answers():

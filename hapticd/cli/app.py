@@ -11,6 +11,7 @@ from hapticd.cli import (
     lease,
     monitor,
     recording,
+    rig,
     sim,
     system,
     terminal,
@@ -56,6 +57,7 @@ app.add_typer(recording.rec_app, name="rec")
 app.add_typer(keys.app, name="keys")
 app.add_typer(system.config_app, name="config")
 app.add_typer(sim.sim_app, name="sim")
+app.add_typer(rig.app, name="rig")
 app.add_typer(zwidth.app, name="zwidth")
 
 

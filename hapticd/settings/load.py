@@ -130,6 +130,16 @@ def load(given: Path | None = None, overrides: tuple[Override, ...] = ()) -> Set
     return Settings(config, device, config_document.path, device_document.path, origins)
 
 
+def load_device(path: Path) -> DeviceFile:
+    """The device file `path` by itself, validated. ConfigError with one line for everything
+    wrong.
+    """
+    document = read(path)
+    device = validated(DeviceFile, document.data, document.where)
+    report((document.where, _device_rules(device)), (document.where, model_rules(device)))
+    return device
+
+
 def validated(model: type[T], data: dict[str, Any], where: Where) -> T:
     """`data` as `model`. ConfigError with one line for everything wrong."""
     try:

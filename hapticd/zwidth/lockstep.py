@@ -70,14 +70,16 @@ class LockStepBench(Client):
         """
         if cmd in ("hello", "get", "status"):
             known = self._known()
+            if cmd == "status":
+                known["servo"] = self.stack.loop.board.report()
             return {"state": known["state"], "result": known}
         given = {name: value for name, value in fields.items() if value is not None}
         request = ADAPTER.validate_python({"cmd": cmd, **given})
         if isinstance(request, LeaseRequest):
             return {"state": self._known()["state"], "result": self._leased(request)}
-        kind, _, values = posting(request, self._samples)
+        kind, at_tick, values = posting(request, self._samples)
         answer = self.stack.do(
-            kind, {Value(place): values[place] for place in masked_places(values)}
+            kind, {Value(place): values[place] for place in masked_places(values)}, at_tick
         )
         if answer.result not in ACCEPTED:
             raise CommandError(
@@ -109,6 +111,8 @@ class LockStepBench(Client):
             "simulated": self._servo.simulated,
             "config_hash": self._servo.config_hash,
             "leases": self._leases,
+            "fault": fault.code if fault else "unknown",
+            "counters": self.stack.gateway.counters(),
         }
 
     def enable(self) -> Receipt:

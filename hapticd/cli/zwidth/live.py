@@ -44,7 +44,7 @@ def open_rig(instance: str, stack: ExitStack) -> Rig:
     from hapticd.params import EnvironmentParams, from_plain
     from hapticd.zwidth.scenes import scene_of_device
 
-    stack.enter_context(_signals_end_with_force_off())
+    stack.enter_context(signals_end_with_force_off())
     client = stack.enter_context(change.connect(instance))
     servo = client.hello()["servo"]
     name = servo["device"]["name"]
@@ -84,7 +84,7 @@ def announce(rig: Rig, trial: "Trial", scene: "Scene | None") -> None:
 
 
 @contextmanager
-def _signals_end_with_force_off() -> Iterator[None]:
+def signals_end_with_force_off() -> Iterator[None]:
     """Whoever ends this process, or closes its terminal, gets what Ctrl-C gets: force off.
 
     The exit code is 128 + the signal's number. A signal that somebody else handles is left to them.

@@ -1,0 +1,19 @@
+"""The verbs of `hapticd rig`: from a bare board to measured values in its device file."""
+
+import typer
+
+from hapticd.cli import terminal
+from hapticd.cli.rig import guided, steps
+
+app = typer.Typer(
+    invoke_without_command=True,
+    help="First day at the rig: measure link, encoder and motor, and write the device file.",
+)
+VERBS: dict[str, terminal.Verb] = {
+    "link": steps.link,
+    "encoder": steps.encoder,
+    "motor": steps.motor,
+}
+app.callback()(guided.guided)
+for name, verb in VERBS.items():
+    terminal.verb(app, name)(verb)

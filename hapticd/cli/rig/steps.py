@@ -1,0 +1,202 @@
+"""Steps of `hapticd rig` as verbs: what is asked, what is shown, and what is written.
+
+A step that is interrupted (Ctrl-C, a cable, a fault) leaves the force off and the device file as it
+was; it can be repeated by itself. With --yes nothing is asked: what a hand should do is announced,
+and some seconds pass.
+
+What would break it: a way out of a step that leaves the device enabled.
+"""
+
+import datetime
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hapticd.cli import terminal
+from hapticd.cli.change import connect
+from hapticd.cli.zwidth.live import signals_end_with_force_off
+from hapticd.errors import AnalysisError, ConfigError
+
+if TYPE_CHECKING:
+    from hapticd.client import Client
+    from hapticd.rig.encoder import Ask
+    from hapticd.rig.result import StepResult
+    from hapticd.settings.load import Settings
+
+REFUSED = 4  # exit code of a step that found something that must not stay
+PAUSE_S = 5.0  # for what a hand should do, with --yes
+COLOURS = {"ok": terminal.GREEN, "warning": terminal.YELLOW, "refused": terminal.RED}
+
+Yes = Annotated[
+    bool, typer.Option("--yes", help="Ask nothing: announce what to do, wait 5 s, then write.")
+]
+Apart = Annotated[
+    float, typer.Option("--distance", metavar="M", min=1e-4, help="From position A to B, in m.")
+]
+Tolerance = Annotated[
+    float, typer.Option("--tolerance", metavar="M", min=0.0, help="Of that distance (95 %), in m.")
+]
+Kilograms = Annotated[
+    list[float] | None,
+    typer.Option("--mass", metavar="KG", help="A mass that is hung; several, 0 among them."),
+]
+Side = Annotated[int, typer.Option("--pulls-to", metavar="SIDE", help="Masses pull to x: -1 or 1.")]
+Ratio = Annotated[
+    float,
+    typer.Option(
+        "--radius-ratio",
+        metavar="R",
+        min=1e-3,
+        help="Radius of the masses by that of the endpoint.",
+    ),
+]
+
+
+def show(result: "StepResult", as_json: bool) -> None:
+    """What was found; ends the process with 4 if something was refused."""
+    if as_json:
+        terminal.data_json(result.plain())
+    else:
+        for line in lines(result):
+            terminal.data(line)
+    if not result.settled:
+        raise typer.Exit(REFUSED)
+
+
+def lines(result: "StepResult") -> list[str]:
+    """`result` for people, a line for each thing."""
+    found = [f"  {value}" for value in result.values]
+    for one in result.findings:
+        word = terminal.coloured(one.verdict, COLOURS.get(one.verdict, terminal.BOLD))
+        found.append(f"  {word}: {one.what}{f'; {one.remedy}' if one.remedy else ''}")
+    found += [f"  device file: {one.table}.{one.key} = {one.value}" for one in result.changes]
+    return [f"rig {result.step}", *found]
+
+
+def asking(yes: bool) -> "Ask":
+    """What asks a person; with --yes it tells, and waits a while."""
+
+    def ask(text: str) -> None:
+        terminal.talk(f"> {text}")
+        if yes:
+            time.sleep(PAUSE_S)
+        else:
+            answer("  Enter when it is done")
+
+    return ask
+
+
+def answer(question: str) -> str:
+    """A line from the person at the terminal. ConfigError where there is none."""
+    terminal.talk(question)
+    try:
+        return input().strip()
+    except EOFError as error:
+        raise ConfigError("nobody answers here; ask nothing with --yes") from error
+
+
+def perform(
+    instance: str, settings: "Settings", step: "Callable[[Client], StepResult]", yes: bool
+) -> "StepResult":
+    """Do `step` on the daemon, keep its records, and write what it found into the device file.
+
+    ConfigError if the daemon runs another device than `settings`, or the file cannot be written.
+    """
+    from hapticd.rig.device_file import refuse_shipped
+
+    refuse_shipped(settings.device_file)
+    with ExitStack() as stack:
+        stack.enter_context(signals_end_with_force_off())
+        client = stack.enter_context(connect(instance))
+        serial = client.hello()["servo"]["device"]["serial"]
+        if serial != settings.device.serial:
+            raise ConfigError(
+                f"the daemon runs the device {serial!r}, {settings.device_file} is of"
+                f" {settings.device.serial!r}; name its configuration with --config"
+            )
+        result = step(client)
+    return _written(result, settings, yes)
+
+
+def _written(result: "StepResult", settings: "Settings", yes: bool) -> "StepResult":
+    from hapticd.rig.device_file import write
+    from hapticd.rig.records import keep
+
+    day = datetime.date.today()
+    path = settings.device_file
+    kept = keep(path, result.step, day, result.arrays)
+    if not result.settled or not result.changes:
+        return result
+    if not yes:
+        for line in lines(result):
+            terminal.talk(line)
+        if answer(f"write this into {path}? yes or no") not in ("y", "yes"):
+            return replace(result, changes=())
+    words = "; ".join(str(value) for value in result.values)
+    source = f"rig {result.step}: {words or 'signs seen'}; rig/{kept.path.name} {kept.sha256}"
+    write(path, result.changes, source, day)
+    terminal.talk(f"written: {path}; it counts from the next start of the daemon")
+    return result
+
+
+def link(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False) -> None:
+    """Ten seconds of frames without force: delay, jitter, age, damaged and missing frames, and the
+    board's clock; a verdict and a remedy for each. Exit 4 if something must not stay.
+    """
+    from hapticd.rig.link import measure
+
+    with connect(instance) as client:
+        show(measure(client), as_json)
+
+
+def encoder(
+    distance: Apart,
+    tolerance: Tolerance = 10e-6,
+    yes: Yes = False,
+    config: terminal.ConfigFile = None,
+    instance: terminal.Instance = terminal.INSTANCE,
+    as_json: terminal.Json = False,
+) -> None:
+    """Sign, scale and noise of the encoder, by hand: no force is made.
+
+    The handle is moved to positive x, then between two positions a stated distance apart, and last
+    to where x = 0 shall be. Writes the table `position` of the device file.
+    """
+    from hapticd.rig.encoder import Distance, measure
+    from hapticd.settings.load import load
+
+    apart = Distance(distance, tolerance)
+    found = perform(instance, load(config), lambda client: measure(client, asking(yes), apart), yes)
+    show(found, as_json)
+
+
+def motor(
+    mass: Kilograms = None,
+    pulls_to: Side = -1,
+    radius_ratio: Ratio = 1.0,
+    yes: Yes = False,
+    config: terminal.ConfigFile = None,
+    instance: terminal.Instance = terminal.INSTANCE,
+    as_json: terminal.Json = False,
+) -> None:
+    """Without --mass the sign of the force, by pushes of 20 ms with at most a tenth of it: verifies
+    the signs. With --mass its gain and offset, by masses that hang from the handle.
+
+    Writes the tables `force` and `commissioning` of the device file.
+    """
+    from hapticd.rig.motor import Masses, measure_gain, measure_sign
+    from hapticd.settings.load import load
+
+    if pulls_to not in (-1, 1):
+        raise AnalysisError(f"--pulls-to {pulls_to}: name the side to which masses pull, -1 or 1")
+    masses = Masses(tuple(mass or ()), pulls_to, radius_ratio)
+
+    def step(client: "Client") -> "StepResult":
+        ask = asking(yes)
+        return measure_gain(client, ask, masses) if mass else measure_sign(client, ask)
+
+    show(perform(instance, load(config), step, yes), as_json)

@@ -1,0 +1,157 @@
+"""What one count means: noise at rest, the sign by hand, m per count between two positions.
+
+The device stays disabled: a hand moves the handle, and is asked to. Sign: the handle goes to
+positive x, and counts rise or fall. Scale: it rests against position A, then against B, a stated
+distance further to positive x, some times over; the counts between scatter by how the handle is
+placed (Student's t), and the stated distance has a tolerance of its own; both are added in
+quadrature. While it moves, each of the lowest bits has to change: one that never does is a wire.
+
+What would break it: a handle that is moved by somebody else than who is asked (the signs of the
+repetitions then differ, which is refused).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import hypot, sqrt
+
+import numpy as np
+
+from hapticd.analysis.arrays import Floats
+from hapticd.analysis.verdict import student_quantile
+from hapticd.client.client import Client
+from hapticd.rig.link import require_disabled
+from hapticd.rig.records import collect, counts_of
+from hapticd.rig.result import Change, Finding, StepResult, Value, rounded
+
+Ask = Callable[[str], None]  # says what a person is to do, and returns once it is done
+
+REST_S = 2.0
+MOVE_S = 5.0
+HOLD_S = 0.5
+REPEATS = 3
+PROBABILITY = 0.975
+LEAST_COUNTS = 100.0  # of any motion that says something
+QUIET_COUNTS = 4.0  # peak to peak at rest
+LOW_BITS = 3
+MOST_SCATTER = 0.01  # half of the interval, of the distance
+FACTOR = 2.0  # between file and measurement, beyond which a distance is rather mistyped
+
+
+@dataclass(frozen=True)
+class Distance:
+    """Between the positions A and B."""
+
+    metres: float
+    tolerance_m: float = 10e-6  # half of its 95 % interval
+
+
+def measure(bench: Client, ask: Ask, distance: Distance, repeats: int = REPEATS) -> StepResult:
+    """Ask for the motions and measure them; ends with x = 0 where the handle is put last.
+
+    CommandError unless disabled.
+    """
+    require_disabled(bench)
+    position = bench.hello()["servo"]["device"]["position"]
+
+    def counts(text: str, seconds: float) -> Floats:
+        ask(text)
+        return counts_of(collect(bench, seconds).records, position)
+
+    rest = counts("let go of the handle and let it come to rest", REST_S)
+    moving = counts(
+        f"from now on, within {MOVE_S:g} s: move the handle slowly to positive x, and hold it",
+        MOVE_S,
+    )
+    steps = []
+    for number in range(1, repeats + 1):
+        first = counts(f"{number} of {repeats}: hold the handle against position A", HOLD_S)
+        second = counts(
+            f"hold it against position B, {1e3 * distance.metres:g} mm further to positive x",
+            HOLD_S,
+        )
+        steps.append(float(np.median(second) - np.median(first)))
+    ask("hold the handle where x = 0 shall be")
+    bench.zero()
+    arrays = {"rest": rest, "moving": moving, "steps": np.array(steps)}
+    return concluded(arrays, distance, float(position["per_count"]))
+
+
+def concluded(arrays: dict[str, Floats], distance: Distance, m_per_count: float) -> StepResult:
+    """What counts at rest (n,), during the motion (m,) and of the steps from A to B (k,) say, with
+    the `m_per_count` of the device file.
+    """
+    rest, moving, steps = arrays["rest"], arrays["moving"], arrays["steps"]
+    went = float(np.median(moving[-len(moving) // 10 :]) - moving[0])
+    findings = [*_at_rest(rest), *_moving(moving, went), *_steps(steps, went)]
+    values = [_noise(rest)]
+    changes: list[Change] = []
+    if all(one.verdict != "refused" for one in findings):
+        scale = scale_of(steps, distance)
+        values.append(scale)
+        findings.append(_believable(scale, m_per_count, distance))
+    if all(one.verdict != "refused" for one in findings):
+        changes = [
+            Change("position", "sign", 1 if went > 0.0 else -1),
+            Change("position", "m_per_count", rounded(scale.value, scale.low, scale.high)),
+        ]
+    return StepResult("encoder", values, findings, changes, arrays)
+
+
+def scale_of(steps: Floats, distance: Distance) -> Value:
+    """m per count, from the counts (k,) of k times the same distance, k at least 2."""
+    sizes = np.abs(steps)
+    mean = float(sizes.mean())
+    by_hand = student_quantile(PROBABILITY, len(sizes) - 1) * float(sizes.std(ddof=1))
+    relative = hypot(by_hand / sqrt(len(sizes)) / mean, distance.tolerance_m / distance.metres)
+    value = distance.metres / mean
+    low, high = value * (1.0 - relative), value * (1.0 + relative)
+    return Value("position.m_per_count", value, "m", low, high)
+
+
+def _noise(rest: Floats) -> Value:
+    deviation = float(rest.std())
+    half = 1.96 * deviation / sqrt(2.0 * len(rest))
+    return Value("noise at rest", deviation, "counts rms", deviation - half, deviation + half)
+
+
+def _at_rest(rest: Floats) -> list[Finding]:
+    wide = float(np.ptp(rest))
+    if wide <= QUIET_COUNTS:
+        return [Finding(f"{wide:g} counts peak to peak at rest", "ok")]
+    remedy = "let go of it and keep the table still; else look at shield and supply of the encoder"
+    return [Finding(f"{wide:g} counts peak to peak at rest", "warning", remedy)]
+
+
+def _moving(moving: Floats, went: float) -> list[Finding]:
+    if not abs(went) >= LEAST_COUNTS:
+        what = f"the handle was moved, and the encoder went {went:g} counts"
+        remedy = "encoder stuck: look at its cable and supply, and whether the handle was moved"
+        return [Finding(what, "refused", remedy)]
+    low = moving.astype(np.int64)
+    dead = [bit for bit in range(LOW_BITS) if len(np.unique(low >> bit & 1)) == 1]
+    if not dead:
+        return [Finding(f"the lowest {LOW_BITS} bits all change", "ok")]
+    what = f"bit {dead[0]} of the count never changes: {1 << dead[0]} counts are dead"
+    return [Finding(what, "warning", "look at the interpolator and the width of the counter")]
+
+
+def _steps(steps: Floats, went: float) -> list[Finding]:
+    same = bool((np.sign(steps) == np.sign(went)).all()) and went != 0.0
+    if not same or not (np.abs(steps) >= LEAST_COUNTS).all():
+        words = ", ".join(f"{step:g}" for step in steps)
+        remedy = "B lies to positive x of A, as the motion before: repeat the step"
+        return [Finding(f"from A to B {words} counts", "refused", remedy)]
+    return [Finding("A to B goes the way of the motion before", "ok")]
+
+
+def _believable(scale: Value, m_per_count: float, distance: Distance) -> Finding:
+    ratio = scale.value / m_per_count
+    if not 1.0 / FACTOR <= ratio <= FACTOR:
+        what = f"{scale.value:.4g} m per count is {ratio:.3g} times what the device file says"
+        remedy = f"is the distance {distance.metres:g} m right, in metres? Else correct the file"
+        return Finding(what, "refused", remedy)
+    half = (scale.high - scale.low) / 2.0 / scale.value
+    if half > MOST_SCATTER:
+        remedy = "rest the handle against something firm at A and B"
+        return Finding(f"the scale is known to {100 * half:.2g} %", "warning", remedy)
+    return Finding(f"the scale is known to {100 * half:.2g} %", "ok")

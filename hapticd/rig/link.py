@@ -1,0 +1,191 @@
+"""Is the link good enough to feel through? Ten seconds of frames while the device is disabled.
+
+What the ticks of a servo without force tell:
+
+    d          from a sample to the force that was in effect when the next one was latched, by the
+               board's clock; its spread is jitter of the loop
+    age        of a frame when it is read: frames that wait in a queue are old
+    frames     missing, damaged (CRC, short), of zero length, out of sequence, queued: counters
+    drift      of the board's clock against the host's: slope of board time over host time. The host
+               reads its clock when it wakes, so the residuals are its jitter, which is no white
+               noise: ten slopes, each without one block, give the interval (Student's t)
+
+Medians of d and age are of ticks that differ by jitter alone; their interval is between the order
+statistics that a binomial with p = 1/2 leaves out with 5 %.
+
+The watchdog of the board is not tried: it would take frames that the servo withholds. It says so.
+
+What would break it: somebody who uses the device meanwhile (it is asked to be disabled).
+"""
+
+from collections.abc import Iterator, Mapping
+from math import sqrt
+from typing import Any
+
+import numpy as np
+
+from hapticd.analysis.arrays import Floats
+from hapticd.analysis.verdict import student_quantile
+from hapticd.client.blocks import Records
+from hapticd.client.client import Client
+from hapticd.errors import CommandError
+from hapticd.rig.records import collect
+from hapticd.rig.result import Finding, StepResult, Value, Verdict
+from hapticd.units import NS_PER_US, US_PER_S
+
+SECONDS = 10.0
+BLOCKS = 10
+LEAST_TICKS = 100  # for any of it
+PROBABILITY = 0.975
+MOST_DELAY = 1.0  # periods: above it stability suffers more than a faster rate would bring
+MOST_SPREAD = 0.05  # of a period
+MOST_DRIFT_PPM = 200.0  # beyond any crystal
+RARE = 1e-3  # share of ticks that may go wrong before it is felt
+REMEDIES = {
+    "missing_in": "look at cable and hub, and at what else shares the bus",
+    "bad_in": "a damaged or short frame: look at cable and shield, and at the firmware's CRC",
+    "empty_in": "the firmware sends packets of zero length: send IN only when it is whole",
+    "stale_in": "frames come twice: the firmware has to send each sample once",
+    "behind_in": "frames wait in a queue: give the endpoint one buffer, the newest replaces",
+    "sequence_gap": "samples are skipped between board and host: look at the bus and its hub",
+    "write_errors": "OUT frames are not taken: look at the bus and the firmware's OUT endpoint",
+    "lost_slots": "the host misses ticks: `hapticd doctor`",
+}
+
+
+def measure(bench: Client, seconds: float = SECONDS) -> StepResult:
+    """Listen for `seconds`; nothing is sent and no force is made. CommandError unless disabled."""
+    require_disabled(bench)
+    servo = bench.hello()["servo"]
+    before = bench.status()
+    stretch = collect(bench, seconds)
+    after = bench.status()
+    period_us = US_PER_S / float(servo["realtime"]["rate_hz"])
+    values = tuple(_values(stretch.records, after))
+    counted = _counted(before, after)
+    findings = [
+        *_timing(values, period_us),
+        *_frames(counted, len(stretch.records)),
+        *_features(after),
+        Finding(
+            "watchdog of the board",
+            "not done",
+            "frames cannot be withheld here: pull the cable under a small force and see it end",
+        ),
+    ]
+    if stretch.lost:
+        findings.append(
+            Finding(f"{stretch.lost} ticks lost by telemetry", "warning", "repeat on a calm host")
+        )
+    arrays = {
+        name: np.asarray(stretch.records[name])
+        for name in ("tick", "time_ns", "board_us", "delay_us", "frame_age_us", "arrival", "flags")
+    }
+    return StepResult("link", values, findings, arrays=arrays)
+
+
+def require_disabled(bench: Client) -> None:
+    """CommandError unless the servo is disabled."""
+    state = bench.status()["state"]
+    if state != "disabled":
+        raise CommandError(
+            "refused", f"the servo is {state}, a step begins from disabled; `hapticd disable`"
+        )
+
+
+def _values(records: Records, status: Mapping[str, Any]) -> Iterator[Value]:
+    delays = records["delay_us"][records["delay_us"] >= 0].astype(np.float64)
+    ages = records["frame_age_us"][records["frame_age_us"] >= 0].astype(np.float64)
+    for name, found in (("delay", delays), ("frame age", ages)):
+        if len(found) >= LEAST_TICKS:
+            yield median_of(name, found, "us")
+    if len(delays) >= LEAST_TICKS:
+        spread_us = float(np.ptp(delays))
+        yield Value("delay spread", spread_us, "us", spread_us, spread_us)
+    if len(records) >= BLOCKS * LEAST_TICKS:
+        yield drift_of(records["time_ns"], records["board_us"])
+    transport = status.get("servo", {}).get("transport") if status.get("servo") else None
+    if transport:
+        pair_us = float(transport["pair_us"])
+        yield Value("round trip", pair_us, "us", pair_us, pair_us)
+
+
+def median_of(name: str, found: Floats, unit: str) -> Value:
+    """The median of `found` (n,), between the order statistics of its 95 % interval."""
+    ordered = np.sort(found)
+    half = 0.98 * sqrt(len(ordered))  # 1.96 times the deviation of a binomial with p = 1/2
+    low = max(0, int(np.floor(0.5 * len(ordered) - half)))
+    high = min(len(ordered) - 1, int(np.ceil(0.5 * len(ordered) + half)))
+    return Value(name, float(np.median(ordered)), unit, float(ordered[low]), float(ordered[high]))
+
+
+def drift_of(time_ns: Any, board_us: Any) -> Value:
+    """Drift [ppm] of the board's clock: `board_us` (n,) over `time_ns` (n,)."""
+    host_us = (np.asarray(time_ns, np.int64) - int(time_ns[0])) / NS_PER_US
+    ahead_us = np.asarray(board_us, np.int64) - int(board_us[0]) - host_us
+    blocks = np.array_split(np.arange(len(host_us)), BLOCKS)
+    left = [slope_of(np.delete(host_us, one), np.delete(ahead_us, one)) for one in blocks]
+    whole = slope_of(host_us, ahead_us)
+    deviation = sqrt(BLOCKS - 1) * float(np.std(left))
+    half = student_quantile(PROBABILITY, BLOCKS - 1) * deviation
+    ppm = 1e6
+    return Value("clock drift", whole * ppm, "ppm", (whole - half) * ppm, (whole + half) * ppm)
+
+
+def slope_of(x: Floats, y: Floats) -> float:
+    """Slope of the line of least squares through (n,) points."""
+    away = x - x.mean()
+    return float(away @ y / (away @ away))
+
+
+def _counted(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, int]:
+    old = before.get("counters", {})
+    return {name: count - old.get(name, 0) for name, count in after.get("counters", {}).items()}
+
+
+def _timing(values: tuple[Value, ...], period_us: float) -> Iterator[Finding]:
+    known = {one.name: one for one in values}
+    if "delay" not in known:
+        yield Finding("no frame came", "refused", "look at `hapticd status`: is a board there?")
+        return
+    delay = known["delay"].value / period_us
+    late = delay > MOST_DELAY
+    yield Finding(
+        f"sample to force {delay:.3g} periods",
+        "warning" if late else "ok",
+        "a bus of its own, or a lower realtime.rate_hz" if late else "",
+    )
+    spread = known["delay spread"].value / period_us
+    wide = spread > MOST_SPREAD
+    yield Finding(
+        f"it varies by {spread:.3g} periods",
+        "warning" if wide else "ok",
+        "the board latches IN by the host's OUT: quiet the host (`hapticd doctor`)" if wide else "",
+    )
+    if drift := known.get("clock drift"):
+        fast = min(abs(drift.low), abs(drift.high)) > MOST_DRIFT_PPM
+        yield Finding(
+            f"board's clock {drift.value:.3g} ppm off the host's",
+            "warning" if fast else "ok",
+            "more than a crystal: is it the RC oscillator, or a wrong prescaler?" if fast else "",
+        )
+
+
+def _frames(counted: Mapping[str, int], ticks: int) -> Iterator[Finding]:
+    if not counted:
+        yield Finding("counters of frames", "not done", "this daemon tells none")
+        return
+    for name, remedy in REMEDIES.items():
+        count = counted.get(name, 0)
+        often = count > RARE * ticks
+        verdict: Verdict = "refused" if often else "warning" if count else "ok"
+        yield Finding(f"{name}: {count} in {ticks} ticks", verdict, remedy if count else "")
+
+
+def _features(status: Mapping[str, Any]) -> Iterator[Finding]:
+    """What the servo's report says of the board."""
+    report = status.get("servo") or {}
+    for difference in report.get("differences", ()):
+        yield Finding(difference, "refused", "correct the device file or plug in its board")
+    if reason := report.get("uncompensated"):
+        yield Finding(reason, "warning", "damping and force get weaker as the winding warms up")

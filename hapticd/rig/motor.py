@@ -1,0 +1,294 @@
+"""Which way the motor pushes, and how hard: the sign by pushes, offset and gain by masses.
+
+Sign (`measure_sign`). Position has its sign already (`rig encoder`, by hand). Pushes of PUSH_S,
+each half as strong again as the last, go to positive x until the handle moves, then to negative x.
+Both move it with the force, or both against it: the file's sign is right, or the other one is. What
+moves it the same way both times is gravity or a hand, and is refused. Nothing else than these
+pushes makes force, and the servo ends one that goes wrong.
+
+Gain (`measure_gain`). A spring holds the handle while masses hang from it. A far wall draws it a
+little to either side and lets it creep back, so that it comes to rest once from above and once from
+below, and Coulomb friction cancels in the mean. At rest
+
+    s F + o + a w = 0,     w = m g r / R
+
+with the commanded F, what a commanded newton really is (s), the offset o, the side a = +-1 to which
+the masses pull, and the radii r at which they hang and R of the endpoint. The line F(w) gives s and
+o; its residuals give their intervals (Student's t) and show whether the motor is linear.
+
+What would break it: a friction that differs from one reading to the next (it shows as residuals).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import hypot, sqrt
+from typing import Any
+
+import numpy as np
+
+from hapticd.analysis.arrays import Floats
+from hapticd.analysis.verdict import student_quantile
+from hapticd.client.client import Client
+from hapticd.errors import AnalysisError
+from hapticd.params import COMMISSIONING_SHARE
+from hapticd.rig.encoder import Ask
+from hapticd.rig.link import require_disabled
+from hapticd.rig.push import Pushed, push, ready, wall_of
+from hapticd.rig.records import collect
+from hapticd.rig.result import Change, Finding, StepResult, Value, rounded
+
+PUSH_S = 0.02
+FIRST_SHARE = 0.05  # of the force that is allowed
+STRONGER = 1.5
+MOVED_M = 1e-4
+STILL_M = 2e-5
+STILL_S = 0.2
+STILL_LOOKS = 25  # 5 s
+PROBABILITY = 0.975
+GRAVITY_M_PER_S2 = 9.80665
+SAG_M = 2e-3  # of the spring under the heaviest mass
+STIFFEST_N_PER_M = 500.0
+DRAWN_SHARE = 0.1  # of the force limit
+DRAW_S = 1.0
+SETTLE_S = 0.5
+READ_S = 1.0
+MOST_SHARE = 0.8  # of the force limit that masses may take
+MOST_RESIDUAL = 0.02  # of the span
+FACTOR = 2.0  # between file and measurement, beyond which a mass is rather mistyped
+
+
+@dataclass(frozen=True)
+class Masses:
+    """What is hung, and how it pulls at the endpoint."""
+
+    kilograms: tuple[float, ...]  # 0 is one of them
+    pulls_to: int = -1  # side of x to which they pull
+    ratio: float = 1.0  # of the radius at which they hang to that of the endpoint
+    tolerance: float = 1e-3  # relative, half of the 95 % interval of all of them together
+
+    @property
+    def weights_n(self) -> Floats:
+        """Force at the endpoint (n,)."""
+        return GRAVITY_M_PER_S2 * self.ratio * np.array(self.kilograms)
+
+
+def measure_sign(bench: Client, ask: Ask) -> StepResult:
+    """Push to both sides and see which way the handle goes. CommandError unless disabled."""
+    require_disabled(bench)
+    servo = bench.hello()["servo"]
+    ask("let go of the handle, somewhere in the middle of its travel; it will be pushed gently")
+    pushes = [moving_push(bench, side * allowed_n(servo)) for side in (1.0, -1.0)]
+    findings = [_pushed(one) for one in pushes]
+    agree = {bool(one.moved_m * one.force_n > 0.0) for one in pushes}
+    changes: list[Change] = []
+    if all(one.verdict != "refused" for one in findings):
+        findings.append(_sign(agree))
+    if all(one.verdict != "refused" for one in findings):
+        right = agree == {True}
+        sign = int(servo["device"]["force"]["sign"])
+        changes = [
+            Change("force", "sign", sign if right else -sign),
+            Change("commissioning", "signs_verified", True),
+            Change("commissioning", "serial", str(servo["device"]["serial"])),
+        ]
+    arrays = {
+        f"{name}_{number}": np.asarray(one.records[name])
+        for number, one in enumerate(pushes)
+        for name in ("tick", "position_m", "force_n", "fault")
+    }
+    return StepResult("motor", (), findings, changes, arrays)
+
+
+def allowed_n(servo: dict[str, Any]) -> float:
+    """The strongest push: a tenth of the device's force, as in commissioning, whether the signs are
+    verified or not.
+    """
+    own_n = COMMISSIONING_SHARE * float(servo["device"]["force_limit_n"])
+    return min(own_n, float(servo["safety"]["force_limit_n"]))
+
+
+def moving_push(bench: Client, most_n: float) -> Pushed:
+    """The first push towards `most_n` that moves the handle, or the one with `most_n`.
+    AnalysisError where the handle does not stand still.
+    """
+    share = FIRST_SHARE
+    while True:
+        await_rest(bench)
+        if bench.status()["state"] in ("fault", "stopped"):
+            bench.reset()
+        with ready(bench):
+            found = push(bench, share * most_n, PUSH_S)
+        if bench.status()["state"] == "fault" and not abs(found.moved_m) >= MOVED_M:
+            raise AnalysisError(f"the push ended: {bench.status()['cause']}; repeat the step")
+        if abs(found.moved_m) >= MOVED_M or share >= 1.0:
+            _leave_fault(bench)
+            return found
+        share = min(1.0, STRONGER * share)
+
+
+def _leave_fault(bench: Client) -> None:
+    """A push that the servo ended has been seen; the next one may come."""
+    if bench.status()["state"] == "fault":
+        bench.reset()
+
+
+def await_rest(bench: Client) -> None:
+    """Until the handle stands still. AnalysisError after 5 s."""
+    for _ in range(STILL_LOOKS):
+        if float(np.ptp(collect(bench, STILL_S).records["position_m"])) <= STILL_M:
+            return
+    raise AnalysisError(
+        f"the handle moves by more than {1e6 * STILL_M:g} um for"
+        f" {STILL_LOOKS * STILL_S:g} s; take your hand off, keep the table still, and repeat"
+    )
+
+
+def _pushed(one: Pushed) -> Finding:
+    what = f"{one.force_n:+.3g} N moved the handle by {1e3 * one.moved_m:+.3g} mm"
+    if abs(one.moved_m) >= MOVED_M:
+        return Finding(what, "ok")
+    remedy = "no authority: look at emergency stop, amplifier and motor, and let the handle free"
+    return Finding(what, "refused", remedy)
+
+
+def _sign(agree: set[bool]) -> Finding:
+    if agree == {True}:
+        return Finding("it goes with the force both ways: the sign is right", "ok")
+    if agree == {False}:
+        what = "it goes against the force both ways: the other sign is right"
+        return Finding(what, "warning", "the device file gets it; start the daemon again")
+    remedy = "something else moves it: let go of it, lay the axis level, and repeat"
+    return Finding("it goes the same way whatever the force is", "refused", remedy)
+
+
+def measure_gain(bench: Client, ask: Ask, masses: Masses) -> StepResult:
+    """Ask for each mass and fit the line. CommandError unless disabled; AnalysisError where
+    signs are not verified, masses are too few or too heavy.
+    """
+    require_disabled(bench)
+    servo = bench.hello()["servo"]
+    _refuse(servo, masses)
+    weights = masses.weights_n
+    stiffness = min(STIFFEST_N_PER_M, float(weights.max()) / SAG_M)
+    readings = []
+    with ready(bench):
+        bench.set(K=stiffness, ramp_s=1.0)
+        for mass_kg in masses.kilograms:
+            ask(f"hang {mass_kg:g} kg and let go of the handle")
+            drawn_n = DRAWN_SHARE * limit_n(servo)
+            readings.append([settled_n(bench, side * drawn_n) for side in (1.0, -1.0)])
+        state = bench.status()["state"]
+    if state != "enabled":
+        raise AnalysisError(f"force ended meanwhile (the servo is {state}); repeat the step")
+    return concluded(weights, np.array(readings), masses, servo["device"]["force"])
+
+
+def settled_n(bench: Client, drawn_n: float) -> float:
+    """Mean commanded force [N] at rest, after `drawn_n` drew the handle aside and faded."""
+    bench.set(wall=wall_of(drawn_n, 0.0), ramp_s=DRAW_S)
+    collect(bench, DRAW_S + SETTLE_S)
+    bench.set(wall={"stiffness_n_per_m": 0.0}, ramp_s=DRAW_S)
+    collect(bench, DRAW_S + SETTLE_S)
+    return float(collect(bench, READ_S).records["force_n"].mean())
+
+
+def limit_n(servo: dict[str, Any]) -> float:
+    """The most that may be commanded."""
+    own_n = float(servo["device"]["force_limit_n"])
+    return min(own_n, float(servo["safety"]["force_limit_n"]))
+
+
+def _refuse(servo: dict[str, Any], masses: Masses) -> None:
+    if servo["device"]["commissioning"]:
+        raise AnalysisError(
+            "the gain is measured once the signs are verified: `hapticd rig motor` without masses,"
+            " then start the daemon again"
+        )
+    if len(set(masses.kilograms)) < 3 or min(masses.kilograms) < 0.0:
+        raise AnalysisError(
+            "a line with residuals takes three masses at least; name 0 and two more"
+        )
+    heaviest_n = float(masses.weights_n.max())
+    if heaviest_n > MOST_SHARE * limit_n(servo):
+        raise AnalysisError(
+            f"{max(masses.kilograms):g} kg pulls with {heaviest_n:.3g} N, and of"
+            f" {limit_n(servo):g} N only {MOST_SHARE:g} may be used; hang less, or is it in grams?"
+        )
+
+
+def concluded(
+    weights_n: Floats, readings_n: Floats, masses: Masses, force: dict[str, Any]
+) -> StepResult:
+    """What commanded forces (n, 2) under `weights_n` (n,) say, with the file's scale `force`."""
+    means = readings_n.mean(axis=1)
+    line = fitted(weights_n, means)
+    scale = -masses.pulls_to / line.slope
+    relative = hypot(line.slope_half / abs(line.slope), masses.tolerance)
+    full_n = 32767.0 * float(force["per_count"])
+    gain = Value(
+        "force.full_scale_n",
+        scale * full_n,
+        "N",
+        full_n * scale * (1 - relative),
+        full_n * scale * (1 + relative),
+    )
+    per_n = int(force["sign"]) / float(force["per_count"])
+    middle = float(force["offset_count"]) + per_n * line.intercept
+    half = abs(per_n) * line.intercept_half
+    offset = Value("force.offset_count", middle, "counts", middle - half, middle + half)
+    findings = [_linear(line, means), _gain(scale)]
+    friction_n = float(np.abs(np.diff(readings_n, axis=1)).mean()) / 2.0 * abs(scale)
+    spread = Value("friction seen", friction_n, "N", 0.0, 2.0 * friction_n)
+    changes = [
+        Change("force", "full_scale_n", rounded(gain.value, gain.low, gain.high)),
+        Change("force", "offset_count", rounded(offset.value, offset.low, offset.high)),
+    ]
+    settled = all(one.verdict != "refused" for one in findings)
+    arrays = {"weights_n": weights_n, "readings_n": readings_n}
+    return StepResult("motor", (gain, offset, spread), findings, changes if settled else (), arrays)
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of least squares and the halves of its 95 % intervals."""
+
+    slope: float
+    slope_half: float
+    intercept: float
+    intercept_half: float
+    worst: float  # residual
+
+
+def fitted(x: Floats, y: Floats) -> Line:
+    """The line through (n,) points, n at least 3."""
+    away = x - x.mean()
+    power = float(away @ away)
+    slope = float(away @ y) / power
+    residuals = y - y.mean() - slope * away
+    freedom = len(x) - 2
+    deviation = sqrt(float(residuals @ residuals) / freedom)
+    quantile = student_quantile(PROBABILITY, freedom)
+    return Line(
+        slope,
+        quantile * deviation / sqrt(power),
+        float(y.mean() - slope * x.mean()),
+        quantile * deviation * sqrt(1.0 / len(x) + float(x.mean()) ** 2 / power),
+        float(np.abs(residuals).max()),
+    )
+
+
+def _linear(line: Line, means: Sequence[float] | Floats) -> Finding:
+    share = line.worst / float(np.ptp(means))
+    what = f"the worst reading lies {100 * share:.2g} % of the span beside the line"
+    if share <= MOST_RESIDUAL:
+        return Finding(what, "ok")
+    remedy = "is one mass typed wrong, does the lever slip, or the handle stick? Repeat the step"
+    return Finding(what, "refused", remedy)
+
+
+def _gain(scale: float) -> Finding:
+    what = f"a commanded newton is {scale:.4g} N"
+    if 1.0 / FACTOR <= scale <= FACTOR:
+        return Finding(what, "ok")
+    remedy = "are the masses in kg, the radii and the side right? Else correct force.full_scale_n"
+    return Finding(what, "refused", remedy)

@@ -1,0 +1,76 @@
+"""A bounded push: force from a weak wall far away, which begins and ends at ticks that are known
+before it begins.
+
+A wall of F / FAR_M whose surface lies FAR_M behind the handle pushes with F, and with 1 % less for
+every 0.2 mm that the handle moves. Both its begin and its end are scheduled in the servo before
+anything moves, so the push ends in time whatever becomes of this process; the servo watches it
+besides while signs are not verified.
+
+What would break it: somebody who changes the wall meanwhile.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import NamedTuple
+
+import numpy as np
+
+from hapticd.client.blocks import Records
+from hapticd.client.client import Client
+from hapticd.rig.records import collect
+
+FAR_M = 0.02
+LEAD_S = 0.2  # from the last look at a tick to the begin: commands and telemetry take their time
+AFTER_S = 0.1
+LOOK_S = 0.1
+GAIN_S = 0.2  # beyond the ramp of the gain
+FREE = {"stiffness_n_per_m": 0.0, "damping_ns_per_m": 0.0, "side": 0.0}
+
+
+class Pushed(NamedTuple):
+    """What became of a push of `force_n`."""
+
+    force_n: float  # commanded
+    moved_m: float  # from its begin to AFTER_S beyond its end
+    records: Records
+
+
+@contextmanager
+def ready(bench: Client) -> Iterator[None]:
+    """Enabled without any force; however it is left, disabled without a wall."""
+    bench.set(K=0.0, B=0.0, M=0.0, wall=FREE, ramp_s=0.0)
+    bench.enable()
+    try:
+        bench.wait_for("enabled")
+        collect(bench, float(bench.hello()["servo"]["safety"]["enable_ramp_s"]) + GAIN_S)
+        yield
+    finally:
+        if bench.status()["state"] == "enabled":
+            bench.disable()
+        bench.set(K=0.0, B=0.0, M=0.0, wall=FREE, ramp_s=0.0)
+
+
+def wall_of(force_n: float, at_m: float) -> dict[str, float]:
+    """The wall that pushes a handle at `at_m` with `force_n`."""
+    return {
+        "stiffness_n_per_m": abs(force_n) / FAR_M,
+        "damping_ns_per_m": 0.0,
+        "position_m": at_m + (FAR_M if force_n > 0.0 else -FAR_M),
+        "side": -1.0 if force_n > 0.0 else 1.0,
+    }
+
+
+def push(bench: Client, force_n: float, seconds: float) -> Pushed:
+    """Push with `force_n` for `seconds`, from where the handle is; the servo is enabled."""
+    rate_hz = float(bench.hello()["servo"]["realtime"]["rate_hz"])
+    look = collect(bench, LOOK_S)
+    newest = look.records[-1]
+    begin = look.newest_tick + round(LEAD_S * rate_hz)
+    end = begin + round(seconds * rate_hz)
+    wall = wall_of(force_n, float(newest["position_m"]))
+    bench.set(wall=FREE, ramp_s=0.0, at_tick=end)  # first: nothing begins that has no end
+    bench.set(wall=wall, ramp_s=0.0, at_tick=begin)
+    found = collect(bench, LEAD_S + seconds + AFTER_S).records
+    pushed = found[found["tick"] >= begin]
+    moved_m = float(pushed["position_m"][-1] - newest["position_m"]) if len(pushed) else np.nan
+    return Pushed(force_n, moved_m, found)

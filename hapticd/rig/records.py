@@ -1,0 +1,91 @@
+"""Ticks of a running servo while a step measures, and the file in which they are kept.
+
+`collect` receives the topic `servo.raw` for some time. `keep` writes arrays beside the device file,
+as rig/NAME-DATE-STEP.npz, and says the SHA-256 of what it wrote: the device file names both.
+
+What would break it: a daemon that restarts in between (DaemonDown says so).
+"""
+
+import datetime
+import hashlib
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.analysis.arrays import Floats
+from hapticd.client.blocks import BlockDecoder, Records
+from hapticd.client.client import Client
+from hapticd.errors import DaemonDown
+from hapticd.params import ScaleParams
+
+TICKS = "servo.raw"
+SILENT_LOOKS = 40  # without a message: 2 s
+DIGITS = 12  # of the hash in the device file
+
+
+class Stretch(NamedTuple):
+    """Consecutive ticks."""
+
+    records: Records  # structured (n,), of layout.TELEMETRY
+    lost: int  # that telemetry left out
+    newest_tick: int  # that had come; the records may end sooner
+
+
+class Kept(NamedTuple):
+    """A file of raw records."""
+
+    path: Path
+    sha256: str  # hex
+
+
+def collect(bench: Client, seconds: float) -> Stretch:
+    """The ticks of the next `seconds`. DaemonDown if none come for 2 s, or the servo restarts."""
+    decoder = BlockDecoder()
+    parts: list[Records] = []
+    lost = 0
+    quiet = 0
+    rate_hz = float(bench.hello()["servo"]["realtime"]["rate_hz"])
+    wanted = round(seconds * rate_hz)
+    for message in bench.messages((TICKS,)):
+        quiet = quiet + 1 if message is None else 0
+        if quiet > SILENT_LOOKS:
+            break
+        if message is None:
+            continue
+        block = decoder.decode(message[1])
+        if block.restarted:
+            raise DaemonDown("the servo restarted meanwhile; see `hapticd status`, then repeat")
+        lost += block.gap if parts else 0
+        parts.append(block.records)
+        if sum(map(len, parts)) + lost >= wanted:
+            found = np.concatenate(parts)
+            return Stretch(found[:wanted], lost, int(found["tick"][-1]))
+    raise DaemonDown("no ticks came for 2 s; see `hapticd status`, then repeat")
+
+
+def counts_of(records: Records, position: Mapping[str, Any]) -> Floats:
+    """Encoder counts (n,) since the origin, by the scale `position` of the hello."""
+    scale = ScaleParams(**position)
+    slope = scale.to_value(1.0) - scale.to_value(0.0)
+    found: Floats = np.round(records["position_m"] / slope)
+    return found
+
+
+def keep(
+    device_file: Path, step: str, day: datetime.date, arrays: Mapping[str, npt.NDArray[Any]]
+) -> Kept:
+    """Write `arrays` beside `device_file`; an earlier file of that day stays."""
+    folder = device_file.parent / "rig"
+    folder.mkdir(exist_ok=True)
+    stem = f"{device_file.stem}-{day.isoformat()}-{step}"
+    names = (f"{stem}{f'-{number}' if number > 1 else ''}.npz" for number in range(1, 1000))
+    path = next(folder / name for name in names if not (folder / name).exists())
+    partial = path.with_suffix(".partial")
+    with partial.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)
+    os.replace(partial, path)
+    return Kept(path, hashlib.sha256(path.read_bytes()).hexdigest()[:DIGITS])

@@ -1,0 +1,85 @@
+"""What a step of the rig found: values with their intervals, a verdict for each thing it looked at,
+and what is to be written into the device file.
+
+A value says the 95 % interval in which it lies. A finding says what is wrong and what to do about
+it; a step with a finding that is `refused` writes nothing.
+
+What would break it: a step that writes although one of its findings is refused (`settled`).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+Verdict = Literal["ok", "warning", "refused", "not done"]
+Scalar = bool | int | float | str
+
+
+@dataclass(frozen=True, slots=True)
+class Value:
+    """A measured quantity in `unit`, and the ends of its 95 % interval."""
+
+    name: str
+    value: float
+    unit: str
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        between = f"{self.low:.6g} to {self.high:.6g}"
+        return f"{self.name} {self.value:.6g} {self.unit} (95 %: {between})".replace("  ", " ")
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What was looked at, in words, what is to be thought of it, and what to do."""
+
+    what: str
+    verdict: Verdict
+    remedy: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A value of the device file; those with a `source` are dated there as well."""
+
+    table: str
+    key: str
+    value: Scalar
+
+
+@dataclass(frozen=True, slots=True)
+class StepResult:
+    """What the step `step` found. `arrays` are what it was found from."""
+
+    step: str
+    values: Sequence[Value] = ()
+    findings: Sequence[Finding] = ()
+    changes: Sequence[Change] = ()
+    arrays: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
+
+    @property
+    def settled(self) -> bool:
+        """Whether nothing was refused."""
+        return all(one.verdict != "refused" for one in self.findings)
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON values, without the arrays."""
+        return {
+            "ok": self.settled,
+            "step": self.step,
+            "values": [asdict(one) for one in self.values],
+            "findings": [asdict(one) for one in self.findings],
+            "changes": [asdict(one) for one in self.changes],
+        }
+
+
+def rounded(value: float, low: float, high: float) -> float:
+    """`value` with digits down to a hundredth of its interval; six digits if that has no width."""
+    width = high - low
+    if not 0.0 < width < np.inf:
+        return float(f"{value:.6g}")
+    return round(value, 2 - int(np.floor(np.log10(width))))

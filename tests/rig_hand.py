@@ -1,0 +1,61 @@
+"""A hand at a simulated rig whose truth is another than its device file's: it moves the handle, and
+hangs masses from it. Steps see a client alone; the truth stays here.
+"""
+
+from typing import Any
+
+from models import board_params, device_params, servo_params
+
+from hapticd.zwidth.lockstep import LockStepBench
+
+STEP_M = 2e-5  # that a hand moves in a tick: 0.02 m/s
+
+
+class Hand:
+    """`bench` and what is done at its handle. `pull_n` acts on it all the time."""
+
+    def __init__(self, device: dict[str, Any] | None = None, **board: Any) -> None:
+        servo = servo_params(device=device_params(**device or {}))
+        self.bench = LockStepBench(servo, board_params(**board))
+        port: Any = self.bench.stack.backend._port
+        self.axis = getattr(port, "board", port)._axis
+        self.pull_n = 0.0
+        self.gain = 1.0  # of the motor, whatever the board's hello says
+        self.offset_n = 0.0  # of the motor, at a count of 0
+        self.reflex_n = 0.0  # of a hand that pushes whenever the motor does
+        self.held_m: float | None = None
+        free = self.axis.plant
+
+        def step(state: Any, force_n: float, torque_n: float, damping: float, count: int) -> Any:
+            if self.held_m is not None:
+                return free.rest(self.held_m)
+            motor_n = self.gain * force_n + self.offset_n + self.reflex_n * (force_n != 0.0)
+            return free.step(state, motor_n + self.pull_n, torque_n, damping, count)
+
+        self.axis.plant = free._replace(step=step)
+
+    def __enter__(self) -> "Hand":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.bench.close()
+
+    @property
+    def position_m(self) -> float:
+        """Where the handle truly is."""
+        return float(self.axis.plant.encoder(self.axis.state, 0.0, 0.0))
+
+    def hold(self, at_m: float) -> None:
+        """Take the handle there, slowly, and hold it."""
+        self.held_m = self.position_m
+        while abs(at_m - self.held_m) > 1e-9:
+            self.held_m += max(-STEP_M, min(STEP_M, at_m - self.held_m))
+            self.bench.run(1)
+
+    def let_go(self) -> None:
+        """Nothing but gravity and motor acts."""
+        self.held_m = None
+
+    def settle(self, seconds: float = 1.0) -> None:
+        """Time passes."""
+        self.bench.run(round(1000 * seconds))

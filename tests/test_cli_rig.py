@@ -1,0 +1,99 @@
+"""`hapticd rig` from the command line, on a simulated rig in place of a daemon."""
+
+import json
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from models import COUNT_N
+from rig_hand import Hand
+
+from hapticd.cli.app import main
+from hapticd.cli.rig import steps
+from hapticd.params import ScaleParams, TouchParams
+from hapticd.settings.load import load
+from hapticd.settings.toml import shipped
+
+FREE = {"lower_stop_m": -0.5, "upper_stop_m": 0.5, "touch": TouchParams(0.0, 0.0, 0.03, 0.03)}
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    (tmp_path / "devices").mkdir()
+    text = (shipped("config") / "devices" / "simulated.toml").read_text()
+    (tmp_path / "devices" / "own.toml").write_text(text + "\n[commissioning]\n# not yet\n")
+    file = tmp_path / "hapticd.toml"
+    file.write_text('device = "own"\n')
+    return file
+
+
+@pytest.fixture
+def hand(monkeypatch: pytest.MonkeyPatch):
+    file = {"force": ScaleParams(COUNT_N, -1), "commissioning": True}
+    with Hand(file, **FREE) as found:
+
+        @contextmanager
+        def connected(instance):
+            yield found.bench
+
+        monkeypatch.setattr(steps, "connect", connected)
+        monkeypatch.setattr(steps, "PAUSE_S", 0.0)
+        yield found
+
+
+def test_motor_writes_sign_and_verification_with_their_record(config, hand, capsys):
+    assert load(config).device.commissioning.signs_verified is False
+    assert main(["rig", "motor", "--yes", "--json", "--config", str(config)]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["ok"]
+    device = load(config).device
+    assert device.force.sign == 1
+    assert device.commissioning.signs_verified
+    assert device.commissioning.serial == device.serial
+    assert "# not yet" in load(config).device_file.read_text()
+    (record,) = (config.parent / "devices" / "rig").iterdir()
+    assert record.name in device.force.source
+    with np.load(record) as kept:
+        assert len(kept["position_m_0"]) > 100
+
+
+def test_ctrl_c_leaves_the_device_file_and_ends_the_force(config, hand, monkeypatch):
+    before = load(config).device_file.read_bytes()
+
+    def interrupted(text):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(steps, "asking", lambda yes: interrupted)
+    assert main(["rig", "motor", "--yes", "--config", str(config)]) != 0
+    assert load(config).device_file.read_bytes() == before
+    assert hand.bench.status()["state"] == "disabled"
+
+
+def test_whoever_says_no_writes_nothing(config, hand, monkeypatch):
+    before = load(config).device_file.read_bytes()
+    monkeypatch.setattr(steps, "answer", lambda question: "no")
+    assert main(["rig", "motor", "--config", str(config)]) == 0
+    assert load(config).device_file.read_bytes() == before
+
+
+def test_a_file_of_another_device_is_refused_before_anything_moves(config, hand, capsys):
+    file = config.parent / "devices" / "own.toml"
+    file.write_text(file.read_text().replace('"SIM0001"', '"SIM0002"'))
+    assert main(["rig", "motor", "--yes", "--config", str(config)]) == 78
+    assert "SIM0002" in capsys.readouterr().err
+    assert not (config.parent / "devices" / "rig").exists()
+
+
+def test_a_shipped_device_file_is_not_measured_into(hand, capsys):
+    config = shipped("config") / "hapticd.toml"
+    assert main(["rig", "motor", "--yes", "--config", str(config)]) == 78
+    assert "copy it" in capsys.readouterr().err
+
+
+def test_link_says_a_verdict_for_each_thing(hand, capsys, monkeypatch):
+    monkeypatch.setattr("hapticd.rig.link.SECONDS", 1.0)
+    assert main(["rig", "link"]) == 0
+    told = capsys.readouterr().out
+    assert "ok: missing_in: 0" in told
+    assert "not done: watchdog of the board" in told

@@ -1,0 +1,97 @@
+"""`rig encoder` on a board whose true sign and scale are others than its device file's."""
+
+import numpy as np
+import pytest
+from models import COUNT_M
+from rig_hand import Hand
+
+from hapticd.params import ScaleParams
+from hapticd.rig.encoder import Distance, concluded, measure, scale_of
+
+DISTANCE = Distance(0.01, 10e-6)
+FREE = {"lower_stop_m": -0.5, "upper_stop_m": 0.5}
+
+
+def person(hand, random, towards=1.0):
+    """Somebody who does what is asked, places the handle within some um, and whose positive x is
+    the simulated plant's.
+    """
+
+    def ask(text):
+        if "let go" in text:
+            hand.let_go()
+        elif "from now on" in text:
+            start = hand.position_m
+            hand.hold(start + 1e-6)
+            hand.moving = towards * 2e-6
+            original = hand.bench.run
+
+            def run(ticks):
+                data = b""
+                for _ in range(ticks):
+                    hand.held_m += hand.moving
+                    data += original(1)
+                return data
+
+            hand.bench.run = run
+        else:
+            hand.moving = 0.0
+            if "position A" in text:
+                hand.held_m = 0.002 + 2e-6 * random.standard_normal()
+            elif "position B" in text:
+                hand.held_m = 0.002 + towards * 0.01 + 2e-6 * random.standard_normal()
+            hand.bench.stack.run(20)
+
+    return ask
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_sign_and_scale_are_found_though_the_file_is_wrong(sign):
+    """The file says 20 % too little, and both signs are tried."""
+    with Hand({"position": ScaleParams(COUNT_M / 1.2, sign)}, **FREE) as hand:
+        result = measure(hand.bench, person(hand, np.random.default_rng(5)), DISTANCE)
+        changes = {one.key: one.value for one in result.changes}
+        (scale,) = [one for one in result.values if one.name == "position.m_per_count"]
+        assert result.settled
+        assert changes["sign"] == 1
+        assert scale.low <= COUNT_M <= scale.high
+        assert hand.bench.status()["state"] == "disabled"
+
+
+def arrays(**changes):
+    moving = np.floor(np.linspace(0.0, 5000.0, 5000))
+    start = {"rest": np.zeros(2000), "moving": moving, "steps": np.full(3, 20_000.0)}
+    return start | changes
+
+
+def test_an_encoder_that_is_stuck_is_refused_by_name():
+    result = concluded(arrays(moving=np.zeros(5000)), DISTANCE, COUNT_M)
+    assert not result.settled
+    assert not result.changes
+    assert any("stuck" in one.remedy for one in result.findings)
+
+
+def test_a_dead_bit_is_named():
+    result = concluded(arrays(moving=arrays()["moving"] // 2 * 2), DISTANCE, COUNT_M)
+    assert any("bit 0" in one.what for one in result.findings)
+
+
+def test_steps_that_go_the_other_way_are_refused():
+    result = concluded(arrays(steps=np.array([2e4, -2e4, 2e4])), DISTANCE, COUNT_M)
+    assert not result.settled
+
+
+def test_a_distance_typed_ten_times_wrong_is_refused():
+    result = concluded(arrays(steps=np.full(3, 20_000.0)), Distance(0.1), COUNT_M)
+    assert not result.settled
+    assert not result.changes
+
+
+def test_the_scale_lies_in_its_interval_nineteen_times_in_twenty():
+    random = np.random.default_rng(11)
+    inside = 0
+    for _ in range(1000):
+        steps = (0.01 + 5e-6 * random.standard_normal(3)) / COUNT_M
+        scale = scale_of(steps, Distance(0.01, 1e-12))
+        inside += scale.low <= COUNT_M <= scale.high
+    assert 930 <= inside <= 970

@@ -1,0 +1,181 @@
+"""`rig motor` on a board whose true sign, gain and offset are others than its device file's."""
+
+import numpy as np
+import pytest
+from models import COUNT_N
+from rig_hand import Hand
+
+from hapticd.errors import AnalysisError, CommandError
+from hapticd.gateway.view import as_records
+from hapticd.params import ScaleParams, TouchParams
+from hapticd.rig.motor import Masses, concluded, fitted, measure_gain, measure_sign
+from hapticd.rig.push import push
+
+FRICTION = TouchParams(coulomb_n=0.03, static_n=0.03)
+FREE = {"lower_stop_m": -0.5, "upper_stop_m": 0.5}
+LIMIT_N = 0.8
+HUNG = Masses((0.0, 0.025, 0.05, 0.075, 0.1))
+
+
+def nothing(text):
+    """Nobody is there who would do what is asked."""
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_sign_is_found_and_the_force_stays_below_a_tenth(sign):
+    file = {"force": ScaleParams(COUNT_N, sign), "commissioning": True}
+    with Hand(file, touch=FRICTION, **FREE) as hand:
+        result = measure_sign(hand.bench, nothing)
+        assert result.settled
+        assert {(one.table, one.key): one.value for one in result.changes} == {
+            ("force", "sign"): 1,
+            ("commissioning", "signs_verified"): True,
+            ("commissioning", "serial"): "SIM0001",
+        }
+        worst_n = max(np.abs(result.arrays[f"force_n_{one}"]).max() for one in (0, 1))
+        assert 0.0 < worst_n <= LIMIT_N + COUNT_N
+        assert hand.bench.status()["state"] == "disabled"
+
+
+def test_a_board_without_authority_is_refused_by_name():
+    """The amplifier does nothing though the board says that it is ready."""
+    with Hand({"commissioning": True}, touch=TouchParams(coulomb_n=5.0, static_n=5.0)) as hand:
+        result = measure_sign(hand.bench, nothing)
+    assert not result.settled
+    assert not result.changes
+    assert "authority" in result.findings[0].remedy
+
+
+def test_a_handle_that_goes_the_same_way_both_times_is_refused():
+    """A hand on it pushes down with 0.2 N whenever it feels something."""
+    with Hand({"commissioning": True}, touch=FRICTION, **FREE) as hand:
+        hand.reflex_n = -0.2
+        result = measure_sign(hand.bench, nothing)
+        assert not result.settled
+        assert not result.changes
+        assert "same way" in result.findings[-1].what
+
+
+def test_a_handle_that_is_moved_is_not_pushed():
+    with Hand({"commissioning": True}) as hand:
+        hand.pull_n = 0.001
+        with pytest.raises(AnalysisError, match="take your hand off"):
+            measure_sign(hand.bench, nothing)
+        assert hand.bench.status()["state"] == "disabled"
+
+
+def test_ctrl_c_ends_the_force():
+    with Hand({"commissioning": True}, touch=FRICTION) as hand:
+
+        def interrupted(topics, look_s=0.05):
+            if hand.bench.status()["state"] == "enabled":
+                raise KeyboardInterrupt
+            return type(hand.bench).messages(hand.bench, topics, look_s)
+
+        hand.bench.messages = interrupted
+        with pytest.raises(KeyboardInterrupt):
+            measure_sign(hand.bench, nothing)
+        assert hand.bench.status()["state"] == "disabled"
+
+
+def test_a_device_that_is_enabled_is_left_alone():
+    with Hand() as hand:
+        hand.bench.enable()
+        with pytest.raises(CommandError, match="disabled"):
+            measure_sign(hand.bench, nothing)
+
+
+def hanging(hand):
+    """A person who hangs what is asked."""
+
+    def ask(text):
+        hand.pull_n = -9.80665 * float(text.split()[1])
+        hand.settle(2.0)
+
+    return ask
+
+
+def test_gain_and_offset_lie_in_their_intervals():
+    """A motor of 20 % more than the file says, and one that pushes with 10 mN at a count of 0."""
+    with Hand(touch=FRICTION, viscous_ns_per_m=2.0, **FREE) as hand:
+        hand.gain = 1.2
+        hand.offset_n = 0.01
+        result = measure_gain(hand.bench, hanging(hand), HUNG)
+    values = {one.name: one for one in result.values}
+    gain = values["force.full_scale_n"]
+    assert gain.low <= 1.2 * 32767 * COUNT_N <= gain.high
+    assert gain.high - gain.low < 0.02 * gain.value
+    offset = values["force.offset_count"]
+    assert offset.low <= -0.01 / 1.2 / COUNT_N <= offset.high
+    assert result.settled
+    assert hand.bench.status()["state"] == "disabled"
+
+
+def test_gain_waits_for_the_signs():
+    with Hand({"commissioning": True}) as hand, pytest.raises(AnalysisError, match="signs"):
+        measure_gain(hand.bench, nothing, HUNG)
+
+
+def test_a_mass_in_grams_is_refused_before_it_hangs():
+    with Hand() as hand, pytest.raises(AnalysisError, match="grams"):
+        measure_gain(hand.bench, nothing, Masses((0.0, 50.0, 100.0)))
+
+
+def readings(weights_n, scale=1.0, offset_n=0.0):
+    forces = (weights_n - offset_n) / scale
+    return np.stack([forces + 0.02, forces - 0.02], axis=1)
+
+
+SCALE = {"per_count": COUNT_N, "sign": 1, "offset_count": 0.0}
+
+
+def test_one_mass_typed_ten_times_wrong_is_refused():
+    masses = Masses((0.0, 0.05, 0.1, 0.15))
+    truth = 9.80665 * np.array([0.0, 0.05, 0.01, 0.15])
+    result = concluded(masses.weights_n, readings(truth), masses, SCALE)
+    assert not result.settled
+    assert not result.changes
+    assert "typed wrong" in result.findings[0].remedy
+
+
+def test_all_masses_typed_ten_times_wrong_are_refused():
+    masses = Masses((0.0, 0.5, 1.0))
+    result = concluded(masses.weights_n, readings(masses.weights_n / 10), masses, SCALE)
+    assert not result.settled
+    assert "kg" in result.findings[1].remedy
+
+
+def test_intervals_of_a_line_hold_nineteen_times_in_twenty():
+    random = np.random.default_rng(3)
+    x = np.linspace(0.0, 1.0, 5)
+    slopes = intercepts = 0
+    for _ in range(1000):
+        line = fitted(x, 2.0 * x + 0.5 + 0.01 * random.standard_normal(5))
+        slopes += abs(line.slope - 2.0) <= line.slope_half
+        intercepts += abs(line.intercept - 0.5) <= line.intercept_half
+    assert 930 <= slopes <= 970
+    assert 930 <= intercepts <= 970
+
+
+def test_a_push_ends_though_nobody_is_there_any_more():
+    """The process is killed as soon as it has asked for the push."""
+    with Hand({"commissioning": True}, touch=TouchParams(coulomb_n=5.0, static_n=5.0)) as hand:
+        bench = hand.bench
+        asked = []
+
+        def killed(cmd, **fields):
+            asked.append(cmd)
+            if asked.count("set") == 2:  # the end, then the begin
+                answer = type(bench).call(bench, cmd, **fields)
+                del bench.call
+                raise SystemExit(answer)
+            return type(bench).call(bench, cmd, **fields)
+
+        bench.enable()
+        bench.call = killed
+        with pytest.raises(SystemExit):
+            push(bench, 0.5, 0.02)
+        records = as_records(bench.run(600))
+        pushed = np.flatnonzero(records["force_n"])
+        assert len(pushed) == 20
+        assert np.ptp(pushed) == 19
