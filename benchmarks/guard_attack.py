@@ -41,7 +41,7 @@ from benchmarks.guard_flown import Flight, flown
 from benchmarks.guard_requests import Answering, Asked, fly
 from benchmarks.guard_verdict import FURTHER, Bench
 from hapticd.analysis.allowed import model_of
-from hapticd.analysis.transition import Judge
+from hapticd.analysis.judge import Judge
 from hapticd.assembly.resolve import resolve
 from hapticd.mailbox import files
 from hapticd.params import GuardSetup, ServoParams, from_plain

@@ -10,7 +10,8 @@ from typing import Any
 
 from benchmarks.worker import serve
 from hapticd.analysis.allowed import Judgement
-from hapticd.analysis.transition import Judge
+from hapticd.analysis.displays import display_of
+from hapticd.analysis.judge import Judge
 from hapticd.analysis.ways import Leg, sampled
 from hapticd.mailbox.files import GUARD_JSON
 from hapticd.params import GuardSetup, RealtimeParams, from_plain
@@ -29,8 +30,8 @@ def main() -> None:
     judgement = Judgement(judge.theorem, judge.theorem.model.delay_periods, 0.0)
 
     def answer(request: dict[str, Any]) -> dict[str, float]:
-        start = judge.display(request["start"])
-        end = judge.display(request["end"])
+        start = display_of(request["start"], judge.setup.environment)
+        end = display_of(request["end"], judge.setup.environment)
         path = sampled(Leg(start, start, end), POINTS)
         begin_ns = time.monotonic_ns()
         judgement.all_safe(path)

@@ -5,7 +5,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from hapticd.analysis.transition import Judge
+from hapticd.analysis.judge import Judge
 from hapticd.assembly import resolve
 from hapticd.mailbox import files
 from hapticd.params import (

@@ -22,6 +22,7 @@ from hapticd.analysis.allowed import (
     intervals,
     model_of,
 )
+from hapticd.analysis.judge import Judge
 from hapticd.analysis.loop import PAPER_FILTERS, spectral_radius
 from hapticd.analysis.theorem import (
     circles,
@@ -31,7 +32,6 @@ from hapticd.analysis.theorem import (
     required_damping,
     within,
 )
-from hapticd.analysis.transition import Judge
 from hapticd.params import WallParams
 from hapticd.plant.compose import compose
 from hapticd.zwidth.scenes import device_scene

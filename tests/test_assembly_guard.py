@@ -15,8 +15,8 @@ import pytest
 from guard_device import FREE, change, over_compensated, setup_of, shipped_judge, shipped_setup
 
 from hapticd.analysis.allowed import model_of
+from hapticd.analysis.judge import Judge
 from hapticd.analysis.loop import spectral_radius
-from hapticd.analysis.transition import Judge
 from hapticd.assembly import resolve
 from hapticd.assembly.guard_main import answered
 from hapticd.mailbox import files

@@ -15,7 +15,7 @@ from guard_stub import StubWorker, verdict
 from models import board_params, device_params, servo_params
 from recorded import RecordedFlight
 
-from hapticd.analysis.transition import Judge
+from hapticd.analysis.judge import Judge
 from hapticd.assembly.lockstep import LockStep, scene_params
 from hapticd.faults import BY_CODE
 from hapticd.gateway.delivered import Delivered, Estimate, Low

@@ -12,7 +12,7 @@ import pytest
 from gateway_rig import UNIX_NS, decoded, packed
 from guard_stub import StubWorker
 
-from hapticd.analysis.transition import Judge
+from hapticd.analysis.judge import Judge
 from hapticd.assembly.lockstep import LockStep
 from hapticd.assembly.resolve import resolve
 from hapticd.gateway.desk import Desk

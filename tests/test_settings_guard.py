@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from guard_device import change, setup_of, shipped_setup
 
-from hapticd.analysis.transition import Judge
+from hapticd.analysis.judge import Judge
 from hapticd.params import GuardSetup, MeasuredParams, ServoParams
 from hapticd.settings.build import servo_params
 from hapticd.settings.guard import measured_params

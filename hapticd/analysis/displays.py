@@ -15,7 +15,7 @@ from math import isfinite
 from typing import Any, NamedTuple
 
 from hapticd.errors import AnalysisError
-from hapticd.params import FilterParams, WallParams
+from hapticd.params import EnvironmentParams, FilterParams, WallParams
 
 Point = tuple[float, float, float]
 AXES = ("K", "B", "M")
@@ -67,6 +67,15 @@ class Display(NamedTuple):
         return self.with_free((share * stiffness, share * damping, share * mass))._replace(
             wall=wall
         )
+
+
+def display_of(plain: Mapping[str, Any], rendered: EnvironmentParams) -> Display:
+    """The display of these fields, its filters made discrete as `rendered` has them.
+
+    AnalysisError for a number that is not finite.
+    """
+    filters = rendered.velocity_filter, rendered.acceleration_filter
+    return changed(Display(0.0, 0.0, 0.0, WallParams(), filters, 0.0), plain)
 
 
 def changed(display: Display, change: Mapping[str, Any]) -> Display:

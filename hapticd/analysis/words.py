@@ -1,10 +1,82 @@
-"""What a judgement says in words: one sentence about a display, and the hand that shakes it."""
+"""How a judgement is told: the verdict as it is sent, one sentence about a display, and the hand
+that shakes it.
 
+What would break it: a sentence without value, unit and remedy, or `safe` without what no verdict
+promises (NOT_COVERED) beside it.
+"""
+
+from collections.abc import Sequence
 from typing import Any
 
-from hapticd.analysis.allowed import Judgement, Reading
+from hapticd.analysis.allowed import Judgement, Reading, cached_levels
 from hapticd.analysis.coupled import Hand
-from hapticd.analysis.displays import Display
+from hapticd.analysis.displays import Display, plain_of
+from hapticd.params import GuardSetup
+
+NOT_COVERED = ("contact switching", "varying delay")
+_NOTHING = Reading(None, None, None)
+
+
+class Verdicts:
+    """Verdicts on displays of the device of `setup`, as plain maps (docs/guard.md).
+
+    `levels`: those of active damping, N s/m, for which the sampled device is kept.
+    """
+
+    def __init__(self, setup: GuardSetup) -> None:
+        self.setup = setup
+        self.levels = cached_levels(setup.damping_limit_ns_per_m, setup.added_damping_ns_per_m)
+
+    def of(
+        self,
+        judgement: Judgement | None,
+        display: Display,
+        policy: str,
+        text: str,
+        path: Sequence[Display],
+        safe: bool | None = None,
+        given: Display | None = None,
+        clamped: bool = False,
+    ) -> dict[str, Any]:
+        """What is told of `display`, judged along `path`; `given` is where the stages lead."""
+        known = _of_nothing() if judgement is None else self._known(judgement, display)
+        return {
+            "safe": safe,
+            "policy": policy,
+            **known,
+            "clamped": clamped,
+            "given": plain_of(display if given is None else given),
+            "path_points": sum(len(one.points()) for one in path),
+            "not_covered": self._not_covered(),
+            "text": text,
+        }
+
+    def _known(self, judgement: Judgement, display: Display) -> dict[str, Any]:
+        contact = judgement.in_contact(display)
+        return {
+            "basis": judgement.basis.name,
+            **judgement.reading(display)._asdict(),
+            "contact": None if contact is None else contact._asdict(),
+            "delay_periods": judgement.delay_periods,
+            "allowed": judgement.allowed(display, self.setup.lowest, self.setup.highest),
+            "least_damping_ns_per_m": judgement.least_level(display, self.levels),
+        }
+
+    def _not_covered(self) -> list[str]:
+        """What no verdict promises."""
+        ends = self.setup.environment.workspace.stiffness_n_per_m > 0.0
+        return [*NOT_COVERED, "soft ends of the workspace"] if ends else [*NOT_COVERED]
+
+
+def _of_nothing() -> dict[str, Any]:
+    return {
+        "basis": "unknown",
+        **_NOTHING._asdict(),
+        "contact": None,
+        "delay_periods": None,
+        "allowed": {},
+        "least_damping_ns_per_m": None,
+    }
 
 
 def sentence(judgement: Judgement, display: Display, safe: bool) -> str:

@@ -1,6 +1,6 @@
 """The guard's worker: `python -m hapticd.assembly.guard_main FOLDER --fd N [--parent PID]`.
 
-It judges displays on the model in FOLDER/guard.json (`analysis.transition.Judge`) for the gateway,
+It judges displays on the model in FOLDER/guard.json (`analysis.judge.Judge`) for the gateway,
 which keeps the other end of the socket N. Messages both ways are msgpack maps, each behind its
 length (u32, little-endian, at most 64 kB). The first one tells whom it judges for; then every
 request gets one answer. What goes wrong with one request becomes {"n": .., "error": text}, and the
@@ -31,7 +31,7 @@ from hapticd.mailbox.files import GUARD_JSON
 from hapticd.params import GuardSetup, from_plain
 
 if TYPE_CHECKING:
-    from hapticd.analysis.transition import Judge
+    from hapticd.analysis.judge import Judge
 
 LENGTH = struct.Struct("<I")
 LONGEST = 64 << 10  # bytes of a message
@@ -47,7 +47,7 @@ def main(arguments: list[str]) -> int:
     on_stop(_end)
     die_with_parent(asked.parent)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when numpy loads; threads only wait
-    from hapticd.analysis.transition import Judge
+    from hapticd.analysis.judge import Judge
 
     try:
         judge = Judge(_read(asked.folder / GUARD_JSON))

@@ -5,8 +5,9 @@ from typing import Any
 import pytest
 from guard_device import FREE, change, rigid, rigid_judge, setup_of, shipped_judge
 
-from hapticd.analysis import transition
-from hapticd.analysis.transition import POINTS, Judge
+from hapticd.analysis import policies
+from hapticd.analysis.judge import Judge
+from hapticd.analysis.ways import POINTS
 from hapticd.errors import AnalysisError
 
 LEVEL = 1.74
@@ -71,7 +72,7 @@ def test_clamp_goes_as_far_as_the_first_exit() -> None:
 
 def test_what_a_clamp_leaves_is_judged_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """A clamp that is too generous gives nothing."""
-    monkeypatch.setattr(transition, "_largest", lambda holds, shares: 0.9)
+    monkeypatch.setattr(policies, "_largest", lambda holds, shares: 0.9)
     answer = change(shipped_judge(), {"K": 500.0}, policy="clamp")
     assert answer["action"] == "refuse"
     assert "not safe either" in answer["verdict"]["text"]
@@ -234,7 +235,7 @@ def test_warn_without_a_model_does_it_and_says_unknown() -> None:
 def test_auto_takes_the_least_level_that_will_do() -> None:
     judge = shipped_judge()
     answer = change(judge, {"K": 150.0, "B": 1.0}, mode="auto")
-    levels = list(judge.levels)
+    levels = list(judge.verdicts.levels)
     chosen = stages_of(answer)[0]["damping"]
     below = levels[levels.index(chosen) - 1]
     assert change(judge, {"K": 150.0, "B": 1.0}, now={"damping": chosen})["verdict"]["safe"]
@@ -246,7 +247,7 @@ def test_auto_does_not_go_down_for_a_hair() -> None:
     not.
     """
     judge = shipped_judge()
-    levels = list(judge.levels)
+    levels = list(judge.verdicts.levels)
     low, level = levels[0], levels[1]
     end = change(judge, {}, now={"damping": low})["verdict"]["allowed"]["K"][1]
     now = {"K": 1.02 * end, "damping": level}

@@ -1,0 +1,186 @@
+"""The guard's judge: the requests of the gateway to the guard's worker, and their answers.
+
+`Judge` answers plain maps with plain maps (docs/guard.md). A `change` is judged where it leads to
+and at most 20 points of the way there (`ways`), in free space and in contact, by the basis asked
+for (`allowed`); what is done with it is the policy's (`policies`). A `look` tells of the display in
+force, a `hand` names the passive hand that shakes one.
+
+What would break it: answering from anything but the request and the setup; the same request has the
+same answer, and tests and lock-step flights rely on it.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from hapticd.analysis.allowed import (
+    Basis,
+    Conditions,
+    Judgement,
+    Measured,
+    Predicted,
+    Theorem,
+    model_of,
+)
+from hapticd.analysis.coupled import coupled_radius, shaking_hand
+from hapticd.analysis.displays import Display, Point, display_of
+from hapticd.analysis.linearise import Perturbation
+from hapticd.analysis.policies import MODES, POLICIES, answer_change
+from hapticd.analysis.words import Verdicts, in_words, sentence
+from hapticd.errors import AnalysisError
+from hapticd.params import GuardSetup
+from hapticd.plant.model import Model
+
+_GROWS = 1.0 + 1e-9  # radius in a hand; 1 within rounding is a mode of the hand without loss
+
+
+class Judge:
+    """Answers requests about displays on the device of `setup`; plain maps in and out.
+
+    The same requests give the same answers. AnalysisError for a request that makes no sense.
+    """
+
+    def __init__(self, setup: GuardSetup) -> None:
+        self.setup = setup
+        self.verdicts = Verdicts(setup)
+        self.theorem = None if setup.model is None else Theorem(model_of(setup.model))
+        self._cold = list(self.verdicts.levels)
+        self._warm_delay = self._delay(None)
+
+    def hello(self, pid: int) -> dict[str, Any]:
+        """What the worker says first."""
+        return {
+            "hello": {
+                "model": self.theorem is not None,
+                "model_hash": self.setup.model_hash,
+                "config_hash": self.setup.config_hash,
+                "basis": self.setup.guard.basis,
+                "pid": pid,
+            }
+        }
+
+    def warm(self) -> bool:
+        """Prepare one more level for the delay that was last asked about; False when all are."""
+        if self.theorem is None or not self._cold:
+            return False
+        rendered = self.setup.environment
+        filters = rendered.velocity_filter, rendered.acceleration_filter
+        spare = self.setup.guard.margin_ns_per_m
+        at = Conditions(self._cold.pop(0), filters, self._warm_delay, spare)
+        self.theorem.prepare(at)
+        return bool(self._cold)
+
+    def answer(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """The answer to one request: `change`, `look` or `hand`."""
+        asks = {"change": self._change, "look": self._look, "hand": self._hand}
+        ask = request.get("ask")
+        if ask not in asks:
+            raise AnalysisError(f"the guard is asked {ask!r}; it knows {', '.join(asks)}")
+        return {"n": request.get("n"), **asks[ask](request)}
+
+    # --- what is asked ----------------------------------------------------------------------------
+
+    def _change(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        _require_known("policy", request["policy"], POLICIES)
+        _require_known("mode", request["mode"], MODES)
+        judgement, unknown = self._judgement(request)
+        return answer_change(self.verdicts, judgement, unknown, request)
+
+    def _look(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        judgement, unknown = self._judgement(request)
+        target = display_of(request["target"], self.setup.environment)
+        if judgement is None:
+            nothing: dict[str, Any] = {"margin_ns_per_m": None, "allowed": {}}
+            return {
+                "verdict": self.verdicts.of(None, target, "", unknown, []),
+                "without_damping": nothing,
+                "with_damping": {"level": request["level_on"], **nothing},
+            }
+        safe = judgement.safe([target])[0]
+        on = min(float(request["level_on"]), self.setup.damping_limit_ns_per_m)
+        text = sentence(judgement, target, safe)
+        return {
+            "verdict": self.verdicts.of(judgement, target, "", text, [target], safe),
+            "without_damping": self._seen(judgement, target._replace(added_ns_per_m=0.0)),
+            "with_damping": {
+                "level": on,
+                **self._seen(judgement, target._replace(added_ns_per_m=on)),
+            },
+        }
+
+    def _seen(self, judgement: Judgement, display: Display) -> dict[str, Any]:
+        worse = judgement.worse(display)
+        allowed = judgement.allowed(display, self.setup.lowest, self.setup.highest)
+        return {"margin_ns_per_m": worse.margin_ns_per_m, "allowed": allowed}
+
+    def _hand(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        if self.theorem is None:
+            return {"hand": None}
+        display = display_of(request["display"], self.setup.environment)
+        model = self.theorem.late(self._delay(request.get("delay_periods")))
+        found = [
+            self._shaker(model, point, display, in_wall=place == 1)
+            for place, point in enumerate(display.points())
+            if point[0] >= 0.0
+        ]
+        hands = [one for one in found if one is not None]
+        return {"hand": max(hands, key=lambda one: float(one["radius"]), default=None)}
+
+    @staticmethod
+    def _shaker(
+        model: Model, point: Point, display: Display, in_wall: bool
+    ) -> dict[str, Any] | None:
+        level = display.added_ns_per_m
+        found = shaking_hand(model, point, level, display.filters)
+        if found is None:
+            return None
+        hand, hz = found
+        at = np.array([point])
+        radius = float(coupled_radius(model, at, [hand], level, display.filters)[0, 0])
+        if radius <= _GROWS:
+            return None
+        return in_words(hand, hz, in_wall) | {"hz": hz, "radius": radius}
+
+    # --- what it is made of -----------------------------------------------------------------------
+
+    def _delay(self, asked: float | None) -> float:
+        if asked is not None:
+            return float(asked)
+        return 0.0 if self.theorem is None else self.theorem.model.delay_periods
+
+    def _judgement(self, request: Mapping[str, Any]) -> tuple[Judgement | None, str]:
+        """How to judge it, or None and why not."""
+        found = self._basis(request["basis"])
+        if isinstance(found, str):
+            return None, found
+        delay = self._delay(request.get("delay_periods"))
+        if delay != self._warm_delay:
+            self._warm_delay = delay
+            self._cold = list(self.verdicts.levels)
+        spare = float(request["margin_ns_per_m"])
+        return Judgement(found, delay, spare, min(delay, self._delay(None))), ""
+
+    def _basis(self, asked: str) -> Basis | str:
+        if asked.startswith("measured"):
+            measured = self.setup.measured
+            if measured is None:
+                return "unknown: no .zwidth file is named; set [guard] measured"
+            if measured.refused:
+                return f"unknown: {measured.file} does not count: {measured.refused}"
+            return Measured(measured)
+        if asked not in ("theorem", "predicted"):
+            raise AnalysisError(f"basis {asked!r}; there are theorem, predicted and measured")
+        if self.theorem is None:
+            return (
+                "unknown: this device has no model; give its file a [model], or measure it and set"
+                " [guard] basis = 'measured'"
+            )
+        if asked == "theorem":
+            return self.theorem
+        return Predicted(self.theorem, Perturbation(self.setup.psd_n2_per_hz, self.setup.band_hz))
+
+
+def _require_known(what: str, asked: object, known: Sequence[str]) -> None:
+    if asked not in known:
+        raise AnalysisError(f"{what} {asked!r}; there are {', '.join(known)}")
