@@ -134,7 +134,7 @@ def in_own_time(force, track, heard):
 
 def test_gaps_close_to_each_other_are_told_apart(force):
     """Bursts: two within a quarter of a second, and one in each of three that follow."""
-    gaps = ((27_800, 3), (28_250, 4), (40_000, 6), (41_100, 250), (42_200, 6))
+    gaps = ((27_920, 3), (28_143, 4), (40_000, 6), (41_100, 250), (42_200, 6))
     heard = without(noisy(recorded(force, OFFSET + 0.5, 50.0, ROWS), 6.0), gaps)
     found = align(own(force), MARK_AT, heard)
     assert [gap.lost for gap in found.gaps] == [lost for _, lost in gaps]

@@ -11,6 +11,7 @@ from foreign import BEFORE, SETTLE, played, recorded, without
 from measured_scenes import RIGID
 from recorded import RecordedFlight, Source, room
 
+from hapticd.analysis.alignment import find_marks
 from hapticd.assembly.lockstep import scene_params
 from hapticd.cli.app import main
 from hapticd.client.blocks import BlockDecoder
@@ -230,6 +231,7 @@ def test_mark_is_not_part_of_the_trial(flown, tmp_path):
     """It ends half a second before the record begins; without it nothing is another."""
     plain = Flown(tmp_path, mark=False)
     assert MARK_SAMPLE not in plain.result.recorded.more
+    assert [len(find_marks(one.felt[0][:SETTLE])) for one in (flown, plain)] == [1, 0]
     assert flown.result.recorded.more[MARK_SAMPLE] + 1023 < -1900
     assert flown.result.recorded.force_n == pytest.approx(plain.result.recorded.force_n, abs=1e-4)
     assert np.abs(flown.felt[0]).max() == pytest.approx(np.abs(plain.felt[0]).max(), rel=1e-3)
