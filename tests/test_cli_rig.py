@@ -10,7 +10,7 @@ from models import COUNT_N
 from rig_hand import Hand
 
 from hapticd.cli.app import main
-from hapticd.cli.rig import steps
+from hapticd.cli.rig import guided, steps
 from hapticd.params import ScaleParams, TouchParams
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
@@ -53,7 +53,8 @@ def test_motor_writes_sign_and_verification_with_their_record(config, hand, caps
     assert device.commissioning.serial == device.serial
     assert "# not yet" in load(config).device_file.read_text()
     (record,) = (config.parent / "devices" / "rig").iterdir()
-    assert record.name in device.force.source
+    assert record.name in device.commissioning.source
+    assert device.force.source == load(shipped("config") / "hapticd.toml").device.force.source
     with np.load(record) as kept:
         assert len(kept["position_m_0"]) > 100
 
@@ -97,3 +98,15 @@ def test_link_says_a_verdict_for_each_thing(hand, capsys, monkeypatch):
     told = capsys.readouterr().out
     assert "ok: missing_in: 0" in told
     assert "not done: watchdog of the board" in told
+
+
+def test_the_guided_path_does_each_step_that_is_wanted(config, hand, monkeypatch, capsys):
+    """No link, no encoder, the motor's sign; and the file is written once yes was said."""
+    monkeypatch.setenv("HAPTICD_CONFIG", str(config))
+    monkeypatch.setattr(guided, "connect", steps.connect)
+    said = iter(["no", "no", "yes", "", "yes"])
+    monkeypatch.setattr(steps, "answer", lambda question: next(said))
+    assert main(["rig"]) == 0
+    assert load(config).device.commissioning.signs_verified
+    assert "start it again" in capsys.readouterr().err
+    assert not list(said)

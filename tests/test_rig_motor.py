@@ -5,7 +5,7 @@ import pytest
 from models import COUNT_N
 from rig_hand import Hand
 
-from hapticd.errors import AnalysisError, CommandError
+from hapticd.errors import AnalysisError, CommandError, HapticdError
 from hapticd.gateway.view import as_records
 from hapticd.params import ScaleParams, TouchParams
 from hapticd.rig.motor import Masses, concluded, fitted, measure_gain, measure_sign
@@ -179,3 +179,26 @@ def test_a_push_ends_though_nobody_is_there_any_more():
         pushed = np.flatnonzero(records["force_n"])
         assert len(pushed) == 20
         assert np.ptp(pushed) == 19
+
+
+def test_a_cable_that_is_pulled_ends_the_step_and_can_be_plugged_again():
+    with Hand({"commissioning": True}, touch=FRICTION, **FREE) as hand:
+        board = hand.bench.stack.backend
+
+        def out(cmd, **fields):
+            if cmd == "set" and fields.get("at_tick"):
+                board.unplug()
+            return type(hand.bench).call(hand.bench, cmd, **fields)
+
+        hand.bench.call = out
+        with pytest.raises(HapticdError):
+            measure_sign(hand.bench, nothing)
+        records = as_records(hand.bench.run(50))
+        assert not records["force_n"].any()
+        assert hand.bench.status()["state"] in ("fault", "disabled")
+        del hand.bench.call
+        board.plug()
+        hand.bench.run(3000)
+        hand.bench.reset()
+        hand.bench.zero()
+        assert measure_sign(hand.bench, nothing).settled

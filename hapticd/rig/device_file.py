@@ -34,13 +34,15 @@ _HEADER = re.compile(r"^\s*\[")
 
 def write(path: Path, changes: Iterable[Change], source: str, day: datetime.date) -> DeviceFile:
     """Write `changes` into the device file `path`, with `source` and `day` in every table that has
-    such keys; the device as it is then. ConfigError leaves the file as it was.
+    such keys, where more than its sign is written; the device as it is then. ConfigError leaves
+    the file as it was.
     """
     refuse_shipped(path)
     asked = list(changes)
     values: dict[tuple[str, str], Written] = {(one.table, one.key): one.value for one in asked}
     provenance: dict[str, Written] = {"date": day, "source": source}
-    for table in dict.fromkeys(one.table for one in asked):
+    # a sign that was seen says nothing of how the scale beside it is known
+    for table in dict.fromkeys(one.table for one in asked if one.key != "sign"):
         told = provenance.keys() & set(_fields(table))
         values |= {(table, key): provenance[key] for key in sorted(told)}
     text = changed(path.read_text(encoding="utf-8"), values)

@@ -3,7 +3,7 @@
 What the ticks of a servo without force tell:
 
     d          from a sample to the force that was in effect when the next one was latched, by the
-               board's clock; its spread is jitter of the loop
+               board's clock; its spread, of 99 % of the ticks, is jitter of the loop
     age        of a frame when it is read: frames that wait in a queue are old
     frames     missing, damaged (CRC, short), of zero length, out of sequence, queued: counters
     drift      of the board's clock against the host's: slope of board time over host time. The host
@@ -100,7 +100,7 @@ def _values(records: Records, status: Mapping[str, Any]) -> Iterator[Value]:
         if len(found) >= LEAST_TICKS:
             yield median_of(name, found, "us")
     if len(delays) >= LEAST_TICKS:
-        spread_us = float(np.ptp(delays))
+        spread_us = float(np.ptp(np.quantile(delays, (0.005, 0.995))))
         yield Value("delay spread", spread_us, "us", spread_us, spread_us)
     if len(records) >= BLOCKS * LEAST_TICKS:
         yield drift_of(records["time_ns"], records["board_us"])

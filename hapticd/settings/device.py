@@ -259,6 +259,8 @@ class CommissioningTable(TomlTable):
     """Of the board at which it was seen; with another one it counts for nothing."""
     date: datetime.date | None = None
     """When it was seen."""
+    source: str = ""
+    """How it was seen."""
 
 
 class HomeTable(TomlTable):
