@@ -214,6 +214,14 @@ def test_file_of_another_clock_is_refused(flown, foreign, tmp_path, columns, sai
         read_aligned(path, flown.folder)
 
 
+@pytest.mark.parametrize("rate_hz", [0.0, 5000.0])
+def test_stated_rate_is_not_passed_over(flown, foreign, tmp_path, rate_hz):
+    path = tmp_path / "other.npz"
+    np.savez(path, force=foreign[0], velocity=foreign[1])
+    with pytest.raises(AnalysisError, match=f"rate of {rate_hz:g} Hz"):
+        read_aligned(path, flown.folder, rate_hz=rate_hz)
+
+
 def test_own_trial_without_a_mark_is_refused(flown, foreign, tmp_path):
     summary = flown.folder / "run.json"
     other = tmp_path / "run"

@@ -94,7 +94,7 @@ def read_aligned(
     mark_at = own.more.get(MARK_SAMPLE)
     if own.rendered is None or mark_at is None:
         raise AnalysisError(f"{own_path}: no marked trial of hapticd's own; {NO_MARK}")
-    foreign = read_foreign(path, force, velocity, rate_hz or float(PROBE_RATE_HZ))
+    foreign = read_foreign(path, force, velocity, rate_hz)
     if abs(foreign.rate_hz / PROBE_RATE_HZ - 1.0) > FASTEST:
         raise AnalysisError(
             f"{path}: a rate of {foreign.rate_hz:.9g} Hz; files at {PROBE_RATE_HZ} Hz +-"

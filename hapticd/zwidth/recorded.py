@@ -32,6 +32,7 @@ from hapticd.recording.file import is_recording, open_recording
 from hapticd.recording.provenance import needed
 from hapticd.recording.stretch import PROBE_COLUMNS, SERVO_COLUMNS, ReadColumn, read_remark
 from hapticd.settings.inputs import SAMPLES_BYTES, regular
+from hapticd.units import PROBE_RATE_HZ
 from hapticd.zwidth.own import of_recording, of_remark
 from hapticd.zwidth.store import (
     MARK_SAMPLE,
@@ -187,9 +188,9 @@ class ForeignSamples(NamedTuple):
     columns: Mapping[str, Floats]  # every column of numbers, by its name in lower case
 
 
-def read_foreign(path: Path, force: str, velocity: str, rate_hz: float) -> ForeignSamples:
-    """What another system recorded in `path`; `rate_hz` is that of a file that does not say. Errors
-    as `read_file`.
+def read_foreign(path: Path, force: str, velocity: str, rate_hz: float | None) -> ForeignSamples:
+    """What another system recorded in `path`; 4 kHz where neither `rate_hz` nor the file says.
+    Errors as `read_file`.
     """
     regular(path, SAMPLES_BYTES)
     if path.suffix not in READERS:
@@ -197,8 +198,9 @@ def read_foreign(path: Path, force: str, velocity: str, rate_hz: float) -> Forei
     known = _numbers(_columns(path))
     y, u = _channels(path, known, (force, velocity))
     counter = next((name for name in COUNTERS if name in known and known[name].size == y.size), "")
-    says = any(name in known for name in (*RATES, *TIMES))
-    found = _sampling(path, known, None if says else rate_hz, y.size)
+    if rate_hz is None and not any(name in known for name in (*RATES, *TIMES)):
+        rate_hz = float(PROBE_RATE_HZ)
+    found = _sampling(path, known, rate_hz, y.size)
     place = np.arange(y.size) if found.place is None else found.place
     first = 0
     if counter:
