@@ -18,7 +18,7 @@ velocity, N s/m, at the probe unless something else is said. For scripts:
     coupled      `withstands`, `shaking_hand`: what a passive hand can do
     outlook      `outlook`: all of these about one environment
     allowed      `Judgement`: which displays a device withstands, and how far K, B and M may go
-    transition   `Judge`: what is done with a change, by a policy
+    judge        `Judge`: the answers of the guard; what it does with a change by `policies`
     passive_set  `passive_set`, `set_limits`, `volume`, `axis_limit`: the set of K, B and M
     envelope     `envelope`: the Z-width envelope and its owners
     compare      `widths_db`, `check_alike`, `normalised`: displays side by side

@@ -21,9 +21,9 @@ While the bookings of the last second and those of this tick come to more than
 `limits.ramp_energy_j` of the device file, ramps pause: every value stays where it is with what is
 left of its ramp before it, and goes on from there when the window frees. What falls is never held:
 stiffness and mass on their way down, damping on its way to 0, a wall that goes away, and all that
-takes force away as a whole. So in any
-second a hand is given no more than the budget, or what a single tick brings, which
-`limits.force_step_n` bounds. The window is kept in SHARES of a second, so it is 1.05 s at most.
+takes force away as a whole. So in any second a hand is given no more than the budget, or what a
+single tick brings, which `limits.force_step_n` bounds. The window is kept in SHARES of a second, so
+it is 1.05 s at most.
 
 What would break it: a parameter that stores energy and is not named here, a state in which force
 acts and parameters move past `eased`.
