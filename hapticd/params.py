@@ -10,12 +10,20 @@ import math
 import types
 import typing
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 from hapticd.errors import ConfigError
 from hapticd.units import round_half_up
 
 T = TypeVar("T")
+
+# words of the guard and of leases, as files, messages and commands have them (docs/guard.md)
+Policy = Literal["off", "warn", "clamp", "refuse", "follow"]
+BasisName = Literal["theorem", "predicted", "measured"]
+DampingMode = Literal["off", "level", "auto"]
+Leased = Literal["environment", "damping", "perturbation", "measuring"]
+AtEnd = Literal["hold", "zero", "disable"]
+STRICT_POLICIES = frozenset({"clamp", "refuse", "follow"})  # what is unknown is refused
 
 ENERGY_LIMIT_J = 0.02  # of an 8 g handle at 2.2 m/s; see ADR 0085
 RAMP_ENERGY_J = 0.03  # K = 600 N/m brought in 10 mm off; see ADR 0106
@@ -482,8 +490,8 @@ class GatewayParams:
 class GuardParams:
     """What the guard does with an environment that is not known to be passive, and how it knows."""
 
-    policy: str = "warn"  # "off" | "warn" | "clamp" | "refuse" | "follow"
-    basis: str = "theorem"  # "theorem" | "predicted" | "measured"
+    policy: str = "warn"  # a Policy
+    basis: str = "theorem"  # a BasisName
     measured: str = ""  # .zwidth file of the basis "measured"
     margin_ns_per_m: float = 0.0  # that has to be left
 
@@ -494,7 +502,7 @@ class LeaseParams:
 
     ttl_s: float = 5.0  # without a request, after which one ends
     # what becomes of the environment when its holder dies or falls silent; damping is held
-    at_end: str = "zero"  # "hold" | "zero" | "disable"
+    at_end: str = "zero"  # an AtEnd
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ follow leaves is a plan of its own, and is judged again.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -36,11 +36,11 @@ from hapticd.analysis.displays import (
 )
 from hapticd.analysis.ways import POINTS, Leg, Plan, Request, Stage, Ways, groups, sampled
 from hapticd.analysis.words import Verdicts, sentence
+from hapticd.params import STRICT_POLICIES, DampingMode, Policy
 
 HYSTERESIS_NS_PER_M = 0.05  # more than the margin asked for, before auto goes down
-STRICT = ("refuse", "clamp", "follow")
-POLICIES = ("off", "warn", *STRICT)
-MODES = ("off", "level", "auto")
+POLICIES: tuple[str, ...] = get_args(Policy)
+MODES: tuple[str, ...] = get_args(DampingMode)
 _HALVINGS = 12  # of the way between the last safe point and the first that is not
 _SHARES = 41  # of the environment that `follow` looks at
 _LEAST_MOVE = 1e-3  # of the way: a clamp to less moves nothing
@@ -129,7 +129,7 @@ class _Unjudged(_Asked):
         change = self.with_level()
         ways = self.ways(change)
         wanted = ways.request.wanted
-        if self.policy in STRICT:
+        if self.policy in STRICT_POLICIES:
             text = f"refused: {why}; the policy {self.policy!r} refuses what is unknown"
             return _answer([], self._verdict(wanted, text, self.target))
         if self.policy == "off":

@@ -1,18 +1,19 @@
 """The verb of the guard: show and change what is done with environments that are not passive."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 
+from hapticd import params
 from hapticd.cli import terminal
 from hapticd.cli.change import connect, verdict_lines
 
 Policy = Annotated[
-    Literal["off", "warn", "clamp", "refuse", "follow"] | None,
+    params.Policy | None,
     typer.Argument(help="What is done with an environment that is not known to be passive."),
 ]
 Basis = Annotated[
-    Literal["theorem", "predicted", "measured"] | None,
+    params.BasisName | None,
     typer.Option("--basis", help="What a verdict rests on."),
 ]
 Margin = Annotated[
@@ -20,7 +21,7 @@ Margin = Annotated[
     typer.Option("--margin", metavar="NS_PER_M", help="Damping that has to be left, N s/m."),
 ]
 Mode = Annotated[
-    Literal["off", "level", "auto"] | None,
+    params.DampingMode | None,
     typer.Option("--mode", help="Active damping off, at its level, or the least that will do."),
 ]
 

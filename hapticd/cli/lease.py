@@ -1,9 +1,10 @@
 """Who may change what: show leases, hold one, end another's."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 
+from hapticd import params
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
 
@@ -11,15 +12,15 @@ lease_app = typer.Typer(
     no_args_is_help=True,
     help="Who alone may change environment, damping or perturbation; measuring is all of them.",
 )
-Part = Literal["environment", "damping", "perturbation", "measuring"]
 What = Annotated[
-    Part, typer.Argument(metavar="WHAT", help="environment, damping, perturbation or measuring.")
+    params.Leased,
+    typer.Argument(metavar="WHAT", help="environment, damping, perturbation or measuring."),
 ]
 Ttl = Annotated[
     float | None, typer.Option("--ttl-s", metavar="S", help="It ends when we are silent so long.")
 ]
 AtEnd = Annotated[
-    Literal["hold", "zero", "disable"] | None,
+    params.AtEnd | None,
     typer.Option(
         "--at-end", metavar="WHAT", help="If we die: hold, zero (K, B, M to 0) or disable."
     ),

@@ -33,6 +33,7 @@ from hapticd.gateway.codec import MAX_MESSAGE_BYTES
 from hapticd.mailbox.daemons import daemon_folder
 from hapticd.mailbox.files import COMMAND_SOCKET, DEFAULT_INSTANCE, TELEMETRY_SOCKET
 from hapticd.mailbox.stop_word import press_stop
+from hapticd.params import AtEnd, BasisName, DampingMode, Leased, Policy
 from hapticd.units import NS_PER_S
 
 PROTOCOL_VERSION = 1
@@ -372,11 +373,11 @@ class Client:
 
     def guard(
         self,
-        policy: Literal["off", "warn", "clamp", "refuse", "follow"] | None = None,
+        policy: Policy | None = None,
         *,
-        basis: Literal["theorem", "predicted", "measured"] | None = None,
+        basis: BasisName | None = None,
         margin_ns_per_m: float | None = None,
-        mode: Literal["off", "level", "auto"] | None = None,
+        mode: DampingMode | None = None,
     ) -> dict[str, Any]:
         """Change what is done with environments that are not known to be passive, or only ask.
 
@@ -438,10 +439,10 @@ class Client:
 
     def lease(
         self,
-        what: Literal["environment", "damping", "perturbation", "measuring"],
+        what: Leased,
         *,
         ttl_s: float | None = None,
-        at_end: Literal["hold", "zero", "disable"] | None = None,
+        at_end: AtEnd | None = None,
         take_over: bool = False,
     ) -> ClientLease:
         """Be the only one who changes `what`, as a context: see ClientLease.

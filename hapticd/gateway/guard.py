@@ -30,10 +30,9 @@ from hapticd.gateway.journal import Journal
 from hapticd.gateway.schemas import GuardRequest
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.layout import Flag, Value
-from hapticd.params import GuardParams
+from hapticd.params import STRICT_POLICIES, GuardParams
 from hapticd.units import NS_PER_MS, NS_PER_S
 
-MUST = frozenset({"clamp", "refuse", "follow"})  # policies under which what is unknown is refused
 VERDICT_NS = 500 * NS_PER_MS  # that a request waits for its verdict
 # after which a worker without an answer hangs; one that sees a delay for the first time takes
 # 0.5 s, and several times that on a busy machine
@@ -131,9 +130,8 @@ class Guard:
         self._view = view
         self._journal = journal
         self._worker = worker
-        self.measuring: Callable[[], bool] = lambda: (
-            False
-        )  # whether that is leased: set by the desk
+        # whether measuring is leased: set by the desk
+        self.measuring: Callable[[], bool] = lambda: False
         self._policy = params.policy
         self.basis = params.basis
         self.margin_ns_per_m = params.margin_ns_per_m
@@ -174,7 +172,7 @@ class Guard:
     @property
     def must(self) -> bool:
         """Whether what is not known to be safe is refused."""
-        return self.policy in MUST
+        return self.policy in STRICT_POLICIES
 
     @property
     def worker(self) -> str:

@@ -30,12 +30,13 @@ from typing import Any, NamedTuple
 from hapticd.errors import CommandError
 from hapticd.gateway.case import Case, Stage, auto_of, change_of, stages_of
 from hapticd.gateway.commands import Posting, parameters, posting, receipt, refusal, values_given
-from hapticd.gateway.guard import MUST, VERDICT_NS, Guard, Unsafe, merged
+from hapticd.gateway.guard import VERDICT_NS, Guard, Unsafe, merged
 from hapticd.gateway.journal import GATEWAY_ACTOR, Actors
 from hapticd.gateway.schemas import Damping, Enable, Request, Set
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import Command, Flag, Result, State, Value, values_of
+from hapticd.params import STRICT_POLICIES
 from hapticd.units import NS_PER_S
 
 UNJUDGED = ("ramp_s", "limit_cycle_faults")  # and what comes along
@@ -45,6 +46,7 @@ TRIES = 2  # again, after another change came in between
 STAGE_NS = 2 * NS_PER_S  # beyond the time that the damping takes to rise
 CHOICE_NS = 5 * NS_PER_S  # between looks at the level of mode auto while nothing changes
 LEAST_CHOICE_NS = NS_PER_S
+SERVO_GONE = "the servo ended before it was in force; when it starts anew it is disabled"
 LATCHED = frozenset({State.STOPPED, State.FAULT})
 
 
@@ -482,7 +484,7 @@ class Guarded:
         stage = case.stages[case.place]
         last = case.place == len(case.stages) - 1
         values: dict[Value, float] = {}
-        if case.policy in MUST and case.revision is not None:
+        if case.policy in STRICT_POLICIES and case.revision is not None:
             values[Value.ENVIRONMENT_REVISION] = case.revision + case.ahead + case.place
         if isinstance(case.request, Enable) and last:
             return Command.ENABLE, 0, values_of(values)
@@ -578,6 +580,3 @@ class Guarded:
             self._again(case, now_ns)
             return None
         return Told(case, receipt=receipt(answer))
-
-
-SERVO_GONE = "the servo ended before it was in force; when it starts anew it is disabled"

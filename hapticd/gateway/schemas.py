@@ -25,7 +25,15 @@ from pydantic_core import ErrorDetails
 from hapticd.errors import CommandError
 from hapticd.gateway.codec import ID_LENGTH, ID_LIMIT, SHOWN, RequestId, request_id, shown
 from hapticd.gateway.limits import CommandLimits
-from hapticd.params import LONGEST_LEASE_S, SHORTEST_LEASE_S
+from hapticd.params import (
+    LONGEST_LEASE_S,
+    SHORTEST_LEASE_S,
+    AtEnd,
+    BasisName,
+    DampingMode,
+    Leased,
+    Policy,
+)
 
 PROTOCOL_VERSION = 1
 _ID_SCHEMA = {
@@ -229,12 +237,10 @@ class LeaseRequest(CommandMessage):
     """
 
     cmd: Literal["lease"]
-    what: Literal["environment", "damping", "perturbation", "measuring"] = Field(
-        description="measuring: all three, with neither guard nor energy faults"
-    )
+    what: Leased = Field(description="measuring: all three, with neither guard nor energy faults")
     action: Literal["take", "renew", "release"] = "take"
     ttl_s: Ttl = _absent("take: it ends when nothing is asked for so long; left out: as configured")
-    at_end: Literal["hold", "zero", "disable"] = _absent(
+    at_end: AtEnd = _absent(
         "take: when this client dies or falls silent, zero: the environment goes to 0 if it is"
         " leased; disable: force off; left out: as configured"
     )
@@ -252,13 +258,13 @@ class GuardRequest(CommandMessage):
     """What is done with an environment that is not known to be passive; without fields: ask."""
 
     cmd: Literal["guard"]
-    policy: Literal["off", "warn", "clamp", "refuse", "follow"] = _absent(
+    policy: Policy = _absent(
         "off: judge nothing; warn: say so and do it; clamp: go as far as is safe; refuse;"
         " follow: for less damping, first make the environment smaller"
     )
-    basis: Literal["theorem", "predicted", "measured"] = _absent("what a verdict rests on")
+    basis: BasisName = _absent("what a verdict rests on")
     margin_ns_per_m: float = _absent("damping that has to be left, N s/m", ge=0, le=1e3)
-    mode: Literal["off", "level", "auto"] = _absent(
+    mode: DampingMode = _absent(
         "active damping off, at its level, or at the least level that keeps the margin"
     )
 

@@ -11,6 +11,8 @@ from pydantic import Field
 from hapticd.params import (
     LONGEST_LEASE_S,
     SHORTEST_LEASE_S,
+    AtEnd,
+    BasisName,
     BoardParams,
     EnvironmentParams,
     FilterParams,
@@ -18,6 +20,7 @@ from hapticd.params import (
     GuardParams,
     HandParams,
     LeaseParams,
+    Policy,
     RealtimeParams,
     SafetyParams,
     ServoParams,
@@ -163,9 +166,9 @@ class GatewayTable(TomlTable):
 class GuardTable(TomlTable):
     """What is done with an environment that is not known to be passive."""
 
-    policy: Literal["off", "warn", "clamp", "refuse", "follow"] | None = None
+    policy: Policy | None = None
     """Left out: `refuse` on hardware whose device file has a [model], else `warn`."""
-    basis: Literal["theorem", "predicted", "measured"] = "theorem"
+    basis: BasisName = "theorem"
     """theorem: for any input and hand; predicted: with friction, at the amplitude of a trial;
     measured: what the file `measured` says.
     """
@@ -180,7 +183,7 @@ class LeaseTable(TomlTable):
 
     ttl_s: float = Field(_lease.ttl_s, ge=SHORTEST_LEASE_S, le=LONGEST_LEASE_S)
     """A lease ends when its holder asked nothing for so long."""
-    at_end: Literal["hold", "zero", "disable"] = "zero"
+    at_end: AtEnd = "zero"
     """When its holder dies or falls silent. zero: K, B and M, if they were leased, go to 0 on a
     ramp; disable: force off; hold: all stays. Active damping stays in any case.
     """
