@@ -5,7 +5,7 @@ A stretch of the file is moved by k samples; where some were lost k falls by as 
 Between two stretches, and for any k between theirs that 256 samples show, each k ends at the sample
 at which the squares of what does not fit, with the k before it and the k after it, are least: of
 all of them together, by dynamic programming. A stretch of fewer than 64 samples is chance, and left
-out; gaps so close to each other are taken for one.
+out. Gaps 200 samples apart are told apart; below 120 they are taken for one.
 
 What would break it: noise beyond the size of the signal; the sample is then known to some dozens.
 """
