@@ -49,7 +49,7 @@ from hapticd.gateway.commands import (
     refusal,
 )
 from hapticd.gateway.guard import Guard
-from hapticd.gateway.guarded import Guarded, Told
+from hapticd.gateway.guarded import Guarded
 from hapticd.gateway.journal import GATEWAY_ACTOR, Actors, Journal
 from hapticd.gateway.lease_desk import LeaseDesk
 from hapticd.gateway.limits import CommandLimits
@@ -63,6 +63,7 @@ from hapticd.gateway.schemas import (
     invalid,
     json_schema,
 )
+from hapticd.gateway.stages import Told
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import PERTURBATION_SAMPLES, Command, Result, Value, values_of

@@ -14,10 +14,7 @@ environment: the servo refuses it if it is another one by then (policies clamp, 
 other requests pass by; a stop, a disable and whatever else changes the state first takes back each
 enable that waits, for an enable must not come after what was asked after it.
 
-A change of several stages is answered with its first one; what became of it is told by an event.
-A stage waits for what the board reports in effect (active damping) and for the ramps of the one
-before it, never for a timer. A newer request supersedes what is left; the end of the state in which
-it began cancels it.
+A change of several stages goes on by itself (`stages`) while the next ones are judged.
 
 What would break it: a request that waits for ever (each has a deadline), or a verdict that is
 believed after policy or environment have changed.
@@ -29,33 +26,22 @@ from typing import Any, NamedTuple
 
 from hapticd.errors import CommandError
 from hapticd.gateway.case import Case, Stage, auto_of, change_of, stages_of
-from hapticd.gateway.commands import Posting, parameters, posting, receipt, refusal, values_given
+from hapticd.gateway.commands import posting, receipt, refusal
 from hapticd.gateway.guard import VERDICT_NS, Guard, Unsafe, merged
 from hapticd.gateway.journal import GATEWAY_ACTOR, Actors
-from hapticd.gateway.schemas import Damping, Enable, Request, Set
+from hapticd.gateway.schemas import Damping, Enable
+from hapticd.gateway.stages import Post, Stages, Told, ramp_s
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.client_side import Answer
-from hapticd.mailbox.layout import Command, Flag, Result, State, Value, values_of
-from hapticd.params import STRICT_POLICIES
+from hapticd.mailbox.layout import Result
 from hapticd.units import NS_PER_S
 
-UNJUDGED = ("ramp_s", "limit_cycle_faults")  # and what comes along
 MOST_WAITING = 64
 WAITING_NS = NS_PER_S  # until it is judged; its sender gives up after 2 s
 TRIES = 2  # again, after another change came in between
-STAGE_NS = 2 * NS_PER_S  # beyond the time that the damping takes to rise
 CHOICE_NS = 5 * NS_PER_S  # between looks at the level of mode auto while nothing changes
 LEAST_CHOICE_NS = NS_PER_S
 SERVO_GONE = "the servo ended before it was in force; when it starts anew it is disabled"
-LATCHED = frozenset({State.STOPPED, State.FAULT})
-
-
-class Told(NamedTuple):
-    """What is to be said of a case: a refusal, or a receipt."""
-
-    case: Case
-    error: CommandError | None = None
-    receipt: dict[str, Any] | None = None
 
 
 class Booked(NamedTuple):
@@ -66,7 +52,6 @@ class Booked(NamedTuple):
     change: dict[str, Any]
 
 
-Post = Callable[[Case, Posting, int], None]  # with the time; CommandError: it could not be posted
 May = Callable[[Case], CommandError | None]  # why its client may not change that any more
 
 
@@ -86,14 +71,12 @@ class Guarded:
         self._queue: deque[Case] = deque()
         self._asked: Case | None = None
         self._beside: Case | None = None  # posted at once, judged meanwhile
-        self._staged: Case | None = None
+        self._under_way = Stages(view, post, lambda told: self._told.append(told))
         self._scheduled: dict[int, Booked] = {}  # by sequence number, of the present servo life
         self._life = 0
         self._told: list[Told] = []
         self._chosen_ns = -CHOICE_NS  # when the level of mode auto was last looked at
         self._chosen_for: tuple[Any, ...] = ()
-        half_count = abs(view.params.device.damping.per_count) / 2
-        self._resolution_ns_per_m = half_count + 1e-6  # the wire rounds to the nearest count
 
     @property
     def waiting(self) -> bool:
@@ -102,16 +85,8 @@ class Guarded:
 
     def summary(self) -> dict[str, Any]:
         """What `status` tells."""
-        case = self._staged
-        under_way = case and {
-            "cmd": case.cmd,
-            "id": case.id,
-            "actor": case.actor,
-            "stage": case.place + 1,
-            "stages": len(case.stages),
-        }
         waiting = len(self._queue) + (self._asked is not None)
-        return {"waiting": waiting, "under_way": under_way}
+        return {"waiting": waiting, "under_way": self._under_way.summary()}
 
     # --- in ---------------------------------------------------------------------------------------
 
@@ -138,7 +113,7 @@ class Guarded:
         whole = "damping" not in change or len(change) == 1
         plain = whole and not case.at_tick and not self._auto(case)
         ready = guard.worker == "up" and guard.known and not guard.busy
-        free = not self.waiting and self._staged is None
+        free = not self.waiting and self._under_way.case is None
         return guard.policy == "warn" and plain and ready and free
 
     def _judge_beside(self, case: Case, now_ns: int) -> None:
@@ -205,10 +180,9 @@ class Guarded:
             self._hear(self._asked, now_ns, idle)
         elif self._queue and idle:
             self._begin(now_ns)
-        elif self._staged is None and idle:
+        elif self._under_way.case is None and idle:
             self._choose_level(now_ns)
-        if self._staged is not None:
-            self._go_on(self._staged, now_ns, idle and self._asked is None)
+        self._under_way.advance(now_ns, idle and self._asked is None)
         told = self._told
         self._told = []
         return told
@@ -223,26 +197,26 @@ class Guarded:
             text = f"{self._beside.cmd}: {SERVO_GONE}"
             self._told.append(Told(self._beside, CommandError("servo_down", text)))
         self._beside = None  # without an answer the desk has told its end
-        for case in filter(None, (*self._queue, self._asked, self._staged)):
+        for case in filter(None, (*self._queue, self._asked, self._under_way.case)):
             if case.life != life:
                 self._give_back(case, CommandError("servo_down", f"{case.cmd}: {SERVO_GONE}"))
 
     def _forget_who_may_not(self) -> None:
-        for case in (*self._queue, self._asked, self._staged):
+        for case in (*self._queue, self._asked, self._under_way.case):
             if case is not None and case.message is not None and (error := self._may(case)):
                 self._give_back(case, error)
 
     def _expire(self, now_ns: int) -> None:
         for case in [one for one in self._queue if now_ns - one.came_ns >= WAITING_NS]:
             why = "others were before it"
-            if isinstance(case.request, Enable) and self._staged is not None:
+            if isinstance(case.request, Enable) and self._under_way.case is not None:
                 why = "a change in stages is under way"
             text = f"{case.cmd}: it was not judged within 1 s, {why}; nothing happened, ask again"
             self._give_back(case, CommandError("timeout", text))
 
     def _give_back(self, case: Case, error: CommandError) -> None:
-        if case is self._staged:
-            self._staged = None
+        if case is self._under_way.case:
+            self._under_way.case = None
         else:
             self._drop(case)
         self._told.append(Told(case, error))
@@ -259,7 +233,7 @@ class Guarded:
 
     def _begin(self, now_ns: int) -> None:
         case = self._queue[0]
-        if isinstance(case.request, Enable) and self._staged is not None:
+        if isinstance(case.request, Enable) and self._under_way.case is not None:
             return
         case.ready_ns = case.ready_ns or now_ns
         if not self._asks(case):
@@ -319,15 +293,11 @@ class Guarded:
                 "mode": "auto" if self._auto(case) else "off",  # a level is in the change
                 "level": guard.level,
                 "delay_periods": guard.delay_periods,
-                "ramp_s": self._ramp_s(case.request),
+                "ramp_s": ramp_s(case.request, self._view.params.safety.default_ramp_s),
             },
             now_ns,
         )
         self._asked = case
-
-    def _ramp_s(self, request: Request) -> float:
-        default = self._view.params.safety.default_ramp_s
-        return float(request.given.get("ramp_s", default))
 
     def _hear(self, case: Case, now_ns: int, idle: bool) -> None:
         """Act on the verdict for `case` once it is there and nothing else is on its way."""
@@ -371,7 +341,7 @@ class Guarded:
             text = f"{case.cmd}: {verdict.get('text', 'the guard gave no reason')}"
             self._told.append(Told(case, CommandError("guard", text, guard=case.verdict)))
         else:
-            self._start(case, now_ns)
+            self._under_way.start(case, now_ns)
 
     def _changes(self, case: Case) -> bool:
         """Whether the stages of `case` lead anywhere else than the ramps in force."""
@@ -379,7 +349,7 @@ class Guarded:
         after = before
         for stage in case.stages:
             after = merged(after, stage.change)
-        moved = abs(after["damping"] - before["damping"]) > self._resolution_ns_per_m
+        moved = abs(after["damping"] - before["damping"]) > self._under_way.resolution_ns_per_m
         return moved or after | {"damping": 0} != before | {"damping": 0}
 
     def _stages(self, case: Case, answer: dict[str, Any]) -> tuple[Stage, ...]:
@@ -392,111 +362,6 @@ class Guarded:
         asked = change_of(case.request, self._guard.level)
         display = merged(self._guard.target(), asked)
         self._guard.want_hand(Unsafe(case.number, case.cmd, case.id, case.actor, display))
-
-    # --- stages -----------------------------------------------------------------------------------
-
-    def _start(self, case: Case, now_ns: int) -> None:
-        request = case.request
-        expected = request.given.get("if_rev")
-        if expected is not None and expected != self._view.revision:
-            text = f"{case.cmd}: the revision is {self._view.revision} by now, not {expected}"
-            error = CommandError("refused", f"{text}; look at what changed and ask again")
-            self._told.append(Told(case, error))
-            return
-        case.place = 0
-        case.state = self._view.state
-        case.since_ns = now_ns
-        if not case.at_tick and not isinstance(request, Enable):
-            self._supersede(case)
-        if self._met(case):
-            self._post_stage(case, now_ns)
-        else:
-            self._staged = case
-            self._told.append(Told(case, receipt=self._standing("staged")))
-
-    def _supersede(self, by: Case) -> None:
-        case = self._staged
-        self._staged = None
-        if case is not None and case is not by:
-            text = f"a newer {by.cmd} of actor {by.actor} came; what is in force stays"
-            self._told.append(Told(case, receipt=self._standing("superseded", text)))
-
-    def _met(self, case: Case) -> bool:
-        """Whether what the next stage waits for is there, as the newest record has it."""
-        stage = case.stages[case.place]
-        record = self._view.record
-        moving = int(record["flags"]) & (Flag.RAMPING | Flag.EASED | Flag.PAUSED)
-        if stage.after_ramps and (moving or self._view.tick < case.ramp_end_tick):
-            return False
-        least = stage.damping_at_least
-        effect = float(record["damping_effect_ns_per_m"])
-        return least is None or effect >= least - self._resolution_ns_per_m
-
-    def _go_on(self, case: Case, now_ns: int, free: bool) -> None:
-        """The next stage of `case`, if it is time and nothing else is on its way."""
-        state = self._view.state
-        ended = case.state is State.ENABLED and state is not State.ENABLED
-        if state is not None and state is not case.state and (ended or state in LATCHED):
-            self._cancel(case, f"the servo is {self._view.state_name}")
-        elif self._met(case):
-            if free:
-                self._staged = None
-                self._post_stage(case, now_ns)
-        elif int(self._view.record["flags"]) & Flag.PAUSED:
-            case.since_ns = now_ns
-        elif now_ns - case.since_ns >= self._patience_ns(case):
-            effect = float(self._view.record["damping_effect_ns_per_m"])
-            stage = case.stages[case.place]
-            least = stage.damping_at_least
-            lacks = f"the board reports {effect:.3g} of {least:.3g} N s/m" if least else "it moves"
-            self._cancel(case, f"the next stage waited too long: {lacks}")
-
-    def _patience_ns(self, case: Case) -> int:
-        safety = self._view.params.safety
-        level = self._view.params.device.damping_limit_ns_per_m
-        rising_s = level / safety.damping_slew_ns_per_m_s
-        return STAGE_NS + round((rising_s + self._ramp_s(case.request)) * NS_PER_S)
-
-    def _cancel(self, case: Case, why: str) -> None:
-        self._staged = None
-        text = f"{why}; what is in force stays"
-        self._told.append(Told(case, receipt=self._standing("cancelled", text)))
-
-    def _standing(self, result: str, text: str = "") -> dict[str, Any]:
-        """A receipt of what is in force, for what has no answer of the servo of its own."""
-        tick = self._view.tick
-        return {
-            "result": result,
-            "revision": self._view.revision,
-            "first_tick": tick,
-            "ramp_end_tick": tick,
-            "effective": parameters(self._view.targets),
-        } | ({"text": text} if text else {})
-
-    def _post_stage(self, case: Case, now_ns: int) -> None:
-        try:
-            self._post(case, self._posting(case), now_ns)
-        except CommandError as error:
-            self._told.append(Told(case, error))
-
-    def _posting(self, case: Case) -> Posting:
-        """The command of the stage that is due, bound to the environment it was judged for."""
-        stage = case.stages[case.place]
-        last = case.place == len(case.stages) - 1
-        values: dict[Value, float] = {}
-        if case.policy in STRICT_POLICIES and case.revision is not None:
-            values[Value.ENVIRONMENT_REVISION] = case.revision + case.ahead + case.place
-        if isinstance(case.request, Enable) and last:
-            return Command.ENABLE, 0, values_of(values)
-        extras = {name: case.request.given[name] for name in self._extras(case)}
-        values |= values_given(extras | stage.change)
-        kind = Command.DAMPING if set(stage.change) == {"damping"} and not extras else Command.SET
-        return kind, case.at_tick if case.place == 0 else 0, values_of(values)
-
-    def _extras(self, case: Case) -> list[str]:
-        given = case.request.given
-        names = UNJUDGED if case.place == 0 else UNJUDGED[:1]
-        return [name for name in names if name in given] if isinstance(case.request, Set) else []
 
     # --- without a verdict ------------------------------------------------------------------------
 
@@ -524,7 +389,7 @@ class Guarded:
         case.revision = None
         case.stages = ()
         if not case.at_tick and not isinstance(case.request, Enable):
-            self._supersede(case)
+            self._under_way.supersede(case)
         self._post(case, posting(case.request, 0), now_ns)
 
     # --- answers ----------------------------------------------------------------------------------
@@ -549,18 +414,12 @@ class Guarded:
 
     def _applied(self, case: Case, answer: Answer, now_ns: int) -> Told | None:
         self._guard.auto = self._auto(case)
-        case.place += 1
-        case.ramp_end_tick = answer.ramp_end_tick
-        case.since_ns = now_ns
-        if case.place >= len(case.stages):
-            if len(case.stages) <= 1 and not case.ahead:
-                self._guard.take_verdict(case.verdict)
-            return Told(case, receipt=receipt(answer))
-        if self._staged is not None:
-            self._supersede(case)
-        self._staged = case
-        staged = receipt(answer) | {"result": "staged"}
-        return None if case.replied else Told(case, receipt=staged)
+        if self._under_way.applied(case, answer, now_ns):
+            staged = receipt(answer) | {"result": "staged"}
+            return None if case.replied else Told(case, receipt=staged)
+        if len(case.stages) <= 1 and not case.ahead:
+            self._guard.take_verdict(case.verdict)
+        return Told(case, receipt=receipt(answer))
 
     def _again(self, case: Case, now_ns: int) -> None:
         """Another change came first: judge it anew, before those that came later."""

@@ -1,0 +1,189 @@
+"""The change of several stages that is under way: one at a time, or none.
+
+It is answered with its first stage; what became of it is told by an event. A stage waits for what
+the board reports in effect (active damping) and for the ramps of the one before it, never for a
+timer. Each is posted with the revision of the environment that it was judged for (policies clamp,
+refuse, follow). A newer request supersedes what is left; the end of the state in which it began
+cancels it. What is in force then stays.
+
+What would break it: a stage that is posted on the word of anything but the newest record, or one
+that waits for ever (it has a deadline).
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from hapticd.errors import CommandError
+from hapticd.gateway.case import Case
+from hapticd.gateway.commands import Posting, parameters, values_given
+from hapticd.gateway.schemas import Enable, Request, Set
+from hapticd.gateway.view import ServoView
+from hapticd.mailbox.client_side import Answer
+from hapticd.mailbox.layout import Command, Flag, State, Value, values_of
+from hapticd.params import STRICT_POLICIES
+from hapticd.units import NS_PER_S
+
+UNJUDGED = ("ramp_s", "limit_cycle_faults")  # fields of `set` that come along with what is judged
+STAGE_NS = 2 * NS_PER_S  # beyond the time that the damping takes to rise
+LATCHED = frozenset({State.STOPPED, State.FAULT})
+
+
+class Told(NamedTuple):
+    """What is to be said of a case: a refusal, or a receipt."""
+
+    case: Case
+    error: CommandError | None = None
+    receipt: dict[str, Any] | None = None
+
+
+Post = Callable[[Case, Posting, int], None]  # with the time; CommandError: it could not be posted
+
+
+def ramp_s(request: Request, default_s: float) -> float:
+    """Time that the ramps of `request` take, s."""
+    return float(request.given.get("ramp_s", default_s))
+
+
+class Stages:
+    """The stages of one case, posted by `post`; what is to be said of it goes to `tell`."""
+
+    def __init__(self, view: ServoView, post: Post, tell: Callable[[Told], None]) -> None:
+        self.case: Case | None = None  # whose next stage waits
+        self._view = view
+        self._post = post
+        self._tell = tell
+        half_count = abs(view.params.device.damping.per_count) / 2
+        self.resolution_ns_per_m = half_count + 1e-6  # the wire rounds to the nearest count
+
+    def summary(self) -> dict[str, Any] | None:
+        """What `status` tells; None while nothing is under way."""
+        case = self.case
+        if case is None:
+            return None
+        return {
+            "cmd": case.cmd,
+            "id": case.id,
+            "actor": case.actor,
+            "stage": case.place + 1,
+            "stages": len(case.stages),
+        }
+
+    def start(self, case: Case, now_ns: int) -> None:
+        """Post the first stage of `case`, or wait for what it waits for."""
+        request = case.request
+        expected = request.given.get("if_rev")
+        if expected is not None and expected != self._view.revision:
+            text = f"{case.cmd}: the revision is {self._view.revision} by now, not {expected}"
+            error = CommandError("refused", f"{text}; look at what changed and ask again")
+            self._tell(Told(case, error))
+            return
+        case.place = 0
+        case.state = self._view.state
+        case.since_ns = now_ns
+        if not case.at_tick and not isinstance(request, Enable):
+            self.supersede(case)
+        if self._met(case):
+            self._post_stage(case, now_ns)
+        else:
+            self.case = case
+            self._tell(Told(case, receipt=self._standing("staged")))
+
+    def advance(self, now_ns: int, free: bool) -> None:
+        """The next stage, if it is time and nothing else is on its way (`free`)."""
+        case = self.case
+        if case is None:
+            return
+        state = self._view.state
+        ended = case.state is State.ENABLED and state is not State.ENABLED
+        if state is not None and state is not case.state and (ended or state in LATCHED):
+            self._cancel(case, f"the servo is {self._view.state_name}")
+        elif self._met(case):
+            if free:
+                self.case = None
+                self._post_stage(case, now_ns)
+        elif int(self._view.record["flags"]) & Flag.PAUSED:
+            case.since_ns = now_ns
+        elif now_ns - case.since_ns >= self._patience_ns(case):
+            effect = float(self._view.record["damping_effect_ns_per_m"])
+            stage = case.stages[case.place]
+            least = stage.damping_at_least
+            lacks = f"the board reports {effect:.3g} of {least:.3g} N s/m" if least else "it moves"
+            self._cancel(case, f"the next stage waited too long: {lacks}")
+
+    def supersede(self, by: Case) -> None:
+        """`by` comes into force: what is left is not done."""
+        case = self.case
+        self.case = None
+        if case is not None and case is not by:
+            text = f"a newer {by.cmd} of actor {by.actor} came; what is in force stays"
+            self._tell(Told(case, receipt=self._standing("superseded", text)))
+
+    def applied(self, case: Case, answer: Answer, now_ns: int) -> bool:
+        """A stage of `case` is in force; whether there are more."""
+        case.place += 1
+        case.ramp_end_tick = answer.ramp_end_tick
+        case.since_ns = now_ns
+        if case.place >= len(case.stages):
+            return False
+        if self.case is not None:
+            self.supersede(case)
+        self.case = case
+        return True
+
+    def _met(self, case: Case) -> bool:
+        """Whether what the next stage waits for is there, as the newest record has it."""
+        stage = case.stages[case.place]
+        record = self._view.record
+        moving = int(record["flags"]) & (Flag.RAMPING | Flag.EASED | Flag.PAUSED)
+        if stage.after_ramps and (moving or self._view.tick < case.ramp_end_tick):
+            return False
+        least = stage.damping_at_least
+        effect = float(record["damping_effect_ns_per_m"])
+        return least is None or effect >= least - self.resolution_ns_per_m
+
+    def _patience_ns(self, case: Case) -> int:
+        safety = self._view.params.safety
+        level = self._view.params.device.damping_limit_ns_per_m
+        rising_s = level / safety.damping_slew_ns_per_m_s
+        return STAGE_NS + round((rising_s + ramp_s(case.request, safety.default_ramp_s)) * NS_PER_S)
+
+    def _cancel(self, case: Case, why: str) -> None:
+        self.case = None
+        text = f"{why}; what is in force stays"
+        self._tell(Told(case, receipt=self._standing("cancelled", text)))
+
+    def _standing(self, result: str, text: str = "") -> dict[str, Any]:
+        """A receipt of what is in force, for what has no answer of the servo of its own."""
+        tick = self._view.tick
+        return {
+            "result": result,
+            "revision": self._view.revision,
+            "first_tick": tick,
+            "ramp_end_tick": tick,
+            "effective": parameters(self._view.targets),
+        } | ({"text": text} if text else {})
+
+    def _post_stage(self, case: Case, now_ns: int) -> None:
+        try:
+            self._post(case, self._posting(case), now_ns)
+        except CommandError as error:
+            self._tell(Told(case, error))
+
+    def _posting(self, case: Case) -> Posting:
+        """The command of the stage that is due, bound to the environment it was judged for."""
+        stage = case.stages[case.place]
+        last = case.place == len(case.stages) - 1
+        values: dict[Value, float] = {}
+        if case.policy in STRICT_POLICIES and case.revision is not None:
+            values[Value.ENVIRONMENT_REVISION] = case.revision + case.ahead + case.place
+        if isinstance(case.request, Enable) and last:
+            return Command.ENABLE, 0, values_of(values)
+        extras = {name: case.request.given[name] for name in self._extras(case)}
+        values |= values_given(extras | stage.change)
+        kind = Command.DAMPING if set(stage.change) == {"damping"} and not extras else Command.SET
+        return kind, case.at_tick if case.place == 0 else 0, values_of(values)
+
+    def _extras(self, case: Case) -> list[str]:
+        given = case.request.given
+        names = UNJUDGED if case.place == 0 else UNJUDGED[:1]
+        return [name for name in names if name in given] if isinstance(case.request, Set) else []
