@@ -14,7 +14,9 @@ below, and Coulomb friction cancels in the mean. At rest
 
 with the commanded F, what a commanded newton really is (s), the offset o, the side a = +-1 to which
 the masses pull, and the radii r at which they hang and R of the endpoint. The line F(w) gives s and
-o; its residuals give their intervals (Student's t) and show whether the motor is linear.
+o. Its residuals show whether the motor is linear, and give the intervals (Student's t), together
+with a friction that differs from reading to reading by a share REPEATS: few masses may lie on a
+line by chance.
 
 What would break it: a friction that differs from one reading to the next (it shows as residuals).
 """
@@ -53,6 +55,7 @@ DRAW_S = 1.0
 SETTLE_S = 0.5
 READ_S = 1.0
 MOST_SHARE = 0.8  # of the force limit that masses may take
+REPEATS = 0.1  # share by which friction is taken to differ from reading to reading
 MOST_RESIDUAL = 0.02  # of the span
 FACTOR = 2.0  # between file and measurement, beyond which a mass is rather mistyped
 
@@ -223,7 +226,10 @@ def concluded(
     means = readings_n.mean(axis=1)
     line = fitted(weights_n, means)
     scale = -masses.pulls_to / line.slope
-    relative = hypot(line.slope_half / abs(line.slope), masses.tolerance)
+    friction = float(np.abs(np.diff(readings_n, axis=1)).mean()) / 2.0
+    unequal = REPEATS * friction
+    slope_half = hypot(line.slope_half, unequal / float(np.ptp(weights_n)))
+    relative = hypot(slope_half / abs(line.slope), masses.tolerance)
     full_n = 32767.0 * float(force["per_count"])
     gain = Value(
         "force.full_scale_n",
@@ -234,10 +240,10 @@ def concluded(
     )
     per_n = int(force["sign"]) / float(force["per_count"])
     middle = float(force["offset_count"]) + per_n * line.intercept
-    half = abs(per_n) * line.intercept_half
+    half = abs(per_n) * hypot(line.intercept_half, unequal)
     offset = Value("force.offset_count", middle, "counts", middle - half, middle + half)
     findings = [_linear(line, means), _gain(scale)]
-    friction_n = float(np.abs(np.diff(readings_n, axis=1)).mean()) / 2.0 * abs(scale)
+    friction_n = friction * abs(scale)
     spread = Value("friction seen", friction_n, "N", 0.0, 2.0 * friction_n)
     changes = [
         Change("force", "full_scale_n", rounded(gain.value, gain.low, gain.high)),
