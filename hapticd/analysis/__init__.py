@@ -14,6 +14,7 @@ velocity, N s/m, at the probe unless something else is said. For scripts:
     predict      `predict`, `predicted_impedance`: passive or not without a trial
     alignment    `align`: a record of another system beside the own one
     ledger       `book`: the work that each cause does on the device
+    delivered    `estimate`: the active damping that a board really delivers
     theorem      `required_damping`, `lift`, `lifted_margin`: Colgate and Schenkel
     coupled      `withstands`, `shaking_hand`: what a passive hand can do
     outlook      `outlook`: all of these about one environment
