@@ -264,7 +264,8 @@ def _show_replay(found: dict[str, Any]) -> None:
 
     verdict = "bit-exact" if found["bit_exact"] else "different"
     speed = f"{found['times_real_time']:.0f} x real time"
-    terminal.data(f"{found['ticks']} ticks in {found['legs']} segments, {speed}: {verdict}")
+    segments = "1 segment" if found["legs"] == 1 else f"{found['legs']} segments"
+    terminal.data(f"{found['ticks']} ticks in {segments}, {speed}: {verdict}")
     if first := found["first_difference"]:
         difference = f"{first['field']} was {first['recorded']}, is {first[REPLAYED_KEY]}"
         terminal.data(f"from tick {first['tick']}: {difference}")
