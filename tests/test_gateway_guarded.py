@@ -9,7 +9,7 @@ from gateway_rig import DeskRig, decoded, packed
 from gateway_stand_in import StandInServo
 from guard_stub import StubWorker, applies, refuses, stage, verdict
 
-from hapticd.gateway.guard import WallSide
+from hapticd.gateway.in_force import WallSide
 from hapticd.mailbox.layout import Command, Flag, State, Value
 
 BOUND = 1 << Value.ENVIRONMENT_REVISION

@@ -8,28 +8,22 @@ dropped. There are three:
     look     how far is the environment in force from the edge; for the topic `guard` and `status`
     hand     which hand would shake what was asked; asked last, told as an event
 
-A display is what a verdict is about: K, B, M, wall, filters and active damping. `target` is where
-the ramps in force end, `now` what acts in the newest record.
-
 Policy, basis, margin and mode are those of the configuration until a client changes them. While
 measuring is leased the policy is `off`.
 
 What would break it: taking silence for a yes (`unknown` is a verdict of its own, and `must` says
-which policies refuse it), or a display of one environment with the revision of another.
+which policies refuse it).
 """
 
 from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
-import numpy as np
-
-from hapticd.gateway.commands import parameters
 from hapticd.gateway.delay import DelayHistogram
+from hapticd.gateway.in_force import Display, InForce
 from hapticd.gateway.journal import Journal
 from hapticd.gateway.schemas import GuardRequest
 from hapticd.gateway.view import ServoView
-from hapticd.mailbox.layout import Flag, Value
 from hapticd.params import STRICT_POLICIES, GuardParams
 from hapticd.units import NS_PER_MS, NS_PER_S
 
@@ -40,8 +34,6 @@ HANG_NS = 10 * NS_PER_S
 LAG_NS = 5 * NS_PER_S  # that a delay may be counted on which the worker has looked at
 LOOK_NS = 500 * NS_PER_MS
 MOST_HANDS = 8  # that wait to be looked for
-IN_MOTION = Flag.RAMPING | Flag.EASED | Flag.PAUSED
-Display = dict[str, Any]
 
 
 class Line(Protocol):
@@ -69,54 +61,6 @@ class Unsafe(NamedTuple):
     display: Display
 
 
-def merged(display: Display, change: dict[str, Any]) -> Display:
-    """`display` with what `change` gives, tables by their keys."""
-    found = dict(display)
-    for name, value in change.items():
-        found[name] = display[name] | value if isinstance(value, dict) else value
-    return found
-
-
-def target_of(targets: tuple[float, ...]) -> Display:
-    """Where the ramps in force end, from the parameters of an answer."""
-    found = parameters(targets)
-    return {name: found[name] for name in ("K", "B", "M", "wall", "filters", "damping")}
-
-
-class WallDamping:
-    """The wall's damping as it acts, which no record holds: where its ramp began, until it ends."""
-
-    def __init__(self) -> None:
-        self._life = 0
-        self._begun = self._end = 0.0
-
-    def follow(self, life: int, target: float, moving: bool) -> float:
-        """The value furthest from `target` that may still act."""
-        if life != self._life or (target == self._end and not moving):
-            self._life = life
-            self._begun = self._end = target
-        if target != self._end:
-            self._begun = self._end
-            self._end = target
-        return self._begun
-
-
-class WallSide:
-    """The side of a wall that may still act: it comes to 0 on a ramp, and a record rounds it."""
-
-    def __init__(self) -> None:
-        self.value = 0
-
-    def follow(self, records: Any) -> None:
-        """Look at `records`: a side counts until one of them says 0 and nothing moves."""
-        walled = np.flatnonzero(records["wall_side"])
-        if walled.size:
-            self.value = int(records["wall_side"][walled[-1]])
-        after = records[walled[-1] + 1 :] if walled.size else records
-        if after.size and not bool((after["flags"] & int(IN_MOTION)).all()):
-            self.value = 0
-
-
 class Guard:
     """Policy, questions and answers. `worker` None: there is none, and nothing is known."""
 
@@ -128,6 +72,7 @@ class Guard:
         worker: Line | None = None,
     ) -> None:
         self._view = view
+        self.in_force = InForce(view)
         self._journal = journal
         self._worker = worker
         # whether measuring is leased: set by the desk
@@ -141,8 +86,6 @@ class Guard:
         self._delay_life = 0
         self._looked_delay: float | None = None
         self._delay_ns: int | None = None  # since when the measured one is another
-        self._wall_damping = WallDamping()
-        self._side = WallSide()
         self._number = 0
         self._answers: dict[int, dict[str, Any]] = {}
         self._awaited: set[int] = set()  # questions of requests
@@ -167,7 +110,7 @@ class Guard:
         """The mode of active damping: off, level or auto; while measuring, nobody chooses."""
         if self.auto and not self.measuring():
             return "auto"
-        return "level" if self.target()["damping"] else "off"
+        return "level" if self.in_force.target()["damping"] else "off"
 
     @property
     def must(self) -> bool:
@@ -241,60 +184,12 @@ class Guard:
 
     # --- what is in force -------------------------------------------------------------------------
 
-    @property
-    def known(self) -> bool:
-        """Whether record and answers tell of the same environment."""
-        view = self._view
-        told = int(view.targets[Value.ENVIRONMENT_REVISION])
-        return view.alive and not view.unsure and told == self.revision
-
-    @property
-    def revision(self) -> int:
-        """Of the environment in the newest record; -1 before the first."""
-        return int(self._view.record.get("environment_revision", -1))
-
-    @property
-    def controlled(self) -> bool:
-        """Whether the servo's energy controller holds more damping, or less K and B, than asked."""
-        return bool(int(self._view.record.get("flags", 0)) & Flag.CONTROLLED)
-
-    def target(self) -> Display:
-        """Where the ramps in force end."""
-        return target_of(self._view.targets)
-
-    def now(self) -> Display:
-        """What acts in the newest record."""
-        record = self._view.record
-        target = self.target()
-        moving = bool(int(record["flags"]) & IN_MOTION)
-        wall = {
-            "stiffness_n_per_m": record["wall_stiffness_n_per_m"],
-            "damping_ns_per_m": self._wall_damping.follow(
-                self._view.life, target["wall"]["damping_ns_per_m"], moving
-            ),
-            "position_m": record["wall_position_m"],
-            "side": record["wall_side"] or (self._side.value if moving else 0),
-        }
-        effect = record["damping_effect_ns_per_m"]
-        return target | {
-            "K": record["stiffness_n_per_m"],
-            "B": record["damping_ns_per_m"],
-            "M": record["mass_kg"],
-            "wall": wall,
-            "damping": max(effect, 0.0) if effect == effect else 0.0,  # NaN: the board did not say
-        }
-
-    @property
-    def level(self) -> float:
-        """Active damping that `damping on` would give, N s/m."""
-        return float(self._view.targets[Value.ADDED_DAMPING])
-
     def relied_on_ns_per_m(self) -> float | None:
         """Active damping [N s/m] without which the environment in force would be unsafe, where the
         policy would not have let it; None: nobody counts on any, or it is not known.
         """
         verdict = self._looked.get("verdict") or {}
-        if not self.must or self._looked_at[:2] != (self._view.life, self.revision):
+        if not self.must or self._looked_at[:2] != (self._view.life, self.in_force.revision):
             return None
         least = verdict.get("least_damping_ns_per_m")
         return float(least) if isinstance(least, (int, float)) else None
@@ -380,7 +275,7 @@ class Guard:
         """The verdict on what has just come into force; it saves a look."""
         if verdict.get("safe") and not verdict.get("clamped"):
             self._looked = {"verdict": verdict}
-            self._looked_at = self._view.life, self.revision, self.delay.periods
+            self._looked_at = self._view.life, self.in_force.revision, self.delay.periods
 
     def _take_look(self, answer: dict[str, Any], about: tuple[Any, ...]) -> None:
         before = self._looked.get("verdict", {}).get("safe")
@@ -441,20 +336,20 @@ class Guard:
         ]
 
     def _look_if_due(self, now_ns: int, wanted: bool) -> None:
-        what = self._view.life, self.revision, self.delay.periods
+        what = self._view.life, self.in_force.revision, self.delay.periods
         news = wanted or what != self._looked_at
-        ready = self.worker == "up" and self._look is None and self.known
+        ready = self.worker == "up" and self._look is None and self.in_force.known
         if not (ready and news) or now_ns - self._look_ns < LOOK_NS:
             return
         self._look_ns = now_ns
         question = {
             "ask": "look",
-            "now": self.now(),
-            "target": self.target(),
+            "now": self.in_force.now(),
+            "target": self.in_force.target(),
             "delay_periods": self.delay.periods,
             "margin_ns_per_m": self.margin_ns_per_m,
             "basis": self.basis,
-            "level_on": self.level,
+            "level_on": self.in_force.level,
         }
         self._look = self._send(question, now_ns), what
 
@@ -464,9 +359,9 @@ class Guard:
             self._delay_life = life
             self._looked_delay = None
             self.delay.clear()
-            self._side.value = 0
+            self.in_force.begin()
         self.delay.add(records)
-        self._side.follow(records)
+        self.in_force.follow(records)
 
     def close(self) -> None:
         """End the worker."""

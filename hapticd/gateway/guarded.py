@@ -27,7 +27,8 @@ from typing import Any, NamedTuple
 from hapticd.errors import CommandError
 from hapticd.gateway.case import Case, Stage, auto_of, change_of, stages_of
 from hapticd.gateway.commands import posting, receipt, refusal
-from hapticd.gateway.guard import VERDICT_NS, Guard, Unsafe, merged
+from hapticd.gateway.guard import VERDICT_NS, Guard, Unsafe
+from hapticd.gateway.in_force import merged
 from hapticd.gateway.journal import GATEWAY_ACTOR, Actors
 from hapticd.gateway.schemas import Damping, Enable
 from hapticd.gateway.stages import Post, Stages, Told, ramp_s
@@ -109,10 +110,10 @@ class Guarded:
     def _goes_at_once(self, case: Case) -> bool:
         """Whether it is done whatever the verdict says, and in one stage."""
         guard = self._guard
-        change = change_of(case.request, guard.level)
+        change = change_of(case.request, guard.in_force.level)
         whole = "damping" not in change or len(change) == 1
         plain = whole and not case.at_tick and not self._auto(case)
-        ready = guard.worker == "up" and guard.known and not guard.busy
+        ready = guard.worker == "up" and guard.in_force.known and not guard.busy
         free = not self.waiting and self._under_way.case is None
         return guard.policy == "warn" and plain and ready and free
 
@@ -238,7 +239,7 @@ class Guarded:
         case.ready_ns = case.ready_ns or now_ns
         if not self._asks(case):
             self._try_unjudged(self._queue.popleft(), now_ns)
-        elif self._guard.worker == "up" and self._guard.known and not self._guard.busy:
+        elif self._guard.worker == "up" and self._guard.in_force.known and not self._guard.busy:
             self._ask(self._queue.popleft(), now_ns)
         elif now_ns - case.ready_ns >= VERDICT_NS:
             self._try_unjudged(self._queue.popleft(), now_ns, self._late())
@@ -253,10 +254,10 @@ class Guarded:
         where the energy controller has the say, until a change asks again.
         """
         guard = self._guard
-        about = self._life, guard.revision, guard.delay_periods
+        about = self._life, guard.in_force.revision, guard.delay_periods
         due = about != self._chosen_for or now_ns - self._chosen_ns >= CHOICE_NS
-        ready = guard.mode == "auto" and guard.worker == "up" and guard.known
-        ready = ready and not guard.controlled
+        ready = guard.mode == "auto" and guard.worker == "up" and guard.in_force.known
+        ready = ready and not guard.in_force.controlled
         if not (ready and due) or now_ns - self._chosen_ns < LEAST_CHOICE_NS:
             return
         self._chosen_for = about
@@ -275,23 +276,23 @@ class Guarded:
         case.changes = guard.changes
         case.policy = guard.policy
         case.ahead = len(before)
-        case.revision = guard.revision
+        case.revision = guard.in_force.revision
         case.number = guard.ask(
             {
                 "ask": "change",
-                "now": guard.now(),
-                "target": guard.target(),
+                "now": guard.in_force.now(),
+                "target": guard.in_force.target(),
                 "state": self._view.state_name,
                 "gain": float(self._view.record["gain"]),
                 "enable": isinstance(case.request, Enable),
-                "change": change_of(case.request, guard.level),
+                "change": change_of(case.request, guard.in_force.level),
                 "before": before,
                 "after": [one.change for one in booked[len(before) :]],
                 "policy": case.policy,
                 "basis": guard.basis,
                 "margin_ns_per_m": guard.margin_ns_per_m,
                 "mode": "auto" if self._auto(case) else "off",  # a level is in the change
-                "level": guard.level,
+                "level": guard.in_force.level,
                 "delay_periods": guard.delay_periods,
                 "ramp_s": ramp_s(case.request, self._view.params.safety.default_ramp_s),
             },
@@ -303,7 +304,7 @@ class Guarded:
         """Act on the verdict for `case` once it is there and nothing else is on its way."""
         case.answer = case.answer or self._guard.answer(case.number)
         if case.answer is not None:
-            if idle and self._guard.known:
+            if idle and self._guard.in_force.known:
                 self._asked = None
                 self._take_verdict(case, case.answer, now_ns)
         elif self._guard.worker != "up" or now_ns - case.ready_ns >= VERDICT_NS:
@@ -317,7 +318,7 @@ class Guarded:
         if case.changes != guard.changes or case.policy != guard.policy:
             case.ready_ns = 0
             self._queue.appendleft(case)
-        elif case.revision != guard.revision and case.tries < TRIES:
+        elif case.revision != guard.in_force.revision and case.tries < TRIES:
             self._again(case, now_ns)
         else:
             self._judged(case, answer, now_ns)
@@ -345,7 +346,7 @@ class Guarded:
 
     def _changes(self, case: Case) -> bool:
         """Whether the stages of `case` lead anywhere else than the ramps in force."""
-        before = self._guard.target()
+        before = self._guard.in_force.target()
         after = before
         for stage in case.stages:
             after = merged(after, stage.change)
@@ -359,8 +360,8 @@ class Guarded:
         return found
 
     def _want_hand(self, case: Case) -> None:
-        asked = change_of(case.request, self._guard.level)
-        display = merged(self._guard.target(), asked)
+        asked = change_of(case.request, self._guard.in_force.level)
+        display = merged(self._guard.in_force.target(), asked)
         self._guard.want_hand(Unsafe(case.number, case.cmd, case.id, case.actor, display))
 
     # --- without a verdict ------------------------------------------------------------------------
@@ -400,7 +401,7 @@ class Guarded:
             case.held = answer
             return None
         if answer.result is Result.SCHEDULED:
-            change = change_of(case.request, self._guard.level)
+            change = change_of(case.request, self._guard.in_force.level)
             self._scheduled[answer.seq] = Booked(case.at_tick, answer.seq, change)
             return Told(case, receipt=receipt(answer))
         if answer.result is Result.REFUSED_REVISION and case.tries < TRIES:

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 from hapticd.errors import CommandError
 from hapticd.gateway.case import Case
 from hapticd.gateway.commands import Posting, parameters, values_given
+from hapticd.gateway.in_force import IN_MOTION
 from hapticd.gateway.schemas import Enable, Request, Set
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.client_side import Answer
@@ -134,7 +135,7 @@ class Stages:
         """Whether what the next stage waits for is there, as the newest record has it."""
         stage = case.stages[case.place]
         record = self._view.record
-        moving = int(record["flags"]) & (Flag.RAMPING | Flag.EASED | Flag.PAUSED)
+        moving = int(record["flags"]) & IN_MOTION
         if stage.after_ramps and (moving or self._view.tick < case.ramp_end_tick):
             return False
         least = stage.damping_at_least

@@ -1,0 +1,130 @@
+"""The display in force, as the newest record and the last answer of the servo tell it.
+
+A display is what a verdict is about: K, B, M, wall, filters and active damping, with the fields of
+`set`. `target` is where the ramps in force end, `now` what acts in the newest record. Of what no
+record holds (the wall's damping while it moves, its side once it was rounded to none) the value
+counts that may still act and is furthest from the target.
+
+What would break it: a display of one environment with the revision of another (`known` says whether
+record and answers fit each other).
+"""
+
+from typing import Any
+
+import numpy as np
+
+from hapticd.gateway.case import JUDGED
+from hapticd.gateway.commands import parameters
+from hapticd.gateway.view import ServoView
+from hapticd.mailbox.layout import Flag, Value
+
+IN_MOTION = Flag.RAMPING | Flag.EASED | Flag.PAUSED
+Display = dict[str, Any]
+
+
+def merged(display: Display, change: dict[str, Any]) -> Display:
+    """`display` with what `change` gives, tables by their keys."""
+    found = dict(display)
+    for name, value in change.items():
+        found[name] = display[name] | value if isinstance(value, dict) else value
+    return found
+
+
+class WallDamping:
+    """The wall's damping as it acts, which no record holds: where its ramp began, until it ends."""
+
+    def __init__(self) -> None:
+        self._life = 0
+        self._begun = self._end = 0.0
+
+    def follow(self, life: int, target: float, moving: bool) -> float:
+        """The value furthest from `target` that may still act."""
+        if life != self._life or (target == self._end and not moving):
+            self._life = life
+            self._begun = self._end = target
+        if target != self._end:
+            self._begun = self._end
+            self._end = target
+        return self._begun
+
+
+class WallSide:
+    """The side of a wall that may still act: it comes to 0 on a ramp, and a record rounds it."""
+
+    def __init__(self) -> None:
+        self.value = 0
+
+    def follow(self, records: Any) -> None:
+        """Look at `records`: a side counts until one of them says 0 and nothing moves."""
+        walled = np.flatnonzero(records["wall_side"])
+        if walled.size:
+            self.value = int(records["wall_side"][walled[-1]])
+        after = records[walled[-1] + 1 :] if walled.size else records
+        if after.size and not bool((after["flags"] & int(IN_MOTION)).all()):
+            self.value = 0
+
+
+class InForce:
+    """The display in force at the servo of `view`."""
+
+    def __init__(self, view: ServoView) -> None:
+        self._view = view
+        self._wall_damping = WallDamping()
+        self._side = WallSide()
+
+    def begin(self) -> None:
+        """A new servo life."""
+        self._side.value = 0
+
+    def follow(self, records: Any) -> None:
+        """Look at telemetry `records`, which come once each and in order."""
+        self._side.follow(records)
+
+    @property
+    def known(self) -> bool:
+        """Whether record and answers tell of the same environment."""
+        view = self._view
+        told = int(view.targets[Value.ENVIRONMENT_REVISION])
+        return view.alive and not view.unsure and told == self.revision
+
+    @property
+    def revision(self) -> int:
+        """Of the environment in the newest record; -1 before the first."""
+        return int(self._view.record.get("environment_revision", -1))
+
+    @property
+    def controlled(self) -> bool:
+        """Whether the servo's energy controller holds more damping, or less K and B, than asked."""
+        return bool(int(self._view.record.get("flags", 0)) & Flag.CONTROLLED)
+
+    def target(self) -> Display:
+        """Where the ramps in force end."""
+        found = parameters(self._view.targets)
+        return {name: found[name] for name in JUDGED}
+
+    def now(self) -> Display:
+        """What acts in the newest record."""
+        record = self._view.record
+        target = self.target()
+        moving = bool(int(record["flags"]) & IN_MOTION)
+        wall = {
+            "stiffness_n_per_m": record["wall_stiffness_n_per_m"],
+            "damping_ns_per_m": self._wall_damping.follow(
+                self._view.life, target["wall"]["damping_ns_per_m"], moving
+            ),
+            "position_m": record["wall_position_m"],
+            "side": record["wall_side"] or (self._side.value if moving else 0),
+        }
+        effect = record["damping_effect_ns_per_m"]
+        return target | {
+            "K": record["stiffness_n_per_m"],
+            "B": record["damping_ns_per_m"],
+            "M": record["mass_kg"],
+            "wall": wall,
+            "damping": max(effect, 0.0) if effect == effect else 0.0,  # NaN: the board did not say
+        }
+
+    @property
+    def level(self) -> float:
+        """Active damping that `damping on` would give, N s/m."""
+        return float(self._view.targets[Value.ADDED_DAMPING])
