@@ -30,8 +30,8 @@ from benchmarks.blocks import median_quantile
 from benchmarks.echo import echo_ns, echoing
 from benchmarks.figures import Figure, compared
 from benchmarks.worker import ROOT, Worker, environment
-from hapticd.assembly.guard_main import LENGTH
 from hapticd.assembly.resolve import write
+from hapticd.gateway.worker import LENGTH
 from hapticd.settings.load import Override, load
 from hapticd.settings.toml import shipped
 from hapticd.units import NS_PER_MS

@@ -2,9 +2,9 @@
 
 It judges displays on the model in FOLDER/guard.json (`analysis.judge.Judge`) for the gateway,
 which keeps the other end of the socket N. Messages both ways are msgpack maps, each behind its
-length (u32, little-endian, at most 64 kB). The first one tells whom it judges for; then every
-request gets one answer. What goes wrong with one request becomes {"n": .., "error": text}, and the
-worker goes on. While nobody asks, it prepares the levels of damping that it will be asked about.
+length (`gateway.worker`). The first one tells whom it judges for; then every request gets one
+answer. What goes wrong with one request becomes {"n": .., "error": text}, and the worker goes on.
+While nobody asks, it prepares the levels of damping that it will be asked about.
 
 Exit code 0: the gateway is gone or asked it to end; 78: guard.json is wrong, and a restart would
 not help.
@@ -18,7 +18,6 @@ import json
 import os
 import select
 import socket
-import struct
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,14 +26,13 @@ import msgpack
 
 from hapticd.assembly.process import die_with_parent, on_stop
 from hapticd.errors import ConfigError, HapticdError
+from hapticd.gateway.codec import MAX_MESSAGE_BYTES
+from hapticd.gateway.worker import LENGTH
 from hapticd.mailbox.files import GUARD_JSON
 from hapticd.params import GuardSetup, from_plain
 
 if TYPE_CHECKING:
     from hapticd.analysis.judge import Judge
-
-LENGTH = struct.Struct("<I")
-LONGEST = 64 << 10  # bytes of a message
 
 
 def main(arguments: list[str]) -> int:
@@ -109,7 +107,7 @@ def _receive(line: socket.socket) -> bytes | None:
     if head is None:
         return None
     (size,) = LENGTH.unpack(head)
-    return _exactly(line, size) if size <= LONGEST else None
+    return _exactly(line, size) if size <= MAX_MESSAGE_BYTES else None
 
 
 def _exactly(line: socket.socket, size: int) -> bytes | None:

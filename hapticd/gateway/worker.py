@@ -23,7 +23,7 @@ from hapticd.units import NS_PER_S
 
 RESTART_NS = 2 * NS_PER_S
 READ_BYTES = 4 * MAX_MESSAGE_BYTES  # in one pass
-_LENGTH = struct.Struct("<I")
+LENGTH = struct.Struct("<I")  # before each message, in bytes
 
 
 class Process(Protocol):
@@ -93,10 +93,10 @@ class Worker:
             return
         data = bytes(msgpack.packb(request))
         try:
-            sent = self._socket.send(_LENGTH.pack(len(data)) + data)
+            sent = self._socket.send(LENGTH.pack(len(data)) + data)
         except OSError:
             sent = 0
-        if sent != _LENGTH.size + len(data):
+        if sent != LENGTH.size + len(data):
             self.give_up("it takes no requests")
 
     def answers(self) -> list[dict[str, Any]]:
@@ -137,17 +137,15 @@ class Worker:
             self.give_up(f"it sent what is no message: {error}")
 
     def _take_messages(self) -> None:
-        while len(self._buffer) >= _LENGTH.size:
-            (length,) = _LENGTH.unpack_from(self._buffer)
+        while len(self._buffer) >= LENGTH.size:
+            (length,) = LENGTH.unpack_from(self._buffer)
             if length > MAX_MESSAGE_BYTES:
                 raise Garbage(f"{length} bytes, at most {MAX_MESSAGE_BYTES}")
-            end = _LENGTH.size + length
+            end = LENGTH.size + length
             if len(self._buffer) < end:
                 return
             # no bytes and no extensions: JSON clients get what it says
-            message = msgpack.unpackb(
-                self._buffer[_LENGTH.size : end], max_bin_len=0, max_ext_len=0
-            )
+            message = msgpack.unpackb(self._buffer[LENGTH.size : end], max_bin_len=0, max_ext_len=0)
             self._buffer = self._buffer[end:]
             if not isinstance(message, dict):
                 raise Garbage(f"{type(message).__name__} instead of a map")
