@@ -40,7 +40,7 @@ from benchmarks.figures import Figure, compared
 from benchmarks.guard_flown import Flight, flown
 from benchmarks.guard_requests import Answering, Asked, fly
 from benchmarks.guard_verdict import FURTHER, Bench
-from hapticd.analysis.allowed import model_of
+from hapticd.analysis.bases import model_of
 from hapticd.analysis.judge import Judge
 from hapticd.assembly.resolve import resolve
 from hapticd.mailbox import files

@@ -13,15 +13,9 @@ from guard_device import (
     with_hidden_growth,
 )
 
-from hapticd.analysis.allowed import (
-    LEVELS,
-    Conditions,
-    Display,
-    Theorem,
-    cached_levels,
-    intervals,
-    model_of,
-)
+from hapticd.analysis.allowed import intervals
+from hapticd.analysis.bases import LEVELS, Conditions, Theorem, cached_levels, model_of
+from hapticd.analysis.displays import Display
 from hapticd.analysis.judge import Judge
 from hapticd.analysis.loop import PAPER_FILTERS, spectral_radius
 from hapticd.analysis.theorem import (

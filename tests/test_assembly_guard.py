@@ -14,7 +14,7 @@ import msgpack
 import pytest
 from guard_device import FREE, change, over_compensated, setup_of, shipped_judge, shipped_setup
 
-from hapticd.analysis.allowed import model_of
+from hapticd.analysis.bases import model_of
 from hapticd.analysis.judge import Judge
 from hapticd.analysis.loop import spectral_radius
 from hapticd.assembly import resolve

@@ -18,6 +18,7 @@ velocity, N s/m, at the probe unless something else is said. For scripts:
     theorem      `required_damping`, `lift`, `lifted_margin`: Colgate and Schenkel
     coupled      `withstands`, `shaking_hand`: what a passive hand can do
     outlook      `outlook`: all of these about one environment
+    bases        `Theorem`, `Predicted`, `Measured`: how it is known what is safe
     allowed      `Judgement`: which displays a device withstands, and how far K, B and M may go
     judge        `Judge`: the answers of the guard; what it does with a change by `policies`
     passive_set  `passive_set`, `set_limits`, `volume`, `axis_limit`: the set of K, B and M

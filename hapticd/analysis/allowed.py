@@ -1,22 +1,9 @@
 """What a device withstands: whether displays are safe, by how much, and how far each of K, B and M
 may go.
 
-Three answers to whether an environment of a display (`displays`) is safe:
-
-    theorem     without friction, for every input and every hand: the sampled loop is stable
-                (`loop`), K >= 0, and the device has damping to spare (`theorem`)
-    predicted   with Coulomb friction as it is at a stated perturbation (`predict`), stability
-                included. A motion much larger than that is damped less
-    measured    inside what a bench measured: between the limits of K, B and M on their axes, with
-                the set taken as their hull, sum |q| / limit <= 1. For a rigid device the set is
-                convex (Re Z is affine in K, B, M), and limits on its axes are in it
-
-For the theorem everything that no environment changes is kept for each level, delay and pair of
-filters: what the device is without a law (`theorem.opened`, most of the work), its lift, its
-circles, its tick. Twenty points then cost half a millisecond, nearly all of it eigenvalues.
-
-What is kept of levels is at most LEVELS, evenly up to the ceiling of the circuit, with the level
-that `damping on` means.
+A display (`displays`) is safe if its environment in free space and that in its wall are, by a basis
+(`bases`), at each delay that is judged. How far K, B or M may go is looked for on a grid that gets
+finer towards the display's own value, and then between its last two points at either end.
 
 What would break it: a delay that changes from tick to tick, or a hand that makes and breaks
 contact with the wall in step with its motion: each side is judged for itself, and neither is
@@ -24,260 +11,18 @@ covered.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from functools import lru_cache
 from itertools import product
-from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from hapticd.analysis.arrays import Flags, Floats
+from hapticd.analysis.bases import Basis, Conditions, Reading
 from hapticd.analysis.displays import AXES, Display, Point
-from hapticd.analysis.linearise import Perturbation
-from hapticd.analysis.loop import Filters, Tick, radii, tick_of
-from hapticd.analysis.predict import Prediction, predict
-from hapticd.analysis.theorem import (
-    Circles,
-    Lift,
-    Opened,
-    circles,
-    lift,
-    lifted_worst,
-    opened,
-    within,
-)
-from hapticd.params import MeasuredLevel, MeasuredParams, ModelParams, OutputParams
-from hapticd.plant.blueprint import StateVariable
-from hapticd.plant.model import InputColumns, Model, Output, Outputs, frozen
 
-LEVELS = 16
-_KEPT = 4 * LEVELS  # of lifts, circles and ticks: levels, some delays, filters
 _GRID = 40  # distances at which an axis is looked at, on either side
 _FINER = 9  # values between the last that holds and the first that does not, three times
 _INSIDE = 1e-3  # of an interval: as far inside of its ends as may be needed to be sure
 NONE = np.zeros(0)
-_SLACK = 1e-9  # N s/m: a margin equal to what is asked for is enough
-_BETWEEN = 1e-4  # N s/m by which the worst frequency may lie between two that are looked at
-
-
-class Conditions(NamedTuple):
-    """What one judgement of points holds for."""
-
-    added_ns_per_m: float  # level of active damping
-    filters: Filters
-    delay_periods: float
-    spare_ns_per_m: float  # margin that has to be left
-
-
-class Reading(NamedTuple):
-    """How safe a point is; None where the basis does not say."""
-
-    margin_ns_per_m: float | None  # damping to spare
-    worst_hz: float | None  # where it is least
-    radius: float | None  # spectral radius of a tick
-
-
-class Basis(Protocol):
-    """How it is known whether points are safe."""
-
-    name: str
-
-    def safe(self, points: Floats, at: Conditions) -> Flags:
-        """Whether each of `points` (N, 3) is safe, with the margin asked for."""
-        ...
-
-    def hopeful(self, points: Floats, at: Conditions) -> Flags:
-        """What `safe` says, or where that is much cheaper: whether those of a connected set are
-        safe as soon as one of them is.
-        """
-        ...
-
-    def reading(self, point: Point, at: Conditions) -> Reading:
-        """How safe one point is."""
-        ...
-
-
-class Theorem:
-    """Stable, and passive for every input and hand without friction."""
-
-    name = "theorem"
-
-    def __init__(self, model: Model) -> None:
-        self.model = model
-        self._late: Callable[[float], Model] = lru_cache(LEVELS)(self._delayed)
-        self._opened: Callable[[float], Opened] = lru_cache(LEVELS + 8)(self._open)
-        self._lifted: Callable[[float, Filters, float], Lift] = lru_cache(_KEPT)(self._lift)
-        self._circles: Callable[[Conditions], Circles] = lru_cache(_KEPT)(self._draw)
-        self._read: Callable[[Point, Conditions], Reading] = lru_cache(_KEPT)(self._look)
-        self._ticks: Callable[[float, Filters, float], Tick] = lru_cache(_KEPT)(self._tick)
-
-    def prepare(self, at: Conditions) -> None:
-        """Compute what is kept for these conditions."""
-        self._circles(at)
-        self._ticks(at.added_ns_per_m, at.filters, at.delay_periods)
-
-    def safe(self, points: Floats, at: Conditions) -> Flags:
-        """As `Basis`."""
-        hopeful = self.hopeful(points, at)
-        if hopeful.any():
-            tick = self._ticks(at.added_ns_per_m, at.filters, at.delay_periods)
-            hopeful[hopeful] = radii(tick, points[hopeful]) < 1.0
-        return hopeful
-
-    def hopeful(self, points: Floats, at: Conditions) -> Flags:
-        """Without stability: an eigenvalue that crosses |z| = 1 does so where -1/C = G, inside a
-        circle, so a connected set outside the circles is stable as a whole or not at all.
-        """
-        return np.asarray((points[:, 0] >= 0.0) & within(self._circles(at), points))
-
-    def reading(self, point: Point, at: Conditions) -> Reading:
-        """As `Basis`. The margin of an unstable loop is that of its impedance alone."""
-        return self._read(point, at)
-
-    def _look(self, point: Point, at: Conditions) -> Reading:
-        lifted = self._lifted(at.added_ns_per_m, at.filters, at.delay_periods)
-        tick = self._ticks(at.added_ns_per_m, at.filters, at.delay_periods)
-        kbm = np.array([point])
-        found = lifted_worst(lifted, kbm[0], self.model.rate_hz)
-        return Reading(found.margin_ns_per_m, found.worst_hz, float(radii(tick, kbm)[0]))
-
-    def late(self, delay_periods: float) -> Model:
-        """The device with that delay, the same object each time."""
-        return self._late(delay_periods)
-
-    def _delayed(self, delay_periods: float) -> Model:
-        return replace(self.model, delay_periods=delay_periods)
-
-    def _open(self, level: float) -> Opened:
-        return opened(self.model, level)
-
-    def _lift(self, level: float, filters: Filters, delay_periods: float) -> Lift:
-        return lift(self.late(delay_periods), level, filters, self._opened(level))
-
-    def _draw(self, at: Conditions) -> Circles:
-        lifted = self._lifted(at.added_ns_per_m, at.filters, at.delay_periods)
-        return circles(lifted, at.spare_ns_per_m + _BETWEEN)
-
-    def _tick(self, level: float, filters: Filters, delay_periods: float) -> Tick:
-        return tick_of(self.late(delay_periods), level, filters)
-
-
-class Predicted:
-    """Passive and stable with friction as it is at a perturbation."""
-
-    name = "predicted"
-
-    def __init__(self, theorem: Theorem, perturbation: Perturbation) -> None:
-        self._theorem = theorem
-        self._perturbation = perturbation
-
-    def safe(self, points: Floats, at: Conditions) -> Flags:
-        """As `Basis`."""
-        return self._enough(self._predict(points, at), at)
-
-    def hopeful(self, points: Floats, at: Conditions) -> Flags:
-        """Without stability, for which every friction takes a map of its own."""
-        return self._enough(self._predict(points, at, stability=False), at)
-
-    def reading(self, point: Point, at: Conditions) -> Reading:
-        """As `Basis`; the radius is that with the linearised friction, without it where Re Z
-        decided.
-        """
-        found = self._predict(np.array([point]), at)
-        radius = float(found.spectral_radius[0])
-        return Reading(
-            float(found.margin_ns_per_m[0]),
-            float(found.worst_hz[0]),
-            self._theorem.reading(point, at).radius if np.isnan(radius) else radius,
-        )
-
-    def _predict(self, points: Floats, at: Conditions, stability: bool = True) -> Prediction:
-        return predict(
-            self._theorem.late(at.delay_periods),
-            points,
-            at.added_ns_per_m,
-            at.filters,
-            self._perturbation,
-            stability=stability,
-        )
-
-    @staticmethod
-    def _enough(found: Prediction, at: Conditions) -> Flags:
-        return found.passive & (found.margin_ns_per_m >= at.spare_ns_per_m - _SLACK)
-
-
-class Measured:
-    """Inside the limits that a bench measured, at the level of damping then or more."""
-
-    def __init__(self, measured: MeasuredParams) -> None:
-        self.name = f"measured {measured.file}"
-        self._measured = measured
-
-    def safe(self, points: Floats, at: Conditions) -> Flags:
-        """As `Basis`. A margin in N s/m is not known: none may be asked for."""
-        level = self._level(at.added_ns_per_m)
-        corners = tuple(one.frequency_hz for one in at.filters if one is not None)
-        if level is None or at.spare_ns_per_m > 0.0 or corners != self._measured.corners_hz:
-            return np.zeros(len(points), np.bool_)
-        high = (level.stiffness_n_per_m, level.damping_high_ns_per_m, level.mass_high_kg)
-        low = (0.0, level.damping_low_ns_per_m, level.mass_low_kg)
-        ends = np.where(points >= 0.0, high, low)
-        shares = np.divide(points, ends, out=np.full(points.shape, np.inf), where=ends != 0.0)
-        shares[points == 0.0] = 0.0
-        return np.asarray(shares.sum(axis=1) <= 1.0)
-
-    def hopeful(self, points: Floats, at: Conditions) -> Flags:
-        """As `safe`."""
-        return self.safe(points, at)
-
-    def reading(self, point: Point, at: Conditions) -> Reading:
-        """As `Basis`: limits say nothing of how far inside a point is."""
-        return Reading(None, None, None)
-
-    def _level(self, added_ns_per_m: float) -> MeasuredLevel | None:
-        below = [
-            one
-            for one in self._measured.levels
-            if one.damping_ns_per_m <= added_ns_per_m * (1.0 + 1e-3) + 1e-6
-        ]
-        return below[-1] if below else None
-
-
-def model_of(params: ModelParams) -> Model:
-    """The model of these numbers, as far as judgements need it."""
-
-    def output(of: OutputParams) -> Output:
-        return Output("", *(frozen(np.array(row)) for row in (of.c0, of.c1, of.d0, of.d1)))
-
-    seen = {
-        name: output(getattr(params, name))
-        for name in ("encoder", "position", "velocity", "recorded_velocity", "recorded_travel")
-    }
-    impulse = None if params.recorded_impulse is None else output(params.recorded_impulse)
-    return Model(
-        name=params.name,
-        rate_hz=params.rate_hz,
-        delay_periods=params.delay_periods,
-        states=tuple(StateVariable(name, "", "") for name in params.states),
-        a0=frozen(np.array(params.a0)),
-        a1=frozen(np.array(params.a1)),
-        b0=frozen(np.array(params.b0)),
-        b1=frozen(np.array(params.b1)),
-        inputs=InputColumns(params.command, params.torque, len(params.b0[0])),
-        outputs=Outputs(
-            **seen,
-            recorded_impulse=impulse,
-            motor_force=seen["velocity"],  # not asked by any judgement
-            estimate=seen["velocity"],
-        ),
-        contacts=params.contacts,
-    )
-
-
-def cached_levels(ceiling_ns_per_m: float, added_ns_per_m: float) -> tuple[float, ...]:
-    """At most LEVELS levels of active damping from 0 to the ceiling, with that of `damping on`."""
-    even = np.linspace(0.0, ceiling_ns_per_m, LEVELS - 1).tolist()
-    return tuple(sorted({*even, min(added_ns_per_m, ceiling_ns_per_m)}))
 
 
 class Judgement:

@@ -1,9 +1,9 @@
 """The guard's judge: the requests of the gateway to the guard's worker, and their answers.
 
 `Judge` answers plain maps with plain maps (docs/guard.md). A `change` is judged where it leads to
-and at most 20 points of the way there (`ways`), in free space and in contact, by the basis asked
-for (`allowed`); what is done with it is the policy's (`policies`). A `look` tells of the display in
-force, a `hand` names the passive hand that shakes one.
+and at most 20 points of the way there (`ways`), in free space and in contact (`allowed`), by the
+basis asked for (`bases`); what is done with it is the policy's (`policies`). A `look` tells of the
+display in force, a `hand` names the passive hand that shakes one.
 
 What would break it: answering from anything but the request and the setup; the same request has the
 same answer, and tests and lock-step flights rely on it.
@@ -14,15 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.allowed import (
-    Basis,
-    Conditions,
-    Judgement,
-    Measured,
-    Predicted,
-    Theorem,
-    model_of,
-)
+from hapticd.analysis.allowed import Judgement
+from hapticd.analysis.bases import Basis, Conditions, Measured, Predicted, Theorem, model_of
 from hapticd.analysis.coupled import coupled_radius, shaking_hand
 from hapticd.analysis.displays import Display, Point, display_of
 from hapticd.analysis.linearise import Perturbation

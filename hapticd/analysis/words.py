@@ -8,7 +8,8 @@ promises (NOT_COVERED) beside it.
 from collections.abc import Sequence
 from typing import Any
 
-from hapticd.analysis.allowed import Judgement, Reading, cached_levels
+from hapticd.analysis.allowed import Judgement
+from hapticd.analysis.bases import Reading, cached_levels
 from hapticd.analysis.coupled import Hand
 from hapticd.analysis.displays import Display, plain_of
 from hapticd.params import GuardSetup
