@@ -2,10 +2,12 @@
 
 from typing import Any
 
+import numpy as np
 import pytest
 from guard_device import FREE, change, rigid, rigid_judge, setup_of, shipped_judge
 
 from hapticd.analysis import policies
+from hapticd.analysis.coupled import coupled_radius, shaking_hand
 from hapticd.analysis.judge import Judge
 from hapticd.analysis.ways import POINTS
 from hapticd.errors import AnalysisError
@@ -284,3 +286,17 @@ def test_hand_is_put_into_words() -> None:
     assert f"{hand['hz']:.3g} Hz" in hand["text"]
     safe = shipped_judge().answer(asked | {"display": FREE})
     assert safe == {"n": 3, "hand": None}
+
+
+def test_hand_that_is_named_shakes_harder_than_the_one_where_growth_was_guessed() -> None:
+    display = FREE | {"K": 500.0, "B": 2.0}
+    judge = shipped_judge()
+    asked = {"ask": "hand", "n": 3, "display": display, "delay_periods": None}
+    hand = judge.answer(asked)["hand"]
+    verdict = change(judge, {"K": 500.0, "B": 2.0}, policy="warn")["verdict"]
+    assert hand["hz"] == pytest.approx(verdict["worst_hz"], rel=0.01)
+    assert judge.theorem is not None
+    model = judge.theorem.late(judge.theorem.model.delay_periods)
+    guessed, _ = shaking_hand(model, (500.0, 2.0, 0.0)) or pytest.fail("no hand")
+    weaker = coupled_radius(model, np.array([[500.0, 2.0, 0.0]]), [guessed])[0, 0]
+    assert hand["radius"] > weaker > 1.0

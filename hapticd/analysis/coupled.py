@@ -248,9 +248,10 @@ def shaking_hand(
     damping_ns_per_m: float = 0.0,
     filters: Filters = PAPER_FILTERS,
     friction_ns_per_m: float = 0.0,
+    at_hz: float | None = None,
 ) -> tuple[Hand, float] | None:
-    """A hand in which (K, B, M) oscillates, and about where [Hz], namely where the motion grows
-    fastest; None if no hand can do it.
+    """A hand in which (K, B, M) oscillates, and about where [Hz]: near `at_hz`, or where what is
+    missing of damping should let the motion grow fastest; None if no hand can do it there.
 
     The hand has no loss: a mass, or a spring to the wall, that reaches the rim of the circle there,
     and a small tuned mass for each of eight images. Above a quarter of the servo's rate, where more
@@ -261,7 +262,10 @@ def shaking_hand(
     kbm = environments(np.atleast_2d(np.asarray(point, np.float64)))[0]
     short = -_outside(lifted, kbm, friction_ns_per_m)
     # a margin of so many radii lets the motion grow the faster, the higher the frequency
-    at = int(np.argmax(np.where(ANGLES < _LAST, short * ANGLES, -np.inf)))
+    wanted = short * ANGLES
+    if at_hz is not None:
+        wanted = -np.abs(ANGLES - 2.0 * np.pi * at_hz / model.rate_hz)
+    at = int(np.argmax(np.where(ANGLES < _LAST, wanted, -np.inf)))
     if short[at] <= 0.0:
         return None
     w = (ANGLES[at] + 2.0 * np.pi * _IMAGES) * model.rate_hz

@@ -20,6 +20,7 @@ from hapticd.analysis.coupled import coupled_radius, shaking_hand
 from hapticd.analysis.displays import Display, Point, display_of
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.policies import MODES, POLICIES, answer_change
+from hapticd.analysis.theorem import lift, lifted_worst
 from hapticd.analysis.words import Verdicts, in_words, sentence
 from hapticd.errors import AnalysisError
 from hapticd.params import GuardSetup
@@ -113,27 +114,34 @@ class Judge:
         display = display_of(request["display"], self.setup.environment)
         model = self.theorem.late(self._delay(request.get("delay_periods")))
         found = [
-            self._shaker(model, point, display, in_wall=place == 1)
+            self._shakers(model, point, display, in_wall=place == 1)
             for place, point in enumerate(display.points())
             if point[0] >= 0.0
         ]
-        hands = [one for one in found if one is not None]
+        hands = [one for ones in found for one in ones]
         return {"hand": max(hands, key=lambda one: float(one["radius"]), default=None)}
 
     @staticmethod
-    def _shaker(
+    def _shakers(
         model: Model, point: Point, display: Display, in_wall: bool
-    ) -> dict[str, Any] | None:
+    ) -> list[dict[str, Any]]:
+        """Hands that shake it: where the motion should grow fastest, and where the most damping is
+        missing, for neither is always the one that shakes it hardest.
+        """
         level = display.added_ns_per_m
-        found = shaking_hand(model, point, level, display.filters)
-        if found is None:
-            return None
-        hand, hz = found
+        filters = display.filters
         at = np.array([point])
-        radius = float(coupled_radius(model, at, [hand], level, display.filters)[0, 0])
-        if radius <= _GROWS:
-            return None
-        return in_words(hand, hz, in_wall) | {"hz": hz, "radius": radius}
+        worst = lifted_worst(lift(model, level, filters), at[0], model.rate_hz)
+        found: list[dict[str, Any]] = []
+        for at_hz in (None, worst.worst_hz):
+            shaker = shaking_hand(model, point, level, filters, at_hz=at_hz)
+            if shaker is None:
+                continue
+            hand, hz = shaker
+            radius = float(coupled_radius(model, at, [hand], level, filters)[0, 0])
+            if radius > _GROWS:
+                found.append(in_words(hand, hz, in_wall) | {"hz": hz, "radius": radius})
+        return found
 
     # --- what it is made of -----------------------------------------------------------------------
 
