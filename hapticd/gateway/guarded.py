@@ -277,28 +277,34 @@ class Guarded:
         case.policy = guard.policy
         case.ahead = len(before)
         case.revision = guard.in_force.revision
-        case.number = guard.ask(
-            {
-                "ask": "change",
-                "now": guard.in_force.now(),
-                "target": guard.in_force.target(),
-                "state": self._view.state_name,
-                "gain": float(self._view.record["gain"]),
-                "enable": isinstance(case.request, Enable),
-                "change": change_of(case.request, guard.in_force.level),
-                "before": before,
-                "after": [one.change for one in booked[len(before) :]],
-                "policy": case.policy,
-                "basis": guard.basis,
-                "margin_ns_per_m": guard.margin_ns_per_m,
-                "mode": "auto" if self._auto(case) else "off",  # a level is in the change
-                "level": guard.in_force.level,
-                "delay_periods": guard.delay_periods,
-                "ramp_s": ramp_s(case.request, self._view.params.safety.default_ramp_s),
-            },
-            now_ns,
-        )
+        after = [one.change for one in booked[len(before) :]]
+        question = self._question(case, before, after)
+        case.number = guard.ask(question, now_ns)
         self._asked = case
+
+    def _question(
+        self, case: Case, before: list[dict[str, Any]], after: list[dict[str, Any]]
+    ) -> dict[str, Any]:
+        """What the worker is asked about `case`, with what is scheduled before and after it."""
+        guard = self._guard
+        return {
+            "ask": "change",
+            "now": guard.in_force.now(),
+            "target": guard.in_force.target(),
+            "state": self._view.state_name,
+            "gain": float(self._view.record["gain"]),
+            "enable": isinstance(case.request, Enable),
+            "change": change_of(case.request, guard.in_force.level),
+            "before": before,
+            "after": after,
+            "policy": case.policy,
+            "basis": guard.basis,
+            "margin_ns_per_m": guard.margin_ns_per_m,
+            "mode": "auto" if self._auto(case) else "off",  # a level is in the change
+            "level": guard.in_force.level,
+            "delay_periods": guard.delay_periods,
+            "ramp_s": ramp_s(case.request, self._view.params.safety.default_ramp_s),
+        }
 
     def _hear(self, case: Case, now_ns: int, idle: bool) -> None:
         """Act on the verdict for `case` once it is there and nothing else is on its way."""
