@@ -11,19 +11,12 @@ What changes the environment goes past the guard first (`guarded`), which asks a
 else is posted at once. Commands that were posted are kept by servo life and sequence number until
 they are answered and seen in force (`Outstanding`); scheduled ones wait for their second answer.
 
-A perturbation waveform comes in chunks that follow each other (a message holds 64 kB), is converted
-from newtons into counts of the board's probe converter and written to the shared segment only while
-nothing is played from it.
-
 What would break it: a request that is forgotten (each has a deadline), or a reply that repeats what
 a client sent (it holds nothing foreign but a bounded id and a few printable characters).
 """
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
 
 from hapticd.errors import CommandError, MailboxError
 from hapticd.gateway.case import Case, concerns, damping_by
@@ -60,17 +53,16 @@ from hapticd.gateway.schemas import (
     LeaseRequest,
     Perturb,
     Request,
-    invalid,
     json_schema,
 )
 from hapticd.gateway.stages import Told
 from hapticd.gateway.view import ServoView
+from hapticd.gateway.waveform import Waveform
 from hapticd.mailbox.client_side import Answer
-from hapticd.mailbox.layout import PERTURBATION_SAMPLES, Command, Result, Value, values_of
+from hapticd.mailbox.layout import Command, Result, Value, values_of
 from hapticd.mailbox.stop_word import press_stop
 from hapticd.params import LeaseParams
-from hapticd.units import NS_PER_S, PROBE_RATE_HZ
-from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
+from hapticd.units import NS_PER_S
 
 
 class RequestMessage(NamedTuple):
@@ -202,85 +194,6 @@ def _is_due(pending: Pending, tick: int, now_ns: int) -> bool:
     return answered or now_ns >= pending.deadline_ns
 
 
-class Waveform:
-    """How much of a waveform is loaded. A new servo life begins with none."""
-
-    def __init__(self, limits: CommandLimits) -> None:
-        self._limits = limits
-        self._life = 0
-        self._samples = 0
-        self._actor = 0
-
-    def samples(self, view: ServoView) -> int:
-        """Samples that are loaded in the present servo life."""
-        return self._samples if view.life == self._life else 0
-
-    def load(self, request: Perturb, view: ServoView, actor: int) -> int:
-        """Append the chunk of `request` by `actor`; samples loaded by now.
-
-        CommandError (`invalid`, `refused`): nothing changed.
-        """
-        if view.mailbox is None:
-            why = view.trouble if view.foreign else "no servo runs; start it with `hapticd run`"
-            raise CommandError("servo_down", f"perturb load: {why}")
-        loaded = self.samples(view)
-        force_n = samples_n(request.samples_n)
-        if request.offset not in (0, loaded):
-            raise CommandError(
-                "refused",
-                f"offset = {request.offset} samples: {loaded} are loaded; send the chunks in order",
-            )
-        total = request.offset + len(force_n)
-        if total > PERTURBATION_SAMPLES:
-            limit = f"{PERTURBATION_SAMPLES} samples ({PERTURBATION_SAMPLES / PROBE_RATE_HZ:.0f} s)"
-            reason = (
-                f"samples_n: {total} samples are beyond the limit {limit}; shorten it or play it in"
-                " a loop"
-            )
-            raise invalid([{"loc": "samples_n", "msg": reason}])
-        if request.offset and actor != self._actor:
-            raise CommandError(
-                "refused",
-                f"offset = {request.offset} samples: another client's are loaded; begin with"
-                " offset 0",
-            )
-        self._check(force_n, request.offset)
-        to_count = view.params.device.probe_torque.to_count
-        for place, value in enumerate(force_n.tolist(), request.offset):
-            view.mailbox.waveform[place] = to_count(value, I16_LOWEST, I16_HIGHEST)
-        self._life = view.life
-        self._samples = total
-        self._actor = actor
-        return total
-
-    def _check(self, force_n: NDArray[np.float64], offset: int) -> None:
-        limit = self._limits.of["samples_n"]
-        # not `<` or `>`: NaN must be found too
-        wrong = np.flatnonzero(~((force_n >= limit.low) & (force_n <= limit.high)))
-        if wrong.size:
-            first = int(wrong[0])
-            message = self._limits.complaint(
-                "samples_n", float(force_n[first]), f"samples_n[{offset + first}]"
-            )
-            raise invalid([{"loc": f"samples_n.{offset + first}", "msg": message}])
-
-
-def samples_n(sent: list[float] | bytes) -> NDArray[np.float64]:
-    """Force samples [N], float64 (n,), from a list of numbers or little-endian float32 bytes.
-
-    CommandError `invalid`.
-    """
-    if isinstance(sent, bytes):
-        if len(sent) % 4:
-            reason = (
-                f"samples_n has {len(sent)} bytes: not whole little-endian float32; send 4 bytes a"
-                " sample"
-            )
-            raise invalid([{"loc": "samples_n", "msg": reason}])
-        return np.frombuffer(sent, "<f4").astype(np.float64)
-    return np.array(sent, np.float64)
-
-
 ANSWER_TIMEOUT_NS = NS_PER_S
 TAKEN_BACK = {
     "enable": Command.DISABLE,
@@ -304,6 +217,7 @@ MOST_QUEUED = 100  # requests that wait for their turn
 TOO_MANY = CommandError(
     "busy", f"{MOST_QUEUED} requests wait for the gateway already; slow down and ask again"
 )
+OUTDATED = "the gateway stood still for more than 1 s and drops what came meanwhile; ask again"
 SERVO_ENDED = CommandError(
     "servo_down", "the servo ended before it answered; when it starts anew it is disabled"
 )
@@ -420,11 +334,7 @@ class Desk:
             if message.cmd == "stop":
                 return self._stop(message, actor, now_ns)
             if outdated:
-                reason = (
-                    "the gateway stood still for more than 1 s and drops what came meanwhile; ask"
-                    " again"
-                )
-                raise CommandError("timeout", f"{message.cmd}: {reason}")
+                raise CommandError("timeout", f"{message.cmd}: {OUTDATED}")
             situation = Situation(
                 self.limits, self._view, not self.waiting, self._waveform.samples(self._view),
                 self.leases,
