@@ -72,6 +72,17 @@ def test_clamp_goes_as_far_as_the_first_exit() -> None:
     assert not change(judge, {"K": 1.02 * given})["verdict"]["safe"]
 
 
+def test_clamped_damping_goes_to_the_first_exit_and_not_to_a_kept_level() -> None:
+    """Also when it stands at a kept level already: what is left of the way is not nothing."""
+    judge = shipped_judge()
+    shown = {"K": 500.0, "B": 2.0}
+    for present in (1.74, 1.43):
+        answer = change(judge, {"damping": 0.0}, policy="clamp", now=shown | {"damping": present})
+        given = answer["verdict"]["given"]["damping"]
+        assert change(judge, {}, now=shown | {"damping": given})["verdict"]["safe"]
+        assert not change(judge, {}, now=shown | {"damping": given - 0.03})["verdict"]["safe"]
+
+
 def test_what_a_clamp_leaves_is_judged_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """A clamp that is too generous gives nothing."""
     monkeypatch.setattr(policies, "_largest", lambda holds, shares: 0.9)

@@ -35,7 +35,7 @@ EVENT = {
 }
 SAYS = [
     "allowed, each with the others as asked: K 0 to 320 N/m, B -0.5 to 1.25 N s/m",
-    "least active damping that would do: 1.43 N s/m",
+    "least level of active damping tried that would do: 1.43 N s/m",
     EVENT["text"],
 ]
 GUARD = {

@@ -670,6 +670,26 @@ def test_auto_chooses_anew_by_itself(rig: DeskRig, worker: StubWorker) -> None:
     assert len(rig.servo.taken) == taken  # nothing is posted while nothing changes
 
 
+def test_damping_off_ends_auto_before_its_verdict_is_there(
+    rig: DeskRig, worker: StubWorker
+) -> None:
+    level = {"action": "apply", "stages": [stage({"damping": 0.7})], "verdict": verdict()}
+    worker.script = lambda asked: level if asked["ask"] == "change" else None
+    rig.ask(cmd="damping", value="auto")
+    for _ in range(45):
+        rig.run(100)
+    assert rig.servo.values[Value.ADDED_DAMPING_ON] == 1.0
+    # over what was asked it thinks, over a level of mode auto it does not
+    worker.script = lambda asked: level if asked.get("mode") == "auto" else None
+    rig.send(packed(cmd="damping", value="off"))
+    rig.run(3)
+    assert rig.servo.values[Value.ADDED_DAMPING_ON] == 0.0
+    for _ in range(60):
+        rig.run(100)
+    assert rig.servo.values[Value.ADDED_DAMPING_ON] == 0.0
+    assert rig.ask(cmd="guard")["result"]["mode"] == "off"
+
+
 def test_auto_takes_nothing_back_from_the_energy_controller(
     rig: DeskRig, worker: StubWorker
 ) -> None:

@@ -21,6 +21,7 @@ follow leaves is a plan of its own, and is judged again.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from math import ceil
 from typing import Any, get_args
 
 import numpy as np
@@ -43,6 +44,7 @@ POLICIES: tuple[str, ...] = get_args(Policy)
 MODES: tuple[str, ...] = get_args(DampingMode)
 _HALVINGS = 12  # of the way between the last safe point and the first that is not
 _SHARES = 41  # of the environment that `follow` looks at
+_LEVEL_HALVINGS = 6  # between two kept levels: to some hundredths of N s/m
 _LEAST_MOVE = 1e-3  # of the way: a clamp to less moves nothing
 _WORSE = 1e-9  # a rounding is not worse
 
@@ -298,10 +300,30 @@ class _Judged(_Asked):
         for stage in self.plans[0].stages:
             leg = self.way.plan([*kept, stage]).legs[-1]
             share = self._exit(leg)
-            if share >= _LEAST_MOVE:
-                end = between(leg.under_way, leg.end, share, self.levels)
-                kept.append(stage._replace(change=fields_of(stage.change, end)))
+            end = between(leg.under_way, leg.end, share, self.levels)
+            lower = self._lowered(leg.end.added_ns_per_m, end)
+            if share >= _LEAST_MOVE or lower != end:
+                kept.append(stage._replace(change=fields_of(stage.change, lower)))
         return kept
+
+    def _lowered(self, asked_ns_per_m: float, end: Display) -> Display:
+        """`end` with its damping as near to the lower one that is asked as is safe, rounded up to a
+        count: the kept levels lie some tenths of N s/m apart.
+        """
+        safe = end.added_ns_per_m
+        unsafe = max((one for one in self.levels if one < safe), default=0.0)
+        unsafe = max(unsafe, asked_ns_per_m)
+        if unsafe >= safe:
+            return end
+        for _ in range(_LEVEL_HALVINGS):
+            middle = 0.5 * (safe + unsafe)
+            if self.judgement.safe([end._replace(added_ns_per_m=middle)])[0]:
+                safe = middle
+            else:
+                unsafe = middle
+        count = self.way.request.count_ns_per_m
+        counted = ceil(safe / count) * count if count > 0.0 else safe
+        return end._replace(added_ns_per_m=min(counted, end.added_ns_per_m))
 
     def _exit(self, leg: Leg) -> float:
         """The share of a leg up to which all of it is safe."""

@@ -111,7 +111,7 @@ def verdict_lines(verdict: dict[str, Any]) -> list[str]:
         lines.append("no K, B or M alone would do, with the others as asked")
     least = verdict.get("least_damping_ns_per_m")
     if least is not None:
-        lines.append(f"least active damping that would do: {least:.4g} N s/m")
+        lines.append(f"least level of active damping tried that would do: {least:.4g} N s/m")
     elif allowed and verdict["safe"] is False:
         lines.append("no active damping of this device would do")
     return lines

@@ -405,6 +405,8 @@ class Guarded:
         """What the servo's `answer` to the last stage of `case` means; None: more is to come."""
         if case is self._beside and answer.result is Result.APPLIED:
             case.held = answer
+            # in force, whatever its verdict: mode auto must not choose again meanwhile
+            self._guard.auto = self._auto(case)
             return None
         if answer.result is Result.SCHEDULED:
             change = change_of(case.request, self._guard.in_force.level)
