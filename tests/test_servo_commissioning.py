@@ -16,7 +16,7 @@ from hapticd.gateway.limits import CommandLimits
 from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import COMMISSIONING, Command, Result, State, Value
 from hapticd.params import EnvironmentParams, HomeParams, ScaleParams, WorkspaceParams
-from hapticd.servo.commissioning import Push, due, followed
+from hapticd.servo.commissioning import Push, followed, push_ended
 from hapticd.servo.plan import flatten, unflatten
 
 FAULT = BY_CODE["commissioning"].number
@@ -124,8 +124,8 @@ def test_a_wrong_sign_ends_the_push_within_20_ms_of_its_work_against_the_force()
 def test_a_push_ends_after_20_s():
     params = unverified()
     push = followed(Push(), 0.0, 0.1, 1000, params)
-    assert not due(push, 21_000, params)
-    assert due(push, 21_001, params) == FAULT
+    assert not push_ended(push, 21_000, params)
+    assert push_ended(push, 21_001, params) == FAULT
 
 
 def test_a_push_against_a_stop_and_a_perturbation_are_no_fault():
@@ -140,9 +140,9 @@ def test_work_done_with_the_force_does_not_pay_for_work_against_it():
     params = unverified()
     push = followed(Push(), 0.0, 0.8, 0, params)
     push = followed(push, 0.005, 0.8, 1, params)
-    assert not due(push, 1, params)
+    assert not push_ended(push, 1, params)
     push = followed(push, 0.0044, 0.8, 2, params)
-    assert due(push, 2, params) == FAULT
+    assert push_ended(push, 2, params) == FAULT
 
 
 def test_a_verified_device_is_not_watched():

@@ -13,8 +13,8 @@ force is a tenth of the device's (`ServoParams.force_limit_n`), K, B and M have 
 
 The work against the force is counted from where it was least, so what was done with the force
 before does not pay for it. A hand that presses a spring or moves through a damper looks just like
-a wrong sign, and ends the force within a millimetre too: commissioning is for
-pushes. Positions are those that the law believed, at most a tick old.
+a wrong sign, and ends the force within a millimetre too: commissioning is for pushes. Positions are
+those that the law believed, at most a tick old.
 
 What would break it: a change of the origin under force (only `zero` does that, and it is refused).
 """
@@ -51,7 +51,7 @@ def followed(push: Push, x: float, force_n: float, tick: int, params: ServoParam
     return push._replace(last_m=x, against_j=against_j, most_n=most_n)
 
 
-def due(push: Push, tick: int, params: ServoParams) -> int:
+def push_ended(push: Push, tick: int, params: ServoParams) -> int:
     """Number of the fault that ends `push` at `tick`, 0: none."""
     if push.start_tick < 0:
         return 0

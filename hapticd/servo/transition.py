@@ -32,8 +32,7 @@ from hapticd.render.law import (
 )
 from hapticd.render.ramp import Ramp, constant
 from hapticd.servo.commands import Now, apply_settings, enter, obey
-from hapticd.servo.commissioning import due as push_ended
-from hapticd.servo.commissioning import followed
+from hapticd.servo.commissioning import followed, push_ended
 from hapticd.servo.compensation import compensated
 from hapticd.servo.easing import eased
 from hapticd.servo.energy_controller import controlled
