@@ -21,7 +21,7 @@ from hapticd.analysis.verdict import student_quantile
 from hapticd.client.client import Client
 from hapticd.rig.link import require_disabled
 from hapticd.rig.records import collect, counts_of
-from hapticd.rig.result import Change, Finding, StepResult, Value, rounded
+from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, rounded
 
 Ask = Callable[[str], None]  # says what a person is to do, and returns once it is done
 
@@ -29,7 +29,6 @@ REST_S = 2.0
 MOVE_S = 5.0
 HOLD_S = 0.5
 REPEATS = 3
-PROBABILITY = 0.975
 LEAST_COUNTS = 100.0  # of any motion that says something
 QUIET_COUNTS = 4.0  # peak to peak at rest
 LOW_BITS = 3
@@ -80,7 +79,9 @@ def concluded(arrays: dict[str, Floats], distance: Distance, m_per_count: float)
     """What counts at rest (n,), during the motion (m,) and of the steps from A to B (k,) say, with
     the `m_per_count` of the device file.
     """
-    rest, moving, steps = arrays["rest"], arrays["moving"], arrays["steps"]
+    rest = arrays["rest"]
+    moving = arrays["moving"]
+    steps = arrays["steps"]
     went = float(np.median(moving[-len(moving) // 10 :]) - moving[0])
     findings = [*_at_rest(rest), *_moving(moving, went), *_steps(steps, went)]
     values = [_noise(rest)]
@@ -101,11 +102,11 @@ def scale_of(steps: Floats, distance: Distance) -> Value:
     """m per count, from the counts (k,) of k times the same distance, k at least 2."""
     sizes = np.abs(steps)
     mean = float(sizes.mean())
-    by_hand = student_quantile(PROBABILITY, len(sizes) - 1) * float(sizes.std(ddof=1))
+    by_hand = student_quantile(UPPER_END, len(sizes) - 1) * float(sizes.std(ddof=1))
     relative = hypot(by_hand / sqrt(len(sizes)) / mean, distance.tolerance_m / distance.metres)
     value = distance.metres / mean
-    low, high = value * (1.0 - relative), value * (1.0 + relative)
-    return Value("position.m_per_count", value, "m", low, high)
+    half = relative * value
+    return Value("position.m_per_count", value, "m", value - half, value + half)
 
 
 def _noise(rest: Floats) -> Value:

@@ -30,13 +30,12 @@ from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.errors import CommandError
 from hapticd.rig.records import collect
-from hapticd.rig.result import Finding, StepResult, Value, Verdict
+from hapticd.rig.result import UPPER_END, Finding, StepResult, Value, Verdict
 from hapticd.units import NS_PER_US, US_PER_S
 
 SECONDS = 10.0
 BLOCKS = 10
 LEAST_TICKS = 100  # for any of it
-PROBABILITY = 0.975
 MOST_DELAY = 1.0  # periods: above it stability suffers more than a faster rate would bring
 MOST_SPREAD = 0.05  # of a period
 MOST_DRIFT_PPM = 200.0  # beyond any crystal
@@ -127,7 +126,7 @@ def drift_of(time_ns: Any, board_us: Any) -> Value:
     left = [slope_of(np.delete(host_us, one), np.delete(ahead_us, one)) for one in blocks]
     whole = slope_of(host_us, ahead_us)
     deviation = sqrt(BLOCKS - 1) * float(np.std(left))
-    half = student_quantile(PROBABILITY, BLOCKS - 1) * deviation
+    half = student_quantile(UPPER_END, BLOCKS - 1) * deviation
     ppm = 1e6
     return Value("clock drift", whole * ppm, "ppm", (whole - half) * ppm, (whole + half) * ppm)
 

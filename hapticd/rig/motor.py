@@ -37,7 +37,8 @@ from hapticd.rig.encoder import Ask
 from hapticd.rig.link import require_disabled
 from hapticd.rig.push import Pushed, push, ready, wall_of
 from hapticd.rig.records import collect
-from hapticd.rig.result import Change, Finding, StepResult, Value, rounded
+from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, rounded
+from hapticd.wire.codec import I16_HIGHEST
 
 PUSH_S = 0.02
 FIRST_SHARE = 0.05  # of the force that is allowed
@@ -46,7 +47,6 @@ MOVED_M = 1e-4
 STILL_M = 2e-5
 STILL_S = 0.2
 STILL_LOOKS = 25  # 5 s
-PROBABILITY = 0.975
 GRAVITY_M_PER_S2 = 9.80665
 SAG_M = 2e-3  # of the spring under the heaviest mass
 STIFFEST_N_PER_M = 500.0
@@ -230,7 +230,7 @@ def concluded(
     unequal = REPEATS * friction
     slope_half = hypot(line.slope_half, unequal / float(np.ptp(weights_n)))
     relative = hypot(slope_half / abs(line.slope), masses.tolerance)
-    full_n = 32767.0 * float(force["per_count"])
+    full_n = I16_HIGHEST * float(force["per_count"])
     gain = Value(
         "force.full_scale_n",
         scale * full_n,
@@ -273,7 +273,7 @@ def fitted(x: Floats, y: Floats) -> Line:
     residuals = y - y.mean() - slope * away
     freedom = len(x) - 2
     deviation = sqrt(float(residuals @ residuals) / freedom)
-    quantile = student_quantile(PROBABILITY, freedom)
+    quantile = student_quantile(UPPER_END, freedom)
     return Line(
         slope,
         quantile * deviation / sqrt(power),

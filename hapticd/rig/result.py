@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 Verdict = Literal["ok", "warning", "refused", "not done"]
+UPPER_END = 0.975  # share of a distribution below the upper end of its 95 % interval
 Scalar = bool | int | float | str
 
 
