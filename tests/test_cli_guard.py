@@ -15,6 +15,7 @@ from test_cli_process import Daemon, until
 
 from hapticd.cli import guard as guard_verb
 from hapticd.cli.app import main
+from hapticd.cli.change import receipt_text
 from hapticd.client import Client, Receipt
 from hapticd.errors import CommandError
 
@@ -217,3 +218,13 @@ def test_worker_that_hangs_holds_up_no_stop_and_is_replaced(daemon: Daemon) -> N
         assert client.stop().state == "stopped"
         until(lambda: client.guard()["pid"] not in (None, worker), "the next worker")
         assert not Path(f"/proc/{worker}").exists()
+
+
+def test_receipt_of_a_change_in_stages_says_where_it_leads() -> None:
+    given = {"K": 500.0, "B": 2.0, "M": 0.0, "damping": 1.74}
+    verdict = {**VERDICT, "safe": True, "margin_ns_per_m": 0.367, "given": given}
+    now = {"K": 100.0, "B": 1.0, "M": 0.0, "damping": 1.74}
+    receipt = Receipt("staged", "enabled", 5, 900, 900, now, verdict)
+    text = receipt_text(receipt)
+    assert "K 100 N/m" in text
+    assert text.index("on the way to K 500 N/m, B 2 N s/m") < text.index("0.367 N s/m to spare")

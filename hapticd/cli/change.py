@@ -124,10 +124,17 @@ def receipt_text(receipt: "Receipt") -> str:
     when = f"{receipt.result} at tick {receipt.first_tick}"
     if receipt.ramp_end_tick > receipt.first_tick:
         when += f", ramp ends at tick {receipt.ramp_end_tick}"
-    values = dict(parameters(receipt.effective))
-    names = {"K": "K", "B": "B", "M": "M", "damping": "active damping"}
-    shown = ", ".join(f"{names[name]} {values[name]}" for name in names if name in values)
+    shown = _shown(receipt.effective)
+    if receipt.result == "staged" and receipt.guard:
+        shown += f"; on the way to {_shown(receipt.guard['given'])}"
     return f"{receipt.state}: {when}, revision {receipt.revision}: {shown}{_margin(receipt.guard)}"
+
+
+def _shown(table: dict[str, Any]) -> str:
+    """K, B, M and active damping of parameters in the shape of a `set`."""
+    values = dict(parameters(table))
+    names = {"K": "K", "B": "B", "M": "M", "damping": "active damping"}
+    return ", ".join(f"{names[name]} {values[name]}" for name in names if name in values)
 
 
 def _margin(verdict: dict[str, Any] | None) -> str:
