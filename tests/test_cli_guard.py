@@ -173,6 +173,12 @@ def insisting(ask: Callable[[], Receipt]) -> Receipt:
     return until(once, "a verdict")
 
 
+def other(client: Client, worker: int) -> int | None:
+    """The worker that serves, once it is another one than `worker`."""
+    found = client.guard()
+    return found["pid"] if found["worker"] == "up" and found["pid"] != worker else None
+
+
 @pytest.mark.process
 def test_refused_change_names_its_hand_and_a_killed_worker_comes_back(daemon: Daemon) -> None:
     with Client(daemon.instance, folder=daemon.folder) as client:
@@ -192,12 +198,9 @@ def test_refused_change_names_its_hand_and_a_killed_worker_comes_back(daemon: Da
         assert verdict["radius"] >= 1.0 or found["hand"]["radius"] > 1.0
         worker = client.guard()["pid"]
         os.kill(worker, signal.SIGKILL)
-        until(lambda: client.guard()["worker"] != "up", "the worker's end")
-        assert refused(client)["safe"] is None
+        assert refused(client)["safe"] is not True  # by nobody, or by the next one already
         assert client.get()["parameters"]["damping"] > 0.0
-        until(lambda: client.guard()["worker"] == "up", "the next worker")
-        last = client.guard()["pid"]
-        assert last != worker
+        last = until(lambda: other(client, worker), "the next worker")
         judged(client)
         assert client.stop().state == "stopped"
     os.kill(daemon.children()["gateway"], signal.SIGKILL)
@@ -216,7 +219,7 @@ def test_worker_that_hangs_holds_up_no_stop_and_is_replaced(daemon: Daemon) -> N
         assert caught.value.guard is not None
         assert caught.value.guard["basis"] == "unknown"
         assert client.stop().state == "stopped"
-        until(lambda: client.guard()["pid"] not in (None, worker), "the next worker")
+        until(lambda: other(client, worker), "the next worker")
         assert not Path(f"/proc/{worker}").exists()
 
 
