@@ -298,7 +298,9 @@ def test_empty_board_answers_every_write() -> None:
 
 def test_only_takes_commas_and_blanks() -> None:
     assert run.chosen("wake,tick") == run.chosen(" wake tick ") == ["wake", "tick"]
-    assert run.chosen("") == list(run.PARTS)
+    assert run.chosen("") == [part for part in run.PARTS if part not in run.BY_NAME]
+    assert run.chosen("guard_attack") == ["guard_attack"]
+    assert set(run.PARTS) > run.BY_NAME
     assert run.chosen("new") == [part for part in run.PARTS if part in run.GROUPS["new"]]
 
 
