@@ -138,10 +138,12 @@ def shipped_judge(device: str = "weir2008") -> Judge:
     return Judge(shipped_setup(device))
 
 
-def change(judge: Judge, asked: dict[str, Any], **more: Any) -> dict[str, Any]:
-    """The answer to a change: from a free display under `refuse`, unless `more` says other."""
+def request(asked: dict[str, Any], **more: Any) -> dict[str, Any]:
+    """What the worker is asked about a change: from a free display under `refuse`, unless `more`
+    says other.
+    """
     now = FREE | more.pop("now", {})
-    request = {
+    return {
         "ask": "change",
         "n": 1,
         "now": now,
@@ -158,5 +160,10 @@ def change(judge: Judge, asked: dict[str, Any], **more: Any) -> dict[str, Any]:
         "level": 0.0,
         "delay_periods": None,
         "ramp_s": 0.05,
+        **more,
     }
-    return judge.answer(request | more)
+
+
+def change(judge: Judge, asked: dict[str, Any], **more: Any) -> dict[str, Any]:
+    """The answer to a change, as `request` asks it."""
+    return judge.answer(request(asked, **more))

@@ -11,6 +11,7 @@ import numpy as np
 from guard_stub import StubWorker
 from models import board_params, servo_params
 
+from hapticd.assembly import replay
 from hapticd.assembly.lockstep import LockStep
 from hapticd.clock import VirtualClock
 from hapticd.gateway.guard import Guard
@@ -97,10 +98,32 @@ class RecordedFlight:
         self.stack.load_waveform(np.random.default_rng(7).integers(-3000, 3001, 8000).tolist())
         self.stack.do(Command.PERTURB_START, {Value.SAMPLES: 8000.0, Value.LOOP: 1.0})
 
+    def set_off(self, stiffness: float, counts: list[int]) -> None:
+        """Enabled with that stiffness [N/m], then pushed by `counts` of the perturbation input."""
+        self.stack.run(5)
+        self.stack.do(Command.SET, {Value.STIFFNESS: stiffness, Value.RAMP_S: 0.0})
+        self.stack.do(Command.ENABLE)
+        self.stack.load_waveform(counts)
+        self.fly(520)
+        self.stack.do(Command.PERTURB_START, {Value.SAMPLES: float(len(counts)), Value.LOOP: 0.0})
+
     @property
     def records(self) -> Records:
         """Everything that was flown."""
         return as_records(b"".join(self.stack.blocks))
+
+    def leg(self) -> replay.Segment:
+        """From the first checkpoint that the servo left to the end."""
+        checkpoint = self.publisher.flight._checkpoints[0]
+        requests, _, lost = self.stack.gateway.journal(0)
+        assert lost == 0
+        records = self.records
+        return replay.Segment(
+            checkpoint.tick,
+            checkpoint.state,
+            records[records["tick"] >= checkpoint.tick],
+            [one for one in requests if one.tick >= checkpoint.tick],
+        )
 
 
 class Source:

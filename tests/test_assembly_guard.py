@@ -12,7 +12,14 @@ from typing import Any
 
 import msgpack
 import pytest
-from guard_device import FREE, change, over_compensated, setup_of, shipped_judge, shipped_setup
+from guard_device import (
+    change,
+    over_compensated,
+    request,
+    setup_of,
+    shipped_judge,
+    shipped_setup,
+)
 
 from hapticd.analysis.bases import model_of
 from hapticd.analysis.judge import Judge
@@ -26,24 +33,7 @@ from hapticd.settings.load import load
 from hapticd.zwidth.scenes import device_scene
 
 LENGTH = struct.Struct("<I")
-REQUEST = {
-    "ask": "change",
-    "n": 7,
-    "now": FREE,
-    "target": FREE,
-    "state": "enabled",
-    "enable": False,
-    "change": {"K": 20.0},
-    "before": [],
-    "after": [],
-    "policy": "refuse",
-    "basis": "theorem",
-    "margin_ns_per_m": 0.0,
-    "mode": "off",
-    "level": 0.0,
-    "delay_periods": None,
-    "ramp_s": 0.05,
-}
+REQUEST = request({"K": 20.0}, n=7)
 
 
 def test_setup_survives_json_to_the_last_bit() -> None:

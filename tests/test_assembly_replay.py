@@ -27,20 +27,6 @@ ROUGH = tuple(
 )
 
 
-def one_leg(flight: RecordedFlight) -> replay.Segment:
-    """From the first checkpoint that the servo left to the end."""
-    checkpoint = flight.publisher.flight._checkpoints[0]
-    requests, _, lost = flight.stack.gateway.journal(0)
-    assert lost == 0
-    records = flight.records
-    return replay.Segment(
-        checkpoint.tick,
-        checkpoint.state,
-        records[records["tick"] >= checkpoint.tick],
-        [one for one in requests if one.tick >= checkpoint.tick],
-    )
-
-
 def eventful() -> tuple[RecordedFlight, replay.Segment]:
     """Two and more seconds with everything: ramps, filters, scheduled changes, lost frames,
     stop, reset, fault.
@@ -65,7 +51,7 @@ def eventful() -> tuple[RecordedFlight, replay.Segment]:
         stack.do(Command.DISABLE)
         stack.do(Command.ZERO)
         flight.fly(100)
-        return flight, one_leg(flight)
+        return flight, flight.leg()
 
 
 @pytest.fixture(scope="module")
@@ -187,7 +173,7 @@ def test_scheduled_change_of_a_held_setting_is_ignored() -> None:
         flight.move()
         flight.stack.command(Command.SET, {Value.STIFFNESS: 80.0, Value.RAMP_S: 0.0}, at_tick=900)
         flight.fly(1200)
-        leg = one_leg(flight)
+        leg = flight.leg()
     assert leg.records["stiffness_n_per_m"].max() == 80.0
     assert set(
         replay.replay(flight.params, leg, {Value.STIFFNESS: 10.0})["stiffness_n_per_m"].tolist()
@@ -199,7 +185,7 @@ def test_fault_is_flown_again() -> None:
     with RecordedFlight(board=board) as flight:
         flight.move()
         flight.fly(1500)
-        leg = one_leg(flight)
+        leg = flight.leg()
     assert State.FAULT in leg.records["state"]
     assert replay.difference(leg.records, replay.replay(flight.params, leg)) is None
 

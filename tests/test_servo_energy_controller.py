@@ -314,17 +314,10 @@ def test_what_it_did_is_replayed_bit_by_bit_and_told_once():
     device = device_params(physical_damping_ns_per_m=CREDITED_NS_PER_M)
     params = servo_params(device=device, safety=SafetyParams(energy_controller=True))
     with RecordedFlight(params, board_params()) as flown:
-        stack = flown.stack
-        stack.run(5)
-        stack.do(Command.SET, {Value.STIFFNESS: 1500.0, Value.RAMP_S: 0.0})
-        stack.do(Command.ENABLE)
-        stack.load_waveform([3000] * 40)
-        flown.fly(520)
-        stack.do(Command.PERTURB_START, {Value.SAMPLES: 40.0, Value.LOOP: 0.0})
+        flown.set_off(1500.0, [3000] * 40)
         flown.fly(1000)
         records = flown.records
-        checkpoint = flown.publisher.flight._checkpoints[0]
-        requests, _, _ = stack.gateway.journal(0)
+        leg = flown.leg()
         told = [event for event in flown.journal.recent if event["kind"] == "controlled"]
     assert BOARD.mass_kg < 0.01
     assert records["state"][-1] == State.ENABLED
@@ -332,10 +325,4 @@ def test_what_it_did_is_replayed_bit_by_bit_and_told_once():
     assert records["excess_j"].max() < 2.0 * SHARE * ENERGY_LIMIT_J + BALANCE_J
     changes = np.diff(records["environment_revision"])[-1000:].sum()
     assert len(told) == changes >= 1
-    segment = replay.Segment(
-        checkpoint.tick,
-        checkpoint.state,
-        records[records["tick"] >= checkpoint.tick],
-        [one for one in requests if one.tick >= checkpoint.tick],
-    )
-    assert replay.difference(segment.records, replay.replay(params, segment)) is None
+    assert replay.difference(leg.records, replay.replay(params, leg)) is None

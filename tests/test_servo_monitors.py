@@ -268,22 +268,9 @@ def test_fault_of_a_limit_cycle_is_replayed_bit_by_bit():
 
     params = watched()
     with RecordedFlight(params) as flight:
-        stack = flight.stack
-        stack.run(5)
-        stack.do(Command.SET, {Value.STIFFNESS: 1500.0, Value.RAMP_S: 0.0})
-        stack.do(Command.ENABLE)
-        stack.load_waveform([3000] * 40)
-        flight.fly(520)
-        stack.do(Command.PERTURB_START, {Value.SAMPLES: 40.0, Value.LOOP: 0.0})
+        flight.set_off(1500.0, [3000] * 40)
         flight.fly(1000)
         records = flight.records
-        checkpoint = flight.publisher.flight._checkpoints[0]
-        requests, _, _ = stack.gateway.journal(0)
+        leg = flight.leg()
     assert "force_at_limit" in {BY_NUMBER[int(one)].code for one in set(records["fault"])}
-    segment = replay.Segment(
-        checkpoint.tick,
-        checkpoint.state,
-        records[records["tick"] >= checkpoint.tick],
-        [one for one in requests if one.tick >= checkpoint.tick],
-    )
-    assert replay.difference(segment.records, replay.replay(params, segment)) is None
+    assert replay.difference(leg.records, replay.replay(params, leg)) is None

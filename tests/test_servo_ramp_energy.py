@@ -285,25 +285,12 @@ def test_pump_that_pauses_is_replayed_bit_by_bit():
     """The whole stack, with a handle of 1 kg that a push sets moving."""
     params = budgeted(0.005)
     with RecordedFlight(params, board_params(mass_kg=1.0, viscous_ns_per_m=0.5)) as flight:
-        stack = flight.stack
-        stack.run(5)
-        stack.do(Command.SET, {Value.STIFFNESS: 40.0, Value.RAMP_S: 0.0})
-        stack.do(Command.ENABLE)
-        stack.load_waveform([32767] * 200)
-        flight.fly(520)
-        stack.do(Command.PERTURB_START, {Value.SAMPLES: 200.0, Value.LOOP: 0.0})
+        flight.set_off(40.0, [32767] * 200)
         for n in range(20):
             stiffness = 380.0 if n % 2 == 0 else 40.0
-            stack.command(Command.SET, {Value.STIFFNESS: stiffness, Value.RAMP_S: 0.05})
+            flight.stack.command(Command.SET, {Value.STIFFNESS: stiffness, Value.RAMP_S: 0.05})
             flight.fly(110)
         records = flight.records
-        checkpoint = flight.publisher.flight._checkpoints[0]
-        requests, _, _ = stack.gateway.journal(0)
+        leg = flight.leg()
     assert (records["flags"] & Flag.PAUSED).any()
-    segment = replay.Segment(
-        checkpoint.tick,
-        checkpoint.state,
-        records[records["tick"] >= checkpoint.tick],
-        [one for one in requests if one.tick >= checkpoint.tick],
-    )
-    assert replay.difference(segment.records, replay.replay(params, segment)) is None
+    assert replay.difference(leg.records, replay.replay(params, leg)) is None

@@ -315,14 +315,16 @@ class _Judged(_Asked):
         unsafe = max(unsafe, asked_ns_per_m)
         if unsafe >= safe:
             return end
-        for _ in range(_LEVEL_HALVINGS):
-            middle = 0.5 * (safe + unsafe)
-            if self.judgement.safe([end._replace(added_ns_per_m=middle)])[0]:
-                safe = middle
-            else:
-                unsafe = middle
+
+        def lower(share: float) -> float:
+            return safe + share * (unsafe - safe)
+
+        def holds(share: float) -> bool:
+            return self.judgement.safe([end._replace(added_ns_per_m=lower(share))])[0]
+
+        level = lower(_largest(holds, (0.0, 1.0), _LEVEL_HALVINGS))
         count = self.way.request.count_ns_per_m
-        counted = ceil(safe / count) * count if count > 0.0 else safe
+        counted = ceil(level / count) * count if count > 0.0 else level
         return end._replace(added_ns_per_m=min(counted, end.added_ns_per_m))
 
     def _exit(self, leg: Leg) -> float:
@@ -365,7 +367,9 @@ class _Judged(_Asked):
         return self.wanted.scaled(_largest(holds, shares[inside : inside + 2]))
 
 
-def _largest(holds: Callable[[float], bool], shares: Sequence[float]) -> float:
+def _largest(
+    holds: Callable[[float], bool], shares: Sequence[float], halvings: int = _HALVINGS
+) -> float:
     """The share at which `holds` first ends on the way along `shares`, the first of which holds."""
     inside = shares[0]
     outside = None
@@ -374,7 +378,7 @@ def _largest(holds: Callable[[float], bool], shares: Sequence[float]) -> float:
             outside = share
             break
         inside = share
-    for _ in range(_HALVINGS if outside is not None else 0):
+    for _ in range(halvings if outside is not None else 0):
         assert outside is not None
         middle = 0.5 * (inside + outside)
         if holds(middle):

@@ -59,7 +59,7 @@ from hapticd.gateway.stages import Told
 from hapticd.gateway.view import ServoView
 from hapticd.gateway.waveform import Waveform
 from hapticd.mailbox.client_side import Answer
-from hapticd.mailbox.layout import Command, Result, Value, values_of
+from hapticd.mailbox.layout import Command, Result, values_of
 from hapticd.mailbox.stop_word import press_stop
 from hapticd.params import LeaseParams
 from hapticd.units import NS_PER_S
@@ -466,12 +466,11 @@ class Desk:
         A set for a tick long past is refused, and the refusal carries them.
         """
         view = self._view
-        revision = int(view.record.get("environment_revision", 0))
-        own = revision > view.targets[Value.ENVIRONMENT_REVISION] and not len(self._outstanding)
-        asked = self._asked_back == (view.life, revision)
-        if (view.unsure or (view.alive and own)) and not asked and view.mailbox:
+        about = view.life, self._guard.in_force.revision
+        own = self._guard.in_force.untold and not len(self._outstanding)
+        if (view.unsure or own) and about != self._asked_back and view.mailbox:
             seq = view.mailbox.post(Command.SET, GATEWAY_ACTOR, PAST_TICK, values_of({}))
-            self._asked_back = self._asked_back if seq is None else (view.life, revision)
+            self._asked_back = self._asked_back if seq is None else about
 
     def _report(self, scheduled: Pending, answer: Answer, now_ns: int) -> None:
         """What became of a scheduled change, at its tick."""

@@ -83,9 +83,16 @@ class InForce:
     @property
     def known(self) -> bool:
         """Whether record and answers tell of the same environment."""
-        view = self._view
-        told = int(view.targets[Value.ENVIRONMENT_REVISION])
-        return view.alive and not view.unsure and told == self.revision
+        return self._view.alive and not self._view.unsure and self._told == self.revision
+
+    @property
+    def untold(self) -> bool:
+        """Whether the servo has gone on to an environment that no answer has told of yet."""
+        return self._view.alive and self._told < self.revision
+
+    @property
+    def _told(self) -> int:
+        return int(self._view.targets[Value.ENVIRONMENT_REVISION])
 
     @property
     def revision(self) -> int:

@@ -17,7 +17,7 @@ import numpy as np
 
 from hapticd.client.blocks import Records
 from hapticd.client.client import Client
-from hapticd.rig.records import collect
+from hapticd.rig.records import collect, servo_rate_hz
 
 FAR_M = 0.02
 LEAD_S = 0.2  # from the last look at a tick to the begin: commands and telemetry take their time
@@ -62,7 +62,7 @@ def wall_of(force_n: float, at_m: float) -> dict[str, float]:
 
 def push(bench: Client, force_n: float, seconds: float) -> Pushed:
     """Push with `force_n` for `seconds`, from where the handle is; the servo is enabled."""
-    rate_hz = float(bench.hello()["servo"]["realtime"]["rate_hz"])
+    rate_hz = servo_rate_hz(bench)
     look = collect(bench, LOOK_S)
     newest = look.records[-1]
     begin = look.newest_tick + round(LEAD_S * rate_hz)

@@ -42,14 +42,18 @@ class Kept(NamedTuple):
     sha256: str  # hex
 
 
+def servo_rate_hz(bench: Client) -> float:
+    """The rate at which the servo of `bench` ticks."""
+    return float(bench.hello()["servo"]["realtime"]["rate_hz"])
+
+
 def collect(bench: Client, seconds: float) -> Stretch:
     """The ticks of the next `seconds`. DaemonDown if none come for 2 s, or the servo restarts."""
     decoder = BlockDecoder()
     parts: list[Records] = []
     lost = 0
     quiet = 0
-    rate_hz = float(bench.hello()["servo"]["realtime"]["rate_hz"])
-    wanted = round(seconds * rate_hz)
+    wanted = round(seconds * servo_rate_hz(bench))
     for message in bench.messages((TICKS,)):
         quiet = quiet + 1 if message is None else 0
         if quiet > SILENT_LOOKS:
