@@ -33,13 +33,13 @@ from typing import NamedTuple
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
-from whole_tick import SETTLED, Display, Point
+from whole_tick import Display, Point
 
 from benchmarks import targets
 from benchmarks.figures import Figure, compared
 from benchmarks.guard_flown import Flight, flown
 from benchmarks.guard_requests import Answering, Asked, fly
-from benchmarks.guard_verdict import FURTHER, Bench
+from benchmarks.guard_verdict import FURTHER, Bench, grows
 from hapticd.analysis.bases import model_of
 from hapticd.analysis.judge import Judge
 from hapticd.assembly.resolve import resolve
@@ -163,7 +163,8 @@ def _shaken(bench: Bench, asked: list[Asked]) -> list[bool]:
         for one in asked
     ]
     flat = [point for points in further for point in points]
-    quick = dict(zip(flat, bench.worst(flat) > SETTLED, strict=True)) if flat else {}
+    worst = bench.worst(flat) if flat else ()
+    quick = {point: grows(point, found) for point, found in zip(flat, worst, strict=True)}
     return [
         any(quick[point] or (one.action == "refuse" and bench.shaken(point)) for point in points)
         for one, points in zip(asked, further, strict=True)

@@ -16,7 +16,7 @@ from random import Random
 from typing import Any, NamedTuple
 
 import numpy as np
-from whole_tick import SETTLED, PlainHand, Point, held_mass
+from whole_tick import PlainHand, Point, held_mass
 
 from benchmarks.guard_desk import DeskClient, GuardedStack
 from benchmarks.guard_flight import (
@@ -29,7 +29,7 @@ from benchmarks.guard_flight import (
     rigid_board,
 )
 from benchmarks.guard_requests import PLAIN, POLICIES, Answering, fly, request
-from benchmarks.guard_verdict import FURTHER, Bench
+from benchmarks.guard_verdict import FURTHER, Bench, grows
 from hapticd.assembly.lockstep import LockStep
 from hapticd.mailbox.layout import State
 
@@ -92,8 +92,12 @@ def _ringing(bench: Bench, points: list[Point], hand: PlainHand) -> list[str]:
     if not points:
         return ["never under force"]
     worst = bench.worst(points, [*bench.few, hand])
-    place = int(np.argmax(worst))
-    return [f"{points[place]} rings, {worst[place]:.7f}"] if worst[place] > SETTLED else []
+    found = zip(points, worst, strict=True)
+    grown = [(radius, point) for point, radius in found if grows(point, radius)]
+    if not grown:
+        return []
+    radius, point = max(grown)
+    return [f"{point} rings, {radius:.7f}"]
 
 
 def _energies(balance: Balance) -> list[str]:
