@@ -17,10 +17,10 @@ def person(hand, random, towards=1.0):
     the simulated plant's.
     """
 
-    def ask(text):
-        if "let go" in text:
+    def ask(request):
+        if request.action == "let go":
             hand.let_go()
-        elif "from now on" in text:
+        elif request.action == "move":
             start = hand.position_m
             hand.hold(start + 1e-6)
             hand.moving = towards * 2e-6
@@ -36,10 +36,9 @@ def person(hand, random, towards=1.0):
             hand.bench.run = run
         else:
             hand.moving = 0.0
-            if "position A" in text:
-                hand.held_m = 0.002 + 2e-6 * random.standard_normal()
-            elif "position B" in text:
-                hand.held_m = 0.002 + towards * 0.01 + 2e-6 * random.standard_normal()
+            if request.action == "hold":
+                placed_m = 0.002 + 2e-6 * random.standard_normal()
+                hand.held_m = placed_m + towards * request.amount
             hand.bench.stack.run(20)
 
     return ask

@@ -17,7 +17,7 @@ LIMIT_N = 0.8
 HUNG = Masses((0.0, 0.025, 0.05, 0.075, 0.1))
 
 
-def nothing(text):
+def nothing(request):
     """Nobody is there who would do what is asked."""
 
 
@@ -88,8 +88,8 @@ def test_a_device_that_is_enabled_is_left_alone():
 def hanging(hand):
     """A person who hangs what is asked."""
 
-    def ask(text):
-        hand.pull_n = -9.80665 * float(text.split()[1])
+    def ask(request):
+        hand.pull_n = -9.80665 * request.amount
         hand.settle(2.0)
 
     return ask

@@ -10,7 +10,6 @@ What would break it: a handle that is moved by somebody else than who is asked (
 repetitions then differ, which is refused).
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from math import hypot, sqrt
 
@@ -19,14 +18,14 @@ import numpy as np
 from hapticd.analysis.arrays import Floats
 from hapticd.analysis.verdict import student_quantile
 from hapticd.client.client import Client
+from hapticd.rig.hand import Action, Ask, Request
 from hapticd.rig.link import require_disabled
 from hapticd.rig.records import collect, counts_of
 from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, rounded
 
-Ask = Callable[[str], None]  # says what a person is to do, and returns once it is done
-
 REST_S = 2.0
 MOVE_S = 5.0
+MOVE_M = 5e-3  # about: any distance will do
 HOLD_S = 0.5
 REPEATS = 3
 LEAST_COUNTS = 100.0  # of any motion that says something
@@ -52,24 +51,25 @@ def measure(bench: Client, ask: Ask, distance: Distance, repeats: int = REPEATS)
     require_disabled(bench)
     position = bench.hello()["servo"]["device"]["position"]
 
-    def counts(text: str, seconds: float) -> Floats:
-        ask(text)
+    def counts(action: Action, text: str, seconds: float, amount_m: float = 0.0) -> Floats:
+        ask(Request(action, text, amount_m))
         return counts_of(collect(bench, seconds).records, position)
 
-    rest = counts("let go of the handle and let it come to rest", REST_S)
+    rest = counts("let go", "let go of the handle and let it come to rest", REST_S)
     moving = counts(
+        "move",
         f"from now on, within {MOVE_S:g} s: move the handle slowly to positive x, and hold it",
         MOVE_S,
+        MOVE_M,
     )
     steps = []
     for number in range(1, repeats + 1):
-        first = counts(f"{number} of {repeats}: hold the handle against position A", HOLD_S)
-        second = counts(
-            f"hold it against position B, {1e3 * distance.metres:g} mm further to positive x",
-            HOLD_S,
-        )
+        at_a = f"{number} of {repeats}: hold the handle against position A"
+        at_b = f"hold it against position B, {1e3 * distance.metres:g} mm further to positive x"
+        first = counts("hold", at_a, HOLD_S)
+        second = counts("hold", at_b, HOLD_S, distance.metres)
         steps.append(float(np.median(second) - np.median(first)))
-    ask("hold the handle where x = 0 shall be")
+    ask(Request("origin", "hold the handle where x = 0 shall be"))
     bench.zero()
     arrays = {"rest": rest, "moving": moving, "steps": np.array(steps)}
     return concluded(arrays, distance, float(position["per_count"]))

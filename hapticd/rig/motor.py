@@ -33,7 +33,7 @@ from hapticd.analysis.verdict import student_quantile
 from hapticd.client.client import Client
 from hapticd.errors import AnalysisError
 from hapticd.params import COMMISSIONING_SHARE
-from hapticd.rig.encoder import Ask
+from hapticd.rig.hand import Ask, Request
 from hapticd.rig.link import require_disabled
 from hapticd.rig.push import Pushed, push, ready, wall_of
 from hapticd.rig.records import collect
@@ -79,7 +79,8 @@ def measure_sign(bench: Client, ask: Ask) -> StepResult:
     """Push to both sides and see which way the handle goes. CommandError unless disabled."""
     require_disabled(bench)
     servo = bench.hello()["servo"]
-    ask("let go of the handle, somewhere in the middle of its travel; it will be pushed gently")
+    where = "somewhere in the middle of its travel"
+    ask(Request("let go", f"let go of the handle, {where}; it will be pushed gently"))
     pushes = [moving_push(bench, side * allowed_n(servo)) for side in (1.0, -1.0)]
     findings = [_pushed(one) for one in pushes]
     agree = {bool(one.moved_m * one.force_n > 0.0) for one in pushes}
@@ -177,7 +178,7 @@ def measure_gain(bench: Client, ask: Ask, masses: Masses) -> StepResult:
     with ready(bench):
         bench.set(K=stiffness, ramp_s=1.0)
         for mass_kg in masses.kilograms:
-            ask(f"hang {mass_kg:g} kg and let go of the handle")
+            ask(Request("hang", f"hang {mass_kg:g} kg and let go of the handle", mass_kg))
             drawn_n = DRAWN_SHARE * limit_n(servo)
             readings.append([settled_n(bench, side * drawn_n) for side in (1.0, -1.0)])
         state = bench.status()["state"]

@@ -23,7 +23,7 @@ from hapticd.errors import AnalysisError, ConfigError
 
 if TYPE_CHECKING:
     from hapticd.client import Client
-    from hapticd.rig.encoder import Ask
+    from hapticd.rig.hand import Ask, Request
     from hapticd.rig.result import StepResult
     from hapticd.settings.load import Settings
 
@@ -80,8 +80,8 @@ def lines(result: "StepResult") -> list[str]:
 def asking(yes: bool) -> "Ask":
     """What asks a person; with --yes it tells, and waits a while."""
 
-    def ask(text: str) -> None:
-        terminal.talk(f"> {text}")
+    def ask(request: "Request") -> None:
+        terminal.talk(f"> {request.text}")
         if yes:
             time.sleep(PAUSE_S)
         else:

@@ -1,0 +1,35 @@
+"""What a step asks of a person at the rig: in words, and as an action with its amount.
+
+A terminal shows the words. A scripted hand at a simulated rig does the action; both answer by
+returning from `Ask` once it is done, or, for what goes on while a step measures, once it begins.
+Positions of a hand are metres to positive x from A, the place that the person chooses first.
+
+What would break it: an action that two steps understand differently (they are all named here).
+"""
+
+from collections.abc import Callable
+from typing import Literal, NamedTuple
+
+Action = Literal[
+    "let go",  # of the handle, and take off everything that was attached
+    "move",  # slowly by about `amount` m, and hold: from now on, within a few seconds
+    "hold",  # the handle `amount` m to positive x of A
+    "origin",  # hold the handle where x = 0 shall be
+    "hang",  # masses of `amount` kg from the handle, and let go of it
+    "attach",  # `amount` kg firmly to the handle, so that they move with it, and let go of it
+    "spring",  # of `amount` N/m between handle and frame, and let go
+    "draw",  # the handle aside by `amount` m, and let go at once: it moves freely
+    "shake",  # the handle to and fro by some mm, for `amount` s from now on
+    "one signal",  # into both probe channels, for `amount` s from now on
+]
+
+
+class Request(NamedTuple):
+    """What is to be done, and the same in words."""
+
+    action: Action
+    text: str
+    amount: float = 0.0  # in the unit of the action
+
+
+Ask = Callable[[Request], None]
