@@ -218,15 +218,18 @@ class StreamDouble:
     def hello(self) -> dict[str, Any]:
         return {"servo": {"safety": {"force_limit_n": 8.0}}}
 
+    def status(self) -> dict[str, Any]:
+        return {"servo": {"realtime": {"core": "granted", "fifo": "refused: no; LimitRTPRIO=80"}}}
+
     def damping(self, value: str) -> None:
         self._asked.append(value)
 
     def call(self, cmd: str, **_fields: Any) -> dict[str, Any]:
         raise AssertionError(f"{cmd}: a key waits while the daemon is asked")
 
-    status = call
-
     def messages(self, topics: Sequence[str], look_s: float) -> Iterator[Any]:
+        if topics == ("event",):
+            yield from self._events()
         assert set(topics) == {"servo.raw", "state", "event"}
         yield "state", msgpack.packb({"delivered_damping": DELIVERED, "guard": GUARD})
         for payload in self._script:
@@ -237,6 +240,14 @@ class StreamDouble:
         while True:
             self._clock.time_ns += NS_PER_S // 2
             yield None
+
+    def _events(self) -> Iterator[Any]:
+        for event in self._script:
+            self._clock.time_ns += NS_PER_S
+            yield None
+            yield "event", msgpack.packb(event)
+        self._clock.time_ns += NS_PER_S
+        yield None
 
 
 @pytest.fixture
@@ -384,6 +395,33 @@ def test_arrow_keys_do_not_stop(monkeypatch: pytest.MonkeyPatch, clock: VirtualC
     play(monkeypatch, clock, [block(20 * i) for i in range(10)])
     monitor.watch("left", None, lambda *view: None)
     assert stopped == []
+
+
+HAPPENED = [
+    {"timestamp": 0.0, "kind": "state", "before": "disabled", "state": "enabled", "name": "sweep"},
+    {"timestamp": 2.0, "kind": "warning", "text": "the disk is full"},
+]
+
+
+def test_events_are_told_as_they_come(
+    monkeypatch: pytest.MonkeyPatch, clock: VirtualClock, capsys: pytest.CaptureFixture[str]
+) -> None:
+    play(monkeypatch, clock, HAPPENED)
+    assert main(["events", "--seconds", "3"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "real-time right fifo: refused: no; LimitRTPRIO=80"
+    assert [line.split(" ", 1)[1] for line in lines[1:]] == [
+        "disabled -> enabled (by sweep)",
+        "warning: the disk is full",
+    ]
+
+
+def test_events_are_told_to_scripts_as_they_are(
+    monkeypatch: pytest.MonkeyPatch, clock: VirtualClock, capsys: pytest.CaptureFixture[str]
+) -> None:
+    play(monkeypatch, clock, HAPPENED)
+    assert main(["events", "--json", "--seconds", "3"]) == 0
+    assert [json.loads(line) for line in capsys.readouterr().out.splitlines()] == HAPPENED
 
 
 @pytest.mark.usefixtures("runtime")

@@ -1,4 +1,5 @@
-"""Watch one daemon live, as strip charts; single keys stop it or end the view.
+"""Watch one daemon live: as strip charts, where single keys stop it or end the view, or event by
+event.
 
 Keys come from the terminal without waiting and without Enter, and none come when stdin is no
 terminal. What would break it: waiting for data without a time-out, for then a silent daemon would
@@ -13,6 +14,7 @@ import tty
 from collections import deque
 from collections.abc import Callable
 from contextlib import closing
+from datetime import datetime
 from threading import Thread
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
@@ -215,3 +217,42 @@ def _print_line(history: "History", simulated: bool | None, silent_s: float) -> 
         damping = found["added_damping_ns_per_m"]
         moving = f"x {x_mm:.4f} mm  force {force_n:.4f} N  damping {damping:.4g} N s/m"
         terminal.data(f"{badge}{found['state']} {moving}")
+
+
+def events(
+    instance: terminal.Instance = terminal.INSTANCE,
+    seconds: Annotated[
+        float | None, typer.Option("--seconds", metavar="S", help="End after S seconds.")
+    ] = None,
+    as_json: terminal.JsonLines = False,
+) -> None:
+    """Say what happens, a line each: states, faults with remedy, leases, warnings, flight files.
+
+    `hapticd run` does the same in its own terminal. Ctrl-C ends it.
+    """
+    import msgpack
+
+    from hapticd.clock import MonotonicClock
+
+    clock = MonotonicClock()
+    begin_ns = clock.now_ns()
+    with connect(instance) as client, closing(client.messages((EVENT,), LOOK_S)) as messages:
+        rights = (client.status().get("servo") or {}).get("realtime") or {}
+        refused = [f"{name}: {said}" for name, said in rights.items() if said.startswith("refused")]
+        if not as_json:
+            for line in refused:
+                terminal.data(f"real-time right {line}")
+        for message in messages:
+            if message is not None:
+                event = msgpack.unpackb(message[1])
+                terminal.data_json(event) if as_json else terminal.data(_timed(event))
+            if seconds is not None and clock.now_ns() - begin_ns >= seconds * NS_PER_S:
+                return
+
+
+def _timed(event: dict[str, Any]) -> str:
+    """An event with the time of day."""
+    from hapticd.client.events import event_words
+
+    at = datetime.fromtimestamp(event["timestamp"]).strftime("%H:%M:%S")
+    return f"{at} {event_words(event)}"
