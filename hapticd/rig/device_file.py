@@ -6,8 +6,9 @@ text is parsed again by another parser: it must say what the old one did, but fo
 it is validated as every device file is, in a file beside, which takes the place of the old one in
 one step. Until then the old file is untouched, whatever happens.
 
-A table may be one of another, `model.masses`. Tables with `date` and `source` say there when and by
-what their values were measured; in a table of an effect `source` is a tag, and `note` says it.
+A table may be one of another, `model.masses`. Tables with `date`, `serial` and `source` say there
+when, at which board and by what their values were measured; in a table of an effect `source` is a
+tag, and `note` says it.
 
 What would break it: two programs that write at once (the last one wins, whole).
 """
@@ -35,9 +36,9 @@ _EFFECT = "model."  # before the name of each effect
 
 
 def write(path: Path, changes: Iterable[Change], source: str, day: datetime.date) -> DeviceFile:
-    """Write `changes` into the device file `path`, with `source` and `day` in every table that has
-    such keys, where more than its sign is written; the device as it is then. ConfigError leaves
-    the file as it was.
+    """Write `changes` into the device file `path`, with `source`, `day` and the board's serial in
+    every table that has such keys, where more than its sign is written; the device as it is then.
+    ConfigError leaves the file as it was.
     """
     refuse_shipped(path)
     read(path)  # says what is wrong with a file that is no TOML
@@ -45,10 +46,11 @@ def write(path: Path, changes: Iterable[Change], source: str, day: datetime.date
     values: dict[tuple[str, str], Written | datetime.date] = {
         (one.table, one.key): one.value for one in asked
     }
+    serial = str(tomllib.loads(path.read_text("utf-8")).get("serial", ""))
     # a sign that was seen says nothing of how the scale beside it is known
     for table in dict.fromkeys(one.table for one in asked if one.key != "sign"):
         known = set(_fields(table))
-        for key, told in _provenance(table, source, day).items():
+        for key, told in _provenance(table, source, day, serial).items():
             if key in known:
                 values.setdefault((table, key), told)
     text = changed(path.read_bytes().decode("utf-8"), values)
@@ -64,10 +66,12 @@ def refuse_shipped(path: Path) -> None:
         )
 
 
-def _provenance(table: str, source: str, day: datetime.date) -> dict[str, Written | datetime.date]:
+def _provenance(
+    table: str, source: str, day: datetime.date, serial: str
+) -> dict[str, Written | datetime.date]:
     if table.startswith(_EFFECT):
         return {"source": "calibrated", "note": f"{day.isoformat()}: {source}"}
-    return {"date": day, "source": source}
+    return {"date": day, "serial": serial, "source": source}
 
 
 def _fields(table: str) -> Iterable[str]:
