@@ -16,7 +16,7 @@ import zmq
 from gateway_rig import GatewayRig, running
 
 from hapticd.client import Client, Receipt
-from hapticd.client.client import Conversation, TimedOut, accepted, receipt_of
+from hapticd.client.conversation import Conversation, TimedOut, accepted, receipt_of
 from hapticd.errors import CommandError, ConfigError, DaemonDown
 from hapticd.gateway.schemas import PROTOCOL_VERSION
 from hapticd.gateway.view import RECORD_DTYPE

@@ -7,6 +7,7 @@
         device.enable()
 
     Client         one connection: a method for every command, and the telemetry
+    AsyncClient    the same for asyncio: every command is awaited
     ClientLease    to be the only one who changes something: `with device.lease("environment"):`
     Receipt        what became of an accepted change
     Block          consecutive records of a telemetry topic, and what was lost before them
@@ -20,19 +21,22 @@ are loaded when they are used, so that it stays fast.
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from hapticd.client.aio import AsyncClient
     from hapticd.client.blocks import Block
-    from hapticd.client.client import Client, Receipt
+    from hapticd.client.client import Client
+    from hapticd.client.conversation import Receipt
     from hapticd.client.lease import ClientLease
     from hapticd.errors import CommandError, DaemonDown
 
-__all__ = ["Block", "Client", "ClientLease", "CommandError", "DaemonDown", "Receipt"]
+__all__ = ["AsyncClient", "Block", "Client", "ClientLease", "CommandError", "DaemonDown", "Receipt"]
 _HOMES = {
+    "AsyncClient": "hapticd.client.aio",
     "Block": "hapticd.client.blocks",
     "Client": "hapticd.client.client",
     "ClientLease": "hapticd.client.lease",
     "CommandError": "hapticd.errors",
     "DaemonDown": "hapticd.errors",
-    "Receipt": "hapticd.client.client",
+    "Receipt": "hapticd.client.conversation",
 }
 
 

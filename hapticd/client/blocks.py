@@ -1,5 +1,6 @@
 """Telemetry messages as numpy arrays, with what was lost between them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -8,7 +9,11 @@ import msgpack
 import numpy as np
 from numpy.typing import NDArray
 
+from hapticd.errors import ConfigError
+from hapticd.units import NS_PER_S
+
 Records = NDArray[np.void]
+STREAMED = ("servo.raw", "probe")  # topics whose messages are blocks of records
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,3 +54,40 @@ class BlockDecoder:
         self._origin = origin
         self._next = header["next"]
         return Block(records, gap, restarted, header)
+
+
+class Excerpt:
+    """The first `seconds` of recorded time or `count` records of a topic, its last block cut to
+    fit; without either all that comes. ConfigError for a topic without blocks.
+    """
+
+    def __init__(self, topic: str, seconds: float | None, count: int | None) -> None:
+        if topic not in STREAMED:
+            known = f"stream takes {' or '.join(STREAMED)}, listen takes every topic"
+            raise ConfigError(f"topic {topic!r} has no blocks: {known}")
+        self._seconds = seconds
+        self._count = count
+        self._decoder = BlockDecoder()
+        self._taken = 0
+        self._end_ns: int | None = None
+        self.complete = False
+
+    def next(self, payload: bytes) -> Block:
+        """What belongs to it of the message `payload`; maybe no record."""
+        block = self._decoder.decode(payload)
+        records = block.records
+        if self._seconds is not None and len(records):
+            first_ns = int(records["time_ns"][0])
+            self._end_ns = self._end_ns or first_ns + round(self._seconds * NS_PER_S)
+            records = records[records["time_ns"] < self._end_ns]
+        if self._count is not None:
+            records = records[: self._count - self._taken]
+        self._taken += len(records)
+        self.complete = len(records) < len(block.records) or self._taken == self._count
+        return Block(records, block.gap, block.restarted, block.header)
+
+
+def joined(blocks: Sequence[Block]) -> tuple[Records, int]:
+    """All records of `blocks` in one structured array (n,), and how many it lacks."""
+    records = np.concatenate([block.records for block in blocks])
+    return records, sum(block.gap for block in blocks)

@@ -21,6 +21,11 @@ from hapticd.errors import CommandError
 RENEWALS = 3  # in the time after which it would end
 
 
+def lost_error(text: str) -> CommandError:
+    """The error for a lease that was lost as `text` says."""
+    return CommandError("leased", f"{text}; what was done since then was not excluded")
+
+
 class ClientLease:
     """A lease of `what`, taken when the context begins and released when it ends.
 
@@ -47,7 +52,7 @@ class ClientLease:
                 raise
             return  # what happened inside matters more
         if lost and kind is None:
-            raise CommandError("leased", f"{lost}; what was done since then was not excluded")
+            raise lost_error(lost)
 
     def take(self) -> dict[str, Any]:
         """Take it: {what, name, actor, left_s, ttl_s, at_end}. CommandError: another holds it."""

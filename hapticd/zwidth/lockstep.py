@@ -24,7 +24,8 @@ import numpy.typing as npt
 from hapticd.analysis.arrays import Floats
 from hapticd.assembly.lockstep import LockStep, scene_params
 from hapticd.client.blocks import BlockDecoder
-from hapticd.client.client import Client, Receipt
+from hapticd.client.client import Client
+from hapticd.client.conversation import Receipt
 from hapticd.errors import AnalysisError, CommandError, LinkError
 from hapticd.faults import BY_NUMBER
 from hapticd.gateway.commands import ACCEPTED, posting, receipt

@@ -1,0 +1,302 @@
+"""The client for asyncio: the verbs of `Client`, each of which is awaited.
+
+    async with AsyncClient() as device:
+        await device.set(K=100, B=1)
+        async for block in device.stream(seconds=1.0):
+            ...
+
+Several tasks may ask at once: one task reads all replies, and wakes those who wait when something
+came. So a stop waits for nobody's answer, and after 40 ms the stop word is pressed, as by the
+client that waits.
+
+What would break it: use from a second event loop, since a socket belongs to one; a task that does
+not yield for longer than a lease lives.
+"""
+
+import asyncio
+import time
+from collections.abc import AsyncGenerator, Awaitable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Self
+
+import msgpack
+import zmq
+import zmq.asyncio
+from numpy.typing import ArrayLike
+
+from hapticd.client.blocks import Block, Excerpt, Records, joined
+from hapticd.client.conversation import (
+    INTRODUCTION_MS,
+    STOP_TIMEOUT_S,
+    Conversation,
+    Receipt,
+    TimedOut,
+    accepted,
+    receipt_of,
+    silence,
+    socket_file,
+)
+from hapticd.client.lease import RENEWALS, lost_error
+from hapticd.client.verbs import POLL_S, Verbs, chunks, hand_of
+from hapticd.errors import CommandError, DaemonDown, MailboxError
+from hapticd.mailbox.daemons import daemon_folder
+from hapticd.mailbox.files import COMMAND_SOCKET, DEFAULT_INSTANCE, TELEMETRY_SOCKET
+from hapticd.mailbox.stop_word import press_stop
+from hapticd.params import AtEnd, Leased
+from hapticd.units import NS_PER_S
+
+INTRODUCTION_S = 1e-3 * INTRODUCTION_MS
+
+Answer = dict[str, Any]
+
+
+class AsyncLine:
+    """Sockets to the gateway of a runtime folder, and the task that reads its replies."""
+
+    def __init__(self, folder: Path, name: str) -> None:
+        self._folder = folder
+        self._name = name
+        self._conversation = Conversation()
+        self._context = zmq.asyncio.Context()
+        self._socket: zmq.asyncio.Socket | None = None
+        self._reading: asyncio.Task[None] | None = None
+        self._connecting = asyncio.Lock()
+        self._came = asyncio.Condition()
+
+    async def close(self) -> None:
+        """Close all sockets; may be called twice."""
+        if self._reading is not None:
+            self._reading.cancel()
+            with suppress(asyncio.CancelledError):
+                await self._reading
+            self._reading = None
+        self._context.destroy(linger=0)
+
+    async def exchange(self, cmd: str, fields: Answer, timeout_s: float) -> Answer:
+        """Send a request; its reply, accepted or not.
+
+        DaemonDown: none in time; CommandError: too long.
+        """
+        socket = await self._connected()
+        deadline = time.monotonic() + timeout_s
+        timeout_ns = round(timeout_s * NS_PER_S)
+        number, payload = self._conversation.ask(cmd, fields, time.monotonic_ns(), timeout_ns)
+        try:
+            await _until(deadline, socket.send(payload))
+            return await self._reply(number, deadline)
+        except BaseException:
+            self._conversation.forget(number)
+            raise
+
+    async def _reply(self, number: int, deadline: float) -> Answer:
+        async with self._came:
+            while (outcome := self._conversation.outcome(number, time.monotonic_ns())) is None:
+                await _until(deadline, self._came.wait())
+        if isinstance(outcome, TimedOut):
+            raise silence(outcome, self._folder)
+        return outcome
+
+    async def _connected(self) -> zmq.asyncio.Socket:
+        """The command socket; made, and the client introduced, when it is first needed."""
+        path = socket_file(self._folder, COMMAND_SOCKET)
+        async with self._connecting:
+            if self._socket is None:
+                socket = self._context.socket(zmq.DEALER)
+                socket.setsockopt(zmq.LINGER, 0)
+                # requests are given only to a gateway that is connected: one that starts later
+                # finds no old commands
+                socket.setsockopt(zmq.IMMEDIATE, 1)
+                socket.connect(f"ipc://{path}")
+                number, payload = self._conversation.ask("hello", {"name": self._name}, 0, 0)
+                self._conversation.forget(number)  # nobody waits for this reply
+                await _until(time.monotonic() + INTRODUCTION_S, socket.send(payload))
+                self._socket = socket
+                self._reading = asyncio.create_task(self._read(socket))
+        return self._socket
+
+    async def _read(self, socket: zmq.asyncio.Socket) -> None:
+        while True:
+            self._conversation.receive(await socket.recv())
+            async with self._came:
+                self._came.notify_all()
+
+    async def listen(self, topic: str, timeout_s: float) -> AsyncGenerator[bytes, None]:
+        """Payloads of exactly `topic`. DaemonDown after silence for `timeout_s`."""
+        path = socket_file(self._folder, TELEMETRY_SOCKET)
+        with self._context.socket(zmq.SUB) as socket:
+            socket.setsockopt(zmq.LINGER, 0)
+            # events may be rare: there the state, which comes every second, shows that the gateway
+            # lives
+            for one in {topic, "state"} if topic == "event" else {topic}:
+                socket.setsockopt_string(zmq.SUBSCRIBE, one)
+            socket.connect(f"ipc://{path}")
+            while await socket.poll(round(1000 * timeout_s)):
+                name, payload = await socket.recv_multipart()
+                if name == topic.encode():  # ZeroMQ matches prefixes
+                    yield payload
+        raise DaemonDown(
+            f"{topic}: nothing from {self._folder} for {timeout_s} s; see `hapticd status`"
+        )
+
+
+async def _until(deadline: float, done: Awaitable[Any]) -> None:
+    """Wait for `done`, but no longer than the `deadline` of the clock."""
+    with suppress(TimeoutError):
+        await asyncio.wait_for(done, max(0.0, deadline - time.monotonic()))
+
+
+class AsyncClient(Verbs[Awaitable[Receipt], Awaitable[Answer]]):
+    """One connection to the daemon `instance`, used as an asynchronous context manager.
+
+    Arguments as those of `Client`.
+    """
+
+    def __init__(
+        self,
+        instance: str = DEFAULT_INSTANCE,
+        timeout_s: float = 2.0,
+        name: str = "script",
+        folder: Path | None = None,
+    ) -> None:
+        self._folder = folder or daemon_folder(instance)
+        self._timeout_s = timeout_s
+        self._name = name
+        self._line = AsyncLine(self._folder, name)
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.close()
+
+    async def close(self) -> None:
+        """Give up the connection; may be called twice."""
+        await self._line.close()
+
+    async def call(self, cmd: str, **fields: Any) -> Answer:
+        """Send any command; its whole reply {ok, id, rev, state, result or receipt}.
+
+        CommandError where the daemon refuses, DaemonDown where none answers in time.
+        """
+        return accepted(await self._line.exchange(cmd, fields, self._timeout_s))
+
+    async def _result(self, cmd: str, **fields: Any) -> Answer:
+        found: Answer = (await self.call(cmd, **fields))["result"]
+        return found
+
+    async def _change(self, cmd: str, **fields: Any) -> Receipt:
+        return receipt_of(await self.call(cmd, **fields))
+
+    async def stop(self) -> Receipt:
+        """Latched stop; without a reply within 40 ms the stop word is pressed.
+
+        DaemonDown if there is no servo either.
+        """
+        try:
+            return receipt_of(accepted(await self._line.exchange("stop", {}, STOP_TIMEOUT_S)))
+        except (DaemonDown, CommandError):
+            try:
+                press_stop(self._folder)
+            except MailboxError as error:
+                raise DaemonDown(str(error)) from error
+            return Receipt("pressed")
+
+    def lease(
+        self,
+        what: Leased,
+        *,
+        ttl_s: float | None = None,
+        at_end: AtEnd | None = None,
+        take_over: bool = False,
+    ) -> "AsyncLease":
+        """Be the only one who changes `what`, as an asynchronous context: see AsyncLease."""
+        return AsyncLease(self, what, ttl_s=ttl_s, at_end=at_end, take_over=take_over or None)
+
+    async def perturb_load(self, samples_n: ArrayLike) -> int:
+        """Load a waveform: force [N] at 4 kHz, shape (n,). The number of samples the daemon has."""
+        loaded: int = 0
+        for chunk in chunks(samples_n):
+            loaded = (await self._result("perturb", **chunk))["samples"]
+        return loaded
+
+    async def hand(self, verdict: Answer, timeout_s: float = 1.0) -> Answer | None:
+        """The hand that would shake what `verdict` is about; None if `timeout_s` passes first."""
+        deadline = time.monotonic() + timeout_s
+        while time.monotonic() < deadline:
+            if found := hand_of(await self.status(), verdict):
+                return found
+            await asyncio.sleep(POLL_S)
+        return None
+
+    async def wait_for(self, state: str, timeout_s: float = 10.0) -> None:
+        """Return when the servo is in `state`. CommandError `timeout` after `timeout_s`."""
+        deadline = time.monotonic() + timeout_s
+        while (found := (await self.call("get"))["state"]) != state:
+            if time.monotonic() >= deadline:
+                reason = f"state is {found!r}, not {state!r}, after {timeout_s} s"
+                raise CommandError("timeout", f"{reason}; see `hapticd status`")
+            await asyncio.sleep(POLL_S)
+
+    async def stream(
+        self, topic: str = "servo.raw", seconds: float | None = None, count: int | None = None
+    ) -> AsyncGenerator[Block, None]:
+        """Blocks of `servo.raw` or `probe` as they come, as those of `Client.stream`."""
+        excerpt = Excerpt(topic, seconds, count)
+        async for payload in self._line.listen(topic, self._timeout_s):
+            block = excerpt.next(payload)
+            if len(block.records):
+                yield block
+            if excerpt.complete:
+                return
+
+    async def record(self, seconds: float, topic: str = "servo.raw") -> tuple[Records, int]:
+        """All records of the next `seconds` in one structured array (n,), and how many it lacks."""
+        return joined([block async for block in self.stream(topic, seconds=seconds)])
+
+    async def listen(self, topic: str) -> AsyncGenerator[Any, None]:
+        """Decoded messages of `state`, `event` or `servo` as they come.
+
+        DaemonDown when the daemon is silent for the client's time-out.
+        """
+        async for payload in self._line.listen(topic, self._timeout_s):
+            yield msgpack.unpackb(payload)
+
+
+class AsyncLease:
+    """A lease of `what`, taken when the context begins and released when it ends.
+
+    A task of its own renews it meanwhile, so it is lost when the event loop hangs, not while the
+    body waits. CommandError at the end of the context if it was lost.
+    """
+
+    def __init__(self, client: AsyncClient, what: str, **asked: Any) -> None:
+        self._client = client
+        self._what = what
+        self._asked = asked
+        self._renewing: asyncio.Task[None] | None = None
+
+    async def __aenter__(self) -> Self:
+        held = (await self._client.call("lease", what=self._what, **self._asked))["result"]
+        self._renewing = asyncio.create_task(self._renew(held["ttl_s"]))
+        return self
+
+    async def __aexit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if self._renewing is not None:
+            self._renewing.cancel()
+            await asyncio.gather(self._renewing, return_exceptions=True)
+        try:
+            reply = await self._client.call("lease", what=self._what, action="release")
+        except Exception:
+            if kind is None:
+                raise
+            return  # what happened inside matters more
+        if not reply["result"]["released"] and kind is None:
+            raise lost_error(str(reply["result"]["text"]))
+
+    async def _renew(self, ttl_s: float) -> None:
+        """Until it is lost; the end of the context tells that."""
+        with suppress(CommandError, DaemonDown):
+            while True:
+                await asyncio.sleep(ttl_s / RENEWALS)
+                await self._client.call("lease", what=self._what, action="renew")

@@ -1,0 +1,164 @@
+"""Requests and replies without any I/O: both are bytes, time is passed in, a time-out is a value.
+
+Each request has a number that comes back in its reply, so a reply that arrives after its time-out
+is recognised and dropped, and never taken for the answer to a later request. The client that waits
+(`client`) and the one of asyncio (`aio`) are two ways of carrying these bytes.
+
+What would break it: two conversations that share a socket, since both begin to count at 1.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgpack
+
+from hapticd.errors import CommandError, DaemonDown
+from hapticd.gateway.codec import MAX_MESSAGE_BYTES
+from hapticd.units import NS_PER_S
+
+PROTOCOL_VERSION = 1
+INTRODUCTION_MS = 40  # how long a new socket may take to connect before its hello is given up
+STOP_TIMEOUT_S = 0.04  # then the stop word is pressed: force off may not wait for a gateway
+
+
+@dataclass(frozen=True, slots=True)
+class Receipt:
+    """What became of an accepted change, as the servo answered.
+
+    Ticks count from the servo's start.
+    """
+
+    # "applied": in force from `first_tick` on; "scheduled": will be, and `effective` holds until
+    # then; "staged": it has begun, and an event tells the end; "pressed": a stop by way of the
+    # stop word, which gives no receipt
+    result: str
+    state: str = ""  # of the servo: disabled, enabled, homing, stopped, fault
+    revision: int = 0  # number of accepted changes in this life of the servo
+    first_tick: int = 0  # from which the change acts
+    ramp_end_tick: int = 0  # at which the last ramp ends
+    effective: dict[str, Any] = field(default_factory=dict)  # parameters in the shape of a `set`
+    guard: dict[str, Any] | None = None  # the guard's verdict on it, where one was asked for
+
+
+class TimedOut(NamedTuple):
+    """No reply came within the time allowed. Whether the command acts is open."""
+
+    cmd: str  # name of the command
+    waited_s: float
+
+
+Outcome = dict[str, Any] | TimedOut | None  # a reply, no reply in time, or not yet
+
+
+class _Asked(NamedTuple):
+    """A request whose reply is still to come.
+
+    Times are those of the clock that the caller reads.
+    """
+
+    cmd: str
+    asked_ns: int
+    deadline_ns: int
+
+
+class Conversation:
+    """Numbers requests and matches replies."""
+
+    def __init__(self) -> None:
+        self._last = 0
+        self._asked: dict[int, _Asked] = {}
+        self._replies: dict[int, dict[str, Any]] = {}
+
+    def ask(
+        self, cmd: str, fields: dict[str, Any], now_ns: int, timeout_ns: int
+    ) -> tuple[int, bytes]:
+        """The number and the bytes of a new request; fields that are None are left out.
+
+        CommandError: more bytes than a request may have.
+        """
+        given = {name: value for name, value in fields.items() if value is not None}
+        request = {"cmd": cmd, "v": PROTOCOL_VERSION, "id": self._last + 1, **given}
+        payload = bytes(msgpack.packb(request, default=_python_number))
+        if len(payload) > MAX_MESSAGE_BYTES:
+            limit = f"a request has at most {MAX_MESSAGE_BYTES}; send less at once"
+            raise CommandError("malformed", f"{cmd}: {len(payload)} bytes, {limit}")
+        self._last += 1
+        self._asked[self._last] = _Asked(cmd, now_ns, now_ns + timeout_ns)
+        return self._last, payload
+
+    def receive(self, payload: bytes) -> None:
+        """Take a reply; what nobody waits for, and what is no reply, is dropped."""
+        try:
+            content = msgpack.unpackb(payload)
+        except (ValueError, msgpack.UnpackException):
+            return
+        if isinstance(content, dict) and content.get("id") in self._asked:
+            self._replies[content["id"]] = content
+
+    def outcome(self, number: int, now_ns: int) -> Outcome:
+        """The reply to request `number`, a TimedOut, or None while there is still time."""
+        asked = self._asked[number]
+        reply = self._replies.pop(number, None)
+        if reply is None and now_ns < asked.deadline_ns:
+            return None
+        del self._asked[number]
+        return (
+            reply
+            if reply is not None
+            else TimedOut(asked.cmd, (now_ns - asked.asked_ns) / NS_PER_S)
+        )
+
+    def forget(self, number: int) -> None:
+        """Nobody waits for the reply to `number` any more."""
+        self._asked.pop(number, None)
+        self._replies.pop(number, None)
+
+
+def _python_number(value: Any) -> Any:
+    """A numpy number as a Python number, so that values may come out of arrays.
+
+    msgpack calls this for what it cannot pack: CommandError for an int beyond 64 bits, TypeError
+    for what is no number at all.
+    """
+    if isinstance(value, int):
+        bits = value.bit_length()
+        reason = f"an integer of {bits} bits cannot be sent, limit 64; no parameter is so large"
+        raise CommandError("malformed", reason)
+    if not hasattr(value, "item"):
+        raise TypeError(f"{value!r} cannot be sent; use numbers, text, lists and maps")
+    return value.item()
+
+
+def accepted(reply: dict[str, Any]) -> dict[str, Any]:
+    """`reply` if it says ok.
+
+    DaemonDown: the gateway has no servo; CommandError: any other refusal.
+    """
+    if reply.get("ok"):
+        return reply
+    error = reply.get("error", {})
+    code = error.get("code", "unknown")
+    if code == "servo_down":
+        raise DaemonDown(error.get("message", "the servo does not run"))
+    reason = error.get("message", "no reason given")
+    raise CommandError(code, reason, error.get("detail"), error.get("guard"))
+
+
+def receipt_of(reply: dict[str, Any]) -> Receipt:
+    """The receipt in an accepted reply."""
+    return Receipt(**reply["receipt"], state=reply["state"], guard=reply.get("guard"))
+
+
+def silence(outcome: TimedOut, folder: Path) -> DaemonDown:
+    """The error for a request to the daemon in `folder` that nobody answered."""
+    waited = f"no reply from {folder} within {outcome.waited_s:.2g} s"
+    return DaemonDown(f"{outcome.cmd}: {waited}; is `hapticd run` running there?")
+
+
+def socket_file(folder: Path, name: str) -> Path:
+    """The socket `name` of the daemon in `folder`. DaemonDown if there is none."""
+    path = folder / name
+    if not path.exists():
+        raise DaemonDown(f"{path}: no daemon runs there; start it with `hapticd run`")
+    return path

@@ -1,0 +1,168 @@
+"""The verbs that are one request and one reply, for the client that waits and for that of asyncio.
+
+Each is written once; what it gives, a value or something to await, is the client's: `Verbs[Receipt,
+dict]` or `Verbs[Awaitable[Receipt], Awaitable[dict]]`.
+
+What would break it: a verb that needs two replies; it belongs into the clients.
+"""
+
+from collections.abc import Iterator
+from typing import Any, Generic, Literal, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hapticd.params import BasisName, DampingMode, Policy
+
+R = TypeVar("R")  # what a change gives: a Receipt, now or later
+D = TypeVar("D")  # what a question gives: a map, now or later
+
+POLL_S = 0.02  # between two looks at the state
+# 32 kB as float32, half of what a message may hold
+CHUNK_SAMPLES = 8192  # of a waveform, in one message
+
+
+class Verbs(Generic[R, D]):
+    """Questions and changes. CommandError where the daemon refuses, DaemonDown where none answers
+    in time.
+    """
+
+    _name: str  # of the client, shown beside what it changes
+
+    def _result(self, cmd: str, **fields: Any) -> D:
+        raise NotImplementedError
+
+    def _change(self, cmd: str, **fields: Any) -> R:
+        raise NotImplementedError
+
+    # --- asking -----------------------------------------------------------------------------------
+
+    def hello(self) -> D:
+        """Versions, limits, endpoints and topics of the daemon."""
+        return self._result("hello", name=self._name)
+
+    def get(self) -> D:
+        """{parameters: what was asked, ramps at their ends; in_force: what acts at this tick}."""
+        return self._result("get")
+
+    def status(self) -> D:
+        """State, fault, counters, stage times, what the servo was granted, the last events."""
+        return self._result("status")
+
+    def schema(self) -> D:
+        """The protocol as JSON schema, with units and the limits of this device."""
+        return self._result("schema")
+
+    # --- changing ---------------------------------------------------------------------------------
+
+    def set(
+        self,
+        *,
+        K: float | None = None,
+        B: float | None = None,
+        M: float | None = None,
+        filters: dict[str, float] | None = None,
+        wall: dict[str, float] | None = None,
+        damping: float | None = None,
+        ramp_s: float | None = None,
+        at_tick: int | None = None,
+        if_rev: int | None = None,
+        limit_cycle_faults: bool | None = None,
+    ) -> R:
+        """Change what is rendered; what is not given stays.
+
+        `K` virtual stiffness [N/m], `B` virtual damping [N s/m], `M` virtual mass [kg], `damping`
+        active damping [N s/m]; `filters` and `wall` by the names of `hapticd set`. `ramp_s` is the
+        length of the ramp [s], `at_tick` the servo tick from which it acts, and with `if_rev` it
+        acts only if the revision is still that one. `limit_cycle_faults`: whether force_at_limit
+        and energy end a limit cycle; on again as soon as force is off.
+        """
+        return self._change(
+            "set",
+            K=K,
+            B=B,
+            M=M,
+            filters=filters,
+            wall=wall,
+            damping=damping,
+            ramp_s=ramp_s,
+            at_tick=at_tick,
+            if_rev=if_rev,
+            limit_cycle_faults=limit_cycle_faults,
+        )
+
+    def damping(self, value: Literal["on", "off", "auto"] | float) -> R:
+        """Switch the active damping, set its level [N s/m] and switch it on, or have the guard
+        choose the least level that will do.
+        """
+        return self._change("damping", value=value)
+
+    def guard(
+        self,
+        policy: Policy | None = None,
+        *,
+        basis: BasisName | None = None,
+        margin_ns_per_m: float | None = None,
+        mode: DampingMode | None = None,
+    ) -> D:
+        """Change what is done with environments that are not known to be passive, or only ask.
+
+        `margin_ns_per_m` is the damping that has to be left [N s/m], `mode` that of the active
+        damping. {policy, basis, margin_ns_per_m, mode, worker, delay_periods, verdict, ..}.
+        """
+        return self._result(
+            "guard", policy=policy, basis=basis, margin_ns_per_m=margin_ns_per_m, mode=mode
+        )
+
+    def enable(self) -> R:
+        """Force on, with a gain ramp."""
+        return self._change("enable")
+
+    def disable(self) -> R:
+        """Force off."""
+        return self._change("disable")
+
+    def reset(self) -> R:
+        """From `stopped` or `fault` to `disabled`."""
+        return self._change("reset")
+
+    def zero(self) -> R:
+        """Here is x = 0; only in `disabled`."""
+        return self._change("zero")
+
+    def home(self) -> R:
+        """Begin to look for the origin; only in `disabled`, to which it returns afterwards."""
+        return self._change("home")
+
+    def perturb_start(self, loop: bool = False) -> R:
+        """Play the loaded waveform, once or until stopped."""
+        return self._change("perturb", action="start", loop=loop)
+
+    def perturb_stop(self) -> R:
+        """Stop playing."""
+        return self._change("perturb", action="stop")
+
+    def dump(self) -> D:
+        """Write the flight recording; {path, records, reason}.
+
+        The file appears soon after this returns, and is whole when it does.
+        """
+        return self._result("dump")
+
+
+def chunks(samples_n: ArrayLike) -> Iterator[dict[str, Any]]:
+    """Fields of the requests that load a waveform: force [N] at 4 kHz, shape (n,)."""
+    samples = np.asarray(samples_n, "<f4").ravel()
+    for start in range(0, max(len(samples), 1), CHUNK_SAMPLES):
+        chunk = samples[start : start + CHUNK_SAMPLES].tobytes()
+        yield {"action": "load", "samples_n": chunk, "offset": start}
+
+
+def hand_of(status: dict[str, Any], verdict: dict[str, Any]) -> dict[str, Any] | None:
+    """The event `guard` of `status` that names the hand which would shake what `verdict` is about;
+    None as long as there is none.
+    """
+    for event in reversed(status["events"]):
+        if event["kind"] == "guard" and event["number"] == verdict.get("number"):
+            return dict(event)
+    return None
